@@ -1,0 +1,45 @@
+"""Heading and lateral offset from single frames of a corridor.
+
+`measure_frame` turns a picture and a `Camera` into a `FrameMeasurement`. Frames, signs and units are those of
+`vision.measurement`. Importing the package is light: the compiled line finder loads at its first use.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from vision.camera import Camera
+from vision.errors import InputError
+from vision.measurement import (
+    Attitude,
+    FrameMeasurement,
+    LineClass,
+    Position,
+    Prior,
+    Reason,
+)
+
+if TYPE_CHECKING:
+    from vision.frame import extract_lines, measure_frame, measure_lines
+
+__all__ = [
+    "Attitude",
+    "Camera",
+    "FrameMeasurement",
+    "InputError",
+    "LineClass",
+    "Position",
+    "Prior",
+    "Reason",
+    "extract_lines",
+    "measure_frame",
+    "measure_lines",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("extract_lines", "measure_frame", "measure_lines"):
+        from vision import frame
+
+        return getattr(frame, name)
+    raise AttributeError(f"module 'vision' has no attribute {name!r}")

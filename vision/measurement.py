@@ -1,0 +1,200 @@
+"""What one camera frame says about heading and lateral offset, and what may be known beforehand.
+
+Frames and signs (the whole project keeps them):
+
+- body: FRD, x forward, y right, z down; level: the body frame turned back by roll and pitch, so that z points
+  down along gravity and x is the vehicle's heading in the horizontal plane.
+- heading: angle from the corridor's axis to the vehicle's x axis, positive when the vehicle is turned right
+  (clockwise from above); the vanishing point then lies left of the principal point.
+- lateral offset: right of the corridor's centre line is positive; scale-free form ``y / (width / 2)``.
+- pixels: (0, 0) is the centre of the top-left pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntEnum, StrEnum
+from math import asin, atan2, cos, nan, radians, sin
+
+import numpy as np
+import numpy.typing as npt
+
+from vision.errors import InputError
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Reason(StrEnum):
+    """Why a frame was used (``ok``) or not; the words of the ``reason`` column."""
+
+    OK = "ok"
+    TOO_FEW_LINES = "too_few_lines"  # fewer than four lines that meet
+    AMBIGUOUS = "ambiguous"  # two directions explain the lines almost equally well
+    UNCERTAIN = "uncertain"  # the lines leave the heading too uncertain to be of use
+    BLUR = "blur"  # turning too fast for the exposure
+    GATE = "gate"  # disagrees with the filter
+    UNREADABLE = "unreadable"  # the picture could not be decoded
+    LATE = "late"  # arrived after the estimator's buffer had passed it
+
+
+class Position(StrEnum):
+    """Side of the corridor's centre line that the vehicle is on."""
+
+    LEFT = "left"
+    CENTRE = "centre"
+    RIGHT = "right"
+
+
+class LineClass(IntEnum):
+    """What a line segment was found to be; the values of `FrameMeasurement.line_class`."""
+
+    REJECTED = 0
+    CORRIDOR = 1
+    TRANSVERSE = 2
+    VERTICAL = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Attitude:
+    """Roll and pitch of the body (FRD) against gravity, with their common standard deviation.
+
+    Parameters
+    ----------
+    roll_rad, pitch_rad
+        Aerospace Z-Y-X Euler angles: roll positive right side down, pitch positive nose up.
+    std_rad
+        Standard deviation of each, one sigma.
+    """
+
+    roll_rad: float
+    pitch_rad: float
+    std_rad: float = radians(0.5)
+
+    @classmethod
+    def from_quaternion(cls, q_world_body: npt.ArrayLike, std_rad: float = radians(0.5)) -> Attitude:
+        """Take roll and pitch from a quaternion (w, x, y, z), body FRD to a world whose z points down.
+
+        Raises
+        ------
+        InputError
+            Where the four numbers are not finite or are far from unit length.
+        """
+        w, x, y, z = (float(v) for v in np.asarray(q_world_body, dtype=float).reshape(4))
+        norm = (w * w + x * x + y * y + z * z) ** 0.5
+        if not 0.9 < norm < 1.1:  # NaN fails too
+            raise InputError(
+                f"attitude quaternion ({w:g}, {x:g}, {y:g}, {z:g}) has length {norm:g}",
+                remedy="give a unit quaternion w, x, y, z",
+            )
+        w, x, y, z = w / norm, x / norm, y / norm, z / norm
+        return cls(
+            roll_rad=atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+            pitch_rad=asin(max(-1.0, min(1.0, 2 * (w * y - z * x)))),
+            std_rad=std_rad,
+        )
+
+    def R_level_body(self) -> FloatArray:
+        """Rotation (3, 3) that takes body vectors to the level frame."""
+        cr, sr, cp, sp = cos(self.roll_rad), sin(self.roll_rad), cos(self.pitch_rad), sin(self.pitch_rad)
+        return np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What a filter knows at the time of a frame; used to choose between hypotheses, never averaged in.
+
+    Parameters
+    ----------
+    heading_rad, heading_std_rad
+        Predicted heading and its standard deviation.
+    lateral_offset_norm, lateral_offset_norm_std
+        Predicted scale-free lateral offset; NaN where unknown.
+    width_per_height
+        Corridor width over the camera's height above the floor, as seen so far; NaN where unknown.
+    elevation_rad, elevation_std_rad
+        Elevation of the corridor's axis in the level frame as seen so far (positive: up). It is the camera's
+        mounting pitch error with its sign turned; zero where the mount is exact.
+    body_rate_rad_s
+        Magnitude of the body's angular rate during the exposure; NaN where unknown.
+    """
+
+    heading_rad: float = nan
+    heading_std_rad: float = nan
+    lateral_offset_norm: float = nan
+    lateral_offset_norm_std: float = nan
+    width_per_height: float = nan
+    elevation_rad: float = 0.0
+    elevation_std_rad: float = radians(3.0)
+    body_rate_rad_s: float = nan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameMeasurement:
+    """One frame's answer. Numbers that could not be measured are NaN, never a guess.
+
+    Parameters
+    ----------
+    accepted, reason
+        Whether the heading may be used, and why not.
+    n_lines, n_inliers
+        Line segments found, and those that meet in the vanishing point.
+    vp_px, vp_cov_px2
+        Vanishing point (2,) in the original, distorted image and its covariance (2, 2). It may lie outside
+        the picture; NaN where the lens model does not reach it.
+    heading_rad, heading_std_rad
+        Heading relative to the corridor's axis, in (-pi/2, pi/2): a corridor looks alike from both ends.
+    elevation_rad, elevation_std_rad
+        Elevation of the corridor's axis in the level frame, positive up. Not zero: tilt or mount are off.
+    second_heading_rad, second_score
+        The next best hypothesis and its score relative to the best one (0: no rival, 1: a tie).
+    lateral_offset_norm, lateral_offset_norm_std
+        Offset from the centre line over half the corridor's width.
+    width_per_height
+        Corridor width over camera height above the floor.
+    position
+        Left, centre or right; None where the offset is unknown.
+    paper_yaw_rad
+        The article's equation (8) at this vanishing point: unsigned, see `vision.paper`.
+    vision_ms
+        Time spent on this frame, milliseconds.
+    lines_px, line_class
+        The segments (n, 4) as x0, y0, x1, y1 in the original image, and their `LineClass` (n,); None where
+        they were dropped to save memory.
+    wall_lines_px
+        Lines (k, 4) where walls meet floor or ceiling, as used for the lateral offset; None like `lines_px`.
+    """
+
+    accepted: bool
+    reason: Reason
+    n_lines: int = 0
+    n_inliers: int = 0
+    vp_px: tuple[float, float] = (nan, nan)
+    vp_cov_px2: tuple[tuple[float, float], tuple[float, float]] = ((nan, nan), (nan, nan))
+    heading_rad: float = nan
+    heading_std_rad: float = nan
+    elevation_rad: float = nan
+    elevation_std_rad: float = nan
+    second_heading_rad: float = nan
+    second_score: float = nan
+    lateral_offset_norm: float = nan
+    lateral_offset_norm_std: float = nan
+    width_per_height: float = nan
+    position: Position | None = None
+    paper_yaw_rad: float = nan
+    vision_ms: float = nan
+    lines_px: npt.NDArray[np.float32] | None = None
+    line_class: npt.NDArray[np.int8] | None = None
+    wall_lines_px: npt.NDArray[np.float32] | None = None
+
+    def without_lines(self) -> FrameMeasurement:
+        """Return a copy that holds no arrays, for keeping a long flight in memory."""
+        return replace(self, lines_px=None, line_class=None, wall_lines_px=None)
+
+
+def position_from_offset(lateral_offset_norm: float, dead_band_norm: float = 0.1) -> Position | None:
+    """Name the side of the centre line; inside ``dead_band_norm`` it is the centre, NaN gives None."""
+    if lateral_offset_norm != lateral_offset_norm:
+        return None
+    if abs(lateral_offset_norm) <= dead_band_norm:
+        return Position.CENTRE
+    return Position.RIGHT if lateral_offset_norm > 0 else Position.LEFT
