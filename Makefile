@@ -1,0 +1,61 @@
+# corridor-fusion: `make run` and `make test` need Python 3.11 or later and make, nothing else.
+# Everything lives in .venv; nothing is installed outside the folder.
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+PYTHON ?=
+PYTEST_FLAGS ?= -n 2
+FLIGHT ?= data/office
+OUT ?= out/$(notdir $(FLIGHT))
+
+help:  ## show this list
+	@sed -n 's/^\([a-z]*\):.*## */\1 /p' $(MAKEFILE_LIST) | while read -r name what; do printf '  make %-6s %s\n' "$$name" "$$what"; done
+
+run: $(STAMP)  ## fuse the sample flight in data/office and print how well it went
+	@$(BIN)/corridor fuse "$(FLIGHT)" -o "$(OUT)"
+
+test: $(STAMP)  ## run all tests
+	@$(BIN)/python -m pytest $(PYTEST_FLAGS)
+
+lint: $(STAMP)  ## ruff: rules and format
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+
+types: $(STAMP)  ## mypy, strict
+	@$(BIN)/mypy
+
+bench: $(STAMP)  ## print the benchmarks' tables
+	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script"; done
+
+hooks: $(STAMP)  ## install the git hooks (lint and types before each commit)
+	@$(BIN)/pre-commit install
+
+setup: $(STAMP)  ## only set up .venv
+
+clean:  ## remove .venv, caches and outputs
+	rm -rf $(VENV) out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# One shell script on purpose: find a Python, make the environment, install, and only then stamp it.
+$(STAMP): pyproject.toml
+	@set -eu; python=""; \
+	for candidate in $(or $(PYTHON),python3.14 python3.13 python3.12 python3.11 python3 python); do \
+	  if "$$candidate" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
+	    python="$$candidate"; break; \
+	  fi; \
+	done; \
+	if [ -z "$$python" ]; then \
+	  found="$$($(or $(PYTHON),python3) --version 2>/dev/null || echo none)"; \
+	  echo "error: Python 3.11 or later with its venv module is needed (found: $$found); install it or name it: make PYTHON=/path/to/python3" >&2; \
+	  exit 1; \
+	fi; \
+	echo "Setting up $(VENV) with $$("$$python" --version) (once, takes a minute or two) ..." >&2; \
+	$(BIN)/python -c pass 2>/dev/null || "$$python" -m venv --clear $(VENV); \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' >&2; \
+	touch $(STAMP)
+
+.PHONY: help run test lint types bench hooks setup clean
