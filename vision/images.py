@@ -1,0 +1,78 @@
+"""Pictures from files and arrays, as the grey 8-bit images that everything else works on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vision.errors import InputError
+
+GreyImage = npt.NDArray[np.uint8]
+
+
+def read_image(path: str | Path) -> GreyImage:
+    """Read a picture file as grey uint8 (h, w).
+
+    Raises
+    ------
+    InputError
+        Where the file is missing, empty, or does not decode.
+    """
+    import cv2
+
+    path = Path(path)
+    try:
+        data = np.fromfile(path, dtype=np.uint8)  # imread prints to stderr and cannot read some paths
+    except OSError as error:
+        reason = (
+            "there is no such picture" if isinstance(error, FileNotFoundError) else f"cannot be read: {error}"
+        )
+        raise InputError(reason, file=path, remedy="check the path and its permissions") from error
+    image = None
+    if data.size:
+        try:
+            image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
+        except cv2.error:
+            image = None
+    if image is None:
+        raise InputError(
+            f"picture does not decode ({data.size} bytes)",
+            file=path,
+            remedy="give a whole JPEG, PNG or similar",
+        )
+    return to_grey(image)
+
+
+def to_grey(image: npt.NDArray[Any]) -> GreyImage:
+    """Turn a grey, BGR or BGRA array, uint8 or uint16, into grey uint8 (h, w), contiguous.
+
+    16-bit pictures are scaled by 1/256: their whole range is kept, also where only 10 or 12 bits are used.
+
+    Raises
+    ------
+    InputError
+        For any other type or shape.
+    """
+    image = np.asarray(image)
+    shape_ok = image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3, 4))
+    if not shape_ok or 0 in image.shape:
+        raise InputError(
+            f"image has shape {image.shape}",
+            remedy="give (height, width), or (height, width, 3 or 4) as BGR or BGRA",
+        )
+    if image.dtype == np.uint16:
+        image = (image >> 8).astype(np.uint8)
+    elif image.dtype != np.uint8:
+        raise InputError(f"image is of type {image.dtype}", remedy="give uint8 or uint16")
+    if image.ndim == 3:
+        if image.shape[2] == 1:
+            image = image[:, :, 0]
+        else:
+            import cv2
+
+            code = cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
+            image = cv2.cvtColor(np.ascontiguousarray(image), code)
+    return np.ascontiguousarray(image)
