@@ -1,3 +1,201 @@
-"""One frame, from picture to measurement: the door to the package."""
+"""One frame, from picture to measurement: the door to the package.
+
+`measure_frame` does it all. A filter calls its two halves: `extract_lines`, which needs only the picture and takes
+nearly all of the time, and `measure_lines`, which needs the attitude and the prediction at the frame's time and is
+cheap enough to be repeated when late samples change either.
+"""
 
 from __future__ import annotations
+
+import time
+from dataclasses import replace
+from math import cos, degrees, hypot, isfinite, nan, pi, radians, sin, sqrt
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from vision.camera import Camera
+from vision.errors import InputError
+from vision.images import to_grey
+from vision.lines import LineSet, extract_lines, is_distorted
+from vision.measurement import (
+    Attitude,
+    FrameMeasurement,
+    LineClass,
+    Prior,
+    Reason,
+    position_from_offset,
+)
+from vision.paper import equation_8, measure_paper
+from vision.vanishing_point import VERTICAL_SINE, AxisFit, fit_axis
+
+FloatArray = npt.NDArray[np.float64]
+Method = Literal["geometric", "paper"]
+
+MIN_LINES = 4
+MIN_SCORE = 8.0  # log-likelihood over chance
+MAX_RIVAL = 0.80  # score of the second-best heading over the best
+MAX_STD_RAD = radians(3.0)
+MAX_BLUR_PX = 20.0
+CALIBRATION_STD_RAD = radians(0.03)  # what focal length and principal point leave, the same in every frame
+UNKNOWN_ATTITUDE = Attitude(0.0, 0.0, std_rad=radians(12.0))
+TRANSVERSE_SINE = sin(radians(1.5))
+
+__all__ = ["LineSet", "Method", "extract_lines", "measure_frame", "measure_lines"]
+
+
+def measure_frame(
+    image: npt.NDArray[Any],
+    camera: Camera,
+    attitude: Attitude | npt.ArrayLike | None = None,
+    prior: Prior | None = None,
+    method: Method = "geometric",
+) -> FrameMeasurement:
+    """Measure heading and lateral offset in one picture of a corridor.
+
+    Parameters
+    ----------
+    image
+        Grey (h, w), BGR (h, w, 3) or BGRA (h, w, 4), uint8 or uint16.
+    camera
+        Calibration for this picture size; see `Camera.resized` and `Camera.from_fov`.
+    attitude
+        Roll and pitch of the body, or a quaternion (4,) w x y z, body FRD to a world whose z points down.
+        None: level is found from the picture's vertical lines.
+    prior
+        What a filter predicts; chooses between hypotheses, and is not averaged in.
+    method
+        ``geometric``, or ``paper``: the article's chain, which uses neither attitude nor prior.
+
+    Raises
+    ------
+    InputError
+        Where the picture is none, has another size than the camera, or the quaternion is not a unit one.
+    """
+    if method not in get_args(Method):
+        raise InputError(f"method {method!r} is unknown", remedy=f"use one of {', '.join(get_args(Method))}")
+    grey = to_grey(image)
+    if method == "paper":
+        return measure_paper(grey, camera)
+    return measure_lines(extract_lines(grey, camera), camera, attitude, prior)
+
+
+def measure_lines(
+    lines: LineSet,
+    camera: Camera,
+    attitude: Attitude | npt.ArrayLike | None = None,
+    prior: Prior | None = None,
+) -> FrameMeasurement:
+    """Measure heading and lateral offset from the lines of a picture; parameters as in `measure_frame`."""
+    started = time.perf_counter()
+    prior = prior or Prior()
+    if attitude is None:
+        attitude = UNKNOWN_ATTITUDE
+    elif not isinstance(attitude, Attitude):
+        attitude = Attitude.from_quaternion(attitude)
+    R_level_camera = attitude.R_level_body() @ camera.R_body_camera
+    fit = fit_axis(
+        lines,
+        R_level_camera,
+        elevation_rad=prior.elevation_rad,
+        elevation_std_rad=hypot(attitude.std_rad, prior.elevation_std_rad),
+        prior_heading_rad=prior.heading_rad,
+        prior_heading_std_rad=prior.heading_std_rad,
+    )
+    if fit is None:
+        found = FrameMeasurement(False, Reason.TOO_FEW_LINES, n_lines=len(lines))
+    else:
+        found = _describe(fit, lines, camera, R_level_camera)
+        reason = _judge(found, fit, camera, prior)
+        found = replace(found, accepted=reason is Reason.OK, reason=reason)
+    return replace(found, vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started))
+
+
+def _describe(fit: AxisFit, lines: LineSet, camera: Camera, R_level_camera: FloatArray) -> FrameMeasurement:
+    """Turn an axis into the numbers and drawings of a measurement, not yet judged."""
+    vp, vp_cov = _vanishing_point(fit, camera, R_level_camera)
+    line_class = _classify(fit, lines, R_level_camera)
+    return FrameMeasurement(
+        accepted=False,
+        reason=Reason.UNCERTAIN,
+        n_lines=len(lines),
+        n_inliers=int(fit.inlier.sum()),
+        vp_px=(float(vp[0]), float(vp[1])),
+        vp_cov_px2=((float(vp_cov[0, 0]), float(vp_cov[0, 1])), (float(vp_cov[1, 0]), float(vp_cov[1, 1]))),
+        heading_rad=fit.heading_rad,
+        heading_std_rad=hypot(sqrt(fit.covariance[0, 0]), CALIBRATION_STD_RAD),
+        elevation_rad=fit.elevation_rad,
+        elevation_std_rad=sqrt(fit.covariance[1, 1]),
+        second_heading_rad=fit.second_heading_rad,
+        second_score=max(fit.second_score, 0.0) / fit.score,
+        paper_yaw_rad=float(equation_8(vp[0], vp[1], camera.width_px, camera.height_px)),
+        lines_px=_in_picture(lines.ends_px, camera),
+        line_class=line_class,
+    )
+
+
+def _judge(found: FrameMeasurement, fit: AxisFit, camera: Camera, prior: Prior) -> Reason:
+    if found.n_inliers < MIN_LINES or fit.score < MIN_SCORE:
+        return Reason.TOO_FEW_LINES
+    blur_px = prior.body_rate_rad_s * camera.exposure_s * camera.fx_px
+    if isfinite(blur_px) and blur_px > MAX_BLUR_PX:
+        return Reason.BLUR
+    if found.second_score > MAX_RIVAL:
+        return Reason.AMBIGUOUS
+    if not found.heading_std_rad < MAX_STD_RAD or abs(found.heading_rad) > 0.5 * pi:
+        return Reason.UNCERTAIN
+    return Reason.OK
+
+
+def _axis(heading_rad: float, elevation_rad: float) -> FloatArray:
+    """Unit vector (3,) along the corridor in the level frame."""
+    return np.array(
+        [
+            cos(elevation_rad) * cos(heading_rad),
+            -cos(elevation_rad) * sin(heading_rad),
+            -sin(elevation_rad),
+        ]
+    )
+
+
+def _vanishing_point(
+    fit: AxisFit, camera: Camera, R_level_camera: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Vanishing point (2,) and covariance (2, 2) in the original picture."""
+    step = 1e-4
+    axes = np.array(
+        [
+            _axis(fit.heading_rad, fit.elevation_rad),
+            _axis(fit.heading_rad + step, fit.elevation_rad),
+            _axis(fit.heading_rad, fit.elevation_rad + step),
+        ]
+    )
+    points = camera.project(axes @ R_level_camera)
+    jacobian = ((points[1:] - points[0]) / step).T
+    return points[0], jacobian @ fit.covariance @ jacobian.T
+
+
+def _classify(fit: AxisFit, lines: LineSet, R_level_camera: FloatArray) -> npt.NDArray[np.int8]:
+    normal = lines.normal @ R_level_camera.T
+    line_class = np.full(len(lines), LineClass.REJECTED, np.int8)
+    transverse = np.abs(normal @ _axis(fit.heading_rad + 0.5 * pi, 0.0))
+    line_class[transverse < TRANSVERSE_SINE] = LineClass.TRANSVERSE
+    line_class[np.abs(normal[:, 2]) < VERTICAL_SINE] = LineClass.VERTICAL
+    line_class[fit.inlier] = LineClass.CORRIDOR
+    return line_class
+
+
+def _in_picture(ends_px: FloatArray, camera: Camera) -> npt.NDArray[np.float32]:
+    """Bring line ends (n, 4) from rectified pixels back to where they are in the original picture."""
+    if not is_distorted(camera):
+        return ends_px.astype(np.float32)
+    points = ends_px.reshape(-1, 2)
+    rays = np.column_stack(
+        [
+            (points[:, 0] - camera.cx_px) / camera.fx_px,
+            (points[:, 1] - camera.cy_px) / camera.fy_px,
+            np.ones(len(points)),
+        ]
+    )
+    return camera.project(rays).reshape(-1, 4).astype(np.float32)

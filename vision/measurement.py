@@ -12,7 +12,7 @@ Frames and signs (the whole project keeps them):
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
 from math import asin, atan2, cos, nan, radians, sin
 
@@ -182,9 +182,9 @@ class FrameMeasurement:
     position: Position | None = None
     paper_yaw_rad: float = nan
     vision_ms: float = nan
-    lines_px: npt.NDArray[np.float32] | None = None
-    line_class: npt.NDArray[np.int8] | None = None
-    wall_lines_px: npt.NDArray[np.float32] | None = None
+    lines_px: npt.NDArray[np.float32] | None = field(default=None, repr=False)
+    line_class: npt.NDArray[np.int8] | None = field(default=None, repr=False)
+    wall_lines_px: npt.NDArray[np.float32] | None = field(default=None, repr=False)
 
     def without_lines(self) -> FrameMeasurement:
         """Return a copy that holds no arrays, for keeping a long flight in memory."""
