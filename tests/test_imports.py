@@ -1,0 +1,49 @@
+"""Importing stays light: what a user does not use is not loaded."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = {"numba", "cv2", "scipy", "filterpy", "matplotlib", "pandas", "jinja2", "ruamel", "IPython"}
+
+
+def loaded_by(code: str) -> set[str]:
+    """Top-level modules that a fresh interpreter holds after running the code."""
+    report = "; import sys, json; print(json.dumps(sorted({name.split('.')[0] for name in sys.modules})))"
+    run = subprocess.run([sys.executable, "-c", code + report], capture_output=True, text=True, check=True)
+    return set(json.loads(run.stdout.splitlines()[-1]))
+
+
+@pytest.mark.parametrize("package", ["vision", "fusion"])
+def test_a_package_imports_without_the_heavy_ones(package: str) -> None:
+    loaded = loaded_by(f"import {package}")
+    assert package in loaded
+    assert loaded & HEAVY == set()
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["fuse", "--help"], ["measure", "--help"], ["--version"]])
+def test_help_comes_without_the_heavy_ones(arguments: list[str]) -> None:
+    code = (
+        f"import sys; sys.argv = ['corridor', *{arguments!r}]\n"
+        "from fusion.cli import main\n"
+        "try:\n    main()\n"
+        "except SystemExit as end:\n    assert not end.code\n"
+    )
+    loaded = loaded_by(code + "0")
+    assert "typer" in loaded
+    assert loaded & HEAVY == set()
+
+
+@pytest.mark.parametrize("name", ["measure_frame", "measure_lines", "extract_lines"])
+def test_the_compiled_line_finder_loads_at_its_first_use(name: str) -> None:
+    assert "numba" in loaded_by(f"import vision; vision.{name}")
+
+
+def test_vision_alone_never_loads_fusion() -> None:
+    assert "fusion" not in loaded_by(
+        "import vision, vision.frame, vision.paper, vision.overlay, vision.images"
+    )
