@@ -1,0 +1,297 @@
+"""What stands and hangs along the walls: doors, posters, signs, furniture, lockers, radiators, people.
+
+Every function builds in the wall's own frame: s along the wall, d out of it into the room, h above the floor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion.simulate.config import SceneConfig
+from fusion.simulate.mesh import Builder, Frame, Material
+from fusion.simulate.textures import BOARDS, POSTERS, SIGNS
+
+DOOR_HEIGHT_M = 2.05
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """A doorway: from s0 to s1 along the wall; ``is_open`` shows the room behind it."""
+
+    s0_m: float
+    s1_m: float
+    height_m: float
+    is_open: bool
+
+
+def place_openings(
+    config: SceneConfig, length_m: float, rng: np.random.Generator, free_behind: list[tuple[float, float]]
+) -> list[Opening]:
+    """Draw doorways along a wall; rooms open only where ``free_behind`` says that nothing else is there."""
+    openings: list[Opening] = []
+    if config.door_spacing_m <= 0:
+        return openings
+    s = float(rng.uniform(0.4, config.door_spacing_m))
+    while True:
+        width = float(rng.choice([0.85, 0.95, 1.05, 1.7], p=[0.3, 0.4, 0.2, 0.1]))
+        if s + width > length_m - 0.35:
+            return openings
+        height = min(DOOR_HEIGHT_M + float(rng.choice([0.0, 0.1])), config.height_m - 0.12)
+        free = any(a < s - 1.2 and s + width + 1.2 < b for a, b in free_behind)
+        openings.append(Opening(s, s + width, height, bool(free and rng.random() < config.open_door_share)))
+        s += width + max(0.5, float(rng.gamma(3.0, max(config.door_spacing_m - width, 0.6) / 3.0)))
+
+
+def build_doorway(
+    builder: Builder, frame: Frame, opening: Opening, config: SceneConfig, wall: Material
+) -> None:
+    """Frame, reveal, and either the door leaf or the lit room behind."""
+    rng = builder.rng
+    s0, s1, top = opening.s0_m, opening.s1_m, opening.height_m
+    trim = Material(config.door_frame_albedo, "metal", (1.0, 1.0), 0.7)
+    jamb, proud = float(rng.uniform(0.04, 0.09)), float(rng.uniform(0.008, 0.03))
+    builder.box(frame, (s0 - jamb, s0), (0, proud), (0, top + jamb), trim, "sSDH")
+    builder.box(frame, (s1, s1 + jamb), (0, proud), (0, top + jamb), trim, "sSDH")
+    builder.box(frame, (s0, s1), (0, proud), (top, top + jamb), trim, "DhH")
+    deep = 0.22 if opening.is_open else config.door_recess_m
+    builder.quad(
+        frame.point(s0, -deep, 0), frame.vector(0, deep, 0), frame.vector(0, 0, top), frame.along, trim
+    )
+    builder.quad(
+        frame.point(s1, -deep, 0), frame.vector(0, deep, 0), frame.vector(0, 0, top), -frame.along, trim
+    )
+    lintel = frame.point(s0, -deep, top)
+    builder.quad(lintel, frame.vector(s1 - s0, 0, 0), frame.vector(0, deep, 0), frame.vector(0, 0, -1), trim)
+    sill = Material(config.floor_albedo * 0.8)
+    across = frame.vector(s1 - s0, 0, 0)
+    builder.quad(frame.point(s0, -deep, 0), across, frame.vector(0, deep, 0), frame.vector(0, 0, 1), sill)
+    if opening.is_open:
+        _build_room(builder, frame, opening, config, wall, deep)
+    else:
+        _build_leaf(builder, frame, opening, deep)
+
+
+def _build_leaf(builder: Builder, frame: Frame, opening: Opening, deep: float) -> None:
+    rng = builder.rng
+    s0, s1, top = opening.s0_m, opening.s1_m, opening.height_m
+    wooden = rng.random() < 0.6
+    albedo = float(rng.uniform(0.12, 0.4)) if wooden else float(rng.choice([0.15, 0.3, 0.6, 0.75]))
+    leaf = Material(albedo, "wood" if wooden else "metal", (0.7, 2.2), 1.0 if wooden else 0.5)
+    leaves = [(s0, s1)] if s1 - s0 < 1.3 else [(s0, (s0 + s1) / 2 - 0.004), ((s0 + s1) / 2 + 0.004, s1)]
+    dark = Material(0.04)
+    if len(leaves) == 2:
+        gap = frame.point(s0, -deep - 0.01, 0)
+        builder.quad(gap, frame.vector(s1 - s0, 0, 0), frame.vector(0, 0, top), frame.out, dark)
+    for a, b in leaves:
+        corner = frame.point(a + 0.004, -deep, 0.006)
+        builder.quad(
+            corner, frame.vector(b - a - 0.008, 0, 0), frame.vector(0, 0, top - 0.01), frame.out, leaf
+        )
+        if rng.random() < 0.3:  # a glazed panel
+            low, high = (1.1, 1.8) if rng.random() < 0.6 else (0.3, 1.85)
+            inset = 0.15 * (b - a) if rng.random() < 0.5 else 0.35 * (b - a)
+            glass = Material(float(rng.choice([0.05, 0.25, 0.6])), "vinyl", (1.0, 1.0), 2.0)
+            rim = Material(float(rng.uniform(0.08, 0.6)))
+            builder.box(
+                frame,
+                (a + inset - 0.03, b - inset + 0.03),
+                (-deep, -deep + 0.012),
+                (low - 0.03, high + 0.03),
+                rim,
+                "sSDhH",
+            )
+            pane = frame.point(a + inset, -deep + 0.013, low)
+            builder.quad(
+                pane, frame.vector(b - a - 2 * inset, 0, 0), frame.vector(0, 0, high - low), frame.out, glass
+            )
+        steel = Material(0.45)
+        side = b - 0.09 if rng.random() < 0.5 else a + 0.09
+        builder.box(frame, (side - 0.02, side + 0.02), (-deep, -deep + 0.01), (0.93, 1.13), steel, "sSDhH")
+        turn = -1 if side > (a + b) / 2 else 1
+        lever = sorted((side, side + turn * 0.12))
+        builder.box(frame, (lever[0], lever[1]), (-deep + 0.04, -deep + 0.06), (1.03, 1.05), steel, "sSDhH")
+        if rng.random() < 0.25:
+            plate = frame.point(a + 0.02, -deep + 0.003, 0.01)
+            builder.quad(plate, frame.vector(b - a - 0.04, 0, 0), frame.vector(0, 0, 0.28), frame.out, steel)
+
+
+def _build_room(
+    builder: Builder, frame: Frame, opening: Opening, config: SceneConfig, wall: Material, deep: float
+) -> None:
+    """A small lit room behind an open door."""
+    rng = builder.rng
+    a, b = opening.s0_m - float(rng.uniform(0.2, 1.0)), opening.s1_m + float(rng.uniform(0.2, 1.0))
+    back, high = -deep - float(rng.uniform(2.0, 3.0)), config.height_m - 0.05
+    floor = Material(config.floor_albedo * float(rng.uniform(0.7, 1.3)), "vinyl", (2.0, 2.0))
+    along, out, up = frame.vector(b - a, 0, 0), frame.vector(0, -deep - back, 0), frame.vector(0, 0, high)
+    corner = frame.point(a, back, 0)
+    builder.quad(corner, along, up, frame.out, wall)
+    builder.quad(corner, out, up, frame.along, wall)
+    builder.quad(corner + along, out, up, -frame.along, wall)
+    builder.quad(corner + frame.vector(0, 0, 0.001), along, out, frame.vector(0, 0, 1), floor)
+    builder.quad(corner + up, along, out, frame.vector(0, 0, -1), Material(0.8))
+    for s0, s1 in ((a, opening.s0_m), (opening.s1_m, b)):
+        builder.quad(frame.point(s0, -deep, 0), frame.vector(s1 - s0, 0, 0), up, -frame.out, wall)
+    lamp = Material(
+        1.0, emission=config.lamp_radiance * float(rng.choice([0.0, 0.8, 1.6], p=[0.15, 0.45, 0.4]))
+    )
+    middle = frame.point((a + b) / 2 - 0.4, (back - deep) / 2 - 0.4, high - 0.01)
+    builder.quad(middle, frame.vector(0.8, 0, 0), frame.vector(0, 0.8, 0), frame.vector(0, 0, -1), lamp)
+    if rng.random() < 0.6:
+        shade = Material(float(rng.uniform(0.1, 0.6)), "wood", (1.0, 1.0))
+        builder.box(
+            frame, (a + 0.1, b - 0.3), (back, back + 0.5), (0, float(rng.uniform(0.7, 1.8))), shade, "sSDH"
+        )
+
+
+def hang_sheet(
+    builder: Builder, frame: Frame, s: float, low: float, size: tuple[float, float], texture: str
+) -> None:
+    """A poster, board or sign of a few millimetres to centimetres."""
+    thick = float(builder.rng.choice([0.003, 0.012, 0.025]))
+    face = Material(float(builder.rng.uniform(0.6, 0.9)), texture)
+    rim = Material(float(builder.rng.uniform(0.1, 0.7)))
+    builder.box(frame, (s, s + size[0]), (0, thick), (low, low + size[1]), rim, "sShH")
+    corner = frame.point(s, thick, low)
+    along = frame.vector(size[0], 0, 0)
+    # text reads from left to right whichever way the wall runs
+    if np.cross(along, frame.vector(0, 0, 1)) @ frame.out < 0:
+        corner, along = corner + along, -along
+    builder.quad(corner, along, frame.vector(0, 0, size[1]), frame.out, face)
+
+
+def decorate(
+    builder: Builder, frame: Frame, s0: float, s1: float, config: SceneConfig, room_m: float
+) -> None:
+    """Fill a piece of wall between two doorways with what hangs and stands there."""
+    rng = builder.rng
+    lockers = rng.random() < config.lockers_share
+    if lockers and s1 - s0 > 0.9:
+        build_lockers(builder, frame, s0 + 0.1, s1 - 0.1)
+        return
+    s = s0 + 0.12
+    rates = (
+        ("poster", config.poster_spacing_m, 0.75),
+        ("sign", config.sign_spacing_m, 0.3),
+        ("furniture", config.furniture_spacing_m, 1.0),
+        ("radiator", config.radiator_spacing_m, 1.2),
+    )
+    present = [(name, 1 / spacing, size) for name, spacing, size in rates if spacing > 0]
+    if not present:
+        return
+    weights = np.array([rate for _, rate, _ in present])
+    while True:
+        s += float(rng.exponential(1 / weights.sum())) * 0.6 + 0.05
+        name, _, size = present[int(rng.choice(len(present), p=weights / weights.sum()))]
+        if s + size > s1 - 0.08:
+            return
+        s += {"poster": _poster, "sign": _sign, "furniture": _furniture, "radiator": _radiator}[name](
+            builder, frame, s, s1, room_m
+        )
+
+
+def _poster(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
+    rng = builder.rng
+    if rng.random() < 0.35:
+        size = (min(float(rng.uniform(0.8, 2.0)), s1 - s - 0.05), float(rng.uniform(0.7, 1.1)))
+        hang_sheet(builder, frame, s, 1.0, size, str(rng.choice(BOARDS)))
+    else:
+        wide = float(rng.uniform(0.3, 0.65))
+        size = (wide, wide * float(rng.uniform(1.2, 1.5)))
+        hang_sheet(builder, frame, s, float(rng.uniform(1.1, 1.35)), size, str(rng.choice(POSTERS)))
+    return size[0]
+
+
+def _sign(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
+    rng = builder.rng
+    kind = rng.random()
+    if kind < 0.5:
+        wide = float(rng.uniform(0.12, 0.25))
+        hang_sheet(builder, frame, s, 1.5, (wide, wide * 0.8), str(rng.choice(SIGNS)))
+    elif kind < 0.8:  # switch or socket
+        low = float(rng.choice([0.25, 1.05]))
+        builder.box(frame, (s, s + 0.085), (0, 0.012), (low, low + 0.085), Material(0.85), "sSDhH")
+    else:  # extinguisher with its bracket
+        red = Material(0.16)
+        builder.prism(frame, (s + 0.1, 0.1), (0.075, 0.075), (0.55, 1.05), red, 8)
+        builder.prism(frame, (s + 0.1, 0.1), (0.03, 0.03), (1.05, 1.15), Material(0.05), 6)
+    return 0.25
+
+
+def _furniture(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
+    rng = builder.rng
+    reach = min(0.55, 0.28 * room_m)
+    kind = rng.random()
+    if kind < 0.45:  # cabinet or cupboard
+        wide = min(float(rng.uniform(0.4, 1.4)), s1 - s - 0.02)
+        deep, high = float(rng.uniform(0.25, 1)) * reach, float(rng.choice([0.72, 0.9, 1.2, 1.9]))
+        texture = str(rng.choice(["wood", "metal"]))
+        body = Material(float(rng.uniform(0.1, 0.7)), texture, (0.9, 0.9), 0.8, (0.45, 0.4), 0.006, 0.05)
+        builder.box(frame, (s, s + wide), (0.01, deep), (0, high), body, "sSDH")
+        if rng.random() < 0.4:
+            top = Material(float(rng.uniform(0.05, 0.8)), "vinyl", (0.5, 0.5), 2.0)
+            builder.box(frame, (s + 0.1, s + 0.35), (0.05, deep - 0.03), (high, high + 0.25), top, "sSDH")
+        return wide
+    if kind < 0.7:  # bin or plant pot
+        radius = float(rng.uniform(0.13, 0.2))
+        dark = Material(float(rng.uniform(0.04, 0.5)))
+        high = float(rng.uniform(0.4, 0.75))
+        builder.prism(
+            frame, (s + radius, radius + 0.03), (radius, radius), (0, high), dark, 10, Material(0.02)
+        )
+        if rng.random() < 0.4:
+            leaves = Material(0.12, "carpet", (0.5, 0.5), 2.0)
+            for k in range(3):
+                spread = radius * (1.3 - 0.3 * k)
+                level = high + 0.05 + 0.22 * k
+                builder.prism(
+                    frame, (s + radius, radius + 0.03), (spread, spread), (level, level + 0.25), leaves, 7
+                )
+        return 2 * radius
+    wide, deep = min(float(rng.uniform(0.5, 1.6)), s1 - s - 0.02), reach * 0.8  # bench: seat on legs
+    seat = Material(float(rng.uniform(0.1, 0.5)), "wood", (1.0, 0.5))
+    builder.box(frame, (s, s + wide), (0.02, deep), (0.42, 0.47), seat)
+    for leg in (s + 0.05, s + wide - 0.1):
+        builder.box(frame, (leg, leg + 0.04), (0.05, deep - 0.03), (0, 0.42), Material(0.1), "sSdD")
+    return wide
+
+
+def _radiator(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
+    wide = min(float(builder.rng.uniform(0.8, 1.6)), s1 - s - 0.02)
+    ribs = Material(0.75, None, None, 1.0, (0.05, 0.0), 0.012, 0.35)
+    builder.box(frame, (s, s + wide), (0.03, 0.12), (0.12, 0.68), ribs)
+    return wide
+
+
+def build_lockers(builder: Builder, frame: Frame, s0: float, s1: float) -> None:
+    """A row of lockers: strong upright and transverse lines."""
+    rng = builder.rng
+    pitch, high = float(rng.uniform(0.28, 0.42)), float(rng.choice([1.2, 1.8, 2.0]))
+    rows = float(rng.choice([0.0, high / 2, high / 3]))
+    steel = Material(float(rng.uniform(0.15, 0.6)), "metal", (1.0, 1.0), 0.6, (pitch, rows), 0.012, 0.03)
+    builder.box(
+        frame, (s0, s0 + max(1, int((s1 - s0) / pitch)) * pitch), (0.01, 0.35), (0.06, high), steel, "sSDhH"
+    )
+
+
+def build_person(builder: Builder, frame: Frame, s: float, d: float) -> None:
+    """A standing figure of rounded blocks; the frame's d may be across the room."""
+    rng = builder.rng
+    scale, stance = float(rng.uniform(0.9, 1.08)), float(rng.uniform(0.07, 0.16))
+    trousers, shirt = (
+        Material(float(rng.uniform(0.03, 0.25))),
+        Material(float(rng.uniform(0.05, 0.7)), "vinyl", (0.4, 0.4), 2.0),
+    )
+    skin, hair = Material(float(rng.uniform(0.15, 0.45))), Material(float(rng.uniform(0.02, 0.2)))
+    for side in (-1, 1):
+        builder.prism(
+            frame, (s + side * stance * 0.5, d + side * stance), (0.09, 0.085), (0, 0.85 * scale), trousers, 7
+        )
+        builder.prism(
+            frame, (s - side * 0.04, d + side * 0.25), (0.06, 0.055), (0.75 * scale, 1.42 * scale), shirt, 6
+        )
+    builder.prism(frame, (s, d), (0.14, 0.21), (0.8 * scale, 1.45 * scale), shirt, 9)
+    builder.prism(frame, (s, d), (0.055, 0.055), (1.45 * scale, 1.53 * scale), skin, 6)
+    builder.prism(frame, (s, d), (0.10, 0.085), (1.52 * scale, 1.75 * scale), skin, 9, hair)

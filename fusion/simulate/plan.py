@@ -1,0 +1,122 @@
+"""Floor plans: a union of rectangles (corridors, halls) and the walls that bound it.
+
+World axes: x along the first corridor, y right of it, z down, floor at z = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, sin
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """A rectangle of floor: starts at (x, y), runs ``length_m`` in direction ``yaw_rad``, ``width_m`` across.
+
+    ``yaw_rad`` is positive to the right; (x, y) is the middle of the near end.
+    """
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    length_m: float
+    width_m: float
+    is_corridor: bool = True
+
+    @property
+    def direction(self) -> FloatArray:
+        """Unit vector (2,) along the room."""
+        return np.array([cos(self.yaw_rad), sin(self.yaw_rad)])
+
+    @property
+    def right(self) -> FloatArray:
+        """Unit vector (2,) to the right of it."""
+        return np.array([-sin(self.yaw_rad), cos(self.yaw_rad)])
+
+    def to_world(self, s: float, y: float) -> FloatArray:
+        """World point (2,) at s along and y right of the centre line."""
+        return np.array([self.x_m, self.y_m]) + s * self.direction + y * self.right
+
+    def to_room(self, points: npt.ArrayLike) -> FloatArray:
+        """Along and right coordinates (n, 2) of world points (n, 2)."""
+        relative = np.asarray(points, float).reshape(-1, 2) - np.array([self.x_m, self.y_m])
+        return np.stack([relative @ self.direction, relative @ self.right], axis=1)
+
+    def contains(self, points: npt.ArrayLike, margin_m: float = 0.0) -> npt.NDArray[np.bool_]:
+        """Whether world points (n, 2) lie inside, grown by the margin."""
+        s, y = self.to_room(points).T
+        half = self.width_m / 2 + margin_m
+        return (s > -margin_m) & (s < self.length_m + margin_m) & (np.abs(y) < half)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wall:
+    """A straight wall from start to end (2,), with the room's inside in direction ``inward`` (2,).
+
+    ``room`` is the room's number; ``side`` is ``left``, ``right``, ``near`` (start of the room) or ``far``.
+    ``s0_m`` is the place of ``start`` along the room for the left and right sides.
+    """
+
+    start: FloatArray
+    end: FloatArray
+    inward: FloatArray
+    room: int
+    side: str
+    s0_m: float
+
+    @property
+    def length_m(self) -> float:
+        """Length of the wall."""
+        return float(np.linalg.norm(self.end - self.start))
+
+
+def _inside_interval(room: Room, start: FloatArray, end: FloatArray) -> tuple[float, float] | None:
+    """Fractions of a segment between which it runs strictly inside a room."""
+    (s0, y0), (s1, y1) = room.to_room([start, end])
+    low, high = 0.0, 1.0
+    tolerance = 1e-6  # a wall that only touches the rim stays
+    half = room.width_m / 2 - tolerance
+    for value, change, floor, roof in (
+        (s0, s1 - s0, tolerance, room.length_m - tolerance),
+        (y0, y1 - y0, -half, half),
+    ):
+        if abs(change) < 1e-12:
+            if not floor < value < roof:
+                return None
+            continue
+        a, b = sorted(((floor - value) / change, (roof - value) / change))
+        low, high = max(low, a), min(high, b)
+    return (low, high) if high - low > 1e-9 else None
+
+
+def outline(rooms: list[Room], shortest_m: float = 0.02) -> list[Wall]:
+    """Walls of the union of the rooms: each room's sides without the pieces inside another room."""
+    walls: list[Wall] = []
+    for number, room in enumerate(rooms):
+        half, length = room.width_m / 2, room.length_m
+        sides = (
+            ("left", (0.0, -half), (length, -half), room.right),
+            ("right", (0.0, half), (length, half), -room.right),
+            ("near", (0.0, -half), (0.0, half), room.direction),
+            ("far", (length, -half), (length, half), -room.direction),
+        )
+        for side, a, b, inward in sides:
+            start, end = room.to_world(*a), room.to_world(*b)
+            gaps = [
+                gap
+                for other, rival in enumerate(rooms)
+                if other != number and (gap := _inside_interval(rival, start, end)) is not None
+            ]
+            position = 0.0
+            for low, high in [*sorted(gaps), (1.0, 1.0)]:
+                if (low - position) * np.linalg.norm(end - start) > shortest_m:
+                    first, last = start + position * (end - start), start + low * (end - start)
+                    s0 = position * length if side in ("left", "right") else 0.0
+                    walls.append(Wall(first, last, inward, number, side, s0))
+                position = max(position, high)
+    return walls

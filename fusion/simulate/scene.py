@@ -1,0 +1,366 @@
+"""Build a corridor from its configuration: rooms, walls with doorways, floor, ceiling, lamps, ends and contents."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, sin
+
+import numpy as np
+
+from fusion.simulate.config import Ceiling, End, Floor, SceneConfig, WallFinish
+from fusion.simulate.furnish import Opening, build_doorway, build_person, decorate, hang_sheet, place_openings
+from fusion.simulate.lighting import bake
+from fusion.simulate.mesh import Builder, Frame, Material, Mesh, build_tree
+from fusion.simulate.plan import FloatArray, Room, Wall, outline
+from fusion.simulate.textures import POSTERS, WINDOWS, texture_set
+
+LAYER_M = 0.001  # floors of overlapping rooms lie this far apart
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A lit corridor. ``rooms[0]`` is the first corridor; further corridors follow in the order of junctions."""
+
+    config: SceneConfig
+    rooms: tuple[Room, ...]
+    mesh: Mesh
+
+
+def build_scene(config: SceneConfig, seed: int, light_cell_m: float = 0.15, light_rays: int = 24) -> Scene:
+    """Build and light a corridor; the same configuration and seed give the same scene."""
+    rng = np.random.default_rng((seed, 2))
+    builder = Builder(rng, light_cell_m)
+    rooms = floor_plan(config)
+    walls = outline(rooms)
+    _build_floors(builder, rooms, config)
+    finish = _wall_material(config)
+    for wall in walls:
+        _build_wall(builder, wall, rooms, config, finish)
+    _build_lamps(builder, rooms, config)
+    _build_ceiling_clutter(builder, rooms, config)
+    room_frame = Frame(np.zeros(3), np.array([1.0, 0, 0]), np.array([0.0, 1, 0]))
+    for _ in range(config.people):
+        s, side = float(rng.uniform(3, config.length_m - 1)), float(rng.choice([-1, 1]))
+        build_person(builder, room_frame, s, side * float(rng.uniform(0.05, 0.32)) * config.width_m)
+    return Scene(config, tuple(rooms), _light(builder, light_rays, config.ambient))
+
+
+def _light(builder: Builder, rays: int, ambient: float) -> Mesh:
+    textures = texture_set()
+    arrays = builder.arrays(textures.number)
+    box, link, order = build_tree(np.asarray(arrays["corners"], float))
+    last = arrays["light_index"][-1]
+    size = int(last[0] + last[1] * last[2])
+    mesh = Mesh(
+        **arrays,  # type: ignore[arg-type]
+        lightmap=np.zeros(size, np.float32),
+        texture_start=textures.start,
+        texture_levels=textures.levels,
+        node_box=box,
+        node_link=link,
+        order=order,
+    )
+    return bake(mesh, rays, ambient)
+
+
+def floor_plan(config: SceneConfig) -> list[Room]:
+    """Rooms of a scene: first corridor, then one per junction, then the hall."""
+    rooms = [Room(0.0, 0.0, 0.0, config.length_m, config.width_m)]
+    for junction in config.junctions:
+        back = junction.length_m if junction.crossing else 0.0
+        x = junction.at_m - back * cos(junction.angle_rad)
+        y = -back * sin(junction.angle_rad)
+        rooms.append(Room(x, y, junction.angle_rad, back + junction.length_m, junction.width_m))
+    if config.open_hall_m is not None:
+        start, end = config.open_hall_m
+        depth = 8.0
+        y = config.open_hall_side * (config.width_m / 2 + depth / 2 - 0.01)
+        rooms.append(Room(start, y, 0.0, end - start, depth, is_corridor=False))
+    return rooms
+
+
+def _wall_material(config: SceneConfig) -> Material:
+    if config.wall is WallFinish.BRICK:
+        return Material(config.wall_albedo * 0.8, "brick", (0.96, 0.6))
+    if config.wall is WallFinish.PANELS:
+        return Material(config.wall_albedo, "plaster", (1.5, 1.5), 1.0, (1.2, 0.0), 0.008, 0.15)
+    return Material(config.wall_albedo, "plaster", (1.7, 1.7), 1.0)
+
+
+def _floor_material(config: SceneConfig) -> Material:
+    albedo, gloss = config.floor_albedo, config.floor_gloss
+    kind = config.floor
+    if kind is Floor.TILES:
+        return Material(albedo, "vinyl", (2.1, 2.1), 0.8, (0.6, 0.6), 0.006, albedo * 0.45, 0.0, gloss)
+    if kind is Floor.TERRAZZO:
+        return Material(albedo, "speckle", (0.8, 0.8), 1.0, (1.2, 1.2), 0.004, albedo * 0.5, 0.0, gloss)
+    if kind is Floor.CARPET:
+        return Material(albedo * 0.6, "carpet", (0.7, 0.7), 1.0)
+    if kind is Floor.CARPET_TILES:
+        return Material(albedo * 0.6, "carpet", (0.7, 0.7), 1.0, (0.5, 0.5), 0.004, albedo * 0.4)
+    return Material(albedo, "vinyl", (2.3, 2.3), 1.0, (0.0, 2.0), 0.004, albedo * 0.6, 0.0, gloss)
+
+
+def _ceiling_material(config: SceneConfig) -> Material:
+    albedo = config.ceiling_albedo
+    if config.ceiling is Ceiling.BOARDS:
+        return Material(albedo, "ceiling_board", (0.6, 0.6), 1.0, (0.6, 0.6), 0.02, albedo * 0.8)
+    if config.ceiling is Ceiling.OPEN:
+        return Material(albedo * 0.35, "vinyl", (1.5, 1.5), 2.0)
+    return Material(albedo, "plaster", (2.0, 2.0), 0.6)
+
+
+def _build_floors(builder: Builder, rooms: list[Room], config: SceneConfig) -> None:
+    floor, ceiling = _floor_material(config), _ceiling_material(config)
+    for number, room in enumerate(rooms):
+        corner = np.array([*room.to_world(0, -room.width_m / 2), LAYER_M * number])
+        along = np.array([*(room.direction * room.length_m), 0.0])
+        across = np.array([*(room.right * room.width_m), 0.0])
+        up = np.array([0.0, 0.0, -1.0])
+        builder.quad(corner, along, across, up, floor)
+        builder.quad(corner + (config.height_m + 2 * LAYER_M * number) * up, along, across, -up, ceiling)
+
+
+def _wall_frame(wall: Wall) -> Frame:
+    along = (wall.end - wall.start) / wall.length_m
+    return Frame(np.array([*wall.start, 0.0]), np.array([*along, 0.0]), np.array([*wall.inward, 0.0]))
+
+
+def _panel(
+    builder: Builder, frame: Frame, s: tuple[float, float], h: tuple[float, float], material: Material
+) -> None:
+    if s[1] - s[0] > 1e-3 and h[1] - h[0] > 1e-3:
+        corner = frame.point(s[0], 0, h[0])
+        builder.quad(
+            corner, frame.vector(s[1] - s[0], 0, 0), frame.vector(0, 0, h[1] - h[0]), frame.out, material
+        )
+
+
+def _free_behind(wall: Wall, rooms: list[Room], frame: Frame) -> list[tuple[float, float]]:
+    """Stretches of a wall with no other room within 4 m behind it."""
+    free: list[tuple[float, float]] = []
+    step, begin = 0.25, -1.0
+    places = np.arange(0.0, wall.length_m + step, step)
+    for s in places.tolist():
+        probes = np.array([frame.point(s, -d, 0)[:2] for d in (0.3, 1.0, 2.0, 3.0, 4.0)])
+        taken = any(
+            bool(room.contains(probes, 0.1).any()) for number, room in enumerate(rooms) if number != wall.room
+        )
+        if taken and begin >= 0:
+            free.append((begin, s))
+            begin = -1.0
+        elif not taken and begin < 0:
+            begin = s
+    if begin >= 0:
+        free.append((begin - (5.0 if begin == 0 else 0), wall.length_m + 5.0))
+    return free
+
+
+def _build_wall(
+    builder: Builder, wall: Wall, rooms: list[Room], config: SceneConfig, finish: Material
+) -> None:
+    frame = _wall_frame(wall)
+    length = wall.length_m
+    is_side = wall.side in ("left", "right")
+    openings: list[Opening] = []
+    if is_side and rooms[wall.room].is_corridor:
+        openings = place_openings(config, length, builder.rng, _free_behind(wall, rooms, frame))
+    position = 0.0
+    for opening in [*openings, Opening(length, length, 0.0, False)]:
+        piece = (position, opening.s0_m)
+        _build_piece(builder, frame, piece, config, finish)
+        if is_side and piece[1] - piece[0] > 0.4:
+            decorate(builder, frame, piece[0] + 0.1, piece[1] - 0.1, config, rooms[wall.room].width_m)
+        if opening.s1_m > opening.s0_m:
+            _panel(builder, frame, (opening.s0_m, opening.s1_m), (opening.height_m, config.height_m), finish)
+            build_doorway(builder, frame, opening, config, finish)
+        position = opening.s1_m
+    if not is_side:
+        _build_end(builder, frame, wall, config)
+
+
+def _build_piece(
+    builder: Builder, frame: Frame, s: tuple[float, float], config: SceneConfig, finish: Material
+) -> None:
+    """Wall from floor to ceiling with its skirting board and what runs along it."""
+    if config.wall is WallFinish.TWO_TONE:
+        lower = finish.but(albedo=finish.albedo * 0.55)
+        _panel(builder, frame, s, (0, 1.1), lower)
+        _panel(builder, frame, s, (1.1, config.height_m), finish)
+    else:
+        _panel(builder, frame, s, (0, config.height_m), finish)
+    if config.skirting_height_m > 0:
+        board = Material(config.skirting_albedo, "vinyl", (1.5, 1.5), 0.8)
+        builder.box(frame, s, (0, 0.013), (0, config.skirting_height_m), board, "sSDH")
+    if config.handrail and s[1] - s[0] > 0.5:
+        builder.box(
+            frame, (s[0] + 0.1, s[1] - 0.1), (0.05, 0.09), (0.9, 0.95), Material(0.3, "wood", (2.0, 0.5))
+        )
+
+
+def _build_end(builder: Builder, frame: Frame, wall: Wall, config: SceneConfig) -> None:
+    """The wall across the end of a room: window, doors, stairs or a poster."""
+    rng, wide = builder.rng, wall.length_m
+    if wide < 1.0:
+        return
+    kind = config.end if wall.side == "far" else End.DOORS
+    if kind is End.WINDOW:
+        _build_window(builder, frame, wide, config)
+    elif kind is End.DOORS:
+        leaf = Material(float(rng.uniform(0.15, 0.6)), "wood", (0.8, 2.2))
+        half = min(0.85, 0.4 * wide)
+        top = min(2.05, config.height_m - 0.15)
+        rim = Material(config.door_frame_albedo)
+        middle = wide / 2
+        builder.box(
+            frame, (middle - half - 0.06, middle + half + 0.06), (0, 0.03), (0, top + 0.06), rim, "sSDH"
+        )
+        for a, b in ((middle - half, middle - 0.005), (middle + 0.005, middle + half)):
+            builder.quad(
+                frame.point(a, 0.032, 0), frame.vector(b - a, 0, 0), frame.vector(0, 0, top), frame.out, leaf
+            )
+            glass = Material(1.0, emission=float(rng.choice([0.02, 0.3, 1.0])))
+            pane = frame.point(a + 0.12, 0.034, 1.1)
+            builder.quad(pane, frame.vector(b - a - 0.24, 0, 0), frame.vector(0, 0, 0.7), frame.out, glass)
+    elif kind is End.STAIRS:
+        _build_stairs(builder, frame, wide, config)
+    elif rng.random() < 0.6:
+        size = (min(0.9, 0.5 * wide), 0.9)
+        hang_sheet(builder, frame, wide / 2 - size[0] / 2, 1.1, size, str(rng.choice(POSTERS)))
+
+
+def _build_window(builder: Builder, frame: Frame, wide: float, config: SceneConfig) -> None:
+    rng = builder.rng
+    low, high = float(rng.choice([0.05, 0.9])), config.height_m - 0.25
+    a, b = 0.12 * wide, 0.88 * wide
+    light = Material(1.0, str(rng.choice(WINDOWS)), None, 1.0, emission=config.daylight)
+    builder.quad(
+        frame.point(a, 0.002, low),
+        frame.vector(b - a, 0, 0),
+        frame.vector(0, 0, high - low),
+        frame.out,
+        light,
+    )
+    bar = Material(0.6)
+    count = int(rng.integers(2, 5))
+    for s in np.linspace(a, b, count).tolist():
+        builder.box(frame, (s - 0.03, s + 0.03), (0, 0.05), (low, high), bar, "sSD")
+    for h in (low, float(rng.uniform(0.4, 0.7)) * (high - low) + low, high):
+        builder.box(frame, (a, b), (0, 0.05), (h - 0.03, h + 0.03), bar, "DhH")
+
+
+def _build_stairs(builder: Builder, frame: Frame, wide: float, config: SceneConfig) -> None:
+    """Steps up towards the end wall, with a landing, handrails and doors."""
+    steps = int(builder.rng.integers(4, 7))
+    rise, going, landing = 0.165, 0.3, 1.2
+    tread = Material(float(builder.rng.uniform(0.06, 0.4)), "speckle", (0.8, 0.8))
+    riser = tread.but(albedo=tread.albedo * 0.6)
+    for k in range(steps):
+        near, top = landing + going * (steps - k), rise * (k + 1)
+        builder.box(frame, (0, wide), (near - going, near), (top - rise, top), riser, "D")
+        deep = going if k < steps - 1 else going + landing
+        builder.quad(
+            frame.point(0, near - deep, top),
+            frame.vector(wide, 0, 0),
+            frame.vector(0, deep, 0),
+            frame.vector(0, 0, 1),
+            tread,
+        )
+        builder.box(frame, (0, wide), (near - 0.03, near), (top, top + 0.002), Material(0.6), "H")
+    top = rise * steps
+    slope = frame.vector(0, -going * steps, top)
+    for s in (0.08, wide - 0.12):
+        corner = frame.point(s, landing + going * (steps + 0.5), 0.9)
+        builder.quad(corner, slope, frame.vector(0.05, 0, 0), frame.vector(0, 0, 1), Material(0.1))
+        builder.quad(
+            corner, slope, frame.vector(0, 0, -0.05), frame.along * (1 if s < 1 else -1), Material(0.08)
+        )
+    door = Material(float(builder.rng.uniform(0.15, 0.6)), "metal", (1.0, 1.0))
+    high = min(2.0, config.height_m - top - 0.1)
+    corner = frame.point(wide / 2 - 0.7, 0.01, top)
+    builder.quad(corner, frame.vector(1.4, 0, 0), frame.vector(0, 0, high), frame.out, door)
+
+
+def _build_lamps(builder: Builder, rooms: list[Room], config: SceneConfig) -> None:
+    rng = builder.rng
+    across, along = config.lamp_size_m
+    tube = min(across, along) < 0.2
+    for number, room in enumerate(rooms):
+        frame = Frame(
+            np.array([*room.to_world(0, 0), 0.0]),
+            np.array([*room.direction, 0.0]),
+            np.array([*room.right, 0.0]),
+        )
+        columns = (
+            [0.0]
+            if room.width_m < 4
+            else np.arange(-room.width_m / 2 + 1.5, room.width_m / 2 - 1, 2.6).tolist()
+        )
+        for s in np.arange(0.5 * config.lamp_spacing_m, room.length_m - 0.3, config.lamp_spacing_m).tolist():
+            for y in columns:
+                if any(bool(r.contains(room.to_world(s, y), 0.3).any()) for r in rooms[:number]):
+                    continue
+                off = rng.random() < config.lamp_off_share
+                light = (
+                    Material(0.5)
+                    if off
+                    else Material(1.0, emission=config.lamp_radiance * float(rng.uniform(0.85, 1.1)))
+                )
+                span, reach = (s - along / 2, s + along / 2), (y - across / 2, y + across / 2)
+                level = config.height_m - (0.09 if tube else 0.012)
+                rim = Material(0.6)
+                edge = 0.0 if tube else 0.03
+                outer = ((span[0] - edge, span[1] + edge), (reach[0] - edge, reach[1] + edge))
+                builder.box(
+                    frame, outer[0], outer[1], (level, config.height_m), rim, "sSdD" + ("" if tube else "h")
+                )
+                corner = frame.point(span[0], reach[0], level - 0.001)
+                builder.quad(
+                    corner,
+                    frame.vector(along, 0, 0),
+                    frame.vector(0, across, 0),
+                    frame.vector(0, 0, -1),
+                    light,
+                )
+
+
+def _build_ceiling_clutter(builder: Builder, rooms: list[Room], config: SceneConfig) -> None:
+    """Pipes and a cable tray along the first corridor, smoke detectors, an exit sign across it."""
+    rng, room = builder.rng, rooms[0]
+    frame = Frame(
+        np.array([*room.to_world(0, 0), 0.0]), np.array([*room.direction, 0.0]), np.array([*room.right, 0.0])
+    )
+    top, half = config.height_m, config.width_m / 2
+    crowded = config.ceiling is Ceiling.OPEN
+    for _ in range(config.pipes + (3 if crowded else 0)):
+        y, size = float(rng.uniform(-half + 0.1, half - 0.15)), float(rng.uniform(0.03, 0.12))
+        level = top - float(rng.uniform(0.08, 0.3))
+        pipe = Material(float(rng.uniform(0.2, 0.8)), "metal", (1.0, 0.3))
+        builder.box(frame, (0, room.length_m), (y, y + size), (level - size, level), pipe, "dDhH")
+    if config.cable_tray or crowded:
+        side = float(rng.choice([-1, 1])) * (half - 0.25)
+        tray = Material(0.35, "metal", (0.3, 0.3), 2.0, (0.25, 0.0), 0.03, 0.05)
+        builder.box(
+            frame, (0, room.length_m), (side - 0.15, side + 0.15), (top - 0.25, top - 0.2), tray, "dDhH"
+        )
+    for s in np.arange(2.0, room.length_m - 1, float(rng.uniform(4, 9))).tolist():
+        builder.prism(frame, (s, 0.35 * half), (0.06, 0.06), (top - 0.05, top), Material(0.8), 8)
+        corner = frame.point(s - 0.06, 0.35 * half - 0.06, top - 0.05)
+        builder.quad(
+            corner,
+            frame.vector(0.12, 0, 0),
+            frame.vector(0, 0.12, 0),
+            frame.vector(0, 0, -1),
+            Material(0.8),
+            True,
+        )
+    if rng.random() < 0.5:
+        s = float(rng.uniform(5, max(6, room.length_m - 2)))
+        builder.box(
+            frame, (s, s + 0.05), (-0.2, 0.2), (top - 0.35, top - 0.15), Material(1.0, emission=1.2), "sSdDhH"
+        )
+
+
+def centre_line(room: Room, s: float) -> FloatArray:
+    """World point (3,) on the floor at s along a room's centre line."""
+    return np.array([*room.to_world(s, 0.0), 0.0])
