@@ -97,9 +97,27 @@ def check_out_dir(out_dir: str | Path) -> Path:
 
 
 def write_table(table: Table, path: str | Path) -> None:
-    """Write a structured array as CSV, a column per field."""
-    with Path(path).open("w", encoding="utf-8", newline="") as file:
-        print_table(table, file)
+    """Write a structured array as CSV, a column per field, the whole file or none.
+
+    Raises
+    ------
+    InputError
+        Where ``path`` is a folder or cannot be written.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("w", encoding="utf-8", newline="") as file:
+            print_table(table, file)
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(
+            f"cannot be written: {_cause(error)}", file=path, remedy="choose another file"
+        ) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def print_table(table: Table, file: TextIO) -> None:

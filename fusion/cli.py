@@ -1,0 +1,170 @@
+"""The command ``corridor``: thin, so that all it does can be done from Python as well.
+
+Results go to stdout, all else to stderr. Exit codes: 0 done; 2 input or usage that cannot be used; 130
+interrupted. Heavy modules load inside the commands, so that ``--help`` is quick.
+"""
+
+from __future__ import annotations
+
+import errno
+import sys
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from fusion import cli_help
+from fusion.console import compile_notice, progress_bar, say
+from vision.errors import InputError
+
+
+class Method(StrEnum):
+    """How a frame's vanishing point is found."""
+
+    GEOMETRIC = "geometric"
+    PAPER = "paper"
+
+
+class _OneLineErrors(TyperGroup):
+    """Commands whose input errors are one line on stderr and exit code 2, never a traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except InputError as error:
+            say("error: " + " ".join(str(error).split()))
+        except OSError as error:
+            if error.errno == errno.EPIPE:  # whoever read our output has gone: end as pipes do
+                raise
+            where = f"{error.filename}: " if error.filename else ""
+            say(f"error: {where}{error.strerror or error}")
+        except KeyboardInterrupt:
+            say("interrupted")
+            raise typer.Exit(130) from None
+        raise typer.Exit(2)
+
+
+app = typer.Typer(
+    cls=_OneLineErrors,
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+
+CameraOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--camera",
+        metavar="CAM.yaml",
+        help="Calibration: EuRoC sensor.yaml or Kalibr camchain.yaml, pinhole or fisheye.",
+    ),
+]
+MethodOption = Annotated[
+    Method,
+    typer.Option(
+        "--method",
+        help="geometric: sub-pixel lines, gravity-aided; paper: the article's k-means chain, for comparison.",
+    ),
+]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"corridor-fusion {version('corridor-fusion')}")
+        raise typer.Exit
+
+
+@app.callback(help=cli_help.CORRIDOR)
+def corridor(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", is_eager=True, callback=_print_version)
+    ] = False,
+) -> None:
+    """Offer the commands."""
+
+
+@app.command(help=cli_help.FUSE, short_help="Fuse a logged flight: heading and offset, tables and a report.")
+def fuse(
+    flight: Annotated[Path, typer.Argument(metavar="FLIGHT", help="The flight's folder.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="OUT", help="Output folder; else FLIGHT-name_fused.")
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", metavar="F.toml", help="Settings; the rest keep defaults."),
+    ] = None,
+    camera: CameraOption = None,
+    method: MethodOption = Method.GEOMETRIC,
+) -> None:
+    """Fuse a flight and write its five files."""
+    from fusion import FusionConfig, fuse_flight, load_flight
+    from fusion.outputs import check_out_dir, write_outputs
+    from fusion.summary_text import fusion_text
+
+    folder = out if out is not None else Path(f"{flight.resolve().name}_fused")
+    check_out_dir(folder)
+    settings = None if config is None else FusionConfig.from_toml(config)
+    log = load_flight(flight, camera=camera)
+    with compile_notice(), progress_bar("fusing") as progress:
+        result = fuse_flight(log, settings, method=method.value, progress=progress)
+    write_outputs(result, log, folder)
+    typer.echo(fusion_text(result.summary, folder))
+
+
+@app.command(help=cli_help.MEASURE, short_help="Measure single pictures: heading, offset, vanishing point.")
+def measure(
+    pictures: Annotated[
+        list[Path],
+        typer.Argument(metavar="IMAGE|FOLDER...", help="Pictures, or folders of them."),
+    ],
+    camera: CameraOption = None,
+    attitude: Annotated[
+        Path | None, typer.Option("--attitude", metavar="CSV", help="Roll and pitch of the body, see above.")
+    ] = None,
+    method: MethodOption = Method.GEOMETRIC,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="frames.csv", help="Write the table to a file."),
+    ] = None,
+    overlay: Annotated[
+        Path | None, typer.Option("--overlay", metavar="DIR", help="Draw what was seen into pictures here.")
+    ] = None,
+) -> None:
+    """Measure pictures one by one."""
+    from fusion.attitude_file import AttitudeFile
+    from fusion.measure_images import check_table_file, find_images, measure_images
+    from fusion.outputs import print_table, write_table
+    from fusion.summary_text import assumptions_text, measured_text
+    from vision import Camera
+
+    paths = find_images(pictures)
+    if out is not None:
+        check_table_file(out)
+    calibration = None if camera is None else Camera.from_yaml(camera)
+    attitudes = None if attitude is None else AttitudeFile.read(attitude)
+    for note in assumptions_text(paths, calibration, attitudes, method.value):
+        say(note)
+    with compile_notice(), progress_bar("measuring") as progress:
+        table = measure_images(paths, calibration, attitudes, method.value, overlay, progress)
+    if out is None:
+        print_table(table, sys.stdout)
+    else:
+        write_table(table, out)
+    say(measured_text(table, out, overlay))
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and exit; the entry point of the script ``corridor``."""
+    app(arguments, prog_name="corridor")
+    raise SystemExit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""What ``corridor --help`` teaches. A line that holds only a backspace keeps its paragraph's layout."""
+
+CORRIDOR = """Heading and lateral offset in indoor corridors, from camera frames fused with an IMU.
+
+\b
+First steps:
+  corridor fuse data/office           fuse the sample flight; then open office_fused/report.html
+  corridor measure picture.jpg        one picture: no IMU, no calibration needed
+  corridor simulate flight            make a flight of your own to try it on, truth included
+
+Heading is the angle from the corridor's axis to the vehicle's nose, positive when turned right; lateral
+offset is positive right of the centre line. Files hold radians, metres and nanoseconds.
+
+Results go to stdout, notes and progress to stderr. Exit code 0: done; 2: input that cannot be used, one line
+says why; 130: interrupted.
+
+`corridor COMMAND --help` says more about each command.
+"""
+
+FUSE = """Fuse a logged flight into a smooth heading and lateral offset.
+
+\b
+FLIGHT is a folder in ASL / EuRoC layout:
+  mav0/cam0/{sensor.yaml,data.csv,data/*}   frames and calibration (required)
+  mav0/imu0/, mav0/attitude0/               gyroscope and accelerometer; the vehicle's own attitude
+  mav0/velocity0/, mav0/position0/          what else the log has; any of these may be absent
+  corridor_truth.csv                        the truth, if known: errors are then reported
+
+\b
+OUT gets these, whole or not at all; an earlier output there is replaced:
+  estimates.csv   the causal filter, a row per IMU sample: heading, offset, sigmas, bias, status
+  smoothed.csv    the same after the backward pass: the best answer once the flight is over
+  frames.csv      a row per camera frame: what vision saw, used or not, and why
+  summary.json    verdict, counts, timings, errors against the truth
+  report.html     all of it to look at, in one file
+
+\b
+Examples:
+  corridor fuse data/office
+  corridor fuse flights/hall -o out/hall --config hall.toml
+  corridor fuse flights/hall --camera camchain.yaml --method paper
+
+\b
+hall.toml, for offsets in metres where the log has no range sensor:
+  corridor_width_m = 2.2
+
+Next: open OUT/report.html, or read the tables: pandas.read_csv("OUT/estimates.csv").
+"""
+
+MEASURE = """Measure single pictures of a corridor: heading, lateral offset, vanishing point. No filter.
+
+Folders are taken with all the pictures in them. The table goes to stdout as CSV, or to a file with -o; its
+columns are those of frames.csv, with the picture first. A picture that does not decode is a row with the
+reason `unreadable`. A picture's name that is an integer is taken for its time in nanoseconds.
+
+\b
+What is assumed unless given:
+  --camera      a horizontal field of view of 70 degrees, no distortion, looking straight ahead
+  --attitude    level, within about 12 degrees
+
+\b
+--attitude CSV is one of
+  timestamp_ns,qw,qx,qy,qz     body to world as in attitude0/data.csv (FLU, z up), matched by nearest time
+  image,roll_rad,pitch_rad     with these names in the first line; roll right side down, pitch nose up
+
+\b
+Examples:
+  corridor measure picture.jpg
+  corridor measure hall/mav0/cam0/data --camera hall/mav0/cam0/sensor.yaml -o frames.csv --overlay drawn
+  corridor measure *.png --attitude tilt.csv > frames.csv
+
+Next: look at the drawings in --overlay DIR; with an IMU log, `corridor fuse` makes it smooth.
+"""

@@ -1,0 +1,428 @@
+"""The command line as a user meets it: what it prints where, its exit codes, and what it leaves behind."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+
+from fusion import cli, measure_images
+from fusion.outputs import OUTPUT_FILES, read_table
+from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+
+OFFICE = Path(__file__).resolve().parent.parent / "data" / "office"
+N_FRAMES = 30
+
+
+class Run(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+Corridor = Callable[..., Run]
+
+
+@pytest.fixture
+def corridor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Corridor:
+    """Run the command in an empty folder of its own, in this process."""
+    folder = tmp_path / "cwd"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+
+    def run(*arguments: str | Path) -> Run:
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as end:
+            cli.main([str(argument) for argument in arguments])
+        code = end.value.code
+        return Run(code if isinstance(code, int) else 0, *capfd.readouterr())
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def start_of_office(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Copy the first 1.5 s of the sample flight."""
+    flight = tmp_path_factory.mktemp("flights") / "start"
+    for sensor in ("cam0/sensor.yaml", "imu0/sensor.yaml", "body.yaml"):
+        if (OFFICE / "mav0" / sensor).exists():
+            (flight / "mav0" / sensor).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(OFFICE / "mav0" / sensor, flight / "mav0" / sensor)
+    rows = {"mav0/cam0/data.csv": 20, "mav0/imu0/data.csv": 200, "mav0/attitude0/data.csv": 50}
+    for name, rate_hz in (rows | {"corridor_truth.csv": 200}).items():
+        lines = (OFFICE / name).read_text().splitlines(keepends=True)
+        (flight / name).parent.mkdir(parents=True, exist_ok=True)
+        (flight / name).write_text("".join(lines[: 1 + N_FRAMES * rate_hz // 20]))
+    pictures = sorted((OFFICE / "mav0/cam0/data").iterdir())[:N_FRAMES]
+    (flight / "mav0/cam0/data").mkdir()
+    for picture in pictures:
+        shutil.copy(picture, flight / "mav0/cam0/data")
+    return flight
+
+
+@pytest.fixture
+def flight(start_of_office: Path, tmp_path: Path) -> Path:
+    """A copy of it to spoil."""
+    return Path(shutil.copytree(start_of_office, tmp_path / "flight"))
+
+
+@pytest.fixture
+def pictures(start_of_office: Path) -> list[Path]:
+    return sorted((start_of_office / "mav0/cam0/data").iterdir())
+
+
+def edit_lines(path: Path, edit: Callable[[list[str]], list[str]]) -> None:
+    path.write_text("\n".join(edit(path.read_text().splitlines())) + "\n")
+
+
+def refused(run: Run, *words: str) -> None:
+    """One line on stderr that holds these words, exit code 2, nothing on stdout, nothing left behind."""
+    lines = [line for line in run.err.splitlines() if not line.startswith("corridor: no --")]
+    assert run.code == 2, run
+    assert len(lines) == 1, run.err
+    assert lines[0].startswith("corridor: error: ")
+    for word in words:
+        assert word in lines[0]
+    assert run.out == ""
+    assert os.listdir() == []
+
+
+class TestFuse:
+    def test_the_five_files_and_the_table(self, corridor: Corridor, start_of_office: Path) -> None:
+        run = corridor("fuse", start_of_office)
+        assert run.code == 0, run.err
+        assert os.listdir() == ["start_fused"]
+        assert set(os.listdir("start_fused")) == set(OUTPUT_FILES)
+        estimates = read_table("start_fused/estimates.csv", ESTIMATE_DTYPE)
+        assert len(estimates) == len(read_table("start_fused/smoothed.csv", ESTIMATE_DTYPE)) == N_FRAMES * 10
+        frames = read_table("start_fused/frames.csv", FRAME_DTYPE)
+        assert len(frames) == N_FRAMES
+        summary = json.loads(Path("start_fused/summary.json").read_text())
+        assert summary["verdict"] in run.out
+        accepted = int(frames["accepted"].sum())
+        assert f"{accepted} of {N_FRAMES}" in run.out
+        for word in ("heading", "lateral", "filter", "smoother", "RMSE", "MAE", "real time", "start_fused"):
+            assert word in run.out
+
+    def test_without_a_terminal_only_plain_text(self, start_of_office: Path, tmp_path: Path) -> None:
+        command = [
+            sys.executable,
+            "-m",
+            "fusion.cli",
+            "fuse",
+            str(start_of_office),
+            "-o",
+            str(tmp_path / "o"),
+        ]
+        run = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+        assert run.returncode == 0, run.stderr
+        assert "\x1b" not in run.stdout + run.stderr
+        assert all(line.startswith("corridor: ") for line in run.stderr.splitlines())
+
+    def test_one_bad_sample_among_many_is_survived_and_told(self, corridor: Corridor, flight: Path) -> None:
+        def spoil(lines: list[str]) -> list[str]:
+            time, *values = lines[50].split(",")
+            lines[50] = ",".join([time, "nan", *values[1:]])
+            lines[60], lines[61] = lines[61], lines[60]
+            return [*lines, lines[-1], lines[-1][:30]]
+
+        edit_lines(flight / "mav0/imu0/data.csv", spoil)
+        edit_lines(
+            flight / "mav0/attitude0/data.csv",
+            lambda lines: [*lines[:9], lines[9].split(",")[0] + ",0,0,0,0", *lines[10:]],
+        )
+        (flight / f"mav0/cam0/data/{sorted(os.listdir(flight / 'mav0/cam0/data'))[5]}").write_bytes(
+            b"\xff\xd8"
+        )
+        run = corridor("fuse", flight, "-o", "out")
+        assert run.code == 0, run.err
+        frames = read_table("out/frames.csv", FRAME_DTYPE)
+        assert list(frames["reason"]).count("unreadable") == 1
+        problems = " ".join(json.loads(Path("out/summary.json").read_text())["problems"])
+        for word in ("imu0", "attitude0", "repeated time", "backwards"):
+            assert word in problems
+        assert "1 unreadable" in run.out
+
+    def test_the_articles_method_runs_too(self, corridor: Corridor, start_of_office: Path) -> None:
+        run = corridor("fuse", start_of_office, "-o", "out", "--method", "paper")
+        assert run.code == 0, run.err
+        assert json.loads(Path("out/summary.json").read_text())["method"] == "paper"
+
+    def test_a_folder_that_is_missing(self, corridor: Corridor) -> None:
+        refused(corridor("fuse", "nowhere"), "nowhere", "no such")
+
+    def test_a_folder_that_is_no_flight(self, corridor: Corridor, tmp_path: Path) -> None:
+        refused(corridor("fuse", tmp_path), str(tmp_path), "flight")
+
+    @pytest.mark.parametrize(
+        ("file", "content", "words"),
+        [
+            ("mav0/cam0/data.csv", "", ["data.csv", "empty"]),
+            ("mav0/imu0/data.csv", "", ["imu0", "empty"]),
+            ("mav0/cam0/data.csv", "#timestamp [ns],filename\n16000010000", ["data.csv"]),
+            ("mav0/imu0/data.csv", "#t,x,y,z\n1,2,3\n4,5,6\n", ["imu0", "columns"]),
+            ("mav0/cam0/sensor.yaml", "resolution: [640, 480\n", ["sensor.yaml", "YAML"]),
+            ("mav0/body.yaml", "body_frame: enu\n", ["body.yaml", "body_frame", "enu", "frd"]),
+        ],
+    )
+    def test_a_spoilt_file_is_named(
+        self, corridor: Corridor, flight: Path, file: str, content: str, words: list[str]
+    ) -> None:
+        (flight / file).write_text(content)
+        refused(corridor("fuse", flight), *words)
+
+    def test_every_gyro_row_nan(self, corridor: Corridor, flight: Path) -> None:
+        edit_lines(
+            flight / "mav0/imu0/data.csv",
+            lambda lines: [lines[0], *(line.split(",")[0] + ",nan,nan,nan,0,0,9.8" for line in lines[1:])],
+        )
+        refused(corridor("fuse", flight), "imu0")
+
+    def test_every_quaternion_zero(self, corridor: Corridor, flight: Path) -> None:
+        edit_lines(
+            flight / "mav0/attitude0/data.csv",
+            lambda lines: [lines[0], *(line.split(",")[0] + ",0,0,0,0" for line in lines[1:])],
+        )
+        refused(corridor("fuse", flight), "attitude0", "quaternion")
+
+    def test_a_camera_with_three_coefficients(self, corridor: Corridor, flight: Path) -> None:
+        yaml = flight / "mav0/cam0/sensor.yaml"
+        yaml.write_text(yaml.read_text().replace("[0.0, 0.0, 0.0, 0.0]", "[0.1, 0.0, 0.0]"))
+        refused(corridor("fuse", flight), "sensor.yaml", "3 coefficients", "4 or 5 or 8")
+        refused(corridor("fuse", flight, "--camera", yaml), "sensor.yaml", "3 coefficients")
+
+    def test_a_camera_file_that_is_missing(self, corridor: Corridor, flight: Path) -> None:
+        refused(corridor("fuse", flight, "--camera", "none.yaml"), "none.yaml", "no such file")
+
+    @pytest.mark.parametrize(
+        ("text", "words"),
+        [
+            ("corridor_widht_m = 2.2\n", ["corridor_widht_m"]),
+            ('corridor_width_m = "wide"\n', ["corridor_width_m"]),
+            ("corridor_width_m = -2.2\n", ["corridor_width_m"]),
+            ("corridor_width_m = \n", ["f.toml"]),
+        ],
+    )
+    def test_a_setting_that_is_wrong(
+        self, corridor: Corridor, start_of_office: Path, tmp_path: Path, text: str, words: list[str]
+    ) -> None:
+        (tmp_path / "f.toml").write_text(text)
+        refused(corridor("fuse", start_of_office, "--config", tmp_path / "f.toml"), "f.toml", *words)
+
+    def test_a_settings_file_that_is_missing(self, corridor: Corridor, start_of_office: Path) -> None:
+        refused(corridor("fuse", start_of_office, "--config", "f.toml"), "f.toml")
+
+    def test_a_foreign_output_folder_is_refused_before_the_work(
+        self, corridor: Corridor, tmp_path: Path
+    ) -> None:
+        (tmp_path / "mine").mkdir()
+        (tmp_path / "mine" / "notes.txt").write_text("keep")
+        refused(corridor("fuse", "nowhere", "-o", tmp_path / "mine"), "notes.txt")
+        assert os.listdir(tmp_path / "mine") == ["notes.txt"]
+
+    def test_a_wrong_method_is_a_usage_error(self, corridor: Corridor, start_of_office: Path) -> None:
+        run = corridor("fuse", start_of_office, "--method", "magic")
+        assert run.code == 2
+        assert "magic" in run.err
+        assert "Traceback" not in run.err
+
+    def test_an_interrupt_ends_with_130_and_leaves_nothing(
+        self, corridor: Corridor, start_of_office: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def interrupt(*args: object, **kwargs: object) -> None:
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr("fusion.fuse_flight", interrupt)
+        run = corridor("fuse", start_of_office)
+        assert run.code == 130
+        assert "Traceback" not in run.err
+        assert os.listdir() == []
+
+
+def rows_of(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(text.splitlines()))
+
+
+class TestMeasure:
+    def test_pictures_are_rows_in_natural_order(
+        self, corridor: Corridor, pictures: list[Path], tmp_path: Path
+    ) -> None:
+        folder = tmp_path / "pictures"
+        folder.mkdir()
+        for name, picture in zip(("10.jpg", "2.jpg", "left, then right.jpg"), pictures, strict=False):
+            shutil.copy(picture, folder / name)
+        (folder / "readme.txt").write_text("not a picture")
+        run = corridor("measure", folder)
+        assert run.code == 0, run.err
+        rows = rows_of(run.out)
+        assert [Path(row["image"]).name for row in rows] == ["2.jpg", "10.jpg", "left, then right.jpg"]
+        assert [row["timestamp_ns"] for row in rows] == ["2", "10", ""]
+        assert list(rows[0]) == ["image", *FRAME_DTYPE.names]
+        assert all(row["reason"] == "ok" and abs(float(row["heading_rad"])) < 0.2 for row in rows)
+        assert all(row["innovation_rad"] == row["test_ratio"] == "" for row in rows)
+        assert "assuming a horizontal field of view of 70 degrees, no distortion" in run.err
+        assert "assuming level" in run.err
+        assert "3 pictures: 3 measured" in run.err
+
+    def test_camera_and_attitude_make_it_agree_with_the_truth(
+        self, corridor: Corridor, start_of_office: Path
+    ) -> None:
+        mav0 = start_of_office / "mav0"
+        run = corridor(
+            *("measure", mav0 / "cam0/data", "--camera", mav0 / "cam0/sensor.yaml"),
+            *("--attitude", mav0 / "attitude0/data.csv", "-o", "deep/frames.csv"),
+        )
+        assert run.code == 0, run.err
+        assert run.out == ""
+        assert "assuming" not in run.err
+        rows = rows_of(Path("deep/frames.csv").read_text())
+        truth = {
+            row["timestamp_ns"]: row for row in rows_of((start_of_office / "corridor_truth.csv").read_text())
+        }
+        errors = [
+            float(row["heading_rad"]) - float(truth[row["timestamp_ns"]]["heading_rad"])
+            for row in rows
+            if row["accepted"] == "true"
+        ]
+        assert len(errors) >= 0.9 * N_FRAMES
+        assert np.sqrt(np.mean(np.square(errors))) < np.radians(0.3)
+
+    def test_attitude_by_picture_name(self, corridor: Corridor, pictures: list[Path], tmp_path: Path) -> None:
+        table = tmp_path / "tilt.csv"
+        table.write_text(
+            f"image,roll_rad,pitch_rad\n{pictures[0].name},0.0,0.0\n{pictures[1].name},0.0,0.1\n"
+        )
+        run = corridor("measure", *pictures[:3], "--attitude", table)
+        assert run.code == 0, run.err
+        assert "1 picture without an attitude" in run.err
+
+    @pytest.mark.parametrize(
+        ("text", "words"),
+        [
+            ("image,roll,pitch\na.jpg,0,0\n", ["roll_rad"]),
+            ("image,roll_rad,pitch_rad\na.jpg,0\n", ["line 2"]),
+            ("image,roll_rad,pitch_rad\na.jpg,0,2.0\n", ["line 2", "pitch_rad 2"]),
+            ("image,roll_rad,pitch_rad\n", ["no rows"]),
+            ("", ["empty"]),
+            ("#timestamp [ns],qw,qx,qy,qz\n1,0,0,0,0\n", ["unit length"]),
+        ],
+    )
+    def test_an_attitude_file_that_is_wrong(
+        self, corridor: Corridor, pictures: list[Path], tmp_path: Path, text: str, words: list[str]
+    ) -> None:
+        (tmp_path / "tilt.csv").write_text(text)
+        refused(corridor("measure", pictures[0], "--attitude", tmp_path / "tilt.csv"), "tilt.csv", *words)
+
+    def test_a_calibration_of_other_size_is_scaled(
+        self, corridor: Corridor, start_of_office: Path, pictures: list[Path], tmp_path: Path
+    ) -> None:
+        small = tmp_path / "small.png"
+        image = cv2.imread(str(pictures[0]), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(small), cv2.resize(image, (320, 240), interpolation=cv2.INTER_AREA))
+        run = corridor("measure", pictures[0], small, "--camera", start_of_office / "mav0/cam0/sensor.yaml")
+        whole, half = (float(row["heading_rad"]) for row in rows_of(run.out))
+        assert half == pytest.approx(whole, abs=np.radians(0.5))
+
+    def test_a_calibration_of_other_shape_is_refused(
+        self, corridor: Corridor, start_of_office: Path, tmp_path: Path
+    ) -> None:
+        cv2.imwrite(str(tmp_path / "wide.png"), np.zeros((360, 640), np.uint8))
+        camera = start_of_office / "mav0/cam0/sensor.yaml"
+        refused(
+            corridor("measure", tmp_path / "wide.png", "--camera", camera), "wide.png", "640x360", "640x480"
+        )
+
+    def test_an_unreadable_picture_is_a_row(
+        self, corridor: Corridor, pictures: list[Path], tmp_path: Path
+    ) -> None:
+        (tmp_path / "torn.jpg").write_bytes(b"\xff\xd8\xff")
+        run = corridor("measure", tmp_path / "torn.jpg", pictures[0])
+        assert run.code == 0
+        torn, good = rows_of(run.out)
+        assert (torn["reason"], torn["accepted"], torn["heading_rad"]) == ("unreadable", "false", "")
+        assert good["reason"] == "ok"
+        assert "1 unreadable" in run.err
+
+    def test_nothing_but_unreadable_pictures(self, corridor: Corridor, tmp_path: Path) -> None:
+        for name in ("a.jpg", "b.jpg"):
+            (tmp_path / name).write_bytes(b"\xff\xd8\xff")
+        refused(corridor("measure", tmp_path / "a.jpg", "-o", "frames.csv"), "a.jpg", "does not decode")
+        refused(corridor("measure", tmp_path / "a.jpg", tmp_path / "b.jpg"), "none of the 2", "a.jpg")
+
+    def test_nothing_to_measure(self, corridor: Corridor, tmp_path: Path, flight: Path) -> None:
+        refused(corridor("measure", "nowhere.jpg"), "nowhere.jpg", "no such")
+        refused(corridor("measure", tmp_path), "no pictures")
+        refused(corridor("measure", flight), "corridor fuse")
+        assert corridor("measure").code == 2
+
+    def test_overlays_lie_apart_and_never_meet(
+        self, corridor: Corridor, pictures: list[Path], tmp_path: Path
+    ) -> None:
+        (tmp_path / "other").mkdir()
+        twin = Path(shutil.copy(pictures[0], tmp_path / "other"))
+        run = corridor("measure", pictures[0], twin, "--overlay", "drawn")
+        assert run.code == 0, run.err
+        stem = twin.stem
+        assert set(os.listdir("drawn")) == {f"{stem}_overlay.jpg", f"{stem}_overlay_2.jpg"}
+        drawn = cv2.imread(f"drawn/{stem}_overlay.jpg")
+        assert drawn.shape[1] >= 640
+        shutil.rmtree("drawn")
+        refused(corridor("measure", twin, "--overlay", twin.parent), "among the pictures")
+
+    def test_the_table_never_replaces_a_picture_or_a_folder(
+        self, corridor: Corridor, pictures: list[Path], tmp_path: Path
+    ) -> None:
+        refused(corridor("measure", pictures[0], "-o", pictures[1]), "-o names a picture")
+        refused(corridor("measure", pictures[0], "-o", tmp_path), "-o names a folder")
+
+    def test_the_articles_method_needs_no_camera(self, corridor: Corridor, pictures: list[Path]) -> None:
+        run = corridor("measure", pictures[0], "--method", "paper")
+        assert run.code == 0
+        assert 0 <= float(rows_of(run.out)[0]["paper_yaw_rad"]) < np.pi / 2
+
+    def test_an_interrupt_leaves_no_table(
+        self, corridor: Corridor, pictures: list[Path], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def interrupt(path: Path) -> None:
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(measure_images, "read_image", interrupt)
+        assert corridor("measure", pictures[0], "-o", "frames.csv").code == 130
+        assert os.listdir() == []
+
+
+class TestHelp:
+    def test_the_first_page_names_every_command(self, corridor: Corridor) -> None:
+        run = corridor("--help")
+        assert run.code == 0
+        for word in ("fuse", "measure", "simulate", "report.html", "--version"):
+            assert word in run.out
+
+    @pytest.mark.parametrize("command", ["fuse", "measure", "simulate"])
+    def test_each_command_shows_examples_and_the_next_step(self, corridor: Corridor, command: str) -> None:
+        run = corridor(command, "--help")
+        assert run.code == 0
+        assert "Examples:" in run.out
+        assert "Next:" in run.out
+        assert f"  corridor {command} " in run.out
+
+    def test_no_arguments_show_the_help(self, corridor: Corridor) -> None:
+        run = corridor()
+        assert "Usage: corridor" in run.out + run.err
+
+    @pytest.mark.parametrize("arguments", [["fly"], ["fuse"], ["fuse", "a", "--altitude", "3"]])
+    def test_usage_errors_end_with_2(self, corridor: Corridor, arguments: list[str]) -> None:
+        run = corridor(*arguments)
+        assert run.code == 2
+        assert "Error" in run.err
+        assert "Traceback" not in run.err
