@@ -226,7 +226,7 @@ class Camera:
             radius = np.hypot(x, y)
             angle = self._lens.undistort(radius)
             with np.errstate(divide="ignore", invalid="ignore"):
-                scale = np.where(radius > 0.0, np.tan(angle) / radius, 1.0)
+                scale = np.where(radius == 0.0, 1.0, np.tan(angle) / radius)
             scale[~(angle < pi / 2)] = np.nan
             x, y = x * scale, y * scale
         return np.stack([x, y], axis=1)
@@ -241,7 +241,7 @@ class Camera:
             radius = np.hypot(x, y)
             angle = self._lens.undistort(radius)
             with np.errstate(divide="ignore", invalid="ignore"):
-                scale = np.where(radius > 0.0, np.sin(angle) / radius, 1.0)
+                scale = np.where(radius == 0.0, 1.0, np.sin(angle) / radius)
             return np.stack([x * scale, y * scale, np.cos(angle)], axis=1)
         normalised = self.undistort(points_px)
         rays = np.concatenate([normalised, np.ones((len(normalised), 1))], axis=1)
@@ -260,7 +260,7 @@ class Camera:
             if isinstance(self._lens, Equidistant):
                 radius = np.hypot(x, y)
                 angle = np.arctan2(radius, z)
-                scale = np.where(radius > 0.0, self._lens.distort(angle) / radius, 0.0)
+                scale = np.where(radius == 0.0, 0.0, self._lens.distort(angle) / radius)
                 scale[(radius == 0.0) & ~(z > 0.0)] = np.nan
                 x, y = x * scale, y * scale
             else:

@@ -8,7 +8,7 @@ fitted polynomial turns back, where no ray belongs to a pixel. Here such points 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan, inf, pi, sqrt
+from math import atan, inf, pi, radians, sqrt, tan
 
 import numpy as np
 import numpy.typing as npt
@@ -16,12 +16,18 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 _TABLE_SIZE = 2048
+_WIDEST_RAD = radians(89.9)
 _MAX_ITERATIONS = 12
 _LAST_STEP = 1e-7  # Newton's convergence is quadratic: after such a step the error is about its square
 
 
-def _first_positive_root(ascending: list[float]) -> float:
-    """Smallest positive real root of a polynomial with ascending coefficients; inf where there is none."""
+def _first_positive_root(ascending: list[float], largest: float) -> float:
+    """Smallest positive real root of a polynomial with ascending coefficients; inf where there is none.
+
+    Leading terms that do not count up to ``largest`` are left out: divided by, they would overflow.
+    """
+    while len(ascending) > 1 and abs(ascending[-1]) * largest ** (len(ascending) - 1) < 1e-12:
+        ascending = ascending[:-1]
     roots = np.roots(ascending[::-1])
     real = roots.real[(np.abs(roots.imag) < 1e-9 * (1.0 + np.abs(roots.real))) & (roots.real > 0.0)]
     return float(real.min()) if real.size else inf
@@ -71,8 +77,10 @@ class RadialTangential:
         left = _product(grown, denominator)
         right = [0.0, *_product(numerator, [2.0 * d for d in _derivative(denominator)])]
         slope = [a - b for a, b in zip(left, [*right, 0.0][: len(left)], strict=True)]
-        max_radius = sqrt(min(_first_positive_root(slope), _first_positive_root(denominator)))
-        angle = np.linspace(0.0, min(atan(max_radius), np.radians(89.9)), _TABLE_SIZE)
+        largest = tan(_WIDEST_RAD) ** 2
+        fold, pole = _first_positive_root(slope, largest), _first_positive_root(denominator, largest)
+        max_radius = sqrt(min(fold, pole))
+        angle = np.linspace(0.0, min(atan(max_radius), _WIDEST_RAD), _TABLE_SIZE)
         radius = np.tan(angle)
         if max_radius < inf:
             radius[-1] = max_radius * (1.0 - 1e-12)  # a pole has no value
@@ -164,7 +172,7 @@ class Equidistant:
     def from_coefficients(cls, coefficients: tuple[float, ...]) -> Equidistant:
         """Build from the four coefficients."""
         k1, k2, k3, k4 = coefficients
-        turning = sqrt(_first_positive_root([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3, 9.0 * k4]))
+        turning = sqrt(_first_positive_root([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3, 9.0 * k4], pi**2))
         max_angle = min(pi, turning)
         angle = np.linspace(0.0, max_angle, _TABLE_SIZE)
         s = angle * angle
