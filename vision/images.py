@@ -32,7 +32,7 @@ def read_image(path: str | Path) -> GreyImage:
         )
         raise InputError(reason, file=path, remedy="check the path and its permissions") from error
     image = None
-    if data.size:
+    if data.size and not _is_cut_jpeg(data.tobytes()):
         try:
             image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
         except cv2.error:
@@ -44,6 +44,14 @@ def read_image(path: str | Path) -> GreyImage:
             remedy="give a whole JPEG, PNG or similar",
         )
     return to_grey(image)
+
+
+def _is_cut_jpeg(data: bytes) -> bool:
+    """Whether a JPEG lacks its end marker; OpenCV 4 would fill the lost part with grey and say nothing."""
+    if not data.startswith(b"\xff\xd8"):
+        return False
+    # An embedded thumbnail has an end marker of its own, near the beginning.
+    return data.rfind(b"\xff\xd9") < len(data) // 2
 
 
 def to_grey(image: npt.NDArray[Any]) -> GreyImage:
