@@ -39,7 +39,7 @@ def compile_notice() -> Iterator[None]:
     """
     from numba.core import event
 
-    class Notice(event.Listener):  # type: ignore[misc]  # numba has no types
+    class Notice(event.Listener):
         told = False
 
         def on_start(self, event: Any) -> None:

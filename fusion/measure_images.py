@@ -23,9 +23,7 @@ ASSUMED_FOV_RAD = radians(70.0)
 ASPECT_TOLERANCE = 0.01
 
 #: As `FRAME_DTYPE`, with the picture first; a time only where the file's name is one.
-IMAGE_DTYPE = np.dtype(
-    [("image", "O"), ("timestamp_ns", "O")] + [(name, FRAME_DTYPE[name]) for name in FRAME_DTYPE.names[1:]]
-)
+IMAGE_DTYPE = np.dtype([("image", "O"), ("timestamp_ns", "O"), *FRAME_DTYPE.descr[1:]])
 
 
 def find_images(sources: Sequence[Path]) -> list[Path]:
