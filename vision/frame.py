@@ -17,7 +17,9 @@ import numpy.typing as npt
 
 from vision.camera import Camera
 from vision.errors import InputError
+from vision.gravity import level_from_verticals
 from vision.images import to_grey
+from vision.lateral import fit_lateral
 from vision.lines import LineSet, extract_lines, is_distorted
 from vision.measurement import (
     Attitude,
@@ -28,7 +30,7 @@ from vision.measurement import (
     position_from_offset,
 )
 from vision.paper import equation_8, measure_paper
-from vision.vanishing_point import VERTICAL_SINE, AxisFit, fit_axis
+from vision.vanishing_point import VERTICAL_SINE, AxisFit, axis_direction, fit_axis
 
 FloatArray = npt.NDArray[np.float64]
 Method = Literal["geometric", "paper"]
@@ -38,6 +40,7 @@ MIN_SCORE = 8.0  # log-likelihood over chance
 MAX_RIVAL = 0.80  # score of the second-best heading over the best
 MAX_STD_RAD = radians(3.0)
 MAX_BLUR_PX = 20.0
+SLOPE_STD_RAD = radians(0.2)  # floors and ceilings are level to about this
 CALIBRATION_STD_RAD = radians(0.03)  # what focal length and principal point leave, the same in every frame
 UNKNOWN_ATTITUDE = Attitude(0.0, 0.0, std_rad=radians(12.0))
 TRANSVERSE_SINE = sin(radians(1.5))
@@ -94,19 +97,43 @@ def measure_lines(
         attitude = UNKNOWN_ATTITUDE
     elif not isinstance(attitude, Attitude):
         attitude = Attitude.from_quaternion(attitude)
-    R_level_camera = attitude.R_level_body() @ camera.R_body_camera
+    tilt_std_rad = hypot(attitude.std_rad, prior.elevation_std_rad)
+    level = level_from_verticals(
+        lines,
+        _pitched(prior.elevation_rad) @ attitude.R_level_body() @ camera.R_body_camera,
+        tilt_std_rad,
+    )
     fit = fit_axis(
         lines,
-        R_level_camera,
-        elevation_rad=prior.elevation_rad,
-        elevation_std_rad=hypot(attitude.std_rad, prior.elevation_std_rad),
+        level.R_level_camera,
+        elevation_std_rad=hypot(level.pitch_std_rad, SLOPE_STD_RAD),
         prior_heading_rad=prior.heading_rad,
         prior_heading_std_rad=prior.heading_std_rad,
     )
     if fit is None:
         found = FrameMeasurement(False, Reason.TOO_FEW_LINES, n_lines=len(lines))
     else:
-        found = _describe(fit, lines, camera, R_level_camera)
+        found = _describe(fit, lines, camera, level.R_level_camera)
+        found = replace(
+            found, elevation_rad=prior.elevation_rad + level.pitch_correction_rad + fit.elevation_rad
+        )
+        lateral = fit_lateral(
+            lines,
+            fit,
+            level.R_level_camera,
+            level.roll_std_rad,
+            prior.lateral_offset_norm,
+            prior.lateral_offset_norm_std,
+        )
+        if lateral is not None:
+            found = replace(
+                found,
+                lateral_offset_norm=lateral.offset_norm,
+                lateral_offset_norm_std=lateral.offset_norm_std,
+                width_per_height=lateral.width_per_height,
+                position=position_from_offset(lateral.offset_norm),
+                wall_lines_px=found.lines_px[lateral.wall_lines],
+            )
         reason = _judge(found, fit, camera, prior)
         found = replace(found, accepted=reason is Reason.OK, reason=reason)
     return replace(found, vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started))
@@ -148,15 +175,10 @@ def _judge(found: FrameMeasurement, fit: AxisFit, camera: Camera, prior: Prior) 
     return Reason.OK
 
 
-def _axis(heading_rad: float, elevation_rad: float) -> FloatArray:
-    """Unit vector (3,) along the corridor in the level frame."""
-    return np.array(
-        [
-            cos(elevation_rad) * cos(heading_rad),
-            -cos(elevation_rad) * sin(heading_rad),
-            -sin(elevation_rad),
-        ]
-    )
+def _pitched(elevation_rad: float) -> FloatArray:
+    """Rotation (3, 3) that brings an axis at this elevation down to the horizon."""
+    c, s = cos(elevation_rad), sin(elevation_rad)
+    return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
 
 
 def _vanishing_point(
@@ -166,9 +188,9 @@ def _vanishing_point(
     step = 1e-4
     axes = np.array(
         [
-            _axis(fit.heading_rad, fit.elevation_rad),
-            _axis(fit.heading_rad + step, fit.elevation_rad),
-            _axis(fit.heading_rad, fit.elevation_rad + step),
+            axis_direction(fit.heading_rad, fit.elevation_rad),
+            axis_direction(fit.heading_rad + step, fit.elevation_rad),
+            axis_direction(fit.heading_rad, fit.elevation_rad + step),
         ]
     )
     points = camera.project(axes @ R_level_camera)
@@ -179,7 +201,7 @@ def _vanishing_point(
 def _classify(fit: AxisFit, lines: LineSet, R_level_camera: FloatArray) -> npt.NDArray[np.int8]:
     normal = lines.normal @ R_level_camera.T
     line_class = np.full(len(lines), LineClass.REJECTED, np.int8)
-    transverse = np.abs(normal @ _axis(fit.heading_rad + 0.5 * pi, 0.0))
+    transverse = np.abs(normal @ axis_direction(fit.heading_rad + 0.5 * pi, 0.0))
     line_class[transverse < TRANSVERSE_SINE] = LineClass.TRANSVERSE
     line_class[np.abs(normal[:, 2]) < VERTICAL_SINE] = LineClass.VERTICAL
     line_class[fit.inlier] = LineClass.CORRIDOR

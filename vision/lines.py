@@ -14,7 +14,8 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from functools import lru_cache
-from math import cos, hypot, radians, sqrt
+from math import ceil, cos, hypot, radians, sqrt
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,7 +30,13 @@ FloatArray = npt.NDArray[np.float64]
 MAX_COMPONENTS = 1 << 15
 DIRECTION_COS2 = cos(radians(22.5)) ** 2
 NOISE_TO_THRESHOLD = 3.0  # threshold over the median gradient magnitude
-MIN_THRESHOLD = 12.0  # gradient (Sobel 3x3) that one grey level of quantisation can make
+MIN_THRESHOLD = 6.0  # gradient (Sobel 3x3) that quantisation to whole grey levels can make
+SMOOTH_FROM_NOISE = (1.5, 5.0, 8.5)  # noise, grey levels, above which blur of 3, 5, 7 pixels pays
+SMOOTH_FROM_NOISE_COARSE = (5.0, 14.0)  # the same for pictures whose edges lie closer together
+FINE_DIAGONAL_PX = 600.0
+SMALL_DIAGONAL_PX = 300.0
+MAX_DIAGONAL_PX = 1000.0
+SECOND_DIFFERENCE_MEDIAN = 0.6745 * sqrt(6.0)  # median of |a - 2b + c| for noise of one grey level
 MIN_LENGTH_OF_DIAGONAL = 0.02
 MIN_LENGTH_PX = 7.0
 MAX_RMS_PX = 0.8  # scatter across the line beyond which it is not one
@@ -312,6 +319,7 @@ class _Workspace:
         self.sums = np.empty((MAX_COMPONENTS, SUMS))
         self.rows = np.empty((2, width_px), np.int32)
         self.lines = np.empty((MAX_COMPONENTS // 8, 8))
+        self.counts = np.empty(1024, np.int64)
 
 
 @lru_cache(maxsize=4)
@@ -319,8 +327,61 @@ def _workspace(height_px: int, width_px: int) -> _Workspace:
     return _Workspace(height_px, width_px)
 
 
-def extract_lines(image: npt.NDArray[np.uint8], camera: Camera) -> LineSet:
+@lru_cache(maxsize=4)
+def _working_camera(camera: Camera) -> Camera:
+    """Return the camera at the size lines are sought at.
+
+    Large pictures gain nothing but time; small ones hide neighbouring edges from each other, which interpolation
+    undoes in part.
+    """
+    diagonal = hypot(camera.width_px, camera.height_px)
+    if diagonal > MAX_DIAGONAL_PX:
+        scale = 1.0 / ceil(diagonal / MAX_DIAGONAL_PX)
+    elif diagonal < SMALL_DIAGONAL_PX:
+        scale = 2.0
+    else:
+        return camera
+    return camera.resized(round(camera.width_px * scale), round(camera.height_px * scale))
+
+
+@compiled
+def _second_differences(grey: npt.NDArray[np.uint8], counts: npt.NDArray[np.int64]) -> None:
+    height, width = grey.shape
+    counts[:] = 0
+    for y in range(0, height, 8):
+        for x in range(1, width - 1):
+            counts[abs(int(grey[y, x - 1]) - 2 * int(grey[y, x]) + int(grey[y, x + 1]))] += 1
+
+
+def noise_std(grey: npt.NDArray[np.uint8]) -> float:
+    """Estimate the standard deviation of a picture's noise, grey levels, from the median second difference."""
+    counts = _workspace(*grey.shape).counts
+    _second_differences(grey, counts)
+    cumulative = np.cumsum(counts)
+    half = 0.5 * cumulative[-1]
+    level = int(np.searchsorted(cumulative, half))
+    below = cumulative[level - 1] if level else 0
+    median = level - 0.5 + (half - below) / counts[level]
+    return max(float(median), 0.0) / SECOND_DIFFERENCE_MEDIAN
+
+
+def _smoothed(grey: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Blur as little as the noise allows: blur lets neighbouring edges pull at each other, in small pictures most."""
+    noise = noise_std(grey)
+    limits = SMOOTH_FROM_NOISE if hypot(*grey.shape) > FINE_DIAGONAL_PX else SMOOTH_FROM_NOISE_COARSE
+    size = 1 + 2 * sum(noise > limit for limit in limits)
+    return grey if size == 1 else np.asarray(cv2.GaussianBlur(grey, (size, size), 0))
+
+
+def extract_lines(image: npt.NDArray[Any], camera: Camera) -> LineSet:
     """Find the straight line segments of a picture.
+
+    Parameters
+    ----------
+    image
+        Grey, BGR or BGRA picture, uint8 or uint16.
+    camera
+        Calibration for this picture size.
 
     Raises
     ------
@@ -329,49 +390,57 @@ def extract_lines(image: npt.NDArray[np.uint8], camera: Camera) -> LineSet:
     """
     started = time.perf_counter()
     grey = to_grey(image)
-    height, width = grey.shape
-    camera.require_size(width, height)
+    camera.require_size(grey.shape[1], grey.shape[0])
+    working = _working_camera(camera)
+    width, height = working.width_px, working.height_px
+    if working is not camera:
+        shrink = width < camera.width_px
+        grey = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA if shrink else cv2.INTER_CUBIC)
     work = _workspace(height, width)
-    gx, gy = cv2.spatialGradient(cv2.GaussianBlur(grey, (5, 5), 0))
+    gx, gy = cv2.spatialGradient(_smoothed(grey))
     _magnitude(gx, gy, work.magnitude)
     median = float(np.median(work.magnitude[2:-2:4, 2:-2:4]))
     threshold = max(MIN_THRESHOLD, NOISE_TO_THRESHOLD * median)
     n_labels = _trace(
-        gx, gy, work.magnitude, np.float32(threshold), _rectified(camera), work.parent, work.sums, work.rows
+        gx, gy, work.magnitude, np.float32(threshold), _rectified(working), work.parent, work.sums, work.rows
     )
     min_length = max(MIN_LENGTH_PX, MIN_LENGTH_OF_DIAGONAL * hypot(width, height))
     n = _fit(work.parent, work.sums, n_labels, min_length, work.lines)
-    return _line_set(work.lines[:n].copy(), camera, threshold, started)
+    return _line_set(work.lines[:n].copy(), camera, working, threshold, started)
 
 
-def _line_set(lines: FloatArray, camera: Camera, threshold: float, started: float) -> LineSet:
+def _line_set(
+    lines: FloatArray, camera: Camera, working: Camera, threshold: float, started: float
+) -> LineSet:
     ends = lines[:, :4]
-    offset = np.array([camera.cx_px, camera.cy_px])
-    focal = np.array([camera.fx_px, camera.fy_px])
+    offset = np.array([working.cx_px, working.cy_px])
+    focal = np.array([working.fx_px, working.fy_px])
     p0 = np.column_stack([(ends[:, :2] - offset) / focal, np.ones(len(lines))])
     p1 = np.column_stack([(ends[:, 2:] - offset) / focal, np.ones(len(lines))])
     middle = 0.5 * (p0 + p1)
     depth = np.linalg.norm(middle, axis=1)
+    scale = np.array([camera.fx_px, camera.fy_px])
+    shift = np.array([camera.cx_px, camera.cy_px])
+    ends_px = np.hstack([p0[:, :2] * scale + shift, p1[:, :2] * scale + shift])
     p0 /= np.linalg.norm(p0, axis=1, keepdims=True)
     p1 /= np.linalg.norm(p1, axis=1, keepdims=True)
     normal = np.cross(p0, p1)
     sine = np.linalg.norm(normal, axis=1)
     normal /= sine[:, None]
     centre = middle / depth[:, None]
+    sigma_px = _position_sigma_px(lines[:, 5], lines[:, 6])
     return LineSet(
         width_px=camera.width_px,
         height_px=camera.height_px,
-        ends_px=ends,
-        length_px=lines[:, 4],
+        ends_px=ends_px,
+        length_px=lines[:, 4] * (camera.fx_px / working.fx_px),
         rms_px=lines[:, 5],
         n_pixels=lines[:, 6],
         contrast=lines[:, 7],
         centre=centre,
         direction=np.cross(normal, centre),
         normal=normal,
-        sigma_rad=_position_sigma_px(lines[:, 5], lines[:, 6])
-        * np.hypot(normal[:, 0], normal[:, 1])
-        / (depth * camera.fx_px),
+        sigma_rad=sigma_px * np.hypot(normal[:, 0], normal[:, 1]) / (depth * working.fx_px),
         arc_rad=np.arctan2(sine, (p0 * p1).sum(axis=1)),
         threshold=threshold,
         extract_ms=1e3 * (time.perf_counter() - started),
@@ -379,9 +448,9 @@ def _line_set(lines: FloatArray, camera: Camera, threshold: float, started: floa
 
 
 def _position_sigma_px(rms_px: FloatArray, n_pixels: FloatArray) -> FloatArray:
-    """Standard deviation of a line's position across itself: what the scatter says, and what it cannot.
+    """Return the standard deviation of a line's position across itself: what the scatter says, and what it cannot.
 
     Neighbouring edge pixels share blur and noise (about three speak as one); bias of the parabola, compression and
     edges that are not quite straight do not average out at all.
     """
-    return np.hypot(rms_px * np.sqrt(3.0 / n_pixels), 0.05)
+    return np.asarray(np.hypot(rms_px * np.sqrt(3.0 / n_pixels), 0.05))

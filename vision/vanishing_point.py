@@ -24,6 +24,8 @@ FloatArray = npt.NDArray[np.float64]
 
 N_BINS = 720
 BIN_RAD = pi / N_BINS
+PEAK_BINS = 4
+MAX_REFINEMENT_RAD = radians(4.0)
 SLICE_STEP_RAD = radians(1.0)
 MAX_SLICES = 21
 ALIGN_STD_RAD = radians(0.10)  # lines along a real corridor are parallel to about this
@@ -31,7 +33,8 @@ INLIER_ODDS = 0.25  # share of lines expected to run along the corridor
 VERTICAL_SINE = 0.10  # a plane this close to vertical may be a door post's: it says nothing about the axis
 INLIER_SIGMA = 3.0
 RIVAL_DISTANCE_RAD = radians(8.0)
-HEADING_PRIOR_STD_RAD = radians(35.0)  # the camera looks along the corridor rather than across
+HEADING_PRIOR_STD_RAD = radians(30.0)  # the camera looks along the corridor rather than across
+MAX_HEADING_RAD = radians(60.0)  # without a filter's word, what is farther off is taken for a transverse axis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,6 +197,12 @@ def _refine(
     out[1] = e
 
 
+def axis_direction(heading_rad: float, elevation_rad: float) -> FloatArray:
+    """Return the unit vector (3,) in the level frame along a corridor seen at this heading and elevation."""
+    level = cos(elevation_rad)
+    return np.array([level * cos(heading_rad), -level * sin(heading_rad), -sin(elevation_rad)])
+
+
 def fit_axis(
     lines: LineSet,
     R_level_camera: FloatArray,
@@ -228,9 +237,9 @@ def fit_axis(
     scores -= 0.5 * (steps[:, None] / elevation_std_rad) ** 2
     headings = -0.5 * pi + (np.arange(N_BINS) + 0.5) * BIN_RAD
     ranked = scores + _log_prior(headings, prior_heading_rad, prior_heading_std_rad)
+    ranked[~_local_maxima(scores)] = -np.inf  # the flank of a peak beyond the allowed range is none
     k, b = np.unravel_index(int(np.argmax(ranked)), scores.shape)
-    score = float(scores[k, b])
-    if score <= 0.0:
+    if not ranked[k, b] > 0.0:
         return None
     residual = np.empty(len(lines))
     out = np.empty(7)
@@ -250,6 +259,8 @@ def fit_axis(
     information = np.array([[out[2], out[3]], [out[3], out[4]]])
     if not np.linalg.det(information) > 0.0:
         return None
+    if abs(out[0] - headings[b]) > MAX_REFINEMENT_RAD:
+        return None  # the fit left the peak it started from: there was no axis, only a crowd
     distance = np.abs((headings - out[0] + 0.5 * pi) % pi - 0.5 * pi)
     rivals = np.where(distance > RIVAL_DISTANCE_RAD, ranked.max(axis=0), -np.inf)
     second = int(np.argmax(rivals))
@@ -265,9 +276,18 @@ def fit_axis(
     )
 
 
+def _local_maxima(scores: FloatArray) -> npt.NDArray[np.bool_]:
+    """Mark the headings whose score, over all elevations, nothing within a degree exceeds."""
+    best = scores.max(axis=0)
+    padded = np.pad(best, PEAK_BINS, mode="edge")
+    neighbourhood = np.lib.stride_tricks.sliding_window_view(padded, 2 * PEAK_BINS + 1).max(axis=1)
+    return np.asarray(best >= neighbourhood)[None, :] & (scores >= best)
+
+
 def _log_prior(headings: FloatArray, heading_rad: float, std_rad: float) -> FloatArray:
     if heading_rad != heading_rad:
-        return -0.5 * (headings / HEADING_PRIOR_STD_RAD) ** 2
+        log_prior = -0.5 * (headings / HEADING_PRIOR_STD_RAD) ** 2
+        return np.where(np.abs(headings) <= MAX_HEADING_RAD, log_prior, -np.inf)
     # The filter can be wrong: a floor under its Gaussian lets strong evidence win against it.
     z = ((headings - heading_rad + 0.5 * pi) % pi - 0.5 * pi) / hypot(std_rad, radians(1.0))
     return np.asarray(np.log(0.01 + np.exp(-0.5 * z * z)))

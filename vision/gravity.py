@@ -1,0 +1,159 @@
+"""Level from the picture itself: door posts and wall corners are vertical, and they show roll and pitch.
+
+The attitude that comes with a frame is a starting point with a standard deviation: a filter's tilt error, a camera that
+is not mounted as its file says, or nothing known at all. Vertical lines then make level as exact as the picture is,
+which the lateral offset needs (half a degree of roll is 1 % of the corridor's width) and the heading welcomes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, radians, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from vision.compiled import compiled
+from vision.lines import LineSet
+
+FloatArray = npt.NDArray[np.float64]
+
+GRID_STEP_RAD = radians(1.0)
+GRID_FROM_STD_RAD = radians(2.0)  # below this the prior is good enough to start from
+PLUMB_STD_RAD = radians(0.15)  # door posts are upright to about this
+CUT_SIGMA = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """The level frame as seen by the camera.
+
+    Parameters
+    ----------
+    R_level_camera
+        Rotation (3, 3) from the optical frame.
+    roll_std_rad, pitch_std_rad
+        Standard deviations of what is left, about the level frame's x and y axes.
+    pitch_correction_rad
+        Elevation by which the picture's level lies above the given attitude's.
+    """
+
+    R_level_camera: FloatArray
+    roll_std_rad: float
+    pitch_std_rad: float
+    pitch_correction_rad: float
+
+
+@compiled
+def _vertical_std(down: float, along: float, sigma: float, arc: float) -> float:
+    rotation = 3.4641 * sigma / arc
+    return sqrt((sigma * down) ** 2 + (rotation * along) ** 2 + PLUMB_STD_RAD * PLUMB_STD_RAD)
+
+
+@compiled
+def _plumb(
+    normal: FloatArray,
+    centre: FloatArray,
+    direction: FloatArray,
+    sigma: FloatArray,
+    arc: FloatArray,
+    std: float,
+    reach: int,
+    out: FloatArray,
+) -> None:
+    """Find the down vector (a, b, 1) the vertical lines agree on; ``out`` = a, b and information (3 numbers).
+
+    a is down's component along the given level frame's x, b along its y; both have the prior N(0, std).
+    """
+    n = len(sigma)
+    a = 0.0
+    b = 0.0
+    if reach > 0:
+        best = 0.0
+        for i in range(-reach, reach + 1):
+            for j in range(-reach, reach + 1):
+                ga = i * GRID_STEP_RAD
+                gb = j * GRID_STEP_RAD
+                score = -0.5 * (ga * ga + gb * gb) / (std * std)
+                for k in range(n):
+                    if abs(direction[k, 2]) < 0.7:
+                        continue
+                    spread = 0.7 * GRID_STEP_RAD
+                    z = (normal[k, 0] * ga + normal[k, 1] * gb + normal[k, 2]) / spread
+                    score += max(0.0, 1.0 - z * z / 4.0) * min(arc[k], 0.3) * 20.0
+                if score > best:
+                    best = score
+                    a = ga
+                    b = gb
+    h00 = h01 = h11 = 0.0
+    for iteration in range(8):
+        start = GRID_STEP_RAD if reach > 0 else std
+        h00 = h11 = 1.0 / (std * std)
+        h01 = 0.0
+        g0 = a / (std * std)
+        g1 = b / (std * std)
+        for k in range(n):
+            if abs(direction[k, 2]) < 0.7:  # not even roughly upright
+                continue
+            nx = normal[k, 0]
+            ny = normal[k, 1]
+            down = centre[k, 0] * a + centre[k, 1] * b + centre[k, 2]
+            along = direction[k, 0] * a + direction[k, 1] * b + direction[k, 2]
+            line_std = _vertical_std(down, along, sigma[k], arc[k])
+            cut = CUT_SIGMA * sqrt(line_std * line_std + (start * 0.5**iteration) ** 2)
+            r = nx * a + ny * b + normal[k, 2]
+            if abs(r) >= cut:
+                continue
+            w = (1.0 - (r / cut) ** 2) ** 2 / (line_std * line_std)
+            h00 += w * nx * nx
+            h01 += w * nx * ny
+            h11 += w * ny * ny
+            g0 += w * nx * r
+            g1 += w * ny * r
+        determinant = h00 * h11 - h01 * h01
+        a -= (h11 * g0 - h01 * g1) / determinant
+        b -= (h00 * g1 - h01 * g0) / determinant
+    out[0] = a
+    out[1] = b
+    out[2] = h00
+    out[3] = h01
+    out[4] = h11
+
+
+def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: float) -> Level:
+    """Correct a level frame by the picture's vertical lines.
+
+    Parameters
+    ----------
+    lines
+        Segments of the picture.
+    R_level_camera
+        Rotation (3, 3) from the optical frame to level as the attitude and the mount have it.
+    std_rad
+        Standard deviation of its roll and pitch.
+    """
+    out = np.zeros(5)
+    reach = ceil(2.5 * std_rad / GRID_STEP_RAD) if std_rad > GRID_FROM_STD_RAD else 0
+    _plumb(
+        lines.normal @ R_level_camera.T,
+        lines.centre @ R_level_camera.T,
+        lines.direction @ R_level_camera.T,
+        lines.sigma_rad,
+        lines.arc_rad,
+        std_rad,
+        reach,
+        out,
+    )
+    a, b = out[0], out[1]
+    covariance = np.linalg.inv(np.array([[out[2], out[3]], [out[3], out[4]]]))
+    down = np.array([a, b, 1.0]) / sqrt(1.0 + a * a + b * b)
+    # The shortest rotation that brings the found down to (0, 0, 1): heading is left alone.
+    forward = np.array([1.0, 0.0, 0.0]) - down * down[0]
+    forward /= np.linalg.norm(forward)
+    R_new_old = np.array([forward, np.cross(down, forward), down])
+    return Level(
+        R_level_camera=R_new_old @ R_level_camera,
+        roll_std_rad=sqrt(covariance[1, 1]),
+        pitch_std_rad=sqrt(covariance[0, 0]),
+        pitch_correction_rad=-float(np.arctan(a)),
+    )
