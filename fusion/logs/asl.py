@@ -252,9 +252,9 @@ def _attitude_in_frd(folder: _Folder, stream: str, q_world_sensor: FloatArray) -
         return np.asarray(q * np.array([1.0, 1.0, *np.diag(R_down_world)[1:]]))
     from scipy.spatial.transform import Rotation
 
-    rotation = Rotation.from_quat(q, scalar_first=True) * Rotation.from_matrix(R_frd_sensor).inv()
-    turned: FloatArray = (Rotation.from_matrix(R_down_world) * rotation).as_quat(scalar_first=True)
-    return turned
+    scalar_last = np.roll(q, -1, axis=1)
+    rotation = Rotation.from_quat(scalar_last) * Rotation.from_matrix(R_frd_sensor).inv()
+    return np.roll((Rotation.from_matrix(R_down_world) * rotation).as_quat(), 1, axis=1)
 
 
 def _read_vectors(

@@ -147,7 +147,7 @@ def _is_cut(last: str, before: str) -> bool:
         return last.count(",") < before.count(",")
 
     def length_after_point(line: str) -> int:
-        return len(line.rsplit(",", 1)[-1].rpartition(".")[2].strip())
+        return len(line.rsplit(",", 1)[-1].partition(".")[2].strip())
 
     return length_after_point(last) < length_after_point(before)
 
@@ -257,11 +257,12 @@ def check_nanoseconds(t_ns: TimeArray, path: Path, min_step_ns: int) -> None:
     step = int(np.median(np.diff(t_ns)))
     if step >= min_step_ns:
         return
-    guess = "seconds: multiply by 1e9"
-    for factor, unit in ((1_000, "microseconds"), (1_000_000, "milliseconds")):
-        if step * factor >= min_step_ns:
-            guess = f"{unit}: multiply by {factor}"
-            break
+    if step <= 1:
+        guess = "seconds or milliseconds: multiply by 1e9 or 1e6"
+    elif step * 1_000 < min_step_ns:
+        guess = "milliseconds: multiply by 1e6"
+    else:
+        guess = "microseconds: multiply by 1000"
     raise InputError(
         f"timestamps are {step} apart, not nanoseconds",
         file=path,
