@@ -1,0 +1,36 @@
+"""One page that says what a fused flight is worth: `write_report`.
+
+`fusion.report.checks` holds the verdict, `fusion.report.plots` the plots, each usable alone.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fusion.offline import FusionResult
+
+    from fusion.flight import Flight
+
+__all__ = ["write_report"]
+
+
+def write_report(result: FusionResult, flight: Flight, path: str | Path) -> None:
+    """Write the report on a fused flight: one self-contained HTML file that opens without a network.
+
+    Parameters
+    ----------
+    result, flight
+        What `fusion.fuse_flight` returned, and what it was given; some of its pictures are measured again.
+    path
+        The file to write. It appears whole: an error leaves an earlier one as it was.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    from fusion.report.page import render_report, replace_text
+
+    replace_text(path, render_report(result, flight))

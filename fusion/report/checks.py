@@ -1,0 +1,152 @@
+"""The checks on a fused flight, one per thing that goes wrong, each with what it means and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fusion.flight import Flight
+from fusion.report.checks_of_input import check_gaps, check_gyro_bias, check_imu_yaw, check_reading
+from fusion.report.checks_of_truth import check_heading, check_offset, check_sigma
+from fusion.report.series import runs
+from fusion.report.verdict import Check, Level, Limits, level_of, not_judged
+from fusion.tables import Table
+
+if TYPE_CHECKING:
+    from fusion.offline import FusionResult
+
+REASON_ACTION = {
+    "too_few_lines": "Look for dark, blank or blurred stretches: light or a wider lens help.",
+    "ambiguous": "Log the attitude too if it is missing: doors and shelves then no longer compete.",
+    "uncertain": "Few long lines run along the corridor in this view: aim the camera along it.",
+    "blur": "Shorten the exposure or turn more slowly.",
+    "gate": "Check the camera's focal length, mounting and time offset first: all three look like this.",
+    "unreadable": "Pictures are damaged: copy the flight again from the vehicle.",
+    "late": "Frames came later than the estimator waits for: lengthen its buffer in the configuration.",
+}
+
+
+def run_checks(result: FusionResult, flight: Flight, limits: Limits | None = None) -> tuple[Check, ...]:
+    """Run every check on a fused flight, in the order in which a reader should look at them."""
+    limits = limits or Limits()
+    checks: tuple[Callable[[FusionResult, Flight, Limits], Check], ...] = (
+        check_heading,
+        check_offset,
+        _frames_accepted,
+        _innovations,
+        _longest_coast,
+        _sigma_by_innovations,
+        check_sigma,
+        check_gyro_bias,
+        check_imu_yaw,
+        check_gaps,
+        check_reading,
+    )
+    return tuple(check(result, flight, limits) for check in checks)
+
+
+def _frames_accepted(result: FusionResult, flight: Flight, limits: Limits) -> Check:
+    frames, name = result.frames, "Frames used"
+    limit = f"pass from {limits.accepted_share[0]:.0%}, fail below {limits.accepted_share[1]:.0%}"
+    if not len(frames):
+        return Check(
+            name, Level.FAIL, "No frames", limit, "Vision had nothing to say.", "Check the camera folder."
+        )
+    share = float(np.mean(frames["accepted"]))
+    level = level_of(share, limits.accepted_share)
+    value = f"{share:.1%} of {len(frames)}"
+    rejected = frames["reason"][~frames["accepted"]]
+    if level is Level.PASS or not len(rejected):
+        return Check(name, level, value, limit, "Enough frames show the corridor to hold heading and offset.")
+    words, counts = np.unique(rejected, return_counts=True)
+    worst = str(words[np.argmax(counts)])
+    meaning = (
+        f"Most of the rejected frames are “{worst.replace('_', ' ')}”: {counts.max()} of {len(rejected)}."
+    )
+    return Check(name, level, value, limit, meaning, REASON_ACTION.get(worst, ""))
+
+
+def _innovations(result: FusionResult, flight: Flight, limits: Limits) -> Check:
+    name = "Innovations over the gate"
+    limit = f"pass to {limits.over_gate_share[0]:.0%}, fail above {limits.over_gate_share[1]:.0%}"
+    ratio = result.frames["test_ratio"]
+    ratio = ratio[np.isfinite(ratio)]
+    if not ratio.size:
+        return not_judged(name, limit, "No frame was compared with the filter.")
+    share = float(np.mean(ratio > 1.0))
+    level = level_of(share, limits.over_gate_share)
+    if level is Level.PASS:
+        meaning, action = "Frames and gyroscope tell the same story.", ""
+    else:
+        meaning = "Frames often contradict the prediction, so one of the two is wrong."
+        action = (
+            "Check focal length, camera mounting and time offset; then the gyro noise in the configuration."
+        )
+    return Check(name, level, f"{share:.1%} of {ratio.size}", limit, meaning, action)
+
+
+def _longest_coast(result: FusionResult, flight: Flight, limits: Limits) -> Check:
+    name = "Longest time without a used frame"
+    limit = f"pass to {limits.coast_s[0]:g} s, fail above {limits.coast_s[1]:g} s"
+    table = result.estimates
+    tracking = np.flatnonzero(table["status"] == "tracking")
+    if not tracking.size:
+        meaning, action = "The filter never started.", "Look at the rejected frames below for the cause."
+        return Check(name, Level.FAIL, "Never tracking", limit, meaning, action)
+    age = table["vision_age_s"][tracking[0] :]
+    longest = float(np.nanmax(age)) if np.isfinite(age).any() else float("nan")
+    level = level_of(longest, limits.coast_s)
+    when = (table["timestamp_ns"][tracking[0] + int(np.nanargmax(age))] - table["timestamp_ns"][0]) / 1e9
+    lost = _seconds_in(table, "lost")
+    value = f"{longest:.1f} s, ending at {when:.1f} s" if level is not Level.PASS else f"{longest:.1f} s"
+    if lost > 0:
+        value += f"; lost for {lost:.1f} s"
+        level = max(level, Level.WARN, key=(Level.NOT_JUDGED, Level.PASS, Level.WARN, Level.FAIL).index)
+    if level is Level.PASS:
+        return Check(name, level, value, limit, "The gyroscope never had to carry the heading for long.")
+    meaning = "Meanwhile the heading rests on the gyroscope alone and its sigma grows."
+    return Check(
+        name, level, value, limit, meaning, "See the frames at that time; fly slower or add light there."
+    )
+
+
+def _seconds_in(table: Table, status: str) -> float:
+    t = table["timestamp_ns"]
+    spans = runs(table["status"] == status)
+    return float(sum(t[min(b, len(t) - 1)] - t[a] for a, b in spans)) / 1e9
+
+
+def _sigma_by_innovations(result: FusionResult, flight: Flight, limits: Limits) -> Check:
+    good, bad = limits.innovation_ratio
+    name, limit = "Innovations against their sigma", f"pass to {good:g} times, fail above {bad:g}"
+    ratio = innovation_ratio(result)
+    level = level_of(ratio, limits.innovation_ratio)
+    if level is Level.NOT_JUDGED:
+        return not_judged(name, limit, "Too few frames were compared with the filter.")
+    value = f"{ratio:.2f} times"
+    if level is Level.PASS:
+        # Well below one is as it should be: a frame's sigma is widened for what it shares with the last one.
+        return Check(name, level, value, limit, "Frames differ from the prediction by no more than expected.")
+    meaning = "The filter is surer of itself than its frames warrant: its two-sigma band is too narrow."
+    action = "Check the camera's time offset, then raise the gyro noise in the configuration."
+    return Check(name, level, value, limit, meaning, action)
+
+
+def innovation_ratio(result: FusionResult) -> float:
+    """Robust ratio of innovations to the sigma that the filter expected of them; 1 where it is honest.
+
+    The test ratio is the innovation's square over the gate's; the median of the normalised innovation, unlike
+    its root mean square, does not depend on where the gate cuts.
+    """
+    ratio = result.frames["test_ratio"]
+    ratio = ratio[np.isfinite(ratio)]
+    if ratio.size < 10:
+        return float("nan")
+    return float(np.median(np.sqrt(ratio)) * gate_sigmas(result) / 0.6745)
+
+
+def gate_sigmas(result: FusionResult) -> float:
+    """How many sigmas wide the gate of the frames' yaw is."""
+    return float(result.config.heading_gate_sigma)

@@ -1,0 +1,296 @@
+"""The report's page: what the template shows, in words and units for people."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+from math import degrees, isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from fusion.evaluation import evaluate
+from fusion.flight import Flight
+from fusion.report import plots
+from fusion.report.checks import run_checks
+from fusion.report.checks_of_input import all_problems
+from fusion.report.strip import Shown, choose_frames, show_frames
+from fusion.report.svg import Drawing, draw
+from fusion.report.verdict import Level, overall
+from vision.errors import InputError
+
+if TYPE_CHECKING:
+    from fusion.offline import FusionResult
+
+REASON_WORDS = {
+    "ok": "used",
+    "too_few_lines": "fewer than four lines meet",
+    "ambiguous": "two directions fit equally well",
+    "uncertain": "heading too uncertain to use",
+    "blur": "turning too fast for the exposure",
+    "gate": "disagrees with the filter",
+    "unreadable": "picture does not decode",
+    "late": "came too late",
+}
+VERDICT_WORDS = {
+    Level.PASS: "Pass: heading and offset can be used",
+    Level.WARN: "Pass with care: read the warnings",
+    Level.FAIL: "Fail: do not rely on this flight",
+    Level.NOT_JUDGED: "Not judged",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A plot on the page."""
+
+    title: str
+    text: str
+    drawing: Drawing
+
+
+@dataclass(frozen=True, slots=True)
+class Caption:
+    """What stands beside a frame of the strip."""
+
+    shown: Shown
+    accepted: bool
+    verdict: str
+    vision: str
+    filtered: str
+    heading_deg: float | None
+    offset_norm: float | None
+
+
+def render_report(result: FusionResult, flight: Flight) -> str:
+    """Return the page as text; see `fusion.report.write_report`."""
+    environment = Environment(
+        loader=PackageLoader("fusion.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    checks = run_checks(result, flight)
+    level = overall(checks)
+    context = {
+        "name": result.flight_name,
+        "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "level": level,
+        "verdict": VERDICT_WORDS[level],
+        "checks": checks,
+        "facts": facts(result, flight),
+        "figures": figures(result, flight),
+        "statuses": status_shares(result),
+        "errors": error_rows(result, flight),
+        "strip": [
+            _caption(shown, result) for shown in show_frames(result, flight, choose_frames(result, flight))
+        ],
+        "reasons": reason_counts(result),
+        "settings": settings(result),
+        "problems": all_problems(result, flight),
+        "timings": timings(result),
+    }
+    return environment.get_template("page.html.j2").render(context)
+
+
+def replace_text(path: str | Path, text: str) -> None:
+    """Write a file beside its place and move it there, so that it is whole or the earlier one."""
+    path = Path(path)
+    beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+    try:
+        beside.write_text(text, encoding="utf-8")
+        os.replace(beside, path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise InputError(
+            f"cannot write the report: {error.strerror}", file=path, remedy="choose another place"
+        ) from error
+
+
+def facts(result: FusionResult, flight: Flight) -> list[tuple[str, str, str]]:
+    """Return the headline numbers: (what, number, remark)."""
+    table, frames = result.estimates, result.frames
+    tracking = table["status"] == "tracking"
+    found = []
+    if flight.truth is not None:
+        filtered, smooth = (evaluate(t, flight.truth) for t in (table, result.smoothed))
+        remark = f"RMSE of the filter; smoother {_degrees(smooth['heading']['rmse_rad'])}"
+        found.append(("Heading error", _degrees(filtered["heading"]["rmse_rad"]), remark))
+        metres = filtered["lateral_offset_m"]["rmse_m"]
+        if metres is not None:
+            remark = f"RMSE of the filter; smoother {_centimetres(smooth['lateral_offset_m']['rmse_m'])}"
+            found.append(("Offset error", _centimetres(metres), remark))
+    elif tracking.any():
+        sigma = float(np.median(table["heading_std_rad"][tracking]))
+        found.append(("Heading sigma", _degrees(sigma), "median while tracking; there is no truth"))
+        offset = np.median(table["lateral_offset_norm_std"][tracking])
+        if isfinite(offset):
+            found.append(("Offset sigma", f"{offset:.1%}", "of half the corridor's width"))
+    if len(frames):
+        used = int(np.count_nonzero(frames["accepted"]))
+        found.append(("Frames used", f"{used / len(frames):.1%}", f"{used} of {len(frames)}"))
+    if len(table) > 1:
+        length = (int(table["timestamp_ns"][-1]) - int(table["timestamp_ns"][0])) / 1e9
+        corridors = int(table["corridor_index"].max()) + 1 - int(table["corridor_index"].min())
+        remark = f"{corridors} corridor{'s' if corridors != 1 else ''}"
+        found.append(("Flight", f"{length:.1f} s", f"{remark}, tracking for {np.mean(tracking):.0%}"))
+    return found
+
+
+def figures(result: FusionResult, flight: Flight) -> list[Figure]:
+    """Draw every plot that the flight has something for."""
+    found: list[Figure] = []
+
+    def add(name: str, title: str, text: str, *panels: Any) -> None:
+        found.append(Figure(title, text, draw(name, title, panels)))
+
+    if not len(result.estimates):
+        return found
+    text = "Angle from the corridor's axis, positive right. Frames outside the scale are not drawn."
+    add("heading", "Heading", text, partial(plots.plot_heading, result=result, flight=flight))
+    text = "Place between the walls, right of the centre line positive."
+    add("offset", "Lateral offset", text, partial(plots.plot_offset, result=result, flight=flight))
+    if np.isfinite(result.frames["test_ratio"]).any():
+        text = (
+            "What each frame said beyond the prediction, and its square over that of the gate: "
+            "a frame above one is refused."
+        )
+        panels = (
+            partial(plots.plot_innovations, result=result),
+            partial(plots.plot_test_ratio, result=result),
+        )
+        add("innovations", "Innovations", text, *panels)
+    states = []
+    if flight.imu is not None and np.isfinite(result.estimates["gyro_bias_rad_s"]).any():
+        states.append(partial(plots.plot_gyro_bias, result=result))
+    if flight.attitude is not None and np.isfinite(result.estimates["imu_yaw_offset_rad"]).any():
+        states.append(partial(plots.plot_imu_yaw_offset, result=result))
+    if states:
+        text = "What the filter learned about the gyroscope and about the vehicle's own yaw."
+        add("states", "Bias and offset", text, *states)
+    if flight.truth is not None:
+        errors = (plots.plot_heading_error, plots.plot_offset_error)
+        text = "Estimate less truth, outside junctions; an honest band holds 95 % of the line."
+        add("errors", "Errors", text, *(partial(e, result=result, truth=flight.truth) for e in errors))
+    return found
+
+
+def status_shares(result: FusionResult) -> list[tuple[str, float]]:
+    """Return the share of rows in each status, in the order of the plots' key."""
+    status = result.estimates["status"]
+    if not len(status):
+        return []
+    return [(word, float(np.mean(status == word))) for word in plots.STATUS_COLOUR if np.any(status == word)]
+
+
+def error_rows(result: FusionResult, flight: Flight) -> list[tuple[str, list[str]]]:
+    """Return the table of errors: a name and its cells, in the order of the template's columns."""
+    if flight.truth is None:
+        return []
+    rows = []
+    for name, table in (
+        ("Filter", result.estimates),
+        ("Smoother", result.smoothed),
+        ("Frames alone", result.frames),
+    ):
+        found = evaluate(table, flight.truth)
+        rows.append((name, _error_cells(found)))
+        if len(found["corridors"]) > 1:
+            rows += [(f"{name}, corridor {k}", _error_cells(c)) for k, c in found["corridors"].items()]
+    return rows
+
+
+def _error_cells(found: Mapping[str, Any]) -> list[str]:
+    heading = found["heading"]
+    cells = [_degrees(heading[f"{word}_rad"]) for word in ("rmse", "mae", "p95", "max")]
+    cells.append("" if heading["nees_mean"] is None else f"{heading['nees_mean']:.2f}")
+    if found.get("lateral_offset_m", {}).get("rmse_m") is not None:
+        offset = found["lateral_offset_m"]
+        return cells + [_centimetres(offset[f"{word}_m"]) for word in ("rmse", "mae", "max")]
+    offset = found["lateral_offset_norm"]
+    return cells + [_percent(offset[f"{word}_norm"]) for word in ("rmse", "mae", "max")]
+
+
+def reason_counts(result: FusionResult) -> list[tuple[str, str, int, float]]:
+    """Return (reason, its meaning, frames, share), the most frequent first."""
+    words, counts = np.unique(result.frames["reason"], return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    total = max(len(result.frames), 1)
+    return [
+        (str(words[k]), REASON_WORDS.get(str(words[k]), ""), int(counts[k]), float(counts[k] / total))
+        for k in order
+    ]
+
+
+def settings(result: FusionResult) -> list[tuple[str, str, str, bool]]:
+    """Return (name, value, meaning, changed) for every setting of the configuration."""
+    fields = type(result.config).model_fields
+    found = []
+    for name, value in result.config.model_dump().items():
+        field = fields[name]
+        text = "not set" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+        if name.endswith(("_rad", "_rad_s")) and isinstance(value, float):
+            text += f" ({degrees(value):.4g}°{'/s' if name.endswith('_s') else ''})"
+        found.append((name, text, field.description or "", value != field.default))
+    return found
+
+
+def timings(result: FusionResult) -> list[tuple[str, str]]:
+    """Return what the run cost, as far as the summary tells, and the frames' own times."""
+    found = []
+    for name, value in result.summary.get("timings", {}).items():
+        if isinstance(value, int | float):
+            found.append((name, f"{value:.4g}"))
+    milliseconds = result.frames["vision_ms"]
+    milliseconds = milliseconds[np.isfinite(milliseconds)]
+    if milliseconds.size:
+        p50, p95, worst = np.percentile(milliseconds, (50, 95, 100))
+        found.append(("vision_ms", f"median {p50:.1f}, 95th percentile {p95:.1f}, longest {worst:.1f}"))
+    return found
+
+
+def _caption(shown: Shown, result: FusionResult) -> Caption:
+    record = result.frames[shown.row]
+    reason = str(record["reason"])
+    heading, sigma = float(record["heading_rad"]), float(record["heading_std_rad"])
+    vision = "no heading"
+    if isfinite(heading):
+        vision = f"{_sided(degrees(heading), '°')} ± {2 * degrees(sigma):.1f}°"
+    offset = shown.filter_offset_norm
+    filtered = (
+        _sided(degrees(shown.filter_heading_rad), "°") if isfinite(shown.filter_heading_rad) else "unknown"
+    )
+    if isfinite(offset):
+        filtered += f", {abs(offset):.0%} {'right' if offset >= 0 else 'left'} of centre"
+    return Caption(
+        shown=shown,
+        accepted=bool(record["accepted"]),
+        verdict="used" if record["accepted"] else REASON_WORDS.get(reason, reason),
+        vision=vision,
+        filtered=filtered,
+        heading_deg=degrees(shown.filter_heading_rad) if isfinite(shown.filter_heading_rad) else None,
+        offset_norm=max(-1.0, min(1.0, offset)) if isfinite(offset) else None,
+    )
+
+
+def _sided(value: float, unit: str) -> str:
+    return f"{abs(value):.1f}{unit} {'right' if value >= 0 else 'left'}"
+
+
+def _degrees(value_rad: float | None) -> str:
+    return "" if value_rad is None else f"{degrees(value_rad):.2f}°"
+
+
+def _centimetres(value_m: float | None) -> str:
+    return "" if value_m is None else f"{100 * value_m:.1f} cm"
+
+
+def _percent(value: float | None) -> str:
+    return "" if value is None else f"{value:.1%}"

@@ -1,0 +1,334 @@
+"""Plots of a fused flight, each drawn into an ``Axes`` of the caller; the report and notebooks share them.
+
+Time is seconds since `time_origin_ns`; angles are drawn in degrees, positive right. Series are thinned to
+their extremes, so that a long flight draws as fast as a short one. No global state of matplotlib is touched.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
+from matplotlib.ticker import NullLocator
+
+from fusion.evaluation import interpolate_truth, wrap_angle
+from fusion.flight import AttitudeStream, CorridorTruth, Flight, FloatArray, TimeArray
+from fusion.report.series import IndexArray, band_envelope, broken, envelope, runs, thin_points
+from fusion.tables import Table
+
+if TYPE_CHECKING:
+    from fusion.offline import FusionResult
+
+INK = "#1b1f24"
+FAINT = "#7a828b"
+GRID = "#dfe2e6"
+FILTER = "#0072b2"
+SMOOTHED = "#009e73"
+VISION = "#59616b"
+REJECTED = "#d55e00"
+IMU_YAW = "#e69f00"
+RAW_YAW = "#cc79a7"
+STATUS_COLOUR = {"initialising": "#b4bac1", "tracking": "#7cc4e8", "coasting": "#e8b33a", "lost": "#d1495b"}
+
+
+def time_origin_ns(result: FusionResult) -> int:
+    """First time of the flight's tables, the zero of every plot."""
+    firsts = [int(t["timestamp_ns"][0]) for t in (result.estimates, result.frames) if len(t)]
+    return min(firsts, default=0)
+
+
+def seconds(t_ns: TimeArray, origin_ns: int) -> FloatArray:
+    """Seconds (n,) since the origin, exact to the nanosecond."""
+    return np.asarray((np.asarray(t_ns, dtype=np.int64) - origin_ns) / 1e9, dtype=np.float64)
+
+
+def plot_heading(ax: Axes, result: FusionResult, flight: Flight) -> None:
+    """Draw the heading with its two-sigma band, over what the frames and the IMU's yaw say."""
+    origin, table = time_origin_ns(result), result.estimates
+    t, heading = seconds(table["timestamp_ns"], origin), np.degrees(table["heading_rad"])
+    cuts = _cuts(table, heading)
+    _band(ax, t, heading, 2 * np.degrees(table["heading_std_rad"]), cuts, FILTER, "filter, two sigma")
+    if flight.attitude is not None:
+        _plot_imu_yaw(ax, flight.attitude, table, origin)
+    frames = result.frames
+    _plot_frames(ax, seconds(frames["timestamp_ns"], origin), np.degrees(frames["heading_rad"]), frames)
+    if flight.truth is not None:
+        _plot_truth(ax, flight.truth, np.degrees(flight.truth.heading_rad), origin)
+    _line(ax, t, heading, cuts, FILTER, 1.5, "filter")
+    _decorate(ax, result, "Heading, degrees right")
+    _limit(ax, table, heading, 2 * np.degrees(table["heading_std_rad"]), least=2.0)
+
+
+def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
+    """Draw the lateral offset with its two-sigma band, in metres where the corridor's width is known."""
+    origin, table, frames = time_origin_ns(result), result.estimates, result.frames
+    metres = bool(np.isfinite(table["lateral_offset_m"]).any())
+    unit = "m" if metres else "norm"
+    std = table["lateral_offset_std_m" if metres else "lateral_offset_norm_std"]
+    t, offset = seconds(table["timestamp_ns"], origin), table[f"lateral_offset_{unit}"]
+    cuts = _cuts(table, np.zeros_like(offset))
+    _band(ax, t, offset, 2 * std, cuts, FILTER, "filter, two sigma")
+    half = _half_width_m(table) if metres else 1.0
+    _plot_frames(ax, seconds(frames["timestamp_ns"], origin), half * frames["lateral_offset_norm"], frames)
+    if flight.truth is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = 1.0 if metres else 2.0 / flight.truth.corridor_width_m
+        _plot_truth(ax, flight.truth, flight.truth.lateral_offset_m * scale, origin)
+    smooth = result.smoothed
+    t_smooth = seconds(smooth["timestamp_ns"], origin)
+    smooth_offset = smooth[f"lateral_offset_{unit}"]
+    _line(ax, t_smooth, smooth_offset, _cuts(smooth, np.zeros(len(smooth))), SMOOTHED, 1.1, "smoother")
+    _line(ax, t, offset, cuts, FILTER, 1.5, "filter")
+    _decorate(ax, result, "Offset, m right" if metres else "Offset, half widths right")
+    _limit(ax, table, offset, 2 * std, least=0.1)
+
+
+def plot_innovations(ax: Axes, result: FusionResult) -> None:
+    """Draw what each frame said beyond the filter's prediction, with the gate it had to pass."""
+    frames = result.frames
+    t, innovation = (
+        seconds(frames["timestamp_ns"], time_origin_ns(result)),
+        np.degrees(frames["innovation_rad"]),
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gate = np.abs(innovation) / np.sqrt(frames["test_ratio"])
+    gate[~np.isfinite(gate)] = np.nan
+    known = np.isfinite(gate)
+    _band(ax, t[known], np.zeros(known.sum()), gate[known], np.array([], dtype=np.int64), FAINT, "gate")
+    ax.axhline(0.0, color=FAINT, lw=0.6, zorder=1)
+    if known.any():
+        top = 1.6 * float(np.percentile(gate[known], 95))
+        ax.set_ylim(-top, top)
+    _plot_frames(ax, t, innovation, frames)
+    _decorate(ax, result, "Innovation, degrees")
+
+
+def plot_test_ratio(ax: Axes, result: FusionResult) -> None:
+    """Draw each frame's test ratio, innovation squared over gate squared; above one the frame is refused."""
+    frames = result.frames
+    t = seconds(frames["timestamp_ns"], time_origin_ns(result))
+    ax.set_yscale("log")
+    ax.set_ylim(1e-4, 1e2)
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.axhline(1.0, color=REJECTED, lw=0.9, zorder=1, label="limit of the test ratio")
+    _plot_frames(ax, t, np.maximum(frames["test_ratio"], 1.5e-4), frames)
+    _decorate(ax, result, "Test ratio")
+
+
+def plot_gyro_bias(ax: Axes, result: FusionResult) -> None:
+    """Draw the gyroscope's bias about the vertical, as the filter learned it and the smoother knows it."""
+    _plot_state(ax, result, "gyro_bias_rad_s", "Gyro bias, degrees/s")
+
+
+def plot_imu_yaw_offset(ax: Axes, result: FusionResult) -> None:
+    """Draw how far the IMU's yaw is off from the first corridor's axis; steps are disturbances of it."""
+    _plot_state(ax, result, "imu_yaw_offset_rad", "IMU yaw offset, degrees")
+
+
+def plot_heading_error(ax: Axes, result: FusionResult, truth: CorridorTruth) -> None:
+    """Draw heading less truth for filter and smoother, with the filter's two-sigma band about zero."""
+    _plot_error(ax, result, truth, "heading_rad", "heading_std_rad", "Heading error, degrees")
+
+
+def plot_offset_error(ax: Axes, result: FusionResult, truth: CorridorTruth) -> None:
+    """Draw lateral offset less truth for filter and smoother, in centimetres or percent of half the width."""
+    if np.isfinite(result.estimates["lateral_offset_m"]).any():
+        names, label = ("lateral_offset_m", "lateral_offset_std_m"), "Offset error, cm"
+    else:
+        names, label = ("lateral_offset_norm", "lateral_offset_norm_std"), "Offset error, % of half width"
+    _plot_error(ax, result, truth, *names, label)
+
+
+def aligned_imu_yaw(attitude: AttitudeStream, table: Table) -> tuple[FloatArray, FloatArray]:
+    """Bring the IMU's yaw (n,), at its own times, to the present corridor's axis in two ways.
+
+    Returns
+    -------
+    tuple
+        Yaw less the offset that the filter holds at that time, and yaw less the constant that fits the first
+        second of tracking; both in radians, less the turn between corridors, NaN outside the table.
+    """
+    yaw = _yaw_of(attitude.q_world_body)
+    t = attitude.t_ns
+    row = np.clip(np.searchsorted(table["timestamp_ns"], t, side="right") - 1, 0, len(table) - 1)
+    inside = (t >= table["timestamp_ns"][0]) & (t <= table["timestamp_ns"][-1])
+    turned = yaw - table["corridor_turn_rad"][row]
+    aligned = np.where(inside, wrap_angle(turned - table["imu_yaw_offset_rad"][row]), np.nan)
+    difference = wrap_angle(turned - table["heading_rad"][row])
+    tracking = inside & (table["status"][row] == "tracking") & np.isfinite(difference)
+    if not tracking.any():
+        return aligned, np.full(len(yaw), np.nan)
+    first = tracking & (t <= t[tracking][0] + 1_000_000_000)
+    start = np.angle(np.mean(np.exp(1j * difference[first])))
+    return aligned, np.where(inside, wrap_angle(turned - start), np.nan)
+
+
+def mark_status(ax: Axes, result: FusionResult) -> None:
+    """Colour the foot of the axes by status, and draw a vertical line where a new corridor begins."""
+    table = result.estimates
+    t = seconds(table["timestamp_ns"], time_origin_ns(result))
+    for status, colour in STATUS_COLOUR.items():
+        spans = [(t[a], t[min(b, len(t) - 1)] - t[a]) for a, b in runs(table["status"] == status)]
+        if spans:
+            place = ax.get_xaxis_transform()
+            ax.broken_barh(spans, (0.0, 0.028), facecolor=colour, lw=0, transform=place, zorder=4)
+    for k in np.flatnonzero(np.diff(table["corridor_index"])) + 1:
+        ax.axvline(t[k], color=INK, lw=0.9, ls=(0, (1, 2)), zorder=2)
+
+
+def _plot_imu_yaw(ax: Axes, attitude: AttitudeStream, table: Table, origin_ns: int) -> None:
+    aligned, raw = aligned_imu_yaw(attitude, table)
+    t = seconds(attitude.t_ns, origin_ns)
+    for yaw, colour, label in (
+        (raw, RAW_YAW, "IMU yaw less a constant"),
+        (aligned, IMU_YAW, "IMU yaw less its offset"),
+    ):
+        degrees = np.degrees(yaw)
+        _line(ax, t, degrees, _wraps(degrees), colour, 1.0, label)
+
+
+def _yaw_of(q: FloatArray) -> FloatArray:
+    w, x, y, z = q.T
+    return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+def _plot_state(ax: Axes, result: FusionResult, name: str, label: str) -> None:
+    for table, colour, width, word in (
+        (result.smoothed, SMOOTHED, 1.1, "smoother"),
+        (result.estimates, FILTER, 1.5, "filter"),
+    ):
+        values = np.degrees(table[name])
+        t = seconds(table["timestamp_ns"], time_origin_ns(result))
+        _line(ax, t, values, _wraps(values), colour, width, word)
+    _decorate(ax, result, label)
+
+
+def _plot_error(
+    ax: Axes, result: FusionResult, truth: CorridorTruth, name: str, std_name: str, label: str
+) -> None:
+    scale = 180 / np.pi if name == "heading_rad" else 100.0
+    origin, everything = time_origin_ns(result), []
+    for table, colour, width, word in (
+        (result.smoothed, SMOOTHED, 1.1, "smoother"),
+        (result.estimates, FILTER, 1.3, "filter"),
+    ):
+        at = interpolate_truth(truth, table["timestamp_ns"])
+        error = table[name] - getattr(at, name)
+        error = (wrap_angle(error) if name == "heading_rad" else error) * scale
+        error[at.in_junction] = np.nan
+        t = seconds(table["timestamp_ns"], origin)
+        if word == "filter":
+            band = 2 * scale * table[std_name]
+            cuts = np.array([], dtype=np.int64)
+            _band(ax, t, np.zeros_like(t), band, cuts, FILTER, "filter, two sigma")
+        _line(ax, t, error, np.array([], dtype=np.int64), colour, width, word)
+        everything.append(np.abs(error[table["status"] == "tracking"]))
+    ax.axhline(0.0, color=FAINT, lw=0.6, zorder=1)
+    worst = np.concatenate(everything)
+    worst = worst[np.isfinite(worst)]
+    if worst.size:
+        top = 1.25 * float(worst.max())
+        ax.set_ylim(-top, top)
+    _decorate(ax, result, label)
+
+
+def _plot_truth(ax: Axes, truth: CorridorTruth, values: FloatArray, origin_ns: int) -> None:
+    t = seconds(truth.t_ns, origin_ns)
+    cuts = np.flatnonzero(np.diff(truth.corridor_id)) + 1
+    _line(ax, t, values, np.union1d(cuts, _wraps(values)), INK, 0.9, "truth", style=(0, (4, 2)))
+
+
+def _plot_frames(ax: Axes, t: FloatArray, values: FloatArray, frames: Table) -> None:
+    """Draw accepted frames as dots and rejected ones as crosses."""
+    used = frames["accepted"]
+    _dots(ax, *thin_points(t[used], values[used]), VISION, "frame used")
+    x, y = thin_points(t[~used], values[~used], limit=800)
+    if len(x):
+        ax.plot(x, y, "x", color=REJECTED, ms=4.2, mew=0.9, ls="none", label="frame rejected", zorder=3)
+
+
+def _dots(ax: Axes, x: FloatArray, y: FloatArray, colour: str, label: str) -> None:
+    if not len(x):
+        return
+    # One path of zero-length strokes with round caps: a quarter of the bytes of as many markers in SVG.
+    vertices = np.repeat(np.column_stack([x, y]), 2, axis=0)
+    path = Path(vertices, np.tile(np.array([Path.MOVETO, Path.LINETO], dtype=np.uint8), len(x)))
+    path.should_simplify = False
+    patch = PathPatch(path, fill=False, edgecolor=colour, lw=2.4, capstyle="round", label=label, zorder=2.5)
+    ax.add_patch(patch)
+    ax.update_datalim(vertices)
+    ax.autoscale_view()
+
+
+def _line(
+    ax: Axes,
+    t: FloatArray,
+    y: FloatArray,
+    cuts: IndexArray,
+    colour: str,
+    width: float,
+    label: str,
+    style: str | tuple[int, tuple[int, ...]] = "-",
+) -> None:
+    if np.isfinite(y).any():
+        x, values = envelope(*broken(t, y, cuts))
+        ax.plot(x, values, color=colour, lw=width, ls=style, label=label, zorder=3)
+
+
+def _band(
+    ax: Axes, t: FloatArray, middle: FloatArray, half: FloatArray, cuts: IndexArray, colour: str, label: str
+) -> None:
+    if not np.isfinite(middle + half).any():
+        return
+    x, low = broken(t, middle - half, cuts)
+    _, high = broken(t, middle + half, cuts)
+    x, low, high = band_envelope(x, low, high)
+    ax.fill_between(x, low, high, color=colour, alpha=0.22, lw=0, label=label, zorder=1)
+
+
+def _cuts(table: Table, degrees: FloatArray) -> IndexArray:
+    changes = np.flatnonzero(np.diff(table["corridor_index"])) + 1
+    return np.asarray(np.union1d(changes, _wraps(degrees)), dtype=np.int64)
+
+
+def _wraps(degrees: FloatArray) -> IndexArray:
+    return np.asarray(np.flatnonzero(np.abs(np.diff(degrees)) > 180.0) + 1, dtype=np.int64)
+
+
+def _half_width_m(table: Table) -> float:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = table["lateral_offset_std_m"] / table["lateral_offset_norm_std"]
+    ratio = ratio[np.isfinite(ratio)]
+    return float(np.median(ratio)) if ratio.size else float("nan")
+
+
+def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, least: float) -> None:
+    """Fit the y axis to what was tracked, so that a wide start or one wild frame does not flatten it."""
+    rows = (table["status"] == "tracking") & np.isfinite(values + half)
+    if not rows.any():
+        return
+    low = min(np.percentile(values[rows] - half[rows], 0.5), values[rows].min())
+    high = max(np.percentile(values[rows] + half[rows], 99.5), values[rows].max())
+    margin = 0.12 * max(high - low, least)
+    ax.set_ylim(low - 1.3 * margin, high + margin)
+
+
+def _decorate(ax: Axes, result: FusionResult, label: str) -> None:
+    mark_status(ax, result)
+    ax.set_xlabel("Time, s")
+    ax.set_ylabel(label)
+    table = result.estimates
+    if len(table) > 1:
+        end = seconds(table["timestamp_ns"][-1:], time_origin_ns(result))[0]
+        ax.set_xlim(-0.005 * end, 1.005 * end)
+    ax.grid(axis="y", color=GRID, lw=0.6)
+    ax.set_axisbelow(True)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        ax.spines[side].set_color(FAINT)
+        ax.spines[side].set_linewidth(0.6)
+    ax.tick_params(colors=INK, length=3, width=0.6, color=FAINT)

@@ -1,0 +1,70 @@
+"""Long series made small enough for a page, without losing what stands out in them."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.flight import FloatArray
+
+IndexArray = npt.NDArray[np.int64]
+
+
+def envelope_indices(t_s: FloatArray, y: FloatArray, bins: int = 700) -> IndexArray:
+    """Choose the samples (at most 4 per bin of time) that keep a line's extremes, its ends and its holes.
+
+    Parameters
+    ----------
+    t_s, y
+        Times (n,), not decreasing, and values (n,); NaN values are holes, and one of each is kept.
+    """
+    n = len(t_s)
+    if n <= 4 * bins:
+        return np.arange(n)
+    edges = np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], bins + 1)[1:-1])
+    keep: list[IndexArray] = [np.array([0, n - 1])]
+    for start, stop in zip(np.r_[0, edges], np.r_[edges, n], strict=True):
+        if start == stop:
+            continue
+        part = y[start:stop]
+        hole = np.isnan(part)
+        if hole.any():
+            keep.append(np.array([start + np.argmax(hole)]))
+        if not hole.all():
+            keep.append(np.array([start, start + np.nanargmin(part), start + np.nanargmax(part)]))
+    return np.asarray(np.unique(np.concatenate(keep)), dtype=np.int64)
+
+
+def envelope(t_s: FloatArray, y: FloatArray, bins: int = 700) -> tuple[FloatArray, FloatArray]:
+    """Return the samples that `envelope_indices` chooses."""
+    keep = envelope_indices(t_s, y, bins)
+    return t_s[keep], y[keep]
+
+
+def band_envelope(
+    t_s: FloatArray, low: FloatArray, high: FloatArray, bins: int = 700
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Thin a band to the samples at which either of its edges is extreme."""
+    keep = np.union1d(envelope_indices(t_s, low, bins), envelope_indices(t_s, high, bins))
+    return t_s[keep], low[keep], high[keep]
+
+
+def thin_points(t_s: FloatArray, y: FloatArray, limit: int = 1500) -> tuple[FloatArray, FloatArray]:
+    """Thin a scatter to about ``limit`` points: the lowest and highest in each bin of time stay."""
+    finite = np.isfinite(y) & np.isfinite(t_s)
+    t_s, y = t_s[finite], y[finite]
+    if len(t_s) <= limit:
+        return t_s, y
+    return envelope(t_s, y, bins=max(1, limit // 4))
+
+
+def broken(t_s: FloatArray, y: FloatArray, before: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """Break a line before the samples of the given indices, so that no stroke joins what does not belong."""
+    return np.insert(t_s, before, t_s[before]), np.insert(y, before, np.nan)
+
+
+def runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Half-open index ranges (start, stop) of the stretches in which a flag is set."""
+    padded = np.concatenate(([False], flags, [False])).astype(np.int8)
+    edges = np.flatnonzero(np.diff(padded))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -1,0 +1,200 @@
+"""The frames worth looking at: where something happened, not every so many seconds."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fusion.evaluation import interpolate_truth, wrap_angle
+from fusion.flight import Flight, FloatArray
+from fusion.report.series import runs
+from fusion.tables import Table
+from vision.errors import InputError
+from vision.measurement import Attitude, FrameMeasurement, Position, Prior, Reason
+
+if TYPE_CHECKING:
+    from fusion.offline import FusionResult
+
+JPEG_QUALITY = 78
+MAX_WIDTH_PX = 640
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """A row of the frames table and the reason to look at it."""
+
+    row: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A chosen frame, drawn; ``picture`` is a data URI, None where the file does not decode."""
+
+    row: int
+    why: str
+    t_s: float
+    picture: str | None
+    filter_heading_rad: float
+    filter_offset_norm: float
+
+
+def choose_frames(result: FusionResult, flight: Flight, limit: int = 12) -> list[Chosen]:
+    """Choose up to ``limit`` frames, in order of time, no two of them close together.
+
+    Each kind of event offers its frames, most telling first; the kinds take turns until the strip is full.
+    """
+    frames = result.frames
+    if not len(frames) or not len(result.estimates):
+        return []
+    t_s = (frames["timestamp_ns"] - frames["timestamp_ns"][0]) / 1e9
+    apart_s = max(0.2, float(t_s[-1]) / (4 * limit))
+    offers = [offer for offer in _offers(result, flight) if offer]
+    chosen: dict[int, str] = {}
+    while offers and len(chosen) < limit:
+        for offer in offers:
+            while offer:
+                row, why = offer.pop(0)
+                if all(abs(t_s[row] - t_s[other]) >= apart_s for other in chosen):
+                    chosen[row] = why
+                    break
+            if len(chosen) == limit:
+                break
+        offers = [offer for offer in offers if offer]
+    return [Chosen(row, chosen[row]) for row in sorted(chosen)]
+
+
+def show_frames(result: FusionResult, flight: Flight, chosen: list[Chosen]) -> Iterator[Shown]:
+    """Measure the chosen frames again, for their lines, and draw what was seen; a frame at a time."""
+    table, frames = result.estimates, result.frames
+    for item in chosen:
+        t_ns = int(frames["timestamp_ns"][item.row])
+        k = min(max(int(np.searchsorted(table["timestamp_ns"], t_ns, side="right")) - 1, 0), len(table) - 1)
+        yield Shown(
+            row=item.row,
+            why=item.why,
+            t_s=(t_ns - int(frames["timestamp_ns"][0])) / 1e9,
+            picture=_picture(result, flight, item.row, table[k]),
+            filter_heading_rad=float(table["heading_rad"][k]),
+            filter_offset_norm=float(table["lateral_offset_norm"][k]),
+        )
+
+
+def _offers(result: FusionResult, flight: Flight) -> list[list[tuple[int, str]]]:
+    frames, table = result.frames, result.estimates
+    t_ns = frames["timestamp_ns"]
+    used = np.flatnonzero(frames["accepted"])
+    everything: list[list[tuple[int, str]]] = [[(int(used[0]), "first frame used")] if used.size else []]
+    switches = np.flatnonzero(np.diff(table["corridor_index"])) + 1
+    nearest = np.clip(np.searchsorted(t_ns, table["timestamp_ns"][switches]), 0, len(frames) - 1)
+    everything.append([(int(k), "a new corridor begins") for k in nearest])
+    everything += _rejections(frames)
+    ratio = np.where(frames["accepted"], frames["test_ratio"], np.nan)
+    everything.append(_largest(ratio, "largest residual accepted", 4))
+    rate = np.interp(t_ns, table["timestamp_ns"], np.abs(table["yaw_rate_rad_s"]))
+    everything.append(_largest(rate, "turning fastest", 6))
+    if flight.truth is not None:
+        error = np.abs(wrap_angle(frames["heading_rad"] - interpolate_truth(flight.truth, t_ns).heading_rad))
+        everything.append(_largest(np.where(frames["accepted"], error, np.nan), "furthest from the truth", 4))
+    offset = np.where(frames["accepted"], np.abs(frames["lateral_offset_norm"]), np.nan)
+    everything.append(_largest(offset, "furthest from the centre line", 2))
+    if used.size:
+        typical = used[np.argsort(frames["heading_std_rad"][used])[used.size // 2]]
+        everything.append([(int(typical), "a typical frame")])
+    everything.append([(len(frames) - 1, "last frame")])
+    return everything
+
+
+def _rejections(frames: Table) -> list[list[tuple[int, str]]]:
+    """For each reason of rejection, the middles of its stretches, longest first."""
+    offers = []
+    for reason in np.unique(frames["reason"][~frames["accepted"]]):
+        stretches = sorted(runs(frames["reason"] == reason), key=lambda run: run[0] - run[1])
+        word = str(reason).replace("_", " ")
+        offers.append([((a + b - 1) // 2, f"rejected: {word}") for a, b in stretches[:6]])
+    return offers
+
+
+def _largest(values: FloatArray, why: str, count: int) -> list[tuple[int, str]]:
+    known = np.flatnonzero(np.isfinite(values))
+    order = known[np.argsort(-values[known], kind="stable")]
+    # More than are shown: neighbours of the first are too close to it to be taken.
+    return [(int(k), why) for k in order[: 40 * count]]
+
+
+def _picture(result: FusionResult, flight: Flight, row: int, estimate: np.void) -> str | None:
+    import cv2
+
+    from vision.frame import measure_frame
+    from vision.images import read_image
+    from vision.overlay import draw_overlay
+
+    record = result.frames[row]
+    k = int(np.searchsorted(flight.frames.t_ns, record["timestamp_ns"]))
+    if k >= len(flight.frames.t_ns) or flight.frames.t_ns[k] != record["timestamp_ns"]:
+        return None
+    try:
+        image = read_image(flight.frames.paths[k])
+        measurement = measure_frame(
+            image,
+            flight.camera,
+            attitude_at(flight, int(record["timestamp_ns"])),
+            _prior(estimate),
+            method=result.summary.get("method", "geometric"),
+        )
+    except InputError:
+        return None
+    recorded = _as_recorded(measurement, record)
+    picture = draw_overlay(image, flight.camera, recorded, footer=False)
+    if picture.shape[1] > MAX_WIDTH_PX:
+        size = (MAX_WIDTH_PX, round(picture.shape[0] * MAX_WIDTH_PX / picture.shape[1]))
+        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    ok, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode() if ok else None
+
+
+def _as_recorded(measurement: FrameMeasurement, record: np.void) -> FrameMeasurement:
+    """Keep the new measurement's lines and the recorded one's numbers: those went into the filter."""
+    position = str(record["position"])
+    vp = (float(record["vp_x_px"]), float(record["vp_y_px"]))
+    return replace(
+        measurement,
+        accepted=bool(record["accepted"]),
+        reason=Reason(str(record["reason"])),
+        vp_px=vp,
+        heading_rad=float(record["heading_rad"]),
+        heading_std_rad=float(record["heading_std_rad"]),
+        lateral_offset_norm=float(record["lateral_offset_norm"]),
+        position=Position(position) if position else None,
+    )
+
+
+def _prior(estimate: np.void) -> Prior | None:
+    if estimate["status"] == "initialising":
+        return None
+    return Prior(
+        heading_rad=float(estimate["heading_rad"]),
+        heading_std_rad=float(estimate["heading_std_rad"]),
+        lateral_offset_norm=float(estimate["lateral_offset_norm"]),
+        lateral_offset_norm_std=float(estimate["lateral_offset_norm_std"]),
+    )
+
+
+def attitude_at(flight: Flight, t_ns: int, within_s: float = 0.5) -> Attitude | None:
+    """Roll and pitch at a time, between the neighbouring samples of the log; None where none is near."""
+    stream = flight.attitude
+    if stream is None or not stream.t_ns.size:
+        return None
+    high = int(np.searchsorted(stream.t_ns, t_ns))
+    low, high = max(high - 1, 0), min(high, stream.t_ns.size - 1)
+    gap_ns = int(stream.t_ns[high] - stream.t_ns[low])
+    if min(abs(t_ns - int(stream.t_ns[low])), abs(t_ns - int(stream.t_ns[high]))) > within_s * 1e9:
+        return None
+    part = min(max((t_ns - int(stream.t_ns[low])) / gap_ns, 0.0), 1.0) if gap_ns else 0.0
+    a, b = stream.q_world_body[low], stream.q_world_body[high]
+    q = (1 - part) * a + part * (b if a @ b >= 0 else -b)  # over a few degrees as good as a slerp
+    return Attitude.from_quaternion(q / np.linalg.norm(q))

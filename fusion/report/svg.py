@@ -1,0 +1,130 @@
+"""Matplotlib figures as inline SVG: small, in the page's own type, and in colours that follow its scheme."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+
+from fusion.report import plots
+
+Panel = Callable[[Axes], None]
+
+# Each colour of the plots is a CSS variable of the page, which gives it a second value for dark screens.
+CSS_NAME = {
+    plots.INK: "ink",
+    plots.FAINT: "faint",
+    plots.GRID: "grid",
+    plots.FILTER: "filter",
+    plots.SMOOTHED: "smoothed",
+    plots.VISION: "vision",
+    plots.REJECTED: "rejected",
+    plots.IMU_YAW: "imu-yaw",
+    plots.RAW_YAW: "raw-yaw",
+    **{colour: f"status-{status}" for status, colour in plots.STATUS_COLOUR.items()},
+}
+
+
+KEY_ORDER = ("line", "dash", "band", "dot", "cross")
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """An entry of a plot's legend: its word, its colour's CSS name, and band, dot, cross, dash or line."""
+
+    word: str
+    colour: str
+    shape: str
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """A figure drawn twice, for a page of about 1000 pixels and for a telephone, with its legend."""
+
+    wide: str
+    narrow: str
+    keys: tuple[Key, ...]
+
+
+def draw(name: str, title: str, panels: Sequence[Panel]) -> Drawing:
+    """Draw panels above each other on one time axis.
+
+    Parameters
+    ----------
+    name
+        Short and unique on the page: it keeps the identifiers inside the SVG apart.
+    title
+        What a screen reader says of the picture.
+    """
+    wide, keys = _svg(f"{name}-w", title, panels, size_in=(10.0, 2.75), font_pt=8.6)
+    narrow, _ = _svg(f"{name}-n", title, panels, size_in=(5.0, 2.9), font_pt=10.5)
+    return Drawing(wide, narrow, keys)
+
+
+def _svg(
+    name: str, title: str, panels: Sequence[Panel], *, size_in: tuple[float, float], font_pt: float
+) -> tuple[str, tuple[Key, ...]]:
+    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "font.size": font_pt}
+    with mpl.rc_context(settings):
+        figure, axes = _axes(len(panels), size_in, font_pt)
+        keys: dict[str, Key] = {}
+        for ax, panel in zip(axes, panels, strict=True):
+            panel(ax)
+            ax.patch.set_visible(False)
+            ax.label_outer()
+            for handle, word in zip(*ax.get_legend_handles_labels(), strict=True):
+                keys.setdefault(word, _key(handle, word))
+        figure.patch.set_visible(False)
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    ordered = sorted(keys.values(), key=lambda key: (KEY_ORDER.index(key.shape), key.word != "filter"))
+    return _inline(text.getvalue(), name, title), tuple(ordered)
+
+
+def _axes(count: int, size_in: tuple[float, float], font_pt: float) -> tuple[Figure, Sequence[Axes]]:
+    """Lay out panels with margins of fixed width: the time axes of all figures on the page then line up."""
+    width, height = size_in[0], size_in[1] * count
+    em = font_pt / 72
+    figure = Figure(figsize=(width, height))
+    axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+    figure.subplots_adjust(
+        left=5.4 * em / width,
+        right=1 - 1.2 * em / width,
+        bottom=3.6 * em / height,
+        top=1 - 0.9 * em / height,
+        hspace=1.6 * em / (height / count),
+    )
+    for ax in axes:
+        ax.yaxis.set_label_coords(-4.4 * em / (width - 6.6 * em), 0.5)
+    return figure, axes
+
+
+def _key(handle: object, word: str) -> Key:
+    if isinstance(handle, PathPatch):
+        return Key(word, CSS_NAME[to_hex(handle.get_edgecolor())], "dot")
+    if isinstance(handle, mpl.lines.Line2D):
+        shape = "cross" if handle.get_marker() == "x" else "dash" if handle.is_dashed() else "line"
+        return Key(word, CSS_NAME[to_hex(handle.get_color())], shape)
+    return Key(word, CSS_NAME[to_hex(handle.get_facecolor()[0])], "band")  # type: ignore[attr-defined]
+
+
+def _inline(svg: str, name: str, title: str) -> str:
+    """Turn a file into an element: no prolog, own identifiers, two decimals, colours by name."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.S)
+    svg = re.sub(r'\s(?:width|height)="[\d.]+pt"', "", svg, count=2)
+    svg = re.sub(r'\sxmlns(?::xlink)?="[^"]*"|\sversion="1.1"', "", svg)
+    svg = svg.replace("xlink:href=", "href=")
+    svg = re.sub(r'(\sid="|url\(#|href="#)', rf"\g<1>{name}-", svg)
+    svg = re.sub(r'\sd="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), svg)
+    svg = re.sub(r"#[0-9a-f]{6}\b", lambda c: f"var(--{CSS_NAME[c[0]]})" if c[0] in CSS_NAME else c[0], svg)
+    svg = re.sub(r"\n\s*", "\n", svg)
+    return svg.replace("<svg", f'<svg role="img" aria-label="{title}"', 1)

@@ -1,0 +1,433 @@
+from __future__ import annotations
+
+import re
+from math import radians
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from fusion.config import FusionConfig
+from fusion.flight import AttitudeStream, CorridorTruth, Flight, FrameStream, ImuStream
+from fusion.report import write_report
+from fusion.report.checks import run_checks
+from fusion.report.checks_of_input import yaw_steps
+from fusion.report.plots import aligned_imu_yaw
+from fusion.report.series import band_envelope, broken, envelope, runs, thin_points
+from fusion.report.strip import attitude_at, choose_frames, show_frames
+from fusion.report.verdict import Level, overall
+from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from vision import Camera, InputError
+
+T0_NS = 1_600_000_000_000_000_000
+WIDTH_M = 2.0
+CAMERA_HEIGHT_M = 1.2
+
+
+def corridor_picture(path, camera, heading_rad, offset_m):
+    """Draw the four edges of a corridor, and some joints along its floor, as the camera would see them."""
+    picture = np.full((camera.height_px, camera.width_px), 200, dtype=np.uint8)
+    c, s = np.cos(heading_rad), np.sin(heading_rad)
+    R_body_corridor = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    for y in (-1.0, -0.5, 0.4, 1.0):
+        for z in (CAMERA_HEIGHT_M, -1.3) if abs(y) == 1.0 else (CAMERA_HEIGHT_M,):
+            ends = np.array([[1.5, y - offset_m, z], [40.0, y - offset_m, z]])
+            points = camera.project(ends @ R_body_corridor.T @ camera.R_body_camera)
+            if np.isfinite(points).all():
+                a, b = (tuple(int(v) for v in np.round(p * 16)) for p in points)
+                cv2.line(picture, a, b, 60, 2, cv2.LINE_AA, 4)
+    cv2.imwrite(str(path), cv2.GaussianBlur(picture, (3, 3), 0.7))
+
+
+def make_flight(folder, *, duration_s=12.0, imu_hz=50.0, frame_hz=10.0, pictures=True, seed=3):
+    """Build a flight that swings in one corridor, and the result of a filter with known errors.
+
+    Filter errors are white with the sigma that the table states (0.3 degrees, 2 cm); vision's are twice that.
+    The IMU's yaw is off by 40 degrees and steps by 12 more between 6 and 8 s.
+    """
+    rng = np.random.default_rng(seed)
+    camera = Camera.from_fov(320, 240, radians(70))
+    t = np.arange(0.0, duration_s, 1 / imu_hz)
+    t_frame = np.arange(0.0, duration_s, 1 / frame_hz)
+
+    def heading(at):
+        return radians(12) * np.sin(2 * np.pi * at / 8.0)
+
+    def offset(at):
+        return 0.3 * np.cos(2 * np.pi * at / 11.0)
+
+    def nanoseconds(at):
+        return T0_NS + np.round(at * 1e9).astype(np.int64)
+
+    yaw_offset = radians(40) + np.where((t > 6) & (t < 8), radians(12), 0.0)
+    estimates = np.zeros(len(t), dtype=ESTIMATE_DTYPE)
+    estimates["timestamp_ns"] = nanoseconds(t)
+    estimates["heading_std_rad"] = radians(0.3)
+    estimates["heading_rad"] = heading(t) + rng.normal(0, radians(0.3), len(t))
+    estimates["lateral_offset_std_m"], estimates["lateral_offset_norm_std"] = 0.02, 0.02
+    estimates["lateral_offset_m"] = offset(t) + rng.normal(0, 0.02, len(t))
+    estimates["lateral_offset_norm"] = estimates["lateral_offset_m"] / (WIDTH_M / 2)
+    estimates["yaw_rate_rad_s"] = np.gradient(heading(t), t)
+    estimates["gyro_bias_rad_s"] = 0.01 * (1 - np.exp(-t))
+    estimates["imu_yaw_offset_rad"] = yaw_offset
+    estimates["status"] = np.where(t < 0.5, "initialising", "tracking")
+    estimates["vision_age_s"] = np.where(t < 0.5, np.nan, t % (1 / frame_hz))
+    smoothed = estimates.copy()
+    smoothed["heading_rad"] = heading(t) + rng.normal(0, radians(0.1), len(t))
+
+    frames = np.zeros(len(t_frame), dtype=FRAME_DTYPE)
+    frames["timestamp_ns"] = nanoseconds(t_frame)
+    frames["accepted"], frames["reason"] = True, "ok"
+    frames["n_lines"], frames["n_inliers"] = 12, 8
+    frames["innovation_rad"] = rng.normal(0, radians(0.6), len(t_frame))
+    frames["test_ratio"] = (frames["innovation_rad"] / (4 * radians(0.6))) ** 2
+    frames["heading_rad"] = heading(t_frame) + frames["innovation_rad"]
+    frames["heading_std_rad"] = radians(0.6)
+    frames["lateral_offset_norm"] = offset(t_frame) / (WIDTH_M / 2)
+    vp = camera.project(
+        np.column_stack([np.cos(heading(t_frame)), -np.sin(heading(t_frame)), 0 * t_frame])
+        @ camera.R_body_camera
+    )
+    frames["vp_x_px"], frames["vp_y_px"] = vp.T
+    frames["vision_ms"] = 3.0
+
+    yaw = np.where((t > 6) & (t < 8), radians(12), 0.0) + radians(40) + heading(t)
+    flight = Flight(
+        name="swing",
+        camera=camera,
+        frames=FrameStream(
+            frames["timestamp_ns"].copy(), tuple(folder / f"{k}.png" for k in range(len(frames)))
+        ),
+        imu=ImuStream(estimates["timestamp_ns"].copy(), np.zeros((len(t), 3)), np.zeros((len(t), 3))),
+        attitude=AttitudeStream(
+            estimates["timestamp_ns"].copy(),
+            np.column_stack([np.cos(yaw / 2), 0 * t, 0 * t, np.sin(yaw / 2)]),
+        ),
+        truth=CorridorTruth(
+            t_ns=estimates["timestamp_ns"].copy(),
+            heading_rad=heading(t),
+            lateral_offset_m=offset(t),
+            corridor_width_m=np.full(len(t), WIDTH_M),
+            corridor_id=np.ones(len(t), dtype=np.int64),
+            in_junction=np.zeros(len(t), dtype=bool),
+        ),
+    )
+    if pictures:
+        for k in range(len(frames)):
+            corridor_picture(flight.frames.paths[k], camera, heading(t_frame[k]), offset(t_frame[k]))
+    result = SimpleNamespace(
+        flight_name="swing <one>",
+        config=FusionConfig(corridor_width_m=WIDTH_M),
+        estimates=estimates,
+        smoothed=smoothed,
+        frames=frames,
+        summary={"method": "geometric"},
+        problems=(),
+    )
+    return result, flight
+
+
+def change(thing, **changes):
+    """Return a copy of a result or flight with other fields."""
+    if isinstance(thing, SimpleNamespace):
+        return SimpleNamespace(**(vars(thing) | changes))
+    names = Flight.__slots__
+    return Flight(**({name: getattr(thing, name) for name in names} | changes))
+
+
+def table_with(table, **columns):
+    table = table.copy()
+    for name, (rows, value) in columns.items():
+        table[name][rows] = value
+    return table
+
+
+def by_name(result, flight):
+    return {check.name: check for check in run_checks(result, flight)}
+
+
+@pytest.fixture(scope="module")
+def swing(tmp_path_factory):
+    return make_flight(tmp_path_factory.mktemp("swing"))
+
+
+@pytest.fixture(scope="module")
+def page(swing, tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    write_report(*swing, path)
+    return path.read_text(encoding="utf-8")
+
+
+def test_the_page_states_the_verdict_and_every_check(swing, page):
+    checks = by_name(*swing)
+    assert checks["Steps of the IMU's yaw"].level is Level.WARN  # the step that was built in
+    assert overall(tuple(checks.values())) is Level.WARN
+    assert re.search(r'class="verdict warn" id="verdict">Pass with care', page)
+    for name in checks:
+        assert name.replace("'", "&#39;") in page
+    assert page.count('class="badge ') == len(checks)
+
+
+def test_the_page_stands_alone(page):
+    assert "http" not in page
+    assert "<script" not in page
+    assert not re.search(r'(?:src|href)="(?!data:|#)', page)
+    assert not re.search(r"url\((?!#)", page)
+    ids = re.findall(r'\sid="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'(?:url\(#|href="#)([^")]+)', page)) <= set(ids)
+
+
+def test_the_page_escapes_names_and_shows_numbers_in_degrees(swing, page):
+    assert "<h1>swing &lt;one&gt;</h1>" in page
+    rmse_deg = float(re.search(r"<dt>Heading error</dt><dd>([\d.]+)°", page)[1])
+    assert rmse_deg == pytest.approx(0.30, abs=0.02)
+    assert "corridor_width_m" in page
+    assert re.search(r'<tr class="changed"><th><code>corridor_width_m</code></th><td>2</td>', page)
+
+
+def test_every_plot_comes_wide_and_narrow_with_readable_text(page):
+    assert page.count('<div class="wide">') == page.count('<div class="narrow">') == 5
+    for kind, across_px, least_px in (("wide", 1000, 10), ("narrow", 360, 8)):
+        svg = re.search(rf'<div class="{kind}">(<svg.*?</svg>)', page, flags=re.S)[1]
+        width = float(re.search(r'viewBox="0 0 ([\d.]+)', svg)[1])
+        sizes = [float(v) for v in re.findall(r"font(?:-size)?: ([\d.]+)px", svg)]
+        assert sizes
+        assert min(sizes) * across_px / width > least_px
+        assert "Time, s" in svg
+        assert "Heading, degrees right" in svg
+
+
+def test_colours_of_the_plots_follow_the_scheme(page):
+    svgs = re.findall(r"<svg role=.*?</svg>", page, flags=re.S)
+    assert len(svgs) == 10
+    css = set(re.findall(r"(--[\w-]+):", page))
+    assert {name for svg in svgs for name in re.findall(r"var\((--[\w-]+)\)", svg)} <= css
+    left = {c for svg in svgs for c in re.findall(r"#[0-9a-f]{6}\b", svg)}
+    assert left <= {"#000000", "#ffffff"}
+
+
+def test_the_strip_shows_pictures_of_what_happened(swing, page):
+    result, _ = swing
+    pictures = re.findall(
+        r'<img src="data:image/jpeg;base64,[\w+/=]{2000,}" alt="Frame at ([\d.]+) s, ([^"]+)"', page
+    )
+    assert len(pictures) == 12
+    assert [float(t) for t, _ in pictures] == sorted(float(t) for t, _ in pictures)
+    worst = np.argmax(np.abs(result.frames["innovation_rad"])) / 10.0
+    assert any(why == "largest residual accepted" for _, why in pictures)
+    assert min(abs(float(t) - worst) for t, _ in pictures) <= 0.25
+
+
+def test_rejections_turns_and_switches_reach_the_strip(swing):
+    result, flight = swing
+    frames = table_with(
+        result.frames,
+        accepted=(slice(40, 50), False),
+        reason=(slice(40, 50), "gate"),
+    )
+    frames = table_with(frames, accepted=(80, False), reason=(80, "blur"))
+    estimates = table_with(result.estimates, corridor_index=(slice(500, None), 1))
+    chosen = {c.row: c.why for c in choose_frames(change(result, frames=frames, estimates=estimates), flight)}
+    assert chosen[0] == "first frame used"
+    assert chosen[44] == "rejected: gate"  # the middle of its stretch
+    assert chosen[80] == "rejected: blur"
+    assert chosen[100] == "a new corridor begins"  # estimate 500 at 50 Hz is frame 100 at 10 Hz
+    assert len(chosen) == 12
+    assert min(np.diff(sorted(chosen))) >= 2
+
+
+def test_a_drawn_frame_carries_the_recorded_verdict(swing):
+    result, flight = swing
+    frames = table_with(result.frames, accepted=(60, False), reason=(60, "gate"))
+    result = change(result, frames=frames)
+    (shown,) = show_frames(result, flight, [c for c in choose_frames(result, flight) if c.row == 60])
+    assert shown.t_s == pytest.approx(6.0)
+    assert shown.picture.startswith("data:image/jpeg;base64,")
+    assert shown.filter_heading_rad == pytest.approx(radians(12) * np.sin(2 * np.pi * 6 / 8), abs=0.03)
+
+
+def test_a_picture_that_is_gone_leaves_the_page_whole(tmp_path):
+    result, flight = make_flight(tmp_path, duration_s=3.0, pictures=False)
+    write_report(result, flight, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.count("no picture</div>") >= 3
+    assert "<img" not in page
+
+
+def test_ten_minutes_stay_under_six_megabytes(swing, tmp_path):
+    _, short = swing
+    result, flight = make_flight(tmp_path, duration_s=600.0, imu_hz=200.0, frame_hz=30.0, pictures=False)
+    pictures = short.frames.paths
+    paths = tuple(pictures[k % len(pictures)] for k in range(len(flight.frames.t_ns)))
+    refused = np.random.default_rng(1).random(len(paths)) < 0.1
+    result.frames["accepted"][refused], result.frames["reason"][refused] = False, "gate"
+    flight = change(flight, frames=FrameStream(flight.frames.t_ns, paths))
+    write_report(result, flight, tmp_path / "report.html")
+    assert (tmp_path / "report.html").stat().st_size < 6e6
+
+
+def test_an_earlier_report_survives_a_failure(swing, tmp_path):
+    path = tmp_path / "report.html"
+    path.write_text("earlier")
+    result, flight = swing
+    with pytest.raises(AttributeError):
+        write_report(change(result, summary=None), flight, path)
+    assert path.read_text() == "earlier"
+    with pytest.raises(InputError, match="cannot write the report"):
+        write_report(result, flight, tmp_path / "missing" / "report.html")
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_a_bare_flight_is_reported_without_truth_imu_attitude_or_a_single_used_frame(tmp_path):
+    result, flight = make_flight(tmp_path, duration_s=3.0)
+    nan_columns = {
+        n: (slice(None), np.nan) for n in ("lateral_offset_m", "lateral_offset_std_m", "gyro_bias_rad_s")
+    }
+    for name in (
+        "heading_rad",
+        "heading_std_rad",
+        "lateral_offset_norm",
+        "lateral_offset_norm_std",
+        "vision_age_s",
+    ):
+        nan_columns[name] = (slice(None), np.nan)
+    estimates = table_with(result.estimates, status=(slice(None), "initialising"), **nan_columns)
+    frames = table_with(
+        result.frames,
+        accepted=(slice(None), False),
+        reason=(slice(None), "too_few_lines"),
+        innovation_rad=(slice(None), np.nan),
+        test_ratio=(slice(None), np.nan),
+        heading_rad=(slice(None), np.nan),
+        lateral_offset_norm=(slice(None), np.nan),
+    )
+    result = change(result, estimates=estimates, smoothed=estimates.copy(), frames=frames)
+    flight = change(flight, truth=None, imu=None, attitude=None)
+    checks = by_name(result, flight)
+    assert checks["Frames used"].level is Level.FAIL
+    assert "too few lines" in checks["Frames used"].meaning
+    assert checks["Longest time without a used frame"].level is Level.FAIL
+    for name in ("Heading against truth", "Gyro bias", "Steps of the IMU's yaw", "Innovations over the gate"):
+        assert checks[name].level is Level.NOT_JUDGED
+    write_report(result, flight, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert 'class="verdict fail"' in page
+    assert "nan" not in re.sub(r"base64,[\w+/=]+", "", page).lower().replace("nano", "")
+
+
+def level_with(swing, name, *, table="frames", **columns):
+    result, flight = swing
+    return by_name(change(result, **{table: table_with(getattr(result, table), **columns)}), flight)[
+        name
+    ].level
+
+
+def test_each_check_turns_with_what_it_judges(swing):
+    n = 120
+    assert level_with(swing, "Frames used", accepted=(slice(0, 12), False)) is Level.PASS
+    assert level_with(swing, "Frames used", accepted=(slice(0, 36), False)) is Level.WARN
+    assert level_with(swing, "Frames used", accepted=(slice(0, 80), False)) is Level.FAIL
+    gate = "Innovations over the gate"
+    assert level_with(swing, gate, test_ratio=(slice(0, 5), 2.0)) is Level.PASS
+    assert level_with(swing, gate, test_ratio=(slice(0, 12), 2.0)) is Level.WARN
+    assert level_with(swing, gate, test_ratio=(slice(0, n // 2), 2.0)) is Level.FAIL
+    ratio = swing[0].frames["test_ratio"]
+    sigma = "Innovations against their sigma"
+    assert level_with(swing, sigma) is Level.PASS
+    assert level_with(swing, sigma, test_ratio=(slice(None), 4.0 * ratio)) is Level.WARN
+    assert level_with(swing, sigma, test_ratio=(slice(None), 16.0 * ratio)) is Level.FAIL
+    coast = "Longest time without a used frame"
+    assert level_with(swing, coast, table="estimates", vision_age_s=(300, 1.9)) is Level.PASS
+    assert level_with(swing, coast, table="estimates", vision_age_s=(300, 4.0)) is Level.WARN
+    assert level_with(swing, coast, table="estimates", vision_age_s=(300, 11.0)) is Level.FAIL
+    assert level_with(swing, coast, table="estimates", status=(slice(300, 310), "lost")) is Level.WARN
+    bias = "Gyro bias"
+    assert level_with(swing, bias, table="smoothed", gyro_bias_rad_s=(slice(None), radians(-2))) is Level.WARN
+    assert level_with(swing, bias, table="smoothed", gyro_bias_rad_s=(slice(None), radians(6))) is Level.FAIL
+    wide = {"heading_std_rad": (slice(None), radians(0.1))}
+    assert level_with(swing, "Errors against their sigma") is Level.PASS
+    assert level_with(swing, "Errors against their sigma", table="estimates", **wide) is Level.FAIL
+    off = {"heading_rad": (slice(None), swing[0].estimates["heading_rad"] + radians(1))}
+    assert level_with(swing, "Heading against truth", table="estimates", **off) is Level.WARN
+    aside = {"lateral_offset_m": (slice(None), swing[0].estimates["lateral_offset_m"] + 0.4)}
+    assert level_with(swing, "Offset against truth", table="estimates", **aside) is Level.FAIL
+
+
+def test_holes_and_problems_of_the_log_are_told(swing):
+    result, flight = swing
+    t_ns = flight.imu.t_ns.copy()
+    t_ns[300:] += 2_000_000_000
+    hole = change(flight, imu=ImuStream(t_ns, flight.imu.gyro_rad_s, flight.imu.accel_m_s2))
+    check = by_name(result, hole)["Gaps in the log"]
+    assert check.level is Level.WARN
+    assert "IMU, at 6.0 s" in check.value
+    assert "1 hole in" in check.meaning
+    torn = change(flight, problems=("imu0/data.csv: 3 rows of NaN dropped",))
+    check = by_name(change(result, problems=("imu0/data.csv: 3 rows of NaN dropped", "other")), torn)["Input"]
+    assert check.level is Level.WARN
+    assert check.value == "2 problems"
+
+
+def test_yaw_steps_are_found_with_time_and_size(swing):
+    steps = yaw_steps(swing[0].smoothed, radians(3))
+    assert [round(t) for t, _ in steps] == [6, 8]
+    assert [size for _, size in steps] == pytest.approx([radians(12), -radians(12)], abs=1e-6)
+    drifting = swing[0].smoothed.copy()
+    drifting["imu_yaw_offset_rad"] = np.linspace(0.0, radians(24), len(drifting))  # 2 degrees a second
+    assert yaw_steps(drifting, radians(3)) == []
+
+
+def test_the_imu_yaw_is_aligned_by_its_offset_but_not_by_the_constant(swing):
+    result, flight = swing
+    aligned, raw = aligned_imu_yaw(flight.attitude, result.estimates)
+    truth = flight.truth.heading_rad
+    assert np.abs(aligned - truth).max() < 1e-6
+    t = (result.estimates["timestamp_ns"] - T0_NS) / 1e9
+    disturbed = (t > 6.1) & (t < 7.9)
+    assert np.abs((raw - truth)[~disturbed & (t < 6)]).max() < radians(0.3)
+    assert np.mean((raw - truth)[disturbed]) == pytest.approx(radians(12), abs=radians(0.3))
+
+
+def test_attitude_is_taken_between_its_samples_and_only_near_them(swing):
+    _, flight = swing
+    roll = np.radians([10.0, 12.0])
+    q = np.column_stack([np.cos(roll / 2), np.sin(roll / 2), 0 * roll, 0 * roll])
+    q[1] *= -1  # the same rotation
+    stream = AttitudeStream(np.array([T0_NS, T0_NS + 20_000_000]), q)
+    flight = change(flight, attitude=stream)
+    assert attitude_at(flight, T0_NS + 5_000_000).roll_rad == pytest.approx(radians(10.5), abs=1e-4)
+    assert attitude_at(flight, T0_NS + 520_000_000 + 1_000_000_000) is None
+    assert attitude_at(change(flight, attitude=None), T0_NS) is None
+
+
+def test_thinning_keeps_extremes_ends_and_holes():
+    t = np.linspace(0.0, 100.0, 200_000)
+    y = np.sin(t)
+    y[123_456], y[77_777] = 9.0, -9.0
+    y[150_000:150_100] = np.nan
+    x, thin = envelope(t, y, bins=500)
+    assert len(x) <= 2002
+    assert np.nanmax(thin) == 9.0
+    assert np.nanmin(thin) == -9.0
+    assert (x[0], x[-1]) == (t[0], t[-1])
+    assert np.isnan(thin).any()
+    assert np.all(np.diff(x) >= 0)
+    x, low, high = band_envelope(t, y - 1, y + 1, bins=500)
+    assert (np.nanmin(low), np.nanmax(high)) == (-10.0, 10.0)
+    x, few = thin_points(t, y, limit=1000)
+    assert len(x) <= 1010
+    assert few.max() == 9.0
+    assert np.isfinite(few).all()
+
+
+def test_short_series_are_left_as_they_are():
+    t, y = np.arange(5.0), np.array([1.0, np.nan, 3.0, 2.0, 0.0])
+    assert envelope(t, y)[1].tolist()[2:] == [3.0, 2.0, 0.0]
+    assert thin_points(t, y)[1].tolist() == [1.0, 3.0, 2.0, 0.0]
+    x, cut = broken(t, np.arange(5.0), np.array([2]))
+    assert x.tolist() == [0.0, 1.0, 2.0, 2.0, 3.0, 4.0]
+    assert np.isnan(cut[2])
+    assert runs(np.array([True, True, False, True])) == [(0, 2), (3, 4)]
+    assert runs(np.zeros(3, dtype=bool)) == []
