@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 
@@ -13,10 +13,11 @@ F = TypeVar("F", bound=Callable[..., Any])
 def compiled(function: F) -> F:
     """Compile ``function`` at its first call; keep the machine code on disk if any place is writable.
 
-    A read-only installation without a writable cache folder makes numba refuse to cache: compile in memory then.
+    A read-only installation without a writable cache folder makes numba refuse to cache: compile in memory
+    then.
     """
-    options = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "arcp", "nsz"}}
+    fastmath = {"contract", "arcp", "nsz"}  # but NaN and infinity keep their meaning
     try:
-        return numba.njit(cache=True, **options)(function)  # type: ignore[no-any-return]
+        return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function))
     except RuntimeError:
-        return numba.njit(**options)(function)  # type: ignore[no-any-return]
+        return cast(F, numba.njit(nogil=True, error_model="numpy", fastmath=fastmath)(function))

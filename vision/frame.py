@@ -1,15 +1,15 @@
 """One frame, from picture to measurement: the door to the package.
 
-`measure_frame` does it all. A filter calls its two halves: `extract_lines`, which needs only the picture and takes
-nearly all of the time, and `measure_lines`, which needs the attitude and the prediction at the frame's time and is
-cheap enough to be repeated when late samples change either.
+`measure_frame` does it all. A filter calls its two halves: `extract_lines`, which needs only the picture
+and takes nearly all of the time, and `measure_lines`, which needs the attitude and the prediction at the
+frame's time and is cheap enough to be repeated when late samples change either.
 """
 
 from __future__ import annotations
 
 import time
 from dataclasses import replace
-from math import cos, degrees, hypot, isfinite, nan, pi, radians, sin, sqrt
+from math import cos, hypot, isfinite, pi, radians, sin, sqrt
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -29,7 +29,7 @@ from vision.measurement import (
     Reason,
     position_from_offset,
 )
-from vision.paper import equation_8, measure_paper
+from vision.paper import FIRST_PIXEL, equation_8, measure_paper
 from vision.vanishing_point import VERTICAL_SINE, AxisFit, axis_direction, fit_axis
 
 FloatArray = npt.NDArray[np.float64]
@@ -132,7 +132,7 @@ def measure_lines(
                 lateral_offset_norm_std=lateral.offset_norm_std,
                 width_per_height=lateral.width_per_height,
                 position=position_from_offset(lateral.offset_norm),
-                wall_lines_px=found.lines_px[lateral.wall_lines],
+                wall_lines_px=_in_picture(lines.ends_px[lateral.wall_lines], camera),
             )
         reason = _judge(found, fit, camera, prior)
         found = replace(found, accepted=reason is Reason.OK, reason=reason)
@@ -156,7 +156,9 @@ def _describe(fit: AxisFit, lines: LineSet, camera: Camera, R_level_camera: Floa
         elevation_std_rad=sqrt(fit.covariance[1, 1]),
         second_heading_rad=fit.second_heading_rad,
         second_score=max(fit.second_score, 0.0) / fit.score,
-        paper_yaw_rad=float(equation_8(vp[0], vp[1], camera.width_px, camera.height_px)),
+        paper_yaw_rad=float(
+            equation_8(vp[0] + FIRST_PIXEL, vp[1] + FIRST_PIXEL, camera.width_px, camera.height_px)
+        ),
         lines_px=_in_picture(lines.ends_px, camera),
         line_class=line_class,
     )

@@ -1,8 +1,9 @@
 """Level from the picture itself: door posts and wall corners are vertical, and they show roll and pitch.
 
-The attitude that comes with a frame is a starting point with a standard deviation: a filter's tilt error, a camera that
-is not mounted as its file says, or nothing known at all. Vertical lines then make level as exact as the picture is,
-which the lateral offset needs (half a degree of roll is 1 % of the corridor's width) and the heading welcomes.
+The attitude that comes with a frame is a starting point with a standard deviation: a filter's tilt error, a
+camera that is not mounted as its file says, or nothing known at all. Vertical lines then make level as
+exact as the picture is, which the lateral offset needs (half a degree of roll is 1 % of the corridor's
+width) and the heading welcomes.
 """
 
 from __future__ import annotations

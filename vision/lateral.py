@@ -1,11 +1,12 @@
 """Lateral offset from the lines of the two walls, scale-free.
 
-Seen along the corridor's axis, a line that runs along it is a point of the cross-section. A line on the left wall at
-height z below the camera has the slope ``t = z / w_L`` below the horizontal, one at the same height on the right wall
-``z / w_R``; so the pair gives ``y / (W / 2) = (w_L - w_R) / (w_L + w_R) = (t_R - t_L) / (t_R + t_L)`` whatever z is: floor
-corners, skirting boards, door tops and ceiling corners all say the same. Which lines belong together is not known, so
-every left line votes with every right line of the same sign and the same polarity (brighter above or below); false
-pairs scatter, true pairs agree. Pairs far from a plausible ratio of width to height count less.
+Seen along the corridor's axis, a line that runs along it is a point of the cross-section. A line on the
+left wall at height z below the camera has the slope ``t = z / w_L`` below the horizontal, one at the same
+height on the right wall ``z / w_R``; so the pair gives ``y / (W / 2) = (w_L - w_R) / (w_L + w_R) = (t_R -
+t_L) / (t_R + t_L)`` whatever z is: floor corners, skirting boards, door tops and ceiling corners all say
+the same. Which lines belong together is not known, so every left line votes with every right line of the
+same sign and the same polarity (brighter above or below); false pairs scatter, true pairs agree. Pairs far
+from a plausible ratio of width to height count less.
 """
 
 from __future__ import annotations
@@ -57,11 +58,10 @@ class LateralFit:
 
 
 @compiled
-def _vote_pairs(
-    left: FloatArray, right: FloatArray, votes: FloatArray, pairs: FloatArray
-) -> int:
-    """Vote with all pairs; lines are rows slope, slope std, length, polarity. Fills rows of ``pairs``:
-    offset, std, weight, left index, right index, width over height (negative: above the camera).
+def _vote_pairs(left: FloatArray, right: FloatArray, votes: FloatArray, pairs: FloatArray) -> int:
+    """Vote with all pairs of lines, rows of slope, slope std, length and polarity; return how many pairs.
+
+    Rows of ``pairs``: offset, std, weight, left and right index, width over height (negative: above the camera).
     """
     votes[:] = 0.0
     count = 0
@@ -147,7 +147,7 @@ def fit_lateral(
 def _cross_section(
     lines: LineSet, axis: AxisFit, R_level_camera: FloatArray
 ) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Pick the lines that can be on a wall: index, slope below the horizontal, its std, polarity, left or not."""
+    """Pick the lines that can be on a wall: index, slope below the horizontal, its std, polarity, on the left."""
     ahead = axis_direction(axis.heading_rad, axis.elevation_rad)
     rightward = axis_direction(axis.heading_rad - 0.5 * np.pi, 0.0)
     down = np.cross(ahead, rightward)

@@ -1,18 +1,19 @@
 """The corridor's axis from line segments: an exhaustive vote over heading, then a robust least-squares fit.
 
-Each segment spans a plane with the camera's centre; a line along the corridor has the axis in its plane. Turned level
-by roll and pitch, that makes each line vote for one heading. The vote is over all headings (and over elevations, as
-far as tilt and mount are uncertain), so there is no initial guess and no random sampling to be unlucky with. Each line
-counts by the log-likelihood that it passes through the axis rather than somewhere at random, cut off at zero.
+Each segment spans a plane with the camera's centre; a line along the corridor has the axis in its plane.
+Turned level by roll and pitch, that makes each line vote for one heading. The vote is over all headings
+(and over elevations, as far as tilt and mount are uncertain), so there is no initial guess and no random
+sampling to be unlucky with. Each line counts by the log-likelihood that it passes through the axis rather
+than somewhere at random, cut off at zero.
 
-The axis at heading psi and elevation e (positive up) is ``d = (cos e cos psi, -cos e sin psi, -sin e)`` in the level
-frame; the residual of a line with plane normal n is ``n . d``, zero for a corridor line.
+The axis at heading psi and elevation e (positive up) is ``d = (cos e cos psi, -cos e sin psi, -sin e)`` in
+the level frame; the residual of a line with plane normal n is ``n . d``, zero for a corridor line.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import asin, atan2, cos, exp, hypot, log, nan, pi, radians, sin, sqrt
+from math import atan2, cos, hypot, log, nan, pi, radians, sin, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -69,7 +70,7 @@ class AxisFit:
 
 @compiled
 def _line_std(alpha: float, beta: float, sigma: float, arc: float, align: float) -> float:
-    """Standard deviation of ``n . d`` for a line whose middle and direction have components alpha and beta along d."""
+    """Return the standard deviation of ``n . d``; alpha, beta: components of d along the line's middle, direction."""
     rotation = 3.4641 * sigma / arc
     return sqrt((sigma * alpha) ** 2 + (rotation * beta) ** 2 + align * align)
 
@@ -143,7 +144,7 @@ def _refine(
     residual: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Robust Gauss-Newton from (psi, e); ``out`` = psi, e, information (3 numbers), weighted chi-square, weights."""
+    """Fit robustly from (psi, e); ``out`` = psi, e, information (3 numbers), weighted chi-square, sum of weights."""
     n = len(sigma)
     for iteration in range(12):
         cut = max(INLIER_SIGMA, 6.0 - iteration)
@@ -230,12 +231,12 @@ def fit_axis(
     centre = lines.centre @ R_level_camera.T
     direction = lines.direction @ R_level_camera.T
     half_slices = min(int(2.0 * elevation_std_rad / SLICE_STEP_RAD), (MAX_SLICES - 1) // 2)
-    steps = np.arange(-half_slices, half_slices + 1) * SLICE_STEP_RAD
+    steps: FloatArray = np.arange(-half_slices, half_slices + 1, dtype=np.float64) * SLICE_STEP_RAD
     slice_std = min(elevation_std_rad, 0.4 * SLICE_STEP_RAD)
     scores = np.empty((len(steps), N_BINS))
     _vote(normal, centre, direction, lines.sigma_rad, lines.arc_rad, elevation_rad + steps, slice_std, scores)
     scores -= 0.5 * (steps[:, None] / elevation_std_rad) ** 2
-    headings = -0.5 * pi + (np.arange(N_BINS) + 0.5) * BIN_RAD
+    headings: FloatArray = -0.5 * pi + (np.arange(N_BINS, dtype=np.float64) + 0.5) * BIN_RAD
     ranked = scores + _log_prior(headings, prior_heading_rad, prior_heading_std_rad)
     ranked[~_local_maxima(scores)] = -np.inf  # the flank of a peak beyond the allowed range is none
     k, b = np.unravel_index(int(np.argmax(ranked)), scores.shape)
@@ -281,7 +282,7 @@ def _local_maxima(scores: FloatArray) -> npt.NDArray[np.bool_]:
     best = scores.max(axis=0)
     padded = np.pad(best, PEAK_BINS, mode="edge")
     neighbourhood = np.lib.stride_tricks.sliding_window_view(padded, 2 * PEAK_BINS + 1).max(axis=1)
-    return np.asarray(best >= neighbourhood)[None, :] & (scores >= best)
+    return np.asarray((best >= neighbourhood)[None, :] & (scores >= best), np.bool_)
 
 
 def _log_prior(headings: FloatArray, heading_rad: float, std_rad: float) -> FloatArray:
