@@ -16,7 +16,7 @@ from typing import Any, get_args
 import numpy as np
 import numpy.typing as npt
 
-from vision.camera import BodyFrame, Camera, Distortion, nearest_rotation
+from vision.camera import COEFFICIENT_COUNTS, BodyFrame, Camera, Distortion, nearest_rotation
 from vision.errors import InputError
 
 FloatArray = npt.NDArray[np.float64]
@@ -170,36 +170,32 @@ def _make_camera(
             remedy="intrinsics and resolution must belong to the same picture size",
         )
     distortion = _distortion_model(content, prefix)
-    if distortion is Distortion.NONE:
-        coefficients = (
-            _numbers(content, coefficient_key, prefix, None, "leave it empty")
-            if (content.get(coefficient_key))
-            else ()
+    coefficients = _coefficients(content, prefix, coefficient_key, distortion)
+    lens = (fx_px, fy_px, cx_px, cy_px, distortion, coefficients)
+    return Camera(width_px, height_px, *lens, R_body_camera, _exposure_s(content, prefix))
+
+
+def _coefficients(
+    content: Mapping[str, Any], prefix: str, key: str, distortion: Distortion
+) -> tuple[float, ...]:
+    if distortion is not Distortion.NONE:
+        counts = COEFFICIENT_COUNTS[distortion]
+        return _numbers(content, key, prefix, counts, f"{distortion} needs them all")
+    if content.get(key) and any(_numbers(content, key, prefix, None, "leave it empty")):
+        raise InputError(
+            f"{prefix}{key} is {content[key]!r} though {prefix}distortion_model is none",
+            remedy="name the model, radtan or equidistant",
         )
-        if any(coefficients):
-            raise InputError(
-                f"{prefix}{coefficient_key} is {list(coefficients)} though {prefix}distortion_model is none",
-                remedy="name the model, radtan or equidistant",
-            )
-        coefficients = ()
-    else:
-        counts = (4, 5, 8) if distortion is Distortion.RADTAN else (4,)
-        coefficients = _numbers(content, coefficient_key, prefix, counts, f"{distortion} needs them all")
-    exposure_s = content.get("exposure_s", nan)
-    if not (isinstance(exposure_s, int | float) and (exposure_s != exposure_s or 0.0 < exposure_s < 10.0)):
-        raise InputError(f"{prefix}exposure_s is {exposure_s!r}", remedy="give seconds, or leave it out")
-    return Camera(
-        width_px,
-        height_px,
-        fx_px,
-        fy_px,
-        cx_px,
-        cy_px,
-        distortion,
-        coefficients,
-        R_body_camera,
-        float(exposure_s),
-    )
+    return ()
+
+
+def _exposure_s(content: Mapping[str, Any], prefix: str) -> float:
+    value = content.get("exposure_s")
+    if value is None:
+        return nan
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < 10.0:
+        raise InputError(f"{prefix}exposure_s is {value!r}", remedy="give seconds, or leave it out")
+    return float(value)
 
 
 def _distortion_model(content: Mapping[str, Any], prefix: str) -> Distortion:
@@ -207,9 +203,11 @@ def _distortion_model(content: Mapping[str, Any], prefix: str) -> Distortion:
     parts = str(_require(content, "camera_model", None, known, prefix=prefix)).strip().lower().split("-", 1)
     if parts[0] != "pinhole":
         raise InputError(f"{prefix}camera_model is {parts[0]!r}", remedy=known)
-    named = content.get("distortion_model", parts[1] if len(parts) == 2 else None)
-    if named is None and "distortion_model" not in content:
-        _require(content, "distortion_model", None, known, prefix=prefix)
+    named = content.get("distortion_model")
+    if named is None:  # Kalibr's command line names both at once, as pinhole-equi
+        named = (
+            parts[1] if len(parts) == 2 else _require(content, "distortion_model", None, known, prefix=prefix)
+        )
     model = _DISTORTIONS.get(str(named).strip().lower())
     if model is None:
         raise InputError(f"{prefix}distortion_model is {str(named)!r}", remedy=known)

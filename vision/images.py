@@ -47,7 +47,7 @@ def read_image(path: str | Path) -> GreyImage:
 
 
 def _is_cut_jpeg(data: bytes) -> bool:
-    """Whether a JPEG lacks its end marker; OpenCV 4 would fill the lost part with grey and say nothing."""
+    """Whether a JPEG lacks its end marker; OpenCV 4.10 fills the lost part with grey and says nothing."""
     if not data.startswith(b"\xff\xd8"):
         return False
     # An embedded thumbnail has an end marker of its own, near the beginning.

@@ -223,6 +223,8 @@ def test_opencv_matrix_and_nested_rows(tmp_path: Path) -> None:
         ("radial-tangential", "fov", "distortion_model is 'fov' .*radtan, equidistant or none"),
         ("distortion_model: radial-tangential\n", "", "distortion_model is missing"),
         ("radial-tangential", "none", "though distortion_model is none"),
+        ("radial-tangential", "", "distortion_model is missing"),
+        ("rate_hz: 20", "exposure_s: true", "exposure_s is True"),
         ("rate_hz: 20", "exposure_s: fast", "exposure_s is 'fast'"),
         ("rate_hz: 20", "exposure_s: -1.0", "exposure_s is -1.0"),
         ("T_BS:", "T_SB:", r"T_BS is missing \(add T_BS, body from camera; straight ahead"),
