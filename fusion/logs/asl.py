@@ -137,6 +137,9 @@ def load(path: Path, camera: Camera | Path | None = None) -> Flight:
     frames = read_frames(mav0 / "cam0", folder.problems)
     if not isinstance(camera, Camera):
         camera = _read_camera(folder, camera)
+    mount_problem = camera.mount_problem()
+    if mount_problem is not None:
+        folder.problems.append(mount_problem)
     check_size(frames, camera)
     imu, attitude = _read_imu(folder), _read_attitude(folder)
     position = _read_vectors(folder, "position0", ("p_x", "p_y", "p_z"), in_body=False)
@@ -177,11 +180,7 @@ def _read_camera(folder: _Folder, path: Path | None) -> Camera:
             raise InputError(
                 "there is no such file", file=path, remedy="add the calibration, or name one with --camera"
             )
-    camera = Camera.from_yaml(path, body_frame=folder.body_frame)
-    problem = camera.mount_problem()
-    if problem is not None:
-        folder.problems.append(f"{path.name}: {problem}")
-    return camera
+    return Camera.from_yaml(path, body_frame=folder.body_frame)
 
 
 def _read_imu(folder: _Folder) -> ImuStream | None:

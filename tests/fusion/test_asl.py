@@ -334,7 +334,7 @@ def test_camera_that_looks_elsewhere_is_reported(folder: Folder) -> None:
         "mav0/cam0/sensor.yaml", SENSOR.replace("0,0,1,0, -1,0,0,0, 0,-1,0,0", "1,0,0,0, 0,1,0,0, 0,0,1,0")
     )
     (problem,) = load_flight(folder.path).problems
-    assert problem.startswith("sensor.yaml: the camera looks 90 degrees away from the body's x axis")
+    assert problem.startswith("the camera looks 90 degrees away from the body's x axis")
 
 
 @pytest.mark.parametrize("stream", ["imu0", "attitude0"])
