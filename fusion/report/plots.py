@@ -318,8 +318,8 @@ def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, leas
 
 def _decorate(ax: Axes, result: FusionResult, label: str) -> None:
     mark_status(ax, result)
-    ax.set_xlabel("Time, s")
-    ax.set_ylabel(label)
+    ax.set_xlabel("Time, s", color=INK)
+    ax.set_ylabel(label, color=INK)
     table = result.estimates
     if len(table) > 1:
         end = seconds(table["timestamp_ns"][-1:], time_origin_ns(result))[0]

@@ -49,13 +49,19 @@ def band_envelope(
     return t_s[keep], low[keep], high[keep]
 
 
-def thin_points(t_s: FloatArray, y: FloatArray, limit: int = 1500) -> tuple[FloatArray, FloatArray]:
-    """Thin a scatter to about ``limit`` points: the lowest and highest in each bin of time stay."""
+def thin_points(t_s: FloatArray, y: FloatArray, limit: int = 3000) -> tuple[FloatArray, FloatArray]:
+    """Thin a scatter to at most about ``limit`` points, half of them extremes and half every so many-th.
+
+    The extremes alone would keep the outliers but look like two bands; the others show where most points lie.
+    """
     finite = np.isfinite(y) & np.isfinite(t_s)
     t_s, y = t_s[finite], y[finite]
     if len(t_s) <= limit:
         return t_s, y
-    return envelope(t_s, y, bins=max(1, limit // 4))
+    extremes = envelope_indices(t_s, y, bins=max(1, limit // 6))
+    stride = -(-len(t_s) // max(1, limit // 2))
+    keep = np.union1d(extremes, np.arange(0, len(t_s), stride))
+    return t_s[keep], y[keep]
 
 
 def broken(t_s: FloatArray, y: FloatArray, before: IndexArray) -> tuple[FloatArray, FloatArray]:

@@ -204,6 +204,9 @@ def test_colours_of_the_plots_follow_the_scheme(page):
     assert len(svgs) == 10
     css = set(re.findall(r"(--[\w-]+):", page))
     assert {name for svg in svgs for name in re.findall(r"var\((--[\w-]+)\)", svg)} <= css
+    texts = [style for svg in svgs for style in re.findall(r'<text style="([^"]*)"', svg)]
+    assert texts
+    assert all("fill: var(--ink)" in style for style in texts)
     left = {c for svg in svgs for c in re.findall(r"#[0-9a-f]{6}\b", svg)}
     assert left <= {"#000000", "#ffffff"}
 
@@ -418,8 +421,14 @@ def test_thinning_keeps_extremes_ends_and_holes():
     assert (np.nanmin(low), np.nanmax(high)) == (-10.0, 10.0)
     x, few = thin_points(t, y, limit=1000)
     assert len(x) <= 1010
-    assert few.max() == 9.0
+    assert (few.min(), few.max()) == (-9.0, 9.0)
     assert np.isfinite(few).all()
+
+
+def test_a_thinned_scatter_still_looks_like_the_whole_one():
+    t, y = np.arange(50_000.0), np.random.default_rng(2).normal(0.0, 1.0, 50_000)
+    _, few = thin_points(t, y, limit=3000)
+    assert np.mean(np.abs(few) < 0.5) > 0.15  # 0.38 of all; of the extremes of 100 samples nearly none
 
 
 def test_short_series_are_left_as_they_are():
