@@ -1,0 +1,48 @@
+"""Fuse corridor vision with an IMU: a streaming estimator, and the same over logged flights.
+
+Frames, signs and units are those of `vision.measurement`: body FRD, heading and lateral offset positive to the right,
+SI and radians, time in integer nanoseconds. Importing the package is light; each name loads at its first use.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fusion.config import FusionConfig
+    from fusion.estimator import CorridorEstimator
+    from fusion.flight import Flight
+    from fusion.logs import load_flight
+    from fusion.offline import FusionResult, fuse_flight
+    from fusion.state import Estimate
+
+__all__ = [
+    "CorridorEstimator",
+    "Estimate",
+    "Flight",
+    "FusionConfig",
+    "FusionResult",
+    "fuse_flight",
+    "load_flight",
+]
+
+_MODULES = {
+    "CorridorEstimator": "fusion.estimator",
+    "Estimate": "fusion.state",
+    "Flight": "fusion.flight",
+    "FusionConfig": "fusion.config",
+    "FusionResult": "fusion.offline",
+    "fuse_flight": "fusion.offline",
+    "load_flight": "fusion.logs",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return getattr(import_module(_MODULES[name]), name)
+    raise AttributeError(f"module 'fusion' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,101 @@
+"""When many measurements that one would not believe alone agree with each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from statistics import median
+from typing import NamedTuple
+
+MAX_VOTES = 40
+
+
+class Vote(NamedTuple):
+    """A measurement put aside until others confirm it.
+
+    Parameters
+    ----------
+    t_ns
+        Time of the frame.
+    value
+        What it says, in coordinates in which a constant truth stays constant.
+    std
+        Its standard deviation.
+    n_accepted
+        How many frames the filter had accepted by then.
+    linked
+        Whether the picture changed only gradually since a frame that the filter accepted.
+    """
+
+    t_ns: int
+    value: float
+    std: float
+    n_accepted: int
+    linked: bool = False
+
+
+class Agreement(NamedTuple):
+    """Votes that agree: how many, their median, one's standard deviation, since when, and of what kind.
+
+    ``share`` is their part of all votes since the first of them; ``n_accepted`` and ``linked_share`` are the count
+    at the first vote and the part of linked ones.
+    """
+
+    n_votes: int
+    value: float
+    std: float
+    first_ns: int
+    span_s: float
+    share: float
+    n_accepted: int
+    linked_share: float
+
+
+def agreement(
+    votes: tuple[Vote, ...], spread: float, difference: Callable[[float], float] = lambda d: d
+) -> Agreement | None:
+    """Find the votes that agree with the newest one.
+
+    Parameters
+    ----------
+    votes
+        In order of time.
+    spread
+        How far apart two votes may lie and still agree; widened to 2.5 of their standard deviations.
+    difference
+        Wraps a difference where the values are angles.
+    """
+    if not votes:
+        return None
+    newest = votes[-1]
+
+    def offsets_from(centre: float) -> list[tuple[float, Vote]]:
+        return [
+            (d, v)
+            for v in votes
+            if abs(d := difference(v.value - centre)) <= max(spread, 2.5 * max(v.std, newest.std))
+        ]
+
+    # Around the newest vote, then around what agrees with it: the newest may lie at the edge of the cluster.
+    members = offsets_from(newest.value)
+    centre = newest.value + median(d for d, _ in members)
+    members = offsets_from(centre)
+    if not members:
+        return None
+    first = members[0][1]
+    since = sum(1 for v in votes if v.t_ns >= first.t_ns)
+    return Agreement(
+        n_votes=len(members),
+        value=centre + median(d for d, _ in members),
+        std=median(v.std for _, v in members),
+        first_ns=first.t_ns,
+        span_s=(newest.t_ns - first.t_ns) * 1e-9,
+        share=len(members) / since,
+        n_accepted=first.n_accepted,
+        linked_share=sum(v.linked for _, v in members) / len(members),
+    )
+
+
+def add_vote(votes: tuple[Vote, ...], vote: Vote, max_age_s: float) -> tuple[Vote, ...]:
+    """Append a vote, letting go of old ones."""
+    oldest = vote.t_ns - round(max_age_s * 1e9)
+    return (*(v for v in votes[-(MAX_VOTES - 1) :] if v.t_ns >= oldest), vote)

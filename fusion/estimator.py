@@ -1,0 +1,208 @@
+"""The estimator that a vehicle's program calls once per sample; the offline path drives the same one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.config import FusionConfig
+from fusion.engine import Engine, FrameResult, Measure
+from fusion.state import Estimate, Status, describe
+from fusion.tilt import Vector
+from fusion.timeline import Entry, Kind, Timeline
+from vision.errors import InputError
+from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
+
+if TYPE_CHECKING:
+    from vision import Camera
+    from vision.lines import LineSet
+
+CLOCK_RESET_SAMPLES = 50
+
+__all__ = ["CorridorEstimator", "Estimate", "FrameResult", "Status"]
+
+
+class _Machine(Engine):
+    """The engine, fed from the timeline."""
+
+    def process(self, entry: Entry) -> None:
+        """Take the entry's sample and fill in what came of it."""
+        kind, payload = entry.kind, entry.payload
+        if kind is Kind.IMU:
+            self.imu(entry.t_ns, *payload)
+        elif kind is Kind.ATTITUDE:
+            self.attitude(entry.t_ns, payload)
+        elif kind is Kind.VELOCITY:
+            self.velocity(entry.t_ns, payload)
+        else:
+            entry.frame = self.frame(entry.t_ns, *payload)
+        entry.nodes = tuple(self.nodes)
+
+
+class CorridorEstimator:
+    """Heading and lateral offset from gyroscope, attitude and camera, sample by sample.
+
+    Samples may come late and out of order by up to ``config.buffer_s`` behind the newest one; the result is bit for
+    bit that of samples in order. What comes later than that, twice, or is no number is counted in `counters` and
+    otherwise ignored. Not thread-safe: measure frames elsewhere if you like (`vision.extract_lines`), but call the
+    estimator from one thread.
+
+    Parameters
+    ----------
+    config
+        Settings; None for the defaults.
+    camera
+        Needed for `add_frame` and `add_lines`, not for `add_measurement`.
+    method
+        ``geometric``, or ``paper`` for the article's measurement.
+    on_final
+        Called with each `fusion.timeline.Entry` that nothing can change any more, in order of time.
+    """
+
+    def __init__(
+        self,
+        config: FusionConfig | None = None,
+        camera: Camera | None = None,
+        method: str = "geometric",
+        *,
+        on_final: Callable[[Entry], None] | None = None,
+    ) -> None:
+        if method not in ("geometric", "paper"):
+            raise InputError(f"method {method!r} is unknown", remedy="use geometric or paper")
+        self.config = config or FusionConfig()
+        self.camera = camera
+        self.method = method
+        self.counters: Counter[str] = Counter()
+        self.last_frame: FrameResult | None = None
+        self._machine = _Machine(self.config)
+        self._timeline = Timeline(self._machine, round(self.config.buffer_s * 1e9), on_final)
+        self._delay_ns = round(self.config.camera_delay_s * 1e9)
+        self._late_in_a_row = 0
+
+    def add_imu(self, t_ns: int, gyro: npt.ArrayLike, accel: npt.ArrayLike | None = None) -> None:
+        """Add a gyroscope sample (3,) rad/s and, where there is one, accelerometer (3,) m/s^2, body FRD."""
+        rate = _vector(gyro)
+        if rate is None:
+            self.counters["imu_not_finite"] += 1
+            return
+        self._add(t_ns, Kind.IMU, (rate, None if accel is None else _vector(accel)))
+
+    def add_attitude(self, t_ns: int, q_world_body: npt.ArrayLike) -> None:
+        """Add an attitude (4,), unit quaternion w, x, y, z, body FRD to a world whose z points down."""
+        w, x, y, z = (float(v) for v in np.asarray(q_world_body, dtype=float).reshape(4))
+        norm = (w * w + x * x + y * y + z * z) ** 0.5
+        if not 0.9 < norm < 1.1:  # NaN fails too
+            self.counters["attitude_not_unit"] += 1
+            return
+        self._add(t_ns, Kind.ATTITUDE, (w / norm, x / norm, y / norm, z / norm))
+
+    def add_velocity(self, t_ns: int, v_body: npt.ArrayLike) -> None:
+        """Add a velocity (3,) m/s in body FRD, for instance from optical flow or wheels."""
+        velocity = _vector(v_body)
+        if velocity is None:
+            self.counters["velocity_not_finite"] += 1
+            return
+        self._add(t_ns, Kind.VELOCITY, velocity)
+
+    def add_frame(self, t_ns: int, image: npt.NDArray[Any]) -> FrameResult:
+        """Add a picture: grey (h, w), BGR or BGRA, uint8 or uint16. A picture of no use is counted as unreadable.
+
+        Returns
+        -------
+        FrameResult
+            What became of it for now; a sample that comes late may still change it.
+
+        Raises
+        ------
+        InputError
+            Where the estimator has no camera.
+        """
+        from vision import extract_lines, measure_frame
+        from vision.images import to_grey
+
+        camera = self._camera()
+        try:
+            if self.method == "paper":
+                return self.add_measurement(t_ns, measure_frame(image, camera, method="paper"))
+            lines = extract_lines(to_grey(image), camera)
+        except InputError:
+            return self.add_unreadable_frame(t_ns)
+        return self.add_lines(t_ns, lines)
+
+    def add_lines(self, t_ns: int, lines: LineSet) -> FrameResult:
+        """Add a picture whose lines were extracted elsewhere, for instance in another thread."""
+        from vision import measure_lines
+
+        camera = self._camera()
+
+        def measure(attitude: Attitude | None, prior: Prior) -> FrameMeasurement:
+            return measure_lines(lines, camera, attitude, prior)
+
+        return self._add_frame(t_ns, measure)
+
+    def add_measurement(self, t_ns: int, measurement: FrameMeasurement) -> FrameResult:
+        """Add a frame that was measured elsewhere."""
+        return self._add_frame(t_ns, lambda attitude, prior: measurement)
+
+    def add_unreadable_frame(self, t_ns: int) -> FrameResult:
+        """Add a frame of which there is no picture, so that it is counted and its age is known."""
+        return self._add_frame(t_ns, None)
+
+    def estimate(self, now_ns: int | None = None) -> Estimate:
+        """Newest estimate, predicted to the newest sample.
+
+        ``now_ns`` is the caller's clock, where status and ages should tell of sources that have fallen silent since.
+        """
+        state = self._machine.state
+        if now_ns is not None and state.t_ns is not None:
+            now_ns = max(now_ns, state.t_ns)
+        return describe(state, self.config, now_ns)
+
+    def finish(self) -> None:
+        """End the flight: hand what is still in the buffer to ``on_final``."""
+        self._timeline.finish()
+
+    def _camera(self) -> Camera:
+        if self.camera is None:
+            raise InputError(
+                "the estimator has no camera", remedy="give one: CorridorEstimator(config, camera)"
+            )
+        return self.camera
+
+    def _add_frame(self, t_ns: int, measure: Measure | None) -> FrameResult:
+        entry = self._add(t_ns - self._delay_ns, Kind.FRAME, (t_ns, measure))
+        if entry is None or entry.frame is None:
+            self.last_frame = FrameResult(t_ns, None, False, Reason.LATE)
+        else:
+            self.last_frame = entry.frame
+            self.counters[f"frame_{entry.frame.reason}"] += 1
+        return self.last_frame
+
+    def _add(self, t_ns: int, kind: Kind, payload: Any) -> Entry | None:
+        t_ns = int(t_ns)
+        name = kind.name.lower()
+        if self._timeline.is_late(t_ns):
+            self.counters[f"{name}_late"] += 1
+            self._late_in_a_row += 1
+            if self._late_in_a_row < CLOCK_RESET_SAMPLES:
+                return None
+            # Nothing but late samples: it is the clock that was set back.
+            self.counters["clock_set_back"] += 1
+            self._timeline.restart(t_ns)
+        self._late_in_a_row = 0
+        entry = self._timeline.insert(t_ns, kind, payload)
+        self.counters[f"{name}_duplicate" if entry is None else name] += 1
+        return entry
+
+
+def _vector(values: npt.ArrayLike) -> Vector | None:
+    """Three finite floats; None where they are not."""
+    x, y, z = values if isinstance(values, tuple) else np.asarray(values, dtype=float).reshape(3).tolist()
+    if isfinite(x) and isfinite(y) and isfinite(z):
+        return float(x), float(y), float(z)
+    return None

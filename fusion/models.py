@@ -1,0 +1,211 @@
+"""State, process model and measurement models, as pure functions of numbers and small arrays.
+
+State (5,): ``[psi, b_z, o, y, v]``
+
+- psi: heading, rad, kept unwrapped;
+- b_z: bias of the level yaw rate, rad/s;
+- o: IMU yaw minus heading in the first corridor's frame, rad;
+- y: lateral offset right of the centre line, in half widths of the corridor, so that it needs no scale;
+- v: sideways velocity that heading and forward speed do not explain, half widths per second.
+
+Process, with level yaw rate omega, forward and sideways speed u, w (half widths per second, zero where unknown)::
+
+    psi' = omega - b_z + n_psi        omega = (q sin(roll) + r cos(roll)) / cos(pitch)
+    b_z' = n_b
+    o'   = n_o                        correlated with n_psi where the IMU's yaw comes from the same gyroscope
+    y'   = u sin(psi) + w cos(psi) + v
+    v'   = -v / tau + n_v
+"""
+
+from __future__ import annotations
+
+from math import cos, exp, expm1, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+PSI, BIAS, OFFSET, Y, V = range(5)
+N_STATES = 5
+
+
+class ProcessNoise(NamedTuple):
+    """Continuous noise of the process model.
+
+    Parameters
+    ----------
+    heading
+        Density of n_psi, rad/sqrt(s): the gyroscope's noise density.
+    bias
+        Density of n_b, rad/s/sqrt(s).
+    offset
+        Density of n_o, rad/sqrt(s).
+    heading_offset
+        Cross power density of n_psi and n_o, rad^2/s; negative where the IMU's yaw shares the gyroscope.
+    v_std, v_time_s
+        Stationary standard deviation (half widths per second) and correlation time of v.
+    offset_follows_bias
+        Whether psi + o is what is propagated exactly (yaw increments of an attitude stream): then the drift
+        of psi is taken up by o.
+    """
+
+    heading: float
+    bias: float
+    offset: float
+    heading_offset: float
+    v_std: float
+    v_time_s: float
+    offset_follows_bias: bool = False
+
+
+class ScalarMeasurement(NamedTuple):
+    """What an update needs: residual (wrapped where it is an angle), H (5,) and the variance R."""
+
+    residual: float
+    H: FloatArray
+    R: float
+
+
+def wrap(angle_rad: float) -> float:
+    """Bring an angle into [-pi, pi)."""
+    return (angle_rad + pi) % (2 * pi) - pi
+
+
+def wrap_axis(angle_rad: float) -> float:
+    """Bring the angle of a direction without sense (a corridor seen from either end) into [-pi/2, pi/2)."""
+    return (angle_rad + 0.5 * pi) % pi - 0.5 * pi
+
+
+def level_yaw_rate(gyro_rad_s: tuple[float, float, float], down: tuple[float, float, float]) -> float:
+    """Yaw rate about the vertical, rad/s, without bias correction.
+
+    Parameters
+    ----------
+    gyro_rad_s
+        Body rates p, q, r (FRD).
+    down
+        Unit vector of gravity's direction in the body frame: (-sin(pitch), sin(roll) cos(pitch),
+        cos(roll) cos(pitch)). With it (q sin(roll) + r cos(roll)) / cos(pitch) needs no trigonometry.
+    """
+    _, q, r = gyro_rad_s
+    _, dy, dz = down
+    # Nose straight up or down yaw has no meaning; the floor (85 degrees) keeps the number finite.
+    return (q * dy + r * dz) / max(dy * dy + dz * dz, 0.0076)
+
+
+def transition(
+    dt_s: float, noise: ProcessNoise, y_per_psi: float = 0.0, heading_variance: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Discretise the process model exactly over ``dt_s``.
+
+    Parameters
+    ----------
+    dt_s
+        Length of the step.
+    noise
+        Continuous noise.
+    y_per_psi
+        Derivative of y' by psi, held over the step: ``u cos(psi) - w sin(psi)``.
+    heading_variance
+        Further variance of the heading gained in the step, rad^2 (a gap in the gyroscope).
+
+    Returns
+    -------
+    F, Q
+        (5, 5) each; ``F`` is the derivative of `propagate`.
+    """
+    c, dt = y_per_psi, dt_s
+    n2, b2, o2 = noise.heading**2, noise.bias**2, noise.offset**2
+    phi = exp(-dt / noise.v_time_s)
+    y_per_v = -noise.v_time_s * expm1(-dt / noise.v_time_s)
+    F = np.eye(N_STATES)
+    F[PSI, BIAS] = -dt
+    F[Y, PSI] = c * dt
+    F[Y, BIAS] = -c * dt * dt / 2
+    F[Y, V] = y_per_v
+    F[V, V] = phi
+    Q = np.zeros((N_STATES, N_STATES))
+    Q[PSI, PSI] = n2 * dt + b2 * dt**3 / 3 + heading_variance
+    Q[BIAS, BIAS] = b2 * dt
+    Q[OFFSET, OFFSET] = o2 * dt
+    Q[PSI, BIAS] = Q[BIAS, PSI] = -b2 * dt * dt / 2
+    cross = noise.heading_offset * dt
+    Q[Y, PSI] = c * (n2 * dt**2 / 2 + b2 * dt**4 / 8)
+    Q[Y, BIAS] = -c * b2 * dt**3 / 6
+    Q[Y, OFFSET] = c * noise.heading_offset * dt * dt / 2
+    if noise.offset_follows_bias:
+        F[OFFSET, BIAS] = dt
+        Q[OFFSET, OFFSET] += b2 * dt**3 / 3 + heading_variance
+        Q[OFFSET, BIAS] = Q[BIAS, OFFSET] = b2 * dt * dt / 2
+        cross -= b2 * dt**3 / 3 + heading_variance
+        Q[Y, OFFSET] -= c * b2 * dt**4 / 8
+    Q[PSI, OFFSET] = Q[OFFSET, PSI] = cross
+    Q[PSI, Y], Q[BIAS, Y], Q[OFFSET, Y] = Q[Y, PSI], Q[Y, BIAS], Q[Y, OFFSET]
+    q_yy, q_yv, q_vv = _wander(dt / noise.v_time_s, noise.v_std, noise.v_time_s)
+    Q[Y, Y] = q_yy + c * c * (n2 * dt**3 / 3 + b2 * dt**5 / 20)
+    Q[Y, V] = Q[V, Y] = q_yv
+    Q[V, V] = q_vv
+    return F, Q
+
+
+def _wander(x: float, v_std: float, time_s: float) -> tuple[float, float, float]:
+    """Covariance of (y, v) gained by a Gauss-Markov velocity over ``x`` correlation times."""
+    fall = -expm1(-x)
+    if x < 0.05:  # the closed form cancels to third order
+        yy = x**3 * (2 / 3 - x / 2 + 7 * x * x / 30 - x**3 / 12 + 31 * x**4 / 1260)
+    else:
+        yy = 2 * x - 2 * fall - fall * fall
+    return (v_std * time_s) ** 2 * yy, v_std**2 * time_s * fall * fall, -(v_std**2) * expm1(-2 * x)
+
+
+def propagate(
+    x: FloatArray,
+    dt_s: float,
+    turned_rad: float,
+    noise: ProcessNoise,
+    forward: float = 0.0,
+    sideways: float = 0.0,
+) -> FloatArray:
+    """Carry the state (5,) over ``dt_s`` in which the level frame turned by ``turned_rad`` (bias included).
+
+    ``forward`` and ``sideways`` are velocities in half widths per second; the heading half-way is used for y.
+    """
+    psi, bias, offset, y, v = x.tolist()
+    change = turned_rad - bias * dt_s
+    middle = psi + 0.5 * change
+    if noise.offset_follows_bias:
+        offset += bias * dt_s
+    y += (forward * sin(middle) + sideways * cos(middle)) * dt_s - v * noise.v_time_s * expm1(
+        -dt_s / noise.v_time_s
+    )
+    return np.array([psi + change, bias, offset, y, v * exp(-dt_s / noise.v_time_s)])
+
+
+_H_HEADING = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+_H_IMU_YAW = np.array([1.0, 0.0, 1.0, 0.0, 0.0])
+_H_LATERAL = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
+for _H in (_H_HEADING, _H_IMU_YAW, _H_LATERAL):
+    _H.setflags(write=False)
+
+
+def heading_model(x: FloatArray, heading_rad: float, variance: float) -> ScalarMeasurement:
+    """Compare a frame's heading. A corridor looks alike from both ends, so the residual is that of an axis."""
+    return ScalarMeasurement(wrap_axis(heading_rad - float(x[PSI])), _H_HEADING, variance)
+
+
+def imu_yaw_model(
+    x: FloatArray, yaw_rad: float, corridor_turn_rad: float, variance: float
+) -> ScalarMeasurement:
+    """Compare the IMU's yaw: heading in the first corridor's frame, plus the offset."""
+    return ScalarMeasurement(
+        wrap(yaw_rad - float(x[PSI]) - corridor_turn_rad - float(x[OFFSET])), _H_IMU_YAW, variance
+    )
+
+
+def lateral_model(x: FloatArray, offset_norm: float, variance: float) -> ScalarMeasurement:
+    """Compare a frame's lateral offset, seen along the corridor or, flying back, against it: then right is left."""
+    if cos(float(x[PSI])) >= 0.0:
+        return ScalarMeasurement(offset_norm - float(x[Y]), _H_LATERAL, variance)
+    return ScalarMeasurement(offset_norm + float(x[Y]), -_H_LATERAL, variance)

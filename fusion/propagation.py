@@ -1,0 +1,346 @@
+"""The engine's first half: carry the state from sample to sample, and fuse the IMU's yaw.
+
+Which stream carries the heading is decided anew at each sample: the gyroscope; where it is absent or silent, the yaw
+increments of the attitude stream; with neither, a constant rate (then the state's bias is minus that rate).
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, isfinite, sin
+from typing import NamedTuple
+
+import numpy as np
+
+from fusion import tilt as tilts
+from fusion.config import FusionConfig
+from fusion.ekf import CorridorEKF
+from fusion.models import (
+    BIAS,
+    N_STATES,
+    OFFSET,
+    PSI,
+    FloatArray,
+    ProcessNoise,
+    imu_yaw_model,
+    level_yaw_rate,
+    propagate,
+    transition,
+    wrap,
+)
+from fusion.state import UNKNOWN_HEADING_STD_RAD, UNKNOWN_OFFSET_STD_RAD, Mode, State, half_width_m
+from fusion.tilt import Vector
+
+Quaternion = tuple[float, float, float, float]
+
+ATTITUDE_DRIFT_STD_RAD_S = 0.003  # an attitude filter has removed most of the gyroscope's bias
+UNKNOWN_RATE_STD_RAD_S = 0.5
+HELD_RATE_STD_RAD_S = 0.2
+VELOCITY_AGE_S = 0.5
+IMU_YAW_STEP_SAMPLES = 3
+_CACHE_SIZE = 512
+
+
+class Node(NamedTuple):
+    """One step for the smoother: a transition, and the state after what was measured behind it.
+
+    ``F`` is None where nothing moved. ``x_prior``, ``P_prior`` stand right behind the transition.
+    """
+
+    t_ns: int
+    F: FloatArray | None
+    x_prior: FloatArray
+    P_prior: FloatArray
+    x: FloatArray
+    P: FloatArray
+
+
+class Propagation:
+    """State, filter and what moves them between frames. A step depends on nothing but the state and the sample."""
+
+    def __init__(self, config: FusionConfig) -> None:
+        self.config = config
+        self.state = State(gyro_bias=(0.0, config.gyro_bias_std_rad_s**2))
+        self.ekf = CorridorEKF(self.state.x, self.state.P)
+        self.nodes: list[Node] = []
+        self._noise_cache: dict[tuple[Mode, bool, float], ProcessNoise] = {}
+        self._transition_cache: dict[tuple[ProcessNoise, int], tuple[FloatArray, FloatArray]] = {}
+
+    # Every event runs between these two, which move x and P between the snapshot and filterpy's object.
+    def _begin(self, t_ns: int) -> None:
+        self.ekf.x, self.ekf.P = self.state.x, self.state.P
+        if self.state.t_ns is None:
+            self.state.t_ns = t_ns
+        self._now_ns = self.state.t_ns
+        self.nodes = [Node(self._now_ns, None, self.ekf.x, self.ekf.P, self.ekf.x, self.ekf.P)]
+
+    def _end(self) -> None:
+        self._close_node()
+        self.state.x, self.state.P = self.ekf.x, self.ekf.P
+
+    def _close_node(self) -> None:
+        self.nodes[-1] = self.nodes[-1]._replace(x=self.ekf.x, P=self.ekf.P)
+
+    def _transit(self, x_next: FloatArray, F: FloatArray, Q: FloatArray) -> None:
+        """Apply a transition and note it for the smoother."""
+        self._close_node()
+        self.ekf.predict(x_next, F, Q)
+        node = Node(self._now_ns, F, self.ekf.x, self.ekf.P, self.ekf.x, self.ekf.P)
+        if len(self.nodes) == 1 and self.nodes[0].F is None and self.nodes[0].x is self.nodes[0].x_prior:
+            self.nodes[0] = node
+        else:
+            self.nodes.append(node)
+
+    _now_ns = 0
+
+    def imu(self, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | None) -> None:
+        """Take a gyroscope sample and, where there is one, the accelerometer's."""
+        self._begin(t_ns)
+        s = self.state
+        gyro = gyro_rad_s
+        gap = s.t_gyro_ns is None or (t_ns - s.t_gyro_ns) * 1e-9 > self.config.gyro_gap_s
+        if not gap:
+            p, q, r = s.gyro
+            gyro = (0.5 * (p + gyro[0]), 0.5 * (q + gyro[1]), 0.5 * (r + gyro[2]))
+        s.tilt = tilts.with_imu(s.tilt, t_ns, gyro, accel_m_s2)
+        rate = level_yaw_rate(gyro_rad_s, s.tilt.down)
+        if s.mode is Mode.GYRO:
+            self._advance(t_ns, end_rate_rad_s=rate)
+        else:
+            self._advance(t_ns)
+            self._set_mode(Mode.GYRO)
+        s.t_gyro_ns, s.gyro, s.rate_rad_s = t_ns, gyro_rad_s, rate
+        self._end()
+
+    def attitude(self, t_ns: int, q_world_body: Quaternion) -> None:
+        """Take an attitude sample: tilt, and yaw as increment or as measurement."""
+        self._begin(t_ns)
+        s = self.state
+        w, x, y, z = q_world_body
+        yaw = atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        self._leave_silent_gyro(t_ns)
+        if s.mode is Mode.ATTITUDE and s.t_attitude_ns is not None:
+            increment = wrap(yaw - s.yaw_rad)
+            span_s = (t_ns - s.t_attitude_ns) * 1e-9
+            self._advance(t_ns, turned_rad=wrap(increment - s.yaw_done_rad))
+            if span_s > 0:
+                s.rate_rad_s = increment / span_s
+        else:
+            self._advance(t_ns)
+        s.tilt = tilts.from_quaternion(s.tilt, t_ns, q_world_body)
+        s.t_attitude_ns, s.yaw_rad, s.yaw_done_rad = t_ns, yaw, 0.0
+        if s.mode is Mode.NONE:
+            self._set_mode(Mode.ATTITUDE)
+        self._correct_by_imu_yaw(yaw)
+        self._end()
+
+    def velocity(self, t_ns: int, v_body_m_s: Vector) -> None:
+        """Take a velocity in the body frame; it is held for half a second."""
+        self._begin(t_ns)
+        self._leave_silent_gyro(t_ns)
+        self._advance(t_ns)
+        s = self.state
+        # Level forward and right axes seen from the body: without yaw, only gravity's direction is needed.
+        dx, dy, dz = s.tilt.down
+        vx, vy, vz = v_body_m_s
+        horizontal = max((dy * dy + dz * dz) ** 0.5, 0.09)
+        right = (dz * vy - dy * vz) / horizontal
+        forward = vx * horizontal - dx * (dy * vy + dz * vz) / horizontal
+        s.t_velocity_ns, s.forward_m_s, s.sideways_m_s = t_ns, forward, right
+        self._end()
+
+    def restart_clock(self, t_ns: int) -> None:
+        """Go on after the samples' clock was set back: what was known is kept, how long ago it was is not."""
+        s = self.state
+        old_ns = s.t_ns
+        if old_ns is None:
+            return
+        self._begin(t_ns)
+        Q = np.zeros((N_STATES, N_STATES))
+        Q[PSI, PSI], Q[OFFSET, OFFSET] = 0.5**2, 0.5**2
+        self._now_ns = s.t_ns = t_ns
+        self._transit(self.ekf.x, np.eye(N_STATES), Q)
+        s.tilt = s.tilt._replace(t_ns=t_ns, t_attitude_ns=None, t_gyro_ns=None, t_accel_ns=None)
+        s.t_gyro_ns = s.t_attitude_ns = s.t_velocity_ns = s.t_frame_ns = s.t_vision_ns = s.t_lateral_ns = None
+        s.votes = s.lateral_votes = ()
+        s.recent, s.previous_axis, s.acquired, s.lateral_acquired = (), None, False, False
+        self._set_mode(Mode.NONE)
+        self._end()
+
+    def _advance(
+        self, t_ns: int, *, end_rate_rad_s: float | None = None, turned_rad: float | None = None
+    ) -> None:
+        """Propagate to ``t_ns`` with the mode in force.
+
+        ``end_rate_rad_s`` is the gyroscope's level rate at ``t_ns`` (trapezoid; else the last rate is held);
+        ``turned_rad`` the yaw increment since the state's time (attitude; else the last rate is held).
+        """
+        s = self.state
+        start_ns = s.t_ns
+        self._now_ns = t_ns
+        if start_ns is None or t_ns <= start_ns:
+            return
+        dt_s = (t_ns - start_ns) * 1e-9
+        variance = 0.0
+        if s.mode is Mode.NONE:
+            turned_rad = 0.0
+        elif s.mode is Mode.GYRO and end_rate_rad_s is not None:
+            first = self._rate_at(start_ns, t_ns, end_rate_rad_s)
+            turned_rad = 0.5 * (first + end_rate_rad_s) * dt_s
+            variance = 0.25 * self._silence_variance(start_ns, t_ns)  # known at both ends: a bridge
+        elif turned_rad is None:
+            turned_rad = s.rate_rad_s * dt_s
+            if s.mode is Mode.GYRO:
+                variance = self._silence_variance(start_ns, t_ns)
+        x = self.ekf.x
+        bias_turn = float(x[BIAS]) * dt_s
+        moving = s.t_velocity_ns is not None and (t_ns - s.t_velocity_ns) * 1e-9 <= VELOCITY_AGE_S
+        noise = self._noise(s.mode, moving)
+        if moving:
+            half = self._half_width()
+            u, w = s.forward_m_s / half, s.sideways_m_s / half
+            middle = float(x[PSI]) + 0.5 * (turned_rad - bias_turn)
+            F, Q = transition(dt_s, noise, u * cos(middle) - w * sin(middle), variance)
+            x_next = propagate(x, dt_s, turned_rad, noise, u, w)
+        else:
+            F, Q = (
+                self._transition(noise, t_ns - start_ns)
+                if variance == 0.0
+                else transition(dt_s, noise, 0.0, variance)
+            )
+            x_next = propagate(x, dt_s, turned_rad, noise)
+        self._transit(x_next, F, Q)
+        s.theta_rad += turned_rad - bias_turn
+        s.yaw_done_rad += turned_rad - (bias_turn if s.mode is not Mode.ATTITUDE else 0.0)
+        s.t_ns = t_ns
+
+    def _rate_at(self, t_ns: int, end_ns: int, end_rate_rad_s: float) -> float:
+        """Gyroscope's level rate at a time between its last sample and one at ``end_ns``."""
+        s = self.state
+        if s.t_gyro_ns is None or end_ns <= s.t_gyro_ns:
+            return end_rate_rad_s
+        part = (t_ns - s.t_gyro_ns) / (end_ns - s.t_gyro_ns)
+        return s.rate_rad_s + part * (end_rate_rad_s - s.rate_rad_s)
+
+    def _silence_variance(self, start_ns: int, end_ns: int) -> float:
+        """Heading variance gained between two times in which the gyroscope should have spoken and did not."""
+        s = self.state
+        if s.t_gyro_ns is None:
+            return 0.0
+        grace = self.config.gyro_gap_s
+        first = max((start_ns - s.t_gyro_ns) * 1e-9 - grace, 0.0)
+        last = max((end_ns - s.t_gyro_ns) * 1e-9 - grace, 0.0)
+        # The rate wanders like a random walk from its last sample.
+        variance = self.config.yaw_acceleration_density**2 * (last**3 - first**3) / 3.0
+        known = float(self.ekf.P[PSI, PSI])
+        return max(min(variance, 2.0 * UNKNOWN_HEADING_STD_RAD**2 - known), 0.0)
+
+    def held_rate_variance(self, t_ns: int) -> float:
+        """Variance of the heading at ``t_ns`` from holding the last rate or yaw until then; gone with the next."""
+        s = self.state
+        last = s.t_gyro_ns if s.mode is Mode.GYRO else s.t_attitude_ns
+        if s.mode is Mode.NONE or last is None:
+            return 0.0
+        age_s = min((t_ns - last) * 1e-9, 0.5)
+        variance = self.config.yaw_acceleration_density**2 * age_s**3 / 3.0
+        return variance + (self.config.imu_yaw_std_rad**2 if s.mode is Mode.ATTITUDE else 0.0)
+
+    def _leave_silent_gyro(self, t_ns: int) -> None:
+        """Go over to the attitude's yaw, or to a constant rate, where the gyroscope has fallen silent."""
+        s = self.state
+        silent = s.t_gyro_ns is not None and (t_ns - s.t_gyro_ns) * 1e-9 > self.config.gyro_gap_s
+        if s.mode is Mode.GYRO and silent:
+            live = s.t_attitude_ns is not None and (t_ns - s.t_attitude_ns) * 1e-9 <= tilts.ATTITUDE_GAP_S
+            self._set_mode(Mode.ATTITUDE if live else Mode.NONE)
+
+    def _set_mode(self, mode: Mode) -> None:
+        """Change what carries the heading; the bias then means something else and starts anew."""
+        s = self.state
+        if mode is s.mode:
+            return
+        bias, variance = float(self.ekf.x[BIAS]), float(self.ekf.P[BIAS, BIAS])
+        if s.mode is Mode.GYRO:
+            s.gyro_bias = (bias, variance)
+        if mode is Mode.GYRO:
+            new, new_variance = s.gyro_bias
+        elif mode is Mode.ATTITUDE:
+            new, new_variance = 0.0, ATTITUDE_DRIFT_STD_RAD_S**2
+        elif s.mode is Mode.NONE or s.t_ns is None:
+            new, new_variance = 0.0, UNKNOWN_RATE_STD_RAD_S**2
+        else:
+            new, new_variance = bias - s.rate_rad_s, HELD_RATE_STD_RAD_S**2
+        x = self.ekf.x.copy()
+        x[BIAS] = new
+        F = np.eye(N_STATES)
+        F[BIAS, BIAS] = 0.0
+        Q = np.zeros((N_STATES, N_STATES))
+        Q[BIAS, BIAS] = new_variance
+        self._transit(x, F, Q)
+        s.mode = mode
+
+    def _correct_by_imu_yaw(self, yaw_rad: float) -> None:
+        """Fuse the IMU's yaw; a step of it is taken up by the offset, never by the heading."""
+        s, c = self.state, self.config
+        # Where yaw increments carry the heading, the same yaw tells nothing more.
+        if not c.use_imu_yaw or not s.acquired or (s.mode is Mode.ATTITUDE and s.imu_yaw_known):
+            return
+        measurement = imu_yaw_model(self.ekf.x, yaw_rad, s.corridor_turn_rad, c.imu_yaw_std_rad**2)
+        if not s.imu_yaw_known:
+            self.ekf.update(measurement)
+            s.imu_yaw_known = True
+            return
+        gate = self.ekf.update(measurement, c.imu_yaw_gate_sigma)
+        s.imu_yaw_ratio = gate.test_ratio
+        if gate.accepted:
+            s.imu_yaw_rejects = 0
+            return
+        s.imu_yaw_rejects += 1
+        if s.imu_yaw_rejects >= IMU_YAW_STEP_SAMPLES:
+            self._widen(OFFSET, gate.residual**2)
+            self.ekf.update(measurement)
+
+    def _widen(self, index: int, variance: float) -> None:
+        Q = np.zeros((N_STATES, N_STATES))
+        Q[index, index] = variance
+        self._transit(self.ekf.x, np.eye(N_STATES), Q)
+
+    def _half_width(self) -> float:
+        """Half width for turning metres into half widths; one metre where it is unknown."""
+        half = half_width_m(self.state, self.config)
+        return half if isfinite(half) and half > 0.0 else 1.0
+
+    def _noise(self, mode: Mode, moving: bool) -> ProcessNoise:
+        half = self._half_width()
+        key = (mode, moving, half)
+        noise = self._noise_cache.get(key)
+        if noise is None:
+            noise = self._make_noise(mode, moving, half)
+            if len(self._noise_cache) >= _CACHE_SIZE:
+                self._noise_cache.clear()
+            self._noise_cache[key] = noise
+        return noise
+
+    def _make_noise(self, mode: Mode, moving: bool, half_m: float) -> ProcessNoise:
+        c = self.config
+        v_std = (c.velocity_std_m_s if moving else c.lateral_velocity_std_m_s) / half_m
+        lateral = (v_std, c.lateral_velocity_time_s)
+        walk = c.offset_walk
+        if mode is Mode.GYRO:
+            # Shared noise moves psi and o by opposite amounts and leaves their sum, the IMU's yaw, alone.
+            share = -c.imu_yaw_gyro_share * min(c.gyro_noise, walk) * c.gyro_noise
+            return ProcessNoise(c.gyro_noise, c.bias_walk, walk, share, *lateral)
+        if mode is Mode.ATTITUDE:
+            return ProcessNoise(walk, c.bias_walk, walk, -walk * walk, *lateral, offset_follows_bias=True)
+        return ProcessNoise(1e-4, c.yaw_acceleration_density, walk, 0.0, *lateral)
+
+    def _transition(self, noise: ProcessNoise, dt_ns: int) -> tuple[FloatArray, FloatArray]:
+        key = (noise, dt_ns)
+        found = self._transition_cache.get(key)
+        if found is None:
+            found = transition(dt_ns * 1e-9, noise)
+            if len(self._transition_cache) >= _CACHE_SIZE:
+                self._transition_cache.clear()
+            self._transition_cache[key] = found
+        return found
+
+
+__all__ = ["UNKNOWN_OFFSET_STD_RAD", "Node", "Propagation", "Quaternion"]
