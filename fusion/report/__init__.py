@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from fusion.offline import FusionResult
-
     from fusion.flight import Flight
+    from fusion.offline import FusionResult
 
 __all__ = ["write_report"]
 

@@ -50,6 +50,7 @@ VERDICT_WORDS = {
 class Figure:
     """A plot on the page."""
 
+    name: str
     title: str
     text: str
     drawing: Drawing
@@ -149,7 +150,7 @@ def figures(result: FusionResult, flight: Flight) -> list[Figure]:
     found: list[Figure] = []
 
     def add(name: str, title: str, text: str, *panels: Any) -> None:
-        found.append(Figure(title, text, draw(name, title, panels)))
+        found.append(Figure(name, title, text, draw(name, title, panels)))
 
     if not len(result.estimates):
         return found
@@ -177,8 +178,17 @@ def figures(result: FusionResult, flight: Flight) -> list[Figure]:
         add("states", "Bias and offset", text, *states)
     if flight.truth is not None:
         errors = (plots.plot_heading_error, plots.plot_offset_error)
-        text = "Estimate less truth, outside junctions; an honest band holds 95 % of the line."
-        add("errors", "Errors", text, *(partial(e, result=result, truth=flight.truth) for e in errors))
+        text = (
+            "Estimate less truth, outside junctions; the table while tracking only. NEES is the mean square of "
+            "error over sigma, 1 for an honest sigma, and the band should hold 95 % of the line. Offsets of "
+            "frames alone are in percent of half the corridor's width."
+        )
+        add(
+            "errors",
+            "Errors against truth",
+            text,
+            *(partial(e, result=result, truth=flight.truth) for e in errors),
+        )
     return found
 
 

@@ -60,6 +60,8 @@ def plot_heading(ax: Axes, result: FusionResult, flight: Flight) -> None:
     _line(ax, t, heading, cuts, FILTER, 1.5, "filter")
     _decorate(ax, result, "Heading, degrees right")
     _limit(ax, table, heading, 2 * np.degrees(table["heading_std_rad"]), least=2.0)
+    if flight.attitude is not None:
+        _widen(ax, np.degrees(aligned_imu_yaw(flight.attitude, table)[1]))
 
 
 def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
@@ -314,6 +316,18 @@ def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, leas
     high = max(np.percentile(values[rows] + half[rows], 99.5), values[rows].max())
     margin = 0.12 * max(high - low, least)
     ax.set_ylim(low - 1.3 * margin, high + margin)
+
+
+def _widen(ax: Axes, values: FloatArray) -> None:
+    """Make room for another series, unless it would squeeze the first."""
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return
+    low, high = ax.get_ylim()
+    margin = 0.05 * (high - low)
+    wide = min(low, values.min() - margin), max(high, values.max() + margin)
+    if wide[1] - wide[0] <= 2.0 * (high - low):
+        ax.set_ylim(*wide)
 
 
 def _decorate(ax: Axes, result: FusionResult, label: str) -> None:

@@ -114,8 +114,7 @@ def _rejections(frames: Table) -> list[list[tuple[int, str]]]:
     offers = []
     for reason in np.unique(frames["reason"][~frames["accepted"]]):
         stretches = sorted(runs(frames["reason"] == reason), key=lambda run: run[0] - run[1])
-        word = str(reason).replace("_", " ")
-        offers.append([((a + b - 1) // 2, f"rejected: {word}") for a, b in stretches[:6]])
+        offers.append([((a + b - 1) // 2, "rejected") for a, b in stretches[:6]])
     return offers
 
 

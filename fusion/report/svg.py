@@ -104,7 +104,7 @@ def _axes(count: int, size_in: tuple[float, float], font_pt: float) -> tuple[Fig
     )
     for ax in axes:
         ax.yaxis.set_label_coords(-4.4 * em / (width - 6.6 * em), 0.5)
-    return figure, axes
+    return figure, list(axes)
 
 
 def _key(handle: object, word: str) -> Key:
