@@ -1,4 +1,4 @@
-"""Light of a scene, computed once: soft shadows from every lamp and one gathered bounce, kept per surface cell.
+"""Light of a scene, computed once: soft shadows of every lamp and a gathered bounce, kept per surface cell.
 
 Emission is radiance; a cell's value is irradiance over pi, so that albedo times it is the radiance seen.
 """
@@ -8,56 +8,77 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from fusion.simulate.kernels import irradiance, scatter, trace
-from fusion.simulate.mesh import Mesh
+from fusion.simulate.inner import inner
+from fusion.simulate.kernels import dot, irradiance, scatter, trace
+from fusion.simulate.mesh import (
+    ALBEDO,
+    EMISSION,
+    LENGTH_A,
+    LENGTH_B,
+    LIGHT_NU,
+    LIGHT_NV,
+    LIGHT_START,
+    NORMAL,
+    POINTS,
+    Mesh,
+)
 from vision.compiled import compiled
 
 FloatArray = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Light = npt.NDArray[np.float32]
 LIFT_M = 0.004  # rays start this far off their surface
 LAMP_REACH_M = 9.0
 
 
-@compiled
+@inner
 def _direct(
-    mesh: Mesh, lamps: npt.NDArray[np.int64], px: float, py: float, pz: float, i: int, key: int
+    table: FloatArray, nodes: FloatArray, lamps: Indices, px: float, py: float, pz: float, i: int, key: int
 ) -> float:
     """Light from the lamps onto a point of surface i, four shadow rays to each lamp in reach."""
-    g = mesh.geometry
     total = 0.0
-    nx, ny, nz = g[i, 3], g[i, 4], g[i, 5]
     for lamp in lamps:
-        la, lb = g[lamp, 12], g[lamp, 13]
-        area = la * lb
-        cx = mesh.corners[lamp, 0, 0] + mesh.corners[lamp, 2, 0] - 2.0 * px
-        cy = mesh.corners[lamp, 0, 1] + mesh.corners[lamp, 2, 1] - 2.0 * py
-        reach = LAMP_REACH_M + np.sqrt(area) * 4.0
+        area = table[lamp, LENGTH_A] * table[lamp, LENGTH_B]
+        a, b, c = POINTS, POINTS + 3, POINTS + 9  # the corner and its two neighbours
+        cx = table[lamp, POINTS] + table[lamp, POINTS + 6] - 2.0 * px
+        cy = table[lamp, POINTS + 1] + table[lamp, POINTS + 7] - 2.0 * py
+        reach = LAMP_REACH_M + 4.0 * np.sqrt(area)
         if lamp == i or cx * cx + cy * cy > 4.0 * reach * reach:
             continue
         for k in range(4):
             fu = (k % 2 + scatter(key, lamp, 2 * k)) * 0.5
             fv = (k // 2 + scatter(key, lamp, 2 * k + 1)) * 0.5
-            c = mesh.corners[lamp]
-            x = c[0, 0] + fu * (c[1, 0] - c[0, 0]) + fv * (c[3, 0] - c[0, 0]) - px
-            y = c[0, 1] + fu * (c[1, 1] - c[0, 1]) + fv * (c[3, 1] - c[0, 1]) - py
-            z = c[0, 2] + fu * (c[1, 2] - c[0, 2]) + fv * (c[3, 2] - c[0, 2]) - pz
+            f0 = 1.0 - fu - fv
+            x = f0 * table[lamp, a] + fu * table[lamp, b] + fv * table[lamp, c] - px
+            y = f0 * table[lamp, a + 1] + fu * table[lamp, b + 1] + fv * table[lamp, c + 1] - py
+            z = f0 * table[lamp, a + 2] + fu * table[lamp, b + 2] + fv * table[lamp, c + 2] - pz
             d2 = x * x + y * y + z * z
             d = np.sqrt(d2)
-            cos_here = (nx * x + ny * y + nz * z) / d
-            cos_lamp = -(g[lamp, 3] * x + g[lamp, 4] * y + g[lamp, 5] * z) / d
+            cos_here = dot(table, i, NORMAL, x, y, z) / d
+            cos_lamp = -dot(table, lamp, NORMAL, x, y, z) / d
             if cos_here <= 0.0 or cos_lamp <= 0.0:
                 continue
-            blocker, _, _, _ = trace(mesh, px, py, pz, x / d, y / d, z / d, d - 0.02, True)
-            if blocker >= 0:
-                continue
-            weight = cos_here * cos_lamp / max(d2, 0.02)
-            total += 0.25 * mesh.surface[lamp, 1] * mesh.surface[lamp, 0] * area * weight / np.pi
+            blocker, _, _, _ = trace(table, nodes, px, py, pz, x / d, y / d, z / d, d - 0.02, True)
+            if blocker < 0:
+                weight = cos_here * cos_lamp / max(d2, 0.02)
+                total += 0.25 * table[lamp, EMISSION] * table[lamp, ALBEDO] * area * weight / np.pi
     return total
 
 
-@compiled
-def _gathered(mesh: Mesh, px: float, py: float, pz: float, i: int, key: int, rays: int) -> float:
+@inner
+def _gathered(
+    table: FloatArray,
+    nodes: FloatArray,
+    light: Light,
+    px: float,
+    py: float,
+    pz: float,
+    i: int,
+    key: int,
+    rays: int,
+) -> float:
     """Light reflected onto a point by what it sees: mean over cosine-weighted rays of albedo times light."""
-    nx, ny, nz = mesh.geometry[i, 3], mesh.geometry[i, 4], mesh.geometry[i, 5]
+    nx, ny, nz = table[i, NORMAL], table[i, NORMAL + 1], table[i, NORMAL + 2]
     if abs(nx) < 0.7:
         ax, ay, az = 0.0, nz, -ny
     else:
@@ -73,59 +94,72 @@ def _gathered(mesh: Mesh, px: float, py: float, pz: float, i: int, key: int, ray
         x, y = radius * np.cos(phi), radius * np.sin(phi)
         z = np.sqrt(max(0.0, 1.0 - radius * radius))
         dx, dy, dz = x * ax + y * bx + z * nx, x * ay + y * by + z * ny, x * az + y * bz + z * nz
-        j, _, u, v = trace(mesh, px, py, pz, dx, dy, dz, 60.0, False)
-        if j >= 0 and mesh.surface[j, 1] <= 0.0:
-            total += mesh.surface[j, 0] * irradiance(mesh, j, u, v)
+        j, _, u, v = trace(table, nodes, px, py, pz, dx, dy, dz, 60.0, False)
+        if j >= 0 and table[j, EMISSION] <= 0.0:
+            total += table[j, ALBEDO] * irradiance(table, light, j, u, v)
     return total / rays
 
 
 @compiled
-def _fill(mesh: Mesh, lamps: npt.NDArray[np.int64], out: npt.NDArray[np.float32], rays: int) -> None:
-    """Compute every cell's light: from the lamps (rays 0), or gathered from ``mesh.lightmap``."""
-    for i in range(mesh.geometry.shape[0]):
-        start, nu, nv = mesh.light_index[i]
-        c = mesh.corners[i]
-        g = mesh.geometry[i]
-        for jv in range(nv):
-            for ju in range(nu):
-                fu, fv = (ju + 0.5) / nu, (jv + 0.5) / nv
-                px = c[0, 0] + fu * (c[1, 0] - c[0, 0]) + fv * (c[3, 0] - c[0, 0]) + LIFT_M * g[3]
-                py = c[0, 1] + fu * (c[1, 1] - c[0, 1]) + fv * (c[3, 1] - c[0, 1]) + LIFT_M * g[4]
-                pz = c[0, 2] + fu * (c[1, 2] - c[0, 2]) + fv * (c[3, 2] - c[0, 2]) + LIFT_M * g[5]
-                cell = start + jv * nu + ju
-                if rays == 0:
-                    out[cell] = _direct(mesh, lamps, px, py, pz, i, cell)
-                else:
-                    out[cell] = _gathered(mesh, px, py, pz, i, cell, rays)
+def _fill(table: FloatArray, nodes: FloatArray, lamps: Indices, light: Light, out: Light, rays: int) -> None:
+    """Compute every cell's light: from the lamps (rays 0), or gathered from ``light``."""
+    a, b, c = POINTS, POINTS + 3, POINTS + 9
+    for i in range(table.shape[0]):
+        start = int(table[i, LIGHT_START])
+        nu, nv = int(table[i, LIGHT_NU]), int(table[i, LIGHT_NV])
+        for cell in range(nu * nv):
+            fu, fv = (cell % nu + 0.5) / nu, (cell // nu + 0.5) / nv
+            f0 = 1.0 - fu - fv
+            px = f0 * table[i, a] + fu * table[i, b] + fv * table[i, c] + LIFT_M * table[i, NORMAL]
+            py = (
+                f0 * table[i, a + 1]
+                + fu * table[i, b + 1]
+                + fv * table[i, c + 1]
+                + LIFT_M * table[i, NORMAL + 1]
+            )
+            pz = (
+                f0 * table[i, a + 2]
+                + fu * table[i, b + 2]
+                + fv * table[i, c + 2]
+                + LIFT_M * table[i, NORMAL + 2]
+            )
+            key = start + cell
+            if rays == 0:
+                out[key] = _direct(table, nodes, lamps, px, py, pz, i, key)
+            else:
+                out[key] = _gathered(table, nodes, light, px, py, pz, i, key, rays)
 
 
 @compiled
-def _smooth(light_index: npt.NDArray[np.int64], light: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def _smooth(table: FloatArray, light: Light) -> Light:
     """Average each cell with its neighbours on the same surface (binomial 3x3)."""
     out = np.empty_like(light)
-    for i in range(light_index.shape[0]):
-        start, nu, nv = light_index[i]
-        for jv in range(nv):
-            for ju in range(nu):
-                total, weight = 0.0, 0.0
-                for dv in range(-1, 2):
-                    for du in range(-1, 2):
-                        a, b = ju + du, jv + dv
-                        if 0 <= a < nu and 0 <= b < nv:
-                            w = (2.0 - abs(du)) * (2.0 - abs(dv))
-                            total += w * light[start + b * nu + a]
-                            weight += w
-                out[start + jv * nu + ju] = total / weight
+    for i in range(table.shape[0]):
+        start = int(table[i, LIGHT_START])
+        nu, nv = int(table[i, LIGHT_NU]), int(table[i, LIGHT_NV])
+        for cell in range(nu * nv):
+            total, weight = 0.0, 0.0
+            for k in range(9):
+                du, dv = k % 3 - 1, k // 3 - 1
+                a, b = cell % nu + du, cell // nu + dv
+                if 0 <= a < nu and 0 <= b < nv:
+                    w = (2.0 - abs(du)) * (2.0 - abs(dv))
+                    total += w * light[start + b * nu + a]
+                    weight += w
+            out[start + cell] = total / weight
     return out
 
 
 def bake(mesh: Mesh, rays: int = 24, ambient: float = 0.02) -> Mesh:
-    """Return the mesh with its light computed; later bounces are estimated from the first one's mean share."""
-    lamps = np.flatnonzero(mesh.surface[:, 1] > 0).astype(np.int64)
-    direct = np.empty_like(mesh.lightmap)
-    _fill(mesh, lamps, direct, 0)
-    bounce = np.empty_like(direct)
-    _fill(mesh._replace(lightmap=direct), lamps, bounce, rays)
-    bounce = _smooth(mesh.light_index, bounce)
+    """Return the mesh with its light computed.
+
+    Bounces after the first are estimated from the share that the first one adds.
+    """
+    table, nodes = mesh.table, mesh.nodes
+    lamps = np.flatnonzero(table[:, EMISSION] > 0).astype(np.int64)
+    direct, bounce = np.empty_like(mesh.lightmap), np.empty_like(mesh.lightmap)
+    _fill(table, nodes, lamps, direct, direct, 0)
+    _fill(table, nodes, lamps, direct, bounce, rays)
+    bounce = _smooth(table, bounce)
     share = float(np.clip(bounce.mean() / max(float(direct.mean()), 1e-9), 0.0, 0.8))
     return mesh._replace(lightmap=(direct + bounce / (1 - share) + ambient).astype(np.float32))

@@ -11,7 +11,10 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 LEAF_SIZE = 4
+LARGE_M = 8.0
 NO_TEXTURE = -1
+TEXTURE_SIZE = 256  # power of two
+TEXTURE_LEVELS = 9  # 256, 128, ... 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +37,8 @@ class Material:
         Emitted radiance; light panels have about 10 where a lit white wall has 1.
     gloss
         Mirror reflection at perpendicular view, 0 to 1; it rises to grazing view after Schlick.
+    roughness_rad
+        Spread of the normals of a glossy surface: how blurred its reflections are.
     """
 
     albedo: float
@@ -45,34 +50,54 @@ class Material:
     joint_albedo: float = 0.0
     emission: float = 0.0
     gloss: float = 0.0
+    roughness_rad: float = 0.015
 
     def but(self, **changes: object) -> Material:
         """Return a copy with some fields changed."""
         return replace(self, **changes)  # type: ignore[arg-type]
 
 
+# Columns of `Mesh.table`.
+CORNER = 0  # (3) where edges a and b start
+NORMAL = 3  # (3) towards the side from which it is seen
+DUAL_A, DUAL_B = (
+    6,
+    9,
+)  # (3) dual vectors: their product with a point's vector from the corner is u, v in metres
+LENGTH_A, LENGTH_B = 12, 13
+PLANE = 14  # normal times corner
+ELLIPSE = 15  # 1 where only the inscribed ellipse is there
+EMISSION, GLOSS, ROUGHNESS = 16, 17, 18
+ALBEDO, CONTRAST, TEXTURE = 19, 20, 21
+SCALE_U, SCALE_V, SHIFT_U, SHIFT_V = 22, 23, 24, 25  # metres to repetitions of the texture
+JOINT_U, JOINT_V, JOINT_WIDTH, JOINT_ALBEDO = 26, 27, 28, 29
+LIGHT_START, LIGHT_NU, LIGHT_NV = 30, 31, 32  # cells in `Mesh.lightmap`
+POINTS = 33  # (4, 3) the corners
+COLUMNS = 45
+
+
 class Mesh(NamedTuple):
     """The arrays the compiled loops read; n surfaces, m tree nodes.
 
-    ``geometry`` (n, 16): corner, normal, dual vector of edge a, dual vector of edge b, lengths of a and b, normal
-    dot corner, 1 where the surface is an ellipse inscribed in its parallelogram. ``surface`` (n, 14): albedo,
-    emission, gloss, contrast, texture scale (2) and offset (2), joint spacing (2), width, albedo, texture number,
-    0. ``corners`` (n, 4, 3). ``light_index`` (n, 3): start in ``lightmap``, cells along a, cells along b.
-    ``texture_levels``: ripmaps of every texture, see `fusion.simulate.textures`. ``node_box`` (m, 6) minimum and
-    maximum, ``node_link`` (m, 3): leaf -> (first, count, 0), inner -> (left, right, 1); ``order`` (n,) surfaces in
-    leaf order.
+    Few and wide, and handed on one by one: numba counts references of arrays in tuples, atomically, at every call.
+
+    Parameters
+    ----------
+    table
+        (n, COLUMNS), see the column names above; surfaces in the order of the tree's leaves.
+    nodes
+        (m, 9): minimum and maximum of a node's box, the node to go on with if it is missed (else the next one),
+        first and count of a leaf's surfaces; inner nodes count none.
+    lightmap
+        Light on every cell of every surface.
+    textures
+        Ripmaps of every texture, one after another, see `fusion.simulate.textures`.
     """
 
-    geometry: FloatArray
-    surface: npt.NDArray[np.float32]
-    corners: FloatArray
-    light_index: npt.NDArray[np.int64]
+    table: FloatArray
+    nodes: FloatArray
     lightmap: npt.NDArray[np.float32]
-    texture_start: npt.NDArray[np.int64]
-    texture_levels: npt.NDArray[np.float32]
-    node_box: FloatArray
-    node_link: npt.NDArray[np.int64]
-    order: npt.NDArray[np.int64]
+    textures: npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,63 +191,80 @@ class Builder:
         a, b = frame.vector(2 * radius[0], 0, 0), frame.vector(0, 2 * radius[1], 0)
         self.quad(corner, a, b, frame.vector(0, 0, 1), lid or material, ellipse=True)
 
-    def arrays(self, texture_number: dict[str, int]) -> dict[str, npt.NDArray[np.generic]]:
-        """Pack what was collected: geometry, surface, corners and light_index of `Mesh`."""
-        n = len(self.rows)
-        geometry, surface = np.zeros((n, 16)), np.zeros((n, 14), np.float32)
-        corners, light_index = np.zeros((n, 4, 3)), np.zeros((n, 3), np.int64)
-        start = 0
-        for i, (corner, a, b, normal, material, ellipse) in enumerate(self.rows):
+    def table(self, texture_number: dict[str, int]) -> tuple[FloatArray, int]:
+        """Pack what was collected into `Mesh.table`; also how many light cells it needs."""
+        table = np.zeros((len(self.rows), COLUMNS))
+        cells = 0
+        for row, (corner, a, b, normal, material, ellipse) in zip(table, self.rows, strict=True):
             la, lb = float(np.linalg.norm(a)), float(np.linalg.norm(b))
             basis = np.linalg.inv(np.stack([a / la, b / lb, normal], axis=1))
-            geometry[i] = [*corner, *normal, *basis[0], *basis[1], la, lb, normal @ corner, float(ellipse)]
-            corners[i] = corner, corner + a, corner + a + b, corner + b
-            size = material.texture_size_m or (la, lb)
-            offset = self.rng.random(2) if material.texture_size_m else (0.0, 0.0)
+            row[CORNER:NORMAL], row[NORMAL:DUAL_A] = corner, normal
+            row[DUAL_A:DUAL_B], row[DUAL_B:LENGTH_A] = basis[0], basis[1]
+            row[[LENGTH_A, LENGTH_B, PLANE, ELLIPSE]] = la, lb, normal @ corner, float(ellipse)
+            row[[EMISSION, GLOSS, ROUGHNESS]] = material.emission, material.gloss, material.roughness_rad
             number = NO_TEXTURE if material.texture is None else texture_number[material.texture]
-            surface[i] = [
-                material.albedo,
-                material.emission,
-                material.gloss,
-                material.contrast,
-                1 / size[0],
-                1 / size[1],
-                *offset,
+            row[[ALBEDO, CONTRAST, TEXTURE]] = material.albedo, material.contrast, number
+            size = material.texture_size_m or (la, lb)
+            shift = self.rng.random(2) if material.texture_size_m else (0.0, 0.0)
+            row[SCALE_U:JOINT_U] = [1 / size[0], 1 / size[1], *shift]
+            row[JOINT_U:LIGHT_START] = [
                 *material.joint_spacing_m,
                 material.joint_width_m,
                 material.joint_albedo,
-                number,
-                0,
             ]
-            cells = [int(np.clip(np.ceil(length / self.light_cell_m), 1, 400)) for length in (la, lb)]
-            light_index[i] = start, *cells
-            start += cells[0] * cells[1]
-        return {"geometry": geometry, "surface": surface, "corners": corners, "light_index": light_index}
+            nu, nv = (int(np.clip(np.ceil(length / self.light_cell_m), 1, 400)) for length in (la, lb))
+            row[LIGHT_START:POINTS] = cells, nu, nv
+            row[POINTS:] = np.concatenate([corner, corner + a, corner + a + b, corner + b])
+            cells += nu * nv
+        return table, cells
 
 
-def build_tree(
-    corners: FloatArray,
-) -> tuple[FloatArray, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Build a bounding volume tree by halving at the median of the longest axis: node_box, node_link, order."""
-    low, high = corners.min(axis=1) - 1e-6, corners.max(axis=1) + 1e-6
-    centre = (low + high) / 2
-    boxes: list[FloatArray] = []
-    links: list[tuple[int, int, int]] = []
+def _half_area(low: FloatArray, high: FloatArray) -> FloatArray:
+    x, y, z = (high - low).T
+    return x * y + y * z + z * x
+
+
+def _best_split(low: FloatArray, high: FloatArray) -> tuple[npt.NDArray[np.int64], int]:
+    """Order boxes (n, 3) and say how many go left, for the least area times number (surface area heuristic)."""
+    n = len(low)
+    best, best_order, best_count = np.inf, np.arange(n), n // 2
+    number = np.arange(1, n)
+    for axis in range(3):
+        order = np.argsort(low[:, axis] + high[:, axis], kind="stable")
+        a, b = low[order], high[order]
+        left = _half_area(np.minimum.accumulate(a), np.maximum.accumulate(b))[:-1]
+        right = _half_area(np.minimum.accumulate(a[::-1]), np.maximum.accumulate(b[::-1]))[::-1][1:]
+        cost = left * number + right * (n - number)
+        k = int(np.argmin(cost))
+        if cost[k] < best:
+            best, best_order, best_count = float(cost[k]), order, k + 1
+    return best_order, best_count
+
+
+def build_tree(points: FloatArray) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+    """Build a tree of boxes round surfaces (n, 4, 3).
+
+    Returns `Mesh.nodes` and the order (n,) that the surfaces must be put in.
+    """
+    low, high = points.min(axis=1) - 1e-6, points.max(axis=1) + 1e-6
+    nodes: list[list[float]] = []
     order: list[int] = []
 
-    def grow(members: npt.NDArray[np.int64]) -> int:
-        node = len(boxes)
-        boxes.append(np.concatenate([low[members].min(axis=0), high[members].max(axis=0)]))
-        links.append((0, 0, 0))
-        if len(members) <= LEAF_SIZE:
-            links[node] = (len(order), len(members), 0)
+    def grow(members: npt.NDArray[np.int64], leaf_size: int = LEAF_SIZE) -> None:
+        node, first = len(nodes), len(order)
+        nodes.append([*low[members].min(axis=0), *high[members].max(axis=0)])
+        if len(members) <= leaf_size:
             order.extend(members.tolist())
-            return node
-        spread = np.ptp(centre[members], axis=0)
-        ranked = members[np.argsort(centre[members, int(np.argmax(spread))], kind="stable")]
-        half = len(ranked) // 2
-        links[node] = (grow(ranked[:half]), grow(ranked[half:]), 1)
-        return node
+            nodes[node] += [len(nodes), first, len(members)]
+            return
+        ranked, count = _best_split(low[members], high[members])
+        grow(members[ranked[:count]])
+        grow(members[ranked[count:]])
+        nodes[node] += [len(nodes), 0, 0]
 
-    grow(np.arange(len(corners)))
-    return np.array(boxes), np.array(links, np.int64), np.array(order, np.int64)
+    # floors and ceilings would blow up every box they are in; tested first, they shorten the ray for the rest
+    large = np.max(high - low, axis=1) > LARGE_M
+    for members in (np.flatnonzero(large), np.flatnonzero(~large)):
+        if len(members):
+            grow(members, len(members) if large[members[0]] else LEAF_SIZE)
+    return np.array(nodes, float), np.array(order, np.int64)

@@ -10,7 +10,7 @@ import numpy as np
 from fusion.simulate.config import Ceiling, End, Floor, SceneConfig, WallFinish
 from fusion.simulate.furnish import Opening, build_doorway, build_person, decorate, hang_sheet, place_openings
 from fusion.simulate.lighting import bake
-from fusion.simulate.mesh import Builder, Frame, Material, Mesh, build_tree
+from fusion.simulate.mesh import POINTS, Builder, Frame, Material, Mesh, build_tree
 from fusion.simulate.plan import FloatArray, Room, Wall, outline
 from fusion.simulate.textures import POSTERS, WINDOWS, texture_set
 
@@ -47,19 +47,9 @@ def build_scene(config: SceneConfig, seed: int, light_cell_m: float = 0.15, ligh
 
 def _light(builder: Builder, rays: int, ambient: float) -> Mesh:
     textures = texture_set()
-    arrays = builder.arrays(textures.number)
-    box, link, order = build_tree(np.asarray(arrays["corners"], float))
-    last = arrays["light_index"][-1]
-    size = int(last[0] + last[1] * last[2])
-    mesh = Mesh(
-        **arrays,  # type: ignore[arg-type]
-        lightmap=np.zeros(size, np.float32),
-        texture_start=textures.start,
-        texture_levels=textures.levels,
-        node_box=box,
-        node_link=link,
-        order=order,
-    )
+    table, cells = builder.table(textures.number)
+    nodes, order = build_tree(table[:, POINTS:].reshape(-1, 4, 3))
+    mesh = Mesh(np.ascontiguousarray(table[order]), nodes, np.zeros(cells, np.float32), textures.copies)
     return bake(mesh, rays, ambient)
 
 
@@ -88,17 +78,19 @@ def _wall_material(config: SceneConfig) -> Material:
 
 
 def _floor_material(config: SceneConfig) -> Material:
-    albedo, gloss = config.floor_albedo, config.floor_gloss
+    albedo, gloss, rough = config.floor_albedo, config.floor_gloss, config.floor_roughness_rad
     kind = config.floor
     if kind is Floor.TILES:
-        return Material(albedo, "vinyl", (2.1, 2.1), 0.8, (0.6, 0.6), 0.006, albedo * 0.45, 0.0, gloss)
+        return Material(albedo, "vinyl", (2.1, 2.1), 0.8, (0.6, 0.6), 0.006, albedo * 0.45, 0.0, gloss, rough)
     if kind is Floor.TERRAZZO:
-        return Material(albedo, "speckle", (0.8, 0.8), 1.0, (1.2, 1.2), 0.004, albedo * 0.5, 0.0, gloss)
+        return Material(
+            albedo, "speckle", (0.8, 0.8), 1.0, (1.2, 1.2), 0.004, albedo * 0.5, 0.0, gloss, rough
+        )
     if kind is Floor.CARPET:
         return Material(albedo * 0.6, "carpet", (0.7, 0.7), 1.0)
     if kind is Floor.CARPET_TILES:
         return Material(albedo * 0.6, "carpet", (0.7, 0.7), 1.0, (0.5, 0.5), 0.004, albedo * 0.4)
-    return Material(albedo, "vinyl", (2.3, 2.3), 1.0, (0.0, 2.0), 0.004, albedo * 0.6, 0.0, gloss)
+    return Material(albedo, "vinyl", (2.3, 2.3), 1.0, (0.0, 2.0), 0.004, albedo * 0.6, 0.0, gloss, rough)
 
 
 def _ceiling_material(config: SceneConfig) -> Material:

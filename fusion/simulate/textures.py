@@ -10,21 +10,21 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-SIZE = 256
-LEVELS = 9  # 256, 128, ... 1
+from fusion.simulate.mesh import TEXTURE_LEVELS, TEXTURE_SIZE
+
+SIZE, LEVELS = TEXTURE_SIZE, TEXTURE_LEVELS
 Picture = npt.NDArray[np.float32]
 Canvas = npt.NDArray[np.uint8]
 
 
 class TextureSet(NamedTuple):
-    """Every texture: numbers by name, start of each in ``levels``, and the averaged copies one after another.
+    """Every texture: numbers by name, and the averaged copies of each one after another.
 
     A texture's copies lie row-major by (level along v, level along u); each is (SIZE >> lv, SIZE >> lu).
     """
 
     number: dict[str, int]
-    start: npt.NDArray[np.int64]
-    levels: Picture
+    copies: Picture
 
 
 def _noise(rng: np.random.Generator, cells: tuple[int, int], octaves: int = 4, gain: float = 0.5) -> Picture:
@@ -213,12 +213,10 @@ def _ripmap(picture: Picture) -> list[Picture]:
 @lru_cache(maxsize=1)
 def texture_set(seed: int = 2018) -> TextureSet:
     """Draw all textures once per process; the same in every scene (materials vary scale, offset and strength)."""
-    number, starts, flat = {}, [], []
-    position = 0
-    for i, (name, draw) in enumerate(_DRAW.items()):
-        number[name] = i
-        starts.append(position)
-        for copy in _ripmap(draw(np.random.default_rng((seed, i)))):
-            flat.append(copy.ravel())
-            position += copy.size
-    return TextureSet(number, np.array(starts, np.int64), np.concatenate(flat).astype(np.float32))
+    number = {name: i for i, name in enumerate(_DRAW)}
+    flat = [
+        copy.ravel()
+        for i, draw in enumerate(_DRAW.values())
+        for copy in _ripmap(draw(np.random.default_rng((seed, i))))
+    ]
+    return TextureSet(number, np.concatenate(flat).astype(np.float32))

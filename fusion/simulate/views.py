@@ -126,9 +126,7 @@ def _take(
     height = float(rng.uniform(0.3, 0.75)) * config.height_m
     place = scene.rooms[0].to_world(s, offset * config.width_m / 2)
     origin = np.array([*place, -height])
-    radiance = render_linear(
-        scene.mesh, view, origin, R_world_body(heading, pitch, roll), roughness=config.floor_roughness_rad
-    )
+    radiance = render_linear(scene.mesh, view, origin, R_world_body(heading, pitch, roll))
     sensor = Sensor.of(quality, view, mean_radiance(radiance))
     image = through_jpeg(sensor.develop(radiance, rng), quality.jpeg_quality)
     return RandomView(
