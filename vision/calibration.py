@@ -1,8 +1,7 @@
 """Camera files: EuRoC/ASL ``sensor.yaml`` and Kalibr ``camchain.yaml``, with every field checked.
 
 The two formats give the camera's pose in opposite directions. EuRoC's ``T_BS`` takes points from the sensor
-to the body; Kalibr's ``T_cam_imu`` takes points from the IMU to the camera. Only the rotations are used: the
-lever arm between camera and IMU does not enter the heading.
+to the body; Kalibr's ``T_cam_imu`` takes points from the IMU to the camera.
 """
 
 from __future__ import annotations
@@ -117,8 +116,10 @@ def read_camera(path: Path, body_frame: BodyFrame | None, cam: str) -> Camera:
 
 def _read_euroc(content: Mapping[str, Any], body_frame: BodyFrame) -> Camera:
     example = f"add T_BS, body from camera; straight ahead it is data: {_STRAIGHT_AHEAD[body_frame][0]}"
-    R_body_camera = rotation_of_transform(_require(content, "T_BS", None, example), "T_BS")
-    return _make_camera(content, "", "distortion_coefficients", to_frd(body_frame) @ R_body_camera)
+    R_body_camera, p_body_camera_m = parts_of_transform(_require(content, "T_BS", None, example), "T_BS")
+    R_frd = to_frd(body_frame)
+    pose = (R_frd @ R_body_camera, R_frd @ p_body_camera_m)
+    return _make_camera(content, "", "distortion_coefficients", pose)
 
 
 def _read_kalibr(content: Mapping[str, Any], body_frame: BodyFrame, cam: str) -> Camera:
@@ -128,12 +129,18 @@ def _read_kalibr(content: Mapping[str, Any], body_frame: BodyFrame, cam: str) ->
         raise InputError(f"there is no camera {cam} in this chain", remedy=f"choose one of: {found}")
     example = f"add T_cam_imu, camera from IMU; straight ahead it is {_STRAIGHT_AHEAD[body_frame][1]}"
     T_cam_imu = _require(chain, "T_cam_imu", None, example, prefix=f"{cam}.")
-    R_camera_imu = rotation_of_transform(T_cam_imu, f"{cam}.T_cam_imu")
-    return _make_camera(chain, f"{cam}.", "distortion_coeffs", to_frd(body_frame) @ R_camera_imu.T)
+    R_camera_imu, p_camera_imu_m = parts_of_transform(T_cam_imu, f"{cam}.T_cam_imu")
+    R_frd_camera = to_frd(body_frame) @ R_camera_imu.T
+    return _make_camera(chain, f"{cam}.", "distortion_coeffs", (R_frd_camera, -R_frd_camera @ p_camera_imu_m))
 
 
 def rotation_of_transform(value: object, name: str) -> FloatArray:
     """Rotation (3, 3) of a 4x4 transform, given flat, nested, or as a mapping with ``data``."""
+    return parts_of_transform(value, name)[0]
+
+
+def parts_of_transform(value: object, name: str) -> tuple[FloatArray, FloatArray]:
+    """Rotation (3, 3) and translation (3,) of a 4x4 transform, given flat, nested, or as a mapping with ``data``."""
     if isinstance(value, Mapping):
         value = _require(value, "data", None, "give 16 numbers, row by row", prefix=f"{name}.")
     try:
@@ -145,11 +152,13 @@ def rotation_of_transform(value: object, name: str) -> FloatArray:
     matrix = matrix.reshape(4, 4)
     if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0]):
         raise InputError(f"{name} has the last row {matrix[3].tolist()}", remedy="it must be [0, 0, 0, 1]")
-    return nearest_rotation(matrix[:3, :3], f"{name}'s rotation")
+    if not np.isfinite(matrix).all():
+        raise InputError(f"{name} holds numbers that are not finite", remedy="give a 4x4 transform")
+    return nearest_rotation(matrix[:3, :3], f"{name}'s rotation"), matrix[:3, 3].copy()
 
 
 def _make_camera(
-    content: Mapping[str, Any], prefix: str, coefficient_key: str, R_body_camera: FloatArray
+    content: Mapping[str, Any], prefix: str, coefficient_key: str, pose: tuple[FloatArray, FloatArray]
 ) -> Camera:
     resolution = _numbers(content, "resolution", prefix, (2,), "write [width, height]")
     if any(v != int(v) or v < 1 for v in resolution):
@@ -172,7 +181,7 @@ def _make_camera(
     distortion = _distortion_model(content, prefix)
     coefficients = _coefficients(content, prefix, coefficient_key, distortion)
     lens = (fx_px, fy_px, cx_px, cy_px, distortion, coefficients)
-    return Camera(width_px, height_px, *lens, R_body_camera, _exposure_s(content, prefix))
+    return Camera(width_px, height_px, *lens, pose[0], _exposure_s(content, prefix), pose[1])
 
 
 def _coefficients(

@@ -82,6 +82,8 @@ class Camera:
         Rotation (3, 3) from the optical frame to the body FRD; straight ahead by default.
     exposure_s
         Exposure time, NaN where unknown.
+    p_body_camera_m
+        Position (3,) in the body FRD: a camera ahead of the vehicle's centre swings sideways as it turns.
 
     Raises
     ------
@@ -99,6 +101,7 @@ class Camera:
     coefficients: tuple[float, ...] = ()
     R_body_camera: FloatArray = field(default_factory=_FORWARD.copy)
     exposure_s: float = nan
+    p_body_camera_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     _lens: RadialTangential | Equidistant | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
@@ -108,6 +111,11 @@ class Camera:
         object.__setattr__(self, "distortion", Distortion(self.distortion))
         object.__setattr__(self, "coefficients", tuple(float(c) for c in self.coefficients))
         object.__setattr__(self, "R_body_camera", rotation)
+        position = np.array(self.p_body_camera_m, dtype=float)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise InputError("p_body_camera_m is not three finite numbers", remedy="give x, y, z in metres")
+        position.setflags(write=False)
+        object.__setattr__(self, "p_body_camera_m", position)
         lens: RadialTangential | Equidistant | None = None
         if self.distortion is Distortion.EQUIDISTANT:
             lens = Equidistant.from_coefficients(self.coefficients)

@@ -345,3 +345,22 @@ def test_the_real_flight() -> None:
     camera = Camera.from_yaml(HALLWAY)
     assert camera.coefficients[4] == 0.047875485130274044
     np.testing.assert_array_equal(camera.R_body_camera, [[0, 0, 1], [1, 0, 0], [0, 1, 0]])
+
+
+def test_both_files_place_the_camera_alike(tmp_path: Path) -> None:
+    # camera 6 cm ahead, 2 cm left and 1 cm above the body's centre (FLU), looking straight ahead
+    euroc = tmp_path / "sensor.yaml"
+    euroc.write_text(
+        "T_BS: {data: [0, 0, 1, 0.06, -1, 0, 0, 0.02, 0, -1, 0, 0.01, 0, 0, 0, 1]}\n"
+        "resolution: [640, 480]\nintrinsics: [466, 466, 319.5, 239.5]\ncamera_model: pinhole\n"
+        "distortion_model: radial-tangential\ndistortion_coefficients: [0, 0, 0, 0]\n"
+    )
+    kalibr = tmp_path / "camchain.yaml"  # the inverse: p_camera = R (p_imu - t)
+    kalibr.write_text(
+        "cam0:\n  T_cam_imu:\n  - [0, -1, 0, 0.02]\n  - [0, 0, -1, 0.01]\n  - [1, 0, 0, -0.06]\n  - [0, 0, 0, 1]\n"
+        "  resolution: [640, 480]\n  intrinsics: [466, 466, 319.5, 239.5]\n  camera_model: pinhole\n"
+        "  distortion_model: radtan\n  distortion_coeffs: [0, 0, 0, 0]\n"
+    )
+    for path in (euroc, kalibr):
+        camera = Camera.from_yaml(path, body_frame="flu")
+        np.testing.assert_allclose(camera.p_body_camera_m, [0.06, -0.02, -0.01], atol=1e-12)
