@@ -9,14 +9,12 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTHON ?=
 PYTEST_FLAGS ?= -n 2
-FLIGHT ?= data/office
-OUT ?= out/$(notdir $(FLIGHT))
 
 help:  ## show this list
 	@sed -n 's/^\([a-z]*\):.*## */\1 /p' $(MAKEFILE_LIST) | while read -r name what; do printf '  make %-6s %s\n' "$$name" "$$what"; done
 
 run: $(STAMP)  ## fuse the sample flight in data/office and print how well it went
-	@$(BIN)/corridor fuse "$(FLIGHT)" -o "$(OUT)"
+	@$(BIN)/corridor fuse data/office --config data/office.toml -o out/office
 
 test: $(STAMP)  ## run all tests
 	@$(BIN)/python -m pytest $(PYTEST_FLAGS)

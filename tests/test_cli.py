@@ -198,8 +198,8 @@ class TestFuse:
     def test_a_camera_with_three_coefficients(self, corridor: Corridor, flight: Path) -> None:
         yaml = flight / "mav0/cam0/sensor.yaml"
         yaml.write_text(yaml.read_text().replace("[0.0, 0.0, 0.0, 0.0]", "[0.1, 0.0, 0.0]"))
-        refused(corridor("fuse", flight), "sensor.yaml", "3 coefficients", "4 or 5 or 8")
-        refused(corridor("fuse", flight, "--camera", yaml), "sensor.yaml", "3 coefficients")
+        refused(corridor("fuse", flight), "sensor.yaml", "distortion_coefficients has 3", "4 or 5 or 8")
+        refused(corridor("fuse", flight, "--camera", yaml), "sensor.yaml", "distortion_coefficients has 3")
 
     def test_a_camera_file_that_is_missing(self, corridor: Corridor, flight: Path) -> None:
         refused(corridor("fuse", flight, "--camera", "none.yaml"), "none.yaml", "no such file")
