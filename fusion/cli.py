@@ -10,6 +10,7 @@ import errno
 import sys
 from collections.abc import Sequence
 from enum import StrEnum
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -108,10 +109,12 @@ def fuse(
     from fusion.outputs import check_out_dir, write_outputs
     from fusion.summary_text import fusion_text
 
-    folder = out if out is not None else Path(f"{flight.resolve().name}_fused")
-    check_out_dir(folder)
+    if out is not None:
+        check_out_dir(out)  # before the work, not after it
     settings = None if config is None else FusionConfig.from_toml(config)
     log = load_flight(flight, camera=camera)
+    folder = out if out is not None else Path(f"{log.name}_fused")
+    check_out_dir(folder)
     with compile_notice(), progress_bar("fusing") as progress:
         result = fuse_flight(log, settings, method=method.value, progress=progress)
     write_outputs(result, log, folder)
@@ -162,6 +165,10 @@ def measure(
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit; the entry point of the script ``corridor``."""
+    if isinstance(
+        sys.stdout, TextIOWrapper
+    ):  # a terminal that cannot write a degree sign gets a question mark
+        sys.stdout.reconfigure(errors="replace")
     app(arguments, prog_name="corridor")
     raise SystemExit(0)
 

@@ -45,7 +45,7 @@ def compile_notice() -> Iterator[None]:
         def on_start(self, event: Any) -> None:
             if not self.told:
                 self.told = True
-                say("compiling the line finder (first use only, about 20 s) ...")
+                say("compiling the line finder (once, a few seconds) ...")
 
         def on_end(self, event: Any) -> None:
             pass

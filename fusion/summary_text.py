@@ -96,7 +96,7 @@ def _percent(part: int, whole: int) -> str:
 def _corridor_lines(corridors: Sequence[Mapping[str, Any]]) -> list[str]:
     if len(corridors) < 2:
         return []
-    words = []
+    words: list[str] = []
     for corridor in corridors:
         turn_deg = degrees(corridor["turn_rad"])
         side = "right" if turn_deg > 0 else "left"
