@@ -19,11 +19,11 @@ import numpy.typing as npt
 
 from vision.compiled import compiled
 from vision.lines import LineSet
-from vision.vanishing_point import AxisFit, axis_direction
+from vision.vanishing_point import VERTICAL_SINE, AxisFit, axis_direction
 
 FloatArray = npt.NDArray[np.float64]
 
-MIN_SLOPE, MAX_SLOPE = 0.4, 6.0
+MIN_SLOPE, MAX_SLOPE = 0.3, 6.0
 MIN_SIDEWAYS = 0.15  # a line straight above or below the camera is on neither wall
 SLOPE_SLACK = 0.012  # relative: corners are rounded, boards have thickness
 TYPICAL_WIDTH_PER_HEIGHT = 1.6
@@ -32,9 +32,12 @@ CEILING_WEIGHT = 0.5
 N_BINS = 401
 REACH = 2.5  # kernel half width in standard deviations
 RIVAL_DISTANCE = 0.08
-MAX_RIVAL = 0.7
-MIN_SUPPORT_OF_DIAGONAL = 0.075
-MIN_STD = 0.008
+MAX_RIVAL = 0.6
+MIN_SUPPORT_OF_DIAGONAL = 0.04
+MIN_STD = 0.011
+NO_CORNER_WEIGHT = 0.3
+END_TOLERANCE = 0.05  # relative to the slope
+MAX_UPRIGHT_OF_DIAGONAL = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +64,8 @@ class LateralFit:
 def _vote_pairs(left: FloatArray, right: FloatArray, votes: FloatArray, pairs: FloatArray) -> int:
     """Vote with all pairs of lines, rows of slope, slope std, length and polarity; return how many pairs.
 
-    Rows of ``pairs``: offset, std, weight, left and right index, width over height (negative: above the camera).
+    Rows of ``pairs``: offset, std, weight, left and right index, width over height (negative: above the
+    camera).
     """
     votes[:] = 0.0
     count = 0
@@ -82,7 +86,8 @@ def _vote_pairs(left: FloatArray, right: FloatArray, votes: FloatArray, pairs: F
             width = 1.0 / tl + 1.0 / tr
             spread = WIDTH_PER_HEIGHT_SPREAD if below else 1.5 * WIDTH_PER_HEIGHT_SPREAD
             unusual = log(width / TYPICAL_WIDTH_PER_HEIGHT) / spread
-            weight = sqrt(left[i, 2] * right[j, 2]) * exp(-0.5 * unusual * unusual)
+            alike = left[i, 4] * right[j, 4] + NO_CORNER_WEIGHT * (1.0 - left[i, 4]) * (1.0 - right[j, 4])
+            weight = alike * sqrt(left[i, 2] * right[j, 2]) * exp(-0.5 * unusual * unusual)
             if not below:
                 weight *= CEILING_WEIGHT
             reach = REACH * std
@@ -125,7 +130,8 @@ def fit_lateral(
         A filter's prediction, to choose between hypotheses; NaN: none.
     """
     index, slope, std, polarity, on_left = _cross_section(lines, axis, R_level_camera)
-    columns = np.column_stack([slope, std, lines.length_px[index], polarity])
+    corner = _corner_likelihood(lines, axis, R_level_camera, slope, on_left)
+    columns = np.column_stack([slope, std, lines.length_px[index], polarity, corner])
     left, right = columns[on_left], columns[~on_left]
     if not len(left) or not len(right):
         return None
@@ -168,6 +174,48 @@ def _cross_section(
     # the line's normal points to its bright side: below the line or above it?
     polarity = np.sign(normal[index] @ down)
     return index, slope, std, polarity, sideways[index] < 0.0
+
+
+def _corner_likelihood(
+    lines: LineSet,
+    axis: AxisFit,
+    R_level_camera: FloatArray,
+    slope: FloatArray,
+    on_left: npt.NDArray[np.bool_],
+) -> FloatArray:
+    """Return how likely (k,) each line is the corner of its wall, by the door posts and wall edges near it.
+
+    What is upright on a wall ends where the wall does: uprights that end at a line speak for a corner,
+    uprights that cross it say that the wall goes on.
+    """
+    ahead = axis_direction(axis.heading_rad, axis.elevation_rad)
+    rightward = axis_direction(axis.heading_rad - 0.5 * np.pi, 0.0)
+    down = np.cross(ahead, rightward)
+    normal = lines.normal @ R_level_camera.T
+    upright = ~axis.inlier & (np.abs(normal[:, 2]) < VERTICAL_SINE)
+    ends = []
+    for sign in (-1.0, 1.0):
+        angle = 0.5 * lines.arc_rad[upright, None]
+        rays = np.cos(angle) * lines.centre[upright] + sign * np.sin(angle) * lines.direction[upright]
+        rays = rays @ R_level_camera.T
+        ends.append(np.column_stack([rays @ down, rays @ rightward]))
+    slopes = np.column_stack([e[:, 0] / np.maximum(np.abs(e[:, 1]), 1e-6) for e in ends])
+    top, foot = slopes.min(axis=1), slopes.max(axis=1)
+    length = np.minimum(
+        lines.length_px[upright], MAX_UPRIGHT_OF_DIAGONAL * hypot(lines.width_px, lines.height_px)
+    )
+    left_upright = ends[0][:, 1] < 0.0
+    same_side = on_left[:, None] == left_upright[None, :]
+    size = np.abs(slope)[:, None]
+    end = np.where(slope[:, None] > 0.0, foot[None, :] - slope[:, None], slope[:, None] - top[None, :]) / size
+    start = (
+        np.where(slope[:, None] > 0.0, slope[:, None] - top[None, :], foot[None, :] - slope[:, None]) / size
+    )
+    ending = same_side & (np.abs(end) < END_TOLERANCE) & (start > END_TOLERANCE)
+    crossing = same_side & (end > 2.0 * END_TOLERANCE) & (start > 2.0 * END_TOLERANCE)
+    few = 0.03 * hypot(lines.width_px, lines.height_px)
+    ends_there = (ending * length).sum(axis=1) + few
+    return np.asarray(ends_there / (ends_there + (crossing * length).sum(axis=1) + few))
 
 
 def _refine(

@@ -33,6 +33,7 @@ ALIGN_STD_RAD = radians(0.10)  # lines along a real corridor are parallel to abo
 INLIER_ODDS = 0.25  # share of lines expected to run along the corridor
 VERTICAL_SINE = 0.10  # a plane this close to vertical may be a door post's: it says nothing about the axis
 INLIER_SIGMA = 3.0
+CORRELATION = 2.5  # the edges of one door or board err together: so many lines speak as one
 RIVAL_DISTANCE_RAD = radians(8.0)
 HEADING_PRIOR_STD_RAD = radians(30.0)  # the camera looks along the corridor rather than across
 MAX_HEADING_RAD = radians(60.0)  # without a filter's word, what is farther off is taken for a transverse axis
@@ -268,7 +269,8 @@ def fit_axis(
     return AxisFit(
         heading_rad=float(out[0]),
         elevation_rad=float(out[1]),
-        covariance=np.linalg.inv(information) * max(1.0, 4.0 * float(out[5]) / max(float(out[6]) - 2.0, 1.0)),
+        covariance=np.linalg.inv(information)
+        * max(1.0, CORRELATION * float(out[5]) / max(float(out[6]) - 2.0, 1.0)),
         score=float(ranked[k, b]),
         second_heading_rad=float(headings[second]),
         second_score=float(rivals[second]),
