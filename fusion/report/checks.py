@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import degrees
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,6 +38,8 @@ def run_checks(result: FusionResult, flight: Flight, limits: Limits | None = Non
         _frames_accepted,
         _innovations,
         _longest_coast,
+        _along_the_corridor,
+        _offset_known,
         _sigma_by_innovations,
         check_sigma,
         check_gyro_bias,
@@ -78,7 +81,7 @@ def _innovations(result: FusionResult, flight: Flight, limits: Limits) -> Check:
     share = float(np.mean(ratio > 1.0))
     level = level_of(share, limits.over_gate_share)
     if level is Level.PASS:
-        meaning, action = "Frames and gyroscope tell the same story.", ""
+        meaning, action = "Frames and prediction tell the same story.", ""
     else:
         meaning = "Frames often contradict the prediction, so one of the two is wrong."
         action = (
@@ -105,11 +108,66 @@ def _longest_coast(result: FusionResult, flight: Flight, limits: Limits) -> Chec
         value += f"; lost for {lost:.1f} s"
         level = max(level, Level.WARN, key=(Level.NOT_JUDGED, Level.PASS, Level.WARN, Level.FAIL).index)
     if level is Level.PASS:
-        return Check(name, level, value, limit, "The gyroscope never had to carry the heading for long.")
-    meaning = "Meanwhile the heading rests on the gyroscope alone and its sigma grows."
+        return Check(name, level, value, limit, "Vision was never away for long.")
+    meaning = "Meanwhile the heading rests on inertial sensors alone and its sigma grows."
     return Check(
         name, level, value, limit, meaning, "See the frames at that time; fly slower or add light there."
     )
+
+
+def _along_the_corridor(result: FusionResult, flight: Flight, limits: Limits) -> Check:
+    turned, least_s = degrees(limits.across_rad), limits.across_s
+    name, limit = "Flying along the corridor", f"warn from {least_s:g} s turned by more than {turned:g}°"
+    table = result.estimates
+    across = (table["status"] == "tracking") & (np.abs(table["heading_rad"]) > limits.across_rad)
+    if not np.any(table["status"] == "tracking"):
+        return not_judged(name, limit, "The filter never tracked.")
+    t = table["timestamp_ns"]
+    spans = [(float(t[min(b, len(t) - 1)] - t[a]) / 1e9, a) for a, b in runs(across)]
+    longest, start = max(spans, default=(0.0, 0))
+    if longest < least_s:
+        return Check(
+            name, Level.PASS, f"Across it for {longest:.1f} s at most", limit, "The axis is the right one."
+        )
+    value = f"Across it for {longest:.1f} s from {(t[start] - t[0]) / 1e9:.1f} s"
+    meaning = "The vehicle may have entered another corridor unnoticed, and steers by the old one's axis."
+    return Check(
+        name,
+        Level.WARN,
+        value,
+        limit,
+        meaning,
+        "Look at the frames of that time: which way do their lines run?",
+    )
+
+
+def _offset_known(result: FusionResult, flight: Flight, limits: Limits) -> Check:
+    name = "Offset known"
+    limit = (
+        f"pass from {limits.offset_known_share:.0%} of the time, "
+        f"sigma under {limits.offset_known_norm:.0%} of half the width"
+    )
+    table = result.estimates
+    tracking = table["status"] == "tracking"
+    if not tracking.any():
+        return not_judged(name, limit, "The filter never tracked.")
+    known = np.nan_to_num(table["lateral_offset_norm_std"][tracking], nan=np.inf) < limits.offset_known_norm
+    share = float(np.mean(known))
+    if share >= limits.offset_known_share:
+        return Check(
+            name,
+            Level.PASS,
+            f"{share:.0%} of the time",
+            limit,
+            "The edges of the walls were seen often enough.",
+        )
+    meaning = (
+        "The edges of the walls were seen too seldom to hold the offset; the heading does not need them."
+    )
+    action = (
+        "Do not steer by the offset where its band is wide; a lower view shows more of the floor's edges."
+    )
+    return Check(name, Level.WARN, f"{share:.0%} of the time", limit, meaning, action)
 
 
 def _seconds_in(table: Table, status: str) -> float:

@@ -45,7 +45,7 @@ def check_imu_yaw(result: FusionResult, flight: Flight, limits: Limits) -> Check
     steps = yaw_steps(table, limits.yaw_step_rad)
     if not steps:
         drift = _spread(table["imu_yaw_offset_rad"])
-        meaning = "The vehicle's compass agrees with the corridor but for a slow drift."
+        meaning = "The vehicle's own yaw agrees with the corridor but for a slow drift."
         return Check(name, Level.PASS, f"None; drift {degrees(drift):.1f}°", limit, meaning)
     largest = max(abs(step) for _, step in steps)
     times = ", ".join(f"{t:.0f}" for t, _ in steps[:6]) + (" ..." if len(steps) > 6 else "")

@@ -38,6 +38,13 @@ REASON_WORDS = {
     "unreadable": "picture does not decode",
     "late": "came too late",
 }
+TIMING_WORDS = {
+    "vision_s": ("Reading and measuring all pictures", "s"),
+    "filter_s": ("Filter", "s"),
+    "smoother_s": ("Smoother", "s"),
+    "total_s": ("Fusing in all", "s"),
+    "times_real_time": ("Against real time", "times as fast"),
+}
 VERDICT_WORDS = {
     Level.PASS: "Pass: heading and offset can be used",
     Level.WARN: "Pass with care: read the warnings",
@@ -256,13 +263,19 @@ def timings(result: FusionResult) -> list[tuple[str, str]]:
     """Return what the run cost, as far as the summary tells, and the frames' own times."""
     found = []
     for name, value in result.summary.get("timings", {}).items():
-        if isinstance(value, int | float):
-            found.append((name, f"{value:.4g}"))
+        if name in TIMING_WORDS and isinstance(value, int | float):
+            words, unit = TIMING_WORDS[name]
+            found.append((words, f"{value:.3g} {unit}"))
     milliseconds = result.frames["vision_ms"]
     milliseconds = milliseconds[np.isfinite(milliseconds)]
     if milliseconds.size:
         p50, p95, worst = np.percentile(milliseconds, (50, 95, 100))
-        found.append(("vision_ms", f"median {p50:.1f}, 95th percentile {p95:.1f}, longest {worst:.1f}"))
+        found.append(
+            (
+                "Measuring a picture",
+                f"{p50:.1f} ms median, {p95:.1f} ms 95th percentile, {worst:.1f} ms longest",
+            )
+        )
     return found
 
 

@@ -86,6 +86,7 @@ def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
     _line(ax, t, offset, cuts, FILTER, 1.5, "filter")
     _decorate(ax, result, "Offset, m right" if metres else "Offset, half widths right")
     _limit(ax, table, offset, 2 * std, least=0.1)
+    _walls(ax, half)
 
 
 def plot_innovations(ax: Axes, result: FusionResult) -> None:
@@ -316,6 +317,18 @@ def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, leas
     high = max(np.percentile(values[rows] + half[rows], 99.5), values[rows].max())
     margin = 0.12 * max(high - low, least)
     ax.set_ylim(low - 1.3 * margin, high + margin)
+
+
+def _walls(ax: Axes, half: float) -> None:
+    """End the axis a little behind the walls, and draw them where it reaches them."""
+    low, high = ax.get_ylim()
+    if not half > 0:  # NaN fails too
+        return
+    low, high = max(low, -1.15 * half), min(high, 1.15 * half)
+    ax.set_ylim(low, high)
+    for wall in (-half, half):
+        if low < wall < high:
+            ax.axhline(wall, color=INK, lw=1.8, zorder=2, label="wall")
 
 
 def _widen(ax: Axes, values: FloatArray) -> None:

@@ -50,6 +50,10 @@ class Limits:
     accepted_share: tuple[float, float] = (0.80, 0.50)
     over_gate_share: tuple[float, float] = (0.05, 0.20)
     coast_s: tuple[float, float] = (2.0, 10.0)
+    across_rad: float = radians(50.0)
+    across_s: float = 3.0
+    offset_known_share: float = 0.80
+    offset_known_norm: float = 0.25
     gyro_bias_rad_s: tuple[float, float] = (radians(1.0), radians(5.0))
     yaw_step_rad: float = radians(3.0)
     innovation_ratio: tuple[float, float] = (1.5, 3.0)

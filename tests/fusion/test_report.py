@@ -346,6 +346,18 @@ def test_each_check_turns_with_what_it_judges(swing):
     assert level_with(swing, coast, table="estimates", vision_age_s=(300, 4.0)) is Level.WARN
     assert level_with(swing, coast, table="estimates", vision_age_s=(300, 11.0)) is Level.FAIL
     assert level_with(swing, coast, table="estimates", status=(slice(300, 310), "lost")) is Level.WARN
+    along = "Flying along the corridor"
+    assert level_with(swing, along, table="estimates", heading_rad=(slice(100, 240), -1.1)) is Level.PASS
+    assert level_with(swing, along, table="estimates", heading_rad=(slice(100, 260), -1.1)) is Level.WARN
+    known = "Offset known"
+    assert (
+        level_with(swing, known, table="estimates", lateral_offset_norm_std=(slice(0, 100), np.nan))
+        is Level.PASS
+    )
+    assert (
+        level_with(swing, known, table="estimates", lateral_offset_norm_std=(slice(0, 300), 0.3))
+        is Level.WARN
+    )
     bias = "Gyro bias"
     assert level_with(swing, bias, table="smoothed", gyro_bias_rad_s=(slice(None), radians(-2))) is Level.WARN
     assert level_with(swing, bias, table="smoothed", gyro_bias_rad_s=(slice(None), radians(6))) is Level.FAIL
