@@ -156,5 +156,5 @@ def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: fl
         R_level_camera=R_new_old @ R_level_camera,
         roll_std_rad=sqrt(covariance[1, 1]),
         pitch_std_rad=sqrt(covariance[0, 0]),
-        pitch_correction_rad=-float(np.arctan(a)),
+        pitch_correction_rad=float(np.arctan(a)),
     )
