@@ -260,8 +260,9 @@ def _dots(ax: Axes, x: FloatArray, y: FloatArray, colour: str, label: str) -> No
     vertices = np.repeat(np.column_stack([x, y]), 2, axis=0)
     path = Path(vertices, np.tile(np.array([Path.MOVETO, Path.LINETO], dtype=np.uint8), len(x)))
     path.should_simplify = False
-    patch = PathPatch(path, fill=False, edgecolor=colour, lw=2.4, capstyle="round", label=label, zorder=2.5)
+    patch = PathPatch(path, fill=False, edgecolor=colour, lw=2.4, capstyle="round", zorder=2.5)
     ax.add_patch(patch)
+    ax.plot([], [], ".", color=colour, label=label)  # what a legend shows of them
     ax.update_datalim(vertices)
     ax.autoscale_view()
 

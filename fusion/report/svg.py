@@ -12,7 +12,6 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.patches import PathPatch
 
 from fusion.report import plots
 
@@ -108,10 +107,10 @@ def _axes(count: int, size_in: tuple[float, float], font_pt: float) -> tuple[Fig
 
 
 def _key(handle: object, word: str) -> Key:
-    if isinstance(handle, PathPatch):
-        return Key(word, CSS_NAME[to_hex(handle.get_edgecolor())], "dot")
     if isinstance(handle, mpl.lines.Line2D):
-        shape = "cross" if handle.get_marker() == "x" else "dash" if handle.is_dashed() else "line"
+        shape = {"x": "cross", ".": "dot"}.get(
+            str(handle.get_marker()), "dash" if handle.is_dashed() else "line"
+        )
         return Key(word, CSS_NAME[to_hex(handle.get_color())], shape)
     return Key(word, CSS_NAME[to_hex(handle.get_facecolor()[0])], "band")  # type: ignore[attr-defined]
 
