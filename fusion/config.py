@@ -69,7 +69,11 @@ class FusionConfig(BaseModel):
         description="rad/s^2/sqrt(Hz); how the yaw rate wanders while nothing measures it.",
     )
 
-    use_imu_yaw: bool = Field(default=True, description="Whether the yaw of the attitude stream is fused.")
+    imu_yaw_corrects_heading: bool = Field(
+        default=False,
+        description="Whether the IMU's yaw may correct the heading: only where it does not come from the same "
+        "gyroscope. Otherwise its offset is followed and reported, and it changes nothing else.",
+    )
     imu_yaw_std_rad: float = Field(
         default=radians(0.5), gt=0, le=1, description="White noise of the IMU's yaw."
     )
@@ -78,13 +82,6 @@ class FusionConfig(BaseModel):
         gt=0,
         le=10,
         description="rad/sqrt(s); wander of the IMU's yaw against the corridor. None: 1.2 times the gyroscope's.",
-    )
-    imu_yaw_gyro_share: float = Field(
-        default=1.0,
-        ge=0,
-        le=1,
-        description="Share of the gyroscope's noise that is in the IMU's yaw too: 1 for an AHRS on the same "
-        "gyroscope, 0 for an independent compass.",
     )
     imu_yaw_gate_sigma: float = Field(default=5.0, ge=1, le=100, description="Gate of the IMU's yaw.")
     attitude_std_rad: float = Field(

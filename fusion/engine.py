@@ -14,14 +14,14 @@ one of three things:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, exp, hypot, isfinite, nan, pi, radians, sqrt
 
 import numpy as np
 
 from fusion import tilt as tilts
 from fusion.consensus import Agreement, Vote, add_vote, agreement
-from fusion.models import N_STATES, OFFSET, PSI, V, Y, heading_model, lateral_model, wrap_axis
+from fusion.models import BIAS, N_STATES, OFFSET, PSI, V, Y, heading_model, lateral_model, wrap_axis
 from fusion.propagation import Propagation
 from fusion.state import UNKNOWN_HEADING_STD_RAD, UNKNOWN_LATERAL_STD, Mode
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
@@ -86,7 +86,7 @@ class Engine(Propagation):
             result = FrameResult(stamp_ns, None, False, Reason.UNREADABLE)
         else:
             attitude = tilts.attitude_at(s.tilt, t_ns, self.config.attitude_std_rad)
-            measurement = measure(attitude, self.prior())
+            measurement = self._look(measure, attitude)
             reason = self._check(measurement)
             if reason is Reason.OK:
                 result = self._use(t_ns, stamp_ns, measurement, attitude)
@@ -113,6 +113,30 @@ class Engine(Propagation):
             elevation_std_rad=max(sqrt(variance), ELEVATION_FLOOR_RAD),
             body_rate_rad_s=sqrt(p * p + q * q + r * r) if s.mode is Mode.GYRO else nan,
         )
+
+    def _look(self, measure: Measure, attitude: Attitude | None) -> FrameMeasurement:
+        """Measure a frame with the prediction, and, where that does not settle it, without.
+
+        With the prediction, vision prefers an axis near it to one along the view, so strong lines across can win. And
+        turned away from the axis, the prediction must not choose at all: walls and fittings at a junction run along
+        the old corridor too, and would hide the new one; there the best direction counts, if only as a vote.
+        """
+        prior = self.prior()
+        expected = measure(attitude, prior)
+        if not self.state.acquired:
+            return expected
+        turned = abs(prior.heading_rad) > self.config.junction_min_turn_rad
+        if not turned and self._is_near(expected):
+            return expected
+        free = measure(attitude, replace(prior, heading_rad=nan, heading_std_rad=nan))
+        if self._check(free) is not Reason.OK:
+            return expected
+        return expected if self._is_near(expected) and self._is_near(free) else free
+
+    def _is_near(self, m: FrameMeasurement) -> bool:
+        """Whether a measurement is of the present axis rather than of another."""
+        distance = abs(wrap_axis(m.heading_rad - float(self.ekf.x[PSI])))
+        return self._check(m) is Reason.OK and distance <= self.config.junction_min_turn_rad
 
     def _check(self, m: FrameMeasurement) -> Reason:
         """Reason to turn a measurement down before the filter looks at it."""
@@ -244,9 +268,11 @@ class Engine(Propagation):
 
     def _widen_heading(self, error_rad: float) -> None:
         """Widen along an error of the heading that leaves psi + o, what the IMU's yaw has shown, as it was."""
-        direction = np.zeros(N_STATES)
-        direction[PSI], direction[OFFSET] = error_rad, -error_rad
-        self._transit(self.ekf.x, np.eye(N_STATES), np.outer(direction, direction))
+        Q = np.zeros((N_STATES, N_STATES))
+        Q[PSI, PSI] = Q[OFFSET, OFFSET] = error_rad**2
+        if self.state.imu_yaw_coupled:
+            Q[PSI, OFFSET] = Q[OFFSET, PSI] = -(error_rad**2)
+        self._transit(self.ekf.x, np.eye(N_STATES), Q)
 
     def _change_corridor(self, t_ns: int, heading_rad: float, found: Agreement) -> None:
         """Measure the heading from another corridor's axis from now on.
@@ -257,11 +283,14 @@ class Engine(Propagation):
         s, c = self.state, self.config
         psi, bias, offset, *_ = self.ekf.x.tolist()
         turn = s.corridor_turn_rad + psi - heading_rad
-        F = np.zeros((N_STATES, N_STATES))
-        F[1, 1] = F[OFFSET, PSI] = F[OFFSET, OFFSET] = 1.0
-        Q = np.zeros((N_STATES, N_STATES))
+        F, Q = np.zeros((N_STATES, N_STATES)), np.zeros((N_STATES, N_STATES))
+        F[BIAS, BIAS] = F[OFFSET, OFFSET] = 1.0
         Q[PSI, PSI] = Q[OFFSET, OFFSET] = found.std**2
-        Q[PSI, OFFSET] = Q[OFFSET, PSI] = -(found.std**2)
+        if s.imu_yaw_coupled:
+            F[OFFSET, PSI] = 1.0
+            Q[PSI, OFFSET] = Q[OFFSET, PSI] = -(found.std**2)
+        else:
+            Q[OFFSET, OFFSET] += float(self.ekf.P[PSI, PSI])
         Q[Y, Y] = UNKNOWN_LATERAL_STD**2
         Q[V, V] = (c.lateral_velocity_std_m_s / self._half_width()) ** 2
         self._transit(np.array([heading_rad, bias, offset, 0.0, 0.0]), F, Q)

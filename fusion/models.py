@@ -12,7 +12,7 @@ Process, with level yaw rate omega, forward and sideways speed u, w (half widths
 
     psi' = omega - b_z + n_psi        omega = (q sin(roll) + r cos(roll)) / cos(pitch)
     b_z' = n_b
-    o'   = n_o                        correlated with n_psi where the IMU's yaw comes from the same gyroscope
+    o'   = n_o
     y'   = u sin(psi) + w cos(psi) + v
     v'   = -v / tau + n_v
 """
@@ -42,22 +42,15 @@ class ProcessNoise(NamedTuple):
         Density of n_b, rad/s/sqrt(s).
     offset
         Density of n_o, rad/sqrt(s).
-    heading_offset
-        Cross power density of n_psi and n_o, rad^2/s; negative where the IMU's yaw shares the gyroscope.
     v_std, v_time_s
         Stationary standard deviation (half widths per second) and correlation time of v.
-    offset_follows_bias
-        Whether psi + o is what is propagated exactly (yaw increments of an attitude stream): then the drift
-        of psi is taken up by o.
     """
 
     heading: float
     bias: float
     offset: float
-    heading_offset: float
     v_std: float
     v_time_s: float
-    offset_follows_bias: bool = False
 
 
 class ScalarMeasurement(NamedTuple):
@@ -131,18 +124,9 @@ def transition(
     Q[BIAS, BIAS] = b2 * dt
     Q[OFFSET, OFFSET] = o2 * dt
     Q[PSI, BIAS] = Q[BIAS, PSI] = -b2 * dt * dt / 2
-    cross = noise.heading_offset * dt
     Q[Y, PSI] = c * (n2 * dt**2 / 2 + b2 * dt**4 / 8)
     Q[Y, BIAS] = -c * b2 * dt**3 / 6
-    Q[Y, OFFSET] = c * noise.heading_offset * dt * dt / 2
-    if noise.offset_follows_bias:
-        F[OFFSET, BIAS] = dt
-        Q[OFFSET, OFFSET] += b2 * dt**3 / 3 + heading_variance
-        Q[OFFSET, BIAS] = Q[BIAS, OFFSET] = b2 * dt * dt / 2
-        cross -= b2 * dt**3 / 3 + heading_variance
-        Q[Y, OFFSET] -= c * b2 * dt**4 / 8
-    Q[PSI, OFFSET] = Q[OFFSET, PSI] = cross
-    Q[PSI, Y], Q[BIAS, Y], Q[OFFSET, Y] = Q[Y, PSI], Q[Y, BIAS], Q[Y, OFFSET]
+    Q[PSI, Y], Q[BIAS, Y] = Q[Y, PSI], Q[Y, BIAS]
     q_yy, q_yv, q_vv = _wander(dt / noise.v_time_s, noise.v_std, noise.v_time_s)
     Q[Y, Y] = q_yy + c * c * (n2 * dt**3 / 3 + b2 * dt**5 / 20)
     Q[Y, V] = Q[V, Y] = q_yv
@@ -175,8 +159,6 @@ def propagate(
     psi, bias, offset, y, v = x.tolist()
     change = turned_rad - bias * dt_s
     middle = psi + 0.5 * change
-    if noise.offset_follows_bias:
-        offset += bias * dt_s
     y += (forward * sin(middle) + sideways * cos(middle)) * dt_s - v * noise.v_time_s * expm1(
         -dt_s / noise.v_time_s
     )
@@ -185,8 +167,9 @@ def propagate(
 
 _H_HEADING = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
 _H_IMU_YAW = np.array([1.0, 0.0, 1.0, 0.0, 0.0])
+_H_OFFSET = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
 _H_LATERAL = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
-for _H in (_H_HEADING, _H_IMU_YAW, _H_LATERAL):
+for _H in (_H_HEADING, _H_IMU_YAW, _H_OFFSET, _H_LATERAL):
     _H.setflags(write=False)
 
 
@@ -202,6 +185,14 @@ def imu_yaw_model(
     return ScalarMeasurement(
         wrap(yaw_rad - float(x[PSI]) - corridor_turn_rad - float(x[OFFSET])), _H_IMU_YAW, variance
     )
+
+
+def imu_yaw_offset_model(
+    x: FloatArray, P: FloatArray, yaw_rad: float, corridor_turn_rad: float, variance: float
+) -> ScalarMeasurement:
+    """Compare the IMU's yaw so that only the offset learns from it: the heading's variance counts as noise."""
+    residual, _, R = imu_yaw_model(x, yaw_rad, corridor_turn_rad, variance)
+    return ScalarMeasurement(residual, _H_OFFSET, R + float(P[PSI, PSI]))
 
 
 def lateral_model(x: FloatArray, offset_norm: float, variance: float) -> ScalarMeasurement:

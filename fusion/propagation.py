@@ -21,7 +21,9 @@ from fusion.models import (
     PSI,
     FloatArray,
     ProcessNoise,
+    ScalarMeasurement,
     imu_yaw_model,
+    imu_yaw_offset_model,
     level_yaw_rate,
     propagate,
     transition,
@@ -278,12 +280,13 @@ class Propagation:
         s.mode = mode
 
     def _correct_by_imu_yaw(self, yaw_rad: float) -> None:
-        """Fuse the IMU's yaw; a step of it is taken up by the offset, never by the heading."""
+        """Fuse the IMU's yaw, or follow its offset; a step of it is taken up by the offset, never by the heading."""
         s, c = self.state, self.config
-        # Where yaw increments carry the heading, the same yaw tells nothing more.
-        if not c.use_imu_yaw or not s.acquired or (s.mode is Mode.ATTITUDE and s.imu_yaw_known):
+        if not s.acquired:
             return
-        measurement = imu_yaw_model(self.ekf.x, yaw_rad, s.corridor_turn_rad, c.imu_yaw_std_rad**2)
+        # Where yaw increments carry the heading, the same yaw tells nothing more.
+        self._couple_imu_yaw(c.imu_yaw_corrects_heading and s.mode is Mode.GYRO)
+        measurement = self._imu_yaw_measurement(yaw_rad)
         if not s.imu_yaw_known:
             self.ekf.update(measurement)
             s.imu_yaw_known = True
@@ -296,7 +299,29 @@ class Propagation:
         s.imu_yaw_rejects += 1
         if s.imu_yaw_rejects >= IMU_YAW_STEP_SAMPLES:
             self._widen(OFFSET, gate.residual**2)
-            self.ekf.update(measurement)
+            self.ekf.update(self._imu_yaw_measurement(yaw_rad))
+
+    def _imu_yaw_measurement(self, yaw_rad: float) -> ScalarMeasurement:
+        s, variance = self.state, self.config.imu_yaw_std_rad**2
+        if s.imu_yaw_coupled:
+            return imu_yaw_model(self.ekf.x, yaw_rad, s.corridor_turn_rad, variance)
+        return imu_yaw_offset_model(self.ekf.x, self.ekf.P, yaw_rad, s.corridor_turn_rad, variance)
+
+    def _couple_imu_yaw(self, coupled: bool) -> None:
+        """Let the heading learn from the IMU's yaw, or keep the two apart.
+
+        An attitude filter's yaw comes from the gyroscope that already carries the heading. Taken as independent it
+        makes the filter too sure, and its drift passes for the gyroscope's bias. Kept apart, the offset is
+        uncorrelated with every other state, so nothing learned about it can move them, in the smoother neither.
+        """
+        s = self.state
+        if coupled == s.imu_yaw_coupled:
+            return
+        F, Q = np.eye(N_STATES), np.zeros((N_STATES, N_STATES))
+        F[OFFSET, OFFSET] = 0.0
+        Q[OFFSET, OFFSET] = UNKNOWN_OFFSET_STD_RAD**2
+        self._transit(self.ekf.x, F, Q)
+        s.imu_yaw_coupled, s.imu_yaw_known = coupled, False
 
     def _widen(self, index: int, variance: float) -> None:
         Q = np.zeros((N_STATES, N_STATES))
@@ -325,12 +350,10 @@ class Propagation:
         lateral = (v_std, c.lateral_velocity_time_s)
         walk = c.offset_walk
         if mode is Mode.GYRO:
-            # Shared noise moves psi and o by opposite amounts and leaves their sum, the IMU's yaw, alone.
-            share = -c.imu_yaw_gyro_share * min(c.gyro_noise, walk) * c.gyro_noise
-            return ProcessNoise(c.gyro_noise, c.bias_walk, walk, share, *lateral)
+            return ProcessNoise(c.gyro_noise, c.bias_walk, walk, *lateral)
         if mode is Mode.ATTITUDE:
-            return ProcessNoise(walk, c.bias_walk, walk, -walk * walk, *lateral, offset_follows_bias=True)
-        return ProcessNoise(1e-4, c.yaw_acceleration_density, walk, 0.0, *lateral)
+            return ProcessNoise(walk, c.bias_walk, walk, *lateral)
+        return ProcessNoise(1e-4, c.yaw_acceleration_density, walk, *lateral)
 
     def _transition(self, noise: ProcessNoise, dt_ns: int) -> tuple[FloatArray, FloatArray]:
         key = (noise, dt_ns)

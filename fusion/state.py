@@ -139,6 +139,7 @@ class State:
     sideways_m_s: float = 0.0
 
     imu_yaw_known: bool = False
+    imu_yaw_coupled: bool = False  # whether o is correlated with the rest
     imu_yaw_rejects: int = 0
     imu_yaw_ratio: float = nan
 
