@@ -6,7 +6,8 @@ casting rays at a furnished, lit corridor; see `fusion.simulate.render`.
 
 from __future__ import annotations
 
-from fusion.simulate.config import ImagingConfig, JunctionConfig, SceneConfig
+from fusion.simulate.config import ImagingConfig, SimulationConfig
+from fusion.simulate.scene_config import JunctionConfig, SceneConfig
 from fusion.simulate.views import RandomView, random_views
 
-__all__ = ["ImagingConfig", "JunctionConfig", "RandomView", "SceneConfig", "random_views"]
+__all__ = ["ImagingConfig", "JunctionConfig", "RandomView", "SceneConfig", "SimulationConfig", "random_views"]

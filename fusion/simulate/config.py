@@ -1,199 +1,114 @@
-"""What a simulation is made of: every number with its unit in the name, unknown keys refused."""
+"""Everything a simulated flight is made of; SI units and radians, as the names say.
+
+A TOML file holds one table per section: ``[scene]``, ``[camera]``, ``[imaging]``, ``[motion]``, ``[imu]``,
+``[attitude]``; what is not named keeps its default.
+"""
 
 from __future__ import annotations
 
-from enum import StrEnum
-from typing import Annotated
+import tomllib
+from difflib import get_close_matches
+from math import cos, pi, radians, sin, tan
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
+from fusion.simulate.scene_config import NotNegative, Positive, SceneConfig, Section, Share
+from vision import Camera, InputError
+from vision.camera import COEFFICIENT_COUNTS, Distortion
 
-
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+Angle = Annotated[float, Field(ge=-pi, le=pi)]
 
 
-class End(StrEnum):
-    """What closes a corridor's far end."""
+class CameraConfig(Section):
+    """Lens, mount, shutter and clock of the camera."""
 
-    WALL = "wall"
-    WINDOW = "window"
-    STAIRS = "stairs"
-    DOORS = "doors"
+    width_px: int = Field(default=320, ge=16, le=4096)
+    height_px: int = Field(default=240, ge=16, le=4096)
+    horizontal_fov_rad: float = Field(
+        default=radians(69), gt=0.1, lt=2 * pi, description="Sets the focal length where fx_px is not given."
+    )
+    fx_px: Positive | None = Field(
+        default=None, description="Focal length; fy_px is the same where not given."
+    )
+    fy_px: Positive | None = None
+    cx_px: float | None = Field(default=None, description="Principal point; the middle where not given.")
+    cy_px: float | None = None
+    distortion: Distortion = Field(default=Distortion.NONE, description="none, radtan or equidistant.")
+    coefficients: tuple[float, ...] = Field(default=(), description="Of the lens model, in OpenCV's order.")
+    mount_roll_rad: Angle = 0.0
+    mount_pitch_rad: Angle = Field(default=0.0, description="Positive: the camera looks up.")
+    mount_yaw_rad: Angle = Field(default=0.0, description="Positive: the camera looks right.")
+    position_m: tuple[float, float, float] = Field(
+        default=(0.06, 0.0, 0.0), description="On the body: forward, right, down."
+    )
+    rate_hz: float = Field(default=20.0, gt=0, le=500)
+    exposure_s: float = Field(default=0.008, ge=0, le=0.5, description="Motion blur follows from it.")
+    line_delay_s: float = Field(default=0.0, ge=0, le=1e-3, description="Rolling shutter, from row to row.")
+    time_offset_s: float = Field(
+        default=0.0, ge=-1, le=1, description="How much later than mid-exposure the frames are stamped."
+    )
+    lost_frames_share: float = Field(default=0.0, ge=0, lt=1)
 
+    @model_validator(mode="after")
+    def _check_lens(self) -> Self:
+        counts = COEFFICIENT_COUNTS[self.distortion]
+        if len(self.coefficients) not in counts:
+            wanted = " or ".join(str(n) for n in counts)
+            raise ValueError(
+                f"distortion {self.distortion} takes {wanted} coefficients, not {len(self.coefficients)}"
+            )
+        if self.distortion is not Distortion.EQUIDISTANT and self.horizontal_fov_rad >= radians(170):
+            raise ValueError("a field of view of 170 degrees or more needs distortion equidistant")
+        return self
 
-class Floor(StrEnum):
-    """Floor covering."""
-
-    TILES = "tiles"
-    CARPET = "carpet"
-    CARPET_TILES = "carpet_tiles"
-    VINYL = "vinyl"
-    TERRAZZO = "terrazzo"
-
-
-class WallFinish(StrEnum):
-    """What the walls are made of."""
-
-    PLASTER = "plaster"
-    TWO_TONE = "two_tone"
-    BRICK = "brick"
-    PANELS = "panels"
-
-
-class Ceiling(StrEnum):
-    """What the ceiling is made of."""
-
-    PLASTER = "plaster"
-    BOARDS = "boards"
-    OPEN = "open"
-
-
-class JunctionConfig(_Model):
-    """A second corridor that leaves the first.
-
-    Parameters
-    ----------
-    at_m
-        Place along the first corridor where the centre lines meet.
-    angle_rad
-        Direction of the second corridor from the first one's, positive right; 30 to 150 degrees either way.
-    width_m, length_m
-        Size of the second corridor.
-    crossing
-        It goes on beyond the first corridor on the other side too.
-    """
-
-    at_m: Positive
-    angle_rad: float = -np.pi / 2
-    width_m: Positive = 2.0
-    length_m: Positive = 15.0
-    crossing: bool = False
-
-
-class SceneConfig(_Model):
-    """A corridor and what stands in it; shares are 0 to 1.
-
-    ``door_spacing_m`` and the like are mean distances on one wall (0: none).
-    """
-
-    length_m: Positive = 30.0
-    width_m: Positive = 2.2
-    height_m: Positive = 2.6
-    junctions: tuple[JunctionConfig, ...] = ()
-    open_hall_m: tuple[float, float] | None = None
-    open_hall_side: int = 1
-    end: End = End.WALL
-    wall: WallFinish = WallFinish.PLASTER
-    wall_albedo: Share = 0.7
-    floor: Floor = Floor.TILES
-    floor_albedo: Share = 0.35
-    floor_gloss: Share = 0.06
-    floor_roughness_rad: NotNegative = 0.015
-    ceiling: Ceiling = Ceiling.PLASTER
-    ceiling_albedo: Share = 0.75
-    skirting_height_m: NotNegative = 0.09
-    skirting_albedo: Share = 0.12
-    door_spacing_m: NotNegative = 4.0
-    door_recess_m: NotNegative = 0.12
-    door_frame_albedo: Share = 0.3
-    open_door_share: Share = 0.12
-    poster_spacing_m: NotNegative = 4.0
-    sign_spacing_m: NotNegative = 3.0
-    furniture_spacing_m: NotNegative = 7.0
-    people: Annotated[int, Field(ge=0, le=50)] = 0
-    lockers_share: Share = 0.0
-    radiator_spacing_m: NotNegative = 0.0
-    pipes: Annotated[int, Field(ge=0, le=8)] = 0
-    cable_tray: bool = False
-    handrail: bool = False
-    lamp_spacing_m: Positive = 2.4
-    lamp_size_m: tuple[Positive, Positive] = (0.6, 1.2)
-    lamp_off_share: Share = 0.05
-    lamp_radiance: Positive = 8.0
-    daylight: NotNegative = 6.0
-    ambient: NotNegative = 0.01
-
-    @classmethod
-    def random(cls, seed: int, **fixed: object) -> SceneConfig:
-        """Draw a corridor as buildings have them; keyword arguments stay as given."""
-        rng = np.random.default_rng((seed, 1))
-        pick = rng.choice
-        floor = Floor(str(pick(list(Floor), p=[0.3, 0.15, 0.1, 0.3, 0.15])))
-        glossy = floor in (Floor.TILES, Floor.VINYL, Floor.TERRAZZO)
-        width = float(rng.uniform(1.5, 3.2))
-        drawn: dict[str, object] = {
-            "length_m": float(rng.uniform(16, 40)),
-            "width_m": width,
-            "height_m": float(rng.uniform(2.3, 3.2)),
-            "end": End(str(pick(list(End), p=[0.4, 0.3, 0.1, 0.2]))),
-            "wall": WallFinish(str(pick(list(WallFinish), p=[0.6, 0.2, 0.1, 0.1]))),
-            "wall_albedo": float(rng.uniform(0.45, 0.85)),
-            "floor": floor,
-            "floor_albedo": float(rng.uniform(0.12, 0.55)),
-            "floor_gloss": float(rng.uniform(0.01, 0.10)) if glossy else 0.0,
-            "floor_roughness_rad": float(rng.uniform(0.004, 0.05)),
-            "ceiling": Ceiling(str(pick(list(Ceiling), p=[0.4, 0.5, 0.1]))),
-            "ceiling_albedo": float(rng.uniform(0.55, 0.9)),
-            "skirting_height_m": float(pick([0.0, rng.uniform(0.05, 0.16)], p=[0.15, 0.85])),
-            "skirting_albedo": float(pick([rng.uniform(0.03, 0.2), rng.uniform(0.3, 0.8)], p=[0.7, 0.3])),
-            "door_spacing_m": float(rng.uniform(2.2, 7.0)),
-            "door_recess_m": float(pick([0.03, rng.uniform(0.05, 0.3)])),
-            "door_frame_albedo": float(rng.uniform(0.08, 0.8)),
-            "open_door_share": float(rng.uniform(0.0, 0.25)),
-            "poster_spacing_m": float(rng.uniform(2.0, 9.0)),
-            "sign_spacing_m": float(rng.uniform(2.0, 6.0)),
-            "furniture_spacing_m": float(pick([0.0, rng.uniform(3.0, 12.0)], p=[0.2, 0.8])),
-            "people": int(pick([0, 1, 2, 3], p=[0.6, 0.2, 0.1, 0.1])),
-            "lockers_share": float(pick([0.0, rng.uniform(0.2, 0.8)], p=[0.85, 0.15])),
-            "radiator_spacing_m": float(pick([0.0, rng.uniform(4.0, 9.0)], p=[0.7, 0.3])),
-            "pipes": int(pick([0, 1, 2, 4], p=[0.7, 0.1, 0.1, 0.1])),
-            "cable_tray": bool(rng.random() < 0.15),
-            "handrail": bool(rng.random() < 0.12),
-            "lamp_spacing_m": float(rng.uniform(1.8, 4.5)),
-            "lamp_size_m": ((0.6, 1.2), (0.6, 0.6), (1.2, 0.3), (0.15, 1.4), (1.4, 0.12))[
-                int(rng.integers(5))
-            ],
-            "lamp_off_share": float(pick([0.0, rng.uniform(0.0, 0.5)])),
-            "daylight": float(rng.uniform(1.0, 12.0)),
-            "ambient": float(rng.uniform(0.005, 0.05)),
-        }
-        return cls.model_validate(drawn | fixed)
+    def camera(self) -> Camera:
+        """Return the calibrated camera."""
+        half = self.horizontal_fov_rad / 2
+        if self.distortion is Distortion.EQUIDISTANT:
+            k = self.coefficients
+            radius = half * (1 + sum(c * half ** (2 * i + 2) for i, c in enumerate(k)))
+        else:
+            radius = tan(half)
+        fx = self.fx_px or self.width_px / 2 / radius
+        fy = self.fy_px or fx
+        cx = (self.width_px - 1) / 2 if self.cx_px is None else self.cx_px
+        cy = (self.height_px - 1) / 2 if self.cy_px is None else self.cy_px
+        forward = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        mount = rotation(self.mount_yaw_rad, self.mount_pitch_rad, self.mount_roll_rad)
+        return Camera(
+            self.width_px,
+            self.height_px,
+            fx,
+            fy,
+            cx,
+            cy,
+            distortion=self.distortion,
+            coefficients=self.coefficients,
+            R_body_camera=mount @ forward,
+            exposure_s=self.exposure_s,
+            p_body_camera_m=np.array(self.position_m),
+        )
 
 
-class ImagingConfig(_Model):
-    """The camera's picture chain.
+class ImagingConfig(Section):
+    """The camera's picture chain."""
 
-    Parameters
-    ----------
-    brightness
-        Share of full scale, in linear light, at which the scene's mean is exposed: 0.2 is well exposed, 0.02 dark.
-    noise, full_well_electrons, read_noise_electrons
-        Sensor noise: shot noise of the electrons that full scale stands for, and read noise.
-    defocus_px
-        Standard deviation of the lens blur.
-    vignetting
-        0 none, 1 the full fourth power of the cosine.
-    bloom
-        Share of light that the lens spreads widely.
-    jpeg_quality
-        1 to 100; None writes PNG.
-    """
-
-    brightness: Positive = 0.2
+    brightness: Positive = Field(
+        default=0.2,
+        description="Mean of the picture in linear light, of full scale: 0.2 is well exposed, 0.02 dark.",
+    )
     noise: bool = True
-    full_well_electrons: Positive = 8000.0
+    full_well_electrons: Positive = Field(default=8000.0, description="Full scale; sets the shot noise.")
     read_noise_electrons: NotNegative = 6.0
-    defocus_px: NotNegative = 0.45
-    vignetting: Share = 0.6
-    bloom: Share = 0.04
+    defocus_px: NotNegative = Field(default=0.45, description="Standard deviation of the lens blur.")
+    vignetting: Share = Field(default=0.6, description="1 is the cosine's full fourth power.")
+    bloom: Share = Field(default=0.04, description="Light that the lens spreads widely.")
     gamma: Positive = 2.2
     contrast: Positive = 1.0
-    jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = 85
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = Field(default=85, description="None: PNG.")
 
     @classmethod
     def random(cls, seed: int, **fixed: object) -> ImagingConfig:
@@ -209,3 +124,180 @@ class ImagingConfig(_Model):
             "jpeg_quality": int(rng.integers(70, 96)),
         }
         return cls.model_validate(drawn | fixed)
+
+
+class MotionConfig(Section):
+    """How the vehicle flies."""
+
+    duration_s: float = Field(default=15.0, gt=0.2, le=3600)
+    speed_m_s: float = Field(default=0.8, ge=0, le=20, description="Forward; it stops short of the end.")
+    start_m: float = Field(default=3.0, ge=0.5, description="Along the first corridor.")
+    height_m: Positive = Field(default=1.4, description="Above the floor.")
+    height_amplitude_m: NotNegative = 0.08
+    heading_amplitude_rad: float = Field(default=radians(15), ge=0, le=radians(80))
+    heading_rate_rad_s: NotNegative = Field(default=radians(40), description="Greatest rate of the heading.")
+    heading_mean_rad: Angle = Field(default=0.0, description="Heading that the vehicle swings about.")
+    lateral_amplitude_m: NotNegative = 0.3
+    lateral_rate_m_s: NotNegative = 0.3
+    lateral_mean_m: float = Field(default=0.0, description="Right of the centre line.")
+    tilt_rad: float = Field(default=radians(6), ge=0, le=radians(60), description="Greatest roll and pitch.")
+    tilt_rate_rad_s: NotNegative = radians(30)
+    turn_rate_rad_s: Positive = Field(default=radians(50), description="Mean rate in a junction.")
+    turn_speed_m_s: Positive = Field(default=0.4, description="Forward speed in a junction.")
+    route: tuple[int, ...] = Field(
+        default=(), description="Numbers of the corridors to turn into, one after another; the first is 1."
+    )
+
+
+class ImuConfig(Section):
+    """Gyroscope and accelerometer; densities as sensor files declare them."""
+
+    rate_hz: float = Field(default=200.0, ge=25, le=2000)
+    gyro_noise_density: NotNegative = Field(default=0.005, description="rad/s/sqrt(Hz).")
+    gyro_bias_std_rad_s: NotNegative = Field(default=0.01, description="Each axis, at the start.")
+    gyro_random_walk: NotNegative = Field(default=1e-4, description="rad/s^2/sqrt(Hz).")
+    accel_noise_density: NotNegative = Field(default=0.02, description="m/s^2/sqrt(Hz).")
+    accel_bias_std_m_s2: NotNegative = 0.08
+    accel_random_walk: NotNegative = Field(default=1e-3, description="m/s^3/sqrt(Hz).")
+
+
+class AttitudeConfig(Section):
+    """The vehicle's own attitude filter; its yaw is off by a constant, drift and magnetic disturbance."""
+
+    rate_hz: float = Field(default=50.0, gt=0, le=1000)
+    tilt_std_rad: NotNegative = radians(0.5)
+    tilt_time_s: Positive = Field(default=4.0, description="Correlation time of the tilt error.")
+    yaw_offset_rad: Angle | None = Field(default=None, description="Constant; drawn where not given.")
+    yaw_drift_rad_s: float = Field(default=radians(0.05), ge=-1, le=1)
+    yaw_walk: NotNegative = Field(default=2e-3, description="Random walk of the yaw, rad/sqrt(s).")
+    yaw_follows_gyro: bool = Field(
+        default=False, description="The yaw is integrated from the IMU's gyroscope."
+    )
+    compass_time_s: Positive = Field(default=30.0, description="How slowly a compass pulls such a yaw back.")
+    disturbance_rad: Angle = Field(default=radians(15), description="Magnetic disturbance of the yaw.")
+    disturbance_start_s: NotNegative = 6.0
+    disturbance_s: NotNegative = Field(default=0.0, description="How long it lasts; 0: there is none.")
+
+
+class SimulationConfig(Section):
+    """A simulated flight: the same configuration gives the same files, byte for byte."""
+
+    seed: int = Field(default=1, ge=0)
+    start_ns: int = Field(default=1_600_000_000_000_000_000, ge=0, description="Time of the first sample.")
+    body_frame: Literal["flu", "frd"] = Field(default="flu", description="Body axes in the files.")
+    scene: SceneConfig = SceneConfig()
+    camera: CameraConfig = CameraConfig()
+    imaging: ImagingConfig = ImagingConfig()
+    motion: MotionConfig = MotionConfig()
+    imu: ImuConfig | None = ImuConfig()
+    attitude: AttitudeConfig | None = AttitudeConfig()
+    light_cell_m: float = Field(default=0.15, ge=0.05, le=1, description="Grain of the lighting.")
+    edge_samples: int = Field(default=4, ge=1, le=16, description="Across a pixel with an edge in it.")
+
+    @model_validator(mode="after")
+    def _check_route(self) -> Self:
+        scene, motion = self.scene, self.motion
+        flown = 1
+        for number in motion.route:
+            if not 2 <= number <= len(scene.junctions) + 1:
+                raise ValueError(
+                    f"route leads into corridor {number}, the scene has {len(scene.junctions) + 1}"
+                )
+            if scene.junctions[number - 2].from_corridor != flown:
+                raise ValueError(f"route leads from corridor {flown} into {number}, which does not leave it")
+            flown = number
+        if motion.start_m > scene.length_m - 1:
+            raise ValueError(
+                f"start_m = {motion.start_m:g} leaves less than 1 m of length_m = {scene.length_m:g}"
+            )
+        if motion.height_m + motion.height_amplitude_m > scene.height_m - 0.15:
+            raise ValueError(
+                f"height_m = {motion.height_m:g} touches the ceiling, height_m = {scene.height_m:g}"
+            )
+        widths = [scene.width_m, *(scene.junctions[n - 2].width_m for n in motion.route)]
+        reach = abs(motion.lateral_mean_m) + motion.lateral_amplitude_m
+        if reach > min(widths) / 2 - 0.2:
+            raise ValueError(f"lateral_amplitude_m and lateral_mean_m, {reach:g} together, touch a wall")
+        if self.attitude is not None and self.attitude.yaw_follows_gyro and self.imu is None:
+            raise ValueError("yaw_follows_gyro needs an imu")
+        return self
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> SimulationConfig:
+        """Read a TOML file.
+
+        Raises
+        ------
+        InputError
+            Where the file is missing or torn, or names something unknown or out of bounds.
+        """
+        try:
+            values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(
+                f"is not TOML: {error}", file=path, remedy="write lines like name = 1.5"
+            ) from error
+        return cls.from_values(values, path)
+
+    @classmethod
+    def from_values(cls, values: dict[str, Any], file: str | Path | None = None) -> SimulationConfig:
+        """Check a nested table; `InputError` names the setting, its value and the remedy."""
+        try:
+            return cls(**values)
+        except ValidationError as error:
+            problem, remedy = _explain(cls, error.errors()[0])
+            raise InputError(problem, file=file, remedy=remedy) from error
+
+
+def rotation(yaw_rad: float, pitch_rad: float, roll_rad: float) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Rotation (3, 3) of Z-Y-X angles: takes vectors of the turned frame to the fixed one (x forward, z down)."""
+    cy, sy, cp, sp = cos(yaw_rad), sin(yaw_rad), cos(pitch_rad), sin(pitch_rad)
+    cr, sr = cos(roll_rad), sin(roll_rad)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def _explain(model: type[BaseModel], error: Any) -> tuple[str, str | None]:
+    """Turn pydantic's first complaint into a problem and a remedy."""
+    names = [str(part) for part in error["loc"]]
+    path = ".".join(names)
+    if error["type"] == "value_error":
+        return f"{path}: {error['ctx']['error']}" if path else str(error["ctx"]["error"]), None
+    fields = model.model_fields
+    for name in names[:-1]:
+        inner = next((m for m in _sections(fields.get(name)) if m is not None), None)
+        fields = inner.model_fields if inner else {}
+    if error["type"] == "extra_forbidden":
+        near = get_close_matches(names[-1], fields, n=1, cutoff=0.5)
+        remedy = f"did you mean {near[0]}?" if near else "known here: " + ", ".join(fields)
+        return f"unknown setting {path}", remedy
+    field = fields.get(names[-1])
+    message = error["msg"][0].lower() + error["msg"][1:]
+    return f"{path} = {error['input']!r}: {message}", field.description if field else None
+
+
+def _sections(field: Any) -> list[type[BaseModel] | None]:
+    """Models that a field may hold."""
+    if field is None:
+        return []
+    annotation = field.annotation
+    options = getattr(annotation, "__args__", (annotation,))
+    return [o for o in options if isinstance(o, type) and issubclass(o, BaseModel)]
+
+
+__all__ = [
+    "AttitudeConfig",
+    "CameraConfig",
+    "ImagingConfig",
+    "ImuConfig",
+    "MotionConfig",
+    "SimulationConfig",
+    "rotation",
+]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.simulate.config import SceneConfig
+from fusion.simulate.scene_config import SceneConfig
 from fusion.simulate.mesh import Builder, Frame, Material
 from fusion.simulate.textures import BOARDS, POSTERS, SIGNS
 
@@ -169,7 +169,8 @@ def decorate(
     rng = builder.rng
     lockers = rng.random() < config.lockers_share
     if lockers and s1 - s0 > 0.9:
-        build_lockers(builder, frame, s0 + 0.1, s1 - 0.1)
+        with builder.standing():
+            build_lockers(builder, frame, s0 + 0.1, s1 - 0.1)
         return
     s = s0 + 0.12
     rates = (
@@ -187,9 +188,9 @@ def decorate(
         name, _, size = present[int(rng.choice(len(present), p=weights / weights.sum()))]
         if s + size > s1 - 0.08:
             return
-        s += {"poster": _poster, "sign": _sign, "furniture": _furniture, "radiator": _radiator}[name](
-            builder, frame, s, s1, room_m
-        )
+        build = {"poster": _poster, "sign": _sign, "furniture": _furniture, "radiator": _radiator}[name]
+        with builder.standing():
+            s += build(builder, frame, s, s1, room_m)
 
 
 def _poster(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:

@@ -150,7 +150,7 @@ def _smooth(table: FloatArray, light: Light) -> Light:
     return out
 
 
-def bake(mesh: Mesh, rays: int = 24, ambient: float = 0.02) -> Mesh:
+def bake(mesh: Mesh, ambient: float, rays: int = 24) -> Mesh:
     """Return the mesh with its light computed.
 
     Bounces after the first are estimated from the share that the first one adds.

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +15,7 @@ FloatArray = npt.NDArray[np.float64]
 
 LEAF_SIZE = 4
 LARGE_M = 8.0
+CLEARANCE_M = 0.25
 NO_TEXTURE = -1
 TEXTURE_SIZE = 256  # power of two
 TEXTURE_LEVELS = 9  # 256, 128, ... 1
@@ -119,13 +123,34 @@ class Frame:
 
 @dataclass(slots=True, eq=False)
 class Builder:
-    """Collects surfaces; `fusion.simulate.scene` turns them into a lit `Mesh`."""
+    """Collects surfaces; `fusion.simulate.scene` turns them into a lit `Mesh`.
+
+    ``keep_clear`` (k, 3) are world points that no object may come near; ``obstacles`` (minimum, maximum) are the
+    boxes of the objects that stand.
+    """
 
     rng: np.random.Generator
     light_cell_m: float = 0.15
+    keep_clear: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    obstacles: list[FloatArray] = field(default_factory=list)
     rows: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray, Material, bool]] = field(
         default_factory=list
     )
+
+    @contextmanager
+    def standing(self) -> Iterator[None]:
+        """Build one object; it is taken away again if it stands in the way."""
+        first = len(self.rows)
+        yield
+        if len(self.rows) == first:
+            return
+        points = np.array([p for c, a, b, *_ in self.rows[first:] for p in (c, c + a, c + b, c + a + b)])
+        low, high = points.min(axis=0), points.max(axis=0)
+        near = (self.keep_clear > low - CLEARANCE_M) & (self.keep_clear < high + CLEARANCE_M)
+        if near.all(axis=1).any():
+            del self.rows[first:]
+        else:
+            self.obstacles.append(np.concatenate([low, high]))
 
     def quad(
         self,
@@ -182,7 +207,7 @@ class Builder:
         ring = [
             (centre[0] + radius[0] * np.cos(a), centre[1] + radius[1] * np.sin(a)) for a in angles.tolist()
         ]
-        for (s0, d0), (s1, d1) in zip(ring[:-1], ring[1:], strict=True):
+        for (s0, d0), (s1, d1) in pairwise(ring):
             outward = frame.vector((s0 + s1) / 2 - centre[0], (d0 + d1) / 2 - centre[1], 0)
             low = frame.point(s0, d0, h[0])
             edge = frame.point(s1, d1, h[0]) - low

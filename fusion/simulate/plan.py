@@ -11,6 +11,8 @@ from math import cos, sin
 import numpy as np
 import numpy.typing as npt
 
+from fusion.simulate.scene_config import SceneConfig
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -120,3 +122,60 @@ def outline(rooms: list[Room], shortest_m: float = 0.02) -> list[Wall]:
                     walls.append(Wall(first, last, inward, number, side, s0))
                 position = max(position, high)
     return walls
+
+
+@dataclass(frozen=True, slots=True)
+class Meeting:
+    """Where corridor ``child`` leaves corridor ``parent`` (room numbers): places along both, and the angle between.
+
+    ``angle_rad`` is the child's direction from the parent's, positive right.
+    """
+
+    parent: int
+    child: int
+    parent_s_m: float
+    child_s_m: float
+    angle_rad: float
+
+
+HALL_DEPTH_M = 8.0
+
+
+def floor_plan(config: SceneConfig) -> tuple[list[Room], list[Meeting]]:
+    """Rooms of a scene (corridors in the order of their numbers, then the hall) and where corridors meet."""
+    rooms = [Room(0.0, 0.0, 0.0, config.length_m, config.width_m)]
+    begins, meetings = [0.0], []
+    for child, junction in enumerate(config.junctions, start=1):
+        parent = junction.from_corridor - 1
+        place = begins[parent] + junction.at_m
+        yaw = rooms[parent].yaw_rad + junction.angle_rad
+        back = junction.length_m if junction.crossing else 0.0
+        x, y = rooms[parent].to_world(place, 0.0) - back * np.array([cos(yaw), sin(yaw)])
+        rooms.append(Room(float(x), float(y), yaw, back + junction.length_m, junction.width_m))
+        begins.append(back)
+        meetings.append(Meeting(parent, child, place, back, junction.angle_rad))
+    if config.open_hall_m is not None:
+        start, end = config.open_hall_m
+        side = 1.0 if config.open_hall_right else -1.0
+        # a centimetre of overlap takes the wall between them away
+        y = side * (config.width_m / 2 + HALL_DEPTH_M / 2 - 0.01)
+        rooms.append(Room(start, y, 0.0, end - start, HALL_DEPTH_M, is_corridor=False))
+    return rooms, meetings
+
+
+def in_junction(
+    rooms: list[Room], meetings: list[Meeting], room: int, s_m: npt.NDArray[np.float64]
+) -> npt.NDArray[np.bool_]:
+    """Whether places s (n,) along a corridor lie where another one opens into it."""
+    inside = np.zeros(np.shape(s_m), bool)
+    for meeting in meetings:
+        if room == meeting.parent:
+            other, place = rooms[meeting.child], meeting.parent_s_m
+        elif room == meeting.child:
+            other, place = rooms[meeting.parent], meeting.child_s_m
+        else:
+            continue
+        sine, cosine = abs(sin(meeting.angle_rad)), abs(cos(meeting.angle_rad))
+        reach = (other.width_m + rooms[room].width_m * cosine) / (2 * sine)
+        inside |= np.abs(s_m - place) < reach
+    return inside

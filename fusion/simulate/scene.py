@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, sin
 
 import numpy as np
 
-from fusion.simulate.config import Ceiling, End, Floor, SceneConfig, WallFinish
+from fusion.simulate.scene_config import Ceiling, End, Floor, SceneConfig, WallFinish
 from fusion.simulate.furnish import Opening, build_doorway, build_person, decorate, hang_sheet, place_openings
 from fusion.simulate.lighting import bake
 from fusion.simulate.mesh import POINTS, Builder, Frame, Material, Mesh, build_tree
-from fusion.simulate.plan import FloatArray, Room, Wall, outline
+from fusion.simulate.plan import FloatArray, Room, Wall, floor_plan, outline
 from fusion.simulate.textures import POSTERS, WINDOWS, texture_set
 
 LAYER_M = 0.001  # floors of overlapping rooms lie this far apart
@@ -19,54 +18,62 @@ LAYER_M = 0.001  # floors of overlapping rooms lie this far apart
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A lit corridor. ``rooms[0]`` is the first corridor; further corridors follow in the order of junctions."""
+    """A lit corridor.
+
+    Parameters
+    ----------
+    rooms
+        Corridors in the order of their numbers, then the hall.
+    obstacles
+        Minimum and maximum (k, 6) of the boxes round furniture, people and what hangs on the walls.
+    """
 
     config: SceneConfig
     rooms: tuple[Room, ...]
     mesh: Mesh
+    obstacles: FloatArray
 
 
-def build_scene(config: SceneConfig, seed: int, light_cell_m: float = 0.15, light_rays: int = 24) -> Scene:
-    """Build and light a corridor; the same configuration and seed give the same scene."""
+def build_scene(
+    config: SceneConfig, seed: int, light_cell_m: float = 0.15, keep_clear: FloatArray | None = None
+) -> Scene:
+    """Build and light a corridor; the same arguments give the same scene.
+
+    Parameters
+    ----------
+    keep_clear
+        World points (k, 3) that no furniture may be near, such as a flight's path.
+    """
     rng = np.random.default_rng((seed, 2))
-    builder = Builder(rng, light_cell_m)
-    rooms = floor_plan(config)
-    walls = outline(rooms)
+    builder = Builder(rng, light_cell_m, np.empty((0, 3)) if keep_clear is None else keep_clear)
+    rooms, _ = floor_plan(config)
     _build_floors(builder, rooms, config)
     finish = _wall_material(config)
-    for wall in walls:
+    for wall in outline(rooms):
         _build_wall(builder, wall, rooms, config, finish)
     _build_lamps(builder, rooms, config)
     _build_ceiling_clutter(builder, rooms, config)
-    room_frame = Frame(np.zeros(3), np.array([1.0, 0, 0]), np.array([0.0, 1, 0]))
     for _ in range(config.people):
         s, side = float(rng.uniform(3, config.length_m - 1)), float(rng.choice([-1, 1]))
-        build_person(builder, room_frame, s, side * float(rng.uniform(0.05, 0.32)) * config.width_m)
-    return Scene(config, tuple(rooms), _light(builder, light_rays, config.ambient))
+        y = side * float(rng.uniform(0.05, 0.32)) * config.width_m
+        with builder.standing():
+            build_person(builder, _room_frame(rooms[0]), s, y)
+    mesh = _light(builder, config.ambient)
+    return Scene(config, tuple(rooms), mesh, np.array(builder.obstacles).reshape(-1, 6))
 
 
-def _light(builder: Builder, rays: int, ambient: float) -> Mesh:
+def _room_frame(room: Room) -> Frame:
+    """Frame on the floor at a room's beginning, d to the right."""
+    along, right = np.array([*room.direction, 0.0]), np.array([*room.right, 0.0])
+    return Frame(np.array([room.x_m, room.y_m, 0.0]), along, right)
+
+
+def _light(builder: Builder, ambient: float) -> Mesh:
     textures = texture_set()
     table, cells = builder.table(textures.number)
     nodes, order = build_tree(table[:, POINTS:].reshape(-1, 4, 3))
     mesh = Mesh(np.ascontiguousarray(table[order]), nodes, np.zeros(cells, np.float32), textures.copies)
-    return bake(mesh, rays, ambient)
-
-
-def floor_plan(config: SceneConfig) -> list[Room]:
-    """Rooms of a scene: first corridor, then one per junction, then the hall."""
-    rooms = [Room(0.0, 0.0, 0.0, config.length_m, config.width_m)]
-    for junction in config.junctions:
-        back = junction.length_m if junction.crossing else 0.0
-        x = junction.at_m - back * cos(junction.angle_rad)
-        y = -back * sin(junction.angle_rad)
-        rooms.append(Room(x, y, junction.angle_rad, back + junction.length_m, junction.width_m))
-    if config.open_hall_m is not None:
-        start, end = config.open_hall_m
-        depth = 8.0
-        y = config.open_hall_side * (config.width_m / 2 + depth / 2 - 0.01)
-        rooms.append(Room(start, y, 0.0, end - start, depth, is_corridor=False))
-    return rooms
+    return bake(mesh, ambient)
 
 
 def _wall_material(config: SceneConfig) -> Material:
@@ -278,11 +285,7 @@ def _build_lamps(builder: Builder, rooms: list[Room], config: SceneConfig) -> No
     across, along = config.lamp_size_m
     tube = min(across, along) < 0.2
     for number, room in enumerate(rooms):
-        frame = Frame(
-            np.array([*room.to_world(0, 0), 0.0]),
-            np.array([*room.direction, 0.0]),
-            np.array([*room.right, 0.0]),
-        )
+        frame = _room_frame(room)
         columns = (
             [0.0]
             if room.width_m < 4
@@ -319,9 +322,7 @@ def _build_lamps(builder: Builder, rooms: list[Room], config: SceneConfig) -> No
 def _build_ceiling_clutter(builder: Builder, rooms: list[Room], config: SceneConfig) -> None:
     """Pipes and a cable tray along the first corridor, smoke detectors, an exit sign across it."""
     rng, room = builder.rng, rooms[0]
-    frame = Frame(
-        np.array([*room.to_world(0, 0), 0.0]), np.array([*room.direction, 0.0]), np.array([*room.right, 0.0])
-    )
+    frame = _room_frame(room)
     top, half = config.height_m, config.width_m / 2
     crowded = config.ceiling is Ceiling.OPEN
     for _ in range(config.pipes + (3 if crowded else 0)):
@@ -351,8 +352,3 @@ def _build_ceiling_clutter(builder: Builder, rooms: list[Room], config: SceneCon
         builder.box(
             frame, (s, s + 0.05), (-0.2, 0.2), (top - 0.35, top - 0.15), Material(1.0, emission=1.2), "sSdDhH"
         )
-
-
-def centre_line(room: Room, s: float) -> FloatArray:
-    """World point (3,) on the floor at s along a room's centre line."""
-    return np.array([*room.to_world(s, 0.0), 0.0])

@@ -9,10 +9,11 @@ from math import radians
 import numpy as np
 import numpy.typing as npt
 
-from fusion.simulate.config import ImagingConfig, SceneConfig
+from fusion.simulate.config import ImagingConfig, rotation
 from fusion.simulate.imaging import Picture, Sensor, mean_radiance, through_jpeg
 from fusion.simulate.render import View, render_linear
 from fusion.simulate.scene import Scene, build_scene
+from fusion.simulate.scene_config import SceneConfig
 from vision import Camera
 
 FloatArray = npt.NDArray[np.float64]
@@ -49,20 +50,6 @@ class RandomView:
     width_m: float
     ahead_m: float
     scene_seed: int
-
-
-def R_world_body(heading_rad: float, pitch_rad: float, roll_rad: float) -> FloatArray:
-    """Rotation (3, 3) body FRD to world z down, aerospace Z-Y-X angles."""
-    cy, sy = np.cos(heading_rad), np.sin(heading_rad)
-    cp, sp = np.cos(pitch_rad), np.sin(pitch_rad)
-    cr, sr = np.cos(roll_rad), np.sin(roll_rad)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
 
 
 def random_views(
@@ -126,7 +113,7 @@ def _take(
     height = float(rng.uniform(0.3, 0.75)) * config.height_m
     place = scene.rooms[0].to_world(s, offset * config.width_m / 2)
     origin = np.array([*place, -height])
-    radiance = render_linear(scene.mesh, view, origin, R_world_body(heading, pitch, roll))
+    radiance = render_linear(scene.mesh, view, origin, rotation(heading, pitch, roll))
     sensor = Sensor.of(quality, view, mean_radiance(radiance))
     image = through_jpeg(sensor.develop(radiance, rng), quality.jpeg_quality)
     return RandomView(
