@@ -225,13 +225,13 @@ def _refine(
     left_index: npt.NDArray[np.intp],
     right_index: npt.NDArray[np.intp],
 ) -> LateralFit | None:
-    z = (pairs[:, 0] - offset) / (REACH * pairs[:, 1])
-    pairs = pairs[np.abs(z) < 1.0]
-    if not len(pairs):
-        return None
-    z = z[np.abs(z) < 1.0]
-    weight = pairs[:, 2] * (1.0 - z * z) ** 2 / pairs[:, 1] ** 2
-    offset = float(weight @ pairs[:, 0] / weight.sum())
+    for _ in range(5):  # the vote's bins are coarse: settle between them
+        z = (pairs[:, 0] - offset) / (REACH * pairs[:, 1])
+        weight = pairs[:, 2] * np.maximum(1.0 - z * z, 0.0) ** 2 / pairs[:, 1] ** 2
+        if not weight.sum() > 0.0:
+            return None
+        offset = float(weight @ pairs[:, 0] / weight.sum())
+    pairs, weight = pairs[weight > 0.0], weight[weight > 0.0]
     scatter = float(weight @ (pairs[:, 0] - offset) ** 2 / weight.sum())
     # A roll error turns slopes of both walls the same way: (1 + t^2) / t on the offset, t about 2 / width.
     below = pairs[:, 5] > 0.0

@@ -1,0 +1,90 @@
+"""A corridor made of lines, seen exactly: the ground truth of the geometry's tests."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.spatial.transform import Rotation
+
+from vision import Camera
+from vision.edges import N_LINE
+from vision.lines import LineSet, _line_set
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Corridor:
+    """Width, heights and what runs along, across and up; x along the axis, y right, z down from the camera."""
+
+    width_m: float = 2.2
+    below_m: float = 1.4
+    above_m: float = 1.3
+    heading_rad: float = 0.0
+    offset_norm: float = 0.0
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    noise_px: float = 0.0
+    n_random: int = 0
+    seed: int = 0
+    along: bool = True
+    posts: bool = True
+    rails_m: tuple[float, ...] = field(default=(-0.7, 0.2))  # height (down) of rails on both walls
+
+    def segments(self) -> FloatArray:
+        """World segments (n, 6)."""
+        left = -self.width_m / 2 * (1 + self.offset_norm)
+        right = self.width_m / 2 * (1 - self.offset_norm)
+        out = []
+        for y in (left, right):
+            if self.along:
+                for z in (self.below_m, self.below_m - 0.1, -self.above_m, *self.rails_m):
+                    # far to near on the right wall: the same side is bright on both
+                    near, far = (0.0, 1.5) if y == left else (1.5, 0.0)
+                    out += [(x + near, y, z, x + far, y, z) for x in (1.5, 4.0, 8.0)]
+            if self.posts:
+                out += [(x, y, -0.7, x, y, self.below_m) for x in (2.0, 2.9, 5.0, 5.9, 9.0)]
+        return np.array(out)
+
+    def rotation(self) -> FloatArray:
+        """Rotation body to corridor frame."""
+        angles = [self.heading_rad, self.pitch_rad, self.roll_rad]
+        return np.asarray(Rotation.from_euler("ZYX", angles).as_matrix())
+
+
+Seen = Callable[[Corridor, Camera], LineSet]
+
+
+@pytest.fixture(scope="session")
+def corridor() -> type[Corridor]:
+    """Give the description of a corridor of lines."""
+    return Corridor
+
+
+@pytest.fixture(scope="session")
+def seen() -> Seen:
+    """Give the function that turns a corridor into the lines a camera sees, without any picture."""
+
+    def look(corridor: Corridor, camera: Camera) -> LineSet:
+        rng = np.random.default_rng(corridor.seed)
+        ends = corridor.segments().reshape(-1, 3) @ corridor.rotation() @ camera.R_body_camera
+        depth = ends.reshape(-1, 2, 3)[:, :, 2]
+        in_front = (depth > 0.2).all(axis=1)
+        focal, centre = (camera.fx_px, camera.fy_px), (camera.cx_px, camera.cy_px)
+        px = (ends[:, :2] / ends[:, 2:] * focal + centre).reshape(-1, 4)[in_front]
+        size = np.array([camera.width_px, camera.height_px] * 2)
+        px = px[((px > -0.2 * size) & (px < 1.2 * size)).all(axis=1)]
+        random = rng.uniform(0, 1, (corridor.n_random, 4)) * size
+        px = np.vstack([px, random]) + rng.normal(0.0, corridor.noise_px, (len(px) + len(random), 4))
+        rows = np.zeros((len(px), N_LINE))
+        rows[:, :4] = px
+        rows[:, 4] = np.hypot(px[:, 2] - px[:, 0], px[:, 3] - px[:, 1])
+        rows[:, 5], rows[:, 6], rows[:, 7] = 0.2, np.maximum(rows[:, 4], 5.0), 100.0
+        return _line_set(rows[rows[:, 4] > 10.0], camera, camera, 20.0, time.perf_counter())
+
+    return look

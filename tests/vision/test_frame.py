@@ -1,0 +1,195 @@
+"""Whole pictures through `measure_frame`: the sample flight, the real one, and what users hand in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from math import degrees, radians
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from fusion.flight import Flight
+from fusion.logs import load_flight
+from vision import Attitude, Camera, FrameMeasurement, InputError, Prior, Reason, measure_frame
+
+ROOT = Path(__file__).resolve().parents[2]
+OFFICE = ROOT / "data" / "office"
+HALLWAY = ROOT.parent / "shared" / "flights" / "mononav_hallway"
+HANDHELD = ROOT.parent / "shared" / "images" / "handheld_corridor"
+
+
+def attitudes(flight: Flight) -> list[Attitude]:
+    """Roll and pitch of the log at each frame."""
+    assert flight.attitude is not None
+    nearest = np.abs(flight.attitude.t_ns[None, :] - flight.frames.t_ns[:, None]).argmin(axis=1)
+    return [Attitude.from_quaternion(q) for q in flight.attitude.q_world_body[nearest]]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What measuring a flight came to."""
+
+    heading_deg: npt.NDArray[np.float64]
+    ratio: npt.NDArray[np.float64]
+    accepted: float
+    offset_norm: npt.NDArray[np.float64]
+    offset_ratio: npt.NDArray[np.float64]
+
+
+@cache
+def office(width: int, height: int, with_attitude: bool = True, step: int = 2) -> Errors:
+    """Measure the sample flight at a size, frame by frame."""
+    flight = load_flight(OFFICE)
+    truth = flight.truth
+    assert truth is not None
+    camera = flight.camera.resized(width, height)
+    tilt = attitudes(flight)
+    found: list[FrameMeasurement] = []
+    chosen = range(0, len(flight.frames.t_ns), step)
+    for i in chosen:
+        image = cv2.imread(str(flight.frames.paths[i]), cv2.IMREAD_GRAYSCALE)
+        image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+        found.append(measure_frame(image, camera, tilt[i] if with_attitude else None))
+    t = flight.frames.t_ns[::step]
+    heading = np.interp(t, truth.t_ns, truth.heading_rad)
+    half_width = 0.5 * truth.corridor_width_m[0]
+    lever = camera.p_body_camera_m[0] * np.sin(heading)  # the truth is the body's, the frame's the camera's
+    offset = (np.interp(t, truth.t_ns, truth.lateral_offset_m) + lever) / half_width
+    ok = np.array([m.accepted for m in found])
+    error = np.array([m.heading_rad for m in found])[ok] - heading[ok]
+    offset_error = np.array([m.lateral_offset_norm for m in found])[ok] - offset[ok]
+    seen = np.isfinite(offset_error)
+    return Errors(
+        heading_deg=np.degrees(error),
+        ratio=np.abs(error) / np.array([m.heading_std_rad for m in found])[ok],
+        accepted=float(ok.mean()),
+        offset_norm=offset_error[seen],
+        offset_ratio=np.abs(offset_error[seen])
+        / np.array([m.lateral_offset_norm_std for m in found])[ok][seen],
+    )
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "rmse", "worst", "accepted"),
+    [
+        (640, 480, 0.12, 0.8, 0.99),
+        (320, 240, 0.15, 1.0, 0.99),
+        (160, 120, 0.40, 2.0, 0.95),
+        (80, 60, 1.5, 9.0, 0.8),
+    ],
+)
+def test_heading_on_the_sample_flight(
+    width: int, height: int, rmse: float, worst: float, accepted: float
+) -> None:
+    found = office(width, height)
+    assert np.sqrt(np.mean(found.heading_deg**2)) < rmse
+    assert np.abs(found.heading_deg).max() < worst
+    assert found.accepted >= accepted
+
+
+def test_heading_without_any_attitude() -> None:
+    found = office(640, 480, with_attitude=False, step=4)
+    assert np.sqrt(np.mean(found.heading_deg**2)) < 0.15
+    assert found.accepted >= 0.99
+
+
+@pytest.mark.parametrize("size", [(640, 480), (320, 240)])
+def test_lateral_offset_and_honest_sigmas_on_the_sample_flight(size: tuple[int, int]) -> None:
+    found = office(*size)
+    width_share = found.offset_norm / 2  # of the corridor's width
+    assert len(width_share) >= 0.85 * 150
+    assert np.sqrt(np.mean(width_share**2)) < 0.012
+    assert np.abs(width_share).max() < 0.05
+    assert 1.0 < np.percentile(found.ratio, 90) < 2.0
+    assert 1.0 < np.percentile(found.offset_ratio, 90) < 2.2
+
+
+@pytest.mark.parametrize("stretch", [slice(0, 42), slice(62, 91)])
+def test_the_real_flight_agrees_with_its_own_yaw(stretch: slice) -> None:
+    if not HALLWAY.is_dir():
+        pytest.skip("the real flight is not part of the repository")
+    flight = load_flight(HALLWAY)
+    assert flight.attitude is not None
+    w, x, y, z = flight.attitude.q_world_body.T
+    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    tilt = attitudes(flight)
+    camera = flight.camera.resized(320, 240)
+    errors = []
+    chosen = range(len(yaw))[stretch]
+    for i in chosen:
+        image = cv2.resize(
+            cv2.imread(str(flight.frames.paths[i]), cv2.IMREAD_GRAYSCALE),
+            (320, 240),
+            interpolation=cv2.INTER_AREA,
+        )
+        m = measure_frame(image, camera, tilt[i])
+        if m.accepted:
+            errors.append(m.heading_rad - yaw[i])
+    assert len(errors) >= 0.95 * len(chosen)
+    assert degrees(np.std(errors)) < 0.6
+
+
+def test_a_colour_picture_is_its_grey_one() -> None:
+    flight = load_flight(OFFICE)
+    colour = cv2.imread(str(flight.frames.paths[0]), cv2.IMREAD_COLOR)
+    grey = cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)
+    a = measure_frame(colour, flight.camera)
+    b = measure_frame(grey, flight.camera)
+    assert a.heading_rad == b.heading_rad
+
+
+def test_turning_the_picture_over_turns_the_heading() -> None:
+    flight = load_flight(OFFICE)
+    image = cv2.imread(str(flight.frames.paths[40]), cv2.IMREAD_GRAYSCALE)
+    here = measure_frame(image, flight.camera, Attitude(0.0, 0.0, radians(3)))
+    there = measure_frame(np.ascontiguousarray(image[:, ::-1]), flight.camera, Attitude(0.0, 0.0, radians(3)))
+    assert degrees(here.heading_rad + there.heading_rad) == pytest.approx(0.0, abs=0.3)
+
+
+def test_blank_dark_and_noisy_pictures_are_refused_with_a_reason() -> None:
+    camera = Camera.from_fov(320, 240, radians(70))
+    rng = np.random.default_rng(0)
+    for image in (
+        np.zeros((240, 320), np.uint8),
+        np.full((240, 320), 255, np.uint8),
+        rng.integers(0, 256, (240, 320)).astype(np.uint8),
+    ):
+        m = measure_frame(image, camera)
+        assert not m.accepted
+        assert m.reason is Reason.TOO_FEW_LINES
+        assert np.isnan(m.lateral_offset_norm)
+
+
+def test_the_prior_is_not_averaged_in() -> None:
+    flight = load_flight(OFFICE)
+    image = cv2.imread(str(flight.frames.paths[100]), cv2.IMREAD_GRAYSCALE)
+    free = measure_frame(image, flight.camera)
+    for shift in (-0.02, 0.02):
+        prior = Prior(
+            heading_rad=free.heading_rad + shift, heading_std_rad=0.01, elevation_std_rad=radians(12)
+        )
+        led = measure_frame(image, flight.camera, None, prior)
+        assert led.heading_rad == pytest.approx(free.heading_rad, abs=2e-4)
+
+
+def test_handheld_pictures_without_calibration_make_sense() -> None:
+    if not HANDHELD.is_dir():
+        pytest.skip("the real pictures are not part of the repository")
+    paths = sorted(HANDHELD.glob("*.jpg"))
+    camera = Camera.from_fov(512, 384, radians(65))
+    found = [measure_frame(cv2.imread(str(p), cv2.IMREAD_GRAYSCALE), camera) for p in paths]
+    accepted = [m for m in found if m.accepted]
+    assert len(accepted) >= 0.7 * len(found)
+    assert all(abs(m.heading_rad) < radians(45) for m in accepted)
+
+
+def test_unknown_methods_and_wrong_sizes_are_refused() -> None:
+    camera = Camera.from_fov(320, 240, radians(70))
+    with pytest.raises(InputError, match="geometrical"):
+        measure_frame(np.zeros((240, 320), np.uint8), camera, method="geometrical")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="320x240"):
+        measure_frame(np.zeros((480, 640), np.uint8), camera)

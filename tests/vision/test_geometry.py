@@ -1,0 +1,206 @@
+"""Axis, level and lateral offset from exact lines: signs, invariances, what uncertainty does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import degrees, pi, radians
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from vision import Attitude, Camera, InputError, Position, Prior, Reason, measure_lines
+from vision.gravity import level_from_verticals
+from vision.vanishing_point import axis_direction, fit_axis
+
+CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)
+PER_LINE = [
+    "ends_px",
+    "length_px",
+    "rms_px",
+    "n_pixels",
+    "contrast",
+    "centre",
+    "direction",
+    "normal",
+    "sigma_rad",
+    "arc_rad",
+]
+QUICK = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+angle = st.floats(radians(-25), radians(25))
+tilt = st.floats(radians(-12), radians(12))
+
+
+@QUICK
+@given(heading=angle, offset=st.floats(-0.7, 0.7), roll=tilt, pitch=tilt)
+def test_exact_lines_give_the_exact_answer(
+    corridor: Any, seen: Any, heading: float, offset: float, roll: float, pitch: float
+) -> None:
+    truth = corridor(heading_rad=heading, offset_norm=offset, roll_rad=roll, pitch_rad=pitch)
+    m = measure_lines(seen(truth, CAMERA), CAMERA, Attitude(roll, pitch))
+    assert m.reason is Reason.OK
+    assert degrees(m.heading_rad) == pytest.approx(degrees(heading), abs=0.01)
+    assert degrees(m.elevation_rad) == pytest.approx(0.0, abs=0.01)
+    if np.isfinite(m.lateral_offset_norm):
+        assert m.lateral_offset_norm == pytest.approx(offset, abs=0.01)
+        assert m.width_per_height == pytest.approx(2.2 / 1.4, rel=0.02)
+
+
+def test_the_offset_is_found_when_both_walls_are_in_view(corridor: Any, seen: Any) -> None:
+    found = [
+        measure_lines(seen(corridor(offset_norm=o, heading_rad=h), CAMERA), CAMERA, Attitude(0, 0))
+        for o in np.linspace(-0.6, 0.6, 7)
+        for h in (-0.15, 0.0, 0.15)
+    ]
+    assert sum(np.isfinite(m.lateral_offset_norm) for m in found) >= 19
+    assert found[0].position is Position.LEFT
+    assert found[10].position is Position.CENTRE
+    assert found[-1].position is Position.RIGHT
+
+
+def test_turned_right_the_vanishing_point_is_left(corridor: Any, seen: Any) -> None:
+    m = measure_lines(seen(corridor(heading_rad=radians(10)), CAMERA), CAMERA, Attitude(0, 0))
+    assert m.heading_rad > 0
+    assert m.vp_px[0] == pytest.approx(319.5 - 466 * np.tan(radians(10)), abs=0.2)
+    assert m.vp_px[1] == pytest.approx(239.5, abs=0.2)
+
+
+@QUICK
+@given(heading=angle, offset=st.floats(-0.6, 0.6), seed=st.integers(0, 1000))
+def test_a_mirrored_world_gives_the_mirrored_answer(
+    corridor: Any, seen: Any, heading: float, offset: float, seed: int
+) -> None:
+    truth = corridor(heading_rad=heading, offset_norm=offset, noise_px=0.1, n_random=10, seed=seed)
+    lines = seen(truth, CAMERA)
+    flip = np.array([-1.0, 1.0, 1.0])
+    mirrored = replace(
+        lines,
+        ends_px=np.column_stack(
+            [639 - lines.ends_px[:, 2], lines.ends_px[:, 3], 639 - lines.ends_px[:, 0], lines.ends_px[:, 1]]
+        ),
+        centre=lines.centre * flip,
+        direction=-lines.direction * flip,
+        normal=lines.normal * flip,
+    )
+    here = measure_lines(lines, CAMERA, Attitude(0, 0))
+    there = measure_lines(mirrored, CAMERA, Attitude(0, 0))
+    assert there.heading_rad == pytest.approx(-here.heading_rad, abs=1e-6)
+    assert there.heading_std_rad == pytest.approx(here.heading_std_rad, rel=1e-3)
+    if np.isfinite(here.lateral_offset_norm):
+        assert there.lateral_offset_norm == pytest.approx(-here.lateral_offset_norm, abs=1e-3)
+
+
+def test_a_mount_that_is_off_is_found_and_does_no_harm(corridor: Any, seen: Any) -> None:
+    lines = seen(corridor(heading_rad=0.1, pitch_rad=radians(-5)), CAMERA)  # the camera looks 5 degrees down
+    level = Attitude(0.0, 0.0)
+    m = measure_lines(lines, CAMERA, level, Prior(elevation_std_rad=radians(4)))
+    assert degrees(m.heading_rad - 0.1) == pytest.approx(0.0, abs=0.02)
+    assert degrees(m.elevation_rad) == pytest.approx(
+        5.0, abs=0.05
+    )  # the axis is seen above the given horizon
+    again = measure_lines(lines, CAMERA, level, Prior(elevation_rad=m.elevation_rad, elevation_std_rad=0.005))
+    assert again.elevation_rad == pytest.approx(m.elevation_rad, abs=1e-3)
+    assert again.heading_rad == pytest.approx(m.heading_rad, abs=1e-3)
+
+
+@pytest.mark.parametrize("roll", [-15, -5, 8, 15])
+@pytest.mark.parametrize("pitch", [-12, 3, 12])
+def test_level_is_found_without_any_attitude(corridor: Any, seen: Any, roll: int, pitch: int) -> None:
+    truth = corridor(heading_rad=0.15, roll_rad=radians(roll), pitch_rad=radians(pitch))
+    m = measure_lines(seen(truth, CAMERA), CAMERA)
+    assert degrees(m.heading_rad - 0.15) == pytest.approx(0.0, abs=0.05)
+    found = level_from_verticals(seen(truth, CAMERA), CAMERA.R_body_camera, radians(12))
+    true_level = Attitude(radians(roll), radians(pitch)).R_level_body() @ CAMERA.R_body_camera
+    assert (found.R_level_camera @ true_level.T)[2, 2] > np.cos(radians(0.1))
+
+
+@QUICK
+@given(seed=st.integers(0, 10_000), heading=angle)
+def test_random_lines_do_not_move_the_answer(corridor: Any, seen: Any, seed: int, heading: float) -> None:
+    truth = corridor(heading_rad=heading, noise_px=0.2, n_random=40, seed=seed)
+    m = measure_lines(seen(truth, CAMERA), CAMERA, Attitude(0, 0))
+    if m.accepted:
+        assert abs(degrees(m.heading_rad - heading)) < 3.0
+
+
+def test_sigma_is_honest(corridor: Any, seen: Any) -> None:
+    ratios = []
+    rng = np.random.default_rng(3)
+    for seed in range(200):
+        heading = rng.uniform(-0.3, 0.3)
+        lines = seen(corridor(heading_rad=heading, noise_px=0.3, n_random=15, seed=seed), CAMERA)
+        m = measure_lines(lines, CAMERA, Attitude(*rng.normal(0, radians(0.5), 2)))
+        assert m.accepted
+        ratios.append(abs(m.heading_rad - heading) / m.heading_std_rad)
+    assert 0.4 < np.percentile(ratios, 90) < 2.0
+
+
+def test_nothing_along_the_corridor_is_no_answer(corridor: Any, seen: Any) -> None:
+    posts_only = measure_lines(seen(corridor(along=False), CAMERA), CAMERA, Attitude(0, 0))
+    assert not posts_only.accepted
+    assert posts_only.reason is Reason.TOO_FEW_LINES
+    lines = seen(corridor(), CAMERA)
+    few = replace(lines, **{n: getattr(lines, n)[:3] for n in PER_LINE})
+    assert measure_lines(few, CAMERA, Attitude(0, 0)).reason is Reason.TOO_FEW_LINES
+
+
+def test_a_prior_chooses_between_two_corridors(corridor: Any, seen: Any) -> None:
+    one = seen(corridor(heading_rad=radians(30)), CAMERA)
+    other = seen(corridor(heading_rad=radians(-30)), CAMERA)
+    both = replace(one, **{n: np.concatenate([getattr(one, n), getattr(other, n)]) for n in PER_LINE})
+    assert measure_lines(both, CAMERA, Attitude(0, 0)).reason is Reason.AMBIGUOUS
+    for side in (30, -30):
+        prior = Prior(heading_rad=radians(side - 3), heading_std_rad=radians(2))
+        m = measure_lines(both, CAMERA, Attitude(0, 0), prior)
+        assert degrees(m.heading_rad) == pytest.approx(side, abs=0.5)
+
+
+def test_blur_is_refused_when_the_exposure_is_known(corridor: Any, seen: Any) -> None:
+    camera = replace(CAMERA, exposure_s=0.03)
+    lines = seen(corridor(), camera)
+    assert measure_lines(lines, camera, Attitude(0, 0), Prior(body_rate_rad_s=2.0)).reason is Reason.BLUR
+    assert measure_lines(lines, camera, Attitude(0, 0), Prior(body_rate_rad_s=0.2)).accepted
+
+
+def test_a_tilted_mount_changes_nothing(corridor: Any, seen: Any) -> None:
+    turn = Attitude(radians(4), radians(-8)).R_level_body()
+    camera = replace(CAMERA, R_body_camera=turn @ CAMERA.R_body_camera)
+    m = measure_lines(seen(corridor(heading_rad=0.1, offset_norm=0.3), camera), camera, Attitude(0, 0))
+    assert degrees(m.heading_rad - 0.1) == pytest.approx(0.0, abs=0.02)
+    assert m.lateral_offset_norm == pytest.approx(0.3, abs=0.02)
+
+
+def test_the_axis_of_the_fit_is_what_the_heading_says() -> None:
+    np.testing.assert_allclose(
+        axis_direction(radians(90), 0.0), [0, -1, 0], atol=1e-12
+    )  # turned right: axis left
+    np.testing.assert_allclose(axis_direction(0.0, radians(90)), [0, 0, -1], atol=1e-12)  # z points down
+
+
+def test_no_lines_no_axis(corridor: Any, seen: Any) -> None:
+    lines = seen(corridor(), CAMERA)
+    empty = replace(lines, **{n: getattr(lines, n)[:0] for n in PER_LINE})
+    assert fit_axis(empty, CAMERA.R_body_camera) is None
+    m = measure_lines(empty, CAMERA)
+    assert m.reason is Reason.TOO_FEW_LINES
+    assert np.isnan(m.heading_rad)
+
+
+def test_a_quaternion_serves_as_attitude_and_a_bad_one_is_refused(corridor: Any, seen: Any) -> None:
+    lines = seen(corridor(heading_rad=0.1, roll_rad=0.1), CAMERA)
+    q = [np.cos(0.05), np.sin(0.05), 0.0, 0.0]
+    as_quaternion = measure_lines(lines, CAMERA, q)
+    assert as_quaternion.heading_rad == measure_lines(lines, CAMERA, Attitude(0.1, 0.0)).heading_rad
+    with pytest.raises(InputError, match="unit quaternion"):
+        measure_lines(lines, CAMERA, [0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(InputError, match="unit quaternion"):
+        measure_lines(lines, CAMERA, [np.nan, 0.0, 0.0, 1.0])
+
+
+def test_heading_stays_in_its_range(corridor: Any, seen: Any) -> None:
+    for heading in np.linspace(-pi, pi, 25):
+        m = measure_lines(seen(corridor(heading_rad=heading), CAMERA), CAMERA, Attitude(0, 0))
+        if m.accepted:
+            assert abs(m.heading_rad) <= pi / 2

@@ -1,0 +1,140 @@
+"""Line segments: sub-pixel positions, direction, what noise and darkness change, lenses."""
+
+from __future__ import annotations
+
+from math import atan2, cos, radians, sin
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vision import Camera, InputError
+from vision.camera import Distortion
+from vision.lines import extract_lines, noise_std
+
+CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)
+
+
+def half_plane(
+    angle_rad: float,
+    offset_px: float,
+    width: int = 640,
+    height: int = 480,
+    dark: float = 60,
+    bright: float = 180,
+) -> npt.NDArray[np.uint8]:
+    """Picture of an edge through the centre plus ``offset_px``, anti-aliased by area."""
+    k = 4
+    y, x = np.mgrid[0 : height * k, 0 : width * k]
+    u = (x + 0.5) / k - 0.5 - (width - 1) / 2
+    v = (y + 0.5) / k - 0.5 - (height - 1) / 2
+    inside = np.clip(0.5 + k * (-sin(angle_rad) * u + cos(angle_rad) * v - offset_px), 0.0, 1.0)
+    share = inside.reshape(height, k, width, k).mean(axis=(1, 3))
+    return np.round(dark + (bright - dark) * share).astype(np.uint8)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.floats(-1.5, 1.5), st.floats(-20.0, 20.0))
+def test_an_edge_is_found_to_a_twentieth_of_a_pixel(angle_rad: float, offset_px: float) -> None:
+    lines = extract_lines(half_plane(angle_rad, offset_px, 320, 240), CAMERA.resized(320, 240))
+    best = int(np.argmax(lines.length_px))
+    x0, y0, x1, y1 = lines.ends_px[best]
+    direction = atan2(y1 - y0, x1 - x0)
+    assert abs(sin(direction - angle_rad)) < radians(0.1)
+    middle = ((x0 + x1) / 2 - 159.5, (y0 + y1) / 2 - 119.5)
+    distance = -sin(angle_rad) * middle[0] + cos(angle_rad) * middle[1]
+    assert distance == pytest.approx(offset_px, abs=0.05)
+
+
+def test_bright_is_on_the_right_and_the_normal_points_to_it() -> None:
+    lines = extract_lines(half_plane(0.0, 10.0), CAMERA)  # bright below
+    x0, _, x1, _ = lines.ends_px[0]
+    assert x1 > x0
+    assert lines.normal[0] @ [0, 1, 0] > 0.99
+    lines = extract_lines(255 - half_plane(0.0, 10.0), CAMERA)
+    x0, _, x1, _ = lines.ends_px[0]
+    assert x1 < x0
+    assert lines.normal[0] @ [0, -1, 0] > 0.99
+
+
+def test_a_thin_line_is_two_edges_and_a_blank_picture_none() -> None:
+    image = np.full((480, 640), 200, np.uint8)
+    assert len(extract_lines(image, CAMERA)) == 0
+    cv2.line(image, (50, 100), (600, 100), 40, 5)
+    lines = extract_lines(image, CAMERA)
+    assert len(lines) == 2
+    assert sorted(np.round(lines.ends_px[:, 1]).tolist()) == [97.0, 102.0] or np.ptp(lines.ends_px[:, 1]) > 4
+
+
+def test_noise_alone_gives_next_to_no_lines() -> None:
+    rng = np.random.default_rng(1)
+    image = np.clip(rng.normal(100, 8, (480, 640)), 0, 255).astype(np.uint8)
+    assert noise_std(image) == pytest.approx(8.0, rel=0.05)
+    assert len(extract_lines(image, CAMERA)) < 5
+
+
+@pytest.mark.parametrize(("light", "noise"), [(1.0, 0.0), (0.15, 1.0), (1.0, 8.0)])
+def test_threshold_follows_light_and_noise(light: float, noise: float) -> None:
+    rng = np.random.default_rng(2)
+    image = half_plane(0.4, 5.0).astype(float) * light + rng.normal(0, noise, (480, 640))
+    lines = extract_lines(np.clip(np.round(image), 0, 255).astype(np.uint8), CAMERA)
+    assert lines.length_px.max() > 300
+    assert lines.length_px[lines.length_px > 100].sum() > 450
+
+
+def test_opposite_edges_never_join() -> None:
+    image = np.full((240, 320), 120, np.uint8)
+    image[:120, :160] = 200
+    image[120:, 160:] = 200  # a chequerboard corner: the edge turns over in the middle
+    lines = extract_lines(image, CAMERA.resized(320, 240))
+    assert lines.length_px.max() < 165
+
+
+def test_small_and_large_pictures_come_back_in_their_own_pixels() -> None:
+    for width, height in ((80, 60), (160, 120), (1280, 960), (2560, 1920)):
+        scale = width / 640
+        image = cv2.resize(half_plane(0.3, 0.0), (width, height), interpolation=cv2.INTER_AREA)
+        lines = extract_lines(image, CAMERA.resized(width, height))
+        x0, y0, x1, y1 = lines.ends_px[int(np.argmax(lines.length_px))]
+        assert atan2(y1 - y0, x1 - x0) == pytest.approx(0.3, abs=0.006) or atan2(
+            y0 - y1, x0 - x1
+        ) == pytest.approx(0.3, abs=0.006)
+        centre = ((width - 1) / 2, (height - 1) / 2)
+        off = -sin(0.3) * ((x0 + x1) / 2 - centre[0]) + cos(0.3) * ((y0 + y1) / 2 - centre[1])
+        assert abs(off) < 0.1 * max(scale, 1.0)
+
+
+def test_a_fisheye_bends_edges_and_the_fit_is_straight() -> None:
+    fisheye = Camera(
+        640, 480, 210.0, 210.0, 319.5, 239.5, Distortion.EQUIDISTANT, (0.02, -0.01, 0.003, -0.0005)
+    )
+    x, y = np.meshgrid(np.arange(640.0), np.arange(480.0))
+    rays = fisheye.rays(np.column_stack([x.ravel(), y.ravel()]))
+    normal = np.array([0.3, 0.9, -0.35])
+    normal /= np.linalg.norm(normal)
+    sine = (rays @ normal).reshape(480, 640)
+    image = np.clip(120 + 15000 * sine, 60, 180).astype(np.uint8)  # soft over about one pixel
+    lines = extract_lines(image, fisheye)
+    longest = np.argsort(-lines.arc_rad)[:2]
+    assert lines.arc_rad[longest].sum() > radians(60)
+    for i in longest:
+        assert abs(lines.normal[i] @ normal) > cos(radians(0.3))
+
+
+def test_every_threads_frames_are_their_own() -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    pictures = [half_plane(a, 0.0) for a in (0.1, 0.5, 0.9, 1.3)]
+    alone = [extract_lines(p, CAMERA).ends_px for p in pictures]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda p: extract_lines(p, CAMERA).ends_px, pictures * 5))
+    for i, ends in enumerate(together):
+        np.testing.assert_array_equal(ends, alone[i % 4])
+
+
+def test_a_picture_of_another_size_is_refused() -> None:
+    with pytest.raises(InputError, match="320"):
+        extract_lines(np.zeros((240, 320), np.uint8), CAMERA)
