@@ -115,7 +115,7 @@ def fuse(
     log = load_flight(flight, camera=camera)
     folder = out if out is not None else Path(f"{log.name}_fused")
     check_out_dir(folder)
-    with compile_notice(), progress_bar("fusing") as progress:
+    with compile_notice("the line finder"), progress_bar("fusing") as progress:
         result = fuse_flight(log, settings, method=method.value, progress=progress)
     write_outputs(result, log, folder)
     typer.echo(fusion_text(result.summary, folder))
@@ -154,13 +154,51 @@ def measure(
     attitudes = None if attitude is None else AttitudeFile.read(attitude)
     for note in assumptions_text(paths, calibration, attitudes, method.value):
         say(note)
-    with compile_notice(), progress_bar("measuring") as progress:
+    with compile_notice("the line finder"), progress_bar("measuring") as progress:
         table = measure_images(paths, calibration, attitudes, method.value, overlay, progress)
     if out is None:
         print_table(table, sys.stdout)
     else:
         write_table(table, out)
     say(measured_text(table, out, overlay))
+
+
+@app.command(help=cli_help.SIMULATE, short_help="Make a flight to try things on, truth included.")
+def simulate(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The flight's folder, to be made.")],
+    config: Annotated[
+        Path | None, typer.Option("--config", metavar="F.toml", help="Settings; the options below go on top.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="Another corridor, motion and noise.")] = None,
+    duration_s: Annotated[
+        float | None, typer.Option("--duration", metavar="SECONDS", help="Length of the flight.")
+    ] = None,
+    width_m: Annotated[
+        float | None, typer.Option("--width", metavar="METRES", help="Width of the corridor.")
+    ] = None,
+    size: Annotated[
+        str | None, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Of the pictures, in pixels.")
+    ] = None,
+    turn_deg: Annotated[
+        float | None,
+        typer.Option(
+            "--turn", metavar="DEGREES", help="Turn into a side corridor half way, positive right, 30 to 150."
+        ),
+    ] = None,
+    camera: CameraOption = None,
+) -> None:
+    """Simulate a flight and write its folder."""
+    from fusion.simulate.flight import simulate_flight
+    from fusion.simulate_options import simulation_config
+    from vision import Camera
+
+    settings = simulation_config(
+        config, seed=seed, duration_s=duration_s, width_m=width_m, size=size, turn_deg=turn_deg
+    )
+    calibration = None if camera is None else Camera.from_yaml(camera)
+    with compile_notice("the renderer"), progress_bar("rendering") as progress:
+        simulate_flight(settings, out, progress, calibration)
+    typer.echo(f"{out}: a flight of {settings.motion.duration_s:g} s; next: corridor fuse {out}")
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

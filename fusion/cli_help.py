@@ -71,3 +71,24 @@ Examples:
 
 Next: look at the drawings in --overlay DIR; with an IMU log, `corridor fuse` makes it smooth.
 """
+
+SIMULATE = """Make a flight through a furnished, lit corridor: pictures, IMU, attitude and the exact truth.
+
+The same settings give the same files, byte for byte. OUT is a flight folder as `corridor fuse` takes it; it must not
+exist yet.
+
+\b
+Examples:
+  corridor simulate flight
+  corridor simulate turn --turn -65 --duration 30 --seed 7
+  corridor simulate dark --config dark.toml --size 640x480
+
+\b
+dark.toml, a table per part (scene, camera, imaging, motion, imu, attitude), names with their units:
+  [imaging]
+  brightness = 0.02
+  [camera]
+  exposure_s = 0.02
+
+Next: corridor fuse OUT, which then reports its errors against the truth.
+"""

@@ -32,7 +32,7 @@ def progress_bar(label: str) -> Iterator[Progress]:
 
 
 @contextmanager
-def compile_notice() -> Iterator[None]:
+def compile_notice(what: str) -> Iterator[None]:
     """Say so, once, if the block has to compile the pixel loops, which takes far longer than running them.
 
     numba announces each compilation; code taken from its cache on disk is not announced.
@@ -45,7 +45,7 @@ def compile_notice() -> Iterator[None]:
         def on_start(self, event: Any) -> None:
             if not self.told:
                 self.told = True
-                say("compiling the line finder (once, a few seconds) ...")
+                say(f"compiling {what} (once, some seconds) ...")
 
         def on_end(self, event: Any) -> None:
             pass

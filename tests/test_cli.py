@@ -18,6 +18,7 @@ import pytest
 
 from fusion import cli, measure_images
 from fusion.outputs import OUTPUT_FILES, read_table
+from fusion.simulate_options import simulation_config
 from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 
 OFFICE = Path(__file__).resolve().parent.parent / "data" / "office"
@@ -399,6 +400,56 @@ class TestMeasure:
         monkeypatch.setattr(measure_images, "read_image", interrupt)
         assert corridor("measure", pictures[0], "-o", "frames.csv").code == 130
         assert os.listdir() == []
+
+
+class TestSimulate:
+    SMALL = ("--duration", "1", "--size", "160x120")
+
+    def test_a_simulated_flight_can_be_fused(self, corridor: Corridor) -> None:
+        run = corridor("simulate", "flight", *self.SMALL, "--seed", "3", "--width", "2.4")
+        assert run.code == 0, run.err
+        assert "corridor fuse flight" in run.out
+        assert {"mav0", "corridor_truth.csv"} <= set(os.listdir("flight"))
+        truth = rows_of(Path("flight/corridor_truth.csv").read_text())
+        assert {float(row["corridor_width_m"]) for row in truth} == {2.4}
+        pictures = sorted(Path("flight/mav0/cam0/data").iterdir())
+        assert 19 <= len(pictures) <= 21
+        assert cv2.imread(str(pictures[0])).shape[:2] == (120, 160)
+        assert corridor("fuse", "flight").code == 0
+
+    def test_the_options_go_on_top_of_the_file(self, tmp_path: Path) -> None:
+        file = tmp_path / "s.toml"
+        file.write_text("seed = 5\n[scene]\nwidth_m = 3.0\n[motion]\nspeed_m_s = 2.0\n")
+        config = simulation_config(file, width_m=2.5, duration_s=60.0, turn_deg=-65.0)
+        assert (config.seed, config.scene.width_m, config.motion.speed_m_s) == (5, 2.5, 2.0)
+        assert config.scene.length_m > 120  # room for a minute at 2 m/s
+        assert config.motion.route == (2,)
+        assert config.scene.junctions[0].angle_rad == pytest.approx(np.radians(-65))
+
+    @pytest.mark.parametrize(
+        ("arguments", "words"),
+        [
+            (["--size", "big"], ["--size", "big", "640x480"]),
+            (["--turn", "10"], ["angle_rad", "30 to 150 degrees"]),
+            (["--duration", "-1"], ["duration_s", "-1"]),
+            (["--config", "none.toml"], ["none.toml"]),
+            (["--camera", "none.yaml"], ["none.yaml"]),
+        ],
+    )
+    def test_a_wrong_option_is_one_line(
+        self, corridor: Corridor, arguments: list[str], words: list[str]
+    ) -> None:
+        refused(corridor("simulate", "flight", *arguments), *words)
+
+    def test_an_unknown_setting_is_named(self, corridor: Corridor, tmp_path: Path) -> None:
+        (tmp_path / "s.toml").write_text("[camera]\nrate = 30\n")
+        refused(corridor("simulate", "flight", "--config", tmp_path / "s.toml"), "s.toml", "camera.rate")
+
+    def test_an_existing_folder_is_left_alone(self, corridor: Corridor, tmp_path: Path) -> None:
+        (tmp_path / "mine").mkdir()
+        (tmp_path / "mine" / "notes.txt").write_text("keep")
+        refused(corridor("simulate", tmp_path / "mine", *self.SMALL), "mine")
+        assert os.listdir(tmp_path / "mine") == ["notes.txt"]
 
 
 class TestHelp:
