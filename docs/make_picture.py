@@ -44,11 +44,11 @@ def main() -> None:
     def seconds(t_ns: np.ndarray) -> np.ndarray:
         return (t_ns - start) / 1e9
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), width_ratios=(1, 1.5), layout="constrained")
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.6), width_ratios=(1, 1.6), layout="constrained")
     left.imshow(overlay(flight, FRAME))
     left.set_axis_off()
 
-    estimates, frames = result.estimates, result.frames
+    estimates, frames = result.estimates[result.estimates["status"] != "initialising"], result.frames
     t, heading = seconds(estimates["timestamp_ns"]), np.degrees(estimates["heading_rad"])
     band = 2 * np.degrees(estimates["heading_std_rad"])
     used = frames[frames["accepted"]]
@@ -63,7 +63,7 @@ def main() -> None:
         truth = flight.truth
         right.plot(seconds(truth.t_ns), np.degrees(truth.heading_rad), "k--", linewidth=0.8, label="truth")
     right.axvline(seconds(flight.frames.t_ns[FRAME]), color="0.7", linewidth=0.8, zorder=0)
-    right.set(xlabel="time, s", ylabel="heading from the corridor's axis, degrees (right positive)")
+    right.set(xlabel="time, s", ylabel="heading, degrees right")
     right.legend(frameon=False)
     right.spines[["top", "right"]].set_visible(False)
     figure.savefig(ROOT / "docs" / "office.png", dpi=110, pil_kwargs={"optimize": True})
