@@ -46,7 +46,7 @@ class CameraConfig(Section):
     )
     rate_hz: float = Field(default=20.0, gt=0, le=500)
     exposure_s: float = Field(default=0.008, ge=0, le=0.5, description="Motion blur follows from it.")
-    line_delay_s: float = Field(default=0.0, ge=0, le=1e-3, description="Rolling shutter, from row to row.")
+    line_delay_s: float = Field(default=0.0, ge=0, le=2e-4, description="Rolling shutter, from row to row.")
     time_offset_s: float = Field(
         default=0.0, ge=-1, le=1, description="How much later than mid-exposure the frames are stamped."
     )
@@ -101,7 +101,7 @@ class ImagingConfig(Section):
         description="Mean of the picture in linear light, of full scale: 0.2 is well exposed, 0.02 dark.",
     )
     noise: bool = True
-    full_well_electrons: Positive = Field(default=8000.0, description="Full scale; sets the shot noise.")
+    full_well_electrons: Positive = Field(default=12000.0, description="Full scale; sets the shot noise.")
     read_noise_electrons: NotNegative = 6.0
     defocus_px: NotNegative = Field(default=0.45, description="Standard deviation of the lens blur.")
     vignetting: Share = Field(default=0.6, description="1 is the cosine's full fourth power.")

@@ -259,5 +259,5 @@ def _readme(config: SimulationConfig, shoot: Shoot) -> str:
     return (
         f"# {len(shoot.frame_times())} simulated frames of a corridor, {scene.width_m:g} m wide\n"
         f"Rendered with exact truth, seed {config.seed}: {c.width_px}x{c.height_px} at {config.camera.rate_hz:g} Hz, "
-        f"lens {c.distortion}{shutter}{clock}. Signs of `corridor_truth.csv`: turned right, right of the centre line.\n"
+        f"lens {c.distortion}{shutter}{clock}. Truth in `corridor_truth.csv`.\n"
     )

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.simulate.scene_config import SceneConfig
 from fusion.simulate.mesh import Builder, Frame, Material
+from fusion.simulate.scene_config import SceneConfig
 from fusion.simulate.textures import BOARDS, POSTERS, SIGNS
 
 DOOR_HEIGHT_M = 2.05
@@ -120,7 +120,7 @@ def _build_leaf(builder: Builder, frame: Frame, opening: Opening, deep: float) -
 def _build_room(
     builder: Builder, frame: Frame, opening: Opening, config: SceneConfig, wall: Material, deep: float
 ) -> None:
-    """A small lit room behind an open door."""
+    """Build a small lit room behind an open door."""
     rng = builder.rng
     a, b = opening.s0_m - float(rng.uniform(0.2, 1.0)), opening.s1_m + float(rng.uniform(0.2, 1.0))
     back, high = -deep - float(rng.uniform(2.0, 3.0)), config.height_m - 0.05
@@ -149,7 +149,7 @@ def _build_room(
 def hang_sheet(
     builder: Builder, frame: Frame, s: float, low: float, size: tuple[float, float], texture: str
 ) -> None:
-    """A poster, board or sign of a few millimetres to centimetres."""
+    """Hang a poster, board or sign, a few millimetres to centimetres thick."""
     thick = float(builder.rng.choice([0.003, 0.012, 0.025]))
     face = Material(float(builder.rng.uniform(0.6, 0.9)), texture)
     rim = Material(float(builder.rng.uniform(0.1, 0.7)))
@@ -267,7 +267,7 @@ def _radiator(builder: Builder, frame: Frame, s: float, s1: float, room_m: float
 
 
 def build_lockers(builder: Builder, frame: Frame, s0: float, s1: float) -> None:
-    """A row of lockers: strong upright and transverse lines."""
+    """Build a row of lockers: strong upright and transverse lines."""
     rng = builder.rng
     pitch, high = float(rng.uniform(0.28, 0.42)), float(rng.choice([1.2, 1.8, 2.0]))
     rows = float(rng.choice([0.0, high / 2, high / 3]))
@@ -278,7 +278,7 @@ def build_lockers(builder: Builder, frame: Frame, s0: float, s1: float) -> None:
 
 
 def build_person(builder: Builder, frame: Frame, s: float, d: float) -> None:
-    """A standing figure of rounded blocks; the frame's d may be across the room."""
+    """Build a standing figure of rounded blocks."""
     rng = builder.rng
     scale, stance = float(rng.uniform(0.9, 1.08)), float(rng.uniform(0.07, 0.16))
     trousers, shirt = (

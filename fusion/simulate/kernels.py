@@ -32,7 +32,7 @@ LIGHT_START, LIGHT_NU, LIGHT_NV = m.LIGHT_START, m.LIGHT_NU, m.LIGHT_NV
 @inner
 def dot(table: FloatArray, i: int, column: int, x: float, y: float, z: float) -> float:
     """Scalar product of a vector with the one that starts in a column of the table."""
-    return table[i, column] * x + table[i, column + 1] * y + table[i, column + 2] * z
+    return float(table[i, column] * x + table[i, column + 1] * y + table[i, column + 2] * z)
 
 
 @inner
@@ -118,7 +118,7 @@ def texture_value(textures: Light, number: int, u: float, v: float, width_u: flo
     ya, yb = start + (y0 & (rows - 1)) * columns, start + ((y0 + 1) & (rows - 1)) * columns
     low = textures[ya + xa] * (1.0 - fx) + textures[ya + xb] * fx
     high = textures[yb + xa] * (1.0 - fx) + textures[yb + xb] * fx
-    return low * (1.0 - fy) + high * fy
+    return float(low * (1.0 - fy) + high * fy)
 
 
 @inner
@@ -128,7 +128,7 @@ def joint_share(x: float, footprint: float, spacing: float, width: float) -> flo
     fill = width / spacing
     ia, ib = np.floor(a), np.floor(b)
     area = (ib * fill + min(b - ib, fill)) - (ia * fill + min(a - ia, fill))
-    return min(1.0, area * spacing / footprint)
+    return float(min(1.0, area * spacing / footprint))
 
 
 @inner
@@ -143,7 +143,7 @@ def irradiance(table: FloatArray, lightmap: Light, i: int, u: float, v: float) -
     fx, fy = x - x0, y - y0
     low = lightmap[start + y0 * nu + x0] * (1.0 - fx) + lightmap[start + y0 * nu + x1] * fx
     high = lightmap[start + y1 * nu + x0] * (1.0 - fx) + lightmap[start + y1 * nu + x1] * fx
-    return low * (1.0 - fy) + high * fy
+    return float(low * (1.0 - fy) + high * fy)
 
 
 @inner
@@ -166,7 +166,7 @@ def reflectance(
         if table[i, JOINT_V] > 0.0:
             clear *= 1.0 - joint_share(v, max(foot_v, 1e-5), table[i, JOINT_V], width)
         value = value * clear + table[i, JOINT_ALBEDO] * (1.0 - clear)
-    return value
+    return float(value)
 
 
 @inner
@@ -182,7 +182,7 @@ def radiance(
     foot_v = t * angle * np.sqrt(1.0 + along_v * along_v)
     albedo = reflectance(table, textures, i, u, v, foot_u, foot_v)
     if table[i, EMISSION] > 0.0:
-        return table[i, EMISSION] * albedo  # what a lamp or a window reflects is lost in its own light
+        return float(table[i, EMISSION] * albedo)  # what a lamp or a window reflects is lost in its own light
     return albedo * irradiance(table, lightmap, i, u, v)
 
 

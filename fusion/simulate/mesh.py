@@ -246,7 +246,7 @@ class Builder:
 
 def _half_area(low: FloatArray, high: FloatArray) -> FloatArray:
     x, y, z = (high - low).T
-    return x * y + y * z + z * x
+    return np.asarray(x * y + y * z + z * x)
 
 
 def _best_split(low: FloatArray, high: FloatArray) -> tuple[npt.NDArray[np.int64], int]:

@@ -106,7 +106,7 @@ class Trajectory:
         )
 
     def _rooms_at(self, t: FloatArray) -> npt.NDArray[np.int64]:
-        """Number of the room being flown: in a turn it changes halfway."""
+        """Say which room is being flown: in a turn it changes halfway."""
         room = np.zeros(len(t), np.int64)
         for turn in self.turns:
             room[t >= (turn.start_s + turn.end_s) / 2] = turn.next_room

@@ -53,7 +53,7 @@ class Room:
         """Whether world points (n, 2) lie inside, grown by the margin."""
         s, y = self.to_room(points).T
         half = self.width_m / 2 + margin_m
-        return (s > -margin_m) & (s < self.length_m + margin_m) & (np.abs(y) < half)
+        return np.asarray((s > -margin_m) & (s < self.length_m + margin_m) & (np.abs(y) < half))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

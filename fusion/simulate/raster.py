@@ -20,15 +20,18 @@ from fusion.simulate.kernels import (
     hit_distance,
     mirror_share,
     radiance,
-    scatter,
     trace,
 )
-from fusion.simulate.lighting import Indices
-from fusion.simulate.mesh import GLOSS, NORMAL, PLANE, POINTS, ROUGHNESS
+from fusion.simulate.lighting import LIFT_M, Indices
+from fusion.simulate.mesh import DUAL_A, DUAL_B, GLOSS, NORMAL, PLANE, POINTS, ROUGHNESS
 from vision.compiled import compiled
 
 TILE = 8
 MAX_SEEN = 4096
+SLACK = 1e-6  # widens what a tile can see against rounding
+BLOCK = 6  # pixels that share the directions of a rough reflection between them
+GOLDEN_ANGLE = 2.399963229728653
+BRIGHTEST = 8.0  # of what is mirrored: beyond it the sensor is full anyway
 
 
 @inner
@@ -48,7 +51,7 @@ def _rotate_rays(
 
 
 @inner
-def _pyramid(rays: FloatArray, n: int, slack: float, axis: FloatArray, rim: FloatArray) -> bool:
+def _pyramid(rays: FloatArray, n: int, axis: FloatArray, rim: FloatArray) -> bool:
     """Find a pyramid round n rays: its axis (3,) and four rim vectors (4, 3); False if there is no ray."""
     axis[:] = 0.0
     found = 0
@@ -76,8 +79,8 @@ def _pyramid(rays: FloatArray, n: int, slack: float, axis: FloatArray, rim: Floa
         low_x, high_x = min(low_x, x), max(high_x, x)
         low_y, high_y = min(low_y, y), max(high_y, y)
     for k in range(4):
-        x = low_x - slack if k == 0 or k == 3 else high_x + slack
-        y = low_y - slack if k < 2 else high_y + slack
+        x = low_x - SLACK if k == 0 or k == 3 else high_x + SLACK
+        y = low_y - SLACK if k < 2 else high_y + SLACK
         rim[k, 0], rim[k, 1], rim[k, 2] = ax + x * sx + y * ux, ay + x * sy + y * uy, az + x * sz + y * uz
     return True
 
@@ -177,25 +180,29 @@ def _nearest(
 @inner
 def _mirrored(
     table: FloatArray, nodes: FloatArray, lightmap: Light, textures: Light, i: int, t: float, origin: FloatArray,
-    dx: float, dy: float, dz: float, angle: float, key: int,
+    dx: float, dy: float, dz: float, angle: float, x: int, y: int,
 ) -> float:  # fmt: skip
-    """Light that a glossy surface mirrors along one reflected ray, jittered by the surface's roughness."""
-    rough = table[i, ROUGHNESS]
-    nx = table[i, NORMAL] + rough * (scatter(key, 1, 0) + scatter(key, 2, 0) - 1.0)
-    ny = table[i, NORMAL + 1] + rough * (scatter(key, 3, 0) + scatter(key, 4, 0) - 1.0)
-    nz = table[i, NORMAL + 2] + rough * (scatter(key, 5, 0) + scatter(key, 6, 0) - 1.0)
-    size = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz)
-    nx, ny, nz = nx * size, ny * size, nz * size
-    slope = 2.0 * (nx * dx + ny * dy + nz * dz)
+    """Light that a glossy surface mirrors along one reflected ray.
+
+    The normal leans by the roughness; pixels of a block of `BLOCK` by `BLOCK` share the directions evenly between
+    them, so that the mean over any block is the mean over all directions.
+    """
+    k = (x % BLOCK) + BLOCK * (y % BLOCK)
+    lean = 1.5 * table[i, ROUGHNESS] * np.sqrt((k + 0.5) / (BLOCK * BLOCK))
+    a, b = lean * np.cos(GOLDEN_ANGLE * k), lean * np.sin(GOLDEN_ANGLE * k)
+    nx = table[i, NORMAL] + a * table[i, DUAL_A] + b * table[i, DUAL_B]
+    ny = table[i, NORMAL + 1] + a * table[i, DUAL_A + 1] + b * table[i, DUAL_B + 1]
+    nz = table[i, NORMAL + 2] + a * table[i, DUAL_A + 2] + b * table[i, DUAL_B + 2]
+    slope = 2.0 * (nx * dx + ny * dy + nz * dz) / (nx * nx + ny * ny + nz * nz)
     rx, ry, rz = dx - slope * nx, dy - slope * ny, dz - slope * nz
-    lift = 0.003
-    px = origin[0] + t * dx + lift * table[i, NORMAL]
-    py = origin[1] + t * dy + lift * table[i, NORMAL + 1]
-    pz = origin[2] + t * dz + lift * table[i, NORMAL + 2]
-    j, far, u, v = trace(table, nodes, px, py, pz, rx, ry, rz, 200.0, False)
+    px = origin[0] + t * dx + LIFT_M * table[i, NORMAL]
+    py = origin[1] + t * dy + LIFT_M * table[i, NORMAL + 1]
+    pz = origin[2] + t * dz + LIFT_M * table[i, NORMAL + 2]
+    j, far, u, v = trace(table, nodes, px, py, pz, rx, ry, rz, FAR_M, False)
     if j < 0:
         return 0.0
-    return min(radiance(table, lightmap, textures, j, t + far, u, v, rx, ry, rz, angle + rough), 6.0)
+    angle += table[i, ROUGHNESS]
+    return min(radiance(table, lightmap, textures, j, t + far, u, v, rx, ry, rz, angle), BRIGHTEST)
 
 
 @inner
@@ -260,12 +267,14 @@ def _edge_pixel(
 @compiled
 def render_rows(
     table: FloatArray, nodes: FloatArray, lightmap: Light, textures: Light, rays: FloatArray, pixel_rad: FloatArray,
-    origins: FloatArray, rotations: FloatArray, grid: int, slack: float, direct: Light, share: Light, mirror: Light,
+    origins: FloatArray, rotations: FloatArray, grid: int, turn: int, turns: int,
+    direct: Light, share: Light, mirror: Light,
 ) -> None:  # fmt: skip
     """Fill diffuse light, mirror share and mirrored light (h, w) each.
 
     Row y is seen from ``origins[y]`` (h, 3) with ``rotations[y]`` (h, 3, 3), body to world; ``rays``
-    (h + 1, w + 1, 3) go through the pixel corners; ``slack`` widens what a tile can see, radians.
+    (h + 1, w + 1, 3) go through the pixel corners; Of several exposures that are averaged,
+    each mirrors its share of the pixels: ``turn`` of ``turns``.
     """
     height, width = direct.shape
     size = (TILE + 1) * (TILE + 1)
@@ -274,13 +283,13 @@ def render_rows(
     axis, rim, origin = np.empty(3), np.empty((4, 3)), np.empty(3)
     for top in range(0, height, TILE):
         rows = min(TILE, height - top)
-        # within a tile the rolling shutter's change of place is far below a millimetre
+        # one place for a tile: within eight rows a rolling shutter moves by a fraction of a millimetre
         for k in range(3):
             origin[k] = origins[top + rows // 2, k]
         for left in range(0, width, TILE):
             columns = min(TILE, width - left)
             n = _rotate_rays(rays, rotations, top, left, rows, columns, d)
-            if not _pyramid(d, n, slack, axis, rim):
+            if not _pyramid(d, n, axis, rim):
                 continue
             count = _list_seen(table, nodes, origin, axis, rim, planes, seen, near)
             angle = pixel_rad[top + rows // 2, left + columns // 2]
@@ -290,10 +299,10 @@ def render_rows(
                 a = y * (columns + 1) + x
                 b, c, e = a + 1, a + columns + 1, a + columns + 2
                 py, px = top + y, left + x
-                if hit[a, 1] > 0.0:
+                if hit[a, 1] > 0.0 and (px + 2 * py) % turns == turn:
                     mirror[py, px] = _mirrored(
                         table, nodes, lightmap, textures, ids[a], hit[a, 2], origin,
-                        d[a, 0], d[a, 1], d[a, 2], angle, py * width + px,
+                        d[a, 0], d[a, 1], d[a, 2], angle, px, py,
                     )  # fmt: skip
                 if ids[a] == ids[b] and ids[a] == ids[c] and ids[a] == ids[e]:
                     direct[py, px] = 0.25 * (hit[a, 0] + hit[b, 0] + hit[c, 0] + hit[e, 0])

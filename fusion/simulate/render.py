@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -9,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.simulate.mesh import Mesh
-from fusion.simulate.raster import render_rows
+from fusion.simulate.raster import BLOCK, render_rows
 from vision import Camera
 
 FloatArray = npt.NDArray[np.float64]
@@ -44,45 +45,41 @@ class View:
         return cls(camera, np.ascontiguousarray(rays), np.nan_to_num(np.sqrt(right * down), nan=1e-3))
 
 
-def render_linear(mesh: Mesh, view: View, origins: FloatArray, rotations: FloatArray, grid: int = 4) -> Image:
-    """Radiance (h, w) seen from a pose, or from one pose per pixel row (rolling shutter).
+def render_linear(
+    mesh: Mesh, view: View, origins: Sequence[FloatArray], rotations: Sequence[FloatArray], grid: int = 4
+) -> Image:
+    """Radiance (h, w), averaged over moments of an exposure.
 
     Parameters
     ----------
     origins, rotations
-        Camera centre (3,) or (h, 3), and R_world_body (3, 3) or (h, 3, 3); world z down, metres.
+        For each moment, the camera's centre (3,) or (h, 3), and R_world_body (3, 3) or (h, 3, 3): one pose, or one
+        for every pixel row (rolling shutter). World z down, metres.
     grid
         Samples across a pixel where edges cross it.
     """
     height, width = view.camera.height_px, view.camera.width_px
-    slack = 1e-6
-    if rotations.ndim == 3:  # the rows of a tile see from slightly different places
-        slack += 2e-3
-    origins = np.ascontiguousarray(np.broadcast_to(origins, (height, 3)), float)
-    rotations = np.ascontiguousarray(np.broadcast_to(rotations, (height, 3, 3)), float)
-    direct, share, mirror = (np.zeros((height, width), np.float32) for _ in range(3))
-    render_rows(
-        *mesh[:2],
-        *mesh[2:],
-        view.corner_rays,
-        view.pixel_rad,
-        origins,
-        rotations,
-        grid,
-        slack,
-        direct,
-        share,
-        mirror,
-    )
-    if share.any():
-        return direct + share * _spread(mirror, share > 0, height)
-    return direct
+    total, total_share = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+    direct, share = np.empty_like(total), np.empty_like(total)
+    mirror = np.full((height, width), -1.0, np.float32)
+    moments = list(zip(origins, rotations, strict=True))
+    for turn, (origin, rotation) in enumerate(moments):
+        centre = np.array(np.broadcast_to(origin, (height, 3)), float)
+        R = np.array(np.broadcast_to(rotation, (height, 3, 3)), float)
+        direct[:], share[:] = 0.0, 0.0
+        fixed = (view.corner_rays, view.pixel_rad, centre, R)
+        render_rows(*mesh, *fixed, grid, turn, len(moments), direct, share, mirror)
+        total += direct
+        total_share += share
+    if total_share.any():
+        total += total_share * _spread(mirror)
+    return np.asarray(total / np.float32(len(moments)), np.float32)
 
 
-def _spread(mirror: Image, where: npt.NDArray[np.bool_], height: int) -> Image:
-    """Smooth mirrored light within the glossy region: the jitter of single rays becomes a soft reflection."""
-    size = (max(3, round(height / 80) | 1), max(3, round(height / 40) | 1))
-    mask = where.astype(np.float32)
-    blurred = cv2.GaussianBlur(mirror * mask, size, 0)
-    weight = cv2.GaussianBlur(mask, size, 0)
+def _spread(mirror: Image) -> Image:
+    """Average mirrored light over the blocks whose pixels share its directions, where there is any."""
+    mask = (mirror >= 0).astype(np.float32)
+    size, ddepth = (BLOCK, BLOCK), -1
+    blurred = cv2.GaussianBlur(cv2.boxFilter(mirror * mask, ddepth, size), (3, 3), 0)
+    weight = cv2.GaussianBlur(cv2.boxFilter(mask, ddepth, size), (3, 3), 0)
     return np.asarray(blurred / np.maximum(weight, 1e-3), np.float32)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.simulate.scene_config import Ceiling, End, Floor, SceneConfig, WallFinish
 from fusion.simulate.furnish import Opening, build_doorway, build_person, decorate, hang_sheet, place_openings
 from fusion.simulate.lighting import bake
 from fusion.simulate.mesh import POINTS, Builder, Frame, Material, Mesh, build_tree
 from fusion.simulate.plan import FloatArray, Room, Wall, floor_plan, outline
+from fusion.simulate.scene_config import Ceiling, End, Floor, SceneConfig, WallFinish
 from fusion.simulate.textures import POSTERS, WINDOWS, texture_set
 
 LAYER_M = 0.001  # floors of overlapping rooms lie this far apart
@@ -198,7 +198,7 @@ def _build_piece(
 
 
 def _build_end(builder: Builder, frame: Frame, wall: Wall, config: SceneConfig) -> None:
-    """The wall across the end of a room: window, doors, stairs or a poster."""
+    """Fill the wall across the end of a room: window, doors, stairs or a poster."""
     rng, wide = builder.rng, wall.length_m
     if wide < 1.0:
         return
@@ -249,7 +249,7 @@ def _build_window(builder: Builder, frame: Frame, wide: float, config: SceneConf
 
 
 def _build_stairs(builder: Builder, frame: Frame, wide: float, config: SceneConfig) -> None:
-    """Steps up towards the end wall, with a landing, handrails and doors."""
+    """Build steps up towards the end wall, with a landing, handrails and doors."""
     steps = int(builder.rng.integers(4, 7))
     rise, going, landing = 0.165, 0.3, 1.2
     tread = Material(float(builder.rng.uniform(0.06, 0.4)), "speckle", (0.8, 0.8))

@@ -33,7 +33,7 @@ class AttitudeSamples:
 
 
 def sample_times(duration_s: float, rate_hz: float) -> FloatArray:
-    """Times from 0 to the duration, both included where they fall on a sample."""
+    """Return times from 0 to the duration, both included where they fall on a sample."""
     return np.arange(int(np.floor(duration_s * rate_hz + 1e-9)) + 1) / rate_hz
 
 
@@ -67,7 +67,7 @@ def read_imu(truth: Truth, config: ImuConfig, seed: int) -> ImuSamples:
 def read_attitude(
     trajectory: Trajectory, config: AttitudeConfig, imu: ImuSamples | None, seed: int
 ) -> AttitudeSamples:
-    """Readings of an attitude filter: tilt wanders about the truth, yaw is off in the ways configured."""
+    """Read an attitude filter: tilt wanders about the truth, yaw is off in the ways configured."""
     rng = np.random.default_rng((seed, 7))
     t = sample_times(trajectory.duration_s, config.rate_hz)
     step = 1 / config.rate_hz
@@ -143,7 +143,7 @@ def _error_rotation(tilt: FloatArray, yaw_error: FloatArray) -> FloatArray:
 
 
 def quaternions(R: FloatArray) -> FloatArray:
-    """Unit quaternions (n, 4), w x y z with w not negative, of rotations (n, 3, 3)."""
+    """Return unit quaternions (n, 4), w x y z with w not negative, of rotations (n, 3, 3)."""
     from scipy.spatial.transform import Rotation
 
     q = np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)

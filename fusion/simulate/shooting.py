@@ -21,6 +21,8 @@ from vision import Camera
 FloatArray = npt.NDArray[np.float64]
 
 MAX_SUB_EXPOSURES = 24
+SUB_EXPOSURE_PX = 1.5  # pictures averaged into a blurred one lie this far apart; the lens blurs about as much
+NEAR_M = 1.0  # how near the things are that speed blurs
 METERED_FRAMES = 6
 
 
@@ -60,7 +62,12 @@ class Shoot:
         view = View.of(camera)
         small = View.of(camera.resized(max(16, camera.width_px // 4), max(16, camera.height_px // 4)))
         times = np.linspace(0.0, trajectory.duration_s, METERED_FRAMES)
-        level = np.mean([mean_radiance(_exposed(scene, small, trajectory, t, 0.0, 1, 1)) for t in times])
+        level = np.mean(
+            [
+                mean_radiance(_exposed(scene, small, trajectory, times[k : k + 1], 1))
+                for k in range(METERED_FRAMES)
+            ]
+        )
         return cls(config, camera, scene, trajectory, view, Sensor.of(config.imaging, view, float(level)))
 
     def frame_times(self) -> FloatArray:
@@ -76,19 +83,16 @@ class Shoot:
         exposure_s = 0.0 if np.isnan(self.camera.exposure_s) else self.camera.exposure_s
         truth = self.trajectory.truth(t_s + np.array([-0.5, 0.0, 0.5]) * exposure_s)
         rate = float(np.linalg.norm(truth.rate_rad_s, axis=1).max())
-        nearest_m = 1.0
-        turned = (rate + float(np.linalg.norm(truth.v_world_m_s[1])) / nearest_m * 0.5) * exposure_s
-        count = int(np.clip(np.ceil(turned / float(np.median(self.view.pixel_rad))), 1, MAX_SUB_EXPOSURES))
-        grid = max(2, round(self.config.edge_samples / count**0.5)) if count > 1 else self.config.edge_samples
+        speed = float(np.linalg.norm(truth.v_world_m_s[1]))
+        moved_rad = (rate + 0.5 * speed / NEAR_M) * exposure_s
+        step_rad = SUB_EXPOSURE_PX * float(np.median(self.view.pixel_rad))
+        count = int(np.clip(np.ceil(moved_rad / step_rad), 1, MAX_SUB_EXPOSURES))
+        grid = self.config.edge_samples
+        if count > 1:  # the moments differ by a pixel: together they sample edges finely enough
+            grid = max(2, round(grid / count**0.5))
+        moments = ((np.arange(count) + 0.5) / count - 0.5) * exposure_s
         return _exposed(
-            self.scene,
-            self.view,
-            self.trajectory,
-            t_s,
-            exposure_s,
-            count,
-            grid,
-            self.config.camera.line_delay_s,
+            self.scene, self.view, self.trajectory, t_s + moments, grid, self.config.camera.line_delay_s
         )
 
     def picture(self, t_s: float, number: int) -> Picture:
@@ -105,28 +109,21 @@ def _exposed(
     scene: Scene,
     view: View,
     trajectory: Trajectory,
-    t_s: float,
-    exposure_s: float,
-    count: int,
+    moments_s: FloatArray,
     grid: int,
     line_delay_s: float = 0.0,
 ) -> Image:
-    """Mean of ``count`` pictures spread over the exposure; rows are exposed one after another."""
+    """Mean light of the moments of an exposure; with a rolling shutter, those of the middle row."""
     height = view.camera.height_px
-    rows = (
-        t_s + (np.arange(height) - (height - 1) / 2) * line_delay_s if line_delay_s > 0 else np.array([t_s])
-    )
-    total: Image | None = None
-    for k in range(count):
-        t = rows + ((k + 0.5) / count - 0.5) * exposure_s
-        R = trajectory.rotations(t)
-        origins = trajectory.position(t) + R @ view.camera.p_body_camera_m
-        if line_delay_s <= 0:
-            R, origins = R[0], origins[0]
-        picture = render_linear(scene.mesh, view, origins, R, grid)
-        total = picture if total is None else total + picture
-    assert total is not None
-    return np.asarray(total / np.float32(count), np.float32)
+    rows = (np.arange(height) - (height - 1) / 2) * line_delay_s
+    origins, rotations = [], []
+    for moment in moments_s.tolist():
+        R = trajectory.rotations(moment + rows if line_delay_s > 0 else moment)
+        p = trajectory.position(moment + rows if line_delay_s > 0 else np.array([moment]))
+        p = p + R @ view.camera.p_body_camera_m
+        origins.append(p if line_delay_s > 0 else p[0])
+        rotations.append(R if line_delay_s > 0 else R[0])
+    return render_linear(scene.mesh, view, origins, rotations, grid)
 
 
 def simulate_frames(config: SimulationConfig, camera: Camera | None = None) -> Iterator[SimulatedFrame]:

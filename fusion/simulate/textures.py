@@ -1,5 +1,7 @@
-"""Procedural grey textures as ripmaps: averaged separately along the two axes, so that a floor seen at a flat
-angle blurs along the view but stays sharp across it."""
+"""Procedural grey textures as ripmaps: averaged separately along the two axes.
+
+A floor seen at a flat angle so blurs along the view and stays sharp across it.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,7 @@ def _noise(rng: np.random.Generator, cells: tuple[int, int], octaves: int = 4, g
         fine = cv2.resize(padded, None, fx=scale_u, fy=scale_v, interpolation=cv2.INTER_CUBIC)
         total += weight * fine[4 * scale_v : 4 * scale_v + SIZE, 4 * scale_u : 4 * scale_u + SIZE]
         weight *= gain
-    return (total - total.mean()) / total.std()
+    return np.asarray((total - total.mean()) / total.std())
 
 
 def _plaster(rng: np.random.Generator) -> Picture:
@@ -121,7 +123,7 @@ def _border(canvas: Canvas, width: int, ink: int) -> None:
 
 
 def _poster(rng: np.random.Generator) -> Picture:
-    """A framed sheet: title, coloured fields, a blotchy photograph and lines of text."""
+    """Draw a sheet: title, coloured fields, a blotchy photograph and lines of text."""
     paper, ink = (230, 25) if rng.random() < 0.7 else (64, 217)
     canvas = np.full((SIZE, SIZE), paper, np.uint8)
     split = int(rng.integers(90, 190))
@@ -144,11 +146,11 @@ def _poster(rng: np.random.Generator) -> Picture:
     )
     _text_lines(canvas, rng, (min(split + 48, 236), 244, 16, SIZE - 16), ink)
     _border(canvas, int(rng.integers(0, 7)), _ink(rng.uniform(0.05, 0.6)))
-    return canvas.astype(np.float32) / 255
+    return np.asarray(canvas / 255, np.float32)
 
 
 def _board(rng: np.random.Generator) -> Picture:
-    """A cork or felt board with sheets of paper pinned at small angles."""
+    """Draw a cork or felt board with sheets of paper pinned at small angles."""
     canvas = _bytes(rng.uniform(0.2, 0.45) * (1 + 0.12 * _noise(rng, (64, 64), 2)))
     for _ in range(int(rng.integers(5, 14))):
         x, y = rng.uniform(30, SIZE - 30, 2).tolist()
@@ -160,21 +162,21 @@ def _board(rng: np.random.Generator) -> Picture:
         box = (y - height / 3, y + height / 3, x - width / 3, x + width / 3)
         _text_lines(canvas, rng, tuple(int(np.clip(v, 4, SIZE - 4)) for v in box), 38)  # type: ignore[arg-type]
     _border(canvas, int(rng.integers(4, 9)), _ink(rng.uniform(0.2, 0.8)))
-    return canvas.astype(np.float32) / 255
+    return np.asarray(canvas / 255, np.float32)
 
 
 def _sign(rng: np.random.Generator) -> Picture:
-    """A room number."""
+    """Draw a room number."""
     paper, ink = (235, 20) if rng.random() < 0.6 else (46, 230)
     canvas = np.full((SIZE, SIZE), paper, np.uint8)
     number = f"{int(rng.integers(100, 999))}"
     cv2.putText(canvas, number, (20, 140), cv2.FONT_HERSHEY_SIMPLEX, 3.4, ink, 12, cv2.LINE_AA)
     cv2.rectangle(canvas, (24, 180), (230, 192), ink, -1)
-    return canvas.astype(np.float32) / 255
+    return np.asarray(canvas / 255, np.float32)
 
 
 def _window(rng: np.random.Generator) -> Picture:
-    """A view outside: sky, a hazy horizon, trees or houses; used as emitted light."""
+    """Draw the view outside: sky, a hazy horizon, trees or houses; used as emitted light."""
     rows = np.linspace(0, 1, SIZE, dtype=np.float32)[:, None]
     picture = 1.15 - 0.25 * rows + np.zeros((SIZE, SIZE), np.float32)
     skyline = 150 + 18 * _noise(rng, (1, 8), 3)[0]
@@ -199,13 +201,13 @@ def _ripmap(picture: Picture) -> list[Picture]:
     # rows count from the bottom: v grows upwards on a wall
     rows = [np.ascontiguousarray(picture[::-1])]
     for _ in range(1, LEVELS):
-        rows.append((rows[-1][0::2] + rows[-1][1::2]) / 2)
+        rows.append(np.asarray((rows[-1][0::2] + rows[-1][1::2]) / 2, np.float32))
     copies: list[Picture] = []
     for row in rows:
         copy = row
         copies.append(copy)
         for _ in range(1, LEVELS):
-            copy = (copy[:, 0::2] + copy[:, 1::2]) / 2
+            copy = np.asarray((copy[:, 0::2] + copy[:, 1::2]) / 2, np.float32)
             copies.append(copy)
     return copies
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import radians
 
@@ -11,12 +11,16 @@ import numpy.typing as npt
 
 from fusion.simulate.config import ImagingConfig, rotation
 from fusion.simulate.imaging import Picture, Sensor, mean_radiance, through_jpeg
-from fusion.simulate.render import View, render_linear
+from fusion.simulate.render import Image, View, render_linear
 from fusion.simulate.scene import Scene, build_scene
 from fusion.simulate.scene_config import SceneConfig
 from vision import Camera
 
 FloatArray = npt.NDArray[np.float64]
+
+ELBOW_ROOM_M = 0.3
+SUB_EXPOSURE_PX = 1.5
+MAX_SUB_EXPOSURES = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,17 +56,31 @@ class RandomView:
     scene_seed: int
 
 
+@dataclass(frozen=True, slots=True)
+class _Limits:
+    """From what the poses are drawn."""
+
+    heading_rad: float
+    offset_norm: float
+    tilt_std_rad: float
+    ahead_m: float
+    rate_rad_s: float
+    line_delay_s: float
+
+
 def random_views(
     camera: Camera,
     n: int,
     seed: int = 0,
     *,
-    scene: SceneConfig | None = None,
-    imaging: ImagingConfig | None = None,
+    scene: SceneConfig | Callable[[int], SceneConfig] = SceneConfig.random,
+    imaging: ImagingConfig | Callable[[int], ImagingConfig] = ImagingConfig.random,
     max_heading_rad: float = radians(25.0),
     max_offset_norm: float = 0.7,
     tilt_std_rad: float = radians(3.0),
     min_ahead_m: float = 4.0,
+    yaw_rate_rad_s: float = 0.0,
+    line_delay_s: float = 0.0,
     views_per_scene: int = 10,
 ) -> Iterator[RandomView]:
     """Yield n views of random corridors; the same arguments give the same pictures.
@@ -70,27 +88,34 @@ def random_views(
     Parameters
     ----------
     camera
-        Any `vision.Camera`; its size is the pictures' size.
+        Any `vision.Camera`; its size is the pictures' size. The body's origin is where the camera is.
     scene, imaging
-        Fixed conditions; by default a new corridor and a new camera quality are drawn for every scene.
+        Fixed conditions, or functions that draw them from a seed: a new corridor for every ``views_per_scene``
+        pictures. ``lambda seed: SceneConfig.random(seed, end="stairs")`` fixes some of it.
     max_heading_rad, max_offset_norm
         Heading and offset are uniform within these.
     tilt_std_rad
         Of roll and of pitch.
     min_ahead_m
         Nearest that the end of the corridor may be.
+    yaw_rate_rad_s
+        Turning while the picture is taken: blurs it over ``camera.exposure_s``, skews it over ``line_delay_s``.
+        The truth is that of the middle.
+    line_delay_s
+        Rolling shutter, from row to row.
     views_per_scene
         Pictures taken in one corridor before the next is built (building takes longer than a picture).
     """
     view = View.of(camera)
+    limits = _Limits(
+        max_heading_rad, max_offset_norm, tilt_std_rad, min_ahead_m, yaw_rate_rad_s, line_delay_s
+    )
     for start in range(0, n, views_per_scene):
         scene_seed = seed * 100003 + start // views_per_scene
-        config = scene or SceneConfig.random(scene_seed)
-        built = build_scene(config, scene_seed)
-        quality = imaging or ImagingConfig.random(scene_seed)
+        built = build_scene(scene(scene_seed) if callable(scene) else scene, scene_seed)
+        quality = imaging(scene_seed) if callable(imaging) else imaging
         for k in range(start, min(start + views_per_scene, n)):
             rng = np.random.default_rng((scene_seed, k, 4))
-            limits = (max_heading_rad, max_offset_norm, tilt_std_rad, min_ahead_m)
             yield _take(built, view, quality, rng, limits, scene_seed)
 
 
@@ -99,32 +124,58 @@ def _take(
     view: View,
     quality: ImagingConfig,
     rng: np.random.Generator,
-    limits: tuple[float, float, float, float],
+    limits: _Limits,
     scene_seed: int,
 ) -> RandomView:
     config = scene.config
-    max_heading, max_offset, tilt_std, min_ahead = limits
-    heading, offset = (
-        float(rng.uniform(-max_heading, max_heading)),
-        float(rng.uniform(-max_offset, max_offset)),
-    )
-    roll, pitch = rng.normal(0.0, tilt_std, 2).tolist()
-    s = float(rng.uniform(0.5, max(0.6, config.length_m - min_ahead)))
-    height = float(rng.uniform(0.3, 0.75)) * config.height_m
-    place = scene.rooms[0].to_world(s, offset * config.width_m / 2)
-    origin = np.array([*place, -height])
-    radiance = render_linear(scene.mesh, view, origin, rotation(heading, pitch, roll))
+    heading = float(rng.uniform(-limits.heading_rad, limits.heading_rad))
+    offset = float(rng.uniform(-limits.offset_norm, limits.offset_norm))
+    roll, pitch = rng.normal(0.0, limits.tilt_std_rad, 2).tolist()
+    origin = _free_place(scene, offset, limits.ahead_m, rng)
+    radiance = _exposed(scene, view, origin, rotation(heading, pitch, roll), limits)
     sensor = Sensor.of(quality, view, mean_radiance(radiance))
     image = through_jpeg(sensor.develop(radiance, rng), quality.jpeg_quality)
     return RandomView(
         image,
         view.camera,
-        heading,
-        offset,
-        roll,
-        pitch,
-        height,
-        config.width_m,
-        config.length_m - s,
-        scene_seed,
+        heading_rad=heading,
+        lateral_offset_norm=offset,
+        roll_rad=roll,
+        pitch_rad=pitch,
+        height_m=-float(origin[2]),
+        width_m=config.width_m,
+        ahead_m=config.length_m - float(origin[0]),
+        scene_seed=scene_seed,
     )
+
+
+def _free_place(scene: Scene, offset_norm: float, min_ahead_m: float, rng: np.random.Generator) -> FloatArray:
+    """Draw a place along the first corridor at an offset, not inside furniture if that can be helped."""
+    config = scene.config
+    origin = np.zeros(3)
+    for _ in range(30):
+        s = float(rng.uniform(0.5, max(0.6, config.length_m - min_ahead_m)))
+        place = scene.rooms[0].to_world(s, offset_norm * config.width_m / 2)
+        origin = np.array([*place, -float(rng.uniform(0.3, 0.75)) * config.height_m])
+        low, high = scene.obstacles[:, :3] - ELBOW_ROOM_M, scene.obstacles[:, 3:] + ELBOW_ROOM_M
+        if not ((origin > low) & (origin < high)).all(axis=1).any():
+            break
+    return origin
+
+
+def _exposed(scene: Scene, view: View, origin: FloatArray, R: FloatArray, limits: _Limits) -> Image:
+    """Light of an exposure while the body turns at a constant rate about the vertical."""
+    rate, exposure_s = limits.rate_rad_s, np.nan_to_num(view.camera.exposure_s)
+    if rate == 0.0:
+        return render_linear(scene.mesh, view, [origin], [R])
+    pixels = abs(rate) * exposure_s / float(np.median(view.pixel_rad))
+    count = int(np.clip(np.ceil(pixels / SUB_EXPOSURE_PX), 1, MAX_SUB_EXPOSURES))
+    height = view.camera.height_px
+    rows = (np.arange(height) - (height - 1) / 2) * limits.line_delay_s
+    rotations = []
+    for moment in (((np.arange(count) + 0.5) / count - 0.5) * exposure_s).tolist():
+        turned = [rotation(rate * (moment + row), 0.0, 0.0) @ R for row in rows.tolist()]
+        rotations.append(
+            np.array(turned) if limits.line_delay_s > 0 else rotation(rate * moment, 0.0, 0.0) @ R
+        )
+    return render_linear(scene.mesh, view, [origin] * count, rotations, max(2, round(4 / count**0.5)))
