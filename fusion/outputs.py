@@ -24,9 +24,8 @@ from fusion.tables import Table
 from vision.errors import InputError
 
 if TYPE_CHECKING:
-    from fusion.offline import FusionResult
-
     from fusion.flight import Flight
+    from fusion.offline import FusionResult
 
 OUTPUT_FILES = ("estimates.csv", "smoothed.csv", "frames.csv", "summary.json", "report.html")
 _LEFT_BY_FILE_BROWSERS = frozenset({".DS_Store", "Thumbs.db"})
