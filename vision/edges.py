@@ -18,7 +18,8 @@ FloatArray = npt.NDArray[np.float64]
 DIRECTION_COS2 = cos(radians(22.5)) ** 2
 MAX_RMS_PX = 0.8  # scatter across the line beyond which it is not one
 MIN_PIXELS = 5
-NOISE_ROW_STEP = 8
+ROW_STEP = 8
+MAX_BLOCK_STEP = 20  # larger ones are the picture's own edges
 
 # columns of a component's running sums
 N, SX, SY, SXX, SXY, SYY, GX, GY, MAG, X_MIN, X_MAX, Y_MIN, Y_MAX = range(13)
@@ -42,13 +43,29 @@ def gradient_magnitude(
 
 
 @compiled
-def second_differences(grey: npt.NDArray[np.uint8], counts: npt.NDArray[np.int64]) -> None:
-    """Fill ``counts`` (1024,) with the histogram of |a - 2b + c| along every eighth row."""
+def difference_statistics(grey: npt.NDArray[np.uint8], counts: npt.NDArray[np.int64]) -> float:
+    """Fill ``counts`` (1024,) with the histogram of |a - 2b + c| along every eighth row; return the blockiness.
+
+    Blockiness is the mean step between columns 8k - 1 and 8k, where JPEG's blocks meet, over the mean step elsewhere:
+    about 1 for pictures never compressed, 1.5 for good quality, 2 and more where the blocks can be seen.
+    """
     height, width = grey.shape
     counts[:] = 0
-    for y in range(0, height, NOISE_ROW_STEP):
+    at_joint = 0
+    elsewhere = 0
+    for y in range(0, height, ROW_STEP):
         for x in range(1, width - 1):
-            counts[abs(np.int64(grey[y, x - 1]) - 2 * np.int64(grey[y, x]) + np.int64(grey[y, x + 1]))] += 1
+            a = np.int64(grey[y, x - 1])
+            b = np.int64(grey[y, x])
+            counts[abs(a - 2 * b + np.int64(grey[y, x + 1]))] += 1
+            step = int(abs(b - a))
+            if step > MAX_BLOCK_STEP:
+                step = MAX_BLOCK_STEP
+            if x % 8 == 0:
+                at_joint += step
+            else:
+                elsewhere += step
+    return 7.0 * at_joint / max(elsewhere, 1)
 
 
 @compiled
@@ -141,8 +158,12 @@ def connect(
     parent: npt.NDArray[np.int32],
     sums: FloatArray,
     rows: npt.NDArray[np.int32],
-) -> int:
-    """Join edge pixels to components in one raster pass; return how many labels were given out.
+) -> tuple[int, float, float]:
+    """Join edge pixels to components in one raster pass; return how many labels were given out, and sharpness.
+
+    Sharpness is the mean curvature of the gradient's ridge over its height, strong edges counting most: about 1 for
+    edges as sharp as the pixels, 1 / s^2 for edges blurred over s pixels. It is taken apart for steep and for flat
+    edges: motion blurs only those across its way.
 
     Parameters
     ----------
@@ -160,6 +181,7 @@ def connect(
     height, width = magnitude.shape
     distorted = rectified.shape[0] > 1
     n_labels = 0
+    steep_bend = steep_height = flat_bend = flat_height = 1e-9
     above = rows[0]
     here = rows[1]
     above[:] = -1
@@ -178,7 +200,14 @@ def connect(
             m1 = magnitude[y + dy, x + dx]
             if m <= m0 or m < m1:
                 continue
-            shift = 0.5 * (m0 - m1) / (m0 - 2.0 * m + m1)
+            curvature = 2.0 * m - m0 - m1
+            if dx:
+                steep_bend += curvature
+                steep_height += m
+            else:
+                flat_bend += curvature
+                flat_height += m
+            shift = 0.5 * (m1 - m0) / curvature
             px = x + shift * dx
             py = y + shift * dy
             if distorted:
@@ -194,7 +223,7 @@ def connect(
             label = _component_of_pixel(x, ux, uy, here, above, parent, sums)
             if label < 0:
                 if n_labels == parent.shape[0]:
-                    return n_labels
+                    return n_labels, steep_bend / steep_height, flat_bend / flat_height
                 label = n_labels
                 n_labels += 1
                 parent[label] = label
@@ -202,7 +231,7 @@ def connect(
             _add_pixel(sums[label], px, py, ux, uy, m)
             here[x] = label
         above, here = here, above
-    return n_labels
+    return n_labels, steep_bend / steep_height, flat_bend / flat_height
 
 
 @compiled

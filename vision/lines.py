@@ -14,7 +14,7 @@ import time
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil, hypot, radians, sqrt, tan
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -30,9 +30,9 @@ from vision.edges import (
     RMS,
     X1,
     connect,
+    difference_statistics,
     fit,
     gradient_magnitude,
-    second_differences,
 )
 from vision.images import to_grey
 
@@ -42,12 +42,17 @@ GreyImage = npt.NDArray[np.uint8]
 MAX_COMPONENTS = 1 << 15
 MAX_LINES = 1 << 12
 NOISE_TO_THRESHOLD = 3.0  # threshold over the median gradient magnitude
+STRUCTURE_TO_THRESHOLD = 1.0  # threshold over the mean gradient magnitude
 MIN_THRESHOLD = 6.0  # gradient (Sobel 3x3) that quantisation to whole grey levels can make
 SMOOTH_FROM_NOISE = (1.5, 5.0, 8.5)  # noise, grey levels, above which blur of 3, 5, 7 pixels pays
 SMOOTH_FROM_NOISE_COARSE = (5.0, 14.0)  # the same for pictures whose edges lie closer together
+SHARPNESS = (0.80, 0.58, 0.42, 0.34)  # of a sharp edge after blur of 1, 3, 5, 7 pixels; see `connect`
+BLURRED_SHARPNESS = 0.5
+SMOOTH_FROM_BLOCKINESS = (1.7, 1.7, 2.6)  # steps at the joints of JPEG's blocks over others
 FINE_DIAGONAL_PX = 600.0
 SMALL_DIAGONAL_PX = 300.0
 MAX_DIAGONAL_PX = 1000.0
+MIN_DIAGONAL_PX = 100.0
 SECOND_DIFFERENCE_MEDIAN = 0.6745 * sqrt(6.0)  # median of |a - 2b + c| for noise of one grey level
 MIN_LENGTH_OF_DIAGONAL = 0.02
 MIN_LENGTH_PX = 7.0
@@ -152,23 +157,45 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera) -> LineSet:
     grey = to_grey(image)
     camera.require_size(grey.shape[1], grey.shape[0])
     working = _working_camera(camera)
-    width, height = working.width_px, working.height_px
-    if working is not camera:
-        smaller = width < camera.width_px
-        interpolation = cv2.INTER_AREA if smaller else cv2.INTER_CUBIC
-        grey = np.asarray(cv2.resize(grey, (width, height), interpolation=interpolation), np.uint8)
+    found = _trace(_scaled(grey, working), working)
+    # Edges blurred over several pixels have their maximum anywhere on a plateau: look from farther away.
+    while found.blurred and hypot(working.width_px, working.height_px) > 2.0 * MIN_DIAGONAL_PX:
+        working = _halved(working)
+        found = _trace(_scaled(grey, working), working)
+    return _line_set(found, camera, working, started)
+
+
+class _Traced(NamedTuple):
+    lines: FloatArray  # rows as `vision.edges.fit` leaves them
+    threshold: float
+    blurred: bool
+
+
+def _trace(grey: GreyImage, camera: Camera) -> _Traced:
+    height, width = grey.shape
     work = _workspace(height, width)
-    gradient = cv2.spatialGradient(_smoothed(grey, work.counts))
+    smooth, expected_sharpness = _smoothed(grey, work.counts)
+    gradient = cv2.spatialGradient(smooth)
     gx, gy = np.asarray(gradient[0], np.int16), np.asarray(gradient[1], np.int16)
     gradient_magnitude(gx, gy, work.magnitude)
-    median = float(np.median(work.magnitude[2:-2:4, 2:-2:4]))
-    threshold = max(MIN_THRESHOLD, NOISE_TO_THRESHOLD * median)
-    n_labels = connect(
-        gx, gy, work.magnitude, np.float32(threshold), _rectified(working), work.parent, work.sums, work.rows
+    sample = work.magnitude[2:-2:4, 2:-2:4]
+    threshold = max(
+        MIN_THRESHOLD, NOISE_TO_THRESHOLD * float(np.median(sample)), STRUCTURE_TO_THRESHOLD * float(sample.mean())
+    )
+    n_labels, steep, flat = connect(
+        gx, gy, work.magnitude, np.float32(threshold), _rectified(camera), work.parent, work.sums, work.rows
     )
     min_length = max(MIN_LENGTH_PX, MIN_LENGTH_OF_DIAGONAL * hypot(width, height))
     n = fit(work.parent, work.sums, n_labels, min_length, work.lines)
-    return _line_set(work.lines[:n], camera, working, threshold, started)
+    return _Traced(work.lines[:n].copy(), threshold, min(steep, flat) < BLURRED_SHARPNESS * expected_sharpness)
+
+
+def _scaled(grey: GreyImage, camera: Camera) -> GreyImage:
+    size = (camera.width_px, camera.height_px)
+    if size == grey.shape[::-1]:
+        return grey
+    interpolation = cv2.INTER_AREA if size[0] < grey.shape[1] else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(grey, size, interpolation=interpolation), np.uint8)
 
 
 def is_distorted(camera: Camera) -> bool:
@@ -176,16 +203,19 @@ def is_distorted(camera: Camera) -> bool:
     return any(camera.coefficients) or camera.distortion is Distortion.EQUIDISTANT
 
 
-def noise_std(grey: GreyImage, counts: npt.NDArray[np.int64] | None = None) -> float:
-    """Estimate a picture's noise, standard deviation in grey levels, from the median second difference."""
+def noise_and_blockiness(grey: GreyImage, counts: npt.NDArray[np.int64] | None = None) -> tuple[float, float]:
+    """Estimate a picture's noise, standard deviation in grey levels, and how much JPEG's blocks stand out.
+
+    The noise follows from the median second difference, which edges hardly touch.
+    """
     counts = np.empty(1024, np.int64) if counts is None else counts
-    second_differences(grey, counts)
+    blockiness = difference_statistics(grey, counts)
     cumulative = np.cumsum(counts)
     half = 0.5 * cumulative[-1]
     level = int(np.searchsorted(cumulative, half))
     below = cumulative[level - 1] if level else 0
     median = level - 0.5 + (half - below) / max(counts[level], 1)
-    return max(float(median), 0.0) / SECOND_DIFFERENCE_MEDIAN
+    return max(float(median), 0.0) / SECOND_DIFFERENCE_MEDIAN, blockiness
 
 
 @lru_cache(maxsize=8)
@@ -206,6 +236,11 @@ def _working_camera(camera: Camera) -> Camera:
 
 
 @lru_cache(maxsize=8)
+def _halved(camera: Camera) -> Camera:
+    return camera.resized(round(camera.width_px / 2), round(camera.height_px / 2))
+
+
+@lru_cache(maxsize=8)
 def _rectified(camera: Camera) -> npt.NDArray[np.float32]:
     """Return rectified coordinates (h, w, 2) of every pixel, NaN outside the usable field.
 
@@ -220,17 +255,24 @@ def _rectified(camera: Camera) -> npt.NDArray[np.float32]:
     return points.reshape(camera.height_px, camera.width_px, 2).astype(np.float32)
 
 
-def _smoothed(grey: GreyImage, counts: npt.NDArray[np.int64]) -> GreyImage:
-    """Blur as little as the noise allows: blur lets neighbouring edges pull at each other."""
-    noise = noise_std(grey, counts)
+def _smoothed(grey: GreyImage, counts: npt.NDArray[np.int64]) -> tuple[GreyImage, float]:
+    """Blur as little as the noise allows, and say how sharp a sharp edge still is.
+
+    Blur lets neighbouring edges pull at each other.
+    """
+    noise, blockiness = noise_and_blockiness(grey, counts)
     limits = SMOOTH_FROM_NOISE if hypot(*grey.shape) > FINE_DIAGONAL_PX else SMOOTH_FROM_NOISE_COARSE
-    size = 1 + 2 * sum(noise > limit for limit in limits)
-    return grey if size == 1 else np.asarray(cv2.GaussianBlur(grey, (size, size), 0), np.uint8)
+    level = max(
+        sum(noise > limit for limit in limits), sum(blockiness > limit for limit in SMOOTH_FROM_BLOCKINESS)
+    )
+    if level == 0:
+        return grey, SHARPNESS[0]
+    size = 1 + 2 * level
+    return np.asarray(cv2.GaussianBlur(grey, (size, size), 0), np.uint8), SHARPNESS[level]
 
 
-def _line_set(
-    lines: FloatArray, camera: Camera, working: Camera, threshold: float, started: float
-) -> LineSet:
+def _line_set(found: _Traced, camera: Camera, working: Camera, started: float) -> LineSet:
+    lines = found.lines
     offset = np.array([working.cx_px, working.cy_px])
     focal = np.array([working.fx_px, working.fy_px])
     p0 = np.column_stack([(lines[:, :X1] - offset) / focal, np.ones(len(lines))])
@@ -261,6 +303,6 @@ def _line_set(
         normal=normal,
         sigma_rad=sigma_px * np.hypot(normal[:, 0], normal[:, 1]) / (depth * working.fx_px),
         arc_rad=np.arctan2(sine, (p0 * p1).sum(axis=1)),
-        threshold=threshold,
+        threshold=found.threshold,
         extract_ms=1e3 * (time.perf_counter() - started),
     )

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from vision import Camera
 from vision.edges import N_LINE
-from vision.lines import LineSet, _line_set
+from vision.lines import LineSet, _line_set, _Traced
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -85,6 +85,6 @@ def seen() -> Seen:
         rows[:, :4] = px
         rows[:, 4] = np.hypot(px[:, 2] - px[:, 0], px[:, 3] - px[:, 1])
         rows[:, 5], rows[:, 6], rows[:, 7] = 0.2, np.maximum(rows[:, 4], 5.0), 100.0
-        return _line_set(rows[rows[:, 4] > 10.0], camera, camera, 20.0, time.perf_counter())
+        return _line_set(_Traced(rows[rows[:, 4] > 10.0], 20.0, False), camera, camera, time.perf_counter())
 
     return look

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from vision import Camera, InputError
 from vision.camera import Distortion
-from vision.lines import extract_lines, noise_std
+from vision.lines import extract_lines, noise_and_blockiness
 
 CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)
 
@@ -72,7 +72,7 @@ def test_a_thin_line_is_two_edges_and_a_blank_picture_none() -> None:
 def test_noise_alone_gives_next_to_no_lines() -> None:
     rng = np.random.default_rng(1)
     image = np.clip(rng.normal(100, 8, (480, 640)), 0, 255).astype(np.uint8)
-    assert noise_std(image) == pytest.approx(8.0, rel=0.05)
+    assert noise_and_blockiness(image)[0] == pytest.approx(8.0, rel=0.05)
     assert len(extract_lines(image, CAMERA)) < 5
 
 
@@ -138,3 +138,10 @@ def test_every_threads_frames_are_their_own() -> None:
 def test_a_picture_of_another_size_is_refused() -> None:
     with pytest.raises(InputError, match="320"):
         extract_lines(np.zeros((240, 320), np.uint8), CAMERA)
+
+
+def test_blockiness_tells_compression_from_structure() -> None:
+    clean = np.clip(half_plane(0.5, 3.0) + np.random.default_rng(0).normal(0, 2, (480, 640)), 0, 255).astype(np.uint8)
+    assert noise_and_blockiness(clean)[1] < 1.3
+    packed = cv2.imdecode(cv2.imencode(".jpg", clean, [cv2.IMWRITE_JPEG_QUALITY, 10])[1], cv2.IMREAD_GRAYSCALE)
+    assert noise_and_blockiness(np.asarray(packed, np.uint8))[1] > 1.7
