@@ -93,7 +93,7 @@ class FusionConfig(BaseModel):
         default=radians(0.05), gt=0, le=1, description="No frame's heading is believed better than this."
     )
     heading_correlation_s: float = Field(
-        default=0.1,
+        default=0.03,
         ge=0,
         le=10,
         description="Time over which errors of successive headings resemble each other.",
@@ -123,7 +123,7 @@ class FusionConfig(BaseModel):
         description="No frame's offset is believed better than this, in half widths.",
     )
     lateral_correlation_s: float = Field(
-        default=0.5,
+        default=0.15,
         ge=0,
         le=10,
         description="Time over which errors of successive lateral offsets resemble each other.",
@@ -145,7 +145,7 @@ class FusionConfig(BaseModel):
         default=0.08, gt=0, le=1, description="The same for lateral offsets."
     )
     axis_jump_hold_s: float = Field(
-        default=3.0,
+        default=10.0,
         ge=0,
         le=60,
         description="How long a far-off direction must last that no turn of the vehicle explains.",
@@ -158,7 +158,7 @@ class FusionConfig(BaseModel):
     )
     junction_time_s: float = Field(default=0.7, ge=0, le=60, description="Time over which they must agree.")
     junction_revert_s: float = Field(
-        default=4.0, ge=0, le=60, description="Time in which a return to the old axis undoes a new corridor."
+        default=8.0, ge=0, le=60, description="Time in which a return to the old axis undoes a new corridor."
     )
 
     coasting_after_s: float = Field(

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from statistics import median
 from typing import NamedTuple
 
-MAX_VOTES = 40
+MAX_VOTES = 60
 
 
 class Vote(NamedTuple):

@@ -23,13 +23,21 @@ from fusion import tilt as tilts
 from fusion.consensus import Agreement, Vote, add_vote, agreement
 from fusion.models import BIAS, N_STATES, OFFSET, PSI, V, Y, heading_model, lateral_model, wrap_axis
 from fusion.propagation import Propagation
-from fusion.state import UNKNOWN_HEADING_STD_RAD, UNKNOWN_LATERAL_STD, Mode
+from fusion.state import (
+    UNKNOWN_HEADING_STD_RAD,
+    UNKNOWN_LATERAL_STD,
+    Mode,
+    PreviousAxis,
+    frame_age_limit_s,
+    seconds_since,
+)
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 
 Measure = Callable[[Attitude | None, Prior], FrameMeasurement]
 
 VOTE_AGE_S = 3.0
 VOTE_AGE_FRAMES = 15
+VOTE_SPACING_S = 0.03
 AGREEING_SHARE = 0.6
 CONTESTED_SHARE = 0.25
 KNOWN_AXIS_RAD = radians(5)
@@ -37,8 +45,12 @@ GRADUAL_RAD = radians(6)
 ALIGNED_RAD = radians(10)
 OBLIQUE_RAD = radians(35)
 OBLIQUE_WAIT_S = 3.0
+WEAK_SUPPORT_S = 1.5
+REAL_CORRIDOR_OFFSETS = 10
+GLANCE_S = 3.0
 LATERAL_START_FRAMES = 3
 LATERAL_LOST_STD = 0.5
+LATERAL_PRIOR_STD = 0.1
 ELEVATION_WEIGHT = 30.0  # errors of successive elevations are those of the attitude: alike for seconds
 ELEVATION_FLOOR_RAD = radians(0.25)
 WIDTH_MEMORY_FRAMES = 100
@@ -101,13 +113,17 @@ class Engine(Propagation):
         psi = float(self.ekf.x[PSI])
         elevation, variance = s.elevation
         p, q, r = s.gyro
+        offset = offset_std = nan
+        age_s = seconds_since(self._now_ns, s.t_lateral_ns)
+        if s.lateral_acquired and age_s <= frame_age_limit_s(s, self.config):
+            # Wider than it is: were vision silent wherever the filter is wrong, nothing could set the filter right.
+            offset = (1 if cos(psi) >= 0 else -1) * float(self.ekf.x[Y])
+            offset_std = hypot(sqrt(float(self.ekf.P[Y, Y])), LATERAL_PRIOR_STD)
         return Prior(
             heading_rad=wrap_axis(psi) if s.acquired else nan,
             heading_std_rad=sqrt(float(self.ekf.P[PSI, PSI])) if s.acquired else nan,
-            lateral_offset_norm=(1 if cos(psi) >= 0 else -1) * float(self.ekf.x[Y])
-            if s.lateral_acquired
-            else nan,
-            lateral_offset_norm_std=sqrt(float(self.ekf.P[Y, Y])) if s.lateral_acquired else nan,
+            lateral_offset_norm=offset,
+            lateral_offset_norm_std=offset_std,
             width_per_height=s.width_per_height,
             elevation_rad=elevation,
             elevation_std_rad=max(sqrt(variance), ELEVATION_FLOOR_RAD),
@@ -199,6 +215,8 @@ class Engine(Propagation):
 
     def _vote(self, t_ns: int, axis_rad: float, std_rad: float, linked: bool) -> None:
         s = self.state
+        if s.votes and (t_ns - s.votes[-1].t_ns) * 1e-9 < VOTE_SPACING_S:
+            return  # a fast camera's frames resemble each other, and would crowd out the older ones
         interval = s.frame_interval_s if isfinite(s.frame_interval_s) else 0.0
         age_s = max(VOTE_AGE_S, VOTE_AGE_FRAMES * interval)
         s.votes = add_vote(s.votes, Vote(t_ns, axis_rad, std_rad, s.n_accepted, linked), age_s)
@@ -226,7 +244,9 @@ class Engine(Propagation):
         found = agreement(s.votes, c.recovery_spread_rad, wrap_axis)
         if found is None or found.n_votes < min(c.recovery_frames, c.junction_frames):
             return
+        lasting_s = self._follow_rival(t_ns, found)
         if s.n_accepted - found.n_accepted > CONTESTED_SHARE * found.n_votes:
+            s.rival = None
             return  # other frames still see the present axis
         heading = wrap_axis(s.theta_rad - found.value)
         distance = abs(wrap_axis(heading - float(self.ekf.x[PSI])))
@@ -234,14 +254,32 @@ class Engine(Propagation):
         if distance < c.junction_min_turn_rad or known:
             if found.n_votes >= c.recovery_frames:
                 self._recover(t_ns, heading, found)
-        elif self._has_turned_into(heading, found):
+        elif self._has_turned_into(heading, found, lasting_s):
             self._change_corridor(t_ns, heading, found)
-        elif found.n_votes >= c.recovery_frames and found.span_s >= min(
-            c.axis_jump_hold_s, 0.3 + 0.1 * s.support_s
-        ):
-            self._recover(t_ns, heading, found)
+        elif found.n_votes >= c.recovery_frames and lasting_s >= self._patience_s():
+            # No turn explains it: the axis taken up before was the wrong one.
+            if s.corridor_index == 0:
+                self._recover(t_ns, heading, found)
+            else:
+                self._change_corridor(t_ns, heading, found, same_corridor=True)
 
-    def _has_turned_into(self, heading_rad: float, found: Agreement) -> bool:
+    def _follow_rival(self, t_ns: int, found: Agreement) -> float:
+        """Return how long this axis has been the one that votes agree on, also beyond the votes' own age."""
+        s = self.state
+        first_ns = found.first_ns
+        if s.rival is not None:
+            axis, since_ns, last_ns = s.rival
+            alive = (t_ns - last_ns) * 1e-9 <= max(1.0, 5.0 * s.frame_interval_s)
+            if alive and abs(wrap_axis(axis - found.value)) < KNOWN_AXIS_RAD:
+                first_ns = min(first_ns, since_ns)
+        s.rival = (found.value, first_ns, t_ns)
+        return (t_ns - first_ns) * 1e-9
+
+    def _patience_s(self) -> float:
+        """How long another direction must last against an axis that frames have confirmed for some time."""
+        return min(self.config.axis_jump_hold_s, 0.3 + self.state.support_s)
+
+    def _has_turned_into(self, heading_rad: float, found: Agreement, lasting_s: float) -> bool:
         """Whether the vehicle's own turn makes the agreed axis that of another corridor, ``heading_rad`` off it."""
         s, c = self.state, self.config
         turned = s.theta_rad - s.anchor_rad
@@ -253,7 +291,7 @@ class Engine(Propagation):
         wait_s = c.junction_time_s + OBLIQUE_WAIT_S * max(
             0.0, (oblique - ALIGNED_RAD) / (OBLIQUE_RAD - ALIGNED_RAD)
         )
-        return found.n_votes >= c.junction_frames and found.span_s >= wait_s and found.share >= AGREEING_SHARE
+        return found.n_votes >= c.junction_frames and lasting_s >= wait_s and found.share >= AGREEING_SHARE
 
     def _recover(self, t_ns: int, heading_rad: float, found: Agreement) -> None:
         """Let the covariance admit the heading that the votes agree on, and take in their median."""
@@ -263,7 +301,7 @@ class Engine(Propagation):
         self.ekf.update(heading_model(self.ekf.x, heading_rad, found.std**2))
         s.reset_count += 1
         s.reset_heading_rad = float(self.ekf.x[PSI]) - before
-        s.votes = ()
+        s.votes, s.rival = (), None
         self._confirm(t_ns)
 
     def _widen_heading(self, error_rad: float) -> None:
@@ -274,7 +312,9 @@ class Engine(Propagation):
             Q[PSI, OFFSET] = Q[OFFSET, PSI] = -(error_rad**2)
         self._transit(self.ekf.x, np.eye(N_STATES), Q)
 
-    def _change_corridor(self, t_ns: int, heading_rad: float, found: Agreement) -> None:
+    def _change_corridor(
+        self, t_ns: int, heading_rad: float, found: Agreement, *, same_corridor: bool = False
+    ) -> None:
         """Measure the heading from another corridor's axis from now on.
 
         As a transition: the new heading is what the votes say, independent of the old; the offset takes up the
@@ -294,21 +334,30 @@ class Engine(Propagation):
         Q[Y, Y] = UNKNOWN_LATERAL_STD**2
         Q[V, V] = (c.lateral_velocity_std_m_s / self._half_width()) ** 2
         self._transit(np.array([heading_rad, bias, offset, 0.0, 0.0]), F, Q)
-        left = (s.theta_rad - psi, s.corridor_index, s.corridor_turn_rad, t_ns)
+        left = PreviousAxis(s.theta_rad - psi, s.corridor_index, s.corridor_turn_rad, t_ns, s.n_lateral)
         back = s.previous_axis
-        s.corridor_index = s.n_corridors
-        recent = back is not None and t_ns - back[3] <= c.junction_revert_s * 1e9
-        if back is not None and recent and abs(wrap_axis(found.value - back[0])) < 2 * KNOWN_AXIS_RAD:
-            s.corridor_index = back[1]  # the vehicle came back: it was no other corridor
+        recent = back is not None and self._is_glance(t_ns, back)
+        if back is not None and recent and abs(wrap_axis(found.value - back.axis_rad)) < 2 * KNOWN_AXIS_RAD:
+            s.corridor_index = back.corridor_index  # the vehicle came back: it was no other corridor
+        elif same_corridor or (recent and s.support_s < WEAK_SUPPORT_S):
+            left = back or left  # the right axis of the corridor just entered; the first guess was a wall's
+        else:
+            s.corridor_index = s.n_corridors
         s.n_corridors = max(s.n_corridors, s.corridor_index + 1)
         s.previous_axis, s.corridor_turn_rad = left, turn
         s.reset_count += 1
         s.reset_heading_rad = heading_rad - psi
-        s.votes = s.lateral_votes = ()
+        s.votes, s.lateral_votes, s.rival = (), (), None
         s.lateral_acquired, s.t_lateral_ns = False, None
         s.width_per_height, s.n_width = nan, 0
         s.support_s = 0.0
         self._confirm(t_ns)
+
+    def _is_glance(self, t_ns: int, back: PreviousAxis) -> bool:
+        """Whether the present corridor may still turn out to be a wall or a side corridor looked at in passing."""
+        since_s = (t_ns - back.left_ns) * 1e-9
+        two_sided = self.state.n_lateral - back.n_lateral >= REAL_CORRIDOR_OFFSETS  # a wall shows one side
+        return since_s <= (GLANCE_S if two_sided else self.config.junction_revert_s)
 
     def _learn(self, t_ns: int, m: FrameMeasurement, attitude: Attitude | None) -> None:
         """Use the rest of a frame whose heading was accepted: lateral offset, width, elevation of the camera."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from math import hypot, isfinite, nan, pi, sqrt
 from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 
@@ -111,6 +112,16 @@ def _start_covariance() -> FloatArray:
     )
 
 
+class PreviousAxis(NamedTuple):
+    """The corridor left last: axis in the dead-reckoned frame, index, turn, when, and lateral offsets used by then."""
+
+    axis_rad: float
+    corridor_index: int
+    corridor_turn_rad: float
+    left_ns: int
+    n_lateral: int
+
+
 @dataclass(eq=False)
 class State:
     """Everything the engine's next step depends on.
@@ -162,7 +173,8 @@ class State:
         tuple[int, float, bool], ...
     ] = ()  # time, heading, linked: of the last frames that saw an axis
     heading_ratio: float = nan
-    previous_axis: tuple[float, int, float, int] | None = None  # theta, index, turn, time it was left
+    rival: tuple[float, int, int] | None = None  # axis that rejected frames agree on, since when, seen last
+    previous_axis: PreviousAxis | None = None
     elevation: tuple[float, float] = (0.0, (3.0 * pi / 180) ** 2)  # mean, variance
 
     lateral_acquired: bool = False
