@@ -113,7 +113,7 @@ def _start_covariance() -> FloatArray:
 
 
 class PreviousAxis(NamedTuple):
-    """The corridor left last: axis in the dead-reckoned frame, index, turn, when, and lateral offsets used by then."""
+    """The corridor left last: axis in the dead-reckoned frame, index, turn, when, lateral offsets used by then."""
 
     axis_rad: float
     corridor_index: int
