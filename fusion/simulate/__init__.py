@@ -1,13 +1,51 @@
 """Make corridor flights: pictures, inertial data and exact truth, from a configuration and a seed.
 
-World axes: x along the first corridor, y right of it, z down, floor at z = 0. Body FRD. The pictures are rendered by
-casting rays at a furnished, lit corridor; see `fusion.simulate.render`.
+World axes: x along the first corridor, y right of it, z down, floor at z = 0. Body FRD. The pictures are made by
+casting rays at a furnished, lit corridor; see `fusion.simulate.raster`. Each name loads at its first use.
 """
 
 from __future__ import annotations
 
-from fusion.simulate.config import ImagingConfig, SimulationConfig
-from fusion.simulate.scene_config import JunctionConfig, SceneConfig
-from fusion.simulate.views import RandomView, random_views
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["ImagingConfig", "JunctionConfig", "RandomView", "SceneConfig", "SimulationConfig", "random_views"]
+if TYPE_CHECKING:
+    from fusion.simulate.config import ImagingConfig, SimulationConfig
+    from fusion.simulate.flight import simulate_flight
+    from fusion.simulate.scene_config import JunctionConfig, SceneConfig
+    from fusion.simulate.shooting import SimulatedFrame, simulate_frames
+    from fusion.simulate.views import RandomView, random_views
+
+__all__ = [
+    "ImagingConfig",
+    "JunctionConfig",
+    "RandomView",
+    "SceneConfig",
+    "SimulatedFrame",
+    "SimulationConfig",
+    "random_views",
+    "simulate_flight",
+    "simulate_frames",
+]
+
+_MODULES = {
+    "ImagingConfig": "config",
+    "JunctionConfig": "scene_config",
+    "RandomView": "views",
+    "SceneConfig": "scene_config",
+    "SimulatedFrame": "shooting",
+    "SimulationConfig": "config",
+    "random_views": "views",
+    "simulate_flight": "flight",
+    "simulate_frames": "shooting",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return getattr(import_module(f"fusion.simulate.{_MODULES[name]}"), name)
+    raise AttributeError(f"module 'fusion.simulate' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -16,6 +16,9 @@ from vision import Camera
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
+SUB_EXPOSURE_PX = 1.5  # pictures averaged into a blurred one lie this far apart; the lens blurs about as much
+MAX_SUB_EXPOSURES = 24
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
@@ -45,6 +48,18 @@ class View:
         return cls(camera, np.ascontiguousarray(rays), np.nan_to_num(np.sqrt(right * down), nan=1e-3))
 
 
+def exposure_moments(view: View, exposure_s: float, turned_rad: float, grid: int) -> tuple[FloatArray, int]:
+    """Moments (k,) of an exposure to average, relative to its middle, and the edge grid that goes with so many.
+
+    ``turned_rad`` is how far the picture moves during the exposure.
+    """
+    pixels = turned_rad / float(np.median(view.pixel_rad))
+    count = int(np.clip(np.ceil(pixels / SUB_EXPOSURE_PX), 1, MAX_SUB_EXPOSURES))
+    if count > 1:  # the moments differ by a pixel: together they sample edges finely enough
+        grid = max(2, round(grid / count**0.5))
+    return ((np.arange(count) + 0.5) / count - 0.5) * exposure_s, grid
+
+
 def render_linear(
     mesh: Mesh, view: View, origins: Sequence[FloatArray], rotations: Sequence[FloatArray], grid: int = 4
 ) -> Image:
@@ -64,8 +79,8 @@ def render_linear(
     mirror = np.full((height, width), -1.0, np.float32)
     moments = list(zip(origins, rotations, strict=True))
     for turn, (origin, rotation) in enumerate(moments):
-        centre = np.array(np.broadcast_to(origin, (height, 3)), float)
-        R = np.array(np.broadcast_to(rotation, (height, 3, 3)), float)
+        centre = np.array(np.broadcast_to(origin, (height, 3)), float, order="C")
+        R = np.array(np.broadcast_to(rotation, (height, 3, 3)), float, order="C")
         direct[:], share[:] = 0.0, 0.0
         fixed = (view.corner_rays, view.pixel_rad, centre, R)
         render_rows(*mesh, *fixed, grid, turn, len(moments), direct, share, mirror)

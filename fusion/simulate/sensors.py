@@ -116,10 +116,10 @@ def _integrated_yaw_error(
     """Yaw error (at the IMU's times) of a filter that integrates the gyroscope and follows a compass slowly."""
     truth = trajectory.truth(imu.t_s)
     level = truth.R_world_body[:, 2]  # rows: the vertical in the body
-    error_rate = np.einsum("ni,ni->n", imu.gyro_rad_s - truth.rate_rad_s, level)
+    # the filter knows its gyroscope's bias by the time the flight begins
+    wrong = imu.gyro_rad_s - imu.gyro_bias_rad_s[0] - truth.rate_rad_s
     pull = np.interp(imu.t_s, t, drift + magnetic) / config.compass_time_s
-    # the filter knows its own bias by the time the flight begins
-    error_rate = error_rate - float(imu.gyro_bias_rad_s[0] @ level[0]) + pull
+    error_rate = np.einsum("ni,ni->n", wrong, level) + pull
     step = float(imu.t_s[1] - imu.t_s[0])
     keep = 1 - step / config.compass_time_s
     error = np.zeros(len(imu.t_s))

@@ -13,15 +13,13 @@ from fusion.simulate.config import SimulationConfig
 from fusion.simulate.imaging import Picture, Sensor, mean_radiance, through_jpeg
 from fusion.simulate.motion import Trajectory, Truth, plan_flight
 from fusion.simulate.plan import floor_plan
-from fusion.simulate.render import Image, View, render_linear
+from fusion.simulate.render import Image, View, exposure_moments, render_linear
 from fusion.simulate.scene import Scene, build_scene
 from fusion.simulate.sensors import sample_times
 from vision import Camera
 
 FloatArray = npt.NDArray[np.float64]
 
-MAX_SUB_EXPOSURES = 24
-SUB_EXPOSURE_PX = 1.5  # pictures averaged into a blurred one lie this far apart; the lens blurs about as much
 NEAR_M = 1.0  # how near the things are that speed blurs
 METERED_FRAMES = 6
 
@@ -85,12 +83,7 @@ class Shoot:
         rate = float(np.linalg.norm(truth.rate_rad_s, axis=1).max())
         speed = float(np.linalg.norm(truth.v_world_m_s[1]))
         moved_rad = (rate + 0.5 * speed / NEAR_M) * exposure_s
-        step_rad = SUB_EXPOSURE_PX * float(np.median(self.view.pixel_rad))
-        count = int(np.clip(np.ceil(moved_rad / step_rad), 1, MAX_SUB_EXPOSURES))
-        grid = self.config.edge_samples
-        if count > 1:  # the moments differ by a pixel: together they sample edges finely enough
-            grid = max(2, round(grid / count**0.5))
-        moments = ((np.arange(count) + 0.5) / count - 0.5) * exposure_s
+        moments, grid = exposure_moments(self.view, exposure_s, moved_rad, self.config.edge_samples)
         return _exposed(
             self.scene, self.view, self.trajectory, t_s + moments, grid, self.config.camera.line_delay_s
         )

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from fusion.simulate.config import ImagingConfig, rotation
 from fusion.simulate.imaging import Picture, Sensor, mean_radiance, through_jpeg
-from fusion.simulate.render import Image, View, render_linear
+from fusion.simulate.render import Image, View, exposure_moments, render_linear
 from fusion.simulate.scene import Scene, build_scene
 from fusion.simulate.scene_config import SceneConfig
 from vision import Camera
@@ -19,8 +19,6 @@ from vision import Camera
 FloatArray = npt.NDArray[np.float64]
 
 ELBOW_ROOM_M = 0.3
-SUB_EXPOSURE_PX = 1.5
-MAX_SUB_EXPOSURES = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,14 +166,13 @@ def _exposed(scene: Scene, view: View, origin: FloatArray, R: FloatArray, limits
     rate, exposure_s = limits.rate_rad_s, np.nan_to_num(view.camera.exposure_s)
     if rate == 0.0:
         return render_linear(scene.mesh, view, [origin], [R])
-    pixels = abs(rate) * exposure_s / float(np.median(view.pixel_rad))
-    count = int(np.clip(np.ceil(pixels / SUB_EXPOSURE_PX), 1, MAX_SUB_EXPOSURES))
+    moments, grid = exposure_moments(view, float(exposure_s), abs(rate) * float(exposure_s), 4)
     height = view.camera.height_px
     rows = (np.arange(height) - (height - 1) / 2) * limits.line_delay_s
     rotations = []
-    for moment in (((np.arange(count) + 0.5) / count - 0.5) * exposure_s).tolist():
+    for moment in moments.tolist():
         turned = [rotation(rate * (moment + row), 0.0, 0.0) @ R for row in rows.tolist()]
         rotations.append(
             np.array(turned) if limits.line_delay_s > 0 else rotation(rate * moment, 0.0, 0.0) @ R
         )
-    return render_linear(scene.mesh, view, [origin] * count, rotations, max(2, round(4 / count**0.5)))
+    return render_linear(scene.mesh, view, [origin] * len(moments), rotations, grid)
