@@ -37,6 +37,7 @@ Method = Literal["geometric", "paper"]
 
 MIN_LINES = 4
 MIN_SCORE = 8.0  # log-likelihood over chance
+MIN_MARGIN = 7.0  # log-likelihood over the second-best heading
 MAX_RIVAL = 0.80  # score of the second-best heading over the best
 MAX_STD_RAD = radians(3.0)
 MAX_BLUR_PX = 20.0
@@ -170,7 +171,7 @@ def _judge(found: FrameMeasurement, fit: AxisFit, camera: Camera, prior: Prior) 
     blur_px = prior.body_rate_rad_s * camera.exposure_s * camera.fx_px
     if isfinite(blur_px) and blur_px > MAX_BLUR_PX:
         return Reason.BLUR
-    if found.second_score > MAX_RIVAL:
+    if fit.score - fit.second_score < MIN_MARGIN or found.second_score > MAX_RIVAL:
         return Reason.AMBIGUOUS
     if not found.heading_std_rad < MAX_STD_RAD or abs(found.heading_rad) > 0.5 * pi:
         return Reason.UNCERTAIN

@@ -180,14 +180,18 @@ def _trace(grey: GreyImage, camera: Camera) -> _Traced:
     gradient_magnitude(gx, gy, work.magnitude)
     sample = work.magnitude[2:-2:4, 2:-2:4]
     threshold = max(
-        MIN_THRESHOLD, NOISE_TO_THRESHOLD * float(np.median(sample)), STRUCTURE_TO_THRESHOLD * float(sample.mean())
+        MIN_THRESHOLD,
+        NOISE_TO_THRESHOLD * float(np.median(sample)),
+        STRUCTURE_TO_THRESHOLD * float(sample.mean()),
     )
     n_labels, steep, flat = connect(
         gx, gy, work.magnitude, np.float32(threshold), _rectified(camera), work.parent, work.sums, work.rows
     )
     min_length = max(MIN_LENGTH_PX, MIN_LENGTH_OF_DIAGONAL * hypot(width, height))
     n = fit(work.parent, work.sums, n_labels, min_length, work.lines)
-    return _Traced(work.lines[:n].copy(), threshold, min(steep, flat) < BLURRED_SHARPNESS * expected_sharpness)
+    return _Traced(
+        work.lines[:n].copy(), threshold, min(steep, flat) < BLURRED_SHARPNESS * expected_sharpness
+    )
 
 
 def _scaled(grey: GreyImage, camera: Camera) -> GreyImage:

@@ -32,8 +32,10 @@ MAX_SLICES = 21
 ALIGN_STD_RAD = radians(0.10)  # lines along a real corridor are parallel to about this
 INLIER_ODDS = 0.25  # share of lines expected to run along the corridor
 VERTICAL_SINE = 0.10  # a plane this close to vertical may be a door post's: it says nothing about the axis
+STEEP_SINE = 0.3  # and one up to here is trusted less: streaks on a wall, leaning things
 INLIER_SIGMA = 3.0
-CORRELATION = 2.5  # the edges of one door or board err together: so many lines speak as one
+CORRELATION = 1.8  # the edges of one door or board err together: so many lines speak as one
+VOTE_TEMPERATURE = 1.1  # the same for the vote
 RIVAL_DISTANCE_RAD = radians(8.0)
 HEADING_PRIOR_STD_RAD = radians(30.0)  # the camera looks along the corridor rather than across
 MAX_HEADING_RAD = radians(60.0)  # without a filter's word, what is farther off is taken for a transverse axis
@@ -95,6 +97,7 @@ def _vote(
         nz = normal[i, 2]
         if abs(nz) < VERTICAL_SINE:
             continue
+        trust = min(abs(nz) / STEEP_SINE, 1.0)
         a = hypot(nx, ny)
         g = atan2(-ny, nx)
         for k in range(len(elevation)):
@@ -128,7 +131,7 @@ def _vote(
                 last = int(np.floor((psi + reach + 0.5 * pi) / BIN_RAD - 0.5))
                 for b in range(max(first, 0), min(last, N_BINS - 1) + 1):
                     z = (-0.5 * pi + (b + 0.5) * BIN_RAD - psi) / std
-                    scores[k, b] += top - 0.5 * z * z
+                    scores[k, b] += trust * (top - 0.5 * z * z)
 
 
 @compiled
@@ -263,20 +266,35 @@ def fit_axis(
         return None
     if abs(out[0] - headings[b]) > MAX_REFINEMENT_RAD:
         return None  # the fit left the peak it started from: there was no axis, only a crowd
-    distance = np.abs((headings - out[0] + 0.5 * pi) % pi - 0.5 * pi)
-    rivals = np.where(distance > RIVAL_DISTANCE_RAD, ranked.max(axis=0), -np.inf)
+    offset = (headings - out[0] + 0.5 * pi) % pi - 0.5 * pi
+    best_of_elevation = ranked.max(axis=0)
+    rivals = np.where(np.abs(offset) > RIVAL_DISTANCE_RAD, best_of_elevation, -np.inf)
     second = int(np.argmax(rivals))
+    covariance = np.linalg.inv(information) * max(
+        1.0, CORRELATION * float(out[5]) / max(float(out[6]) - 2.0, 1.0)
+    )
+    # The fit knows its own peak only; where the vote is broad or split within the rivals' distance, so is the heading.
+    spread = _vote_variance(scores.max(axis=0), offset)
+    if spread > covariance[0, 0]:
+        wider = np.array([sqrt(spread / covariance[0, 0]), 1.0])
+        covariance = covariance * np.outer(wider, wider)
     return AxisFit(
         heading_rad=float(out[0]),
         elevation_rad=float(out[1]),
-        covariance=np.linalg.inv(information)
-        * max(1.0, CORRELATION * float(out[5]) / max(float(out[6]) - 2.0, 1.0)),
+        covariance=covariance,
         score=float(ranked[k, b]),
         second_heading_rad=float(headings[second]),
         second_score=float(rivals[second]),
         residual=residual,
         inlier=(np.abs(residual) < INLIER_SIGMA) & (np.abs(normal[:, 2]) >= VERTICAL_SINE),
     )
+
+
+def _vote_variance(scores: FloatArray, offset_rad: FloatArray) -> float:
+    """Variance of the heading about the fit, by the vote within the rivals' distance taken as a likelihood."""
+    near = np.abs(offset_rad) <= RIVAL_DISTANCE_RAD
+    likelihood = np.exp((scores[near] - scores[near].max()) / VOTE_TEMPERATURE)
+    return max(float(likelihood @ offset_rad[near] ** 2 / likelihood.sum()) - BIN_RAD**2 / 12.0, 0.0)
 
 
 def _local_maxima(scores: FloatArray) -> npt.NDArray[np.bool_]:

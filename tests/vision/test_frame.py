@@ -180,10 +180,10 @@ def test_handheld_pictures_without_calibration_make_sense() -> None:
     if not HANDHELD.is_dir():
         pytest.skip("the real pictures are not part of the repository")
     paths = sorted(HANDHELD.glob("*.jpg"))
-    camera = Camera.from_fov(512, 384, radians(65))
+    camera = Camera.from_fov(512, 384, radians(46))  # at which uprights and corridor lines agree best
     found = [measure_frame(cv2.imread(str(p), cv2.IMREAD_GRAYSCALE), camera) for p in paths]
     accepted = [m for m in found if m.accepted]
-    assert len(accepted) >= 0.7 * len(found)
+    assert len(accepted) >= 0.8 * len(found)
     assert all(abs(m.heading_rad) < radians(45) for m in accepted)
 
 

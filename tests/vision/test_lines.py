@@ -141,7 +141,11 @@ def test_a_picture_of_another_size_is_refused() -> None:
 
 
 def test_blockiness_tells_compression_from_structure() -> None:
-    clean = np.clip(half_plane(0.5, 3.0) + np.random.default_rng(0).normal(0, 2, (480, 640)), 0, 255).astype(np.uint8)
+    clean = np.clip(half_plane(0.5, 3.0) + np.random.default_rng(0).normal(0, 2, (480, 640)), 0, 255).astype(
+        np.uint8
+    )
     assert noise_and_blockiness(clean)[1] < 1.3
-    packed = cv2.imdecode(cv2.imencode(".jpg", clean, [cv2.IMWRITE_JPEG_QUALITY, 10])[1], cv2.IMREAD_GRAYSCALE)
+    packed = cv2.imdecode(
+        cv2.imencode(".jpg", clean, [cv2.IMWRITE_JPEG_QUALITY, 10])[1], cv2.IMREAD_GRAYSCALE
+    )
     assert noise_and_blockiness(np.asarray(packed, np.uint8))[1] > 1.7
