@@ -14,7 +14,7 @@ things:
 
 from __future__ import annotations
 
-from math import isfinite, nan, radians
+from math import isfinite, nan, pi, radians
 
 import numpy as np
 
@@ -48,7 +48,8 @@ class Axes(Propagation):
             s.support_s += min((t_ns - s.t_vision_ns) * 1e-9, 0.5)
         s.t_vision_ns = t_ns
         s.n_accepted += 1
-        s.anchor_rad = s.theta_rad - float(self.ekf.x[PSI])
+        psi = float(self.ekf.x[PSI])
+        s.anchor_rad, s.facing_rad = s.theta_rad - psi, psi - wrap_axis(psi)
 
     def _see(self, t_ns: int, heading_rad: float, accepted: bool) -> bool:
         """Follow the axis through the pictures alone; True where no jump lies between it and a confirmed one."""
@@ -98,18 +99,29 @@ class Axes(Propagation):
             return  # other frames still see the present axis
         heading = wrap_axis(s.theta_rad - found.value)
         distance = abs(wrap_axis(heading - float(self.ekf.x[PSI])))
-        known = found.linked_share > 0.5 or abs(wrap_axis(found.value - s.anchor_rad)) < KNOWN_AXIS_RAD
-        if distance < c.junction_min_turn_rad or known:
+        linked = found.linked_share > 0.5
+        at_anchor = abs(wrap_axis(found.value - s.anchor_rad)) < KNOWN_AXIS_RAD
+        if distance < c.junction_min_turn_rad or linked or at_anchor:
             if found.n_votes >= c.recovery_frames:
-                self._recover(t_ns, heading, found)
+                self._recover(t_ns, self._facing(heading, at_anchor, linked), found)
         elif self._has_turned_into(heading, found, lasting_s):
             self._change_corridor(t_ns, heading, found)
         elif found.n_votes >= c.recovery_frames and lasting_s >= self._patience_s():
             # No turn explains it: the axis taken up before was the wrong one.
             if s.corridor_index == 0:
-                self._recover(t_ns, heading, found)
+                self._recover(t_ns, self._facing(heading, False, False), found)
             else:
                 self._change_corridor(t_ns, heading, found, same_corridor=True)
+
+    def _facing(self, heading_rad: float, at_anchor: bool, linked: bool) -> float:
+        """Choose the end of the corridor that the vehicle faces, which a frame cannot tell."""
+        s = self.state
+        expected = float(self.ekf.x[PSI])
+        if at_anchor:
+            expected = s.theta_rad - s.anchor_rad
+        elif linked:
+            expected = heading_rad + s.facing_rad
+        return heading_rad + pi * round((expected - heading_rad) / pi)
 
     def _follow_rival(self, t_ns: int, found: Agreement) -> float:
         """Return how long this axis has been the one that votes agree on, also beyond the votes' own age."""
@@ -145,8 +157,9 @@ class Axes(Propagation):
         """Let the covariance admit the heading that the votes agree on, and take in their median."""
         s = self.state
         before = float(self.ekf.x[PSI])
-        self._widen_heading(wrap_axis(heading_rad - before))
-        self.ekf.update(heading_model(self.ekf.x, heading_rad, found.std**2))
+        self._widen_heading(heading_rad - before)
+        expected = heading_model(self.ekf.x, heading_rad, found.std**2)
+        self.ekf.update(expected._replace(residual=heading_rad - before))
         s.reset_count += 1
         s.reset_heading_rad = float(self.ekf.x[PSI]) - before
         s.votes, s.rival = (), None

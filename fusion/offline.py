@@ -85,11 +85,13 @@ def fuse_flight(
     Raises
     ------
     InputError
-        Where the method is unknown or a setting does not fit the flight.
+        Where the method is unknown or the flight has no frames.
     """
     from fusion.summary import Timings, summarise
 
     started = time.perf_counter()
+    if not len(flight.frames.t_ns):
+        raise InputError("the flight has no camera frames", remedy="check mav0/cam0/data.csv of the log")
     settings = _with_declared_noise(config or FusionConfig(), flight)
     recorder = _Recorder(settings, _row_kind(flight))
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)

@@ -168,6 +168,7 @@ class State:
     n_accepted: int = 0
     support_s: float = 0.0  # time over which frames have confirmed the present axis
     anchor_rad: float = nan  # axis in the dead-reckoned frame when a frame last confirmed it
+    facing_rad: float = 0.0  # pi where it then faced against the axis
     votes: tuple[Vote, ...] = ()
     recent: tuple[
         tuple[int, float, bool], ...

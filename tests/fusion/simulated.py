@@ -84,7 +84,9 @@ class Scene:
     accel: bool = False
     half_width_m: float = 1.1
     speed_m_s: float = 0.0
-    lateral: Function = field(default_factory=lambda: weaving(99, amplitude_rad=0.5, period_s=9.0))  # half widths
+    lateral: Function = field(
+        default_factory=lambda: weaving(99, amplitude_rad=0.5, period_s=9.0)
+    )  # half widths
     lateral_sigma: float = 0.02
 
 
@@ -115,7 +117,10 @@ def simulate(scene: Scene) -> Simulated:
     dt = 1 / scene.gyro_hz
     t = np.arange(round(scene.duration_s * scene.gyro_hz) + 1) * dt
     t_ns = np.round(t * 1e9).astype(np.int64)
-    roll_of, pitch_of = weaving(scene.seed + 1, scene.tilt_rad, 3.0), weaving(scene.seed + 2, scene.tilt_rad, 4.0)
+    roll_of, pitch_of = (
+        weaving(scene.seed + 1, scene.tilt_rad, 3.0),
+        weaving(scene.seed + 2, scene.tilt_rad, 4.0),
+    )
 
     def rate(f: Function, at: np.ndarray) -> np.ndarray:
         h = 1e-4
@@ -131,9 +136,7 @@ def simulate(scene: Scene) -> Simulated:
         ],
         axis=1,
     )
-    down = np.stack(
-        [-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)], axis=1
-    )
+    down = np.stack([-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)], axis=1)
     # Error of the level yaw rate, put on the vertical through the body: level rate = true + bias + noise exactly.
     bias = scene.gyro_bias + np.cumsum(rng.normal(0, scene.gyro_bias_walk * np.sqrt(dt), len(t)))
     noise = rng.normal(0, scene.gyro_noise / np.sqrt(dt), len(t))
@@ -167,7 +170,7 @@ def _attitudes(
     roll = roll_of(at) + rng.normal(0, scene.attitude_std_rad, len(at))
     pitch = pitch_of(at) + rng.normal(0, scene.attitude_std_rad, len(at))
     for i, when in enumerate(at):
-        stamp = int(round(when * 1e9))
+        stamp = round(float(when) * 1e9)
         samples.append(Sample("attitude", stamp, stamp, (quaternion(roll[i], pitch[i], yaw[i]),)))
 
 
@@ -201,7 +204,7 @@ def _frames(scene: Scene, rng: np.random.Generator, samples: list[Sample]) -> No
         if is_gross:
             lateral = rng.uniform(-1, 1)
         measurement = frame(float(seen), sigma, float(lateral), scene.lateral_sigma)
-        stamp = int(round(when * 1e9))
+        stamp = round(float(when) * 1e9)
         samples.append(Sample("frame", stamp, stamp + int(scene.delay_s * 1e9), (measurement,)))
 
 

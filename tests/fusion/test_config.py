@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from fusion.config import FusionConfig
+from vision.errors import InputError
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "settings.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_file_sets_what_it_names(tmp_path: Path) -> None:
+    config = FusionConfig.from_toml(write(tmp_path, "corridor_width_m = 2.2\nmin_lines = 6\n"))
+    assert config.corridor_width_m == 2.2
+    assert config.min_lines == 6
+    assert config.buffer_s == FusionConfig().buffer_s
+
+
+def test_unknown_name_is_refused_with_the_nearest(tmp_path: Path) -> None:
+    path = write(tmp_path, "coridor_width = 2.5\n")
+    with pytest.raises(
+        InputError, match=r"settings\.toml: unknown setting coridor_width = 2\.5 \(did you mean"
+    ) as error:
+        FusionConfig.from_toml(path)
+    assert "corridor_width_m" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_section_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="unknown setting filter"):
+        FusionConfig.from_toml(write(tmp_path, "[filter]\nmin_lines = 5\n"))
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("corridor_width_m = -1.0", "corridor_width_m = -1.0"),
+        ("corridor_width_m = 'wide'", "corridor_width_m = 'wide'"),
+        ("camera_delay_s = nan", "camera_delay_s"),
+        ("min_lines = 4.5", "min_lines = 4.5"),
+        ("camera_delay_s = 0.6", "less than buffer_s = 0.5"),
+        ("lost_after_s = 0.1", "less than coasting_after_s"),
+        ("corridor_width_m =", "is not TOML"),
+    ],
+)
+def test_bad_value_is_named(tmp_path: Path, line: str, message: str) -> None:
+    with pytest.raises(InputError) as error:
+        FusionConfig.from_toml(write(tmp_path, line))
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"nothing\.toml: cannot be read"):
+        FusionConfig.from_toml(tmp_path / "nothing.toml")
+
+
+def test_frozen_and_described() -> None:
+    with pytest.raises(ValidationError):
+        FusionConfig().min_lines = 5  # type: ignore[misc]
+    assert all(field.description for field in FusionConfig.model_fields.values())
+
+
+def test_noise_left_open_has_defaults() -> None:
+    config = FusionConfig()
+    assert (config.gyro_noise, config.bias_walk) == (0.0075, 1e-4)
+    assert config.offset_walk == pytest.approx(1.2 * 0.0075)
+    config = FusionConfig(gyro_noise_density=0.001, imu_yaw_walk=0.5)
+    assert (config.gyro_noise, config.offset_walk) == (0.001, 0.5)

@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from filterpy.kalman import ExtendedKalmanFilter
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fusion.ekf import CorridorEKF
+from fusion.models import ProcessNoise, ScalarMeasurement, propagate, transition
+
+NOISE = ProcessNoise(0.0075, 1e-4, 0.009, 0.3, 1.0)
+
+
+def random_filter(seed: int) -> tuple[CorridorEKF, np.random.Generator]:
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(5, 5))
+    return CorridorEKF(rng.normal(size=5), A @ A.T + 0.1 * np.eye(5)), rng
+
+
+@given(st.integers(0, 10_000))
+def test_update_equals_filterpys(seed: int) -> None:
+    ekf, rng = random_filter(seed)
+    H, R, residual = rng.normal(size=5), float(rng.uniform(0.01, 2)), float(rng.normal())
+    theirs = ExtendedKalmanFilter(5, 1)
+    theirs.x, theirs.P = ekf.x.copy(), ekf.P.copy()
+    z = float(H @ theirs.x) + residual
+    theirs.update(np.array([z]), lambda x: H[None, :], lambda x: H[None, :] @ x, R=R)
+    gate = ekf.update(ScalarMeasurement(residual, H, R))
+    assert gate.accepted
+    np.testing.assert_allclose(ekf.x, theirs.x, atol=1e-9)
+    np.testing.assert_allclose(ekf.P, theirs.P, atol=1e-9)
+    assert ekf.mahalanobis == pytest.approx(theirs.mahalanobis)
+    assert ekf.log_likelihood == pytest.approx(theirs.log_likelihood)
+
+
+def test_predict_is_filterpys() -> None:
+    ekf, _ = random_filter(1)
+    P, x = ekf.P.copy(), ekf.x.copy()
+    F, Q = transition(0.01, NOISE)
+    x_next = propagate(x, 0.01, 0.02, NOISE)
+    ekf.predict(x_next, F, Q)
+    np.testing.assert_array_equal(ekf.x, x_next)
+    np.testing.assert_allclose(ekf.P, F @ P @ F.T + Q, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "measurement",
+    [
+        None,
+        ScalarMeasurement(float("nan"), np.eye(5)[0], 1.0),
+        ScalarMeasurement(0.1, np.eye(5)[0], float("nan")),
+    ],
+)
+def test_no_number_changes_nothing_and_leaves_no_old_innovation(
+    measurement: ScalarMeasurement | None,
+) -> None:
+    ekf, _ = random_filter(2)
+    ekf.update(ScalarMeasurement(0.3, np.eye(5)[0], 1.0))
+    x, P = ekf.x, ekf.P
+    gate = ekf.update(measurement)
+    assert not gate.accepted
+    assert ekf.x is x
+    assert ekf.P is P
+    assert np.isnan(gate.test_ratio)
+    assert np.isnan(ekf.y).all()
+
+
+def test_gate_is_the_innovation_squared_over_gate_squared() -> None:
+    ekf = CorridorEKF(np.zeros(5), np.eye(5) * 3.0)
+    inside = ekf.update(ScalarMeasurement(3.99, np.eye(5)[0], 1.0), gate_sigma=2.0, R=100.0)
+    assert inside.accepted
+    assert inside.test_ratio == pytest.approx(3.99**2 / (4 * 4))
+    ekf = CorridorEKF(np.zeros(5), np.eye(5) * 3.0)
+    outside = ekf.update(ScalarMeasurement(4.01, np.eye(5)[0], 1.0), gate_sigma=2.0)
+    assert not outside.accepted
+    assert outside.test_ratio > 1.0
+    np.testing.assert_array_equal(ekf.x, 0)
+
+
+def test_larger_variance_for_the_update_only() -> None:
+    ekf = CorridorEKF(np.zeros(5), np.eye(5))
+    ekf.update(ScalarMeasurement(1.0, np.eye(5)[0], 1.0), gate_sigma=3.0, R=3.0)
+    assert ekf.x[0] == pytest.approx(0.25)
+    assert ekf.P[0, 0] == pytest.approx(0.75)
+
+
+@given(st.integers(0, 1000))
+def test_covariance_stays_symmetric_and_positive(seed: int) -> None:
+    ekf, rng = random_filter(seed)
+    F, Q = transition(0.005, NOISE)
+    for _ in range(300):
+        ekf.predict(propagate(ekf.x, 0.005, 0.0, NOISE), F, Q)
+        H = np.eye(5)[rng.integers(5)]
+        ekf.update(ScalarMeasurement(float(rng.normal()), H, float(10 ** rng.uniform(-9, 2))))
+    np.testing.assert_array_equal(ekf.P, ekf.P.T)
+    scale = np.sqrt(np.diag(ekf.P))
+    assert (np.linalg.eigvalsh(ekf.P / np.outer(scale, scale)) > -1e-9).all()
+    assert (scale > 0).all()

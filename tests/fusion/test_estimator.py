@@ -1,0 +1,535 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from math import degrees, isnan, nan, pi, radians
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fusion.config import FusionConfig
+from fusion.estimator import CorridorEstimator
+from tests.fusion.simulated import (
+    Scene,
+    config_for,
+    frame,
+    heading_error,
+    quaternion,
+    run,
+    simulate,
+    turning,
+    weaving,
+    wrap,
+)
+from vision.errors import InputError
+from vision.measurement import Reason
+
+MS = 1_000_000
+QUICK = {"gyro_hz": 100.0, "frame_hz": 20.0, "delay_s": 0.08}
+
+
+def steady(seconds: float = 2.0, heading: float = 0.2, **config: object) -> tuple[CorridorEstimator, int]:
+    """An estimator that has flown straight on for a while, and the time it is at."""
+    estimator = CorridorEstimator(FusionConfig(**config))
+    t = 0
+    for i in range(int(seconds * 100)):
+        t = i * 10 * MS
+        estimator.add_imu(t, (0.0, 0.0, 0.0))
+        if i % 5 == 0:
+            estimator.add_measurement(t, frame(heading, lateral=0.3, lateral_std=0.02))
+    return estimator, t
+
+
+def go_on(
+    estimator: CorridorEstimator, t: int, seconds: float, heading: float | None, rate: float = 0.0
+) -> int:
+    for i in range(int(seconds * 100)):
+        t += 10 * MS
+        estimator.add_imu(t, (0.0, 0.0, rate))
+        if heading is not None and i % 3 == 0:
+            estimator.add_measurement(t, frame(heading, lateral=0.3, lateral_std=0.02))
+    return t
+
+
+# Consistency
+
+
+def test_errors_are_as_large_as_the_filter_says() -> None:
+    """Mean NEES over runs lies within the 99.9 % band of chi-square; rows a second apart are about independent."""
+    ratios, lateral_ratios = [], []
+    for seed in range(24):
+        simulated = simulate(Scene(seed=seed, duration_s=14, heading=weaving(seed), gross=0.05, **QUICK))
+        result = run(simulated, every=100)
+        error = heading_error(result, simulated)
+        truth = np.interp(result.t_s, simulated.t_s, simulated.lateral)
+        rows = result.t_s > 1.5
+        ratios.append((error / result.std)[rows] ** 2)
+        lateral_ratios.append(((result.lateral - truth) / result.lateral_std)[rows] ** 2)
+    nees = np.concatenate(ratios)
+    assert abs(nees.mean() - 1) < 3.3 * np.sqrt(2 / nees.size)
+    # The simulated offset is smoother than the model allows for: never more confident than right.
+    assert np.concatenate(lateral_ratios).mean() < 1.2
+
+
+@pytest.mark.parametrize("gross", [0.0, 0.05, 0.5])
+def test_gross_errors_do_no_harm(gross: float) -> None:
+    errors = []
+    for seed in range(3):
+        simulated = simulate(Scene(seed=seed, duration_s=15, heading=weaving(seed), gross=gross, **QUICK))
+        result = run(simulated)
+        errors.append(heading_error(result, simulated)[result.t_s > 3.0])
+    error = np.concatenate(errors)
+    assert degrees(np.sqrt(np.mean(error**2))) < 0.45
+    assert degrees(np.abs(error).max()) < 2.0
+
+
+def test_drop_out_of_five_seconds() -> None:
+    simulated = simulate(Scene(seed=4, duration_s=16, heading=weaving(4), dropouts=[(6.0, 11.0)], **QUICK))
+    result = run(simulated)
+    error = heading_error(result, simulated)
+    blind = (result.t_s > 6.5) & (result.t_s < 11.0)
+    assert (result.status[blind] == "coasting").all()
+    assert (result.status[result.t_s > 11.5] == "tracking").all()
+    assert (np.abs(error) < 4 * result.std)[result.t_s > 1.0].all()
+    assert (np.diff(result.std[blind]) > 0).all()
+    assert degrees(np.abs(error[blind]).max()) < 3.0
+
+
+def test_turning_round_and_round_crosses_half_a_turn() -> None:
+    spin = turning((3, 8, 2 * pi), (12, 8, -3 * pi))
+    simulated = simulate(Scene(seed=1, duration_s=22, heading=spin, tilt_rad=radians(3), **QUICK))
+    result = run(simulated)
+    rows = result.t_s > 1.0
+    assert degrees(np.abs(heading_error(result, simulated)[rows]).max()) < 1.5
+    assert (np.abs(result.heading[rows]) <= pi).all()
+    assert (result.corridor == 0).all()
+
+
+def test_delay_is_rolled_back_not_ignored() -> None:
+    def rmse(stamped_late_s: float, told_s: float) -> float:
+        scene = Scene(seed=2, duration_s=15, heading=weaving(2, radians(25), 3.0), **QUICK)
+        simulated = simulate(scene)
+        for sample in simulated.samples:
+            if sample.kind == "frame":
+                sample.t_ns += round(stamped_late_s * 1e9)
+        result = run(simulated, config_for(scene, camera_delay_s=told_s))
+        return float(np.sqrt(np.mean(heading_error(result, simulated)[result.t_s > 1.5] ** 2)))
+
+    told = rmse(0.08, 0.08)
+    assert told == pytest.approx(rmse(0.0, 0.0), rel=0.05)
+    assert rmse(0.08, 0.0) > 2 * told
+
+
+# Start
+
+
+def test_start_is_not_one_frame() -> None:
+    estimator = CorridorEstimator()
+    headings = [0.9, 0.1, 0.1, -0.7, 0.1, 0.1, 0.1]
+    for i, heading in enumerate(headings):
+        estimator.add_imu(i * 50 * MS, (0, 0, 0))
+        assert estimator.estimate().status == "initialising"
+        estimator.add_measurement(i * 50 * MS, frame(heading))
+    estimate = estimator.estimate()
+    assert estimate.status == "tracking"
+    assert estimate.heading_rad == pytest.approx(0.1, abs=0.01)
+
+
+def test_start_is_carried_on_by_the_gyroscope() -> None:
+    estimator = CorridorEstimator()
+    for i in range(60):
+        t = i * 10 * MS
+        estimator.add_imu(t, (0, 0, 0.5))
+        if i % 10 == 0:
+            estimator.add_measurement(t, frame(0.1 + 0.5 * t * 1e-9))
+    estimate = estimator.estimate()
+    assert estimate.status == "tracking"
+    assert estimate.heading_rad == pytest.approx(0.1 + 0.5 * 0.59, abs=0.02)
+
+
+def test_nothing_is_said_before_anything_is_known() -> None:
+    estimator = CorridorEstimator()
+    assert isnan(estimator.estimate().heading_rad)
+    estimator.add_imu(0, (0, 0, 0))
+    estimate = estimator.estimate()
+    assert estimate.status == "initialising"
+    assert isnan(estimate.heading_rad)
+    assert estimate.position == ""
+
+
+# Errors, faults and recovery
+
+
+@pytest.mark.parametrize("error_deg", [30, -60, 90, -150])
+def test_injected_error_is_recovered_in_half_a_second(error_deg: float) -> None:
+    estimator, t = steady(5.0)
+    state = estimator._machine.state
+    state.x = state.x + np.array([radians(error_deg), 0, 0, 0, 0])
+    go_on(estimator, t, 0.5, 0.2)
+    estimate = estimator.estimate()
+    assert degrees(abs(estimate.heading_rad - 0.2)) < 0.5
+    assert estimate.corridor_index == 0
+    assert estimate.reset_count == 1
+    assert degrees(estimate.reset_heading_rad) == pytest.approx(-error_deg, abs=2)
+
+
+def test_false_turn_of_the_gyroscope_is_no_junction() -> None:
+    """The gyroscope claims 60 degrees while the picture stands still."""
+    estimator, t = steady(5.0)
+    t = go_on(estimator, t, 0.5, 0.2, rate=radians(120))
+    go_on(estimator, t, 0.6, 0.2)
+    estimate = estimator.estimate()
+    assert degrees(abs(estimate.heading_rad - 0.2)) < 1.0
+    assert estimate.corridor_index == 0
+
+
+def test_wrong_start_is_recovered() -> None:
+    estimator = CorridorEstimator()
+    t = go_on(estimator, 0, 0.3, 1.0)
+    go_on(estimator, t, 1.5, -0.1)
+    assert estimator.estimate().heading_rad == pytest.approx(-0.1, abs=0.02)
+
+
+def test_nine_agreeing_rejected_frames_change_nothing() -> None:
+    estimator, t = steady(5.0)
+    for _ in range(9):
+        t += 40 * MS
+        estimator.add_imu(t, (0, 0, 0))
+        result = estimator.add_measurement(t, frame(0.2 + radians(15)))
+        assert result.reason is Reason.GATE
+        assert result.test_ratio > 1
+        assert degrees(result.innovation_rad) == pytest.approx(15, abs=1)
+    before = estimator.estimate()
+    assert before.heading_rad == pytest.approx(0.2, abs=0.01)
+    estimator.add_measurement(t + 40 * MS, frame(0.2 + radians(15)))
+    after = estimator.estimate()
+    assert degrees(after.heading_rad - 0.2) == pytest.approx(15, abs=1)
+    assert after.reset_count == 1
+
+
+def test_covariance_is_widened_not_the_state_overwritten() -> None:
+    """After recovery the heading is as uncertain as the frames that brought it, not as sure as before."""
+    estimator, t = steady(5.0)
+    before = estimator.estimate().heading_std_rad
+    for i in range(10):
+        estimator.add_measurement(t + (i + 1) * 40 * MS, frame(0.5, std_rad=radians(1)))
+    assert estimator.estimate().heading_std_rad > 3 * before
+
+
+def test_rejected_frames_that_disagree_change_nothing() -> None:
+    estimator, t = steady(5.0)
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        t += 30 * MS
+        estimator.add_imu(t, (0, 0, 0))
+        wrong = 0.2 + rng.choice([-1, 1]) * rng.uniform(radians(8), radians(70))
+        estimator.add_measurement(t, frame(float(wrong)))
+    assert estimator.estimate().heading_rad == pytest.approx(0.2, abs=0.02)
+    assert estimator.estimate().status == "coasting"
+    assert estimator.estimate().reason == "frames are rejected"
+
+
+def test_frames_are_turned_down_for_their_reason() -> None:
+    estimator, t = steady()
+    cases = [
+        (frame(0.2, n_inliers=3), Reason.TOO_FEW_LINES),
+        (frame(0.2, accepted=False, reason=Reason.BLUR), Reason.BLUR),
+        (frame(nan), Reason.UNCERTAIN),
+        (frame(0.2, std_rad=0.0), Reason.UNCERTAIN),
+        (frame(0.2, std_rad=nan), Reason.UNCERTAIN),
+    ]
+    before = estimator.estimate().heading_rad
+    for i, (measurement, reason) in enumerate(cases):
+        result = estimator.add_measurement(t + i, measurement)
+        assert (result.accepted, result.reason) == (False, reason)
+    assert estimator.add_unreadable_frame(t + 10).reason is Reason.UNREADABLE
+    assert estimator.estimate().heading_rad == pytest.approx(before, abs=1e-9)
+    assert estimator.counters["frame_too_few_lines"] == 1
+    assert estimator.counters["frame_unreadable"] == 1
+
+
+def test_bad_samples_are_counted_and_poison_nothing() -> None:
+    estimator, t = steady()
+    estimator.add_imu(t + 1, (nan, 0, 0))
+    estimator.add_imu(t + 2, (0, float("inf"), 0))
+    estimator.add_imu(t + 3, (0, 0, 0), (nan, 0, 0))
+    estimator.add_attitude(t + 4, (0, 0, 0, 0))
+    estimator.add_attitude(t + 5, (nan, 0, 0, 1))
+    estimator.add_velocity(t + 6, (0, nan, 0))
+    go_on(estimator, t, 0.5, 0.2)
+    estimate = estimator.estimate()
+    assert estimate.heading_rad == pytest.approx(0.2, abs=0.01)
+    assert estimator.counters["imu_not_finite"] == 2
+    assert estimator.counters["attitude_not_unit"] == 2
+    assert estimator.counters["velocity_not_finite"] == 1
+
+
+def test_a_gap_in_the_gyroscope_widens_the_heading() -> None:
+    estimator, t = steady(3.0)
+    before = estimator.estimate().heading_std_rad
+    estimator.add_imu(t + 400 * MS, (0, 0, 0))
+    after = estimator.estimate().heading_std_rad
+    assert after > 3 * before
+    go_on(estimator, t + 400 * MS, 1.0, 0.2)
+    assert estimator.estimate().heading_rad == pytest.approx(0.2, abs=0.01)
+
+
+def test_an_hour_of_silence_is_survived() -> None:
+    estimator, t = steady(3.0)
+    t += 3600 * 1000 * MS
+    estimator.add_imu(t, (0, 0, 0))
+    assert estimator.estimate().status == "lost"
+    go_on(estimator, t, 1.5, -0.4)
+    estimate = estimator.estimate()
+    assert estimate.status == "tracking"
+    assert estimate.heading_rad == pytest.approx(-0.4, abs=0.02)
+
+
+# The IMU's yaw
+
+
+def yaw_scene(**changes: object) -> Scene:
+    return replace(
+        Scene(seed=6, duration_s=15, heading=weaving(6), attitude_hz=25, attitude_std_rad=0.0, **QUICK),
+        **changes,
+    )
+
+
+def test_steps_of_the_imu_yaw_never_reach_the_heading() -> None:
+    def steps(t: np.ndarray) -> np.ndarray:
+        return 0.7 + np.where(t > 5, radians(15), 0.0) - np.where(t > 9, radians(20), 0.0)
+
+    with_steps, without = (run(simulate(scene)) for scene in (yaw_scene(yaw_offset=steps), yaw_scene()))
+    np.testing.assert_allclose(with_steps.heading, without.heading, rtol=0, atol=1e-12)
+    offset = with_steps.estimator.estimate().imu_yaw_offset_rad
+    assert degrees(abs(wrap(offset - steps(np.array(14.9))))) < 1.5
+
+
+def test_coupled_imu_yaw_helps_in_a_drop_out_and_its_steps_do_little() -> None:
+    def run_with(**changes: object):
+        scene = yaw_scene(dropouts=[(6.0, 11.0)], gyro_bias_walk=3e-3, **changes)
+        simulated = simulate(scene)
+        results = [
+            run(simulated, config_for(scene, imu_yaw_corrects_heading=on, imu_yaw_std_rad=radians(0.3)))
+            for on in (False, True)
+        ]
+        return [(r, heading_error(r, simulated)) for r in results]
+
+    (alone, _), (helped, helped_error) = run_with()
+    blind = (alone.t_s > 8) & (alone.t_s < 11)
+    assert helped.std[blind].mean() < 0.9 * alone.std[blind].mean()
+    assert (np.abs(helped_error) < 4.5 * helped.std)[helped.t_s > 1].all()
+    (_, _), (stepped, error) = run_with(yaw_offset=lambda t: 0.7 + np.where(t > 4, radians(15), 0.0))
+    seeing = (stepped.t_s > 1) & (stepped.t_s < 6)
+    assert degrees(np.abs(error[seeing]).max()) < 1.5
+
+
+# Streams that are missing
+
+
+def test_attitude_increments_carry_the_heading_without_a_gyroscope() -> None:
+    simulated = simulate(
+        yaw_scene(attitude_hz=50, yaw_std_rad=radians(0.1), dropouts=[(7.0, 10.0)], delay_s=0.0)
+    )
+    result = run(simulated, kinds=("attitude", "frame"), every=5)
+    error = heading_error(result, simulated)[result.t_s > 1.5]
+    assert degrees(np.sqrt(np.mean(error**2))) < 0.6
+    assert degrees(np.abs(error).max()) < 2.0
+    assert isnan(result.estimator.estimate().gyro_bias_rad_s)
+
+
+def test_vision_alone() -> None:
+    scene = Scene(seed=8, duration_s=15, heading=weaving(8, radians(8)), frame_hz=20, gross=0.05)
+    simulated = simulate(scene)
+    result = run(simulated, kinds=("frame",), every=1)
+    error = heading_error(result, simulated)[result.t_s > 1.5]
+    assert degrees(np.sqrt(np.mean(error**2))) < 1.0
+    assert (result.status[result.t_s > 1.5] == "tracking").mean() > 0.95
+    truth = np.gradient(simulated.heading, simulated.t_s)[-1]
+    assert result.estimator.estimate().yaw_rate_rad_s == pytest.approx(truth, abs=0.1)
+
+
+def test_tilt_from_the_accelerometer_without_attitude() -> None:
+    simulated = simulate(Scene(seed=9, duration_s=20, heading=weaving(9), accel=True, **QUICK))
+    result = run(simulated)
+    error = heading_error(result, simulated)[result.t_s > 2]
+    assert degrees(np.sqrt(np.mean(error**2))) < 0.45
+
+
+def test_gyroscope_that_dies_is_replaced_and_comes_back() -> None:
+    simulated = simulate(yaw_scene(attitude_hz=50, yaw_std_rad=radians(0.1), gyro_bias=0.03, delay_s=0.0))
+    samples = [s for s in simulated.samples if not (s.kind == "imu" and 5e9 < s.t_ns < 9e9)]
+    result = run(replace(simulated, samples=samples), kinds=("frame", "imu", "attitude"), every=2)
+    error = heading_error(result, simulated)
+    assert degrees(np.abs(error[result.t_s > 1.5]).max()) < 2.5
+    estimate = result.estimator.estimate()
+    assert estimate.gyro_bias_rad_s == pytest.approx(simulated.bias[-1], abs=0.02)
+
+
+def test_silent_gyroscope_is_told_of() -> None:
+    estimator, t = steady(3.0)
+    for i in range(1, 30):
+        estimator.add_measurement(t + i * 20 * MS, frame(0.2))
+    estimate = estimator.estimate()
+    assert estimate.reason == "gyroscope is silent"
+    assert estimate.gyro_age_s == pytest.approx(0.58)
+    assert estimate.heading_rad == pytest.approx(0.2, abs=0.02)
+
+
+@pytest.mark.parametrize("gyro_hz", [25.0, 1000.0])
+def test_other_gyroscope_rates(gyro_hz: float) -> None:
+    scene = Scene(
+        seed=10, duration_s=8, heading=weaving(10), gyro_hz=gyro_hz, tilt_rad=radians(5), frame_hz=20
+    )
+    simulated = simulate(scene)
+    result = run(simulated)
+    assert degrees(np.sqrt(np.mean(heading_error(result, simulated)[result.t_s > 1.5] ** 2))) < 0.5
+
+
+@pytest.mark.parametrize("frame_hz", [1.0, 5.0, 120.0])
+def test_other_frame_rates(frame_hz: float) -> None:
+    scene = Scene(
+        seed=11, duration_s=20, heading=weaving(11), gyro_hz=50, frame_hz=frame_hz, frame_correlation=0.0
+    )
+    simulated = simulate(scene)
+    result = run(simulated)
+    late = result.t_s > 12
+    assert (np.abs(heading_error(result, simulated)) < 4.5 * result.std)[late].all()
+    assert (result.status[late] == "tracking").all()
+
+
+# Status
+
+
+def test_status_tells_of_a_source_that_died_within_a_fifth_of_a_second() -> None:
+    estimator, t = steady(3.0)
+    assert estimator.estimate(t + 100 * MS).status == "tracking"
+    estimate = estimator.estimate(t + 300 * MS)
+    assert estimate.status == "coasting"
+    assert estimate.reason == "no frames arrive"
+    assert estimate.vision_age_s == pytest.approx(0.3, abs=0.06)
+    assert estimator.estimate(t + 20_000 * MS).status == "lost"
+    assert estimator.estimate().status == "tracking"  # asking changes nothing
+
+
+def test_slow_cameras_are_not_always_coasting() -> None:
+    estimator = CorridorEstimator()
+    for i in range(100):
+        estimator.add_imu(i * 20 * MS, (0, 0, 0))
+        if i % 10 == 0:
+            estimator.add_measurement(i * 20 * MS, frame(0.0))
+    assert estimator.estimate().status == "tracking"
+
+
+# Lateral offset
+
+
+def test_offset_in_metres_needs_a_width() -> None:
+    bare, _ = steady()
+    estimate = bare.estimate()
+    assert estimate.lateral_offset_norm == pytest.approx(0.3, abs=0.01)
+    assert isnan(estimate.lateral_offset_m)
+    assert estimate.position == "right"
+    wide, _ = steady(corridor_width_m=3.0)
+    assert wide.estimate().lateral_offset_m == pytest.approx(0.45, abs=0.02)
+    assert wide.estimate().lateral_offset_std_m == pytest.approx(
+        1.5 * wide.estimate().lateral_offset_norm_std
+    )
+
+
+def test_width_from_the_cameras_height() -> None:
+    estimator = CorridorEstimator(FusionConfig(camera_height_m=1.5))
+    for i in range(60):
+        ratio = 1.6 if i % 10 else 5.0  # one in ten far off
+        estimator.add_measurement(
+            i * 50 * MS, frame(0.0, lateral=0.5, lateral_std=0.02, width_per_height=ratio)
+        )
+    assert estimator.estimate().lateral_offset_m == pytest.approx(0.5 * 1.2, rel=0.06)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(0.3, 5.0))
+def test_scale_free_offset_does_not_depend_on_the_scale(factor: float) -> None:
+    base, _ = steady(0.6, corridor_width_m=2.0, lateral_velocity_std_m_s=0.3)
+    scaled, _ = steady(0.6, corridor_width_m=2.0 * factor, lateral_velocity_std_m_s=0.3 * factor)
+    a, b = base.estimate(), scaled.estimate()
+    assert b.lateral_offset_norm == pytest.approx(a.lateral_offset_norm, abs=1e-9)
+    assert b.lateral_offset_norm_std == pytest.approx(a.lateral_offset_norm_std, rel=1e-6)
+
+
+def test_wrong_corners_are_rejected_and_lasting_ones_believed() -> None:
+    estimator, t = steady(3.0)
+    for i in range(12):
+        t += 30 * MS
+        estimator.add_imu(t, (0, 0, 0))
+        wrong = -0.4 if i % 2 else 0.3
+        estimator.add_measurement(t, frame(0.2, lateral=wrong, lateral_std=0.02))
+    assert estimator.estimate().lateral_offset_norm == pytest.approx(0.3, abs=0.03)
+    for _ in range(25):
+        t += 30 * MS
+        estimator.add_imu(t, (0, 0, 0))
+        estimator.add_measurement(t, frame(0.2, lateral=-0.1, lateral_std=0.02))
+    assert estimator.estimate().lateral_offset_norm == pytest.approx(-0.1, abs=0.03)
+
+
+def test_forward_speed_moves_the_offset() -> None:
+    estimator, t = steady(3.0, heading=0.2, corridor_width_m=2.0)
+    before = estimator.estimate().lateral_offset_m
+    for i in range(100):
+        t += 10 * MS
+        if i % 10 == 0:
+            estimator.add_velocity(t, (1.0, 0.0, 0.0))
+        estimator.add_imu(t, (0, 0, 0))
+    assert estimator.estimate().lateral_offset_m - before == pytest.approx(np.sin(0.2), abs=0.02)
+
+
+def test_velocity_is_levelled() -> None:
+    estimator, t = steady(3.0, heading=0.0, corridor_width_m=2.0)
+    before = estimator.estimate().lateral_offset_m
+    for _ in range(100):
+        t += 10 * MS
+        estimator.add_attitude(t, quaternion(radians(20), 0.0, 0.5))
+        estimator.add_velocity(
+            t, (0.0, np.cos(radians(20)), -np.sin(radians(20)))
+        )  # 1 m/s level, to the right
+        estimator.add_imu(t, (0, 0, 0))
+    assert estimator.estimate().lateral_offset_m - before == pytest.approx(1.0, abs=0.03)
+
+
+def test_flying_back_the_offset_keeps_its_side() -> None:
+    scene = Scene(
+        seed=12,
+        duration_s=14,
+        heading=turning((5, 3, pi)),
+        lateral=lambda t: np.full_like(np.asarray(t, float), 0.4),
+        tilt_rad=radians(3),
+        **QUICK,
+    )
+    result = run(simulate(scene))
+    assert result.lateral[result.t_s > 1] == pytest.approx(0.4, abs=0.1)
+    assert degrees(abs(wrap(result.heading[-1] - pi))) < 1.5
+
+
+def test_camera_mount_is_learned_and_handed_on() -> None:
+    estimator = CorridorEstimator()
+    for i in range(400):
+        t = i * 50 * MS
+        estimator.add_attitude(t, quaternion(0.0, 0.0, 0.3))
+        estimator.add_measurement(t, frame(0.0, elevation_rad=radians(-2.2), elevation_std_rad=radians(0.2)))
+    prior = estimator._machine.prior()
+    assert degrees(prior.elevation_rad) == pytest.approx(-2.2, abs=0.15)
+    assert degrees(prior.elevation_std_rad) < 0.5
+
+
+# The interface
+
+
+def test_pictures_need_a_camera() -> None:
+    with pytest.raises(InputError, match="has no camera"):
+        CorridorEstimator().add_frame(0, np.zeros((48, 64), np.uint8))
+
+
+def test_unknown_method_is_refused() -> None:
+    with pytest.raises(InputError, match="method 'magic' is unknown"):
+        CorridorEstimator(method="magic")

@@ -1,0 +1,265 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from math import degrees, radians
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fusion import FusionConfig, FusionResult, fuse_flight, load_flight
+from fusion.flight import AttitudeStream, Flight, FrameStream, ImuStream
+from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from vision.errors import InputError
+
+ROOT = Path(__file__).parents[2]
+OFFICE = ROOT / "data" / "office"
+CONFIG = FusionConfig(corridor_width_m=2.2)
+
+
+@pytest.fixture(scope="module")
+def office() -> Flight:
+    return load_flight(OFFICE)
+
+
+@pytest.fixture(scope="module")
+def fused(office: Flight) -> FusionResult:
+    return fuse_flight(office, CONFIG)
+
+
+def short(flight: Flight, n: int = 40) -> Flight:
+    """The first frames of a flight, and its other streams as long as they last."""
+    end = flight.frames.t_ns[n - 1]
+    assert flight.imu is not None
+    assert flight.attitude is not None
+    i, a = flight.imu.t_ns <= end, flight.attitude.t_ns <= end
+    return replace(
+        flight,
+        frames=FrameStream(flight.frames.t_ns[:n], flight.frames.paths[:n]),
+        imu=replace(
+            flight.imu,
+            t_ns=flight.imu.t_ns[i],
+            gyro_rad_s=flight.imu.gyro_rad_s[i],
+            accel_m_s2=flight.imu.accel_m_s2[i],
+        ),
+        attitude=AttitudeStream(flight.attitude.t_ns[a], flight.attitude.q_world_body[a]),
+    )
+
+
+def rmse_deg(result: FusionResult, which: str = "filter") -> float:
+    return degrees(result.summary["errors"][which]["heading"]["rmse_rad"])
+
+
+def test_errors_on_the_sample_flight(fused: FusionResult) -> None:
+    assert rmse_deg(fused) < 0.20
+    assert rmse_deg(fused, "smoothed") < 0.12
+    assert rmse_deg(fused, "smoothed") < rmse_deg(fused)
+    assert fused.summary["errors"]["filter"]["lateral_offset_m"]["rmse_m"] < 0.05
+    assert fused.frames["accepted"].mean() >= 0.95
+    assert 0.5 < fused.summary["errors"]["filter"]["heading"]["nees_mean"] < 2.0
+
+
+def test_tables_have_a_row_per_sample(fused: FusionResult, office: Flight) -> None:
+    assert office.imu is not None
+    for table in (fused.estimates, fused.smoothed):
+        assert table.dtype == ESTIMATE_DTYPE
+        np.testing.assert_array_equal(table["timestamp_ns"], office.imu.t_ns)
+    assert fused.frames.dtype == FRAME_DTYPE
+    np.testing.assert_array_equal(fused.frames["timestamp_ns"], office.frames.t_ns)
+    started = fused.estimates["status"] != "initialising"
+    assert np.isfinite(fused.estimates["heading_rad"][started]).all()
+    assert np.isfinite(fused.smoothed["heading_rad"]).all()  # the start too, from what came after
+    assert (fused.smoothed["heading_std_rad"] <= fused.estimates["heading_std_rad"] + 1e-12)[started].all()
+
+
+def test_noise_comes_from_the_log_unless_set(fused: FusionResult, office: Flight) -> None:
+    assert office.imu is not None
+    assert fused.config.gyro_noise == office.imu.gyro_noise_density
+    result = fuse_flight(short(office, 5), CONFIG.model_copy(update={"gyro_noise_density": 0.02}))
+    assert result.config.gyro_noise == 0.02
+
+
+def test_summary_is_plain_and_complete(fused: FusionResult) -> None:
+    text = json.dumps(fused.summary)
+    assert json.loads(text)["flight"] == "office"
+    assert fused.summary["verdict"] in ("pass", "warn", "fail")
+    counts = fused.summary["counts"]
+    assert counts["frames"] == counts["accepted"] + counts["rejected"] == sum(counts["by_reason"].values())
+    assert fused.summary["rates"]["imu_hz"] == pytest.approx(200, rel=0.01)
+    assert fused.summary["corridors"][0]["index"] == 0
+
+
+def test_same_bits_every_time(office: Flight) -> None:
+    first, second = fuse_flight(short(office, 12), CONFIG), fuse_flight(short(office, 12), CONFIG)
+    assert first.estimates.tobytes() == second.estimates.tobytes()
+    assert first.smoothed.tobytes() == second.smoothed.tobytes()
+
+
+def test_progress_counts_frames(office: Flight) -> None:
+    seen: list[tuple[int, int]] = []
+    fuse_flight(short(office, 6), CONFIG, progress=lambda done, total: seen.append((done, total)))
+    assert seen == [(i + 1, 6) for i in range(6)]
+
+
+def test_pictures_that_do_not_decode_are_rows(office: Flight, tmp_path: Path) -> None:
+    torn = tmp_path / "torn.jpg"
+    torn.write_bytes(office.frames.paths[10].read_bytes()[:900])
+    part = short(office, 30)
+    paths = list(part.frames.paths)
+    paths[10], paths[11] = torn, tmp_path / "missing.jpg"
+    result = fuse_flight(replace(part, frames=FrameStream(part.frames.t_ns, tuple(paths))), CONFIG)
+    assert result.frames["reason"][10] == result.frames["reason"][11] == "unreadable"
+    assert not result.frames["accepted"][10:12].any()
+    assert np.isnan(result.frames["heading_rad"][10])
+    assert result.summary["counts"]["by_reason"]["unreadable"] == 2
+    assert rmse_deg(result) < 0.3
+
+
+def test_attitude_carries_where_there_is_no_gyroscope(office: Flight) -> None:
+    part = short(office)
+    assert part.attitude is not None
+    result = fuse_flight(replace(part, imu=None), CONFIG)
+    np.testing.assert_array_equal(result.estimates["timestamp_ns"], part.attitude.t_ns)
+    assert rmse_deg(result) < 0.4
+    assert np.isnan(result.estimates["gyro_bias_rad_s"]).all()
+
+
+def test_accelerometer_levels_where_there_is_no_attitude(office: Flight) -> None:
+    assert rmse_deg(fuse_flight(replace(short(office), attitude=None), CONFIG)) < 0.4
+
+
+def test_vision_alone_makes_a_row_per_frame(office: Flight) -> None:
+    part = replace(short(office), imu=None, attitude=None)
+    result = fuse_flight(part, CONFIG)
+    np.testing.assert_array_equal(result.estimates["timestamp_ns"], part.frames.t_ns)
+    assert rmse_deg(result) < 0.6
+
+
+def test_bad_samples_become_problems(office: Flight) -> None:
+    part = short(office, 20)
+    assert part.imu is not None
+    assert part.attitude is not None
+    gyro = part.imu.gyro_rad_s.copy()
+    gyro[50] = np.nan
+    q = part.attitude.q_world_body.copy()
+    q[7] = 0
+    spoilt = replace(
+        part,
+        imu=replace(part.imu, gyro_rad_s=gyro),
+        attitude=AttitudeStream(part.attitude.t_ns, q),
+        problems=("the reader's own",),
+    )
+    result = fuse_flight(spoilt, CONFIG)
+    assert result.problems[0] == "the reader's own"
+    assert any(problem.startswith("1 gyroscope sample") for problem in result.problems)
+    assert any(problem.startswith("1 attitude") for problem in result.problems)
+    assert rmse_deg(result) < 0.3
+
+
+def test_flight_without_frames_is_refused(office: Flight) -> None:
+    with pytest.raises(InputError, match="has no camera frames"):
+        fuse_flight(replace(office, frames=FrameStream(np.zeros(0, np.int64), ())), CONFIG)
+
+
+def test_flight_without_one_good_frame_still_has_its_tables(office: Flight) -> None:
+    part = short(office, 10)
+    nothing = tuple(path.with_suffix(".gone") for path in part.frames.paths)
+    result = fuse_flight(replace(part, frames=FrameStream(part.frames.t_ns, nothing)), CONFIG)
+    assert (result.frames["reason"] == "unreadable").all()
+    assert (result.estimates["status"] == "initialising").all()
+    assert np.isnan(result.estimates["heading_rad"]).all()
+    assert np.isnan(result.smoothed["heading_rad"]).all()
+    assert result.summary["verdict"] == "fail"
+
+
+def test_paper_method_runs_and_is_worse(office: Flight) -> None:
+    part = short(office, 30)
+    paper, geometric = fuse_flight(part, CONFIG, method="paper"), fuse_flight(part, CONFIG)
+    assert paper.summary["method"] == "paper"
+    assert np.isfinite(paper.frames["paper_yaw_rad"]).any()
+    vision = [r.summary["errors"]["vision"]["heading"] for r in (paper, geometric)]
+    assert vision[0]["count"] == 0 or vision[0]["rmse_rad"] > vision[1]["rmse_rad"]
+
+
+def test_other_stamps_of_the_camera(office: Flight) -> None:
+    """Frames stamped 100 ms late are as good as any, once the delay is told; the rows keep the log's stamps."""
+    part = short(office)
+    late = replace(part, frames=FrameStream(part.frames.t_ns + 100_000_000, part.frames.paths))
+    told = fuse_flight(late, CONFIG.model_copy(update={"camera_delay_s": 0.1}))
+    plain = fuse_flight(part, CONFIG)
+    np.testing.assert_array_equal(told.frames["timestamp_ns"], late.frames.t_ns)
+    np.testing.assert_allclose(told.estimates["heading_rad"], plain.estimates["heading_rad"], atol=1e-12)
+
+
+def test_a_corridor_begins_in_the_smoothed_table_where_the_vehicle_turned(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A simulated turn of 90 degrees through the whole offline path, with measurements in place of pictures."""
+    from tests.fusion.simulated import Scene, simulate, turning
+    from vision import camera as camera_module
+
+    angle = radians(90)
+    scene = Scene(
+        duration_s=16,
+        heading=turning((7, 2, angle)),
+        axis=lambda t: np.where(np.asarray(t) < 8, 0.0, angle),
+        gyro_hz=100,
+        frame_hz=20,
+        tilt_rad=radians(2),
+    )
+    simulated = simulate(scene)
+    imu = [s for s in simulated.samples if s.kind == "imu"]
+    frames = {s.t_ns: s.values[0] for s in simulated.samples if s.kind == "frame"}
+    camera = camera_module.Camera.from_fov(64, 48, radians(70))
+    flight = Flight(
+        "turn",
+        camera,
+        FrameStream(np.array(list(frames)), tuple(Path(str(t)) for t in frames)),
+        imu=ImuStream(
+            np.array([s.t_ns for s in imu]),
+            np.array([s.values[0] for s in imu]),
+            np.full((len(imu), 3), np.nan),
+            scene.gyro_noise,
+            scene.gyro_bias_walk,
+        ),
+    )
+    from fusion.estimator import CorridorEstimator
+
+    monkeypatch.setattr("vision.images.read_image", lambda path: path)
+    monkeypatch.setattr(
+        CorridorEstimator,
+        "add_frame",
+        lambda self, t, image: self.add_measurement(t, frames[int(image.name)]),
+    )
+    result = fuse_flight(flight, FusionConfig(corridor_width_m=2.2, heading_correlation_s=0.0))
+    t = result.estimates["timestamp_ns"] * 1e-9
+    causal = t[np.argmax(result.estimates["corridor_index"])]
+    begun = t[np.argmax(result.smoothed["corridor_index"])]
+    assert causal > 8.3
+    assert begun == pytest.approx(8.0, abs=0.1)
+    truth = simulated.heading - np.where(t < begun, 0.0, angle)
+    error = result.smoothed["heading_rad"] - truth
+    assert degrees(np.abs(error).max()) < 1.5
+    assert (np.abs(error) < 5 * result.smoothed["heading_std_rad"]).all()
+    assert [c["index"] for c in result.summary["corridors"]] == [0, 1]
+    assert degrees(result.summary["corridors"][1]["turn_rad"]) == pytest.approx(90, abs=1.5)
+
+
+def test_the_real_flight_without_a_gyroscope() -> None:
+    """Ninety-one frames of a nano drone: the second corridor gets its own index, and vision follows the vehicle's yaw."""
+    path = ROOT.parent / "shared" / "flights" / "mononav_hallway"
+    if not path.exists():
+        pytest.skip("the real flight mononav_hallway is not beside the repository")
+    flight = load_flight(path)
+    assert flight.attitude is not None
+    result = fuse_flight(flight)
+    w, x, y, z = flight.attitude.q_world_body.T
+    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    for table in (result.estimates, result.smoothed):
+        assert (table["corridor_index"][:42] == 0).all()
+        assert (table["corridor_index"][64:] == 1).all()
+        for rows in (slice(4, 42), slice(64, 91)):
+            difference = table["heading_rad"][rows] - yaw[rows]
+            assert degrees(np.std(difference)) < 0.6
+    assert degrees(result.estimates["corridor_turn_rad"][-1]) == pytest.approx(-90, abs=4)

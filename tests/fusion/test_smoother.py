@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fusion.ekf import CorridorEKF
+from fusion.models import ScalarMeasurement
+from fusion.propagation import Node
+from fusion.smoother import Steps, rts
+
+
+def linear_problem(seed: int, n: int = 30):
+    """A filter's run over transitions that all differ, with several, one or no measurements after each."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(5, 5))
+    P0, x0 = A @ A.T + np.eye(5), rng.normal(size=5)
+    ekf = CorridorEKF(x0, P0)
+    nodes = [Node(0, None, x0, P0, x0, P0)]
+    Fs, Qs, offsets, measurements = [], [], [], []
+    for k in range(1, n):
+        F = np.eye(5) + 0.3 * rng.normal(size=(5, 5))
+        if k == n // 2:  # a reset: two states forgotten, as where the corridor changes
+            F[[0, 3]] = 0.0
+        B = rng.normal(size=(5, 5))
+        Q, offset = 0.1 * B @ B.T + 1e-3 * np.eye(5), rng.normal(size=5)
+        ekf.predict(F @ ekf.x + offset, F, Q)
+        prior, P_prior = ekf.x, ekf.P
+        for _ in range(int(rng.integers(0, 3))):
+            H, R, z = rng.normal(size=5), float(rng.uniform(0.1, 2)), float(rng.normal(0, 3))
+            ekf.update(ScalarMeasurement(z - float(H @ ekf.x), H, R))
+            measurements.append((k, H, R, z))
+        nodes.append(Node(k, F, prior, P_prior, ekf.x, ekf.P))
+        Fs.append(F)
+        Qs.append(Q)
+        offsets.append(offset)
+    return x0, P0, Fs, Qs, offsets, measurements, nodes
+
+
+def batch(x0, P0, Fs, Qs, offsets, measurements) -> tuple[np.ndarray, np.ndarray]:
+    """Least squares over the whole trajectory at once: the definition of what the smoother must find."""
+    n = len(Fs) + 1
+    rows, values = [], []
+
+    def add(blocks: dict[int, np.ndarray], value: np.ndarray, covariance: np.ndarray) -> None:
+        W = np.linalg.inv(np.linalg.cholesky(covariance))
+        row = np.zeros((len(value), 5 * n))
+        for k, block in blocks.items():
+            row[:, 5 * k : 5 * k + 5] = block
+        rows.append(W @ row)
+        values.append(W @ value)
+
+    add({0: np.eye(5)}, x0, P0)
+    for k, (F, Q, offset) in enumerate(zip(Fs, Qs, offsets, strict=True)):
+        add({k + 1: np.eye(5), k: -F}, offset, Q)
+    for k, H, R, z in measurements:
+        add({k: H[None, :]}, np.array([z]), np.array([[R]]))
+    A, b = np.concatenate(rows), np.concatenate(values)
+    solution = np.linalg.lstsq(A, b, rcond=None)[0]
+    covariance = np.linalg.inv(A.T @ A)
+    return solution.reshape(n, 5), np.stack(
+        [covariance[5 * k : 5 * k + 5, 5 * k : 5 * k + 5] for k in range(n)]
+    )
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 100_000))
+def test_equals_the_batch_solution(seed: int) -> None:
+    *problem, nodes = linear_problem(seed)
+    steps = Steps()
+    steps.add(nodes)
+    _, *arrays = steps.arrays()
+    x, P = rts(*arrays)
+    expected_x, expected_P = batch(*problem)
+    np.testing.assert_allclose(x, expected_x, rtol=0, atol=1e-9 * max(1.0, np.abs(expected_x).max()))
+    np.testing.assert_allclose(P, expected_P, rtol=0, atol=1e-9 * max(1.0, np.abs(expected_P).max()))
+
+
+def test_filterpys_smoother_is_wrong_here() -> None:
+    """The reason for an own one; should this fail, filterpy was mended."""
+    from filterpy.kalman import KalmanFilter, rts_smoother
+
+    *problem, nodes = linear_problem(1)
+    _, _, Fs, Qs, *_ = problem
+    expected_x, _ = batch(*problem)
+    xs, Ps = np.stack([node.x for node in nodes]), np.stack([node.P for node in nodes])
+    theirs = rts_smoother(xs, Ps, np.stack([np.eye(5), *Fs]), np.stack([np.eye(5), *Qs]))[0]
+    assert KalmanFilter is not None
+    assert np.abs(theirs - expected_x).max() > 1e-3
+
+
+def test_states_of_very_different_size_keep_the_precision() -> None:
+    scale = np.array([1e-3, 1e-6, 10.0, 1e-2, 1.0])
+    x0, P0, Fs, Qs, offsets, measurements, _ = linear_problem(7)
+    D, D_inv = np.diag(scale), np.diag(1 / scale)
+    *_, nodes = linear_problem(7)
+    scaled = [
+        Node(
+            n.t_ns,
+            None if n.F is None else D @ n.F @ D_inv,
+            *(D @ v if v.ndim == 1 else D @ v @ D for v in (n.x_prior, n.P_prior, n.x, n.P)),
+        )
+        for n in nodes
+    ]
+    steps = Steps()
+    steps.add(scaled)
+    x, _ = rts(*steps.arrays()[1:])
+    expected, _ = batch(x0, P0, Fs, Qs, offsets, measurements)
+    np.testing.assert_allclose(x / scale, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+
+
+def test_steps_in_blocks_are_the_steps() -> None:
+    *_, nodes = linear_problem(2)
+    many = nodes * 300  # more than one block
+    steps = Steps()
+    steps.add(many[:5000])
+    assert len(steps.arrays()[0]) == 5000
+    steps.add(many[5000:])
+    t, F, _, _, x, _ = steps.arrays()
+    assert steps.count == len(many) == len(t)
+    np.testing.assert_array_equal(x[-1], nodes[-1].x)
+    np.testing.assert_array_equal(F[0], np.eye(5))
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_short_runs(n: int) -> None:
+    *_, nodes = linear_problem(3)
+    steps = Steps()
+    steps.add(nodes[:n])
+    x, P = rts(*steps.arrays()[1:])
+    assert x.shape == (n, 5)
+    assert P.shape == (n, 5, 5)

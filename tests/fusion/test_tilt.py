@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+from math import cos, degrees, radians, sin
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fusion.tilt import COMPLEMENTARY_STD_RAD, LEVEL_STD_RAD, Tilt, attitude_at, from_quaternion, with_imu
+from tests.fusion.simulated import quaternion, weaving
+from vision.measurement import Attitude
+
+S = 1_000_000_000
+
+
+def down_of(roll: float, pitch: float) -> tuple[float, float, float]:
+    return (-sin(pitch), sin(roll) * cos(pitch), cos(roll) * cos(pitch))
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))
+def test_quaternion_gives_its_roll_and_pitch(roll: float, pitch: float, yaw: float) -> None:
+    q = quaternion(roll, pitch, yaw)
+    tilt = from_quaternion(Tilt(), 5, q)
+    np.testing.assert_allclose(tilt.down, down_of(roll, pitch), atol=1e-9)
+    found = attitude_at(tilt, 5, 0.01)
+    expected = Attitude.from_quaternion(q)
+    assert found is not None
+    assert found.roll_rad == pytest.approx(expected.roll_rad, abs=1e-6)
+    assert found.pitch_rad == pytest.approx(expected.pitch_rad, abs=1e-6)
+    assert found.std_rad == pytest.approx(0.01)
+
+
+def test_nothing_measured_is_no_attitude() -> None:
+    assert attitude_at(Tilt(), 0, 0.01) is None
+
+
+def fly(seed: int, *, attitude_hz: float, accel: bool, bias: float, seconds: float = 20.0, hz: float = 100.0):
+    """Tilt by sensors against the truth; returns the errors of roll and pitch and the last attitude."""
+    roll_of, pitch_of = weaving(seed, radians(12), 4.0), weaving(seed + 50, radians(12), 5.0)
+    rng = np.random.default_rng(seed)
+    tilt, errors, found = Tilt(), [], None
+    for i in range(int(seconds * hz)):
+        t = i / hz
+        h = 0.5 / hz
+        middle = t - h
+        roll, pitch = float(roll_of(np.array(middle))), float(pitch_of(np.array(middle)))
+        droll = float((roll_of(np.array(t)) - roll_of(np.array(t - 2 * h))) * hz)
+        dpitch = float((pitch_of(np.array(t)) - pitch_of(np.array(t - 2 * h))) * hz)
+        gyro = (droll + bias, dpitch * cos(roll) + bias, -dpitch * sin(roll))
+        roll, pitch = float(roll_of(np.array(t))), float(pitch_of(np.array(t)))
+        force = tuple(-9.80665 * d + rng.normal(0, 0.3) for d in down_of(roll, pitch)) if accel else None
+        t_ns = round(t * S)
+        if attitude_hz and i % round(hz / attitude_hz) == 0:
+            tilt = from_quaternion(tilt, t_ns, quaternion(roll, pitch, 1.0))
+        tilt = with_imu(tilt, t_ns, gyro, force)
+        found = attitude_at(tilt, t_ns, radians(0.5))
+        assert found is not None
+        errors.append((found.roll_rad - roll, found.pitch_rad - pitch))
+    assert found is not None
+    return np.array(errors), found
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gyroscope_carries_the_attitude_between_its_samples(seed: int) -> None:
+    errors, found = fly(seed, attitude_hz=10, accel=False, bias=0.01)
+    assert degrees(np.abs(errors).max()) < 0.3
+    assert found.std_rad < radians(0.6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_complementary_filter_learns_the_bias(seed: int) -> None:
+    errors, found = fly(seed, attitude_hz=0, accel=True, bias=0.02, seconds=40)
+    assert degrees(np.sqrt(np.mean(errors[2000:] ** 2))) < 1.5
+    assert found.std_rad == COMPLEMENTARY_STD_RAD
+
+
+def test_neither_is_level_with_a_wide_sigma() -> None:
+    errors, found = fly(0, attitude_hz=0, accel=False, bias=0.0)
+    assert found.std_rad == LEVEL_STD_RAD
+    assert np.sqrt(np.mean(errors**2)) < LEVEL_STD_RAD
+
+
+def test_a_silent_attitude_stream_gives_way_to_the_accelerometer() -> None:
+    tilt = from_quaternion(Tilt(), 0, quaternion(0.3, 0.0, 0.0))  # a wrong last word
+    for i in range(1, 3000):
+        tilt = with_imu(tilt, i * S // 100, (0.0, 0.0, 0.0), (0.0, 0.0, -9.81))
+    found = attitude_at(tilt, 30 * S, radians(0.5))
+    assert found is not None
+    assert abs(found.roll_rad) < radians(1)
+    assert found.std_rad == COMPLEMENTARY_STD_RAD
+
+
+def test_acceleration_that_is_not_gravity_is_not_followed() -> None:
+    tilt = from_quaternion(Tilt(), 0, quaternion(0.0, 0.0, 0.0))
+    for i in range(1, 300):
+        tilt = with_imu(tilt, i * S // 100, (0.0, 0.0, 0.0), (6.0, 0.0, -12.0))
+    assert tilt.down == pytest.approx((0.0, 0.0, 1.0), abs=1e-6)
+
+
+def test_held_attitude_grows_uncertain_without_a_gyroscope() -> None:
+    tilt = from_quaternion(Tilt(), 0, quaternion(0.1, 0.0, 0.0))
+    fresh, old, gone = (attitude_at(tilt, t, radians(0.5)) for t in (0, S // 5, S))
+    assert fresh is not None
+    assert old is not None
+    assert gone is not None
+    assert fresh.std_rad < old.std_rad < gone.std_rad == LEVEL_STD_RAD
