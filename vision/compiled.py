@@ -13,8 +13,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 def compiled(function: F) -> F:
     """Compile ``function`` at its first call; keep the machine code on disk if any place is writable.
 
-    A read-only installation without a writable cache folder makes numba refuse to cache: compile in memory
-    then.
+    A read-only installation without a writable cache folder makes numba refuse to cache: compile in memory then.
     """
     fastmath = {"contract", "arcp", "nsz"}  # but NaN and infinity keep their meaning
     try:

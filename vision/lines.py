@@ -33,6 +33,7 @@ from vision.edges import (
     difference_statistics,
     fit,
     gradient_magnitude,
+    median_and_mean,
 )
 from vision.images import to_grey
 
@@ -119,9 +120,12 @@ class _Workspace:
         self.magnitude = np.empty((height_px, width_px), np.float32)
         self.parent = np.empty(MAX_COMPONENTS, np.int32)
         self.sums = np.empty((MAX_COMPONENTS, N_SUMS))
-        self.rows = np.empty((2, width_px), np.int32)
+        self.rows = np.empty((3, width_px), np.int32)
+        self.mark = np.empty((width_px + 7) // 8 * 8, np.uint8)
+        self.words = self.mark.view(np.uint64)
         self.lines = np.empty((MAX_LINES, N_LINE))
         self.counts = np.empty(1024, np.int64)
+        self.magnitude_counts = np.empty(3072, np.int64)
 
 
 _per_thread = threading.local()
@@ -178,14 +182,19 @@ def _trace(grey: GreyImage, camera: Camera) -> _Traced:
     gradient = cv2.spatialGradient(smooth)
     gx, gy = np.asarray(gradient[0], np.int16), np.asarray(gradient[1], np.int16)
     gradient_magnitude(gx, gy, work.magnitude)
-    sample = work.magnitude[2:-2:4, 2:-2:4]
-    threshold = max(
-        MIN_THRESHOLD,
-        NOISE_TO_THRESHOLD * float(np.median(sample)),
-        STRUCTURE_TO_THRESHOLD * float(sample.mean()),
-    )
+    median, mean = median_and_mean(work.magnitude, work.magnitude_counts)
+    threshold = max(MIN_THRESHOLD, NOISE_TO_THRESHOLD * median, STRUCTURE_TO_THRESHOLD * mean)
     n_labels, steep, flat = connect(
-        gx, gy, work.magnitude, np.float32(threshold), _rectified(camera), work.parent, work.sums, work.rows
+        gx,
+        gy,
+        work.magnitude,
+        np.float32(threshold),
+        _rectified(camera),
+        work.parent,
+        work.sums,
+        work.rows,
+        work.mark,
+        work.words,
     )
     min_length = max(MIN_LENGTH_PX, MIN_LENGTH_OF_DIAGONAL * hypot(width, height))
     n = fit(work.parent, work.sums, n_labels, min_length, work.lines)
