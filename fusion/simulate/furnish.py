@@ -14,6 +14,8 @@ from fusion.simulate.scene_config import SceneConfig
 from fusion.simulate.textures import BOARDS, POSTERS, SIGNS
 
 DOOR_HEIGHT_M = 2.05
+ASKEW_RAD = 0.02  # how far furniture stands from parallel to its wall
+SKEW_RAD = 0.006  # how far sheets hang from plumb
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,22 +146,40 @@ def _build_room(
         builder.box(
             frame, (a + 0.1, b - 0.3), (back, back + 0.5), (0, float(rng.uniform(0.7, 1.8))), shade, "sSDH"
         )
+    _swing_leaf(builder, frame, opening, deep)
+
+
+def _swing_leaf(builder: Builder, frame: Frame, opening: Opening, deep: float) -> None:
+    """Build an open door's leaf, swung into the room behind."""
+    rng = builder.rng
+    leaf = Material(float(rng.uniform(0.12, 0.6)), "wood", (0.7, 2.2))
+    wide, swing = opening.s1_m - opening.s0_m, float(rng.uniform(0.9, 1.9))
+    hinge, turn = (opening.s0_m, -swing) if rng.random() < 0.5 else (opening.s1_m, swing)
+    turned = frame.turned(hinge, -deep, turn)
+    span = (hinge, hinge + wide) if turn < 0 else (hinge - wide, hinge)
+    builder.box(turned, span, (-deep - 0.04, -deep), (0.01, opening.height_m - 0.01), leaf, "sSdDH")
 
 
 def hang_sheet(
     builder: Builder, frame: Frame, s: float, low: float, size: tuple[float, float], texture: str
 ) -> None:
-    """Hang a poster, board or sign, a few millimetres to centimetres thick."""
-    thick = float(builder.rng.choice([0.003, 0.012, 0.025]))
-    face = Material(float(builder.rng.uniform(0.6, 0.9)), texture)
-    rim = Material(float(builder.rng.uniform(0.1, 0.7)))
-    builder.box(frame, (s, s + size[0]), (0, thick), (low, low + size[1]), rim, "sShH")
-    corner = frame.point(s, thick, low)
-    along = frame.vector(size[0], 0, 0)
+    """Hang a poster, board or sign, a few millimetres to centimetres thick and not quite plumb."""
+    rng = builder.rng
+    thick = float(rng.choice([0.003, 0.012, 0.025]))
+    face = Material(float(rng.uniform(0.6, 0.9)), texture)
+    rim = Material(float(rng.uniform(0.1, 0.7)))
+    skew = float(rng.normal(0, SKEW_RAD))
+    along = frame.vector(size[0] * np.cos(skew), 0, size[0] * np.sin(skew))
+    up = frame.vector(-size[1] * np.sin(skew), 0, size[1] * np.cos(skew))
+    out = frame.vector(0, thick, 0)
+    back = frame.point(s, 0, low)
+    rims = ((back, along, -up), (back + up, along, up), (back, up, -along), (back + along, up, along))
+    for corner, edge, facing in rims:
+        builder.quad(corner, edge, out, facing, rim)
     # text reads from left to right whichever way the wall runs
-    if np.cross(along, frame.vector(0, 0, 1)) @ frame.out < 0:
-        corner, along = corner + along, -along
-    builder.quad(corner, along, frame.vector(0, 0, size[1]), frame.out, face)
+    if np.cross(along, up) @ frame.out < 0:
+        back, along = back + along, -along
+    builder.quad(back + out, along, up, frame.out, face)
 
 
 def decorate(
@@ -223,6 +243,7 @@ def _sign(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) ->
 
 def _furniture(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
     rng = builder.rng
+    frame = frame.turned(s, 0.03, abs(float(rng.normal(0, ASKEW_RAD))))  # nobody aligns furniture
     reach = min(0.55, 0.28 * room_m)
     kind = rng.random()
     if kind < 0.45:  # cabinet or cupboard
@@ -280,19 +301,27 @@ def build_lockers(builder: Builder, frame: Frame, s0: float, s1: float) -> None:
 def build_person(builder: Builder, frame: Frame, s: float, d: float) -> None:
     """Build a standing figure of rounded blocks."""
     rng = builder.rng
-    scale, stance = float(rng.uniform(0.9, 1.08)), float(rng.uniform(0.07, 0.16))
-    trousers, shirt = (
-        Material(float(rng.uniform(0.03, 0.25))),
-        Material(float(rng.uniform(0.05, 0.7)), "vinyl", (0.4, 0.4), 2.0),
-    )
+    tall, stance = float(rng.uniform(0.9, 1.08)), float(rng.uniform(0.07, 0.13))
+    frame = frame.turned(s, d, float(rng.uniform(-1.2, 1.2)))
+    trousers = Material(float(rng.uniform(0.03, 0.25)))
+    shirt = Material(float(rng.uniform(0.05, 0.7)), "vinyl", (0.4, 0.4), 2.0)
     skin, hair = Material(float(rng.uniform(0.15, 0.45))), Material(float(rng.uniform(0.02, 0.2)))
+
+    def block(
+        ds: float, dd: float, radius: tuple[float, float], low: float, high: float, stuff: Material
+    ) -> None:
+        builder.prism(frame, (s + ds, d + dd), radius, (low * tall, high * tall), stuff, 9)
+
     for side in (-1, 1):
-        builder.prism(
-            frame, (s + side * stance * 0.5, d + side * stance), (0.09, 0.085), (0, 0.85 * scale), trousers, 7
-        )
-        builder.prism(
-            frame, (s - side * 0.04, d + side * 0.25), (0.06, 0.055), (0.75 * scale, 1.42 * scale), shirt, 6
-        )
-    builder.prism(frame, (s, d), (0.14, 0.21), (0.8 * scale, 1.45 * scale), shirt, 9)
-    builder.prism(frame, (s, d), (0.055, 0.055), (1.45 * scale, 1.53 * scale), skin, 6)
-    builder.prism(frame, (s, d), (0.10, 0.085), (1.52 * scale, 1.75 * scale), skin, 9, hair)
+        step = side * 0.5 * stance
+        block(step, side * stance, (0.065, 0.06), 0.0, 0.45, trousers)
+        block(step * 0.8, side * stance, (0.085, 0.08), 0.45, 0.86, trousers)
+        block(-step, side * 0.22, (0.05, 0.045), 1.12, 1.40, shirt)
+        block(-step * 1.5, side * 0.24, (0.042, 0.038), 0.82, 1.12, shirt)
+    for low, high, wide in ((0.82, 0.95, 0.165), (0.95, 1.15, 0.15), (1.15, 1.38, 0.18), (1.38, 1.45, 0.13)):
+        block(0.0, 0.0, (0.12, wide), low, high, shirt)
+    block(0.0, 0.0, (0.05, 0.05), 1.45, 1.52, skin)
+    for low, high, wide in ((1.51, 1.56, 0.065), (1.56, 1.66, 0.082)):
+        block(0.01, 0.0, (wide * 1.15, wide), low, high, skin)
+    for low, high, wide in ((1.66, 1.72, 0.082), (1.72, 1.755, 0.06)):
+        block(0.0, 0.0, (wide * 1.15, wide), low, high, hair)

@@ -16,8 +16,10 @@ from fusion.simulate.inner import inner
 
 FloatArray = npt.NDArray[np.float64]
 Light = npt.NDArray[np.float32]
+Indices = npt.NDArray[np.int64]
 
 FAR_M = 1e9
+LIFT_M = 0.004  # rays that start from a surface start this far off it
 SIZE = m.TEXTURE_SIZE
 LEVELS = m.TEXTURE_LEVELS
 COPIES = (2 * SIZE - 1) * (2 * SIZE - 1)  # numbers in one texture's ripmap
@@ -26,6 +28,7 @@ LENGTH_A, LENGTH_B, PLANE, ELLIPSE = m.LENGTH_A, m.LENGTH_B, m.PLANE, m.ELLIPSE
 EMISSION, GLOSS, ALBEDO, CONTRAST, TEXTURE = m.EMISSION, m.GLOSS, m.ALBEDO, m.CONTRAST, m.TEXTURE
 SCALE_U, SCALE_V, SHIFT_U, SHIFT_V = m.SCALE_U, m.SCALE_V, m.SHIFT_U, m.SHIFT_V
 JOINT_U, JOINT_V, JOINT_WIDTH, JOINT_ALBEDO = m.JOINT_U, m.JOINT_V, m.JOINT_WIDTH, m.JOINT_ALBEDO
+JOINT_TURN = m.JOINT_TURN
 LIGHT_START, LIGHT_NU, LIGHT_NV = m.LIGHT_START, m.LIGHT_NU, m.LIGHT_NV
 
 
@@ -160,11 +163,11 @@ def reflectance(
         value *= max(0.0, 1.0 + table[i, CONTRAST] * (sample - 1.0))
     width = table[i, JOINT_WIDTH]
     if width > 0.0:
-        clear = 1.0
+        clear, turn = 1.0, table[i, JOINT_TURN]
         if table[i, JOINT_U] > 0.0:
-            clear *= 1.0 - joint_share(u, max(foot_u, 1e-5), table[i, JOINT_U], width)
+            clear *= 1.0 - joint_share(u + turn * v, max(foot_u, 1e-5), table[i, JOINT_U], width)
         if table[i, JOINT_V] > 0.0:
-            clear *= 1.0 - joint_share(v, max(foot_v, 1e-5), table[i, JOINT_V], width)
+            clear *= 1.0 - joint_share(v - turn * u, max(foot_v, 1e-5), table[i, JOINT_V], width)
         value = value * clear + table[i, JOINT_ALBEDO] * (1.0 - clear)
     return float(value)
 

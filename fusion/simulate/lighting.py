@@ -6,10 +6,11 @@ Emission is radiance; a cell's value is irradiance over pi, so that albedo times
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from fusion.simulate.inner import inner
-from fusion.simulate.kernels import dot, irradiance, scatter, trace
+from fusion.simulate import kernels
+from fusion.simulate import mesh as layout
+from fusion.simulate.inner import inner, outer
+from fusion.simulate.kernels import LIFT_M, FloatArray, Indices, Light, dot, irradiance, scatter, trace
 from fusion.simulate.mesh import (
     ALBEDO,
     EMISSION,
@@ -22,12 +23,7 @@ from fusion.simulate.mesh import (
     POINTS,
     Mesh,
 )
-from vision.compiled import compiled
 
-FloatArray = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
-Light = npt.NDArray[np.float32]
-LIFT_M = 0.004  # rays start this far off their surface
 LAMP_REACH_M = 9.0
 
 
@@ -100,7 +96,7 @@ def _gathered(
     return total / rays
 
 
-@compiled
+@outer(kernels, layout)
 def _fill(table: FloatArray, nodes: FloatArray, lamps: Indices, light: Light, out: Light, rays: int) -> None:
     """Compute every cell's light: from the lamps (rays 0), or gathered from ``light``."""
     a, b, c = POINTS, POINTS + 3, POINTS + 9
@@ -130,7 +126,7 @@ def _fill(table: FloatArray, nodes: FloatArray, lamps: Indices, light: Light, ou
                 out[key] = _gathered(table, nodes, light, px, py, pz, i, key, rays)
 
 
-@compiled
+@outer(kernels, layout)
 def _smooth(table: FloatArray, light: Light) -> Light:
     """Average each cell with its neighbours on the same surface (binomial 3x3)."""
     out = np.empty_like(light)

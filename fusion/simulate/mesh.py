@@ -43,6 +43,8 @@ class Material:
         Mirror reflection at perpendicular view, 0 to 1; it rises to grazing view after Schlick.
     roughness_rad
         Spread of the normals of a glossy surface: how blurred its reflections are.
+    joint_turn_rad
+        Small angle by which the joints are turned against the edges.
     """
 
     albedo: float
@@ -55,6 +57,7 @@ class Material:
     emission: float = 0.0
     gloss: float = 0.0
     roughness_rad: float = 0.015
+    joint_turn_rad: float = 0.0
 
     def but(self, **changes: object) -> Material:
         """Return a copy with some fields changed."""
@@ -74,10 +77,10 @@ ELLIPSE = 15  # 1 where only the inscribed ellipse is there
 EMISSION, GLOSS, ROUGHNESS = 16, 17, 18
 ALBEDO, CONTRAST, TEXTURE = 19, 20, 21
 SCALE_U, SCALE_V, SHIFT_U, SHIFT_V = 22, 23, 24, 25  # metres to repetitions of the texture
-JOINT_U, JOINT_V, JOINT_WIDTH, JOINT_ALBEDO = 26, 27, 28, 29
-LIGHT_START, LIGHT_NU, LIGHT_NV = 30, 31, 32  # cells in `Mesh.lightmap`
-POINTS = 33  # (4, 3) the corners
-COLUMNS = 45
+JOINT_U, JOINT_V, JOINT_WIDTH, JOINT_ALBEDO, JOINT_TURN = 26, 27, 28, 29, 30
+LIGHT_START, LIGHT_NU, LIGHT_NV = 31, 32, 33  # cells in `Mesh.lightmap`
+POINTS = 34  # (4, 3) the corners
+COLUMNS = 46
 
 
 class Mesh(NamedTuple):
@@ -119,6 +122,12 @@ class Frame:
     def vector(self, s: float, d: float, h: float) -> FloatArray:
         """World vector of the given components."""
         return s * self.along + d * self.out - h * np.array([0.0, 0.0, 1.0])
+
+    def turned(self, s: float, d: float, angle_rad: float) -> Frame:
+        """Return the frame turned about the vertical through (s, d), from ``along`` towards ``out``."""
+        c, n = np.cos(angle_rad), np.sin(angle_rad)
+        along, out = c * self.along + n * self.out, c * self.out - n * self.along
+        return Frame(self.point(s, d, 0.0) - s * along - d * out, along, out)
 
 
 @dataclass(slots=True, eq=False)
@@ -236,6 +245,7 @@ class Builder:
                 *material.joint_spacing_m,
                 material.joint_width_m,
                 material.joint_albedo,
+                material.joint_turn_rad,
             ]
             nu, nv = (int(np.clip(np.ceil(length / self.light_cell_m), 1, 400)) for length in (la, lb))
             row[LIGHT_START:POINTS] = cells, nu, nv

@@ -150,14 +150,17 @@ def oscillation(rng: np.random.Generator, t: FloatArray, amplitude: float, rate:
     weights = rng.uniform(0.6, 1.0, 3)
     if amplitude <= 0 or rate <= 0:
         return np.zeros(len(t))
-    base = rate / amplitude
-    wave = np.zeros(len(t))
-    for _ in range(12):  # scaling the time changes what part of the wave is seen: a few rounds settle it
-        phase = base * ratios[:, None] * t + phases[:, None]
-        wave = weights @ np.sin(phase)
-        wave *= amplitude / np.abs(wave).max()
-        base *= float(np.clip(rate / np.abs(np.gradient(wave, t)).max(), 0.5, 2.0))
-    return wave
+    centre, best, best_miss = rate / amplitude, np.zeros(len(t)), np.inf
+    # scaling the time changes what part of the wave is seen, so the rate does not simply follow: search for it
+    for factors in (np.geomspace(0.4, 2.5, 40), np.linspace(0.96, 1.04, 17)):
+        bases = (centre * factors).tolist()
+        for base in bases:
+            wave = weights @ np.sin(base * ratios[:, None] * t + phases[:, None])
+            wave *= amplitude / np.abs(wave).max()
+            miss = abs(float(np.abs(np.gradient(wave, t)).max()) / rate - 1)
+            if miss < best_miss:
+                best, best_miss, centre = wave, miss, base
+    return best
 
 
 @dataclass(frozen=True, slots=True)

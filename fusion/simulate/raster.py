@@ -11,10 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from fusion.simulate.inner import inner
+from fusion.simulate import kernels
+from fusion.simulate import mesh as layout
+from fusion.simulate.inner import inner, outer
 from fusion.simulate.kernels import (
     FAR_M,
+    LIFT_M,
     FloatArray,
+    Indices,
     Light,
     dot,
     hit_distance,
@@ -22,9 +26,7 @@ from fusion.simulate.kernels import (
     radiance,
     trace,
 )
-from fusion.simulate.lighting import LIFT_M, Indices
 from fusion.simulate.mesh import DUAL_A, DUAL_B, GLOSS, NORMAL, PLANE, POINTS, ROUGHNESS
-from vision.compiled import compiled
 
 TILE = 8
 MAX_SEEN = 4096
@@ -264,7 +266,7 @@ def _edge_pixel(
     return total / (grid * grid), share / (grid * grid)
 
 
-@compiled
+@outer(kernels, layout)
 def render_rows(
     table: FloatArray, nodes: FloatArray, lightmap: Light, textures: Light, rays: FloatArray, pixel_rad: FloatArray,
     origins: FloatArray, rotations: FloatArray, grid: int, turn: int, turns: int,

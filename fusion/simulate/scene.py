@@ -9,6 +9,7 @@ import numpy as np
 from fusion.simulate.furnish import Opening, build_doorway, build_person, decorate, hang_sheet, place_openings
 from fusion.simulate.lighting import bake
 from fusion.simulate.mesh import POINTS, Builder, Frame, Material, Mesh, build_tree
+from fusion.simulate.overhead import build_ceiling_clutter, build_lamps, room_frame
 from fusion.simulate.plan import FloatArray, Room, Wall, floor_plan, outline
 from fusion.simulate.scene_config import Ceiling, End, Floor, SceneConfig, WallFinish
 from fusion.simulate.textures import POSTERS, WINDOWS, texture_set
@@ -51,21 +52,15 @@ def build_scene(
     finish = _wall_material(config)
     for wall in outline(rooms):
         _build_wall(builder, wall, rooms, config, finish)
-    _build_lamps(builder, rooms, config)
-    _build_ceiling_clutter(builder, rooms, config)
+    build_lamps(builder, rooms, config)
+    build_ceiling_clutter(builder, rooms[0], config)
     for _ in range(config.people):
         s, side = float(rng.uniform(3, config.length_m - 1)), float(rng.choice([-1, 1]))
         y = side * float(rng.uniform(0.05, 0.32)) * config.width_m
         with builder.standing():
-            build_person(builder, _room_frame(rooms[0]), s, y)
+            build_person(builder, room_frame(rooms[0]), s, y)
     mesh = _light(builder, config.ambient)
     return Scene(config, tuple(rooms), mesh, np.array(builder.obstacles).reshape(-1, 6))
-
-
-def _room_frame(room: Room) -> Frame:
-    """Frame on the floor at a room's beginning, d to the right."""
-    along, right = np.array([*room.direction, 0.0]), np.array([*room.right, 0.0])
-    return Frame(np.array([room.x_m, room.y_m, 0.0]), along, right)
 
 
 def _light(builder: Builder, ambient: float) -> Mesh:
@@ -110,8 +105,10 @@ def _ceiling_material(config: SceneConfig) -> Material:
 
 
 def _build_floors(builder: Builder, rooms: list[Room], config: SceneConfig) -> None:
-    floor, ceiling = _floor_material(config), _ceiling_material(config)
     for number, room in enumerate(rooms):
+        turns = builder.rng.normal(0, config.parallel_std_rad, 2).tolist()
+        floor = _floor_material(config).but(joint_turn_rad=turns[0])
+        ceiling = _ceiling_material(config).but(joint_turn_rad=turns[1])
         corner = np.array([*room.to_world(0, -room.width_m / 2), LAYER_M * number])
         along = np.array([*(room.direction * room.length_m), 0.0])
         across = np.array([*(room.right * room.width_m), 0.0])
@@ -192,9 +189,9 @@ def _build_piece(
         board = Material(config.skirting_albedo, "vinyl", (1.5, 1.5), 0.8)
         builder.box(frame, s, (0, 0.013), (0, config.skirting_height_m), board, "sSDH")
     if config.handrail and s[1] - s[0] > 0.5:
-        builder.box(
-            frame, (s[0] + 0.1, s[1] - 0.1), (0.05, 0.09), (0.9, 0.95), Material(0.3, "wood", (2.0, 0.5))
-        )
+        askew = frame.turned(s[0], 0.07, float(builder.rng.normal(0, config.parallel_std_rad)))
+        rail = Material(0.3, "wood", (2.0, 0.5))
+        builder.box(askew, (s[0] + 0.1, s[1] - 0.1), (0.05, 0.09), (0.9, 0.95), rail)
 
 
 def _build_end(builder: Builder, frame: Frame, wall: Wall, config: SceneConfig) -> None:
@@ -278,77 +275,3 @@ def _build_stairs(builder: Builder, frame: Frame, wide: float, config: SceneConf
     high = min(2.0, config.height_m - top - 0.1)
     corner = frame.point(wide / 2 - 0.7, 0.01, top)
     builder.quad(corner, frame.vector(1.4, 0, 0), frame.vector(0, 0, high), frame.out, door)
-
-
-def _build_lamps(builder: Builder, rooms: list[Room], config: SceneConfig) -> None:
-    rng = builder.rng
-    across, along = config.lamp_size_m
-    tube = min(across, along) < 0.2
-    for number, room in enumerate(rooms):
-        frame = _room_frame(room)
-        columns = (
-            [0.0]
-            if room.width_m < 4
-            else np.arange(-room.width_m / 2 + 1.5, room.width_m / 2 - 1, 2.6).tolist()
-        )
-        for s in np.arange(0.5 * config.lamp_spacing_m, room.length_m - 0.3, config.lamp_spacing_m).tolist():
-            for y in columns:
-                if any(bool(r.contains(room.to_world(s, y), 0.3).any()) for r in rooms[:number]):
-                    continue
-                off = rng.random() < config.lamp_off_share
-                light = (
-                    Material(0.5)
-                    if off
-                    else Material(1.0, emission=config.lamp_radiance * float(rng.uniform(0.85, 1.1)))
-                )
-                span, reach = (s - along / 2, s + along / 2), (y - across / 2, y + across / 2)
-                level = config.height_m - (0.09 if tube else 0.012)
-                rim = Material(0.6)
-                edge = 0.0 if tube else 0.03
-                outer = ((span[0] - edge, span[1] + edge), (reach[0] - edge, reach[1] + edge))
-                builder.box(
-                    frame, outer[0], outer[1], (level, config.height_m), rim, "sSdD" + ("" if tube else "h")
-                )
-                corner = frame.point(span[0], reach[0], level - 0.001)
-                builder.quad(
-                    corner,
-                    frame.vector(along, 0, 0),
-                    frame.vector(0, across, 0),
-                    frame.vector(0, 0, -1),
-                    light,
-                )
-
-
-def _build_ceiling_clutter(builder: Builder, rooms: list[Room], config: SceneConfig) -> None:
-    """Pipes and a cable tray along the first corridor, smoke detectors, an exit sign across it."""
-    rng, room = builder.rng, rooms[0]
-    frame = _room_frame(room)
-    top, half = config.height_m, config.width_m / 2
-    crowded = config.ceiling is Ceiling.OPEN
-    for _ in range(config.pipes + (3 if crowded else 0)):
-        y, size = float(rng.uniform(-half + 0.1, half - 0.15)), float(rng.uniform(0.03, 0.12))
-        level = top - float(rng.uniform(0.08, 0.3))
-        pipe = Material(float(rng.uniform(0.2, 0.8)), "metal", (1.0, 0.3))
-        builder.box(frame, (0, room.length_m), (y, y + size), (level - size, level), pipe, "dDhH")
-    if config.cable_tray or crowded:
-        side = float(rng.choice([-1, 1])) * (half - 0.25)
-        tray = Material(0.35, "metal", (0.3, 0.3), 2.0, (0.25, 0.0), 0.03, 0.05)
-        builder.box(
-            frame, (0, room.length_m), (side - 0.15, side + 0.15), (top - 0.25, top - 0.2), tray, "dDhH"
-        )
-    for s in np.arange(2.0, room.length_m - 1, float(rng.uniform(4, 9))).tolist():
-        builder.prism(frame, (s, 0.35 * half), (0.06, 0.06), (top - 0.05, top), Material(0.8), 8)
-        corner = frame.point(s - 0.06, 0.35 * half - 0.06, top - 0.05)
-        builder.quad(
-            corner,
-            frame.vector(0.12, 0, 0),
-            frame.vector(0, 0.12, 0),
-            frame.vector(0, 0, -1),
-            Material(0.8),
-            True,
-        )
-    if rng.random() < 0.5:
-        s = float(rng.uniform(5, max(6, room.length_m - 2)))
-        builder.box(
-            frame, (s, s + 0.05), (-0.2, 0.2), (top - 0.35, top - 0.15), Material(1.0, emission=1.2), "sSdDhH"
-        )

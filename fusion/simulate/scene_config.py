@@ -114,6 +114,9 @@ class SceneConfig(Section):
     pipes: int = Field(default=0, ge=0, le=8)
     cable_tray: bool = False
     handrail: bool = False
+    parallel_std_rad: NotNegative = Field(
+        default=0.002, description="How far from parallel to the walls joints, pipes and rails run."
+    )
     lamp_spacing_m: Positive = 2.4
     lamp_size_m: tuple[Positive, Positive] = Field(default=(1.2, 0.6), description="Across and along.")
     lamp_off_share: Share = 0.05

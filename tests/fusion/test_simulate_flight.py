@@ -64,13 +64,13 @@ def test_body_rates_and_specific_force_are_the_derivatives_of_the_path() -> None
     assert np.allclose(np.diff(truth.p_world_m, axis=0) / 2e-4, middle.v_world_m_s, atol=1e-6)
 
 
-@given(st.floats(0.02, 1.0), st.floats(0.02, 2.0), st.integers(0, 1000))
+@given(st.floats(0.02, 1.0), st.floats(0.8, 6.0), st.integers(0, 1000))
 @settings(max_examples=30, deadline=None)
-def test_swings_have_the_amplitude_and_rate_asked_for(amplitude: float, rate: float, seed: int) -> None:
-    t = np.arange(0, 20, 0.01)
+def test_swings_have_the_amplitude_and_rate_asked_for(amplitude: float, quickness: float, seed: int) -> None:
+    t, rate = np.arange(0, 20, 0.01), quickness * amplitude
     wave = oscillation(np.random.default_rng(seed), t, amplitude, rate)
     assert np.abs(wave).max() == pytest.approx(amplitude, rel=1e-6)
-    assert np.abs(np.gradient(wave, t)).max() == pytest.approx(rate, rel=0.25)
+    assert np.abs(np.gradient(wave, t)).max() == pytest.approx(rate, rel=0.1)
 
 
 def test_tilt_stays_within_what_was_asked_for_and_pushes_the_vehicle() -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from math import radians
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +17,7 @@ from fusion.simulate.config import ImagingConfig, rotation
 from fusion.simulate.imaging import Sensor
 from fusion.simulate.kernels import hit_distance, joint_share, texture_value, trace
 from fusion.simulate.lighting import bake
-from fusion.simulate.mesh import ALBEDO, EMISSION, POINTS, Builder, Material, Mesh, build_tree
+from fusion.simulate.mesh import ALBEDO, EMISSION, LIGHT_START, POINTS, Builder, Material, Mesh, build_tree
 from fusion.simulate.plan import floor_plan
 from fusion.simulate.render import View, render_linear
 from fusion.simulate.scene import build_scene
@@ -166,7 +169,7 @@ def test_light_falls_off_like_the_solid_angle_and_shadows_are_dark() -> None:
     light = {}
     for row in mesh.table:
         if row[EMISSION] == 0 and row[ALBEDO] == 0:
-            light[round(float(row[POINTS + 1]), 2)] = float(mesh.lightmap[int(row[30])])
+            light[round(float(row[POINTS + 1]), 2)] = float(mesh.lightmap[int(row[LIGHT_START])])
     assert light[-0.05] == pytest.approx(
         10 * 0.04 / 9 / np.pi, rel=0.01
     )  # radiance times solid angle over pi
@@ -246,3 +249,22 @@ def test_people_and_furniture_leave_the_path_free() -> None:
     low, high = scene.obstacles[:, None, :3], scene.obstacles[:, None, 3:]
     assert not ((path > low) & (path < high)).all(axis=2).any()
     assert floor_plan(crowded)[0][0].contains(path[:, :2], 0.1).all()
+
+
+def test_code_on_disk_is_not_used_after_an_inner_function_changed(tmp_path: Path) -> None:
+    (tmp_path / "loops.py").write_text(
+        "import parts\nfrom fusion.simulate.inner import outer\n"
+        "@outer(parts)\ndef twice(x):\n    return 2 * parts.step(x)\n"
+    )
+
+    def answer(step: str) -> str:
+        text = f"from fusion.simulate.inner import inner\n@inner\ndef step(x):\n    return {step}\n"
+        (tmp_path / "parts.py").write_text(text)
+        code = "import loops; print(loops.twice(5), sum(loops.twice.stats.cache_hits.values()))"
+        return subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+        ).stdout.strip()
+
+    assert answer("x + 1") == "12 0"
+    assert answer("x + 1") == "12 1"
+    assert answer("x + 3") == "16 0"
