@@ -13,17 +13,21 @@ from math import cos, exp, hypot, isfinite, nan, pi, radians, sqrt
 from fusion import tilt as tilts
 from fusion.axes import AGREEING_SHARE, CONTESTED_SHARE, VOTE_AGE_S, Axes
 from fusion.consensus import Vote, add_vote, agreement
-from fusion.models import PSI, Y, heading_model, lateral_model, wrap_axis
+from fusion.ekf import Gate
+from fusion.models import PSI, ScalarMeasurement, Y, heading_model, lateral_model, wrap_axis
 from fusion.state import (
     UNKNOWN_LATERAL_STD,
     Mode,
     frame_age_limit_s,
     seconds_since,
 )
+from fusion.trust import Trust, genuine, learn, weakened
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 
 Measure = Callable[[Attitude | None, Prior], FrameMeasurement]
 
+GROSS_HEADING_DENSITY = 1 / pi  # a gross heading may be any
+GROSS_LATERAL_DENSITY = 0.5  # anywhere between the walls
 LATERAL_START_FRAMES = 3
 LATERAL_LOST_STD = 0.5
 LATERAL_PRIOR_STD = 0.1
@@ -153,8 +157,11 @@ class Engine(Axes):
             if started:
                 self._learn(t_ns, m, attitude)
             return FrameResult(stamp_ns, m, True, Reason.OK)
+        inflation = _inflation(t_ns, s.t_vision_ns, c.heading_correlation_s)
         measurement = heading_model(self.ekf.x, m.heading_rad, variance)
-        gate = self.ekf.update(measurement, c.heading_gate_sigma, self._correlated(t_ns, variance))
+        gate, s.heading_trust = self._take(
+            measurement, c.heading_gate_sigma, inflation, s.heading_trust, GROSS_HEADING_DENSITY
+        )
         s.heading_ratio = gate.test_ratio
         linked = self._see(t_ns, m.heading_rad, gate.accepted)
         if gate.accepted:
@@ -165,9 +172,20 @@ class Engine(Axes):
         self._consider(t_ns)
         return FrameResult(stamp_ns, m, False, Reason.GATE, gate.residual, gate.test_ratio)
 
-    def _correlated(self, t_ns: int, variance: float) -> float:
-        """Variance that, taken as independent, stands for errors which resemble those of the frame before."""
-        return variance * _inflation(t_ns, self.state.t_vision_ns, self.config.heading_correlation_s)
+    def _take(
+        self, m: ScalarMeasurement, gate_sigma: float, inflation: float, trust: Trust, gross_density: float
+    ) -> tuple[Gate, Trust]:
+        """Update with a measurement that may be gross, whose sigma may be wrong and whose error resembles the last.
+
+        The gate judges it by its own variance; the update takes the larger one that, as if independent, stands for
+        the correlation, and weakens it by the odds that it is genuine.
+        """
+        predicted = float(m.H @ self.ekf.P @ m.H)
+        stated, believed = m.R, m.R * trust.inflation
+        probability = genuine(m.residual, predicted + believed, trust.gross_share, gross_density)
+        variance = weakened(believed * inflation, predicted, probability)
+        gate = self.ekf.update(m._replace(R=believed), gate_sigma, variance)
+        return gate, learn(trust, m.residual, predicted, stated, probability if gate.accepted else 0.0)
 
     def _learn(self, t_ns: int, m: FrameMeasurement, attitude: Attitude | None) -> None:
         """Use the rest of a frame whose heading was accepted: lateral offset, width, elevation of the camera."""
@@ -193,8 +211,10 @@ class Engine(Axes):
             s.lateral_acquired, s.lateral_votes = False, ()
         measurement = lateral_model(self.ekf.x, offset_norm, variance)
         if s.lateral_acquired:
-            inflated = variance * _inflation(t_ns, s.t_lateral_ns, c.lateral_correlation_s)
-            gate = self.ekf.update(measurement, c.lateral_gate_sigma, inflated)
+            inflation = _inflation(t_ns, s.t_lateral_ns, c.lateral_correlation_s)
+            gate, s.lateral_trust = self._take(
+                measurement, c.lateral_gate_sigma, inflation, s.lateral_trust, GROSS_LATERAL_DENSITY
+            )
             s.lateral_ratio = gate.test_ratio
             if gate.accepted:
                 s.t_lateral_ns, s.n_lateral = t_ns, s.n_lateral + 1

@@ -110,7 +110,7 @@ class Propagation:
         else:
             self._advance(t_ns)
             self._set_mode(Mode.GYRO)
-        s.t_gyro_ns, s.gyro, s.rate_rad_s = t_ns, gyro_rad_s, rate
+        s.t_gyro_ns, s.gyro, s.rate_rad_s, s.gyro_done_rad = t_ns, gyro_rad_s, rate, 0.0
         self._end()
 
     def attitude(self, t_ns: int, q_world_body: Quaternion) -> None:
@@ -173,21 +173,20 @@ class Propagation:
     ) -> None:
         """Propagate to ``t_ns`` with the mode in force.
 
-        ``end_rate_rad_s`` is the gyroscope's level rate at ``t_ns`` (trapezoid; else the last rate is held);
-        ``turned_rad`` the yaw increment since the state's time (attitude; else the last rate is held).
+        ``end_rate_rad_s`` is the gyroscope's level rate at ``t_ns``, ``turned_rad`` the attitude's yaw increment less
+        what was propagated already; without either the last rate is held, and made good when the next is known.
         """
         s = self.state
         start_ns = s.t_ns
         self._now_ns = t_ns
-        if start_ns is None or t_ns <= start_ns:
+        if start_ns is None or (t_ns <= start_ns and end_rate_rad_s is None and turned_rad is None):
             return
         dt_s = (t_ns - start_ns) * 1e-9
         variance = 0.0
         if s.mode is Mode.NONE:
             turned_rad = 0.0
         elif s.mode is Mode.GYRO and end_rate_rad_s is not None:
-            first = self._rate_at(start_ns, t_ns, end_rate_rad_s)
-            turned_rad = 0.5 * (first + end_rate_rad_s) * dt_s
+            turned_rad = self._turn_since_gyro(t_ns, end_rate_rad_s) - s.gyro_done_rad
             variance = 0.25 * self._silence_variance(start_ns, t_ns)  # known at both ends: a bridge
         elif turned_rad is None:
             turned_rad = s.rate_rad_s * dt_s
@@ -213,15 +212,15 @@ class Propagation:
         self._transit(x_next, F, Q)
         s.theta_rad += turned_rad - bias_turn
         s.yaw_done_rad += turned_rad - (bias_turn if s.mode is not Mode.ATTITUDE else 0.0)
+        s.gyro_done_rad += turned_rad
         s.t_ns = t_ns
 
-    def _rate_at(self, t_ns: int, end_ns: int, end_rate_rad_s: float) -> float:
-        """Gyroscope's level rate at a time between its last sample and one at ``end_ns``."""
+    def _turn_since_gyro(self, t_ns: int, end_rate_rad_s: float) -> float:
+        """Yaw turned since the last gyroscope sample, by the trapezoid rule: each sample counts for as much."""
         s = self.state
-        if s.t_gyro_ns is None or end_ns <= s.t_gyro_ns:
-            return end_rate_rad_s
-        part = (t_ns - s.t_gyro_ns) / (end_ns - s.t_gyro_ns)
-        return s.rate_rad_s + part * (end_rate_rad_s - s.rate_rad_s)
+        if s.t_gyro_ns is None:
+            return s.gyro_done_rad
+        return 0.5 * (s.rate_rad_s + end_rate_rad_s) * (t_ns - s.t_gyro_ns) * 1e-9
 
     def _silence_variance(self, start_ns: int, end_ns: int) -> float:
         """Heading variance gained between two times in which the gyroscope should have spoken and did not."""

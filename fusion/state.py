@@ -14,6 +14,7 @@ from fusion.config import FusionConfig
 from fusion.consensus import Vote
 from fusion.models import BIAS, OFFSET, PSI, FloatArray, V, Y, wrap, wrap_axis
 from fusion.tilt import Tilt, Vector
+from fusion.trust import Trust
 from vision.measurement import position_from_offset
 
 UNKNOWN_HEADING_STD_RAD = pi / 2
@@ -140,6 +141,7 @@ class State:
 
     t_gyro_ns: int | None = None
     gyro: Vector = (0.0, 0.0, 0.0)
+    gyro_done_rad: float = 0.0  # already propagated since t_gyro_ns
     rate_rad_s: float = 0.0  # level yaw rate, at t_gyro_ns or over the last attitude interval
     t_attitude_ns: int | None = None
     yaw_rad: float = nan  # of the last attitude sample
@@ -169,6 +171,7 @@ class State:
     support_s: float = 0.0  # time over which frames have confirmed the present axis
     anchor_rad: float = nan  # axis in the dead-reckoned frame when a frame last confirmed it
     facing_rad: float = 0.0  # pi where it then faced against the axis
+    heading_trust: Trust = field(default_factory=Trust)
     votes: tuple[Vote, ...] = ()
     recent: tuple[
         tuple[int, float, bool], ...
@@ -181,6 +184,7 @@ class State:
     lateral_acquired: bool = False
     t_lateral_ns: int | None = None
     n_lateral: int = 0
+    lateral_trust: Trust = field(default_factory=Trust)
     lateral_votes: tuple[Vote, ...] = ()
     lateral_ratio: float = nan
     width_per_height: float = nan

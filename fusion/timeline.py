@@ -20,8 +20,8 @@ from fusion.state import State
 class Kind(IntEnum):
     """Kinds of samples, in the order in which those of one instant are taken."""
 
-    ATTITUDE = 0
-    IMU = 1
+    IMU = 0
+    ATTITUDE = 1
     VELOCITY = 2
     FRAME = 3
 

@@ -38,6 +38,20 @@ def weaving(seed: int, amplitude_rad: float = radians(15), period_s: float = 6.0
     return lambda t: (weights * np.sin(np.multiply.outer(t, rates) + phases)).sum(axis=-1)
 
 
+def drifting(seed: int, std: float, time_s: float, duration_s: float) -> Function:
+    """Position whose velocity is a stationary first-order process of this standard deviation and correlation time."""
+    rng, dt = np.random.default_rng(seed), 0.002
+    n = int(duration_s / dt) + 2
+    keep = np.exp(-dt / time_s)
+    velocity = np.empty(n)
+    velocity[0] = rng.normal(0, std)
+    kicks = rng.normal(0, std * np.sqrt(1 - keep**2), n)
+    for i in range(1, n):
+        velocity[i] = keep * velocity[i - 1] + kicks[i]
+    position, times = np.cumsum(velocity) * dt, np.arange(n) * dt
+    return lambda t: np.interp(t, times, position - position.mean())
+
+
 def turning(*turns: tuple[float, float, float]) -> Function:
     """Sum of smooth turns (start s, length s, angle rad)."""
 
@@ -106,6 +120,8 @@ class Simulated:
     heading: np.ndarray  # in the world, unwrapped
     lateral: np.ndarray
     bias: np.ndarray
+    level_rate: np.ndarray  # as the gyroscope gives it, bias and noise included
+    frames: np.ndarray  # time s, heading seen, sigma, whether it is gross
     samples: list[Sample]  # in order of arrival
 
     def heading_in(self, axis_rad: Any) -> np.ndarray:
@@ -145,10 +161,12 @@ def simulate(scene: Scene) -> Simulated:
     for i in range(len(t)):
         accel = tuple((-9.80665 * down[i] + rng.normal(0, 0.05, 3)).tolist()) if scene.accel else None
         samples.append(Sample("imu", int(t_ns[i]), int(t_ns[i]), (tuple(gyro[i].tolist()), accel)))
-    _attitudes(scene, rng, t, np.cumsum(noise) * dt, samples, roll_of, pitch_of)
-    _frames(scene, rng, samples)
+    _attitudes(
+        scene, np.random.default_rng(scene.seed + 2000), t, np.cumsum(noise) * dt, samples, roll_of, pitch_of
+    )
+    frames = _frames(scene, np.random.default_rng(scene.seed + 3000), samples)
     samples.sort(key=lambda s: s.arrival_ns)
-    return Simulated(scene, t, t_ns, psi, scene.lateral(t), bias, samples)
+    return Simulated(scene, t, t_ns, psi, scene.lateral(t), bias, dpsi + bias + noise, frames, samples)
 
 
 def _attitudes(
@@ -186,7 +204,8 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
     )
 
 
-def _frames(scene: Scene, rng: np.random.Generator, samples: list[Sample]) -> None:
+def _frames(scene: Scene, rng: np.random.Generator, samples: list[Sample]) -> np.ndarray:
+    rows = []
     error = lateral_error = 0.0
     for k in range(int(scene.duration_s * scene.frame_hz)):
         when = (k + 0.37) / scene.frame_hz
@@ -206,6 +225,8 @@ def _frames(scene: Scene, rng: np.random.Generator, samples: list[Sample]) -> No
         measurement = frame(float(seen), sigma, float(lateral), scene.lateral_sigma)
         stamp = round(float(when) * 1e9)
         samples.append(Sample("frame", stamp, stamp + int(scene.delay_s * 1e9), (measurement,)))
+        rows.append((when, seen, sigma, float(is_gross)))
+    return np.array(rows).reshape(-1, 4)
 
 
 def frame(
