@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from vision.axis_vote import VERTICAL_SINE
 from vision.camera import Camera
 from vision.errors import InputError
 from vision.gravity import level_from_verticals
@@ -30,7 +31,7 @@ from vision.measurement import (
     position_from_offset,
 )
 from vision.paper import FIRST_PIXEL, equation_8, measure_paper
-from vision.vanishing_point import VERTICAL_SINE, AxisFit, axis_direction, fit_axis
+from vision.vanishing_point import AxisFit, axis_direction, fit_axis
 
 FloatArray = npt.NDArray[np.float64]
 Method = Literal["geometric", "paper"]

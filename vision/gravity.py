@@ -9,7 +9,7 @@ width) and the heading welcomes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, radians, sqrt
+from math import atan, ceil, radians, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -135,26 +135,22 @@ def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: fl
     """
     out = np.zeros(5)
     reach = ceil(2.5 * std_rad / GRID_STEP_RAD) if std_rad > GRID_FROM_STD_RAD else 0
-    _plumb(
-        lines.normal @ R_level_camera.T,
-        lines.centre @ R_level_camera.T,
-        lines.direction @ R_level_camera.T,
-        lines.sigma_rad,
-        lines.arc_rad,
-        std_rad,
-        reach,
-        out,
+    to_level = R_level_camera.T
+    normal, centre, direction = lines.normal @ to_level, lines.centre @ to_level, lines.direction @ to_level
+    _plumb(normal, centre, direction, lines.sigma_rad, lines.arc_rad, std_rad, reach, out)
+    a, b, h_pitch, h_both, h_roll = (float(v) for v in out)
+    determinant = h_pitch * h_roll - h_both * h_both
+    # The shortest rotation that brings the found down (a, b, 1) to (0, 0, 1): heading is left alone.
+    size = sqrt(1.0 + a * a + b * b)
+    dx, dy, dz = a / size, b / size, 1.0 / size
+    level = sqrt(1.0 - dx * dx)
+    fx, fy, fz = level, -dx * dy / level, -dx * dz / level
+    R_new_old = np.array(
+        [[fx, fy, fz], [dy * fz - dz * fy, dz * fx - dx * fz, dx * fy - dy * fx], [dx, dy, dz]]
     )
-    a, b = out[0], out[1]
-    covariance = np.linalg.inv(np.array([[out[2], out[3]], [out[3], out[4]]]))
-    down = np.array([a, b, 1.0]) / sqrt(1.0 + a * a + b * b)
-    # The shortest rotation that brings the found down to (0, 0, 1): heading is left alone.
-    forward = np.array([1.0, 0.0, 0.0]) - down * down[0]
-    forward /= np.linalg.norm(forward)
-    R_new_old = np.array([forward, np.cross(down, forward), down])
     return Level(
         R_level_camera=R_new_old @ R_level_camera,
-        roll_std_rad=sqrt(covariance[1, 1]),
-        pitch_std_rad=sqrt(covariance[0, 0]),
-        pitch_correction_rad=float(np.arctan(a)),
+        roll_std_rad=sqrt(h_pitch / determinant),
+        pitch_std_rad=sqrt(h_roll / determinant),
+        pitch_correction_rad=atan(a),
     )

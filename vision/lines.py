@@ -13,7 +13,7 @@ import threading
 import time
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil, hypot, radians, sqrt, tan
+from math import atan2, ceil, hypot, radians, sqrt, tan
 from typing import Any, NamedTuple
 
 import cv2
@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.camera import Camera, Distortion
+from vision.compiled import compiled
 from vision.edges import (
     CONTRAST,
     COUNT,
@@ -28,7 +29,10 @@ from vision.edges import (
     N_LINE,
     N_SUMS,
     RMS,
+    X0,
     X1,
+    Y0,
+    Y1,
     connect,
     difference_statistics,
     fit,
@@ -284,38 +288,76 @@ def _smoothed(grey: GreyImage, counts: npt.NDArray[np.int64]) -> tuple[GreyImage
     return np.asarray(cv2.GaussianBlur(grey, (size, size), 0), np.uint8), SHARPNESS[level]
 
 
+@compiled
+def _span_planes(
+    lines: FloatArray,
+    working: FloatArray,
+    original: FloatArray,
+    ends_px: FloatArray,
+    centre: FloatArray,
+    direction: FloatArray,
+    normal: FloatArray,
+    sigma_rad: FloatArray,
+    arc_rad: FloatArray,
+) -> None:
+    """Fill each line's plane from its end points; ``working`` and ``original`` are fx, fy, cx, cy."""
+    for i in range(len(lines)):
+        x0 = (lines[i, X0] - working[2]) / working[0]
+        y0 = (lines[i, Y0] - working[3]) / working[1]
+        x1 = (lines[i, X1] - working[2]) / working[0]
+        y1 = (lines[i, Y1] - working[3]) / working[1]
+        ends_px[i, 0] = x0 * original[0] + original[2]
+        ends_px[i, 1] = y0 * original[1] + original[3]
+        ends_px[i, 2] = x1 * original[0] + original[2]
+        ends_px[i, 3] = y1 * original[1] + original[3]
+        # the cross product of (x0, y0, 1) and (x1, y1, 1)
+        nx = y0 - y1
+        ny = x1 - x0
+        nz = x0 * y1 - y0 * x1
+        size = sqrt(nx * nx + ny * ny + nz * nz)
+        normal[i, 0] = nx / size
+        normal[i, 1] = ny / size
+        normal[i, 2] = nz / size
+        arc_rad[i] = atan2(size, x0 * x1 + y0 * y1 + 1.0)
+        cx = 0.5 * (x0 + x1)
+        cy = 0.5 * (y0 + y1)
+        depth = sqrt(cx * cx + cy * cy + 1.0)
+        centre[i, 0] = cx / depth
+        centre[i, 1] = cy / depth
+        centre[i, 2] = 1.0 / depth
+        direction[i, 0] = normal[i, 1] * centre[i, 2] - normal[i, 2] * centre[i, 1]
+        direction[i, 1] = normal[i, 2] * centre[i, 0] - normal[i, 0] * centre[i, 2]
+        direction[i, 2] = normal[i, 0] * centre[i, 1] - normal[i, 1] * centre[i, 0]
+        sigma_px = hypot(lines[i, RMS] * sqrt(PIXELS_PER_INDEPENDENT / lines[i, COUNT]), POSITION_FLOOR_PX)
+        sigma_rad[i] = sigma_px * hypot(normal[i, 0], normal[i, 1]) / (depth * working[0])
+
+
 def _line_set(found: _Traced, camera: Camera, working: Camera, started: float) -> LineSet:
     lines = found.lines
-    offset = np.array([working.cx_px, working.cy_px])
-    focal = np.array([working.fx_px, working.fy_px])
-    p0 = np.column_stack([(lines[:, :X1] - offset) / focal, np.ones(len(lines))])
-    p1 = np.column_stack([(lines[:, X1:LENGTH] - offset) / focal, np.ones(len(lines))])
-    scale = np.array([camera.fx_px, camera.fy_px])
-    shift = np.array([camera.cx_px, camera.cy_px])
-    ends_px = np.hstack([p0[:, :2] * scale + shift, p1[:, :2] * scale + shift])
-    middle = 0.5 * (p0 + p1)
-    depth = np.linalg.norm(middle, axis=1)
-    p0 /= np.linalg.norm(p0, axis=1, keepdims=True)
-    p1 /= np.linalg.norm(p1, axis=1, keepdims=True)
-    normal = np.cross(p0, p1)
-    sine = np.linalg.norm(normal, axis=1)
-    normal /= sine[:, None]
-    centre = middle / depth[:, None]
-    scatter_px = lines[:, RMS] * np.sqrt(PIXELS_PER_INDEPENDENT / lines[:, COUNT])
-    sigma_px = np.hypot(scatter_px, POSITION_FLOOR_PX)
+    n = len(lines)
+    ends_px = np.empty((n, 4))
+    centre, direction, normal = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
+    sigma_rad, arc_rad = np.empty(n), np.empty(n)
+    _span_planes(
+        lines, _pinhole(working), _pinhole(camera), ends_px, centre, direction, normal, sigma_rad, arc_rad
+    )
     return LineSet(
         width_px=camera.width_px,
         height_px=camera.height_px,
         ends_px=ends_px,
         length_px=lines[:, LENGTH] * (camera.fx_px / working.fx_px),
-        rms_px=lines[:, RMS].copy(),
-        n_pixels=lines[:, COUNT].copy(),
-        contrast=lines[:, CONTRAST].copy(),
+        rms_px=lines[:, RMS],
+        n_pixels=lines[:, COUNT],
+        contrast=lines[:, CONTRAST],
         centre=centre,
-        direction=np.cross(normal, centre),
+        direction=direction,
         normal=normal,
-        sigma_rad=sigma_px * np.hypot(normal[:, 0], normal[:, 1]) / (depth * working.fx_px),
-        arc_rad=np.arctan2(sine, (p0 * p1).sum(axis=1)),
+        sigma_rad=sigma_rad,
+        arc_rad=arc_rad,
         threshold=found.threshold,
         extract_ms=1e3 * (time.perf_counter() - started),
     )
+
+
+def _pinhole(camera: Camera) -> FloatArray:
+    return np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])

@@ -1,44 +1,47 @@
 """The corridor's axis from line segments: an exhaustive vote over heading, then a robust least-squares fit.
 
-Each segment spans a plane with the camera's centre; a line along the corridor has the axis in its plane.
-Turned level by roll and pitch, that makes each line vote for one heading. The vote is over all headings
-(and over elevations, as far as tilt and mount are uncertain), so there is no initial guess and no random
-sampling to be unlucky with. Each line counts by the log-likelihood that it passes through the axis rather
-than somewhere at random, cut off at zero.
+Each segment spans a plane with the camera's centre; a line along the corridor has the axis in its plane. Turned
+level by roll and pitch, that makes each line vote for one heading. The vote is over all headings (and over
+elevations, as far as tilt and mount are uncertain), so there is no initial guess and no random sampling to be unlucky
+with.
 
-The axis at heading psi and elevation e (positive up) is ``d = (cos e cos psi, -cos e sin psi, -sin e)`` in
-the level frame; the residual of a line with plane normal n is ``n . d``, zero for a corridor line.
+The axis at heading psi and elevation e (positive up) is ``d = (cos e cos psi, -cos e sin psi, -sin e)`` in the level
+frame; the residual of a line with plane normal n is ``n . d``, zero for a corridor line.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, cos, hypot, log, nan, pi, radians, sin, sqrt
+from math import cos, nan, radians, sin, sqrt
 
 import numpy as np
 import numpy.typing as npt
 
+from vision.axis_vote import (
+    BEST_BIN,
+    BEST_SCORE,
+    BEST_SLICE,
+    N_BINS,
+    VERTICAL_SINE,
+    bin_heading,
+    line_std,
+    rival_and_variance,
+    vote,
+    weigh,
+)
 from vision.compiled import compiled
 from vision.lines import LineSet
 
 FloatArray = npt.NDArray[np.float64]
 
-N_BINS = 720
-BIN_RAD = pi / N_BINS
-PEAK_BINS = 4
 MAX_REFINEMENT_RAD = radians(4.0)
 SLICE_STEP_RAD = radians(1.0)
 MAX_SLICES = 21
-ALIGN_STD_RAD = radians(0.10)  # lines along a real corridor are parallel to about this
-INLIER_ODDS = 0.25  # share of lines expected to run along the corridor
-VERTICAL_SINE = 0.10  # a plane this close to vertical may be a door post's: it says nothing about the axis
-STEEP_SINE = 0.3  # and one up to here is trusted less: streaks on a wall, leaning things
 INLIER_SIGMA = 3.0
 CORRELATION = 1.8  # the edges of one door or board err together: so many lines speak as one
-VOTE_TEMPERATURE = 1.1  # the same for the vote
-RIVAL_DISTANCE_RAD = radians(8.0)
-HEADING_PRIOR_STD_RAD = radians(30.0)  # the camera looks along the corridor rather than across
-MAX_HEADING_RAD = radians(60.0)  # without a filter's word, what is farther off is taken for a transverse axis
+
+# columns of `_refine`'s result
+PSI, ELEVATION, H_PSI, H_BOTH, H_ELEVATION, CHI2, WEIGHT = range(7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,69 +75,6 @@ class AxisFit:
 
 
 @compiled
-def _line_std(alpha: float, beta: float, sigma: float, arc: float, align: float) -> float:
-    """Return the standard deviation of ``n . d``; alpha, beta: components of d along the line's middle, direction."""
-    rotation = 3.4641 * sigma / arc
-    return sqrt((sigma * alpha) ** 2 + (rotation * beta) ** 2 + align * align)
-
-
-@compiled
-def _vote(
-    normal: FloatArray,
-    centre: FloatArray,
-    direction: FloatArray,
-    sigma: FloatArray,
-    arc: FloatArray,
-    elevation: FloatArray,
-    elevation_std: float,
-    scores: FloatArray,
-) -> None:
-    """Fill ``scores`` (elevations, N_BINS) with the lines' truncated log-likelihoods."""
-    scores[:] = 0.0
-    for i in range(len(sigma)):
-        nx = normal[i, 0]
-        ny = normal[i, 1]
-        nz = normal[i, 2]
-        if abs(nz) < VERTICAL_SINE:
-            continue
-        trust = min(abs(nz) / STEEP_SINE, 1.0)
-        a = hypot(nx, ny)
-        g = atan2(-ny, nx)
-        for k in range(len(elevation)):
-            e = elevation[k]
-            cosine = nz * np.tan(e) / max(a, 1e-9)
-            if abs(cosine) >= 1.0:
-                continue
-            half = np.arccos(cosine)
-            for side in range(2):
-                psi = g + half if side == 0 else g - half
-                if psi > pi:
-                    psi -= 2 * pi
-                if psi < -pi:
-                    psi += 2 * pi
-                if abs(psi) > 0.5 * pi:
-                    continue
-                dx = cos(e) * cos(psi)
-                dy = -cos(e) * sin(psi)
-                dz = -sin(e)
-                alpha = centre[i, 0] * dx + centre[i, 1] * dy + centre[i, 2] * dz
-                beta = direction[i, 0] * dx + direction[i, 1] * dy + direction[i, 2] * dz
-                r_std = _line_std(alpha, beta, sigma[i], arc[i], ALIGN_STD_RAD)
-                slope = abs(-nx * sin(psi) - ny * cos(psi)) * cos(e)
-                std = sqrt(r_std * r_std + (nz * elevation_std) ** 2) / max(slope, 1e-6)
-                std = sqrt(std * std + BIN_RAD * BIN_RAD / 3.0)
-                top = log(INLIER_ODDS * pi / (2.5066 * std))
-                if top <= 0.0:
-                    continue
-                reach = std * sqrt(2.0 * top)
-                first = int(np.ceil((psi - reach + 0.5 * pi) / BIN_RAD - 0.5))
-                last = int(np.floor((psi + reach + 0.5 * pi) / BIN_RAD - 0.5))
-                for b in range(max(first, 0), min(last, N_BINS - 1) + 1):
-                    z = (-0.5 * pi + (b + 0.5) * BIN_RAD - psi) / std
-                    scores[k, b] += trust * (top - 0.5 * z * z)
-
-
-@compiled
 def _refine(
     normal: FloatArray,
     centre: FloatArray,
@@ -148,7 +88,7 @@ def _refine(
     residual: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fit robustly from (psi, e); ``out`` = psi, e, information (3 numbers), weighted chi-square, sum of weights."""
+    """Fit by robust Gauss-Newton from (psi, e): the fit, its information, weighted chi-square and sum of weights."""
     n = len(sigma)
     for iteration in range(12):
         cut = max(INLIER_SIGMA, 6.0 - iteration)
@@ -165,7 +105,7 @@ def _refine(
             r = ce * (nx * cp - ny * sp) - nz * se
             alpha = ce * (centre[i, 0] * cp - centre[i, 1] * sp) - centre[i, 2] * se
             beta = ce * (direction[i, 0] * cp - direction[i, 1] * sp) - direction[i, 2] * se
-            std = _line_std(alpha, beta, sigma[i], arc[i], ALIGN_STD_RAD)
+            std = line_std(alpha, beta, sigma[i], arc[i])
             z = r / std
             residual[i] = z
             if abs(nz) < VERTICAL_SINE or abs(z) >= cut:
@@ -185,11 +125,11 @@ def _refine(
         h11 += prior_information
         g1 += (e - prior_e) * prior_information
         determinant = h00 * h11 - h01 * h01
-        out[2] = h00
-        out[3] = h01
-        out[4] = h11
-        out[5] = chi2
-        out[6] = total
+        out[H_PSI] = h00
+        out[H_BOTH] = h01
+        out[H_ELEVATION] = h11
+        out[CHI2] = chi2
+        out[WEIGHT] = total
         if determinant <= 0.0 or h00 <= 0.0:
             break
         step_psi = -(h11 * g0 - h01 * g1) / determinant
@@ -198,8 +138,8 @@ def _refine(
         e += min(max(step_e, -0.05), 0.05)
         if iteration >= 4 and abs(step_psi) < 1e-7 and abs(step_e) < 1e-7:
             break
-    out[0] = psi
-    out[1] = e
+    out[PSI] = psi
+    out[ELEVATION] = e
 
 
 def axis_direction(heading_rad: float, elevation_rad: float) -> FloatArray:
@@ -232,83 +172,43 @@ def fit_axis(
     if len(lines) == 0:
         return None
     normal = lines.normal @ R_level_camera.T
-    centre = lines.centre @ R_level_camera.T
-    direction = lines.direction @ R_level_camera.T
-    half_slices = min(int(2.0 * elevation_std_rad / SLICE_STEP_RAD), (MAX_SLICES - 1) // 2)
-    steps: FloatArray = np.arange(-half_slices, half_slices + 1, dtype=np.float64) * SLICE_STEP_RAD
-    slice_std = min(elevation_std_rad, 0.4 * SLICE_STEP_RAD)
-    scores = np.empty((len(steps), N_BINS))
-    _vote(normal, centre, direction, lines.sigma_rad, lines.arc_rad, elevation_rad + steps, slice_std, scores)
-    scores -= 0.5 * (steps[:, None] / elevation_std_rad) ** 2
-    headings: FloatArray = -0.5 * pi + (np.arange(N_BINS, dtype=np.float64) + 0.5) * BIN_RAD
-    ranked = scores + _log_prior(headings, prior_heading_rad, prior_heading_std_rad)
-    ranked[~_local_maxima(scores)] = -np.inf  # the flank of a peak beyond the allowed range is none
-    k, b = np.unravel_index(int(np.argmax(ranked)), scores.shape)
-    if not ranked[k, b] > 0.0:
-        return None
-    residual = np.empty(len(lines))
-    out = np.empty(7)
-    _refine(
+    geometry = (
         normal,
-        centre,
-        direction,
+        lines.centre @ R_level_camera.T,
+        lines.direction @ R_level_camera.T,
         lines.sigma_rad,
         lines.arc_rad,
-        float(headings[b]),
-        elevation_rad + float(steps[k]),
-        elevation_rad,
-        elevation_std_rad,
-        residual,
-        out,
     )
-    information = np.array([[out[2], out[3]], [out[3], out[4]]])
-    if not np.linalg.det(information) > 0.0:
+    half_slices = min(int(2.0 * elevation_std_rad / SLICE_STEP_RAD), (MAX_SLICES - 1) // 2)
+    steps = np.array([i * SLICE_STEP_RAD for i in range(-half_slices, half_slices + 1)])
+    scores, marginal, ranked = np.empty((len(steps), N_BINS)), np.empty(N_BINS), np.empty(N_BINS)
+    vote(*geometry, elevation_rad + steps, min(elevation_std_rad, 0.4 * SLICE_STEP_RAD), scores)
+    best = np.zeros(3)
+    weigh(scores, steps, elevation_std_rad, prior_heading_rad, prior_heading_std_rad, marginal, ranked, best)
+    if not best[BEST_SCORE] > 0.0:
         return None
-    if abs(out[0] - headings[b]) > MAX_REFINEMENT_RAD:
+    start_rad = bin_heading(int(best[BEST_BIN]))
+    start_elevation_rad = elevation_rad + float(steps[int(best[BEST_SLICE])])
+    residual = np.empty(len(lines))
+    out = np.empty(7)
+    _refine(*geometry, start_rad, start_elevation_rad, elevation_rad, elevation_std_rad, residual, out)
+    determinant = out[H_PSI] * out[H_ELEVATION] - out[H_BOTH] ** 2
+    if not determinant > 0.0 or abs(out[PSI] - start_rad) > MAX_REFINEMENT_RAD:
         return None  # the fit left the peak it started from: there was no axis, only a crowd
-    offset = (headings - out[0] + 0.5 * pi) % pi - 0.5 * pi
-    best_of_elevation = ranked.max(axis=0)
-    rivals = np.where(np.abs(offset) > RIVAL_DISTANCE_RAD, best_of_elevation, -np.inf)
-    second = int(np.argmax(rivals))
-    covariance = np.linalg.inv(information) * max(
-        1.0, CORRELATION * float(out[5]) / max(float(out[6]) - 2.0, 1.0)
-    )
-    # The fit knows its own peak only; where the vote is broad or split within the rivals' distance, so is the heading.
-    spread = _vote_variance(scores.max(axis=0), offset)
+    second, second_score, spread = rival_and_variance(marginal, ranked, float(out[PSI]))
+    misfit = float(out[CHI2]) / max(float(out[WEIGHT]) - 2.0, 1.0)
+    covariance = np.array([[out[H_ELEVATION], -out[H_BOTH]], [-out[H_BOTH], out[H_PSI]]])
+    covariance *= max(1.0, CORRELATION * misfit) / determinant
     if spread > covariance[0, 0]:
         wider = np.array([sqrt(spread / covariance[0, 0]), 1.0])
         covariance = covariance * np.outer(wider, wider)
     return AxisFit(
-        heading_rad=float(out[0]),
-        elevation_rad=float(out[1]),
+        heading_rad=float(out[PSI]),
+        elevation_rad=float(out[ELEVATION]),
         covariance=covariance,
-        score=float(ranked[k, b]),
-        second_heading_rad=float(headings[second]),
-        second_score=float(rivals[second]),
+        score=float(best[BEST_SCORE]),
+        second_heading_rad=bin_heading(second),
+        second_score=second_score,
         residual=residual,
         inlier=(np.abs(residual) < INLIER_SIGMA) & (np.abs(normal[:, 2]) >= VERTICAL_SINE),
     )
-
-
-def _vote_variance(scores: FloatArray, offset_rad: FloatArray) -> float:
-    """Variance of the heading about the fit, by the vote within the rivals' distance taken as a likelihood."""
-    near = np.abs(offset_rad) <= RIVAL_DISTANCE_RAD
-    likelihood = np.exp((scores[near] - scores[near].max()) / VOTE_TEMPERATURE)
-    return max(float(likelihood @ offset_rad[near] ** 2 / likelihood.sum()) - BIN_RAD**2 / 12.0, 0.0)
-
-
-def _local_maxima(scores: FloatArray) -> npt.NDArray[np.bool_]:
-    """Mark the headings whose score, over all elevations, nothing within a degree exceeds."""
-    best = scores.max(axis=0)
-    padded = np.pad(best, PEAK_BINS, mode="edge")
-    neighbourhood = np.lib.stride_tricks.sliding_window_view(padded, 2 * PEAK_BINS + 1).max(axis=1)
-    return np.asarray((best >= neighbourhood)[None, :] & (scores >= best), np.bool_)
-
-
-def _log_prior(headings: FloatArray, heading_rad: float, std_rad: float) -> FloatArray:
-    if heading_rad != heading_rad:
-        log_prior = -0.5 * (headings / HEADING_PRIOR_STD_RAD) ** 2
-        return np.where(np.abs(headings) <= MAX_HEADING_RAD, log_prior, -np.inf)
-    # The filter can be wrong: a floor under its Gaussian lets strong evidence win against it.
-    z = ((headings - heading_rad + 0.5 * pi) % pi - 0.5 * pi) / hypot(std_rad, radians(1.0))
-    return np.asarray(np.log(0.01 + np.exp(-0.5 * z * z)))
