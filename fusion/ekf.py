@@ -55,7 +55,9 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         """Move to ``x_next`` (5,), with ``F`` its derivative and ``Q`` the noise gained; filterpy does the rest."""
         self._x_next, self.F, self.Q = x_next, F, Q
         super().predict()
-        self.P = 0.5 * (self.P + self.P.T)
+        P = self.P + self.P.T
+        P *= 0.5
+        self.P = P
 
     def update(
         self, measurement: ScalarMeasurement | None, gate_sigma: float = float("inf"), R: float | None = None

@@ -19,6 +19,7 @@ Process, with level yaw rate omega, forward and sideways speed u, w (half widths
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import cos, exp, expm1, pi, sin
 from typing import NamedTuple
 
@@ -111,8 +112,7 @@ def transition(
     """
     c, dt = y_per_psi, dt_s
     n2, b2, o2 = noise.heading**2, noise.bias**2, noise.offset**2
-    phi = exp(-dt / noise.v_time_s)
-    y_per_v = -noise.v_time_s * expm1(-dt / noise.v_time_s)
+    phi, y_per_v = _decay(dt, noise.v_time_s)
     F = np.eye(N_STATES)
     F[PSI, BIAS] = -dt
     F[Y, PSI] = c * dt
@@ -156,13 +156,18 @@ def propagate(
 
     ``forward`` and ``sideways`` are velocities in half widths per second; the heading half-way is used for y.
     """
+    keep, y_per_v = _decay(dt_s, noise.v_time_s)
     psi, bias, offset, y, v = x.tolist()
     change = turned_rad - bias * dt_s
     middle = psi + 0.5 * change
-    y += (forward * sin(middle) + sideways * cos(middle)) * dt_s - v * noise.v_time_s * expm1(
-        -dt_s / noise.v_time_s
-    )
-    return np.array([psi + change, bias, offset, y, v * exp(-dt_s / noise.v_time_s)])
+    y += (forward * sin(middle) + sideways * cos(middle)) * dt_s + y_per_v * v
+    return np.array([psi + change, bias, offset, y, keep * v])
+
+
+@lru_cache(maxsize=256)
+def _decay(dt_s: float, time_s: float) -> tuple[float, float]:
+    """Return what is left of a Gauss-Markov velocity after a step, and what it adds to the position, per unit of it."""
+    return exp(-dt_s / time_s), -time_s * expm1(-dt_s / time_s)
 
 
 _H_HEADING = np.array([1.0, 0.0, 0.0, 0.0, 0.0])

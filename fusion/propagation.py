@@ -6,8 +6,8 @@ increments of the attitude stream; with neither, a constant rate (then the state
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import atan2, cos, isfinite, sin
-from typing import NamedTuple
 
 import numpy as np
 
@@ -42,7 +42,8 @@ IMU_YAW_STEP_SAMPLES = 3
 _CACHE_SIZE = 512
 
 
-class Node(NamedTuple):
+@dataclass(slots=True, eq=False)
+class Node:
     """One step for the smoother: a transition, and the state after what was measured behind it.
 
     ``F`` is None where nothing moved. ``x_prior``, ``P_prior`` stand right behind the transition.
@@ -65,32 +66,36 @@ class Propagation:
         self.ekf = CorridorEKF(self.state.x, self.state.P)
         self.nodes: list[Node] = []
         self._noise_cache: dict[tuple[Mode, bool, float], ProcessNoise] = {}
+        self._grace_ns = round(config.gyro_gap_s * 1e9)
         self._transition_cache: dict[tuple[ProcessNoise, int], tuple[FloatArray, FloatArray]] = {}
 
     # Every event runs between these two, which move x and P between the snapshot and filterpy's object.
     def _begin(self, t_ns: int) -> None:
-        self.ekf.x, self.ekf.P = self.state.x, self.state.P
-        if self.state.t_ns is None:
-            self.state.t_ns = t_ns
-        self._now_ns = self.state.t_ns
-        self.nodes = [Node(self._now_ns, None, self.ekf.x, self.ekf.P, self.ekf.x, self.ekf.P)]
+        s, ekf = self.state, self.ekf
+        ekf.x, ekf.P = s.x, s.P
+        if s.t_ns is None:
+            s.t_ns = t_ns
+        self._now_ns, self.nodes = s.t_ns, []
 
     def _end(self) -> None:
-        self._close_node()
-        self.state.x, self.state.P = self.ekf.x, self.ekf.P
+        s, ekf = self.state, self.ekf
+        self._close_node(s.x, s.P)
+        s.x, s.P = ekf.x, ekf.P
 
-    def _close_node(self) -> None:
-        self.nodes[-1] = self.nodes[-1]._replace(x=self.ekf.x, P=self.ekf.P)
+    def _close_node(self, x_before: FloatArray, P_before: FloatArray) -> None:
+        """Note what was measured since the last transition; ``x_before``, ``P_before`` where there was none."""
+        ekf = self.ekf
+        if self.nodes:
+            self.nodes[-1].x, self.nodes[-1].P = ekf.x, ekf.P
+        elif ekf.P is not P_before:
+            self.nodes.append(Node(self._now_ns, None, x_before, P_before, ekf.x, ekf.P))
 
     def _transit(self, x_next: FloatArray, F: FloatArray, Q: FloatArray) -> None:
         """Apply a transition and note it for the smoother."""
-        self._close_node()
-        self.ekf.predict(x_next, F, Q)
-        node = Node(self._now_ns, F, self.ekf.x, self.ekf.P, self.ekf.x, self.ekf.P)
-        if len(self.nodes) == 1 and self.nodes[0].F is None and self.nodes[0].x is self.nodes[0].x_prior:
-            self.nodes[0] = node
-        else:
-            self.nodes.append(node)
+        ekf = self.ekf
+        self._close_node(self.state.x, self.state.P)
+        ekf.predict(x_next, F, Q)
+        self.nodes.append(Node(self._now_ns, F, ekf.x, ekf.P, ekf.x, ekf.P))
 
     _now_ns = 0
 
@@ -99,7 +104,7 @@ class Propagation:
         self._begin(t_ns)
         s = self.state
         gyro = gyro_rad_s
-        gap = s.t_gyro_ns is None or (t_ns - s.t_gyro_ns) * 1e-9 > self.config.gyro_gap_s
+        gap = s.t_gyro_ns is None or t_ns - s.t_gyro_ns > self._grace_ns
         if not gap:
             p, q, r = s.gyro
             gyro = (0.5 * (p + gyro[0]), 0.5 * (q + gyro[1]), 0.5 * (r + gyro[2]))
@@ -225,7 +230,7 @@ class Propagation:
     def _silence_variance(self, start_ns: int, end_ns: int) -> float:
         """Heading variance gained between two times in which the gyroscope should have spoken and did not."""
         s = self.state
-        if s.t_gyro_ns is None:
+        if s.t_gyro_ns is None or end_ns - s.t_gyro_ns <= self._grace_ns:
             return 0.0
         grace = self.config.gyro_gap_s
         first = max((start_ns - s.t_gyro_ns) * 1e-9 - grace, 0.0)
@@ -248,7 +253,7 @@ class Propagation:
     def _leave_silent_gyro(self, t_ns: int) -> None:
         """Go over to the attitude's yaw, or to a constant rate, where the gyroscope has fallen silent."""
         s = self.state
-        silent = s.t_gyro_ns is not None and (t_ns - s.t_gyro_ns) * 1e-9 > self.config.gyro_gap_s
+        silent = s.t_gyro_ns is not None and t_ns - s.t_gyro_ns > self._grace_ns
         if s.mode is Mode.GYRO and silent:
             live = s.t_attitude_ns is not None and (t_ns - s.t_attitude_ns) * 1e-9 <= tilts.ATTITUDE_GAP_S
             self._set_mode(Mode.ATTITUDE if live else Mode.NONE)

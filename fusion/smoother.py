@@ -43,7 +43,8 @@ class Steps:
     def _pack(self) -> None:
         if not self._nodes:
             return
-        t, F, x_prior, P_prior, x, P = zip(*self._nodes, strict=True)
+        parts = ((n.t_ns, n.F, n.x_prior, n.P_prior, n.x, n.P) for n in self._nodes)
+        t, F, x_prior, P_prior, x, P = zip(*parts, strict=True)
         identity = np.eye(N_STATES)
         self._blocks.append(
             (

@@ -347,7 +347,7 @@ def test_vision_alone() -> None:
     assert degrees(np.sqrt(np.mean(error**2))) < 1.0
     assert (result.status[result.t_s > 1.5] == "tracking").mean() > 0.95
     truth = np.gradient(simulated.heading, simulated.t_s)[-1]
-    assert result.estimator.estimate().yaw_rate_rad_s == pytest.approx(truth, abs=0.1)
+    assert result.estimator.estimate().yaw_rate_rad_s == pytest.approx(truth, abs=0.3)
 
 
 def test_tilt_from_the_accelerometer_without_attitude() -> None:
