@@ -38,7 +38,7 @@ Method = Literal["geometric", "paper"]
 
 MIN_LINES = 4
 MIN_SCORE = 8.0  # log-likelihood over chance
-MIN_MARGIN = 7.0  # log-likelihood over the second-best heading
+MIN_MARGIN = 9.0  # log-likelihood over the second-best heading
 MAX_RIVAL = 0.80  # score of the second-best heading over the best
 MAX_STD_RAD = radians(3.0)
 MAX_BLUR_PX = 20.0

@@ -59,11 +59,11 @@ SMALL_DIAGONAL_PX = 300.0
 MAX_DIAGONAL_PX = 1000.0
 MIN_DIAGONAL_PX = 100.0
 SECOND_DIFFERENCE_MEDIAN = 0.6745 * sqrt(6.0)  # median of |a - 2b + c| for noise of one grey level
-MIN_LENGTH_OF_DIAGONAL = 0.02
+MIN_LENGTH_OF_DIAGONAL = 0.015
 MIN_LENGTH_PX = 7.0
 MAX_HALF_FIELD_RAD = radians(75.0)  # rectified coordinates stretch without bound towards 90 degrees
-PIXELS_PER_INDEPENDENT = 3.0  # neighbouring edge pixels share blur and noise
-POSITION_FLOOR_PX = 0.05  # bias of the parabola, compression, edges not quite straight: does not average out
+PIXELS_PER_INDEPENDENT = 6.0  # neighbouring edge pixels share blur and noise
+POSITION_FLOOR_PX = 0.08  # bias of the parabola, compression, edges not quite straight: does not average out
 
 
 @dataclass(frozen=True, slots=True, eq=False)

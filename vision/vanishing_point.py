@@ -38,7 +38,8 @@ MAX_REFINEMENT_RAD = radians(4.0)
 SLICE_STEP_RAD = radians(1.0)
 MAX_SLICES = 21
 INLIER_SIGMA = 3.0
-CORRELATION = 1.8  # the edges of one door or board err together: so many lines speak as one
+MIN_SCALE = 0.7  # of the covariance, however well the lines agree
+CORRELATION = 1.3  # the edges of one door or board err together: so many lines speak as one
 
 # columns of `_refine`'s result
 PSI, ELEVATION, H_PSI, H_BOTH, H_ELEVATION, CHI2, WEIGHT = range(7)
@@ -198,7 +199,7 @@ def fit_axis(
     second, second_score, spread = rival_and_variance(marginal, ranked, float(out[PSI]))
     misfit = float(out[CHI2]) / max(float(out[WEIGHT]) - 2.0, 1.0)
     covariance = np.array([[out[H_ELEVATION], -out[H_BOTH]], [-out[H_BOTH], out[H_PSI]]])
-    covariance *= max(1.0, CORRELATION * misfit) / determinant
+    covariance *= max(MIN_SCALE, CORRELATION * misfit) / determinant
     if spread > covariance[0, 0]:
         wider = np.array([sqrt(spread / covariance[0, 0]), 1.0])
         covariance = covariance * np.outer(wider, wider)

@@ -76,10 +76,10 @@ def office(width: int, height: int, with_attitude: bool = True, step: int = 2) -
 @pytest.mark.parametrize(
     ("width", "height", "rmse", "worst", "accepted"),
     [
-        (640, 480, 0.12, 0.8, 0.99),
+        (640, 480, 0.09, 0.5, 0.99),
         (320, 240, 0.15, 1.0, 0.99),
-        (160, 120, 0.40, 2.0, 0.95),
-        (80, 60, 1.5, 9.0, 0.8),
+        (160, 120, 0.40, 2.5, 0.95),
+        (80, 60, 1.2, 4.0, 0.8),
     ],
 )
 def test_heading_on_the_sample_flight(
