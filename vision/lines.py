@@ -121,6 +121,9 @@ class _Workspace:
     """Buffers for one picture size, kept so that no frame allocates what the last one already had."""
 
     def __init__(self, height_px: int, width_px: int) -> None:
+        self.smooth = np.empty((height_px, width_px), np.uint8)
+        self.gx = np.empty((height_px, width_px), np.int16)
+        self.gy = np.empty((height_px, width_px), np.int16)
         self.magnitude = np.empty((height_px, width_px), np.float32)
         self.parent = np.empty(MAX_COMPONENTS, np.int32)
         self.sums = np.empty((MAX_COMPONENTS, N_SUMS))
@@ -182,9 +185,9 @@ class _Traced(NamedTuple):
 def _trace(grey: GreyImage, camera: Camera) -> _Traced:
     height, width = grey.shape
     work = _workspace(height, width)
-    smooth, expected_sharpness = _smoothed(grey, work.counts)
-    gradient = cv2.spatialGradient(smooth)
-    gx, gy = np.asarray(gradient[0], np.int16), np.asarray(gradient[1], np.int16)
+    smooth, expected_sharpness = _smoothed(grey, work)
+    gx, gy = work.gx, work.gy
+    cv2.spatialGradient(smooth, gx, gy)
     gradient_magnitude(gx, gy, work.magnitude)
     median, mean = median_and_mean(work.magnitude, work.magnitude_counts)
     threshold = max(MIN_THRESHOLD, NOISE_TO_THRESHOLD * median, STRUCTURE_TO_THRESHOLD * mean)
@@ -272,12 +275,12 @@ def _rectified(camera: Camera) -> npt.NDArray[np.float32]:
     return points.reshape(camera.height_px, camera.width_px, 2).astype(np.float32)
 
 
-def _smoothed(grey: GreyImage, counts: npt.NDArray[np.int64]) -> tuple[GreyImage, float]:
+def _smoothed(grey: GreyImage, work: _Workspace) -> tuple[GreyImage, float]:
     """Blur as little as the noise allows, and say how sharp a sharp edge still is.
 
     Blur lets neighbouring edges pull at each other.
     """
-    noise, blockiness = noise_and_blockiness(grey, counts)
+    noise, blockiness = noise_and_blockiness(grey, work.counts)
     limits = SMOOTH_FROM_NOISE if hypot(*grey.shape) > FINE_DIAGONAL_PX else SMOOTH_FROM_NOISE_COARSE
     level = max(
         sum(noise > limit for limit in limits), sum(blockiness > limit for limit in SMOOTH_FROM_BLOCKINESS)
@@ -285,7 +288,8 @@ def _smoothed(grey: GreyImage, counts: npt.NDArray[np.int64]) -> tuple[GreyImage
     if level == 0:
         return grey, SHARPNESS[0]
     size = 1 + 2 * level
-    return np.asarray(cv2.GaussianBlur(grey, (size, size), 0), np.uint8), SHARPNESS[level]
+    cv2.GaussianBlur(grey, (size, size), 0, dst=work.smooth)
+    return work.smooth, SHARPNESS[level]
 
 
 @compiled
