@@ -103,7 +103,7 @@ class ImagingConfig(Section):
     noise: bool = True
     full_well_electrons: Positive = Field(default=12000.0, description="Full scale; sets the shot noise.")
     read_noise_electrons: NotNegative = 6.0
-    defocus_px: NotNegative = Field(default=0.45, description="Standard deviation of the lens blur.")
+    defocus_px: NotNegative = Field(default=0.6, description="Standard deviation of the lens blur.")
     vignetting: Share = Field(default=0.6, description="1 is the cosine's full fourth power.")
     bloom: Share = Field(default=0.04, description="Light that the lens spreads widely.")
     gamma: Positive = 2.2
@@ -118,7 +118,7 @@ class ImagingConfig(Section):
             "brightness": float(np.exp(rng.uniform(np.log(0.08), np.log(0.35)))),
             "full_well_electrons": float(np.exp(rng.uniform(np.log(2000), np.log(20000)))),
             "read_noise_electrons": float(rng.uniform(2, 15)),
-            "defocus_px": float(rng.uniform(0.3, 0.8)),
+            "defocus_px": float(rng.uniform(0.35, 0.9)),
             "vignetting": float(rng.uniform(0.0, 1.0)),
             "bloom": float(rng.uniform(0.0, 0.10)),
             "jpeg_quality": int(rng.integers(70, 96)),
@@ -221,6 +221,12 @@ class SimulationConfig(Section):
         if self.attitude is not None and self.attitude.yaw_follows_gyro and self.imu is None:
             raise ValueError("yaw_follows_gyro needs an imu")
         return self
+
+    @classmethod
+    def random(cls, seed: int, **fixed: object) -> SimulationConfig:
+        """Draw the corridor and the camera's quality; keyword arguments stay as given."""
+        drawn = {"seed": seed, "scene": SceneConfig.random(seed), "imaging": ImagingConfig.random(seed)}
+        return cls.model_validate(drawn | fixed)
 
     @classmethod
     def from_toml(cls, path: str | Path) -> SimulationConfig:

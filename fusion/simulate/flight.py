@@ -65,7 +65,7 @@ def simulate_flight(
     InputError
         Where the folder is there already, or cannot be written.
     """
-    out = Path(out_dir)
+    out = Path(out_dir).absolute()
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError("is there already", file=out, remedy="name a folder that does not exist yet")
     try:

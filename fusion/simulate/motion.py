@@ -79,13 +79,13 @@ class Trajectory:
 
     def rotations(self, t_s: npt.ArrayLike) -> FloatArray:
         """R_world_body (n, 3, 3)."""
-        return _rotations(self.angles(np.atleast_1d(np.asarray(t_s, float))))
+        return rotations(self.angles(np.atleast_1d(np.asarray(t_s, float))))
 
     def truth(self, t_s: npt.ArrayLike) -> Truth:
         """Evaluate the flight at times (n,), seconds from its start."""
         t = np.atleast_1d(np.asarray(t_s, float))
         angles, slopes = self.angles(t), self.angles(t, 1)
-        R = _rotations(angles)
+        R = rotations(angles)
         p, v, a = self.position(t), self.position(t, 1), self.position(t, 2)
         force = np.einsum("nji,nj->ni", R, a - np.array([0.0, 0.0, GRAVITY_M_S2]))
         room = self._rooms_at(t)
@@ -113,7 +113,7 @@ class Trajectory:
         return room
 
 
-def _rotations(angles: FloatArray) -> FloatArray:
+def rotations(angles: FloatArray) -> FloatArray:
     """R_world_body (n, 3, 3) of roll, pitch, yaw (n, 3)."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(angles).T, np.sin(angles).T
     rows = (

@@ -14,6 +14,8 @@ from fusion.simulate.plan import FloatArray, Room, Wall, floor_plan, outline
 from fusion.simulate.scene_config import Ceiling, End, Floor, SceneConfig, WallFinish
 from fusion.simulate.textures import POSTERS, WINDOWS, texture_set
 
+TRUE_M = 2.0  # walls deviate by an angle over this length
+OVERLAP_M, FREE_CORNER_M = 0.02, 0.003
 LAYER_M = 0.001  # floors of overlapping rooms lie this far apart
 
 
@@ -163,16 +165,32 @@ def _build_wall(
         openings = place_openings(config, length, builder.rng, _free_behind(wall, rooms, frame))
     position = 0.0
     for opening in [*openings, Opening(length, length, 0.0, False)]:
-        piece = (position, opening.s0_m)
-        _build_piece(builder, frame, piece, config, finish)
-        if is_side and piece[1] - piece[0] > 0.4:
-            decorate(builder, frame, piece[0] + 0.1, piece[1] - 0.1, config, rooms[wall.room].width_m)
+        s0, s1 = position, opening.s0_m
+        askew = frame.turned((s0 + s1) / 2, 0.0, _out_of_true(builder, s1 - s0, config))
+        reach = (s0 - _overlap(frame, s0, length, rooms), s1 + _overlap(frame, s1, length, rooms))
+        _build_piece(builder, askew, reach, config, finish)
+        if is_side and s1 - s0 > 0.4:
+            decorate(builder, askew, s0 + 0.1, s1 - 0.1, config, rooms[wall.room].width_m)
         if opening.s1_m > opening.s0_m:
             _panel(builder, frame, (opening.s0_m, opening.s1_m), (opening.height_m, config.height_m), finish)
             build_doorway(builder, frame, opening, config, finish)
         position = opening.s1_m
     if not is_side:
         _build_end(builder, frame, wall, config)
+
+
+def _out_of_true(builder: Builder, length_m: float, config: SceneConfig) -> float:
+    """Angle by which a piece of wall deviates: masons keep the ends of a long one as true as those of a short one."""
+    return float(builder.rng.normal(0, config.parallel_std_rad)) * min(1.0, TRUE_M / max(length_m, 1e-3))
+
+
+def _overlap(frame: Frame, s: float, length_m: float, rooms: list[Room]) -> float:
+    """How far a piece runs on at the end of its wall, so that no gap opens to the next: into it, or just past it."""
+    if 1e-6 < s < length_m - 1e-6:
+        return 0.0
+    beyond = frame.point(-OVERLAP_M if s <= 1e-6 else length_m + OVERLAP_M, 0.01, 0.0)[:2]
+    is_free_corner = any(bool(room.contains(beyond).any()) for room in rooms)
+    return FREE_CORNER_M if is_free_corner else OVERLAP_M
 
 
 def _build_piece(

@@ -115,7 +115,7 @@ class SceneConfig(Section):
     cable_tray: bool = False
     handrail: bool = False
     parallel_std_rad: NotNegative = Field(
-        default=0.002, description="How far from parallel to the walls joints, pipes and rails run."
+        default=0.002, description="How far walls, joints, pipes and rails deviate from parallel."
     )
     lamp_spacing_m: Positive = 2.4
     lamp_size_m: tuple[Positive, Positive] = Field(default=(1.2, 0.6), description="Across and along.")

@@ -80,6 +80,7 @@ def random_views(
     yaw_rate_rad_s: float = 0.0,
     line_delay_s: float = 0.0,
     views_per_scene: int = 10,
+    light_cell_m: float = 0.2,
 ) -> Iterator[RandomView]:
     """Yield n views of random corridors; the same arguments give the same pictures.
 
@@ -103,6 +104,8 @@ def random_views(
         Rolling shutter, from row to row.
     views_per_scene
         Pictures taken in one corridor before the next is built (building takes longer than a picture).
+    light_cell_m
+        Grain of the lighting.
     """
     view = View.of(camera)
     limits = _Limits(
@@ -110,7 +113,7 @@ def random_views(
     )
     for start in range(0, n, views_per_scene):
         scene_seed = seed * 100003 + start // views_per_scene
-        built = build_scene(scene(scene_seed) if callable(scene) else scene, scene_seed)
+        built = build_scene(scene(scene_seed) if callable(scene) else scene, scene_seed, light_cell_m)
         quality = imaging(scene_seed) if callable(imaging) else imaging
         for k in range(start, min(start + views_per_scene, n)):
             rng = np.random.default_rng((scene_seed, k, 4))

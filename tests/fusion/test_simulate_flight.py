@@ -496,3 +496,6 @@ def test_random_corridors_are_valid(seed: int) -> None:
     scene = SceneConfig.random(seed, width_m=2.0)
     assert scene.width_m == 2.0
     assert scene == SceneConfig.random(seed, width_m=2.0)
+    flight = SimulationConfig.random(seed, body_frame="frd")
+    assert (flight.seed, flight.body_frame) == (seed, "frd")
+    assert flight.scene == SceneConfig.random(seed)

@@ -115,7 +115,7 @@ def test_corridor_corners_stand_where_they_project_to(name: str) -> None:
     camera = CAMERAS[name].resized(320, 240)
     bare = SceneConfig(
         length_m=12, floor="carpet", floor_albedo=0.05, wall_albedo=0.9, skirting_height_m=0, door_spacing_m=0,
-        poster_spacing_m=0, sign_spacing_m=0, furniture_spacing_m=0, lamp_off_share=0,
+        poster_spacing_m=0, sign_spacing_m=0, furniture_spacing_m=0, lamp_off_share=0, parallel_std_rad=0,
     )  # fmt: skip
     scene = build_scene(bare, 1)
     R, origin = rotation(radians(6), radians(-2), radians(3)), np.array([2.0, 0.25, -1.3])
