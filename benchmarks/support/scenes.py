@@ -1,0 +1,148 @@
+"""Hard views of simulated corridors: what the building or the vehicle's attitude makes difficult.
+
+A vehicle turned far aside or rolled is had by a camera mounted so on a vehicle that is not (see `case_of_view`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from itertools import islice, product
+from math import pi, radians, tan
+from typing import Any
+
+import numpy as np
+
+from fusion.simulate import JunctionConfig, RandomView, SceneConfig, random_views
+from fusion.simulate.config import rotation
+from vision import Camera
+
+from .cases import SIMULATED_FOV_RAD, Case, Size, case_of_view, half_turn, nearest_axes, size_name
+from .perturb import READOUT_S, TURN_RATE_RAD_S
+
+EXPOSURE_S = 0.008
+VIEWS_PER_SCENE = 5
+MAX_TRIES = 20  # views made for each one that is kept, at most
+
+
+@dataclass(frozen=True, slots=True)
+class Views:
+    """Views of one kind.
+
+    Parameters
+    ----------
+    scene
+        Draws a corridor from a seed.
+    options
+        Further arguments of `random_views`.
+    yaw_rad, roll_rad
+        How far the vehicle is turned and rolled beyond what ``options`` draw: each value has its share of views.
+    yaw_rate_rad_s
+        How fast it turns while a rolling shutter takes the picture; likewise.
+    keep
+        Which views are of this kind; the others are made in vain.
+    truths
+        Right headings of a view given its scene, where the first corridor's is not the only one.
+    """
+
+    scene: Callable[[int], SceneConfig]
+    options: dict[str, Any] = field(default_factory=dict)
+    yaw_rad: tuple[float, ...] = (0.0,)
+    roll_rad: tuple[float, ...] = (0.0,)
+    yaw_rate_rad_s: tuple[float, ...] = (0.0,)
+    keep: Callable[[RandomView], bool] = lambda view: True
+    truths: Callable[[SceneConfig, float], tuple[float, ...]] | None = None
+
+
+def scene_cases(kind: str, size: Size, n: int, seed: int) -> Iterator[Case]:
+    """Yield about n views of a kind of `SCENES`; the same arguments give the same views."""
+    views = SCENES[kind]
+    variants = list(product(views.yaw_rad, views.roll_rad, views.yaw_rate_rad_s))
+    straight = replace(Camera.from_fov(*size, SIMULATED_FOV_RAD), exposure_s=EXPOSURE_S)
+    shares = np.diff(np.linspace(0, n, len(variants) + 1).round().astype(int)).tolist()
+    index = 0
+    for number, ((yaw, roll, rate), share) in enumerate(zip(variants, shares, strict=True)):
+        askew = replace(straight, R_body_camera=rotation(yaw, 0.0, roll) @ straight.R_body_camera)
+        turning: dict[str, Any] = (
+            {"yaw_rate_rad_s": rate, "line_delay_s": READOUT_S / size[1]} if rate else {}
+        )
+        made = random_views(
+            askew,
+            MAX_TRIES * share,
+            seed * 31 + number,
+            scene=views.scene,
+            views_per_scene=VIEWS_PER_SCENE,
+            **views.options,
+            **turning,
+        )
+        for view in islice(filter(views.keep, made), share):
+            case = case_of_view(view, f"simulated {size_name(size)}", index, straight)
+            if views.truths is not None:
+                scene = views.scene(view.scene_seed)
+                case = replace(case, headings_rad=views.truths(scene, case.headings_rad[0]))
+            yield case
+            index += 1
+
+
+def _of(**fixed: Any) -> Callable[[int], SceneConfig]:
+    return lambda seed: SceneConfig.random(seed, **fixed)
+
+
+def _with_junction(seed: int) -> SceneConfig:
+    """Draw a corridor that another one meets 4 m from its beginning, at 45 to 135 degrees, half of them crossing."""
+    rng = np.random.default_rng((seed, 21))
+    junction = JunctionConfig(
+        at_m=4.0,
+        angle_rad=float(rng.choice([-1.0, 1.0]) * rng.uniform(radians(45), radians(135))),
+        width_m=float(rng.uniform(1.5, 3.0)),
+        length_m=10.0,
+        crossing=bool(rng.random() < 0.5),
+    )
+    return SceneConfig.random(seed, length_m=14.0, junctions=(junction,))
+
+
+def _axes_of_junction(scene: SceneConfig, heading_rad: float) -> tuple[float, ...]:
+    return nearest_axes((heading_rad, half_turn(heading_rad - scene.junctions[0].angle_rad)))
+
+
+def _fills_the_view(view: RandomView) -> bool:
+    """Tell whether both edges of the picture look at the end wall."""
+    half_field, half_width_m = SIMULATED_FOV_RAD / 2, view.width_m / 2
+    edges = (view.heading_rad - half_field, view.heading_rad + half_field)
+    places_m = [view.lateral_offset_norm * half_width_m + view.ahead_m * tan(e) for e in edges]
+    return max(abs(p) for p in places_m) < half_width_m
+
+
+def _with_open_hall(seed: int) -> SceneConfig:
+    length_m = SceneConfig.random(seed).length_m
+    return SceneConfig.random(seed, open_hall_m=(0.2, length_m - 0.2), open_hall_right=seed % 2 == 0)
+
+
+#: Kinds of views by name.
+SCENES: dict[str, Views] = {
+    # Looking at a side wall from 75 degrees on, the corridor's lines meet far outside the picture.
+    "side wall fills the view": Views(
+        _of(), {"max_heading_rad": radians(8.0)}, yaw_rad=tuple(radians(a) for a in (-90, -75, 75, 90))
+    ),
+    # A wide corridor, so that the picture is filled from farther away too.
+    "end wall fills the view": Views(
+        _of(length_m=4.1, width_m=4.0),
+        {"min_ahead_m": 0.5, "max_offset_norm": 0.3, "max_heading_rad": radians(12.0)},
+        keep=_fills_the_view,
+    ),
+    "across a junction": Views(
+        _with_junction, {"min_ahead_m": 8.0, "max_heading_rad": pi / 2}, truths=_axes_of_junction
+    ),
+    "roll 8 to 20 deg": Views(
+        _of(), {"tilt_std_rad": radians(2.0)}, roll_rad=tuple(radians(a) for a in (-18, -12, 12, 18))
+    ),
+    "yaw 25 to 45 deg": Views(
+        _of(), {"max_heading_rad": radians(10.0)}, yaw_rad=(radians(-35.0), radians(35.0))
+    ),
+    "rolling shutter, drawn": Views(_of(), yaw_rate_rad_s=(-TURN_RATE_RAD_S, TURN_RATE_RAD_S)),
+    "one side wall missing": Views(_with_open_hall),
+    "lockers": Views(_of(lockers_share=0.95, door_spacing_m=12.0)),
+    "floor tiles": Views(_of(floor="tiles", floor_albedo=0.5, floor_gloss=0.08, skirting_height_m=0.0)),
+    "staircase ahead": Views(_of(length_m=8.5, end="stairs"), {"min_ahead_m": 3.5}),
+    "dead end": Views(_of(length_m=7.0, end="wall"), {"min_ahead_m": 1.5}),
+}
