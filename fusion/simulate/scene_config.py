@@ -62,7 +62,9 @@ class JunctionConfig(Section):
     from_corridor: int = Field(
         default=1, ge=1, description="Number of the corridor it leaves; the first is 1."
     )
-    at_m: Positive = Field(description="Where the centre lines meet, from that corridor's beginning.")
+    at_m: Positive = Field(
+        description="Where the centre lines meet, from where that corridor begins or leaves another."
+    )
     angle_rad: float = Field(
         default=-pi / 2, description="Its direction from that corridor's, positive right."
     )
