@@ -18,7 +18,7 @@ import numpy.typing as npt
 from vision.axis_vote import VERTICAL_SINE
 from vision.camera import Camera
 from vision.errors import InputError
-from vision.gravity import level_from_verticals
+from vision.gravity import Level, level_from_verticals
 from vision.images import to_grey
 from vision.lateral import fit_lateral
 from vision.lines import LineSet, extract_lines, is_distorted
@@ -40,7 +40,10 @@ MIN_LINES = 4
 MIN_SCORE = 8.0  # log-likelihood over chance
 MIN_MARGIN = 9.0  # log-likelihood over the second-best heading
 MAX_RIVAL = 0.80  # score of the second-best heading over the best
-MAX_STD_RAD = radians(3.0)
+MIN_SHARE = 0.07  # of the length of all lines that are not upright
+MAX_STD_RAD = radians(1.5)
+MAX_ELEVATION_RAD = radians(2.5)  # corridors are level: an axis that is not was none
+MAX_ELEVATION_SIGMA = 2.5
 MAX_BLUR_PX = 20.0
 SLOPE_STD_RAD = radians(0.2)  # floors and ceilings are level to about this
 CALIBRATION_STD_RAD = radians(0.03)  # what focal length and principal point leave, the same in every frame
@@ -99,53 +102,32 @@ def measure_lines(
         attitude = UNKNOWN_ATTITUDE
     elif not isinstance(attitude, Attitude):
         attitude = Attitude.from_quaternion(attitude)
-    tilt_std_rad = hypot(attitude.std_rad, prior.elevation_std_rad)
     level = level_from_verticals(
         lines,
         _pitched(prior.elevation_rad) @ attitude.R_level_body() @ camera.R_body_camera,
-        tilt_std_rad,
+        hypot(attitude.std_rad, prior.elevation_std_rad),
     )
+    elevation_std_rad = hypot(level.pitch_std_rad, SLOPE_STD_RAD)
     fit = fit_axis(
         lines,
         level.R_level_camera,
-        elevation_std_rad=hypot(level.pitch_std_rad, SLOPE_STD_RAD),
+        elevation_std_rad=elevation_std_rad,
         prior_heading_rad=prior.heading_rad,
         prior_heading_std_rad=prior.heading_std_rad,
     )
     if fit is None:
         found = FrameMeasurement(False, Reason.TOO_FEW_LINES, n_lines=len(lines))
     else:
-        found = _describe(fit, lines, camera, level.R_level_camera)
-        found = replace(
-            found, elevation_rad=prior.elevation_rad + level.pitch_correction_rad + fit.elevation_rad
-        )
-        lateral = fit_lateral(
-            lines,
-            fit,
-            level.R_level_camera,
-            level.roll_std_rad,
-            prior.lateral_offset_norm,
-            prior.lateral_offset_norm_std,
-        )
-        if lateral is not None:
-            found = replace(
-                found,
-                lateral_offset_norm=lateral.offset_norm,
-                lateral_offset_norm_std=lateral.offset_norm_std,
-                width_per_height=lateral.width_per_height,
-                position=position_from_offset(lateral.offset_norm),
-                wall_lines_px=_in_picture(lines.ends_px[lateral.wall_lines], camera),
-            )
-        reason = _judge(found, fit, camera, prior)
+        found = _describe(fit, lines, camera, level, prior)
+        reason = _judge(found, fit, camera, prior, elevation_std_rad)
         found = replace(found, accepted=reason is Reason.OK, reason=reason)
     return replace(found, vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started))
 
 
-def _describe(fit: AxisFit, lines: LineSet, camera: Camera, R_level_camera: FloatArray) -> FrameMeasurement:
+def _describe(fit: AxisFit, lines: LineSet, camera: Camera, level: Level, prior: Prior) -> FrameMeasurement:
     """Turn an axis into the numbers and drawings of a measurement, not yet judged."""
-    vp, vp_cov = _vanishing_point(fit, camera, R_level_camera)
-    line_class = _classify(fit, lines, R_level_camera)
-    return FrameMeasurement(
+    vp, vp_cov = _vanishing_point(fit, camera, level.R_level_camera)
+    found = FrameMeasurement(
         accepted=False,
         reason=Reason.UNCERTAIN,
         n_lines=len(lines),
@@ -154,7 +136,7 @@ def _describe(fit: AxisFit, lines: LineSet, camera: Camera, R_level_camera: Floa
         vp_cov_px2=((float(vp_cov[0, 0]), float(vp_cov[0, 1])), (float(vp_cov[1, 0]), float(vp_cov[1, 1]))),
         heading_rad=fit.heading_rad,
         heading_std_rad=hypot(sqrt(fit.covariance[0, 0]), CALIBRATION_STD_RAD),
-        elevation_rad=fit.elevation_rad,
+        elevation_rad=prior.elevation_rad + level.pitch_correction_rad + fit.elevation_rad,
         elevation_std_rad=sqrt(fit.covariance[1, 1]),
         second_heading_rad=fit.second_heading_rad,
         second_score=max(fit.second_score, 0.0) / fit.score,
@@ -162,11 +144,32 @@ def _describe(fit: AxisFit, lines: LineSet, camera: Camera, R_level_camera: Floa
             equation_8(vp[0] + FIRST_PIXEL, vp[1] + FIRST_PIXEL, camera.width_px, camera.height_px)
         ),
         lines_px=_in_picture(lines.ends_px, camera),
-        line_class=line_class,
+        line_class=_classify(fit, lines, level.R_level_camera),
+    )
+    lateral = fit_lateral(
+        lines,
+        fit,
+        level.R_level_camera,
+        level.roll_std_rad,
+        prior.lateral_offset_norm,
+        prior.lateral_offset_norm_std,
+    )
+    if lateral is None:
+        return found
+    return replace(
+        found,
+        lateral_offset_norm=lateral.offset_norm,
+        lateral_offset_norm_std=lateral.offset_norm_std,
+        width_per_height=lateral.width_per_height,
+        position=position_from_offset(lateral.offset_norm),
+        wall_lines_px=_in_picture(lines.ends_px[lateral.wall_lines], camera),
     )
 
 
-def _judge(found: FrameMeasurement, fit: AxisFit, camera: Camera, prior: Prior) -> Reason:
+def _judge(
+    found: FrameMeasurement, fit: AxisFit, camera: Camera, prior: Prior, elevation_std_rad: float
+) -> Reason:
+    """Decide whether the heading may be used; the limits are where gross errors of spoilt pictures end."""
     if found.n_inliers < MIN_LINES or fit.score < MIN_SCORE:
         return Reason.TOO_FEW_LINES
     blur_px = prior.body_rate_rad_s * camera.exposure_s * camera.fx_px
@@ -174,7 +177,11 @@ def _judge(found: FrameMeasurement, fit: AxisFit, camera: Camera, prior: Prior) 
         return Reason.BLUR
     if fit.score - fit.second_score < MIN_MARGIN or found.second_score > MAX_RIVAL:
         return Reason.AMBIGUOUS
+    if fit.inlier_share < MIN_SHARE:
+        return Reason.AMBIGUOUS
     if not found.heading_std_rad < MAX_STD_RAD or abs(found.heading_rad) > 0.5 * pi:
+        return Reason.UNCERTAIN
+    if abs(fit.elevation_rad) > max(MAX_ELEVATION_RAD, MAX_ELEVATION_SIGMA * elevation_std_rad):
         return Reason.UNCERTAIN
     return Reason.OK
 

@@ -63,6 +63,8 @@ class AxisFit:
         Each line's residual over its standard deviation (n,).
     inlier
         Lines (n,) that run along the axis.
+    inlier_share
+        Their share of the length of all lines that are not upright.
     """
 
     heading_rad: float
@@ -73,6 +75,7 @@ class AxisFit:
     second_score: float
     residual: FloatArray
     inlier: npt.NDArray[np.bool_]
+    inlier_share: float
 
 
 @compiled
@@ -203,6 +206,8 @@ def fit_axis(
     if spread > covariance[0, 0]:
         wider = np.array([sqrt(spread / covariance[0, 0]), 1.0])
         covariance = covariance * np.outer(wider, wider)
+    leaning = np.abs(normal[:, 2]) >= VERTICAL_SINE
+    inlier = leaning & (np.abs(residual) < INLIER_SIGMA)
     return AxisFit(
         heading_rad=float(out[PSI]),
         elevation_rad=float(out[ELEVATION]),
@@ -211,5 +216,6 @@ def fit_axis(
         second_heading_rad=bin_heading(second),
         second_score=second_score,
         residual=residual,
-        inlier=(np.abs(residual) < INLIER_SIGMA) & (np.abs(normal[:, 2]) >= VERTICAL_SINE),
+        inlier=inlier,
+        inlier_share=float(lines.length_px[inlier].sum() / max(lines.length_px[leaning].sum(), 1.0)),
     )
