@@ -39,7 +39,7 @@ EVERY_S = 0.05
 
 
 def scene_of(seed: int, seconds: float, **changes: Any) -> Scene:
-    """The setting: 80 ms delay, frames at 30 Hz of 0.3 to 1 degree, 5 % gross, drop-outs to 5 s, tilt to 15 degrees."""
+    """Make a flight: 80 ms delay, 30 frames a second of 0.3 to 1 degree, 5 % gross, drop-outs to 5 s, tilt to 15."""
     rng = np.random.default_rng(seed)
     starts = np.arange(8.0, seconds - 8.0, 15.0)
     dropouts = [(float(s), float(s + rng.uniform(1.0, 5.0))) for s in starts]
@@ -174,7 +174,7 @@ def report(
 
 
 def junctions(count: int) -> None:
-    """Turns of 30 to 150 degrees, fast and slow, with and without a blind stretch: how many end in the right corridor."""
+    """Count turns of 30 to 150 degrees, fast and slow, some with a blind stretch, that end in a wrong corridor."""
     from tests.fusion.simulated import run
 
     wrong, rng = 0, np.random.default_rng(1)
@@ -211,25 +211,18 @@ def main() -> None:
     print(f"{n} runs of {s:g} s per line; degrees")
     report("white errors", n, s, yaw_offset=steps)
     report(
-        "correlated errors, told",
-        n,
-        s,
-        {"heading_correlation_s": 0.048},
-        yaw_offset=steps,
-        frame_correlation=0.5,
+        "correlated, told", n, s, {"heading_correlation_s": 0.048}, yaw_offset=steps, frame_correlation=0.5
     )
-    report(
-        "correlated errors, default",
-        n,
-        s,
-        {"heading_correlation_s": 0.03},
-        yaw_offset=steps,
-        frame_correlation=0.5,
-    )
+    report("correlated, default settings", n, s, {"heading_correlation_s": 0.03}, yaw_offset=steps,
+           frame_correlation=0.5)  # fmt: skip
     report("50 % gross errors", n, s, yaw_offset=steps, gross=0.5)
-    alone = report("IMU yaw left out", n, s, attitude_hz=0.0)
-    shared = report("IMU yaw of the same gyroscope", n, s, yaw_shares_gyro=True)
-    print(f"{'':34s} shared over left out {shared / alone:.3f}")
+    alone = report("no attitude stream, level", n, s, attitude_hz=0.0, tilt_rad=0.0)
+    never = report("IMU yaw never used", n, s, {"imu_yaw_use": "never"})
+    for name, shared in (("of its own", False), ("of the same gyroscope", True)):
+        for use in ("auto", "always"):
+            rmse = report(f"IMU yaw {name}, {use}", n, s, {"imu_yaw_use": use}, yaw_shares_gyro=shared)
+            print(f"{'':34s} over never {rmse / never:.3f}")
+    print(f"{'':34s} never over no attitude {never / alone:.3f}")
     junctions(options.junctions)
     print(f"took {perf_counter() - started:.0f} s")
 

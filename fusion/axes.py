@@ -163,6 +163,7 @@ class Axes(Propagation):
         s.reset_count += 1
         s.reset_heading_rad = float(self.ekf.x[PSI]) - before
         s.votes, s.rival = (), None
+        s.yaw_watch = s.yaw_watch.interrupted()
         self._confirm(t_ns)
 
     def _widen_heading(self, error_rad: float) -> None:
@@ -212,6 +213,7 @@ class Axes(Propagation):
         s.lateral_acquired, s.t_lateral_ns = False, None
         s.width_per_height, s.n_width = nan, 0
         s.support_s = 0.0
+        s.yaw_watch = s.yaw_watch.interrupted()
         self._confirm(t_ns)
 
     def _is_glance(self, t_ns: int, back: PreviousAxis) -> bool:

@@ -9,7 +9,7 @@ import tomllib
 from difflib import get_close_matches
 from math import radians
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -69,10 +69,10 @@ class FusionConfig(BaseModel):
         description="rad/s^2/sqrt(Hz); how the yaw rate wanders while nothing measures it.",
     )
 
-    imu_yaw_corrects_heading: bool = Field(
-        default=False,
-        description="Whether the IMU's yaw may correct the heading: only where it does not come from the same "
-        "gyroscope. Otherwise its offset is followed and reported, and it changes nothing else.",
+    imu_yaw_use: Literal["auto", "always", "never"] = Field(
+        default="auto",
+        description="Whether the IMU's yaw corrects the heading. auto: once frames have shown that it does not "
+        "stray together with the gyroscope; till then its offset is followed and changes nothing else.",
     )
     imu_yaw_std_rad: float = Field(
         default=radians(0.5), gt=0, le=1, description="White noise of the IMU's yaw."

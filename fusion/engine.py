@@ -22,12 +22,14 @@ from fusion.state import (
     seconds_since,
 )
 from fusion.trust import Trust, genuine, learn, weakened
+from fusion.yaw_watch import watch
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 
 Measure = Callable[[Attitude | None, Prior], FrameMeasurement]
 
 GROSS_HEADING_DENSITY = 1 / pi  # a gross heading may be any
 GROSS_LATERAL_DENSITY = 0.5  # anywhere between the walls
+MAX_YAW_AGE_S = 0.1
 LATERAL_START_FRAMES = 3
 LATERAL_LOST_STD = 0.5
 LATERAL_PRIOR_STD = 0.1
@@ -167,6 +169,7 @@ class Engine(Axes):
         if gate.accepted:
             self._confirm(t_ns)
             self._learn(t_ns, m, attitude)
+            self._watch_imu_yaw(t_ns, m.heading_rad, variance)
             return FrameResult(stamp_ns, m, True, Reason.OK, gate.residual, gate.test_ratio)
         self._vote(t_ns, axis, sqrt(variance), linked)
         self._consider(t_ns)
@@ -186,6 +189,13 @@ class Engine(Axes):
         variance = weakened(believed * inflation, predicted, probability)
         gate = self.ekf.update(m._replace(R=believed), gate_sigma, variance)
         return gate, learn(trust, m.residual, predicted, stated, probability if gate.accepted else 0.0)
+
+    def _watch_imu_yaw(self, t_ns: int, heading_rad: float, variance: float) -> None:
+        """Compare gyroscope and IMU yaw by a frame, where an attitude sample is near."""
+        s = self.state
+        if s.mode is Mode.GYRO and seconds_since(t_ns, s.t_attitude_ns) <= MAX_YAW_AGE_S:
+            yaw_now = s.yaw_rad + s.yaw_done_rad
+            s.yaw_watch = watch(s.yaw_watch, t_ns, heading_rad - s.theta_rad, heading_rad - yaw_now, variance)
 
     def _learn(self, t_ns: int, m: FrameMeasurement, attitude: Attitude | None) -> None:
         """Use the rest of a frame whose heading was accepted: lateral offset, width, elevation of the camera."""

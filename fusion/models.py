@@ -166,7 +166,7 @@ def propagate(
 
 @lru_cache(maxsize=256)
 def _decay(dt_s: float, time_s: float) -> tuple[float, float]:
-    """Return what is left of a Gauss-Markov velocity after a step, and what it adds to the position, per unit of it."""
+    """Return what is left of a Gauss-Markov velocity after a step, and what it adds to the position."""
     return exp(-dt_s / time_s), -time_s * expm1(-dt_s / time_s)
 
 

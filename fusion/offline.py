@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int], None]
 
-_KIND_OF_ROW = (Kind.IMU, Kind.ATTITUDE, Kind.FRAME)
+BLOCK_ROWS = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,6 +195,9 @@ class _Recorder:
         self.frames: list[tuple[Any, ...]] = []
         self.steps = Steps()
         self._rows: list[tuple[Any, ...]] = []
+        self._packed: list[
+            Table
+        ] = []  # rows of a long flight, in blocks: a tuple takes four times the memory
         self._row_steps: list[int] = []  # index of the last step of each row's instant
         self._pending: Entry | None = None
         self._pending_is_row = False
@@ -221,11 +224,18 @@ class _Recorder:
             estimate = describe(state, self.config)
             self._rows.append(tuple(getattr(estimate, name) for name in ESTIMATE_DTYPE.names or ()))
             self._row_steps.append(self.steps.count - 1)
+            if len(self._rows) >= BLOCK_ROWS:
+                self._pack()
         self._pending, self._pending_is_row = None, False
+
+    def _pack(self) -> None:
+        self._packed.append(np.array(self._rows, dtype=ESTIMATE_DTYPE))
+        self._rows = []
 
     def estimates(self) -> Table:
         """Return the filter's table."""
-        return np.array(self._rows, dtype=ESTIMATE_DTYPE)
+        self._pack()
+        return np.concatenate(self._packed)
 
     def smoothed(self) -> Table:
         """Return the smoother's table: the same rows, with every number from the whole flight."""

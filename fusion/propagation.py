@@ -31,6 +31,7 @@ from fusion.models import (
 )
 from fusion.state import UNKNOWN_HEADING_STD_RAD, UNKNOWN_OFFSET_STD_RAD, Mode, State, half_width_m
 from fusion.tilt import Vector
+from fusion.yaw_watch import is_independent
 
 Quaternion = tuple[float, float, float, float]
 
@@ -289,7 +290,7 @@ class Propagation:
         if not s.acquired:
             return
         # Where yaw increments carry the heading, the same yaw tells nothing more.
-        self._couple_imu_yaw(c.imu_yaw_corrects_heading and s.mode is Mode.GYRO)
+        self._couple_imu_yaw(s.mode is Mode.GYRO and self._imu_yaw_is_worth_having())
         measurement = self._imu_yaw_measurement(yaw_rad)
         if not s.imu_yaw_known:
             self.ekf.update(measurement)
@@ -304,6 +305,12 @@ class Propagation:
         if s.imu_yaw_rejects >= IMU_YAW_STEP_SAMPLES:
             self._widen(OFFSET, gate.residual**2)
             self.ekf.update(self._imu_yaw_measurement(yaw_rad))
+
+    def _imu_yaw_is_worth_having(self) -> bool:
+        c = self.config
+        if c.imu_yaw_use == "auto":
+            return is_independent(self.state.yaw_watch, c.gyro_noise, c.offset_walk)
+        return c.imu_yaw_use == "always"
 
     def _imu_yaw_measurement(self, yaw_rad: float) -> ScalarMeasurement:
         s, variance = self.state, self.config.imu_yaw_std_rad**2

@@ -15,6 +15,7 @@ from fusion.consensus import Vote
 from fusion.models import BIAS, OFFSET, PSI, FloatArray, V, Y, wrap, wrap_axis
 from fusion.tilt import Tilt, Vector
 from fusion.trust import Trust
+from fusion.yaw_watch import YawWatch
 from vision.measurement import position_from_offset
 
 UNKNOWN_HEADING_STD_RAD = pi / 2
@@ -154,6 +155,7 @@ class State:
     imu_yaw_known: bool = False
     imu_yaw_coupled: bool = False  # whether o is correlated with the rest
     imu_yaw_rejects: int = 0
+    yaw_watch: YawWatch = field(default_factory=YawWatch)
     imu_yaw_ratio: float = nan
 
     acquired: bool = False  # a heading was found and not lost since

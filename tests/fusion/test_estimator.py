@@ -311,7 +311,10 @@ def test_coupled_imu_yaw_helps_in_a_drop_out_and_its_steps_do_little() -> None:
         scene = yaw_scene(dropouts=[(6.0, 11.0)], gyro_bias_walk=3e-3, **changes)
         simulated = simulate(scene)
         results = [
-            run(simulated, config_for(scene, imu_yaw_corrects_heading=on, imu_yaw_std_rad=radians(0.3)))
+            run(
+                simulated,
+                config_for(scene, imu_yaw_use="always" if on else "never", imu_yaw_std_rad=radians(0.3)),
+            )
             for on in (False, True)
         ]
         return [(r, heading_error(r, simulated)) for r in results]

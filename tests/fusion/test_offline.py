@@ -247,7 +247,7 @@ def test_a_corridor_begins_in_the_smoothed_table_where_the_vehicle_turned(
 
 
 def test_the_real_flight_without_a_gyroscope() -> None:
-    """Ninety-one frames of a nano drone: the second corridor gets its own index, and vision follows the vehicle's yaw."""
+    """Ninety-one frames of a nano drone: the second corridor gets its own index, vision follows the vehicle's yaw."""
     path = ROOT.parent / "shared" / "flights" / "mononav_hallway"
     if not path.exists():
         pytest.skip("the real flight mononav_hallway is not beside the repository")
