@@ -112,7 +112,7 @@ def test_states_of_very_different_size_keep_the_precision() -> None:
 
 def test_steps_in_blocks_are_the_steps() -> None:
     *_, nodes = linear_problem(2)
-    many = nodes * 300  # more than one block
+    many = nodes * 700  # more than one block
     steps = Steps()
     steps.add(many[:5000])
     assert len(steps.arrays()[0]) == 5000
