@@ -9,7 +9,7 @@ width) and the heading welcomes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan, ceil, radians, sqrt
+from math import atan, radians, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,11 @@ from vision.lines import LineSet
 
 FloatArray = npt.NDArray[np.float64]
 
-GRID_STEP_RAD = radians(1.0)
+COARSE_STEP_RAD = radians(2.0)
+GRID_REACH_SIGMA = 2.5
+MAX_VOTE_ARC_RAD = 0.3  # longer lines count no more
+VOTE_WEIGHT = 6.0
+UPRIGHT = 0.7  # at least this much of a line's direction is along the given vertical
 GRID_FROM_STD_RAD = radians(2.0)  # below this the prior is good enough to start from
 PLUMB_STD_RAD = radians(0.15)  # door posts are upright to about this
 CUT_SIGMA = 3.0
@@ -52,6 +56,41 @@ def _vertical_std(down: float, along: float, sigma: float, arc: float) -> float:
 
 
 @compiled
+def _search(normal: FloatArray, direction: FloatArray, arc: FloatArray, std: float, out: FloatArray) -> None:
+    """Find by exhaustive vote where the upright lines meet, coarsely first; ``out`` = a, b as in `_plumb`."""
+    upright = np.empty((len(arc), 4))
+    n = 0
+    for k in range(len(arc)):
+        if abs(direction[k, 2]) >= UPRIGHT:
+            upright[n, :3] = normal[k]
+            upright[n, 3] = min(arc[k], MAX_VOTE_ARC_RAD) / MAX_VOTE_ARC_RAD
+            n += 1
+    out[0] = 0.0
+    out[1] = 0.0
+    step = COARSE_STEP_RAD
+    reach = int(np.ceil(GRID_REACH_SIGMA * std / step))
+    for _ in range(2):
+        middle_a = out[0]
+        middle_b = out[1]
+        spread = 1.4 * step
+        best = -np.inf
+        for i in range(-reach, reach + 1):
+            for j in range(-reach, reach + 1):
+                a = middle_a + i * step
+                b = middle_b + j * step
+                score = -0.5 * (a * a + b * b) / (std * std)
+                for k in range(n):
+                    z = (upright[k, 0] * a + upright[k, 1] * b + upright[k, 2]) / spread
+                    score += VOTE_WEIGHT * max(0.0, 1.0 - z * z) * upright[k, 3]
+                if score > best:
+                    best = score
+                    out[0] = a
+                    out[1] = b
+        step = 0.5 * COARSE_STEP_RAD
+        reach = 2
+
+
+@compiled
 def _plumb(
     normal: FloatArray,
     centre: FloatArray,
@@ -59,7 +98,6 @@ def _plumb(
     sigma: FloatArray,
     arc: FloatArray,
     std: float,
-    reach: int,
     out: FloatArray,
 ) -> None:
     """Find the down vector (a, b, 1) the vertical lines agree on; ``out`` = a, b and information (3 numbers).
@@ -69,32 +107,20 @@ def _plumb(
     n = len(sigma)
     a = 0.0
     b = 0.0
-    if reach > 0:
-        best = 0.0
-        for i in range(-reach, reach + 1):
-            for j in range(-reach, reach + 1):
-                ga = i * GRID_STEP_RAD
-                gb = j * GRID_STEP_RAD
-                score = -0.5 * (ga * ga + gb * gb) / (std * std)
-                for k in range(n):
-                    if abs(direction[k, 2]) < 0.7:
-                        continue
-                    spread = 0.7 * GRID_STEP_RAD
-                    z = (normal[k, 0] * ga + normal[k, 1] * gb + normal[k, 2]) / spread
-                    score += max(0.0, 1.0 - z * z / 4.0) * min(arc[k], 0.3) * 20.0
-                if score > best:
-                    best = score
-                    a = ga
-                    b = gb
+    start = std
+    if std > GRID_FROM_STD_RAD:
+        _search(normal, direction, arc, std, out)
+        a = out[0]
+        b = out[1]
+        start = 0.5 * COARSE_STEP_RAD
     h00 = h01 = h11 = 0.0
     for iteration in range(8):
-        start = GRID_STEP_RAD if reach > 0 else std
         h00 = h11 = 1.0 / (std * std)
         h01 = 0.0
         g0 = a / (std * std)
         g1 = b / (std * std)
         for k in range(n):
-            if abs(direction[k, 2]) < 0.7:  # not even roughly upright
+            if abs(direction[k, 2]) < UPRIGHT:
                 continue
             nx = normal[k, 0]
             ny = normal[k, 1]
@@ -134,10 +160,9 @@ def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: fl
         Standard deviation of its roll and pitch.
     """
     out = np.zeros(5)
-    reach = ceil(2.5 * std_rad / GRID_STEP_RAD) if std_rad > GRID_FROM_STD_RAD else 0
     to_level = R_level_camera.T
     normal, centre, direction = lines.normal @ to_level, lines.centre @ to_level, lines.direction @ to_level
-    _plumb(normal, centre, direction, lines.sigma_rad, lines.arc_rad, std_rad, reach, out)
+    _plumb(normal, centre, direction, lines.sigma_rad, lines.arc_rad, std_rad, out)
     a, b, h_pitch, h_both, h_roll = (float(v) for v in out)
     determinant = h_pitch * h_roll - h_both * h_both
     # The shortest rotation that brings the found down (a, b, 1) to (0, 0, 1): heading is left alone.
