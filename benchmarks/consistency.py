@@ -211,7 +211,12 @@ def main() -> None:
     print(f"{n} runs of {s:g} s per line; degrees")
     report("white errors", n, s, yaw_offset=steps)
     report(
-        "correlated, told", n, s, {"heading_correlation_s": 0.048}, yaw_offset=steps, frame_correlation=0.5
+        "correlated, told",
+        n,
+        s,
+        {"heading_correlation_s": 0.048, "lateral_correlation_s": 0.048},
+        yaw_offset=steps,
+        frame_correlation=0.5,
     )
     report("correlated, default settings", n, s, {"heading_correlation_s": 0.03}, yaw_offset=steps,
            frame_correlation=0.5)  # fmt: skip
