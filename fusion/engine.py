@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import cos, exp, hypot, isfinite, nan, pi, radians, sqrt
+from math import cos, exp, hypot, isfinite, nan, pi, radians, sin, sqrt
 
 from fusion import tilt as tilts
 from fusion.axes import AGREEING_SHARE, CONTESTED_SHARE, VOTE_AGE_S, Axes
@@ -19,6 +19,7 @@ from fusion.state import (
     UNKNOWN_LATERAL_STD,
     Mode,
     frame_age_limit_s,
+    half_width_m,
     seconds_since,
 )
 from fusion.trust import Trust, genuine, learn, weakened
@@ -65,6 +66,9 @@ class FrameResult:
 class Engine(Axes):
     """The whole estimator for samples in order of time; `fusion.timeline` brings them into order."""
 
+    camera_arm_m: tuple[float, float] = (0.0, 0.0)
+    """How far the camera sits ahead and right of the body's centre."""
+
     def frame(self, t_ns: int, stamp_ns: int, measure: Measure | None) -> FrameResult:
         """Take a frame of time ``t_ns``; ``measure`` turns attitude and prediction into its measurement."""
         self._begin(t_ns)
@@ -99,7 +103,7 @@ class Engine(Axes):
         age_s = seconds_since(self._now_ns, s.t_lateral_ns)
         if s.lateral_acquired and age_s <= frame_age_limit_s(s, self.config):
             # Wider than it is: were vision silent wherever the filter is wrong, nothing could set the filter right.
-            offset = (1 if cos(psi) >= 0 else -1) * float(self.ekf.x[Y])
+            offset = (1 if cos(psi) >= 0 else -1) * float(self.ekf.x[Y]) + self._camera_aside(wrap_axis(psi))
             offset_std = hypot(sqrt(float(self.ekf.P[Y, Y])), LATERAL_PRIOR_STD)
         return Prior(
             heading_rad=wrap_axis(psi) if s.acquired else nan,
@@ -201,7 +205,8 @@ class Engine(Axes):
         """Use the rest of a frame whose heading was accepted: lateral offset, width, elevation of the camera."""
         s = self.state
         if isfinite(m.lateral_offset_norm) and 0.0 < m.lateral_offset_norm_std < 10.0:
-            self._use_lateral(t_ns, m.lateral_offset_norm, m.lateral_offset_norm_std)
+            offset_norm = m.lateral_offset_norm - self._camera_aside(m.heading_rad)
+            self._use_lateral(t_ns, offset_norm, m.lateral_offset_norm_std)
         if isfinite(m.width_per_height) and m.width_per_height > 0.0:
             s.n_width = min(s.n_width + 1, WIDTH_MEMORY_FRAMES)
             old = s.width_per_height if s.n_width > 1 else m.width_per_height
@@ -212,6 +217,14 @@ class Engine(Axes):
             R = ELEVATION_WEIGHT * hypot(m.elevation_std_rad, attitude.std_rad) ** 2
             gain = variance / (variance + R)
             s.elevation = (mean + gain * (m.elevation_rad - mean), (1.0 - gain) * variance)
+
+    def _camera_aside(self, heading_rad: float) -> float:
+        """Half widths by which a camera ahead of the body's centre swings to the right; 0 while no width is known."""
+        half_m = half_width_m(self.state, self.config)
+        if not half_m > 0.0:  # NaN fails too
+            return 0.0
+        ahead_m, right_m = self.camera_arm_m
+        return (ahead_m * sin(heading_rad) + right_m * cos(heading_rad)) / half_m
 
     def _use_lateral(self, t_ns: int, offset_norm: float, std: float) -> None:
         """Gate a lateral offset; as with headings, what is rejected may win by agreeing."""

@@ -80,6 +80,9 @@ class CorridorEstimator:
         self.counters: Counter[str] = Counter()
         self.last_frame: FrameResult | None = None
         self._machine = _Machine(self.config)
+        if camera is not None:
+            ahead_m, right_m, _ = camera.p_body_camera_m.tolist()
+            self._machine.camera_arm_m = (ahead_m, right_m)
         self._timeline = Timeline(self._machine, round(self.config.buffer_s * 1e9), on_final)
         self._delay_ns = round(self.config.camera_delay_s * 1e9)
         self._late_in_a_row = 0

@@ -22,8 +22,9 @@ from tests.fusion.simulated import (
     weaving,
     wrap,
 )
+from vision.camera import Camera
 from vision.errors import InputError
-from vision.measurement import Reason
+from vision.measurement import FrameMeasurement, Reason
 
 MS = 1_000_000
 QUICK = {"gyro_hz": 100.0, "frame_hz": 20.0, "delay_s": 0.08}
@@ -536,3 +537,25 @@ def test_pictures_need_a_camera() -> None:
 def test_unknown_method_is_refused() -> None:
     with pytest.raises(InputError, match="method 'magic' is unknown"):
         CorridorEstimator(method="magic")
+
+
+def test_a_camera_ahead_of_the_centre_does_not_move_the_vehicle() -> None:
+    camera = replace(Camera.from_fov(320, 240, 1.2), p_body_camera_m=np.array([0.3, 0.0, 0.0]))
+    estimator = CorridorEstimator(FusionConfig(corridor_width_m=2.0), camera)
+    for k in range(400):
+        t_ns = k * 5_000_000
+        estimator.add_imu(t_ns, (0.0, 0.0, 0.0), (0.0, 0.0, -9.81))
+        if k % 10 == 0:  # turned right by 0.3 rad, the centre of the body on the centre line
+            seen = 0.3 * np.sin(0.3) / 1.0
+            measured = FrameMeasurement(
+                True,
+                Reason.OK,
+                20,
+                12,
+                heading_rad=0.3,
+                heading_std_rad=0.005,
+                lateral_offset_norm=seen,
+                lateral_offset_norm_std=0.02,
+            )
+            estimator.add_measurement(t_ns, measured)
+    assert estimator.estimate().lateral_offset_m == pytest.approx(0.0, abs=1e-3)
