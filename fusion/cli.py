@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from enum import StrEnum
 from io import TextIOWrapper
+from math import radians
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -128,6 +129,12 @@ def measure(
         typer.Argument(metavar="IMAGE|FOLDER...", help="Pictures, or folders of them."),
     ],
     camera: CameraOption = None,
+    fov_deg: Annotated[
+        float | None,
+        typer.Option(
+            "--fov", metavar="DEGREES", help="Horizontal field of view, where there is no --camera."
+        ),
+    ] = None,
     attitude: Annotated[
         Path | None, typer.Option("--attitude", metavar="CSV", help="Roll and pitch of the body, see above.")
     ] = None,
@@ -141,6 +148,7 @@ def measure(
     ] = None,
 ) -> None:
     """Measure pictures one by one."""
+    from fusion.assumed_view import assume_views
     from fusion.attitude_file import AttitudeFile
     from fusion.measure_images import check_table_file, find_images, measure_images
     from fusion.outputs import print_table, write_table
@@ -152,10 +160,16 @@ def measure(
         check_table_file(out)
     calibration = None if camera is None else Camera.from_yaml(camera)
     attitudes = None if attitude is None else AttitudeFile.read(attitude)
-    for note in assumptions_text(paths, calibration, attitudes, method.value):
+    if calibration is not None and fov_deg is not None:
+        raise InputError("--fov and --camera say the same thing", remedy="give one of them")
+    views = None
+    if calibration is None and method is Method.GEOMETRIC:
+        with compile_notice("the line finder"), progress_bar("finding the field of view") as progress:
+            views = assume_views(paths, None if fov_deg is None else radians(fov_deg), progress)
+    for note in assumptions_text(paths, views, attitudes, method.value):
         say(note)
     with compile_notice("the line finder"), progress_bar("measuring") as progress:
-        table = measure_images(paths, calibration, attitudes, method.value, overlay, progress)
+        table = measure_images(paths, calibration, attitudes, method.value, overlay, progress, views)
     if out is None:
         print_table(table, sys.stdout)
     else:

@@ -55,7 +55,9 @@ reason `unreadable`. A picture's name that is an integer is taken for its time i
 
 \b
 What is assumed unless given:
-  --camera      a horizontal field of view of 70 degrees, no distortion, looking straight ahead
+  --camera      a lens without distortion that looks straight ahead; its horizontal field of view from, in this order,
+                --fov, the focal length in the picture's EXIF, the right angles in all pictures of one size, or
+                65 +- 20 degrees. It is said which, and the headings' sigma includes it.
   --attitude    level, within about 12 degrees
 
 \b
@@ -67,6 +69,7 @@ What is assumed unless given:
 Examples:
   corridor measure picture.jpg
   corridor measure hall/mav0/cam0/data --camera hall/mav0/cam0/sensor.yaml -o frames.csv --overlay drawn
+  corridor measure *.jpg --fov 54 -o frames.csv
   corridor measure *.png --attitude tilt.csv > frames.csv
 
 Next: look at the drawings in --overlay DIR; with an IMU log, `corridor fuse` makes it smooth.

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from functools import lru_cache
-from math import radians
 from pathlib import Path
 
 import numpy as np
 
+from fusion.assumed_view import AssumedView, AssumedViews, assume_views
 from fusion.attitude_file import AttitudeFile
 from fusion.console import Progress
 from fusion.logs.csv_table import parse_time
@@ -19,7 +19,6 @@ from vision import Camera, FrameMeasurement, InputError, Reason
 from vision.frame import Method
 from vision.images import GreyImage, read_image
 
-ASSUMED_FOV_RAD = radians(70.0)
 ASPECT_TOLERANCE = 0.01
 
 #: As `FRAME_DTYPE`, with the picture first; a time only where the file's name is one.
@@ -68,13 +67,13 @@ def _natural_order(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
 
-def camera_for(camera: Camera | None, image: GreyImage, file: Path) -> Camera:
-    """Fit a calibration to a picture's size, or assume one.
+def camera_for(camera: Camera, image: GreyImage, file: Path) -> Camera:
+    """Fit a calibration to a picture's size.
 
     Parameters
     ----------
     camera
-        The calibration; None assumes `ASSUMED_FOV_RAD` across the picture and no distortion.
+        The calibration.
     image
         The picture, grey (h, w).
     file
@@ -86,8 +85,6 @@ def camera_for(camera: Camera | None, image: GreyImage, file: Path) -> Camera:
         Where the aspect ratios differ by more than one percent.
     """
     height, width = image.shape
-    if camera is None:
-        return _assumed_camera(width, height)
     if (width, height) == (camera.width_px, camera.height_px):
         return camera
     if abs(width * camera.height_px / (height * camera.width_px) - 1.0) > ASPECT_TOLERANCE:
@@ -96,8 +93,8 @@ def camera_for(camera: Camera | None, image: GreyImage, file: Path) -> Camera:
 
 
 @lru_cache(maxsize=16)
-def _assumed_camera(width_px: int, height_px: int) -> Camera:
-    return Camera.from_fov(width_px, height_px, ASSUMED_FOV_RAD)
+def _assumed_camera(view: AssumedView) -> Camera:
+    return view.camera()
 
 
 @lru_cache(maxsize=16)
@@ -112,6 +109,7 @@ def measure_images(
     method: Method = "geometric",
     overlay_dir: Path | None = None,
     progress: Progress = lambda done, total: None,
+    views: AssumedViews | None = None,
 ) -> Table:
     """Measure pictures one by one; those that do not decode are rows with the reason ``unreadable``.
 
@@ -120,7 +118,7 @@ def measure_images(
     paths
         The pictures.
     camera
-        Their calibration; see `camera_for`.
+        Their calibration; see `camera_for`. None to assume one: see ``views``.
     attitudes
         Roll and pitch per picture, where known.
     method
@@ -129,6 +127,9 @@ def measure_images(
         Folder for a drawing of each measured picture, ``NAME_overlay.jpg``.
     progress
         Called with (done, total).
+    views
+        What to assume where there is no calibration; None to find out, see `assume_views`. The headings'
+        sigmas then include what that may be off by.
 
     Returns
     -------
@@ -142,6 +143,8 @@ def measure_images(
     """
     from vision import measure_frame
 
+    if camera is None and views is None:
+        views = assume_views(paths) if method == "geometric" else AssumedViews()
     table = np.zeros(len(paths), IMAGE_DTYPE)
     overlays = None if overlay_dir is None else _Overlays(overlay_dir, paths)
     first_problem, warm = None, False
@@ -153,12 +156,18 @@ def measure_images(
             first_problem = first_problem or error
             measurement = FrameMeasurement(accepted=False, reason=Reason.UNREADABLE)
         else:
-            own_camera = camera_for(camera, image, path)
+            if camera is not None:
+                view, own_camera = None, camera_for(camera, image, path)
+            else:
+                view = (views or AssumedViews()).of(path, image)
+                own_camera = _assumed_camera(view)
             attitude = None if attitudes is None else attitudes.of(path, t_ns)
             if not warm:  # the first call loads or compiles machine code: keep that out of `vision_ms`
                 measure_frame(image, own_camera, attitude, method=method)
                 warm = True
             measurement = measure_frame(image, own_camera, attitude, method=method)
+            if view is not None and method == "geometric":
+                measurement = view.widened(measurement)
             if overlays is not None:
                 overlays.draw(path, image, own_camera, measurement)
         _fill(table, row, path, t_ns, measurement)

@@ -13,24 +13,20 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from fusion.logs.csv_table import counted, parse_time
-from fusion.measure_images import ASSUMED_FOV_RAD
 from fusion.tables import Table
 
 if TYPE_CHECKING:
+    from fusion.assumed_view import AssumedViews
     from fusion.attitude_file import AttitudeFile
-    from vision import Camera
 
 
 def assumptions_text(
-    paths: Sequence[Path], camera: Camera | None, attitudes: AttitudeFile | None, method: str
+    paths: Sequence[Path], views: AssumedViews | None, attitudes: AttitudeFile | None, method: str
 ) -> list[str]:
     """Say what `measure_images` takes for granted where it was not told."""
     from vision.frame import UNKNOWN_ATTITUDE
 
-    notes = []
-    if camera is None:
-        view = f"a horizontal field of view of {degrees(ASSUMED_FOV_RAD):.0f} degrees"
-        notes.append(f"no --camera: assuming {view}, no distortion, looking straight ahead")
+    notes = [] if views is None else views.notes()
     if method == "paper":  # which uses no attitude
         return notes
     level = f"assuming level within about {degrees(UNKNOWN_ATTITUDE.std_rad):.0f} degrees"

@@ -38,14 +38,10 @@ RANGE_RAD = (radians(30.0), radians(120.0))
 MAX_PICTURES = 30
 MAX_TRIED = 60
 MIN_LINES = 6
-MIN_EVIDENCE = (
-    2.0  # log-likelihood of a picture's best field of view over its median one; below, it tells nothing
-)
+MIN_SCORE = 15.0  # log-likelihood of right angles over stray lines; up to 300 stray ones reach 6
+MIN_EVIDENCE = 2.0  # of a picture's best field of view over its median one; below, it tells nothing
 TOLD_STD_RAD = radians(10.0)
-EDGE_RAD, EDGE_SHARE = (
-    radians(3.0),
-    0.1,
-)  # so much probability so close to the range's ends: outside, or nonsense
+EDGE_RAD, EDGE_SHARE = radians(3.0), 0.1  # so probable so close to the range's ends: outside, or nonsense
 MISLED_SHARE = 0.1  # of pictures whose lines form right angles that are none
 MEDIAN_CHI2 = 0.455  # of one degree of freedom
 
@@ -136,7 +132,7 @@ def field_of_view_of_lines(line_sets: Iterable[LineSet], camera: Camera) -> Fiel
         tried += 1
         if len(lines) >= MIN_LINES:
             clue = _Clue(lines_of(lines, camera, nominal), nominal)
-            if clue.evidence >= MIN_EVIDENCE:
+            if clue.tells:
                 clues.append(clue)
         if len(clues) >= MAX_PICTURES or tried >= MAX_TRIED:
             break
@@ -188,10 +184,12 @@ class _Clue:
             self._sweep(_COARSE_U)
 
     @property
-    def evidence(self) -> float:
-        """How much better the best field of view is than most."""
+    def tells(self) -> bool:
+        """Whether there are right angles in the picture, and not equally at all focal lengths."""
         scores = [self._fits[u].score for u in _COARSE_U if u in self._fits]
-        return max(scores) - float(np.median(scores)) if scores else 0.0
+        if not scores or max(scores) < MIN_SCORE:
+            return False
+        return max(scores) - float(np.median(scores)) >= MIN_EVIDENCE
 
     def look_closer(self, u: float) -> None:
         """Try focal lengths in small steps about one."""

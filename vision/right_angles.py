@@ -25,7 +25,7 @@ N_AXES = 3  # along the corridor, across it, down: columns of a rotation, optica
 N_TURN, N_SLACK = 3, 5
 N_PARAMETERS = N_TURN + N_SLACK
 
-CENTRE_STD_OF_SIDE = 0.01  # of the optical axis from the centre, over the longer side, as calibrations come out
+CENTRE_STD_OF_SIDE = 0.01  # of the optical axis from the centre, over the longer side
 SHARE = np.array([0.30, 0.12, 0.25])  # of the lines, expected along each axis
 STRAY_SHARE = 1.0 - float(SHARE.sum())
 PARALLEL_STD_RAD = np.array(
