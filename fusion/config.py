@@ -49,6 +49,12 @@ class FusionConfig(BaseModel):
         le=30,
         description="How late a sample may arrive, behind the newest, and still count.",
     )
+    fixed_lag_s: float | None = Field(
+        default=None,
+        ge=0.25,
+        le=2,
+        description="How far behind the newest sample a smoothed estimate is given in flight; None: not at all.",
+    )
 
     gyro_noise_density: float | None = Field(
         default=None, gt=0, le=1, description="rad/s/sqrt(Hz); None: as the log declares, else 0.0075."

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from fusion.config import FusionConfig
 from fusion.engine import Engine, FrameResult, Measure
+from fusion.fixed_lag import FixedLag
 from fusion.state import Estimate, Status, describe
 from fusion.tilt import Vector
 from fusion.timeline import Entry, Kind, Timeline
@@ -83,7 +84,14 @@ class CorridorEstimator:
         if camera is not None:
             ahead_m, right_m, _ = camera.p_body_camera_m.tolist()
             self._machine.camera_arm_m = (ahead_m, right_m)
-        self._timeline = Timeline(self._machine, round(self.config.buffer_s * 1e9), on_final)
+        lag_s = self.config.fixed_lag_s
+        self._lag = None if lag_s is None else FixedLag(round(lag_s * 1e9), self.config)
+        self._on_final = on_final
+        self._timeline = Timeline(
+            self._machine,
+            round(self.config.buffer_s * 1e9),
+            on_final if self._lag is None else self._finalise,
+        )
         self._delay_ns = round(self.config.camera_delay_s * 1e9)
         self._late_in_a_row = 0
 
@@ -166,9 +174,32 @@ class CorridorEstimator:
             now_ns = max(now_ns, state.t_ns)
         return describe(state, self.config, now_ns)
 
+    def smoothed(self) -> Estimate:
+        """Estimate of ``config.fixed_lag_s`` ago, with all that has been measured since then.
+
+        It is that of the last sample at or before the newest sample's time less the lag; of the first one while the
+        flight is shorter. Status and ages are those of that time.
+
+        Raises
+        ------
+        InputError
+            Where the configuration asks for no lag.
+        """
+        if self._lag is None:
+            raise InputError(
+                "the estimator keeps no window to smooth", remedy="set fixed_lag_s = 1.0 (0.25 to 2 s)"
+            )
+        return self._lag.smoothed(self._timeline.entries)
+
     def finish(self) -> None:
         """End the flight: hand what is still in the buffer to ``on_final``."""
         self._timeline.finish()
+
+    def _finalise(self, entry: Entry) -> None:
+        if self._lag is not None:
+            self._lag.keep(entry)
+        if self._on_final is not None:
+            self._on_final(entry)
 
     def _camera(self) -> Camera:
         if self.camera is None:
@@ -197,6 +228,8 @@ class CorridorEstimator:
             # Nothing but late samples: it is the clock that was set back.
             self.counters["clock_set_back"] += 1
             self._timeline.restart(t_ns)
+            if self._lag is not None:
+                self._lag.clear()
         self._late_in_a_row = 0
         entry = self._timeline.insert(t_ns, kind, payload)
         self.counters[f"{name}_duplicate" if entry is None else name] += 1

@@ -15,7 +15,7 @@ from fusion.config import FusionConfig
 from fusion.engine import FrameResult
 from fusion.estimator import CorridorEstimator
 from fusion.flight import Flight
-from fusion.retrospect import smoothed_table
+from fusion.retrospect import estimate_row, smoothed_table
 from fusion.smoother import Steps
 from fusion.state import describe
 from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table
@@ -93,7 +93,7 @@ def fuse_flight(
     if not len(flight.frames.t_ns):
         raise InputError("the flight has no camera frames", remedy="check mav0/cam0/data.csv of the log")
     settings = _with_declared_noise(config or FusionConfig(), flight)
-    recorder = _Recorder(settings, _row_kind(flight))
+    recorder = Recorder(settings, _row_kind(flight))
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
     timings = Timings()
     _feed(estimator, flight, progress, timings)
@@ -186,7 +186,7 @@ def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
             yield f"{estimator.counters[name]} {sentence}"
 
 
-class _Recorder:
+class Recorder:
     """Collects, from the entries that leave the buffer, the rows of the tables and the smoother's steps."""
 
     def __init__(self, config: FusionConfig, row_kind: Kind) -> None:
@@ -221,8 +221,7 @@ class _Recorder:
         # A row stands for its instant after all samples of that time, whatever their order of arrival.
         state = None if self._pending is None else self._pending.after
         if self._pending_is_row and state is not None:
-            estimate = describe(state, self.config)
-            self._rows.append(tuple(getattr(estimate, name) for name in ESTIMATE_DTYPE.names or ()))
+            self._rows.append(estimate_row(describe(state, self.config)))
             self._row_steps.append(self.steps.count - 1)
             if len(self._rows) >= BLOCK_ROWS:
                 self._pack()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import nan
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,11 +11,17 @@ import numpy.typing as npt
 from fusion.config import FusionConfig
 from fusion.models import BIAS, OFFSET, PSI, FloatArray, Y, wrap_axis
 from fusion.smoother import Steps, rts
-from fusion.tables import Table
+from fusion.state import Estimate
+from fusion.tables import ESTIMATE_DTYPE, Table
 from vision.measurement import position_from_offset
 
 KNOWN_OFFSET_STD_NORM = 0.5
 KNOWN_IMU_YAW_STD_RAD = 0.5
+
+
+def estimate_row(estimate: Estimate) -> tuple[Any, ...]:
+    """Put an estimate into the order of `fusion.tables.ESTIMATE_DTYPE`."""
+    return tuple(getattr(estimate, name) for name in ESTIMATE_DTYPE.names or ())
 
 
 def smoothed_table(

@@ -46,14 +46,15 @@ class Steps:
         parts = ((n.t_ns, n.F, n.x_prior, n.P_prior, n.x, n.P) for n in self._nodes)
         t, F, x_prior, P_prior, x, P = zip(*parts, strict=True)
         identity = np.eye(N_STATES)
+        vectors, squares = (-1, N_STATES), (-1, N_STATES, N_STATES)
         self._blocks.append(
             (
                 np.array(t, dtype=np.int64),
-                np.stack([identity if f is None else f for f in F]),
-                np.stack(x_prior),
-                np.stack(P_prior),
-                np.stack(x),
-                np.stack(P),
+                np.concatenate([identity if f is None else f for f in F]).reshape(squares),
+                np.concatenate(x_prior).reshape(vectors),
+                np.concatenate(P_prior).reshape(squares),
+                np.concatenate(x).reshape(vectors),
+                np.concatenate(P).reshape(squares),
             )
         )
         self._nodes = []
