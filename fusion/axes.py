@@ -77,11 +77,14 @@ class Axes(Propagation):
         if found is None or found.n_votes < c.start_frames or found.share < AGREEING_SHARE:
             return False
         heading = wrap_axis(s.theta_rad - found.value)
+        before = float(self.ekf.x[PSI])
         if s.ever_acquired:
-            self._widen_heading(wrap_axis(heading - float(self.ekf.x[PSI])))
+            self._widen_heading(wrap_axis(heading - before))
         elif float(self.ekf.P[PSI, PSI]) < UNKNOWN_HEADING_STD_RAD**2:
             self._widen(PSI, UNKNOWN_HEADING_STD_RAD**2)
         self.ekf.update(heading_model(self.ekf.x, heading, found.std**2))
+        if s.ever_acquired:
+            self._note_step(before)
         s.acquired = s.ever_acquired = True
         s.votes = ()
         self._confirm(t_ns)
@@ -160,11 +163,16 @@ class Axes(Propagation):
         self._widen_heading(heading_rad - before)
         expected = heading_model(self.ekf.x, heading_rad, found.std**2)
         self.ekf.update(expected._replace(residual=heading_rad - before))
-        s.reset_count += 1
-        s.reset_heading_rad = float(self.ekf.x[PSI]) - before
+        self._note_step(before)
         s.votes, s.rival = (), None
         s.yaw_watch = s.yaw_watch.interrupted()
         self._confirm(t_ns)
+
+    def _note_step(self, before_rad: float) -> None:
+        """Count a jump of the heading from ``before_rad`` to what it is now."""
+        s = self.state
+        s.reset_count += 1
+        s.reset_heading_rad = float(self.ekf.x[PSI]) - before_rad
 
     def _widen_heading(self, error_rad: float) -> None:
         """Widen along an error of the heading that leaves psi + o, what the IMU's yaw has shown, as it was."""
@@ -184,6 +192,7 @@ class Axes(Propagation):
         """
         s, c = self.state, self.config
         psi, bias, offset, *_ = self.ekf.x.tolist()
+        self._lose_lateral()
         turn = s.corridor_turn_rad + psi - heading_rad
         F, Q = np.zeros((N_STATES, N_STATES)), np.zeros((N_STATES, N_STATES))
         F[BIAS, BIAS] = F[OFFSET, OFFSET] = 1.0
@@ -207,10 +216,9 @@ class Axes(Propagation):
             s.corridor_index = s.n_corridors
         s.n_corridors = max(s.n_corridors, s.corridor_index + 1)
         s.previous_axis, s.corridor_turn_rad = left, turn
-        s.reset_count += 1
-        s.reset_heading_rad = heading_rad - psi
-        s.votes, s.lateral_votes, s.rival = (), (), None
-        s.lateral_acquired, s.t_lateral_ns = False, None
+        self._note_step(psi)
+        s.votes, s.rival = (), None
+        s.t_lateral_ns = None
         s.width_per_height, s.n_width = nan, 0
         s.support_s = 0.0
         s.yaw_watch = s.yaw_watch.interrupted()

@@ -231,7 +231,7 @@ class Engine(Axes):
         s, c = self.state, self.config
         variance = max(std, c.lateral_std_floor_norm) ** 2
         if s.lateral_acquired and float(self.ekf.P[Y, Y]) > LATERAL_LOST_STD**2:
-            s.lateral_acquired, s.lateral_votes = False, ()
+            self._lose_lateral()
         measurement = lateral_model(self.ekf.x, offset_norm, variance)
         if s.lateral_acquired:
             inflation = _inflation(t_ns, s.t_lateral_ns, c.lateral_correlation_s)
@@ -253,7 +253,14 @@ class Engine(Axes):
             return
         self._widen(Y, found.value**2 if s.lateral_acquired else UNKNOWN_LATERAL_STD**2)
         value = offset_norm + side * (found.value - side * measurement.residual)
+        half_m = half_width_m(s, c)
+        before = float(self.ekf.x[Y])
+        before, before_m = (before, before * half_m) if s.lateral_acquired else s.lateral_left
         self.ekf.update(lateral_model(self.ekf.x, value, found.std**2))
+        if isfinite(before):  # known before: a step, not the start
+            after = float(self.ekf.x[Y])
+            s.lateral_reset_count += 1
+            s.lateral_reset = (after - before, after * half_m - before_m)
         s.lateral_acquired, s.lateral_votes = True, ()
         s.t_lateral_ns, s.n_lateral = t_ns, s.n_lateral + 1
 

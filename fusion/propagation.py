@@ -22,6 +22,7 @@ from fusion.models import (
     FloatArray,
     ProcessNoise,
     ScalarMeasurement,
+    Y,
     imu_yaw_model,
     imu_yaw_offset_model,
     level_yaw_rate,
@@ -169,10 +170,19 @@ class Propagation:
         self._transit(self.ekf.x, np.eye(N_STATES), Q)
         s.tilt = s.tilt._replace(t_ns=t_ns, t_attitude_ns=None, t_gyro_ns=None, t_accel_ns=None)
         s.t_gyro_ns = s.t_attitude_ns = s.t_velocity_ns = s.t_frame_ns = s.t_vision_ns = s.t_lateral_ns = None
-        s.votes = s.lateral_votes = ()
-        s.recent, s.previous_axis, s.acquired, s.lateral_acquired = (), None, False, False
+        s.votes = ()
+        s.recent, s.previous_axis, s.acquired = (), None, False
+        self._lose_lateral()
         self._set_mode(Mode.NONE)
         self._end()
+
+    def _lose_lateral(self) -> None:
+        """Let the next lateral offsets start anew; what was known last is kept, to tell the step."""
+        s = self.state
+        if s.lateral_acquired:
+            y = float(self.ekf.x[Y])
+            s.lateral_left = (y, y * half_width_m(s, self.config))
+        s.lateral_acquired, s.lateral_votes = False, ()
 
     def _advance(
         self, t_ns: int, *, end_rate_rad_s: float | None = None, turned_rad: float | None = None

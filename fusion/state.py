@@ -73,8 +73,10 @@ class Estimate:
     lateral_velocity_norm_s
         Sideways velocity that heading and forward speed do not explain, half widths per second.
     reset_count, reset_heading_rad
-        How often the heading jumped to another corridor or after a recovery, and by how much at the last time:
-        a controller that needs continuity adds it up.
+        How often the heading jumped (another corridor, a recovery, found again after loss), and by how much at the
+        last time, new minus old: a controller that needs continuity takes the step off whenever the count goes up.
+    lateral_reset_count, reset_lateral_norm, reset_lateral_m
+        The same for the lateral offset; its step is counted from the last one known to the first one known again.
     roll_rad, pitch_rad
         The tilt in use.
     """
@@ -104,6 +106,9 @@ class Estimate:
     lateral_velocity_norm_s: float = nan
     reset_count: int = 0
     reset_heading_rad: float = 0.0
+    lateral_reset_count: int = 0
+    reset_lateral_norm: float = 0.0
+    reset_lateral_m: float = 0.0
     roll_rad: float = nan
     pitch_rad: float = nan
 
@@ -189,6 +194,9 @@ class State:
     lateral_trust: Trust = field(default_factory=Trust)
     lateral_votes: tuple[Vote, ...] = ()
     lateral_ratio: float = nan
+    lateral_left: tuple[float, float] = (nan, nan)  # last offset known, half widths and metres, while none is
+    lateral_reset_count: int = 0
+    lateral_reset: tuple[float, float] = (0.0, 0.0)  # last step, half widths and metres
     width_per_height: float = nan
     n_width: int = 0
 
@@ -281,6 +289,9 @@ def describe(state: State, config: FusionConfig, t_ns: int | None = None) -> Est
         lateral_velocity_norm_s=v,
         reset_count=state.reset_count,
         reset_heading_rad=state.reset_heading_rad,
+        lateral_reset_count=state.lateral_reset_count,
+        reset_lateral_norm=state.lateral_reset[0],
+        reset_lateral_m=state.lateral_reset[1],
         roll_rad=float(np.arctan2(gy, gz)),
         pitch_rad=float(np.arctan2(-gx, hypot(gy, gz))),
     )
