@@ -17,9 +17,10 @@ from math import exp, hypot, isfinite, log, nan, radians, sqrt
 import numpy as np
 import numpy.typing as npt
 
+from vision.axis_vote import VERTICAL_SINE
 from vision.compiled import compiled
 from vision.lines import LineSet
-from vision.vanishing_point import VERTICAL_SINE, AxisFit, axis_direction
+from vision.vanishing_point import AxisFit, axis_direction
 
 FloatArray = npt.NDArray[np.float64]
 
