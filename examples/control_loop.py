@@ -28,7 +28,7 @@ from simulated_vehicle import Samples, World, junction_config
 
 from fusion import CorridorEstimator, FusionConfig
 from fusion.simulate import SimulationConfig
-from vision import Camera, extract_lines
+from vision import Camera, InputError, extract_lines
 from vision.lines import LineSet
 
 START_NS = 1_000_000_000
@@ -206,14 +206,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--turn", type=float, default=-90.0, help="at the junction, degrees (default: -90, left)"
     )
     parser.add_argument("--seed", type=int, default=3, help="of the corridor and the noise (default: 3)")
-    parser.add_argument("--blackout", type=float, nargs=2, default=(0.0, 0.0), metavar=("FROM", "TO"),
-                        help="seconds between which the camera sees nothing")  # fmt: skip
+    parser.add_argument(
+        "--blackout",
+        type=float,
+        nargs=2,
+        default=(0.0, 0.0),
+        metavar=("FROM", "TO"),
+        help="no sight, seconds",
+    )
     parser.add_argument("--no-flow", action="store_true", help="without optical flow")
     parser.add_argument(
         "--no-wall-clock", action="store_true", help="as fast as it goes, the same every time"
     )
     options = parser.parse_args(arguments)
-    config = junction_config(radians(options.turn), frame_hz=options.frames, seed=options.seed)
+    if not 25 <= options.rate <= 2000 or not options.seconds >= 0.5:
+        parser.error("--rate is 25 to 2000 Hz, --seconds at least 0.5")
+    try:
+        config = junction_config(radians(options.turn), frame_hz=options.frames, seed=options.seed)
+    except InputError as error:
+        parser.error(str(error))
     flight = fly(
         config,
         options.seconds,

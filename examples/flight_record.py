@@ -197,10 +197,8 @@ def table(flight: Flight) -> Iterator[str]:
     )
     yield f"age        {np.median(ages_ms):.1f} ms from exposure to use, at most {ages_ms.max():.1f}"
     slow = sum(ns * flight.rate_hz > 1e9 for ns in flight.watch.cpu_ns[CALLS[-1]])
-    yield (
-        f"control    {len(flight.rows)} periods of {1e3 / flight.rate_hz:g} ms, {flight.missed} missed; "
-        f"{slow} took that long, the rest waited for the processor"
-    )
+    why = f": {slow} by work of their own, the others for want of the processor" if flight.missed else ""
+    yield f"control    {len(flight.rows)} periods of {1e3 / flight.rate_hz:g} ms, {flight.missed} missed{why}"
     yield f"status     {', '.join(f'{name} {100 * share:.0f} %' for name, share in o.shares.items() if share)}"
     yield (
         f"estimate   heading {degrees(o.heading_rms_rad):.2f} degrees RMS off, at most "

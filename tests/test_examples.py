@@ -140,6 +140,19 @@ def test_it_runs_by_the_wall_clock(capsys: pytest.CaptureFixture[str]) -> None:
     assert "control    60 periods of 10 ms" in "\n".join(lines)
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [("--turn", "10", "angle_rad"), ("--rate", "0", "--rate"), ("--seconds", "nan", "--seconds")],
+)
+def test_what_cannot_be_flown_is_refused(
+    option: str, value: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        control_loop.main([option, value])
+    assert end.value.code == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]
+
+
 def test_it_runs_from_anywhere(tmp_path: Path) -> None:
     command = [sys.executable, str(EXAMPLES / "control_loop.py"), "--help"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
