@@ -208,9 +208,10 @@ def table(flight: Flight) -> Iterator[str]:
         f"tracking   {100 * o.offset_rms_m:.1f} cm RMS from the centre line, never nearer to a wall than "
         f"{o.clearance_m:.2f} m"
     )
-    turned = (
-        "no turn" if flight.turned_s is None else f"settled {o.settled_s:.1f} s after the call for the turn"
+    settled = (
+        f"settled {o.settled_s:.1f} s after the call for it" if isfinite(o.settled_s) else "not settled yet"
     )
+    turned = "no turn" if flight.turned_s is None else f"turned, and {settled}"
     yield f"corridors  {' -> '.join(map(str, o.corridors))}; {turned}"
     yield f"flown      {flight.rows[-1].t_s:.1f} s, in {flight.took_s:.0f} s with the rendering"
     yield f"verdict    {'; '.join(o.problems) or 'good'}"
