@@ -45,7 +45,7 @@ from support.cases import (
 )
 from support.perturb import ON_PICTURES
 from support.scenes import SCENES, scene_cases
-from support.scores import GROSS_DEG, heading_score, number, percent, reasons_of, table
+from support.scores import GROSS_DEG, heading_score, number, offset_score, percent, reasons_of, table
 
 from vision.overlay import draw_overlay
 
@@ -190,6 +190,20 @@ def print_table(title: str, names: Sequence[str], results: Sequence[Result]) -> 
     print(f"{title}\n{table(heads, rows, left=(0, len(heads) - 1))}\n")
 
 
+def print_offsets(names: Sequence[str], results: Sequence[Result]) -> None:
+    """Print the lateral offsets of frames whose truth has one."""
+    heads = ("", "frames", "answered", "RMSE", "median", "worst", "wrong corner", "|e|/s p90")
+    rows = []
+    for name in names:
+        mine = [r for r in results if r.perturbation == name and r.offset_norm == r.offset_norm]
+        if mine:
+            s = offset_score(mine)
+            numbers = (number(s.rmse), number(s.median), number(s.worst, 1), percent(s.wrong_corner))
+            rows.append((name, str(s.frames), percent(s.answered), *numbers, number(s.sigma_p90)))
+    if rows:
+        print(f"Lateral offset, % of the width; wrong corner: error above 5 %\n{table(heads, rows)}\n")
+
+
 def write_csv(path: Path, results: Sequence[Result]) -> None:
     """Write a row per frame."""
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -244,6 +258,7 @@ def main(
     )
     print_table("Pictures of flights and of simulated corridors, spoilt", list(ON_PICTURES), results)
     print_table("Simulated corridors, drawn so (the junction with the hallway's turn)", list(SCENES), results)
+    print_offsets(names, results)
     if csv_file is not None:
         write_csv(csv_file, results)
     total = heading_score(results)

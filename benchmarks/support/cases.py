@@ -83,6 +83,7 @@ class Result:
     error_rad: float
     std_rad: float
     second_score: float
+    elevation_rad: float
     offset_norm: float
     offset_error_norm: float
     offset_std_norm: float
@@ -121,6 +122,7 @@ def score(case: Case, found: FrameMeasurement) -> Result:
         error_rad=error,
         std_rad=found.heading_std_rad,
         second_score=found.second_score,
+        elevation_rad=found.elevation_rad,
         offset_norm=case.offset_norm,
         offset_error_norm=found.lateral_offset_norm - case.offset_norm,
         offset_std_norm=found.lateral_offset_norm_std,
@@ -223,9 +225,15 @@ def nearest_axes(headings_rad: Sequence[float], tie_rad: float = radians(15.0)) 
 
 
 def constant_rad(results: Sequence[Result]) -> float:
-    """Median of measured minus known heading over accepted frames: what a yaw's zero is off the axis."""
-    differences = [r.error_rad for r in results if r.accepted]
-    return float(np.median(differences)) if differences else nan
+    """Median of measured minus known heading over accepted frames: what a yaw's zero is off the axis.
+
+    Headings of a corridor repeat after half a turn, so the median is taken about the circular mean.
+    """
+    differences = np.array([r.error_rad for r in results if r.accepted])
+    if not len(differences):
+        return nan
+    middle = 0.5 * float(np.angle(np.exp(2j * differences).mean()))
+    return middle + float(np.median([half_turn(d - middle) for d in differences]))
 
 
 def less_constant(cases: Sequence[Case], offset_rad: float) -> list[Case]:
