@@ -5,10 +5,11 @@ the repository, ``mononav_hallway``, at 640x480 and 320x240) and of simulated co
 simulated corridors. Each frame is measured by itself, with roll and pitch as a log has them and no prior. The table
 counts the accepted errors, above all those beyond 3 degrees, and the frames rejected although they were right.
 
-What is right: the heading relative to the corridor. Where two corridors meet, relative to the one nearest the view,
-or to another one whose axis is within 15 degrees as near; no answer is as good, every other answer is an error. The
-hallway is judged by the vehicle's own yaw less one constant for each of its two corridors, taken from the frames as
-they are; as that yaw is not exact, its frames do not count for |error|/sigma.
+What is right: the heading relative to the corridor being flown. Where another one meets it, relative to that one is
+as good if the camera looks along it more, or at most 15 degrees less, than along the first; while the hallway's
+vehicle turns from one corridor into the other, either will do. No answer is as good, every other answer is an error.
+The hallway is judged by the vehicle's own yaw less one constant for each of its two corridors, taken from the frames
+as they are; as that yaw is not exact, its frames do not count for |error|/sigma.
 """
 
 from __future__ import annotations
@@ -187,7 +188,8 @@ def print_table(title: str, names: Sequence[str], results: Sequence[Result]) -> 
                     reasons_of(mine),
                 )
             )
-    print(f"{title}\n{table(heads, rows, left=(0, len(heads) - 1))}\n")
+    if rows:
+        print(f"{title}\n{table(heads, rows, left=(0, len(heads) - 1))}\n")
 
 
 def print_offsets(names: Sequence[str], results: Sequence[Result]) -> None:

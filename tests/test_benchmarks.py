@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vision import Attitude, Camera
+from vision import Attitude, Camera, FrameMeasurement, Reason
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "benchmarks"))
@@ -205,14 +205,26 @@ def test_error_is_to_the_nearest_right_answer_from_either_end() -> None:
     assert math.isnan(case.error_rad(math.nan))
 
 
-def test_only_the_corridor_nearest_the_view_is_right() -> None:
-    def nearest(*degrees: float) -> list[float]:
-        return [round(math.degrees(h), 6) for h in cases.nearest_axes([math.radians(d) for d in degrees])]
+def test_the_corridor_flown_is_right_and_another_only_where_the_camera_looks_along_it() -> None:
+    def right(flown: float, other: float) -> list[float]:
+        answers = cases.right_answers(math.radians(flown), [math.radians(other)])
+        return [round(math.degrees(h), 6) for h in answers]
 
-    assert nearest(20.0, -70.0) == [20.0]
-    assert nearest(-70.0, 20.0) == [20.0]
-    assert nearest(40.0, -50.0) == [40.0, -50.0]  # about as near: either will do
-    assert nearest(175.0, 85.0) == [-5.0]  # seen backwards a corridor is still one
+    assert right(20.0, -70.0) == [20.0]
+    assert right(-70.0, 20.0) == [-70.0, 20.0]
+    assert right(40.0, -50.0) == [40.0, -50.0]  # about as near: either will do
+    assert right(175.0, 85.0) == [-5.0]  # seen backwards a corridor is still one
+
+
+def test_offsets_count_in_the_corridor_flown_only() -> None:
+    case = case_of(grey(), headings_rad=(0.2, -1.0), offset_norm=0.3)
+
+    def offset_error(heading_rad: float) -> float:
+        found = FrameMeasurement(True, Reason.OK, heading_rad=heading_rad, lateral_offset_norm=0.35)
+        return cases.score(case, found).offset_error_norm
+
+    assert offset_error(0.21) == pytest.approx(0.05)
+    assert math.isnan(offset_error(-1.02))
 
 
 def test_a_camera_mounted_askew_is_a_turned_vehicle() -> None:
@@ -231,7 +243,7 @@ def test_junction_views_know_both_corridors() -> None:
     assert math.radians(45) <= abs(angle) <= math.radians(135)
     truths = scenes.SCENES["across a junction"].truths
     assert truths(scene, 0.0) == (0.0,)
-    assert truths(scene, cases.half_turn(angle)) == pytest.approx((0.0,), abs=1e-12)
+    assert truths(scene, cases.half_turn(angle)) == pytest.approx((cases.half_turn(angle), 0.0), abs=1e-12)
 
 
 def test_turned_right_along_ransac_too() -> None:

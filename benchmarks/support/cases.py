@@ -110,6 +110,9 @@ def measure(case: Case, method: Method = "geometric") -> tuple[Result, FrameMeas
 def score(case: Case, found: FrameMeasurement) -> Result:
     """Compare a measurement with the truth."""
     error = case.error_rad(found.heading_rad)
+    # Across another corridor the offset is not known.
+    is_first = half_turn(found.heading_rad - case.headings_rad[0]) == error
+    offset = case.offset_norm if is_first or error != error else nan
     return Result(
         source=case.source,
         index=case.index,
@@ -123,8 +126,8 @@ def score(case: Case, found: FrameMeasurement) -> Result:
         std_rad=found.heading_std_rad,
         second_score=found.second_score,
         elevation_rad=found.elevation_rad,
-        offset_norm=case.offset_norm,
-        offset_error_norm=found.lateral_offset_norm - case.offset_norm,
+        offset_norm=offset,
+        offset_error_norm=found.lateral_offset_norm - offset,
         offset_std_norm=found.lateral_offset_norm_std,
         vision_ms=found.vision_ms,
         exact=case.exact,
@@ -186,7 +189,7 @@ def flight_cases(folder: Path, size: Size, *, every: int = 1) -> list[list[Case]
 
 
 def turn_cases(folder: Path, size: Size, constants_rad: Sequence[float], *, every: int = 1) -> list[Case]:
-    """Load the frames between two stretches, where either corridor is a right answer.
+    """Load the frames between two stretches, in which the vehicle turns: relative to either corridor is right.
 
     Parameters
     ----------
@@ -207,21 +210,25 @@ def turn_cases(folder: Path, size: Size, constants_rad: Sequence[float], *, ever
             image=scaled(read_image(flight.frames.paths[i]), size),
             camera=flight.camera.resized(*size),
             attitude=attitudes[i],
-            headings_rad=nearest_axes(tuple(float(yaw[i]) + c for c in constants_rad)),
+            headings_rad=tuple(half_turn(float(yaw[i]) + c) for c in constants_rad),
             exact=False,
         )
         for i in range(first, last, every)
     ]
 
 
-def nearest_axes(headings_rad: Sequence[float], tie_rad: float = radians(15.0)) -> tuple[float, ...]:
-    """Pick the corridors that an answer may refer to where a picture shows several.
+def right_answers(
+    flown_rad: float, others_rad: Sequence[float], tie_rad: float = radians(15.0)
+) -> tuple[float, ...]:
+    """List the headings that are right where several corridors meet.
 
-    The one nearest the view is meant; another one about as near (within ``tie_rad``) is as good, since one picture
-    cannot tell which of them is flown. Any other direction, also that of a corridor far aside, is wrong.
+    Relative to the corridor being flown is always right, for its walls are all that some views hold. Relative to
+    another one is right where the camera looks rather along that one, or about as much (within ``tie_rad``): one
+    picture cannot tell which of them is flown. Any other direction, also that of a corridor far aside, is wrong.
     """
-    turned = sorted((half_turn(h) for h in headings_rad), key=abs)
-    return tuple(h for h in turned if abs(h) - abs(turned[0]) <= tie_rad)
+    flown = half_turn(flown_rad)
+    others = [half_turn(h) for h in others_rad]
+    return (flown, *(h for h in others if abs(h) <= abs(flown) + tie_rad))
 
 
 def constant_rad(results: Sequence[Result]) -> float:

@@ -17,7 +17,7 @@ from fusion.simulate import JunctionConfig, RandomView, SceneConfig, random_view
 from fusion.simulate.config import rotation
 from vision import Camera
 
-from .cases import SIMULATED_FOV_RAD, Case, Size, case_of_view, half_turn, nearest_axes, size_name
+from .cases import SIMULATED_FOV_RAD, Case, Size, case_of_view, right_answers, size_name
 from .perturb import READOUT_S, TURN_RATE_RAD_S
 
 EXPOSURE_S = 0.008
@@ -102,7 +102,7 @@ def _with_junction(seed: int) -> SceneConfig:
 
 
 def _axes_of_junction(scene: SceneConfig, heading_rad: float) -> tuple[float, ...]:
-    return nearest_axes((heading_rad, half_turn(heading_rad - scene.junctions[0].angle_rad)))
+    return right_answers(heading_rad, (heading_rad - scene.junctions[0].angle_rad,))
 
 
 def _fills_the_view(view: RandomView) -> bool:
