@@ -1,24 +1,29 @@
 """The filter's arithmetic: filterpy's extended Kalman filter, with what is wrong or slow in it replaced.
 
-Taken from filterpy 2.0: the attributes and their meaning, `predict`. Replaced, because in filterpy
+Taken from filterpy 2.0: the attributes and their meaning, and what follows from them (likelihood, Mahalanobis
+distance). Replaced is the arithmetic of ``predict`` and ``update`` (the same to rounding, see the tests), because in
+filterpy
 
 - ``update`` with None keeps the innovation of the measurement before, so a gate that reads it judges the wrong one;
 - a NaN measurement turns state and covariance into NaN for good;
-- each update makes a deep copy of the measurement and calls a general matrix inverse, for a scalar;
+- each update makes a deep copy of the measurement and calls a general matrix inverse, for a scalar; each
+  prediction copies what nobody writes into;
 - rounding lets the covariance lose its symmetry over millions of steps.
 
-Arrays are replaced, never written into, so that a snapshot of the filter is two references.
+State and covariance are replaced, never written into, so that a snapshot of the filter is two references.
 """
 
 from __future__ import annotations
 
+from functools import cache
 from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from fusion.models import N_STATES, FloatArray, ScalarMeasurement
+from fusion.kernels import N_STATES, FloatArray, predicted, spread, updated
+from fusion.models import ProcessNoise, ScalarMeasurement, step
 
 
 class Gate(NamedTuple):
@@ -45,19 +50,22 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         super().__init__(dim_x=N_STATES, dim_z=1)
         self.x = np.array(x, dtype=float)
         self.P = np.array(P, dtype=float)
-        self._x_next = self.x
-
-    def predict_x(self, u: float = 0.0) -> None:
-        """Filterpy's hook for nonlinear models: the state was computed by `fusion.models.propagate`."""
-        self.x = self._x_next
+        self.y, self.S, self.SI = np.zeros(1), np.eye(1), np.eye(1)
+        _compile()
 
     def predict(self, x_next: FloatArray, F: FloatArray, Q: FloatArray) -> None:
-        """Move to ``x_next`` (5,), with ``F`` its derivative and ``Q`` the noise gained; filterpy does the rest."""
-        self._x_next, self.F, self.Q = x_next, F, Q
-        super().predict()
-        P = self.P + self.P.T
-        P *= 0.5
-        self.P = P
+        """Move to ``x_next`` (5,), with ``F`` its derivative and ``Q`` the noise gained."""
+        self.F, self.Q = F, Q
+        self.x = self.x_prior = x_next
+        self.P = self.P_prior = predicted(self.P, F, Q)
+
+    def advance(
+        self, dt_s: float, turned_rad: float, noise: ProcessNoise, u: float, w: float, heading_variance: float
+    ) -> None:
+        """Move by the process model: see `fusion.models.step`."""
+        x, self.F, P = step(self.x, self.P, dt_s, turned_rad, noise, u, w, heading_variance)
+        self.x = self.x_prior = x
+        self.P = self.P_prior = P
 
     def update(
         self, measurement: ScalarMeasurement | None, gate_sigma: float = float("inf"), R: float | None = None
@@ -80,20 +88,28 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
             innovation, x and P are untouched.
         """
         if measurement is None or not isfinite(measurement.residual) or not measurement.R > 0.0:
-            self.y = np.array([np.nan])
+            self.y[0] = np.nan
             return Gate(False, float("nan"), float("nan"))
         residual, H, gate_variance = measurement
-        PH = self.P @ H
-        predicted = float(H @ PH)
-        ratio = residual * residual / (gate_sigma * gate_sigma * (predicted + gate_variance))
+        expected = spread(self.P, H)
+        ratio = residual * residual / (gate_sigma * gate_sigma * (expected + gate_variance))
         variance = gate_variance if R is None else R
-        S = predicted + variance
-        self.y, self.S, self.SI = np.array([residual]), np.array([[S]]), np.array([[1.0 / S]])
+        S = expected + variance
+        self.y[0], self.S[0, 0], self.SI[0, 0] = residual, S, 1.0 / S
         self._log_likelihood = self._likelihood = self._mahalanobis = None
         if ratio > 1.0:
             return Gate(False, residual, ratio)
-        K = PH / S
-        A = self._I - np.multiply.outer(K, H)
-        P = A @ self.P @ A.T + variance * np.multiply.outer(K, K)  # Joseph's form: positive whatever K
-        self.x, self.P, self.K = self.x + K * residual, 0.5 * (P + P.T), K
+        self.x, self.P, self.K = updated(self.x, self.P, H, residual, variance)
         return Gate(True, residual, ratio)
+
+
+@cache
+def _compile() -> None:
+    """Compile, or load what was compiled, when a filter is made: not at its first sample, in flight."""
+    x, P = np.zeros(N_STATES), np.eye(N_STATES)
+    constant = x.copy()
+    constant.setflags(write=False)  # to the compiler another type
+    for H in (x, constant):
+        spread(P, H)
+        updated(x, predicted(P, P, P), H, 0.0, 1.0)
+    step(x, P, 1.0, 0.0, ProcessNoise(1.0, 1.0, 1.0, 1.0, 1.0))

@@ -14,6 +14,7 @@ from fusion import tilt as tilts
 from fusion.axes import AGREEING_SHARE, CONTESTED_SHARE, VOTE_AGE_S, Axes
 from fusion.consensus import Vote, add_vote, agreement
 from fusion.ekf import Gate
+from fusion.kernels import spread
 from fusion.models import PSI, ScalarMeasurement, Y, heading_model, lateral_model, wrap_axis
 from fusion.state import (
     UNKNOWN_LATERAL_STD,
@@ -26,7 +27,8 @@ from fusion.trust import Trust, genuine, learn, weakened
 from fusion.yaw_watch import watch
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 
-Measure = Callable[[Attitude | None, Prior], FrameMeasurement]
+Measure = Callable[[Attitude | None, Prior], FrameMeasurement] | FrameMeasurement
+"""What turns attitude and prediction into a frame's measurement; or the measurement itself, made elsewhere."""
 
 GROSS_HEADING_DENSITY = 1 / pi  # a gross heading may be any
 GROSS_LATERAL_DENSITY = 0.5  # anywhere between the walls
@@ -123,6 +125,8 @@ class Engine(Axes):
         turned away from the axis, the prediction must not choose at all: walls and fittings at a junction run along
         the old corridor too, and would hide the new one; there the best direction counts, if only as a vote.
         """
+        if isinstance(measure, FrameMeasurement):
+            return measure
         prior = self.prior()
         expected = measure(attitude, prior)
         if not self.state.acquired:
@@ -187,7 +191,7 @@ class Engine(Axes):
         The gate judges it by its own variance; the update takes the larger one that, as if independent, stands for
         the correlation, and weakens it by the odds that it is genuine.
         """
-        predicted = float(m.H @ self.ekf.P @ m.H)
+        predicted = spread(self.ekf.P, m.H)
         stated, believed = m.R, m.R * trust.inflation
         probability = genuine(m.residual, predicted + believed, trust.gross_share, gross_density)
         variance = weakened(believed * inflation, predicted, probability)

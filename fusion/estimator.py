@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from vision.lines import LineSet
 
 CLOCK_RESET_SAMPLES = 50
+_NAMES = tuple(kind.name.lower() for kind in Kind)
 
 __all__ = ["CorridorEstimator", "Estimate", "FrameResult", "Status"]
 
@@ -158,7 +159,7 @@ class CorridorEstimator:
 
     def add_measurement(self, t_ns: int, measurement: FrameMeasurement) -> FrameResult:
         """Add a frame that was measured elsewhere."""
-        return self._add_frame(t_ns, lambda attitude, prior: measurement)
+        return self._add_frame(t_ns, measurement)
 
     def add_unreadable_frame(self, t_ns: int) -> FrameResult:
         """Add a frame of which there is no picture, so that it is counted and its age is known."""
@@ -219,7 +220,7 @@ class CorridorEstimator:
 
     def _add(self, t_ns: int, kind: Kind, payload: Any) -> Entry | None:
         t_ns = int(t_ns)
-        name = kind.name.lower()
+        name = _NAMES[kind]
         if self._timeline.is_late(t_ns):
             self.counters[f"{name}_late"] += 1
             self._late_in_a_row += 1

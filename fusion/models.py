@@ -19,17 +19,19 @@ Process, with level yaw rate omega, forward and sideways speed u, w (half widths
 
 from __future__ import annotations
 
-from functools import lru_cache
-from math import cos, exp, expm1, pi, sin
+from math import cos, pi
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-
-PSI, BIAS, OFFSET, Y, V = range(5)
-N_STATES = 5
+from fusion.kernels import BIAS as BIAS
+from fusion.kernels import N_STATES as N_STATES
+from fusion.kernels import OFFSET as OFFSET
+from fusion.kernels import PSI as PSI
+from fusion.kernels import FloatArray as FloatArray
+from fusion.kernels import V as V
+from fusion.kernels import Y as Y
+from fusion.kernels import discretised, propagated, stepped
 
 
 class ProcessNoise(NamedTuple):
@@ -110,38 +112,7 @@ def transition(
     F, Q
         (5, 5) each; ``F`` is the derivative of `propagate`.
     """
-    c, dt = y_per_psi, dt_s
-    n2, b2, o2 = noise.heading**2, noise.bias**2, noise.offset**2
-    phi, y_per_v = _decay(dt, noise.v_time_s)
-    F = np.eye(N_STATES)
-    F[PSI, BIAS] = -dt
-    F[Y, PSI] = c * dt
-    F[Y, BIAS] = -c * dt * dt / 2
-    F[Y, V] = y_per_v
-    F[V, V] = phi
-    Q = np.zeros((N_STATES, N_STATES))
-    Q[PSI, PSI] = n2 * dt + b2 * dt**3 / 3 + heading_variance
-    Q[BIAS, BIAS] = b2 * dt
-    Q[OFFSET, OFFSET] = o2 * dt
-    Q[PSI, BIAS] = Q[BIAS, PSI] = -b2 * dt * dt / 2
-    Q[Y, PSI] = c * (n2 * dt**2 / 2 + b2 * dt**4 / 8)
-    Q[Y, BIAS] = -c * b2 * dt**3 / 6
-    Q[PSI, Y], Q[BIAS, Y] = Q[Y, PSI], Q[Y, BIAS]
-    q_yy, q_yv, q_vv = _wander(dt / noise.v_time_s, noise.v_std, noise.v_time_s)
-    Q[Y, Y] = q_yy + c * c * (n2 * dt**3 / 3 + b2 * dt**5 / 20)
-    Q[Y, V] = Q[V, Y] = q_yv
-    Q[V, V] = q_vv
-    return F, Q
-
-
-def _wander(x: float, v_std: float, time_s: float) -> tuple[float, float, float]:
-    """Covariance of (y, v) gained by a Gauss-Markov velocity over ``x`` correlation times."""
-    fall = -expm1(-x)
-    if x < 0.05:  # the closed form cancels to third order
-        yy = x**3 * (2 / 3 - x / 2 + 7 * x * x / 30 - x**3 / 12 + 31 * x**4 / 1260)
-    else:
-        yy = 2 * x - 2 * fall - fall * fall
-    return (v_std * time_s) ** 2 * yy, v_std**2 * time_s * fall * fall, -(v_std**2) * expm1(-2 * x)
+    return discretised(dt_s, *noise, y_per_psi, heading_variance)
 
 
 def propagate(
@@ -156,18 +127,27 @@ def propagate(
 
     ``forward`` and ``sideways`` are velocities in half widths per second; the heading half-way is used for y.
     """
-    keep, y_per_v = _decay(dt_s, noise.v_time_s)
-    psi, bias, offset, y, v = x.tolist()
-    change = turned_rad - bias * dt_s
-    middle = psi + 0.5 * change
-    y += (forward * sin(middle) + sideways * cos(middle)) * dt_s + y_per_v * v
-    return np.array([psi + change, bias, offset, y, keep * v])
+    return propagated(x, dt_s, turned_rad, noise.v_time_s, forward, sideways)
 
 
-@lru_cache(maxsize=256)
-def _decay(dt_s: float, time_s: float) -> tuple[float, float]:
-    """Return what is left of a Gauss-Markov velocity after a step, and what it adds to the position."""
-    return exp(-dt_s / time_s), -time_s * expm1(-dt_s / time_s)
+def step(
+    x: FloatArray,
+    P: FloatArray,
+    dt_s: float,
+    turned_rad: float,
+    noise: ProcessNoise,
+    forward: float = 0.0,
+    sideways: float = 0.0,
+    heading_variance: float = 0.0,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Carry state and covariance on: `propagate`, `transition` and F P F' + Q in one call.
+
+    Returns
+    -------
+    x, F, P
+        (5,), (5, 5) and (5, 5).
+    """
+    return stepped(x, P, dt_s, turned_rad, *noise, forward, sideways, heading_variance)
 
 
 _H_HEADING = np.array([1.0, 0.0, 0.0, 0.0, 0.0])

@@ -7,7 +7,7 @@ increments of the attitude stream; with neither, a constant rate (then the state
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, cos, isfinite, sin
+from math import atan2, isfinite
 
 import numpy as np
 
@@ -26,8 +26,6 @@ from fusion.models import (
     imu_yaw_model,
     imu_yaw_offset_model,
     level_yaw_rate,
-    propagate,
-    transition,
     wrap,
 )
 from fusion.state import UNKNOWN_HEADING_STD_RAD, UNKNOWN_OFFSET_STD_RAD, Mode, State, half_width_m
@@ -69,7 +67,6 @@ class Propagation:
         self.nodes: list[Node] = []
         self._noise_cache: dict[tuple[Mode, bool, float], ProcessNoise] = {}
         self._grace_ns = round(config.gyro_gap_s * 1e9)
-        self._transition_cache: dict[tuple[ProcessNoise, int], tuple[FloatArray, FloatArray]] = {}
 
     # Every event runs between these two, which move x and P between the snapshot and filterpy's object.
     def _begin(self, t_ns: int) -> None:
@@ -94,10 +91,13 @@ class Propagation:
 
     def _transit(self, x_next: FloatArray, F: FloatArray, Q: FloatArray) -> None:
         """Apply a transition and note it for the smoother."""
-        ekf = self.ekf
         self._close_node(self.state.x, self.state.P)
-        ekf.predict(x_next, F, Q)
-        self.nodes.append(Node(self._now_ns, F, ekf.x, ekf.P, ekf.x, ekf.P))
+        self.ekf.predict(x_next, F, Q)
+        self._open_node()
+
+    def _open_node(self) -> None:
+        ekf = self.ekf
+        self.nodes.append(Node(self._now_ns, ekf.F, ekf.x, ekf.P, ekf.x, ekf.P))
 
     _now_ns = 0
 
@@ -208,24 +208,16 @@ class Propagation:
             turned_rad = s.rate_rad_s * dt_s
             if s.mode is Mode.GYRO:
                 variance = self._silence_variance(start_ns, t_ns)
-        x = self.ekf.x
-        bias_turn = float(x[BIAS]) * dt_s
+        bias_turn = float(self.ekf.x[BIAS]) * dt_s
         moving = s.t_velocity_ns is not None and (t_ns - s.t_velocity_ns) * 1e-9 <= VELOCITY_AGE_S
         noise = self._noise(s.mode, moving)
+        u = w = 0.0
         if moving:
             half = self._half_width()
             u, w = s.forward_m_s / half, s.sideways_m_s / half
-            middle = float(x[PSI]) + 0.5 * (turned_rad - bias_turn)
-            F, Q = transition(dt_s, noise, u * cos(middle) - w * sin(middle), variance)
-            x_next = propagate(x, dt_s, turned_rad, noise, u, w)
-        else:
-            F, Q = (
-                self._transition(noise, t_ns - start_ns)
-                if variance == 0.0
-                else transition(dt_s, noise, 0.0, variance)
-            )
-            x_next = propagate(x, dt_s, turned_rad, noise)
-        self._transit(x_next, F, Q)
+        self._close_node(s.x, s.P)
+        self.ekf.advance(dt_s, turned_rad, noise, u, w, variance)
+        self._open_node()
         s.theta_rad += turned_rad - bias_turn
         s.yaw_done_rad += turned_rad - (bias_turn if s.mode is not Mode.ATTITUDE else 0.0)
         s.gyro_done_rad += turned_rad
@@ -375,16 +367,6 @@ class Propagation:
         if mode is Mode.ATTITUDE:
             return ProcessNoise(walk, c.bias_walk, walk, *lateral)
         return ProcessNoise(1e-4, c.yaw_acceleration_density, walk, *lateral)
-
-    def _transition(self, noise: ProcessNoise, dt_ns: int) -> tuple[FloatArray, FloatArray]:
-        key = (noise, dt_ns)
-        found = self._transition_cache.get(key)
-        if found is None:
-            found = transition(dt_ns * 1e-9, noise)
-            if len(self._transition_cache) >= _CACHE_SIZE:
-                self._transition_cache.clear()
-            self._transition_cache[key] = found
-        return found
 
 
 __all__ = ["UNKNOWN_OFFSET_STD_RAD", "Node", "Propagation", "Quaternion"]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.ekf import CorridorEKF
@@ -18,6 +18,7 @@ def random_filter(seed: int) -> tuple[CorridorEKF, np.random.Generator]:
     return CorridorEKF(rng.normal(size=5), A @ A.T + 0.1 * np.eye(5)), rng
 
 
+@settings(deadline=None)  # the first filter may have to compile
 @given(st.integers(0, 10_000))
 def test_update_equals_filterpys(seed: int) -> None:
     ekf, rng = random_filter(seed)
@@ -34,14 +35,25 @@ def test_update_equals_filterpys(seed: int) -> None:
     assert ekf.log_likelihood == pytest.approx(theirs.log_likelihood)
 
 
-def test_predict_is_filterpys() -> None:
+def test_predict_equals_filterpys() -> None:
+    ekf, rng = random_filter(1)
+    F, Q = rng.normal(size=(5, 5)), np.diag(rng.uniform(0.1, 1, 5))
+    theirs = ExtendedKalmanFilter(5, 1)
+    theirs.x, theirs.P, theirs.F, theirs.Q = ekf.x.copy(), ekf.P.copy(), F, Q
+    theirs.predict()
+    ekf.predict(F @ ekf.x, F, Q)
+    for name in ("x", "P", "x_prior", "P_prior"):
+        np.testing.assert_allclose(getattr(ekf, name), getattr(theirs, name), rtol=1e-12, atol=1e-12)
+
+
+def test_advance_is_a_prediction_by_the_process_model() -> None:
     ekf, _ = random_filter(1)
-    P, x = ekf.P.copy(), ekf.x.copy()
-    F, Q = transition(0.01, NOISE)
-    x_next = propagate(x, 0.01, 0.02, NOISE)
-    ekf.predict(x_next, F, Q)
-    np.testing.assert_array_equal(ekf.x, x_next)
-    np.testing.assert_allclose(ekf.P, F @ P @ F.T + Q, atol=1e-12)
+    twin = CorridorEKF(ekf.x, ekf.P)
+    F, Q = transition(0.01, NOISE, 1.3 * np.cos(ekf.x[0] + 0.5 * (0.02 - 0.01 * ekf.x[1])), 0.1)
+    twin.predict(propagate(ekf.x, 0.01, 0.02, NOISE, 1.3), F, Q)
+    ekf.advance(0.01, 0.02, NOISE, 1.3, 0.0, 0.1)
+    np.testing.assert_allclose(ekf.x, twin.x, rtol=1e-14)
+    np.testing.assert_allclose(ekf.P, twin.P, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -85,6 +97,7 @@ def test_larger_variance_for_the_update_only() -> None:
     assert ekf.P[0, 0] == pytest.approx(0.75)
 
 
+@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 1000))
 def test_covariance_stays_symmetric_and_positive(seed: int) -> None:
     ekf, rng = random_filter(seed)

@@ -4,7 +4,7 @@ from math import cos, pi, sin
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
@@ -18,6 +18,7 @@ from fusion.models import (
     lateral_model,
     level_yaw_rate,
     propagate,
+    step,
     transition,
     wrap,
     wrap_axis,
@@ -25,6 +26,7 @@ from fusion.models import (
 
 NOISE = ProcessNoise(heading=0.0075, bias=3e-4, offset=0.009, v_std=0.4, v_time_s=0.8)
 angles = st.floats(-50.0, 50.0)
+compiling = settings(deadline=None)  # the first call may have to compile
 states = st.tuples(angles, st.floats(-0.5, 0.5), angles, st.floats(-2, 2), st.floats(-2, 2)).map(np.array)
 steps = st.floats(1e-4, 2.0)
 
@@ -33,6 +35,7 @@ def finite_difference(function, x: np.ndarray, h: float = 1e-5) -> np.ndarray:
     return np.stack([(function(x + h * e) - function(x - h * e)) / (2 * h) for e in np.eye(len(x))], axis=-1)
 
 
+@compiling
 @given(states, steps, st.floats(-1, 1), st.floats(-3, 3), st.floats(-1, 1))
 def test_transition_is_the_derivative_of_the_propagation(
     x: np.ndarray, dt: float, turned: float, forward: float, sideways: float
@@ -43,6 +46,7 @@ def test_transition_is_the_derivative_of_the_propagation(
     np.testing.assert_allclose(F, numeric, atol=1e-6)
 
 
+@compiling
 @given(st.floats(1e-3, 2.0), st.floats(-3, 3))
 def test_noise_is_that_of_the_continuous_model(dt: float, c: float) -> None:
     """Van Loan's integral of the continuous model, in a form that shares nothing with the closed one."""
@@ -55,6 +59,23 @@ def test_noise_is_that_of_the_continuous_model(dt: float, c: float) -> None:
     np.testing.assert_allclose(Q, big[5:, 5:].T @ big[:5, 5:], atol=1e-10)
 
 
+@compiling
+@given(states, steps, st.floats(-1, 1), st.floats(-3, 3), st.floats(-1, 1), st.floats(0, 0.1))
+def test_one_call_is_the_three(
+    x: np.ndarray, dt: float, turned: float, forward: float, sideways: float, gap: float
+) -> None:
+    A = np.random.default_rng(1).normal(size=(5, 5))
+    P = A @ A.T
+    x_next, F, P_next = step(x, P, dt, turned, NOISE, forward, sideways, gap)
+    middle = x[PSI] + 0.5 * (turned - x[1] * dt)
+    expected_F, Q = transition(dt, NOISE, forward * cos(middle) - sideways * sin(middle), gap)
+    np.testing.assert_array_equal(x_next, propagate(x, dt, turned, NOISE, forward, sideways))
+    np.testing.assert_allclose(F, expected_F, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(P_next, expected_F @ P @ expected_F.T + Q, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(P_next, P_next.T)
+
+
+@compiling
 @given(st.floats(1e-4, 0.5), st.floats(1e-4, 0.5), st.floats(-3, 3))
 def test_two_steps_are_one(a: float, b: float, c: float) -> None:
     Fa, Qa = transition(a, NOISE, c)
