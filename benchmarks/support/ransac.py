@@ -24,6 +24,8 @@ UPRIGHT_SINE = 0.10
 MAX_ELEVATION_RAD, MAX_HEADING_RAD = radians(6.0), radians(60.0)
 MIN_LENGTH_OF_DIAGONAL = 0.03
 MIN_INLIERS = 4
+REFINEMENTS = 5
+RUNAWAY_RAD = radians(3.0)
 
 
 @lru_cache(maxsize=1)
@@ -55,14 +57,19 @@ def heading_by_ransac(image: GreyImage, camera: Camera, attitude: Attitude, seed
     if not len(axes):
         return nan
     support = (np.abs(axes @ normal.T) < INLIER_RAD) @ length
-    axis = axes[int(np.argmax(support))]
-    for _ in range(5):
-        inlier = np.abs(normal @ axis) < INLIER_RAD
+    return heading_of(_refined(axes[int(np.argmax(support))], normal, length))
+
+
+def _refined(axis: FloatArray, normal: FloatArray, length: FloatArray) -> FloatArray:
+    """Fit the axis (3,) to its inliers by least squares, unless the fit runs away from it."""
+    best = axis
+    for _ in range(REFINEMENTS):
+        inlier = np.abs(normal @ best) < INLIER_RAD
         if inlier.sum() < MIN_INLIERS:
-            return nan
+            break
         weighted = normal[inlier] * length[inlier, None]
-        axis = np.linalg.eigh(weighted.T @ weighted)[1][:, 0]
-    return heading_of(axis)
+        best = np.linalg.eigh(weighted.T @ weighted)[1][:, 0]
+    return best if abs(best @ axis) > np.cos(RUNAWAY_RAD) else axis
 
 
 def heading_of(axis: FloatArray) -> float:
