@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import cos, exp, hypot, isfinite, nan, pi, radians, sin, sqrt
+from math import cos, hypot, isfinite, nan, pi, radians, sin, sqrt
 
 from fusion import tilt as tilts
 from fusion.axes import AGREEING_SHARE, CONTESTED_SHARE, VOTE_AGE_S, Axes
@@ -23,7 +23,7 @@ from fusion.state import (
     half_width_m,
     seconds_since,
 )
-from fusion.trust import Trust, genuine, learn, weakened
+from fusion.trust import Trust, as_if_independent, correlation, genuine, learn, weakened
 from fusion.yaw_watch import watch
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 
@@ -167,10 +167,10 @@ class Engine(Axes):
             if started:
                 self._learn(t_ns, m, attitude)
             return FrameResult(stamp_ns, m, True, Reason.OK)
-        inflation = _inflation(t_ns, s.t_vision_ns, c.heading_correlation_s)
+        rho = correlation(t_ns, s.t_vision_ns, c.heading_correlation_s)
         measurement = heading_model(self.ekf.x, m.heading_rad, variance)
         gate, s.heading_trust = self._take(
-            measurement, c.heading_gate_sigma, inflation, s.heading_trust, GROSS_HEADING_DENSITY
+            measurement, c.heading_gate_sigma, rho, s.heading_trust, GROSS_HEADING_DENSITY
         )
         s.heading_ratio = gate.test_ratio
         linked = self._see(t_ns, m.heading_rad, gate.accepted)
@@ -184,17 +184,17 @@ class Engine(Axes):
         return FrameResult(stamp_ns, m, False, Reason.GATE, gate.residual, gate.test_ratio)
 
     def _take(
-        self, m: ScalarMeasurement, gate_sigma: float, inflation: float, trust: Trust, gross_density: float
+        self, m: ScalarMeasurement, gate_sigma: float, rho: float, trust: Trust, gross_density: float
     ) -> tuple[Gate, Trust]:
         """Update with a measurement that may be gross, whose sigma may be wrong and whose error resembles the last.
 
         The gate judges it by its own variance; the update takes the larger one that, as if independent, stands for
-        the correlation, and weakens it by the odds that it is genuine.
+        the correlation ``rho`` with the one before, and weakens it by the odds that it is genuine.
         """
         predicted = spread(self.ekf.P, m.H)
         stated, believed = m.R, m.R * trust.inflation
         probability = genuine(m.residual, predicted + believed, trust.gross_share, gross_density)
-        variance = weakened(believed * inflation, predicted, probability)
+        variance = weakened(as_if_independent(believed, predicted, rho), predicted, probability)
         gate = self.ekf.update(m._replace(R=believed), gate_sigma, variance)
         return gate, learn(trust, m.residual, predicted, stated, probability if gate.accepted else 0.0)
 
@@ -238,9 +238,9 @@ class Engine(Axes):
             self._lose_lateral()
         measurement = lateral_model(self.ekf.x, offset_norm, variance)
         if s.lateral_acquired:
-            inflation = _inflation(t_ns, s.t_lateral_ns, c.lateral_correlation_s)
+            rho = correlation(t_ns, s.t_lateral_ns, c.lateral_correlation_s)
             gate, s.lateral_trust = self._take(
-                measurement, c.lateral_gate_sigma, inflation, s.lateral_trust, GROSS_LATERAL_DENSITY
+                measurement, c.lateral_gate_sigma, rho, s.lateral_trust, GROSS_LATERAL_DENSITY
             )
             s.lateral_ratio = gate.test_ratio
             if gate.accepted:
@@ -267,11 +267,3 @@ class Engine(Axes):
             s.lateral_reset = (after - before, after * half_m - before_m)
         s.lateral_acquired, s.lateral_votes = True, ()
         s.t_lateral_ns, s.n_lateral = t_ns, s.n_lateral + 1
-
-
-def _inflation(t_ns: int, last_ns: int | None, correlation_s: float) -> float:
-    """Factor (1 + rho) / (1 - rho) for errors of a first-order process of this correlation time, sampled apart."""
-    if last_ns is None or correlation_s <= 0.0:
-        return 1.0
-    rho = exp(-max((t_ns - last_ns) * 1e-9, 1e-3) / correlation_s)
-    return (1.0 + rho) / (1.0 - rho)

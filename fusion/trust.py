@@ -53,6 +53,25 @@ def weakened(variance: float, predicted: float, probability: float) -> float:
     return (predicted + variance) / max(probability, 1e-6) - predicted
 
 
+def correlation(t_ns: int, last_ns: int | None, time_s: float) -> float:
+    """Correlation of the errors of two measurements, of a first-order process of this correlation time."""
+    if last_ns is None or time_s <= 0.0:
+        return 0.0
+    return exp(-max((t_ns - last_ns) * 1e-9, 1e-3) / time_s)
+
+
+def as_if_independent(variance: float, predicted: float, rho: float) -> float:
+    """Variance with which a measurement may be taken for independent of the one before, though it is not.
+
+    A filter that keeps the part a of what it knew at each measurement averages errors that correlate by rho as it
+    would independent ones of (1 + a rho) / (1 - a rho) times their variance. The part kept follows from the variance
+    used, a = R / (predicted + R), so R solves a quadratic equation. With much to learn (``predicted``, the
+    prediction's variance, is large) a measurement counts by itself; one of many counts by little.
+    """
+    half = 0.5 * (variance * (1.0 + rho) - predicted)
+    return (half + sqrt(half * half + (1.0 - rho) * variance * predicted)) / (1.0 - rho)
+
+
 def learn(trust: Trust, residual: float, predicted: float, stated: float, probability: float) -> Trust:
     """Take in a measurement's outcome.
 

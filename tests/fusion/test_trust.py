@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion.trust import Trust, genuine, learn, weakened
+from fusion.trust import Trust, as_if_independent, correlation, genuine, learn, weakened
 
 
 @given(st.floats(0.0, 1.0), st.floats(1e-6, 1.0), st.floats(0.02, 0.7))
@@ -26,6 +26,45 @@ def test_weakened_gain_is_the_gain_times_the_odds(
     weak = weakened(variance, predicted, probability)
     gain = predicted / (predicted + variance)
     assert predicted / (predicted + weak) == pytest.approx(probability * gain)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.8])
+@pytest.mark.parametrize("process_variance", [0.01, 0.1, 1.0])
+def test_errors_that_resemble_each_other_leave_the_filter_as_sure_as_it_should_be(
+    rho: float, process_variance: float
+) -> None:
+    """A random walk, measured with errors of a first-order process; on average the error is what the filter says."""
+    rng, n = np.random.default_rng(3), 12_000
+    steps, kicks = rng.normal(size=(2, n))
+    x = error = found = 0.0
+    P, ratios = 1.0, []
+    for step, kick in zip(steps, kicks, strict=True):
+        x += np.sqrt(process_variance) * step
+        P += process_variance
+        error = rho * error + np.sqrt(1 - rho**2) * kick
+        gain = P / (P + as_if_independent(1.0, P, rho))
+        found += gain * (x + error - found)
+        P *= 1 - gain
+        ratios.append((found - x) ** 2 / P)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.12)
+
+
+@given(st.floats(1e-6, 1.0), st.floats(1e-9, 10.0), st.floats(0.0, 0.95))
+def test_variance_in_place_of_correlation_has_its_bounds(
+    variance: float, predicted: float, rho: float
+) -> None:
+    R = as_if_independent(variance, predicted, rho)
+    kept = R / (predicted + R)
+    assert pytest.approx(variance * (1 + kept * rho) / (1 - kept * rho), rel=1e-6) == R
+    assert variance * (1 - 1e-9) <= R <= variance * (1 + rho) / (1 - rho) * (1 + 1e-9)
+    assert as_if_independent(variance, predicted, 0.0) == pytest.approx(variance)
+
+
+def test_correlation_falls_with_time() -> None:
+    assert correlation(5_000_000_000, 4_900_000_000, 0.1) == pytest.approx(np.exp(-1))
+    assert correlation(5_000_000_000, None, 0.1) == 0.0
+    assert correlation(5_000_000_000, 4_900_000_000, 0.0) == 0.0
+    assert correlation(5, 5, 0.1) < 1.0
 
 
 def learned(sigma_factor: float, gross: float, seed: int = 0, n: int = 600) -> Trust:
