@@ -216,6 +216,14 @@ def test_the_corridor_flown_is_right_and_another_only_where_the_camera_looks_alo
     assert right(175.0, 85.0) == [-5.0]  # seen backwards a corridor is still one
 
 
+def test_the_constant_of_a_yaw_does_not_mind_the_half_turn() -> None:
+    """The hallway's second corridor lies a quarter turn from the first: errors straddle where they wrap."""
+    errors_deg = [89.0, 89.5, -89.8, -89.0, 88.0]  # -89.8 and -89 are 90.2 and 91, wrapped
+    constant = cases.constant_rad([*map(result_of, errors_deg), result_of(10.0, accepted=False)])
+    assert math.degrees(cases.half_turn(constant - math.radians(89.5))) == pytest.approx(0.0, abs=1e-9)
+    assert math.isnan(cases.constant_rad([result_of(1.0, accepted=False)]))
+
+
 def test_offsets_count_in_the_corridor_flown_only() -> None:
     case = case_of(grey(), headings_rad=(0.2, -1.0), offset_norm=0.3)
 
