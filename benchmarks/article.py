@@ -19,8 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.evaluation import mae, rmse
+from fusion.flight import FrameStream
 from vision import Attitude, Camera
-from vision.images import GreyImage, read_image
+from vision.images import GreyImage
 from vision.paper import equation_8, measure_paper
 
 FloatArray = npt.NDArray[np.float64]
@@ -128,7 +129,7 @@ class Reference:
 
     Parameters
     ----------
-    paths
+    frames
         Pictures (n,).
     heading_rad
         Known heading (n,).
@@ -140,7 +141,7 @@ class Reference:
         The vehicle's roll and pitch (n,), where it knows them; likewise.
     """
 
-    paths: tuple[Path, ...]
+    frames: FrameStream
     heading_rad: FloatArray
     less_constant: bool
     camera: Camera
@@ -172,8 +173,9 @@ def reference_of(folder: Path) -> Reference | None:
     if stream is not None:
         nearest = [int(np.abs(stream.t_ns - t).argmin()) for t in t_ns[frames]]
         attitudes = tuple(Attitude.from_quaternion(stream.q_world_body[i]) for i in nearest)
-    paths = tuple(flight.frames.paths[i] for i in frames)
-    return Reference(paths, heading_rad, flight.truth is None, flight.camera, attitudes)
+    return Reference(
+        flight.frames.chosen(frames), heading_rad, flight.truth is None, flight.camera, attitudes
+    )
 
 
 def yaw_rad(q_world_body: FloatArray) -> FloatArray:
@@ -186,8 +188,8 @@ def pictures(reference: Reference, size_px: tuple[int, int]) -> Iterator[GreyIma
     """Read the frames at one size."""
     import cv2
 
-    for path in reference.paths:
-        image = read_image(path)
+    for index in range(len(reference.frames.t_ns)):
+        image = reference.frames.read(index)
         if image.shape[::-1] != size_px:
             image = np.asarray(cv2.resize(image, size_px, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         yield image
@@ -243,8 +245,8 @@ def print_flight(name: str, reference: Reference) -> None:
         return math.degrees(math.sqrt(np.nanmean(x**2)))
 
     against = "the vehicle's own yaw less one constant" if reference.less_constant else "corridor_truth"
-    zero = reference.errors_rad(np.zeros(len(reference.paths)))
-    print(f"\n{name}: {len(reference.paths)} frames against {against}")
+    zero = reference.errors_rad(np.zeros(len(reference.heading_rad)))
+    print(f"\n{name}: {len(reference.heading_rad)} frames against {against}")
     print(f"  always 0: RMSE {rms_deg(zero):.2f}, median {math.degrees(np.median(np.abs(zero))):.2f}")
     print("  image    no vp   RMSE  median  worst  slope  seeds  no kernel  ms (median)  geometric  rejected")
     for size_px in SIZES_PX:

@@ -27,7 +27,6 @@ from fusion.simulate.imaging import through_jpeg
 from fusion.simulate.motion import rotations
 from fusion.simulate.shooting import Shoot
 from vision import Attitude, Camera, measure_frame
-from vision.images import read_image
 from vision.lines import extract_lines
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -57,7 +56,7 @@ def office(folder: Path, size: tuple[int, int], count: int) -> Iterator[Sample]:
         attitude = Attitude.from_quaternion(state.q_world_body[row])
         w, x, y, z = state.q_world_body[row]
         heading = float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-        image = cv2.resize(read_image(flight.frames.paths[k]), size, interpolation=cv2.INTER_AREA)
+        image = cv2.resize(flight.frames.read(k), size, interpolation=cv2.INTER_AREA)
         yield Sample(image, camera, attitude.roll_rad, attitude.pitch_rad, heading)
 
 

@@ -17,7 +17,6 @@ import matplotlib.pyplot as plt
 from fusion import FusionConfig, FusionResult, fuse_flight, load_flight
 from fusion.flight import Flight
 from vision import Attitude, measure_frame
-from vision.images import read_image
 from vision.overlay import draw_overlay
 
 FRAME = 120
@@ -26,7 +25,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def overlay(flight: Flight, frame: int) -> np.ndarray:
     """Draw one frame (RGB), measured with the attitude of its time."""
-    image, t_ns = read_image(flight.frames.paths[frame]), flight.frames.t_ns[frame]
+    image, t_ns = flight.frames.read(frame), flight.frames.t_ns[frame]
     attitude = None
     if flight.attitude is not None:
         nearest = np.abs(flight.attitude.t_ns - t_ns).argmin()

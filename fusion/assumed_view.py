@@ -15,7 +15,7 @@ from math import cos, degrees, hypot, isfinite, radians, sin
 from pathlib import Path
 
 from fusion.console import Progress
-from fusion.logs.csv_table import counted
+from fusion.logs.samples import counted
 from fusion.picture_header import PictureHeader, read_header
 from vision import Camera, FrameMeasurement, InputError, Reason
 from vision.images import GreyImage, read_image

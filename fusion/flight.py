@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -12,22 +12,57 @@ from vision import Camera
 
 FloatArray = npt.NDArray[np.float64]
 TimeArray = npt.NDArray[np.int64]
+GreyImage = npt.NDArray[np.uint8]
+
+
+class FrameSource(Protocol):
+    """Pictures of a log by number, decoded one at a time, so that memory does not grow with the flight."""
+
+    def read(self, index: int) -> GreyImage:
+        """Decode a picture, grey (h, w); cheapest in ascending order, any order allowed.
+
+        Raises
+        ------
+        InputError
+            Where this picture does not decode.
+        """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChosenFrames:
+    """Some pictures of a source under numbers of their own: ``index`` (n,) are the source's."""
+
+    source: FrameSource
+    index: npt.NDArray[np.int64]
+
+    def read(self, index: int) -> GreyImage:
+        """Decode a picture."""
+        return self.source.read(int(self.index[index]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameStream:
-    """Camera frames as files; a file that does not decode is found when it is read, not here.
+    """Camera frames; a picture that does not decode is found when it is read, not here.
 
     Parameters
     ----------
     t_ns
         Mid-exposure times (n,), strictly increasing.
-    paths
+    source
         One picture per time.
     """
 
     t_ns: TimeArray
-    paths: tuple[Path, ...]
+    source: FrameSource
+
+    def read(self, index: int) -> GreyImage:
+        """Decode a picture, see `FrameSource`."""
+        return self.source.read(index)
+
+    def chosen(self, index: npt.NDArray[np.int64]) -> FrameStream:
+        """Return the stream of some of the frames (m,), ascending."""
+        index = np.asarray(index, dtype=np.int64)
+        return FrameStream(self.t_ns[index], ChosenFrames(self.source, index))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -137,8 +137,6 @@ def _row_kind(flight: Flight) -> Kind:
 
 def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | None, timings: Timings) -> None:
     """Give the estimator all samples, in order of the time they tell of."""
-    from vision.images import read_image
-
     delay_ns = round(estimator.config.camera_delay_s * 1e9)
     streams: list[Iterator[tuple[int, int, int]]] = [_times(flight.frames.t_ns - delay_ns, Kind.FRAME)]
     gyro = accel = q = v = np.zeros((0, 3))
@@ -162,7 +160,7 @@ def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | Non
         else:
             before = time.perf_counter()
             try:
-                estimator.add_frame(t_ns + delay_ns, read_image(flight.frames.paths[i]))
+                estimator.add_frame(t_ns + delay_ns, flight.frames.read(i))
             except InputError:
                 estimator.add_unreadable_frame(t_ns + delay_ns)
             timings.vision_s += time.perf_counter() - before

@@ -12,7 +12,8 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from fusion.logs.csv_table import counted, parse_time
+from fusion.logs.csv_table import parse_time
+from fusion.logs.samples import counted
 from fusion.tables import Table
 
 if TYPE_CHECKING:

@@ -108,11 +108,15 @@ def test_errors_on_a_flight_with_truth(article: ModuleType) -> None:
         pytest.skip("data/office is not in this checkout")
     reference = article.reference_of(OFFICE)
     assert not reference.less_constant
-    assert len(reference.paths) == len(reference.heading_rad) == len(reference.attitudes) >= 200
+    assert len(reference.frames.t_ns) == len(reference.heading_rad) == len(reference.attitudes) >= 200
     assert math.radians(10) < np.abs(reference.heading_rad).max() < math.radians(45)
     np.testing.assert_allclose(reference.errors_rad(reference.heading_rad + 0.1), 0.1)
     few = article.Reference(
-        reference.paths[:3], reference.heading_rad[:3], False, reference.camera, reference.attitudes[:3]
+        reference.frames.chosen(range(3)),
+        reference.heading_rad[:3],
+        False,
+        reference.camera,
+        reference.attitudes[:3],
     )
     heading, milliseconds = article.measure_all(few, (320, 240))
     assert np.isfinite(heading).all()
@@ -126,7 +130,7 @@ def test_errors_on_a_flight_without_truth_are_less_one_constant(article: ModuleT
         pytest.skip("the flight mononav_hallway is not beside this checkout")
     reference = article.reference_of(HALLWAY)
     assert reference.less_constant
-    assert len(reference.paths) == 42
+    assert len(reference.frames.t_ns) == 42
     assert reference.errors_rad(reference.heading_rad + 0.3) == pytest.approx(np.zeros(42))
     assert np.ptp(reference.heading_rad) < math.radians(20)  # one corridor, before the turn
 

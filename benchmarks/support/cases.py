@@ -22,7 +22,7 @@ from fusion.logs import load_flight
 from fusion.simulate import RandomView, random_views
 from vision import Attitude, Camera, FrameMeasurement, measure_frame
 from vision.frame import Method
-from vision.images import GreyImage, read_image
+from vision.images import GreyImage
 
 FloatArray = npt.NDArray[np.float64]
 Size = tuple[int, int]
@@ -174,7 +174,7 @@ def flight_cases(folder: Path, size: Size, *, every: int = 1) -> list[list[Case]
                 Case(
                     source=f"{name}{label} {size_name(size)}",
                     index=i,
-                    image=scaled(read_image(flight.frames.paths[i]), size),
+                    image=scaled(flight.frames.read(i), size),
                     camera=camera,
                     attitude=attitudes[i],
                     headings_rad=(float(headings[i]),),
@@ -207,7 +207,7 @@ def turn_cases(folder: Path, size: Size, constants_rad: Sequence[float], *, ever
         Case(
             source=f"{flight.name.removeprefix('mononav_')} turn {size_name(size)}",
             index=i,
-            image=scaled(read_image(flight.frames.paths[i]), size),
+            image=scaled(flight.frames.read(i), size),
             camera=flight.camera.resized(*size),
             attitude=attitudes[i],
             headings_rad=tuple(half_turn(float(yaw[i]) + c) for c in constants_rad),

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from fusion.flight import (
     AttitudeStream,
@@ -29,19 +28,12 @@ from fusion.flight import (
     TimeArray,
     VectorStream,
 )
-from fusion.logs.csv_table import (
-    MIN_IMU_STEP_NS,
-    MIN_STEP_NS,
-    CsvTable,
-    counted,
-    read_table,
-)
+from fusion.logs.csv_table import CsvTable, read_table
 from fusion.logs.pictures import check_size, read_frames
+from fusion.logs.samples import MIN_IMU_STEP_NS, MIN_STEP_NS, BoolArray, counted, finite, keep_good
 from vision import Camera, InputError
 from vision.calibration import read_body_frame, read_yaml, rotation_of_transform, to_frd
 from vision.camera import BodyFrame
-
-BoolArray = npt.NDArray[np.bool_]
 
 QUATERNION_TOLERANCE = 0.05  # of its length; more is not rounding but damage
 
@@ -106,21 +98,8 @@ class _Folder:
 
     def keep(self, good: BoolArray, stream: str, what: str, t_ns: TimeArray) -> None:
         """Report rows that are not good; `InputError` where none is."""
-        bad = int(np.count_nonzero(~good))
-        if bad == len(good):
-            raise InputError(
-                f"every row has {what}", file=self.path / stream / "data.csv", remedy="take the folder away"
-            )
-        if bad:
-            first = int(t_ns[~good][0])
-            self.problems.append(
-                f"{stream}/data.csv: {counted(bad, 'row')} with {what} dropped (first at {first})"
-            )
-
-
-def _finite(values: FloatArray) -> BoolArray:
-    """Rows (n,) of (n, k) that hold numbers only."""
-    return np.asarray(np.isfinite(values).all(axis=1))
+        path, label = self.path / stream / "data.csv", f"{stream}/data.csv"
+        keep_good(good, t_ns, what, label, self.problems, file=path, remedy="take the folder away")
 
 
 def recognises(path: Path) -> bool:
@@ -188,10 +167,10 @@ def _read_imu(folder: _Folder) -> ImuStream | None:
     table = folder.table("imu0", columns, min_step_ns=MIN_IMU_STEP_NS)
     if table is None:
         return None
-    good = _finite(table.values[:, :3])
+    good = finite(table.values[:, :3])
     folder.keep(good, "imu0", "a gyro value that is not finite", table.t_ns)
     t_ns, values = table.t_ns[good], table.values[good]
-    no_accel = ~_finite(values[:, 3:])
+    no_accel = ~finite(values[:, 3:])
     if no_accel.any():
         values[no_accel, 3:] = np.nan
         folder.problems.append(f"imu0/data.csv: {counted(int(no_accel.sum()), 'row')} without acceleration")
@@ -262,7 +241,7 @@ def _read_vectors(
     table = folder.table(stream, columns)
     if table is None:
         return None
-    good = _finite(table.values)
+    good = finite(table.values)
     folder.keep(good, stream, "a value that is not finite", table.t_ns)
     R = folder.R_frd_sensor(stream, folder.sensor(stream)) if in_body else to_frd(folder.body_frame)
     return VectorStream(table.t_ns[good], table.values[good] @ R.T)

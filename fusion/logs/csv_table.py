@@ -15,13 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.flight import FloatArray, TimeArray
+from fusion.logs.samples import MIN_STEP_NS, NOT_NANOSECONDS, counted, in_order
 from vision import InputError
 
-MIN_STEP_NS = 500_000  # of cameras and slow streams; faster than 2 kHz means another unit
-MIN_IMU_STEP_NS = 50_000
-
 _CHUNK_ROWS = 4096
-_REMEDY_NS = "the first column must be whole nanoseconds"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,11 +35,6 @@ class CsvTable:
 
     t_ns: TimeArray
     values: FloatArray
-
-
-def counted(n: int, noun: str) -> str:
-    """Return ``1 row`` or ``2 rows``."""
-    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
 def read_table(
@@ -89,9 +81,8 @@ def read_table(
         width = len(header)
     check_row(path, lines, width, ("timestamp", *columns))
     data = _parse(path, lines, width, problems, label)
-    index = order_times(data["t"], problems, label)
+    index = in_order(data["t"], label, problems, min_step_ns, file=path)
     t_ns, values = data["t"][index], data["v"][index]
-    check_nanoseconds(t_ns, path, min_step_ns)
     return CsvTable(t_ns, values if order is None else values[:, order])
 
 
@@ -168,7 +159,7 @@ def check_row(path: Path, rows: list[str], width: int, columns: Sequence[str]) -
         raise InputError(
             f"timestamp {floats[0]} is not a whole number",
             file=path,
-            remedy=f"{_REMEDY_NS}; multiply seconds by 1e9",
+            remedy=f"{NOT_NANOSECONDS}; multiply seconds by 1e9",
         )
 
 
@@ -227,44 +218,3 @@ def parse_time(field: str) -> int | None:
         return None
     t_ns = int(field)
     return t_ns if abs(t_ns) < 2**63 else None
-
-
-def order_times(t_ns: TimeArray, problems: list[str], label: str) -> npt.NDArray[np.int64]:
-    """Index (m,) that sorts times and keeps the first of equal ones; ``problems`` say what changed."""
-    steps = np.diff(t_ns)
-    if steps.size == 0 or steps.min() > 0:
-        return np.arange(len(t_ns))
-    backwards = int(np.count_nonzero(steps < 0))
-    if backwards:
-        first = int(t_ns[1:][steps < 0][0])
-        problems.append(
-            f"{label}: times go backwards in {counted(backwards, 'place')} (first at {first}), rows sorted"
-        )
-    index = np.argsort(t_ns, kind="stable")
-    repeated = np.concatenate([[False], np.diff(t_ns[index]) == 0])
-    if repeated.any():
-        first = int(t_ns[index][repeated][0])
-        problems.append(
-            f"{label}: {counted(int(repeated.sum()), 'row')} with a repeated time (first {first}) dropped"
-        )
-    return np.asarray(index[~repeated])
-
-
-def check_nanoseconds(t_ns: TimeArray, path: Path, min_step_ns: int) -> None:
-    """Raise `InputError` where strictly increasing times are too close together to be nanoseconds."""
-    if len(t_ns) < 3:
-        return
-    step = int(np.median(np.diff(t_ns)))
-    if step >= min_step_ns:
-        return
-    if step <= 1:
-        guess = "seconds or milliseconds: multiply by 1e9 or 1e6"
-    elif step * 1_000 < min_step_ns:
-        guess = "milliseconds: multiply by 1e6"
-    else:
-        guess = "microseconds: multiply by 1000"
-    raise InputError(
-        f"timestamps are {step} apart, not nanoseconds",
-        file=path,
-        remedy=f"{_REMEDY_NS}; these look like {guess}",
-    )

@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from fusion.flight import FrameStream
-from fusion.logs.csv_table import (
-    MIN_STEP_NS,
-    check_nanoseconds,
-    check_row,
-    counted,
-    order_times,
-    parse_time,
-    read_rows,
-)
+from fusion.logs.csv_table import check_row, parse_time, read_rows
+from fusion.logs.samples import MIN_STEP_NS, counted, in_order
 from vision import Camera, InputError
-from vision.images import read_image
+from vision.images import GreyImage, read_image
 
 PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp"})
 
 _TRIES = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureFiles:
+    """Pictures as files, one per frame; a `fusion.flight.FrameSource`."""
+
+    paths: tuple[Path, ...]
+
+    def read(self, index: int) -> GreyImage:
+        """Decode a picture."""
+        return read_image(self.paths[index])
 
 
 def read_frames(cam: Path, problems: list[str]) -> FrameStream:
@@ -47,9 +52,8 @@ def read_frames(cam: Path, problems: list[str]) -> FrameStream:
     else:
         times, names = _times_from_names(cam, sorted(present), problems)
     t_ns = np.array(times, dtype=np.int64)
-    index = order_times(t_ns, problems, label)
+    index = in_order(t_ns, label, problems, MIN_STEP_NS, file=cam / "data.csv")
     t_ns = t_ns[index]
-    check_nanoseconds(t_ns, cam / "data.csv", MIN_STEP_NS)
     names = [names[i] for i in index]
     missing = [name for name in names if name not in present and not (folder / name).is_file()]
     if len(missing) == len(names):
@@ -60,7 +64,7 @@ def read_frames(cam: Path, problems: list[str]) -> FrameStream:
         )
     if missing:
         problems.append(f"{label}: {counted(len(missing), 'picture')} missing in data/ (first {missing[0]})")
-    return FrameStream(t_ns, tuple(folder / name for name in names))
+    return FrameStream(t_ns, PictureFiles(tuple(folder / name for name in names)))
 
 
 def _read_list(path: Path, problems: list[str], label: str) -> tuple[list[int], list[str]]:
@@ -108,12 +112,19 @@ def _times_from_names(cam: Path, present: list[str], problems: list[str]) -> tup
     return list(timed.values()), list(timed)
 
 
-def check_size(frames: FrameStream, camera: Camera) -> None:
+def check_size(frames: FrameStream, camera: Camera, file: Path | None = None) -> None:
     """Raise `InputError` where the first picture that decodes is not of the camera's resolution."""
-    for path in [path for path in frames.paths if path.is_file()][:_TRIES]:
+    tries = 0
+    for index in range(len(frames.t_ns)):
+        path = frames.source.paths[index] if isinstance(frames.source, PictureFiles) else file
+        if path is not None and not path.exists():  # a missing picture is found at once: any number of them
+            continue
         try:
-            height_px, width_px = read_image(path).shape
+            height_px, width_px = frames.read(index).shape
         except InputError:
+            tries += 1
+            if tries == _TRIES:
+                return
             continue
         camera.require_size(width_px, height_px, file=path)
         return

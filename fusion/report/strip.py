@@ -129,7 +129,6 @@ def _picture(result: FusionResult, flight: Flight, row: int, estimate: np.void) 
     import cv2
 
     from vision.frame import measure_frame
-    from vision.images import read_image
     from vision.overlay import draw_overlay
 
     record = result.frames[row]
@@ -137,7 +136,7 @@ def _picture(result: FusionResult, flight: Flight, row: int, estimate: np.void) 
     if k >= len(flight.frames.t_ns) or flight.frames.t_ns[k] != record["timestamp_ns"]:
         return None
     try:
-        image = read_image(flight.frames.paths[k])
+        image = flight.frames.read(k)
         measurement = measure_frame(
             image,
             flight.camera,

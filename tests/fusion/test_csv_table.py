@@ -9,7 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fusion.logs.csv_table import CsvTable, order_times, parse_time, read_table
+from fusion.logs.csv_table import CsvTable, parse_time, read_table
+from fusion.logs.samples import order_times
 from vision import InputError
 
 T0 = 1_600_001_000_000_000_001  # odd: a float would lose it

@@ -10,6 +10,7 @@ import pytest
 
 from fusion import FusionConfig, FusionResult, fuse_flight, load_flight
 from fusion.flight import AttitudeStream, Flight, FrameStream, ImuStream
+from fusion.logs.pictures import PictureFiles
 from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from vision.errors import InputError
 
@@ -36,7 +37,7 @@ def short(flight: Flight, n: int = 40) -> Flight:
     i, a = flight.imu.t_ns <= end, flight.attitude.t_ns <= end
     return replace(
         flight,
-        frames=FrameStream(flight.frames.t_ns[:n], flight.frames.paths[:n]),
+        frames=FrameStream(flight.frames.t_ns[:n], PictureFiles(flight.frames.source.paths[:n])),
         imu=replace(
             flight.imu,
             t_ns=flight.imu.t_ns[i],
@@ -104,11 +105,13 @@ def test_progress_counts_frames(office: Flight) -> None:
 
 def test_pictures_that_do_not_decode_are_rows(office: Flight, tmp_path: Path) -> None:
     torn = tmp_path / "torn.jpg"
-    torn.write_bytes(office.frames.paths[10].read_bytes()[:900])
+    torn.write_bytes(office.frames.source.paths[10].read_bytes()[:900])
     part = short(office, 30)
-    paths = list(part.frames.paths)
+    paths = list(part.frames.source.paths)
     paths[10], paths[11] = torn, tmp_path / "missing.jpg"
-    result = fuse_flight(replace(part, frames=FrameStream(part.frames.t_ns, tuple(paths))), CONFIG)
+    result = fuse_flight(
+        replace(part, frames=FrameStream(part.frames.t_ns, PictureFiles(tuple(paths)))), CONFIG
+    )
     assert result.frames["reason"][10] == result.frames["reason"][11] == "unreadable"
     assert not result.frames["accepted"][10:12].any()
     assert np.isnan(result.frames["heading_rad"][10])
@@ -159,13 +162,13 @@ def test_bad_samples_become_problems(office: Flight) -> None:
 
 def test_flight_without_frames_is_refused(office: Flight) -> None:
     with pytest.raises(InputError, match="has no camera frames"):
-        fuse_flight(replace(office, frames=FrameStream(np.zeros(0, np.int64), ())), CONFIG)
+        fuse_flight(replace(office, frames=FrameStream(np.zeros(0, np.int64), PictureFiles(()))), CONFIG)
 
 
 def test_flight_without_one_good_frame_still_has_its_tables(office: Flight) -> None:
     part = short(office, 10)
-    nothing = tuple(path.with_suffix(".gone") for path in part.frames.paths)
-    result = fuse_flight(replace(part, frames=FrameStream(part.frames.t_ns, nothing)), CONFIG)
+    nothing = tuple(path.with_suffix(".gone") for path in part.frames.source.paths)
+    result = fuse_flight(replace(part, frames=FrameStream(part.frames.t_ns, PictureFiles(nothing))), CONFIG)
     assert (result.frames["reason"] == "unreadable").all()
     assert (result.estimates["status"] == "initialising").all()
     assert np.isnan(result.estimates["heading_rad"]).all()
@@ -185,7 +188,7 @@ def test_paper_method_runs_and_is_worse(office: Flight) -> None:
 def test_other_stamps_of_the_camera(office: Flight) -> None:
     """Frames stamped 100 ms late are as good as any, once the delay is told; the rows keep the log's stamps."""
     part = short(office)
-    late = replace(part, frames=FrameStream(part.frames.t_ns + 100_000_000, part.frames.paths))
+    late = replace(part, frames=FrameStream(part.frames.t_ns + 100_000_000, part.frames.source))
     told = fuse_flight(late, CONFIG.model_copy(update={"camera_delay_s": 0.1}))
     plain = fuse_flight(part, CONFIG)
     np.testing.assert_array_equal(told.frames["timestamp_ns"], late.frames.t_ns)
@@ -215,7 +218,7 @@ def test_a_corridor_begins_in_the_smoothed_table_where_the_vehicle_turned(
     flight = Flight(
         "turn",
         camera,
-        FrameStream(np.array(list(frames)), tuple(Path(str(t)) for t in frames)),
+        FrameStream(np.array(list(frames)), PictureFiles(tuple(Path(str(t)) for t in frames))),
         imu=ImuStream(
             np.array([s.t_ns for s in imu]),
             np.array([s.values[0] for s in imu]),
@@ -226,7 +229,7 @@ def test_a_corridor_begins_in_the_smoothed_table_where_the_vehicle_turned(
     )
     from fusion.estimator import CorridorEstimator
 
-    monkeypatch.setattr("vision.images.read_image", lambda path: path)
+    monkeypatch.setattr("fusion.logs.pictures.read_image", lambda path: path)
     monkeypatch.setattr(
         CorridorEstimator,
         "add_frame",

@@ -10,6 +10,7 @@ import pytest
 
 from fusion.config import FusionConfig
 from fusion.flight import AttitudeStream, CorridorTruth, Flight, FrameStream, ImuStream
+from fusion.logs.pictures import PictureFiles
 from fusion.report import write_report
 from fusion.report.checks import run_checks
 from fusion.report.checks_of_input import yaw_steps
@@ -97,7 +98,8 @@ def make_flight(folder, *, duration_s=12.0, imu_hz=50.0, frame_hz=10.0, pictures
         name="swing",
         camera=camera,
         frames=FrameStream(
-            frames["timestamp_ns"].copy(), tuple(folder / f"{k}.png" for k in range(len(frames)))
+            frames["timestamp_ns"].copy(),
+            PictureFiles(tuple(folder / f"{k}.png" for k in range(len(frames)))),
         ),
         imu=ImuStream(estimates["timestamp_ns"].copy(), np.zeros((len(t), 3)), np.zeros((len(t), 3))),
         attitude=AttitudeStream(
@@ -115,7 +117,7 @@ def make_flight(folder, *, duration_s=12.0, imu_hz=50.0, frame_hz=10.0, pictures
     )
     if pictures:
         for k in range(len(frames)):
-            corridor_picture(flight.frames.paths[k], camera, heading(t_frame[k]), offset(t_frame[k]))
+            corridor_picture(flight.frames.source.paths[k], camera, heading(t_frame[k]), offset(t_frame[k]))
     result = SimpleNamespace(
         flight_name="swing <one>",
         config=FusionConfig(corridor_width_m=WIDTH_M),
@@ -262,11 +264,11 @@ def test_a_picture_that_is_gone_leaves_the_page_whole(tmp_path):
 def test_ten_minutes_stay_under_six_megabytes(swing, tmp_path):
     _, short = swing
     result, flight = make_flight(tmp_path, duration_s=600.0, imu_hz=200.0, frame_hz=30.0, pictures=False)
-    pictures = short.frames.paths
+    pictures = short.frames.source.paths
     paths = tuple(pictures[k % len(pictures)] for k in range(len(flight.frames.t_ns)))
     refused = np.random.default_rng(1).random(len(paths)) < 0.1
     result.frames["accepted"][refused], result.frames["reason"][refused] = False, "gate"
-    flight = change(flight, frames=FrameStream(flight.frames.t_ns, paths))
+    flight = change(flight, frames=FrameStream(flight.frames.t_ns, PictureFiles(paths)))
     write_report(result, flight, tmp_path / "report.html")
     assert (tmp_path / "report.html").stat().st_size < 6e6
 

@@ -341,7 +341,7 @@ def test_frames_in_memory_are_the_folders_frames(tmp_path: Path) -> None:
     root = simulate_flight(config(), tmp_path / "a")
     flight = load_flight(root)
     for frame, t, path in zip(
-        simulate_frames(config()), flight.frames.t_ns, flight.frames.paths, strict=True
+        simulate_frames(config()), flight.frames.t_ns, flight.frames.source.paths, strict=True
     ):
         assert frame.t_ns == t
         assert np.array_equal(frame.image, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))

@@ -190,7 +190,6 @@ def office_config(flight: Flight) -> FusionConfig:
 
 def measure_office() -> list[list[str]]:
     """Measure the pictures of the sample flight as the estimator does, with what it expects of each."""
-    from vision.images import read_image
 
     flight = load_flight(OFFICE)
     seen: dict[int, FrameMeasurement] = {}
@@ -202,12 +201,10 @@ def measure_office() -> list[list[str]]:
 
     estimator = CorridorEstimator(office_config(flight), flight.camera, on_final=keep)
     call = {Kind.IMU: estimator.add_imu, Kind.ATTITUDE: estimator.add_attitude}
-    pictures = [
-        (int(t), Kind.FRAME, (path,)) for t, path in zip(flight.frames.t_ns, flight.frames.paths, strict=True)
-    ]
+    pictures = [(int(t), Kind.FRAME, (i,)) for i, t in enumerate(flight.frames.t_ns)]
     for t_ns, kind, values in sorted([*_sensors(flight), *pictures], key=lambda give: give[:2]):
         if kind is Kind.FRAME:
-            estimator.add_frame(t_ns, read_image(values[0]))
+            estimator.add_frame(t_ns, flight.frames.read(values[0]))
         else:
             call[kind](t_ns, *values)
     estimator.finish()

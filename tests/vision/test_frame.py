@@ -51,7 +51,7 @@ def office(width: int, height: int, with_attitude: bool = True, step: int = 2) -
     found: list[FrameMeasurement] = []
     chosen = range(0, len(flight.frames.t_ns), step)
     for i in chosen:
-        image = cv2.imread(str(flight.frames.paths[i]), cv2.IMREAD_GRAYSCALE)
+        image = flight.frames.read(i)
         image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
         found.append(measure_frame(image, camera, tilt[i] if with_attitude else None))
     t = flight.frames.t_ns[::step]
@@ -122,7 +122,7 @@ def test_the_real_flight_agrees_with_its_own_yaw(stretch: slice) -> None:
     chosen = range(len(yaw))[stretch]
     for i in chosen:
         image = cv2.resize(
-            cv2.imread(str(flight.frames.paths[i]), cv2.IMREAD_GRAYSCALE),
+            flight.frames.read(i),
             (320, 240),
             interpolation=cv2.INTER_AREA,
         )
@@ -135,7 +135,7 @@ def test_the_real_flight_agrees_with_its_own_yaw(stretch: slice) -> None:
 
 def test_a_colour_picture_is_its_grey_one() -> None:
     flight = load_flight(OFFICE)
-    colour = cv2.imread(str(flight.frames.paths[0]), cv2.IMREAD_COLOR)
+    colour = cv2.imread(str(flight.frames.source.paths[0]), cv2.IMREAD_COLOR)
     grey = cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)
     a = measure_frame(colour, flight.camera)
     b = measure_frame(grey, flight.camera)
@@ -144,7 +144,7 @@ def test_a_colour_picture_is_its_grey_one() -> None:
 
 def test_turning_the_picture_over_turns_the_heading() -> None:
     flight = load_flight(OFFICE)
-    image = cv2.imread(str(flight.frames.paths[40]), cv2.IMREAD_GRAYSCALE)
+    image = flight.frames.read(40)
     here = measure_frame(image, flight.camera, Attitude(0.0, 0.0, radians(3)))
     there = measure_frame(np.ascontiguousarray(image[:, ::-1]), flight.camera, Attitude(0.0, 0.0, radians(3)))
     assert degrees(here.heading_rad + there.heading_rad) == pytest.approx(0.0, abs=0.3)
@@ -166,7 +166,7 @@ def test_blank_dark_and_noisy_pictures_are_refused_with_a_reason() -> None:
 
 def test_the_prior_is_not_averaged_in() -> None:
     flight = load_flight(OFFICE)
-    image = cv2.imread(str(flight.frames.paths[100]), cv2.IMREAD_GRAYSCALE)
+    image = flight.frames.read(100)
     free = measure_frame(image, flight.camera)
     for shift in (-0.02, 0.02):
         prior = Prior(

@@ -1,0 +1,144 @@
+"""What every reader does to samples: put them in the order of time, drop those that are no numbers, and say so."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.flight import FloatArray, TimeArray
+from vision import InputError
+
+BoolArray = npt.NDArray[np.bool_]
+
+MIN_STEP_NS = 500_000  # of cameras and slow streams; faster than 2 kHz means another unit
+MIN_IMU_STEP_NS = 50_000
+
+NOT_NANOSECONDS = "the first column must be whole nanoseconds"
+
+
+def counted(n: int, noun: str) -> str:
+    """Return ``1 row`` or ``2 rows``."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+def in_order(
+    t_ns: TimeArray,
+    label: str,
+    problems: list[str],
+    min_step_ns: int = MIN_STEP_NS,
+    *,
+    file: Path | None = None,
+    remedy: str = NOT_NANOSECONDS,
+) -> npt.NDArray[np.int64]:
+    """Index (m,) that sorts times (n,) and keeps the first of equal ones.
+
+    Parameters
+    ----------
+    t_ns
+        As read.
+    label
+        What to call the stream in ``problems``, such as ``imu0/data.csv``.
+    problems
+        What changed is appended here.
+    min_step_ns
+        A median step below it means that the times are not nanoseconds.
+    file, remedy
+        Named in that error.
+
+    Raises
+    ------
+    InputError
+        Where the times cannot be nanoseconds.
+    """
+    index = order_times(t_ns, problems, label)
+    check_nanoseconds(t_ns[index], file, min_step_ns, remedy if file is not None else f"{label}: {remedy}")
+    return index
+
+
+def order_times(t_ns: TimeArray, problems: list[str], label: str) -> npt.NDArray[np.int64]:
+    """Index (m,) that sorts times and keeps the first of equal ones; ``problems`` say what changed."""
+    steps = np.diff(t_ns)
+    if steps.size == 0 or steps.min() > 0:
+        return np.arange(len(t_ns))
+    backwards = int(np.count_nonzero(steps < 0))
+    if backwards:
+        first = int(t_ns[1:][steps < 0][0])
+        problems.append(
+            f"{label}: times go backwards in {counted(backwards, 'place')} (first at {first}), rows sorted"
+        )
+    index = np.argsort(t_ns, kind="stable")
+    repeated = np.concatenate([[False], np.diff(t_ns[index]) == 0])
+    if repeated.any():
+        first = int(t_ns[index][repeated][0])
+        problems.append(
+            f"{label}: {counted(int(repeated.sum()), 'row')} with a repeated time (first {first}) dropped"
+        )
+    return np.asarray(index[~repeated])
+
+
+def check_nanoseconds(
+    t_ns: TimeArray, file: Path | None, min_step_ns: int, remedy: str = NOT_NANOSECONDS
+) -> None:
+    """Raise `InputError` where strictly increasing times are too close together to be nanoseconds."""
+    if len(t_ns) < 3:
+        return
+    step = int(np.median(np.diff(t_ns)))
+    if step >= min_step_ns:
+        return
+    if step <= 1:
+        guess = "seconds or milliseconds: multiply by 1e9 or 1e6"
+    elif step * 1_000 < min_step_ns:
+        guess = "milliseconds: multiply by 1e6"
+    else:
+        guess = "microseconds: multiply by 1000"
+    raise InputError(
+        f"timestamps are {step} apart, not nanoseconds",
+        file=file,
+        remedy=f"{remedy}; these look like {guess}",
+    )
+
+
+def finite(values: FloatArray) -> BoolArray:
+    """Rows (n,) of (n, k) that hold numbers only."""
+    return np.asarray(np.isfinite(values).all(axis=1))
+
+
+def keep_good(
+    good: BoolArray,
+    t_ns: TimeArray,
+    what: str,
+    label: str,
+    problems: list[str],
+    *,
+    file: Path | None = None,
+    remedy: str = "choose another stream",
+) -> None:
+    """Report the rows that are not good: "2 rows with ``what`` dropped"; the caller drops them.
+
+    Parameters
+    ----------
+    good
+        Rows (n,) to keep.
+    t_ns
+        Their times (n,).
+    what
+        What is wrong with the others, such as "a gyro value that is not finite".
+    label, problems
+        As for `in_order`.
+    file, remedy
+        Named where no row is left.
+
+    Raises
+    ------
+    InputError
+        Where no row is good.
+    """
+    bad = int(np.count_nonzero(~good))
+    if bad == len(good):
+        which = "every row has" if file is not None else f"{label}: every row has"
+        raise InputError(f"{which} {what}", file=file, remedy=remedy)
+    if bad:
+        first = int(t_ns[~good][0])
+        problems.append(f"{label}: {counted(bad, 'row')} with {what} dropped (first at {first})")
