@@ -1,44 +1,109 @@
-"""Lateral offset from the lines of the two walls, scale-free.
+"""Lateral offset from the corners where the two walls meet floor and ceiling, scale-free.
 
-Seen along the corridor's axis, a line that runs along it is a point of the cross-section. A line on the
-left wall at height z below the camera has the slope ``t = z / w_L`` below the horizontal, one at the same
-height on the right wall ``z / w_R``; so the pair gives ``y / (W / 2) = (w_L - w_R) / (w_L + w_R) = (t_R -
-t_L) / (t_R + t_L)`` whatever z is: floor corners, skirting boards, door tops and ceiling corners all say
-the same. Which lines belong together is not known, so every left line votes with every right line of the
-same sign and the same polarity (brighter above or below); false pairs scatter, true pairs agree. Pairs far
-from a plausible ratio of width to height count less.
+A line on the left wall at height z below the camera has, in the cross-section, the slope ``t = z / w_L`` below the
+horizontal, one at the same height on the right wall ``z / w_R``; so the pair gives ``y / (W / 2) = (w_L - w_R) / (w_L
++ w_R) = (t_R - t_L) / (t_R + t_L)``.
+
+Which two lines are the corners is the question: skirting boards, wainscots, furniture and joints of the floor run
+along the corridor too. Every candidate on the left is paired with every one on the right, below the camera and above
+it, and each pair is weighed by what it has of a pair of corners: both are long and of one contrast; what stands
+upright ends at them and does not cross them; lines across reach from one to the other; nothing lies beyond one only;
+boards, door tops and rails find their counterpart on the other wall at the offset the pair gives; a pair of the floor
+and one of the ceiling give the same offset. The weighted sum is the logarithm of the odds that these are the corners
+rather than nothing to be relied on, and the offset is answered where it holds nearly all of the probability.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, hypot, isfinite, log, nan, radians, sqrt
+from math import exp, hypot, isfinite, log, nan, sqrt
 
 import numpy as np
 import numpy.typing as npt
 
-from vision.axis_vote import VERTICAL_SINE
 from vision.compiled import compiled
+from vision.cross_section import (
+    ANGLE,
+    BEYOND,
+    BOARD,
+    BOARD_LENGTH,
+    CONTRAST,
+    COVERAGE,
+    CROSSED,
+    CROSSING,
+    ENDING,
+    LENGTH,
+    LINE,
+    MAX_CORNERS,
+    POLARITY,
+    SLOPE,
+    STD,
+    count_bits,
+    survey,
+)
 from vision.lines import LineSet
 from vision.vanishing_point import AxisFit, axis_direction
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
-MIN_SLOPE, MAX_SLOPE = 0.3, 6.0
-MIN_SIDEWAYS = 0.15  # a line straight above or below the camera is on neither wall
-SLOPE_SLACK = 0.012  # relative: corners are rounded, boards have thickness
-TYPICAL_WIDTH_PER_HEIGHT = 1.6
-WIDTH_PER_HEIGHT_SPREAD = 0.45  # of its logarithm
-CEILING_WEIGHT = 0.5
-N_BINS = 401
-REACH = 2.5  # kernel half width in standard deviations
-RIVAL_DISTANCE = 0.08
-MAX_RIVAL = 0.6
-MIN_SUPPORT_OF_DIAGONAL = 0.04
-MIN_STD = 0.014
-NO_CORNER_WEIGHT = 0.3
-END_TOLERANCE = 0.05  # relative to the slope
-MAX_UPRIGHT_OF_DIAGONAL = 0.15
+MIN_WIDTH = 0.3  # corridor width over the camera's distance from floor, from ceiling
+MAX_WIDTH = (8.0, 12.0)
+TYPICAL_WIDTH = (1.7, 2.0)
+SMALL = 0.05  # of the diagonal: from here on lengths count by the logarithm
+ASIDE_SCALE = 0.1
+MAX_ASIDE = 0.7  # nearer to a wall a vehicle seldom flies
+SAME_BOARD = 0.02
+VOTE_WINDOW = 0.04  # in offset
+VOTE_CONTRAST = 0.25  # in the logarithm
+CLEAR_OF_CORNER_RAD = 0.0175
+JOINT_WINDOW = 0.06
+MIN_CEILING, MAX_CEILING = 0.1, 6.0  # camera to ceiling over camera to floor
+
+SAME_OFFSET = 0.08  # hypotheses nearer than this are one answer
+MIN_PROBABILITY = 0.97
+MIN_WIDTH_SHARE = 0.3  # of the answer, for the floor's pair to give the width
+MIN_STD = 0.004
+SCATTER_SHARE = 0.64  # of the hypotheses' variance: they err together only in part
+DOUBT = 0.02  # variance for what probability is left to others
+PRIOR_SLACK = 0.03
+PRIOR_FLOOR = 0.1  # lets strong evidence win
+
+# columns of pairs; those from LENGTHS on are evidence
+OFFSET, OFFSET_STD, WIDTH, LEFT, RIGHT = range(5)
+LENGTHS, COVERAGES, ENDINGS, CROSSEDS, LENGTH_GAP, ENDING_GAP, CROSSING_GAP, BEYOND_GAP = range(5, 13)
+SAME_POLARITY, CONTRAST_GAP, SPANS, BOARDS, VOTES, ASIDE, WIDE, WIDE_SQUARED, CROWD = range(13, 22)
+N_PAIR = 22
+EVIDENCE = slice(LENGTHS, N_PAIR)
+# columns of hypotheses
+H_OFFSET, H_STD, H_TILT, H_SCORE, H_FLOOR, H_CEILING = range(6)
+
+# Weights of the evidence of a floor's and a ceiling's pair, by maximum likelihood on simulated corridors
+# (`benchmarks/lateral_weights.py` fits them anew); how far aside one flies is no matter of the simulator, and set.
+WEIGHTS = np.array(
+    [
+        (1.444, 0.0),  # LENGTHS
+        (0.323, 1.404),  # COVERAGES
+        (0.662, 0.944),  # ENDINGS
+        (0.0, -0.794),  # CROSSEDS
+        (-1.014, -0.501),  # LENGTH_GAP
+        (-0.884, -1.654),  # ENDING_GAP
+        (-0.780, -0.991),  # CROSSING_GAP
+        (-0.803, 0.0),  # BEYOND_GAP
+        (0.744, 0.573),  # SAME_POLARITY
+        (-2.001, -1.039),  # CONTRAST_GAP
+        (1.186, 0.415),  # SPANS
+        (1.431, 0.0),  # BOARDS
+        (1.627, 1.123),  # VOTES
+        (-1.5, -1.5),  # ASIDE
+        (-0.460, -0.290),  # WIDE
+        (-1.432, -0.969),  # WIDE_SQUARED
+        (-0.307, -0.521),  # CROWD
+    ]
+).T.copy()
+# Logarithms of the odds of a floor's pair alone and a ceiling's alone, of a ceiling's added to a floor's, and by the
+# logarithm of the number of ceilings to choose from
+BIASES = np.array([-1.274, -0.373, -0.338, -0.464])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,51 +127,206 @@ class LateralFit:
 
 
 @compiled
-def _vote_pairs(left: FloatArray, right: FloatArray, votes: FloatArray, pairs: FloatArray) -> int:
-    """Vote with all pairs of lines, rows of slope, slope std, length and polarity; return how many pairs.
-
-    Rows of ``pairs``: offset, std, weight, left and right index, width over height (negative: above the
-    camera).
-    """
-    votes[:] = 0.0
+def _pair(
+    left: FloatArray,
+    right: FloatArray,
+    rungs_left: IntArray,
+    rungs_right: IntArray,
+    above: int,
+    pairs: FloatArray,
+) -> int:
+    """Pair every left with every right candidate; return how many pairs are possible."""
     count = 0
-    step = 2.0 / (N_BINS - 1)
     for i in range(len(left)):
         for j in range(len(right)):
-            tl = left[i, 0]
-            tr = right[j, 0]
-            if tl * tr <= 0.0 or left[i, 3] != right[j, 3]:
-                continue
-            below = tl > 0.0
-            tl = abs(tl)
-            tr = abs(tr)
+            a, b = left[i], right[j]
+            tl, tr = a[SLOPE], b[SLOPE]
             total = tl + tr
-            offset = (tr - tl) / total
-            std = 2.0 * hypot(tl * right[j, 1], tr * left[i, 1]) / (total * total)
-            std = hypot(std, 0.004)
-            width = 1.0 / tl + 1.0 / tr
-            spread = WIDTH_PER_HEIGHT_SPREAD if below else 1.5 * WIDTH_PER_HEIGHT_SPREAD
-            unusual = log(width / TYPICAL_WIDTH_PER_HEIGHT) / spread
-            alike = left[i, 4] * right[j, 4] + NO_CORNER_WEIGHT * (1.0 - left[i, 4]) * (1.0 - right[j, 4])
-            weight = alike * sqrt(left[i, 2] * right[j, 2]) * exp(-0.5 * unusual * unusual)
-            if not below:
-                weight *= CEILING_WEIGHT
-            reach = REACH * std
-            first = max(int(np.ceil((offset - reach + 1.0) / step)), 0)
-            last = min(int(np.floor((offset + reach + 1.0) / step)), N_BINS - 1)
-            for b in range(first, last + 1):
-                z = (b * step - 1.0 - offset) / reach
-                votes[b] += weight * (1.0 - z * z)
-            if count < len(pairs):
-                row = pairs[count]
-                row[0] = offset
-                row[1] = std
-                row[2] = weight
-                row[3] = i
-                row[4] = j
-                row[5] = width if below else -width
-                count += 1
+            width = total / (tl * tr)
+            if not MIN_WIDTH < width < MAX_WIDTH[above]:
+                continue
+            row = pairs[count]
+            count += 1
+            row[OFFSET] = (tr - tl) / total
+            row[OFFSET_STD] = (
+                2.0 * hypot(tl * b[STD] * (1.0 + tr * tr), tr * a[STD] * (1.0 + tl * tl)) / (total * total)
+            )
+            row[WIDTH], row[LEFT], row[RIGHT] = width, i, j
+            la, lb = log(1.0 + a[LENGTH] / SMALL), log(1.0 + b[LENGTH] / SMALL)
+            ea, eb = log(1.0 + a[ENDING] / SMALL), log(1.0 + b[ENDING] / SMALL)
+            row[LENGTHS], row[LENGTH_GAP] = la + lb, abs(la - lb)
+            row[COVERAGES] = a[COVERAGE] + b[COVERAGE]
+            row[ENDINGS], row[ENDING_GAP] = ea + eb, abs(ea - eb)
+            row[CROSSING_GAP] = abs(log((SMALL + a[CROSSING]) / (SMALL + b[CROSSING])))
+            row[BEYOND_GAP] = abs(log((SMALL + a[BEYOND]) / (SMALL + b[BEYOND])))
+            row[CROSSEDS] = log((1.0 + a[CROSSED] / SMALL) * (1.0 + b[CROSSED] / SMALL))
+            row[SAME_POLARITY] = a[POLARITY] * b[POLARITY]
+            row[CONTRAST_GAP] = abs(log(a[CONTRAST] / b[CONTRAST]))
+            row[SPANS] = min(count_bits(rungs_left[i] & rungs_right[j]), 2)
+            board = min(a[BOARD_LENGTH], b[BOARD_LENGTH])
+            row[BOARDS] = log(1.0 + board / SMALL) if abs(a[BOARD] - b[BOARD]) < SAME_BOARD else 0.0
+            row[ASIDE] = max(0.0, abs(row[OFFSET]) - MAX_ASIDE) / ASIDE_SCALE
+            row[WIDE] = log(width / TYPICAL_WIDTH[above])
+            row[WIDE_SQUARED] = row[WIDE] * row[WIDE]
+            row[CROWD] = log(float(len(left) * len(right)))
     return count
+
+
+@compiled
+def _vote(floor: FloatArray, ceiling: FloatArray, corners: FloatArray) -> None:
+    """Let every pair be supported by the pairs of the same offset: what is symmetric on the walls."""
+    n = len(floor)
+    m = n + len(ceiling)
+    offset, weight, angle = np.empty(m), np.empty(m), np.empty((m, 2))
+    for p in range(m):
+        row = floor[p] if p < n else ceiling[p - n]
+        q = 0 if p < n else 2
+        a, b = corners[q, int(row[LEFT])], corners[q + 1, int(row[RIGHT])]
+        offset[p], angle[p, 0], angle[p, 1] = row[OFFSET], a[ANGLE], b[ANGLE]
+        z = row[CONTRAST_GAP] / VOTE_CONTRAST
+        weight[p] = sqrt(a[LENGTH] * b[LENGTH]) / (1.0 + z * z) if row[SAME_POLARITY] > 0.0 else 0.0
+    order = np.argsort(offset)
+    for s in range(m):
+        p = order[s]
+        total = 0.0
+        for step in (-1, 1):
+            t = s + step
+            while 0 <= t < m and abs(offset[order[t]] - offset[p]) < VOTE_WINDOW:
+                q = order[t]
+                t += step
+                if (p < n) == (q < n) and (
+                    angle[q, 0] > angle[p, 0] - CLEAR_OF_CORNER_RAD
+                    or angle[q, 1] > angle[p, 1] - CLEAR_OF_CORNER_RAD
+                ):
+                    continue  # beyond the corners there is no wall
+                z = (offset[q] - offset[p]) / VOTE_WINDOW
+                total += weight[q] * (1.0 - z * z)
+        if p < n:
+            floor[p, VOTES] = log(1.0 + total / SMALL)
+        else:
+            ceiling[p - n, VOTES] = log(1.0 + total / SMALL)
+
+
+@compiled
+def pair_corners(corners: FloatArray, found: IntArray, touching: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Pair the candidates of `survey`; return the pairs of the floor and those of the ceiling, (k, 22) each."""
+    size = MAX_CORNERS * MAX_CORNERS
+    floor, ceiling = np.empty((size, N_PAIR)), np.empty((size, N_PAIR))
+    n = _pair(corners[0, : found[0]], corners[1, : found[1]], touching[0], touching[1], 0, floor)
+    m = _pair(corners[2, : found[2]], corners[3, : found[3]], touching[2], touching[3], 1, ceiling)
+    floor, ceiling = floor[:n], ceiling[:m]
+    _vote(floor, ceiling, corners)
+    return floor, ceiling
+
+
+@compiled
+def _tilt(row: FloatArray, corners: FloatArray, quadrant: int) -> float:
+    """Return by how much a radian of roll moves the offset of a pair."""
+    tl, tr = corners[quadrant, int(row[LEFT]), SLOPE], corners[quadrant + 1, int(row[RIGHT]), SLOPE]
+    change: float = 2.0 * (tl * (1.0 + tr * tr) + tr * (1.0 + tl * tl)) / (tl + tr) ** 2
+    return change if quadrant else -change
+
+
+@compiled
+def _hypotheses(
+    floor: FloatArray, ceiling: FloatArray, corners: FloatArray, weights: FloatArray, biases: FloatArray
+) -> FloatArray:
+    """Return the hypotheses (k, 6): a pair of the floor, of the ceiling, or both."""
+    n, m = len(floor), len(ceiling)
+    rows = np.empty((n * (m + 1) + m, 6))
+    score, tilt = np.zeros(m), np.empty(m)
+    count = 0
+    for c in range(m):
+        for k in range(LENGTHS, N_PAIR):
+            score[c] += weights[1, k - LENGTHS] * ceiling[c, k]
+        tilt[c] = _tilt(ceiling[c], corners, 2)
+        row = rows[count]
+        count += 1
+        row[H_OFFSET], row[H_STD], row[H_TILT] = ceiling[c, OFFSET], ceiling[c, OFFSET_STD], tilt[c]
+        row[H_SCORE], row[H_FLOOR], row[H_CEILING] = score[c] + biases[1], -1, c
+        for k in range(ASIDE, CROWD):  # together with the floor it is the floor's width that counts
+            score[c] -= weights[1, k - LENGTHS] * ceiling[c, k]
+    for f in range(n):
+        alone = biases[0]
+        for k in range(LENGTHS, N_PAIR):
+            alone += weights[0, k - LENGTHS] * floor[f, k]
+        turn = _tilt(floor[f], corners, 0)
+        first = count
+        row = rows[count]
+        count += 1
+        row[H_OFFSET], row[H_STD], row[H_TILT] = floor[f, OFFSET], floor[f, OFFSET_STD], turn
+        row[H_SCORE], row[H_FLOOR], row[H_CEILING] = alone, f, -1
+        precision = 1.0 / floor[f, OFFSET_STD] ** 2
+        for c in range(m):
+            height = floor[f, WIDTH] / ceiling[c, WIDTH]
+            apart = abs(floor[f, OFFSET] - ceiling[c, OFFSET])
+            if apart > JOINT_WINDOW or not MIN_CEILING < height < MAX_CEILING:
+                continue
+            row = rows[count]
+            count += 1
+            share = precision / (precision + 1.0 / ceiling[c, OFFSET_STD] ** 2)
+            row[H_OFFSET] = share * floor[f, OFFSET] + (1.0 - share) * ceiling[c, OFFSET]
+            row[H_STD] = sqrt(share) * floor[f, OFFSET_STD]
+            row[H_TILT] = share * turn + (1.0 - share) * tilt[c]
+            row[H_SCORE], row[H_FLOOR], row[H_CEILING] = alone + score[c] + biases[2], f, c
+        for k in range(first, count):
+            rows[k, H_SCORE] += biases[3] * log(float(count - first))
+    return rows[:count]
+
+
+@compiled
+def _settle(
+    rows: FloatArray, n_floor: int, prior: float, prior_std: float
+) -> tuple[float, float, float, float, float, int, int, float]:
+    """Find the offset that most of the probability is for.
+
+    Returns offset, its scatter among the hypotheses, their own mean std, change by roll, probability, the likeliest
+    pair of the floor and of the ceiling (-1: none), and the floor pair's share of the probability.
+    """
+    n = len(rows)
+    evidence, likely = np.empty(n), np.empty(n)
+    best, most, total = 0, 0.0, 1.0  # the odds of nothing to be relied on
+    for k in range(n):
+        evidence[k] = likely[k] = exp(min(rows[k, H_SCORE], 100.0))
+        if isfinite(prior):
+            z = (rows[k, H_OFFSET] - prior) / hypot(prior_std, PRIOR_SLACK)
+            likely[k] *= PRIOR_FLOOR + (1.0 - PRIOR_FLOOR) * exp(-0.5 * z * z)
+        total += likely[k]
+        if likely[k] > most:
+            best, most = k, likely[k]
+    offset = rows[best, H_OFFSET]
+    for _ in range(2):
+        moment = weight = 0.0
+        for k in range(n):
+            if abs(rows[k, H_OFFSET] - offset) < SAME_OFFSET:
+                moment += evidence[k] * rows[k, H_OFFSET]
+                weight += evidence[k]
+        offset = moment / weight
+    share = np.zeros(n_floor + 1)  # of each floor's pair; the last for none
+    weight = probability = scatter = std = tilt = most = 0.0
+    ceiling = -1
+    for k in range(n):
+        if abs(rows[k, H_OFFSET] - offset) >= SAME_OFFSET:
+            continue
+        weight += evidence[k]
+        probability += likely[k] / total
+        scatter += evidence[k] * (rows[k, H_OFFSET] - offset) ** 2
+        std += evidence[k] * rows[k, H_STD]
+        tilt += evidence[k] * rows[k, H_TILT]
+        share[int(rows[k, H_FLOOR])] += evidence[k]
+        if likely[k] > most:
+            ceiling, most = int(rows[k, H_CEILING]), likely[k]
+    floor = int(np.argmax(share[:n_floor])) if n_floor else -1
+    return (
+        offset,
+        sqrt(scatter / weight),
+        std / weight,
+        tilt / weight,
+        probability,
+        floor,
+        ceiling,
+        share[floor] / weight if n_floor else 0.0,
+    )
 
 
 def fit_lateral(
@@ -130,124 +350,45 @@ def fit_lateral(
     prior_offset_norm, prior_offset_norm_std
         A filter's prediction, to choose between hypotheses; NaN: none.
     """
-    index, slope, std, polarity, on_left = _cross_section(lines, axis, R_level_camera)
-    corner = _corner_likelihood(lines, axis, R_level_camera, slope, on_left)
-    columns = np.column_stack([slope, std, lines.length_px[index], polarity, corner])
-    left, right = columns[on_left], columns[~on_left]
-    if not len(left) or not len(right):
+    corners, floor, ceiling = survey_lines(lines, axis, R_level_camera)
+    if not len(floor) and not len(ceiling):
         return None
-    votes = np.empty(N_BINS)
-    pairs = np.empty((len(left) * len(right), 6))
-    pairs = pairs[: _vote_pairs(left, right, votes, pairs)]
-    offsets = np.linspace(-1.0, 1.0, N_BINS)
-    if isfinite(prior_offset_norm):
-        z = (offsets - prior_offset_norm) / hypot(prior_offset_norm_std, 0.03)
-        votes = votes * (0.1 + 0.9 * np.exp(-0.5 * z * z))  # the floor lets strong evidence win
-    best = int(np.argmax(votes))
-    rival = votes[np.abs(offsets - offsets[best]) > RIVAL_DISTANCE].max()
-    diagonal = hypot(lines.width_px, lines.height_px)
-    if votes[best] < MIN_SUPPORT_OF_DIAGONAL * diagonal or rival > MAX_RIVAL * votes[best]:
+    rows = _hypotheses(floor, ceiling, corners, WEIGHTS, BIASES)
+    offset, scatter, std, tilt, probability, f, c, floor_share = _settle(
+        rows, len(floor), prior_offset_norm, prior_offset_norm_std
+    )
+    if probability < MIN_PROBABILITY:
         return None
-    return _refine(pairs, offsets[best], roll_std_rad, index[on_left], index[~on_left])
-
-
-def _cross_section(
-    lines: LineSet, axis: AxisFit, R_level_camera: FloatArray
-) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Pick the lines that can be on a wall: index, slope below the horizontal, its std, polarity, on the left."""
-    ahead = axis_direction(axis.heading_rad, axis.elevation_rad)
-    rightward = axis_direction(axis.heading_rad - 0.5 * np.pi, 0.0)
-    down = np.cross(ahead, rightward)
-    normal = lines.normal @ R_level_camera.T
-    centre = lines.centre @ R_level_camera.T
-    towards = np.cross(normal, ahead)  # in the line's plane, across the axis
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    aside = (centre * towards).sum(axis=1)  # sine of the angle between the axis and the line's middle
-    towards *= np.sign(aside)[:, None]
-    sideways = towards @ rightward
-    slope = (towards @ down) / np.maximum(np.abs(sideways), 1e-9)
-    usable = axis.inlier & (np.abs(sideways) > MIN_SIDEWAYS)
-    usable &= (np.abs(slope) > MIN_SLOPE) & (np.abs(slope) < MAX_SLOPE)
-    index = np.flatnonzero(usable)
-    slope = slope[index]
-    angle_std = np.hypot(lines.sigma_rad[index] / np.abs(aside[index]), radians(0.1))
-    std = np.hypot(angle_std * (1.0 + slope**2), SLOPE_SLACK * np.abs(slope))
-    # the line's normal points to its bright side: below the line or above it?
-    polarity = np.sign(normal[index] @ down)
-    return index, slope, std, polarity, sideways[index] < 0.0
-
-
-def _corner_likelihood(
-    lines: LineSet,
-    axis: AxisFit,
-    R_level_camera: FloatArray,
-    slope: FloatArray,
-    on_left: npt.NDArray[np.bool_],
-) -> FloatArray:
-    """Return how likely (k,) each line is the corner of its wall, by the door posts and wall edges near it.
-
-    What is upright on a wall ends where the wall does: uprights that end at a line speak for a corner,
-    uprights that cross it say that the wall goes on.
-    """
-    ahead = axis_direction(axis.heading_rad, axis.elevation_rad)
-    rightward = axis_direction(axis.heading_rad - 0.5 * np.pi, 0.0)
-    down = np.cross(ahead, rightward)
-    normal = lines.normal @ R_level_camera.T
-    upright = ~axis.inlier & (np.abs(normal[:, 2]) < VERTICAL_SINE)
-    ends = []
-    for sign in (-1.0, 1.0):
-        angle = 0.5 * lines.arc_rad[upright, None]
-        rays = np.cos(angle) * lines.centre[upright] + sign * np.sin(angle) * lines.direction[upright]
-        rays = rays @ R_level_camera.T
-        ends.append(np.column_stack([rays @ down, rays @ rightward]))
-    slopes = np.column_stack([e[:, 0] / np.maximum(np.abs(e[:, 1]), 1e-6) for e in ends])
-    top, foot = slopes.min(axis=1), slopes.max(axis=1)
-    length = np.minimum(
-        lines.length_px[upright], MAX_UPRIGHT_OF_DIAGONAL * hypot(lines.width_px, lines.height_px)
-    )
-    left_upright = ends[0][:, 1] < 0.0
-    same_side = on_left[:, None] == left_upright[None, :]
-    size = np.abs(slope)[:, None]
-    end = np.where(slope[:, None] > 0.0, foot[None, :] - slope[:, None], slope[:, None] - top[None, :]) / size
-    start = (
-        np.where(slope[:, None] > 0.0, slope[:, None] - top[None, :], foot[None, :] - slope[:, None]) / size
-    )
-    ending = same_side & (np.abs(end) < END_TOLERANCE) & (start > END_TOLERANCE)
-    crossing = same_side & (end > 2.0 * END_TOLERANCE) & (start > 2.0 * END_TOLERANCE)
-    few = 0.03 * hypot(lines.width_px, lines.height_px)
-    ends_there = (ending * length).sum(axis=1) + few
-    return np.asarray(ends_there / (ends_there + (crossing * length).sum(axis=1) + few))
-
-
-def _refine(
-    pairs: FloatArray,
-    offset: float,
-    roll_std_rad: float,
-    left_index: npt.NDArray[np.intp],
-    right_index: npt.NDArray[np.intp],
-) -> LateralFit | None:
-    for _ in range(5):  # the vote's bins are coarse: settle between them
-        z = (pairs[:, 0] - offset) / (REACH * pairs[:, 1])
-        weight = pairs[:, 2] * np.maximum(1.0 - z * z, 0.0) ** 2 / pairs[:, 1] ** 2
-        if not weight.sum() > 0.0:
-            return None
-        offset = float(weight @ pairs[:, 0] / weight.sum())
-    pairs, weight = pairs[weight > 0.0], weight[weight > 0.0]
-    scatter = float(weight @ (pairs[:, 0] - offset) ** 2 / weight.sum())
-    # A roll error turns slopes of both walls the same way: (1 + t^2) / t on the offset, t about 2 / width.
-    below = pairs[:, 5] > 0.0
-    slope = 2.0 / float(weight @ np.abs(pairs[:, 5]) / weight.sum())
-    cancel = abs(float(weight @ np.where(below, 1.0, -1.0)) / weight.sum())
-    roll = roll_std_rad * (1.0 + slope * slope) / slope * cancel
-    std = sqrt(scatter / max(1.0, 0.5 * len(pairs)) + roll * roll + MIN_STD**2)
+    variance = SCATTER_SHARE * scatter**2 + std**2 + (roll_std_rad * tilt) ** 2 + MIN_STD**2 + DOUBT * (1.0 - probability)
     walls: list[int] = []
     width_per_height = nan
-    for side in (1.0, -1.0):
-        here = np.flatnonzero((side * pairs[:, 5] > 0.0) & (pairs[:, 2] > 0.4 * pairs[:, 2].max()))
-        if len(here):
-            # the corner is the pair farthest from the camera's height: the narrowest in units of it
-            corner = pairs[here[np.argmin(np.abs(pairs[here, 5]))]]
-            walls += [int(left_index[int(corner[3])]), int(right_index[int(corner[4])])]
-            if side > 0.0:
-                width_per_height = float(corner[5])
-    return LateralFit(offset, std, width_per_height, np.array(walls, dtype=np.intp))
+    if floor_share > MIN_WIDTH_SHARE:
+        width_per_height = float(floor[f, WIDTH])
+        walls += [int(corners[side, int(floor[f, LEFT + side]), LINE]) for side in (0, 1)]
+    if c >= 0:
+        walls += [int(corners[2 + side, int(ceiling[c, LEFT + side]), LINE]) for side in (0, 1)]
+    return LateralFit(offset, sqrt(variance), width_per_height, np.array(walls, dtype=np.intp))
+
+
+def survey_lines(
+    lines: LineSet, axis: AxisFit, R_level_camera: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return candidates for corners (4, 12, 15), and the pairs of the floor and of the ceiling, (k, 22) each."""
+    ahead = axis_direction(axis.heading_rad, axis.elevation_rad)
+    rightward = axis_direction(axis.heading_rad - 0.5 * np.pi, 0.0)
+    R_axis_camera = np.array([ahead, rightward, np.cross(ahead, rightward)]) @ R_level_camera
+    corners, found, touching = survey(
+        lines.normal,
+        lines.centre,
+        lines.direction,
+        lines.arc_rad,
+        lines.sigma_rad,
+        lines.length_px,
+        lines.contrast,
+        axis.inlier,
+        R_axis_camera,
+        R_level_camera[2],
+        hypot(lines.width_px, lines.height_px),
+    )
+    floor, ceiling = pair_corners(corners, found, touching)
+    return corners, floor, ceiling
