@@ -30,7 +30,7 @@ from fusion.models import (
 )
 from fusion.state import UNKNOWN_HEADING_STD_RAD, UNKNOWN_OFFSET_STD_RAD, Mode, State, half_width_m
 from fusion.tilt import Vector
-from fusion.yaw_watch import is_independent
+from fusion.yaw_watch import Trace, is_calm, is_due, is_independent, parted, stepped_by, traced
 
 Quaternion = tuple[float, float, float, float]
 
@@ -219,6 +219,7 @@ class Propagation:
         self.ekf.advance(dt_s, turned_rad, noise, u, w, variance)
         self._open_node()
         s.theta_rad += turned_rad - bias_turn
+        s.raw_theta_rad += turned_rad
         s.yaw_done_rad += turned_rad - (bias_turn if s.mode is not Mode.ATTITUDE else 0.0)
         s.gyro_done_rad += turned_rad
         s.t_ns = t_ns
@@ -292,7 +293,8 @@ class Propagation:
         if not s.acquired:
             return
         # Where yaw increments carry the heading, the same yaw tells nothing more.
-        self._couple_imu_yaw(s.mode is Mode.GYRO and self._imu_yaw_is_worth_having())
+        worth = s.mode is Mode.GYRO and self._imu_yaw_is_worth_having()
+        self._couple_imu_yaw(worth and is_calm(s.yaw_traces))
         measurement = self._imu_yaw_measurement(yaw_rad)
         if not s.imu_yaw_known:
             self.ekf.update(measurement)
@@ -302,11 +304,30 @@ class Propagation:
         s.imu_yaw_ratio = gate.test_ratio
         if gate.accepted:
             s.imu_yaw_rejects = 0
+            self._trace_imu_yaw(yaw_rad)
             return
         s.imu_yaw_rejects += 1
         if s.imu_yaw_rejects >= IMU_YAW_STEP_SAMPLES:
             self._widen(OFFSET, gate.residual**2)
             self.ekf.update(self._imu_yaw_measurement(yaw_rad))
+            s.yaw_traces = stepped_by(gate.residual, s.yaw_traces)
+
+    def _trace_imu_yaw(self, yaw_rad: float) -> None:
+        """Notice where the IMU's yaw parts from the gyroscope, and undo what that did to the heading."""
+        s, c = self.state, self.config
+        if not is_due(s.yaw_traces, self._now_ns):
+            return
+        x, P, raw = self.ekf.x, self.ekf.P, s.raw_theta_rad
+        now = Trace(self._now_ns, yaw_rad - raw, float(x[PSI]) - raw, float(x[BIAS]), float(P[BIAS, BIAS]))
+        found = parted(s.yaw_traces, now, c.gyro_noise**2 + c.offset_walk**2, c.imu_yaw_std_rad**2)
+        if found is None:
+            s.yaw_traces = traced(s.yaw_traces, now)
+            return
+        s.yaw_traces = (now,)
+        unseen = s.t_vision_ns is None or s.t_vision_ns < found.since_ns
+        if s.imu_yaw_coupled and unseen:  # no frame has moved them meanwhile, so the yaw has
+            moved = np.array([found.heading_rad, found.bias_rad_s, 0.0, 0.0, 0.0])
+            self._transit(x - moved, np.eye(N_STATES), np.multiply.outer(moved, moved))
 
     def _imu_yaw_is_worth_having(self) -> bool:
         c = self.config

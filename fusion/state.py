@@ -15,7 +15,7 @@ from fusion.consensus import Vote
 from fusion.models import BIAS, OFFSET, PSI, FloatArray, V, Y, wrap, wrap_axis
 from fusion.tilt import Tilt, Vector
 from fusion.trust import Trust
-from fusion.yaw_watch import YawWatch
+from fusion.yaw_watch import Trace, YawWatch
 from vision.measurement import position_from_offset
 
 UNKNOWN_HEADING_STD_RAD = pi / 2
@@ -153,6 +153,7 @@ class State:
     yaw_rad: float = nan  # of the last attitude sample
     yaw_done_rad: float = 0.0  # already propagated since then
     theta_rad: float = 0.0
+    raw_theta_rad: float = 0.0  # the same without taking off the bias
     t_velocity_ns: int | None = None
     forward_m_s: float = 0.0
     sideways_m_s: float = 0.0
@@ -161,6 +162,7 @@ class State:
     imu_yaw_coupled: bool = False  # whether o is correlated with the rest
     imu_yaw_rejects: int = 0
     yaw_watch: YawWatch = field(default_factory=YawWatch)
+    yaw_traces: tuple[Trace, ...] = ()
     imu_yaw_ratio: float = nan
 
     acquired: bool = False  # a heading was found and not lost since

@@ -4,6 +4,10 @@ An attitude filter's yaw mostly repeats the gyroscope that carries the heading a
 makes the filter too sure and worse. A yaw of its own (a good compass, a second gyroscope) is worth having where
 vision is blind. The two are told apart by their errors: over a few seconds, frames show by how much the dead-reckoned
 heading and the IMU's yaw have each gone astray. If they stray together, they come from one sensor.
+
+A yaw that is worth having may still be pulled away by steel or a motor's current, at once or over seconds. Then it
+parts from the gyroscope faster than both their noises allow; what it did to the heading meanwhile is taken back, and
+it is left alone until the two agree again.
 """
 
 from __future__ import annotations
@@ -11,7 +15,7 @@ from __future__ import annotations
 from math import radians, sqrt
 from typing import NamedTuple
 
-from fusion.models import wrap_axis
+from fusion.models import wrap, wrap_axis
 
 BLOCK_NS = 500_000_000
 MIN_FRAMES = 3  # of a block
@@ -21,6 +25,10 @@ MEMORY = 40.0  # spans
 MIN_SPANS = 8.0
 MAX_SHARED = 0.5  # part of the gyroscope's wander that the IMU's yaw may repeat
 MAX_WANDER = 1.5  # of the IMU's yaw, over what the configuration takes it for
+TRACE_NS = 3_000_000_000  # how far back yaw and gyroscope are compared
+TRACE_STEP_NS = 100_000_000
+CALM_NS = 2_000_000_000
+DISTURBED_SIGMA = 4.5  # less, and the many comparisons would find chance
 
 
 class Block(NamedTuple):
@@ -125,3 +133,59 @@ def is_independent(w: YawWatch, gyro_density: float, yaw_density: float) -> bool
         return False
     error = sqrt(max(w.gyro, 0.0) * max(w.yaw, 0.0) / w.spans)  # of the common part, where there is none
     return w.shared + error < MAX_SHARED * gyro_density**2 and w.yaw < (MAX_WANDER * yaw_density) ** 2
+
+
+class Trace(NamedTuple):
+    """IMU yaw and filter's heading at one time, less the turns that the gyroscope has measured; bias and variance."""
+
+    t_ns: int
+    yaw_rad: float
+    heading_rad: float
+    bias_rad_s: float
+    bias_variance: float
+
+
+class Parting(NamedTuple):
+    """How far heading and bias have come, since ``since_ns``, from where the gyroscope alone would have them."""
+
+    since_ns: int
+    heading_rad: float
+    bias_rad_s: float
+
+
+def parted(
+    traces: tuple[Trace, ...], now: Trace, variance_per_s: float, yaw_variance: float
+) -> Parting | None:
+    """Find since when the IMU's yaw has parted from the gyroscope by more than noise allows; None: it has not.
+
+    ``variance_per_s`` is that by which both may wander, ``yaw_variance`` that of one yaw's noise. The bias is that of
+    the earlier time: a yaw that is pulled away slowly takes the bias along too.
+    """
+    for old in traces:
+        span_s = (now.t_ns - old.t_ns) * 1e-9
+        drift = -old.bias_rad_s * span_s
+        variance = (variance_per_s + old.bias_variance * span_s) * span_s + 2.0 * yaw_variance
+        if wrap(now.yaw_rad - old.yaw_rad - drift) ** 2 > DISTURBED_SIGMA**2 * variance:
+            moved = now.heading_rad - old.heading_rad - drift
+            return Parting(old.t_ns, moved, now.bias_rad_s - old.bias_rad_s)
+    return None
+
+
+def is_due(traces: tuple[Trace, ...], t_ns: int) -> bool:
+    """Whether it is time to look again."""
+    return not traces or t_ns - traces[-1].t_ns >= TRACE_STEP_NS
+
+
+def traced(traces: tuple[Trace, ...], now: Trace) -> tuple[Trace, ...]:
+    """Append a trace and let go of old ones."""
+    return (*(old for old in traces if now.t_ns - old.t_ns <= TRACE_NS), now)
+
+
+def stepped_by(step_rad: float, traces: tuple[Trace, ...]) -> tuple[Trace, ...]:
+    """Go on after a step that the offset has taken up: it is as if the yaw had always been there."""
+    return tuple(old._replace(yaw_rad=old.yaw_rad + step_rad) for old in traces)
+
+
+def is_calm(traces: tuple[Trace, ...]) -> bool:
+    """Whether yaw and gyroscope have agreed for a while."""
+    return bool(traces) and traces[-1].t_ns - traces[0].t_ns >= CALM_NS

@@ -329,6 +329,23 @@ def test_coupled_imu_yaw_helps_in_a_drop_out_and_its_steps_do_little() -> None:
     assert degrees(np.abs(error[seeing]).max()) < 1.5
 
 
+@pytest.mark.parametrize("seconds", [0.5, 2.0, 4.0])
+def test_coupled_imu_yaw_that_is_pulled_away_in_a_drop_out_takes_the_heading_along_but_little(
+    seconds: float,
+) -> None:
+    """Steel in passing: the yaw goes off by 20 degrees over a while, just where no frame can say so."""
+
+    def pulled(t: np.ndarray) -> np.ndarray:
+        return 0.7 + radians(20) * np.clip((np.asarray(t, float) - 7.0) / seconds, 0, 1)
+
+    scene = yaw_scene(dropouts=[(6.0, 11.0)], yaw_offset=pulled)
+    simulated = simulate(scene)
+    result = run(simulated, config_for(scene, imu_yaw_use="always", imu_yaw_std_rad=radians(0.3)))
+    error = heading_error(result, simulated)[result.t_s > 1]
+    assert degrees(np.abs(error).max()) < 2.5
+    assert (np.abs(error) < 3.5 * result.std[result.t_s > 1]).all()
+
+
 # Streams that are missing
 
 

@@ -5,7 +5,17 @@ from math import radians
 import numpy as np
 import pytest
 
-from fusion.yaw_watch import YawWatch, is_independent, watch
+from fusion.yaw_watch import (
+    Trace,
+    YawWatch,
+    is_calm,
+    is_due,
+    is_independent,
+    parted,
+    stepped_by,
+    traced,
+    watch,
+)
 
 GYRO, YAW = 0.0075, 0.009
 S = 1_000_000_000
@@ -68,3 +78,55 @@ def test_change_of_axis_drops_the_comparison_under_way_only() -> None:
     assert cut.first is None
     assert cut.reference is None
     assert (cut.spans, cut.shared) == (w.spans, w.shared)
+
+
+def first_alarm_s(stray: np.ndarray, hz: float = 50.0) -> float | None:
+    """When a yaw that strays so from the gyroscope is found to have parted from it."""
+    traces: tuple[Trace, ...] = ()
+    for i, value in enumerate(stray.tolist()):
+        now = Trace(round(i / hz * S), value, 0.0, 0.0, 1e-6)
+        if not is_due(traces, now.t_ns):
+            continue
+        if parted(traces, now, GYRO**2 + YAW**2, radians(0.3) ** 2):
+            return i / hz
+        traces = traced(traces, now)
+        assert len(traces) < 35
+    return None
+
+
+@pytest.mark.parametrize(("rate_deg_s", "within_s"), [(1000.0, 0.15), (15.0, 0.4), (7.5, 0.6), (2.5, 2.5)])
+def test_a_yaw_that_is_pulled_away_is_noticed(rate_deg_s: float, within_s: float) -> None:
+    t = np.arange(500) / 50
+    for seed in range(5):
+        noise = np.random.default_rng(seed).normal(0, radians(0.2), t.size)
+        pulled = np.minimum(radians(rate_deg_s) * np.clip(t - 5, 0, None), radians(15))
+        alarm = first_alarm_s(noise + pulled)
+        assert alarm is not None
+        assert 5.0 <= alarm <= 5.0 + within_s
+
+
+def test_noise_and_wander_are_no_disturbance() -> None:
+    alarms = 0
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        wander = np.cumsum(rng.normal(0, np.hypot(GYRO, YAW) / np.sqrt(50), 3000))
+        alarms += first_alarm_s(wander + rng.normal(0, radians(0.3), 3000)) is not None
+    assert alarms <= 1  # in ten minutes
+
+
+def test_calm_takes_two_seconds_and_ends_with_a_gap() -> None:
+    traces: tuple[Trace, ...] = ()
+    assert not is_calm(traces)
+    for i in range(25):
+        traces = traced(traces, Trace(i * S // 10, 0.0, 0.0, 0.0, 0.0))
+        assert is_calm(traces) == (i >= 20)
+    assert not is_calm(traced(traces, Trace(9 * S, 0.0, 0.0, 0.0, 0.0)))
+
+
+def test_step_that_was_taken_up_is_no_parting() -> None:
+    traces: tuple[Trace, ...] = ()
+    for i in range(20):
+        traces = traced(traces, Trace(i * S // 10, 0.1, 0.0, 0.0, 1e-6))
+    now = Trace(2 * S, 0.1 + radians(15), 0.0, 0.0, 1e-6)
+    assert parted(traces, now, GYRO**2, radians(0.3) ** 2) is not None
+    assert parted(stepped_by(radians(15), traces), now, GYRO**2, radians(0.3) ** 2) is None
