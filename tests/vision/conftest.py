@@ -35,15 +35,24 @@ class Corridor:
     along: bool = True
     posts: bool = True
     rails_m: tuple[float, ...] = field(default=(-0.7, 0.2))  # height (down) of rails on both walls
+    walls: tuple[int, ...] = (-1, 1)  # left, right
+    joints: tuple[float, ...] = ()  # lines along the floor, where between left and right wall (-1 to 1)
+    left_rails_m: tuple[float, ...] = ()
 
     def segments(self) -> FloatArray:
         """World segments (n, 6)."""
         left = -self.width_m / 2 * (1 + self.offset_norm)
         right = self.width_m / 2 * (1 - self.offset_norm)
-        out = []
+        out: list[tuple[float, ...]] = []
+        for joint in self.joints:
+            y = 0.5 * (left + right) + 0.5 * self.width_m * joint
+            out += [(x, y, self.below_m, x + 3.5, y, self.below_m) for x in (1.5, 4.0, 8.0)]
         for y in (left, right):
+            if (-1 if y == left else 1) not in self.walls:
+                continue
             if self.along:
-                for z in (self.below_m, self.below_m - 0.1, -self.above_m, *self.rails_m):
+                rails = self.rails_m + (self.left_rails_m if y == left else ())
+                for z in (self.below_m, self.below_m - 0.1, -self.above_m, *rails):
                     # far to near on the right wall: the same side is bright on both
                     near, far = (0.0, 1.5) if y == left else (1.5, 0.0)
                     out += [(x + near, y, z, x + far, y, z) for x in (1.5, 4.0, 8.0)]

@@ -1,0 +1,119 @@
+"""Lateral offset: the right corners among what resembles them, silence where the walls do not tell."""
+
+from __future__ import annotations
+
+from math import exp, nan, radians
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from fusion.simulate.views import random_views
+from vision import Attitude, Camera, FrameMeasurement, Prior, measure_frame, measure_lines
+from vision.lateral import N_PAIR, WEIGHTS, _settle
+
+CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)
+QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+LEVEL = Attitude(0.0, 0.0)
+
+
+def measured(seen: Any, corridor: Any, **about: Any) -> FrameMeasurement:
+    m: FrameMeasurement = measure_lines(seen(corridor(**about), CAMERA), CAMERA, LEVEL)
+    assert m.accepted
+    return m
+
+
+def test_floor_corners_and_not_the_skirting_boards_give_the_width(corridor: Any, seen: Any) -> None:
+    m = measured(seen, corridor, offset_norm=0.2, heading_rad=0.05)
+    assert m.lateral_offset_norm == pytest.approx(0.2, abs=0.005)
+    assert m.width_per_height == pytest.approx(2.2 / 1.4, rel=0.01)  # the boards would give 2.2 / 1.3
+
+
+@pytest.mark.parametrize("joints", [(-0.5,), (0.3,), (-0.6, 0.1, 0.7)])
+def test_joints_of_the_floor_are_no_corners(corridor: Any, seen: Any, joints: tuple[float, ...]) -> None:
+    for offset in (-0.3, 0.0, 0.3):
+        m = measured(seen, corridor, offset_norm=offset, joints=joints)
+        assert np.isnan(m.lateral_offset_norm) or m.lateral_offset_norm == pytest.approx(offset, abs=0.02)
+
+
+def test_rails_of_one_wall_are_no_corners(corridor: Any, seen: Any) -> None:
+    for offset in (-0.3, 0.0, 0.3):
+        m = measured(seen, corridor, offset_norm=offset, left_rails_m=(0.5, 0.8, 1.1))
+        assert np.isnan(m.lateral_offset_norm) or m.lateral_offset_norm == pytest.approx(offset, abs=0.02)
+
+
+@pytest.mark.parametrize("wall", [-1, 1])
+def test_one_wall_alone_gives_a_heading_and_no_offset(corridor: Any, seen: Any, wall: int) -> None:
+    m = measured(seen, corridor, walls=(wall,), heading_rad=-0.1 * wall)
+    assert m.heading_rad == pytest.approx(-0.1 * wall, abs=radians(0.05))
+    assert np.isnan(m.lateral_offset_norm)
+    assert m.position is None
+
+
+@QUICK
+@given(offset=st.floats(-0.6, 0.6), prior=st.floats(-0.8, 0.8))
+def test_a_prior_never_moves_the_answer(corridor: Any, seen: Any, offset: float, prior: float) -> None:
+    """It chooses: the answer is the one without it, or none."""
+    lines = seen(corridor(offset_norm=offset), CAMERA)
+    alone = measure_lines(lines, CAMERA, LEVEL)
+    assume(np.isfinite(alone.lateral_offset_norm))
+    m = measure_lines(lines, CAMERA, LEVEL, Prior(lateral_offset_norm=prior, lateral_offset_norm_std=0.05))
+    if np.isfinite(m.lateral_offset_norm):
+        assert m.lateral_offset_norm == pytest.approx(alone.lateral_offset_norm, abs=1e-6)
+
+
+def hypotheses(*odds: tuple[float, float]) -> np.ndarray:
+    """Floor pairs at these offsets with these odds."""
+    return np.array([(y, 0.004, -1.5, np.log(q), k, -1) for k, (y, q) in enumerate(odds)])
+
+
+def test_probability_is_shared_between_the_answers_and_none() -> None:
+    offset, _, _, _, probability, floor, _, share = _settle(
+        hypotheses((0.3, 90.0), (0.31, 9.0), (-0.2, 900.0)), 3, nan, nan
+    )
+    assert (offset, probability) == (pytest.approx(-0.2), pytest.approx(900 / 1000))
+    assert (floor, share) == (2, pytest.approx(1.0))
+    joined = _settle(hypotheses((0.3, 90.0), (0.31, 9.0)), 2, nan, nan)
+    assert joined[0] == pytest.approx((90 * 0.3 + 9 * 0.31) / 99)
+    assert joined[4] == pytest.approx(99 / 100)
+
+
+def test_a_prior_settles_what_the_picture_leaves_open() -> None:
+    rows = hypotheses((0.3, 500.0), (-0.3, 80.0))
+    assert _settle(rows, 2, nan, nan)[4] < 0.9
+    chosen = _settle(rows, 2, 0.3, 0.04)
+    assert chosen[0] == pytest.approx(0.3)
+    assert chosen[4] == pytest.approx(500 / (500 + 80 * 0.1 + 1), rel=1e-3)
+    against = _settle(rows, 2, -0.3, 0.04)  # what a lost filter would like to hear is not answered
+    assert against[4] < 0.9
+
+
+def test_evidence_beyond_the_range_of_exp_is_no_trouble() -> None:
+    rows = hypotheses((0.1, 1.0))
+    rows[0, 3] = 800.0
+    assert _settle(rows, 1, nan, nan)[4] == pytest.approx(1.0)
+    rows[0, 3] = -800.0
+    assert _settle(rows, 1, nan, nan)[4] < exp(-100)
+
+
+def test_there_is_a_weight_for_every_piece_of_evidence() -> None:
+    assert WEIGHTS.shape == (2, N_PAIR - 5)
+
+
+def test_simulated_corridors_have_hardly_a_wrong_corner() -> None:
+    """Boards, lockers, pipes, carts, floor joints, doors: never seen before, no attitude error."""
+    camera = Camera.from_fov(320, 240, radians(85))
+    error, sigma, accepted = [], [], 0
+    for view in random_views(camera, 80, seed=31, views_per_scene=2):
+        m = measure_frame(view.image, view.camera, Attitude(view.roll_rad, view.pitch_rad))
+        accepted += m.accepted
+        if m.accepted and np.isfinite(m.lateral_offset_norm):
+            error.append(m.lateral_offset_norm - view.lateral_offset_norm)
+            sigma.append(m.lateral_offset_norm_std)
+    wrong = np.abs(error) > 0.1  # 5 % of the width
+    assert accepted >= 70
+    assert len(error) >= 0.35 * accepted
+    assert wrong.sum() <= 1
+    assert np.percentile(np.abs(error) / np.array(sigma), 90) < 2.6
