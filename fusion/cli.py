@@ -215,6 +215,21 @@ def simulate(
     typer.echo(f"{out}: a flight of {settings.motion.duration_s:g} s; next: corridor fuse {out}")
 
 
+@app.command("config", help=cli_help.CONFIG, short_help="Print all settings with their meaning, as TOML.")
+def print_config(
+    file: Annotated[
+        Path | None, typer.Argument(metavar="[FILE.toml]", help="Settings that differ; else the defaults.")
+    ] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="Those of `corridor simulate`, not of `corridor fuse`.")
+    ] = False,
+) -> None:
+    """Print a configuration whole."""
+    from fusion.config_file import settings_text
+
+    typer.echo(settings_text(file, simulate=simulate), nl=False)
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit; the entry point of the script ``corridor``."""
     if isinstance(

@@ -5,15 +5,13 @@ A TOML file holds the same names: ``corridor_width_m = 2.2``. What is not named 
 
 from __future__ import annotations
 
-import tomllib
-from difflib import get_close_matches
 from math import radians
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from vision.errors import InputError
+from fusion.config_file import build, read_toml
 
 DEFAULT_GYRO_NOISE_DENSITY = 0.0075  # rad/s/sqrt(Hz): a consumer MEMS gyroscope on a vibrating frame
 DEFAULT_GYRO_BIAS_WALK = 1e-4  # rad/s^2/sqrt(Hz)
@@ -219,35 +217,4 @@ class FusionConfig(BaseModel):
         InputError
             Where the file is missing or torn, or names something unknown or out of bounds.
         """
-        try:
-            values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(
-                f"is not TOML: {error}", file=path, remedy="write lines like name = 1.5"
-            ) from error
-        try:
-            return cls(**values)
-        except ValidationError as error:
-            problem, remedy = _explain(error.errors()[0])
-            raise InputError(problem, file=path, remedy=remedy) from error
-
-
-def _explain(error: Any) -> tuple[str, str | None]:
-    """Turn pydantic's first complaint into a problem and a remedy."""
-    if not error["loc"]:
-        return str(error["ctx"]["error"]), None
-    name, value = str(error["loc"][0]), error["input"]
-    if error["type"] == "extra_forbidden":
-        near = get_close_matches(name, FusionConfig.model_fields, n=1, cutoff=0.5)
-        shown = "{...}" if isinstance(value, dict) else repr(value)
-        return (
-            f"unknown setting {name} = {shown}",
-            f"did you mean {near[0]}?" if near else "see fusion.FusionConfig for the names",
-        )
-    field = FusionConfig.model_fields.get(name)
-    return (
-        f"{name} = {value!r}: {error['msg'][0].lower()}{error['msg'][1:]}",
-        field.description if field else None,
-    )
+        return build(cls, read_toml(path), path)

@@ -6,17 +6,16 @@ A TOML file holds one table per section: ``[scene]``, ``[camera]``, ``[imaging]`
 
 from __future__ import annotations
 
-import tomllib
-from difflib import get_close_matches
 from math import cos, pi, radians, sin, tan
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
+from fusion.config_file import build, read_toml
 from fusion.simulate.scene_config import NotNegative, Positive, SceneConfig, Section, Share
-from vision import Camera, InputError
+from vision import Camera
 from vision.camera import COEFFICIENT_COUNTS, Distortion
 
 Angle = Annotated[float, Field(ge=-pi, le=pi)]
@@ -237,24 +236,12 @@ class SimulationConfig(Section):
         InputError
             Where the file is missing or torn, or names something unknown or out of bounds.
         """
-        try:
-            values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(
-                f"is not TOML: {error}", file=path, remedy="write lines like name = 1.5"
-            ) from error
-        return cls.from_values(values, path)
+        return cls.from_values(read_toml(path), path)
 
     @classmethod
     def from_values(cls, values: dict[str, Any], file: str | Path | None = None) -> SimulationConfig:
         """Check a nested table; `InputError` names the setting, its value and the remedy."""
-        try:
-            return cls(**values)
-        except ValidationError as error:
-            problem, remedy = _explain(cls, error.errors()[0])
-            raise InputError(problem, file=file, remedy=remedy) from error
+        return build(cls, values, file)
 
 
 def rotation(yaw_rad: float, pitch_rad: float, roll_rad: float) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -268,34 +255,6 @@ def rotation(yaw_rad: float, pitch_rad: float, roll_rad: float) -> np.ndarray[An
             [-sp, cp * sr, cp * cr],
         ]
     )
-
-
-def _explain(model: type[BaseModel], error: Any) -> tuple[str, str | None]:
-    """Turn pydantic's first complaint into a problem and a remedy."""
-    names = [str(part) for part in error["loc"]]
-    path = ".".join(names)
-    if error["type"] == "value_error":
-        return f"{path}: {error['ctx']['error']}" if path else str(error["ctx"]["error"]), None
-    fields = model.model_fields
-    for name in names[:-1]:
-        inner = next((m for m in _sections(fields.get(name)) if m is not None), None)
-        fields = inner.model_fields if inner else {}
-    if error["type"] == "extra_forbidden":
-        near = get_close_matches(names[-1], fields, n=1, cutoff=0.5)
-        remedy = f"did you mean {near[0]}?" if near else "known here: " + ", ".join(fields)
-        return f"unknown setting {path}", remedy
-    field = fields.get(names[-1])
-    message = error["msg"][0].lower() + error["msg"][1:]
-    return f"{path} = {error['input']!r}: {message}", field.description if field else None
-
-
-def _sections(field: Any) -> list[type[BaseModel] | None]:
-    """Models that a field may hold."""
-    if field is None:
-        return []
-    annotation = field.annotation
-    options = getattr(annotation, "__args__", (annotation,))
-    return [o for o in options if isinstance(o, type) and issubclass(o, BaseModel)]
 
 
 __all__ = [
