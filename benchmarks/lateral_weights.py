@@ -1,0 +1,220 @@
+"""Where the weights of `vision.lateral` come from, and what they are worth.
+
+``python benchmarks/lateral_weights.py`` renders corridors, fits the weights anew by maximum likelihood (that the
+hypotheses within 3 % of the true offset hold the probability, or that none is relied on where none is right), and
+prints them beside those in use; then, on corridors the fit has not seen and on ``data/office``, what share of the
+pictures is answered and what share of the answers is a wrong corner. Open halls, whose second wall is missing, teach
+silence. Weights that are zero in use, and that of flying near a wall, which no simulator knows, stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot, nan, radians
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+import typer
+from scipy.optimize import minimize
+from support.cases import flight_cases, flight_named
+from support.scores import number, percent, table
+
+from fusion.simulate.scene_config import SceneConfig
+from fusion.simulate.views import random_views
+from vision import Attitude, Camera, extract_lines, measure_lines
+from vision import lateral as lateral_module
+from vision.frame import SLOPE_STD_RAD
+from vision.gravity import level_from_verticals
+from vision.lateral import (
+    ASIDE,
+    BIASES,
+    CROWD,
+    EVIDENCE,
+    H_CEILING,
+    H_FLOOR,
+    H_OFFSET,
+    LENGTHS,
+    N_PAIR,
+    WEIGHTS,
+)
+from vision.vanishing_point import fit_axis
+
+FloatArray = npt.NDArray[np.float64]
+
+LENSES = (((320, 240), 70.0), ((640, 480), 90.0), ((320, 240), 95.0), ((640, 480), 75.0))
+ATTITUDE_STD_RAD = radians(0.5)
+RIGHT = 0.06  # in offset: 3 % of the width
+WRONG = 0.10
+RIDGE = 1e-4
+NAMES = (
+    "lengths",
+    "coverages",
+    "endings",
+    "crossed by rungs",
+    "length gap",
+    "ending gap",
+    "crossing gap",
+    "beyond gap",
+    "same polarity",
+    "contrast gap",
+    "spans",
+    "boards",
+    "votes",
+    "aside",
+    "wide",
+    "wide squared",
+    "crowd",
+)
+BIAS_NAMES = ("floor", "ceiling", "ceiling added", "choice")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """The hypotheses of one picture: evidence (k, 38) and offset (k,), and the true offset (NaN: there is none)."""
+
+    evidence: FloatArray
+    offset: FloatArray
+    truth: float
+    held_out: bool
+
+
+def evidence_of(rows: FloatArray, floor: FloatArray, ceiling: FloatArray) -> FloatArray:
+    """Return what the weights multiply to give the scores of hypotheses, (k, 38): floor, ceiling, biases."""
+    n = N_PAIR - LENGTHS
+    f, c = rows[:, H_FLOOR].astype(int), rows[:, H_CEILING].astype(int)
+    out = np.zeros((len(rows), 2 * n + 4))
+    out[f >= 0, :n] = floor[f[f >= 0], EVIDENCE]
+    out[c >= 0, n : 2 * n] = ceiling[c[c >= 0], EVIDENCE]
+    joint = (f >= 0) & (c >= 0)
+    out[joint, n + ASIDE - LENGTHS : n + CROWD - LENGTHS] = 0.0
+    out[:, 2 * n] = f >= 0
+    out[:, 2 * n + 1] = f < 0
+    out[:, 2 * n + 2] = joint
+    out[f >= 0, 2 * n + 3] = np.log(np.bincount(f[f >= 0]))[f[f >= 0]]
+    return out
+
+
+def picture_of(
+    image: npt.NDArray[np.uint8], camera: Camera, attitude: Attitude, truth: float, held_out: bool
+) -> Picture | None:
+    """Measure a picture as `vision.measure_lines` does, up to the hypotheses; None where its heading is rejected."""
+    lines = extract_lines(image, camera)
+    if not measure_lines(lines, camera, attitude).accepted:
+        return None
+    level = level_from_verticals(lines, attitude.R_level_body() @ camera.R_body_camera, attitude.std_rad)
+    axis = fit_axis(lines, level.R_level_camera, elevation_std_rad=hypot(level.pitch_std_rad, SLOPE_STD_RAD))
+    if axis is None:
+        return None
+    corners, floor, ceiling = lateral_module.survey_lines(lines, axis, level.R_level_camera)
+    rows = lateral_module._hypotheses(floor, ceiling, corners, WEIGHTS, BIASES)
+    return Picture(evidence_of(rows, floor, ceiling), rows[:, H_OFFSET].copy(), truth, held_out)
+
+
+def open_hall(seed: int) -> SceneConfig:
+    length_m = SceneConfig.random(seed).length_m
+    return SceneConfig.random(seed, open_hall_m=(0.0, length_m), open_hall_right=bool(seed % 2))
+
+
+def simulated(views: int, seed: int) -> list[Picture]:
+    """Render corridors, and a fifth as many open halls, and survey them; a third of the scenes is held out."""
+    rng = np.random.default_rng(seed)
+    pictures = []
+    for k, (size, fov_deg) in enumerate(LENSES):
+        camera = Camera.from_fov(*size, radians(fov_deg))
+        corridors = random_views(camera, views, seed + k, views_per_scene=4)
+        halls = random_views(camera, views // 5, seed + 100 + k, views_per_scene=4, scene=open_hall)
+        for hall, many in ((False, corridors), (True, halls)):
+            for view in many:
+                roll, pitch = rng.normal((view.roll_rad, view.pitch_rad), ATTITUDE_STD_RAD)
+                truth = nan if hall else view.lateral_offset_norm
+                found = picture_of(
+                    view.image, view.camera, Attitude(roll, pitch), truth, view.scene_seed % 3 == 0
+                )
+                if found is not None:
+                    pictures.append(found)
+    return pictures
+
+
+def office(size: tuple[int, int]) -> list[Picture]:
+    cases = flight_cases(flight_named("office"), size)[0]
+    found = [picture_of(c.image, c.camera, c.attitude, c.offset_norm, True) for c in cases]
+    return [p for p in found if p is not None]
+
+
+def likelihood(
+    weights: FloatArray, pictures: Sequence[Picture], free: npt.NDArray[np.bool_]
+) -> tuple[float, FloatArray]:
+    """Negative log-likelihood a picture, and its gradient in the free weights."""
+    total, gradient = 0.0, np.zeros(len(weights))
+    for p in pictures:
+        odds = np.exp(np.minimum(p.evidence @ weights, 100.0))
+        right = np.abs(p.offset - p.truth) < RIGHT
+        held, everything = odds @ right, odds.sum() + 1.0
+        if not right.any():
+            held, share = 1.0, np.zeros(len(odds))
+        else:
+            share = odds * right / held
+        total += np.log(everything / held)
+        gradient += (odds / everything - share) @ p.evidence
+    n = len(pictures)
+    penalty = RIDGE * weights[free] @ weights[free]
+    return total / n + penalty, np.where(free, gradient / n + 2.0 * RIDGE * weights, 0.0)
+
+
+def fitted(pictures: Sequence[Picture], start: FloatArray) -> FloatArray:
+    free = start != 0.0
+    free[[ASIDE - LENGTHS, ASIDE - LENGTHS + N_PAIR - LENGTHS]] = False
+    answer = minimize(
+        likelihood, start, args=(pictures, free), jac=True, method="L-BFGS-B", options={"maxiter": 200}
+    )
+    return np.asarray(answer.x)
+
+
+def worth(weights: FloatArray, pictures: Sequence[Picture]) -> list[str]:
+    """How many pictures are answered, and how many answers are a wrong corner."""
+    answered = wrong = 0
+    for p in pictures:
+        if not len(p.offset):
+            continue
+        odds = np.exp(np.minimum(p.evidence @ weights, 100.0))
+        offset = p.offset[np.argmax(odds)]
+        for _ in range(2):
+            near = np.abs(p.offset - offset) < lateral_module.SAME_OFFSET
+            offset = odds[near] @ p.offset[near] / odds[near].sum()
+        if odds[near].sum() / (odds.sum() + 1.0) >= lateral_module.MIN_PROBABILITY:
+            answered += 1
+            wrong += not abs(offset - p.truth) < WRONG
+    return [str(len(pictures)), percent(answered / len(pictures)), percent(wrong / max(answered, 1), 2)]
+
+
+def main(
+    views: Annotated[int, typer.Option(min=20, help="Corridors a lens; there are four.")] = 600,
+    seed: Annotated[int, typer.Option(help="Other corridors.")] = 1000,
+) -> None:
+    """Fit the weights of the lateral offset's evidence anew, and compare."""
+    used = np.concatenate([WEIGHTS.ravel(), BIASES])
+    pictures = simulated(views, seed)
+    seen = [p for p in pictures if not p.held_out]
+    anew = fitted(seen, used)
+    n = N_PAIR - LENGTHS
+    print(f"Weights of a floor's and a ceiling's pair, in use and fitted to {len(seen)} pictures")
+    columns = (used[:n], anew[:n], used[n : 2 * n], anew[n : 2 * n])
+    rows = [[name, *(number(column[k], 3) for column in columns)] for k, name in enumerate(NAMES)]
+    print(table(["evidence", "floor, in use", "anew", "ceiling, in use", "anew"], rows))
+    rows = [[b, number(used[2 * n + k], 3), number(anew[2 * n + k], 3)] for k, b in enumerate(BIAS_NAMES)]
+    print(table(["odds of a pair of", "in use", "anew"], rows), "\n")
+    rest = [p for p in pictures if p.held_out]
+    sets = {
+        "corridors not fitted to": [p for p in rest if np.isfinite(p.truth)],
+        "open halls not fitted to": [p for p in rest if not np.isfinite(p.truth)],
+        "office 640x480": office((640, 480)),
+        "office 320x240": office((320, 240)),
+    }
+    rows = [[name, *worth(used, some), *worth(anew, some)[1:]] for name, some in sets.items() if some]
+    print(table(["", "pictures", "answered, in use", "wrong corner", "answered, anew", "wrong corner"], rows))
+
+
+if __name__ == "__main__":
+    typer.run(main)
