@@ -63,7 +63,7 @@ CameraOption = Annotated[
     typer.Option(
         "--camera",
         metavar="CAM.yaml",
-        help="Calibration: EuRoC sensor.yaml or Kalibr camchain.yaml, pinhole or fisheye.",
+        help="Calibration: EuRoC, Kalibr, ROS camera_info or OpenCV, YAML or JSON, pinhole or fisheye.",
     ),
 ]
 MethodOption = Annotated[
@@ -162,6 +162,8 @@ def measure(
     attitudes = None if attitude is None else AttitudeFile.read(attitude)
     if calibration is not None and fov_deg is not None:
         raise InputError("--fov and --camera say the same thing", remedy="give one of them")
+    if calibration is not None and (mounting := calibration.mount_problem()) is not None:
+        say(mounting)
     views = None
     if calibration is None and method is Method.GEOMETRIC:
         with compile_notice("the line finder"), progress_bar("finding the field of view") as progress:

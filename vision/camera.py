@@ -84,6 +84,8 @@ class Camera:
         Exposure time, NaN where unknown.
     p_body_camera_m
         Position (3,) in the body FRD: a camera ahead of the vehicle's centre swings sideways as it turns.
+    mount_assumed
+        Whether ``R_body_camera`` is only taken for granted, since the calibration says nothing of it.
 
     Raises
     ------
@@ -102,6 +104,7 @@ class Camera:
     R_body_camera: FloatArray = field(default_factory=_FORWARD.copy)
     exposure_s: float = nan
     p_body_camera_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    mount_assumed: bool = False
     _lens: RadialTangential | Equidistant | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
@@ -153,13 +156,14 @@ class Camera:
 
     @classmethod
     def from_yaml(cls, path: str | Path, body_frame: BodyFrame | None = None, cam: str = "cam0") -> Camera:
-        """Read an EuRoC/ASL ``sensor.yaml`` or a Kalibr ``camchain.yaml``.
+        """Read a calibration: EuRoC/ASL, Kalibr, ROS ``camera_info`` or OpenCV, YAML or JSON.
 
         Parameters
         ----------
         path
             The file. EuRoC's ``T_BS`` takes camera coordinates to the body, Kalibr's ``T_cam_imu`` takes
-            IMU coordinates to the camera; the IMU's frame is then the body's.
+            IMU coordinates to the camera; the IMU's frame is then the body's. ROS's and OpenCV's files have no
+            extrinsic: the camera is then taken to look straight ahead, see ``mount_assumed``.
         body_frame
             Axes of the body in the file, ``flu`` or ``frd``. By default what ``body.yaml`` says in the
             folder above the file's (``mav0/body.yaml`` for ``mav0/cam0/sensor.yaml``), else ``flu``.
@@ -209,7 +213,12 @@ class Camera:
             )
 
     def mount_problem(self) -> str | None:
-        """One sentence where the optical axis is more than 60 degrees from the body's x axis, else None."""
+        """One sentence where the optical axis is assumed, or over 60 degrees from the body's x axis, else None."""
+        if self.mount_assumed:
+            return (
+                "the calibration does not say how the camera is mounted: taken as looking straight ahead "
+                "(add T_BS, body from camera, to it)"
+            )
         angle = acos(max(-1.0, min(1.0, float(self.R_body_camera[0, 2]))))
         if angle <= MAX_AXIS_ANGLE_RAD:
             return None

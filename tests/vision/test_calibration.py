@@ -247,7 +247,7 @@ def test_what_is_wrong_in_a_sensor_file_is_named(tmp_path: Path, old: str, new: 
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
-        ("  T_cam_imu:", "  T_imu_cam:", r"cam0.T_cam_imu is missing \(add T_cam_imu, camera from IMU"),
+        ("  T_cam_imu:", "  T_ci:", r"cam0.T_cam_imu is missing \(add T_cam_imu, camera from IMU"),
         (
             "distortion_coeffs: [",
             "distortion_coeffs: [0.1, ",
