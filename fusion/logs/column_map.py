@@ -1,0 +1,131 @@
+"""Which columns of a CSV file hold what, in which unit: the map itself, and ready ones for common logs.
+
+A map names columns by their header or by their number, the first being 1. Three columns make a vector, four a
+quaternion. What is not named is not read.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Column = Annotated[int, Field(ge=1, strict=True)] | Annotated[str, Field(min_length=1, strict=True)]
+Vector = tuple[Column, Column, Column]
+
+TimeUnit = Literal["ns", "us", "ms", "s", "iso"]
+AngleUnit = Literal["rad", "deg", "mdeg"]
+RateUnit = Literal["rad/s", "deg/s", "mrad/s"]
+AccelUnit = Literal["m/s2", "g", "mg", "cm/s2"]
+SpeedUnit = Literal["m/s", "dm/s", "cm/s", "mm/s"]
+LengthUnit = Literal["m", "dm", "cm", "mm"]
+Separator = Literal[",", ";", "\t", " ", "|"]
+
+Frame = Literal["frd", "flu", "ned", "enu"]
+"""Axes of a stream: of the body ``frd`` or ``flu``, of the world ``ned`` or ``enu``.
+
+An attitude takes ``frd`` (to a world with z down, the same as ``ned``), ``flu`` (to a world with x ahead, y left and
+z up) or ``enu`` (FLU to east, north, up, as in ROS). An IMU's ``ned`` and ``enu`` mean ``frd`` and ``flu``; a
+position's ``frd`` and ``flu`` are worlds with z down and z up; a velocity may be along either kind of axes.
+"""
+
+
+class ColumnMap(BaseModel):
+    """Columns by name or number and their units; frozen, unknown names refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    time: Column | None = Field(
+        default=None, description="Column of the time stamps; else the usual names are tried."
+    )
+    time_unit: TimeUnit | None = Field(
+        default=None, description="ns, us, ms, s, or iso for dates; else found from the values."
+    )
+    separator: Separator | None = Field(default=None, description="Between columns; else found.")
+    header: bool | None = Field(
+        default=None, description="Whether the first line names the columns; else found."
+    )
+    frame: Frame | None = Field(
+        default=None, description="Axes of the vectors; a stream's own frame comes first."
+    )
+    velocity_frame: Frame | None = Field(
+        default=None, description="Axes of the velocity, where they are others."
+    )
+    gyro: Vector | None = Field(default=None, description="Angular rate about x, y, z.")
+    gyro_unit: RateUnit = "rad/s"
+    accel: Vector | None = Field(default=None, description="Specific force along x, y, z.")
+    accel_unit: AccelUnit = "m/s2"
+    accel_sign: Literal[1, -1] = Field(
+        default=1, description="-1 where the file gives gravity's pull, +1 g along z at rest in frd."
+    )
+    quaternion: tuple[Column, Column, Column, Column] | None = Field(
+        default=None, description="Attitude, body to world, in the order w, x, y, z."
+    )
+    euler: Vector | None = Field(default=None, description="Attitude as roll, pitch, yaw.")
+    euler_unit: AngleUnit = "rad"
+    velocity: Vector | None = Field(default=None, description="Velocity along x, y, z.")
+    velocity_unit: SpeedUnit = "m/s"
+    position: Vector | None = Field(default=None, description="Position x, y, z.")
+    position_unit: LengthUnit = "m"
+    picture: Column | None = Field(default=None, description="File names of pictures.")
+
+    @model_validator(mode="after")
+    def _one_attitude(self) -> ColumnMap:
+        if self.quaternion is not None and self.euler is not None:
+            raise ValueError("quaternion and euler say the same thing: give one of them")
+        return self
+
+
+# DJI Tello, state packets of SDK 1.3 to 3.0, ten a second. Roll, pitch and yaw are whole degrees, yaw positive to
+# the right. agx, agy, agz are thousandths of g, about -1000 along z at rest, which is FRD specific force. The manual
+# names neither unit nor axes of vgx, vgy, vgz; flights show decimetres per second along the axes that yaw is counted
+# from (x ahead at power-on, y right, z down). `time` counts whole seconds of motor time and cannot stamp samples: the
+# recorder has to add a time of its own.
+_TELLO = ColumnMap(
+    frame="frd",
+    velocity_frame="ned",
+    accel=("agx", "agy", "agz"),
+    accel_unit="mg",
+    euler=("roll", "pitch", "yaw"),
+    euler_unit="deg",
+    velocity=("vgx", "vgy", "vgz"),
+    velocity_unit="dm/s",
+)
+
+# AR.Drone as ardrone_autonomy publishes it: FLU, degrees, millimetres per second, g; tm is microseconds since boot.
+_ARDRONE_ROS = ColumnMap(
+    frame="flu",
+    time="tm",
+    time_unit="us",
+    accel=("ax", "ay", "az"),
+    accel_unit="g",
+    euler=("rotX", "rotY", "rotZ"),
+    euler_unit="deg",
+    velocity=("vx", "vy", "vz"),
+    velocity_unit="mm/s",
+)
+
+# AR.Drone's own navdata_demo: thousandths of a degree, right-handed with z down, velocities along the body's axes.
+_ARDRONE = ColumnMap(
+    frame="frd",
+    euler=("phi", "theta", "psi"),
+    euler_unit="mdeg",
+    velocity=("vx", "vy", "vz"),
+    velocity_unit="mm/s",
+)
+
+READY_MAPS = {"tello": _TELLO, "ardrone": _ARDRONE, "ardrone_ros": _ARDRONE_ROS}
+
+#: Names that time stamps go by, most telling first; a unit may follow, as in ``time_ms``.
+TIME_NAMES = (
+    "timestamp",
+    "time_stamp",
+    "stamp",
+    "%time",
+    "t",
+    "time",
+    "elapsed",
+    "elapsed_time",
+    "datetime",
+    "date",
+)
