@@ -1,0 +1,299 @@
+"""What the readers of recorded logs share: times put right, samples cleaned, topics read when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.flight import AttitudeStream, FloatArray, FrameStream, ImuStream, TimeArray, VectorStream
+from fusion.logs.contents import Kind, Topic
+from fusion.logs.samples import (
+    MIN_IMU_STEP_NS,
+    BoolArray,
+    counted,
+    finite,
+    in_order,
+    keep_good,
+)
+from vision import Camera, InputError
+
+IndexArray = npt.NDArray[np.int64]
+Stream = ImuStream | AttitudeStream | VectorStream
+Read = Callable[[list[str]], Stream]
+
+QUATERNION_TOLERANCE = 0.05  # of its length; more is not rounding but damage
+LATEST_NS = 2**62  # the year 2116; later is no time but damage
+
+STRAY_WINDOW = 11  # samples; up to five damaged ones side by side are told from the rest
+STRAY_NS = 500_000_000
+GAP_NS = 5_000_000_000
+CLOCK_BACK_NS = 1_000_000_000  # less is jitter and is sorted
+CLOCK_AHEAD_NS = 3_600_000_000_000
+
+# Beyond what any vehicle does, in any unit that a driver may have got wrong: damage.
+MAX_RATE = 1e4
+MAX_ACCELERATION = 1e5
+MAX_POSITION = 1e7
+MAX_VELOCITY = 1e4
+
+MAX_ATTITUDE_GAP_NS = 500_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Where:
+    """What to call a stream in messages, and where to put them."""
+
+    file: Path
+    label: str
+    problems: list[str]
+
+    def keep(self, good: BoolArray, t_ns: TimeArray, what: str) -> None:
+        """Report the rows that are not good; `InputError` where none is."""
+        if not good.any():
+            raise InputError(
+                f"{self.label}: every row has {what}", file=self.file, remedy="choose another topic"
+            )
+        keep_good(good, t_ns, what, self.label, self.problems)
+
+
+def nanoseconds(ticks: npt.NDArray[np.generic], tick_ns: int) -> TimeArray:
+    """Turn whole ticks (n,) into nanoseconds; what cannot be a time becomes `LATEST_NS`."""
+    unsigned = ticks.astype(np.uint64)
+    ok = unsigned < LATEST_NS // tick_ns
+    return np.where(ok, unsigned * np.uint64(tick_ns), LATEST_NS).astype(np.int64)
+
+
+def usable(t_ns: TimeArray, where: Where, min_step_ns: int = MIN_IMU_STEP_NS) -> IndexArray:
+    """Index (m,) of the samples whose time can be trusted, in the order of time.
+
+    Damaged times, far from those of the samples around them, are dropped. Where the clock was set back, or far ahead,
+    the longest stretch is taken: sorting would shuffle two flights into one.
+
+    Raises
+    ------
+    InputError
+        Where no sample is left, or the times cannot be nanoseconds.
+    """
+    index = np.flatnonzero((t_ns >= 0) & (t_ns < LATEST_NS))
+    if len(index) < len(t_ns):
+        where.keep((t_ns >= 0) & (t_ns < LATEST_NS), t_ns, "a time that cannot be one")
+    if len(index) == 0:
+        raise InputError(f"{where.label} has no samples", file=where.file, remedy="choose another topic")
+    steps = np.diff(t_ns[index])
+    if steps.size and (steps.min() < -CLOCK_BACK_NS or steps.max() > GAP_NS):
+        index = index[_not_stray(t_ns[index], where)]
+        index = index[_longest_stretch(t_ns[index], where)]
+    order = in_order(
+        t_ns[index],
+        where.label,
+        where.problems,
+        min_step_ns,
+        file=where.file,
+        remedy="its times are wrong or in another unit; choose another topic",
+    )
+    return np.asarray(index[order])
+
+
+def _not_stray(t_ns: TimeArray, where: Where) -> IndexArray:
+    from scipy.ndimage import median_filter
+
+    around = median_filter(t_ns, STRAY_WINDOW, mode="reflect")
+    limit_ns = max(STRAY_NS, 8 * int(np.median(np.abs(np.diff(t_ns)))))
+    good = np.abs(t_ns - around) <= limit_ns
+    if not good.any():
+        return np.arange(len(t_ns))
+    where.keep(good, t_ns, "a time far from its neighbours'")
+    return np.flatnonzero(good)
+
+
+def _longest_stretch(t_ns: TimeArray, where: Where) -> slice:
+    steps = np.diff(t_ns)
+    cuts = np.flatnonzero((steps < -CLOCK_BACK_NS) | (steps > CLOCK_AHEAD_NS)) + 1
+    if cuts.size == 0:
+        return slice(None)
+    edges = [0, *cuts.tolist(), len(t_ns)]
+    lengths = np.diff(edges)
+    longest = int(np.argmax(lengths))
+    jump_s = float(steps[cuts[0] - 1]) * 1e-9
+    where.problems.append(
+        f"{where.label}: the clock jumps by {jump_s:+.3g} s at {t_ns[cuts[0] - 1]}; only the longest of "
+        f"{len(lengths)} stretches is used, {counted(len(t_ns) - int(lengths[longest]), 'sample')} left out"
+    )
+    return slice(edges[longest], edges[longest + 1])
+
+
+def imu_stream(t_ns: TimeArray, gyro_rad_s: FloatArray, accel_m_s2: FloatArray, where: Where) -> ImuStream:
+    """Clean IMU samples, body FRD; rows without acceleration keep NaN there."""
+    index = usable(t_ns, where)
+    t_ns, gyro_rad_s, accel_m_s2 = t_ns[index], gyro_rad_s[index], accel_m_s2[index]
+    good = _within(gyro_rad_s, MAX_RATE)
+    where.keep(good, t_ns, "a gyro value that is none")
+    t_ns, gyro_rad_s, accel_m_s2 = t_ns[good], gyro_rad_s[good], accel_m_s2[good]
+    without = ~_within(accel_m_s2, MAX_ACCELERATION)
+    if without.any():
+        accel_m_s2 = np.where(without[:, None], np.nan, accel_m_s2)
+        where.problems.append(
+            f"{where.label}: {counted(int(np.count_nonzero(without)), 'row')} without acceleration"
+        )
+    return ImuStream(t_ns, gyro_rad_s, accel_m_s2)
+
+
+def attitude_stream(t_ns: TimeArray, q_world_body: FloatArray, where: Where) -> AttitudeStream:
+    """Clean quaternions (n, 4), w x y z, body FRD to world z down, and make them of unit length."""
+    index = usable(t_ns, where)
+    t_ns, q_world_body = t_ns[index], q_world_body[index]
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.linalg.norm(q_world_body, axis=1)
+    good = np.abs(length - 1.0) <= QUATERNION_TOLERANCE  # NaN is not
+    where.keep(good, t_ns, "a quaternion that is not of unit length")
+    return AttitudeStream(t_ns[good], q_world_body[good] / length[good, None])
+
+
+def vector_stream(
+    t_ns: TimeArray, xyz: FloatArray, where: Where, limit: float, what: str = "a value that is none"
+) -> VectorStream:
+    """Clean positions or velocities (n, 3); ``limit`` is more than a sound one can be."""
+    index = usable(t_ns, where)
+    t_ns, xyz = t_ns[index], xyz[index]
+    good = _within(xyz, limit)
+    where.keep(good, t_ns, what)
+    return VectorStream(t_ns[good], xyz[good])
+
+
+def _within(values: FloatArray, limit: float) -> BoolArray:
+    with np.errstate(invalid="ignore"):
+        return finite(values) & (np.abs(values) < limit).all(axis=1)
+
+
+def quaternions(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArray) -> FloatArray:
+    """Quaternions (n, 4), w x y z, of yaw, then pitch, then roll (n,): body to world of FRD and NED."""
+    cr, sr = np.cos(roll_rad / 2), np.sin(roll_rad / 2)
+    cp, sp = np.cos(pitch_rad / 2), np.sin(pitch_rad / 2)
+    cy, sy = np.cos(yaw_rad / 2), np.sin(yaw_rad / 2)
+    return np.stack(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ],
+        axis=1,
+    )
+
+
+def into_body(q_world_body: FloatArray, v_world: FloatArray) -> FloatArray:
+    """Turn vectors (n, 3) of the world into the body, one quaternion (n, 4) each."""
+    w, u = q_world_body[:, :1], -q_world_body[:, 1:]
+    t = 2.0 * np.cross(u, v_world)
+    return np.asarray(v_world + w * t + np.cross(u, t))
+
+
+def velocity_stream(
+    t_ns: TimeArray, v_world_m_s: FloatArray, attitude: AttitudeStream, where: Where
+) -> VectorStream:
+    """Velocities of the world, turned into the body by the attitude at their times.
+
+    What lies outside the attitude, or in a gap of it of more than half a second, is dropped.
+    """
+    world = vector_stream(t_ns, v_world_m_s, where, MAX_VELOCITY)
+    q_world_body, known = attitude_at(attitude, world.t_ns)
+    where.keep(known, world.t_ns, "no attitude to turn it into the body")
+    return VectorStream(world.t_ns[known], into_body(q_world_body, world.xyz)[known])
+
+
+def interpolated(samples: VectorStream, t_ns: TimeArray, max_gap_ns: int) -> FloatArray:
+    """Values (m, 3) at times (m,); NaN outside the samples and in their gaps."""
+    after = np.searchsorted(samples.t_ns, t_ns)
+    inside = (after > 0) & (after < len(samples.t_ns)) | np.isin(t_ns, samples.t_ns[[0, -1]])
+    after = np.clip(after, 1, max(1, len(samples.t_ns) - 1))
+    if len(samples.t_ns) > 1:
+        inside &= samples.t_ns[after] - samples.t_ns[after - 1] <= max_gap_ns
+    values = [np.interp(t_ns, samples.t_ns, samples.xyz[:, axis]) for axis in range(3)]
+    return np.where(inside[:, None], np.stack(values, axis=1), np.nan)
+
+
+def attitude_at(attitude: AttitudeStream, t_ns: TimeArray) -> tuple[FloatArray, BoolArray]:
+    """Attitude (m, 4) at times (m,), and whether (m,) it is known there.
+
+    Neighbours are close, so that the chord between them will do for the arc.
+    """
+    after = np.searchsorted(attitude.t_ns, t_ns)
+    before = np.clip(after - 1, 0, len(attitude.t_ns) - 1)
+    after = np.clip(after, 0, len(attitude.t_ns) - 1)
+    exact = attitude.t_ns[after] == t_ns
+    before = np.where(exact, after, before)
+    gap_ns = attitude.t_ns[after] - attitude.t_ns[before]
+    known = exact | ((after > before) & (gap_ns <= MAX_ATTITUDE_GAP_NS))
+    share = np.where(gap_ns > 0, (t_ns - attitude.t_ns[before]) / np.maximum(gap_ns, 1), 0.0)[:, None]
+    q0, q1 = attitude.q_world_body[before], attitude.q_world_body[after]
+    q1 = np.where(np.sum(q0 * q1, axis=1, keepdims=True) < 0.0, -q1, q1)
+    q = (1.0 - share) * q0 + share * q1
+    length = np.linalg.norm(q, axis=1, keepdims=True)
+    return np.where(length > 0.1, q / np.maximum(length, 0.1), q0), np.asarray(known)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """One topic and how to read it."""
+
+    topic: Topic
+    read: Read
+
+
+class SeriesLog:
+    """`LogContents` of a log without pictures."""
+
+    def __init__(
+        self, path: Path, log_format: str, series: Sequence[Series], problems: Sequence[str]
+    ) -> None:
+        self.path = path
+        self.format = log_format
+        self.topics = tuple(item.topic for item in series)
+        self.problems = tuple(problems)
+        self._read = {(item.topic.kind, item.topic.name): item.read for item in series}
+
+    def frames(self, topic: str, problems: list[str]) -> FrameStream:
+        """Refuse: these logs carry no pictures."""
+        raise InputError(
+            f"{self.format} carries no pictures", file=self.path, remedy="give the pictures from another file"
+        )
+
+    def camera(self, topic: str) -> Camera | None:
+        """Return None: no calibration either."""
+        return None
+
+    def imu(self, topic: str, problems: list[str]) -> ImuStream:
+        """Gyroscope and accelerometer, body FRD."""
+        return cast(ImuStream, self._stream(Kind.IMU, topic, problems))
+
+    def attitude(self, topic: str, problems: list[str]) -> AttitudeStream:
+        """Body FRD to world z down."""
+        return cast(AttitudeStream, self._stream(Kind.ATTITUDE, topic, problems))
+
+    def position(self, topic: str, problems: list[str]) -> VectorStream:
+        """World, z down."""
+        return cast(VectorStream, self._stream(Kind.POSITION, topic, problems))
+
+    def velocity(self, topic: str, problems: list[str]) -> VectorStream:
+        """Body FRD."""
+        return cast(VectorStream, self._stream(Kind.VELOCITY, topic, problems))
+
+    def _stream(self, kind: Kind, topic: str, problems: list[str]) -> Stream:
+        if (kind, topic) not in self._read:
+            raise no_such_topic(self.path, self.topics, kind, topic)
+        return self._read[kind, topic](problems)
+
+
+def no_such_topic(path: Path, topics: Sequence[Topic], kind: Kind, name: str) -> InputError:
+    """Say which topics of a kind there are."""
+    there = ", ".join(topic.name for topic in topics if topic.kind == kind)
+    return InputError(
+        f"has no {kind} topic {name}",
+        file=path,
+        remedy=f"choose one of {there}" if there else f"it has no topic to read as {kind}",
+    )

@@ -1,0 +1,305 @@
+"""PX4 logs (ULog), read with pyulog: gyroscope, accelerometer, attitude, position and velocity; no pictures.
+
+PX4 works in FRD and NED throughout, so nothing is turned but the velocity, from the world into the body by the
+logged attitude. Times are those of the autopilot's clock, which starts at zero when it boots. A sample of
+``sensor_combined`` or ``vehicle_imu`` is the mean over an interval; its time here is the middle of that interval.
+
+Format: https://docs.px4.io/main/en/dev_log/ulog_file_format.html
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.flight import AttitudeStream, FloatArray, ImuStream, TimeArray, VectorStream
+from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.samples import BoolArray, counted
+from fusion.logs.series import (
+    MAX_ACCELERATION,
+    MAX_POSITION,
+    Series,
+    SeriesLog,
+    Stream,
+    Where,
+    attitude_stream,
+    imu_stream,
+    interpolated,
+    nanoseconds,
+    vector_stream,
+    velocity_stream,
+)
+from vision import InputError
+
+if TYPE_CHECKING:
+    from pyulog import ULog
+
+MAGIC = b"ULog\x01\x12\x35"
+FORMAT = "PX4 ULog"
+
+ATTITUDE = "vehicle_attitude"
+LOCAL_POSITION = "vehicle_local_position"
+NAMES = ("sensor_combined", "vehicle_imu", "sensor_gyro", "sensor_accel", ATTITUDE, LOCAL_POSITION)
+
+GYRO_RAD = tuple(f"gyro_rad[{axis}]" for axis in range(3))
+ACCEL_M_S2 = tuple(f"accelerometer_m_s2[{axis}]" for axis in range(3))
+DELTA_ANGLE = tuple(f"delta_angle[{axis}]" for axis in range(3))
+DELTA_VELOCITY = tuple(f"delta_velocity[{axis}]" for axis in range(3))
+INTERVALS = ("delta_angle_dt", "delta_velocity_dt")  # microseconds
+QUATERNION = tuple(f"q[{part}]" for part in range(4))
+XYZ = POSITION = ("x", "y", "z")
+VELOCITY = ("vx", "vy", "vz")
+
+MAX_ACCEL_GAP_NS = 50_000_000
+NO_ACCEL = 0x7FFFFFFF  # accelerometer_timestamp_relative of a sample without acceleration
+LONGEST_INTERVAL_US = 1e6
+HEADER_BYTES = 3  # of a message
+REREADS = 8  # times the file's size that pyulog may read before it is taken to go in circles
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Table:
+    """One message's columns, and what to call it."""
+
+    path: Path
+    label: str
+    columns: dict[str, npt.NDArray[np.generic]]
+
+    def numbers(self, *names: str) -> FloatArray:
+        """Columns (n, k) as floats."""
+        with np.errstate(invalid="ignore"):  # a damaged float may be a signalling NaN
+            return np.stack([self.columns[name].astype(float) for name in names], axis=1)
+
+    def has(self, *names: str) -> bool:
+        """Whether all of these columns are there."""
+        return all(name in self.columns for name in names)
+
+    def where(self, problems: list[str]) -> Where:
+        """Where to report what is wrong with it."""
+        return Where(self.path, self.label, problems)
+
+    def trusted(self, *flags: str) -> BoolArray:
+        """Rows (n,) whose flags, as far as they are logged, are all up."""
+        up = np.ones(len(self.columns["timestamp"]), dtype=bool)
+        for flag in flags:
+            if flag in self.columns:
+                up &= self.columns[flag] != 0
+        return up
+
+    def t_ns(self) -> TimeArray:
+        """When each sample was taken (n,), not when it was logged, where the log tells."""
+        logged = self.columns["timestamp"].astype(np.uint64)
+        if "timestamp_sample" in self.columns:
+            taken = self.columns["timestamp_sample"].astype(np.uint64)
+            logged = np.where(taken > 0, taken, logged)
+        return nanoseconds(logged, 1000)
+
+
+class _BoundedReader(io.BufferedReader):
+    """A file that pretends to end once far more than its size was read.
+
+    pyulog seeks back over what looks damaged; at a torn end it can do so for ever.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path, "rb"), 1 << 20)
+        self.left = REREADS * path.stat().st_size + 65536
+        self.torn = False  # a message began and did not end
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        data = super().read(size)
+        self.left -= len(data) + 1
+        if size is not None and len(data) < size and (data or size != HEADER_BYTES):
+            self.torn = True
+        return data if self.left > 0 else b""
+
+
+def recognises(path: Path) -> bool:
+    """Whether a file begins as ULogs do."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
+
+
+def open_log(path: Path) -> LogContents:
+    """Read the topics of use of a ULog.
+
+    Raises
+    ------
+    InputError
+        Where pyulog is not installed, or the file holds none of them.
+    """
+    problems: list[str] = []
+    log = _parse(path, problems)
+    tables: dict[tuple[str, int], _Table] = {}
+    for data in log.data_list:
+        if (data.name, data.multi_id) not in tables and "timestamp" in data.data:
+            label = data.name if data.multi_id == 0 else f"{data.name}[{data.multi_id}]"
+            tables[data.name, data.multi_id] = _Table(path, label, data.data)
+    series = [*_imus(tables), *_attitudes(tables), *_local_positions(tables, problems)]
+    if not series:
+        raise InputError(
+            "holds no IMU, attitude or position",
+            file=path,
+            remedy=f"log at least sensor_combined and {ATTITUDE} (SDLOG_PROFILE), or copy the whole file",
+        )
+    return SeriesLog(path, FORMAT, series, problems)
+
+
+def _parse(path: Path, problems: list[str]) -> ULog:
+    try:
+        from pyulog import ULog
+    except ImportError:
+        raise InputError(
+            "is a PX4 log, which pyulog reads", file=path, remedy="pip install 'corridor-fusion[px4]'"
+        ) from None
+    try:
+        with _BoundedReader(path) as file, contextlib.redirect_stdout(io.StringIO()):
+            log = ULog(file, list(NAMES))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error}", file=path, remedy="check the file") from error
+    except Exception as error:  # pyulog lets anything through that a damaged file makes it do
+        raise InputError(
+            f"is damaged in its definitions ({type(error).__name__}: {error})",
+            file=path,
+            remedy="copy the log from the vehicle again",
+        ) from error
+    if log.file_corruption or file.left <= 0:
+        problems.append("parts of the file are damaged and were skipped")
+    if file.torn:
+        problems.append("the file ends in the middle of a message: it was cut short")
+    if log.has_data_appended:
+        problems.append("data were appended after the log was closed (after a crash of the autopilot)")
+    if log.dropouts:
+        total_s = sum(dropout.duration for dropout in log.dropouts) * 1e-3
+        longest_s = max(dropout.duration for dropout in log.dropouts) * 1e-3
+        problems.append(
+            f"the logger could not keep up: {counted(len(log.dropouts), 'dropout')}, {total_s:.3g} s in all, "
+            f"the longest {longest_s:.3g} s"
+        )
+    return log
+
+
+def _instances(tables: dict[tuple[str, int], _Table], name: str, *columns: str) -> list[_Table]:
+    """Every instance of a message that has these columns and samples."""
+    found = [table for (other, _), table in sorted(tables.items()) if other == name]
+    return [table for table in found if table.has(*columns) and len(table.columns["timestamp"])]
+
+
+def _series(table: _Table, kind: Kind, t_ns: TimeArray, note: str, read: Callable[..., Stream]) -> Series:
+    return Series(Topic(table.label, kind, t_ns, note), partial(read, table, t_ns))
+
+
+def _imus(tables: dict[tuple[str, int], _Table]) -> list[Series]:
+    found: list[Series] = []
+    for table in _instances(tables, "sensor_combined", *GYRO_RAD, *ACCEL_M_S2):
+        t_ns = table.t_ns()
+        if table.has("gyro_integral_dt"):
+            t_ns = _middle(t_ns, table.numbers("gyro_integral_dt")[:, 0])
+        note = "calibrated; the IMU that the autopilot flew by"
+        found.append(_series(table, Kind.IMU, t_ns, note, _read_combined))
+    for table in _instances(tables, "vehicle_imu", *DELTA_ANGLE, *DELTA_VELOCITY, *INTERVALS):
+        t_ns = _middle(table.t_ns(), table.numbers(INTERVALS[0])[:, 0])
+        found.append(_series(table, Kind.IMU, t_ns, "calibrated, integrated", _read_integrated))
+    accels = {table.label: table for table in _instances(tables, "sensor_accel", *XYZ)}
+    for table in _instances(tables, "sensor_gyro", *XYZ):
+        accel = accels.get(table.label.replace("gyro", "accel"))
+        note = "raw, not calibrated" if accel else "raw, not calibrated, no acceleration"
+        found.append(_series(table, Kind.IMU, table.t_ns(), note, partial(_read_raw, accel)))
+    return found
+
+
+def _middle(t_ns: TimeArray, interval_us: FloatArray) -> TimeArray:
+    """Turn the ends of intervals into their middles; a damaged interval counts for nothing."""
+    sound = (interval_us > 0.0) & (interval_us < LONGEST_INTERVAL_US)
+    return np.asarray(t_ns - np.where(sound, interval_us * 500.0, 0.0).astype(np.int64))
+
+
+def _read_combined(table: _Table, t_ns: TimeArray, problems: list[str]) -> ImuStream:
+    accel_m_s2 = table.numbers(*ACCEL_M_S2)
+    if table.has("accelerometer_timestamp_relative"):
+        accel_m_s2[table.columns["accelerometer_timestamp_relative"] == NO_ACCEL] = np.nan
+    return imu_stream(t_ns, table.numbers(*GYRO_RAD), accel_m_s2, table.where(problems))
+
+
+def _read_integrated(table: _Table, t_ns: TimeArray, problems: list[str]) -> ImuStream:
+    interval_us = table.numbers(*INTERVALS)
+    interval_s = np.where(interval_us > 0.0, interval_us * 1e-6, np.nan)
+    gyro_rad_s = table.numbers(*DELTA_ANGLE) / interval_s[:, :1]
+    accel_m_s2 = table.numbers(*DELTA_VELOCITY) / interval_s[:, 1:]
+    return imu_stream(t_ns, gyro_rad_s, accel_m_s2, table.where(problems))
+
+
+def _read_raw(accel: _Table | None, table: _Table, t_ns: TimeArray, problems: list[str]) -> ImuStream:
+    """``sensor_gyro`` with the acceleration of the sensor of the same number, interpolated."""
+    accel_m_s2 = np.full((len(t_ns), 3), np.nan)
+    if accel is not None:
+        try:
+            samples = vector_stream(
+                accel.t_ns(), accel.numbers(*XYZ), accel.where(problems), MAX_ACCELERATION
+            )
+        except InputError as error:
+            problems.append(f"{accel.label}: {error.problem}, left out")
+        else:
+            accel_m_s2 = interpolated(samples, t_ns, max(MAX_ACCEL_GAP_NS, 2 * _median_step_ns(t_ns)))
+    return imu_stream(t_ns, table.numbers(*XYZ), accel_m_s2, table.where(problems))
+
+
+def _median_step_ns(t_ns: TimeArray) -> int:
+    return int(np.median(np.abs(np.diff(t_ns)))) if len(t_ns) > 1 else 0
+
+
+def _attitudes(tables: dict[tuple[str, int], _Table]) -> list[Series]:
+    found = _instances(tables, ATTITUDE, *QUATERNION)
+    return [_series(table, Kind.ATTITUDE, table.t_ns(), "body FRD to NED", _read_attitude) for table in found]
+
+
+def _read_attitude(table: _Table, t_ns: TimeArray, problems: list[str]) -> AttitudeStream:
+    return attitude_stream(t_ns, table.numbers(*QUATERNION), table.where(problems))
+
+
+def _local_positions(tables: dict[tuple[str, int], _Table], problems: list[str]) -> list[Series]:
+    """Positions and velocities; left out, and said so, where the autopilot never trusted them."""
+    attitudes = _instances(tables, ATTITUDE, *QUATERNION)
+    found: list[Series] = []
+    for table in _instances(tables, LOCAL_POSITION, *POSITION):
+        if table.trusted("xy_valid", "z_valid").any():
+            note = "NED, from where the autopilot started"
+            found.append(_series(table, Kind.POSITION, table.t_ns(), note, _read_position))
+        else:
+            problems.append(f"{table.label}: the autopilot never trusted its position, left out")
+    for table in _instances(tables, LOCAL_POSITION, *VELOCITY):
+        if not table.trusted("v_xy_valid", "v_z_valid").any():
+            problems.append(f"{table.label}: the autopilot never trusted its velocity, left out")
+        elif not attitudes:
+            problems.append(
+                f"{table.label}: its velocity is left out, no {ATTITUDE} to turn it into the body"
+            )
+        else:
+            note = f"NED, turned into the body by {attitudes[0].label}"
+            read = partial(_read_velocity, attitudes[0])
+            found.append(_series(table, Kind.VELOCITY, table.t_ns(), note, read))
+    return found
+
+
+def _read_position(table: _Table, t_ns: TimeArray, problems: list[str]) -> VectorStream:
+    position_m = np.where(table.trusted("xy_valid", "z_valid")[:, None], table.numbers(*POSITION), np.nan)
+    what = "a position that the autopilot did not trust"
+    return vector_stream(t_ns, position_m, table.where(problems), MAX_POSITION, what)
+
+
+def _read_velocity(attitude: _Table, table: _Table, t_ns: TimeArray, problems: list[str]) -> VectorStream:
+    velocity_m_s = np.where(
+        table.trusted("v_xy_valid", "v_z_valid")[:, None], table.numbers(*VELOCITY), np.nan
+    )
+    turning = _read_attitude(attitude, attitude.t_ns(), [])  # its own problems are told where it is asked for
+    return velocity_stream(t_ns, velocity_m_s, turning, table.where(problems))
