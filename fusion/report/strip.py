@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.evaluation import interpolate_truth, wrap_angle
 from fusion.flight import Flight, FloatArray
+from fusion.replay import delay_ns, row_before, seen_again
 from fusion.report.series import runs
 from fusion.tables import Table
-from vision.errors import InputError
-from vision.measurement import Attitude, FrameMeasurement, Position, Prior, Reason
 
 if TYPE_CHECKING:
     from fusion.offline import FusionResult
@@ -73,12 +72,12 @@ def show_frames(result: FusionResult, flight: Flight, chosen: list[Chosen]) -> I
     table, frames = result.estimates, result.frames
     for item in chosen:
         t_ns = int(frames["timestamp_ns"][item.row])
-        k = min(max(int(np.searchsorted(table["timestamp_ns"], t_ns, side="right")) - 1, 0), len(table) - 1)
+        k = row_before(table, t_ns - delay_ns(result))
         yield Shown(
             row=item.row,
             why=item.why,
             t_s=(t_ns - int(frames["timestamp_ns"][0])) / 1e9,
-            picture=_picture(result, flight, item.row, table[k]),
+            picture=_picture(result, flight, item.row),
             filter_heading_rad=float(table["heading_rad"][k]),
             filter_offset_norm=float(table["lateral_offset_norm"][k]),
         )
@@ -125,74 +124,17 @@ def _largest(values: FloatArray, why: str, count: int) -> list[tuple[int, str]]:
     return [(int(k), why) for k in order[: 40 * count]]
 
 
-def _picture(result: FusionResult, flight: Flight, row: int, estimate: np.void) -> str | None:
+def _picture(result: FusionResult, flight: Flight, row: int) -> str | None:
     import cv2
 
-    from vision.frame import measure_frame
     from vision.overlay import draw_overlay
 
-    record = result.frames[row]
-    k = int(np.searchsorted(flight.frames.t_ns, record["timestamp_ns"]))
-    if k >= len(flight.frames.t_ns) or flight.frames.t_ns[k] != record["timestamp_ns"]:
+    seen = seen_again(result, flight, row)
+    if seen is None or seen.measurement is None:
         return None
-    try:
-        image = flight.frames.read(k)
-        measurement = measure_frame(
-            image,
-            flight.camera,
-            attitude_at(flight, int(record["timestamp_ns"])),
-            _prior(estimate),
-            method=result.summary.get("method", "geometric"),
-        )
-    except InputError:
-        return None
-    recorded = _as_recorded(measurement, record)
-    picture = draw_overlay(image, flight.camera, recorded, footer=False)
+    picture = draw_overlay(seen.image, flight.camera, seen.measurement, footer=False)
     if picture.shape[1] > MAX_WIDTH_PX:
         size = (MAX_WIDTH_PX, round(picture.shape[0] * MAX_WIDTH_PX / picture.shape[1]))
         picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     ok, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode() if ok else None
-
-
-def _as_recorded(measurement: FrameMeasurement, record: np.void) -> FrameMeasurement:
-    """Keep the new measurement's lines and the recorded one's numbers: those went into the filter."""
-    position = str(record["position"])
-    vp = (float(record["vp_x_px"]), float(record["vp_y_px"]))
-    return replace(
-        measurement,
-        accepted=bool(record["accepted"]),
-        reason=Reason(str(record["reason"])),
-        vp_px=vp,
-        heading_rad=float(record["heading_rad"]),
-        heading_std_rad=float(record["heading_std_rad"]),
-        lateral_offset_norm=float(record["lateral_offset_norm"]),
-        position=Position(position) if position else None,
-    )
-
-
-def _prior(estimate: np.void) -> Prior | None:
-    if estimate["status"] == "initialising":
-        return None
-    return Prior(
-        heading_rad=float(estimate["heading_rad"]),
-        heading_std_rad=float(estimate["heading_std_rad"]),
-        lateral_offset_norm=float(estimate["lateral_offset_norm"]),
-        lateral_offset_norm_std=float(estimate["lateral_offset_norm_std"]),
-    )
-
-
-def attitude_at(flight: Flight, t_ns: int, within_s: float = 0.5) -> Attitude | None:
-    """Roll and pitch at a time, between the neighbouring samples of the log; None where none is near."""
-    stream = flight.attitude
-    if stream is None or not stream.t_ns.size:
-        return None
-    high = int(np.searchsorted(stream.t_ns, t_ns))
-    low, high = max(high - 1, 0), min(high, stream.t_ns.size - 1)
-    gap_ns = int(stream.t_ns[high] - stream.t_ns[low])
-    if min(abs(t_ns - int(stream.t_ns[low])), abs(t_ns - int(stream.t_ns[high]))) > within_s * 1e9:
-        return None
-    part = min(max((t_ns - int(stream.t_ns[low])) / gap_ns, 0.0), 1.0) if gap_ns else 0.0
-    a, b = stream.q_world_body[low], stream.q_world_body[high]
-    q = (1 - part) * a + part * (b if a @ b >= 0 else -b)  # over a few degrees as good as a slerp
-    return Attitude.from_quaternion(q / np.linalg.norm(q))
