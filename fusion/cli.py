@@ -20,6 +20,7 @@ from typer.core import TyperGroup
 
 from fusion import cli_help
 from fusion.console import compile_notice, progress_bar, say
+from fusion.exports.conventions import Frame
 from vision.errors import InputError
 
 
@@ -74,6 +75,18 @@ MethodOption = Annotated[
     ),
 ]
 
+ExportOption = Annotated[
+    list[str] | None,
+    typer.Option("--export", metavar="parquet,tum,mcap", help="Write these besides CSV; may be repeated."),
+]
+FrameOption = Annotated[
+    Frame,
+    typer.Option(
+        "--frame",
+        help="Signs in the files: frd, positive right; ros (FLU, ENU), positive left. summary.json names it.",
+    ),
+]
+
 
 def _print_version(wanted: bool) -> None:
     if wanted:
@@ -104,21 +117,26 @@ def fuse(
     ] = None,
     camera: CameraOption = None,
     method: MethodOption = Method.GEOMETRIC,
+    export: ExportOption = None,
+    frame: FrameOption = Frame.FRD,
 ) -> None:
     """Fuse a flight and write its five files."""
     from fusion import FusionConfig, fuse_flight, load_flight
+    from fusion.exports import check_formats
     from fusion.outputs import check_out_dir, write_outputs
     from fusion.summary_text import fusion_text
 
     if out is not None:
         check_out_dir(out)  # before the work, not after it
+    exports = check_formats(export or ())
     settings = None if config is None else FusionConfig.from_toml(config)
     log = load_flight(flight, camera=camera)
     folder = out if out is not None else Path(f"{log.name}_fused")
     check_out_dir(folder)
     with compile_notice("the line finder"), progress_bar("fusing") as progress:
         result = fuse_flight(log, settings, method=method.value, progress=progress)
-    write_outputs(result, log, folder)
+    with progress_bar("writing") as progress:
+        write_outputs(result, log, folder, exports=exports, frame=frame, progress=progress)
     typer.echo(fusion_text(result.summary, folder))
 
 

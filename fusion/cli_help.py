@@ -35,8 +35,15 @@ OUT gets these, whole or not at all; an earlier output there is replaced:
   report.html     all of it to look at, in one file
 
 \b
+With --export, also:
+  parquet   estimates, smoothed, frames .parquet: the tables with units and frames in their metadata
+  tum       estimates.tum, smoothed.tum: trajectories for evo
+  mcap      flight.mcap: pictures with what was seen in them, estimates and events, for Foxglove
+
+\b
 Examples:
   corridor fuse data/office
+  corridor fuse data/office --export parquet,mcap --frame ros
   corridor fuse flights/hall -o out/hall --config hall.toml
   corridor fuse flights/hall --camera camchain.yaml --method paper
 

@@ -1,4 +1,4 @@
-"""What a fused flight leaves on disk: three tables, a summary and a report, whole or not at all.
+"""What a fused flight leaves on disk: three tables, a summary, a report and exports, whole or not at all.
 
 Tables are CSV: integers as integers, truth values as ``true`` and ``false``, floats with nine significant
 digits, unknown numbers empty.
@@ -14,12 +14,14 @@ import secrets
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
+from fusion.exports import EXPORT_FILES, Format, Frame, write_exports
+from fusion.exports.conventions import summary_in_frame, table_in_frame
 from fusion.tables import Table
 from vision.errors import InputError
 
@@ -28,12 +30,22 @@ if TYPE_CHECKING:
     from fusion.offline import FusionResult
 
 OUTPUT_FILES = ("estimates.csv", "smoothed.csv", "frames.csv", "summary.json", "report.html")
+_OURS = (*OUTPUT_FILES, *chain.from_iterable(EXPORT_FILES.values()))
 _LEFT_BY_FILE_BROWSERS = frozenset({".DS_Store", "Thumbs.db"})
 _CHUNK_ROWS = 50_000
 
 
-def write_outputs(result: FusionResult, flight: Flight, out_dir: str | Path, *, report: bool = True) -> Path:
-    """Write a fused flight's five files into ``out_dir``, all of them or none.
+def write_outputs(
+    result: FusionResult,
+    flight: Flight,
+    out_dir: str | Path,
+    *,
+    report: bool = True,
+    exports: Iterable[Format] = (),
+    frame: Frame = Frame.FRD,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a fused flight's five files, and what else is asked for, into ``out_dir``, all of them or none.
 
     They are written beside ``out_dir`` under a temporary name and renamed once complete. An earlier output is
     replaced; a folder that holds anything else is left alone.
@@ -46,6 +58,12 @@ def write_outputs(result: FusionResult, flight: Flight, out_dir: str | Path, *, 
         The folder to make; its parents are made as needed.
     report
         Whether to write ``report.html`` too, the slowest of the five.
+    exports
+        Other forms of the tables, from `fusion.exports.check_formats`.
+    frame
+        Convention of signs in the tables and in the summary, which names it; the report's words need none.
+    progress
+        Called with pictures exported and in all, where ``exports`` holds any.
 
     Returns
     -------
@@ -58,10 +76,11 @@ def write_outputs(result: FusionResult, flight: Flight, out_dir: str | Path, *, 
         Where ``out_dir`` is a file, holds files that are not ours, or cannot be written.
     """
     with _appearing_whole(out_dir) as folder:
-        write_table(result.estimates, folder / "estimates.csv")
-        write_table(result.smoothed, folder / "smoothed.csv")
-        write_table(result.frames, folder / "frames.csv")
-        write_summary(result.summary, folder / "summary.json")
+        write_table(table_in_frame(result.estimates, frame), folder / "estimates.csv")
+        write_table(table_in_frame(result.smoothed, frame), folder / "smoothed.csv")
+        write_table(table_in_frame(result.frames, frame), folder / "frames.csv")
+        write_summary(summary_in_frame(result.summary, frame), folder / "summary.json")
+        write_exports(result, flight, folder, exports, frame, progress)
         if report:
             from fusion.report import write_report
 
@@ -83,7 +102,7 @@ def check_out_dir(out_dir: str | Path) -> Path:
         return folder
     if not folder.is_dir():
         raise InputError("the output folder is an existing file", file=out_dir, remedy=remedy)
-    ours = {*OUTPUT_FILES, *_LEFT_BY_FILE_BROWSERS}
+    ours = {*_OURS, *_LEFT_BY_FILE_BROWSERS}
     foreign = sorted(entry.name for entry in folder.iterdir() if entry.name not in ours or entry.is_dir())
     if foreign:
         more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
@@ -225,8 +244,12 @@ def _fails(convert: Callable[[str], Any], cell: str, dtype: np.dtype[Any]) -> bo
 
 def write_summary(summary: dict[str, Any], path: str | Path) -> None:
     """Write a summary as JSON that every reader takes: unknown numbers are null, never ``NaN``."""
-    text = json.dumps(_plain(summary), indent=2, ensure_ascii=False, allow_nan=False)
-    Path(path).write_text(text + "\n", encoding="utf-8")
+    Path(path).write_text(summary_json(summary), encoding="utf-8")
+
+
+def summary_json(summary: dict[str, Any]) -> str:
+    """Return the text that `write_summary` writes."""
+    return json.dumps(_plain(summary), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _plain(value: Any) -> Any:
@@ -283,7 +306,7 @@ def _replace_folder(new: Path, folder: Path) -> None:
 
 def _replace_files(new: Path, folder: Path) -> None:
     written = {entry.name for entry in new.iterdir()}
-    for name in OUTPUT_FILES:
+    for name in _OURS:
         if name in written:
             os.replace(new / name, folder / name)
         else:
