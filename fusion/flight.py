@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from vision import Camera
+
+if TYPE_CHECKING:
+    from fusion.logs.manifest import Manifest
 
 FloatArray = npt.NDArray[np.float64]
 TimeArray = npt.NDArray[np.int64]
@@ -121,7 +124,8 @@ class Flight:
     """One flight: a camera, its frames, and whatever else the log carried (None: it did not).
 
     ``problems`` names, one sentence each, what was dropped or mended on reading (duplicated times, rows of NaN,
-    zero quaternions, missing pictures ...), so that nothing is lost silently.
+    zero quaternions, missing pictures ...), so that nothing is lost silently. ``corridor_width_m`` is what the
+    manifest says; ``manifest`` is where everything came from, each choice named, None for a flight made by hand.
     """
 
     name: str
@@ -133,3 +137,5 @@ class Flight:
     velocity: VectorStream | None = None
     truth: CorridorTruth | None = None
     problems: tuple[str, ...] = field(default=())
+    corridor_width_m: float | None = None
+    manifest: Manifest | None = None

@@ -1,19 +1,33 @@
-"""Logs of flights, one module per format, each turning what it finds into a `fusion.flight.Flight`.
+"""Logs of flights, one module per format, put together into a `fusion.flight.Flight`.
 
-A format is a module with two functions, ``recognises(path)`` and ``load(path, camera)``; adding one means
-writing the module and naming it in `FORMATS`. A module is imported only when a log is loaded.
+A format is a module with two functions, ``recognises(path)`` and ``open_log(path)``, see `fusion.logs.contents`;
+adding one means writing the module and naming it in `FORMATS`. A module is imported only when a log is opened.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Protocol, cast
+from typing import TYPE_CHECKING, Protocol, cast
 
-from fusion.flight import Flight
+from fusion.logs.contents import LogContents
 from vision import Camera, InputError
 
-FORMATS = {"ASL / EuRoC folder (mav0/cam0 ...)": "fusion.logs.asl"}
+if TYPE_CHECKING:
+    from fusion.flight import Flight
+
+#: In the order in which they are asked: by magic bytes first, by names and endings last.
+FORMATS = {
+    "ASL / EuRoC folder (mav0/cam0 ...)": "fusion.logs.asl",
+    "PX4 ULog": "fusion.logs.ulog",
+    "ROS bag or MCAP": "fusion.logs.rosbag",
+    "ArduPilot DataFlash log": "fusion.logs.dataflash",
+    "MAVLink tlog": "fusion.logs.tlog",
+    "video": "fusion.logs.video",
+    "folder of pictures": "fusion.logs.folder",
+    "CSV": "fusion.logs.columns",
+}
 
 
 class LogFormat(Protocol):
@@ -22,8 +36,35 @@ class LogFormat(Protocol):
     def recognises(self, path: Path) -> bool:
         """Say whether this existing file or folder is of the format, without reading more than needed."""
 
-    def load(self, path: Path, camera: Camera | Path | None) -> Flight:
-        """Read it whole."""
+    def open_log(self, path: Path) -> LogContents:
+        """Find out what it holds."""
+
+
+def open_log(path: str | Path) -> LogContents:
+    """Open a log of any supported format.
+
+    Raises
+    ------
+    InputError
+        Where it does not exist, is of no known format, or cannot be opened.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError("there is no such file or folder", file=path, remedy="check the path")
+    for module in FORMATS.values():
+        if find_spec(module) is None:
+            continue
+        log_format = cast(LogFormat, import_module(module))
+        try:
+            known = log_format.recognises(path)
+        except OSError as error:
+            raise InputError(
+                f"cannot be read: {error.strerror}", file=path, remedy="check the file"
+            ) from error
+        if known:
+            return log_format.open_log(path)
+    remedy = "give a flight.toml, " + ", ".join(FORMATS)
+    raise InputError("is not a flight of a known format", file=path, remedy=remedy)
 
 
 def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> Flight:
@@ -32,10 +73,11 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
     Parameters
     ----------
     path
-        An ASL / EuRoC flight folder or the ``mav0`` in it.
+        A ``flight.toml`` or the folder that holds one, an ASL / EuRoC flight folder or the ``mav0`` in it, or a log
+        file that carries pictures.
     camera
-        Calibration to use instead of the log's own: a `Camera`, or a file in EuRoC's or Kalibr's form whose
-        extrinsic then refers to the log's body axes.
+        Calibration to use instead of the log's own: a `Camera`, or a file whose extrinsic then refers to the log's
+        body axes.
 
     Returns
     -------
@@ -47,13 +89,16 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
     InputError
         Where the log cannot be used: one line naming file, field, value and remedy.
     """
+    from fusion.logs.assembly import assemble_flight
+    from fusion.logs.manifest import Manifest, find_manifest, read_manifest
+
     path = Path(path)
     if not path.exists():
         raise InputError("there is no such file or folder", file=path, remedy="check the path")
     if isinstance(camera, str):
         camera = Path(camera)
-    for module in FORMATS.values():
-        log_format = cast(LogFormat, import_module(module))
-        if log_format.recognises(path):
-            return log_format.load(path, camera)
-    raise InputError("is not a flight of a known format", file=path, remedy="give " + " or ".join(FORMATS))
+    if isinstance(camera, Path) and not camera.exists():
+        raise InputError("there is no such file", file=camera, remedy="check --camera")
+    described = find_manifest(path)
+    manifest = Manifest(log=path.resolve()) if described is None else read_manifest(described)
+    return assemble_flight(manifest, camera)

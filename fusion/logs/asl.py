@@ -1,10 +1,10 @@
 """Flight folders in the ASL / EuRoC layout.
 
 ``mav0/cam0`` is required; ``imu0``, ``attitude0``, ``position0`` and ``velocity0`` are read where they
-exist, and so is ``corridor_truth.csv`` beside ``mav0``. Files give the body's axes as ``mav0/body.yaml`` says
-(``flu`` with world z up where it is absent) and turn into FRD with world z down here, once. Each sensor's
-``T_BS`` (body from sensor) is applied as a rotation; its lever arm is ignored: what it adds to the specific
-force is small beside the accelerations of flight, which the estimator has to distrust anyway.
+exist (or another number), and so is ``corridor_truth.csv`` beside ``mav0``. Files give the body's axes as
+``mav0/body.yaml`` says (``flu`` with world z up where it is absent) and turn into FRD with world z down here,
+once. Each sensor's ``T_BS`` (body from sensor) is applied as a rotation; its lever arm is ignored: what it adds
+to the specific force is small beside the accelerations of flight, which the estimator has to distrust anyway.
 
 ``state_groundtruth_estimate0`` is the answer and never becomes an input; `read_ground_truth` reads it for
 tests and benchmarks.
@@ -12,6 +12,9 @@ tests and benchmarks.
 
 from __future__ import annotations
 
+import os
+import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -22,14 +25,15 @@ import numpy as np
 from fusion.flight import (
     AttitudeStream,
     CorridorTruth,
-    Flight,
     FloatArray,
+    FrameStream,
     ImuStream,
     TimeArray,
     VectorStream,
 )
-from fusion.logs.csv_table import CsvTable, read_table
-from fusion.logs.pictures import check_size, read_frames
+from fusion.logs.contents import Kind, Topic
+from fusion.logs.csv_table import CsvTable, parse_time, read_table
+from fusion.logs.pictures import read_frames
 from fusion.logs.samples import MIN_IMU_STEP_NS, MIN_STEP_NS, BoolArray, counted, finite, keep_good
 from vision import Camera, InputError
 from vision.calibration import read_body_frame, read_yaml, rotation_of_transform, to_frd
@@ -37,8 +41,16 @@ from vision.camera import BodyFrame
 
 QUATERNION_TOLERANCE = 0.05  # of its length; more is not rounding but damage
 
+TRUTH_NAME = "corridor_truth.csv"
 _TRUTH_COLUMNS = ("heading_rad", "lateral_offset_m", "corridor_width_m", "corridor_id", "in_junction")
 _GROUND_TRUTH = "state_groundtruth_estimate0"
+_KINDS = {
+    "cam": Kind.FRAMES,
+    "imu": Kind.IMU,
+    "attitude": Kind.ATTITUDE,
+    "position": Kind.POSITION,
+    "velocity": Kind.VELOCITY,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,13 +83,9 @@ class _Folder:
     body_frame: BodyFrame
     problems: list[str]
 
-    def table(self, stream: str, columns: tuple[str, ...], min_step_ns: int = MIN_STEP_NS) -> CsvTable | None:
-        """Read a stream's ``data.csv``; None where the log has no such stream."""
+    def table(self, stream: str, columns: tuple[str, ...], min_step_ns: int = MIN_STEP_NS) -> CsvTable:
+        """Read a stream's ``data.csv``."""
         path = self.path / stream / "data.csv"
-        if not path.exists():
-            if path.parent.exists():
-                self.problems.append(f"{stream} has no data.csv, stream left out")
-            return None
         return read_table(path, columns, self.problems, label=f"{stream}/data.csv", min_step_ns=min_step_ns)
 
     def sensor(self, stream: str) -> dict[str, Any]:
@@ -107,32 +115,91 @@ def recognises(path: Path) -> bool:
     return path.is_dir() and ((path / "mav0").is_dir() or (path / "cam0").is_dir())
 
 
-def load(path: Path, camera: Camera | Path | None = None) -> Flight:
-    """Read a flight folder; see `fusion.logs.load_flight`."""
+def open_log(path: Path) -> AslLog:
+    """Open a flight folder, see `fusion.logs.contents`."""
     root = path.resolve()
     mav0 = root / "mav0" if (root / "mav0").is_dir() else root
-    root = mav0.parent if mav0.name == "mav0" else mav0
-    folder = _Folder(mav0, read_body_frame(mav0 / "body.yaml"), [])
-    frames = read_frames(mav0 / "cam0", folder.problems)
-    if not isinstance(camera, Camera):
-        camera = _read_camera(folder, camera)
-    mount_problem = camera.mount_problem()
-    if mount_problem is not None:
-        folder.problems.append(mount_problem)
-    check_size(frames, camera)
-    imu, attitude = _read_imu(folder), _read_attitude(folder)
-    position = _read_vectors(folder, "position0", ("p_x", "p_y", "p_z"), in_body=False)
-    velocity = _read_vectors(folder, "velocity0", ("v_x", "v_y", "v_z"), in_body=True)
-    truth = _read_corridor_truth(root / "corridor_truth.csv", folder.problems)
-    streams = {"imu0": imu, "attitude0": attitude, "position0": position, "velocity0": velocity}
-    for name, stream in streams.items():
-        if stream is not None:
-            _check_clock(mav0 / name / "data.csv", stream.t_ns, frames.t_ns)
-    if truth is not None:
-        _check_clock(root / "corridor_truth.csv", truth.t_ns, frames.t_ns)
-    return Flight(
-        root.name, camera, frames, imu, attitude, position, velocity, truth, problems=tuple(folder.problems)
-    )
+    return AslLog(mav0, mav0.parent if mav0.name == "mav0" else mav0)
+
+
+class AslLog:
+    """A flight folder as `fusion.logs.contents.LogContents`; topics are the folders of its sensors."""
+
+    format = "ASL / EuRoC folder"
+    no_pictures = "a flight needs cam0/data.csv and cam0/data/ in its mav0"
+
+    def __init__(self, mav0: Path, root: Path) -> None:
+        self.path = root
+        self.body_frame = read_body_frame(mav0 / "body.yaml")
+        self._mav0 = mav0
+        topics, problems = [], []
+        for folder in sorted(entry for entry in mav0.iterdir() if entry.is_dir()):
+            kind = _KINDS.get(folder.name.rstrip("0123456789"))
+            if kind is Kind.FRAMES or (kind is not None and (folder / "data.csv").exists()):
+                topics.append(Topic(folder.name, kind, _raw_times(folder)))
+            elif kind is not None:
+                problems.append(f"{folder.name} has no data.csv, stream left out")
+        self.topics, self.problems = tuple(topics), tuple(problems)
+
+    def calibration_file(self, topic: str) -> Path:
+        """Return where a camera's calibration belongs."""
+        return self._mav0 / topic / "sensor.yaml"
+
+    def file_of(self, topic: str) -> Path:
+        """Return the file whose times a topic's are."""
+        return self._mav0 / topic / "data.csv"
+
+    def frames(self, topic: str, problems: list[str]) -> FrameStream:
+        """Pictures of a camera."""
+        return read_frames(self._mav0 / topic, problems)
+
+    def camera(self, topic: str) -> Camera | None:
+        """Read the calibration in the camera's folder."""
+        path = self.calibration_file(topic)
+        return Camera.from_yaml(path, body_frame=self.body_frame) if path.exists() else None
+
+    def imu(self, topic: str, problems: list[str]) -> ImuStream:
+        """Gyroscope and accelerometer, body FRD."""
+        return _read_imu(self._folder(problems), topic)
+
+    def attitude(self, topic: str, problems: list[str]) -> AttitudeStream:
+        """Body FRD to world z down."""
+        return _read_attitude(self._folder(problems), topic)
+
+    def position(self, topic: str, problems: list[str]) -> VectorStream:
+        """World, z down."""
+        return _read_vectors(self._folder(problems), topic, ("p_x", "p_y", "p_z"), in_body=False)
+
+    def velocity(self, topic: str, problems: list[str]) -> VectorStream:
+        """Body FRD."""
+        return _read_vectors(self._folder(problems), topic, ("v_x", "v_y", "v_z"), in_body=True)
+
+    def truth(self, problems: list[str]) -> CorridorTruth | None:
+        """Read ``corridor_truth.csv`` beside ``mav0``; None where there is none."""
+        path = self.path / TRUTH_NAME
+        return read_corridor_truth(path, problems) if path.exists() else None
+
+    def _folder(self, problems: list[str]) -> _Folder:
+        return _Folder(self._mav0, self.body_frame, problems)
+
+
+def _raw_times(folder: Path) -> TimeArray:
+    """Read the times of a stream as they stand in its ``data.csv``, else in its pictures' names."""
+    path = folder / "data.csv"
+    if not path.exists():
+        names = sorted(os.listdir(folder / "data")) if (folder / "data").is_dir() else []
+        fields = [Path(name).stem for name in names]
+        return np.array([t for field in fields if (t := parse_time(field)) is not None], dtype=np.int64)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            return np.loadtxt(path, dtype=np.int64, delimiter=",", usecols=0, comments="#", ndmin=1)
+        except (OSError, ValueError, OverflowError, Warning):  # dirty: look at it line by line
+            pass
+    with suppress(OSError), path.open(encoding="utf-8", errors="replace") as file:
+        times = (parse_time(line.partition(",")[0].strip()) for line in file)
+        return np.array([t_ns for t_ns in times if t_ns is not None], dtype=np.int64)
+    return np.zeros(0, dtype=np.int64)
 
 
 def read_ground_truth(path: str | Path) -> GroundTruth:
@@ -142,81 +209,69 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
     folder = _Folder(mav0, read_body_frame(mav0 / "body.yaml"), [])
     columns = ("p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z", "v_x", "v_y", "v_z")
     biases = ("b_w_x", "b_w_y", "b_w_z", "b_a_x", "b_a_y", "b_a_z")
-    table = folder.table(_GROUND_TRUTH, columns + biases)
-    if table is None:
+    if not (mav0 / _GROUND_TRUTH / "data.csv").exists():
         raise InputError(
             f"has no {_GROUND_TRUTH}/data.csv", file=mav0, remedy="give a flight with ground truth"
         )
+    table = folder.table(_GROUND_TRUTH, columns + biases)
     R_world = to_frd(folder.body_frame)
     q = _attitude_in_frd(folder, _GROUND_TRUTH, table.values[:, 3:7])
     return GroundTruth(table.t_ns, table.values[:, 0:3] @ R_world.T, q, table.values[:, 7:10] @ R_world.T)
 
 
-def _read_camera(folder: _Folder, path: Path | None) -> Camera:
-    if path is None:
-        path = folder.path / "cam0" / "sensor.yaml"
-        if not path.exists():
-            raise InputError(
-                "there is no such file", file=path, remedy="add the calibration, or name one with --camera"
-            )
-    return Camera.from_yaml(path, body_frame=folder.body_frame)
-
-
-def _read_imu(folder: _Folder) -> ImuStream | None:
+def _read_imu(folder: _Folder, stream: str) -> ImuStream:
     columns = ("w_x", "w_y", "w_z", "a_x", "a_y", "a_z")
-    table = folder.table("imu0", columns, min_step_ns=MIN_IMU_STEP_NS)
-    if table is None:
-        return None
+    table = folder.table(stream, columns, min_step_ns=MIN_IMU_STEP_NS)
     good = finite(table.values[:, :3])
-    folder.keep(good, "imu0", "a gyro value that is not finite", table.t_ns)
+    folder.keep(good, stream, "a gyro value that is not finite", table.t_ns)
     t_ns, values = table.t_ns[good], table.values[good]
     no_accel = ~finite(values[:, 3:])
     if no_accel.any():
         values[no_accel, 3:] = np.nan
-        folder.problems.append(f"imu0/data.csv: {counted(int(no_accel.sum()), 'row')} without acceleration")
-    sensor = folder.sensor("imu0")
-    R_frd_imu = folder.R_frd_sensor("imu0", sensor)
+        folder.problems.append(
+            f"{stream}/data.csv: {counted(int(no_accel.sum()), 'row')} without acceleration"
+        )
+    sensor = folder.sensor(stream)
+    R_frd_imu = folder.R_frd_sensor(stream, sensor)
     accel_m_s2 = values[:, 3:] @ R_frd_imu.T
     if not no_accel.all() and float(np.nanmedian(accel_m_s2[:, 2])) > 5.0:
         folder.problems.append(
-            "imu0/data.csv: gravity points up in the body, so its axes are probably not "
-            f"{folder.body_frame} as taken: check body.yaml and imu0's T_BS"
+            f"{stream}/data.csv: gravity points up in the body, so its axes are probably not "
+            f"{folder.body_frame} as taken: check body.yaml and {stream}'s T_BS"
         )
     return ImuStream(
         t_ns,
         values[:, :3] @ R_frd_imu.T,
         accel_m_s2,
-        gyro_noise_density=_noise(folder, sensor, "gyroscope_noise_density"),
-        gyro_random_walk=_noise(folder, sensor, "gyroscope_random_walk"),
+        gyro_noise_density=_noise(folder, stream, sensor, "gyroscope_noise_density"),
+        gyro_random_walk=_noise(folder, stream, sensor, "gyroscope_random_walk"),
     )
 
 
-def _noise(folder: _Folder, sensor: dict[str, Any], key: str) -> float | None:
+def _noise(folder: _Folder, stream: str, sensor: dict[str, Any], key: str) -> float | None:
     value = sensor.get(key)
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not (isfinite(value) and value > 0.0):
         raise InputError(
             f"{key} is {value!r}",
-            file=folder.path / "imu0" / "sensor.yaml",
+            file=folder.path / stream / "sensor.yaml",
             remedy="give a positive number, or leave the line out",
         )
     return float(value)
 
 
-def _read_attitude(folder: _Folder) -> AttitudeStream | None:
-    table = folder.table("attitude0", ("q_w", "q_x", "q_y", "q_z"))
-    if table is None:
-        return None
+def _read_attitude(folder: _Folder, stream: str) -> AttitudeStream:
+    table = folder.table(stream, ("q_w", "q_x", "q_y", "q_z"))
     length = np.linalg.norm(table.values, axis=1)
     good = np.abs(length - 1.0) <= QUATERNION_TOLERANCE  # NaN is not
-    folder.keep(good, "attitude0", "a quaternion that is not of unit length", table.t_ns)
-    q_world_body = _attitude_in_frd(folder, "attitude0", table.values[good])
+    folder.keep(good, stream, "a quaternion that is not of unit length", table.t_ns)
+    q_world_body = _attitude_in_frd(folder, stream, table.values[good])
     down_z = 1.0 - 2.0 * (q_world_body[:, 1] ** 2 + q_world_body[:, 2] ** 2)
     if float(np.median(down_z)) < 0.0:
         folder.problems.append(
-            "attitude0/data.csv: the vehicle is upside down most of the time, so its axes are probably not "
-            f"{folder.body_frame} as taken: check body.yaml and attitude0's T_BS"
+            f"{stream}/data.csv: the vehicle is upside down most of the time, so its axes are probably not "
+            f"{folder.body_frame} as taken: check body.yaml and {stream}'s T_BS"
         )
     return AttitudeStream(table.t_ns[good], q_world_body)
 
@@ -235,21 +290,16 @@ def _attitude_in_frd(folder: _Folder, stream: str, q_world_sensor: FloatArray) -
     return np.roll((Rotation.from_matrix(R_down_world) * rotation).as_quat(), 1, axis=1)
 
 
-def _read_vectors(
-    folder: _Folder, stream: str, columns: tuple[str, ...], *, in_body: bool
-) -> VectorStream | None:
+def _read_vectors(folder: _Folder, stream: str, columns: tuple[str, ...], *, in_body: bool) -> VectorStream:
     table = folder.table(stream, columns)
-    if table is None:
-        return None
     good = finite(table.values)
     folder.keep(good, stream, "a value that is not finite", table.t_ns)
     R = folder.R_frd_sensor(stream, folder.sensor(stream)) if in_body else to_frd(folder.body_frame)
     return VectorStream(table.t_ns[good], table.values[good] @ R.T)
 
 
-def _read_corridor_truth(path: Path, problems: list[str]) -> CorridorTruth | None:
-    if not path.exists():
-        return None
+def read_corridor_truth(path: Path, problems: list[str]) -> CorridorTruth:
+    """Read a ``corridor_truth.csv``; its columns may be in any order."""
     table = read_table(
         path, _TRUTH_COLUMNS, problems, label=path.name, min_step_ns=MIN_IMU_STEP_NS, by_name=True
     )
@@ -264,12 +314,3 @@ def _read_corridor_truth(path: Path, problems: list[str]) -> CorridorTruth | Non
     return CorridorTruth(
         table.t_ns, heading_rad, offset_m, width_m, corridor_id.astype(np.int64), in_junction != 0.0
     )
-
-
-def _check_clock(path: Path, t_ns: TimeArray, frame_t_ns: TimeArray) -> None:
-    if t_ns[0] > frame_t_ns[-1] or t_ns[-1] < frame_t_ns[0]:
-        raise InputError(
-            f"covers {t_ns[0]} to {t_ns[-1]} ns, the frames {frame_t_ns[0]} to {frame_t_ns[-1]} ns",
-            file=path,
-            remedy="put both on one clock, or take the stream away",
-        )

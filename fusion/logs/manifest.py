@@ -72,6 +72,14 @@ class StreamSource(BaseModel):
         return self
 
 
+class ImuSource(StreamSource):
+    """Where the IMU's samples come from, and how noisy it is."""
+
+    noise: Path | None = Field(
+        default=None, description="Kalibr's imu.yaml or EuRoC's sensor.yaml with the gyroscope's noise."
+    )
+
+
 class CameraSource(StreamSource):
     """Where the pictures come from, and the camera that took them."""
 
@@ -128,7 +136,7 @@ class Manifest(BaseModel):
         default=None, description="corridor_truth.csv, if known: errors are then reported."
     )
     camera: CameraSource = Field(default_factory=CameraSource)
-    imu: StreamSource = Field(default_factory=StreamSource)
+    imu: ImuSource = Field(default_factory=ImuSource)
     attitude: StreamSource = Field(default_factory=StreamSource)
     velocity: StreamSource = Field(default_factory=StreamSource)
     position: StreamSource = Field(default_factory=StreamSource)
@@ -249,7 +257,8 @@ def _model_at(where: list[str]) -> type[BaseModel]:
         return ColumnMap
     if not where:
         return Manifest
-    return CameraSource if where[0] == "camera" else StreamSource
+    models: dict[str, type[BaseModel]] = {"camera": CameraSource, "imu": ImuSource}
+    return models.get(where[0], StreamSource)
 
 
 def _nearest(key: str, model: type[BaseModel]) -> str:
@@ -259,6 +268,7 @@ def _nearest(key: str, model: type[BaseModel]) -> str:
     places: dict[str, type[BaseModel]] = {
         "at the top": Manifest,
         "in [camera]": CameraSource,
+        "in [imu]": ImuSource,
         "in a stream's table": StreamSource,
         "in a stream's columns": ColumnMap,
     }

@@ -1,0 +1,215 @@
+"""A flight out of what its manifest names: topics chosen, clocks put together, camera corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from fusion.flight import CorridorTruth, Flight, FrameStream, TimeArray
+from fusion.logs import open_log
+from fusion.logs.choice import TABLES, WORDS, choose_topic, holdings
+from fusion.logs.contents import Kind, LogContents
+from fusion.logs.manifest import (
+    Manifest,
+    StreamSource,
+    corrected_camera,
+    files_of,
+)
+from fusion.logs.pictures import check_size
+from vision import Camera, InputError
+
+AnyStream = TypeVar("AnyStream", bound=Any)
+
+VIDEO_HINT = (
+    "give the video too: corridor fuse {log} --video VIDEO --camera CAM.yaml, or name it in a flight.toml"
+)
+
+
+def assemble_flight(manifest: Manifest, camera: Camera | Path | None = None) -> Flight:
+    """Read the streams that a manifest names, or leaves to be found, onto one clock.
+
+    Parameters
+    ----------
+    manifest
+        With absolute paths, as `fusion.logs.manifest.read_manifest` returns it.
+    camera
+        Calibration to use instead of the manifest's; the manifest's corrections apply to either.
+
+    Returns
+    -------
+    Flight
+        Its ``manifest`` names every topic that was chosen.
+
+    Raises
+    ------
+    InputError
+        One line naming file, field, value and remedy.
+    """
+    for key, path in files_of(manifest):
+        if not path.exists():
+            raise InputError(f"there is no such file or folder ({key})", file=path, remedy="check the path")
+    if isinstance(camera, Path):
+        chosen = manifest.camera.model_copy(update={"calibration": camera.absolute()})
+        manifest, camera = manifest.model_copy(update={"camera": chosen}), None
+    return _Assembly(manifest, camera).flight()
+
+
+class _Assembly:
+    """One flight under way: logs opened so far, what went wrong, which topics were chosen."""
+
+    def __init__(self, manifest: Manifest, camera: Camera | None) -> None:
+        self.manifest = manifest
+        self.problems: list[str] = []
+        self._given_camera = camera
+        self._logs: dict[Path, LogContents] = {}
+        self._changes: dict[str, StreamSource] = {}
+
+    def flight(self) -> Flight:
+        """Read everything; the pictures first, since without them all else is in vain."""
+        log, topic = self._picture_topic()
+        frames = self._shifted(log.frames(topic, self.problems), self.manifest.camera)
+        camera = self._camera(log, topic)
+        check_size(frames, camera, log.path)
+        imu = self._stream(Kind.IMU, lambda log: log.imu, frames.t_ns)
+        noise = self.manifest.imu.noise
+        if imu is not None and noise is not None:
+            from vision.calibration import read_imu_noise
+
+            declared = read_imu_noise(noise)
+            imu = replace(
+                imu,
+                gyro_noise_density=declared.gyro_noise_density,
+                gyro_random_walk=declared.gyro_random_walk,
+            )
+        return Flight(
+            self.manifest.name or self._name(log),
+            camera,
+            frames,
+            imu,
+            self._stream(Kind.ATTITUDE, lambda log: log.attitude, frames.t_ns),
+            self._stream(Kind.POSITION, lambda log: log.position, frames.t_ns),
+            self._stream(Kind.VELOCITY, lambda log: log.velocity, frames.t_ns),
+            self._truth(frames),
+            problems=tuple(self.problems),
+            corridor_width_m=self.manifest.corridor_width_m,
+            manifest=self.manifest.model_copy(update=self._changes),
+        )
+
+    def _open(self, path: Path, source: StreamSource) -> LogContents:
+        """Open a file once, however many streams come from it; the file's own problems are told once."""
+        own_way = open_as_told(path, source)
+        if own_way is not None:
+            self.problems += own_way.problems
+            return own_way
+        if path not in self._logs:
+            self._logs[path] = open_log(path)
+            self.problems += self._logs[path].problems
+        return self._logs[path]
+
+    def _picture_topic(self) -> tuple[LogContents, str]:
+        source = self.manifest.camera
+        path = source.file or self.manifest.log
+        if path is None:
+            raise InputError("no pictures are named", remedy="give a log, or a video with --video")
+        log = self._open(path, source)
+        topic = choose_topic(log, Kind.FRAMES, source.topic, self.problems)
+        if topic is None:
+            remedy = getattr(log, "no_pictures", None) or VIDEO_HINT.format(log=path.name)
+            raise InputError(
+                f"{log.format} without pictures; it holds {holdings(log)}", file=path, remedy=remedy
+            )
+        self._changes["camera"] = source.model_copy(update={"topic": topic})
+        return log, topic
+
+    def _camera(self, log: LogContents, topic: str) -> Camera:
+        source = self.manifest.camera
+        camera = self._given_camera
+        if camera is None and source.calibration is not None:
+            camera = Camera.from_yaml(source.calibration, body_frame=getattr(log, "body_frame", None))
+        if camera is None:
+            camera = log.camera(topic)
+        if camera is None:
+            missing = getattr(log, "calibration_file", None)
+            raise InputError(
+                "holds no calibration of the camera" if missing is None else "there is no such file",
+                file=log.path if missing is None else missing(topic),
+                remedy="add the calibration: name it with --camera, or under [camera] in flight.toml",
+            )
+        camera = corrected_camera(camera, source)
+        mount_problem = camera.mount_problem()
+        if mount_problem is not None:
+            self.problems.append(mount_problem)
+        return camera
+
+    def _stream(
+        self,
+        kind: Kind,
+        reader: Callable[[LogContents], Callable[[str, list[str]], AnyStream]],
+        frame_t_ns: TimeArray,
+    ) -> AnyStream | None:
+        table = TABLES[kind]
+        source = self.manifest.stream(table)
+        path = source.file or self.manifest.log
+        if path is None or not source.use:
+            return None
+        log = self._open(path, source)
+        topic = choose_topic(log, kind, source.topic, self.problems)
+        if topic is None:
+            if source.file is not None:
+                raise InputError(
+                    f"holds no {WORDS[kind]}, only {holdings(log)}",
+                    file=path,
+                    remedy=f"name another file under [{table}], or the columns of this one",
+                )
+            return None
+        stream = self._shifted(reader(log)(topic, self.problems), source)
+        self._changes[table] = source.model_copy(update={"topic": topic})
+        file = getattr(log, "file_of", lambda topic: log.path)(topic)
+        _check_clock(file, table, stream.t_ns, frame_t_ns)
+        return stream
+
+    def _shifted(self, stream: AnyStream, source: StreamSource) -> AnyStream:
+        """Put a stream onto the flight's clock."""
+        shift_ns = round(source.clock_offset_s * 1e9)
+        shifted: AnyStream = replace(stream, t_ns=stream.t_ns + shift_ns) if shift_ns else stream
+        return shifted
+
+    def _truth(self, frames: FrameStream) -> CorridorTruth | None:
+        from fusion.logs.asl import TRUTH_NAME, read_corridor_truth
+
+        if self.manifest.truth is not None:
+            path = self.manifest.truth
+            truth: CorridorTruth | None = read_corridor_truth(path, self.problems)
+        else:
+            log = self._logs.get(self.manifest.log) if self.manifest.log is not None else None
+            read = getattr(log, "truth", None)
+            truth = read(self.problems) if read is not None else None
+            path = (log.path if log is not None else Path()) / TRUTH_NAME
+        if truth is not None:
+            _check_clock(path, "truth", truth.t_ns, frames.t_ns)
+        return truth
+
+    def _name(self, log: LogContents) -> str:
+        if self.manifest.log in self._logs:  # it knows its own root, where only a part of it was named
+            log = self._logs[self.manifest.log]
+        return log.path.name if log.path.is_dir() else log.path.stem
+
+
+def open_as_told(path: Path, source: StreamSource) -> LogContents | None:
+    """Open a file in the way that the manifest's other keys say; None where it says nothing but the file."""
+    return None
+
+
+def _check_clock(file: Path, table: str, t_ns: TimeArray, frame_t_ns: TimeArray) -> None:
+    """Raise `InputError` where a stream and the frames have no time in common."""
+    if t_ns[0] <= frame_t_ns[-1] and t_ns[-1] >= frame_t_ns[0]:
+        return
+    lag_s = float(t_ns[0] - frame_t_ns[0]) * 1e-9
+    raise InputError(
+        f"covers {t_ns[0]} to {t_ns[-1]} ns, the frames {frame_t_ns[0]} to {frame_t_ns[-1]} ns",
+        file=file,
+        remedy="put both on one clock: with [camera] clock_offset_s in flight.toml, or --clock-offset; "
+        f"if both began together it is {lag_s:.3f}; or leave the {table} out",
+    )

@@ -1,0 +1,176 @@
+"""Which topic of a log a flight is made of, where the manifest leaves it open.
+
+A log may hold several of a kind. Where one is clearly the vehicle's own it is taken; otherwise nobody but the user
+can know, and is asked: for pictures and IMU by an error, for the rest by leaving the stream out and saying so.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from fusion.logs.contents import Kind, LogContents, Topic
+from vision import InputError
+
+# In each format the stream that the vehicle's own estimator uses, most telling first; matched against the whole name.
+_PREFERRED: dict[Kind, tuple[str, ...]] = {
+    Kind.FRAMES: (r"cam0",),
+    Kind.IMU: (
+        r"imu0",
+        r"sensor_combined",
+        r"vehicle_imu(\[0\])?",
+        r"IMU(\[\d+\])?",
+        r"HIGHRES_IMU.*",
+        r"SCALED_IMU(\[?0?\]?)?",
+        r"RAW_IMU.*",
+        r"(/mavros)?/imu/data",
+        r"(.*/)?imu/data",
+        r"(/mavros)?/imu/data_raw",
+        r"(.*/)?imu(_raw|/data_raw|/raw)?",
+    ),
+    Kind.ATTITUDE: (
+        r"attitude0",
+        r"vehicle_attitude",
+        r"ATT",
+        r"ATTITUDE_QUATERNION.*",
+        r"ATTITUDE\b.*",
+        r"(/mavros)?/imu/data",
+        r"(.*/)?imu/data",
+        r"(.*/)?imu(_raw|/raw)?",
+        r"(.*/)?odometry/filtered",
+        r"(.*/)?odom(etry)?",
+    ),
+    Kind.POSITION: (
+        r"position0",
+        r"vehicle_local_position",
+        r"LOCAL_POSITION_NED.*",
+        r"(.*/)?local_position/(pose|odom)",
+        r"(.*/)?odometry/filtered",
+        r"(.*/)?odom(etry)?",
+    ),
+    Kind.VELOCITY: (
+        r"velocity0",
+        r"vehicle_local_position",
+        r"LOCAL_POSITION_NED.*",
+        r"(.*/)?local_position/velocity_body",
+        r"(.*/)?local_position/(velocity|odom)",
+        r"(.*/)?odometry/filtered",
+        r"(.*/)?odom(etry)?",
+    ),
+}
+_SAME_PICTURES = re.compile(r"(/compressed|/image_raw|/image_rect|/image_mono|/image_color|/image)+$")
+
+WORDS = {
+    Kind.FRAMES: "pictures",
+    Kind.IMU: "IMU data",
+    Kind.ATTITUDE: "attitude",
+    Kind.POSITION: "position",
+    Kind.VELOCITY: "velocity",
+}
+TABLES = {
+    Kind.FRAMES: "camera",
+    Kind.IMU: "imu",
+    Kind.ATTITUDE: "attitude",
+    Kind.POSITION: "position",
+    Kind.VELOCITY: "velocity",
+}
+
+
+def choose_topic(log: LogContents, kind: Kind, wanted: str | None, problems: list[str]) -> str | None:
+    """Name the topic to read as a kind; None where the log has none, or no clear one.
+
+    Parameters
+    ----------
+    log
+        An opened log.
+    kind
+        What to look for.
+    wanted
+        The topic that the manifest names, if it does.
+    problems
+        A sentence is appended where an ambiguous stream is left out.
+
+    Raises
+    ------
+    InputError
+        Where the wanted topic is not there, or there are several cameras or IMUs.
+    """
+    names = _in_use(log, kind)
+    if wanted is not None:
+        return _wanted(log, kind, wanted)
+    if len(names) <= 1:
+        return names[0] if names else None
+    best = _best(names, kind)
+    if len(best) == 1:
+        return best[0]
+    listed, table = _listed(names), TABLES[kind]
+    if kind not in (Kind.FRAMES, Kind.IMU):
+        problems.append(
+            f"{log.path.name}: {len(names)} topics of {WORDS[kind]} ({listed}), none used: name one in flight.toml, "
+            f'[{table}] topic = "{best[0]}"'
+        )
+        return None
+    what = f"{len(names)} cameras" if kind is Kind.FRAMES else f"{len(names)} IMUs"
+    raise InputError(
+        f"holds {what}: {listed}",
+        file=log.path,
+        remedy=f'choose one in a flight.toml: log = "{log.path.name}", then [{table}] topic = "{best[0]}"',
+    )
+
+
+def _wanted(log: LogContents, kind: Kind, wanted: str) -> str:
+    there = [topic.name for topic in log.topics if topic.kind is kind]
+    if wanted in there:
+        return wanted
+    raise InputError(
+        f"has no {WORDS[kind]} under {wanted!r}",
+        file=log.path,
+        remedy=f"choose one of {_listed(there)}" if there else f"it holds {holdings(log)}",
+    )
+
+
+def _in_use(log: LogContents, kind: Kind) -> list[str]:
+    """Names of the topics of a kind; those without a sample only where there is no other."""
+    topics = [topic for topic in log.topics if topic.kind is kind]
+    return [topic.name for topic in topics if len(topic.t_ns)] or [topic.name for topic in topics]
+
+
+def _best(names: Sequence[str], kind: Kind) -> list[str]:
+    """Return the names that no other is preferred to."""
+    if kind is Kind.FRAMES:
+        names = _one_per_camera(names)
+    ranks = [_rank(name, kind) for name in names]
+    best = [name for name, rank in zip(names, ranks, strict=True) if rank == min(ranks)]
+    # IMU[0] and IMU[1] are one autopilot's: the first is its primary. Names from different makers are another matter.
+    stems = {re.sub(r"[\[(]?\d+[\])]?$", "", name) for name in best}
+    if len(stems) == 1 and min(ranks) < len(_PREFERRED[kind]):
+        return [min(best, key=lambda name: (len(name), name))]
+    return best
+
+
+def _one_per_camera(names: Sequence[str]) -> list[str]:
+    """Leave one name per camera: a raw picture and its compressed copy are the same, depth is none."""
+    cameras: dict[str, str] = {}
+    for name in sorted(names, key=len):
+        if not re.search(r"depth|disparity", name, re.IGNORECASE):
+            cameras.setdefault(_SAME_PICTURES.sub("", name), name)
+    return list(cameras.values()) or list(names)
+
+
+def _rank(name: str, kind: Kind) -> int:
+    patterns = _PREFERRED[kind]
+    return next((i for i, pattern in enumerate(patterns) if re.fullmatch(pattern, name)), len(patterns))
+
+
+def _listed(names: Sequence[str], limit: int = 8) -> str:
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return ", ".join(names[:limit]) + more
+
+
+def holdings(log: LogContents) -> str:
+    """Say in words what a log holds."""
+    topics: dict[Kind, list[Topic]] = {}
+    for topic in log.topics:
+        topics.setdefault(topic.kind, []).append(topic)
+    parts = [f"{WORDS[kind]} ({_listed([t.name for t in found], 3)})" for kind, found in topics.items()]
+    return ", ".join(parts) or "nothing that a flight is made of"
