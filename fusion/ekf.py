@@ -57,7 +57,9 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         """Move to ``x_next`` (5,), with ``F`` its derivative and ``Q`` the noise gained."""
         self.F, self.Q = F, Q
         self.x = self.x_prior = x_next
-        self.P = self.P_prior = predicted(self.P, F, Q)
+        P = np.empty_like(self.P)
+        predicted(self.P, F, Q, P)
+        self.P = self.P_prior = P
 
     def advance(
         self, dt_s: float, turned_rad: float, noise: ProcessNoise, u: float, w: float, heading_variance: float
@@ -99,7 +101,9 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         self._log_likelihood = self._likelihood = self._mahalanobis = None
         if ratio > 1.0:
             return Gate(False, residual, ratio)
-        self.x, self.P, self.K = updated(self.x, self.P, H, residual, variance)
+        x, P, K = np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty(N_STATES)
+        updated(self.x, self.P, H, residual, variance, x, P, K)
+        self.x, self.P, self.K = x, P, K
         return Gate(True, residual, ratio)
 
 
@@ -111,5 +115,6 @@ def _compile() -> None:
     constant.setflags(write=False)  # to the compiler another type
     for H in (x, constant):
         spread(P, H)
-        updated(x, predicted(P, P, P), H, 0.0, 1.0)
+        updated(x, P, H, 0.0, 1.0, x.copy(), P.copy(), x.copy())
+    predicted(P, P, P, P.copy())
     step(x, P, 1.0, 0.0, ProcessNoise(1.0, 1.0, 1.0, 1.0, 1.0))

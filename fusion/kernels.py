@@ -1,12 +1,13 @@
 """The filter's inner arithmetic, compiled: calling numpy takes ten times as long as a 5 by 5 product itself.
 
-What the numbers mean is said in `fusion.models`, whose functions stand before these. Every function returns new
-arrays. Covariances come out symmetric to the last bit: each pair of entries is computed once, or averaged.
+What the numbers mean is said in `fusion.models` and `fusion.tilt`, whose functions stand before these. Arrays that
+come out are the caller's (``_out``), filled: handing a new one out of compiled code costs more than filling it.
+Covariances come out symmetric to the last bit: each pair of entries is computed once, or averaged.
 """
 
 from __future__ import annotations
 
-from math import cos, exp, expm1, sin
+from math import cos, exp, expm1, sin, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ import numpy.typing as npt
 from vision.compiled import compiled
 
 FloatArray = npt.NDArray[np.float64]
+Vector = tuple[float, float, float]
 
 PSI, BIAS, OFFSET, Y, V = range(5)
 N_STATES = 5
@@ -21,16 +23,23 @@ N_STATES = 5
 
 @compiled
 def propagated(
-    x: FloatArray, dt: float, turned: float, v_time_s: float, forward: float, sideways: float
-) -> FloatArray:
+    x: FloatArray,
+    x_out: FloatArray,
+    dt: float,
+    turned: float,
+    v_time_s: float,
+    forward: float,
+    sideways: float,
+) -> None:
     """See `fusion.models.propagate`."""
     change = turned - x[BIAS] * dt
     middle = x[PSI] + 0.5 * change
-    out = x.copy()
-    out[PSI] += change
-    out[Y] += (forward * sin(middle) + sideways * cos(middle)) * dt - v_time_s * expm1(-dt / v_time_s) * x[V]
-    out[V] *= exp(-dt / v_time_s)
-    return out
+    x_out[:] = x
+    x_out[PSI] += change
+    x_out[Y] += (forward * sin(middle) + sideways * cos(middle)) * dt - v_time_s * expm1(-dt / v_time_s) * x[
+        V
+    ]
+    x_out[V] *= exp(-dt / v_time_s)
 
 
 @compiled
@@ -46,6 +55,8 @@ def _wander(x: float, v_std: float, time_s: float) -> tuple[float, float, float]
 
 @compiled
 def discretised(
+    F_out: FloatArray,
+    Q_out: FloatArray,
     dt: float,
     heading: float,
     bias: float,
@@ -54,16 +65,17 @@ def discretised(
     v_time_s: float,
     c: float,
     heading_variance: float,
-) -> tuple[FloatArray, FloatArray]:
+) -> None:
     """See `fusion.models.transition`."""
     n2, b2, o2 = heading**2, bias**2, offset**2
-    F = np.eye(N_STATES)
+    F, Q = F_out, Q_out
+    F[:], Q[:] = 0.0, 0.0
+    F[PSI, PSI] = F[BIAS, BIAS] = F[OFFSET, OFFSET] = F[Y, Y] = 1.0
     F[PSI, BIAS] = -dt
     F[Y, PSI] = c * dt
     F[Y, BIAS] = -c * dt * dt / 2
     F[Y, V] = -v_time_s * expm1(-dt / v_time_s)
     F[V, V] = exp(-dt / v_time_s)
-    Q = np.zeros((N_STATES, N_STATES))
     Q[PSI, PSI] = n2 * dt + b2 * dt**3 / 3 + heading_variance
     Q[BIAS, BIAS] = b2 * dt
     Q[OFFSET, OFFSET] = o2 * dt
@@ -75,14 +87,13 @@ def discretised(
     Q[Y, Y] = q_yy + c * c * (n2 * dt**3 / 3 + b2 * dt**5 / 20)
     Q[Y, V] = Q[V, Y] = q_yv
     Q[V, V] = q_vv
-    return F, Q
 
 
 @compiled
-def predicted(P: FloatArray, F: FloatArray, Q: FloatArray) -> FloatArray:
+def predicted(P: FloatArray, F: FloatArray, Q: FloatArray, P_out: FloatArray) -> None:
     """Covariance (n, n) after a transition: F P F' + Q."""
     n = P.shape[0]
-    FP, out = np.empty((n, n)), np.empty((n, n))
+    FP = np.empty((n, n))
     for i in range(n):
         for j in range(n):
             total = 0.0
@@ -94,14 +105,16 @@ def predicted(P: FloatArray, F: FloatArray, Q: FloatArray) -> FloatArray:
             total = 0.5 * (Q[i, j] + Q[j, i])
             for k in range(n):
                 total += 0.5 * (FP[i, k] * F[j, k] + FP[j, k] * F[i, k])
-            out[i, j] = out[j, i] = total
-    return out
+            P_out[i, j] = P_out[j, i] = total
 
 
 @compiled
 def stepped(
     x: FloatArray,
     P: FloatArray,
+    x_out: FloatArray,
+    F_out: FloatArray,
+    P_out: FloatArray,
     dt: float,
     turned: float,
     heading: float,
@@ -112,12 +125,14 @@ def stepped(
     forward: float,
     sideways: float,
     heading_variance: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> None:
     """See `fusion.models.step`."""
     middle = x[PSI] + 0.5 * (turned - x[BIAS] * dt)
     c = forward * cos(middle) - sideways * sin(middle)
-    F, Q = discretised(dt, heading, bias, offset, v_std, v_time_s, c, heading_variance)
-    return propagated(x, dt, turned, v_time_s, forward, sideways), F, predicted(P, F, Q)
+    Q = np.empty((N_STATES, N_STATES))
+    discretised(F_out, Q, dt, heading, bias, offset, v_std, v_time_s, c, heading_variance)
+    propagated(x, x_out, dt, turned, v_time_s, forward, sideways)
+    predicted(P, F_out, Q, P_out)
 
 
 @compiled
@@ -133,14 +148,21 @@ def spread(P: FloatArray, H: FloatArray) -> float:
 
 @compiled
 def updated(
-    x: FloatArray, P: FloatArray, H: FloatArray, residual: float, variance: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+    x: FloatArray,
+    P: FloatArray,
+    H: FloatArray,
+    residual: float,
+    variance: float,
+    x_out: FloatArray,
+    P_out: FloatArray,
+    K_out: FloatArray,
+) -> None:
     """State (n,), covariance (n, n) and gain (n,) after a scalar measurement.
 
     The covariance is Joseph's form, (I - K H) P (I - K H)' + R K K', positive whatever the gain.
     """
     n = x.shape[0]
-    K, HP = np.empty(n), np.empty(n)
+    HP, K = np.empty(n), K_out
     S = variance
     for i in range(n):
         total = 0.0
@@ -148,10 +170,10 @@ def updated(
             total += P[i, j] * H[j]
         HP[i] = total
         S += H[i] * total
-    x_new, A, out = np.empty(n), np.empty((n, n)), np.empty((n, n))
+    A = np.empty((n, n))
     for i in range(n):
         K[i] = HP[i] / S
-        x_new[i] = x[i] + K[i] * residual
+        x_out[i] = x[i] + K[i] * residual
     for i in range(n):  # A = (I - K H) P
         for j in range(n):
             A[i, j] = P[i, j] - K[i] * HP[j]
@@ -160,8 +182,39 @@ def updated(
         for k in range(n):
             AH_i += A[i, k] * H[k]
         for j in range(n):
-            out[i, j] = A[i, j] - AH_i * K[j] + variance * K[i] * K[j]
+            P_out[i, j] = A[i, j] - AH_i * K[j] + variance * K[i] * K[j]
     for i in range(n):
         for j in range(i):
-            out[i, j] = out[j, i] = 0.5 * (out[i, j] + out[j, i])
-    return x_new, out, K
+            P_out[i, j] = P_out[j, i] = 0.5 * (P_out[i, j] + P_out[j, i])
+
+
+@compiled
+def turned_down(down: Vector, rate: Vector, dt: float) -> Vector:
+    """Direction of gravity (3,) in a body that turns: down' = down x rate, to second order in the angle."""
+    gx, gy, gz = down
+    p, q, r = rate
+    ux, uy, uz = p * dt, q * dt, r * dt
+    sx, sy, sz = gy * uz - gz * uy, gz * ux - gx * uz, gx * uy - gy * ux
+    gx += sx + 0.5 * (sy * uz - sz * uy)
+    gy += sy + 0.5 * (sz * ux - sx * uz)
+    gz += sz + 0.5 * (sx * uy - sy * ux)
+    length = sqrt(gx * gx + gy * gy + gz * gz)
+    return gx / length, gy / length, gz / length
+
+
+@compiled
+def corrected_down(
+    down: Vector, bias: Vector, rate: Vector, dt: float, force: Vector, gain: float, bias_gain: float
+) -> tuple[Vector, Vector]:
+    """Direction of gravity (3,) and bias (3,), corrected towards the specific force; see `fusion.tilt`."""
+    gx, gy, gz = down
+    bx, by, bz = bias
+    p, q, r = rate
+    ax, ay, az = force
+    length = sqrt(ax * ax + ay * ay + az * az)
+    # Rotation that takes the estimate to the measurement: estimate x measured.
+    ex, ey, ez = (gz * ay - gy * az) / length, (gx * az - gz * ax) / length, (gy * ax - gx * ay) / length
+    step = bias_gain * dt
+    bias = (bx + step * ex, by + step * ey, bz + step * ez)
+    bx, by, bz = bias
+    return turned_down(down, (p - gain * ex - bx, q - gain * ey - by, r - gain * ez - bz), dt), bias

@@ -112,7 +112,9 @@ def transition(
     F, Q
         (5, 5) each; ``F`` is the derivative of `propagate`.
     """
-    return discretised(dt_s, *noise, y_per_psi, heading_variance)
+    F, Q = np.empty((N_STATES, N_STATES)), np.empty((N_STATES, N_STATES))
+    discretised(F, Q, dt_s, *noise, y_per_psi, heading_variance)
+    return F, Q
 
 
 def propagate(
@@ -127,7 +129,9 @@ def propagate(
 
     ``forward`` and ``sideways`` are velocities in half widths per second; the heading half-way is used for y.
     """
-    return propagated(x, dt_s, turned_rad, noise.v_time_s, forward, sideways)
+    x_next = np.empty(N_STATES)
+    propagated(x, x_next, dt_s, turned_rad, noise.v_time_s, forward, sideways)
+    return x_next
 
 
 def step(
@@ -147,7 +151,9 @@ def step(
     x, F, P
         (5,), (5, 5) and (5, 5).
     """
-    return stepped(x, P, dt_s, turned_rad, *noise, forward, sideways, heading_variance)
+    x_next, F, P_next = np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty((N_STATES, N_STATES))
+    stepped(x, P, x_next, F, P_next, dt_s, turned_rad, *noise, forward, sideways, heading_variance)
+    return x_next, F, P_next
 
 
 _H_HEADING = np.array([1.0, 0.0, 0.0, 0.0, 0.0])

@@ -14,9 +14,9 @@ from __future__ import annotations
 from math import asin, atan2, hypot, radians, sqrt
 from typing import NamedTuple
 
+from fusion.kernels import Vector as Vector
+from fusion.kernels import corrected_down, turned_down
 from vision.measurement import Attitude
-
-Vector = tuple[float, float, float]
 
 GRAVITY_M_S2 = 9.80665
 ATTITUDE_GAP_S = 0.5  # an attitude stream silent for longer no longer sets the tilt
@@ -71,42 +71,28 @@ def with_imu(tilt: Tilt, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | Non
     ``gyro_rad_s`` is the mean rate since the last step, body FRD; ``accel_m_s2`` the specific force, about
     (0, 0, -9.81) at rest and level, or None.
     """
-    dt = 0.0 if tilt.t_ns is None else min(max((t_ns - tilt.t_ns) * 1e-9, 0.0), 0.2)
+    down, last_ns, t_attitude, _, t_accel, settled, bias = tilt
+    dt = 0.0 if last_ns is None else min(max((t_ns - last_ns) * 1e-9, 0.0), 0.2)
+    if t_attitude is not None and (t_ns - t_attitude) * 1e-9 <= ATTITUDE_GAP_S:
+        return Tilt(turned_down(down, gyro_rad_s, dt), t_ns, t_attitude, t_ns, t_accel, settled, bias)
+    if accel_m_s2 is not None:
+        ax, ay, az = accel_m_s2
+        length = sqrt(ax * ax + ay * ay + az * az)
+        trust = 1.0 - abs(length / GRAVITY_M_S2 - 1.0) / ACCEL_TOLERANCE
+        if trust > 0.0:
+            if t_accel is None and t_attitude is None:
+                down = (-ax / length, -ay / length, -az / length)
+            gains = (ACCEL_GAIN_1_S, ACCEL_BIAS_GAIN_1_S2) if settled >= START_S else (START_GAIN_1_S, 0.0)
+            down, bias = corrected_down(
+                down, bias, gyro_rad_s, dt, accel_m_s2, trust * gains[0], trust * gains[1]
+            )
+            return Tilt(down, t_ns, t_attitude, t_ns, t_ns, settled + dt, bias)
     p, q, r = gyro_rad_s
-    gx, gy, gz = tilt.down
-    bx, by, bz = tilt.gyro_bias
-    t_accel, settled = tilt.t_accel_ns, tilt.settled_s
-    t_attitude = tilt.t_attitude_ns
-    if t_attitude is None or (t_ns - t_attitude) * 1e-9 > ATTITUDE_GAP_S:
-        if accel_m_s2 is not None:
-            ax, ay, az = accel_m_s2
-            length = sqrt(ax * ax + ay * ay + az * az)
-            trust = 1.0 - abs(length / GRAVITY_M_S2 - 1.0) / ACCEL_TOLERANCE
-            if trust > 0.0:
-                if t_accel is None and t_attitude is None:
-                    gx, gy, gz = -ax / length, -ay / length, -az / length
-                # Rotation that takes the estimate to the measurement: estimate x measured.
-                ex, ey, ez = (
-                    (gz * ay - gy * az) / length,
-                    (gx * az - gz * ax) / length,
-                    (gy * ax - gx * ay) / length,
-                )
-                gain = trust * (START_GAIN_1_S if settled < START_S else ACCEL_GAIN_1_S)
-                step = trust * ACCEL_BIAS_GAIN_1_S2 * dt if settled >= START_S else 0.0
-                bx, by, bz = bx + step * ex, by + step * ey, bz + step * ez
-                p, q, r = p - gain * ex, q - gain * ey, r - gain * ez
-                t_accel, settled = t_ns, settled + dt
-        elif t_accel is None or (t_ns - t_accel) * 1e-9 > ATTITUDE_GAP_S:
-            # Towards level: estimate x (0, 0, 1).
-            p, q = p - LEVEL_LEAK_1_S * gy, q + LEVEL_LEAK_1_S * gx
-        p, q, r = p - bx, q - by, r - bz
-    ux, uy, uz = p * dt, q * dt, r * dt
-    # down' = down x rate, to second order in the angle turned.
-    sx, sy, sz = gy * uz - gz * uy, gz * ux - gx * uz, gx * uy - gy * ux
-    gx += sx + 0.5 * (sy * uz - sz * uy)
-    gy += sy + 0.5 * (sz * ux - sx * uz)
-    gz += sz + 0.5 * (sx * uy - sy * ux)
-    return Tilt(_unit((gx, gy, gz)), t_ns, t_attitude, t_ns, t_accel, settled, (bx, by, bz))
+    bx, by, bz = bias
+    p, q, r = p - bx, q - by, r - bz
+    if accel_m_s2 is None and (t_accel is None or (t_ns - t_accel) * 1e-9 > ATTITUDE_GAP_S):
+        p, q = p - LEVEL_LEAK_1_S * down[1], q + LEVEL_LEAK_1_S * down[0]  # estimate x (0, 0, 1)
+    return Tilt(turned_down(down, (p, q, r), dt), t_ns, t_attitude, t_ns, t_accel, settled, bias)
 
 
 def attitude_at(tilt: Tilt, t_ns: int, attitude_std_rad: float) -> Attitude | None:
