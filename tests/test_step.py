@@ -68,7 +68,16 @@ def test_both_filters_follow_the_flight() -> None:
 
 
 def test_it_prints_its_tables() -> None:
-    command = [sys.executable, str(BENCHMARKS / "step.py"), "--seconds", "2", "--minutes", "1"]
+    command = [
+        sys.executable,
+        str(BENCHMARKS / "step.py"),
+        "--seconds",
+        "2",
+        "--minutes",
+        "1",
+        "--steps",
+        "3000",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     rows = {line[:34].strip(): line[34:].split() for line in done.stdout.splitlines()}
@@ -76,3 +85,24 @@ def test_it_prints_its_tables() -> None:
         assert float(rows[name][1]) > 0
     assert float(rows["add_measurement, 80 ms late"][0]) == 59
     assert float(rows["plain filterpy EKF"][0]) > 0
+    assert "Covariance over 3000 steps, looked at 3 times: symmetric and positive" in done.stdout
+
+
+def test_covariance_stays_symmetric_and_positive() -> None:
+    ekf, health = step.worn(40_000, seed=1)
+    assert (health.looked_at, health.bad, health.asymmetry) == (40, 0, 0.0)
+    assert health.smallest > 0
+    assert np.isfinite(ekf.x).all()
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        np.diag([1.0, 1.0, -1.0]),
+        np.array([[1.0, 1.1], [1.1, 1.0]]),
+        np.array([[1.0, 0.1], [0.1 + 1e-16, 1.0]]),
+    ],
+)
+def test_bad_covariance_is_told(bad: np.ndarray) -> None:
+    with np.errstate(invalid="ignore"):
+        assert step.Health().with_covariance(bad).bad == 1
