@@ -1,0 +1,80 @@
+"""What a check of a log found: one sentence, what to do about it, and whether fusing would go wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Severity(StrEnum):
+    """How sure it is, and what follows."""
+
+    WARNING = "warning"  # likely, or harmless enough: fused, and said
+    ERROR = "error"  # certain, and the answer would be wrong: refused
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something that is implausible about a stream.
+
+    Parameters
+    ----------
+    severity
+        Whether the flight can be fused all the same.
+    stream
+        ``camera``, ``imu``, ``attitude``, ``velocity`` or ``position``.
+    kind
+        A short fixed word, such as ``gyro_unit``.
+    text
+        What is wrong and what shows it, in words.
+    remedy
+        What the user can do.
+    """
+
+    severity: Severity
+    stream: str
+    kind: str
+    text: str
+    remedy: str
+
+    @property
+    def sentence(self) -> str:
+        """Stream, text and remedy in one line, as it stands in a flight's ``problems``."""
+        return f"{self.stream}: {self.text} ({self.remedy})"
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """What to change, in the words of the kind of log that a flight came from.
+
+    Parameters
+    ----------
+    is_folder
+        Whether it is a flight folder in the ASL layout, whose files state their axes in ``mav0/body.yaml`` and whose
+        units are fixed; else the manifest says so.
+    """
+
+    is_folder: bool = False
+
+    def frame(self, stream: str, frame: str) -> str:
+        """Return how to name a stream's axes."""
+        if self.is_folder:
+            return f"correct body_frame in mav0/body.yaml, or T_BS in mav0/{stream}0/sensor.yaml"
+        return f'set frame = "{frame}" for [{stream}] in flight.toml'
+
+    def unit(self, stream: str, key: str, unit: str, factor: str) -> str:
+        """Return how to correct a unit."""
+        if self.is_folder:
+            return f"multiply its columns in mav0/{stream}0/data.csv by {factor}"
+        return f'set {key} = "{unit}" in [{stream}.columns] of flight.toml, or correct the logger'
+
+    def leave_out(self, stream: str) -> str:
+        """Return how to do without a stream."""
+        if self.is_folder:
+            return f"take mav0/{stream}0 away to fuse without it"
+        return f"set use = false for [{stream}] in flight.toml to fuse without it"
+
+    def clock(self, stream: str, lag_s: float) -> str:
+        """Return how to shift the camera's clock, since the vehicle's own streams usually share one."""
+        shift = f"[camera] clock_offset_s = {lag_s:.3f} in flight.toml puts both on one clock if they began together"
+        return f"{shift}; `corridor align` finds the rest; or {self.leave_out(stream)}"

@@ -1,0 +1,137 @@
+"""Is a flight what it claims to be: units, axes, clocks and live sensors, told from its data.
+
+Readers convert what a log says it holds; this looks at whether the numbers agree. What would make the answer wrong
+without a sign of it is refused; what is likely, or does little harm, is said in the flight's ``problems``. A stream
+that never changes is left out: it holds nothing, whatever it claims.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import degrees
+from pathlib import Path
+
+import numpy as np
+
+from fusion.flight import AttitudeStream, Flight, FloatArray, TimeArray
+from fusion.logs.findings import Advice, Finding, Severity
+from fusion.logs.plausible_clocks import examine_clocks
+from fusion.logs.plausible_imu import MIN_SAMPLES, examine_imu
+from vision import InputError
+
+MAX_SPEED_M_S = 60.0
+
+
+def check_flight(flight: Flight, path: Path | None = None) -> Flight:
+    """Return the flight without dead streams and with what is implausible among its problems.
+
+    Parameters
+    ----------
+    flight
+        As a reader made it.
+    path
+        What the user named, for messages; a folder in the ASL layout gets other advice than a log.
+
+    Raises
+    ------
+    InputError
+        Where fusing would give a wrong answer: units, axes or clocks that are certainly not as taken.
+    """
+    advice = Advice(is_folder=path is not None and _is_asl(path))
+    flight, dead = without_dead_streams(flight)
+    findings = [*dead, *examine_flight(flight, advice)]
+    for finding in findings:
+        if finding.severity is Severity.ERROR:
+            raise InputError(f"{finding.stream}: {finding.text}", file=path, remedy=finding.remedy)
+    return replace(flight, problems=(*flight.problems, *(finding.sentence for finding in findings)))
+
+
+def examine_flight(flight: Flight, advice: Advice) -> list[Finding]:
+    """Return everything that is implausible about a flight, clocks first."""
+    clocks = list(examine_clocks(_times(flight), advice))
+    if any(finding.kind == "time_unit" for finding in clocks):
+        return clocks  # rates mean nothing without their times
+    found = [*clocks]
+    if flight.imu is not None:
+        found += examine_imu(flight.imu, flight.attitude, advice)
+    if flight.attitude is not None:
+        found += examine_attitude(flight.attitude, advice)
+    return [*found, *_speeds(flight)]
+
+
+def without_dead_streams(flight: Flight) -> tuple[Flight, list[Finding]]:
+    """Take away streams in which every sample is the same; an accelerometer that is all zeros becomes unknown."""
+    found: list[Finding] = []
+
+    def is_dead(name: str, values: FloatArray | None, what: str) -> bool:
+        if values is None or len(values) < MIN_SAMPLES or np.any(values != values[0]):
+            return False
+        text = f"{what} is {_vector(values[0])} in all of its {len(values)} rows: it was never measured, left out"
+        found.append(Finding(Severity.WARNING, name, "constant", text, "check the logger"))
+        return True
+
+    imu = flight.imu
+    if imu is not None and is_dead("imu", imu.gyro_rad_s, "the gyroscope"):
+        imu = None
+    if imu is not None and is_dead("imu", imu.accel_m_s2, "the accelerometer"):
+        imu = replace(imu, accel_m_s2=np.full_like(imu.accel_m_s2, np.nan))
+    attitude, velocity, position = flight.attitude, flight.velocity, flight.position
+    if is_dead("attitude", None if attitude is None else attitude.q_world_body, "the quaternion"):
+        attitude = None
+    if is_dead("velocity", None if velocity is None else velocity.xyz, "it"):
+        velocity = None
+    if is_dead("position", None if position is None else position.xyz, "it"):
+        position = None
+    return replace(flight, imu=imu, attitude=attitude, velocity=velocity, position=position), found
+
+
+def examine_attitude(attitude: AttitudeStream, advice: Advice) -> Iterator[Finding]:
+    """Yield what an attitude shows by itself: a vehicle that flies upside down, or on its side."""
+    q = attitude.q_world_body
+    if len(q) < MIN_SAMPLES:
+        return
+    tilt_rad = np.arccos(np.clip(1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), -1.0, 1.0))
+    tilt_deg = degrees(float(np.median(tilt_rad)))
+    if tilt_deg > 135.0:
+        text = (
+            f"the vehicle is upside down most of the time (tilt {tilt_deg:.0f} degrees): its axes are not as taken, "
+            "z of the body or of the world points the other way"
+        )
+        yield Finding(Severity.ERROR, "attitude", "attitude_axes", text, advice.frame("attitude", "flu"))
+    elif tilt_deg > 50.0:
+        text = f"the vehicle lies on its side most of the time (tilt {tilt_deg:.0f} degrees)"
+        yield Finding(Severity.WARNING, "attitude", "attitude_axes", text, advice.frame("attitude", "flu"))
+
+
+def _speeds(flight: Flight) -> Iterator[Finding]:
+    if flight.velocity is None or len(flight.velocity.t_ns) < MIN_SAMPLES:
+        return
+    speed = float(np.percentile(np.linalg.norm(flight.velocity.xyz, axis=1), 90.0))
+    if speed > MAX_SPEED_M_S:
+        yield Finding(
+            Severity.ERROR,
+            "velocity",
+            "velocity_unit",
+            f"one sample in ten is faster than {speed:.0f} m/s: it is in another unit",
+            'give metres per second, or set velocity_unit = "cm/s" or "mm/s" in [velocity.columns] of flight.toml',
+        )
+
+
+def _times(flight: Flight) -> dict[str, TimeArray]:
+    streams = {
+        "camera": flight.frames,
+        "imu": flight.imu,
+        "attitude": flight.attitude,
+        "velocity": flight.velocity,
+        "position": flight.position,
+    }
+    return {name: stream.t_ns for name, stream in streams.items() if stream is not None}
+
+
+def _is_asl(path: Path) -> bool:
+    return path.is_dir() and ((path / "mav0").is_dir() or (path / "cam0").is_dir())
+
+
+def _vector(values: FloatArray) -> str:
+    return "(" + ", ".join(f"{value + 0.0:g}" for value in values) + ")"
