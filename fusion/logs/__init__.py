@@ -91,6 +91,7 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
     """
     from fusion.logs.assembly import assemble_flight
     from fusion.logs.manifest import Manifest, find_manifest, read_manifest
+    from fusion.logs.plausibility import check_flight
 
     path = Path(path)
     if not path.exists():
@@ -101,4 +102,4 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
         raise InputError("there is no such file", file=camera, remedy="check --camera")
     described = find_manifest(path)
     manifest = Manifest(log=path.resolve()) if described is None else read_manifest(described)
-    return assemble_flight(manifest, camera)
+    return check_flight(assemble_flight(manifest, camera), path)

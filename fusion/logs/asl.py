@@ -234,11 +234,6 @@ def _read_imu(folder: _Folder, stream: str) -> ImuStream:
     sensor = folder.sensor(stream)
     R_frd_imu = folder.R_frd_sensor(stream, sensor)
     accel_m_s2 = values[:, 3:] @ R_frd_imu.T
-    if not no_accel.all() and float(np.nanmedian(accel_m_s2[:, 2])) > 5.0:
-        folder.problems.append(
-            f"{stream}/data.csv: gravity points up in the body, so its axes are probably not "
-            f"{folder.body_frame} as taken: check body.yaml and {stream}'s T_BS"
-        )
     return ImuStream(
         t_ns,
         values[:, :3] @ R_frd_imu.T,
@@ -267,12 +262,6 @@ def _read_attitude(folder: _Folder, stream: str) -> AttitudeStream:
     good = np.abs(length - 1.0) <= QUATERNION_TOLERANCE  # NaN is not
     folder.keep(good, stream, "a quaternion that is not of unit length", table.t_ns)
     q_world_body = _attitude_in_frd(folder, stream, table.values[good])
-    down_z = 1.0 - 2.0 * (q_world_body[:, 1] ** 2 + q_world_body[:, 2] ** 2)
-    if float(np.median(down_z)) < 0.0:
-        folder.problems.append(
-            f"{stream}/data.csv: the vehicle is upside down most of the time, so its axes are probably not "
-            f"{folder.body_frame} as taken: check body.yaml and {stream}'s T_BS"
-        )
     return AttitudeStream(table.t_ns[good], q_world_body)
 
 

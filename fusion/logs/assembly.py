@@ -18,6 +18,7 @@ from fusion.logs.manifest import (
     files_of,
 )
 from fusion.logs.pictures import check_size
+from fusion.logs.plausible_clocks import is_unix, span
 from vision import Camera, InputError
 
 AnyStream = TypeVar("AnyStream", bound=Any)
@@ -207,8 +208,9 @@ def _check_clock(file: Path, table: str, t_ns: TimeArray, frame_t_ns: TimeArray)
     if t_ns[0] <= frame_t_ns[-1] and t_ns[-1] >= frame_t_ns[0]:
         return
     lag_s = float(t_ns[0] - frame_t_ns[0]) * 1e-9
+    zero = "" if is_unix(t_ns) == is_unix(frame_t_ns) else "; one is Unix time, the other counts from zero"
     raise InputError(
-        f"covers {t_ns[0]} to {t_ns[-1]} ns, the frames {frame_t_ns[0]} to {frame_t_ns[-1]} ns",
+        f"covers {span(t_ns)}, the frames {span(frame_t_ns)}{zero}",
         file=file,
         remedy="put both on one clock: with [camera] clock_offset_s in flight.toml, or --clock-offset; "
         f"if both began together it is {lag_s:.3f}; or leave the {table} out",

@@ -20,6 +20,7 @@ from fusion.logs.plausible_clocks import examine_clocks
 from fusion.logs.plausible_imu import MIN_SAMPLES, examine_imu
 from vision import InputError
 
+MIN_DEAD_NS = 2_000_000_000  # a stream must stay the same for so long before it counts as dead
 MAX_SPEED_M_S = 60.0
 
 
@@ -61,29 +62,30 @@ def examine_flight(flight: Flight, advice: Advice) -> list[Finding]:
 
 
 def without_dead_streams(flight: Flight) -> tuple[Flight, list[Finding]]:
-    """Take away streams in which every sample is the same; an accelerometer that is all zeros becomes unknown."""
+    """Take away streams that never change, and a velocity of zeros; an accelerometer that does becomes unknown."""
     found: list[Finding] = []
 
-    def is_dead(name: str, values: FloatArray | None, what: str) -> bool:
-        if values is None or len(values) < MIN_SAMPLES or np.any(values != values[0]):
+    def is_dead(name: str, t_ns: TimeArray, values: FloatArray, what: str) -> bool:
+        if len(values) < MIN_SAMPLES or t_ns[-1] - t_ns[0] < MIN_DEAD_NS or np.any(values != values[0]):
             return False
         text = f"{what} is {_vector(values[0])} in all of its {len(values)} rows: it was never measured, left out"
         found.append(Finding(Severity.WARNING, name, "constant", text, "check the logger"))
         return True
 
-    imu = flight.imu
-    if imu is not None and is_dead("imu", imu.gyro_rad_s, "the gyroscope"):
+    imu, attitude, velocity = flight.imu, flight.attitude, flight.velocity
+    if imu is not None and is_dead("imu", imu.t_ns, imu.gyro_rad_s, "the gyroscope"):
         imu = None
-    if imu is not None and is_dead("imu", imu.accel_m_s2, "the accelerometer"):
+    if imu is not None and is_dead("imu", imu.t_ns, imu.accel_m_s2, "the accelerometer"):
         imu = replace(imu, accel_m_s2=np.full_like(imu.accel_m_s2, np.nan))
-    attitude, velocity, position = flight.attitude, flight.velocity, flight.position
-    if is_dead("attitude", None if attitude is None else attitude.q_world_body, "the quaternion"):
+    if attitude is not None and is_dead("attitude", attitude.t_ns, attitude.q_world_body, "the quaternion"):
         attitude = None
-    if is_dead("velocity", None if velocity is None else velocity.xyz, "it"):
+    if (
+        velocity is not None
+        and not velocity.xyz.any()
+        and is_dead("velocity", velocity.t_ns, velocity.xyz, "it")
+    ):
         velocity = None
-    if is_dead("position", None if position is None else position.xyz, "it"):
-        position = None
-    return replace(flight, imu=imu, attitude=attitude, velocity=velocity, position=position), found
+    return replace(flight, imu=imu, attitude=attitude, velocity=velocity), found
 
 
 def examine_attitude(attitude: AttitudeStream, advice: Advice) -> Iterator[Finding]:

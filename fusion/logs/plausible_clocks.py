@@ -37,9 +37,9 @@ def examine_clocks(streams: Mapping[str, TimeArray], advice: Advice) -> Iterator
         return
     for name, t_ns in streams.items():
         if name != "camera" and len(t_ns):
-            finding = examine_overlap(name, t_ns, frames, advice)
-            if finding is not None:
-                yield finding
+            gap = examine_overlap(name, t_ns, frames, advice)
+            if gap is not None:
+                yield gap
 
 
 def _unit(name: str, t_ns: TimeArray) -> Iterator[Finding]:
