@@ -18,7 +18,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from fusion import cli_help
+from fusion import cli_align, cli_help
 from fusion.console import compile_notice, progress_bar, say
 from fusion.exports.conventions import Frame
 from vision.errors import InputError
@@ -195,6 +195,13 @@ def measure(
     else:
         write_table(table, out)
     say(measured_text(table, out, overlay))
+
+
+app.command(
+    name="align",
+    help=cli_align.HELP,
+    short_help="Put camera and clock right by the flight itself: time offset, focal length, mounting.",
+)(cli_align.align)
 
 
 @app.command(help=cli_help.SIMULATE, short_help="Make a flight to try things on, truth included.")

@@ -5,6 +5,7 @@ CORRIDOR = """Heading and lateral offset in indoor corridors, from camera frames
 \b
 First steps:
   corridor fuse data/office           fuse the sample flight; then open office_fused/report.html
+  corridor align data/office          is the camera in time with the IMU, does its focal length fit?
   corridor measure picture.jpg        one picture: no IMU, no calibration needed
   corridor simulate flight            make a flight of your own to try it on, truth included
 

@@ -1,0 +1,130 @@
+"""`align_flight`: what an alignment does, from a flight to its corrected camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf, nan, radians
+
+import numpy as np
+
+from fusion.alignment.mount import mount_rotation
+from fusion.alignment.result import Alignment, Quantity
+from fusion.alignment.search import search
+from fusion.alignment.sentences import clock_quantity, focal_quantity, mount_quantities
+from fusion.alignment.turning import seconds, turning_of
+from fusion.alignment.views import MAX_FRAMES, Views, choose_frames, collect, scaled_focal
+from fusion.console import Progress
+from fusion.flight import Flight
+from fusion.tilt import LEVEL_STD_RAD
+from vision.camera import Camera
+from vision.errors import InputError
+
+MAX_OFFSET_S = 3.0
+ATTITUDE_STD_RAD = radians(0.5)
+UNKNOWN_SCALES = (1.0, 0.6, 1.6, 0.4)  # of an ordinary camera's focal length, likely ones first
+
+
+def align_flight(
+    flight: Flight,
+    *,
+    camera_known: bool = True,
+    max_offset_s: float = MAX_OFFSET_S,
+    max_frames: int = MAX_FRAMES,
+    progress: Progress = lambda done, total: None,
+) -> Alignment:
+    """Find time offset, focal length and mounting of a flight's camera from the flight itself.
+
+    Parameters
+    ----------
+    flight
+        With a gyroscope or an attitude stream. Of a long flight the stretches with most turning are looked at.
+    camera_known
+        Whether the flight's camera is a calibrated one. Otherwise only its picture size counts: no distortion, the
+        principal point in the middle, and the focal length is looked for.
+    max_offset_s
+        How far the clocks may be apart.
+    max_frames
+        How many frames are looked at.
+    progress
+        Called with frames done and in all.
+
+    Raises
+    ------
+    InputError
+        Where the flight has no frames that can be read, or nothing inertial.
+    """
+    if not 0.0 < max_offset_s <= 60.0:
+        raise InputError(f"max_offset_s = {max_offset_s:g}", remedy="give seconds, up to 60")
+    if not len(flight.frames.t_ns):
+        raise InputError(f"flight {flight.name} has no camera frames", remedy="align a flight with pictures")
+    origin_ns = int(flight.frames.t_ns[0])
+    turning = turning_of(flight, origin_ns, ATTITUDE_STD_RAD)
+    chosen = choose_frames(seconds(flight.frames.t_ns, origin_ns), turning, max_frames)
+    camera = flight.camera if camera_known else ordinary_camera(flight.camera)
+    views = collect(flight, camera, chosen, origin_ns, progress)
+    if not views.lines:
+        raise InputError(
+            f"none of the {len(chosen)} frames looked at can be read", remedy="check the pictures"
+        )
+    notes: list[str] = []
+    if views.n_unreadable:
+        notes.append(f"{views.n_unreadable} of {len(chosen)} frames cannot be read.")
+    if len(chosen) < len(flight.frames.t_ns):
+        notes.append(
+            f"{len(chosen)} of {len(flight.frames.t_ns)} frames were looked at, where most turning is."
+        )
+    found = search(views, turning, max_offset_s, (1.0,) if camera_known else UNKNOWN_SCALES)
+    focal = focal_quantity(found, turning, None if camera_known else camera)
+    if not camera_known and not focal.usable:
+        focal = _focal_of_pictures(views)
+    tilt_known = float(np.median(turning.tilt_std_rad)) < LEVEL_STD_RAD
+    yaw, pitch, roll = mount_quantities(found.mount, tilt_known)
+    return Alignment(
+        clock_offset=clock_quantity(found, turning, max_offset_s),
+        focal_scale=focal,
+        mount_yaw=yaw,
+        mount_pitch=pitch,
+        mount_roll=roll,
+        camera=_corrected(camera, camera_known, focal, yaw, pitch, roll),
+        camera_known=camera_known,
+        n_frames=len(views.lines),
+        n_used=found.search.fit.n_frames if found.search.fit is not None else 0,
+        notes=tuple(notes),
+    )
+
+
+def ordinary_camera(camera: Camera) -> Camera:
+    """Return what to start from where nothing is known of a camera but the size of its pictures."""
+    from vision.field_of_view import ordinary_field_of_view
+
+    view = ordinary_field_of_view(camera.width_px, camera.height_px)
+    return Camera.from_fov(camera.width_px, camera.height_px, view.horizontal_rad)
+
+
+def _focal_of_pictures(views: Views) -> Quantity:
+    """Focal length by the right angles in the pictures, where turns do not tell it."""
+    from vision.field_of_view import MAX_TRIED, field_of_view_of_lines
+
+    step = max(1, len(views.lines) // MAX_TRIED)
+    view = field_of_view_of_lines(views.lines[::step], views.camera)
+    found = Camera.from_fov(views.camera.width_px, views.camera.height_px, view.horizontal_rad)
+    scale = found.fx_px / views.camera.fx_px
+    # d(f)/f = -d(fov) / sin(fov)
+    sigma = scale * view.std_rad / float(np.sin(view.horizontal_rad))
+    if not view.told:
+        said = "Neither turns nor pictures tell the focal length: an ordinary camera's is taken."
+        return Quantity("focal_scale", nan, inf, False, said, 1.0)
+    said = (
+        f"Focal length found by the right angles in {view.n_used} pictures, as there was too little turning."
+    )
+    return Quantity("focal_scale", scale, sigma, True, said, 1.0)
+
+
+def _corrected(
+    camera: Camera, known: bool, focal: Quantity, yaw: Quantity, pitch: Quantity, roll: Quantity
+) -> Camera:
+    """Apply what is usable and differs; a focal length that nobody knew is better than none."""
+    if focal.changes or (focal.usable and not known):
+        camera = scaled_focal(camera, focal.value)
+    angle_rad = np.array([q.value if q.changes else 0.0 for q in (roll, pitch, yaw)])
+    return replace(camera, R_body_camera=mount_rotation(angle_rad) @ camera.R_body_camera)

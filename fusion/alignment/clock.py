@@ -1,0 +1,356 @@
+"""Time offset between camera and inertial sensors, and the ratio of the turns that each of them saw.
+
+The model, for a frame stamped t while the vehicle flies along one corridor:
+
+    heading(t) = ratio * yaw(t + offset) + drift * t + constant + errors
+
+The constant is another one in each corridor, and known only up to half a turn, as a corridor looks alike from both
+ends. Errors are white (the frame's) plus a random walk (the gyroscope's, and what successive frames have in common).
+The gyroscope's share of the walk is noise of the regressor, which would make the ratio too small; it is taken out as
+in total least squares, by regressing on the yaw less the walk that the residuals show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi, radians
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.alignment.markov import Noise, Process, find_noise, solve, weights
+from fusion.alignment.turning import Turning
+from fusion.alignment.views import Sightings
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
+
+COARSE_STEP_S = 0.01
+PAIR_S = (0.2, 0.8)  # frames so far apart are compared in the coarse search
+MIN_PAIRS = 12
+COARSE_SIGMA_RAD = radians(1.0)
+COARSE_ROUNDS = 4
+MIN_SIGMA_RAD = radians(0.15)
+RIVAL_APART_S = 0.3
+N_RIVALS = 4
+MIN_LEAD = 8.0  # in log-likelihood, of the best offset over its rivals
+MIN_OVERLAP = 0.4  # share of the pairs that the inertial stream must cover at an offset
+RATIO_RANGE = (0.3, 3.0)
+MIN_RATIO_SIGMA = 8.0  # else what was seen is no turning
+USABLE_STD_S = 0.02
+EDGE_S = 0.05
+
+LEVEL_FRAMES = 15
+NEW_LEVEL_FRAMES = 6
+GATE_RAD = radians(5.0)
+DRIFT_RAD_S = radians(0.6)  # by which a level may have moved while it was not seen
+MAX_GATE_RAD = radians(20.0)
+
+MIN_FRAMES = 12
+ROUNDS = 12
+NOISE_EVERY = 3
+REACH_S = 0.12  # by which the fine fit may leave the candidate
+HALF_SLOPE_S = 0.01
+OFFSET, RATIO, DRIFT = range(3)  # columns of the fit, before the constants
+START_DENSITY = 0.005
+MAX_STEP_S = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coarse:
+    """A candidate of the coarse search."""
+
+    offset_s: float
+    ratio: float
+    drift_rad_s: float
+    evidence: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClockFit:
+    """Time offset and ratio of turns, with standard deviations.
+
+    Parameters
+    ----------
+    offset_s, offset_std_s
+        To be added to the frames' stamps to bring them to the inertial sensors' clock.
+    ratio, ratio_std
+        Turns that vision saw over turns of the inertial sensors.
+    drift_rad_s
+        Bias of the inertial yaw rate with its sign turned.
+    n_frames, n_corridors
+        Frames that had a say, and constants that were needed.
+    turned_rad
+        Standard deviation of the yaw over the frames, drift and constants taken out.
+    white_rad, walk_density
+        Noise found: of a frame, and of the walk, rad/sqrt(s).
+    samples
+        The frames used.
+    """
+
+    offset_s: float
+    offset_std_s: float
+    ratio: float
+    ratio_std: float
+    drift_rad_s: float
+    n_frames: int
+    n_corridors: int
+    turned_rad: float
+    white_rad: float
+    walk_density: float
+    samples: _Samples
+
+
+def wrap_axis(angle_rad: FloatArray) -> FloatArray:
+    """Bring angles of directions without sense into [-pi/2, pi/2)."""
+    return np.asarray((angle_rad + 0.5 * pi) % pi - 0.5 * pi)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClockSearch:
+    """Outcome of looking for the time offset.
+
+    Parameters
+    ----------
+    fit
+        The best one; None where too few frames could be compared.
+    told
+        Whether the flight tells the offset.
+    rival_s
+        Another offset that explains the flight as well; None: there is none.
+    reversed
+        Whether vision and inertial sensors turn in opposite directions.
+    at_edge
+        Whether the best offset lies at the end of the range that was searched.
+    """
+
+    fit: ClockFit | None
+    told: bool
+    rival_s: float | None = None
+    reversed: bool = False
+    at_edge: bool = False
+
+
+def find_clock(sightings: Sightings, turning: Turning, reach_s: float) -> ClockSearch:
+    """Look for the offset within ``+-reach_s``, and judge whether the flight tells it."""
+    coarse = coarse_offsets(sightings, turning, reach_s)
+    if not coarse:
+        return ClockSearch(None, False)
+    best = coarse[0]
+    if best.ratio < 0.0:
+        return ClockSearch(None, False, reversed=True)
+    fit = fine_fit(sightings, turning, best)
+    if fit is None:
+        return ClockSearch(None, False)
+    rival = next((other.offset_s for other in coarse[1:] if other.evidence > best.evidence - MIN_LEAD), None)
+    at_edge = abs(fit.offset_s) > reach_s - EDGE_S
+    moved = fit.ratio > MIN_RATIO_SIGMA * fit.ratio_std and RATIO_RANGE[0] < fit.ratio < RATIO_RANGE[1]
+    told = rival is None and not at_edge and moved and fit.offset_std_s < USABLE_STD_S
+    return ClockSearch(fit, told, rival, at_edge=at_edge)
+
+
+def coarse_offsets(sightings: Sightings, turning: Turning, reach_s: float) -> tuple[Coarse, ...]:
+    """Compare turns between frames some tenths of a second apart with the yaw's, at all offsets.
+
+    Returns
+    -------
+    tuple of Coarse
+        The best offset first, then rivals at least `RIVAL_APART_S` away; empty where there is too little to compare.
+    """
+    t, heading = sightings.t_s[sightings.seen], sightings.heading_rad[sightings.seen]
+    partner = np.searchsorted(t, t + PAIR_S[0])
+    first = np.flatnonzero(partner < len(t))
+    second = partner[first]
+    close = t[second] - t[first] <= PAIR_S[1]
+    first, second = first[close], second[close]
+    if len(first) < MIN_PAIRS:
+        return ()
+    turned, span = wrap_axis(heading[second] - heading[first]), t[second] - t[first]
+    offsets = np.arange(-reach_s, reach_s + 0.5 * COARSE_STEP_S, COARSE_STEP_S)
+    yaw = turning.yaw_at(t[None, :] + offsets[:, None])
+    yawed = yaw[:, second] - yaw[:, first]
+    covered = np.isfinite(yawed)
+    n_covered = covered.sum(axis=1)
+    enough = n_covered >= max(MIN_PAIRS, MIN_OVERLAP * n_covered.max())
+    if not enough.any():
+        return ()
+    yawed = np.where(covered, yawed, 0.0)
+    ratio, drift, z = _robust_slopes(yawed, turned, span, covered, COARSE_SIGMA_RAD)
+    best = int(np.argmin(np.where(enough, _loss(z, covered), np.inf)))
+    # The best offset shows how well the two can agree; by that measure all are compared.
+    spread = 1.48 * COARSE_SIGMA_RAD * float(np.median(np.abs(z[best][covered[best]])))
+    sigma = max(spread, MIN_SIGMA_RAD)
+    ratio, drift, z = _robust_slopes(yawed, turned, span, covered, sigma)
+    # Pairs overlap: so many of them are one.
+    independent = n_covered * np.minimum(1.0, np.median(np.diff(t)) / np.median(span))
+    evidence = np.where(enough, -_loss(z, covered) * independent[best], -np.inf)
+    found: list[Coarse] = []
+    free = np.ones(len(offsets), bool)
+    while len(found) < N_RIVALS and np.isfinite(evidence[free]).any():
+        k = int(np.flatnonzero(free)[np.argmax(evidence[free])])
+        inner = 0 < k < len(offsets) - 1
+        if not found or (inner and evidence[k] >= max(evidence[k - 1], evidence[k + 1])):
+            found.append(Coarse(float(offsets[k]), float(ratio[k]), float(drift[k]), float(evidence[k])))
+        free &= np.abs(offsets - offsets[k]) > (RIVAL_APART_S if len(found) == 1 else COARSE_STEP_S)
+    return tuple(found)
+
+
+def _loss(z: FloatArray, covered: BoolArray) -> FloatArray:
+    """Mean of Cauchy's loss over the pairs covered, at each offset."""
+    return np.asarray((covered * np.log1p(z * z)).sum(axis=1) / np.maximum(covered.sum(axis=1), 1))
+
+
+def _robust_slopes(
+    yawed: FloatArray, turned: FloatArray, span: FloatArray, covered: BoolArray, sigma: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fit ``turned ~ ratio * yawed + drift * span`` at each offset (rows) by Cauchy's loss: ratio, drift, residuals.
+
+    Residuals are over ``sigma``.
+    """
+    weight = covered.astype(float)
+    for _ in range(COARSE_ROUNDS):
+        a = (weight * yawed * yawed).sum(axis=1)
+        b = (weight * yawed * span).sum(axis=1)
+        c = (weight * span * span).sum(axis=1)
+        p, q = (weight * yawed * turned).sum(axis=1), (weight * span * turned).sum(axis=1)
+        determinant = np.maximum(a * c - b * b, 1e-12)
+        ratio, drift = (c * p - b * q) / determinant, (a * q - b * p) / determinant
+        z = (turned - ratio[:, None] * yawed - drift[:, None] * span) / sigma
+        weight = covered / (1.0 + z * z)
+    return ratio, drift, z
+
+
+def corridors_of(t_s: FloatArray, constant_rad: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Divide frames among corridors: where heading less yaw keeps to one level.
+
+    Parameters
+    ----------
+    t_s
+        Times (n,).
+    constant_rad
+        Heading less what the yaw explains (n,), known up to half a turn.
+
+    Returns
+    -------
+    corridor
+        Number (n,), -1 for frames that keep to no level.
+    unwrapped
+        ``constant_rad`` (n,) with the half turns that bring it next to its level.
+    """
+    n = len(t_s)
+    corridor, unwrapped = np.full(n, -1, np.int64), constant_rad.copy()
+    level: list[int] = []
+    strays: list[int] = []
+    number = -1
+    for k in range(n):
+        if level:
+            recent = level[-LEVEL_FRAMES:]
+            middle = float(np.median(unwrapped[recent]))
+            away = float(wrap_axis(np.array(constant_rad[k] - middle)))
+            gate = min(GATE_RAD + DRIFT_RAD_S * float(t_s[k] - t_s[recent[-1]]), MAX_GATE_RAD)
+            if abs(away) < gate:
+                unwrapped[k], corridor[k] = middle + away, number
+                level.append(k)
+                strays = []
+                continue
+        strays.append(k)
+        fresh = _new_level(t_s, constant_rad, strays)
+        if fresh is not None:
+            number, level, strays = number + 1, fresh, []
+            reference = constant_rad[fresh[-1]]
+            unwrapped[fresh] = reference + wrap_axis(constant_rad[fresh] - reference)
+            corridor[fresh] = number
+    return corridor, unwrapped
+
+
+def _new_level(t_s: FloatArray, constant_rad: FloatArray, strays: list[int]) -> list[int] | None:
+    """Return the strays that make a level of their own, once enough of the last ones agree."""
+    recent = strays[-2 * NEW_LEVEL_FRAMES :]
+    away = np.abs(wrap_axis(constant_rad[recent] - constant_rad[recent[-1]]))
+    near = [k for k, a in zip(recent, away.tolist(), strict=True) if a < 0.5 * GATE_RAD]
+    return near if len(near) >= NEW_LEVEL_FRAMES else None
+
+
+def fine_fit(sightings: Sightings, turning: Turning, start: Coarse) -> ClockFit | None:
+    """Fit offset, ratio and drift from a candidate on; None where too few frames keep to a corridor."""
+    seen = sightings.seen
+    t, heading, white = sightings.t_s[seen], sightings.heading_rad[seen], sightings.heading_std_rad[seen] ** 2
+    reach = np.array([-REACH_S, 0.0, REACH_S])
+    inside = np.isfinite(turning.yaw_at(t[:, None] + start.offset_s + reach)).all(axis=1)
+    t, heading, white = t[inside], heading[inside], white[inside]
+    explained = start.ratio * turning.yaw_at(t + start.offset_s) + start.drift_rad_s * t
+    corridor, constant = corridors_of(t, heading - explained)
+    keep = corridor >= 0
+    if keep.sum() < MIN_FRAMES:
+        return None
+    samples = _Samples(t[keep], (constant + explained)[keep], white[keep], corridor[keep])
+    return _gauss_newton(samples, turning, start)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Samples:
+    """Frames that keep to a corridor: times, headings, variances, corridors, weights; all (n,)."""
+
+    t_s: FloatArray
+    heading_rad: FloatArray
+    white: FloatArray
+    corridor: IntArray
+
+    def only(self, keep: BoolArray) -> _Samples:
+        return _Samples(self.t_s[keep], self.heading_rad[keep], self.white[keep], self.corridor[keep])
+
+    def centred(self, values: FloatArray) -> FloatArray:
+        """Values (n,) less their mean in each corridor."""
+        _, number = np.unique(self.corridor, return_inverse=True)
+        return np.asarray(values - (np.bincount(number, values) / np.bincount(number))[number])
+
+    def walk(self, density: float) -> Process:
+        return Process.walk(self.t_s, self.corridor, density)
+
+
+def _gauss_newton(samples: _Samples, turning: Turning, start: Coarse) -> ClockFit | None:
+    """Iterate to the fit, finding noise and outliers on the way."""
+    offset, ratio = start.offset_s, start.ratio
+    scale, density = 1.0, max(START_DENSITY, turning.noise_density)
+    weight = np.ones(len(samples.t_s))
+    for step in range(ROUNDS):
+        # Constants are left to the walk, which begins anywhere in each corridor.
+        yaw = samples.centred(turning.yaw_at(samples.t_s + offset))
+        slope = ratio * turning.rate_at(samples.t_s + offset)
+        design = np.stack([slope, yaw, samples.centred(samples.t_s)], axis=1)
+        target = samples.centred(samples.heading_rad)
+        if step % NOISE_EVERY == 0:
+            scale, density = find_noise(design, target, samples.white / weight, samples.walk, scale, density)
+        noise = Noise(scale * samples.white / weight, samples.walk(density))
+        values, _ = solve(design, target, noise)
+        walked = samples.centred(noise.process_of(target - design @ values))
+        share = min(1.0, (turning.noise_density / density) ** 2)
+        instrument = design.copy()
+        instrument[:, RATIO] += share * walked / max(float(values[RATIO]), RATIO_RANGE[0])
+        values, covariance = solve(design, target, noise, instrument)
+        residual = target - design @ values
+        offset += float(np.clip(values[OFFSET], -MAX_STEP_S, MAX_STEP_S))
+        ratio = float(np.clip(values[RATIO], *RATIO_RANGE))
+        if abs(offset - start.offset_s) > REACH_S - HALF_SLOPE_S:
+            return None
+        if step < ROUNDS - 1 and step % NOISE_EVERY == NOISE_EVERY - 1:
+            weight = weights(noise, residual, weight)
+            keep = weight > 0.0
+            samples, weight = samples.only(keep), weight[keep]
+            if len(weight) < MIN_FRAMES:
+                return None
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return ClockFit(
+        offset_s=offset,
+        offset_std_s=float(std[OFFSET]),
+        ratio=float(values[RATIO]),
+        ratio_std=float(std[RATIO]),
+        drift_rad_s=float(values[DRIFT]),
+        n_frames=len(weight),
+        n_corridors=len(np.unique(samples.corridor)),
+        turned_rad=float(np.std(yaw)),
+        white_rad=float(np.sqrt(scale * np.median(samples.white))),
+        walk_density=density,
+        samples=samples,
+    )

@@ -1,0 +1,123 @@
+"""How the camera sits on the body, from the corridor's axis, the picture's vertical lines and the vehicle's tilting.
+
+Let the camera be turned against its calibration by a small rotation, roll, pitch and yaw about the body's axes.
+Turned into level by the attitude, it lifts or lowers the corridor's axis and leans the door posts:
+
+    elevation = -(sin(heading), cos(heading), 0) . R_level_body (roll, pitch, yaw)
+    lean      =  (1, 0, 0) . R_level_body (roll, pitch, yaw)
+
+As long as the body stays level the yaw has no part in either: it only adds to the heading, and which part of that
+is the vehicle's own nobody can tell. But a camera that looks to the right of the axis that the vehicle rolls about
+sees a roll as some pitch, and a pitch as some roll: each degree of tilting shows the yaw's sine. Errors of the
+attitude (which wander for seconds) are modelled as a Markov process.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import asin, atan2, radians
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.alignment.markov import LineFit, Process, fit_lines
+from fusion.alignment.views import Sightings
+
+FloatArray = npt.NDArray[np.float64]
+
+MIN_FRAMES = 12
+WANDER_STD_RAD, WANDER_TIME_S = radians(0.4), 4.0  # of an attitude filter's roll and pitch
+LEVEL_STD_RAD = radians(0.5)  # constant error of what an attitude calls level
+MAX_SURPLUS = 0.9
+ROLL, PITCH, YAW = range(3)
+PRIOR_STD_RAD = radians(15.0)  # of a mount: keeps what is not seen finite
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountFit:
+    """Rotation of the camera against its calibration, about the body's axes: roll, pitch, yaw (3,).
+
+    Parameters
+    ----------
+    angle_rad, std_rad
+        The fit; a roll or pitch is against the attitude's level, whose own error is in the standard deviation.
+    tilted_rad
+        Standard deviations of the body's roll and pitch over the frames (2,).
+    """
+
+    angle_rad: FloatArray
+    std_rad: FloatArray
+    tilted_rad: FloatArray
+    n_frames: int
+
+
+def fit_mount(sightings: Sightings) -> MountFit | None:
+    """Fit the mount; None where too few frames were measured with an attitude."""
+    seen = np.isfinite(sightings.elevation_rad)
+    if seen.sum() < MIN_FRAMES:
+        return None
+    R = sightings.level_body
+    # Where the picture's verticals were level already, the elevation holds no roll.
+    level = np.isfinite(sightings.roll_rad)[:, None]
+    psi = sightings.heading_rad
+    toward = np.stack([np.sin(psi), np.cos(psi)], axis=1)
+    toward = np.where(level, [0.0, 1.0], toward)
+    along = -np.einsum("ni,nij->nj", toward, R[:, :2, :])
+    t_s = sightings.t_s
+    parts = [
+        _Part(t_s, along, sightings.elevation_rad, sightings.elevation_std_rad),
+        _Part(t_s, R[:, 0, :], sightings.roll_rad, sightings.roll_std_rad),
+    ]
+    parts = [part for part in (part.known() for part in parts) if len(part.t_s) >= MIN_FRAMES]
+    normal, right = np.eye(3) / PRIOR_STD_RAD**2, np.zeros(3)
+    for part in parts:
+        fit = part.fit()
+        whitened = fit.noise.whiten(part.design)
+        normal += part.design.T @ whitened
+        right += whitened.T @ part.target
+        # The attitude errs in what it says of the tilting, too: that much of it is no evidence.
+        normal[YAW, YAW] -= min(fit.noise.process_trace(), MAX_SURPLUS * normal[YAW, YAW])
+    covariance = np.linalg.inv(normal)
+    std = np.sqrt(np.diag(covariance) + np.array([LEVEL_STD_RAD, LEVEL_STD_RAD, 0.0]) ** 2)
+    tilt = np.stack([R[seen, 2, 1], -R[seen, 2, 0]], axis=1)
+    return MountFit(covariance @ right, std, tilt.std(axis=0), int(seen.sum()))
+
+
+def mount_rotation(angle_rad: FloatArray) -> FloatArray:
+    """Rotation (3, 3) that turns the assumed camera to the true one: roll, pitch, yaw (3,), Z-Y-X about the body."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def mount_angles(R: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw (3,) of a `mount_rotation`."""
+    return np.array([atan2(R[2, 1], R[2, 2]), -asin(max(-1.0, min(1.0, R[2, 0]))), atan2(R[1, 0], R[0, 0])])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """One kind of residual: times (n,), design (n, 3), target (n,), standard deviation (n,)."""
+
+    t_s: FloatArray
+    design: FloatArray
+    target: FloatArray
+    std: FloatArray
+
+    def known(self) -> _Part:
+        keep = np.isfinite(self.target)
+        return _Part(self.t_s[keep], self.design[keep], self.target[keep], self.std[keep])
+
+    def fit(self) -> LineFit:
+        """Fit it alone, which tells its noise."""
+        chain = np.zeros(len(self.t_s), np.int64)
+
+        def wander(std: float) -> Process:
+            return Process.stationary(self.t_s, chain, std, WANDER_TIME_S)
+
+        return fit_lines(self.design, self.target, self.std**2, wander, WANDER_STD_RAD)

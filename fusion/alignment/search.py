@@ -1,0 +1,122 @@
+"""From lines to time offset, focal length and mount: measure, fit, correct, and measure again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import radians
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.alignment.clock import ClockFit, ClockSearch, find_clock
+from fusion.alignment.mount import MountFit, fit_mount, mount_angles, mount_rotation
+from fusion.alignment.turning import Turning
+from fusion.alignment.views import Sightings, Views
+
+FloatArray = npt.NDArray[np.float64]
+
+MAX_ROUNDS = 7
+LAST = 4
+SETTLED_RATIO, SETTLED_S = 0.003, 0.0005
+KNOWN_STD_RAD = radians(1.5)
+FAR_STD_RAD = radians(5.0)
+LARGE_MOUNT_RAD = radians(1.0)
+SCALE_RANGE = (0.25, 4.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Where the search ended.
+
+    Parameters
+    ----------
+    search
+        The last look for the time offset.
+    scale
+        Factor on the focal length.
+    unrest_s, unrest
+        By how much offset and factor still changed when the search gave up; 0 where it settled.
+    mount
+        None where no frame has an attitude.
+    """
+
+    search: ClockSearch
+    scale: float
+    mount: MountFit | None = None
+    unrest_s: float = 0.0
+    unrest: float = 0.0
+
+    @property
+    def clock(self) -> ClockFit | None:
+        """The fit, where the flight tells the offset."""
+        return self.search.fit if self.search.told else None
+
+
+def search(views: Views, turning: Turning, reach_s: float, start_scales: tuple[float, ...] = (1.0,)) -> Found:
+    """Look for offset, focal length and mount; one of the ``start_scales`` must be near the focal length's factor.
+
+    The attitude that helps to measure a frame is the one at the frame's time, so a wrong offset spoils it: the first
+    look does without. Then offset, focal length and the axis's elevation are improved in turns; and once more where
+    the mount turns out far off, as lines are then measured better with the camera turned.
+    """
+    for scale in start_scales:
+        sightings = views.with_focal_scale(scale).measure()
+        first = find_clock(sightings, turning, reach_s)
+        if first.told:
+            break
+    if not first.told or first.fit is None:
+        return Found(first, 1.0, fit_mount(views.measure(turning, 0.0, 0.0, FAR_STD_RAD)))
+    elevation_rad = _elevation(sightings, turning, first.fit.offset_s)
+    start = Found(first, float(np.clip(scale * first.fit.ratio, *SCALE_RANGE)))
+    found, sightings = _settle(views, turning, reach_s, start, elevation_rad)
+    mount = fit_mount(sightings)
+    if found.clock is None or mount is None or np.abs(mount.angle_rad).max() < LARGE_MOUNT_RAD:
+        return replace(found, mount=mount)
+    R_first = mount_rotation(mount.angle_rad)
+    found, sightings = _settle(views.turned(R_first), turning, reach_s, found, 0.0)
+    rest = fit_mount(sightings)
+    if rest is None:
+        return replace(found, mount=mount)
+    angle_rad = mount_angles(mount_rotation(rest.angle_rad) @ R_first)
+    return replace(found, mount=replace(rest, angle_rad=angle_rad))
+
+
+def _settle(
+    views: Views, turning: Turning, reach_s: float, found: Found, elevation_rad: float
+) -> tuple[Found, Sightings]:
+    """Measure with attitude and a corrected focal length, and fit anew, until neither changes any more."""
+    std_rad = FAR_STD_RAD
+    passed: list[Found] = []
+    while True:
+        before = found
+        assert before.search.fit is not None
+        offset_s = before.search.fit.offset_s
+        sightings = views.with_focal_scale(before.scale).measure(turning, offset_s, elevation_rad, std_rad)
+        search = find_clock(sightings, turning, reach_s)
+        if search.fit is None:
+            return Found(search, before.scale), sightings
+        found = Found(search, float(np.clip(before.scale * search.fit.ratio, *SCALE_RANGE)))
+        settled = abs(search.fit.ratio - 1.0) < SETTLED_RATIO
+        if settled and abs(search.fit.offset_s - offset_s) < SETTLED_S and passed:
+            return found, sightings
+        passed.append(found)
+        if len(passed) == MAX_ROUNDS:
+            # Frames come and go with the focal length: what is left of that belongs to the uncertainty.
+            offsets = [one.search.fit.offset_s for one in passed[-LAST:] if one.search.fit is not None]
+            scales = [one.scale for one in passed[-LAST:]]
+            return replace(found, unrest_s=float(np.std(offsets)), unrest=float(np.std(scales))), sightings
+        elevation_rad, std_rad = _median(sightings.elevation_rad), KNOWN_STD_RAD
+
+
+def _elevation(sightings: Sightings, turning: Turning, offset_s: float) -> float:
+    """Elevation of the axis above level, from frames measured without attitude: the body's pitch is still in it."""
+    down_x = [
+        0.0 if attitude is None else attitude.pitch_rad
+        for attitude in (turning.attitude_at(t) for t in (sightings.t_s + offset_s).tolist())
+    ]
+    return _median(sightings.elevation_rad + np.array(down_x))
+
+
+def _median(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else 0.0

@@ -1,0 +1,136 @@
+"""Quantities of an alignment in words."""
+
+from __future__ import annotations
+
+from math import atan, degrees, hypot, inf, nan, radians
+
+import numpy as np
+
+from fusion.alignment.clock import ClockSearch
+from fusion.alignment.mount import PITCH, ROLL, YAW, MountFit
+from fusion.alignment.result import SIGNIFICANT_SIGMA, Quantity
+from fusion.alignment.search import Found
+from fusion.alignment.turning import Turning
+from vision.camera import Camera
+
+USABLE_FOCAL = 0.03
+USABLE_YAW_RAD = radians(1.0)
+USABLE_TILT_RAD = radians(2.0)
+
+
+def clock_quantity(found: Found, turning: Turning, reach_s: float) -> Quantity:
+    """Time offset."""
+    search, fit = found.search, found.search.fit
+    name = "clock_offset_s"
+    if found.clock is None or fit is None:
+        return Quantity(name, nan, inf, False, _why_not(search, turning, reach_s))
+    sigma = hypot(fit.offset_std_s, found.unrest_s)
+    value, source = fit.offset_s, _source(turning)
+    seen = f"{fit.n_frames} frames, turned by {degrees(fit.turned_rad):.0f} degrees rms"
+    if abs(value) <= SIGNIFICANT_SIGMA * sigma:
+        said = f"Camera and {source} agree in time ({seen})."
+    else:
+        way = "early" if value > 0 else "late"
+        said = f"The frames are stamped {1e3 * abs(value):.1f} ms too {way} for the {source} ({seen})."
+    return Quantity(name, value, sigma, True, said)
+
+
+def _source(turning: Turning) -> str:
+    return "gyroscope" if turning.by_gyro else "attitude"
+
+
+def _why_not(search: ClockSearch, turning: Turning, reach_s: float) -> str:
+    source, fit = _source(turning), search.fit
+    if search.reversed:
+        return (
+            f"Vision and the {source} turn opposite ways: the axes of the IMU or of the camera's mounting are not "
+            "those that were taken, often forward-left-up for forward-right-down."
+        )
+    if fit is None:
+        return "Too few frames show the corridor to compare their turns with the inertial sensors'."
+    if search.at_edge:
+        return f"No offset within {reach_s:g} s explains the turns: the clocks are farther apart."
+    if search.rival_s is not None and fit.ratio > 8.0 * fit.ratio_std:
+        return (
+            f"The motion repeats itself: {fit.offset_s:.2f} s and {search.rival_s:.2f} s explain the turns "
+            "alike; turn unevenly."
+        )
+    return "The vehicle hardly turns, which hides the time offset: turn left and right by 10 degrees or more."
+
+
+def focal_quantity(found: Found, turning: Turning, assumed: Camera | None) -> Quantity:
+    """Factor on the focal length, from the ratio of turns; ``assumed`` is the camera where none was known."""
+    name, fit = "focal_scale", found.search.fit
+    if found.clock is None or fit is None:
+        return Quantity(
+            name, nan, inf, False, "Without turns to compare the focal length stays as it is.", 1.0
+        )
+    value, source = found.scale, _source(turning)
+    sigma = hypot(value * fit.ratio_std / fit.ratio, found.unrest)
+    if sigma > USABLE_FOCAL:
+        said = f"The turns tell the focal length no better than within {100.0 * sigma / value:.0f} %."
+        return Quantity(name, value, sigma, False, said, 1.0)
+    trust = f"the {source}'s scale is taken to be right"
+    if assumed is not None:
+        focal_px = assumed.fx_px * value
+        across = degrees(2.0 * atan(0.5 * assumed.width_px / focal_px))
+        said = (
+            f"By the flight's own turns the focal length is {focal_px:.1f} +- {assumed.fx_px * sigma:.1f} px, "
+            f"{across:.0f} degrees across, no distortion assumed; {trust}."
+        )
+    elif abs(value - 1.0) <= SIGNIFICANT_SIGMA * sigma:
+        said = f"The focal length fits: pictures and {source} turn by the same angles; {trust}."
+    else:
+        way = "long" if value > 1.0 else "short"
+        share = 100.0 * abs(value - 1.0)
+        said = (
+            f"The focal length should be {share:.1f} % {way}er, so far do the turns of both differ; {trust}."
+        )
+    return Quantity(name, value, sigma, True, said, 1.0)
+
+
+def mount_quantities(mount: MountFit | None, tilt_known: bool) -> tuple[Quantity, Quantity, Quantity]:
+    """Yaw, pitch and roll of the mounting."""
+    names = ("mount_yaw_rad", "mount_pitch_rad", "mount_roll_rad")
+    if mount is None:
+        said = "Too few frames show the corridor while the attitude is known."
+        yaw, pitch, roll = (Quantity(name, nan, inf, False, said) for name in names)
+        return yaw, pitch, roll
+    return (
+        _yaw(mount),
+        _tilt(names[1], mount, PITCH, tilt_known),
+        _tilt(names[2], mount, ROLL, tilt_known),
+    )
+
+
+def _yaw(mount: MountFit) -> Quantity:
+    value, sigma = float(mount.angle_rad[YAW]), float(mount.std_rad[YAW])
+    name = "mount_yaw_rad"
+    tilted = degrees(float(np.hypot(*mount.tilted_rad)))
+    if sigma > USABLE_YAW_RAD:
+        said = (
+            "Cannot be told from the vehicle's own heading: only rolling and pitching shows it, and of that there "
+            f"is too little, {tilted:.1f} degrees rms."
+        )
+        return Quantity(name, value, sigma, False, said)
+    by = f"by how rolling and pitching of {tilted:.1f} degrees rms look in the pictures"
+    if abs(value) <= SIGNIFICANT_SIGMA * sigma:
+        return Quantity(name, value, sigma, True, f"The camera looks straight ahead as calibrated, {by}.")
+    side = "right" if value > 0 else "left"
+    said = f"The camera looks {degrees(abs(value)):.1f} degrees further {side} than calibrated, {by}."
+    return Quantity(name, value, sigma, True, said)
+
+
+def _tilt(name: str, mount: MountFit, axis: int, tilt_known: bool) -> Quantity:
+    value, sigma = float(mount.angle_rad[axis]), float(mount.std_rad[axis])
+    if not tilt_known:
+        said = "Nothing in the log says where level is."
+        return Quantity(name, value, inf, False, said)
+    usable = sigma < USABLE_TILT_RAD
+    against = "against the level of the flight's attitude, whose own error is in sigma"
+    if abs(value) <= SIGNIFICANT_SIGMA * sigma:
+        return Quantity(name, value, sigma, usable, f"As calibrated, {against}.")
+    ways = ("up", "down") if axis == PITCH else ("over to the right", "over to the left")
+    way = ways[0] if value > 0 else ways[1]
+    said = f"The camera {'looks' if axis == PITCH else 'leans'} {degrees(abs(value)):.1f} degrees {way}, {against}."
+    return Quantity(name, value, sigma, usable, said)

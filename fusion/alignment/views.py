@@ -1,0 +1,180 @@
+"""What the camera saw of the corridor: lines found once, measured as often as attitude or focal length change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from math import hypot, nan, radians
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.alignment.turning import Turning, seconds
+from fusion.console import Progress
+from fusion.flight import Flight
+from vision.camera import Camera
+from vision.errors import InputError
+from vision.field_of_view import lines_of
+from vision.frame import UNKNOWN_ATTITUDE, measure_lines
+from vision.gravity import level_from_verticals
+from vision.lines import LineSet, extract_lines, is_distorted
+from vision.measurement import Attitude, Prior
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
+
+MAX_RATE_HZ = 32.0  # faster frames resemble each other
+MAX_FRAMES = 1500
+BLOCK_S = 15.0
+SEARCH_STD_RAD = radians(3.0)  # of the axis's elevation, before it has been seen
+STD_FLOOR_RAD = radians(0.05)
+INFORMED = 0.5  # of the attitude's standard deviation: below, the picture's verticals have spoken
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """Measurements of n frames; NaN where a frame was not accepted or says nothing.
+
+    Parameters
+    ----------
+    t_s
+        Frame times (n,) as the camera stamped them.
+    heading_rad, heading_std_rad
+        Corridor heading in (-pi/2, pi/2).
+    elevation_rad, elevation_std_rad
+        Of the corridor's axis above the level of the attitude given.
+    roll_rad, roll_std_rad
+        By which the level of the picture's vertical lines is rolled against the attitude's.
+    level_body
+        Rotation (n, 3, 3) from the body to that attitude's level.
+    """
+
+    t_s: FloatArray
+    heading_rad: FloatArray
+    heading_std_rad: FloatArray
+    elevation_rad: FloatArray
+    elevation_std_rad: FloatArray
+    roll_rad: FloatArray
+    roll_std_rad: FloatArray
+    level_body: FloatArray
+
+    @property
+    def seen(self) -> BoolArray:
+        """Frames (n,) with a heading."""
+        return np.isfinite(self.heading_rad)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """Lines of the frames chosen from a flight, found with ``camera``."""
+
+    t_s: FloatArray
+    lines: tuple[LineSet, ...]
+    camera: Camera
+    n_unreadable: int
+
+    def with_focal_scale(self, scale: float) -> Views:
+        """Return the same lines as a camera of another focal length has them."""
+        camera = scaled_focal(self.camera, scale)
+        move = _undistorted_anew if is_distorted(self.camera) else lines_of
+        return replace(self, lines=tuple(move(one, self.camera, camera) for one in self.lines), camera=camera)
+
+    def turned(self, R: FloatArray) -> Views:
+        """Return the same views of a camera turned on the body by a rotation (3, 3)."""
+        return replace(self, camera=replace(self.camera, R_body_camera=R @ self.camera.R_body_camera))
+
+    def measure(
+        self,
+        turning: Turning | None = None,
+        offset_s: float = 0.0,
+        elevation_rad: float = 0.0,
+        elevation_std_rad: float = SEARCH_STD_RAD,
+    ) -> Sightings:
+        """Measure all frames, each with the attitude ``offset_s`` after its stamp; None: without attitude."""
+        n = len(self.t_s)
+        table = np.full((n, 6), nan)
+        level_body = np.tile(np.eye(3), (n, 1, 1))
+        for k, (t, lines) in enumerate(zip((self.t_s + offset_s).tolist(), self.lines, strict=True)):
+            attitude = UNKNOWN_ATTITUDE if turning is None else turning.attitude_at(t)
+            if attitude is not None:
+                prior = Prior(elevation_rad=elevation_rad, elevation_std_rad=elevation_std_rad)
+                level_body[k] = attitude.R_level_body()
+                table[k] = _measured(lines, self.camera, attitude, prior)
+        heading, heading_std, elevation, elevation_std, roll, roll_std = table.T
+        return Sightings(self.t_s, heading, heading_std, elevation, elevation_std, roll, roll_std, level_body)
+
+
+def _measured(lines: LineSet, camera: Camera, attitude: Attitude, prior: Prior) -> tuple[float, ...]:
+    """Return the row of `Sightings` of one frame."""
+    found = measure_lines(lines, camera, attitude, prior)
+    if not found.accepted:
+        return (nan,) * 6
+    std_rad = hypot(attitude.std_rad, prior.elevation_std_rad)
+    R_before = attitude.R_level_body() @ camera.R_body_camera
+    level = level_from_verticals(lines, R_before, std_rad)
+    down = R_before @ level.R_level_camera[2]  # the picture's down, seen from the attitude's level
+    roll, roll_std = nan, nan
+    if level.roll_std_rad < INFORMED * std_rad:
+        roll, roll_std = float(np.arctan2(down[1], down[2])), level.roll_std_rad
+    return (
+        found.heading_rad,
+        max(found.heading_std_rad, STD_FLOOR_RAD),
+        found.elevation_rad,
+        max(found.elevation_std_rad, STD_FLOOR_RAD),
+        roll,
+        roll_std,
+    )
+
+
+def scaled_focal(camera: Camera, scale: float) -> Camera:
+    """Return a camera with its focal lengths times ``scale``."""
+    return replace(camera, fx_px=camera.fx_px * scale, fy_px=camera.fy_px * scale)
+
+
+def _undistorted_anew(lines: LineSet, camera: Camera, other: Camera) -> LineSet:
+    """Return lines as `lines_of` does, for a lens whose distortion changes with the focal length."""
+    focal, centre = np.array([camera.fx_px, camera.fy_px]), np.array([camera.cx_px, camera.cy_px])
+    points = (lines.ends_px.reshape(-1, 2) - centre) / focal
+    rays = np.column_stack([points, np.ones(len(points))])
+    moved = other.undistort(camera.project(rays)) * [other.fx_px, other.fy_px] + [other.cx_px, other.cy_px]
+    ends = moved.reshape(-1, 4)
+    good = np.isfinite(ends).all(axis=1)
+    per_line = {
+        one.name: getattr(lines, one.name)[good]
+        for one in fields(lines)
+        if one.name != "ends_px" and isinstance(getattr(lines, one.name), np.ndarray)
+    }
+    return lines_of(replace(lines, ends_px=ends[good], **per_line), other, other)
+
+
+def collect(flight: Flight, camera: Camera, chosen: IntArray, origin_ns: int, progress: Progress) -> Views:
+    """Read the chosen frames and find their lines; those that do not decode are counted and left out."""
+    lines, kept = [], []
+    for done, index in enumerate(chosen.tolist(), start=1):
+        try:
+            lines.append(extract_lines(flight.frames.read(index), camera))
+            kept.append(index)
+        except InputError:
+            pass
+        progress(done, len(chosen))
+    t_s = seconds(flight.frames.t_ns[np.array(kept, np.int64)], origin_ns)
+    return Views(t_s, tuple(lines), camera, len(chosen) - len(kept))
+
+
+def choose_frames(t_s: FloatArray, turning: Turning, max_frames: int = MAX_FRAMES) -> IntArray:
+    """Choose the frames to look at: all of a short flight, the stretches with most turning of a long one."""
+    keep = [0]
+    times = t_s.tolist()
+    for k, t in enumerate(times):
+        if t - times[keep[-1]] >= 1.0 / MAX_RATE_HZ:
+            keep.append(k)
+    index = np.array(keep, np.int64)
+    if len(index) <= max_frames:
+        return index
+    block = ((t_s[index] - t_s[0]) // BLOCK_S).astype(np.int64)
+    rate = np.nan_to_num(turning.rate_at(t_s[index], 0.1))
+    power = np.bincount(block, rate * rate)
+    count = np.bincount(block)
+    best = np.argsort(-power, kind="stable")
+    wanted = best[: max(1, int(np.searchsorted(np.cumsum(count[best]), max_frames, side="right")))]
+    return index[np.isin(block, wanted)]
