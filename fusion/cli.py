@@ -242,6 +242,31 @@ def simulate(
     typer.echo(f"{out}: a flight of {settings.motion.duration_s:g} s; next: corridor fuse {out}")
 
 
+@app.command(help=cli_help.EVALUATE, short_help="Compare fused flights with what the vehicle really did.")
+def evaluate(
+    outs: Annotated[list[Path], typer.Argument(metavar="OUT...", help="Folders that `corridor fuse` wrote.")],
+    truth: Annotated[
+        Path, typer.Option("--truth", metavar="FILE", help="CSV or TUM trajectory, or a flight's folder.")
+    ],
+    truth_frame: Annotated[
+        Frame | None,
+        typer.Option("--truth-frame", help="Signs of the truth: frd positive right, ros positive left."),
+    ] = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="Take out the constant between truth and estimate, and tell it.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, not tables.")] = False,
+) -> None:
+    """Compare outputs with a truth."""
+    from fusion.comparison import compare, read_outputs
+    from fusion.comparison_text import comparison_text
+    from fusion.outputs import summary_json
+    from fusion.truth_file import read_truth
+
+    found = compare(read_outputs(outs), read_truth(truth, truth_frame), align=align)
+    typer.echo(summary_json(found) if as_json else comparison_text(found), nl=not as_json)
+
+
 @app.command("config", help=cli_help.CONFIG, short_help="Print all settings with their meaning, as TOML.")
 def print_config(
     file: Annotated[

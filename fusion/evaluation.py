@@ -18,6 +18,8 @@ from fusion.tables import Table
 
 BoolArray = npt.NDArray[np.bool_]
 
+PERCENTILES = (50, 90, 95, 99)
+
 
 def wrap_angle(angle_rad: npt.ArrayLike) -> FloatArray:
     """Bring angles of any shape into [-pi, pi)."""
@@ -140,11 +142,11 @@ def evaluate(table: Table, truth: CorridorTruth, *, max_gap_s: float = 0.5) -> d
         Plain numbers, ready for JSON: ``rows``, ``judged``, ``excluded`` (``outside_truth``, ``junction``,
         ``no_truth`` and ``not_tracking`` or ``not_accepted``), ``status_share`` (estimates only), the
         quantities ``heading``, ``lateral_offset_m`` and ``lateral_offset_norm``, and ``corridors``, which
-        holds the same three by the truth's corridor id as text. A quantity holds ``count``, then ``rmse``,
-        ``mae``, ``max``, ``p50``, ``p95`` (all of the absolute error but the first) and ``bias`` (the mean
-        error) with the unit appended (``rmse_rad``, ``rmse_m``, ``rmse_norm``), then ``nees_mean`` (1 for an
-        honest sigma) and ``error_over_sigma_p90`` (1.64 for an honest Gaussian one); None where nothing was
-        left to judge.
+        holds ``rows`` and the same by the truth's corridor id as text. A quantity holds ``count``, then ``rmse``,
+        ``mae``, ``max``, ``p50``, ``p90``, ``p95``, ``p99`` (all of the absolute error but the first) and
+        ``bias`` (the mean error) with the unit appended (``rmse_rad``, ``rmse_m``, ``rmse_norm``), then
+        ``nees_mean`` (1 for an honest sigma) and ``error_over_sigma_p90`` (1.64 for an honest Gaussian one);
+        None where nothing was left to judge.
     """
     names = table.dtype.names or ()
     estimates = "status" in names
@@ -165,12 +167,21 @@ def evaluate(table: Table, truth: CorridorTruth, *, max_gap_s: float = 0.5) -> d
         "excluded": excluded,
     }
     if estimates:
-        words, counts = np.unique(table["status"], return_counts=True)
-        result["status_share"] = {str(w): float(c / len(table)) for w, c in zip(words, counts, strict=True)}
+        result["status_share"] = _status_share(table)
     result |= _quantities(table, at, judged)
-    ids = np.unique(at.corridor_id[judged])
-    result["corridors"] = {str(i): _quantities(table, at, judged & (at.corridor_id == i)) for i in ids}
+    result["corridors"] = {}
+    for i in np.unique(at.corridor_id[judged]):
+        there = at.inside & (at.corridor_id == i)
+        found: dict[str, Any] = {"rows": int(np.count_nonzero(there))}
+        if estimates:
+            found["status_share"] = _status_share(table[there])
+        result["corridors"][str(i)] = found | _quantities(table, at, judged & there)
     return result
+
+
+def _status_share(table: Table) -> dict[str, float]:
+    words, counts = np.unique(table["status"], return_counts=True)
+    return {str(word): float(count / len(table)) for word, count in zip(words, counts, strict=True)}
 
 
 def _quantities(table: Table, at: TruthAt, rows: BoolArray) -> dict[str, Any]:
@@ -188,11 +199,16 @@ def _quantities(table: Table, at: TruthAt, rows: BoolArray) -> dict[str, Any]:
 def _statistics(error: FloatArray, std: FloatArray, unit: str) -> dict[str, Any]:
     finite = np.isfinite(error)
     error, std = error[finite], std[finite]
-    names = [f"{word}_{unit}" for word in ("rmse", "mae", "max", "p50", "p95", "bias")]
+    names = [f"{word}_{unit}" for word in ("rmse", "mae", "max", *(f"p{p}" for p in PERCENTILES), "bias")]
     out: dict[str, Any] = {"count": int(error.size)} | dict.fromkeys(names)
     if error.size:
         size = np.abs(error)
-        numbers = (rmse(error, np.zeros_like(error)), size.mean(), size.max(), *np.percentile(size, (50, 95)))
+        numbers = (
+            rmse(error, np.zeros_like(error)),
+            size.mean(),
+            size.max(),
+            *np.percentile(size, PERCENTILES),
+        )
         out |= {name: float(v) for name, v in zip(names, (*numbers, error.mean()), strict=True)}
     stated = std > 0  # NaN fails too
     ratio = np.abs(error[stated]) / std[stated]

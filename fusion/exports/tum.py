@@ -34,13 +34,14 @@ def write_tum(
         Body FRD; None where the log has none.
     """
     sign = -1.0 if frame is Frame.ROS else 1.0
-    y, what_y = _aside(table)
+    y, unit_y, what_y = _aside(table)
     keep = np.isfinite(table["heading_rad"]) & np.isfinite(y)
     x, what_x = _along(table, velocity)
     half = sign * table["heading_rad"][keep] / 2
     side = "left" if frame is Frame.ROS else "right"
     lines = [
         *(f"# {name}: {facts[name]}" for name in ("flight", "software", "software_version", "frame")),
+        f"# offset_unit: {unit_y}",
         f"# {facts['conventions']}",
         f"# x: {what_x}. y: {what_y}, positive {side}. z: not known, 0.",
         "# rotation: yaw only, the heading from the axis of the corridor being flown; roll and pitch are left out.",
@@ -68,17 +69,18 @@ def _seconds(t_ns: int) -> str:
     return f"{'-' if t_ns < 0 else ''}{whole}.{rest:09d}"
 
 
-def _aside(table: Table) -> tuple[FloatArray, str]:
-    for name, words in (
-        ("lateral_offset_m", "lateral offset from the centre line, m"),
+def _aside(table: Table) -> tuple[FloatArray, str, str]:
+    for name, unit, words in (
+        ("lateral_offset_m", "m", "lateral offset from the centre line, m"),
         (
             "lateral_offset_norm",
-            "lateral offset over half the corridor's width (its width is not known), no unit",
+            "half widths",
+            "lateral offset over half the corridor's width, which is not known",
         ),
     ):
         if np.isfinite(table[name]).any():
-            return table[name], words
-    return np.zeros(len(table)), "lateral offset, never known in this flight, 0"
+            return table[name], unit, words
+    return np.zeros(len(table)), "none", "lateral offset, never known in this flight, 0"
 
 
 def _along(table: Table, velocity: VectorStream | None) -> tuple[FloatArray, str]:

@@ -105,7 +105,9 @@ def test_percentiles_are_those_of_the_absolute_error():
     table = make_estimates(truth.t_ns, np.linspace(-1.0, 1.0, 101))
     heading = evaluate(table, truth)["heading"]
     assert heading["p50_rad"] == pytest.approx(0.5, abs=0.011)
+    assert heading["p90_rad"] == pytest.approx(0.90, abs=0.011)
     assert heading["p95_rad"] == pytest.approx(0.96, abs=0.011)
+    assert heading["p99_rad"] == pytest.approx(1.0, abs=0.011)
 
 
 def test_honest_sigmas_give_a_nees_of_one():
@@ -140,7 +142,7 @@ def test_frames_are_judged_by_acceptance_and_have_no_metres():
     assert out["heading"]["max_rad"] == pytest.approx(0.1)
     assert out["lateral_offset_norm"] == {
         "count": 0,
-        **dict.fromkeys(f"{w}_norm" for w in ("rmse", "mae", "max", "p50", "p95", "bias")),
+        **dict.fromkeys(f"{w}_norm" for w in ("rmse", "mae", "max", "p50", "p90", "p95", "p99", "bias")),
         "nees_mean": None,
         "error_over_sigma_p90": None,
     }
@@ -155,6 +157,8 @@ def test_corridors_are_judged_apart():
     assert list(corridors) == ["1", "7"]
     assert corridors["1"]["heading"]["bias_rad"] == pytest.approx(0.1)
     assert corridors["7"]["heading"]["bias_rad"] == pytest.approx(-0.3)
+    assert corridors["7"]["rows"] == 5
+    assert corridors["7"]["status_share"] == {"tracking": 1.0}
 
 
 def test_nothing_in_common_is_said_with_none_and_is_valid_json():
