@@ -21,8 +21,6 @@ def read_image(path: str | Path) -> GreyImage:
     InputError
         Where the file is missing, empty, or does not decode.
     """
-    import cv2
-
     path = Path(path)
     try:
         data = np.fromfile(path, dtype=np.uint8)  # imread prints to stderr and cannot read some paths
@@ -31,6 +29,22 @@ def read_image(path: str | Path) -> GreyImage:
             "there is no such picture" if isinstance(error, FileNotFoundError) else f"cannot be read: {error}"
         )
         raise InputError(reason, file=path, remedy="check the path and its permissions") from error
+    try:
+        return decode_image(data)
+    except InputError as error:
+        raise InputError(error.problem, file=path, remedy=error.remedy) from error
+
+
+def decode_image(data: npt.NDArray[np.uint8]) -> GreyImage:
+    """Decode a picture file's bytes (n,) as grey uint8 (h, w).
+
+    Raises
+    ------
+    InputError
+        Where they do not decode.
+    """
+    import cv2
+
     image = None
     if data.size and not _is_cut_jpeg(data.tobytes()):
         try:
@@ -39,9 +53,7 @@ def read_image(path: str | Path) -> GreyImage:
             image = None
     if image is None:
         raise InputError(
-            f"picture does not decode ({data.size} bytes)",
-            file=path,
-            remedy="give a whole JPEG, PNG or similar",
+            f"picture does not decode ({data.size} bytes)", remedy="give a whole JPEG, PNG or similar"
         )
     return to_grey(image)
 
