@@ -12,6 +12,7 @@ from fusion.logs import open_log
 from fusion.logs.choice import TABLES, WORDS, choose_topic, holdings
 from fusion.logs.contents import Kind, LogContents
 from fusion.logs.manifest import (
+    CameraSource,
     Manifest,
     StreamSource,
     corrected_camera,
@@ -64,7 +65,7 @@ class _Assembly:
         self.manifest = manifest
         self.problems: list[str] = []
         self._given_camera = camera
-        self._logs: dict[Path, LogContents] = {}
+        self._logs: dict[tuple[object, ...], LogContents] = {}
         self._changes: dict[str, StreamSource] = {}
 
     def flight(self) -> Flight:
@@ -100,14 +101,17 @@ class _Assembly:
 
     def _open(self, path: Path, source: StreamSource) -> LogContents:
         """Open a file once, however many streams come from it; the file's own problems are told once."""
-        own_way = open_as_told(path, source)
-        if own_way is not None:
-            self.problems += own_way.problems
-            return own_way
-        if path not in self._logs:
-            self._logs[path] = open_log(path)
-            self.problems += self._logs[path].problems
-        return self._logs[path]
+        told = (
+            source.columns,
+            source.frame,
+            getattr(source, "times", None),
+            getattr(source, "start_ns", None),
+        )
+        key = (path, *(repr(value) for value in told))
+        if key not in self._logs:
+            self._logs[key] = open_as_told(path, source)
+            self.problems += [text for text in self._logs[key].problems if text not in self.problems]
+        return self._logs[key]
 
     def _picture_topic(self) -> tuple[LogContents, str]:
         source = self.manifest.camera
@@ -177,6 +181,10 @@ class _Assembly:
         shifted: AnyStream = replace(stream, t_ns=stream.t_ns + shift_ns) if shift_ns else stream
         return shifted
 
+    def _whole_log(self) -> LogContents | None:
+        """Return the log that the manifest names for everything, if it was opened."""
+        return next((log for key, log in self._logs.items() if key[0] == self.manifest.log), None)
+
     def _truth(self, frames: FrameStream) -> CorridorTruth | None:
         from fusion.logs.asl import TRUTH_NAME, read_corridor_truth
 
@@ -184,7 +192,7 @@ class _Assembly:
             path = self.manifest.truth
             truth: CorridorTruth | None = read_corridor_truth(path, self.problems)
         else:
-            log = self._logs.get(self.manifest.log) if self.manifest.log is not None else None
+            log = self._whole_log()
             read = getattr(log, "truth", None)
             truth = read(self.problems) if read is not None else None
             path = (log.path if log is not None else Path()) / TRUTH_NAME
@@ -193,14 +201,42 @@ class _Assembly:
         return truth
 
     def _name(self, log: LogContents) -> str:
-        if self.manifest.log in self._logs:  # it knows its own root, where only a part of it was named
-            log = self._logs[self.manifest.log]
+        log = self._whole_log() or log  # it knows its own root, where only a part of it was named
         return log.path.name if log.path.is_dir() else log.path.stem
 
 
-def open_as_told(path: Path, source: StreamSource) -> LogContents | None:
-    """Open a file in the way that the manifest's other keys say; None where it says nothing but the file."""
-    return None
+def open_as_told(path: Path, source: StreamSource) -> LogContents:
+    """Open a file as a manifest's table says: with its column map and axes, its frame times, its start.
+
+    Raises
+    ------
+    InputError
+        Where it does not open, or a key does not go with this kind of file.
+    """
+    from fusion.logs import columns, folder, video
+
+    if isinstance(source, CameraSource):
+        if video.recognises(path):
+            _refuse(source, ("frame",), path, "a video")
+            return video.open_video(
+                path, start_ns=source.start_ns or 0, times=source.times, columns=source.columns
+            )
+        if folder.recognises(path) and (source.times is not None or source.columns is not None):
+            _refuse(source, ("start_ns", "frame"), path, "a folder of pictures")
+            return folder.open_folder(path, times=source.times, columns=source.columns)
+        _refuse(source, ("times", "start_ns", "columns", "frame"), path, "a log with pictures of its own")
+        return open_log(path)
+    if source.columns is not None or source.frame is not None:
+        if not path.is_file() or (source.columns is None and not columns.recognises(path)):
+            _refuse(source, ("columns", "frame"), path, "a log with columns and axes of its own")
+        return columns.open_columns(path, source.columns, source.frame)
+    return open_log(path)
+
+
+def _refuse(source: StreamSource, keys: tuple[str, ...], path: Path, what: str) -> None:
+    for key in keys:
+        if getattr(source, key) is not None:
+            raise InputError(f"is {what}: {key} does not go with it", file=path, remedy=f"take {key} away")
 
 
 def _check_clock(file: Path, table: str, t_ns: TimeArray, frame_t_ns: TimeArray) -> None:

@@ -88,9 +88,7 @@ class CameraSource(StreamSource):
         default=None,
         description="CSV with the time of each frame of a video or picture folder, a row per frame.",
     )
-    start_ns: int | None = Field(
-        default=None, strict=True, description="Time at which a video's own clock is zero."
-    )
+    start_ns: int | None = Field(default=None, strict=True, description="Time of a video's first frame.")
     mount_yaw_rad: float = Field(
         default=0.0,
         strict=True,

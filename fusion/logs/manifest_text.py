@@ -21,7 +21,7 @@ _HEAD = """\
 _MEANING = {
     "log": "everything that is not named below comes from here",
     "corridor_width_m": "between the walls",
-    "camera.start_ns": "time at which the video's own clock is zero",
+    "camera.start_ns": "time of the video's first frame",
     "camera.times": "time of each frame, a row per frame",
     "camera.mount_yaw_rad": "the camera looks this much further right than its calibration says",
     "camera.mount_pitch_rad": "the camera looks this much further up than its calibration says",
