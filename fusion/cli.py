@@ -140,6 +140,33 @@ def fuse(
     typer.echo(fusion_text(result.summary, folder))
 
 
+@app.command(help=cli_help.INSPECT, short_help="Say what a log holds, and what can be made of it.")
+def inspect(
+    log: Annotated[
+        Path,
+        typer.Argument(metavar="LOG", help="A log file, a flight's folder or a flight.toml."),
+    ],
+    picture: Annotated[
+        Path | None, typer.Option("--picture", metavar="FILE.png", help="Write the first picture here.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, not text.")] = False,
+) -> None:
+    """Describe a log."""
+    from fusion.inspection_pictures import check_picture_file, write_picture
+    from fusion.inspection_sources import inspect_path
+    from fusion.inspection_text import inspection_text, inspection_values
+    from fusion.outputs import summary_json
+
+    if picture is not None:
+        check_picture_file(picture)
+    found = inspect_path(log)
+    text = summary_json(inspection_values(found)) if as_json else inspection_text(found)
+    typer.echo(text, nl=not as_json)
+    if picture is not None:
+        write_picture(found.first_picture, picture)
+        say(f"first picture in {picture}")
+
+
 @app.command(help=cli_help.MEASURE, short_help="Measure single pictures: heading, offset, vanishing point.")
 def measure(
     pictures: Annotated[

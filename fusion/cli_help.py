@@ -5,6 +5,7 @@ CORRIDOR = """Heading and lateral offset in indoor corridors, from camera frames
 \b
 First steps:
   corridor fuse data/office           fuse the sample flight; then open office_fused/report.html
+  corridor inspect log.ulg            what a log holds, what is missing, how to supply it
   corridor align data/office          is the camera in time with the IMU, does its focal length fit?
   corridor measure picture.jpg        one picture: no IMU, no calibration needed
   corridor simulate flight            make a flight of your own to try it on, truth included
@@ -53,6 +54,29 @@ hall.toml, for offsets in metres where the log has no range sensor:
   corridor_width_m = 2.2
 
 Next: open OUT/report.html, or read the tables: pandas.read_csv("OUT/estimates.csv").
+"""
+
+INSPECT = """Say what a log holds, and what can be made of it: streams, rates, gaps, clocks, noise, the first picture.
+
+Any format that `corridor fuse` takes. It looks at a handful of pictures only, and at the rest of a log where a part
+cannot be read.
+
+\b
+Told for each stream:
+  rate, jitter   one over the usual (median) step, and how far 95 of 100 steps are from it
+  gaps           stretches of more than three usual steps; also repeated times and jumps of the clock
+  frames covered the share of the frames that lie within the stream
+  IMU            still periods, and in them white noise (Allan deviation at 0.1 s), bias and gravity
+
+What the data contradict is said too: degrees for radians, g for m/s^2, reversed axes, clocks that do not overlap.
+
+\b
+Examples:
+  corridor inspect data/office
+  corridor inspect log.ulg --json > log.json
+  corridor inspect flight.bag --picture first.png
+
+Next: supply what it says is missing, then corridor fuse.
 """
 
 MEASURE = """Measure single pictures of a corridor: heading, lateral offset, vanishing point. No filter.

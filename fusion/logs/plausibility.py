@@ -8,13 +8,13 @@ that never changes is left out: it holds nothing, whatever it claims.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import degrees
 from pathlib import Path
 
 import numpy as np
 
-from fusion.flight import AttitudeStream, Flight, FloatArray, TimeArray
+from fusion.flight import AttitudeStream, Flight, FloatArray, ImuStream, TimeArray, VectorStream
 from fusion.logs.findings import Advice, Finding, Severity
 from fusion.logs.plausible_clocks import examine_clocks
 from fusion.logs.plausible_imu import MIN_SAMPLES, examine_imu
@@ -22,6 +22,28 @@ from vision import InputError
 
 MIN_DEAD_NS = 2_000_000_000  # a stream must stay the same for so long before it counts as dead
 MAX_SPEED_M_S = 60.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Streams:
+    """The streams of a flight that are looked at; None: there is none."""
+
+    frames_t_ns: TimeArray | None = None
+    imu: ImuStream | None = None
+    attitude: AttitudeStream | None = None
+    velocity: VectorStream | None = None
+    position: VectorStream | None = None
+
+    def times(self) -> dict[str, TimeArray]:
+        """Return the times of each stream that is there, by its name in a manifest."""
+        streams = {
+            "imu": self.imu,
+            "attitude": self.attitude,
+            "velocity": self.velocity,
+            "position": self.position,
+        }
+        found = {} if self.frames_t_ns is None else {"camera": self.frames_t_ns}
+        return found | {name: stream.t_ns for name, stream in streams.items() if stream is not None}
 
 
 def check_flight(flight: Flight, path: Path | None = None) -> Flight:
@@ -39,29 +61,35 @@ def check_flight(flight: Flight, path: Path | None = None) -> Flight:
     InputError
         Where fusing would give a wrong answer: units, axes or clocks that are certainly not as taken.
     """
-    advice = Advice(is_folder=path is not None and _is_asl(path))
-    flight, dead = without_dead_streams(flight)
-    findings = [*dead, *examine_flight(flight, advice)]
+    alive, findings = examine_streams(_streams(flight), Advice(is_folder=path is not None and is_asl(path)))
     for finding in findings:
         if finding.severity is Severity.ERROR:
             raise InputError(f"{finding.stream}: {finding.text}", file=path, remedy=finding.remedy)
-    return replace(flight, problems=(*flight.problems, *(finding.sentence for finding in findings)))
+    problems = (*flight.problems, *(finding.sentence for finding in findings))
+    return replace(flight, imu=alive.imu, attitude=alive.attitude, velocity=alive.velocity, problems=problems)
 
 
 def examine_flight(flight: Flight, advice: Advice) -> list[Finding]:
-    """Return everything that is implausible about a flight, clocks first."""
-    clocks = list(examine_clocks(_times(flight), advice))
-    if any(finding.kind == "time_unit" for finding in clocks):
-        return clocks  # rates mean nothing without their times
-    found = [*clocks]
-    if flight.imu is not None:
-        found += examine_imu(flight.imu, flight.attitude, advice)
-    if flight.attitude is not None:
-        found += examine_attitude(flight.attitude, advice)
-    return [*found, *_speeds(flight)]
+    """Return everything that is implausible about a flight."""
+    return examine_streams(_streams(flight), advice)[1]
 
 
-def without_dead_streams(flight: Flight) -> tuple[Flight, list[Finding]]:
+def examine_streams(streams: Streams, advice: Advice) -> tuple[Streams, list[Finding]]:
+    """Return the streams without dead ones, and everything that is implausible about them, clocks first."""
+    streams, found = without_dead_streams(streams)
+    found += examine_clocks(streams.times(), advice)
+    if any(finding.kind == "time_unit" for finding in found):
+        return streams, found  # rates mean nothing without their times
+    if streams.imu is not None:
+        found += examine_imu(streams.imu, streams.attitude, advice)
+    if streams.attitude is not None:
+        found += examine_attitude(streams.attitude, advice)
+    if streams.velocity is not None:
+        found += _speeds(streams.velocity)
+    return streams, found
+
+
+def without_dead_streams(streams: Streams) -> tuple[Streams, list[Finding]]:
     """Take away streams that never change, and a velocity of zeros; an accelerometer that does becomes unknown."""
     found: list[Finding] = []
 
@@ -72,7 +100,7 @@ def without_dead_streams(flight: Flight) -> tuple[Flight, list[Finding]]:
         found.append(Finding(Severity.WARNING, name, "constant", text, "check the logger"))
         return True
 
-    imu, attitude, velocity = flight.imu, flight.attitude, flight.velocity
+    imu, attitude, velocity = streams.imu, streams.attitude, streams.velocity
     if imu is not None and is_dead("imu", imu.t_ns, imu.gyro_rad_s, "the gyroscope"):
         imu = None
     if imu is not None and is_dead("imu", imu.t_ns, imu.accel_m_s2, "the accelerometer"):
@@ -85,7 +113,7 @@ def without_dead_streams(flight: Flight) -> tuple[Flight, list[Finding]]:
         and is_dead("velocity", velocity.t_ns, velocity.xyz, "it")
     ):
         velocity = None
-    return replace(flight, imu=imu, attitude=attitude, velocity=velocity), found
+    return replace(streams, imu=imu, attitude=attitude, velocity=velocity), found
 
 
 def examine_attitude(attitude: AttitudeStream, advice: Advice) -> Iterator[Finding]:
@@ -106,10 +134,10 @@ def examine_attitude(attitude: AttitudeStream, advice: Advice) -> Iterator[Findi
         yield Finding(Severity.WARNING, "attitude", "attitude_axes", text, advice.frame("attitude", "flu"))
 
 
-def _speeds(flight: Flight) -> Iterator[Finding]:
-    if flight.velocity is None or len(flight.velocity.t_ns) < MIN_SAMPLES:
+def _speeds(velocity: VectorStream) -> Iterator[Finding]:
+    if len(velocity.t_ns) < MIN_SAMPLES:
         return
-    speed = float(np.percentile(np.linalg.norm(flight.velocity.xyz, axis=1), 90.0))
+    speed = float(np.percentile(np.linalg.norm(velocity.xyz, axis=1), 90.0))
     if speed > MAX_SPEED_M_S:
         yield Finding(
             Severity.ERROR,
@@ -120,18 +148,12 @@ def _speeds(flight: Flight) -> Iterator[Finding]:
         )
 
 
-def _times(flight: Flight) -> dict[str, TimeArray]:
-    streams = {
-        "camera": flight.frames,
-        "imu": flight.imu,
-        "attitude": flight.attitude,
-        "velocity": flight.velocity,
-        "position": flight.position,
-    }
-    return {name: stream.t_ns for name, stream in streams.items() if stream is not None}
+def _streams(flight: Flight) -> Streams:
+    return Streams(flight.frames.t_ns, flight.imu, flight.attitude, flight.velocity, flight.position)
 
 
-def _is_asl(path: Path) -> bool:
+def is_asl(path: Path) -> bool:
+    """Whether a path is a flight folder in the ASL layout."""
     return path.is_dir() and ((path / "mav0").is_dir() or (path / "cam0").is_dir())
 
 

@@ -94,10 +94,14 @@ def is_unix(t_ns: TimeArray) -> bool:
 
 
 def span(t_ns: TimeArray) -> str:
-    """Return first and last time in words: dates in UTC for Unix time, else seconds."""
-    first, last = int(t_ns[0]), int(t_ns[-1])
-    if is_unix(t_ns) and last < UNIX_TO_NS:
-        begin, end = (datetime.fromtimestamp(t // 10**9, UTC) for t in (first, last))
-        same_day = begin.date() == end.date()
-        return f"{begin:%Y-%m-%d %H:%M:%S} to {end:%H:%M:%S}" if same_day else f"{begin:%F %T} to {end:%F %T}"
-    return f"{first * 1e-9:.1f} to {last * 1e-9:.1f} s"
+    """Return first and last time in words."""
+    return span_of(int(t_ns[0]), int(t_ns[-1]))
+
+
+def span_of(first_ns: int, last_ns: int) -> str:
+    """Return a stretch of time in words: dates in UTC for Unix time, else seconds."""
+    if not UNIX_FROM_NS < first_ns <= last_ns < UNIX_TO_NS:
+        return f"{first_ns * 1e-9:.1f} to {last_ns * 1e-9:.1f} s"
+    begin, end = (datetime.fromtimestamp(t // 10**9, UTC) for t in (first_ns, last_ns))
+    ends = f"{end:%H:%M:%S}" if begin.date() == end.date() else f"{end:%Y-%m-%d %H:%M:%S}"
+    return f"{begin:%Y-%m-%d %H:%M:%S} to {ends}"

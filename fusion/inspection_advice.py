@@ -1,0 +1,159 @@
+"""What can be fused from a log, what is missing, and how to supply it: one sentence each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from fusion.inspection_findings import StreamFindings
+from fusion.logs.contents import Kind
+from fusion.logs.findings import Finding, Severity
+
+
+class Matter(StrEnum):
+    """What a sentence is about."""
+
+    FUSE = "fuse"  # what can be done as it is
+    MISSING = "missing"  # needed before anything can be fused
+    BETTER = "better"  # would help, but is not needed
+
+
+@dataclass(frozen=True, slots=True)
+class Sentence:
+    """A sentence of advice."""
+
+    matter: Matter
+    text: str
+
+
+_WHAT = {
+    Kind.FRAMES: "pictures",
+    Kind.IMU: "gyroscope and accelerometer",
+    Kind.ATTITUDE: "attitude",
+    Kind.POSITION: "position",
+    Kind.VELOCITY: "velocity",
+}
+
+
+def advise(
+    name: str,
+    streams: Sequence[StreamFindings],
+    findings: Sequence[Finding],
+    unclear: Mapping[Kind, str],
+) -> Iterator[Sentence]:
+    """Yield what can be fused, what has to be supplied first, and what would make it better.
+
+    Parameters
+    ----------
+    name
+        What the user called the log.
+    streams
+        Everything that was found in it.
+    findings
+        What is implausible about the chosen streams.
+    unclear
+        Why no topic of a kind was chosen, where there is one.
+    """
+    usable = {stream.kind: stream for stream in streams if stream.chosen and _is_usable(stream)}
+    missing = list(_missing(name, usable, findings, unclear))
+    yield Sentence(Matter.FUSE, _fusable(name, usable, possible=not missing))
+    for text in missing:
+        yield Sentence(Matter.MISSING, text)
+    for text in _better(usable, unclear):
+        yield Sentence(Matter.BETTER, text)
+
+
+def _is_usable(stream: StreamFindings) -> bool:
+    if stream.error is not None or stream.timing.samples == 0:
+        return False
+    return stream.pictures is None or stream.pictures.first_index is not None
+
+
+def _fusable(name: str, usable: Mapping[Kind, StreamFindings], *, possible: bool) -> str:
+    parts = [f"{_WHAT[kind]} ({stream.name}, {_rate(stream)})" for kind, stream in usable.items()]
+    if Kind.FRAMES not in usable:
+        held = f"; it has {_listed(parts)}" if parts else ""
+        return f"nothing yet: a heading in a corridor needs pictures{held}"
+    if possible:
+        return f"corridor fuse {name} takes {_listed(parts)}"
+    return f"{_listed(parts)}, once the following is settled"
+
+
+def _missing(
+    name: str,
+    usable: Mapping[Kind, StreamFindings],
+    findings: Sequence[Finding],
+    unclear: Mapping[Kind, str],
+) -> Iterator[str]:
+    camera = usable.get(Kind.FRAMES)
+    if camera is None:
+        if Kind.FRAMES in unclear:
+            yield unclear[Kind.FRAMES]
+        else:
+            yield f"pictures: corridor fuse {name} --video VIDEO --camera CAM.yaml, or [camera] file in a flight.toml"
+    elif camera.camera is None:
+        yield (
+            "the camera's calibration: --camera CAM.yaml (EuRoC, Kalibr, ROS camera_info or OpenCV), or [camera] "
+            "calibration in a flight.toml"
+        )
+    elif camera.pictures is not None:
+        size = (camera.camera.width_px, camera.camera.height_px)
+        other = [sides for sides in camera.pictures.sizes if sides != size]
+        if other:
+            yield (
+                f"a calibration of these pictures: they are {other[0][0]}x{other[0][1]}, the calibration is for "
+                f"{size[0]}x{size[1]}"
+            )
+    if Kind.IMU not in usable and Kind.IMU in unclear:
+        yield unclear[Kind.IMU]
+    for finding in findings:
+        if finding.severity is Severity.ERROR:
+            yield finding.sentence
+
+
+def _better(usable: Mapping[Kind, StreamFindings], unclear: Mapping[Kind, str]) -> Iterator[str]:
+    imu = usable.get(Kind.IMU)
+    if imu is None and Kind.IMU not in unclear:
+        carried = (
+            "the attitude's yaw carries" if Kind.ATTITUDE in usable else "nothing but a steady turn carries"
+        )
+        yield f"no gyroscope: {carried} the heading between pictures; [imu] file in a flight.toml names an IMU's log"
+    if imu is not None and imu.imu is not None:
+        if imu.imu.usual_accel_m_s2 is None:
+            yield "no accelerometer: roll and pitch come from the attitude alone"
+        yield from _noise(imu)
+    if Kind.ATTITUDE in unclear and Kind.ATTITUDE not in usable:
+        yield unclear[Kind.ATTITUDE]
+    elif Kind.ATTITUDE not in usable:
+        tilt = "from gyroscope and accelerometer" if imu is not None else "as level"
+        yield f"no attitude of the vehicle's own: roll and pitch are taken {tilt}"
+    if Kind.VELOCITY in unclear and Kind.VELOCITY not in usable:
+        yield unclear[Kind.VELOCITY]
+
+
+def _noise(imu: StreamFindings) -> Iterator[str]:
+    found = imu.imu
+    if found is None:
+        return
+    measured = found.at_rest.gyro if found.at_rest is not None else None
+    told = "" if measured is None else f"; at rest it is {measured:.2g} rad/s/sqrt(Hz)"
+    if found.declared_gyro_noise is None:
+        yield (
+            f"the gyroscope's noise is not declared, a default is taken{told}; [imu] noise in a flight.toml names "
+            "Kalibr's imu.yaml"
+        )
+    elif measured is not None and not 1 / 3 < measured / found.declared_gyro_noise < 3:
+        yield (
+            f"the gyroscope is declared with {found.declared_gyro_noise:.2g} rad/s/sqrt(Hz) but has {measured:.2g} "
+            "at rest: correct the declaration"
+        )
+
+
+def _rate(stream: StreamFindings) -> str:
+    rate = stream.timing.rate_hz
+    return f"{stream.timing.samples} samples" if rate is None else f"{rate:.3g} Hz"
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]
