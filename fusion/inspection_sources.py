@@ -14,6 +14,7 @@ from fusion.logs.assembly import open_as_told
 from fusion.logs.choice import TABLES
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.manifest import Manifest, StreamSource, corrected_camera, find_manifest, read_manifest
+from fusion.logs.mounting import mounted
 from fusion.logs.plausibility import is_asl
 from vision import Camera, InputError
 
@@ -50,7 +51,7 @@ class DescribedLog:
         self._logs: dict[Kind, LogContents] = {}
         topics: list[Topic] = []
         problems: list[str] = []
-        opened: dict[Path, LogContents | None] = {}
+        opened: dict[str, LogContents | None] = {}
         for kind in Kind:
             source = manifest.stream(TABLES[kind])
             file = source.file or manifest.log
@@ -73,20 +74,19 @@ class DescribedLog:
 
     @staticmethod
     def _open(
-        file: Path, source: StreamSource, opened: dict[Path, LogContents | None], problems: list[str]
+        file: Path, source: StreamSource, opened: dict[str, LogContents | None], problems: list[str]
     ) -> LogContents | None:
-        try:
-            log = open_as_told(file, source)
-            if log is None and file in opened:
-                return opened[file]
-            log = log or open_log(file)
-        except InputError as error:
-            problems.append(str(error))
-            log = None
-        else:
-            problems += log.problems
-        opened[file] = log
-        return log
+        told = ("columns", "frame", "times", "start_ns")
+        key = repr((file, [getattr(source, name, None) for name in told]))
+        if key not in opened:
+            try:
+                log: LogContents | None = open_as_told(file, source)
+            except InputError as error:
+                problems.append(str(error))
+                log = None
+            problems += () if log is None else [p for p in log.problems if p not in problems]
+            opened[key] = log
+        return opened[key]
 
     @staticmethod
     def _on_the_clock(topic: Topic, source: StreamSource, file: str) -> Topic:
@@ -99,9 +99,9 @@ class DescribedLog:
         self, kind: Kind, read: Callable[[str, list[str]], Stream], topic: str, problems: list[str]
     ) -> Stream:
         stream = read(topic, problems)
-        shift_ns = round(self._manifest.stream(TABLES[kind]).clock_offset_s * 1e9)
-        shifted: Stream = replace(stream, t_ns=stream.t_ns + shift_ns)
-        return shifted
+        source = self._manifest.stream(TABLES[kind])
+        shifted: Stream = replace(stream, t_ns=stream.t_ns + round(source.clock_offset_s * 1e9))
+        return mounted(shifted, source)
 
     def frames(self, topic: str, problems: list[str]) -> FrameStream:
         """Pictures, on the flight's clock."""

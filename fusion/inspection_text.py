@@ -71,7 +71,8 @@ def _wrapped(text: str, first: str, then: str) -> list[str]:
 def _block(stream: StreamFindings, texts: Sequence[str]) -> list[str]:
     if not texts and not stream.note:
         return []
-    lines = ["", f"{stream.name}: {stream.note}" if stream.note else stream.name]
+    head = f"{stream.name}, {stream.kind}"
+    lines = ["", *_wrapped(f"{head}: {stream.note}" if stream.note else head, "", "    ")]
     for text in texts:
         lines += _wrapped(text, "  ", "    ")
     return lines

@@ -18,6 +18,7 @@ from fusion.logs.manifest import (
     corrected_camera,
     files_of,
 )
+from fusion.logs.mounting import mounted
 from fusion.logs.pictures import check_size
 from fusion.logs.plausible_clocks import is_unix, span
 from vision import Camera, InputError
@@ -169,7 +170,7 @@ class _Assembly:
                     remedy=f"name another file under [{table}], or the columns of this one",
                 )
             return None
-        stream = self._shifted(reader(log)(topic, self.problems), source)
+        stream = mounted(self._shifted(reader(log)(topic, self.problems), source), source)
         self._changes[table] = source.model_copy(update={"topic": topic})
         file = getattr(log, "file_of", lambda topic: log.path)(topic)
         _check_clock(file, table, stream.t_ns, frame_t_ns)

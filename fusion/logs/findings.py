@@ -60,7 +60,14 @@ class Advice:
         """Return how to name a stream's axes."""
         if self.is_folder:
             return f"correct body_frame in mav0/body.yaml, or T_BS in mav0/{stream}0/sensor.yaml"
-        return f'set frame = "{frame}" for [{stream}] in flight.toml'
+        other = "mount_rad = [3.1416, 0, 0]" if stream == "imu" else "use = false"
+        return f'set frame = "{frame}" for [{stream}] in flight.toml if it is a CSV, else {other}'
+
+    def mounting(self, stream: str) -> str:
+        """Return how to say that a sensor's axes are not the body's."""
+        if self.is_folder:
+            return f"give its mounting as T_BS in mav0/{stream}0/sensor.yaml"
+        return f"say how it is mounted with mount_rad = [roll, pitch, yaw] for [{stream}] in flight.toml"
 
     def unit(self, stream: str, key: str, unit: str, factor: str) -> str:
         """Return how to correct a unit."""

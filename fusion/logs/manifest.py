@@ -33,6 +33,9 @@ _STRICT = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _WORDS = {"path_type": "it should be a path in quotes", "model_type": "it should be a table"}
 
 
+MountAngle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
+
+
 def _kind_of_columns(value: object) -> str:
     return "name" if isinstance(value, str) else "map"
 
@@ -72,8 +75,17 @@ class StreamSource(BaseModel):
         return self
 
 
-class ImuSource(StreamSource):
-    """Where the IMU's samples come from, and how noisy it is."""
+class SensorSource(StreamSource):
+    """Where the samples of a sensor on the body come from, and how it sits there."""
+
+    mount_rad: tuple[MountAngle, MountAngle, MountAngle] | None = Field(
+        default=None,
+        description="Roll, pitch and yaw of the sensor on the body: right side down, nose up, to the right.",
+    )
+
+
+class ImuSource(SensorSource):
+    """Where the IMU's samples come from, how it is mounted, and how noisy it is."""
 
     noise: Path | None = Field(
         default=None, description="Kalibr's imu.yaml or EuRoC's sensor.yaml with the gyroscope's noise."
@@ -135,7 +147,7 @@ class Manifest(BaseModel):
     )
     camera: CameraSource = Field(default_factory=CameraSource)
     imu: ImuSource = Field(default_factory=ImuSource)
-    attitude: StreamSource = Field(default_factory=StreamSource)
+    attitude: SensorSource = Field(default_factory=SensorSource)
     velocity: StreamSource = Field(default_factory=StreamSource)
     position: StreamSource = Field(default_factory=StreamSource)
 
@@ -255,7 +267,11 @@ def _model_at(where: list[str]) -> type[BaseModel]:
         return ColumnMap
     if not where:
         return Manifest
-    models: dict[str, type[BaseModel]] = {"camera": CameraSource, "imu": ImuSource}
+    models: dict[str, type[BaseModel]] = {
+        "camera": CameraSource,
+        "imu": ImuSource,
+        "attitude": SensorSource,
+    }
     return models.get(where[0], StreamSource)
 
 

@@ -129,9 +129,10 @@ def examine_attitude(attitude: AttitudeStream, advice: Advice) -> Iterator[Findi
             "z of the body or of the world points the other way"
         )
         yield Finding(Severity.ERROR, "attitude", "attitude_axes", text, advice.frame("attitude", "flu"))
-    elif tilt_deg > 50.0:
+    elif tilt_deg > 45.0:
         text = f"the vehicle lies on its side most of the time (tilt {tilt_deg:.0f} degrees)"
-        yield Finding(Severity.WARNING, "attitude", "attitude_axes", text, advice.frame("attitude", "flu"))
+        severity = Severity.ERROR if tilt_deg > 65.0 else Severity.WARNING
+        yield Finding(severity, "attitude", "attitude_axes", text, advice.mounting("attitude"))
 
 
 def _speeds(velocity: VectorStream) -> Iterator[Finding]:

@@ -210,7 +210,7 @@ def _axes_by_attitude(
             "imu_axes",
             f"the gyroscope turns against the attitude; they agree with x, y, z of the IMU taken as "
             f"{_axes_in_words(likeliest.axes)} ({evidence})",
-            advice.frame("imu", "flu") + ", or turn its axes; one of the two is wrong",
+            advice.mounting("imu") + "; one of the two is wrong",
         )
 
 
@@ -238,12 +238,12 @@ def _gravity_sign(gravity: Gravity | None, advice: Advice, *, gyro_confirmed: bo
         yield Finding(Severity.ERROR, "imu", "imu_axes", text, remedy)
     elif abs(direction[axis]) > UPRIGHT:
         yield Finding(
-            Severity.WARNING if gyro_confirmed else Severity.ERROR,
+            Severity.ERROR,
             "imu",
             "imu_axes",
             f"gravity reads {gravity.mean[axis]:+.1f} along {'xyz'[axis]} instead of -9.8 along z: the "
             "IMU's axes are not the body's",
-            "turn its axes into forward, right, down before",
+            advice.mounting("imu"),
         )
     else:
         yield Finding(
@@ -252,7 +252,7 @@ def _gravity_sign(gravity: Gravity | None, advice: Advice, *, gyro_confirmed: bo
             "imu_axes",
             f"gravity points {degrees(np.arccos(-direction[2])):.0f} degrees off the body's z axis, median over the "
             "log: the IMU is mounted aslant or the vehicle lay on its side",
-            "turn its axes into forward, right, down before",
+            advice.mounting("imu"),
         )
 
 

@@ -93,7 +93,8 @@ SINCE_ZERO = T - T[0]
         (
             imu(NO_ATTITUDE, gyro_rad_s=GYRO @ FLU, accel_m_s2=ACCEL @ FLU),
             r"imu: gravity reads \+9\.\d along z instead of -9.8: axes look like FLU, not FRD \(set frame = \"flu\" "
-            r"for \[imu\] in flight.toml; where only the accelerometer's sign is reversed, accel_sign = -1",
+            r"for \[imu\] in flight.toml if it is a CSV, else mount_rad = \[3.1416, 0, 0\]; "
+            r"where only the accelerometer's sign is reversed, accel_sign = -1",
         ),
         (
             imu(gyro_rad_s=GYRO @ PHONE, accel_m_s2=ACCEL @ PHONE),
@@ -111,7 +112,7 @@ SINCE_ZERO = T - T[0]
         (
             attitude(ENU),
             r"attitude: its pitch and yaw turn against the gyroscope, whose gravity is right: it looks like FLU to a "
-            r'world with z up, as in ROS .*\(set frame = "enu" for \[attitude\] in flight.toml\)',
+            r'world with z up, as in ROS .*\(set frame = "enu" for \[attitude\] in flight',
         ),
         (
             imu(gyro_rad_s=GYRO * [1.0, 1.0, 0.0]),
@@ -221,7 +222,10 @@ def test_a_folder_is_advised_in_its_own_terms() -> None:
 
 
 def test_an_attitude_upside_down_or_on_its_side() -> None:
-    turned = {angle: [np.cos(angle / 2), np.sin(angle / 2), 0.0, 0.0] for angle in (np.pi, radians(80), 0.1)}
+    turned = {
+        angle: [np.cos(angle / 2), np.sin(angle / 2), 0.0, 0.0]
+        for angle in (np.pi, radians(80), radians(50), 0.1)
+    }
     found = {}
     for angle, q in turned.items():
         stream = AttitudeStream(np.arange(50) * 10**8, np.tile(q, (50, 1)))
@@ -232,9 +236,9 @@ def test_an_attitude_upside_down_or_on_its_side() -> None:
     assert text.startswith(
         "the vehicle is upside down most of the time (tilt 180 degrees): its axes are not as taken"
     )
-    [(severity, text)] = found[radians(80)]
-    assert severity is Severity.WARNING
-    assert text == "the vehicle lies on its side most of the time (tilt 80 degrees)"
+    for angle, severity in ((80, Severity.ERROR), (50, Severity.WARNING)):
+        text = f"the vehicle lies on its side most of the time (tilt {angle} degrees)"
+        assert found[radians(angle)] == [(severity, text)]
 
 
 def test_velocity_in_another_unit() -> None:
