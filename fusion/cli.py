@@ -107,9 +107,30 @@ def corridor(
 
 @app.command(help=cli_help.FUSE, short_help="Fuse a logged flight: heading and offset, tables and a report.")
 def fuse(
-    flight: Annotated[Path, typer.Argument(metavar="FLIGHT", help="The flight's folder.")],
+    flight: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[FLIGHT]", help="A flight's folder, a flight.toml or a log.", show_default=False
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="OUT", help="Output folder; else FLIGHT-name_fused.")
+    ] = None,
+    imu: Annotated[
+        Path | None,
+        typer.Option("--imu", metavar="LOG", help="Log or CSV of the IMU, and what else it holds."),
+    ] = None,
+    video: Annotated[
+        Path | None, typer.Option("--video", metavar="VIDEO", help="Video, or folder of pictures with times.")
+    ] = None,
+    attitude: Annotated[
+        Path | None, typer.Option("--attitude", metavar="LOG", help="Log or CSV of the attitude alone.")
+    ] = None,
+    clock_offset_s: Annotated[
+        float | None,
+        typer.Option(
+            "--clock-offset", metavar="SECONDS", help="Add to the pictures' times to give the IMU's."
+        ),
     ] = None,
     config: Annotated[
         Path | None,
@@ -120,9 +141,10 @@ def fuse(
     export: ExportOption = None,
     frame: FrameOption = Frame.FRD,
 ) -> None:
-    """Fuse a flight and write its five files."""
-    from fusion import FusionConfig, fuse_flight, load_flight
+    """Fuse a flight and write its files."""
+    from fusion import FusionConfig, fuse_flight
     from fusion.exports import check_formats
+    from fusion.fuse_options import flight_from_options
     from fusion.outputs import check_out_dir, write_outputs
     from fusion.summary_text import fusion_text
 
@@ -130,7 +152,9 @@ def fuse(
         check_out_dir(out)  # before the work, not after it
     exports = check_formats(export or ())
     settings = None if config is None else FusionConfig.from_toml(config)
-    log = load_flight(flight, camera=camera)
+    log = flight_from_options(
+        flight, imu=imu, video=video, attitude=attitude, camera=camera, clock_offset_s=clock_offset_s
+    )
     folder = out if out is not None else Path(f"{log.name}_fused")
     check_out_dir(folder)
     with compile_notice("the line finder"), progress_bar("fusing") as progress:

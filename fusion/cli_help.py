@@ -22,11 +22,13 @@ says why; 130: interrupted.
 FUSE = """Fuse a logged flight into a smooth heading and lateral offset.
 
 \b
-FLIGHT is a folder in ASL / EuRoC layout:
-  mav0/cam0/{sensor.yaml,data.csv,data/*}   frames and calibration (required)
-  mav0/imu0/, mav0/attitude0/               gyroscope and accelerometer; the vehicle's own attitude
-  mav0/velocity0/, mav0/position0/          what else the log has; any of these may be absent
-  corridor_truth.csv                        the truth, if known: errors are then reported
+FLIGHT is one of
+  a folder in ASL / EuRoC layout, the truth beside it if known: mav0/cam0/{sensor.yaml,data.csv,data/*}, and as
+    there are mav0/imu0, mav0/attitude0, mav0/velocity0, mav0/position0; corridor_truth.csv
+  a ROS 1 or 2 bag or MCAP with pictures
+  a flight.toml, or the folder that holds it: where each stream comes from, see below
+  a PX4 ULog, ArduPilot DataFlash log, MAVLink tlog or CSV, together with --video
+Without FLIGHT: --imu and --video name the files; their clocks may differ by --clock-offset.
 
 \b
 OUT gets these, whole or not at all; an earlier output there is replaced:
@@ -35,6 +37,7 @@ OUT gets these, whole or not at all; an earlier output there is replaced:
   frames.csv      a row per camera frame: what vision saw, used or not, and why
   summary.json    verdict, counts, timings, errors against the truth
   report.html     all of it to look at, in one file
+  flight.toml     where every stream came from, to fuse again or for `corridor align`
 
 \b
 With --export, also:
@@ -48,6 +51,23 @@ Examples:
   corridor fuse data/office --export parquet,mcap --frame ros
   corridor fuse flights/hall -o out/hall --config hall.toml
   corridor fuse flights/hall --camera camchain.yaml --method paper
+  corridor fuse log.ulg --video hall.mp4 --camera cam.yaml --clock-offset 12.85
+  corridor fuse --imu imu.csv --video pictures/ --camera cam.yaml
+
+\b
+flight.toml, for streams in several files; paths count from its folder, flight time = file time + clock_offset_s:
+  corridor_width_m = 2.2
+  [camera]
+  file = "hall.mp4"              # or a folder of pictures; times = "times.csv" where a CSV has the frames' times
+  calibration = "camera.yaml"
+  clock_offset_s = 12.85
+  [imu]
+  file = "imu.csv"               # or a log; topic = "/imu/data" chooses one of several
+  frame = "flu"                  # x ahead, y left, z up; frd is x ahead, y right, z down
+  columns = { time = "t", time_unit = "ms", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s" }
+  [attitude]
+  file = "state.csv"
+  columns = "tello"              # ready maps: tello, ardrone, ardrone_ros
 
 \b
 hall.toml, for offsets in metres where the log has no range sensor:

@@ -92,7 +92,7 @@ def fuse_flight(
     started = time.perf_counter()
     if not len(flight.frames.t_ns):
         raise InputError("the flight has no camera frames", remedy="check mav0/cam0/data.csv of the log")
-    settings = _with_declared_noise(config or FusionConfig(), flight)
+    settings = _with_declared_values(config or FusionConfig(), flight)
     recorder = Recorder(settings, _row_kind(flight))
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
     timings = Timings()
@@ -115,11 +115,15 @@ def fuse_flight(
     return summarise(result, flight, method, estimator.counters, timings)
 
 
-def _with_declared_noise(config: FusionConfig, flight: Flight) -> FusionConfig:
+def _with_declared_values(config: FusionConfig, flight: Flight) -> FusionConfig:
+    """Fill in what the configuration leaves open and the flight declares: gyroscope noise, the corridor's width."""
+    declared: dict[str, float | None] = {
+        "corridor_width_m": config.corridor_width_m or flight.corridor_width_m
+    }
     imu = flight.imu
     if imu is None:
-        return config
-    declared = {
+        return config.model_copy(update=declared)
+    declared |= {
         "gyro_noise_density": config.gyro_noise_density or imu.gyro_noise_density,
         "gyro_bias_walk": config.gyro_bias_walk or imu.gyro_random_walk,
     }

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from fusion.flight import Flight
     from fusion.offline import FusionResult
 
-OUTPUT_FILES = ("estimates.csv", "smoothed.csv", "frames.csv", "summary.json", "report.html")
+OUTPUT_FILES = ("estimates.csv", "smoothed.csv", "frames.csv", "summary.json", "report.html", "flight.toml")
 _OURS = (*OUTPUT_FILES, *chain.from_iterable(EXPORT_FILES.values()))
 _LEFT_BY_FILE_BROWSERS = frozenset({".DS_Store", "Thumbs.db"})
 _CHUNK_ROWS = 50_000
@@ -45,7 +45,10 @@ def write_outputs(
     frame: Frame = Frame.FRD,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a fused flight's five files, and what else is asked for, into ``out_dir``, all of them or none.
+    """Write a fused flight's files, and what else is asked for, into ``out_dir``, all of them or none.
+
+    ``flight.toml`` names where the flight came from, for `corridor fuse` and `corridor align` to take up again; a
+    flight made by hand has none.
 
     They are written beside ``out_dir`` under a temporary name and renamed once complete. An earlier output is
     replaced; a folder that holds anything else is left alone.
@@ -57,7 +60,7 @@ def write_outputs(
     out_dir
         The folder to make; its parents are made as needed.
     report
-        Whether to write ``report.html`` too, the slowest of the five.
+        Whether to write ``report.html`` too, the slowest of them.
     exports
         Other forms of the tables, from `fusion.exports.check_formats`.
     frame
@@ -80,12 +83,23 @@ def write_outputs(
         write_table(table_in_frame(result.smoothed, frame), folder / "smoothed.csv")
         write_table(table_in_frame(result.frames, frame), folder / "frames.csv")
         write_summary(summary_in_frame(result.summary, frame), folder / "summary.json")
+        _write_manifest(flight, folder / "flight.toml", Path(out_dir).resolve())
         write_exports(result, flight, folder, exports, frame, progress)
         if report:
             from fusion.report import write_report
 
             write_report(result, flight, folder / "report.html")
     return Path(out_dir).resolve()
+
+
+def _write_manifest(flight: Flight, path: Path, folder: Path) -> None:
+    """Write where the flight came from, seen from the folder that the file will lie in."""
+    if flight.manifest is None:
+        return
+    from fusion.logs.manifest_text import manifest_text
+
+    manifest = flight.manifest.model_copy(update={"name": flight.name})
+    path.write_text(manifest_text(manifest, folder, {}), encoding="utf-8")
 
 
 def check_out_dir(out_dir: str | Path) -> Path:
@@ -103,6 +117,9 @@ def check_out_dir(out_dir: str | Path) -> Path:
     if not folder.is_dir():
         raise InputError("the output folder is an existing file", file=out_dir, remedy=remedy)
     ours = {*_OURS, *_LEFT_BY_FILE_BROWSERS}
+    there = {entry.name for entry in folder.iterdir()}
+    if "summary.json" not in there:  # a manifest alone is the user's own
+        ours -= {"flight.toml"}
     foreign = sorted(entry.name for entry in folder.iterdir() if entry.name not in ours or entry.is_dir())
     if foreign:
         more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""

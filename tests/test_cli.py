@@ -476,5 +476,5 @@ class TestHelp:
     def test_usage_errors_end_with_2(self, corridor: Corridor, arguments: list[str]) -> None:
         run = corridor(*arguments)
         assert run.code == 2
-        assert "Error" in run.err
+        assert "error" in run.err.lower()
         assert "Traceback" not in run.err

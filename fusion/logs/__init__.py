@@ -16,6 +16,7 @@ from vision import Camera, InputError
 
 if TYPE_CHECKING:
     from fusion.flight import Flight
+    from fusion.logs.manifest import Manifest
 
 #: In the order in which they are asked: by magic bytes first, by names and endings last.
 FORMATS = {
@@ -89,9 +90,7 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
     InputError
         Where the log cannot be used: one line naming file, field, value and remedy.
     """
-    from fusion.logs.assembly import assemble_flight
-    from fusion.logs.manifest import Manifest, find_manifest, read_manifest
-    from fusion.logs.plausibility import check_flight
+    from fusion.logs.manifest import MANIFEST_NAME, Manifest, find_manifest, read_manifest
 
     path = Path(path)
     if not path.exists():
@@ -101,5 +100,27 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
     if isinstance(camera, Path) and not camera.exists():
         raise InputError("there is no such file", file=camera, remedy="check --camera")
     described = find_manifest(path)
-    manifest = Manifest(log=path.resolve()) if described is None else read_manifest(described)
-    return check_flight(assemble_flight(manifest, camera), path)
+    if described is None:
+        return load_manifest(Manifest(log=path.resolve()), camera, path)
+    manifest = read_manifest(described)
+    if manifest.name is None:
+        name = described.resolve().parent.name if described.name == MANIFEST_NAME else described.stem
+        manifest = manifest.model_copy(update={"name": name})
+    return load_manifest(manifest, camera, described)
+
+
+def load_manifest(
+    manifest: Manifest, camera: Camera | Path | None = None, path: Path | None = None
+) -> Flight:
+    """Read the flight that a manifest describes; ``path`` is named where the streams contradict each other.
+
+    Raises
+    ------
+    InputError
+        As `load_flight`.
+    """
+    from fusion.logs.assembly import assemble_flight
+    from fusion.logs.plausibility import check_flight
+
+    flight = assemble_flight(manifest, camera)
+    return check_flight(flight, path or manifest.log or manifest.camera.file or Path(flight.name))

@@ -7,7 +7,7 @@ gravity decides between FRD and FLU, and it is said.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import cast
@@ -198,10 +198,14 @@ class _Table:
     def imu(self, problems: list[str]) -> Stream:
         """Gyroscope and accelerometer, body FRD."""
         gyro = self.parts["gyro"]
-        accel = self.parts.get("accel", np.full_like(gyro, np.nan))
-        if self.body_frame(problems) in ("flu", "enu"):
-            gyro, accel = gyro * _FLIP, accel * _FLIP
-        return imu_stream(self.t_ns, gyro, accel, self.where(Kind.IMU, problems))
+        accel = self.parts.get("accel")
+        flip = _FLIP if self.body_frame(problems) in ("flu", "enu") else np.ones(3)
+        where = self.where(Kind.IMU, problems)
+        if accel is not None:
+            return imu_stream(self.t_ns, gyro * flip, accel * flip, where)
+        # That no row has what no column holds need not be told.
+        stream = imu_stream(self.t_ns, gyro * flip, np.zeros_like(gyro), where)
+        return replace(stream, accel_m_s2=np.full_like(stream.gyro_rad_s, np.nan))
 
     def attitude(self, problems: list[str]) -> AttitudeStream:
         """Body FRD to world z down."""

@@ -76,7 +76,12 @@ def to_ns(values: npt.NDArray[np.generic], unit: TimeUnit) -> TimeArray:
     ok = np.isfinite(numbers) & (np.abs(numbers) < 2**62 / NS[unit])
     numbers = np.where(ok, numbers, 0.0)
     whole = np.floor(numbers)
-    t_ns = whole.astype(np.int64) * NS[unit] + np.rint((numbers - whole) * NS[unit]).astype(np.int64)
+    # Seconds since 1970 have room for 240 ns: what a float adds below its own resolution is no measurement.
+    quantum = 10 ** max(
+        0, int(np.ceil(np.log10(float(np.spacing(np.abs(numbers).max(initial=1.0))) * NS[unit])))
+    )
+    part = np.rint((numbers - whole) * NS[unit] / quantum).astype(np.int64) * quantum
+    t_ns = whole.astype(np.int64) * NS[unit] + part
     return np.where(ok, t_ns, MISSING)
 
 
