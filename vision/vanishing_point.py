@@ -146,6 +146,20 @@ def _refine(
     out[ELEVATION] = e
 
 
+def _covariance(fit: FloatArray, vote_variance: float) -> FloatArray | None:
+    """Return the covariance (2, 2) of heading and elevation, as wide as the vote's peak; None: the lines fix neither."""
+    determinant = fit[H_PSI] * fit[H_ELEVATION] - fit[H_BOTH] ** 2
+    if not determinant > 0.0:
+        return None
+    misfit = float(fit[CHI2]) / max(float(fit[WEIGHT]) - 2.0, 1.0)
+    covariance = np.array([[fit[H_ELEVATION], -fit[H_BOTH]], [-fit[H_BOTH], fit[H_PSI]]])
+    covariance *= max(MIN_SCALE, CORRELATION * misfit) / determinant
+    if vote_variance > covariance[0, 0]:
+        wider = np.array([sqrt(vote_variance / covariance[0, 0]), 1.0])
+        covariance *= np.outer(wider, wider)
+    return covariance
+
+
 def axis_direction(heading_rad: float, elevation_rad: float) -> FloatArray:
     """Return the unit vector (3,) in the level frame along a corridor seen at this heading and elevation."""
     level = cos(elevation_rad)
@@ -196,16 +210,12 @@ def fit_axis(
     residual = np.empty(len(lines))
     out = np.empty(7)
     _refine(*geometry, start_rad, start_elevation_rad, elevation_rad, elevation_std_rad, residual, out)
-    determinant = out[H_PSI] * out[H_ELEVATION] - out[H_BOTH] ** 2
-    if not determinant > 0.0 or abs(out[PSI] - start_rad) > MAX_REFINEMENT_RAD:
+    if abs(out[PSI] - start_rad) > MAX_REFINEMENT_RAD:
         return None  # the fit left the peak it started from: there was no axis, only a crowd
     second, second_score, spread = rival_and_variance(marginal, ranked, float(out[PSI]))
-    misfit = float(out[CHI2]) / max(float(out[WEIGHT]) - 2.0, 1.0)
-    covariance = np.array([[out[H_ELEVATION], -out[H_BOTH]], [-out[H_BOTH], out[H_PSI]]])
-    covariance *= max(MIN_SCALE, CORRELATION * misfit) / determinant
-    if spread > covariance[0, 0]:
-        wider = np.array([sqrt(spread / covariance[0, 0]), 1.0])
-        covariance = covariance * np.outer(wider, wider)
+    covariance = _covariance(out, spread)
+    if covariance is None:
+        return None
     leaning = np.abs(normal[:, 2]) >= VERTICAL_SINE
     inlier = leaning & (np.abs(residual) < INLIER_SIGMA)
     return AxisFit(
