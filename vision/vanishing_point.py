@@ -147,7 +147,7 @@ def _refine(
 
 
 def _covariance(fit: FloatArray, vote_variance: float) -> FloatArray | None:
-    """Return the covariance (2, 2) of heading and elevation, as wide as the vote's peak; None: the lines fix neither."""
+    """Return the covariance (2, 2) of heading and elevation, as wide as the vote's peak; None: nothing is fixed."""
     determinant = fit[H_PSI] * fit[H_ELEVATION] - fit[H_BOTH] ** 2
     if not determinant > 0.0:
         return None
