@@ -37,7 +37,7 @@ class Timing:
     rate_hz
         One over the usual (median) step; None where there are fewer than two different times.
     jitter_s
-        95 of 100 steps are within so much of the usual one.
+        95 of 100 steps that are no gaps are within so much of the usual one.
     gaps
         Stretches of more than three usual steps, the longest first, at most five of them.
     gap_count, gap_total_s
@@ -94,7 +94,7 @@ def time_stream(t_ns: TimeArray) -> Timing:
     return replace(
         found,
         rate_hz=1e9 / usual,
-        jitter_s=float(np.percentile(np.abs(steps - usual), 95.0)) * 1e-9,
+        jitter_s=float(np.percentile(np.abs(steps[steps <= GAP_STEPS * usual] - usual), 95.0)) * 1e-9,
         gaps=tuple(Gap(int(ordered[i]), float(steps[i]) * 1e-9) for i in worst),
         gap_count=len(long),
         gap_total_s=float(steps[long].sum()) * 1e-9,
