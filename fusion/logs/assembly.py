@@ -71,6 +71,7 @@ class _Assembly:
 
     def flight(self) -> Flight:
         """Read everything; the pictures first, since without them all else is in vain."""
+        self._take_time_shift()
         log, topic = self._picture_topic()
         frames = self._shifted(log.frames(topic, self.problems), self.manifest.camera)
         camera = self._camera(log, topic)
@@ -99,6 +100,18 @@ class _Assembly:
             corridor_width_m=self.manifest.corridor_width_m,
             manifest=self.manifest.model_copy(update=self._changes),
         )
+
+    def _take_time_shift(self) -> None:
+        """Take the camera's clock offset from a Kalibr chain, where the manifest leaves it open."""
+        from vision.calibration import read_time_shift_s
+
+        source = self.manifest.camera
+        if source.calibration is None or "clock_offset_s" in source.model_fields_set:
+            return
+        shift_s = read_time_shift_s(source.calibration)
+        if shift_s is not None:
+            source = source.model_copy(update={"clock_offset_s": shift_s})
+            self.manifest = self.manifest.model_copy(update={"camera": source})
 
     def _open(self, path: Path, source: StreamSource) -> LogContents:
         """Open a file once, however many streams come from it; the file's own problems are told once."""
@@ -173,7 +186,7 @@ class _Assembly:
         stream = mounted(self._shifted(reader(log)(topic, self.problems), source), source)
         self._changes[table] = source.model_copy(update={"topic": topic})
         file = getattr(log, "file_of", lambda topic: log.path)(topic)
-        _check_clock(file, table, stream.t_ns, frame_t_ns)
+        _check_clock(file, table, stream.t_ns, frame_t_ns, self.manifest.camera.clock_offset_s)
         return stream
 
     def _shifted(self, stream: AnyStream, source: StreamSource) -> AnyStream:
@@ -198,7 +211,7 @@ class _Assembly:
             truth = read(self.problems) if read is not None else None
             path = (log.path if log is not None else Path()) / TRUTH_NAME
         if truth is not None:
-            _check_clock(path, "truth", truth.t_ns, frames.t_ns)
+            _check_clock(path, "truth", truth.t_ns, frames.t_ns, self.manifest.camera.clock_offset_s)
         return truth
 
     def _name(self, log: LogContents) -> str:
@@ -240,11 +253,13 @@ def _refuse(source: StreamSource, keys: tuple[str, ...], path: Path, what: str) 
             raise InputError(f"is {what}: {key} does not go with it", file=path, remedy=f"take {key} away")
 
 
-def _check_clock(file: Path, table: str, t_ns: TimeArray, frame_t_ns: TimeArray) -> None:
+def _check_clock(
+    file: Path, table: str, t_ns: TimeArray, frame_t_ns: TimeArray, clock_offset_s: float
+) -> None:
     """Raise `InputError` where a stream and the frames have no time in common."""
     if t_ns[0] <= frame_t_ns[-1] and t_ns[-1] >= frame_t_ns[0]:
         return
-    lag_s = float(t_ns[0] - frame_t_ns[0]) * 1e-9
+    lag_s = float(t_ns[0] - frame_t_ns[0]) * 1e-9 + clock_offset_s
     zero = "" if is_unix(t_ns) == is_unix(frame_t_ns) else "; one is Unix time, the other counts from zero"
     raise InputError(
         f"covers {span(t_ns)}, the frames {span(frame_t_ns)}{zero}",

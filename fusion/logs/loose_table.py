@@ -24,6 +24,7 @@ from vision import InputError
 
 _HEAD_BYTES = 1 << 16
 _BLOCK_BYTES = 1 << 23
+_PIECE_ROWS = 2048
 _SEPARATORS = (";", "\t", "|", ",", " ")  # a comma may be the decimal point of what semicolons part
 _KEY = re.compile(r"[A-Za-z_]\w*:")
 _STAMP_BEFORE_KEYS = re.compile(r"^([^A-Za-z;]*?\d[^A-Za-z;]*?)[,;\s]+(?=[A-Za-z_]\w*:)", re.MULTILINE)
@@ -245,17 +246,25 @@ def read_columns(
     numbers: list[npt.NDArray[np.int64]] = []
     broken: list[str] = []
     n_broken, done = 0, 0
-    for lines in _blocks(layout, problems):
-        usecols = (first, *others)
-        part = _parse_fast(lines, dtype, layout.separator, usecols)
-        kept = np.arange(len(lines))
-        if part is None:
-            part, kept, bad = _parse_slowly(lines, dtype, layout.separator, usecols)
-            n_broken += len(bad)
-            broken = broken or bad[:1]
-        parts.append(part)
-        numbers.append(kept + done)
-        done += len(lines)
+    usecols = (first, *others)
+    for block in _blocks(layout, problems):
+        whole = _parse_fast(block, dtype, layout.separator, usecols)
+        # One damaged row must not cost the speed of a whole block.
+        pieces = (
+            [block[i : i + _PIECE_ROWS] for i in range(0, len(block), _PIECE_ROWS)]
+            if whole is None
+            else [block]
+        )
+        for lines in pieces:
+            part = whole if whole is not None else _parse_fast(lines, dtype, layout.separator, usecols)
+            kept = np.arange(len(lines))
+            if part is None:
+                part, kept, bad = _parse_slowly(lines, dtype, layout.separator, usecols)
+                n_broken += len(bad)
+                broken = broken or bad[:1]
+            parts.append(part)
+            numbers.append(kept + done)
+            done += len(lines)
     data = np.concatenate(parts) if parts else np.zeros(0, dtype)
     if not len(data):
         names = ", ".join(name or f"column {i + 1}" for i, name in enumerate(layout.names))
