@@ -35,7 +35,7 @@ MIN_SIGMA_RAD = radians(0.15)
 RIVAL_APART_S = 0.3
 N_RIVALS = 4
 MIN_LEAD = 8.0  # in log-likelihood, of the best offset over its rivals
-MIN_OVERLAP = 0.4  # share of the pairs that the inertial stream must cover at an offset
+MIN_OVERLAP = 0.5  # share of the pairs that the inertial stream must cover at an offset
 RATIO_RANGE = (0.3, 3.0)
 MIN_RATIO_SIGMA = 8.0  # else what was seen is no turning
 USABLE_STD_S = 0.02
@@ -50,8 +50,9 @@ MAX_GATE_RAD = radians(20.0)
 MIN_FRAMES = 12
 ROUNDS = 12
 NOISE_EVERY = 3
-REACH_S = 0.12  # by which the fine fit may leave the candidate
-HALF_SLOPE_S = 0.01
+REACH_S = 0.25  # by which the fine fit may leave the candidate, and look about
+# A yaw rate between nearer points would be mostly the gyroscope's noise, and pass for a steep slope.
+HALF_SLOPE_S = 0.1
 OFFSET, RATIO, DRIFT = range(3)  # columns of the fit, before the constants
 START_DENSITY = 0.005
 MAX_STEP_S = 0.1
@@ -137,13 +138,14 @@ def find_clock(sightings: Sightings, turning: Turning, reach_s: float) -> ClockS
     coarse = coarse_offsets(sightings, turning, reach_s)
     if not coarse:
         return ClockSearch(None, False)
-    best = coarse[0]
-    if best.ratio < 0.0:
+    level = [one for one in coarse if one.evidence > coarse[0].evidence - MIN_LEAD]
+    best = next((one for one in level if one.ratio > 0.0), None)
+    if best is None:
         return ClockSearch(None, False, reversed=True)
+    rival = next((one.offset_s for one in level if one is not best), None)
     fit = fine_fit(sightings, turning, best)
     if fit is None:
-        return ClockSearch(None, False)
-    rival = next((other.offset_s for other in coarse[1:] if other.evidence > best.evidence - MIN_LEAD), None)
+        return ClockSearch(None, False, rival)
     at_edge = abs(fit.offset_s) > reach_s - EDGE_S
     moved = fit.ratio > MIN_RATIO_SIGMA * fit.ratio_std and RATIO_RANGE[0] < fit.ratio < RATIO_RANGE[1]
     told = rival is None and not at_edge and moved and fit.offset_std_s < USABLE_STD_S
@@ -313,21 +315,21 @@ def _gauss_newton(samples: _Samples, turning: Turning, start: Coarse) -> ClockFi
     """Iterate to the fit, finding noise and outliers on the way."""
     offset, ratio = start.offset_s, start.ratio
     scale, density = 1.0, max(START_DENSITY, turning.noise_density)
+    values = np.array([0.0, ratio, 0.0])
     weight = np.ones(len(samples.t_s))
     for step in range(ROUNDS):
         # Constants are left to the walk, which begins anywhere in each corridor.
         yaw = samples.centred(turning.yaw_at(samples.t_s + offset))
-        slope = ratio * turning.rate_at(samples.t_s + offset)
+        slope = ratio * turning.rate_at(samples.t_s + offset, HALF_SLOPE_S)
         design = np.stack([slope, yaw, samples.centred(samples.t_s)], axis=1)
         target = samples.centred(samples.heading_rad)
         if step % NOISE_EVERY == 0:
             scale, density = find_noise(design, target, samples.white / weight, samples.walk, scale, density)
         noise = Noise(scale * samples.white / weight, samples.walk(density))
-        values, _ = solve(design, target, noise)
-        walked = samples.centred(noise.process_of(target - design @ values))
-        share = min(1.0, (turning.noise_density / density) ** 2)
+        walked = samples.centred(noise.process_of(target - design[:, RATIO:] @ values[RATIO:]))
+        share = min(1.0, (ratio * turning.noise_density / density) ** 2)
         instrument = design.copy()
-        instrument[:, RATIO] += share * walked / max(float(values[RATIO]), RATIO_RANGE[0])
+        instrument[:, RATIO] += share * walked / ratio
         values, covariance = solve(design, target, noise, instrument)
         residual = target - design @ values
         offset += float(np.clip(values[OFFSET], -MAX_STEP_S, MAX_STEP_S))

@@ -179,8 +179,7 @@ def fit_lines(
     numpy.linalg.LinAlgError
         Where the samples do not determine the fit.
     """
-    weight = np.ones(len(target))
-    scale = 1.0
+    weight, scale = first_weights(design, target, white, make(size)), 1.0
     for _ in range(N_REWEIGHTINGS):
         scale, size = find_noise(design, target, white / weight, make, scale, size)
         noise = Noise(scale * white / weight, make(size))
@@ -188,6 +187,18 @@ def fit_lines(
         residual = target - design @ values
         weight = np.maximum(weights(noise, residual, weight), DROPPED)
     return LineFit(values, covariance, residual, noise, weight, scale, size)
+
+
+def first_weights(design: FloatArray, target: FloatArray, white: FloatArray, process: Process) -> FloatArray:
+    """Weights (n,) before the noise is known: outliers stand out against the samples' median."""
+    weight = np.ones(len(target))
+    for _ in range(N_REWEIGHTINGS):
+        noise = Noise(white / weight, process)
+        values, _ = solve(design, target, noise)
+        z = np.abs(noise.standardised(target - design @ values)) / np.sqrt(weight)
+        z /= max(1.48 * float(np.median(z)), 1.0)
+        weight = np.clip(np.where(z > GROSS_SIGMA, 0.0, OUTLIER_SIGMA / np.maximum(z, 1e-12)), DROPPED, 1.0)
+    return weight
 
 
 def weights(noise: Noise, residual: FloatArray, weight: FloatArray) -> FloatArray:

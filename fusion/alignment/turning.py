@@ -61,7 +61,7 @@ class Turning:
         bad = (t_s < self.t_s[0]) | (t_s > self.t_s[-1]) | (after - before > self.gap_s)
         return np.where(bad, np.nan, value)
 
-    def rate_at(self, t_s: FloatArray, half_width_s: float = 0.01) -> FloatArray:
+    def rate_at(self, t_s: FloatArray, half_width_s: float) -> FloatArray:
         """Yaw rate at times of any shape, as the slope between two points of the curve; NaN as for the yaw."""
         rise = self.yaw_at(t_s + half_width_s) - self.yaw_at(t_s - half_width_s)
         return np.asarray(rise / (2.0 * half_width_s))

@@ -24,8 +24,9 @@ BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
 MAX_RATE_HZ = 32.0  # faster frames resemble each other
-MAX_FRAMES = 1500
-BLOCK_S = 15.0
+MAX_FRAMES = 1000
+N_BLOCKS = 5  # stretches that are looked at of a longer flight
+RATE_HALF_WIDTH_S = 0.1
 SEARCH_STD_RAD = radians(3.0)  # of the axis's elevation, before it has been seen
 STD_FLOOR_RAD = radians(0.05)
 INFORMED = 0.5  # of the attitude's standard deviation: below, the picture's verticals have spoken
@@ -171,10 +172,7 @@ def choose_frames(t_s: FloatArray, turning: Turning, max_frames: int = MAX_FRAME
     index = np.array(keep, np.int64)
     if len(index) <= max_frames:
         return index
-    block = ((t_s[index] - t_s[0]) // BLOCK_S).astype(np.int64)
-    rate = np.nan_to_num(turning.rate_at(t_s[index], 0.1))
+    block = np.arange(len(index)) // max(max_frames // N_BLOCKS, 1)
+    rate = np.nan_to_num(turning.rate_at(t_s[index], RATE_HALF_WIDTH_S))
     power = np.bincount(block, rate * rate)
-    count = np.bincount(block)
-    best = np.argsort(-power, kind="stable")
-    wanted = best[: max(1, int(np.searchsorted(np.cumsum(count[best]), max_frames, side="right")))]
-    return index[np.isin(block, wanted)]
+    return index[np.isin(block, np.argsort(-power, kind="stable")[:N_BLOCKS])]
