@@ -12,9 +12,10 @@ from typing import Any
 from fusion.inspection import Inspection
 from fusion.inspection_advice import Matter
 from fusion.inspection_findings import CameraFindings, StreamFindings
-from fusion.inspection_imu import MAX_STEP_S, ImuFindings, Noise
+from fusion.inspection_imu import MAX_STEP_S, MIN_STILL_S, ImuFindings, Noise
 from fusion.inspection_pictures import PictureFindings
 from fusion.inspection_times import Gap, Timing
+from fusion.logs.findings import Severity
 from fusion.logs.plausible_clocks import UNIX_FROM_NS, UNIX_TO_NS, span_of
 from fusion.logs.samples import counted
 
@@ -23,7 +24,11 @@ ONE_CLOCK_S = 1e6  # streams further apart than eleven days do not share a clock
 LISTED = 3
 
 _NO_BREAK = "\N{NO-BREAK SPACE}"
-_TITLES = {Matter.FUSE: "can be fused", Matter.MISSING: "missing", Matter.BETTER: "would help"}
+_TITLES = {
+    Matter.FUSE: "can be fused",
+    Matter.MISSING: "missing, or to be put right first",
+    Matter.BETTER: "would help",
+}
 
 
 def inspection_values(inspection: Inspection) -> dict[str, Any]:
@@ -148,7 +153,12 @@ def _described(stream: StreamFindings, start_ns: int | None) -> Iterator[str]:
     if stream.camera is not None:
         yield _camera(stream.camera)
     if stream.imu is not None:
-        yield from _imu(stream.imu, start_ns, is_slow=(stream.timing.rate_hz or 0.0) * MAX_STEP_S < 1.0)
+        yield from _imu(stream.imu, start_ns, is_judged=_is_judged(stream.timing))
+
+
+def _is_judged(timing: Timing) -> bool:
+    """Whether an IMU's log is long and dense enough to look for still periods in it."""
+    return (timing.rate_hz or 0.0) * MAX_STEP_S >= 1.0 and timing.duration_s >= MIN_STILL_S
 
 
 def _pictures(found: PictureFindings, timing: Timing) -> str:
@@ -187,7 +197,7 @@ def _camera(camera: CameraFindings) -> str:
     )
 
 
-def _imu(imu: ImuFindings, start_ns: int | None, *, is_slow: bool) -> Iterator[str]:
+def _imu(imu: ImuFindings, start_ns: int | None, *, is_judged: bool) -> Iterator[str]:
     if imu.still:
         periods = ", ".join(
             f"{_relative(p.start_ns, start_ns)} to {_relative(p.end_ns, start_ns)}"
@@ -195,7 +205,7 @@ def _imu(imu: ImuFindings, start_ns: int | None, *, is_slow: bool) -> Iterator[s
         )
         more = f" and {len(imu.still) - LISTED} more" if len(imu.still) > LISTED else ""
         yield f"still for {imu.still_total_s:.1f} s: {periods}{more}"
-    elif not is_slow:
+    elif is_judged:
         yield "never still for two seconds"
     noise, when, bound = (
         (imu.in_flight, "in motion", "at most ") if imu.at_rest is None else (imu.at_rest, "at rest", "")
@@ -209,13 +219,14 @@ def _imu(imu: ImuFindings, start_ns: int | None, *, is_slow: bool) -> Iterator[s
     if imu.gyro_bias_rad_s is not None:
         bias = ", ".join(f"{round(degrees(axis), 2) + 0.0:+.2f}" for axis in imu.gyro_bias_rad_s)
         yield f"gyroscope's bias at rest ({bias}) degrees/s"
+    turn = degrees(imu.fastest_rad_s)
     gravity = ""
     if imu.gravity_m_s2 is not None:
         gravity = f"gravity at rest {imu.gravity_m_s2:.2f} m/s^2; "
     if imu.usual_accel_m_s2 is not None:
         axes = ", ".join(f"{round(axis, 1) + 0.0:+.1f}" for axis in imu.usual_accel_m_s2)
         gravity += f"usual specific force ({axes}) m/s^2 forward, right, down; "
-    yield f"{gravity}turns up to {degrees(imu.fastest_rad_s):.2g} degrees/s"
+    yield f"{gravity}turns up to {turn:.{0 if turn >= 10 else 1}f} degrees/s"
 
 
 def _noise(noise: Noise, bound: str) -> str:
@@ -236,7 +247,8 @@ def _problems(inspection: Inspection, start_ns: int | None) -> Iterator[str]:
             yield text if stream.name in text else f"{stream.name}: {text}"
         yield from _timing_problems(stream, start_ns)
     for finding in inspection.findings:
-        yield finding.sentence
+        if finding.severity is Severity.WARNING:  # what has to be put right first is said there
+            yield finding.sentence
 
 
 def _timing_problems(stream: StreamFindings, start_ns: int | None) -> Iterator[str]:

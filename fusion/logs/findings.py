@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from math import asin, atan2, pi, radians
+
+import numpy as np
+import numpy.typing as npt
 
 
 class Severity(StrEnum):
@@ -63,11 +67,16 @@ class Advice:
         other = "mount_rad = [3.1416, 0, 0]" if stream == "imu" else "use = false"
         return f'set frame = "{frame}" for [{stream}] in flight.toml if it is a CSV, else {other}'
 
-    def mounting(self, stream: str) -> str:
-        """Return how to say that a sensor's axes are not the body's."""
+    def mounting(self, stream: str, up: npt.NDArray[np.float64]) -> str:
+        """Return how to say that a sensor's axes are not the body's, of which it sees this direction (3,) as up."""
         if self.is_folder:
             return f"give its mounting as T_BS in mav0/{stream}0/sensor.yaml"
-        return f"say how it is mounted with mount_rad = [roll, pitch, yaw] for [{stream}] in flight.toml"
+        roll = _rounded(atan2(-up[1], -up[2]))
+        pitch = _rounded(asin(max(-1.0, min(1.0, up[0]))))
+        return (
+            f"if it is mounted so, set mount_rad = [{roll:.4g}, {pitch:.4g}, YAW] for [{stream}] in flight.toml; "
+            "YAW, positive right, is not to be seen from gravity"
+        )
 
     def unit(self, stream: str, key: str, unit: str, factor: str) -> str:
         """Return how to correct a unit."""
@@ -85,3 +94,9 @@ class Advice:
         """Return how to shift the camera's clock, since the vehicle's own streams usually share one."""
         shift = f"[camera] clock_offset_s = {lag_s:.3f} in flight.toml puts both on one clock if they began together"
         return f"{shift}; `corridor align` finds the rest; or {self.leave_out(stream)}"
+
+
+def _rounded(angle_rad: float) -> float:
+    """Return the nearest quarter turn, where it is near: sensors are mounted so."""
+    quarter = round(angle_rad / (pi / 2)) * pi / 2
+    return quarter + 0.0 if abs(angle_rad - quarter) < radians(15) else angle_rad

@@ -108,7 +108,7 @@ def _accel_unit(gravity: Gravity, advice: Advice) -> Iterator[Finding]:
                 Severity.WARNING,
                 "imu",
                 "accel_without_gravity",
-                f"the accelerometer shows no gravity (median {gravity.length:.2g} m/s^2): it was taken out",
+                f"the accelerometer shows no gravity, in the median {gravity.length:.2g} m/s^2: it was taken out",
                 "give the raw accelerometer, else roll and pitch hang on the attitude alone",
             )
         return
@@ -182,7 +182,7 @@ def _axes_by_attitude(
             "attitude",
             "attitude_conjugated",
             "its quaternions turn against the gyroscope and agree with it conjugated: they take the world to the "
-            f"body ({evidence})",
+            f"body, {evidence}",
             "negate x, y, z of the quaternion: it must take the body to the world",
         )
     elif np.array_equal(likeliest.axes, FLU) and up:
@@ -191,7 +191,7 @@ def _axes_by_attitude(
             "imu",
             "imu_axes",
             f"gravity reads {_signed(gravity)} along z and the gyroscope's y and z turn against the attitude: its "
-            f"axes look like FLU ({evidence})",
+            f"axes look like FLU, {evidence}",
             advice.frame("imu", "flu"),
         )
     elif np.array_equal(likeliest.axes, FLU) and down:
@@ -200,7 +200,7 @@ def _axes_by_attitude(
             "attitude",
             "attitude_axes",
             f"its pitch and yaw turn against the gyroscope, whose gravity is right: it looks like FLU to a world "
-            f"with z up, as in ROS ({evidence})",
+            f"with z up, as in ROS, {evidence}",
             advice.frame("attitude", "enu"),
         )
     else:
@@ -209,8 +209,8 @@ def _axes_by_attitude(
             "imu",
             "imu_axes",
             f"the gyroscope turns against the attitude; they agree with x, y, z of the IMU taken as "
-            f"{_axes_in_words(likeliest.axes)} ({evidence})",
-            advice.mounting("imu") + "; one of the two is wrong",
+            f"{_axes_in_words(likeliest.axes)}, {evidence}",
+            "one of the two is wrong: turn the axes of the IMU, or of the attitude, into forward, right, down",
         )
 
 
@@ -243,7 +243,7 @@ def _gravity_sign(gravity: Gravity | None, advice: Advice, *, gyro_confirmed: bo
             "imu_axes",
             f"gravity reads {gravity.mean[axis]:+.1f} along {'xyz'[axis]} instead of -9.8 along z: the "
             "IMU's axes are not the body's",
-            advice.mounting("imu"),
+            advice.mounting("imu", direction),
         )
     else:
         yield Finding(
@@ -252,7 +252,7 @@ def _gravity_sign(gravity: Gravity | None, advice: Advice, *, gyro_confirmed: bo
             "imu_axes",
             f"gravity points {degrees(np.arccos(-direction[2])):.0f} degrees off the body's z axis, median over the "
             "log: the IMU is mounted aslant or the vehicle lay on its side",
-            advice.mounting("imu"),
+            advice.mounting("imu", direction),
         )
 
 

@@ -333,7 +333,7 @@ def test_axes_taken_wrongly_are_refused(folder: Folder) -> None:
     shutil.rmtree(folder.path / "mav0" / "imu0")
     folder.write("mav0/attitude0/data.csv", csv("", times(20, 20_000_000), 0.0, 1.0, 0.0, 0.0))
     with pytest.raises(
-        InputError, match=r"attitude: the vehicle is upside down most of the time .*body_frame in"
+        InputError, match=r"attitude: the vehicle is upside down most of the time, .*body_frame in"
     ):
         load_flight(folder.path)
 

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from fusion.flight import AttitudeStream, Flight, ImuStream, VectorStream
 from fusion.logs import load_flight
 from fusion.logs.findings import Advice, Severity
+from fusion.logs.mounting import rotation
 from fusion.logs.plausibility import check_flight, examine_attitude, examine_flight
 from fusion.logs.plausible_clocks import examine_clocks
 from fusion.logs.plausible_imu import examine_imu
@@ -88,7 +89,7 @@ SINCE_ZERO = T - T[0]
         (
             imu(gyro_rad_s=GYRO @ FLU, accel_m_s2=ACCEL @ FLU),
             r"imu: gravity reads \+9\.\d along z and the gyroscope's y and z turn against the attitude: its axes "
-            r'look like FLU \(correlation -0\.9\d as taken, \+0\.9\d so\) \(set frame = "flu" for \[imu\] in ',
+            r'look like FLU, correlation -0\.9\d as taken, \+0\.9\d so \(set frame = "flu" for \[imu\] in ',
         ),
         (
             imu(NO_ATTITUDE, gyro_rad_s=GYRO @ FLU, accel_m_s2=ACCEL @ FLU),
@@ -107,12 +108,12 @@ SINCE_ZERO = T - T[0]
         (
             attitude(CONJUGATED),
             r"attitude: its quaternions turn against the gyroscope and agree with it conjugated: they take the world "
-            r"to the body .*\(negate x, y, z of the quaternion",
+            r"to the body.*\(negate x, y, z of the quaternion",
         ),
         (
             attitude(ENU),
             r"attitude: its pitch and yaw turn against the gyroscope, whose gravity is right: it looks like FLU to a "
-            r'world with z up, as in ROS .*\(set frame = "enu" for \[attitude\] in flight',
+            r'world with z up, as in ROS.*\(set frame = "enu" for \[attitude\] in flight',
         ),
         (
             imu(gyro_rad_s=GYRO * [1.0, 1.0, 0.0]),
@@ -152,7 +153,7 @@ HELD = np.where(((np.arange(len(T)) // 500) % 2 == 1)[:, None], GYRO[500], GYRO)
         ),
         (
             imu(accel_m_s2=ACCEL + np.array([0.0, 0.0, 9.80665])),
-            r"^imu: the accelerometer shows no gravity \(median 0\.\d+ m/s\^2\): it was taken out",
+            r"^imu: the accelerometer shows no gravity, in the median 0\.\d+ m/s\^2: it was taken out",
         ),
         (
             imu(accel_m_s2=1.6 * ACCEL),
@@ -234,11 +235,21 @@ def test_an_attitude_upside_down_or_on_its_side() -> None:
     [(severity, text)] = found[np.pi]
     assert severity is Severity.ERROR
     assert text.startswith(
-        "the vehicle is upside down most of the time (tilt 180 degrees): its axes are not as taken"
+        "the vehicle is upside down most of the time, by 180 degrees: its axes are not as taken"
     )
     for angle, severity in ((80, Severity.ERROR), (50, Severity.WARNING)):
-        text = f"the vehicle lies on its side most of the time (tilt {angle} degrees)"
+        text = f"the vehicle lies on its side most of the time, by {angle} degrees"
         assert found[radians(angle)] == [(severity, text)]
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(90, 0), (-90, 0), (180, 0), (0, 90), (0, -90), (65, 0)])
+def test_gravity_tells_roll_and_pitch_of_a_sensor_that_sits_askew(roll: int, pitch: int) -> None:
+    R_body_sensor = rotation((radians(roll), radians(pitch), 0.7))
+    advice = Advice().mounting("imu", R_body_sensor.T @ [0.0, 0.0, -1.0])
+    expected = rf"mount_rad = \[{radians(roll):.4g}, {radians(pitch):.4g}, YAW\] for \[imu\]"
+    if roll == 180:
+        expected = expected.replace("3.142", "-?3.142")
+    assert re.search(expected, advice)
 
 
 def test_velocity_in_another_unit() -> None:
