@@ -52,7 +52,8 @@ def scene_of(seed: int, seconds: float, **changes: Any) -> Scene:
         "heading": weaving(seed, radians(rng.uniform(5, 25)), rng.uniform(4, 10)),
         "tilt_rad": radians(15),
         "gyro_noise": 0.0075,
-        "gyro_bias": float(rng.normal(0, 0.01)),
+        "yaw_walk": 0.0075,
+        "gyro_bias": float(rng.normal(0, 0.02)),
         "frame_correlation": CORRELATION,
         "gross": 0.05,
         "delay_s": 0.08,
@@ -74,9 +75,8 @@ def told(scene: Scene) -> dict[str, Any]:
 
 def settings(scene: Scene, **changes: Any) -> FusionConfig:
     """Return what a user would know of this scene's sensors."""
-    return config_for(
-        scene, **({"camera_delay_s": 0.0, "imu_yaw_std_rad": radians(0.3)} | told(scene) | changes)
-    )
+    known = {"imu_yaw_std_rad": scene.yaw_std_rad, "imu_yaw_walk": scene.yaw_walk}
+    return config_for(scene, **(known | told(scene) | changes))
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,4 +164,4 @@ def recovery_s(seed: int, by_gyro: bool) -> float:
     return float((good[:, 0] <= times[last] + 1e-6).sum() / scene.frame_hz)
 
 
-__all__ = ["SETTLED_S", "Flown", "fly", "recovery_s", "scene_of", "settings", "simulate", "told"]
+__all__ = ["EVERY_S", "SETTLED_S", "Flown", "fly", "recovery_s", "scene_of", "settings", "simulate", "told"]
