@@ -20,13 +20,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import atan2, isnan, pi, radians
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from fusion import CorridorEstimator, Estimate
 from fusion.estimator import Status
-from vision import Camera, InputError, Prior, extract_lines, measure_lines
+from vision import Camera, InputError, extract_lines, warm_up
 from vision.lines import LineSet
 
 Image = npt.NDArray[np.uint8]
@@ -40,13 +39,7 @@ def make_ready(camera: Camera) -> None:
     A thread that computes keeps others off the interpreter for up to 5 ms by default, two control periods; and the
     garbage collector's full passes take longer the more objects there are, most of which will never go.
     """
-    walls = np.full((camera.height_px, camera.width_px), 90, np.uint8)
-    far = (camera.width_px // 2, camera.height_px // 2)
-    for k in range(16):
-        near = (round(far[0] + 2 * far[0] * np.cos(k + 0.3)), round(far[1] + 2 * far[0] * np.sin(k + 0.3)))
-        cv2.line(walls, far, near, 200, 3)
-    for prior in (Prior(), Prior(heading_rad=0.0, heading_std_rad=0.1)):
-        measure_lines(extract_lines(walls, camera), camera, (1.0, 0.0, 0.0, 0.0), prior)
+    warm_up(camera)
     sys.setswitchinterval(0.0005)
     gc.collect()
     gc.freeze()

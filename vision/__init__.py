@@ -20,7 +20,7 @@ from vision.measurement import (
 )
 
 if TYPE_CHECKING:
-    from vision.frame import extract_lines, measure_frame, measure_lines
+    from vision.frame import extract_lines, measure_frame, measure_lines, warm_up
 
 __all__ = [
     "Attitude",
@@ -34,11 +34,12 @@ __all__ = [
     "extract_lines",
     "measure_frame",
     "measure_lines",
+    "warm_up",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("extract_lines", "measure_frame", "measure_lines"):
+    if name in ("extract_lines", "measure_frame", "measure_lines", "warm_up"):
         from vision import frame
 
         return getattr(frame, name)
