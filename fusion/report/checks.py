@@ -9,24 +9,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.flight import Flight
-from fusion.report.checks_of_input import check_gaps, check_gyro_bias, check_imu_yaw, check_reading
+from fusion.report.checks_of_frames import check_camera_time, check_frames_used, check_rejections
+from fusion.report.checks_of_input import (
+    check_gaps,
+    check_gyro_bias,
+    check_imu_yaw,
+    check_rates,
+    check_reading,
+)
 from fusion.report.checks_of_truth import check_heading, check_offset, check_sigma
 from fusion.report.series import runs
-from fusion.report.verdict import Check, Level, Limits, level_of, not_judged
+from fusion.report.verdict import Check, Level, Limits, level_of, not_judged, worst_of
 from fusion.tables import Table
 
 if TYPE_CHECKING:
     from fusion.offline import FusionResult
-
-REASON_ACTION = {
-    "too_few_lines": "Look for dark, blank or blurred stretches: light or a wider lens help.",
-    "ambiguous": "Log the attitude too if it is missing: doors and shelves then no longer compete.",
-    "uncertain": "Few long lines run along the corridor in this view: aim the camera along it.",
-    "blur": "Shorten the exposure or turn more slowly.",
-    "gate": "Check the camera's focal length, mounting and time offset first: all three look like this.",
-    "unreadable": "Pictures are damaged: copy the flight again from the vehicle.",
-    "late": "Frames came later than the estimator waits for: lengthen its buffer in the configuration.",
-}
 
 
 def run_checks(result: FusionResult, flight: Flight, limits: Limits | None = None) -> tuple[Check, ...]:
@@ -35,40 +32,22 @@ def run_checks(result: FusionResult, flight: Flight, limits: Limits | None = Non
     checks: tuple[Callable[[FusionResult, Flight, Limits], Check], ...] = (
         check_heading,
         check_offset,
-        _frames_accepted,
+        check_frames_used,
+        check_rejections,
         _innovations,
         _longest_coast,
         _along_the_corridor,
         _offset_known,
         _sigma_by_innovations,
         check_sigma,
+        check_camera_time,
         check_gyro_bias,
         check_imu_yaw,
+        check_rates,
         check_gaps,
         check_reading,
     )
     return tuple(check(result, flight, limits) for check in checks)
-
-
-def _frames_accepted(result: FusionResult, flight: Flight, limits: Limits) -> Check:
-    frames, name = result.frames, "Frames used"
-    limit = f"pass from {limits.accepted_share[0]:.0%}, fail below {limits.accepted_share[1]:.0%}"
-    if not len(frames):
-        return Check(
-            name, Level.FAIL, "No frames", limit, "Vision had nothing to say.", "Check the camera folder."
-        )
-    share = float(np.mean(frames["accepted"]))
-    level = level_of(share, limits.accepted_share)
-    value = f"{share:.1%} of {len(frames)}"
-    rejected = frames["reason"][~frames["accepted"]]
-    if level is Level.PASS or not len(rejected):
-        return Check(name, level, value, limit, "Enough frames show the corridor to hold heading and offset.")
-    words, counts = np.unique(rejected, return_counts=True)
-    worst = str(words[np.argmax(counts)])
-    meaning = (
-        f"Most of the rejected frames are “{worst.replace('_', ' ')}”: {counts.max()} of {len(rejected)}."
-    )
-    return Check(name, level, value, limit, meaning, REASON_ACTION.get(worst, ""))
 
 
 def _innovations(result: FusionResult, flight: Flight, limits: Limits) -> Check:
@@ -106,7 +85,7 @@ def _longest_coast(result: FusionResult, flight: Flight, limits: Limits) -> Chec
     value = f"{longest:.1f} s, ending at {when:.1f} s" if level is not Level.PASS else f"{longest:.1f} s"
     if lost > 0:
         value += f"; lost for {lost:.1f} s"
-        level = max(level, Level.WARN, key=(Level.NOT_JUDGED, Level.PASS, Level.WARN, Level.FAIL).index)
+        level = worst_of(level, Level.WARN)
     if level is Level.PASS:
         return Check(name, level, value, limit, "Vision was never away for long.")
     meaning = "Meanwhile the heading rests on inertial sensors alone and its sigma grows."

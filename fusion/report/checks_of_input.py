@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.flight import Flight, FloatArray, TimeArray
 from fusion.report.series import runs
-from fusion.report.verdict import Check, Level, Limits, level_of, not_judged
+from fusion.report.verdict import Check, Level, Limits, level_of, not_judged, worst_of
 from fusion.tables import Table
 
 if TYPE_CHECKING:
@@ -26,7 +26,8 @@ def check_gyro_bias(result: FusionResult, flight: Flight, limits: Limits) -> Che
         return not_judged(name, limit, "The flight has no gyroscope stream.")
     worst, change = float(np.abs(bias).max()), float(np.ptp(bias))
     level = level_of(worst, limits.gyro_bias_rad_s)
-    value = f"{degrees(bias[-1]):+.2f}°/s at the end, changed by {degrees(change):.2f}°/s"
+    side = "right" if bias[-1] >= 0 else "left"
+    value = f"{abs(degrees(bias[-1])):.2f}°/s to the {side} at the end, changed by {degrees(change):.2f}°/s"
     if level is Level.PASS:
         return Check(name, level, value, limit, "The gyroscope's zero is where a calibrated one has it.")
     meaning = "The gyroscope turns while the vehicle does not, more than a calibrated one should."
@@ -86,15 +87,51 @@ def _spread(angle_rad: FloatArray) -> float:
     return float(np.ptp(np.unwrap(finite)))
 
 
+def check_rates(result: FusionResult, flight: Flight, limits: Limits) -> Check:
+    """Judge how often frames and inertial samples come."""
+    name = "Rates of the streams"
+    limit = (
+        f"frames: pass from {limits.frame_rate_hz[0]:g} Hz, fail below {limits.frame_rate_hz[1]:g}; "
+        f"IMU: {limits.inertial_rate_hz[0]:g}, {limits.inertial_rate_hz[1]:g}"
+    )
+    rates = {word: _rate_hz(t_ns) for word, t_ns in _streams(flight)}
+    if rates.get("frames") is None:
+        return not_judged(name, limit, "There are not two frames.")
+    value = ", ".join(f"{word} {rate:.3g} Hz" for word, rate in rates.items() if rate is not None)
+    inertial = [rate for word, rate in rates.items() if word != "frames" and rate is not None]
+    levels = [level_of(rates["frames"] or 0.0, limits.frame_rate_hz)]
+    levels.append(level_of(max(inertial), limits.inertial_rate_hz) if inertial else Level.WARN)
+    level = worst_of(*levels)
+    if level is Level.PASS:
+        return Check(name, level, value, limit, "Often enough for the motion of a small vehicle.")
+    if not inertial:
+        meaning = "Nothing inertial was logged: between frames the heading is guesswork."
+        return Check(name, level, value, limit, meaning, "Log the gyroscope, or at least the attitude.")
+    slow = "Frames" if levels[0] is level else "Inertial samples"
+    meaning = f"{slow} come so seldom that a turn between two of them is known only roughly."
+    return Check(
+        name, level, value, limit, meaning, "Raise the logging rate; the IMU needs no more than 200 Hz."
+    )
+
+
+def _streams(flight: Flight) -> list[tuple[str, TimeArray]]:
+    found: list[tuple[str, TimeArray]] = [("frames", flight.frames.t_ns)]
+    found += [("IMU", flight.imu.t_ns)] if flight.imu is not None else []
+    found += [("attitude", flight.attitude.t_ns)] if flight.attitude is not None else []
+    return found
+
+
+def _rate_hz(t_ns: TimeArray) -> float | None:
+    """Nominal rate: holes do not lower the median interval."""
+    return float(1e9 / np.median(np.diff(t_ns))) if len(t_ns) > 1 else None
+
+
 def check_gaps(result: FusionResult, flight: Flight, limits: Limits) -> Check:
     """Judge the longest hole in any stream."""
     good, bad = limits.frame_gap_s
     name, limit = "Gaps in the log", f"pass to {good:g} s, fail above {bad:g} s"
-    streams: list[tuple[str, TimeArray]] = [("frames", flight.frames.t_ns)]
-    streams += [("IMU", flight.imu.t_ns)] if flight.imu is not None else []
-    streams += [("attitude", flight.attitude.t_ns)] if flight.attitude is not None else []
     worst, where, count = 0.0, "", 0
-    for word, t_ns in streams:
+    for word, t_ns in _streams(flight):
         step = np.diff(t_ns) / 1e9
         if not step.size:
             continue

@@ -14,30 +14,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from fusion.evaluation import evaluate
 from fusion.flight import Flight
 from fusion.report import plots
 from fusion.report.checks import run_checks
+from fusion.report.checks_of_frames import REASON_WORDS
 from fusion.report.checks_of_input import all_problems
 from fusion.report.strip import Shown, choose_frames, show_frames
 from fusion.report.svg import Drawing, draw
-from fusion.report.verdict import Level, overall
+from fusion.report.verdict import Level, overall, worst_first
 from vision.errors import InputError
 
 if TYPE_CHECKING:
     from fusion.offline import FusionResult
 
-REASON_WORDS = {
-    "ok": "used",
-    "too_few_lines": "fewer than four lines meet",
-    "ambiguous": "two directions fit equally well",
-    "uncertain": "heading too uncertain to use",
-    "blur": "turning too fast for the exposure",
-    "gate": "disagrees with the filter",
-    "unreadable": "picture does not decode",
-    "late": "came too late",
-}
 TIMING_WORDS = {
     "vision_s": ("Reading and measuring all pictures", "s"),
     "filter_s": ("Filter", "s"),
@@ -78,13 +70,6 @@ class Caption:
 
 def render_report(result: FusionResult, flight: Flight) -> str:
     """Return the page as text; see `fusion.report.write_report`."""
-    environment = Environment(
-        loader=PackageLoader("fusion.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     checks = run_checks(result, flight)
     level = overall(checks)
     context = {
@@ -92,7 +77,8 @@ def render_report(result: FusionResult, flight: Flight) -> str:
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "level": level,
         "verdict": VERDICT_WORDS[level],
-        "checks": checks,
+        "checks": worst_first(checks),
+        "concerns": [check.name for check in worst_first(checks) if check.level in (Level.FAIL, Level.WARN)],
         "facts": facts(result, flight),
         "figures": figures(result, flight),
         "statuses": status_shares(result),
@@ -105,7 +91,27 @@ def render_report(result: FusionResult, flight: Flight) -> str:
         "problems": all_problems(result, flight),
         "timings": timings(result),
     }
-    return environment.get_template("page.html.j2").render(context)
+    return _environment().get_template("page.html.j2").render(context)
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("fusion.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["code"] = _with_code
+    return environment
+
+
+def _with_code(text: str) -> Markup:
+    """Set what stands between back quotes as code; everything is escaped."""
+    parts = [escape(part) for part in text.split("`")]
+    return Markup("").join(
+        Markup("<code>{}</code>").format(part) if k % 2 else part for k, part in enumerate(parts)
+    )
 
 
 def replace_text(path: str | Path, text: str) -> None:
@@ -168,7 +174,7 @@ def figures(result: FusionResult, flight: Flight) -> list[Figure]:
     if np.isfinite(result.frames["test_ratio"]).any():
         text = (
             "What each frame said beyond the prediction, and its square over that of the gate: "
-            "a frame above one is refused."
+            "a frame above one is refused. Values beyond the scale stand at its edge."
         )
         panels = (
             partial(plots.plot_innovations, result=result),

@@ -31,6 +31,7 @@ VISION = "#59616b"
 REJECTED = "#d55e00"
 IMU_YAW = "#e69f00"
 RAW_YAW = "#cc79a7"
+_RATIO_SHOWN = (2.2e-4, 6e1)  # beyond it, at the edge of the axis
 STATUS_COLOUR = {"initialising": "#b4bac1", "tracking": "#7cc4e8", "coasting": "#e8b33a", "lost": "#d1495b"}
 
 
@@ -100,12 +101,12 @@ def plot_innovations(ax: Axes, result: FusionResult) -> None:
         gate = np.abs(innovation) / np.sqrt(frames["test_ratio"])
     gate[~np.isfinite(gate)] = np.nan
     known = np.isfinite(gate)
+    top = 1.6 * float(np.percentile(gate[known], 95)) if known.any() else np.inf
     _band(ax, t[known], np.zeros(known.sum()), gate[known], np.array([], dtype=np.int64), FAINT, "gate")
     ax.axhline(0.0, color=FAINT, lw=0.6, zorder=1)
     if known.any():
-        top = 1.6 * float(np.percentile(gate[known], 95))
         ax.set_ylim(-top, top)
-    _plot_frames(ax, t, innovation, frames)
+    _plot_frames(ax, t, np.clip(innovation, -0.95 * top, 0.95 * top), frames)  # NaN stays
     _decorate(ax, result, "Innovation, degrees")
 
 
@@ -117,7 +118,7 @@ def plot_test_ratio(ax: Axes, result: FusionResult) -> None:
     ax.set_ylim(1e-4, 1e2)
     ax.yaxis.set_minor_locator(NullLocator())
     ax.axhline(1.0, color=REJECTED, lw=0.9, zorder=1, label="limit of the test ratio")
-    _plot_frames(ax, t, np.maximum(frames["test_ratio"], 1.5e-4), frames)
+    _plot_frames(ax, t, np.clip(frames["test_ratio"], *_RATIO_SHOWN), frames)
     _decorate(ax, result, "Test ratio")
 
 
@@ -185,12 +186,14 @@ def mark_status(ax: Axes, result: FusionResult) -> None:
 def _plot_imu_yaw(ax: Axes, attitude: AttitudeStream, table: Table, origin_ns: int) -> None:
     aligned, raw = aligned_imu_yaw(attitude, table)
     t = seconds(attitude.t_ns, origin_ns)
+    row = np.clip(np.searchsorted(table["timestamp_ns"], attitude.t_ns, side="right") - 1, 0, len(table) - 1)
+    switches = np.flatnonzero(np.diff(table["corridor_index"][row])) + 1
     for yaw, colour, label in (
         (raw, RAW_YAW, "IMU yaw less a constant"),
         (aligned, IMU_YAW, "IMU yaw less its offset"),
     ):
         degrees = np.degrees(yaw)
-        _line(ax, t, degrees, _wraps(degrees), colour, 1.0, label)
+        _line(ax, t, degrees, np.union1d(switches, _wraps(degrees)), colour, 1.0, label)
 
 
 def _yaw_of(q: FloatArray) -> FloatArray:

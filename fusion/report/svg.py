@@ -63,7 +63,7 @@ def draw(name: str, title: str, panels: Sequence[Panel]) -> Drawing:
     title
         What a screen reader says of the picture.
     """
-    wide, keys = _svg(f"{name}-w", title, panels, size_in=(10.0, 2.75), font_pt=8.6)
+    wide, keys = _svg(f"{name}-w", title, panels, size_in=(10.0, 2.75), font_pt=9.2)
     narrow, _ = _svg(f"{name}-n", title, panels, size_in=(5.0, 2.9), font_pt=10.5)
     return Drawing(wide, narrow, keys)
 

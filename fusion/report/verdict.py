@@ -49,6 +49,11 @@ class Limits:
 
     accepted_share: tuple[float, float] = (0.80, 0.50)
     over_gate_share: tuple[float, float] = (0.05, 0.20)
+    one_reason_share: tuple[float, float] = (0.10, 0.30)
+    late_s: tuple[float, float] = (0.020, 0.060)
+    late_std_s: float = 0.008
+    frame_rate_hz: tuple[float, float] = (8.0, 2.0)
+    inertial_rate_hz: tuple[float, float] = (50.0, 2.0)
     coast_s: tuple[float, float] = (2.0, 10.0)
     across_rad: float = radians(50.0)
     across_s: float = 3.0
@@ -58,6 +63,7 @@ class Limits:
     yaw_step_rad: float = radians(3.0)
     innovation_ratio: tuple[float, float] = (1.5, 3.0)
     truth_sigma_p90: tuple[float, float] = (2.0, 4.0)
+    truth_nees: tuple[float, float] = (3.0, 10.0)
     frame_gap_s: tuple[float, float] = (0.5, 5.0)
     heading_rmse_rad: tuple[float, float] = (radians(0.5), radians(2.0))
     offset_rmse_m: tuple[float, float] = (0.10, 0.30)
@@ -76,10 +82,22 @@ def level_of(value: float, limits: tuple[float, float]) -> Level:
     return Level.WARN if value <= bad else Level.FAIL
 
 
+_WORST_FIRST = (Level.FAIL, Level.WARN, Level.PASS, Level.NOT_JUDGED)
+
+
+def worst_of(*levels: Level) -> Level:
+    """Return the worst level; ``not_judged`` is the least of all."""
+    return min(levels, key=_WORST_FIRST.index)
+
+
+def worst_first(checks: Sequence[Check]) -> list[Check]:
+    """Order checks by how much they matter to a reader, those alike as they were."""
+    return sorted(checks, key=lambda check: _WORST_FIRST.index(check.level))
+
+
 def overall(checks: Sequence[Check]) -> Level:
     """Return the worst level of all; ``not_judged`` counts only where nothing was judged."""
-    found = {check.level for check in checks}
-    return next((level for level in (Level.FAIL, Level.WARN, Level.PASS) if level in found), Level.NOT_JUDGED)
+    return worst_of(Level.NOT_JUDGED, *(check.level for check in checks))
 
 
 def not_judged(name: str, limit: str, why: str) -> Check:
