@@ -56,8 +56,13 @@ def _lines(model: BaseModel, prefix: str, folder: Path, notes: Mapping[str, str]
             continue
         dotted = prefix + key
         remarks = [_MEANING.get(dotted) or _MEANING.get(key), notes.get(dotted)]
-        remark = "; ".join(" ".join(text.split()) for text in remarks if text)
+        remark = "; ".join(_in_one_line(text) for text in remarks if text)
         yield f"{key} = {_value(value, folder)}" + (f"  # {remark}" if remark else "")
+
+
+def _in_one_line(text: str) -> str:
+    """Keep a comment within its line: no line breaks, nothing that TOML forbids."""
+    return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
 
 
 def _value(value: Any, folder: Path) -> str:
