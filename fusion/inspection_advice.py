@@ -118,7 +118,7 @@ def _better(usable: Mapping[Kind, StreamFindings], unclear: Mapping[Kind, str]) 
         carried = (
             "the attitude's yaw carries" if Kind.ATTITUDE in usable else "nothing but a steady turn carries"
         )
-        yield f"no gyroscope: {carried} the heading between pictures; [imu] file in a flight.toml names an IMU's log"
+        yield f"no gyroscope: {carried} the heading between pictures; --imu LOG names one, or [imu] in a flight.toml"
     if imu is not None and imu.imu is not None:
         if imu.imu.usual_accel_m_s2 is None:
             yield "no accelerometer: roll and pitch come from the attitude alone"

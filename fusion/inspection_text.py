@@ -76,7 +76,7 @@ def _wrapped(text: str, first: str, then: str) -> list[str]:
 def _block(stream: StreamFindings, texts: Sequence[str]) -> list[str]:
     if not texts and not stream.note:
         return []
-    head = f"{stream.name}, {stream.kind}"
+    head = stream.name if stream.name == stream.kind else f"{stream.name}, {stream.kind}"
     lines = ["", *_wrapped(f"{head}: {stream.note}" if stream.note else head, "", "    ")]
     for text in texts:
         lines += _wrapped(text, "  ", "    ")
@@ -247,7 +247,8 @@ def _problems(inspection: Inspection, start_ns: int | None) -> Iterator[str]:
             yield text if stream.name in text else f"{stream.name}: {text}"
         yield from _timing_problems(stream, start_ns)
     for finding in inspection.findings:
-        if finding.severity is Severity.WARNING:  # what has to be put right first is said there
+        # errors stand among what has to be put right first, jumps beside the stream's other times
+        if finding.severity is Severity.WARNING and finding.kind != "time_jump":
             yield finding.sentence
 
 

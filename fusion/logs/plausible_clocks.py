@@ -12,6 +12,7 @@ from fusion.logs.findings import Advice, Finding, Severity
 
 UNIX_FROM_NS = 946_684_800 * 10**9  # the year 2000: no boot is that old
 UNIX_TO_NS = 4_102_444_800 * 10**9  # the year 2100
+JUMP_NS = 60_000_000_000  # a minute without a sample
 MIN_COVERED = 0.9  # of the frames, by a stream that is to help them
 
 #: Plausible median steps in seconds: shortest and longest of each stream.
@@ -32,6 +33,8 @@ def examine_clocks(streams: Mapping[str, TimeArray], advice: Advice) -> Iterator
         for finding in _unit(name, t_ns):
             wrong_unit = True
             yield finding
+    for name, t_ns in streams.items():
+        yield from _jumps(name, t_ns)
     frames = streams.get("camera")
     if wrong_unit or frames is None or len(frames) == 0:
         return
@@ -65,6 +68,21 @@ def _unit(name: str, t_ns: TimeArray) -> Iterator[Finding]:
             "time_unit",
             f"its samples are {step_s:.3g} s apart",
             "too slow to be of use" + ("; were nanoseconds multiplied by 1000?" if fits else ""),
+        )
+
+
+def _jumps(name: str, t_ns: TimeArray) -> Iterator[Finding]:
+    steps = np.diff(t_ns)
+    jumps = np.flatnonzero(steps >= JUMP_NS)
+    if len(jumps):
+        first = int(jumps[0])
+        times = "once" if len(jumps) == 1 else f"{len(jumps)} times"
+        yield Finding(
+            Severity.WARNING,
+            name,
+            "time_jump",
+            f"its clock leaps ahead {times}, first by {steps[first] * 1e-9:.0f} s after {t_ns[first]}",
+            "a damaged row, or a clock that was set; cut the log there",
         )
 
 

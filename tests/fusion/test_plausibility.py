@@ -165,6 +165,10 @@ HELD = np.where(((np.arange(len(T)) // 500) % 2 == 1)[:, None], GYRO[500], GYRO)
             r"^imu: the gyroscope repeats one value for 7.5 s in all, longest 2.5 s from \d+: it hung there",
         ),
         (
+            imu(t_ns=np.append(T[:-1], T[-1] + 10**15)),
+            r"^imu: its clock leaps ahead once, first by 1000000 s after \d+ \(a damaged row, or a clock",
+        ),
+        (
             imu(t_ns=T + 7 * 10**9),
             r"^imu: it covers 53% of the frames: it runs from .* \(the rest is fused without it; where the clocks",
         ),
