@@ -121,16 +121,25 @@ def _map(layout: Layout, columns: ColumnMap | str | None, problems: list[str]) -
                 raise InputError("the column map names no data", file=layout.path, remedy=_EXAMPLE)
             return guessed.model_copy(update=columns.model_dump(exclude_unset=True)), "CSV"
         return columns, "CSV"
-    if columns is not None:
-        return READY_MAPS[columns], f"CSV ({columns})"
-    ready = ready_map_of(layout)
+    ready = columns or ready_map_of(layout)
     if ready is not None:
-        return READY_MAPS[ready], f"CSV ({ready})"
+        return _present(READY_MAPS[ready], layout), f"CSV ({ready})"
     guessed = map_of_names(layout, problems)
     if guessed is None:
         listed = ", ".join(layout.names[:20]) if layout.has_names else f"{len(layout.names)} without names"
         raise InputError(f"its columns are not known by name: {listed}", file=layout.path, remedy=_EXAMPLE)
     return guessed, "CSV"
+
+
+def _present(ready: ColumnMap, layout: Layout) -> ColumnMap:
+    """Leave out of a ready map what a file has no columns for: recorders differ; not all of it, though."""
+    absent = [
+        role
+        for role in ROLES
+        if any(isinstance(name, str) and layout.look_for(name) is None for name in getattr(ready, role) or ())
+    ]
+    named = [role for role in ROLES if getattr(ready, role) is not None]
+    return ready if absent == named else ready.model_copy(update=dict.fromkeys(absent))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

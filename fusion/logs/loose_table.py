@@ -94,7 +94,7 @@ class Layout:
                 file=self.path,
                 remedy="give columns by number, the first is 1",
             )
-        near = get_close_matches(column, self.names, n=1, cutoff=0.6)
+        near = get_close_matches(column, self.names, n=1, cutoff=0.5)
         listed = ", ".join(self.names[:20])
         remedy = f"did you mean {near[0]}?" if near else f"the columns are {listed}"
         raise InputError(f"has no column {column!r} ({key})", file=self.path, remedy=remedy)

@@ -26,7 +26,7 @@ _SPELLINGS: dict[str, TimeUnit] = {unit: unit for unit in NS} | {
     "seconds": "s",
 }
 _YEAR_2001_S, _YEAR_2100_S = 978_307_200, 4_102_444_800
-_TYPICAL_STEP_S = 0.02
+_TYPICAL_STEP_S, _LONGEST_STEP_S = 0.02, 100.0
 MISSING = np.iinfo(np.int64).min
 
 
@@ -51,11 +51,11 @@ def guess_unit(values: npt.NDArray[np.generic]) -> TimeUnit:
     """Guess the unit of numbers (n,): by the date they would be, else by a step that sensors have."""
     numbers = values.astype(np.float64)
     middle = float(np.median(numbers))
-    for unit, ns in NS.items():
-        if _YEAR_2001_S <= middle * ns / 1e9 <= _YEAR_2100_S:
-            return unit
     steps = np.abs(np.diff(numbers))
     step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 1.0
+    for unit, ns in NS.items():
+        if _YEAR_2001_S <= middle * ns / 1e9 <= _YEAR_2100_S and step * ns / 1e9 < _LONGEST_STEP_S:
+            return unit
     return min(NS, key=lambda unit: abs(np.log(step * NS[unit] / 1e9 / _TYPICAL_STEP_S)))
 
 

@@ -1,0 +1,452 @@
+"""CSV files of any shape: units and axes by hand, ready maps, damage row by row, and what cannot be read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from math import cos, radians, sin
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from fusion.flight import AttitudeStream, ImuStream, VectorStream
+from fusion.logs import open_log
+from fusion.logs.column_map import ColumnMap, Frame
+from fusion.logs.columns import open_columns
+from fusion.logs.contents import Kind
+from fusion.logs.loose_table import read_layout
+from fusion.logs.stamps import guess_unit, to_ns
+from fusion.logs.timed_rows import read_times
+from vision import InputError
+
+T0 = 1_403_636_579_763_555_584
+G = 9.80665
+
+Write = Callable[[str, str], Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def make(name: str, text: str) -> Path:
+        (tmp_path / name).write_text(text, encoding="utf-8", newline="")
+        return tmp_path / name
+
+    return make
+
+
+def rows(row: Callable[[int], str], n: int = 30) -> str:
+    return "".join(row(i) + "\n" for i in range(n))
+
+
+def imu_of(path: Path, columns: ColumnMap | str | None = None, frame: Frame | None = None) -> ImuStream:
+    return open_columns(path, columns, frame).imu("imu", [])
+
+
+def attitude_of(
+    path: Path, columns: ColumnMap | str | None = None, frame: Frame | None = None
+) -> AttitudeStream:
+    return open_columns(path, columns, frame).attitude("attitude", [])
+
+
+def rotation(stream: AttitudeStream) -> np.ndarray:
+    return Rotation.from_quat(np.roll(stream.q_world_body[0], -1)).as_matrix()
+
+
+# ------------------------------------------------------------------------------------------- units and axes
+
+
+@pytest.mark.parametrize(("unit", "one"), [("rad/s", 1.0), ("deg/s", radians(1)), ("mrad/s", 1e-3)])
+def test_units_of_the_gyroscope(write: Write, unit: str, one: float) -> None:
+    path = write("a.csv", "t,x,y,z\n" + rows(lambda i: f"{i * 10},1,2,-3"))
+    columns = ColumnMap(time="t", time_unit="ms", gyro=("x", "y", "z"), gyro_unit=unit)  # type: ignore[arg-type]
+    imu = imu_of(path, columns, "frd")
+    np.testing.assert_allclose(imu.gyro_rad_s[0], [one, 2 * one, -3 * one])
+    assert imu.t_ns[:2].tolist() == [0, 10_000_000]
+    assert np.isnan(imu.accel_m_s2).all()
+
+
+@pytest.mark.parametrize(("unit", "one"), [("m/s2", 1.0), ("g", G), ("mg", G * 1e-3), ("cm/s2", 0.01)])
+def test_units_of_the_accelerometer(write: Write, unit: str, one: float) -> None:
+    path = write("a.csv", "t,gx,gy,gz,x,y,z\n" + rows(lambda i: f"{i * 10},0,0,0,1,2,-3"))
+    columns = ColumnMap(gyro=("gx", "gy", "gz"), accel=("x", "y", "z"), accel_unit=unit)  # type: ignore[arg-type]
+    np.testing.assert_allclose(imu_of(path, columns, "frd").accel_m_s2[0], [one, 2 * one, -3 * one])
+    np.testing.assert_allclose(
+        imu_of(path, columns.model_copy(update={"accel_sign": -1}), "frd").accel_m_s2[0],
+        [-one, -2 * one, 3 * one],
+    )
+
+
+@pytest.mark.parametrize(
+    ("frame", "expected"),
+    [("frd", (1, 2, -3)), ("ned", (1, 2, -3)), ("flu", (1, -2, 3)), ("enu", (1, -2, 3))],
+)
+def test_axes_of_an_imu(write: Write, frame: Frame, expected: tuple[float, ...]) -> None:
+    path = write("a.csv", "t,gx,gy,gz,ax,ay,az\n" + rows(lambda i: f"{i * 10},1,2,-3,1,2,-3"))
+    imu = imu_of(path, None, frame)
+    np.testing.assert_allclose(imu.gyro_rad_s[0], expected)
+    np.testing.assert_allclose(imu.accel_m_s2[0], expected)
+
+
+@pytest.mark.parametrize(("z", "frame"), [(9.8, "flu"), (-9.8, "frd")])
+def test_gravity_tells_the_axes_and_it_is_said(write: Write, z: float, frame: str) -> None:
+    path = write("a.csv", "t,gx,gy,gz,ax,ay,az\n" + rows(lambda i: f"{i * 10},0,0,1,0,0,{z}"))
+    problems: list[str] = []
+    imu = open_log(path).imu("imu", problems)
+    assert imu.accel_m_s2[0, 2] == -9.8
+    assert imu.gyro_rad_s[0, 2] == (1.0 if frame == "frd" else -1.0)
+    assert any(f"axes taken as {frame}, gravity stands" in text for text in problems)
+
+
+@pytest.mark.parametrize("unit", ["rad", "deg", "mdeg"])
+def test_euler_angles_in_frd_and_flu(write: Write, unit: str) -> None:
+    """A nose turned 30 degrees right and 10 up, right side 5 down, told in either convention, is the same."""
+    one = {"rad": radians(1), "deg": 1.0, "mdeg": 1000.0}[unit]
+    right = write(
+        "frd.csv", "t,roll,pitch,yaw\n" + rows(lambda i: f"{i * 10},{5 * one},{10 * one},{30 * one}")
+    )
+    left = write(
+        "flu.csv", "t,roll,pitch,yaw\n" + rows(lambda i: f"{i * 10},{5 * one},{-10 * one},{-30 * one}")
+    )
+    columns = ColumnMap(euler=("roll", "pitch", "yaw"), euler_unit=unit)  # type: ignore[arg-type]
+    frd = attitude_of(right, columns, "frd")
+    np.testing.assert_allclose(
+        frd.q_world_body[0], attitude_of(left, columns, "flu").q_world_body[0], atol=1e-9
+    )
+    expected = Rotation.from_euler("ZYX", [30, 10, 5], degrees=True).as_matrix()
+    np.testing.assert_allclose(rotation(frd), expected, atol=1e-9)
+
+
+def test_an_attitude_to_east_north_up(write: Write) -> None:
+    """Level, nose north-east: in ENU a yaw of 45 degrees from east, in NED one of 45 from north; by hand."""
+    half = radians(45) / 2
+    path = write("a.csv", "t,qw,qx,qy,qz\n" + rows(lambda i: f"{i * 10},{cos(half)},0,0,{sin(half)}"))
+    ned = rotation(attitude_of(path, None, "enu"))
+    np.testing.assert_allclose(ned @ [1, 0, 0], [cos(2 * half), sin(2 * half), 0], atol=1e-9)  # forward
+    np.testing.assert_allclose(ned @ [0, 0, 1], [0, 0, 1], atol=1e-9)  # down
+    # East by north: 30 degrees from east towards north is 60 from north towards east.
+    half = radians(30) / 2
+    path = write("b.csv", "t,qw,qx,qy,qz\n" + rows(lambda i: f"{i * 10},{cos(half)},0,0,{sin(half)}"))
+    ned = rotation(attitude_of(path, None, "enu"))
+    np.testing.assert_allclose(ned @ [1, 0, 0], [cos(radians(60)), sin(radians(60)), 0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("frame", "expected"), [("ned", (1, 2, 3)), ("frd", (1, 2, 3)), ("flu", (1, -2, -3)), ("enu", (2, 1, -3))]
+)
+def test_positions_in_every_world(write: Write, frame: Frame, expected: tuple[float, ...]) -> None:
+    path = write("a.csv", "t;px [cm];py [cm];pz [cm]\n" + rows(lambda i: f"{i * 10};100;200;300"))
+    found = open_columns(path, None, frame).position("position", [])
+    np.testing.assert_allclose(found.xyz[0], expected)
+
+
+@pytest.mark.parametrize(
+    ("frame", "expected"),
+    [("frd", (1, 2, 3)), ("flu", (1, -2, -3)), ("ned", (2, -1, 3)), ("enu", (1, -2, -3))],
+)
+def test_velocities_of_body_and_world(write: Write, frame: Frame, expected: tuple[float, ...]) -> None:
+    """Nose to the east: yaw 90 degrees from north (NED), none from east (ENU)."""
+    yaw = 0.0 if frame == "enu" else 90.0
+    path = write("a.csv", "t,roll,pitch,yaw_deg,vx,vy,vz\n" + rows(lambda i: f"{i * 10},0,0,{yaw},1,2,3"))
+    columns = ColumnMap(
+        frame="flu" if frame == "flu" else "enu" if frame == "enu" else "frd",
+        velocity_frame=frame,
+        euler=("roll", "pitch", "yaw_deg"),
+        euler_unit="deg",
+        velocity=("vx", "vy", "vz"),
+    )
+    found = open_columns(path, columns).velocity("velocity", [])
+    np.testing.assert_allclose(found.xyz[0], expected, atol=1e-9)
+
+
+def test_a_velocity_of_the_world_needs_an_attitude(write: Write) -> None:
+    path = write("a.csv", "t,vx,vy,vz\n" + rows(lambda i: f"{i * 10},1,2,3"))
+    with pytest.raises(InputError, match=r"along the world's axes \(ned\).*use = false"):
+        open_columns(path, None, "ned").velocity("velocity", [])
+
+
+# ------------------------------------------------------------------------------------------- ready maps
+
+TELLO = "timestamp,mid,x,y,z,mpry,pitch,roll,yaw,vgx,vgy,vgz,templ,temph,tof,h,bat,baro,time,agx,agy,agz\n"
+STATE = (
+    "mid:-1;x:0;y:0;z:0;mpry:0,0,0;pitch:10;roll:-5;yaw:90;vgx:3;vgy:-4;vgz:0;templ:60;temph:62;tof:80;h:70;"
+)
+
+
+def tello(i: int) -> str:
+    state = '-1,0,0,0,"0,0,0",10,-5,90,3,-4,0,60,62,80,70,87,44.5'
+    return f"{1612345678 + i / 10:.3f},{state},{i // 10},0.00,0.00,-998.00"
+
+
+def check_tello(path: Path) -> None:
+    log = open_log(path)
+    assert log.format == "CSV (tello)"
+    assert {topic.kind for topic in log.topics} == {Kind.ATTITUDE, Kind.VELOCITY}  # it has no gyroscope
+    attitude = log.attitude("attitude", [])
+    expected = Rotation.from_euler("ZYX", [90, 10, -5], degrees=True)
+    np.testing.assert_allclose(rotation(attitude), expected.as_matrix(), atol=1e-9)
+    # 0.3 m/s along the first axis of the world and 0.4 against the second; the nose points along the second.
+    velocity = log.velocity("velocity", [])
+    np.testing.assert_allclose(velocity.xyz[0], expected.inv().apply([0.3, -0.4, 0.0]), atol=1e-9)
+    assert attitude.t_ns[0] == 1_612_345_678_000_000_000
+    assert attitude.t_ns[1] - attitude.t_ns[0] == 100_000_000
+
+
+def test_tello_state_as_csv(write: Write) -> None:
+    check_tello(write("tello.csv", TELLO + rows(tello)))
+
+
+@pytest.mark.parametrize("between", [" ", ",", ";", ", "])
+def test_tello_state_as_it_comes_over_the_network(write: Write, between: str) -> None:
+    text = rows(
+        lambda i: f"{1612345678 + i / 10:.3f}{between}{STATE}bat:87;baro:44.50;time:{i};agz:-998.00;\r"
+    )
+    check_tello(write("state.txt", text))
+
+
+def test_tello_state_without_a_time(write: Write) -> None:
+    text = rows(lambda i: f"{STATE}bat:87;baro:44.50;time:{i // 10};agz:-998.00;", 60)
+    with pytest.raises(
+        InputError, match=r"times in column 'time' repeat: .*too coarse.*log the time of each row"
+    ):
+        open_log(write("state.txt", text))
+
+
+def test_ardrone_of_ros(write: Write) -> None:
+    text = "%time,rotX,rotY,rotZ,altd,vx,vy,vz,ax,ay,az,tm\n"
+    text += rows(lambda i: f"{T0 + i * 5_000_000},5,-10,-30,0,500,100,0,0,0,1,{5000 * i + 77}")
+    log = open_log(write("navdata.csv", text))
+    assert log.format == "CSV (ardrone_ros)"
+    attitude = log.attitude("attitude", [])
+    expected = Rotation.from_euler("ZYX", [30, 10, 5], degrees=True).as_matrix()  # FLU: y and z change sign
+    np.testing.assert_allclose(rotation(attitude), expected, atol=1e-9)
+    np.testing.assert_allclose(log.velocity("velocity", []).xyz[0], [0.5, -0.1, 0.0])
+    assert attitude.t_ns[:2].tolist() == [77_000, 5_077_000]
+
+
+def test_ardrone_of_its_own_sdk(write: Write) -> None:
+    text = "time_ms,theta,phi,psi,altitude,vx,vy,vz\n" + rows(
+        lambda i: f"{i * 5},10000,5000,30000,0,500,100,0"
+    )
+    log = open_log(write("navdata.csv", text))
+    expected = Rotation.from_euler("ZYX", [30, 10, 5], degrees=True).as_matrix()
+    np.testing.assert_allclose(rotation(log.attitude("attitude", [])), expected, atol=1e-9)
+    np.testing.assert_allclose(log.velocity("velocity", []).xyz[0], [0.5, 0.1, 0.0])
+
+
+# ------------------------------------------------------------------------------------------- names and shapes
+
+
+@pytest.mark.parametrize(
+    ("header", "unit"),
+    [
+        ("#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]", 1.0),
+        ("timestamp_ns,gyro_x,gyro_y,gyro_z", 1.0),
+        ("timestamp_ns,gyro_x_dps,gyro_y_dps,gyro_z_dps", radians(1)),
+        ("timestamp_ns,Gyro X (deg/s),Gyro Y (deg/s),Gyro Z (deg/s)", radians(1)),
+        ("%time,field.angular_velocity.x,field.angular_velocity.y,field.angular_velocity.z", 1.0),
+        ("t,wx [°/s],wy [°/s],wz [°/s]", radians(1)),
+    ],
+)
+def test_usual_names_need_no_map(write: Write, header: str, unit: float) -> None:
+    path = write("a.csv", header + "\n" + rows(lambda i: f"{T0 + i * 5_000_000},1,2,3"))
+    imu = imu_of(path, None, "frd")
+    np.testing.assert_allclose(imu.gyro_rad_s[0], np.array([1, 2, 3]) * unit)
+    assert imu.t_ns[0] == T0  # every digit
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "{t};0,5;1,5;-2,5",
+        "{t},0.5,1.5,-2.5",
+        "{t}\t0.5\t1.5\t-2.5",
+        "{t}   0.5  1.5 -2.5",
+        '"{t}","0.5","1.5","-2.5"',
+    ],
+    ids=["german", "comma", "tab", "blanks", "quoted"],
+)
+@pytest.mark.parametrize("header", [True, False])
+def test_separators_decimal_commas_and_no_header(write: Write, line: str, header: bool) -> None:
+    separator = next(s for s in (";", "\t", ",", " ") if s in line)
+    text = (separator.join(["when", "x", "y", "z"]) + "\n") * header + rows(lambda i: line.format(t=i * 10))
+    columns = ColumnMap(time="when", gyro=("x", "y", "z")) if header else ColumnMap(time=1, gyro=(2, 3, 4))
+    imu = imu_of(write("a.csv", text), columns, "frd")
+    np.testing.assert_allclose(imu.gyro_rad_s, np.tile([0.5, 1.5, -2.5], (30, 1)))
+    assert imu.t_ns[-1] == 290_000_000
+
+
+def test_dates_are_times(write: Write) -> None:
+    text = "datetime,roll,pitch,yaw\n" + rows(lambda i: f"2021-03-05 12:00:{i:02d}.250,0,0,0")
+    assert attitude_of(write("a.csv", text), None, "frd").t_ns[0] == 1_614_945_600_250_000_000
+    text = "datetime,roll,pitch,yaw\n" + rows(lambda i: f"2021-03-05T13:00:{i:02d}.25+01:00,0,0,0")
+    assert attitude_of(write("b.csv", text), None, "frd").t_ns[0] == 1_614_945_600_250_000_000
+
+
+@pytest.mark.parametrize("unit", ["ns", "us", "ms", "s"])
+@pytest.mark.parametrize("start", [0, T0])
+@pytest.mark.parametrize("step_s", [0.002, 0.005, 0.02, 0.1])
+def test_the_unit_of_times_is_found(unit: str, start: int, step_s: float) -> None:
+    ns = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}[unit]
+    t_ns = start + (np.arange(50) * step_s * 1e9).astype(np.int64)
+    values = t_ns / ns if unit == "s" else t_ns // ns
+    assert guess_unit(values) == unit
+    assert np.abs(to_ns(values, unit) - t_ns).max() <= max(ns if unit != "s" else 1000, 1)  # type: ignore[arg-type]
+
+
+@given(st.lists(st.integers(-(2**61), 2**61), min_size=1, max_size=20, unique=True))
+@settings(max_examples=50, deadline=None)
+def test_whole_nanoseconds_keep_every_digit(values: list[int]) -> None:
+    assert to_ns(np.array(values, dtype=np.int64), "ns").tolist() == values
+
+
+# ------------------------------------------------------------------------------------------- damage
+
+
+def test_damaged_rows_are_dropped_and_counted(write: Write) -> None:
+    good = [f"{T0 + i * 5_000_000},1,2,3" for i in range(40)]
+    bad = list(good)
+    bad[3], bad[7], bad[20] = "what,is,this,row", f"{T0},1", "\0\0\0"[:0] + "x;y"
+    path = write("a.csv", "t,gx,gy,gz\n" + "\n".join(bad) + "\n")
+    log = open_columns(path, None, "frd")
+    assert len(log.imu("imu", []).t_ns) == 37
+    assert any(
+        text.startswith("a.csv: 3 rows damaged, dropped, the first is 'what,is,this") for text in log.problems
+    )
+
+
+def test_empty_fields_are_no_numbers(write: Write) -> None:
+    text = "t,gx,gy,gz,ax,ay,az\n" + rows(lambda i: f"{i * 10},1,2,{'' if i == 4 else 3},,,")
+    problems: list[str] = []
+    imu = open_columns(write("a.csv", text), None, "frd").imu("imu", problems)
+    assert len(imu.t_ns) == 29
+    assert any("1 row with a gyro value" in text for text in problems)
+
+
+def test_a_torn_end_costs_one_row(write: Write) -> None:
+    text = "t,gx,gy,gz\n" + rows(lambda i: f"{i * 10},1.25,2.25,3.25")
+    log = open_columns(write("a.csv", text[:-4]), None, "frd")
+    assert len(log.imu("imu", []).t_ns) == 29
+    assert "a.csv: the last line is cut short, dropped" in log.problems
+
+
+def test_cut_anywhere_it_reads_or_says_why(write: Write) -> None:
+    text, said = TELLO + rows(tello, 6), []
+    for end in range(0, len(text), 7):
+        try:
+            log = open_log(write("cut.csv", text[:end]))
+            for topic in log.topics:
+                getattr(log, topic.kind.value)(topic.name, [])
+        except InputError as error:
+            said.append(str(error))
+    assert said
+    assert not any("\n" in text for text in said)
+
+
+@given(st.binary(max_size=200))
+@settings(max_examples=80, deadline=None)
+def test_any_bytes_read_or_say_why(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+    path = tmp_path_factory.mktemp("bytes") / "a.csv"
+    path.write_bytes(data)
+    with suppress(InputError):  # and nothing else
+        open_log(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "columns", "message"),
+    [
+        ("", None, r"is empty"),
+        ("a,b\n", None, r"has a header but no rows"),
+        (
+            "a,b,c\n1,2,3\n",
+            None,
+            r"its columns are not known by name: a, b, c \(name them in flight\.toml, as in",
+        ),
+        ("1,2,3\n2,3,4\n", None, r"not known by name: 3 without names"),
+        ("a,gx,gy,gz\n1,2,3,4\n", None, r"has no column of time stamps: a, gx, gy, gz \(name it"),
+        ("t,gx,gy,gz\n1,2,3,4\n", ColumnMap(gyro=("gx", "gy", "hz")), r"no column 'hz' .*did you mean gz\?"),
+        (
+            "t,gx,gy,gz\n1,2,3,4\n",
+            ColumnMap(gyro=("gx", "gy", "blue")),
+            r"no column 'blue' .*the columns are t, gx",
+        ),
+        (
+            "1,2,3,4\n1,2,3,4\n",
+            ColumnMap(gyro=("gx", "gy", "gz")),
+            r"has no header.*\(give columns by number",
+        ),
+        (
+            "t,gx\n1,2\n",
+            ColumnMap(time=1, gyro=(2, 3, 4)),
+            r"has 2 columns, none of number 3 \(columns\.gyro\)",
+        ),
+        (
+            "t,gx,gy,gz\na,b,c,d\ne,f,g,h\n",
+            ColumnMap(gyro=("gx", "gy", "gz")),
+            r"has no row of the numbers wanted",
+        ),
+        ("t,x\n1,2\n", ColumnMap(time="t"), r"the column map names no data"),
+        ("t,gx,gy,gz\n\0", None, r"is no text file"),
+    ],
+)
+def test_what_cannot_be_read_says_what_to_do(
+    write: Write, text: str, columns: ColumnMap | None, message: str
+) -> None:
+    with pytest.raises(InputError, match=rf"a\.csv: .*{message}") as caught:
+        open_columns(write("a.csv", text), columns)
+    assert caught.value.remedy
+
+
+def test_long_files_are_read_in_blocks(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows across the borders of blocks are neither lost nor doubled."""
+    monkeypatch.setattr("fusion.logs.loose_table._BLOCK_BYTES", 100)
+    monkeypatch.setattr("fusion.logs.loose_table._PIECE_ROWS", 3)
+    lines = [f"{i * 10},{i},2,3" for i in range(200)]
+    lines[77] = "broken"
+    imu = imu_of(write("a.csv", "t,gx,gy,gz\n" + "\n".join(lines) + "\n"), None, "frd")
+    assert imu.gyro_rad_s[:, 0].tolist() == [i for i in range(200) if i != 77]
+
+
+# ------------------------------------------------------------------------------------------- times of pictures
+
+
+def test_times_of_pictures(write: Write) -> None:
+    problems: list[str] = []
+    named = read_times(write("t.csv", "name,time_s\n" + rows(lambda i: f"{i}.jpg,{i / 20}")), None, problems)
+    assert named.names is not None
+    assert named.names[2] == "2.jpg"
+    assert named.t_ns[2] == 100_000_000
+    plain = read_times(
+        write("t.txt", "# timecode format v2\n" + rows(lambda i: f"{i * 33.333:.3f}")), None, problems
+    )
+    assert plain.names is None
+    assert plain.t_ns[1] == 33_333_000
+    assert problems == ["t.txt: times taken for milliseconds; time_unit in flight.toml says otherwise"]
+
+
+def test_a_broken_row_keeps_the_numbers_of_the_others(write: Write) -> None:
+    times = read_times(write("t.csv", "time_ms\n0\n50\nbroken\n150\n"), None, [])
+    assert times.row.tolist() == [0, 1, 3]
+    assert times.t_ns.tolist() == [0, 50_000_000, 150_000_000]
+
+
+def test_layouts_are_found(write: Write) -> None:
+    layout = read_layout(write("a.csv", "# a remark\n# time [s];gyro x [deg/s]\n1,5;2,5\n2,5;3\n"))
+    assert (layout.separator, layout.decimal_comma) == (";", True)
+    assert layout.names == ("time", "gyro x")
+    assert layout.units == ("s", "deg/s")
+
+
+def test_the_streams_are_of_their_types(write: Write) -> None:
+    text = "t,gx,gy,gz,qw,qx,qy,qz,px,py,pz,vx,vy,vz\n" + rows(
+        lambda i: f"{i * 10},0,0,0,1,0,0,0,1,2,3,4,5,6"
+    )
+    log = open_columns(write("a.csv", text), None, "frd")
+    assert [topic.name for topic in log.topics] == ["imu", "attitude", "position", "velocity"]
+    assert isinstance(log.position("position", []), VectorStream)
+    assert log.camera("imu") is None
+    with pytest.raises(InputError, match="carries no pictures"):
+        log.frames("imu", [])
