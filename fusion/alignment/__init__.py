@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from fusion.alignment.align import align_flight
+from fusion.alignment.align import align_flight, apply_alignment
 from fusion.alignment.result import Alignment, Quantity
 
-__all__ = ["Alignment", "Quantity", "align_flight"]
+__all__ = ["Alignment", "Quantity", "align_flight", "apply_alignment"]

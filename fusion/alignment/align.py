@@ -93,6 +93,14 @@ def align_flight(
     )
 
 
+def apply_alignment(flight: Flight, alignment: Alignment) -> Flight:
+    """Return the flight with the corrections of its alignment: what reading it with the manifest would give."""
+    frames = flight.frames
+    if alignment.clock_offset.changes:
+        frames = replace(frames, t_ns=frames.t_ns + round(alignment.clock_offset.value * 1e9))
+    return replace(flight, frames=frames, camera=alignment.camera)
+
+
 def ordinary_camera(camera: Camera) -> Camera:
     """Return what to start from where nothing is known of a camera but the size of its pictures."""
     from vision.field_of_view import ordinary_field_of_view

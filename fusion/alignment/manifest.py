@@ -57,7 +57,6 @@ def load_to_align(path: str | Path, camera: Path | None = None) -> Loaded:
 
 def _size_of_uncalibrated(manifest: Manifest) -> tuple[int, int] | None:
     """Width and height of the pictures where neither manifest nor log has a calibration; None: there is one."""
-    from fusion.logs import open_log
     from fusion.logs.assembly import open_as_told
     from fusion.logs.choice import choose_topic
     from fusion.logs.contents import Kind
@@ -66,7 +65,7 @@ def _size_of_uncalibrated(manifest: Manifest) -> tuple[int, int] | None:
     path = source.file or manifest.log
     if source.calibration is not None or path is None or not path.exists():
         return None
-    log = open_as_told(path, source) or open_log(path)
+    log = open_as_told(path, source)
     topic = choose_topic(log, Kind.FRAMES, source.topic, [])
     if topic is None or log.camera(topic) is not None:
         return None
@@ -155,6 +154,7 @@ def corrected(manifest: Manifest, alignment: Alignment) -> tuple[Manifest, dict[
     def put(quantity: Quantity, value: float, digits: int) -> None:
         if quantity.changes:
             changes[quantity.name] = round(value, digits)
+        if quantity.usable:
             notes[f"camera.{quantity.name}"] = note_of(quantity)
 
     put(alignment.clock_offset, source.clock_offset_s + alignment.clock_offset.value, 6)
@@ -167,13 +167,12 @@ def corrected(manifest: Manifest, alignment: Alignment) -> tuple[Manifest, dict[
 
 def _body_frame(manifest: Manifest, calibration: Path) -> BodyFrame:
     """Return the axes in which a calibration at this place will be read."""
-    from fusion.logs import open_log
     from fusion.logs.assembly import open_as_told
     from vision.calibration import check_body_frame, read_body_frame
 
     source = manifest.camera
     path = source.file or manifest.log
-    log = None if path is None else open_as_told(path, source) or open_log(path)
+    log = None if path is None else open_as_told(path, source)
     frame = getattr(log, "body_frame", None)
     if frame is None:
         return read_body_frame(calibration.parent.parent / "body.yaml")

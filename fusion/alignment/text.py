@@ -30,7 +30,10 @@ def alignment_text(alignment: Alignment) -> str:
 
 def note_of(quantity: Quantity) -> str:
     """Return the comment that stands beside a quantity in a manifest."""
-    return f"sigma {_numbers(quantity)[1]}, by corridor align"
+    value, sigma = _numbers(quantity)
+    if quantity.changes:
+        return f"corridor align: sigma {sigma}"
+    return f"corridor align: {value} off, sigma {sigma}, so left as it is"
 
 
 def _verdict(quantity: Quantity) -> str:
