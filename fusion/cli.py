@@ -143,7 +143,7 @@ def fuse(
 ) -> None:
     """Fuse a flight and write its files."""
     from fusion import FusionConfig, fuse_flight
-    from fusion.exports import check_formats
+    from fusion.exports import check_formats, remarks
     from fusion.fuse_options import flight_from_options
     from fusion.outputs import check_out_dir, write_outputs
     from fusion.summary_text import fusion_text
@@ -161,7 +161,7 @@ def fuse(
         result = fuse_flight(log, settings, method=method.value, progress=progress)
     with progress_bar("writing") as progress:
         write_outputs(result, log, folder, exports=exports, frame=frame, progress=progress)
-    typer.echo(fusion_text(result.summary, folder))
+    typer.echo(fusion_text(result.summary, folder, remarks(exports, frame)))
 
 
 @app.command(help=cli_help.INSPECT, short_help="Say what a log holds, and what can be made of it.")

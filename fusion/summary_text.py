@@ -52,8 +52,18 @@ def measured_text(table: Table, out: Path | None, overlay: Path | None) -> str:
     return "; ".join([f"{counted(len(table), 'picture')}: {', '.join(parts)}", *places])
 
 
-def fusion_text(summary: Mapping[str, Any], folder: Path) -> str:
-    """Lay out a fused flight's summary for reading: frames, errors, speed, outputs and verdict."""
+def fusion_text(summary: Mapping[str, Any], folder: Path, remarks: Sequence[str] = ()) -> str:
+    """Lay out a fused flight's summary for reading: frames, errors, speed, outputs and verdict.
+
+    Parameters
+    ----------
+    summary
+        Of a `fusion.FusionResult`.
+    folder
+        Where the outputs lie.
+    remarks
+        What else is to be known of the outputs, a line each.
+    """
     counts, timings = summary["counts"], summary["timings"]
     frames = counts["frames"]
     rejected = {word: count for word, count in counts["by_reason"].items() if word != "ok"}
@@ -70,6 +80,7 @@ def fusion_text(summary: Mapping[str, Any], folder: Path) -> str:
         "",
         _line("speed", _speed(timings)),
         _line("outputs", f"{folder} (open {folder / 'report.html'})"),
+        *(_line("", remark) for remark in remarks),
         *(_line("problem", problem) for problem in summary["problems"]),
         "",
         _line("verdict", summary["verdict"]),

@@ -159,6 +159,30 @@ class TestFuse:
         assert run.code == 0, run.err
         assert json.loads(Path("out/summary.json").read_text())["method"] == "paper"
 
+    def test_exports_in_ros_signs_and_their_evaluation(
+        self, corridor: Corridor, start_of_office: Path
+    ) -> None:
+        assert corridor("fuse", start_of_office, "-o", "frd").code == 0
+        run = corridor("fuse", start_of_office, "-o", "ros", "--export", "tum", "--frame", "ros")
+        assert run.code == 0, run.err
+        assert "estimates.tum, smoothed.tum" in run.out
+        assert "positive to the left" in run.out
+        assert set(os.listdir("ros")) == {*OUTPUT_FILES, "estimates.tum", "smoothed.tum"}
+        frd, ros = (
+            read_table(f"{name}/estimates.csv", ESTIMATE_DTYPE)["heading_rad"] for name in ("frd", "ros")
+        )
+        np.testing.assert_allclose(ros, -frd, atol=1e-9)
+        run = corridor("evaluate", "frd", "ros", "--truth", start_of_office, "--json")
+        assert run.code == 0, run.err
+        one, other = (output["causal"]["heading"] for output in json.loads(run.out)["outputs"])
+        assert one["rmse_rad"] == pytest.approx(other["rmse_rad"])
+        assert one["rmse_rad"] < np.radians(0.5)
+
+    def test_an_unknown_export_is_refused_before_the_work(
+        self, corridor: Corridor, start_of_office: Path
+    ) -> None:
+        refused(corridor("fuse", start_of_office, "--export", "hdf5"), "hdf5", "parquet, tum, mcap")
+
     def test_a_folder_that_is_missing(self, corridor: Corridor) -> None:
         refused(corridor("fuse", "nowhere"), "nowhere", "no such")
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fusion.flight import Flight
     from fusion.offline import FusionResult
 
-__all__ = ["EXPORT_FILES", "Format", "Frame", "check_formats", "write_exports"]
+__all__ = ["EXPORT_FILES", "Format", "Frame", "check_formats", "remarks", "write_exports"]
 
 
 class Format(StrEnum):
@@ -58,6 +58,15 @@ def check_formats(words: Iterable[str]) -> tuple[Format, ...]:
             )
         found.append(Format(name))
     return tuple(found)
+
+
+def remarks(formats: Iterable[Format], frame: Frame) -> list[str]:
+    """Say, a line each, what lies beside the tables, and which way all of them count where that is not FRD."""
+    names = [name for kind in formats for name in EXPORT_FILES[kind]]
+    found = [f"and {', '.join(names)}"] if names else []
+    if frame is Frame.ROS:
+        found.append("in ROS's conventions: headings, turns and offsets count positive to the left")
+    return found
 
 
 def write_exports(
