@@ -1,4 +1,4 @@
-"""What frames say of the axis: the start, votes against the present axis, recovery, and other corridors.
+"""The engine's third part, what frames say of the axis: start, votes against it, recovery, other corridors.
 
 What the gate rejects is not thrown away but put by as a vote for another axis, in the dead-reckoned frame, in which
 the axis of a corridor stays where it is however the vehicle turns. Once enough votes agree, they mean one of three
@@ -19,8 +19,8 @@ from math import isfinite, nan, pi, radians
 import numpy as np
 
 from fusion.consensus import Agreement, Vote, add_vote, agreement
+from fusion.imu_yaw import ImuYaw
 from fusion.models import BIAS, N_STATES, OFFSET, PSI, V, Y, heading_model, wrap_axis
-from fusion.propagation import Propagation
 from fusion.state import UNKNOWN_HEADING_STD_RAD, UNKNOWN_LATERAL_STD, PreviousAxis
 
 VOTE_AGE_S = 3.0
@@ -38,7 +38,7 @@ REAL_CORRIDOR_OFFSETS = 10
 GLANCE_S = 3.0
 
 
-class Axes(Propagation):
+class Axes(ImuYaw):
     """The part of the engine that knows which axis the heading is measured from."""
 
     def _confirm(self, t_ns: int) -> None:

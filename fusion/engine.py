@@ -1,4 +1,4 @@
-"""The engine's second half: what a frame does to the state.
+"""The engine's last part: what a frame does to the state.
 
 A frame is measured with what the filter expects, gated, and taken in; with it the lateral offset, the corridor's
 width and the elevation of the camera. What the gate rejects goes to `fusion.axes`.
@@ -21,6 +21,7 @@ from fusion.state import (
     Mode,
     frame_age_limit_s,
     half_width_m,
+    next_interval_s,
     seconds_since,
 )
 from fusion.trust import Trust, as_if_independent, correlation, genuine, learn, weakened
@@ -77,10 +78,7 @@ class Engine(Axes):
         s = self.state
         self._leave_silent_gyro(t_ns)
         self._advance(t_ns)
-        if s.t_frame_ns is not None:
-            interval = (t_ns - s.t_frame_ns) * 1e-9
-            old = s.frame_interval_s
-            s.frame_interval_s = 0.8 * old + 0.2 * min(interval, 3 * old) if isfinite(old) else interval
+        s.frame_interval_s = next_interval_s(s.frame_interval_s, s.t_frame_ns, t_ns)
         s.t_frame_ns = t_ns
         if measure is None:
             result = FrameResult(stamp_ns, None, False, Reason.UNREADABLE)

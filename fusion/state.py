@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from math import hypot, isfinite, nan, pi, sqrt
+from math import cos, hypot, isfinite, nan, pi, sin, sqrt
 from statistics import median
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ from vision.measurement import position_from_offset
 UNKNOWN_HEADING_STD_RAD = pi / 2
 UNKNOWN_OFFSET_STD_RAD = 10.0
 UNKNOWN_LATERAL_STD = 1.0
+VELOCITY_AGE_S = 0.5
 
 
 class Status(StrEnum):
@@ -70,8 +71,11 @@ class Estimate:
         Time since the last sample of each, and since the last lateral offset used.
     heading_test_ratio, lateral_test_ratio, imu_yaw_test_ratio
         Of the last innovation of each: squared over gate squared; above 1 rejected.
-    lateral_velocity_norm_s
-        Sideways velocity that heading and forward speed do not explain, half widths per second.
+    lateral_velocity_norm_s, lateral_velocity_norm_s_std, lateral_velocity_m_s, lateral_velocity_std_m_s
+        How fast the lateral offset grows, by all that moves it: heading and speed, where a velocity stream tells it,
+        and drift. In half widths per second, and in metres per second where the width is known.
+    along_velocity_m_s
+        Speed along the corridor in the sense of its axis, from the velocity stream; NaN without.
     reset_count, reset_heading_rad
         How often the heading jumped (another corridor, a recovery, found again after loss), and by how much at the
         last time, new minus old: a controller that needs continuity takes the step off whenever the count goes up.
@@ -104,6 +108,10 @@ class Estimate:
     lateral_test_ratio: float = nan
     imu_yaw_test_ratio: float = nan
     lateral_velocity_norm_s: float = nan
+    lateral_velocity_norm_s_std: float = nan
+    lateral_velocity_m_s: float = nan
+    lateral_velocity_std_m_s: float = nan
+    along_velocity_m_s: float = nan
     reset_count: int = 0
     reset_heading_rad: float = 0.0
     lateral_reset_count: int = 0
@@ -154,7 +162,9 @@ class State:
     yaw_done_rad: float = 0.0  # already propagated since then
     theta_rad: float = 0.0
     raw_theta_rad: float = 0.0  # the same without taking off the bias
+    attitude_interval_s: float = nan
     t_velocity_ns: int | None = None
+    velocity_interval_s: float = nan
     forward_m_s: float = 0.0
     sideways_m_s: float = 0.0
 
@@ -218,10 +228,21 @@ def half_width_m(state: State, config: FusionConfig) -> float:
     return nan
 
 
+def next_interval_s(old_s: float, last_ns: int | None, t_ns: int) -> float:
+    """Mean time between a source's samples, with the newest; NaN before the second."""
+    if last_ns is None:
+        return old_s
+    interval_s = (t_ns - last_ns) * 1e-9
+    return 0.8 * old_s + 0.2 * min(interval_s, 3 * old_s) if isfinite(old_s) else interval_s
+
+
+def _age_limit_s(interval_s: float, config: FusionConfig) -> float:
+    return max(config.coasting_after_s, 2.5 * interval_s) if isfinite(interval_s) else config.coasting_after_s
+
+
 def frame_age_limit_s(state: State, config: FusionConfig) -> float:
     """Age of vision at which it counts as interrupted: cameras of one frame per second are not always coasting."""
-    interval = state.frame_interval_s
-    return max(config.coasting_after_s, 2.5 * interval) if isfinite(interval) else config.coasting_after_s
+    return _age_limit_s(state.frame_interval_s, config)
 
 
 def seconds_since(t_ns: int, then_ns: int | None) -> float:
@@ -229,21 +250,56 @@ def seconds_since(t_ns: int, then_ns: int | None) -> float:
     return nan if then_ns is None else (t_ns - then_ns) * 1e-9
 
 
+def is_moving(state: State, t_ns: int) -> bool:
+    """Whether the velocity stream tells how the vehicle moves."""
+    return seconds_since(t_ns, state.t_velocity_ns) <= VELOCITY_AGE_S
+
+
 def judge(state: State, config: FusionConfig, t_ns: int, heading_std_rad: float) -> tuple[Status, str]:
-    """Status at ``t_ns`` and its reason."""
+    """Status at ``t_ns`` and its reason; sources that have fallen silent are told of whatever the status."""
     if not state.ever_acquired:
         return Status.INITIALISING, "waiting for frames that agree" if state.votes else "no usable frame yet"
-    age = seconds_since(t_ns, state.t_vision_ns)
+    age, limit = seconds_since(t_ns, state.t_vision_ns), frame_age_limit_s(state, config)
     if heading_std_rad > config.lost_heading_std_rad:
-        return Status.LOST, "heading is too uncertain"
-    if age > config.lost_after_s:
-        return Status.LOST, f"no usable frame for {age:.0f} s"
-    if age > frame_age_limit_s(state, config):
-        silent = seconds_since(t_ns, state.t_frame_ns) > frame_age_limit_s(state, config)
-        return Status.COASTING, "no frames arrive" if silent else "frames are rejected"
-    if state.t_gyro_ns is not None and seconds_since(t_ns, state.t_gyro_ns) > config.gyro_gap_s:
-        return Status.TRACKING, "gyroscope is silent"
-    return Status.TRACKING, ""
+        status, reasons = Status.LOST, ["heading is too uncertain"]
+    elif age > config.lost_after_s:
+        status, reasons = Status.LOST, [f"no usable frame for {age:.0f} s"]
+    elif age > limit:
+        silent = seconds_since(t_ns, state.t_frame_ns) > limit
+        status, reasons = Status.COASTING, ["no frames arrive" if silent else "frames are rejected"]
+    else:
+        status, reasons = Status.TRACKING, []
+        if state.lateral_acquired and seconds_since(t_ns, state.t_lateral_ns) > limit:
+            reasons.append("frames show no lateral offset")
+    if seconds_since(t_ns, state.t_gyro_ns) > config.gyro_gap_s:
+        reasons.append("gyroscope is silent")
+    if seconds_since(t_ns, state.t_attitude_ns) > _age_limit_s(state.attitude_interval_s, config):
+        reasons.append("attitude is silent")
+    if seconds_since(t_ns, state.t_velocity_ns) > _age_limit_s(state.velocity_interval_s, config):
+        reasons.append("velocity is silent")
+    return status, "; ".join(reasons)
+
+
+class _Motion(NamedTuple):
+    """Rate of the lateral offset and its standard deviation, half widths per second; speed along the axis, m/s."""
+
+    lateral: float = nan
+    lateral_std: float = nan
+    along: float = nan
+
+
+def _motion(state: State, t_ns: int, half_m: float) -> _Motion:
+    psi, v, p = float(state.x[PSI]), float(state.x[V]), state.P
+    along, c, lateral = nan, 0.0, 0.0
+    if is_moving(state, t_ns):
+        along = state.forward_m_s * cos(psi) - state.sideways_m_s * sin(psi)
+        across = state.forward_m_s * sin(psi) + state.sideways_m_s * cos(psi)
+        scale = half_m if half_m > 0.0 else 1.0  # as the filter does where the width is unknown
+        c, lateral = along / scale, across / scale
+    if not state.lateral_acquired:
+        return _Motion(along=along)
+    variance = float(p[V, V]) + 2.0 * c * float(p[PSI, V]) + c * c * float(p[PSI, PSI])
+    return _Motion(lateral + v, sqrt(max(variance, 0.0)), along)
 
 
 def describe(state: State, config: FusionConfig, t_ns: int | None = None) -> Estimate:
@@ -251,7 +307,7 @@ def describe(state: State, config: FusionConfig, t_ns: int | None = None) -> Est
     if state.t_ns is None:
         return Estimate(0 if t_ns is None else t_ns, reason="no sample yet")
     t = state.t_ns if t_ns is None else t_ns
-    psi, bias, offset, y, v = state.x.tolist()
+    psi, bias, offset, y, _ = state.x.tolist()
     p = state.P
     heading, heading_std = psi, sqrt(float(p[PSI, PSI]))
     if not state.ever_acquired:
@@ -261,6 +317,7 @@ def describe(state: State, config: FusionConfig, t_ns: int | None = None) -> Est
     if state.lateral_acquired:
         norm, norm_std = y, sqrt(float(p[Y, Y]))
     half = half_width_m(state, config)
+    motion = _motion(state, t, half)
     position = position_from_offset(norm, config.position_dead_band_norm)
     gyro = state.mode is Mode.GYRO
     rate = -bias if state.mode is Mode.NONE else state.rate_rad_s - bias
@@ -288,7 +345,11 @@ def describe(state: State, config: FusionConfig, t_ns: int | None = None) -> Est
         heading_test_ratio=state.heading_ratio,
         lateral_test_ratio=state.lateral_ratio,
         imu_yaw_test_ratio=state.imu_yaw_ratio,
-        lateral_velocity_norm_s=v,
+        lateral_velocity_norm_s=motion.lateral,
+        lateral_velocity_norm_s_std=motion.lateral_std,
+        lateral_velocity_m_s=motion.lateral * half,
+        lateral_velocity_std_m_s=motion.lateral_std * half,
+        along_velocity_m_s=motion.along,
         reset_count=state.reset_count,
         reset_heading_rad=state.reset_heading_rad,
         lateral_reset_count=state.lateral_reset_count,

@@ -391,7 +391,7 @@ def test_gyroscope_that_dies_is_replaced_and_comes_back() -> None:
 def test_silent_gyroscope_is_told_of() -> None:
     estimator, t = steady(3.0)
     for i in range(1, 30):
-        estimator.add_measurement(t + i * 20 * MS, frame(0.2))
+        estimator.add_measurement(t + i * 20 * MS, frame(0.2, lateral=0.3, lateral_std=0.02))
     estimate = estimator.estimate()
     assert estimate.reason == "gyroscope is silent"
     assert estimate.gyro_age_s == pytest.approx(0.58)
@@ -428,10 +428,55 @@ def test_status_tells_of_a_source_that_died_within_a_fifth_of_a_second() -> None
     assert estimator.estimate(t + 100 * MS).status == "tracking"
     estimate = estimator.estimate(t + 300 * MS)
     assert estimate.status == "coasting"
-    assert estimate.reason == "no frames arrive"
+    assert estimate.reason == "no frames arrive; gyroscope is silent"
     assert estimate.vision_age_s == pytest.approx(0.3, abs=0.06)
     assert estimator.estimate(t + 20_000 * MS).status == "lost"
     assert estimator.estimate().status == "tracking"  # asking changes nothing
+
+
+SOURCES = {"imu": "gyroscope", "attitude": "attitude", "velocity": "velocity", "frame": "frames"}
+
+
+def all_sources(estimator: CorridorEstimator, start: int, seconds: float, dead: str = "") -> int:
+    """Feed every source but one; gyroscope at 100 Hz, attitude 50, velocity 25, frames 20. Returns the last time."""
+    t = start
+    for i in range(1, int(seconds * 100) + 1):
+        t = start + i * 10 * MS
+        if dead != "imu":
+            estimator.add_imu(t, (0.0, 0.0, 0.0))
+        if i % 2 == 0 and dead != "attitude":
+            estimator.add_attitude(t, (1.0, 0.0, 0.0, 0.0))
+        if i % 4 == 0 and dead != "velocity":
+            estimator.add_velocity(t, (1.0, 0.0, 0.0))
+        if i % 5 == 0 and dead != "frame":
+            estimator.add_measurement(t, frame(0.1, lateral=0.3, lateral_std=0.02))
+    return t
+
+
+@pytest.mark.parametrize("dead", SOURCES)
+def test_each_source_that_dies_is_told_of_within_a_fifth_of_a_second(dead: str) -> None:
+    estimator = CorridorEstimator(FusionConfig(corridor_width_m=2.0))
+    died = all_sources(estimator, 0, 3.0)
+    alive = estimator.estimate()
+    assert (alive.status, alive.reason) == ("tracking", "")
+    assert estimator.estimate(died + 40 * MS).reason == ""
+    now = all_sources(estimator, died, 0.21, dead)
+    said = estimator.estimate(now)
+    assert SOURCES[dead] in said.reason
+    assert said.status == ("coasting" if dead == "frame" else "tracking")
+    assert said.reason.count(";") == 0  # and of no other
+    all_sources(estimator, now, 0.5)
+    assert (estimator.estimate().status, estimator.estimate().reason) == ("tracking", "")
+
+
+def test_frames_without_a_lateral_offset_are_told_of() -> None:
+    estimator, t = steady(3.0)
+    for i in range(1, 30):
+        estimator.add_imu(t + i * 20 * MS, (0.0, 0.0, 0.0))
+        estimator.add_measurement(t + i * 20 * MS, frame(0.2))
+    estimate = estimator.estimate()
+    assert (estimate.status, estimate.reason) == ("tracking", "frames show no lateral offset")
+    assert estimate.lateral_age_s > 0.5
 
 
 def test_slow_cameras_are_not_always_coasting() -> None:
@@ -444,6 +489,45 @@ def test_slow_cameras_are_not_always_coasting() -> None:
 
 
 # Lateral offset
+
+
+@pytest.mark.parametrize("width_m", [2.0, 5.0])
+def test_rate_of_the_offset_is_that_of_the_vehicle_with_and_without_a_velocity_stream(width_m: float) -> None:
+    """Ten degrees to the right at 1 m/s, while drifting 0.1 m/s to the left: 0.074 m/s to the right in all."""
+    heading, forward, drift = radians(10), 1.0, -0.1
+    rate = forward * np.sin(heading) + drift * np.cos(heading)
+    for known in ("nothing", "forward", "all"):
+        estimator = CorridorEstimator(FusionConfig(corridor_width_m=width_m))
+        for i in range(400):
+            t, offset = i * 10 * MS, (rate * i * 0.01) / (width_m / 2)
+            estimator.add_imu(t, (0.0, 0.0, 0.0))
+            if known != "nothing" and i % 4 == 0:
+                estimator.add_velocity(t, (forward, drift if known == "all" else 0.0, 0.0))
+            if i % 5 == 0:
+                estimator.add_measurement(t, frame(heading, lateral=offset, lateral_std=0.01))
+        e = estimator.estimate()
+        tolerance = {"nothing": 0.05, "forward": 0.05, "all": 0.02}[known]
+        assert e.lateral_velocity_m_s == pytest.approx(rate, abs=tolerance)
+        assert e.lateral_velocity_norm_s == pytest.approx(e.lateral_velocity_m_s / (width_m / 2))
+        assert e.lateral_velocity_std_m_s == pytest.approx(e.lateral_velocity_norm_s_std * width_m / 2)
+        assert abs(e.lateral_velocity_m_s - rate) < 3 * e.lateral_velocity_std_m_s
+        along = forward * np.cos(heading) - (drift if known == "all" else 0.0) * np.sin(heading)
+        assert e.along_velocity_m_s == pytest.approx(
+            nan if known == "nothing" else along, abs=0.01, nan_ok=True
+        )
+
+
+def test_rate_of_an_unknown_offset_is_unknown() -> None:
+    estimator = CorridorEstimator(FusionConfig(corridor_width_m=2.0))
+    for i in range(200):
+        estimator.add_imu(i * 10 * MS, (0.0, 0.0, 0.0))
+        if i % 5 == 0:
+            estimator.add_velocity(i * 10 * MS, (1.0, 0.0, 0.0))
+            estimator.add_measurement(i * 10 * MS, frame(0.1))
+    estimate = estimator.estimate()
+    assert isnan(estimate.lateral_velocity_m_s)
+    assert isnan(estimate.lateral_velocity_norm_s_std)
+    assert estimate.along_velocity_m_s == pytest.approx(np.cos(0.1), abs=0.01)
 
 
 def test_offset_in_metres_needs_a_width() -> None:
