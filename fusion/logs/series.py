@@ -31,7 +31,6 @@ LATEST_NS = 2**62  # the year 2116; later is no time but damage
 
 STRAY_WINDOW = 11  # samples; up to five damaged ones side by side are told from the rest
 STRAY_NS = 500_000_000
-GAP_NS = 5_000_000_000
 CLOCK_BACK_NS = 1_000_000_000  # less is jitter and is sorted
 CLOCK_AHEAD_NS = 3_600_000_000_000
 
@@ -85,7 +84,7 @@ def usable(t_ns: TimeArray, where: Where, min_step_ns: int = MIN_IMU_STEP_NS) ->
     if len(index) == 0:
         raise InputError(f"{where.label} has no samples", file=where.file, remedy="choose another topic")
     steps = np.diff(t_ns[index])
-    if steps.size and (steps.min() < -CLOCK_BACK_NS or steps.max() > GAP_NS):
+    if steps.size and (steps.min() < 0 or steps.max() > STRAY_NS):
         index = index[_not_stray(t_ns[index], where)]
         index = index[_longest_stretch(t_ns[index], where)]
     order = in_order(
@@ -102,7 +101,10 @@ def usable(t_ns: TimeArray, where: Where, min_step_ns: int = MIN_IMU_STEP_NS) ->
 def _not_stray(t_ns: TimeArray, where: Where) -> IndexArray:
     from scipy.ndimage import median_filter
 
-    around = median_filter(t_ns, STRAY_WINDOW, mode="reflect")
+    half = min(STRAY_WINDOW, len(t_ns)) // 2
+    around = median_filter(t_ns, 2 * half + 1, mode="nearest")
+    if half:  # a mirrored or repeated end would let what is damaged there outvote the rest
+        around[:half], around[len(t_ns) - half :] = around[half], around[len(t_ns) - half - 1]
     limit_ns = max(STRAY_NS, 8 * int(np.median(np.abs(np.diff(t_ns)))))
     good = np.abs(t_ns - around) <= limit_ns
     if not good.any():
@@ -208,13 +210,9 @@ def velocity_stream(
 
 def interpolated(samples: VectorStream, t_ns: TimeArray, max_gap_ns: int) -> FloatArray:
     """Values (m, 3) at times (m,); NaN outside the samples and in their gaps."""
-    after = np.searchsorted(samples.t_ns, t_ns)
-    inside = (after > 0) & (after < len(samples.t_ns)) | np.isin(t_ns, samples.t_ns[[0, -1]])
-    after = np.clip(after, 1, max(1, len(samples.t_ns) - 1))
-    if len(samples.t_ns) > 1:
-        inside &= samples.t_ns[after] - samples.t_ns[after - 1] <= max_gap_ns
-    values = [np.interp(t_ns, samples.t_ns, samples.xyz[:, axis]) for axis in range(3)]
-    return np.where(inside[:, None], np.stack(values, axis=1), np.nan)
+    before, after, share, known = _around(samples.t_ns, t_ns, max_gap_ns)
+    values = (1.0 - share) * samples.xyz[before] + share * samples.xyz[after]
+    return np.where(known[:, None], values, np.nan)
 
 
 def attitude_at(attitude: AttitudeStream, t_ns: TimeArray) -> tuple[FloatArray, BoolArray]:
@@ -222,19 +220,26 @@ def attitude_at(attitude: AttitudeStream, t_ns: TimeArray) -> tuple[FloatArray, 
 
     Neighbours are close, so that the chord between them will do for the arc.
     """
-    after = np.searchsorted(attitude.t_ns, t_ns)
-    before = np.clip(after - 1, 0, len(attitude.t_ns) - 1)
-    after = np.clip(after, 0, len(attitude.t_ns) - 1)
-    exact = attitude.t_ns[after] == t_ns
-    before = np.where(exact, after, before)
-    gap_ns = attitude.t_ns[after] - attitude.t_ns[before]
-    known = exact | ((after > before) & (gap_ns <= MAX_ATTITUDE_GAP_NS))
-    share = np.where(gap_ns > 0, (t_ns - attitude.t_ns[before]) / np.maximum(gap_ns, 1), 0.0)[:, None]
+    before, after, share, known = _around(attitude.t_ns, t_ns, MAX_ATTITUDE_GAP_NS)
     q0, q1 = attitude.q_world_body[before], attitude.q_world_body[after]
     q1 = np.where(np.sum(q0 * q1, axis=1, keepdims=True) < 0.0, -q1, q1)
     q = (1.0 - share) * q0 + share * q1
     length = np.linalg.norm(q, axis=1, keepdims=True)
-    return np.where(length > 0.1, q / np.maximum(length, 0.1), q0), np.asarray(known)
+    return np.where(length > 0.1, q / np.maximum(length, 0.1), q0), known
+
+
+def _around(
+    known_ns: TimeArray, t_ns: TimeArray, max_gap_ns: int
+) -> tuple[IndexArray, IndexArray, FloatArray, BoolArray]:
+    """Find the samples before and after each time (m,), how far between them it is (m, 1), and if they are close."""
+    last = len(known_ns) - 1
+    after = np.clip(np.searchsorted(known_ns, t_ns), 0, last)
+    exact = known_ns[after] == t_ns
+    before = np.where(exact, after, np.clip(after - 1, 0, last))
+    gap_ns = known_ns[after] - known_ns[before]
+    inside = (t_ns > known_ns[before]) & (t_ns < known_ns[after]) & (gap_ns <= max_gap_ns)
+    share = np.where(inside, (t_ns - known_ns[before]) / np.maximum(gap_ns, 1), 0.0)
+    return before, after, share[:, None], np.asarray(exact | inside)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

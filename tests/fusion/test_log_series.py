@@ -1,0 +1,201 @@
+"""What the readers of recorded logs share: times that lie, samples that are none, frames turned."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from fusion.flight import AttitudeStream, VectorStream
+from fusion.logs import rosbag, tlog, ulog
+from fusion.logs.series import (
+    LATEST_NS,
+    Where,
+    attitude_at,
+    attitude_stream,
+    imu_stream,
+    interpolated,
+    into_body,
+    nanoseconds,
+    quaternions,
+    usable,
+    vector_stream,
+    velocity_stream,
+)
+from vision import InputError
+
+STEP_NS = 5_000_000
+START_NS = 10_000_000_000
+
+
+def clean(n: int = 200) -> np.ndarray:
+    return START_NS + STEP_NS * np.arange(n, dtype=np.int64)
+
+
+def where() -> Where:
+    return Where(Path("a.log"), "imu", [])
+
+
+def test_good_times_are_kept_as_they_are() -> None:
+    place = where()
+    np.testing.assert_array_equal(usable(clean(), place), np.arange(200))
+    assert place.problems == []
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    places=st.lists(st.integers(0, 199), min_size=1, max_size=4, unique=True),
+    wrong=st.lists(st.integers(-(2**62), 2**63 - 1), min_size=4, max_size=4),
+)
+def test_damaged_times_never_stay_in_the_stream(places: list[int], wrong: list[int]) -> None:
+    t_ns = clean()
+    for place, value in zip(places, wrong, strict=False):
+        t_ns[place] = value
+    found = where()
+    kept = t_ns[usable(t_ns, found)]
+    assert (np.diff(kept) > 0).all()
+    assert kept.min() >= START_NS - 600_000_000
+    assert kept.max() <= clean()[-1] + 600_000_000
+    assert len(kept) >= 200 - 2 * len(places)
+    if len(kept) < 200:
+        assert found.problems != []
+
+
+def test_a_damaged_time_close_by_is_sorted_and_said() -> None:
+    t_ns = clean()
+    t_ns[50] += 30 * STEP_NS + 1
+    found = where()
+    index = usable(t_ns, found)
+    assert sorted(index.tolist()) == list(range(200))
+    assert "times go backwards in 1 place" in found.problems[0]
+
+
+def test_a_gap_is_no_damage() -> None:
+    t_ns = clean()
+    t_ns[120:] += 30_000_000_000
+    found = where()
+    np.testing.assert_array_equal(usable(t_ns, found), np.arange(200))
+    assert found.problems == []
+
+
+@pytest.mark.parametrize("jump_s", [-5.0, -9.0, 86_400.0])
+def test_a_clock_that_jumps_leaves_the_longest_stretch(jump_s: float) -> None:
+    t_ns = clean()
+    t_ns[60:] += int(jump_s * 1e9)
+    found = where()
+    np.testing.assert_array_equal(usable(t_ns, found), np.arange(60, 200))
+    assert f"the clock jumps by {jump_s:+.3g} s" in found.problems[0]
+    assert "60 samples left out" in found.problems[0]
+
+
+def test_times_that_are_all_damaged_are_refused() -> None:
+    with pytest.raises(InputError, match=r"a\.log: imu: every row has a time that cannot be one"):
+        usable(np.full(5, LATEST_NS), where())
+    with pytest.raises(InputError, match="imu has no samples"):
+        usable(np.empty(0, np.int64), where())
+
+
+def test_ticks_that_overflow_are_no_times() -> None:
+    ticks = np.array([5, 2**63, 2**64 - 1, 2**62 // 1000 + 1], dtype=np.uint64)
+    np.testing.assert_array_equal(nanoseconds(ticks, 1000), [5000, LATEST_NS, LATEST_NS, LATEST_NS])
+
+
+def test_rows_that_are_no_numbers_are_dropped_and_said() -> None:
+    place = where()
+    gyro, accel = np.zeros((200, 3)), np.full((200, 3), 9.8)
+    gyro[3, 1], gyro[5, 0], accel[7, 2], accel[8, 0] = np.nan, 1e30, np.inf, -1e20
+    imu = imu_stream(clean(), gyro, accel, place)
+    assert len(imu.t_ns) == 198
+    assert np.isnan(imu.accel_m_s2).all(axis=1).sum() == 2
+    assert place.problems[0].startswith("imu: 2 rows with a gyro value that is none dropped")
+    assert place.problems[1] == "imu: 2 rows without acceleration"
+    with pytest.raises(InputError, match="imu: every row has a gyro value that is none"):
+        imu_stream(clean(), np.full((200, 3), np.nan), accel, where())
+
+
+def test_quaternions_are_made_unit_and_those_that_are_none_dropped() -> None:
+    place = where()
+    q = np.tile([0.0, 0.0, 0.0, 1.02], (200, 1))
+    q[4] = 0.0
+    attitude = attitude_stream(clean(), q, place)
+    np.testing.assert_allclose(attitude.q_world_body, [[0.0, 0.0, 0.0, 1.0]] * 199)
+    assert "1 row with a quaternion that is not of unit length dropped" in place.problems[0]
+
+
+@given(angles=st.tuples(*[st.floats(-3.1, 3.1)] * 3), v=st.tuples(*[st.floats(-10, 10)] * 3))
+def test_angles_and_turning_are_those_of_scipy(angles: tuple[float, ...], v: tuple[float, ...]) -> None:
+    roll, pitch, yaw = (np.array([angle]) for angle in angles)
+    q = quaternions(roll, pitch, yaw)
+    expected = Rotation.from_euler("ZYX", [angles[2], angles[1], angles[0]])
+    assert abs(np.dot(q[0], expected.as_quat(scalar_first=True))) == pytest.approx(1.0, abs=1e-12)
+    np.testing.assert_allclose(into_body(q, np.array([v]))[0], expected.inv().apply(v), atol=1e-9)
+
+
+def test_attitude_between_samples_is_that_of_slerp_and_unknown_in_gaps() -> None:
+    t_ns = np.array([0, 20, 40, 1000, 1020], dtype=np.int64) * 1_000_000
+    rotation = Rotation.from_euler(
+        "ZYX", np.radians([[0, 0, 0], [3, 1, 0], [6, 2, 1], [50, 0, 0], [53, 0, 0]])
+    )
+    q = rotation.as_quat(scalar_first=True) * np.array([1, -1, 1, -1, 1])[:, None]  # either sign is the same
+    stream = AttitudeStream(t_ns, q)
+    at_ns = np.array([-1, 0, 7, 33, 40, 500, 1010, 1020, 1021], dtype=np.int64) * 1_000_000
+    found, known = attitude_at(stream, at_ns)
+    assert known.tolist() == [False, True, True, True, True, False, True, True, False]
+    expected = Slerp(t_ns, rotation)(at_ns[known]).as_quat(scalar_first=True)
+    np.testing.assert_allclose(np.abs(np.sum(found[known] * expected, axis=1)), 1.0, atol=1e-9)
+
+
+def test_velocity_without_attitude_is_dropped_and_said() -> None:
+    place = where()
+    attitude = AttitudeStream(clean(100), np.tile([0.5**0.5, 0.0, 0.0, 0.5**0.5], (100, 1)))
+    velocity = velocity_stream(clean(), np.tile([0.0, 2.0, 0.1], (200, 1)), attitude, place)
+    np.testing.assert_allclose(velocity.xyz, [[2.0, 0.0, 0.1]] * 100, atol=1e-12)
+    assert "100 rows with no attitude to turn it into the body dropped" in place.problems[0]
+
+
+def test_a_limit_tells_damage() -> None:
+    place = where()
+    xyz = np.zeros((200, 3))
+    xyz[9, 2] = 2e7
+    assert len(vector_stream(clean(), xyz, place, 1e7).t_ns) == 199
+
+
+def test_values_between_samples_and_none_in_gaps() -> None:
+    samples = VectorStream(
+        np.array([0, 10, 100], np.int64), np.array([[0.0], [1.0], [2.0]]) * [1.0, 2.0, 3.0]
+    )
+    found = interpolated(samples, np.array([-1, 0, 5, 10, 50, 100, 101], np.int64), max_gap_ns=20)
+    np.testing.assert_array_equal(found[:, 1], [np.nan, 0.0, 1.0, 2.0, np.nan, 4.0, np.nan])
+    one = VectorStream(np.array([7], np.int64), np.array([[1.0, 2.0, 3.0]]))
+    np.testing.assert_array_equal(
+        interpolated(one, np.array([6, 7, 8], np.int64), 20)[:, 0], [np.nan, 1.0, np.nan]
+    )
+
+
+@pytest.mark.parametrize(
+    ("reader", "library", "extra", "head"),
+    [
+        (ulog, "pyulog", "px4", ulog.MAGIC + bytes(100)),
+        (rosbag, "rosbags.rosbag2", "ros", b"#ROSBAG V2.0\n" + bytes(100)),
+        (
+            tlog,
+            "pymavlink.dialects.v20",
+            "ardupilot",
+            (1_700_000_000_000_000).to_bytes(8, "big") + b"\xfd" + bytes(100),
+        ),
+    ],
+)
+def test_a_library_that_is_missing_is_named(
+    reader: object, library: str, extra: str, head: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    path = tmp_path / "log"
+    path.write_bytes(head)
+    assert reader.recognises(path)  # type: ignore[attr-defined]
+    with pytest.raises(InputError, match=rf"pip install 'corridor-fusion\[{extra}\]'"):
+        reader.open_log(path)  # type: ignore[attr-defined]
