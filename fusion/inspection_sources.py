@@ -47,6 +47,7 @@ class DescribedLog:
 
     def __init__(self, path: Path, manifest: Manifest) -> None:
         self.path = path
+        manifest = with_time_shift(manifest)
         self._manifest = manifest
         self._logs: dict[Kind, LogContents] = {}
         topics: list[Topic] = []
@@ -139,3 +140,19 @@ class DescribedLog:
     def velocity(self, topic: str, problems: list[str]) -> VectorStream:
         """Velocity, on the flight's clock."""
         return self._read(Kind.VELOCITY, self._logs[Kind.VELOCITY].velocity, topic, problems)
+
+
+def with_time_shift(manifest: Manifest) -> Manifest:
+    """Return a manifest with the clock offset of a Kalibr chain where it leaves that open, as fusing does."""
+    from vision.calibration import read_time_shift_s
+
+    source = manifest.camera
+    if source.calibration is None or "clock_offset_s" in source.model_fields_set:
+        return manifest
+    try:
+        shift_s = read_time_shift_s(source.calibration)
+    except InputError:  # told where the calibration is read
+        shift_s = None
+    if shift_s is None:
+        return manifest
+    return manifest.model_copy(update={"camera": source.model_copy(update={"clock_offset_s": shift_s})})

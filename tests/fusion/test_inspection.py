@@ -449,6 +449,19 @@ def test_a_manifest_is_described_on_the_flights_clock(tmp_path: Path) -> None:
     assert any("imu: it covers 80% of the frames" in f.sentence for f in found.findings)
 
 
+def test_a_chain_that_knows_the_offset_of_the_clocks_is_heard(tmp_path: Path) -> None:
+    (tmp_path / "camchain.yaml").write_text(
+        "cam0:\n  T_cam_imu: [[0,-1,0,0],[0,0,-1,0],[1,0,0,0],[0,0,0,1]]\n  timeshift_cam_imu: 0.25\n"
+        "  resolution: [640, 480]\n  intrinsics: [466, 466, 319.5, 239.5]\n  camera_model: pinhole\n"
+        "  distortion_model: radtan\n  distortion_coeffs: [0, 0, 0, 0]\n"
+    )
+    manifest = tmp_path / "flight.toml"
+    manifest.write_text(f'log = "{OFFICE.as_posix()}"\n[camera]\ncalibration = "camchain.yaml"\n')
+    camera = inspect_path(manifest).streams[0]
+    assert camera.note == "+0.250 s"
+    assert camera.timing.first_ns == load_flight(manifest).frames.t_ns[0]
+
+
 def test_a_flight_of_which_only_part_is_readable(tmp_path: Path) -> None:
     flight = tmp_path / "torn"
     shutil.copytree(OFFICE / "mav0" / "imu0", flight / "mav0" / "imu0")

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from fusion import cli
 from fusion.flight import AttitudeStream, ImuStream
 from fusion.logs import load_flight, open_log
 from fusion.logs.findings import Advice
@@ -68,6 +69,20 @@ def test_a_manifest_mounts_imu_and_attitude(tmp_path: Path) -> None:
     manifest.write_text(lines[0] + "\n[imu]\nmount_rad = [90, 0, 0]\n")
     with pytest.raises(InputError, match=r"imu.mount_rad.*90.* less than or equal to 6.2832"):
         load_flight(manifest)
+
+
+def test_an_imu_said_to_hang_upside_down_that_does_not_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    manifest = tmp_path / "flight.toml"
+    manifest.write_text(f'log = "{OFFICE.as_posix()}"\n[imu]\nmount_rad = [3.14159, 0.0, 0.0]\n')
+    with pytest.raises(SystemExit) as end:
+        cli.main(["fuse", str(manifest), "-o", str(tmp_path / "out")])
+    assert end.value.code == 2
+    assert not (tmp_path / "out").exists()
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "gravity reads +9.9 along z and the gyroscope's y and z turn against the attitude" in error
 
 
 def test_the_robots_imu_is_noticed_and_put_right() -> None:
