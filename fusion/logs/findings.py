@@ -92,8 +92,8 @@ class Advice:
 
     def clock(self, stream: str, lag_s: float) -> str:
         """Return how to shift the camera's clock, since the vehicle's own streams usually share one."""
-        shift = f"[camera] clock_offset_s = {lag_s:.3f} in flight.toml puts both on one clock if they began together"
-        return f"{shift}; `corridor align` finds the rest; or {self.leave_out(stream)}"
+        shift = f"add {lag_s:.3f} to [camera] clock_offset_s in flight.toml if both began together"
+        return f"{shift}, `corridor align` finds the rest; or {self.leave_out(stream)}"
 
 
 def _rounded(angle_rad: float) -> float:

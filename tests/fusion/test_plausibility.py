@@ -122,9 +122,12 @@ SINCE_ZERO = T - T[0]
         (
             imu(t_ns=SINCE_ZERO),
             r"imu: it runs from 0.0 to 15.0 s, the frames from 2020-09-13 12:43:20 to 12:43:34: they do not overlap, "
-            r"the frames are in Unix time and it counts from zero \(\[camera\] clock_offset_s = -1600001000.000 in",
+            r"the frames are in Unix time and it counts from zero \(add -1600001000.000 to \[camera\] cl",
         ),
-        (imu(t_ns=T + 10**11), "imu: it runs from .*: they do not overlap .*clock_offset_s = 100.000"),
+        (
+            imu(t_ns=T + 10**11),
+            "imu: it runs from .*: they do not overlap .add 100.000 to .camera. clock_offset_s",
+        ),
         (imu(t_ns=T // 1000), r"imu: 2e\+05 samples a second cannot be .*these look like microseconds"),
         (imu(t_ns=T // 10**6), "samples a second cannot be .*these look like milliseconds"),
         (
