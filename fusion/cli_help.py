@@ -7,6 +7,8 @@ First steps:
   corridor fuse data/office           fuse the sample flight; then open office_fused/report.html
   corridor inspect log.ulg            what a log holds, what is missing, how to supply it
   corridor align data/office          is the camera in time with the IMU, does its focal length fit?
+  corridor config > my.toml           all settings with their meaning, to edit and give to fuse
+  corridor evaluate office_fused --truth data/office    errors against the truth, outputs side by side
   corridor measure picture.jpg        one picture: no IMU, no calibration needed
   corridor simulate flight            make a flight of your own to try it on, truth included
 
