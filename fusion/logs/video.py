@@ -252,7 +252,7 @@ def _check_end(
     """Report a video that ends well before its header says."""
     for stream in streams:
         index = indices[stream.index]
-        if index.numbered or len(index.pts) < 2:
+        if index.numbered or not len(index.pts):
             continue
         if stream.duration is not None:
             declared_s = float(stream.duration * index.time_base)
@@ -260,9 +260,11 @@ def _check_end(
             declared_s = container.duration * 1e-6
         else:
             continue
-        step_s = float(np.median(np.diff(index.pts)) * index.time_base)
+        step_s = float(np.median(np.diff(index.pts)) * index.time_base) if len(index.pts) > 1 else 0.1
         length_s = float((index.pts[-1] - index.pts[0]) * index.time_base) + step_s
-        if declared_s - length_s > max(1.0, 5 * step_s) or (stream.frames and stream.frames > len(index.pts)):
+        # Sound may last longer than the pictures.
+        tolerance_s = 1.0 if len(container.streams) > 1 else 4 * step_s
+        if declared_s - length_s > tolerance_s or (stream.frames and stream.frames > len(index.pts)):
             problems.append(
                 f"{path.name}: cut short: {counted(len(index.pts), 'frame')} in {length_s:.1f} s, "
                 f"its header declares {declared_s:.1f} s"

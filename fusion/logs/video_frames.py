@@ -114,7 +114,8 @@ class VideoFrames:
         # Decoding on is cheaper than a jump, unless there is a key frame on the way.
         if self._here is None or pts <= self._before or self._key(number) > self._here[0]:
             self._jump(self._key(number))
-            if number and (self._here is None or self._here[0] > pts):  # some files jump a little too far
+            # A transport stream is entered behind the key frame: from the one before, it is met on the way.
+            if number and (self._here is None or self._here[0] > self._key(number)):
                 self._jump(self._key(number - 1))
         while self._here is not None and self._here[0] < pts:
             self._before = self._here[0]
@@ -144,7 +145,10 @@ class VideoFrames:
             except FFmpegError:  # decoding on from the beginning is slow, not wrong
                 container = self._open()
         self._coming = _decoded(container, self._stream, self._numbered)
-        self._here, self._before = next(self._coming, None), key_pts - 1
+        self._here = next(self._coming, None)
+        # What lies between the key frame and a landing behind it is not lost, only passed over.
+        landed = key_pts if self._here is None else max(self._here[0], key_pts)
+        self._before = landed - 1
 
     def _open(self) -> InputContainer:
         from fusion.logs.video import open_container

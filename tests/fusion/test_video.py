@@ -1,0 +1,326 @@
+"""Videos: each frame at its own time, in any order; what is missing or damaged is a line or an unreadable frame."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from fusion.flight import FrameStream
+from fusion.logs import load_flight, open_log
+from fusion.logs.video import VideoLog, open_video, recognises
+from vision import InputError
+from vision.images import GreyImage
+
+av = pytest.importorskip("av")
+
+OFFICE = Path(__file__).resolve().parents[2] / "data" / "office"
+SIZE = (160, 120)
+N_FRAMES = 40
+CLOCK = Fraction(1, 90000)
+#: Uneven on purpose: a variable rate, with a pause.
+TIMES_S = np.cumsum([0.0, *np.random.default_rng(0).uniform(0.02, 0.08, N_FRAMES - 1)])
+TIMES_S[25:] += 0.7
+
+
+@pytest.fixture(scope="module")
+def pictures() -> list[GreyImage]:
+    frames = load_flight(OFFICE).frames
+    return [cv2.resize(frames.read(i), SIZE, interpolation=cv2.INTER_AREA) for i in range(N_FRAMES)]  # type: ignore[misc]
+
+
+def encode(
+    path: Path,
+    pictures: list[GreyImage],
+    codec: str = "libx264",
+    *,
+    times_s: np.ndarray = TIMES_S,
+    clock: Fraction = CLOCK,
+    b_frames: int = 2,
+    turned: int = 0,
+    container: str | None = None,
+    **options: str,
+) -> Path:
+    with av.open(str(path), "w", format=container, options=options) as file:
+        stream = file.add_stream(codec, rate=20)
+        stream.width, stream.height = pictures[0].shape[::-1]
+        stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+        stream.codec_context.time_base = clock
+        stream.codec_context.gop_size = 8
+        stream.codec_context.max_b_frames = b_frames
+        if turned:
+            stream.set_display_rotation(turned)
+        for picture, t_s in zip(pictures, times_s, strict=True):
+            frame = av.VideoFrame.from_ndarray(picture, format="gray").reformat(format=stream.pix_fmt)
+            frame.pts, frame.time_base = round(Fraction(float(t_s)) / clock), clock
+            for packet in stream.encode(frame):
+                file.mux(packet)
+        for packet in stream.encode(None):
+            file.mux(packet)
+    return path
+
+
+def frames_of(log: Any) -> FrameStream:
+    return log.frames(log.topics[0].name, [])  # type: ignore[no-any-return]
+
+
+def read_all(frames: FrameStream) -> list[GreyImage | None]:
+    found: list[GreyImage | None] = []
+    for i in range(len(frames.t_ns)):
+        try:
+            found.append(frames.read(i))
+        except InputError:
+            found.append(None)
+    return found
+
+
+def difference(a: GreyImage, b: GreyImage) -> float:
+    return float(np.abs(a.astype(float) - b).mean())
+
+
+@pytest.fixture(scope="module")
+def mp4(pictures: list[GreyImage], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return encode(tmp_path_factory.mktemp("video") / "hall.mp4", pictures)
+
+
+# ------------------------------------------------------------------------------------------- times and pictures
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "within_s"),
+    [
+        ("a.mp4", "libx264", 1e-5),
+        ("a.mkv", "libx264", 1e-3),  # Matroska counts milliseconds
+        ("a.ts", "libx264", 1e-5),
+        ("a.webm", "libvpx-vp9", 1e-3),
+        ("a.mov", "mpeg4", 1e-4),
+    ],
+)
+def test_a_variable_rate_is_kept(
+    pictures: list[GreyImage], tmp_path: Path, name: str, codec: str, within_s: float
+) -> None:
+    clock = Fraction(1, 30000) if codec == "mpeg4" else CLOCK  # MPEG-4 has 16 bits for it
+    path = encode(tmp_path / name, pictures, codec, clock=clock, b_frames=0 if codec == "mpeg4" else 2)
+    assert recognises(path)
+    log = open_video(path, start_ns=5_000_000_000)
+    assert log.problems == ()
+    frames = frames_of(log)
+    assert np.abs((frames.t_ns - 5_000_000_000) * 1e-9 - TIMES_S).max() < within_s
+    for ours, theirs in zip(read_all(frames), pictures, strict=True):
+        assert ours is not None
+        assert difference(ours, theirs) < 8.0
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts", "x.avi"])
+def test_any_order_gives_the_same_pictures(pictures: list[GreyImage], tmp_path: Path, name: str) -> None:
+    clock = Fraction(1, 20) if name.endswith("avi") else CLOCK
+    times_s = np.arange(N_FRAMES) / 20 if name.endswith("avi") else TIMES_S
+    frames = frames_of(open_log(encode(tmp_path / name, pictures, clock=clock, times_s=times_s)))
+    in_order = read_all(frames)
+    rng = np.random.default_rng(1)
+    for i in [*range(N_FRAMES - 1, -1, -5), *rng.integers(0, N_FRAMES, 25).tolist(), 7, 7]:
+        image = frames.read(i)
+        assert in_order[i] is not None
+        np.testing.assert_array_equal(image, in_order[i])
+
+
+def test_reading_on_does_not_seek(mp4: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = frames_of(open_log(mp4))
+    opened: list[Path] = []
+    from fusion.logs import video
+
+    real = video.open_container
+    monkeypatch.setattr(video, "open_container", lambda path: (opened.append(path), real(path))[1])
+    frames.read(0)
+    opened.clear()
+    assert all(image is not None for image in read_all(frames))
+    assert opened == []
+
+
+def test_memory_does_not_grow_with_the_video(pictures: list[GreyImage], tmp_path: Path) -> None:
+    many = pictures * 12
+    path = encode(tmp_path / "long.mp4", many, times_s=np.arange(len(many)) / 20)
+    frames = frames_of(open_log(path))
+    frames.read(0)
+    gc.collect()
+    tracemalloc.start()
+    for i in range(len(frames.t_ns)):
+        frames.read(i)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 20 * SIZE[0] * SIZE[1]  # of 480 pictures
+
+
+def test_a_flight_from_a_video_keeps_its_pictures_open(mp4: Path) -> None:
+    frames = frames_of(open_log(mp4)).chosen(np.array([3, 5, 30]))
+    whole = frames_of(open_log(mp4))
+    np.testing.assert_array_equal(frames.read(2), whole.read(30))
+    np.testing.assert_array_equal(frames.t_ns, whole.t_ns[[3, 5, 30]])
+
+
+@pytest.mark.parametrize("turned", [90, 180, 270])
+def test_a_header_that_turns_the_pictures_is_obeyed(
+    pictures: list[GreyImage], tmp_path: Path, turned: int
+) -> None:
+    if not hasattr(av.video.stream.VideoStream, "set_display_rotation"):
+        pytest.skip("this PyAV cannot write such a header")
+    log = open_log(encode(tmp_path / "a.mp4", pictures, turned=turned))
+    problems: list[str] = []
+    image = log.frames("video", problems).read(0)
+    assert difference(image, np.rot90(pictures[0], turned // 90)) < 6.0
+    assert f"turned by {turned} degrees" in problems[0]
+
+
+# ------------------------------------------------------------------------------------------- clocks of other kinds
+
+
+def test_raw_streams_have_no_times(pictures: list[GreyImage], tmp_path: Path) -> None:
+    path = encode(tmp_path / "a.h264", pictures, container="h264")
+    with pytest.raises(
+        InputError, match=r"a\.h264: has no time stamps \(name a CSV with the time of each frame"
+    ):
+        open_log(path)
+    times = tmp_path / "times.txt"
+    times.write_text("# timecode format v2\n" + "".join(f"{1000 * t:.3f}\n" for t in TIMES_S))
+    log = open_video(path, times=times)
+    frames = frames_of(log)
+    np.testing.assert_allclose(frames.t_ns * 1e-9, TIMES_S, atol=1e-6)
+    for i in (0, 17, 39, 5, 6):
+        assert difference(frames.read(i), pictures[i]) < 6.0
+
+
+def test_avi_has_a_nominal_rate_only(pictures: list[GreyImage], tmp_path: Path) -> None:
+    times_s = np.arange(N_FRAMES) / 20
+    path = encode(tmp_path / "a.avi", pictures, "mjpeg", clock=Fraction(1, 20), times_s=times_s, b_frames=0)
+    log = open_log(path)
+    assert log.problems == ("a.avi: AVI stores no times; its nominal rate of 20 frames a second is taken",)
+    np.testing.assert_array_equal(frames_of(log).t_ns, np.arange(N_FRAMES) * 50_000_000)
+
+
+def test_times_from_a_file_go_row_by_row(mp4: Path, tmp_path: Path) -> None:
+    stamps = 1_600_000_000_000_000_000 + np.arange(N_FRAMES) * 40_000_000
+    times = tmp_path / "times.csv"
+    times.write_text("frame,timestamp_ns\n" + "".join(f"{i},{t}\n" for i, t in enumerate(stamps)))
+    frames = frames_of(open_video(mp4, times=times))
+    np.testing.assert_array_equal(frames.t_ns, stamps)
+    # A broken row costs its own frame; the others keep theirs. Rows too many are told.
+    lines = times.read_text().splitlines()
+    lines[11] = "10,what"
+    times.write_text("\n".join([*lines, "40,1600000009000000000"]) + "\n")
+    log = open_video(mp4, times=times)
+    assert any("times.csv has 41 rows, hall.mp4 40 frames: the first 40" in text for text in log.problems)
+    less = frames_of(log)
+    assert len(less.t_ns) == N_FRAMES - 1
+    np.testing.assert_array_equal(less.read(10), frames.read(11))
+
+
+# ------------------------------------------------------------------------------------------- damage
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts", "fast.mp4"])
+def test_cut_at_every_kilobyte(pictures: list[GreyImage], tmp_path: Path, name: str) -> None:
+    options = {"movflags": "faststart"} if name == "fast.mp4" else {}
+    whole = encode(tmp_path / name, pictures, **options)
+    data = whole.read_bytes()
+    cut = tmp_path / ("cut" + whole.suffix)
+    refused, partly = 0, 0
+    for end in range(0, len(data) - 100, 1024):
+        cut.write_bytes(data[:end])
+        try:
+            log = open_log(cut)
+            frames = frames_of(log)
+        except InputError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+            assert error.remedy  # noqa: PT017
+            refused += 1
+            continue
+        good = [i for i, image in enumerate(read_all(frames)) if image is not None]
+        assert good
+        partly += 1
+        # A transport stream has no header that says how long it is.
+        if whole.suffix != ".ts" and len(frames.t_ns) < N_FRAMES - 8:
+            assert any("cut short" in text or "damaged" in text for text in log.problems)
+    assert refused
+    assert partly or name == "a.mp4"  # an MP4 keeps its index at its end
+
+
+def test_flipped_bytes_cost_frames_and_never_pass_for_pictures(mp4: Path, tmp_path: Path) -> None:
+    """What H.264 conceals is not handed out: every frame that reads is the one of the sound file."""
+    sound = read_all(frames_of(open_log(mp4)))
+    rng = np.random.default_rng(2)
+    lost = 0
+    for trial in range(8):
+        data = bytearray(mp4.read_bytes())
+        for place in rng.integers(len(data) // 4, 3 * len(data) // 4, 3):
+            data[place] ^= 0xFF
+        path = tmp_path / f"{trial}.mp4"
+        path.write_bytes(data)
+        found = read_all(frames_of(open_log(path)))
+        lost += sum(image is None for image in found)
+        wrong = [
+            i for i, (a, b) in enumerate(zip(found, sound, strict=True))
+            if a is not None and b is not None and difference(a, b) > 12.0
+        ]  # fmt: skip
+        assert not wrong
+        assert any(image is not None for image in found)
+    assert lost
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("a.mp4", b"", r"a\.mp4: does not open as a video: .*\(it is no video or was not written to its end"),
+        ("a.mp4", b"\0\0\0\x20ftypisom" + bytes(20), r"does not open as a video"),
+        ("a.mkv", b"\x1a\x45\xdf\xa3", r"does not open as a video"),
+        ("a.mp4", b"<html>not found</html>", r"does not open as a video"),
+    ],
+)
+def test_what_is_no_video(tmp_path: Path, name: str, data: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(InputError, match=message):
+        open_log(tmp_path / name)
+
+
+def test_sound_alone_is_no_video(tmp_path: Path) -> None:
+    with av.open(str(tmp_path / "a.mp4"), "w") as file:
+        stream = file.add_stream("aac", rate=8000)
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
+        frame.sample_rate = 8000
+        for packet in [*stream.encode(frame), *stream.encode(None)]:
+            file.mux(packet)
+    with pytest.raises(InputError, match=r"a\.mp4: holds no video stream \(give a video with pictures\)"):
+        open_log(tmp_path / "a.mp4")
+
+
+def test_a_video_has_nothing_but_pictures(mp4: Path) -> None:
+    log = open_log(mp4)
+    assert isinstance(log, VideoLog)
+    assert log.camera("video") is None
+    for kind in ("imu", "attitude", "position", "velocity"):
+        with pytest.raises(InputError, match=f"has no {kind} topic x"):
+            getattr(log, kind)("x", [])
+    with pytest.raises(InputError, match=r"has no frames topic y \(choose one of video\)"):
+        log.frames("y", [])
+
+
+def test_without_pyav_it_says_what_to_install(mp4: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import builtins
+
+    real = builtins.__import__
+
+    def without(name: str, *args: Any, **kwargs: Any) -> Any:
+        if name == "av":
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(
+        InputError, match=r"needs PyAV \(install it: pip install 'corridor-fusion\[video\]'\)"
+    ):
+        open_log(mp4)
