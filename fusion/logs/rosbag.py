@@ -10,10 +10,11 @@ from __future__ import annotations
 import struct
 from array import array
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,8 @@ import numpy.typing as npt
 from fusion.flight import AttitudeStream, FloatArray, FrameStream, ImuStream, TimeArray, VectorStream
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.rosbag_file import Bag, recognises
+from fusion.logs.rosbag_frames import TOPICS as TRANSFORM_TOPICS
+from fusion.logs.rosbag_frames import StaticFrames
 from fusion.logs.rosbag_messages import (
     PICTURES,
     POSES,
@@ -31,7 +34,7 @@ from fusion.logs.rosbag_messages import (
     camera_from_info,
     row,
 )
-from fusion.logs.rosbag_pictures import BagPictures, decode, describe, refusal
+from fusion.logs.rosbag_pictures import BagPictures, describe, refusal
 from fusion.logs.samples import MIN_STEP_NS, counted
 from fusion.logs.series import (
     MAX_POSITION,
@@ -48,6 +51,9 @@ from fusion.logs.series import (
     velocity_stream,
 )
 from vision import Camera, InputError
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
 
 __all__ = ["open_log", "recognises"]
 
@@ -102,6 +108,7 @@ class _Samples:
     first: bytes
     clock: str
     remarks: tuple[str, ...]
+    axes: str = "x forward, y left, z up taken"
 
     def columns(self, start: int, end: int) -> FloatArray:
         """Return some of the numbers (n, k)."""
@@ -123,11 +130,13 @@ class RosLog(SeriesLog):
         pictures: dict[str, _Samples],
         notes: dict[str, str],
         infos: dict[str, bytes],
+        mounts: StaticFrames,
     ) -> None:
         super().__init__(bag.path, bag.format, series, bag.problems)
         self._bag = bag
         self._pictures = pictures
         self._infos = infos
+        self._mounts = mounts
         topics = [Topic(p.name, Kind.FRAMES, p.t_ns, notes[p.name]) for p in pictures.values()]
         self.topics = (*topics, *self.topics)
 
@@ -142,13 +151,15 @@ class RosLog(SeriesLog):
         return FrameStream(samples.t_ns[index], source)
 
     def camera(self, topic: str) -> Camera | None:
-        """Calibration from the CameraInfo beside these pictures; it looks straight ahead, for lack of better."""
+        """Calibration from the CameraInfo beside these pictures; it looks straight ahead unless transforms tell."""
         name = _info_of(topic, list(self._infos), list(self._pictures))
         if name is None:
             return None
         try:
-            info = decode(self._bag, RosType.CAMERA_INFO, self._infos[name])
-            return camera_from_info(info, name, rectified="rect" in _base(topic).rsplit("/", 1)[-1])
+            info = self._bag.decode(RosType.CAMERA_INFO, self._infos[name])
+            mount = self._mounts.mount(info.header.frame_id)
+            rectified = "rect" in _base(topic).rsplit("/", 1)[-1]
+            return camera_from_info(info, name, rectified=rectified, mount=mount)
         except InputError as error:
             raise InputError(error.problem, file=self.path, remedy=error.remedy) from error
         except (ValueError, IndexError, TypeError, AttributeError) as error:
@@ -167,12 +178,13 @@ def open_log(path: Path) -> LogContents:
     """
     bag = Bag(path)
     wire = Wire(bag.ros2)
-    gathered, infos = _gather(bag, wire)
+    gathered, infos, frames = _gather(bag, wire)
     samples = [_put_right(bag, found) for found in gathered if len(found.stamps_ns)]
+    samples = [_turned_into_body(s, wire, frames) if s.kind is RosType.IMU else s for s in samples]
     pictures, notes = _pictures(bag, [s for s in samples if s.kind in PICTURES])
     series = _series(bag, wire, [s for s in samples if s.kind not in PICTURES])
     if not series and not pictures:
-        if any(connection.msgtype in WANTED for connection in bag.connections):
+        if any(_of_use(connection) for connection in bag.connections):
             raise InputError(
                 f"none of its messages can be read ({'; '.join(bag.problems) or 'it holds none'})",
                 file=path,
@@ -184,24 +196,29 @@ def open_log(path: Path) -> LogContents:
             file=path,
             remedy="record sensor_msgs/Imu, and Image or CompressedImage with CameraInfo",
         )
-    return RosLog(bag, series, pictures, notes, infos)
+    return RosLog(bag, series, pictures, notes, infos, frames)
 
 
-def _gather(bag: Bag, wire: Wire) -> tuple[list[_Gathered], dict[str, bytes]]:
-    """Every topic of use, and the first CameraInfo of each that has one."""
+def _gather(bag: Bag, wire: Wire) -> tuple[list[_Gathered], dict[str, bytes], StaticFrames]:
+    """Every topic of use, the first CameraInfo of each that has one, and how the sensors are mounted."""
     found: dict[tuple[str, str], _Gathered] = {}
-    connections = [connection for connection in bag.connections if connection.msgtype in WANTED]
+    connections = [connection for connection in bag.connections if _of_use(connection)]
     infos: dict[str, bytes] = {}
+    frames = StaticFrames()
     if connections:
         for connection, received_ns, raw in bag.messages(connections, problems=bag.problems):
             if connection.msgtype == RosType.CAMERA_INFO:
                 infos.setdefault(connection.topic, raw)
                 continue
+            if connection.msgtype == RosType.TRANSFORMS:
+                with suppress(InputError):  # a damaged one is one that is not there
+                    frames.add(bag.decode(connection.msgtype, raw).transforms)
+                continue
             key = (connection.topic, connection.msgtype)
             if key not in found:
                 found[key] = _Gathered(connection.topic, RosType(connection.msgtype))
             found[key].take(wire, received_ns, raw)
-    return sorted(found.values(), key=lambda topic: topic.name), infos
+    return sorted(found.values(), key=lambda topic: topic.name), infos, frames
 
 
 def _put_right(bag: Bag, found: _Gathered) -> _Samples:
@@ -229,13 +246,43 @@ def _put_right(bag: Bag, found: _Gathered) -> _Samples:
     )
 
 
+def _of_use(connection: Connection) -> bool:
+    """Whether a connection is read; of the transforms only those that never change."""
+    if connection.msgtype == RosType.TRANSFORMS:
+        return connection.topic in TRANSFORM_TOPICS
+    return connection.msgtype in WANTED
+
+
+def _turned_into_body(samples: _Samples, wire: Wire, frames: StaticFrames) -> _Samples:
+    """Inertial samples in the axes of the body, where transforms tell how the sensor is mounted."""
+    frame_id = wire.frame_id(samples.first)
+    mount = frames.mount(frame_id)
+    if mount is None:
+        return samples
+    R = mount.of_flu_sensor()
+    values = samples.values.copy()
+    values[:, 4:7] = samples.columns(4, 7) @ R.T
+    values[:, 7:10] = samples.columns(7, 10) @ R.T
+    values[:, 0:4] = _times_inverse(samples.columns(0, 4), R)
+    return replace(samples, values=values, axes=f"turned from {frame_id} into {mount.body} by /tf_static")
+
+
+def _times_inverse(q: FloatArray, R: FloatArray) -> FloatArray:
+    """Quaternions (n, 4), w x y z, times the inverse of a rotation (3, 3); any length is kept, and NaN."""
+    from scipy.spatial.transform import Rotation
+
+    w, x, y, z = Rotation.from_matrix(R.T).as_quat(scalar_first=True)
+    right = np.array([[w, x, y, z], [-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]])
+    return np.asarray(q @ right)
+
+
 def _pictures(bag: Bag, topics: Iterable[_Samples]) -> tuple[dict[str, _Samples], dict[str, str]]:
     """Picture topics that can be read, and a note on each; the others are named in the bag's problems."""
     found: dict[str, _Samples] = {}
     notes: dict[str, str] = {}
     for samples in topics:
         try:
-            message = decode(bag, samples.kind, samples.first)
+            message = bag.decode(samples.kind, samples.first)
             reason = refusal(message, samples.kind)
             what = describe(message, samples.kind)
         except InputError:
@@ -255,9 +302,10 @@ def _series(bag: Bag, wire: Wire, topics: list[_Samples]) -> list[Series]:
     oriented = [s for s in imus if _any_quaternion(s.columns(0, 4))]
     poses = sorted((s for s in topics if s.kind in POSES), key=lambda s: POSES.index(s.kind))
     twists = sorted((s for s in topics if s.kind in TWISTS), key=lambda s: TWISTS.index(s.kind))
-    found = [_one(s, Kind.IMU, "x forward, y left, z up taken", _read_imu) for s in inertial]
+    found = [_one(s, Kind.IMU, s.axes, _read_imu) for s in inertial]
     attitudes = [
-        _one(s, Kind.ATTITUDE, "orientation of the IMU", partial(_read_attitude, 0)) for s in oriented
+        _one(s, Kind.ATTITUDE, f"orientation of the IMU, {s.axes}", partial(_read_attitude, 0))
+        for s in oriented
     ]
     attitudes += [_one(s, Kind.ATTITUDE, _frame(wire, s), partial(_read_attitude, 3)) for s in poses]
     found += attitudes

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import nan
 
+from fusion.logs.rosbag_frames import Mount
 from vision import Camera, InputError
 from vision.camera import Distortion
 
@@ -34,6 +35,7 @@ class RosType(StrEnum):
     POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
     TWIST = "geometry_msgs/msg/TwistStamped"
     TWIST_COVARIANCE = "geometry_msgs/msg/TwistWithCovarianceStamped"
+    TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
 PICTURES = (RosType.IMAGE, RosType.COMPRESSED)
@@ -139,8 +141,10 @@ _DISTORTIONS = {
 }
 
 
-def camera_from_info(info: object, topic: str, *, rectified: bool) -> Camera | None:
-    """Camera of a ``sensor_msgs/CameraInfo``, looking straight ahead: it does not tell the mounting.
+def camera_from_info(
+    info: object, topic: str, *, rectified: bool, mount: Mount | None = None
+) -> Camera | None:
+    """Camera of a ``sensor_msgs/CameraInfo``.
 
     Parameters
     ----------
@@ -150,6 +154,8 @@ def camera_from_info(info: object, topic: str, *, rectified: bool) -> Camera | N
         Its topic, for messages.
     rectified
         Whether the pictures were rectified: then the projection ``P`` counts and nothing is distorted.
+    mount
+        Where it is on the body; straight ahead by default, for the message does not tell.
 
     Returns
     -------
@@ -183,6 +189,8 @@ def camera_from_info(info: object, topic: str, *, rectified: bool) -> Camera | N
     centre = (cx_px - int(roi.x_offset), cy_px - int(roi.y_offset))
     try:
         whole = Camera(width, height, fx_px, fy_px, *centre, model, tuple(D))
+        if mount is not None:
+            whole = replace(whole, R_body_camera=mount.R_body_sensor, p_body_camera_m=mount.p_body_sensor_m)
         return whole.resized(width // binning[0], height // binning[1]) if max(binning) > 1 else whole
     except InputError as error:
         raise InputError(f"{topic}: {error.problem}", remedy=error.remedy) from error

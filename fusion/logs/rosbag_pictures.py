@@ -83,7 +83,7 @@ class BagPictures:
         connection, _, raw = message
         assert self._bag is not None
         try:
-            return grey(decode(self._bag, connection.msgtype, raw))
+            return grey(self._bag.decode(connection.msgtype, raw))
         except InputError as error:
             raise self._unreadable(error.problem, wanted) from error
 
@@ -109,28 +109,6 @@ class BagPictures:
             file=self.path,
             remedy="the bag is damaged there",
         )
-
-
-def decode(bag: Bag, msgtype: str, raw: bytes) -> Any:
-    """Take a message apart with rosbags.
-
-    Raises
-    ------
-    InputError
-        Where it does not decode.
-    """
-    from rosbags.typesys import Stores, get_typestore
-
-    store = _STORES.get(bag.ros2)
-    if store is None:
-        store = _STORES.setdefault(bag.ros2, get_typestore(Stores.LATEST if bag.ros2 else Stores.ROS1_NOETIC))
-    try:
-        return store.deserialize_cdr(raw, msgtype) if bag.ros2 else store.deserialize_ros1(raw, msgtype)
-    except Exception as error:  # rosbags lets anything through that damaged bytes make it do
-        raise InputError(f"message does not decode: {one_line(error)}", file=bag.path) from error
-
-
-_STORES: dict[bool, Any] = {}  # building one takes a tenth of a second
 
 
 def describe(message: Any, kind: str) -> str:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from fusion.flight import Flight
 from fusion.logs import load_flight, rosbag
 from fusion.logs.contents import Kind
+from fusion.logs.rosbag_frames import StaticFrames
 from fusion.logs.rosbag_messages import camera_from_info
 from fusion.logs.rosbag_pictures import grey
 from tests.fusion import damage
@@ -25,7 +26,7 @@ from vision.images import read_image, to_grey
 pytest.importorskip("rosbags")
 
 from rosbags import rosbag1, rosbag2
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 ROOT = Path(__file__).resolve().parents[2]
 REAL = ROOT.parent / "shared" / "logs" / "ros1"
@@ -46,6 +47,9 @@ class Bag:
     def __enter__(self) -> Bag:
         self.ros1 = self.kind.startswith("ros1")
         self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
+        if self.ros1:
+            text = "geometry_msgs/TransformStamped[] transforms"
+            self.store.register(get_types_from_msg(text, "tf2_msgs/msg/TFMessage"))
         self.types = self.store.types
         if self.ros1:
             self.writer: Any = rosbag1.Writer(self.path)
@@ -136,6 +140,21 @@ class Bag:
             roi=roi,
             **values,
         )
+
+    def transforms(self, *mounts: tuple[str, str, Any, Any]) -> Any:
+        """Parent, child, place and rotation of each."""
+        stamped = []
+        for parent, child, place, rotation in mounts:
+            transform = self.types["geometry_msgs/msg/Transform"](
+                translation=self.vector(place),
+                rotation=self.quaternion(rotation.as_quat(scalar_first=True)),
+            )
+            stamped.append(
+                self.types["geometry_msgs/msg/TransformStamped"](
+                    header=self.header(0, parent), child_frame_id=child, transform=transform
+                )
+            )
+        return self.types["tf2_msgs/msg/TFMessage"](transforms=stamped)
 
 
 def flat(path: Path, kind: str) -> Path:
@@ -259,14 +278,14 @@ def test_topics_say_what_they_are(office_bag: Path) -> None:
 
 
 def test_the_file_in_the_folder_will_do(office_bag: Path, tmp_path: Path) -> None:
-    if office_bag.is_file():
-        pytest.skip("ROS 1 bags have no folder")
-    alone = flat(office_bag, "ros2")
+    alone = office_bag if office_bag.is_file() else flat(office_bag, "ros2")
     other = tmp_path / "renamed"
     other.write_bytes(alone.read_bytes())
     for path in (alone, other):
         assert rosbag.recognises(path)
         assert len(rosbag.open_log(path).topics) == 4
+    if office_bag.is_file():
+        return  # ROS 1 has no folders
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / alone.name).write_bytes(alone.read_bytes())
     log = rosbag.open_log(tmp_path / "bag")
@@ -328,6 +347,69 @@ def test_poses_and_velocities_turn_into_frd(kind: str, tmp_path: Path) -> None:
     # Turned left by 90 degrees, the world's x is to the right of the body, its y ahead.
     np.testing.assert_allclose(log.velocity("/twist_world", problems).xyz, [[0.1, 0.5, 0.2]] * 50, atol=1e-9)
     assert problems == []
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+def test_sensors_are_mounted_as_the_static_transforms_say(kind: str, office: Flight, tmp_path: Path) -> None:
+    assert office.imu is not None
+    path = tmp_path / "office.bag"
+    imu_on_mast = Rotation.from_euler("ZYX", [90.0, 20.0, 180.0], degrees=True)
+    mast_on_body = Rotation.from_euler("Z", 30.0, degrees=True)
+    turn = mast_on_body * imu_on_mast
+    optical = Rotation.from_matrix([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    standing = Rotation.from_euler("ZYX", [40.0, 5.0, -3.0], degrees=True)  # body FLU in the world, z up
+    camera = office.camera
+    with Bag(path, kind) as bag:
+        bag.write(
+            "/tf_static",
+            bag.transforms(
+                ("base_link", "mast", (0.0, 0.0, 0.3), mast_on_body),
+                ("mast", "imu_link", (0.1, 0.0, 0.0), imu_on_mast),
+                ("base_link", "camera", (0.06, 0.0, 0.015), optical),
+            ),
+            START_NS,
+        )
+        info = bag.camera_info(START_NS, 640, 480, LENS, "plumb_bob", np.zeros(5))
+        bag.write("/cam0/camera_info", info, START_NS)
+        for k in range(40):
+            t_ns = START_NS + k * 5_000_000
+            gyro, accel = (
+                turn.inv().apply(v[k] * FLU) for v in (office.imu.gyro_rad_s, office.imu.accel_m_s2)
+            )
+            sample = bag.imu(t_ns, gyro, accel, (standing * turn).as_quat(scalar_first=True))
+            sample.header.frame_id = "imu_link"
+            bag.write("/imu/data", sample, t_ns)
+        data = next((ROOT / "data" / "office" / "mav0" / "cam0" / "data").iterdir()).read_bytes()
+        bag.write("/cam0/image_raw/compressed", bag.compressed(START_NS, data), START_NS)
+    log = rosbag.open_log(path)
+    problems: list[str] = []
+    imu = log.imu("/imu/data", problems)
+    np.testing.assert_allclose(imu.gyro_rad_s, office.imu.gyro_rad_s[:40], atol=1e-12)
+    np.testing.assert_allclose(imu.accel_m_s2, office.imu.accel_m_s2[:40], atol=1e-12)
+    attitude = log.attitude("/imu/data", problems)
+    body = Rotation.from_quat(attitude.q_world_body, scalar_first=True)
+    angles = body.as_euler("ZYX", degrees=True)
+    np.testing.assert_allclose(angles, [[-40.0, -5.0, -3.0]] * 40, atol=1e-9)  # the same body, FRD and z down
+    read = log.camera("/cam0/image_raw/compressed")
+    assert read is not None
+    np.testing.assert_allclose(read.R_body_camera, camera.R_body_camera, atol=1e-12)
+    np.testing.assert_allclose(read.p_body_camera_m, camera.p_body_camera_m, atol=1e-12)
+    assert "turned from imu_link into base_link by /tf_static" in log.topics[1].note
+    assert problems == []
+
+
+def test_transforms_that_lead_nowhere_or_in_a_circle_are_no_mounts(ros1: Bag) -> None:
+    straight = Rotation.identity()
+    frames = StaticFrames()
+    frames.add(ros1.transforms(("a", "b", (0, 0, 0), straight), ("b", "a", (0, 0, 0), straight)).transforms)
+    frames.add(ros1.transforms(("/map", "/lonely", (0, 0, 0), straight)).transforms)
+    frames.add(ros1.transforms(("drone/base_link", "nan", (np.nan, 0, 0), straight)).transforms)
+    assert [frames.mount(name) for name in ("a", "lonely", "nan", "unheard_of")] == [None] * 4
+    frames.add(ros1.transforms(("/drone/base_link", "/lonely", (1, 2, 3), straight)).transforms)
+    mount = frames.mount("lonely")
+    assert mount is not None
+    assert mount.body == "drone/base_link"
+    np.testing.assert_array_equal(mount.p_body_sensor_m, [1.0, -2.0, -3.0])
 
 
 def test_empty_headers_leave_the_times_of_receipt_and_it_is_said(tmp_path: Path) -> None:
@@ -529,10 +611,8 @@ def test_refusals_name_the_file_and_the_remedy(tmp_path: Path) -> None:
     assert not rosbag.recognises(tmp_path)
 
 
-@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("kind", [kind for kind in FORMATS if kind != "mcap-zstd"])  # that is a single chunk
 def test_a_torn_bag_gives_what_is_whole(kind: str, office: Flight, tmp_path: Path) -> None:
-    if kind == "mcap-zstd":
-        pytest.skip("rosbags writes one compressed chunk")
     path = tmp_path / "office.bag"
     write_office(office, path, kind, seconds=6.0 if kind == "mcap" else 1.0)
     whole = flat(path, kind).read_bytes()
