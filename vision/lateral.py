@@ -359,7 +359,13 @@ def fit_lateral(
     )
     if probability < MIN_PROBABILITY:
         return None
-    variance = SCATTER_SHARE * scatter**2 + std**2 + (roll_std_rad * tilt) ** 2 + MIN_STD**2 + DOUBT * (1.0 - probability)
+    variance = (
+        SCATTER_SHARE * scatter**2
+        + std**2
+        + (roll_std_rad * tilt) ** 2
+        + MIN_STD**2
+        + DOUBT * (1.0 - probability)
+    )
     walls: list[int] = []
     width_per_height = nan
     if floor_share > MIN_WIDTH_SHARE:

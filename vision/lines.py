@@ -64,6 +64,7 @@ MIN_LENGTH_PX = 7.0
 MAX_HALF_FIELD_RAD = radians(75.0)  # rectified coordinates stretch without bound towards 90 degrees
 PIXELS_PER_INDEPENDENT = 6.0  # neighbouring edge pixels share blur and noise
 POSITION_FLOOR_PX = 0.08  # bias of the parabola, compression, edges not quite straight: does not average out
+SOFT = 3.0  # times that, where edges are blurred even as seen from as far away as can be
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,6 +298,7 @@ def _span_planes(
     lines: FloatArray,
     working: FloatArray,
     original: FloatArray,
+    floor_px: float,
     ends_px: FloatArray,
     centre: FloatArray,
     direction: FloatArray,
@@ -304,7 +306,10 @@ def _span_planes(
     sigma_rad: FloatArray,
     arc_rad: FloatArray,
 ) -> None:
-    """Fill each line's plane from its end points; ``working`` and ``original`` are fx, fy, cx, cy."""
+    """Fill each line's plane from its end points; ``working`` and ``original`` are fx, fy, cx, cy.
+
+    ``floor_px`` is the error across a line, in working pixels, that more edge pixels do not average out.
+    """
     for i in range(len(lines)):
         x0 = (lines[i, X0] - working[2]) / working[0]
         y0 = (lines[i, Y0] - working[3]) / working[1]
@@ -332,7 +337,7 @@ def _span_planes(
         direction[i, 0] = normal[i, 1] * centre[i, 2] - normal[i, 2] * centre[i, 1]
         direction[i, 1] = normal[i, 2] * centre[i, 0] - normal[i, 0] * centre[i, 2]
         direction[i, 2] = normal[i, 0] * centre[i, 1] - normal[i, 1] * centre[i, 0]
-        sigma_px = hypot(lines[i, RMS] * sqrt(PIXELS_PER_INDEPENDENT / lines[i, COUNT]), POSITION_FLOOR_PX)
+        sigma_px = hypot(lines[i, RMS] * sqrt(PIXELS_PER_INDEPENDENT / lines[i, COUNT]), floor_px)
         sigma_rad[i] = sigma_px * hypot(normal[i, 0], normal[i, 1]) / (depth * working[0])
 
 
@@ -342,8 +347,18 @@ def _line_set(found: _Traced, camera: Camera, working: Camera, started: float) -
     ends_px = np.empty((n, 4))
     centre, direction, normal = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
     sigma_rad, arc_rad = np.empty(n), np.empty(n)
+    floor_px = POSITION_FLOOR_PX * max(camera.fx_px / working.fx_px, 1.0) * (SOFT if found.blurred else 1.0)
     _span_planes(
-        lines, _pinhole(working), _pinhole(camera), ends_px, centre, direction, normal, sigma_rad, arc_rad
+        lines,
+        _pinhole(working),
+        _pinhole(camera),
+        floor_px,
+        ends_px,
+        centre,
+        direction,
+        normal,
+        sigma_rad,
+        arc_rad,
     )
     return LineSet(
         width_px=camera.width_px,
