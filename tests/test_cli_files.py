@@ -1,0 +1,158 @@
+"""``corridor fuse`` on manifests, logs, and files named one by one, as a user runs it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from fusion import cli, load_flight
+from fusion.logs.manifest import read_manifest
+from fusion.outputs import OUTPUT_FILES, read_table
+from fusion.tables import ESTIMATE_DTYPE
+
+OFFICE = Path(__file__).resolve().parent.parent / "data" / "office"
+N_FRAMES = 30
+G = 9.80665
+
+
+class Run(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+Corridor = Callable[..., Run]
+
+
+@pytest.fixture
+def corridor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Corridor:
+    """Run the command in an empty folder of its own, in this process."""
+    (tmp_path / "cwd").mkdir()
+    monkeypatch.chdir(tmp_path / "cwd")
+
+    def run(*arguments: str | Path) -> Run:
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as end:
+            cli.main([str(argument) for argument in arguments])
+        code = end.value.code
+        return Run(code if isinstance(code, int) else 0, *capfd.readouterr())
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Make hall.mp4, imu.csv (its clock 20 s ahead) and camera.yaml of the first seconds of the sample flight."""
+    av = pytest.importorskip("av")
+    folder = tmp_path_factory.mktemp("files")
+    flight = load_flight(OFFICE)
+    assert flight.imu is not None
+    t_ns = flight.frames.t_ns[:N_FRAMES]
+    with av.open(str(folder / "hall.mp4"), "w") as file:
+        stream = file.add_stream("libx264", rate=20, options={"crf": "14"})
+        stream.width, stream.height, stream.pix_fmt = (
+            flight.camera.width_px,
+            flight.camera.height_px,
+            "yuv420p",
+        )
+        stream.codec_context.time_base = Fraction(1, 90000)
+        for k in range(N_FRAMES):
+            frame = av.VideoFrame.from_ndarray(flight.frames.read(k), format="gray").reformat(
+                format="yuv420p"
+            )
+            frame.pts, frame.time_base = round((t_ns[k] - t_ns[0]) * 9e-5), Fraction(1, 90000)
+            for packet in stream.encode(frame):
+                file.mux(packet)
+        for packet in stream.encode(None):
+            file.mux(packet)
+    keep = flight.imu.t_ns <= t_ns[-1]
+    values = [
+        (flight.imu.t_ns[keep] - t_ns[0]) / 1e9 + 20.0,
+        flight.imu.gyro_rad_s[keep],
+        flight.imu.accel_m_s2[keep] / G,
+    ]
+    header = "time_s,gyro_x,gyro_y,gyro_z,acc_x_g,acc_y_g,acc_z_g"
+    np.savetxt(folder / "imu.csv", np.column_stack(values), "%.9f", ",", header=header, comments="")
+    shutil.copy(OFFICE / "mav0" / "cam0" / "sensor.yaml", folder / "camera.yaml")
+    return folder
+
+
+def refused(run: Run, *words: str) -> None:
+    """One line on stderr that holds these words, exit code 2, nothing on stdout, nothing left behind."""
+    assert run.code == 2, run
+    assert run.err.count("\n") == 1, run.err
+    assert run.err.startswith("corridor: error: ")
+    for word in words:
+        assert word in run.err
+    assert run.out == ""
+    assert os.listdir() == []
+
+
+def test_imu_and_video_named_one_by_one(corridor: Corridor, files: Path) -> None:
+    named = ("--imu", files / "imu.csv", "--video", files / "hall.mp4", "--camera", files / "camera.yaml")
+    run = corridor("fuse", *named, "--clock-offset", "20")
+    assert run.code == 0, run.err
+    assert set(os.listdir("hall_fused")) == set(OUTPUT_FILES)
+    table = read_table("hall_fused/estimates.csv", ESTIMATE_DTYPE)
+    assert np.isfinite(table["heading_rad"]).mean() > 0.8
+    manifest = read_manifest("hall_fused/flight.toml")
+    assert manifest.name == "hall"
+    assert manifest.log == files / "imu.csv"
+    assert manifest.camera.file == files / "hall.mp4"
+    assert manifest.camera.clock_offset_s == 20.0
+    assert manifest.imu.topic == "imu"
+    # What was written is enough to do it again, from elsewhere too.
+    again = corridor("fuse", "hall_fused", "-o", "again")
+    assert again.code == 0, again.err
+    assert Path("again/estimates.csv").read_bytes() == Path("hall_fused/estimates.csv").read_bytes()
+
+
+def test_a_manifest_and_options_on_top_of_it(corridor: Corridor, files: Path) -> None:
+    camera = '[camera]\nfile = "hall.mp4"\ncalibration = "camera.yaml"\n'
+    imu = '[imu]\nfile = "imu.csv"\nclock_offset_s = -20.0\nframe = "frd"\n'
+    (files / "hall.toml").write_text(camera + imu)
+    run = corridor("fuse", files / "hall.toml", "-o", "out")
+    assert run.code == 0, run.err
+    assert read_manifest("out/flight.toml").imu.clock_offset_s == -20.0
+    assert os.path.relpath(files, "out") in Path("out/flight.toml").read_text()
+    by_hand = corridor(
+        "fuse", files / "hall.toml", "--imu", files / "imu.csv", "--clock-offset", "20", "-o", "other"
+    )
+    assert by_hand.code == 0, by_hand.err
+    one, two = (
+        read_table(f"{name}/estimates.csv", ESTIMATE_DTYPE)["heading_rad"] for name in ("out", "other")
+    )
+    np.testing.assert_allclose(one, two, atol=1e-9)
+
+
+def test_too_little_is_named(corridor: Corridor, files: Path) -> None:
+    refused(corridor("fuse"), "no flight is named", "--imu LOG --video VIDEO")
+    refused(corridor("fuse", "--imu", files / "imu.csv"), "no pictures are named")
+    refused(corridor("fuse", "--imu", files / "none.csv", "--video", files / "hall.mp4"), "none.csv", "--imu")
+    refused(corridor("fuse", files / "imu.csv"), "without pictures", "--video VIDEO --camera CAM.yaml")
+    refused(corridor("fuse", files / "hall.mp4"), "holds no calibration of the camera", "--camera")
+    named = ("--imu", files / "imu.csv", "--video", files / "hall.mp4", "--camera", files / "camera.yaml")
+    refused(corridor("fuse", *named), "covers 20.0 to", "--clock-offset", "20.000")
+
+
+def test_a_manifest_with_a_slip(corridor: Corridor, files: Path) -> None:
+    (files / "slip.toml").write_text('[camera]\nfile = "hall.mp4"\ncalibratoin = "camera.yaml"\n')
+    refused(
+        corridor("fuse", files / "slip.toml"), "slip.toml", "camera.calibratoin", "did you mean calibration?"
+    )
+
+
+def test_a_manifest_of_the_users_is_not_overwritten(corridor: Corridor, files: Path, tmp_path: Path) -> None:
+    hall = tmp_path / "hall"
+    hall.mkdir()
+    (hall / "flight.toml").write_text(f'log = "{OFFICE.as_posix()}"\n')
+    run = corridor("fuse", hall, "-o", hall)
+    refused(run, "holds 'flight.toml', which corridor did not write")
+    assert (hall / "flight.toml").read_text() == f'log = "{OFFICE.as_posix()}"\n'
