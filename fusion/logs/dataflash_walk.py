@@ -139,7 +139,8 @@ def read_columns(
     values = np.empty((len(starts), len(columns)))
     for k, column in enumerate(columns):
         with np.errstate(invalid="ignore"):  # a damaged float may be a signalling NaN
-            values[:, k] = read_column(data, fmt, starts, column) * fmt.scales[column]
+            values[:, k] = read_column(data, fmt, starts, column)
+    values *= [fmt.scales[column] for column in columns]
     return values
 
 

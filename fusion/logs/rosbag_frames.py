@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from fusion.flight import FloatArray
-from vision.calibration import R_FRD_FLU
+from vision.calibration import to_frd
 
+R_FRD_FLU: FloatArray = to_frd("flu")
 TOPICS = ("/tf_static", "tf_static")
 BODIES = ("base_link", "base_footprint", "base", "body")  # last part of the name of a vehicle's own axes
 DEEPEST = 50  # more transforms in a row go in a circle

@@ -142,31 +142,33 @@ def open_log(path: Path) -> LogContents:
 
 
 def _definitions(path: Path) -> dict[int, Any]:
-    """Find the classes of pymavlink for the messages that are read, by number."""
+    """Find what pymavlink knows of every message of the common and of ArduPilot's own set, by number."""
     try:
-        from pymavlink.dialects.v20 import common
+        from pymavlink.dialects.v20 import ardupilotmega
     except ImportError:
         raise InputError(
             "is a MAVLink log, which pymavlink describes",
             file=path,
             remedy="pip install 'corridor-fusion[ardupilot]'",
         ) from None
-    numbers = [getattr(common, f"MAVLINK_MSG_ID_{name}") for name in NAMES]
-    return {number: common.mavlink_map[number] for number in numbers}
+    return dict(ardupilotmega.mavlink_map)
 
 
 def _tables(path: Path, problems: list[str]) -> list[_Table]:
     from fusion.logs.tlog_walk import find_packets
 
-    classes = _definitions(path)
+    known = _definitions(path)
+    classes = {number: kind for number, kind in known.items() if kind.msgname in NAMES}
     try:
         with path.open("rb") as file:
             data = np.frombuffer(mmap(file.fileno(), 0, access=ACCESS_READ), dtype=np.uint8)
     except (OSError, ValueError) as error:
         raise InputError(f"cannot be read: {error}", file=path, remedy="check the file") from error
-    packets = find_packets(data, {number: kind.crc_extra for number, kind in classes.items()})
+    packets = find_packets(data, {number: kind.crc_extra for number, kind in known.items()}, classes)
     if packets.damaged:
         problems.append(f"{counted(packets.damaged, 'message')} with a wrong checksum dropped")
+    if packets.unknown:
+        problems.append(f"{counted(packets.unknown, 'message')} of a kind that is not known left out")
     if packets.lost:
         problems.append(f"{packets.lost} of {len(data)} bytes belong to no whole message and were skipped")
     senders = np.unique(packets.sender).tolist()

@@ -6,6 +6,7 @@ then a MAVLink packet of version 1 or 2. https://mavlink.io/en/guide/serializati
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +17,10 @@ from vision.compiled import compiled
 ByteArray = npt.NDArray[np.uint8]
 IndexArray = npt.NDArray[np.int64]
 
-MAX_ID = 1024
-PACKET = 8  # bytes of time before it
+MAX_ID = 1 << 16
+TIME_BYTES = 8
 _COLUMNS = 5  # of a packet found: identifier, payload's place and length, sender, place of the record
+_FOUND, _DAMAGED, _UNKNOWN, _LOST = range(4)  # what is tallied
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,8 +37,9 @@ class Packets:
         System times 256 plus component.
     record
         Where the record begins.
-    damaged, lost
-        How many packets failed their checksum, and how many bytes belong to no record.
+    damaged, unknown, lost
+        How many packets failed their checksum, how many have none that is known, and how many bytes belong to no
+        record.
     """
 
     identifier: IndexArray
@@ -45,20 +48,26 @@ class Packets:
     sender: IndexArray
     record: IndexArray
     damaged: int
+    unknown: int
     lost: int
 
 
-def find_packets(data: ByteArray, checksum_seeds: dict[int, int]) -> Packets:
-    """Find the packets whose identifiers have a seed for their checksum."""
-    seeds = np.full(MAX_ID, -1, dtype=np.int64)
-    for identifier, seed in checksum_seeds.items():
-        seeds[identifier] = seed
-    tally = np.zeros(3, dtype=np.int64)
-    _walk(data, seeds, tally, np.empty((0, _COLUMNS), dtype=np.int64))
-    found = np.empty((int(tally[0]), _COLUMNS), dtype=np.int64)
+def find_packets(data: ByteArray, seeds: dict[int, int], wanted: Iterable[int]) -> Packets:
+    """Find the wanted packets; ``seeds`` are those of the checksum of every known message."""
+    seed_of = np.full(MAX_ID, -1, dtype=np.int64)
+    for identifier, seed in seeds.items():
+        if identifier < MAX_ID:
+            seed_of[identifier] = seed
+    is_wanted = np.zeros(MAX_ID, dtype=np.bool_)
+    is_wanted[list(wanted)] = True
+    tally = np.zeros(4, dtype=np.int64)
+    _walk(data, seed_of, is_wanted, tally, np.empty((0, _COLUMNS), dtype=np.int64))
+    found = np.empty((int(tally[_FOUND]), _COLUMNS), dtype=np.int64)
     if len(found):
-        _walk(data, seeds, np.zeros(3, dtype=np.int64), found)
-    return Packets(*(found[:, k].copy() for k in range(_COLUMNS)), damaged=int(tally[1]), lost=int(tally[2]))
+        _walk(data, seed_of, is_wanted, np.zeros(4, dtype=np.int64), found)
+    kinds, payloads_at, sizes, senders, records = found.T.copy()
+    damaged, unknown, lost = (int(tally[k]) for k in (_DAMAGED, _UNKNOWN, _LOST))
+    return Packets(kinds, payloads_at, sizes, senders, records, damaged, unknown, lost)
 
 
 @compiled
@@ -74,58 +83,60 @@ def _checksum(data: ByteArray, start: int, end: int, seed: int) -> int:
 
 
 @compiled
-def _walk(data: ByteArray, seeds: IndexArray, tally: IndexArray, found: IndexArray) -> None:
-    """Tally packets found, damaged, and bytes lost; note the found ones where there is room."""
+def _walk(
+    data: ByteArray,
+    seed_of: IndexArray,
+    is_wanted: npt.NDArray[np.bool_],
+    tally: IndexArray,
+    found: IndexArray,
+) -> None:
+    """Tally what is found, damaged, unknown and lost; note the wanted packets where there is room."""
     size = data.size
     at = 0
     while at + 16 <= size:
-        magic = data[at + 8]
-        length = np.int64(data[at + 9])
+        magic = int(data[at + 8])
+        length = int(data[at + 9])
+        header = 0
         signature = 0
+        identifier = 0
+        sender = 0
         if magic == 0xFE:
             header = 6
-            identifier = np.int64(data[at + 13])
-            sender = np.int64(data[at + 11]) * 256 + data[at + 12]
+            identifier = int(data[at + 13])
+            sender = int(data[at + 11]) * 256 + int(data[at + 12])
         elif magic == 0xFD and at + 18 <= size:
             header = 10
             signature = 13 if data[at + 10] & 1 else 0
-            identifier = (
-                np.int64(data[at + 15]) + 256 * np.int64(data[at + 16]) + 65536 * np.int64(data[at + 17])
-            )
-            sender = np.int64(data[at + 13]) * 256 + data[at + 14]
-        else:
-            header = 0
-            identifier = np.int64(0)
-            sender = np.int64(0)
+            identifier = int(data[at + 15]) + 256 * int(data[at + 16]) + 65536 * int(data[at + 17])
+            sender = int(data[at + 13]) * 256 + int(data[at + 14])
         payload = at + 8 + header
         end = payload + length + 2 + signature
         if header == 0 or data[at] != 0 or end > size:
             at += 1
-            tally[2] += 1
+            tally[3] += 1
             continue
-        seed = seeds[identifier] if identifier < seeds.size else -1
-        followed = end + 8 >= size or data[end + 8] == 0xFE or data[end + 8] == 0xFD
+        seed = int(seed_of[identifier]) if identifier < seed_of.size else -1
+        sound = False
         if seed >= 0:
-            crc = np.int64(data[payload + length]) + 256 * np.int64(data[payload + length + 1])
-            if _checksum(data, at + 9, payload + length, seed) == crc:
-                if found.shape[0]:
-                    k = tally[0]
-                    found[k, 0] = identifier
-                    found[k, 1] = payload
-                    found[k, 2] = length
-                    found[k, 3] = sender
-                    found[k, 4] = at
-                tally[0] += 1
-                at = end
+            crc = int(data[payload + length]) + 256 * int(data[payload + length + 1])
+            sound = _checksum(data, at + 9, payload + length, seed) == crc
+        if not sound:
+            if end + 8 < size and data[end + 8] != 0xFE and data[end + 8] != 0xFD:
+                at += 1  # nothing follows: it was no packet
+                tally[3] += 1
                 continue
-            if followed:
-                tally[1] += 1
-        if followed:
-            at = end
-        else:
-            at += 1
-            tally[2] += 1
-    tally[2] += size - at
+            tally[2 if seed < 0 else 1] += 1
+        elif is_wanted[identifier]:
+            if found.shape[0]:
+                k = tally[0]
+                found[k, 0] = identifier
+                found[k, 1] = payload
+                found[k, 2] = length
+                found[k, 3] = sender
+                found[k, 4] = at
+            tally[0] += 1
+        at = end
+    tally[3] += size - at
 
 
 @compiled
@@ -146,6 +157,6 @@ def payloads(
 
 def received_us(data: ByteArray, records: IndexArray) -> npt.NDArray[np.uint64]:
     """When the recording computer received each record (n,), microseconds since 1970."""
-    rows = np.zeros((len(records), PACKET), dtype=np.uint8)
-    _copy(data, records, np.full(len(records), PACKET, dtype=np.int64), rows)
+    rows = np.zeros((len(records), TIME_BYTES), dtype=np.uint8)
+    _copy(data, records, np.full(len(records), TIME_BYTES, dtype=np.int64), rows)
     return rows.view(">u8")[:, 0].astype(np.uint64) if len(records) else np.empty(0, np.uint64)
