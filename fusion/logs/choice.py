@@ -12,17 +12,14 @@ from collections.abc import Sequence
 from fusion.logs.contents import Kind, LogContents, Topic
 from vision import InputError
 
-# In each format the stream that the vehicle's own estimator uses, most telling first; matched against the whole name.
+# Their readers list an autopilot's streams in the order in which its own estimator would trust them.
+RANKED_FORMATS = frozenset({"PX4 ULog", "ArduPilot DataFlash log", "MAVLink tlog"})
+
+# In other logs the stream that is the vehicle's own, most telling first; matched against the whole name.
 _PREFERRED: dict[Kind, tuple[str, ...]] = {
     Kind.FRAMES: (r"cam0",),
     Kind.IMU: (
         r"imu0",
-        r"sensor_combined",
-        r"vehicle_imu(\[0\])?",
-        r"IMU(\[\d+\])?",
-        r"HIGHRES_IMU.*",
-        r"SCALED_IMU(\[?0?\]?)?",
-        r"RAW_IMU.*",
         r"(/mavros)?/imu/data",
         r"(.*/)?imu/data",
         r"(/mavros)?/imu/data_raw",
@@ -30,10 +27,6 @@ _PREFERRED: dict[Kind, tuple[str, ...]] = {
     ),
     Kind.ATTITUDE: (
         r"attitude0",
-        r"vehicle_attitude",
-        r"ATT",
-        r"ATTITUDE_QUATERNION.*",
-        r"ATTITUDE\b.*",
         r"(/mavros)?/imu/data",
         r"(.*/)?imu/data",
         r"(.*/)?imu(_raw|/raw)?",
@@ -42,16 +35,12 @@ _PREFERRED: dict[Kind, tuple[str, ...]] = {
     ),
     Kind.POSITION: (
         r"position0",
-        r"vehicle_local_position",
-        r"LOCAL_POSITION_NED.*",
         r"(.*/)?local_position/(pose|odom)",
         r"(.*/)?odometry/filtered",
         r"(.*/)?odom(etry)?",
     ),
     Kind.VELOCITY: (
         r"velocity0",
-        r"vehicle_local_position",
-        r"LOCAL_POSITION_NED.*",
         r"(.*/)?local_position/velocity_body",
         r"(.*/)?local_position/(velocity|odom)",
         r"(.*/)?odometry/filtered",
@@ -98,7 +87,7 @@ def choose_topic(log: LogContents, kind: Kind, wanted: str | None, problems: lis
     names = _in_use(log, kind)
     if wanted is not None:
         return _wanted(log, kind, wanted)
-    if len(names) <= 1:
+    if len(names) <= 1 or log.format in RANKED_FORMATS:
         return names[0] if names else None
     best = _best(names, kind)
     if len(best) == 1:
@@ -140,12 +129,7 @@ def _best(names: Sequence[str], kind: Kind) -> list[str]:
     if kind is Kind.FRAMES:
         names = _one_per_camera(names)
     ranks = [_rank(name, kind) for name in names]
-    best = [name for name, rank in zip(names, ranks, strict=True) if rank == min(ranks)]
-    # IMU[0] and IMU[1] are one autopilot's: the first is its primary. Names from different makers are another matter.
-    stems = {re.sub(r"[\[(]?\d+[\])]?$", "", name) for name in best}
-    if len(stems) == 1 and min(ranks) < len(_PREFERRED[kind]):
-        return [min(best, key=lambda name: (len(name), name))]
-    return best
+    return [name for name, rank in zip(names, ranks, strict=True) if rank == min(ranks)]
 
 
 def _one_per_camera(names: Sequence[str]) -> list[str]:

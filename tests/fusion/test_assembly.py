@@ -15,7 +15,7 @@ import pytest
 from fusion import FusionConfig, fuse_flight, load_flight
 from fusion.flight import Flight
 from fusion.logs import load_manifest, open_log
-from fusion.logs.choice import choose_topic
+from fusion.logs.choice import RANKED_FORMATS, choose_topic
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.manifest import Manifest, make_manifest, write_manifest
 from vision import InputError
@@ -325,9 +325,10 @@ def test_a_manifest_by_hand_needs_pictures(tmp_path: Path) -> None:
 class Log:
     """A log of which only the topics matter."""
 
-    format, problems, path = "bag", (), Path("a.bag")
+    problems, path = (), Path("a.bag")
 
-    def __init__(self, kind: Kind, *names: str, empty: tuple[str, ...] = ()) -> None:
+    def __init__(self, kind: Kind, *names: str, empty: tuple[str, ...] = (), format: str = "bag") -> None:
+        self.format = format
         some, none = np.arange(3), np.zeros(0, np.int64)
         self.topics = tuple(Topic(name, kind, none if name in empty else some) for name in names)
 
@@ -347,19 +348,32 @@ def chosen(
     [
         (Kind.IMU, (), None),
         (Kind.IMU, ("/anything",), "/anything"),
-        (Kind.IMU, ("sensor_gyro", "sensor_combined"), "sensor_combined"),
-        (Kind.IMU, ("IMU[1]", "IMU[0]", "IMU[2]"), "IMU[0]"),
         (Kind.IMU, ("/imu/data_raw", "/imu/data"), "/imu/data"),
         (Kind.IMU, ("/mavros/imu/data", "/camera/imu"), "/mavros/imu/data"),
         (Kind.IMU, ("imu1", "imu0"), "imu0"),
         (Kind.FRAMES, ("cam1", "cam0"), "cam0"),
         (Kind.FRAMES, ("/cam/image_raw/compressed", "/cam/image_raw"), "/cam/image_raw"),
         (Kind.FRAMES, ("/camera/depth/image", "/camera/color/image_raw"), "/camera/color/image_raw"),
-        (Kind.ATTITUDE, ("vehicle_attitude_groundtruth", "vehicle_attitude"), "vehicle_attitude"),
+        (Kind.ATTITUDE, ("/wheels/odom", "/imu/data"), "/imu/data"),
+        (Kind.VELOCITY, ("/odom", "/odometry/filtered", "/gps/vel"), "/odometry/filtered"),
     ],
 )
 def test_the_vehicles_own_is_taken(kind: Kind, names: tuple[str, ...], expected: str | None) -> None:
     assert chosen(kind, *names) == expected
+
+
+@pytest.mark.parametrize("name", sorted(RANKED_FORMATS))
+def test_an_autopilots_log_is_taken_in_its_readers_order(name: str) -> None:
+    for kind in (Kind.IMU, Kind.VELOCITY):
+        log = Log(kind, "NKF1", "NKF6", empty=("NKF1",), format=name)
+        assert choose_topic(log, kind, None, []) == "NKF6"  # type: ignore[arg-type]
+        assert choose_topic(Log(kind, "b", "a", format=name), kind, None, []) == "b"  # type: ignore[arg-type]
+
+
+def test_the_ranked_formats_are_those_of_the_readers() -> None:
+    from fusion.logs import dataflash, tlog, ulog
+
+    assert {dataflash.FORMAT, tlog.FORMAT, ulog.FORMAT} == RANKED_FORMATS
 
 
 def test_a_topic_without_samples_is_no_candidate() -> None:
