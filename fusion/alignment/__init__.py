@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from fusion.alignment.align import align_flight, apply_alignment
+from fusion.alignment.align import align_flight, apply_alignment, clock_of_frames
 from fusion.alignment.result import Alignment, Quantity
 
-__all__ = ["Alignment", "Quantity", "align_flight", "apply_alignment"]
+__all__ = ["Alignment", "Quantity", "align_flight", "apply_alignment", "clock_of_frames"]

@@ -7,14 +7,16 @@ from math import inf, nan, radians
 
 import numpy as np
 
+from fusion.alignment.clock import find_clock
 from fusion.alignment.mount import mount_rotation
 from fusion.alignment.result import Alignment, Quantity
-from fusion.alignment.search import search
+from fusion.alignment.search import Found, search
 from fusion.alignment.sentences import clock_quantity, focal_quantity, mount_quantities
+from fusion.alignment.track import fit_track
 from fusion.alignment.turning import seconds, turning_of
-from fusion.alignment.views import MAX_FRAMES, Views, choose_frames, collect, scaled_focal
+from fusion.alignment.views import MAX_FRAMES, Sightings, Views, choose_frames, collect, scaled_focal
 from fusion.console import Progress
-from fusion.flight import Flight
+from fusion.flight import Flight, FloatArray, TimeArray
 from fusion.tilt import LEVEL_STD_RAD
 from vision.camera import Camera
 from vision.errors import InputError
@@ -78,7 +80,10 @@ def align_flight(
     if not camera_known and not focal.usable:
         focal = _focal_of_pictures(views)
     tilt_known = float(np.median(turning.tilt_std_rad)) < LEVEL_STD_RAD
-    yaw, pitch, roll = mount_quantities(found.mount, tilt_known)
+    track = None
+    if found.clock is not None and found.sightings is not None:
+        track = fit_track(flight, found.sightings, turning, found.clock, origin_ns, found.turned_yaw_rad)
+    yaw, pitch, roll = mount_quantities(found.mount, track, tilt_known)
     return Alignment(
         clock_offset=clock_quantity(found, turning, max_offset_s),
         focal_scale=focal,
@@ -91,6 +96,42 @@ def align_flight(
         n_used=found.search.fit.n_frames if found.search.fit is not None else 0,
         notes=tuple(notes),
     )
+
+
+def clock_of_frames(
+    flight: Flight,
+    t_ns: TimeArray,
+    heading_rad: FloatArray,
+    heading_std_rad: FloatArray,
+    max_offset_s: float = MAX_OFFSET_S,
+) -> Quantity:
+    """Find the time offset from headings that were measured already, as those of ``frames.csv``: reads no picture.
+
+    As good as `align_flight` where the offset is small. A large one spoils the attitude that the headings were
+    measured with, and so may go unseen here.
+
+    Parameters
+    ----------
+    flight
+        With a gyroscope or an attitude stream.
+    t_ns, heading_rad, heading_std_rad
+        Of the frames (n,); NaN where nothing was measured.
+    max_offset_s
+        How far the clocks may be apart.
+
+    Raises
+    ------
+    InputError
+        Where the flight has nothing inertial, or there are no frames.
+    """
+    if not len(t_ns):
+        raise InputError(f"flight {flight.name} has no camera frames", remedy="align a flight with pictures")
+    origin_ns = int(t_ns[0])
+    turning = turning_of(flight, origin_ns, ATTITUDE_STD_RAD)
+    t_s = seconds(t_ns, origin_ns)
+    chosen = choose_frames(t_s, turning)
+    sightings = Sightings.of_headings(t_s[chosen], heading_rad[chosen], heading_std_rad[chosen])
+    return clock_quantity(Found(find_clock(sightings, turning, max_offset_s), 1.0), turning, max_offset_s)
 
 
 def apply_alignment(flight: Flight, alignment: Alignment) -> Flight:

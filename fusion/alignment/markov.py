@@ -32,6 +32,7 @@ GROSS_SIGMA = 7.0  # beyond, not at all
 DROPPED = 1e-6
 LOG_RANGE = 9.0  # the noise is looked for within e**+-9 of where the search starts
 N_REWEIGHTINGS = 4
+SMALLEST_STEP = 1e-6  # of the white variance: a smaller process is as good as none, and spoils the arithmetic
 BEYOND = 1e12  # cost of what cannot be
 
 
@@ -218,11 +219,16 @@ def find_noise(
 ) -> tuple[float, float]:
     """Find the factor on the white variances and the size of the process, starting from ``scale`` and ``size``."""
 
+    typical = float(np.median(white))
+
     def cost(logs: FloatArray) -> float:
         if np.abs(logs).max() > LOG_RANGE:
             return BEYOND
+        process = make(size * exp(logs[1]))
+        if float(np.median(process.variance)) < SMALLEST_STEP * scale * exp(logs[0]) * typical:
+            return BEYOND
         try:
-            noise = Noise(scale * exp(logs[0]) * white, make(size * exp(logs[1])))
+            noise = Noise(scale * exp(logs[0]) * white, process)
             return unlikelihood(design, target, noise)
         except (LinAlgError, np.linalg.LinAlgError):
             return BEYOND

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.alignment.clock import ClockFit, ClockSearch, find_clock
-from fusion.alignment.mount import MountFit, fit_mount, mount_angles, mount_rotation
+from fusion.alignment.mount import YAW, MountFit, fit_mount, mount_angles, mount_rotation
 from fusion.alignment.turning import Turning
 from fusion.alignment.views import Sightings, Views
 
@@ -38,6 +38,8 @@ class Found:
         By how much offset and factor still changed when the search gave up; 0 where it settled.
     mount
         None where no frame has an attitude.
+    sightings
+        The last measurements, by a camera that was turned right on the body by ``turned_yaw_rad`` already.
     """
 
     search: ClockSearch
@@ -45,6 +47,8 @@ class Found:
     mount: MountFit | None = None
     unrest_s: float = 0.0
     unrest: float = 0.0
+    sightings: Sightings | None = None
+    turned_yaw_rad: float = 0.0
 
     @property
     def clock(self) -> ClockFit | None:
@@ -71,9 +75,10 @@ def search(views: Views, turning: Turning, reach_s: float, start_scales: tuple[f
     found, sightings = _settle(views, turning, reach_s, start, elevation_rad)
     mount = fit_mount(sightings)
     if found.clock is None or mount is None or np.abs(mount.angle_rad).max() < LARGE_MOUNT_RAD:
-        return replace(found, mount=mount)
+        return replace(found, mount=mount, sightings=sightings)
     R_first = mount_rotation(mount.angle_rad)
     found, sightings = _settle(views.turned(R_first), turning, reach_s, found, 0.0)
+    found = replace(found, sightings=sightings, turned_yaw_rad=float(mount.angle_rad[YAW]))
     rest = fit_mount(sightings)
     if rest is None:
         return replace(found, mount=mount)

@@ -10,11 +10,13 @@ from fusion.alignment.clock import ClockSearch
 from fusion.alignment.mount import PITCH, ROLL, YAW, MountFit
 from fusion.alignment.result import SIGNIFICANT_SIGMA, Quantity
 from fusion.alignment.search import Found
+from fusion.alignment.track import TrackFit
 from fusion.alignment.turning import Turning
 from vision.camera import Camera
 
 USABLE_FOCAL = 0.03
-USABLE_YAW_RAD = radians(1.0)
+USABLE_YAW_RAD = radians(1.5)
+CONTRADICTION_SIGMA = 4.0
 USABLE_TILT_RAD = radians(2.0)
 
 
@@ -89,31 +91,50 @@ def focal_quantity(found: Found, turning: Turning, assumed: Camera | None) -> Qu
     return Quantity(name, value, sigma, True, said, 1.0)
 
 
-def mount_quantities(mount: MountFit | None, tilt_known: bool) -> tuple[Quantity, Quantity, Quantity]:
+def mount_quantities(
+    mount: MountFit | None, track: TrackFit | None, tilt_known: bool
+) -> tuple[Quantity, Quantity, Quantity]:
     """Yaw, pitch and roll of the mounting."""
     names = ("mount_yaw_rad", "mount_pitch_rad", "mount_roll_rad")
     if mount is None:
         said = "Too few frames show the corridor while the attitude is known."
         yaw, pitch, roll = (Quantity(name, nan, inf, False, said) for name in names)
-        return yaw, pitch, roll
+        return yaw if track is None else _yaw(names[0], None, track), pitch, roll
     return (
-        _yaw(mount),
+        _yaw(names[0], mount if tilt_known else None, track),
         _tilt(names[1], mount, PITCH, tilt_known),
         _tilt(names[2], mount, ROLL, tilt_known),
     )
 
 
-def _yaw(mount: MountFit) -> Quantity:
-    value, sigma = float(mount.angle_rad[YAW]), float(mount.std_rad[YAW])
-    name = "mount_yaw_rad"
-    tilted = degrees(float(np.hypot(*mount.tilted_rad)))
+def _yaw(name: str, mount: MountFit | None, track: TrackFit | None) -> Quantity:
+    """Yaw by tilting, by the track, or both, weighted by their variances."""
+    ways: list[tuple[float, float, str]] = []
+    tilted = 0.0
+    if mount is not None:
+        tilted = degrees(float(np.hypot(*mount.tilted_rad)))
+        by = f"by how rolling and pitching of {tilted:.1f} degrees rms look in the pictures"
+        ways.append((float(mount.angle_rad[YAW]), float(mount.std_rad[YAW]), by))
+    if track is not None:
+        by = f"by the drift seen over {track.distance_m:.0f} m against the velocity"
+        ways.append((track.yaw_rad, track.std_rad, by))
+    if not ways:
+        said = "Cannot be told from the vehicle's own heading without attitude or velocity."
+        return Quantity(name, nan, inf, False, said)
+    values, sigmas = np.array([way[0] for way in ways]), np.array([way[1] for way in ways])
+    sigma = float(1.0 / np.sqrt((1.0 / sigmas**2).sum()))
+    value = float((values / sigmas**2).sum() * sigma**2)
+    if len(ways) > 1 and abs(values[0] - values[1]) > CONTRADICTION_SIGMA * float(np.hypot(*sigmas)):
+        first, second = (f"{degrees(v):.1f}" for v in values)
+        said = f"Two ways contradict each other: {first} degrees {ways[0][2]}, {second} degrees {ways[1][2]}."
+        return Quantity(name, value, float(0.5 * abs(values[0] - values[1])), False, said)
     if sigma > USABLE_YAW_RAD:
         said = (
             "Cannot be told from the vehicle's own heading: only rolling and pitching shows it, and of that there "
-            f"is too little, {tilted:.1f} degrees rms."
+            f"is too little, {tilted:.1f} degrees rms; or a velocity in the log, over some metres."
         )
         return Quantity(name, value, sigma, False, said)
-    by = f"by how rolling and pitching of {tilted:.1f} degrees rms look in the pictures"
+    by = " and ".join(way[2] for way in ways)
     if abs(value) <= SIGNIFICANT_SIGMA * sigma:
         return Quantity(name, value, sigma, True, f"The camera looks straight ahead as calibrated, {by}.")
     side = "right" if value > 0 else "left"

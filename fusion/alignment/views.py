@@ -29,6 +29,7 @@ N_BLOCKS = 5  # stretches that are looked at of a longer flight
 RATE_HALF_WIDTH_S = 0.1
 SEARCH_STD_RAD = radians(3.0)  # of the axis's elevation, before it has been seen
 STD_FLOOR_RAD = radians(0.05)
+N_COLUMNS = 8  # of a frame's measurement
 INFORMED = 0.5  # of the attitude's standard deviation: below, the picture's verticals have spoken
 
 
@@ -48,6 +49,8 @@ class Sightings:
         By which the level of the picture's vertical lines is rolled against the attitude's.
     level_body
         Rotation (n, 3, 3) from the body to that attitude's level.
+    offset_norm, offset_std
+        Lateral offset in half widths of the corridor.
     """
 
     t_s: FloatArray
@@ -58,6 +61,16 @@ class Sightings:
     roll_rad: FloatArray
     roll_std_rad: FloatArray
     level_body: FloatArray
+    offset_norm: FloatArray
+    offset_std: FloatArray
+
+    @classmethod
+    def of_headings(cls, t_s: FloatArray, heading_rad: FloatArray, heading_std_rad: FloatArray) -> Sightings:
+        """Make sightings of headings alone."""
+        none = np.full(len(t_s), nan)
+        std = np.maximum(np.where(np.isfinite(heading_std_rad), heading_std_rad, radians(1.0)), STD_FLOOR_RAD)
+        level = np.tile(np.eye(3), (len(t_s), 1, 1))
+        return cls(t_s, np.asarray(heading_rad, float), std, none, none, none, none, level, none, none)
 
     @property
     def seen(self) -> BoolArray:
@@ -93,7 +106,7 @@ class Views:
     ) -> Sightings:
         """Measure all frames, each with the attitude ``offset_s`` after its stamp; None: without attitude."""
         n = len(self.t_s)
-        table = np.full((n, 6), nan)
+        table = np.full((n, N_COLUMNS), nan)
         level_body = np.tile(np.eye(3), (n, 1, 1))
         for k, (t, lines) in enumerate(zip((self.t_s + offset_s).tolist(), self.lines, strict=True)):
             attitude = UNKNOWN_ATTITUDE if turning is None else turning.attitude_at(t)
@@ -101,15 +114,17 @@ class Views:
                 prior = Prior(elevation_rad=elevation_rad, elevation_std_rad=elevation_std_rad)
                 level_body[k] = attitude.R_level_body()
                 table[k] = _measured(lines, self.camera, attitude, prior)
-        heading, heading_std, elevation, elevation_std, roll, roll_std = table.T
-        return Sightings(self.t_s, heading, heading_std, elevation, elevation_std, roll, roll_std, level_body)
+        psi, psi_std, elevation, elevation_std, roll, roll_std, offset, offset_std = table.T
+        return Sightings(
+            self.t_s, psi, psi_std, elevation, elevation_std, roll, roll_std, level_body, offset, offset_std
+        )
 
 
 def _measured(lines: LineSet, camera: Camera, attitude: Attitude, prior: Prior) -> tuple[float, ...]:
     """Return the row of `Sightings` of one frame."""
     found = measure_lines(lines, camera, attitude, prior)
     if not found.accepted:
-        return (nan,) * 6
+        return (nan,) * N_COLUMNS
     std_rad = hypot(attitude.std_rad, prior.elevation_std_rad)
     R_before = attitude.R_level_body() @ camera.R_body_camera
     level = level_from_verticals(lines, R_before, std_rad)
@@ -124,6 +139,8 @@ def _measured(lines: LineSet, camera: Camera, attitude: Attitude, prior: Prior) 
         max(found.elevation_std_rad, STD_FLOOR_RAD),
         roll,
         roll_std,
+        found.lateral_offset_norm,
+        found.lateral_offset_norm_std,
     )
 
 

@@ -10,12 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fusion import cli, fuse_flight, load_flight
-from fusion.alignment import Quantity, align_flight
+from fusion.alignment import Quantity, align_flight, apply_alignment, clock_of_frames
 from fusion.alignment.mount import mount_rotation
 from fusion.alignment.views import scaled_focal
-from fusion.flight import AttitudeStream, Flight, FrameStream
+from fusion.flight import AttitudeStream, Flight, FrameStream, VectorStream
+from fusion.logs.asl import read_ground_truth
 from fusion.logs.manifest import read_manifest
 from fusion.simulate import SimulationConfig, simulate_flight
 from vision import Camera, InputError
@@ -287,3 +289,32 @@ class TestCommand:
     def test_a_flight_that_is_not_there(self, capfd: pytest.CaptureFixture[str]) -> None:
         assert self.run("align", "nowhere", "--write") == 2
         assert "no such file" in capfd.readouterr().err
+
+
+def test_the_clock_by_headings_that_were_measured_already(office: Flight) -> None:
+    for offset_s in (0.0, 0.06):
+        bad = spoilt(office, offset_s)
+        frames = fuse_flight(bad).frames
+        found = clock_of_frames(bad, frames["timestamp_ns"], frames["heading_rad"], frames["heading_std_rad"])
+        within(found, offset_s, 0.005)
+        assert found.changes == (offset_s != 0.0)
+
+
+def test_velocity_helps_with_the_mounting_yaw(office: Flight) -> None:
+    truth = read_ground_truth(OFFICE)
+    body = Rotation.from_quat(np.roll(truth.q_world_body, -1, axis=1)).inv().apply(truth.v_world_m_s)
+    moving = replace(office, velocity=VectorStream(truth.t_ns[::10], body[::10]))
+    alone, helped = (align_flight(spoilt(flight, 0.2, 1.0, (0, 0, 4.0))) for flight in (office, moving))
+    assert helped.mount_yaw.sigma < 0.95 * alone.mount_yaw.sigma
+    within(helped.mount_yaw, radians(4.0), radians(1.0))
+    assert "velocity" in helped.mount_yaw.sentence
+
+
+def test_an_aligned_flight_fuses_as_the_unspoilt(office: Flight) -> None:
+    bad = spoilt(office, 0.9, 0.95)
+    mended = apply_alignment(bad, align_flight(bad))
+    assert abs(mended.frames.t_ns[0] - office.frames.t_ns[0]) < 5_000_000
+    a, b = (
+        fuse_flight(flight).summary["errors"]["filter"]["heading"]["rmse_rad"] for flight in (office, mended)
+    )
+    assert b < 1.3 * a

@@ -67,6 +67,8 @@ def views(
         lean + rng.normal(0, noise, n),
         np.full(n, noise),
         level.as_matrix(),
+        np.full(n, np.nan),
+        np.full(n, np.nan),
     )
 
 
@@ -114,5 +116,4 @@ def test_angles_and_rotations_are_each_others_inverse() -> None:
 def test_too_few_frames_give_nothing() -> None:
     few = views((0.0, 0.0, 0.0))
     none = np.full(len(few.t_s), np.nan)
-    blind = Sightings(few.t_s, none, none, none, none, none, none, few.level_body)
-    assert fit_mount(blind) is None
+    assert fit_mount(Sightings.of_headings(few.t_s, none, none)) is None
