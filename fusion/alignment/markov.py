@@ -218,7 +218,6 @@ def find_noise(
     size: float,
 ) -> tuple[float, float]:
     """Find the factor on the white variances and the size of the process, starting from ``scale`` and ``size``."""
-
     typical = float(np.median(white))
 
     def cost(logs: FloatArray) -> float:

@@ -33,7 +33,7 @@ def note_of(quantity: Quantity) -> str:
     value, sigma = _numbers(quantity)
     if quantity.changes:
         return f"corridor align: sigma {sigma}"
-    return f"corridor align: {value} off, sigma {sigma}, so left as it is"
+    return f"left as it was: corridor align found {value}, sigma {sigma}"
 
 
 def _verdict(quantity: Quantity) -> str:
