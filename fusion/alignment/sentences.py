@@ -84,10 +84,7 @@ def focal_quantity(found: Found, turning: Turning, assumed: Camera | None) -> Qu
         said = f"The focal length fits: pictures and {source} turn by the same angles; {trust}."
     else:
         way = "long" if value > 1.0 else "short"
-        share = 100.0 * abs(value - 1.0)
-        said = (
-            f"The focal length should be {share:.1f} % {way}er, so far do the turns of both differ; {trust}."
-        )
+        said = f"By the turns the focal length should be {100.0 * abs(value - 1.0):.1f} % {way}er; {trust}."
     return Quantity(name, value, sigma, True, said, 1.0)
 
 
