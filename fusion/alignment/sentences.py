@@ -54,8 +54,8 @@ def _why_not(search: ClockSearch, turning: Turning, reach_s: float) -> str:
         return f"No offset within {reach_s:g} s explains the turns: the clocks are farther apart."
     if search.rival_s is not None and fit.ratio > 8.0 * fit.ratio_std:
         return (
-            f"The motion repeats itself: {fit.offset_s:.2f} s and {search.rival_s:.2f} s explain the turns "
-            "alike; turn unevenly."
+            f"{fit.offset_s:.2f} s and {search.rival_s:.2f} s explain the turns alike: the motion repeats itself, or "
+            "too few frames show the corridor."
         )
     return "The vehicle hardly turns, which hides the time offset: turn left and right by 10 degrees or more."
 
