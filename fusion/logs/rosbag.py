@@ -117,6 +117,13 @@ def open_log(path: Path) -> LogContents:
         Where rosbags is not installed, the bag is past reading, or holds no topic of use.
     """
     bag = Bag(path)
+    try:
+        return _opened(bag)
+    finally:
+        bag.close()
+
+
+def _opened(bag: Bag) -> RosLog:
     wire = Wire(bag.ros2)
     samples, infos, frames = gather(bag, wire)
     pictures, notes = _pictures(bag, [s for s in samples if s.kind in PICTURES])
@@ -125,13 +132,13 @@ def open_log(path: Path) -> LogContents:
         if any(of_use(connection) for connection in bag.connections):
             raise InputError(
                 f"none of its messages can be read ({'; '.join(bag.problems) or 'it holds none'})",
-                file=path,
+                file=bag.path,
                 remedy="copy the bag again",
             )
         kinds = sorted({connection.msgtype for connection in bag.connections})
         raise InputError(
             f"holds none of the message types that are read, but {', '.join(kinds[:6]) or 'nothing'}",
-            file=path,
+            file=bag.path,
             remedy="record sensor_msgs/Imu, and Image or CompressedImage with CameraInfo",
         )
     return RosLog(bag, series, pictures, notes, infos, frames)

@@ -7,6 +7,7 @@ is there, in memory.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -20,6 +21,7 @@ ROS1_MAGIC = b"#ROSBAG V"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 SQLITE_MAGIC = b"SQLite format 3\x00"
 METADATA = "metadata.yaml"
+_SUFFIXES = (".db3", ".db3-wal", ".db3-shm", ".mcap", ".yaml")  # of what a recorder leaves in its folder
 METADATA_KEY = "rosbag2_bagfile_information"
 
 FIRST_SKIP_NS = 1_000_000
@@ -66,7 +68,8 @@ def recognises(path: Path) -> bool:
     metadata = path / METADATA
     if metadata.is_file() and METADATA_KEY in metadata.read_text(encoding="utf-8", errors="replace"):
         return True
-    return bool(storages_in(path))
+    only_bags = all(child.suffix in _SUFFIXES for child in path.iterdir())
+    return only_bags and bool(storages_in(path))
 
 
 class Bag:
@@ -244,8 +247,9 @@ class Bag:
         return 0 if start is None or start >= 2**62 else int(start)
 
     def close(self) -> None:
-        """Close the file."""
-        self._reader.close()
+        """Close the file; what was read of it stays."""
+        with suppress(Exception):  # a damaged file may not even close
+            self._reader.close()
 
 
 def _typestore(ros2: bool) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,7 @@ class BagPictures:
     ) -> None:
         self.path, self.topic = path, topic
         self.received_ns, self.repeat = received_ns, repeat
+        self._lock = threading.Lock()  # a bag is read at one place at a time
         self._bag: Bag | None = None
         self._messages: Iterator[Message] | None = None
         self._at = (-1, 0)  # time and number of the message last read
@@ -69,6 +71,10 @@ class BagPictures:
 
     def read(self, index: int) -> GreyImage:
         """Decode a picture."""
+        with self._lock:
+            return self._read(index)
+
+    def _read(self, index: int) -> GreyImage:
         wanted = (int(self.received_ns[index]), int(self.repeat[index]))
         try:
             message = self._find(wanted)

@@ -349,6 +349,25 @@ def test_poses_and_velocities_turn_into_frd(kind: str, tmp_path: Path) -> None:
     assert problems == []
 
 
+def test_messages_that_the_index_names_and_the_bag_does_not_hold_are_said(tmp_path: Path) -> None:
+    with Bag(tmp_path / "bag", "sqlite3") as bag:
+        for k in range(30):
+            bag.write("/imu", bag.imu(START_NS + k, (0, 0, 0.1 * k), (0, 0, 9.8)), START_NS + k * 10_000_000)
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("message_count: 30", "message_count: 31"))
+    log = rosbag.open_log(tmp_path / "bag")
+    assert log.problems == ("/imu: 30 of 31 messages in the index can be read",)
+
+
+def test_pictures_of_a_bag_that_is_gone_are_unreadable_not_a_crash(office: Flight, tmp_path: Path) -> None:
+    path = tmp_path / "office.bag"
+    write_office(office, path, "ros1", seconds=0.2, plain=False)
+    frames = rosbag.open_log(path).frames("/cam0/image_raw/compressed", [])
+    path.unlink()
+    with pytest.raises(InputError, match=r"office\.bag"):
+        frames.read(0)
+
+
 @pytest.mark.parametrize("kind", ["ros1", "mcap"])
 def test_sensors_are_mounted_as_the_static_transforms_say(kind: str, office: Flight, tmp_path: Path) -> None:
     assert office.imu is not None
@@ -606,6 +625,11 @@ def test_refusals_name_the_file_and_the_remedy(tmp_path: Path) -> None:
     (tmp_path / "b.bag").write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
     with pytest.raises(InputError, match="holds no whole message"):
         rosbag.open_log(tmp_path / "b.bag")
+    header = b"\x04\0\0\0json" + b"\0\0\0\0"
+    record = b"\x01" + len(header).to_bytes(8, "little") + header
+    (tmp_path / "d.mcap").write_bytes(b"\x89MCAP0\r\n" + record + bytes(100) + b"\x89MCAP0\r\n")
+    with pytest.raises(InputError, match=r"d\.mcap: is an MCAP file of another profile than ros2"):
+        rosbag.open_log(tmp_path / "d.mcap")
     (tmp_path / "c.bag").write_bytes(b"no bag")
     assert not rosbag.recognises(tmp_path / "c.bag")
     assert not rosbag.recognises(tmp_path)
