@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fusion.alignment import clock_of_frames
 from fusion.flight import Flight
-from fusion.report.camera_time import frames_lateness
 from fusion.report.verdict import Check, Level, Limits, level_of, not_judged, worst_of
+from vision import InputError
 
 if TYPE_CHECKING:
     from fusion.offline import FusionResult
@@ -83,25 +84,35 @@ def check_rejections(result: FusionResult, flight: Flight, limits: Limits) -> Ch
 
 
 def check_camera_time(result: FusionResult, flight: Flight, limits: Limits) -> Check:
-    """Judge whether frames and IMU tell of the same time, from innovations that follow the yaw rate."""
+    """Judge whether frames and IMU tell of the same time, by when either turns."""
     good, bad = (1e3 * v for v in limits.late_s)
     name, limit = (
         "Time offset of the camera",
         f"pass to {good:g} ms, fail above {bad:g} ms, if beyond three sigma",
     )
-    late_s, std_s = frames_lateness(result)
-    if not std_s <= max(limits.late_std_s, abs(late_s) / 5):  # NaN too
-        why = "The vehicle turned too little, or too few frames were compared, to tell."
-        return not_judged(name, limit, why)
+    frames, delay_s = result.frames, result.config.camera_delay_s
+    try:
+        found = clock_of_frames(
+            flight,
+            frames["timestamp_ns"] - round(delay_s * 1e9),
+            np.where(frames["accepted"], frames["heading_rad"], np.nan),
+            frames["heading_std_rad"],
+        )
+    except InputError:
+        return not_judged(
+            name, limit, "There is nothing to compare: no frames, or no gyroscope and attitude."
+        )
+    late_s, std_s = -found.value, found.sigma
+    if not found.usable or not std_s <= max(limits.late_std_s, abs(late_s) / 5):
+        return not_judged(name, limit, found.sentence)
     value = (
         f"Frames stamped {abs(1e3 * late_s):.0f} ± {1e3 * std_s:.0f} ms {'late' if late_s >= 0 else 'early'}"
     )
     level = level_of(abs(late_s), limits.late_s)
     if level is Level.PASS or abs(late_s) < 3 * std_s:
-        meaning = "Innovations do not follow the turns: camera and IMU share a clock."
+        meaning = "Pictures and inertial sensors turn at the same time: they share a clock."
         return Check(name, Level.PASS, value, limit, meaning)
-    delay = result.config.camera_delay_s
-    meaning = "Innovations follow the turns, as they do where frames and IMU are stamped by different clocks."
-    now = f", on top of camera_delay_s = {delay:g}" if delay else ""
+    meaning = "The pictures turn later or earlier than the vehicle does: their clocks are not the same."
+    now = f", on top of camera_delay_s = {delay_s:g}" if delay_s else ""
     action = f"Run `corridor align --write` on the flight: it measures this offset and puts it right{now}."
     return Check(name, level, value, limit, meaning, action)

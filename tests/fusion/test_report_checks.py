@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from math import radians
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,77 +10,39 @@ import pytest
 
 from fusion.config import FusionConfig
 from fusion.flight import FrameStream, ImuStream
-from fusion.report.camera_time import frames_lateness
 from fusion.report.checks import run_checks
 from fusion.report.page import _with_code
 from fusion.report.verdict import Check, Level, worst_first, worst_of
-from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from fusion.tables import FRAME_DTYPE
 from tests.fusion.test_report import change, make_flight, table_with
 
 T0_NS = 1_600_000_000_000_000_000
 
 
-def filtered(
-    late_s: float, *, swing_rad: float = radians(15), noise_rad: float = radians(0.2), delay_s: float = 0.0
-) -> Any:
-    """Fuse headings by a filter of one number and fixed gain, frames stamped late; a minute at 20 Hz."""
+def turning(
+    swing: Any, late_s: float = 0.0, *, swing_rad: float = radians(15), delay_s: float = 0.0
+) -> tuple[Any, Any]:
+    """Make a minute of turning to and fro, its frames stamped late, for a filter that knows of ``delay_s``."""
+    result, flight = swing
     rng = np.random.default_rng(4)
-    t = np.arange(0.0, 60.0, 0.01)
-    gain, gate = 0.2, 4.0
 
     def heading(at: Any) -> Any:
         return swing_rad * (np.sin(1.3 * at) + 0.4 * np.sin(3.1 * at))
 
+    t = np.arange(0.0, 60.0, 0.01)
+    gyro = np.column_stack([0 * t, 0 * t, np.gradient(heading(t), t) + rng.normal(0, 0.02, len(t))])
+    imu = ImuStream(T0_NS + np.round(t * 1e9).astype(np.int64), gyro, np.full((len(t), 3), [0, 0, -9.81]))
     frames = np.zeros(1200, FRAME_DTYPE)
-    frames["timestamp_ns"] = T0_NS + np.arange(1200) * 50_000_000 + round(delay_s * 1e9)
-    frames["accepted"] = True
-    at = (
-        np.arange(1200) * 0.05 - late_s
-    )  # when the pictures were really taken, for a filter that knows delay_s
-    seen = heading(at) + rng.normal(0, noise_rad, 1200)
-    error, errors = 0.0, np.zeros(len(t))
-    variance = noise_rad**2 / (1 - gain)
-    for k in range(1200):
-        innovation = seen[k] - heading(k * 0.05) - error
-        frames["innovation_rad"][k] = innovation
-        frames["test_ratio"][k] = innovation**2 / (gate**2 * variance)
-        error += 0.85 * gain * innovation
-        errors[5 * k : 5 * k + 5] = error
-    table = np.zeros(len(t), ESTIMATE_DTYPE)
-    table["timestamp_ns"] = T0_NS + np.round(t * 1e9).astype(np.int64)
-    table["heading_rad"] = heading(t) + errors
-    table["heading_std_rad"] = np.sqrt(gain * variance)
+    taken_s = 0.05 * np.arange(1200)
+    frames["timestamp_ns"] = T0_NS + np.round((taken_s + late_s + delay_s) * 1e9).astype(np.int64)
+    frames["accepted"], frames["reason"] = True, "ok"
+    frames["heading_rad"] = heading(taken_s) + rng.normal(0, radians(0.2), 1200)
+    frames["heading_std_rad"] = radians(0.2)
     config = FusionConfig(camera_delay_s=delay_s)
-    return SimpleNamespace(frames=frames, estimates=table, smoothed=table, config=config)
-
-
-class TestCameraTime:
-    @pytest.mark.parametrize("late_s", [-0.04, -0.01, 0.0, 0.01, 0.04])
-    def test_lateness_is_found_within_its_sigma(self, late_s: float) -> None:
-        found = frames_lateness(filtered(late_s))
-        assert found.std_s < 0.008
-        assert abs(found.late_s - late_s) < 3 * found.std_s
-
-    def test_what_the_configuration_knows_is_not_found_again(self) -> None:
-        found = frames_lateness(filtered(0.0, delay_s=0.08))
-        assert abs(found.late_s) < 3 * found.std_s
-        assert found.std_s < 0.004
-
-    def test_gross_errors_do_not_move_it(self) -> None:
-        result = filtered(0.03)
-        result.frames["innovation_rad"][::15] += radians(25)
-        found = frames_lateness(result)
-        assert found.late_s == pytest.approx(0.03, abs=0.006)
-
-    def test_without_turns_it_is_not_known(self) -> None:
-        assert np.isnan(frames_lateness(filtered(0.03, swing_rad=radians(0.01))).late_s)
-
-    def test_few_frames_tell_nothing(self) -> None:
-        result = filtered(0.03)
-        result.frames = result.frames[:20]
-        assert np.isnan(frames_lateness(result).late_s)
-        result.frames = result.frames[:0]
-        assert np.isnan(frames_lateness(result).std_s)
+    return (
+        change(result, frames=frames, config=config),
+        change(flight, imu=imu, attitude=None, truth=None),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -121,24 +82,31 @@ class TestFrames:
         assert "buffer_s" in self.rejected(swing, late=2).action
 
     @pytest.mark.parametrize(
-        ("late_s", "level"), [(0.0, Level.PASS), (0.035, Level.WARN), (-0.09, Level.FAIL)]
+        ("late_s", "level"),
+        [(0.0, Level.PASS), (0.012, Level.PASS), (0.035, Level.WARN), (-0.09, Level.FAIL), (1.3, Level.FAIL)],
     )
     def test_the_time_offset_is_judged_and_sends_to_align(
         self, swing: Any, late_s: float, level: Level
     ) -> None:
-        result, flight = swing
-        other = filtered(late_s)
-        parts = {
-            "frames": other.frames,
-            "estimates": other.estimates,
-            "smoothed": other.smoothed,
-            "config": other.config,
-        }
-        check = check_of("Time offset of the camera", change(result, **parts), change(flight, truth=None))
+        check = check_of("Time offset of the camera", *turning(swing, late_s))
         assert check.level is level
         assert ("corridor align" in check.action) is (level is not Level.PASS)
-        if level is Level.FAIL:
-            assert check.value.endswith("ms early")
+        assert check.value.startswith(f"Frames stamped {1e3 * abs(late_s):.0f} ± ")
+        if late_s:
+            assert check.value.endswith("ms early" if late_s < 0 else "ms late")
+
+    def test_the_offset_that_the_configuration_knows_is_none(self, swing: Any) -> None:
+        check = check_of("Time offset of the camera", *turning(swing, delay_s=0.08))
+        assert check.level is Level.PASS
+        assert "0.08" in check_of("Time offset of the camera", *turning(swing, 0.1, delay_s=0.08)).action
+
+    def test_without_turns_or_frames_or_a_gyroscope_the_offset_is_not_judged(self, swing: Any) -> None:
+        name = "Time offset of the camera"
+        assert check_of(name, *turning(swing, swing_rad=radians(0.01))).level is Level.NOT_JUDGED
+        result, flight = turning(swing)
+        blind = change(result, frames=result.frames[:0])
+        assert check_of(name, blind, flight).level is Level.NOT_JUDGED
+        assert check_of(name, result, change(flight, imu=None)).level is Level.NOT_JUDGED
 
 
 class TestRates:
