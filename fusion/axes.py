@@ -19,6 +19,7 @@ from math import isfinite, nan, pi, radians
 import numpy as np
 
 from fusion.consensus import Agreement, Vote, add_vote, agreement
+from fusion.height import Widths
 from fusion.imu_yaw import ImuYaw
 from fusion.models import BIAS, N_STATES, OFFSET, PSI, V, Y, heading_model, wrap_axis
 from fusion.state import UNKNOWN_HEADING_STD_RAD, UNKNOWN_LATERAL_STD, PreviousAxis
@@ -219,7 +220,7 @@ class Axes(ImuYaw):
         self._note_step(psi)
         s.votes, s.rival = (), None
         s.t_lateral_ns = None
-        s.width_per_height, s.n_width = nan, 0
+        s.width_per_height, s.n_width, s.widths = nan, 0, Widths()
         s.support_s = 0.0
         s.yaw_watch = s.yaw_watch.interrupted()
         self._confirm(t_ns)

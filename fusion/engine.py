@@ -14,6 +14,7 @@ from fusion import tilt as tilts
 from fusion.axes import AGREEING_SHARE, CONTESTED_SHARE, VOTE_AGE_S, Axes
 from fusion.consensus import Vote, add_vote, agreement
 from fusion.ekf import Gate
+from fusion.height import height_at, with_width
 from fusion.kernels import spread
 from fusion.models import PSI, ScalarMeasurement, Y, heading_model, lateral_model, wrap_axis
 from fusion.state import (
@@ -214,6 +215,7 @@ class Engine(Axes):
             old = s.width_per_height if s.n_width > 1 else m.width_per_height
             change = max(-0.2 * old, min(0.2 * old, m.width_per_height - old))
             s.width_per_height = old + change / s.n_width
+            s.widths = with_width(s.widths, t_ns, m.width_per_height * height_at(s.heights, t_ns))
         if isfinite(m.elevation_rad) and m.elevation_std_rad > 0.0 and attitude is not None:
             mean, variance = s.elevation
             R = ELEVATION_WEIGHT * hypot(m.elevation_std_rad, attitude.std_rad) ** 2

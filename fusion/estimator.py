@@ -13,6 +13,7 @@ import numpy.typing as npt
 from fusion.config import FusionConfig
 from fusion.engine import Engine, FrameResult, Measure
 from fusion.fixed_lag import FixedLag
+from fusion.height import MAX_DISTANCE_M
 from fusion.state import Estimate, Status, describe
 from fusion.tilt import Vector
 from fusion.timeline import Entry, Kind, Timeline
@@ -41,6 +42,8 @@ class _Machine(Engine):
             self.attitude(entry.t_ns, payload)
         elif kind is Kind.VELOCITY:
             self.velocity(entry.t_ns, payload)
+        elif kind is Kind.RANGE:
+            self.range(entry.t_ns, payload)
         else:
             entry.frame = self.frame(entry.t_ns, *payload)
         entry.nodes = tuple(self.nodes)
@@ -120,6 +123,18 @@ class CorridorEstimator:
             self.counters["velocity_not_finite"] += 1
             return
         self._add(t_ns, Kind.VELOCITY, velocity)
+
+    def add_range(self, t_ns: int, distance_m: float) -> None:
+        """Add a distance to the floor, metres along the body's z, as seen from the camera's place.
+
+        With the width per height that frames see it gives the corridor's width, and so offsets in metres, where the
+        configuration tells neither the width nor the camera's height.
+        """
+        distance_m = float(distance_m)
+        if not 0.0 < distance_m <= MAX_DISTANCE_M:  # NaN fails too
+            self.counters["range_not_positive"] += 1
+            return
+        self._add(t_ns, Kind.RANGE, distance_m)
 
     def add_frame(self, t_ns: int, image: npt.NDArray[Any]) -> FrameResult:
         """Add a picture: grey (h, w), BGR or BGRA, uint8 or uint16. A picture of no use is counted as unreadable.

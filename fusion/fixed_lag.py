@@ -18,6 +18,8 @@ from fusion.state import Estimate, State, describe
 from fusion.tables import ESTIMATE_DTYPE
 from fusion.timeline import Entry, Kind
 
+_NO_ROWS = (Kind.VELOCITY, Kind.RANGE)  # they carry nothing from one time to the next
+
 
 class FixedLag:
     """Samples that have left the timeline's buffer but not yet the lag.
@@ -78,7 +80,7 @@ def _state(entry: Entry) -> State:
 
 def _instants(window: Sequence[Entry]) -> Iterator[int]:
     """Places of the rows that the offline table would have: the first, then the last entry of each sample's time."""
-    kind = min((entry.kind for entry in window if entry.kind is not Kind.VELOCITY), default=Kind.IMU)
+    kind = min((entry.kind for entry in window if entry.kind not in _NO_ROWS), default=Kind.IMU)
     yield 0
     is_row = False
     for i, entry in enumerate(window[1:], 1):

@@ -108,6 +108,14 @@ class VectorStream:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class RangeStream:
+    """Distances (n,) to the floor, metres, along the body's z (down), as seen from the camera's place."""
+
+    t_ns: TimeArray
+    distance_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CorridorTruth:
     """What the flight really did, columns of ``corridor_truth.csv``; every array is (n,)."""
 
@@ -139,3 +147,4 @@ class Flight:
     problems: tuple[str, ...] = field(default=())
     corridor_width_m: float | None = None
     manifest: Manifest | None = None
+    range: RangeStream | None = None

@@ -153,6 +153,10 @@ def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | Non
     if flight.velocity is not None:
         v = flight.velocity.xyz
         streams.append(_times(flight.velocity.t_ns, Kind.VELOCITY))
+    distance_m = np.zeros(0)
+    if flight.range is not None:
+        distance_m = flight.range.distance_m
+        streams.append(_times(flight.range.t_ns, Kind.RANGE))
     total = len(flight.frames.t_ns)
     for t_ns, kind, i in merge(*streams):
         if kind == Kind.IMU:
@@ -161,6 +165,8 @@ def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | Non
             estimator.add_attitude(t_ns, q[i])
         elif kind == Kind.VELOCITY:
             estimator.add_velocity(t_ns, v[i])
+        elif kind == Kind.RANGE:
+            estimator.add_range(t_ns, distance_m[i])
         else:
             before = time.perf_counter()
             try:
@@ -181,6 +187,7 @@ def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
         "imu_not_finite": "gyroscope samples that are no numbers were skipped",
         "attitude_not_unit": "attitudes that are no unit quaternions were skipped",
         "velocity_not_finite": "velocities that are no numbers were skipped",
+        "range_not_positive": "distances to the floor that can be none were skipped",
         "clock_set_back": "times the samples' clock was set back",
     }
     for name, sentence in what.items():

@@ -14,6 +14,7 @@ import numpy as np
 from fusion import tilt as tilts
 from fusion.config import FusionConfig
 from fusion.ekf import CorridorEKF
+from fusion.height import Heights, with_range
 from fusion.models import (
     BIAS,
     N_STATES,
@@ -134,6 +135,14 @@ class Propagation:
         s.t_velocity_ns, s.forward_m_s, s.sideways_m_s = t_ns, forward, right
         self._end()
 
+    def range(self, t_ns: int, distance_m: float) -> None:
+        """Take a distance to the floor. It moves nothing; the next frame may make a width of it."""
+        s = self.state
+        self.nodes = []
+        s.heights = with_range(s.heights, t_ns, distance_m, s.tilt.down[2])
+        s.range_interval_s = next_interval_s(s.range_interval_s, s.t_range_ns, t_ns)
+        s.t_range_ns = t_ns
+
     def restart_clock(self, t_ns: int) -> None:
         """Go on after the samples' clock was set back: what was known is kept, how long ago it was is not."""
         s = self.state
@@ -147,6 +156,7 @@ class Propagation:
         self._transit(self.ekf.x, np.eye(N_STATES), Q)
         s.tilt = s.tilt._replace(t_ns=t_ns, t_attitude_ns=None, t_gyro_ns=None, t_accel_ns=None)
         s.t_gyro_ns = s.t_attitude_ns = s.t_velocity_ns = s.t_frame_ns = s.t_vision_ns = s.t_lateral_ns = None
+        s.t_range_ns, s.heights, s.widths = None, Heights(), s.widths._replace(t_ns=None)
         s.votes = ()
         s.recent, s.previous_axis, s.acquired = (), None, False
         self._lose_lateral()

@@ -12,6 +12,7 @@ import numpy as np
 
 from fusion.config import FusionConfig
 from fusion.consensus import Vote
+from fusion.height import Heights, Widths
 from fusion.models import BIAS, OFFSET, PSI, FloatArray, V, Y, wrap, wrap_axis
 from fusion.tilt import Tilt, Vector
 from fusion.trust import Trust
@@ -167,6 +168,9 @@ class State:
     velocity_interval_s: float = nan
     forward_m_s: float = 0.0
     sideways_m_s: float = 0.0
+    t_range_ns: int | None = None
+    range_interval_s: float = nan
+    heights: Heights = field(default_factory=Heights)
 
     imu_yaw_known: bool = False
     imu_yaw_coupled: bool = False  # whether o is correlated with the rest
@@ -211,6 +215,7 @@ class State:
     lateral_reset: tuple[float, float] = (0.0, 0.0)  # last step, half widths and metres
     width_per_height: float = nan
     n_width: int = 0
+    widths: Widths = field(default_factory=Widths)
 
     def copy(self) -> State:
         """Snapshot of the state."""
@@ -220,12 +225,12 @@ class State:
 
 
 def half_width_m(state: State, config: FusionConfig) -> float:
-    """Half the corridor's width, metres; NaN where neither it nor the camera's height is known."""
+    """Half the corridor's width, metres; NaN where neither it nor the camera's height is told or measured."""
     if config.corridor_width_m is not None:
         return 0.5 * config.corridor_width_m
     if config.camera_height_m is not None:
         return 0.5 * config.camera_height_m * state.width_per_height
-    return nan
+    return 0.5 * state.widths.width_m
 
 
 def next_interval_s(old_s: float, last_ns: int | None, t_ns: int) -> float:
@@ -277,6 +282,8 @@ def judge(state: State, config: FusionConfig, t_ns: int, heading_std_rad: float)
         reasons.append("attitude is silent")
     if seconds_since(t_ns, state.t_velocity_ns) > _age_limit_s(state.velocity_interval_s, config):
         reasons.append("velocity is silent")
+    if seconds_since(t_ns, state.t_range_ns) > _age_limit_s(state.range_interval_s, config):
+        reasons.append("range sensor is silent")
     return status, "; ".join(reasons)
 
 

@@ -86,11 +86,14 @@ def _counts(result: FusionResult, counters: Mapping[str, int]) -> dict[str, Any]
         "rejected": int((~frames["accepted"]).sum()),
         "by_reason": dict(words.most_common()),
         "estimates": len(result.estimates),
-        "samples": {name: counters.get(name, 0) for name in ("imu", "attitude", "velocity")},
+        "samples": {name: counters.get(name, 0) for name in ("imu", "attitude", "velocity", "range")},
         "dropped": {
             name: count
             for name, count in sorted(counters.items())
-            if count and name.endswith(("_late", "_duplicate", "_not_finite", "_not_unit", "_set_back"))
+            if count
+            and name.endswith(
+                ("_late", "_duplicate", "_not_finite", "_not_unit", "_not_positive", "_set_back")
+            )
         },
     }
 

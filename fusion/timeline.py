@@ -23,7 +23,8 @@ class Kind(IntEnum):
     IMU = 0
     ATTITUDE = 1
     VELOCITY = 2
-    FRAME = 3
+    RANGE = 3
+    FRAME = 4
 
 
 @dataclass(slots=True, eq=False)

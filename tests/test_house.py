@@ -15,6 +15,7 @@ ENGINE = (
     "ekf",
     "engine",
     "estimator",
+    "height",
     "models",
     "propagation",
     "retrospect",
