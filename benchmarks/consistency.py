@@ -53,9 +53,10 @@ def worst(parts: Sequence[FloatArray]) -> float:
 
 def in_band(nees: FloatArray) -> float:
     """Share of the times at which the mean over all runs, nees (runs, times), lies in the chi-square band."""
-    n = nees.shape[0]
-    low, high = chi2.ppf([(1 - BAND) / 2, (1 + BAND) / 2], n) / n
-    mean = nees.mean(axis=0)
+    nees = nees[:, np.isfinite(nees).any(axis=0)]
+    n = np.isfinite(nees).sum(axis=0)  # of runs in which there is an estimate
+    low, high = (chi2.ppf(share, n) / n for share in ((1 - BAND) / 2, (1 + BAND) / 2))
+    mean = np.nanmean(nees, axis=0)
     return float(((mean >= low) & (mean <= high)).mean())
 
 
@@ -118,6 +119,7 @@ class Runs:
             ("mean NEES, smoothed heading", "", f"{s.mean():.3f}"),
             ("heading within the 99 % band, % of time", ">= 95", f"{100 * in_band(h):.1f}"),
             ("lateral within the 99 % band, % of time", ">= 95", f"{100 * in_band(y):.1f}"),
+            ("lateral offset known, % of time", "", f"{100 * np.isfinite(y).mean():.1f}"),
             ("worst heading error, degrees", "< 3", f"{np.degrees(worst(heading)):.2f}"),
             ("the oracle's, degrees", "", f"{np.degrees(worst(self.others['oracle'])):.2f}"),
         ]

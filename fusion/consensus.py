@@ -7,6 +7,7 @@ from statistics import median
 from typing import NamedTuple
 
 MAX_VOTES = 60
+BROKEN_BY = 5  # frames accepted between two votes: they are not of one event
 
 
 class Vote(NamedTuple):
@@ -81,6 +82,16 @@ def agreement(
     members = offsets_from(centre)
     if not members:
         return None
+    # A gross error of long ago that points the same way by chance is no part of it.
+    start = max(
+        (
+            k
+            for k in range(1, len(members))
+            if members[k][1].n_accepted - members[k - 1][1].n_accepted > BROKEN_BY
+        ),
+        default=0,
+    )
+    members = members[start:]
     first = members[0][1]
     since = sum(1 for v in votes if v.t_ns >= first.t_ns)
     return Agreement(
