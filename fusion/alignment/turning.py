@@ -114,7 +114,8 @@ def turning_of(flight: Flight, origin_ns: int, attitude_std_rad: float) -> Turni
 def _of_gyro(
     imu: ImuStream, attitude: AttitudeStream | None, origin_ns: int, attitude_std_rad: float
 ) -> Turning:
-    t_ns, gyro, accel = imu.t_ns.tolist(), imu.gyro_rad_s.tolist(), imu.accel_m_s2.tolist()
+    t_ns, gyro = imu.t_ns.tolist(), imu.gyro_rad_s.tolist()
+    accel = [(x, y, z) for x, y, z in imu.accel_m_s2.tolist()]  # tuples, as compiled code takes them
     has_accel: list[bool] = np.asarray(np.isfinite(imu.accel_m_s2).all(axis=1)).tolist()
     q_t_ns = [] if attitude is None else attitude.t_ns.tolist()
     q_world_body = [] if attitude is None else attitude.q_world_body.tolist()
