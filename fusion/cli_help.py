@@ -26,7 +26,7 @@ FUSE = """Fuse a logged flight into a smooth heading and lateral offset.
 \b
 FLIGHT is one of
   a folder in ASL / EuRoC layout, the truth beside it if known: mav0/cam0/{sensor.yaml,data.csv,data/*}, and as
-    there are mav0/imu0, mav0/attitude0, mav0/velocity0, mav0/position0; corridor_truth.csv
+    there are mav0/imu0, mav0/attitude0, mav0/velocity0, mav0/position0, mav0/range0; corridor_truth.csv
   a ROS 1 or 2 bag or MCAP with pictures
   a flight.toml, or the folder that holds it: where each stream comes from, see below
   a PX4 ULog, ArduPilot DataFlash log, MAVLink tlog or CSV, together with --video

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from fusion.flight import GreyImage
 from fusion.inspection_advice import Sentence, advise
 from fusion.inspection_findings import CameraFindings, StreamFindings
@@ -148,6 +150,12 @@ class _Reading:
                 velocity = self.log.velocity(name, problems)
                 if found.chosen:
                     self.streams = replace(kept, velocity=velocity)
+            case Kind.RANGE:
+                distance = self.log.range(name, problems)
+                least, usual, most = np.percentile(distance.distance_m, [0, 50, 100]).tolist()
+                found = replace(found, distances_m=(least, usual, most))
+                if found.chosen:
+                    self.streams = replace(kept, range=distance)
         return found
 
     def _camera(self, name: str, problems: list[str]) -> CameraFindings | None:

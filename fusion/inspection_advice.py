@@ -33,6 +33,7 @@ _WHAT = {
     Kind.ATTITUDE: "attitude",
     Kind.POSITION: "position",
     Kind.VELOCITY: "velocity",
+    Kind.RANGE: "distance to the floor",
 }
 
 
@@ -130,6 +131,8 @@ def _better(usable: Mapping[Kind, StreamFindings], unclear: Mapping[Kind, str]) 
         yield f"no attitude of the vehicle's own: roll and pitch are taken {tilt}"
     if Kind.VELOCITY in unclear and Kind.VELOCITY not in usable:
         yield unclear[Kind.VELOCITY]
+    if Kind.RANGE in unclear and Kind.RANGE not in usable:
+        yield unclear[Kind.RANGE]
 
 
 def _noise(imu: StreamFindings) -> Iterator[str]:

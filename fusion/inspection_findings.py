@@ -65,6 +65,8 @@ class StreamFindings:
         Why it cannot be read at all.
     imu, pictures, camera
         For an IMU, a camera, and a camera that the log has a calibration for.
+    distances_m
+        Least, median and greatest distance to the floor, for a range sensor.
     """
 
     name: str
@@ -78,3 +80,4 @@ class StreamFindings:
     imu: ImuFindings | None = None
     pictures: PictureFindings | None = None
     camera: CameraFindings | None = None
+    distances_m: tuple[float, float, float] | None = None

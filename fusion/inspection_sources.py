@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fusion.flight import AttitudeStream, FrameStream, ImuStream, VectorStream
+from fusion.flight import AttitudeStream, FrameStream, ImuStream, RangeStream, VectorStream
 from fusion.inspection import Inspection, inspect_log
 from fusion.logs import open_log
 from fusion.logs.assembly import open_as_told
@@ -140,6 +140,10 @@ class DescribedLog:
     def velocity(self, topic: str, problems: list[str]) -> VectorStream:
         """Velocity, on the flight's clock."""
         return self._read(Kind.VELOCITY, self._logs[Kind.VELOCITY].velocity, topic, problems)
+
+    def range(self, topic: str, problems: list[str]) -> RangeStream:
+        """Distance to the floor, from the camera's height, on the flight's clock."""
+        return self._read(Kind.RANGE, self._logs[Kind.RANGE].range, topic, problems)
 
 
 def with_time_shift(manifest: Manifest) -> Manifest:

@@ -154,6 +154,12 @@ def _described(stream: StreamFindings, start_ns: int | None) -> Iterator[str]:
         yield _camera(stream.camera)
     if stream.imu is not None:
         yield from _imu(stream.imu, start_ns, is_judged=_is_judged(stream.timing))
+    if stream.distances_m is not None:
+        least_m, usual_m, most_m = stream.distances_m
+        yield (
+            f"{least_m:.2f} to {most_m:.2f} m above the floor, usually {usual_m:.2f} m: offsets become metres by it "
+            "where neither corridor_width_m nor camera_height_m is given"
+        )
 
 
 def _is_judged(timing: Timing) -> bool:

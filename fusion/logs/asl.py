@@ -1,7 +1,7 @@
 """Flight folders in the ASL / EuRoC layout.
 
-``mav0/cam0`` is required; ``imu0``, ``attitude0``, ``position0`` and ``velocity0`` are read where they
-exist (or another number), and so is ``corridor_truth.csv`` beside ``mav0``. Files give the body's axes as
+``mav0/cam0`` is required; ``imu0``, ``attitude0``, ``position0``, ``velocity0`` and ``range0`` are read where
+they exist (or another number), and so is ``corridor_truth.csv`` beside ``mav0``. Files give the body's axes as
 ``mav0/body.yaml`` says (``flu`` with world z up where it is absent) and turn into FRD with world z down here,
 once. Each sensor's ``T_BS`` (body from sensor) is applied as a rotation; its lever arm is ignored: what it adds
 to the specific force is small beside the accelerations of flight, which the estimator has to distrust anyway.
@@ -28,6 +28,7 @@ from fusion.flight import (
     FloatArray,
     FrameStream,
     ImuStream,
+    RangeStream,
     TimeArray,
     VectorStream,
 )
@@ -35,6 +36,7 @@ from fusion.logs.contents import Kind, Topic
 from fusion.logs.csv_table import CsvTable, parse_time, read_table
 from fusion.logs.pictures import read_frames
 from fusion.logs.samples import MIN_IMU_STEP_NS, MIN_STEP_NS, BoolArray, counted, finite, keep_good
+from fusion.logs.series import Where, range_stream
 from vision import Camera, InputError
 from vision.calibration import read_body_frame, read_yaml, rotation_of_transform, to_frd
 from vision.camera import BodyFrame
@@ -50,6 +52,7 @@ _KINDS = {
     "attitude": Kind.ATTITUDE,
     "position": Kind.POSITION,
     "velocity": Kind.VELOCITY,
+    "range": Kind.RANGE,
 }
 
 
@@ -173,6 +176,12 @@ class AslLog:
     def velocity(self, topic: str, problems: list[str]) -> VectorStream:
         """Body FRD."""
         return _read_vectors(self._folder(problems), topic, ("v_x", "v_y", "v_z"), in_body=True)
+
+    def range(self, topic: str, problems: list[str]) -> RangeStream:
+        """Distance to the floor along the body's z."""
+        table = self._folder(problems).table(topic, ("distance",))
+        where = Where(self._mav0 / topic / "data.csv", f"{topic}/data.csv", problems)
+        return range_stream(table.t_ns, table.values[:, 0], where)
 
     def truth(self, problems: list[str]) -> CorridorTruth | None:
         """Read ``corridor_truth.csv`` beside ``mav0``; None where there is none."""

@@ -96,6 +96,7 @@ class _Assembly:
             self._stream(Kind.POSITION, lambda log: log.position, frames.t_ns),
             self._stream(Kind.VELOCITY, lambda log: log.velocity, frames.t_ns),
             self._truth(frames),
+            range=self._stream(Kind.RANGE, lambda log: log.range, frames.t_ns),
             problems=tuple(self.problems),
             corridor_width_m=self.manifest.corridor_width_m,
             manifest=self.manifest.model_copy(update=self._changes),
@@ -183,7 +184,16 @@ class _Assembly:
                     remedy=f"name another file under [{table}], or the columns of this one",
                 )
             return None
-        stream = mounted(self._shifted(reader(log)(topic, self.problems), source), source)
+        try:
+            read = reader(log)(topic, self.problems)
+        except InputError as error:
+            if kind is not Kind.RANGE or source.file is not None or source.topic is not None:
+                raise
+            self.problems.append(
+                f"{error.problem}: left out"
+            )  # range finders are often carried beyond their reach
+            return None
+        stream = mounted(self._shifted(read, source), source)
         self._changes[table] = source.model_copy(update={"topic": topic})
         file = getattr(log, "file_of", lambda topic: log.path)(topic)
         _check_clock(file, table, stream.t_ns, frame_t_ns, self.manifest.camera.clock_offset_s)

@@ -46,6 +46,12 @@ _PREFERRED: dict[Kind, tuple[str, ...]] = {
         r"(.*/)?odometry/filtered",
         r"(.*/)?odom(etry)?",
     ),
+    Kind.RANGE: (
+        r"range0",
+        r"(/mavros)?/rangefinder/rangefinder",
+        r"(/mavros)?/distance_sensor/[^/]*",
+        r".*(down|bottom|height).*",
+    ),
 }
 _SAME_PICTURES = re.compile(r"(/compressed|/image_raw|/image_rect|/image_mono|/image_color|/image)+$")
 
@@ -55,6 +61,7 @@ WORDS = {
     Kind.ATTITUDE: "attitude",
     Kind.POSITION: "position",
     Kind.VELOCITY: "velocity",
+    Kind.RANGE: "distances to the floor",
 }
 TABLES = {
     Kind.FRAMES: "camera",
@@ -62,6 +69,7 @@ TABLES = {
     Kind.ATTITUDE: "attitude",
     Kind.POSITION: "position",
     Kind.VELOCITY: "velocity",
+    Kind.RANGE: "range",
 }
 
 

@@ -67,6 +67,11 @@ class ColumnMap(BaseModel):
     velocity_unit: SpeedUnit = "m/s"
     position: Vector | None = Field(default=None, description="Position x, y, z.")
     position_unit: LengthUnit = "m"
+    range: Column | None = Field(default=None, description="Distance to the floor along the body's z.")
+    range_unit: LengthUnit = "m"
+    range_limits: tuple[float, float] | None = Field(
+        default=None, description="Between which the range sensor measures, in its unit; the rest is dropped."
+    )
     picture: Column | None = Field(default=None, description="File names of pictures.")
 
     @model_validator(mode="after")
@@ -75,12 +80,20 @@ class ColumnMap(BaseModel):
             raise ValueError("quaternion and euler say the same thing: give one of them")
         return self
 
+    def columns_of(self, role: str) -> tuple[Column, ...]:
+        """Return the columns named for a role such as ``gyro``; none where it is left open."""
+        named = getattr(self, role)
+        if named is None:
+            return ()
+        return named if isinstance(named, tuple) else (named,)
+
 
 # DJI Tello, state packets of SDK 1.3 to 3.0, ten a second. Roll, pitch and yaw are whole degrees, yaw positive to
 # the right. agx, agy, agz are thousandths of g, about -1000 along z at rest, which is FRD specific force. The manual
 # names neither unit nor axes of vgx, vgy, vgz; flights show decimetres per second along the axes that yaw is counted
 # from (x ahead at power-on, y right, z down). `time` counts whole seconds of motor time and cannot stamp samples: the
-# recorder has to add a time of its own.
+# recorder has to add a time of its own. tof is centimetres along the body's z: 30 to 1000 by the manual, 10 on
+# the ground, and 6553 (0xFFFF millimetres) where nothing came back.
 _TELLO = ColumnMap(
     frame="frd",
     velocity_frame="ned",
@@ -90,6 +103,9 @@ _TELLO = ColumnMap(
     euler_unit="deg",
     velocity=("vgx", "vgy", "vgz"),
     velocity_unit="dm/s",
+    range="tof",
+    range_unit="cm",
+    range_limits=(30.0, 1000.0),
 )
 
 # AR.Drone as ardrone_autonomy publishes it: FLU, degrees, millimetres per second, g; tm is microseconds since boot.

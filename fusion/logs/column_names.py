@@ -16,12 +16,14 @@ _VECTORS = {
     "position": "p_rs_r_{} position_{} pos_{} p_{} p{} pose_position_{} {}",
 }
 _QUATERNIONS = ("q_rs_{}", "q_{}", "q{}", "quat_{}", "quaternion_{}", "orientation_{}", "pose_orientation_{}")
+_RANGES = ("range", "rangefinder", "tof", "distance_to_floor", "distance_to_ground")
 _UNITS = {
     "gyro": {"rad_s": "rad/s", "deg_s": "deg/s", "dps": "deg/s", "mrad_s": "mrad/s"},
     "accel": {"m_s2": "m/s2", "g": "g", "mg": "mg", "cm_s2": "cm/s2"},
     "velocity": {"m_s": "m/s", "dm_s": "dm/s", "cm_s": "cm/s", "mm_s": "mm/s"},
     "position": {"m": "m", "dm": "dm", "cm": "cm", "mm": "mm"},
     "euler": {"rad": "rad", "deg": "deg", "mdeg": "mdeg"},
+    "range": {"m": "m", "dm": "dm", "cm": "cm", "mm": "mm"},
 }
 _SIGNS = {
     "tello": {"pitch", "roll", "yaw", "vgx", "vgy", "vgz"},
@@ -55,6 +57,11 @@ def map_of_names(layout: Layout, notes: list[str]) -> ColumnMap | None:
         unit = _find(known, layout, [["roll", "pitch", "yaw"]], "euler", found)
         if unit == "" and "euler" in found:
             notes.append(f"{layout.path.name}: no unit is given for roll, pitch and yaw, rad taken")
+    unit = _find(known, layout, [[name] for name in _RANGES], "range", found)
+    if "range" in found:
+        (found["range"],) = found["range"]
+        if unit == "":
+            notes.append(f"{layout.path.name}: no unit is given for {found['range']}, m taken")
     return ColumnMap(**found) if found else None
 
 

@@ -10,12 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
 from fusion.flight import AttitudeStream, FloatArray, TimeArray
-from fusion.logs.column_map import READY_MAPS, Column, ColumnMap, Frame
+from fusion.logs.column_map import READY_MAPS, ColumnMap, Frame
 from fusion.logs.column_names import map_of_names, ready_map_of
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.loose_table import Layout, read_layout
@@ -29,6 +28,7 @@ from fusion.logs.series import (
     attitude_stream,
     imu_stream,
     quaternions,
+    range_stream,
     vector_stream,
     velocity_stream,
 )
@@ -105,6 +105,7 @@ def open_columns(
         (Kind.ATTITUDE, ("quaternion", "euler"), _Table.attitude),
         (Kind.POSITION, ("position",), _Table.position),
         (Kind.VELOCITY, ("velocity",), _Table.velocity),
+        (Kind.RANGE, ("range",), _Table.range),
     )
     for kind, roles, read in kinds:
         if any(role in table.parts for role in roles):
@@ -136,7 +137,7 @@ def _present(ready: ColumnMap, layout: Layout) -> ColumnMap:
     absent = [
         role
         for role in ROLES
-        if any(isinstance(name, str) and layout.look_for(name) is None for name in getattr(ready, role) or ())
+        if any(isinstance(name, str) and layout.look_for(name) is None for name in ready.columns_of(role))
     ]
     named = [role for role in ROLES if getattr(ready, role) is not None]
     return ready if absent == named else ready.model_copy(update=dict.fromkeys(absent))
@@ -157,8 +158,8 @@ class _Table:
         """Read them all in one pass."""
         wanted: dict[str, list[int]] = {}
         for role in ROLES:
-            names = cast("tuple[Column, ...] | None", getattr(columns, role))
-            if names is not None:
+            names = columns.columns_of(role)
+            if names:
                 wanted[role] = [layout.find(name, f"columns.{role}") for name in names]
         order = [index for indices in wanted.values() for index in indices]
         t_ns, data = read_timed(layout, columns, order, problems)
@@ -175,6 +176,8 @@ class _Table:
 
     def note(self, kind: Kind) -> str:
         """Say the axes, where something says them."""
+        if kind is Kind.RANGE:
+            return f"in {self.columns.range_unit}, taken to look down"
         frame = (
             self.frame
             or (self.columns.velocity_frame if kind is Kind.VELOCITY else None)
@@ -246,6 +249,14 @@ class _Table:
             )
         # What is wrong with the attitude is told where that is read.
         return velocity_stream(self.t_ns, _world(v, frame), self.attitude([]), where)
+
+    def range(self, problems: list[str]) -> Stream:
+        """Distance to the floor along the body's z."""
+        told, where = self.columns.range_limits, self.where(Kind.RANGE, problems)
+        if told is None:
+            return range_stream(self.t_ns, self.parts["range"][:, 0], where)
+        low, high = (limit * _SI[self.columns.range_unit] for limit in told)
+        return range_stream(self.t_ns, self.parts["range"][:, 0], where, limits_m=(low, high))
 
 
 def _world(xyz: FloatArray, frame: Frame) -> FloatArray:

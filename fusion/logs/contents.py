@@ -11,7 +11,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Protocol
 
-from fusion.flight import AttitudeStream, FrameStream, ImuStream, TimeArray, VectorStream
+from fusion.flight import AttitudeStream, FrameStream, ImuStream, RangeStream, TimeArray, VectorStream
 from vision import Camera
 
 
@@ -23,6 +23,7 @@ class Kind(StrEnum):
     ATTITUDE = "attitude"
     POSITION = "position"
     VELOCITY = "velocity"
+    RANGE = "range"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,3 +77,6 @@ class LogContents(Protocol):
 
     def velocity(self, topic: str, problems: list[str]) -> VectorStream:
         """Body FRD."""
+
+    def range(self, topic: str, problems: list[str]) -> RangeStream:
+        """Distance to the floor along the body's z."""

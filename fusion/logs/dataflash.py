@@ -1,4 +1,4 @@
-"""ArduPilot DataFlash logs (.BIN): gyroscope, accelerometer, attitude, position and velocity; no pictures.
+"""ArduPilot DataFlash logs (.BIN): IMU, attitude, position, velocity and height sensors; no pictures.
 
 ArduPilot works in FRD and NED; only the velocity is turned, from the world into the body. Times are those of the
 autopilot's clock, which starts at zero when it boots. The log describes its own messages; they are read column by
@@ -10,7 +10,7 @@ Message by message: https://ardupilot.org/copter/docs/logmessages.html
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from fusion.flight import AttitudeStream, FloatArray, ImuStream, TimeArray, VectorStream
+from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
 from fusion.logs.contents import Kind, LogContents, Topic
-from fusion.logs.samples import counted
+from fusion.logs.samples import BoolArray
 from fusion.logs.series import (
     MAX_POSITION,
     MAX_VELOCITY,
@@ -34,6 +34,7 @@ from fusion.logs.series import (
     into_body,
     nanoseconds,
     quaternions,
+    range_stream,
     vector_stream,
 )
 from vision import InputError
@@ -48,8 +49,9 @@ FORMAT = "ArduPilot DataFlash log"
 IMUS = {"IMU": 0, "IMU2": 1, "IMU3": 2}
 FILTER_QUATERNIONS = ("XKQ", "XKQ1", "XKQ2", "NKQ", "NKQ1", "NKQ2")
 FILTERS = ("XKF1", "XKF6", "NKF1", "NKF6")
-NAMES = (*IMUS, *FILTER_QUATERNIONS, "ATT", "AHR2", *FILTERS, "RFND")
-INSTANCE = ("I", "C")  # columns that number a sensor or a filter's core
+RANGE = "RFND"
+NAMES = (*IMUS, *FILTER_QUATERNIONS, "ATT", "AHR2", *FILTERS, RANGE)
+INSTANCE = ("I", "C", "Instance")  # columns that number a sensor or a filter's core
 MAX_INSTANCES = 8
 
 GYRO = ("GyrX", "GyrY", "GyrZ")
@@ -58,6 +60,12 @@ QUATERNION = ("Q1", "Q2", "Q3", "Q4")
 EULER = ("Roll", "Pitch", "Yaw")  # degrees
 VELOCITY = ("VN", "VE", "VD")
 POSITION = ("PN", "PE", "PD")
+
+# Distances are metres in every version. Until 4.0 a message held two sensors, numbered in the names of its columns.
+RANGE_SUFFIXES = ("", "1", "2")
+DOWNWARD = 25  # RFND.Orient, ROTATION_PITCH_270
+GOOD = 4  # RFND.Stat; less is no data, or out of reach
+INVALID_SIGNAL = 0  # RFND.Quality, percent; -1 is one that is not known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,16 +119,19 @@ def open_log(path: Path) -> LogContents:
     """
     problems: list[str] = []
     tables = _tables(path, problems)
-    series = [*_imus(tables), *_attitudes(tables), *_positions(tables), *_velocities(tables)]
+    series = [
+        *_imus(tables),
+        *_attitudes(tables),
+        *_positions(tables),
+        *_velocities(tables),
+        *_ranges(tables),
+    ]
     if not series:
         raise InputError(
             "holds no IMU, attitude or filter messages",
             file=path,
             remedy="set LOG_BITMASK to log IMU and attitude, or copy the whole file",
         )
-    ranges = sum(len(table.starts) for table in tables if table.fmt.name == "RFND")
-    if ranges:
-        problems.append(f"RFND holds {counted(ranges, 'range')} that no stream of a flight takes, left out")
     return SeriesLog(path, FORMAT, series, problems)
 
 
@@ -220,3 +231,35 @@ def _read_position(table: _Table, problems: list[str]) -> VectorStream:
 def _read_velocity(table: _Table, problems: list[str]) -> VectorStream:
     velocity_m_s = into_body(_angles(table), table.numbers(VELOCITY))
     return vector_stream(table.t_ns(), velocity_m_s, table.where(problems), MAX_VELOCITY)
+
+
+def _ranges(tables: list[_Table]) -> list[Series]:
+    """Range finders that look down, or of which the log does not say where they look."""
+    found = []
+    for table in (table for table in tables if table.fmt.name == RANGE):
+        for suffix in (suffix for suffix in RANGE_SUFFIXES if table.has(f"Dist{suffix}")):
+            if not (_looks_down(table, suffix) & (table.numbers((f"Dist{suffix}",))[:, 0] > 0.0)).any():
+                continue
+            name = f"{table.label}.Dist{suffix}" if suffix else table.label
+            told = table.has(f"Orient{suffix}")
+            note = "looks down" if told else "taken to look down: the log does not tell"
+            read = partial(_read_range, suffix)
+            found.append(_one(replace(table, label=name), Kind.RANGE, note, read))
+    return found
+
+
+def _looks_down(table: _Table, suffix: str) -> BoolArray:
+    column = f"Orient{suffix}"
+    if not table.has(column):
+        return np.ones(len(table.starts), dtype=bool)
+    return np.asarray(table.numbers((column,))[:, 0] == DOWNWARD)
+
+
+def _read_range(suffix: str, table: _Table, problems: list[str]) -> RangeStream:
+    trusted = _looks_down(table, suffix)
+    if table.has(f"Stat{suffix}"):
+        trusted &= table.numbers((f"Stat{suffix}",))[:, 0] == GOOD
+    if table.has("Quality"):
+        trusted &= table.numbers(("Quality",))[:, 0] != INVALID_SIGNAL
+    distance_m = table.numbers((f"Dist{suffix}",))[:, 0]
+    return range_stream(table.t_ns(), distance_m, table.where(problems), trusted=trusted)

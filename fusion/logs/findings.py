@@ -26,7 +26,7 @@ class Finding:
     severity
         Whether the flight can be fused all the same.
     stream
-        ``camera``, ``imu``, ``attitude``, ``velocity`` or ``position``.
+        ``camera``, ``imu``, ``attitude``, ``velocity``, ``position`` or ``range``.
     kind
         A short fixed word, such as ``gyro_unit``.
     text

@@ -13,15 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.flight import AttitudeStream, FrameStream, ImuStream, TimeArray, VectorStream
+from fusion.flight import FrameStream, TimeArray
 from fusion.logs.column_map import ColumnMap
 from fusion.logs.contents import Kind, Topic
 from fusion.logs.pictures import PICTURE_SUFFIXES, PictureFiles
 from fusion.logs.samples import counted, in_order
-from fusion.logs.series import no_such_topic
+from fusion.logs.series import SeriesLog, no_such_topic
 from fusion.logs.stamps import MISSING, guess_unit, said, to_ns
 from fusion.logs.timed_rows import read_times
-from vision import Camera, InputError
+from vision import InputError
 
 _TIME_FILES = frozenset({".csv", ".txt", ".tsv"})
 _REMEDY = "give a CSV of time and file name: times under [camera] in flight.toml, or in the folder"
@@ -68,17 +68,14 @@ def open_folder(
     return PictureFolder(path, t_ns, tuple(names), tuple(problems))
 
 
-class PictureFolder:
-    """A folder of pictures as `fusion.logs.contents.LogContents`."""
-
-    format = "folder of pictures"
+class PictureFolder(SeriesLog):
+    """A folder of pictures as `fusion.logs.contents.LogContents`: pictures and nothing else."""
 
     def __init__(
         self, path: Path, t_ns: TimeArray, names: tuple[str, ...], problems: tuple[str, ...]
     ) -> None:
-        self.path = path
-        self.problems = problems
-        self.topics: tuple[Topic, ...] = (Topic(TOPIC, Kind.FRAMES, t_ns),)
+        super().__init__(path, "folder of pictures", (), problems)
+        self.topics = (Topic(TOPIC, Kind.FRAMES, t_ns),)
         self._names = names
 
     def frames(self, topic: str, problems: list[str]) -> FrameStream:
@@ -88,26 +85,6 @@ class PictureFolder:
         t_ns = self.topics[0].t_ns
         index = in_order(t_ns, self.path.name, problems, file=self.path, remedy=_REMEDY)
         return FrameStream(t_ns[index], PictureFiles(tuple(self.path / self._names[i] for i in index)))
-
-    def camera(self, topic: str) -> Camera | None:
-        """Return None: a folder of pictures carries no calibration."""
-        return None
-
-    def imu(self, topic: str, problems: list[str]) -> ImuStream:
-        """Refuse."""
-        raise no_such_topic(self.path, self.topics, Kind.IMU, topic)
-
-    def attitude(self, topic: str, problems: list[str]) -> AttitudeStream:
-        """Refuse."""
-        raise no_such_topic(self.path, self.topics, Kind.ATTITUDE, topic)
-
-    def position(self, topic: str, problems: list[str]) -> VectorStream:
-        """Refuse."""
-        raise no_such_topic(self.path, self.topics, Kind.POSITION, topic)
-
-    def velocity(self, topic: str, problems: list[str]) -> VectorStream:
-        """Refuse."""
-        raise no_such_topic(self.path, self.topics, Kind.VELOCITY, topic)
 
 
 def _is_picture(name: str) -> bool:

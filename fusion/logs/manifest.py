@@ -7,6 +7,7 @@ Signs, once for all readers and writers of a manifest:
 - ``mount_yaw_rad`` and ``mount_pitch_rad`` turn the camera of the calibration on the body: the true optical axis
   points that much further right and further up.
 - ``focal_scale`` multiplies both focal lengths of the calibration.
+- ``above_camera_m`` of a range sensor is subtracted from its distances, so that they count from the camera.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from fusion.logs.column_map import READY_MAPS, ColumnMap, Frame
 from vision import Camera, InputError
 
 MANIFEST_NAME = "flight.toml"
-STREAMS = ("camera", "imu", "attitude", "velocity", "position")
+STREAMS = ("camera", "imu", "attitude", "velocity", "position", "range")
 
 _STRICT = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -92,6 +93,18 @@ class ImuSource(SensorSource):
     )
 
 
+class RangeSource(StreamSource):
+    """Where the distances to the floor come from, and where the sensor sits."""
+
+    above_camera_m: float = Field(
+        default=0.0,
+        strict=True,
+        ge=-10.0,
+        le=10.0,
+        description="How much higher the sensor sits than the camera; negative below it.",
+    )
+
+
 class CameraSource(StreamSource):
     """Where the pictures come from, and the camera that took them."""
 
@@ -150,6 +163,7 @@ class Manifest(BaseModel):
     attitude: SensorSource = Field(default_factory=SensorSource)
     velocity: StreamSource = Field(default_factory=StreamSource)
     position: StreamSource = Field(default_factory=StreamSource)
+    range: RangeSource = Field(default_factory=RangeSource)
 
     @model_validator(mode="after")
     def _some_pictures(self) -> Self:
@@ -271,6 +285,7 @@ def _model_at(where: list[str]) -> type[BaseModel]:
         "camera": CameraSource,
         "imu": ImuSource,
         "attitude": SensorSource,
+        "range": RangeSource,
     }
     return models.get(where[0], StreamSource)
 
@@ -283,6 +298,7 @@ def _nearest(key: str, model: type[BaseModel]) -> str:
         "at the top": Manifest,
         "in [camera]": CameraSource,
         "in [imu]": ImuSource,
+        "in [range]": RangeSource,
         "in a stream's table": StreamSource,
         "in a stream's columns": ColumnMap,
     }

@@ -26,6 +26,7 @@ _MEANING = {
     "camera.mount_yaw_rad": "the camera looks this much further right than its calibration says",
     "camera.mount_pitch_rad": "the camera looks this much further up than its calibration says",
     "camera.focal_scale": "factor on the calibration's focal lengths",
+    "range.above_camera_m": "the sensor sits this much higher than the camera",
     "mount_rad": "roll, pitch, yaw of the sensor on the body",
     "use": "false: left out",
     "clock_offset_s": "added to this file's times",

@@ -1,4 +1,4 @@
-"""An IMU or attitude sensor that does not sit on the vehicle as its axes say: turned into the body, once.
+"""Sensors that do not sit on the vehicle as their axes or their readers say: put right, once.
 
 ``mount_rad`` is the sensor's own roll, pitch and yaw on the body, as of a small vehicle inside it: roll right side
 down, pitch nose up, yaw to the right, applied in the order yaw, pitch, roll (``R_body_sensor = Rz Ry Rx`` in FRD). A
@@ -9,19 +9,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import cos, sin
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from fusion.flight import AttitudeStream, FloatArray, ImuStream
-from fusion.logs.manifest import StreamSource
+from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream
+from fusion.logs.manifest import RangeSource, StreamSource
 
 AnyStream = TypeVar("AnyStream", bound=Any)
 MountRad = tuple[float, float, float]
 
 
 def mounted(stream: AnyStream, source: StreamSource) -> AnyStream:
-    """Return a stream along the body's axes, as far as its table in a manifest says how it is mounted."""
+    """Return a stream along the body's axes, as far as its table in a manifest says how it is mounted.
+
+    Distances to the floor then count from the camera's height.
+    """
+    if isinstance(stream, RangeStream) and isinstance(source, RangeSource) and source.above_camera_m:
+        lowered: Any = replace(stream, distance_m=stream.distance_m - source.above_camera_m)
+        return cast(AnyStream, lowered)
     mount_rad = getattr(source, "mount_rad", None)
     if mount_rad is None:
         return stream

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.flight import AttitudeStream, Flight, FloatArray, ImuStream, TimeArray, VectorStream
+from fusion.flight import AttitudeStream, Flight, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
 from fusion.logs.findings import Advice, Finding, Severity
 from fusion.logs.plausible_clocks import examine_clocks
 from fusion.logs.plausible_imu import MIN_SAMPLES, examine_imu
@@ -22,6 +22,7 @@ from vision import InputError
 
 MIN_DEAD_NS = 2_000_000_000  # a stream must stay the same for so long before it counts as dead
 MAX_SPEED_M_S = 60.0
+MAX_HEIGHT_M = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +34,7 @@ class Streams:
     attitude: AttitudeStream | None = None
     velocity: VectorStream | None = None
     position: VectorStream | None = None
+    range: RangeStream | None = None
 
     def times(self) -> dict[str, TimeArray]:
         """Return the times of each stream that is there, by its name in a manifest."""
@@ -41,6 +43,7 @@ class Streams:
             "attitude": self.attitude,
             "velocity": self.velocity,
             "position": self.position,
+            "range": self.range,
         }
         found = {} if self.frames_t_ns is None else {"camera": self.frames_t_ns}
         return found | {name: stream.t_ns for name, stream in streams.items() if stream is not None}
@@ -66,7 +69,14 @@ def check_flight(flight: Flight, path: Path | None = None) -> Flight:
         if finding.severity is Severity.ERROR:
             raise InputError(f"{finding.stream}: {finding.text}", file=path, remedy=finding.remedy)
     problems = (*flight.problems, *(finding.sentence for finding in findings))
-    return replace(flight, imu=alive.imu, attitude=alive.attitude, velocity=alive.velocity, problems=problems)
+    return replace(
+        flight,
+        imu=alive.imu,
+        attitude=alive.attitude,
+        velocity=alive.velocity,
+        range=alive.range,
+        problems=problems,
+    )
 
 
 def examine_flight(flight: Flight, advice: Advice) -> list[Finding]:
@@ -90,7 +100,10 @@ def examine_streams(streams: Streams, advice: Advice) -> tuple[Streams, list[Fin
 
 
 def without_dead_streams(streams: Streams) -> tuple[Streams, list[Finding]]:
-    """Take away streams that never change, and a velocity of zeros; an accelerometer that does becomes unknown."""
+    """Take away streams that never change or cannot be, and a velocity of zeros.
+
+    An accelerometer that never changes becomes unknown.
+    """
     found: list[Finding] = []
 
     def is_dead(name: str, t_ns: TimeArray, values: FloatArray, what: str) -> bool:
@@ -113,7 +126,13 @@ def without_dead_streams(streams: Streams) -> tuple[Streams, list[Finding]]:
         and is_dead("velocity", velocity.t_ns, velocity.xyz, "it")
     ):
         velocity = None
-    return replace(streams, imu=imu, attitude=attitude, velocity=velocity), found
+    distance = streams.range
+    if distance is not None and float(np.median(distance.distance_m)) > MAX_HEIGHT_M:
+        text = f"most of it is more than {MAX_HEIGHT_M:.0f} m: no corridor is that high, left out"
+        remedy = 'give metres, or set range_unit = "cm" or "mm" in [range.columns] of flight.toml'
+        found.append(Finding(Severity.WARNING, "range", "range_unit", text, remedy))
+        distance = None
+    return replace(streams, imu=imu, attitude=attitude, velocity=velocity, range=distance), found
 
 
 def examine_attitude(attitude: AttitudeStream, advice: Advice) -> Iterator[Finding]:
@@ -157,7 +176,9 @@ def _speeds(velocity: VectorStream) -> Iterator[Finding]:
 
 
 def _streams(flight: Flight) -> Streams:
-    return Streams(flight.frames.t_ns, flight.imu, flight.attitude, flight.velocity, flight.position)
+    return Streams(
+        flight.frames.t_ns, flight.imu, flight.attitude, flight.velocity, flight.position, flight.range
+    )
 
 
 def is_asl(path: Path) -> bool:

@@ -22,6 +22,7 @@ STEPS_S = {
     "attitude": (5e-5, 5.0),
     "velocity": (5e-5, 10.0),
     "position": (5e-5, 10.0),
+    "range": (5e-5, 10.0),
 }
 _UNITS = ((1000.0, "microseconds"), (1e6, "milliseconds"), (1e9, "seconds"))
 

@@ -10,7 +10,15 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from fusion.flight import AttitudeStream, FloatArray, FrameStream, ImuStream, TimeArray, VectorStream
+from fusion.flight import (
+    AttitudeStream,
+    FloatArray,
+    FrameStream,
+    ImuStream,
+    RangeStream,
+    TimeArray,
+    VectorStream,
+)
 from fusion.logs.contents import Kind, Topic
 from fusion.logs.samples import (
     MIN_IMU_STEP_NS,
@@ -23,7 +31,7 @@ from fusion.logs.samples import (
 from vision import Camera, InputError
 
 IndexArray = npt.NDArray[np.int64]
-Stream = ImuStream | AttitudeStream | VectorStream
+Stream = ImuStream | AttitudeStream | VectorStream | RangeStream
 Read = Callable[[list[str]], Stream]
 
 QUATERNION_TOLERANCE = 0.05  # of its length; more is not rounding but damage
@@ -39,6 +47,7 @@ MAX_RATE = 1e4
 MAX_ACCELERATION = 1e5
 MAX_POSITION = 1e7
 MAX_VELOCITY = 1e4
+MAX_DISTANCE_M = 100.0
 
 MAX_ATTITUDE_GAP_NS = 500_000_000
 
@@ -167,6 +176,43 @@ def vector_stream(
     return VectorStream(t_ns[good], xyz[good])
 
 
+def range_stream(
+    t_ns: TimeArray,
+    distance_m: FloatArray,
+    where: Where,
+    *,
+    limits_m: tuple[npt.ArrayLike, npt.ArrayLike] = (0.0, MAX_DISTANCE_M),
+    trusted: BoolArray | None = None,
+) -> RangeStream:
+    """Clean distances (n,) to the floor: what is out of the sensor's reach is no distance.
+
+    Parameters
+    ----------
+    t_ns, distance_m
+        As read.
+    where
+        What to call the stream.
+    limits_m
+        Between which the sensor measures, one or (n,) each; one that is no number, or a greatest of zero, limits
+        nothing.
+    trusted
+        Rows (n,) that the sensor itself does not call wrong.
+    """
+    low_m, high_m = (np.broadcast_to(np.asarray(limit, dtype=float), distance_m.shape) for limit in limits_m)
+    with np.errstate(
+        invalid="ignore"
+    ):  # a NaN limits nothing; a sensor that sees nothing may report its limit
+        low_m = np.where(low_m > 0.0, low_m, 0.0)
+        high_m = np.where(high_m > 0.0, np.minimum(high_m, MAX_DISTANCE_M), MAX_DISTANCE_M)
+        good = (distance_m > low_m) & (distance_m < high_m)
+    if trusted is not None:
+        good &= trusted
+    index = usable(t_ns, where)
+    t_ns, distance_m, good = t_ns[index], distance_m[index], good[index]
+    where.keep(good, t_ns, "no distance within the sensor's reach")
+    return RangeStream(t_ns[good], distance_m[good])
+
+
 def _within(values: FloatArray, limit: float) -> BoolArray:
     with np.errstate(invalid="ignore"):
         return finite(values) & (np.abs(values) < limit).all(axis=1)
@@ -251,7 +297,7 @@ class Series:
 
 
 class SeriesLog:
-    """`LogContents` of a log without pictures."""
+    """`LogContents` of a log without pictures, or of one whose subclass reads them."""
 
     def __init__(
         self, path: Path, log_format: str, series: Sequence[Series], problems: Sequence[str]
@@ -287,6 +333,10 @@ class SeriesLog:
     def velocity(self, topic: str, problems: list[str]) -> VectorStream:
         """Body FRD."""
         return cast(VectorStream, self._stream(Kind.VELOCITY, topic, problems))
+
+    def range(self, topic: str, problems: list[str]) -> RangeStream:
+        """Distance to the floor along the body's z."""
+        return cast(RangeStream, self._stream(Kind.RANGE, topic, problems))
 
     def _stream(self, kind: Kind, topic: str, problems: list[str]) -> Stream:
         if (kind, topic) not in self._read:

@@ -15,7 +15,7 @@ from fusion.logs.samples import counted
 from fusion.logs.stamps import MISSING, guess_unit, is_time_name, said, to_ns, unit_named
 from vision import InputError
 
-ROLES = ("gyro", "accel", "quaternion", "euler", "velocity", "position")
+ROLES = ("gyro", "accel", "quaternion", "euler", "velocity", "position", "range")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

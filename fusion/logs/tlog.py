@@ -1,4 +1,4 @@
-"""MAVLink telemetry logs (.tlog): what a ground station received of a vehicle; IMU, attitude, position, velocity.
+"""MAVLink telemetry logs (.tlog), received by a ground station; IMU, attitude, position, velocity, height sensors.
 
 Messages are in FRD and NED; only the velocity is turned, from the world into the body. Their units differ:
 ``HIGHRES_IMU`` has rad/s and m/s^2, the others thousandths of rad/s and of standard gravity. pymavlink's definitions
@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from fusion.flight import AttitudeStream, FloatArray, ImuStream, TimeArray, VectorStream
+from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
 from fusion.logs.contents import Kind, LogContents, Topic
-from fusion.logs.samples import counted
+from fusion.logs.samples import BoolArray, counted
 from fusion.logs.series import (
     CLOCK_BACK_NS,
     MAX_POSITION,
@@ -34,6 +34,7 @@ from fusion.logs.series import (
     imu_stream,
     nanoseconds,
     quaternions,
+    range_stream,
     vector_stream,
     velocity_stream,
 )
@@ -53,12 +54,16 @@ IMUS = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
 ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE")
 POSITION = "LOCAL_POSITION_NED"
 CLOCK = "SYSTEM_TIME"
-NAMES = (*IMUS, *ATTITUDES, POSITION, CLOCK)
+RANGE = "DISTANCE_SENSOR"
+NAMES = (*IMUS, *ATTITUDES, POSITION, RANGE, CLOCK)
 
 GYRO = ("xgyro", "ygyro", "zgyro")
 ACCEL = ("xacc", "yacc", "zacc")
 GYRO_UPDATED, ACCEL_UPDATED = 0x38, 0x07  # bits of HIGHRES_IMU.fields_updated
-SCALES = {"mG": 9.80665e-3, "mrad/s": 1e-3, "m/s/s": 1.0, "rad/s": 1.0}
+SCALES = {"mG": 9.80665e-3, "mrad/s": 1e-3, "m/s/s": 1.0, "rad/s": 1.0, "cm": 0.01}
+DISTANCES = ("current_distance", "min_distance", "max_distance")
+DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270
+INVALID_SIGNAL = 1  # of DISTANCE_SENSOR.signal_quality; 0 is one that is not known
 ONE_G_M_S2 = (3.0, 30.0)  # what the median of a sound accelerometer in flight lies between
 
 
@@ -291,6 +296,9 @@ def _series(tables: list[_Table]) -> list[Series]:
         if own:
             note = f"NED, turned into the body by {own[0].label}"
             found.append(_one(table, Kind.VELOCITY, note, partial(_read_velocity, own[0])))
+    found += [
+        _one(table, Kind.RANGE, "looks down", _read_range) for table in of(RANGE) if _looks_down(table).any()
+    ]
     return found
 
 
@@ -330,3 +338,14 @@ def _read_position(table: _Table, problems: list[str]) -> VectorStream:
 def _read_velocity(attitude: _Table, table: _Table, problems: list[str]) -> VectorStream:
     turning = _read_attitude(attitude, [])  # its own problems are told where it is asked for
     return velocity_stream(table.t_ns, table.numbers(("vx", "vy", "vz")), turning, table.where(problems))
+
+
+def _looks_down(table: _Table) -> BoolArray:
+    return np.asarray(table.rows["orientation"] == DOWNWARD)
+
+
+def _read_range(table: _Table, problems: list[str]) -> RangeStream:
+    distance_m, low_m, high_m = table.numbers(DISTANCES).T
+    trusted = _looks_down(table) & (table.rows["signal_quality"] != INVALID_SIGNAL)
+    where = table.where(problems)
+    return range_stream(table.t_ns, distance_m, where, limits_m=(low_m, high_m), trusted=trusted)

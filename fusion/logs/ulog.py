@@ -1,4 +1,4 @@
-"""PX4 logs (ULog), read with pyulog: gyroscope, accelerometer, attitude, position and velocity; no pictures.
+"""PX4 logs (ULog), read with pyulog: IMU, attitude, position, velocity and height sensors; no pictures.
 
 PX4 works in FRD and NED throughout, so nothing is turned but the velocity, from the world into the body by the
 logged attitude. Times are those of the autopilot's clock, which starts at zero when it boots. A sample of
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from fusion.flight import AttitudeStream, FloatArray, ImuStream, TimeArray, VectorStream
+from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.samples import BoolArray, counted
 from fusion.logs.series import (
@@ -34,6 +34,7 @@ from fusion.logs.series import (
     imu_stream,
     interpolated,
     nanoseconds,
+    range_stream,
     vector_stream,
     velocity_stream,
 )
@@ -47,7 +48,8 @@ FORMAT = "PX4 ULog"
 
 ATTITUDE = "vehicle_attitude"
 LOCAL_POSITION = "vehicle_local_position"
-NAMES = ("sensor_combined", "vehicle_imu", "sensor_gyro", "sensor_accel", ATTITUDE, LOCAL_POSITION)
+RANGE = "distance_sensor"
+NAMES = ("sensor_combined", "vehicle_imu", "sensor_gyro", "sensor_accel", ATTITUDE, LOCAL_POSITION, RANGE)
 
 GYRO_RAD = tuple(f"gyro_rad[{axis}]" for axis in range(3))
 ACCEL_M_S2 = tuple(f"accelerometer_m_s2[{axis}]" for axis in range(3))
@@ -57,6 +59,10 @@ INTERVALS = ("delta_angle_dt", "delta_velocity_dt")  # microseconds
 QUATERNION = tuple(f"q[{part}]" for part in range(4))
 XYZ = POSITION = ("x", "y", "z")
 VELOCITY = ("vx", "vy", "vz")
+DISTANCE, DISTANCE_LIMITS = "current_distance", ("min_distance", "max_distance")  # metres
+
+DOWNWARD = 25  # ROTATION_DOWNWARD_FACING of distance_sensor.orientation
+INVALID_SIGNAL = 0  # percent; -1 is a quality that is not known
 
 MAX_ACCEL_GAP_NS = 50_000_000
 NO_ACCEL = 0x7FFFFFFF  # accelerometer_timestamp_relative of a sample without acceleration
@@ -145,7 +151,7 @@ def open_log(path: Path) -> LogContents:
         if (data.name, data.multi_id) not in tables and "timestamp" in data.data:
             label = data.name if data.multi_id == 0 else f"{data.name}[{data.multi_id}]"
             tables[data.name, data.multi_id] = _Table(path, label, data.data)
-    series = [*_imus(tables), *_attitudes(tables), *_local_positions(tables, problems)]
+    series = [*_imus(tables), *_attitudes(tables), *_local_positions(tables, problems), *_ranges(tables)]
     if not series:
         raise InputError(
             "holds no IMU, attitude or position",
@@ -303,3 +309,20 @@ def _read_velocity(attitude: _Table, table: _Table, t_ns: TimeArray, problems: l
     )
     turning = _read_attitude(attitude, attitude.t_ns(), [])  # its own problems are told where it is asked for
     return velocity_stream(t_ns, velocity_m_s, turning, table.where(problems))
+
+
+def _ranges(tables: dict[tuple[str, int], _Table]) -> list[Series]:
+    """Distance sensors that look down; what looks elsewhere tells nothing of the floor."""
+    found = _instances(tables, RANGE, DISTANCE, "orientation")
+    down = [table for table in found if (table.columns["orientation"] == DOWNWARD).any()]
+    return [_series(table, Kind.RANGE, table.t_ns(), "looks down", _read_range) for table in down]
+
+
+def _read_range(table: _Table, t_ns: TimeArray, problems: list[str]) -> RangeStream:
+    trusted = table.columns["orientation"] == DOWNWARD
+    if table.has("signal_quality"):
+        trusted &= table.columns["signal_quality"] != INVALID_SIGNAL
+    low_m, high_m = (table.numbers(name)[:, 0] if table.has(name) else np.nan for name in DISTANCE_LIMITS)
+    distance_m = table.numbers(DISTANCE)[:, 0]
+    where = table.where(problems)
+    return range_stream(t_ns, distance_m, where, limits_m=(low_m, high_m), trusted=trusted)

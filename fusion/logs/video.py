@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from fusion.flight import AttitudeStream, ChosenFrames, FrameStream, ImuStream, TimeArray, VectorStream
+from fusion.flight import ChosenFrames, FrameStream, TimeArray
 from fusion.logs.column_map import ColumnMap
 from fusion.logs.contents import Kind, Topic
 from fusion.logs.samples import counted, in_order
-from fusion.logs.series import no_such_topic
+from fusion.logs.series import SeriesLog, no_such_topic
 from fusion.logs.video_frames import VideoFrames
-from vision import Camera, InputError
+from vision import InputError
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -281,14 +281,11 @@ class _Video:
     stream: int
 
 
-class VideoLog:
+class VideoLog(SeriesLog):
     """A video as `fusion.logs.contents.LogContents`: pictures and nothing else."""
 
-    format = "video"
-
     def __init__(self, path: Path, videos: dict[str, _Video], note: str, problems: tuple[str, ...]) -> None:
-        self.path = path
-        self.problems = problems
+        super().__init__(path, "video", (), problems)
         self.topics = tuple(Topic(name, Kind.FRAMES, video.t_ns, note) for name, video in videos.items())
         self._videos = videos
 
@@ -303,23 +300,3 @@ class VideoLog:
         )
         source.check(problems)
         return FrameStream(video.t_ns[index], ChosenFrames(source, video.rows[index]))
-
-    def camera(self, topic: str) -> Camera | None:
-        """Return None: videos carry no calibration."""
-        return None
-
-    def imu(self, topic: str, problems: list[str]) -> ImuStream:
-        """Refuse."""
-        raise no_such_topic(self.path, self.topics, Kind.IMU, topic)
-
-    def attitude(self, topic: str, problems: list[str]) -> AttitudeStream:
-        """Refuse."""
-        raise no_such_topic(self.path, self.topics, Kind.ATTITUDE, topic)
-
-    def position(self, topic: str, problems: list[str]) -> VectorStream:
-        """Refuse."""
-        raise no_such_topic(self.path, self.topics, Kind.POSITION, topic)
-
-    def velocity(self, topic: str, problems: list[str]) -> VectorStream:
-        """Refuse."""
-        raise no_such_topic(self.path, self.topics, Kind.VELOCITY, topic)

@@ -248,6 +248,27 @@ def test_position_and_velocity(folder: Folder) -> None:
     np.testing.assert_allclose(flight.velocity.xyz[0], [c - 2.0 * s, -(s + 2.0 * c), -3.0])
 
 
+def test_distances_to_the_floor(folder: Folder) -> None:
+    rows = [
+        f"{t},{d}\n"
+        for t, d in zip(times(9, 50_000_000), [1.4, "", "nan", 0, -1, "inf", 1.5, 1.6, 1.7], strict=True)
+    ]
+    folder.write("mav0/range0/data.csv", "#timestamp [ns],distance [m]\n" + "".join(rows))
+    flight = load_flight(folder.path)
+    assert flight.range is not None
+    assert flight.range.distance_m.tolist() == [1.4, 1.5, 1.6, 1.7]
+    assert flight.range.t_ns.tolist() == [times(9, 50_000_000)[i] for i in (0, 6, 7, 8)]
+    assert any("range0/data.csv: 5 rows with no distance" in text for text in flight.problems)
+
+
+@pytest.mark.parametrize(("value", "said"), [(0.0, "no distance within"), (45.0, "no corridor is that high")])
+def test_distances_that_cannot_be_leave_the_flight_without(folder: Folder, value: float, said: str) -> None:
+    folder.write("mav0/range0/data.csv", csv("#t,d\n", times(9, 50_000_000), value))
+    flight = load_flight(folder.path)
+    assert flight.range is None
+    assert any(said in text and "left out" in text for text in flight.problems)
+
+
 def test_camera_file_in_place_of_the_log_s_own(folder: Folder, tmp_path: Path) -> None:
     """Its extrinsic means the body of this log, so that body.yaml counts wherever the file lies."""
     chain = tmp_path / "camchain.yaml"

@@ -184,7 +184,7 @@ def tello(i: int) -> str:
 def check_tello(path: Path) -> None:
     log = open_log(path)
     assert log.format == "CSV (tello)"
-    assert {topic.kind for topic in log.topics} == {Kind.ATTITUDE, Kind.VELOCITY}  # it has no gyroscope
+    assert [topic.kind for topic in log.topics] == [Kind.ATTITUDE, Kind.VELOCITY, Kind.RANGE]  # no gyroscope
     attitude = log.attitude("attitude", [])
     expected = Rotation.from_euler("ZYX", [90, 10, -5], degrees=True)
     np.testing.assert_allclose(rotation(attitude), expected.as_matrix(), atol=1e-9)
@@ -193,6 +193,42 @@ def check_tello(path: Path) -> None:
     np.testing.assert_allclose(velocity.xyz[0], expected.inv().apply([0.3, -0.4, 0.0]), atol=1e-9)
     assert attitude.t_ns[0] == 1_612_345_678_000_000_000
     assert attitude.t_ns[1] - attitude.t_ns[0] == 100_000_000
+    np.testing.assert_allclose(log.range("range", []).distance_m, 0.8)
+
+
+def test_tello_on_the_ground_and_out_of_reach(write: Write) -> None:
+    far = {3: 10, 4: 6553, 5: 29, 6: 31}
+    lines = rows(lambda i: tello(i).replace(",62,80,70,", f",62,{far.get(i, 80)},70,"))
+    problems: list[str] = []
+    found = open_log(write("tello.csv", TELLO + lines)).range("range", problems)
+    assert found.distance_m[3] == pytest.approx(0.31)
+    np.testing.assert_allclose(np.delete(found.distance_m, 3), 0.8)
+    assert "(range): 3 rows with no distance within the sensor's reach dropped" in problems[0]
+
+
+@pytest.mark.parametrize(
+    ("header", "value", "told"),
+    [
+        ("range_m", 1.4, False),
+        ("tof_cm", 140, False),
+        ("rangefinder (mm)", 1400, False),
+        ("range", 1.4, True),
+    ],
+)
+def test_distances_to_the_floor_by_name(write: Write, header: str, value: float, told: bool) -> None:
+    log = open_log(write("range.csv", f"time_ms,{header}\n" + rows(lambda i: f"{20 * i},{value}")))
+    assert [topic.kind for topic in log.topics] == [Kind.RANGE]
+    np.testing.assert_allclose(log.range("range", []).distance_m, 1.4)
+    assert any("no unit is given for range, m taken" in text for text in log.problems) == told
+
+
+def test_distances_to_the_floor_by_a_map(write: Write) -> None:
+    text = "t,d\n" + rows(lambda i: f"{0.02 * i:.2f},{400 if i == 3 else 140 + i}")
+    columns = ColumnMap(time="t", time_unit="s", range="d", range_unit="cm", range_limits=(5.0, 399.0))
+    found = open_columns(write("range.csv", text), columns).range("range", problems := [])
+    assert found.distance_m[0] == pytest.approx(1.4)
+    assert found.distance_m[3] == pytest.approx(1.44)
+    assert len(problems) == 1
 
 
 def test_tello_state_as_csv(write: Write) -> None:

@@ -21,7 +21,7 @@ START_US = 80_000_000
 STEP_US = 20_000
 N = 120
 
-CODES = {"Q": "Q", "B": "B", "f": "f", "c": "h", "C": "H", "I": "I", "L": "i", "Z": "64s", "E": "I"}
+CODES = {"Q": "Q", "B": "B", "b": "b", "f": "f", "c": "h", "C": "H", "I": "I", "L": "i", "Z": "64s", "E": "I"}
 
 
 @dataclass
@@ -90,6 +90,7 @@ def test_every_stream_has_the_values_written(tmp_path: Path) -> None:
         (Kind.POSITION, "XKF1[1]"),
         (Kind.VELOCITY, "XKF1[0]"),
         (Kind.VELOCITY, "XKF1[1]"),
+        (Kind.RANGE, "RFND[0]"),
     ]
     problems: list[str] = []
     imu = log.imu("IMU[1]", problems)
@@ -103,8 +104,9 @@ def test_every_stream_has_the_values_written(tmp_path: Path) -> None:
     # The body's x points east, its y down and its z north.
     velocity = log.velocity("XKF1[0]", problems)
     np.testing.assert_allclose(velocity.xyz, [[3.0, 0.5, 0.0]] * N, atol=1e-6)
+    np.testing.assert_allclose(log.range("RFND[0]", problems).distance_m, [2.5] * 3)
     assert problems == []
-    assert log.problems == ("RFND holds 3 ranges that no stream of a flight takes, left out",)
+    assert log.problems == ()
 
 
 def test_angles_in_hundredths_of_degrees(tmp_path: Path) -> None:
@@ -225,3 +227,56 @@ def test_a_real_log_in_pieces(tmp_path: Path) -> None:
     assert opened > 0
     opened, refused = damage.survives(dataflash, damage.flips(data, 100), tmp_path / "flip.BIN")
     assert opened > 3 * refused
+
+
+# As ArduPilot has defined the message over the years: 3.2, 3.5, 3.6, 4.0, and with the quality of the signal.
+RANGES = {
+    "3.2": ("QCC", "TimeUS,Dist1,Dist2", lambda cm: (cm, 0), "RFND.Dist1"),
+    "3.5": ("QCBCB", "TimeUS,Dist1,Orient1,Dist2,Orient2", lambda cm: (300, 0, cm, 25), "RFND.Dist2"),
+    "3.6": (
+        "QCBBCBB",
+        "TimeUS,Dist1,Stat1,Orient1,Dist2,Stat2,Orient2",
+        lambda cm: (cm, 4, 25, 300, 4, 0),
+        "RFND.Dist1",
+    ),
+    "4.0": ("QBCBB", "TimeUS,Instance,Dist,Stat,Orient", lambda cm: (1, cm, 4, 25), "RFND[1]"),
+    "4.6": (
+        "QBfBBb",
+        "TimeUS,Instance,Dist,Stat,Orient,Quality",
+        lambda cm: (0, cm / 100, 4, 25, -1),
+        "RFND[0]",
+    ),
+}
+
+
+@pytest.mark.parametrize("version", RANGES)
+def test_range_finders_of_every_version(tmp_path: Path, version: str) -> None:
+    letters, columns, values, name = RANGES[version]
+    writer = Writer()
+    writer.define(6, "RFND", letters, columns)
+    for k, t_us in enumerate(times_us()):
+        writer.write("RFND", t_us, *values(100 + k))
+    log = dataflash.open_log(writer.save(tmp_path / "range.BIN"))
+    assert [(topic.kind, topic.name) for topic in log.topics] == [(Kind.RANGE, name)]
+    told = "taken to look down: the log does not tell" if version == "3.2" else "looks down"
+    assert log.topics[0].note == told
+    problems: list[str] = []
+    found = log.range(name, problems)
+    np.testing.assert_array_equal(found.t_ns, np.array(times_us()) * 1000)
+    np.testing.assert_allclose(found.distance_m, 1.0 + 0.01 * np.arange(N), rtol=1e-6)
+    assert problems == []
+
+
+def test_what_a_range_finder_calls_bad_is_dropped(tmp_path: Path) -> None:
+    writer = Writer()
+    writer.define(6, "RFND", "QBfBBb", "TimeUS,Instance,Dist,Stat,Orient,Quality")
+    for k, t_us in enumerate(times_us()):
+        status = {3: 2, 4: 3, 5: 1}.get(k, 4)  # too near, too far, no data
+        writer.write("RFND", t_us, 0, 1.4, status, 25, 0 if k == 6 else 90)
+        writer.write("RFND", t_us, 1, 3.0, 4, 0, 90)  # ahead
+    log = dataflash.open_log(writer.save(tmp_path / "range.BIN"))
+    assert [topic.name for topic in log.topics] == ["RFND[0]"]
+    problems: list[str] = []
+    found = log.range("RFND[0]", problems)
+    assert len(found.t_ns) == N - 4
+    assert "RFND[0]: 4 rows with no distance within the sensor's reach dropped" in problems[0]

@@ -23,6 +23,7 @@ from fusion.logs.series import (
     into_body,
     nanoseconds,
     quaternions,
+    range_stream,
     usable,
     vector_stream,
     velocity_stream,
@@ -199,3 +200,19 @@ def test_a_library_that_is_missing_is_named(
     assert reader.recognises(path)  # type: ignore[attr-defined]
     with pytest.raises(InputError, match=rf"pip install 'corridor-fusion\[{extra}\]'"):
         reader.open_log(path)  # type: ignore[attr-defined]
+
+
+def test_distances_that_are_none_are_dropped() -> None:
+    nan, inf = float("nan"), float("inf")
+    distance_m = np.array([1.0, nan, inf, -inf, 0.0, -1.0, 0.3, 8.0, 7.9, 150.0])
+    t_ns, place = clean(10), where()
+    found = range_stream(t_ns, distance_m, place, limits_m=(0.3, 8.0))
+    assert found.distance_m.tolist() == [1.0, 7.9]
+    assert found.t_ns.tolist() == [t_ns[0], t_ns[8]]
+    assert "imu: 8 rows with no distance within the sensor's reach dropped" in place.problems[0]
+    unlimited = range_stream(t_ns, distance_m, where(), limits_m=(nan, 0.0))
+    assert unlimited.distance_m.tolist() == [1.0, 0.3, 8.0, 7.9]
+    trusted = np.arange(10) != 0
+    assert range_stream(t_ns, distance_m, where(), trusted=trusted).distance_m[0] == 0.3
+    with pytest.raises(InputError, match="every row has no distance within the sensor's reach"):
+        range_stream(t_ns, np.full(10, nan), where())

@@ -206,3 +206,39 @@ def test_damage_is_said_or_refused_and_nothing_else(path: Path, tmp_path: Path) 
     assert opened > refused
     opened, refused = damage.survives(tlog, damage.flips(data), tmp_path / "flip.tlog")
     assert opened > 3 * refused
+
+
+@pytest.mark.parametrize("dialect", [mavlink1, mavlink2])
+def test_centimetres_to_the_floor(tmp_path: Path, dialect: Any) -> None:
+    writer = Writer(dialect)
+    for k in range(N):
+        boot_ms = BOOT_MS + k * STEP_MS
+        distance_cm = {3: 15, 4: 700, 5: 0}.get(k, 100 + k)
+        for sensor, orientation in ((0, 25), (1, 0)):  # down, ahead
+            message = dialect.MAVLink_distance_sensor_message(
+                boot_ms, 20, 700, distance_cm, 0, sensor, orientation, 255
+            )
+            writer.send(message, UNIX_US + k * STEP_MS * 1000)
+    log = tlog.open_log(writer.save(tmp_path / "range.tlog"))
+    assert [(topic.kind, topic.name) for topic in log.topics] == [(Kind.RANGE, "DISTANCE_SENSOR")]
+    problems: list[str] = []
+    found = log.range("DISTANCE_SENSOR", problems)
+    kept = np.delete(np.arange(N), [3, 4, 5])
+    np.testing.assert_array_equal(found.t_ns, (BOOT_MS + STEP_MS * kept) * 1_000_000)
+    np.testing.assert_allclose(found.distance_m, 1.0 + 0.01 * kept)
+    assert "3 rows with no distance within the sensor's reach dropped" in problems[0]
+
+
+def test_a_signal_that_is_called_invalid_is_dropped(tmp_path: Path) -> None:
+    writer = Writer()
+    for k in range(N):
+        quality = {2: 1, 3: 0, 4: 60}.get(k, 100)  # 1: invalid, 0: not known
+        angles = (0.0, 0.0, (1.0, 0.0, 0.0, 0.0))
+        writer.send(
+            mavlink2.MAVLink_distance_sensor_message(
+                BOOT_MS + k * STEP_MS, 20, 700, 140, 0, 0, 25, 255, *angles, quality
+            ),
+            UNIX_US + k * STEP_MS * 1000,
+        )
+    found = tlog.open_log(writer.save(tmp_path / "range.tlog")).range("DISTANCE_SENSOR", [])
+    np.testing.assert_array_equal(found.t_ns, (BOOT_MS + STEP_MS * np.delete(np.arange(N), 2)) * 1_000_000)

@@ -245,3 +245,37 @@ def test_a_real_log_in_pieces(name: str, tmp_path: Path) -> None:
     assert opened > refused
     opened, refused = damage.survives(ulog, damage.flips(data, 40), tmp_path / "flip.ulg")
     assert opened > refused
+
+
+RANGE = (
+    "distance_sensor:uint64_t timestamp;float min_distance;float max_distance;float current_distance;"
+    "int8_t signal_quality;uint8_t orientation;uint8_t[2] _padding0;"
+)
+
+
+def test_distances_of_sensors_that_look_down(tmp_path: Path) -> None:
+    writer = Writer()
+    writer.formats(RANGE)
+    for instance in range(3):
+        writer.subscribe(instance, "distance_sensor", instance)
+    for k, t_us in enumerate(times_us(40)):
+        quality = 0 if k == 5 else -1  # invalid, else unknown
+        distance = {7: 0.05, 8: 12.0, 9: np.nan, 10: 0.0, 11: -1.0}.get(k, 1.0 + 0.01 * k)
+        writer.sample(0, "Q3fbB", t_us, 0.1, 12.0, 3.0, 100, 0)  # ahead
+        writer.sample(1, "Q3fbB", t_us, 0.1, 12.0, distance, quality, 25)
+        writer.sample(2, "Q3fbB", t_us, 0.0, 0.0, 1.5, 80, 25)  # knows no limits
+    log = ulog.open_log(writer.save(tmp_path / "range.ulg"))
+    assert [(topic.kind, topic.name) for topic in log.topics] == [
+        (Kind.RANGE, "distance_sensor[1]"),
+        (Kind.RANGE, "distance_sensor[2]"),
+    ]
+    problems: list[str] = []
+    found = log.range("distance_sensor[1]", problems)
+    kept = [k for k in range(40) if k not in (5, 7, 8, 9, 10, 11)]
+    np.testing.assert_array_equal(found.t_ns, np.array(times_us(40))[kept] * 1000)
+    np.testing.assert_allclose(found.distance_m, 1.0 + 0.01 * np.array(kept), rtol=1e-6)
+    first_ns = times_us()[5] * 1000
+    assert problems == [
+        f"distance_sensor[1]: 6 rows with no distance within the sensor's reach dropped (first at {first_ns})"
+    ]
+    np.testing.assert_allclose(log.range("distance_sensor[2]", []).distance_m, [1.5] * 40)

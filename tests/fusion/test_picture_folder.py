@@ -151,6 +151,6 @@ def test_it_has_nothing_but_pictures(folder: Path) -> None:
     (folder / "times.csv").write_text("".join(f"{T0 + i * 50_000_000},{i}.png\n" for i in range(N)))
     log = open_log(folder)
     assert log.camera(TOPIC) is None
-    for kind in ("imu", "attitude", "position", "velocity"):
+    for kind in ("imu", "attitude", "position", "velocity", "range"):
         with pytest.raises(InputError, match=f"has no {kind} topic x"):
             getattr(log, kind)("x", [])

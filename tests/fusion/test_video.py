@@ -302,7 +302,7 @@ def test_a_video_has_nothing_but_pictures(mp4: Path) -> None:
     log = open_log(mp4)
     assert isinstance(log, VideoLog)
     assert log.camera("video") is None
-    for kind in ("imu", "attitude", "position", "velocity"):
+    for kind in ("imu", "attitude", "position", "velocity", "range"):
         with pytest.raises(InputError, match=f"has no {kind} topic x"):
             getattr(log, kind)("x", [])
     with pytest.raises(InputError, match=r"has no frames topic y \(choose one of video\)"):
