@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 import numpy.typing as npt
 
-from fusion.flight import AttitudeStream, FloatArray, FrameStream, ImuStream, TimeArray, VectorStream
+from fusion.flight import (
+    AttitudeStream,
+    FloatArray,
+    FrameStream,
+    ImuStream,
+    RangeStream,
+    TimeArray,
+    VectorStream,
+)
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.rosbag_file import Bag, recognises
 from fusion.logs.rosbag_frames import StaticFrames
@@ -39,6 +47,7 @@ from fusion.logs.series import (
     attitude_stream,
     imu_stream,
     no_such_topic,
+    range_stream,
     usable,
     vector_stream,
     velocity_stream,
@@ -190,6 +199,7 @@ def _series(bag: Bag, wire: Wire, topics: list[Samples]) -> list[Series]:
             bag.problems.append(
                 f"{s.name}: a velocity in {frame}, left out: no attitude to turn it into the body"
             )
+    found += [_one(s, Kind.RANGE, s.axes, _read_range) for s in topics if s.kind is RosType.RANGE]
     return found
 
 
@@ -233,6 +243,11 @@ def _read_world_velocity(turning: Series, samples: Samples, problems: list[str])
     attitude = turning.read([])  # its own problems are told where it is asked for
     where = samples.where(problems)
     return velocity_stream(samples.t_ns, _velocity_columns(samples), cast(AttitudeStream, attitude), where)
+
+
+def _read_range(samples: Samples, problems: list[str]) -> RangeStream:
+    distance_m, low_m, high_m = samples.values.T
+    return range_stream(samples.t_ns, distance_m, samples.where(problems), limits_m=(low_m, high_m))
 
 
 def _repeats(t_ns: TimeArray) -> npt.NDArray[np.int64]:

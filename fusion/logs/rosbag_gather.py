@@ -15,7 +15,7 @@ import numpy as np
 from fusion.flight import FloatArray, TimeArray
 from fusion.logs.rosbag_file import Bag
 from fusion.logs.rosbag_frames import TOPICS as TRANSFORM_TOPICS
-from fusion.logs.rosbag_frames import StaticFrames
+from fusion.logs.rosbag_frames import Mount, StaticFrames
 from fusion.logs.rosbag_messages import WIDTH, RosType, Wire, row
 from fusion.logs.samples import counted
 from fusion.logs.series import LATEST_NS, Where
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 WANTED = frozenset(kind.value for kind in RosType)
+LOOKS_DOWN, LOOKS_ELSEWHERE = "looks down by /tf_static", "does not look down by /tf_static"
+MIN_DOWN = 0.94  # of the beam along the body's z: within 20 degrees
 LATE_NS = 1_000_000_000  # between a header and its receipt; more means another clock
 
 
@@ -109,8 +111,8 @@ def gather(bag: Bag, wire: Wire) -> tuple[list[Samples], dict[str, bytes], Stati
                 f"{topic}: {read[topic]} of {counted(promised, 'message')} in the index can be read"
             )
     gathered = sorted((topic for topic in found.values() if topic.stamps_ns), key=lambda topic: topic.name)
-    samples = [_put_right(bag, topic) for topic in gathered]
-    return [_turned_into_body(s, wire, frames) for s in samples], infos, frames
+    samples = [_turned_into_body(_put_right(bag, topic), wire, frames) for topic in gathered]
+    return [s for s in samples if s.kind is not RosType.RANGE or _sees_floor(bag, s)], infos, frames
 
 
 def _put_right(bag: Bag, found: _Gathered) -> Samples:
@@ -146,11 +148,13 @@ def of_use(connection: Connection) -> bool:
 
 
 def _turned_into_body(samples: Samples, wire: Wire, frames: StaticFrames) -> Samples:
-    """Inertial samples in the axes of the body, where transforms tell how the sensor is mounted."""
-    if samples.kind is not RosType.IMU:
+    """Inertial samples in the body's axes, where transforms tell how the sensor is mounted; distances, where it looks."""
+    if samples.kind not in (RosType.IMU, RosType.RANGE):
         return samples
     frame_id = wire.frame_id(samples.first)
     mount = frames.mount(frame_id)
+    if samples.kind is RosType.RANGE:
+        return _told_where_it_looks(samples, mount)
     if mount is None:
         return samples
     R = mount.of_flu_sensor()
@@ -159,6 +163,24 @@ def _turned_into_body(samples: Samples, wire: Wire, frames: StaticFrames) -> Sam
     values[:, 7:10] = samples.columns(7, 10) @ R.T
     values[:, 0:4] = _times_inverse(samples.columns(0, 4), R)
     return replace(samples, values=values, axes=f"turned from {frame_id} into {mount.body} by /tf_static")
+
+
+def _told_where_it_looks(samples: Samples, mount: Mount | None) -> Samples:
+    """Distances with a word on where the sensor looks, which is along its x (sensor_msgs/Range)."""
+    if mount is None:
+        remark = (
+            f"{samples.name}: taken to look down, no transform tells; if it does not: [range] use = false"
+        )
+        return replace(samples, axes="taken to look down", remarks=(*samples.remarks, remark))
+    down = float(mount.R_body_sensor[2, 0]) > MIN_DOWN
+    return replace(samples, axes=LOOKS_DOWN if down else LOOKS_ELSEWHERE)
+
+
+def _sees_floor(bag: Bag, samples: Samples) -> bool:
+    if samples.axes == LOOKS_ELSEWHERE:
+        bag.problems.append(f"{samples.name}: {LOOKS_ELSEWHERE}, left out")
+        return False
+    return True
 
 
 def _times_inverse(q: FloatArray, R: FloatArray) -> FloatArray:

@@ -35,6 +35,7 @@ class RosType(StrEnum):
     POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
     TWIST = "geometry_msgs/msg/TwistStamped"
     TWIST_COVARIANCE = "geometry_msgs/msg/TwistWithCovarianceStamped"
+    RANGE = "sensor_msgs/msg/Range"
     TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
@@ -58,6 +59,7 @@ WIDTH = {
     RosType.POSE_COVARIANCE: 7,
     RosType.TWIST: 3,
     RosType.TWIST_COVARIANCE: 3,
+    RosType.RANGE: 3,  # distance, least and greatest that can be measured
 }
 
 
@@ -99,10 +101,21 @@ class Wire:
         return found, at
 
     def numbers(self, raw: bytes, kind: RosType) -> Sequence[float]:
-        """Read the double precision numbers of a message of fixed layout."""
+        """Read the numbers of a message of fixed layout, of double precision but for distances."""
+        if kind is RosType.RANGE:
+            return self._range(raw)
         strings, count = _LAYOUT[kind]
         _, at = self.strings(raw, strings)
         return struct.unpack_from(f"{self.order(raw)}{count}d", raw, at)
+
+    def _range(self, raw: bytes) -> Sequence[float]:
+        """Field of view, least and greatest distance, and distance; a byte before them tells the kind of sensor."""
+        order = self.order(raw)
+        (length,) = struct.unpack_from(order + "I", raw, 12)
+        at = 16 + int(length) + 1
+        if self.ros2:
+            at += -at % 4
+        return struct.unpack_from(order + "4f", raw, at)
 
     def frame_id(self, raw: bytes) -> str:
         """Name of the axes that a message refers to."""
@@ -120,6 +133,8 @@ def row(kind: RosType, v: Sequence[float]) -> tuple[float, ...]:
         return (*_turned(v[0:3]), *_quaternion(v[3:7]), *_turned(v[43:46]))
     if kind in POSES:
         return (*_turned(v[0:3]), *_quaternion(v[3:7]))
+    if kind is RosType.RANGE:
+        return v[3], v[1], v[2]
     return _turned(v[0:3])
 
 

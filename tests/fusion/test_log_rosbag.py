@@ -349,6 +349,57 @@ def test_poses_and_velocities_turn_into_frd(kind: str, tmp_path: Path) -> None:
     assert problems == []
 
 
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap"])
+def test_ranges_that_look_down(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "bag.bag"
+    down = Rotation.from_euler("y", 90, degrees=True).as_quat(
+        scalar_first=True
+    )  # x of the sensor points down
+    with Bag(path, kind) as bag:
+        types = bag.types
+        links = []
+        for child, q in (("sonar_down", down), ("sonar", (1, 0, 0, 0))):
+            transform = types["geometry_msgs/msg/Transform"](
+                translation=bag.vector((0, 0, 0)), rotation=bag.quaternion(q)
+            )
+            stamped = types["geometry_msgs/msg/TransformStamped"]
+            links.append(stamped(header=bag.header(START_NS), child_frame_id=child, transform=transform))
+        bag.write("/tf_static", types["tf2_msgs/msg/TFMessage"](transforms=links), START_NS)
+        for k in range(50):
+            t_ns = START_NS + k * 50_000_000
+            wrong = {3: np.inf, 4: -np.inf, 5: 0.05, 6: 9.0, 7: np.nan}
+            for topic, frame, value in (
+                ("/down", "sonar_down", wrong.get(k, 1.0 + 0.01 * k)),
+                ("/ahead", "sonar", 3.0),
+                ("/lidar", "lidar_link_", 1.5),
+            ):
+                message = types["sensor_msgs/msg/Range"](
+                    header=bag.header(t_ns, frame),
+                    radiation_type=1,
+                    field_of_view=0.1,
+                    min_range=0.2,
+                    max_range=8.0,
+                    range=value,
+                )
+                bag.write(topic, message, t_ns)
+    log = rosbag.open_log(path)
+    assert [(topic.kind, topic.name) for topic in log.topics] == [
+        (Kind.RANGE, "/down"),
+        (Kind.RANGE, "/lidar"),
+    ]
+    assert log.problems == ("/ahead: does not look down by /tf_static, left out",)
+    problems: list[str] = []
+    found = log.range("/down", problems)
+    kept = np.delete(np.arange(50), [3, 4, 5, 6, 7])
+    np.testing.assert_array_equal(found.t_ns, START_NS + kept * 50_000_000)
+    np.testing.assert_allclose(found.distance_m, 1.0 + 0.01 * kept, rtol=1e-6)
+    assert len(problems) == 1
+    np.testing.assert_allclose(log.range("/lidar", problems).distance_m, 1.5)
+    assert (
+        problems[-1] == "/lidar: taken to look down, no transform tells; if it does not: [range] use = false"
+    )
+
+
 def test_messages_that_the_index_names_and_the_bag_does_not_hold_are_said(tmp_path: Path) -> None:
     with Bag(tmp_path / "bag", "sqlite3") as bag:
         for k in range(30):
