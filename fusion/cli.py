@@ -176,9 +176,9 @@ def inspect(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, not text.")] = False,
 ) -> None:
     """Describe a log."""
-    from fusion.inspection_pictures import check_picture_file, write_picture
-    from fusion.inspection_sources import inspect_path
-    from fusion.inspection_text import inspection_text, inspection_values
+    from fusion.inspection.pictures import check_picture_file, write_picture
+    from fusion.inspection.sources import inspect_path
+    from fusion.inspection.text import inspection_text, inspection_values
     from fusion.outputs import summary_json
 
     if picture is not None:

@@ -18,12 +18,12 @@ from hypothesis import strategies as st
 
 from fusion import cli
 from fusion.flight import AttitudeStream, FrameStream, ImuStream, VectorStream
-from fusion.inspection import Inspection, inspect_log
-from fusion.inspection_advice import Matter
-from fusion.inspection_imu import inspect_imu
-from fusion.inspection_sources import inspect_path
-from fusion.inspection_text import inspection_text, inspection_values
-from fusion.inspection_times import share_covered, time_stream
+from fusion.inspection.advice import Matter
+from fusion.inspection.imu import inspect_imu
+from fusion.inspection.log import Inspection, inspect_log
+from fusion.inspection.sources import inspect_path
+from fusion.inspection.text import inspection_text, inspection_values
+from fusion.inspection.times import share_covered, time_stream
 from fusion.logs import load_flight
 from fusion.logs.contents import Kind, Topic
 from fusion.outputs import summary_json

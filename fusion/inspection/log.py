@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fusion.flight import GreyImage
-from fusion.inspection_advice import Sentence, advise
-from fusion.inspection_findings import CameraFindings, StreamFindings
-from fusion.inspection_imu import inspect_imu
-from fusion.inspection_pictures import inspect_pictures
-from fusion.inspection_times import share_covered, time_stream
+from fusion.inspection.advice import Sentence, advise
+from fusion.inspection.findings import CameraFindings, StreamFindings
+from fusion.inspection.imu import inspect_imu
+from fusion.inspection.pictures import inspect_pictures
+from fusion.inspection.times import share_covered, time_stream
 from fusion.logs.choice import choose_topic
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.findings import Advice, Finding

@@ -7,9 +7,9 @@ from math import degrees
 
 import numpy as np
 
-from fusion.inspection_imu import ImuFindings
-from fusion.inspection_pictures import PictureFindings
-from fusion.inspection_times import Timing
+from fusion.inspection.imu import ImuFindings
+from fusion.inspection.pictures import PictureFindings
+from fusion.inspection.times import Timing
 from fusion.logs.contents import Kind
 from vision import Camera
 

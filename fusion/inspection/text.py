@@ -9,12 +9,12 @@ from math import degrees
 from textwrap import wrap
 from typing import Any
 
-from fusion.inspection import Inspection
-from fusion.inspection_advice import Matter
-from fusion.inspection_findings import CameraFindings, StreamFindings
-from fusion.inspection_imu import MAX_STEP_S, MIN_STILL_S, ImuFindings, Noise
-from fusion.inspection_pictures import PictureFindings
-from fusion.inspection_times import Gap, Timing
+from fusion.inspection.advice import Matter
+from fusion.inspection.findings import CameraFindings, StreamFindings
+from fusion.inspection.imu import MAX_STEP_S, MIN_STILL_S, ImuFindings, Noise
+from fusion.inspection.log import Inspection
+from fusion.inspection.pictures import PictureFindings
+from fusion.inspection.times import Gap, Timing
 from fusion.logs.findings import Severity
 from fusion.logs.plausible_clocks import UNIX_FROM_NS, UNIX_TO_NS, span_of
 from fusion.logs.samples import counted

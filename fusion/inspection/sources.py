@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from fusion.flight import AttitudeStream, FrameStream, ImuStream, RangeStream, VectorStream
-from fusion.inspection import Inspection, inspect_log
+from fusion.inspection.log import Inspection, inspect_log
 from fusion.logs import open_log
 from fusion.logs.assembly import open_as_told
 from fusion.logs.choice import TABLES

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from fusion.inspection_findings import StreamFindings
+from fusion.inspection.findings import StreamFindings
 from fusion.logs.contents import Kind
 from fusion.logs.findings import Finding, Severity
 
