@@ -25,20 +25,10 @@ from fusion.simulate.scene_config import SceneConfig
 from fusion.simulate.views import random_views
 from vision import Attitude, Camera, extract_lines, measure_lines
 from vision import lateral as lateral_module
+from vision.corner_pairs import ASIDE, CROWD, EVIDENCE, LENGTHS, N_PAIR, survey_lines
 from vision.frame import SLOPE_STD_RAD
 from vision.gravity import level_from_verticals
-from vision.lateral import (
-    ASIDE,
-    BIASES,
-    CROWD,
-    EVIDENCE,
-    H_CEILING,
-    H_FLOOR,
-    H_OFFSET,
-    LENGTHS,
-    N_PAIR,
-    WEIGHTS,
-)
+from vision.lateral import BIASES, H_CEILING, H_FLOOR, H_OFFSET, WEIGHTS
 from vision.vanishing_point import fit_axis
 
 FloatArray = npt.NDArray[np.float64]
@@ -107,7 +97,7 @@ def picture_of(
     axis = fit_axis(lines, level.R_level_camera, elevation_std_rad=hypot(level.pitch_std_rad, SLOPE_STD_RAD))
     if axis is None:
         return None
-    corners, floor, ceiling = lateral_module.survey_lines(lines, axis, level.R_level_camera)
+    corners, floor, ceiling = survey_lines(lines, axis, level.R_level_camera)
     rows = lateral_module._hypotheses(floor, ceiling, corners, WEIGHTS, BIASES)
     return Picture(evidence_of(rows, floor, ceiling), rows[:, H_OFFSET].copy(), truth, held_out)
 
