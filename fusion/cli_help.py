@@ -141,7 +141,7 @@ Examples:
   corridor simulate dark --config dark.toml --size 640x480
 
 \b
-dark.toml, a table per part (scene, camera, imaging, motion, imu, attitude), names with their units:
+dark.toml, a table per part (scene, camera, imaging, motion, imu, attitude, range), names with their units:
   [imaging]
   brightness = 0.02
   [camera]

@@ -148,7 +148,7 @@ def of_use(connection: Connection) -> bool:
 
 
 def _turned_into_body(samples: Samples, wire: Wire, frames: StaticFrames) -> Samples:
-    """Inertial samples in the body's axes, where transforms tell how the sensor is mounted; distances, where it looks."""
+    """Turn inertial samples into the body, where transforms tell the mount; tell of a range sensor where it looks."""
     if samples.kind not in (RosType.IMU, RosType.RANGE):
         return samples
     frame_id = wire.frame_id(samples.first)

@@ -1,7 +1,7 @@
 """Everything a simulated flight is made of; SI units and radians, as the names say.
 
 A TOML file holds one table per section: ``[scene]``, ``[camera]``, ``[imaging]``, ``[motion]``, ``[imu]``,
-``[attitude]``; what is not named keeps its default.
+``[attitude]``, ``[range]``; what is not named keeps its default. A flight has a range sensor only where it is named.
 """
 
 from __future__ import annotations
@@ -178,6 +178,13 @@ class AttitudeConfig(Section):
     disturbance_s: NotNegative = Field(default=0.0, description="How long it lasts; 0: there is none.")
 
 
+class RangeConfig(Section):
+    """A range sensor beside the camera that looks down along the body's z."""
+
+    rate_hz: float = Field(default=20.0, gt=0, le=1000)
+    noise_std_m: NotNegative = 0.01
+
+
 class SimulationConfig(Section):
     """A simulated flight: the same configuration gives the same files, byte for byte."""
 
@@ -190,6 +197,7 @@ class SimulationConfig(Section):
     motion: MotionConfig = MotionConfig()
     imu: ImuConfig | None = ImuConfig()
     attitude: AttitudeConfig | None = AttitudeConfig()
+    range: RangeConfig | None = Field(default=None, description="Without it there is no range sensor.")
     light_cell_m: float = Field(default=0.15, ge=0.05, le=1, description="Grain of the lighting.")
     edge_samples: int = Field(default=4, ge=1, le=16, description="Across a pixel with an edge in it.")
 
@@ -263,6 +271,7 @@ __all__ = [
     "ImagingConfig",
     "ImuConfig",
     "MotionConfig",
+    "RangeConfig",
     "SimulationConfig",
     "rotation",
 ]

@@ -1,4 +1,4 @@
-"""Write a simulated flight as an ASL folder: pictures, IMU, attitude, ground truth; whole or not at all."""
+"""Write a simulated flight as an ASL folder: pictures, sensors, ground truth; whole or not at all."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from fusion.simulate.sensors import (
     quaternions,
     read_attitude,
     read_imu,
+    read_range,
     sample_times,
 )
 from fusion.simulate.shooting import Shoot
@@ -102,6 +103,21 @@ def _write(config: SimulationConfig, root: Path, progress: Progress, camera: Cam
     if config.attitude is not None:
         samples = read_attitude(shoot.trajectory, config.attitude, imu, config.seed)
         _write_attitude(mav0 / "attitude0", config, samples, R_file)
+    if config.range is not None:
+        ranges = read_range(shoot.trajectory, config.range, shoot.camera.p_body_camera_m, config.seed)
+        stamps = _stamps(config, ranges.t_s)
+        _table(
+            mav0 / "range0" / "data.csv",
+            "#timestamp [ns],distance [m]",
+            stamps,
+            ranges.distance_m[:, None],
+            4,
+        )
+        (mav0 / "range0" / "sensor.yaml").write_text(
+            "sensor_type: range\ncomment: simulated; beside the camera, looks down along the body's z\n"
+            f"rate_hz: {config.range.rate_hz:g}\n",
+            encoding="utf-8",
+        )
     _write_truth(root, config, shoot, imu, R_file)
     (mav0 / "body.yaml").write_text(
         f"body_frame: {config.body_frame}   # {_AXES[config.body_frame]}\n", encoding="utf-8"

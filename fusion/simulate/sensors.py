@@ -1,4 +1,4 @@
-"""What the vehicle's sensors read along a `Trajectory`: IMU and attitude filter, with their errors."""
+"""What the vehicle's sensors read along a `Trajectory`: IMU, attitude filter and range sensor, with their errors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fusion.simulate.config import AttitudeConfig, ImuConfig
+from fusion.simulate.config import AttitudeConfig, ImuConfig, RangeConfig
 from fusion.simulate.motion import Trajectory, Truth
 
 FloatArray = npt.NDArray[np.float64]
@@ -30,6 +30,14 @@ class AttitudeSamples:
 
     t_s: FloatArray
     q_world_body: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RangeSamples:
+    """Distances (n,) to the floor along the body's z."""
+
+    t_s: FloatArray
+    distance_m: FloatArray
 
 
 def sample_times(duration_s: float, rate_hz: float) -> FloatArray:
@@ -83,6 +91,18 @@ def read_attitude(
         yaw_error += drift + magnetic
     R = trajectory.rotations(t)
     return AttitudeSamples(t, quaternions(_error_rotation(tilt, yaw_error) @ R))
+
+
+def read_range(
+    trajectory: Trajectory, config: RangeConfig, p_body_sensor_m: FloatArray, seed: int
+) -> RangeSamples:
+    """Read a range sensor that sits at ``p_body_sensor_m`` (3,) and looks along the body's z at a bare floor."""
+    rng = np.random.default_rng((seed, 8))
+    truth = trajectory.truth(sample_times(trajectory.duration_s, config.rate_hz))
+    down = truth.R_world_body[:, 2]  # rows: the vertical in the body
+    height_m = -(truth.p_world_m[:, 2] + down @ p_body_sensor_m)
+    noise_m = config.noise_std_m * rng.normal(0.0, 1.0, len(height_m))
+    return RangeSamples(truth.t_s, height_m / down[:, 2] + noise_m)
 
 
 def _wander(rng: np.random.Generator, n: int, step: float, std: float, time_s: float) -> FloatArray:

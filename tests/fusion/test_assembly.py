@@ -106,6 +106,40 @@ accel_unit = "g"
 """
 
 
+RANGE = """
+[range]
+file = "tof.csv"
+above_camera_m = 0.1
+clock_offset_s = -100.0
+[range.columns]
+time = "t"
+time_unit = "ms"
+range = "tof"
+range_unit = "cm"
+"""
+
+
+def test_distances_from_a_file_of_their_own(parts: Parts) -> None:
+    lines = (f"{1000 * IMU_CLOCK_S + 50 * k:.0f},{0 if k == 3 else 140 + k}\n" for k in range(N_FRAMES))
+    (parts.folder / "tof.csv").write_text("t,tof\n" + "".join(lines))
+    path = parts.folder / "ranged.toml"
+    path.write_text(MANIFEST + RANGE)
+    flight = load_flight(path)
+    assert flight.range is not None
+    kept = np.delete(np.arange(N_FRAMES), 3)
+    np.testing.assert_array_equal(flight.range.t_ns, kept * 50_000_000)
+    np.testing.assert_allclose(flight.range.distance_m, 1.4 + 0.01 * kept - 0.1)
+    assert any("(range): 1 row with no distance" in text for text in flight.problems)
+    assert flight.manifest is not None
+    assert flight.manifest.range.topic == "range"
+    path.write_text(MANIFEST + RANGE.replace("[range]", "[range]\nuse = false"))
+    assert load_flight(path).range is None
+    (parts.folder / "tof.csv").write_text("t,tof\n" + "".join(f"{50 * k},0\n" for k in range(40)))
+    path.write_text(MANIFEST + RANGE)
+    with pytest.raises(InputError, match="every row has no distance within the sensor's reach"):
+        load_flight(path)
+
+
 def headings(flight: Flight) -> np.ndarray:
     return np.asarray(fuse_flight(flight, FusionConfig(corridor_width_m=2.2)).smoothed["heading_rad"])
 

@@ -85,6 +85,50 @@ def test_every_key_is_read_and_paths_count_from_the_file(tmp_path: Path) -> None
     assert manifest.position.use
 
 
+def test_a_range_sensor_in_a_file_of_its_own(tmp_path: Path) -> None:
+    text = """
+[camera]
+file = "hall.mp4"
+[range]
+file = "tof.csv"
+above_camera_m = -0.04
+clock_offset_s = 2.5
+[range.columns]
+range = "tof"
+range_unit = "cm"
+range_limits = [30, 1000]
+"""
+    manifest = read_manifest(manifest_file(tmp_path, text))
+    assert manifest.range.file == tmp_path / "tof.csv"
+    assert manifest.range.above_camera_m == -0.04
+    columns = manifest.range.columns
+    assert not isinstance(columns, str | None)
+    assert (columns.range, columns.range_unit, columns.range_limits) == ("tof", "cm", (30.0, 1000.0))
+    write_manifest(manifest, tmp_path / "again.toml")
+    assert "above_camera_m = -0.04  # the sensor sits this much higher than the camera" in (
+        tmp_path / "again.toml"
+    ).read_text(encoding="utf-8")
+    assert read_manifest(tmp_path / "again.toml") == manifest
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("above_m = 0.1", "did you mean above_camera_m"),
+        ("above_camera_m = 30.0", "range.above_camera_m = 30.0"),
+        ("mount_rad = [0.0, 0.0, 0.0]", "unknown key range.mount_rad"),
+    ],
+)
+def test_what_a_range_sensor_cannot_have_is_refused(tmp_path: Path, line: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        read_manifest(manifest_file(tmp_path, f'log = "a"\n[range]\n{line}\n'))
+
+
+def test_above_camera_belongs_to_the_range_sensor(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="above_camera_m belongs in \\[range\\]"):
+        read_manifest(manifest_file(tmp_path, 'log = "a"\n[velocity]\nabove_camera_m = 0.1\n'))
+
+
 def test_written_and_read_back_it_is_the_same(tmp_path: Path) -> None:
     manifest = read_manifest(manifest_file(tmp_path, FULL))
     (tmp_path / "deep").mkdir()

@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 from fusion.logs import load_flight
 from fusion.logs.asl import read_ground_truth
 from fusion.simulate import SimulationConfig, random_views, simulate_flight, simulate_frames
-from fusion.simulate.config import AttitudeConfig, ImuConfig, MotionConfig
+from fusion.simulate.config import AttitudeConfig, ImuConfig, MotionConfig, RangeConfig
 from fusion.simulate.motion import GRAVITY_M_S2, Trajectory, oscillation, plan_flight
 from fusion.simulate.plan import Room, floor_plan, outline
 from fusion.simulate.scene_config import JunctionConfig, SceneConfig
-from fusion.simulate.sensors import read_attitude, read_imu, sample_times
+from fusion.simulate.sensors import read_attitude, read_imu, read_range, sample_times
 from vision import Camera, InputError
 from vision.camera import Distortion
 
@@ -499,3 +499,30 @@ def test_random_corridors_are_valid(seed: int) -> None:
     flight = SimulationConfig.random(seed, body_frame="frd")
     assert (flight.seed, flight.body_frame) == (seed, "frd")
     assert flight.scene == SceneConfig.random(seed)
+
+
+def test_a_range_sensor_measures_along_the_bodys_z() -> None:
+    trajectory = flight_of(SceneConfig(length_m=60), duration_s=10.0, tilt_rad=0.3)
+    place = np.array([0.1, -0.05, 0.02])
+    exact = read_range(trajectory, RangeConfig(rate_hz=50, noise_std_m=0.0), place, 1)
+    truth = trajectory.truth(exact.t_s)
+    for k in range(0, len(exact.t_s), 25):
+        end = truth.p_world_m[k] + truth.R_world_body[k] @ (place + np.array([0.0, 0.0, exact.distance_m[k]]))
+        assert abs(end[2]) < 1e-9  # on the floor
+    noisy = read_range(trajectory, RangeConfig(rate_hz=50, noise_std_m=0.02), place, 1)
+    assert np.std(noisy.distance_m - exact.distance_m) == pytest.approx(0.02, rel=0.15)
+
+
+def test_a_flight_has_a_range_sensor_only_where_it_is_asked_for(tmp_path: Path) -> None:
+    plain = files(simulate_flight(config(), tmp_path / "plain"))
+    ranged = files(simulate_flight(config(range={"rate_hz": 40}), tmp_path / "ranged"))
+    assert {name for name in ranged if name not in plain} == {
+        "mav0/range0/data.csv",
+        "mav0/range0/sensor.yaml",
+    }
+    assert all(ranged[name] == data for name, data in plain.items())
+    flight = load_flight(tmp_path / "ranged")
+    assert flight.range is not None
+    assert len(flight.range.t_ns) == 21
+    assert np.abs(flight.range.distance_m - 1.4).max() < 0.2
+    assert load_flight(tmp_path / "plain").range is None
