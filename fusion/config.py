@@ -30,13 +30,13 @@ class FusionConfig(BaseModel):
         default=None,
         gt=0.2,
         le=100,
-        description="Width between the walls; without it offsets stay scale-free.",
+        description="Width between the walls; where nothing tells it, offsets stay scale-free.",
     )
     camera_height_m: float | None = Field(
         default=None,
         gt=0.01,
         le=100,
-        description="Camera above the floor; gives the width where that is not given.",
+        description="Camera above the floor; gives the width where that is not given, before a range sensor.",
     )
     camera_delay_s: float = Field(
         default=0.0, ge=0, le=5, description="How much later than mid-exposure the frames are stamped."

@@ -191,7 +191,7 @@ def _section_lines(config: BaseModel, path: tuple[str, ...]) -> Iterator[str]:
             yield ""
             yield from _comment((inner.__doc__ or "").splitlines()[0])
             yield f"# [[{where}]]" if many else f"# [{where}]"
-            for inner_name, inner_field in inner.model_fields.items() if many else ():
+            for inner_name, inner_field in inner.model_fields.items():
                 default = None if inner_field.is_required() else inner_field.default
                 yield f"# {_setting_line(inner_name, inner_field, default).removeprefix('# ')}"
 

@@ -449,6 +449,21 @@ def test_a_manifest_is_described_on_the_flights_clock(tmp_path: Path) -> None:
     assert any("imu: it covers 80% of the frames" in f.sentence for f in found.findings)
 
 
+def test_a_range_sensor_and_what_it_gives(tmp_path: Path) -> None:
+    log = tmp_path / "range.csv"
+    log.write_text(
+        "time_ms,range_m\n" + "".join(f"{50 * k},{1.4 + 0.01 * (k % 21):.2f}\n" for k in range(105))
+    )
+    found = inspect_path(log)
+    assert [(stream.kind, stream.chosen) for stream in found.streams] == [(Kind.RANGE, True)]
+    assert found.streams[0].distances_m == pytest.approx((1.4, 1.5, 1.6))
+    text = " ".join(inspection_text(found).split())
+    assert "1.40 to 1.60 m above the floor, usually 1.50 m: offsets become metres by it where neither" in text
+    (tmp_path / "flight.toml").write_text('log = "range.csv"\n[range]\nabove_camera_m = 0.25\n')
+    lowered = inspect_path(tmp_path / "flight.toml").streams[0]
+    assert lowered.distances_m == pytest.approx((1.15, 1.25, 1.35))
+
+
 def test_a_chain_that_knows_the_offset_of_the_clocks_is_heard(tmp_path: Path) -> None:
     (tmp_path / "camchain.yaml").write_text(
         "cam0:\n  T_cam_imu: [[0,-1,0,0],[0,0,-1,0],[1,0,0,0],[0,0,0,1]]\n  timeshift_cam_imu: 0.25\n"
