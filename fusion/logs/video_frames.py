@@ -200,13 +200,15 @@ def _decode(packet: Packet[VideoStream]) -> tuple[list[VideoFrame], bool]:
     """Decode a packet, and say whether the decoder complained."""
     from av import logging
 
-    before = logging.get_level()
+    before, skips = logging.get_level(), logging.get_skip_repeated()
     logging.set_level(logging.ERROR)
+    logging.set_skip_repeated(False)  # a complaint like the last one, of whatever video, counts as well
     try:
         with logging.Capture() as complaints:
             frames = packet.decode()
     finally:
         logging.set_level(before)
+        logging.set_skip_repeated(skips)
     return frames, any("error while decoding" in text or "concealing" in text for _, _, text in complaints)
 
 
