@@ -41,6 +41,12 @@ class FusionConfig(BaseModel):
     camera_delay_s: float = Field(
         default=0.0, ge=0, le=5, description="How much later than mid-exposure the frames are stamped."
     )
+    camera_delay_std_s: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.05,
+        description="Standard deviation of camera_delay_s; above 0, the delay is estimated in flight, from turns.",
+    )
     buffer_s: float = Field(
         default=0.5,
         ge=0.01,

@@ -9,14 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import cos, hypot, isfinite, nan, pi, radians, sin, sqrt
+from typing import NamedTuple
 
 from fusion import tilt as tilts
 from fusion.axes import AGREEING_SHARE, CONTESTED_SHARE, VOTE_AGE_S, Axes
 from fusion.consensus import Vote, add_vote, agreement
+from fusion.delay import AxisNoise, Effect, Seen, recent_rate, turned_since, with_frame
 from fusion.ekf import Gate
 from fusion.height import height_at, with_width
 from fusion.kernels import spread
-from fusion.models import PSI, ScalarMeasurement, Y, heading_model, lateral_model, wrap_axis
+from fusion.models import BIAS, PSI, ScalarMeasurement, Y, heading_model, lateral_model, wrap_axis
 from fusion.state import (
     UNKNOWN_LATERAL_STD,
     Mode,
@@ -67,6 +69,13 @@ class FrameResult:
     test_ratio: float = nan
 
 
+class _ByDelay(NamedTuple):
+    """Derivative of an innovation by the camera's delay, rad/s, and the variance that the delay adds to it."""
+
+    per_s: float
+    variance: float
+
+
 class Engine(Axes):
     """The whole estimator for samples in order of time; `fusion.timeline` brings them into order."""
 
@@ -97,7 +106,7 @@ class Engine(Axes):
     def prior(self) -> Prior:
         """Return what the filter expects of a frame now, as a frame would see it."""
         s = self.state
-        psi = float(self.ekf.x[PSI])
+        psi = float(self.ekf.x[PSI]) - self._turned_since_exposure(self._now_ns)
         elevation, variance = s.elevation
         p, q, r = s.gyro
         offset = offset_std = nan
@@ -158,43 +167,90 @@ class Engine(Axes):
         if s.acquired and float(self.ekf.P[PSI, PSI]) > c.lost_heading_std_rad**2:
             s.acquired, s.votes = False, ()
         variance = max(m.heading_std_rad, c.heading_std_floor_rad) ** 2 + self.held_rate_variance(t_ns)
-        axis = s.theta_rad - m.heading_rad
+        heading = m.heading_rad + self._turned_since_exposure(t_ns)
+        axis = s.theta_rad - heading
         if not s.acquired:
             self._vote(t_ns, axis, sqrt(variance), False)
             started = self._start(t_ns)
-            self._see(t_ns, m.heading_rad, started)
+            self._see(t_ns, heading, started)
             if started:
                 self._learn(t_ns, m, attitude)
             return FrameResult(stamp_ns, m, True, Reason.OK)
         rho = correlation(t_ns, s.t_vision_ns, c.heading_correlation_s)
-        measurement = heading_model(self.ekf.x, m.heading_rad, variance)
+        measurement = heading_model(self.ekf.x, heading, variance)
+        by_delay = self._innovation_by_delay(t_ns)
         gate, s.heading_trust = self._take(
-            measurement, c.heading_gate_sigma, rho, s.heading_trust, GROSS_HEADING_DENSITY
+            measurement, c.heading_gate_sigma, rho, s.heading_trust, GROSS_HEADING_DENSITY, by_delay.variance
         )
         s.heading_ratio = gate.test_ratio
-        linked = self._see(t_ns, m.heading_rad, gate.accepted)
+        linked = self._see(t_ns, heading, gate.accepted)
         if gate.accepted:
+            self._learn_delay(t_ns, m.heading_rad, variance, by_delay.per_s)
             self._confirm(t_ns)
             self._learn(t_ns, m, attitude)
-            self._watch_imu_yaw(t_ns, m.heading_rad, variance)
+            self._watch_imu_yaw(t_ns, heading, variance)
             return FrameResult(stamp_ns, m, True, Reason.OK, gate.residual, gate.test_ratio)
         self._vote(t_ns, axis, sqrt(variance), linked)
         self._consider(t_ns)
         return FrameResult(stamp_ns, m, False, Reason.GATE, gate.residual, gate.test_ratio)
 
+    def _turned_since_exposure(self, t_ns: int) -> float:
+        """Angle turned in the time by which a frame is estimated to be later than configured."""
+        s = self.state
+        if s.delay is None:
+            return 0.0
+        return turned_since(s.delay, t_ns, s.raw_theta_rad) - float(self.ekf.x[BIAS]) * s.delay.late_s
+
+    def _innovation_by_delay(self, t_ns: int) -> _ByDelay:
+        """How an error of the camera's delay shows in the next innovation of the heading."""
+        s = self.state
+        if s.delay is None:
+            return _ByDelay(0.0, 0.0)
+        rate = recent_rate(s.delay, t_ns, s.raw_theta_rad) - float(self.ekf.x[BIAS])
+        effect = s.delay.effect
+        if effect is None or effect.epoch != s.reset_count:  # the heading is that of a few frames
+            s.delay = s.delay._replace(effect=Effect(t_ns, -rate, 0.0, s.reset_count))
+        delay, per_s = s.delay, -rate - s.delay.heading_per_s(t_ns)
+        return _ByDelay(per_s, per_s**2 * delay.variance)
+
+    def _learn_delay(self, t_ns: int, heading_rad: float, variance: float, innovation_per_s: float) -> None:
+        """Let an accepted frame tell of the camera's delay, too."""
+        s, c = self.state, self.config
+        if s.delay is None or s.delay.effect is None or s.mode is not Mode.GYRO:
+            return
+        heading_per_s = s.delay.heading_per_s(t_ns) + float(self.ekf.K[PSI]) * innovation_per_s
+        bias_per_s = s.delay.effect.bias_per_s + float(self.ekf.K[BIAS]) * innovation_per_s
+        seen = Seen(t_ns, heading_rad, variance * s.heading_trust.inflation, s.reset_count)
+        before_s = s.delay.late_s
+        known = AxisNoise(c.gyro_noise, c.gyro_bias_std_rad_s, c.bias_walk, c.heading_correlation_s)
+        s.delay = with_frame(s.delay, seen, known)._replace(
+            effect=Effect(t_ns, heading_per_s, bias_per_s, s.reset_count)
+        )
+        x = self.ekf.x.copy()  # what frames have done to the heading with the delay as it was thought to be
+        x[PSI] -= heading_per_s * (s.delay.late_s - before_s)
+        x[BIAS] -= bias_per_s * (s.delay.late_s - before_s)
+        self.ekf.x = x
+
     def _take(
-        self, m: ScalarMeasurement, gate_sigma: float, rho: float, trust: Trust, gross_density: float
+        self,
+        m: ScalarMeasurement,
+        gate_sigma: float,
+        rho: float,
+        trust: Trust,
+        gross_density: float,
+        more_variance: float = 0.0,
     ) -> tuple[Gate, Trust]:
         """Update with a measurement that may be gross, whose sigma may be wrong and whose error resembles the last.
 
         The gate judges it by its own variance; the update takes the larger one that, as if independent, stands for
-        the correlation ``rho`` with the one before, and weakens it by the odds that it is genuine.
+        the correlation ``rho`` with the one before, and weakens it by the odds that it is genuine. ``more_variance``
+        is what the innovation has besides, of which neither state nor measurement knows.
         """
-        predicted = spread(self.ekf.P, m.H)
+        predicted = spread(self.ekf.P, m.H) + more_variance
         stated, believed = m.R, m.R * trust.inflation
         probability = genuine(m.residual, predicted + believed, trust.gross_share, gross_density)
         variance = weakened(as_if_independent(believed, predicted, rho), predicted, probability)
-        gate = self.ekf.update(m._replace(R=believed), gate_sigma, variance)
+        gate = self.ekf.update(m._replace(R=believed + more_variance), gate_sigma, variance)
         return gate, learn(trust, m.residual, predicted, stated, probability if gate.accepted else 0.0)
 
     def _watch_imu_yaw(self, t_ns: int, heading_rad: float, variance: float) -> None:

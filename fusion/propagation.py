@@ -13,6 +13,7 @@ import numpy as np
 
 from fusion import tilt as tilts
 from fusion.config import FusionConfig
+from fusion.delay import unknown_delay, with_turn
 from fusion.ekf import CorridorEKF
 from fusion.height import Heights, with_range
 from fusion.models import (
@@ -61,7 +62,7 @@ class Propagation:
 
     def __init__(self, config: FusionConfig) -> None:
         self.config = config
-        self.state = State(gyro_bias=(0.0, config.gyro_bias_std_rad_s**2))
+        self.state = State(gyro_bias=(0.0, config.gyro_bias_std_rad_s**2), delay=unknown_delay(config))
         self.ekf = CorridorEKF(self.state.x, self.state.P)
         self.nodes: list[Node] = []
         self._noise_cache: dict[tuple[Mode, bool, float], ProcessNoise] = {}
@@ -117,6 +118,8 @@ class Propagation:
             self._advance(t_ns)
             self._set_mode(Mode.GYRO)
         s.t_gyro_ns, s.gyro, s.rate_rad_s, s.gyro_done_rad = t_ns, gyro_rad_s, rate, 0.0
+        if s.delay is not None:
+            s.delay = with_turn(s.delay, t_ns, s.raw_theta_rad)
         self._end()
 
     def velocity(self, t_ns: int, v_body_m_s: Vector) -> None:
@@ -159,6 +162,8 @@ class Propagation:
         s.t_range_ns, s.heights, s.widths = None, Heights(), s.widths._replace(t_ns=None)
         s.votes = ()
         s.recent, s.previous_axis, s.acquired = (), None, False
+        if s.delay is not None:
+            s.delay = s.delay.interrupted()
         self._lose_lateral()
         self._set_mode(Mode.NONE)
         self._end()
@@ -273,6 +278,8 @@ class Propagation:
         Q[BIAS, BIAS] = new_variance
         self._transit(x, F, Q)
         s.mode = mode
+        if s.delay is not None:
+            s.delay = s.delay.interrupted()
 
     def _widen(self, index: int, variance: float) -> None:
         Q = np.zeros((N_STATES, N_STATES))

@@ -49,6 +49,10 @@ def smoothed_table(
     variance = np.maximum(np.diagonal(P_s, axis1=1, axis2=2), 0.0)
     at = x_s[row_steps]
     std = np.sqrt(variance[row_steps])
+    if config.camera_delay_std_s > 0.0:  # the steps do not know of it, and learn nothing more of it
+        by_delay = np.maximum(table["heading_std_rad"] ** 2 - P[row_steps, PSI, PSI], 0.0)
+        by_delay[table["status"] == "initialising"] = 0.0
+        std[:, PSI] = np.sqrt(std[:, PSI] ** 2 + by_delay)
     started = bool((table["status"] != "initialising").any())
     heading = at[:, PSI] if started else np.full(len(table), nan)
     out["heading_rad"] = (heading + np.pi) % (2 * np.pi) - np.pi

@@ -12,6 +12,7 @@ import numpy as np
 
 from fusion.config import FusionConfig
 from fusion.consensus import Vote
+from fusion.delay import Delay, camera_delay, spread_by_delay
 from fusion.height import Heights, Widths
 from fusion.models import BIAS, OFFSET, PSI, FloatArray, V, Y, wrap, wrap_axis
 from fusion.tilt import Tilt, Vector
@@ -84,6 +85,8 @@ class Estimate:
         The same for the lateral offset; its step is counted from the last one known to the first one known again.
     roll_rad, pitch_rad
         The tilt in use.
+    camera_delay_s, camera_delay_std_s
+        How late the frames are stamped, as configured or as estimated; NaN sigma where it is not estimated.
     """
 
     timestamp_ns: int
@@ -120,6 +123,8 @@ class Estimate:
     reset_lateral_m: float = 0.0
     roll_rad: float = nan
     pitch_rad: float = nan
+    camera_delay_s: float = nan
+    camera_delay_std_s: float = nan
 
 
 def _start_covariance() -> FloatArray:
@@ -216,6 +221,7 @@ class State:
     width_per_height: float = nan
     n_width: int = 0
     widths: Widths = field(default_factory=Widths)
+    delay: Delay | None = None  # of the camera, where it is estimated
 
     def copy(self) -> State:
         """Snapshot of the state."""
@@ -316,7 +322,8 @@ def describe(state: State, config: FusionConfig, t_ns: int | None = None) -> Est
     t = state.t_ns if t_ns is None else t_ns
     psi, bias, offset, y, _ = state.x.tolist()
     p = state.P
-    heading, heading_std = psi, sqrt(float(p[PSI, PSI]))
+    heading, heading_std = psi, spread_by_delay(sqrt(float(p[PSI, PSI])), state.delay, state.t_ns)
+    delay_s, delay_std_s = camera_delay(state.delay, config)
     if not state.ever_acquired:
         heading, heading_std = _provisional(state)
     status, reason = judge(state, config, t, heading_std)
@@ -364,6 +371,8 @@ def describe(state: State, config: FusionConfig, t_ns: int | None = None) -> Est
         reset_lateral_m=state.lateral_reset[1],
         roll_rad=float(np.arctan2(gy, gz)),
         pitch_rad=float(np.arctan2(-gx, hypot(gy, gz))),
+        camera_delay_s=delay_s,
+        camera_delay_std_s=delay_std_s,
     )
 
 

@@ -89,6 +89,7 @@ def test_it_runs_and_prints_what_is_asked_beside_what_is_measured() -> None:
         "filter RMSE over oracle's",
         "mean NEES, lateral offset",
         "50 % gross",
+        "camera's delay told as 60 +- 30 ms",
         "filterpy EKF without gates",
     ):
         assert words in done.stdout

@@ -12,6 +12,7 @@ MODULES = sorted([*(ROOT / "vision").rglob("*.py"), *(ROOT / "fusion").rglob("*.
 ENGINE = (
     "config",
     "consensus",
+    "delay",
     "ekf",
     "engine",
     "estimator",

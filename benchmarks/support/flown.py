@@ -6,8 +6,8 @@ The sensors are those of `tests.fusion.simulated`, written apart from the filter
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from math import radians
+from dataclasses import dataclass, replace
+from math import nan, radians
 from typing import Any
 
 import numpy as np
@@ -66,6 +66,16 @@ def scene_of(seed: int, seconds: float, **changes: Any) -> Scene:
     return Scene(**(values | changes))
 
 
+def stamped_late(simulated: Simulated, late_s: float) -> Simulated:
+    """Return the flight with its frames stamped, and arriving, later than they were taken."""
+    late_ns = round(late_s * 1e9)
+    samples = [
+        replace(s, t_ns=s.t_ns + late_ns, arrival_ns=s.arrival_ns + late_ns) if s.kind == "frame" else s
+        for s in simulated.samples
+    ]
+    return replace(simulated, samples=sorted(samples, key=lambda s: s.arrival_ns))
+
+
 def told(scene: Scene) -> dict[str, Any]:
     """Return the settings that say over what time the frames' errors resemble each other."""
     rho = scene.frame_correlation
@@ -91,6 +101,7 @@ class Flown:
     lateral: FloatArray
     lateral_std: FloatArray
     lateral_smoothed: FloatArray
+    camera_delay_s: tuple[float, float] = (nan, nan)  # at the end, and its sigma
 
 
 def fly(simulated: Simulated, config: FusionConfig, smooth: bool = True) -> Flown:
@@ -110,6 +121,7 @@ def fly(simulated: Simulated, config: FusionConfig, smooth: bool = True) -> Flow
             e = estimator.estimate()
             rows.append((e.timestamp_ns * 1e-9, e.heading_rad, e.heading_std_rad, e.lateral_offset_norm,
                          e.lateral_offset_norm_std))  # fmt: skip
+    end = estimator.estimate()
     estimator.finish()
     t, heading, std, lateral, lateral_std = np.array(rows).T
     truth = np.interp(t, simulated.t_s, simulated.heading)
@@ -122,7 +134,15 @@ def fly(simulated: Simulated, config: FusionConfig, smooth: bool = True) -> Flow
         smoothed, smoothed_std = wrap(x[at, PSI] - truth), np.sqrt(P[at, PSI, PSI])
         lateral_smoothed = x[at, Y] - offset
     return Flown(
-        t, wrap(heading - truth), std, smoothed, smoothed_std, lateral - offset, lateral_std, lateral_smoothed
+        t,
+        wrap(heading - truth),
+        std,
+        smoothed,
+        smoothed_std,
+        lateral - offset,
+        lateral_std,
+        lateral_smoothed,
+        (end.camera_delay_s, end.camera_delay_std_s),
     )
 
 
@@ -164,4 +184,15 @@ def recovery_s(seed: int, by_gyro: bool) -> float:
     return float((good[:, 0] <= times[last] + 1e-6).sum() / scene.frame_hz)
 
 
-__all__ = ["EVERY_S", "SETTLED_S", "Flown", "fly", "recovery_s", "scene_of", "settings", "simulate", "told"]
+__all__ = [
+    "EVERY_S",
+    "SETTLED_S",
+    "Flown",
+    "fly",
+    "recovery_s",
+    "scene_of",
+    "settings",
+    "simulate",
+    "stamped_late",
+    "told",
+]
