@@ -39,7 +39,7 @@ Method = Literal["geometric", "paper"]
 
 MIN_LINES = 4
 MIN_SCORE = 8.0  # log-likelihood over chance
-MIN_MARGIN = 9.0  # log-likelihood over the second-best heading
+MIN_MARGIN = 6.5  # log-likelihood over the second-best heading, by lines that are not pieces of one edge
 MAX_RIVAL = 0.80  # score of the second-best heading over the best
 MIN_SHARE = 0.07  # of the length of all lines that are not upright
 MAX_STD_RAD = radians(1.5)
@@ -194,7 +194,8 @@ def _judge(
     blur_px = prior.body_rate_rad_s * camera.exposure_s * camera.fx_px
     if isfinite(blur_px) and blur_px > MAX_BLUR_PX:
         return Reason.BLUR
-    if fit.score - fit.second_score < MIN_MARGIN or found.second_score > MAX_RIVAL:
+    distinct = min(fit.n_distinct / found.n_inliers, 1.0)
+    if distinct * (fit.score - fit.second_score) < MIN_MARGIN or found.second_score > MAX_RIVAL:
         return Reason.AMBIGUOUS
     if fit.inlier_share < MIN_SHARE:
         return Reason.AMBIGUOUS

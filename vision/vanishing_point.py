@@ -12,7 +12,7 @@ frame; the residual of a line with plane normal n is ``n . d``, zero for a corri
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, nan, radians, sin, sqrt
+from math import atan2, cos, nan, pi, radians, sin, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +39,7 @@ SLICE_STEP_RAD = radians(1.0)
 MAX_SLICES = 21
 INLIER_SIGMA = 3.0
 MIN_SCALE = 0.7  # of the covariance, however well the lines agree
+DIRECTIONS = 45  # in half a turn about the axis
 CORRELATION = 1.3  # the edges of one door or board err together: so many lines speak as one
 
 # columns of `_refine`'s result
@@ -65,6 +66,8 @@ class AxisFit:
         Lines (n,) that run along the axis.
     inlier_share
         Their share of the length of all lines that are not upright.
+    n_distinct
+        In how many directions about the axis they lie, 4 degrees apart.
     """
 
     heading_rad: float
@@ -76,6 +79,7 @@ class AxisFit:
     residual: FloatArray
     inlier: npt.NDArray[np.bool_]
     inlier_share: float
+    n_distinct: int
 
 
 @compiled
@@ -144,6 +148,23 @@ def _refine(
             break
     out[PSI] = psi
     out[ELEVATION] = e
+
+
+@compiled
+def _count_distinct(normal: FloatArray, inlier: npt.NDArray[np.bool_], psi: float, e: float) -> int:
+    """Count the directions, about the axis, in which lines lie: pieces of one edge and its two sides are one."""
+    cp, sp, ce, se = cos(psi), sin(psi), cos(e), sin(e)
+    seen = np.zeros(DIRECTIONS, np.bool_)
+    count = 0
+    for i in range(len(inlier)):
+        if not inlier[i]:
+            continue
+        across = normal[i, 0] * sp + normal[i, 1] * cp
+        down = normal[i, 2] * ce - (normal[i, 0] * cp - normal[i, 1] * sp) * se
+        b = int((atan2(down, across) / pi + 1.0) * DIRECTIONS) % DIRECTIONS
+        count += not seen[b]
+        seen[b] = True
+    return count
 
 
 def _covariance(fit: FloatArray, vote_variance: float) -> FloatArray | None:
@@ -227,5 +248,6 @@ def fit_axis(
         second_score=second_score,
         residual=residual,
         inlier=inlier,
+        n_distinct=_count_distinct(normal, inlier, float(out[PSI]), float(out[ELEVATION])),
         inlier_share=float(lines.length_px[inlier].sum() / max(lines.length_px[leaning].sum(), 1.0)),
     )

@@ -193,3 +193,17 @@ def test_unknown_methods_and_wrong_sizes_are_refused() -> None:
         measure_frame(np.zeros((240, 320), np.uint8), camera, method="geometrical")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="320x240"):
         measure_frame(np.zeros((480, 640), np.uint8), camera)
+
+
+def test_strokes_at_random_are_seldom_a_corridor() -> None:
+    """Long strokes that cut each other into pieces: many lines, but few that are not pieces of one."""
+    rng = np.random.default_rng(11)
+    camera = Camera.from_fov(320, 240, 1.2)
+    accepted = 0
+    for k in range(120):
+        picture = np.full((240, 320), 128, np.uint8)
+        for _ in range(5 + k % 50):
+            (x0, x1), (y0, y1) = rng.integers(0, 320, 2).tolist(), rng.integers(0, 240, 2).tolist()
+            cv2.line(picture, (x0, y0), (x1, y1), int(rng.integers(0, 256)), int(rng.integers(1, 6)))
+        accepted += measure_frame(picture, camera, Attitude(0.0, 0.0)).accepted
+    assert accepted < 0.25 * 120  # nearly half of them, when pieces of a stroke counted as lines of their own
