@@ -10,45 +10,19 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
 
-from fusion import cli, measure_images
+from fusion import measure_images
 from fusion.outputs import OUTPUT_FILES, read_table
 from fusion.simulate_options import simulation_config
 from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from tests.command import Corridor, Run
 
 OFFICE = Path(__file__).resolve().parent.parent / "data" / "office"
 N_FRAMES = 30
-
-
-class Run(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Corridor = Callable[..., Run]
-
-
-@pytest.fixture
-def corridor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Corridor:
-    """Run the command in an empty folder of its own, in this process."""
-    folder = tmp_path / "cwd"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-
-    def run(*arguments: str | Path) -> Run:
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as end:
-            cli.main([str(argument) for argument in arguments])
-        code = end.value.code
-        return Run(code if isinstance(code, int) else 0, *capfd.readouterr())
-
-    return run
 
 
 @pytest.fixture(scope="session")

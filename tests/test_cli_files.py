@@ -4,47 +4,21 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from fusion import cli, load_flight
+from fusion import load_flight
 from fusion.logs.manifest import read_manifest
 from fusion.outputs import OUTPUT_FILES, read_table
 from fusion.tables import ESTIMATE_DTYPE
+from tests.command import Corridor, Run
 
 OFFICE = Path(__file__).resolve().parent.parent / "data" / "office"
 N_FRAMES = 30
 G = 9.80665
-
-
-class Run(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Corridor = Callable[..., Run]
-
-
-@pytest.fixture
-def corridor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Corridor:
-    """Run the command in an empty folder of its own, in this process."""
-    (tmp_path / "cwd").mkdir()
-    monkeypatch.chdir(tmp_path / "cwd")
-
-    def run(*arguments: str | Path) -> Run:
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as end:
-            cli.main([str(argument) for argument in arguments])
-        code = end.value.code
-        return Run(code if isinstance(code, int) else 0, *capfd.readouterr())
-
-    return run
 
 
 @pytest.fixture(scope="module")

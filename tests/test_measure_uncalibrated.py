@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fusion import cli
 from fusion.assumed_view import AssumedView, AssumedViews, Source, assume_views
 from fusion.measure_images import measure_images
 from fusion.picture_header import PictureHeader, read_header
 from fusion.simulate import random_views
+from tests.command import Corridor
 from vision import Camera, FrameMeasurement, InputError, Reason
 from vision.images import read_image
 
@@ -37,20 +37,12 @@ Measure = Callable[..., Run]
 
 
 @pytest.fixture
-def measure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Measure:
-    folder = tmp_path / "cwd"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
+def measure(corridor: Corridor) -> Measure:
+    """Run `corridor measure`, its table as rows and its notes as lines."""
 
     def run(*arguments: str | Path) -> Run:
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as end:
-            cli.main(["measure", *map(str, arguments)])
-        out, err = capfd.readouterr()
-        code = end.value.code
-        return Run(
-            code if isinstance(code, int) else 0, list(csv.DictReader(out.splitlines())), err.splitlines()
-        )
+        code, out, err = corridor("measure", *arguments)
+        return Run(code, list(csv.DictReader(out.splitlines())), err.splitlines())
 
     return run
 

@@ -1,0 +1,27 @@
+"""The command line, run in the test's own process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fusion import cli
+from tests.command import Corridor, Run
+
+
+@pytest.fixture
+def corridor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Corridor:
+    """Run the command in an empty folder of its own, in this process."""
+    folder = tmp_path / "cwd"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+
+    def run(*arguments: str | Path) -> Run:
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as end:
+            cli.main([str(argument) for argument in arguments])
+        code = end.value.code
+        return Run(code if isinstance(code, int) else 0, *capfd.readouterr())
+
+    return run
