@@ -29,7 +29,7 @@ from fusion.alignment.views import scaled_focal
 from fusion.flight import ChosenFrames, FrameStream
 from fusion.simulate import SimulationConfig, simulate_flight
 from fusion.simulate.config import CameraConfig
-from vision.camera import Distortion
+from vision.cameras.camera import Distortion
 
 OFFICE = Path(__file__).resolve().parent.parent / "data" / "office"
 OFFSETS_S = (-1.9, -0.4, 0.013, 1.7)
@@ -75,7 +75,7 @@ def flights(folder: Path, seconds: float, only: str | None) -> Iterator[Flight]:
 
 def simulation(seconds: float) -> SimulationConfig:
     """Return a fisheye in a corridor that is left for another half way."""
-    from fusion.simulate_options import simulation_config
+    from fusion.cli.simulate_options import simulation_config
 
     config = simulation_config(None, seed=8, duration_s=seconds + 8.0, turn_deg=-75.0)
     camera = CameraConfig(

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fusion.evaluation import mae, rmse
+from fusion.evaluation.errors import mae, rmse
 from fusion.flight import FrameStream
 from vision import Attitude, Camera
 from vision.images import GreyImage
-from vision.paper import equation_8, measure_paper
+from vision.paper.measure import equation_8, measure_paper
 
 FloatArray = npt.NDArray[np.float64]
 Rows = npt.NDArray[Any]
@@ -155,7 +155,7 @@ class Reference:
 
 def reference_of(folder: Path) -> Reference | None:
     """Load a flight's known headings; None where it has none."""
-    from fusion.evaluation import interpolate_truth
+    from fusion.evaluation.errors import interpolate_truth
     from fusion.logs import load_flight
 
     flight = load_flight(folder)

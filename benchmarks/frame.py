@@ -34,12 +34,12 @@ from support.ransac import heading_by_ransac, segments
 from support.scores import number, percent, rms, table
 
 from vision import Attitude, extract_lines, measure_frame
+from vision.axis.level import Level, level_from_verticals
+from vision.axis.vanishing_point import AxisFit, fit_axis
 from vision.frame import CALIBRATION_STD_RAD, SLOPE_STD_RAD
-from vision.gravity import Level, level_from_verticals
 from vision.images import GreyImage
-from vision.lateral import fit_lateral
-from vision.lines import LineSet
-from vision.vanishing_point import AxisFit, fit_axis
+from vision.lateral.offset import fit_lateral
+from vision.lines.segments import LineSet
 
 SIZES: tuple[Size, ...] = ((640, 480), (320, 240))
 MOUNT_STD_RAD = radians(3.0)  # `Prior`'s, without a prior

@@ -1,4 +1,4 @@
-"""Where the weights of `vision.lateral` come from, and what they are worth.
+"""Where the weights of `vision.lateral.offset` come from, and what they are worth.
 
 ``python benchmarks/lateral_weights.py`` renders corridors, fits the weights anew by maximum likelihood (that the
 hypotheses within 3 % of the true offset hold the probability, or that none is relied on where none is right), and
@@ -24,12 +24,12 @@ from support.scores import number, percent, table
 from fusion.simulate.scene_config import SceneConfig
 from fusion.simulate.views import random_views
 from vision import Attitude, Camera, extract_lines, measure_lines
-from vision import lateral as lateral_module
-from vision.corner_pairs import ASIDE, CROWD, EVIDENCE, LENGTHS, N_PAIR, survey_lines
+from vision.axis.level import level_from_verticals
+from vision.axis.vanishing_point import fit_axis
 from vision.frame import SLOPE_STD_RAD
-from vision.gravity import level_from_verticals
-from vision.lateral import BIASES, H_CEILING, H_FLOOR, H_OFFSET, WEIGHTS
-from vision.vanishing_point import fit_axis
+from vision.lateral import offset as lateral_module
+from vision.lateral.corner_pairs import ASIDE, CROWD, EVIDENCE, LENGTHS, N_PAIR, survey_lines
+from vision.lateral.offset import BIASES, H_CEILING, H_FLOOR, H_OFFSET, WEIGHTS
 
 FloatArray = npt.NDArray[np.float64]
 

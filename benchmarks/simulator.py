@@ -27,7 +27,7 @@ from fusion.simulate.imaging import through_jpeg
 from fusion.simulate.motion import rotations
 from fusion.simulate.shooting import Shoot
 from vision import Attitude, Camera, measure_frame
-from vision.lines import extract_lines
+from vision.lines.segments import extract_lines
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZES_PX = ((640, 480), (320, 240), (160, 120))

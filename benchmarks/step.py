@@ -32,8 +32,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from support.clock import clock
 
 from fusion import CorridorEstimator, FusionConfig
-from fusion.ekf import CorridorEKF
-from fusion.models import ProcessNoise, ScalarMeasurement
+from fusion.estimator.ekf import CorridorEKF
+from fusion.estimator.models import ProcessNoise, ScalarMeasurement
 from vision import FrameMeasurement, Reason
 
 IMU_HZ, ATTITUDE_HZ, FRAME_HZ, FLOW_HZ = 200.0, 50.0, 30.0, 30.0

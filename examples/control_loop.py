@@ -29,7 +29,7 @@ from simulated_vehicle import Samples, World, junction_config
 from fusion import CorridorEstimator, FusionConfig
 from fusion.simulate import SimulationConfig
 from vision import Camera, InputError, extract_lines
-from vision.lines import LineSet
+from vision.lines.segments import LineSet
 
 START_NS = 1_000_000_000
 TRANSFER_S = 0.020  # from mid-exposure until the picture is in memory: shutter, read-out, cable

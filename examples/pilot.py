@@ -24,9 +24,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion import CorridorEstimator, Estimate
-from fusion.estimator import Status
+from fusion.estimator.estimator import Status
 from vision import Camera, InputError, extract_lines, warm_up
-from vision.lines import LineSet
+from vision.lines.segments import LineSet
 
 Image = npt.NDArray[np.uint8]
 

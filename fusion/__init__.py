@@ -10,12 +10,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fusion.config import FusionConfig
-    from fusion.estimator import CorridorEstimator
+    from fusion.estimator.config import FusionConfig
+    from fusion.estimator.estimator import CorridorEstimator
+    from fusion.estimator.state import Estimate
     from fusion.flight import Flight
     from fusion.logs import load_flight
-    from fusion.offline import FusionResult, fuse_flight
-    from fusion.state import Estimate
+    from fusion.offline.fuse import FusionResult, fuse_flight
 
 __all__ = [
     "CorridorEstimator",
@@ -28,12 +28,12 @@ __all__ = [
 ]
 
 _MODULES = {
-    "CorridorEstimator": "fusion.estimator",
-    "Estimate": "fusion.state",
+    "CorridorEstimator": "fusion.estimator.estimator",
+    "Estimate": "fusion.estimator.state",
     "Flight": "fusion.flight",
-    "FusionConfig": "fusion.config",
-    "FusionResult": "fusion.offline",
-    "fuse_flight": "fusion.offline",
+    "FusionConfig": "fusion.estimator.config",
+    "FusionResult": "fusion.offline.fuse",
+    "fuse_flight": "fusion.offline.fuse",
     "load_flight": "fusion.logs",
 }
 

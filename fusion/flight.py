@@ -11,7 +11,7 @@ import numpy.typing as npt
 from vision import Camera
 
 if TYPE_CHECKING:
-    from fusion.logs.manifest import Manifest
+    from fusion.logs.manifest.manifest import Manifest
 
 FloatArray = npt.NDArray[np.float64]
 TimeArray = npt.NDArray[np.int64]

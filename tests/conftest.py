@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fusion import cli
+from fusion.cli import app as cli
 from tests.command import Corridor, Run
 
 

@@ -11,7 +11,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from vision.paper import equation_8, position_of
+from vision.paper.measure import equation_8, position_of
 
 ROOT = Path(__file__).resolve().parent.parent
 OFFICE = ROOT / "data" / "office"

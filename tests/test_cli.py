@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 import pytest
 
-from fusion import measure_images
-from fusion.outputs import OUTPUT_FILES, read_table
-from fusion.simulate_options import simulation_config
-from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from fusion.cli.simulate_options import simulation_config
+from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from fusion.outputs.folder import OUTPUT_FILES, read_table
+from fusion.pictures import measure as measure_images
 from tests.command import Corridor, Run
 
 OFFICE = Path(__file__).resolve().parent.parent / "data" / "office"
@@ -93,7 +93,7 @@ class TestFuse:
         command = [
             sys.executable,
             "-m",
-            "fusion.cli",
+            "fusion.cli.app",
             "fuse",
             str(start_of_office),
             "-o",

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from fusion import load_flight
-from fusion.logs.manifest import read_manifest
-from fusion.outputs import OUTPUT_FILES, read_table
-from fusion.tables import ESTIMATE_DTYPE
+from fusion.estimator.tables import ESTIMATE_DTYPE
+from fusion.logs.manifest.manifest import read_manifest
+from fusion.outputs.folder import OUTPUT_FILES, read_table
 from tests.command import Corridor, Run
 
 OFFICE = Path(__file__).resolve().parent.parent / "data" / "office"

@@ -29,7 +29,7 @@ def test_a_package_imports_without_the_heavy_ones(package: str) -> None:
 def test_help_comes_without_the_heavy_ones(arguments: list[str]) -> None:
     code = (
         f"import sys; sys.argv = ['corridor', *{arguments!r}]\n"
-        "from fusion.cli import main\n"
+        "from fusion.cli.app import main\n"
         "try:\n    main()\n"
         "except SystemExit as end:\n    assert not end.code\n"
     )
@@ -45,5 +45,5 @@ def test_the_compiled_line_finder_loads_at_its_first_use(name: str) -> None:
 
 def test_vision_alone_never_loads_fusion() -> None:
     assert "fusion" not in loaded_by(
-        "import vision, vision.frame, vision.paper, vision.overlay, vision.images"
+        "import vision, vision.frame, vision.paper.measure, vision.overlay, vision.images"
     )

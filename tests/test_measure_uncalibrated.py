@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fusion.assumed_view import AssumedView, AssumedViews, Source, assume_views
-from fusion.measure_images import measure_images
-from fusion.picture_header import PictureHeader, read_header
+from fusion.pictures.assumed_camera import AssumedView, AssumedViews, Source, assume_views
+from fusion.pictures.exif import PictureHeader, read_header
+from fusion.pictures.measure import measure_images
 from fusion.simulate import random_views
 from tests.command import Corridor
 from vision import Camera, FrameMeasurement, InputError, Reason

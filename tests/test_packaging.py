@@ -58,7 +58,7 @@ def test_the_wheel_holds_every_file_of_both_packages(wheel: Path) -> None:
         if path.suffix in SOURCE_SUFFIXES or path.name == "py.typed"
     }
     inside = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
-    assert {"vision/py.typed", "fusion/py.typed", "fusion/cli.py"} <= inside
+    assert {"vision/py.typed", "fusion/py.typed", "fusion/cli/app.py"} <= inside
     assert inside == sources
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fusion import cli
+from fusion.cli import app as cli
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from vision.camera import Camera
+from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.measurement import (
     Attitude,

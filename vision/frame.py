@@ -16,13 +16,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vision.axis_vote import VERTICAL_SINE
-from vision.camera import Camera
+from vision.axis.level import Level, level_from_verticals
+from vision.axis.vanishing_point import AxisFit, axis_direction, fit_axis
+from vision.axis.vote import VERTICAL_SINE
+from vision.cameras.camera import Camera
 from vision.errors import InputError
-from vision.gravity import Level, level_from_verticals
 from vision.images import to_grey
-from vision.lateral import fit_lateral
-from vision.lines import LineSet, extract_lines, is_distorted
+from vision.lateral.offset import fit_lateral
+from vision.lines.segments import LineSet, extract_lines, is_distorted
 from vision.measurement import (
     Attitude,
     FrameMeasurement,
@@ -31,8 +32,7 @@ from vision.measurement import (
     Reason,
     position_from_offset,
 )
-from vision.paper import FIRST_PIXEL, equation_8, measure_paper
-from vision.vanishing_point import AxisFit, axis_direction, fit_axis
+from vision.paper.measure import FIRST_PIXEL, equation_8, measure_paper
 
 FloatArray = npt.NDArray[np.float64]
 Method = Literal["geometric", "paper"]

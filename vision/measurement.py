@@ -154,7 +154,7 @@ class FrameMeasurement:
     position
         Left, centre or right; None where the offset is unknown.
     paper_yaw_rad
-        The article's equation (8) at this vanishing point: unsigned, see `vision.paper`.
+        The article's equation (8) at this vanishing point: unsigned, see `vision.paper.measure`.
     vision_ms
         Time spent on this frame, milliseconds.
     lines_px, line_class

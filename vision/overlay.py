@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vision.camera import Camera
+from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.measurement import FrameMeasurement, LineClass, Position, Reason
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from fusion.evaluation import interpolate_truth
+from fusion.evaluation.errors import interpolate_truth
 from fusion.flight import AttitudeStream, Flight
 from fusion.logs import load_flight
 from fusion.simulate import RandomView, random_views

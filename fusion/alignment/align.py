@@ -15,10 +15,10 @@ from fusion.alignment.sentences import clock_quantity, focal_quantity, mount_qua
 from fusion.alignment.track import fit_track
 from fusion.alignment.turning import seconds, turning_of
 from fusion.alignment.views import MAX_FRAMES, Sightings, Views, choose_frames, collect, scaled_focal
-from fusion.console import Progress
+from fusion.estimator.tilt import LEVEL_STD_RAD
 from fusion.flight import Flight, FloatArray, TimeArray
-from fusion.tilt import LEVEL_STD_RAD
-from vision.camera import Camera
+from fusion.progress import Progress
+from vision.cameras.camera import Camera
 from vision.errors import InputError
 
 MAX_OFFSET_S = 3.0
@@ -144,7 +144,7 @@ def apply_alignment(flight: Flight, alignment: Alignment) -> Flight:
 
 def ordinary_camera(camera: Camera) -> Camera:
     """Return what to start from where nothing is known of a camera but the size of its pictures."""
-    from vision.field_of_view import ordinary_field_of_view
+    from vision.axis.field_of_view import ordinary_field_of_view
 
     view = ordinary_field_of_view(camera.width_px, camera.height_px)
     return Camera.from_fov(camera.width_px, camera.height_px, view.horizontal_rad)
@@ -152,7 +152,7 @@ def ordinary_camera(camera: Camera) -> Camera:
 
 def _focal_of_pictures(views: Views) -> Quantity:
     """Focal length by the right angles in the pictures, where turns do not tell it."""
-    from vision.field_of_view import MAX_TRIED, field_of_view_of_lines
+    from vision.axis.field_of_view import MAX_TRIED, field_of_view_of_lines
 
     step = max(1, len(views.lines) // MAX_TRIED)
     view = field_of_view_of_lines(views.lines[::step], views.camera)

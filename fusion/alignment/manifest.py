@@ -12,12 +12,18 @@ import numpy as np
 from fusion.alignment.result import Alignment, Quantity
 from fusion.alignment.text import note_of
 from fusion.flight import Flight
-from fusion.logs.manifest import MANIFEST_NAME, Manifest, find_manifest, read_manifest, write_manifest
-from vision.camera import Camera
+from fusion.logs.manifest.manifest import (
+    MANIFEST_NAME,
+    Manifest,
+    find_manifest,
+    read_manifest,
+    write_manifest,
+)
+from vision.cameras.camera import Camera
 from vision.errors import InputError
 
 if TYPE_CHECKING:
-    from vision.camera import BodyFrame
+    from vision.cameras.camera import BodyFrame
 
 _FIRST_LINE = "# Found by corridor align"
 
@@ -39,7 +45,7 @@ def load_to_align(path: str | Path, camera: Path | None = None) -> Loaded:
         As `fusion.load_flight`.
     """
     from fusion.logs import load_flight
-    from fusion.logs.assembly import assemble_flight
+    from fusion.logs.manifest.assembly import assemble_flight
 
     path = Path(path)
     if camera is None and path.exists():
@@ -47,7 +53,7 @@ def load_to_align(path: str | Path, camera: Path | None = None) -> Loaded:
         manifest = Manifest(log=path.resolve()) if described is None else read_manifest(described)
         size = _size_of_uncalibrated(manifest)
         if size is not None:
-            from vision.field_of_view import ordinary_field_of_view
+            from vision.axis.field_of_view import ordinary_field_of_view
 
             view = ordinary_field_of_view(*size)
             assumed = Camera.from_fov(*size, view.horizontal_rad)
@@ -57,9 +63,9 @@ def load_to_align(path: str | Path, camera: Path | None = None) -> Loaded:
 
 def _size_of_uncalibrated(manifest: Manifest) -> tuple[int, int] | None:
     """Width and height of the pictures where neither manifest nor log has a calibration; None: there is one."""
-    from fusion.logs.assembly import open_as_told
-    from fusion.logs.choice import choose_topic
     from fusion.logs.contents import Kind
+    from fusion.logs.manifest.assembly import open_as_told
+    from fusion.logs.topic_choice import choose_topic
 
     source = manifest.camera
     path = source.file or manifest.log
@@ -167,8 +173,8 @@ def corrected(manifest: Manifest, alignment: Alignment) -> tuple[Manifest, dict[
 
 def _body_frame(manifest: Manifest, calibration: Path) -> BodyFrame:
     """Return the axes in which a calibration at this place will be read."""
-    from fusion.logs.assembly import open_as_told
-    from vision.calibration import check_body_frame, read_body_frame
+    from fusion.logs.manifest.assembly import open_as_told
+    from vision.cameras.calibration import check_body_frame, read_body_frame
 
     source = manifest.camera
     path = source.file or manifest.log
@@ -181,7 +187,7 @@ def _body_frame(manifest: Manifest, calibration: Path) -> BodyFrame:
 
 def _write_calibration(alignment: Alignment, path: Path, body_frame: BodyFrame) -> None:
     """Write a camera as a ``sensor.yaml``, in these body axes."""
-    from vision.calibration import to_frd
+    from vision.cameras.calibration import to_frd
 
     if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(_FIRST_LINE):
         raise InputError(

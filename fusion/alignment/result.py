@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isfinite
 
-from vision.camera import Camera
+from vision.cameras.camera import Camera
 
 SIGNIFICANT_SIGMA = 3.0
 

@@ -12,7 +12,7 @@ from fusion.alignment.result import SIGNIFICANT_SIGMA, Quantity
 from fusion.alignment.search import Found
 from fusion.alignment.track import TrackFit
 from fusion.alignment.turning import Turning
-from vision.camera import Camera
+from vision.cameras.camera import Camera
 
 USABLE_FOCAL = 0.03
 USABLE_YAW_RAD = radians(1.5)

@@ -8,9 +8,9 @@ from math import asin, atan2, sqrt
 import numpy as np
 import numpy.typing as npt
 
-from fusion import tilt as tilts
+from fusion.estimator import tilt as tilts
+from fusion.estimator.models import level_yaw_rate
 from fusion.flight import AttitudeStream, Flight, ImuStream, TimeArray
-from fusion.models import level_yaw_rate
 from vision.errors import InputError
 from vision.measurement import Attitude
 

@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.alignment.turning import Turning, seconds
-from fusion.console import Progress
 from fusion.flight import Flight
-from vision.camera import Camera
+from fusion.progress import Progress
+from vision.axis.field_of_view import lines_of
+from vision.axis.level import level_from_verticals
+from vision.cameras.camera import Camera
 from vision.errors import InputError
-from vision.field_of_view import lines_of
 from vision.frame import UNKNOWN_ATTITUDE, measure_lines
-from vision.gravity import level_from_verticals
-from vision.lines import LineSet, extract_lines, is_distorted
+from vision.lines.segments import LineSet, extract_lines, is_distorted
 from vision.measurement import Attitude, Prior
 
 FloatArray = npt.NDArray[np.float64]

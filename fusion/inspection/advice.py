@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from fusion.inspection.findings import StreamFindings
 from fusion.logs.contents import Kind
-from fusion.logs.findings import Finding, Severity
+from fusion.logs.plausibility.findings import Finding, Severity
 
 
 class Matter(StrEnum):

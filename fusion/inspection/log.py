@@ -16,10 +16,10 @@ from fusion.inspection.findings import CameraFindings, StreamFindings
 from fusion.inspection.imu import inspect_imu
 from fusion.inspection.pictures import inspect_pictures
 from fusion.inspection.times import share_covered, time_stream
-from fusion.logs.choice import choose_topic
 from fusion.logs.contents import Kind, LogContents, Topic
-from fusion.logs.findings import Advice, Finding
-from fusion.logs.plausibility import Streams, examine_streams
+from fusion.logs.plausibility.findings import Advice, Finding
+from fusion.logs.plausibility.flight import Streams, examine_streams
+from fusion.logs.topic_choice import choose_topic
 from vision import InputError
 
 

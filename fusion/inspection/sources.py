@@ -10,12 +10,18 @@ from typing import Any, TypeVar
 from fusion.flight import AttitudeStream, FrameStream, ImuStream, RangeStream, VectorStream
 from fusion.inspection.log import Inspection, inspect_log
 from fusion.logs import open_log
-from fusion.logs.assembly import open_as_told
-from fusion.logs.choice import TABLES
 from fusion.logs.contents import Kind, LogContents, Topic
-from fusion.logs.manifest import Manifest, StreamSource, corrected_camera, find_manifest, read_manifest
-from fusion.logs.mounting import mounted
-from fusion.logs.plausibility import is_asl
+from fusion.logs.manifest.assembly import open_as_told
+from fusion.logs.manifest.manifest import (
+    Manifest,
+    StreamSource,
+    corrected_camera,
+    find_manifest,
+    read_manifest,
+)
+from fusion.logs.plausibility.flight import is_asl
+from fusion.logs.plausibility.mounting import mounted
+from fusion.logs.topic_choice import TABLES
 from vision import Camera, InputError
 
 Stream = TypeVar("Stream", bound=Any)
@@ -122,7 +128,7 @@ class DescribedLog:
         imu = self._read(Kind.IMU, self._logs[Kind.IMU].imu, topic, problems)
         if self._manifest.imu.noise is None:
             return imu
-        from vision.calibration import read_imu_noise
+        from vision.cameras.calibration import read_imu_noise
 
         noise = read_imu_noise(self._manifest.imu.noise)
         return replace(
@@ -148,7 +154,7 @@ class DescribedLog:
 
 def with_time_shift(manifest: Manifest) -> Manifest:
     """Return a manifest with the clock offset of a Kalibr chain where it leaves that open, as fusing does."""
-    from vision.calibration import read_time_shift_s
+    from vision.cameras.calibration import read_time_shift_s
 
     source = manifest.camera
     if source.calibration is None or "clock_offset_s" in source.model_fields_set:

@@ -15,8 +15,8 @@ from fusion.inspection.imu import MAX_STEP_S, MIN_STILL_S, ImuFindings, Noise
 from fusion.inspection.log import Inspection
 from fusion.inspection.pictures import PictureFindings
 from fusion.inspection.times import Gap, Timing
-from fusion.logs.findings import Severity
-from fusion.logs.plausible_clocks import UNIX_FROM_NS, UNIX_TO_NS, span_of
+from fusion.logs.plausibility.clocks import UNIX_FROM_NS, UNIX_TO_NS, span_of
+from fusion.logs.plausibility.findings import Severity
 from fusion.logs.samples import counted
 
 WIDTH = 110

@@ -16,18 +16,18 @@ from vision import Camera, InputError
 
 if TYPE_CHECKING:
     from fusion.flight import Flight
-    from fusion.logs.manifest import Manifest
+    from fusion.logs.manifest.manifest import Manifest
 
 #: In the order in which they are asked: by magic bytes first, by names and endings last.
 FORMATS = {
     "ASL / EuRoC folder (mav0/cam0 ...)": "fusion.logs.asl",
-    "PX4 ULog": "fusion.logs.ulog",
-    "ROS bag or MCAP": "fusion.logs.rosbag",
-    "ArduPilot DataFlash log": "fusion.logs.dataflash",
-    "MAVLink tlog": "fusion.logs.tlog",
-    "video": "fusion.logs.video",
-    "folder of pictures": "fusion.logs.folder",
-    "CSV": "fusion.logs.columns",
+    "PX4 ULog": "fusion.logs.autopilot.ulog",
+    "ROS bag or MCAP": "fusion.logs.rosbag.bag",
+    "ArduPilot DataFlash log": "fusion.logs.autopilot.dataflash",
+    "MAVLink tlog": "fusion.logs.autopilot.tlog",
+    "video": "fusion.logs.pictures.video",
+    "folder of pictures": "fusion.logs.pictures.picture_folder",
+    "CSV": "fusion.logs.csv.columns",
 }
 
 
@@ -90,7 +90,7 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
     InputError
         Where the log cannot be used: one line naming file, field, value and remedy.
     """
-    from fusion.logs.manifest import MANIFEST_NAME, Manifest, find_manifest, read_manifest
+    from fusion.logs.manifest.manifest import MANIFEST_NAME, Manifest, find_manifest, read_manifest
 
     path = Path(path)
     if not path.exists():
@@ -119,8 +119,8 @@ def load_manifest(
     InputError
         As `load_flight`.
     """
-    from fusion.logs.assembly import assemble_flight
-    from fusion.logs.plausibility import check_flight
+    from fusion.logs.manifest.assembly import assemble_flight
+    from fusion.logs.plausibility.flight import check_flight
 
     flight = assemble_flight(manifest, camera)
     return check_flight(flight, path or manifest.log or manifest.camera.file or Path(flight.name))

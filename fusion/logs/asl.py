@@ -33,13 +33,13 @@ from fusion.flight import (
     VectorStream,
 )
 from fusion.logs.contents import Kind, Topic
-from fusion.logs.csv_table import CsvTable, parse_time, read_table
-from fusion.logs.pictures import read_frames
+from fusion.logs.csv.strict_table import CsvTable, parse_time, read_table
+from fusion.logs.pictures.camera_folder import read_frames
 from fusion.logs.samples import MIN_IMU_STEP_NS, MIN_STEP_NS, BoolArray, counted, finite, keep_good
 from fusion.logs.series import Where, range_stream
 from vision import Camera, InputError
-from vision.calibration import read_body_frame, read_yaml, rotation_of_transform, to_frd
-from vision.camera import BodyFrame
+from vision.cameras.calibration import read_body_frame, read_yaml, rotation_of_transform, to_frd
+from vision.cameras.camera import BodyFrame
 
 QUATERNION_TOLERANCE = 0.05  # of its length; more is not rounding but damage
 

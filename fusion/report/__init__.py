@@ -1,6 +1,6 @@
 """One page that says what a fused flight is worth: `write_report`.
 
-`fusion.report.checks` holds the verdict, `fusion.report.plots` the plots, each usable alone.
+`fusion.evaluation.checks` holds the verdict, `fusion.report.plots` the plots, each usable alone.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fusion.flight import Flight
-    from fusion.offline import FusionResult
+    from fusion.offline.fuse import FusionResult
 
 __all__ = ["write_report"]
 

@@ -16,19 +16,19 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from fusion.evaluation import evaluate
+from fusion.evaluation.checks import run_checks
+from fusion.evaluation.checks_frames import REASON_WORDS
+from fusion.evaluation.checks_input import all_problems
+from fusion.evaluation.errors import evaluate
+from fusion.evaluation.verdict import Level, overall, worst_first
 from fusion.flight import Flight
 from fusion.report import plots
-from fusion.report.checks import run_checks
-from fusion.report.checks_of_frames import REASON_WORDS
-from fusion.report.checks_of_input import all_problems
 from fusion.report.strip import Shown, choose_frames, show_frames
 from fusion.report.svg import Drawing, draw
-from fusion.report.verdict import Level, overall, worst_first
 from vision.errors import InputError
 
 if TYPE_CHECKING:
-    from fusion.offline import FusionResult
+    from fusion.offline.fuse import FusionResult
 
 TIMING_WORDS = {
     "vision_s": ("Reading and measuring all pictures", "s"),

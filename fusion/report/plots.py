@@ -14,13 +14,13 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import NullLocator
 
-from fusion.evaluation import interpolate_truth, wrap_angle
+from fusion.estimator.tables import Table
+from fusion.evaluation.errors import interpolate_truth, wrap_angle
 from fusion.flight import AttitudeStream, CorridorTruth, Flight, FloatArray, TimeArray
 from fusion.report.series import IndexArray, band_envelope, broken, envelope, runs, thin_points
-from fusion.tables import Table
 
 if TYPE_CHECKING:
-    from fusion.offline import FusionResult
+    from fusion.offline.fuse import FusionResult
 
 INK = "#1b1f24"
 FAINT = "#7a828b"

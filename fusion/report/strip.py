@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.evaluation import interpolate_truth, wrap_angle
+from fusion.estimator.tables import Table
+from fusion.evaluation.errors import interpolate_truth, wrap_angle
 from fusion.flight import Flight, FloatArray
-from fusion.replay import delay_ns, row_before, seen_again
+from fusion.report.remeasure import delay_ns, row_before, seen_again
 from fusion.report.series import runs
-from fusion.tables import Table
 
 if TYPE_CHECKING:
-    from fusion.offline import FusionResult
+    from fusion.offline.fuse import FusionResult
 
 JPEG_QUALITY = 78
 MAX_WIDTH_PX = 640

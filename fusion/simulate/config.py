@@ -13,10 +13,10 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from fusion.config_file import build, read_toml
+from fusion.settings.toml import build, read_toml
 from fusion.simulate.scene_config import NotNegative, Positive, SceneConfig, Section, Share
 from vision import Camera
-from vision.camera import COEFFICIENT_COUNTS, Distortion
+from vision.cameras.camera import COEFFICIENT_COUNTS, Distortion
 
 Angle = Annotated[float, Field(ge=-pi, le=pi)]
 

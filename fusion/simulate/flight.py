@@ -25,8 +25,8 @@ from fusion.simulate.sensors import (
 )
 from fusion.simulate.shooting import Shoot
 from vision import Camera, InputError
-from vision.calibration import to_frd
-from vision.camera import Distortion
+from vision.cameras.calibration import to_frd
+from vision.cameras.camera import Distortion
 
 FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]

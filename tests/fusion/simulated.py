@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from fusion.config import FusionConfig
-from fusion.estimator import CorridorEstimator
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimator import CorridorEstimator
 from vision.measurement import FrameMeasurement, Reason
 
 Function = Callable[[np.ndarray], np.ndarray]

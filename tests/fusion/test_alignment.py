@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fusion import cli, fuse_flight, load_flight
+from fusion import fuse_flight, load_flight
 from fusion.alignment import Quantity, align_flight, apply_alignment, clock_of_frames
 from fusion.alignment.mount import mount_rotation
 from fusion.alignment.views import scaled_focal
+from fusion.cli import app as cli
 from fusion.flight import AttitudeStream, Flight, FrameStream, VectorStream
 from fusion.logs.asl import read_ground_truth
-from fusion.logs.manifest import read_manifest
+from fusion.logs.manifest.manifest import read_manifest
 from fusion.simulate import SimulationConfig, simulate_flight
 from vision import Camera, InputError
 

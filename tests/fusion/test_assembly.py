@@ -15,9 +15,9 @@ import pytest
 from fusion import FusionConfig, fuse_flight, load_flight
 from fusion.flight import Flight
 from fusion.logs import load_manifest, open_log
-from fusion.logs.choice import RANKED_FORMATS, choose_topic
 from fusion.logs.contents import Kind, LogContents, Topic
-from fusion.logs.manifest import Manifest, make_manifest, write_manifest
+from fusion.logs.manifest.manifest import Manifest, make_manifest, write_manifest
+from fusion.logs.topic_choice import RANKED_FORMATS, choose_topic
 from vision import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -405,7 +405,7 @@ def test_an_autopilots_log_is_taken_in_its_readers_order(name: str) -> None:
 
 
 def test_the_ranked_formats_are_those_of_the_readers() -> None:
-    from fusion.logs import dataflash, tlog, ulog
+    from fusion.logs.autopilot import dataflash, tlog, ulog
 
     assert {dataflash.FORMAT, tlog.FORMAT, ulog.FORMAT} == RANKED_FORMATS
 

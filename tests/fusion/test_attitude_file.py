@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fusion.attitude_file import AttitudeFile
+from fusion.pictures.attitude_file import AttitudeFile
 from vision import InputError
 
 

@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from fusion.flight import AttitudeStream, ImuStream, VectorStream
 from fusion.logs import open_log
-from fusion.logs.column_map import ColumnMap, Frame
-from fusion.logs.columns import open_columns
 from fusion.logs.contents import Kind
-from fusion.logs.loose_table import read_layout
-from fusion.logs.stamps import guess_unit, to_ns
-from fusion.logs.timed_rows import read_times
+from fusion.logs.csv.column_map import ColumnMap, Frame
+from fusion.logs.csv.columns import open_columns
+from fusion.logs.csv.table import read_layout
+from fusion.logs.csv.time_units import guess_unit, to_ns
+from fusion.logs.csv.times import read_times
 from vision import InputError
 
 T0 = 1_403_636_579_763_555_584
@@ -438,8 +438,8 @@ def test_what_cannot_be_read_says_what_to_do(
 
 def test_long_files_are_read_in_blocks(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows across the borders of blocks are neither lost nor doubled."""
-    monkeypatch.setattr("fusion.logs.loose_table._BLOCK_BYTES", 100)
-    monkeypatch.setattr("fusion.logs.loose_table._PIECE_ROWS", 3)
+    monkeypatch.setattr("fusion.logs.csv.table._BLOCK_BYTES", 100)
+    monkeypatch.setattr("fusion.logs.csv.table._PIECE_ROWS", 3)
     lines = [f"{i * 10},{i},2,3" for i in range(200)]
     lines[77] = "broken"
     imu = imu_of(write("a.csv", "t,gx,gy,gz\n" + "\n".join(lines) + "\n"), None, "frd")

@@ -12,15 +12,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion import cli
-from fusion.comparison import compare, read_outputs
-from fusion.comparison_text import comparison_text
-from fusion.exports import Frame
-from fusion.exports.conventions import file_facts, summary_in_frame, table_in_frame
-from fusion.exports.tum import write_tum
-from fusion.outputs import write_summary, write_table
-from fusion.tables import ESTIMATE_DTYPE
-from fusion.truth_file import _times, read_truth
+from fusion.cli import app as cli
+from fusion.estimator.tables import ESTIMATE_DTYPE
+from fusion.evaluation.comparison import compare, read_outputs
+from fusion.evaluation.comparison_text import comparison_text
+from fusion.evaluation.truth_file import _times, read_truth
+from fusion.outputs.exports import Frame
+from fusion.outputs.folder import write_summary, write_table
+from fusion.outputs.tum import write_tum
+from fusion.result.conventions import file_facts, summary_in_frame, table_in_frame
 from vision import InputError
 
 T0_NS = 1_600_000_000_000_000_000

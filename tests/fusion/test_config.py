@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from fusion.config import FusionConfig
+from fusion.estimator.config import FusionConfig
 from vision.errors import InputError
 
 

@@ -6,8 +6,8 @@ from math import pi, radians
 
 import pytest
 
-from fusion.consensus import MAX_VOTES, Vote, add_vote, agreement
-from fusion.models import wrap_axis
+from fusion.estimator.models import wrap_axis
+from fusion.estimator.votes import MAX_VOTES, Vote, add_vote, agreement
 
 S = 1_000_000_000
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fusion.logs.csv_table import CsvTable, parse_time, read_table
+from fusion.logs.csv.strict_table import CsvTable, parse_time, read_table
 from fusion.logs.samples import order_times
 from vision import InputError
 

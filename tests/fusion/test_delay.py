@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion.config import FusionConfig
-from fusion.delay import Axis, AxisNoise, Delay, Turned, turned_at, unknown_delay, with_turn
-from fusion.estimator import CorridorEstimator
-from fusion.state import Estimate
-from fusion.timeline import Entry
+from fusion.estimator.camera_delay import Axis, AxisNoise, Delay, Turned, turned_at, unknown_delay, with_turn
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.state import Estimate
+from fusion.estimator.timeline import Entry
 from tests.fusion.simulated import Sample, Scene, Simulated, config_for, give, simulate, weaving, wrap
 
 MS = 1_000_000

@@ -6,8 +6,8 @@ from filterpy.kalman import ExtendedKalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.ekf import CorridorEKF
-from fusion.models import ProcessNoise, ScalarMeasurement, propagate, transition
+from fusion.estimator.ekf import CorridorEKF
+from fusion.estimator.models import ProcessNoise, ScalarMeasurement, propagate, transition
 
 NOISE = ProcessNoise(0.0075, 1e-4, 0.009, 0.3, 1.0)
 

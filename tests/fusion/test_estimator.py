@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.config import FusionConfig
-from fusion.estimator import CorridorEstimator
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimator import CorridorEstimator
 from tests.fusion.simulated import (
     Scene,
     config_for,
@@ -22,7 +22,7 @@ from tests.fusion.simulated import (
     weaving,
     wrap,
 )
-from vision.camera import Camera
+from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.measurement import FrameMeasurement, Reason
 

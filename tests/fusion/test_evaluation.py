@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion.evaluation import evaluate, interpolate_truth, mae, rmse, wrap_angle
+from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from fusion.evaluation.errors import evaluate, interpolate_truth, mae, rmse, wrap_angle
 from fusion.flight import CorridorTruth
-from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 
 UNIX_NS = 1_600_000_000_000_000_000
 

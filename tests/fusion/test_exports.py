@@ -13,15 +13,15 @@ import cv2
 import numpy as np
 import pytest
 
-from fusion import exports
-from fusion.config import FusionConfig
-from fusion.exports import EXPORT_FILES, Format, Frame, check_formats, write_exports
-from fusion.exports import foxglove as fox
-from fusion.exports.conventions import COLUMNS, describe, summary_in_frame, table_in_frame
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from fusion.flight import Flight, FrameStream, VectorStream
-from fusion.offline import FusionResult
-from fusion.outputs import read_table, write_outputs
-from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from fusion.offline.fuse import FusionResult
+from fusion.outputs import exports
+from fusion.outputs import foxglove as fox
+from fusion.outputs.exports import EXPORT_FILES, Format, Frame, check_formats, write_exports
+from fusion.outputs.folder import read_table, write_outputs
+from fusion.result.conventions import COLUMNS, describe, summary_in_frame, table_in_frame
 from vision import Camera, InputError
 from vision.measurement import FrameMeasurement, LineClass, Reason
 

@@ -12,12 +12,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from fusion.config import FusionConfig
-from fusion.estimator import CorridorEstimator
-from fusion.offline import Recorder
-from fusion.state import Estimate
-from fusion.tables import ESTIMATE_DTYPE, Table
-from fusion.timeline import Kind
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.state import Estimate
+from fusion.estimator.tables import ESTIMATE_DTYPE, Table
+from fusion.estimator.timeline import Kind
+from fusion.offline.fuse import Recorder
 from tests.fusion.simulated import Scene, Simulated, config_for, give, plus, simulate, turning, weaving, wrap
 from vision.errors import InputError
 

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion import cli
+from fusion.cli import app as cli
 from fusion.flight import AttitudeStream, FrameStream, ImuStream, VectorStream
 from fusion.inspection.advice import Matter
 from fusion.inspection.imu import inspect_imu
@@ -26,7 +26,7 @@ from fusion.inspection.text import inspection_text, inspection_values
 from fusion.inspection.times import share_covered, time_stream
 from fusion.logs import load_flight
 from fusion.logs.contents import Kind, Topic
-from fusion.outputs import summary_json
+from fusion.outputs.folder import summary_json
 from vision import Camera, InputError
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fusion.logs import dataflash
+from fusion.logs.autopilot import dataflash
 from fusion.logs.contents import Kind
 from tests.fusion import damage
 from vision import InputError

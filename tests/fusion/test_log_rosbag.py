@@ -13,14 +13,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fusion.flight import Flight
-from fusion.logs import load_flight, rosbag
+from fusion.logs import load_flight
 from fusion.logs.contents import Kind
-from fusion.logs.rosbag_frames import StaticFrames
-from fusion.logs.rosbag_messages import camera_from_info
-from fusion.logs.rosbag_pictures import grey
+from fusion.logs.rosbag import bag as rosbag
+from fusion.logs.rosbag.frames import StaticFrames
+from fusion.logs.rosbag.messages import camera_from_info
+from fusion.logs.rosbag.pictures import grey
 from tests.fusion import damage
 from vision import InputError
-from vision.camera import Distortion
+from vision.cameras.camera import Distortion
 from vision.images import read_image, to_grey
 
 pytest.importorskip("rosbags")

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from fusion.flight import AttitudeStream, VectorStream
-from fusion.logs import rosbag, tlog, ulog
+from fusion.logs.autopilot import tlog, ulog
+from fusion.logs.rosbag import bag as rosbag
 from fusion.logs.series import (
     LATEST_NS,
     Where,

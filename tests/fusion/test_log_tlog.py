@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion.logs import tlog
+from fusion.logs.autopilot import tlog
 from fusion.logs.contents import Kind
 from tests.fusion import damage
 from vision import InputError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fusion.logs import ulog
+from fusion.logs.autopilot import ulog
 from fusion.logs.contents import Kind
 from tests.fusion import damage
 from vision import InputError

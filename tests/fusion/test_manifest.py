@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.logs.column_map import READY_MAPS
-from fusion.logs.manifest import (
+from fusion.logs.csv.column_map import READY_MAPS
+from fusion.logs.manifest.manifest import (
     CameraSource,
     Manifest,
     corrected_camera,

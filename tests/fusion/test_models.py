@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from fusion.models import (
+from fusion.estimator.models import (
     PSI,
     ProcessNoise,
     Y,

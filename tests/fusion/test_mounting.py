@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from fusion import cli
+from fusion.cli import app as cli
 from fusion.flight import AttitudeStream, ImuStream
 from fusion.logs import load_flight, open_log
-from fusion.logs.findings import Advice
-from fusion.logs.mounting import mounted_attitude, mounted_imu, rotation
-from fusion.logs.plausibility import Streams, examine_streams
+from fusion.logs.plausibility.findings import Advice
+from fusion.logs.plausibility.flight import Streams, examine_streams
+from fusion.logs.plausibility.mounting import mounted_attitude, mounted_imu, rotation
 from vision import InputError
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from fusion import FusionConfig, FusionResult, fuse_flight, load_flight
+from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from fusion.flight import AttitudeStream, Flight, FrameStream, ImuStream
-from fusion.logs.pictures import PictureFiles
-from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from fusion.logs.pictures.camera_folder import PictureFiles
 from vision.errors import InputError
 
 ROOT = Path(__file__).parents[2]
@@ -200,7 +200,7 @@ def test_a_corridor_begins_in_the_smoothed_table_where_the_vehicle_turned(
 ) -> None:
     """A simulated turn of 90 degrees through the whole offline path, with measurements in place of pictures."""
     from tests.fusion.simulated import Scene, simulate, turning
-    from vision import camera as camera_module
+    from vision.cameras import camera as camera_module
 
     angle = radians(90)
     scene = Scene(
@@ -227,9 +227,9 @@ def test_a_corridor_begins_in_the_smoothed_table_where_the_vehicle_turned(
             scene.gyro_bias_walk,
         ),
     )
-    from fusion.estimator import CorridorEstimator
+    from fusion.estimator.estimator import CorridorEstimator
 
-    monkeypatch.setattr("fusion.logs.pictures.read_image", lambda path: path)
+    monkeypatch.setattr("fusion.logs.pictures.camera_folder.read_image", lambda path: path)
     monkeypatch.setattr(
         CorridorEstimator,
         "add_frame",

@@ -1,4 +1,4 @@
-"""What `fusion.outputs` leaves on disk, and what it leaves alone."""
+"""What `fusion.outputs.folder` leaves on disk, and what it leaves alone."""
 
 from __future__ import annotations
 
@@ -14,9 +14,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fusion.report
-from fusion import outputs
-from fusion.outputs import OUTPUT_FILES, check_out_dir, read_table, write_outputs, write_summary, write_table
-from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from fusion.outputs import folder as outputs
+from fusion.outputs.folder import (
+    OUTPUT_FILES,
+    check_out_dir,
+    read_table,
+    write_outputs,
+    write_summary,
+    write_table,
+)
 from vision import InputError
 
 

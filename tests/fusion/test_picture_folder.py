@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fusion.logs import open_log
-from fusion.logs.column_map import ColumnMap
-from fusion.logs.folder import TOPIC, open_folder, recognises
+from fusion.logs.csv.column_map import ColumnMap
+from fusion.logs.pictures.picture_folder import TOPIC, open_folder, recognises
 from vision import InputError
 
 T0 = 1_600_001_000_000_000_000

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 
 from fusion.flight import AttitudeStream, Flight, ImuStream, VectorStream
 from fusion.logs import load_flight
-from fusion.logs.findings import Advice, Severity
-from fusion.logs.mounting import rotation
-from fusion.logs.plausibility import check_flight, examine_attitude, examine_flight
-from fusion.logs.plausible_clocks import examine_clocks
-from fusion.logs.plausible_imu import examine_imu
-from fusion.logs.turn_rates import compare_turns, turn_between
+from fusion.logs.plausibility.clocks import examine_clocks
+from fusion.logs.plausibility.findings import Advice, Severity
+from fusion.logs.plausibility.flight import check_flight, examine_attitude, examine_flight
+from fusion.logs.plausibility.imu import examine_imu
+from fusion.logs.plausibility.mounting import rotation
+from fusion.logs.plausibility.turn_rates import compare_turns, turn_between
 from fusion.simulate.config import AttitudeConfig, ImuConfig, MotionConfig
 from fusion.simulate.motion import plan_flight
 from fusion.simulate.plan import floor_plan

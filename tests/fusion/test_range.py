@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion import fuse_flight, load_flight
-from fusion.config import FusionConfig
-from fusion.estimator import CorridorEstimator
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.range_width import Heights, Widths, height_at, with_range, with_width
+from fusion.estimator.timeline import Entry
 from fusion.flight import Flight, RangeStream
-from fusion.height import Heights, Widths, height_at, with_range, with_width
 from fusion.logs.asl import read_ground_truth
-from fusion.timeline import Entry
 from tests.fusion.simulated import frame, quaternion
 
 OFFICE = Path(__file__).resolve().parents[2] / "data" / "office"

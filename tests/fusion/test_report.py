@@ -8,18 +8,18 @@ import cv2
 import numpy as np
 import pytest
 
-from fusion.config import FusionConfig
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from fusion.evaluation.checks import run_checks
+from fusion.evaluation.checks_input import yaw_steps
+from fusion.evaluation.verdict import Level, overall
 from fusion.flight import AttitudeStream, CorridorTruth, Flight, FrameStream, ImuStream
-from fusion.logs.pictures import PictureFiles
-from fusion.replay import attitude_at
+from fusion.logs.pictures.camera_folder import PictureFiles
 from fusion.report import write_report
-from fusion.report.checks import run_checks
-from fusion.report.checks_of_input import yaw_steps
 from fusion.report.plots import aligned_imu_yaw
+from fusion.report.remeasure import attitude_at
 from fusion.report.series import band_envelope, broken, envelope, runs, thin_points
 from fusion.report.strip import choose_frames, show_frames
-from fusion.report.verdict import Level, overall
-from fusion.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from vision import Camera, InputError
 
 T0_NS = 1_600_000_000_000_000_000

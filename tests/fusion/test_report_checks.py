@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion.config import FusionConfig
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.tables import FRAME_DTYPE
+from fusion.evaluation.checks import run_checks
+from fusion.evaluation.verdict import Check, Level, worst_first, worst_of
 from fusion.flight import FrameStream, ImuStream
-from fusion.report.checks import run_checks
 from fusion.report.page import _with_code
-from fusion.report.verdict import Check, Level, worst_first, worst_of
-from fusion.tables import FRAME_DTYPE
 from tests.fusion.test_report import change, make_flight, table_with
 
 T0_NS = 1_600_000_000_000_000_000

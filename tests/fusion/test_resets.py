@@ -7,9 +7,9 @@ from math import degrees, isnan, radians
 import numpy as np
 import pytest
 
-from fusion.config import FusionConfig
-from fusion.estimator import CorridorEstimator
-from fusion.tables import ESTIMATE_DTYPE
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.tables import ESTIMATE_DTYPE
 from tests.fusion.simulated import Scene, frame, give, plus, simulate, turning, weaving, wrap
 
 MS = 1_000_000

@@ -21,7 +21,7 @@ from fusion.simulate.plan import Room, floor_plan, outline
 from fusion.simulate.scene_config import JunctionConfig, SceneConfig
 from fusion.simulate.sensors import read_attitude, read_imu, read_range, sample_times
 from vision import Camera, InputError
-from vision.camera import Distortion
+from vision.cameras.camera import Distortion
 
 SMALL: dict[str, Any] = {
     "seed": 4,

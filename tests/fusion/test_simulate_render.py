@@ -24,7 +24,7 @@ from fusion.simulate.scene import build_scene
 from fusion.simulate.scene_config import SceneConfig
 from fusion.simulate.textures import texture_set
 from vision import Camera
-from vision.camera import Distortion
+from vision.cameras.camera import Distortion
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.ekf import CorridorEKF
-from fusion.models import ScalarMeasurement
-from fusion.propagation import Node
-from fusion.smoother import Steps, rts
+from fusion.estimator.ekf import CorridorEKF
+from fusion.estimator.models import ScalarMeasurement
+from fusion.estimator.propagation import Node
+from fusion.estimator.smoother import Steps, rts
 
 
 def linear_problem(seed: int, n: int = 12):

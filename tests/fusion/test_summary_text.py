@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion.measure_images import IMAGE_DTYPE
-from fusion.summary_text import fusion_text, measured_text
+from fusion.offline.summary_text import fusion_text, measured_text
+from fusion.pictures.measure import IMAGE_DTYPE
 
 
 def quantity(unit: str, rmse: float | None) -> dict[str, Any]:

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion.tilt import COMPLEMENTARY_STD_RAD, LEVEL_STD_RAD, Tilt, attitude_at, from_quaternion, with_imu
+from fusion.estimator.tilt import (
+    COMPLEMENTARY_STD_RAD,
+    LEVEL_STD_RAD,
+    Tilt,
+    attitude_at,
+    from_quaternion,
+    with_imu,
+)
 from tests.fusion.simulated import quaternion, weaving
 from vision.measurement import Attitude
 

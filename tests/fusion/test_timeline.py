@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.config import FusionConfig
-from fusion.estimator import CorridorEstimator
-from fusion.timeline import Entry, Kind
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.timeline import Entry, Kind
 from tests.fusion.simulated import Sample, Scene, frame, give, plus, simulate, turning, weaving
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 

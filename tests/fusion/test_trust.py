@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion.trust import Trust, as_if_independent, correlation, genuine, learn, weakened
+from fusion.estimator.noise_adaptation import Trust, as_if_independent, correlation, genuine, learn, weakened
 
 
 @given(st.floats(0.0, 1.0), st.floats(1e-6, 1.0), st.floats(0.02, 0.7))

@@ -14,7 +14,7 @@ import pytest
 
 from fusion.flight import FrameStream
 from fusion.logs import load_flight, open_log
-from fusion.logs.video import VideoLog, open_video, recognises
+from fusion.logs.pictures.video import VideoLog, open_video, recognises
 from vision import InputError
 from vision.images import GreyImage
 
@@ -133,7 +133,7 @@ def test_any_order_gives_the_same_pictures(pictures: list[GreyImage], tmp_path: 
 def test_reading_on_does_not_seek(mp4: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = frames_of(open_log(mp4))
     opened: list[Path] = []
-    from fusion.logs import video
+    from fusion.logs.pictures import video
 
     real = video.open_container
     monkeypatch.setattr(video, "open_container", lambda path: (opened.append(path), real(path))[1])

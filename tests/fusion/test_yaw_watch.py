@@ -5,7 +5,7 @@ from math import radians
 import numpy as np
 import pytest
 
-from fusion.yaw_watch import (
+from fusion.estimator.imu_yaw_check import (
     Trace,
     YawWatch,
     is_calm,

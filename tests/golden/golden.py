@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from fusion import Flight, FusionConfig, load_flight
-from fusion.engine import FrameResult
-from fusion.estimator import CorridorEstimator
-from fusion.offline import Recorder
-from fusion.tables import ESTIMATE_DTYPE, Table
-from fusion.timeline import Entry, Kind
+from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.frame_update import FrameResult
+from fusion.estimator.tables import ESTIMATE_DTYPE, Table
+from fusion.estimator.timeline import Entry, Kind
+from fusion.offline.fuse import Recorder
 from vision.measurement import FrameMeasurement, Position, Reason
 
 HERE = Path(__file__).resolve().parent

@@ -12,8 +12,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vision import Camera
-from vision.edges import N_LINE
-from vision.lines import LineSet, _line_set, _Traced
+from vision.lines.edges import N_LINE
+from vision.lines.segments import LineSet, _line_set, _Traced
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import numpy.typing as npt
 import pytest
 
 from vision import Camera, InputError
-from vision.calibration import read_body_frame, read_yaml
-from vision.camera import BodyFrame, Distortion
+from vision.cameras.calibration import read_body_frame, read_yaml
+from vision.cameras.camera import BodyFrame, Distortion
 
 ROOT = Path(__file__).resolve().parents[2]
 OFFICE = ROOT / "data" / "office" / "mav0" / "cam0" / "sensor.yaml"

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vision import Camera, InputError
-from vision.calibration import ImuNoise, read_imu_noise, read_time_shift_s
-from vision.camera import Distortion
+from vision.cameras.calibration import ImuNoise, read_imu_noise, read_time_shift_s
+from vision.cameras.camera import Distortion
 
 ROOT = Path(__file__).resolve().parents[2]
 FORWARD = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]

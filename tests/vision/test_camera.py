@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vision.camera import Camera, Distortion
+from vision.cameras.camera import Camera, Distortion
+from vision.cameras.lens import Equidistant, RadialTangential
 from vision.errors import InputError
-from vision.lens import Equidistant, RadialTangential
 
 FloatArray = npt.NDArray[np.float64]
 

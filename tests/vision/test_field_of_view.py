@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from fusion.simulate import random_views
 from vision import Camera, InputError, measure_lines
-from vision.field_of_view import (
+from vision.axis.field_of_view import (
     MAX_PICTURES,
     FieldOfView,
     estimate_field_of_view,
@@ -24,8 +24,8 @@ from vision.field_of_view import (
     lines_of,
     ordinary_field_of_view,
 )
-from vision.lines import LineSet, extract_lines
-from vision.right_angles import N_PARAMETERS, _point_axes, _solve, fit_right_angles, slack_std
+from vision.axis.right_angles import N_PARAMETERS, _point_axes, _solve, fit_right_angles, slack_std
+from vision.lines.segments import LineSet, extract_lines
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT.parent / "shared" / "images"

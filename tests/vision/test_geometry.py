@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from vision import Attitude, Camera, InputError, Position, Prior, Reason, measure_lines
-from vision.gravity import level_from_verticals
-from vision.vanishing_point import axis_direction, fit_axis
+from vision.axis.level import level_from_verticals
+from vision.axis.vanishing_point import axis_direction, fit_axis
 
 CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)
 PER_LINE = [

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from fusion.simulate.views import random_views
 from vision import Attitude, Camera, FrameMeasurement, Prior, measure_frame, measure_lines
-from vision.corner_pairs import N_PAIR
-from vision.lateral import WEIGHTS, _settle
+from vision.lateral.corner_pairs import N_PAIR
+from vision.lateral.offset import WEIGHTS, _settle
 
 CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

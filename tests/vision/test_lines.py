@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vision import Camera, InputError
-from vision.camera import Distortion
-from vision.lines import extract_lines, noise_and_blockiness
+from vision.cameras.camera import Distortion
+from vision.lines.segments import extract_lines, noise_and_blockiness
 
 CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)
 

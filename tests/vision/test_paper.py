@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vision import InputError, LineClass, Position, Reason
-from vision.paper import (
+from vision.paper.measure import (
     HEADING_ERROR_RMS_RAD,
     cluster_end_points,
     equation_8,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from vision.paper_lines import (
+from vision.paper.lines import (
     FittedLines,
     adjust_intensity,
     canny_high_threshold,

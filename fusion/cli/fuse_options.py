@@ -1,0 +1,89 @@
+"""What ``corridor fuse`` is to fuse: a flight, a manifest, a log, or files named one by one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from fusion.flight import Flight
+from vision.errors import InputError
+
+_EXAMPLES = "corridor fuse FLIGHT, or corridor fuse --imu LOG --video VIDEO --camera CAM.yaml"
+
+
+def flight_from_options(
+    flight: Path | None = None,
+    *,
+    imu: Path | None = None,
+    video: Path | None = None,
+    attitude: Path | None = None,
+    camera: Path | None = None,
+    clock_offset_s: float | None = None,
+) -> Flight:
+    """Load the flight that the options of ``corridor fuse`` name.
+
+    Parameters
+    ----------
+    flight
+        A flight's folder, a manifest or a log; what the others name takes the place of what it says.
+    imu
+        A log from which the IMU's samples come; without ``flight`` all that it holds but the pictures.
+    video
+        A video or a folder of pictures.
+    attitude
+        A log for the attitude alone.
+    camera
+        A calibration file.
+    clock_offset_s
+        Added to the pictures' times to give those of the rest.
+
+    Raises
+    ------
+    InputError
+        Where too little is named, or it cannot be read.
+    """
+    from fusion.logs import load_flight, load_manifest
+    from fusion.logs.manifest.manifest import find_manifest, make_manifest, read_manifest
+
+    named = {"--imu": imu, "--video": video, "--attitude": attitude, "--camera": camera, "FLIGHT": flight}
+    for option, path in named.items():
+        if path is not None and not path.exists():
+            raise InputError(
+                f"there is no such file or folder ({option})", file=path, remedy="check the path"
+            )
+    if imu is None and video is None and attitude is None and clock_offset_s is None:
+        if flight is None:
+            raise InputError("no flight is named", remedy=_EXAMPLES)
+        return load_flight(flight, camera=camera)
+    if flight is None and video is None:
+        raise InputError("no pictures are named", remedy=_EXAMPLES)
+    described = None if flight is None else find_manifest(flight)
+    values: dict[str, Any] = {}
+    if described is not None:
+        values = read_manifest(described).model_dump(exclude_defaults=True)
+        values.setdefault("name", described.absolute().parent.name)
+    elif flight is not None:
+        values["log"] = flight
+    elif video is not None:
+        values["name"] = video.name if video.is_dir() else video.stem
+    _put(values, "camera", {"file": video, "calibration": camera})
+    if clock_offset_s is not None:
+        values.setdefault("camera", {})["clock_offset_s"] = float(clock_offset_s)
+    if flight is None and imu is not None:
+        values["log"] = imu
+    else:
+        _put(values, "imu", {"file": imu})
+    _put(values, "attitude", {"file": attitude})
+    return load_manifest(make_manifest(values), path=flight or video)
+
+
+def _put(values: dict[str, Any], table: str, new: dict[str, Path | None]) -> None:
+    """Set a stream's new file; what the manifest said of the old one, its topic and columns, goes with it."""
+    given = {key: path.absolute() for key, path in new.items() if path is not None}
+    if not given:
+        return
+    before = dict(values.get(table, {}))
+    if "file" in given:
+        for key in ("topic", "columns", "frame", "times", "start_ns", "clock_offset_s"):
+            before.pop(key, None)
+    values[table] = before | given

@@ -1,0 +1,288 @@
+"""How late the frames are stamped, found out in flight from how they disagree with the gyroscope in turns.
+
+A frame stamped late by d more than is configured shows the heading of d ago, so while the vehicle turns its heading
+lags. The filter takes that lag for an error of the heading and follows it; what is left in its innovations grows with
+changes of the rate. To take the rate that the gyroscope measures for a known regressor is wrong: its noise is in the
+heading's error too, and their product passes for a delay. So the delay is no state of the Kalman filter but estimated
+beside it, by an instrumental variable (T. Soderstrom, P. Stoica, "Comparison of some instrumental variable methods",
+Automatica 17, 1981):
+
+- A Kalman filter of the corridor's axis in the dead-reckoned frame and of the gyroscope's bias, which makes it drift,
+  gives the innovations i of the frames and, by the sensitivity of its state, their derivative G by the delay.
+- The instrument w is a change of the rate from a tenth of a second after the frame onwards. Its noise is neither in
+  i nor in G, so the mean of w i is the mean of w G times the delay, whatever the noise.
+- With e = sum(w i / S), g = sum(w G / S) and v = sum(w^2 / S), S the innovations' variance, e is g d with variance
+  v. Together with what the configuration says of d, that gives mean and variance. Without turning, w and G are noise
+  that has nothing in common: g stays small against the root of v, and the variance as wide as it was.
+
+What the error of the delay does to the filter's heading is followed (the sensitivity of the two-stage filter of B.
+Friedland, "Treatment of bias in recursive filtering", IEEE Transactions on Automatic Control 14, 1969) and counts in
+its sigma; when the estimate of the delay changes, the heading changes with it.
+
+A frame counts half a second after it was taken, when the rates are known; a camera of less than five frames a second
+may tell nothing. It takes changes of the rate: a turn of constant rate looks like another heading. The rate is taken
+as constant over the delay, about its middle, which is good for errors of some 50 ms. Of the frame only its heading is
+brought to the right time; the roll and pitch that it was measured with stay those of its stamp.
+"""
+
+from __future__ import annotations
+
+from math import hypot, nan, sqrt
+from typing import NamedTuple
+
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.models import wrap_axis
+from fusion.estimator.noise_adaptation import as_if_independent, correlation
+
+MAX_LATE_S = 0.1
+STEP_NS = 20_000_000
+RATE_NS = 100_000_000  # window of the rate about a frame
+RECENT_NS = 40_000_000  # window of the rate where none is known ahead
+GUARD_NS = 100_000_000  # from a frame to its instrument: beyond the rate's window, whatever the delay
+PART_NS = 200_000_000  # each of the instrument's two windows
+LEVEL = 0.3  # of the instrument: share of the rate beside its change
+LAG_NS = GUARD_NS + 2 * PART_NS
+BEHIND_NS = (RATE_NS + round(MAX_LATE_S * 1e9)) // 2
+KEPT_NS = LAG_NS + BEHIND_NS + 200_000_000
+
+
+class Turned(NamedTuple):
+    """Heading dead-reckoned by the gyroscope, its bias included."""
+
+    t_ns: int
+    theta_rad: float
+
+
+class Seen(NamedTuple):
+    """A frame's heading and its variance; ``epoch`` changes where the axis does."""
+
+    t_ns: int
+    heading_rad: float
+    variance: float
+    epoch: int
+
+
+class AxisNoise(NamedTuple):
+    """Densities of the gyroscope and of its bias's walk, the bias's sigma, and the frames' correlation time."""
+
+    gyro: float
+    bias_std_rad_s: float
+    bias_walk: float
+    correlation_s: float
+
+
+class Axis(NamedTuple):
+    """A Kalman filter of the corridor's axis as the gyroscope, with its bias, makes it drift.
+
+    Parameters
+    ----------
+    angle_rad, bias_rad_s
+        State; the axis drifts by the bias.
+    P
+        Covariance: axis, axis with bias, bias.
+    per_s
+        Derivatives (2,) of the state by the camera's delay.
+    """
+
+    angle_rad: float
+    bias_rad_s: float
+    P: tuple[float, float, float]
+    per_s: tuple[float, float]
+
+    def predicted(self, dt_s: float, noise: AxisNoise) -> Axis:
+        """Move on by ``dt_s``."""
+        a, c, b = self.P
+        walk = noise.bias_walk**2 * dt_s
+        P = (
+            a + 2.0 * dt_s * c + dt_s * dt_s * b + noise.gyro**2 * dt_s + walk * dt_s * dt_s / 3.0,
+            c + dt_s * b + walk * dt_s / 2.0,
+            b + walk,
+        )
+        angle, bias = self.per_s
+        return Axis(self.angle_rad + self.bias_rad_s * dt_s, self.bias_rad_s, P, (angle + bias * dt_s, bias))
+
+    def updated(self, innovation_rad: float, innovation_per_s: float, variance: float) -> Axis:
+        """Take in an innovation, with its derivative by the delay."""
+        a, c, b = self.P
+        k, j = a / (a + variance), c / (a + variance)
+        angle, bias = self.per_s
+        return Axis(
+            self.angle_rad + k * innovation_rad,
+            self.bias_rad_s + j * innovation_rad,
+            ((1.0 - k) * a, (1.0 - k) * c, b - j * c),
+            (angle + k * innovation_per_s, bias + j * innovation_per_s),
+        )
+
+
+class Effect(NamedTuple):
+    """How the main filter's heading and gyroscope bias at a time change by the delay; ``epoch`` as for frames."""
+
+    t_ns: int
+    heading_per_s: float
+    bias_per_s: float
+    epoch: int
+
+
+class Delay(NamedTuple):
+    """What is known of the delay; immutable.
+
+    Parameters
+    ----------
+    std_s
+        As configured.
+    bounds_s
+        Of the delay beyond the configured one: no frame is stamped before its exposure or leaves the buffer.
+    turns, waiting
+        Of the last moments: dead reckoning, and the frames whose rates are not all known yet.
+    last
+        Frame taken in last; None where the axis starts anew.
+    axis
+        As the frames taken in show it.
+    evidence, gain, spread
+        e, g and v.
+    effect
+        On the main filter; None while that has no heading.
+    """
+
+    std_s: float
+    bounds_s: tuple[float, float] = (-MAX_LATE_S, MAX_LATE_S)
+    turns: tuple[Turned, ...] = ()
+    waiting: tuple[Seen, ...] = ()
+    last: Seen | None = None
+    axis: Axis | None = None
+    evidence: float = 0.0
+    gain: float = 0.0
+    spread: float = 0.0
+    effect: Effect | None = None
+
+    @property
+    def late_s(self) -> float:
+        """Delay beyond the configured one."""
+        prior = self.std_s**2
+        gain = max(self.gain, 0.0)
+        late = (
+            prior * gain * self.evidence / (prior * gain * gain + self.spread) if self.spread > 0.0 else 0.0
+        )
+        return min(max(late, self.bounds_s[0]), self.bounds_s[1])
+
+    @property
+    def variance(self) -> float:
+        """Variance of `late_s`, s^2."""
+        prior = self.std_s**2
+        gain = max(self.gain, 0.0)
+        return prior * self.spread / (prior * gain * gain + self.spread) if self.spread > 0.0 else prior
+
+    def heading_per_s(self, t_ns: int) -> float:
+        """How the main filter's heading at a time changes by the delay, rad/s."""
+        if self.effect is None:
+            return 0.0
+        return self.effect.heading_per_s - self.effect.bias_per_s * (t_ns - self.effect.t_ns) * 1e-9
+
+    def interrupted(self) -> Delay:
+        """Start anew with axis and turns; what is known of the delay stays."""
+        return self._replace(turns=(), waiting=(), last=None, axis=None, effect=None)
+
+
+def unknown_delay(config: FusionConfig) -> Delay | None:
+    """Start with what the configuration says; None where it takes the delay as known."""
+    if config.camera_delay_std_s <= 0.0:
+        return None
+    told_s = config.camera_delay_s
+    bounds = (max(-told_s, -MAX_LATE_S), min(config.buffer_s - told_s, MAX_LATE_S))
+    return Delay(config.camera_delay_std_s, bounds)
+
+
+def camera_delay(delay: Delay | None, config: FusionConfig) -> tuple[float, float]:
+    """Return how late the frames are stamped, s, and its sigma; NaN for the sigma of what is taken as known."""
+    if delay is None:
+        return config.camera_delay_s, nan
+    return config.camera_delay_s + delay.late_s, sqrt(delay.variance)
+
+
+def spread_by_delay(heading_std_rad: float, delay: Delay | None, t_ns: int) -> float:
+    """Sigma of the heading at a time with what the delay's adds to that of a known delay."""
+    if delay is None:
+        return heading_std_rad
+    return hypot(heading_std_rad, delay.heading_per_s(t_ns) * sqrt(delay.variance))
+
+
+def with_turn(delay: Delay, t_ns: int, theta_rad: float) -> Delay:
+    """Add the newest of the dead reckoning; of three points within 20 ms the middle one makes way, as do old ones."""
+    turns = delay.turns
+    if len(turns) > 1 and t_ns - turns[-2].t_ns < STEP_NS:
+        turns = turns[:-1]
+    first = 1 if turns and t_ns - turns[0].t_ns > KEPT_NS else 0
+    return delay._replace(turns=(*turns[first:], Turned(t_ns, theta_rad)))
+
+
+def turned_at(turns: tuple[Turned, ...], t_ns: int) -> float:
+    """Angle at a time, between points on a straight line; held beyond the ends."""
+    after = turns[-1]
+    if t_ns >= after.t_ns:
+        return after.theta_rad
+    for before in reversed(turns):
+        if before.t_ns <= t_ns:
+            part = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
+            return before.theta_rad + part * (after.theta_rad - before.theta_rad)
+        after = before
+    return after.theta_rad
+
+
+def mean_rate(turns: tuple[Turned, ...], start_ns: int, end_ns: int) -> float:
+    """Mean rate between two times, rad/s."""
+    return (turned_at(turns, end_ns) - turned_at(turns, start_ns)) / ((end_ns - start_ns) * 1e-9)
+
+
+def turned_since(delay: Delay, t_ns: int, theta_rad: float) -> float:
+    """Angle turned since ``delay.late_s`` ago, now at ``theta_rad``; ahead, what the present rate promises."""
+    late_s = delay.late_s
+    if late_s > 0.0:
+        turns = (*delay.turns, Turned(t_ns, theta_rad))
+        return theta_rad - turned_at(turns, t_ns - round(late_s * 1e9))
+    return recent_rate(delay, t_ns, theta_rad) * late_s
+
+
+def recent_rate(delay: Delay, t_ns: int, theta_rad: float) -> float:
+    """Mean rate of the last moments."""
+    turns = (*delay.turns, Turned(t_ns, theta_rad))
+    return mean_rate(turns, max(t_ns - RECENT_NS, turns[0].t_ns), t_ns) if turns[0].t_ns < t_ns else 0.0
+
+
+def with_frame(delay: Delay, seen: Seen, noise: AxisNoise) -> Delay:
+    """Let a frame wait for its rates, and take in those that have them."""
+    delay = delay._replace(waiting=(*delay.waiting, seen))
+    while delay.waiting and delay.turns and delay.waiting[0].t_ns + LAG_NS <= delay.turns[-1].t_ns:
+        first = delay.waiting[0]
+        delay = delay._replace(waiting=delay.waiting[1:])
+        if first.t_ns - BEHIND_NS >= delay.turns[0].t_ns:
+            delay = _taken_in(delay, first, noise)
+    return delay
+
+
+def _taken_in(delay: Delay, seen: Seen, noise: AxisNoise) -> Delay:
+    turns, t_ns = delay.turns, seen.t_ns
+    middle_ns = t_ns - round(0.5e9 * delay.late_s)
+    rate = mean_rate(turns, middle_ns - RATE_NS // 2, middle_ns + RATE_NS // 2)
+    measured = turned_at(turns, t_ns) - seen.heading_rad
+    axis, last = delay.axis, delay.last
+    if axis is None or last is None:
+        started = Axis(measured, 0.0, (seen.variance, 0.0, noise.bias_std_rad_s**2), (rate, 0.0))
+        return delay._replace(last=seen, axis=started)
+    rate -= axis.bias_rad_s
+    if last.epoch != seen.epoch:
+        started = Axis(measured, axis.bias_rad_s, (seen.variance, 0.0, axis.P[2]), (rate, axis.per_s[1]))
+        return delay._replace(last=seen, axis=started)
+    axis = axis.predicted((t_ns - last.t_ns) * 1e-9, noise)
+    variance = as_if_independent(seen.variance, axis.P[0], correlation(t_ns, last.t_ns, noise.correlation_s))
+    innovation, by_delay, S = wrap_axis(measured - axis.angle_rad), rate - axis.per_s[0], axis.P[0] + variance
+    start_ns = t_ns + GUARD_NS
+    near = mean_rate(turns, start_ns, start_ns + PART_NS) - axis.bias_rad_s
+    far = mean_rate(turns, start_ns + PART_NS, start_ns + 2 * PART_NS) - axis.bias_rad_s
+    instrument = far - near + LEVEL * near
+    return delay._replace(
+        last=seen,
+        axis=axis.updated(innovation, by_delay, variance),
+        evidence=delay.evidence + instrument * innovation / S,
+        gain=delay.gain + instrument * by_delay / S,
+        spread=delay.spread + instrument * instrument / S,
+    )

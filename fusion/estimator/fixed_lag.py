@@ -1,0 +1,92 @@
+"""The smoother in flight: the estimate of a moment ago, with what has been measured since."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import chain
+
+import numpy as np
+
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.propagation import Node
+from fusion.estimator.smoothed_table import estimate_row, smoothed_table
+from fusion.estimator.smoother import Steps
+from fusion.estimator.state import Estimate, State, describe
+from fusion.estimator.tables import ESTIMATE_DTYPE
+from fusion.estimator.timeline import Entry, Kind
+
+_NO_ROWS = (Kind.VELOCITY, Kind.RANGE)  # they carry nothing from one time to the next
+
+
+class FixedLag:
+    """Samples that have left the timeline's buffer but not yet the lag.
+
+    Parameters
+    ----------
+    lag_ns
+        How far back the estimate is wanted.
+    config
+        Settings.
+    """
+
+    def __init__(self, lag_ns: int, config: FusionConfig) -> None:
+        self.lag_ns = lag_ns
+        self.config = config
+        self._passed: deque[Entry] = deque()
+
+    def keep(self, entry: Entry) -> None:
+        """Take an entry that has left the buffer, in order of time."""
+        passed = self._passed
+        passed.append(entry)
+        while passed[0].t_ns < entry.t_ns - self.lag_ns and passed[1].t_ns <= entry.t_ns - self.lag_ns:
+            passed.popleft()
+
+    def clear(self) -> None:
+        """Forget everything: the samples' clock was set back."""
+        self._passed.clear()
+
+    def smoothed(self, buffer: Sequence[Entry]) -> Estimate:
+        """Smooth over the lag's window: the passed entries and those in the buffer.
+
+        The window's steps go through the same backward pass as a whole flight, so the result is what the offline
+        smoother would say had the flight ended now.
+        """
+        entries = [*self._passed, *buffer]
+        if not entries:
+            return Estimate(0, reason="no sample yet")
+        wanted_ns = entries[-1].t_ns - self.lag_ns
+        window = entries[max(bisect_right(entries, wanted_ns, key=lambda e: e.t_ns) - 1, 0) :]
+        target, newest = _state(window[0]), _state(window[-1])
+        whole = target.corridor_index != newest.corridor_index or target.reset_count != newest.reset_count
+        instants = list(_instants(window)) if whole else [0, len(window) - 1]
+        rows = [describe(_state(window[i]), self.config) for i in instants]
+        table = np.array([estimate_row(row) for row in rows], dtype=ESTIMATE_DTYPE)
+        steps = Steps()
+        steps.add([Node(window[0].t_ns, None, target.x, target.P, target.x, target.P)])
+        steps.add(chain.from_iterable(entry.nodes for entry in window[1:]))
+        ends = np.cumsum([0, *(len(entry.nodes) for entry in window[1:])])
+        row = smoothed_table(table, ends[instants], steps, self.config)[0]
+        return replace(rows[0], **dict(zip(ESTIMATE_DTYPE.names or (), row.item(), strict=True)))
+
+
+def _state(entry: Entry) -> State:
+    if entry.after is None:
+        raise RuntimeError("an entry of the buffer has not been run")
+    return entry.after
+
+
+def _instants(window: Sequence[Entry]) -> Iterator[int]:
+    """Places of the rows that the offline table would have: the first, then the last entry of each sample's time."""
+    kind = min((entry.kind for entry in window if entry.kind not in _NO_ROWS), default=Kind.IMU)
+    yield 0
+    is_row = False
+    for i, entry in enumerate(window[1:], 1):
+        is_row |= entry.kind is kind
+        last = i == len(window) - 1 or window[i + 1].t_ns > entry.t_ns
+        if last:
+            if is_row:
+                yield i
+            is_row = False

@@ -1,0 +1,191 @@
+"""Does the IMU's yaw know anything that the gyroscope does not? Vision can tell, in flight.
+
+An attitude filter's yaw mostly repeats the gyroscope that carries the heading anyway; believed as independent, it
+makes the filter too sure and worse. A yaw of its own (a good compass, a second gyroscope) is worth having where
+vision is blind. The two are told apart by their errors: over a few seconds, frames show by how much the dead-reckoned
+heading and the IMU's yaw have each gone astray. If they stray together, they come from one sensor.
+
+A yaw that is worth having may still be pulled away by steel or a motor's current, at once or over seconds. Then it
+parts from the gyroscope faster than both their noises allow; what it did to the heading meanwhile is taken back, and
+it is left alone until the two agree again.
+"""
+
+from __future__ import annotations
+
+from math import radians, sqrt
+from typing import NamedTuple
+
+from fusion.estimator.models import wrap, wrap_axis
+
+BLOCK_NS = 500_000_000
+MIN_FRAMES = 3  # of a block
+MIN_SPAN_S, MAX_SPAN_S = 2.0, 8.0
+STEP_RAD = radians(4)  # more than that over a span is a disturbance, not wander
+MEMORY = 40.0  # spans
+MIN_SPANS = 8.0
+MAX_SHARED = 0.5  # part of the gyroscope's wander that the IMU's yaw may repeat
+MAX_WANDER = 1.5  # of the IMU's yaw, over what the configuration takes it for
+TRACE_NS = 3_000_000_000  # how far back yaw and gyroscope are compared
+TRACE_STEP_NS = 100_000_000
+CALM_NS = 2_000_000_000
+DISTURBED_SIGMA = 4.5  # less, and the many comparisons would find chance
+
+
+class Block(NamedTuple):
+    """Frames of half a second: when, heading minus dead reckoning and minus IMU yaw, variance of both means."""
+
+    t_ns: int
+    gyro_rad: float
+    yaw_rad: float
+    variance: float
+
+
+class YawWatch(NamedTuple):
+    """What the frames have shown so far; variances are per second, rad^2/s.
+
+    Parameters
+    ----------
+    first, n, sums
+        The block being filled: its first frame, how many, and sums of differences to the first and of variances.
+    reference
+        The block that the next is compared with.
+    spans
+        How many comparisons have been made, as far as they are remembered.
+    gyro, yaw, shared
+        Wander of the dead-reckoned heading, of the IMU's yaw, and what they have in common.
+    """
+
+    first: Block | None = None
+    n: int = 0
+    sums: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    reference: Block | None = None
+    spans: float = 0.0
+    gyro: float = 0.0
+    yaw: float = 0.0
+    shared: float = 0.0
+
+    def interrupted(self) -> YawWatch:
+        """Return the watch with the running comparison dropped: the axis has changed."""
+        return self._replace(first=None, reference=None)
+
+
+def watch(w: YawWatch, t_ns: int, gyro_rad: float, yaw_rad: float, variance: float) -> YawWatch:
+    """Take in a frame that the filter accepted.
+
+    Parameters
+    ----------
+    gyro_rad, yaw_rad
+        The frame's heading minus the dead-reckoned heading, and minus the IMU's yaw at the frame's time.
+    variance
+        Of the frame's heading.
+    """
+    if w.first is not None and t_ns - w.first.t_ns >= BLOCK_NS:
+        if w.n >= MIN_FRAMES:
+            w = _compare(w, _mean(w.first, w))
+        w = w._replace(first=None)
+    if w.first is None:
+        return w._replace(first=Block(t_ns, gyro_rad, yaw_rad, variance), n=1, sums=(0.0, 0.0, variance))
+    g, y, v = w.sums
+    sums = (
+        g + wrap_axis(gyro_rad - w.first.gyro_rad),
+        y + wrap_axis(yaw_rad - w.first.yaw_rad),
+        v + variance,
+    )
+    return w._replace(n=w.n + 1, sums=sums)
+
+
+def _mean(first: Block, w: YawWatch) -> Block:
+    g, y, v = w.sums
+    return Block(first.t_ns, first.gyro_rad + g / w.n, first.yaw_rad + y / w.n, v / w.n**2)
+
+
+def _compare(w: YawWatch, block: Block) -> YawWatch:
+    old = w.reference
+    if old is None:
+        return w._replace(reference=block)
+    span_s = (block.t_ns - old.t_ns) * 1e-9
+    if span_s < MIN_SPAN_S:
+        return w
+    g, y = wrap_axis(block.gyro_rad - old.gyro_rad), wrap_axis(block.yaw_rad - old.yaw_rad)
+    if span_s > MAX_SPAN_S or max(abs(g), abs(y)) > STEP_RAD:
+        return w._replace(reference=block)
+    noise = block.variance + old.variance  # the frames' own errors are in both differences
+    spans = min(w.spans + 1.0, MEMORY)
+
+    def toward(old_value: float, product: float) -> float:
+        return old_value + ((product - noise) / span_s - old_value) / spans
+
+    return w._replace(
+        reference=block,
+        spans=spans,
+        gyro=toward(w.gyro, g * g),
+        yaw=toward(w.yaw, y * y),
+        shared=toward(w.shared, g * y),
+    )
+
+
+def is_independent(w: YawWatch, gyro_density: float, yaw_density: float) -> bool:
+    """Whether the IMU's yaw strays on its own, and no more than ``yaw_density`` (rad/sqrt(s)) allows.
+
+    ``gyro_density`` is the gyroscope's noise as configured, rad/sqrt(s).
+    """
+    if w.spans < MIN_SPANS:
+        return False
+    error = sqrt(max(w.gyro, 0.0) * max(w.yaw, 0.0) / w.spans)  # of the common part, where there is none
+    return w.shared + error < MAX_SHARED * gyro_density**2 and w.yaw < (MAX_WANDER * yaw_density) ** 2
+
+
+class Trace(NamedTuple):
+    """IMU yaw and filter's heading at one time, less the turns that the gyroscope has measured; bias and variance."""
+
+    t_ns: int
+    yaw_rad: float
+    heading_rad: float
+    bias_rad_s: float
+    bias_variance: float
+
+
+class Parting(NamedTuple):
+    """How far heading and bias have come, since ``since_ns``, from where the gyroscope alone would have them."""
+
+    since_ns: int
+    heading_rad: float
+    bias_rad_s: float
+
+
+def parted(
+    traces: tuple[Trace, ...], now: Trace, variance_per_s: float, yaw_variance: float
+) -> Parting | None:
+    """Find since when the IMU's yaw has parted from the gyroscope by more than noise allows; None: it has not.
+
+    ``variance_per_s`` is that by which both may wander, ``yaw_variance`` that of one yaw's noise. The bias is that of
+    the earlier time: a yaw that is pulled away slowly takes the bias along too.
+    """
+    for old in traces:
+        span_s = (now.t_ns - old.t_ns) * 1e-9
+        drift = -old.bias_rad_s * span_s
+        variance = (variance_per_s + old.bias_variance * span_s) * span_s + 2.0 * yaw_variance
+        if wrap(now.yaw_rad - old.yaw_rad - drift) ** 2 > DISTURBED_SIGMA**2 * variance:
+            moved = now.heading_rad - old.heading_rad - drift
+            return Parting(old.t_ns, moved, now.bias_rad_s - old.bias_rad_s)
+    return None
+
+
+def is_due(traces: tuple[Trace, ...], t_ns: int) -> bool:
+    """Whether it is time to look again."""
+    return not traces or t_ns - traces[-1].t_ns >= TRACE_STEP_NS
+
+
+def traced(traces: tuple[Trace, ...], now: Trace) -> tuple[Trace, ...]:
+    """Append a trace and let go of old ones."""
+    return (*(old for old in traces if now.t_ns - old.t_ns <= TRACE_NS), now)
+
+
+def stepped_by(step_rad: float, traces: tuple[Trace, ...]) -> tuple[Trace, ...]:
+    """Go on after a step that the offset has taken up: it is as if the yaw had always been there."""
+    return tuple(old._replace(yaw_rad=old.yaw_rad + step_rad) for old in traces)
+
+
+def is_calm(traces: tuple[Trace, ...]) -> bool:
+    """Whether yaw and gyroscope have agreed for a while."""
+    return bool(traces) and traces[-1].t_ns - traces[0].t_ns >= CALM_NS

@@ -1,0 +1,193 @@
+"""State, process model and measurement models, as pure functions of numbers and small arrays.
+
+State (5,): ``[psi, b_z, o, y, v]``
+
+- psi: heading, rad, kept unwrapped;
+- b_z: bias of the level yaw rate, rad/s;
+- o: IMU yaw minus heading in the first corridor's frame, rad;
+- y: lateral offset right of the centre line, in half widths of the corridor, so that it needs no scale;
+- v: sideways velocity that heading and forward speed do not explain, half widths per second.
+
+Process, with level yaw rate omega, forward and sideways speed u, w (half widths per second, zero where unknown)::
+
+    psi' = omega - b_z + n_psi        omega = (q sin(roll) + r cos(roll)) / cos(pitch)
+    b_z' = n_b
+    o'   = n_o
+    y'   = u sin(psi) + w cos(psi) + v
+    v'   = -v / tau + n_v
+"""
+
+from __future__ import annotations
+
+from math import cos, pi
+from typing import NamedTuple
+
+import numpy as np
+
+from fusion.estimator.kernels import BIAS as BIAS
+from fusion.estimator.kernels import N_STATES as N_STATES
+from fusion.estimator.kernels import OFFSET as OFFSET
+from fusion.estimator.kernels import PSI as PSI
+from fusion.estimator.kernels import FloatArray as FloatArray
+from fusion.estimator.kernels import V as V
+from fusion.estimator.kernels import Y as Y
+from fusion.estimator.kernels import discretised, propagated, stepped
+
+
+class ProcessNoise(NamedTuple):
+    """Continuous noise of the process model.
+
+    Parameters
+    ----------
+    heading
+        Density of n_psi, rad/sqrt(s): the gyroscope's noise density.
+    bias
+        Density of n_b, rad/s/sqrt(s).
+    offset
+        Density of n_o, rad/sqrt(s).
+    v_std, v_time_s
+        Stationary standard deviation (half widths per second) and correlation time of v.
+    """
+
+    heading: float
+    bias: float
+    offset: float
+    v_std: float
+    v_time_s: float
+
+
+class ScalarMeasurement(NamedTuple):
+    """What an update needs: residual (wrapped where it is an angle), H (5,) and the variance R."""
+
+    residual: float
+    H: FloatArray
+    R: float
+
+
+def wrap(angle_rad: float) -> float:
+    """Bring an angle into [-pi, pi)."""
+    return (angle_rad + pi) % (2 * pi) - pi
+
+
+def wrap_axis(angle_rad: float) -> float:
+    """Bring the angle of a direction without sense (a corridor seen from either end) into [-pi/2, pi/2)."""
+    return (angle_rad + 0.5 * pi) % pi - 0.5 * pi
+
+
+def level_yaw_rate(gyro_rad_s: tuple[float, float, float], down: tuple[float, float, float]) -> float:
+    """Yaw rate about the vertical, rad/s, without bias correction.
+
+    Parameters
+    ----------
+    gyro_rad_s
+        Body rates p, q, r (FRD).
+    down
+        Unit vector of gravity's direction in the body frame: (-sin(pitch), sin(roll) cos(pitch),
+        cos(roll) cos(pitch)). With it (q sin(roll) + r cos(roll)) / cos(pitch) needs no trigonometry.
+    """
+    _, q, r = gyro_rad_s
+    _, dy, dz = down
+    # Nose straight up or down yaw has no meaning; the floor (85 degrees) keeps the number finite.
+    return (q * dy + r * dz) / max(dy * dy + dz * dz, 0.0076)
+
+
+def transition(
+    dt_s: float, noise: ProcessNoise, y_per_psi: float = 0.0, heading_variance: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Discretise the process model exactly over ``dt_s``.
+
+    Parameters
+    ----------
+    dt_s
+        Length of the step.
+    noise
+        Continuous noise.
+    y_per_psi
+        Derivative of y' by psi, held over the step: ``u cos(psi) - w sin(psi)``.
+    heading_variance
+        Further variance of the heading gained in the step, rad^2 (a gap in the gyroscope).
+
+    Returns
+    -------
+    F, Q
+        (5, 5) each; ``F`` is the derivative of `propagate`.
+    """
+    F, Q = np.empty((N_STATES, N_STATES)), np.empty((N_STATES, N_STATES))
+    discretised(F, Q, dt_s, *noise, y_per_psi, heading_variance)
+    return F, Q
+
+
+def propagate(
+    x: FloatArray,
+    dt_s: float,
+    turned_rad: float,
+    noise: ProcessNoise,
+    forward: float = 0.0,
+    sideways: float = 0.0,
+) -> FloatArray:
+    """Carry the state (5,) over ``dt_s`` in which the level frame turned by ``turned_rad`` (bias included).
+
+    ``forward`` and ``sideways`` are velocities in half widths per second; the heading half-way is used for y.
+    """
+    x_next = np.empty(N_STATES)
+    propagated(x, x_next, dt_s, turned_rad, noise.v_time_s, forward, sideways)
+    return x_next
+
+
+def step(
+    x: FloatArray,
+    P: FloatArray,
+    dt_s: float,
+    turned_rad: float,
+    noise: ProcessNoise,
+    forward: float = 0.0,
+    sideways: float = 0.0,
+    heading_variance: float = 0.0,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Carry state and covariance on: `propagate`, `transition` and F P F' + Q in one call.
+
+    Returns
+    -------
+    x, F, P
+        (5,), (5, 5) and (5, 5).
+    """
+    x_next, F, P_next = np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty((N_STATES, N_STATES))
+    stepped(x, P, x_next, F, P_next, dt_s, turned_rad, *noise, forward, sideways, heading_variance)
+    return x_next, F, P_next
+
+
+_H_HEADING = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+_H_IMU_YAW = np.array([1.0, 0.0, 1.0, 0.0, 0.0])
+_H_OFFSET = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
+_H_LATERAL = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
+for _H in (_H_HEADING, _H_IMU_YAW, _H_OFFSET, _H_LATERAL):
+    _H.setflags(write=False)
+
+
+def heading_model(x: FloatArray, heading_rad: float, variance: float) -> ScalarMeasurement:
+    """Compare a frame's heading. A corridor looks alike from both ends, so the residual is that of an axis."""
+    return ScalarMeasurement(wrap_axis(heading_rad - float(x[PSI])), _H_HEADING, variance)
+
+
+def imu_yaw_model(
+    x: FloatArray, yaw_rad: float, corridor_turn_rad: float, variance: float
+) -> ScalarMeasurement:
+    """Compare the IMU's yaw: heading in the first corridor's frame, plus the offset."""
+    return ScalarMeasurement(
+        wrap(yaw_rad - float(x[PSI]) - corridor_turn_rad - float(x[OFFSET])), _H_IMU_YAW, variance
+    )
+
+
+def imu_yaw_offset_model(
+    x: FloatArray, P: FloatArray, yaw_rad: float, corridor_turn_rad: float, variance: float
+) -> ScalarMeasurement:
+    """Compare the IMU's yaw so that only the offset learns from it: the heading's variance counts as noise."""
+    residual, _, R = imu_yaw_model(x, yaw_rad, corridor_turn_rad, variance)
+    return ScalarMeasurement(residual, _H_OFFSET, R + float(P[PSI, PSI]))
+
+
+def lateral_model(x: FloatArray, offset_norm: float, variance: float) -> ScalarMeasurement:
+    """Compare a frame's lateral offset, seen along the corridor or, flying back, against it: then right is left."""
+    if cos(float(x[PSI])) >= 0.0:
+        return ScalarMeasurement(offset_norm - float(x[Y]), _H_LATERAL, variance)
+    return ScalarMeasurement(offset_norm + float(x[Y]), -_H_LATERAL, variance)

@@ -1,0 +1,1 @@
+"""Logs of autopilots: PX4 ULog, ArduPilot DataFlash, MAVLink telemetry. One reader per format."""

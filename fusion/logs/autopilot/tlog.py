@@ -1,0 +1,351 @@
+"""MAVLink telemetry logs (.tlog), received by a ground station; IMU, attitude, position, velocity, height sensors.
+
+Messages are in FRD and NED; only the velocity is turned, from the world into the body. Their units differ:
+``HIGHRES_IMU`` has rad/s and m/s^2, the others thousandths of rad/s and of standard gravity. pymavlink's definitions
+tell the layout and the units of each message. Times are those of the vehicle's clock, which starts at zero when it
+boots: a radio delays messages too unevenly for the recording computer's. Its difference to Unix time is in the notes.
+
+Messages: https://mavlink.io/en/messages/common.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from mmap import ACCESS_READ, mmap
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
+from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.samples import BoolArray, counted
+from fusion.logs.series import (
+    CLOCK_BACK_NS,
+    MAX_POSITION,
+    Series,
+    SeriesLog,
+    Stream,
+    Where,
+    attitude_stream,
+    imu_stream,
+    nanoseconds,
+    quaternions,
+    range_stream,
+    vector_stream,
+    velocity_stream,
+)
+from vision import InputError
+
+if TYPE_CHECKING:
+    from fusion.logs.autopilot.tlog_parse import Packets
+
+FORMAT = "MAVLink tlog"
+MAGICS = (0xFE, 0xFD)
+HEAD_BYTES = 9  # time and magic
+EARLIEST_US, LATEST_US = 10**15, 4 * 10**15  # 2001 and 2096: what a recording computer's clock may say
+UNIX_US = 10**15  # more is a time since 1970, less one since boot, as MAVLink has it told apart
+
+# In the order of preference.
+IMUS = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
+ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE")
+POSITION = "LOCAL_POSITION_NED"
+CLOCK = "SYSTEM_TIME"
+RANGE = "DISTANCE_SENSOR"
+NAMES = (*IMUS, *ATTITUDES, POSITION, RANGE, CLOCK)
+
+GYRO = ("xgyro", "ygyro", "zgyro")
+ACCEL = ("xacc", "yacc", "zacc")
+GYRO_UPDATED, ACCEL_UPDATED = 0x38, 0x07  # bits of HIGHRES_IMU.fields_updated
+SCALES = {"mG": 9.80665e-3, "mrad/s": 1e-3, "m/s/s": 1.0, "rad/s": 1.0, "cm": 0.01}
+DISTANCES = ("current_distance", "min_distance", "max_distance")
+DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270
+INVALID_SIGNAL = 1  # of DISTANCE_SENSOR.signal_quality; 0 is one that is not known
+ONE_G_M_S2 = (3.0, 30.0)  # what the median of a sound accelerometer in flight lies between
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Table:
+    """Samples of one message from one sender, at the times of the vehicle's clock."""
+
+    file: Path
+    name: str
+    label: str
+    t_ns: TimeArray
+    rows: npt.NDArray[np.void]
+    units: dict[str, str]
+    clock: str
+
+    def numbers(self, columns: Sequence[str]) -> FloatArray:
+        """Columns (n, k) in SI units where the definitions give a unit."""
+        with np.errstate(invalid="ignore"):  # a damaged float may be a signalling NaN
+            values = [
+                self.rows[name].astype(float) * SCALES.get(self.units.get(name, ""), 1.0) for name in columns
+            ]
+        return np.stack(values, axis=1)
+
+    def where(self, problems: list[str]) -> Where:
+        """Where to report what is wrong with it."""
+        return Where(self.file, self.label, problems)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Raw:
+    """One message's packets from one sender, as sent; ``place`` (n,) numbers all packets of the file."""
+
+    name: str
+    kind: Any
+    place: npt.NDArray[np.int64]
+    rows: npt.NDArray[np.void]
+    received_us: npt.NDArray[np.uint64]
+
+    def boot_ns(self) -> TimeArray | None:
+        """Return the times (n,) since the vehicle booted; None where the message tells Unix time."""
+        if "time_boot_ms" in (self.rows.dtype.names or ()):
+            return nanoseconds(self.rows["time_boot_ms"], 1_000_000)
+        unix = float(np.median(self.rows["time_usec"])) > UNIX_US
+        return None if unix else nanoseconds(self.rows["time_usec"], 1_000)
+
+    def between(self, first: int, last: int) -> _Raw:
+        """Only the packets from one place to another."""
+        kept = (self.place >= first) & (self.place <= last)
+        return replace(self, place=self.place[kept], rows=self.rows[kept], received_us=self.received_us[kept])
+
+
+def recognises(path: Path) -> bool:
+    """Whether a file begins with a time and the start of a MAVLink packet."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    if len(head) < HEAD_BYTES:
+        return False
+    return head[8] in MAGICS and EARLIEST_US < int.from_bytes(head[:8], "big") < LATEST_US
+
+
+def open_log(path: Path) -> LogContents:
+    """Find the messages of use in a telemetry log.
+
+    Raises
+    ------
+    InputError
+        Where pymavlink is not installed, or the log holds none of them.
+    """
+    problems: list[str] = []
+    tables = _tables(path, problems)
+    series = _series(tables)
+    if not series:
+        raise InputError(
+            "holds no IMU, attitude or position messages",
+            file=path,
+            remedy="ask the vehicle for RAW_IMU and ATTITUDE at a high rate, or copy the whole file",
+        )
+    return SeriesLog(path, FORMAT, series, problems)
+
+
+def _definitions(path: Path) -> dict[int, Any]:
+    """Find what pymavlink knows of every message of the common and of ArduPilot's own set, by number."""
+    try:
+        from pymavlink.dialects.v20 import ardupilotmega
+    except ImportError:
+        raise InputError(
+            "is a MAVLink log, which pymavlink describes",
+            file=path,
+            remedy="pip install 'corridor-fusion[ardupilot]'",
+        ) from None
+    return dict(ardupilotmega.mavlink_map)
+
+
+def _tables(path: Path, problems: list[str]) -> list[_Table]:
+    from fusion.logs.autopilot.tlog_parse import find_packets
+
+    known = _definitions(path)
+    classes = {number: kind for number, kind in known.items() if kind.msgname in NAMES}
+    try:
+        with path.open("rb") as file:
+            data = np.frombuffer(mmap(file.fileno(), 0, access=ACCESS_READ), dtype=np.uint8)
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be read: {error}", file=path, remedy="check the file") from error
+    packets = find_packets(data, {number: kind.crc_extra for number, kind in known.items()}, classes)
+    if packets.damaged:
+        problems.append(f"{counted(packets.damaged, 'message')} with a wrong checksum dropped")
+    if packets.unknown:
+        problems.append(f"{counted(packets.unknown, 'message')} of a kind that is not known left out")
+    if packets.lost:
+        problems.append(f"{packets.lost} of {len(data)} bytes belong to no whole message and were skipped")
+    senders = np.unique(packets.sender).tolist()
+    tables: list[_Table] = []
+    for sender in senders:
+        suffix = f"[{sender // 256}.{sender % 256}]" if len(senders) > 1 else ""
+        raws = _raws(data, packets, sender, classes)
+        tables += _on_one_clock(path, _of_one_boot(raws, suffix, problems), suffix)
+    return tables
+
+
+def _raws(data: npt.NDArray[np.uint8], packets: Packets, sender: int, classes: dict[int, Any]) -> list[_Raw]:
+    from fusion.logs.autopilot.tlog_parse import payloads, received_us
+
+    raws = []
+    for number, kind in classes.items():
+        place = np.flatnonzero((packets.sender == sender) & (packets.identifier == number))
+        rows = payloads(data, packets.payload[place], packets.length[place], _dtype(kind))
+        if len(place):
+            raws.append(_Raw(kind.msgname, kind, place, rows, received_us(data, packets.record[place])))
+    return raws
+
+
+def _dtype(kind: Any) -> np.dtype[np.void]:
+    """Layout of a message's payload, as it stands in the packet."""
+    letters = kind.native_format.decode().lstrip("<")
+    fields = []
+    for name, letter, length in zip(kind.ordered_fieldnames, letters, kind.array_lengths, strict=True):
+        number = np.dtype(letter).newbyteorder("<")
+        fields.append((name, number, (length,)) if length else (name, number))
+    return np.dtype(fields)
+
+
+def _of_one_boot(raws: list[_Raw], suffix: str, problems: list[str]) -> list[_Raw]:
+    """Messages between two restarts of the vehicle, the most there are: each restart begins the clock anew."""
+    timed = [(raw.place, t_ns) for raw in raws if (t_ns := raw.boot_ns()) is not None]
+    if not timed:
+        return raws
+    place = np.concatenate([part for part, _ in timed])
+    order = np.argsort(place)
+    place, t_ns = place[order], np.concatenate([part for _, part in timed])[order]
+    cuts = np.flatnonzero(np.diff(t_ns) < -CLOCK_BACK_NS) + 1
+    if cuts.size == 0:
+        return raws
+    edges = [0, *cuts.tolist(), len(place)]
+    longest = int(np.argmax(np.diff(edges)))
+    first, last = place[edges[longest]], place[edges[longest + 1] - 1]
+    problems.append(
+        f"the vehicle's clock{suffix} went back {counted(len(cuts), 'time')}, as when it restarts; only the "
+        f"longest of {len(cuts) + 1} stretches is used"
+    )
+    kept = [raw.between(first, last) for raw in raws]
+    return [raw for raw in kept if len(raw.place)]
+
+
+def _on_one_clock(path: Path, raws: list[_Raw], suffix: str) -> list[_Table]:
+    """Put every message on the clock that begins when the vehicle boots, where any message tells it."""
+    offset_us: int | None = None  # Unix time less the vehicle's
+    late = [
+        raw.received_us.astype(np.int64) - t_ns // 1000 for raw in raws if (t_ns := raw.boot_ns()) is not None
+    ]
+    if late:
+        offset_us = int(min(part.min() for part in late))  # the least delayed message
+    source = "the recording computer's clock"
+    for raw in raws:
+        if raw.name == CLOCK:
+            unix_us = raw.rows["time_unix_usec"].astype(np.int64)
+            known = unix_us > UNIX_US
+            if known.any():
+                boot_us = raw.rows["time_boot_ms"].astype(np.int64)[known] * 1000
+                offset_us, source = int(np.median(unix_us[known] - boot_us)), CLOCK
+    clock = "the vehicle's clock"
+    if offset_us is not None:
+        clock += f"; add {offset_us * 1e-6:.3f} s for Unix time by {source}"
+    tables = []
+    for raw in raws:
+        t_ns = raw.boot_ns()
+        told = clock
+        if t_ns is None and offset_us is not None:
+            t_ns = nanoseconds(raw.rows["time_usec"], 1000) - offset_us * 1000
+            told += ", subtracted here"
+        elif t_ns is None:
+            t_ns, told = nanoseconds(raw.rows["time_usec"], 1000), "Unix time by the vehicle's clock"
+        if raw.name != CLOCK:
+            units = dict(raw.kind.fieldunits_by_name)
+            tables += _instances(_Table(path, raw.name, raw.name + suffix, t_ns, raw.rows, units, told))
+    return tables
+
+
+def _instances(table: _Table) -> list[_Table]:
+    """Split a message by the sensor it numbers, where it does."""
+    if "id" not in (table.rows.dtype.names or ()):
+        return [table]
+    number = table.rows["id"]
+    return [
+        replace(
+            table,
+            label=f"{table.label}[{k}]" if k else table.label,
+            t_ns=table.t_ns[number == k],
+            rows=table.rows[number == k],
+        )
+        for k in np.unique(number).tolist()
+    ]
+
+
+def _series(tables: list[_Table]) -> list[Series]:
+    def of(*names: str) -> list[_Table]:
+        return [table for name in names for table in tables if table.name == name]
+
+    found = []
+    for table in of(*IMUS):
+        units = ", ".join(dict.fromkeys([table.units["xgyro"], table.units["xacc"]]))
+        found.append(_one(table, Kind.IMU, f"sent in {units}", _read_imu))
+    attitudes = of(*ATTITUDES)
+    found += [_one(table, Kind.ATTITUDE, "body FRD to NED", _read_attitude) for table in attitudes]
+    found += [_one(table, Kind.POSITION, "NED", _read_position) for table in of(POSITION)]
+    for table in of(POSITION):
+        sender = table.label.removeprefix(table.name)
+        own = [attitude for attitude in attitudes if attitude.label == attitude.name + sender]
+        if own:
+            note = f"NED, turned into the body by {own[0].label}"
+            found.append(_one(table, Kind.VELOCITY, note, partial(_read_velocity, own[0])))
+    found += [
+        _one(table, Kind.RANGE, "looks down", _read_range) for table in of(RANGE) if _looks_down(table).any()
+    ]
+    return found
+
+
+def _one(table: _Table, kind: Kind, note: str, read: Callable[[_Table, list[str]], Stream]) -> Series:
+    return Series(Topic(table.label, kind, table.t_ns, f"{note}; {table.clock}"), partial(read, table))
+
+
+def _read_imu(table: _Table, problems: list[str]) -> ImuStream:
+    gyro_rad_s, accel_m_s2 = table.numbers(GYRO), table.numbers(ACCEL)
+    if table.name == "HIGHRES_IMU":
+        updated = table.rows["fields_updated"].astype(np.int64)
+        for values, bits in ((gyro_rad_s, GYRO_UPDATED), (accel_m_s2, ACCEL_UPDATED)):
+            fresh = (updated & bits) == bits
+            values[~fresh & fresh.any()] = np.nan  # repeated from before, unless never flagged at all
+    weight_m_s2 = float(np.median(np.linalg.norm(np.nan_to_num(accel_m_s2), axis=1)))
+    if table.name == "RAW_IMU" and weight_m_s2 > 0.0 and not ONE_G_M_S2[0] < weight_m_s2 < ONE_G_M_S2[1]:
+        raise InputError(
+            f"{table.label} holds a sensor's own counts: at rest {weight_m_s2 / 9.80665:.3g} g if they were mG",
+            file=table.file,
+            remedy="choose another IMU message, or ask the vehicle for SCALED_IMU",
+        )
+    return imu_stream(table.t_ns, gyro_rad_s, accel_m_s2, table.where(problems))
+
+
+def _read_attitude(table: _Table, problems: list[str]) -> AttitudeStream:
+    if table.name == "ATTITUDE":
+        q_world_body = quaternions(*table.numbers(("roll", "pitch", "yaw")).T)
+    else:
+        q_world_body = table.numbers(("q1", "q2", "q3", "q4"))
+    return attitude_stream(table.t_ns, q_world_body, table.where(problems))
+
+
+def _read_position(table: _Table, problems: list[str]) -> VectorStream:
+    return vector_stream(table.t_ns, table.numbers(("x", "y", "z")), table.where(problems), MAX_POSITION)
+
+
+def _read_velocity(attitude: _Table, table: _Table, problems: list[str]) -> VectorStream:
+    turning = _read_attitude(attitude, [])  # its own problems are told where it is asked for
+    return velocity_stream(table.t_ns, table.numbers(("vx", "vy", "vz")), turning, table.where(problems))
+
+
+def _looks_down(table: _Table) -> BoolArray:
+    return np.asarray(table.rows["orientation"] == DOWNWARD)
+
+
+def _read_range(table: _Table, problems: list[str]) -> RangeStream:
+    distance_m, low_m, high_m = table.numbers(DISTANCES).T
+    trusted = _looks_down(table) & (table.rows["signal_quality"] != INVALID_SIGNAL)
+    where = table.where(problems)
+    return range_stream(table.t_ns, distance_m, where, limits_m=(low_m, high_m), trusted=trusted)

@@ -1,0 +1,281 @@
+"""CSV files of any shape, read by a column map: one the user gives, a ready one, or one found from the header.
+
+Units become SI and axes FRD with z down, here, once. Where neither map nor manifest says the axes of the body,
+gravity decides between FRD and FLU, and it is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from fusion.flight import AttitudeStream, FloatArray, TimeArray
+from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
+from fusion.logs.csv.column_names import map_of_names, ready_map_of
+from fusion.logs.csv.table import Layout, read_layout
+from fusion.logs.csv.times import ROLES, read_timed
+from fusion.logs.series import (
+    MAX_POSITION,
+    MAX_VELOCITY,
+    Series,
+    SeriesLog,
+    Stream,
+    Where,
+    attitude_stream,
+    imu_stream,
+    quaternions,
+    range_stream,
+    vector_stream,
+    velocity_stream,
+)
+from vision import InputError
+
+SUFFIXES = frozenset({".csv", ".tsv"})
+TEXT_SUFFIXES = frozenset({".txt", ".log"})
+
+_G_M_S2, _DEG = 9.80665, np.pi / 180.0
+_SI = (
+    {"rad/s": 1.0, "deg/s": _DEG, "mrad/s": 1e-3, "rad": 1.0, "deg": _DEG, "mdeg": _DEG * 1e-3}
+    | {"m/s2": 1.0, "g": _G_M_S2, "mg": _G_M_S2 * 1e-3, "cm/s2": 1e-2}
+    | {"m/s": 1.0, "dm/s": 0.1, "cm/s": 0.01, "mm/s": 1e-3, "m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3}
+)
+_FLIP = np.array([1.0, -1.0, -1.0])  # FLU to FRD, and a world with z up to one with z down
+_Q_FLIP = np.array([1.0, 1.0, -1.0, -1.0])  # the same on both sides of a quaternion
+_Q_NED_ENU = (0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0)
+_Q_FLU_FRD = (0.0, 1.0, 0.0, 0.0)
+_UPRIGHT_M_S2 = 5.0
+
+_EXAMPLE = (
+    'name them in flight.toml, as in [imu.columns] time = "t", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s"'
+)
+
+
+def recognises(path: Path) -> bool:
+    """Whether a file is a CSV by its ending, or a text whose columns are known."""
+    suffix = path.suffix.lower()
+    if not path.is_file() or suffix not in SUFFIXES | TEXT_SUFFIXES:
+        return False
+    if suffix in SUFFIXES:
+        return True
+    try:
+        layout = read_layout(path)
+    except InputError:
+        return False
+    return ready_map_of(layout) is not None or map_of_names(layout, []) is not None
+
+
+def open_log(path: Path) -> LogContents:
+    """Open a CSV whose columns go by known names."""
+    return open_columns(path)
+
+
+def open_columns(
+    path: Path, columns: ColumnMap | str | None = None, frame: Frame | None = None
+) -> LogContents:
+    """Open a CSV by a column map.
+
+    Parameters
+    ----------
+    path
+        The file.
+    columns
+        The map, the name of a ready one, or None to go by the header.
+    frame
+        Axes, before those of the map.
+
+    Raises
+    ------
+    InputError
+        Where the file is none, a column is not there, or nothing says what the columns are.
+    """
+    problems: list[str] = []
+    layout = read_layout(
+        path, *(() if not isinstance(columns, ColumnMap) else (columns.separator, columns.header))
+    )
+    found, what = _map(layout, columns, problems)
+    table = _Table.read(layout, found, frame, problems)
+    series = []
+    kinds: tuple[tuple[Kind, tuple[str, ...], Callable[[_Table, list[str]], Stream]], ...] = (
+        (Kind.IMU, ("gyro",), _Table.imu),
+        (Kind.ATTITUDE, ("quaternion", "euler"), _Table.attitude),
+        (Kind.POSITION, ("position",), _Table.position),
+        (Kind.VELOCITY, ("velocity",), _Table.velocity),
+        (Kind.RANGE, ("range",), _Table.range),
+    )
+    for kind, roles, read in kinds:
+        if any(role in table.parts for role in roles):
+            series.append(Series(Topic(kind.value, kind, table.t_ns, table.note(kind)), partial(read, table)))
+    return SeriesLog(path, what, series, problems)
+
+
+def _map(layout: Layout, columns: ColumnMap | str | None, problems: list[str]) -> tuple[ColumnMap, str]:
+    """Return the map to use, and what to call the file."""
+    if isinstance(columns, ColumnMap):
+        if all(getattr(columns, role) is None for role in ROLES):
+            guessed = map_of_names(layout, problems)
+            if guessed is None:
+                raise InputError("the column map names no data", file=layout.path, remedy=_EXAMPLE)
+            return guessed.model_copy(update=columns.model_dump(exclude_unset=True)), "CSV"
+        return columns, "CSV"
+    ready = columns or ready_map_of(layout)
+    if ready is not None:
+        return _present(READY_MAPS[ready], layout), f"CSV ({ready})"
+    guessed = map_of_names(layout, problems)
+    if guessed is None:
+        listed = ", ".join(layout.names[:20]) if layout.has_names else f"{len(layout.names)} without names"
+        raise InputError(f"its columns are not known by name: {listed}", file=layout.path, remedy=_EXAMPLE)
+    return guessed, "CSV"
+
+
+def _present(ready: ColumnMap, layout: Layout) -> ColumnMap:
+    """Leave out of a ready map what a file has no columns for: recorders differ; not all of it, though."""
+    absent = [
+        role
+        for role in ROLES
+        if any(isinstance(name, str) and layout.look_for(name) is None for name in ready.columns_of(role))
+    ]
+    named = [role for role in ROLES if getattr(ready, role) is not None]
+    return ready if absent == named else ready.model_copy(update=dict.fromkeys(absent))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Table:
+    """The columns that a map names, in SI units but along the file's own axes."""
+
+    path: Path
+    columns: ColumnMap
+    frame: Frame | None
+    t_ns: TimeArray
+    parts: dict[str, FloatArray]
+
+    @classmethod
+    def read(cls, layout: Layout, columns: ColumnMap, frame: Frame | None, problems: list[str]) -> _Table:
+        """Read them all in one pass."""
+        wanted: dict[str, list[int]] = {}
+        for role in ROLES:
+            names = columns.columns_of(role)
+            if names:
+                wanted[role] = [layout.find(name, f"columns.{role}") for name in names]
+        order = [index for indices in wanted.values() for index in indices]
+        t_ns, data = read_timed(layout, columns, order, problems)
+        parts: dict[str, FloatArray] = {}
+        start = 0
+        for role, indices in wanted.items():
+            unit = getattr(columns, f"{role}_unit", None)
+            values = data.values[:, start : start + len(indices)]
+            parts[role] = values * _SI[unit] if unit is not None else values
+            start += len(indices)
+        if "accel" in parts:
+            parts["accel"] = parts["accel"] * columns.accel_sign
+        return cls(layout.path, columns, frame, t_ns, parts)
+
+    def note(self, kind: Kind) -> str:
+        """Say the axes, where something says them."""
+        if kind is Kind.RANGE:
+            return f"in {self.columns.range_unit}, taken to look down"
+        frame = (
+            self.frame
+            or (self.columns.velocity_frame if kind is Kind.VELOCITY else None)
+            or self.columns.frame
+        )
+        return f"axes {frame}" if frame else ""
+
+    def where(self, kind: Kind, problems: list[str]) -> Where:
+        """Where to report what is wrong with a stream."""
+        return Where(self.path, f"{self.path.name} ({kind.value})", problems)
+
+    def body_frame(self, problems: list[str] | None) -> Frame:
+        """Return the body's axes: as told, else as gravity has it."""
+        told = self.frame or self.columns.frame
+        if told is not None:
+            return told
+        accel = self.parts.get("accel")
+        up = float(np.nanmedian(accel[:, 2])) if accel is not None and np.isfinite(accel[:, 2]).any() else 0.0
+        if abs(up) > _UPRIGHT_M_S2:
+            frame: Frame = "flu" if up > 0.0 else "frd"
+            why = f"gravity stands {'up' if up > 0.0 else 'down'} its z axis"
+        else:
+            frame, why = "frd", "nothing tells"
+        if problems is not None:
+            problems.append(
+                f"{self.path.name}: axes taken as {frame}, {why}; name them with frame in flight.toml"
+            )
+        return frame
+
+    def imu(self, problems: list[str]) -> Stream:
+        """Gyroscope and accelerometer, body FRD."""
+        gyro = self.parts["gyro"]
+        accel = self.parts.get("accel")
+        flip = _FLIP if self.body_frame(problems) in ("flu", "enu") else np.ones(3)
+        where = self.where(Kind.IMU, problems)
+        if accel is not None:
+            return imu_stream(self.t_ns, gyro * flip, accel * flip, where)
+        # That no row has what no column holds need not be told.
+        stream = imu_stream(self.t_ns, gyro * flip, np.zeros_like(gyro), where)
+        return replace(stream, accel_m_s2=np.full_like(stream.gyro_rad_s, np.nan))
+
+    def attitude(self, problems: list[str]) -> AttitudeStream:
+        """Body FRD to world z down."""
+        frame = self.body_frame(problems if "gyro" not in self.parts else None)
+        q = self.parts["quaternion"] if "quaternion" in self.parts else quaternions(*self.parts["euler"].T)
+        if frame == "flu":
+            q = q * _Q_FLIP
+        elif frame == "enu":
+            q = _product(_product(np.array([_Q_NED_ENU]), q), np.array([_Q_FLU_FRD]))
+        return attitude_stream(self.t_ns, q, self.where(Kind.ATTITUDE, problems))
+
+    def position(self, problems: list[str]) -> Stream:
+        """World, z down."""
+        xyz = _world(self.parts["position"], self.body_frame(None))
+        return vector_stream(self.t_ns, xyz, self.where(Kind.POSITION, problems), MAX_POSITION)
+
+    def velocity(self, problems: list[str]) -> Stream:
+        """Body FRD."""
+        frame = self.frame or self.columns.velocity_frame or self.body_frame(None)
+        where = self.where(Kind.VELOCITY, problems)
+        v = self.parts["velocity"]
+        if frame in ("frd", "flu"):
+            return vector_stream(self.t_ns, v * _FLIP if frame == "flu" else v, where, MAX_VELOCITY)
+        if "quaternion" not in self.parts and "euler" not in self.parts:
+            raise InputError(
+                f"velocity is along the world's axes ({frame}), and no column gives the attitude",
+                file=self.path,
+                remedy="name the attitude's columns too, or leave the stream out: [velocity] use = false",
+            )
+        # What is wrong with the attitude is told where that is read.
+        return velocity_stream(self.t_ns, _world(v, frame), self.attitude([]), where)
+
+    def range(self, problems: list[str]) -> Stream:
+        """Distance to the floor along the body's z."""
+        told, where = self.columns.range_limits, self.where(Kind.RANGE, problems)
+        if told is None:
+            return range_stream(self.t_ns, self.parts["range"][:, 0], where)
+        low, high = (limit * _SI[self.columns.range_unit] for limit in told)
+        return range_stream(self.t_ns, self.parts["range"][:, 0], where, limits_m=(low, high))
+
+
+def _world(xyz: FloatArray, frame: Frame) -> FloatArray:
+    """Turn vectors (n, 3) of a world into one with z down."""
+    if frame == "enu":
+        return np.asarray(xyz[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0]))
+    return xyz * _FLIP if frame == "flu" else xyz
+
+
+def _product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Hamilton product of quaternions (n, 4) or (1, 4)."""
+    aw, ax, ay, az = a.T
+    bw, bx, by, bz = b.T
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=1,
+    )

@@ -1,0 +1,348 @@
+"""``flight.toml``: where each stream of a flight comes from, so that camera and IMU may be in different files.
+
+Signs, once for all readers and writers of a manifest:
+
+- ``clock_offset_s`` is added: time of the flight = time in the file + ``clock_offset_s``. The flight's clock is that
+  of whichever stream has none.
+- ``mount_yaw_rad`` and ``mount_pitch_rad`` turn the camera of the calibration on the body: the true optical axis
+  points that much further right and further up.
+- ``focal_scale`` multiplies both focal lengths of the calibration.
+- ``above_camera_m`` of a range sensor is subtracted from its distances, so that they count from the camera.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from math import cos, radians, sin
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+
+from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
+from vision import Camera, InputError
+
+MANIFEST_NAME = "flight.toml"
+STREAMS = ("camera", "imu", "attitude", "velocity", "position", "range")
+
+_STRICT = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+_WORDS = {"path_type": "it should be a path in quotes", "model_type": "it should be a table"}
+
+
+MountAngle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
+
+
+def _kind_of_columns(value: object) -> str:
+    return "name" if isinstance(value, str) else "map"
+
+
+Columns = Annotated[
+    Annotated[str, Tag("name")] | Annotated[ColumnMap, Tag("map")], Discriminator(_kind_of_columns)
+]
+
+
+class StreamSource(BaseModel):
+    """Where one stream comes from; what is left open is chosen from the log."""
+
+    model_config = _STRICT
+
+    file: Path | None = Field(default=None, description="The file or folder; without it, the manifest's log.")
+    topic: str | None = Field(default=None, min_length=1, description="Which of the file's topics.")
+    columns: Columns | None = Field(
+        default=None,
+        description="Columns of a CSV: a table of names and units, or " + " or ".join(READY_MAPS),
+    )
+    frame: Frame | None = Field(default=None, description="Axes of a CSV's vectors: frd, flu, ned or enu.")
+    clock_offset_s: float = Field(
+        default=0.0,
+        strict=True,
+        ge=-1e11,
+        le=1e11,
+        description="Added to the file's times to give the flight's.",
+    )
+    use: bool = Field(default=True, description="false leaves the stream out.")
+
+    @model_validator(mode="after")
+    def _known_columns(self) -> Self:
+        if isinstance(self.columns, str) and self.columns not in READY_MAPS:
+            near = get_close_matches(self.columns, READY_MAPS, n=1, cutoff=0.3)
+            known = near[0] if near else " or ".join(READY_MAPS)
+            raise ValueError(f"columns = {self.columns!r} is no known map: did you mean {known}?")
+        return self
+
+
+class SensorSource(StreamSource):
+    """Where the samples of a sensor on the body come from, and how it sits there."""
+
+    mount_rad: tuple[MountAngle, MountAngle, MountAngle] | None = Field(
+        default=None,
+        description="Roll, pitch and yaw of the sensor on the body: right side down, nose up, to the right.",
+    )
+
+
+class ImuSource(SensorSource):
+    """Where the IMU's samples come from, how it is mounted, and how noisy it is."""
+
+    noise: Path | None = Field(
+        default=None, description="Kalibr's imu.yaml or EuRoC's sensor.yaml with the gyroscope's noise."
+    )
+
+
+class RangeSource(StreamSource):
+    """Where the distances to the floor come from, and where the sensor sits."""
+
+    above_camera_m: float = Field(
+        default=0.0,
+        strict=True,
+        ge=-10.0,
+        le=10.0,
+        description="How much higher the sensor sits than the camera; negative below it.",
+    )
+
+
+class CameraSource(StreamSource):
+    """Where the pictures come from, and the camera that took them."""
+
+    calibration: Path | None = Field(default=None, description="Calibration file; without it, the log's own.")
+    times: Path | None = Field(
+        default=None,
+        description="CSV with the time of each frame of a video or picture folder, a row per frame.",
+    )
+    start_ns: int | None = Field(default=None, strict=True, description="Time of a video's first frame.")
+    mount_yaw_rad: float = Field(
+        default=0.0,
+        strict=True,
+        ge=-radians(90),
+        le=radians(90),
+        description="How much further right the camera looks.",
+    )
+    mount_pitch_rad: float = Field(
+        default=0.0,
+        strict=True,
+        ge=-radians(90),
+        le=radians(90),
+        description="How much further up the camera looks.",
+    )
+    focal_scale: float = Field(
+        default=1.0, strict=True, ge=0.2, le=5.0, description="Factor on the focal lengths."
+    )
+
+    @model_validator(mode="after")
+    def _one_clock(self) -> Self:
+        if self.times is not None and self.start_ns is not None:
+            raise ValueError("times and start_ns both say when the frames were taken: give one of them")
+        return self
+
+
+class Manifest(BaseModel):
+    """A flight put together from files; paths are absolute in memory, relative to the manifest in the file."""
+
+    model_config = _STRICT
+
+    name: str | None = Field(default=None, min_length=1, description="Of the flight.")
+    log: Path | None = Field(
+        default=None, description="Log or flight folder from which everything comes that is not named below."
+    )
+    corridor_width_m: float | None = Field(
+        default=None,
+        strict=True,
+        gt=0.2,
+        le=100,
+        description="Width between the walls, for offsets in metres.",
+    )
+    truth: Path | None = Field(
+        default=None, description="corridor_truth.csv, if known: errors are then reported."
+    )
+    camera: CameraSource = Field(default_factory=CameraSource)
+    imu: ImuSource = Field(default_factory=ImuSource)
+    attitude: SensorSource = Field(default_factory=SensorSource)
+    velocity: StreamSource = Field(default_factory=StreamSource)
+    position: StreamSource = Field(default_factory=StreamSource)
+    range: RangeSource = Field(default_factory=RangeSource)
+
+    @model_validator(mode="after")
+    def _some_pictures(self) -> Self:
+        if self.log is None and self.camera.file is None:
+            raise ValueError("neither log nor [camera] file says where the pictures are")
+        if not self.camera.use:
+            raise ValueError("[camera] use is false: a flight needs its pictures")
+        return self
+
+    def stream(self, name: str) -> StreamSource:
+        """Return the source of one of `STREAMS`."""
+        source = getattr(self, name)
+        if not isinstance(source, StreamSource):
+            raise KeyError(name)
+        return source
+
+
+def corrected_camera(camera: Camera, source: CameraSource) -> Camera:
+    """Apply a manifest's corrections to a calibration: mounting yaw, then pitch, in the body; focal lengths."""
+    from dataclasses import replace
+
+    if source.mount_yaw_rad == source.mount_pitch_rad == 0.0 and source.focal_scale == 1.0:
+        return camera
+    yaw, pitch = source.mount_yaw_rad, source.mount_pitch_rad
+    R_yaw = np.array([[cos(yaw), -sin(yaw), 0.0], [sin(yaw), cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+    R_pitch = np.array([[cos(pitch), 0.0, sin(pitch)], [0.0, 1.0, 0.0], [-sin(pitch), 0.0, cos(pitch)]])
+    return replace(
+        camera,
+        fx_px=camera.fx_px * source.focal_scale,
+        fy_px=camera.fy_px * source.focal_scale,
+        R_body_camera=R_yaw @ R_pitch @ camera.R_body_camera,
+    )
+
+
+def find_manifest(path: Path) -> Path | None:
+    """Return the manifest that a path names: a TOML file, or ``flight.toml`` in a folder; else None."""
+    if path.is_dir():
+        inside = path / MANIFEST_NAME
+        return inside if inside.is_file() else None
+    return path if path.suffix.lower() == ".toml" and path.is_file() else None
+
+
+def read_manifest(path: str | Path) -> Manifest:
+    """Read and check a manifest; its paths become absolute.
+
+    Raises
+    ------
+    InputError
+        Where the file is missing or torn, or names something unknown or out of bounds.
+    """
+    path = Path(path)
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"cannot be read: {error.strerror or error}", file=path, remedy="check the path"
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"is not TOML: {error}", file=path, remedy='write lines like file = "video.mp4"'
+        ) from error
+    return make_manifest(values, file=path)
+
+
+def make_manifest(values: Mapping[str, Any], *, file: Path | None = None) -> Manifest:
+    """Check a manifest's values; relative paths count from the file's folder, else from the current one.
+
+    Raises
+    ------
+    InputError
+        Naming the key, its value and the remedy.
+    """
+    try:
+        manifest = Manifest.model_validate(dict(values))
+    except ValidationError as error:
+        problem, remedy = _explain(error.errors()[0])
+        raise InputError(problem, file=file, remedy=remedy) from error
+    return _with_paths(manifest, (file or Path("x")).absolute().parent)
+
+
+def _with_paths(manifest: Manifest, folder: Path) -> Manifest:
+    def absolute(model: BaseModel) -> dict[str, Any]:
+        changes: dict[str, Any] = {}
+        for key, value in model:
+            if isinstance(value, Path):
+                changes[key] = (folder / value.expanduser()).resolve()
+            elif isinstance(value, StreamSource):
+                changes[key] = value.model_copy(update=absolute(value))
+        return changes
+
+    return manifest.model_copy(update=absolute(manifest))
+
+
+def _explain(error: Any) -> tuple[str, str | None]:
+    """Turn pydantic's first complaint into a problem and a remedy."""
+    where = [str(part) for part in error["loc"] if part not in ("name", "map") or part == error["loc"][0]]
+    if error["type"] == "value_error":
+        prefix = f"[{where[0]}] " if where else ""
+        problem, _, remedy = str(error["ctx"]["error"]).partition(": ")
+        return prefix + problem, remedy or "see `corridor fuse --help` for an example"
+    where = [part for part in where if part not in ("constrained-int", "constrained-str")]
+    model, field = _model_at(where[:-1]), where[-1]
+    dotted, value = ".".join(where), error["input"]
+    shown = "{...}" if isinstance(value, dict) else repr(value)
+    if error["type"] == "extra_forbidden":
+        return f"unknown key {dotted} = {shown}", _nearest(field, model)
+    known = model.model_fields.get(field)
+    message = _WORDS.get(error["type"]) or f"{error['msg'][0].lower()}{error['msg'][1:]}"
+    return f"{dotted} = {shown}: {message}", known.description if known else None
+
+
+def _model_at(where: list[str]) -> type[BaseModel]:
+    """Return the model whose keys stand at a place of the manifest."""
+    if "columns" in where:
+        return ColumnMap
+    if not where:
+        return Manifest
+    models: dict[str, type[BaseModel]] = {
+        "camera": CameraSource,
+        "imu": ImuSource,
+        "attitude": SensorSource,
+        "range": RangeSource,
+    }
+    return models.get(where[0], StreamSource)
+
+
+def _nearest(key: str, model: type[BaseModel]) -> str:
+    near = get_close_matches(key, model.model_fields, n=1, cutoff=0.5)
+    if near:
+        return f"did you mean {near[0]}?"
+    places: dict[str, type[BaseModel]] = {
+        "at the top": Manifest,
+        "in [camera]": CameraSource,
+        "in [imu]": ImuSource,
+        "in [range]": RangeSource,
+        "in a stream's table": StreamSource,
+        "in a stream's columns": ColumnMap,
+    }
+    for place, other in places.items():
+        if other is not model and key in other.model_fields:
+            return f"{key} belongs {place}"
+    return "known here: " + ", ".join(model.model_fields)
+
+
+def write_manifest(manifest: Manifest, path: str | Path, notes: Mapping[str, str] | None = None) -> None:
+    """Write a manifest with a comment on each line that needs one; `read_manifest` gives it back.
+
+    Parameters
+    ----------
+    manifest
+        Its paths are made relative to the file's folder where they share more than the root.
+    path
+        The file; written whole or not at all.
+    notes
+        Further comments by key, such as ``{"camera.clock_offset_s": "sigma 0.8 ms, corridor align"}``.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be written.
+    """
+    from fusion.logs.manifest.text import manifest_text
+
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.partial")
+    try:
+        temporary.write_text(manifest_text(manifest, path.absolute().parent, notes or {}), encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise InputError(
+            f"cannot be written: {error.strerror or error}", file=path, remedy="choose another place"
+        ) from error
+
+
+def files_of(manifest: Manifest) -> Iterator[tuple[str, Path]]:
+    """Yield each file that a manifest names, with its key."""
+    for key, value in manifest:
+        if isinstance(value, Path):
+            yield key, value
+        elif isinstance(value, StreamSource):
+            yield from ((f"{key}.{inner}", path) for inner, path in value if isinstance(path, Path))

@@ -1,0 +1,97 @@
+"""A manifest as text: TOML with the meaning of each number beside it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from fusion.logs.csv.column_map import ColumnMap
+from fusion.logs.manifest.manifest import STREAMS, Manifest, StreamSource
+
+_HEAD = """\
+# Where each stream of this flight comes from. `corridor fuse` takes this file, `corridor align` writes into it.
+# Paths count from this file's folder. Times: flight = file + clock_offset_s.
+"""
+
+_MEANING = {
+    "log": "everything that is not named below comes from here",
+    "corridor_width_m": "between the walls",
+    "camera.start_ns": "time of the video's first frame",
+    "camera.times": "time of each frame, a row per frame",
+    "camera.mount_yaw_rad": "the camera looks this much further right than its calibration says",
+    "camera.mount_pitch_rad": "the camera looks this much further up than its calibration says",
+    "camera.focal_scale": "factor on the calibration's focal lengths",
+    "range.above_camera_m": "the sensor sits this much higher than the camera",
+    "mount_rad": "roll, pitch, yaw of the sensor on the body",
+    "use": "false: left out",
+    "clock_offset_s": "added to this file's times",
+}
+
+
+def manifest_text(manifest: Manifest, folder: Path, notes: Mapping[str, str]) -> str:
+    """Return the TOML text; paths relative to ``folder``, an absolute one, where they share more than the root."""
+    lines = [_HEAD]
+    lines += _lines(manifest, "", folder, notes)
+    for name in STREAMS:
+        source = manifest.stream(name)
+        inside = list(_lines(source, f"{name}.", folder, notes))
+        if inside:
+            lines += ["", f"[{name}]", *inside]
+        if isinstance(source.columns, ColumnMap):
+            lines += ["", f"[{name}.columns]", *_lines(source.columns, f"{name}.columns.", folder, notes)]
+    return "\n".join(lines) + "\n"
+
+
+def _lines(model: BaseModel, prefix: str, folder: Path, notes: Mapping[str, str]) -> Iterator[str]:
+    """Yield a line per value that is set and differs from its default."""
+    for key, value in model:
+        default = type(model).model_fields[key].get_default(call_default_factory=True)
+        if isinstance(value, StreamSource | ColumnMap) or (
+            value == default and f"{prefix}{key}" not in notes
+        ):
+            continue
+        dotted = prefix + key
+        remarks = [_MEANING.get(dotted) or _MEANING.get(key), notes.get(dotted)]
+        remark = "; ".join(_in_one_line(text) for text in remarks if text)
+        yield f"{key} = {_value(value, folder)}" + (f"  # {remark}" if remark else "")
+
+
+def _in_one_line(text: str) -> str:
+    """Keep a comment within its line: no line breaks, nothing that TOML forbids."""
+    return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
+
+
+def _value(value: Any, folder: Path) -> str:
+    if isinstance(value, Path):
+        return _string(relative(value, folder))
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        text = repr(value)
+        return text if any(sign in text for sign in ".e") else text + ".0"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(_value(item, folder) for item in value) + "]"
+    return _string(str(value))
+
+
+def _string(text: str) -> str:
+    """Quote as a basic string of TOML, which escapes as JSON does, and the delete character too."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def relative(path: Path, folder: Path) -> str:
+    """Return a path as seen from a folder; absolute where the two share nothing but the root."""
+    try:
+        shared = os.path.commonpath([path, folder])
+    except ValueError:  # on different drives
+        return path.as_posix()
+    if Path(shared) == Path(path.anchor):
+        return path.as_posix()
+    return Path(os.path.relpath(path, folder)).as_posix()

@@ -1,0 +1,1 @@
+"""A camera's pictures: folders of image files, and videos."""

@@ -1,0 +1,130 @@
+"""A camera's folder of pictures and the times they were taken at."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fusion.flight import FrameStream
+from fusion.logs.csv.strict_table import check_row, parse_time, read_rows
+from fusion.logs.samples import MIN_STEP_NS, counted, in_order
+from vision import Camera, InputError
+from vision.images import GreyImage, read_image
+
+PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp"})
+
+_TRIES = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureFiles:
+    """Pictures as files, one per frame; a `fusion.flight.FrameSource`."""
+
+    paths: tuple[Path, ...]
+
+    def read(self, index: int) -> GreyImage:
+        """Decode a picture."""
+        return read_image(self.paths[index])
+
+
+def read_frames(cam: Path, problems: list[str]) -> FrameStream:
+    """Read ``data.csv`` (time, file name) of a camera folder, or, without it, times from the pictures' names.
+
+    A picture that is listed but missing stays in the stream, so that its time is counted as unreadable.
+
+    Raises
+    ------
+    InputError
+        Where there are no frames to be had.
+    """
+    if not cam.is_dir():
+        raise InputError(
+            "there is no such folder", file=cam, remedy="a flight needs cam0/data.csv and cam0/data/"
+        )
+    label = f"{cam.name}/data.csv"
+    folder = cam / "data"
+    present = set(os.listdir(folder)) if folder.is_dir() else set()
+    if (cam / "data.csv").exists():
+        times, names = _read_list(cam / "data.csv", problems, label)
+    else:
+        times, names = _times_from_names(cam, sorted(present), problems)
+    t_ns = np.array(times, dtype=np.int64)
+    index = in_order(t_ns, label, problems, MIN_STEP_NS, file=cam / "data.csv")
+    t_ns = t_ns[index]
+    names = [names[i] for i in index]
+    missing = [name for name in names if name not in present and not (folder / name).is_file()]
+    if len(missing) == len(names):
+        raise InputError(
+            f"none of its {counted(len(names), 'picture')} is in data/, such as {missing[0]}",
+            file=cam / "data.csv",
+            remedy="copy the pictures beside it",
+        )
+    if missing:
+        problems.append(f"{label}: {counted(len(missing), 'picture')} missing in data/ (first {missing[0]})")
+    return FrameStream(t_ns, PictureFiles(tuple(folder / name for name in names)))
+
+
+def _read_list(path: Path, problems: list[str], label: str) -> tuple[list[int], list[str]]:
+    _, rows = read_rows(path, problems, label)
+    check_row(path, rows, 2, ("timestamp", "filename"))
+    times: list[int] = []
+    names: list[str] = []
+    broken: list[str] = []
+    for row in rows:
+        time, _, name = row.partition(",")
+        t_ns, name = parse_time(time.strip()), name.strip()
+        if t_ns is not None and name and "," not in name:
+            times.append(t_ns)
+            names.append(name)
+        else:
+            broken.append(row)
+    if not times:
+        raise InputError(
+            "has no row of time and file name", file=path, remedy="write nanoseconds, then the name"
+        )
+    if broken:
+        what = f"{counted(len(broken), 'row')} not of time and name dropped"
+        problems.append(f"{label}: {what}, the first is {broken[0][:60]!r}")
+    return times, names
+
+
+def _times_from_names(cam: Path, present: list[str], problems: list[str]) -> tuple[list[int], list[str]]:
+    pictures = [name for name in present if Path(name).suffix.lower() in PICTURE_SUFFIXES]
+    timed = {name: t_ns for name in pictures if (t_ns := parse_time(Path(name).stem)) is not None}
+    if not timed:
+        raise InputError(
+            "is missing, and no picture in data/ is named by its time",
+            file=cam / "data.csv",
+            remedy="write it: nanoseconds and file name in each line",
+        )
+    problems.append(
+        f"{cam.name}/data.csv is missing: times taken from the names of {counted(len(timed), 'picture')}"
+    )
+    if len(timed) < len(pictures):
+        other = next(name for name in pictures if name not in timed)
+        problems.append(
+            f"{cam.name}/data: {counted(len(pictures) - len(timed), 'picture')} not named by a time left out "
+            f"(first {other})"
+        )
+    return list(timed.values()), list(timed)
+
+
+def check_size(frames: FrameStream, camera: Camera, file: Path | None = None) -> None:
+    """Raise `InputError` where the first picture that decodes is not of the camera's resolution."""
+    tries = 0
+    for index in range(len(frames.t_ns)):
+        path = frames.source.paths[index] if isinstance(frames.source, PictureFiles) else file
+        if path is not None and not path.exists():  # a missing picture is found at once: any number of them
+            continue
+        try:
+            height_px, width_px = frames.read(index).shape
+        except InputError:
+            tries += 1
+            if tries == _TRIES:
+                return
+            continue
+        camera.require_size(width_px, height_px, file=path)
+        return

@@ -1,0 +1,174 @@
+"""A folder of pictures, with a CSV of their times or times in their names; no calibration, nothing else.
+
+The CSV may lie in the folder (``*.csv`` or ``*.txt``, if there is one that gives times) or be named in the manifest.
+Its columns are found: time stamps by name or by being the first, file names by their endings. Without file names the
+rows are taken for the pictures in natural order, ``2.png`` before ``10.png``.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+
+from fusion.flight import FrameStream, TimeArray
+from fusion.logs.contents import Kind, Topic
+from fusion.logs.csv.column_map import ColumnMap
+from fusion.logs.csv.time_units import MISSING, guess_unit, said, to_ns
+from fusion.logs.csv.times import read_times
+from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES, PictureFiles
+from fusion.logs.samples import counted, in_order
+from fusion.logs.series import SeriesLog, no_such_topic
+from vision import InputError
+
+_TIME_FILES = frozenset({".csv", ".txt", ".tsv"})
+_REMEDY = "give a CSV of time and file name: times under [camera] in flight.toml, or in the folder"
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+TOPIC = "pictures"
+
+
+def recognises(path: Path) -> bool:
+    """Whether a folder holds pictures."""
+    return path.is_dir() and any(_is_picture(name) for name in os.listdir(path))
+
+
+def open_log(path: Path) -> PictureFolder:
+    """Open a folder with the times that it carries."""
+    return open_folder(path)
+
+
+def open_folder(
+    path: Path, *, times: Path | None = None, columns: ColumnMap | str | None = None
+) -> PictureFolder:
+    """Open a folder of pictures and find out when they were taken.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    times, columns
+        A CSV with the times, and its columns; else one in the folder, else the pictures' names.
+
+    Raises
+    ------
+    InputError
+        Where there are no pictures, or nothing says when they were taken.
+    """
+    problems: list[str] = []
+    names = sorted((name for name in os.listdir(path) if _is_picture(name)), key=_natural)
+    if not names:
+        raise InputError("holds no pictures", file=path, remedy="give the folder that the pictures lie in")
+    file = times or _times_inside(path)
+    if file is not None:
+        t_ns, names = _listed(path, file, columns, names, problems)
+    else:
+        t_ns, names = _named(path, names, columns, problems)
+    return PictureFolder(path, t_ns, tuple(names), tuple(problems))
+
+
+class PictureFolder(SeriesLog):
+    """A folder of pictures as `fusion.logs.contents.LogContents`: pictures and nothing else."""
+
+    def __init__(
+        self, path: Path, t_ns: TimeArray, names: tuple[str, ...], problems: tuple[str, ...]
+    ) -> None:
+        super().__init__(path, "folder of pictures", (), problems)
+        self.topics = (Topic(TOPIC, Kind.FRAMES, t_ns),)
+        self._names = names
+
+    def frames(self, topic: str, problems: list[str]) -> FrameStream:
+        """Pictures, decoded one at a time; one that is missing counts as unreadable."""
+        if topic != TOPIC:
+            raise no_such_topic(self.path, self.topics, Kind.FRAMES, topic)
+        t_ns = self.topics[0].t_ns
+        index = in_order(t_ns, self.path.name, problems, file=self.path, remedy=_REMEDY)
+        return FrameStream(t_ns[index], PictureFiles(tuple(self.path / self._names[i] for i in index)))
+
+
+def _is_picture(name: str) -> bool:
+    return Path(name).suffix.lower() in PICTURE_SUFFIXES and not name.startswith(".")
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def _times_inside(path: Path) -> Path | None:
+    """Find the one text file of a folder that gives times; None where there is none or no single one."""
+    texts = [path / name for name in sorted(os.listdir(path)) if Path(name).suffix.lower() in _TIME_FILES]
+    found = []
+    for text in texts:
+        try:
+            read_times(text, None, [])
+        except InputError:
+            continue
+        found.append(text)
+    return found[0] if len(found) == 1 else None
+
+
+def _listed(
+    path: Path, file: Path, columns: ColumnMap | str | None, names: list[str], problems: list[str]
+) -> tuple[TimeArray, list[str]]:
+    """Take times from a file: by its names, else row by row in the pictures' order."""
+    listed = read_times(file, columns, problems)
+    if listed.names is None:
+        n_rows = int(listed.row[-1]) + 1
+        if n_rows != len(names):
+            raise InputError(
+                f"has {counted(n_rows, 'row')} without file names, {path.name} {counted(len(names), 'picture')}",
+                file=file,
+                remedy="add a column of file names",
+            )
+        return listed.t_ns, [names[row] for row in listed.row]
+    chosen = [os.path.relpath(_beside(path, file, name), path) for name in listed.names]
+    missing = [name for name in chosen if not (path / name).is_file()]
+    if len(missing) == len(chosen):
+        raise InputError(
+            f"none of its {counted(len(chosen), 'picture')} is in {path.name}, such as {missing[0]}",
+            file=file,
+            remedy="name the folder that they lie in",
+        )
+    if missing:
+        problems.append(f"{path.name}: {counted(len(missing), 'picture')} missing (first {missing[0]})")
+    unlisted = len(set(names) - set(chosen))
+    if unlisted:
+        problems.append(f"{path.name}: {counted(unlisted, 'picture')} not in {file.name} left out")
+    return listed.t_ns, chosen
+
+
+def _beside(path: Path, file: Path, name: str) -> Path:
+    """Return where a listed picture lies: in the folder, or where the list's own folder has it."""
+    name = name.strip().strip('"').replace("\\", "/")
+    for candidate in (path / name, file.parent / name, path / Path(name).name):
+        if candidate.is_file():
+            return candidate
+    return path / name
+
+
+def _named(
+    path: Path, names: list[str], columns: ColumnMap | str | None, problems: list[str]
+) -> tuple[TimeArray, list[str]]:
+    """Take times from the pictures' names: the last number in each, if it is long enough to be a time."""
+    found = [_NUMBER.findall(Path(name).stem) for name in names]
+    texts = [numbers[-1] if numbers else "" for numbers in found]
+    timed = [(name, text) for name, text in zip(names, texts, strict=True) if len(text.replace(".", "")) >= 8]
+    if not timed:
+        raise InputError(
+            f"nothing says when its {counted(len(names), 'picture')} were taken", file=path, remedy=_REMEDY
+        )
+    whole = all("." not in text for _, text in timed)
+    numbers = np.array(
+        [int(text) if whole else float(text) for _, text in timed], dtype="i8" if whole else "f8"
+    )
+    told = columns.time_unit if isinstance(columns, ColumnMap) else None
+    unit = told or guess_unit(numbers)
+    t_ns = to_ns(numbers, unit)
+    kept = [name for (name, _), t in zip(timed, t_ns, strict=True) if t != MISSING]
+    problems.append(f"{path.name}: times taken from the pictures' names, as {said(unit)}")
+    if len(kept) < len(names):
+        problems.append(
+            f"{path.name}: {counted(len(names) - len(kept), 'picture')} not named by a time left out"
+        )
+    return t_ns[t_ns != MISSING], kept

@@ -1,0 +1,302 @@
+"""Video files by PyAV: every frame at its own time stamp, decoded when it is asked for.
+
+The flight's time of a frame is the video's own time, counted from its first frame, plus ``start_ns``; or row for row
+from a CSV of frame times, where the recorder wrote one (``libcamera-vid --save-pts``, the logs of most scripts). Raw
+streams (``.h264``) have no time stamps and need such a file; AVI has only a nominal rate, which is used and said.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.flight import ChosenFrames, FrameStream, TimeArray
+from fusion.logs.contents import Kind, Topic
+from fusion.logs.csv.column_map import ColumnMap
+from fusion.logs.pictures.video_frames import VideoFrames
+from fusion.logs.samples import counted, in_order
+from fusion.logs.series import SeriesLog, no_such_topic
+from vision import InputError
+
+if TYPE_CHECKING:
+    from av.container import InputContainer
+    from av.video.stream import VideoStream
+
+SUFFIXES = frozenset(
+    {".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts", ".mpg", ".mpeg", ".wmv", ".flv"}
+    | {".3gp", ".ogv", ".mjpg", ".mjpeg", ".h264", ".264", ".h265", ".265", ".hevc"}
+)
+_EXTRA = "install it: pip install 'corridor-fusion[video]'"
+_TIMES = "name a CSV with the time of each frame: times under [camera] in flight.toml"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VideoIndex:
+    """What the packets of one video stream say, frames in the order in which they are shown.
+
+    Parameters
+    ----------
+    pts
+        Presentation time stamps (n,), strictly increasing, in units of ``time_base``; where ``numbered``, numbers.
+    key_pts
+        Those of the frames that decode without others (k,).
+    time_base
+        Seconds per unit.
+    numbered
+        Whether frames can only be told by counting them: the file has no time stamps of its own.
+    """
+
+    pts: npt.NDArray[np.int64]
+    key_pts: npt.NDArray[np.int64]
+    time_base: Fraction
+    numbered: bool
+
+
+def recognises(path: Path) -> bool:
+    """Whether a file is a video by its first bytes or its ending."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(12)
+    magic = (
+        head[4:8] == b"ftyp"
+        or head[:4] == b"\x1a\x45\xdf\xa3"
+        or (head[:4] == b"RIFF" and head[8:] == b"AVI ")
+    )
+    return magic or path.suffix.lower() in SUFFIXES
+
+
+def open_log(path: Path) -> VideoLog:
+    """Open a video with the clock that it has."""
+    return open_video(path)
+
+
+def open_video(
+    path: Path, *, start_ns: int = 0, times: Path | None = None, columns: ColumnMap | str | None = None
+) -> VideoLog:
+    """Open a video and find out when its frames were taken.
+
+    Parameters
+    ----------
+    path
+        The file.
+    start_ns
+        Time of its first frame.
+    times, columns
+        A CSV with the time of each frame instead, a row per frame in the order they are shown; its columns.
+
+    Raises
+    ------
+    InputError
+        Where PyAV is not installed, the file is no video or has no frames, or nothing says when they were taken.
+    """
+    problems: list[str] = []
+    with open_container(path) as container:
+        streams = [stream for stream in container.streams.video if not _is_cover(stream)]
+        if not streams:
+            raise InputError("holds no video stream", file=path, remedy="give a video with pictures")
+        packets = {stream.index: _Packets() for stream in streams}
+        _count(path, container, streams, packets, problems)
+        indices = {stream.index: _index(container, stream, packets[stream.index]) for stream in streams}
+        nominal = _nominal_rate(container, streams[0])
+        note = _note(container)
+        _check_end(path, container, streams, indices, problems)
+    videos: dict[str, _Video] = {}
+    for number, index in indices.items():
+        name = "video" if len(indices) == 1 else f"video{number}"
+        if not len(index.pts):
+            continue
+        if times is not None:
+            t_ns, rows = _listed_times(path, len(index.pts), times, columns, problems)
+        else:
+            t_ns, rows = _times(path, index, nominal, start_ns, problems), np.arange(len(index.pts))
+        videos[name] = _Video(t_ns, rows, index, number)
+    if not videos:
+        raise InputError("holds no frames", file=path, remedy="it was not written whole; copy it again")
+    return VideoLog(path, videos, note, tuple(problems))
+
+
+def open_container(path: Path) -> InputContainer:
+    """Open a video file with PyAV.
+
+    Raises
+    ------
+    InputError
+        Where PyAV is not installed, or the file does not open.
+    """
+    try:
+        import av
+    except ImportError as error:
+        raise InputError("reading videos needs PyAV", file=path, remedy=_EXTRA) from error
+    try:
+        return av.open(str(path), "r")
+    except (av.error.FFmpegError, ValueError) as error:
+        cause = getattr(error, "strerror", None) or str(error)
+        raise InputError(
+            f"does not open as a video: {cause}",
+            file=path,
+            remedy="it is no video or was not written to its end: give the original, or repair it",
+        ) from error
+
+
+def _is_cover(stream: VideoStream) -> bool:
+    """Whether a stream is a cover picture."""
+    return "attached_pic" in str(stream.disposition).lower()
+
+
+@dataclass(slots=True)
+class _Packets:
+    """Time stamps of one stream's packets, in the order of the file."""
+
+    pts: list[int] = field(default_factory=list)
+    key_pts: list[int] = field(default_factory=list)
+    without: int = 0
+
+
+def _count(
+    path: Path,
+    container: InputContainer,
+    streams: list[VideoStream],
+    packets: dict[int, _Packets],
+    problems: list[str],
+) -> None:
+    """Go through the file's packets and note their time stamps; none is decoded."""
+    from av.error import FFmpegError
+
+    try:
+        for packet in container.demux(streams):
+            if not packet.size or packet.is_discard:
+                continue
+            found = packets[packet.stream_index]
+            if packet.pts is None:
+                found.without += 1
+            else:
+                found.pts.append(packet.pts)
+                if packet.is_keyframe:
+                    found.key_pts.append(packet.pts)
+    except (FFmpegError, ValueError) as error:
+        cause = getattr(error, "strerror", None) or str(error)
+        problems.append(f"{path.name}: the file is damaged ({cause}); what lies beyond is lost")
+
+
+def _index(container: InputContainer, stream: VideoStream, packets: _Packets) -> VideoIndex:
+    time_base = Fraction(stream.time_base or Fraction(1, 1))
+    pts = np.unique(np.array(packets.pts, dtype=np.int64))
+    # AVI stores no time stamps, and those that are made up for frames out of order are wrong.
+    made_up = container.format.name == "avi" and bool(getattr(stream.codec_context, "has_b_frames", False))
+    if made_up or packets.without > len(pts):
+        count = len(packets.pts) + packets.without
+        return VideoIndex(np.arange(count), np.zeros(1, dtype=np.int64), time_base, numbered=True)
+    return VideoIndex(pts, np.unique(np.array(packets.key_pts, dtype=np.int64)), time_base, numbered=False)
+
+
+def _nominal_rate(container: InputContainer, stream: VideoStream) -> Fraction | None:
+    """Return the frame rate of an AVI, the only time it knows; None for other files."""
+    return stream.average_rate if container.format.name == "avi" else None
+
+
+def _times(
+    path: Path, index: VideoIndex, nominal: Fraction | None, start_ns: int, problems: list[str]
+) -> TimeArray:
+    """Return the times (n,) of the frames by the video's own clock."""
+    if nominal is not None:
+        problems.append(
+            f"{path.name}: AVI stores no times; its nominal rate of {float(nominal):g} frames a second is taken"
+        )
+    if index.numbered and nominal is None:
+        raise InputError("has no time stamps", file=path, remedy=_TIMES)
+    unit_s = 1 / nominal if index.numbered and nominal is not None else index.time_base
+    ticks = index.pts - index.pts[0]
+    # Whole numbers without a float in between: hours of video keep every digit.
+    seconds, rest = np.divmod(ticks * unit_s.numerator, unit_s.denominator)
+    return np.asarray(
+        start_ns + seconds * 10**9 + (rest * 10**9 + unit_s.denominator // 2) // unit_s.denominator
+    )
+
+
+def _listed_times(
+    path: Path, n_frames: int, times: Path, columns: ColumnMap | str | None, problems: list[str]
+) -> tuple[TimeArray, npt.NDArray[np.int64]]:
+    """Return the times (m,) that a file gives, and the numbers (m,) of their frames; a broken row costs its frame."""
+    from fusion.logs.csv.times import read_times
+
+    listed = read_times(times, columns, problems)
+    n_rows = int(listed.row[-1]) + 1
+    if n_rows != n_frames:
+        problems.append(
+            f"{times.name} has {counted(n_rows, 'row')}, {path.name} {counted(n_frames, 'frame')}: "
+            f"the first {min(n_rows, n_frames)} of both are taken together"
+        )
+    here = listed.row < n_frames
+    return listed.t_ns[here], listed.row[here]
+
+
+def _note(container: InputContainer) -> str:
+    """Say when the video was made, if it says so itself."""
+    made = container.metadata.get("creation_time")
+    return f"made {made}" if made else ""
+
+
+def _check_end(
+    path: Path,
+    container: InputContainer,
+    streams: list[VideoStream],
+    indices: dict[int, VideoIndex],
+    problems: list[str],
+) -> None:
+    """Report a video that ends well before its header says."""
+    for stream in streams:
+        index = indices[stream.index]
+        if index.numbered or not len(index.pts):
+            continue
+        if stream.duration is not None:
+            declared_s = float(stream.duration * index.time_base)
+        elif container.duration is not None:
+            declared_s = container.duration * 1e-6
+        else:
+            continue
+        step_s = float(np.median(np.diff(index.pts)) * index.time_base) if len(index.pts) > 1 else 0.1
+        length_s = float((index.pts[-1] - index.pts[0]) * index.time_base) + step_s
+        # Sound may last longer than the pictures.
+        tolerance_s = 1.0 if len(container.streams) > 1 else 4 * step_s
+        if declared_s - length_s > tolerance_s or (stream.frames and stream.frames > len(index.pts)):
+            problems.append(
+                f"{path.name}: cut short: {counted(len(index.pts), 'frame')} in {length_s:.1f} s, "
+                f"its header declares {declared_s:.1f} s"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Video:
+    """One stream: times of frames and their numbers, its packets, its number in the file."""
+
+    t_ns: TimeArray
+    rows: npt.NDArray[np.int64]
+    index: VideoIndex
+    stream: int
+
+
+class VideoLog(SeriesLog):
+    """A video as `fusion.logs.contents.LogContents`: pictures and nothing else."""
+
+    def __init__(self, path: Path, videos: dict[str, _Video], note: str, problems: tuple[str, ...]) -> None:
+        super().__init__(path, "video", (), problems)
+        self.topics = tuple(Topic(name, Kind.FRAMES, video.t_ns, note) for name, video in videos.items())
+        self._videos = videos
+
+    def frames(self, topic: str, problems: list[str]) -> FrameStream:
+        """Pictures, decoded one at a time."""
+        if topic not in self._videos:
+            raise no_such_topic(self.path, self.topics, Kind.FRAMES, topic)
+        video = self._videos[topic]
+        index = in_order(video.t_ns, f"{self.path.name}", problems, file=self.path, remedy=_TIMES)
+        source = VideoFrames(
+            self.path, video.stream, video.index.pts, video.index.key_pts, video.index.numbered
+        )
+        source.check(problems)
+        return FrameStream(video.t_ns[index], ChosenFrames(source, video.rows[index]))

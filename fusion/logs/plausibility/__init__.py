@@ -1,0 +1,4 @@
+"""Is a flight what it claims to be: units, axes, clocks and live sensors, told from its data.
+
+Begin reading at `fusion.logs.plausibility.flight`.
+"""

@@ -1,0 +1,190 @@
+"""Is a flight what it claims to be: units, axes, clocks and live sensors, told from its data.
+
+Readers convert what a log says it holds; this looks at whether the numbers agree. What would make the answer wrong
+without a sign of it is refused; what is likely, or does little harm, is said in the flight's ``problems``. A stream
+that never changes is left out: it holds nothing, whatever it claims.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import degrees
+from pathlib import Path
+
+import numpy as np
+
+from fusion.flight import AttitudeStream, Flight, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
+from fusion.logs.plausibility.clocks import examine_clocks
+from fusion.logs.plausibility.findings import Advice, Finding, Severity
+from fusion.logs.plausibility.imu import MIN_SAMPLES, examine_imu
+from vision import InputError
+
+MIN_DEAD_NS = 2_000_000_000  # a stream must stay the same for so long before it counts as dead
+MAX_SPEED_M_S = 60.0
+MAX_HEIGHT_M = 20.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Streams:
+    """The streams of a flight that are looked at; None: there is none."""
+
+    frames_t_ns: TimeArray | None = None
+    imu: ImuStream | None = None
+    attitude: AttitudeStream | None = None
+    velocity: VectorStream | None = None
+    position: VectorStream | None = None
+    range: RangeStream | None = None
+
+    def times(self) -> dict[str, TimeArray]:
+        """Return the times of each stream that is there, by its name in a manifest."""
+        streams = {
+            "imu": self.imu,
+            "attitude": self.attitude,
+            "velocity": self.velocity,
+            "position": self.position,
+            "range": self.range,
+        }
+        found = {} if self.frames_t_ns is None else {"camera": self.frames_t_ns}
+        return found | {name: stream.t_ns for name, stream in streams.items() if stream is not None}
+
+
+def check_flight(flight: Flight, path: Path | None = None) -> Flight:
+    """Return the flight without dead streams and with what is implausible among its problems.
+
+    Parameters
+    ----------
+    flight
+        As a reader made it.
+    path
+        What the user named, for messages; a folder in the ASL layout gets other advice than a log.
+
+    Raises
+    ------
+    InputError
+        Where fusing would give a wrong answer: units, axes or clocks that are certainly not as taken.
+    """
+    alive, findings = examine_streams(_streams(flight), Advice(is_folder=path is not None and is_asl(path)))
+    for finding in findings:
+        if finding.severity is Severity.ERROR:
+            raise InputError(f"{finding.stream}: {finding.text}", file=path, remedy=finding.remedy)
+    problems = (*flight.problems, *(finding.sentence for finding in findings))
+    return replace(
+        flight,
+        imu=alive.imu,
+        attitude=alive.attitude,
+        velocity=alive.velocity,
+        range=alive.range,
+        problems=problems,
+    )
+
+
+def examine_flight(flight: Flight, advice: Advice) -> list[Finding]:
+    """Return everything that is implausible about a flight."""
+    return examine_streams(_streams(flight), advice)[1]
+
+
+def examine_streams(streams: Streams, advice: Advice) -> tuple[Streams, list[Finding]]:
+    """Return the streams without dead ones, and everything that is implausible about them, clocks first."""
+    streams, found = without_dead_streams(streams)
+    found += examine_clocks(streams.times(), advice)
+    if any(finding.kind == "time_unit" for finding in found):
+        return streams, found  # rates mean nothing without their times
+    if streams.imu is not None:
+        found += examine_imu(streams.imu, streams.attitude, advice)
+    if streams.attitude is not None:
+        found += examine_attitude(streams.attitude, advice)
+    if streams.velocity is not None:
+        found += _speeds(streams.velocity)
+    return streams, found
+
+
+def without_dead_streams(streams: Streams) -> tuple[Streams, list[Finding]]:
+    """Take away streams that never change or cannot be, and a velocity of zeros.
+
+    An accelerometer that never changes becomes unknown.
+    """
+    found: list[Finding] = []
+
+    def is_dead(name: str, t_ns: TimeArray, values: FloatArray, what: str) -> bool:
+        if len(values) < MIN_SAMPLES or t_ns[-1] - t_ns[0] < MIN_DEAD_NS or np.any(values != values[0]):
+            return False
+        text = f"{what} is {_vector(values[0])} in all of its {len(values)} rows: it was never measured, left out"
+        found.append(Finding(Severity.WARNING, name, "constant", text, "check the logger"))
+        return True
+
+    imu, attitude, velocity = streams.imu, streams.attitude, streams.velocity
+    if imu is not None and is_dead("imu", imu.t_ns, imu.gyro_rad_s, "the gyroscope"):
+        imu = None
+    if imu is not None and is_dead("imu", imu.t_ns, imu.accel_m_s2, "the accelerometer"):
+        imu = replace(imu, accel_m_s2=np.full_like(imu.accel_m_s2, np.nan))
+    if attitude is not None and is_dead("attitude", attitude.t_ns, attitude.q_world_body, "the quaternion"):
+        attitude = None
+    if (
+        velocity is not None
+        and not velocity.xyz.any()
+        and is_dead("velocity", velocity.t_ns, velocity.xyz, "it")
+    ):
+        velocity = None
+    distance = streams.range
+    if distance is not None and float(np.median(distance.distance_m)) > MAX_HEIGHT_M:
+        text = f"most of it is more than {MAX_HEIGHT_M:.0f} m: no corridor is that high, left out"
+        remedy = 'give metres, or set range_unit = "cm" or "mm" in [range.columns] of flight.toml'
+        found.append(Finding(Severity.WARNING, "range", "range_unit", text, remedy))
+        distance = None
+    return replace(streams, imu=imu, attitude=attitude, velocity=velocity, range=distance), found
+
+
+def examine_attitude(attitude: AttitudeStream, advice: Advice) -> Iterator[Finding]:
+    """Yield what an attitude shows by itself: a vehicle that flies upside down, or on its side."""
+    q = attitude.q_world_body
+    if len(q) < MIN_SAMPLES:
+        return
+    tilt_rad = np.arccos(np.clip(1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), -1.0, 1.0))
+    tilt_deg = degrees(float(np.median(tilt_rad)))
+    if tilt_deg > 135.0:
+        text = (
+            f"the vehicle is upside down most of the time, by {tilt_deg:.0f} degrees: its axes are not as taken, "
+            "z of the body or of the world points the other way"
+        )
+        yield Finding(Severity.ERROR, "attitude", "attitude_axes", text, advice.frame("attitude", "flu"))
+    elif tilt_deg > 45.0:
+        text = f"the vehicle lies on its side most of the time, by {tilt_deg:.0f} degrees"
+        up = -np.median(_down_in_body(q), axis=0)
+        severity = Severity.ERROR if tilt_deg > 65.0 else Severity.WARNING
+        yield Finding(severity, "attitude", "attitude_axes", text, advice.mounting("attitude", up))
+
+
+def _down_in_body(q_world_body: FloatArray) -> FloatArray:
+    """Return the world's down (n, 3) as the body sees it."""
+    w, x, y, z = q_world_body.T
+    return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
+
+
+def _speeds(velocity: VectorStream) -> Iterator[Finding]:
+    if len(velocity.t_ns) < MIN_SAMPLES:
+        return
+    speed = float(np.percentile(np.linalg.norm(velocity.xyz, axis=1), 90.0))
+    if speed > MAX_SPEED_M_S:
+        yield Finding(
+            Severity.ERROR,
+            "velocity",
+            "velocity_unit",
+            f"one sample in ten is faster than {speed:.0f} m/s: it is in another unit",
+            'give metres per second, or set velocity_unit = "cm/s" or "mm/s" in [velocity.columns] of flight.toml',
+        )
+
+
+def _streams(flight: Flight) -> Streams:
+    return Streams(
+        flight.frames.t_ns, flight.imu, flight.attitude, flight.velocity, flight.position, flight.range
+    )
+
+
+def is_asl(path: Path) -> bool:
+    """Whether a path is a flight folder in the ASL layout."""
+    return path.is_dir() and ((path / "mav0").is_dir() or (path / "cam0").is_dir())
+
+
+def _vector(values: FloatArray) -> str:
+    return "(" + ", ".join(f"{value + 0.0:g}" for value in values) + ")"

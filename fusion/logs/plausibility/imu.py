@@ -1,0 +1,322 @@
+"""Is an IMU in rad/s and m/s^2, in body FRD, and alive: told from gravity, from itself and from the attitude.
+
+Every check is silent where the data do not allow a judgement. Thresholds leave what vehicles do far aside: the point
+is a factor of 57 or 9.8 or a reversed axis, not calibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import degrees, radians
+
+import numpy as np
+
+from fusion.flight import AttitudeStream, FloatArray, ImuStream
+from fusion.logs.plausibility.findings import Advice, Finding, Severity
+from fusion.logs.plausibility.turn_rates import FLU, Reading, compare_turns
+
+GRAVITY_M_S2 = 9.80665
+MIN_SAMPLES = 20
+GYRO_RANGE_RAD_S = radians(2000.0)  # the widest range of small gyroscopes
+LIKELY_DEGREES = 4.0  # median of |gyro|: 230 degrees/s all the time
+UPRIGHT = 0.8  # share of gravity along z: within 37 degrees
+MIN_CORRELATION = 0.7  # with the attitude, before its scale or axes are believed
+TILT_WINDOW_S = 0.5
+STUCK_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gravity:
+    """Median specific force (3,) and median of its length, m/s^2 if the unit is right."""
+
+    mean: FloatArray
+    length: float
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether it points somewhere, as gravity does and vibration does not."""
+        return self.length > 0.0 and float(np.linalg.norm(self.mean)) > 0.7 * self.length
+
+    @property
+    def direction(self) -> FloatArray:
+        """Unit vector (3,)."""
+        return np.asarray(self.mean / np.linalg.norm(self.mean))
+
+
+def gravity_of(imu: ImuStream) -> Gravity | None:
+    """Measure gravity over the whole log; None where the log has no accelerometer, or too little of it."""
+    accel = imu.accel_m_s2[np.isfinite(imu.accel_m_s2).all(axis=1)]
+    if len(accel) < MIN_SAMPLES:
+        return None
+    return Gravity(np.median(accel, axis=0), float(np.median(np.linalg.norm(accel, axis=1))))
+
+
+def examine_imu(imu: ImuStream, attitude: AttitudeStream | None, advice: Advice) -> Iterator[Finding]:
+    """Yield what is implausible about an IMU, and about an attitude that contradicts it."""
+    if len(imu.t_ns) < MIN_SAMPLES:
+        return
+    yield from _stuck(imu, advice)
+    gravity = gravity_of(imu)
+    if gravity is not None:
+        yield from _accel_unit(gravity, advice)
+    comparison = None if attitude is None else compare_turns(imu, attitude)
+    likeliest = None if comparison is None else (comparison.others or (comparison.as_taken,))[0]
+    if likeliest is not None and likeliest.correlation >= MIN_CORRELATION:
+        yield from _scale(likeliest, advice)
+        if comparison is not None and comparison.others:
+            yield from _axes_by_attitude(comparison.as_taken, likeliest, gravity, advice)
+            return
+        yield from _gravity_sign(gravity, advice, gyro_confirmed=True)
+        return
+    yield from _gyro_degrees(imu, gravity, advice)
+    yield from _gravity_sign(gravity, advice, gyro_confirmed=False)
+
+
+def _stuck(imu: ImuStream, advice: Advice) -> Iterator[Finding]:
+    repeated = ~np.any(np.diff(imu.gyro_rad_s, axis=0) != 0.0, axis=1)
+    runs = np.flatnonzero(np.diff(np.concatenate([[False], repeated, [False]]).astype(np.int8)))
+    start, end = runs[::2], runs[1::2]
+    if len(start) and not repeated.all():
+        duration_s = (imu.t_ns[end] - imu.t_ns[start]) * 1e-9
+        frozen = (duration_s >= STUCK_S) & (end - start >= MIN_SAMPLES)
+        if frozen.any():
+            longest = int(np.argmax(np.where(frozen, duration_s, 0.0)))
+            yield Finding(
+                Severity.WARNING,
+                "imu",
+                "gyro_stuck",
+                f"the gyroscope repeats one value for {duration_s[frozen].sum():.1f} s in all, longest "
+                f"{duration_s[longest]:.1f} s from {imu.t_ns[start[longest]]}: it hung there",
+                "turns in these stretches are lost; check the logger",
+            )
+    if not np.any(np.diff(imu.gyro_rad_s[:, 2])) and not repeated.all():
+        yield Finding(
+            Severity.ERROR,
+            "imu",
+            "gyro_stuck",
+            f"the gyroscope's z axis is {imu.gyro_rad_s[0, 2] + 0.0:g} rad/s in every row: it is stuck",
+            advice.leave_out("imu"),
+        )
+
+
+def _accel_unit(gravity: Gravity, advice: Advice) -> Iterator[Finding]:
+    """Tell the unit by gravity's length, where it is gravity: vibration alone points nowhere."""
+    if not gravity.is_seen:
+        if gravity.length < 0.5 * GRAVITY_M_S2:
+            yield Finding(
+                Severity.WARNING,
+                "imu",
+                "accel_without_gravity",
+                f"the accelerometer shows no gravity, in the median {gravity.length:.2g} m/s^2: it was taken out",
+                "give the raw accelerometer, else roll and pitch hang on the attitude alone",
+            )
+        return
+    length = float(np.linalg.norm(gravity.mean))
+    if 0.6 * GRAVITY_M_S2 < length < 1.4 * GRAVITY_M_S2:
+        return
+    for unit, name, one_g, factor in (
+        ("g", "g", 1.0, "9.80665"),
+        ("mg", "thousandths of g", 1000.0, "0.00980665"),
+    ):
+        if 0.8 < length / one_g < 1.2:
+            yield Finding(
+                Severity.ERROR,
+                "imu",
+                "accel_unit",
+                f"gravity reads {length:.4g} instead of 9.81 m/s^2: the accelerometer is in {name}",
+                advice.unit("imu", "accel_unit", unit, factor),
+            )
+            return
+    far = not 0.3 < length / GRAVITY_M_S2 < 3.0
+    yield Finding(
+        Severity.ERROR if far else Severity.WARNING,
+        "imu",
+        "accel_unit",
+        f"gravity reads {length:.4g} instead of 9.81 m/s^2"
+        + (": the accelerometer is in another unit" if far else ": the accelerometer's scale is off"),
+        advice.unit("imu", "accel_unit", "...", f"{GRAVITY_M_S2 / length:.4g}"),
+    )
+
+
+def _scale(reading: Reading, advice: Advice) -> Iterator[Finding]:
+    """Compare the sizes of both rates: 57 times the attitude's where the gyroscope is in degrees."""
+    ratio = 1.0 / reading.scale
+    if 0.6 < ratio < 1.6:
+        return
+    named = [
+        (unit, name, factor)
+        for unit, name, size, factor in (
+            ("deg/s", "in degrees/s, not rad/s", degrees(1.0), "0.0174533"),
+            ("mrad/s", "in mrad/s, not rad/s", 1000.0, "0.001"),
+        )
+        if 0.7 < ratio / size < 1.3
+    ]
+    unit, name, factor = named[0] if named else ("...", "not in rad/s", f"{reading.scale:.4g}")
+    certain = bool(named) or not 0.2 < ratio < 5.0
+    yield Finding(
+        Severity.ERROR if certain else Severity.WARNING,
+        "imu",
+        "gyro_unit",
+        f"the gyroscope turns {ratio:.3g} times as fast as the attitude: it is {name}"
+        if certain
+        else f"the gyroscope turns {ratio:.3g} times as fast as the attitude",
+        advice.unit("imu", "gyro_unit", unit, factor)
+        if certain
+        else "check the gyroscope's unit and scale, and the clocks of both",
+    )
+
+
+def _axes_by_attitude(
+    as_taken: Reading, likeliest: Reading, gravity: Gravity | None, advice: Advice
+) -> Iterator[Finding]:
+    """Say whose axes are wrong where gyroscope and attitude turn differently; gravity tells."""
+    evidence = f"correlation {as_taken.correlation:+.2f} as taken, {likeliest.correlation:+.2f} so"
+    certain = as_taken.correlation < 0.5
+    severity = Severity.ERROR if certain else Severity.WARNING
+    down = gravity is not None and gravity.is_seen and gravity.direction[2] < -UPRIGHT
+    up = gravity is not None and gravity.is_seen and gravity.direction[2] > UPRIGHT
+    if likeliest.conjugated:
+        yield Finding(
+            severity,
+            "attitude",
+            "attitude_conjugated",
+            "its quaternions turn against the gyroscope and agree with it conjugated: they take the world to the "
+            f"body, {evidence}",
+            "negate x, y, z of the quaternion: it must take the body to the world",
+        )
+    elif np.array_equal(likeliest.axes, FLU) and up:
+        yield Finding(
+            severity,
+            "imu",
+            "imu_axes",
+            f"gravity reads {_signed(gravity)} along z and the gyroscope's y and z turn against the attitude: its "
+            f"axes look like FLU, {evidence}",
+            advice.frame("imu", "flu"),
+        )
+    elif np.array_equal(likeliest.axes, FLU) and down:
+        yield Finding(
+            severity,
+            "attitude",
+            "attitude_axes",
+            f"its pitch and yaw turn against the gyroscope, whose gravity is right: it looks like FLU to a world "
+            f"with z up, as in ROS, {evidence}",
+            advice.frame("attitude", "enu"),
+        )
+    else:
+        yield Finding(
+            severity,
+            "imu",
+            "imu_axes",
+            f"the gyroscope turns against the attitude; they agree with x, y, z of the IMU taken as "
+            f"{_axes_in_words(likeliest.axes)}, {evidence}",
+            "one of the two is wrong: turn the axes of the IMU, or of the attitude, into forward, right, down",
+        )
+
+
+def _gravity_sign(gravity: Gravity | None, advice: Advice, *, gyro_confirmed: bool) -> Iterator[Finding]:
+    """At rest, body FRD, the accelerometer reads -9.8 along z."""
+    if gravity is None or not gravity.is_seen or gravity.direction[2] < -UPRIGHT:
+        return
+    direction = gravity.direction
+    axis = int(np.argmax(np.abs(direction)))
+    if direction[2] > UPRIGHT:
+        if gyro_confirmed:
+            yield Finding(
+                Severity.WARNING,
+                "imu",
+                "accel_sign",
+                f"gravity reads {_signed(gravity)} along z though the gyroscope turns as the attitude does: the "
+                "accelerometer gives gravity's pull, not the specific force",
+                "set accel_sign = -1 in [imu.columns] of flight.toml, or negate the accelerometer",
+            )
+            return
+        text = f"gravity reads {_signed(gravity)} along z instead of -9.8: axes look like FLU, not FRD"
+        remedy = advice.frame("imu", "flu")
+        if not advice.is_folder:
+            remedy += "; where only the accelerometer's sign is reversed, accel_sign = -1 in [imu.columns]"
+        yield Finding(Severity.ERROR, "imu", "imu_axes", text, remedy)
+    elif abs(direction[axis]) > UPRIGHT:
+        yield Finding(
+            Severity.ERROR,
+            "imu",
+            "imu_axes",
+            f"gravity reads {gravity.mean[axis]:+.1f} along {'xyz'[axis]} instead of -9.8 along z: the "
+            "IMU's axes are not the body's",
+            advice.mounting("imu", direction),
+        )
+    else:
+        yield Finding(
+            Severity.WARNING,
+            "imu",
+            "imu_axes",
+            f"gravity points {degrees(np.arccos(-direction[2])):.0f} degrees off the body's z axis, median over the "
+            "log: the IMU is mounted aslant or the vehicle lay on its side",
+            advice.mounting("imu", direction),
+        )
+
+
+def _gyro_degrees(imu: ImuStream, gravity: Gravity | None, advice: Advice) -> Iterator[Finding]:
+    """Without an attitude: rates beyond any gyroscope's range, or tilts that gravity does not follow."""
+    speed = np.linalg.norm(imu.gyro_rad_s, axis=1)
+    fastest, usual = float(np.percentile(speed, 99.0)), float(np.median(speed))
+    text = None
+    severity = Severity.ERROR
+    if fastest > GYRO_RANGE_RAD_S:
+        text = f"one gyroscope sample in a hundred is beyond {fastest:.0f} rad/s, more than any measures"
+    else:
+        tilts = _tilts(imu) if gravity is not None and gravity.is_seen else None
+        if tilts is not None and tilts[0] > 0.3 and tilts[1] < 0.15 * tilts[0]:
+            text = (
+                f"by the gyroscope the vehicle tilts {degrees(tilts[0]):.0f} degrees every {TILT_WINDOW_S:g} s, by "
+                f"gravity {degrees(tilts[1]):.1f}"
+            )
+        elif usual > LIKELY_DEGREES:
+            severity = Severity.WARNING
+            text = f"the gyroscope reads {usual:.0f} rad/s half of the time"
+    if text is not None:
+        yield Finding(
+            severity,
+            "imu",
+            "gyro_unit",
+            f"{text}: it {'is' if severity is Severity.ERROR else 'may be'} in degrees/s, not rad/s",
+            advice.unit("imu", "gyro_unit", "deg/s", "0.0174533"),
+        )
+
+
+def _tilts(imu: ImuStream) -> tuple[float, float] | None:
+    """Return the usual tilt in radians over half a second: as the gyroscope tells it, and as gravity shows it."""
+    t_s = (imu.t_ns - imu.t_ns[0]) * 1e-9
+    window = np.floor(t_s / TILT_WINDOW_S).astype(np.int64)
+    finite = np.isfinite(imu.accel_m_s2).all(axis=1)
+    window, accel, gyro = window[finite], imu.accel_m_s2[finite], imu.gyro_rad_s[finite]
+    starts = np.flatnonzero(np.diff(window, prepend=-1))
+    if len(starts) < MIN_SAMPLES:
+        return None
+    count = np.diff(np.append(starts, len(window)))[:, None]
+    force, rate = np.add.reduceat(accel, starts) / count, np.add.reduceat(gyro, starts) / count
+    force /= np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
+    follow = np.diff(window[starts]) == 1
+    turn = 0.5 * (rate[1:] + rate[:-1]) * TILT_WINDOW_S
+    by_gyro = np.cross(turn, force[:-1])[follow]
+    by_gravity = (force[1:] - force[:-1])[follow]
+    if len(by_gyro) < MIN_SAMPLES:
+        return None
+    return _typical_length(by_gyro), _typical_length(by_gravity)
+
+
+def _typical_length(vectors: FloatArray) -> float:
+    return float(np.sqrt(np.median(np.sum(vectors**2, axis=1))))
+
+
+def _signed(gravity: Gravity | None) -> str:
+    return "" if gravity is None else f"{gravity.mean[2]:+.1f}"
+
+
+def _axes_in_words(axes: FloatArray) -> str:
+    """Return such as ``x, -y, -z``: which of the IMU's axes each of the body's is."""
+    words = []
+    for row in axes:
+        axis = int(np.argmax(np.abs(row)))
+        words.append(("-" if row[axis] < 0.0 else "") + "xyz"[axis])
+    return ", ".join(words)

@@ -1,0 +1,271 @@
+"""ROS 1 bags, ROS 2 bags (sqlite3 or MCAP) and plain MCAP files, read with rosbags.
+
+Bodies x forward, y left, z up and worlds with z up (REP 103, REP 105) turn into FRD and z down. Times are those of
+the messages' headers, which say when a sample was taken, not when it was received; a topic whose headers are empty
+keeps the times of receipt, and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.flight import (
+    AttitudeStream,
+    FloatArray,
+    FrameStream,
+    ImuStream,
+    RangeStream,
+    TimeArray,
+    VectorStream,
+)
+from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.rosbag.file import Bag, recognises
+from fusion.logs.rosbag.frames import StaticFrames
+from fusion.logs.rosbag.gather import Samples, gather, of_use
+from fusion.logs.rosbag.messages import (
+    PICTURES,
+    POSES,
+    TWISTS,
+    RosType,
+    Wire,
+    camera_from_info,
+)
+from fusion.logs.rosbag.pictures import BagPictures, describe, refusal
+from fusion.logs.samples import MIN_STEP_NS
+from fusion.logs.series import (
+    MAX_POSITION,
+    MAX_VELOCITY,
+    Series,
+    SeriesLog,
+    Stream,
+    attitude_stream,
+    imu_stream,
+    no_such_topic,
+    range_stream,
+    usable,
+    vector_stream,
+    velocity_stream,
+)
+from vision import Camera, InputError
+
+if TYPE_CHECKING:
+    pass
+
+__all__ = ["open_log", "recognises"]
+
+WORLDS = (
+    "map",
+    "odom",
+    "world",
+    "earth",
+    "enu",
+    "local_origin",
+)  # frames of a velocity that is not the body's
+
+
+class RosLog(SeriesLog):
+    """`LogContents` of a bag."""
+
+    def __init__(
+        self,
+        bag: Bag,
+        series: list[Series],
+        pictures: dict[str, Samples],
+        notes: dict[str, str],
+        infos: dict[str, bytes],
+        mounts: StaticFrames,
+    ) -> None:
+        super().__init__(bag.path, bag.format, series, bag.problems)
+        self._bag = bag
+        self._pictures = pictures
+        self._infos = infos
+        self._mounts = mounts
+        topics = [Topic(p.name, Kind.FRAMES, p.t_ns, notes[p.name]) for p in pictures.values()]
+        self.topics = (*topics, *self.topics)
+
+    def frames(self, topic: str, problems: list[str]) -> FrameStream:
+        """Pictures, decoded one at a time when asked for."""
+        if topic not in self._pictures:
+            raise no_such_topic(self.path, self.topics, Kind.FRAMES, topic)
+        samples = self._pictures[topic]
+        index = usable(samples.t_ns, samples.where(problems), MIN_STEP_NS)
+        received_ns = samples.received_ns
+        source = BagPictures(self.path, topic, received_ns[index], _repeats(received_ns)[index])
+        return FrameStream(samples.t_ns[index], source)
+
+    def camera(self, topic: str) -> Camera | None:
+        """Calibration from the CameraInfo beside these pictures; it looks straight ahead unless transforms tell."""
+        name = _info_of(topic, list(self._infos), list(self._pictures))
+        if name is None:
+            return None
+        try:
+            info = self._bag.decode(RosType.CAMERA_INFO, self._infos[name])
+            mount = self._mounts.mount(info.header.frame_id)
+            rectified = "rect" in _base(topic).rsplit("/", 1)[-1]
+            return camera_from_info(info, name, rectified=rectified, mount=mount)
+        except InputError as error:
+            raise InputError(error.problem, file=self.path, remedy=error.remedy) from error
+        except (ValueError, IndexError, TypeError, AttributeError) as error:
+            raise InputError(
+                f"{name} is damaged", file=self.path, remedy="give a camera file instead"
+            ) from error
+
+
+def open_log(path: Path) -> LogContents:
+    """Go through a bag once, for the times of its topics and the numbers of the small ones.
+
+    Raises
+    ------
+    InputError
+        Where rosbags is not installed, the bag is past reading, or holds no topic of use.
+    """
+    bag = Bag(path)
+    try:
+        return _opened(bag)
+    finally:
+        bag.close()
+
+
+def _opened(bag: Bag) -> RosLog:
+    wire = Wire(bag.ros2)
+    samples, infos, frames = gather(bag, wire)
+    pictures, notes = _pictures(bag, [s for s in samples if s.kind in PICTURES])
+    series = _series(bag, wire, [s for s in samples if s.kind not in PICTURES])
+    if not series and not pictures:
+        if any(of_use(connection) for connection in bag.connections):
+            raise InputError(
+                f"none of its messages can be read ({'; '.join(bag.problems) or 'it holds none'})",
+                file=bag.path,
+                remedy="copy the bag again",
+            )
+        kinds = sorted({connection.msgtype for connection in bag.connections})
+        raise InputError(
+            f"holds none of the message types that are read, but {', '.join(kinds[:6]) or 'nothing'}",
+            file=bag.path,
+            remedy="record sensor_msgs/Imu, and Image or CompressedImage with CameraInfo",
+        )
+    return RosLog(bag, series, pictures, notes, infos, frames)
+
+
+def _pictures(bag: Bag, topics: Iterable[Samples]) -> tuple[dict[str, Samples], dict[str, str]]:
+    """Picture topics that can be read, and a note on each; the others are named in the bag's problems."""
+    found: dict[str, Samples] = {}
+    notes: dict[str, str] = {}
+    for samples in topics:
+        try:
+            message = bag.decode(samples.kind, samples.first)
+            reason = refusal(message, samples.kind)
+            what = describe(message, samples.kind)
+        except InputError:
+            reason, what = None, "its first picture does not decode"
+        if reason is None:
+            found[samples.name] = samples
+            notes[samples.name] = f"{what}; {samples.clock}"
+        else:
+            bag.problems.append(f"{samples.name}: pictures of {reason} left out")
+    return found, notes
+
+
+def _series(bag: Bag, wire: Wire, topics: list[Samples]) -> list[Series]:
+    """Topics of numbers by kind, the one to prefer first."""
+    imus = [s for s in topics if s.kind is RosType.IMU]
+    inertial = [s for s in imus if np.isfinite(s.columns(4, 7)).all(axis=1).any()]
+    oriented = [s for s in imus if _any_quaternion(s.columns(0, 4))]
+    poses = sorted((s for s in topics if s.kind in POSES), key=lambda s: POSES.index(s.kind))
+    twists = sorted((s for s in topics if s.kind in TWISTS), key=lambda s: TWISTS.index(s.kind))
+    found = [_one(s, Kind.IMU, s.axes, _read_imu) for s in inertial]
+    attitudes = [
+        _one(s, Kind.ATTITUDE, f"orientation of the IMU, {s.axes}", partial(_read_attitude, 0))
+        for s in oriented
+    ]
+    attitudes += [_one(s, Kind.ATTITUDE, _frame(wire, s), partial(_read_attitude, 3)) for s in poses]
+    found += attitudes
+    found += [_one(s, Kind.POSITION, _frame(wire, s), _read_position) for s in poses]
+    for s in twists:
+        frame = wire.frame_id(s.first) if s.kind is not RosType.ODOMETRY else ""
+        if frame.strip("/") not in WORLDS:
+            found.append(_one(s, Kind.VELOCITY, "of the body", _read_velocity))
+        elif attitudes:
+            turning = attitudes[0]
+            note = f"of {frame}, turned into the body by {turning.topic.name}"
+            found.append(_one(s, Kind.VELOCITY, note, partial(_read_world_velocity, turning)))
+        else:
+            bag.problems.append(
+                f"{s.name}: a velocity in {frame}, left out: no attitude to turn it into the body"
+            )
+    found += [_one(s, Kind.RANGE, s.axes, _read_range) for s in topics if s.kind is RosType.RANGE]
+    return found
+
+
+def _one(samples: Samples, kind: Kind, note: str, read: Callable[[Samples, list[str]], Stream]) -> Series:
+    topic = Topic(samples.name, kind, samples.t_ns, f"{note}; {samples.clock}")
+    return Series(topic, partial(read, samples))
+
+
+def _frame(wire: Wire, samples: Samples) -> str:
+    return f"in {wire.frame_id(samples.first) or 'a frame without name'}, z up taken"
+
+
+def _any_quaternion(q: FloatArray) -> bool:
+    """Whether any of these (n, 4) is one: drivers without an attitude leave zeros."""
+    return bool((np.abs(np.linalg.norm(np.nan_to_num(q), axis=1) - 1.0) < 0.05).any())
+
+
+def _read_imu(samples: Samples, problems: list[str]) -> ImuStream:
+    where = samples.where(problems)
+    return imu_stream(samples.t_ns, samples.columns(4, 7), samples.columns(7, 10), where)
+
+
+def _read_attitude(start: int, samples: Samples, problems: list[str]) -> AttitudeStream:
+    return attitude_stream(samples.t_ns, samples.columns(start, start + 4), samples.where(problems))
+
+
+def _read_position(samples: Samples, problems: list[str]) -> VectorStream:
+    return vector_stream(samples.t_ns, samples.columns(0, 3), samples.where(problems), MAX_POSITION)
+
+
+def _velocity_columns(samples: Samples) -> FloatArray:
+    start = 7 if samples.kind is RosType.ODOMETRY else 0
+    return samples.columns(start, start + 3)
+
+
+def _read_velocity(samples: Samples, problems: list[str]) -> VectorStream:
+    return vector_stream(samples.t_ns, _velocity_columns(samples), samples.where(problems), MAX_VELOCITY)
+
+
+def _read_world_velocity(turning: Series, samples: Samples, problems: list[str]) -> VectorStream:
+    attitude = turning.read([])  # its own problems are told where it is asked for
+    where = samples.where(problems)
+    return velocity_stream(samples.t_ns, _velocity_columns(samples), cast(AttitudeStream, attitude), where)
+
+
+def _read_range(samples: Samples, problems: list[str]) -> RangeStream:
+    distance_m, low_m, high_m = samples.values.T
+    return range_stream(samples.t_ns, distance_m, samples.where(problems), limits_m=(low_m, high_m))
+
+
+def _repeats(t_ns: TimeArray) -> npt.NDArray[np.int64]:
+    """How many samples of the same time come before each (n,), of times in order."""
+    starts = np.concatenate([[True], np.diff(t_ns) != 0])
+    number = np.arange(len(t_ns))
+    return np.asarray(number - np.maximum.accumulate(np.where(starts, number, 0)))
+
+
+def _base(topic: str) -> str:
+    """Topic of the uncompressed pictures."""
+    return topic.removesuffix("/compressed").rstrip("/")
+
+
+def _info_of(topic: str, infos: list[str], pictures: list[str]) -> str | None:
+    """Topic of the CameraInfo that belongs to a picture topic: beside it; else the only one, if both are alone."""
+    beside = f"{_base(topic).rpartition('/')[0]}/camera_info"
+    if beside in infos:
+        return beside
+    cameras = {_base(picture).rpartition("/")[0] for picture in pictures}
+    return infos[0] if len(infos) == 1 and len(cameras) == 1 else None

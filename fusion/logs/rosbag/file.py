@@ -1,0 +1,274 @@
+"""Bags as files: ROS 1, ROS 2 (sqlite3 or MCAP, alone or in a folder), opened with rosbags, whole or torn.
+
+A recorder that lost power leaves a bag without its index. rosbags refuses it; here the index is made anew from what
+is there, in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from fusion.logs.rosbag.messages import RosType
+from vision import InputError
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+ROS1_MAGIC = b"#ROSBAG V"
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+SQLITE_MAGIC = b"SQLite format 3\x00"
+METADATA = "metadata.yaml"
+_SUFFIXES = (".db3", ".db3-wal", ".db3-shm", ".mcap", ".yaml")  # of what a recorder leaves in its folder
+METADATA_KEY = "rosbag2_bagfile_information"
+
+FIRST_SKIP_NS = 1_000_000
+MAX_SKIPS = 200
+
+Message = tuple["Connection", int, bytes]  # what, when it was received, its bytes
+
+
+class Reader(Protocol):
+    """What the readers of rosbags have in common."""
+
+    connections: list[Connection]
+
+    def open(self) -> None:
+        """Open the file and read its index."""
+
+    def close(self) -> None:
+        """Close the file."""
+
+    def messages(
+        self, connections: Collection[Connection], start: int | None = None, stop: int | None = None
+    ) -> Iterator[Message]:
+        """Messages in the order of receipt."""
+
+
+def magic_of(path: Path) -> bytes:
+    """First bytes of a file."""
+    with path.open("rb") as file:
+        return file.read(16)
+
+
+def storages_in(folder: Path) -> list[Path]:
+    """Bag files of ROS 2 in a folder, by their first bytes."""
+    files = [path for path in sorted(folder.iterdir()) if path.suffix in (".db3", ".mcap") and path.is_file()]
+    return [path for path in files if magic_of(path).startswith((MCAP_MAGIC, SQLITE_MAGIC))]
+
+
+def recognises(path: Path) -> bool:
+    """Whether a file begins as a bag does, or a folder holds one of ROS 2."""
+    if path.is_file():
+        return magic_of(path).startswith((ROS1_MAGIC, MCAP_MAGIC, SQLITE_MAGIC))
+    if not path.is_dir():
+        return False
+    metadata = path / METADATA
+    if metadata.is_file() and METADATA_KEY in metadata.read_text(encoding="utf-8", errors="replace"):
+        return True
+    only_bags = all(child.suffix in _SUFFIXES for child in path.iterdir())
+    return only_bags and bool(storages_in(path))
+
+
+class Bag:
+    """An open bag.
+
+    Parameters
+    ----------
+    path
+        A ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 bag.
+
+    Raises
+    ------
+    InputError
+        Where rosbags is not installed or the file is past reading.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.problems: list[str] = []
+        self.ros2 = True
+        try:
+            import rosbags.rosbag2  # noqa: F401
+        except ImportError:
+            raise InputError(
+                "is a ROS bag, which rosbags reads", file=path, remedy="pip install 'corridor-fusion[ros]'"
+            ) from None
+        try:
+            self._open()
+        except InputError:
+            raise
+        except Exception as error:  # rosbags lets anything through that a damaged file makes it do
+            raise InputError(
+                f"cannot be opened: {one_line(error, path)}",
+                file=path,
+                remedy="the bag is damaged; copy it again, or try `ros2 bag reindex` or sqlite3's `.recover`",
+            ) from error
+
+    def _open(self) -> None:
+        from rosbags.rosbag2 import Reader as Reader2
+
+        plugins: dict[str, Any] = dict(Reader2.STORAGE_PLUGINS)
+        path = self.path
+        if path.is_dir() and not (path / METADATA).is_file():
+            path = self._only_storage(path)
+        if path.is_dir():
+            self.format = "ROS 2 bag"
+            self._reader: Reader = plugins["dir"](path)
+            self._reader.open()
+            return
+        magic = magic_of(path)
+        if magic.startswith(SQLITE_MAGIC):
+            self.format = "ROS 2 bag (sqlite3)"
+            self._reader = plugins[".db3"](path)
+            self._reader.open()
+        elif magic.startswith(MCAP_MAGIC):
+            self.format = "ROS 2 bag (MCAP)"
+            self._reader = self._open_mcap(plugins[".mcap"], path)
+        else:
+            self.format, self.ros2 = "ROS 1 bag", False
+            self._reader = self._open_ros1(path)
+
+    def _only_storage(self, folder: Path) -> Path:
+        storages = storages_in(folder)
+        if len(storages) != 1:
+            raise InputError(
+                f"has {len(storages)} bag files and no {METADATA}",
+                file=folder,
+                remedy="run `ros2 bag reindex`",
+            )
+        self.problems.append(
+            f"{METADATA} is missing: the recorder was not stopped; {storages[0].name} is read"
+        )
+        return storages[0]
+
+    def _open_ros1(self, path: Path) -> Reader:
+        from rosbags.rosbag1 import Reader as Reader1
+
+        from fusion.logs.rosbag.torn import TornRos1
+
+        whole = Reader1(path)
+        try:
+            whole.open()
+            return whole
+        except Exception as error:
+            reason = one_line(error)
+        torn = TornRos1(path)
+        torn.open()
+        if torn.start_time == 0:
+            raise InputError(
+                f"holds no whole message ({reason})", file=path, remedy="the recording was cut too early"
+            )
+        self.problems += [f"the bag has no sound index ({reason}); it was made anew", *torn.problems]
+        return torn
+
+    def _open_mcap(self, plugin: Any, path: Path) -> Reader:
+        from fusion.logs.rosbag.torn import index_mcap
+
+        reader: Reader = plugin(path)
+        try:
+            reader.open()
+            return reader
+        except Exception as error:
+            reason = one_line(error)
+        if "Profile is not ros2" in reason:
+            raise InputError(
+                "is an MCAP file of another profile than ros2",
+                file=path,
+                remedy="only ROS 2 messages are read; convert it",
+            )
+        reader = plugin(path)
+        lost = index_mcap(reader)
+        self.problems.append(f"the bag has no sound index ({reason}); it was made anew, {lost}")
+        return reader
+
+    @property
+    def connections(self) -> list[Connection]:
+        """What was recorded."""
+        return self._reader.connections
+
+    def messages(
+        self,
+        connections: Collection[Connection],
+        start_ns: int | None = None,
+        problems: list[str] | None = None,
+    ) -> Iterator[Message]:
+        """Messages in the order of receipt, from a time on; damaged stretches are skipped.
+
+        Without ``problems`` the first damage raises instead what rosbags raises.
+        """
+        skips, skip_ns, at_ns = 0, FIRST_SKIP_NS, start_ns
+        first_ns: int | None = None
+        while True:
+            try:
+                for connection, t_ns, raw in self._reader.messages(list(connections), start=at_ns):
+                    yield connection, t_ns, bytes(raw)
+                    at_ns, skip_ns = t_ns + 1, FIRST_SKIP_NS
+                break
+            except Exception as error:
+                if problems is None:
+                    raise
+                skips += 1
+                at_ns = self._start_ns() if at_ns is None else at_ns
+                first_ns = at_ns if first_ns is None else first_ns
+                reason = one_line(error)
+                at_ns += skip_ns
+                skip_ns *= 2
+                if skips > MAX_SKIPS or at_ns >= 2**62:
+                    break
+        if problems is not None and first_ns is not None:
+            problems.append(
+                f"parts of the bag are damaged and were skipped, the first near {first_ns} ({reason})"
+            )
+
+    def decode(self, msgtype: str, raw: bytes) -> Any:
+        """Take a message apart with rosbags.
+
+        Raises
+        ------
+        InputError
+            Where it does not decode.
+        """
+        store = _STORES.get(self.ros2) or _STORES.setdefault(self.ros2, _typestore(self.ros2))
+        try:
+            if self.ros2:
+                return store.deserialize_cdr(raw, msgtype)
+            return store.deserialize_ros1(raw, msgtype)
+        except Exception as error:  # rosbags lets anything through that damaged bytes make it do
+            raise InputError(f"message does not decode: {one_line(error)}", file=self.path) from error
+
+    def _start_ns(self) -> int:
+        start = getattr(self._reader, "start_time", None)
+        metadata = getattr(self._reader, "metadata", None)
+        if start is None and metadata is not None:
+            start = metadata.start_time
+        return 0 if start is None or start >= 2**62 else int(start)
+
+    def close(self) -> None:
+        """Close the file; what was read of it stays."""
+        with suppress(Exception):  # a damaged file may not even close
+            self._reader.close()
+
+
+def _typestore(ros2: bool) -> Any:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    if ros2:
+        return get_typestore(Stores.LATEST)
+    store = get_typestore(Stores.ROS1_NOETIC)
+    if RosType.TRANSFORMS not in store.types:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", RosType.TRANSFORMS))
+    return store
+
+
+_STORES: dict[bool, Any] = {}  # building one takes a tenth of a second
+
+
+def one_line(error: Exception, path: Path | None = None) -> str:
+    """Return what an exception of rosbags says, fit for a message that names the path already."""
+    text = " ".join(str(error).split())
+    if path is not None:
+        text = text.replace(f"{path}: ", "").replace(str(path), path.name)
+    return (text or type(error).__name__)[:120]

@@ -1,0 +1,174 @@
+"""Pictures in bags, read one message at a time."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.logs.rosbag.file import Bag, Message, one_line
+from fusion.logs.rosbag.messages import RosType
+from vision import InputError
+from vision.images import GreyImage, decode_image, to_grey
+
+MAX_SIDE_PX = 1 << 15
+FORWARD_NS = 2_000_000_000  # farther ahead it is cheaper to look the time up than to read on
+
+# Encodings of sensor_msgs/Image: channels and bytes of each.
+_PLAIN = {
+    "mono8": (1, 1), "8UC1": (1, 1), "mono16": (1, 2), "bgr8": (3, 1), "8UC3": (3, 1), "rgb8": (3, 1),
+    "bgra8": (4, 1), "8UC4": (4, 1), "rgba8": (4, 1), "bgr16": (3, 2), "rgb16": (3, 2),
+}  # fmt: skip
+_BAYER = {
+    "bayer_rggb8": "BG",
+    "bayer_bggr8": "RG",
+    "bayer_gbrg8": "GR",
+    "bayer_grbg8": "GB",
+}  # OpenCV's names
+_YUV422 = {
+    "yuv422": 1,
+    "uyvy": 1,
+    "UYVY": 1,
+    "yuv422_yuy2": 0,
+    "yuyv": 0,
+    "YUYV": 0,
+}  # where brightness stands
+_PLANAR = ("nv12", "nv21", "nv24")  # brightness first
+ENCODINGS = (*_PLAIN, *_BAYER, *_YUV422, *_PLANAR)
+
+
+class BagPictures:
+    """Pictures of one topic; a `fusion.flight.FrameSource`.
+
+    Parameters
+    ----------
+    path
+        The bag.
+    topic
+        Its topic.
+    received_ns
+        When each message was received (n,): where in the bag it stands.
+    repeat
+        How many messages of the topic with that very time come before it (n,).
+    """
+
+    def __init__(
+        self, path: Path, topic: str, received_ns: npt.NDArray[np.int64], repeat: npt.NDArray[np.int64]
+    ) -> None:
+        self.path, self.topic = path, topic
+        self.received_ns, self.repeat = received_ns, repeat
+        self._lock = threading.Lock()  # a bag is read at one place at a time
+        self._bag: Bag | None = None
+        self._messages: Iterator[Message] | None = None
+        self._at = (-1, 0)  # time and number of the message last read
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return BagPictures, (self.path, self.topic, self.received_ns, self.repeat)
+
+    def read(self, index: int) -> GreyImage:
+        """Decode a picture."""
+        with self._lock:
+            return self._read(index)
+
+    def _read(self, index: int) -> GreyImage:
+        wanted = (int(self.received_ns[index]), int(self.repeat[index]))
+        try:
+            message = self._find(wanted)
+        except InputError:
+            raise
+        except Exception as error:  # rosbags lets anything through that a damaged file makes it do
+            self._messages = None
+            raise self._unreadable(f"picture cannot be read: {one_line(error)}", wanted) from error
+        if message is None:
+            self._messages = None
+            raise self._unreadable("picture is no longer there", wanted)
+        connection, _, raw = message
+        assert self._bag is not None
+        try:
+            return grey(self._bag.decode(connection.msgtype, raw))
+        except InputError as error:
+            raise self._unreadable(error.problem, wanted) from error
+
+    def _find(self, wanted: tuple[int, int]) -> Message | None:
+        if self._bag is None:
+            self._bag = Bag(self.path)
+        if self._messages is None or not self._at < wanted <= (self._at[0] + FORWARD_NS, 0):
+            connections = [c for c in self._bag.connections if c.topic == self.topic]
+            self._messages = self._bag.messages(connections, wanted[0])
+            self._at = (-1, 0)
+        for message in self._messages:
+            t_ns = message[1]
+            self._at = (t_ns, self._at[1] + 1 if t_ns == self._at[0] else 0)
+            if self._at == wanted:
+                return message
+            if t_ns > wanted[0] + FORWARD_NS:
+                break
+        return None
+
+    def _unreadable(self, what: str, wanted: tuple[int, int]) -> InputError:
+        return InputError(
+            f"{self.topic}, received at {wanted[0]}: {what}",
+            file=self.path,
+            remedy="the bag is damaged there",
+        )
+
+
+def describe(message: Any, kind: str) -> str:
+    """Size and encoding of a picture, for people."""
+    if kind == RosType.COMPRESSED:
+        return f"compressed, {message.format}"
+    return f"{message.width}x{message.height} {message.encoding}"
+
+
+def refusal(message: Any, kind: str) -> str | None:
+    """Why pictures like this one cannot be read; None where they can."""
+    if kind == RosType.COMPRESSED:
+        return "compressed depth" if "compressedDepth" in message.format else None
+    return None if message.encoding in ENCODINGS else f"encoding {message.encoding}"
+
+
+def grey(message: Any) -> GreyImage:
+    """Turn an Image or a CompressedImage into grey uint8 (h, w).
+
+    Raises
+    ------
+    InputError
+        Where it does not decode, or its encoding is not known.
+    """
+    if hasattr(message, "format"):
+        return decode_image(np.asarray(message.data, dtype=np.uint8))
+    width, height, encoding = int(message.width), int(message.height), str(message.encoding)
+    if encoding not in ENCODINGS:
+        raise InputError(f"picture is of encoding {encoding}", remedy=f"known are {', '.join(ENCODINGS)}")
+    data = np.asarray(message.data, dtype=np.uint8)
+    if encoding in _PLANAR:
+        return to_grey(_rows(data, width, height, int(message.step) or width, width))
+    channels, depth = _PLAIN.get(encoding, (2 if encoding in _YUV422 else 1, 1))
+    used = width * channels * depth
+    pixels = _rows(data, width, height, int(message.step) or used, used)
+    if encoding in _YUV422:
+        return to_grey(pixels[:, _YUV422[encoding] :: 2])
+    if encoding in _BAYER:
+        import cv2
+
+        return to_grey(cv2.cvtColor(pixels, getattr(cv2, f"COLOR_Bayer{_BAYER[encoding]}2GRAY")))
+    if depth == 2:
+        words = np.ascontiguousarray(pixels).view(">u2" if message.is_bigendian else "<u2")
+        pixels = (words >> 8).astype(np.uint8)
+    shaped = pixels.reshape(height, width, channels)
+    if encoding.startswith("rgb"):
+        shaped = shaped[:, :, [2, 1, 0, 3][:channels]]
+    return to_grey(shaped)
+
+
+def _rows(data: npt.NDArray[np.uint8], width: int, height: int, step: int, used: int) -> GreyImage:
+    """Rows (h, used) of bytes, without what pads them."""
+    if not (0 < width <= MAX_SIDE_PX and 0 < height <= MAX_SIDE_PX and step >= used):
+        raise InputError(f"picture has the size {width}x{height} and rows of {step} bytes, which cannot be")
+    if data.size < step * height:
+        raise InputError(f"picture has {data.size} bytes instead of {step * height}")
+    return np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :used])

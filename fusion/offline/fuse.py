@@ -1,0 +1,276 @@
+"""A logged flight through the streaming estimator, then the backward pass over it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from heapq import merge
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.frame_update import FrameResult
+from fusion.estimator.smoothed_table import estimate_row, smoothed_table
+from fusion.estimator.smoother import Steps
+from fusion.estimator.state import describe
+from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table
+from fusion.estimator.timeline import Entry, Kind
+from fusion.flight import Flight
+from vision.errors import InputError
+from vision.measurement import FrameMeasurement, position_from_offset
+
+if TYPE_CHECKING:
+    from fusion.offline.summary import Timings
+
+Progress = Callable[[int, int], None]
+
+BLOCK_ROWS = 4096
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusionResult:
+    """A fused flight.
+
+    Parameters
+    ----------
+    flight_name
+        Of the flight.
+    config
+        Settings as used: noise that the log declares is filled in.
+    estimates, smoothed
+        The causal filter and the smoother, arrays of `fusion.estimator.tables.ESTIMATE_DTYPE`, a row per propagation
+        step.
+    frames
+        A row of `fusion.estimator.tables.FRAME_DTYPE` per camera frame.
+    summary
+        Verdict, counts, rates, timings and errors against the truth: plain values, ready for JSON.
+    problems
+        What was wrong with the log and with its samples, a sentence each.
+    """
+
+    flight_name: str
+    config: FusionConfig
+    estimates: Table
+    smoothed: Table
+    frames: Table
+    summary: dict[str, Any] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
+
+
+def fuse_flight(
+    flight: Flight,
+    config: FusionConfig | None = None,
+    *,
+    method: str = "geometric",
+    progress: Progress | None = None,
+) -> FusionResult:
+    """Fuse a logged flight: the causal filter, the smoother, and how good they are.
+
+    Pictures are read one by one; one that cannot be decoded is a row with reason ``unreadable``.
+
+    Parameters
+    ----------
+    flight
+        From `fusion.load_flight`, or made by hand.
+    config
+        Settings; None for the defaults. Gyroscope noise that it leaves open is taken from the log.
+    method
+        ``geometric``, or ``paper`` for the article's measurement.
+    progress
+        Called with frames done and in all.
+
+    Raises
+    ------
+    InputError
+        Where the method is unknown or the flight has no frames.
+    """
+    from fusion.offline.summary import Timings, summarise
+
+    started = time.perf_counter()
+    if not len(flight.frames.t_ns):
+        raise InputError("the flight has no camera frames", remedy="check mav0/cam0/data.csv of the log")
+    settings = _with_declared_values(config or FusionConfig(), flight)
+    recorder = Recorder(settings, _row_kind(flight))
+    estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
+    timings = Timings()
+    _feed(estimator, flight, progress, timings)
+    estimator.finish()
+    recorder.finish()
+    timings.filter_s = time.perf_counter() - started - timings.vision_s
+    before = time.perf_counter()
+    smoothed = recorder.smoothed()
+    timings.smoother_s = time.perf_counter() - before
+    timings.total_s = time.perf_counter() - started
+    result = FusionResult(
+        flight_name=flight.name,
+        config=settings,
+        estimates=recorder.estimates(),
+        smoothed=smoothed,
+        frames=np.array(recorder.frames, dtype=FRAME_DTYPE),
+        problems=(*flight.problems, *_sample_problems(estimator)),
+    )
+    return summarise(result, flight, method, estimator.counters, timings)
+
+
+def _with_declared_values(config: FusionConfig, flight: Flight) -> FusionConfig:
+    """Fill in what the configuration leaves open and the flight declares: gyroscope noise, the corridor's width."""
+    declared: dict[str, float | None] = {
+        "corridor_width_m": config.corridor_width_m or flight.corridor_width_m
+    }
+    imu = flight.imu
+    if imu is None:
+        return config.model_copy(update=declared)
+    declared |= {
+        "gyro_noise_density": config.gyro_noise_density or imu.gyro_noise_density,
+        "gyro_bias_walk": config.gyro_bias_walk or imu.gyro_random_walk,
+    }
+    return config.model_copy(update=declared)
+
+
+def _row_kind(flight: Flight) -> Kind:
+    """Kind of sample that makes a row: what propagates."""
+    if flight.imu is not None and len(flight.imu.t_ns):
+        return Kind.IMU
+    if flight.attitude is not None and len(flight.attitude.t_ns):
+        return Kind.ATTITUDE
+    return Kind.FRAME
+
+
+def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | None, timings: Timings) -> None:
+    """Give the estimator all samples, in order of the time they tell of."""
+    delay_ns = round(estimator.config.camera_delay_s * 1e9)
+    streams: list[Iterator[tuple[int, int, int]]] = [_times(flight.frames.t_ns - delay_ns, Kind.FRAME)]
+    gyro = accel = q = v = np.zeros((0, 3))
+    if flight.imu is not None:
+        gyro, accel = flight.imu.gyro_rad_s, flight.imu.accel_m_s2
+        streams.append(_times(flight.imu.t_ns, Kind.IMU))
+    if flight.attitude is not None:
+        q = flight.attitude.q_world_body
+        streams.append(_times(flight.attitude.t_ns, Kind.ATTITUDE))
+    if flight.velocity is not None:
+        v = flight.velocity.xyz
+        streams.append(_times(flight.velocity.t_ns, Kind.VELOCITY))
+    distance_m = np.zeros(0)
+    if flight.range is not None:
+        distance_m = flight.range.distance_m
+        streams.append(_times(flight.range.t_ns, Kind.RANGE))
+    total = len(flight.frames.t_ns)
+    for t_ns, kind, i in merge(*streams):
+        if kind == Kind.IMU:
+            estimator.add_imu(t_ns, gyro[i], accel[i])
+        elif kind == Kind.ATTITUDE:
+            estimator.add_attitude(t_ns, q[i])
+        elif kind == Kind.VELOCITY:
+            estimator.add_velocity(t_ns, v[i])
+        elif kind == Kind.RANGE:
+            estimator.add_range(t_ns, distance_m[i])
+        else:
+            before = time.perf_counter()
+            try:
+                estimator.add_frame(t_ns + delay_ns, flight.frames.read(i))
+            except InputError:
+                estimator.add_unreadable_frame(t_ns + delay_ns)
+            timings.vision_s += time.perf_counter() - before
+            if progress is not None:
+                progress(i + 1, total)
+
+
+def _times(t_ns: npt.NDArray[np.int64], kind: Kind) -> Iterator[tuple[int, int, int]]:
+    return ((int(t), int(kind), i) for i, t in enumerate(t_ns))
+
+
+def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
+    what = {
+        "imu_not_finite": "gyroscope samples that are no numbers were skipped",
+        "attitude_not_unit": "attitudes that are no unit quaternions were skipped",
+        "velocity_not_finite": "velocities that are no numbers were skipped",
+        "range_not_positive": "distances to the floor that can be none were skipped",
+        "clock_set_back": "times the samples' clock was set back",
+    }
+    for name, sentence in what.items():
+        if estimator.counters[name]:
+            yield f"{estimator.counters[name]} {sentence}"
+
+
+class Recorder:
+    """Collects, from the entries that leave the buffer, the rows of the tables and the smoother's steps."""
+
+    def __init__(self, config: FusionConfig, row_kind: Kind) -> None:
+        self.config = config
+        self.row_kind = row_kind
+        self.frames: list[tuple[Any, ...]] = []
+        self.steps = Steps()
+        self._rows: list[tuple[Any, ...]] = []
+        self._packed: list[
+            Table
+        ] = []  # rows of a long flight, in blocks: a tuple takes four times the memory
+        self._row_steps: list[int] = []  # index of the last step of each row's instant
+        self._pending: Entry | None = None
+        self._pending_is_row = False
+
+    def take(self, entry: Entry) -> None:
+        """Take the next entry in order of time."""
+        if self._pending is not None and entry.t_ns > self._pending.t_ns:
+            self._close_instant()
+        self.steps.add(entry.nodes)
+        if entry.frame is not None:
+            self.frames.append(frame_row(entry.frame, self.config))
+        self._pending = entry
+        self._pending_is_row |= entry.kind is self.row_kind
+
+    def finish(self) -> None:
+        """Close the last instant."""
+        if self._pending is not None:
+            self._close_instant()
+
+    def _close_instant(self) -> None:
+        # A row stands for its instant after all samples of that time, whatever their order of arrival.
+        state = None if self._pending is None else self._pending.after
+        if self._pending_is_row and state is not None:
+            self._rows.append(estimate_row(describe(state, self.config)))
+            self._row_steps.append(self.steps.count - 1)
+            if len(self._rows) >= BLOCK_ROWS:
+                self._pack()
+        self._pending, self._pending_is_row = None, False
+
+    def _pack(self) -> None:
+        self._packed.append(np.array(self._rows, dtype=ESTIMATE_DTYPE))
+        self._rows = []
+
+    def estimates(self) -> Table:
+        """Return the filter's table."""
+        self._pack()
+        return np.concatenate(self._packed)
+
+    def smoothed(self) -> Table:
+        """Return the smoother's table: the same rows, with every number from the whole flight."""
+        return smoothed_table(
+            self.estimates(), np.array(self._row_steps, dtype=np.int64), self.steps, self.config
+        )
+
+
+def frame_row(result: FrameResult, config: FusionConfig) -> tuple[Any, ...]:
+    """Put a frame's outcome into the order of `fusion.estimator.tables.FRAME_DTYPE`."""
+    m = result.measurement or FrameMeasurement(False, result.reason)
+    position = m.position or position_from_offset(m.lateral_offset_norm, config.position_dead_band_norm)
+    return (
+        result.timestamp_ns,
+        result.accepted,
+        str(result.reason),
+        m.n_lines,
+        m.n_inliers,
+        *m.vp_px,
+        m.heading_rad,
+        m.heading_std_rad,
+        m.lateral_offset_norm,
+        m.lateral_offset_norm_std,
+        "" if position is None else str(position),
+        m.paper_yaw_rad,
+        result.innovation_rad,
+        result.test_ratio,
+        m.vision_ms,
+    )

@@ -1,0 +1,118 @@
+"""Other forms of a fused flight's tables: Parquet, TUM trajectories for evo, MCAP for Foxglove.
+
+They are written beside the CSV files by `fusion.outputs.folder.write_outputs`. Each format's library loads when it is
+used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from enum import StrEnum
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fusion.result.conventions import Frame, file_facts, table_in_frame
+from vision.errors import InputError
+
+if TYPE_CHECKING:
+    from fusion.flight import Flight
+    from fusion.offline.fuse import FusionResult
+
+__all__ = ["EXPORT_FILES", "Format", "Frame", "check_formats", "remarks", "write_exports"]
+
+
+class Format(StrEnum):
+    """A form besides CSV."""
+
+    PARQUET = "parquet"
+    TUM = "tum"
+    MCAP = "mcap"
+
+
+EXPORT_FILES = {
+    Format.PARQUET: ("estimates.parquet", "smoothed.parquet", "frames.parquet"),
+    Format.TUM: ("estimates.tum", "smoothed.tum"),
+    Format.MCAP: ("flight.mcap",),
+}
+_LIBRARY = {Format.PARQUET: "pyarrow", Format.MCAP: "mcap"}
+
+
+def check_formats(words: Iterable[str]) -> tuple[Format, ...]:
+    """Turn words such as ``parquet,tum`` into formats, and see before the work that their libraries are there.
+
+    Raises
+    ------
+    InputError
+        Where a word is no format, or its library is not installed.
+    """
+    names = [name.strip().lower() for word in words for name in word.split(",") if name.strip()]
+    found = []
+    for name in dict.fromkeys(names):
+        if name not in list(Format):
+            raise InputError(f"--export {name}: no such format", remedy="known are " + ", ".join(Format))
+        library = _LIBRARY.get(Format(name))
+        if library is not None and find_spec(library) is None:
+            raise InputError(
+                f"--export {name} needs the library {library}, which is not installed",
+                remedy=f'pip install "corridor-fusion[{name}]"',
+            )
+        found.append(Format(name))
+    return tuple(found)
+
+
+def remarks(formats: Iterable[Format], frame: Frame) -> list[str]:
+    """Say, a line each, what lies beside the tables, and which way all of them count where that is not FRD."""
+    names = [name for kind in formats for name in EXPORT_FILES[kind]]
+    found = [f"and {', '.join(names)}"] if names else []
+    if frame is Frame.ROS:
+        found.append("in ROS's conventions: headings, turns and offsets count positive to the left")
+    return found
+
+
+def write_exports(
+    result: FusionResult,
+    flight: Flight,
+    folder: Path,
+    formats: Iterable[Format],
+    frame: Frame = Frame.FRD,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write a fused flight into a folder that is there, in the given formats; names as in `EXPORT_FILES`.
+
+    Parameters
+    ----------
+    result, flight
+        What `fusion.fuse_flight` returned, and what it was given (MCAP shows its pictures, TUM uses its velocity).
+    folder
+        Where to.
+    formats
+        From `check_formats`.
+    frame
+        Convention of signs.
+    progress
+        Called with pictures done and in all.
+
+    Raises
+    ------
+    InputError
+        Where the flight cannot be written in that form.
+    """
+    facts = file_facts(result.summary, frame)
+    tables = {"estimates": result.estimates, "smoothed": result.smoothed, "frames": result.frames}
+    wanted = set(formats)
+    if Format.PARQUET in wanted:
+        from fusion.outputs.parquet import write_parquet
+
+        for name, table in tables.items():
+            path = folder / f"{name}.parquet"
+            write_parquet(table_in_frame(table, frame), path, frame, facts | {"table": name})
+    if Format.TUM in wanted:
+        from fusion.outputs.tum import write_tum
+
+        for name in ("estimates", "smoothed"):
+            write_tum(tables[name], folder / f"{name}.tum", frame, facts, flight.velocity)
+    if Format.MCAP in wanted:
+        from fusion.outputs.mcap import write_mcap
+
+        write_mcap(result, flight, folder / "flight.mcap", frame, facts, progress)

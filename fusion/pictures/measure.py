@@ -1,0 +1,233 @@
+"""Pictures without a flight: the work behind ``corridor measure``, a table row for each."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from fusion.estimator.tables import FRAME_DTYPE, Table
+from fusion.logs.csv.strict_table import parse_time
+from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES
+from fusion.pictures.assumed_camera import AssumedView, AssumedViews, assume_views
+from fusion.pictures.attitude_file import AttitudeFile
+from fusion.progress import Progress
+from vision import Camera, FrameMeasurement, InputError, Reason
+from vision.frame import Method
+from vision.images import GreyImage, read_image
+
+ASPECT_TOLERANCE = 0.01
+
+#: As `FRAME_DTYPE`, with the picture first; a time only where the file's name is one.
+IMAGE_DTYPE = np.dtype([("image", "O"), ("timestamp_ns", "O"), *FRAME_DTYPE.descr[1:]])
+
+
+def find_images(sources: Sequence[Path]) -> list[Path]:
+    """List pictures: files as named, folders by their picture files in natural order (2 before 10).
+
+    Raises
+    ------
+    InputError
+        Where a source does not exist or a folder holds no picture.
+    """
+    found: list[Path] = []
+    for source in sources:
+        if source.is_dir():
+            inside = [path for path in source.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES]
+            if not inside:
+                flight = (source / "mav0").is_dir()
+                raise InputError(
+                    "the folder holds no pictures",
+                    file=source,
+                    remedy=f"this is a flight: corridor fuse {source}"
+                    if flight
+                    else "give pictures (jpg, png, bmp, tif, pgm, webp) or a folder that holds them",
+                )
+            found += sorted(inside, key=_natural_order)
+        elif source.exists():
+            found.append(source)
+        else:
+            raise InputError("there is no such picture or folder", file=source, remedy="check the path")
+    return found
+
+
+def check_table_file(path: Path) -> None:
+    """Raise `InputError` where a table would take the place of a folder or of a picture."""
+    if path.is_dir() or path.suffix.lower() in PICTURE_SUFFIXES:
+        what = "folder" if path.is_dir() else "picture"
+        raise InputError(
+            f"-o names a {what}", file=path, remedy="give a file for the table, such as frames.csv"
+        )
+
+
+def _natural_order(path: Path) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
+
+
+def camera_for(camera: Camera, image: GreyImage, file: Path) -> Camera:
+    """Fit a calibration to a picture's size.
+
+    Parameters
+    ----------
+    camera
+        The calibration.
+    image
+        The picture, grey (h, w).
+    file
+        Named where the calibration belongs to pictures of another shape.
+
+    Raises
+    ------
+    InputError
+        Where the aspect ratios differ by more than one percent.
+    """
+    height, width = image.shape
+    if (width, height) == (camera.width_px, camera.height_px):
+        return camera
+    if abs(width * camera.height_px / (height * camera.width_px) - 1.0) > ASPECT_TOLERANCE:
+        camera.require_size(width, height, file)
+    return _resized(camera, width, height)
+
+
+@lru_cache(maxsize=16)
+def _assumed_camera(view: AssumedView) -> Camera:
+    return view.camera()
+
+
+@lru_cache(maxsize=16)
+def _resized(camera: Camera, width_px: int, height_px: int) -> Camera:
+    return camera.resized(width_px, height_px)
+
+
+def measure_images(
+    paths: Sequence[Path],
+    camera: Camera | None = None,
+    attitudes: AttitudeFile | None = None,
+    method: Method = "geometric",
+    overlay_dir: Path | None = None,
+    progress: Progress = lambda done, total: None,
+    views: AssumedViews | None = None,
+) -> Table:
+    """Measure pictures one by one; those that do not decode are rows with the reason ``unreadable``.
+
+    Parameters
+    ----------
+    paths
+        The pictures.
+    camera
+        Their calibration; see `camera_for`. None to assume one: see ``views``.
+    attitudes
+        Roll and pitch per picture, where known.
+    method
+        ``geometric`` or ``paper``.
+    overlay_dir
+        Folder for a drawing of each measured picture, ``NAME_overlay.jpg``.
+    progress
+        Called with (done, total).
+    views
+        What to assume where there is no calibration; None to find out, see `assume_views`. The headings'
+        sigmas then include what that may be off by.
+
+    Returns
+    -------
+    ndarray
+        Rows of `IMAGE_DTYPE`, one per path.
+
+    Raises
+    ------
+    InputError
+        Where no picture decodes, or the calibration is of pictures of another shape.
+    """
+    from vision import measure_frame
+
+    if camera is None and views is None:
+        views = assume_views(paths) if method == "geometric" else AssumedViews()
+    table = np.zeros(len(paths), IMAGE_DTYPE)
+    overlays = None if overlay_dir is None else _Overlays(overlay_dir, paths)
+    first_problem, warm = None, False
+    for row, path in enumerate(paths):
+        t_ns = parse_time(path.stem)  # EuRoC names pictures by their time
+        try:
+            image = read_image(path)
+        except InputError as error:
+            first_problem = first_problem or error
+            measurement = FrameMeasurement(accepted=False, reason=Reason.UNREADABLE)
+        else:
+            if camera is not None:
+                view, own_camera = None, camera_for(camera, image, path)
+            else:
+                view = (views or AssumedViews()).of(path, image)
+                own_camera = _assumed_camera(view)
+            attitude = None if attitudes is None else attitudes.of(path, t_ns)
+            if not warm:  # the first call loads or compiles machine code: keep that out of `vision_ms`
+                measure_frame(image, own_camera, attitude, method=method)
+                warm = True
+            measurement = measure_frame(image, own_camera, attitude, method=method)
+            if view is not None and method == "geometric":
+                measurement = view.widened(measurement)
+            if overlays is not None:
+                overlays.draw(path, image, own_camera, measurement)
+        _fill(table, row, path, t_ns, measurement)
+        progress(row + 1, len(paths))
+    if first_problem is not None and (table["reason"] == Reason.UNREADABLE.value).all():
+        raise (
+            first_problem
+            if len(paths) == 1
+            else InputError(f"none of the {len(paths)} pictures can be read; the first: {first_problem}")
+        )
+    return table
+
+
+def _fill(table: Table, row: int, path: Path, t_ns: int | None, measurement: FrameMeasurement) -> None:
+    table["image"][row] = str(path)
+    table["timestamp_ns"][row] = "" if t_ns is None else str(t_ns)
+    table["vp_x_px"][row], table["vp_y_px"][row] = measurement.vp_px
+    table["reason"][row] = measurement.reason.value
+    table["position"][row] = "" if measurement.position is None else measurement.position.value
+    table["innovation_rad"][row] = table["test_ratio"][row] = np.nan  # a filter's words: there is none here
+    for name in (
+        "accepted",
+        "n_lines",
+        "n_inliers",
+        "heading_rad",
+        "heading_std_rad",
+        "lateral_offset_norm",
+        "lateral_offset_norm_std",
+        "paper_yaw_rad",
+        "vision_ms",
+    ):
+        table[name][row] = getattr(measurement, name)
+
+
+class _Overlays:
+    """A folder of drawings whose names never meet each other nor a picture that was given."""
+
+    def __init__(self, folder: Path, paths: Sequence[Path]) -> None:
+        if any(path.resolve().parent == folder.resolve() for path in paths):
+            raise InputError(
+                "the drawings would lie among the pictures",
+                file=folder,
+                remedy="give --overlay a folder of its own",
+            )
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"cannot make the folder: {error.strerror}", file=folder) from error
+        self.folder = folder
+        self.used: set[str] = set()
+
+    def draw(self, path: Path, image: GreyImage, camera: Camera, measurement: FrameMeasurement) -> None:
+        import cv2
+
+        from vision.overlay import draw_overlay
+
+        name, copy = f"{path.stem}_overlay.jpg", 1
+        while name in self.used:
+            copy += 1
+            name = f"{path.stem}_overlay_{copy}.jpg"
+        self.used.add(name)
+        encoded = cv2.imencode(".jpg", draw_overlay(image, camera, measurement))[1]
+        (self.folder / name).write_bytes(encoded.tobytes())

@@ -1,0 +1,115 @@
+"""Frames of a fused flight seen once more, for their lines: tables keep numbers only."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from fusion.estimator.tables import Table
+from fusion.flight import Flight, GreyImage
+from vision.errors import InputError
+from vision.measurement import Attitude, FrameMeasurement, Position, Prior, Reason
+
+if TYPE_CHECKING:
+    from fusion.offline.fuse import FusionResult
+
+
+class Seen(NamedTuple):
+    """A frame's picture, and its measurement with lines; None where it could not be measured again."""
+
+    image: GreyImage
+    measurement: FrameMeasurement | None
+
+
+def seen_again(result: FusionResult, flight: Flight, row: int) -> Seen | None:
+    """Read and measure a frame again, with what the filter knew; None where its picture does not decode.
+
+    The lines are the new measurement's, the numbers those that went into the filter.
+
+    Parameters
+    ----------
+    result, flight
+        What `fusion.fuse_flight` returned, and what it was given.
+    row
+        Of ``result.frames``.
+    """
+    from vision.frame import measure_frame
+
+    record = result.frames[row]
+    stamp_ns = int(record["timestamp_ns"])
+    k = int(np.searchsorted(flight.frames.t_ns, stamp_ns))
+    if k >= len(flight.frames.t_ns) or flight.frames.t_ns[k] != stamp_ns:
+        return None
+    try:
+        image = flight.frames.read(k)
+    except InputError:
+        return None
+    t_ns = stamp_ns - delay_ns(result)
+    table = result.estimates
+    prior = _prior(table[row_before(table, t_ns)]) if len(table) else None
+    try:
+        measurement = measure_frame(
+            image,
+            flight.camera,
+            attitude_at(flight, t_ns),
+            prior,
+            method=result.summary.get("method", "geometric"),
+        )
+    except InputError:
+        return Seen(image, None)
+    return Seen(image, _as_recorded(measurement, record))
+
+
+def delay_ns(result: FusionResult) -> int:
+    """How much later than mid-exposure the filter took the frames to be stamped."""
+    return round(result.config.camera_delay_s * 1e9)
+
+
+def row_before(table: Table, t_ns: int) -> int:
+    """Row of a table that is not empty which holds at a time: the last not after it, else the first."""
+    return max(int(np.searchsorted(table["timestamp_ns"], t_ns, side="right")) - 1, 0)
+
+
+def _as_recorded(measurement: FrameMeasurement, record: np.void) -> FrameMeasurement:
+    """Keep the new measurement's lines and the recorded one's numbers: those went into the filter."""
+    position = str(record["position"])
+    vp = (float(record["vp_x_px"]), float(record["vp_y_px"]))
+    return replace(
+        measurement,
+        accepted=bool(record["accepted"]),
+        reason=Reason(str(record["reason"])),
+        vp_px=vp,
+        heading_rad=float(record["heading_rad"]),
+        heading_std_rad=float(record["heading_std_rad"]),
+        lateral_offset_norm=float(record["lateral_offset_norm"]),
+        position=Position(position) if position else None,
+    )
+
+
+def _prior(estimate: np.void) -> Prior | None:
+    if estimate["status"] == "initialising":
+        return None
+    return Prior(
+        heading_rad=float(estimate["heading_rad"]),
+        heading_std_rad=float(estimate["heading_std_rad"]),
+        lateral_offset_norm=float(estimate["lateral_offset_norm"]),
+        lateral_offset_norm_std=float(estimate["lateral_offset_norm_std"]),
+    )
+
+
+def attitude_at(flight: Flight, t_ns: int, within_s: float = 0.5) -> Attitude | None:
+    """Roll and pitch at a time, between the neighbouring samples of the log; None where none is near."""
+    stream = flight.attitude
+    if stream is None or not stream.t_ns.size:
+        return None
+    high = int(np.searchsorted(stream.t_ns, t_ns))
+    low, high = max(high - 1, 0), min(high, stream.t_ns.size - 1)
+    gap_ns = int(stream.t_ns[high] - stream.t_ns[low])
+    if min(abs(t_ns - int(stream.t_ns[low])), abs(t_ns - int(stream.t_ns[high]))) > within_s * 1e9:
+        return None
+    part = min(max((t_ns - int(stream.t_ns[low])) / gap_ns, 0.0), 1.0) if gap_ns else 0.0
+    a, b = stream.q_world_body[low], stream.q_world_body[high]
+    q = (1 - part) * a + part * (b if a @ b >= 0 else -b)  # over a few degrees as good as a slerp
+    return Attitude.from_quaternion(q / np.linalg.norm(q))

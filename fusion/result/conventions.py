@@ -1,0 +1,152 @@
+"""What each column means, in which unit and frame, and how a table is put into ROS's conventions.
+
+Inside and by default everything is FRD: heading, turns and offsets count positive to the right. ROS (REP 103)
+has bodies in FLU and worlds in ENU, so the same numbers count positive to the left, counter-clockwise seen
+from above. Names stay; which of the two holds is said in a file's metadata and in ``summary.json``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from enum import StrEnum
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+from fusion.estimator.tables import Table
+
+
+class Frame(StrEnum):
+    """Convention of signs in what is written."""
+
+    FRD = "frd"
+    ROS = "ros"
+
+
+class Column(NamedTuple):
+    """A column's unit, frame and meaning; ``{side}`` stands for what counts positive."""
+
+    unit: str
+    frame: str
+    description: str
+    flips: bool = False
+
+
+_AXIS = "corridor's axis to body x"
+_SECTION = "corridor's cross-section"
+
+COLUMNS: Mapping[str, Column] = {
+    "timestamp_ns": Column("ns", "clock of the log", "Time of the row; of a frame, as it was stamped"),
+    "heading_rad": Column("rad", _AXIS, "Angle from the axis to the vehicle's nose, positive {side}", True),
+    "heading_std_rad": Column("rad", _AXIS, "Standard deviation of heading_rad"),
+    "lateral_offset_m": Column(
+        "m", _SECTION, "Place of the vehicle from the centre line, positive {side}", True
+    ),
+    "lateral_offset_std_m": Column("m", _SECTION, "Standard deviation of lateral_offset_m"),
+    "lateral_offset_norm": Column(
+        "1", _SECTION, "Offset over half the corridor's width, positive {side}", True
+    ),
+    "lateral_offset_norm_std": Column("1", _SECTION, "Standard deviation of lateral_offset_norm"),
+    "position": Column("", _SECTION, "Side of the centre line as seen along the axis: left, centre or right"),
+    "yaw_rate_rad_s": Column(
+        "rad/s", "vertical axis", "Rate of the heading, bias removed, positive {side}", True
+    ),
+    "gyro_bias_rad_s": Column("rad/s", "vertical axis", "Bias of the yaw rate, positive {side}", True),
+    "imu_yaw_offset_rad": Column(
+        "rad",
+        "first corridor's axis to yaw of the log",
+        "IMU's yaw less the heading from the first axis",
+        True,
+    ),
+    "corridor_index": Column("", "", "Number of the corridor being flown, from 0"),
+    "corridor_turn_rad": Column(
+        "rad",
+        "first corridor's axis to the present one's",
+        "Angle between the two axes, positive {side}",
+        True,
+    ),
+    "status": Column("", "", "initialising, tracking, coasting or lost"),
+    "vision_age_s": Column("s", "", "Time since the last frame that was used"),
+    "accepted": Column("", "", "Whether the filter used the frame"),
+    "reason": Column("", "", "Why not; ok where it did"),
+    "n_lines": Column("1", "", "Line segments found"),
+    "n_inliers": Column("1", "", "Segments that meet in the vanishing point"),
+    "vp_x_px": Column(
+        "px", "original picture", "Vanishing point; (0, 0) is the centre of the top-left pixel"
+    ),
+    "vp_y_px": Column("px", "original picture", "Vanishing point, positive down"),
+    "paper_yaw_rad": Column("rad", "picture", "The article's equation (8), without sign"),
+    "innovation_rad": Column("rad", _AXIS, "Heading of the frame less its prediction, positive {side}", True),
+    "test_ratio": Column("1", "", "Innovation squared over gate squared; above 1 the frame is refused"),
+    "vision_ms": Column("ms", "", "Time that measuring the frame took"),
+}
+
+_SIDE = {Frame.FRD: "right (clockwise from above)", Frame.ROS: "left (counter-clockwise from above)"}
+_CONVENTIONS = {
+    Frame.FRD: "Body FRD (x forward, y right, z down), world z down. Angles, rates and offsets count positive right.",
+    Frame.ROS: "ROS, REP 103: body FLU (x forward, y left, z up), world z up. Angles, rates and offsets count "
+    "positive left; column names are those of FRD.",
+}
+
+
+def describe(name: str, frame: Frame) -> dict[str, str]:
+    """Return unit, frame and description of a column, empty ones left out."""
+    column = COLUMNS[name]
+    found = {
+        "unit": column.unit,
+        "frame": column.frame,
+        "description": column.description.format(side=_SIDE[frame]),
+    }
+    return {key: text for key, text in found.items() if text}
+
+
+def file_facts(summary: Mapping[str, Any], frame: Frame) -> dict[str, str]:
+    """Return what every exported file says of itself: conventions, software, flight, method."""
+    return {
+        "frame": str(frame),
+        "conventions": _CONVENTIONS[frame] + " SI units and radians; integer nanoseconds of the log's clock. "
+        "Unknown numbers are missing values.",
+        "software": "corridor-fusion",
+        "software_version": version("corridor-fusion"),
+        "flight": str(summary.get("flight", "")),
+        "method": str(summary.get("method", "")),
+    }
+
+
+def table_in_frame(table: Table, frame: Frame) -> Table:
+    """Turn a table between FRD and ROS's conventions, either way; the table itself where nothing turns.
+
+    Parameters
+    ----------
+    table
+        Rows of `fusion.estimator.tables.ESTIMATE_DTYPE` or `fusion.estimator.tables.FRAME_DTYPE`.
+    frame
+        `Frame.FRD` leaves the signs as they are, `Frame.ROS` turns them.
+    """
+    if frame is Frame.FRD:
+        return table
+    turned = table.copy()
+    for name in turned.dtype.names or ():
+        if COLUMNS[name].flips:
+            turned[name] = 0.0 - turned[name]  # not minus: there should be no -0 in the files
+    return turned
+
+
+def summary_in_frame(summary: Mapping[str, Any], frame: Frame) -> dict[str, Any]:
+    """Name the frame in a summary, and turn what has a sign in it: turns of corridors, mean errors."""
+    found: dict[str, Any] = deepcopy(dict(summary)) | {"frame": str(frame)}
+    if frame is Frame.ROS:
+        for corridor in found.get("corridors") or ():
+            corridor["turn_rad"] = 0.0 - corridor["turn_rad"]
+        _turn_biases(found.get("errors"))
+    return found
+
+
+def _turn_biases(errors: Any) -> None:
+    if not isinstance(errors, dict):
+        return
+    for name, value in errors.items():
+        if name.startswith("bias_") and value is not None:
+            errors[name] = 0.0 - value
+        else:
+            _turn_biases(value)

@@ -1,0 +1,1 @@
+"""Settings from TOML files, checked: unknown keys and wrong units are refused with a remedy."""

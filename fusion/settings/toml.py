@@ -1,0 +1,258 @@
+"""Settings files: read as TOML, refused with path, value and remedy, and written out whole with their meaning."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from enum import Enum
+from math import degrees
+from pathlib import Path
+from textwrap import wrap
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from fusion.settings.unit_hints import as_number, nearest, too_large, unit_of
+from vision.errors import InputError
+
+WIDTH = 100
+Config = TypeVar("Config", bound=BaseModel)
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises
+    ------
+    InputError
+        Where the file is missing or torn.
+    """
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"is not TOML: {error}", file=path, remedy="write lines like name = 1.5") from error
+
+
+def build(model: type[Config], values: dict[str, Any], file: str | Path | None = None) -> Config:
+    """Make a configuration of values as a file holds them.
+
+    Raises
+    ------
+    InputError
+        In one line, the first thing wrong, an unknown name before a wrong value.
+    """
+    found = next(_booleans(model, values, ()), None)
+    if found is not None:
+        raise InputError(f"{found}: input should be a number", file=file)
+    try:
+        return model(**values)
+    except ValidationError as error:
+        complaints = sorted(error.errors(), key=lambda complaint: complaint["type"] != "extra_forbidden")
+        problem, remedy = _explain(model, complaints[0])
+        raise InputError(problem, file=file, remedy=remedy) from error
+
+
+def _booleans(model: type[BaseModel], values: dict[str, Any], path: tuple[str, ...]) -> Iterator[str]:
+    """Find numbers given as true or false, which pydantic would take for 1 and 0."""
+    for name, value in values.items():
+        field = model.model_fields.get(name)
+        inner = section_of(field) if field is not None else None
+        if inner is not None:
+            for part in value if isinstance(value, list | tuple) else [value]:
+                if isinstance(part, dict):
+                    yield from _booleans(inner, part, (*path, name))
+        elif (
+            isinstance(value, bool)
+            and field is not None
+            and bool not in (field.annotation, *get_args(field.annotation))
+        ):
+            yield f"{'.'.join((*path, name))} = {_toml_value(value)}"
+
+
+def _explain(model: type[BaseModel], error: Any) -> tuple[str, str | None]:
+    names = [str(part) for part in error["loc"]]
+    path = ".".join(names)
+    if error["type"] == "value_error":
+        return f"{path}: {error['ctx']['error']}" if path else str(error["ctx"]["error"]), None
+    fields: Mapping[str, FieldInfo] = model.model_fields
+    for name in names[:-1]:
+        inner = section_of(fields[name]) if name in fields else None
+        if inner is not None:  # the numbers of a list's members lead nowhere
+            fields = inner.model_fields
+    name, value = names[-1], error["input"]
+    if error["type"] == "extra_forbidden":
+        return _unknown(path, name, value, fields)
+    if isinstance(value, dict):
+        value = "{...}"
+    field, remedies = fields.get(name), [as_number(name, value)]
+    if error["type"] in ("less_than", "less_than_equal"):
+        remedies.append(too_large(name, value))
+    remedies.append(field.description if field and error["type"] != "literal_error" else None)
+    message = error["msg"][0].lower() + error["msg"][1:]
+    remedy = next((text for text in remedies if text), None)
+    return f"{path} = {value!r}: {message}", remedy
+
+
+def _unknown(path: str, name: str, value: Any, fields: Mapping[str, FieldInfo]) -> tuple[str, str]:
+    if isinstance(value, dict):
+        inside = [key for key in value if key in fields]
+        sections = [known for known, field in fields.items() if section_of(field) is not None]
+        if inside:
+            return (
+                f"unknown setting {path} = {{...}}, a section",
+                f"write {inside[0]} without a section, at the top of the file",
+            )
+        near = nearest(name, None, dict.fromkeys(sections, ""))
+        return f"unknown setting {path} = {{...}}, a section", near or _listing(sections)
+    plain = {known: field for known, field in fields.items() if section_of(field) is None}
+    near = nearest(name, value, {known: unit_of(known, field.description) for known, field in plain.items()})
+    return f"unknown setting {path} = {value!r}", near or _listing(list(fields))
+
+
+def _listing(names: list[str]) -> str:
+    listed = f"known here: {', '.join(names)}" if names and len(names) <= 12 else ""
+    return "; ".join(part for part in (listed, "`corridor config` lists them all") if part)
+
+
+def section_of(field: FieldInfo) -> type[BaseModel] | None:
+    """Return the model of which a field holds one or several; None for a plain value."""
+    options = [field.annotation, *get_args(field.annotation)]
+    return next((o for o in options if isinstance(o, type) and issubclass(o, BaseModel)), None)
+
+
+def settings_text(file: str | Path | None = None, *, simulate: bool = False) -> str:
+    """Return the settings of ``corridor fuse``, or of ``corridor simulate``, as `config_toml` writes them.
+
+    Parameters
+    ----------
+    file
+        A settings file; None for the defaults.
+    simulate
+        Whether it is the simulator's.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or used.
+    """
+    from fusion.estimator.config import FusionConfig
+    from fusion.simulate import SimulationConfig
+
+    model = SimulationConfig if simulate else FusionConfig
+    config = model() if file is None else model.from_toml(file)
+    command = "corridor simulate OUT" if simulate else "corridor fuse FLIGHT"
+    whose = "the defaults" if file is None else f"as {Path(file).name} makes them"
+    return config_toml(
+        config,
+        f"Settings of `{command} --config`: {whose}. What is deleted or stays a comment keeps its default.",
+    )
+
+
+def config_toml(config: BaseModel, heading: str) -> str:
+    """Write a configuration as TOML with each setting's meaning, unit, bounds and default as comments.
+
+    Reading it back gives the same configuration; a setting that is None stands there as a comment, since TOML
+    has no word for it.
+
+    Parameters
+    ----------
+    config
+        `fusion.FusionConfig` or `fusion.simulate.SimulationConfig`.
+    heading
+        Comment at the top, wrapped.
+    """
+    lines = [*_comment(heading), *_section_lines(config, ())]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _section_lines(config: BaseModel, path: tuple[str, ...]) -> Iterator[str]:
+    fields = type(config).model_fields
+    plain = {name: field for name, field in fields.items() if section_of(field) is None}
+    for name, field in plain.items():
+        meaning = _meaning(name, field)
+        yield from ["", *_comment(meaning)] if meaning or not path else ()
+        yield _setting_line(name, field, getattr(config, name))
+    for name, field in fields.items():
+        inner = section_of(field)
+        if inner is None:
+            continue
+        value, where = getattr(config, name), ".".join((*path, name))
+        many = isinstance(value, tuple)
+        for part in value if many else [value] if value is not None else []:
+            yield ""
+            yield from _comment(inner.__doc__.splitlines()[0]) if inner.__doc__ else ()
+            yield f"[[{where}]]" if many else f"[{where}]"
+            yield from _section_lines(part, (*path, name))
+        if not value:
+            yield ""
+            yield from _comment((inner.__doc__ or "").splitlines()[0])
+            yield f"# [[{where}]]" if many else f"# [{where}]"
+            for inner_name, inner_field in inner.model_fields.items():
+                default = None if inner_field.is_required() else inner_field.default
+                yield f"# {_setting_line(inner_name, inner_field, default).removeprefix('# ')}"
+
+
+def _setting_line(name: str, field: FieldInfo, value: Any) -> str:
+    if value is None:
+        return f"# {name} = ...{_remark(name, field, value)}"
+    return f"{name} = {_toml_value(value)}{_remark(name, field, value)}"
+
+
+def _meaning(name: str, field: FieldInfo) -> str:
+    """Return the description without the unit that it may begin with, which stands beside the value."""
+    text = (field.description or "").replace(". None:", ". Not set:").replace("None:", "not set:")
+    rest = text.removeprefix(unit_of(name, text)).lstrip(";. ") if unit_of(name, text) else text
+    return rest[:1].upper() + rest[1:]
+
+
+def _comment(text: str) -> list[str]:
+    return wrap(text, WIDTH, initial_indent="# ", subsequent_indent="# ")
+
+
+def _remark(name: str, field: FieldInfo, value: Any) -> str:
+    parts = [unit_of(name, field.description)]
+    if isinstance(value, float) and parts[0].startswith("rad") and "sqrt" not in parts[0]:
+        parts[0] += f" ({degrees(value):.4g} degrees{parts[0][3:]})"
+    parts.append(_bounds(field))
+    if value is None:
+        parts.append("needed" if field.is_required() else "not set")
+    elif not field.is_required() and value != field.default:
+        parts.append("default: not set" if field.default is None else f"default {_toml_value(field.default)}")
+    text = "; ".join(part for part in parts if part)
+    return f"  # {text}" if text else ""
+
+
+def _bounds(field: FieldInfo) -> str:
+    choices = get_args(field.annotation)
+    if choices and all(isinstance(choice, str) for choice in choices):
+        return _either(choices)
+    if isinstance(field.annotation, type) and issubclass(field.annotation, Enum):
+        return _either([str(member.value) for member in field.annotation])
+    words = {"gt": "above", "ge": "from", "lt": "below", "le": "to"}
+    found = [
+        f"{word} {getattr(rule, attribute):.4g}"
+        for attribute, word in words.items()
+        for rule in field.metadata
+        if hasattr(rule, attribute)
+    ]
+    return " ".join(found)
+
+
+def _either(words: Sequence[str]) -> str:
+    return " or ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Enum):
+        return json.dumps(str(value.value))
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
+    return repr(value)

@@ -1,0 +1,181 @@
+"""Level from the picture itself: door posts and wall corners are vertical, and they show roll and pitch.
+
+The attitude that comes with a frame is a starting point with a standard deviation: a filter's tilt error, a
+camera that is not mounted as its file says, or nothing known at all. Vertical lines then make level as
+exact as the picture is, which the lateral offset needs (half a degree of roll is 1 % of the corridor's
+width) and the heading welcomes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan, radians, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from vision.compiled import compiled
+from vision.lines.segments import LineSet
+
+FloatArray = npt.NDArray[np.float64]
+
+COARSE_STEP_RAD = radians(2.0)
+GRID_REACH_SIGMA = 2.5
+MAX_VOTE_ARC_RAD = 0.3  # longer lines count no more
+VOTE_WEIGHT = 6.0
+UPRIGHT = 0.7  # at least this much of a line's direction is along the given vertical
+GRID_FROM_STD_RAD = radians(2.0)  # below this the prior is good enough to start from
+PLUMB_STD_RAD = radians(0.15)  # door posts are upright to about this
+CUT_SIGMA = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """The level frame as seen by the camera.
+
+    Parameters
+    ----------
+    R_level_camera
+        Rotation (3, 3) from the optical frame.
+    roll_std_rad, pitch_std_rad
+        Standard deviations of what is left, about the level frame's x and y axes.
+    pitch_correction_rad
+        Elevation by which the picture's level lies above the given attitude's.
+    """
+
+    R_level_camera: FloatArray
+    roll_std_rad: float
+    pitch_std_rad: float
+    pitch_correction_rad: float
+
+
+@compiled
+def _vertical_std(down: float, along: float, sigma: float, arc: float) -> float:
+    rotation = 3.4641 * sigma / arc
+    return sqrt((sigma * down) ** 2 + (rotation * along) ** 2 + PLUMB_STD_RAD * PLUMB_STD_RAD)
+
+
+@compiled
+def _search(normal: FloatArray, direction: FloatArray, arc: FloatArray, std: float, out: FloatArray) -> None:
+    """Find by exhaustive vote where the upright lines meet, coarsely first; ``out`` = a, b as in `_plumb`."""
+    upright = np.empty((len(arc), 4))
+    n = 0
+    for k in range(len(arc)):
+        if abs(direction[k, 2]) >= UPRIGHT:
+            upright[n, :3] = normal[k]
+            upright[n, 3] = min(arc[k], MAX_VOTE_ARC_RAD) / MAX_VOTE_ARC_RAD
+            n += 1
+    out[0] = 0.0
+    out[1] = 0.0
+    step = COARSE_STEP_RAD
+    reach = int(np.ceil(GRID_REACH_SIGMA * std / step))
+    for _ in range(2):
+        middle_a = out[0]
+        middle_b = out[1]
+        spread = 1.4 * step
+        best = -np.inf
+        for i in range(-reach, reach + 1):
+            for j in range(-reach, reach + 1):
+                a = middle_a + i * step
+                b = middle_b + j * step
+                score = -0.5 * (a * a + b * b) / (std * std)
+                for k in range(n):
+                    z = (upright[k, 0] * a + upright[k, 1] * b + upright[k, 2]) / spread
+                    score += VOTE_WEIGHT * max(0.0, 1.0 - z * z) * upright[k, 3]
+                if score > best:
+                    best = score
+                    out[0] = a
+                    out[1] = b
+        step = 0.5 * COARSE_STEP_RAD
+        reach = 2
+
+
+@compiled
+def _plumb(
+    normal: FloatArray,
+    centre: FloatArray,
+    direction: FloatArray,
+    sigma: FloatArray,
+    arc: FloatArray,
+    std: float,
+    out: FloatArray,
+) -> None:
+    """Find the down vector (a, b, 1) the vertical lines agree on; ``out`` = a, b and information (3 numbers).
+
+    a is down's component along the given level frame's x, b along its y; both have the prior N(0, std).
+    """
+    n = len(sigma)
+    a = 0.0
+    b = 0.0
+    start = std
+    if std > GRID_FROM_STD_RAD:
+        _search(normal, direction, arc, std, out)
+        a = out[0]
+        b = out[1]
+        start = 0.5 * COARSE_STEP_RAD
+    h00 = h01 = h11 = 0.0
+    for iteration in range(8):
+        h00 = h11 = 1.0 / (std * std)
+        h01 = 0.0
+        g0 = a / (std * std)
+        g1 = b / (std * std)
+        for k in range(n):
+            if abs(direction[k, 2]) < UPRIGHT:
+                continue
+            nx = normal[k, 0]
+            ny = normal[k, 1]
+            down = centre[k, 0] * a + centre[k, 1] * b + centre[k, 2]
+            along = direction[k, 0] * a + direction[k, 1] * b + direction[k, 2]
+            line_std = _vertical_std(down, along, sigma[k], arc[k])
+            cut = CUT_SIGMA * sqrt(line_std * line_std + (start * 0.5**iteration) ** 2)
+            r = nx * a + ny * b + normal[k, 2]
+            if abs(r) >= cut:
+                continue
+            w = (1.0 - (r / cut) ** 2) ** 2 / (line_std * line_std)
+            h00 += w * nx * nx
+            h01 += w * nx * ny
+            h11 += w * ny * ny
+            g0 += w * nx * r
+            g1 += w * ny * r
+        determinant = h00 * h11 - h01 * h01
+        a -= (h11 * g0 - h01 * g1) / determinant
+        b -= (h00 * g1 - h01 * g0) / determinant
+    out[0] = a
+    out[1] = b
+    out[2] = h00
+    out[3] = h01
+    out[4] = h11
+
+
+def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: float) -> Level:
+    """Correct a level frame by the picture's vertical lines.
+
+    Parameters
+    ----------
+    lines
+        Segments of the picture.
+    R_level_camera
+        Rotation (3, 3) from the optical frame to level as the attitude and the mount have it.
+    std_rad
+        Standard deviation of its roll and pitch.
+    """
+    out = np.zeros(5)
+    to_level = R_level_camera.T
+    normal, centre, direction = lines.normal @ to_level, lines.centre @ to_level, lines.direction @ to_level
+    _plumb(normal, centre, direction, lines.sigma_rad, lines.arc_rad, std_rad, out)
+    a, b, h_pitch, h_both, h_roll = (float(v) for v in out)
+    determinant = h_pitch * h_roll - h_both * h_both
+    # The shortest rotation that brings the found down (a, b, 1) to (0, 0, 1): heading is left alone.
+    size = sqrt(1.0 + a * a + b * b)
+    dx, dy, dz = a / size, b / size, 1.0 / size
+    level = sqrt(1.0 - dx * dx)
+    fx, fy, fz = level, -dx * dy / level, -dx * dz / level
+    R_new_old = np.array(
+        [[fx, fy, fz], [dy * fz - dz * fy, dz * fx - dx * fz, dx * fy - dy * fx], [dx, dy, dz]]
+    )
+    return Level(
+        R_level_camera=R_new_old @ R_level_camera,
+        roll_std_rad=sqrt(h_pitch / determinant),
+        pitch_std_rad=sqrt(h_roll / determinant),
+        pitch_correction_rad=atan(a),
+    )

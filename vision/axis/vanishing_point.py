@@ -1,0 +1,253 @@
+"""The corridor's axis from line segments: an exhaustive vote over heading, then a robust least-squares fit.
+
+Each segment spans a plane with the camera's centre; a line along the corridor has the axis in its plane. Turned
+level by roll and pitch, that makes each line vote for one heading. The vote is over all headings (and over
+elevations, as far as tilt and mount are uncertain), so there is no initial guess and no random sampling to be unlucky
+with.
+
+The axis at heading psi and elevation e (positive up) is ``d = (cos e cos psi, -cos e sin psi, -sin e)`` in the level
+frame; the residual of a line with plane normal n is ``n . d``, zero for a corridor line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2, cos, nan, pi, radians, sin, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from vision.axis.vote import (
+    BEST_BIN,
+    BEST_SCORE,
+    BEST_SLICE,
+    N_BINS,
+    VERTICAL_SINE,
+    bin_heading,
+    line_std,
+    rival_and_variance,
+    vote,
+    weigh,
+)
+from vision.compiled import compiled
+from vision.lines.segments import LineSet
+
+FloatArray = npt.NDArray[np.float64]
+
+MAX_REFINEMENT_RAD = radians(4.0)
+SLICE_STEP_RAD = radians(1.0)
+MAX_SLICES = 21
+INLIER_SIGMA = 3.0
+MIN_SCALE = 0.7  # of the covariance, however well the lines agree
+DIRECTIONS = 45  # in half a turn about the axis
+CORRELATION = 1.3  # the edges of one door or board err together: so many lines speak as one
+
+# columns of `_refine`'s result
+PSI, ELEVATION, H_PSI, H_BOTH, H_ELEVATION, CHI2, WEIGHT = range(7)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisFit:
+    """The best axis, its covariance and its rival.
+
+    Parameters
+    ----------
+    heading_rad, elevation_rad
+        The fit, in the level frame.
+    covariance
+        Of heading and elevation (2, 2), rad^2.
+    score
+        Log-likelihood of the best vote over lines at random.
+    second_heading_rad, second_score
+        The best vote at least 8 degrees away.
+    residual
+        Each line's residual over its standard deviation (n,).
+    inlier
+        Lines (n,) that run along the axis.
+    inlier_share
+        Their share of the length of all lines that are not upright.
+    n_distinct
+        In how many directions about the axis they lie, 4 degrees apart.
+    """
+
+    heading_rad: float
+    elevation_rad: float
+    covariance: FloatArray
+    score: float
+    second_heading_rad: float
+    second_score: float
+    residual: FloatArray
+    inlier: npt.NDArray[np.bool_]
+    inlier_share: float
+    n_distinct: int
+
+
+@compiled
+def _refine(
+    normal: FloatArray,
+    centre: FloatArray,
+    direction: FloatArray,
+    sigma: FloatArray,
+    arc: FloatArray,
+    psi: float,
+    e: float,
+    prior_e: float,
+    prior_e_std: float,
+    residual: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Fit by robust Gauss-Newton from (psi, e): the fit, its information, weighted chi-square and sum of weights."""
+    n = len(sigma)
+    for iteration in range(12):
+        cut = max(INLIER_SIGMA, 6.0 - iteration)
+        h00 = h01 = h11 = g0 = g1 = 0.0
+        chi2 = total = 0.0
+        cp = cos(psi)
+        sp = sin(psi)
+        ce = cos(e)
+        se = sin(e)
+        for i in range(n):
+            nx = normal[i, 0]
+            ny = normal[i, 1]
+            nz = normal[i, 2]
+            r = ce * (nx * cp - ny * sp) - nz * se
+            alpha = ce * (centre[i, 0] * cp - centre[i, 1] * sp) - centre[i, 2] * se
+            beta = ce * (direction[i, 0] * cp - direction[i, 1] * sp) - direction[i, 2] * se
+            std = line_std(alpha, beta, sigma[i], arc[i])
+            z = r / std
+            residual[i] = z
+            if abs(nz) < VERTICAL_SINE or abs(z) >= cut:
+                continue
+            w = 1.0 - (z / cut) ** 2
+            w = w * w
+            j0 = -ce * (nx * sp + ny * cp) / std
+            j1 = (-se * (nx * cp - ny * sp) - nz * ce) / std
+            h00 += w * j0 * j0
+            h01 += w * j0 * j1
+            h11 += w * j1 * j1
+            g0 += w * j0 * z
+            g1 += w * j1 * z
+            chi2 += w * z * z
+            total += w
+        prior_information = 1.0 / (prior_e_std * prior_e_std)
+        h11 += prior_information
+        g1 += (e - prior_e) * prior_information
+        determinant = h00 * h11 - h01 * h01
+        out[H_PSI] = h00
+        out[H_BOTH] = h01
+        out[H_ELEVATION] = h11
+        out[CHI2] = chi2
+        out[WEIGHT] = total
+        if determinant <= 0.0 or h00 <= 0.0:
+            break
+        step_psi = -(h11 * g0 - h01 * g1) / determinant
+        step_e = -(h00 * g1 - h01 * g0) / determinant
+        psi += min(max(step_psi, -0.05), 0.05)
+        e += min(max(step_e, -0.05), 0.05)
+        if iteration >= 4 and abs(step_psi) < 1e-7 and abs(step_e) < 1e-7:
+            break
+    out[PSI] = psi
+    out[ELEVATION] = e
+
+
+@compiled
+def _count_distinct(normal: FloatArray, inlier: npt.NDArray[np.bool_], psi: float, e: float) -> int:
+    """Count the directions, about the axis, in which lines lie: pieces of one edge and its two sides are one."""
+    cp, sp, ce, se = cos(psi), sin(psi), cos(e), sin(e)
+    seen = np.zeros(DIRECTIONS, np.bool_)
+    count = 0
+    for i in range(len(inlier)):
+        if not inlier[i]:
+            continue
+        across = normal[i, 0] * sp + normal[i, 1] * cp
+        down = normal[i, 2] * ce - (normal[i, 0] * cp - normal[i, 1] * sp) * se
+        b = int((atan2(down, across) / pi + 1.0) * DIRECTIONS) % DIRECTIONS
+        count += not seen[b]
+        seen[b] = True
+    return count
+
+
+def _covariance(fit: FloatArray, vote_variance: float) -> FloatArray | None:
+    """Return the covariance (2, 2) of heading and elevation, as wide as the vote's peak; None: nothing is fixed."""
+    determinant = fit[H_PSI] * fit[H_ELEVATION] - fit[H_BOTH] ** 2
+    if not determinant > 0.0:
+        return None
+    misfit = float(fit[CHI2]) / max(float(fit[WEIGHT]) - 2.0, 1.0)
+    covariance = np.array([[fit[H_ELEVATION], -fit[H_BOTH]], [-fit[H_BOTH], fit[H_PSI]]])
+    covariance *= max(MIN_SCALE, CORRELATION * misfit) / determinant
+    if vote_variance > covariance[0, 0]:
+        wider = np.array([sqrt(vote_variance / covariance[0, 0]), 1.0])
+        covariance *= np.outer(wider, wider)
+    return covariance
+
+
+def axis_direction(heading_rad: float, elevation_rad: float) -> FloatArray:
+    """Return the unit vector (3,) in the level frame along a corridor seen at this heading and elevation."""
+    level = cos(elevation_rad)
+    return np.array([level * cos(heading_rad), -level * sin(heading_rad), -sin(elevation_rad)])
+
+
+def fit_axis(
+    lines: LineSet,
+    R_level_camera: FloatArray,
+    elevation_rad: float = 0.0,
+    elevation_std_rad: float = radians(3.0),
+    prior_heading_rad: float = nan,
+    prior_heading_std_rad: float = nan,
+) -> AxisFit | None:
+    """Find the corridor's axis among the lines; None where no line votes.
+
+    Parameters
+    ----------
+    lines
+        Segments of the picture.
+    R_level_camera
+        Rotation (3, 3) from the optical frame to the level frame.
+    elevation_rad, elevation_std_rad
+        What is known of the axis's elevation: tilt error and mount together.
+    prior_heading_rad, prior_heading_std_rad
+        A filter's prediction, to choose between peaks; NaN: the camera looks along rather than across.
+    """
+    if len(lines) == 0:
+        return None
+    normal = lines.normal @ R_level_camera.T
+    geometry = (
+        normal,
+        lines.centre @ R_level_camera.T,
+        lines.direction @ R_level_camera.T,
+        lines.sigma_rad,
+        lines.arc_rad,
+    )
+    half_slices = min(int(2.0 * elevation_std_rad / SLICE_STEP_RAD), (MAX_SLICES - 1) // 2)
+    steps = np.array([i * SLICE_STEP_RAD for i in range(-half_slices, half_slices + 1)])
+    scores, marginal, ranked = np.empty((len(steps), N_BINS)), np.empty(N_BINS), np.empty(N_BINS)
+    vote(*geometry, elevation_rad + steps, min(elevation_std_rad, 0.4 * SLICE_STEP_RAD), scores)
+    best = np.zeros(3)
+    weigh(scores, steps, elevation_std_rad, prior_heading_rad, prior_heading_std_rad, marginal, ranked, best)
+    if not best[BEST_SCORE] > 0.0:
+        return None
+    start_rad = bin_heading(int(best[BEST_BIN]))
+    start_elevation_rad = elevation_rad + float(steps[int(best[BEST_SLICE])])
+    residual = np.empty(len(lines))
+    out = np.empty(7)
+    _refine(*geometry, start_rad, start_elevation_rad, elevation_rad, elevation_std_rad, residual, out)
+    if abs(out[PSI] - start_rad) > MAX_REFINEMENT_RAD:
+        return None  # the fit left the peak it started from: there was no axis, only a crowd
+    second, second_score, spread = rival_and_variance(marginal, ranked, float(out[PSI]))
+    covariance = _covariance(out, spread)
+    if covariance is None:
+        return None
+    leaning = np.abs(normal[:, 2]) >= VERTICAL_SINE
+    inlier = leaning & (np.abs(residual) < INLIER_SIGMA)
+    return AxisFit(
+        heading_rad=float(out[PSI]),
+        elevation_rad=float(out[ELEVATION]),
+        covariance=covariance,
+        score=float(best[BEST_SCORE]),
+        second_heading_rad=bin_heading(second),
+        second_score=second_score,
+        residual=residual,
+        inlier=inlier,
+        n_distinct=_count_distinct(normal, inlier, float(out[PSI]), float(out[ELEVATION])),
+        inlier_share=float(lines.length_px[inlier].sum() / max(lines.length_px[leaning].sum(), 1.0)),
+    )

@@ -1,0 +1,1 @@
+"""Cameras: intrinsics, lens models, calibration files. Begin reading at `vision.cameras.camera`."""

@@ -1,0 +1,288 @@
+"""The camera: from pixels to rays and back, and how it sits on the body.
+
+The optical frame has x right, y down and z forward; pixel (0, 0) is the centre of the top-left pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from math import acos, degrees, isfinite, nan, pi, tan
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from vision.cameras.lens import Equidistant, RadialTangential
+from vision.errors import InputError
+
+FloatArray = npt.NDArray[np.float64]
+BodyFrame = Literal["flu", "frd"]
+
+ROTATION_TOLERANCE = 1e-3  # files print rotations to a few digits; beyond this it is not one
+MAX_AXIS_ANGLE_RAD = pi / 3
+
+_FORWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+class Distortion(StrEnum):
+    """Lens model of a `Camera`."""
+
+    NONE = "none"
+    RADTAN = "radtan"
+    EQUIDISTANT = "equidistant"
+
+
+COEFFICIENT_COUNTS = {
+    Distortion.NONE: (0,),
+    Distortion.RADTAN: (4, 5, 8),
+    Distortion.EQUIDISTANT: (4,),
+}
+
+
+def nearest_rotation(matrix: npt.ArrayLike, what: str = "R_body_camera") -> FloatArray:
+    """Return the rotation nearest to a (3, 3) matrix that is one but for printed digits.
+
+    Raises
+    ------
+    InputError
+        Where it is not orthonormal within 1e-3, mirrors, or is not finite.
+    """
+    rotation = np.array(matrix, dtype=float)
+    if rotation.shape != (3, 3) or not np.isfinite(rotation).all():
+        raise InputError(f"{what} is not a 3x3 matrix of finite numbers", remedy="give a rotation matrix")
+    defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    determinant = float(np.linalg.det(rotation))
+    if defect > ROTATION_TOLERANCE or determinant < 0.0:
+        raise InputError(
+            f"{what} is not a rotation: off orthonormal by {defect:.3g}, determinant {determinant:.3g}",
+            remedy="its rows must be orthogonal unit vectors of a right-handed frame",
+        )
+    if defect > 1e-12:
+        u, _, vt = np.linalg.svd(rotation)
+        rotation = u @ vt
+    return rotation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A calibrated camera on a body.
+
+    Parameters
+    ----------
+    width_px, height_px
+        Size of the pictures that the calibration belongs to.
+    fx_px, fy_px, cx_px, cy_px
+        Focal lengths and principal point.
+    distortion, coefficients
+        Lens model and its coefficients: none (), radtan ``k1 k2 p1 p2 [k3 [k4 k5 k6]]`` or equidistant
+        ``k1 k2 k3 k4``, in OpenCV's order.
+    R_body_camera
+        Rotation (3, 3) from the optical frame to the body FRD; straight ahead by default.
+    exposure_s
+        Exposure time, NaN where unknown.
+    p_body_camera_m
+        Position (3,) in the body FRD: a camera ahead of the vehicle's centre swings sideways as it turns.
+    mount_assumed
+        Whether ``R_body_camera`` is only taken for granted, since the calibration says nothing of it.
+
+    Raises
+    ------
+    InputError
+        Where a number cannot belong to a camera.
+    """
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    distortion: Distortion = Distortion.NONE
+    coefficients: tuple[float, ...] = ()
+    R_body_camera: FloatArray = field(default_factory=_FORWARD.copy)
+    exposure_s: float = nan
+    p_body_camera_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    mount_assumed: bool = False
+    _lens: RadialTangential | Equidistant | None = field(init=False, repr=False, default=None)
+
+    def __post_init__(self) -> None:
+        self._check()
+        rotation = nearest_rotation(self.R_body_camera)
+        rotation.setflags(write=False)
+        object.__setattr__(self, "distortion", Distortion(self.distortion))
+        object.__setattr__(self, "coefficients", tuple(float(c) for c in self.coefficients))
+        object.__setattr__(self, "R_body_camera", rotation)
+        position = np.array(self.p_body_camera_m, dtype=float)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise InputError("p_body_camera_m is not three finite numbers", remedy="give x, y, z in metres")
+        position.setflags(write=False)
+        object.__setattr__(self, "p_body_camera_m", position)
+        lens: RadialTangential | Equidistant | None = None
+        if self.distortion is Distortion.EQUIDISTANT:
+            lens = Equidistant.from_coefficients(self.coefficients)
+        elif any(self.coefficients):
+            lens = RadialTangential.from_coefficients(self.coefficients)
+        object.__setattr__(self, "_lens", lens)
+
+    def _check(self) -> None:
+        if min(self.width_px, self.height_px) < 1:
+            raise InputError(
+                f"resolution {self.width_px}x{self.height_px} is not a picture's size",
+                remedy="give width and height in pixels, both positive",
+            )
+        for name in ("fx_px", "fy_px"):
+            value = getattr(self, name)
+            if not (isfinite(value) and value > 0.0):
+                raise InputError(
+                    f"focal length {name} is {value:g}", remedy="give a positive number of pixels"
+                )
+        for name in ("cx_px", "cy_px"):
+            value = getattr(self, name)
+            if not isfinite(value):
+                raise InputError(f"principal point {name} is {value:g}", remedy="give a number of pixels")
+        counts = COEFFICIENT_COUNTS[Distortion(self.distortion)]
+        if len(self.coefficients) not in counts:
+            wanted = " or ".join(str(c) for c in counts)
+            raise InputError(
+                f"distortion model {self.distortion} has {len(self.coefficients)} coefficients",
+                remedy=f"it takes {wanted}",
+            )
+        if not all(isfinite(c) for c in self.coefficients):
+            raise InputError(
+                f"distortion coefficients {self.coefficients} are not finite", remedy="calibrate anew"
+            )
+
+    @classmethod
+    def from_yaml(cls, path: str | Path, body_frame: BodyFrame | None = None, cam: str = "cam0") -> Camera:
+        """Read a calibration: EuRoC/ASL, Kalibr, ROS ``camera_info`` or OpenCV, YAML or JSON.
+
+        Parameters
+        ----------
+        path
+            The file. EuRoC's ``T_BS`` takes camera coordinates to the body, Kalibr's ``T_cam_imu`` takes
+            IMU coordinates to the camera; the IMU's frame is then the body's. ROS's and OpenCV's files have no
+            extrinsic: the camera is then taken to look straight ahead, see ``mount_assumed``.
+        body_frame
+            Axes of the body in the file, ``flu`` or ``frd``. By default what ``body.yaml`` says in the
+            folder above the file's (``mav0/body.yaml`` for ``mav0/cam0/sensor.yaml``), else ``flu``.
+        cam
+            Which camera of a Kalibr chain.
+
+        Raises
+        ------
+        InputError
+            Naming the file, the field and what to do.
+        """
+        from vision.cameras.calibration import read_camera
+
+        return read_camera(Path(path), body_frame, cam)
+
+    @classmethod
+    def from_fov(cls, width_px: int, height_px: int, horizontal_fov_rad: float) -> Camera:
+        """Assume an undistorted camera that looks straight ahead, from its horizontal field of view."""
+        if not 0.0 < horizontal_fov_rad < pi:
+            raise InputError(
+                f"horizontal field of view is {horizontal_fov_rad:g} rad",
+                remedy="give an angle between 0 and pi",
+            )
+        focal_px = width_px / 2.0 / tan(horizontal_fov_rad / 2.0)
+        return cls(width_px, height_px, focal_px, focal_px, (width_px - 1) / 2.0, (height_px - 1) / 2.0)
+
+    def resized(self, width_px: int, height_px: int) -> Camera:
+        """Return the camera of the same pictures scaled to another size, exact to the pixel centres."""
+        scale_x, scale_y = width_px / self.width_px, height_px / self.height_px
+        return replace(
+            self,
+            width_px=width_px,
+            height_px=height_px,
+            fx_px=self.fx_px * scale_x,
+            fy_px=self.fy_px * scale_y,
+            cx_px=(self.cx_px + 0.5) * scale_x - 0.5,
+            cy_px=(self.cy_px + 0.5) * scale_y - 0.5,
+        )
+
+    def require_size(self, width_px: int, height_px: int, file: str | Path | None = None) -> None:
+        """Raise `InputError` unless pictures of this size belong to the calibration."""
+        if (width_px, height_px) != (self.width_px, self.height_px):
+            raise InputError(
+                f"picture is {width_px}x{height_px}, the camera's {self.width_px}x{self.height_px}",
+                file=file,
+                remedy="give the calibration of these pictures, or scale them to its resolution",
+            )
+
+    def mount_problem(self) -> str | None:
+        """One sentence where the optical axis is assumed, or over 60 degrees from the body's x axis, else None."""
+        if self.mount_assumed:
+            return (
+                "the calibration does not say how the camera is mounted: taken as looking straight ahead "
+                "(add T_BS, body from camera, to it)"
+            )
+        angle = acos(max(-1.0, min(1.0, float(self.R_body_camera[0, 2]))))
+        if angle <= MAX_AXIS_ANGLE_RAD:
+            return None
+        return (
+            f"the camera looks {degrees(angle):.0f} degrees away from the body's x axis: "
+            "check the direction of its extrinsic (T_BS or T_cam_imu) and body_frame"
+        )
+
+    def _normalised(self, points_px: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        points = np.asarray(points_px, dtype=float).reshape(-1, 2)
+        return (points[:, 0] - self.cx_px) / self.fx_px, (points[:, 1] - self.cy_px) / self.fy_px
+
+    def undistort(self, points_px: npt.ArrayLike) -> FloatArray:
+        """Normalised image coordinates x/z, y/z (n, 2) of pixels (n, 2).
+
+        NaN where the lens model has no inverse, or the ray is 90 degrees or more off the axis.
+        """
+        x, y = self._normalised(points_px)
+        if isinstance(self._lens, RadialTangential):
+            x, y = self._lens.undistort(x, y)
+        elif isinstance(self._lens, Equidistant):
+            radius = np.hypot(x, y)
+            angle = self._lens.undistort(radius)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                scale = np.where(radius == 0.0, 1.0, np.tan(angle) / radius)
+            scale[~(angle < pi / 2)] = np.nan
+            x, y = x * scale, y * scale
+        return np.stack([x, y], axis=1)
+
+    def rays(self, points_px: npt.ArrayLike) -> FloatArray:
+        """Turn pixels (n, 2) into unit vectors (n, 3) in the optical frame; NaN where there is no inverse.
+
+        With the equidistant model they may point more than 90 degrees away from the axis.
+        """
+        if isinstance(self._lens, Equidistant):
+            x, y = self._normalised(points_px)
+            radius = np.hypot(x, y)
+            angle = self._lens.undistort(radius)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                scale = np.where(radius == 0.0, 1.0, np.sin(angle) / radius)
+            return np.stack([x * scale, y * scale, np.cos(angle)], axis=1)
+        normalised = self.undistort(points_px)
+        rays = np.concatenate([normalised, np.ones((len(normalised), 1))], axis=1)
+        rays /= np.sqrt(np.einsum("ij,ij->i", rays, rays))[:, None]
+        return rays
+
+    def project(self, rays: npt.ArrayLike) -> FloatArray:
+        """Pixels (n, 2) of vectors (n, 3) of any length in the optical frame.
+
+        NaN behind the camera (pinhole models) and past the radius where the lens model turns back; a pixel
+        may lie outside the picture.
+        """
+        vectors = np.asarray(rays, dtype=float).reshape(-1, 3)
+        x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if isinstance(self._lens, Equidistant):
+                radius = np.hypot(x, y)
+                angle = np.arctan2(radius, z)
+                scale = np.where(radius == 0.0, 0.0, self._lens.distort(angle) / radius)
+                scale[(radius == 0.0) & ~(z > 0.0)] = np.nan
+                x, y = x * scale, y * scale
+            else:
+                depth = np.where(z > 0.0, z, np.nan)
+                x, y = x / depth, y / depth
+                if self._lens is not None:
+                    x, y = self._lens.distort(x, y)
+        return np.stack([x * self.fx_px + self.cx_px, y * self.fy_px + self.cy_px], axis=1)

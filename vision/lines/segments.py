@@ -1,0 +1,382 @@
+"""Straight line segments with sub-pixel accuracy, in one pass over the picture.
+
+The article's line finder (connected components of edge pixels with a common gradient direction, eigen fit of each,
+equations 1 to 4) made sub-pixel: an edge pixel is a maximum of the gradient magnitude across the edge, its position
+the vertex of a parabola through three magnitudes; pixels join a component while their gradient agrees with the
+component's mean within 22.5 degrees. For a distorted lens the fit is in rectified coordinates, where edges of
+straight things are straight. Threshold and blur follow the picture's own noise.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+from functools import lru_cache
+from math import atan2, ceil, hypot, radians, sqrt, tan
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vision.cameras.camera import Camera, Distortion
+from vision.compiled import compiled
+from vision.images import to_grey
+from vision.lines.edges import (
+    CONTRAST,
+    COUNT,
+    LENGTH,
+    N_LINE,
+    N_SUMS,
+    RMS,
+    X0,
+    X1,
+    Y0,
+    Y1,
+    connect,
+    difference_statistics,
+    fit,
+    gradient_magnitude,
+    median_and_mean,
+)
+
+FloatArray = npt.NDArray[np.float64]
+GreyImage = npt.NDArray[np.uint8]
+
+MAX_COMPONENTS = 1 << 15
+MAX_LINES = 1 << 12
+NOISE_TO_THRESHOLD = 3.0  # threshold over the median gradient magnitude
+STRUCTURE_TO_THRESHOLD = 1.0  # threshold over the mean gradient magnitude
+MIN_THRESHOLD = 6.0  # gradient (Sobel 3x3) that quantisation to whole grey levels can make
+SMOOTH_FROM_NOISE = (1.5, 5.0, 8.5)  # noise, grey levels, above which blur of 3, 5, 7 pixels pays
+SMOOTH_FROM_NOISE_COARSE = (5.0, 14.0)  # the same for pictures whose edges lie closer together
+SHARPNESS = (0.80, 0.58, 0.42, 0.34)  # of a sharp edge after blur of 1, 3, 5, 7 pixels; see `connect`
+BLURRED_SHARPNESS = 0.5
+SMOOTH_FROM_BLOCKINESS = (1.7, 1.7, 2.6)  # steps at the joints of JPEG's blocks over others
+FINE_DIAGONAL_PX = 600.0
+SMALL_DIAGONAL_PX = 300.0
+MAX_DIAGONAL_PX = 1000.0
+MIN_DIAGONAL_PX = 100.0
+SECOND_DIFFERENCE_MEDIAN = 0.6745 * sqrt(6.0)  # median of |a - 2b + c| for noise of one grey level
+MIN_LENGTH_OF_DIAGONAL = 0.015
+MIN_LENGTH_PX = 7.0
+MAX_HALF_FIELD_RAD = radians(75.0)  # rectified coordinates stretch without bound towards 90 degrees
+PIXELS_PER_INDEPENDENT = 6.0  # neighbouring edge pixels share blur and noise
+POSITION_FLOOR_PX = 0.08  # bias of the parabola, compression, edges not quite straight: does not average out
+SOFT = 3.0  # times that, where edges are blurred even as seen from as far away as can be
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LineSet:
+    """Line segments of one picture, as the vanishing point needs them; n lines.
+
+    Parameters
+    ----------
+    width_px, height_px
+        Size of the picture.
+    ends_px
+        End points (n, 4) x0, y0, x1, y1 in rectified pixels (those of a distortion-free lens with the same
+        focal length and principal point); bright is on the right when walking from 0 to 1.
+    length_px
+        Lengths (n,), rectified pixels.
+    rms_px
+        Scatter (n,) of the edge pixels across their line.
+    n_pixels
+        Edge pixels (n,) in the line.
+    contrast
+        Mean gradient magnitude (n,), in grey levels per pixel times 8 (Sobel 3x3).
+    centre, direction, normal
+        Unit vectors (n, 3) in the optical frame: towards the middle of the segment, along it, and normal to the
+        plane it spans with the camera's centre, on the bright side; ``normal = centre x direction``.
+    sigma_rad
+        Standard deviation (n,) of the angle by which the middle is off its plane.
+    arc_rad
+        Angle (n,) the segment subtends.
+    threshold
+        Gradient magnitude above which pixels counted as edges.
+    extract_ms
+        Time it took to find them, milliseconds.
+    """
+
+    width_px: int
+    height_px: int
+    ends_px: FloatArray
+    length_px: FloatArray
+    rms_px: FloatArray
+    n_pixels: FloatArray
+    contrast: FloatArray
+    centre: FloatArray
+    direction: FloatArray
+    normal: FloatArray
+    sigma_rad: FloatArray
+    arc_rad: FloatArray
+    threshold: float
+    extract_ms: float
+
+    def __len__(self) -> int:
+        return len(self.length_px)
+
+
+class _Workspace:
+    """Buffers for one picture size, kept so that no frame allocates what the last one already had."""
+
+    def __init__(self, height_px: int, width_px: int) -> None:
+        self.smooth = np.empty((height_px, width_px), np.uint8)
+        self.gx = np.empty((height_px, width_px), np.int16)
+        self.gy = np.empty((height_px, width_px), np.int16)
+        self.magnitude = np.empty((height_px, width_px), np.float32)
+        self.parent = np.empty(MAX_COMPONENTS, np.int32)
+        self.sums = np.empty((MAX_COMPONENTS, N_SUMS))
+        self.rows = np.empty((3, width_px), np.int32)
+        self.mark = np.empty((width_px + 7) // 8 * 8, np.uint8)
+        self.words = self.mark.view(np.uint64)
+        self.lines = np.empty((MAX_LINES, N_LINE))
+        self.counts = np.empty(1024, np.int64)
+        self.magnitude_counts = np.empty(3072, np.int64)
+
+
+_per_thread = threading.local()
+
+
+def _workspace(height_px: int, width_px: int) -> _Workspace:
+    """Return this thread's buffers: frames may be measured in several threads at once."""
+    cache: dict[tuple[int, int], _Workspace] = _per_thread.__dict__.setdefault("workspaces", {})
+    size = (height_px, width_px)
+    if size not in cache:
+        while len(cache) >= 4:
+            cache.pop(next(iter(cache)))
+        cache[size] = _Workspace(*size)
+    return cache[size]
+
+
+def extract_lines(image: npt.NDArray[Any], camera: Camera) -> LineSet:
+    """Find the straight line segments of a picture.
+
+    Parameters
+    ----------
+    image
+        Grey, BGR or BGRA picture, uint8 or uint16.
+    camera
+        Calibration for this picture size.
+
+    Raises
+    ------
+    InputError
+        Where it is no picture, or not of the camera's size.
+    """
+    started = time.perf_counter()
+    grey = to_grey(image)
+    camera.require_size(grey.shape[1], grey.shape[0])
+    working = _working_camera(camera)
+    found = _trace(_scaled(grey, working), working)
+    # Edges blurred over several pixels have their maximum anywhere on a plateau: look from farther away.
+    while found.blurred and hypot(working.width_px, working.height_px) > 2.0 * MIN_DIAGONAL_PX:
+        working = _halved(working)
+        found = _trace(_scaled(grey, working), working)
+    return _line_set(found, camera, working, started)
+
+
+class _Traced(NamedTuple):
+    lines: FloatArray  # rows as `vision.lines.edges.fit` leaves them
+    threshold: float
+    blurred: bool
+
+
+def _trace(grey: GreyImage, camera: Camera) -> _Traced:
+    height, width = grey.shape
+    work = _workspace(height, width)
+    smooth, expected_sharpness = _smoothed(grey, work)
+    gx, gy = work.gx, work.gy
+    cv2.spatialGradient(smooth, gx, gy)
+    gradient_magnitude(gx, gy, work.magnitude)
+    median, mean = median_and_mean(work.magnitude, work.magnitude_counts)
+    threshold = max(MIN_THRESHOLD, NOISE_TO_THRESHOLD * median, STRUCTURE_TO_THRESHOLD * mean)
+    n_labels, steep, flat = connect(
+        gx,
+        gy,
+        work.magnitude,
+        np.float32(threshold),
+        _rectified(camera),
+        work.parent,
+        work.sums,
+        work.rows,
+        work.mark,
+        work.words,
+    )
+    min_length = max(MIN_LENGTH_PX, MIN_LENGTH_OF_DIAGONAL * hypot(width, height))
+    n = fit(work.parent, work.sums, n_labels, min_length, work.lines)
+    return _Traced(
+        work.lines[:n].copy(), threshold, min(steep, flat) < BLURRED_SHARPNESS * expected_sharpness
+    )
+
+
+def _scaled(grey: GreyImage, camera: Camera) -> GreyImage:
+    size = (camera.width_px, camera.height_px)
+    if size == grey.shape[::-1]:
+        return grey
+    interpolation = cv2.INTER_AREA if size[0] < grey.shape[1] else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(grey, size, interpolation=interpolation), np.uint8)
+
+
+def is_distorted(camera: Camera) -> bool:
+    """Tell whether straight things have bent edges in this camera's pictures."""
+    return any(camera.coefficients) or camera.distortion is Distortion.EQUIDISTANT
+
+
+def noise_and_blockiness(grey: GreyImage, counts: npt.NDArray[np.int64] | None = None) -> tuple[float, float]:
+    """Estimate a picture's noise, standard deviation in grey levels, and how much JPEG's blocks stand out.
+
+    The noise follows from the median second difference, which edges hardly touch.
+    """
+    counts = np.empty(1024, np.int64) if counts is None else counts
+    blockiness = difference_statistics(grey, counts)
+    cumulative = np.cumsum(counts)
+    half = 0.5 * cumulative[-1]
+    level = int(np.searchsorted(cumulative, half))
+    below = cumulative[level - 1] if level else 0
+    median = level - 0.5 + (half - below) / max(counts[level], 1)
+    return max(float(median), 0.0) / SECOND_DIFFERENCE_MEDIAN, blockiness
+
+
+@lru_cache(maxsize=8)
+def _working_camera(camera: Camera) -> Camera:
+    """Return the camera at the size lines are sought at.
+
+    Large pictures gain nothing but time; small ones hide neighbouring edges from each other, which interpolation
+    undoes in part.
+    """
+    diagonal = hypot(camera.width_px, camera.height_px)
+    if diagonal > MAX_DIAGONAL_PX:
+        scale = 1.0 / ceil(diagonal / MAX_DIAGONAL_PX)
+    elif diagonal < SMALL_DIAGONAL_PX:
+        scale = 2.0
+    else:
+        return camera
+    return camera.resized(round(camera.width_px * scale), round(camera.height_px * scale))
+
+
+@lru_cache(maxsize=8)
+def _halved(camera: Camera) -> Camera:
+    return camera.resized(round(camera.width_px / 2), round(camera.height_px / 2))
+
+
+@lru_cache(maxsize=8)
+def _rectified(camera: Camera) -> npt.NDArray[np.float32]:
+    """Return rectified coordinates (h, w, 2) of every pixel, NaN outside the usable field.
+
+    For a lens without distortion they would be the pixels' own: (1, 1, 2) then.
+    """
+    if not is_distorted(camera):
+        return np.zeros((1, 1, 2), np.float32)
+    x, y = np.meshgrid(np.arange(camera.width_px, dtype=float), np.arange(camera.height_px, dtype=float))
+    points = camera.undistort(np.stack([x.ravel(), y.ravel()], axis=1))
+    points[np.hypot(points[:, 0], points[:, 1]) > tan(MAX_HALF_FIELD_RAD)] = np.nan
+    points = points * (camera.fx_px, camera.fy_px) + (camera.cx_px, camera.cy_px)
+    return points.reshape(camera.height_px, camera.width_px, 2).astype(np.float32)
+
+
+def _smoothed(grey: GreyImage, work: _Workspace) -> tuple[GreyImage, float]:
+    """Blur as little as the noise allows, and say how sharp a sharp edge still is.
+
+    Blur lets neighbouring edges pull at each other.
+    """
+    noise, blockiness = noise_and_blockiness(grey, work.counts)
+    limits = SMOOTH_FROM_NOISE if hypot(*grey.shape) > FINE_DIAGONAL_PX else SMOOTH_FROM_NOISE_COARSE
+    level = max(
+        sum(noise > limit for limit in limits), sum(blockiness > limit for limit in SMOOTH_FROM_BLOCKINESS)
+    )
+    if level == 0:
+        return grey, SHARPNESS[0]
+    size = 1 + 2 * level
+    cv2.GaussianBlur(grey, (size, size), 0, dst=work.smooth)
+    return work.smooth, SHARPNESS[level]
+
+
+@compiled
+def _span_planes(
+    lines: FloatArray,
+    working: FloatArray,
+    original: FloatArray,
+    floor_px: float,
+    ends_px: FloatArray,
+    centre: FloatArray,
+    direction: FloatArray,
+    normal: FloatArray,
+    sigma_rad: FloatArray,
+    arc_rad: FloatArray,
+) -> None:
+    """Fill each line's plane from its end points; ``working`` and ``original`` are fx, fy, cx, cy.
+
+    ``floor_px`` is the error across a line, in working pixels, that more edge pixels do not average out.
+    """
+    for i in range(len(lines)):
+        x0 = (lines[i, X0] - working[2]) / working[0]
+        y0 = (lines[i, Y0] - working[3]) / working[1]
+        x1 = (lines[i, X1] - working[2]) / working[0]
+        y1 = (lines[i, Y1] - working[3]) / working[1]
+        ends_px[i, 0] = x0 * original[0] + original[2]
+        ends_px[i, 1] = y0 * original[1] + original[3]
+        ends_px[i, 2] = x1 * original[0] + original[2]
+        ends_px[i, 3] = y1 * original[1] + original[3]
+        # the cross product of (x0, y0, 1) and (x1, y1, 1)
+        nx = y0 - y1
+        ny = x1 - x0
+        nz = x0 * y1 - y0 * x1
+        size = sqrt(nx * nx + ny * ny + nz * nz)
+        normal[i, 0] = nx / size
+        normal[i, 1] = ny / size
+        normal[i, 2] = nz / size
+        arc_rad[i] = atan2(size, x0 * x1 + y0 * y1 + 1.0)
+        cx = 0.5 * (x0 + x1)
+        cy = 0.5 * (y0 + y1)
+        depth = sqrt(cx * cx + cy * cy + 1.0)
+        centre[i, 0] = cx / depth
+        centre[i, 1] = cy / depth
+        centre[i, 2] = 1.0 / depth
+        direction[i, 0] = normal[i, 1] * centre[i, 2] - normal[i, 2] * centre[i, 1]
+        direction[i, 1] = normal[i, 2] * centre[i, 0] - normal[i, 0] * centre[i, 2]
+        direction[i, 2] = normal[i, 0] * centre[i, 1] - normal[i, 1] * centre[i, 0]
+        sigma_px = hypot(lines[i, RMS] * sqrt(PIXELS_PER_INDEPENDENT / lines[i, COUNT]), floor_px)
+        sigma_rad[i] = sigma_px * hypot(normal[i, 0], normal[i, 1]) / (depth * working[0])
+
+
+def _line_set(found: _Traced, camera: Camera, working: Camera, started: float) -> LineSet:
+    lines = found.lines
+    n = len(lines)
+    ends_px = np.empty((n, 4))
+    centre, direction, normal = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
+    sigma_rad, arc_rad = np.empty(n), np.empty(n)
+    floor_px = POSITION_FLOOR_PX * max(camera.fx_px / working.fx_px, 1.0) * (SOFT if found.blurred else 1.0)
+    _span_planes(
+        lines,
+        _pinhole(working),
+        _pinhole(camera),
+        floor_px,
+        ends_px,
+        centre,
+        direction,
+        normal,
+        sigma_rad,
+        arc_rad,
+    )
+    return LineSet(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        ends_px=ends_px,
+        length_px=lines[:, LENGTH] * (camera.fx_px / working.fx_px),
+        rms_px=lines[:, RMS],
+        n_pixels=lines[:, COUNT],
+        contrast=lines[:, CONTRAST],
+        centre=centre,
+        direction=direction,
+        normal=normal,
+        sigma_rad=sigma_rad,
+        arc_rad=arc_rad,
+        threshold=found.threshold,
+        extract_ms=1e3 * (time.perf_counter() - started),
+    )
+
+
+def _pinhole(camera: Camera) -> FloatArray:
+    return np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])

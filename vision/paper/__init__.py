@@ -1,0 +1,1 @@
+"""The published article's own measurement, kept as printed: `method="paper"`."""
