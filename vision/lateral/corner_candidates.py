@@ -15,14 +15,17 @@ import numpy as np
 
 from vision.compiled import compiled
 from vision.lateral.line_directions import ANGLE_FLOOR_RAD, SortedLines
-from vision.types import IntArray, RecordArray
+from vision.types import IntArray, Record, RecordArray
 
 MAX_CORNERS = 12  # candidates in a quadrant
 MERGE_STD_RAD, MAX_MERGE_RAD = radians(0.2), radians(2.0)
 BEYOND_RAD = radians(1.5)
 FIRST_BIN, BIN_WIDTH, N_BINS = 0.03, 0.16, 32  # coverage counts bins of the logarithm of inverse depth
 COVERAGE_PER_BIN = 0.1
-MIN_SKIRTING, MAX_SKIRTING = 0.84, 0.975  # height of a skirting board's top below the camera over that of its foot
+MIN_SKIRTING, MAX_SKIRTING = (
+    0.84,
+    0.975,
+)  # height of a skirting board's top below the camera over that of its foot
 
 CORNER = np.dtype(
     [
@@ -38,7 +41,10 @@ CORNER = np.dtype(
         ("vertical_crossings", np.float64),  # length of the vertical lines that cross it
         ("beyond", np.float64),  # length of the corridor lines beyond it, where no wall should be
         ("transverse_crossings", np.float64),  # length of the transverse lines that cross it
-        ("skirting_ratio", np.float64),  # slope of what may be its skirting board's top, over its own; 0: none
+        (
+            "skirting_ratio",
+            np.float64,
+        ),  # slope of what may be its skirting board's top, over its own; 0: none
         ("skirting_length", np.float64),
         ("transverse_ends", np.int64),  # bit i: transverse line i ends here
         ("line", np.int64),  # index of its longest line in the `LineSet`
@@ -55,12 +61,12 @@ class CornerCandidates(NamedTuple):
     ----------
     corners
         Array (4, MAX_CORNERS) of `CORNER`, a row per quadrant.
-    count
+    n_candidates
         How many candidates each row holds (4,).
     """
 
     corners: RecordArray
-    count: IntArray
+    n_candidates: IntArray
 
 
 @compiled
@@ -140,7 +146,7 @@ def group_by_angle(lines: RecordArray, quadrant: int, corners: RecordArray) -> i
 
 
 @compiled
-def _count_vertical_lines(corner: RecordArray, quadrant: int, lines: RecordArray) -> None:
+def _count_vertical_lines(corner: Record, quadrant: int, lines: RecordArray) -> None:
     """Add up the vertical lines of the corner's wall that end at it, and those that cross it."""
     side, floor = quadrant % 2, quadrant < 2
     angle = corner.angle
@@ -161,7 +167,7 @@ def _count_vertical_lines(corner: RecordArray, quadrant: int, lines: RecordArray
 
 
 @compiled
-def _count_transverse_lines(corner: RecordArray, quadrant: int, lines: RecordArray) -> None:
+def _count_transverse_lines(corner: Record, quadrant: int, lines: RecordArray) -> None:
     """Mark the transverse lines that end at the corner, and add up those that cross it."""
     side, floor = quadrant % 2, quadrant < 2
     angle = corner.angle

@@ -23,7 +23,7 @@ from vision.lateral.corner_candidates import (
 )
 from vision.lateral.line_directions import PictureLines, sort_by_direction
 from vision.lines.segments import LineSet
-from vision.types import FloatArray, RecordArray
+from vision.types import FloatArray, Record, RecordArray
 
 # For the floor's pairs, and for the ceiling's
 MIN_WIDTH = 0.3  # corridor width over the camera's distance from the floor, or the ceiling
@@ -116,7 +116,7 @@ def _log_ratio(a: float, b: float) -> float:
 
 
 @compiled
-def _fill_evidence(row: RecordArray, left: RecordArray, right: RecordArray) -> None:
+def _fill_evidence(row: Record, left: Record, right: Record) -> None:
     """Fill in what two corners by themselves say of their pair."""
     row.lengths, row.length_gap = _log_sum(left.length, right.length)
     row.coverages = left.coverage + right.coverage
@@ -201,7 +201,7 @@ def _fill_symmetry(floor: CornerPairs, ceiling: CornerPairs, corners: RecordArra
 @compiled
 def pair_corners(candidates: CornerCandidates) -> tuple[CornerPairs, CornerPairs]:
     """Return the possible pairs of the floor's corners, and of the ceiling's, with their evidence."""
-    corners, count = candidates.corners, candidates.count
+    corners, count = candidates.corners, candidates.n_candidates
     floor = _pair_up(corners[0, : count[0]], corners[1, : count[1]], MAX_WIDTH[0], TYPICAL_WIDTH[0])
     ceiling = _pair_up(corners[2, : count[2]], corners[3, : count[3]], MAX_WIDTH[1], TYPICAL_WIDTH[1])
     _fill_symmetry(floor, ceiling, corners)

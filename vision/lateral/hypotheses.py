@@ -1,8 +1,8 @@
 """Hypotheses of the lateral offset: which pair of corners, and how probable each is.
 
-A hypothesis is a pair of the floor's corners, a pair of the ceiling's, or one of each. The weighted sum of its evidence
-is the logarithm of its odds against the hypothesis that no pair can be relied on. Hypotheses of nearly one offset share
-their probability.
+A hypothesis is a pair of the floor's corners, a pair of the ceiling's, or one of each. The weighted sum of its
+evidence is the logarithm of its odds against the hypothesis that no pair can be relied on. Hypotheses of nearly one
+offset share their probability.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from vision.compiled import compiled
 from vision.lateral.corner_pairs import EVIDENCE, N_EVIDENCE, PictureCorners
-from vision.types import FloatArray, RecordArray
+from vision.types import FloatArray, Record, RecordArray
 
 JOINT_WINDOW = 0.06  # in lateral offset: floor and ceiling must agree to this
 MIN_CEILING, MAX_CEILING = 0.1, 6.0  # camera to ceiling over camera to floor
@@ -37,27 +37,32 @@ HYPOTHESIS = np.dtype(
 """A hypothesis of where the corners are."""
 
 
+BIAS = np.dtype(
+    [
+        ("floor", np.float64),  # log odds of a floor's pair
+        ("ceiling", np.float64),  # log odds of a ceiling's pair alone
+        ("joint", np.float64),  # added where a ceiling's pair joins a floor's
+        ("choice", np.float64),  # times the logarithm of how many hypotheses have the same floor's pair
+    ],
+    align=True,
+)
+"""Log odds of a hypothesis whose evidence says nothing."""
+
+
 class OffsetWeights(NamedTuple):
-    """Weights of the evidence, and the log odds where it says nothing.
+    """Weights of the evidence, and the log odds without any.
 
     Parameters
     ----------
     floor, ceiling
         Weights (N_EVIDENCE,) in the order of `EVIDENCE`'s fields, of a floor's and a ceiling's pair.
-    floor_bias, ceiling_bias
-        Log odds of a floor's pair, and of a ceiling's pair alone.
-    joint_bias
-        Added where a ceiling's pair joins a floor's.
-    choice
-        Times the logarithm of the number of hypotheses with the same floor's pair.
+    bias
+        Array (1,) of `BIAS`.
     """
 
     floor: FloatArray
     ceiling: FloatArray
-    floor_bias: float
-    ceiling_bias: float
-    joint_bias: float
-    choice: float
+    bias: RecordArray
 
 
 # By maximum likelihood on simulated corridors: `benchmarks/lateral_weights.py` fits them anew. That of `near_wall` is
@@ -84,10 +89,7 @@ _FLOOR_AND_CEILING = {
 WEIGHTS = OffsetWeights(
     floor=np.array([_FLOOR_AND_CEILING[name][0] for name in EVIDENCE.names or ()]),
     ceiling=np.array([_FLOOR_AND_CEILING[name][1] for name in EVIDENCE.names or ()]),
-    floor_bias=-1.274,
-    ceiling_bias=-0.373,
-    joint_bias=-0.338,
-    choice=-0.464,
+    bias=np.array([(-1.274, -0.373, -0.338, -0.464)], BIAS),
 )
 
 POSITION_TERMS = tuple(
@@ -126,7 +128,7 @@ class OffsetEstimate(NamedTuple):
 
 
 @compiled
-def _roll_slope(pair: RecordArray, left: RecordArray, right: RecordArray, floor: bool) -> float:
+def _roll_slope(pair: Record, left: Record, right: Record, floor: bool) -> float:
     """Return the derivative of a pair's offset with respect to roll, per radian."""
     tl, tr = left[pair.left].slope, right[pair.right].slope
     slope: float = 2.0 * (tl * (1.0 + tr * tr) + tr * (1.0 + tl * tl)) / (tl + tr) ** 2
@@ -150,7 +152,7 @@ def offset_hypotheses(picture: PictureCorners, weights: OffsetWeights) -> Record
         Array (k,) of `HYPOTHESIS`: the ceiling's pairs alone first; then, for each pair of the floor, that pair
         alone and with every pair of the ceiling that agrees with it.
     """
-    corners = picture.candidates.corners
+    corners, bias = picture.candidates.corners, weights.bias[0]
     floor, ceiling = picture.floor.pair, picture.ceiling.pair
     n, m = len(floor), len(ceiling)
     floor_evidence = picture.floor.evidence.view(np.float64).reshape(n, N_EVIDENCE)
@@ -164,12 +166,12 @@ def offset_hypotheses(picture: PictureCorners, weights: OffsetWeights) -> Record
         row = rows[count]
         count += 1
         row.offset, row.offset_std, row.roll_slope = ceiling[c].offset, ceiling[c].offset_std, slope[c]
-        row.log_odds, row.floor, row.ceiling = score[c] + weights.ceiling_bias, -1, c
+        row.log_odds, row.floor, row.ceiling = score[c] + bias.ceiling, -1, c
         for k in POSITION_TERMS:
             score[c] -= weights.ceiling[k] * ceiling_evidence[c, k]
     for f in range(n):
         pair = floor[f]
-        alone = _add_weighted(weights.floor_bias, weights.floor, floor_evidence[f])
+        alone = _add_weighted(bias.floor, weights.floor, floor_evidence[f])
         floor_slope = _roll_slope(pair, corners[0], corners[1], True)
         first = count
         row = rows[count]
@@ -188,9 +190,9 @@ def offset_hypotheses(picture: PictureCorners, weights: OffsetWeights) -> Record
             row.offset = share * pair.offset + (1.0 - share) * ceiling[c].offset
             row.offset_std = sqrt(share) * pair.offset_std
             row.roll_slope = share * floor_slope + (1.0 - share) * slope[c]
-            row.log_odds, row.floor, row.ceiling = alone + score[c] + weights.joint_bias, f, c
+            row.log_odds, row.floor, row.ceiling = alone + score[c] + bias.joint, f, c
         for k in range(first, count):
-            rows[k].log_odds += weights.choice * log(float(count - first))
+            rows[k].log_odds += bias.choice * log(float(count - first))
     return rows[:count]
 
 

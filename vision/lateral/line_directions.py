@@ -1,14 +1,14 @@
 """A picture's lines sorted by direction: along the corridor, vertical, or transverse.
 
 Seen along the corridor's axis, a line parallel to it is one point of the corridor's cross-section, known by its angle
-about the axis. Vertical lines on a wall end where the wall ends. Transverse lines lie across the floor, the ceiling or
-the end wall and reach from wall to wall.
+about the axis. Vertical lines on a wall end where the wall ends. Transverse lines lie across the floor, the ceiling
+or the end wall and reach from wall to wall.
 
 Coordinates are those of the axis frame: x along the corridor's axis, y right, z down; a ray (1, y, z) passes through
-(y, z) in the plane at unit depth. Quadrants are numbered 0 floor left, 1 floor right, 2 ceiling left, 3 ceiling right.
-Angles about the axis are measured from the horizontal, towards the floor in the lower quadrants and towards the ceiling
-in the upper ones, so that all four look alike. Sides are numbered 0 left, 1 right. Lengths are over the picture's
-diagonal.
+(y, z) in the plane at unit depth. Quadrants are numbered 0 floor left, 1 floor right, 2 ceiling left, 3 ceiling
+right. Angles about the axis are measured from the horizontal, towards the floor in the lower quadrants and towards
+the ceiling in the upper ones, so that all four look alike. Sides are numbered 0 left, 1 right. Lengths are over the
+picture's diagonal.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 from vision.axis.vote import VERTICAL_SINE
 from vision.compiled import compiled
-from vision.types import BoolArray, FloatArray, RecordArray
+from vision.types import BoolArray, FloatArray, Record, RecordArray
 
 MIN_DEPTH = 0.05  # cosine of the angle from the axis; rays farther off it are drawn in to here
 MIN_AXIS_SINE = 1e-4  # a line whose middle is this close to the axis has no angle about it
@@ -28,7 +28,11 @@ ANGLE_FLOOR_RAD = radians(0.1)  # corners are rounded, skirting boards have thic
 VERTICAL_COSINE = 0.7  # least downward component of a vertical line's direction
 TRANSVERSE_SINE = 0.026  # transverse lines are at right angles to the corridor to about this
 MAX_LENGTH = 0.15  # no single vertical or transverse line decides
-END_PX, END_STD_RAD, MAX_END_STD_RAD = 6.0, radians(3.0), radians(12.0)  # how well a vertical line's end is known
+END_PX, END_STD_RAD, MAX_END_STD_RAD = (
+    6.0,
+    radians(3.0),
+    radians(12.0),
+)  # how well a vertical line's end is known
 TRANSVERSE_END_PX, TRANSVERSE_STD_RAD, MAX_TRANSVERSE_STD_RAD = 4.0, radians(1.0), radians(6.0)
 MAX_TRANSVERSE = 60  # one bit each
 SAME_TRANSVERSE = 0.01  # of a transverse line's tangent of depression
@@ -107,7 +111,7 @@ class SortedLines(NamedTuple):
 
 @compiled
 def _end_std(y: float, z: float, angle: float, pixel_rad: float) -> float:
-    """Standard deviation (rad) of a vertical line's end, seen at (y, z) of the plane at unit depth."""
+    """Return the standard deviation (rad) of a vertical line's end at (y, z) of the plane at unit depth."""
     radius = hypot(y, z)
     blur = END_PX * pixel_rad * (1.0 + radius * radius) * cos(angle) / radius
     return min(hypot(END_STD_RAD, blur), MAX_END_STD_RAD)
@@ -115,7 +119,7 @@ def _end_std(y: float, z: float, angle: float, pixel_rad: float) -> float:
 
 @compiled
 def _fill_corridor_line(
-    row: RecordArray, normal: FloatArray, centre: FloatArray, a: FloatArray, b: FloatArray, sigma_rad: float
+    row: Record, normal: FloatArray, centre: FloatArray, a: FloatArray, b: FloatArray, sigma_rad: float
 ) -> bool:
     """Place a line of normal, centre and ends in the cross-section; False where it lies on the axis itself."""
     across = hypot(normal[1], normal[2])
@@ -135,7 +139,7 @@ def _fill_corridor_line(
 
 
 @compiled
-def _fill_vertical_line(row: RecordArray, a: FloatArray, b: FloatArray, pixel_rad: float) -> bool:
+def _fill_vertical_line(row: Record, a: FloatArray, b: FloatArray, pixel_rad: float) -> bool:
     """Describe a vertical line by its ends; False where it crosses from one side to the other."""
     if a[1] * b[1] <= 0.0:
         return False
