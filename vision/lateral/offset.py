@@ -20,8 +20,16 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.axis.vanishing_point import AxisFit
-from vision.lateral.corner_pairs import PictureCorners, find_corner_pairs
-from vision.lateral.hypotheses import WEIGHTS, OffsetEstimate, most_probable_offset, offset_hypotheses
+from vision.compiled import compiled
+from vision.lateral.corner_pairs import arrays_of, corners_of_arrays
+from vision.lateral.hypotheses import (
+    WEIGHTS,
+    OffsetEstimate,
+    OffsetWeights,
+    most_probable_offset,
+    offset_hypotheses,
+)
+from vision.lateral.line_directions import PictureLines
 from vision.lines.segments import LineSet
 from vision.types import FloatArray
 
@@ -52,6 +60,43 @@ class LateralFit:
     wall_lines: npt.NDArray[np.intp]
 
 
+@compiled
+def _estimate_offset(
+    lines: PictureLines,
+    R_axis_camera: FloatArray,
+    down: FloatArray,
+    diagonal_px: float,
+    weights: OffsetWeights,
+    prior: float,
+    prior_std: float,
+) -> tuple[OffsetEstimate, float, npt.NDArray[np.intp]]:
+    """Go all the way from lines to the offset in compiled code: handing arrays over costs more than some steps.
+
+    Returns
+    -------
+    tuple
+        The estimate, the corridor's width over the camera's height (NaN where the floor's pair does not tell), and
+        the lines (k,) that stand for the corners.
+    """
+    picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px)
+    hypotheses = offset_hypotheses(picture, weights)
+    found = most_probable_offset(hypotheses, len(picture.floor.pair), prior, prior_std)
+    corners = picture.candidates.corners
+    width = nan
+    wall_lines = np.empty(4, np.intp)
+    count = 0
+    if found.floor_share > MIN_WIDTH_SHARE:
+        pair = picture.floor.pair[found.floor]
+        width = pair.width
+        wall_lines[0], wall_lines[1] = corners[0, pair.left].line, corners[1, pair.right].line
+        count = 2
+    if found.ceiling >= 0:
+        pair = picture.ceiling.pair[found.ceiling]
+        wall_lines[count], wall_lines[count + 1] = corners[2, pair.left].line, corners[3, pair.right].line
+        count += 2
+    return found, width, wall_lines[:count]
+
+
 def fit_lateral(
     lines: LineSet,
     axis: AxisFit,
@@ -73,12 +118,8 @@ def fit_lateral(
     prior_offset_norm, prior_offset_norm_std
         A filter's prediction, to choose between hypotheses; NaN: none.
     """
-    picture = find_corner_pairs(lines, axis, R_level_camera)
-    if not len(picture.floor.pair) and not len(picture.ceiling.pair):
-        return None
-    hypotheses = offset_hypotheses(picture, WEIGHTS)
-    found: OffsetEstimate = most_probable_offset(
-        hypotheses, len(picture.floor.pair), prior_offset_norm, prior_offset_norm_std
+    found, width_per_height, wall_lines = _estimate_offset(
+        *arrays_of(lines, axis, R_level_camera), WEIGHTS, prior_offset_norm, prior_offset_norm_std
     )
     if found.probability < MIN_PROBABILITY:
         return None
@@ -89,19 +130,4 @@ def fit_lateral(
         + MIN_STD**2
         + DOUBT * (1.0 - found.probability)
     )
-    wall_lines: list[int] = []
-    width_per_height = nan
-    if found.floor_share > MIN_WIDTH_SHARE:
-        pair = picture.floor.pair[found.floor]
-        width_per_height = float(pair["width"])
-        wall_lines += _corner_lines(picture, pair, 0)
-    if found.ceiling >= 0:
-        wall_lines += _corner_lines(picture, picture.ceiling.pair[found.ceiling], 2)
-    return LateralFit(found.offset, sqrt(variance), width_per_height, np.array(wall_lines, dtype=np.intp))
-
-
-def _corner_lines(picture: PictureCorners, pair: np.void, left_quadrant: int) -> list[int]:
-    """Return the indices of the two lines that stand for a pair's corners."""
-    corners = picture.candidates.corners
-    ends = (corners[left_quadrant, pair["left"]], corners[left_quadrant + 1, pair["right"]])
-    return [int(corner["line"]) for corner in ends]
+    return LateralFit(found.offset, sqrt(variance), width_per_height, wall_lines)
