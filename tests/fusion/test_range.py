@@ -133,10 +133,7 @@ class Recorder:
 
     def __call__(self, entry: Entry) -> None:
         s = entry.after
-        assert s is not None
-        self.seen.append(
-            (entry.t_ns, entry.kind, s.x.tobytes(), s.P.tobytes(), repr(s.heights), repr(s.widths))
-        )
+        self.seen.append((entry.t_ns, entry.sample.name, s.x.tobytes(), s.P.tobytes(), repr(s.width)))
 
 
 def recorded(flown: list[tuple[str, int, tuple[Any, ...]]]) -> list[Any]:
