@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion import CorridorEstimator, FusionConfig
+from fusion.estimator.engine import Entry
 from fusion.estimator.models import PSI, Y
 from fusion.estimator.smoother import Steps, rts
-from fusion.estimator.timeline import Entry
 from tests.fusion.simulated import Scene, Simulated, config_for, drifting, give, simulate, weaving, wrap
 
 FloatArray = npt.NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""How far the camera's axis points below the IMU's horizon: takes elevations that frames see, returns mean and variance."""
+"""The camera's mounting pitch: takes the elevations that frames see, returns mean and variance, changes nothing else."""
 
 from __future__ import annotations
 

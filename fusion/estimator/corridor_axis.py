@@ -1,7 +1,7 @@
-"""Which axis the heading is measured from: takes headings that frames show, corrects the filter, returns its part of the state.
+"""Which axis the heading is measured from: takes frames' headings, corrects the filter, returns its part of the state.
 
-What the gate rejects is not thrown away but kept as a vote for another axis, in the dead-reckoned frame, in which the
-axis of a corridor stays where it is however the vehicle turns. Once enough votes agree, they mean one of three things:
+What the gate rejects is not thrown away but kept as a vote for another axis, in the dead-reckoned frame, in which
+the axis of a corridor stays where it is however the vehicle turns. Once enough votes agree, they mean one of these:
 
 - The filter has gone wrong: the axis is near the expected one, or it is where the axis was when frames last confirmed
   it, or the picture has changed only gradually since then. The covariance is widened in the direction of the
@@ -142,8 +142,8 @@ class CorridorAxis(NamedTuple):
 
     def followed(
         self, t_ns: int, heading_rad: float, accepted: bool, frame_interval_s: float
-    ) -> CorridorAxis:
-        """Follow the axis through the pictures alone.
+    ) -> tuple[FrameAxis, ...]:
+        """Follow the axis through the pictures alone; return ``recent`` with a frame's heading.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ class CorridorAxis(NamedTuple):
             known and t_ns - t <= reach_ns and abs(wrap_axis(heading_rad - heading)) < GRADUAL_RAD
             for t, heading, known in self.recent
         )
-        return self._replace(recent=(*self.recent[-3:], FrameAxis(t_ns, heading_rad, linked)))
+        return (*self.recent[-3:], FrameAxis(t_ns, heading_rad, linked))
 
     def voted(
         self, t_ns: int, axis_rad: float, std_rad: float, linked: bool, frame_interval_s: float

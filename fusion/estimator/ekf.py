@@ -1,4 +1,4 @@
-"""filterpy's extended Kalman filter as this project uses it: what it is and holds is filterpy's, compiled code reckons.
+"""The filter: filterpy's ``ExtendedKalmanFilter``, with compiled arithmetic; takes predictions and updates one by one.
 
 An object to inspect has the attributes of `filterpy.kalman.ExtendedKalmanFilter` with their meaning: ``x``, ``P``,
 ``F``, ``Q``, ``x_prior``, ``P_prior``, ``x_post``, ``P_post``, ``K``, ``y``, ``S``, ``SI``, ``R``, ``likelihood``,
@@ -24,9 +24,11 @@ from math import isfinite
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from fusion.estimator.kernels import N_STATES, FloatArray, predicted, predicted_variance, updated
-from fusion.estimator.models import Gate, ProcessNoise, ScalarMeasurement, step
+from fusion.estimator.kernels import N_STATES, FloatArray, predicted, predicted_variance, stepped, updated
+from fusion.estimator.models import Gate, ProcessNoise, ScalarMeasurement
 from fusion.estimator.smoother import Node
+
+_SQUARE = (N_STATES, N_STATES)
 
 
 class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
@@ -48,6 +50,7 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         super().__init__(dim_x=N_STATES, dim_z=1)
         self.load(np.array(x, dtype=float), np.array(P, dtype=float))
         self.K, self.y, self.S, self.SI = np.zeros((N_STATES, 1)), np.zeros(1), np.eye(1), np.eye(1)
+        self._Q = np.empty(_SQUARE)  # of the process model; written anew in each step, for nobody keeps it
         _compile()
 
     def load(self, x: FloatArray, P: FloatArray) -> None:
@@ -69,18 +72,22 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
     def advance(
         self, dt_s: float, turned_rad: float, noise: ProcessNoise, u: float, w: float, heading_variance: float
     ) -> None:
-        """Move by the process model.
+        """Move by the process model, discretised exactly.
 
         Parameters
         ----------
-        dt_s, turned_rad, noise
-            As in `fusion.estimator.models.step`.
+        dt_s, turned_rad
+            Length of the step, and by how much the level frame turned in it (bias included).
+        noise
+            Continuous noise.
         u, w
-            Forward and sideways velocity, half widths per second.
+            Forward and sideways velocity, half widths per second; the heading half-way is used for y.
         heading_variance
-            Further variance of the heading, rad^2.
+            Further variance of the heading gained in the step, rad^2 (a gap in the gyroscope).
         """
-        self._moved(*step(self.x, self.P, dt_s, turned_rad, noise, u, w, heading_variance))
+        x, F, P, Q = np.empty(N_STATES), np.empty(_SQUARE), np.empty(_SQUARE), self._Q
+        stepped(self.x, self.P, x, F, Q, P, dt_s, turned_rad, *noise, u, w, heading_variance)
+        self._moved(x, F, Q, P)
 
     def update(
         self, measurement: ScalarMeasurement | None, gate_sigma: float = float("inf"), R: float | None = None
@@ -147,4 +154,5 @@ def _compile() -> None:
         predicted_variance(P, H)
         updated(x, P, H, 0.0, 1.0, x.copy(), P.copy(), np.zeros((N_STATES, 1)))
     predicted(P, P, P, P.copy())
-    step(x, P, 1.0, 0.0, ProcessNoise(1.0, 1.0, 1.0, 1.0, 1.0))
+    noise = ProcessNoise(1.0, 1.0, 1.0, 1.0, 1.0)
+    stepped(x, P, x.copy(), P.copy(), P.copy(), P.copy(), 1.0, 0.0, *noise, 0.0, 0.0, 0.0)

@@ -8,7 +8,7 @@ to them. `fusion.estimator.timeline` brings samples into order.
 from __future__ import annotations
 
 from math import nan, pi, sqrt
-from typing import NamedTuple, assert_never, get_args
+from typing import NamedTuple, assert_never
 
 import numpy as np
 
@@ -63,13 +63,28 @@ from fusion.estimator.smoother import Node
 from fusion.estimator.tilt import Tilt
 from fusion.estimator.velocity import Velocity, VelocitySample, with_velocity
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
+from vision.rotations import yaw_of_quaternion
 
 OUTLIER_DENSITY = 1 / pi  # an outlying heading may be any
 
 Sample = ImuSample | AttitudeSample | VelocitySample | RangeSample | FrameSample
-"""Every kind of sample, in the order in which those of one instant are taken."""
 
-ORDER = {kind: i for i, kind in enumerate(get_args(Sample))}
+
+class Source(NamedTuple):
+    """A kind of sample: place among those of one instant, name in the counters, whether it carries the heading on."""
+
+    order: int
+    name: str
+    propagates: bool
+
+
+SOURCES: dict[type[Sample], Source] = {
+    ImuSample: Source(0, "imu", True),
+    AttitudeSample: Source(1, "attitude", True),
+    VelocitySample: Source(2, "velocity", False),
+    RangeSample: Source(3, "range", False),
+    FrameSample: Source(4, "frame", True),
+}
 
 
 class State(NamedTuple):
@@ -104,10 +119,24 @@ class State(NamedTuple):
         return [text for text in found if text]
 
 
-class Outcome(NamedTuple):
-    """The state behind a sample, the steps for the smoother, and what became of a frame."""
+class Entry(NamedTuple):
+    """A sample, and what the engine made of it.
 
-    state: State
+    Parameters
+    ----------
+    t_ns, sample
+        The sample and its time.
+    after
+        The engine's state behind it.
+    nodes
+        Its steps for the smoother.
+    frame
+        What became of it, where it is a frame.
+    """
+
+    t_ns: int
+    sample: Sample
+    after: State
     nodes: tuple[Node, ...]
     frame: FrameResult | None
 
@@ -139,7 +168,7 @@ class Engine:
         P = np.diag([s**2 for s in std])
         return State(np.zeros(N_STATES), P, reckoning, delay=unknown_delay(self.config))
 
-    def process(self, state: State, sample: Sample) -> Outcome:
+    def process(self, state: State, sample: Sample) -> Entry:
         """Take the next sample."""
         ekf, frame = self.ekf, None
         ekf.load(state.x, state.P)
@@ -156,7 +185,7 @@ class Engine:
                 state, frame = self._frame(state, sample)
             case _:
                 assert_never(sample)
-        return Outcome(State(ekf.x, ekf.P, *state[2:]), tuple(ekf.nodes), frame)
+        return Entry(sample.t_ns, sample, state, tuple(ekf.nodes), frame)
 
     def clock_set_back(self, s: State, t_ns: int) -> State:
         """Go on after the samples' clock was set back: what was known is kept, how long ago it was is not."""
@@ -208,30 +237,32 @@ class Engine:
         rate = level_yaw_rate(sample.gyro_rad_s, tilt.down)
         lateral, drift = self._moved(s, t_ns, rate, tilt.down, sample.accel_m_s2)
         d = self._propagation.with_gyro(s.reckoning, self.ekf, sample, rate, drift)
-        delay = self._delay_in_mode(s, d)
+        delay = s.delay
         if delay is not None:
+            delay = delay if d.mode is s.reckoning.mode else delay.interrupted()
             delay = with_turn(delay, t_ns, d.raw_theta_rad)
-        return State(
-            s.x, s.P, d, tilt, s.velocity, s.width, s.imu_yaw, s.axis, lateral, s.frames, s.elevation, delay
-        )
+        _, _, _, _, velocity, width, imu_yaw, axis, _, frames, elevation, _ = s
+        x, P = self.ekf.x, self.ekf.P
+        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay)
 
     def _attitude(self, s: State, sample: AttitudeSample) -> State:
-        q, yaw_rad = sample.unit(), sample.yaw_rad()
+        q = sample.unit()
+        yaw_rad = yaw_of_quaternion(q)
         lateral, drift = self._moved(s, sample.t_ns, s.reckoning.rate_rad_s, s.tilt.down)
         d = self._propagation.with_attitude_yaw(s.reckoning, self.ekf, sample.t_ns, yaw_rad, drift)
         tilt = tilts.from_quaternion(s.tilt, sample.t_ns, q)
         imu_yaw = fuse_imu_yaw(s.imu_yaw, self.ekf, yaw_rad, d, s.axis, self.config)
-        return s._replace(
-            reckoning=d, tilt=tilt, imu_yaw=imu_yaw, lateral=lateral, delay=self._delay_in_mode(s, d)
-        )
+        delay = self._delay_in_mode(s, d)
+        _, _, _, _, velocity, width, _, axis, _, frames, elevation, _ = s
+        x, P = self.ekf.x, self.ekf.P
+        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay)
 
     def _velocity(self, s: State, sample: VelocitySample) -> State:
-        s = self._held(s, sample.t_ns)
+        s = self._held(s, sample.t_ns, s.frames)
         return s._replace(velocity=with_velocity(s.velocity, sample, s.tilt.down))
 
     def _frame(self, s: State, sample: FrameSample) -> tuple[State, FrameResult]:
-        s = self._held(s, sample.t_ns)
-        s = s._replace(frames=s.frames.with_sample(sample.t_ns))
+        s = self._held(s, sample.t_ns, s.frames.with_sample(sample.t_ns))
         if sample.measure is None:
             return s, FrameResult(sample.stamp_ns, None, False, Reason.UNREADABLE)
         attitude = tilts.attitude_at(s.tilt, sample.t_ns, self.config.attitude_std_rad)
@@ -255,12 +286,14 @@ class Engine:
         step = MotionStep(t_ns, dt_s, float(x[PSI]), rate, down, accel_m_s2, s.velocity)
         return self._lateral.propagated(s.lateral, step, s.width.half_m(self.config))
 
-    def _held(self, s: State, t_ns: int) -> State:
-        """Propagate to a sample that tells nothing of the heading's rate."""
+    def _held(self, s: State, t_ns: int, frames: SampleTimes) -> State:
+        """Propagate to a sample that tells nothing of the heading's rate; ``frames`` came by then."""
         lateral, drift = self._moved(s, t_ns, s.reckoning.rate_rad_s, s.tilt.down)
         d = self._propagation.hold(s.reckoning, self.ekf, t_ns, drift)
         delay = self._delay_in_mode(s, d)
-        return s._replace(x=self.ekf.x, P=self.ekf.P, reckoning=d, lateral=lateral, delay=delay)
+        _, _, _, tilt, velocity, width, imu_yaw, axis, _, _, elevation, _ = s
+        x, P = self.ekf.x, self.ekf.P
+        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay)
 
     def _delay_in_mode(self, s: State, d: DeadReckoning) -> Delay | None:
         """Start the delay's dead reckoning anew where something else carries the heading now."""
@@ -283,9 +316,10 @@ class Engine:
         if not axis.acquired:
             axis = axis.voted(*vote, False, interval_s)
             axis = axes.start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.coupled, c)
-            s = s._replace(axis=axis.followed(t_ns, heading, axis.acquired, interval_s))
+            s = s._replace(axis=axis._replace(recent=axis.followed(t_ns, heading, axis.acquired, interval_s)))
             if axis.acquired:
-                s = self._learn_rest(s, t_ns, m, attitude)
+                lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
+                s = s._replace(lateral=lateral, width=width, elevation=elevation, x=ekf.x, P=ekf.P)
             return s, FrameResult(sample.stamp_ns, m, True, Reason.OK)
         rho = correlation(t_ns, axis.t_vision_ns, c.heading_correlation_s)
         measurement = heading_model(ekf.x, heading, variance)
@@ -295,42 +329,43 @@ class Engine:
             by_delay = innovation_of(delay, ekf, t_ns, d.raw_theta_rad)
         doubt = Doubt(c.heading_gate_sigma, rho, OUTLIER_DENSITY, by_delay.variance)
         gate, noise = update_with_doubt(ekf, measurement, axis.noise, doubt)
-        axis = axis._replace(noise=noise, test_ratio=gate.test_ratio)
-        axis = axis.followed(t_ns, heading, gate.accepted, interval_s)
+        recent = axis.followed(t_ns, heading, gate.accepted, interval_s)
+        axis = axis._replace(noise=noise, test_ratio=gate.test_ratio, recent=recent)
         result = (gate.residual, gate.test_ratio)
         if not gate.accepted:
-            axis = axis.voted(*vote, axis.recent[-1].linked, interval_s)
+            axis = axis.voted(*vote, recent[-1].linked, interval_s)
             s = self._follow_votes(s._replace(axis=axis, delay=delay), t_ns)
             return s, FrameResult(sample.stamp_ns, m, False, Reason.GATE, *result)
         if delay is not None and d.mode is Mode.GYRO:
             seen = FrameHeading(t_ns, m.heading_rad, variance * noise.inflation, axis.reset_count)
             delay = learn_delay(delay, ekf, seen, by_delay.per_s, c)
-        s = s._replace(axis=axis.confirmed(ekf, t_ns, d.theta_rad), delay=delay)
-        s = self._learn_rest(s, t_ns, m, attitude)
-        s = s._replace(imu_yaw=compare_by_frame(s.imu_yaw, t_ns, heading, variance, d))
+        axis = axis.confirmed(ekf, t_ns, d.theta_rad)
+        lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
+        imu_yaw = compare_by_frame(s.imu_yaw, t_ns, heading, variance, d)
+        _, _, _, tilt, velocity, _, _, _, _, frames, _, _ = s
+        s = State(ekf.x, ekf.P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay)
         return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
 
-    def _learn_rest(self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None) -> State:
+    def _fuse_rest(
+        self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None
+    ) -> tuple[Lateral, Width, Elevation]:
         """Use the rest of a frame whose heading was accepted: lateral offset, width, elevation of the camera."""
-        return s._replace(
-            lateral=self._lateral.fused(s.lateral, self.ekf, t_ns, m, s.width.half_m(self.config)),
-            width=s.width.with_frame(t_ns, m.width_per_height),
-            elevation=s.elevation.with_frame(m, attitude),
-        )
+        lateral = self._lateral.fused(s.lateral, self.ekf, t_ns, m, s.width.half_m(self.config))
+        return lateral, s.width.with_frame(t_ns, m.width_per_height), s.elevation.with_frame(m, attitude)
 
     def _follow_votes(self, s: State, t_ns: int) -> State:
         """Do what the votes against the present axis mean, if enough of them agree."""
         c, ekf, theta_rad, coupled = self.config, self.ekf, s.reckoning.theta_rad, s.imu_yaw.coupled
         axis, found = axes.decide(s.axis, float(ekf.x[PSI]), t_ns, theta_rad, s.frames.interval_s, c)
         if found is None:
-            return s._replace(axis=axis)
+            return s._replace(axis=axis)  # the gate has left the filter as it was
         imu_yaw = s.imu_yaw.axis_changed()
         if isinstance(found, axes.Recovery):
             axis = axes.recover(axis, ekf, found, t_ns, theta_rad, coupled)
-            return s._replace(axis=axis, imu_yaw=imu_yaw)
+            return s._replace(axis=axis, imu_yaw=imu_yaw, x=ekf.x, P=ekf.P)
         half_m = s.width.half_m(c)
         lateral = self._lateral.lost(s.lateral, ekf, half_m)._replace(t_ns=None)
         crossing = axes.Crossing(coupled, *self._lateral.unknown_variances(half_m), lateral.n_used)
         axis = axes.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
         width = s.width.corridor_changed()
-        return s._replace(axis=axis, imu_yaw=imu_yaw, lateral=lateral, width=width)
+        return s._replace(axis=axis, imu_yaw=imu_yaw, lateral=lateral, width=width, x=ekf.x, P=ekf.P)

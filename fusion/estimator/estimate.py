@@ -35,7 +35,8 @@ class Status(StrEnum):
 class Estimate:
     """Heading and lateral offset at one instant; unknown numbers are NaN.
 
-    The fields up to ``vision_age_s`` are the columns of ``estimates.csv``, `fusion.estimator.tables.ESTIMATE_COLUMNS`.
+    The fields up to ``vision_age_s`` are the columns of ``estimates.csv``,
+    `fusion.estimator.tables.ESTIMATE_COLUMNS`.
 
     Parameters
     ----------

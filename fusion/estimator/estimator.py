@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.engine import Engine, Sample
+from fusion.estimator.engine import SOURCES, Engine, Entry, Sample
 from fusion.estimator.estimate import Estimate, Status, estimate_of
 from fusion.estimator.fixed_lag import FixedLag
 from fusion.estimator.frame_update import FrameResult, FrameSample, Measure
@@ -19,7 +19,7 @@ from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.models import Vector
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.range_width import RangeSample
-from fusion.estimator.timeline import Entry, Timeline
+from fusion.estimator.timeline import Timeline
 from fusion.estimator.velocity import VelocitySample
 from vision.errors import InputError
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
@@ -51,7 +51,7 @@ class CorridorEstimator:
     method
         ``geometric``, or ``paper`` for the article's measurement.
     on_final
-        Called with each `fusion.estimator.timeline.Entry` that nothing can change any more, in order of time.
+        Called with each `fusion.estimator.engine.Entry` that nothing can change any more, in order of time.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class CorridorEstimator:
         if fault:
             self.counters[fault] += 1
             return None
-        name = sample.name
+        name = SOURCES[type(sample)].name
         if self._timeline.is_late(sample.t_ns):
             self.counters[f"{name}_late"] += 1
             self._late_in_a_row += 1
@@ -115,9 +115,11 @@ class CorridorEstimator:
 
     def add_imu(self, t_ns: int, gyro: npt.ArrayLike, accel: npt.ArrayLike | None = None) -> None:
         """Add a gyroscope sample (3,) rad/s and, where there is one, accelerometer (3,) m/s^2, body FRD."""
-        force = None if accel is None else _vector(accel)
-        if force is not None and not all(map(isfinite, force)):
-            force = None
+        force = None
+        if accel is not None:
+            ax, ay, az = _vector(accel)
+            if isfinite(ax) and isfinite(ay) and isfinite(az):
+                force = (ax, ay, az)
         self.add(ImuSample(int(t_ns), _vector(gyro), force))
 
     def add_attitude(self, t_ns: int, q_world_body: npt.ArrayLike) -> None:

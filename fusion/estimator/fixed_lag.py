@@ -1,4 +1,4 @@
-"""The smoother in flight: takes entries that leave the buffer, returns the estimate of a moment ago with what came since."""
+"""The smoother in flight: takes entries that leave the buffer, returns the estimate of a moment ago as known now."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ from itertools import chain
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.engine import ORDER, State
+from fusion.estimator.engine import SOURCES, Entry, State
 from fusion.estimator.estimate import Estimate, estimate_of
-from fusion.estimator.propagation import ImuSample
 from fusion.estimator.smoothed_table import smoothed_table
 from fusion.estimator.smoother import Node, Steps
 from fusion.estimator.tables import ESTIMATE_DTYPE, estimate_row
-from fusion.estimator.timeline import Entry
 
 
 class FixedLag:
@@ -77,12 +75,12 @@ def _axis(state: State) -> tuple[int, int]:
 
 def _instants(window: Sequence[Entry]) -> Iterator[int]:
     """Places of the rows that the offline table would have: the first, then the last entry of each sample's time."""
-    carrying = (type(entry.sample) for entry in window if entry.sample.propagates)
-    kind = min(carrying, key=ORDER.__getitem__, default=ImuSample)
+    sources = [SOURCES[type(entry.sample)] for entry in window]
+    rows_of = min((source for source in sources if source.propagates), default=None)
     yield 0
     is_row = False
     for i, entry in enumerate(window[1:], 1):
-        is_row |= type(entry.sample) is kind
+        is_row |= sources[i] is rows_of
         last = i == len(window) - 1 or window[i + 1].t_ns > entry.t_ns
         if last:
             if is_row:

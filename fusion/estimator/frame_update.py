@@ -1,6 +1,6 @@
-"""Measure a frame: takes a picture's measurement function and what the filter expects, returns a measurement and a verdict.
+"""Measure a frame: takes what measures it and what the filter expects, returns the measurement, changes nothing.
 
-It changes nothing; `fusion.estimator.engine` fuses the heading.
+`fusion.estimator.engine` fuses its heading.
 """
 
 from __future__ import annotations
@@ -34,9 +34,6 @@ class FrameSample(NamedTuple):
     t_ns: int
     stamp_ns: int
     measure: Measure | FrameMeasurement | None
-
-    name = "frame"
-    propagates = True
 
     def fault(self) -> str:
         """Why it cannot be used: a frame without a picture counts too, so nothing."""

@@ -1,4 +1,4 @@
-"""The IMU's own yaw: takes an attitude's yaw, follows its offset or corrects the filter's heading, returns its part of the state.
+"""The IMU's own yaw: takes an attitude's yaw, corrects the filter, returns its part of the state.
 
 Its offset to the corridor is followed while a gyroscope carries the heading; it corrects the heading if
 `fusion.estimator.imu_yaw_check` finds that it knows something of its own.
@@ -28,12 +28,12 @@ from fusion.estimator.models import (
     N_STATES,
     PSI,
     YAW_OFFSET,
+    Quaternion,
     ScalarMeasurement,
     imu_yaw_model,
     imu_yaw_offset_model,
 )
 from fusion.estimator.propagation import DeadReckoning, Mode
-from vision.rotations import yaw_of_quaternion
 
 if TYPE_CHECKING:
     from fusion.estimator.corridor_axis import CorridorAxis
@@ -50,9 +50,6 @@ class AttitudeSample(NamedTuple):
     t_ns: int
     q_world_body: Quaternion
 
-    name = "attitude"
-    propagates = True
-
     def fault(self) -> str:
         """Why it cannot be used; empty where it can."""
         return "" if 0.9 < _length(self.q_world_body) < 1.1 else "attitude_not_unit"  # NaN fails too
@@ -63,14 +60,10 @@ class AttitudeSample(NamedTuple):
         norm = _length(self.q_world_body)
         return w / norm, x / norm, y / norm, z / norm
 
-    def yaw_rad(self) -> float:
-        """Yaw, positive right."""
-        return yaw_of_quaternion(self.unit())
-
 
 def _length(q: Quaternion) -> float:
     w, x, y, z = q
-    return (w * w + x * x + y * y + z * z) ** 0.5
+    return float((w * w + x * x + y * y + z * z) ** 0.5)  # mypy takes a power for Any
 
 
 class ImuYaw(NamedTuple):
@@ -135,10 +128,10 @@ def fuse_imu_yaw(
         ekf.update(measurement)
         return part._replace(known=True)
     gate = ekf.update(measurement, config.imu_yaw_gate_sigma)
-    part = part._replace(test_ratio=gate.test_ratio)
     if gate.accepted:
-        return _trace(part._replace(rejects=0), ekf, yaw_rad, reckoning, axis, config)
-    part = part._replace(rejects=part.rejects + 1)
+        part = part._replace(test_ratio=gate.test_ratio, rejects=0)
+        return _trace(part, ekf, yaw_rad, reckoning, axis, config)
+    part = part._replace(test_ratio=gate.test_ratio, rejects=part.rejects + 1)
     if part.rejects >= STEP_SAMPLES:
         ekf.widen(YAW_OFFSET, gate.residual**2)
         ekf.update(_measurement(part, ekf, yaw_rad, axis, config))

@@ -2,7 +2,7 @@
 
 Calling numpy takes ten times as long as a 5 by 5 product itself, and returning a new array from compiled code costs
 more than filling one of the caller's. What the numbers mean is said in `fusion.estimator.models` and
-`fusion.estimator.tilt`. Covariances are symmetric to the last bit: each pair of entries is computed once, or averaged.
+`fusion.estimator.tilt`. Covariances are symmetric to the last bit: each pair is computed once, or averaged.
 """
 
 from __future__ import annotations

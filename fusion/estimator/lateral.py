@@ -1,4 +1,4 @@
-"""The lateral offset: takes what moves the vehicle and what frames see, corrects the filter, returns its part of the state.
+"""The lateral offset: takes propagation steps and frames, corrects the filter, returns its part of the state.
 
 The engine calls `propagated` in each propagation step, with a `MotionStep`, and `fused` for each accepted frame; the
 estimate asks for `readout`, a frame's prediction for `expected`. Offset and velocity themselves are y and v of the
@@ -109,6 +109,7 @@ class LateralOffset:
     def __init__(self, config: FusionConfig, camera_arm_m: tuple[float, float]) -> None:
         self.config = config
         self.camera_arm_m = camera_arm_m
+        self._unmoved = Drift(0.0, 0.0, nan)  # the same from step to step while no velocity is known
 
     def propagated(self, lateral: Lateral, step: MotionStep, half_m: float) -> tuple[Lateral, Drift]:
         """Take a propagation step; return also how the offset moves in it.
@@ -126,7 +127,10 @@ class LateralOffset:
         if velocity.is_known(step.t_ns):
             v_std = self.config.velocity_std_m_s / scale
             return lateral, Drift(velocity.forward_m_s / scale, velocity.sideways_m_s / scale, v_std)
-        return lateral, Drift(0.0, 0.0, self.config.lateral_velocity_std_m_s / scale)
+        v_std = self.config.lateral_velocity_std_m_s / scale
+        if v_std != self._unmoved.v_std:
+            self._unmoved = Drift(0.0, 0.0, v_std)
+        return lateral, self._unmoved
 
     def fused(
         self, lateral: Lateral, ekf: CorridorEKF, t_ns: int, m: FrameMeasurement, half_m: float
@@ -204,9 +208,10 @@ class LateralOffset:
             rho = correlation(t_ns, lateral.t_ns, c.lateral_correlation_s)
             doubt = Doubt(c.lateral_gate_sigma, rho, OUTLIER_DENSITY)
             gate, noise = update_with_doubt(ekf, measurement, lateral.noise, doubt)
-            lateral = lateral._replace(noise=noise, test_ratio=gate.test_ratio)
             if gate.accepted:
-                return lateral._replace(t_ns=t_ns, n_used=lateral.n_used + 1)
+                n_used = lateral.n_used + 1
+                return lateral._replace(noise=noise, test_ratio=gate.test_ratio, t_ns=t_ns, n_used=n_used)
+            lateral = lateral._replace(noise=noise, test_ratio=gate.test_ratio)
         side = float(measurement.H[Y])
         vote = Vote(t_ns, side * measurement.residual, sqrt(variance), lateral.n_used)
         lateral = lateral._replace(votes=add_vote(lateral.votes, vote, VOTE_AGE_S))

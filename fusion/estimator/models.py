@@ -27,13 +27,12 @@ import numpy as np
 from fusion.estimator.kernels import BIAS as BIAS
 from fusion.estimator.kernels import N_STATES as N_STATES
 from fusion.estimator.kernels import PSI as PSI
-from fusion.estimator.kernels import FloatArray as FloatArray
 from fusion.estimator.kernels import YAW_OFFSET as YAW_OFFSET
-from fusion.estimator.kernels import V as V
-from fusion.estimator.kernels import Y as Y
+from fusion.estimator.kernels import FloatArray as FloatArray
 from fusion.estimator.kernels import Quaternion as Quaternion
+from fusion.estimator.kernels import V as V
 from fusion.estimator.kernels import Vector as Vector
-from fusion.estimator.kernels import stepped
+from fusion.estimator.kernels import Y as Y
 
 
 class ProcessNoise(NamedTuple):
@@ -103,42 +102,6 @@ def level_yaw_rate(gyro_rad_s: tuple[float, float, float], down: tuple[float, fl
     _, dy, dz = down
     # Nose straight up or down yaw has no meaning; the floor (85 degrees) keeps the number finite.
     return (q * dy + r * dz) / max(dy * dy + dz * dz, 0.0076)
-
-
-def step(
-    x: FloatArray,
-    P: FloatArray,
-    dt_s: float,
-    turned_rad: float,
-    noise: ProcessNoise,
-    forward: float = 0.0,
-    sideways: float = 0.0,
-    heading_variance: float = 0.0,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Propagate state and covariance by the process model, discretised exactly.
-
-    Parameters
-    ----------
-    x, P
-        State (5,) and covariance (5, 5).
-    dt_s, turned_rad
-        Length of the step, and by how much the level frame turned in it (bias included).
-    noise
-        Continuous noise.
-    forward, sideways
-        Velocities, half widths per second; the heading half-way is used for y.
-    heading_variance
-        Further variance of the heading gained in the step, rad^2 (a gap in the gyroscope).
-
-    Returns
-    -------
-    x, F, Q, P
-        (5,) and three times (5, 5); ``F`` is the derivative of the new state with respect to the old one.
-    """
-    square = (N_STATES, N_STATES)
-    x_next, F, Q, P_next = np.empty(N_STATES), np.empty(square), np.empty(square), np.empty(square)
-    stepped(x, P, x_next, F, Q, P_next, dt_s, turned_rad, *noise, forward, sideways, heading_variance)
-    return x_next, F, Q, P_next
 
 
 _H_HEADING = np.array([1.0, 0.0, 0.0, 0.0, 0.0])

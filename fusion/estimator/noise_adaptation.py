@@ -1,4 +1,4 @@
-"""How noisy a source is, learned from its own innovations: takes a measurement, updates the filter, returns what it learned.
+"""How noisy a source is, by its own innovations: takes a measurement, updates the filter, returns what it learned.
 
 Two numbers per source: its share of outliers, and the variance of its inliers over what they state. A measurement is
 either what its sigma says or an outlier, that is anywhere. Given its innovation, the odds between the two follow from

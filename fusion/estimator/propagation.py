@@ -1,4 +1,4 @@
-"""Carry the state from sample to sample: takes its part of the state and a time or sample, moves the filter there, returns the part.
+"""Dead reckoning from sample to sample: takes a sample, moves the filter there, returns its part of the state.
 
 Which stream carries the heading is decided anew at each sample: the gyroscope; where it is absent or silent, the yaw
 increments of the attitude stream; with neither, a constant rate (then the state's bias is minus that rate).
@@ -32,9 +32,6 @@ class ImuSample(NamedTuple):
     t_ns: int
     gyro_rad_s: Vector
     accel_m_s2: Vector | None
-
-    name = "imu"
-    propagates = True
 
     def fault(self) -> str:
         """Why it cannot be used; empty where it can."""
@@ -106,9 +103,14 @@ class DeadReckoning(NamedTuple):
 
 
 class Drift(NamedTuple):
-    """How the lateral offset moves in a step: velocities ahead and to the right, and the sigma of the unexplained one.
+    """How the lateral offset moves in a step, in half widths of the corridor per second.
 
-    All are in half widths of the corridor per second.
+    Parameters
+    ----------
+    forward, sideways
+        Velocities ahead and to the right.
+    v_std
+        Standard deviation of the sideways velocity that they do not explain.
     """
 
     forward: float
@@ -156,24 +158,27 @@ class Propagation:
         drift
             Of the lateral offset.
         """
-        t_ns = sample.t_ns
+        t_ns: int | None = sample.t_ns
+        turned = corrected = 0.0
         if d.mode is Mode.GYRO:
-            d = self.advance(d, ekf, t_ns, drift, end_rate_rad_s=rate_rad_s)
+            turned, corrected = self._move(d, ekf, sample.t_ns, drift, rate_rad_s, None)
         else:
-            d = self._with_mode(self.advance(d, ekf, t_ns, drift), ekf, Mode.GYRO)
+            d = self._with_mode(self.advance(d, ekf, sample.t_ns, drift), ekf, Mode.GYRO)
+            t_ns = d.t_ns
+        _, mode, _, theta, raw_theta, _, _, _, yaw, yaw_done, attitude, stored = d
         return DeadReckoning(
-            d.t_ns,
-            d.mode,
-            rate_rad_s,
-            d.theta_rad,
-            d.raw_theta_rad,
             t_ns,
+            mode,
+            rate_rad_s,
+            theta + corrected,
+            raw_theta + turned,
+            sample.t_ns,
             sample.gyro_rad_s,
             0.0,
-            d.yaw_rad,
-            d.yaw_done_rad,
-            d.attitude,
-            d.stored_gyro_bias,
+            yaw,
+            yaw_done + corrected,
+            attitude,
+            stored,
         )
 
     def with_attitude_yaw(
@@ -193,15 +198,30 @@ class Propagation:
             Of the lateral offset.
         """
         d = self.leave_silent_gyro(d, ekf, t_ns)
+        rate = d.rate_rad_s
         if d.mode is Mode.ATTITUDE and d.attitude.last_ns is not None:
             increment = wrap(yaw_rad - d.yaw_rad)
             span_s = (t_ns - d.attitude.last_ns) * 1e-9
-            d = self.advance(d, ekf, t_ns, drift, turned_rad=wrap(increment - d.yaw_done_rad))
+            d = self.advance(d, ekf, t_ns, drift, wrap(increment - d.yaw_done_rad))
             if span_s > 0:
-                d = d._replace(rate_rad_s=increment / span_s)
+                rate = increment / span_s
         else:
             d = self.advance(d, ekf, t_ns, drift)
-        d = d._replace(attitude=d.attitude.with_sample(t_ns), yaw_rad=yaw_rad, yaw_done_rad=0.0)
+        end_ns, mode, _, theta, raw_theta, t_gyro, gyro, gyro_done, _, _, attitude, stored = d
+        d = DeadReckoning(
+            end_ns,
+            mode,
+            rate,
+            theta,
+            raw_theta,
+            t_gyro,
+            gyro,
+            gyro_done,
+            yaw_rad,
+            0.0,
+            attitude.with_sample(t_ns),
+            stored,
+        )
         return self._with_mode(d, ekf, Mode.ATTITUDE) if d.mode is Mode.NONE else d
 
     def hold(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, drift: Drift) -> DeadReckoning:
@@ -209,14 +229,7 @@ class Propagation:
         return self.advance(self.leave_silent_gyro(d, ekf, t_ns), ekf, t_ns, drift)
 
     def advance(
-        self,
-        d: DeadReckoning,
-        ekf: CorridorEKF,
-        t_ns: int,
-        drift: Drift,
-        *,
-        end_rate_rad_s: float | None = None,
-        turned_rad: float | None = None,
+        self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, drift: Drift, turned_rad: float | None = None
     ) -> DeadReckoning:
         """Propagate to a time with the mode in force.
 
@@ -230,17 +243,45 @@ class Propagation:
             Where to.
         drift
             Of the lateral offset.
-        end_rate_rad_s
-            The gyroscope's level rate at ``t_ns``.
         turned_rad
-            The attitude's yaw increment less what was propagated already. Without either the last rate is held, and
-            made good when the next is known.
+            The attitude's yaw increment less what was propagated already. Without, the last rate is held, and made
+            good when the next is known.
         """
-        start_ns = d.t_ns
-        if start_ns is None:
+        if d.t_ns is None:
             return d._replace(t_ns=t_ns)
-        if t_ns <= start_ns and end_rate_rad_s is None and turned_rad is None:
+        if t_ns <= d.t_ns and turned_rad is None:
             return d
+        turned, corrected = self._move(d, ekf, t_ns, drift, None, turned_rad)
+        _, mode, rate, theta, raw_theta, t_gyro, gyro, gyro_done, yaw, yaw_done, attitude, stored = d
+        return DeadReckoning(
+            t_ns,
+            mode,
+            rate,
+            theta + corrected,
+            raw_theta + turned,
+            t_gyro,
+            gyro,
+            gyro_done + turned,
+            yaw,
+            yaw_done + (turned if mode is Mode.ATTITUDE else corrected),
+            attitude,
+            stored,
+        )
+
+    def _move(
+        self,
+        d: DeadReckoning,
+        ekf: CorridorEKF,
+        t_ns: int,
+        drift: Drift,
+        end_rate_rad_s: float | None,
+        turned_rad: float | None,
+    ) -> tuple[float, float]:
+        """Move the filter to a time; return the angle turned, and the same with the gyroscope's bias taken off.
+
+        ``end_rate_rad_s`` is the gyroscope's level rate at that time, ``turned_rad`` as in `advance`.
+        """
+        start_ns = t_ns if d.t_ns is None else d.t_ns
         dt_s = (t_ns - start_ns) * 1e-9
         variance = 0.0
         mode = d.mode
@@ -254,21 +295,9 @@ class Propagation:
             if mode is Mode.GYRO:
                 variance = self._silence_variance(d, ekf, t_ns)
         bias_turn = float(ekf.x[BIAS]) * dt_s
-        ekf.advance(dt_s, turned_rad, self._noise(mode, drift.v_std), drift.forward, drift.sideways, variance)
-        return DeadReckoning(
-            t_ns,
-            mode,
-            d.rate_rad_s,
-            d.theta_rad + (turned_rad - bias_turn),
-            d.raw_theta_rad + turned_rad,
-            d.t_gyro_ns,
-            d.gyro_rad_s,
-            d.gyro_done_rad + turned_rad,
-            d.yaw_rad,
-            d.yaw_done_rad + (turned_rad - (bias_turn if mode is not Mode.ATTITUDE else 0.0)),
-            d.attitude,
-            d.stored_gyro_bias,
-        )
+        noise = self._noise(mode, drift.v_std)
+        ekf.advance(dt_s, turned_rad, noise, drift.forward, drift.sideways, variance)
+        return turned_rad, turned_rad - bias_turn
 
     def leave_silent_gyro(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
         """Go over to the attitude's yaw, or to a constant rate, where the gyroscope has fallen silent."""

@@ -1,7 +1,7 @@
 """The corridor's width in metres: takes distances to the floor and what frames see, returns its part of the state.
 
-A frame tells the corridor's width per height of the camera above the floor; a range sensor that looks down tells that
-height. Their product is the same along a whole corridor, whatever the height, and that is what makes it robust: single
+A frame tells the corridor's width per height of the camera above the floor; a range sensor that looks down tells
+that height. Their product is the same along a whole corridor, whatever the height, and that is what makes it robust: single
 wrong readings go in the median of the last few heights, a table or a step below in the median of the widths of
 several seconds, and where the widths do not agree with one another there is no width at all.
 """
@@ -32,9 +32,6 @@ class RangeSample(NamedTuple):
 
     t_ns: int
     distance_m: float
-
-    name = "range"
-    propagates = False
 
     def fault(self) -> str:
         """Why it cannot be used; empty where it can."""

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.models import BIAS, PSI, YAW_OFFSET, FloatArray, Y, wrap, wrap_axis
 from fusion.estimator.smoother import Steps, rts
-from fusion.estimator.tables import ESTIMATE_DTYPE, Table
+from fusion.estimator.tables import Table
 from vision.measurement import position_from_offset
 
 KNOWN_OFFSET_STD_NORM = 0.5

@@ -1,4 +1,4 @@
-"""Samples in any order: takes a sample, hands the engine all of them in order of time, keeps the last ones and their states.
+"""Samples in any order: takes a sample, hands all of them to the engine in order of time, keeps the last ones.
 
 After every sample the engine's state is kept for as long as the buffer lasts, so a late sample costs no more than
 the samples behind it: roll back to before it, and replay. The result is, bit for bit, that of the samples in order.
@@ -8,35 +8,8 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable
-from typing import NamedTuple
 
-from fusion.estimator.engine import ORDER, Engine, Sample, State
-from fusion.estimator.frame_update import FrameResult
-from fusion.estimator.smoother import Node
-
-
-class Entry(NamedTuple):
-    """A sample in the buffer, and what the engine made of it.
-
-    Parameters
-    ----------
-    t_ns
-        The sample's time.
-    sample
-        The sample.
-    after
-        The engine's state behind it.
-    nodes
-        Its steps for the smoother.
-    frame
-        What became of it, where it is a frame.
-    """
-
-    t_ns: int
-    sample: Sample
-    after: State
-    nodes: tuple[Node, ...]
-    frame: FrameResult | None
+from fusion.estimator.engine import SOURCES, Engine, Entry, Sample
 
 
 class Timeline:
@@ -72,10 +45,10 @@ class Timeline:
 
         The caller asks `is_late` first.
         """
-        key = (sample.t_ns, ORDER[type(sample)])
+        key = (sample.t_ns, SOURCES[type(sample)].order)
         keys, entries = self._keys, self.entries
         if not keys or key > keys[-1]:
-            entry = self._run(self.state, sample)
+            entry = self.engine.process(self.state, sample)
             keys.append(key)
             entries.append(entry)
             self.state = entry.after
@@ -84,9 +57,9 @@ class Timeline:
         at = bisect_left(keys, key)
         if keys[at] == key:
             return None
-        replayed = [self._run(entries[at - 1].after if at > 0 else self._base, sample)]
+        replayed = [self.engine.process(entries[at - 1].after if at > 0 else self._base, sample)]
         for later in entries[at:]:
-            replayed.append(self._run(replayed[-1].after, later.sample))
+            replayed.append(self.engine.process(replayed[-1].after, later.sample))
         keys.insert(at, key)
         entries[at:] = replayed
         self.state = replayed[-1].after
@@ -100,9 +73,6 @@ class Timeline:
     def finish(self) -> None:
         """Hand out what is still in the buffer; nothing may be inserted before it any more."""
         self._let_go(len(self.entries))
-
-    def _run(self, state: State, sample: Sample) -> Entry:
-        return Entry(sample.t_ns, sample, *self.engine.process(state, sample))
 
     def _trim(self) -> None:
         horizon = self._keys[-1][0] - self.buffer_ns

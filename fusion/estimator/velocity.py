@@ -18,9 +18,6 @@ class VelocitySample(NamedTuple):
     t_ns: int
     v_body_m_s: Vector
 
-    name = "velocity"
-    propagates = False
-
     def fault(self) -> str:
         """Why it cannot be used; empty where it can."""
         x, y, z = self.v_body_m_s

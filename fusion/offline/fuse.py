@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.engine import Entry
 from fusion.estimator.estimate import estimate_of
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.frame_update import FrameResult, FrameSample
@@ -20,7 +21,6 @@ from fusion.estimator.propagation import ImuSample
 from fusion.estimator.smoothed_table import smoothed_table
 from fusion.estimator.smoother import Steps
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table, estimate_row
-from fusion.estimator.timeline import Entry
 from fusion.flight import Flight
 from vision.errors import InputError
 from vision.measurement import FrameMeasurement, position_from_offset

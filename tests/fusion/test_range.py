@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from fusion import fuse_flight, load_flight
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.engine import Entry
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.range_width import Heights, Widths, height_at, with_range, with_width
-from fusion.estimator.timeline import Entry
 from fusion.flight import Flight, RangeStream
 from fusion.logs.asl import read_ground_truth
 from tests.fusion.simulated import frame, quaternion
@@ -133,7 +133,9 @@ class Recorder:
 
     def __call__(self, entry: Entry) -> None:
         s = entry.after
-        self.seen.append((entry.t_ns, entry.sample.name, s.x.tobytes(), s.P.tobytes(), repr(s.width)))
+        self.seen.append(
+            (entry.t_ns, type(entry.sample).__name__, s.x.tobytes(), s.P.tobytes(), repr(s.width))
+        )
 
 
 def recorded(flown: list[tuple[str, int, tuple[Any, ...]]]) -> list[Any]:
