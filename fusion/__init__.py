@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fusion.estimator.config import FusionConfig
+    from fusion.estimator.estimate import Estimate
     from fusion.estimator.estimator import CorridorEstimator
-    from fusion.estimator.state import Estimate
     from fusion.flight import Flight
     from fusion.logs import load_flight
     from fusion.offline.fuse import FusionResult, fuse_flight
@@ -29,7 +29,7 @@ __all__ = [
 
 _MODULES = {
     "CorridorEstimator": "fusion.estimator.estimator",
-    "Estimate": "fusion.estimator.state",
+    "Estimate": "fusion.estimator.estimate",
     "Flight": "fusion.flight",
     "FusionConfig": "fusion.estimator.config",
     "FusionResult": "fusion.offline.fuse",

@@ -34,7 +34,7 @@ def imports_of(path: Path) -> set[str]:
 def test_the_modules_are_found() -> None:
     names = {name_of(path) for path in MODULES}
     assert {"vision", "vision.frame", "fusion", "fusion.cli.app"} <= names
-    assert "fusion.estimator.frame_update" in names
+    assert "fusion.estimator.engine" in names
 
 
 @pytest.mark.parametrize("path", [p for p in MODULES if name_of(p).startswith("vision")], ids=name_of)

@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.estimator.ekf import CorridorEKF
-from fusion.estimator.models import ProcessNoise, ScalarMeasurement, propagate, transition
+from fusion.estimator.models import ProcessNoise, ScalarMeasurement
+from tests.fusion.process_model import propagate, transition
 
 NOISE = ProcessNoise(0.0075, 1e-4, 0.009, 0.3, 1.0)
 

@@ -165,8 +165,9 @@ def test_nothing_is_said_before_anything_is_known() -> None:
 @pytest.mark.parametrize("error_deg", [30, -60, 90, -150])
 def test_injected_error_is_recovered_in_half_a_second(error_deg: float) -> None:
     estimator, t = steady(5.0)
-    state = estimator._machine.state
-    state.x = state.x + np.array([radians(error_deg), 0, 0, 0, 0])
+    timeline = estimator._timeline
+    x = timeline.state.x + np.array([radians(error_deg), 0, 0, 0, 0])
+    timeline.state = timeline.state._replace(x=x)
     go_on(estimator, t, 0.5, 0.2)
     estimate = estimator.estimate()
     assert degrees(abs(estimate.heading_rad - 0.2)) < 0.5
@@ -622,7 +623,7 @@ def test_camera_mount_is_learned_and_handed_on() -> None:
         t = i * 50 * MS
         estimator.add_attitude(t, quaternion(0.0, 0.0, 0.3))
         estimator.add_measurement(t, frame(0.0, elevation_rad=radians(-2.2), elevation_std_rad=radians(0.2)))
-    prior = estimator._machine.prior()
+    prior = estimator._engine.expected_frame(estimator._timeline.state, t)
     assert degrees(prior.elevation_rad) == pytest.approx(-2.2, abs=0.15)
     assert degrees(prior.elevation_std_rad) < 0.5
 

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from fusion.estimator.ekf import CorridorEKF
 from fusion.estimator.models import ScalarMeasurement
-from fusion.estimator.propagation import Node
-from fusion.estimator.smoother import Steps, rts
+from fusion.estimator.smoother import Node, Steps, rts
 
 
 def linear_problem(seed: int, n: int = 12):
@@ -17,7 +16,7 @@ def linear_problem(seed: int, n: int = 12):
     A = rng.normal(size=(5, 5))
     P0, x0 = A @ A.T + np.eye(5), rng.normal(size=5)
     ekf = CorridorEKF(x0, P0)
-    nodes = [Node(0, None, x0, P0, x0, P0)]
+    nodes = [Node(None, x0, P0, x0, P0)]
     Fs, Qs, offsets, measurements = [], [], [], []
     for k in range(1, n):
         F = np.eye(5) + 0.3 * rng.normal(size=(5, 5))
@@ -31,7 +30,7 @@ def linear_problem(seed: int, n: int = 12):
             H, R, z = rng.normal(size=5), float(rng.uniform(0.1, 2)), float(rng.normal(0, 3))
             ekf.update(ScalarMeasurement(z - float(H @ ekf.x), H, R))
             measurements.append((k, H, R, z))
-        nodes.append(Node(k, F, prior, P_prior, ekf.x, ekf.P))
+        nodes.append(Node(F, prior, P_prior, ekf.x, ekf.P))
         Fs.append(F)
         Qs.append(Q)
         offsets.append(offset)
