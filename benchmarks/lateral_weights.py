@@ -19,11 +19,11 @@ import numpy.typing as npt
 import typer
 from numpy.lib.recfunctions import structured_to_unstructured
 from scipy.optimize import minimize
-from support.cases import flight_cases, flight_named
-from support.scores import number, percent, table
 
 from fusion.simulate.scene_config import SceneConfig
 from fusion.simulate.views import random_views
+from support.cases import flight_cases, flight_named
+from support.scores import number, percent, table
 from vision import Attitude, Camera, extract_lines, measure_lines
 from vision.axis.level import level_from_verticals
 from vision.axis.vanishing_point import fit_axis

@@ -18,22 +18,17 @@ bit and positive, looked at every thousand steps.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator
 from math import cos, inf, pi, radians, sin, sqrt
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-from support.clock import clock
-
 from fusion import CorridorEstimator, FusionConfig
 from fusion.estimator.ekf import CorridorEKF
 from fusion.estimator.models import ProcessNoise, ScalarMeasurement
+from support.clock import clock
 from vision import FrameMeasurement, Reason
 
 IMU_HZ, ATTITUDE_HZ, FRAME_HZ, FLOW_HZ = 200.0, 50.0, 30.0, 30.0

@@ -32,7 +32,7 @@ HERE = Path(__file__).resolve().parent
 OFFICE = HERE.parents[1] / "data" / "office"
 EVERY = 20
 TOLERANCE = 1e-9
-RENEW = "python tests/golden/renew.py"
+RENEW = "python -m tests.golden.renew"
 
 
 class Kind(IntEnum):
