@@ -331,7 +331,15 @@ def print_config(
     """Print a configuration whole."""
     from fusion.settings.toml import settings_text
 
-    typer.echo(settings_text(file, simulate=simulate), nl=False)
+    if simulate:
+        from fusion.simulate import SimulationConfig
+
+        text = settings_text(SimulationConfig, "corridor simulate OUT", file)
+    else:
+        from fusion.estimator.config import FusionConfig
+
+        text = settings_text(FusionConfig, "corridor fuse FLIGHT", file)
+    typer.echo(text, nl=False)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

@@ -90,16 +90,16 @@ def find_messages(
         slots[formats[name].number] = slot
     nowhere = np.empty((len(names), 0), dtype=np.int64)
     counts = np.zeros(len(names), dtype=np.int64)
-    lost = int(_walk(data, lengths, slots, counts, nowhere))
+    lost = int(_scan(data, lengths, slots, counts, nowhere))
     starts = np.empty((len(names), int(counts.max(initial=0))), dtype=np.int64)
     filled = np.zeros_like(counts)
     if starts.shape[1]:
-        _walk(data, lengths, slots, filled, starts)
+        _scan(data, lengths, slots, filled, starts)
     return {name: starts[slot, : counts[slot]] for slot, name in enumerate(names)}, lost
 
 
 @compiled
-def _walk(
+def _scan(
     data: ByteArray, lengths: IndexArray, slots: IndexArray, counts: IndexArray, starts: IndexArray
 ) -> int:
     """Count messages by slot and, where ``starts`` has room, note where they begin; return the bytes lost."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 
 import numpy as np
@@ -59,7 +60,7 @@ def guess_unit(values: npt.NDArray[np.generic]) -> TimeUnit:
     return min(NS, key=lambda unit: abs(np.log(step * NS[unit] / 1e9 / _TYPICAL_STEP_S)))
 
 
-def said(unit: TimeUnit) -> str:
+def in_words(unit: TimeUnit) -> str:
     """Name a unit in words."""
     return _IN_WORDS[unit]
 
@@ -83,6 +84,24 @@ def to_ns(values: npt.NDArray[np.generic], unit: TimeUnit) -> TimeArray:
     part = np.rint((numbers - whole) * NS[unit] / quantum).astype(np.int64) * quantum
     t_ns = whole.astype(np.int64) * NS[unit] + part
     return np.where(ok, t_ns, MISSING)
+
+
+def decimal_to_ns(text: str, unit: TimeUnit) -> int:
+    """Turn a decimal number in a unit into nanoseconds without a float in between, whose digits would not do.
+
+    Raises
+    ------
+    ValueError, OverflowError
+        Where the text is no number, or no finite one.
+    """
+    scale = NS[unit]
+    digits = len(str(scale)) - 1
+    match = re.fullmatch(r"([+-]?)(\d+)(?:\.(\d*))?", text)
+    if match is None:
+        return round(float(text) * scale)
+    part = (match[3] or "")[:digits].ljust(digits, "0")
+    t_ns = int(match[2]) * scale + (int(part) if part else 0)
+    return -t_ns if match[1] == "-" else t_ns
 
 
 def _date_ns(text: str) -> int:

@@ -14,7 +14,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream
-from fusion.logs.manifest.manifest import RangeSource, StreamSource
+from fusion.logs.manifest.manifest import RangeSource, SensorSource, StreamSource
 
 AnyStream = TypeVar("AnyStream", bound=Any)
 MountRad = tuple[float, float, float]
@@ -28,9 +28,9 @@ def mounted(stream: AnyStream, source: StreamSource) -> AnyStream:
     if isinstance(stream, RangeStream) and isinstance(source, RangeSource) and source.above_camera_m:
         lowered: Any = replace(stream, distance_m=stream.distance_m - source.above_camera_m)
         return cast(AnyStream, lowered)
-    mount_rad = getattr(source, "mount_rad", None)
-    if mount_rad is None:
+    if not isinstance(source, SensorSource) or source.mount_rad is None:
         return stream
+    mount_rad = source.mount_rad
     turned: Any = stream
     if isinstance(stream, ImuStream):
         turned = mounted_imu(stream, mount_rad)
