@@ -329,17 +329,9 @@ def print_config(
     ] = False,
 ) -> None:
     """Print a configuration whole."""
-    from fusion.settings.toml import settings_text
+    from fusion.cli.config import settings_text
 
-    if simulate:
-        from fusion.simulate import SimulationConfig
-
-        text = settings_text(SimulationConfig, "corridor simulate OUT", file)
-    else:
-        from fusion.estimator.config import FusionConfig
-
-        text = settings_text(FusionConfig, "corridor fuse FLIGHT", file)
-    typer.echo(text, nl=False)
+    typer.echo(settings_text(file, simulate=simulate), nl=False)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

@@ -34,6 +34,7 @@ from fusion.logs.csv.time_units import NS, decimal_to_ns
 from fusion.logs.samples import Problems, WithProblems, counted, order_times
 from fusion.result.conventions import Frame
 from vision.errors import InputError
+from vision.rotations import yaw_of
 
 TRUTH_NAME = "corridor_truth.csv"
 SUPPORTED = (
@@ -138,8 +139,7 @@ def _from_tum(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     rows, problems = _read(path, " ", 0, tuple(range(1, _TUM_WIDTH)), names)
     t_ns = _times(path, rows.first.tolist(), "s")
     values = rows.values
-    x, y, z, w = values[:, 3:].T
-    heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    heading = yaw_of(values[:, [6, 3, 4, 5]])  # x y z w in the file
     offset = values[:, 1] if said.get("offset_unit") != "none" else np.full(len(t_ns), np.nan)
     unit = "norm" if said.get("offset_unit") == "half" else "m"
     kind = (
@@ -273,8 +273,7 @@ class _Heading:
         """Return the angles (n,), radians, of the columns' values (n,)."""
         if len(values) == 1:
             return self.unit_rad * values[0]
-        w, x, y, z = values
-        return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+        return yaw_of(np.column_stack(values))
 
 
 def _find_heading(path: Path, column: Mapping[str, int]) -> _Heading:

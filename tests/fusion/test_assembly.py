@@ -370,11 +370,9 @@ class Log:
         raise AttributeError(name)
 
 
-def chosen(
-    kind: Kind, *names: str, empty: tuple[str, ...] = (), problems: list[str] | None = None
-) -> str | None:
+def chosen(kind: Kind, *names: str, empty: tuple[str, ...] = ()) -> str | None:
     log: LogContents = Log(kind, *names, empty=empty)  # type: ignore[assignment]
-    return choose_topic(log, kind, None, [] if problems is None else problems)
+    return choose_topic(log, kind).value
 
 
 @pytest.mark.parametrize(
@@ -400,8 +398,8 @@ def test_the_vehicles_own_is_taken(kind: Kind, names: tuple[str, ...], expected:
 def test_an_autopilots_log_is_taken_in_its_readers_order(name: str) -> None:
     for kind in (Kind.IMU, Kind.VELOCITY):
         log = Log(kind, "NKF1", "NKF6", empty=("NKF1",), format=name)
-        assert choose_topic(log, kind, None, []) == "NKF6"  # type: ignore[arg-type]
-        assert choose_topic(Log(kind, "b", "a", format=name), kind, None, []) == "b"  # type: ignore[arg-type]
+        assert choose_topic(log, kind).value == "NKF6"  # type: ignore[arg-type]
+        assert choose_topic(Log(kind, "b", "a", format=name), kind).value == "b"  # type: ignore[arg-type]
 
 
 def test_the_ranked_formats_are_those_of_the_readers() -> None:
@@ -422,8 +420,10 @@ def test_two_cameras_or_imus_are_asked_about() -> None:
 
 
 def test_other_streams_are_left_out_and_said() -> None:
-    problems: list[str] = []
-    assert chosen(Kind.VELOCITY, "/a", "/b", problems=problems) is None
-    assert problems == [
-        'a.bag: 2 topics of velocity (/a, /b), none used: name one in flight.toml, [velocity] topic = "/a"'
-    ]
+    log: LogContents = Log(Kind.VELOCITY, "/a", "/b")  # type: ignore[assignment]
+    assert choose_topic(log, Kind.VELOCITY) == (
+        None,
+        (
+            'a.bag: 2 topics of velocity (/a, /b), none used: name one in flight.toml, [velocity] topic = "/a"',
+        ),
+    )

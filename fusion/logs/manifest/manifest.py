@@ -20,6 +20,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
+from fusion.files import replacing
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
 from fusion.settings.sentences import OWN_CHECK, UNKNOWN_NAME, Complaint, complaints, did_you_mean
 from fusion.settings.toml import read_toml
@@ -314,12 +315,12 @@ def write_manifest(manifest: Manifest, path: str | Path, notes: Mapping[str, str
     from fusion.logs.manifest.text import manifest_text
 
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.partial")
     try:
-        temporary.write_text(manifest_text(manifest, path.absolute().parent, notes or {}), encoding="utf-8")
-        temporary.replace(path)
+        with replacing(path) as temporary:
+            temporary.write_text(
+                manifest_text(manifest, path.absolute().parent, notes or {}), encoding="utf-8"
+            )
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise InputError(
             f"cannot be written: {error.strerror or error}", file=path, remedy="choose another place"
         ) from error
