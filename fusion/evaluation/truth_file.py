@@ -1,4 +1,4 @@
-"""What a flight really did, from files as people have them: CSV with a heading, TUM trajectories, an earlier output.
+"""The true course of a flight, from files as people have them: CSV with a heading, TUM, an earlier output.
 
 Two kinds of heading are told apart. ``heading_*`` is the angle from the axis of the corridor being flown, as in
 ``corridor_truth.csv``. ``yaw_*`` and quaternions are angles from one fixed axis; they are compared with the

@@ -119,7 +119,17 @@ class _Folder:
         return to_frd(self.body_frame) @ R_body_sensor
 
     def dropped(self, good: BoolArray, stream: str, what: str, t_ns: TimeArray) -> Problems:
-        """Report rows that are not good; `InputError` where none is."""
+        """Report the rows of a stream that are not good; `InputError` where none is.
+
+        Parameters
+        ----------
+        good, t_ns
+            Rows (n,) to keep, and their times (n,).
+        stream
+            Name of the sensor's folder.
+        what
+            What is wrong with the others.
+        """
         path, label = self.path / stream / "data.csv", f"{stream}/data.csv"
         return report_dropped(good, t_ns, what, label, file=path, remedy="take the folder away")
 

@@ -20,6 +20,7 @@ from fusion.flight import (
     VectorStream,
 )
 from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.interpolation import attitude_at
 from fusion.logs.samples import (
     MIN_IMU_STEP_NS,
     BoolArray,
@@ -50,8 +51,6 @@ MAX_ACCELERATION = 1e5
 MAX_POSITION = 1e7
 MAX_VELOCITY = 1e4
 MAX_DISTANCE_M = 100.0
-
-MAX_ATTITUDE_GAP_NS = 500_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,40 +288,6 @@ def velocity_stream(
     return WithProblems(VectorStream(world.t_ns[known], into_body(q_world_body, world.xyz)[known]), problems)
 
 
-def interpolated(samples: VectorStream, t_ns: TimeArray, max_gap_ns: int) -> FloatArray:
-    """Values (m, 3) at times (m,); NaN outside the samples and in their gaps."""
-    before, after, share, known = _around(samples.t_ns, t_ns, max_gap_ns)
-    values = (1.0 - share) * samples.xyz[before] + share * samples.xyz[after]
-    return np.where(known[:, None], values, np.nan)
-
-
-def attitude_at(attitude: AttitudeStream, t_ns: TimeArray) -> tuple[FloatArray, BoolArray]:
-    """Attitude (m, 4) at times (m,), and whether (m,) it is known there.
-
-    Neighbours are close, so that the chord between them will do for the arc.
-    """
-    before, after, share, known = _around(attitude.t_ns, t_ns, MAX_ATTITUDE_GAP_NS)
-    q0, q1 = attitude.q_world_body[before], attitude.q_world_body[after]
-    q1 = np.where(np.sum(q0 * q1, axis=1, keepdims=True) < 0.0, -q1, q1)
-    q = (1.0 - share) * q0 + share * q1
-    length = np.linalg.norm(q, axis=1, keepdims=True)
-    return np.where(length > 0.1, q / np.maximum(length, 0.1), q0), known
-
-
-def _around(
-    known_ns: TimeArray, t_ns: TimeArray, max_gap_ns: int
-) -> tuple[IndexArray, IndexArray, FloatArray, BoolArray]:
-    """Find the samples before and after each time (m,), how far between them it is (m, 1), and if they are close."""
-    last = len(known_ns) - 1
-    after = np.clip(np.searchsorted(known_ns, t_ns), 0, last)
-    exact = known_ns[after] == t_ns
-    before = np.where(exact, after, np.clip(after - 1, 0, last))
-    gap_ns = known_ns[after] - known_ns[before]
-    inside = (t_ns > known_ns[before]) & (t_ns < known_ns[after]) & (gap_ns <= max_gap_ns)
-    share = np.where(inside, (t_ns - known_ns[before]) / np.maximum(gap_ns, 1), 0.0)
-    return before, after, share[:, None], np.asarray(exact | inside)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
     """One topic and how to read it."""
@@ -380,7 +345,17 @@ class SeriesLog(LogContents):
 
 
 def no_such_topic(path: Path, topics: Sequence[Topic], kind: Kind, name: str) -> InputError:
-    """Say which topics of a kind there are."""
+    """Make the error for a topic that is not there, which says what topics of its kind there are.
+
+    Parameters
+    ----------
+    path
+        The log.
+    topics
+        Those it has.
+    kind, name
+        What was asked for.
+    """
     there = ", ".join(topic.name for topic in topics if topic.kind == kind)
     return InputError(
         f"has no {kind} topic {name}",

@@ -440,7 +440,7 @@ def test_what_cannot_be_read_says_what_to_do(
 def test_long_files_are_read_in_blocks(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows across the borders of blocks are neither lost nor doubled."""
     monkeypatch.setattr("fusion.logs.csv.rows._BLOCK_CHARACTERS", 100)
-    monkeypatch.setattr("fusion.logs.csv.table._PIECE_ROWS", 3)
+    monkeypatch.setattr("fusion.logs.csv.rows._PIECE_ROWS", 3)
     lines = [f"{i * 10},{i},2,3" for i in range(200)]
     lines[77] = "broken"
     imu = imu_of(write("a.csv", "t,gx,gy,gz\n" + "\n".join(lines) + "\n"), None, "frd")

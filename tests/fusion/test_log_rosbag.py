@@ -166,11 +166,6 @@ def flat(path: Path, kind: str) -> Path:
     return next(file for file in path.iterdir() if file.suffix in (".db3", ".mcap"))
 
 
-@pytest.fixture(scope="module")
-def office() -> Flight:
-    return load_flight(ROOT / "data" / "office")
-
-
 @pytest.fixture(scope="module", params=FORMATS)
 def office_bag(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, office: Flight

@@ -13,14 +13,13 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from fusion.flight import AttitudeStream, VectorStream
 from fusion.logs.autopilot import tlog, ulog
+from fusion.logs.interpolation import attitude_at, interpolated
 from fusion.logs.rosbag import bag as rosbag
 from fusion.logs.series import (
     LATEST_NS,
     Where,
-    attitude_at,
     attitude_stream,
     imu_stream,
-    interpolated,
     into_body,
     nanoseconds,
     quaternions,
@@ -147,6 +146,11 @@ def test_attitude_between_samples_is_that_of_slerp_and_unknown_in_gaps() -> None
     assert known.tolist() == [False, True, True, True, True, False, True, True, False]
     expected = Slerp(t_ns, rotation)(at_ns[known]).as_quat(scalar_first=True)
     np.testing.assert_allclose(np.abs(np.sum(found[known] * expected, axis=1)), 1.0, atol=1e-9)
+    found, known = attitude_at(stream, at_ns, hold_ns=500_000_000)
+    assert known.all()
+    nearest = q[[0, 0, 1, 2, 2, 2, 4, 4, 4]]  # held in the gap and beyond the ends, from either side
+    held = [0, 5, 8]
+    np.testing.assert_allclose(np.abs(np.sum(found[held] * nearest[held], axis=1)), 1.0, atol=1e-12)
 
 
 def test_velocity_without_attitude_is_dropped_and_said() -> None:

@@ -135,7 +135,24 @@ def _copy(data: ByteArray, starts: IndexArray, first: int, rows: ByteArray) -> N
 def read_columns(
     data: ByteArray, fmt: Format, starts: IndexArray, columns: tuple[str, ...]
 ) -> npt.NDArray[np.float64]:
-    """Columns (n, k) of messages, in the units of their names."""
+    """Read columns of messages, in the units of their names.
+
+    Parameters
+    ----------
+    data
+        Bytes of the log.
+    fmt
+        What the message holds.
+    starts
+        Where the messages begin (n,).
+    columns
+        Their names, k of them.
+
+    Returns
+    -------
+    array
+        Values (n, k).
+    """
     values = np.empty((len(starts), len(columns)))
     for k, column in enumerate(columns):
         with np.errstate(invalid="ignore"):  # a damaged float may be a signalling NaN
@@ -145,7 +162,20 @@ def read_columns(
 
 
 def read_column(data: ByteArray, fmt: Format, starts: IndexArray, column: str) -> npt.NDArray[np.generic]:
-    """One column (n,) as it is stored."""
+    """Read one column of messages as it is stored.
+
+    Parameters
+    ----------
+    data, fmt, starts
+        As for `read_columns`.
+    column
+        Its name.
+
+    Returns
+    -------
+    array
+        Values (n,), of the type that the message has.
+    """
     kind, first = fmt.dtype.fields[column][:2]  # type: ignore[index]
     rows = np.empty((len(starts), kind.itemsize), dtype=np.uint8)
     _copy(data, starts, int(first), rows)

@@ -149,7 +149,22 @@ def _copy(data: ByteArray, starts: IndexArray, lengths: IndexArray, rows: ByteAr
 def payloads(
     data: ByteArray, starts: IndexArray, lengths: IndexArray, dtype: np.dtype[np.void]
 ) -> npt.NDArray[np.void]:
-    """Payloads (n,) as records; what was not sent is zero."""
+    """Read payloads as records; what was not sent is zero.
+
+    Parameters
+    ----------
+    data
+        Bytes of the log.
+    starts, lengths
+        Where the payloads begin, and how long they are (n,).
+    dtype
+        Layout of the message.
+
+    Returns
+    -------
+    array
+        Records (n,).
+    """
     rows = np.zeros((len(starts), dtype.itemsize), dtype=np.uint8)
     _copy(data, starts, lengths, rows)
     return rows.view(dtype)[:, 0] if len(starts) else np.empty(0, dtype)

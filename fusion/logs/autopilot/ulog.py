@@ -22,6 +22,7 @@ import numpy.typing as npt
 from fusion.flight import FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
 from fusion.logs.autopilot.table import DOWNWARD, MessageTable, begins_with, series_of
 from fusion.logs.contents import Kind, LogContents
+from fusion.logs.interpolation import interpolated
 from fusion.logs.samples import BoolArray, Problems, WithProblems, counted
 from fusion.logs.series import (
     MAX_ACCELERATION,
@@ -29,7 +30,6 @@ from fusion.logs.series import (
     Series,
     SeriesLog,
     imu_stream,
-    interpolated,
     nanoseconds,
     range_stream,
     vector_stream,

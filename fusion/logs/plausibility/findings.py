@@ -79,7 +79,17 @@ class Advice:
         )
 
     def unit(self, stream: str, key: str, unit: str, factor: str) -> str:
-        """Return how to correct a unit."""
+        """Return how to correct a unit.
+
+        Parameters
+        ----------
+        stream
+            Name of the stream in a manifest.
+        key, unit
+            What to write into its column map.
+        factor
+            What to multiply the numbers by where there is no column map.
+        """
         if self.is_folder:
             return f"multiply its columns in mav0/{stream}0/data.csv by {factor}"
         return f'set {key} = "{unit}" in [{stream}.columns] of flight.toml, or correct the logger'
