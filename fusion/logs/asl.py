@@ -195,7 +195,7 @@ class AslLog(SeriesLog):
 
 
 def _raw_times(folder: Path) -> TimeArray:
-    """Read the times of a stream as they stand in its ``data.csv``, else in its pictures' names."""
+    """Read the times of a stream, unsorted, from its ``data.csv``, else from its pictures' names."""
     path = folder / "data.csv"
     if not path.exists():
         names = sorted(os.listdir(folder / "data")) if (folder / "data").is_dir() else []

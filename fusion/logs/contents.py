@@ -48,7 +48,7 @@ class Topic:
     kind
         What it can be read as.
     t_ns
-        Times (n,) as they stand in the log, neither sorted nor cleaned.
+        Times (n,) as the log has them, neither sorted nor cleaned.
     note
         What a person should know before choosing it, such as the size of its pictures or its frame convention.
     """

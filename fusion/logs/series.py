@@ -40,7 +40,7 @@ Read = Callable[[], WithProblems[Stream]]
 QUATERNION_TOLERANCE = 0.05  # of its length; more is not rounding but damage
 LATEST_NS = 2**62  # the year 2116; later is no time but damage
 
-STRAY_WINDOW = 11  # samples; up to five damaged ones side by side are told from the rest
+STRAY_WINDOW = 11  # samples; up to five damaged ones side by side are recognised
 STRAY_NS = 500_000_000
 CLOCK_BACK_NS = 1_000_000_000  # less is jitter and is sorted
 CLOCK_AHEAD_NS = 3_600_000_000_000

@@ -1,7 +1,7 @@
 """Which topic of a log a flight is made of, where the manifest leaves it open.
 
 A log may hold several of a kind. Where one is clearly the vehicle's own it is taken; otherwise nobody but the user
-can know, and is asked: for pictures and IMU by an error, for the rest by leaving the stream out and saying so.
+can know, and is asked: for pictures and IMU by an error, for the rest by leaving the stream out with a problem.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def _best(names: Sequence[str], kind: Kind) -> list[str]:
 
 
 def _one_per_camera(names: Sequence[str]) -> list[str]:
-    """Leave one name per camera: a raw picture and its compressed copy are the same, depth is none."""
+    """Leave one name per camera: a raw picture and its compressed copy are the same, depth is no camera."""
     cameras: dict[str, str] = {}
     for name in sorted(names, key=len):
         if not re.search(r"depth|disparity", name, re.IGNORECASE):

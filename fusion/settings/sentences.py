@@ -25,7 +25,7 @@ class Complaint:
     path
         Names of tables, settings and numbers of members down to the wrong one; empty for the whole.
     value
-        What stands there.
+        The value given.
     message
         Pydantic's sentence, in lower case; a model's own sentence where the kind is `OWN_CHECK`.
     model

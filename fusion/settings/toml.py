@@ -36,7 +36,7 @@ def read_toml(path: str | Path, example: str = "name = 1.5") -> dict[str, Any]:
         raise InputError(
             f"cannot be read: {error.strerror or error}", file=path, remedy="check the path"
         ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits, or tables too deep
         raise InputError(f"is not TOML: {error}", file=path, remedy=f"write lines like {example}") from error
 
 
@@ -114,7 +114,7 @@ def _listing(names: list[str]) -> str:
 def config_toml(config: BaseModel, heading: str) -> str:
     """Write a configuration as TOML with each setting's meaning, unit, bounds and default as comments.
 
-    Reading it back gives the same configuration; a setting that is None stands there as a comment, since TOML
+    Reading it back gives the same configuration; a setting that is None is written as a comment, since TOML
     has no word for it.
 
     Parameters

@@ -42,7 +42,7 @@ FORMAT = "MAVLink tlog"
 MAGICS = (0xFE, 0xFD)
 HEAD_BYTES = 9  # time and magic
 EARLIEST_US, LATEST_US = 10**15, 4 * 10**15  # 2001 and 2096: what a recording computer's clock may say
-UNIX_US = 10**15  # more is a time since 1970, less one since boot, as MAVLink has it told apart
+UNIX_US = 10**15  # more is a time since 1970, less one since boot, as MAVLink distinguishes them
 
 # In the order of preference.
 IMUS = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
@@ -191,7 +191,7 @@ def _raws(data: npt.NDArray[np.uint8], packets: Packets, sender: int, classes: d
 
 
 def _dtype(kind: Any) -> np.dtype[np.void]:
-    """Layout of a message's payload, as it stands in the packet."""
+    """Layout of a message's payload in the packet."""
     letters = kind.native_format.decode().lstrip("<")
     fields = []
     for name, letter, length in zip(kind.ordered_fieldnames, letters, kind.array_lengths, strict=True):
@@ -201,7 +201,7 @@ def _dtype(kind: Any) -> np.dtype[np.void]:
 
 
 def _of_one_boot(raws: list[_Raw], suffix: str) -> WithProblems[list[_Raw]]:
-    """Messages between two restarts of the vehicle, the most there are: each restart begins the clock anew."""
+    """Messages between two restarts of the vehicle, the longest stretch: each restart sets the clock to zero."""
     timed = [(raw.place, t_ns) for raw in raws if (t_ns := raw.boot_ns()) is not None]
     if not timed:
         return WithProblems(raws)
@@ -323,7 +323,7 @@ def _read_attitude(table: _Table) -> WithProblems[AttitudeStream]:
 
 
 def _read_velocity(attitude: _Table, table: _Table) -> WithProblems[VectorStream]:
-    turning = _read_attitude(attitude).value  # its own problems are told where it is asked for
+    turning = _read_attitude(attitude).value  # its problems are reported where it is read itself
     return velocity_stream(table.t_ns, table.numbers(*VELOCITY), turning, table.where())
 
 

@@ -104,7 +104,7 @@ def _sample_times(columns: dict[str, npt.NDArray[np.generic]]) -> TimeArray:
 class _BoundedReader(io.BufferedReader):
     """A file that pretends to end once far more than its size was read.
 
-    pyulog seeks back over what looks damaged; at a torn end it can do so for ever.
+    pyulog seeks back over what looks damaged; at a torn end it may never stop.
     """
 
     def __init__(self, path: Path) -> None:
@@ -262,7 +262,7 @@ def _attitudes(tables: list[_Table]) -> list[Series]:
 
 
 def _local_positions(tables: list[_Table]) -> WithProblems[list[Series]]:
-    """Positions and velocities; left out, and said so, where the autopilot never trusted them."""
+    """Positions and velocities; left out, with a problem, where the autopilot never trusted them."""
     attitudes = _instances(tables, ATTITUDE, *QUATERNION)
     found: list[Series] = []
     problems: Problems = ()
@@ -293,7 +293,7 @@ def _read_velocity(attitude: _Table, table: _Table) -> WithProblems[VectorStream
     velocity_m_s = np.where(
         table.trusted("v_xy_valid", "v_z_valid")[:, None], table.numbers(*VELOCITY), np.nan
     )
-    turning = attitude.attitude(QUATERNION).value  # its own problems are told where it is asked for
+    turning = attitude.attitude(QUATERNION).value  # its problems are reported where it is read itself
     return velocity_stream(table.t_ns, velocity_m_s, turning, table.where())
 
 

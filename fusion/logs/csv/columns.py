@@ -1,7 +1,7 @@
 """CSV files of any shape, read by a column map: one the user gives, a ready one, or one found from the header.
 
 Units become SI and axes FRD with z down, here, once. Where neither map nor manifest says the axes of the body,
-gravity decides between FRD and FLU, and it is said.
+gravity decides between FRD and FLU, and a problem reports the choice.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def open_columns(
     Raises
     ------
     InputError
-        Where the file is none, a column is not there, or nothing says what the columns are.
+        Where the file cannot be read, a column is missing, or nothing says what the columns are.
     """
     layout = read_layout(
         path, *(() if not isinstance(columns, ColumnMap) else (columns.separator, columns.header))
@@ -184,7 +184,7 @@ class _Table:
         return Where(self.path, f"{self.path.name} ({kind.value})")
 
     def body_frame(self) -> WithProblems[Frame]:
-        """Return the body's axes: as told, else as gravity has it, and how that was seen."""
+        """Return the body's axes: those of the map, else those that gravity shows, with a problem that reports it."""
         told = self.frame or self.columns.frame
         if told is not None:
             return WithProblems(told)
@@ -217,7 +217,7 @@ class _Table:
         """Body FRD to world z down."""
         frame, problems = self.body_frame()
         if "gyro" in self.parts:
-            problems = ()  # told with the IMU
+            problems = ()  # reported with the IMU
         q = self.parts["quaternion"] if "quaternion" in self.parts else quaternions(*self.parts["euler"].T)
         if frame == "flu":
             q = q * _Q_FLIP
@@ -244,7 +244,7 @@ class _Table:
                 file=self.path,
                 remedy="name the attitude's columns too, or leave the stream out: [velocity] use = false",
             )
-        attitude = self.attitude().value  # what is wrong with it is told where it is read
+        attitude = self.attitude().value  # its problems are reported where it is read itself
         return velocity_stream(self.t_ns, _world(v, frame), attitude, where)
 
     def range(self) -> WithProblems[RangeStream]:

@@ -90,7 +90,7 @@ class Layout:
         raise InputError(f"has no column {column!r} ({key})", file=self.path, remedy=remedy)
 
     def look_for(self, name: str) -> int | None:
-        """Return the index of a column by its name, in whatever case; None where there is none."""
+        """Return the index of a column by its name, upper or lower case; None where there is no such column."""
         plain = _plain(name)[0]
         for wanted, there in ((plain, self.names), (plain.lower(), [n.lower() for n in self.names])):
             if wanted and wanted in there:

@@ -32,7 +32,7 @@ MISSING = np.iinfo(np.int64).min
 
 
 def unit_named(name: str, bracket: str) -> TimeUnit | None:
-    """Return the unit that a column's name ends in, as in ``time_ms``, or that stands in brackets behind it."""
+    """Return the unit that a column's name ends in, as in ``time_ms``, or that follows it in brackets."""
     for word in (bracket, name.rsplit("_", 1)[-1] if "_" in name else ""):
         unit = _SPELLINGS.get(word.strip().lower())
         if unit is not None:
@@ -41,7 +41,7 @@ def unit_named(name: str, bracket: str) -> TimeUnit | None:
 
 
 def is_time_name(name: str) -> int | None:
-    """Return how telling a column's name is of time stamps, the less the better; None where it is not."""
+    """Return how clearly a column's name means time stamps, 0 the clearest; None where it does not."""
     plain = name.strip().lower().lstrip("#").strip()
     stem, _, last = plain.rpartition("_")
     candidates = (plain, stem if last in _SPELLINGS else plain)
@@ -66,7 +66,7 @@ def in_words(unit: TimeUnit) -> str:
 
 
 def to_ns(values: npt.NDArray[np.generic], unit: TimeUnit) -> TimeArray:
-    """Turn time stamps (n,) into nanoseconds; `MISSING` where one is none."""
+    """Turn time stamps (n,) into nanoseconds; `MISSING` where the text is no time."""
     if unit == "iso":
         return np.array([_date_ns(str(text)) for text in values.tolist()], dtype=np.int64)
     if values.dtype.kind == "i":

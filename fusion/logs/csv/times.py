@@ -46,10 +46,10 @@ def read_times(path: Path, columns: ColumnMap | str | None) -> WithProblems[Fram
     InputError
         Where the file has no time stamps.
     """
-    told = columns if isinstance(columns, ColumnMap) else ColumnMap()
-    layout = read_layout(path, told.separator, told.header)
-    names = _picture_column(layout, told)
-    timed, problems = read_timed(layout, told, [], avoid=names)
+    column_map = columns if isinstance(columns, ColumnMap) else ColumnMap()
+    layout = read_layout(path, column_map.separator, column_map.header)
+    names = _picture_column(layout, column_map)
+    timed, problems = read_timed(layout, column_map, [], avoid=names)
     number = timed.rows.number
     if names is None:
         return WithProblems(FrameTimes(number, timed.t_ns, None), problems)
@@ -59,12 +59,12 @@ def read_times(path: Path, columns: ColumnMap | str | None) -> WithProblems[Fram
     return WithProblems(FrameTimes(number, timed.t_ns, listed), problems)
 
 
-def _picture_column(layout: Layout, told: ColumnMap) -> int | None:
-    """Find the column of file names: as told, else the first whose fields end as pictures do."""
+def _picture_column(layout: Layout, column_map: ColumnMap) -> int | None:
+    """Find the column of file names: that of the map, else the first whose fields end like names of pictures."""
     from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES
 
-    if told.picture is not None:
-        return layout.find(told.picture, "columns.picture")
+    if column_map.picture is not None:
+        return layout.find(column_map.picture, "columns.picture")
     for index in range(len(layout.names)):
         fields = [row[index] for row in layout.sample if index < len(row)]
         pictures = sum(Path(field).suffix.lower() in PICTURE_SUFFIXES for field in fields)
@@ -84,7 +84,7 @@ class TimedRows:
 def read_timed(
     layout: Layout, columns: ColumnMap, others: list[int], avoid: int | None = None
 ) -> WithProblems[TimedRows]:
-    """Read the time column, in nanoseconds, with others; rows whose time is none are dropped with the damaged.
+    """Read the time column, in nanoseconds, with others; rows without a time are dropped like damaged ones.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ class _Assembly:
         self._changes: dict[str, StreamSource] = {}
 
     def flight(self) -> Flight:
-        """Read everything; the pictures first, since without them all else is in vain."""
+        """Read everything; the pictures first, since without them there is no flight."""
         sources = self.sources
         log, topic = self._picture_topic()
         frames = self._noted(sources.frames(topic))
@@ -83,7 +83,7 @@ class _Assembly:
         )
 
     def _note(self, problems: Problems) -> None:
-        """Take up problems; one of a file, or of a topic that is read twice, is told once."""
+        """Add problems; one of a file, or of a topic that is read twice, is listed once."""
         self.problems += [text for text in problems if text not in self.problems]
 
     def _noted(self, read: WithProblems[AnyStream]) -> AnyStream:

@@ -246,7 +246,10 @@ def make_manifest(values: Mapping[str, Any], *, file: Path | None = None) -> Man
     except ValidationError as error:
         problem, remedy = _explain(complaints(error, Manifest)[0])
         raise InputError(problem, file=file, remedy=remedy) from error
-    return _with_paths(manifest, (file or Path("x")).absolute().parent)
+    try:
+        return _with_paths(manifest, (file or Path("x")).absolute().parent)
+    except (ValueError, RuntimeError) as error:  # of a path that no system has: a null byte, an unknown user
+        raise InputError(f"names a path that cannot be: {error}", file=file, remedy="correct it") from error
 
 
 def _with_paths(manifest: Manifest, folder: Path) -> Manifest:

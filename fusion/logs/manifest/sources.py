@@ -109,7 +109,7 @@ class ManifestLog(LogContents):
 
     @cached_property
     def problems(self) -> Problems:  # type: ignore[override]
-        """What is wrong with the files, and which streams the manifest names in vain."""
+        """What is wrong with the files, and which streams the manifest names that they do not hold."""
         found: list[str] = []
         for kind in Kind:
             source = self.source(kind)
@@ -130,7 +130,7 @@ class ManifestLog(LogContents):
     def _topics(self, kind: Kind) -> list[Topic]:
         try:
             log = self.log(kind)
-        except InputError:  # told in `problems`
+        except InputError:  # reported in `problems`
             return []
         source = self.source(kind)
         if log is None:

@@ -2,7 +2,7 @@
 
 The flight's time of a frame is the video's own time, counted from its first frame, plus ``start_ns``; or row for row
 from a CSV of frame times, where the recorder wrote one (``libcamera-vid --save-pts``, the logs of most scripts). Raw
-streams (``.h264``) have no time stamps and need such a file; AVI has only a nominal rate, which is used and said.
+streams (``.h264``) have no time stamps and need such a file; AVI has only a nominal rate, which is used and reported.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class VideoIndex:
     time_base
         Seconds per unit.
     numbered
-        Whether frames can only be told by counting them: the file has no time stamps of its own.
+        Whether frames can only be identified by counting them: the file has no time stamps of its own.
     """
 
     pts: npt.NDArray[np.int64]

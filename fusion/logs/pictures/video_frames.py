@@ -38,7 +38,7 @@ class VideoFrames:
     key_pts
         Those of key frames (k,), ascending: a frame can be reached from the last one at or before it.
     numbered
-        Whether frames are told by counting from the beginning, since the file has no time stamps of its own.
+        Whether frames are identified by counting from the beginning, since the file has no time stamps of its own.
     """
 
     def __init__(
@@ -142,7 +142,9 @@ class VideoFrames:
 
         first = key_pts <= int(self._pts[0])
         container = self._container
-        if container is None or first:  # the beginning is reached by opening anew: raw streams cannot seek
+        if (
+            container is None or first
+        ):  # the beginning is reached by opening the file again: raw streams cannot seek
             container = self._open()
         if not first:
             try:

@@ -1,4 +1,4 @@
-"""Do the streams of a flight run on one clock, in nanoseconds: told from rates, durations and overlap."""
+"""Checks whether the streams of a flight run on one clock, in nanoseconds: rates, durations and overlap."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def examine_overlap(name: str, t_ns: TimeArray, frames: TimeArray, advice: Advic
     t_ns, frames
         Times (m,) of the stream and (n,) of the frames.
     advice
-        In whose words the remedy is given.
+        Words the remedy for the kind of log.
     """
     inside = float(np.mean((frames >= t_ns[0]) & (frames <= t_ns[-1])))
     if inside >= MIN_COVERED:

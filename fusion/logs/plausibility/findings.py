@@ -13,7 +13,7 @@ import numpy.typing as npt
 class Severity(StrEnum):
     """How sure it is, and what follows."""
 
-    WARNING = "warning"  # likely, or harmless enough: fused, and said
+    WARNING = "warning"  # likely, or harmless enough: fused, and reported
     ERROR = "error"  # certain, and the answer would be wrong: refused
 
 
@@ -43,13 +43,13 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """Stream, text and remedy in one line, as it stands in a flight's ``problems``."""
+        """Stream, text and remedy in one line, for a flight's ``problems``."""
         return f"{self.stream}: {self.text} ({self.remedy})"
 
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """What to change, in the words of the kind of log that a flight came from.
+    """What to change, worded for the kind of log that a flight came from.
 
     Parameters
     ----------

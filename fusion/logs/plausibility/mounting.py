@@ -1,4 +1,4 @@
-"""Sensors that do not sit on the vehicle as their axes or their readers say: put right, once.
+"""Corrects streams of sensors that are not mounted as their axes or their readers say.
 
 ``mount_rad`` is the sensor's own roll, pitch and yaw on the body, as of a small vehicle inside it: roll right side
 down, pitch nose up, yaw to the right, applied in the order yaw, pitch, roll (``R_body_sensor = Rz Ry Rx`` in FRD). A

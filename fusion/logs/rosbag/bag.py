@@ -121,7 +121,7 @@ def open_log(path: Path) -> LogContents:
     Raises
     ------
     InputError
-        Where rosbags is not installed, the bag is past reading, or holds no topic of use.
+        Where rosbags is not installed, the bag cannot be read, or holds no topic that is of use.
     """
     bag = Bag(path)
     try:
@@ -240,7 +240,7 @@ def _read_velocity(samples: Samples) -> WithProblems[VectorStream]:
 
 
 def _read_world_velocity(turning: Series, samples: Samples) -> WithProblems[VectorStream]:
-    attitude = turning.read().value  # its own problems are told where it is asked for
+    attitude = turning.read().value  # its problems are reported where it is read itself
     where = samples.where()
     return velocity_stream(samples.t_ns, _velocity_columns(samples), cast(AttitudeStream, attitude), where)
 

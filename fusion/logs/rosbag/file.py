@@ -1,7 +1,7 @@
 """Bags as files: ROS 1, ROS 2 (sqlite3 or MCAP, alone or in a folder), opened with rosbags, whole or torn.
 
-A recorder that lost power leaves a bag without its index. rosbags refuses it; here the index is made anew from what
-is there, in memory.
+A recorder that lost power leaves a bag without its index. rosbags refuses it; here the index is rebuilt in
+memory from what is there.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Bag:
     Raises
     ------
     InputError
-        Where rosbags is not installed or the file is past reading.
+        Where rosbags is not installed or the file cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -160,7 +160,7 @@ class Bag:
             raise InputError(
                 f"holds no whole message ({reason})", file=path, remedy="the recording was cut too early"
             )
-        self.problems += (f"the bag has no sound index ({reason}); it was made anew", *recovered.problems)
+        self.problems += (f"the bag has no sound index ({reason}); it was rebuilt", *recovered.problems)
         return recovered
 
     def _open_mcap(self, plugin: Any, path: Path) -> Reader:
@@ -180,7 +180,7 @@ class Bag:
             )
         reader = plugin(path)
         lost = index_mcap(reader)
-        self.problems += (f"the bag has no sound index ({reason}); it was made anew, {lost}",)
+        self.problems += (f"the bag has no sound index ({reason}); it was rebuilt, {lost}",)
         return reader
 
     @property

@@ -37,7 +37,7 @@ class _Record(NamedTuple):
 
 
 class _Entry(NamedTuple):
-    """A message: when it was received, whose it is, and where it stands in which chunk."""
+    """A message: when it was received, its connection, its chunk, and its first and last byte there."""
 
     t_ns: int
     connection: int
