@@ -25,6 +25,7 @@ from fusion.logs.csv.rows import (
     RowFormat,
     Rows,
     is_number,
+    is_row,
     read_blocks,
     read_head,
     read_rows,
@@ -168,7 +169,7 @@ def _from_csv(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     for k, name in enumerate(names):
         column.setdefault(name, k)
     after_header = lines.index(header) + 1
-    sample = [split_fields(line, ",") for line in lines[after_header:] if line.strip()]
+    sample = [split_fields(line, ",") for line in lines[after_header:] if is_row(line)]
     if not sample:
         raise InputError("has a header but no rows", file=path)
     whole = next((row for row in sample if len(row) == len(names)), None)
@@ -178,8 +179,9 @@ def _from_csv(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     heading = _find_heading(path, column)
     if heading.fixed_axis and frame is None:
         raise _which_way(path, "yaw and quaternions do")
-    optional = [name for name in (*_OFFSETS, *_IDS, "corridor_width_m", "in_junction") if name in column]
-    wanted = (*heading.names, *optional)
+    id_name = next((name for name in _IDS if name in column), None)
+    optional = [name for name in (*_OFFSETS, id_name, "corridor_width_m", "in_junction") if name in column]
+    wanted = (*heading.names, *(name for name in optional if name is not None))
     rows, problems = _read(path, ",", column[time_name], tuple(column[name] for name in wanted), names)
     values = dict(zip(wanted, rows.values.T, strict=True))
     offset, offset_unit = np.full(len(rows.first), np.nan), "m"
@@ -197,7 +199,7 @@ def _from_csv(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
         fixed_axis=heading.fixed_axis,
         kind=heading.kind,
         width_m=values.get("corridor_width_m"),
-        ids=next((values[name] for name in _IDS if name in values), None),
+        ids=None if id_name is None else values[id_name],
         in_junction=values.get("in_junction"),
     )
 
@@ -207,14 +209,14 @@ def _read(
 ) -> WithProblems[Rows]:
     """Read the times, as texts, and columns of numbers; a field that is no number becomes NaN."""
     fmt = RowFormat(separator, first, others, "O", width=len(names), keep_bad_fields=True)
-    # Every row counts: whether the last is cut is told by its length alone.
+    # A last line is not taken for cut because its number is shorter: truths are written by hand too.
     blocks = read_blocks(path, separator, leave_out_cut=False)
     rows = read_rows(_without_names(blocks, separator), fmt)
     if not len(rows.first):
         raise InputError(f"its rows do not have the header's {len(names)} columns", file=path)
     problems: Problems = ()
     if rows.damaged:
-        problems += (f"{path.name}: {counted(len(rows.damaged), 'row')} of other length dropped",)
+        problems += (f"{path.name}: {counted(rows.damaged, 'row')} of other length dropped",)
     for column, texts in rows.bad_fields.items():
         if 2 * len(texts) > len(rows.first):
             raise InputError(f"{names[column]} is {texts[0]!r}, no number", file=path)

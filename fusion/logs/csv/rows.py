@@ -200,8 +200,8 @@ class Rows:
         The first column (n,): integers, floats or texts.
     values
         The others (n, k); a field that is empty is NaN.
-    damaged
-        The rows that were dropped.
+    damaged, first_damaged
+        How many rows were dropped, and the first of them.
     bad_fields
         Text of the fields that became NaN though they were not empty, by the index of their column.
     cut
@@ -211,7 +211,8 @@ class Rows:
     number: npt.NDArray[np.int64]
     first: npt.NDArray[np.generic]
     values: FloatArray
-    damaged: tuple[str, ...]
+    damaged: int
+    first_damaged: str
     bad_fields: dict[int, list[str]]
     cut: bool
 
@@ -233,19 +234,21 @@ def read_rows(blocks: Iterable[Block], fmt: RowFormat) -> Rows:
             done += len(lines)
     data = np.concatenate([part.data for part in parts]) if parts else np.zeros(0, fmt.dtype)
     number = np.concatenate([part.number for part in parts]) if parts else np.zeros(0, np.int64)
-    damaged = [line for part in parts for line in part.damaged]
+    damaged = sum(part.damaged for part in parts)
+    first_damaged = next((part.first_damaged for part in parts if part.damaged), "")
     bad_fields: dict[int, list[str]] = {}
     for column, text in (found for part in parts for found in part.bad_fields):
         bad_fields.setdefault(column, []).append(text)
-    return Rows(number, data["t"], data["v"], tuple(damaged), bad_fields, cut)
+    return Rows(number, data["t"], data["v"], damaged, first_damaged, bad_fields, cut)
 
 
 class _Part(NamedTuple):
-    """Some parsed rows: their numbers among the lines given, the lines that were damaged, fields that are bad."""
+    """Some parsed rows, numbered among the lines given; how many lines were damaged, the first, and bad fields."""
 
     data: npt.NDArray[np.void]
     number: npt.NDArray[np.int64]
-    damaged: tuple[str, ...] = ()
+    damaged: int = 0
+    first_damaged: str = ""
     bad_fields: tuple[tuple[int, str], ...] = ()
 
 
@@ -281,7 +284,7 @@ def _parse_slowly(lines: Sequence[str], fmt: RowFormat) -> _Part:
     convert = converters[fmt.first_type]
     rows: list[tuple[int | float | str, list[float]]] = []
     kept: list[int] = []
-    damaged: list[str] = []
+    first_damaged = ""
     bad_fields: list[tuple[int, str]] = []
     for number, line in enumerate(lines):
         try:
@@ -300,13 +303,14 @@ def _parse_slowly(lines: Sequence[str], fmt: RowFormat) -> _Part:
                 for column in fmt.others
             ]
         except (ValueError, IndexError, csv.Error, StopIteration):
-            damaged.append(line)
+            first_damaged = first_damaged or line
             continue
         rows.append((first, values))
         kept.append(number)
         bad_fields += bad
     data = np.array(rows, dtype=fmt.dtype)
-    return _Part(data, np.array(kept, dtype=np.int64), tuple(damaged), tuple(bad_fields))
+    damaged = len(lines) - len(kept)
+    return _Part(data, np.array(kept, dtype=np.int64), damaged, first_damaged, tuple(bad_fields))
 
 
 def _as_number(text: str, *, words: bool = True) -> str:

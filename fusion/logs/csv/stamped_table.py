@@ -93,8 +93,8 @@ def read_table(
     if rows.cut:
         problems += (f"{label}: the last line is cut short, dropped",)
     if rows.damaged:
-        what = f"{counted(len(rows.damaged), 'row')} not of {width} numbers dropped"
-        problems += (f"{label}: {what}, the first is {rows.damaged[0][:60]!r}",)
+        what = f"{counted(rows.damaged, 'row')} not of {width} numbers dropped"
+        problems += (f"{label}: {what}, the first is {rows.first_damaged[:60]!r}",)
     t_ns = rows.first.astype("i8", copy=False)
     index, disorder = in_order(t_ns, label, min_step_ns, file=path)
     values = rows.values[index] if order is None else rows.values[index][:, order]

@@ -210,6 +210,6 @@ def read_columns(layout: Layout, first: int, others: Sequence[int], first_type: 
     if rows.cut:
         problems += (f"{layout.path.name}: the last line is cut short, dropped",)
     if rows.damaged:
-        what = f"{counted(len(rows.damaged), 'row')} damaged, dropped"
-        problems += (f"{layout.path.name}: {what}, the first is {rows.damaged[0][:60]!r}",)
+        what = f"{counted(rows.damaged, 'row')} damaged, dropped"
+        problems += (f"{layout.path.name}: {what}, the first is {rows.first_damaged[:60]!r}",)
     return WithProblems(rows, problems)
