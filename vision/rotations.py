@@ -1,11 +1,13 @@
-"""Roll, pitch and yaw of rotations: Z-Y-X Euler angles of a body FRD in a world whose z points down, radians.
+"""Angles and rotations that both packages need: wrapping, yaw of a quaternion, rotation from Euler angles.
 
-Quaternions are (w, x, y, z), of unit length, and take vectors in the body to the world.
+Quaternions are (w, x, y, z) and take body vectors to world vectors. Euler angles are aerospace Z-Y-X: yaw, then
+pitch, then roll. Right-handed about each axis, so yaw is positive to the right where z points down.
 """
 
 from __future__ import annotations
 
-from math import atan2
+from math import atan2, pi
+from typing import overload
 
 import numpy as np
 import numpy.typing as npt
@@ -13,30 +15,51 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 
+@overload
+def wrap(angle_rad: float) -> float: ...
+@overload
+def wrap(angle_rad: FloatArray) -> FloatArray: ...
+def wrap(angle_rad: float | FloatArray) -> float | FloatArray:
+    """Bring an angle, or an array of angles, into [-pi, pi)."""
+    return (angle_rad + pi) % (2 * pi) - pi
+
+
+@overload
+def wrap_axis(angle_rad: float) -> float: ...
+@overload
+def wrap_axis(angle_rad: FloatArray) -> FloatArray: ...
+def wrap_axis(angle_rad: float | FloatArray) -> float | FloatArray:
+    """Bring the angle of an undirected axis (a corridor looks alike from both ends) into [-pi/2, pi/2)."""
+    return (angle_rad + 0.5 * pi) % pi - 0.5 * pi
+
+
+def yaw_of(q: npt.ArrayLike) -> FloatArray:
+    """Return the yaw (...,) of unit quaternions (..., 4), w x y z, in (-pi, pi]."""
+    w, x, y, z = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
 def yaw_of_quaternion(q_world_body: tuple[float, float, float, float]) -> float:
-    """Yaw of one quaternion, positive right, in [-pi, pi]."""
+    """Return the yaw of one unit quaternion, in [-pi, pi]: `yaw_of` without numpy, for every sample in flight."""
     w, x, y, z = q_world_body
     return atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def down_of_quaternion(q_world_body: tuple[float, float, float, float]) -> tuple[float, float, float]:
-    """Direction of the world's z axis, gravity, in the body: third row of the rotation matrix."""
+    """Return the direction of the world's z axis in the body: third row of the rotation matrix."""
     w, x, y, z = q_world_body
     return 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
 
-def euler_of_quaternions(q_world_body: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Roll, pitch and yaw (...,) of quaternions (..., 4); pitch in [-pi/2, pi/2]."""
-    w, x, y, z = np.moveaxis(np.asarray(q_world_body, dtype=float), -1, 0)
-    roll = np.arctan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return roll, pitch, yaw
+def rotation_from_angles(yaw_rad: float, pitch_rad: float, roll_rad: float) -> FloatArray:
+    """Return the rotation (3, 3) from body to world of Z-Y-X Euler angles.
 
-
-def rotation_of_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> FloatArray:
-    """Rotation matrix R_world_body (3, 3) of Euler angles."""
-    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a), np.sin(a)) for a in (roll_rad, pitch_rad, yaw_rad))
+    Parameters
+    ----------
+    yaw_rad, pitch_rad, roll_rad
+        Turned in this order about z, the new y and the new x.
+    """
+    (cr, cp, cy), (sr, sp, sy) = (f(np.array([roll_rad, pitch_rad, yaw_rad])) for f in (np.cos, np.sin))
     return np.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],

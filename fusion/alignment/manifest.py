@@ -64,18 +64,16 @@ def load_to_align(path: str | Path, camera: Path | None = None) -> Loaded:
 def _size_of_uncalibrated(manifest: Manifest) -> tuple[int, int] | None:
     """Width and height of the pictures where neither manifest nor log has a calibration; None: there is one."""
     from fusion.logs.contents import Kind
-    from fusion.logs.manifest.assembly import open_as_told
-    from fusion.logs.topic_choice import choose_topic
+    from fusion.logs.manifest.sources import ManifestLog
 
-    source = manifest.camera
-    path = source.file or manifest.log
-    if source.calibration is not None or path is None or not path.exists():
+    path = manifest.camera.file or manifest.log
+    if manifest.camera.calibration is not None or path is None or not path.exists():
         return None
-    log = open_as_told(path, source)
-    topic = choose_topic(log, Kind.FRAMES, source.topic, [])
+    log = ManifestLog(manifest)
+    topic = log.choose(Kind.FRAMES).value
     if topic is None or log.camera(topic) is not None:
         return None
-    frames = log.frames(topic, [])
+    frames = log.frames(topic).value
     for index in range(len(frames.t_ns)):
         try:
             height_px, width_px = frames.read(index).shape
@@ -173,13 +171,12 @@ def corrected(manifest: Manifest, alignment: Alignment) -> tuple[Manifest, dict[
 
 def _body_frame(manifest: Manifest, calibration: Path) -> BodyFrame:
     """Return the axes in which a calibration at this place will be read."""
-    from fusion.logs.manifest.assembly import open_as_told
+    from fusion.logs.manifest.sources import open_as_told
     from vision.cameras.calibration import check_body_frame, read_body_frame
 
     source = manifest.camera
     path = source.file or manifest.log
-    log = None if path is None else open_as_told(path, source)
-    frame = getattr(log, "body_frame", None)
+    frame = None if path is None else open_as_told(path, source).body_frame
     if frame is None:
         return read_body_frame(calibration.parent.parent / "body.yaml")
     return check_body_frame(frame)

@@ -329,7 +329,7 @@ def print_config(
     ] = False,
 ) -> None:
     """Print a configuration whole."""
-    from fusion.settings.toml import settings_text
+    from fusion.cli.config import settings_text
 
     typer.echo(settings_text(file, simulate=simulate), nl=False)
 

@@ -13,7 +13,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from fusion.estimator.tables import Table
-from fusion.logs.csv.strict_table import parse_time
+from fusion.logs.csv.rows import parse_time
 from fusion.logs.samples import counted
 
 if TYPE_CHECKING:

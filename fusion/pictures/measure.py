@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.estimator.tables import FRAME_DTYPE, Table
-from fusion.logs.csv.strict_table import parse_time
+from fusion.logs.csv.rows import parse_time
 from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES
 from fusion.pictures.assumed_camera import AssumedView, AssumedViews, assume_views
 from fusion.pictures.attitude_file import AttitudeFile

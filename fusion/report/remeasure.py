@@ -9,6 +9,7 @@ import numpy as np
 
 from fusion.estimator.tables import Table
 from fusion.flight import Flight, GreyImage
+from fusion.logs.interpolation import attitude_at as attitude_at_times
 from vision.errors import InputError
 from vision.measurement import Attitude, FrameMeasurement, Position, Prior, Reason
 
@@ -104,12 +105,6 @@ def attitude_at(flight: Flight, t_ns: int, within_s: float = 0.5) -> Attitude | 
     stream = flight.attitude
     if stream is None or not stream.t_ns.size:
         return None
-    high = int(np.searchsorted(stream.t_ns, t_ns))
-    low, high = max(high - 1, 0), min(high, stream.t_ns.size - 1)
-    gap_ns = int(stream.t_ns[high] - stream.t_ns[low])
-    if min(abs(t_ns - int(stream.t_ns[low])), abs(t_ns - int(stream.t_ns[high]))) > within_s * 1e9:
-        return None
-    part = min(max((t_ns - int(stream.t_ns[low])) / gap_ns, 0.0), 1.0) if gap_ns else 0.0
-    a, b = stream.q_world_body[low], stream.q_world_body[high]
-    q = (1 - part) * a + part * (b if a @ b >= 0 else -b)  # over a few degrees as good as a slerp
-    return Attitude.from_quaternion(q / np.linalg.norm(q))
+    within_ns = round(within_s * 1e9)
+    q_world_body, known = attitude_at_times(stream, np.array([t_ns]), 2 * within_ns, within_ns)
+    return Attitude.from_quaternion(q_world_body[0]) if known[0] else None

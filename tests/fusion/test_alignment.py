@@ -40,11 +40,6 @@ def spoilt(
 
 
 @pytest.fixture(scope="module")
-def office() -> Flight:
-    return load_flight(OFFICE)
-
-
-@pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Another corridor, a wide lens with distortion, stamps 40 ms late."""
     config = SimulationConfig.model_validate(

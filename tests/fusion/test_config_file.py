@@ -9,9 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
+from fusion.cli.config import settings_text
 from fusion.estimator.config import FusionConfig
-from fusion.settings.toml import config_toml, section_of, settings_text
-from fusion.settings.unit_hints import as_number, nearest, too_large, unit_of
+from fusion.settings.sentences import section_of
+from fusion.settings.toml import config_toml
+from fusion.settings.unit_hints import as_number, suggestion, too_large, unit_of
 from fusion.simulate import SimulationConfig
 from vision.errors import InputError
 
@@ -198,8 +200,8 @@ def test_units_of_names() -> None:
 
 
 def test_hints_say_nothing_where_they_know_nothing() -> None:
-    assert nearest("wing_span_furlongs", 3, {"min_lines": "", "buffer_s": "s"}) is None
-    assert nearest("delay_ms", "soon", {"delay_s": "s"}) == "did you mean delay_s, in s?"
+    assert suggestion("wing_span_furlongs", 3, {"min_lines": "", "buffer_s": "s"}) is None
+    assert suggestion("delay_ms", "soon", {"delay_s": "s"}) == "did you mean delay_s, in s?"
     assert as_number("corridor_width_m", "wide") is None
     assert as_number("corridor_width_m", "3 parsecs") is None
     assert as_number("corridor_width_m", "3 deg") == "it is in m, not in degrees"

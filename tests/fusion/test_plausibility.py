@@ -341,7 +341,7 @@ def test_a_real_vehicle_and_its_faults() -> None:
     from fusion.logs import open_log
 
     log = open_log(PX4)
-    good, turned = log.imu("sensor_combined", []), log.attitude("vehicle_attitude", [])
+    good, turned = log.imu("sensor_combined").value, log.attitude("vehicle_attitude").value
     comparison = compare_turns(good, turned)
     assert comparison is not None
     assert comparison.others == ()

@@ -1,4 +1,4 @@
-"""One pass through a bag: the times of every topic, and the numbers of the small ones."""
+"""One pass through a bag: the times of every topic, and the numbers of topics that are not pictures."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from fusion.flight import FloatArray, TimeArray
-from fusion.logs.rosbag.file import Bag
+from fusion.logs.rosbag.file import Bag, SkippingMessages
 from fusion.logs.rosbag.frames import TOPICS as TRANSFORM_TOPICS
 from fusion.logs.rosbag.frames import Mount, StaticFrames
 from fusion.logs.rosbag.messages import WIDTH, RosType, Wire, row
-from fusion.logs.samples import counted
+from fusion.logs.samples import Problems, WithProblems, counted
 from fusion.logs.series import LATEST_NS, Where
 from vision import InputError
 
@@ -27,11 +27,12 @@ if TYPE_CHECKING:
 WANTED = frozenset(kind.value for kind in RosType)
 LOOKS_DOWN, LOOKS_ELSEWHERE = "looks down by /tf_static", "does not look down by /tf_static"
 MIN_DOWN = 0.94  # of the beam along the body's z: within 20 degrees
+T = TypeVar("T")
 LATE_NS = 1_000_000_000  # between a header and its receipt; more means another clock
 
 
 @dataclass(slots=True, eq=False)
-class _Gathered:
+class _Messages:
     """What one pass through the bag finds of a topic."""
 
     name: str
@@ -71,27 +72,49 @@ class Samples:
     values: FloatArray
     first: bytes
     clock: str
-    remarks: tuple[str, ...]
+    remarks: Problems
     axes: str = "x forward, y left, z up taken"
 
     def columns(self, start: int, end: int) -> FloatArray:
         """Return some of the numbers (n, k)."""
         return self.values[:, start:end]
 
-    def where(self, problems: list[str]) -> Where:
-        """Where to report what is wrong with it."""
-        problems += [remark for remark in self.remarks if remark not in problems]
-        return Where(self.file, self.name, problems)
+    def where(self) -> Where:
+        """Return what to call it in messages."""
+        return Where(self.file, self.name)
+
+    def with_remarks(self, read: WithProblems[T]) -> WithProblems[T]:
+        """Put what was noticed while going through the bag before what was found on reading."""
+        return WithProblems(read.value, self.remarks + read.problems)
 
 
-def gather(bag: Bag, wire: Wire) -> tuple[list[Samples], dict[str, bytes], StaticFrames]:
-    """Every topic of use, the first CameraInfo of each that has one, and how the sensors are mounted."""
-    found: dict[tuple[str, str], _Gathered] = {}
+@dataclass(frozen=True, slots=True, eq=False)
+class Gathered:
+    """What one pass through a bag finds.
+
+    Parameters
+    ----------
+    samples
+        Every topic of use.
+    infos
+        The first CameraInfo of each topic of them.
+    frames
+        How the sensors are mounted.
+    """
+
+    samples: tuple[Samples, ...]
+    infos: dict[str, bytes]
+    frames: StaticFrames
+
+
+def gather(bag: Bag, wire: Wire) -> WithProblems[Gathered]:
+    """Go through a bag once."""
+    found: dict[tuple[str, str], _Messages] = {}
     connections = [connection for connection in bag.connections if of_use(connection)]
     infos: dict[str, bytes] = {}
     frames = StaticFrames()
     read: Counter[str] = Counter()
-    messages = bag.messages(connections, problems=bag.problems) if connections else ()
+    messages = SkippingMessages(bag, connections)
     for connection, received_ns, raw in messages:
         read[connection.topic] += 1
         if connection.msgtype == RosType.CAMERA_INFO:
@@ -102,31 +125,35 @@ def gather(bag: Bag, wire: Wire) -> tuple[list[Samples], dict[str, bytes], Stati
         else:
             key = (connection.topic, connection.msgtype)
             if key not in found:
-                found[key] = _Gathered(connection.topic, RosType(connection.msgtype))
+                found[key] = _Messages(connection.topic, RosType(connection.msgtype))
             found[key].take(wire, received_ns, raw)
+    problems: Problems = messages.problems
     for topic in sorted({connection.topic for connection in connections}):
         promised = sum(connection.msgcount for connection in connections if connection.topic == topic)
         if read[topic] < promised:
-            bag.problems.append(
-                f"{topic}: {read[topic]} of {counted(promised, 'message')} in the index can be read"
+            problems += (
+                f"{topic}: {read[topic]} of {counted(promised, 'message')} in the index can be read",
             )
     gathered = sorted((topic for topic in found.values() if topic.stamps_ns), key=lambda topic: topic.name)
     samples = [_turned_into_body(_put_right(bag, topic), wire, frames) for topic in gathered]
-    return [s for s in samples if s.kind is not RosType.RANGE or _sees_floor(bag, s)], infos, frames
+    elsewhere = [s for s in samples if s.kind is RosType.RANGE and s.axes == LOOKS_ELSEWHERE]
+    problems += tuple(f"{s.name}: {LOOKS_ELSEWHERE}, left out" for s in elsewhere)
+    kept = tuple(s for s in samples if s not in elsewhere)
+    return WithProblems(Gathered(kept, infos, frames), problems)
 
 
-def _put_right(bag: Bag, found: _Gathered) -> Samples:
+def _put_right(bag: Bag, found: _Messages) -> Samples:
     """Choose a topic's clock: its headers, or where these are empty, the receipt."""
     stamps_ns = np.array(found.stamps_ns, dtype=np.int64)
     received_ns = np.array(found.received_ns, dtype=np.int64)
-    remarks = []
+    remarks: Problems = ()
     if found.broken:
-        remarks.append(f"{found.name}: {counted(found.broken, 'damaged message')} dropped")
+        remarks += (f"{found.name}: {counted(found.broken, 'damaged message')} dropped",)
     empty = stamps_ns == 0
     if 2 * np.count_nonzero(empty) > len(empty):
         t_ns, clock = received_ns, "times of receipt, its headers are empty"
-        remarks.append(
-            f"{found.name}: headers without time; the times are those of receipt, late by an unknown delay"
+        remarks += (
+            f"{found.name}: headers without time; the times are those of receipt, late by an unknown delay",
         )
     else:
         t_ns, clock = np.where(empty, -1, stamps_ns), "times of the headers"
@@ -135,9 +162,7 @@ def _put_right(bag: Bag, found: _Gathered) -> Samples:
             clock += f", {abs(late_ns) * 1e-9:.6g} s {'before' if late_ns > 0 else 'after'} receipt"
     width = WIDTH.get(found.kind, 0)
     values = np.array(found.values, dtype=float).reshape(len(t_ns), width)
-    return Samples(
-        bag.path, found.name, found.kind, t_ns, received_ns, values, found.first, clock, tuple(remarks)
-    )
+    return Samples(bag.path, found.name, found.kind, t_ns, received_ns, values, found.first, clock, remarks)
 
 
 def of_use(connection: Connection) -> bool:
@@ -174,13 +199,6 @@ def _told_where_it_looks(samples: Samples, mount: Mount | None) -> Samples:
         return replace(samples, axes="taken to look down", remarks=(*samples.remarks, remark))
     down = float(mount.R_body_sensor[2, 0]) > MIN_DOWN
     return replace(samples, axes=LOOKS_DOWN if down else LOOKS_ELSEWHERE)
-
-
-def _sees_floor(bag: Bag, samples: Samples) -> bool:
-    if samples.axes == LOOKS_ELSEWHERE:
-        bag.problems.append(f"{samples.name}: {LOOKS_ELSEWHERE}, left out")
-        return False
-    return True
 
 
 def _times_inverse(q: FloatArray, R: FloatArray) -> FloatArray:

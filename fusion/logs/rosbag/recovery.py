@@ -1,4 +1,4 @@
-"""Bags whose recorder lost power: no index, a torn end. What is whole is found and put in the order of time.
+"""Recovery of bags whose recorder lost power, so that they lack an index or an end: whole messages are found, sorted.
 
 Formats: http://wiki.ros.org/Bags/Format/2.0 and https://mcap.dev/spec
 """
@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
-from fusion.logs.samples import counted
+from fusion.logs.samples import Problems, counted
 from vision import InputError
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class _Record(NamedTuple):
 
 
 class _Entry(NamedTuple):
-    """A message: when it was received, whose it is, and where it stands in which chunk."""
+    """A message: when it was received, its connection, its chunk, and its first and last byte there."""
 
     t_ns: int
     connection: int
@@ -46,13 +46,13 @@ class _Entry(NamedTuple):
     end: int
 
 
-class TornRos1:
+class UnindexedRos1:
     """A ROS 1 bag without its index, read like a `rosbags.rosbag1.Reader`."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.connections: list[Connection] = []
-        self.problems: list[str] = []
+        self.problems: Problems = ()
         self._bio: BinaryIO | None = None
         self._chunks: list[tuple[int, int, str]] = []
         self._entries: list[_Entry] = []
@@ -77,7 +77,7 @@ class TornRos1:
             at = record.end
         self._entries.sort(key=lambda entry: entry.t_ns)
         if damaged:
-            self.problems.append(f"{counted(damaged, 'chunk')} of the bag damaged or torn")
+            self.problems = (f"{counted(damaged, 'chunk')} of the bag damaged or torn",)
 
     def close(self) -> None:
         """Close the file."""
