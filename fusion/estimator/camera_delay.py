@@ -34,8 +34,9 @@ from math import hypot, nan, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.models import BIAS, PSI, wrap_axis
+from fusion.estimator.models import BIAS, PSI
 from fusion.estimator.noise_adaptation import as_if_independent, correlation
+from vision.rotations import wrap_axis
 
 if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF

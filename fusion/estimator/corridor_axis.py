@@ -21,10 +21,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, V, Y, heading_model, wrap_axis
+from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, V, Y, heading_model
 from fusion.estimator.noise_adaptation import SourceNoise
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD
 from fusion.estimator.votes import AGREEING_SHARE, Agreement, Vote, add_vote, agreement, is_contested
+from vision.rotations import wrap_axis
 
 if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF

@@ -46,7 +46,6 @@ from fusion.estimator.models import (
     Vector,
     heading_model,
     level_yaw_rate,
-    wrap_axis,
 )
 from fusion.estimator.noise_adaptation import Doubt, correlation, update_with_doubt
 from fusion.estimator.propagation import (
@@ -63,7 +62,7 @@ from fusion.estimator.smoother import Node
 from fusion.estimator.tilt import Tilt
 from fusion.estimator.velocity import Velocity, VelocitySample, with_velocity
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
-from vision.rotations import yaw_of_quaternion
+from vision.rotations import wrap_axis, yaw_of_quaternion
 
 OUTLIER_DENSITY = 1 / pi  # an outlying heading may be any
 

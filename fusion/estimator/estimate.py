@@ -13,10 +13,11 @@ import numpy as np
 from fusion.estimator.camera_delay import camera_delay, spread_by_delay
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.lateral import readout
-from fusion.estimator.models import PSI, wrap, wrap_axis
+from fusion.estimator.models import PSI
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, Mode
 from fusion.estimator.sample_times import seconds_since
 from vision.measurement import position_from_offset
+from vision.rotations import wrap, wrap_axis
 
 if TYPE_CHECKING:
     from fusion.estimator.engine import State

@@ -11,8 +11,8 @@ from math import isfinite, nan, pi
 from typing import NamedTuple
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.models import wrap_axis
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
+from vision.rotations import wrap_axis
 
 Measure = Callable[[Attitude | None, Prior], FrameMeasurement]
 """What turns attitude and prediction into a frame's measurement."""

@@ -12,12 +12,13 @@ from math import cos, hypot, isfinite, nan, sin, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.models import PSI, FloatArray, V, Vector, Y, lateral_model, wrap_axis
+from fusion.estimator.models import PSI, FloatArray, V, Vector, Y, lateral_model
 from fusion.estimator.noise_adaptation import Doubt, SourceNoise, correlation, update_with_doubt
 from fusion.estimator.propagation import Drift
 from fusion.estimator.velocity import Velocity
 from fusion.estimator.votes import AGREEING_SHARE, Vote, add_vote, agreement, is_contested
 from vision.measurement import FrameMeasurement
+from vision.rotations import wrap_axis
 
 if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF

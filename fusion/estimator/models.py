@@ -19,8 +19,8 @@ Process, with level yaw rate omega, forward and sideways speed u, w (half widths
 
 from __future__ import annotations
 
-from math import cos, pi
-from typing import NamedTuple, overload
+from math import cos
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from fusion.estimator.kernels import Quaternion as Quaternion
 from fusion.estimator.kernels import V as V
 from fusion.estimator.kernels import Vector as Vector
 from fusion.estimator.kernels import Y as Y
+from vision.rotations import wrap, wrap_axis
 
 
 class ProcessNoise(NamedTuple):
@@ -71,20 +72,6 @@ class Gate(NamedTuple):
     accepted: bool
     residual: float
     test_ratio: float
-
-
-@overload
-def wrap(angle_rad: float) -> float: ...
-@overload
-def wrap(angle_rad: FloatArray) -> FloatArray: ...
-def wrap(angle_rad: float | FloatArray) -> float | FloatArray:
-    """Bring angles into [-pi, pi)."""
-    return (angle_rad + pi) % (2 * pi) - pi
-
-
-def wrap_axis(angle_rad: float) -> float:
-    """Bring the angle of a direction without sense (a corridor seen from either end) into [-pi/2, pi/2)."""
-    return (angle_rad + 0.5 * pi) % pi - 0.5 * pi
 
 
 def level_yaw_rate(gyro_rad_s: tuple[float, float, float], down: tuple[float, float, float]) -> float:

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.models import BIAS, N_STATES, PSI, ProcessNoise, Vector, wrap
+from fusion.estimator.models import BIAS, N_STATES, PSI, ProcessNoise, Vector
 from fusion.estimator.sample_times import SampleTimes, seconds_since
 from fusion.estimator.tilt import ATTITUDE_GAP_S
+from vision.rotations import wrap
 
 if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF

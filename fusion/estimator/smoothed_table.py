@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.models import BIAS, PSI, YAW_OFFSET, FloatArray, Y, wrap, wrap_axis
+from fusion.estimator.models import BIAS, PSI, YAW_OFFSET, FloatArray, Y
 from fusion.estimator.smoother import Steps, rts
 from fusion.estimator.tables import Table
 from vision.measurement import position_from_offset
+from vision.rotations import wrap, wrap_axis
 
 KNOWN_OFFSET_STD_NORM = 0.5
 KNOWN_IMU_YAW_STD_RAD = 0.5

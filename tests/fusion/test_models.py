@@ -18,10 +18,9 @@ from fusion.estimator.models import (
     lateral_model,
     level_yaw_rate,
     step,
-    wrap,
-    wrap_axis,
 )
 from tests.fusion.process_model import propagate, transition
+from vision.rotations import wrap, wrap_axis
 
 NOISE = ProcessNoise(heading=0.0075, bias=3e-4, offset=0.009, v_std=0.4, v_time_s=0.8)
 angles = st.floats(-50.0, 50.0)
