@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import replace
 from heapq import merge
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,45 +20,13 @@ from fusion.estimator.state import describe
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table
 from fusion.estimator.timeline import Entry, Kind
 from fusion.flight import Flight
+from fusion.offline.summary import summarise
+from fusion.progress import Progress
+from fusion.result.result import FusionResult, Timings
 from vision.errors import InputError
 from vision.measurement import FrameMeasurement, position_from_offset
 
-if TYPE_CHECKING:
-    from fusion.offline.summary import Timings
-
-Progress = Callable[[int, int], None]
-
 BLOCK_ROWS = 4096
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FusionResult:
-    """A fused flight.
-
-    Parameters
-    ----------
-    flight_name
-        Of the flight.
-    config
-        Settings as used: noise that the log declares is filled in.
-    estimates, smoothed
-        The causal filter and the smoother, arrays of `fusion.estimator.tables.ESTIMATE_DTYPE`, a row per propagation
-        step.
-    frames
-        A row of `fusion.estimator.tables.FRAME_DTYPE` per camera frame.
-    summary
-        Verdict, counts, rates, timings and errors against the truth: plain values, ready for JSON.
-    problems
-        What was wrong with the log and with its samples, a sentence each.
-    """
-
-    flight_name: str
-    config: FusionConfig
-    estimates: Table
-    smoothed: Table
-    frames: Table
-    summary: dict[str, Any] = field(default_factory=dict)
-    problems: tuple[str, ...] = ()
 
 
 def fuse_flight(
@@ -88,23 +56,19 @@ def fuse_flight(
     InputError
         Where the method is unknown or the flight has no frames.
     """
-    from fusion.offline.summary import Timings, summarise
-
     started = time.perf_counter()
     if not len(flight.frames.t_ns):
         raise InputError("the flight has no camera frames", remedy="check mav0/cam0/data.csv of the log")
     settings = _with_declared_values(config or FusionConfig(), flight)
     recorder = Recorder(settings, _row_kind(flight))
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
-    timings = Timings()
-    _feed(estimator, flight, progress, timings)
+    vision_s = _feed(estimator, flight, progress)
     estimator.finish()
     recorder.finish()
-    timings.filter_s = time.perf_counter() - started - timings.vision_s
-    before = time.perf_counter()
+    filtered = time.perf_counter()
     smoothed = recorder.smoothed()
-    timings.smoother_s = time.perf_counter() - before
-    timings.total_s = time.perf_counter() - started
+    ended = time.perf_counter()
+    timings = Timings(vision_s, filtered - started - vision_s, ended - filtered, ended - started)
     result = FusionResult(
         flight_name=flight.name,
         config=settings,
@@ -113,7 +77,7 @@ def fuse_flight(
         frames=np.array(recorder.frames, dtype=FRAME_DTYPE),
         problems=(*flight.problems, *_sample_problems(estimator)),
     )
-    return summarise(result, flight, method, estimator.counters, timings)
+    return replace(result, summary=summarise(result, flight, method, estimator.counters, timings))
 
 
 def _with_declared_values(config: FusionConfig, flight: Flight) -> FusionConfig:
@@ -140,8 +104,9 @@ def _row_kind(flight: Flight) -> Kind:
     return Kind.FRAME
 
 
-def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | None, timings: Timings) -> None:
-    """Give the estimator all samples, in order of the time they tell of."""
+def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | None) -> float:
+    """Give the estimator all samples, in order of measurement time; return the seconds spent on pictures."""
+    vision_s = 0.0
     delay_ns = round(estimator.config.camera_delay_s * 1e9)
     streams: list[Iterator[tuple[int, int, int]]] = [_times(flight.frames.t_ns - delay_ns, Kind.FRAME)]
     gyro = accel = q = v = np.zeros((0, 3))
@@ -174,9 +139,10 @@ def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | Non
                 estimator.add_frame(t_ns + delay_ns, flight.frames.read(i))
             except InputError:
                 estimator.add_unreadable_frame(t_ns + delay_ns)
-            timings.vision_s += time.perf_counter() - before
+            vision_s += time.perf_counter() - before
             if progress is not None:
                 progress(i + 1, total)
+    return vision_s
 
 
 def _times(t_ns: npt.NDArray[np.int64], kind: Kind) -> Iterator[tuple[int, int, int]]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fusion.flight import Flight
-    from fusion.offline.fuse import FusionResult
+    from fusion.result.result import FusionResult
 
 __all__ = ["write_report"]
 

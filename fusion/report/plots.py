@@ -6,8 +6,6 @@ their extremes, so that a long flight draws as fast as a short one. No global st
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import PathPatch
@@ -15,12 +13,12 @@ from matplotlib.path import Path
 from matplotlib.ticker import NullLocator
 
 from fusion.estimator.tables import Table
-from fusion.evaluation.errors import interpolate_truth, wrap_angle
+from fusion.evaluation.errors import interpolate_truth
 from fusion.flight import AttitudeStream, CorridorTruth, Flight, FloatArray, TimeArray
-from fusion.report.series import IndexArray, band_envelope, broken, envelope, runs, thin_points
-
-if TYPE_CHECKING:
-    from fusion.offline.fuse import FusionResult
+from fusion.report.series import IndexArray, band_envelope, broken, envelope, thin_points
+from fusion.result.result import FusionResult
+from fusion.result.table_rows import runs
+from vision.rotations import wrap, yaw_of
 
 INK = "#1b1f24"
 FAINT = "#7a828b"
@@ -155,19 +153,19 @@ def aligned_imu_yaw(attitude: AttitudeStream, table: Table) -> tuple[FloatArray,
         Yaw less the offset that the filter holds at that time, and yaw less the constant that fits the first
         second of tracking; both in radians, less the turn between corridors, NaN outside the table.
     """
-    yaw = _yaw_of(attitude.q_world_body)
+    yaw = yaw_of(attitude.q_world_body)
     t = attitude.t_ns
     row = np.clip(np.searchsorted(table["timestamp_ns"], t, side="right") - 1, 0, len(table) - 1)
     inside = (t >= table["timestamp_ns"][0]) & (t <= table["timestamp_ns"][-1])
     turned = yaw - table["corridor_turn_rad"][row]
-    aligned = np.where(inside, wrap_angle(turned - table["imu_yaw_offset_rad"][row]), np.nan)
-    difference = wrap_angle(turned - table["heading_rad"][row])
+    aligned = np.where(inside, wrap(turned - table["imu_yaw_offset_rad"][row]), np.nan)
+    difference = wrap(turned - table["heading_rad"][row])
     tracking = inside & (table["status"][row] == "tracking") & np.isfinite(difference)
     if not tracking.any():
         return aligned, np.full(len(yaw), np.nan)
     first = tracking & (t <= t[tracking][0] + 1_000_000_000)
     start = np.angle(np.mean(np.exp(1j * difference[first])))
-    return aligned, np.where(inside, wrap_angle(turned - start), np.nan)
+    return aligned, np.where(inside, wrap(turned - start), np.nan)
 
 
 def mark_status(ax: Axes, result: FusionResult) -> None:
@@ -196,11 +194,6 @@ def _plot_imu_yaw(ax: Axes, attitude: AttitudeStream, table: Table, origin_ns: i
         _line(ax, t, degrees, np.union1d(switches, _wraps(degrees)), colour, 1.0, label)
 
 
-def _yaw_of(q: FloatArray) -> FloatArray:
-    w, x, y, z = q.T
-    return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-
-
 def _plot_state(ax: Axes, result: FusionResult, name: str, label: str) -> None:
     for table, colour, width, word in (
         (result.smoothed, SMOOTHED, 1.1, "smoother"),
@@ -223,7 +216,7 @@ def _plot_error(
     ):
         at = interpolate_truth(truth, table["timestamp_ns"])
         error = table[name] - getattr(at, name)
-        error = (wrap_angle(error) if name == "heading_rad" else error) * scale
+        error = (wrap(error) if name == "heading_rad" else error) * scale
         error[at.in_junction] = np.nan
         t = seconds(table["timestamp_ns"], origin)
         if word == "filter":

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from fusion.estimator.tables import Table
 from fusion.flight import Flight, GreyImage
+from fusion.result.result import FusionResult
+from fusion.result.table_rows import row_before
 from vision.errors import InputError
 from vision.measurement import Attitude, FrameMeasurement, Position, Prior, Reason
-
-if TYPE_CHECKING:
-    from fusion.offline.fuse import FusionResult
 
 
 class Seen(NamedTuple):
@@ -55,7 +53,7 @@ def seen_again(result: FusionResult, flight: Flight, row: int) -> Seen | None:
             flight.camera,
             attitude_at(flight, t_ns),
             prior,
-            method=result.summary.get("method", "geometric"),
+            method="paper" if result.summary.method == "paper" else "geometric",
         )
     except InputError:
         return Seen(image, None)
@@ -65,11 +63,6 @@ def seen_again(result: FusionResult, flight: Flight, row: int) -> Seen | None:
 def delay_ns(result: FusionResult) -> int:
     """How much later than mid-exposure the filter took the frames to be stamped."""
     return round(result.config.camera_delay_s * 1e9)
-
-
-def row_before(table: Table, t_ns: int) -> int:
-    """Row of a table that is not empty which holds at a time: the last not after it, else the first."""
-    return max(int(np.searchsorted(table["timestamp_ns"], t_ns, side="right")) - 1, 0)
 
 
 def _as_recorded(measurement: FrameMeasurement, record: np.void) -> FrameMeasurement:

@@ -67,10 +67,3 @@ def thin_points(t_s: FloatArray, y: FloatArray, limit: int = 3000) -> tuple[Floa
 def broken(t_s: FloatArray, y: FloatArray, before: IndexArray) -> tuple[FloatArray, FloatArray]:
     """Break a line before the samples of the given indices, so that no stroke joins what does not belong."""
     return np.insert(t_s, before, t_s[before]), np.insert(y, before, np.nan)
-
-
-def runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Half-open index ranges (start, stop) of the stretches in which a flag is set."""
-    padded = np.concatenate(([False], flags, [False])).astype(np.int8)
-    edges = np.flatnonzero(np.diff(padded))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -5,18 +5,16 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.estimator.tables import Table
-from fusion.evaluation.errors import interpolate_truth, wrap_angle
+from fusion.evaluation.errors import interpolate_truth
 from fusion.flight import Flight, FloatArray
-from fusion.report.remeasure import delay_ns, row_before, seen_again
-from fusion.report.series import runs
-
-if TYPE_CHECKING:
-    from fusion.offline.fuse import FusionResult
+from fusion.report.remeasure import delay_ns, seen_again
+from fusion.result.result import FusionResult
+from fusion.result.table_rows import row_before, runs
+from vision.rotations import wrap
 
 JPEG_QUALITY = 78
 MAX_WIDTH_PX = 640
@@ -97,7 +95,7 @@ def _offers(result: FusionResult, flight: Flight) -> list[list[tuple[int, str]]]
     rate = np.interp(t_ns, table["timestamp_ns"], np.abs(table["yaw_rate_rad_s"]))
     everything.append(_largest(rate, "turning fastest", 6))
     if flight.truth is not None:
-        error = np.abs(wrap_angle(frames["heading_rad"] - interpolate_truth(flight.truth, t_ns).heading_rad))
+        error = np.abs(wrap(frames["heading_rad"] - interpolate_truth(flight.truth, t_ns).heading_rad))
         everything.append(_largest(np.where(frames["accepted"], error, np.nan), "furthest from the truth", 4))
     offset = np.where(frames["accepted"], np.abs(frames["lateral_offset_norm"]), np.nan)
     everything.append(_largest(offset, "furthest from the centre line", 2))

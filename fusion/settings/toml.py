@@ -124,34 +124,6 @@ def section_of(field: FieldInfo) -> type[BaseModel] | None:
     return next((o for o in options if isinstance(o, type) and issubclass(o, BaseModel)), None)
 
 
-def settings_text(file: str | Path | None = None, *, simulate: bool = False) -> str:
-    """Return the settings of ``corridor fuse``, or of ``corridor simulate``, as `config_toml` writes them.
-
-    Parameters
-    ----------
-    file
-        A settings file; None for the defaults.
-    simulate
-        Whether it is the simulator's.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be read or used.
-    """
-    from fusion.estimator.config import FusionConfig
-    from fusion.simulate import SimulationConfig
-
-    model = SimulationConfig if simulate else FusionConfig
-    config = model() if file is None else model.from_toml(file)
-    command = "corridor simulate OUT" if simulate else "corridor fuse FLIGHT"
-    whose = "the defaults" if file is None else f"as {Path(file).name} makes them"
-    return config_toml(
-        config,
-        f"Settings of `{command} --config`: {whose}. What is deleted or stays a comment keeps its default.",
-    )
-
-
 def config_toml(config: BaseModel, heading: str) -> str:
     """Write a configuration as TOML with each setting's meaning, unit, bounds and default as comments.
 
