@@ -137,4 +137,4 @@ def fuse(
         result = fuse_flight(log, settings, method=method.value, progress=progress)
     with progress_bar("writing") as progress:
         write_outputs(result, log, folder, exports=exports, frame=frame, progress=progress)
-    typer.echo(fusion_text(result.summary, folder, remarks(exports, frame)))
+    typer.echo(fusion_text(result.overview, folder, remarks(exports, frame)))

@@ -77,7 +77,7 @@ def fuse_flight(
         frames=np.array(recorder.frames, dtype=FRAME_DTYPE),
         problems=(*flight.problems, *_sample_problems(estimator)),
     )
-    return replace(result, summary=summarise(result, flight, method, estimator.counters, timings))
+    return replace(result, overview=summarise(result, flight, method, estimator.counters, timings))
 
 
 def _with_declared_values(config: FusionConfig, flight: Flight) -> FusionConfig:

@@ -263,7 +263,7 @@ def settings(result: FusionResult) -> list[tuple[str, str, str, bool]]:
 def timings(result: FusionResult) -> list[tuple[str, str]]:
     """Return what the run cost, as far as the summary tells, and the frames' own times."""
     found = []
-    told = {} if result.summary.timings is None else result.summary.timings.to_dict()
+    told = {} if result.overview.timings is None else result.overview.timings.to_dict()
     for name, (words, unit) in TIMING_WORDS.items():
         if told.get(name) is not None:
             found.append((words, f"{told[name]:.3g} {unit}"))

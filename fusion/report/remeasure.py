@@ -53,7 +53,7 @@ def seen_again(result: FusionResult, flight: Flight, row: int) -> Seen | None:
             flight.camera,
             attitude_at(flight, t_ns),
             prior,
-            method="paper" if result.summary.method == "paper" else "geometric",
+            method="paper" if result.overview.method == "paper" else "geometric",
         )
     except InputError:
         return Seen(image, None)

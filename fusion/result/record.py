@@ -12,7 +12,7 @@ class Record(Mapping[str, Any]):
     """Base of frozen dataclasses that are written as JSON objects.
 
     Attributes are typed; `to_dict` gives the JSON object, and ``record["name"]`` reads from it, so that a result
-    in memory and the ``summary.json`` read back are used alike. Fields named in ``optional`` are left out of the
+    in memory and its JSON read back are used alike. Fields named in ``optional`` are left out of the
     object while they are None.
     """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.tables import Table
@@ -34,9 +35,8 @@ class FusionResult:
         step.
     frames
         A row of `fusion.estimator.tables.FRAME_DTYPE` per camera frame.
-    summary
-        Verdict, counts, rates, timings and errors against the truth; ``summary["verdict"]`` reads it as the
-        ``summary.json`` it is written to.
+    overview
+        Verdict, counts, rates, timings and errors against the truth, typed; `summary` has them as plain values.
     problems
         What was wrong with the log and with its samples, a sentence each.
     """
@@ -46,5 +46,10 @@ class FusionResult:
     estimates: Table
     smoothed: Table
     frames: Table
-    summary: Summary = field(default_factory=Summary)
+    overview: Summary = field(default_factory=Summary)
     problems: tuple[str, ...] = ()
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Return the overview as plain values, ready for JSON: what ``summary.json`` holds."""
+        return self.overview.to_dict()

@@ -13,14 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion.cli import app as cli
+from fusion.cli.evaluate_text import comparison_text
 from fusion.estimator.tables import ESTIMATE_DTYPE
 from fusion.evaluation.comparison import compare, read_outputs
-from fusion.evaluation.comparison_text import comparison_text
 from fusion.evaluation.truth_file import _times, read_truth
-from fusion.outputs.exports import Frame
-from fusion.outputs.folder import write_summary, write_table
 from fusion.outputs.tum import write_tum
-from fusion.result.conventions import file_facts, summary_in_frame, table_in_frame
+from fusion.result.conventions import Frame, file_facts, summary_in_frame, table_in_frame
+from fusion.result.summary_json import write_summary
+from fusion.result.tables_csv import write_table
 from vision import InputError
 
 T0_NS = 1_600_000_000_000_000_000

@@ -1,8 +1,8 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from math import radians
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -12,14 +12,17 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from fusion.evaluation.checks import run_checks
 from fusion.evaluation.checks_input import yaw_steps
-from fusion.evaluation.verdict import Level, overall
+from fusion.evaluation.verdict import overall
 from fusion.flight import AttitudeStream, CorridorTruth, Flight, FrameStream, ImuStream
 from fusion.logs.pictures.camera_folder import PictureFiles
 from fusion.report import write_report
 from fusion.report.plots import aligned_imu_yaw
 from fusion.report.remeasure import attitude_at
-from fusion.report.series import band_envelope, broken, envelope, runs, thin_points
+from fusion.report.series import band_envelope, broken, envelope, thin_points
 from fusion.report.strip import choose_frames, show_frames
+from fusion.result.result import FusionResult
+from fusion.result.summary import Level
+from fusion.result.table_rows import runs
 from vision import Camera, InputError
 
 T0_NS = 1_600_000_000_000_000_000
@@ -119,24 +122,15 @@ def make_flight(folder, *, duration_s=12.0, imu_hz=50.0, frame_hz=10.0, pictures
     if pictures:
         for k in range(len(frames)):
             corridor_picture(flight.frames.source.paths[k], camera, heading(t_frame[k]), offset(t_frame[k]))
-    result = SimpleNamespace(
+    result = FusionResult(
         flight_name="swing <one>",
         config=FusionConfig(corridor_width_m=WIDTH_M),
         estimates=estimates,
         smoothed=smoothed,
         frames=frames,
-        summary={"method": "geometric"},
         problems=(),
     )
     return result, flight
-
-
-def change(thing, **changes):
-    """Return a copy of a result or flight with other fields."""
-    if isinstance(thing, SimpleNamespace):
-        return SimpleNamespace(**(vars(thing) | changes))
-    names = Flight.__slots__
-    return Flight(**({name: getattr(thing, name) for name in names} | changes))
 
 
 def table_with(table, **columns):
@@ -235,7 +229,7 @@ def test_rejections_turns_and_switches_reach_the_strip(swing):
     )
     frames = table_with(frames, accepted=(80, False), reason=(80, "blur"))
     estimates = table_with(result.estimates, corridor_index=(slice(500, None), 1))
-    chosen = {c.row: c.why for c in choose_frames(change(result, frames=frames, estimates=estimates), flight)}
+    chosen = {c.row: c.why for c in choose_frames(replace(result, frames=frames, estimates=estimates), flight)}
     assert chosen[0] == "first frame used"
     assert chosen[44] == "rejected"  # the middle of its stretch
     assert chosen[80] == "rejected"
@@ -247,7 +241,7 @@ def test_rejections_turns_and_switches_reach_the_strip(swing):
 def test_a_drawn_frame_carries_the_recorded_verdict(swing):
     result, flight = swing
     frames = table_with(result.frames, accepted=(60, False), reason=(60, "gate"))
-    result = change(result, frames=frames)
+    result = replace(result, frames=frames)
     (shown,) = show_frames(result, flight, [c for c in choose_frames(result, flight) if c.row == 60])
     assert shown.t_s == pytest.approx(6.0)
     assert shown.picture.startswith("data:image/jpeg;base64,")
@@ -269,7 +263,7 @@ def test_ten_minutes_stay_under_six_megabytes(swing, tmp_path):
     paths = tuple(pictures[k % len(pictures)] for k in range(len(flight.frames.t_ns)))
     refused = np.random.default_rng(1).random(len(paths)) < 0.1
     result.frames["accepted"][refused], result.frames["reason"][refused] = False, "gate"
-    flight = change(flight, frames=FrameStream(flight.frames.t_ns, PictureFiles(paths)))
+    flight = replace(flight, frames=FrameStream(flight.frames.t_ns, PictureFiles(paths)))
     write_report(result, flight, tmp_path / "report.html")
     assert (tmp_path / "report.html").stat().st_size < 6e6
 
@@ -279,7 +273,7 @@ def test_an_earlier_report_survives_a_failure(swing, tmp_path):
     path.write_text("earlier")
     result, flight = swing
     with pytest.raises(AttributeError):
-        write_report(change(result, summary=None), flight, path)
+        write_report(replace(result, overview=None), flight, path)
     assert path.read_text() == "earlier"
     with pytest.raises(InputError, match="cannot write the report"):
         write_report(result, flight, tmp_path / "missing" / "report.html")
@@ -309,8 +303,8 @@ def test_a_bare_flight_is_reported_without_truth_imu_attitude_or_a_single_used_f
         heading_rad=(slice(None), np.nan),
         lateral_offset_norm=(slice(None), np.nan),
     )
-    result = change(result, estimates=estimates, smoothed=estimates.copy(), frames=frames)
-    flight = change(flight, truth=None, imu=None, attitude=None)
+    result = replace(result, estimates=estimates, smoothed=estimates.copy(), frames=frames)
+    flight = replace(flight, truth=None, imu=None, attitude=None)
     checks = by_name(result, flight)
     assert checks["Frames used"].level is Level.FAIL
     assert "too few lines" in checks["Frames used"].meaning
@@ -325,7 +319,7 @@ def test_a_bare_flight_is_reported_without_truth_imu_attitude_or_a_single_used_f
 
 def level_with(swing, name, *, table="frames", **columns):
     result, flight = swing
-    return by_name(change(result, **{table: table_with(getattr(result, table), **columns)}), flight)[
+    return by_name(replace(result, **{table: table_with(getattr(result, table), **columns)}), flight)[
         name
     ].level
 
@@ -377,13 +371,13 @@ def test_holes_and_problems_of_the_log_are_told(swing):
     result, flight = swing
     t_ns = flight.imu.t_ns.copy()
     t_ns[300:] += 2_000_000_000
-    hole = change(flight, imu=ImuStream(t_ns, flight.imu.gyro_rad_s, flight.imu.accel_m_s2))
+    hole = replace(flight, imu=ImuStream(t_ns, flight.imu.gyro_rad_s, flight.imu.accel_m_s2))
     check = by_name(result, hole)["Gaps in the log"]
     assert check.level is Level.WARN
     assert "IMU, at 6.0 s" in check.value
     assert "1 hole in" in check.meaning
-    torn = change(flight, problems=("imu0/data.csv: 3 rows of NaN dropped",))
-    check = by_name(change(result, problems=("imu0/data.csv: 3 rows of NaN dropped", "other")), torn)["Input"]
+    torn = replace(flight, problems=("imu0/data.csv: 3 rows of NaN dropped",))
+    check = by_name(replace(result, problems=("imu0/data.csv: 3 rows of NaN dropped", "other")), torn)["Input"]
     assert check.level is Level.WARN
     assert check.value == "2 problems"
 
@@ -414,10 +408,10 @@ def test_attitude_is_taken_between_its_samples_and_only_near_them(swing):
     q = np.column_stack([np.cos(roll / 2), np.sin(roll / 2), 0 * roll, 0 * roll])
     q[1] *= -1  # the same rotation
     stream = AttitudeStream(np.array([T0_NS, T0_NS + 20_000_000]), q)
-    flight = change(flight, attitude=stream)
+    flight = replace(flight, attitude=stream)
     assert attitude_at(flight, T0_NS + 5_000_000).roll_rad == pytest.approx(radians(10.5), abs=1e-4)
     assert attitude_at(flight, T0_NS + 520_000_000 + 1_000_000_000) is None
-    assert attitude_at(change(flight, attitude=None), T0_NS) is None
+    assert attitude_at(replace(flight, attitude=None), T0_NS) is None
 
 
 def test_thinning_keeps_extremes_ends_and_holes():

@@ -1,0 +1,42 @@
+"""Wrapping and rotations: known answers, and agreement with scipy."""
+
+from __future__ import annotations
+
+from math import cos, pi, sin
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from vision.rotations import rotation_from_angles, wrap, wrap_axis, yaw_of
+
+ANGLES = st.floats(-1e3, 1e3)
+
+
+@given(ANGLES)
+def test_wrapping_keeps_the_direction(angle: float) -> None:
+    wrapped = wrap(angle)
+    assert -pi <= wrapped < pi
+    assert cos(wrapped) == pytest.approx(cos(angle), abs=1e-9)
+    assert sin(wrapped) == pytest.approx(sin(angle), abs=1e-9)
+    assert wrap(np.array([angle])).tolist() == [wrapped]
+
+
+@given(ANGLES)
+def test_an_axis_is_the_same_from_both_ends(angle: float) -> None:
+    wrapped = wrap_axis(angle)
+    assert -pi / 2 <= wrapped < pi / 2
+    assert sin(wrapped - angle) == pytest.approx(0.0, abs=1e-9)
+    assert wrap_axis(np.array([angle])).tolist() == [wrapped]
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))
+def test_angles_and_quaternion_agree_with_scipy(yaw: float, pitch: float, roll: float) -> None:
+    expected = Rotation.from_euler("ZYX", [yaw, pitch, roll])
+    np.testing.assert_allclose(rotation_from_angles(yaw, pitch, roll), expected.as_matrix(), atol=1e-12)
+    q = np.roll(expected.as_quat(), 1)
+    assert float(yaw_of(q)) == pytest.approx(yaw, abs=1e-9)
+    assert yaw_of(np.stack([q, -q])).shape == (2,)
+    np.testing.assert_allclose(yaw_of(np.stack([q, -q])), yaw, atol=1e-9)
