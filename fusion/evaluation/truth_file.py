@@ -23,7 +23,6 @@ from fusion.flight import CorridorTruth, FloatArray, TimeArray
 from fusion.logs.samples import counted, order_times
 from fusion.result.conventions import Frame
 from vision.errors import InputError
-from vision.rotations import yaw_of
 
 TRUTH_NAME = "corridor_truth.csv"
 SUPPORTED = (
@@ -121,7 +120,8 @@ def _from_tum(path: Path, lines: Sequence[str], rows: Sequence[str], frame: Fram
     cells = [row.split() for row in rows]
     t_ns = _times(path, [cell[0] for cell in cells], "s")
     values = _numbers(path, [cell[1:] for cell in cells], 7, problems)
-    heading = yaw_of(values[:, [6, 3, 4, 5]])  # x y z w in the file
+    x, y, z, w = values[:, 3:].T
+    heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     offset = values[:, 1] if said.get("offset_unit") != "none" else np.full(len(t_ns), np.nan)
     unit = "norm" if said.get("offset_unit") == "half" else "m"
     kind = (
@@ -208,6 +208,10 @@ def _plain_name(cell: str) -> str:
     return re.sub(r"[\s.]+", "_", name)
 
 
+def _as_suffix(unit: re.Match[str]) -> str:
+    return f"_{unit[1]}" if unit[1] else ""
+
+
 def _find_time(path: Path, column: Mapping[str, int], row: Sequence[str]) -> tuple[str, str]:
     for base in _TIME_NAMES:
         for unit in _TIME_SCALE:
@@ -233,7 +237,8 @@ def _heading(
             return scale * read(name), True, "yaw from one fixed axis"
     for names in _QUATERNIONS:
         if set(names) <= set(column):
-            yaw = yaw_of(np.column_stack([read(name) for name in names]))
+            w, x, y, z = (read(name) for name in names)
+            yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
             return yaw, True, "quaternions: yaw from one fixed axis"
     without = next((name for name in ("heading", "yaw") if name in column), None)
     if without is not None:

@@ -12,6 +12,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import NullLocator
 
+from fusion.estimator.smoothed_table import half_widths_m
 from fusion.estimator.tables import Table
 from fusion.evaluation.errors import interpolate_truth
 from fusion.flight import AttitudeStream, CorridorTruth, Flight, FloatArray, TimeArray
@@ -72,8 +73,10 @@ def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
     t, offset = seconds(table["timestamp_ns"], origin), table[f"lateral_offset_{unit}"]
     cuts = _cuts(table, np.zeros_like(offset))
     _band(ax, t, offset, 2 * std, cuts, FILTER, "filter, two sigma")
-    half = _half_width_m(table) if metres else 1.0
-    _plot_frames(ax, seconds(frames["timestamp_ns"], origin), half * frames["lateral_offset_norm"], frames)
+    half = half_widths_m(table) if metres else np.ones(len(table))
+    row = np.clip(np.searchsorted(table["timestamp_ns"], frames["timestamp_ns"], side="right") - 1, 0, None)
+    seen = half[row] * frames["lateral_offset_norm"]
+    _plot_frames(ax, seconds(frames["timestamp_ns"], origin), seen, frames)
     if flight.truth is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = 1.0 if metres else 2.0 / flight.truth.corridor_width_m
@@ -85,7 +88,7 @@ def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
     _line(ax, t, offset, cuts, FILTER, 1.5, "filter")
     _decorate(ax, result, "Offset, m right" if metres else "Offset, half widths right")
     _limit(ax, table, offset, 2 * std, least=0.1)
-    _walls(ax, half)
+    _walls(ax, t, half)
 
 
 def plot_innovations(ax: Axes, result: FusionResult) -> None:
@@ -298,13 +301,6 @@ def _wraps(degrees: FloatArray) -> IndexArray:
     return np.asarray(np.flatnonzero(np.abs(np.diff(degrees)) > 180.0) + 1, dtype=np.int64)
 
 
-def _half_width_m(table: Table) -> float:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = table["lateral_offset_std_m"] / table["lateral_offset_norm_std"]
-    ratio = ratio[np.isfinite(ratio)]
-    return float(np.median(ratio)) if ratio.size else float("nan")
-
-
 def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, least: float) -> None:
     """Fit the y axis to what was tracked, so that a wide start or one wild frame does not flatten it."""
     rows = (table["status"] == "tracking") & np.isfinite(values + half)
@@ -316,16 +312,22 @@ def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, leas
     ax.set_ylim(low - 1.3 * margin, high + margin)
 
 
-def _walls(ax: Axes, half: float) -> None:
-    """End the axis a little behind the walls, and draw them where it reaches them."""
+def _walls(ax: Axes, t: FloatArray, half: FloatArray) -> None:
+    """End the axis a little behind the widest corridor's walls, and draw each corridor's where it reaches them."""
     low, high = ax.get_ylim()
-    if not half > 0:  # NaN fails too
+    known = half[half > 0]  # NaN fails too
+    if not known.size:
         return
-    low, high = max(low, -1.15 * half), min(high, 1.15 * half)
+    widest = float(known.max())
+    low, high = max(low, -1.15 * widest), min(high, 1.15 * widest)
     ax.set_ylim(low, high)
-    for wall in (-half, half):
-        if low < wall < high:
-            ax.axhline(wall, color=INK, lw=1.8, zorder=2, label="wall")
+    several = np.ptp(known) > 1e-6
+    for side in (-1.0, 1.0):
+        if several:
+            cuts = np.flatnonzero(np.abs(np.diff(half)) > 1e-6) + 1
+            _line(ax, t, side * half, cuts, INK, 1.8, "wall")
+        elif low < side * widest < high:
+            ax.axhline(side * widest, color=INK, lw=1.8, zorder=2, label="wall")
 
 
 def _widen(ax: Axes, values: FloatArray) -> None:

@@ -20,11 +20,6 @@ CONFIG = FusionConfig(corridor_width_m=2.2)
 
 
 @pytest.fixture(scope="module")
-def office() -> Flight:
-    return load_flight(OFFICE)
-
-
-@pytest.fixture(scope="module")
 def fused(office: Flight) -> FusionResult:
     return fuse_flight(office, CONFIG)
 

@@ -16,9 +16,7 @@ from fusion.evaluation.verdict import worst_first, worst_of
 from fusion.flight import FrameStream, ImuStream
 from fusion.report.page import _with_code
 from fusion.result.summary import Check, Level
-from tests.fusion.test_report import make_flight, table_with
-
-T0_NS = 1_600_000_000_000_000_000
+from tests.fusion.fused import T0_NS, make_flight, table_with
 
 
 def turning(
