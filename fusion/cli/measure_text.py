@@ -17,7 +17,19 @@ from fusion.pictures.attitude_file import AttitudeFile
 def assumptions_text(
     paths: Sequence[Path], views: AssumedViews | None, attitudes: AttitudeFile | None, method: str
 ) -> list[str]:
-    """Say what `measure_images` takes for granted where it was not told."""
+    """Say what `fusion.pictures.measure.measure_images` assumes where it was not told.
+
+    Parameters
+    ----------
+    paths
+        The pictures.
+    views
+        The fields of view assumed; None with a calibration.
+    attitudes
+        As given; None without.
+    method
+        ``geometric`` or ``paper``, which uses no attitude.
+    """
     from vision.frame import UNKNOWN_ATTITUDE
 
     notes = [] if views is None else views.notes()

@@ -15,7 +15,7 @@ from fusion.estimator.tables import Table
 from fusion.flight import Flight
 from fusion.outputs import foxglove
 from fusion.progress import Progress
-from fusion.report.remeasure import seen_again
+from fusion.report.remeasure import measure_frame_again
 from fusion.result.conventions import Frame, summary_in_frame, table_in_frame
 from fusion.result.result import FusionResult
 from fusion.result.summary_json import summary_json
@@ -120,7 +120,7 @@ def _pictures(result: FusionResult, flight: Flight, progress: Progress | None) -
     total = len(result.frames)
 
     def picture(row: int, t_ns: int) -> dict[str, Any] | None:
-        seen = seen_again(result, flight, row)
+        seen = measure_frame_again(result, flight, row)
         if progress is not None:
             progress(row + 1, total)
         if seen is None:

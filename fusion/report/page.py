@@ -21,7 +21,7 @@ from fusion.evaluation.verdict import overall, worst_first
 from fusion.files import error_text, replacing
 from fusion.flight import Flight
 from fusion.report import plots
-from fusion.report.strip import Shown, choose_frames, show_frames
+from fusion.report.strip import DrawnFrame, choose_frames, show_frames
 from fusion.report.svg import Drawing, draw
 from fusion.result.result import FusionResult
 from fusion.result.summary import CorridorErrors, Level, TableErrors
@@ -56,7 +56,7 @@ class Figure:
 class Caption:
     """What stands beside a frame of the strip."""
 
-    shown: Shown
+    shown: DrawnFrame
     accepted: bool
     verdict: str
     vision: str
@@ -280,7 +280,7 @@ def timings(result: FusionResult) -> list[tuple[str, str]]:
     return found
 
 
-def _caption(shown: Shown, result: FusionResult) -> Caption:
+def _caption(shown: DrawnFrame, result: FusionResult) -> Caption:
     record = result.frames[shown.row]
     reason = str(record["reason"])
     heading, sigma = float(record["heading_rad"]), float(record["heading_std_rad"])

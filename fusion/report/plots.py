@@ -14,7 +14,7 @@ from matplotlib.ticker import NullLocator
 
 from fusion.estimator.smoothed_table import half_widths_m
 from fusion.estimator.tables import Table
-from fusion.evaluation.errors import interpolate_truth
+from fusion.evaluation.errors import TruthAt, interpolate_truth
 from fusion.flight import AttitudeStream, CorridorTruth, Flight, FloatArray, TimeArray
 from fusion.report.series import IndexArray, band_envelope, broken, envelope, thin_points
 from fusion.result.result import FusionResult
@@ -218,7 +218,7 @@ def _plot_error(
         (result.estimates, FILTER, 1.3, "filter"),
     ):
         at = interpolate_truth(truth, table["timestamp_ns"])
-        error = table[name] - getattr(at, name)
+        error = table[name] - _truth_of(at, name)
         error = (wrap(error) if name == "heading_rad" else error) * scale
         error[at.in_junction] = np.nan
         t = seconds(table["timestamp_ns"], origin)
@@ -235,6 +235,16 @@ def _plot_error(
         top = 1.25 * float(worst.max())
         ax.set_ylim(-top, top)
     _decorate(ax, result, label)
+
+
+def _truth_of(at: TruthAt, name: str) -> FloatArray:
+    """Return the truth of a column of the estimates."""
+    columns = {
+        "heading_rad": at.heading_rad,
+        "lateral_offset_m": at.lateral_offset_m,
+        "lateral_offset_norm": at.lateral_offset_norm,
+    }
+    return columns[name]
 
 
 def _plot_truth(ax: Axes, truth: CorridorTruth, values: FloatArray, origin_ns: int) -> None:

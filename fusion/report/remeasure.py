@@ -1,4 +1,4 @@
-"""Frames of a fused flight seen once more, for their lines: tables keep numbers only."""
+"""Measure frames of a fused flight once more, for their lines: the tables keep numbers only."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from vision.errors import InputError
 from vision.measurement import Attitude, FrameMeasurement, Position, Prior, Reason
 
 
-class Seen(NamedTuple):
+class RemeasuredFrame(NamedTuple):
     """A frame's picture, and its measurement with lines; None where it could not be measured again."""
 
     image: GreyImage
     measurement: FrameMeasurement | None
 
 
-def seen_again(result: FusionResult, flight: Flight, row: int) -> Seen | None:
+def measure_frame_again(result: FusionResult, flight: Flight, row: int) -> RemeasuredFrame | None:
     """Read and measure a frame again, with what the filter knew; None where its picture does not decode.
 
     The lines are the new measurement's, the numbers those that went into the filter.
@@ -51,13 +51,13 @@ def seen_again(result: FusionResult, flight: Flight, row: int) -> Seen | None:
         measurement = measure_frame(
             image,
             flight.camera,
-            attitude_at(flight, t_ns),
+            interpolated_attitude(flight, t_ns),
             prior,
             method="paper" if result.overview.method == "paper" else "geometric",
         )
     except InputError:
-        return Seen(image, None)
-    return Seen(image, _as_recorded(measurement, record))
+        return RemeasuredFrame(image, None)
+    return RemeasuredFrame(image, _as_recorded(measurement, record))
 
 
 def delay_ns(result: FusionResult) -> int:
@@ -92,8 +92,23 @@ def _prior(estimate: np.void) -> Prior | None:
     )
 
 
-def attitude_at(flight: Flight, t_ns: int, within_s: float = 0.5) -> Attitude | None:
-    """Roll and pitch at a time, between the neighbouring samples of the log; None where none is near."""
+def interpolated_attitude(flight: Flight, t_ns: int, within_s: float = 0.5) -> Attitude | None:
+    """Interpolate roll and pitch between the neighbouring attitude samples.
+
+    Parameters
+    ----------
+    flight
+        Whose attitude stream is used.
+    t_ns
+        The time.
+    within_s
+        How near the nearer sample must be.
+
+    Returns
+    -------
+    Attitude or None
+        None where no sample is near.
+    """
     stream = flight.attitude
     if stream is None or not stream.t_ns.size:
         return None

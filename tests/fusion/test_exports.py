@@ -20,7 +20,7 @@ from fusion.outputs import exports
 from fusion.outputs import foxglove as fox
 from fusion.outputs.exports import EXPORT_FILES, Format, check_formats, write_exports
 from fusion.outputs.folder import write_outputs
-from fusion.result.conventions import COLUMNS, Frame, describe, summary_in_frame, table_in_frame
+from fusion.result.conventions import COLUMNS, Frame, column_metadata, summary_in_frame, table_in_frame
 from fusion.result.result import FusionResult
 from fusion.result.summary import (
     CorridorErrors,
@@ -108,7 +108,7 @@ class TestConventions:
         assert set(COLUMNS) == {*(ESTIMATE_DTYPE.names or ()), *(FRAME_DTYPE.names or ())}
         for name in COLUMNS:
             for frame in Frame:
-                assert "{" not in describe(name, frame)["description"]
+                assert "{" not in column_metadata(name, frame)["description"]
             for suffix, unit in (
                 ("_rad", "rad"),
                 ("_m", "m"),
@@ -117,7 +117,7 @@ class TestConventions:
                 ("_rad_s", "rad/s"),
             ):
                 if name.endswith(suffix):
-                    assert describe(name, Frame.FRD)["unit"] == unit
+                    assert column_metadata(name, Frame.FRD)["unit"] == unit
 
     def test_ros_turns_what_has_a_side_and_nothing_else(self, result: FusionResult) -> None:
         for table in (result.estimates, result.frames):

@@ -6,6 +6,7 @@ from math import radians
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from fusion.evaluation.checks import run_checks
 from fusion.evaluation.checks_input import yaw_steps
@@ -13,8 +14,8 @@ from fusion.evaluation.verdict import overall
 from fusion.flight import AttitudeStream, FrameStream, ImuStream
 from fusion.logs.pictures.camera_folder import PictureFiles
 from fusion.report import write_report
-from fusion.report.plots import aligned_imu_yaw
-from fusion.report.remeasure import attitude_at
+from fusion.report.plots import aligned_imu_yaw, plot_offset
+from fusion.report.remeasure import interpolated_attitude
 from fusion.report.series import band_envelope, broken, envelope, thin_points
 from fusion.report.strip import choose_frames, show_frames
 from fusion.result.summary import Level
@@ -296,9 +297,9 @@ def test_attitude_is_taken_between_its_samples_and_only_near_them(swing):
     q[1] *= -1  # the same rotation
     stream = AttitudeStream(np.array([T0_NS, T0_NS + 20_000_000]), q)
     flight = replace(flight, attitude=stream)
-    assert attitude_at(flight, T0_NS + 5_000_000).roll_rad == pytest.approx(radians(10.5), abs=1e-4)
-    assert attitude_at(flight, T0_NS + 520_000_000 + 1_000_000_000) is None
-    assert attitude_at(replace(flight, attitude=None), T0_NS) is None
+    assert interpolated_attitude(flight, T0_NS + 5_000_000).roll_rad == pytest.approx(radians(10.5), abs=1e-4)
+    assert interpolated_attitude(flight, T0_NS + 520_000_000 + 1_000_000_000) is None
+    assert interpolated_attitude(replace(flight, attitude=None), T0_NS) is None
 
 
 def test_thinning_keeps_extremes_ends_and_holes():
@@ -336,3 +337,19 @@ def test_short_series_are_left_as_they_are():
     assert np.isnan(cut[2])
     assert runs(np.array([True, True, False, True])) == [(0, 2), (3, 4)]
     assert runs(np.zeros(3, dtype=bool)) == []
+
+
+def test_frames_are_drawn_in_the_metres_of_their_own_corridor(swing):
+    result, flight = swing
+    table, frames = result.estimates.copy(), result.frames.copy()
+    later = table["timestamp_ns"] >= T0_NS + 6_000_000_000
+    table["corridor_index"][later] = 1
+    table["lateral_offset_std_m"] = np.where(later, 1.5, 1.0) * table["lateral_offset_norm_std"]
+    frames["lateral_offset_norm"] = 0.5
+    ax = Figure().subplots()
+    plot_offset(ax, replace(result, estimates=table, frames=frames), replace(flight, truth=None))
+    (dots,) = (patch for patch in ax.patches if not patch.get_fill())
+    t_s, offset_m = dots.get_path().vertices.T
+    np.testing.assert_allclose(offset_m, np.where(t_s < 6.0, 0.5, 0.75))
+    walls = [line for line in ax.lines if line.get_label() == "wall"]
+    assert sorted({abs(float(y)) for line in walls for y in line.get_ydata() if y == y}) == [1.0, 1.5]

@@ -11,8 +11,8 @@ import pytest
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.tables import FRAME_DTYPE
-from fusion.evaluation.checks import run_checks
-from fusion.evaluation.verdict import worst_first, worst_of
+from fusion.evaluation.checks import CHECKS, run_checks
+from fusion.evaluation.verdict import CheckRule, Finding, Limits, nothing_to_judge, worst_first, worst_of
 from fusion.flight import FrameStream, ImuStream
 from fusion.report.page import _with_code
 from fusion.result.summary import Check, Level
@@ -186,3 +186,50 @@ def test_the_worst_comes_first_and_else_the_order_stays() -> None:
 
 def test_commands_in_a_sentence_are_set_as_code_and_escaped() -> None:
     assert _with_code("Run `a <b>` & go.") == "Run <code>a &lt;b&gt;</code> &amp; go."
+
+
+class TestRules:
+    """How a rule of the table turns a finding into a line of the verdict."""
+
+    def rule(self, finding: Finding) -> CheckRule:
+        return CheckRule(
+            name="Speed",
+            measure=lambda result, flight, limits: finding,
+            pass_fail=lambda limits: limits.coast_s,
+            limit=lambda limits: f"pass to {limits.coast_s[0]:g}",
+            good="Fine.",
+            bad="Too much.",
+            remedy="Less.",
+        )
+
+    @pytest.mark.parametrize(
+        ("number", "level", "meaning", "action"),
+        [
+            (2.0, Level.PASS, "Fine.", ""),
+            (2.1, Level.WARN, "Too much.", "Less."),
+            (10.1, Level.FAIL, "Too much.", "Less."),
+        ],
+    )
+    def test_a_number_is_compared_with_the_limits(
+        self, swing: Any, number: float, level: Level, meaning: str, action: str
+    ) -> None:
+        check = self.rule(Finding("n", number)).apply(*swing, Limits(coast_s=(2.0, 10.0)))
+        assert check == Check("Speed", level, "n", "pass to 2", meaning, action)
+
+    def test_a_finding_may_say_more_than_its_rule(self, swing: Any) -> None:
+        finding = Finding("n", level=Level.WARN, limit="other", meaning="Because.", action="Do.")
+        check = self.rule(finding).apply(*swing, Limits())
+        assert check == Check("Speed", Level.WARN, "n", "other", "Because.", "Do.")
+
+    def test_nothing_to_judge_asks_for_nothing(self, swing: Any) -> None:
+        check = self.rule(nothing_to_judge("No data.")).apply(*swing, Limits())
+        assert (check.level, check.meaning, check.action) == (Level.NOT_JUDGED, "No data.", "")
+
+    def test_a_finding_without_outcome_is_refused(self, swing: Any) -> None:
+        with pytest.raises(ValueError, match="neither a level nor a number"):
+            self.rule(Finding("n")).apply(*swing, Limits())
+
+    def test_the_names_tell_the_checks_apart(self, swing: Any) -> None:
+        names = [check.name for check in run_checks(*swing)]
+        assert names == [rule.name for rule in CHECKS]
+        assert len(set(names)) == len(names)
