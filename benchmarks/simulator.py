@@ -28,6 +28,7 @@ from fusion.simulate.motion import rotations
 from fusion.simulate.shooting import Shoot
 from vision import Attitude, Camera, measure_frame
 from vision.lines.segments import extract_lines
+from vision.rotations import yaw_of
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZES_PX = ((640, 480), (320, 240), (160, 120))
@@ -54,8 +55,7 @@ def office(folder: Path, size: tuple[int, int], count: int) -> Iterator[Sample]:
     for k in np.unique(chosen).tolist():
         row = int(np.argmin(np.abs(state.t_ns - flight.frames.t_ns[k])))
         attitude = Attitude.from_quaternion(state.q_world_body[row])
-        w, x, y, z = state.q_world_body[row]
-        heading = float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+        heading = float(yaw_of(state.q_world_body[row]))
         image = cv2.resize(flight.frames.read(k), size, interpolation=cv2.INTER_AREA)
         yield Sample(image, camera, attitude.roll_rad, attitude.pitch_rad, heading)
 

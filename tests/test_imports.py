@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import subprocess
 import sys
@@ -47,3 +48,16 @@ def test_vision_alone_never_loads_fusion() -> None:
     assert "fusion" not in loaded_by(
         "import vision, vision.frame, vision.paper.measure, vision.overlay, vision.images"
     )
+
+
+@pytest.mark.parametrize("package", ["vision", "fusion"])
+def test_every_name_that_a_package_offers_is_there(package: str) -> None:
+    module = importlib.import_module(package)
+    for name in module.__all__:
+        assert getattr(module, name).__name__ == name
+
+
+def test_the_command_runs_as_a_module() -> None:
+    run = subprocess.run([sys.executable, "-m", "fusion", "--help"], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.split()[:2] == ["Usage:", "corridor"]

@@ -23,6 +23,7 @@ from fusion.simulate import RandomView, random_views
 from vision import Attitude, Camera, FrameMeasurement, measure_frame
 from vision.frame import Method
 from vision.images import GreyImage
+from vision.rotations import yaw_of
 
 FloatArray = npt.NDArray[np.float64]
 Size = tuple[int, int]
@@ -266,8 +267,7 @@ def _truth_of(flight: Flight) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bo
 
 def _own_yaw(stream: AttitudeStream, t_ns: npt.NDArray[np.int64]) -> FloatArray:
     """Yaw (n,) at times (n,), positive to the right."""
-    w, x, y, z = stream.q_world_body.T
-    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    yaw = np.unwrap(yaw_of(stream.q_world_body))
     at, known_at = (t_ns - t_ns[0]).astype(float), (stream.t_ns - t_ns[0]).astype(float)
     return np.asarray(np.interp(at, known_at, yaw), dtype=float)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.alignment.result import Alignment, Quantity
 from fusion.alignment.text import note_of
+from fusion.files import replacing
 from fusion.flight import Flight
 from fusion.logs.manifest.manifest import (
     MANIFEST_NAME,
@@ -19,11 +19,8 @@ from fusion.logs.manifest.manifest import (
     read_manifest,
     write_manifest,
 )
-from vision.cameras.camera import Camera
+from vision.cameras.camera import BodyFrame, Camera
 from vision.errors import InputError
-
-if TYPE_CHECKING:
-    from vision.cameras.camera import BodyFrame
 
 _FIRST_LINE = "# Found by corridor align"
 
@@ -135,7 +132,7 @@ def write_alignment(alignment: Alignment, flight: Flight, place: Path) -> tuple[
     InputError
         Where the flight came from no log, or a file cannot be written.
     """
-    if flight.manifest is None:
+    if not isinstance(flight.manifest, Manifest):
         raise InputError(f"flight {flight.name} came from no log", remedy="load it with fusion.load_flight")
     manifest, notes = corrected(flight.manifest, alignment)
     written = [place]
@@ -205,10 +202,8 @@ def _write_calibration(alignment: Alignment, path: Path, body_frame: BodyFrame) 
         f"intrinsics: [{pinhole}]   # fu, fv, cu, cv\n"
         "distortion_model: none\ndistortion_coefficients: []\n"
     )
-    temporary = path.with_name(f".{path.name}.partial")
     try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
+        with replacing(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error

@@ -32,33 +32,14 @@ def print_config(
     ] = False,
 ) -> None:
     """Print a configuration whole."""
-    typer.echo(settings_text(file, simulate=simulate), nl=False)
+    from fusion.settings.toml import settings_text
 
+    if simulate:
+        from fusion.simulate import SimulationConfig
 
-def settings_text(file: str | Path | None = None, *, simulate: bool = False) -> str:
-    """Return the settings of ``corridor fuse``, or of ``corridor simulate``, as TOML with their meaning.
+        text = settings_text(SimulationConfig, "corridor simulate OUT", file)
+    else:
+        from fusion.estimator.config import FusionConfig
 
-    Parameters
-    ----------
-    file
-        A settings file; None for the defaults.
-    simulate
-        Whether it is the simulator's.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be read or used.
-    """
-    from fusion.estimator.config import FusionConfig
-    from fusion.settings.toml import config_toml
-    from fusion.simulate import SimulationConfig
-
-    model = SimulationConfig if simulate else FusionConfig
-    config = model() if file is None else model.from_toml(file)
-    command = "corridor simulate OUT" if simulate else "corridor fuse FLIGHT"
-    whose = "the defaults" if file is None else f"as {Path(file).name} makes them"
-    return config_toml(
-        config,
-        f"Settings of `{command} --config`: {whose}. What is deleted or stays a comment keeps its default.",
-    )
+        text = settings_text(FusionConfig, "corridor fuse FLIGHT", file)
+    typer.echo(text, nl=False)

@@ -60,7 +60,7 @@ def smoothed_table(
     out["lateral_offset_norm"] = np.where(known, at[:, Y], nan)
     out["lateral_offset_norm_std"] = np.where(known, std[:, Y], nan)
     _move_corridor_changes(out, row_steps, F, x_s, variance, config)
-    half_m = _half_width_m(table)
+    half_m = half_widths_m(table)
     out["lateral_offset_m"] = out["lateral_offset_norm"] * half_m
     out["lateral_offset_std_m"] = out["lateral_offset_norm_std"] * half_m
     names = (
@@ -104,7 +104,7 @@ def _move_corridor_changes(
             back -= 1
 
 
-def _half_width_m(table: Table) -> FloatArray:
+def half_widths_m(table: Table) -> FloatArray:
     """Half width (n,) of each row's corridor as known at its end; NaN where never."""
     norm = table["lateral_offset_norm_std"]
     ratio = np.where(norm > 0, table["lateral_offset_std_m"] / np.where(norm > 0, norm, 1.0), nan)

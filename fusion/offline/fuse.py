@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import replace
 from heapq import merge
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,45 +22,13 @@ from fusion.estimator.smoothed_table import smoothed_table
 from fusion.estimator.smoother import Steps
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table, estimate_row
 from fusion.flight import Flight
+from fusion.offline.summary import summarise
+from fusion.progress import Progress
+from fusion.result.result import FusionResult, Timings
 from vision.errors import InputError
 from vision.measurement import FrameMeasurement, position_from_offset
 
-if TYPE_CHECKING:
-    from fusion.offline.summary import Timings
-
-Progress = Callable[[int, int], None]
-
 BLOCK_ROWS = 4096
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FusionResult:
-    """A fused flight.
-
-    Parameters
-    ----------
-    flight_name
-        Of the flight.
-    config
-        Settings as used: noise that the log declares is filled in.
-    estimates, smoothed
-        The causal filter and the smoother, arrays of `fusion.estimator.tables.ESTIMATE_DTYPE`, a row per propagation
-        step.
-    frames
-        A row of `fusion.estimator.tables.FRAME_DTYPE` per camera frame.
-    summary
-        Verdict, counts, rates, timings and errors against the truth: plain values, ready for JSON.
-    problems
-        What was wrong with the log and with its samples, a sentence each.
-    """
-
-    flight_name: str
-    config: FusionConfig
-    estimates: Table
-    smoothed: Table
-    frames: Table
-    summary: dict[str, Any] = field(default_factory=dict)
-    problems: tuple[str, ...] = ()
 
 
 def fuse_flight(
@@ -90,23 +58,19 @@ def fuse_flight(
     InputError
         Where the method is unknown or the flight has no frames.
     """
-    from fusion.offline.summary import Timings, summarise
-
     started = time.perf_counter()
     if not len(flight.frames.t_ns):
         raise InputError("the flight has no camera frames", remedy="check mav0/cam0/data.csv of the log")
     settings = _with_declared_values(config or FusionConfig(), flight)
     recorder = Recorder(settings, _row_kind(flight))
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
-    timings = Timings()
-    _feed(estimator, flight, progress, timings)
+    vision_s = _feed(estimator, flight, progress)
     estimator.finish()
     recorder.finish()
-    timings.filter_s = time.perf_counter() - started - timings.vision_s
-    before = time.perf_counter()
+    filtered = time.perf_counter()
     smoothed = recorder.smoothed()
-    timings.smoother_s = time.perf_counter() - before
-    timings.total_s = time.perf_counter() - started
+    ended = time.perf_counter()
+    timings = Timings(vision_s, filtered - started - vision_s, ended - filtered, ended - started)
     result = FusionResult(
         flight_name=flight.name,
         config=settings,
@@ -115,7 +79,7 @@ def fuse_flight(
         frames=np.array(recorder.frames, dtype=FRAME_DTYPE),
         problems=(*flight.problems, *_sample_problems(estimator)),
     )
-    return summarise(result, flight, method, estimator.counters, timings)
+    return replace(result, overview=summarise(result, flight, method, estimator.counters, timings))
 
 
 def _with_declared_values(config: FusionConfig, flight: Flight) -> FusionConfig:
@@ -142,18 +106,20 @@ def _row_kind(flight: Flight) -> type[ImuSample | AttitudeSample | FrameSample]:
     return FrameSample
 
 
-def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | None, timings: Timings) -> None:
-    """Give the estimator all samples, in order of the time they tell of."""
+def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | None) -> float:
+    """Give the estimator all samples, in order of measurement time; return the seconds spent on pictures."""
+    vision_s = 0.0
     delay_ns = round(estimator.config.camera_delay_s * 1e9)
     total = len(flight.frames.t_ns)
 
     def add_frame(t_ns: int, i: int) -> None:
+        nonlocal vision_s
         before = time.perf_counter()
         try:
             estimator.add_frame(t_ns + delay_ns, flight.frames.read(i))
         except InputError:
             estimator.add_unreadable_frame(t_ns + delay_ns)
-        timings.vision_s += time.perf_counter() - before
+        vision_s += time.perf_counter() - before
         if progress is not None:
             progress(i + 1, total)
 
@@ -169,10 +135,11 @@ def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | Non
         streams.append((velocity.t_ns, lambda t_ns, i: estimator.add_velocity(t_ns, v[i])))
     if (ranges := flight.range) is not None:
         distance_m = ranges.distance_m
-        streams.append((ranges.t_ns, lambda t_ns, i: estimator.add_range(t_ns, distance_m[i])))
+        streams.append((ranges.t_ns, lambda t_ns, i: estimator.add_range(t_ns, float(distance_m[i]))))
     streams.append((flight.frames.t_ns - delay_ns, add_frame))
     for t_ns, k, i in merge(*(_times(times, k) for k, (times, _) in enumerate(streams))):
         streams[k][1](t_ns, i)
+    return vision_s
 
 
 def _times(t_ns: npt.NDArray[np.int64], stream: int) -> Iterator[tuple[int, int, int]]:

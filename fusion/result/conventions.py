@@ -33,7 +33,7 @@ _CONVENTIONS = {
 }
 
 
-def describe(name: str, frame: Frame) -> dict[str, str]:
+def column_metadata(name: str, frame: Frame) -> dict[str, str]:
     """Return unit, frame and description of a column, empty ones left out."""
     column = COLUMNS[name]
     found = {

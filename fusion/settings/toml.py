@@ -111,6 +111,31 @@ def _listing(names: list[str]) -> str:
     return "; ".join(part for part in (listed, "`corridor config` lists them all") if part)
 
 
+def settings_text(model: type[Config], command: str, file: str | Path | None = None) -> str:
+    """Return the settings of a command, as `config_toml` writes them.
+
+    Parameters
+    ----------
+    model
+        The settings.
+    command
+        Which takes them, such as ``corridor fuse FLIGHT``.
+    file
+        A settings file; None for the defaults.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or used.
+    """
+    config = model() if file is None else build(model, read_toml(file), file)
+    whose = "the defaults" if file is None else f"as {Path(file).name} makes them"
+    return config_toml(
+        config,
+        f"Settings of `{command} --config`: {whose}. What is deleted or stays a comment keeps its default.",
+    )
+
+
 def config_toml(config: BaseModel, heading: str) -> str:
     """Write a configuration as TOML with each setting's meaning, unit, bounds and default as comments.
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from fusion.progress import Progress
 from fusion.simulate.config import SimulationConfig
 from fusion.simulate.imaging import encode_jpeg
 from fusion.simulate.sensors import (
@@ -29,7 +29,6 @@ from vision.cameras.calibration import to_frd
 from vision.cameras.camera import Distortion
 
 FloatArray = npt.NDArray[np.float64]
-Progress = Callable[[int, int], None]
 
 TRUTH_RATE_HZ = 200.0
 _LENS_NAMES = {

@@ -36,11 +36,11 @@ class TestPrinted:
     def test_the_defaults_come_back_as_they_were(self, tmp_path: Path, simulate: bool) -> None:
         model = SimulationConfig if simulate else FusionConfig
         path = tmp_path / "all.toml"
-        path.write_text(settings_text(simulate=simulate), encoding="utf-8")
+        path.write_text(settings_text(model, "corridor x"), encoding="utf-8")
         assert model.from_toml(path) == model()
 
     def test_every_setting_is_there_with_its_meaning(self) -> None:
-        text = " ".join(settings_text().replace("\n# ", " ").split())
+        text = " ".join(settings_text(FusionConfig, "corridor fuse FLIGHT").replace("\n# ", " ").split())
         for name, field in FusionConfig.model_fields.items():
             assert f" {name} = " in text
             words = (field.description or "").replace("None:", "").split()
@@ -49,7 +49,7 @@ class TestPrinted:
     def test_what_a_file_set_is_marked_with_its_default(self, tmp_path: Path) -> None:
         path = tmp_path / "my.toml"
         path.write_text("corridor_width_m = 2.2\nmin_lines = 6\n")
-        text = settings_text(path)
+        text = settings_text(FusionConfig, "corridor fuse FLIGHT", path)
         assert "corridor_width_m = 2.2  # m; above 0.2 to 100; default: not set" in text
         assert "min_lines = 6  # from 2 to 1000; default 4" in text
         assert "# camera_height_m = ...  # m; above 0.01 to 100; not set" in text

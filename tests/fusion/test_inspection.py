@@ -27,7 +27,7 @@ from fusion.inspection.times import share_covered, time_stream
 from fusion.logs import load_flight
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.samples import WithProblems
-from fusion.outputs.folder import summary_json
+from fusion.result.summary_json import summary_json
 from vision import Camera, InputError
 
 ROOT = Path(__file__).resolve().parents[2]

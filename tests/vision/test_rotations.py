@@ -40,3 +40,10 @@ def test_angles_and_quaternion_agree_with_scipy(yaw: float, pitch: float, roll: 
     assert float(yaw_of(q)) == pytest.approx(yaw, abs=1e-9)
     assert yaw_of(np.stack([q, -q])).shape == (2,)
     np.testing.assert_allclose(yaw_of(np.stack([q, -q])), yaw, atol=1e-9)
+
+
+def test_yaw_is_positive_to_the_right_where_z_points_down() -> None:
+    half = pi / 12
+    turned_right = np.array([[cos(half), 0.0, 0.0, sin(half)]])
+    assert yaw_of(turned_right) == pytest.approx([pi / 6])
+    np.testing.assert_allclose(rotation_from_angles(pi / 6, 0.0, 0.0)[:2, 0], [cos(pi / 6), 0.5])
