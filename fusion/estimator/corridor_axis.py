@@ -1,4 +1,4 @@
-"""Which axis the heading is measured from: takes frames' headings, corrects the filter, returns its part of the state.
+"""Which axis the heading is measured from: takes frames' headings, corrects the filter, returns its state.
 
 What the gate rejects is not thrown away but kept as a vote for another axis, in the dead-reckoned frame, in which
 the axis of a corridor stays where it is however the vehicle turns. Once enough votes agree, they mean one of these:
