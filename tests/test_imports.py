@@ -38,6 +38,13 @@ def test_help_comes_without_the_heavy_ones(arguments: list[str]) -> None:
     assert loaded & HEAVY == set()
 
 
+def test_filterpy_and_scipy_load_with_the_first_estimator() -> None:
+    loaded = loaded_by("from fusion import CorridorEstimator, FusionConfig")
+    assert "numba" in loaded
+    assert loaded & {"filterpy", "scipy", "cv2", "matplotlib"} == set()
+    assert "filterpy" in loaded_by("from fusion import CorridorEstimator; CorridorEstimator()")
+
+
 @pytest.mark.parametrize("name", ["measure_frame", "measure_lines", "extract_lines"])
 def test_the_compiled_line_finder_loads_at_its_first_use(name: str) -> None:
     assert "numba" in loaded_by(f"import vision; vision.{name}")

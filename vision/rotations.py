@@ -8,9 +8,8 @@ from __future__ import annotations
 from math import atan2
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from vision.measurement import FloatArray
 
 
 def yaw_of_quaternion(q_world_body: tuple[float, float, float, float]) -> float:
