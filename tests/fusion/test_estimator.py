@@ -643,7 +643,7 @@ def test_the_filter_to_look_at_is_filterpys() -> None:
     assert ekf.F[0, 1] < 0.0  # a bias turns the heading back
     assert ekf.Q[0, 0] > 0.0
     assert ekf.K.shape == (5, 1)
-    assert 0.0 < ekf.K[0, 0] < 1.0
+    assert 0.0 < ekf.K[3, 0] < 1.0  # the last update was a lateral offset
     assert ekf.likelihood > 0.0
     assert ekf.mahalanobis == pytest.approx(abs(ekf.y[0]) / np.sqrt(ekf.S[0, 0]))
 
