@@ -39,6 +39,17 @@ def test_help_comes_without_the_heavy_ones(arguments: list[str]) -> None:
     assert loaded & HEAVY == set()
 
 
+def test_filterpy_and_scipy_load_with_the_first_estimator() -> None:
+    the_class = (
+        "import sys; from fusion import CorridorEstimator, FusionConfig; "
+        "assert not sys.modules.keys() & {'scipy.stats', 'scipy.ndimage', 'scipy.linalg', 'scipy.spatial'}"
+    )
+    loaded = loaded_by(the_class)
+    assert "numba" in loaded
+    assert loaded & (HEAVY - {"numba", "scipy"}) == set()  # numba asks for scipy's version, and no more
+    assert "filterpy" in loaded_by("from fusion import CorridorEstimator; CorridorEstimator()")
+
+
 @pytest.mark.parametrize("name", ["measure_frame", "measure_lines", "extract_lines"])
 def test_the_compiled_line_finder_loads_at_its_first_use(name: str) -> None:
     assert "numba" in loaded_by(f"import vision; vision.{name}")

@@ -10,9 +10,8 @@ from math import atan2, pi
 from typing import overload
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from vision.measurement import FloatArray
 
 
 @overload

@@ -1,4 +1,4 @@
-"""The camera's mounting pitch: takes the elevations that frames see, returns mean and variance."""
+"""The camera's mounting pitch: takes the elevations that frames see, returns mean and variance, no more."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The filter: filterpy's ``ExtendedKalmanFilter`` with compiled arithmetic, one prediction or update at a time.
+"""The filter: filterpy's ``ExtendedKalmanFilter`` with compiled arithmetic; takes predictions and updates.
 
 An object to inspect has the attributes of `filterpy.kalman.ExtendedKalmanFilter` with their meaning: ``x``, ``P``,
 ``F``, ``Q``, ``x_prior``, ``P_prior``, ``x_post``, ``P_post``, ``K``, ``y``, ``S``, ``SI``, ``R``, ``likelihood``,

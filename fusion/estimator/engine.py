@@ -12,7 +12,7 @@ from typing import NamedTuple, assert_never
 
 import numpy as np
 
-from fusion.estimator import corridor_axis as axes
+from fusion.estimator import junctions
 from fusion.estimator import tilt as tilts
 from fusion.estimator.camera_delay import (
     Delay,
@@ -27,7 +27,7 @@ from fusion.estimator.camera_delay import (
 )
 from fusion.estimator.camera_elevation import Elevation
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.corridor_axis import CorridorAxis
+from fusion.estimator.corridor_axis import CorridorAxis, Recovery, recover, start
 from fusion.estimator.frame_update import FrameResult, FrameSample, measure_with_prior, reason_to_reject
 from fusion.estimator.imu_yaw import (
     UNKNOWN_YAW_OFFSET_STD_RAD,
@@ -155,12 +155,12 @@ class Engine:
         from fusion.estimator.ekf import CorridorEKF  # with it filterpy, which takes half a second to load
 
         self.config = config
-        start = self.start()
-        self.ekf = CorridorEKF(start.x, start.P)
+        initial = self.initial_state()
+        self.ekf = CorridorEKF(initial.x, initial.P)
         self._propagation = Propagation(config)
         self._lateral = LateralOffset(config, camera_arm_m)
 
-    def start(self) -> State:
+    def initial_state(self) -> State:
         """Return the state before any sample."""
         std = [UNKNOWN_HEADING_STD_RAD, 0.02, UNKNOWN_YAW_OFFSET_STD_RAD, UNKNOWN_STD, 0.3]
         reckoning = DeadReckoning(stored_gyro_bias=(0.0, self.config.gyro_bias_std_rad_s**2))
@@ -279,10 +279,9 @@ class Engine:
         self, s: State, t_ns: int, rate_rad_s: float, down: Vector, accel_m_s2: Vector | None = None
     ) -> tuple[Lateral, Drift]:
         """Tell the lateral offset of a propagation step, and ask how it moves in it."""
-        x, last_ns = self.ekf.x, s.reckoning.t_ns
+        last_ns = s.reckoning.t_ns
         dt_s = 0.0 if last_ns is None else (t_ns - last_ns) * 1e-9
-        rate = rate_rad_s - float(x[BIAS])
-        step = MotionStep(t_ns, dt_s, float(x[PSI]), rate, down, accel_m_s2, s.velocity)
+        step = MotionStep(t_ns, dt_s, self.ekf.x, rate_rad_s, down, accel_m_s2, s.velocity)
         return self._lateral.propagated(s.lateral, step, s.width.half_m(self.config))
 
     def _held(self, s: State, t_ns: int, frames: SampleTimes) -> State:
@@ -314,7 +313,7 @@ class Engine:
         vote = (t_ns, d.theta_rad - heading, sqrt(variance))
         if not axis.acquired:
             axis = axis.voted(*vote, False, interval_s)
-            axis = axes.start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.coupled, c)
+            axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.coupled, c)
             s = s._replace(axis=axis._replace(recent=axis.followed(t_ns, heading, axis.acquired, interval_s)))
             if axis.acquired:
                 lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
@@ -355,16 +354,16 @@ class Engine:
     def _follow_votes(self, s: State, t_ns: int) -> State:
         """Do what the votes against the present axis mean, if enough of them agree."""
         c, ekf, theta_rad, coupled = self.config, self.ekf, s.reckoning.theta_rad, s.imu_yaw.coupled
-        axis, found = axes.decide(s.axis, float(ekf.x[PSI]), t_ns, theta_rad, s.frames.interval_s, c)
+        axis, found = junctions.decide(s.axis, float(ekf.x[PSI]), t_ns, theta_rad, s.frames.interval_s, c)
         if found is None:
             return s._replace(axis=axis)  # the gate has left the filter as it was
         imu_yaw = s.imu_yaw.axis_changed()
-        if isinstance(found, axes.Recovery):
-            axis = axes.recover(axis, ekf, found, t_ns, theta_rad, coupled)
+        if isinstance(found, Recovery):
+            axis = recover(axis, ekf, found, t_ns, theta_rad, coupled)
             return s._replace(axis=axis, imu_yaw=imu_yaw, x=ekf.x, P=ekf.P)
         half_m = s.width.half_m(c)
         lateral = self._lateral.lost(s.lateral, ekf, half_m)._replace(t_ns=None)
-        crossing = axes.Crossing(coupled, *self._lateral.unknown_variances(half_m), lateral.n_used)
-        axis = axes.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
+        crossing = junctions.Crossing(coupled, *self._lateral.unknown_variances(half_m), lateral.n_used)
+        axis = junctions.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
         width = s.width.corridor_changed()
         return s._replace(axis=axis, imu_yaw=imu_yaw, lateral=lateral, width=width, x=ekf.x, P=ekf.P)

@@ -93,8 +93,7 @@ class CorridorEstimator:
 
     def add(self, sample: Sample) -> Entry | None:
         """Add a sample of any kind; return what became of it for now, or None where it is ignored and counted."""
-        fault = sample.fault()
-        if fault:
+        if fault := sample.fault():
             self.counters[fault] += 1
             return None
         name = SOURCES[type(sample)].name

@@ -10,11 +10,10 @@ from __future__ import annotations
 from math import cos, exp, expm1, sin, sqrt
 
 import numpy as np
-import numpy.typing as npt
 
 from vision.compiled import compiled
+from vision.measurement import FloatArray as FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 

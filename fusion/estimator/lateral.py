@@ -38,8 +38,10 @@ class MotionStep(NamedTuple):
     ----------
     t_ns, dt_s
         Its end, and its length; 0 s at the first sample.
-    heading_rad, yaw_rate_rad_s
-        The filter's heading at the start, and the level yaw rate, bias taken off, at the end.
+    x
+        The filter's state (5,) at the start: heading, gyroscope bias.
+    rate_rad_s
+        Level yaw rate at the end, bias included.
     down, accel_m_s2
         Direction of gravity in the body, and the accelerometer's specific force there (FRD); None without.
     velocity
@@ -48,8 +50,8 @@ class MotionStep(NamedTuple):
 
     t_ns: int
     dt_s: float
-    heading_rad: float
-    yaw_rate_rad_s: float
+    x: FloatArray
+    rate_rad_s: float
     down: Vector
     accel_m_s2: Vector | None
     velocity: Velocity

@@ -1,9 +1,9 @@
 """The corridor's width in metres: takes distances to the floor and what frames see, returns its part of the state.
 
 A frame tells the corridor's width per height of the camera above the floor; a range sensor that looks down tells
-that height. Their product is the same along a whole corridor, whatever the height, and that is what makes it
-robust: single wrong readings go in the median of the last few heights, a table or a step below in the median of the
-widths of several seconds, and where the widths do not agree with one another there is no width at all.
+that height. Their product is the same along a whole corridor, whatever the height, and that is what makes it robust:
+single wrong readings go in the median of the last few heights, a table or a step below in the median of the widths
+of several seconds, and where the widths do not agree with one another there is no width at all.
 """
 
 from __future__ import annotations

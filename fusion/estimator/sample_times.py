@@ -43,4 +43,4 @@ class SampleTimes(NamedTuple):
 
     def is_silent(self, t_ns: int, config: FusionConfig) -> bool:
         """Whether the source has spoken once and no longer does."""
-        return self.age_s(t_ns) > self.age_limit_s(config)
+        return self.last_ns is not None and (t_ns - self.last_ns) * 1e-9 > self.age_limit_s(config)

@@ -31,7 +31,7 @@ class Timeline:
         self.engine = engine
         self.buffer_ns = buffer_ns
         self.on_final = on_final
-        self.state = engine.start()
+        self.state = engine.initial_state()
         self.entries: list[Entry] = []
         self._keys: list[tuple[int, int]] = []
         self._base = self.state  # behind the last entry that has left the buffer

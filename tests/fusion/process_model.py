@@ -1,4 +1,4 @@
-"""The process model's compiled parts one by one: what `fusion.estimator.models.step` does in one call."""
+"""The process model's compiled parts one by one: what `CorridorEKF.advance` does in one call."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ from math import degrees, isnan, nan, pi, radians
 
 import numpy as np
 import pytest
+from filterpy.kalman import ExtendedKalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -629,6 +630,22 @@ def test_camera_mount_is_learned_and_handed_on() -> None:
 
 
 # The interface
+
+
+def test_the_filter_to_look_at_is_filterpys() -> None:
+    estimator = CorridorEstimator(FusionConfig(corridor_width_m=2.0))
+    assert isinstance(estimator.ekf, ExtendedKalmanFilter)
+    go_on(estimator, 0, 2.0, 0.2)
+    ekf, estimate = estimator.ekf, estimator.estimate()
+    assert float(ekf.x[0]) == pytest.approx(estimate.heading_rad)
+    assert np.sqrt(ekf.P[0, 0]) == pytest.approx(estimate.heading_std_rad)
+    assert float(ekf.x[1]) == pytest.approx(estimate.gyro_bias_rad_s)
+    assert ekf.F[0, 1] < 0.0  # a bias turns the heading back
+    assert ekf.Q[0, 0] > 0.0
+    assert ekf.K.shape == (5, 1)
+    assert 0.0 < ekf.K[3, 0] < 1.0  # the last update was a lateral offset
+    assert ekf.likelihood > 0.0
+    assert ekf.mahalanobis == pytest.approx(abs(ekf.y[0]) / np.sqrt(ekf.S[0, 0]))
 
 
 def test_pictures_need_a_camera() -> None:

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
+from fusion.estimator.ekf import CorridorEKF
 from fusion.estimator.models import (
     PSI,
     ProcessNoise,
@@ -17,7 +18,6 @@ from fusion.estimator.models import (
     imu_yaw_offset_model,
     lateral_model,
     level_yaw_rate,
-    step,
 )
 from tests.fusion.process_model import propagate, transition
 from vision.rotations import wrap, wrap_axis
@@ -64,7 +64,9 @@ def test_one_call_is_the_three(
 ) -> None:
     A = np.random.default_rng(1).normal(size=(5, 5))
     P = A @ A.T
-    x_next, F, Q_next, P_next = step(x, P, dt, turned, NOISE, forward, sideways, gap)
+    ekf = CorridorEKF(x, P)
+    ekf.advance(dt, turned, NOISE, forward, sideways, gap)
+    x_next, F, Q_next, P_next = ekf.x, ekf.F, ekf.Q, ekf.P
     middle = x[PSI] + 0.5 * (turned - x[1] * dt)
     expected_F, Q = transition(dt, NOISE, forward * cos(middle) - sideways * sin(middle), gap)
     np.testing.assert_array_equal(x_next, propagate(x, dt, turned, NOISE, forward, sideways))

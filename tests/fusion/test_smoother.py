@@ -69,8 +69,7 @@ def test_equals_the_batch_solution(seed: int) -> None:
     *problem, nodes = linear_problem(seed)
     steps = Steps()
     steps.add(nodes)
-    _, *arrays = steps.arrays()
-    x, P = rts(*arrays)
+    x, P = rts(*steps.arrays())
     expected_x, expected_P = batch(*problem)
     np.testing.assert_allclose(x, expected_x, rtol=0, atol=1e-9 * max(1.0, np.abs(expected_x).max()))
     np.testing.assert_allclose(P, expected_P, rtol=0, atol=1e-9 * max(1.0, np.abs(expected_P).max()))
@@ -96,7 +95,6 @@ def test_states_of_very_different_size_keep_the_precision() -> None:
     *_, nodes = linear_problem(7)
     scaled = [
         Node(
-            n.t_ns,
             None if n.F is None else D @ n.F @ D_inv,
             *(D @ v if v.ndim == 1 else D @ v @ D for v in (n.x_prior, n.P_prior, n.x, n.P)),
         )
@@ -104,7 +102,7 @@ def test_states_of_very_different_size_keep_the_precision() -> None:
     ]
     steps = Steps()
     steps.add(scaled)
-    x, _ = rts(*steps.arrays()[1:])
+    x, _ = rts(*steps.arrays())
     expected, _ = batch(x0, P0, Fs, Qs, offsets, measurements)
     np.testing.assert_allclose(x / scale, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
@@ -116,8 +114,8 @@ def test_steps_in_blocks_are_the_steps() -> None:
     steps.add(many[:5000])
     assert len(steps.arrays()[0]) == 5000
     steps.add(many[5000:])
-    t, F, _, _, x, _ = steps.arrays()
-    assert steps.count == len(many) == len(t)
+    F, _, _, x, _ = steps.arrays()
+    assert steps.count == len(many) == len(F)
     np.testing.assert_array_equal(x[-1], nodes[-1].x)
     np.testing.assert_array_equal(F[0], np.eye(5))
 
@@ -127,6 +125,6 @@ def test_short_runs(n: int) -> None:
     *_, nodes = linear_problem(3)
     steps = Steps()
     steps.add(nodes[:n])
-    x, P = rts(*steps.arrays()[1:])
+    x, P = rts(*steps.arrays())
     assert x.shape == (n, 5)
     assert P.shape == (n, 5, 5)

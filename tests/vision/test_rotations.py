@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from vision.rotations import rotation_from_angles, wrap, wrap_axis, yaw_of
+from vision.rotations import (
+    down_of_quaternion,
+    rotation_from_angles,
+    wrap,
+    wrap_axis,
+    yaw_of,
+    yaw_of_quaternion,
+)
 
 ANGLES = st.floats(-1e3, 1e3)
 
@@ -47,3 +54,11 @@ def test_yaw_is_positive_to_the_right_where_z_points_down() -> None:
     turned_right = np.array([[cos(half), 0.0, 0.0, sin(half)]])
     assert yaw_of(turned_right) == pytest.approx([pi / 6])
     np.testing.assert_allclose(rotation_from_angles(pi / 6, 0.0, 0.0)[:2, 0], [cos(pi / 6), 0.5])
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))
+def test_one_quaternion_agrees_with_arrays_of_them(yaw: float, pitch: float, roll: float) -> None:
+    w, x, y, z = np.roll(Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_quat(), 1).tolist()
+    assert yaw_of_quaternion((w, x, y, z)) == pytest.approx(float(yaw_of([w, x, y, z])), abs=1e-12)
+    expected = rotation_from_angles(yaw, pitch, roll)[2]
+    np.testing.assert_allclose(down_of_quaternion((w, x, y, z)), expected, atol=1e-12)
