@@ -10,6 +10,7 @@ from math import atan2, pi
 from typing import overload
 
 import numpy as np
+import numpy.typing as npt
 
 from vision.measurement import FloatArray
 
