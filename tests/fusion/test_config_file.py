@@ -9,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
-from fusion.cli.config import settings_text
 from fusion.estimator.config import FusionConfig
 from fusion.settings.sentences import section_of
-from fusion.settings.toml import config_toml
+from fusion.settings.toml import config_toml, settings_text
 from fusion.settings.unit_hints import as_number, suggestion, too_large, unit_of
 from fusion.simulate import SimulationConfig
 from vision.errors import InputError
