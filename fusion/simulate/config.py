@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from fusion.settings.toml import build, read_toml
-from fusion.simulate.scene_config import NotNegative, Positive, SceneConfig, Section, Share
+from fusion.simulate.scene.config import NotNegative, Positive, SceneConfig, Section, Share
 from vision import Camera
 from vision.cameras.camera import COEFFICIENT_COUNTS, Distortion
 

@@ -16,7 +16,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from fusion.simulate.config import MotionConfig
-from fusion.simulate.plan import Meeting, Room, in_junction
+from fusion.simulate.scene.plan import Meeting, Room, in_junction
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.simulate.config import ImagingConfig, rotation
-from fusion.simulate.imaging import Picture, Sensor, mean_radiance, through_jpeg
-from fusion.simulate.render import Image, View, exposure_moments, render_linear
-from fusion.simulate.scene import Scene, build_scene
-from fusion.simulate.scene_config import SceneConfig
+from fusion.simulate.render.view import Image, View, exposure_moments, render_linear
+from fusion.simulate.scene.build import Scene, build_scene
+from fusion.simulate.scene.config import SceneConfig
+from fusion.simulate.sensor import Picture, Sensor, mean_radiance, through_jpeg
 from vision import Camera
 
 FloatArray = npt.NDArray[np.float64]

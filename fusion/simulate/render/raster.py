@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from fusion.simulate import kernels
-from fusion.simulate import mesh as layout
-from fusion.simulate.inner import inner, outer
-from fusion.simulate.kernels import (
+from fusion.simulate.render import kernels
+from fusion.simulate.render import mesh as layout
+from fusion.simulate.render.compile import inner, outer
+from fusion.simulate.render.kernels import (
     FAR_M,
     LIFT_M,
     FloatArray,
@@ -26,7 +26,7 @@ from fusion.simulate.kernels import (
     radiance,
     trace,
 )
-from fusion.simulate.mesh import DUAL_A, DUAL_B, GLOSS, NORMAL, PLANE, POINTS, ROUGHNESS
+from fusion.simulate.render.mesh import DUAL_A, DUAL_B, GLOSS, NORMAL, PLANE, POINTS, ROUGHNESS
 
 TILE = 8
 MAX_SEEN = 4096
@@ -218,7 +218,7 @@ def _corner_pass(
     table: FloatArray, lightmap: Light, textures: Light, d: FloatArray, n: int, origin: FloatArray, angle: float,
     seen: Indices, near: FloatArray, count: int, ids: Indices, hit: FloatArray,
 ) -> None:  # fmt: skip
-    """Shoot the rays d (n, 3): surface into ``ids``; light, mirror share and distance into ``hit`` (n, 3)."""
+    """FlyingCamera the rays d (n, 3): surface into ``ids``; light, mirror share and distance into ``hit`` (n, 3)."""
     for k in range(n):
         ids[k], hit[k, 0], hit[k, 1], hit[k, 2] = -1, 0.0, 0.0, 0.0
         dx, dy, dz = d[k, 0], d[k, 1], d[k, 2]

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.simulate.config import SimulationConfig
-from fusion.simulate.imaging import Picture, Sensor, mean_radiance, through_jpeg
+from fusion.simulate.imu import sample_times
 from fusion.simulate.motion import Trajectory, Truth, plan_flight
-from fusion.simulate.plan import floor_plan
-from fusion.simulate.render import Image, View, exposure_moments, render_linear
-from fusion.simulate.scene import Scene, build_scene
-from fusion.simulate.sensors import sample_times
+from fusion.simulate.render.view import Image, View, exposure_moments, render_linear
+from fusion.simulate.scene.build import Scene, build_scene
+from fusion.simulate.scene.plan import floor_plan
+from fusion.simulate.sensor import Picture, Sensor, mean_radiance, through_jpeg
 from vision import Camera
 
 FloatArray = npt.NDArray[np.float64]
@@ -33,7 +33,7 @@ class SimulatedFrame(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shoot:
+class FlyingCamera:
     """A flight through a scene with a camera; makes the picture of any moment."""
 
     config: SimulationConfig
@@ -44,7 +44,7 @@ class Shoot:
     sensor: Sensor
 
     @classmethod
-    def prepare(cls, config: SimulationConfig, camera: Camera | None = None) -> Shoot:
+    def prepare(cls, config: SimulationConfig, camera: Camera | None = None) -> FlyingCamera:
         """Plan the flight, build the scene clear of its path, and set the exposure by a few small pictures.
 
         Parameters
@@ -127,7 +127,7 @@ def simulate_frames(config: SimulationConfig, camera: Camera | None = None) -> I
     camera
         Takes the place of the lens and mount in ``config.camera``.
     """
-    shoot = Shoot.prepare(config, camera)
-    for number, t in enumerate(shoot.frame_times().tolist()):
-        image = through_jpeg(shoot.picture(t, number), config.imaging.jpeg_quality)
-        yield SimulatedFrame(shoot.stamp_ns(t), image, shoot.trajectory.truth(t))
+    flying = FlyingCamera.prepare(config, camera)
+    for number, t in enumerate(flying.frame_times().tolist()):
+        image = through_jpeg(flying.picture(t, number), config.imaging.jpeg_quality)
+        yield SimulatedFrame(flying.stamp_ns(t), image, flying.trajectory.truth(t))

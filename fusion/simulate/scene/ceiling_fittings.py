@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from fusion.simulate.mesh import Builder, Frame, Material
-from fusion.simulate.plan import Room
-from fusion.simulate.scene_config import Ceiling, SceneConfig
+from fusion.simulate.render.mesh import Material
+from fusion.simulate.scene.builder import Builder, Frame
+from fusion.simulate.scene.config import Ceiling, SceneConfig
+from fusion.simulate.scene.plan import Room
 
 LAMP_SKEW_RAD = 0.004
 LAMP_SHIFT_M = 0.01

@@ -11,7 +11,7 @@ from math import cos, sin
 import numpy as np
 import numpy.typing as npt
 
-from fusion.simulate.scene_config import SceneConfig
+from fusion.simulate.scene.config import SceneConfig
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from fusion.simulate import kernels
-from fusion.simulate import mesh as layout
-from fusion.simulate.inner import inner, outer
-from fusion.simulate.kernels import LIFT_M, FloatArray, Indices, Light, dot, irradiance, scatter, trace
-from fusion.simulate.mesh import (
+from fusion.simulate.render import kernels
+from fusion.simulate.render import mesh as layout
+from fusion.simulate.render.compile import inner, outer
+from fusion.simulate.render.kernels import LIFT_M, FloatArray, Indices, Light, dot, irradiance, scatter, trace
+from fusion.simulate.render.mesh import (
     ALBEDO,
     EMISSION,
     LENGTH_A,

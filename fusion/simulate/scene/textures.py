@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from fusion.simulate.mesh import TEXTURE_LEVELS, TEXTURE_SIZE
+from fusion.simulate.render.mesh import TEXTURE_LEVELS, TEXTURE_SIZE
 
 SIZE, LEVELS = TEXTURE_SIZE, TEXTURE_LEVELS
 Picture = npt.NDArray[np.float32]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.simulate.config import ImagingConfig
-from fusion.simulate.render import Image, View
+from fusion.simulate.render.view import Image, View
 
 Picture = npt.NDArray[np.uint8]
 

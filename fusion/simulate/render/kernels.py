@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fusion.simulate import mesh as m
-from fusion.simulate.inner import inner
+from fusion.simulate.render import mesh as m
+from fusion.simulate.render.compile import inner
 
 FloatArray = npt.NDArray[np.float64]
 Light = npt.NDArray[np.float32]
