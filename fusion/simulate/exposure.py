@@ -56,6 +56,7 @@ class FlyingCamera:
         rooms, meetings = floor_plan(config.scene)
         trajectory = plan_flight(config.motion, rooms, meetings, config.seed)
         path = trajectory.position(np.arange(0.0, trajectory.duration_s + 0.1, 0.1))
+        path[:, 2] += np.tan(config.scene.slope_rad) * path[:, 0]  # as if the floor were level
         scene = build_scene(config.scene, config.seed, config.light_cell_m, path)
         view = View.of(camera)
         small = View.of(camera.resized(max(16, camera.width_px // 4), max(16, camera.height_px // 4)))
@@ -66,7 +67,14 @@ class FlyingCamera:
                 for k in range(METERED_FRAMES)
             ]
         )
-        return cls(config, camera, scene, trajectory, view, Sensor.of(config.imaging, view, float(level)))
+        return cls(
+            config,
+            camera,
+            scene,
+            trajectory,
+            view,
+            Sensor.of(config.imaging, view, float(level), config.seed),
+        )
 
     def frame_times(self) -> FloatArray:
         """Mid-exposure times of the frames, seconds from the flight's start; lost frames are left out."""

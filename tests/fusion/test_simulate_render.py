@@ -21,6 +21,7 @@ from fusion.simulate.render.mesh import (
     EMISSION,
     LIGHT_START,
     POINTS,
+    SUN_COUNT,
     Material,
     Mesh,
     build_tree,
@@ -51,7 +52,13 @@ CAMERAS = {
 def mesh_of(builder: Builder) -> Mesh:
     table, cells = builder.table(texture_set().number)
     nodes, order = build_tree(table[:, POINTS:].reshape(-1, 4, 3))
-    return Mesh(np.ascontiguousarray(table[order]), nodes, np.zeros(cells, np.float32), texture_set().copies)
+    return Mesh(
+        np.ascontiguousarray(table[order]),
+        nodes,
+        np.zeros(cells, np.float32),
+        texture_set().copies,
+        np.zeros(SUN_COUNT),
+    )
 
 
 def lamp(corner: FloatArray, a: FloatArray, b: FloatArray) -> Mesh:

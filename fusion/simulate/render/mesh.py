@@ -41,6 +41,9 @@ class Material:
         Spread of the normals of a glossy surface: how blurred its reflections are.
     joint_turn_rad
         Small angle by which the joints are turned against the edges.
+    origin_m
+        Where along its two edges the surface begins in a pattern that runs on from its neighbours: bricks and
+        tiles. None: joints begin at the corner, textures anywhere.
     """
 
     albedo: float
@@ -54,6 +57,7 @@ class Material:
     gloss: float = 0.0
     roughness_rad: float = 0.015
     joint_turn_rad: float = 0.0
+    origin_m: tuple[float, float] | None = None
 
     def but(self, **changes: object) -> Material:
         """Return a copy with some fields changed."""
@@ -74,9 +78,20 @@ EMISSION, GLOSS, ROUGHNESS = 16, 17, 18
 ALBEDO, CONTRAST, TEXTURE = 19, 20, 21
 SCALE_U, SCALE_V, SHIFT_U, SHIFT_V = 22, 23, 24, 25  # metres to repetitions of the texture
 JOINT_U, JOINT_V, JOINT_WIDTH, JOINT_ALBEDO, JOINT_TURN = 26, 27, 28, 29, 30
-LIGHT_START, LIGHT_NU, LIGHT_NV = 31, 32, 33  # cells in `Mesh.lightmap`
-POINTS = 34  # (4, 3) the corners
-COLUMNS = 46
+ORIGIN_U, ORIGIN_V = 31, 32  # of the joints, metres
+LIGHT_START, LIGHT_NU, LIGHT_NV = 33, 34, 35  # cells in `Mesh.lightmap`
+POINTS = 36  # (4, 3) the corners
+COLUMNS = 48
+
+# Entries of `Mesh.sun`.
+SUN_X, SUN_Y, SUN_Z = 0, 1, 2  # unit vector towards the sun
+SUN_LIGHT = 3  # radiance of a white surface square to it; 0: no sun
+SUN_WALL_Y = 4  # where the window wall stands; its panes run along x
+SUN_FIRST, SUN_LAST = 5, 6  # panes from this x to that one
+SUN_PITCH, SUN_PANE = 7, 8  # from pane to pane, and a pane's width
+SUN_SILL, SUN_HEAD = 9, 10  # above the floor
+SUN_SLOPE = 11  # rise of the floor over x
+SUN_COUNT = 12
 
 
 class Mesh(NamedTuple):
@@ -101,6 +116,7 @@ class Mesh(NamedTuple):
     nodes: FloatArray
     lightmap: npt.NDArray[np.float32]
     textures: npt.NDArray[np.float32]
+    sun: FloatArray
 
 
 def _half_area(low: FloatArray, high: FloatArray) -> FloatArray:

@@ -93,6 +93,24 @@ class Builder:
         else:
             self.obstacles.append(np.concatenate([low, high]))
 
+    def incline(self, slope_rad: float) -> None:
+        """Let the floor climb along x: what is upright stays upright, what is level across stays level."""
+        if slope_rad == 0:
+            return
+        rise = np.eye(3)
+        rise[2, 0] = -np.tan(slope_rad)
+        back = np.linalg.inv(rise).T
+        for k, (corner, a, b, normal, material, ellipse) in enumerate(self.rows):
+            turned = back @ normal
+            self.rows[k] = (
+                rise @ corner,
+                rise @ a,
+                rise @ b,
+                turned / np.linalg.norm(turned),
+                material,
+                ellipse,
+            )
+
     def quad(
         self,
         corner: FloatArray,
@@ -172,12 +190,15 @@ class Builder:
             row[[ALBEDO, CONTRAST, TEXTURE]] = material.albedo, material.contrast, number
             size = material.texture_size_m or (la, lb)
             shift = self.rng.random(2) if material.texture_size_m else (0.0, 0.0)
+            if material.origin_m is not None:
+                shift = material.origin_m[0] / size[0], material.origin_m[1] / size[1]
             row[SCALE_U:JOINT_U] = [1 / size[0], 1 / size[1], *shift]
             row[JOINT_U:LIGHT_START] = [
                 *material.joint_spacing_m,
                 material.joint_width_m,
                 material.joint_albedo,
                 material.joint_turn_rad,
+                *(material.origin_m or (0.0, 0.0)),
             ]
             nu, nv = (int(np.clip(np.ceil(length / self.light_cell_m), 1, 400)) for length in (la, lb))
             row[LIGHT_START:POINTS] = cells, nu, nv

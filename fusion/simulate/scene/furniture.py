@@ -5,6 +5,8 @@ Every function builds in the wall's own frame: s along the wall, d out of it int
 
 from __future__ import annotations
 
+import numpy as np
+
 from fusion.simulate.render.mesh import Material
 from fusion.simulate.scene.builder import Builder, Frame
 
@@ -12,6 +14,7 @@ ASKEW_RAD = 0.02  # how far furniture stands from parallel to its wall
 
 
 def build_furniture(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
+    """Stand a cupboard, a bin or a bench against the wall from s on, at most to s1; return how long it is."""
     rng = builder.rng
     frame = frame.turned(s, 0.03, abs(float(rng.normal(0, ASKEW_RAD))))  # nobody aligns furniture
     reach = min(0.55, 0.28 * room_m)
@@ -51,10 +54,54 @@ def build_furniture(builder: Builder, frame: Frame, s: float, s1: float, room_m:
 
 
 def build_radiator(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
+    """Hang a radiator low on the wall from s on; return how long it is."""
     wide = min(float(builder.rng.uniform(0.8, 1.6)), s1 - s - 0.02)
     ribs = Material(0.75, None, None, 1.0, (0.05, 0.0), 0.012, 0.35)
     builder.box(frame, (s, s + wide), (0.03, 0.12), (0.12, 0.68), ribs)
     return wide
+
+
+def build_boxes(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
+    """Pile cardboard boxes against the wall from s on, none straight; return how long the pile is."""
+    rng = builder.rng
+    wide, deep = min(float(rng.uniform(0.35, 0.75)), s1 - s - 0.05), min(0.5, 0.22 * room_m)
+    level = 0.0
+    for _ in range(int(rng.integers(1, 5))):
+        high = float(rng.uniform(0.2, 0.4))
+        turned = frame.turned(s + wide / 2, deep / 2, float(rng.normal(0, 0.08)))
+        shrunk = float(rng.uniform(0.75, 1.0))
+        gap = (1 - shrunk) * wide / 2
+        card = Material(float(rng.uniform(0.25, 0.45)), "vinyl", (0.5, 0.5), 0.8)
+        span, front = (s + gap, s + wide - gap), 0.05 + deep * shrunk
+        builder.box(turned, span, (0.05, front), (level, level + high), card, "sSdDH")
+        middle = (span[0] + span[1]) / 2
+        tape = card.but(albedo=card.albedo * 1.4)
+        band = (middle - 0.025, middle + 0.025)
+        builder.box(turned, band, (0.05, front + 0.001), (level, level + high + 0.001), tape, "DH")
+        level += high
+    return wide
+
+
+def build_plant(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
+    """Stand a plant in a pot against the wall; return how long it is."""
+    rng = builder.rng
+    radius, high = float(rng.uniform(0.12, 0.2)), float(rng.uniform(0.2, 0.4))
+    middle = s + radius, radius + 0.05
+    pot = Material(float(rng.uniform(0.1, 0.5)))
+    builder.prism(frame, middle, (radius, radius), (0, high), pot, 10, Material(0.03))
+    leaf = Material(float(rng.uniform(0.05, 0.18)))
+    tall = float(rng.uniform(0.4, 1.0))
+    for k in range(int(rng.integers(7, 14))):
+        turn, lean = 2.4 * k, float(rng.uniform(0.1, 0.8))
+        ds, dd = float(np.cos(turn)), float(np.sin(turn))
+        foot = frame.point(middle[0] + 0.3 * radius * ds, middle[1] + 0.3 * radius * dd, high)
+        reach = min(lean * tall * 0.6, (0.6 * radius) / max(-dd, 0.1))
+        blade = frame.vector(reach * ds, reach * dd, tall * float(rng.uniform(0.6, 1.0)))
+        across = frame.vector(-0.05 * dd, 0.05 * ds, 0)
+        facing = np.cross(blade, across)
+        for side in (facing, -facing):
+            builder.quad(foot - across / 2, blade, across, side, leaf)
+    return 2 * radius
 
 
 def build_lockers(builder: Builder, frame: Frame, s0: float, s1: float) -> None:

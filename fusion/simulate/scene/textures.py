@@ -93,6 +93,21 @@ def _brick(rng: np.random.Generator) -> Picture:
     return np.asarray(picture, np.float32)
 
 
+def _blocks(rng: np.random.Generator) -> Picture:
+    """8 courses of 4 painted blocks a repetition, running bond."""
+    picture = 1 + 0.03 * _noise(rng, (32, 32), 3)
+    rows, columns = 8, 4
+    height, width = SIZE // rows, SIZE // columns
+    for row in range(rows):
+        picture[row * height : row * height + 2] *= 0.75
+        for column in range(columns):
+            begin = column * width + (row % 2) * width // 2
+            u = np.arange(begin, begin + width) % SIZE
+            picture[row * height : (row + 1) * height, u] *= 1 + 0.02 * rng.standard_normal()
+            picture[row * height : (row + 1) * height, u[:2]] *= 0.75
+    return np.asarray(picture, np.float32)
+
+
 def _bytes(picture: Picture) -> Canvas:
     """To the 8 bits that OpenCV draws on; values are reflectances 0 to 1."""
     return np.ascontiguousarray(np.clip(255 * picture, 0, 255).astype(np.uint8))
@@ -193,7 +208,7 @@ _DRAW = {
     "plaster": _plaster, "wood": _wood, "speckle": _speckle, "carpet": _carpet, "vinyl": _vinyl, "metal": _metal,
     "ceiling_board": _ceiling_board, "brick": _brick,
     **dict.fromkeys(POSTERS, _poster), **dict.fromkeys(BOARDS, _board), **dict.fromkeys(SIGNS, _sign),
-    **dict.fromkeys(WINDOWS, _window),
+    **dict.fromkeys(WINDOWS, _window), "blocks": _blocks,
 }  # fmt: skip
 
 

@@ -11,8 +11,16 @@ import numpy as np
 
 from fusion.simulate.render.mesh import Material
 from fusion.simulate.scene.builder import Builder, Frame
-from fusion.simulate.scene.config import SceneConfig
-from fusion.simulate.scene.furniture import build_furniture, build_lockers, build_radiator
+from fusion.simulate.scene.config import SceneConfig, WallConfig
+from fusion.simulate.scene.furniture import (
+    build_boxes,
+    build_furniture,
+    build_lockers,
+    build_plant,
+    build_radiator,
+)
+from fusion.simulate.scene.materials import floor_material, wall_material
+from fusion.simulate.scene.plan import Room, room_frame
 from fusion.simulate.scene.textures import BOARDS, POSTERS, SIGNS
 
 DOOR_HEIGHT_M = 2.05
@@ -21,12 +29,16 @@ SKEW_RAD = 0.006  # how far sheets hang from plumb
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """A doorway: from s0 to s1 along the wall; ``is_open`` shows the room behind it."""
+    """A doorway: from s0 to s1 along the wall; ``is_open`` shows the room behind it.
+
+    With ``alcove_m`` it is an alcove that deep.
+    """
 
     s0_m: float
     s1_m: float
     height_m: float
     is_open: bool
+    alcove_m: float = 0.0
 
 
 def place_openings(
@@ -43,7 +55,14 @@ def place_openings(
             return openings
         height = min(DOOR_HEIGHT_M + float(rng.choice([0.0, 0.1])), config.height_m - 0.12)
         free = any(a < s - 1.2 and s + width + 1.2 < b for a, b in free_behind)
-        openings.append(Opening(s, s + width, height, bool(free and rng.random() < config.open_door_share)))
+        if config.alcove_share > 0 and free and rng.random() < config.alcove_share:
+            width = min(float(rng.uniform(0.8, 3.0)), length_m - 0.36 - s)
+            height = float(rng.choice([2.1, config.height_m - 0.25, config.height_m]))
+            height = min(height, config.height_m)
+            openings.append(Opening(s, s + width, height, False, float(rng.uniform(0.2, 1.1))))
+        else:
+            is_open = bool(free and rng.random() < config.open_door_share)
+            openings.append(Opening(s, s + width, height, is_open))
         s += width + max(0.5, float(rng.gamma(3.0, max(config.door_spacing_m - width, 0.6) / 3.0)))
 
 
@@ -147,14 +166,16 @@ def _build_room(
         builder.box(
             frame, (a + 0.1, b - 0.3), (back, back + 0.5), (0, float(rng.uniform(0.7, 1.8))), shade, "sSDH"
         )
-    _swing_leaf(builder, frame, opening, deep)
+    _swing_leaf(builder, frame, opening, deep, config.ajar_share)
 
 
-def _swing_leaf(builder: Builder, frame: Frame, opening: Opening, deep: float) -> None:
+def _swing_leaf(builder: Builder, frame: Frame, opening: Opening, deep: float, ajar_share: float) -> None:
     """Build an open door's leaf, swung into the room behind."""
     rng = builder.rng
     leaf = Material(float(rng.uniform(0.12, 0.6)), "wood", (0.7, 2.2))
     wide, swing = opening.s1_m - opening.s0_m, float(rng.uniform(0.9, 1.9))
+    if ajar_share > 0 and rng.random() < ajar_share:
+        swing = float(rng.uniform(0.08, 0.6))
     hinge, turn = (opening.s0_m, -swing) if rng.random() < 0.5 else (opening.s1_m, swing)
     turned = frame.turned(hinge, -deep, turn)
     span = (hinge, hinge + wide) if turn < 0 else (hinge - wide, hinge)
@@ -199,6 +220,8 @@ def decorate(
         ("sign", config.sign_spacing_m, 0.3),
         ("furniture", config.furniture_spacing_m, 1.0),
         ("radiator", config.radiator_spacing_m, 1.2),
+        ("boxes", config.boxes_spacing_m, 1.0),
+        ("plant", config.plants_spacing_m, 0.6),
     )
     present = [(name, 1 / spacing, size) for name, spacing, size in rates if spacing > 0]
     if not present:
@@ -209,11 +232,67 @@ def decorate(
         name, _, size = present[int(rng.choice(len(present), p=weights / weights.sum()))]
         if s + size > s1 - 0.08:
             return
-        build = {"poster": _poster, "sign": _sign, "furniture": build_furniture, "radiator": build_radiator}[
-            name
-        ]
+        build = _BUILD[name]
         with builder.standing():
             s += build(builder, frame, s, s1, room_m)
+
+
+def build_alcove(
+    builder: Builder, frame: Frame, opening: Opening, config: SceneConfig, look: WallConfig, start_m: float
+) -> None:
+    """Build a recess in the wall: its back and sides like the wall, its floor like the corridor's."""
+    s0, s1, top, deep = opening.s0_m, opening.s1_m, opening.height_m, opening.alcove_m
+    along, inwards, up = frame.vector(s1 - s0, 0, 0), frame.vector(0, deep, 0), frame.vector(0, 0, top)
+    back = wall_material(look, look.finish, look.albedo, (start_m + s0, 0.0))
+    side = back.but(origin_m=None)
+    builder.quad(frame.point(s0, -deep, 0), along, up, frame.out, back)
+    builder.quad(frame.point(s0, -deep, 0), inwards, up, frame.along, side)
+    builder.quad(frame.point(s1, -deep, 0), inwards, up, -frame.along, side)
+    floor = floor_material(config).but(joint_spacing_m=(0.0, 0.0))
+    builder.quad(frame.point(s0, -deep, 0), along, inwards, frame.vector(0, 0, 1), floor)
+    builder.quad(frame.point(s0, -deep, top), along, inwards, frame.vector(0, 0, -1), Material(0.7))
+    rng = builder.rng
+    if deep > 0.35 and rng.random() < 0.5:
+        with builder.standing():
+            deep_m = min(0.45, deep - 0.05)
+            box = Material(float(rng.uniform(0.05, 0.6)), "wood", (1.0, 0.7))
+            high = float(rng.uniform(0.4, 1.8))
+            builder.box(frame, (s0 + 0.1, s1 - 0.15), (-deep, -deep + deep_m), (0, high), box, "sSDH")
+
+
+def build_pilasters(
+    builder: Builder,
+    frame: Frame,
+    s: tuple[float, float],
+    config: SceneConfig,
+    look: WallConfig,
+    start_m: float,
+) -> None:
+    """Build the pilasters that fall on a piece of wall between two doorways."""
+    spacing = config.pilaster_spacing_m
+    wide, deep = config.pilaster_m
+    stuff = Material(config.pilaster_albedo, "blocks", (1.6, 1.6))
+    first = int(np.ceil((s[0] + start_m + 0.15) / spacing))
+    for k in range(first, first + int((s[1] - s[0]) / spacing) + 1):
+        place = k * spacing - start_m
+        if s[0] + 0.15 < place and place + wide < s[1] - 0.15:
+            with builder.standing():
+                builder.box(frame, (place, place + wide), (0, deep), (0, config.height_m), stuff, "sSD")
+
+
+def build_partition(builder: Builder, rooms: list[Room], config: SceneConfig) -> None:
+    """Build the low wall between the first corridor and the open hall."""
+    if config.open_hall_m is None or config.partition_height_m == 0:
+        return
+    low, high = config.open_hall_m
+    half, top = config.width_m / 2, config.partition_height_m
+    look = config.wall_of("right" if config.open_hall_right else "left")
+    material = wall_material(look, look.finish, look.albedo)
+    frame = room_frame(rooms[0])
+    d = (half, half + 0.1) if config.open_hall_right else (-half - 0.1, -half)
+    builder.box(frame, (low, high), d, (0, top), material, "sSdD")
+    cap = Material(0.35, "wood", (1.5, 0.5))
+    builder.box(frame, (low, high), (d[0] - 0.02, d[1] + 0.02), (top, top + 0.03), cap)
 
 
 def _poster(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
@@ -242,3 +321,13 @@ def _sign(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) ->
         builder.prism(frame, (s + 0.1, 0.1), (0.075, 0.075), (0.55, 1.05), red, 8)
         builder.prism(frame, (s + 0.1, 0.1), (0.03, 0.03), (1.05, 1.15), Material(0.05), 6)
     return 0.25
+
+
+_BUILD = {
+    "poster": _poster,
+    "sign": _sign,
+    "furniture": build_furniture,
+    "radiator": build_radiator,
+    "boxes": build_boxes,
+    "plant": build_plant,
+}
