@@ -4,8 +4,8 @@
 what single frames make of the flights ``office``, ``clutter`` and ``night`` (``data/office``, ``../shared/flights``),
 of plain simulated offices and of random simulated corridors by day and by night: the noise in the pictures, the lines
 found, and how many of them belong to the corridor's axis; the heading's error with its stated sigma; and of the
-lateral offset what share is answered, the answers' errors, whether the likeliest pair of corners is right, and whether
-both floor corners are among the lines at all. The attitude given is the exact one, so what differs is the pictures. A
+lateral offset what share is answered, the answers' errors, whether the likeliest pair of corners is right, and
+whether both floor corners are among the lines at all. The attitude given is the exact one, so what differs is the pictures. A
 random corridor should be as hard as ``clutter`` and ``night``; a plain office as easy as ``office``.
 """
 
@@ -16,7 +16,6 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
 from math import degrees, pi, radians
 from pathlib import Path
 from typing import Any
@@ -29,7 +28,14 @@ from support.scores import number, percent, table
 
 from fusion import load_flight
 from fusion.logs.asl import read_ground_truth
-from fusion.simulate import RandomView, SimulationConfig, office_views, random_views
+from fusion.simulate import (
+    ImagingConfig,
+    RandomView,
+    SceneConfig,
+    SimulationConfig,
+    office_views,
+    random_views,
+)
 from fusion.simulate.exposure import FlyingCamera
 from fusion.simulate.motion import rotations
 from fusion.simulate.scene.random_scene import is_night
@@ -52,7 +58,6 @@ LONG_SHARE = 0.08  # of the picture's width: lines long enough that their direct
 ATTITUDE_STD_RAD = radians(0.1)
 SEED = 3
 VIEWS_PER_SCENE = 4
-MOST_TRIES = 20  # times as many views as are wanted by day, or by night
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +104,7 @@ def of_flight(folder: Path, size: tuple[int, int], count: int) -> Iterator[Sampl
         R = rotations(np.array([[attitude.roll_rad, attitude.pitch_rad, heading]]))[0]
         _, right, down = R @ flight.camera.p_body_camera_m
         offset = float(truth.lateral_offset_m[at]) + right
-        image = cv2.resize(flight.frames.read(k), size, interpolation=cv2.INTER_AREA)
+        image = np.asarray(cv2.resize(flight.frames.read(k), size, interpolation=cv2.INTER_AREA), np.uint8)
         height = -float(state.p_world_m[row, 2]) - down
         yield Sample(
             image, camera, attitude.roll_rad, attitude.pitch_rad, heading, 2 * offset / width, height, width
@@ -198,6 +203,11 @@ HEAD = [
 ]  # fmt: skip
 
 
+def seed_of(seed: int, night: bool) -> int:
+    """Return the first of the seeds that go with a seed whose corridor is drawn for the night, or for the day."""
+    return next(s for s in range(100 * seed, 100 * seed + 100) if is_night(s) == night)
+
+
 def compare(frames: int) -> None:
     """Print what single frames make of flights and of simulated corridors."""
     size, rows = COMPARED_PX, []
@@ -210,9 +220,15 @@ def compare(frames: int) -> None:
     drawn: dict[str, Any] = {"views_per_scene": VIEWS_PER_SCENE, "min_ahead_m": 1.0}
     rows.append(row_of("plain offices", of_views(office_views(camera, frames, SEED, **drawn))))
     for name, night in (("random, by day", False), ("random, by night", True)):
-        many = random_views(camera, MOST_TRIES * frames, SEED, **drawn)
-        kept = (view for view in many if is_night(view.scene_seed) == night)
-        rows.append(row_of(name, of_views(islice(kept, frames))))
+
+        def scene(seed: int, night: bool = night) -> SceneConfig:
+            return SceneConfig.random(seed_of(seed, night))
+
+        def imaging(seed: int, night: bool = night) -> ImagingConfig:
+            return ImagingConfig.random(seed_of(seed, night))
+
+        views = random_views(camera, frames, SEED, scene=scene, imaging=imaging, **drawn)
+        rows.append(row_of(name, of_views(views)))
     print(f"single frames at {size[0]}x{size[1]}; heading in degrees, offset over half the width")
     print(table(HEAD, rows))
 
