@@ -10,6 +10,8 @@ import numpy as np
 from fusion.simulate.scene.config import Ceiling, End, Floor, Side, Sides, Surface, WallConfig, WallFinish
 
 NIGHT_SHARE = 0.25
+FREE_HALF_M = 0.6
+BOTH_WALLS = {"wall", "wall_albedo", "skirting_height_m", "skirting_albedo"}  # settings of both walls at once
 
 
 def is_night(seed: int) -> bool:
@@ -104,6 +106,8 @@ def draw_building(seed: int, fixed: Mapping[str, Any]) -> dict[str, Any]:
     values |= {name: fixed[name] for name in values if name in fixed}
     values |= _plan(draw, values, fixed)
     values |= _surfaces(draw)
+    if BOTH_WALLS & set(fixed):
+        values |= {"left_wall": None, "right_wall": None}
     values |= _openings(draw, values | dict(fixed), night)
     values |= _contents(draw)
     values |= _light(draw, values["width_m"], night)
@@ -135,6 +139,8 @@ def _plan(draw: _Draw, size: Mapping[str, Any], fixed: Mapping[str, Any]) -> dic
     if kind == "step":
         wider = width * draw.between(1.15, 1.6)
         moves = draw.one_of(*Sides)
+        if moves is not Sides.BOTH:  # the way along the first part's middle stays free
+            narrower = max(narrower, width / 2 + FREE_HALF_M)
         return {"width_step": {"at_m": place, "width_m": draw.one_of(narrower, wider), "moves": moves}}
     if kind == "hall":
         end = min(length - 0.5, place + draw.between(3, length))
