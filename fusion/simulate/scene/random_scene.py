@@ -90,9 +90,9 @@ class _Draw:
         return float(self.one_of(self.between(0.03, 0.15), self.between(0.15, 0.5), self.between(0.5, 0.85)))
 
     def sides(self) -> tuple[Surface, ...]:
-        return self.one_of(
-            (Surface.LEFT, Surface.RIGHT), (Surface.LEFT,), (Surface.RIGHT,), p=(0.5, 0.25, 0.25)
-        )
+        """Both walls, or one of them."""
+        choices = ((Surface.LEFT, Surface.RIGHT), (Surface.LEFT,), (Surface.RIGHT,))
+        return choices[int(self.rng.choice(3, p=(0.5, 0.25, 0.25)))]
 
 
 def draw_building(seed: int, fixed: Mapping[str, Any]) -> dict[str, Any]:
