@@ -6,11 +6,11 @@ Each fault is put into the samples of a simulated flight (gyroscope 0.0075 rad/s
 30 Hz that arrive 50 ms later, 3 % of them gross, attitude at 50 Hz), some also into logged flights whose pictures
 are measured once, with what an undisturbed filter expects of them. Asked: an error within 1.5 times that of a good
 system, or the status or a reason that tells of it within 0.5 s; no exception; no number that is none; and never
-longer than 0.5 s *silent*, which is tracking beyond 4 sigma without a reason. `worst` is the largest error while nothing
-is told, in degrees, or in per cent of half the width for the lateral offset, `asked` what it may be, `sigmas` the same over
-sigma; `told` the time from the fault's start until something is; `after` the largest error once the time for recovery
-has passed. A good system, where the table needs one, is a plain Kalman filter of heading and bias with the
-same settings; for statistics it is the oracle of `consistency.py`.
+longer than 0.5 s *silent*, which is tracking beyond 4 sigma without a reason. `worst` is the largest error while
+nothing is told, in degrees, or in per cent of half the width for the lateral offset, `asked` what it may be for
+longer than 0.5 s, `sigmas` the same over sigma; `told` the time from the fault's start until something is; `after`
+the largest error once the time for recovery has passed. A good system, where the table needs one, is a plain Kalman
+filter of heading and bias with the same settings; for statistics it is the oracle of `consistency.py`.
 
 Random flights have one to three faults of random kind, time and size; counted are those silent for more than 1 s.
 """
@@ -34,22 +34,28 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parent))
 
 from support.fault_score import Fault, Outcome, fly, judge, merged, plain_kalman, silent_s
-from support.fault_table import BY_NAME, FAULTS, ON_LOGGED, random_faults
+from support.fault_table import BY_NAME, FAULTS, ON_LOGGED
+from support.flight_checks import FLIGHT_CHECKS
 from support.oracle import oracle
+from support.random_faults import random_faults
 from support.recording import Recording, base_scene, logged_recording, simulated_recording
 from support.scores import number, table
 
+from fusion import load_flight
 from tests.fusion.simulated import weaving, wrap
 
 ROOT = Path(__file__).parents[1]
 RANDOM_SILENT_S = 1.0
+RANDOM_GYRO_HZ = 100.0  # half the base scene's, for half the time
 WORST_SHOWN = 15
 
 
 def on_recording(fault: Fault, clean: Recording, seed: int = 0) -> Outcome:
     """Put a fault into a flight and judge it."""
     with np.errstate(all="ignore"):
-        recording = clean if fault.injection is None else fault.injection(clean, np.random.default_rng((seed, 3)))
+        recording = (
+            clean if fault.injection is None else fault.injection(clean, np.random.default_rng((seed, 3)))
+        )
         trace = fly(recording, fault.quantity)
         peer_worst, ratio = 0.0, float("nan")
         if fault.bound.by_peer:
@@ -77,7 +83,7 @@ def on_random(seed: int, seconds: float = 20.0) -> tuple[str, float, int, int]:
     rng = np.random.default_rng((seed, 78))
     heading = weaving(seed, np.radians(rng.uniform(3, 40)), rng.uniform(3, 8))
     attitude_hz = float(rng.choice([0.0, 50.0, 50.0]))
-    scene = base_scene(seed, seconds, heading=heading, attitude_hz=attitude_hz)
+    scene = base_scene(seed, seconds, heading=heading, attitude_hz=attitude_hz, gyro_hz=RANDOM_GYRO_HZ)
     names, inject = random_faults(seed)
     with np.errstate(all="ignore"):
         trace = fly(inject(simulated_recording(scene), rng))
@@ -146,7 +152,9 @@ def print_random(flights: Sequence[tuple[str, float, int, int]], seconds: float)
     ]
     print(table(("flights", "asked", "measured"), rows))
     print("\nFlights silent for more than 1 s, by what was in them")
-    print(table(("", "silent", "of"), [(name, str(n), str(of[name])) for name, n in kinds.most_common() if n]))
+    print(
+        table(("", "silent", "of"), [(name, str(n), str(of[name])) for name, n in kinds.most_common() if n])
+    )
     print("\nThe worst")
     worst = sorted(silent, key=lambda flight: -flight[1])[:WORST_SHOWN]
     print(table(("", "silent s"), [(names, f"{s:.1f}") for names, s, *_ in worst]))
@@ -170,13 +178,31 @@ def main() -> None:
     outcomes = mapped(_by_name, [f.name for f in chosen], options.processes)
     print_faults(f"{len(chosen)} faults in simulated flights", zip(chosen, outcomes, strict=True))
     logged = [BY_NAME[name] for name in ON_LOGGED if BY_NAME[name] in chosen]
-    folders = [ROOT / "data" / "office", *(options.shared / "flights" / name for name in ("clutter", "night"))]
+    folders = [
+        ROOT / "data" / "office",
+        *(options.shared / "flights" / name for name in ("clutter", "night")),
+    ]
     for folder in folders if logged else []:
         if folder.is_dir():
             clean = logged_recording(folder)
-            print_faults(f"{folder.name}: {len(logged)} faults", [(f, on_recording(f, clean)) for f in logged])
+            print_faults(
+                f"{folder.name}: {len(logged)} faults", [(f, on_recording(f, clean)) for f in logged]
+            )
+    if options.only in ("", "checks"):
+        office = load_flight(folders[0])
+        checks = [(name, *check(office)) for name, check in FLIGHT_CHECKS.items()]
+        print(f"\n{len(checks)} faults of a flight made by hand, and of a program")
+        print(
+            table(
+                ("", "", "what happens"),
+                [(n, "pass" if ok else "FAIL", said[:110]) for n, ok, said in checks],
+                (0, 1, 2),
+            )
+        )
     if options.random > 0:
-        flights = list(mapped(on_random, range(options.random), options.processes))
+        flights = list(
+            mapped(partial(on_random, seconds=options.seconds), range(options.random), options.processes)
+        )
         print_random(flights, options.seconds)
     print(f"\ntook {perf_counter() - started:.0f} s")
 

@@ -51,6 +51,8 @@ class Bound:
         Time to recover in.
     told_s
         Within what time of the fault's start status or reason must tell of it; None: only if ``within`` is broken.
+    at_once
+        Largest error at any instant at which nothing is told: where a sample cannot be, nothing need be waited for.
     by_peer
         Whether ``within`` rises to 1.5 times the worst error of a plain Kalman filter on the same samples.
     over_oracle
@@ -65,6 +67,7 @@ class Bound:
     after: float = inf
     recovery_s: float = 1.0
     told_s: float | None = None
+    at_once: float = inf
     by_peer: bool = False
     over_oracle: float | None = None
     nees: tuple[float, float] | None = None
@@ -84,6 +87,7 @@ class Trace:
     exceptions: int
     exception: str
     not_finite: int
+    resets_taken_back: int
 
     @property
     def silent(self) -> BoolArray:
@@ -121,7 +125,7 @@ def fly(recording: Recording, quantity: Quantity = "heading") -> Trace:
     estimator = CorridorEstimator(recording.config)
     rows: list[tuple[float, float, float, bool, bool]] = []
     reasons: list[str] = []
-    exceptions, exception, not_finite = 0, "", 0
+    exceptions, exception, not_finite, resets, taken_back = 0, "", 0, 0, 0
     newest_ns, next_ns = 0, round(SETTLED_S * 1e9)
     for event in recording.events:
         newest_ns = max(newest_ns, event.true_ns)
@@ -137,6 +141,8 @@ def fly(recording: Recording, quantity: Quantity = "heading") -> Trace:
                 break
             continue
         not_finite += not is_sound(e)
+        taken_back += e.reset_count < resets
+        resets = e.reset_count
         value, std = (
             (e.heading_rad, e.heading_std_rad)
             if quantity == "heading"
@@ -152,7 +158,9 @@ def fly(recording: Recording, quantity: Quantity = "heading") -> Trace:
     else:
         error = 100.0 * (value - np.interp(t, recording.t_s, recording.lateral_norm))
         std = 100.0 * std
-    return Trace(t, error, std, tracking > 0, told > 0, tuple(reasons), exceptions, exception, not_finite)
+    return Trace(
+        t, error, std, tracking > 0, told > 0, tuple(reasons), exceptions, exception, not_finite, taken_back
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,7 +227,9 @@ def plain_kalman(recording: Recording, t_s: FloatArray) -> FloatArray:
     c = recording.config
     imu = [(e.stamp_ns * 1e-9, *e.values[0]) for e in recording.events if e.kind == "imu"]
     t_imu, _, q, r = np.array(imu).T
-    roll, pitch = (np.interp(t_imu, recording.t_s, angle) for angle in (recording.roll_rad, recording.pitch_rad))
+    roll, pitch = (
+        np.interp(t_imu, recording.t_s, angle) for angle in (recording.roll_rad, recording.pitch_rad)
+    )
     rate = (q * np.sin(roll) + r * np.cos(roll)) / np.cos(pitch)
     turn = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t_imu))])
     frames = [
@@ -271,27 +281,36 @@ def judge(fault: Fault, trace: Trace, peer_worst: float = 0.0, over_peer: float 
     after = t >= fault.end_s + bound.recovery_s
     before = {"tracking"} | {r for r, early in zip(trace.reasons, t < fault.start_s, strict=True) if early}
     first = next(
-        (float(at) for at, r in zip(t, trace.reasons, strict=True) if at >= fault.start_s and r not in before),
+        (
+            float(at)
+            for at, r in zip(t, trace.reasons, strict=True)
+            if at >= fault.start_s and r not in before
+        ),
         inf,
     )
-    nees = float(np.nanmean((trace.error / trace.std) ** 2))
+    known = np.isfinite(size) & (trace.std > 0.0)
+    nees = float(np.mean((size[known] / trace.std[known]) ** 2)) if known.any() else nan
     failures = []
     if trace.exceptions:
         failures.append(f"{trace.exceptions} exceptions")
     if trace.not_finite:
         failures.append(f"{trace.not_finite} not finite")
+    if trace.resets_taken_back:
+        failures.append("reset count falls")
     if silent_s(trace) > MAX_SILENT_S:
         failures.append("silent")
     if longest_s(t, during & untold & (size > within)) > TOLD_WITHIN_S:
         failures.append("error")
+    if np.nanmax(size[during & untold], initial=0.0) > bound.at_once:
+        failures.append("jolt")
     if bound.told_s is not None and first - fault.start_s > bound.told_s:
         failures.append("not told")
     if after.any() and isfinite(bound.after):
-        if not np.nanmax(size[after]) <= bound.after:  # NaN fails too
+        if not np.max(size[after]) <= bound.after:  # NaN fails too
             failures.append("not recovered")
         if trace.tracking[after].mean() < MIN_TRACKING:
             failures.append("not tracking again")
-    if bound.quiet and trace.told.mean() > MAX_TOLD_SHARE:
+    if bound.quiet and trace.told[during].mean() > MAX_TOLD_SHARE:
         failures.append("false alarm")
     quietly = size[during & untold]
     return Outcome(
@@ -338,5 +357,3 @@ def merged(fault: Fault, outcomes: list[Outcome]) -> Outcome:
         failures=tuple(failures),
         said=worst.said,
     )
-
-

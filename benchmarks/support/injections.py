@@ -1,13 +1,14 @@
 """What goes wrong with sensors and with the world they see, as changes of a recording's events.
 
-Each function returns an `Injection`; those of a pair are applied one after the other. Times are seconds of the flight.
+Each function returns an `Injection`; those of a pair are applied one after the other. Times are seconds of
+the flight.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from math import asin, atan2, cos, inf, pi, sin
+from math import asin, atan2, cos, inf, pi, radians, sin
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,16 @@ Change = Callable[[Event, np.random.Generator], Iterable[Event]]
 Profile = Callable[[float], float]
 
 FOCAL_LENGTH_PX = 500.0  # of the camera whose calibration is wrong: 65 degrees over 640 pixels
+
+
+def constant(angle_deg: float) -> Profile:
+    """Return an angle or rate that stays, given in degrees."""
+    return lambda _: radians(angle_deg)
+
+
+def ramp(deg_per_s: float) -> Profile:
+    """Return an angle or rate that grows, given in degrees per second."""
+    return lambda t: radians(deg_per_s) * t
 
 
 def each(kind: Kind, change: Change, start_s: float, end_s: float = inf) -> Injection:
@@ -41,6 +52,7 @@ def each(kind: Kind, change: Change, start_s: float, end_s: float = inf) -> Inje
 
 def first(kind: Kind, change: Change, at_s: float) -> Injection:
     """Change the first event of a kind from a time on."""
+
     def inject(recording: Recording, rng: np.random.Generator) -> Recording:
         events = list(recording.events)
         k = next(k for k, e in enumerate(events) if e.kind == kind and e.t_s >= at_s)
@@ -86,6 +98,11 @@ def gyro_mapped(rate_of: Callable[[float], float], start_s: float, end_s: float 
         return [_with_gyro(event, (p, q, r))]
 
     return each("imu", change, start_s, end_s)
+
+
+def gyro_scaled(factor: float, start_s: float) -> Injection:
+    """Let the gyroscope's scale be wrong."""
+    return gyro_mapped(lambda rate: factor * rate, start_s)
 
 
 def gyro_spikes(rate_rad_s: float, share: float, start_s: float, end_s: float) -> Injection:
@@ -276,9 +293,7 @@ def _product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, floa
 def yaw_off(angle_rad: float, start_s: float, end_s: float = inf) -> Injection:
     """Turn the attitude about the vertical: steel or a motor's current."""
     turn = (cos(angle_rad / 2), 0.0, 0.0, sin(angle_rad / 2))
-    return each(
-        "attitude", lambda e, _: [replace(e, values=(_product(turn, e.values[0]),))], start_s, end_s
-    )
+    return each("attitude", lambda e, _: [replace(e, values=(_product(turn, e.values[0]),))], start_s, end_s)
 
 
 def attitude_upside_down(start_s: float = 0.0) -> Injection:

@@ -1,6 +1,7 @@
 """A flight as the samples that reached the estimator, and what was true: what faults are put into.
 
-Simulated flights come from `tests.fusion.simulated`, logged ones from a flight folder whose pictures are measured once.
+Simulated flights come from `tests.fusion.simulated`, logged ones from a flight folder, whose pictures are measured
+once.
 """
 
 from __future__ import annotations
@@ -114,7 +115,7 @@ def simulated_recording(scene: Scene, **config: Any) -> Recording:
             elevation = float(rng.normal(0.0, ELEVATION_STD_RAD))
             measurement = replace(values[0], elevation_rad=elevation, elevation_std_rad=ELEVATION_STD_RAD)
             values = (measurement,)
-        kind: Kind = s.kind  # type: ignore[assignment]
+        kind: Kind = s.kind
         events.append(Event(kind, s.t_ns, s.t_ns, s.arrival_ns, values, gross.get(s.t_ns, False)))
     told: dict[str, Any] = {
         "imu_yaw_std_rad": scene.yaw_std_rad,
