@@ -55,7 +55,9 @@ def first(kind: Kind, change: Change, at_s: float) -> Injection:
 
     def inject(recording: Recording, rng: np.random.Generator) -> Recording:
         events = list(recording.events)
-        k = next(k for k, e in enumerate(events) if e.kind == kind and e.t_s >= at_s)
+        k = next((k for k, e in enumerate(events) if e.kind == kind and e.t_s >= at_s), None)
+        if k is None:  # the flight has ended
+            return recording
         events[k : k + 1] = change(events[k], rng)
         return recording.with_events(events)
 
@@ -153,7 +155,9 @@ def repeated(kind: Kind, start_s: float, end_s: float) -> Injection:
     """Repeat the values of the first sample under new stamps: a frozen sensor."""
 
     def inject(recording: Recording, rng: np.random.Generator) -> Recording:
-        frozen = next(e for e in recording.events if e.kind == kind and e.t_s >= start_s)
+        frozen = next((e for e in recording.events if e.kind == kind and e.t_s >= start_s), None)
+        if frozen is None:
+            return recording
         held = each(kind, lambda e, _: [replace(e, values=frozen.values)], start_s, end_s)
         return held(recording, rng)
 
