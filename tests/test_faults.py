@@ -218,7 +218,7 @@ def test_it_runs_and_prints_what_is_asked_beside_what_is_measured() -> None:
         sys.executable,
         str(BENCHMARKS / "faults.py"),
         "--only",
-        "yaw",
+        "F11",
         "--random",
         "2",
         "--seconds",
@@ -226,5 +226,5 @@ def test_it_runs_and_prints_what_is_asked_beside_what_is_measured() -> None:
     ]
     done = subprocess.run([*command, "--processes", "1"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    for words in ("IMU yaw jumps 180 deg", "asked", "pass; silent beyond 0.5 s", "2 random flights of 6 s"):
+    for words in ("corner 0.4 half widths", "asked", "pass; silent beyond 0.5 s", "2 random flights of 6 s"):
         assert words in done.stdout

@@ -135,8 +135,8 @@ def fly(recording: Recording, quantity: Quantity = "heading") -> Trace:
                 continue
             next_ns = event.arrival_ns + EVERY_NS
             e = estimator.estimate()
-        except Exception as error:  # any kind is what is counted
-            exceptions, exception = exceptions + 1, exception or f"{type(error).__name__}: {error}"
+        except Exception as raised:  # any kind is what is counted
+            exceptions, exception = exceptions + 1, exception or f"{type(raised).__name__}: {raised}"
             if exceptions >= MAX_EXCEPTIONS:
                 break
             continue

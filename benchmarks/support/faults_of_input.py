@@ -126,11 +126,9 @@ DEAD = [
 ]
 
 
-def _handed_over(name: str, injection: Injection, within_deg: float = 2.0, **scene: object) -> Fault:
+def _handed_over(name: str, injection: Injection, **scene: object) -> Fault:
     """Return what is wrong from the first sample on; told within 5 s of flight."""
-    return Fault(
-        name, "F13", injection, Bound(within=within_deg, told_s=5.0), start_s=0.0, scene=TURNS | scene
-    )
+    return Fault(name, "F13", injection, Bound(within=2.0, told_s=5.0), start_s=0.0, scene=TURNS | scene)
 
 
 HANDED_OVER = [

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import radians
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -115,7 +115,7 @@ def simulated_recording(scene: Scene, **config: Any) -> Recording:
             elevation = float(rng.normal(0.0, ELEVATION_STD_RAD))
             measurement = replace(values[0], elevation_rad=elevation, elevation_std_rad=ELEVATION_STD_RAD)
             values = (measurement,)
-        kind: Kind = s.kind
+        kind = cast(Kind, s.kind)
         events.append(Event(kind, s.t_ns, s.t_ns, s.arrival_ns, values, gross.get(s.t_ns, False)))
     told: dict[str, Any] = {
         "imu_yaw_std_rad": scene.yaw_std_rad,
@@ -152,7 +152,8 @@ def logged_recording(folder: Path) -> Recording:
     truth = flight.truth
     half_m = 0.5 * truth.corridor_width_m
     angles = Rotation.from_quat(flight.attitude.q_world_body, scalar_first=True).as_euler("ZYX")
-    t_s, attitude_s = (truth.t_ns - zero) * 1e-9, (flight.attitude.t_ns - zero) * 1e-9
+    t_s = np.asarray((truth.t_ns - zero) * 1e-9, dtype=np.float64)
+    attitude_s = (flight.attitude.t_ns - zero) * 1e-9
     config = FusionConfig(
         corridor_width_m=float(truth.corridor_width_m[0]),
         gyro_noise_density=flight.imu.gyro_noise_density,
