@@ -33,6 +33,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parent))
 
+from fusion import load_flight
 from support.fault_score import Fault, Outcome, fly, judge, merged, plain_kalman, silent_s
 from support.fault_table import BY_NAME, FAULTS, ON_LOGGED
 from support.flight_checks import FLIGHT_CHECKS
@@ -40,8 +41,6 @@ from support.oracle import oracle
 from support.random_faults import random_faults
 from support.recording import Recording, base_scene, logged_recording, simulated_recording
 from support.scores import number, table
-
-from fusion import load_flight
 from tests.fusion.simulated import weaving, wrap
 
 ROOT = Path(__file__).parents[1]

@@ -15,11 +15,11 @@ BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 
 import faults  # noqa: E402
+
+from fusion import Estimate  # noqa: E402
 from support import fault_score, fault_table, injections, recording  # noqa: E402
 from support.fault_score import Bound, Fault, Trace  # noqa: E402
 from support.random_faults import DRAWS, random_faults  # noqa: E402
-
-from fusion import Estimate  # noqa: E402
 
 
 @pytest.fixture(scope="module")
