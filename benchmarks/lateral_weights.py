@@ -21,8 +21,8 @@ from scipy.optimize import minimize
 from support.cases import flight_cases, flight_named
 from support.scores import number, percent, table
 
-from fusion.simulate.scene_config import SceneConfig
-from fusion.simulate.views import random_views
+from fusion.simulate.scene.config import SceneConfig
+from fusion.simulate.single_views import random_views
 from vision import Attitude, Camera, extract_lines, measure_lines
 from vision.axis.level import level_from_verticals
 from vision.axis.vanishing_point import fit_axis

@@ -23,9 +23,9 @@ import numpy.typing as npt
 from fusion import load_flight
 from fusion.logs.asl import read_ground_truth
 from fusion.simulate import ImagingConfig, SceneConfig, SimulationConfig, random_views
-from fusion.simulate.imaging import through_jpeg
+from fusion.simulate.exposure import FlyingCamera
 from fusion.simulate.motion import rotations
-from fusion.simulate.shooting import Shoot
+from fusion.simulate.sensor import through_jpeg
 from vision import Attitude, Camera, measure_frame
 from vision.lines.segments import extract_lines
 
@@ -73,10 +73,10 @@ def flown(camera: Camera, size: tuple[int, int], count: int) -> Iterator[Sample]
                 "motion": {"heading_amplitude_rad": 0.4, "heading_rate_rad_s": 1.0, "tilt_rad": 0.14},
             }
         )
-        shoot = Shoot.prepare(config, replace(camera, exposure_s=0.008))
+        flying = FlyingCamera.prepare(config, replace(camera, exposure_s=0.008))
         for k, t in enumerate(np.linspace(0, config.motion.duration_s, count // 5).tolist()):
-            image = through_jpeg(shoot.picture(t, k), config.imaging.jpeg_quality)
-            roll, pitch, yaw = shoot.trajectory.angles(t).tolist()
+            image = through_jpeg(flying.picture(t, k), config.imaging.jpeg_quality)
+            roll, pitch, yaw = flying.trajectory.angles(t).tolist()
             small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
             yield Sample(small, camera.resized(*size), roll, pitch, yaw)
 
@@ -132,14 +132,14 @@ def row_of(name: str, samples: Iterator[Sample]) -> str:
 
 def frames_a_second(size: tuple[int, int]) -> str:
     """Time of pictures along a flight on one core, with motion blur, noise and JPEG."""
-    shoot = Shoot.prepare(
+    flying = FlyingCamera.prepare(
         SimulationConfig.from_values({"camera": {"width_px": size[0], "height_px": size[1]}})
     )
-    times = shoot.frame_times()[::8].tolist()
-    shoot.picture(times[0], 0)
+    times = flying.frame_times()[::8].tolist()
+    flying.picture(times[0], 0)
     begin = time.process_time()
     for k, t in enumerate(times):
-        through_jpeg(shoot.picture(t, k), 85)
+        through_jpeg(flying.picture(t, k), 85)
     return f"{len(times) / (time.process_time() - begin):.0f} frames a second"
 
 

@@ -1,7 +1,7 @@
 """Make corridor flights: pictures, inertial data and exact truth, from a configuration and a seed.
 
 World axes: x along the first corridor, y right of it, z down, floor at z = 0. Body FRD. The pictures are made by
-casting rays at a furnished, lit corridor; see `fusion.simulate.raster`. Each name loads at its first use.
+casting rays at a furnished, lit corridor; see `fusion.simulate.render.raster`. Each name loads at its first use.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fusion.simulate.config import ImagingConfig, SimulationConfig
+    from fusion.simulate.exposure import SimulatedFrame, simulate_frames
     from fusion.simulate.flight import simulate_flight
-    from fusion.simulate.scene_config import JunctionConfig, SceneConfig
-    from fusion.simulate.shooting import SimulatedFrame, simulate_frames
-    from fusion.simulate.views import RandomView, random_views
+    from fusion.simulate.scene.config import JunctionConfig, SceneConfig
+    from fusion.simulate.single_views import RandomView, random_views
 
 __all__ = [
     "ImagingConfig",
@@ -30,14 +30,14 @@ __all__ = [
 
 _MODULES = {
     "ImagingConfig": "config",
-    "JunctionConfig": "scene_config",
-    "RandomView": "views",
-    "SceneConfig": "scene_config",
-    "SimulatedFrame": "shooting",
+    "JunctionConfig": "scene.config",
+    "RandomView": "single_views",
+    "SceneConfig": "scene.config",
+    "SimulatedFrame": "exposure",
     "SimulationConfig": "config",
-    "random_views": "views",
+    "random_views": "single_views",
     "simulate_flight": "flight",
-    "simulate_frames": "shooting",
+    "simulate_frames": "exposure",
 }
 
 

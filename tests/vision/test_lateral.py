@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from fusion.simulate.views import random_views
+from fusion.simulate.single_views import random_views
 from vision import Attitude, Camera, FrameMeasurement, Prior, measure_frame, measure_lines
 from vision.lateral.corner_pairs import N_PAIR
 from vision.lateral.offset import WEIGHTS, _settle

@@ -12,6 +12,8 @@ from fusion.simulate.motion import Trajectory, Truth
 
 FloatArray = npt.NDArray[np.float64]
 
+ROTORS = 4
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuSamples:
@@ -54,22 +56,57 @@ def _walk(rng: np.random.Generator, n: int, step: float, start_std: float, densi
 
 
 def read_imu(truth: Truth, config: ImuConfig, seed: int) -> ImuSamples:
-    """Add noise and biases to what perfect sensors would read at the truth's times.
+    """Add errors to what perfect sensors would read at the truth's times.
 
-    White noise of density d sampled at rate f has the standard deviation ``d sqrt(f)``.
+    Scale errors and misalignment act on the true values, ``(I + E) x``; then come bias, white noise (density d
+    sampled at rate f has the standard deviation ``d sqrt(f)``) and the rotors' vibration.
     """
     rng = np.random.default_rng((seed, 6))
     n, step = len(truth.t_s), 1 / config.rate_hz
     gyro_bias = _walk(rng, n, step, config.gyro_bias_std_rad_s, config.gyro_random_walk)
     accel_bias = _walk(rng, n, step, config.accel_bias_std_m_s2, config.accel_random_walk)
     white = rng.normal(0.0, np.sqrt(config.rate_hz), (2, n, 3))
+    rate, force = _distorted(truth, config, np.random.default_rng((seed, 12)))
+    if config.vibration_m_s2 > 0:
+        force = force + rotor_vibration(truth.t_s, config, np.random.default_rng((seed, 13)))
     return ImuSamples(
         truth.t_s,
-        truth.rate_rad_s + gyro_bias + config.gyro_noise_density * white[0],
-        truth.specific_force_m_s2 + accel_bias + config.accel_noise_density * white[1],
+        rate + gyro_bias + config.gyro_noise_density * white[0],
+        force + accel_bias + config.accel_noise_density * white[1],
         gyro_bias,
         accel_bias,
     )
+
+
+def _distorted(truth: Truth, config: ImuConfig, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Rates and specific forces (n, 3) each, through the sensors' scale errors and misalignment."""
+    gyro_scale, accel_scale = rng.normal(0.0, 1.0, (2, 3))
+    skew = rng.normal(0.0, config.misalignment_std_rad, (2, 3, 3)) * (1 - np.eye(3))
+    gyro = np.eye(3) + np.diag(config.gyro_scale_std * gyro_scale) + skew[0]
+    accel = np.eye(3) + np.diag(config.accel_scale_std * accel_scale) + skew[1]
+    if config.gyro_scale_std == config.accel_scale_std == config.misalignment_std_rad == 0:
+        return truth.rate_rad_s, truth.specific_force_m_s2
+    return truth.rate_rad_s @ gyro.T, truth.specific_force_m_s2 @ accel.T
+
+
+def rotor_vibration(t_s: FloatArray, config: ImuConfig, rng: np.random.Generator) -> FloatArray:
+    """Specific force (n, 3) of four rotors' unbalance: harmonics of their speeds, sampled without a filter.
+
+    What lies above half the sampling rate is folded down, as in a flight controller's raw log. The speeds wander by
+    some per cent. Each axis has the root mean square ``vibration_m_s2``, the vertical one twice that.
+    """
+    step = 1 / config.rate_hz
+    total = np.zeros((len(t_s), 3))
+    for _ in range(ROTORS):
+        wander = np.cumsum(rng.normal(0.0, 1.0, len(t_s))) * np.sqrt(step)
+        wander = 0.03 * np.sin(wander / 2.0)  # bounded: a controller holds the speed
+        speed = config.rotor_hz * rng.uniform(0.95, 1.05) * (1 + wander)
+        phase = 2 * np.pi * np.cumsum(speed) * step
+        for harmonic in range(1, config.vibration_harmonics + 1):
+            turns, weight = rng.uniform(0, 2 * np.pi, 3), rng.uniform(0.5, 1.0, 3) / harmonic
+            total += weight * np.sin(harmonic * phase[:, None] + turns)
+    size = np.sqrt(np.mean(total**2, axis=0))
+    return np.asarray(total / size * config.vibration_m_s2 * np.array([1.0, 1.0, 2.0]))
 
 
 def read_attitude(
@@ -100,9 +137,12 @@ def read_range(
     rng = np.random.default_rng((seed, 8))
     truth = trajectory.truth(sample_times(trajectory.duration_s, config.rate_hz))
     down = truth.R_world_body[:, 2]  # rows: the vertical in the body
+    rise = np.tan(trajectory.rooms[0].slope_rad)
+    along = truth.R_world_body[:, 0]
     height_m = -(truth.p_world_m[:, 2] + down @ p_body_sensor_m)
+    height_m -= rise * (truth.p_world_m[:, 0] + along @ p_body_sensor_m)
     noise_m = config.noise_std_m * rng.normal(0.0, 1.0, len(height_m))
-    return RangeSamples(truth.t_s, height_m / down[:, 2] + noise_m)
+    return RangeSamples(truth.t_s, height_m / (down[:, 2] + rise * along[:, 2]) + noise_m)
 
 
 def _wander(rng: np.random.Generator, n: int, step: float, std: float, time_s: float) -> FloatArray:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from fusion.simulate.mesh import TEXTURE_LEVELS, TEXTURE_SIZE
+from fusion.simulate.render.mesh import TEXTURE_LEVELS, TEXTURE_SIZE
 
 SIZE, LEVELS = TEXTURE_SIZE, TEXTURE_LEVELS
 Picture = npt.NDArray[np.float32]
@@ -90,6 +90,21 @@ def _brick(rng: np.random.Generator) -> Picture:
         for column in range(columns):
             u = (column * width + shift + np.arange(3)) % SIZE
             picture[row * height : (row + 1) * height, u] = 0.78
+    return np.asarray(picture, np.float32)
+
+
+def _blocks(rng: np.random.Generator) -> Picture:
+    """8 courses of 4 painted blocks a repetition, running bond."""
+    picture = 1 + 0.03 * _noise(rng, (32, 32), 3)
+    rows, columns = 8, 4
+    height, width = SIZE // rows, SIZE // columns
+    for row in range(rows):
+        picture[row * height : row * height + 2] *= 0.75
+        for column in range(columns):
+            begin = column * width + (row % 2) * width // 2
+            u = np.arange(begin, begin + width) % SIZE
+            picture[row * height : (row + 1) * height, u] *= 1 + 0.02 * rng.standard_normal()
+            picture[row * height : (row + 1) * height, u[:2]] *= 0.75
     return np.asarray(picture, np.float32)
 
 
@@ -193,7 +208,7 @@ _DRAW = {
     "plaster": _plaster, "wood": _wood, "speckle": _speckle, "carpet": _carpet, "vinyl": _vinyl, "metal": _metal,
     "ceiling_board": _ceiling_board, "brick": _brick,
     **dict.fromkeys(POSTERS, _poster), **dict.fromkeys(BOARDS, _board), **dict.fromkeys(SIGNS, _sign),
-    **dict.fromkeys(WINDOWS, _window),
+    **dict.fromkeys(WINDOWS, _window), "blocks": _blocks,
 }  # fmt: skip
 
 

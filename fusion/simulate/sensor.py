@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.simulate.config import ImagingConfig
-from fusion.simulate.render import Image, View
+from fusion.simulate.render.view import Image, View
 
 Picture = npt.NDArray[np.uint8]
 
@@ -23,21 +23,27 @@ class Sensor:
     gain
         What radiance is multiplied by, so that 1 is white.
     vignette
-        Share of light that reaches each pixel, (h, w).
+        Share of light that reaches each pixel, (h, w); the pixels' unequal response is in it.
+    offsets
+        What each pixel adds of its own, electrons (h, w).
     """
 
     config: ImagingConfig
     gain: float
     vignette: Image
+    offsets: Image
 
     @classmethod
-    def of(cls, config: ImagingConfig, view: View, mean_radiance: float) -> Sensor:
-        """Expose so that ``mean_radiance`` comes out at the configured brightness."""
+    def of(cls, config: ImagingConfig, view: View, mean_radiance: float, seed: int = 0) -> Sensor:
+        """Expose so that ``mean_radiance`` comes out at the configured brightness; ``seed`` draws its own pattern."""
         axis = view.camera.R_body_camera[:, 2]
         cosine = np.nan_to_num(np.clip(view.corner_rays[:-1, :-1] @ axis, 0.0, 1.0))
         vignette = (1 - config.vignetting) + config.vignetting * cosine**4
         gain = config.brightness / max(mean_radiance, 1e-6)
-        return cls(config, gain, vignette.astype(np.float32))
+        rng = np.random.default_rng((seed, 14))
+        response, offsets = rng.standard_normal((2, *vignette.shape), dtype=np.float32)
+        vignette *= 1 + config.response_std * response
+        return cls(config, gain, vignette.astype(np.float32), config.fixed_pattern_electrons * offsets)
 
     def develop(self, radiance: Image, rng: np.random.Generator) -> Picture:
         """Turn radiance (h, w) into a grey picture; noise comes from ``rng``."""
@@ -48,11 +54,15 @@ class Sensor:
         if c.bloom > 0:
             light = _bloom(light, c.bloom)
         light = np.minimum(light, 1.0, dtype=np.float32)  # the pixel's well is full
-        electrons = light * c.full_well_electrons
+        full_scale = c.full_well_electrons / c.gain
+        electrons = light * full_scale
         if c.noise:
             sigma = np.sqrt(electrons + c.read_noise_electrons**2)
-            electrons = electrons + sigma * rng.standard_normal(light.shape, dtype=np.float32)
-        tone = np.clip(electrons / c.full_well_electrons, 0.0, 1.0) ** np.float32(1 / c.gamma)
+            electrons = electrons + sigma * rng.standard_normal(light.shape, dtype=np.float32) + self.offsets
+            if c.row_noise_electrons > 0:
+                rows = rng.standard_normal((len(light), 1), dtype=np.float32)
+                electrons += np.float32(c.row_noise_electrons) * rows
+        tone = np.clip(electrons / full_scale, 0.0, 1.0) ** np.float32(1 / c.gamma)
         return np.asarray(np.clip(255.0 * tone * c.contrast + 0.5, 0, 255), np.uint8)
 
 

@@ -7,11 +7,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from fusion.simulate import kernels
-from fusion.simulate import mesh as layout
-from fusion.simulate.inner import inner, outer
-from fusion.simulate.kernels import LIFT_M, FloatArray, Indices, Light, dot, irradiance, scatter, trace
-from fusion.simulate.mesh import (
+from fusion.simulate.render import kernels
+from fusion.simulate.render import mesh as layout
+from fusion.simulate.render.compile import inner, outer
+from fusion.simulate.render.kernels import (
+    LIFT_M,
+    FloatArray,
+    Indices,
+    Light,
+    dot,
+    irradiance,
+    scatter,
+    sunlight,
+    trace,
+)
+from fusion.simulate.render.mesh import (
     ALBEDO,
     EMISSION,
     LENGTH_A,
@@ -21,10 +31,12 @@ from fusion.simulate.mesh import (
     LIGHT_START,
     NORMAL,
     POINTS,
+    SUN_LIGHT,
     Mesh,
 )
 
 LAMP_REACH_M = 9.0
+SUN_GRAIN_M = 0.1  # how sharply the light that bounces sees the edge of a patch of sun
 
 
 @inner
@@ -66,6 +78,7 @@ def _gathered(
     table: FloatArray,
     nodes: FloatArray,
     light: Light,
+    sun: FloatArray,
     px: float,
     py: float,
     pz: float,
@@ -90,14 +103,20 @@ def _gathered(
         x, y = radius * np.cos(phi), radius * np.sin(phi)
         z = np.sqrt(max(0.0, 1.0 - radius * radius))
         dx, dy, dz = x * ax + y * bx + z * nx, x * ay + y * by + z * ny, x * az + y * bz + z * nz
-        j, _, u, v = trace(table, nodes, px, py, pz, dx, dy, dz, 60.0, False)
+        j, far, u, v = trace(table, nodes, px, py, pz, dx, dy, dz, 60.0, False)
         if j >= 0 and table[j, EMISSION] <= 0.0:
-            total += table[j, ALBEDO] * irradiance(table, light, j, u, v)
+            seen = irradiance(table, light, j, u, v)
+            if sun[SUN_LIGHT] > 0.0:
+                x, y, z = px + far * dx, py + far * dy, pz + far * dz
+                seen += sunlight(table, nodes, sun, j, x, y, z, SUN_GRAIN_M)
+            total += table[j, ALBEDO] * seen
     return total / rays
 
 
 @outer(kernels, layout)
-def _fill(table: FloatArray, nodes: FloatArray, lamps: Indices, light: Light, out: Light, rays: int) -> None:
+def _fill(
+    table: FloatArray, nodes: FloatArray, lamps: Indices, light: Light, sun: FloatArray, out: Light, rays: int
+) -> None:
     """Compute every cell's light: from the lamps (rays 0), or gathered from ``light``."""
     a, b, c = POINTS, POINTS + 3, POINTS + 9
     for i in range(table.shape[0]):
@@ -123,7 +142,7 @@ def _fill(table: FloatArray, nodes: FloatArray, lamps: Indices, light: Light, ou
             if rays == 0:
                 out[key] = _direct(table, nodes, lamps, px, py, pz, i, key)
             else:
-                out[key] = _gathered(table, nodes, light, px, py, pz, i, key, rays)
+                out[key] = _gathered(table, nodes, light, sun, px, py, pz, i, key, rays)
 
 
 @outer(kernels, layout)
@@ -149,13 +168,17 @@ def _smooth(table: FloatArray, light: Light) -> Light:
 def bake(mesh: Mesh, ambient: float, rays: int = 24) -> Mesh:
     """Return the mesh with its light computed.
 
-    Bounces after the first are estimated from the share that the first one adds.
+    Bounces after the first are estimated from the share that one bounce adds.
     """
     table, nodes = mesh.table, mesh.nodes
     lamps = np.flatnonzero(table[:, EMISSION] > 0).astype(np.int64)
     direct, bounce = np.empty_like(mesh.lightmap), np.empty_like(mesh.lightmap)
-    _fill(table, nodes, lamps, direct, direct, 0)
-    _fill(table, nodes, lamps, direct, bounce, rays)
+    _fill(table, nodes, lamps, direct, mesh.sun, direct, 0)
+    _fill(table, nodes, lamps, direct, mesh.sun, bounce, rays)
     bounce = _smooth(table, bounce)
-    share = float(np.clip(bounce.mean() / max(float(direct.mean()), 1e-9), 0.0, 0.8))
+    before, after = direct, bounce
+    if mesh.sun[SUN_LIGHT] > 0:  # the sun's own light is in no cell: compare the second bounce with the first
+        before, after = bounce, np.empty_like(bounce)
+        _fill(table, nodes, lamps, bounce, np.zeros_like(mesh.sun), after, rays // 3)
+    share = float(np.clip(after.mean() / max(float(before.mean()), 1e-9), 0.0, 0.8))
     return mesh._replace(lightmap=(direct + bounce / (1 - share) + ambient).astype(np.float32))

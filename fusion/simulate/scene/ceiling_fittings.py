@@ -1,12 +1,13 @@
-"""What hangs from the ceiling: lamps, pipes, cable trays, smoke detectors, exit signs."""
+"""What hangs from the ceiling: lamps, beams, pipes, cable trays, smoke detectors, exit signs."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from fusion.simulate.mesh import Builder, Frame, Material
-from fusion.simulate.plan import Room
-from fusion.simulate.scene_config import Ceiling, SceneConfig
+from fusion.simulate.render.mesh import Material
+from fusion.simulate.scene.builder import Builder, Frame
+from fusion.simulate.scene.config import Ceiling, SceneConfig
+from fusion.simulate.scene.plan import Room, room_frame
 
 LAMP_SKEW_RAD = 0.004
 LAMP_SHIFT_M = 0.01
@@ -14,17 +15,12 @@ TUBE_M = 0.2  # narrower lamps hang below the ceiling
 PANEL_DROP_M, TUBE_DROP_M = 0.012, 0.09
 
 
-def room_frame(room: Room) -> Frame:
-    """Frame on the floor at a room's beginning, d to the right."""
-    along, right = np.array([*room.direction, 0.0]), np.array([*room.right, 0.0])
-    return Frame(np.array([room.x_m, room.y_m, 0.0]), along, right)
-
-
 def build_lamps(builder: Builder, rooms: list[Room], config: SceneConfig) -> None:
     """Hang a row of lamps in every corridor and several in a hall, some of them off."""
     for number, room in enumerate(rooms):
         frame, half = room_frame(room), room.width_m / 2
-        columns = [0.0] if room.width_m < 4 else np.arange(1.5 - half, half - 1, 2.6).tolist()
+        beside = float(np.clip(config.lamp_offset_m, 0.35 - half, half - 0.35))
+        columns = [beside] if room.width_m < 4 else np.arange(1.5 - half, half - 1, 2.6).tolist()
         for s in np.arange(0.5 * config.lamp_spacing_m, room.length_m - 0.3, config.lamp_spacing_m).tolist():
             for y in columns:
                 if not any(bool(other.contains(room.to_world(s, y), 0.3).any()) for other in rooms[:number]):
@@ -39,19 +35,47 @@ def _build_lamp(builder: Builder, frame: Frame, s: float, y: float, config: Scen
     frame = frame.turned(s, y, float(rng.normal(0, LAMP_SKEW_RAD)))
     off = rng.random() < config.lamp_off_share
     emission = 0.0 if off else config.lamp_radiance * float(rng.uniform(0.85, 1.1))
-    level = config.height_m - (TUBE_DROP_M if tube else PANEL_DROP_M)
+    level = config.height_m - (TUBE_DROP_M if tube or config.lamp_round else PANEL_DROP_M)
+    light = Material(0.5 if off else 1.0, emission=emission)
+    if config.lamp_round:
+        radius = across / 2
+        globe = Material(0.9 if off else 1.0, emission=0.6 * emission)
+        builder.prism(frame, (s, y), (radius, radius), (level, config.height_m), globe, 10)
+        corner = frame.point(s - radius, y - radius, level - 0.001)
+        edges = frame.vector(across, 0, 0), frame.vector(0, across, 0)
+        builder.quad(corner, *edges, frame.vector(0, 0, -1), light, True)
+        return
     rim = 0.0 if tube else 0.03
     spans = ((s - along / 2 - rim, s + along / 2 + rim), (y - across / 2 - rim, y + across / 2 + rim))
     faces = "sSdD" if tube else "sSdDh"
     builder.box(frame, *spans, (level, config.height_m), Material(0.6), faces)
     corner = frame.point(s - along / 2, y - across / 2, level - 0.001)
     edges = frame.vector(along, 0, 0), frame.vector(0, across, 0)
-    light = Material(0.5 if off else 1.0, emission=emission)
     builder.quad(corner, *edges, frame.vector(0, 0, -1), light)
+
+
+def build_beams(builder: Builder, room: Room, config: SceneConfig) -> None:
+    """Lay beams across a corridor's ceiling, between the lamps."""
+    spacing, (wide, deep) = config.beam_spacing_m, config.beam_m
+    if spacing == 0:
+        return
+    frame, half, pitch = room_frame(room), room.width_m / 2, config.lamp_spacing_m
+    concrete = Material(config.beam_albedo, "plaster", (1.1, 1.1))
+    clear = config.lamp_size_m[1] / 2 + 0.05 + wide / 2
+    for place in np.arange(0.7 * spacing, room.length_m - wide, spacing).tolist():
+        lamp = (np.floor(place / pitch) + 0.5) * pitch
+        middle = place if abs(place - lamp) > clear else lamp + clear
+        spans = (
+            (middle - wide / 2, middle + wide / 2),
+            (-half, half),
+            (config.height_m - deep, config.height_m),
+        )
+        builder.box(frame, *spans, concrete, "sSh")
 
 
 def build_ceiling_clutter(builder: Builder, room: Room, config: SceneConfig) -> None:
     """Hang pipes and a cable tray along a corridor, smoke detectors, and an exit sign across it."""
+    build_beams(builder, room, config)
     rng, frame = builder.rng, room_frame(room)
     top, half = config.height_m, room.width_m / 2
     crowded = config.ceiling is Ceiling.OPEN

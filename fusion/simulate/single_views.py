@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.simulate.config import ImagingConfig, rotation
-from fusion.simulate.imaging import Picture, Sensor, mean_radiance, through_jpeg
-from fusion.simulate.render import Image, View, exposure_moments, render_linear
-from fusion.simulate.scene import Scene, build_scene
-from fusion.simulate.scene_config import SceneConfig
+from fusion.simulate.render.view import Image, View, exposure_moments, render_linear
+from fusion.simulate.scene.build import Scene, build_scene
+from fusion.simulate.scene.config import SceneConfig
+from fusion.simulate.scene.plan import part_at
+from fusion.simulate.sensor import Picture, Sensor, mean_radiance, through_jpeg
 from vision import Camera
 
 FloatArray = npt.NDArray[np.float64]
@@ -40,6 +41,8 @@ class RandomView:
         From the camera to the corridor's end.
     scene_seed
         What the corridor was drawn from.
+    slope_rad
+        The corridor climbs ahead by so much.
     """
 
     image: Picture
@@ -52,6 +55,7 @@ class RandomView:
     width_m: float
     ahead_m: float
     scene_seed: int
+    slope_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,8 +137,10 @@ def _take(
     offset = float(rng.uniform(-limits.offset_norm, limits.offset_norm))
     roll, pitch = rng.normal(0.0, limits.tilt_std_rad, 2).tolist()
     origin = _free_place(scene, offset, limits.ahead_m, rng)
+    height_m = -float(origin[2])
+    origin[2] -= np.tan(config.slope_rad) * origin[0]
     radiance = _exposed(scene, view, origin, rotation(heading, pitch, roll), limits)
-    sensor = Sensor.of(quality, view, mean_radiance(radiance))
+    sensor = Sensor.of(quality, view, mean_radiance(radiance), scene_seed)
     image = through_jpeg(sensor.develop(radiance, rng), quality.jpeg_quality)
     return RandomView(
         image,
@@ -143,20 +149,25 @@ def _take(
         lateral_offset_norm=offset,
         roll_rad=roll,
         pitch_rad=pitch,
-        height_m=-float(origin[2]),
-        width_m=config.width_m,
+        height_m=height_m,
+        width_m=part_at(scene.rooms, 0, float(origin[0])).width_m,
         ahead_m=config.length_m - float(origin[0]),
         scene_seed=scene_seed,
+        slope_rad=config.slope_rad,
     )
 
 
 def _free_place(scene: Scene, offset_norm: float, min_ahead_m: float, rng: np.random.Generator) -> FloatArray:
-    """Draw a place along the first corridor at an offset, not inside furniture if that can be helped."""
+    """Draw a place along the first corridor at an offset, not inside furniture if that can be helped.
+
+    The floor is taken as level.
+    """
     config = scene.config
     origin = np.zeros(3)
     for _ in range(30):
         s = float(rng.uniform(0.5, max(0.6, config.length_m - min_ahead_m)))
-        place = scene.rooms[0].to_world(s, offset_norm * config.width_m / 2)
+        part = part_at(scene.rooms, 0, s)
+        place = part.to_world(s - part.x_m, offset_norm * part.width_m / 2)
         origin = np.array([*place, -float(rng.uniform(0.3, 0.75)) * config.height_m])
         low, high = scene.obstacles[:, :3] - ELBOW_ROOM_M, scene.obstacles[:, 3:] + ELBOW_ROOM_M
         if not ((origin > low) & (origin < high)).all(axis=1).any():

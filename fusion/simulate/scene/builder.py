@@ -1,110 +1,42 @@
-"""A scene as flat arrays for the compiled loops: parallelograms with materials, and their bounding volumes."""
+"""Where surfaces are put together before they are lit: local frames, boxes, prisms, and the table of all of them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from fusion.simulate.render.mesh import (
+    ALBEDO,
+    COLUMNS,
+    CONTRAST,
+    CORNER,
+    DUAL_A,
+    DUAL_B,
+    ELLIPSE,
+    EMISSION,
+    GLOSS,
+    JOINT_U,
+    LENGTH_A,
+    LENGTH_B,
+    LIGHT_START,
+    NO_TEXTURE,
+    NORMAL,
+    PLANE,
+    POINTS,
+    ROUGHNESS,
+    SCALE_U,
+    TEXTURE,
+    Material,
+)
+
 FloatArray = npt.NDArray[np.float64]
 
-LEAF_SIZE = 4
-LARGE_M = 8.0
 CLEARANCE_M = 0.25
-NO_TEXTURE = -1
-TEXTURE_SIZE = 256  # power of two
-TEXTURE_LEVELS = 9  # 256, 128, ... 1
-
-
-@dataclass(frozen=True, slots=True)
-class Material:
-    """What a surface looks like; lengths in metres, reflectances and strengths without unit.
-
-    Parameters
-    ----------
-    albedo
-        Mean diffuse reflectance, 0 to 1.
-    texture
-        Name of a procedural texture of `fusion.simulate.textures`, or None for a plain surface.
-    texture_size_m
-        Extent of one repetition along the surface's two edges; None stretches one copy over the surface.
-    contrast
-        How strongly the texture modulates the albedo (1: as drawn).
-    joint_spacing_m, joint_width_m, joint_albedo
-        A rectangular pattern of joints along the two edges (spacing 0: none), and its reflectance.
-    emission
-        Emitted radiance; light panels have about 10 where a lit white wall has 1.
-    gloss
-        Mirror reflection at perpendicular view, 0 to 1; it rises to grazing view after Schlick.
-    roughness_rad
-        Spread of the normals of a glossy surface: how blurred its reflections are.
-    joint_turn_rad
-        Small angle by which the joints are turned against the edges.
-    """
-
-    albedo: float
-    texture: str | None = None
-    texture_size_m: tuple[float, float] | None = None
-    contrast: float = 1.0
-    joint_spacing_m: tuple[float, float] = (0.0, 0.0)
-    joint_width_m: float = 0.0
-    joint_albedo: float = 0.0
-    emission: float = 0.0
-    gloss: float = 0.0
-    roughness_rad: float = 0.015
-    joint_turn_rad: float = 0.0
-
-    def but(self, **changes: object) -> Material:
-        """Return a copy with some fields changed."""
-        return replace(self, **changes)  # type: ignore[arg-type]
-
-
-# Columns of `Mesh.table`.
-CORNER = 0  # (3) where edges a and b start
-NORMAL = 3  # (3) towards the side from which it is seen
-DUAL_A, DUAL_B = (
-    6,
-    9,
-)  # (3) dual vectors: their product with a point's vector from the corner is u, v in metres
-LENGTH_A, LENGTH_B = 12, 13
-PLANE = 14  # normal times corner
-ELLIPSE = 15  # 1 where only the inscribed ellipse is there
-EMISSION, GLOSS, ROUGHNESS = 16, 17, 18
-ALBEDO, CONTRAST, TEXTURE = 19, 20, 21
-SCALE_U, SCALE_V, SHIFT_U, SHIFT_V = 22, 23, 24, 25  # metres to repetitions of the texture
-JOINT_U, JOINT_V, JOINT_WIDTH, JOINT_ALBEDO, JOINT_TURN = 26, 27, 28, 29, 30
-LIGHT_START, LIGHT_NU, LIGHT_NV = 31, 32, 33  # cells in `Mesh.lightmap`
-POINTS = 34  # (4, 3) the corners
-COLUMNS = 46
-
-
-class Mesh(NamedTuple):
-    """The arrays the compiled loops read; n surfaces, m tree nodes.
-
-    Few and wide, and handed on one by one: numba counts references of arrays in tuples, atomically, at every call.
-
-    Parameters
-    ----------
-    table
-        (n, COLUMNS), see the column names above; surfaces in the order of the tree's leaves.
-    nodes
-        (m, 9): minimum and maximum of a node's box, the node to go on with if it is missed (else the next one),
-        first and count of a leaf's surfaces; inner nodes count none.
-    lightmap
-        Light on every cell of every surface.
-    textures
-        Ripmaps of every texture, one after another, see `fusion.simulate.textures`.
-    """
-
-    table: FloatArray
-    nodes: FloatArray
-    lightmap: npt.NDArray[np.float32]
-    textures: npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +64,7 @@ class Frame:
 
 @dataclass(slots=True, eq=False)
 class Builder:
-    """Collects surfaces; `fusion.simulate.scene` turns them into a lit `Mesh`.
+    """Collects surfaces; `fusion.simulate.scene.build` turns them into a lit `Mesh`.
 
     ``keep_clear`` (k, 3) are world points that no object may come near; ``obstacles`` (minimum, maximum) are the
     boxes of the objects that stand.
@@ -160,6 +92,24 @@ class Builder:
             del self.rows[first:]
         else:
             self.obstacles.append(np.concatenate([low, high]))
+
+    def incline(self, slope_rad: float) -> None:
+        """Let the floor climb along x: what is upright stays upright, what is level across stays level."""
+        if slope_rad == 0:
+            return
+        rise = np.eye(3)
+        rise[2, 0] = -np.tan(slope_rad)
+        back = np.linalg.inv(rise).T
+        for k, (corner, a, b, normal, material, ellipse) in enumerate(self.rows):
+            turned = back @ normal
+            self.rows[k] = (
+                rise @ corner,
+                rise @ a,
+                rise @ b,
+                turned / np.linalg.norm(turned),
+                material,
+                ellipse,
+            )
 
     def quad(
         self,
@@ -240,66 +190,18 @@ class Builder:
             row[[ALBEDO, CONTRAST, TEXTURE]] = material.albedo, material.contrast, number
             size = material.texture_size_m or (la, lb)
             shift = self.rng.random(2) if material.texture_size_m else (0.0, 0.0)
+            if material.origin_m is not None:
+                shift = material.origin_m[0] / size[0], material.origin_m[1] / size[1]
             row[SCALE_U:JOINT_U] = [1 / size[0], 1 / size[1], *shift]
             row[JOINT_U:LIGHT_START] = [
                 *material.joint_spacing_m,
                 material.joint_width_m,
                 material.joint_albedo,
                 material.joint_turn_rad,
+                *(material.origin_m or (0.0, 0.0)),
             ]
             nu, nv = (int(np.clip(np.ceil(length / self.light_cell_m), 1, 400)) for length in (la, lb))
             row[LIGHT_START:POINTS] = cells, nu, nv
             row[POINTS:] = np.concatenate([corner, corner + a, corner + a + b, corner + b])
             cells += nu * nv
         return table, cells
-
-
-def _half_area(low: FloatArray, high: FloatArray) -> FloatArray:
-    x, y, z = (high - low).T
-    return np.asarray(x * y + y * z + z * x)
-
-
-def _best_split(low: FloatArray, high: FloatArray) -> tuple[npt.NDArray[np.int64], int]:
-    """Order boxes (n, 3) and say how many go left, for the least area times number (surface area heuristic)."""
-    n = len(low)
-    best, best_order, best_count = np.inf, np.arange(n), n // 2
-    number = np.arange(1, n)
-    for axis in range(3):
-        order = np.argsort(low[:, axis] + high[:, axis], kind="stable")
-        a, b = low[order], high[order]
-        left = _half_area(np.minimum.accumulate(a), np.maximum.accumulate(b))[:-1]
-        right = _half_area(np.minimum.accumulate(a[::-1]), np.maximum.accumulate(b[::-1]))[::-1][1:]
-        cost = left * number + right * (n - number)
-        k = int(np.argmin(cost))
-        if cost[k] < best:
-            best, best_order, best_count = float(cost[k]), order, k + 1
-    return best_order, best_count
-
-
-def build_tree(points: FloatArray) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-    """Build a tree of boxes round surfaces (n, 4, 3).
-
-    Returns `Mesh.nodes` and the order (n,) that the surfaces must be put in.
-    """
-    low, high = points.min(axis=1) - 1e-6, points.max(axis=1) + 1e-6
-    nodes: list[list[float]] = []
-    order: list[int] = []
-
-    def grow(members: npt.NDArray[np.int64], leaf_size: int = LEAF_SIZE) -> None:
-        node, first = len(nodes), len(order)
-        nodes.append([*low[members].min(axis=0), *high[members].max(axis=0)])
-        if len(members) <= leaf_size:
-            order.extend(members.tolist())
-            nodes[node] += [len(nodes), first, len(members)]
-            return
-        ranked, count = _best_split(low[members], high[members])
-        grow(members[ranked[:count]])
-        grow(members[ranked[count:]])
-        nodes[node] += [len(nodes), 0, 0]
-
-    # floors and ceilings would blow up every box they are in; tested first, they shorten the ray for the rest
-    large = np.max(high - low, axis=1) > LARGE_M
-    for members in (np.flatnonzero(large), np.flatnonzero(~large)):
-        if len(members):
-            grow(members, len(members) if large[members[0]] else LEAF_SIZE)
-    return np.array(nodes, float), np.array(order, np.int64)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fusion.simulate import mesh as m
-from fusion.simulate.inner import inner
+from fusion.simulate.render import mesh as m
+from fusion.simulate.render.compile import inner
 
 FloatArray = npt.NDArray[np.float64]
 Light = npt.NDArray[np.float32]
@@ -28,8 +28,18 @@ LENGTH_A, LENGTH_B, PLANE, ELLIPSE = m.LENGTH_A, m.LENGTH_B, m.PLANE, m.ELLIPSE
 EMISSION, GLOSS, ALBEDO, CONTRAST, TEXTURE = m.EMISSION, m.GLOSS, m.ALBEDO, m.CONTRAST, m.TEXTURE
 SCALE_U, SCALE_V, SHIFT_U, SHIFT_V = m.SCALE_U, m.SCALE_V, m.SHIFT_U, m.SHIFT_V
 JOINT_U, JOINT_V, JOINT_WIDTH, JOINT_ALBEDO = m.JOINT_U, m.JOINT_V, m.JOINT_WIDTH, m.JOINT_ALBEDO
-JOINT_TURN = m.JOINT_TURN
+JOINT_TURN, ORIGIN_U, ORIGIN_V = m.JOINT_TURN, m.ORIGIN_U, m.ORIGIN_V
 LIGHT_START, LIGHT_NU, LIGHT_NV = m.LIGHT_START, m.LIGHT_NU, m.LIGHT_NV
+POINTS, SUN_X, SUN_Y, SUN_Z, SUN_LIGHT = m.POINTS, m.SUN_X, m.SUN_Y, m.SUN_Z, m.SUN_LIGHT
+SUN_WALL_Y, SUN_FIRST, SUN_LAST = m.SUN_WALL_Y, m.SUN_FIRST, m.SUN_LAST
+SUN_PITCH, SUN_PANE, SUN_SILL, SUN_HEAD, SUN_SLOPE = (
+    m.SUN_PITCH,
+    m.SUN_PANE,
+    m.SUN_SILL,
+    m.SUN_HEAD,
+    m.SUN_SLOPE,
+)
+WALL_FITTINGS_M = 0.06  # frames and bars stand this far out of the window wall and do not shade
 
 
 @inner
@@ -164,6 +174,7 @@ def reflectance(
     width = table[i, JOINT_WIDTH]
     if width > 0.0:
         clear, turn = 1.0, table[i, JOINT_TURN]
+        u, v = u + table[i, ORIGIN_U], v + table[i, ORIGIN_V]
         if table[i, JOINT_U] > 0.0:
             clear *= 1.0 - joint_share(u + turn * v, max(foot_u, 1e-5), table[i, JOINT_U], width)
         if table[i, JOINT_V] > 0.0:
@@ -173,9 +184,49 @@ def reflectance(
 
 
 @inner
+def sunlight(
+    table: FloatArray, nodes: FloatArray, sun: FloatArray, i: int, px: float, py: float, pz: float, footprint: float
+) -> float:  # fmt: skip
+    """Light of the sun on surface i at a world point: through a pane of the window wall, and nothing between."""
+    cosine = dot(table, i, NORMAL, sun[SUN_X], sun[SUN_Y], sun[SUN_Z])
+    if cosine <= 0.0:
+        return 0.0
+    way = (sun[SUN_WALL_Y] - py) / sun[SUN_Y]  # to the window wall
+    x, z = px + way * sun[SUN_X], pz + way * sun[SUN_Z]
+    height = -z - sun[SUN_SLOPE] * x
+    if way <= WALL_FITTINGS_M or x < sun[SUN_FIRST] or x > sun[SUN_LAST]:
+        return 0.0
+    size = max(footprint, 1e-4)
+    share = min(max((height - sun[SUN_SILL]) / size + 0.5, 0.0), 1.0)
+    share *= min(max((sun[SUN_HEAD] - height) / size + 0.5, 0.0), 1.0)
+    if share <= 0.0:
+        return 0.0
+    share *= joint_share(x - sun[SUN_FIRST], size, sun[SUN_PITCH], sun[SUN_PANE])
+    if share <= 0.0:
+        return 0.0
+    ox, oy, oz = (
+        px + LIFT_M * table[i, NORMAL],
+        py + LIFT_M * table[i, NORMAL + 1],
+        pz + LIFT_M * table[i, NORMAL + 2],
+    )
+    reach = way - WALL_FITTINGS_M / abs(sun[SUN_Y])
+    blocker, _, _, _ = trace(table, nodes, ox, oy, oz, sun[SUN_X], sun[SUN_Y], sun[SUN_Z], reach, True)
+    return float(share * cosine * sun[SUN_LIGHT]) if blocker < 0 else 0.0
+
+
+@inner
+def surface_point(table: FloatArray, i: int, u: float, v: float, k: int) -> float:
+    """Component k of the world point at (u, v) metres on surface i."""
+    a, b = u / table[i, LENGTH_A], v / table[i, LENGTH_B]
+    return float(
+        (1.0 - a - b) * table[i, POINTS + k] + a * table[i, POINTS + 3 + k] + b * table[i, POINTS + 9 + k]
+    )
+
+
+@inner
 def radiance(
-    table: FloatArray, lightmap: Light, textures: Light, i: int, t: float, u: float, v: float,
-    dx: float, dy: float, dz: float, angle: float,
+    table: FloatArray, nodes: FloatArray, lightmap: Light, textures: Light, sun: FloatArray, i: int, t: float,
+    u: float, v: float, dx: float, dy: float, dz: float, angle: float,
 ) -> float:  # fmt: skip
     """Diffuse and emitted light from a hit; ``angle`` is the pixel's angular size, for the footprint."""
     inverse = 1.0 / dot(table, i, NORMAL, dx, dy, dz)
@@ -186,7 +237,15 @@ def radiance(
     albedo = reflectance(table, textures, i, u, v, foot_u, foot_v)
     if table[i, EMISSION] > 0.0:
         return float(table[i, EMISSION] * albedo)  # what a lamp or a window reflects is lost in its own light
-    return albedo * irradiance(table, lightmap, i, u, v)
+    light = irradiance(table, lightmap, i, u, v)
+    if sun[SUN_LIGHT] > 0.0:
+        x, y, z = (
+            surface_point(table, i, u, v, 0),
+            surface_point(table, i, u, v, 1),
+            surface_point(table, i, u, v, 2),
+        )
+        light += sunlight(table, nodes, sun, i, x, y, z, t * angle)
+    return albedo * light
 
 
 @inner

@@ -5,13 +5,15 @@ World axes: x along the first corridor, y right of it, z down, floor at z = 0.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, sin
 
 import numpy as np
 import numpy.typing as npt
 
-from fusion.simulate.scene_config import SceneConfig
+from fusion.simulate.scene.builder import Frame
+from fusion.simulate.scene.config import SceneConfig, Sides
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -20,7 +22,8 @@ FloatArray = npt.NDArray[np.float64]
 class Room:
     """A rectangle of floor: starts at (x, y), runs ``length_m`` in direction ``yaw_rad``, ``width_m`` across.
 
-    ``yaw_rad`` is positive to the right; (x, y) is the middle of the near end.
+    ``yaw_rad`` is positive to the right; (x, y) is the middle of the near end. ``part_of`` is the number of the
+    corridor that goes on in this room with another width. The floor climbs ahead by ``slope_rad``.
     """
 
     x_m: float
@@ -29,6 +32,8 @@ class Room:
     length_m: float
     width_m: float
     is_corridor: bool = True
+    part_of: int | None = None
+    slope_rad: float = 0.0
 
     @property
     def direction(self) -> FloatArray:
@@ -139,11 +144,14 @@ class Meeting:
 
 
 HALL_DEPTH_M = 8.0
+OVERLAP_M = 0.01  # of rooms that open into each other: it takes the wall between them away
 
 
 def floor_plan(config: SceneConfig) -> tuple[list[Room], list[Meeting]]:
-    """Rooms of a scene (corridors in the order of their numbers, then the hall) and where corridors meet."""
-    rooms = [Room(0.0, 0.0, 0.0, config.length_m, config.width_m)]
+    """Rooms of a scene (corridors in the order of their numbers, hall, second part) and where corridors meet."""
+    step = config.width_step
+    first_m = config.length_m if step is None else step.at_m
+    rooms = [Room(0.0, 0.0, 0.0, first_m, config.width_m, slope_rad=config.slope_rad)]
     begins, meetings = [0.0], []
     for child, junction in enumerate(config.junctions, start=1):
         parent = junction.from_corridor - 1
@@ -157,10 +165,38 @@ def floor_plan(config: SceneConfig) -> tuple[list[Room], list[Meeting]]:
     if config.open_hall_m is not None:
         start, end = config.open_hall_m
         side = 1.0 if config.open_hall_right else -1.0
-        # a centimetre of overlap takes the wall between them away
-        y = side * (config.width_m / 2 + HALL_DEPTH_M / 2 - 0.01)
+        y = side * (config.width_m / 2 + HALL_DEPTH_M / 2 - OVERLAP_M)
         rooms.append(Room(start, y, 0.0, end - start, HALL_DEPTH_M, is_corridor=False))
+    if step is not None:
+        moved = {Sides.LEFT: -1.0, Sides.RIGHT: 1.0, Sides.BOTH: 0.0}[step.moves]
+        y = moved * (step.width_m - config.width_m) / 2
+        begin = step.at_m - OVERLAP_M
+        rooms.append(
+            Room(begin, y, 0.0, config.length_m - begin, step.width_m, part_of=0, slope_rad=config.slope_rad)
+        )
     return rooms, meetings
+
+
+def room_frame(room: Room) -> Frame:
+    """Frame on the floor at a room's beginning, d to the right."""
+    along, right = np.array([*room.direction, 0.0]), np.array([*room.right, 0.0])
+    return Frame(np.array([room.x_m, room.y_m, 0.0]), along, right)
+
+
+def part_at(rooms: Sequence[Room], number: int, s_m: float) -> Room:
+    """Return the room that corridor ``number`` is at a place along it: its first part, or the one it goes on in."""
+    first = rooms[number]
+    parts = [room for room in rooms if room.part_of == number and s_m >= first.length_m]
+    return parts[0] if parts else first
+
+
+def corridor_length_m(rooms: Sequence[Room], number: int) -> float:
+    """Length of a corridor with the part that it goes on in."""
+    first = rooms[number]
+    return max(
+        [first.length_m]
+        + [float(first.to_room(r.to_world(r.length_m, 0.0))[0, 0]) for r in rooms if r.part_of == number]
+    )
 
 
 def in_junction(

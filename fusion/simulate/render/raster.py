@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from fusion.simulate import kernels
-from fusion.simulate import mesh as layout
-from fusion.simulate.inner import inner, outer
-from fusion.simulate.kernels import (
+from fusion.simulate.render import kernels
+from fusion.simulate.render import mesh as layout
+from fusion.simulate.render.compile import inner, outer
+from fusion.simulate.render.kernels import (
     FAR_M,
     LIFT_M,
     FloatArray,
@@ -26,7 +26,7 @@ from fusion.simulate.kernels import (
     radiance,
     trace,
 )
-from fusion.simulate.mesh import DUAL_A, DUAL_B, GLOSS, NORMAL, PLANE, POINTS, ROUGHNESS
+from fusion.simulate.render.mesh import DUAL_A, DUAL_B, GLOSS, NORMAL, PLANE, POINTS, ROUGHNESS
 
 TILE = 8
 MAX_SEEN = 4096
@@ -181,7 +181,8 @@ def _nearest(
 
 @inner
 def _mirrored(
-    table: FloatArray, nodes: FloatArray, lightmap: Light, textures: Light, i: int, t: float, origin: FloatArray,
+    table: FloatArray, nodes: FloatArray, lightmap: Light, textures: Light, sun: FloatArray,
+    i: int, t: float, origin: FloatArray,
     dx: float, dy: float, dz: float, angle: float, x: int, y: int,
 ) -> float:  # fmt: skip
     """Light that a glossy surface mirrors along one reflected ray.
@@ -204,7 +205,9 @@ def _mirrored(
     if j < 0:
         return 0.0
     angle += table[i, ROUGHNESS]
-    return min(radiance(table, lightmap, textures, j, t + far, u, v, rx, ry, rz, angle), BRIGHTEST)
+    return min(
+        radiance(table, nodes, lightmap, textures, sun, j, t + far, u, v, rx, ry, rz, angle), BRIGHTEST
+    )
 
 
 @inner
@@ -215,10 +218,11 @@ def _share(table: FloatArray, i: int, dx: float, dy: float, dz: float) -> float:
 
 @inner
 def _corner_pass(
-    table: FloatArray, lightmap: Light, textures: Light, d: FloatArray, n: int, origin: FloatArray, angle: float,
+    table: FloatArray, nodes: FloatArray, lightmap: Light, textures: Light, sun: FloatArray,
+    d: FloatArray, n: int, origin: FloatArray, angle: float,
     seen: Indices, near: FloatArray, count: int, ids: Indices, hit: FloatArray,
 ) -> None:  # fmt: skip
-    """Shoot the rays d (n, 3): surface into ``ids``; light, mirror share and distance into ``hit`` (n, 3)."""
+    """FlyingCamera the rays d (n, 3): surface into ``ids``; light, mirror share and distance into ``hit`` (n, 3)."""
     for k in range(n):
         ids[k], hit[k, 0], hit[k, 1], hit[k, 2] = -1, 0.0, 0.0, 0.0
         dx, dy, dz = d[k, 0], d[k, 1], d[k, 2]
@@ -227,13 +231,14 @@ def _corner_pass(
         i, t, u, v = _nearest(table, origin, dx, dy, dz, seen, near, count)
         if i >= 0:
             ids[k], hit[k, 2] = i, t
-            hit[k, 0] = radiance(table, lightmap, textures, i, t, u, v, dx, dy, dz, angle)
+            hit[k, 0] = radiance(table, nodes, lightmap, textures, sun, i, t, u, v, dx, dy, dz, angle)
             hit[k, 1] = _share(table, i, dx, dy, dz)
 
 
 @inner
 def _edge_pixel(
-    table: FloatArray, lightmap: Light, textures: Light, d: FloatArray, corner: Any, origin: FloatArray, angle: float,
+    table: FloatArray, nodes: FloatArray, lightmap: Light, textures: Light, sun: FloatArray,
+    d: FloatArray, corner: Any, origin: FloatArray, angle: float,
     seen: Indices, near: FloatArray, count: int, ids: Indices, hit: FloatArray, grid: int,
 ) -> Any:  # fmt: skip
     """Mean light and mirror share over a grid of rays within the pixel between four corner rays.
@@ -261,14 +266,15 @@ def _edge_pixel(
             total += hit[known, 0]
             share += hit[known, 1]
         else:
-            total += radiance(table, lightmap, textures, i, t, u, v, dx, dy, dz, angle / grid)
+            total += radiance(table, nodes, lightmap, textures, sun, i, t, u, v, dx, dy, dz, angle / grid)
             share += _share(table, i, dx, dy, dz)
     return total / (grid * grid), share / (grid * grid)
 
 
 @outer(kernels, layout)
 def render_rows(
-    table: FloatArray, nodes: FloatArray, lightmap: Light, textures: Light, rays: FloatArray, pixel_rad: FloatArray,
+    table: FloatArray, nodes: FloatArray, lightmap: Light, textures: Light, sun: FloatArray,
+    rays: FloatArray, pixel_rad: FloatArray,
     origins: FloatArray, rotations: FloatArray, grid: int, turn: int, turns: int,
     direct: Light, share: Light, mirror: Light,
 ) -> None:  # fmt: skip
@@ -295,7 +301,9 @@ def render_rows(
                 continue
             count = _list_seen(table, nodes, origin, axis, rim, planes, seen, near)
             angle = pixel_rad[top + rows // 2, left + columns // 2]
-            _corner_pass(table, lightmap, textures, d, n, origin, angle, seen, near, count, ids, hit)
+            _corner_pass(
+                table, nodes, lightmap, textures, sun, d, n, origin, angle, seen, near, count, ids, hit
+            )
             for pixel in range(rows * columns):
                 y, x = pixel // columns, pixel % columns
                 a = y * (columns + 1) + x
@@ -303,7 +311,7 @@ def render_rows(
                 py, px = top + y, left + x
                 if hit[a, 1] > 0.0 and (px + 2 * py) % turns == turn:
                     mirror[py, px] = _mirrored(
-                        table, nodes, lightmap, textures, ids[a], hit[a, 2], origin,
+                        table, nodes, lightmap, textures, sun, ids[a], hit[a, 2], origin,
                         d[a, 0], d[a, 1], d[a, 2], angle, px, py,
                     )  # fmt: skip
                 if ids[a] == ids[b] and ids[a] == ids[c] and ids[a] == ids[e]:
@@ -312,8 +320,10 @@ def render_rows(
                 else:
                     direct[py, px], share[py, px] = _edge_pixel(
                         table,
+                        nodes,
                         lightmap,
                         textures,
+                        sun,
                         d,
                         (a, b, c, e),
                         origin,

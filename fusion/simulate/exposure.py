@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.simulate.config import SimulationConfig
-from fusion.simulate.imaging import Picture, Sensor, mean_radiance, through_jpeg
+from fusion.simulate.imu import sample_times
 from fusion.simulate.motion import Trajectory, Truth, plan_flight
-from fusion.simulate.plan import floor_plan
-from fusion.simulate.render import Image, View, exposure_moments, render_linear
-from fusion.simulate.scene import Scene, build_scene
-from fusion.simulate.sensors import sample_times
+from fusion.simulate.render.view import Image, View, exposure_moments, render_linear
+from fusion.simulate.scene.build import Scene, build_scene
+from fusion.simulate.scene.plan import floor_plan
+from fusion.simulate.sensor import Picture, Sensor, mean_radiance, through_jpeg
 from vision import Camera
 
 FloatArray = npt.NDArray[np.float64]
@@ -33,7 +33,7 @@ class SimulatedFrame(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shoot:
+class FlyingCamera:
     """A flight through a scene with a camera; makes the picture of any moment."""
 
     config: SimulationConfig
@@ -44,7 +44,7 @@ class Shoot:
     sensor: Sensor
 
     @classmethod
-    def prepare(cls, config: SimulationConfig, camera: Camera | None = None) -> Shoot:
+    def prepare(cls, config: SimulationConfig, camera: Camera | None = None) -> FlyingCamera:
         """Plan the flight, build the scene clear of its path, and set the exposure by a few small pictures.
 
         Parameters
@@ -56,6 +56,7 @@ class Shoot:
         rooms, meetings = floor_plan(config.scene)
         trajectory = plan_flight(config.motion, rooms, meetings, config.seed)
         path = trajectory.position(np.arange(0.0, trajectory.duration_s + 0.1, 0.1))
+        path[:, 2] += np.tan(config.scene.slope_rad) * path[:, 0]  # as if the floor were level
         scene = build_scene(config.scene, config.seed, config.light_cell_m, path)
         view = View.of(camera)
         small = View.of(camera.resized(max(16, camera.width_px // 4), max(16, camera.height_px // 4)))
@@ -66,7 +67,14 @@ class Shoot:
                 for k in range(METERED_FRAMES)
             ]
         )
-        return cls(config, camera, scene, trajectory, view, Sensor.of(config.imaging, view, float(level)))
+        return cls(
+            config,
+            camera,
+            scene,
+            trajectory,
+            view,
+            Sensor.of(config.imaging, view, float(level), config.seed),
+        )
 
     def frame_times(self) -> FloatArray:
         """Mid-exposure times of the frames, seconds from the flight's start; lost frames are left out."""
@@ -127,7 +135,7 @@ def simulate_frames(config: SimulationConfig, camera: Camera | None = None) -> I
     camera
         Takes the place of the lens and mount in ``config.camera``.
     """
-    shoot = Shoot.prepare(config, camera)
-    for number, t in enumerate(shoot.frame_times().tolist()):
-        image = through_jpeg(shoot.picture(t, number), config.imaging.jpeg_quality)
-        yield SimulatedFrame(shoot.stamp_ns(t), image, shoot.trajectory.truth(t))
+    flying = FlyingCamera.prepare(config, camera)
+    for number, t in enumerate(flying.frame_times().tolist()):
+        image = through_jpeg(flying.picture(t, number), config.imaging.jpeg_quality)
+        yield SimulatedFrame(flying.stamp_ns(t), image, flying.trajectory.truth(t))

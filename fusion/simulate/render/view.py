@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from fusion.simulate.mesh import Mesh
-from fusion.simulate.raster import BLOCK, render_rows
+from fusion.simulate.render.mesh import Mesh
+from fusion.simulate.render.raster import BLOCK, render_rows
 from vision import Camera
 
 FloatArray = npt.NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""What stands and hangs along the walls: doors, posters, signs, furniture, lockers, radiators, people.
+"""What is in the walls and hangs on them: doors with the rooms behind them, posters, boards, signs.
 
 Every function builds in the wall's own frame: s along the wall, d out of it into the room, h above the floor.
 """
@@ -9,23 +9,36 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.simulate.mesh import Builder, Frame, Material
-from fusion.simulate.scene_config import SceneConfig
-from fusion.simulate.textures import BOARDS, POSTERS, SIGNS
+from fusion.simulate.render.mesh import Material
+from fusion.simulate.scene.builder import Builder, Frame
+from fusion.simulate.scene.config import SceneConfig, WallConfig
+from fusion.simulate.scene.furniture import (
+    build_boxes,
+    build_furniture,
+    build_lockers,
+    build_plant,
+    build_radiator,
+)
+from fusion.simulate.scene.materials import floor_material, wall_material
+from fusion.simulate.scene.plan import Room, room_frame
+from fusion.simulate.scene.textures import BOARDS, POSTERS, SIGNS
 
 DOOR_HEIGHT_M = 2.05
-ASKEW_RAD = 0.02  # how far furniture stands from parallel to its wall
 SKEW_RAD = 0.006  # how far sheets hang from plumb
 
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """A doorway: from s0 to s1 along the wall; ``is_open`` shows the room behind it."""
+    """A doorway: from s0 to s1 along the wall; ``is_open`` shows the room behind it.
+
+    With ``alcove_m`` it is an alcove that deep.
+    """
 
     s0_m: float
     s1_m: float
     height_m: float
     is_open: bool
+    alcove_m: float = 0.0
 
 
 def place_openings(
@@ -42,7 +55,14 @@ def place_openings(
             return openings
         height = min(DOOR_HEIGHT_M + float(rng.choice([0.0, 0.1])), config.height_m - 0.12)
         free = any(a < s - 1.2 and s + width + 1.2 < b for a, b in free_behind)
-        openings.append(Opening(s, s + width, height, bool(free and rng.random() < config.open_door_share)))
+        if config.alcove_share > 0 and free and rng.random() < config.alcove_share:
+            width = min(float(rng.uniform(0.8, 3.0)), length_m - 0.36 - s)
+            height = float(rng.choice([2.1, config.height_m - 0.25, config.height_m]))
+            height = min(height, config.height_m)
+            openings.append(Opening(s, s + width, height, False, float(rng.uniform(0.2, 1.1))))
+        else:
+            is_open = bool(free and rng.random() < config.open_door_share)
+            openings.append(Opening(s, s + width, height, is_open))
         s += width + max(0.5, float(rng.gamma(3.0, max(config.door_spacing_m - width, 0.6) / 3.0)))
 
 
@@ -146,14 +166,16 @@ def _build_room(
         builder.box(
             frame, (a + 0.1, b - 0.3), (back, back + 0.5), (0, float(rng.uniform(0.7, 1.8))), shade, "sSDH"
         )
-    _swing_leaf(builder, frame, opening, deep)
+    _swing_leaf(builder, frame, opening, deep, config.ajar_share)
 
 
-def _swing_leaf(builder: Builder, frame: Frame, opening: Opening, deep: float) -> None:
+def _swing_leaf(builder: Builder, frame: Frame, opening: Opening, deep: float, ajar_share: float) -> None:
     """Build an open door's leaf, swung into the room behind."""
     rng = builder.rng
     leaf = Material(float(rng.uniform(0.12, 0.6)), "wood", (0.7, 2.2))
     wide, swing = opening.s1_m - opening.s0_m, float(rng.uniform(0.9, 1.9))
+    if ajar_share > 0 and rng.random() < ajar_share:
+        swing = float(rng.uniform(0.08, 0.6))
     hinge, turn = (opening.s0_m, -swing) if rng.random() < 0.5 else (opening.s1_m, swing)
     turned = frame.turned(hinge, -deep, turn)
     span = (hinge, hinge + wide) if turn < 0 else (hinge - wide, hinge)
@@ -198,6 +220,8 @@ def decorate(
         ("sign", config.sign_spacing_m, 0.3),
         ("furniture", config.furniture_spacing_m, 1.0),
         ("radiator", config.radiator_spacing_m, 1.2),
+        ("boxes", config.boxes_spacing_m, 1.0),
+        ("plant", config.plants_spacing_m, 0.6),
     )
     present = [(name, 1 / spacing, size) for name, spacing, size in rates if spacing > 0]
     if not present:
@@ -208,9 +232,67 @@ def decorate(
         name, _, size = present[int(rng.choice(len(present), p=weights / weights.sum()))]
         if s + size > s1 - 0.08:
             return
-        build = {"poster": _poster, "sign": _sign, "furniture": _furniture, "radiator": _radiator}[name]
+        build = _BUILD[name]
         with builder.standing():
             s += build(builder, frame, s, s1, room_m)
+
+
+def build_alcove(
+    builder: Builder, frame: Frame, opening: Opening, config: SceneConfig, look: WallConfig, start_m: float
+) -> None:
+    """Build a recess in the wall: its back and sides like the wall, its floor like the corridor's."""
+    s0, s1, top, deep = opening.s0_m, opening.s1_m, opening.height_m, opening.alcove_m
+    along, inwards, up = frame.vector(s1 - s0, 0, 0), frame.vector(0, deep, 0), frame.vector(0, 0, top)
+    back = wall_material(look, look.finish, look.albedo, (start_m + s0, 0.0))
+    side = back.but(origin_m=None)
+    builder.quad(frame.point(s0, -deep, 0), along, up, frame.out, back)
+    builder.quad(frame.point(s0, -deep, 0), inwards, up, frame.along, side)
+    builder.quad(frame.point(s1, -deep, 0), inwards, up, -frame.along, side)
+    floor = floor_material(config).but(joint_spacing_m=(0.0, 0.0))
+    builder.quad(frame.point(s0, -deep, 0), along, inwards, frame.vector(0, 0, 1), floor)
+    builder.quad(frame.point(s0, -deep, top), along, inwards, frame.vector(0, 0, -1), Material(0.7))
+    rng = builder.rng
+    if deep > 0.35 and rng.random() < 0.5:
+        with builder.standing():
+            deep_m = min(0.45, deep - 0.05)
+            box = Material(float(rng.uniform(0.05, 0.6)), "wood", (1.0, 0.7))
+            high = float(rng.uniform(0.4, 1.8))
+            builder.box(frame, (s0 + 0.1, s1 - 0.15), (-deep, -deep + deep_m), (0, high), box, "sSDH")
+
+
+def build_pilasters(
+    builder: Builder,
+    frame: Frame,
+    s: tuple[float, float],
+    config: SceneConfig,
+    look: WallConfig,
+    start_m: float,
+) -> None:
+    """Build the pilasters that fall on a piece of wall between two doorways."""
+    spacing = config.pilaster_spacing_m
+    wide, deep = config.pilaster_m
+    stuff = Material(config.pilaster_albedo, "blocks", (1.6, 1.6))
+    first = int(np.ceil((s[0] + start_m + 0.15) / spacing))
+    for k in range(first, first + int((s[1] - s[0]) / spacing) + 1):
+        place = k * spacing - start_m
+        if s[0] + 0.15 < place and place + wide < s[1] - 0.15:
+            with builder.standing():
+                builder.box(frame, (place, place + wide), (0, deep), (0, config.height_m), stuff, "sSD")
+
+
+def build_partition(builder: Builder, rooms: list[Room], config: SceneConfig) -> None:
+    """Build the low wall between the first corridor and the open hall."""
+    if config.open_hall_m is None or config.partition_height_m == 0:
+        return
+    low, high = config.open_hall_m
+    half, top = config.width_m / 2, config.partition_height_m
+    look = config.wall_of("right" if config.open_hall_right else "left")
+    material = wall_material(look, look.finish, look.albedo)
+    frame = room_frame(rooms[0])
+    d = (half, half + 0.1) if config.open_hall_right else (-half - 0.1, -half)
+    builder.box(frame, (low, high), d, (0, top), material, "sSdD")
+    cap = Material(0.35, "wood", (1.5, 0.5))
+    builder.box(frame, (low, high), (d[0] - 0.02, d[1] + 0.02), (top, top + 0.03), cap)
 
 
 def _poster(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
@@ -241,87 +323,11 @@ def _sign(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) ->
     return 0.25
 
 
-def _furniture(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
-    rng = builder.rng
-    frame = frame.turned(s, 0.03, abs(float(rng.normal(0, ASKEW_RAD))))  # nobody aligns furniture
-    reach = min(0.55, 0.28 * room_m)
-    kind = rng.random()
-    if kind < 0.45:  # cabinet or cupboard
-        wide = min(float(rng.uniform(0.4, 1.4)), s1 - s - 0.02)
-        deep, high = float(rng.uniform(0.25, 1)) * reach, float(rng.choice([0.72, 0.9, 1.2, 1.9]))
-        texture = str(rng.choice(["wood", "metal"]))
-        body = Material(float(rng.uniform(0.1, 0.7)), texture, (0.9, 0.9), 0.8, (0.45, 0.4), 0.006, 0.05)
-        builder.box(frame, (s, s + wide), (0.01, deep), (0, high), body, "sSDH")
-        if rng.random() < 0.4:
-            top = Material(float(rng.uniform(0.05, 0.8)), "vinyl", (0.5, 0.5), 2.0)
-            builder.box(frame, (s + 0.1, s + 0.35), (0.05, deep - 0.03), (high, high + 0.25), top, "sSDH")
-        return wide
-    if kind < 0.7:  # bin or plant pot
-        radius = float(rng.uniform(0.13, 0.2))
-        dark = Material(float(rng.uniform(0.04, 0.5)))
-        high = float(rng.uniform(0.4, 0.75))
-        builder.prism(
-            frame, (s + radius, radius + 0.03), (radius, radius), (0, high), dark, 10, Material(0.02)
-        )
-        if rng.random() < 0.4:
-            leaves = Material(0.12, "carpet", (0.5, 0.5), 2.0)
-            for k in range(3):
-                spread = radius * (1.3 - 0.3 * k)
-                level = high + 0.05 + 0.22 * k
-                builder.prism(
-                    frame, (s + radius, radius + 0.03), (spread, spread), (level, level + 0.25), leaves, 7
-                )
-        return 2 * radius
-    wide, deep = min(float(rng.uniform(0.5, 1.6)), s1 - s - 0.02), reach * 0.8  # bench: seat on legs
-    seat = Material(float(rng.uniform(0.1, 0.5)), "wood", (1.0, 0.5))
-    builder.box(frame, (s, s + wide), (0.02, deep), (0.42, 0.47), seat)
-    for leg in (s + 0.05, s + wide - 0.1):
-        builder.box(frame, (leg, leg + 0.04), (0.05, deep - 0.03), (0, 0.42), Material(0.1), "sSdD")
-    return wide
-
-
-def _radiator(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
-    wide = min(float(builder.rng.uniform(0.8, 1.6)), s1 - s - 0.02)
-    ribs = Material(0.75, None, None, 1.0, (0.05, 0.0), 0.012, 0.35)
-    builder.box(frame, (s, s + wide), (0.03, 0.12), (0.12, 0.68), ribs)
-    return wide
-
-
-def build_lockers(builder: Builder, frame: Frame, s0: float, s1: float) -> None:
-    """Build a row of lockers: strong upright and transverse lines."""
-    rng = builder.rng
-    pitch, high = float(rng.uniform(0.28, 0.42)), float(rng.choice([1.2, 1.8, 2.0]))
-    rows = float(rng.choice([0.0, high / 2, high / 3]))
-    steel = Material(float(rng.uniform(0.15, 0.6)), "metal", (1.0, 1.0), 0.6, (pitch, rows), 0.012, 0.03)
-    builder.box(
-        frame, (s0, s0 + max(1, int((s1 - s0) / pitch)) * pitch), (0.01, 0.35), (0.06, high), steel, "sSDhH"
-    )
-
-
-def build_person(builder: Builder, frame: Frame, s: float, d: float) -> None:
-    """Build a standing figure of rounded blocks."""
-    rng = builder.rng
-    tall, stance = float(rng.uniform(0.9, 1.08)), float(rng.uniform(0.07, 0.13))
-    frame = frame.turned(s, d, float(rng.uniform(-1.2, 1.2)))
-    trousers = Material(float(rng.uniform(0.03, 0.25)))
-    shirt = Material(float(rng.uniform(0.05, 0.7)), "vinyl", (0.4, 0.4), 2.0)
-    skin, hair = Material(float(rng.uniform(0.15, 0.45))), Material(float(rng.uniform(0.02, 0.2)))
-
-    def block(
-        ds: float, dd: float, radius: tuple[float, float], low: float, high: float, stuff: Material
-    ) -> None:
-        builder.prism(frame, (s + ds, d + dd), radius, (low * tall, high * tall), stuff, 9)
-
-    for side in (-1, 1):
-        step = side * 0.5 * stance
-        block(step, side * stance, (0.065, 0.06), 0.0, 0.45, trousers)
-        block(step * 0.8, side * stance, (0.085, 0.08), 0.45, 0.86, trousers)
-        block(-step, side * 0.22, (0.05, 0.045), 1.12, 1.40, shirt)
-        block(-step * 1.5, side * 0.24, (0.042, 0.038), 0.82, 1.12, shirt)
-    for low, high, wide in ((0.82, 0.95, 0.165), (0.95, 1.15, 0.15), (1.15, 1.38, 0.18), (1.38, 1.45, 0.13)):
-        block(0.0, 0.0, (0.12, wide), low, high, shirt)
-    block(0.0, 0.0, (0.05, 0.05), 1.45, 1.52, skin)
-    for low, high, wide in ((1.51, 1.56, 0.065), (1.56, 1.66, 0.082)):
-        block(0.01, 0.0, (wide * 1.15, wide), low, high, skin)
-    for low, high, wide in ((1.66, 1.72, 0.082), (1.72, 1.755, 0.06)):
-        block(0.0, 0.0, (wide * 1.15, wide), low, high, hair)
+_BUILD = {
+    "poster": _poster,
+    "sign": _sign,
+    "furniture": build_furniture,
+    "radiator": build_radiator,
+    "boxes": build_boxes,
+    "plant": build_plant,
+}
