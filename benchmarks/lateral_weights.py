@@ -22,7 +22,7 @@ from support.cases import flight_cases, flight_named
 from support.scores import number, percent, table
 
 from fusion.simulate.scene.config import SceneConfig
-from fusion.simulate.single_views import random_views
+from fusion.simulate.single_views import office_views
 from vision import Attitude, Camera, extract_lines, measure_lines
 from vision.axis.level import level_from_verticals
 from vision.axis.vanishing_point import fit_axis
@@ -103,8 +103,8 @@ def picture_of(
 
 
 def open_hall(seed: int) -> SceneConfig:
-    length_m = SceneConfig.random(seed).length_m
-    return SceneConfig.random(seed, open_hall_m=(0.0, length_m), open_hall_right=bool(seed % 2))
+    length_m = SceneConfig.random_office(seed).length_m
+    return SceneConfig.random_office(seed, open_hall_m=(0.0, length_m), open_hall_right=bool(seed % 2))
 
 
 def simulated(views: int, seed: int) -> list[Picture]:
@@ -113,8 +113,8 @@ def simulated(views: int, seed: int) -> list[Picture]:
     pictures = []
     for k, (size, fov_deg) in enumerate(LENSES):
         camera = Camera.from_fov(*size, radians(fov_deg))
-        corridors = random_views(camera, views, seed + k, views_per_scene=4)
-        halls = random_views(camera, views // 5, seed + 100 + k, views_per_scene=4, scene=open_hall)
+        corridors = office_views(camera, views, seed + k, views_per_scene=4)
+        halls = office_views(camera, views // 5, seed + 100 + k, views_per_scene=4, scene=open_hall)
         for hall, many in ((False, corridors), (True, halls)):
             for view in many:
                 roll, pitch = rng.normal((view.roll_rad, view.pitch_rad), ATTITUDE_STD_RAD)

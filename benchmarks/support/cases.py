@@ -19,7 +19,7 @@ import numpy.typing as npt
 from fusion.evaluation.errors import interpolate_truth
 from fusion.flight import AttitudeStream, Flight
 from fusion.logs import load_flight
-from fusion.simulate import RandomView, random_views
+from fusion.simulate import RandomView, office_views
 from vision import Attitude, Camera, FrameMeasurement, measure_frame
 from vision.frame import Method
 from vision.images import GreyImage
@@ -294,7 +294,7 @@ def scaled(image: GreyImage, size: Size) -> GreyImage:
 def simulated_cases(size: Size, n: int, seed: int) -> Iterator[Case]:
     """Yield views of random corridors with the attitude that a log would have."""
     camera = Camera.from_fov(*size, SIMULATED_FOV_RAD)
-    for index, view in enumerate(random_views(camera, n, seed)):
+    for index, view in enumerate(office_views(camera, n, seed)):
         yield case_of_view(view, f"simulated {size_name(size)}", index, camera)
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from fusion.simulate.exposure import SimulatedFrame, simulate_frames
     from fusion.simulate.flight import simulate_flight
     from fusion.simulate.scene.config import JunctionConfig, SceneConfig
-    from fusion.simulate.single_views import RandomView, random_views
+    from fusion.simulate.single_views import RandomView, office_views, random_views
 
 __all__ = [
     "ImagingConfig",
@@ -23,6 +23,7 @@ __all__ = [
     "SceneConfig",
     "SimulatedFrame",
     "SimulationConfig",
+    "office_views",
     "random_views",
     "simulate_flight",
     "simulate_frames",
@@ -35,6 +36,7 @@ _MODULES = {
     "SceneConfig": "scene.config",
     "SimulatedFrame": "exposure",
     "SimulationConfig": "config",
+    "office_views": "single_views",
     "random_views": "single_views",
     "simulate_flight": "flight",
     "simulate_frames": "exposure",

@@ -125,7 +125,7 @@ class ImagingConfig(Section):
         drawn["response_std"] = float(rng.uniform(0.0, 0.02))
         if is_night(seed):
             drawn |= {
-                "brightness": float(np.exp(rng.uniform(np.log(0.01), np.log(0.1)))),
+                "brightness": float(np.exp(rng.uniform(np.log(0.015), np.log(0.12)))),
                 "full_well_electrons": float(rng.uniform(5000, 12000)),
                 "gain": float(np.exp(rng.uniform(np.log(4), np.log(32)))),
                 "read_noise_electrons": float(rng.uniform(2, 8)),

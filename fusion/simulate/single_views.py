@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import radians
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -122,6 +123,12 @@ def random_views(
         for k in range(start, min(start + views_per_scene, n)):
             rng = np.random.default_rng((scene_seed, k, 4))
             yield _take(built, view, quality, rng, limits, scene_seed)
+
+
+def office_views(camera: Camera, n: int, seed: int = 0, **options: Any) -> Iterator[RandomView]:
+    """Yield n views of plain, well-lit office corridors; the options are those of `random_views`."""
+    office = {"scene": SceneConfig.random_office, "imaging": ImagingConfig.random_office}
+    return random_views(camera, n, seed, **(office | options))
 
 
 def _take(

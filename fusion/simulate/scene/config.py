@@ -149,7 +149,7 @@ class WallConfig(Section):
     brick_contrast: float = Field(
         default=1.0, ge=-4, le=4, description="Of bricks and their mortar; negative: the mortar is light."
     )
-    gloss: Share = Field(default=0.0, description="Mirror reflection of tiles and paint seen square on.")
+    gloss: Share = Field(default=0.0, description="Mirror reflection of wall tiles seen square on.")
     skirting_height_m: NotNegative = 0.09
     skirting_depth_m: Positive = 0.013
     skirting_albedo: Share = 0.12

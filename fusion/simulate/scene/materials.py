@@ -17,7 +17,7 @@ def wall_material(
     if finish in (WallFinish.BRICK, WallFinish.BLOCKS):
         size = TEXTURE_BRICKS[0] * long, TEXTURE_BRICKS[1] * high
         name, mean = ("brick", 0.8) if finish is WallFinish.BRICK else ("blocks", 1.0)
-        return Material(albedo * mean, name, size, wall.brick_contrast, gloss=wall.gloss, origin_m=origin_m)
+        return Material(albedo * mean, name, size, wall.brick_contrast, origin_m=origin_m)
     if finish is WallFinish.TILES:
         joint = albedo * min(1.5, min(1.5, max(0.0, 1 - 0.5 * wall.brick_contrast)))
         return Material(
@@ -25,7 +25,7 @@ def wall_material(
         )  # fmt: skip
     if finish is WallFinish.PANELS:
         return Material(albedo, "plaster", (1.5, 1.5), 1.0, (1.2, 0.0), 0.008, 0.15)
-    return Material(albedo, "plaster", (1.7, 1.7), 1.0, gloss=wall.gloss, roughness_rad=0.06)
+    return Material(albedo, "plaster", (1.7, 1.7), 1.0)
 
 
 def floor_material(config: SceneConfig) -> Material:

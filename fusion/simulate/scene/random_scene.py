@@ -85,7 +85,7 @@ class _Draw:
 
     def albedo(self) -> float:
         """Dark, middling or light."""
-        return self.one_of(self.between(0.03, 0.15), self.between(0.15, 0.5), self.between(0.5, 0.85))
+        return float(self.one_of(self.between(0.03, 0.15), self.between(0.15, 0.5), self.between(0.5, 0.85)))
 
     def sides(self) -> tuple[Surface, ...]:
         return self.one_of(
@@ -165,7 +165,7 @@ def _wall(draw: _Draw) -> WallConfig:
         lower_finish=lower,
         lower_albedo=draw.one_of(albedo * draw.between(0.4, 0.9), draw.albedo()),
         brick_m=unit,
-        brick_contrast=draw.one_of(contrast, -contrast, p=(0.45, 0.55)),
+        brick_contrast=draw.one_of(contrast, -1.6 * contrast, p=(0.45, 0.55)),
         gloss=gloss,
         skirting_height_m=draw.one_of(0.0, draw.between(0.04, 0.22), p=(0.2, 0.8)),
         skirting_depth_m=draw.between(0.004, 0.03),
@@ -246,7 +246,7 @@ def _contents(draw: _Draw) -> dict[str, Any]:
     """Draw what stands and hangs in the corridor."""
 
     def spacing(share: float, low: float, high: float) -> float:
-        return draw.one_of(0.0, draw.between(low, high), p=(1 - share, share))
+        return float(draw.one_of(0.0, draw.between(low, high), p=(1 - share, share)))
 
     return {
         "poster_spacing_m": spacing(0.85, 2.0, 10.0),
@@ -296,8 +296,8 @@ def _wall_strips(draw: _Draw) -> list[dict[str, Any]]:
             strips.append({"on": side, "at_m": at, "width_m": wide, "depth_m": deep, "albedo": albedo})
     if draw.chance(0.2):
         rail = {
-            "width_m": draw.between(0.03, 0.14), "depth_m": draw.between(0.02, 0.05), "gap_m": draw.between(0.03, 0.06),
-            "albedo": draw.albedo(), "texture": draw.one_of("wood", "metal", None), "round": draw.chance(0.4),
+            "width_m": draw.between(0.03, 0.14), "depth_m": draw.between(0.02, 0.05), "albedo": draw.albedo(),
+            "gap_m": draw.between(0.03, 0.06), "texture": draw.one_of("wood", "metal", None), "round": draw.chance(0.4),
         }  # fmt: skip
         levels = draw.one_of((0.92,), (0.92, 0.65), (0.95, 0.35), p=(0.6, 0.2, 0.2))
         strips += [{"on": side, "at_m": level, **rail} for side in draw.sides() for level in levels]
@@ -362,18 +362,11 @@ def _service_runs(draw: _Draw, width_m: float, height_m: float) -> list[dict[str
     if draw.chance(0.15):
         size = draw.scale(0.02, 0.12)
         wall = draw.one_of(Surface.LEFT, Surface.RIGHT)
-        levels = (draw.one_of(draw.between(0.1, 0.5), height_m - draw.between(0.08, 0.4)),)
-        for level in levels if draw.chance(0.5) else (levels[0], levels[0] + size + 0.05):
-            strips.append(
-                {
-                    "on": wall,
-                    "at_m": level,
-                    "width_m": size,
-                    "gap_m": 0.03,
-                    "round": True,
-                    "albedo": draw.albedo(),
-                }
-            )
+        levels = [draw.one_of(draw.between(0.1, 0.5), height_m - draw.between(0.08, 0.4))]
+        if draw.chance(0.5):
+            levels.append(levels[0] - size - 0.05)
+        pipe = {"on": wall, "width_m": size, "gap_m": 0.03, "round": True, "albedo": draw.albedo()}
+        strips += [{"at_m": level, **pipe} for level in levels]
     if draw.chance(0.2):
         wide = min(draw.between(0.12, 0.5), 0.4 * width_m)
         tray = {
