@@ -1,8 +1,8 @@
 """Train the network of `vision.lateral.learned` on simulated corridors, and write its weights.
 
-``python -m training.offset_network`` (extra ``training``) renders the pictures, trains, calibrates on corridors that
-the training has not seen, and writes ``vision/lateral/offset_network.onnx`` and, as JSON beside it, how it was made
-and how good it is. Seeds are fixed. ``--pictures`` keeps the rendered pictures for another run.
+``python -m training.offset_network render FOLDER`` renders the pictures, ``... train FOLDER`` (extra ``training``)
+trains on them, calibrates on corridors that the training has not seen, and writes
+``vision/lateral/offset_network.onnx`` and, as JSON beside it, how it was made and how good it is. Seeds are fixed.
 
 The network classifies every angle about the axis. 2-D convolutions collapse the radius, circular 1-D convolutions
 over the angle follow; out come scores of the floor's and the ceiling's corner at each angle, a class of each angle as
@@ -27,7 +27,15 @@ import typer
 from torch import Tensor, nn
 from torch.nn import functional
 
-from training.offset_views import UNKNOWN, Sample, TrainingView, render_views, varied, without_corridor
+from training.offset_views import (
+    UNKNOWN,
+    VIEWS_PER_CAMERA,
+    Sample,
+    TrainingView,
+    render_views,
+    varied,
+    without_corridor,
+)
 from training.scores import OffsetScores
 from vision.lateral import learned
 from vision.lateral.learned import N_BINS, N_ODDS, N_QUARTER, PAIR_OFFSET, learned_mixture
@@ -41,7 +49,10 @@ WARM_UP_STEPS, CORNER_STEPS = 60, 300
 WITHOUT_CORRIDOR = 0.05
 CORNER_WEIGHT, CLASS_WEIGHT = 0.25, 0.3
 N_CLASSES = 3
-HELD_OUT, HELD_OUT_SEED = 960, 900
+CHUNK_VIEWS = 10 * VIEWS_PER_CAMERA
+CHUNKS, STEPS, SEED = 10, 3000, 11
+FIRST_CHUNKS, STEPS_PER_CHUNK = 2, 150
+HELD_OUT, HELD_OUT_SEED = 480, 900
 TEST_VIEWS, TEST_SEED = 48, 950
 TEMPERATURES = (0.8, 0.9, 1.0, 1.1, 1.25, 1.4, 1.6, 1.8, 2.1)
 SHIFTS = (-1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
@@ -187,14 +198,31 @@ class Batch:
         )
 
 
-def train(views: list[TrainingView], steps: int, seed: int) -> OffsetNetwork:
-    """Train a network on endless variations of the views."""
+def chunk_file(folder: Path, seed: int, number: int) -> Path:
+    """File of a chunk of rendered views."""
+    return folder / f"views_{seed}_{number}.pkl"
+
+
+def train(folder: Path, chunks: int, steps: int, seed: int) -> OffsetNetwork:
+    """Train a network on endless variations of the views in a folder.
+
+    It begins with `FIRST_CHUNKS` chunks and takes one more in every `STEPS_PER_CHUNK` steps, waiting for it where it
+    is still being rendered.
+    """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     network = OffsetNetwork()
     optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=1e-3)
-    started, order, losses = time.monotonic(), list[int](), list[tuple[float, ...]]()
+    views: list[TrainingView] = []
+    started, taken, order, losses = time.monotonic(), 0, list[int](), list[tuple[float, ...]]()
     for step in range(steps):
+        while taken < min(chunks, FIRST_CHUNKS + step // STEPS_PER_CHUNK):
+            file = chunk_file(folder, seed, taken)
+            while not file.exists():
+                time.sleep(1.0)
+            views += pickle.loads(file.read_bytes())
+            taken += 1
+            order = []
         if len(order) < BATCH:
             order += rng.permutation(len(views)).tolist()
         batch = Batch.of(
@@ -272,16 +300,6 @@ def export(network: OffsetNetwork, file: Path) -> None:
     )
 
 
-def pictures(n: int, seed: int, file: Path | None) -> list[TrainingView]:
-    """Render views, or read them from a file that an earlier run left."""
-    if file is not None and file.exists():
-        return list(pickle.loads(file.read_bytes()))
-    views = list(render_views(n, seed))
-    if file is not None:
-        file.write_bytes(pickle.dumps(views))
-    return views
-
-
 def scores(views: list[TrainingView]) -> dict[str, float]:
     """Score the weights in the package on views about the axes that vision finds."""
     known = [view for view in views if view.R_measured is not None]
@@ -290,33 +308,53 @@ def scores(views: list[TrainingView]) -> dict[str, float]:
     return {name: round(value, 4) for name, value in asdict(found).items()}
 
 
-def main(
-    views: Annotated[int, typer.Option(help="Rendered pictures to train on.")] = 6000,
-    steps: Annotated[int, typer.Option(help=f"Of training, {BATCH} samples each.")] = 5000,
-    seed: int = 1,
-    pictures_file: Annotated[Path | None, typer.Option("--pictures", help="Keep them here.")] = None,
+app = typer.Typer(help=__doc__, add_completion=False)
+
+
+@app.command()
+def render(
+    folder: Path,
+    chunks: Annotated[int, typer.Option(help=f"Of {CHUNK_VIEWS} pictures each.")] = CHUNKS,
+    first: Annotated[
+        int, typer.Option(help="Begin with this one: several processes may share the work.")
+    ] = 0,
+    seed: int = SEED,
 ) -> None:
-    """Render, train, calibrate and write the weights."""
+    """Render the pictures to train on; those that are there stay."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for number in range(first, chunks):
+        file = chunk_file(folder, seed, number)
+        if file.exists():
+            continue
+        views = list(render_views(CHUNK_VIEWS, seed, number * CHUNK_VIEWS // VIEWS_PER_CAMERA))
+        unfinished = file.with_suffix(".part")
+        unfinished.write_bytes(pickle.dumps(views))
+        unfinished.rename(file)
+        print(file, flush=True)
+
+
+@app.command("train")
+def train_and_write(folder: Path, chunks: int = CHUNKS, steps: int = STEPS, seed: int = SEED) -> None:
+    """Train, calibrate and write the weights; a folder that is still being filled will do."""
     torch.set_num_threads(1)
-    network = train(pictures(views, seed, pictures_file), steps, seed)
+    network = train(folder, chunks, steps, seed)
     held_out = list(render_views(HELD_OUT, HELD_OUT_SEED))
     rng = np.random.default_rng(HELD_OUT_SEED)
     varied_too = [varied(view, rng, vary=k % 2 == 0) for k, view in enumerate(held_out[: HELD_OUT // 2])]
     temperature, shift = calibrate(network, Batch.of(varied_too))
     file = Path(learned.__file__).with_name(learned.WEIGHTS_FILE)
     export(network, file)
-    commit = subprocess.run(
-        ["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True
-    ).stdout.strip()
+    git = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True)
     made = {
-        "made_by": f"python -m training.offset_network --views {views} --steps {steps} --seed {seed}",
-        "commit": commit,
+        "made_by": f"python -m training.offset_network train FOLDER --chunks {chunks} --steps {steps} --seed {seed}",
+        "commit": git.stdout.strip(),
         "parameters": sum(parameter.numel() for parameter in network.parameters()),
+        "views": chunks * CHUNK_VIEWS,
         "temperature": temperature,
         "cannot_tell_shift": shift,
         "simulated_corridors": scores(held_out[HELD_OUT // 2 :]),
         "test_views": {
-            "n": TEST_VIEWS,
+            "views": TEST_VIEWS,
             "seed": TEST_SEED,
             **scores(list(render_views(TEST_VIEWS, TEST_SEED))),
         },
@@ -326,4 +364,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    app()

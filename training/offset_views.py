@@ -9,20 +9,20 @@ walls, stripes are painted along the corridor, surfaces change their brightness,
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi, radians, tan
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from fusion.simulate import SceneConfig, random_views
+from fusion.simulate import RandomView, SceneConfig, random_views
 from fusion.simulate.config import CameraConfig, rotation
-from vision import Attitude, Camera, Prior, extract_lines
+from fusion.simulate.random_flight import draw_camera
+from vision import Attitude, Camera, Prior, extract_lines, measure_lines
 from vision.axis.level import level_from_verticals
 from vision.axis.vanishing_point import fit_axis
-from vision.cameras.camera import Distortion
-from vision.frame import SLOPE_STD_RAD
+from vision.frame import SLOPE_STD_RAD, UNKNOWN_ATTITUDE
 from vision.lateral.polar import (
     ANGLES,
     DIRECTIONS,
@@ -36,6 +36,10 @@ from vision.lateral.polar import (
 FloatArray = npt.NDArray[np.float64]
 
 LIGHT_CELL_M = 0.3
+VIEWS_PER_CAMERA, VIEWS_PER_SCENE = 24, 6
+MAX_MEASURED_ERROR_RAD = radians(
+    3.0
+)  # further off the axis is another one, or that of a slope taken as level
 MAX_OFFSET_NORM = 0.85
 UNKNOWN, FLOOR, CEILING, WALL = -1, 0, 1, 2  # classes of an angle
 
@@ -67,109 +71,109 @@ class TrainingView:
     R_true
         Rotation (3, 3) from the optical frame to the corridor's axes.
     R_measured
-        The same as vision finds it in this picture; None where it finds no axis.
+        The same as vision finds it in this picture; None where it accepts none.
     box
-        Where the corridor's surfaces are; None where the picture shows no corridor.
+        Where the corridor's surfaces are.
     is_hall
-        A wall is missing somewhere.
+        A wall is missing ahead.
     """
 
     image: npt.NDArray[np.uint8]
     camera: Camera
     R_true: FloatArray
     R_measured: FloatArray | None
-    box: Box | None
+    box: Box
     is_hall: bool = False
 
 
-def cameras() -> list[Camera]:
-    """Cameras of several makes: fields of view of 60 to 125 degrees, both lens models, mounted up and down."""
-    radtan, fish = Distortion.RADTAN, Distortion.EQUIDISTANT
-    made = [
-        CameraConfig(horizontal_fov_rad=radians(70)),
-        CameraConfig(horizontal_fov_rad=radians(60), mount_pitch_rad=radians(4)),
-        CameraConfig(horizontal_fov_rad=radians(85), mount_pitch_rad=radians(-7)),
-        CameraConfig(width_px=640, height_px=480, horizontal_fov_rad=radians(69)),
-        CameraConfig(width_px=640, height_px=480, horizontal_fov_rad=radians(80), mount_pitch_rad=radians(-4)),
-        CameraConfig(
-            fx_px=185, distortion=radtan, coefficients=(-0.28, 0.08, 0.0005, -0.0003), cx_px=164, cy_px=116
-        ),
-        CameraConfig(fx_px=130, distortion=radtan, coefficients=(-0.2, 0.03, 0.0, 0.0), mount_yaw_rad=radians(3)),
-        CameraConfig(horizontal_fov_rad=radians(110), distortion=fish, coefficients=(-0.02, 0.005, 0.0, 0.0)),
-        CameraConfig(
-            width_px=640, height_px=480, horizontal_fov_rad=radians(125), distortion=fish,
-            coefficients=(0.01, -0.003, 0.0, 0.0), mount_pitch_rad=radians(-10),
-        ),
-    ]  # fmt: skip
-    return [config.camera() for config in made]
+def draw_lens(seed: int) -> Camera:
+    """Draw a camera: both lens models, fields of view of 55 to 140 degrees, two sizes, mounted up, down and askew."""
+    rng = np.random.default_rng((seed, 21))
+    size = {"width_px": 320, "height_px": 240} if rng.random() < 0.65 else {"width_px": 640, "height_px": 480}
+    lens = draw_camera(seed) | size
+    if rng.random() < 0.2:  # wide, with a lens that is not quite a fisheye
+        k = float(rng.uniform(-0.25, 0.2))
+        lens |= {
+            "distortion": "radtan",
+            "coefficients": (k, -k * float(rng.uniform(0.2, 1.0)), 0.0, 0.0, 0.05 * k),
+            "fx_px": size["width_px"] * float(rng.uniform(0.32, 0.55)),
+        }
+    if rng.random() < 0.3:
+        lens["mount_pitch_rad"] = radians(float(rng.uniform(-12.0, 8.0)))
+    return CameraConfig.model_validate(lens).camera()
 
 
 def measured_frame(
     image: npt.NDArray[np.uint8], camera: Camera, attitude: Attitude | None
 ) -> tuple[FloatArray, float] | None:
-    """Find the corridor's axes by vision, as `vision.measure_lines` does: R_corridor_camera and the heading."""
+    """Find the corridor's axes by vision: R_corridor_camera and the heading; None where the frame is not accepted."""
     lines = extract_lines(image, camera)
-    known = attitude or Attitude(0.0, 0.0, std_rad=radians(12.0))
+    known = attitude or UNKNOWN_ATTITUDE
     std = float(np.hypot(known.std_rad, Prior().elevation_std_rad))
     level = level_from_verticals(lines, known.R_level_body() @ camera.R_body_camera, std)
     fit = fit_axis(
         lines, level.R_level_camera, elevation_std_rad=float(np.hypot(level.pitch_std_rad, SLOPE_STD_RAD))
     )
-    if fit is None:
+    if fit is None or not measure_lines(lines, camera, attitude).accepted:
         return None
     return corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad), fit.heading_rad
 
 
-def render_views(n: int, seed: int) -> Iterator[TrainingView]:
-    """Yield n views, a third of them near walls, ends or far askew, one in ten in a hall."""
-    makes = cameras()
-    per_camera = 24
-    for block in range((n + per_camera - 1) // per_camera):
-        rng = np.random.default_rng((seed, block))
-        camera = makes[int(rng.integers(len(makes)))]
-        hard = rng.random() < 0.3
-        hall = rng.random() < 0.1
-        made: dict[int, SceneConfig] = {}
+def render_views(n: int, seed: int, first_camera: int = 0) -> Iterator[TrainingView]:
+    """Yield n views of random corridors, a third of them near walls and ends, or far askew.
 
-        def draw(scene_seed: int, hall: bool = hall, made: dict[int, SceneConfig] = made) -> SceneConfig:
-            config = SceneConfig.random(scene_seed)
-            if hall:
-                config = config.model_copy(
-                    update={"open_hall_m": (0.0, config.length_m), "open_hall_right": bool(scene_seed % 2)}
-                )
-            made[scene_seed] = config
-            return config
+    Each camera takes `VIEWS_PER_CAMERA` of them; ``first_camera`` leaves those of the cameras before it out.
+    """
+    for block in range(first_camera, first_camera + (n + VIEWS_PER_CAMERA - 1) // VIEWS_PER_CAMERA):
+        block_seed = seed * 7919 + block
+        rng = np.random.default_rng((block_seed, 20))
+        camera, hard = draw_lens(block_seed), rng.random() < 0.35
+        scenes: dict[int, SceneConfig] = {}
 
-        exposed = replace(camera, exposure_s=0.01)
-        rate = float(rng.choice([0.0, 0.0, 0.0, rng.uniform(0.2, 1.5)]))
+        def draw(scene_seed: int, scenes: dict[int, SceneConfig] = scenes) -> SceneConfig:
+            office = scene_seed % 8 == 0
+            scenes[scene_seed] = (SceneConfig.random_office if office else SceneConfig.random)(scene_seed)
+            return scenes[scene_seed]
+
         views = random_views(
-            exposed,
-            min(per_camera, n - block * per_camera),
-            seed=seed * 7919 + block,
+            camera,
+            min(VIEWS_PER_CAMERA, n - (block - first_camera) * VIEWS_PER_CAMERA),
+            seed=block_seed,
             scene=draw,
             max_heading_rad=radians(40.0 if hard else 25.0),
             max_offset_norm=0.8 if hard else 0.7,
             tilt_std_rad=radians(4.0),
             min_ahead_m=1.0 if hard else 3.0,
-            yaw_rate_rad_s=rate,
-            views_per_scene=6,
+            yaw_rate_rad_s=float(rng.choice([0.0, 0.0, 0.0, rng.uniform(0.2, 1.5)])),
+            views_per_scene=VIEWS_PER_SCENE,
             light_cell_m=LIGHT_CELL_M,
         )
         for view in views:
-            config = made[view.scene_seed]
-            half = view.width_m / 2.0
-            box = Box(
-                half * (1.0 + view.lateral_offset_norm),
-                half * (1.0 - view.lateral_offset_norm),
-                view.height_m,
-                config.height_m - view.height_m,
-                view.ahead_m,
-            )
-            R_true = rotation(view.heading_rad, view.pitch_rad, view.roll_rad) @ camera.R_body_camera
-            roll, pitch = rng.normal(0.0, radians(0.5), 2).tolist()
-            attitude = Attitude(view.roll_rad + roll, view.pitch_rad + pitch)
-            found = measured_frame(view.image, camera, attitude if rng.random() < 0.8 else None)
-            yield TrainingView(view.image, camera, R_true, None if found is None else found[0], box, hall)
+            yield _with_truth(view, scenes[view.scene_seed], rng)
+
+
+def _with_truth(view: RandomView, scene: SceneConfig, rng: np.random.Generator) -> TrainingView:
+    half = view.width_m / 2.0
+    box = Box(
+        half * (1.0 + view.lateral_offset_norm),
+        half * (1.0 - view.lateral_offset_norm),
+        view.height_m,
+        scene.height_m - view.height_m,
+        view.ahead_m,
+    )
+    level = Attitude(view.roll_rad, view.pitch_rad).R_level_body() @ view.camera.R_body_camera
+    roll, pitch = rng.normal(0.0, radians(0.5), 2).tolist()
+    attitude = Attitude(view.roll_rad + roll, view.pitch_rad + pitch)
+    found = measured_frame(view.image, view.camera, attitude if rng.random() < 0.8 else None)
+    hall = scene.open_hall_m
+    return TrainingView(
+        view.image,
+        view.camera,
+        corridor_frame(level, view.heading_rad, view.slope_rad),
+        None if found is None else found[0],
+        box,
+        hall is not None and scene.length_m - view.ahead_m < hall[1],
+    )
 
 
 def axis_error(view: TrainingView, rng: np.random.Generator) -> FloatArray:
@@ -183,7 +187,7 @@ def axis_error(view: TrainingView, rng: np.random.Generator) -> FloatArray:
     if kind < 0.5 and view.R_measured is not None:
         error = view.R_true @ view.R_measured.T
         turned = float(np.arccos(np.clip((np.trace(error) - 1.0) / 2.0, -1.0, 1.0)))
-        if turned < radians(6.0):
+        if turned < MAX_MEASURED_ERROR_RAD:
             return np.asarray(error @ rotation(*small), dtype=float)
     if kind < 0.95:
         std = radians(rng.uniform(0.0, 1.0)) * np.array([1.0, 0.7, 0.5])
@@ -357,8 +361,6 @@ def mirrored(sample: Sample) -> Sample:
 
 def varied(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> Sample:
     """Draw one training sample of a view; without ``vary`` only the axis is off as vision finds it."""
-    if view.box is None:
-        raise ValueError("a picture without a corridor has no truth to vary")
     if vary:
         error = axis_error(view, rng)
     else:
