@@ -72,14 +72,17 @@ class OffsetNetwork(nn.Module):
                 nn.Conv2d(c, d, (3, 1)),
             ]
         )
-        self.place = nn.Parameter(torch.zeros(d, 5))
+        self.place = nn.Parameter(torch.zeros(d, 6))
         self.around = nn.ModuleList([nn.Conv2d(d, d, (1, 5), dilation=(1, k)) for k in DILATIONS])
         self.scores = nn.Conv2d(d, 2 * (2 + N_CLASSES), 1)  # two angles for each place
         self.odds = nn.Linear(2 * d, N_ODDS)
         nn.init.constant_(self.odds.bias, -2.0)
         angle = ANGLES.reshape(-1, 2).mean(axis=1)
-        sines = [np.sin(angle), np.cos(2 * angle), np.sin(3 * angle), np.cos(4 * angle), np.sin(5 * angle)]
-        self.register_buffer("position", torch.tensor(np.stack(sines), dtype=torch.float32))
+        even, odd = (
+            [np.cos(k * angle) for k in (0, 2, 4)],
+            [np.sin(k * angle) for k in (1, 3, 5)],
+        )  # by mirroring
+        self.register_buffer("position", torch.tensor(np.stack(even + odd), dtype=torch.float32))
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Evaluate the network."""
@@ -203,8 +206,8 @@ def chunk_file(folder: Path, seed: int, number: int) -> Path:
     return folder / f"views_{seed}_{number}.pkl"
 
 
-def train(folder: Path, chunks: int, steps: int, seed: int) -> OffsetNetwork:
-    """Train a network on endless variations of the views in a folder.
+def train(folder: Path, chunks: int, steps: int, seed: int, start: Path | None = None) -> OffsetNetwork:
+    """Train a network, or train on from ``start``, on endless variations of the views in a folder.
 
     It begins with `FIRST_CHUNKS` chunks and takes one more in every `STEPS_PER_CHUNK` steps, waiting for it where it
     is still being rendered.
@@ -212,6 +215,8 @@ def train(folder: Path, chunks: int, steps: int, seed: int) -> OffsetNetwork:
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     network = OffsetNetwork()
+    if start is not None:
+        network.load_state_dict(torch.load(start))
     optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=1e-3)
     views: list[TrainingView] = []
     started, taken, order, losses = time.monotonic(), 0, list[int](), list[tuple[float, ...]]()
@@ -239,7 +244,7 @@ def train(folder: Path, chunks: int, steps: int, seed: int) -> OffsetNetwork:
         classes = functional.cross_entropy(scores[:, 2:], batch.classes, ignore_index=UNKNOWN)
         optimiser.zero_grad()
         # The corners first: while they are at random, "cannot tell" is right, and it would never be unlearned.
-        share = min(1.0, max(0.0, step / CORNER_STEPS - 0.5))
+        share = 1.0 if start is not None else min(1.0, max(0.0, step / CORNER_STEPS - 0.5))
         (share * nll + CORNER_WEIGHT * corners + CLASS_WEIGHT * classes).backward()
         nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimiser.step()
@@ -334,10 +339,17 @@ def render(
 
 
 @app.command("train")
-def train_and_write(folder: Path, chunks: int = CHUNKS, steps: int = STEPS, seed: int = SEED) -> None:
+def train_and_write(
+    folder: Path,
+    chunks: int = CHUNKS,
+    steps: int = STEPS,
+    seed: int = SEED,
+    start: Annotated[Path | None, typer.Option(help="Go on from an earlier training's `network.pt`.")] = None,
+) -> None:
     """Train, calibrate and write the weights; a folder that is still being filled will do."""
     torch.set_num_threads(1)
-    network = train(folder, chunks, steps, seed)
+    network = train(folder, chunks, steps, seed, start)
+    torch.save(network.state_dict(), folder / "network.pt")
     held_out = list(render_views(HELD_OUT, HELD_OUT_SEED))
     rng = np.random.default_rng(HELD_OUT_SEED)
     varied_too = [varied(view, rng, vary=k % 2 == 0) for k, view in enumerate(held_out[: HELD_OUT // 2])]
