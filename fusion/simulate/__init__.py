@@ -10,14 +10,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fusion.simulate.config import ImagingConfig, SimulationConfig
+    from fusion.simulate.config import CameraConfig, ImagingConfig, ImuConfig, SimulationConfig
     from fusion.simulate.exposure import SimulatedFrame, simulate_frames
     from fusion.simulate.flight import simulate_flight
     from fusion.simulate.scene.config import JunctionConfig, SceneConfig
     from fusion.simulate.single_views import RandomView, office_views, random_views
 
 __all__ = [
+    "CameraConfig",
     "ImagingConfig",
+    "ImuConfig",
     "JunctionConfig",
     "RandomView",
     "SceneConfig",
@@ -30,7 +32,9 @@ __all__ = [
 ]
 
 _MODULES = {
+    "CameraConfig": "config",
     "ImagingConfig": "config",
+    "ImuConfig": "config",
     "JunctionConfig": "scene.config",
     "RandomView": "single_views",
     "SceneConfig": "scene.config",

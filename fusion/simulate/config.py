@@ -64,6 +64,13 @@ class CameraConfig(Section):
             raise ValueError("a field of view of 170 degrees or more needs distortion equidistant")
         return self
 
+    @classmethod
+    def random(cls, seed: int, **fixed: object) -> CameraConfig:
+        """Draw a lens, its field of view, the mount and the shutter; keyword arguments stay as given."""
+        from fusion.simulate.random_flight import draw_camera
+
+        return cls.model_validate(draw_camera(seed) | fixed)
+
     def camera(self) -> Camera:
         """Return the calibrated camera."""
         half = self.horizontal_fov_rad / 2
@@ -193,6 +200,13 @@ class ImuConfig(Section):
     )
     rotor_hz: Positive = Field(default=140.0, description="Turns of a rotor in a second.")
     vibration_harmonics: int = Field(default=3, ge=1, le=10)
+
+    @classmethod
+    def random(cls, seed: int, **fixed: object) -> ImuConfig:
+        """Draw sensors between good and poor, most shaken by the rotors; keyword arguments stay as given."""
+        from fusion.simulate.random_flight import draw_imu
+
+        return cls.model_validate(draw_imu(seed) | fixed)
 
 
 class AttitudeConfig(Section):

@@ -64,7 +64,7 @@ def _motion(seed: int, scene: SceneConfig, given: dict[str, Any]) -> dict[str, A
     rng = np.random.default_rng((seed, 17))
     free = max(0.0, least_half_width_m(scene) - WALL_CLEARANCE_M)
     route: tuple[int, ...] = ()
-    if scene.junctions and rng.random() < 0.3:
+    if scene.junctions and rng.random() < 0.4:
         route = (2,)
         free = min(free, max(0.0, scene.junctions[0].width_m / 2 - WALL_CLEARANCE_M))
     amplitude = float(rng.uniform(0.1, 0.7)) * free

@@ -36,8 +36,8 @@ class RandomView:
         the width.
     roll_rad, pitch_rad
         Exact attitude of the body.
-    height_m, width_m
-        Of the camera above the floor, and of the corridor.
+    height_m, width_m, ceiling_m
+        Of the camera above the floor, of the corridor, and of the ceiling above the floor.
     ahead_m
         From the camera to the corridor's end.
     scene_seed
@@ -56,7 +56,8 @@ class RandomView:
     width_m: float
     ahead_m: float
     scene_seed: int
-    slope_rad: float = 0.0
+    slope_rad: float
+    ceiling_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +162,7 @@ def _take(
         ahead_m=config.length_m - float(origin[0]),
         scene_seed=scene_seed,
         slope_rad=config.slope_rad,
+        ceiling_m=config.height_m,
     )
 
 

@@ -15,9 +15,11 @@ def wall_material(
     """Return a wall's material; its pattern begins at ``origin_m`` along the wall and above the floor."""
     long, high = wall.brick_m
     if finish in (WallFinish.BRICK, WallFinish.BLOCKS):
-        size = TEXTURE_BRICKS[0] * long, TEXTURE_BRICKS[1] * high
-        name, mean = ("brick", 0.8) if finish is WallFinish.BRICK else ("blocks", 1.0)
-        return Material(albedo * mean, name, size, wall.brick_contrast, origin_m=origin_m)
+        size, contrast = (TEXTURE_BRICKS[0] * long, TEXTURE_BRICKS[1] * high), wall.brick_contrast
+        if finish is WallFinish.BLOCKS:
+            return Material(albedo, "blocks", size, contrast, origin_m=origin_m)
+        name = "brick" if contrast >= 0 else "brick_light_mortar"
+        return Material(albedo * 0.8, name, size, abs(contrast), origin_m=origin_m)
     if finish is WallFinish.TILES:
         joint = albedo * min(1.5, min(1.5, max(0.0, 1 - 0.5 * wall.brick_contrast)))
         return Material(

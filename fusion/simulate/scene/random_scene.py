@@ -152,7 +152,7 @@ def _wall(draw: _Draw) -> WallConfig:
     lower = draw.one_of(WallFinish.PLASTER, WallFinish.TILES, WallFinish.PANELS, p=(0.6, 0.3, 0.1))
     tile = draw.between(0.1, 0.3)
     unit = {
-        WallFinish.BRICK: (draw.between(0.2, 0.3), draw.between(0.06, 0.095)),
+        WallFinish.BRICK: (draw.between(0.2, 0.32), draw.between(0.06, 0.11)),
         WallFinish.BLOCKS: draw.one_of((0.4, 0.2), (0.3, 0.15), (0.5, 0.25)),
     }.get(finish, draw.one_of((tile, tile), (0.2, 0.1), (0.15, 0.075)))
     contrast = draw.between(0.4, 2.2)
@@ -165,7 +165,7 @@ def _wall(draw: _Draw) -> WallConfig:
         lower_finish=lower,
         lower_albedo=draw.one_of(albedo * draw.between(0.4, 0.9), draw.albedo()),
         brick_m=unit,
-        brick_contrast=draw.one_of(contrast, -1.6 * contrast, p=(0.45, 0.55)),
+        brick_contrast=draw.one_of(contrast, -contrast, p=(0.45, 0.55)),
         gloss=gloss,
         skirting_height_m=draw.one_of(0.0, draw.between(0.04, 0.22), p=(0.2, 0.8)),
         skirting_depth_m=draw.between(0.004, 0.03),
@@ -297,7 +297,8 @@ def _wall_strips(draw: _Draw) -> list[dict[str, Any]]:
     if draw.chance(0.2):
         rail = {
             "width_m": draw.between(0.03, 0.14), "depth_m": draw.between(0.02, 0.05), "albedo": draw.albedo(),
-            "gap_m": draw.between(0.03, 0.06), "texture": draw.one_of("wood", "metal", None), "round": draw.chance(0.4),
+            "gap_m": draw.between(0.03, 0.06), "texture": draw.one_of("wood", "metal", None),
+            "round": draw.chance(0.4),
         }  # fmt: skip
         levels = draw.one_of((0.92,), (0.92, 0.65), (0.95, 0.35), p=(0.6, 0.2, 0.2))
         strips += [{"on": side, "at_m": level, **rail} for side in draw.sides() for level in levels]

@@ -45,26 +45,42 @@ def build_strip(
     for piece in pairwise(places):
         if strip.round:
             _build_pipe(builder, frame, piece, strip, height_m)
+        elif strip.depth_m > 0:
+            _build_box(builder, frame, piece, strip, height_m)
         else:
-            _build_box(builder, frame, piece, strip, height_m, layer)
+            _build_paint(builder, frame, piece, strip, height_m, layer)
+
+
+def _build_paint(
+    builder: Builder, frame: Frame, s: tuple[float, float], strip: StripConfig, height_m: float, layer: int
+) -> None:
+    low, lift = strip.at_m - strip.width_m / 2, max(strip.gap_m, PAINT_M * (1 + layer))
+    along = frame.vector(s[1] - s[0], 0, 0)
+    if strip.on in (Surface.FLOOR, Surface.CEILING):
+        level, up = (lift, 1.0) if strip.on is Surface.FLOOR else (height_m - lift, -1.0)
+        corner, across, facing = (
+            frame.point(s[0], low, level),
+            frame.vector(0, strip.width_m, 0),
+            frame.vector(0, 0, up),
+        )
+    else:
+        corner, across, facing = frame.point(s[0], lift, low), frame.vector(0, 0, strip.width_m), frame.out
+    builder.quad(corner, along, across, facing, strip_material(strip))
 
 
 def _build_box(
-    builder: Builder, frame: Frame, s: tuple[float, float], strip: StripConfig, height_m: float, layer: int
+    builder: Builder, frame: Frame, s: tuple[float, float], strip: StripConfig, height_m: float
 ) -> None:
-    material = strip_material(strip)
     across = strip.at_m - strip.width_m / 2, strip.at_m + strip.width_m / 2
-    near = max(strip.gap_m, PAINT_M * (1 + layer) if strip.depth_m == 0 else 0.0)
-    far = near + strip.depth_m
+    near, far = strip.gap_m, strip.gap_m + strip.depth_m
     hidden = "" if strip.gap_m > 0 else {Surface.FLOOR: "h", Surface.CEILING: "H"}.get(strip.on, "d")
     if strip.on is Surface.FLOOR:
-        d, h, paint = across, (near, far), "H"
+        d, h = across, (near, far)
     elif strip.on is Surface.CEILING:
-        d, h, paint = across, (height_m - far, height_m - near), "h"
+        d, h = across, (height_m - far, height_m - near)
     else:
-        d, h, paint = (near, far), across, "D"
-    faces = paint if strip.depth_m == 0 else "".join(face for face in "sSdDhH" if face != hidden)
-    builder.box(frame, s, d, h, material, faces)
+        d, h = (near, far), across
+    builder.box(frame, s, d, h, strip_material(strip), "".join(face for face in "sSdDhH" if face != hidden))
 
 
 def _build_pipe(

@@ -76,8 +76,8 @@ def _ceiling_board(rng: np.random.Generator) -> Picture:
     return np.asarray(1 - 0.35 * holes + 0.02 * _noise(rng, (2, 2), 2), np.float32)
 
 
-def _brick(rng: np.random.Generator) -> Picture:
-    """8 courses of 4 bricks a repetition, running bond."""
+def _brick(rng: np.random.Generator, mortar: float = 0.78, joint: int = 3) -> Picture:
+    """8 courses of 4 bricks a repetition, running bond; joints so many 32nds of a course wide."""
     picture = 1 + 0.08 * _noise(rng, (32, 32), 3)
     rows, columns = 8, 4
     height, width = SIZE // rows, SIZE // columns
@@ -86,11 +86,15 @@ def _brick(rng: np.random.Generator) -> Picture:
         for column in range(columns):
             u = np.arange(column * width + shift, (column + 1) * width + shift) % SIZE
             picture[row * height : (row + 1) * height, u] *= 1 + 0.10 * rng.standard_normal()
-        picture[row * height : row * height + 3] = 0.78
+        picture[row * height : row * height + joint] = mortar
         for column in range(columns):
-            u = (column * width + shift + np.arange(3)) % SIZE
-            picture[row * height : (row + 1) * height, u] = 0.78
+            u = (column * width + shift + np.arange(joint)) % SIZE
+            picture[row * height : (row + 1) * height, u] = mortar
     return np.asarray(picture, np.float32)
+
+
+def _brick_light_mortar(rng: np.random.Generator) -> Picture:
+    return _brick(rng, 1.6, 4)
 
 
 def _blocks(rng: np.random.Generator) -> Picture:
@@ -209,6 +213,7 @@ _DRAW = {
     "ceiling_board": _ceiling_board, "brick": _brick,
     **dict.fromkeys(POSTERS, _poster), **dict.fromkeys(BOARDS, _board), **dict.fromkeys(SIGNS, _sign),
     **dict.fromkeys(WINDOWS, _window), "blocks": _blocks,
+    "brick_light_mortar": _brick_light_mortar,
 }  # fmt: skip
 
 
