@@ -5,8 +5,8 @@ what single frames make of the flights ``office``, ``clutter`` and ``night`` (``
 of plain simulated offices and of random simulated corridors by day and by night: the noise in the pictures, the lines
 found, and how many of them belong to the corridor's axis; the heading's error with its stated sigma; and of the
 lateral offset what share is answered, the answers' errors, whether the likeliest pair of corners is right, and
-whether both floor corners are among the lines at all. The attitude given is the exact one, so what differs is the pictures. A
-random corridor should be as hard as ``clutter`` and ``night``; a plain office as easy as ``office``.
+whether both floor corners are among the lines at all. The attitude given is the exact one, so what differs is the
+pictures. A random corridor should be as hard as ``clutter`` and ``night``; a plain office as easy as ``office``.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ CORNER_RAD = radians(1.0)  # about the axis: a line so near a corner is the corn
 LONG_SHARE = 0.08  # of the picture's width: lines long enough that their direction means something
 ATTITUDE_STD_RAD = radians(0.1)
 SEED = 3
-VIEWS_PER_SCENE = 4
+VIEWS_PER_SCENE = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -132,9 +132,9 @@ class ImagingConfig(Section):
         drawn["response_std"] = float(rng.uniform(0.0, 0.02))
         if is_night(seed):
             drawn |= {
-                "brightness": float(np.exp(rng.uniform(np.log(0.015), np.log(0.12)))),
+                "brightness": float(np.exp(rng.uniform(np.log(0.02), np.log(0.15)))),
                 "full_well_electrons": float(rng.uniform(5000, 12000)),
-                "gain": float(np.exp(rng.uniform(np.log(4), np.log(32)))),
+                "gain": float(np.exp(rng.uniform(np.log(2), np.log(20)))),
                 "read_noise_electrons": float(rng.uniform(2, 8)),
                 "row_noise_electrons": float(rng.uniform(0.0, 1.5)),
                 "defocus_px": float(rng.uniform(0.5, 1.1)),

@@ -13,6 +13,7 @@ from fusion.simulate.scene.random_scene import is_night
 
 NIGHT_EXPOSURE_S = 0.02
 WALL_CLEARANCE_M = 0.3
+NEAREST_START_M = 0.6
 
 
 def draw_flight(seed: int, fixed: dict[str, Any]) -> dict[str, Any]:
@@ -60,7 +61,7 @@ def draw_camera(seed: int) -> dict[str, Any]:
 
 
 def _motion(seed: int, scene: SceneConfig, given: dict[str, Any]) -> dict[str, Any]:
-    """Draw how the vehicle flies within the room that the corridor leaves; a part of the flights reach its end."""
+    """Draw how the vehicle flies within the room that the corridor leaves; some of the flights reach its end."""
     rng = np.random.default_rng((seed, 17))
     free = max(0.0, least_half_width_m(scene) - WALL_CLEARANCE_M)
     route: tuple[int, ...] = ()
@@ -68,16 +69,19 @@ def _motion(seed: int, scene: SceneConfig, given: dict[str, Any]) -> dict[str, A
         route = (2,)
         free = min(free, max(0.0, scene.junctions[0].width_m / 2 - WALL_CLEARANCE_M))
     amplitude = float(rng.uniform(0.1, 0.7)) * free
-    speed = float(np.exp(rng.uniform(np.log(0.3), np.log(2.0))))
-    duration = float(given.get("duration_s", 15.0))
-    latest = max(0.6, scene.length_m - 1.5 - speed * duration * float(rng.uniform(0.3, 1.2)))
-    start = float(rng.choice([rng.uniform(0.6, 4.0), latest])) if not route else 1.0
+    margin, duration = float(rng.uniform(1.0, 2.5)), float(given.get("duration_s", 15.0))
+    way = scene.length_m - margin - NEAREST_START_M
+    speed = min(float(np.exp(rng.uniform(np.log(0.3), np.log(2.0)))), way / (0.9 * duration))
+    latest = max(0.0, way - speed * duration)
+    start = NEAREST_START_M + latest * float(rng.choice([rng.uniform(0, 1), 1.0], p=[0.6, 0.4]))
+    if route:
+        start = NEAREST_START_M
     heading = radians(float(rng.uniform(2, 25)))
     top = scene.height_m - max(0.35, scene.beam_m[1] + 0.15 if scene.beam_spacing_m else 0.0)
     drawn = {
         "duration_s": duration,
         "speed_m_s": speed,
-        "start_m": min(start, scene.length_m - 1.5),
+        "start_m": start,
         "height_m": float(rng.uniform(0.4, min(2.2, top - 0.15))),
         "height_amplitude_m": float(rng.uniform(0.01, 0.12)),
         "heading_amplitude_rad": heading,
@@ -87,7 +91,7 @@ def _motion(seed: int, scene: SceneConfig, given: dict[str, Any]) -> dict[str, A
         "lateral_mean_m": float(rng.uniform(-1, 1)) * (free - amplitude),
         "tilt_rad": radians(float(rng.uniform(2, 9))),
         "tilt_rate_rad_s": radians(float(rng.uniform(10, 50))),
-        "end_margin_m": float(rng.uniform(1.0, 2.5)),
+        "end_margin_m": margin,
         "route": route,
     }
     return drawn | given

@@ -412,4 +412,5 @@ def test_a_random_corridor_keeps_what_is_fixed(seed: int, width_m: float, length
     scene = SceneConfig.random(seed, width_m=width_m, length_m=length_m)
     assert (scene.width_m, scene.length_m) == (width_m, length_m)
     assert SceneConfig.random(seed, slope_rad=0.05).slope_rad == 0.05
+    assert SceneConfig.random(seed, wall="brick").wall_of("right").finish == "brick"
     assert SceneConfig.random(seed, junctions=({"at_m": 6.0},)).slope_rad == 0.0

@@ -10,6 +10,8 @@ import numpy as np
 from fusion.simulate.scene.config import Ceiling, End, Floor, Side, Sides, Surface, WallConfig, WallFinish
 
 NIGHT_SHARE = 0.25
+FREE_HALF_M = 0.6
+BOTH_WALLS = {"wall", "wall_albedo", "skirting_height_m", "skirting_albedo"}  # settings of both walls at once
 
 
 def is_night(seed: int) -> bool:
@@ -88,9 +90,9 @@ class _Draw:
         return float(self.one_of(self.between(0.03, 0.15), self.between(0.15, 0.5), self.between(0.5, 0.85)))
 
     def sides(self) -> tuple[Surface, ...]:
-        return self.one_of(
-            (Surface.LEFT, Surface.RIGHT), (Surface.LEFT,), (Surface.RIGHT,), p=(0.5, 0.25, 0.25)
-        )
+        """Both walls, or one of them."""
+        choices = ((Surface.LEFT, Surface.RIGHT), (Surface.LEFT,), (Surface.RIGHT,))
+        return choices[int(self.rng.choice(3, p=(0.5, 0.25, 0.25)))]
 
 
 def draw_building(seed: int, fixed: Mapping[str, Any]) -> dict[str, Any]:
@@ -104,6 +106,8 @@ def draw_building(seed: int, fixed: Mapping[str, Any]) -> dict[str, Any]:
     values |= {name: fixed[name] for name in values if name in fixed}
     values |= _plan(draw, values, fixed)
     values |= _surfaces(draw)
+    if BOTH_WALLS & set(fixed):
+        values |= {"left_wall": None, "right_wall": None}
     values |= _openings(draw, values | dict(fixed), night)
     values |= _contents(draw)
     values |= _light(draw, values["width_m"], night)
@@ -114,7 +118,7 @@ def draw_building(seed: int, fixed: Mapping[str, Any]) -> dict[str, Any]:
 def _plan(draw: _Draw, size: Mapping[str, Any], fixed: Mapping[str, Any]) -> dict[str, Any]:
     """Draw a junction, a step in the width, an open side or a slope: one of them, or none."""
     length, width = size["length_m"], size["width_m"]
-    kind = draw.one_of("plain", "junction", "step", "hall", "slope", p=(0.46, 0.16, 0.12, 0.12, 0.14))
+    kind = draw.one_of("plain", "junction", "step", "hall", "slope", p=(0.48, 0.17, 0.12, 0.12, 0.11))
     own = {"junctions", "open_hall_m", "width_step", "slope_rad"} & set(fixed)
     if own or length < 10 or kind == "plain":
         return {}
@@ -135,13 +139,15 @@ def _plan(draw: _Draw, size: Mapping[str, Any], fixed: Mapping[str, Any]) -> dic
     if kind == "step":
         wider = width * draw.between(1.15, 1.6)
         moves = draw.one_of(*Sides)
+        if moves is not Sides.BOTH:  # the way along the first part's middle stays free
+            narrower = max(narrower, width / 2 + FREE_HALF_M)
         return {"width_step": {"at_m": place, "width_m": draw.one_of(narrower, wider), "moves": moves}}
     if kind == "hall":
         end = min(length - 0.5, place + draw.between(3, length))
         low = draw.one_of(0.0, draw.between(0.8, 1.2), p=(0.4, 0.6))
         start = draw.one_of(0.2, place, p=(0.4, 0.6))
         return {"open_hall_m": (start, end), "open_hall_right": draw.chance(0.5), "partition_height_m": low}
-    return {"slope_rad": draw.one_of(-1.0, 1.0) * draw.between(0.015, 0.12)}
+    return {"slope_rad": draw.one_of(-1.0, 1.0) * draw.between(0.01, 0.085)}
 
 
 def _wall(draw: _Draw) -> WallConfig:
@@ -193,7 +199,7 @@ def _surfaces(draw: _Draw) -> dict[str, Any]:
         "floor": floor,
         "floor_albedo": draw.scale(0.08, 0.6),
         "floor_gloss": gloss if floor in (Floor.TILES, Floor.VINYL, Floor.TERRAZZO) else 0.0,
-        "floor_roughness_rad": draw.scale(0.003, 0.02) if polished else draw.between(0.01, 0.06),
+        "floor_roughness_rad": draw.scale(0.003, 0.02) if polished else draw.between(0.008, 0.03),
         "floor_tile_m": tile,
         "floor_tile_start_m": (tile * draw.between(0, 1), tile * draw.between(0, 1)),
         "floor_joint_ratio": draw.one_of(draw.between(0.3, 0.9), draw.between(1.2, 1.8), p=(0.75, 0.25)),
@@ -269,10 +275,10 @@ def _light(draw: _Draw, width_m: float, night: bool) -> dict[str, Any]:
         "lamp_round": size[0] == size[1],
         "lamp_spacing_m": draw.between(2.5, 8.0) if night else draw.between(1.6, 5.0),
         "lamp_offset_m": draw.one_of(0.0, draw.between(-0.35, 0.35) * width_m, p=(0.6, 0.4)),
-        "lamp_off_share": draw.between(0.2, 0.8) if night else draw.one_of(0.0, draw.between(0.0, 0.5)),
+        "lamp_off_share": draw.between(0.0, 0.75) if night else draw.one_of(0.0, draw.between(0.0, 0.5)),
         "lamp_radiance": draw.between(3.0, 14.0),
         "daylight": draw.scale(0.02, 0.3) if night else draw.between(1.0, 12.0),
-        "ambient": draw.scale(0.001, 0.01) if night else draw.between(0.005, 0.05),
+        "ambient": draw.scale(0.002, 0.03) if night else draw.between(0.005, 0.05),
     }
 
 
