@@ -22,7 +22,6 @@ from vision.lateral.learned import (
     N_QUARTER,
     WEIGHTS_FILE,
     CornerScores,
-    corner_scores,
     learned_mixture,
     likeliest_corners,
     mixture_of,
@@ -32,7 +31,7 @@ from vision.lateral.polar import ANGLES, DIRECTIONS, N_ANGLES, N_RADII, corridor
 
 CAMERA = Camera.from_fov(320, 240, radians(80))
 R_LEVEL_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # looks ahead
-FIGURES = json.loads(files("vision.lateral").joinpath(WEIGHTS_FILE).with_suffix(".json").read_text())
+FIGURES = json.loads((files("vision.lateral") / WEIGHTS_FILE.replace(".onnx", ".json")).read_text())
 
 
 @cache
@@ -161,7 +160,7 @@ def test_the_polar_picture_undoes_lens_and_attitude(camera: Camera) -> None:
 
 def test_the_corridor_frame_is_a_rotation_along_the_axis() -> None:
     R = corridor_frame(np.eye(3), 0.3, 0.1)
-    assert R @ R.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert pytest.approx(np.eye(3), abs=1e-12) == R @ R.T
     assert np.linalg.det(R) == pytest.approx(1.0)
     assert R[0] == pytest.approx([np.cos(0.1) * np.cos(0.3), -np.cos(0.1) * np.sin(0.3), -np.sin(0.1)])
     assert DIRECTIONS.shape == (N_RADII, N_ANGLES, 3)
