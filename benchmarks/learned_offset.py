@@ -4,7 +4,7 @@
 the network was not trained on: the share of frames whose likeliest offset is within 0.10 half widths, the share that
 is sure (more than 0.9 of the probability within 0.10 of it) and how many of these are wrong, the median error, and
 the 90th percentile of error over sigma of the sure ones. The corridor's axis is the one that vision finds in the same
-picture. ``--drawings`` writes pictures with the likeliest corners, also of flights without truth.
+picture; frames whose axis it does not accept are left out. ``--drawings`` writes pictures with the likeliest corners, also of flights without truth.
 """
 
 from __future__ import annotations
@@ -25,12 +25,10 @@ from training.scores import OffsetScores
 from vision import Attitude, Camera
 from vision.images import GreyImage, to_grey
 from vision.lateral.learned import corner_scores, learned_mixture, likeliest_corners, mixture_of
-from vision.lateral.mixture import OffsetMixture
 from vision.lateral.polar import WIDEST_TAN, polar_picture
 
 SIZE = (640, 480)
 HELD_OUT_SEED = 900
-EMPTY = OffsetMixture(*(np.empty(0) for _ in range(4)))
 COLOURS = (
     (0, 255, 255),
     (0, 190, 255),
@@ -39,23 +37,20 @@ COLOURS = (
 )  # floor left, right, ceiling left, right
 
 
-def mixture_in(image: GreyImage, camera: Camera, attitude: Attitude | None) -> OffsetMixture:
-    """Measure one picture about the axis that vision finds in it; where it finds none, nothing is known."""
-    found = measured_frame(image, camera, attitude)
-    return EMPTY if found is None else learned_mixture(image, camera, found[0])
-
-
-def scores_of_flight(cases: list[Case]) -> OffsetScores:
+def line_of_flight(cases: list[Case]) -> str:
     known = [case for case in cases if case.offset_norm == case.offset_norm]
-    mixtures = [mixture_in(case.image, case.camera, case.attitude) for case in known]
-    return OffsetScores.of(mixtures, [case.offset_norm for case in known])
+    axes = [measured_frame(case.image, case.camera, case.attitude) for case in known]
+    pairs = [(case, axis[0]) for case, axis in zip(known, axes, strict=True) if axis is not None]
+    mixtures = [learned_mixture(case.image, case.camera, R) for case, R in pairs]
+    scores = OffsetScores.of(mixtures, [case.offset_norm for case, _ in pairs])
+    return f"{len(pairs)} of {len(known)} frames: {scores.line()}"
 
 
-def scores_of_views(views: list[TrainingView]) -> OffsetScores:
-    mixtures = [
-        EMPTY if v.R_measured is None else learned_mixture(v.image, v.camera, v.R_measured) for v in views
-    ]
-    return OffsetScores.of(mixtures, [v.box.offset_norm for v in views])
+def line_of_views(views: list[TrainingView]) -> str:
+    pairs = [(view, view.R_measured) for view in views if view.R_measured is not None]
+    mixtures = [learned_mixture(view.image, view.camera, R) for view, R in pairs]
+    scores = OffsetScores.of(mixtures, [view.box.offset_norm for view, _ in pairs])
+    return f"{len(pairs)} of {len(views)} frames: {scores.line()}"
 
 
 def cost_ms(view: TrainingView, repeats: int = 200) -> dict[str, float]:
@@ -117,7 +112,7 @@ def main(
     for folder in flight_folders():
         for cases in flight_cases(folder, SIZE):
             if any(case.offset_norm == case.offset_norm for case in cases):
-                print(f"{folder.name:18s}", scores_of_flight(cases).line())
+                print(f"{folder.name:18s}", line_of_flight(cases))
         if drawings is not None:
             drawings.mkdir(parents=True, exist_ok=True)
             draw_flight(folder, drawings, every)
@@ -125,7 +120,7 @@ def main(
     for name, is_hall in (("simulated", False), ("simulated halls", True)):
         some = [view for view in simulated if view.is_hall == is_hall]
         if some:
-            print(f"{name:18s}", scores_of_views(some).line())
+            print(f"{name:18s}", line_of_views(some))
     large = next((v for v in simulated if v.image.shape == SIZE[::-1]), simulated[0])
     print("ms:", ", ".join(f"{name} {ms:.2f}" for name, ms in cost_ms(large).items()))
 
