@@ -4,7 +4,8 @@
 the network was not trained on: the share of frames whose likeliest offset is within 0.10 half widths, the share that
 is sure (more than 0.9 of the probability within 0.10 of it) and how many of these are wrong, the median error, and
 the 90th percentile of error over sigma of the sure ones. The corridor's axis is the one that vision finds in the same
-picture; frames whose axis it does not accept are left out. ``--drawings`` writes pictures with the likeliest corners, also of flights without truth.
+picture; frames whose axis it does not accept are left out. The first half of the simulated pictures also served to
+calibrate "cannot tell". ``--drawings`` writes pictures with the likeliest corners, also of flights without truth.
 """
 
 from __future__ import annotations
@@ -85,7 +86,9 @@ def drawn(image: GreyImage, camera: Camera, attitude: Attitude | None) -> GreyIm
         points = camera.project(rays @ axis[0])
         points = points[np.isfinite(points).all(axis=1)]
         sure = p[max(0, p.argmax() - 2) : p.argmax() + 3].sum() > 0.5
-        cv2.polylines(out, [np.round(points).astype(np.int32)], False, colour, 2 if sure else 1)
+        cv2.polylines(
+            out, [np.clip(np.round(points), -9999, 9999).astype(np.int32)], False, colour, 2 if sure else 1
+        )
     mixture = mixture_of(found)
     told = " ".join(
         f"{y:+.2f}+-{s:.2f} ({w:.0%})"
