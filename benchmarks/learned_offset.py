@@ -18,9 +18,9 @@ from typing import Annotated
 import cv2
 import numpy as np
 import typer
-from support.cases import Case, attitudes_at, flight_cases, flight_folders
 
 from fusion.logs import load_flight
+from support.cases import Case, attitudes_at, flight_cases, flight_folders
 from training.offset_views import TrainingView, measured_frame, render_views
 from training.scores import OffsetScores
 from vision import Attitude, Camera
