@@ -206,7 +206,7 @@ def gather_corners(walls: FloatArray, quadrant: int, corners: FloatArray) -> int
     """Gather the lines of a quadrant by angle, longest first, into ``corners``; return how many there are."""
     count = 0
     taken = np.zeros(len(walls), np.bool_)
-    while count < len(corners):
+    while count < MAX_CORNERS:
         seed = -1
         for i in range(len(walls)):
             free = walls[i, QUADRANT] == quadrant and not taken[i]
@@ -302,15 +302,14 @@ def survey(
     R: FloatArray,
     down: FloatArray,
     diagonal: float,
-    max_corners: int,
 ) -> tuple[FloatArray, IntArray, IntArray]:
     """Find the candidates for the corners among a picture's lines; arguments as in `vision.lines.segments.LineSet`.
 
     Returns
     -------
     tuple
-        Candidates (4, max_corners, 15) by quadrant, how many of each quadrant (4,), and the rungs that end at each
-        (4, max_corners), a bit each.
+        Candidates (4, 12, 15) by quadrant, how many of each quadrant (4,), and the rungs that end at each (4, 12), a
+        bit each.
     """
     n = len(arc)
     walls, uprights, rungs = (
@@ -336,8 +335,8 @@ def survey(
     )
     walls, uprights = walls[:n_walls], uprights[:n_uprights]
     rungs = rungs[: join_rungs(rungs[:n_rungs])]
-    corners = np.empty((4, max_corners, N_CORNER))
-    touching = np.empty((4, max_corners), np.int64)
+    corners = np.empty((4, MAX_CORNERS, N_CORNER))
+    touching = np.empty((4, MAX_CORNERS), np.int64)
     found = np.empty(4, np.int64)
     for q in range(4):
         found[q] = gather_corners(walls, q, corners[q])

@@ -141,8 +141,8 @@ def _vote(floor: FloatArray, ceiling: FloatArray, corners: FloatArray) -> None:
 @compiled
 def pair_corners(corners: FloatArray, found: IntArray, touching: IntArray) -> tuple[FloatArray, FloatArray]:
     """Pair the candidates of `survey`; return the pairs of the floor and those of the ceiling, (k, 22) each."""
-    floor = np.empty((found[0] * found[1], N_PAIR))
-    ceiling = np.empty((found[2] * found[3], N_PAIR))
+    size = MAX_CORNERS * MAX_CORNERS
+    floor, ceiling = np.empty((size, N_PAIR)), np.empty((size, N_PAIR))
     n = _pair(corners[0, : found[0]], corners[1, : found[1]], touching[0], touching[1], 0, floor)
     m = _pair(corners[2, : found[2]], corners[3, : found[3]], touching[2], touching[3], 1, ceiling)
     floor, ceiling = floor[:n], ceiling[:m]
@@ -151,9 +151,9 @@ def pair_corners(corners: FloatArray, found: IntArray, touching: IntArray) -> tu
 
 
 def survey_lines(
-    lines: LineSet, axis: AxisFit, R_level_camera: FloatArray, max_corners: int = MAX_CORNERS
+    lines: LineSet, axis: AxisFit, R_level_camera: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return candidates for corners (4, max_corners, 15), and pairs of the floor and of the ceiling, (k, 22) each."""
+    """Return candidates for corners (4, 12, 15), and the pairs of the floor and of the ceiling, (k, 22) each."""
     ahead = axis_direction(axis.heading_rad, axis.elevation_rad)
     rightward = axis_direction(axis.heading_rad - 0.5 * np.pi, 0.0)
     R_axis_camera = np.array([ahead, rightward, np.cross(ahead, rightward)]) @ R_level_camera
@@ -169,7 +169,6 @@ def survey_lines(
         R_axis_camera,
         R_level_camera[2],
         hypot(lines.width_px, lines.height_px),
-        max_corners,
     )
     floor, ceiling = pair_corners(corners, found, touching)
     return corners, floor, ceiling

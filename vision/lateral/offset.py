@@ -103,7 +103,7 @@ class LateralFit:
 
 
 @compiled
-def tilt_of_pair(row: FloatArray, corners: FloatArray, quadrant: int) -> float:
+def _tilt(row: FloatArray, corners: FloatArray, quadrant: int) -> float:
     """Return by how much a radian of roll moves the offset of a pair."""
     tl, tr = corners[quadrant, int(row[LEFT]), SLOPE], corners[quadrant + 1, int(row[RIGHT]), SLOPE]
     change: float = 2.0 * (tl * (1.0 + tr * tr) + tr * (1.0 + tl * tl)) / (tl + tr) ** 2
@@ -122,7 +122,7 @@ def _hypotheses(
     for c in range(m):
         for k in range(LENGTHS, N_PAIR):
             score[c] += weights[1, k - LENGTHS] * ceiling[c, k]
-        tilt[c] = tilt_of_pair(ceiling[c], corners, 2)
+        tilt[c] = _tilt(ceiling[c], corners, 2)
         row = rows[count]
         count += 1
         row[H_OFFSET], row[H_STD], row[H_TILT] = ceiling[c, OFFSET], ceiling[c, OFFSET_STD], tilt[c]
@@ -133,7 +133,7 @@ def _hypotheses(
         alone = biases[0]
         for k in range(LENGTHS, N_PAIR):
             alone += weights[0, k - LENGTHS] * floor[f, k]
-        turn = tilt_of_pair(floor[f], corners, 0)
+        turn = _tilt(floor[f], corners, 0)
         first = count
         row = rows[count]
         count += 1
