@@ -1,4 +1,4 @@
-"""Where the weights of `vision.lateral.offset` come from, and what they are worth.
+"""Where the weights of `vision.lateral.hypotheses` come from, and what they are worth.
 
 ``python benchmarks/lateral_weights.py`` renders corridors, fits the weights anew by maximum likelihood (that the
 hypotheses within 3 % of the true offset hold the probability, or that none is relied on where none is right), and
@@ -17,6 +17,7 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 import typer
+from numpy.lib.recfunctions import structured_to_unstructured
 from scipy.optimize import minimize
 from support.cases import flight_cases, flight_named
 from support.scores import number, percent, table
@@ -27,42 +28,22 @@ from vision import Attitude, Camera, extract_lines, measure_lines
 from vision.axis.level import level_from_verticals
 from vision.axis.vanishing_point import fit_axis
 from vision.frame import SLOPE_STD_RAD
-from vision.lateral import offset as lateral_module
-from vision.lateral.corner_pairs import ASIDE, CROWD, EVIDENCE, LENGTHS, N_PAIR, survey_lines
-from vision.lateral.offset import BIASES, H_CEILING, H_FLOOR, H_OFFSET, WEIGHTS
-
-FloatArray = npt.NDArray[np.float64]
+from vision.lateral.corner_pairs import EVIDENCE, N_EVIDENCE, PictureCorners, find_corner_pairs
+from vision.lateral.hypotheses import BIAS, POSITION_TERMS, SAME_OFFSET, WEIGHTS, offset_hypotheses
+from vision.lateral.offset import MIN_PROBABILITY
+from vision.types import FloatArray, RecordArray
 
 LENSES = (((320, 240), 70.0), ((640, 480), 90.0), ((320, 240), 95.0), ((640, 480), 75.0))
 ATTITUDE_STD_RAD = radians(0.5)
 RIGHT = 0.06  # in offset: 3 % of the width
 WRONG = 0.10
 RIDGE = 1e-4
-NAMES = (
-    "lengths",
-    "coverages",
-    "endings",
-    "crossed by rungs",
-    "length gap",
-    "ending gap",
-    "crossing gap",
-    "beyond gap",
-    "same polarity",
-    "contrast gap",
-    "spans",
-    "boards",
-    "votes",
-    "aside",
-    "wide",
-    "wide squared",
-    "crowd",
-)
-BIAS_NAMES = ("floor", "ceiling", "ceiling added", "choice")
+FIXED = [(EVIDENCE.names or ()).index("near_wall"), N_EVIDENCE + (EVIDENCE.names or ()).index("near_wall")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """The hypotheses of one picture: evidence (k, 38) and offset (k,), and the true offset (NaN: there is none)."""
+    """The hypotheses of one picture: what the weights multiply (k, 38), offset (k,), true offset (NaN: none)."""
 
     evidence: FloatArray
     offset: FloatArray
@@ -70,15 +51,16 @@ class Picture:
     held_out: bool
 
 
-def evidence_of(rows: FloatArray, floor: FloatArray, ceiling: FloatArray) -> FloatArray:
-    """Return what the weights multiply to give the scores of hypotheses, (k, 38): floor, ceiling, biases."""
-    n = N_PAIR - LENGTHS
-    f, c = rows[:, H_FLOOR].astype(int), rows[:, H_CEILING].astype(int)
-    out = np.zeros((len(rows), 2 * n + 4))
-    out[f >= 0, :n] = floor[f[f >= 0], EVIDENCE]
-    out[c >= 0, n : 2 * n] = ceiling[c[c >= 0], EVIDENCE]
+def evidence_of(hypotheses: RecordArray, picture: PictureCorners) -> FloatArray:
+    """Return what the weights multiply to give the log odds of hypotheses, (k, 38): floor, ceiling, bias."""
+    n = N_EVIDENCE
+    f, c = hypotheses["floor"], hypotheses["ceiling"]
+    out = np.zeros((len(hypotheses), 2 * n + 4))
+    out[f >= 0, :n] = structured_to_unstructured(picture.floor.evidence)[f[f >= 0]]
+    out[c >= 0, n : 2 * n] = structured_to_unstructured(picture.ceiling.evidence)[c[c >= 0]]
     joint = (f >= 0) & (c >= 0)
-    out[joint, n + ASIDE - LENGTHS : n + CROWD - LENGTHS] = 0.0
+    for term in POSITION_TERMS:
+        out[joint, n + term] = 0.0
     out[:, 2 * n] = f >= 0
     out[:, 2 * n + 1] = f < 0
     out[:, 2 * n + 2] = joint
@@ -97,9 +79,9 @@ def picture_of(
     axis = fit_axis(lines, level.R_level_camera, elevation_std_rad=hypot(level.pitch_std_rad, SLOPE_STD_RAD))
     if axis is None:
         return None
-    corners, floor, ceiling = survey_lines(lines, axis, level.R_level_camera)
-    rows = lateral_module._hypotheses(floor, ceiling, corners, WEIGHTS, BIASES)
-    return Picture(evidence_of(rows, floor, ceiling), rows[:, H_OFFSET].copy(), truth, held_out)
+    corners = find_corner_pairs(lines, axis, level.R_level_camera)
+    hypotheses = offset_hypotheses(corners, WEIGHTS)
+    return Picture(evidence_of(hypotheses, corners), hypotheses["offset"].copy(), truth, held_out)
 
 
 def open_hall(seed: int) -> SceneConfig:
@@ -155,7 +137,7 @@ def likelihood(
 
 def fitted(pictures: Sequence[Picture], start: FloatArray) -> FloatArray:
     free = start != 0.0
-    free[[ASIDE - LENGTHS, ASIDE - LENGTHS + N_PAIR - LENGTHS]] = False
+    free[FIXED] = False
     answer = minimize(
         likelihood, start, args=(pictures, free), jac=True, method="L-BFGS-B", options={"maxiter": 200}
     )
@@ -171,9 +153,9 @@ def worth(weights: FloatArray, pictures: Sequence[Picture]) -> list[str]:
         odds = np.exp(np.minimum(p.evidence @ weights, 100.0))
         offset = p.offset[np.argmax(odds)]
         for _ in range(2):
-            near = np.abs(p.offset - offset) < lateral_module.SAME_OFFSET
+            near = np.abs(p.offset - offset) < SAME_OFFSET
             offset = odds[near] @ p.offset[near] / odds[near].sum()
-        if odds[near].sum() / (odds.sum() + 1.0) >= lateral_module.MIN_PROBABILITY:
+        if odds[near].sum() / (odds.sum() + 1.0) >= MIN_PROBABILITY:
             answered += 1
             wrong += not abs(offset - p.truth) < WRONG
     return [str(len(pictures)), percent(answered / len(pictures)), percent(wrong / max(answered, 1), 2)]
@@ -184,16 +166,20 @@ def main(
     seed: Annotated[int, typer.Option(help="Other corridors.")] = 1000,
 ) -> None:
     """Fit the weights of the lateral offset's evidence anew, and compare."""
-    used = np.concatenate([WEIGHTS.ravel(), BIASES])
+    used = np.concatenate([WEIGHTS.floor, WEIGHTS.ceiling, structured_to_unstructured(WEIGHTS.bias)[0]])
     pictures = simulated(views, seed)
     seen = [p for p in pictures if not p.held_out]
     anew = fitted(seen, used)
-    n = N_PAIR - LENGTHS
+    n = N_EVIDENCE
     print(f"Weights of a floor's and a ceiling's pair, in use and fitted to {len(seen)} pictures")
     columns = (used[:n], anew[:n], used[n : 2 * n], anew[n : 2 * n])
-    rows = [[name, *(number(column[k], 3) for column in columns)] for k, name in enumerate(NAMES)]
+    rows = [
+        [name, *(number(column[k], 3) for column in columns)] for k, name in enumerate(EVIDENCE.names or ())
+    ]
     print(table(["evidence", "floor, in use", "anew", "ceiling, in use", "anew"], rows))
-    rows = [[b, number(used[2 * n + k], 3), number(anew[2 * n + k], 3)] for k, b in enumerate(BIAS_NAMES)]
+    rows = [
+        [b, number(used[2 * n + k], 3), number(anew[2 * n + k], 3)] for k, b in enumerate(BIAS.names or ())
+    ]
     print(table(["odds of a pair of", "in use", "anew"], rows), "\n")
     rest = [p for p in pictures if p.held_out]
     sets = {

@@ -12,8 +12,15 @@ from hypothesis import strategies as st
 
 from fusion.simulate.views import random_views
 from vision import Attitude, Camera, FrameMeasurement, Prior, measure_frame, measure_lines
-from vision.lateral.corner_pairs import N_PAIR
-from vision.lateral.offset import WEIGHTS, _settle
+from vision.lateral.corner_candidates import CORNER, MAX_CORNERS, CornerCandidates
+from vision.lateral.corner_pairs import N_EVIDENCE, PictureCorners, pair_corners
+from vision.lateral.hypotheses import (
+    HYPOTHESIS,
+    POSITION_TERMS,
+    WEIGHTS,
+    most_probable_offset,
+    offset_hypotheses,
+)
 
 CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -67,40 +74,81 @@ def test_a_prior_never_moves_the_answer(corridor: Any, seen: Any, offset: float,
 
 def hypotheses(*odds: tuple[float, float]) -> np.ndarray:
     """Floor pairs at these offsets with these odds."""
-    return np.array([(y, 0.004, -1.5, np.log(q), k, -1) for k, (y, q) in enumerate(odds)])
+    return np.array([(y, 0.004, -1.5, np.log(q), k, -1) for k, (y, q) in enumerate(odds)], HYPOTHESIS)
 
 
 def test_probability_is_shared_between_the_answers_and_none() -> None:
-    offset, _, _, _, probability, floor, _, share = _settle(
-        hypotheses((0.3, 90.0), (0.31, 9.0), (-0.2, 900.0)), 3, nan, nan
-    )
-    assert (offset, probability) == (pytest.approx(-0.2), pytest.approx(900 / 1000))
-    assert (floor, share) == (2, pytest.approx(1.0))
-    joined = _settle(hypotheses((0.3, 90.0), (0.31, 9.0)), 2, nan, nan)
-    assert joined[0] == pytest.approx((90 * 0.3 + 9 * 0.31) / 99)
-    assert joined[4] == pytest.approx(99 / 100)
+    found = most_probable_offset(hypotheses((0.3, 90.0), (0.31, 9.0), (-0.2, 900.0)), 3, nan, nan)
+    assert (found.offset, found.probability) == (pytest.approx(-0.2), pytest.approx(900 / 1000))
+    assert (found.floor, found.floor_share) == (2, pytest.approx(1.0))
+    joined = most_probable_offset(hypotheses((0.3, 90.0), (0.31, 9.0)), 2, nan, nan)
+    assert joined.offset == pytest.approx((90 * 0.3 + 9 * 0.31) / 99)
+    assert joined.probability == pytest.approx(99 / 100)
 
 
 def test_a_prior_settles_what_the_picture_leaves_open() -> None:
     rows = hypotheses((0.3, 500.0), (-0.3, 80.0))
-    assert _settle(rows, 2, nan, nan)[4] < 0.9
-    chosen = _settle(rows, 2, 0.3, 0.04)
-    assert chosen[0] == pytest.approx(0.3)
-    assert chosen[4] == pytest.approx(500 / (500 + 80 * 0.1 + 1), rel=1e-3)
-    against = _settle(rows, 2, -0.3, 0.04)  # what a lost filter would like to hear is not answered
-    assert against[4] < 0.9
+    assert most_probable_offset(rows, 2, nan, nan).probability < 0.9
+    chosen = most_probable_offset(rows, 2, 0.3, 0.04)
+    assert chosen.offset == pytest.approx(0.3)
+    assert chosen.probability == pytest.approx(500 / (500 + 80 * 0.1 + 1), rel=1e-3)
+    against = most_probable_offset(
+        rows, 2, -0.3, 0.04
+    )  # what a lost filter would like to hear is not answered
+    assert against.probability < 0.9
 
 
 def test_evidence_beyond_the_range_of_exp_is_no_trouble() -> None:
     rows = hypotheses((0.1, 1.0))
-    rows[0, 3] = 800.0
-    assert _settle(rows, 1, nan, nan)[4] == pytest.approx(1.0)
-    rows[0, 3] = -800.0
-    assert _settle(rows, 1, nan, nan)[4] < exp(-100)
+    rows["log_odds"] = 800.0
+    assert most_probable_offset(rows, 1, nan, nan).probability == pytest.approx(1.0)
+    rows["log_odds"] = -800.0
+    assert most_probable_offset(rows, 1, nan, nan).probability < exp(-100)
 
 
 def test_there_is_a_weight_for_every_piece_of_evidence() -> None:
-    assert WEIGHTS.shape == (2, N_PAIR - 5)
+    assert WEIGHTS.floor.shape == WEIGHTS.ceiling.shape == (N_EVIDENCE,)
+
+
+def cross_section(half_width: float, offset: float, below: float, above: float) -> PictureCorners:
+    """The four corners of a corridor, as seen from a place in its cross-section; nothing else."""
+    corners = np.zeros((4, MAX_CORNERS), CORNER)
+    for quadrant in range(4):
+        height = below if quadrant < 2 else above
+        wall = half_width + (offset if quadrant % 2 == 0 else -offset)
+        corners[quadrant, 0]["slope"] = height / wall
+        corners[quadrant, 0]["angle"] = np.arctan2(height, wall)
+        for name, value in (("angle_std", 0.002), ("length", 0.4), ("polarity", 1.0), ("contrast", 100.0)):
+            corners[quadrant, 0][name] = value
+    candidates = CornerCandidates(corners, np.ones(4, np.int64))
+    return PictureCorners(candidates, *pair_corners(candidates))
+
+
+@settings(deadline=None)
+@given(offset=st.floats(-0.6, 0.6), half_width=st.floats(0.8, 1.6))
+def test_corners_give_offset_and_width_whatever_the_height(offset: float, half_width: float) -> None:
+    picture = cross_section(half_width, offset * half_width, below=1.2, above=1.5)
+    for pairs, height in ((picture.floor, 1.2), (picture.ceiling, 1.5)):
+        assert pairs.pair["offset"] == pytest.approx(offset, abs=1e-9)
+        assert pairs.pair["width"] == pytest.approx(2.0 * half_width / height)
+        assert pairs.evidence["same_polarity"] == pytest.approx(1.0)
+        assert pairs.evidence["length_gap"] == pytest.approx(0.0)
+
+
+def test_log_odds_are_the_weighted_sum_of_the_evidence() -> None:
+    picture = cross_section(1.1, 0.2, below=1.2, above=1.5)
+    ceiling, floor, joint = offset_hypotheses(picture, WEIGHTS)
+    assert [(h["floor"], h["ceiling"]) for h in (ceiling, floor, joint)] == [(-1, 0), (0, -1), (0, 0)]
+    of_floor = WEIGHTS.floor @ picture.floor.evidence.view(np.float64)
+    of_ceiling = WEIGHTS.ceiling @ picture.ceiling.evidence.view(np.float64)
+    bias = WEIGHTS.bias[0]
+    choice = bias["choice"] * np.log(2)  # two hypotheses have the floor's pair
+    assert ceiling["log_odds"] == pytest.approx(of_ceiling + bias["ceiling"])
+    assert floor["log_odds"] == pytest.approx(of_floor + bias["floor"] + choice)
+    weight, evidence = WEIGHTS.ceiling.copy(), picture.ceiling.evidence.view(np.float64)
+    weight[list(POSITION_TERMS)] = 0.0
+    expected = of_floor + weight @ evidence + bias["floor"] + bias["joint"] + choice
+    assert joint["log_odds"] == pytest.approx(expected)
 
 
 def test_simulated_corridors_have_hardly_a_wrong_corner() -> None:

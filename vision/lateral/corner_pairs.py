@@ -1,128 +1,190 @@
-"""Pairs of corners: every candidate on the left wall with every one on the right, and the evidence for each pair.
+"""Pairs of corners, left and right, and the evidence that a pair is where the walls meet the floor or the ceiling.
 
-Both are long and of one contrast; what stands upright ends at them and does not cross them; lines across reach from
-one to the other; nothing lies beyond one only; boards, door tops and rails find their counterpart on the other wall
-at the offset the pair gives. `vision.lateral.offset` weighs it.
+Every candidate on the left is paired with every one on the right. The two true corners are both long and of one
+contrast; vertical lines end at them and do not cross them; transverse lines reach from one to the other; no line lies
+beyond one of them only; skirting boards, door tops and rails of one wall have their counterpart on the other, at the
+lateral offset that the pair gives. `vision.lateral.hypotheses` weighs this evidence.
 """
 
 from __future__ import annotations
 
 from math import hypot, log, sqrt
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from vision.axis.vanishing_point import AxisFit, axis_direction
 from vision.compiled import compiled
 from vision.lateral.corner_candidates import (
-    ANGLE,
-    BEYOND,
-    BOARD,
-    BOARD_LENGTH,
-    CONTRAST,
-    COVERAGE,
-    CROSSED,
-    CROSSING,
-    ENDING,
-    LENGTH,
     MAX_CORNERS,
-    POLARITY,
-    SLOPE,
-    STD,
+    CornerCandidates,
     count_bits,
-    survey,
+    find_corner_candidates,
 )
+from vision.lateral.line_directions import PictureLines, sort_by_direction
 from vision.lines.segments import LineSet
+from vision.types import FloatArray, Record, RecordArray
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-
-MIN_WIDTH = 0.3  # corridor width over the camera's distance from floor, from ceiling
+# For the floor's pairs, and for the ceiling's
+MIN_WIDTH = 0.3  # corridor width over the camera's distance from the floor, or the ceiling
 MAX_WIDTH = (8.0, 12.0)
 TYPICAL_WIDTH = (1.7, 2.0)
+
 SMALL = 0.05  # of the diagonal: from here on lengths count by the logarithm
-ASIDE_SCALE = 0.1
-MAX_ASIDE = 0.7  # nearer to a wall a vehicle seldom flies
-SAME_BOARD = 0.02
-VOTE_WINDOW = 0.04  # in offset
-VOTE_CONTRAST = 0.25  # in the logarithm
+MAX_OFFSET, NEAR_WALL_SCALE = 0.7, 0.1  # a vehicle seldom flies nearer to a wall
+SAME_SKIRTING = 0.02
+MAX_SPANS = 2
+SYMMETRY_WINDOW = 0.04  # in lateral offset
+SYMMETRY_CONTRAST = 0.25  # in the logarithm
 CLEAR_OF_CORNER_RAD = 0.0175
 
+PAIR = np.dtype(
+    [
+        ("offset", np.float64),  # lateral offset over half the corridor's width, positive right
+        ("offset_std", np.float64),
+        ("width", np.float64),  # of the corridor, over the camera's distance from the floor or the ceiling
+        ("left", np.int64),  # which candidate of the left quadrant
+        ("right", np.int64),  # which candidate of the right quadrant
+    ],
+    align=True,
+)
+"""A pair of corners."""
 
-# columns of pairs; those from LENGTHS on are evidence
-OFFSET, OFFSET_STD, WIDTH, LEFT, RIGHT = range(5)
-LENGTHS, COVERAGES, ENDINGS, CROSSEDS, LENGTH_GAP, ENDING_GAP, CROSSING_GAP, BEYOND_GAP = range(5, 13)
-SAME_POLARITY, CONTRAST_GAP, SPANS, BOARDS, VOTES, ASIDE, WIDE, WIDE_SQUARED, CROWD = range(13, 22)
-N_PAIR = 22
-EVIDENCE = slice(LENGTHS, N_PAIR)
+EVIDENCE = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            "lengths",  # sum of both lengths' logarithms
+            "coverages",  # sum of both coverages
+            "vertical_ends",  # sum of the logarithms of what ends at each
+            "transverse_crossings",  # sum of the logarithms of what crosses each
+            "length_gap",  # difference of the lengths' logarithms, as the gaps below
+            "vertical_ends_gap",
+            "vertical_crossings_gap",
+            "beyond_gap",
+            "same_polarity",  # 1: both bright on the same side, -1: on opposite sides
+            "contrast_gap",
+            "spans",  # transverse lines from one to the other, at most MAX_SPANS
+            "skirtings",  # logarithm of the shorter skirting board's length, where they are of one height
+            "symmetry",  # logarithm of the length of other lines that are symmetric at this offset
+            "near_wall",  # by how much the offset is beyond MAX_OFFSET
+            "log_width",  # logarithm of the width over a typical one
+            "log_width_squared",
+            "log_pairs",  # logarithm of the number of pairs to choose from
+        )
+    ],
+    align=True,
+)
+"""Evidence for a pair, every piece dimensionless; contiguous, so that it can also be viewed as a vector."""
+
+N_EVIDENCE = len(EVIDENCE.names or ())
+
+
+class CornerPairs(NamedTuple):
+    """Possible pairs of corners of the floor, or of the ceiling.
+
+    Parameters
+    ----------
+    pair
+        Array (k,) of `PAIR`.
+    evidence
+        Array (k,) of `EVIDENCE`.
+    """
+
+    pair: RecordArray
+    evidence: RecordArray
+
+
+class PictureCorners(NamedTuple):
+    """Candidates for the corners in a picture, and their pairs on the floor and on the ceiling."""
+
+    candidates: CornerCandidates
+    floor: CornerPairs
+    ceiling: CornerPairs
 
 
 @compiled
-def _pair(
-    left: FloatArray,
-    right: FloatArray,
-    rungs_left: IntArray,
-    rungs_right: IntArray,
-    above: int,
-    pairs: FloatArray,
-) -> int:
-    """Pair every left with every right candidate; return how many pairs are possible."""
+def _log_sum(a: float, b: float) -> tuple[float, float]:
+    """Sum and absolute difference of the logarithms of two lengths."""
+    la, lb = log(1.0 + a / SMALL), log(1.0 + b / SMALL)
+    return la + lb, abs(la - lb)
+
+
+@compiled
+def _log_ratio(a: float, b: float) -> float:
+    return abs(log((SMALL + a) / (SMALL + b)))
+
+
+@compiled
+def _fill_evidence(row: Record, left: Record, right: Record) -> None:
+    """Fill in what two corners by themselves say of their pair."""
+    row.lengths, row.length_gap = _log_sum(left.length, right.length)
+    row.coverages = left.coverage + right.coverage
+    row.vertical_ends, row.vertical_ends_gap = _log_sum(left.vertical_ends, right.vertical_ends)
+    row.vertical_crossings_gap = _log_ratio(left.vertical_crossings, right.vertical_crossings)
+    row.beyond_gap = _log_ratio(left.beyond, right.beyond)
+    row.transverse_crossings = log(
+        (1.0 + left.transverse_crossings / SMALL) * (1.0 + right.transverse_crossings / SMALL)
+    )
+    row.same_polarity = left.polarity * right.polarity
+    row.contrast_gap = abs(log(left.contrast / right.contrast))
+    row.spans = min(count_bits(left.transverse_ends & right.transverse_ends), MAX_SPANS)
+    skirting = min(left.skirting_length, right.skirting_length)
+    same = abs(left.skirting_ratio - right.skirting_ratio) < SAME_SKIRTING
+    row.skirtings = log(1.0 + skirting / SMALL) if same else 0.0
+
+
+@compiled
+def _pair_up(left: RecordArray, right: RecordArray, max_width: float, typical_width: float) -> CornerPairs:
+    """Pair every left with every right candidate, as far as the corridor's width is possible."""
+    pairs, evidence = np.empty(MAX_CORNERS**2, PAIR), np.empty(MAX_CORNERS**2, EVIDENCE)
     count = 0
     for i in range(len(left)):
         for j in range(len(right)):
             a, b = left[i], right[j]
-            tl, tr = a[SLOPE], b[SLOPE]
+            tl, tr = a.slope, b.slope
             total = tl + tr
             width = total / (tl * tr)
-            if not MIN_WIDTH < width < MAX_WIDTH[above]:
+            if not MIN_WIDTH < width < max_width:
                 continue
-            row = pairs[count]
+            pair, row = pairs[count], evidence[count]
             count += 1
-            row[OFFSET] = (tr - tl) / total
-            row[OFFSET_STD] = (
-                2.0 * hypot(tl * b[STD] * (1.0 + tr * tr), tr * a[STD] * (1.0 + tl * tl)) / (total * total)
+            pair.offset = (tr - tl) / total
+            pair.offset_std = (
+                2.0
+                * hypot(tl * b.angle_std * (1.0 + tr * tr), tr * a.angle_std * (1.0 + tl * tl))
+                / (total * total)
             )
-            row[WIDTH], row[LEFT], row[RIGHT] = width, i, j
-            la, lb = log(1.0 + a[LENGTH] / SMALL), log(1.0 + b[LENGTH] / SMALL)
-            ea, eb = log(1.0 + a[ENDING] / SMALL), log(1.0 + b[ENDING] / SMALL)
-            row[LENGTHS], row[LENGTH_GAP] = la + lb, abs(la - lb)
-            row[COVERAGES] = a[COVERAGE] + b[COVERAGE]
-            row[ENDINGS], row[ENDING_GAP] = ea + eb, abs(ea - eb)
-            row[CROSSING_GAP] = abs(log((SMALL + a[CROSSING]) / (SMALL + b[CROSSING])))
-            row[BEYOND_GAP] = abs(log((SMALL + a[BEYOND]) / (SMALL + b[BEYOND])))
-            row[CROSSEDS] = log((1.0 + a[CROSSED] / SMALL) * (1.0 + b[CROSSED] / SMALL))
-            row[SAME_POLARITY] = a[POLARITY] * b[POLARITY]
-            row[CONTRAST_GAP] = abs(log(a[CONTRAST] / b[CONTRAST]))
-            row[SPANS] = min(count_bits(rungs_left[i] & rungs_right[j]), 2)
-            board = min(a[BOARD_LENGTH], b[BOARD_LENGTH])
-            row[BOARDS] = log(1.0 + board / SMALL) if abs(a[BOARD] - b[BOARD]) < SAME_BOARD else 0.0
-            row[ASIDE] = max(0.0, abs(row[OFFSET]) - MAX_ASIDE) / ASIDE_SCALE
-            row[WIDE] = log(width / TYPICAL_WIDTH[above])
-            row[WIDE_SQUARED] = row[WIDE] * row[WIDE]
-            row[CROWD] = log(float(len(left) * len(right)))
-    return count
+            pair.width, pair.left, pair.right = width, i, j
+            _fill_evidence(row, a, b)
+            row.near_wall = max(0.0, abs(pair.offset) - MAX_OFFSET) / NEAR_WALL_SCALE
+            row.log_width = log(width / typical_width)
+            row.log_width_squared = row.log_width * row.log_width
+            row.log_pairs = log(float(len(left) * len(right)))
+    return CornerPairs(pairs[:count], evidence[:count])
 
 
 @compiled
-def _vote(floor: FloatArray, ceiling: FloatArray, corners: FloatArray) -> None:
-    """Let every pair be supported by the pairs of the same offset: what is symmetric on the walls."""
-    n = len(floor)
-    m = n + len(ceiling)
+def _fill_symmetry(floor: CornerPairs, ceiling: CornerPairs, corners: RecordArray) -> None:
+    """Count for each pair the length of the other pairs of the same offset: what is symmetric on the walls."""
+    n = len(floor.pair)
+    m = n + len(ceiling.pair)
     offset, weight, angle = np.empty(m), np.empty(m), np.empty((m, 2))
     for p in range(m):
-        row = floor[p] if p < n else ceiling[p - n]
+        pair = floor.pair[p] if p < n else ceiling.pair[p - n]
+        row = floor.evidence[p] if p < n else ceiling.evidence[p - n]
         q = 0 if p < n else 2
-        a, b = corners[q, int(row[LEFT])], corners[q + 1, int(row[RIGHT])]
-        offset[p], angle[p, 0], angle[p, 1] = row[OFFSET], a[ANGLE], b[ANGLE]
-        z = row[CONTRAST_GAP] / VOTE_CONTRAST
-        weight[p] = sqrt(a[LENGTH] * b[LENGTH]) / (1.0 + z * z) if row[SAME_POLARITY] > 0.0 else 0.0
+        a, b = corners[q, pair.left], corners[q + 1, pair.right]
+        offset[p], angle[p, 0], angle[p, 1] = pair.offset, a.angle, b.angle
+        z = row.contrast_gap / SYMMETRY_CONTRAST
+        weight[p] = sqrt(a.length * b.length) / (1.0 + z * z) if row.same_polarity > 0.0 else 0.0
     order = np.argsort(offset)
     for s in range(m):
         p = order[s]
         total = 0.0
         for step in (-1, 1):
             t = s + step
-            while 0 <= t < m and abs(offset[order[t]] - offset[p]) < VOTE_WINDOW:
+            while 0 <= t < m and abs(offset[order[t]] - offset[p]) < SYMMETRY_WINDOW:
                 q = order[t]
                 t += step
                 if (p < n) == (q < n) and (
@@ -130,45 +192,55 @@ def _vote(floor: FloatArray, ceiling: FloatArray, corners: FloatArray) -> None:
                     or angle[q, 1] > angle[p, 1] - CLEAR_OF_CORNER_RAD
                 ):
                     continue  # beyond the corners there is no wall
-                z = (offset[q] - offset[p]) / VOTE_WINDOW
+                z = (offset[q] - offset[p]) / SYMMETRY_WINDOW
                 total += weight[q] * (1.0 - z * z)
-        if p < n:
-            floor[p, VOTES] = log(1.0 + total / SMALL)
-        else:
-            ceiling[p - n, VOTES] = log(1.0 + total / SMALL)
+        row = floor.evidence[p] if p < n else ceiling.evidence[p - n]
+        row.symmetry = log(1.0 + total / SMALL)
 
 
 @compiled
-def pair_corners(corners: FloatArray, found: IntArray, touching: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Pair the candidates of `survey`; return the pairs of the floor and those of the ceiling, (k, 22) each."""
-    size = MAX_CORNERS * MAX_CORNERS
-    floor, ceiling = np.empty((size, N_PAIR)), np.empty((size, N_PAIR))
-    n = _pair(corners[0, : found[0]], corners[1, : found[1]], touching[0], touching[1], 0, floor)
-    m = _pair(corners[2, : found[2]], corners[3, : found[3]], touching[2], touching[3], 1, ceiling)
-    floor, ceiling = floor[:n], ceiling[:m]
-    _vote(floor, ceiling, corners)
+def pair_corners(candidates: CornerCandidates) -> tuple[CornerPairs, CornerPairs]:
+    """Return the possible pairs of the floor's corners, and of the ceiling's, with their evidence."""
+    corners, count = candidates.corners, candidates.n_candidates
+    floor = _pair_up(corners[0, : count[0]], corners[1, : count[1]], MAX_WIDTH[0], TYPICAL_WIDTH[0])
+    ceiling = _pair_up(corners[2, : count[2]], corners[3, : count[3]], MAX_WIDTH[1], TYPICAL_WIDTH[1])
+    _fill_symmetry(floor, ceiling, corners)
     return floor, ceiling
 
 
-def survey_lines(
-    lines: LineSet, axis: AxisFit, R_level_camera: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return candidates for corners (4, 12, 15), and the pairs of the floor and of the ceiling, (k, 22) each."""
+@compiled
+def _corners_of(
+    lines: PictureLines, R_axis_camera: FloatArray, down: FloatArray, diagonal_px: float
+) -> PictureCorners:
+    candidates = find_corner_candidates(sort_by_direction(lines, R_axis_camera, down, diagonal_px))
+    floor, ceiling = pair_corners(candidates)
+    return PictureCorners(candidates, floor, ceiling)
+
+
+def find_corner_pairs(lines: LineSet, axis: AxisFit, R_level_camera: FloatArray) -> PictureCorners:
+    """Find the pairs of lines that may be the corridor's corners.
+
+    Parameters
+    ----------
+    lines, axis
+        The picture's lines, and the corridor's axis among them.
+    R_level_camera
+        Rotation (3, 3) from the optical frame to the level frame.
+    """
     ahead = axis_direction(axis.heading_rad, axis.elevation_rad)
     rightward = axis_direction(axis.heading_rad - 0.5 * np.pi, 0.0)
     R_axis_camera = np.array([ahead, rightward, np.cross(ahead, rightward)]) @ R_level_camera
-    corners, found, touching = survey(
-        lines.normal,
-        lines.centre,
-        lines.direction,
-        lines.arc_rad,
-        lines.sigma_rad,
-        lines.length_px,
-        lines.contrast,
-        axis.inlier,
-        R_axis_camera,
-        R_level_camera[2],
-        hypot(lines.width_px, lines.height_px),
+    arrays = PictureLines(
+        normal=lines.normal,
+        centre=lines.centre,
+        direction=lines.direction,
+        sigma_rad=lines.sigma_rad,
+        arc_rad=lines.arc_rad,
+        length_px=lines.length_px,
+        contrast=lines.contrast,
+        along_corridor=axis.inlier,
     )
-    floor, ceiling = pair_corners(corners, found, touching)
-    return corners, floor, ceiling
+    corners: PictureCorners = _corners_of(
+        arrays, R_axis_camera, R_level_camera[2], hypot(lines.width_px, lines.height_px)
+    )
+    return corners
