@@ -21,7 +21,9 @@ N_LATERAL = 4
 
 
 @compiled
-def moved(x: FloatArray, P: FloatArray, F: FloatArray, Q: FloatArray, x_out: FloatArray, P_out: FloatArray) -> None:
+def moved(
+    x: FloatArray, P: FloatArray, F: FloatArray, Q: FloatArray, x_out: FloatArray, P_out: FloatArray
+) -> None:
     """Carry hypotheses on: F x and F P F' + s^2 Q, with each its own s: ``Q`` (4, 4) is in metres."""
     FP = np.empty((N_LATERAL, N_LATERAL))
     for h in range(len(x)):
@@ -146,7 +148,9 @@ def absorb(
 
 
 @compiled
-def merged(x: FloatArray, P: FloatArray, weight: FloatArray, order: IntArray, near: float, keep: IntArray) -> int:
+def merged(
+    x: FloatArray, P: FloatArray, weight: FloatArray, order: IntArray, near: float, keep: IntArray
+) -> int:
     """Merge hypotheses that have become one, in place, likeliest first; ``keep`` are those left, returned how many.
 
     Two are one where their offsets and velocities are alike within their own sigmas, or both within ``near``.

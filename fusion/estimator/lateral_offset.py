@@ -9,13 +9,14 @@ Control 17(4), 1972) and the probability that the offset is unknown. Each hypoth
 - c: the accelerometer's bias across the corridor, half widths per second squared;
 - s: one over the half width, 1/m.
 
-**Process.** With the acceleration a across the corridor, m/s^2, from the specific force f levelled by roll and pitch::
+**Process.** With the acceleration a across the corridor, m/s^2, from the specific force f levelled by roll and
+pitch::
 
     a  = sin(psi) f_forward + cos(psi) f_right
     y' = v        v' = a s - c + s n_v        c' = s n_c        s' = 0
 
-which is linear in the state, as s multiplies what is measured: with A1 and A2 the single and double integral of a over
-T, one transition serves all hypotheses, and a sample of the accelerometer costs a few additions::
+which is linear in the state, as s multiplies what is measured: with A1 and A2 the single and double integral of a
+over T, one transition serves all hypotheses, and a sample of the accelerometer costs a few additions::
 
         [ 1  T  -T^2/2  A2 ]
     F = [ 0  1  -T      A1 ]
@@ -36,7 +37,8 @@ probabilistic data association", Automatica 11(5), 1975). The unknown offset is 
 likelihood is 1/2; what it holds moves to new hypotheses at the components that none explains. A little is always
 forgotten: weight leaks from all hypotheses to the unknown.
 
-**Reported** is the sum of those about the likeliest; it is known where it holds most of the probability and is narrow.
+**Reported** is the sum of those about the likeliest; it is known where it holds most of the probability and is
+narrow.
 """
 
 from __future__ import annotations
@@ -68,14 +70,19 @@ MAX_HYPOTHESES = 15
 class OffsetModel(NamedTuple):
     """What the filter assumes; lengths in metres unless they are said to be in half widths (``norm``)."""
 
-    accel_noise: float = 0.08  # m/s/sqrt(s), beyond what the accelerometer itself shows: tilt that comes and goes
+    accel_noise: float = (
+        0.08  # m/s/sqrt(s), beyond what the accelerometer itself shows: tilt that comes and goes
+    )
     accel_bias_std: float = 0.12  # m/s^2
     accel_bias_walk: float = 0.05  # m/s^2/sqrt(s): the attitude's slow errors
     rough_limit: float = 0.35  # m/s/sqrt(s) of noise from which on an accelerometer is worth nothing
     velocity_std_m_s: float = 0.3  # without accelerometer
     velocity_time_s: float = 1.0
     start_velocity_std_m_s: float = 0.4
-    inverse_half_width: tuple[float, float] = (0.9, 0.3)  # 1/m, mean and standard deviation where it is not told
+    inverse_half_width: tuple[float, float] = (
+        0.9,
+        0.3,
+    )  # 1/m, mean and standard deviation where it is not told
     weight_time_s: float = 0.15
     state_time_s: float = 0.5
     forget_1_s: float = 0.03
@@ -155,7 +162,9 @@ def in_new_corridor(state: OffsetState) -> OffsetState:
     return nothing_known()._replace(rough=state.rough, roll=state.roll)
 
 
-def levelled(force: tuple[float, float, float], down: tuple[float, float, float], roll_rad: float) -> tuple[float, float]:
+def levelled(
+    force: tuple[float, float, float], down: tuple[float, float, float], roll_rad: float
+) -> tuple[float, float]:
     """Specific force forward and right in the level frame, m/s^2.
 
     Parameters
@@ -201,9 +210,15 @@ def propagate(
     else:
         n = 1
     path = Path(
-        t + dt_s, accel_s + dt_s, a1 + mean * dt_s, a2 + (a1 + 0.5 * mean * dt_s) * dt_s, noise + density2 * dt_s
+        t + dt_s,
+        accel_s + dt_s,
+        a1 + mean * dt_s,
+        a2 + (a1 + 0.5 * mean * dt_s) * dt_s,
+        noise + density2 * dt_s,
     )
-    return state._replace(path=path, rough=Roughness(a, density2, n), evidence_age_s=age, frame_age_s=frame_age)
+    return state._replace(
+        path=path, rough=Roughness(a, density2, n), evidence_age_s=age, frame_age_s=frame_age
+    )
 
 
 def transition(path: Path, model: OffsetModel, surprise: float = 1.0) -> tuple[FloatArray, FloatArray]:
@@ -299,7 +314,13 @@ def update(
 
 
 def _with_new(
-    x: FloatArray, P: FloatArray, weight: FloatArray, components: FloatArray, camera: Camera, model: OffsetModel, temper: float
+    x: FloatArray,
+    P: FloatArray,
+    weight: FloatArray,
+    components: FloatArray,
+    camera: Camera,
+    model: OffsetModel,
+    temper: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Let the unknown's weight move to the components, as new hypotheses where none explains them."""
     s, s_std = model.inverse_half_width
@@ -314,7 +335,9 @@ def _with_new(
             continue
         new_x.append((y, 0.0, 0.0, s))
         new_P.append(
-            np.diag([variance, (model.start_velocity_std_m_s * s) ** 2, (model.accel_bias_std * s) ** 2, s_std**2])
+            np.diag(
+                [variance, (model.start_velocity_std_m_s * s) ** 2, (model.accel_bias_std * s) ** 2, s_std**2]
+            )
         )
         new_weight.append(mass)
     if not new_x:

@@ -137,7 +137,8 @@ def _fill_evidence(row: Record, left: Record, right: Record) -> None:
 @compiled
 def _pair_up(left: RecordArray, right: RecordArray, max_width: float, typical_width: float) -> CornerPairs:
     """Pair every left with every right candidate, as far as the corridor's width is possible."""
-    pairs, evidence = np.empty(MAX_CORNERS**2, PAIR), np.empty(MAX_CORNERS**2, EVIDENCE)
+    size = len(left) * len(right)
+    pairs, evidence = np.empty(size, PAIR), np.empty(size, EVIDENCE)
     count = 0
     for i in range(len(left)):
         for j in range(len(right)):
@@ -210,14 +211,18 @@ def pair_corners(candidates: CornerCandidates) -> tuple[CornerPairs, CornerPairs
 
 @compiled
 def _corners_of(
-    lines: PictureLines, R_axis_camera: FloatArray, down: FloatArray, diagonal_px: float
+    lines: PictureLines, R_axis_camera: FloatArray, down: FloatArray, diagonal_px: float, max_corners: int
 ) -> PictureCorners:
-    candidates = find_corner_candidates(sort_by_direction(lines, R_axis_camera, down, diagonal_px))
+    candidates = find_corner_candidates(
+        sort_by_direction(lines, R_axis_camera, down, diagonal_px), max_corners
+    )
     floor, ceiling = pair_corners(candidates)
     return PictureCorners(candidates, floor, ceiling)
 
 
-def find_corner_pairs(lines: LineSet, axis: AxisFit, R_level_camera: FloatArray) -> PictureCorners:
+def find_corner_pairs(
+    lines: LineSet, axis: AxisFit, R_level_camera: FloatArray, max_corners: int = MAX_CORNERS
+) -> PictureCorners:
     """Find the pairs of lines that may be the corridor's corners.
 
     Parameters
@@ -226,6 +231,8 @@ def find_corner_pairs(lines: LineSet, axis: AxisFit, R_level_camera: FloatArray)
         The picture's lines, and the corridor's axis among them.
     R_level_camera
         Rotation (3, 3) from the optical frame to the level frame.
+    max_corners
+        How many candidates to consider in a quadrant; lines are taken longest first.
     """
     ahead = axis_direction(axis.heading_rad, axis.elevation_rad)
     rightward = axis_direction(axis.heading_rad - 0.5 * np.pi, 0.0)
@@ -241,6 +248,6 @@ def find_corner_pairs(lines: LineSet, axis: AxisFit, R_level_camera: FloatArray)
         along_corridor=axis.inlier,
     )
     corners: PictureCorners = _corners_of(
-        arrays, R_axis_camera, R_level_camera[2], hypot(lines.width_px, lines.height_px)
+        arrays, R_axis_camera, R_level_camera[2], hypot(lines.width_px, lines.height_px), max_corners
     )
     return corners

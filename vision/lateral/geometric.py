@@ -1,11 +1,12 @@
 """The geometric evidence for the lateral offset: all pairs of candidates for corners, as a mixture.
 
-`vision.lateral.offset` answers where one offset holds nearly all of the probability. Here every pair of the floor, of the
-ceiling, and of both together, keeps its share: brick courses, tiles and rails then stand beside the corners until
-time and motion tell them apart. Twice as many candidates are taken, for among bricks the corners are not the longest.
+`vision.lateral.offset` answers where one offset holds nearly all of the probability. Here every pair of the floor,
+of the ceiling, and of both together keeps its share: brick courses, tiles and rails then stand beside the corners
+until time and motion tell them apart.
 
-The joint hypotheses are those of `vision.lateral.offset` but that, for each pair of the floor, all pairs of the ceiling
-at its offset are summed to one; sorted sums make that as cheap as the pairs themselves.
+The joint hypotheses are those of `vision.lateral.hypotheses`, but for each pair of the floor all pairs of the ceiling
+at its offset are summed up to one. With running sums over the ceiling's pairs in order of their offset this costs no
+more than the pairs themselves, however many agree.
 """
 
 from __future__ import annotations
@@ -13,120 +14,112 @@ from __future__ import annotations
 from math import exp, log
 
 import numpy as np
-import numpy.typing as npt
 
-from vision.axis.vanishing_point import AxisFit
 from vision.compiled import compiled
-from vision.lateral.corner_pairs import (
-    ASIDE,
-    CROWD,
-    LENGTHS,
-    N_PAIR,
-    OFFSET,
-    OFFSET_STD,
-    WIDTH,
-    survey_lines,
+from vision.lateral.corner_pairs import N_EVIDENCE, PictureCorners
+from vision.lateral.hypotheses import (
+    JOINT_WINDOW,
+    MAX_LOG_ODDS,
+    POSITION_TERMS,
+    WEIGHTS,
+    OffsetWeights,
+    add_weighted,
+    roll_slope_of,
 )
-from vision.lateral.mixture import OffsetMixture, cannot_tell, mixture_of_rows
-from vision.lateral.offset import BIASES, JOINT_WINDOW, MIN_STD, WEIGHTS, tilt_of_pair
-from vision.lines.segments import LineSet
+from vision.lateral.mixture import OffsetMixture, cannot_tell, mixture_of_components
+from vision.types import FloatArray, IntArray
 
-FloatArray = npt.NDArray[np.float64]
+MIN_CANNOT_TELL = 0.1  # whatever the lines look like: what runs along a corridor need not be its corner
+MIN_STD = 0.004
+MIN_VARIANCE = 1e-8
 
-MAX_CANDIDATES = 24  # in a quadrant
-CANNOT_TELL = 0.1  # at least, whatever the lines look like: what runs along a corridor need not be its corner
-MAX_SCORE = 100.0  # beyond the range of exp
-
-# columns of sums over pairs of the ceiling
-SUM_ODDS, SUM_OFFSET, SUM_SQUARE, SUM_TILT = range(4)
-
-
-@compiled
-def _scores(pairs: FloatArray, weights: FloatArray, shared: FloatArray) -> FloatArray:
-    """Weighted evidence (n,) of pairs; ``shared`` (n,) is the part that the floor tells where both are seen."""
-    score = np.zeros(len(pairs))
-    for p in range(len(pairs)):
-        shared[p] = 0.0
-        for k in range(LENGTHS, N_PAIR):
-            value = weights[k - LENGTHS] * pairs[p, k]
-            score[p] += value
-            if ASIDE <= k < CROWD:
-                shared[p] += value
-    return score
+# columns of components, see `vision.lateral.mixture`
+WEIGHT, OFFSET, VARIANCE, WIDTH = range(4)
+# columns of running sums over the ceiling's pairs
+ODDS, MOMENT, SQUARE, ROLL_SLOPE = range(4)
 
 
 @compiled
-def components(
-    floor: FloatArray,
-    ceiling: FloatArray,
-    corners: FloatArray,
-    roll_std: float,
-    weights: FloatArray,
-    biases: FloatArray,
+def _odds(log_odds: float) -> float:
+    return exp(min(log_odds, MAX_LOG_ODDS))
+
+
+@compiled
+def _ceiling_components(
+    picture: PictureCorners, weights: OffsetWeights, roll_std: float, order: IntArray, rows: FloatArray
 ) -> FloatArray:
-    """Return components (2 n + m, 4) as `vision.lateral.mixture` counts them, weights as odds against "cannot tell"."""
-    n, m = len(floor), len(ceiling)
-    rows = np.empty((2 * n + m, 4))
-    shared = np.empty(max(n, m))
-    score = _scores(ceiling, weights[1], shared)
-    order = np.argsort(ceiling[:, OFFSET])
-    offsets = ceiling[order, OFFSET]
+    """Fill ``rows`` (m, 4) with the ceiling's pairs alone; return running sums (m + 1, 4) for joining the floor's."""
+    pairs, corners = picture.ceiling.pair, picture.candidates.corners
+    m = len(pairs)
+    evidence = picture.ceiling.evidence.view(np.float64).reshape(m, N_EVIDENCE)
     sums = np.zeros((m + 1, 4))
     for place in range(m):
         c = order[place]
-        tilt = tilt_of_pair(ceiling[c], corners, 2)
-        variance = ceiling[c, OFFSET_STD] ** 2
-        row = rows[c]
-        row[0], row[1] = exp(min(score[c] + biases[1], MAX_SCORE)), ceiling[c, OFFSET]
-        row[2], row[3] = variance + (roll_std * tilt) ** 2, np.nan
-        odds = exp(min(score[c] - shared[c], MAX_SCORE))
-        sums[place + 1, SUM_ODDS] = sums[place, SUM_ODDS] + odds
-        sums[place + 1, SUM_OFFSET] = sums[place, SUM_OFFSET] + odds * ceiling[c, OFFSET]
-        sums[place + 1, SUM_SQUARE] = sums[place, SUM_SQUARE] + odds * (variance + ceiling[c, OFFSET] ** 2)
-        sums[place + 1, SUM_TILT] = sums[place, SUM_TILT] + odds * tilt
-    alone = _scores(floor, weights[0], shared)
+        pair = pairs[c]
+        score = add_weighted(0.0, weights.ceiling, evidence[c])
+        slope = roll_slope_of(pair, corners[2], corners[3], False)
+        variance = pair.offset_std**2
+        row = rows[place]
+        row[WEIGHT], row[OFFSET] = _odds(score + weights.bias[0].ceiling), pair.offset
+        row[VARIANCE], row[WIDTH] = variance + (roll_std * slope) ** 2, np.nan
+        for k in POSITION_TERMS:
+            score -= weights.ceiling[k] * evidence[c, k]
+        odds = _odds(score)
+        before, after = sums[place], sums[place + 1]
+        after[ODDS] = before[ODDS] + odds
+        after[MOMENT] = before[MOMENT] + odds * pair.offset
+        after[SQUARE] = before[SQUARE] + odds * (variance + pair.offset**2)
+        after[ROLL_SLOPE] = before[ROLL_SLOPE] + odds * slope
+    return sums
+
+
+@compiled
+def corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std: float) -> FloatArray:
+    """Return every pair of corners as a component (k, 4) of a mixture, see `vision.lateral.mixture`.
+
+    Their weights are odds against the hypothesis that no pair can be relied on.
+    """
+    corners, bias = picture.candidates.corners, weights.bias[0]
+    pairs = picture.floor.pair
+    n, m = len(pairs), len(picture.ceiling.pair)
+    evidence = picture.floor.evidence.view(np.float64).reshape(n, N_EVIDENCE)
+    rows = np.zeros((2 * n + m, 4))
+    order = np.argsort(picture.ceiling.pair["offset"])
+    offsets = picture.ceiling.pair["offset"][order]
+    sums = _ceiling_components(picture, weights, roll_std, order, rows)
     for f in range(n):
-        first = np.searchsorted(offsets, floor[f, OFFSET] - JOINT_WINDOW)
-        last = np.searchsorted(offsets, floor[f, OFFSET] + JOINT_WINDOW)
-        choice = biases[3] * log(float(last - first + 1))
-        tilt = tilt_of_pair(floor[f], corners, 0)
-        variance = floor[f, OFFSET_STD] ** 2
+        pair = pairs[f]
+        first = np.searchsorted(offsets, pair.offset - JOINT_WINDOW)
+        last = np.searchsorted(offsets, pair.offset + JOINT_WINDOW)
+        alone = add_weighted(bias.floor, weights.floor, evidence[f]) + bias.choice * log(last - first + 1.0)
+        slope, variance = roll_slope_of(pair, corners[0], corners[1], True), pair.offset_std**2
         single, joint = rows[m + f], rows[m + n + f]
-        single[0] = exp(min(alone[f] + biases[0] + choice, MAX_SCORE))
-        single[1], single[2], single[3] = floor[f, OFFSET], variance + (roll_std * tilt) ** 2, floor[f, WIDTH]
-        joint[:] = single
-        joint[0] = 0.0
-        odds = sums[last, SUM_ODDS] - sums[first, SUM_ODDS]
+        single[WEIGHT], single[OFFSET] = _odds(alone), pair.offset
+        single[VARIANCE], single[WIDTH] = variance + (roll_std * slope) ** 2, pair.width
+        odds = sums[last, ODDS] - sums[first, ODDS]
         if not odds > 0.0:
             continue
-        above = (sums[last, SUM_OFFSET] - sums[first, SUM_OFFSET]) / odds
-        above_variance = max(
-            (sums[last, SUM_SQUARE] - sums[first, SUM_SQUARE]) / odds - above * above, 1e-8
-        )
-        share = above_variance / (above_variance + variance)
-        joint[0] = exp(min(alone[f] + biases[0] + biases[2] + choice + log(odds), MAX_SCORE))
-        joint[1] = share * floor[f, OFFSET] + (1.0 - share) * above
-        tilt = share * tilt + (1.0 - share) * (sums[last, SUM_TILT] - sums[first, SUM_TILT]) / odds
-        joint[2] = share * variance + (roll_std * tilt) ** 2
+        offset = (sums[last, MOMENT] - sums[first, MOMENT]) / odds
+        above = max((sums[last, SQUARE] - sums[first, SQUARE]) / odds - offset * offset, MIN_VARIANCE)
+        share = above / (above + variance)
+        slope = share * slope + (1.0 - share) * (sums[last, ROLL_SLOPE] - sums[first, ROLL_SLOPE]) / odds
+        joint[WEIGHT] = _odds(alone + bias.joint + log(odds))
+        joint[OFFSET] = share * pair.offset + (1.0 - share) * offset
+        joint[VARIANCE], joint[WIDTH] = share * variance + (roll_std * slope) ** 2, pair.width
     return rows
 
 
-def geometric_mixture(
-    lines: LineSet, axis: AxisFit, R_level_camera: FloatArray, roll_std_rad: float
-) -> OffsetMixture:
-    """Return what the lines say about the lateral offset.
+def geometric_mixture(picture: PictureCorners, roll_std_rad: float) -> OffsetMixture:
+    """Return what pairs of corners say about the lateral offset.
 
     Parameters
     ----------
-    lines, axis
-        The segments and the corridor's axis among them.
-    R_level_camera
-        Rotation (3, 3) from the optical frame to the level frame.
+    picture
+        Candidates for corners and their pairs.
     roll_std_rad
         Standard deviation of the level frame's roll: it tilts left against right.
     """
-    corners, floor, ceiling = survey_lines(lines, axis, R_level_camera, MAX_CANDIDATES)
-    if not len(floor) and not len(ceiling):
+    if not len(picture.floor.pair) and not len(picture.ceiling.pair):
         return cannot_tell()
-    rows = components(floor, ceiling, corners, roll_std_rad, WEIGHTS, BIASES)
-    return mixture_of_rows(rows, 1.0, MIN_STD**2).less_sure(CANNOT_TELL)
+    rows = corner_components(picture, WEIGHTS, roll_std_rad)
+    return mixture_of_components(rows, 1.0, MIN_STD**2).less_sure(MIN_CANNOT_TELL)

@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.compiled import compiled
-
-FloatArray = npt.NDArray[np.float64]
+from vision.types import FloatArray
 
 N_BINS = 64
 """Components nearer to each other than a bin of this grid over (-1, 1) become one; so many are left at most."""
@@ -29,7 +28,8 @@ WEIGHT, OFFSET, VARIANCE, WIDTH = range(4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OffsetMixture:
-    """What one frame says about the scale-free lateral offset: a sum of Gaussians and a share that says "cannot tell".
+    """What one frame says about the scale-free lateral offset: a sum of Gaussians and a share that says "cannot
+    tell".
 
     The likelihood of the offset y in (-1, 1) is ``(1 - sum(weight)) / 2 + sum_j weight_j N(offset_norm_j; y,
     std_norm_j^2)``.
@@ -55,7 +55,8 @@ class OffsetMixture:
         return max(1.0 - float(self.weight.sum()), 0.0)
 
     def likelihood(self, offset_norm: npt.ArrayLike) -> FloatArray:
-        """Likelihood of offsets (...), any shape; 1/2 where the frame cannot tell, so that it integrates to about 1."""
+        """Likelihood of offsets (...), any shape; 1/2 where the frame cannot tell, so that it integrates to about
+        1."""
         y = np.asarray(offset_norm, dtype=float)[..., None]
         z = (y - self.offset_norm) / self.std_norm
         density = self.weight / self.std_norm * np.exp(-0.5 * z * z) / _SQRT_TWO_PI
@@ -80,8 +81,8 @@ def cannot_tell() -> OffsetMixture:
 def merge_by_bins(rows: FloatArray, bins: FloatArray) -> int:
     """Merge components (n, 4) of weight, offset, variance and width, bin by bin, keeping mean and variance.
 
-    Fills the first rows of ``bins`` (N_BINS, 4) in order of the offset and returns how many; a width of NaN counts for
-    nothing, and a component has one where most of its weight does.
+    Fills the first rows of ``bins`` (N_BINS, 4) in order of the offset and returns how many; a width of NaN counts
+    for nothing, and a component has one where most of its weight does.
     """
     n_bins = len(bins)
     square, told = np.zeros(n_bins), np.zeros(n_bins)
@@ -108,8 +109,9 @@ def merge_by_bins(rows: FloatArray, bins: FloatArray) -> int:
     return count
 
 
-def mixture_of_rows(rows: FloatArray, cannot_tell_odds: float, min_variance: float) -> OffsetMixture:
-    """Make a mixture of components (n, 4) as in `merge_by_bins`, whose weights are odds against ``cannot_tell_odds``."""
+def mixture_of_components(rows: FloatArray, cannot_tell_odds: float, min_variance: float) -> OffsetMixture:
+    """Make a mixture of components (n, 4) as in `merge_by_bins`, whose weights are odds against
+    ``cannot_tell_odds``."""
     bins = np.empty((N_BINS, 4))
     bins = bins[: merge_by_bins(rows, bins)]
     total = float(bins[:, WEIGHT].sum()) + cannot_tell_odds
@@ -121,7 +123,8 @@ def mixture_of_rows(rows: FloatArray, cannot_tell_odds: float, min_variance: flo
 
 @compiled
 def _products(first: FloatArray, second: FloatArray, slack: float, rows: FloatArray) -> float:
-    """Multiply two likelihoods given as components (n, 4), (m, 4); fill ``rows`` and return what is the same everywhere.
+    """Multiply two likelihoods given as components (n, 4), (m, 4); fill ``rows`` and return what is the same
+    everywhere.
 
     Rows and return value are weights: the integral over (-1, 1). ``slack`` is the variance that each has besides.
     """
@@ -175,13 +178,13 @@ SLACK = 0.01
 def combine(first: OffsetMixture, second: OffsetMixture) -> OffsetMixture:
     """Return what two independent kinds of evidence say together: the product of their likelihoods.
 
-    Where both are sure of one place, so is the product. Where they are sure of different places, each place is held up
-    only by the other's "cannot tell", and the probability that both are wrong counts for more: the answer is wide.
+    Where both are sure of one place, so is the product. Where they are sure of different places, each place is held
+    up only by the other's "cannot tell", and the probability that both are wrong counts for more: the answer is wide.
     """
     a, b = _rows(first), _rows(second)
     rows = np.empty((len(a) + len(b) + len(a) * len(b), 4))
     blind = _products(a, b, SLACK**2, rows)
-    return mixture_of_rows(rows, blind, 0.0)
+    return mixture_of_components(rows, blind, 0.0)
 
 
-__all__ = ["OffsetMixture", "cannot_tell", "combine", "mixture_of_rows"]
+__all__ = ["OffsetMixture", "cannot_tell", "combine", "mixture_of_components"]

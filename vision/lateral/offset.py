@@ -20,11 +20,15 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.axis.vanishing_point import AxisFit
+from vision.lateral.corner_candidates import MAX_CORNERS
 from vision.lateral.corner_pairs import PictureCorners, find_corner_pairs
+from vision.lateral.geometric import geometric_mixture
 from vision.lateral.hypotheses import WEIGHTS, OffsetEstimate, most_probable_offset, offset_hypotheses
+from vision.lateral.mixture import OffsetMixture
 from vision.lines.segments import LineSet
 from vision.types import FloatArray
 
+MAX_MIXTURE_CORNERS = 24  # in a quadrant: among bricks and tiles the corners are not among the longest
 MIN_PROBABILITY = 0.97
 MIN_WIDTH_SHARE = 0.3  # of the answer, for the floor's pair to give the width
 MIN_STD = 0.004
@@ -59,8 +63,8 @@ def fit_lateral(
     roll_std_rad: float,
     prior_offset_norm: float = nan,
     prior_offset_norm_std: float = nan,
-) -> LateralFit | None:
-    """Find the lateral offset; None where the walls do not tell.
+) -> tuple[LateralFit | None, OffsetMixture]:
+    """Find the lateral offset, and all that the lines say about it.
 
     Parameters
     ----------
@@ -71,9 +75,25 @@ def fit_lateral(
     roll_std_rad
         Standard deviation of the level frame's roll: it tilts left against right.
     prior_offset_norm, prior_offset_norm_std
-        A filter's prediction, to choose between hypotheses; NaN: none.
+        A filter's prediction, to choose between hypotheses; NaN: none. The mixture does not know of it.
+
+    Returns
+    -------
+    fit, mixture
+        The answer, None where one picture does not tell, and the mixture of every hypothesis.
     """
-    picture = find_corner_pairs(lines, axis, R_level_camera)
+    wide = find_corner_pairs(lines, axis, R_level_camera, MAX_MIXTURE_CORNERS)
+    picture = wide
+    if wide.candidates.n_candidates.max() > MAX_CORNERS:
+        picture = find_corner_pairs(lines, axis, R_level_camera)
+    fit = _most_probable_fit(picture, roll_std_rad, prior_offset_norm, prior_offset_norm_std)
+    return fit, geometric_mixture(wide, roll_std_rad)
+
+
+def _most_probable_fit(
+    picture: PictureCorners, roll_std_rad: float, prior_offset_norm: float, prior_offset_norm_std: float
+) -> LateralFit | None:
+    """Return the offset that nearly all of the probability is for; None where there is none."""
     if not len(picture.floor.pair) and not len(picture.ceiling.pair):
         return None
     hypotheses = offset_hypotheses(picture, WEIGHTS)
