@@ -44,27 +44,34 @@ narrow.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, exp, expm1, hypot, isfinite, nan, sin, sqrt
+from math import cos, exp, expm1, isfinite, nan, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from fusion.estimator.lateral_kernels import (
-    C,
     N_LATERAL,
+    C,
     S,
     V,
     Y,
-    FloatArray,
-    absorb,
     associate,
-    corrected,
-    merged,
+    correct_all,
+    merge,
     moved,
+    spawn,
 )
 from vision.lateral.mixture import OffsetMixture, combine
+from vision.types import FloatArray
 
 MAX_HYPOTHESES = 15
+MIN_WEIGHT = 1e-4
+MAX_OFFSET = 1.2  # beyond the walls
+LONGEST_GAP_S = 1.0  # between frames, from which on they count in full
+MAX_SILENCE_S = 0.1  # of the accelerometer, until which its last sample is held
+ROUGHNESS_SAMPLES = 100
+ROLL_WALK = 0.006  # rad/sqrt(s) that the attitude's roll strays
+ROLL_TIME_S = 0.3  # over which errors of the frames' verticals resemble each other
 
 
 class OffsetModel(NamedTuple):
@@ -78,6 +85,8 @@ class OffsetModel(NamedTuple):
     rough_limit: float = 0.35  # m/s/sqrt(s) of noise from which on an accelerometer is worth nothing
     velocity_std_m_s: float = 0.3  # without accelerometer
     velocity_time_s: float = 1.0
+    speed_std_m_s: float = 0.1  # of a velocity stream
+    speed_time_s: float = 0.5
     start_velocity_std_m_s: float = 0.4
     inverse_half_width: tuple[float, float] = (
         0.9,
@@ -107,10 +116,14 @@ class Path(NamedTuple):
     noise: float = 0.0
 
 
-class Roughness(NamedTuple):
-    """How much successive samples of the acceleration across the corridor differ, as a noise density squared."""
+class Acceleration(NamedTuple):
+    """The acceleration across the corridor: last sample, m/s^2, its age, and how much successive samples differ.
+
+    ``density2`` is that difference as the square of a white noise's density, (m/s)^2/s; ``n`` counts samples.
+    """
 
     last: float = nan
+    age_s: float = 0.0
     density2: float = 0.0
     n: int = 0
 
@@ -132,11 +145,9 @@ class OffsetState(NamedTuple):
     P: FloatArray
     weight: FloatArray
     path: Path = Path()
-    rough: Roughness = Roughness()
+    accel: Acceleration = Acceleration()
     roll: RollCorrection = RollCorrection()
     evidence_age_s: float = nan  # since a frame supported the likeliest hypothesis
-    frame_age_s: float = nan
-    surprise: float = 1.0  # mean normalised innovation squared of the likeliest
 
 
 class OffsetReadout(NamedTuple):
@@ -159,7 +170,7 @@ def nothing_known() -> OffsetState:
 def in_new_corridor(state: OffsetState) -> OffsetState:
     """Forget the offset and its rate; what is known of the accelerometer stays."""
     # The bias across the corridor is another one there: it is that of the tilt and of both axes.
-    return nothing_known()._replace(rough=state.rough, roll=state.roll)
+    return nothing_known()._replace(accel=state.accel, roll=state.roll)
 
 
 def levelled(
@@ -192,36 +203,38 @@ def propagate(
     force: tuple[float, float, float] | None,
     down: tuple[float, float, float],
 ) -> OffsetState:
-    """Carry the state on by ``dt_s`` with the accelerometer's sample at its end; None: there is none."""
-    path, rough = state.path, state.rough
-    t, accel_s, a1, a2, noise = path
-    age, frame_age = state.evidence_age_s + dt_s, state.frame_age_s + dt_s
-    if force is None:
-        path = Path(t + dt_s, accel_s, a1, a2 + a1 * dt_s, noise)
-        return state._replace(path=path, evidence_age_s=age, frame_age_s=frame_age)
-    forward, right = levelled(force, down, state.roll.mean)
-    a = sin(heading_rad) * forward + cos(heading_rad) * right
-    last, density2, n = rough
-    mean = a
-    if n:
-        mean = 0.5 * (a + last)
-        n = min(n + 1, 100)
-        density2 += (0.5 * (a - last) ** 2 * dt_s - density2) / n
+    """Carry the state on by ``dt_s`` with the accelerometer's sample at its end; None: there is none there."""
+    t_s, accel_s, a1, a2, noise = state.path
+    last, silent_s, density2, n = state.accel
+    age_s = state.evidence_age_s + dt_s
+    if force is not None:
+        forward, right = levelled(force, down, state.roll.mean)
+        a = sin(heading_rad) * forward + cos(heading_rad) * right
+        mean = 0.5 * (a + last) if n else a
+        if n:
+            n = min(n + 1, ROUGHNESS_SAMPLES)
+            density2 += (0.5 * (a - last) ** 2 * (silent_s + dt_s) - density2) / n
+        else:
+            n = 1
+        last, silent_s = a, 0.0
     else:
-        n = 1
-    path = Path(
-        t + dt_s,
-        accel_s + dt_s,
-        a1 + mean * dt_s,
-        a2 + (a1 + 0.5 * mean * dt_s) * dt_s,
-        noise + density2 * dt_s,
-    )
+        mean = last
+        silent_s += dt_s
+    if n and silent_s <= MAX_SILENCE_S:
+        accel_s += dt_s
+        a2 += (a1 + 0.5 * mean * dt_s) * dt_s
+        a1 += mean * dt_s
+        noise += density2 * dt_s
+    else:
+        a2 += a1 * dt_s
     return state._replace(
-        path=path, rough=Roughness(a, density2, n), evidence_age_s=age, frame_age_s=frame_age
+        path=Path(t_s + dt_s, accel_s, a1, a2, noise),
+        accel=Acceleration(last, silent_s, density2, n),
+        evidence_age_s=age_s,
     )
 
 
-def transition(path: Path, model: OffsetModel, surprise: float = 1.0) -> tuple[FloatArray, FloatArray]:
+def transition(path: Path, model: OffsetModel) -> tuple[FloatArray, FloatArray]:
     """Return F (4, 4) and Q (4, 4), the latter in metres: over s squared."""
     t = path.t_s
     F, Q = np.eye(N_LATERAL), np.zeros((N_LATERAL, N_LATERAL))
@@ -242,7 +255,6 @@ def transition(path: Path, model: OffsetModel, surprise: float = 1.0) -> tuple[F
         return F, Q
     F[Y, V], F[Y, C], F[Y, S] = t, -0.5 * t * t, path.a2
     F[V, C], F[V, S] = -t, path.a1
-    n2 *= surprise
     Q[Y, Y] = n2 * t**3 / 3 + b2 * t**5 / 20
     Q[Y, V] = Q[V, Y] = n2 * t**2 / 2 + b2 * t**4 / 8
     Q[V, V] = n2 * t + b2 * t**3 / 3
@@ -256,7 +268,7 @@ def at_path_end(state: OffsetState, model: OffsetModel) -> OffsetState:
     """Carry the hypotheses to the state's time."""
     if not state.path.t_s > 0.0:
         return state
-    F, Q = transition(state.path, model, state.surprise)
+    F, Q = transition(state.path, model)
     x, P = np.empty_like(state.x), np.empty_like(state.P)
     moved(state.x, state.P, F, Q, x, P)
     return state._replace(x=x, P=P, path=Path())
@@ -270,15 +282,27 @@ def with_roll(state: OffsetState, roll_rad: float, std_rad: float, dt_s: float) 
     return state._replace(roll=RollCorrection(mean + gain * (roll_rad - mean), (1.0 - gain) * variance))
 
 
-ROLL_WALK = 0.006  # rad/sqrt(s)
-ROLL_TIME_S = 0.3
-
-
 class Camera(NamedTuple):
     """How a frame's offset follows from the body's: side (-1: the vehicle flies against the axis), metres aside."""
 
     side: float = 1.0
     aside_m: float = 0.0
+
+
+def with_velocity(state: OffsetState, across_m_s: float, model: OffsetModel, dt_s: float) -> OffsetState:
+    """Take in the speed across the corridor, positive right, that a velocity stream tells.
+
+    Its errors last (a flow sensor's scale, an attitude's tilt), so that a sample that follows after ``dt_s`` counts
+    as a part of one.
+    """
+    state = at_path_end(state, model)
+    if not len(state.x):
+        return state
+    x, P = state.x.copy(), state.P.copy()
+    s, _ = model.inverse_half_width
+    variance = (model.speed_std_m_s * s) ** 2 / -expm1(-max(dt_s, 1e-3) / model.speed_time_s)
+    correct_all(x, P, np.array([0.0, 1.0, 0.0, -across_m_s]), 0.0, variance)
+    return state._replace(x=x, P=P)
 
 
 def update(
@@ -287,30 +311,24 @@ def update(
     """Take in what a frame says of the offset; ``dt_s`` is the time since the frame before."""
     state = at_path_end(state, model)
     if not evidence:
-        return state._replace(frame_age_s=0.0)
+        return state
     mixture = evidence[0]
     for other in evidence[1:]:
         mixture = combine(mixture, other)
     components = np.column_stack([mixture.weight, mixture.offset_norm, mixture.std_norm**2])
-    dt_s = min(dt_s, 1.0) if isfinite(dt_s) else 1.0
+    dt_s = min(dt_s, LONGEST_GAP_S) if isfinite(dt_s) else LONGEST_GAP_S
     temper = -expm1(-dt_s / model.weight_time_s)
     inflation = -1.0 / expm1(-dt_s / model.state_time_s)
     x, P, weight = state.x.copy(), state.P.copy(), state.weight.copy()
     H = np.array([camera.side, 0.0, 0.0, camera.aside_m])
-    nis = associate(x, P, weight, components, H, model.slack_norm**2, temper, inflation)
-    weight /= weight.sum()
+    belief = associate(x, P, weight, components, H, model.slack_norm**2, temper, inflation)
     forgotten = -expm1(-dt_s * model.forget_1_s) * weight[:-1]
     weight[:-1] -= forgotten
     weight[-1] += forgotten.sum()
     x, P, weight = _with_new(x, P, weight, components, camera, model, temper)
     x, P, weight = _reduced(x, P, weight, model)
-    age, surprise = state.evidence_age_s, state.surprise
-    if isfinite(nis):
-        age = 0.0
-        surprise += 0.05 * (min(nis, 9.0) - surprise)
-    return state._replace(
-        x=x, P=P, weight=weight, evidence_age_s=age, frame_age_s=0.0, surprise=max(1.0, surprise)
-    )
+    age_s = 0.0 if belief > 0.5 or not len(state.x) else state.evidence_age_s
+    return state._replace(x=x, P=P, weight=weight, evidence_age_s=age_s)
 
 
 def _with_new(
@@ -320,32 +338,24 @@ def _with_new(
     components: FloatArray,
     camera: Camera,
     model: OffsetModel,
-    temper: float,
+    share: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Let the unknown's weight move to the components, as new hypotheses where none explains them."""
+    m = len(components)
+    new_x, new_P, new_weight = np.empty((m, N_LATERAL)), np.empty((m, N_LATERAL, N_LATERAL)), np.empty(m)
     s, s_std = model.inverse_half_width
-    unknown = weight[-1] * temper
-    new_x, new_P, new_weight = [], [], []
-    for w, o, variance in components.tolist():
-        mass = unknown * w
-        weight[-1] -= mass
-        y = camera.side * (o - camera.aside_m * s)
-        variance += (camera.aside_m * s_std) ** 2 + model.slack_norm**2
-        if absorb(x, P, weight[:-1], y, variance, mass, model.near_norm):
-            continue
-        new_x.append((y, 0.0, 0.0, s))
-        new_P.append(
-            np.diag(
-                [variance, (model.start_velocity_std_m_s * s) ** 2, (model.accel_bias_std * s) ** 2, s_std**2]
-            )
-        )
-        new_weight.append(mass)
-    if not new_x:
+    v_std, c_std = model.start_velocity_std_m_s * s, model.accel_bias_std * s
+    start = np.array([model.slack_norm**2, v_std**2, c_std**2, s, s_std**2])
+    near = model.near_norm
+    n = spawn(
+        x, P, weight, components, camera.side, camera.aside_m, start, share, near, new_x, new_P, new_weight
+    )
+    if n == 0:
         return x, P, weight
     return (
-        np.concatenate([x, np.array(new_x)]),
-        np.concatenate([P, np.array(new_P)]),
-        np.concatenate([weight[:-1], new_weight, weight[-1:]]),
+        np.concatenate([x, new_x[:n]]),
+        np.concatenate([P, new_P[:n]]),
+        np.concatenate([weight[:-1], new_weight[:n], weight[-1:]]),
     )
 
 
@@ -354,21 +364,20 @@ def _reduced(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Merge what has become one and drop what hardly counts; what they held is unknown."""
     known = weight[:-1].copy()
-    known[(P[:, Y, Y] > model.lost_std_norm**2) | (np.abs(x[:, Y]) > 1.2)] = 0.0
-    order = np.argsort(-known, kind="stable")
+    known[(P[:, Y, Y] > model.lost_std_norm**2) | (np.abs(x[:, Y]) > MAX_OFFSET)] = 0.0
     keep = np.empty(len(x), np.int64)
-    keep = keep[: merged(x, P, known, order, model.near_norm, keep)]
-    keep = keep[np.argsort(-known[keep], kind="stable")][:MAX_HYPOTHESES]
-    keep = keep[known[keep] > 1e-4]
+    n = merge(x, P, known, np.argsort(-known, kind="stable"), model.near_norm, keep)
+    keep = keep[:n][np.argsort(-known[keep[:n]], kind="stable")][:MAX_HYPOTHESES]
+    keep = keep[known[keep] > MIN_WEIGHT]
     left = known[keep]
-    return x[keep], P[keep], np.append(left, max(1.0 - left.sum(), 0.0))
+    return x[keep], P[keep], np.append(left, max(1.0 - float(left.sum()), 0.0))
 
 
 def readout(state: OffsetState, model: OffsetModel) -> OffsetReadout:
     """Report the offset at the state's time."""
     if not len(state.x):
         return OffsetReadout(nan, nan, nan, nan, 0.0, False, nan)
-    F, Q = transition(state.path, model, state.surprise)
+    F, Q = transition(state.path, model)
     best = int(np.argmax(state.weight[:-1]))
     near = np.abs(state.x[:, Y] - state.x[best, Y]) < model.cluster_norm
     weight = state.weight[:-1][near]
