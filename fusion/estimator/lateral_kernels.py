@@ -94,8 +94,8 @@ def associate(
     slack: float,
     temper: float,
     inflation: float,
-) -> float:
-    """Update hypotheses and weights by a frame, in place; return how far the likeliest believes it.
+) -> tuple[float, float]:
+    """Update hypotheses and weights by a frame, in place; return the likeliest's belief in it, and its residual.
 
     ``slack`` is a variance that every component has besides. Weights come out multiplied by the likelihood to the
     power of ``temper`` and normalised.
@@ -106,7 +106,7 @@ def associate(
         blind -= evidence[j, 0]
     blind = max(blind, 0.0)
     share = np.empty(m)
-    best, best_belief = -1, 0.0
+    best, best_belief, best_residual = -1, 0.0, 0.0
     for h in range(k):
         if best < 0 or weight[h] > weight[best]:
             best = h
@@ -137,13 +137,15 @@ def associate(
             mean += b * evidence[j, 1]
             square += b * evidence[j, 1] ** 2
             variance += b * evidence[j, 2]
+        if h == best:
+            best_residual = mean - expected
         variance += slack + max(square - mean * mean, 0.0)
         corrected(x[h], P[h], H, mean - expected, variance * inflation / belief)
     weight[k] *= 0.5**temper
     total += weight[k]
     for h in range(k + 1):
         weight[h] /= total
-    return best_belief
+    return best_belief, best_residual
 
 
 @compiled

@@ -66,8 +66,10 @@ from vision.types import FloatArray
 
 MAX_HYPOTHESES = 15
 MIN_WEIGHT = 1e-4
+MAX_SCATTER = 0.1
 MAX_OFFSET = 1.2  # beyond the walls
-LONGEST_GAP_S = 1.0  # between frames, from which on they count in full
+FIRST_FRAME_S = 0.05  # as if that long after another: one frame alone is not to be relied on
+SUPPORTED = 0.5  # belief in a frame from which on it confirms the likeliest hypothesis
 MAX_SILENCE_S = 0.1  # of the accelerometer, until which its last sample is held
 ROUGHNESS_SAMPLES = 100
 ROLL_WALK = 0.006  # rad/sqrt(s) that the attitude's roll strays
@@ -85,8 +87,6 @@ class OffsetModel(NamedTuple):
     rough_limit: float = 0.35  # m/s/sqrt(s) of noise from which on an accelerometer is worth nothing
     velocity_std_m_s: float = 0.3  # without accelerometer
     velocity_time_s: float = 1.0
-    speed_std_m_s: float = 0.1  # of a velocity stream
-    speed_time_s: float = 0.5
     start_velocity_std_m_s: float = 0.4
     inverse_half_width: tuple[float, float] = (
         0.9,
@@ -96,6 +96,8 @@ class OffsetModel(NamedTuple):
     state_time_s: float = 0.5
     forget_1_s: float = 0.03
     slack_norm: float = 0.02
+    scatter_time_s: float = 2.0
+    least_scatter: float = 0.008
     near_norm: float = 0.05  # hypotheses nearer than this are one
     cluster_norm: float = 0.1
     known_probability: float = 0.9
@@ -147,6 +149,7 @@ class OffsetState(NamedTuple):
     path: Path = Path()
     accel: Acceleration = Acceleration()
     roll: RollCorrection = RollCorrection()
+    scatter2: float = 0.02**2
     evidence_age_s: float = nan  # since a frame supported the likeliest hypothesis
 
 
@@ -234,8 +237,8 @@ def propagate(
     )
 
 
-def transition(path: Path, model: OffsetModel) -> tuple[FloatArray, FloatArray]:
-    """Return F (4, 4) and Q (4, 4), the latter in metres: over s squared."""
+def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tuple[FloatArray, FloatArray]:
+    """Return F (4, 4) and Q (4, 4), the latter in metres: over s squared; ``backward``, those that lead back."""
     t = path.t_s
     F, Q = np.eye(N_LATERAL), np.zeros((N_LATERAL, N_LATERAL))
     if not t > 0.0:
@@ -252,6 +255,8 @@ def transition(path: Path, model: OffsetModel) -> tuple[FloatArray, FloatArray]:
         Q[Y, V] = Q[V, Y] = std**2 * tau * fall * fall
         Q[V, V] = -(std**2) * expm1(-2 * x)
         Q[C, C] = b2 * t
+        if backward:  # a stationary process is the same in either direction
+            F[Y, V], Q[Y, V], Q[V, Y] = -F[Y, V], -Q[Y, V], -Q[V, Y]
         return F, Q
     F[Y, V], F[Y, C], F[Y, S] = t, -0.5 * t * t, path.a2
     F[V, C], F[V, S] = -t, path.a1
@@ -261,17 +266,25 @@ def transition(path: Path, model: OffsetModel) -> tuple[FloatArray, FloatArray]:
     Q[Y, C] = Q[C, Y] = -b2 * t**3 / 6
     Q[V, C] = Q[C, V] = -b2 * t**2 / 2
     Q[C, C] = b2 * t
+    if backward:
+        F = np.linalg.inv(F)
+        Q = F @ Q @ F.T
     return F, Q
+
+
+def along_path(state: OffsetState, path: Path, model: OffsetModel, *, backward: bool = False) -> OffsetState:
+    """Carry the hypotheses along a path, or back along it."""
+    if not path.t_s > 0.0 or not len(state.x):
+        return state
+    F, Q = transition(path, model, backward=backward)
+    x, P = np.empty_like(state.x), np.empty_like(state.P)
+    moved(state.x, state.P, F, Q, x, P)
+    return state._replace(x=x, P=P)
 
 
 def at_path_end(state: OffsetState, model: OffsetModel) -> OffsetState:
     """Carry the hypotheses to the state's time."""
-    if not state.path.t_s > 0.0:
-        return state
-    F, Q = transition(state.path, model)
-    x, P = np.empty_like(state.x), np.empty_like(state.P)
-    moved(state.x, state.P, F, Q, x, P)
-    return state._replace(x=x, P=P, path=Path())
+    return along_path(state, state.path, model)._replace(path=Path())
 
 
 def with_roll(state: OffsetState, roll_rad: float, std_rad: float, dt_s: float) -> OffsetState:
@@ -282,74 +295,107 @@ def with_roll(state: OffsetState, roll_rad: float, std_rad: float, dt_s: float) 
     return state._replace(roll=RollCorrection(mean + gain * (roll_rad - mean), (1.0 - gain) * variance))
 
 
-class Camera(NamedTuple):
-    """How a frame's offset follows from the body's: side (-1: the vehicle flies against the axis), metres aside."""
+class FrameEvidence(NamedTuple):
+    """What a frame says of the offset.
 
+    Parameters
+    ----------
+    components
+        Rows (m, 3) of weight, offset of the camera and variance, half widths; the rest of the weight: it cannot tell.
+    dt_s
+        Time since the frame before, which says how much of it is new.
+    side
+        1, or -1 where the vehicle flies against the axis and right is left.
+    aside_m
+        How far the camera is right of the body's centre, across the corridor as it faces.
+    """
+
+    components: FloatArray
+    dt_s: float
     side: float = 1.0
     aside_m: float = 0.0
 
 
-def with_velocity(state: OffsetState, across_m_s: float, model: OffsetModel, dt_s: float) -> OffsetState:
-    """Take in the speed across the corridor, positive right, that a velocity stream tells.
+def frame_evidence(
+    mixtures: Sequence[OffsetMixture], dt_s: float, heading_rad: float, camera_arm_m: tuple[float, float]
+) -> FrameEvidence:
+    """Combine what one frame says by several kinds of evidence.
 
-    Its errors last (a flow sensor's scale, an attitude's tilt), so that a sample that follows after ``dt_s`` counts
-    as a part of one.
+    Parameters
+    ----------
+    mixtures
+        At least one.
+    dt_s
+        Time since the frame before; NaN for the first.
+    heading_rad
+        The vehicle's, from the corridor's axis, in all directions.
+    camera_arm_m
+        How far the camera sits ahead and right of the body's centre.
     """
-    state = at_path_end(state, model)
+    mixture = mixtures[0]
+    for other in mixtures[1:]:
+        mixture = combine(mixture, other)
+    side = 1.0 if cos(heading_rad) >= 0.0 else -1.0
+    ahead_m, right_m = camera_arm_m
+    aside_m = side * (ahead_m * sin(heading_rad) + right_m * cos(heading_rad))
+    components = np.column_stack([mixture.weight, mixture.offset_norm, mixture.std_norm**2])
+    return FrameEvidence(components, dt_s if isfinite(dt_s) else FIRST_FRAME_S, side, aside_m)
+
+
+def with_speed(state: OffsetState, across_m_s: float, variance: float) -> OffsetState:
+    """Take in a speed across the corridor, positive right, with its variance, (m/s)^2."""
     if not len(state.x):
         return state
     x, P = state.x.copy(), state.P.copy()
-    s, _ = model.inverse_half_width
-    variance = (model.speed_std_m_s * s) ** 2 / -expm1(-max(dt_s, 1e-3) / model.speed_time_s)
-    correct_all(x, P, np.array([0.0, 1.0, 0.0, -across_m_s]), 0.0, variance)
+    H = np.array([0.0, 1.0, 0.0, -across_m_s])
+    correct_all(x, P, H, 0.0, variance * float(np.mean(x[:, S])) ** 2)
     return state._replace(x=x, P=P)
 
 
-def update(
-    state: OffsetState, evidence: Sequence[OffsetMixture], camera: Camera, model: OffsetModel, dt_s: float
-) -> OffsetState:
-    """Take in what a frame says of the offset; ``dt_s`` is the time since the frame before."""
-    state = at_path_end(state, model)
-    if not evidence:
-        return state
-    mixture = evidence[0]
-    for other in evidence[1:]:
-        mixture = combine(mixture, other)
-    components = np.column_stack([mixture.weight, mixture.offset_norm, mixture.std_norm**2])
-    dt_s = min(dt_s, LONGEST_GAP_S) if isfinite(dt_s) else LONGEST_GAP_S
+def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> OffsetState:
+    """Take in what a frame says, at the hypotheses' time."""
+    components, dt_s, side, aside_m = frame
     temper = -expm1(-dt_s / model.weight_time_s)
     inflation = -1.0 / expm1(-dt_s / model.state_time_s)
     x, P, weight = state.x.copy(), state.P.copy(), state.weight.copy()
-    H = np.array([camera.side, 0.0, 0.0, camera.aside_m])
-    belief = associate(x, P, weight, components, H, model.slack_norm**2, temper, inflation)
+    H = np.array([side, 0.0, 0.0, aside_m])
+    belief, residual = associate(x, P, weight, components, H, state.scatter2, temper, inflation)
     forgotten = -expm1(-dt_s * model.forget_1_s) * weight[:-1]
     weight[:-1] -= forgotten
     weight[-1] += forgotten.sum()
-    x, P, weight = _with_new(x, P, weight, components, camera, model, temper)
+    x, P, weight = _with_new(x, P, weight, frame, model, temper)
     x, P, weight = _reduced(x, P, weight, model)
-    age_s = 0.0 if belief > 0.5 or not len(state.x) else state.evidence_age_s
-    return state._replace(x=x, P=P, weight=weight, evidence_age_s=age_s)
+    age_s = 0.0 if belief > SUPPORTED or not len(state.x) else state.evidence_age_s
+    scatter2 = state.scatter2
+    if belief > SUPPORTED:
+        gain = -expm1(-dt_s / model.scatter_time_s)
+        scatter2 += gain * (min(residual**2, MAX_SCATTER**2) - scatter2)
+        scatter2 = max(scatter2, model.least_scatter**2)
+    return state._replace(x=x, P=P, weight=weight, evidence_age_s=age_s, scatter2=scatter2)
+
+
+def update(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> OffsetState:
+    """Take in what a frame at the state's time says."""
+    return with_evidence(at_path_end(state, model), frame, model)
 
 
 def _with_new(
     x: FloatArray,
     P: FloatArray,
     weight: FloatArray,
-    components: FloatArray,
-    camera: Camera,
+    frame: FrameEvidence,
     model: OffsetModel,
     share: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Let the unknown's weight move to the components, as new hypotheses where none explains them."""
+    components, _, side, aside_m = frame
     m = len(components)
     new_x, new_P, new_weight = np.empty((m, N_LATERAL)), np.empty((m, N_LATERAL, N_LATERAL)), np.empty(m)
     s, s_std = model.inverse_half_width
     v_std, c_std = model.start_velocity_std_m_s * s, model.accel_bias_std * s
     start = np.array([model.slack_norm**2, v_std**2, c_std**2, s, s_std**2])
     near = model.near_norm
-    n = spawn(
-        x, P, weight, components, camera.side, camera.aside_m, start, share, near, new_x, new_P, new_weight
-    )
+    n = spawn(x, P, weight, components, side, aside_m, start, share, near, new_x, new_P, new_weight)
     if n == 0:
         return x, P, weight
     return (
@@ -375,23 +421,34 @@ def _reduced(
 
 def readout(state: OffsetState, model: OffsetModel) -> OffsetReadout:
     """Report the offset at the state's time."""
-    if not len(state.x):
+    now = along_path(state, state.path, model)
+    return summary(now.x, now.P, now.weight[:-1], now.evidence_age_s, model)
+
+
+def summary(
+    mean: FloatArray, cov: FloatArray, weight: FloatArray, evidence_age_s: float, model: OffsetModel
+) -> OffsetReadout:
+    """Report the sum of the hypotheses about the likeliest.
+
+    Parameters
+    ----------
+    mean, cov
+        Of y and v, and what may follow: (k, 2 or more) and (k, 2 or more, 2 or more).
+    weight
+        (k,), with what is unknown left out.
+    evidence_age_s
+        Reported as it is.
+    model
+        Says what is near, and when an offset is known.
+    """
+    if not len(mean):
         return OffsetReadout(nan, nan, nan, nan, 0.0, False, nan)
-    F, Q = transition(state.path, model)
-    best = int(np.argmax(state.weight[:-1]))
-    near = np.abs(state.x[:, Y] - state.x[best, Y]) < model.cluster_norm
-    weight = state.weight[:-1][near]
-    probability = float(weight.sum())
-    x, P = state.x[near], state.P[near]
-    x_out, P_out = np.empty_like(x), np.empty_like(P)
-    moved(x, P, F, Q, x_out, P_out)
-    share = weight / probability
-    mean = share @ x_out
-    apart = x_out - mean
-    y_var = float(share @ (P_out[:, Y, Y] + apart[:, Y] ** 2))
-    v_var = float(share @ (P_out[:, V, V] + apart[:, V] ** 2))
-    std = sqrt(y_var)
-    known = probability > model.known_probability and std < model.known_std_norm
-    return OffsetReadout(
-        float(mean[Y]), std, float(mean[V]), sqrt(v_var), probability, known, state.evidence_age_s
-    )
+    best = int(np.argmax(weight))
+    near = np.abs(mean[:, Y] - mean[best, Y]) < model.cluster_norm
+    probability = float(weight[near].sum())
+    share = weight[near] / probability
+    middle = share @ mean[near]
+    apart = mean[near] - middle
+    y_std, v_std = (sqrt(float(share @ (cov[near, i, i] + apart[:, i] ** 2))) for i in (Y, V))
+    known = probability > model.known_probability and y_std < model.known_std_norm
+    return OffsetReadout(float(middle[Y]), y_std, float(middle[V]), v_std, probability, known, evidence_age_s)
