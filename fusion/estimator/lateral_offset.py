@@ -44,7 +44,7 @@ narrow.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, exp, expm1, isfinite, nan, sin, sqrt
+from math import cos, erf, exp, expm1, isfinite, nan, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -83,8 +83,8 @@ class OffsetModel(NamedTuple):
         0.08  # m/s/sqrt(s), beyond what the accelerometer itself shows: tilt that comes and goes
     )
     accel_bias_std: float = 0.12  # m/s^2
-    accel_bias_walk: float = 0.05  # m/s^2/sqrt(s): the attitude's slow errors
-    rough_limit: float = 0.35  # m/s/sqrt(s) of noise from which on an accelerometer is worth nothing
+    accel_bias_walk: float = 0.1  # m/s^2/sqrt(s): the attitude's slow errors
+    rough_limit: float = 0.17  # m/s/sqrt(s) of noise from which on an accelerometer is worth nothing
     velocity_std_m_s: float = 0.3  # without accelerometer
     velocity_time_s: float = 1.0
     start_velocity_std_m_s: float = 0.4
@@ -92,14 +92,14 @@ class OffsetModel(NamedTuple):
         0.9,
         0.3,
     )  # 1/m, mean and standard deviation where it is not told
-    weight_time_s: float = 0.15
-    state_time_s: float = 0.5
-    forget_1_s: float = 0.03
+    weight_time_s: float = 0.45
+    state_time_s: float = 0.2
+    forget_1_s: float = 0.3
     slack_norm: float = 0.02
-    scatter_time_s: float = 2.0
+    scatter_time_s: float = 0.7
     least_scatter: float = 0.008
     near_norm: float = 0.05  # hypotheses nearer than this are one
-    cluster_norm: float = 0.1
+    tolerance_norm: float = 0.1
     known_probability: float = 0.9
     known_std_norm: float = 0.12
     lost_std_norm: float = 0.5
@@ -444,11 +444,15 @@ def summary(
     if not len(mean):
         return OffsetReadout(nan, nan, nan, nan, 0.0, False, nan)
     best = int(np.argmax(weight))
-    near = np.abs(mean[:, Y] - mean[best, Y]) < model.cluster_norm
-    probability = float(weight[near].sum())
-    share = weight[near] / probability
+    near = np.abs(mean[:, Y] - mean[best, Y]) < model.tolerance_norm
+    share = weight[near] / weight[near].sum()
     middle = share @ mean[near]
     apart = mean[near] - middle
     y_std, v_std = (sqrt(float(share @ (cov[near, i, i] + apart[:, i] ** 2))) for i in (Y, V))
+    probability = 0.0
+    for w, y, variance in zip(weight.tolist(), mean[:, Y].tolist(), cov[:, Y, Y].tolist(), strict=True):
+        scale = sqrt(2.0 * variance)
+        above, below = middle[Y] + model.tolerance_norm - y, middle[Y] - model.tolerance_norm - y
+        probability += 0.5 * w * (erf(above / scale) - erf(below / scale))
     known = probability > model.known_probability and y_std < model.known_std_norm
     return OffsetReadout(float(middle[Y]), y_std, float(middle[V]), v_std, probability, known, evidence_age_s)

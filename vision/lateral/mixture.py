@@ -122,7 +122,9 @@ def mixture_of_components(rows: FloatArray, cannot_tell_odds: float, min_varianc
 
 
 @compiled
-def _products(first: FloatArray, second: FloatArray, slack: float, rows: FloatArray) -> float:
+def _products(
+    first: FloatArray, second: FloatArray, slack: float, both_blind: float, rows: FloatArray
+) -> float:
     """Multiply two likelihoods given as components (n, 4), (m, 4); fill ``rows`` and return what is the same
     everywhere.
 
@@ -159,10 +161,9 @@ def _products(first: FloatArray, second: FloatArray, slack: float, rows: FloatAr
             row[OFFSET] = (b * first[i, OFFSET] + a * second[j, OFFSET]) / (a + b)
             row[VARIANCE] = a * b / (a + b)
             row[WIDTH] = first[i, WIDTH] if isfinite(first[i, WIDTH]) else second[j, WIDTH]
-    both = BOTH_BLIND + (1.0 - BOTH_BLIND) * blind_first * blind_second
     for k in range(count):
-        rows[k, WEIGHT] *= 1.0 - BOTH_BLIND
-    return 0.5 * both
+        rows[k, WEIGHT] *= 1.0 - both_blind
+    return 0.5 * (both_blind + (1.0 - both_blind) * blind_first * blind_second)
 
 
 def _rows(mixture: OffsetMixture) -> FloatArray:
@@ -171,7 +172,7 @@ def _rows(mixture: OffsetMixture) -> FloatArray:
     )
 
 
-SLACK = 0.01
+SLACK = 0.005
 """Standard deviation by which two kinds of evidence may differ that see the same corner."""
 
 
@@ -183,7 +184,7 @@ def combine(first: OffsetMixture, second: OffsetMixture) -> OffsetMixture:
     """
     a, b = _rows(first), _rows(second)
     rows = np.empty((len(a) + len(b) + len(a) * len(b), 4))
-    blind = _products(a, b, SLACK**2, rows)
+    blind = _products(a, b, SLACK**2, BOTH_BLIND, rows)
     return mixture_of_components(rows, blind, 0.0)
 
 
