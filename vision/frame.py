@@ -22,7 +22,9 @@ from vision.axis.vote import VERTICAL_SINE
 from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.images import to_grey
+from vision.lateral.learned import learned_mixture
 from vision.lateral.offset import fit_lateral
+from vision.lateral.polar import corridor_frame
 from vision.lines.segments import LineSet, extract_lines, is_distorted
 from vision.measurement import (
     Attitude,
@@ -60,6 +62,8 @@ def measure_frame(
     attitude: Attitude | npt.ArrayLike | None = None,
     prior: Prior | None = None,
     method: Method = "geometric",
+    *,
+    lateral: bool = True,
 ) -> FrameMeasurement:
     """Measure heading and lateral offset in one picture of a corridor.
 
@@ -76,6 +80,8 @@ def measure_frame(
         What a filter predicts; chooses between hypotheses, and is not averaged in.
     method
         ``geometric``, or ``paper``: the article's chain, which uses neither attitude nor prior.
+    lateral
+        Whether to look for the lateral offset; without it the heading comes sooner.
 
     Raises
     ------
@@ -87,7 +93,7 @@ def measure_frame(
     grey = to_grey(image)
     if method == "paper":
         return measure_paper(grey, camera)
-    return measure_lines(extract_lines(grey, camera), camera, attitude, prior)
+    return measure_lines(extract_lines(grey, camera), camera, attitude, prior, lateral=lateral)
 
 
 def measure_lines(
@@ -95,6 +101,8 @@ def measure_lines(
     camera: Camera,
     attitude: Attitude | npt.ArrayLike | None = None,
     prior: Prior | None = None,
+    *,
+    lateral: bool = True,
 ) -> FrameMeasurement:
     """Measure heading and lateral offset from the lines of a picture; parameters as in `measure_frame`."""
     started = time.perf_counter()
@@ -122,6 +130,8 @@ def measure_lines(
         found = _describe(fit, lines, camera, level, prior)
         reason = _judge(found, fit, camera, prior, elevation_std_rad)
         found = replace(found, accepted=reason is Reason.OK, reason=reason)
+        if lateral:
+            found = _with_lateral(found, fit, lines, camera, level, prior)
     return replace(found, vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started))
 
 
@@ -146,7 +156,7 @@ def warm_up(camera: Camera) -> None:
 def _describe(fit: AxisFit, lines: LineSet, camera: Camera, level: Level, prior: Prior) -> FrameMeasurement:
     """Turn an axis into the numbers and drawings of a measurement, not yet judged."""
     vp, vp_cov = _vanishing_point(fit, camera, level.R_level_camera)
-    found = FrameMeasurement(
+    return FrameMeasurement(
         accepted=False,
         reason=Reason.UNCERTAIN,
         n_lines=len(lines),
@@ -164,8 +174,16 @@ def _describe(fit: AxisFit, lines: LineSet, camera: Camera, level: Level, prior:
         ),
         lines_px=_in_picture(lines.ends_px, camera),
         line_class=_classify(fit, lines, level.R_level_camera),
+        roll_correction_rad=level.roll_correction_rad,
+        roll_correction_std_rad=level.roll_correction_std_rad,
     )
-    lateral = fit_lateral(
+
+
+def _with_lateral(
+    found: FrameMeasurement, fit: AxisFit, lines: LineSet, camera: Camera, level: Level, prior: Prior
+) -> FrameMeasurement:
+    """Add what the lines say about the lateral offset."""
+    answer, mixture = fit_lateral(
         lines,
         fit,
         level.R_level_camera,
@@ -173,15 +191,20 @@ def _describe(fit: AxisFit, lines: LineSet, camera: Camera, level: Level, prior:
         prior.lateral_offset_norm,
         prior.lateral_offset_norm_std,
     )
-    if lateral is None:
+    evidence = [mixture]
+    if found.accepted and lines.picture is not None:
+        R_corridor_camera = corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad)
+        evidence.append(learned_mixture(lines.picture, camera, R_corridor_camera))
+    found = replace(found, offset_evidence=tuple(evidence))
+    if answer is None:
         return found
     return replace(
         found,
-        lateral_offset_norm=lateral.offset_norm,
-        lateral_offset_norm_std=lateral.offset_norm_std,
-        width_per_height=lateral.width_per_height,
-        position=position_from_offset(lateral.offset_norm),
-        wall_lines_px=_in_picture(lines.ends_px[lateral.wall_lines], camera),
+        lateral_offset_norm=answer.offset_norm,
+        lateral_offset_norm_std=answer.offset_norm_std,
+        width_per_height=answer.width_per_height,
+        position=position_from_offset(answer.offset_norm),
+        wall_lines_px=_in_picture(lines.ends_px[answer.wall_lines], camera),
     )
 
 

@@ -15,11 +15,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
 from math import asin, atan2, cos, nan, radians, sin
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from vision.errors import InputError
+
+if TYPE_CHECKING:
+    from vision.lateral.mixture import OffsetMixture
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -162,6 +166,11 @@ class FrameMeasurement:
         they were dropped to save memory.
     wall_lines_px
         Lines (k, 4) where walls meet floor or ceiling, as used for the lateral offset; None like `lines_px`.
+    offset_evidence
+        All that the picture says about the lateral offset, by each kind of evidence, for a filter to accumulate. It
+        does not know of any prediction.
+    roll_correction_rad, roll_correction_std_rad
+        What the picture's vertical lines alone add to the attitude's roll; NaN where no line tells.
     """
 
     accepted: bool
@@ -185,10 +194,13 @@ class FrameMeasurement:
     lines_px: npt.NDArray[np.float32] | None = field(default=None, repr=False)
     line_class: npt.NDArray[np.int8] | None = field(default=None, repr=False)
     wall_lines_px: npt.NDArray[np.float32] | None = field(default=None, repr=False)
+    offset_evidence: tuple[OffsetMixture, ...] = field(default=(), repr=False)
+    roll_correction_rad: float = nan
+    roll_correction_std_rad: float = nan
 
     def without_lines(self) -> FrameMeasurement:
         """Return a copy that holds no arrays, for keeping a long flight in memory."""
-        return replace(self, lines_px=None, line_class=None, wall_lines_px=None)
+        return replace(self, lines_px=None, line_class=None, wall_lines_px=None, offset_evidence=())
 
 
 def position_from_offset(lateral_offset_norm: float, dead_band_norm: float = 0.1) -> Position | None:

@@ -192,7 +192,7 @@ def collect(flight: Flight, camera: Camera, chosen: IntArray, origin_ns: int, pr
     lines, kept = [], []
     for done, index in enumerate(chosen.tolist(), start=1):
         try:
-            lines.append(extract_lines(flight.frames.read(index), camera))
+            lines.append(extract_lines(flight.frames.read(index), camera, keep_picture=False))
             kept.append(index)
         except InputError:
             pass

@@ -112,7 +112,9 @@ def estimate_field_of_view(images: Iterable[npt.NDArray[Any]]) -> FieldOfView:
         raise InputError("there are no pictures to find the field of view from", remedy="give at least one")
     first = to_grey(first)
     camera = _nominal_camera(first.shape[1], first.shape[0])
-    return field_of_view_of_lines((extract_lines(image, camera) for image in chain([first], rest)), camera)
+    return field_of_view_of_lines(
+        (extract_lines(image, camera, keep_picture=False) for image in chain([first], rest)), camera
+    )
 
 
 def field_of_view_of_lines(line_sets: Iterable[LineSet], camera: Camera) -> FieldOfView:

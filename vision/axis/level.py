@@ -9,7 +9,7 @@ width) and the heading welcomes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan, radians, sqrt
+from math import atan, nan, radians, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,7 @@ UPRIGHT = 0.7  # at least this much of a line's direction is along the given ver
 GRID_FROM_STD_RAD = radians(2.0)  # below this the prior is good enough to start from
 PLUMB_STD_RAD = radians(0.15)  # door posts are upright to about this
 CUT_SIGMA = 3.0
+MAX_ROLL_VARIANCE_SHARE = 0.8  # left of the given variance, for the vertical lines to tell anything
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,12 +42,17 @@ class Level:
         Standard deviations of what is left, about the level frame's x and y axes.
     pitch_correction_rad
         Elevation by which the picture's level lies above the given attitude's.
+    roll_correction_rad, roll_correction_std_rad
+        What the vertical lines alone, without the given attitude's standard deviation, add to its roll; NaN where
+        they tell little.
     """
 
     R_level_camera: FloatArray
     roll_std_rad: float
     pitch_std_rad: float
     pitch_correction_rad: float
+    roll_correction_rad: float
+    roll_correction_std_rad: float
 
 
 @compiled
@@ -173,9 +179,16 @@ def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: fl
     R_new_old = np.array(
         [[fx, fy, fz], [dy * fz - dz * fy, dz * fx - dx * fz, dx * fy - dy * fx], [dx, dy, dz]]
     )
+    roll_variance, given = h_pitch / determinant, std_rad * std_rad
+    alone_rad = alone_variance = nan
+    if roll_variance < MAX_ROLL_VARIANCE_SHARE * given:
+        alone_variance = roll_variance * given / (given - roll_variance)
+        alone_rad = atan(b * alone_variance / roll_variance)
     return Level(
         R_level_camera=R_new_old @ R_level_camera,
-        roll_std_rad=sqrt(h_pitch / determinant),
+        roll_std_rad=sqrt(roll_variance),
         pitch_std_rad=sqrt(h_roll / determinant),
         pitch_correction_rad=atan(a),
+        roll_correction_rad=alone_rad,
+        roll_correction_std_rad=sqrt(alone_variance),
     )

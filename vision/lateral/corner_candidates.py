@@ -60,7 +60,7 @@ class CornerCandidates(NamedTuple):
     Parameters
     ----------
     corners
-        Array (4, MAX_CORNERS) of `CORNER`, a row per quadrant.
+        Array (4, n) of `CORNER`, a row per quadrant.
     n_candidates
         How many candidates each row holds (4,).
     """
@@ -99,7 +99,7 @@ def group_by_angle(lines: RecordArray, quadrant: int, corners: RecordArray) -> i
     quadrant
         Only its lines count.
     corners
-        Array (MAX_CORNERS,) of `CORNER`, zeros; filled with the candidates.
+        Array (n,) of `CORNER`, zeros; filled with the candidates, n at most.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def group_by_angle(lines: RecordArray, quadrant: int, corners: RecordArray) -> i
     """
     count = 0
     taken = np.zeros(len(lines), np.bool_)
-    while count < MAX_CORNERS:
+    while count < len(corners):
         longest = -1
         for i in range(len(lines)):
             free = lines[i].quadrant == quadrant and not taken[i]
@@ -211,9 +211,9 @@ def gather_evidence(corners: RecordArray, quadrant: int, lines: SortedLines) -> 
 
 
 @compiled
-def find_corner_candidates(lines: SortedLines) -> CornerCandidates:
-    """Find the candidates for the four corners among a picture's lines."""
-    corners = np.zeros((4, MAX_CORNERS), CORNER)
+def find_corner_candidates(lines: SortedLines, max_corners: int) -> CornerCandidates:
+    """Find the candidates for the four corners among a picture's lines, at most ``max_corners`` in a quadrant."""
+    corners = np.zeros((4, max_corners), CORNER)
     count = np.empty(4, np.int64)
     for q in range(4):
         count[q] = group_by_angle(lines.corridor, q, corners[q])

@@ -137,7 +137,8 @@ def _fill_evidence(row: Record, left: Record, right: Record) -> None:
 @compiled
 def _pair_up(left: RecordArray, right: RecordArray, max_width: float, typical_width: float) -> CornerPairs:
     """Pair every left with every right candidate, as far as the corridor's width is possible."""
-    pairs, evidence = np.empty(MAX_CORNERS**2, PAIR), np.empty(MAX_CORNERS**2, EVIDENCE)
+    size = len(left) * len(right)
+    pairs, evidence = np.empty(size, PAIR), np.empty(size, EVIDENCE)
     count = 0
     for i in range(len(left)):
         for j in range(len(right)):
@@ -210,7 +211,11 @@ def pair_corners(candidates: CornerCandidates) -> tuple[CornerPairs, CornerPairs
 
 @compiled
 def corners_of_arrays(
-    lines: PictureLines, R_axis_camera: FloatArray, down: FloatArray, diagonal_px: float
+    lines: PictureLines,
+    R_axis_camera: FloatArray,
+    down: FloatArray,
+    diagonal_px: float,
+    max_corners: int,
 ) -> PictureCorners:
     """Find the pairs of lines that may be the corridor's corners, for compiled callers.
 
@@ -218,8 +223,12 @@ def corners_of_arrays(
     ----------
     lines, R_axis_camera, down, diagonal_px
         As `arrays_of` gives them and `vision.lateral.line_directions.sort_by_direction` takes them.
+    max_corners
+        How many candidates to consider in a quadrant; lines are taken longest first.
     """
-    candidates = find_corner_candidates(sort_by_direction(lines, R_axis_camera, down, diagonal_px))
+    candidates = find_corner_candidates(
+        sort_by_direction(lines, R_axis_camera, down, diagonal_px), max_corners
+    )
     floor, ceiling = pair_corners(candidates)
     return PictureCorners(candidates, floor, ceiling)
 
@@ -254,4 +263,4 @@ def find_corner_pairs(lines: LineSet, axis: AxisFit, R_level_camera: FloatArray)
     R_level_camera
         Rotation (3, 3) from the optical frame to the level frame.
     """
-    return corners_of_arrays(*arrays_of(lines, axis, R_level_camera))
+    return corners_of_arrays(*arrays_of(lines, axis, R_level_camera), MAX_CORNERS)

@@ -128,7 +128,7 @@ class OffsetEstimate(NamedTuple):
 
 
 @compiled
-def _roll_slope(pair: Record, left: Record, right: Record, floor: bool) -> float:
+def roll_slope_of(pair: Record, left: Record, right: Record, floor: bool) -> float:
     """Return the derivative of a pair's offset with respect to roll, per radian."""
     tl, tr = left[pair.left].slope, right[pair.right].slope
     slope: float = 2.0 * (tl * (1.0 + tr * tr) + tr * (1.0 + tl * tl)) / (tl + tr) ** 2
@@ -136,7 +136,8 @@ def _roll_slope(pair: Record, left: Record, right: Record, floor: bool) -> float
 
 
 @compiled
-def _add_weighted(start: float, weights: FloatArray, evidence: FloatArray) -> float:
+def add_weighted(start: float, weights: FloatArray, evidence: FloatArray) -> float:
+    """Return ``start`` plus the weighted sum of a pair's evidence."""
     for k in range(N_EVIDENCE):
         start += weights[k] * evidence[k]
     return start
@@ -161,8 +162,8 @@ def offset_hypotheses(picture: PictureCorners, weights: OffsetWeights) -> Record
     score, slope = np.zeros(m), np.empty(m)
     count = 0
     for c in range(m):
-        score[c] = _add_weighted(0.0, weights.ceiling, ceiling_evidence[c])
-        slope[c] = _roll_slope(ceiling[c], corners[2], corners[3], False)
+        score[c] = add_weighted(0.0, weights.ceiling, ceiling_evidence[c])
+        slope[c] = roll_slope_of(ceiling[c], corners[2], corners[3], False)
         row = rows[count]
         count += 1
         row.offset, row.offset_std, row.roll_slope = ceiling[c].offset, ceiling[c].offset_std, slope[c]
@@ -171,8 +172,8 @@ def offset_hypotheses(picture: PictureCorners, weights: OffsetWeights) -> Record
             score[c] -= weights.ceiling[k] * ceiling_evidence[c, k]
     for f in range(n):
         pair = floor[f]
-        alone = _add_weighted(bias.floor, weights.floor, floor_evidence[f])
-        floor_slope = _roll_slope(pair, corners[0], corners[1], True)
+        alone = add_weighted(bias.floor, weights.floor, floor_evidence[f])
+        floor_slope = roll_slope_of(pair, corners[0], corners[1], True)
         first = count
         row = rows[count]
         count += 1

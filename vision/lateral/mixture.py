@@ -1,18 +1,34 @@
-"""What one frame says about the lateral offset, as a sum of Gaussians."""
+"""What one frame says about the lateral offset, as a sum of Gaussians.
+
+A frame seldom leaves one answer: of every pair of lines that could be the corners one offset follows, and a picture
+may show no corner at all. A mixture keeps all of it, so that a filter can let time and motion decide.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import exp, isfinite, pi, sqrt
 
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from vision.compiled import compiled
+from vision.types import FloatArray
+
+N_BINS = 64
+"""Components nearer to each other than a bin of this grid over (-1, 1) become one; so many are left at most."""
+
+BOTH_BLIND = 0.05  # probability that a picture leads both kinds of evidence astray
+MIN_WEIGHT = 1e-4  # of a component; less is left to "cannot tell"
+_SQRT_TWO_PI = sqrt(2.0 * pi)
+
+# columns of components
+WEIGHT, OFFSET, VARIANCE, WIDTH = range(4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OffsetMixture:
-    """What one frame says about the scale-free lateral offset: Gaussians, and a share that says "cannot tell".
+    """What one frame says about the scale-free lateral offset: a sum of Gaussians, and a share for "cannot tell".
 
     The likelihood of the offset y in (-1, 1) is ``(1 - sum(weight)) / 2 + sum_j weight_j N(offset_norm_j; y,
     std_norm_j^2)``.
@@ -31,3 +47,141 @@ class OffsetMixture:
     offset_norm: FloatArray
     std_norm: FloatArray
     width_per_height: FloatArray
+
+    @property
+    def cannot_tell(self) -> float:
+        """Probability that the frame cannot tell."""
+        return max(1.0 - float(self.weight.sum()), 0.0)
+
+    def likelihood(self, offset_norm: npt.ArrayLike) -> FloatArray:
+        """Likelihood of offsets (...), any shape; it is 1/2 where the frame cannot tell, so its integral is 1."""
+        y = np.asarray(offset_norm, dtype=float)[..., None]
+        z = (y - self.offset_norm) / self.std_norm
+        density = self.weight / self.std_norm * np.exp(-0.5 * z * z) / _SQRT_TWO_PI
+        return np.asarray(0.5 * self.cannot_tell + density.sum(axis=-1))
+
+    def less_sure(self, cannot_tell: float) -> OffsetMixture:
+        """Return the mixture with at least this probability that the frame cannot tell."""
+        told = float(self.weight.sum())
+        if told <= 1.0 - cannot_tell:
+            return self
+        scale = (1.0 - cannot_tell) / told
+        return OffsetMixture(self.weight * scale, self.offset_norm, self.std_norm, self.width_per_height)
+
+
+def cannot_tell() -> OffsetMixture:
+    """Return what a frame without any evidence says."""
+    none = np.zeros(0)
+    return OffsetMixture(none, none, none, none)
+
+
+@compiled
+def merge_by_bins(rows: FloatArray, bins: FloatArray) -> int:
+    """Merge components (n, 4) of weight, offset, variance and width, bin by bin, keeping mean and variance.
+
+    Fills the first rows of ``bins`` (N_BINS, 4) in order of the offset and returns how many; a width of NaN counts
+    for nothing, and a component has one where most of its weight does.
+    """
+    n_bins = len(bins)
+    square, told = np.zeros(n_bins), np.zeros(n_bins)
+    bins[:] = 0.0
+    for k in range(len(rows)):
+        weight, offset = rows[k, WEIGHT], rows[k, OFFSET]
+        b = min(max(int((offset + 1.0) * 0.5 * n_bins), 0), n_bins - 1)
+        bins[b, WEIGHT] += weight
+        bins[b, OFFSET] += weight * offset
+        square[b] += weight * (offset * offset + rows[k, VARIANCE])
+        if isfinite(rows[k, WIDTH]):
+            bins[b, WIDTH] += weight * rows[k, WIDTH]
+            told[b] += weight
+    count = 0
+    for b in range(n_bins):
+        weight = bins[b, WEIGHT]
+        if not weight > 0.0:
+            continue
+        offset = bins[b, OFFSET] / weight
+        width = bins[b, WIDTH] / told[b] if told[b] > 0.5 * weight else np.nan
+        bins[count, WEIGHT], bins[count, OFFSET] = weight, offset
+        bins[count, VARIANCE], bins[count, WIDTH] = square[b] / weight - offset * offset, width
+        count += 1
+    return count
+
+
+def mixture_of_components(rows: FloatArray, cannot_tell_odds: float, min_variance: float) -> OffsetMixture:
+    """Make a mixture of components (n, 4) as in `merge_by_bins`; weights are odds against ``cannot_tell_odds``."""
+    bins = np.empty((N_BINS, 4))
+    bins = bins[: merge_by_bins(rows, bins)]
+    total = float(bins[:, WEIGHT].sum()) + cannot_tell_odds
+    bins[:, WEIGHT] /= total
+    bins = bins[bins[:, WEIGHT] > MIN_WEIGHT]
+    weight, offset, variance, width = bins.T.copy()
+    return OffsetMixture(weight, offset, np.sqrt(np.maximum(variance, min_variance)), width)
+
+
+@compiled
+def _products(
+    first: FloatArray, second: FloatArray, slack: float, both_blind: float, rows: FloatArray
+) -> float:
+    """Multiply two likelihoods given as components (n, 4), (m, 4).
+
+    Fills ``rows`` and returns what is the same everywhere. Rows and return value are weights: the integral over (-1, 1). ``slack`` is the variance that each has besides.
+    """
+    n, m = len(first), len(second)
+    blind_first, blind_second = 1.0, 1.0
+    for i in range(n):
+        blind_first -= first[i, WEIGHT]
+    for j in range(m):
+        blind_second -= second[j, WEIGHT]
+    blind_first, blind_second = max(blind_first, 0.0), max(blind_second, 0.0)
+    count = 0
+    for i in range(n):
+        rows[count] = first[i]
+        rows[count, WEIGHT] *= 0.5 * blind_second
+        count += 1
+    for j in range(m):
+        rows[count] = second[j]
+        rows[count, WEIGHT] *= 0.5 * blind_first
+        count += 1
+    for i in range(n):
+        a = first[i, VARIANCE] + slack
+        for j in range(m):
+            b = second[j, VARIANCE] + slack
+            apart = first[i, OFFSET] - second[j, OFFSET]
+            z = 0.5 * apart * apart / (a + b)
+            weight = 0.0
+            if z < 30.0:
+                weight = first[i, WEIGHT] * second[j, WEIGHT] * exp(-z) / sqrt(2.0 * np.pi * (a + b))
+            row = rows[count]
+            count += 1
+            row[WEIGHT] = weight
+            row[OFFSET] = (b * first[i, OFFSET] + a * second[j, OFFSET]) / (a + b)
+            row[VARIANCE] = a * b / (a + b)
+            row[WIDTH] = first[i, WIDTH] if isfinite(first[i, WIDTH]) else second[j, WIDTH]
+    for k in range(count):
+        rows[k, WEIGHT] *= 1.0 - both_blind
+    return 0.5 * (both_blind + (1.0 - both_blind) * blind_first * blind_second)
+
+
+def _rows(mixture: OffsetMixture) -> FloatArray:
+    return np.column_stack(
+        [mixture.weight, mixture.offset_norm, mixture.std_norm**2, mixture.width_per_height]
+    )
+
+
+SLACK = 0.005
+"""Standard deviation by which two kinds of evidence may differ that see the same corner."""
+
+
+def combine(first: OffsetMixture, second: OffsetMixture) -> OffsetMixture:
+    """Return what two independent kinds of evidence say together: the product of their likelihoods.
+
+    Where both are sure of one place, so is the product. Where they are sure of different places, each place is held
+    up only by the other's "cannot tell", and the probability that both are wrong counts for more: the answer is wide.
+    """
+    a, b = _rows(first), _rows(second)
+    rows = np.empty((len(a) + len(b) + len(a) * len(b), 4))
+    blind = _products(a, b, SLACK**2, BOTH_BLIND, rows)
+    return mixture_of_components(rows, blind, 0.0)
+
+
+__all__ = ["OffsetMixture", "cannot_tell", "combine", "mixture_of_components"]

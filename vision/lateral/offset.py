@@ -21,7 +21,9 @@ import numpy.typing as npt
 
 from vision.axis.vanishing_point import AxisFit
 from vision.compiled import compiled
+from vision.lateral.corner_candidates import MAX_CORNERS
 from vision.lateral.corner_pairs import arrays_of, corners_of_arrays
+from vision.lateral.geometric import corner_components, geometric_mixture
 from vision.lateral.hypotheses import (
     WEIGHTS,
     OffsetEstimate,
@@ -30,9 +32,11 @@ from vision.lateral.hypotheses import (
     offset_hypotheses,
 )
 from vision.lateral.line_directions import PictureLines
+from vision.lateral.mixture import OffsetMixture
 from vision.lines.segments import LineSet
 from vision.types import FloatArray
 
+MAX_MIXTURE_CORNERS = 24  # in a quadrant: among bricks and tiles the corners are not among the longest
 MIN_PROBABILITY = 0.97
 MIN_WIDTH_SHARE = 0.3  # of the answer, for the floor's pair to give the width
 MIN_STD = 0.004
@@ -67,18 +71,23 @@ def _estimate_offset(
     down: FloatArray,
     diagonal_px: float,
     weights: OffsetWeights,
+    roll_std: float,
     prior: float,
     prior_std: float,
-) -> tuple[OffsetEstimate, float, npt.NDArray[np.intp]]:
+) -> tuple[OffsetEstimate, float, npt.NDArray[np.intp], FloatArray]:
     """Go all the way from lines to the offset in compiled code: handing arrays over costs more than some steps.
 
     Returns
     -------
     tuple
-        The estimate, the corridor's width over the camera's height (NaN where the floor's pair does not tell), and
-        the lines (k,) that stand for the corners.
+        The estimate, the corridor's width over the camera's height (NaN where the floor's pair does not tell), the
+        lines (k,) that stand for the corners, and every pair as a component (m, 4) of the mixture.
     """
-    picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px)
+    wide = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, MAX_MIXTURE_CORNERS)
+    picture = wide
+    if wide.candidates.n_candidates.max() > MAX_CORNERS:
+        picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, MAX_CORNERS)
+    components = corner_components(wide, weights, roll_std)
     hypotheses = offset_hypotheses(picture, weights)
     found = most_probable_offset(hypotheses, len(picture.floor.pair), prior, prior_std)
     corners = picture.candidates.corners
@@ -94,7 +103,7 @@ def _estimate_offset(
         pair = picture.ceiling.pair[found.ceiling]
         wall_lines[count], wall_lines[count + 1] = corners[2, pair.left].line, corners[3, pair.right].line
         count += 2
-    return found, width, wall_lines[:count]
+    return found, width, wall_lines[:count], components
 
 
 def fit_lateral(
@@ -104,8 +113,8 @@ def fit_lateral(
     roll_std_rad: float,
     prior_offset_norm: float = nan,
     prior_offset_norm_std: float = nan,
-) -> LateralFit | None:
-    """Find the lateral offset; None where the walls do not tell.
+) -> tuple[LateralFit | None, OffsetMixture]:
+    """Find the lateral offset, and all that the lines say about it.
 
     Parameters
     ----------
@@ -116,13 +125,23 @@ def fit_lateral(
     roll_std_rad
         Standard deviation of the level frame's roll: it tilts left against right.
     prior_offset_norm, prior_offset_norm_std
-        A filter's prediction, to choose between hypotheses; NaN: none.
+        A filter's prediction, to choose between hypotheses; NaN: none. The mixture does not know of it.
+
+    Returns
+    -------
+    fit, mixture
+        The answer, None where one picture does not tell, and the mixture of every hypothesis.
     """
-    found, width_per_height, wall_lines = _estimate_offset(
-        *arrays_of(lines, axis, R_level_camera), WEIGHTS, prior_offset_norm, prior_offset_norm_std
+    found, width_per_height, wall_lines, components = _estimate_offset(
+        *arrays_of(lines, axis, R_level_camera),
+        WEIGHTS,
+        roll_std_rad,
+        prior_offset_norm,
+        prior_offset_norm_std,
     )
+    mixture = geometric_mixture(components)
     if found.probability < MIN_PROBABILITY:
-        return None
+        return None, mixture
     variance = (
         SCATTER_SHARE * found.scatter**2
         + found.std**2
@@ -130,4 +149,4 @@ def fit_lateral(
         + MIN_STD**2
         + DOUBT * (1.0 - found.probability)
     )
-    return LateralFit(found.offset, sqrt(variance), width_per_height, wall_lines)
+    return LateralFit(found.offset, sqrt(variance), width_per_height, wall_lines), mixture

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import atan2, ceil, hypot, radians, sqrt, tan
 from typing import Any, NamedTuple
@@ -102,6 +102,8 @@ class LineSet:
         Gradient magnitude above which pixels counted as edges.
     extract_ms
         Time it took to find them, milliseconds.
+    picture
+        The grey picture (h, w) itself, for the lateral offset's learned evidence; None where it was not kept.
     """
 
     width_px: int
@@ -118,6 +120,7 @@ class LineSet:
     arc_rad: FloatArray
     threshold: float
     extract_ms: float
+    picture: GreyImage | None = None
 
     def __len__(self) -> int:
         return len(self.length_px)
@@ -167,7 +170,7 @@ def _workspace(height_px: int, width_px: int) -> _Workspace:
     return cache[size]
 
 
-def extract_lines(image: npt.NDArray[Any], camera: Camera) -> LineSet:
+def extract_lines(image: npt.NDArray[Any], camera: Camera, *, keep_picture: bool = True) -> LineSet:
     """Find the straight line segments of a picture.
 
     Parameters
@@ -176,6 +179,8 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera) -> LineSet:
         Grey, BGR or BGRA picture, uint8 or uint16.
     camera
         Calibration for this picture size.
+    keep_picture
+        Whether to keep a reference to the grey picture: `measure_lines` reads the lateral offset from it too.
 
     Raises
     ------
@@ -191,7 +196,8 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera) -> LineSet:
     while found.blurred and hypot(working.width_px, working.height_px) > 2.0 * MIN_DIAGONAL_PX:
         working = _halved(working)
         found = _trace(_scaled(grey, working), working)
-    return _line_set(found, camera, working, started)
+    lines = _line_set(found, camera, working, started)
+    return replace(lines, picture=grey) if keep_picture else lines
 
 
 class _Traced(NamedTuple):

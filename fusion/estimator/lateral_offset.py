@@ -1,0 +1,458 @@
+r"""The lateral offset as a Gaussian sum: several places at once, until time and motion tell which is right.
+
+A frame seldom leaves one offset (`vision.lateral.mixture`). So the filter carries a sum of Gaussians (D. L. Alspach,
+H. W. Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", IEEE Transactions on Automatic
+Control 17(4), 1972) and the probability that the offset is unknown. Each hypothesis is a state (4,) ``[y, v, c, s]``:
+
+- y: offset right of the centre line, half widths;
+- v: its rate, half widths per second;
+- c: the accelerometer's bias across the corridor, half widths per second squared;
+- s: one over the half width, 1/m.
+
+**Process.** With the acceleration a across the corridor, m/s^2, from the specific force f levelled by roll and
+pitch::
+
+    a  = sin(psi) f_forward + cos(psi) f_right
+    y' = v        v' = a s - c + s n_v        c' = s n_c        s' = 0
+
+which is linear in the state, as s multiplies what is measured: with A1 and A2 the single and double integral of a
+over T, one transition serves all hypotheses, and a sample of the accelerometer costs a few additions::
+
+        [ 1  T  -T^2/2  A2 ]
+    F = [ 0  1  -T      A1 ]
+        [ 0  0   1      0  ]
+        [ 0  0   0      1  ]
+
+Where there is no accelerometer, or one that vibrates so much that it tells less than nothing would, v is a
+Gauss-Markov process instead, as long as the silence lasts. A velocity stream's speed w across the corridor is a
+measurement of v: ``0 = v - w s``.
+
+**Evidence.** A frame's likelihood of the offset is ``p(y) = e / 2 + sum_j w_j N(o_j; y, sigma_j^2)``, with e the
+probability that it cannot tell. Errors of successive frames resemble each other, so a frame that follows the last one
+after dt counts as a part ``1 - exp(-dt / tau)`` of one: the hypotheses' weights are multiplied by that power of the
+likelihood, and the variances of the update are divided by it (with a longer tau, as what is shared by frames of one
+hypothesis, a line taken for the corner that lies beside it, lasts longer). Within a hypothesis, components are
+weighed by probabilistic data association (Y. Bar-Shalom, E. Tse, "Tracking in a cluttered environment with
+probabilistic data association", Automatica 11(5), 1975). The unknown offset is uniform over (-1, 1), hence its
+likelihood is 1/2; what it holds moves to new hypotheses at the components that none explains. A little is always
+forgotten: weight leaks from all hypotheses to the unknown.
+
+**Reported** is the sum of those about the likeliest; it is known where it holds most of the probability and is
+narrow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, erf, exp, expm1, isfinite, nan, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from fusion.estimator.lateral_kernels import (
+    N_LATERAL,
+    C,
+    S,
+    V,
+    Y,
+    associate,
+    correct_all,
+    merge,
+    moved,
+    spawn,
+)
+from vision.lateral.mixture import OffsetMixture, combine
+from vision.types import FloatArray
+
+MAX_HYPOTHESES = 15
+MIN_WEIGHT = 1e-4
+MAX_SCATTER = 0.1
+MAX_OFFSET = 1.2  # beyond the walls
+FIRST_FRAME_S = 0.05  # as if that long after another: one frame alone is not to be relied on
+SUPPORTED = 0.5  # belief in a frame from which on it confirms the likeliest hypothesis
+MAX_SILENCE_S = 0.1  # of the accelerometer, until which its last sample is held
+ROUGHNESS_SAMPLES = 100
+ROLL_WALK = 0.006  # rad/sqrt(s) that the attitude's roll strays
+ROLL_TIME_S = 0.3  # over which errors of the frames' verticals resemble each other
+
+
+class OffsetModel(NamedTuple):
+    """What the filter assumes; lengths in metres unless they are said to be in half widths (``norm``)."""
+
+    accel_noise: float = (
+        0.08  # m/s/sqrt(s), beyond what the accelerometer itself shows: tilt that comes and goes
+    )
+    accel_bias_std: float = 0.12  # m/s^2
+    accel_bias_walk: float = 0.1  # m/s^2/sqrt(s): the attitude's slow errors
+    rough_limit: float = 0.17  # m/s/sqrt(s) of noise from which on an accelerometer is worth nothing
+    velocity_std_m_s: float = 0.3  # without accelerometer
+    velocity_time_s: float = 1.0
+    start_velocity_std_m_s: float = 0.4
+    inverse_half_width: tuple[float, float] = (
+        0.9,
+        0.3,
+    )  # 1/m, mean and standard deviation where it is not told
+    weight_time_s: float = 0.45
+    state_time_s: float = 0.2
+    forget_1_s: float = 0.3
+    slack_norm: float = 0.02
+    scatter_time_s: float = 0.7
+    least_scatter: float = 0.008
+    near_norm: float = 0.05  # hypotheses nearer than this are one
+    tolerance_norm: float = 0.1
+    known_probability: float = 0.9
+    known_std_norm: float = 0.12
+    lost_std_norm: float = 0.5
+
+
+class Path(NamedTuple):
+    """Motion since the hypotheses' time: seconds, of which with accelerometer, and integrals of the acceleration.
+
+    ``noise`` is the integral of the accelerometer's noise density squared.
+    """
+
+    t_s: float = 0.0
+    accel_s: float = 0.0
+    a1: float = 0.0
+    a2: float = 0.0
+    noise: float = 0.0
+
+
+class Acceleration(NamedTuple):
+    """The acceleration across the corridor: last sample, m/s^2, its age, and how much successive samples differ.
+
+    ``density2`` is that difference as the square of a white noise's density, (m/s)^2/s; ``n`` counts samples.
+    """
+
+    last: float = nan
+    age_s: float = 0.0
+    density2: float = 0.0
+    n: int = 0
+
+
+class RollCorrection(NamedTuple):
+    """How far the frames' vertical lines lie right of the attitude's vertical, rad: mean and variance."""
+
+    mean: float = 0.0
+    variance: float = 0.01**2
+
+
+class OffsetState(NamedTuple):
+    """Immutable; its arrays are never written into.
+
+    ``weight`` (k + 1,) sums to one and ends with that of the unknown.
+    """
+
+    x: FloatArray
+    P: FloatArray
+    weight: FloatArray
+    path: Path = Path()
+    accel: Acceleration = Acceleration()
+    roll: RollCorrection = RollCorrection()
+    scatter2: float = 0.02**2
+    evidence_age_s: float = nan  # since a frame supported the likeliest hypothesis
+
+
+class OffsetReadout(NamedTuple):
+    """The offset at the state's time, its rate, the probability of its hypothesis, whether it may be relied on."""
+
+    offset_norm: float
+    std_norm: float
+    velocity_norm_s: float
+    velocity_std_norm_s: float
+    probability: float
+    known: bool
+    evidence_age_s: float
+
+
+def nothing_known() -> OffsetState:
+    """Return the state before any frame."""
+    return OffsetState(np.zeros((0, N_LATERAL)), np.zeros((0, N_LATERAL, N_LATERAL)), np.ones(1))
+
+
+def in_new_corridor(state: OffsetState) -> OffsetState:
+    """Forget the offset and its rate; what is known of the accelerometer stays."""
+    # The bias across the corridor is another one there: it is that of the tilt and of both axes.
+    return nothing_known()._replace(accel=state.accel, roll=state.roll)
+
+
+def levelled(
+    force: tuple[float, float, float], down: tuple[float, float, float], roll_rad: float
+) -> tuple[float, float]:
+    """Specific force forward and right in the level frame, m/s^2.
+
+    Parameters
+    ----------
+    force
+        Body FRD.
+    down
+        Unit vector of gravity's direction in the body.
+    roll_rad
+        Further roll of the level frame by which the frames' verticals correct it.
+    """
+    dx, dy, dz = down
+    fx, fy, fz = force
+    horizontal = max(sqrt(dy * dy + dz * dz), 0.09)
+    right = (dz * fy - dy * fz) / horizontal
+    along = dx * fx + dy * fy + dz * fz
+    forward = (fx - dx * along) / horizontal
+    return forward, right - roll_rad * along
+
+
+def propagate(
+    state: OffsetState,
+    dt_s: float,
+    heading_rad: float,
+    force: tuple[float, float, float] | None,
+    down: tuple[float, float, float],
+) -> OffsetState:
+    """Carry the state on by ``dt_s`` with the accelerometer's sample at its end; None: there is none there."""
+    t_s, accel_s, a1, a2, noise = state.path
+    last, silent_s, density2, n = state.accel
+    age_s = state.evidence_age_s + dt_s
+    if force is not None:
+        forward, right = levelled(force, down, state.roll.mean)
+        a = sin(heading_rad) * forward + cos(heading_rad) * right
+        mean = 0.5 * (a + last) if n else a
+        if n:
+            n = min(n + 1, ROUGHNESS_SAMPLES)
+            density2 += (0.5 * (a - last) ** 2 * (silent_s + dt_s) - density2) / n
+        else:
+            n = 1
+        last, silent_s = a, 0.0
+    else:
+        mean = last
+        silent_s += dt_s
+    if n and silent_s <= MAX_SILENCE_S:
+        accel_s += dt_s
+        a2 += (a1 + 0.5 * mean * dt_s) * dt_s
+        a1 += mean * dt_s
+        noise += density2 * dt_s
+    else:
+        a2 += a1 * dt_s
+    return state._replace(
+        path=Path(t_s + dt_s, accel_s, a1, a2, noise),
+        accel=Acceleration(last, silent_s, density2, n),
+        evidence_age_s=age_s,
+    )
+
+
+def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tuple[FloatArray, FloatArray]:
+    """Return F (4, 4) and Q (4, 4), the latter in metres: over s squared; ``backward``, those that lead back."""
+    t = path.t_s
+    F, Q = np.eye(N_LATERAL), np.zeros((N_LATERAL, N_LATERAL))
+    if not t > 0.0:
+        return F, Q
+    n2 = path.noise / t + model.accel_noise**2
+    b2 = model.accel_bias_walk**2
+    if path.accel_s < 0.9 * t or n2 > model.rough_limit**2:
+        tau, std = model.velocity_time_s, model.velocity_std_m_s
+        x = t / tau
+        fall = -expm1(-x)
+        F[Y, V], F[V, V] = tau * fall, exp(-x)
+        yy = 2 * x - 2 * fall - fall * fall if x > 0.05 else x**3 * (2 / 3 - x / 2)
+        Q[Y, Y] = (std * tau) ** 2 * yy
+        Q[Y, V] = Q[V, Y] = std**2 * tau * fall * fall
+        Q[V, V] = -(std**2) * expm1(-2 * x)
+        Q[C, C] = b2 * t
+        if backward:  # a stationary process is the same in either direction
+            F[Y, V], Q[Y, V], Q[V, Y] = -F[Y, V], -Q[Y, V], -Q[V, Y]
+        return F, Q
+    F[Y, V], F[Y, C], F[Y, S] = t, -0.5 * t * t, path.a2
+    F[V, C], F[V, S] = -t, path.a1
+    Q[Y, Y] = n2 * t**3 / 3 + b2 * t**5 / 20
+    Q[Y, V] = Q[V, Y] = n2 * t**2 / 2 + b2 * t**4 / 8
+    Q[V, V] = n2 * t + b2 * t**3 / 3
+    Q[Y, C] = Q[C, Y] = -b2 * t**3 / 6
+    Q[V, C] = Q[C, V] = -b2 * t**2 / 2
+    Q[C, C] = b2 * t
+    if backward:
+        inverse: FloatArray = np.linalg.inv(F)
+        return inverse, inverse @ Q @ inverse.T
+    return F, Q
+
+
+def along_path(state: OffsetState, path: Path, model: OffsetModel, *, backward: bool = False) -> OffsetState:
+    """Carry the hypotheses along a path, or back along it."""
+    if not path.t_s > 0.0 or not len(state.x):
+        return state
+    F, Q = transition(path, model, backward=backward)
+    x, P = np.empty_like(state.x), np.empty_like(state.P)
+    moved(state.x, state.P, F, Q, x, P)
+    return state._replace(x=x, P=P)
+
+
+def at_path_end(state: OffsetState, model: OffsetModel) -> OffsetState:
+    """Carry the hypotheses to the state's time."""
+    return along_path(state, state.path, model)._replace(path=Path())
+
+
+def with_roll(state: OffsetState, roll_rad: float, std_rad: float, dt_s: float) -> OffsetState:
+    """Take in how far a frame's vertical lines lie right of the attitude's vertical."""
+    mean, variance = state.roll
+    variance = variance + ROLL_WALK**2 * max(dt_s, 0.0)
+    gain = variance / (variance + std_rad**2 / (1.0 - exp(-max(dt_s, 0.02) / ROLL_TIME_S)))
+    return state._replace(roll=RollCorrection(mean + gain * (roll_rad - mean), (1.0 - gain) * variance))
+
+
+class FrameEvidence(NamedTuple):
+    """What a frame says of the offset.
+
+    Parameters
+    ----------
+    components
+        Rows (m, 3) of weight, offset of the camera and variance, half widths; the rest of the weight: it cannot tell.
+    dt_s
+        Time since the frame before, which says how much of it is new.
+    side
+        1, or -1 where the vehicle flies against the axis and right is left.
+    aside_m
+        How far the camera is right of the body's centre, across the corridor as it faces.
+    """
+
+    components: FloatArray
+    dt_s: float
+    side: float = 1.0
+    aside_m: float = 0.0
+
+
+def frame_evidence(
+    mixtures: Sequence[OffsetMixture], dt_s: float, heading_rad: float, camera_arm_m: tuple[float, float]
+) -> FrameEvidence:
+    """Combine what one frame says by several kinds of evidence.
+
+    Parameters
+    ----------
+    mixtures
+        At least one.
+    dt_s
+        Time since the frame before; NaN for the first.
+    heading_rad
+        The vehicle's, from the corridor's axis, in all directions.
+    camera_arm_m
+        How far the camera sits ahead and right of the body's centre.
+    """
+    mixture = mixtures[0]
+    for other in mixtures[1:]:
+        mixture = combine(mixture, other)
+    side = 1.0 if cos(heading_rad) >= 0.0 else -1.0
+    ahead_m, right_m = camera_arm_m
+    aside_m = side * (ahead_m * sin(heading_rad) + right_m * cos(heading_rad))
+    components = np.column_stack([mixture.weight, mixture.offset_norm, mixture.std_norm**2])
+    return FrameEvidence(components, dt_s if isfinite(dt_s) else FIRST_FRAME_S, side, aside_m)
+
+
+def with_speed(state: OffsetState, across_m_s: float, variance: float) -> OffsetState:
+    """Take in a speed across the corridor, positive right, with its variance, (m/s)^2."""
+    if not len(state.x):
+        return state
+    x, P = state.x.copy(), state.P.copy()
+    H = np.array([0.0, 1.0, 0.0, -across_m_s])
+    correct_all(x, P, H, 0.0, variance * float(np.mean(x[:, S])) ** 2)
+    return state._replace(x=x, P=P)
+
+
+def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> OffsetState:
+    """Take in what a frame says, at the hypotheses' time."""
+    components, dt_s, side, aside_m = frame
+    temper = -expm1(-dt_s / model.weight_time_s)
+    inflation = -1.0 / expm1(-dt_s / model.state_time_s)
+    x, P, weight = state.x.copy(), state.P.copy(), state.weight.copy()
+    H = np.array([side, 0.0, 0.0, aside_m])
+    belief, residual = associate(x, P, weight, components, H, state.scatter2, temper, inflation)
+    forgotten = -expm1(-dt_s * model.forget_1_s) * weight[:-1]
+    weight[:-1] -= forgotten
+    weight[-1] += forgotten.sum()
+    x, P, weight = _with_new(x, P, weight, frame, model, temper)
+    x, P, weight = _reduced(x, P, weight, model)
+    age_s = 0.0 if belief > SUPPORTED or not len(state.x) else state.evidence_age_s
+    scatter2 = state.scatter2
+    if belief > SUPPORTED:
+        gain = -expm1(-dt_s / model.scatter_time_s)
+        scatter2 += gain * (min(residual**2, MAX_SCATTER**2) - scatter2)
+        scatter2 = max(scatter2, model.least_scatter**2)
+    return state._replace(x=x, P=P, weight=weight, evidence_age_s=age_s, scatter2=scatter2)
+
+
+def update(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> OffsetState:
+    """Take in what a frame at the state's time says."""
+    return with_evidence(at_path_end(state, model), frame, model)
+
+
+def _with_new(
+    x: FloatArray,
+    P: FloatArray,
+    weight: FloatArray,
+    frame: FrameEvidence,
+    model: OffsetModel,
+    share: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Let the unknown's weight move to the components, as new hypotheses where none explains them."""
+    components, _, side, aside_m = frame
+    m = len(components)
+    new_x, new_P, new_weight = np.empty((m, N_LATERAL)), np.empty((m, N_LATERAL, N_LATERAL)), np.empty(m)
+    s, s_std = model.inverse_half_width
+    v_std, c_std = model.start_velocity_std_m_s * s, model.accel_bias_std * s
+    start = np.array([model.slack_norm**2, v_std**2, c_std**2, s, s_std**2])
+    near = model.near_norm
+    n = spawn(x, P, weight, components, side, aside_m, start, share, near, new_x, new_P, new_weight)
+    if n == 0:
+        return x, P, weight
+    return (
+        np.concatenate([x, new_x[:n]]),
+        np.concatenate([P, new_P[:n]]),
+        np.concatenate([weight[:-1], new_weight[:n], weight[-1:]]),
+    )
+
+
+def _reduced(
+    x: FloatArray, P: FloatArray, weight: FloatArray, model: OffsetModel
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Merge what has become one and drop what hardly counts; what they held is unknown."""
+    known = weight[:-1].copy()
+    known[(P[:, Y, Y] > model.lost_std_norm**2) | (np.abs(x[:, Y]) > MAX_OFFSET)] = 0.0
+    keep = np.empty(len(x), np.int64)
+    n = merge(x, P, known, np.argsort(-known, kind="stable"), model.near_norm, keep)
+    keep = keep[:n][np.argsort(-known[keep[:n]], kind="stable")][:MAX_HYPOTHESES]
+    keep = keep[known[keep] > MIN_WEIGHT]
+    left = known[keep]
+    return x[keep], P[keep], np.append(left, max(1.0 - float(left.sum()), 0.0))
+
+
+def readout(state: OffsetState, model: OffsetModel) -> OffsetReadout:
+    """Report the offset at the state's time."""
+    now = along_path(state, state.path, model)
+    return summary(now.x, now.P, now.weight[:-1], now.evidence_age_s, model)
+
+
+def summary(
+    mean: FloatArray, cov: FloatArray, weight: FloatArray, evidence_age_s: float, model: OffsetModel
+) -> OffsetReadout:
+    """Report the sum of the hypotheses about the likeliest.
+
+    Parameters
+    ----------
+    mean, cov
+        Of y and v, and what may follow: (k, 2 or more) and (k, 2 or more, 2 or more).
+    weight
+        (k,), with what is unknown left out.
+    evidence_age_s
+        Reported as it is.
+    model
+        Says what is near, and when an offset is known.
+    """
+    if not len(mean):
+        return OffsetReadout(nan, nan, nan, nan, 0.0, False, nan)
+    best = int(np.argmax(weight))
+    near = np.abs(mean[:, Y] - mean[best, Y]) < model.tolerance_norm
+    share = weight[near] / weight[near].sum()
+    middle = share @ mean[near]
+    apart = mean[near] - middle
+    y_std, v_std = (sqrt(float(share @ (cov[near, i, i] + apart[:, i] ** 2))) for i in (Y, V))
+    probability = 0.0
+    for w, y, variance in zip(weight.tolist(), mean[:, Y].tolist(), cov[:, Y, Y].tolist(), strict=True):
+        scale = sqrt(2.0 * variance)
+        above, below = middle[Y] + model.tolerance_norm - y, middle[Y] - model.tolerance_norm - y
+        probability += 0.5 * w * (erf(above / scale) - erf(below / scale))
+    known = probability > model.known_probability and y_std < model.known_std_norm
+    return OffsetReadout(float(middle[Y]), y_std, float(middle[V]), v_std, probability, known, evidence_age_s)

@@ -1,0 +1,127 @@
+"""The lateral offset from the whole flight: two filters, one from the start and one from the end, that meet.
+
+(D. C. Fraser, J. E. Potter, "The optimum linear smoother as a combination of two optimum linear filters", IEEE
+Transactions on Automatic Control 14(4), 1969.) `fusion.estimator.lateral_offset` runs once more, from the end to
+the start, over the same steps: a transition is undone, the evidence of a frame is the same. What is known at a time
+from before it, p_f(y, v), and from after it, p_b, both Gaussian sums, is multiplied; each has the prior p_0 in it,
+uniform in y and Gaussian in v, which counts once::
+
+    p(y, v) = p_f p_b / p_0,    w_ij = w_i w_j N(m_i - m_j; 0, P_i + P_j) / p_0
+
+and where one of the two knows nothing it is p_0, so that the other's weight stands as it is. A hypothesis that wins
+in the end thus counts from where it began, and a wrong one that held for a while loses its past. Neither filter
+runs on from one corridor into another. Accelerometer bias and width are not compared: both filters have learned
+them from the same prior, and they matter little where y and v are compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from fusion.estimator.lateral_kernels import V, Y
+from fusion.estimator.lateral_offset import (
+    FrameEvidence,
+    OffsetModel,
+    OffsetReadout,
+    OffsetState,
+    Path,
+    along_path,
+    nothing_known,
+    summary,
+    with_evidence,
+    with_speed,
+)
+from vision.types import FloatArray
+
+YV = slice(Y, V + 1)
+
+
+class OffsetStep(NamedTuple):
+    """One step of the filter: a path, then what was taken in at its end.
+
+    Parameters
+    ----------
+    path
+        Motion since the step before.
+    after
+        The filter's state after the step.
+    evidence
+        Of a frame; None without.
+    speed
+        Speed across the corridor, m/s, and its variance; None without.
+    starts_anew
+        Whether another corridor begins here.
+    """
+
+    path: Path
+    after: OffsetState
+    evidence: FrameEvidence | None = None
+    speed: tuple[float, float] | None = None
+    starts_anew: bool = False
+
+
+def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[OffsetReadout]:
+    """Return the offset after each step from the whole flight; ages are the filter's."""
+    out: list[OffsetReadout] = []
+    later = nothing_known()
+    for step in reversed(steps):
+        out.append(_met(step.after, later, model))
+        if step.evidence is not None:
+            later = with_evidence(later, step.evidence, model)
+        if step.speed is not None:
+            later = with_speed(later, *step.speed)
+        later = nothing_known() if step.starts_anew else along_path(later, step.path, model, backward=True)
+    return out[::-1]
+
+
+def _met(before: OffsetState, after: OffsetState, model: OffsetModel) -> OffsetReadout:
+    """Multiply what is known from before a time with what is known from after it."""
+    m_f, P_f, w_f = before.x[:, YV], before.P[:, YV, YV], before.weight
+    m_b, P_b, w_b = after.x[:, YV], after.P[:, YV, YV], after.weight
+    n, k = len(m_f), len(m_b)
+    mean = np.empty((n * k + n + k, 2))
+    cov = np.empty((n * k + n + k, 2, 2))
+    weight = np.empty(n * k + n + k)
+    weight[n * k :] = np.concatenate([w_f[:-1] * w_b[-1], w_b[:-1] * w_f[-1]])
+    mean[n * k :], cov[n * k :] = np.concatenate([m_f, m_b]), np.concatenate([P_f, P_b])
+    if n and k:
+        total = P_f[:, None] + P_b[None]
+        apart = m_b[None] - m_f[:, None]
+        inverse = np.linalg.inv(total)
+        pull = inverse @ apart[..., None]
+        gain = P_f[:, None] @ inverse
+        middle = m_f[:, None] + (P_f[:, None] @ pull)[..., 0]
+        mean[: n * k] = middle.reshape(-1, 2)
+        both = P_f[:, None] - gain @ P_f[:, None]
+        cov[: n * k] = 0.5 * (both + np.swapaxes(both, -1, -2)).reshape(-1, 2, 2)
+        distance = (apart[..., None, :] @ pull)[..., 0, 0]
+        density = np.exp(-0.5 * distance) / (2.0 * pi * np.sqrt(np.linalg.det(total)))
+        v_std = model.start_velocity_std_m_s * model.inverse_half_width[0]
+        prior = 0.5 * np.exp(-0.5 * (middle[..., 1] / v_std) ** 2) / (sqrt(2.0 * pi) * v_std)
+        prior = np.maximum(prior, 0.5 * np.exp(-4.5) / (sqrt(2.0 * pi) * v_std))
+        weight[: n * k] = (w_f[:-1, None] * w_b[None, :-1] * density / prior).ravel()
+    whole = weight.sum() + w_f[-1] * w_b[-1]
+    return summary(mean, cov, weight / whole, before.evidence_age_s, model)
+
+
+def at_times(
+    step_t_s: FloatArray, offsets: Sequence[OffsetReadout], t_s: FloatArray
+) -> tuple[FloatArray, FloatArray, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+    """Interpolate smoothed offsets to times (n,): offset (n,), sigma (n,), whether it is known (n,).
+
+    A cubic between steps that has their offsets and rates; unknown where the step on either side is.
+    """
+    y, std, v = (np.array([o[k] for o in offsets]) for k in range(3))
+    known = np.array([o.known for o in offsets])
+    right = np.clip(np.searchsorted(step_t_s, t_s), 1, len(step_t_s) - 1)
+    left = right - 1
+    gap = np.maximum(step_t_s[right] - step_t_s[left], 1e-9)
+    u = np.clip((t_s - step_t_s[left]) / gap, 0.0, 1.0)
+    h00, h10 = (1 + 2 * u) * (1 - u) ** 2, u * (1 - u) ** 2
+    h01, h11 = u * u * (3 - 2 * u), u * u * (u - 1)
+    offset = h00 * y[left] + h10 * gap * v[left] + h01 * y[right] + h11 * gap * v[right]
+    return offset, (1 - u) * std[left] + u * std[right], known[left] & known[right]

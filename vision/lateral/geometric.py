@@ -1,0 +1,115 @@
+"""The geometric evidence for the lateral offset: all pairs of candidates for corners, as a mixture.
+
+`vision.lateral.offset` answers where one offset holds nearly all of the probability. Here every pair of the floor,
+of the ceiling, and of both together keeps its share: brick courses, tiles and rails then stand beside the corners
+until time and motion tell them apart.
+
+The joint hypotheses are those of `vision.lateral.hypotheses`, but for each pair of the floor all pairs of the ceiling
+at its offset are summed up to one. With running sums over the ceiling's pairs in order of their offset this costs no
+more than the pairs themselves, however many agree.
+"""
+
+from __future__ import annotations
+
+from math import exp, log
+
+import numpy as np
+
+from vision.compiled import compiled
+from vision.lateral.corner_pairs import N_EVIDENCE, PictureCorners
+from vision.lateral.hypotheses import (
+    JOINT_WINDOW,
+    MAX_LOG_ODDS,
+    POSITION_TERMS,
+    OffsetWeights,
+    add_weighted,
+    roll_slope_of,
+)
+from vision.lateral.mixture import OffsetMixture, cannot_tell, mixture_of_components
+from vision.types import FloatArray, IntArray
+
+MIN_CANNOT_TELL = 0.1  # whatever the lines look like: what runs along a corridor need not be its corner
+MIN_STD = 0.004
+MIN_VARIANCE = 1e-8
+
+# columns of components, see `vision.lateral.mixture`
+WEIGHT, OFFSET, VARIANCE, WIDTH = range(4)
+# columns of running sums over the ceiling's pairs
+ODDS, MOMENT, SQUARE, ROLL_SLOPE = range(4)
+
+
+@compiled
+def _odds(log_odds: float) -> float:
+    return exp(min(log_odds, MAX_LOG_ODDS))
+
+
+@compiled
+def _ceiling_components(
+    picture: PictureCorners, weights: OffsetWeights, roll_std: float, order: IntArray, rows: FloatArray
+) -> FloatArray:
+    """Fill ``rows`` (m, 4) with the ceiling's pairs alone; return running sums (m + 1, 4) for joining the floor's."""
+    pairs, corners = picture.ceiling.pair, picture.candidates.corners
+    m = len(pairs)
+    evidence = picture.ceiling.evidence.view(np.float64).reshape(m, N_EVIDENCE)
+    sums = np.zeros((m + 1, 4))
+    for place in range(m):
+        c = order[place]
+        pair = pairs[c]
+        score = add_weighted(0.0, weights.ceiling, evidence[c])
+        slope = roll_slope_of(pair, corners[2], corners[3], False)
+        variance = pair.offset_std**2
+        row = rows[place]
+        row[WEIGHT], row[OFFSET] = _odds(score + weights.bias[0].ceiling), pair.offset
+        row[VARIANCE], row[WIDTH] = variance + (roll_std * slope) ** 2, np.nan
+        for k in POSITION_TERMS:
+            score -= weights.ceiling[k] * evidence[c, k]
+        odds = _odds(score)
+        before, after = sums[place], sums[place + 1]
+        after[ODDS] = before[ODDS] + odds
+        after[MOMENT] = before[MOMENT] + odds * pair.offset
+        after[SQUARE] = before[SQUARE] + odds * (variance + pair.offset**2)
+        after[ROLL_SLOPE] = before[ROLL_SLOPE] + odds * slope
+    return sums
+
+
+@compiled
+def corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std: float) -> FloatArray:
+    """Return every pair of corners as a component (k, 4) of a mixture, see `vision.lateral.mixture`.
+
+    Their weights are odds against the hypothesis that no pair can be relied on.
+    """
+    corners, bias = picture.candidates.corners, weights.bias[0]
+    pairs = picture.floor.pair
+    n, m = len(pairs), len(picture.ceiling.pair)
+    evidence = picture.floor.evidence.view(np.float64).reshape(n, N_EVIDENCE)
+    rows = np.zeros((2 * n + m, 4))
+    order = np.argsort(picture.ceiling.pair["offset"])
+    offsets = picture.ceiling.pair["offset"][order]
+    sums = _ceiling_components(picture, weights, roll_std, order, rows)
+    for f in range(n):
+        pair = pairs[f]
+        first = np.searchsorted(offsets, pair.offset - JOINT_WINDOW)
+        last = np.searchsorted(offsets, pair.offset + JOINT_WINDOW)
+        alone = add_weighted(bias.floor, weights.floor, evidence[f]) + bias.choice * log(last - first + 1.0)
+        slope, variance = roll_slope_of(pair, corners[0], corners[1], True), pair.offset_std**2
+        single, joint = rows[m + f], rows[m + n + f]
+        single[WEIGHT], single[OFFSET] = _odds(alone), pair.offset
+        single[VARIANCE], single[WIDTH] = variance + (roll_std * slope) ** 2, pair.width
+        odds = sums[last, ODDS] - sums[first, ODDS]
+        if not odds > 0.0:
+            continue
+        offset = (sums[last, MOMENT] - sums[first, MOMENT]) / odds
+        above = max((sums[last, SQUARE] - sums[first, SQUARE]) / odds - offset * offset, MIN_VARIANCE)
+        share = above / (above + variance)
+        slope = share * slope + (1.0 - share) * (sums[last, ROLL_SLOPE] - sums[first, ROLL_SLOPE]) / odds
+        joint[WEIGHT] = _odds(alone + bias.joint + log(odds))
+        joint[OFFSET] = share * pair.offset + (1.0 - share) * offset
+        joint[VARIANCE], joint[WIDTH] = share * variance + (roll_std * slope) ** 2, pair.width
+    return rows
+
+
+def geometric_mixture(components: FloatArray) -> OffsetMixture:
+    """Return what pairs of corners say about the lateral offset, from their components (k, 4)."""
+    if not len(components):
+        return cannot_tell()
+    return mixture_of_components(components, 1.0, MIN_STD**2).less_sure(MIN_CANNOT_TELL)
