@@ -36,7 +36,7 @@ from fusion.estimator.imu_yaw import (
     compare_by_frame,
     fuse_imu_yaw,
 )
-from fusion.estimator.lateral import UNKNOWN_STD, Lateral, LateralOffset, MotionStep
+from fusion.estimator.lateral import Lateral, LateralOffset, MotionStep
 from fusion.estimator.models import (
     BIAS,
     N_STATES,
@@ -64,6 +64,7 @@ from fusion.estimator.velocity import Velocity, VelocitySample, with_velocity
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 from vision.rotations import wrap_axis, yaw_of_quaternion
 
+NO_DRIFT = Drift(0.0, 0.0, 0.3)
 OUTLIER_DENSITY = 1 / pi  # an outlying heading may be any
 
 Sample = ImuSample | AttitudeSample | VelocitySample | RangeSample | FrameSample
@@ -162,7 +163,7 @@ class Engine:
 
     def initial_state(self) -> State:
         """Return the state before any sample."""
-        std = [UNKNOWN_HEADING_STD_RAD, 0.02, UNKNOWN_YAW_OFFSET_STD_RAD, UNKNOWN_STD, 0.3]
+        std = [UNKNOWN_HEADING_STD_RAD, 0.02, UNKNOWN_YAW_OFFSET_STD_RAD, 1.0, 0.3]
         reckoning = DeadReckoning(stored_gyro_bias=(0.0, self.config.gyro_bias_std_rad_s**2))
         P = np.diag([s**2 for s in std])
         return State(np.zeros(N_STATES), P, reckoning, delay=unknown_delay(self.config))
@@ -195,14 +196,13 @@ class Engine:
         Q = np.zeros((N_STATES, N_STATES))
         Q[PSI, PSI] = Q[YAW_OFFSET, YAW_OFFSET] = 0.5**2
         ekf.predict(ekf.x, np.eye(N_STATES), Q)
-        lateral = self._lateral.lost(s.lateral, ekf, s.width.half_m(self.config))
         return s._replace(
             reckoning=self._propagation.clock_set_back(s.reckoning, ekf, t_ns),
             tilt=s.tilt.clock_set_back(t_ns),
             velocity=s.velocity.clock_set_back(),
             width=s.width.clock_set_back(),
             axis=s.axis.clock_set_back(),
-            lateral=lateral._replace(t_ns=None),
+            lateral=s.lateral.clock_set_back(),
             frames=s.frames.clock_set_back(),
             delay=None if s.delay is None else s.delay.interrupted(),
             x=ekf.x,
@@ -216,7 +216,7 @@ class Engine:
         offset = offset_std = nan
         if seconds_since(t_ns, s.lateral.t_ns) <= s.frames.age_limit_s(self.config):
             half_m = s.width.half_m(self.config)
-            offset, offset_std = self._lateral.expected(s.lateral, x, P, psi, half_m)
+            offset, offset_std = self._lateral.expected(s.lateral, psi, half_m)
         p, q, r = d.gyro_rad_s
         return Prior(
             heading_rad=wrap_axis(psi) if s.axis.acquired else nan,
@@ -234,8 +234,8 @@ class Engine:
         gyro = self._propagation.mean_gyro(s.reckoning, sample)
         tilt = tilts.with_imu(s.tilt, t_ns, gyro, sample.accel_m_s2)
         rate = level_yaw_rate(sample.gyro_rad_s, tilt.down)
-        lateral, drift = self._moved(s, t_ns, rate, tilt.down, sample.accel_m_s2)
-        d = self._propagation.with_gyro(s.reckoning, self.ekf, sample, rate, drift)
+        lateral = self._moved(s, t_ns, tilt.down, sample.accel_m_s2)
+        d = self._propagation.with_gyro(s.reckoning, self.ekf, sample, rate, NO_DRIFT)
         delay = s.delay
         if delay is not None:
             delay = delay if d.mode is s.reckoning.mode else delay.interrupted()
@@ -247,8 +247,8 @@ class Engine:
     def _attitude(self, s: State, sample: AttitudeSample) -> State:
         q = sample.unit()
         yaw_rad = yaw_of_quaternion(q)
-        lateral, drift = self._moved(s, sample.t_ns, s.reckoning.rate_rad_s, s.tilt.down)
-        d = self._propagation.with_attitude_yaw(s.reckoning, self.ekf, sample.t_ns, yaw_rad, drift)
+        lateral = self._moved(s, sample.t_ns, s.tilt.down)
+        d = self._propagation.with_attitude_yaw(s.reckoning, self.ekf, sample.t_ns, yaw_rad, NO_DRIFT)
         tilt = tilts.from_quaternion(s.tilt, sample.t_ns, q)
         imu_yaw = fuse_imu_yaw(s.imu_yaw, self.ekf, yaw_rad, d, s.axis, self.config)
         delay = self._delay_in_mode(s, d)
@@ -258,7 +258,11 @@ class Engine:
 
     def _velocity(self, s: State, sample: VelocitySample) -> State:
         s = self._held(s, sample.t_ns, s.frames)
-        return s._replace(velocity=with_velocity(s.velocity, sample, s.tilt.down))
+        velocity = with_velocity(s.velocity, sample, s.tilt.down)
+        lateral = s.lateral
+        if s.axis.acquired:
+            lateral = self._lateral.with_velocity(lateral, s.x, s.P, velocity)
+        return s._replace(velocity=velocity, lateral=lateral)
 
     def _frame(self, s: State, sample: FrameSample) -> tuple[State, FrameResult]:
         s = self._held(s, sample.t_ns, s.frames.with_sample(sample.t_ns))
@@ -275,19 +279,16 @@ class Engine:
             return s, FrameResult(sample.stamp_ns, m, False, reason)
         return self._fuse_heading(s, sample, m, attitude)
 
-    def _moved(
-        self, s: State, t_ns: int, rate_rad_s: float, down: Vector, accel_m_s2: Vector | None = None
-    ) -> tuple[Lateral, Drift]:
-        """Tell the lateral offset of a propagation step, and ask how it moves in it."""
+    def _moved(self, s: State, t_ns: int, down: Vector, accel_m_s2: Vector | None = None) -> Lateral:
+        """Tell the lateral offset of a propagation step."""
         last_ns = s.reckoning.t_ns
         dt_s = 0.0 if last_ns is None else (t_ns - last_ns) * 1e-9
-        step = MotionStep(t_ns, dt_s, self.ekf.x, rate_rad_s, down, accel_m_s2, s.velocity)
-        return self._lateral.propagated(s.lateral, step, s.width.half_m(self.config))
+        return self._lateral.propagated(s.lateral, MotionStep(dt_s, float(self.ekf.x[PSI]), down, accel_m_s2))
 
     def _held(self, s: State, t_ns: int, frames: SampleTimes) -> State:
         """Propagate to a sample that tells nothing of the heading's rate; ``frames`` came by then."""
-        lateral, drift = self._moved(s, t_ns, s.reckoning.rate_rad_s, s.tilt.down)
-        d = self._propagation.hold(s.reckoning, self.ekf, t_ns, drift)
+        lateral = self._moved(s, t_ns, s.tilt.down)
+        d = self._propagation.hold(s.reckoning, self.ekf, t_ns, NO_DRIFT)
         delay = self._delay_in_mode(s, d)
         _, _, _, tilt, velocity, width, imu_yaw, axis, _, _, elevation, _ = s
         x, P = self.ekf.x, self.ekf.P
@@ -348,8 +349,9 @@ class Engine:
         self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None
     ) -> tuple[Lateral, Width, Elevation]:
         """Use the rest of a frame whose heading was accepted: lateral offset, width, elevation of the camera."""
-        lateral = self._lateral.fused(s.lateral, self.ekf, t_ns, m, s.width.half_m(self.config))
-        return lateral, s.width.with_frame(t_ns, m.width_per_height), s.elevation.with_frame(m, attitude)
+        width = s.width.with_frame(t_ns, m.width_per_height)
+        lateral = self._lateral.fused(s.lateral, self.ekf.x, t_ns, m, width.half_m(self.config))
+        return lateral, width, s.elevation.with_frame(m, attitude)
 
     def _follow_votes(self, s: State, t_ns: int) -> State:
         """Do what the votes against the present axis mean, if enough of them agree."""
@@ -361,9 +363,8 @@ class Engine:
         if isinstance(found, Recovery):
             axis = recover(axis, ekf, found, t_ns, theta_rad, coupled)
             return s._replace(axis=axis, imu_yaw=imu_yaw, x=ekf.x, P=ekf.P)
-        half_m = s.width.half_m(c)
-        lateral = self._lateral.lost(s.lateral, ekf, half_m)._replace(t_ns=None)
-        crossing = junctions.Crossing(coupled, *self._lateral.unknown_variances(half_m), lateral.n_used)
+        lateral = s.lateral.corridor_changed()
+        crossing = junctions.Crossing(coupled, 1.0, 0.3**2, lateral.n_used)
         axis = junctions.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
         width = s.width.corridor_changed()
         return s._replace(axis=axis, imu_yaw=imu_yaw, lateral=lateral, width=width, x=ekf.x, P=ekf.P)

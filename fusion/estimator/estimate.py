@@ -12,7 +12,7 @@ import numpy as np
 
 from fusion.estimator.camera_delay import camera_delay, spread_by_delay
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.lateral import readout
+from fusion.estimator.lateral import LateralStatus, offset_model, readout
 from fusion.estimator.models import PSI
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, Mode
 from fusion.estimator.sample_times import seconds_since
@@ -77,6 +77,9 @@ class Estimate:
         The tilt in use.
     camera_delay_s, camera_delay_std_s
         How late the frames are stamped, as configured or as estimated; NaN sigma where it is not estimated.
+    lateral_status, lateral_probability
+        A `LateralStatus`; the probability that the offset is within 0.1 half widths of the likeliest hypothesis,
+        whether it is reported or not.
     """
 
     timestamp_ns: int
@@ -115,6 +118,8 @@ class Estimate:
     pitch_rad: float = nan
     camera_delay_s: float = nan
     camera_delay_std_s: float = nan
+    lateral_status: str = LateralStatus.UNKNOWN
+    lateral_probability: float = 0.0
 
 
 def status_of(state: State, config: FusionConfig, t_ns: int, heading_std_rad: float) -> tuple[Status, str]:
@@ -144,7 +149,7 @@ def status_of(state: State, config: FusionConfig, t_ns: int, heading_std_rad: fl
         status, reasons = Status.COASTING, ["no frames arrive" if silent else "frames are rejected"]
     else:
         status, reasons = Status.TRACKING, []
-        if state.lateral.acquired and seconds_since(t_ns, state.lateral.t_ns) > limit:
+        if state.lateral.n_used and seconds_since(t_ns, state.lateral.t_ns) > limit:
             reasons.append("frames show no lateral offset")
     return status, "; ".join([*reasons, *state.silences(t_ns, config)])
 
@@ -162,7 +167,8 @@ def estimate_of(state: State, config: FusionConfig, t_ns: int | None = None) -> 
         heading, heading_std = _provisional_heading(state)
     status, reason = status_of(state, config, t, heading_std)
     half = state.width.half_m(config)
-    found = readout(lateral, state.x, state.P, state.velocity, t, half)
+    limit = state.frames.age_limit_s(config)
+    found = readout(lateral, offset_model(config), psi, state.velocity, t, limit)
     position = position_from_offset(found.offset, config.position_dead_band_norm)
     gx, gy, gz = state.tilt.down
     return Estimate(
@@ -202,6 +208,8 @@ def estimate_of(state: State, config: FusionConfig, t_ns: int | None = None) -> 
         pitch_rad=float(np.arctan2(-gx, hypot(gy, gz))),
         camera_delay_s=delay_s,
         camera_delay_std_s=delay_std_s,
+        lateral_status=str(found.status),
+        lateral_probability=found.probability,
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.engine import SOURCES, Entry, State
 from fusion.estimator.estimate import Estimate, estimate_of
+from fusion.estimator.lateral_smoother import OffsetSteps
 from fusion.estimator.smoothed_table import smoothed_table
 from fusion.estimator.smoother import Node, Steps
 from fusion.estimator.tables import ESTIMATE_DTYPE, estimate_row
@@ -65,7 +66,10 @@ class FixedLag:
         steps.add([Node(None, target.x, target.P, target.x, target.P)])
         steps.add(chain.from_iterable(entry.nodes for entry in window[1:]))
         ends = np.cumsum([0, *(len(entry.nodes) for entry in window[1:])])
-        row = smoothed_table(table, ends[instants], steps, self.config)[0]
+        offset_steps = OffsetSteps()
+        for entry in window:
+            offset_steps.add(entry.t_ns, entry.after.lateral.step)
+        row = smoothed_table(table, ends[instants], steps, offset_steps, self.config)[0]
         return replace(rows[0], **dict(zip(ESTIMATE_DTYPE.names or (), row.item(), strict=True)))
 
 

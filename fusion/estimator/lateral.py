@@ -1,34 +1,57 @@
-"""The lateral offset: takes propagation steps and frames, corrects the filter, returns its part of the state.
+"""The lateral offset: takes propagation steps, velocities and frames, returns its part of the state, changes nothing.
 
-The engine calls `propagated` in each propagation step, with a `MotionStep`, and `fused` for each accepted frame; the
-estimate asks for `readout`, a frame's prediction for `expected`. Offset and velocity themselves are y and v of the
-filter's state; this part gates them, and lets rejected offsets win by agreeing, as `fusion.estimator.corridor_axis`
-does with headings.
+The engine calls `propagated` in each propagation step, with a `MotionStep`, `with_velocity` for each velocity and
+`fused` for each accepted frame; the estimate asks for `readout`, a frame's prediction for `expected`. The estimation
+itself is the Gaussian sum of `fusion.estimator.lateral_offset`; this part hands it what the estimator knows, and
+tells when the offset is known and when it jumps.
 """
 
 from __future__ import annotations
 
-from math import cos, hypot, isfinite, nan, sin, sqrt
-from typing import TYPE_CHECKING, NamedTuple
+from enum import StrEnum
+from math import cos, hypot, isfinite, nan, sin
+from typing import NamedTuple
+
+import numpy as np
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.models import PSI, FloatArray, V, Vector, Y, lateral_model
-from fusion.estimator.noise_adaptation import Doubt, SourceNoise, correlation, update_with_doubt
-from fusion.estimator.propagation import Drift
+from fusion.estimator.lateral_kernels import N_LATERAL, S, correct_all
+from fusion.estimator.lateral_offset import (
+    FrameEvidence,
+    OffsetModel,
+    OffsetReadout,
+    OffsetState,
+    Path,
+    at_path_end,
+    frame_evidence,
+    in_new_corridor,
+    nothing_known,
+    propagate,
+    with_evidence,
+    with_roll,
+    with_speed,
+)
+from fusion.estimator.lateral_offset import readout as readout_of
+from fusion.estimator.lateral_smoother import OffsetStep
+from fusion.estimator.models import PSI, FloatArray, Vector
+from fusion.estimator.sample_times import seconds_since
 from fusion.estimator.velocity import Velocity
-from fusion.estimator.votes import AGREEING_SHARE, Vote, add_vote, agreement, is_contested
+from vision.lateral.mixture import OffsetMixture
 from vision.measurement import FrameMeasurement
 from vision.rotations import wrap_axis
 
-if TYPE_CHECKING:
-    from fusion.estimator.ekf import CorridorEKF
-
-UNKNOWN_STD = 1.0
-LOST_STD = 0.5
 PRIOR_STD = 0.1
-START_FRAMES = 3
-VOTE_AGE_S = 3.0
-OUTLIER_DENSITY = 0.5  # anywhere between the walls
+WIDTH_STD_SHARE = 0.05  # of a width that is told: corridors are not as wide everywhere
+ANSWER_PROBABILITY = 0.97  # that a single frame's answer is right, where that is all there is
+JUMP_NORM = 0.1  # change in one frame from which on another hypothesis has won
+
+
+class LateralStatus(StrEnum):
+    """How far the lateral offset can be relied on; the words of the ``lateral_status`` column."""
+
+    UNKNOWN = "unknown"  # never told, or no hypothesis is probable and narrow enough
+    KNOWN = "known"  # recent frames confirm it
+    COASTING = "coasting"  # carried on by the accelerometer or velocity; its sigma grows
 
 
 class MotionStep(NamedTuple):
@@ -36,70 +59,65 @@ class MotionStep(NamedTuple):
 
     Parameters
     ----------
-    t_ns, dt_s
-        Its end, and its length; 0 s at the first sample.
-    x
-        The filter's state (5,) at the start: heading, gyroscope bias.
-    rate_rad_s
-        Level yaw rate at the end, bias included.
+    dt_s
+        Its length; 0 s at the first sample.
+    heading_rad
+        At its start.
     down, accel_m_s2
         Direction of gravity in the body, and the accelerometer's specific force there (FRD); None without.
-    velocity
-        Level speeds of the velocity stream.
     """
 
-    t_ns: int
     dt_s: float
-    x: FloatArray
-    rate_rad_s: float
+    heading_rad: float
     down: Vector
     accel_m_s2: Vector | None
-    velocity: Velocity
 
 
 class Lateral(NamedTuple):
-    """What is known of the lateral offset beside its mean and variance.
+    """What is known of the lateral offset.
 
     Parameters
     ----------
-    acquired
-        Whether it is known.
-    t_ns, n_used
-        When one was last used, and how many have been.
-    noise, test_ratio
-        Of the frames' offsets; of the last innovation.
-    votes
-        Rejected offsets.
+    offset
+        The Gaussian sum.
+    step
+        Its last step, for the smoother; None where the last sample made none.
+    t_frame_ns, t_ns
+        When the last frame came that told anything, and the last one that confirmed the offset.
+    n_used
+        How many confirmed it.
+    test_ratio
+        Squared innovation of the last frame's likeliest offset over its gate's square.
     last_known
-        Last offset known, half widths and metres, while none is.
+        Last offset known, half widths and metres.
     reset_count, reset_norm, reset_m
         How often it jumped, and its last step.
     """
 
-    acquired: bool = False
+    offset: OffsetState = nothing_known()
+    step: OffsetStep | None = None
+    t_frame_ns: int | None = None
     t_ns: int | None = None
     n_used: int = 0
-    noise: SourceNoise = SourceNoise()
     test_ratio: float = nan
-    votes: tuple[Vote, ...] = ()
     last_known: tuple[float, float] = (nan, nan)
     reset_count: int = 0
     reset_norm: float = 0.0
     reset_m: float = 0.0
 
+    def clock_set_back(self) -> Lateral:
+        """Go on with nothing known."""
+        offset = in_new_corridor(self.offset)
+        step = OffsetStep(Path(), offset, starts_anew=True)
+        return self._replace(offset=offset, step=step, t_frame_ns=None, t_ns=None)
 
-class LateralReadout(NamedTuple):
-    """Offset and sigma, half widths; its rate and sigma, half widths per second; speed along the axis, m/s."""
-
-    offset: float
-    offset_std: float
-    rate: float
-    rate_std: float
-    along_m_s: float
+    def corridor_changed(self) -> Lateral:
+        """Go on in a corridor of which nothing is known."""
+        return self.clock_set_back()
 
 
 class LateralOffset:
-    """Gates lateral offsets and decides when they are known.
+    """Hands the Gaussian sum what the estimator knows.
 
     Parameters
     ----------
@@ -112,164 +130,225 @@ class LateralOffset:
     def __init__(self, config: FusionConfig, camera_arm_m: tuple[float, float]) -> None:
         self.config = config
         self.camera_arm_m = camera_arm_m
-        self._unmoved = Drift(0.0, 0.0, nan)  # the same from step to step while no velocity is known
+        self.model = offset_model(config)
 
-    def propagated(self, lateral: Lateral, step: MotionStep, half_m: float) -> tuple[Lateral, Drift]:
-        """Take a propagation step; return also how the offset moves in it.
+    def propagated(self, lateral: Lateral, step: MotionStep) -> Lateral:
+        """Take a propagation step."""
+        if step.dt_s <= 0.0 and step.accel_m_s2 is None:
+            return lateral if lateral.step is None else lateral._replace(step=None)
+        offset = propagate(lateral.offset, step.dt_s, step.heading_rad, step.accel_m_s2, step.down)
+        return lateral._replace(offset=offset, step=None)
 
-        Parameters
-        ----------
-        lateral
-            Part of the state.
-        step
-            What moves the vehicle.
-        half_m
-            Half the corridor's width; NaN where unknown.
-        """
-        scale, velocity = _scale_m(half_m), step.velocity
-        if velocity.is_known(step.t_ns):
-            v_std = self.config.velocity_std_m_s / scale
-            return lateral, Drift(velocity.forward_m_s / scale, velocity.sideways_m_s / scale, v_std)
-        v_std = self.config.lateral_velocity_std_m_s / scale
-        if v_std != self._unmoved.v_std:
-            self._unmoved = Drift(0.0, 0.0, v_std)
-        return lateral, self._unmoved
-
-    def fused(
-        self, lateral: Lateral, ekf: CorridorEKF, t_ns: int, m: FrameMeasurement, half_m: float
-    ) -> Lateral:
-        """Take the offset of a frame whose heading was accepted.
-
-        Parameters
-        ----------
-        lateral
-            Part of the state.
-        ekf
-            Filter to correct.
-        t_ns, m
-            The frame.
-        half_m
-            Half the corridor's width; NaN where unknown.
-        """
-        if not (isfinite(m.lateral_offset_norm) and 0.0 < m.lateral_offset_norm_std < 10.0):
-            return lateral
-        offset_norm = m.lateral_offset_norm - self._camera_aside(m.heading_rad, half_m)
-        return self._gated(lateral, ekf, t_ns, offset_norm, m.lateral_offset_norm_std, half_m)
-
-    def lost(self, lateral: Lateral, ekf: CorridorEKF, half_m: float) -> Lateral:
-        """Let the next lateral offsets start anew; what was known last is kept, to tell the step."""
-        last_known = lateral.last_known
-        if lateral.acquired:
-            y = float(ekf.x[Y])
-            last_known = (y, y * half_m)
-        return lateral._replace(acquired=False, votes=(), last_known=last_known)
-
-    def unknown_variances(self, half_m: float) -> tuple[float, float]:
-        """Variances of y and v in a corridor of which nothing is known."""
-        return UNKNOWN_STD**2, (self.config.lateral_velocity_std_m_s / _scale_m(half_m)) ** 2
-
-    def expected(
-        self, lateral: Lateral, x: FloatArray, P: FloatArray, psi_rad: float, half_m: float
-    ) -> tuple[float, float]:
-        """Offset and sigma, half widths, that a frame should show; NaN while it is not known.
+    def with_velocity(self, lateral: Lateral, x: FloatArray, P: FloatArray, velocity: Velocity) -> Lateral:
+        """Take a level velocity as a measurement of the offset's rate.
 
         Parameters
         ----------
         lateral
             Part of the state.
         x, P
-            The filter's state (5,) and covariance (5, 5).
+            The filter's state and covariance: the heading turns the velocity into the corridor.
+        velocity
+            As just measured.
+        """
+        psi = float(x[PSI])
+        along = velocity.forward_m_s * cos(psi) - velocity.sideways_m_s * sin(psi)
+        across = velocity.forward_m_s * sin(psi) + velocity.sideways_m_s * cos(psi)
+        variance = self.config.velocity_std_m_s**2 + along * along * float(P[PSI, PSI])
+        path = lateral.offset.path
+        offset = with_speed(at_path_end(lateral.offset, self.model), across, variance)
+        return lateral._replace(offset=offset, step=OffsetStep(path, offset, speed=(across, variance)))
+
+    def fused(
+        self, lateral: Lateral, x: FloatArray, t_ns: int, m: FrameMeasurement, half_m: float
+    ) -> Lateral:
+        """Take what a frame whose heading was accepted says.
+
+        Parameters
+        ----------
+        lateral
+            Part of the state.
+        x
+            The filter's state.
+        t_ns, m
+            The frame.
+        half_m
+            Half the corridor's width; NaN where unknown.
+        """
+        dt_s = seconds_since(t_ns, lateral.t_frame_ns)
+        offset, path = lateral.offset, lateral.offset.path
+        if isfinite(m.roll_correction_rad) and m.roll_correction_std_rad > 0.0:
+            offset = with_roll(offset, m.roll_correction_rad, m.roll_correction_std_rad, dt_s)
+        mixtures = _mixtures_of(m, self.config)
+        if not mixtures:
+            return lateral._replace(offset=offset)
+        evidence = frame_evidence(mixtures, dt_s, float(x[PSI]), self.camera_arm_m)
+        offset = _with_width(at_path_end(offset, self.model), half_m)
+        before = readout_of(offset, self.model)
+        offset = with_evidence(offset, evidence, self.model)
+        after = readout_of(offset, self.model)
+        lateral = lateral._replace(
+            offset=offset,
+            step=OffsetStep(path, offset, evidence),
+            t_frame_ns=t_ns,
+            test_ratio=_test_ratio(before, evidence, half_m, self.config),
+        )
+        if after.evidence_age_s == 0.0 and len(offset.x):
+            lateral = lateral._replace(t_ns=t_ns, n_used=lateral.n_used + 1)
+        return _with_jump(lateral, before, after, half_m)
+
+    def expected(self, lateral: Lateral, psi_rad: float, half_m: float) -> tuple[float, float]:
+        """Offset and sigma, half widths, that a frame should show; NaN while it is not known.
+
+        Parameters
+        ----------
+        lateral
+            Part of the state.
         psi_rad
             Heading that the frame should show.
         half_m
             Half the corridor's width; NaN where unknown.
         """
-        if not lateral.acquired:
+        found = readout_of(lateral.offset, self.model)
+        if not found.known:
             return nan, nan
         side = 1 if cos(psi_rad) >= 0 else -1
-        offset = side * float(x[Y]) + self._camera_aside(wrap_axis(psi_rad), half_m)
+        offset = side * found.offset_norm + self._camera_aside(wrap_axis(psi_rad), half_m)
         # Wider than it is: were vision silent wherever the filter is wrong, nothing could set the filter right.
-        return offset, hypot(sqrt(float(P[Y, Y])), PRIOR_STD)
+        return offset, hypot(found.std_norm, PRIOR_STD)
 
     def _camera_aside(self, heading_rad: float, half_m: float) -> float:
-        """Half widths by which a camera ahead of the body's centre swings to the right; 0 while no width is known."""
+        """Half widths by which a camera ahead of the body's centre swings right; 0 while no width is known."""
         if not half_m > 0.0:  # NaN fails too
             return 0.0
         ahead_m, right_m = self.camera_arm_m
         return (ahead_m * sin(heading_rad) + right_m * cos(heading_rad)) / half_m
 
-    def _gated(
-        self, lateral: Lateral, ekf: CorridorEKF, t_ns: int, offset_norm: float, std: float, half_m: float
-    ) -> Lateral:
-        """Gate an offset; as with headings, what is rejected may win by agreeing."""
-        c = self.config
-        variance = max(std, c.lateral_std_floor_norm) ** 2
-        if lateral.acquired and float(ekf.P[Y, Y]) > LOST_STD**2:
-            lateral = self.lost(lateral, ekf, half_m)
-        measurement = lateral_model(ekf.x, offset_norm, variance)
-        if lateral.acquired:
-            rho = correlation(t_ns, lateral.t_ns, c.lateral_correlation_s)
-            doubt = Doubt(c.lateral_gate_sigma, rho, OUTLIER_DENSITY)
-            gate, noise = update_with_doubt(ekf, measurement, lateral.noise, doubt)
-            if gate.accepted:
-                n_used = lateral.n_used + 1
-                return lateral._replace(noise=noise, test_ratio=gate.test_ratio, t_ns=t_ns, n_used=n_used)
-            lateral = lateral._replace(noise=noise, test_ratio=gate.test_ratio)
-        side = float(measurement.H[Y])
-        vote = Vote(t_ns, side * measurement.residual, sqrt(variance), lateral.n_used)
-        lateral = lateral._replace(votes=add_vote(lateral.votes, vote, VOTE_AGE_S))
-        found = agreement(lateral.votes, c.lateral_recovery_spread_norm)
-        needed = c.recovery_frames if lateral.acquired else min(START_FRAMES, c.start_frames)
-        if found is None or found.n_votes < needed or found.share < AGREEING_SHARE:
-            return lateral
-        if is_contested(found, lateral.n_used):
-            return lateral
-        ekf.widen(Y, found.value**2 if lateral.acquired else UNKNOWN_STD**2)
-        value = offset_norm + side * (found.value - side * measurement.residual)
-        before = float(ekf.x[Y])
-        before, before_m = (before, before * half_m) if lateral.acquired else lateral.last_known
-        ekf.update(lateral_model(ekf.x, value, found.std**2))
-        if isfinite(before):  # known before: a step, not the start
-            after = float(ekf.x[Y])
-            lateral = lateral._replace(
-                reset_count=lateral.reset_count + 1,
-                reset_norm=after - before,
-                reset_m=after * half_m - before_m,
-            )
-        return lateral._replace(acquired=True, votes=(), t_ns=t_ns, n_used=lateral.n_used + 1)
+
+def offset_model(config: FusionConfig) -> OffsetModel:
+    """Return what the Gaussian sum assumes, with the configuration's width where it is told."""
+    model = OffsetModel()
+    if config.corridor_width_m is None:
+        return model
+    inverse = 2.0 / config.corridor_width_m
+    return model._replace(inverse_half_width=(inverse, WIDTH_STD_SHARE * inverse))
+
+
+class LateralReadout(NamedTuple):
+    """The lateral offset as reported.
+
+    Offset and sigma in half widths, its rate and sigma in half widths per second, NaN where unknown; status; the
+    probability of the hypothesis; speed along the axis, m/s.
+    """
+
+    offset: float
+    offset_std: float
+    rate: float
+    rate_std: float
+    status: LateralStatus
+    probability: float
+    along_m_s: float
 
 
 def readout(
-    lateral: Lateral, x: FloatArray, P: FloatArray, velocity: Velocity, t_ns: int, half_m: float
+    lateral: Lateral, model: OffsetModel, psi_rad: float, velocity: Velocity, t_ns: int, age_limit_s: float
 ) -> LateralReadout:
-    """Report the offset, and how fast it changes by all that moves it: heading and speed, and drift.
+    """Report the offset.
 
     Parameters
     ----------
-    lateral
-        Part of the state.
-    x, P
-        The filter's state (5,) and covariance (5, 5).
+    lateral, model
+        Part of the state, and what its filter assumes.
+    psi_rad
+        Heading.
     velocity
         Level speeds of the velocity stream.
     t_ns
         When.
-    half_m
-        Half the corridor's width; NaN where unknown.
+    age_limit_s
+        Age of the last confirming frame from which on the offset counts as carried on.
     """
-    psi, v = float(x[PSI]), float(x[V])
-    along, c, across = nan, 0.0, 0.0
+    along = nan
     if velocity.is_known(t_ns):
-        along = velocity.forward_m_s * cos(psi) - velocity.sideways_m_s * sin(psi)
-        across = velocity.forward_m_s * sin(psi) + velocity.sideways_m_s * cos(psi)
-        scale = _scale_m(half_m)
-        c, across = along / scale, across / scale
-    if not lateral.acquired:
-        return LateralReadout(nan, nan, nan, nan, along)
-    variance = float(P[V, V]) + 2.0 * c * float(P[PSI, V]) + c * c * float(P[PSI, PSI])
-    return LateralReadout(float(x[Y]), sqrt(float(P[Y, Y])), across + v, sqrt(max(variance, 0.0)), along)
+        along = velocity.forward_m_s * cos(psi_rad) - velocity.sideways_m_s * sin(psi_rad)
+    found = readout_of(lateral.offset, model)
+    if not found.known:
+        return LateralReadout(nan, nan, nan, nan, LateralStatus.UNKNOWN, found.probability, along)
+    recent = seconds_since(t_ns, lateral.t_ns) <= age_limit_s
+    status = LateralStatus.KNOWN if recent else LateralStatus.COASTING
+    return LateralReadout(
+        found.offset_norm,
+        found.std_norm,
+        found.velocity_norm_s,
+        found.velocity_std_norm_s,
+        status,
+        found.probability,
+        along,
+    )
 
 
-def _scale_m(half_m: float) -> float:
-    """Half width for turning metres into half widths; one metre where it is unknown."""
-    return half_m if half_m > 0.0 else 1.0  # NaN fails too
+def _mixtures_of(m: FrameMeasurement, config: FusionConfig) -> tuple[OffsetMixture, ...]:
+    """Return what a frame says; one measured elsewhere may hold nothing but an answer."""
+    if m.offset_evidence:
+        return m.offset_evidence
+    if not (isfinite(m.lateral_offset_norm) and 0.0 < m.lateral_offset_norm_std < 10.0):
+        return ()
+    std = max(m.lateral_offset_norm_std, config.lateral_std_floor_norm)
+    values = ([ANSWER_PROBABILITY], [m.lateral_offset_norm], [std], [m.width_per_height])
+    return (OffsetMixture(*(np.array(v, dtype=float) for v in values)),)
+
+
+def _with_width(offset: OffsetState, half_m: float) -> OffsetState:
+    """Let a width that is told fix the scale of the hypotheses, where they know less of it."""
+    if not half_m > 0.0 or not len(offset.x):  # NaN fails too
+        return offset
+    inverse = 1.0 / half_m
+    variance = (WIDTH_STD_SHARE * inverse) ** 2
+    if not (offset.P[:, S, S] > 2.0 * variance).any():
+        return offset
+    x, P = offset.x.copy(), offset.P.copy()
+    H = np.zeros(N_LATERAL)
+    H[S] = 1.0
+    correct_all(x, P, H, inverse, variance)
+    return offset._replace(x=x, P=P)
+
+
+def _test_ratio(
+    expected: OffsetReadout, evidence: FrameEvidence, half_m: float, config: FusionConfig
+) -> float:
+    """Squared innovation of a frame's likeliest offset over the gate's square; NaN while nothing is known."""
+    if not expected.known or not len(evidence.components):
+        return nan
+    _, offset, variance = evidence.components[int(np.argmax(evidence.components[:, 0]))].tolist()
+    aside = evidence.aside_m / half_m if half_m > 0.0 else 0.0
+    innovation = evidence.side * (offset - aside) - expected.offset_norm
+    gate = config.lateral_gate_sigma**2 * (variance + expected.std_norm**2)
+    return float(innovation * innovation / gate)
+
+
+def _with_jump(lateral: Lateral, before: OffsetReadout, after: OffsetReadout, half_m: float) -> Lateral:
+    """Count a step: another hypothesis has won, or the offset is known again elsewhere than it was last."""
+    if not after.known:
+        if before.known:
+            lateral = lateral._replace(last_known=(before.offset_norm, before.offset_norm * half_m))
+        return lateral
+    old, old_m = (before.offset_norm, before.offset_norm * half_m) if before.known else lateral.last_known
+    step = after.offset_norm - old
+    jumped = abs(step) > JUMP_NORM if before.known else isfinite(step)
+    if jumped:
+        lateral = lateral._replace(
+            reset_count=lateral.reset_count + 1, reset_norm=step, reset_m=after.offset_norm * half_m - old_m
+        )
+    return lateral._replace(last_known=(nan, nan))
+
+
+__all__ = [
+    "Lateral",
+    "LateralOffset",
+    "LateralReadout",
+    "LateralStatus",
+    "MotionStep",
+    "OffsetStep",
+    "offset_model",
+    "readout",
+]

@@ -267,7 +267,7 @@ def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tup
     Q[V, C] = Q[C, V] = -b2 * t**2 / 2
     Q[C, C] = b2 * t
     if backward:
-        inverse: FloatArray = np.linalg.inv(F)
+        inverse = np.asarray(np.linalg.inv(F), np.float64)
         return inverse, inverse @ Q @ inverse.T
     return F, Q
 

@@ -17,6 +17,7 @@ them from the same prior, and they matter little where y and v are compared.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from math import pi, sqrt
 from typing import NamedTuple
 
@@ -62,6 +63,20 @@ class OffsetStep(NamedTuple):
     evidence: FrameEvidence | None = None
     speed: tuple[float, float] | None = None
     starts_anew: bool = False
+
+
+@dataclass(slots=True)
+class OffsetSteps:
+    """Steps of the lateral offset with their times, in order."""
+
+    t_ns: list[int] = field(default_factory=list)
+    steps: list[OffsetStep] = field(default_factory=list)
+
+    def add(self, t_ns: int, step: OffsetStep | None) -> None:
+        """Append a step; None: there was none."""
+        if step is not None:
+            self.t_ns.append(t_ns)
+            self.steps.append(step)
 
 
 def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[OffsetReadout]:

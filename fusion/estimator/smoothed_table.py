@@ -8,18 +8,23 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.models import BIAS, PSI, YAW_OFFSET, FloatArray, Y
+from fusion.estimator.lateral import LateralStatus, offset_model
+from fusion.estimator.lateral_smoother import OffsetSteps, at_times, smoothed_offsets
+from fusion.estimator.models import BIAS, PSI, YAW_OFFSET, FloatArray
 from fusion.estimator.smoother import Steps, rts
 from fusion.estimator.tables import Table
 from vision.measurement import position_from_offset
 from vision.rotations import wrap, wrap_axis
 
-KNOWN_OFFSET_STD_NORM = 0.5
 KNOWN_IMU_YAW_STD_RAD = 0.5
 
 
 def smoothed_table(
-    table: Table, row_steps: npt.NDArray[np.int64], steps: Steps, config: FusionConfig
+    table: Table,
+    row_steps: npt.NDArray[np.int64],
+    steps: Steps,
+    offset_steps: OffsetSteps,
+    config: FusionConfig,
 ) -> Table:
     """Smooth a filter's table.
 
@@ -34,6 +39,10 @@ def smoothed_table(
         Index (n,) of the step that each row stands behind.
     steps
         Of the engine.
+    offset_steps
+        Of the lateral offset.
+    config
+        Settings.
     """
     out = table.copy()
     if not len(table):
@@ -56,9 +65,7 @@ def smoothed_table(
     out["gyro_bias_rad_s"] = np.where(np.isfinite(table["gyro_bias_rad_s"]), at[:, BIAS], nan)
     known = (std[:, YAW_OFFSET] < KNOWN_IMU_YAW_STD_RAD) & np.isfinite(table["imu_yaw_offset_rad"]).any()
     out["imu_yaw_offset_rad"] = np.where(known, wrap(at[:, YAW_OFFSET]), nan)
-    known = std[:, Y] < KNOWN_OFFSET_STD_NORM
-    out["lateral_offset_norm"] = np.where(known, at[:, Y], nan)
-    out["lateral_offset_norm_std"] = np.where(known, std[:, Y], nan)
+    _smooth_offset(out, offset_steps, config)
     _move_corridor_changes(out, row_steps, F, x_s, variance, config)
     half_m = half_widths_m(table)
     out["lateral_offset_m"] = out["lateral_offset_norm"] * half_m
@@ -68,6 +75,24 @@ def smoothed_table(
     )
     out["position"] = ["" if name is None else str(name) for name in names]
     return out
+
+
+def _smooth_offset(out: Table, steps: OffsetSteps, config: FusionConfig) -> None:
+    """Put in the lateral offset from the whole flight; behind the last step the filter's is the smoother's."""
+    if not steps.steps:
+        return
+    offsets = smoothed_offsets(steps.steps, offset_model(config))
+    start_ns, step_ns = steps.t_ns[0], np.array(steps.t_ns, dtype=np.int64)
+    t_s = (out["timestamp_ns"] - start_ns) * 1e-9
+    step_t_s = (step_ns - start_ns) * 1e-9
+    within = (t_s >= 0.0) & (t_s <= step_t_s[-1])
+    offset, std, known = at_times(step_t_s, offsets, t_s[within])
+    out["lateral_offset_norm"][within] = np.where(known, offset, nan)
+    out["lateral_offset_norm_std"][within] = np.where(known, std, nan)
+    known = np.isfinite(out["lateral_offset_norm"])
+    unknown = out["lateral_status"] == LateralStatus.UNKNOWN
+    out["lateral_status"][known & unknown] = LateralStatus.KNOWN
+    out["lateral_status"][~known] = LateralStatus.UNKNOWN
 
 
 def _move_corridor_changes(

@@ -114,6 +114,10 @@ ESTIMATE_COLUMNS = (
     ),
     Column("status", "U12", "", "initialising, tracking, coasting or lost"),
     Column("vision_age_s", "f8", "s", "Time since the last frame that was used"),
+    Column(
+        "lateral_status", "U8", "", "unknown, known or coasting: how far the lateral offset can be relied on"
+    ),
+    Column("lateral_age_s", "f8", "s", "Time since the last frame that confirmed the lateral offset"),
 )
 """Of ``estimates.csv`` and ``smoothed.csv``; each is a field of `fusion.estimator.estimate.Estimate`."""
 

@@ -17,6 +17,7 @@ from fusion.estimator.estimate import estimate_of
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.frame_update import FrameResult, FrameSample
 from fusion.estimator.imu_yaw import AttitudeSample
+from fusion.estimator.lateral_smoother import OffsetSteps
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.smoothed_table import smoothed_table
 from fusion.estimator.smoother import Steps
@@ -167,6 +168,7 @@ class Recorder:
         self.row_kind = row_kind
         self.frames: list[tuple[Any, ...]] = []
         self.steps = Steps()
+        self.offset_steps = OffsetSteps()
         self._rows: list[tuple[Any, ...]] = []
         self._packed: list[
             Table
@@ -180,6 +182,7 @@ class Recorder:
         if self._pending is not None and entry.t_ns > self._pending.t_ns:
             self._close_instant()
         self.steps.add(entry.nodes)
+        self.offset_steps.add(entry.t_ns, entry.after.lateral.step)
         if entry.frame is not None:
             self.frames.append(frame_row(entry.frame, self.config))
         self._pending = entry
@@ -211,9 +214,8 @@ class Recorder:
 
     def smoothed(self) -> Table:
         """Return the smoother's table: the same rows, with every number from the whole flight."""
-        return smoothed_table(
-            self.estimates(), np.array(self._row_steps, dtype=np.int64), self.steps, self.config
-        )
+        row_steps = np.array(self._row_steps, dtype=np.int64)
+        return smoothed_table(self.estimates(), row_steps, self.steps, self.offset_steps, self.config)
 
 
 def frame_row(result: FrameResult, config: FusionConfig) -> tuple[Any, ...]:

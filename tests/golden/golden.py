@@ -47,7 +47,9 @@ class Kind(IntEnum):
 
 Give = tuple[int, Kind, tuple[Any, ...]]  # when, to what, with which values
 SCALARS = tuple(
-    f.name for f in fields(FrameMeasurement) if f.name not in ("lines_px", "line_class", "wall_lines_px")
+    f.name
+    for f in fields(FrameMeasurement)
+    if f.name not in ("lines_px", "line_class", "wall_lines_px", "offset_evidence")
 )
 PAIRS = {"vp_px": 2, "vp_cov_px2": 4}
 
@@ -72,7 +74,7 @@ def frame_cells(m: FrameMeasurement) -> list[str]:
 
 def frame_from(row: dict[str, str]) -> FrameMeasurement:
     def number(name: str) -> float:
-        return float(row[name]) if row[name] else nan
+        return float(row[name]) if row.get(name) else nan
 
     values: dict[str, Any] = {
         name: number(name) for name in SCALARS if name not in (*PAIRS, "accepted", "reason", "position")

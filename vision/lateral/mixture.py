@@ -124,7 +124,8 @@ def _products(
 ) -> float:
     """Multiply two likelihoods given as components (n, 4), (m, 4).
 
-    Fills ``rows`` and returns what is the same everywhere. Rows and return value are weights: the integral over (-1, 1). ``slack`` is the variance that each has besides.
+    Fills ``rows`` and returns what is the same everywhere. Rows and return value are weights: the integral over
+    (-1, 1). ``slack`` is the variance that each has besides.
     """
     n, m = len(first), len(second)
     blind_first, blind_second = 1.0, 1.0
