@@ -17,6 +17,7 @@ import numpy as np
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.lateral_kernels import N_LATERAL, S, correct_all
 from fusion.estimator.lateral_offset import (
+    FIRST_FRAME_S,
     FrameEvidence,
     OffsetModel,
     OffsetReadout,
@@ -175,7 +176,7 @@ class LateralOffset:
         half_m
             Half the corridor's width; NaN where unknown.
         """
-        dt_s = seconds_since(t_ns, lateral.t_frame_ns)
+        dt_s = FIRST_FRAME_S if lateral.t_frame_ns is None else seconds_since(t_ns, lateral.t_frame_ns)
         offset, path = lateral.offset, lateral.offset.path
         if isfinite(m.roll_correction_rad) and m.roll_correction_std_rad > 0.0:
             offset = with_roll(offset, m.roll_correction_rad, m.roll_correction_std_rad, dt_s)

@@ -83,8 +83,8 @@ def _smooth_offset(out: Table, steps: OffsetSteps, config: FusionConfig) -> None
         return
     offsets = smoothed_offsets(steps.steps, offset_model(config))
     start_ns, step_ns = steps.t_ns[0], np.array(steps.t_ns, dtype=np.int64)
-    t_s = (out["timestamp_ns"] - start_ns) * 1e-9
-    step_t_s = (step_ns - start_ns) * 1e-9
+    t_s: FloatArray = (out["timestamp_ns"] - start_ns).astype(np.float64) * 1e-9
+    step_t_s: FloatArray = (step_ns - start_ns).astype(np.float64) * 1e-9
     within = (t_s >= 0.0) & (t_s <= step_t_s[-1])
     offset, std, known = at_times(step_t_s, offsets, t_s[within])
     out["lateral_offset_norm"][within] = np.where(known, offset, nan)
