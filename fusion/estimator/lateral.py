@@ -44,6 +44,7 @@ from vision.rotations import wrap_axis
 PRIOR_STD = 0.1
 WIDTH_STD_SHARE = 0.05  # of a width that is told: corridors are not as wide everywhere
 ANSWER_PROBABILITY = 0.97  # that a single frame's answer is right, where that is all there is
+MAX_FORCE_M_S2 = 300.0
 JUMP_NORM = 0.1  # change in one frame from which on another hypothesis has won
 
 
@@ -137,7 +138,10 @@ class LateralOffset:
         """Take a propagation step."""
         if step.dt_s <= 0.0 and step.accel_m_s2 is None:
             return lateral if lateral.step is None else lateral._replace(step=None)
-        offset = propagate(lateral.offset, step.dt_s, step.heading_rad, step.accel_m_s2, step.down)
+        force = step.accel_m_s2
+        if force is not None and not max(map(abs, force)) < MAX_FORCE_M_S2:
+            force = None  # no vehicle flies so: a damaged sample
+        offset = propagate(lateral.offset, step.dt_s, step.heading_rad, force, step.down)
         return lateral._replace(offset=offset, step=None)
 
     def with_velocity(self, lateral: Lateral, x: FloatArray, P: FloatArray, velocity: Velocity) -> Lateral:
