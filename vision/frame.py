@@ -22,9 +22,9 @@ from vision.axis.vote import VERTICAL_SINE
 from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.images import to_grey
-from vision.lateral.learned import learned_mixture
+from vision.lateral.learned import corner_lines, corner_scores, mixture_of
 from vision.lateral.offset import fit_lateral
-from vision.lateral.polar import corridor_frame
+from vision.lateral.polar import corridor_frame, polar_picture
 from vision.lines.segments import LineSet, extract_lines, is_distorted
 from vision.measurement import (
     Attitude,
@@ -48,6 +48,7 @@ MAX_STD_RAD = radians(1.5)
 MAX_ELEVATION_RAD = radians(2.5)  # corridors are level: an axis that is not was none
 MAX_ELEVATION_SIGMA = 2.5
 MAX_BLUR_PX = 20.0
+MAX_DRAWN_DOUBT = 0.5  # of the network: less sure, its corners are not drawn
 SLOPE_STD_RAD = radians(0.2)  # floors and ceilings are level to about this
 CALIBRATION_STD_RAD = radians(0.03)  # what focal length and principal point leave, the same in every frame
 UNKNOWN_ATTITUDE = Attitude(0.0, 0.0, std_rad=radians(12.0))
@@ -194,7 +195,11 @@ def _with_lateral(
     evidence = [mixture]
     if found.accepted and lines.picture is not None:
         R_corridor_camera = corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad)
-        evidence.append(learned_mixture(lines.picture, camera, R_corridor_camera))
+        scores = corner_scores(polar_picture(lines.picture, camera, R_corridor_camera))
+        evidence.append(mixture_of(scores))
+        if answer is None and evidence[-1].cannot_tell < MAX_DRAWN_DOUBT:
+            walls = corner_lines(scores, camera, R_corridor_camera).astype(np.float32)
+            found = replace(found, wall_lines_px=walls)
     found = replace(found, offset_evidence=tuple(evidence))
     if answer is None:
         return found

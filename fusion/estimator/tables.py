@@ -145,6 +145,14 @@ FRAME_COLUMNS = (
 )
 """Of ``frames.csv``."""
 
+HYPOTHESIS_COLUMNS = (
+    _TIME,
+    *_OFFSET_NORM[:2],
+    Column("probability", "f8", "1", "Of this hypothesis"),
+)
+"""What the filter holds possible of the lateral offset, a row per hypothesis; not written to a file."""
+
+HYPOTHESIS_DTYPE = np.dtype([(c.name, c.type) for c in HYPOTHESIS_COLUMNS])
 ESTIMATE_DTYPE = np.dtype([(c.name, c.type) for c in ESTIMATE_COLUMNS])
 FRAME_DTYPE = np.dtype([(c.name, c.type) for c in FRAME_COLUMNS])
 

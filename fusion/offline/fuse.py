@@ -17,7 +17,7 @@ from fusion.estimator.estimate import estimate_of
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.frame_update import FrameResult, FrameSample
 from fusion.estimator.imu_yaw import AttitudeSample
-from fusion.estimator.lateral_smoother import OffsetSteps
+from fusion.estimator.lateral_smoother import OffsetSteps, hypotheses_table
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.smoothed_table import smoothed_table
 from fusion.estimator.smoother import Steps
@@ -79,6 +79,7 @@ def fuse_flight(
         smoothed=smoothed,
         frames=np.array(recorder.frames, dtype=FRAME_DTYPE),
         problems=(*flight.problems, *_sample_problems(estimator)),
+        offset_hypotheses=hypotheses_table(recorder.offset_steps),
     )
     return replace(result, overview=summarise(result, flight, method, estimator.counters, timings))
 

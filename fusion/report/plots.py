@@ -28,6 +28,7 @@ FILTER = "#0072b2"
 SMOOTHED = "#009e73"
 VISION = "#59616b"
 REJECTED = "#d55e00"
+HYPOTHESIS = "#b8a3c9"
 IMU_YAW = "#e69f00"
 RAW_YAW = "#cc79a7"
 _RATIO_SHOWN = (2.2e-4, 6e1)  # beyond it, at the edge of the axis
@@ -74,6 +75,7 @@ def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
     cuts = _cuts(table, np.zeros_like(offset))
     _band(ax, t, offset, 2 * std, cuts, FILTER, "filter, two sigma")
     half = half_widths_m(table) if metres else np.ones(len(table))
+    _plot_hypotheses(ax, result.offset_hypotheses, table, half, origin)
     row = np.clip(np.searchsorted(table["timestamp_ns"], frames["timestamp_ns"], side="right") - 1, 0, None)
     seen = half[row] * frames["lateral_offset_norm"]
     _plot_frames(ax, seconds(frames["timestamp_ns"], origin), seen, frames)
@@ -251,6 +253,15 @@ def _plot_truth(ax: Axes, truth: CorridorTruth, values: FloatArray, origin_ns: i
     t = seconds(truth.t_ns, origin_ns)
     cuts = np.flatnonzero(np.diff(truth.corridor_id)) + 1
     _line(ax, t, values, np.union1d(cuts, _wraps(values)), INK, 0.9, "truth", style=(0, (4, 2)))
+
+
+def _plot_hypotheses(ax: Axes, hypotheses: Table, table: Table, half: FloatArray, origin_ns: int) -> None:
+    """Draw what else the filter held possible of the offset."""
+    some = hypotheses[hypotheses["probability"] < 0.9]
+    row = np.clip(np.searchsorted(table["timestamp_ns"], some["timestamp_ns"], side="right") - 1, 0, None)
+    y = some["lateral_offset_norm"] * half[row]
+    x, y = thin_points(seconds(some["timestamp_ns"], origin_ns), y, limit=1500)
+    _dots(ax, x, y, HYPOTHESIS, "other hypotheses")
 
 
 def _plot_frames(ax: Axes, t: FloatArray, values: FloatArray, frames: Table) -> None:

@@ -28,6 +28,7 @@ CSS_NAME = {
     plots.REJECTED: "rejected",
     plots.IMU_YAW: "imu-yaw",
     plots.RAW_YAW: "raw-yaw",
+    plots.HYPOTHESIS: "hypothesis",
     **{colour: f"status-{status}" for status, colour in plots.STATUS_COLOUR.items()},
 }
 

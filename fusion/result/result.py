@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.tables import Table
+from fusion.estimator.tables import HYPOTHESIS_DTYPE, Table
 from fusion.result.summary import Summary
 
 
@@ -39,6 +41,9 @@ class FusionResult:
         Verdict, counts, rates, timings and errors against the truth, typed; `summary` has them as plain values.
     problems
         What was wrong with the log and with its samples, a sentence each.
+    offset_hypotheses
+        What the filter held possible of the lateral offset after each frame, a row of
+        `fusion.estimator.tables.HYPOTHESIS_DTYPE` per hypothesis.
     """
 
     flight_name: str
@@ -48,6 +53,7 @@ class FusionResult:
     frames: Table
     overview: Summary = field(default_factory=Summary)
     problems: tuple[str, ...] = ()
+    offset_hypotheses: Table = field(default_factory=lambda: np.zeros(0, HYPOTHESIS_DTYPE), repr=False)
 
     @property
     def summary(self) -> dict[str, Any]:

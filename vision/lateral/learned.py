@@ -50,6 +50,8 @@ COTANGENT: FloatArray = 1.0 / np.tan(
 PAIR_OFFSET: FloatArray = (COTANGENT[:, None] - COTANGENT) / (COTANGENT[:, None] + COTANGENT)
 MIN_PROBABILITY = 1e-4  # of a corner at an angle: below, it is left out of the pairs
 
+SURE_CORNER = 0.5  # probability within two angles of the likeliest, from which on a corner is drawn
+DRAWN_TAN: FloatArray = np.geomspace(0.05, 4.0, 16)
 MAX_COMPONENTS = 5
 MIN_WEIGHT = 0.01  # of a component; less is left to "cannot tell"
 FOOT = 0.02  # a peak ends where the density has fallen to this share of it,
@@ -249,3 +251,29 @@ def likeliest_corners(found: CornerScores) -> FloatArray:
     """Angles (4,) about the axis, as `ANGLES` counts them, of the likeliest corners; order of `CornerScores`."""
     from_level = ANGLES[found.corner.argmax(axis=1)]
     return np.array([pi - from_level[0], from_level[1], pi + from_level[2], 2.0 * pi - from_level[3]])
+
+
+def corner_lines(found: CornerScores, camera: Camera, R_corridor_camera: FloatArray) -> FloatArray:
+    """Draw the corners that the network is sure of: pieces of lines (k, 4), pixels of the picture.
+
+    Parameters
+    ----------
+    found
+        What the network says.
+    camera, R_corridor_camera
+        As in `learned_mixture`.
+    """
+    pieces = []
+    for angle, p in zip(likeliest_corners(found), found.corner, strict=True):
+        best = int(p.argmax())
+        if p[max(0, best - 2) : best + 3].sum() < SURE_CORNER:
+            continue
+        rays = np.stack(
+            [np.ones_like(DRAWN_TAN), DRAWN_TAN * np.cos(angle), DRAWN_TAN * np.sin(angle)], axis=1
+        )
+        points = camera.project(rays @ R_corridor_camera)
+        inside = np.isfinite(points).all(axis=1)
+        inside &= (points > -0.5).all(axis=1) & (points < [camera.width_px, camera.height_px]).all(axis=1)
+        points = points[inside]
+        pieces.append(np.hstack([points[:-1], points[1:]]))
+    return np.concatenate(pieces) if pieces else np.zeros((0, 4))
