@@ -86,7 +86,9 @@ def test_combined_evidence_that_disagrees_is_wide() -> None:
 def test_evidence_that_cannot_tell_changes_little() -> None:
     a = mixture((0.6, 0.4, 0.02), (0.2, -0.3, 0.02))
     both = combine(a, cannot_tell())
-    np.testing.assert_allclose(both.likelihood([0.4, -0.3, 0.0]), a.likelihood([0.4, -0.3, 0.0]), rtol=0.06, atol=0.03)
+    np.testing.assert_allclose(
+        both.likelihood([0.4, -0.3, 0.0]), a.likelihood([0.4, -0.3, 0.0]), rtol=0.06, atol=0.03
+    )
 
 
 @given(st.floats(0.1, 0.9), st.floats(0.1, 0.9), st.floats(-0.8, 0.8), st.floats(-0.8, 0.8))

@@ -28,8 +28,7 @@ WEIGHT, OFFSET, VARIANCE, WIDTH = range(4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OffsetMixture:
-    """What one frame says about the scale-free lateral offset: a sum of Gaussians and a share that says "cannot
-    tell".
+    """What one frame says about the scale-free lateral offset: Gaussians, and a share that says "cannot tell".
 
     The likelihood of the offset y in (-1, 1) is ``(1 - sum(weight)) / 2 + sum_j weight_j N(offset_norm_j; y,
     std_norm_j^2)``.
@@ -55,8 +54,7 @@ class OffsetMixture:
         return max(1.0 - float(self.weight.sum()), 0.0)
 
     def likelihood(self, offset_norm: npt.ArrayLike) -> FloatArray:
-        """Likelihood of offsets (...), any shape; 1/2 where the frame cannot tell, so that it integrates to about
-        1."""
+        """Likelihood of offsets (...) of any shape; where the frame cannot tell it is 1/2, as over (-1, 1) any is."""
         y = np.asarray(offset_norm, dtype=float)[..., None]
         z = (y - self.offset_norm) / self.std_norm
         density = self.weight / self.std_norm * np.exp(-0.5 * z * z) / _SQRT_TWO_PI
@@ -110,8 +108,10 @@ def merge_by_bins(rows: FloatArray, bins: FloatArray) -> int:
 
 
 def mixture_of_components(rows: FloatArray, cannot_tell_odds: float, min_variance: float) -> OffsetMixture:
-    """Make a mixture of components (n, 4) as in `merge_by_bins`, whose weights are odds against
-    ``cannot_tell_odds``."""
+    """Make a mixture of components (n, 4) as `merge_by_bins` takes them.
+
+    Their weights are odds, as ``cannot_tell_odds`` are those of a frame that cannot tell.
+    """
     bins = np.empty((N_BINS, 4))
     bins = bins[: merge_by_bins(rows, bins)]
     total = float(bins[:, WEIGHT].sum()) + cannot_tell_odds
@@ -125,10 +125,10 @@ def mixture_of_components(rows: FloatArray, cannot_tell_odds: float, min_varianc
 def _products(
     first: FloatArray, second: FloatArray, slack: float, both_blind: float, rows: FloatArray
 ) -> float:
-    """Multiply two likelihoods given as components (n, 4), (m, 4); fill ``rows`` and return what is the same
-    everywhere.
+    """Multiply two likelihoods given as components (n, 4), (m, 4) into ``rows``; return what is alike everywhere.
 
-    Rows and return value are weights: the integral over (-1, 1). ``slack`` is the variance that each has besides.
+    Rows and return value are weights: the integral over (-1, 1). ``slack`` is the variance that each has besides,
+    ``both_blind`` the probability that neither tells anything though both seem to.
     """
     n, m = len(first), len(second)
     blind_first, blind_second = 1.0, 1.0
