@@ -19,9 +19,10 @@ run: $(STAMP)  ## fuse the sample flight in data/office and print how well it we
 test: $(STAMP)  ## run all tests
 	@$(BIN)/python -m pytest $(PYTEST_FLAGS)
 
-lint: $(STAMP)  ## ruff: rules and format
+lint: $(STAMP)  ## ruff: rules and format; import-linter: who may import whom
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
+	@$(BIN)/lint-imports --no-logo --no-cache
 
 types: $(STAMP)  ## mypy, strict
 	@$(BIN)/mypy

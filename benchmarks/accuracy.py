@@ -15,6 +15,7 @@ from typing import Annotated
 
 import cv2
 import typer
+
 from support.cases import (
     STRETCHES,
     Case,

@@ -182,7 +182,7 @@ def main() -> None:
                 print_fused(flight)
             alignments += pieces(flight)
         for seed in range(FIRST_SEED, FIRST_SEED + (0 if arguments.quick else arguments.flights)):
-            config = SimulationConfig.random(seed, motion={"duration_s": arguments.seconds})
+            config = SimulationConfig.random_office(seed, motion={"duration_s": arguments.seconds})
             alignments += pieces(load_flight(simulate_flight(config, folder / f"random_{seed}")))
     print_honesty(alignments)
 

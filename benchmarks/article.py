@@ -23,6 +23,7 @@ from fusion.flight import FrameStream
 from vision import Attitude, Camera
 from vision.images import GreyImage
 from vision.paper.measure import equation_8, measure_paper
+from vision.rotations import yaw_of
 
 FloatArray = npt.NDArray[np.float64]
 Rows = npt.NDArray[Any]
@@ -166,7 +167,7 @@ def reference_of(folder: Path) -> Reference | None:
         heading_rad = at.heading_rad[frames]
     elif folder.name in STRETCHES and stream is not None:
         frames = np.arange(len(t_ns))[STRETCHES[folder.name]]
-        heading_rad = np.interp(t_ns[frames], stream.t_ns, np.unwrap(yaw_rad(stream.q_world_body)))
+        heading_rad = np.interp(t_ns[frames], stream.t_ns, np.unwrap(yaw_of(stream.q_world_body)))
     else:
         return None
     attitudes: tuple[Attitude | None, ...] = (None,) * len(frames)
@@ -176,12 +177,6 @@ def reference_of(folder: Path) -> Reference | None:
     return Reference(
         flight.frames.chosen(frames), heading_rad, flight.truth is None, flight.camera, attitudes
     )
-
-
-def yaw_rad(q_world_body: FloatArray) -> FloatArray:
-    """Yaw (n,) of quaternions (n, 4), positive to the right in a world whose z points down."""
-    w, x, y, z = q_world_body.T
-    return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)), dtype=np.float64)
 
 
 def pictures(reference: Reference, size_px: tuple[int, int]) -> Iterator[GreyImage]:

@@ -18,18 +18,13 @@ seconds for each. `imufusion` and `ahrs` are used where they are installed (pip 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-sys.path.insert(0, str(Path(__file__).parent))
 
 from support.flown import (
     EVERY_S,
@@ -45,7 +40,6 @@ from support.flown import (
 from support.heading_peers import PEERS, SLOW_PEERS, heading_error, installed
 from support.oracle import oracle
 from support.scores import table
-
 from tests.fusion.simulated import weaving
 
 FloatArray = npt.NDArray[np.float64]

@@ -27,12 +27,12 @@ from typing import Annotated
 import cv2
 import numpy as np
 import typer
+
 from support.cases import Case, Size, flight_cases, flight_named, size_name
 from support.clock import clock
 from support.peer import PEER, Peer, environment_folder, make_environment
 from support.ransac import heading_by_ransac, segments
 from support.scores import number, percent, rms, table
-
 from vision import Attitude, extract_lines, measure_frame
 from vision.axis.level import Level, level_from_verticals
 from vision.axis.vanishing_point import AxisFit, fit_axis

@@ -16,24 +16,18 @@ gross, errors correlate, and frames are 80 ms late.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import degrees, pi, radians
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-sys.path.insert(0, str(Path(__file__).parent))
-
+from fusion import CorridorEstimator
 from support.flown import settings
 from support.scores import table
-
-from fusion import CorridorEstimator
 from tests.fusion.simulated import Scene, give, plus, simulate, turning, weaving, wrap
 
 FloatArray = npt.NDArray[np.float64]

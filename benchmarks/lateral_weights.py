@@ -19,11 +19,11 @@ import numpy.typing as npt
 import typer
 from numpy.lib.recfunctions import structured_to_unstructured
 from scipy.optimize import minimize
+
+from fusion.simulate.scene.config import SceneConfig
+from fusion.simulate.single_views import office_views
 from support.cases import flight_cases, flight_named
 from support.scores import number, percent, table
-
-from fusion.simulate.scene_config import SceneConfig
-from fusion.simulate.views import random_views
 from vision import Attitude, Camera, extract_lines, measure_lines
 from vision.axis.level import level_from_verticals
 from vision.axis.vanishing_point import fit_axis
@@ -49,6 +49,11 @@ class Picture:
     offset: FloatArray
     truth: float
     held_out: bool
+
+
+def weights_in_use() -> FloatArray:
+    """Return the product's weights as one vector: floor, ceiling, biases."""
+    return np.concatenate([WEIGHTS.floor, WEIGHTS.ceiling, structured_to_unstructured(WEIGHTS.bias)[0]])
 
 
 def evidence_of(hypotheses: RecordArray, picture: PictureCorners) -> FloatArray:
@@ -85,8 +90,8 @@ def picture_of(
 
 
 def open_hall(seed: int) -> SceneConfig:
-    length_m = SceneConfig.random(seed).length_m
-    return SceneConfig.random(seed, open_hall_m=(0.0, length_m), open_hall_right=bool(seed % 2))
+    length_m = SceneConfig.random_office(seed).length_m
+    return SceneConfig.random_office(seed, open_hall_m=(0.0, length_m), open_hall_right=bool(seed % 2))
 
 
 def simulated(views: int, seed: int) -> list[Picture]:
@@ -95,8 +100,8 @@ def simulated(views: int, seed: int) -> list[Picture]:
     pictures = []
     for k, (size, fov_deg) in enumerate(LENSES):
         camera = Camera.from_fov(*size, radians(fov_deg))
-        corridors = random_views(camera, views, seed + k, views_per_scene=4)
-        halls = random_views(camera, views // 5, seed + 100 + k, views_per_scene=4, scene=open_hall)
+        corridors = office_views(camera, views, seed + k, views_per_scene=4)
+        halls = office_views(camera, views // 5, seed + 100 + k, views_per_scene=4, scene=open_hall)
         for hall, many in ((False, corridors), (True, halls)):
             for view in many:
                 roll, pitch = rng.normal((view.roll_rad, view.pitch_rad), ATTITUDE_STD_RAD)
@@ -166,7 +171,7 @@ def main(
     seed: Annotated[int, typer.Option(help="Other corridors.")] = 1000,
 ) -> None:
     """Fit the weights of the lateral offset's evidence anew, and compare."""
-    used = np.concatenate([WEIGHTS.floor, WEIGHTS.ceiling, structured_to_unstructured(WEIGHTS.bias)[0]])
+    used = weights_in_use()
     pictures = simulated(views, seed)
     seen = [p for p in pictures if not p.held_out]
     anew = fitted(seen, used)

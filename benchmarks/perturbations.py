@@ -29,6 +29,7 @@ from typing import Annotated
 import cv2
 import numpy as np
 import typer
+
 from support.cases import (
     STRETCHES,
     Case,
@@ -47,7 +48,6 @@ from support.cases import (
 from support.perturb import ON_PICTURES
 from support.scenes import SCENES, scene_cases
 from support.scores import GROSS_DEG, heading_score, number, offset_score, percent, reasons_of, table
-
 from vision.overlay import draw_overlay
 
 SIZES: tuple[Size, ...] = ((640, 480), (320, 240))

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion import CorridorEstimator, Estimate
-from fusion.estimator.estimator import Status
+from fusion.estimator.estimate import Status
 from vision import Camera, InputError, extract_lines, warm_up
 from vision.lines.segments import LineSet
 

@@ -15,12 +15,12 @@ import numpy.typing as npt
 
 from fusion.simulate import SimulationConfig
 from fusion.simulate.config import rotation
-from fusion.simulate.imaging import Sensor, mean_radiance, through_jpeg
+from fusion.simulate.imu import quaternions
 from fusion.simulate.motion import GRAVITY_M_S2, plan_flight
-from fusion.simulate.plan import Meeting, Room, floor_plan
-from fusion.simulate.render import View, exposure_moments, render_linear
-from fusion.simulate.scene import Scene, build_scene
-from fusion.simulate.sensors import quaternions
+from fusion.simulate.render.view import View, exposure_moments, render_linear
+from fusion.simulate.scene.build import Scene, build_scene
+from fusion.simulate.scene.plan import Meeting, Room, floor_plan
+from fusion.simulate.sensor import Sensor, mean_radiance, through_jpeg
 from vision import Camera
 
 FloatArray = npt.NDArray[np.float64]

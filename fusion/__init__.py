@@ -2,6 +2,12 @@
 
 Frames, signs and units are those of `vision.measurement`: body FRD, heading and lateral offset positive to the right,
 SI and radians, time in integer nanoseconds. Importing the package is light; each name loads at its first use.
+
+Each subpackage is a room with one job, and imports only rooms below it; ``make lint`` checks that. From the bottom:
+`fusion.settings`, `fusion.flight`; `fusion.estimator`, `fusion.logs`, `fusion.simulate`; `fusion.result`,
+`fusion.alignment`, `fusion.inspection`, `fusion.pictures`; `fusion.evaluation`; `fusion.offline`; `fusion.report`;
+`fusion.outputs`; `fusion.cli`. Begin reading at `fusion.estimator.estimator`, or at `fusion.offline.fuse` for whole
+flights.
 """
 
 from __future__ import annotations
@@ -11,30 +17,42 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fusion.estimator.config import FusionConfig
+    from fusion.estimator.estimate import Estimate, Status
     from fusion.estimator.estimator import CorridorEstimator
-    from fusion.estimator.state import Estimate
+    from fusion.estimator.frame_update import FrameResult
+    from fusion.evaluation.errors import evaluate
     from fusion.flight import Flight
     from fusion.logs import load_flight
-    from fusion.offline.fuse import FusionResult, fuse_flight
+    from fusion.offline.fuse import fuse_flight
+    from fusion.outputs.folder import write_outputs
+    from fusion.result.result import FusionResult
 
 __all__ = [
     "CorridorEstimator",
     "Estimate",
     "Flight",
+    "FrameResult",
     "FusionConfig",
     "FusionResult",
+    "Status",
+    "evaluate",
     "fuse_flight",
     "load_flight",
+    "write_outputs",
 ]
 
 _MODULES = {
     "CorridorEstimator": "fusion.estimator.estimator",
-    "Estimate": "fusion.estimator.state",
+    "Estimate": "fusion.estimator.estimate",
     "Flight": "fusion.flight",
+    "FrameResult": "fusion.estimator.frame_update",
     "FusionConfig": "fusion.estimator.config",
-    "FusionResult": "fusion.offline.fuse",
+    "FusionResult": "fusion.result.result",
+    "Status": "fusion.estimator.estimate",
+    "evaluate": "fusion.evaluation.errors",
     "fuse_flight": "fusion.offline.fuse",
     "load_flight": "fusion.logs",
+    "write_outputs": "fusion.outputs.folder",
 }
 
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from vision import Camera
-
-if TYPE_CHECKING:
-    from fusion.logs.manifest.manifest import Manifest
 
 FloatArray = npt.NDArray[np.float64]
 TimeArray = npt.NDArray[np.int64]
@@ -127,6 +124,14 @@ class CorridorTruth:
     in_junction: npt.NDArray[np.bool_]
 
 
+class FlightSource(Protocol):
+    """Where a flight's streams came from: `fusion.logs.manifest.manifest.Manifest`, which this module cannot know."""
+
+    @property
+    def name(self) -> str | None:
+        """What the flight is to be called; None where the source does not say."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Flight:
     """One flight: a camera, its frames, and whatever else the log carried (None: it did not).
@@ -146,5 +151,5 @@ class Flight:
     truth: CorridorTruth | None = None
     problems: tuple[str, ...] = field(default=())
     corridor_width_m: float | None = None
-    manifest: Manifest | None = None
+    manifest: FlightSource | None = None
     range: RangeStream | None = None

@@ -1,13 +1,18 @@
-"""The command line, run in the test's own process."""
+"""What all tests share: no deadlines, and the command line run in the test's own process."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from fusion.cli import app as cli
 from tests.command import Corridor, Run
+
+# The first example may compile, and machines are noisy: time is measured in benchmarks, not in tests.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 
 @pytest.fixture

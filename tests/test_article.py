@@ -135,12 +135,6 @@ def test_errors_on_a_flight_without_truth_are_less_one_constant(article: ModuleT
     assert np.ptp(reference.heading_rad) < math.radians(20)  # one corridor, before the turn
 
 
-def test_yaw_is_positive_to_the_right(article: ModuleType) -> None:
-    half = math.radians(30) / 2
-    turned_right = np.array([[math.cos(half), 0.0, 0.0, math.sin(half)]])  # about z, which points down
-    assert article.yaw_rad(turned_right) == pytest.approx([math.radians(30)])
-
-
 def test_slope_ignores_frames_without_an_answer(article: ModuleType) -> None:
     known = np.array([0.0, 0.1, 0.2, 0.3])
     measured = np.array([1.0, 1.05, np.nan, 1.15])

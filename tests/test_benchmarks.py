@@ -13,12 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from support import cases, perturb, ransac, scenes, scores
 from vision import Attitude, Camera, FrameMeasurement, Reason
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "benchmarks"))
-
-from support import cases, perturb, ransac, scenes, scores  # noqa: E402
 
 OFFICE = ROOT / "data" / "office"
 HALLWAY = ROOT.parent / "shared" / "flights" / "mononav_hallway"

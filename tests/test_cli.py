@@ -17,8 +17,9 @@ import pytest
 
 from fusion.cli.simulate_options import simulation_config
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
-from fusion.outputs.folder import OUTPUT_FILES, read_table
+from fusion.outputs.folder import OUTPUT_FILES
 from fusion.pictures import measure as measure_images
+from fusion.result.tables_csv import read_table
 from tests.command import Corridor, Run
 
 OFFICE = Path(__file__).resolve().parent.parent / "data" / "office"

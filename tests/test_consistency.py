@@ -7,14 +7,13 @@ import sys
 from math import degrees
 from pathlib import Path
 
+import consistency
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
+from support import flown, heading_peers, oracle
 
-import consistency  # noqa: E402
-from support import flown, heading_peers, oracle  # noqa: E402
+BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 
 
 def test_the_setting_is_what_is_asked() -> None:

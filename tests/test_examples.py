@@ -13,22 +13,20 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import control_loop
 import numpy as np
 import pytest
+from control_loop import TRANSFER_S, VISION_S, Clock, fly
+from flight_record import BODY_RADIUS_M, Flight, Row, judge, table
+from pilot import HOVER, Gains, Pilot, VisionThread
 from scipy.spatial.transform import Rotation
+from simulated_vehicle import Body, Vehicle, World, flown, junction_config
 
 from fusion import Estimate
 from fusion.simulate.motion import GRAVITY_M_S2
 from vision import Camera
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
-sys.path.insert(0, str(EXAMPLES))
-
-import control_loop  # noqa: E402
-from control_loop import TRANSFER_S, VISION_S, Clock, fly  # noqa: E402
-from flight_record import BODY_RADIUS_M, Flight, Row, judge, table  # noqa: E402
-from pilot import HOVER, Gains, Pilot, VisionThread  # noqa: E402
-from simulated_vehicle import Body, Vehicle, World, flown, junction_config  # noqa: E402
 
 RATE_HZ = 100.0
 SMALL = {"size_px": (160, 120), "frame_hz": 15.0}

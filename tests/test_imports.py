@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import subprocess
 import sys
@@ -38,6 +39,17 @@ def test_help_comes_without_the_heavy_ones(arguments: list[str]) -> None:
     assert loaded & HEAVY == set()
 
 
+def test_filterpy_and_scipy_load_with_the_first_estimator() -> None:
+    the_class = (
+        "import sys; from fusion import CorridorEstimator, FusionConfig; "
+        "assert not sys.modules.keys() & {'scipy.stats', 'scipy.ndimage', 'scipy.linalg', 'scipy.spatial'}"
+    )
+    loaded = loaded_by(the_class)
+    assert "numba" in loaded
+    assert loaded & (HEAVY - {"numba", "scipy"}) == set()  # numba asks for scipy's version, and no more
+    assert "filterpy" in loaded_by("from fusion import CorridorEstimator; CorridorEstimator()")
+
+
 @pytest.mark.parametrize("name", ["measure_frame", "measure_lines", "extract_lines"])
 def test_the_compiled_line_finder_loads_at_its_first_use(name: str) -> None:
     assert "numba" in loaded_by(f"import vision; vision.{name}")
@@ -47,3 +59,16 @@ def test_vision_alone_never_loads_fusion() -> None:
     assert "fusion" not in loaded_by(
         "import vision, vision.frame, vision.paper.measure, vision.overlay, vision.images"
     )
+
+
+@pytest.mark.parametrize("package", ["vision", "fusion"])
+def test_every_name_that_a_package_offers_is_there(package: str) -> None:
+    module = importlib.import_module(package)
+    for name in module.__all__:
+        assert getattr(module, name).__name__ == name
+
+
+def test_the_command_runs_as_a_module() -> None:
+    run = subprocess.run([sys.executable, "-m", "fusion", "--help"], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.split()[:2] == ["Usage:", "corridor"]

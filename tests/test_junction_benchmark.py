@@ -8,13 +8,11 @@ from dataclasses import replace
 from math import degrees, pi, radians
 from pathlib import Path
 
+import junctions
 import numpy as np
 import pytest
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-
-import junctions  # noqa: E402
 
 TURNS = [name for name in junctions.KINDS if name.startswith("turn, ")]
 

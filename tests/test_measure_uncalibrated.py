@@ -17,7 +17,7 @@ from PIL import Image
 from fusion.pictures.assumed_camera import AssumedView, AssumedViews, Source, assume_views
 from fusion.pictures.exif import PictureHeader, read_header
 from fusion.pictures.measure import measure_images
-from fusion.simulate import random_views
+from fusion.simulate import office_views
 from tests.command import Corridor
 from vision import Camera, FrameMeasurement, InputError, Reason
 from vision.images import read_image
@@ -53,7 +53,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[float]]:
     folder = tmp_path_factory.mktemp("walk")
     camera = Camera.from_fov(*SIZE, radians(FOV_DEG))
     headings = []
-    for i, view in enumerate(random_views(camera, 6, seed=21, views_per_scene=6, tilt_std_rad=radians(5))):
+    for i, view in enumerate(office_views(camera, 6, seed=21, views_per_scene=6, tilt_std_rad=radians(5))):
         cv2.imwrite(str(folder / f"{i}.png"), view.image)
         headings.append(view.heading_rad)
     return folder, headings

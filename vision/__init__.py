@@ -21,6 +21,7 @@ from vision.measurement import (
 
 if TYPE_CHECKING:
     from vision.frame import extract_lines, measure_frame, measure_lines, warm_up
+    from vision.images import read_image
 
 __all__ = [
     "Attitude",
@@ -34,6 +35,7 @@ __all__ = [
     "extract_lines",
     "measure_frame",
     "measure_lines",
+    "read_image",
     "warm_up",
 ]
 
@@ -43,4 +45,8 @@ def __getattr__(name: str) -> Any:
         from vision import frame
 
         return getattr(frame, name)
+    if name == "read_image":
+        from vision.images import read_image
+
+        return read_image
     raise AttributeError(f"module 'vision' has no attribute {name!r}")

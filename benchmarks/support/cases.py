@@ -19,10 +19,11 @@ import numpy.typing as npt
 from fusion.evaluation.errors import interpolate_truth
 from fusion.flight import AttitudeStream, Flight
 from fusion.logs import load_flight
-from fusion.simulate import RandomView, random_views
+from fusion.simulate import RandomView, office_views
 from vision import Attitude, Camera, FrameMeasurement, measure_frame
 from vision.frame import Method
 from vision.images import GreyImage
+from vision.rotations import yaw_of
 
 FloatArray = npt.NDArray[np.float64]
 Size = tuple[int, int]
@@ -266,8 +267,7 @@ def _truth_of(flight: Flight) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bo
 
 def _own_yaw(stream: AttitudeStream, t_ns: npt.NDArray[np.int64]) -> FloatArray:
     """Yaw (n,) at times (n,), positive to the right."""
-    w, x, y, z = stream.q_world_body.T
-    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    yaw = np.unwrap(yaw_of(stream.q_world_body))
     at, known_at = (t_ns - t_ns[0]).astype(float), (stream.t_ns - t_ns[0]).astype(float)
     return np.asarray(np.interp(at, known_at, yaw), dtype=float)
 
@@ -294,7 +294,7 @@ def scaled(image: GreyImage, size: Size) -> GreyImage:
 def simulated_cases(size: Size, n: int, seed: int) -> Iterator[Case]:
     """Yield views of random corridors with the attitude that a log would have."""
     camera = Camera.from_fov(*size, SIMULATED_FOV_RAD)
-    for index, view in enumerate(random_views(camera, n, seed)):
+    for index, view in enumerate(office_views(camera, n, seed)):
         yield case_of_view(view, f"simulated {size_name(size)}", index, camera)
 
 

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion import CorridorEstimator, FusionConfig
+from fusion.estimator.engine import Entry
 from fusion.estimator.models import PSI, Y
 from fusion.estimator.smoother import Steps, rts
-from fusion.estimator.timeline import Entry
 from tests.fusion.simulated import Scene, Simulated, config_for, drifting, give, simulate, weaving, wrap
 
 FloatArray = npt.NDArray[np.float64]
@@ -128,8 +128,7 @@ def fly(simulated: Simulated, config: FusionConfig, smooth: bool = True) -> Flow
     offset = np.interp(t, simulated.t_s, simulated.lateral)
     smoothed = smoothed_std = lateral_smoothed = np.full(len(t), np.nan)
     if smooth:
-        _, *arrays = steps.arrays()
-        x, P = rts(*arrays)
+        x, P = rts(*steps.arrays())
         at = np.searchsorted(np.array(stamps) * 1e-9, t, side="right") - 1
         smoothed, smoothed_std = wrap(x[at, PSI] - truth), np.sqrt(P[at, PSI, PSI])
         lateral_smoothed = x[at, Y] - offset
@@ -169,8 +168,9 @@ def recovery_s(seed: int, by_gyro: bool) -> float:
         else:
             give(estimator, sample)
         if not by_gyro and not injected and t >= start_s:
-            state = estimator._machine.state
-            state.x = state.x + error * np.eye(len(state.x))[PSI]
+            timeline = estimator._timeline
+            x = timeline.state.x
+            timeline.state = timeline.state._replace(x=x + error * np.eye(len(x))[PSI])
             injected = True
         if sample.kind == "frame" and t > start_s + length_s:
             e = estimator.estimate()

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from filterpy.kalman import ExtendedKalmanFilter
 
 from tests.fusion.simulated import Simulated, weaving, wrap, wrap_half
+from vision.rotations import yaw_of
 
 from .oracle import level_turn
 
@@ -49,9 +50,7 @@ def imu_yaw_only(simulated: Simulated, times_s: FloatArray) -> FloatArray:
     """Believe the attitude filter's yaw."""
     samples = [s for s in simulated.samples if s.kind == "attitude"]
     q = np.array([s.values[0] for s in samples])
-    w, x, y, z = q.T
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return _aligned(simulated, np.array([s.t_ns for s in samples]) * 1e-9, yaw, times_s)
+    return _aligned(simulated, np.array([s.t_ns for s in samples]) * 1e-9, yaw_of(q), times_s)
 
 
 def vision_held(simulated: Simulated, times_s: FloatArray) -> FloatArray:
@@ -147,11 +146,6 @@ def _senses(simulated: Simulated) -> tuple[FloatArray, FloatArray, FloatArray]:
     return gyro, force, field
 
 
-def _yaw_of(q: FloatArray) -> float:
-    w, x, y, z = q.tolist()
-    return atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-
-
 _FLU = np.array([1.0, -1.0, -1.0])
 
 
@@ -176,7 +170,7 @@ def imufusion_ahrs(simulated: Simulated, times_s: FloatArray) -> FloatArray:
         zip(np.degrees(gyro) * _FLU, force / GRAVITY_M_S2 * _FLU, field * _FLU, strict=True)
     ):
         ahrs.update(g, a, m)
-        yaw[i] = -_yaw_of(np.asarray(ahrs.get_quaternion()))
+        yaw[i] = -float(yaw_of(ahrs.get_quaternion()))
     return _aligned(simulated, simulated.t_s, yaw, times_s)
 
 
@@ -195,14 +189,14 @@ def _ahrs(name: str) -> Peer:
             q = np.array([np.cos(yaw0 / 2), 0.0, 0.0, np.sin(yaw0 / 2)])
             for i in range(len(gyro)):
                 q = ekf.update(q, gyro[i], -force[i], field[i])
-                yaw[i] = _yaw_of(q)
+                yaw[i] = float(yaw_of(q))
         else:  # its accelerometer points up at rest, as ours seen from a body forward, left, up
             filter_ = Madgwick(frequency=hz) if name == "Madgwick" else Mahony(frequency=hz)
             start = -yaw0 + (pi / 2 if name == "Mahony" else 0.0)  # world x east, or north
             q = np.array([np.cos(start / 2), 0.0, 0.0, np.sin(start / 2)])
             for i in range(len(gyro)):
                 q = filter_.updateMARG(q, gyro[i] * _FLU, force[i] * _FLU, field[i] * _FLU)
-                yaw[i] = -_yaw_of(np.asarray(q))
+                yaw[i] = -float(yaw_of(q))
         return _aligned(simulated, simulated.t_s, yaw, times_s)
 
     return run

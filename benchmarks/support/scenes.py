@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion.simulate import JunctionConfig, RandomView, SceneConfig, random_views
+from fusion.simulate import JunctionConfig, RandomView, SceneConfig, office_views
 from fusion.simulate.config import rotation
 from vision import Camera
 
@@ -34,7 +34,7 @@ class Views:
     scene
         Draws a corridor from a seed.
     options
-        Further arguments of `random_views`.
+        Further arguments of `office_views`.
     yaw_rad, roll_rad
         How far the vehicle is turned and rolled beyond what ``options`` draw: each value has its share of views.
     yaw_rate_rad_s
@@ -66,7 +66,7 @@ def scene_cases(kind: str, size: Size, n: int, seed: int) -> Iterator[Case]:
         turning: dict[str, Any] = (
             {"yaw_rate_rad_s": rate, "line_delay_s": READOUT_S / size[1]} if rate else {}
         )
-        made = random_views(
+        made = office_views(
             askew,
             MAX_TRIES * share,
             seed * 31 + number,
@@ -85,7 +85,7 @@ def scene_cases(kind: str, size: Size, n: int, seed: int) -> Iterator[Case]:
 
 
 def _of(**fixed: Any) -> Callable[[int], SceneConfig]:
-    return lambda seed: SceneConfig.random(seed, **fixed)
+    return lambda seed: SceneConfig.random_office(seed, **fixed)
 
 
 def _with_junction(seed: int) -> SceneConfig:
@@ -98,7 +98,7 @@ def _with_junction(seed: int) -> SceneConfig:
         length_m=10.0,
         crossing=bool(rng.random() < 0.5),
     )
-    return SceneConfig.random(seed, length_m=14.0, junctions=(junction,))
+    return SceneConfig.random_office(seed, length_m=14.0, junctions=(junction,))
 
 
 def _axes_of_junction(scene: SceneConfig, heading_rad: float) -> tuple[float, ...]:
@@ -114,8 +114,8 @@ def _fills_the_view(view: RandomView) -> bool:
 
 
 def _with_open_hall(seed: int) -> SceneConfig:
-    length_m = SceneConfig.random(seed).length_m
-    return SceneConfig.random(seed, open_hall_m=(0.2, length_m - 0.2), open_hall_right=seed % 2 == 0)
+    length_m = SceneConfig.random_office(seed).length_m
+    return SceneConfig.random_office(seed, open_hall_m=(0.2, length_m - 0.2), open_hall_right=seed % 2 == 0)
 
 
 #: Kinds of views by name.

@@ -1,7 +1,8 @@
 """Put a flight's camera right by the flight itself: its clock, its focal length and how it is mounted.
 
-`align_flight` compares the turns that vision sees along a corridor with those of the inertial sensors; see
-`fusion.alignment.clock` and `fusion.alignment.mount` for how.
+`align_flight` compares the turns that vision sees along a corridor with those of the inertial sensors. May import
+`fusion.estimator`, `fusion.logs` and what lies below them; the check of the camera's time in `fusion.evaluation` uses
+it. Begin reading at `fusion.alignment.align`, then `fusion.alignment.clock` and `fusion.alignment.mount`.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ in total least squares, by regressing on the yaw less the walk that the residual
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import pi, radians
+from math import radians
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ import numpy.typing as npt
 from fusion.alignment.markov import Noise, Process, find_noise, solve, weights
 from fusion.alignment.turning import Turning
 from fusion.alignment.views import Sightings
+from vision.rotations import wrap_axis
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -47,7 +48,7 @@ GATE_RAD = radians(5.0)
 DRIFT_RAD_S = radians(0.6)  # by which a level may have moved while it was not seen
 MAX_GATE_RAD = radians(20.0)
 
-MIN_FRAMES = 12
+MIN_CLOCK_FRAMES = 12
 ROUNDS = 12
 NOISE_EVERY = 3
 REACH_S = 0.25  # by which the fine fit may leave the candidate, and look about
@@ -101,11 +102,6 @@ class ClockFit:
     white_rad: float
     walk_density: float
     samples: _Samples
-
-
-def wrap_axis(angle_rad: FloatArray) -> FloatArray:
-    """Bring angles of directions without sense into [-pi/2, pi/2)."""
-    return np.asarray((angle_rad + 0.5 * pi) % pi - 0.5 * pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,7 +245,7 @@ def corridors_of(t_s: FloatArray, constant_rad: FloatArray) -> tuple[IntArray, F
         if level:
             recent = level[-LEVEL_FRAMES:]
             middle = float(np.median(unwrapped[recent]))
-            away = float(wrap_axis(np.array(constant_rad[k] - middle)))
+            away = wrap_axis(float(constant_rad[k]) - middle)
             gate = min(GATE_RAD + DRIFT_RAD_S * float(t_s[k] - t_s[recent[-1]]), MAX_GATE_RAD)
             if abs(away) < gate:
                 unwrapped[k], corridor[k] = middle + away, number
@@ -284,7 +280,7 @@ def fine_fit(sightings: Sightings, turning: Turning, start: Coarse) -> ClockFit 
     explained = start.ratio * turning.yaw_at(t + start.offset_s) + start.drift_rad_s * t
     corridor, constant = corridors_of(t, heading - explained)
     keep = corridor >= 0
-    if keep.sum() < MIN_FRAMES:
+    if keep.sum() < MIN_CLOCK_FRAMES:
         return None
     samples = _Samples(t[keep], (constant + explained)[keep], white[keep], corridor[keep])
     return _gauss_newton(samples, turning, start)
@@ -340,7 +336,7 @@ def _gauss_newton(samples: _Samples, turning: Turning, start: Coarse) -> ClockFi
             weight = weights(noise, residual, weight)
             keep = weight > 0.0
             samples, weight = samples.only(keep), weight[keep]
-            if len(weight) < MIN_FRAMES:
+            if len(weight) < MIN_CLOCK_FRAMES:
                 return None
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return ClockFit(

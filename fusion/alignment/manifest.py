@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.alignment.result import Alignment, Quantity
 from fusion.alignment.text import note_of
+from fusion.files import replacing
 from fusion.flight import Flight
 from fusion.logs.manifest.manifest import (
     MANIFEST_NAME,
@@ -19,11 +19,8 @@ from fusion.logs.manifest.manifest import (
     read_manifest,
     write_manifest,
 )
-from vision.cameras.camera import Camera
+from vision.cameras.camera import BodyFrame, Camera
 from vision.errors import InputError
-
-if TYPE_CHECKING:
-    from vision.cameras.camera import BodyFrame
 
 _FIRST_LINE = "# Found by corridor align"
 
@@ -64,18 +61,16 @@ def load_to_align(path: str | Path, camera: Path | None = None) -> Loaded:
 def _size_of_uncalibrated(manifest: Manifest) -> tuple[int, int] | None:
     """Width and height of the pictures where neither manifest nor log has a calibration; None: there is one."""
     from fusion.logs.contents import Kind
-    from fusion.logs.manifest.assembly import open_as_told
-    from fusion.logs.topic_choice import choose_topic
+    from fusion.logs.manifest.sources import ManifestLog
 
-    source = manifest.camera
-    path = source.file or manifest.log
-    if source.calibration is not None or path is None or not path.exists():
+    path = manifest.camera.file or manifest.log
+    if manifest.camera.calibration is not None or path is None or not path.exists():
         return None
-    log = open_as_told(path, source)
-    topic = choose_topic(log, Kind.FRAMES, source.topic, [])
+    log = ManifestLog(manifest)
+    topic = log.choose(Kind.FRAMES).value
     if topic is None or log.camera(topic) is not None:
         return None
-    frames = log.frames(topic, [])
+    frames = log.frames(topic).value
     for index in range(len(frames.t_ns)):
         try:
             height_px, width_px = frames.read(index).shape
@@ -137,7 +132,7 @@ def write_alignment(alignment: Alignment, flight: Flight, place: Path) -> tuple[
     InputError
         Where the flight came from no log, or a file cannot be written.
     """
-    if flight.manifest is None:
+    if not isinstance(flight.manifest, Manifest):
         raise InputError(f"flight {flight.name} came from no log", remedy="load it with fusion.load_flight")
     manifest, notes = corrected(flight.manifest, alignment)
     written = [place]
@@ -173,13 +168,12 @@ def corrected(manifest: Manifest, alignment: Alignment) -> tuple[Manifest, dict[
 
 def _body_frame(manifest: Manifest, calibration: Path) -> BodyFrame:
     """Return the axes in which a calibration at this place will be read."""
-    from fusion.logs.manifest.assembly import open_as_told
+    from fusion.logs.manifest.sources import open_as_told
     from vision.cameras.calibration import check_body_frame, read_body_frame
 
     source = manifest.camera
     path = source.file or manifest.log
-    log = None if path is None else open_as_told(path, source)
-    frame = getattr(log, "body_frame", None)
+    frame = None if path is None else open_as_told(path, source).body_frame
     if frame is None:
         return read_body_frame(calibration.parent.parent / "body.yaml")
     return check_body_frame(frame)
@@ -208,10 +202,8 @@ def _write_calibration(alignment: Alignment, path: Path, body_frame: BodyFrame) 
         f"intrinsics: [{pinhole}]   # fu, fv, cu, cv\n"
         "distortion_model: none\ndistortion_coefficients: []\n"
     )
-    temporary = path.with_name(f".{path.name}.partial")
     try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
+        with replacing(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error

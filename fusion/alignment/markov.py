@@ -1,4 +1,4 @@
-"""Least squares whose errors resemble each other from sample to sample.
+"""Least squares whose errors are correlated from sample to sample.
 
 Each residual is white noise plus a first-order Markov process (what the gyroscope has drifted, what an attitude
 filter is off by), the same process along a chain of samples, a new one in each chain. With white variances V and the
@@ -54,7 +54,15 @@ class Process:
 
     @classmethod
     def stationary(cls, t_s: FloatArray, chain: IntArray, std: float, time_s: float) -> Process:
-        """Process of a standard deviation and a correlation time."""
+        """Process of a standard deviation and a correlation time.
+
+        Parameters
+        ----------
+        t_s, chain
+            Times (n,), ascending within a chain, and the number (n,) of the chain that each belongs to.
+        std, time_s
+            Stationary standard deviation, and correlation time.
+        """
         goes_on, step_s = _steps(t_s, chain)
         phi = np.where(goes_on, np.exp(-step_s / time_s), 0.0)
         return cls(phi, std**2 * np.maximum(1.0 - phi**2, 1e-9))
@@ -154,7 +162,14 @@ def solve(
 ) -> tuple[FloatArray, FloatArray]:
     """Coefficients (k,) and covariance (k, k) of ``target ~ design @ values``.
 
-    ``instrument`` (n, k) takes the design's place on the left where the design holds noise of its own.
+    Parameters
+    ----------
+    design, target
+        Regressors (n, k) and what they explain (n,).
+    noise
+        Covariance of the residuals.
+    instrument
+        Instrumental variables (n, k), where the design holds noise of its own; None: the design itself.
     """
     left = noise.whiten(design if instrument is None else instrument)
     inverse = np.linalg.pinv(left.T @ design, rcond=1e-13)
@@ -168,6 +183,8 @@ def fit_lines(
 
     Parameters
     ----------
+    design, target
+        Regressors (n, k) and what they explain (n,).
     white
         Variances (n,) as the measurement states them; the fit finds their common factor.
     make
@@ -191,7 +208,17 @@ def fit_lines(
 
 
 def first_weights(design: FloatArray, target: FloatArray, white: FloatArray, process: Process) -> FloatArray:
-    """Weights (n,) before the noise is known: outliers stand out against the samples' median."""
+    """Weights (n,) before the noise is known: outliers stand out against the samples' median.
+
+    Parameters
+    ----------
+    design, target
+        Regressors (n, k) and what they explain (n,).
+    white
+        White variances (n,) as stated.
+    process
+        First guess of the process.
+    """
     weight = np.ones(len(target))
     for _ in range(N_REWEIGHTINGS):
         noise = Noise(white / weight, process)
@@ -217,7 +244,19 @@ def find_noise(
     scale: float,
     size: float,
 ) -> tuple[float, float]:
-    """Find the factor on the white variances and the size of the process, starting from ``scale`` and ``size``."""
+    """Find the factor on the white variances and the size of the process by restricted maximum likelihood.
+
+    Parameters
+    ----------
+    design, target
+        Regressors (n, k) and what they explain (n,).
+    white
+        White variances (n,) as stated.
+    make
+        Process of a given size.
+    scale, size
+        Where the search starts.
+    """
     typical = float(np.median(white))
 
     def cost(logs: FloatArray) -> float:
@@ -228,7 +267,7 @@ def find_noise(
             return BEYOND
         try:
             noise = Noise(scale * exp(logs[0]) * white, process)
-            return unlikelihood(design, target, noise)
+            return negative_log_likelihood(design, target, noise)
         except (LinAlgError, np.linalg.LinAlgError):
             return BEYOND
 
@@ -242,8 +281,8 @@ def find_noise(
     return scale * exp(found.x[0]), size * exp(found.x[1])
 
 
-def unlikelihood(design: FloatArray, target: FloatArray, noise: Noise) -> float:
-    """Return minus the restricted log-likelihood of the noise, but for a constant."""
+def negative_log_likelihood(design: FloatArray, target: FloatArray, noise: Noise) -> float:
+    """Return the negative restricted log-likelihood of the noise, up to a constant."""
     whitened = noise.whiten(np.column_stack([design, target]))
     normal, right = design.T @ whitened[:, :-1], design.T @ whitened[:, -1]
     sign, log_normal = np.linalg.slogdet(normal)

@@ -22,10 +22,11 @@ import numpy.typing as npt
 
 from fusion.alignment.markov import LineFit, Process, fit_lines
 from fusion.alignment.views import Sightings
+from vision.rotations import rotation_from_angles
 
 FloatArray = npt.NDArray[np.float64]
 
-MIN_FRAMES = 12
+MIN_MOUNT_FRAMES = 12
 WANDER_STD_RAD, WANDER_TIME_S = radians(0.4), 4.0  # of an attitude filter's roll and pitch
 LEVEL_STD_RAD = radians(0.5)  # constant error of what an attitude calls level
 MAX_SURPLUS = 0.9
@@ -54,7 +55,7 @@ class MountFit:
 def fit_mount(sightings: Sightings) -> MountFit | None:
     """Fit the mount; None where too few frames were measured with an attitude."""
     seen = np.isfinite(sightings.elevation_rad)
-    if seen.sum() < MIN_FRAMES:
+    if seen.sum() < MIN_MOUNT_FRAMES:
         return None
     R = sightings.level_body
     # Where the picture's verticals were level already, the elevation holds no roll.
@@ -68,7 +69,7 @@ def fit_mount(sightings: Sightings) -> MountFit | None:
         _Part(t_s, along, sightings.elevation_rad, sightings.elevation_std_rad),
         _Part(t_s, R[:, 0, :], sightings.roll_rad, sightings.roll_std_rad),
     ]
-    parts = [part for part in (part.known() for part in parts) if len(part.t_s) >= MIN_FRAMES]
+    parts = [part for part in (part.known() for part in parts) if len(part.t_s) >= MIN_MOUNT_FRAMES]
     normal, right = np.eye(3) / PRIOR_STD_RAD**2, np.zeros(3)
     for part in parts:
         fit = part.fit()
@@ -85,14 +86,8 @@ def fit_mount(sightings: Sightings) -> MountFit | None:
 
 def mount_rotation(angle_rad: FloatArray) -> FloatArray:
     """Rotation (3, 3) that turns the assumed camera to the true one: roll, pitch, yaw (3,), Z-Y-X about the body."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    roll, pitch, yaw = angle_rad.tolist()
+    return rotation_from_angles(yaw, pitch, roll)
 
 
 def mount_angles(R: FloatArray) -> FloatArray:

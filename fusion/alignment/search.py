@@ -57,11 +57,22 @@ class Found:
 
 
 def search(views: Views, turning: Turning, reach_s: float, start_scales: tuple[float, ...] = (1.0,)) -> Found:
-    """Look for offset, focal length and mount; one of the ``start_scales`` must be near the focal length's factor.
+    """Estimate time offset, focal length and mount.
 
-    The attitude that helps to measure a frame is the one at the frame's time, so a wrong offset spoils it: the first
-    look does without. Then offset, focal length and the axis's elevation are improved in turns; and once more where
-    the mount turns out far off, as lines are then measured better with the camera turned.
+    A frame is measured with the attitude at its time, which a wrong offset would falsify: the first estimate does
+    without. Then offset, focal length and the axis's elevation are improved in turns; and once more where the mount
+    turns out far off, as lines are then measured better with the camera turned.
+
+    Parameters
+    ----------
+    views
+        Lines of the frames.
+    turning
+        Yaw and tilt by the inertial sensors.
+    reach_s
+        Largest time offset considered.
+    start_scales
+        Factors on the focal length to start from; one of them must be near the true one.
     """
     for scale in start_scales:
         sightings = views.with_focal_scale(scale).measure()

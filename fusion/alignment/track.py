@@ -29,7 +29,7 @@ DIRECTION_STD_RAD = radians(1.0)  # to which a velocity's direction in the body 
 ORDINARY_HALF_WIDTH_M, HALF_WIDTH_LOG_STD = 1.0, 0.5
 GIVEN_WIDTH_LOG_STD = 0.05
 MAX_GAP_S = 0.6
-MIN_FRAMES = 30
+MIN_TRACK_FRAMES = 30
 MIN_DISTANCE_M = 2.0
 START_DENSITY = 0.05  # half widths per square root of a second
 OFFSET_STD_FLOOR = 0.01
@@ -71,7 +71,7 @@ def fit_track(
         return None
     used = np.isin(sightings.t_s, clock.samples.t_s) & np.isfinite(sightings.offset_norm)
     t = sightings.t_s[used]
-    if len(t) < MIN_FRAMES:
+    if len(t) < MIN_TRACK_FRAMES:
         return None
     corridor = clock.samples.corridor[np.searchsorted(clock.samples.t_s, t)]
     psi, offset, std = sightings.heading_rad[used], sightings.offset_norm[used], sightings.offset_std[used]
@@ -85,7 +85,7 @@ def fit_track(
     t, chain, offset, std, step_s = t[known], chain[known], offset[known], std[known], step_s[known]
     A, B = (_integral(values[known], step_s, chain) for values in (drift, along))
     distance_m = float(np.abs(np.diff(B)[np.diff(chain) == 0]).sum())
-    if len(t) < MIN_FRAMES or distance_m < MIN_DISTANCE_M:
+    if len(t) < MIN_TRACK_FRAMES or distance_m < MIN_DISTANCE_M:
         return None
     half_m, log_std = ORDINARY_HALF_WIDTH_M, HALF_WIDTH_LOG_STD
     if flight.corridor_width_m is not None:

@@ -13,6 +13,7 @@ from fusion.estimator.models import level_yaw_rate
 from fusion.flight import AttitudeStream, Flight, ImuStream, TimeArray
 from vision.errors import InputError
 from vision.measurement import Attitude
+from vision.rotations import yaw_of
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -149,7 +150,7 @@ def _noise_density(rate_rad_s: FloatArray, step_s: float) -> float:
 
 def _of_attitude(attitude: AttitudeStream, origin_ns: int, attitude_std_rad: float) -> Turning:
     w, x, y, z = attitude.q_world_body.T
-    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    yaw = np.unwrap(yaw_of(attitude.q_world_body))
     down = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
     t_s = seconds(attitude.t_ns, origin_ns)
     gap_s = max(ATTITUDE_GAP_S, GAP_STEPS * float(np.median(np.diff(t_s))))

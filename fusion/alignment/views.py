@@ -104,7 +104,17 @@ class Views:
         elevation_rad: float = 0.0,
         elevation_std_rad: float = SEARCH_STD_RAD,
     ) -> Sightings:
-        """Measure all frames, each with the attitude ``offset_s`` after its stamp; None: without attitude."""
+        """Measure all frames.
+
+        Parameters
+        ----------
+        turning
+            Gives each frame's attitude; None: measure without attitude.
+        offset_s
+            Added to the frames' stamps to give the time of their attitude.
+        elevation_rad, elevation_std_rad
+            Prior of the axis's elevation above level.
+        """
         n = len(self.t_s)
         table = np.full((n, N_COLUMNS), nan)
         level_body = np.tile(np.eye(3), (n, 1, 1))
@@ -166,7 +176,19 @@ def _undistorted_anew(lines: LineSet, camera: Camera, other: Camera) -> LineSet:
 
 
 def collect(flight: Flight, camera: Camera, chosen: IntArray, origin_ns: int, progress: Progress) -> Views:
-    """Read the chosen frames and find their lines; those that do not decode are counted and left out."""
+    """Read frames and find their lines; those that do not decode are counted and left out.
+
+    Parameters
+    ----------
+    flight, camera
+        Whose pictures, and the camera to find their lines with.
+    chosen
+        Numbers (n,) of the frames.
+    origin_ns
+        Time that counts as zero.
+    progress
+        Called with frames done and in all.
+    """
     lines, kept = [], []
     for done, index in enumerate(chosen.tolist(), start=1):
         try:

@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
-from fusion.progress import compile_notice, progress_bar, say
+from fusion.cli.console import compile_notice, progress_bar, say
 from vision.errors import InputError
 
+SHORT_HELP = "Put camera and clock right by the flight itself: time offset, focal length, mounting."
 HELP = """Find time offset, focal length and mounting of a flight's camera by the flight itself.
 
 Turns that vision sees along the corridor are compared with those of the gyroscope (of the attitude, where there is

@@ -1,4 +1,6 @@
-"""How late the frames are stamped, found out in flight from how they disagree with the gyroscope in turns.
+"""How late the frames are stamped: takes dead reckoning and accepted frames, returns what is known of the delay.
+
+It is found in flight, from how frames disagree with the gyroscope in turns.
 
 A frame stamped late by d more than is configured shows the heading of d ago, so while the vehicle turns its heading
 lags. The filter takes that lag for an error of the heading and follows it; what is left in its innovations grows with
@@ -8,7 +10,8 @@ beside it, by an instrumental variable (T. Soderstrom, P. Stoica, "Comparison of
 Automatica 17, 1981):
 
 - A Kalman filter of the corridor's axis in the dead-reckoned frame and of the gyroscope's bias, which makes it drift,
-  gives the innovations i of the frames and, by the sensitivity of its state, their derivative G by the delay.
+  gives the innovations i of the frames and, by the sensitivity of its state, their derivative G with respect to
+  the delay.
 - The instrument w is a change of the rate from a tenth of a second after the frame onwards. Its noise is neither in
   i nor in G, so the mean of w i is the mean of w G times the delay, whatever the noise.
 - With e = sum(w i / S), g = sum(w G / S) and v = sum(w^2 / S), S the innovations' variance, e is g d with variance
@@ -28,11 +31,15 @@ brought to the right time; the roll and pitch that it was measured with stay tho
 from __future__ import annotations
 
 from math import hypot, nan, sqrt
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.models import wrap_axis
+from fusion.estimator.models import BIAS, PSI
 from fusion.estimator.noise_adaptation import as_if_independent, correlation
+from vision.rotations import wrap_axis
+
+if TYPE_CHECKING:
+    from fusion.estimator.ekf import CorridorEKF
 
 MAX_LATE_S = 0.1
 STEP_NS = 20_000_000
@@ -46,14 +53,14 @@ BEHIND_NS = (RATE_NS + round(MAX_LATE_S * 1e9)) // 2
 KEPT_NS = LAG_NS + BEHIND_NS + 200_000_000
 
 
-class Turned(NamedTuple):
+class TurnPoint(NamedTuple):
     """Heading dead-reckoned by the gyroscope, its bias included."""
 
     t_ns: int
     theta_rad: float
 
 
-class Seen(NamedTuple):
+class FrameHeading(NamedTuple):
     """A frame's heading and its variance; ``epoch`` changes where the axis does."""
 
     t_ns: int
@@ -71,7 +78,7 @@ class AxisNoise(NamedTuple):
     correlation_s: float
 
 
-class Axis(NamedTuple):
+class AxisFilter(NamedTuple):
     """A Kalman filter of the corridor's axis as the gyroscope, with its bias, makes it drift.
 
     Parameters
@@ -81,7 +88,7 @@ class Axis(NamedTuple):
     P
         Covariance: axis, axis with bias, bias.
     per_s
-        Derivatives (2,) of the state by the camera's delay.
+        Derivatives (2,) of the state with respect to the camera's delay.
     """
 
     angle_rad: float
@@ -89,7 +96,7 @@ class Axis(NamedTuple):
     P: tuple[float, float, float]
     per_s: tuple[float, float]
 
-    def predicted(self, dt_s: float, noise: AxisNoise) -> Axis:
+    def predicted(self, dt_s: float, noise: AxisNoise) -> AxisFilter:
         """Move on by ``dt_s``."""
         a, c, b = self.P
         walk = noise.bias_walk**2 * dt_s
@@ -99,14 +106,16 @@ class Axis(NamedTuple):
             b + walk,
         )
         angle, bias = self.per_s
-        return Axis(self.angle_rad + self.bias_rad_s * dt_s, self.bias_rad_s, P, (angle + bias * dt_s, bias))
+        return AxisFilter(
+            self.angle_rad + self.bias_rad_s * dt_s, self.bias_rad_s, P, (angle + bias * dt_s, bias)
+        )
 
-    def updated(self, innovation_rad: float, innovation_per_s: float, variance: float) -> Axis:
-        """Take in an innovation, with its derivative by the delay."""
+    def updated(self, innovation_rad: float, innovation_per_s: float, variance: float) -> AxisFilter:
+        """Take in an innovation, with its derivative with respect to the delay."""
         a, c, b = self.P
         k, j = a / (a + variance), c / (a + variance)
         angle, bias = self.per_s
-        return Axis(
+        return AxisFilter(
             self.angle_rad + k * innovation_rad,
             self.bias_rad_s + j * innovation_rad,
             ((1.0 - k) * a, (1.0 - k) * c, b - j * c),
@@ -115,7 +124,7 @@ class Axis(NamedTuple):
 
 
 class Effect(NamedTuple):
-    """How the main filter's heading and gyroscope bias at a time change by the delay; ``epoch`` as for frames."""
+    """How the main filter's heading and gyroscope bias at a time change with the delay; ``epoch`` as for frames."""
 
     t_ns: int
     heading_per_s: float
@@ -146,10 +155,10 @@ class Delay(NamedTuple):
 
     std_s: float
     bounds_s: tuple[float, float] = (-MAX_LATE_S, MAX_LATE_S)
-    turns: tuple[Turned, ...] = ()
-    waiting: tuple[Seen, ...] = ()
-    last: Seen | None = None
-    axis: Axis | None = None
+    turns: tuple[TurnPoint, ...] = ()
+    waiting: tuple[FrameHeading, ...] = ()
+    last: FrameHeading | None = None
+    axis: AxisFilter | None = None
     evidence: float = 0.0
     gain: float = 0.0
     spread: float = 0.0
@@ -173,7 +182,7 @@ class Delay(NamedTuple):
         return prior * self.spread / (prior * gain * gain + self.spread) if self.spread > 0.0 else prior
 
     def heading_per_s(self, t_ns: int) -> float:
-        """How the main filter's heading at a time changes by the delay, rad/s."""
+        """How the main filter's heading at a time changes with the delay, rad/s."""
         if self.effect is None:
             return 0.0
         return self.effect.heading_per_s - self.effect.bias_per_s * (t_ns - self.effect.t_ns) * 1e-9
@@ -212,10 +221,10 @@ def with_turn(delay: Delay, t_ns: int, theta_rad: float) -> Delay:
     if len(turns) > 1 and t_ns - turns[-2].t_ns < STEP_NS:
         turns = turns[:-1]
     first = 1 if turns and t_ns - turns[0].t_ns > KEPT_NS else 0
-    return delay._replace(turns=(*turns[first:], Turned(t_ns, theta_rad)))
+    return delay._replace(turns=(*turns[first:], TurnPoint(t_ns, theta_rad)))
 
 
-def turned_at(turns: tuple[Turned, ...], t_ns: int) -> float:
+def turned_at(turns: tuple[TurnPoint, ...], t_ns: int) -> float:
     """Angle at a time, between points on a straight line; held beyond the ends."""
     after = turns[-1]
     if t_ns >= after.t_ns:
@@ -228,7 +237,7 @@ def turned_at(turns: tuple[Turned, ...], t_ns: int) -> float:
     return after.theta_rad
 
 
-def mean_rate(turns: tuple[Turned, ...], start_ns: int, end_ns: int) -> float:
+def mean_rate(turns: tuple[TurnPoint, ...], start_ns: int, end_ns: int) -> float:
     """Mean rate between two times, rad/s."""
     return (turned_at(turns, end_ns) - turned_at(turns, start_ns)) / ((end_ns - start_ns) * 1e-9)
 
@@ -237,18 +246,18 @@ def turned_since(delay: Delay, t_ns: int, theta_rad: float) -> float:
     """Angle turned since ``delay.late_s`` ago, now at ``theta_rad``; ahead, what the present rate promises."""
     late_s = delay.late_s
     if late_s > 0.0:
-        turns = (*delay.turns, Turned(t_ns, theta_rad))
+        turns = (*delay.turns, TurnPoint(t_ns, theta_rad))
         return theta_rad - turned_at(turns, t_ns - round(late_s * 1e9))
     return recent_rate(delay, t_ns, theta_rad) * late_s
 
 
 def recent_rate(delay: Delay, t_ns: int, theta_rad: float) -> float:
     """Mean rate of the last moments."""
-    turns = (*delay.turns, Turned(t_ns, theta_rad))
+    turns = (*delay.turns, TurnPoint(t_ns, theta_rad))
     return mean_rate(turns, max(t_ns - RECENT_NS, turns[0].t_ns), t_ns) if turns[0].t_ns < t_ns else 0.0
 
 
-def with_frame(delay: Delay, seen: Seen, noise: AxisNoise) -> Delay:
+def with_frame(delay: Delay, seen: FrameHeading, noise: AxisNoise) -> Delay:
     """Let a frame wait for its rates, and take in those that have them."""
     delay = delay._replace(waiting=(*delay.waiting, seen))
     while delay.waiting and delay.turns and delay.waiting[0].t_ns + LAG_NS <= delay.turns[-1].t_ns:
@@ -259,30 +268,118 @@ def with_frame(delay: Delay, seen: Seen, noise: AxisNoise) -> Delay:
     return delay
 
 
-def _taken_in(delay: Delay, seen: Seen, noise: AxisNoise) -> Delay:
+def _taken_in(delay: Delay, seen: FrameHeading, noise: AxisNoise) -> Delay:
     turns, t_ns = delay.turns, seen.t_ns
     middle_ns = t_ns - round(0.5e9 * delay.late_s)
     rate = mean_rate(turns, middle_ns - RATE_NS // 2, middle_ns + RATE_NS // 2)
     measured = turned_at(turns, t_ns) - seen.heading_rad
     axis, last = delay.axis, delay.last
     if axis is None or last is None:
-        started = Axis(measured, 0.0, (seen.variance, 0.0, noise.bias_std_rad_s**2), (rate, 0.0))
+        started = AxisFilter(measured, 0.0, (seen.variance, 0.0, noise.bias_std_rad_s**2), (rate, 0.0))
         return delay._replace(last=seen, axis=started)
     rate -= axis.bias_rad_s
     if last.epoch != seen.epoch:
-        started = Axis(measured, axis.bias_rad_s, (seen.variance, 0.0, axis.P[2]), (rate, axis.per_s[1]))
+        started = AxisFilter(
+            measured, axis.bias_rad_s, (seen.variance, 0.0, axis.P[2]), (rate, axis.per_s[1])
+        )
         return delay._replace(last=seen, axis=started)
     axis = axis.predicted((t_ns - last.t_ns) * 1e-9, noise)
     variance = as_if_independent(seen.variance, axis.P[0], correlation(t_ns, last.t_ns, noise.correlation_s))
-    innovation, by_delay, S = wrap_axis(measured - axis.angle_rad), rate - axis.per_s[0], axis.P[0] + variance
+    innovation, per_s, S = wrap_axis(measured - axis.angle_rad), rate - axis.per_s[0], axis.P[0] + variance
     start_ns = t_ns + GUARD_NS
     near = mean_rate(turns, start_ns, start_ns + PART_NS) - axis.bias_rad_s
     far = mean_rate(turns, start_ns + PART_NS, start_ns + 2 * PART_NS) - axis.bias_rad_s
     instrument = far - near + LEVEL * near
     return delay._replace(
         last=seen,
-        axis=axis.updated(innovation, by_delay, variance),
+        axis=axis.updated(innovation, per_s, variance),
         evidence=delay.evidence + instrument * innovation / S,
-        gain=delay.gain + instrument * by_delay / S,
+        gain=delay.gain + instrument * per_s / S,
         spread=delay.spread + instrument * instrument / S,
     )
+
+
+class DelayedInnovation(NamedTuple):
+    """Derivative of an innovation with respect to the delay, rad/s, and the variance that the delay adds to it."""
+
+    per_s: float
+    variance: float
+
+
+def turned_since_exposure(delay: Delay | None, bias_rad_s: float, t_ns: int, raw_theta_rad: float) -> float:
+    """Angle turned in the time by which a frame is estimated to be later than configured.
+
+    Parameters
+    ----------
+    delay
+        What is known of the delay; None where it is taken as configured.
+    bias_rad_s
+        The gyroscope's bias.
+    t_ns, raw_theta_rad
+        Now, and the heading dead-reckoned with the bias in it.
+    """
+    if delay is None:
+        return 0.0
+    return turned_since(delay, t_ns, raw_theta_rad) - bias_rad_s * delay.late_s
+
+
+def with_axis(delay: Delay, ekf: CorridorEKF, t_ns: int, raw_theta_rad: float, epoch: int) -> Delay:
+    """Start to follow the effect on the main filter, where it measures the heading from an axis for the first time.
+
+    Parameters
+    ----------
+    delay
+        What is known of the delay.
+    ekf
+        Main filter.
+    t_ns, raw_theta_rad
+        Now, and the heading dead-reckoned with the bias in it.
+    epoch
+        Number of times that the heading has jumped.
+    """
+    if delay.effect is not None and delay.effect.epoch == epoch:
+        return delay
+    rate = recent_rate(delay, t_ns, raw_theta_rad) - float(ekf.x[BIAS])  # the heading is that of a few frames
+    return delay._replace(effect=Effect(t_ns, -rate, 0.0, epoch))
+
+
+def innovation_of(delay: Delay, ekf: CorridorEKF, t_ns: int, raw_theta_rad: float) -> DelayedInnovation:
+    """How an error of the camera's delay shows in the next innovation of the heading; arguments as `with_axis`."""
+    rate = recent_rate(delay, t_ns, raw_theta_rad) - float(ekf.x[BIAS])
+    per_s = -rate - delay.heading_per_s(t_ns)
+    return DelayedInnovation(per_s, per_s**2 * delay.variance)
+
+
+def learn_delay(
+    delay: Delay, ekf: CorridorEKF, seen: FrameHeading, innovation_per_s: float, config: FusionConfig
+) -> Delay:
+    """Let an accepted frame tell of the delay too, and correct the main filter by what that changes.
+
+    Parameters
+    ----------
+    delay
+        What was known of the delay.
+    ekf
+        Main filter, right after the frame's heading was taken in.
+    seen
+        The frame's heading.
+    innovation_per_s
+        From `innovation_of`.
+    config
+        Settings.
+    """
+    if delay.effect is None:
+        return delay
+    heading_per_s = delay.heading_per_s(seen.t_ns) + float(ekf.K[PSI, 0]) * innovation_per_s
+    bias_per_s = delay.effect.bias_per_s + float(ekf.K[BIAS, 0]) * innovation_per_s
+    before_s = delay.late_s
+    noise = AxisNoise(
+        config.gyro_noise, config.gyro_bias_std_rad_s, config.bias_walk, config.heading_correlation_s
+    )
+    effect = Effect(seen.t_ns, heading_per_s, bias_per_s, seen.epoch)
+    delay = with_frame(delay, seen, noise)._replace(effect=effect)
+    x = ekf.x.copy()  # what frames have done to the heading with the delay as it was thought to be
+    x[PSI] -= heading_per_s * (delay.late_s - before_s)
+    x[BIAS] -= bias_per_s * (delay.late_s - before_s)
+    ekf.correct(x)
+    return delay

@@ -1,8 +1,9 @@
-"""The filter's arithmetic: filterpy's extended Kalman filter, with what is wrong or slow in it replaced.
+"""The filter: filterpy's ``ExtendedKalmanFilter`` with compiled arithmetic; takes predictions and updates.
 
-Taken from filterpy 2.0: the attributes and their meaning, and what follows from them (likelihood, Mahalanobis
-distance). Replaced is the arithmetic of ``predict`` and ``update`` (the same to rounding, see the tests), because in
-filterpy
+An object to inspect has the attributes of `filterpy.kalman.ExtendedKalmanFilter` with their meaning: ``x``, ``P``,
+``F``, ``Q``, ``x_prior``, ``P_prior``, ``x_post``, ``P_post``, ``K``, ``y``, ``S``, ``SI``, ``R``, ``likelihood``,
+``log_likelihood``, ``mahalanobis``. Replaced is the arithmetic of ``predict`` and ``update``: the same to rounding
+(tests hold it to filterpy's own, to 1e-12), because in filterpy 2.0
 
 - ``update`` with None keeps the innovation of the measurement before, so a gate that reads it judges the wrong one;
 - a NaN measurement turns state and covariance into NaN for good;
@@ -10,32 +11,30 @@ filterpy
   prediction copies what nobody writes into;
 - rounding lets the covariance lose its symmetry over millions of steps.
 
-State and covariance are replaced, never written into, so that a snapshot of the filter is two references.
+State and covariance are replaced, never written into, so that a snapshot of the filter is two references. Importing
+this module imports all of filterpy, and with it ``scipy.stats`` and ``scipy.ndimage``: it is loaded when the first
+estimator is made, not with the package.
 """
 
 from __future__ import annotations
 
 from functools import cache
 from math import isfinite
-from typing import NamedTuple
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from fusion.estimator.kernels import N_STATES, FloatArray, predicted, spread, updated
-from fusion.estimator.models import ProcessNoise, ScalarMeasurement, step
+from fusion.estimator.kernels import N_STATES, FloatArray, predicted, predicted_variance, stepped, updated
+from fusion.estimator.models import Gate, ProcessNoise, ScalarMeasurement
+from fusion.estimator.smoother import Node
 
-
-class Gate(NamedTuple):
-    """Outcome of an update: whether it was taken, the residual, and residual^2 / (gate^2 S)."""
-
-    accepted: bool
-    residual: float
-    test_ratio: float
+_SQUARE = (N_STATES, N_STATES)
 
 
 class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
-    """Filter over `fusion.estimator.models`' state, for scalar measurements.
+    """Filter over the state of `fusion.estimator.models`, for scalar measurements.
+
+    Every change of the state goes through its methods, which note it for the smoother in ``nodes``.
 
     Parameters
     ----------
@@ -45,29 +44,50 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
 
     x: FloatArray
     P: FloatArray
+    nodes: list[Node]
 
     def __init__(self, x: FloatArray, P: FloatArray) -> None:
         super().__init__(dim_x=N_STATES, dim_z=1)
-        self.x = np.array(x, dtype=float)
-        self.P = np.array(P, dtype=float)
-        self.y, self.S, self.SI = np.zeros(1), np.eye(1), np.eye(1)
+        self.load(np.array(x, dtype=float), np.array(P, dtype=float))
+        self.K, self.y, self.S, self.SI = np.zeros((N_STATES, 1)), np.zeros(1), np.eye(1), np.eye(1)
+        self._Q = np.empty(_SQUARE)  # of the process model; written anew in each step, for nobody keeps it
         _compile()
+
+    def load(self, x: FloatArray, P: FloatArray) -> None:
+        """Go on from a state (5,) and covariance (5, 5), with no steps noted yet."""
+        self.x, self.P, self.nodes = x, P, []
 
     def predict(self, x_next: FloatArray, F: FloatArray, Q: FloatArray) -> None:
         """Move to ``x_next`` (5,), with ``F`` its derivative and ``Q`` the noise gained."""
-        self.F, self.Q = F, Q
-        self.x = self.x_prior = x_next
         P = np.empty_like(self.P)
         predicted(self.P, F, Q, P)
-        self.P = self.P_prior = P
+        self._moved(x_next, F, Q, P)
+
+    def widen(self, index: int, variance: float) -> None:
+        """Add to the variance of one state."""
+        Q = np.zeros((N_STATES, N_STATES))
+        Q[index, index] = variance
+        self.predict(self.x, np.eye(N_STATES), Q)
 
     def advance(
         self, dt_s: float, turned_rad: float, noise: ProcessNoise, u: float, w: float, heading_variance: float
     ) -> None:
-        """Move by the process model: see `fusion.estimator.models.step`."""
-        x, self.F, P = step(self.x, self.P, dt_s, turned_rad, noise, u, w, heading_variance)
-        self.x = self.x_prior = x
-        self.P = self.P_prior = P
+        """Move by the process model, discretised exactly.
+
+        Parameters
+        ----------
+        dt_s, turned_rad
+            Length of the step, and by how much the level frame turned in it (bias included).
+        noise
+            Continuous noise.
+        u, w
+            Forward and sideways velocity, half widths per second; the heading half-way is used for y.
+        heading_variance
+            Further variance of the heading gained in the step, rad^2 (a gap in the gyroscope).
+        """
+        x, F, P, Q = np.empty(N_STATES), np.empty(_SQUARE), np.empty(_SQUARE), self._Q
+        stepped(self.x, self.P, x, F, Q, P, dt_s, turned_rad, *noise, u, w, heading_variance)
+        self._moved(x, F, Q, P)
 
     def update(
         self, measurement: ScalarMeasurement | None, gate_sigma: float = float("inf"), R: float | None = None
@@ -93,18 +113,35 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
             self.y[0] = np.nan
             return Gate(False, float("nan"), float("nan"))
         residual, H, gate_variance = measurement
-        expected = spread(self.P, H)
+        expected = predicted_variance(self.P, H)
         ratio = residual * residual / (gate_sigma * gate_sigma * (expected + gate_variance))
         variance = gate_variance if R is None else R
         S = expected + variance
-        self.y[0], self.S[0, 0], self.SI[0, 0] = residual, S, 1.0 / S
+        self.y[0], self.S[0, 0], self.SI[0, 0], self.R[0, 0] = residual, S, 1.0 / S, variance
         self._log_likelihood = self._likelihood = self._mahalanobis = None
         if ratio > 1.0:
             return Gate(False, residual, ratio)
-        x, P, K = np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty(N_STATES)
+        x, P, K = np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty((N_STATES, 1))
         updated(self.x, self.P, H, residual, variance, x, P, K)
-        self.x, self.P, self.K = x, P, K
+        self.K = K
+        self._measured(x, P)
         return Gate(True, residual, ratio)
+
+    def correct(self, x: FloatArray) -> None:
+        """Take a state (5,) that a measurement implies beside its update; the covariance stays."""
+        self._measured(x, self.P)
+
+    def _moved(self, x: FloatArray, F: FloatArray, Q: FloatArray, P: FloatArray) -> None:
+        self.F, self.Q = F, Q
+        self.x = self.x_prior = x
+        self.P = self.P_prior = P
+        self.nodes.append(Node(F, x, P, x, P))
+
+    def _measured(self, x: FloatArray, P: FloatArray) -> None:
+        if not self.nodes:
+            self.nodes.append(Node(None, self.x, self.P, x, P))
+        self.x = self.x_post = self.nodes[-1].x = x
+        self.P = self.P_post = self.nodes[-1].P = P
 
 
 @cache
@@ -114,7 +151,8 @@ def _compile() -> None:
     constant = x.copy()
     constant.setflags(write=False)  # to the compiler another type
     for H in (x, constant):
-        spread(P, H)
-        updated(x, P, H, 0.0, 1.0, x.copy(), P.copy(), x.copy())
+        predicted_variance(P, H)
+        updated(x, P, H, 0.0, 1.0, x.copy(), P.copy(), np.zeros((N_STATES, 1)))
     predicted(P, P, P, P.copy())
-    step(x, P, 1.0, 0.0, ProcessNoise(1.0, 1.0, 1.0, 1.0, 1.0))
+    noise = ProcessNoise(1.0, 1.0, 1.0, 1.0, 1.0)
+    stepped(x, P, x.copy(), P.copy(), P.copy(), P.copy(), 1.0, 0.0, *noise, 0.0, 0.0, 0.0)

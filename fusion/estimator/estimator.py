@@ -11,42 +11,27 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.engine import SOURCES, Engine, Entry, Sample
+from fusion.estimator.estimate import Estimate, Status, estimate_of
 from fusion.estimator.fixed_lag import FixedLag
-from fusion.estimator.frame_update import Engine, FrameResult, Measure
-from fusion.estimator.range_width import MAX_DISTANCE_M
-from fusion.estimator.state import Estimate, Status, describe
-from fusion.estimator.tilt import Vector
-from fusion.estimator.timeline import Entry, Kind, Timeline
+from fusion.estimator.frame_update import FrameResult, FrameSample, Measure
+from fusion.estimator.imu_yaw import AttitudeSample
+from fusion.estimator.models import Vector
+from fusion.estimator.propagation import ImuSample
+from fusion.estimator.range_width import RangeSample
+from fusion.estimator.timeline import Timeline
+from fusion.estimator.velocity import VelocitySample
 from vision.errors import InputError
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 
 if TYPE_CHECKING:
+    from fusion.estimator.ekf import CorridorEKF
     from vision import Camera
     from vision.lines.segments import LineSet
 
 CLOCK_RESET_SAMPLES = 50
-_NAMES = tuple(kind.name.lower() for kind in Kind)
 
 __all__ = ["CorridorEstimator", "Estimate", "FrameResult", "Status"]
-
-
-class _Machine(Engine):
-    """The engine, fed from the timeline."""
-
-    def process(self, entry: Entry) -> None:
-        """Take the entry's sample and fill in what came of it."""
-        kind, payload = entry.kind, entry.payload
-        if kind is Kind.IMU:
-            self.imu(entry.t_ns, *payload)
-        elif kind is Kind.ATTITUDE:
-            self.attitude(entry.t_ns, payload)
-        elif kind is Kind.VELOCITY:
-            self.velocity(entry.t_ns, payload)
-        elif kind is Kind.RANGE:
-            self.range(entry.t_ns, payload)
-        else:
-            entry.frame = self.frame(entry.t_ns, *payload)
-        entry.nodes = tuple(self.nodes)
 
 
 class CorridorEstimator:
@@ -66,7 +51,7 @@ class CorridorEstimator:
     method
         ``geometric``, or ``paper`` for the article's measurement.
     on_final
-        Called with each `fusion.estimator.timeline.Entry` that nothing can change any more, in order of time.
+        Called with each `fusion.estimator.engine.Entry` that nothing can change any more, in order of time.
     """
 
     def __init__(
@@ -84,45 +69,66 @@ class CorridorEstimator:
         self.method = method
         self.counters: Counter[str] = Counter()
         self.last_frame: FrameResult | None = None
-        self._machine = _Machine(self.config)
-        if camera is not None:
-            ahead_m, right_m, _ = camera.p_body_camera_m.tolist()
-            self._machine.camera_arm_m = (ahead_m, right_m)
+        ahead_m, right_m = (0.0, 0.0) if camera is None else camera.p_body_camera_m.tolist()[:2]
+        self._engine = Engine(self.config, (ahead_m, right_m))
         lag_s = self.config.fixed_lag_s
         self._lag = None if lag_s is None else FixedLag(round(lag_s * 1e9), self.config)
         self._on_final = on_final
         self._timeline = Timeline(
-            self._machine,
+            self._engine,
             round(self.config.buffer_s * 1e9),
             on_final if self._lag is None else self._finalise,
         )
         self._delay_ns = round(self.config.camera_delay_s * 1e9)
         self._late_in_a_row = 0
 
+    @property
+    def ekf(self) -> CorridorEKF:
+        """The filter behind the newest sample: filterpy's ``ExtendedKalmanFilter``, to look at.
+
+        Its ``x``, ``P``, ``F``, ``Q``, ``K``, ``y``, ``S`` and ``likelihood`` are those of the last prediction and
+        the last update; the state is that of `fusion.estimator.models`. What is written into it has no effect.
+        """
+        return self._engine.ekf
+
+    def add(self, sample: Sample) -> Entry | None:
+        """Add a sample of any kind; return what became of it for now, or None where it is ignored and counted."""
+        if fault := sample.fault():
+            self.counters[fault] += 1
+            return None
+        name = SOURCES[type(sample)].name
+        if self._timeline.is_late(sample.t_ns):
+            self.counters[f"{name}_late"] += 1
+            self._late_in_a_row += 1
+            if self._late_in_a_row < CLOCK_RESET_SAMPLES:
+                return None
+            # Nothing but late samples: it is the clock that was set back.
+            self.counters["clock_set_back"] += 1
+            self._timeline.restart(sample.t_ns)
+            if self._lag is not None:
+                self._lag.clear()
+        self._late_in_a_row = 0
+        entry = self._timeline.insert(sample)
+        self.counters[f"{name}_duplicate" if entry is None else name] += 1
+        return entry
+
     def add_imu(self, t_ns: int, gyro: npt.ArrayLike, accel: npt.ArrayLike | None = None) -> None:
         """Add a gyroscope sample (3,) rad/s and, where there is one, accelerometer (3,) m/s^2, body FRD."""
-        rate = _vector(gyro)
-        if rate is None:
-            self.counters["imu_not_finite"] += 1
-            return
-        self._add(t_ns, Kind.IMU, (rate, None if accel is None else _vector(accel)))
+        force = None
+        if accel is not None:
+            ax, ay, az = _vector(accel)
+            if isfinite(ax) and isfinite(ay) and isfinite(az):
+                force = (ax, ay, az)
+        self.add(ImuSample(int(t_ns), _vector(gyro), force))
 
     def add_attitude(self, t_ns: int, q_world_body: npt.ArrayLike) -> None:
         """Add an attitude (4,), unit quaternion w, x, y, z, body FRD to a world whose z points down."""
-        w, x, y, z = (float(v) for v in np.asarray(q_world_body, dtype=float).reshape(4))
-        norm = (w * w + x * x + y * y + z * z) ** 0.5
-        if not 0.9 < norm < 1.1:  # NaN fails too
-            self.counters["attitude_not_unit"] += 1
-            return
-        self._add(t_ns, Kind.ATTITUDE, (w / norm, x / norm, y / norm, z / norm))
+        w, x, y, z = np.asarray(q_world_body, dtype=float).reshape(4).tolist()
+        self.add(AttitudeSample(int(t_ns), (w, x, y, z)))
 
     def add_velocity(self, t_ns: int, v_body: npt.ArrayLike) -> None:
         """Add a velocity (3,) m/s in body FRD, for instance from optical flow or wheels."""
-        velocity = _vector(v_body)
-        if velocity is None:
-            self.counters["velocity_not_finite"] += 1
-            return
-        self._add(t_ns, Kind.VELOCITY, velocity)
+        self.add(VelocitySample(int(t_ns), _vector(v_body)))
 
     def add_range(self, t_ns: int, distance_m: float) -> None:
         """Add a distance to the floor, metres along the body's z, as seen from the camera's place.
@@ -130,11 +136,7 @@ class CorridorEstimator:
         With the width per height that frames see it gives the corridor's width, and so offsets in metres, where the
         configuration tells neither the width nor the camera's height.
         """
-        distance_m = float(distance_m)
-        if not 0.0 < distance_m <= MAX_DISTANCE_M:  # NaN fails too
-            self.counters["range_not_positive"] += 1
-            return
-        self._add(t_ns, Kind.RANGE, distance_m)
+        self.add(RangeSample(int(t_ns), float(distance_m)))
 
     def add_frame(self, t_ns: int, image: npt.NDArray[Any]) -> FrameResult:
         """Add a picture: grey (h, w), BGR or BGRA, uint8 or uint16. A picture of no use is counted as unreadable.
@@ -185,10 +187,10 @@ class CorridorEstimator:
 
         ``now_ns`` is the caller's clock, where status and ages should tell of sources that have fallen silent since.
         """
-        state = self._machine.state
+        state = self._timeline.state
         if now_ns is not None and state.t_ns is not None:
             now_ns = max(now_ns, state.t_ns)
-        return describe(state, self.config, now_ns)
+        return estimate_of(state, self.config, now_ns)
 
     def smoothed(self) -> Estimate:
         """Estimate of ``config.fixed_lag_s`` ago, with all that has been measured since then.
@@ -224,8 +226,9 @@ class CorridorEstimator:
             )
         return self.camera
 
-    def _add_frame(self, t_ns: int, measure: Measure | None) -> FrameResult:
-        entry = self._add(t_ns - self._delay_ns, Kind.FRAME, (t_ns, measure))
+    def _add_frame(self, t_ns: int, measure: Measure | FrameMeasurement | None) -> FrameResult:
+        t_ns = int(t_ns)
+        entry = self.add(FrameSample(t_ns - self._delay_ns, t_ns, measure))
         if entry is None or entry.frame is None:
             self.last_frame = FrameResult(t_ns, None, False, Reason.LATE)
         else:
@@ -233,31 +236,11 @@ class CorridorEstimator:
             self.counters[f"frame_{entry.frame.reason}"] += 1
         return self.last_frame
 
-    def _add(self, t_ns: int, kind: Kind, payload: Any) -> Entry | None:
-        t_ns = int(t_ns)
-        name = _NAMES[kind]
-        if self._timeline.is_late(t_ns):
-            self.counters[f"{name}_late"] += 1
-            self._late_in_a_row += 1
-            if self._late_in_a_row < CLOCK_RESET_SAMPLES:
-                return None
-            # Nothing but late samples: it is the clock that was set back.
-            self.counters["clock_set_back"] += 1
-            self._timeline.restart(t_ns)
-            if self._lag is not None:
-                self._lag.clear()
-        self._late_in_a_row = 0
-        entry = self._timeline.insert(t_ns, kind, payload)
-        self.counters[f"{name}_duplicate" if entry is None else name] += 1
-        return entry
 
-
-def _vector(values: npt.ArrayLike) -> Vector | None:
-    """Three finite floats; None where they are not."""
+def _vector(values: npt.ArrayLike) -> Vector:
+    """Three floats."""
     if type(values) is np.ndarray and values.shape == (3,):
         x, y, z = values.tolist()  # the usual case, for half the price
     else:
         x, y, z = values if isinstance(values, tuple) else np.asarray(values, dtype=float).reshape(3).tolist()
-    if isfinite(x) and isfinite(y) and isfinite(z):
-        return float(x), float(y), float(z)
-    return None
+    return float(x), float(y), float(z)

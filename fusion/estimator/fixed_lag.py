@@ -1,4 +1,4 @@
-"""The smoother in flight: the estimate of a moment ago, with what has been measured since."""
+"""The smoother in flight: takes entries that leave the buffer, returns the estimate of a moment ago as known now."""
 
 from __future__ import annotations
 
@@ -11,14 +11,11 @@ from itertools import chain
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.propagation import Node
-from fusion.estimator.smoothed_table import estimate_row, smoothed_table
-from fusion.estimator.smoother import Steps
-from fusion.estimator.state import Estimate, State, describe
-from fusion.estimator.tables import ESTIMATE_DTYPE
-from fusion.estimator.timeline import Entry, Kind
-
-_NO_ROWS = (Kind.VELOCITY, Kind.RANGE)  # they carry nothing from one time to the next
+from fusion.estimator.engine import SOURCES, Entry, State
+from fusion.estimator.estimate import Estimate, estimate_of
+from fusion.estimator.smoothed_table import smoothed_table
+from fusion.estimator.smoother import Node, Steps
+from fusion.estimator.tables import ESTIMATE_DTYPE, estimate_row
 
 
 class FixedLag:
@@ -59,32 +56,31 @@ class FixedLag:
             return Estimate(0, reason="no sample yet")
         wanted_ns = entries[-1].t_ns - self.lag_ns
         window = entries[max(bisect_right(entries, wanted_ns, key=lambda e: e.t_ns) - 1, 0) :]
-        target, newest = _state(window[0]), _state(window[-1])
-        whole = target.corridor_index != newest.corridor_index or target.reset_count != newest.reset_count
+        target, newest = window[0].after, window[-1].after
+        whole = _axis(target) != _axis(newest)
         instants = list(_instants(window)) if whole else [0, len(window) - 1]
-        rows = [describe(_state(window[i]), self.config) for i in instants]
+        rows = [estimate_of(window[i].after, self.config) for i in instants]
         table = np.array([estimate_row(row) for row in rows], dtype=ESTIMATE_DTYPE)
         steps = Steps()
-        steps.add([Node(window[0].t_ns, None, target.x, target.P, target.x, target.P)])
+        steps.add([Node(None, target.x, target.P, target.x, target.P)])
         steps.add(chain.from_iterable(entry.nodes for entry in window[1:]))
         ends = np.cumsum([0, *(len(entry.nodes) for entry in window[1:])])
         row = smoothed_table(table, ends[instants], steps, self.config)[0]
         return replace(rows[0], **dict(zip(ESTIMATE_DTYPE.names or (), row.item(), strict=True)))
 
 
-def _state(entry: Entry) -> State:
-    if entry.after is None:
-        raise RuntimeError("an entry of the buffer has not been run")
-    return entry.after
+def _axis(state: State) -> tuple[int, int]:
+    return state.axis.corridor_index, state.axis.reset_count
 
 
 def _instants(window: Sequence[Entry]) -> Iterator[int]:
     """Places of the rows that the offline table would have: the first, then the last entry of each sample's time."""
-    kind = min((entry.kind for entry in window if entry.kind not in _NO_ROWS), default=Kind.IMU)
+    sources = [SOURCES[type(entry.sample)] for entry in window]
+    rows_of = min((source for source in sources if source.propagates), default=None)
     yield 0
     is_row = False
     for i, entry in enumerate(window[1:], 1):
-        is_row |= entry.kind is kind
+        is_row |= sources[i] is rows_of
         last = i == len(window) - 1 or window[i + 1].t_ns > entry.t_ns
         if last:
             if is_row:

@@ -1,128 +1,215 @@
-"""The engine's second part: what an attitude sample does to the state.
+"""The IMU's own yaw: takes an attitude's yaw, corrects the filter, returns its part of the state.
 
-Its tilt is taken as it is. Its yaw carries the heading on where no gyroscope does; where one does, its offset to the
-corridor is followed, and it corrects the heading if `fusion.estimator.imu_yaw_check` finds that it knows something of
-its own.
+Its offset to the corridor is followed while a gyroscope carries the heading; it corrects the heading if
+`fusion.estimator.imu_yaw_check` finds that it knows something of its own.
 """
 
 from __future__ import annotations
 
-from math import atan2
+from math import nan
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from fusion.estimator import tilt as tilts
-from fusion.estimator.imu_yaw_check import Trace, is_calm, is_due, is_independent, parted, stepped_by, traced
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.imu_yaw_check import (
+    Trace,
+    YawWatch,
+    is_calm,
+    is_due,
+    is_independent,
+    parted,
+    stepped_by,
+    traced,
+    watch,
+)
 from fusion.estimator.models import (
     BIAS,
     N_STATES,
-    OFFSET,
     PSI,
+    YAW_OFFSET,
+    Quaternion,
     ScalarMeasurement,
     imu_yaw_model,
     imu_yaw_offset_model,
-    wrap,
 )
-from fusion.estimator.propagation import Propagation
-from fusion.estimator.state import UNKNOWN_OFFSET_STD_RAD, Mode, next_interval_s
+from fusion.estimator.propagation import DeadReckoning, Mode
 
-Quaternion = tuple[float, float, float, float]
+if TYPE_CHECKING:
+    from fusion.estimator.corridor_axis import CorridorAxis
+    from fusion.estimator.ekf import CorridorEKF
 
-IMU_YAW_STEP_SAMPLES = 3
+UNKNOWN_YAW_OFFSET_STD_RAD = 10.0
+STEP_SAMPLES = 3  # rejected in a row
+MAX_YAW_AGE_S = 0.1  # of the attitude that a frame is compared with
 
 
-class ImuYaw(Propagation):
-    """The part of the engine that knows the IMU's own yaw."""
+class AttitudeSample(NamedTuple):
+    """An attitude (4,): quaternion w, x, y, z of unit length, body FRD to a world whose z points down."""
 
-    def attitude(self, t_ns: int, q_world_body: Quaternion) -> None:
-        """Take an attitude sample: tilt, and yaw as increment or as measurement."""
-        self._begin(t_ns)
-        s = self.state
-        w, x, y, z = q_world_body
-        yaw = atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        self._leave_silent_gyro(t_ns)
-        if s.mode is Mode.ATTITUDE and s.t_attitude_ns is not None:
-            increment = wrap(yaw - s.yaw_rad)
-            span_s = (t_ns - s.t_attitude_ns) * 1e-9
-            self._advance(t_ns, turned_rad=wrap(increment - s.yaw_done_rad))
-            if span_s > 0:
-                s.rate_rad_s = increment / span_s
-        else:
-            self._advance(t_ns)
-        s.tilt = tilts.from_quaternion(s.tilt, t_ns, q_world_body)
-        s.attitude_interval_s = next_interval_s(s.attitude_interval_s, s.t_attitude_ns, t_ns)
-        s.t_attitude_ns, s.yaw_rad, s.yaw_done_rad = t_ns, yaw, 0.0
-        if s.mode is Mode.NONE:
-            self._set_mode(Mode.ATTITUDE)
-        self._correct_by_imu_yaw(yaw)
-        self._end()
+    t_ns: int
+    q_world_body: Quaternion
 
-    def _correct_by_imu_yaw(self, yaw_rad: float) -> None:
-        """Fuse the IMU's yaw, or follow its offset; a step of it is taken up by the offset, never by the heading."""
-        s, c = self.state, self.config
-        if not s.acquired:
-            return
-        # Where yaw increments carry the heading, the same yaw tells nothing more.
-        worth = s.mode is Mode.GYRO and self._imu_yaw_is_worth_having()
-        self._couple_imu_yaw(worth and is_calm(s.yaw_traces))
-        measurement = self._imu_yaw_measurement(yaw_rad)
-        if not s.imu_yaw_known:
-            self.ekf.update(measurement)
-            s.imu_yaw_known = True
-            return
-        gate = self.ekf.update(measurement, c.imu_yaw_gate_sigma)
-        s.imu_yaw_ratio = gate.test_ratio
-        if gate.accepted:
-            s.imu_yaw_rejects = 0
-            self._trace_imu_yaw(yaw_rad)
-            return
-        s.imu_yaw_rejects += 1
-        if s.imu_yaw_rejects >= IMU_YAW_STEP_SAMPLES:
-            self._widen(OFFSET, gate.residual**2)
-            self.ekf.update(self._imu_yaw_measurement(yaw_rad))
-            s.yaw_traces = stepped_by(gate.residual, s.yaw_traces)
+    def fault(self) -> str:
+        """Why it cannot be used; empty where it can."""
+        return "" if 0.9 < _length(self.q_world_body) < 1.1 else "attitude_not_unit"  # NaN fails too
 
-    def _trace_imu_yaw(self, yaw_rad: float) -> None:
-        """Notice where the IMU's yaw parts from the gyroscope, and undo what that did to the heading."""
-        s, c = self.state, self.config
-        if not is_due(s.yaw_traces, self._now_ns):
-            return
-        x, P, raw = self.ekf.x, self.ekf.P, s.raw_theta_rad
-        now = Trace(self._now_ns, yaw_rad - raw, float(x[PSI]) - raw, float(x[BIAS]), float(P[BIAS, BIAS]))
-        found = parted(s.yaw_traces, now, c.gyro_noise**2 + c.offset_walk**2, c.imu_yaw_std_rad**2)
-        if found is None:
-            s.yaw_traces = traced(s.yaw_traces, now)
-            return
-        s.yaw_traces = (now,)
-        unseen = s.t_vision_ns is None or s.t_vision_ns < found.since_ns
-        if s.imu_yaw_coupled and unseen:  # no frame has moved them meanwhile, so the yaw has
-            moved = np.array([found.heading_rad, found.bias_rad_s, 0.0, 0.0, 0.0])
-            self._transit(x - moved, np.eye(N_STATES), np.multiply.outer(moved, moved))
+    def unit(self) -> Quaternion:
+        """Return the quaternion at length one."""
+        w, x, y, z = self.q_world_body
+        norm = _length(self.q_world_body)
+        return w / norm, x / norm, y / norm, z / norm
 
-    def _imu_yaw_is_worth_having(self) -> bool:
-        c = self.config
-        if c.imu_yaw_use == "auto":
-            return is_independent(self.state.yaw_watch, c.gyro_noise, c.offset_walk)
-        return c.imu_yaw_use == "always"
 
-    def _imu_yaw_measurement(self, yaw_rad: float) -> ScalarMeasurement:
-        s, variance = self.state, self.config.imu_yaw_std_rad**2
-        if s.imu_yaw_coupled:
-            return imu_yaw_model(self.ekf.x, yaw_rad, s.corridor_turn_rad, variance)
-        return imu_yaw_offset_model(self.ekf.x, self.ekf.P, yaw_rad, s.corridor_turn_rad, variance)
+def _length(q: Quaternion) -> float:
+    w, x, y, z = q
+    return float((w * w + x * x + y * y + z * z) ** 0.5)  # mypy takes a power for Any
 
-    def _couple_imu_yaw(self, coupled: bool) -> None:
-        """Let the heading learn from the IMU's yaw, or keep the two apart.
 
-        An attitude filter's yaw comes from the gyroscope that already carries the heading. Taken as independent it
-        makes the filter too sure, and its drift passes for the gyroscope's bias. Kept apart, the offset is
-        uncorrelated with every other state, so nothing learned about it can move them, in the smoother neither.
-        """
-        s = self.state
-        if coupled == s.imu_yaw_coupled:
-            return
-        F, Q = np.eye(N_STATES), np.zeros((N_STATES, N_STATES))
-        F[OFFSET, OFFSET] = 0.0
-        Q[OFFSET, OFFSET] = UNKNOWN_OFFSET_STD_RAD**2
-        self._transit(self.ekf.x, F, Q)
-        s.imu_yaw_coupled, s.imu_yaw_known = coupled, False
+class ImuYaw(NamedTuple):
+    """What is known of the IMU's yaw.
+
+    Parameters
+    ----------
+    known
+        Whether its offset to the corridor is.
+    coupled
+        Whether the offset is correlated with the other states.
+    rejects
+        Samples that the gate has rejected in a row.
+    test_ratio
+        Of the last innovation.
+    watch, traces
+        See `fusion.estimator.imu_yaw_check`.
+    """
+
+    known: bool = False
+    coupled: bool = False
+    rejects: int = 0
+    test_ratio: float = nan
+    watch: YawWatch = YawWatch()
+    traces: tuple[Trace, ...] = ()
+
+    def axis_changed(self) -> ImuYaw:
+        """Drop the running comparison of gyroscope and yaw: frames no longer show the same axis."""
+        return self._replace(watch=self.watch.interrupted())
+
+
+def fuse_imu_yaw(
+    part: ImuYaw,
+    ekf: CorridorEKF,
+    yaw_rad: float,
+    reckoning: DeadReckoning,
+    axis: CorridorAxis,
+    config: FusionConfig,
+) -> ImuYaw:
+    """Fuse the IMU's yaw, or follow its offset; a step of it is taken up by the offset, never by the heading.
+
+    Parameters
+    ----------
+    part
+        Part of the state.
+    ekf
+        Filter to update.
+    yaw_rad
+        Of the attitude sample, at the time of ``reckoning``.
+    reckoning, axis
+        What carries the heading, and which axis it is measured from.
+    config
+        Settings.
+    """
+    if not axis.acquired:
+        return part
+    # Where yaw increments carry the heading, the same yaw tells nothing more.
+    useful = reckoning.mode is Mode.GYRO and _is_useful(part, config)
+    part = _coupled(part, ekf, useful and is_calm(part.traces))
+    measurement = _measurement(part, ekf, yaw_rad, axis, config)
+    if not part.known:
+        ekf.update(measurement)
+        return part._replace(known=True)
+    gate = ekf.update(measurement, config.imu_yaw_gate_sigma)
+    if gate.accepted:
+        part = part._replace(test_ratio=gate.test_ratio, rejects=0)
+        return _trace(part, ekf, yaw_rad, reckoning, axis, config)
+    part = part._replace(test_ratio=gate.test_ratio, rejects=part.rejects + 1)
+    if part.rejects >= STEP_SAMPLES:
+        ekf.widen(YAW_OFFSET, gate.residual**2)
+        ekf.update(_measurement(part, ekf, yaw_rad, axis, config))
+        part = part._replace(traces=stepped_by(gate.residual, part.traces))
+    return part
+
+
+def compare_by_frame(
+    part: ImuYaw, t_ns: int, heading_rad: float, variance: float, reckoning: DeadReckoning
+) -> ImuYaw:
+    """Compare gyroscope and IMU yaw by a frame, where an attitude sample is near.
+
+    Parameters
+    ----------
+    part
+        Part of the state.
+    t_ns, heading_rad, variance
+        The frame's time and its heading.
+    reckoning
+        What carries the heading.
+    """
+    if reckoning.mode is not Mode.GYRO or not reckoning.attitude.age_s(t_ns) <= MAX_YAW_AGE_S:
+        return part
+    yaw_now = reckoning.yaw_rad + reckoning.yaw_done_rad
+    seen = watch(part.watch, t_ns, heading_rad - reckoning.theta_rad, heading_rad - yaw_now, variance)
+    return part._replace(watch=seen)
+
+
+def _is_useful(part: ImuYaw, config: FusionConfig) -> bool:
+    if config.imu_yaw_use == "auto":
+        return is_independent(part.watch, config.gyro_noise, config.offset_walk)
+    return config.imu_yaw_use == "always"
+
+
+def _measurement(
+    part: ImuYaw, ekf: CorridorEKF, yaw_rad: float, axis: CorridorAxis, config: FusionConfig
+) -> ScalarMeasurement:
+    variance = config.imu_yaw_std_rad**2
+    if part.coupled:
+        return imu_yaw_model(ekf.x, yaw_rad, axis.corridor_turn_rad, variance)
+    return imu_yaw_offset_model(ekf.x, ekf.P, yaw_rad, axis.corridor_turn_rad, variance)
+
+
+def _trace(
+    part: ImuYaw,
+    ekf: CorridorEKF,
+    yaw_rad: float,
+    reckoning: DeadReckoning,
+    axis: CorridorAxis,
+    config: FusionConfig,
+) -> ImuYaw:
+    """Notice where the IMU's yaw parts from the gyroscope, and undo what that did to the heading."""
+    t_ns = reckoning.attitude.last_ns
+    if t_ns is None or not is_due(part.traces, t_ns):
+        return part
+    x, raw = ekf.x, reckoning.raw_theta_rad
+    now = Trace(t_ns, yaw_rad - raw, float(x[PSI]) - raw, float(x[BIAS]), float(ekf.P[BIAS, BIAS]))
+    found = parted(part.traces, now, config.gyro_noise**2 + config.offset_walk**2, config.imu_yaw_std_rad**2)
+    if found is None:
+        return part._replace(traces=traced(part.traces, now))
+    unseen = axis.t_vision_ns is None or axis.t_vision_ns < found.since_ns
+    if part.coupled and unseen:  # no frame has moved them meanwhile, so the yaw has
+        moved = np.array([found.heading_rad, found.bias_rad_s, 0.0, 0.0, 0.0])
+        ekf.predict(x - moved, np.eye(N_STATES), np.multiply.outer(moved, moved))
+    return part._replace(traces=(now,))
+
+
+def _coupled(part: ImuYaw, ekf: CorridorEKF, coupled: bool) -> ImuYaw:
+    """Let the heading learn from the IMU's yaw, or keep the two apart.
+
+    An attitude filter's yaw comes from the gyroscope that already carries the heading. Taken as independent it
+    makes the filter too sure, and its drift passes for the gyroscope's bias. Kept apart, the offset is
+    uncorrelated with every other state, so nothing learned about it can move them, in the smoother neither.
+    """
+    if coupled == part.coupled:
+        return part
+    F, Q = np.eye(N_STATES), np.zeros((N_STATES, N_STATES))
+    F[YAW_OFFSET, YAW_OFFSET] = 0.0
+    Q[YAW_OFFSET, YAW_OFFSET] = UNKNOWN_YAW_OFFSET_STD_RAD**2
+    ekf.predict(ekf.x, F, Q)
+    return part._replace(coupled=coupled, known=False)

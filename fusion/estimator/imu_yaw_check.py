@@ -15,7 +15,7 @@ from __future__ import annotations
 from math import radians, sqrt
 from typing import NamedTuple
 
-from fusion.estimator.models import wrap, wrap_axis
+from vision.rotations import wrap, wrap_axis
 
 BLOCK_NS = 500_000_000
 MIN_FRAMES = 3  # of a block

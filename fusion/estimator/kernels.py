@@ -1,8 +1,8 @@
-"""The filter's inner arithmetic, compiled: calling numpy takes ten times as long as a 5 by 5 product itself.
+"""The filter's inner arithmetic, compiled: takes numbers and arrays, fills the arrays named ``_out``, no more.
 
-What the numbers mean is said in `fusion.estimator.models` and `fusion.estimator.tilt`, whose functions stand before
-these. Arrays that come out are the caller's (``_out``), filled: handing a new one out of compiled code costs more
-than filling it. Covariances come out symmetric to the last bit: each pair of entries is computed once, or averaged.
+Calling numpy takes ten times as long as a 5 by 5 product itself, and returning a new array from compiled code costs
+more than filling one of the caller's. What the numbers mean is said in `fusion.estimator.models` and
+`fusion.estimator.tilt`. Covariances are symmetric to the last bit: each pair is computed once, or averaged.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ from __future__ import annotations
 from math import cos, exp, expm1, sin, sqrt
 
 import numpy as np
-import numpy.typing as npt
 
 from vision.compiled import compiled
+from vision.measurement import FloatArray as FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 
-PSI, BIAS, OFFSET, Y, V = range(5)
+PSI, BIAS, YAW_OFFSET, Y, V = range(5)
 N_STATES = 5
 
 
@@ -31,7 +31,10 @@ def propagated(
     forward: float,
     sideways: float,
 ) -> None:
-    """See `fusion.estimator.models.propagate`."""
+    """State (5,) after ``dt`` in which the level frame turned by ``turned`` (bias included).
+
+    ``forward`` and ``sideways`` are velocities in half widths per second; the heading half-way is used for y.
+    """
     change = turned - x[BIAS] * dt
     middle = x[PSI] + 0.5 * change
     x_out[:] = x
@@ -66,11 +69,16 @@ def discretised(
     c: float,
     heading_variance: float,
 ) -> None:
-    """See `fusion.estimator.models.transition`."""
+    """Discretise the process model exactly over ``dt``: transition F and noise Q, (5, 5) each.
+
+    ``heading`` to ``v_time_s`` are those of `fusion.estimator.models.ProcessNoise`; ``c`` is the derivative of y'
+    with respect to psi, ``forward cos(psi) - sideways sin(psi)``, held over the step; ``heading_variance`` is
+    further variance of the heading gained in the step, rad^2 (a gap in the gyroscope).
+    """
     n2, b2, o2 = heading**2, bias**2, offset**2
     F, Q = F_out, Q_out
     F[:], Q[:] = 0.0, 0.0
-    F[PSI, PSI] = F[BIAS, BIAS] = F[OFFSET, OFFSET] = F[Y, Y] = 1.0
+    F[PSI, PSI] = F[BIAS, BIAS] = F[YAW_OFFSET, YAW_OFFSET] = F[Y, Y] = 1.0
     F[PSI, BIAS] = -dt
     F[Y, PSI] = c * dt
     F[Y, BIAS] = -c * dt * dt / 2
@@ -78,7 +86,7 @@ def discretised(
     F[V, V] = exp(-dt / v_time_s)
     Q[PSI, PSI] = n2 * dt + b2 * dt**3 / 3 + heading_variance
     Q[BIAS, BIAS] = b2 * dt
-    Q[OFFSET, OFFSET] = o2 * dt
+    Q[YAW_OFFSET, YAW_OFFSET] = o2 * dt
     Q[PSI, BIAS] = Q[BIAS, PSI] = -b2 * dt * dt / 2
     Q[Y, PSI] = c * (n2 * dt**2 / 2 + b2 * dt**4 / 8)
     Q[Y, BIAS] = -c * b2 * dt**3 / 6
@@ -114,6 +122,7 @@ def stepped(
     P: FloatArray,
     x_out: FloatArray,
     F_out: FloatArray,
+    Q_out: FloatArray,
     P_out: FloatArray,
     dt: float,
     turned: float,
@@ -129,14 +138,13 @@ def stepped(
     """See `fusion.estimator.models.step`."""
     middle = x[PSI] + 0.5 * (turned - x[BIAS] * dt)
     c = forward * cos(middle) - sideways * sin(middle)
-    Q = np.empty((N_STATES, N_STATES))
-    discretised(F_out, Q, dt, heading, bias, offset, v_std, v_time_s, c, heading_variance)
+    discretised(F_out, Q_out, dt, heading, bias, offset, v_std, v_time_s, c, heading_variance)
     propagated(x, x_out, dt, turned, v_time_s, forward, sideways)
-    predicted(P, F_out, Q, P_out)
+    predicted(P, F_out, Q_out, P_out)
 
 
 @compiled
-def spread(P: FloatArray, H: FloatArray) -> float:
+def predicted_variance(P: FloatArray, H: FloatArray) -> float:
     """Variance of a scalar that depends on the state by H (n,): H P H'."""
     total = 0.0
     for i in range(H.shape[0]):
@@ -157,12 +165,12 @@ def updated(
     P_out: FloatArray,
     K_out: FloatArray,
 ) -> None:
-    """State (n,), covariance (n, n) and gain (n,) after a scalar measurement.
+    """State (n,), covariance (n, n) and gain (n, 1) after a scalar measurement.
 
     The covariance is Joseph's form, (I - K H) P (I - K H)' + R K K', positive whatever the gain.
     """
     n = x.shape[0]
-    HP, K = np.empty(n), K_out
+    HP, K = np.empty(n), K_out[:, 0]
     S = variance
     for i in range(n):
         total = 0.0

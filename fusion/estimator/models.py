@@ -1,4 +1,4 @@
-"""State, process model and measurement models, as pure functions of numbers and small arrays.
+"""State, process model and measurement models: take numbers and small arrays, return new ones, change nothing.
 
 State (5,): ``[psi, b_z, o, y, v]``
 
@@ -19,19 +19,21 @@ Process, with level yaw rate omega, forward and sideways speed u, w (half widths
 
 from __future__ import annotations
 
-from math import cos, pi
+from math import cos
 from typing import NamedTuple
 
 import numpy as np
 
 from fusion.estimator.kernels import BIAS as BIAS
 from fusion.estimator.kernels import N_STATES as N_STATES
-from fusion.estimator.kernels import OFFSET as OFFSET
 from fusion.estimator.kernels import PSI as PSI
+from fusion.estimator.kernels import YAW_OFFSET as YAW_OFFSET
 from fusion.estimator.kernels import FloatArray as FloatArray
+from fusion.estimator.kernels import Quaternion as Quaternion
 from fusion.estimator.kernels import V as V
+from fusion.estimator.kernels import Vector as Vector
 from fusion.estimator.kernels import Y as Y
-from fusion.estimator.kernels import discretised, propagated, stepped
+from vision.rotations import wrap, wrap_axis
 
 
 class ProcessNoise(NamedTuple):
@@ -64,14 +66,12 @@ class ScalarMeasurement(NamedTuple):
     R: float
 
 
-def wrap(angle_rad: float) -> float:
-    """Bring an angle into [-pi, pi)."""
-    return (angle_rad + pi) % (2 * pi) - pi
+class Gate(NamedTuple):
+    """Outcome of an update: whether it was taken, the residual, and residual^2 / (gate^2 S)."""
 
-
-def wrap_axis(angle_rad: float) -> float:
-    """Bring the angle of a direction without sense (a corridor seen from either end) into [-pi/2, pi/2)."""
-    return (angle_rad + 0.5 * pi) % pi - 0.5 * pi
+    accepted: bool
+    residual: float
+    test_ratio: float
 
 
 def level_yaw_rate(gyro_rad_s: tuple[float, float, float], down: tuple[float, float, float]) -> float:
@@ -91,76 +91,11 @@ def level_yaw_rate(gyro_rad_s: tuple[float, float, float], down: tuple[float, fl
     return (q * dy + r * dz) / max(dy * dy + dz * dz, 0.0076)
 
 
-def transition(
-    dt_s: float, noise: ProcessNoise, y_per_psi: float = 0.0, heading_variance: float = 0.0
-) -> tuple[FloatArray, FloatArray]:
-    """Discretise the process model exactly over ``dt_s``.
-
-    Parameters
-    ----------
-    dt_s
-        Length of the step.
-    noise
-        Continuous noise.
-    y_per_psi
-        Derivative of y' by psi, held over the step: ``u cos(psi) - w sin(psi)``.
-    heading_variance
-        Further variance of the heading gained in the step, rad^2 (a gap in the gyroscope).
-
-    Returns
-    -------
-    F, Q
-        (5, 5) each; ``F`` is the derivative of `propagate`.
-    """
-    F, Q = np.empty((N_STATES, N_STATES)), np.empty((N_STATES, N_STATES))
-    discretised(F, Q, dt_s, *noise, y_per_psi, heading_variance)
-    return F, Q
-
-
-def propagate(
-    x: FloatArray,
-    dt_s: float,
-    turned_rad: float,
-    noise: ProcessNoise,
-    forward: float = 0.0,
-    sideways: float = 0.0,
-) -> FloatArray:
-    """Carry the state (5,) over ``dt_s`` in which the level frame turned by ``turned_rad`` (bias included).
-
-    ``forward`` and ``sideways`` are velocities in half widths per second; the heading half-way is used for y.
-    """
-    x_next = np.empty(N_STATES)
-    propagated(x, x_next, dt_s, turned_rad, noise.v_time_s, forward, sideways)
-    return x_next
-
-
-def step(
-    x: FloatArray,
-    P: FloatArray,
-    dt_s: float,
-    turned_rad: float,
-    noise: ProcessNoise,
-    forward: float = 0.0,
-    sideways: float = 0.0,
-    heading_variance: float = 0.0,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Carry state and covariance on: `propagate`, `transition` and F P F' + Q in one call.
-
-    Returns
-    -------
-    x, F, P
-        (5,), (5, 5) and (5, 5).
-    """
-    x_next, F, P_next = np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty((N_STATES, N_STATES))
-    stepped(x, P, x_next, F, P_next, dt_s, turned_rad, *noise, forward, sideways, heading_variance)
-    return x_next, F, P_next
-
-
 _H_HEADING = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
 _H_IMU_YAW = np.array([1.0, 0.0, 1.0, 0.0, 0.0])
-_H_OFFSET = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
+_H_YAW_OFFSET = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
 _H_LATERAL = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
-for _H in (_H_HEADING, _H_IMU_YAW, _H_OFFSET, _H_LATERAL):
+for _H in (_H_HEADING, _H_IMU_YAW, _H_YAW_OFFSET, _H_LATERAL):
     _H.setflags(write=False)
 
 
@@ -174,7 +109,7 @@ def imu_yaw_model(
 ) -> ScalarMeasurement:
     """Compare the IMU's yaw: heading in the first corridor's frame, plus the offset."""
     return ScalarMeasurement(
-        wrap(yaw_rad - float(x[PSI]) - corridor_turn_rad - float(x[OFFSET])), _H_IMU_YAW, variance
+        wrap(yaw_rad - float(x[PSI]) - corridor_turn_rad - float(x[YAW_OFFSET])), _H_IMU_YAW, variance
     )
 
 
@@ -183,7 +118,7 @@ def imu_yaw_offset_model(
 ) -> ScalarMeasurement:
     """Compare the IMU's yaw so that only the offset learns from it: the heading's variance counts as noise."""
     residual, _, R = imu_yaw_model(x, yaw_rad, corridor_turn_rad, variance)
-    return ScalarMeasurement(residual, _H_OFFSET, R + float(P[PSI, PSI]))
+    return ScalarMeasurement(residual, _H_YAW_OFFSET, R + float(P[PSI, PSI]))
 
 
 def lateral_model(x: FloatArray, offset_norm: float, variance: float) -> ScalarMeasurement:

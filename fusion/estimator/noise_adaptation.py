@@ -1,38 +1,45 @@
-"""How far a source can be believed: learned from its own innovations, one number for gross errors, one for sigma.
+"""How noisy a source is, by its own innovations: takes a measurement, updates the filter, returns what it learned.
 
-A measurement is either what its sigma says or gross, that is anywhere. Given its innovation, the odds between the two
-follow from Bayes's rule, as in the probabilistic data association filter (Y. Bar-Shalom, E. Tse, "Tracking in a
-cluttered environment with probabilistic data association", Automatica 11, 1975); a measurement at the rim of the
-gate, where both are likely, counts for less than one in the middle. That matters after a drop-out, when the gate is
-wide and one gross error in it would draw the heading away.
+Two numbers per source: its share of outliers, and the variance of its inliers over what they state. A measurement is
+either what its sigma says or an outlier, that is anywhere. Given its innovation, the odds between the two follow from
+Bayes's rule, as in the probabilistic data association filter (Y. Bar-Shalom, E. Tse, "Tracking in a cluttered
+environment with probabilistic data association", Automatica 11, 1975); a measurement at the rim of the gate, where
+both are likely, counts for less than one in the middle. That matters after a drop-out, when the gate is wide and one
+outlier in it would draw the heading away.
 """
 
 from __future__ import annotations
 
 from math import exp, pi, sqrt
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-START_GROSS_SHARE = 0.05
-MIN_GROSS_SHARE, MAX_GROSS_SHARE = 0.02, 0.7
-GROSS_MEMORY = 1 / 60  # of a measurement
+from fusion.estimator.kernels import predicted_variance
+from fusion.estimator.models import Gate, ScalarMeasurement
+
+if TYPE_CHECKING:
+    from fusion.estimator.ekf import CorridorEKF
+
+START_OUTLIER_SHARE = 0.05
+MIN_OUTLIER_SHARE, MAX_OUTLIER_SHARE = 0.02, 0.7
+OUTLIER_MEMORY = 1 / 60  # of a measurement
 SCALE_MEMORY = 1 / 60
 SCALE_SLACK = 0.3  # about two standard deviations of the learned scale where sigmas are right
 MAX_SCALE = 25.0
 MAX_TERM = 9.0
 
 
-class Trust(NamedTuple):
-    """What is known of a source.
+class SourceNoise(NamedTuple):
+    """What is known of a source's noise.
 
     Parameters
     ----------
-    gross_share
-        Part of its measurements that are gross.
+    outlier_share
+        Part of its measurements that are outliers.
     scale
         Variance of the others over what they state.
     """
 
-    gross_share: float = START_GROSS_SHARE
+    outlier_share: float = START_OUTLIER_SHARE
     scale: float = 1.0
 
     @property
@@ -41,15 +48,27 @@ class Trust(NamedTuple):
         return min(max(1.0, self.scale - SCALE_SLACK), MAX_SCALE)
 
 
-def genuine(residual: float, innovation_variance: float, gross_share: float, gross_density: float) -> float:
-    """Probability that a measurement is not gross, from its residual and the density of gross ones around it."""
+def inlier_probability(
+    residual: float, innovation_variance: float, outlier_share: float, outlier_density: float
+) -> float:
+    """Probability that a measurement is no outlier.
+
+    Parameters
+    ----------
+    residual, innovation_variance
+        Innovation and its variance.
+    outlier_share
+        Part of the source's measurements that are outliers.
+    outlier_density
+        Probability density of outliers around the measurement.
+    """
     likely = exp(-0.5 * residual * residual / innovation_variance) / sqrt(2 * pi * innovation_variance)
-    good = (1.0 - gross_share) * likely
-    return good / (good + gross_share * gross_density)
+    good = (1.0 - outlier_share) * likely
+    return good / (good + outlier_share * outlier_density)
 
 
 def weakened(variance: float, predicted: float, probability: float) -> float:
-    """Variance that gives a measurement the gain it has, times the probability that it is genuine."""
+    """Variance that gives a measurement the gain it has, times the probability that it is an inlier."""
     return (predicted + variance) / max(probability, 1e-6) - predicted
 
 
@@ -72,17 +91,71 @@ def as_if_independent(variance: float, predicted: float, rho: float) -> float:
     return (half + sqrt(half * half + (1.0 - rho) * variance * predicted)) / (1.0 - rho)
 
 
-def learn(trust: Trust, residual: float, predicted: float, stated: float, probability: float) -> Trust:
+def learn(
+    noise: SourceNoise, residual: float, predicted: float, stated: float, probability: float
+) -> SourceNoise:
     """Take in a measurement's outcome.
 
     Parameters
     ----------
+    noise
+        What was known before.
     residual, predicted, stated
         Innovation, the prediction's variance and the variance that the measurement states.
     probability
-        That it is genuine; 0 where the gate rejected it.
+        That it is an inlier; 0 where the gate rejected it.
     """
-    share = trust.gross_share + GROSS_MEMORY * ((1.0 - probability) - trust.gross_share)
-    term = min(max((residual * residual - predicted) / stated, 0.0), MAX_TERM * trust.inflation)
-    scale = trust.scale + SCALE_MEMORY * probability * (term - trust.scale)
-    return Trust(min(max(share, MIN_GROSS_SHARE), MAX_GROSS_SHARE), scale)
+    share = noise.outlier_share + OUTLIER_MEMORY * ((1.0 - probability) - noise.outlier_share)
+    term = min(max((residual * residual - predicted) / stated, 0.0), MAX_TERM * noise.inflation)
+    scale = noise.scale + SCALE_MEMORY * probability * (term - noise.scale)
+    return SourceNoise(min(max(share, MIN_OUTLIER_SHARE), MAX_OUTLIER_SHARE), scale)
+
+
+class Doubt(NamedTuple):
+    """How far a measurement may be off from what it states.
+
+    Parameters
+    ----------
+    gate_sigma
+        Innovations beyond this many standard deviations are rejected.
+    rho
+        Correlation of its error with that of the measurement before.
+    outlier_density
+        Probability density of outliers.
+    more_variance
+        What the innovation has besides, of which neither state nor measurement knows.
+    """
+
+    gate_sigma: float
+    rho: float
+    outlier_density: float
+    more_variance: float = 0.0
+
+
+def update_with_doubt(
+    ekf: CorridorEKF, m: ScalarMeasurement, noise: SourceNoise, doubt: Doubt
+) -> tuple[Gate, SourceNoise]:
+    """Update with a measurement that may be an outlier, whose sigma may be wrong and whose error resembles the last.
+
+    The gate judges it by its own variance; the update takes the larger one that, as if independent, stands for the
+    correlation with the one before, and weakens it by the probability that it is an inlier.
+
+    Parameters
+    ----------
+    ekf
+        Filter to update.
+    m
+        The measurement.
+    noise
+        What is known of its source.
+    doubt
+        How far it may be off.
+    """
+    predicted = predicted_variance(ekf.P, m.H) + doubt.more_variance
+    stated, believed = m.R, m.R * noise.inflation
+    probability = inlier_probability(
+        m.residual, predicted + believed, noise.outlier_share, doubt.outlier_density
+    )
+    variance = weakened(as_if_independent(believed, predicted, doubt.rho), predicted, probability)
+    gate = ekf.update(m._replace(R=believed + doubt.more_variance), doubt.gate_sigma, variance)
+    return gate, learn(noise, m.residual, predicted, stated, probability if gate.accepted else 0.0)

@@ -1,11 +1,9 @@
-"""The corridor's width in metres from a range sensor that looks down, one robust step after another.
+"""The corridor's width in metres: takes distances to the floor and what frames see, returns its part of the state.
 
-A frame tells the corridor's width per height of the camera above the floor; the sensor tells that height. Their
-product is the same along a whole corridor, whatever the height, and that is what makes it robust: single wrong
-readings go in the median of the last few heights, a table or a step below in the median of the widths of several
-seconds, and where the widths do not agree with one another there is no width at all.
-
-All values are immutable; each function returns a new one.
+A frame tells the corridor's width per height of the camera above the floor; a range sensor that looks down tells
+that height. Their product is the same along a whole corridor, whatever the height, and that is what makes it robust:
+single wrong readings go in the median of the last few heights, a table or a step below in the median of the widths
+of several seconds, and where the widths do not agree with one another there is no width at all.
 """
 
 from __future__ import annotations
@@ -13,6 +11,9 @@ from __future__ import annotations
 from math import isfinite, nan
 from statistics import median
 from typing import NamedTuple
+
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.sample_times import SampleTimes
 
 MAX_DISTANCE_M = 100.0
 MIN_DOWN = 0.7  # cosine of the tilt; further over, the beam may well meet a wall
@@ -23,6 +24,18 @@ WIDTHS = 61  # of WIDTH_STEP_S and more apart: 6 s, of which an obstacle below m
 MIN_WIDTHS = 8
 AGREEING_SPREAD = 0.25  # between the quartiles of the widths, over their median
 WIDTH_M = (0.4, 50.0)
+WIDTH_MEMORY_FRAMES = 100
+
+
+class RangeSample(NamedTuple):
+    """A distance to the floor, metres along the body's z, as seen from the camera's place."""
+
+    t_ns: int
+    distance_m: float
+
+    def fault(self) -> str:
+        """Why it cannot be used; empty where it can."""
+        return "" if 0.0 < self.distance_m <= MAX_DISTANCE_M else "range_not_positive"  # NaN fails too
 
 
 class Heights(NamedTuple):
@@ -38,6 +51,62 @@ class Widths(NamedTuple):
     t_ns: int | None = None
     recent_m: tuple[float, ...] = ()
     width_m: float = nan
+
+
+class Width(NamedTuple):
+    """What is known of the corridor's width.
+
+    Parameters
+    ----------
+    times
+        When ranges came.
+    heights, widths
+        Of the last ranges, and of the frames since the corridor began.
+    per_height, n_frames
+        Width per height of the camera above the floor, and of how many frames it is the mean.
+    """
+
+    times: SampleTimes = SampleTimes()
+    heights: Heights = Heights()
+    widths: Widths = Widths()
+    per_height: float = nan
+    n_frames: int = 0
+
+    def half_m(self, config: FusionConfig) -> float:
+        """Half the corridor's width, metres; NaN where neither it nor the camera's height is told or measured."""
+        if config.corridor_width_m is not None:
+            return 0.5 * config.corridor_width_m
+        if config.camera_height_m is not None:
+            return 0.5 * config.camera_height_m * self.per_height
+        return 0.5 * self.widths.width_m
+
+    def with_range(self, sample: RangeSample, down_z: float) -> Width:
+        """Take a range; ``down_z`` is cos(roll) cos(pitch). The next frame may make a width of it."""
+        heights = with_range(self.heights, sample.t_ns, sample.distance_m, down_z)
+        return self._replace(times=self.times.with_sample(sample.t_ns), heights=heights)
+
+    def with_frame(self, t_ns: int, per_height: float) -> Width:
+        """Take the width per height that a frame sees; none is NaN."""
+        if not (isfinite(per_height) and per_height > 0.0):
+            return self
+        n = min(self.n_frames + 1, WIDTH_MEMORY_FRAMES)
+        old = self.per_height if n > 1 else per_height
+        change = max(-0.2 * old, min(0.2 * old, per_height - old))
+        widths = with_width(self.widths, t_ns, per_height * height_at(self.heights, t_ns))
+        return self._replace(n_frames=n, per_height=old + change / n, widths=widths)
+
+    def corridor_changed(self) -> Width:
+        """Forget the width; heights stay."""
+        return self._replace(per_height=nan, n_frames=0, widths=Widths())
+
+    def clock_set_back(self) -> Width:
+        """Forget when ranges and widths came, and the heights."""
+        widths = self.widths._replace(t_ns=None)
+        return self._replace(times=self.times.clock_set_back(), heights=Heights(), widths=widths)
+
+    def silence(self, t_ns: int, config: FusionConfig) -> str:
+        """Say so if the range sensor has fallen silent."""
+        return "range sensor is silent" if self.times.is_silent(t_ns, config) else ""
 
 
 def with_range(heights: Heights, t_ns: int, distance_m: float, down_z: float) -> Heights:

@@ -1,27 +1,21 @@
-"""The table of the smoother: what the whole flight says about each row of the filter's table."""
+"""The table of the smoother: takes the filter's table and steps, returns what the whole flight says of each row."""
 
 from __future__ import annotations
 
 from math import nan
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.models import BIAS, OFFSET, PSI, FloatArray, Y, wrap_axis
+from fusion.estimator.models import BIAS, PSI, YAW_OFFSET, FloatArray, Y
 from fusion.estimator.smoother import Steps, rts
-from fusion.estimator.state import Estimate
-from fusion.estimator.tables import ESTIMATE_DTYPE, Table
+from fusion.estimator.tables import Table
 from vision.measurement import position_from_offset
+from vision.rotations import wrap, wrap_axis
 
 KNOWN_OFFSET_STD_NORM = 0.5
 KNOWN_IMU_YAW_STD_RAD = 0.5
-
-
-def estimate_row(estimate: Estimate) -> tuple[Any, ...]:
-    """Put an estimate into the order of `fusion.estimator.tables.ESTIMATE_DTYPE`."""
-    return tuple(getattr(estimate, name) for name in ESTIMATE_DTYPE.names or ())
 
 
 def smoothed_table(
@@ -44,29 +38,29 @@ def smoothed_table(
     out = table.copy()
     if not len(table):
         return out
-    _, F, x_prior, P_prior, x, P = steps.arrays()
+    F, x_prior, P_prior, x, P = steps.arrays()
     x_s, P_s = rts(F, x_prior, P_prior, x, P)
     variance = np.maximum(np.diagonal(P_s, axis1=1, axis2=2), 0.0)
     at = x_s[row_steps]
     std = np.sqrt(variance[row_steps])
     if config.camera_delay_std_s > 0.0:  # the steps do not know of it, and learn nothing more of it
-        by_delay = np.maximum(table["heading_std_rad"] ** 2 - P[row_steps, PSI, PSI], 0.0)
-        by_delay[table["status"] == "initialising"] = 0.0
-        std[:, PSI] = np.sqrt(std[:, PSI] ** 2 + by_delay)
+        of_delay = np.maximum(table["heading_std_rad"] ** 2 - P[row_steps, PSI, PSI], 0.0)
+        of_delay[table["status"] == "initialising"] = 0.0
+        std[:, PSI] = np.sqrt(std[:, PSI] ** 2 + of_delay)
     started = bool((table["status"] != "initialising").any())
     heading = at[:, PSI] if started else np.full(len(table), nan)
-    out["heading_rad"] = (heading + np.pi) % (2 * np.pi) - np.pi
+    out["heading_rad"] = wrap(heading)
     out["heading_std_rad"] = std[:, PSI] if started else nan
     # The raw rate is the filter's, corrected rate plus bias; only the bias is known better now.
     out["yaw_rate_rad_s"] = table["yaw_rate_rad_s"] + x[row_steps, BIAS] - at[:, BIAS]
     out["gyro_bias_rad_s"] = np.where(np.isfinite(table["gyro_bias_rad_s"]), at[:, BIAS], nan)
-    known = (std[:, OFFSET] < KNOWN_IMU_YAW_STD_RAD) & np.isfinite(table["imu_yaw_offset_rad"]).any()
-    out["imu_yaw_offset_rad"] = np.where(known, (at[:, OFFSET] + np.pi) % (2 * np.pi) - np.pi, nan)
+    known = (std[:, YAW_OFFSET] < KNOWN_IMU_YAW_STD_RAD) & np.isfinite(table["imu_yaw_offset_rad"]).any()
+    out["imu_yaw_offset_rad"] = np.where(known, wrap(at[:, YAW_OFFSET]), nan)
     known = std[:, Y] < KNOWN_OFFSET_STD_NORM
     out["lateral_offset_norm"] = np.where(known, at[:, Y], nan)
     out["lateral_offset_norm_std"] = np.where(known, std[:, Y], nan)
     _move_corridor_changes(out, row_steps, F, x_s, variance, config)
-    half_m = _half_width_m(table)
+    half_m = half_widths_m(table)
     out["lateral_offset_m"] = out["lateral_offset_norm"] * half_m
     out["lateral_offset_std_m"] = out["lateral_offset_norm_std"] * half_m
     names = (
@@ -102,7 +96,7 @@ def _move_corridor_changes(
             if abs(wrap_axis(old - turn)) >= abs(wrap_axis(old)):
                 break
             elapsed_s = (int(out["timestamp_ns"][row]) - int(out["timestamp_ns"][back])) * 1e-9
-            out["heading_rad"][back] = (old - turn + np.pi) % (2 * np.pi) - np.pi
+            out["heading_rad"][back] = wrap(old - turn)
             out["heading_std_rad"][back] = (variance[step, PSI] + config.gyro_noise**2 * elapsed_s) ** 0.5
             out["lateral_offset_norm"][back] = out["lateral_offset_norm_std"][back] = nan
             out["corridor_index"][back] = out["corridor_index"][row]
@@ -110,7 +104,7 @@ def _move_corridor_changes(
             back -= 1
 
 
-def _half_width_m(table: Table) -> FloatArray:
+def half_widths_m(table: Table) -> FloatArray:
     """Half width (n,) of each row's corridor as known at its end; NaN where never."""
     norm = table["lateral_offset_norm_std"]
     ratio = np.where(norm > 0, table["lateral_offset_std_m"] / np.where(norm > 0, norm, 1.0), nan)

@@ -14,12 +14,35 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from fusion.estimator.models import N_STATES, FloatArray
-from fusion.estimator.propagation import Node
 
 _BLOCK = 4096
+
+
+@dataclass(slots=True, eq=False)
+class Node:
+    """One step for the smoother: a transition, and the state after what was measured behind it.
+
+    Parameters
+    ----------
+    F
+        Transition (5, 5); None where nothing moved.
+    x_prior, P_prior
+        State (5,) and covariance (5, 5) right behind the transition.
+    x, P
+        The same after the step's measurements.
+    """
+
+    F: FloatArray | None
+    x_prior: FloatArray
+    P_prior: FloatArray
+    x: FloatArray
+    P: FloatArray
+
+
+Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+"""F (n, 5, 5), prior state (n, 5) and covariance (n, 5, 5), state and covariance after the measurements."""
 
 
 @dataclass(slots=True, eq=False)
@@ -27,9 +50,7 @@ class Steps:
     """The engine's steps, gathered in blocks so that a long flight does not become millions of small objects."""
 
     _nodes: list[Node] = field(default_factory=list)
-    _blocks: list[
-        tuple[npt.NDArray[np.int64], FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-    ] = field(default_factory=list)
+    _blocks: list[Arrays] = field(default_factory=list)
     count: int = 0
 
     def add(self, nodes: Iterable[Node]) -> None:
@@ -43,13 +64,12 @@ class Steps:
     def _pack(self) -> None:
         if not self._nodes:
             return
-        parts = ((n.t_ns, n.F, n.x_prior, n.P_prior, n.x, n.P) for n in self._nodes)
-        t, F, x_prior, P_prior, x, P = zip(*parts, strict=True)
+        parts = ((n.F, n.x_prior, n.P_prior, n.x, n.P) for n in self._nodes)
+        F, x_prior, P_prior, x, P = zip(*parts, strict=True)
         identity = np.eye(N_STATES)
         vectors, squares = (-1, N_STATES), (-1, N_STATES, N_STATES)
         self._blocks.append(
             (
-                np.array(t, dtype=np.int64),
                 np.concatenate([identity if f is None else f for f in F]).reshape(squares),
                 np.concatenate(x_prior).reshape(vectors),
                 np.concatenate(P_prior).reshape(squares),
@@ -59,16 +79,14 @@ class Steps:
         )
         self._nodes = []
 
-    def arrays(
-        self,
-    ) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return times (n,), F (n, 5, 5), prior state (n, 5) and covariance (n, 5, 5), state and covariance after."""
+    def arrays(self) -> Arrays:
+        """Return all steps, in the order in which `rts` takes them."""
         self._pack()
         if not self._blocks:
             empty, square = np.zeros((0, N_STATES)), np.zeros((0, N_STATES, N_STATES))
-            return np.zeros(0, dtype=np.int64), square, empty, square, empty, square
-        t, F, x_prior, P_prior, x, P = (np.concatenate(parts) for parts in zip(*self._blocks, strict=True))
-        return t, F, x_prior, P_prior, x, P
+            return square, empty, square, empty, square
+        F, x_prior, P_prior, x, P = (np.concatenate(parts) for parts in zip(*self._blocks, strict=True))
+        return F, x_prior, P_prior, x, P
 
 
 def rts(

@@ -1,4 +1,4 @@
-"""The three tables a fused flight consists of: their columns, and how they are written.
+"""The tables that a fused flight consists of: one list of columns makes their types, documentation and rows.
 
 A table is a numpy structured array whose field names are the CSV's columns, so ``table["heading_rad"]`` works
 and ``pandas.DataFrame(table)`` takes it as it is. Unknown numbers are NaN in memory and empty in the file.
@@ -6,48 +6,148 @@ and ``pandas.DataFrame(table)`` takes it as it is. Unknown numbers are NaN in me
 
 from __future__ import annotations
 
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
+if TYPE_CHECKING:
+    from fusion.estimator.estimate import Estimate
+
 Table = npt.NDArray[np.void]
 
-ESTIMATE_DTYPE = np.dtype(
-    [
-        ("timestamp_ns", "i8"),
-        ("heading_rad", "f8"),
-        ("heading_std_rad", "f8"),
-        ("lateral_offset_m", "f8"),
-        ("lateral_offset_std_m", "f8"),
-        ("lateral_offset_norm", "f8"),
-        ("lateral_offset_norm_std", "f8"),
-        ("position", "U6"),
-        ("yaw_rate_rad_s", "f8"),
-        ("gyro_bias_rad_s", "f8"),
-        ("imu_yaw_offset_rad", "f8"),
-        ("corridor_index", "i4"),
-        ("corridor_turn_rad", "f8"),
-        ("status", "U12"),
-        ("vision_age_s", "f8"),
-    ]
+
+class Column(NamedTuple):
+    """One column.
+
+    Parameters
+    ----------
+    name
+        In the table and the file.
+    type
+        numpy's code.
+    unit
+        ``1`` for a pure number, empty for a word or a flag.
+    meaning
+        One line; ``{side}`` stands for what counts positive.
+    frame
+        What it is measured in or about; empty where there is nothing to say.
+    flips
+        Whether its sign is that of a turn or place to the right, and turns with the convention.
+    """
+
+    name: str
+    type: str
+    unit: str
+    meaning: str
+    frame: str = ""
+    flips: bool = False
+
+
+_AXIS = "corridor's axis to body x"
+_SECTION = "corridor's cross-section"
+_VERTICAL = "vertical axis"
+_PICTURE = "original picture"
+
+_TIME = Column(
+    "timestamp_ns", "i8", "ns", "Time of the row; of a frame, as it was stamped", "clock of the log"
+)
+_HEADING = (
+    Column(
+        "heading_rad", "f8", "rad", "Angle from the axis to the vehicle's nose, positive {side}", _AXIS, True
+    ),
+    Column("heading_std_rad", "f8", "rad", "Standard deviation of heading_rad", _AXIS),
+)
+_OFFSET_NORM = (
+    Column(
+        "lateral_offset_norm",
+        "f8",
+        "1",
+        "Offset over half the corridor's width, positive {side}",
+        _SECTION,
+        True,
+    ),
+    Column("lateral_offset_norm_std", "f8", "1", "Standard deviation of lateral_offset_norm", _SECTION),
+    Column(
+        "position",
+        "U6",
+        "",
+        "Side of the centre line as seen along the axis: left, centre or right",
+        _SECTION,
+    ),
 )
 
-FRAME_DTYPE = np.dtype(
-    [
-        ("timestamp_ns", "i8"),
-        ("accepted", "?"),
-        ("reason", "U16"),
-        ("n_lines", "i4"),
-        ("n_inliers", "i4"),
-        ("vp_x_px", "f8"),
-        ("vp_y_px", "f8"),
-        ("heading_rad", "f8"),
-        ("heading_std_rad", "f8"),
-        ("lateral_offset_norm", "f8"),
-        ("lateral_offset_norm_std", "f8"),
-        ("position", "U6"),
-        ("paper_yaw_rad", "f8"),
-        ("innovation_rad", "f8"),
-        ("test_ratio", "f8"),
-        ("vision_ms", "f8"),
-    ]
+ESTIMATE_COLUMNS = (
+    _TIME,
+    *_HEADING,
+    Column(
+        "lateral_offset_m",
+        "f8",
+        "m",
+        "Place of the vehicle from the centre line, positive {side}",
+        _SECTION,
+        True,
+    ),
+    Column("lateral_offset_std_m", "f8", "m", "Standard deviation of lateral_offset_m", _SECTION),
+    *_OFFSET_NORM,
+    Column(
+        "yaw_rate_rad_s", "f8", "rad/s", "Rate of the heading, bias removed, positive {side}", _VERTICAL, True
+    ),
+    Column("gyro_bias_rad_s", "f8", "rad/s", "Bias of the yaw rate, positive {side}", _VERTICAL, True),
+    Column(
+        "imu_yaw_offset_rad",
+        "f8",
+        "rad",
+        "IMU's yaw less the heading from the first axis",
+        "first corridor's axis to yaw of the log",
+        True,
+    ),
+    Column("corridor_index", "i4", "", "Number of the corridor being flown, from 0"),
+    Column(
+        "corridor_turn_rad",
+        "f8",
+        "rad",
+        "Angle between the two axes, positive {side}",
+        "first corridor's axis to the present one's",
+        True,
+    ),
+    Column("status", "U12", "", "initialising, tracking, coasting or lost"),
+    Column("vision_age_s", "f8", "s", "Time since the last frame that was used"),
 )
+"""Of ``estimates.csv`` and ``smoothed.csv``; each is a field of `fusion.estimator.estimate.Estimate`."""
+
+FRAME_COLUMNS = (
+    _TIME,
+    Column("accepted", "?", "", "Whether the filter used the frame"),
+    Column("reason", "U16", "", "Why not; ok where it did"),
+    Column("n_lines", "i4", "1", "Line segments found"),
+    Column("n_inliers", "i4", "1", "Segments that meet in the vanishing point"),
+    Column("vp_x_px", "f8", "px", "Vanishing point; (0, 0) is the centre of the top-left pixel", _PICTURE),
+    Column("vp_y_px", "f8", "px", "Vanishing point, positive down", _PICTURE),
+    *_HEADING,
+    *_OFFSET_NORM,
+    Column("paper_yaw_rad", "f8", "rad", "The article's equation (8), without sign", "picture"),
+    Column(
+        "innovation_rad",
+        "f8",
+        "rad",
+        "Heading of the frame less its prediction, positive {side}",
+        _AXIS,
+        True,
+    ),
+    Column("test_ratio", "f8", "1", "Innovation squared over gate squared; above 1 the frame is refused"),
+    Column("vision_ms", "f8", "ms", "Time that measuring the frame took"),
+)
+"""Of ``frames.csv``."""
+
+ESTIMATE_DTYPE = np.dtype([(c.name, c.type) for c in ESTIMATE_COLUMNS])
+FRAME_DTYPE = np.dtype([(c.name, c.type) for c in FRAME_COLUMNS])
+
+_estimate_row = attrgetter(*(c.name for c in ESTIMATE_COLUMNS))
+
+
+def estimate_row(estimate: Estimate) -> tuple[Any, ...]:
+    """Make a row of `ESTIMATE_DTYPE` of an estimate."""
+    row: tuple[Any, ...] = _estimate_row(estimate)
+    return row

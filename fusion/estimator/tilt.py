@@ -1,12 +1,10 @@
-"""Roll and pitch at any time, from whatever the log has.
+"""Roll and pitch at any time: takes gyroscope, accelerometer and attitude, whichever there are, returns a new `Tilt`.
 
 The tilt is carried as the direction of gravity in the body frame, which has no singularity and turns with the
 gyroscope. It is set by the attitude stream while there is one; otherwise it is a complementary filter of gyroscope
 and accelerometer (R. Mahony, T. Hamel, J.-M. Pflimlin, "Nonlinear complementary filters on the special orthogonal
 group", IEEE Transactions on Automatic Control 53(5), 2008, with gravity as the only reference); with neither it
 leaks towards level, with a large standard deviation.
-
-All values are immutable; each function returns a new `Tilt`.
 """
 
 from __future__ import annotations
@@ -14,9 +12,9 @@ from __future__ import annotations
 from math import asin, atan2, hypot, radians, sqrt
 from typing import NamedTuple
 
-from fusion.estimator.kernels import Vector as Vector
-from fusion.estimator.kernels import corrected_down, turned_down
+from fusion.estimator.kernels import Quaternion, Vector, corrected_down, turned_down
 from vision.measurement import Attitude
+from vision.rotations import down_of_quaternion
 
 GRAVITY_M_S2 = 9.80665
 ATTITUDE_GAP_S = 0.5  # an attitude stream silent for longer no longer sets the tilt
@@ -56,13 +54,14 @@ class Tilt(NamedTuple):
     settled_s: float = 0.0
     gyro_bias: Vector = (0.0, 0.0, 0.0)
 
+    def clock_set_back(self, t_ns: int) -> Tilt:
+        """Keep the direction, valid from an earlier time on, and forget when samples came."""
+        return self._replace(t_ns=t_ns, t_attitude_ns=None, t_gyro_ns=None, t_accel_ns=None)
 
-def from_quaternion(tilt: Tilt, t_ns: int, q_world_body: tuple[float, float, float, float]) -> Tilt:
+
+def from_quaternion(tilt: Tilt, t_ns: int, q_world_body: Quaternion) -> Tilt:
     """Take the tilt from an attitude sample: a unit quaternion w, x, y, z, body FRD to a world with z down."""
-    w, x, y, z = q_world_body
-    # Third row of the rotation matrix: the world's z axis seen from the body.
-    down = (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
-    return tilt._replace(down=_unit(down), t_ns=t_ns, t_attitude_ns=t_ns)
+    return tilt._replace(down=_unit(down_of_quaternion(q_world_body)), t_ns=t_ns, t_attitude_ns=t_ns)
 
 
 def with_imu(tilt: Tilt, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | None) -> Tilt:

@@ -1,68 +1,15 @@
-"""Bring samples that arrive late and out of order into order: roll back to before the late one, and replay.
+"""Samples in any order: takes a sample, hands all of them to the engine in order of time, keeps the last ones.
 
 After every sample the engine's state is kept for as long as the buffer lasts, so a late sample costs no more than
-the samples behind it. The result is, bit for bit, that of the samples in order of time.
+the samples behind it: roll back to before it, and replay. The result is, bit for bit, that of the samples in order.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable
-from dataclasses import dataclass
-from enum import IntEnum
-from typing import Any, Protocol
 
-from fusion.estimator.frame_update import FrameResult
-from fusion.estimator.propagation import Node
-from fusion.estimator.state import State
-
-
-class Kind(IntEnum):
-    """Kinds of samples, in the order in which those of one instant are taken."""
-
-    IMU = 0
-    ATTITUDE = 1
-    VELOCITY = 2
-    RANGE = 3
-    FRAME = 4
-
-
-@dataclass(slots=True, eq=False)
-class Entry:
-    """A sample in the buffer, and what the engine made of it.
-
-    Parameters
-    ----------
-    t_ns, kind
-        Place in the order.
-    payload
-        Arguments for the engine.
-    after
-        The engine's state behind it.
-    nodes
-        Its steps for the smoother.
-    frame
-        What became of it, where it is a frame.
-    """
-
-    t_ns: int
-    kind: Kind
-    payload: Any
-    after: State | None = None
-    nodes: tuple[Node, ...] = ()
-    frame: FrameResult | None = None
-
-
-class Machine(Protocol):
-    """What the timeline drives."""
-
-    state: State
-
-    def process(self, entry: Entry) -> None:
-        """Take the entry's sample and fill in what came of it."""
-
-    def restart_clock(self, t_ns: int) -> None:
-        """Carry the state over to a clock that was set back."""
+from fusion.estimator.engine import SOURCES, Engine, Entry, Sample
 
 
 class Timeline:
@@ -70,8 +17,8 @@ class Timeline:
 
     Parameters
     ----------
-    machine
-        The engine.
+    engine
+        What takes samples in order.
     buffer_ns
         How far behind the newest sample one may lie and still be taken.
     on_final
@@ -79,66 +26,53 @@ class Timeline:
     """
 
     def __init__(
-        self, machine: Machine, buffer_ns: int, on_final: Callable[[Entry], None] | None = None
+        self, engine: Engine, buffer_ns: int, on_final: Callable[[Entry], None] | None = None
     ) -> None:
-        self.machine = machine
+        self.engine = engine
         self.buffer_ns = buffer_ns
         self.on_final = on_final
+        self.state = engine.initial_state()
         self.entries: list[Entry] = []
         self._keys: list[tuple[int, int]] = []
-        self._base = machine.state.copy()  # behind the last entry that has left the buffer
-        self.replayed = 0
-
-    @property
-    def newest_ns(self) -> int | None:
-        """Time of the newest sample; None before the first."""
-        return self._keys[-1][0] if self._keys else None
+        self._base = self.state  # behind the last entry that has left the buffer
 
     def is_late(self, t_ns: int) -> bool:
         """Whether a sample of this time would come after the buffer has passed it."""
         return bool(self._keys) and t_ns < self._keys[-1][0] - self.buffer_ns
 
-    def insert(self, t_ns: int, kind: Kind, payload: Any) -> Entry | None:
+    def insert(self, sample: Sample) -> Entry | None:
         """Take a sample and bring the engine up to date; None where one of its time and kind is there already.
 
         The caller asks `is_late` first.
         """
-        key = (t_ns, int(kind))
+        key = (sample.t_ns, SOURCES[type(sample)].order)
         keys, entries = self._keys, self.entries
-        entry = Entry(t_ns, kind, payload)
         if not keys or key > keys[-1]:
+            entry = self.engine.process(self.state, sample)
             keys.append(key)
             entries.append(entry)
-            self._run(entry)
+            self.state = entry.after
             self._trim()
             return entry
         at = bisect_left(keys, key)
         if keys[at] == key:
             return None
-        keys.insert(at, key)
-        entries.insert(at, entry)
-        before = entries[at - 1].after if at > 0 else self._base
-        assert before is not None  # every entry in the buffer has been run
-        self.machine.state = before.copy()
+        replayed = [self.engine.process(entries[at - 1].after if at > 0 else self._base, sample)]
         for later in entries[at:]:
-            self._run(later)
-        self.replayed += len(entries) - at - 1
-        return entry
+            replayed.append(self.engine.process(replayed[-1].after, later.sample))
+        keys.insert(at, key)
+        entries[at:] = replayed
+        self.state = replayed[-1].after
+        return replayed[0]
 
     def restart(self, t_ns: int) -> None:
         """Go on at an earlier time: the samples' clock was set back."""
         self.finish()
-        self.machine.state = self._base.copy()
-        self.machine.restart_clock(t_ns)
-        self._base = self.machine.state.copy()
+        self.state = self._base = self.engine.clock_set_back(self._base, t_ns)
 
     def finish(self) -> None:
         """Hand out what is still in the buffer; nothing may be inserted before it any more."""
         self._let_go(len(self.entries))
-
-    def _run(self, entry: Entry) -> None:
-        self.machine.process(entry)
-        entry.after = self.machine.state.copy()
 
     def _trim(self) -> None:
         horizon = self._keys[-1][0] - self.buffer_ns
@@ -153,9 +87,7 @@ class Timeline:
             return
         gone = self.entries[:count]
         del self.entries[:count], self._keys[:count]
-        last = gone[-1].after
-        if last is not None:
-            self._base = last
+        self._base = gone[-1].after
         if self.on_final is not None:
             for entry in gone:
                 self.on_final(entry)

@@ -1,4 +1,7 @@
-"""When many measurements that one would not believe alone agree with each other."""
+"""Measurements that one would not believe alone: takes votes, returns those that agree, changes nothing.
+
+Used for headings (`fusion.estimator.corridor_axis`) and for lateral offsets (`fusion.estimator.lateral`).
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ from statistics import median
 from typing import NamedTuple
 
 MAX_VOTES = 60
+AGREEING_SHARE = 0.4
+CONTESTED_SHARE = 0.25
 BROKEN_BY = 5  # frames accepted between two votes: they are not of one event
 
 
@@ -104,6 +109,11 @@ def agreement(
         n_accepted=first.n_accepted,
         linked_share=sum(v.linked for _, v in members) / len(members),
     )
+
+
+def is_contested(found: Agreement, n_accepted: int) -> bool:
+    """Whether the filter, which has accepted ``n_accepted`` frames by now, took too many others meanwhile."""
+    return n_accepted - found.n_accepted > CONTESTED_SHARE * found.n_votes
 
 
 def add_vote(votes: tuple[Vote, ...], vote: Vote, max_age_s: float) -> tuple[Vote, ...]:

@@ -1,4 +1,5 @@
 """How good a fused flight is: errors against a truth, checks, and the verdict made of them.
 
-Imports `fusion.result` and what lies below it. Begin reading at `fusion.evaluation.errors`; checks are in `checks`.
+May import `fusion.result`, `fusion.alignment` (for the check of the camera's time) and what lies below them. Begin
+reading at `fusion.evaluation.errors` for errors, at `fusion.evaluation.checks` for the table of checks.
 """

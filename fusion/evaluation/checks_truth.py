@@ -3,89 +3,96 @@
 from __future__ import annotations
 
 from math import degrees
-from typing import TYPE_CHECKING
 
 from fusion.evaluation.errors import evaluate
-from fusion.evaluation.verdict import Check, Level, Limits, level_of, not_judged, worst_of
+from fusion.evaluation.verdict import CheckRule, Finding, Limits, level_of, nothing_to_judge, worst_of
 from fusion.flight import Flight
+from fusion.result.result import FusionResult
 
-if TYPE_CHECKING:
-    from fusion.offline.fuse import FusionResult
+_NO_TRUTH = "The flight has no truth."
+_NOTHING_COMPARED = "No row could be compared with the truth."
 
 
-def check_heading(result: FusionResult, flight: Flight, limits: Limits) -> Check:
-    """Judge the filter's heading by its RMSE."""
-    good, bad = (degrees(v) for v in limits.heading_rmse_rad)
-    name, limit = "Heading against truth", f"pass to {good:g}°, fail above {bad:g}° RMSE"
-    rmse = None if flight.truth is None else evaluate(result.estimates, flight.truth)["heading"]["rmse_rad"]
+def _heading_rmse(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
+    if flight.truth is None:
+        return nothing_to_judge(_NO_TRUTH)
+    rmse = evaluate(result.estimates, flight.truth).heading.rmse
     if rmse is None:
-        why = (
-            "The flight has no truth." if flight.truth is None else "No row could be compared with the truth."
-        )
-        return not_judged(name, limit, why)
-    level = level_of(rmse, limits.heading_rmse_rad)
-    if level is Level.PASS:
-        return Check(name, level, f"{degrees(rmse):.2f}° RMSE", limit, "Good enough to steer by.")
-    meaning = "The heading is further off than steering in a corridor allows."
-    return Check(
-        name,
-        level,
-        f"{degrees(rmse):.2f}° RMSE",
-        limit,
-        meaning,
-        "See the error plot for when it goes wrong.",
-    )
+        return nothing_to_judge(_NOTHING_COMPARED)
+    return Finding(f"{degrees(rmse):.2f}° RMSE", rmse)
 
 
-def check_offset(result: FusionResult, flight: Flight, limits: Limits) -> Check:
-    """Judge the filter's lateral offset by its RMSE, in metres where both sides have them."""
-    name = "Offset against truth"
-    good, bad = (100 * v for v in limits.offset_rmse_m)
-    limit = f"pass to {good:g} cm, fail above {bad:g} cm RMSE"
+def _heading_limit(limits: Limits) -> str:
+    good, bad = (degrees(v) for v in limits.heading_rmse_rad)
+    return f"pass to {good:g}°, fail above {bad:g}° RMSE"
+
+
+HEADING_ERROR = CheckRule(
+    name="Heading against truth",
+    measure=_heading_rmse,
+    pass_fail=lambda limits: limits.heading_rmse_rad,
+    limit=_heading_limit,
+    good="Good enough to steer by.",
+    bad="The heading is further off than steering in a corridor allows.",
+    remedy="See the error plot for when it goes wrong.",
+)
+
+
+def _offset_rmse(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
+    """In metres where both sides have them."""
     if flight.truth is None:
-        return not_judged(name, limit, "The flight has no truth.")
+        return nothing_to_judge(_NO_TRUTH)
     errors = evaluate(result.estimates, flight.truth)
-    metres, norm = errors["lateral_offset_m"]["rmse_m"], errors["lateral_offset_norm"]["rmse_norm"]
+    metres = None if errors.lateral_offset_m is None else errors.lateral_offset_m.rmse
+    norm = None if errors.lateral_offset_norm is None else errors.lateral_offset_norm.rmse
     if metres is not None:
-        level, value = level_of(metres, limits.offset_rmse_m), f"{100 * metres:.1f} cm RMSE"
-    elif norm is not None:
-        level, value = level_of(norm, limits.offset_rmse_norm), f"{norm:.1%} of half the width, RMSE"
-        limit = f"pass to {limits.offset_rmse_norm[0]:.0%}, fail above {limits.offset_rmse_norm[1]:.0%}"
-    else:
-        return not_judged(name, limit, "No row could be compared with the truth.")
-    if level is Level.PASS:
-        return Check(name, level, value, limit, "Good enough to keep clear of the walls.")
-    meaning = "The place between the walls is not known well enough to keep clear of them."
-    return Check(
-        name,
-        level,
-        value,
-        limit,
-        meaning,
-        "See whether the wall edges in the pictures below are the right ones.",
+        return Finding(f"{100 * metres:.1f} cm RMSE", metres)
+    if norm is None:
+        return nothing_to_judge(_NOTHING_COMPARED)
+    good, bad = limits.offset_rmse_norm
+    return Finding(
+        f"{norm:.1%} of half the width, RMSE",
+        level=level_of(norm, limits.offset_rmse_norm),
+        limit=f"pass to {good:.0%}, fail above {bad:.0%}",
     )
 
 
-def check_sigma(result: FusionResult, flight: Flight, limits: Limits) -> Check:
-    """Judge whether the heading's sigma can be believed."""
-    good, bad = limits.truth_sigma_p90
-    name = "Errors against their sigma"
-    limit = (
-        f"90th percentile: pass to {good:g}, fail above {bad:g}, ideal 1.64; "
-        f"mean NEES: {limits.truth_nees[0]:g}, {limits.truth_nees[1]:g}, ideal 1"
-    )
+def _offset_limit(limits: Limits) -> str:
+    good, bad = (100 * v for v in limits.offset_rmse_m)
+    return f"pass to {good:g} cm, fail above {bad:g} cm RMSE"
+
+
+OFFSET_ERROR = CheckRule(
+    name="Offset against truth",
+    measure=_offset_rmse,
+    pass_fail=lambda limits: limits.offset_rmse_m,
+    limit=_offset_limit,
+    good="Good enough to keep clear of the walls.",
+    bad="The place between the walls is not known well enough to keep clear of them.",
+    remedy="See whether the wall edges in the pictures below are the right ones.",
+)
+
+
+def _errors_over_sigma(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
     if flight.truth is None:
-        return not_judged(name, limit, "The flight has no truth.")
-    heading = evaluate(result.estimates, flight.truth)["heading"]
-    p90 = heading["error_over_sigma_p90"]
-    if p90 is None:
-        return not_judged(name, limit, "No row could be compared with the truth.")
+        return nothing_to_judge(_NO_TRUTH)
+    heading = evaluate(result.estimates, flight.truth).heading
+    p90, nees = heading.error_over_sigma_p90, heading.nees_mean
+    if p90 is None or nees is None:
+        return nothing_to_judge(_NOTHING_COMPARED)
     # A few gross errors leave the percentile as it is, but not the mean.
-    level = worst_of(level_of(p90, limits.truth_sigma_p90), level_of(heading["nees_mean"], limits.truth_nees))
-    value = f"{p90:.2f} sigma, mean NEES {heading['nees_mean']:.2f}"
-    if level is Level.PASS:
-        return Check(name, level, value, limit, "The two-sigma band can be believed.")
-    meaning = "The true heading lies outside the band more often than it should."
-    return Check(
-        name, level, value, limit, meaning, "Widen the band when using it, or raise the noises it comes from."
-    )
+    level = worst_of(level_of(p90, limits.truth_sigma_p90), level_of(nees, limits.truth_nees))
+    return Finding(f"{p90:.2f} sigma, mean NEES {nees:.2f}", level=level)
+
+
+ERRORS_OVER_SIGMA = CheckRule(
+    name="Errors against their sigma",
+    measure=_errors_over_sigma,
+    limit=lambda limits: (
+        f"90th percentile: pass to {limits.truth_sigma_p90[0]:g}, fail above {limits.truth_sigma_p90[1]:g}, "
+        f"ideal 1.64; mean NEES: {limits.truth_nees[0]:g}, {limits.truth_nees[1]:g}, ideal 1"
+    ),
+    good="The two-sigma band can be believed.",
+    bad="The true heading lies outside the band more often than it should.",
+    remedy="Widen the band when using it, or raise the noises it comes from.",
+)

@@ -3,32 +3,98 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table
-from fusion.evaluation.errors import evaluate, interpolate_truth, wrap_angle
+from fusion.evaluation.errors import evaluate, interpolate_truth
 from fusion.evaluation.truth_file import Truth
 from fusion.flight import CorridorTruth
-from fusion.outputs.folder import read_table
 from fusion.result.conventions import Frame, table_in_frame
+from fusion.result.record import Record
+from fusion.result.summary import CorridorErrors, TableErrors
+from fusion.result.tables_csv import read_table
 from vision.errors import InputError
+from vision.rotations import wrap
+
+Errors = TypeVar("Errors", TableErrors, CorridorErrors)
 
 TABLES = {"causal": "estimates.csv", "smoothed": "smoothed.csv"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Output:
-    """An output folder as `fusion.outputs.folder.write_outputs` made it: tables in FRD, and the summary."""
+    """An output folder of `corridor fuse`: its tables in FRD, and what its summary calls flight and method."""
 
     folder: Path
     name: str
-    tables: dict[str, Table]
-    summary: dict[str, Any]
+    causal: Table
+    smoothed: Table
+    flight: str | None
+    method: str | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RemovedConstants(Record):
+    """What alignment took out of one corridor's differences: estimate minus truth, medians."""
+
+    optional = frozenset({"lateral_offset_m", "lateral_offset_norm"})
+
+    heading_rad: float
+    lateral_offset_m: float | None = None
+    lateral_offset_norm: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComparedTable(Record):
+    """Errors of one table, and the constants that were taken out of it by corridor; None where not aligned."""
+
+    errors: TableErrors
+    removed: Mapping[str, RemovedConstants] | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object: the errors, and ``removed`` beside them."""
+        removed = None if self.removed is None else {name: c.to_dict() for name, c in self.removed.items()}
+        return self.errors.to_dict() | {"removed": removed}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComparedOutput(Record):
+    """One output folder against the truth; ``overlap_s`` of its ``duration_s`` lie within the truth's time."""
+
+    name: str
+    folder: str
+    flight: str | None
+    method: str | None
+    overlap_s: float
+    duration_s: float
+    causal: ComparedTable
+    smoothed: ComparedTable
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TruthFacts(Record):
+    """The truth that was compared with; ``aligned``: constants between it and the estimates were taken out."""
+
+    source: str
+    rows: int
+    first_ns: int
+    last_ns: int
+    fixed_axis: bool
+    aligned: bool
+    problems: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison(Record):
+    """A truth, and outputs compared with it."""
+
+    truth: TruthFacts
+    outputs: tuple[ComparedOutput, ...]
 
 
 def read_outputs(folders: Sequence[str | Path]) -> list[Output]:
@@ -73,10 +139,12 @@ def _read_output(folder: Path, name: str) -> Output:
         if not len(table):
             raise InputError("holds no rows", file=folder / file, remedy="the flight had nothing to fuse")
         tables[kind] = table_in_frame(table, frame)  # turning twice leaves what was
-    return Output(folder, name, tables, summary)
+    return Output(
+        folder, name, tables["causal"], tables["smoothed"], summary.get("flight"), summary.get("method")
+    )
 
 
-def compare(outputs: Sequence[Output], truth: Truth, *, align: bool = False) -> dict[str, Any]:
+def compare(outputs: Sequence[Output], truth: Truth, *, align: bool = False) -> Comparison:
     """Compare outputs with a truth.
 
     Parameters
@@ -91,11 +159,8 @@ def compare(outputs: Sequence[Output], truth: Truth, *, align: bool = False) -> 
 
     Returns
     -------
-    dict
-        Plain values, ready for JSON: ``truth`` (``source``, ``rows``, ``first_ns``, ``last_ns``, ``fixed_axis``,
-        ``problems``) and ``outputs``, each with ``name``, ``folder``, ``flight``, ``method``, ``overlap_s`` and,
-        under ``causal`` and ``smoothed``, what `fusion.evaluation.errors.evaluate` returns and ``removed``, the
-        constants by corridor (None where not aligned).
+    Comparison
+        The errors of each output's causal and smoothed estimates; ``to_dict()`` gives plain values for JSON.
 
     Raises
     ------
@@ -103,22 +168,20 @@ def compare(outputs: Sequence[Output], truth: Truth, *, align: bool = False) -> 
         Where an output and the truth have no time in common.
     """
     t = truth.corridor.t_ns
-    return {
-        "truth": {
-            "source": truth.source,
-            "rows": len(t),
-            "first_ns": int(t[0]),
-            "last_ns": int(t[-1]),
-            "fixed_axis": truth.fixed_axis,
-            "aligned": align,
-            "problems": list(truth.problems),
-        },
-        "outputs": [_compare_one(output, truth, align) for output in outputs],
-    }
+    facts = TruthFacts(
+        source=truth.source,
+        rows=len(t),
+        first_ns=int(t[0]),
+        last_ns=int(t[-1]),
+        fixed_axis=truth.fixed_axis,
+        aligned=align,
+        problems=truth.problems,
+    )
+    return Comparison(facts, tuple(_compare_output(output, truth, align) for output in outputs))
 
 
-def _compare_one(output: Output, truth: Truth, align: bool) -> dict[str, Any]:
-    t, own = truth.corridor.t_ns, output.tables["causal"]["timestamp_ns"]
+def _compare_output(output: Output, truth: Truth, align: bool) -> ComparedOutput:
+    t, own = truth.corridor.t_ns, output.causal["timestamp_ns"]
     overlap_s = (min(int(t[-1]), int(own[-1])) - max(int(t[0]), int(own[0]))) / 1e9
     if overlap_s <= 0:
         spans = " and ".join(f"{s[0] / 1e9:.3f} to {s[-1] / 1e9:.3f} s" for s in (own, t))
@@ -127,68 +190,67 @@ def _compare_one(output: Output, truth: Truth, align: bool) -> dict[str, Any]:
             file=output.folder,
             remedy="is it the same flight, and the same clock?",
         )
-    found: dict[str, Any] = {
-        "name": output.name,
-        "folder": str(output.folder),
-        "flight": output.summary.get("flight"),
-        "method": output.summary.get("method"),
-        "overlap_s": overlap_s,
-        "duration_s": (int(own[-1]) - int(own[0])) / 1e9,
-    }
-    for kind, table in output.tables.items():
-        rows = _to_first_axis(table) if truth.fixed_axis else table
-        corridor, removed = _aligned(truth.corridor, rows) if align else (truth.corridor, None)
-        errors = evaluate(rows, corridor)
-        for part in (errors, *errors["corridors"].values()):
-            for unit in ("m", "norm"):
-                if truth.offset not in (unit, "both"):
-                    part.pop(f"lateral_offset_{unit}", None)
-        found[kind] = errors | {"removed": removed}
-    return found
+    return ComparedOutput(
+        name=output.name,
+        folder=str(output.folder),
+        flight=output.flight,
+        method=output.method,
+        overlap_s=overlap_s,
+        duration_s=(int(own[-1]) - int(own[0])) / 1e9,
+        causal=_compare_table(output.causal, truth, align),
+        smoothed=_compare_table(output.smoothed, truth, align),
+    )
+
+
+def _compare_table(table: Table, truth: Truth, align: bool) -> ComparedTable:
+    rows = _to_first_axis(table) if truth.fixed_axis else table
+    corridor, removed = _aligned(truth.corridor, rows) if align else (truth.corridor, None)
+    errors = evaluate(rows, corridor)
+    corridors = {name: _without_unknown_offset(part, truth) for name, part in errors.corridors.items()}
+    return ComparedTable(replace(_without_unknown_offset(errors, truth), corridors=corridors), removed)
+
+
+def _without_unknown_offset(errors: Errors, truth: Truth) -> Errors:
+    """Leave out the offsets that the truth does not have in that unit."""
+    return replace(
+        errors,
+        lateral_offset_m=errors.lateral_offset_m if truth.offset in ("m", "both") else None,
+        lateral_offset_norm=errors.lateral_offset_norm if truth.offset in ("norm", "both") else None,
+    )
 
 
 def _to_first_axis(table: Table) -> Table:
     """Refer headings to the first corridor's axis; beyond that corridor its centre line says nothing."""
     turned = table.copy()
-    turned["heading_rad"] = wrap_angle(table["heading_rad"] + table["corridor_turn_rad"])
+    turned["heading_rad"] = wrap(table["heading_rad"] + table["corridor_turn_rad"])
     elsewhere = table["corridor_index"] != table["corridor_index"][0]
     for name in ("lateral_offset_m", "lateral_offset_norm"):
         turned[name][elsewhere] = np.nan
     return turned
 
 
-def _aligned(truth: CorridorTruth, table: Table) -> tuple[CorridorTruth, dict[str, Any]]:
+def _aligned(truth: CorridorTruth, table: Table) -> tuple[CorridorTruth, dict[str, RemovedConstants]]:
     """Shift the truth by the median difference of the rows that are judged, corridor by corridor."""
     at = interpolate_truth(truth, table["timestamp_ns"])
     judged = at.known & ~at.in_junction & (table["status"] == "tracking")
     heading, offset = truth.heading_rad.copy(), truth.lateral_offset_m.copy()
-    removed: dict[str, Any] = {}
+    removed: dict[str, RemovedConstants] = {}
     for number in np.unique(at.corridor_id[judged]):
         rows, mine = judged & (at.corridor_id == number), truth.corridor_id == number
-        difference = wrap_angle(table["heading_rad"] - at.heading_rad)[rows]
+        difference = wrap(table["heading_rad"] - at.heading_rad)[rows]
         middle = float(np.angle(np.mean(np.exp(1j * difference))))
-        turn = middle + float(np.median(wrap_angle(difference - middle)))
+        turn = middle + float(np.median(wrap(difference - middle)))
         heading[mine] += turn
-        removed[str(number)] = {"heading_rad": turn}
-        for name, values in (
-            ("lateral_offset_m", at.lateral_offset_m),
-            ("lateral_offset_norm", at.lateral_offset_norm),
-        ):
-            apart = (table[name] - values)[rows]
-            if np.isfinite(apart).any():
-                shift = float(np.nanmedian(apart))
-                scale = 1.0 if name.endswith("_m") else float(np.median(truth.corridor_width_m[mine])) / 2
-                offset[mine] += shift * scale
-                removed[str(number)][name] = shift
-                break
-    return (
-        CorridorTruth(
-            truth.t_ns,
-            heading,
-            offset,
-            truth.corridor_width_m,
-            truth.corridor_id,
-            truth.in_junction,
-        ),
-        removed,
-    )
+        apart_m = (table["lateral_offset_m"] - at.lateral_offset_m)[rows]
+        apart_norm = (table["lateral_offset_norm"] - at.lateral_offset_norm)[rows]
+        constants = RemovedConstants(turn)
+        if np.isfinite(apart_m).any():
+            shift = float(np.nanmedian(apart_m))
+            offset[mine] += shift
+            constants = RemovedConstants(turn, lateral_offset_m=shift)
+        elif np.isfinite(apart_norm).any():
+            shift = float(np.nanmedian(apart_norm))
+            offset[mine] += shift * (float(np.median(truth.corridor_width_m[mine])) / 2)
+            constants = RemovedConstants(turn, lateral_offset_norm=shift)
+        removed[str(number)] = constants
+    return replace(truth, heading_rad=heading, lateral_offset_m=offset), removed

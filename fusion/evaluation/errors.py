@@ -7,24 +7,19 @@ never interpolated from one corridor into the next.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.tables import Table
 from fusion.flight import CorridorTruth, FloatArray, TimeArray
+from fusion.result.summary import PERCENTILES, CorridorErrors, ErrorStatistics, TableErrors
+from vision.rotations import wrap
 
 BoolArray = npt.NDArray[np.bool_]
-
-PERCENTILES = (50, 90, 95, 99)
-
-
-def wrap_angle(angle_rad: npt.ArrayLike) -> FloatArray:
-    """Bring angles of any shape into [-pi, pi)."""
-    angle = np.asarray(angle_rad, dtype=np.float64)
-    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi, dtype=np.float64)
 
 
 def rmse(estimate: npt.ArrayLike, truth: npt.ArrayLike, *, angle: bool = False) -> float:
@@ -56,7 +51,7 @@ def _difference(estimate: npt.ArrayLike, truth: npt.ArrayLike, angle: bool) -> F
         raise ValueError(f"estimate has shape {a.shape}, truth {b.shape}; they must agree")
     if a.size == 0:
         raise ValueError("there is nothing to compare: both arrays are empty")
-    return wrap_angle(a - b) if angle else a - b
+    return wrap(a - b) if angle else a - b
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +82,10 @@ def interpolate_truth(truth: CorridorTruth, t_ns: TimeArray, max_gap_s: float = 
 
     Parameters
     ----------
+    truth
+        What the flight really did.
+    t_ns
+        Times (n,), in any order.
     max_gap_s
         Neighbouring truth rows further apart than this leave the times between them unknown.
     """
@@ -105,7 +104,7 @@ def interpolate_truth(truth: CorridorTruth, t_ns: TimeArray, max_gap_s: float = 
 
     def blend(values: FloatArray, *, angle: bool = False) -> FloatArray:
         step = values[high] - values[low]
-        out = values[low] + part * (wrap_angle(step) if angle else step)
+        out = values[low] + part * (wrap(step) if angle else step)
         return np.where(known, out, np.nan)
 
     offset_m, width_m = blend(truth.lateral_offset_m), blend(truth.corridor_width_m)
@@ -121,7 +120,7 @@ def interpolate_truth(truth: CorridorTruth, t_ns: TimeArray, max_gap_s: float = 
     )
 
 
-def evaluate(table: Table, truth: CorridorTruth, *, max_gap_s: float = 0.5) -> dict[str, Any]:
+def evaluate(table: Table, truth: CorridorTruth, *, max_gap_s: float = 0.5) -> TableErrors:
     """Compare estimates or single frames with the truth.
 
     Judged are the rows that are tracking (estimates) or accepted (frames), outside junctions and within the
@@ -130,7 +129,7 @@ def evaluate(table: Table, truth: CorridorTruth, *, max_gap_s: float = 0.5) -> d
     Parameters
     ----------
     table
-        Rows of `ESTIMATE_DTYPE` or `FRAME_DTYPE`.
+        Rows of `fusion.estimator.tables.ESTIMATE_DTYPE` or `fusion.estimator.tables.FRAME_DTYPE`.
     truth
         What the flight really did.
     max_gap_s
@@ -138,15 +137,8 @@ def evaluate(table: Table, truth: CorridorTruth, *, max_gap_s: float = 0.5) -> d
 
     Returns
     -------
-    dict
-        Plain numbers, ready for JSON: ``rows``, ``judged``, ``excluded`` (``outside_truth``, ``junction``,
-        ``no_truth`` and ``not_tracking`` or ``not_accepted``), ``status_share`` (estimates only), the
-        quantities ``heading``, ``lateral_offset_m`` and ``lateral_offset_norm``, and ``corridors``, which
-        holds ``rows`` and the same by the truth's corridor id as text. A quantity holds ``count``, then ``rmse``,
-        ``mae``, ``max``, ``p50``, ``p90``, ``p95``, ``p99`` (all of the absolute error but the first) and
-        ``bias`` (the mean error) with the unit appended (``rmse_rad``, ``rmse_m``, ``rmse_norm``), then
-        ``nees_mean`` (1 for an honest sigma) and ``error_over_sigma_p90`` (1.64 for an honest Gaussian one);
-        None where nothing was left to judge.
+    TableErrors
+        Errors of heading and lateral offset, in all and per corridor; ``to_dict()`` gives plain values for JSON.
     """
     names = table.dtype.names or ()
     estimates = "status" in names
@@ -161,57 +153,74 @@ def evaluate(table: Table, truth: CorridorTruth, *, max_gap_s: float = 0.5) -> d
     ):
         excluded[cause] = int(np.count_nonzero(judged & ~keep))
         judged &= keep
-    result: dict[str, Any] = {
-        "rows": len(table),
-        "judged": int(np.count_nonzero(judged)),
-        "excluded": excluded,
-    }
-    if estimates:
-        result["status_share"] = _status_share(table)
-    result |= _quantities(table, at, judged)
-    result["corridors"] = {}
+    corridors = {}
     for i in np.unique(at.corridor_id[judged]):
         there = at.inside & (at.corridor_id == i)
-        found: dict[str, Any] = {"rows": int(np.count_nonzero(there))}
-        if estimates:
-            found["status_share"] = _status_share(table[there])
-        result["corridors"][str(i)] = found | _quantities(table, at, judged & there)
-    return result
+        corridors[str(i)] = CorridorErrors(
+            rows=int(np.count_nonzero(there)),
+            status_share=_status_share(table[there]) if estimates else None,
+            **_quantities(table, at, judged & there),
+        )
+    return TableErrors(
+        rows=len(table),
+        judged=int(np.count_nonzero(judged)),
+        excluded=excluded,
+        status_share=_status_share(table) if estimates else None,
+        corridors=corridors,
+        **_quantities(table, at, judged),
+    )
 
 
-def _status_share(table: Table) -> dict[str, float]:
+def _status_share(table: Table) -> Mapping[str, float]:
     words, counts = np.unique(table["status"], return_counts=True)
     return {str(word): float(count / len(table)) for word, count in zip(words, counts, strict=True)}
 
 
-def _quantities(table: Table, at: TruthAt, rows: BoolArray) -> dict[str, Any]:
-    names = table.dtype.names or ()
-    heading_error = wrap_angle(table["heading_rad"] - at.heading_rad)
-    out = {"heading": _statistics(heading_error[rows], table["heading_std_rad"][rows], "rad")}
-    for unit, truth_values in (("m", at.lateral_offset_m), ("norm", at.lateral_offset_norm)):
-        name = f"lateral_offset_{unit}"
-        if name in names:
-            std = table["lateral_offset_std_m" if unit == "m" else "lateral_offset_norm_std"]
-            out[name] = _statistics((table[name] - truth_values)[rows], std[rows], unit)
-    return out
+class _Quantities(TypedDict):
+    heading: ErrorStatistics
+    lateral_offset_m: ErrorStatistics | None
+    lateral_offset_norm: ErrorStatistics | None
 
 
-def _statistics(error: FloatArray, std: FloatArray, unit: str) -> dict[str, Any]:
+def _quantities(table: Table, at: TruthAt, rows: BoolArray) -> _Quantities:
+    heading_error = wrap(table["heading_rad"] - at.heading_rad)
+
+    def offset(name: str, std_name: str, truth: FloatArray, unit: str) -> ErrorStatistics | None:
+        if name not in (table.dtype.names or ()):
+            return None
+        return _statistics((table[name] - truth)[rows], table[std_name][rows], unit)
+
+    return _Quantities(
+        heading=_statistics(heading_error[rows], table["heading_std_rad"][rows], "rad"),
+        lateral_offset_m=offset("lateral_offset_m", "lateral_offset_std_m", at.lateral_offset_m, "m"),
+        lateral_offset_norm=offset(
+            "lateral_offset_norm", "lateral_offset_norm_std", at.lateral_offset_norm, "norm"
+        ),
+    )
+
+
+def _statistics(error: FloatArray, std: FloatArray, unit: str) -> ErrorStatistics:
     finite = np.isfinite(error)
     error, std = error[finite], std[finite]
-    names = [f"{word}_{unit}" for word in ("rmse", "mae", "max", *(f"p{p}" for p in PERCENTILES), "bias")]
-    out: dict[str, Any] = {"count": int(error.size)} | dict.fromkeys(names)
-    if error.size:
-        size = np.abs(error)
-        numbers = (
-            rmse(error, np.zeros_like(error)),
-            size.mean(),
-            size.max(),
-            *np.percentile(size, PERCENTILES),
-        )
-        out |= {name: float(v) for name, v in zip(names, (*numbers, error.mean()), strict=True)}
     stated = std > 0  # NaN fails too
     ratio = np.abs(error[stated]) / std[stated]
-    out["nees_mean"] = float(np.mean(ratio**2)) if ratio.size else None
-    out["error_over_sigma_p90"] = float(np.percentile(ratio, 90)) if ratio.size else None
-    return out
+    nees = float(np.mean(ratio**2)) if ratio.size else None
+    ratio_p90 = float(np.percentile(ratio, 90)) if ratio.size else None
+    if not error.size:
+        return ErrorStatistics(unit, 0, nees_mean=nees, error_over_sigma_p90=ratio_p90)
+    size = np.abs(error)
+    p50, p90, p95, p99 = (float(value) for value in np.percentile(size, PERCENTILES))
+    return ErrorStatistics(
+        unit,
+        int(error.size),
+        rmse=rmse(error, np.zeros_like(error)),
+        mae=float(size.mean()),
+        max=float(size.max()),
+        p50=p50,
+        p90=p90,
+        p95=p95,
+        p99=p99,
+        bias=float(error.mean()),
+        nees_mean=nees,
+        error_over_sigma_p90=ratio_p90,
+    )

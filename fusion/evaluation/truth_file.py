@@ -1,4 +1,4 @@
-"""What a flight really did, from files as people have them: CSV with a heading, TUM trajectories, an earlier output.
+"""The true course of a flight, from files as people have them: CSV with a heading, TUM, an earlier output.
 
 Two kinds of heading are told apart. ``heading_*`` is the angle from the axis of the corridor being flown, as in
 ``corridor_truth.csv``. ``yaw_*`` and quaternions are angles from one fixed axis; they are compared with the
@@ -7,10 +7,9 @@ heading plus the turn between corridors, and offsets only within the first corri
 
 from __future__ import annotations
 
-import csv
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from math import pi
@@ -20,9 +19,23 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.flight import CorridorTruth, FloatArray, TimeArray
-from fusion.logs.samples import counted, order_times
+from fusion.logs.csv.column_map import TimeUnit
+from fusion.logs.csv.rows import (
+    Block,
+    RowFormat,
+    Rows,
+    is_number,
+    is_row,
+    read_blocks,
+    read_head,
+    read_rows,
+    split_fields,
+)
+from fusion.logs.csv.time_units import NS, decimal_to_ns
+from fusion.logs.samples import Problems, WithProblems, counted, order_times
 from fusion.result.conventions import Frame
 from vision.errors import InputError
+from vision.rotations import yaw_of
 
 TRUTH_NAME = "corridor_truth.csv"
 SUPPORTED = (
@@ -30,13 +43,19 @@ SUPPORTED = (
     "and as known lateral_offset_m or lateral_offset_norm, corridor_width_m, corridor_id, in_junction; or a TUM "
     "trajectory"
 )
-_TIME_SCALE = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 _TIME_NAMES = ("timestamp", "time", "t", "stamp")
 _QUATERNIONS = (
     ("qw", "qx", "qy", "qz"),
     ("q_w", "q_x", "q_y", "q_z"),
     ("q_rs_w", "q_rs_x", "q_rs_y", "q_rs_z"),
 )
+_OFFSETS = {
+    "lateral_offset_m": (1.0, "m"),
+    "lateral_offset_cm": (0.01, "m"),
+    "lateral_offset_norm": (1.0, "norm"),
+}
+_IDS = ("corridor_id", "corridor_index")
+_TUM_WIDTH = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,17 +104,18 @@ def read_truth(path: str | Path, frame: Frame | None = None) -> Truth:
             raise InputError(f"the folder holds no {TRUTH_NAME}", file=path, remedy="give the file itself")
         path = path / TRUTH_NAME
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
-    except UnicodeDecodeError as error:
-        raise InputError("is not a text file", file=path, remedy=f"supported: {SUPPORTED}") from error
-    lines = [line for line in lines if line.strip()]
-    rows = [line for line in lines if not line.startswith("#")]
-    if not rows:
+        lines = read_head(path)
+    except InputError as error:
+        if error.problem == "is empty":
+            raise InputError("holds no rows", file=path) from error
+        raise
+    if any(sign in line for line in lines for sign in ("\0", "\N{REPLACEMENT CHARACTER}")):
+        raise InputError("is not a text file", file=path, remedy=f"supported: {SUPPORTED}")
+    first = next((line for line in lines if line.strip() and not line.startswith("#")), None)
+    if first is None:
         raise InputError("holds no rows", file=path)
-    if "," not in rows[0] and len(rows[0].split()) == 8:
-        return _from_tum(path, lines, rows, frame)
+    if "," not in first and len(first.split()) == _TUM_WIDTH:
+        return _from_tum(path, lines, frame)
     return _from_csv(path, lines, frame or _frame_beside(path))
 
 
@@ -108,7 +128,7 @@ def _frame_beside(path: Path) -> Frame | None:
     return None
 
 
-def _from_tum(path: Path, lines: Sequence[str], rows: Sequence[str], frame: Frame | None) -> Truth:
+def _from_tum(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     found = (re.match(r"#\s*(\w+):\s*(\S+)", line) for line in lines)
     said = {match[1]: match[2] for match in found if match}
     ours = said.get("software") == "corridor-fusion"
@@ -116,12 +136,11 @@ def _from_tum(path: Path, lines: Sequence[str], rows: Sequence[str], frame: Fram
         frame = Frame(said["frame"])
     if frame is None:
         raise _which_way(path, "a TUM trajectory does")
-    problems: list[str] = []
-    cells = [row.split() for row in rows]
-    t_ns = _times(path, [cell[0] for cell in cells], "s")
-    values = _numbers(path, [cell[1:] for cell in cells], 7, problems)
-    x, y, z, w = values[:, 3:].T
-    heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    names = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+    rows, problems = _read(path, " ", 0, tuple(range(1, _TUM_WIDTH)), names)
+    t_ns = _times(path, rows.first.tolist(), "s")
+    values = rows.values
+    heading = yaw_of(values[:, [6, 3, 4, 5]])  # x y z w in the file
     offset = values[:, 1] if said.get("offset_unit") != "none" else np.full(len(t_ns), np.nan)
     unit = "norm" if said.get("offset_unit") == "half" else "m"
     kind = (
@@ -139,63 +158,84 @@ def _which_way(path: Path, what: str) -> InputError:
 
 
 def _from_csv(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
-    first = next((k for k, line in enumerate(lines) if _is_number(line.partition(",")[0])), len(lines))
+    first = next((k for k, line in enumerate(lines) if is_number(line.partition(",")[0])), len(lines))
     header = next((line for line in reversed(lines[:first]) if "," in line), None)
     if header is None:
         raise InputError(
             "does not name its columns in the first line", file=path, remedy=f"supported: {SUPPORTED}"
         )
-    names = [_plain_name(cell) for cell in next(csv.reader([header.lstrip("# ")]))]
-    rows = list(csv.reader(line for line in lines[first:] if not line.startswith("#")))
-    if not rows:
-        raise InputError("has a header but no rows", file=path)
+    names = [_plain_name(cell) for cell in split_fields(header.lstrip("# "), ",")]
     column: dict[str, int] = {}
     for k, name in enumerate(names):
         column.setdefault(name, k)
-    problems: list[str] = []
-    whole = [row for row in rows if len(row) == len(names)]
-    if not whole:
+    after_header = lines.index(header) + 1
+    sample = [split_fields(line, ",") for line in lines[after_header:] if is_row(line)]
+    if not sample:
+        raise InputError("has a header but no rows", file=path)
+    whole = next((row for row in sample if len(row) == len(names)), None)
+    if whole is None:
         raise InputError(f"its rows do not have the header's {len(names)} columns", file=path)
-    if len(whole) < len(rows):
-        problems.append(f"{path.name}: {counted(len(rows) - len(whole), 'row')} of other length dropped")
-
-    time_name, unit = _find_time(path, column, whole[0])
-
-    def read(name: str) -> FloatArray:
-        return _numbers(path, [[row[column[name]]] for row in whole], 1, problems, names=(name,))[:, 0]
-
-    t_ns = _times(path, [row[column[time_name]].strip() for row in whole], unit)
-    heading, fixed_axis, kind = _heading(path, column, read)
-    if fixed_axis and frame is None:
+    time_name, unit = _find_time(path, column, whole)
+    heading = _find_heading(path, column)
+    if heading.fixed_axis and frame is None:
         raise _which_way(path, "yaw and quaternions do")
-    offset, offset_unit = np.full(len(whole), np.nan), "m"
-    for name, scale, its in (("lateral_offset_m", 1.0, "m"), ("lateral_offset_cm", 0.01, "m")):
-        if name in column:
-            offset, offset_unit = scale * read(name), its
-    if not np.isfinite(offset).any() and "lateral_offset_norm" in column:
-        offset, offset_unit = read("lateral_offset_norm"), "norm"
-    ids = next((read(name) for name in ("corridor_id", "corridor_index") if name in column), None)
+    id_name = next((name for name in _IDS if name in column), None)
+    optional = [name for name in (*_OFFSETS, id_name, "corridor_width_m", "in_junction") if name in column]
+    wanted = (*heading.names, *(name for name in optional if name is not None))
+    rows, problems = _read(path, ",", column[time_name], tuple(column[name] for name in wanted), names)
+    values = dict(zip(wanted, rows.values.T, strict=True))
+    offset, offset_unit = np.full(len(rows.first), np.nan), "m"
+    for name, (scale, its) in _OFFSETS.items():
+        if name in values and not (its == "norm" and np.isfinite(offset).any()):
+            offset, offset_unit = scale * values[name], its
     return _truth(
         path,
-        t_ns,
-        heading,
+        _times(path, rows.first.tolist(), unit),
+        heading.of([values[name] for name in heading.names]),
         offset,
         offset_unit,
         frame or Frame.FRD,
         problems,
-        fixed_axis=fixed_axis,
-        kind=kind,
-        width_m=read("corridor_width_m") if "corridor_width_m" in column else None,
-        ids=ids,
-        in_junction=read("in_junction") if "in_junction" in column else None,
+        fixed_axis=heading.fixed_axis,
+        kind=heading.kind,
+        width_m=values.get("corridor_width_m"),
+        ids=None if id_name is None else values[id_name],
+        in_junction=values.get("in_junction"),
     )
 
 
-def _is_number(cell: str) -> bool:
-    with suppress(ValueError):
-        float(cell)
-        return True
-    return False
+def _read(
+    path: Path, separator: str, first: int, others: tuple[int, ...], names: Sequence[str]
+) -> WithProblems[Rows]:
+    """Read the times, as texts, and columns of numbers; a field that is no number becomes NaN."""
+    fmt = RowFormat(separator, first, others, "O", width=len(names), keep_bad_fields=True)
+    # A last line is not taken for cut because its number is shorter: truths are written by hand too.
+    blocks = read_blocks(path, separator, leave_out_cut=False)
+    rows = read_rows(_without_names(blocks, separator), fmt)
+    if not len(rows.first):
+        raise InputError(f"its rows do not have the header's {len(names)} columns", file=path)
+    problems: Problems = ()
+    if rows.damaged:
+        problems += (f"{path.name}: {counted(rows.damaged, 'row')} of other length dropped",)
+    for column, texts in rows.bad_fields.items():
+        if 2 * len(texts) > len(rows.first):
+            raise InputError(f"{names[column]} is {texts[0]!r}, no number", file=path)
+        problems += (
+            f"{path.name}: {counted(len(texts), 'value')} that are no numbers in {names[column]}, the first "
+            f"{texts[0]!r}",
+        )
+    return WithProblems(rows, problems)
+
+
+def _without_names(blocks: Iterable[Block], separator: str) -> Iterator[Block]:
+    """Leave out what stands before the first row of numbers."""
+    begun = False
+    for rows, cut in blocks:
+        start = 0
+        while not begun and start < len(rows):
+            begun = is_number(rows[start].partition(separator)[0])
+            start += not begun
+        yield Block(rows[start:], cut)
 
 
 def _plain_name(cell: str) -> str:
@@ -208,13 +248,9 @@ def _plain_name(cell: str) -> str:
     return re.sub(r"[\s.]+", "_", name)
 
 
-def _as_suffix(unit: re.Match[str]) -> str:
-    return f"_{unit[1]}" if unit[1] else ""
-
-
-def _find_time(path: Path, column: Mapping[str, int], row: Sequence[str]) -> tuple[str, str]:
+def _find_time(path: Path, column: Mapping[str, int], row: Sequence[str]) -> tuple[str, TimeUnit]:
     for base in _TIME_NAMES:
-        for unit in _TIME_SCALE:
+        for unit in NS:
             if f"{base}_{unit}" in column:
                 return f"{base}_{unit}", unit
     bare = next((name for name in _TIME_NAMES if name in column), None)
@@ -226,20 +262,33 @@ def _find_time(path: Path, column: Mapping[str, int], row: Sequence[str]) -> tup
     raise InputError(f"column {bare} does not say its unit", file=path, remedy=remedy)
 
 
-def _heading(
-    path: Path, column: Mapping[str, int], read: Callable[[str], FloatArray]
-) -> tuple[FloatArray, bool, str]:
-    for name, scale in (("heading_rad", 1.0), ("heading_deg", pi / 180)):
+@dataclass(frozen=True, slots=True)
+class _Heading:
+    """Which columns give the heading: an angle and its unit in radians, or a quaternion w, x, y, z."""
+
+    names: tuple[str, ...]
+    unit_rad: float
+    fixed_axis: bool
+    kind: str
+
+    def of(self, values: Sequence[FloatArray]) -> FloatArray:
+        """Return the angles (n,), radians, of the columns' values (n,)."""
+        if len(values) == 1:
+            return self.unit_rad * values[0]
+        return yaw_of(np.column_stack(values))
+
+
+def _find_heading(path: Path, column: Mapping[str, int]) -> _Heading:
+    for name, unit_rad in (("heading_rad", 1.0), ("heading_deg", pi / 180)):
         if name in column:
-            return scale * read(name), False, "headings from the axis of the corridor being flown"
-    for name, scale in (("yaw_rad", 1.0), ("yaw_deg", pi / 180)):
+            kind = "headings from the axis of the corridor being flown"
+            return _Heading((name,), unit_rad, False, kind)
+    for name, unit_rad in (("yaw_rad", 1.0), ("yaw_deg", pi / 180)):
         if name in column:
-            return scale * read(name), True, "yaw from one fixed axis"
+            return _Heading((name,), unit_rad, True, "yaw from one fixed axis")
     for names in _QUATERNIONS:
         if set(names) <= set(column):
-            w, x, y, z = (read(name) for name in names)
-            yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-            return yaw, True, "quaternions: yaw from one fixed axis"
+            return _Heading(names, 1.0, True, "quaternions: yaw from one fixed axis")
     without = next((name for name in ("heading", "yaw") if name in column), None)
     if without is not None:
         raise InputError(
@@ -254,20 +303,12 @@ def _heading(
     )
 
 
-def _times(path: Path, cells: Sequence[str], unit: str) -> TimeArray:
+def _times(path: Path, cells: Sequence[str], unit: TimeUnit) -> TimeArray:
     """Return times in nanoseconds, exact; a decimal fraction of Unix seconds does not fit a float64."""
-    scale = _TIME_SCALE[unit]
-    digits = len(str(scale)) - 1
     found = []
     for cell in cells:
-        match = re.fullmatch(r"([+-]?)(\d+)(?:\.(\d*))?", cell)
         try:
-            if match:
-                part = (match[3] or "")[:digits].ljust(digits, "0")
-                t_ns = int(match[2]) * scale + (int(part) if part else 0)
-                found.append(-t_ns if match[1] == "-" else t_ns)
-            else:
-                found.append(round(float(cell) * scale))
+            found.append(decimal_to_ns(cell.strip(), unit))
         except (ValueError, OverflowError) as error:
             raise InputError(
                 f"time {cell!r} is no number", file=path, remedy=f"times are in {unit}"
@@ -278,29 +319,6 @@ def _times(path: Path, cells: Sequence[str], unit: str) -> TimeArray:
         raise InputError(f"times are too large for {unit}", file=path, remedy="name their unit") from error
 
 
-_TRUE_FALSE = {"true": "1", "false": "0", "": "nan", "null": "nan", "none": "nan"}
-
-
-def _numbers(
-    path: Path, rows: Sequence[Sequence[str]], width: int, problems: list[str], names: Sequence[str] = ()
-) -> FloatArray:
-    values = np.full((len(rows), width), np.nan)
-    bad: list[str] = []
-    for k, row in enumerate(rows):
-        try:
-            values[k] = [float(_TRUE_FALSE.get(cell.strip().lower(), cell)) for cell in row]
-        except ValueError:
-            bad.append(" ".join(row))
-    if bad:
-        if 2 * len(bad) > len(rows):
-            raise InputError(f"{', '.join(names) or 'a row'} is {bad[0]!r}, no number", file=path)
-        what = f" in {names[0]}" if names else ""
-        problems.append(
-            f"{path.name}: {counted(len(bad), 'value')} that are no numbers{what}, the first {bad[0]!r}"
-        )
-    return values
-
-
 def _truth(
     path: Path,
     t_ns: TimeArray,
@@ -308,7 +326,7 @@ def _truth(
     offset: FloatArray,
     offset_unit: str,
     frame: Frame,
-    problems: list[str],
+    problems: Problems,
     *,
     fixed_axis: bool,
     kind: str,
@@ -320,7 +338,8 @@ def _truth(
     rows = np.flatnonzero(np.isfinite(heading))
     if not rows.size:
         raise InputError("holds no row with a heading", file=path)
-    rows = rows[order_times(t_ns[rows], problems, path.name)]
+    order, disorder = order_times(t_ns[rows], path.name)
+    rows = rows[order]
     if np.abs(heading[rows]).max() > 4 * pi:
         raise InputError(
             f"headings reach {np.abs(heading[rows]).max():.4g} rad",
@@ -347,7 +366,7 @@ def _truth(
     side = "left" if frame is Frame.ROS else "right"
     has_offset = bool(np.isfinite(offset[rows]).any())
     source = f"{path}: {kind}, positive {side}" + ("" if has_offset else "; no offsets")
-    return Truth(corridor, fixed_axis, kinds if has_offset else None, source, tuple(problems))
+    return Truth(corridor, fixed_axis, kinds if has_offset else None, source, problems + disorder)
 
 
 def _whole(values: FloatArray | None, count: int) -> npt.NDArray[np.int64]:

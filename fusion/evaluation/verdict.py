@@ -1,46 +1,14 @@
-"""What a check is, where it passes, and how many checks become one verdict."""
+"""What a check consists of, where it passes, and how many checks become one verdict."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from math import isfinite, radians
 
-
-class Level(StrEnum):
-    """Outcome of a check; ``not_judged`` where the flight has nothing to judge."""
-
-    PASS = "pass"
-    WARN = "warn"
-    FAIL = "fail"
-    NOT_JUDGED = "not_judged"
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One line of the verdict.
-
-    Parameters
-    ----------
-    name, level
-        What was looked at, and how it came out.
-    value
-        The number found, in units for people.
-    limit
-        Where it passes and where it fails.
-    meaning
-        One sentence: what this says about the flight.
-    action
-        One sentence: what to do; empty where nothing needs doing.
-    """
-
-    name: str
-    level: Level
-    value: str
-    limit: str
-    meaning: str
-    action: str = ""
+from fusion.flight import Flight
+from fusion.result.result import FusionResult
+from fusion.result.summary import Check, Level
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +68,84 @@ def overall(checks: Sequence[Check]) -> Level:
     return worst_of(Level.NOT_JUDGED, *(check.level for check in checks))
 
 
-def not_judged(name: str, limit: str, why: str) -> Check:
-    """Return a check that the flight gave nothing to judge by."""
-    return Check(name, Level.NOT_JUDGED, "not judged", limit, why)
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a check found on one flight.
+
+    Parameters
+    ----------
+    text
+        What was found, in units for people.
+    number
+        What is compared with the rule's ``pass_fail``; None where ``level`` says how it came out.
+    level
+        Set where there is more to the outcome than one number.
+    limit, meaning, action
+        Said instead of the rule's sentences; None: the rule's.
+    """
+
+    text: str
+    number: float | None = None
+    level: Level | None = None
+    limit: str | None = None
+    meaning: str | None = None
+    action: str | None = None
+
+
+def nothing_to_judge(why: str) -> Finding:
+    """Return the finding of a check that the flight gave nothing to judge by, with the reason in a sentence."""
+    return Finding("not judged", level=Level.NOT_JUDGED, meaning=why)
+
+
+@dataclass(frozen=True, slots=True)
+class CheckRule:
+    """One row of the table of checks, see `fusion.evaluation.checks.CHECKS`.
+
+    Parameters
+    ----------
+    name
+        What is looked at, as the report prints it.
+    measure
+        Finds it on a flight.
+    limit
+        Where it passes and where it fails, in words.
+    good
+        What it means where the check passes.
+    bad
+        What it means where it does not; a finding may say something more exact.
+    remedy
+        What to do then.
+    pass_fail
+        Limits that ``Finding.number`` is compared with: the first parts pass from warn, the second warn from fail.
+    """
+
+    name: str
+    measure: Callable[[FusionResult, Flight, Limits], Finding]
+    limit: Callable[[Limits], str]
+    good: str
+    bad: str = ""
+    remedy: str = ""
+    pass_fail: Callable[[Limits], tuple[float, float]] | None = None
+
+    def apply(self, result: FusionResult, flight: Flight, limits: Limits) -> Check:
+        """Run the check on a fused flight and put its outcome into words."""
+        found = self.measure(result, flight, limits)
+        level = self._level(found, limits)
+        meaning, action = (self.good, "") if level is Level.PASS else (self.bad, self.remedy)
+        if level is Level.NOT_JUDGED:
+            action = ""
+        return Check(
+            self.name,
+            level,
+            found.text,
+            self.limit(limits) if found.limit is None else found.limit,
+            meaning if found.meaning is None else found.meaning,
+            action if found.action is None else found.action,
+        )
+
+    def _level(self, found: Finding, limits: Limits) -> Level:
+        if found.level is not None:
+            return found.level
+        if found.number is None or self.pass_fail is None:
+            raise ValueError(f"check {self.name!r}: the finding has neither a level nor a number with limits")
+        return level_of(found.number, self.pass_fail(limits))

@@ -6,7 +6,9 @@ not keep the others from being described.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from fusion.inspection.times import share_covered, time_stream
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.plausibility.findings import Advice, Finding
 from fusion.logs.plausibility.flight import Streams, examine_streams
+from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.topic_choice import choose_topic
 from vision import InputError
 
@@ -46,13 +49,19 @@ class Inspection:
     path: str
     format: str
     streams: tuple[StreamFindings, ...]
-    problems: tuple[str, ...]
+    problems: Problems
     findings: tuple[Finding, ...]
     advice: tuple[Sentence, ...]
     first_picture: GreyImage | None = field(default=None, repr=False)
 
 
-def inspect_log(log: LogContents, *, is_folder: bool = False, name: str | None = None) -> Inspection:
+def inspect_log(
+    log: LogContents,
+    *,
+    is_folder: bool = False,
+    name: str | None = None,
+    choose: Callable[[Kind], WithProblems[str | None]] | None = None,
+) -> Inspection:
     """Describe an opened log.
 
     Parameters
@@ -63,9 +72,11 @@ def inspect_log(log: LogContents, *, is_folder: bool = False, name: str | None =
         Whether it is a flight folder in the ASL layout, for the wording of what to change.
     name
         What to call it; else its path.
+    choose
+        Names the topic of each kind that would be fused; else `fusion.logs.topic_choice.choose_topic`.
     """
     name = str(log.path) if name is None else name
-    chosen, unclear = _choose(log)
+    chosen, unclear = _chosen(log, choose or partial(choose_topic, log))
     pictures = [t.t_ns for t in log.topics if t.kind is Kind.FRAMES and t.name in chosen[t.kind]]
     reading = _Reading(log, chosen)
     streams: list[StreamFindings] = []
@@ -86,20 +97,25 @@ def inspect_log(log: LogContents, *, is_folder: bool = False, name: str | None =
     )
 
 
-def _choose(log: LogContents) -> tuple[dict[Kind, set[str]], dict[Kind, str]]:
+def _chosen(
+    log: LogContents, choose: Callable[[Kind], WithProblems[str | None]]
+) -> tuple[dict[Kind, set[str]], dict[Kind, str]]:
     """Return the topic of each kind that would be fused, and why there is none where it is not clear."""
     chosen: dict[Kind, set[str]] = {}
     unclear: dict[Kind, str] = {}
+    there = {topic.kind for topic in log.topics}
     for kind in Kind:
-        said: list[str] = []
+        chosen[kind] = set()
+        if kind not in there:
+            continue
         try:
-            name = choose_topic(log, kind, None, said)
+            name, problems = choose(kind)
         except InputError as error:
-            name = None
-            said.append(f"{error.problem}: {error.remedy}")
-        chosen[kind] = set() if name is None else {name}
-        if said:
-            unclear[kind] = said[0]
+            name, problems = None, (f"{error.problem}: {error.remedy}",)
+        if name is not None:
+            chosen[kind] = {name}
+        if problems:
+            unclear[kind] = problems[0]
     return chosen, unclear
 
 
@@ -116,57 +132,54 @@ class _Reading:
         """Describe a topic; what cannot be read becomes its ``error``."""
         is_chosen = topic.name in self._chosen[topic.kind]
         found = StreamFindings(topic.name, topic.kind, topic.note, is_chosen, time_stream(topic.t_ns))
-        problems: list[str] = []
         try:
-            found = self._looked_at(topic.name, found, problems)
+            looked_at, problems = self._looked_at(topic.name, found)
         except InputError as error:
-            found = replace(found, error=str(error))
-        return replace(found, problems=tuple(problems))
+            return replace(found, error=str(error))
+        return replace(looked_at, problems=problems)
 
-    def _looked_at(self, name: str, found: StreamFindings, problems: list[str]) -> StreamFindings:
+    def _looked_at(self, name: str, found: StreamFindings) -> WithProblems[StreamFindings]:
         kept = self.streams
         match found.kind:
             case Kind.FRAMES:
-                frames = self.log.frames(name, problems)
+                frames, problems = self.log.frames(name)
                 pictures, first = inspect_pictures(frames)
                 if found.chosen:
                     self.first_picture = first
                     self.streams = replace(kept, frames_t_ns=frames.t_ns)
-                return replace(found, pictures=pictures, camera=self._camera(name, problems))
+                camera, more = self._camera(name)
+                return WithProblems(replace(found, pictures=pictures, camera=camera), problems + more)
             case Kind.IMU:
-                imu = self.log.imu(name, problems)
+                imu, problems = self.log.imu(name)
                 if found.chosen:
                     self.streams = replace(kept, imu=imu)
-                return replace(found, imu=inspect_imu(imu))
+                return WithProblems(replace(found, imu=inspect_imu(imu)), problems)
             case Kind.ATTITUDE:
-                attitude = self.log.attitude(name, problems)
+                attitude, problems = self.log.attitude(name)
                 if found.chosen:
                     self.streams = replace(kept, attitude=attitude)
             case Kind.POSITION:
-                position = self.log.position(name, problems)
+                position, problems = self.log.position(name)
                 if found.chosen:
                     self.streams = replace(kept, position=position)
             case Kind.VELOCITY:
-                velocity = self.log.velocity(name, problems)
+                velocity, problems = self.log.velocity(name)
                 if found.chosen:
                     self.streams = replace(kept, velocity=velocity)
             case Kind.RANGE:
-                distance = self.log.range(name, problems)
+                distance, problems = self.log.range(name)
                 least, usual, most = np.percentile(distance.distance_m, [0, 50, 100]).tolist()
                 found = replace(found, distances_m=(least, usual, most))
                 if found.chosen:
                     self.streams = replace(kept, range=distance)
-        return found
+        return WithProblems(found, problems)
 
-    def _camera(self, name: str, problems: list[str]) -> CameraFindings | None:
+    def _camera(self, name: str) -> WithProblems[CameraFindings | None]:
         try:
             camera = self.log.camera(name)
         except InputError as error:
-            problems.append(str(error))
-            return None
+            return WithProblems(None, (str(error),))
         if camera is None:
-            return None
+            return WithProblems(None)
         mounting = camera.mount_problem()
-        if mounting is not None:
-            problems.append(mounting)
-        return CameraFindings.of(camera)
+        return WithProblems(CameraFindings.of(camera), () if mounting is None else (mounting,))

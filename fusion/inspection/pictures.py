@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion.files import replacing
 from fusion.flight import FrameStream, GreyImage
 from vision import InputError
 
@@ -106,12 +107,10 @@ def write_picture(picture: GreyImage | None, path: Path) -> None:
     if picture is None:
         raise InputError("there is no picture to write", file=path, remedy="leave --picture out")
     _, encoded = cv2.imencode(path.suffix.lower(), picture)
-    temporary = path.with_name(f".{path.name}.partial")
     try:
-        temporary.write_bytes(encoded.tobytes())
-        temporary.replace(path)
+        with replacing(path) as temporary:
+            temporary.write_bytes(encoded.tobytes())
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise InputError(
             f"cannot be written: {error.strerror or error}", file=path, remedy="choose another place"
         ) from error

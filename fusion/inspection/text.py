@@ -253,7 +253,7 @@ def _problems(inspection: Inspection, start_ns: int | None) -> Iterator[str]:
             yield text if stream.name in text else f"{stream.name}: {text}"
         yield from _timing_problems(stream, start_ns)
     for finding in inspection.findings:
-        # errors stand among what has to be put right first, jumps beside the stream's other times
+        # errors are listed under what has to be put right first, jumps with the stream's other times
         if finding.severity is Severity.WARNING and finding.kind != "time_jump":
             yield finding.sentence
 

@@ -68,7 +68,7 @@ class Timing:
 
 
 def time_stream(t_ns: TimeArray) -> Timing:
-    """Describe times (n,) as they stand in a log, in any order."""
+    """Describe times (n,) as a log has them, in any order."""
     n = len(t_ns)
     if n == 0:
         return Timing(0)

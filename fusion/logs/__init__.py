@@ -1,7 +1,10 @@
 """Logs of flights, one module per format, put together into a `fusion.flight.Flight`.
 
-A format is a module with two functions, ``recognises(path)`` and ``open_log(path)``, see `fusion.logs.contents`;
-adding one means writing the module and naming it in `FORMATS`. A module is imported only when a log is opened.
+May import `fusion.flight`, `fusion.files`, `fusion.settings` and `vision`. Begin reading at `fusion.logs.contents`,
+what an opened log is, and `fusion.logs.series`, what the readers share.
+
+A format is a module with two functions, ``recognises(path)`` and ``open_log(path)``; adding one means writing the
+module and naming it in `FORMATS`. A module is imported only when a log is opened.
 """
 
 from __future__ import annotations
@@ -83,7 +86,7 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
     Returns
     -------
     Flight
-        In SI units, body FRD, world z down. What was dropped or mended stands in ``problems``.
+        In SI units, body FRD, world z down. What was dropped or repaired is listed in ``problems``.
 
     Raises
     ------

@@ -14,8 +14,10 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -33,15 +35,23 @@ from fusion.flight import (
     VectorStream,
 )
 from fusion.logs.contents import Kind, Topic
-from fusion.logs.csv.strict_table import CsvTable, parse_time, read_table
+from fusion.logs.csv.rows import parse_time
+from fusion.logs.csv.stamped_table import CsvTable, read_table
 from fusion.logs.pictures.camera_folder import read_frames
-from fusion.logs.samples import MIN_IMU_STEP_NS, MIN_STEP_NS, BoolArray, counted, finite, keep_good
-from fusion.logs.series import Where, range_stream
+from fusion.logs.samples import (
+    MIN_IMU_STEP_NS,
+    MIN_STEP_NS,
+    BoolArray,
+    Problems,
+    WithProblems,
+    counted,
+    finite,
+    report_dropped,
+)
+from fusion.logs.series import QUATERNION_TOLERANCE, Series, SeriesLog, Stream, Where, range_stream
 from vision import Camera, InputError
 from vision.cameras.calibration import read_body_frame, read_yaml, rotation_of_transform, to_frd
 from vision.cameras.camera import BodyFrame
-
-QUATERNION_TOLERANCE = 0.05  # of its length; more is not rounding but damage
 
 TRUTH_NAME = "corridor_truth.csv"
 _TRUTH_COLUMNS = ("heading_rad", "lateral_offset_m", "corridor_width_m", "corridor_id", "in_junction")
@@ -80,16 +90,17 @@ class GroundTruth:
 
 @dataclass(frozen=True, slots=True)
 class _Folder:
-    """A ``mav0`` under reading: its path, its axes, and what went wrong so far."""
+    """A ``mav0``: its path, and the axes that its files give the body in."""
 
     path: Path
     body_frame: BodyFrame
-    problems: list[str]
 
-    def table(self, stream: str, columns: tuple[str, ...], min_step_ns: int = MIN_STEP_NS) -> CsvTable:
+    def table(
+        self, stream: str, columns: tuple[str, ...], min_step_ns: int = MIN_STEP_NS
+    ) -> WithProblems[CsvTable]:
         """Read a stream's ``data.csv``."""
         path = self.path / stream / "data.csv"
-        return read_table(path, columns, self.problems, label=f"{stream}/data.csv", min_step_ns=min_step_ns)
+        return read_table(path, columns, label=f"{stream}/data.csv", min_step_ns=min_step_ns)
 
     def sensor(self, stream: str) -> dict[str, Any]:
         """Read a stream's ``sensor.yaml``; empty where it has none."""
@@ -107,10 +118,20 @@ class _Folder:
                 raise InputError(error.problem, file=path, remedy=error.remedy) from error
         return to_frd(self.body_frame) @ R_body_sensor
 
-    def keep(self, good: BoolArray, stream: str, what: str, t_ns: TimeArray) -> None:
-        """Report rows that are not good; `InputError` where none is."""
+    def dropped(self, good: BoolArray, stream: str, what: str, t_ns: TimeArray) -> Problems:
+        """Report the rows of a stream that are not good; `InputError` where none is.
+
+        Parameters
+        ----------
+        good, t_ns
+            Rows (n,) to keep, and their times (n,).
+        stream
+            Name of the sensor's folder.
+        what
+            What is wrong with the others.
+        """
         path, label = self.path / stream / "data.csv", f"{stream}/data.csv"
-        keep_good(good, t_ns, what, label, self.problems, file=path, remedy="take the folder away")
+        return report_dropped(good, t_ns, what, label, file=path, remedy="take the folder away")
 
 
 def recognises(path: Path) -> bool:
@@ -125,24 +146,30 @@ def open_log(path: Path) -> AslLog:
     return AslLog(mav0, mav0.parent if mav0.name == "mav0" else mav0)
 
 
-class AslLog:
+class AslLog(SeriesLog):
     """A flight folder as `fusion.logs.contents.LogContents`; topics are the folders of its sensors."""
 
-    format = "ASL / EuRoC folder"
-    no_pictures = "a flight needs cam0/data.csv and cam0/data/ in its mav0"
+    pictures_remedy = "a flight needs cam0/data.csv and cam0/data/ in its mav0"
 
     def __init__(self, mav0: Path, root: Path) -> None:
-        self.path = root
-        self.body_frame = read_body_frame(mav0 / "body.yaml")
-        self._mav0 = mav0
-        topics, problems = [], []
-        for folder in sorted(entry for entry in mav0.iterdir() if entry.is_dir()):
-            kind = _KINDS.get(folder.name.rstrip("0123456789"))
-            if kind is Kind.FRAMES or (kind is not None and (folder / "data.csv").exists()):
-                topics.append(Topic(folder.name, kind, _raw_times(folder)))
+        body_frame = read_body_frame(mav0 / "body.yaml")
+        folder = _Folder(mav0, body_frame)
+        series: list[Series] = []
+        cameras: list[Topic] = []
+        problems: Problems = ()
+        for path in sorted(entry for entry in mav0.iterdir() if entry.is_dir()):
+            kind = _KINDS.get(path.name.rstrip("0123456789"))
+            if kind is Kind.FRAMES:
+                cameras.append(Topic(path.name, kind, _raw_times(path)))
+            elif kind is not None and (path / "data.csv").exists():
+                topic = Topic(path.name, kind, _raw_times(path))
+                series.append(Series(topic, partial(_READERS[kind], folder, path.name)))
             elif kind is not None:
-                problems.append(f"{folder.name} has no data.csv, stream left out")
-        self.topics, self.problems = tuple(topics), tuple(problems)
+                problems += (f"{path.name} has no data.csv, stream left out",)
+        super().__init__(root, "ASL / EuRoC folder", series, problems)
+        self.topics = tuple(sorted((*cameras, *self.topics), key=lambda topic: topic.name))
+        self.body_frame = body_frame
+        self._mav0 = mav0
 
     def calibration_file(self, topic: str) -> Path:
         """Return where a camera's calibration belongs."""
@@ -152,48 +179,23 @@ class AslLog:
         """Return the file whose times a topic's are."""
         return self._mav0 / topic / "data.csv"
 
-    def frames(self, topic: str, problems: list[str]) -> FrameStream:
+    def frames(self, topic: str) -> WithProblems[FrameStream]:
         """Pictures of a camera."""
-        return read_frames(self._mav0 / topic, problems)
+        return read_frames(self._mav0 / topic)
 
     def camera(self, topic: str) -> Camera | None:
         """Read the calibration in the camera's folder."""
         path = self.calibration_file(topic)
         return Camera.from_yaml(path, body_frame=self.body_frame) if path.exists() else None
 
-    def imu(self, topic: str, problems: list[str]) -> ImuStream:
-        """Gyroscope and accelerometer, body FRD."""
-        return _read_imu(self._folder(problems), topic)
-
-    def attitude(self, topic: str, problems: list[str]) -> AttitudeStream:
-        """Body FRD to world z down."""
-        return _read_attitude(self._folder(problems), topic)
-
-    def position(self, topic: str, problems: list[str]) -> VectorStream:
-        """World, z down."""
-        return _read_vectors(self._folder(problems), topic, ("p_x", "p_y", "p_z"), in_body=False)
-
-    def velocity(self, topic: str, problems: list[str]) -> VectorStream:
-        """Body FRD."""
-        return _read_vectors(self._folder(problems), topic, ("v_x", "v_y", "v_z"), in_body=True)
-
-    def range(self, topic: str, problems: list[str]) -> RangeStream:
-        """Distance to the floor along the body's z."""
-        table = self._folder(problems).table(topic, ("distance",))
-        where = Where(self._mav0 / topic / "data.csv", f"{topic}/data.csv", problems)
-        return range_stream(table.t_ns, table.values[:, 0], where)
-
-    def truth(self, problems: list[str]) -> CorridorTruth | None:
+    def truth(self) -> WithProblems[CorridorTruth | None]:
         """Read ``corridor_truth.csv`` beside ``mav0``; None where there is none."""
         path = self.path / TRUTH_NAME
-        return read_corridor_truth(path, problems) if path.exists() else None
-
-    def _folder(self, problems: list[str]) -> _Folder:
-        return _Folder(self._mav0, self.body_frame, problems)
+        return read_corridor_truth(path) if path.exists() else WithProblems(None)
 
 
 def _raw_times(folder: Path) -> TimeArray:
-    """Read the times of a stream as they stand in its ``data.csv``, else in its pictures' names."""
+    """Read the times of a stream, unsorted, from its ``data.csv``, else from its pictures' names."""
     path = folder / "data.csv"
     if not path.exists():
         names = sorted(os.listdir(folder / "data")) if (folder / "data").is_dir() else []
@@ -215,41 +217,40 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
     """Read ``state_groundtruth_estimate0`` of a flight folder, turned into FRD and world z down."""
     root = Path(path)
     mav0 = root / "mav0" if (root / "mav0").is_dir() else root
-    folder = _Folder(mav0, read_body_frame(mav0 / "body.yaml"), [])
+    folder = _Folder(mav0, read_body_frame(mav0 / "body.yaml"))
     columns = ("p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z", "v_x", "v_y", "v_z")
     biases = ("b_w_x", "b_w_y", "b_w_z", "b_a_x", "b_a_y", "b_a_z")
     if not (mav0 / _GROUND_TRUTH / "data.csv").exists():
         raise InputError(
             f"has no {_GROUND_TRUTH}/data.csv", file=mav0, remedy="give a flight with ground truth"
         )
-    table = folder.table(_GROUND_TRUTH, columns + biases)
+    table = folder.table(_GROUND_TRUTH, columns + biases).value
     R_world = to_frd(folder.body_frame)
     q = _attitude_in_frd(folder, _GROUND_TRUTH, table.values[:, 3:7])
     return GroundTruth(table.t_ns, table.values[:, 0:3] @ R_world.T, q, table.values[:, 7:10] @ R_world.T)
 
 
-def _read_imu(folder: _Folder, stream: str) -> ImuStream:
+def _read_imu(folder: _Folder, stream: str) -> WithProblems[ImuStream]:
     columns = ("w_x", "w_y", "w_z", "a_x", "a_y", "a_z")
-    table = folder.table(stream, columns, min_step_ns=MIN_IMU_STEP_NS)
+    table, problems = folder.table(stream, columns, min_step_ns=MIN_IMU_STEP_NS)
     good = finite(table.values[:, :3])
-    folder.keep(good, stream, "a gyro value that is not finite", table.t_ns)
+    problems += folder.dropped(good, stream, "a gyro value that is not finite", table.t_ns)
     t_ns, values = table.t_ns[good], table.values[good]
     no_accel = ~finite(values[:, 3:])
     if no_accel.any():
         values[no_accel, 3:] = np.nan
-        folder.problems.append(
-            f"{stream}/data.csv: {counted(int(no_accel.sum()), 'row')} without acceleration"
-        )
+        problems += (f"{stream}/data.csv: {counted(int(no_accel.sum()), 'row')} without acceleration",)
     sensor = folder.sensor(stream)
     R_frd_imu = folder.R_frd_sensor(stream, sensor)
     accel_m_s2 = values[:, 3:] @ R_frd_imu.T
-    return ImuStream(
+    imu = ImuStream(
         t_ns,
         values[:, :3] @ R_frd_imu.T,
         accel_m_s2,
         gyro_noise_density=_noise(folder, stream, sensor, "gyroscope_noise_density"),
         gyro_random_walk=_noise(folder, stream, sensor, "gyroscope_random_walk"),
     )
+    return WithProblems(imu, problems)
 
 
 def _noise(folder: _Folder, stream: str, sensor: dict[str, Any], key: str) -> float | None:
@@ -265,13 +266,13 @@ def _noise(folder: _Folder, stream: str, sensor: dict[str, Any], key: str) -> fl
     return float(value)
 
 
-def _read_attitude(folder: _Folder, stream: str) -> AttitudeStream:
-    table = folder.table(stream, ("q_w", "q_x", "q_y", "q_z"))
+def _read_attitude(folder: _Folder, stream: str) -> WithProblems[AttitudeStream]:
+    table, problems = folder.table(stream, ("q_w", "q_x", "q_y", "q_z"))
     length = np.linalg.norm(table.values, axis=1)
     good = np.abs(length - 1.0) <= QUATERNION_TOLERANCE  # NaN is not
-    folder.keep(good, stream, "a quaternion that is not of unit length", table.t_ns)
+    problems += folder.dropped(good, stream, "a quaternion that is not of unit length", table.t_ns)
     q_world_body = _attitude_in_frd(folder, stream, table.values[good])
-    return AttitudeStream(table.t_ns[good], q_world_body)
+    return WithProblems(AttitudeStream(table.t_ns[good], q_world_body), problems)
 
 
 def _attitude_in_frd(folder: _Folder, stream: str, q_world_sensor: FloatArray) -> FloatArray:
@@ -288,18 +289,44 @@ def _attitude_in_frd(folder: _Folder, stream: str, q_world_sensor: FloatArray) -
     return np.roll((Rotation.from_matrix(R_down_world) * rotation).as_quat(), 1, axis=1)
 
 
-def _read_vectors(folder: _Folder, stream: str, columns: tuple[str, ...], *, in_body: bool) -> VectorStream:
-    table = folder.table(stream, columns)
+def _read_position(folder: _Folder, stream: str) -> WithProblems[VectorStream]:
+    return _read_vectors(folder, stream, ("p_x", "p_y", "p_z"), to_frd(folder.body_frame))
+
+
+def _read_velocity(folder: _Folder, stream: str) -> WithProblems[VectorStream]:
+    R_frd_sensor = folder.R_frd_sensor(stream, folder.sensor(stream))
+    return _read_vectors(folder, stream, ("v_x", "v_y", "v_z"), R_frd_sensor)
+
+
+def _read_vectors(
+    folder: _Folder, stream: str, columns: tuple[str, ...], R: FloatArray
+) -> WithProblems[VectorStream]:
+    table, problems = folder.table(stream, columns)
     good = finite(table.values)
-    folder.keep(good, stream, "a value that is not finite", table.t_ns)
-    R = folder.R_frd_sensor(stream, folder.sensor(stream)) if in_body else to_frd(folder.body_frame)
-    return VectorStream(table.t_ns[good], table.values[good] @ R.T)
+    problems += folder.dropped(good, stream, "a value that is not finite", table.t_ns)
+    return WithProblems(VectorStream(table.t_ns[good], table.values[good] @ R.T), problems)
 
 
-def read_corridor_truth(path: Path, problems: list[str]) -> CorridorTruth:
+def _read_range(folder: _Folder, stream: str) -> WithProblems[RangeStream]:
+    table, problems = folder.table(stream, ("distance",))
+    where = Where(folder.path / stream / "data.csv", f"{stream}/data.csv")
+    distances, more = range_stream(table.t_ns, table.values[:, 0], where)
+    return WithProblems(distances, problems + more)
+
+
+_READERS: dict[Kind, Callable[[_Folder, str], WithProblems[Stream]]] = {
+    Kind.IMU: _read_imu,
+    Kind.ATTITUDE: _read_attitude,
+    Kind.POSITION: _read_position,
+    Kind.VELOCITY: _read_velocity,
+    Kind.RANGE: _read_range,
+}
+
+
+def read_corridor_truth(path: Path) -> WithProblems[CorridorTruth]:
     """Read a ``corridor_truth.csv``; its columns may be in any order."""
-    table = read_table(
-        path, _TRUTH_COLUMNS, problems, label=path.name, min_step_ns=MIN_IMU_STEP_NS, by_name=True
+    table, problems = read_table(
+        path, _TRUTH_COLUMNS, label=path.name, min_step_ns=MIN_IMU_STEP_NS, by_name=True
     )
     heading_rad, offset_m, width_m, corridor_id, in_junction = table.values.T
     numbered = np.isfinite(corridor_id) & np.isfinite(in_junction)
@@ -309,6 +336,7 @@ def read_corridor_truth(path: Path, problems: list[str]) -> CorridorTruth:
             file=path,
             remedy="give whole numbers in every row, in_junction 0 or 1",
         )
-    return CorridorTruth(
+    truth = CorridorTruth(
         table.t_ns, heading_rad, offset_m, width_m, corridor_id.astype(np.int64), in_junction != 0.0
     )
+    return WithProblems(truth, problems)

@@ -1,8 +1,12 @@
-"""What every reader does to samples: put them in the order of time, drop those that are no numbers, and say so."""
+"""What every reader does to samples: sort them by time, drop those that are not numbers, and report what was dropped.
+
+Functions that may drop or repair something return it together with the sentences that report it, as `WithProblems`.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +15,17 @@ from fusion.flight import FloatArray, TimeArray
 from vision import InputError
 
 BoolArray = npt.NDArray[np.bool_]
+IndexArray = npt.NDArray[np.int64]
+Problems = tuple[str, ...]
+T_co = TypeVar("T_co", covariant=True)
+
+
+class WithProblems(NamedTuple, Generic[T_co]):
+    """Something that was read, and one sentence for each thing that was dropped or repaired in doing so."""
+
+    value: T_co
+    problems: Problems = ()
+
 
 MIN_STEP_NS = 500_000  # of cameras and slow streams; faster than 2 kHz means another unit
 MIN_IMU_STEP_NS = 50_000
@@ -26,22 +41,19 @@ def counted(n: int, noun: str) -> str:
 def in_order(
     t_ns: TimeArray,
     label: str,
-    problems: list[str],
     min_step_ns: int = MIN_STEP_NS,
     *,
     file: Path | None = None,
     remedy: str = NOT_NANOSECONDS,
-) -> npt.NDArray[np.int64]:
-    """Index (m,) that sorts times (n,) and keeps the first of equal ones.
+) -> WithProblems[IndexArray]:
+    """Index (m,) that sorts times (n,) and keeps the first of equal ones, checked to be nanoseconds.
 
     Parameters
     ----------
     t_ns
         As read.
     label
-        What to call the stream in ``problems``, such as ``imu0/data.csv``.
-    problems
-        What changed is appended here.
+        What to call the stream in problems, such as ``imu0/data.csv``.
     min_step_ns
         A median step below it means that the times are not nanoseconds.
     file, remedy
@@ -52,36 +64,52 @@ def in_order(
     InputError
         Where the times cannot be nanoseconds.
     """
-    index = order_times(t_ns, problems, label)
+    index, problems = order_times(t_ns, label)
     check_nanoseconds(t_ns[index], file, min_step_ns, remedy if file is not None else f"{label}: {remedy}")
-    return index
+    return WithProblems(index, problems)
 
 
-def order_times(t_ns: TimeArray, problems: list[str], label: str) -> npt.NDArray[np.int64]:
-    """Index (m,) that sorts times and keeps the first of equal ones; ``problems`` say what changed."""
+def order_times(t_ns: TimeArray, label: str) -> WithProblems[IndexArray]:
+    """Index (m,) that sorts times (n,) and keeps the first of equal ones; ``label`` names them in problems."""
     steps = np.diff(t_ns)
     if steps.size == 0 or steps.min() > 0:
-        return np.arange(len(t_ns))
+        return WithProblems(np.arange(len(t_ns)))
+    problems: Problems = ()
     backwards = int(np.count_nonzero(steps < 0))
     if backwards:
         first = int(t_ns[1:][steps < 0][0])
-        problems.append(
-            f"{label}: times go backwards in {counted(backwards, 'place')} (first at {first}), rows sorted"
+        problems += (
+            f"{label}: times go backwards in {counted(backwards, 'place')} (first at {first}), rows sorted",
         )
     index = np.argsort(t_ns, kind="stable")
     repeated = np.concatenate([[False], np.diff(t_ns[index]) == 0])
     if repeated.any():
         first = int(t_ns[index][repeated][0])
-        problems.append(
-            f"{label}: {counted(int(repeated.sum()), 'row')} with a repeated time (first {first}) dropped"
+        problems += (
+            f"{label}: {counted(int(repeated.sum()), 'row')} with a repeated time (first {first}) dropped",
         )
-    return np.asarray(index[~repeated])
+    return WithProblems(np.asarray(index[~repeated]), problems)
 
 
 def check_nanoseconds(
     t_ns: TimeArray, file: Path | None, min_step_ns: int, remedy: str = NOT_NANOSECONDS
 ) -> None:
-    """Raise `InputError` where strictly increasing times are too close together to be nanoseconds."""
+    """Refuse times that are too close together to be nanoseconds.
+
+    Parameters
+    ----------
+    t_ns
+        Strictly increasing times (n,).
+    file, remedy
+        Named in the error.
+    min_step_ns
+        Least median step that is plausible.
+
+    Raises
+    ------
+    InputError
+        Where the median step is smaller.
+    """
     if len(t_ns) < 3:
         return
     step = int(np.median(np.diff(t_ns)))
@@ -105,16 +133,15 @@ def finite(values: FloatArray) -> BoolArray:
     return np.asarray(np.isfinite(values).all(axis=1))
 
 
-def keep_good(
+def report_dropped(
     good: BoolArray,
     t_ns: TimeArray,
     what: str,
     label: str,
-    problems: list[str],
     *,
     file: Path | None = None,
     remedy: str = "choose another stream",
-) -> None:
+) -> Problems:
     """Report the rows that are not good: "2 rows with ``what`` dropped"; the caller drops them.
 
     Parameters
@@ -125,8 +152,8 @@ def keep_good(
         Their times (n,).
     what
         What is wrong with the others, such as "a gyro value that is not finite".
-    label, problems
-        As for `in_order`.
+    label
+        What to call the stream.
     file, remedy
         Named where no row is left.
 
@@ -139,6 +166,7 @@ def keep_good(
     if bad == len(good):
         which = "every row has" if file is not None else f"{label}: every row has"
         raise InputError(f"{which} {what}", file=file, remedy=remedy)
-    if bad:
-        first = int(t_ns[~good][0])
-        problems.append(f"{label}: {counted(bad, 'row')} with {what} dropped (first at {first})")
+    if not bad:
+        return ()
+    first = int(t_ns[~good][0])
+    return (f"{label}: {counted(bad, 'row')} with {what} dropped (first at {first})",)

@@ -1,4 +1,4 @@
-"""What the readers of recorded logs share: times put right, samples cleaned, topics read when asked for."""
+"""What the readers of recorded logs share: times cleaned, samples cleaned, topics read when they are asked for."""
 
 from __future__ import annotations
 
@@ -19,25 +19,28 @@ from fusion.flight import (
     TimeArray,
     VectorStream,
 )
-from fusion.logs.contents import Kind, Topic
+from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.interpolation import attitude_at
 from fusion.logs.samples import (
     MIN_IMU_STEP_NS,
     BoolArray,
+    IndexArray,
+    Problems,
+    WithProblems,
     counted,
     finite,
     in_order,
-    keep_good,
+    report_dropped,
 )
 from vision import Camera, InputError
 
-IndexArray = npt.NDArray[np.int64]
 Stream = ImuStream | AttitudeStream | VectorStream | RangeStream
-Read = Callable[[list[str]], Stream]
+Read = Callable[[], WithProblems[Stream]]
 
 QUATERNION_TOLERANCE = 0.05  # of its length; more is not rounding but damage
 LATEST_NS = 2**62  # the year 2116; later is no time but damage
 
-STRAY_WINDOW = 11  # samples; up to five damaged ones side by side are told from the rest
+STRAY_WINDOW = 11  # samples; up to five damaged ones side by side are recognised
 STRAY_NS = 500_000_000
 CLOCK_BACK_NS = 1_000_000_000  # less is jitter and is sorted
 CLOCK_AHEAD_NS = 3_600_000_000_000
@@ -49,24 +52,21 @@ MAX_POSITION = 1e7
 MAX_VELOCITY = 1e4
 MAX_DISTANCE_M = 100.0
 
-MAX_ATTITUDE_GAP_NS = 500_000_000
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Where:
-    """What to call a stream in messages, and where to put them."""
+    """What to call a stream in messages, and the file that it is from."""
 
     file: Path
     label: str
-    problems: list[str]
 
-    def keep(self, good: BoolArray, t_ns: TimeArray, what: str) -> None:
-        """Report the rows that are not good; `InputError` where none is."""
+    def dropped(self, good: BoolArray, t_ns: TimeArray, what: str) -> Problems:
+        """Report the rows (n,) that are not good; the caller drops them. `InputError` where none is good."""
         if not good.any():
             raise InputError(
                 f"{self.label}: every row has {what}", file=self.file, remedy="choose another topic"
             )
-        keep_good(good, t_ns, what, self.label, self.problems)
+        return report_dropped(good, t_ns, what, self.label)
 
 
 def nanoseconds(ticks: npt.NDArray[np.generic], tick_ns: int) -> TimeArray:
@@ -76,7 +76,7 @@ def nanoseconds(ticks: npt.NDArray[np.generic], tick_ns: int) -> TimeArray:
     return np.where(ok, unsigned * np.uint64(tick_ns), LATEST_NS).astype(np.int64)
 
 
-def usable(t_ns: TimeArray, where: Where, min_step_ns: int = MIN_IMU_STEP_NS) -> IndexArray:
+def usable(t_ns: TimeArray, where: Where, min_step_ns: int = MIN_IMU_STEP_NS) -> WithProblems[IndexArray]:
     """Index (m,) of the samples whose time can be trusted, in the order of time.
 
     Damaged times, far from those of the samples around them, are dropped. Where the clock was set back, or far ahead,
@@ -87,27 +87,31 @@ def usable(t_ns: TimeArray, where: Where, min_step_ns: int = MIN_IMU_STEP_NS) ->
     InputError
         Where no sample is left, or the times cannot be nanoseconds.
     """
-    index = np.flatnonzero((t_ns >= 0) & (t_ns < LATEST_NS))
+    problems: Problems = ()
+    possible = (t_ns >= 0) & (t_ns < LATEST_NS)
+    index = np.flatnonzero(possible)
     if len(index) < len(t_ns):
-        where.keep((t_ns >= 0) & (t_ns < LATEST_NS), t_ns, "a time that cannot be one")
+        problems += where.dropped(possible, t_ns, "a time that cannot be one")
     if len(index) == 0:
         raise InputError(f"{where.label} has no samples", file=where.file, remedy="choose another topic")
     steps = np.diff(t_ns[index])
     if steps.size and (steps.min() < 0 or steps.max() > STRAY_NS):
-        index = index[_not_stray(t_ns[index], where)]
-        index = index[_longest_stretch(t_ns[index], where)]
-    order = in_order(
+        kept, strays = _without_strays(t_ns[index], where)
+        index = index[kept]
+        stretch, jumps = _longest_stretch(t_ns[index], where)
+        index = index[stretch]
+        problems += strays + jumps
+    order, disorder = in_order(
         t_ns[index],
         where.label,
-        where.problems,
         min_step_ns,
         file=where.file,
         remedy="its times are wrong or in another unit; choose another topic",
     )
-    return np.asarray(index[order])
+    return WithProblems(np.asarray(index[order]), problems + disorder)
 
 
-def _not_stray(t_ns: TimeArray, where: Where) -> IndexArray:
+def _without_strays(t_ns: TimeArray, where: Where) -> WithProblems[IndexArray]:
     from scipy.ndimage import median_filter
 
     half = min(STRAY_WINDOW, len(t_ns)) // 2
@@ -117,63 +121,84 @@ def _not_stray(t_ns: TimeArray, where: Where) -> IndexArray:
     limit_ns = max(STRAY_NS, 8 * int(np.median(np.abs(np.diff(t_ns)))))
     good = np.abs(t_ns - around) <= limit_ns
     if not good.any():
-        return np.arange(len(t_ns))
-    where.keep(good, t_ns, "a time far from its neighbours'")
-    return np.flatnonzero(good)
+        return WithProblems(np.arange(len(t_ns)))
+    return WithProblems(np.flatnonzero(good), where.dropped(good, t_ns, "a time far from its neighbours'"))
 
 
-def _longest_stretch(t_ns: TimeArray, where: Where) -> slice:
+def _longest_stretch(t_ns: TimeArray, where: Where) -> WithProblems[slice]:
     steps = np.diff(t_ns)
     cuts = np.flatnonzero((steps < -CLOCK_BACK_NS) | (steps > CLOCK_AHEAD_NS)) + 1
     if cuts.size == 0:
-        return slice(None)
+        return WithProblems(slice(None))
     edges = [0, *cuts.tolist(), len(t_ns)]
     lengths = np.diff(edges)
     longest = int(np.argmax(lengths))
     jump_s = float(steps[cuts[0] - 1]) * 1e-9
-    where.problems.append(
+    problem = (
         f"{where.label}: the clock jumps by {jump_s:+.3g} s at {t_ns[cuts[0] - 1]}; only the longest of "
         f"{len(lengths)} stretches is used, {counted(len(t_ns) - int(lengths[longest]), 'sample')} left out"
     )
-    return slice(edges[longest], edges[longest + 1])
+    return WithProblems(slice(edges[longest], edges[longest + 1]), (problem,))
 
 
-def imu_stream(t_ns: TimeArray, gyro_rad_s: FloatArray, accel_m_s2: FloatArray, where: Where) -> ImuStream:
-    """Clean IMU samples, body FRD; rows without acceleration keep NaN there."""
-    index = usable(t_ns, where)
+def imu_stream(
+    t_ns: TimeArray, gyro_rad_s: FloatArray, accel_m_s2: FloatArray, where: Where
+) -> WithProblems[ImuStream]:
+    """Clean IMU samples; rows without acceleration keep NaN there.
+
+    Parameters
+    ----------
+    t_ns
+        Times (n,), as read.
+    gyro_rad_s, accel_m_s2
+        Angular rate and specific force (n, 3), body FRD.
+    where
+        What to call the stream.
+    """
+    index, problems = usable(t_ns, where)
     t_ns, gyro_rad_s, accel_m_s2 = t_ns[index], gyro_rad_s[index], accel_m_s2[index]
     good = _within(gyro_rad_s, MAX_RATE)
-    where.keep(good, t_ns, "a gyro value that is none")
+    problems += where.dropped(good, t_ns, "a gyro value that is none")
     t_ns, gyro_rad_s, accel_m_s2 = t_ns[good], gyro_rad_s[good], accel_m_s2[good]
     without = ~_within(accel_m_s2, MAX_ACCELERATION)
     if without.any():
         accel_m_s2 = np.where(without[:, None], np.nan, accel_m_s2)
-        where.problems.append(
-            f"{where.label}: {counted(int(np.count_nonzero(without)), 'row')} without acceleration"
-        )
-    return ImuStream(t_ns, gyro_rad_s, accel_m_s2)
+        problems += (f"{where.label}: {counted(int(np.count_nonzero(without)), 'row')} without acceleration",)
+    return WithProblems(ImuStream(t_ns, gyro_rad_s, accel_m_s2), problems)
 
 
-def attitude_stream(t_ns: TimeArray, q_world_body: FloatArray, where: Where) -> AttitudeStream:
+def attitude_stream(t_ns: TimeArray, q_world_body: FloatArray, where: Where) -> WithProblems[AttitudeStream]:
     """Clean quaternions (n, 4), w x y z, body FRD to world z down, and make them of unit length."""
-    index = usable(t_ns, where)
+    index, problems = usable(t_ns, where)
     t_ns, q_world_body = t_ns[index], q_world_body[index]
     with np.errstate(over="ignore", invalid="ignore"):
         length = np.linalg.norm(q_world_body, axis=1)
     good = np.abs(length - 1.0) <= QUATERNION_TOLERANCE  # NaN is not
-    where.keep(good, t_ns, "a quaternion that is not of unit length")
-    return AttitudeStream(t_ns[good], q_world_body[good] / length[good, None])
+    problems += where.dropped(good, t_ns, "a quaternion that is not of unit length")
+    return WithProblems(AttitudeStream(t_ns[good], q_world_body[good] / length[good, None]), problems)
 
 
 def vector_stream(
     t_ns: TimeArray, xyz: FloatArray, where: Where, limit: float, what: str = "a value that is none"
-) -> VectorStream:
-    """Clean positions or velocities (n, 3); ``limit`` is more than a sound one can be."""
-    index = usable(t_ns, where)
+) -> WithProblems[VectorStream]:
+    """Clean positions or velocities.
+
+    Parameters
+    ----------
+    t_ns, xyz
+        Times (n,) and vectors (n, 3), as read.
+    where
+        What to call the stream.
+    limit
+        More than a sound component can be, in the unit of ``xyz``.
+    what
+        What is wrong with the rows that are dropped.
+    """
+    index, problems = usable(t_ns, where)
     t_ns, xyz = t_ns[index], xyz[index]
     good = _within(xyz, limit)
-    where.keep(good, t_ns, what)
-    return VectorStream(t_ns[good], xyz[good])
+    problems += where.dropped(good, t_ns, what)
+    return WithProblems(VectorStream(t_ns[good], xyz[good]), problems)
 
 
 def range_stream(
@@ -183,7 +208,7 @@ def range_stream(
     *,
     limits_m: tuple[npt.ArrayLike, npt.ArrayLike] = (0.0, MAX_DISTANCE_M),
     trusted: BoolArray | None = None,
-) -> RangeStream:
+) -> WithProblems[RangeStream]:
     """Clean distances (n,) to the floor: what is out of the sensor's reach is no distance.
 
     Parameters
@@ -207,10 +232,10 @@ def range_stream(
         good = (distance_m > low_m) & (distance_m < high_m)
     if trusted is not None:
         good &= trusted
-    index = usable(t_ns, where)
+    index, problems = usable(t_ns, where)
     t_ns, distance_m, good = t_ns[index], distance_m[index], good[index]
-    where.keep(good, t_ns, "no distance within the sensor's reach")
-    return RangeStream(t_ns[good], distance_m[good])
+    problems += where.dropped(good, t_ns, "no distance within the sensor's reach")
+    return WithProblems(RangeStream(t_ns[good], distance_m[good]), problems)
 
 
 def _within(values: FloatArray, limit: float) -> BoolArray:
@@ -243,49 +268,24 @@ def into_body(q_world_body: FloatArray, v_world: FloatArray) -> FloatArray:
 
 def velocity_stream(
     t_ns: TimeArray, v_world_m_s: FloatArray, attitude: AttitudeStream, where: Where
-) -> VectorStream:
-    """Velocities of the world, turned into the body by the attitude at their times.
+) -> WithProblems[VectorStream]:
+    """Clean velocities of the world and turn them into the body by the attitude at their times.
 
     What lies outside the attitude, or in a gap of it of more than half a second, is dropped.
+
+    Parameters
+    ----------
+    t_ns, v_world_m_s
+        Times (n,) and velocities (n, 3), world z down, as read.
+    attitude
+        Body FRD to the same world.
+    where
+        What to call the stream.
     """
-    world = vector_stream(t_ns, v_world_m_s, where, MAX_VELOCITY)
+    world, problems = vector_stream(t_ns, v_world_m_s, where, MAX_VELOCITY)
     q_world_body, known = attitude_at(attitude, world.t_ns)
-    where.keep(known, world.t_ns, "no attitude to turn it into the body")
-    return VectorStream(world.t_ns[known], into_body(q_world_body, world.xyz)[known])
-
-
-def interpolated(samples: VectorStream, t_ns: TimeArray, max_gap_ns: int) -> FloatArray:
-    """Values (m, 3) at times (m,); NaN outside the samples and in their gaps."""
-    before, after, share, known = _around(samples.t_ns, t_ns, max_gap_ns)
-    values = (1.0 - share) * samples.xyz[before] + share * samples.xyz[after]
-    return np.where(known[:, None], values, np.nan)
-
-
-def attitude_at(attitude: AttitudeStream, t_ns: TimeArray) -> tuple[FloatArray, BoolArray]:
-    """Attitude (m, 4) at times (m,), and whether (m,) it is known there.
-
-    Neighbours are close, so that the chord between them will do for the arc.
-    """
-    before, after, share, known = _around(attitude.t_ns, t_ns, MAX_ATTITUDE_GAP_NS)
-    q0, q1 = attitude.q_world_body[before], attitude.q_world_body[after]
-    q1 = np.where(np.sum(q0 * q1, axis=1, keepdims=True) < 0.0, -q1, q1)
-    q = (1.0 - share) * q0 + share * q1
-    length = np.linalg.norm(q, axis=1, keepdims=True)
-    return np.where(length > 0.1, q / np.maximum(length, 0.1), q0), known
-
-
-def _around(
-    known_ns: TimeArray, t_ns: TimeArray, max_gap_ns: int
-) -> tuple[IndexArray, IndexArray, FloatArray, BoolArray]:
-    """Find the samples before and after each time (m,), how far between them it is (m, 1), and if they are close."""
-    last = len(known_ns) - 1
-    after = np.clip(np.searchsorted(known_ns, t_ns), 0, last)
-    exact = known_ns[after] == t_ns
-    before = np.where(exact, after, np.clip(after - 1, 0, last))
-    gap_ns = known_ns[after] - known_ns[before]
-    inside = (t_ns > known_ns[before]) & (t_ns < known_ns[after]) & (gap_ns <= max_gap_ns)
-    share = np.where(inside, (t_ns - known_ns[before]) / np.maximum(gap_ns, 1), 0.0)
-    return before, after, share[:, None], np.asarray(exact | inside)
+    problems += where.dropped(known, world.t_ns, "no attitude to turn it into the body")
+    return WithProblems(VectorStream(world.t_ns[known], into_body(q_world_body, world.xyz)[known]), problems)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -296,7 +296,7 @@ class Series:
     read: Read
 
 
-class SeriesLog:
+class SeriesLog(LogContents):
     """`LogContents` of a log without pictures, or of one whose subclass reads them."""
 
     def __init__(
@@ -308,7 +308,7 @@ class SeriesLog:
         self.problems = tuple(problems)
         self._read = {(item.topic.kind, item.topic.name): item.read for item in series}
 
-    def frames(self, topic: str, problems: list[str]) -> FrameStream:
+    def frames(self, topic: str) -> WithProblems[FrameStream]:
         """Refuse: these logs carry no pictures."""
         raise InputError(
             f"{self.format} carries no pictures", file=self.path, remedy="give the pictures from another file"
@@ -318,34 +318,44 @@ class SeriesLog:
         """Return None: no calibration either."""
         return None
 
-    def imu(self, topic: str, problems: list[str]) -> ImuStream:
+    def imu(self, topic: str) -> WithProblems[ImuStream]:
         """Gyroscope and accelerometer, body FRD."""
-        return cast(ImuStream, self._stream(Kind.IMU, topic, problems))
+        return cast(WithProblems[ImuStream], self._stream(Kind.IMU, topic))
 
-    def attitude(self, topic: str, problems: list[str]) -> AttitudeStream:
+    def attitude(self, topic: str) -> WithProblems[AttitudeStream]:
         """Body FRD to world z down."""
-        return cast(AttitudeStream, self._stream(Kind.ATTITUDE, topic, problems))
+        return cast(WithProblems[AttitudeStream], self._stream(Kind.ATTITUDE, topic))
 
-    def position(self, topic: str, problems: list[str]) -> VectorStream:
+    def position(self, topic: str) -> WithProblems[VectorStream]:
         """World, z down."""
-        return cast(VectorStream, self._stream(Kind.POSITION, topic, problems))
+        return cast(WithProblems[VectorStream], self._stream(Kind.POSITION, topic))
 
-    def velocity(self, topic: str, problems: list[str]) -> VectorStream:
+    def velocity(self, topic: str) -> WithProblems[VectorStream]:
         """Body FRD."""
-        return cast(VectorStream, self._stream(Kind.VELOCITY, topic, problems))
+        return cast(WithProblems[VectorStream], self._stream(Kind.VELOCITY, topic))
 
-    def range(self, topic: str, problems: list[str]) -> RangeStream:
+    def range(self, topic: str) -> WithProblems[RangeStream]:
         """Distance to the floor along the body's z."""
-        return cast(RangeStream, self._stream(Kind.RANGE, topic, problems))
+        return cast(WithProblems[RangeStream], self._stream(Kind.RANGE, topic))
 
-    def _stream(self, kind: Kind, topic: str, problems: list[str]) -> Stream:
+    def _stream(self, kind: Kind, topic: str) -> WithProblems[Stream]:
         if (kind, topic) not in self._read:
             raise no_such_topic(self.path, self.topics, kind, topic)
-        return self._read[kind, topic](problems)
+        return self._read[kind, topic]()
 
 
 def no_such_topic(path: Path, topics: Sequence[Topic], kind: Kind, name: str) -> InputError:
-    """Say which topics of a kind there are."""
+    """Make the error for a topic that is not there, which says what topics of its kind there are.
+
+    Parameters
+    ----------
+    path
+        The log.
+    topics
+        Those it has.
+    kind, name
+        What was asked for.
+    """
     there = ", ".join(topic.name for topic in topics if topic.kind == kind)
     return InputError(
         f"has no {kind} topic {name}",

@@ -1,7 +1,7 @@
 """Which topic of a log a flight is made of, where the manifest leaves it open.
 
 A log may hold several of a kind. Where one is clearly the vehicle's own it is taken; otherwise nobody but the user
-can know, and is asked: for pictures and IMU by an error, for the rest by leaving the stream out and saying so.
+can know, and is asked: for pictures and IMU by an error, for the rest by leaving the stream out with a problem.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import re
 from collections.abc import Sequence
 
 from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.samples import WithProblems
 from vision import InputError
 
 # Their readers list an autopilot's streams in the order in which its own estimator would trust them.
@@ -73,7 +74,7 @@ TABLES = {
 }
 
 
-def choose_topic(log: LogContents, kind: Kind, wanted: str | None, problems: list[str]) -> str | None:
+def choose_topic(log: LogContents, kind: Kind, wanted: str | None = None) -> WithProblems[str | None]:
     """Name the topic to read as a kind; None where the log has none, or no clear one.
 
     Parameters
@@ -84,8 +85,11 @@ def choose_topic(log: LogContents, kind: Kind, wanted: str | None, problems: lis
         What to look for.
     wanted
         The topic that the manifest names, if it does.
-    problems
-        A sentence is appended where an ambiguous stream is left out.
+
+    Returns
+    -------
+    WithProblems
+        The topic, with a sentence where an ambiguous stream is left out.
 
     Raises
     ------
@@ -94,19 +98,19 @@ def choose_topic(log: LogContents, kind: Kind, wanted: str | None, problems: lis
     """
     names = _in_use(log, kind)
     if wanted is not None:
-        return _wanted(log, kind, wanted)
+        return WithProblems(_wanted(log, kind, wanted))
     if len(names) <= 1 or log.format in RANKED_FORMATS:
-        return names[0] if names else None
+        return WithProblems(names[0] if names else None)
     best = _best(names, kind)
     if len(best) == 1:
-        return best[0]
+        return WithProblems(best[0])
     listed, table = _listed(names), TABLES[kind]
     if kind not in (Kind.FRAMES, Kind.IMU):
-        problems.append(
+        problem = (
             f"{log.path.name}: {len(names)} topics of {WORDS[kind]} ({listed}), none used: name one in flight.toml, "
             f'[{table}] topic = "{best[0]}"'
         )
-        return None
+        return WithProblems(None, (problem,))
     what = f"{len(names)} cameras" if kind is Kind.FRAMES else f"{len(names)} IMUs"
     raise InputError(
         f"holds {what}: {listed}",
@@ -141,7 +145,7 @@ def _best(names: Sequence[str], kind: Kind) -> list[str]:
 
 
 def _one_per_camera(names: Sequence[str]) -> list[str]:
-    """Leave one name per camera: a raw picture and its compressed copy are the same, depth is none."""
+    """Leave one name per camera: a raw picture and its compressed copy are the same, depth is no camera."""
     cameras: dict[str, str] = {}
     for name in sorted(names, key=len):
         if not re.search(r"depth|disparity", name, re.IGNORECASE):

@@ -4,61 +4,31 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import replace
 from heapq import merge
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.engine import Entry
+from fusion.estimator.estimate import estimate_of
 from fusion.estimator.estimator import CorridorEstimator
-from fusion.estimator.frame_update import FrameResult
-from fusion.estimator.smoothed_table import estimate_row, smoothed_table
+from fusion.estimator.frame_update import FrameResult, FrameSample
+from fusion.estimator.imu_yaw import AttitudeSample
+from fusion.estimator.propagation import ImuSample
+from fusion.estimator.smoothed_table import smoothed_table
 from fusion.estimator.smoother import Steps
-from fusion.estimator.state import describe
-from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table
-from fusion.estimator.timeline import Entry, Kind
+from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table, estimate_row
 from fusion.flight import Flight
+from fusion.offline.summary import summarise
+from fusion.progress import Progress
+from fusion.result.result import FusionResult, Timings
 from vision.errors import InputError
 from vision.measurement import FrameMeasurement, position_from_offset
 
-if TYPE_CHECKING:
-    from fusion.offline.summary import Timings
-
-Progress = Callable[[int, int], None]
-
 BLOCK_ROWS = 4096
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FusionResult:
-    """A fused flight.
-
-    Parameters
-    ----------
-    flight_name
-        Of the flight.
-    config
-        Settings as used: noise that the log declares is filled in.
-    estimates, smoothed
-        The causal filter and the smoother, arrays of `fusion.estimator.tables.ESTIMATE_DTYPE`, a row per propagation
-        step.
-    frames
-        A row of `fusion.estimator.tables.FRAME_DTYPE` per camera frame.
-    summary
-        Verdict, counts, rates, timings and errors against the truth: plain values, ready for JSON.
-    problems
-        What was wrong with the log and with its samples, a sentence each.
-    """
-
-    flight_name: str
-    config: FusionConfig
-    estimates: Table
-    smoothed: Table
-    frames: Table
-    summary: dict[str, Any] = field(default_factory=dict)
-    problems: tuple[str, ...] = ()
 
 
 def fuse_flight(
@@ -88,23 +58,19 @@ def fuse_flight(
     InputError
         Where the method is unknown or the flight has no frames.
     """
-    from fusion.offline.summary import Timings, summarise
-
     started = time.perf_counter()
     if not len(flight.frames.t_ns):
         raise InputError("the flight has no camera frames", remedy="check mav0/cam0/data.csv of the log")
     settings = _with_declared_values(config or FusionConfig(), flight)
     recorder = Recorder(settings, _row_kind(flight))
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
-    timings = Timings()
-    _feed(estimator, flight, progress, timings)
+    vision_s = _feed(estimator, flight, progress)
     estimator.finish()
     recorder.finish()
-    timings.filter_s = time.perf_counter() - started - timings.vision_s
-    before = time.perf_counter()
+    filtered = time.perf_counter()
     smoothed = recorder.smoothed()
-    timings.smoother_s = time.perf_counter() - before
-    timings.total_s = time.perf_counter() - started
+    ended = time.perf_counter()
+    timings = Timings(vision_s, filtered - started - vision_s, ended - filtered, ended - started)
     result = FusionResult(
         flight_name=flight.name,
         config=settings,
@@ -113,7 +79,7 @@ def fuse_flight(
         frames=np.array(recorder.frames, dtype=FRAME_DTYPE),
         problems=(*flight.problems, *_sample_problems(estimator)),
     )
-    return summarise(result, flight, method, estimator.counters, timings)
+    return replace(result, overview=summarise(result, flight, method, estimator.counters, timings))
 
 
 def _with_declared_values(config: FusionConfig, flight: Flight) -> FusionConfig:
@@ -131,56 +97,53 @@ def _with_declared_values(config: FusionConfig, flight: Flight) -> FusionConfig:
     return config.model_copy(update=declared)
 
 
-def _row_kind(flight: Flight) -> Kind:
+def _row_kind(flight: Flight) -> type[ImuSample | AttitudeSample | FrameSample]:
     """Kind of sample that makes a row: what propagates."""
     if flight.imu is not None and len(flight.imu.t_ns):
-        return Kind.IMU
+        return ImuSample
     if flight.attitude is not None and len(flight.attitude.t_ns):
-        return Kind.ATTITUDE
-    return Kind.FRAME
+        return AttitudeSample
+    return FrameSample
 
 
-def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | None, timings: Timings) -> None:
-    """Give the estimator all samples, in order of the time they tell of."""
+def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | None) -> float:
+    """Give the estimator all samples, in order of measurement time; return the seconds spent on pictures."""
+    vision_s = 0.0
     delay_ns = round(estimator.config.camera_delay_s * 1e9)
-    streams: list[Iterator[tuple[int, int, int]]] = [_times(flight.frames.t_ns - delay_ns, Kind.FRAME)]
-    gyro = accel = q = v = np.zeros((0, 3))
-    if flight.imu is not None:
-        gyro, accel = flight.imu.gyro_rad_s, flight.imu.accel_m_s2
-        streams.append(_times(flight.imu.t_ns, Kind.IMU))
-    if flight.attitude is not None:
-        q = flight.attitude.q_world_body
-        streams.append(_times(flight.attitude.t_ns, Kind.ATTITUDE))
-    if flight.velocity is not None:
-        v = flight.velocity.xyz
-        streams.append(_times(flight.velocity.t_ns, Kind.VELOCITY))
-    distance_m = np.zeros(0)
-    if flight.range is not None:
-        distance_m = flight.range.distance_m
-        streams.append(_times(flight.range.t_ns, Kind.RANGE))
     total = len(flight.frames.t_ns)
-    for t_ns, kind, i in merge(*streams):
-        if kind == Kind.IMU:
-            estimator.add_imu(t_ns, gyro[i], accel[i])
-        elif kind == Kind.ATTITUDE:
-            estimator.add_attitude(t_ns, q[i])
-        elif kind == Kind.VELOCITY:
-            estimator.add_velocity(t_ns, v[i])
-        elif kind == Kind.RANGE:
-            estimator.add_range(t_ns, distance_m[i])
-        else:
-            before = time.perf_counter()
-            try:
-                estimator.add_frame(t_ns + delay_ns, flight.frames.read(i))
-            except InputError:
-                estimator.add_unreadable_frame(t_ns + delay_ns)
-            timings.vision_s += time.perf_counter() - before
-            if progress is not None:
-                progress(i + 1, total)
+
+    def add_frame(t_ns: int, i: int) -> None:
+        nonlocal vision_s
+        before = time.perf_counter()
+        try:
+            estimator.add_frame(t_ns + delay_ns, flight.frames.read(i))
+        except InputError:
+            estimator.add_unreadable_frame(t_ns + delay_ns)
+        vision_s += time.perf_counter() - before
+        if progress is not None:
+            progress(i + 1, total)
+
+    streams: list[tuple[npt.NDArray[np.int64], Callable[[int, int], object]]] = []
+    if (imu := flight.imu) is not None:
+        gyro, accel = imu.gyro_rad_s, imu.accel_m_s2
+        streams.append((imu.t_ns, lambda t_ns, i: estimator.add_imu(t_ns, gyro[i], accel[i])))
+    if (attitude := flight.attitude) is not None:
+        q = attitude.q_world_body
+        streams.append((attitude.t_ns, lambda t_ns, i: estimator.add_attitude(t_ns, q[i])))
+    if (velocity := flight.velocity) is not None:
+        v = velocity.xyz
+        streams.append((velocity.t_ns, lambda t_ns, i: estimator.add_velocity(t_ns, v[i])))
+    if (ranges := flight.range) is not None:
+        distance_m = ranges.distance_m
+        streams.append((ranges.t_ns, lambda t_ns, i: estimator.add_range(t_ns, float(distance_m[i]))))
+    streams.append((flight.frames.t_ns - delay_ns, add_frame))
+    for t_ns, k, i in merge(*(_times(times, k) for k, (times, _) in enumerate(streams))):
+        streams[k][1](t_ns, i)
+    return vision_s
 
 
-def _times(t_ns: npt.NDArray[np.int64], kind: Kind) -> Iterator[tuple[int, int, int]]:
-    return ((int(t), int(kind), i) for i, t in enumerate(t_ns))
+def _times(t_ns: npt.NDArray[np.int64], stream: int) -> Iterator[tuple[int, int, int]]:
+    return ((int(t), stream, i) for i, t in enumerate(t_ns))
 
 
 def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
@@ -199,7 +162,7 @@ def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
 class Recorder:
     """Collects, from the entries that leave the buffer, the rows of the tables and the smoother's steps."""
 
-    def __init__(self, config: FusionConfig, row_kind: Kind) -> None:
+    def __init__(self, config: FusionConfig, row_kind: type[object]) -> None:
         self.config = config
         self.row_kind = row_kind
         self.frames: list[tuple[Any, ...]] = []
@@ -220,7 +183,7 @@ class Recorder:
         if entry.frame is not None:
             self.frames.append(frame_row(entry.frame, self.config))
         self._pending = entry
-        self._pending_is_row |= entry.kind is self.row_kind
+        self._pending_is_row |= type(entry.sample) is self.row_kind
 
     def finish(self) -> None:
         """Close the last instant."""
@@ -231,7 +194,7 @@ class Recorder:
         # A row stands for its instant after all samples of that time, whatever their order of arrival.
         state = None if self._pending is None else self._pending.after
         if self._pending_is_row and state is not None:
-            self._rows.append(estimate_row(describe(state, self.config)))
+            self._rows.append(estimate_row(estimate_of(state, self.config)))
             self._row_steps.append(self.steps.count - 1)
             if len(self._rows) >= BLOCK_ROWS:
                 self._pack()

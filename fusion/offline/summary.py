@@ -1,75 +1,62 @@
-"""What `summary.json` says of a fused flight: verdict, counts, rates, timings, errors against the truth."""
+"""The summary of a fused flight: verdict, counts, rates, timings, errors against the truth."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.tables import Table
+from fusion.evaluation.checks import run_checks
+from fusion.evaluation.errors import evaluate
+from fusion.evaluation.verdict import overall
 from fusion.flight import Flight
+from fusion.result.result import FusionResult, Timings
+from fusion.result.summary import CorridorStretch, Counts, FlightErrors, Rates, SpeedSummary, Summary
 
-if TYPE_CHECKING:
-    from fusion.offline.fuse import FusionResult
-
-
-@dataclass(slots=True)
-class Timings:
-    """Seconds of wall clock: pictures (reading and measuring), filter, smoother, all."""
-
-    vision_s: float = 0.0
-    filter_s: float = 0.0
-    smoother_s: float = 0.0
-    total_s: float = 0.0
+_DROPPED_ENDINGS = ("_late", "_duplicate", "_not_finite", "_not_unit", "_not_positive", "_set_back")
 
 
 def summarise(
     result: FusionResult, flight: Flight, method: str, counters: Mapping[str, int], timings: Timings
-) -> FusionResult:
-    """Return the result with its summary filled in."""
-    from fusion.evaluation.checks import run_checks
-    from fusion.evaluation.verdict import overall
+) -> Summary:
+    """Summarise a fused flight.
 
+    Parameters
+    ----------
+    result, flight
+        What was fused, and what it was made from.
+    method
+        How the pictures were measured.
+    counters
+        Samples that the estimator took and dropped, by name.
+    timings
+        What the run cost.
+    """
     duration_s = _duration_s(result, flight)
-    summary: dict[str, Any] = {
-        "flight": result.flight_name,
-        "method": method,
-        "duration_s": duration_s,
-        "counts": _counts(result, counters),
-        "rates": {
-            "frames_hz": _rate(flight.frames.t_ns),
-            "imu_hz": None if flight.imu is None else _rate(flight.imu.t_ns),
-            "attitude_hz": None if flight.attitude is None else _rate(flight.attitude.t_ns),
-        },
-        "timings": _timings(result.frames, timings, duration_s),
-        "status_share": _status_share(result.estimates),
-        "corridors": _corridors(result),
-        "errors": _errors(result, flight),
-        "problems": list(result.problems),
-        "config": result.config.model_dump(),
-    }
-    result = replace(result, summary=summary)
     checks = run_checks(result, flight)
-    verdict = {
-        "verdict": str(overall(checks)),
-        "checks": [
-            {
-                "name": check.name,
-                "level": str(check.level),
-                "value": check.value,
-                "limit": check.limit,
-                "meaning": check.meaning,
-                "action": check.action,
-            }
-            for check in checks
-        ],
-    }
-    return replace(result, summary=verdict | summary)
+    return Summary(
+        verdict=overall(checks),
+        checks=checks,
+        flight=result.flight_name,
+        method=method,
+        duration_s=duration_s,
+        counts=_counts(result, counters),
+        rates=Rates(
+            frames_hz=_rate(flight.frames.t_ns),
+            imu_hz=None if flight.imu is None else _rate(flight.imu.t_ns),
+            attitude_hz=None if flight.attitude is None else _rate(flight.attitude.t_ns),
+        ),
+        timings=_timings(result.frames, timings, duration_s),
+        status_share=_status_share(result.estimates),
+        corridors=_corridors(result),
+        errors=_errors(result, flight),
+        problems=result.problems,
+        config=result.config.model_dump(),
+    )
 
 
 def _duration_s(result: FusionResult, flight: Flight) -> float:
@@ -77,25 +64,22 @@ def _duration_s(result: FusionResult, flight: Flight) -> float:
     return float(max(t[-1] for t in ends) - min(t[0] for t in ends)) * 1e-9 if ends else 0.0
 
 
-def _counts(result: FusionResult, counters: Mapping[str, int]) -> dict[str, Any]:
+def _counts(result: FusionResult, counters: Mapping[str, int]) -> Counts:
     frames = result.frames
     words = Counter(frames["reason"].tolist())
-    return {
-        "frames": len(frames),
-        "accepted": int(frames["accepted"].sum()),
-        "rejected": int((~frames["accepted"]).sum()),
-        "by_reason": dict(words.most_common()),
-        "estimates": len(result.estimates),
-        "samples": {name: counters.get(name, 0) for name in ("imu", "attitude", "velocity", "range")},
-        "dropped": {
+    return Counts(
+        frames=len(frames),
+        accepted=int(frames["accepted"].sum()),
+        rejected=int((~frames["accepted"]).sum()),
+        by_reason=dict(words.most_common()),
+        estimates=len(result.estimates),
+        samples={name: counters.get(name, 0) for name in ("imu", "attitude", "velocity", "range")},
+        dropped={
             name: count
             for name, count in sorted(counters.items())
-            if count
-            and name.endswith(
-                ("_late", "_duplicate", "_not_finite", "_not_unit", "_not_positive", "_set_back")
-            )
+            if count and name.endswith(_DROPPED_ENDINGS)
         },
-    }
+    )
 
 
 def _rate(t_ns: npt.NDArray[np.int64]) -> float | None:
@@ -103,17 +87,17 @@ def _rate(t_ns: npt.NDArray[np.int64]) -> float | None:
     return float(1e9 / np.median(np.diff(t_ns))) if len(t_ns) > 1 else None
 
 
-def _timings(frames: Table, timings: Timings, duration_s: float) -> dict[str, float | None]:
+def _timings(frames: Table, timings: Timings, duration_s: float) -> SpeedSummary:
     milliseconds = frames["vision_ms"][np.isfinite(frames["vision_ms"])]
-    return {
-        "vision_ms_median": float(np.median(milliseconds)) if milliseconds.size else None,
-        "vision_ms_p95": float(np.percentile(milliseconds, 95)) if milliseconds.size else None,
-        "vision_s": timings.vision_s,
-        "filter_s": timings.filter_s,
-        "smoother_s": timings.smoother_s,
-        "total_s": timings.total_s,
-        "times_real_time": duration_s / timings.total_s if timings.total_s > 0 else None,
-    }
+    return SpeedSummary(
+        vision_ms_median=float(np.median(milliseconds)) if milliseconds.size else None,
+        vision_ms_p95=float(np.percentile(milliseconds, 95)) if milliseconds.size else None,
+        vision_s=timings.vision_s,
+        filter_s=timings.filter_s,
+        smoother_s=timings.smoother_s,
+        total_s=timings.total_s,
+        times_real_time=duration_s / timings.total_s if timings.total_s > 0 else None,
+    )
 
 
 def _status_share(estimates: Table) -> dict[str, float]:
@@ -121,37 +105,35 @@ def _status_share(estimates: Table) -> dict[str, float]:
     return {word: count / len(estimates) for word, count in words.most_common()}
 
 
-def _corridors(result: FusionResult) -> list[dict[str, Any]]:
+def _corridors(result: FusionResult) -> tuple[CorridorStretch, ...]:
     """Each corridor's stretch, as the smoother places it."""
     found = []
     table, frames = result.smoothed, result.frames
     if not len(table):
-        return []
+        return ()
     edges = [0, *(np.flatnonzero(np.diff(table["corridor_index"])) + 1).tolist(), len(table)]
     for first, end in pairwise(edges):
         t0, t1 = int(table["timestamp_ns"][first]), int(table["timestamp_ns"][end - 1])
         within = (frames["timestamp_ns"] >= t0) & (frames["timestamp_ns"] <= t1)
         found.append(
-            {
-                "index": int(table["corridor_index"][first]),
-                "turn_rad": float(table["corridor_turn_rad"][end - 1]),
-                "first_ns": t0,
-                "last_ns": t1,
-                "frames": int(within.sum()),
-                "accepted": int(frames["accepted"][within].sum()),
-            }
+            CorridorStretch(
+                index=int(table["corridor_index"][first]),
+                turn_rad=float(table["corridor_turn_rad"][end - 1]),
+                first_ns=t0,
+                last_ns=t1,
+                frames=int(within.sum()),
+                accepted=int(frames["accepted"][within].sum()),
+            )
         )
-    return found
+    return tuple(found)
 
 
-def _errors(result: FusionResult, flight: Flight) -> dict[str, Any] | None:
+def _errors(result: FusionResult, flight: Flight) -> FlightErrors | None:
     """Errors of filter, smoother and single frames; None without truth."""
     if flight.truth is None:
         return None
-    from fusion.evaluation.errors import evaluate
-
-    return {
-        "filter": evaluate(result.estimates, flight.truth),
-        "smoothed": evaluate(result.smoothed, flight.truth),
-        "vision": evaluate(result.frames, flight.truth),
-    }
+    return FlightErrors(
+        filter=evaluate(result.estimates, flight.truth),
+        smoothed=evaluate(result.smoothed, flight.truth),
+        vision=evaluate(result.frames, flight.truth),
+    )

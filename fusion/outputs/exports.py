@@ -6,20 +6,16 @@ used.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from fusion.flight import Flight
+from fusion.progress import Progress
 from fusion.result.conventions import Frame, file_facts, table_in_frame
+from fusion.result.result import FusionResult
 from vision.errors import InputError
-
-if TYPE_CHECKING:
-    from fusion.flight import Flight
-    from fusion.offline.fuse import FusionResult
-
-__all__ = ["EXPORT_FILES", "Format", "Frame", "check_formats", "remarks", "write_exports"]
 
 
 class Format(StrEnum):
@@ -76,7 +72,7 @@ def write_exports(
     folder: Path,
     formats: Iterable[Format],
     frame: Frame = Frame.FRD,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Write a fused flight into a folder that is there, in the given formats; names as in `EXPORT_FILES`.
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fusion.result.conventions import Frame, describe
+from fusion.result.conventions import Frame, column_metadata
 from vision.measurement import FrameMeasurement, LineClass
 from vision.overlay import CLASS_COLOUR, REASON_WORDS, VANISHING_POINT, WALL, Colour
 
@@ -125,7 +125,7 @@ IN_DEGREES = {
 
 
 def _said(name: str, frame: Frame) -> dict[str, str]:
-    said = describe(name, frame)
+    said = column_metadata(name, frame)
     words = said.get("description", "")
     return {"description": f"{words}; {said['unit']}" if "unit" in said else words}
 

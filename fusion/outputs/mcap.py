@@ -7,20 +7,19 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from heapq import merge
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from fusion.estimator.tables import Table
 from fusion.flight import Flight
 from fusion.outputs import foxglove
-from fusion.outputs.folder import summary_json
-from fusion.report.remeasure import seen_again
+from fusion.progress import Progress
+from fusion.report.remeasure import measure_frame_again
 from fusion.result.conventions import Frame, summary_in_frame, table_in_frame
+from fusion.result.result import FusionResult
+from fusion.result.summary_json import summary_json
 from vision.errors import InputError
-
-if TYPE_CHECKING:
-    from fusion.offline.fuse import FusionResult
 
 JPEG_QUALITY = 85
 Event = tuple[int, int, str, Callable[[], dict[str, Any] | None]]
@@ -42,7 +41,7 @@ def write_mcap(
     path: Path,
     frame: Frame,
     facts: Mapping[str, str],
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Write the file; pictures are read, measured and encoded one by one.
 
@@ -115,15 +114,13 @@ def _register(writer: Any, tables: Mapping[str, Table], frame: Frame) -> dict[st
     return channels
 
 
-def _pictures(
-    result: FusionResult, flight: Flight, progress: Callable[[int, int], None] | None
-) -> Iterator[Event]:
+def _pictures(result: FusionResult, flight: Flight, progress: Progress | None) -> Iterator[Event]:
     """Give each frame's picture and overlay; a frame is measured once, when its picture's turn comes."""
     overlays: dict[int, dict[str, Any]] = {}
     total = len(result.frames)
 
     def picture(row: int, t_ns: int) -> dict[str, Any] | None:
-        seen = seen_again(result, flight, row)
+        seen = measure_frame_again(result, flight, row)
         if progress is not None:
             progress(row + 1, total)
         if seen is None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from fusion.estimator.tables import Table
-from fusion.result.conventions import Frame, describe
+from fusion.result.conventions import Frame, column_metadata
 
 
 def write_parquet(table: Table, path: Path, frame: Frame, facts: Mapping[str, str]) -> None:
@@ -36,7 +36,7 @@ def write_parquet(table: Table, path: Path, frame: Frame, facts: Mapping[str, st
             array = pa.array(values, from_pandas=True)  # NaN becomes null
         arrays.append(array)
         fields.append(
-            pa.field(name, array.type, nullable=name != "timestamp_ns", metadata=describe(name, frame))
+            pa.field(name, array.type, nullable=name != "timestamp_ns", metadata=column_metadata(name, frame))
         )
     schema = pa.schema(fields, metadata=dict(facts))
     pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path, compression="zstd")

@@ -1,4 +1,5 @@
 """Measure pictures without a flight: what `corridor measure` does.
 
-Begin reading at `fusion.pictures.measure`.
+May import `fusion.logs`, `fusion.estimator.tables` and what lies below them. Begin reading at
+`fusion.pictures.measure`.
 """

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fusion.logs.csv.strict_table import read_table
+from fusion.logs.csv.stamped_table import read_table
 from vision import Attitude, InputError
 from vision.cameras.calibration import read_body_frame
 
@@ -105,8 +105,7 @@ def _read_by_name(path: Path, names: tuple[str, ...], rows: Iterable[list[str]])
 
 
 def _read_by_time(path: Path) -> AttitudeFile:
-    problems: list[str] = []
-    table = read_table(path, _BY_TIME, problems, label=path.name)
+    table, problems = read_table(path, _BY_TIME, label=path.name)
     length = np.linalg.norm(table.values, axis=1)
     good = np.abs(length - 1.0) <= LENGTH_TOLERANCE  # NaN fails too
     if not good.any():
@@ -117,8 +116,8 @@ def _read_by_time(path: Path) -> AttitudeFile:
         )
     if not good.all():
         count, first = int((~good).sum()), int(table.t_ns[~good][0])
-        problems.append(f"{path.name}: {count} rows without a unit quaternion dropped (first at {first})")
+        problems += (f"{path.name}: {count} rows without a unit quaternion dropped (first at {first})",)
     q = table.values[good] / length[good, None]
     if read_body_frame(path.absolute().parent.parent / "body.yaml") == "flu":
         q = q * np.array([1.0, 1.0, -1.0, -1.0])  # half a turn about x on both sides: y and z change sign
-    return AttitudeFile(t_ns=table.t_ns[good], q_world_body=q, problems=tuple(problems))
+    return AttitudeFile(t_ns=table.t_ns[good], q_world_body=q, problems=problems)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.estimator.tables import FRAME_DTYPE, Table
-from fusion.logs.csv.strict_table import parse_time
+from fusion.logs.csv.rows import parse_time
 from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES
 from fusion.pictures.assumed_camera import AssumedView, AssumedViews, assume_views
 from fusion.pictures.attitude_file import AttitudeFile
@@ -187,19 +187,18 @@ def _fill(table: Table, row: int, path: Path, t_ns: int | None, measurement: Fra
     table["vp_x_px"][row], table["vp_y_px"][row] = measurement.vp_px
     table["reason"][row] = measurement.reason.value
     table["position"][row] = "" if measurement.position is None else measurement.position.value
-    table["innovation_rad"][row] = table["test_ratio"][row] = np.nan  # a filter's words: there is none here
-    for name in (
-        "accepted",
-        "n_lines",
-        "n_inliers",
-        "heading_rad",
-        "heading_std_rad",
-        "lateral_offset_norm",
-        "lateral_offset_norm_std",
-        "paper_yaw_rad",
-        "vision_ms",
-    ):
-        table[name][row] = getattr(measurement, name)
+    table["innovation_rad"][row] = table["test_ratio"][row] = (
+        np.nan
+    )  # of a filter, which there is none of here
+    table["accepted"][row] = measurement.accepted
+    table["n_lines"][row] = measurement.n_lines
+    table["n_inliers"][row] = measurement.n_inliers
+    table["heading_rad"][row] = measurement.heading_rad
+    table["heading_std_rad"][row] = measurement.heading_std_rad
+    table["lateral_offset_norm"][row] = measurement.lateral_offset_norm
+    table["lateral_offset_norm_std"][row] = measurement.lateral_offset_norm_std
+    table["paper_yaw_rad"][row] = measurement.paper_yaw_rad
+    table["vision_ms"][row] = measurement.vision_ms
 
 
 class _Overlays:

@@ -1,6 +1,7 @@
 """One page that says what a fused flight is worth: `write_report`.
 
-`fusion.evaluation.checks` holds the verdict, `fusion.report.plots` the plots, each usable alone.
+May import `fusion.evaluation`, `fusion.result` and what lies below them. Begin reading at `fusion.report.page`; the
+plots in `fusion.report.plots` are usable alone, as in notebooks.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fusion.flight import Flight
-    from fusion.offline.fuse import FusionResult
+    from fusion.result.result import FusionResult
 
 __all__ = ["write_report"]
 

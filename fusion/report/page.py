@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import secrets
-from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from math import degrees, isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -20,15 +17,15 @@ from fusion.evaluation.checks import run_checks
 from fusion.evaluation.checks_frames import REASON_WORDS
 from fusion.evaluation.checks_input import all_problems
 from fusion.evaluation.errors import evaluate
-from fusion.evaluation.verdict import Level, overall, worst_first
+from fusion.evaluation.verdict import overall, worst_first
+from fusion.files import error_text, replacing
 from fusion.flight import Flight
 from fusion.report import plots
-from fusion.report.strip import Shown, choose_frames, show_frames
+from fusion.report.strip import DrawnFrame, choose_frames, show_frames
 from fusion.report.svg import Drawing, draw
+from fusion.result.result import FusionResult
+from fusion.result.summary import CorridorErrors, Level, TableErrors
 from vision.errors import InputError
-
-if TYPE_CHECKING:
-    from fusion.offline.fuse import FusionResult
 
 TIMING_WORDS = {
     "vision_s": ("Reading and measuring all pictures", "s"),
@@ -59,7 +56,7 @@ class Figure:
 class Caption:
     """What stands beside a frame of the strip."""
 
-    shown: Shown
+    shown: DrawnFrame
     accepted: bool
     verdict: str
     vision: str
@@ -115,16 +112,14 @@ def _with_code(text: str) -> Markup:
 
 
 def replace_text(path: str | Path, text: str) -> None:
-    """Write a file beside its place and move it there, so that it is whole or the earlier one."""
+    """Write the report so that it is whole, or the earlier one is left."""
     path = Path(path)
-    beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
-        beside.write_text(text, encoding="utf-8")
-        os.replace(beside, path)
+        with replacing(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as error:
-        beside.unlink(missing_ok=True)
         raise InputError(
-            f"cannot write the report: {error.strerror}", file=path, remedy="choose another place"
+            f"cannot write the report: {error_text(error)}", file=path, remedy="choose another place"
         ) from error
 
 
@@ -135,12 +130,12 @@ def facts(result: FusionResult, flight: Flight) -> list[tuple[str, str, str]]:
     found = []
     if flight.truth is not None:
         filtered, smooth = (evaluate(t, flight.truth) for t in (table, result.smoothed))
-        remark = f"RMSE of the filter; smoother {_degrees(smooth['heading']['rmse_rad'])}"
-        found.append(("Heading error", _degrees(filtered["heading"]["rmse_rad"]), remark))
-        metres = filtered["lateral_offset_m"]["rmse_m"]
-        if metres is not None:
-            remark = f"RMSE of the filter; smoother {_centimetres(smooth['lateral_offset_m']['rmse_m'])}"
-            found.append(("Offset error", _centimetres(metres), remark))
+        remark = f"RMSE of the filter; smoother {_degrees(smooth.heading.rmse)}"
+        found.append(("Heading error", _degrees(filtered.heading.rmse), remark))
+        metres, smooth_m = filtered.lateral_offset_m, smooth.lateral_offset_m
+        if metres is not None and metres.rmse is not None:
+            remark = f"RMSE of the filter; smoother {_centimetres(smooth_m.rmse if smooth_m else None)}"
+            found.append(("Offset error", _centimetres(metres.rmse), remark))
     elif tracking.any():
         sigma = float(np.median(table["heading_std_rad"][tracking]))
         found.append(("Heading sigma", _degrees(sigma), "median while tracking; there is no truth"))
@@ -225,20 +220,20 @@ def error_rows(result: FusionResult, flight: Flight) -> list[tuple[str, list[str
     ):
         found = evaluate(table, flight.truth)
         rows.append((name, _error_cells(found)))
-        if len(found["corridors"]) > 1:
-            rows += [(f"{name}, corridor {k}", _error_cells(c)) for k, c in found["corridors"].items()]
+        if len(found.corridors) > 1:
+            rows += [(f"{name}, corridor {k}", _error_cells(c)) for k, c in found.corridors.items()]
     return rows
 
 
-def _error_cells(found: Mapping[str, Any]) -> list[str]:
-    heading = found["heading"]
-    cells = [_degrees(heading[f"{word}_rad"]) for word in ("rmse", "mae", "p95", "max")]
-    cells.append("" if heading["nees_mean"] is None else f"{heading['nees_mean']:.2f}")
-    if found.get("lateral_offset_m", {}).get("rmse_m") is not None:
-        offset = found["lateral_offset_m"]
-        return cells + [_centimetres(offset[f"{word}_m"]) for word in ("rmse", "mae", "max")]
-    offset = found["lateral_offset_norm"]
-    return cells + [_percent(offset[f"{word}_norm"]) for word in ("rmse", "mae", "max")]
+def _error_cells(found: TableErrors | CorridorErrors) -> list[str]:
+    heading, metres, norm = found.heading, found.lateral_offset_m, found.lateral_offset_norm
+    cells = [_degrees(value) for value in (heading.rmse, heading.mae, heading.p95, heading.max)]
+    cells.append("" if heading.nees_mean is None else f"{heading.nees_mean:.2f}")
+    if metres is not None and metres.rmse is not None:
+        return cells + [_centimetres(value) for value in (metres.rmse, metres.mae, metres.max)]
+    if norm is None:
+        return [*cells, "", "", ""]
+    return cells + [_percent(value) for value in (norm.rmse, norm.mae, norm.max)]
 
 
 def reason_counts(result: FusionResult) -> list[tuple[str, str, int, float]]:
@@ -268,10 +263,10 @@ def settings(result: FusionResult) -> list[tuple[str, str, str, bool]]:
 def timings(result: FusionResult) -> list[tuple[str, str]]:
     """Return what the run cost, as far as the summary tells, and the frames' own times."""
     found = []
-    for name, value in result.summary.get("timings", {}).items():
-        if name in TIMING_WORDS and isinstance(value, int | float):
-            words, unit = TIMING_WORDS[name]
-            found.append((words, f"{value:.3g} {unit}"))
+    told = {} if result.overview.timings is None else result.overview.timings.to_dict()
+    for name, (words, unit) in TIMING_WORDS.items():
+        if told.get(name) is not None:
+            found.append((words, f"{told[name]:.3g} {unit}"))
     milliseconds = result.frames["vision_ms"]
     milliseconds = milliseconds[np.isfinite(milliseconds)]
     if milliseconds.size:
@@ -285,7 +280,7 @@ def timings(result: FusionResult) -> list[tuple[str, str]]:
     return found
 
 
-def _caption(shown: Shown, result: FusionResult) -> Caption:
+def _caption(shown: DrawnFrame, result: FusionResult) -> Caption:
     record = result.frames[shown.row]
     reason = str(record["reason"])
     heading, sigma = float(record["heading_rad"]), float(record["heading_std_rad"])

@@ -6,21 +6,20 @@ their extremes, so that a long flight draws as fast as a short one. No global st
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import NullLocator
 
+from fusion.estimator.smoothed_table import half_widths_m
 from fusion.estimator.tables import Table
-from fusion.evaluation.errors import interpolate_truth, wrap_angle
+from fusion.evaluation.errors import TruthAt, interpolate_truth
 from fusion.flight import AttitudeStream, CorridorTruth, Flight, FloatArray, TimeArray
-from fusion.report.series import IndexArray, band_envelope, broken, envelope, runs, thin_points
-
-if TYPE_CHECKING:
-    from fusion.offline.fuse import FusionResult
+from fusion.report.series import IndexArray, band_envelope, broken, envelope, thin_points
+from fusion.result.result import FusionResult
+from fusion.result.table_rows import runs
+from vision.rotations import wrap, yaw_of
 
 INK = "#1b1f24"
 FAINT = "#7a828b"
@@ -74,8 +73,10 @@ def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
     t, offset = seconds(table["timestamp_ns"], origin), table[f"lateral_offset_{unit}"]
     cuts = _cuts(table, np.zeros_like(offset))
     _band(ax, t, offset, 2 * std, cuts, FILTER, "filter, two sigma")
-    half = _half_width_m(table) if metres else 1.0
-    _plot_frames(ax, seconds(frames["timestamp_ns"], origin), half * frames["lateral_offset_norm"], frames)
+    half = half_widths_m(table) if metres else np.ones(len(table))
+    row = np.clip(np.searchsorted(table["timestamp_ns"], frames["timestamp_ns"], side="right") - 1, 0, None)
+    seen = half[row] * frames["lateral_offset_norm"]
+    _plot_frames(ax, seconds(frames["timestamp_ns"], origin), seen, frames)
     if flight.truth is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = 1.0 if metres else 2.0 / flight.truth.corridor_width_m
@@ -87,7 +88,7 @@ def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
     _line(ax, t, offset, cuts, FILTER, 1.5, "filter")
     _decorate(ax, result, "Offset, m right" if metres else "Offset, half widths right")
     _limit(ax, table, offset, 2 * std, least=0.1)
-    _walls(ax, half)
+    _walls(ax, t, half)
 
 
 def plot_innovations(ax: Axes, result: FusionResult) -> None:
@@ -155,19 +156,19 @@ def aligned_imu_yaw(attitude: AttitudeStream, table: Table) -> tuple[FloatArray,
         Yaw less the offset that the filter holds at that time, and yaw less the constant that fits the first
         second of tracking; both in radians, less the turn between corridors, NaN outside the table.
     """
-    yaw = _yaw_of(attitude.q_world_body)
+    yaw = yaw_of(attitude.q_world_body)
     t = attitude.t_ns
     row = np.clip(np.searchsorted(table["timestamp_ns"], t, side="right") - 1, 0, len(table) - 1)
     inside = (t >= table["timestamp_ns"][0]) & (t <= table["timestamp_ns"][-1])
     turned = yaw - table["corridor_turn_rad"][row]
-    aligned = np.where(inside, wrap_angle(turned - table["imu_yaw_offset_rad"][row]), np.nan)
-    difference = wrap_angle(turned - table["heading_rad"][row])
+    aligned = np.where(inside, wrap(turned - table["imu_yaw_offset_rad"][row]), np.nan)
+    difference = wrap(turned - table["heading_rad"][row])
     tracking = inside & (table["status"][row] == "tracking") & np.isfinite(difference)
     if not tracking.any():
         return aligned, np.full(len(yaw), np.nan)
     first = tracking & (t <= t[tracking][0] + 1_000_000_000)
     start = np.angle(np.mean(np.exp(1j * difference[first])))
-    return aligned, np.where(inside, wrap_angle(turned - start), np.nan)
+    return aligned, np.where(inside, wrap(turned - start), np.nan)
 
 
 def mark_status(ax: Axes, result: FusionResult) -> None:
@@ -196,11 +197,6 @@ def _plot_imu_yaw(ax: Axes, attitude: AttitudeStream, table: Table, origin_ns: i
         _line(ax, t, degrees, np.union1d(switches, _wraps(degrees)), colour, 1.0, label)
 
 
-def _yaw_of(q: FloatArray) -> FloatArray:
-    w, x, y, z = q.T
-    return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-
-
 def _plot_state(ax: Axes, result: FusionResult, name: str, label: str) -> None:
     for table, colour, width, word in (
         (result.smoothed, SMOOTHED, 1.1, "smoother"),
@@ -222,8 +218,8 @@ def _plot_error(
         (result.estimates, FILTER, 1.3, "filter"),
     ):
         at = interpolate_truth(truth, table["timestamp_ns"])
-        error = table[name] - getattr(at, name)
-        error = (wrap_angle(error) if name == "heading_rad" else error) * scale
+        error = table[name] - _truth_of(at, name)
+        error = (wrap(error) if name == "heading_rad" else error) * scale
         error[at.in_junction] = np.nan
         t = seconds(table["timestamp_ns"], origin)
         if word == "filter":
@@ -239,6 +235,16 @@ def _plot_error(
         top = 1.25 * float(worst.max())
         ax.set_ylim(-top, top)
     _decorate(ax, result, label)
+
+
+def _truth_of(at: TruthAt, name: str) -> FloatArray:
+    """Return the truth of a column of the estimates."""
+    columns = {
+        "heading_rad": at.heading_rad,
+        "lateral_offset_m": at.lateral_offset_m,
+        "lateral_offset_norm": at.lateral_offset_norm,
+    }
+    return columns[name]
 
 
 def _plot_truth(ax: Axes, truth: CorridorTruth, values: FloatArray, origin_ns: int) -> None:
@@ -305,13 +311,6 @@ def _wraps(degrees: FloatArray) -> IndexArray:
     return np.asarray(np.flatnonzero(np.abs(np.diff(degrees)) > 180.0) + 1, dtype=np.int64)
 
 
-def _half_width_m(table: Table) -> float:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = table["lateral_offset_std_m"] / table["lateral_offset_norm_std"]
-    ratio = ratio[np.isfinite(ratio)]
-    return float(np.median(ratio)) if ratio.size else float("nan")
-
-
 def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, least: float) -> None:
     """Fit the y axis to what was tracked, so that a wide start or one wild frame does not flatten it."""
     rows = (table["status"] == "tracking") & np.isfinite(values + half)
@@ -323,16 +322,22 @@ def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, leas
     ax.set_ylim(low - 1.3 * margin, high + margin)
 
 
-def _walls(ax: Axes, half: float) -> None:
-    """End the axis a little behind the walls, and draw them where it reaches them."""
+def _walls(ax: Axes, t: FloatArray, half: FloatArray) -> None:
+    """End the axis a little behind the widest corridor's walls, and draw each corridor's where it reaches them."""
     low, high = ax.get_ylim()
-    if not half > 0:  # NaN fails too
+    known = half[half > 0]  # NaN fails too
+    if not known.size:
         return
-    low, high = max(low, -1.15 * half), min(high, 1.15 * half)
+    widest = float(known.max())
+    low, high = max(low, -1.15 * widest), min(high, 1.15 * widest)
     ax.set_ylim(low, high)
-    for wall in (-half, half):
-        if low < wall < high:
-            ax.axhline(wall, color=INK, lw=1.8, zorder=2, label="wall")
+    several = np.ptp(known) > 1e-6
+    for side in (-1.0, 1.0):
+        if several:
+            cuts = np.flatnonzero(np.abs(np.diff(half)) > 1e-6) + 1
+            _line(ax, t, side * half, cuts, INK, 1.8, "wall")
+        elif low < side * widest < high:
+            ax.axhline(side * widest, color=INK, lw=1.8, zorder=2, label="wall")
 
 
 def _widen(ax: Axes, values: FloatArray) -> None:

@@ -1,29 +1,28 @@
-"""Frames of a fused flight seen once more, for their lines: tables keep numbers only."""
+"""Measure frames of a fused flight once more, for their lines: the tables keep numbers only."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from fusion.estimator.tables import Table
 from fusion.flight import Flight, GreyImage
+from fusion.logs.interpolation import attitude_at as attitude_at_times
+from fusion.result.result import FusionResult
+from fusion.result.table_rows import row_before
 from vision.errors import InputError
 from vision.measurement import Attitude, FrameMeasurement, Position, Prior, Reason
 
-if TYPE_CHECKING:
-    from fusion.offline.fuse import FusionResult
 
-
-class Seen(NamedTuple):
+class RemeasuredFrame(NamedTuple):
     """A frame's picture, and its measurement with lines; None where it could not be measured again."""
 
     image: GreyImage
     measurement: FrameMeasurement | None
 
 
-def seen_again(result: FusionResult, flight: Flight, row: int) -> Seen | None:
+def measure_frame_again(result: FusionResult, flight: Flight, row: int) -> RemeasuredFrame | None:
     """Read and measure a frame again, with what the filter knew; None where its picture does not decode.
 
     The lines are the new measurement's, the numbers those that went into the filter.
@@ -53,23 +52,18 @@ def seen_again(result: FusionResult, flight: Flight, row: int) -> Seen | None:
         measurement = measure_frame(
             image,
             flight.camera,
-            attitude_at(flight, t_ns),
+            interpolated_attitude(flight, t_ns),
             prior,
-            method=result.summary.get("method", "geometric"),
+            method="paper" if result.overview.method == "paper" else "geometric",
         )
     except InputError:
-        return Seen(image, None)
-    return Seen(image, _as_recorded(measurement, record))
+        return RemeasuredFrame(image, None)
+    return RemeasuredFrame(image, _as_recorded(measurement, record))
 
 
 def delay_ns(result: FusionResult) -> int:
     """How much later than mid-exposure the filter took the frames to be stamped."""
     return round(result.config.camera_delay_s * 1e9)
-
-
-def row_before(table: Table, t_ns: int) -> int:
-    """Row of a table that is not empty which holds at a time: the last not after it, else the first."""
-    return max(int(np.searchsorted(table["timestamp_ns"], t_ns, side="right")) - 1, 0)
 
 
 def _as_recorded(measurement: FrameMeasurement, record: np.void) -> FrameMeasurement:
@@ -99,17 +93,26 @@ def _prior(estimate: np.void) -> Prior | None:
     )
 
 
-def attitude_at(flight: Flight, t_ns: int, within_s: float = 0.5) -> Attitude | None:
-    """Roll and pitch at a time, between the neighbouring samples of the log; None where none is near."""
+def interpolated_attitude(flight: Flight, t_ns: int, within_s: float = 0.5) -> Attitude | None:
+    """Interpolate roll and pitch between the neighbouring attitude samples.
+
+    Parameters
+    ----------
+    flight
+        Whose attitude stream is used.
+    t_ns
+        The time.
+    within_s
+        How near the nearer sample must be.
+
+    Returns
+    -------
+    Attitude or None
+        None where no sample is near.
+    """
     stream = flight.attitude
     if stream is None or not stream.t_ns.size:
         return None
-    high = int(np.searchsorted(stream.t_ns, t_ns))
-    low, high = max(high - 1, 0), min(high, stream.t_ns.size - 1)
-    gap_ns = int(stream.t_ns[high] - stream.t_ns[low])
-    if min(abs(t_ns - int(stream.t_ns[low])), abs(t_ns - int(stream.t_ns[high]))) > within_s * 1e9:
-        return None
-    part = min(max((t_ns - int(stream.t_ns[low])) / gap_ns, 0.0), 1.0) if gap_ns else 0.0
-    a, b = stream.q_world_body[low], stream.q_world_body[high]
-    q = (1 - part) * a + part * (b if a @ b >= 0 else -b)  # over a few degrees as good as a slerp
-    return Attitude.from_quaternion(q / np.linalg.norm(q))
+    within_ns = round(within_s * 1e9)
+    q_world_body, known = attitude_at_times(stream, np.array([t_ns]), 2 * within_ns, within_ns)
+    return Attitude.from_quaternion(q_world_body[0]) if known[0] else None

@@ -17,6 +17,8 @@ def envelope_indices(t_s: FloatArray, y: FloatArray, bins: int = 700) -> IndexAr
     ----------
     t_s, y
         Times (n,), not decreasing, and values (n,); NaN values are holes, and one of each is kept.
+    bins
+        Intervals of equal length that the time is divided into.
     """
     n = len(t_s)
     if n <= 4 * bins:
@@ -44,7 +46,15 @@ def envelope(t_s: FloatArray, y: FloatArray, bins: int = 700) -> tuple[FloatArra
 def band_envelope(
     t_s: FloatArray, low: FloatArray, high: FloatArray, bins: int = 700
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Thin a band to the samples at which either of its edges is extreme."""
+    """Thin a band to the samples at which either of its edges is extreme.
+
+    Parameters
+    ----------
+    t_s, low, high
+        Times (n,), not decreasing, and the band's edges (n,).
+    bins
+        As for `envelope_indices`.
+    """
     keep = np.union1d(envelope_indices(t_s, low, bins), envelope_indices(t_s, high, bins))
     return t_s[keep], low[keep], high[keep]
 
@@ -67,10 +77,3 @@ def thin_points(t_s: FloatArray, y: FloatArray, limit: int = 3000) -> tuple[Floa
 def broken(t_s: FloatArray, y: FloatArray, before: IndexArray) -> tuple[FloatArray, FloatArray]:
     """Break a line before the samples of the given indices, so that no stroke joins what does not belong."""
     return np.insert(t_s, before, t_s[before]), np.insert(y, before, np.nan)
-
-
-def runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Half-open index ranges (start, stop) of the stretches in which a flag is set."""
-    padded = np.concatenate(([False], flags, [False])).astype(np.int8)
-    edges = np.flatnonzero(np.diff(padded))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

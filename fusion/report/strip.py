@@ -5,25 +5,23 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.estimator.tables import Table
-from fusion.evaluation.errors import interpolate_truth, wrap_angle
+from fusion.evaluation.errors import interpolate_truth
 from fusion.flight import Flight, FloatArray
-from fusion.report.remeasure import delay_ns, row_before, seen_again
-from fusion.report.series import runs
-
-if TYPE_CHECKING:
-    from fusion.offline.fuse import FusionResult
+from fusion.report.remeasure import delay_ns, measure_frame_again
+from fusion.result.result import FusionResult
+from fusion.result.table_rows import row_before, runs
+from vision.rotations import wrap
 
 JPEG_QUALITY = 78
 MAX_WIDTH_PX = 640
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class ChosenFrame:
     """A row of the frames table and the reason to look at it."""
 
     row: int
@@ -31,7 +29,7 @@ class Chosen:
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class DrawnFrame:
     """A chosen frame, drawn; ``picture`` is a data URI, None where the file does not decode."""
 
     row: int
@@ -42,7 +40,7 @@ class Shown:
     filter_offset_norm: float
 
 
-def choose_frames(result: FusionResult, flight: Flight, limit: int = 12) -> list[Chosen]:
+def choose_frames(result: FusionResult, flight: Flight, limit: int = 12) -> list[ChosenFrame]:
     """Choose up to ``limit`` frames, in order of time, no two of them close together.
 
     Each kind of event offers its frames, most telling first; the kinds take turns until the strip is full.
@@ -64,16 +62,16 @@ def choose_frames(result: FusionResult, flight: Flight, limit: int = 12) -> list
             if len(chosen) == limit:
                 break
         offers = [offer for offer in offers if offer]
-    return [Chosen(row, chosen[row]) for row in sorted(chosen)]
+    return [ChosenFrame(row, chosen[row]) for row in sorted(chosen)]
 
 
-def show_frames(result: FusionResult, flight: Flight, chosen: list[Chosen]) -> Iterator[Shown]:
+def show_frames(result: FusionResult, flight: Flight, chosen: list[ChosenFrame]) -> Iterator[DrawnFrame]:
     """Measure the chosen frames again, for their lines, and draw what was seen; a frame at a time."""
     table, frames = result.estimates, result.frames
     for item in chosen:
         t_ns = int(frames["timestamp_ns"][item.row])
         k = row_before(table, t_ns - delay_ns(result))
-        yield Shown(
+        yield DrawnFrame(
             row=item.row,
             why=item.why,
             t_s=(t_ns - int(frames["timestamp_ns"][0])) / 1e9,
@@ -97,7 +95,7 @@ def _offers(result: FusionResult, flight: Flight) -> list[list[tuple[int, str]]]
     rate = np.interp(t_ns, table["timestamp_ns"], np.abs(table["yaw_rate_rad_s"]))
     everything.append(_largest(rate, "turning fastest", 6))
     if flight.truth is not None:
-        error = np.abs(wrap_angle(frames["heading_rad"] - interpolate_truth(flight.truth, t_ns).heading_rad))
+        error = np.abs(wrap(frames["heading_rad"] - interpolate_truth(flight.truth, t_ns).heading_rad))
         everything.append(_largest(np.where(frames["accepted"], error, np.nan), "furthest from the truth", 4))
     offset = np.where(frames["accepted"], np.abs(frames["lateral_offset_norm"]), np.nan)
     everything.append(_largest(offset, "furthest from the centre line", 2))
@@ -129,7 +127,7 @@ def _picture(result: FusionResult, flight: Flight, row: int) -> str | None:
 
     from vision.overlay import draw_overlay
 
-    seen = seen_again(result, flight, row)
+    seen = measure_frame_again(result, flight, row)
     if seen is None or seen.measurement is None:
         return None
     picture = draw_overlay(seen.image, flight.camera, seen.measurement, footer=False)

@@ -1,1 +1,5 @@
-"""What a fused flight is: its tables, summary and conventions, as values and as files."""
+"""What a fused flight is: its tables, summary and conventions, as values and as files.
+
+May import `fusion.estimator` (its configuration and the tables' columns) and what lies below it. Begin reading at
+`fusion.result.result`, then `fusion.result.summary`.
+"""

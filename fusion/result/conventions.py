@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from copy import deepcopy
 from enum import StrEnum
 from importlib.metadata import version
-from typing import Any, NamedTuple
+from typing import Any
 
-from fusion.estimator.tables import Table
+from fusion.estimator.tables import ESTIMATE_COLUMNS, FRAME_COLUMNS, Column, Table
 
 
 class Frame(StrEnum):
@@ -23,63 +23,7 @@ class Frame(StrEnum):
     ROS = "ros"
 
 
-class Column(NamedTuple):
-    """A column's unit, frame and meaning; ``{side}`` stands for what counts positive."""
-
-    unit: str
-    frame: str
-    description: str
-    flips: bool = False
-
-
-_AXIS = "corridor's axis to body x"
-_SECTION = "corridor's cross-section"
-
-COLUMNS: Mapping[str, Column] = {
-    "timestamp_ns": Column("ns", "clock of the log", "Time of the row; of a frame, as it was stamped"),
-    "heading_rad": Column("rad", _AXIS, "Angle from the axis to the vehicle's nose, positive {side}", True),
-    "heading_std_rad": Column("rad", _AXIS, "Standard deviation of heading_rad"),
-    "lateral_offset_m": Column(
-        "m", _SECTION, "Place of the vehicle from the centre line, positive {side}", True
-    ),
-    "lateral_offset_std_m": Column("m", _SECTION, "Standard deviation of lateral_offset_m"),
-    "lateral_offset_norm": Column(
-        "1", _SECTION, "Offset over half the corridor's width, positive {side}", True
-    ),
-    "lateral_offset_norm_std": Column("1", _SECTION, "Standard deviation of lateral_offset_norm"),
-    "position": Column("", _SECTION, "Side of the centre line as seen along the axis: left, centre or right"),
-    "yaw_rate_rad_s": Column(
-        "rad/s", "vertical axis", "Rate of the heading, bias removed, positive {side}", True
-    ),
-    "gyro_bias_rad_s": Column("rad/s", "vertical axis", "Bias of the yaw rate, positive {side}", True),
-    "imu_yaw_offset_rad": Column(
-        "rad",
-        "first corridor's axis to yaw of the log",
-        "IMU's yaw less the heading from the first axis",
-        True,
-    ),
-    "corridor_index": Column("", "", "Number of the corridor being flown, from 0"),
-    "corridor_turn_rad": Column(
-        "rad",
-        "first corridor's axis to the present one's",
-        "Angle between the two axes, positive {side}",
-        True,
-    ),
-    "status": Column("", "", "initialising, tracking, coasting or lost"),
-    "vision_age_s": Column("s", "", "Time since the last frame that was used"),
-    "accepted": Column("", "", "Whether the filter used the frame"),
-    "reason": Column("", "", "Why not; ok where it did"),
-    "n_lines": Column("1", "", "Line segments found"),
-    "n_inliers": Column("1", "", "Segments that meet in the vanishing point"),
-    "vp_x_px": Column(
-        "px", "original picture", "Vanishing point; (0, 0) is the centre of the top-left pixel"
-    ),
-    "vp_y_px": Column("px", "original picture", "Vanishing point, positive down"),
-    "paper_yaw_rad": Column("rad", "picture", "The article's equation (8), without sign"),
-    "innovation_rad": Column("rad", _AXIS, "Heading of the frame less its prediction, positive {side}", True),
-    "test_ratio": Column("1", "", "Innovation squared over gate squared; above 1 the frame is refused"),
-    "vision_ms": Column("ms", "", "Time that measuring the frame took"),
-}
+COLUMNS: Mapping[str, Column] = {c.name: c for c in (*ESTIMATE_COLUMNS, *FRAME_COLUMNS)}
 
 _SIDE = {Frame.FRD: "right (clockwise from above)", Frame.ROS: "left (counter-clockwise from above)"}
 _CONVENTIONS = {
@@ -89,13 +33,13 @@ _CONVENTIONS = {
 }
 
 
-def describe(name: str, frame: Frame) -> dict[str, str]:
+def column_metadata(name: str, frame: Frame) -> dict[str, str]:
     """Return unit, frame and description of a column, empty ones left out."""
     column = COLUMNS[name]
     found = {
         "unit": column.unit,
         "frame": column.frame,
-        "description": column.description.format(side=_SIDE[frame]),
+        "description": column.meaning.format(side=_SIDE[frame]),
     }
     return {key: text for key, text in found.items() if text}
 

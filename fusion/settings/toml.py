@@ -1,10 +1,10 @@
-"""Settings files: read as TOML, refused with path, value and remedy, and written out whole with their meaning."""
+"""Settings files: read as TOML, refused with path, value and remedy, and written with the meaning of each setting."""
 
 from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from enum import Enum
 from math import degrees
 from pathlib import Path
@@ -14,15 +14,16 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from fusion.settings.unit_hints import as_number, nearest, too_large, unit_of
+from fusion.settings.sentences import OWN_CHECK, UNKNOWN_NAME, Complaint, complaints, section_of
+from fusion.settings.unit_hints import as_number, suggestion, too_large, unit_of
 from vision.errors import InputError
 
 WIDTH = 100
 Config = TypeVar("Config", bound=BaseModel)
 
 
-def read_toml(path: str | Path) -> dict[str, Any]:
-    """Read a TOML file.
+def read_toml(path: str | Path, example: str = "name = 1.5") -> dict[str, Any]:
+    """Read a TOML file; ``example`` shows a line of such a file where this one is not TOML.
 
     Raises
     ------
@@ -32,9 +33,11 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     try:
         return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"is not TOML: {error}", file=path, remedy="write lines like name = 1.5") from error
+        raise InputError(
+            f"cannot be read: {error.strerror or error}", file=path, remedy="check the path"
+        ) from error
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits, or tables too deep
+        raise InputError(f"is not TOML: {error}", file=path, remedy=f"write lines like {example}") from error
 
 
 def build(model: type[Config], values: dict[str, Any], file: str | Path | None = None) -> Config:
@@ -51,8 +54,7 @@ def build(model: type[Config], values: dict[str, Any], file: str | Path | None =
     try:
         return model(**values)
     except ValidationError as error:
-        complaints = sorted(error.errors(), key=lambda complaint: complaint["type"] != "extra_forbidden")
-        problem, remedy = _explain(model, complaints[0])
+        problem, remedy = _explain(complaints(error, model)[0])
         raise InputError(problem, file=file, remedy=remedy) from error
 
 
@@ -70,47 +72,38 @@ def _booleans(model: type[BaseModel], values: dict[str, Any], path: tuple[str, .
             and field is not None
             and bool not in (field.annotation, *get_args(field.annotation))
         ):
-            yield f"{'.'.join((*path, name))} = {_toml_value(value)}"
+            yield f"{'.'.join((*path, name))} = {toml_value(value)}"
 
 
-def _explain(model: type[BaseModel], error: Any) -> tuple[str, str | None]:
-    names = [str(part) for part in error["loc"]]
-    path = ".".join(names)
-    if error["type"] == "value_error":
-        return f"{path}: {error['ctx']['error']}" if path else str(error["ctx"]["error"]), None
-    fields: Mapping[str, FieldInfo] = model.model_fields
-    for name in names[:-1]:
-        inner = section_of(fields[name]) if name in fields else None
-        if inner is not None:  # the numbers of a list's members lead nowhere
-            fields = inner.model_fields
-    name, value = names[-1], error["input"]
-    if error["type"] == "extra_forbidden":
-        return _unknown(path, name, value, fields)
-    if isinstance(value, dict):
-        value = "{...}"
-    field, remedies = fields.get(name), [as_number(name, value)]
-    if error["type"] in ("less_than", "less_than_equal"):
+def _explain(complaint: Complaint) -> tuple[str, str | None]:
+    """Word a problem and its remedy."""
+    if complaint.kind == OWN_CHECK:
+        return f"{complaint.dotted}: {complaint.message}" if complaint.path else complaint.message, None
+    if complaint.kind == UNKNOWN_NAME:
+        return _unknown(complaint)
+    name, value, field = complaint.name, complaint.value, complaint.field
+    remedies = [as_number(name, value)]
+    if complaint.kind in ("less_than", "less_than_equal"):
         remedies.append(too_large(name, value))
-    remedies.append(field.description if field and error["type"] != "literal_error" else None)
-    message = error["msg"][0].lower() + error["msg"][1:]
+    remedies.append(field.description if field and complaint.kind != "literal_error" else None)
     remedy = next((text for text in remedies if text), None)
-    return f"{path} = {value!r}: {message}", remedy
+    return f"{complaint.dotted} = {complaint.shown}: {complaint.message}", remedy
 
 
-def _unknown(path: str, name: str, value: Any, fields: Mapping[str, FieldInfo]) -> tuple[str, str]:
+def _unknown(complaint: Complaint) -> tuple[str, str]:
+    fields, name, value = complaint.model.model_fields, complaint.name, complaint.value
     if isinstance(value, dict):
         inside = [key for key in value if key in fields]
         sections = [known for known, field in fields.items() if section_of(field) is not None]
+        problem = f"unknown setting {complaint.dotted} = {{...}}, a section"
         if inside:
-            return (
-                f"unknown setting {path} = {{...}}, a section",
-                f"write {inside[0]} without a section, at the top of the file",
-            )
-        near = nearest(name, None, dict.fromkeys(sections, ""))
-        return f"unknown setting {path} = {{...}}, a section", near or _listing(sections)
+            return problem, f"write {inside[0]} without a section, at the top of the file"
+        near = suggestion(name, None, dict.fromkeys(sections, ""))
+        return problem, near or _listing(sections)
     plain = {known: field for known, field in fields.items() if section_of(field) is None}
-    near = nearest(name, value, {known: unit_of(known, field.description) for known, field in plain.items()})
-    return f"unknown setting {path} = {value!r}", near or _listing(list(fields))
+    units = {known: unit_of(known, field.description) for known, field in plain.items()}
+    near = suggestion(name, value, units)
+    return f"unknown setting {complaint.dotted} = {value!r}", near or _listing(list(fields))
 
 
 def _listing(names: list[str]) -> str:
@@ -118,33 +111,24 @@ def _listing(names: list[str]) -> str:
     return "; ".join(part for part in (listed, "`corridor config` lists them all") if part)
 
 
-def section_of(field: FieldInfo) -> type[BaseModel] | None:
-    """Return the model of which a field holds one or several; None for a plain value."""
-    options = [field.annotation, *get_args(field.annotation)]
-    return next((o for o in options if isinstance(o, type) and issubclass(o, BaseModel)), None)
-
-
-def settings_text(file: str | Path | None = None, *, simulate: bool = False) -> str:
-    """Return the settings of ``corridor fuse``, or of ``corridor simulate``, as `config_toml` writes them.
+def settings_text(model: type[Config], command: str, file: str | Path | None = None) -> str:
+    """Return the settings of a command, as `config_toml` writes them.
 
     Parameters
     ----------
+    model
+        The settings.
+    command
+        Which takes them, such as ``corridor fuse FLIGHT``.
     file
         A settings file; None for the defaults.
-    simulate
-        Whether it is the simulator's.
 
     Raises
     ------
     InputError
         Where the file cannot be read or used.
     """
-    from fusion.estimator.config import FusionConfig
-    from fusion.simulate import SimulationConfig
-
-    model = SimulationConfig if simulate else FusionConfig
-    config = model() if file is None else model.from_toml(file)
-    command = "corridor simulate OUT" if simulate else "corridor fuse FLIGHT"
+    config = model() if file is None else build(model, read_toml(file), file)
     whose = "the defaults" if file is None else f"as {Path(file).name} makes them"
     return config_toml(
         config,
@@ -155,7 +139,7 @@ def settings_text(file: str | Path | None = None, *, simulate: bool = False) -> 
 def config_toml(config: BaseModel, heading: str) -> str:
     """Write a configuration as TOML with each setting's meaning, unit, bounds and default as comments.
 
-    Reading it back gives the same configuration; a setting that is None stands there as a comment, since TOML
+    Reading it back gives the same configuration; a setting that is None is written as a comment, since TOML
     has no word for it.
 
     Parameters
@@ -199,7 +183,7 @@ def _section_lines(config: BaseModel, path: tuple[str, ...]) -> Iterator[str]:
 def _setting_line(name: str, field: FieldInfo, value: Any) -> str:
     if value is None:
         return f"# {name} = ...{_remark(name, field, value)}"
-    return f"{name} = {_toml_value(value)}{_remark(name, field, value)}"
+    return f"{name} = {toml_value(value)}{_remark(name, field, value)}"
 
 
 def _meaning(name: str, field: FieldInfo) -> str:
@@ -221,7 +205,7 @@ def _remark(name: str, field: FieldInfo, value: Any) -> str:
     if value is None:
         parts.append("needed" if field.is_required() else "not set")
     elif not field.is_required() and value != field.default:
-        parts.append("default: not set" if field.default is None else f"default {_toml_value(field.default)}")
+        parts.append("default: not set" if field.default is None else f"default {toml_value(field.default)}")
     text = "; ".join(part for part in parts if part)
     return f"  # {text}" if text else ""
 
@@ -246,13 +230,15 @@ def _either(words: Sequence[str]) -> str:
     return " or ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
-def _toml_value(value: Any) -> str:
+def toml_value(value: Any) -> str:
+    """Write a value as TOML: a truth value, number, text, member of an enumeration, or a list of these."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, Enum):
-        return json.dumps(str(value.value))
+        return toml_value(value.value)
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
+        # A basic string of TOML escapes as JSON does, and the delete character too.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, tuple | list):
-        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
+        return "[" + ", ".join(toml_value(item) for item in value) + "]"
     return repr(value)

@@ -8,6 +8,8 @@ from difflib import get_close_matches
 from math import pi
 from typing import Any, NamedTuple
 
+from fusion.settings.sentences import did_you_mean
+
 UNIT_OF_SUFFIX = {
     "_rad_s": "rad/s",
     "_m_s2": "m/s^2",
@@ -76,7 +78,7 @@ def unit_of(name: str, description: str | None) -> str:
     return found[0] if found else ""
 
 
-def nearest(name: str, value: Any, units: Mapping[str, str]) -> str | None:
+def suggestion(name: str, value: Any, units: Mapping[str, str]) -> str | None:
     """Say which setting an unknown name may mean, its unit and the value in it; None where nothing is near.
 
     Parameters
@@ -103,8 +105,7 @@ def nearest(name: str, value: Any, units: Mapping[str, str]) -> str | None:
             return f"did you mean {same[0]}?" + (
                 f" It is in {units[same[0]]}{not_in}" if units[same[0]] else ""
             )
-    match = get_close_matches(name, names, n=1, cutoff=0.5)
-    return f"did you mean {match[0]}?" if match else None
+    return did_you_mean(name, names)
 
 
 def as_number(name: str, value: Any) -> str | None:

@@ -1,7 +1,9 @@
 """Make corridor flights: pictures, inertial data and exact truth, from a configuration and a seed.
 
 World axes: x along the first corridor, y right of it, z down, floor at z = 0. Body FRD. The pictures are made by
-casting rays at a furnished, lit corridor; see `fusion.simulate.raster`. Each name loads at its first use.
+casting rays at a furnished, lit corridor: `fusion.simulate.scene` builds it, `fusion.simulate.render` draws it.
+`SimulationConfig.random` draws corridors of all kinds, lenses, flights and inertial sensors; ``random_office`` draws
+plain offices in good light. Each name loads at its first use.
 """
 
 from __future__ import annotations
@@ -10,34 +12,40 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fusion.simulate.config import ImagingConfig, SimulationConfig
+    from fusion.simulate.config import CameraConfig, ImagingConfig, ImuConfig, SimulationConfig
+    from fusion.simulate.exposure import SimulatedFrame, simulate_frames
     from fusion.simulate.flight import simulate_flight
-    from fusion.simulate.scene_config import JunctionConfig, SceneConfig
-    from fusion.simulate.shooting import SimulatedFrame, simulate_frames
-    from fusion.simulate.views import RandomView, random_views
+    from fusion.simulate.scene.config import JunctionConfig, SceneConfig
+    from fusion.simulate.single_views import RandomView, office_views, random_views
 
 __all__ = [
+    "CameraConfig",
     "ImagingConfig",
+    "ImuConfig",
     "JunctionConfig",
     "RandomView",
     "SceneConfig",
     "SimulatedFrame",
     "SimulationConfig",
+    "office_views",
     "random_views",
     "simulate_flight",
     "simulate_frames",
 ]
 
 _MODULES = {
+    "CameraConfig": "config",
     "ImagingConfig": "config",
-    "JunctionConfig": "scene_config",
-    "RandomView": "views",
-    "SceneConfig": "scene_config",
-    "SimulatedFrame": "shooting",
+    "ImuConfig": "config",
+    "JunctionConfig": "scene.config",
+    "RandomView": "single_views",
+    "SceneConfig": "scene.config",
+    "SimulatedFrame": "exposure",
     "SimulationConfig": "config",
-    "random_views": "views",
+    "office_views": "single_views",
+    "random_views": "single_views",
     "simulate_flight": "flight",
-    "simulate_frames": "shooting",
+    "simulate_frames": "exposure",
 }
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from fusion.settings.toml import build, read_toml
-from fusion.simulate.scene_config import NotNegative, Positive, SceneConfig, Section, Share
+from fusion.simulate.scene.config import NotNegative, Positive, SceneConfig, Section, Share, Sides
+from fusion.simulate.scene.random_scene import is_night
 from vision import Camera
 from vision.cameras.camera import COEFFICIENT_COUNTS, Distortion
 
@@ -63,6 +64,13 @@ class CameraConfig(Section):
             raise ValueError("a field of view of 170 degrees or more needs distortion equidistant")
         return self
 
+    @classmethod
+    def random(cls, seed: int, **fixed: object) -> CameraConfig:
+        """Draw a lens, its field of view, the mount and the shutter; keyword arguments stay as given."""
+        from fusion.simulate.random_flight import draw_camera
+
+        return cls.model_validate(draw_camera(seed) | fixed)
+
     def camera(self) -> Camera:
         """Return the calibrated camera."""
         half = self.horizontal_fov_rad / 2
@@ -101,7 +109,13 @@ class ImagingConfig(Section):
     )
     noise: bool = True
     full_well_electrons: Positive = Field(default=12000.0, description="Full scale; sets the shot noise.")
+    gain: Positive = Field(default=1.0, description="Full scale is the full well over the gain.")
     read_noise_electrons: NotNegative = 6.0
+    row_noise_electrons: NotNegative = Field(default=0.0, description="Of whole rows, anew in each picture.")
+    fixed_pattern_electrons: NotNegative = Field(
+        default=0.0, description="Of pixels, the same in each picture."
+    )
+    response_std: Share = Field(default=0.0, description="How unequally pixels respond to light.")
     defocus_px: NotNegative = Field(default=0.6, description="Standard deviation of the lens blur.")
     vignetting: Share = Field(default=0.6, description="1 is the cosine's full fourth power.")
     bloom: Share = Field(default=0.04, description="Light that the lens spreads widely.")
@@ -111,7 +125,25 @@ class ImagingConfig(Section):
 
     @classmethod
     def random(cls, seed: int, **fixed: object) -> ImagingConfig:
-        """Draw a camera between good and poor; keyword arguments stay as given."""
+        """Draw a camera between good and poor, by night with a high gain; keyword arguments stay as given."""
+        rng = np.random.default_rng((seed, 15))
+        drawn: dict[str, object] = cls.random_office(seed).model_dump()
+        drawn["fixed_pattern_electrons"] = float(rng.uniform(0.0, 4.0))
+        drawn["response_std"] = float(rng.uniform(0.0, 0.02))
+        if is_night(seed):
+            drawn |= {
+                "brightness": float(np.exp(rng.uniform(np.log(0.02), np.log(0.15)))),
+                "full_well_electrons": float(rng.uniform(5000, 12000)),
+                "gain": float(np.exp(rng.uniform(np.log(2), np.log(20)))),
+                "read_noise_electrons": float(rng.uniform(2, 8)),
+                "row_noise_electrons": float(rng.uniform(0.0, 1.5)),
+                "defocus_px": float(rng.uniform(0.5, 1.1)),
+            }
+        return cls.model_validate(drawn | fixed)
+
+    @classmethod
+    def random_office(cls, seed: int, **fixed: object) -> ImagingConfig:
+        """Draw a camera between good and poor in good light; keyword arguments stay as given."""
         rng = np.random.default_rng((seed, 3))
         drawn: dict[str, object] = {
             "brightness": float(np.exp(rng.uniform(np.log(0.08), np.log(0.35)))),
@@ -141,6 +173,7 @@ class MotionConfig(Section):
     lateral_mean_m: float = Field(default=0.0, description="Right of the centre line.")
     tilt_rad: float = Field(default=radians(6), ge=0, le=radians(60), description="Greatest roll and pitch.")
     tilt_rate_rad_s: NotNegative = radians(30)
+    end_margin_m: float = Field(default=2.0, ge=0.5, description="How far short of the end it stops.")
     turn_rate_rad_s: Positive = Field(default=radians(50), description="Mean rate in a junction.")
     turn_speed_m_s: Positive = Field(default=0.4, description="Forward speed in a junction.")
     route: tuple[int, ...] = Field(
@@ -158,6 +191,22 @@ class ImuConfig(Section):
     accel_noise_density: NotNegative = Field(default=0.02, description="m/s^2/sqrt(Hz).")
     accel_bias_std_m_s2: NotNegative = 0.08
     accel_random_walk: NotNegative = Field(default=1e-3, description="m/s^3/sqrt(Hz).")
+    gyro_scale_std: NotNegative = Field(default=0.0, description="Scale error, each axis.")
+    accel_scale_std: NotNegative = Field(default=0.0, description="Scale error, each axis.")
+    misalignment_std_rad: NotNegative = Field(default=0.0, description="Of each sensor's axes, one by one.")
+    vibration_m_s2: NotNegative = Field(
+        default=0.0,
+        description="Root mean square of the rotors' vibration along x and y; along z twice that.",
+    )
+    rotor_hz: Positive = Field(default=140.0, description="Turns of a rotor in a second.")
+    vibration_harmonics: int = Field(default=3, ge=1, le=10)
+
+    @classmethod
+    def random(cls, seed: int, **fixed: object) -> ImuConfig:
+        """Draw sensors between good and poor, most shaken by the rotors; keyword arguments stay as given."""
+        from fusion.simulate.random_flight import draw_imu
+
+        return cls.model_validate(draw_imu(seed) | fixed)
 
 
 class AttitudeConfig(Section):
@@ -221,19 +270,29 @@ class SimulationConfig(Section):
             raise ValueError(
                 f"height_m = {motion.height_m:g} touches the ceiling, height_m = {scene.height_m:g}"
             )
-        widths = [scene.width_m, *(scene.junctions[n - 2].width_m for n in motion.route)]
+        halves = [least_half_width_m(scene), *(scene.junctions[n - 2].width_m / 2 for n in motion.route)]
         reach = abs(motion.lateral_mean_m) + motion.lateral_amplitude_m
-        if reach > min(widths) / 2 - 0.2:
+        if reach > min(halves) - 0.2:
             raise ValueError(f"lateral_amplitude_m and lateral_mean_m, {reach:g} together, touch a wall")
         if self.attitude is not None and self.attitude.yaw_follows_gyro and self.imu is None:
             raise ValueError("yaw_follows_gyro needs an imu")
         return self
 
     @classmethod
-    def random(cls, seed: int, **fixed: object) -> SimulationConfig:
-        """Draw the corridor and the camera's quality; keyword arguments stay as given."""
-        drawn = {"seed": seed, "scene": SceneConfig.random(seed), "imaging": ImagingConfig.random(seed)}
-        return cls.model_validate(drawn | fixed)
+    def random(cls, seed: int, **fixed: Any) -> SimulationConfig:
+        """Draw the corridor, the camera, the flight and the sensors.
+
+        Keyword arguments stay as given; of a section given as a dictionary the rest is drawn.
+        """
+        from fusion.simulate.random_flight import draw_flight
+
+        return cls.model_validate(draw_flight(seed, fixed))
+
+    @classmethod
+    def random_office(cls, seed: int, **fixed: object) -> SimulationConfig:
+        """Draw a plain office corridor and the camera's quality; keyword arguments stay as given."""
+        scene, imaging = SceneConfig.random_office(seed), ImagingConfig.random_office(seed)
+        return cls.model_validate({"seed": seed, "scene": scene, "imaging": imaging} | fixed)
 
     @classmethod
     def from_toml(cls, path: str | Path) -> SimulationConfig:
@@ -250,6 +309,14 @@ class SimulationConfig(Section):
     def from_values(cls, values: dict[str, Any], file: str | Path | None = None) -> SimulationConfig:
         """Check a nested table; `InputError` names the setting, its value and the remedy."""
         return build(cls, values, file)
+
+
+def least_half_width_m(scene: SceneConfig) -> float:
+    """Distance from the first corridor's axis to its nearest wall, before or behind a step of the width."""
+    half, step = scene.width_m / 2, scene.width_step
+    if step is None or step.width_m > scene.width_m:
+        return half
+    return step.width_m / 2 if step.moves is Sides.BOTH else step.width_m - half
 
 
 def rotation(yaw_rad: float, pitch_rad: float, roll_rad: float) -> np.ndarray[Any, np.dtype[np.float64]]:

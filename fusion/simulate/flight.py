@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from fusion.progress import Progress
 from fusion.simulate.config import SimulationConfig
-from fusion.simulate.imaging import encode_jpeg
-from fusion.simulate.sensors import (
+from fusion.simulate.exposure import FlyingCamera
+from fusion.simulate.imu import (
     AttitudeSamples,
     ImuSamples,
     quaternions,
@@ -23,13 +23,12 @@ from fusion.simulate.sensors import (
     read_range,
     sample_times,
 )
-from fusion.simulate.shooting import Shoot
+from fusion.simulate.sensor import encode_jpeg
 from vision import Camera, InputError
 from vision.cameras.calibration import to_frd
 from vision.cameras.camera import Distortion
 
 FloatArray = npt.NDArray[np.float64]
-Progress = Callable[[int, int], None]
 
 TRUTH_RATE_HZ = 200.0
 _LENS_NAMES = {
@@ -92,19 +91,19 @@ def _umask() -> int:
 
 
 def _write(config: SimulationConfig, root: Path, progress: Progress, camera: Camera | None) -> None:
-    shoot = Shoot.prepare(config, camera)
+    flying = FlyingCamera.prepare(config, camera)
     mav0 = root / "mav0"
     R_file = to_frd(config.body_frame)
     imu: ImuSamples | None = None
     if config.imu is not None:
-        times = sample_times(shoot.trajectory.duration_s, config.imu.rate_hz)
-        imu = read_imu(shoot.trajectory.truth(times), config.imu, config.seed)
+        times = sample_times(flying.trajectory.duration_s, config.imu.rate_hz)
+        imu = read_imu(flying.trajectory.truth(times), config.imu, config.seed)
         _write_imu(mav0 / "imu0", config, imu, R_file)
     if config.attitude is not None:
-        samples = read_attitude(shoot.trajectory, config.attitude, imu, config.seed)
+        samples = read_attitude(flying.trajectory, config.attitude, imu, config.seed)
         _write_attitude(mav0 / "attitude0", config, samples, R_file)
     if config.range is not None:
-        ranges = read_range(shoot.trajectory, config.range, shoot.camera.p_body_camera_m, config.seed)
+        ranges = read_range(flying.trajectory, config.range, flying.camera.p_body_camera_m, config.seed)
         stamps = _stamps(config, ranges.t_s)
         _table(
             mav0 / "range0" / "data.csv",
@@ -118,12 +117,12 @@ def _write(config: SimulationConfig, root: Path, progress: Progress, camera: Cam
             f"rate_hz: {config.range.rate_hz:g}\n",
             encoding="utf-8",
         )
-    _write_truth(root, config, shoot, imu, R_file)
+    _write_truth(root, config, flying, imu, R_file)
     (mav0 / "body.yaml").write_text(
         f"body_frame: {config.body_frame}   # {_AXES[config.body_frame]}\n", encoding="utf-8"
     )
-    (root / "README.md").write_text(_readme(config, shoot), encoding="utf-8")
-    _write_camera(mav0 / "cam0", config, shoot, R_file, progress)
+    (root / "README.md").write_text(_readme(config, flying), encoding="utf-8")
+    _write_camera(mav0 / "cam0", config, flying, R_file, progress)
 
 
 _AXES = {
@@ -189,11 +188,11 @@ def _write_attitude(
 
 
 def _write_truth(
-    root: Path, config: SimulationConfig, shoot: Shoot, imu: ImuSamples | None, R_file: FloatArray
+    root: Path, config: SimulationConfig, flying: FlyingCamera, imu: ImuSamples | None, R_file: FloatArray
 ) -> None:
     """Write ``corridor_truth.csv`` and the full state, at the IMU's times (or at 200 Hz)."""
-    times = sample_times(shoot.trajectory.duration_s, TRUTH_RATE_HZ) if imu is None else imu.t_s
-    truth, stamps = shoot.trajectory.truth(times), _stamps(config, times)
+    times = sample_times(flying.trajectory.duration_s, TRUTH_RATE_HZ) if imu is None else imu.t_s
+    truth, stamps = flying.trajectory.truth(times), _stamps(config, times)
     rows = [
         f"{t},{heading:.9f},{offset:.6f},{width:.4f},{corridor},{junction}"
         for t, heading, offset, width, corridor, junction in zip(
@@ -226,10 +225,10 @@ def _write_truth(
 
 
 def _write_camera(
-    folder: Path, config: SimulationConfig, shoot: Shoot, R_file: FloatArray, progress: Progress
+    folder: Path, config: SimulationConfig, flying: FlyingCamera, R_file: FloatArray, progress: Progress
 ) -> None:
     (folder / "data").mkdir(parents=True)
-    c = shoot.camera
+    c = flying.camera
     lens = f"distortion_model: {_LENS_NAMES[c.distortion]}\n"
     lens += f"distortion_coefficients: [{', '.join(f'{k:.12g}' for k in c.coefficients)}]\n"
     exposure = (
@@ -245,26 +244,26 @@ def _write_camera(
         + exposure,
         encoding="utf-8",
     )
-    times = shoot.frame_times().tolist()
+    times = flying.frame_times().tolist()
     quality = config.imaging.jpeg_quality
     suffix = "png" if quality is None else "jpg"
     rows = ["#timestamp [ns],filename"]
     for number, t in enumerate(times):
-        picture = shoot.picture(t, number)
-        name = f"{shoot.stamp_ns(t)}.{suffix}"
+        picture = flying.picture(t, number)
+        name = f"{flying.stamp_ns(t)}.{suffix}"
         data = (
             encode_jpeg(picture, quality)
             if quality is not None
             else cv2.imencode(".png", picture)[1].tobytes()
         )
         (folder / "data" / name).write_bytes(data)
-        rows.append(f"{shoot.stamp_ns(t)},{name}")
+        rows.append(f"{flying.stamp_ns(t)},{name}")
         progress(number + 1, len(times))
     (folder / "data.csv").write_text("\n".join([*rows, ""]), encoding="utf-8")
 
 
-def _readme(config: SimulationConfig, shoot: Shoot) -> str:
-    scene, c = config.scene, shoot.camera
+def _readme(config: SimulationConfig, flying: FlyingCamera) -> str:
+    scene, c = config.scene, flying.camera
     offset = config.camera.time_offset_s
     clock = f", frames stamped {1e3 * offset:g} ms late" if offset else ""
     shutter = (
@@ -273,7 +272,7 @@ def _readme(config: SimulationConfig, shoot: Shoot) -> str:
         else ""
     )
     return (
-        f"# {len(shoot.frame_times())} simulated frames of a corridor, {scene.width_m:g} m wide\n"
+        f"# {len(flying.frame_times())} simulated frames of a corridor, {scene.width_m:g} m wide\n"
         f"Rendered with exact truth, seed {config.seed}: {c.width_px}x{c.height_px} at {config.camera.rate_hz:g} Hz, "
         f"lens {c.distortion}{shutter}{clock}. Truth in `corridor_truth.csv`.\n"
     )

@@ -16,7 +16,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from fusion.simulate.config import MotionConfig
-from fusion.simulate.plan import Meeting, Room, in_junction
+from fusion.simulate.scene.plan import Meeting, Room, corridor_length_m, in_junction, part_at
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -24,7 +24,6 @@ GRAVITY_M_S2 = 9.80665
 STEP_S = 0.02
 MARGIN_S = 1.0  # of spline before the first and after the last sample
 BRAKING_S = 1.0
-END_MARGIN_M = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,8 +95,11 @@ class Trajectory:
             here = room == number
             s, y = flown.to_room(p[here, :2]).T
             turned = angles[here, 2] - flown.yaw_rad
-            heading[here], offset[here] = np.arctan2(np.sin(turned), np.cos(turned)), y
-            width[here] = flown.width_m
+            heading[here] = np.arctan2(np.sin(turned), np.cos(turned))
+            behind = part_at(self.rooms, number, np.inf)  # where the corridor goes on with another width
+            y_behind = behind.to_room(p[here, :2])[:, 1]
+            offset[here] = np.where(s < flown.length_m, y, y_behind)
+            width[here] = np.where(s < flown.length_m, flown.width_m, behind.width_m)
             junction[here] = in_junction(list(self.rooms), list(self.meetings), number, s)
         for turn in self.turns:
             junction |= (t > turn.start_s) & (t < turn.end_s)
@@ -213,7 +215,7 @@ def _timeline(config: MotionConfig, rooms: list[Room], meetings: list[Meeting], 
         place = meeting.child_s_m + float(left @ [np.cos(angle), np.sin(angle)])
         _change(t, speeds, clock, slow, cruise)
         clock, place, speed = clock + BRAKING_S, place + _braked_m(slow, cruise), cruise
-    free = rooms[room].length_m - END_MARGIN_M - place - _braked_m(cruise, 0.0)
+    free = corridor_length_m(rooms, room) - config.end_margin_m - place - _braked_m(cruise, 0.0)
     if cruise > 0:
         _change(t, speeds, clock + max(0.0, free) / cruise, cruise, 0.0)
     return _Timeline(course, speeds, tuple(turns))
@@ -234,7 +236,8 @@ def plan_flight(config: MotionConfig, rooms: list[Room], meetings: list[Meeting]
     swing = oscillation(rng, t, config.heading_amplitude_rad, config.heading_rate_rad_s)
     yaw = line.course_rad + config.heading_mean_rad + swing
     roll, pitch = _tilt(rng, config, t, path, yaw)
-    position = make_interp_spline(t, np.column_stack([path, -height]), k=5)
+    floor = -np.tan(rooms[0].slope_rad) * path[:, 0]
+    position = make_interp_spline(t, np.column_stack([path, floor - height]), k=5)
     angles = make_interp_spline(t, np.column_stack([roll, pitch, yaw]), k=5)
     return Trajectory(tuple(rooms), tuple(meetings), config.duration_s, position, angles, line.turns)
 

@@ -56,7 +56,8 @@ def read_everything(reader: ModuleType, path: Path, pictures: int = 2) -> tuple[
     said += log.problems
     for topic in log.topics:
         try:
-            stream = getattr(log, topic.kind)(topic.name, said)
+            stream, problems = getattr(log, topic.kind)(topic.name)
+            said += problems
             samples += len(stream.t_ns)
             check_stream(stream)
             if topic.kind == "frames":

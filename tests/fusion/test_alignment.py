@@ -16,11 +16,11 @@ from fusion import fuse_flight, load_flight
 from fusion.alignment import Quantity, align_flight, apply_alignment, clock_of_frames
 from fusion.alignment.mount import mount_rotation
 from fusion.alignment.views import scaled_focal
-from fusion.cli import app as cli
 from fusion.flight import AttitudeStream, Flight, FrameStream, VectorStream
 from fusion.logs.asl import read_ground_truth
 from fusion.logs.manifest.manifest import read_manifest
 from fusion.simulate import SimulationConfig, simulate_flight
+from tests.command import Corridor
 from vision import Camera, InputError
 
 OFFICE = Path(__file__).resolve().parent.parent.parent / "data" / "office"
@@ -37,11 +37,6 @@ def spoilt(
     R = mount_rotation(np.radians(mount_deg)).T @ camera.R_body_camera
     frames = replace(flight.frames, t_ns=flight.frames.t_ns - round(offset_s * 1e9))
     return replace(flight, frames=frames, camera=replace(camera, R_body_camera=R))
-
-
-@pytest.fixture(scope="module")
-def office() -> Flight:
-    return load_flight(OFFICE)
 
 
 @pytest.fixture(scope="module")
@@ -201,21 +196,15 @@ class TestCommand:
         table.write_text("\n".join([head, *shifted, ""]))
         return folder
 
-    @staticmethod
-    def run(*arguments: str | Path) -> int:
-        with pytest.raises(SystemExit) as end:
-            cli.main([str(argument) for argument in arguments])
-        return end.value.code if isinstance(end.value.code, int) else 0
-
-    def test_writing_brings_the_errors_back(self, late: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    def test_writing_brings_the_errors_back(self, late: Path, corridor: Corridor) -> None:
         before = sorted(os.listdir(late))
-        assert self.run("align", late) == 0
-        told = capfd.readouterr()
+        told = corridor("align", late)
+        assert told.code == 0
         assert "1699" in told.out or "1700" in told.out
         assert "nothing written" in told.err
         assert sorted(os.listdir(late)) == before
         out = late.parent / "aligned.toml"
-        assert self.run("align", late, "-o", out) == 0
+        assert corridor("align", late, "-o", out).code == 0
         assert sorted(os.listdir(late)) == before
         manifest = read_manifest(out)
         assert manifest.camera.clock_offset_s == pytest.approx(1.7, abs=0.005)
@@ -228,32 +217,28 @@ class TestCommand:
             assert b < 1.1 * a, (which, a, b)
         assert np.mean(mended.frames["accepted"]) > 0.98
 
-    def test_written_into_the_flight_and_found_to_fit_then(
-        self, late: Path, capfd: pytest.CaptureFixture[str]
-    ) -> None:
-        assert self.run("align", late, "--write") == 0
+    def test_written_into_the_flight_and_found_to_fit_then(self, late: Path, corridor: Corridor) -> None:
+        assert corridor("align", late, "--write").code == 0
         assert (late / "flight.toml").exists()
-        capfd.readouterr()
-        assert self.run("align", late) == 0  # with the manifest in force
-        assert "agree in time" in capfd.readouterr().out
+        told = corridor("align", late)  # with the manifest in force
+        assert told.code == 0
+        assert "agree in time" in told.out
         assert read_manifest(late / "flight.toml").camera.clock_offset_s == pytest.approx(1.7, abs=0.005)
 
-    def test_without_calibration_one_is_written(self, late: Path, tmp_path: Path) -> None:
+    def test_without_calibration_one_is_written(self, late: Path, tmp_path: Path, corridor: Corridor) -> None:
         (late / "mav0/cam0/sensor.yaml").unlink()
         out = tmp_path / "found.toml"
-        assert self.run("align", late, "-o", out) == 0
+        assert corridor("align", late, "-o", out).code == 0
         flight = load_flight(out)
         assert flight.camera.fx_px == pytest.approx(466.0, rel=0.01)
         assert abs(float(flight.camera.R_body_camera[0, 2])) > 0.999  # straight ahead
         assert read_manifest(out).camera.focal_scale == 1.0
         assert "sensor_type: camera" in (tmp_path / "found_camera.yaml").read_text()
 
-    def test_a_straight_flight_is_refused(
-        self, straight: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_a_straight_flight_is_refused(self, straight: Path, tmp_path: Path, corridor: Corridor) -> None:
         before = sorted(os.listdir(straight))
-        assert self.run("align", straight, "--write") == 2
-        told = capfd.readouterr()
+        told = corridor("align", straight, "--write")
+        assert told.code == 2
         assert told.out == ""
         lines = [line for line in told.err.splitlines() if "compiling" not in line]
         assert len(lines) == 1
@@ -271,25 +256,25 @@ class TestCommand:
         ids=str,
     )
     def test_bad_options_are_one_line(
-        self, arguments: tuple[str, ...], words: str, capfd: pytest.CaptureFixture[str]
+        self, arguments: tuple[str, ...], words: str, corridor: Corridor
     ) -> None:
-        assert self.run("align", OFFICE, *arguments) == 2
-        told = capfd.readouterr()
+        told = corridor("align", OFFICE, *arguments)
+        assert told.code == 2
         assert words in told.err
         assert told.out == ""
 
-    def test_another_toml_is_not_written_over(
-        self, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_another_toml_is_not_written_over(self, tmp_path: Path, corridor: Corridor) -> None:
         config = tmp_path / "config.toml"
         config.write_text("gyro_gap_s = 0.2\n")
-        assert self.run("align", OFFICE, "-o", config) == 2
-        assert "is no manifest" in capfd.readouterr().err
+        told = corridor("align", OFFICE, "-o", config)
+        assert told.code == 2
+        assert "is no manifest" in told.err
         assert config.read_text() == "gyro_gap_s = 0.2\n"
 
-    def test_a_flight_that_is_not_there(self, capfd: pytest.CaptureFixture[str]) -> None:
-        assert self.run("align", "nowhere", "--write") == 2
-        assert "no such file" in capfd.readouterr().err
+    def test_a_flight_that_is_not_there(self, corridor: Corridor) -> None:
+        told = corridor("align", "nowhere", "--write")
+        assert told.code == 2
+        assert "no such file" in told.err
 
 
 def test_the_clock_by_headings_that_were_measured_already(office: Flight) -> None:

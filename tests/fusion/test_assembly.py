@@ -14,10 +14,15 @@ import pytest
 
 from fusion import FusionConfig, fuse_flight, load_flight
 from fusion.flight import Flight
+from fusion.inspection.findings import CameraFindings
+from fusion.inspection.imu import inspect_imu
+from fusion.inspection.sources import inspect_path
 from fusion.logs import load_manifest, open_log
 from fusion.logs.contents import Kind, LogContents, Topic
-from fusion.logs.manifest.manifest import Manifest, make_manifest, write_manifest
-from fusion.logs.topic_choice import RANKED_FORMATS, choose_topic
+from fusion.logs.manifest.assembly import assemble_flight
+from fusion.logs.manifest.manifest import Manifest, make_manifest, read_manifest, write_manifest
+from fusion.logs.topic_choice import RANKED_FORMATS, TABLES, choose_topic
+from tests.fusion.test_log_dataflash import new_log
 from vision import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -353,6 +358,66 @@ def test_a_manifest_by_hand_needs_pictures(tmp_path: Path) -> None:
         load_manifest(Manifest(log=tmp_path / "none"))
 
 
+# ------------------------------------------------------------------------------------------- fuse and inspect
+
+CAMERA = '[camera]\nfile = "hall.mp4"\ncalibration = "camera.yaml"\n'
+CHAIN = """cam0:
+  T_cam_imu: [[0,-1,0,0],[0,0,-1,0],[1,0,0,0],[0,0,0,1]]
+  timeshift_cam_imu: 0.25
+  resolution: [640, 480]
+  intrinsics: [466, 466, 319.5, 239.5]
+  camera_model: pinhole
+  distortion_model: radtan
+  distortion_coeffs: [0, 0, 0, 0]
+"""
+SEEN_ALIKE = {
+    "files on clocks of their own": MANIFEST + '[attitude]\nfile = "attitude.csv"\nclock_offset_s = -100.0\n',
+    "a folder, corrected": f"log = {str(OFFICE)!r}\n[camera]\nfocal_scale = 1.5\nmount_yaw_rad = 0.1\n"
+    '[imu]\nnoise = "imu.yaml"\nmount_rad = [0.0, 0.1, 0.0]\n[attitude]\nuse = false\n',
+    "pictures with a list of times": CAMERA.replace("hall.mp4", "pictures")
+    + 'clock_offset_s = 100.0\n[attitude]\nfile = "attitude.csv"\n',
+    "an autopilot's log, its first IMU": f'log = "new.BIN"\n{CAMERA}clock_offset_s = 80.0\n',
+    "an autopilot's log, its second IMU": (
+        f'log = "new.BIN"\n{CAMERA}clock_offset_s = 80.0\n[imu]\ntopic = "IMU[1]"\n'
+    ),
+    "a chain that knows the offset": f'log = {str(OFFICE)!r}\n[camera]\ncalibration = "camchain.yaml"\n',
+}
+
+
+@pytest.mark.parametrize("case", SEEN_ALIKE)
+def test_inspecting_shows_the_streams_that_are_fused(parts: Parts, case: str) -> None:
+    new_log(parts.folder)
+    (parts.folder / "imu.yaml").write_text("gyroscope_noise_density: 0.001\n")
+    (parts.folder / "camchain.yaml").write_text(CHAIN)
+    path = at(parts, SEEN_ALIKE[case])
+    flight = assemble_flight(read_manifest(path))
+    assert flight.manifest is not None
+    fused = {
+        kind: (flight.manifest.stream(TABLES[kind]).topic, len(stream.t_ns), stream.t_ns[0], stream.t_ns[-1])
+        for kind, stream in {
+            Kind.FRAMES: flight.frames,
+            Kind.IMU: flight.imu,
+            Kind.ATTITUDE: flight.attitude,
+            Kind.POSITION: flight.position,
+            Kind.VELOCITY: flight.velocity,
+            Kind.RANGE: flight.range,
+        }.items()
+        if stream is not None
+    }
+    streams = {stream.kind: stream for stream in inspect_path(path).streams if stream.chosen}
+    assert fused == {
+        kind: (stream.name, stream.timing.samples, stream.timing.first_ns, stream.timing.last_ns)
+        for kind, stream in streams.items()
+    }
+    assert all(stream.error is None for stream in streams.values())
+    camera, imu = streams[Kind.FRAMES].camera, streams.get(Kind.IMU)
+    assert camera is not None
+    assert camera == CameraFindings.of(flight.camera)
+    assert (flight.imu is None) == (imu is None)
+    if flight.imu is not None and imu is not None:
+        assert imu.imu == inspect_imu(flight.imu)
+
+
 # ------------------------------------------------------------------------------------------- choices
 
 
@@ -370,11 +435,9 @@ class Log:
         raise AttributeError(name)
 
 
-def chosen(
-    kind: Kind, *names: str, empty: tuple[str, ...] = (), problems: list[str] | None = None
-) -> str | None:
+def chosen(kind: Kind, *names: str, empty: tuple[str, ...] = ()) -> str | None:
     log: LogContents = Log(kind, *names, empty=empty)  # type: ignore[assignment]
-    return choose_topic(log, kind, None, [] if problems is None else problems)
+    return choose_topic(log, kind).value
 
 
 @pytest.mark.parametrize(
@@ -400,8 +463,8 @@ def test_the_vehicles_own_is_taken(kind: Kind, names: tuple[str, ...], expected:
 def test_an_autopilots_log_is_taken_in_its_readers_order(name: str) -> None:
     for kind in (Kind.IMU, Kind.VELOCITY):
         log = Log(kind, "NKF1", "NKF6", empty=("NKF1",), format=name)
-        assert choose_topic(log, kind, None, []) == "NKF6"  # type: ignore[arg-type]
-        assert choose_topic(Log(kind, "b", "a", format=name), kind, None, []) == "b"  # type: ignore[arg-type]
+        assert choose_topic(log, kind).value == "NKF6"  # type: ignore[arg-type]
+        assert choose_topic(Log(kind, "b", "a", format=name), kind).value == "b"  # type: ignore[arg-type]
 
 
 def test_the_ranked_formats_are_those_of_the_readers() -> None:
@@ -422,8 +485,10 @@ def test_two_cameras_or_imus_are_asked_about() -> None:
 
 
 def test_other_streams_are_left_out_and_said() -> None:
-    problems: list[str] = []
-    assert chosen(Kind.VELOCITY, "/a", "/b", problems=problems) is None
-    assert problems == [
-        'a.bag: 2 topics of velocity (/a, /b), none used: name one in flight.toml, [velocity] topic = "/a"'
-    ]
+    log: LogContents = Log(Kind.VELOCITY, "/a", "/b")  # type: ignore[assignment]
+    assert choose_topic(log, Kind.VELOCITY) == (
+        None,
+        (
+            'a.bag: 2 topics of velocity (/a, /b), none used: name one in flight.toml, [velocity] topic = "/a"',
+        ),
+    )

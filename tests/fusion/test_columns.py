@@ -21,6 +21,7 @@ from fusion.logs.csv.columns import open_columns
 from fusion.logs.csv.table import read_layout
 from fusion.logs.csv.time_units import guess_unit, to_ns
 from fusion.logs.csv.times import read_times
+from tests.fusion.reading import Told
 from vision import InputError
 
 T0 = 1_403_636_579_763_555_584
@@ -43,13 +44,13 @@ def rows(row: Callable[[int], str], n: int = 30) -> str:
 
 
 def imu_of(path: Path, columns: ColumnMap | str | None = None, frame: Frame | None = None) -> ImuStream:
-    return open_columns(path, columns, frame).imu("imu", [])
+    return open_columns(path, columns, frame).imu("imu").value
 
 
 def attitude_of(
     path: Path, columns: ColumnMap | str | None = None, frame: Frame | None = None
 ) -> AttitudeStream:
-    return open_columns(path, columns, frame).attitude("attitude", [])
+    return open_columns(path, columns, frame).attitude("attitude").value
 
 
 def rotation(stream: AttitudeStream) -> np.ndarray:
@@ -94,8 +95,8 @@ def test_axes_of_an_imu(write: Write, frame: Frame, expected: tuple[float, ...])
 @pytest.mark.parametrize(("z", "frame"), [(9.8, "flu"), (-9.8, "frd")])
 def test_gravity_tells_the_axes_and_it_is_said(write: Write, z: float, frame: str) -> None:
     path = write("a.csv", "t,gx,gy,gz,ax,ay,az\n" + rows(lambda i: f"{i * 10},0,0,1,0,0,{z}"))
-    problems: list[str] = []
-    imu = open_log(path).imu("imu", problems)
+    problems = Told()
+    imu = problems.take(open_log(path).imu("imu"))
     assert imu.accel_m_s2[0, 2] == -9.8
     assert imu.gyro_rad_s[0, 2] == (1.0 if frame == "frd" else -1.0)
     assert any(f"axes taken as {frame}, gravity stands" in text for text in problems)
@@ -139,7 +140,7 @@ def test_an_attitude_to_east_north_up(write: Write) -> None:
 )
 def test_positions_in_every_world(write: Write, frame: Frame, expected: tuple[float, ...]) -> None:
     path = write("a.csv", "t;px [cm];py [cm];pz [cm]\n" + rows(lambda i: f"{i * 10};100;200;300"))
-    found = open_columns(path, None, frame).position("position", [])
+    found = open_columns(path, None, frame).position("position").value
     np.testing.assert_allclose(found.xyz[0], expected)
 
 
@@ -158,14 +159,14 @@ def test_velocities_of_body_and_world(write: Write, frame: Frame, expected: tupl
         euler_unit="deg",
         velocity=("vx", "vy", "vz"),
     )
-    found = open_columns(path, columns).velocity("velocity", [])
+    found = open_columns(path, columns).velocity("velocity").value
     np.testing.assert_allclose(found.xyz[0], expected, atol=1e-9)
 
 
 def test_a_velocity_of_the_world_needs_an_attitude(write: Write) -> None:
     path = write("a.csv", "t,vx,vy,vz\n" + rows(lambda i: f"{i * 10},1,2,3"))
     with pytest.raises(InputError, match=r"along the world's axes \(ned\).*use = false"):
-        open_columns(path, None, "ned").velocity("velocity", [])
+        open_columns(path, None, "ned").velocity("velocity")
 
 
 # ------------------------------------------------------------------------------------------- ready maps
@@ -185,22 +186,22 @@ def check_tello(path: Path) -> None:
     log = open_log(path)
     assert log.format == "CSV (tello)"
     assert [topic.kind for topic in log.topics] == [Kind.ATTITUDE, Kind.VELOCITY, Kind.RANGE]  # no gyroscope
-    attitude = log.attitude("attitude", [])
+    attitude = log.attitude("attitude").value
     expected = Rotation.from_euler("ZYX", [90, 10, -5], degrees=True)
     np.testing.assert_allclose(rotation(attitude), expected.as_matrix(), atol=1e-9)
     # 0.3 m/s along the first axis of the world and 0.4 against the second; the nose points along the second.
-    velocity = log.velocity("velocity", [])
+    velocity = log.velocity("velocity").value
     np.testing.assert_allclose(velocity.xyz[0], expected.inv().apply([0.3, -0.4, 0.0]), atol=1e-9)
     assert attitude.t_ns[0] == 1_612_345_678_000_000_000
     assert attitude.t_ns[1] - attitude.t_ns[0] == 100_000_000
-    np.testing.assert_allclose(log.range("range", []).distance_m, 0.8)
+    np.testing.assert_allclose(log.range("range").value.distance_m, 0.8)
 
 
 def test_tello_on_the_ground_and_out_of_reach(write: Write) -> None:
     far = {3: 10, 4: 6553, 5: 29, 6: 31}
     lines = rows(lambda i: tello(i).replace(",62,80,70,", f",62,{far.get(i, 80)},70,"))
-    problems: list[str] = []
-    found = open_log(write("tello.csv", TELLO + lines)).range("range", problems)
+    problems = Told()
+    found = problems.take(open_log(write("tello.csv", TELLO + lines)).range("range"))
     assert found.distance_m[3] == pytest.approx(0.31)
     np.testing.assert_allclose(np.delete(found.distance_m, 3), 0.8)
     assert "(range): 3 rows with no distance within the sensor's reach dropped" in problems[0]
@@ -218,14 +219,14 @@ def test_tello_on_the_ground_and_out_of_reach(write: Write) -> None:
 def test_distances_to_the_floor_by_name(write: Write, header: str, value: float, told: bool) -> None:
     log = open_log(write("range.csv", f"time_ms,{header}\n" + rows(lambda i: f"{20 * i},{value}")))
     assert [topic.kind for topic in log.topics] == [Kind.RANGE]
-    np.testing.assert_allclose(log.range("range", []).distance_m, 1.4)
+    np.testing.assert_allclose(log.range("range").value.distance_m, 1.4)
     assert any("no unit is given for range, m taken" in text for text in log.problems) == told
 
 
 def test_distances_to_the_floor_by_a_map(write: Write) -> None:
     text = "t,d\n" + rows(lambda i: f"{0.02 * i:.2f},{400 if i == 3 else 140 + i}")
     columns = ColumnMap(time="t", time_unit="s", range="d", range_unit="cm", range_limits=(5.0, 399.0))
-    found = open_columns(write("range.csv", text), columns).range("range", problems := [])
+    found, problems = open_columns(write("range.csv", text), columns).range("range")
     assert found.distance_m[0] == pytest.approx(1.4)
     assert found.distance_m[3] == pytest.approx(1.44)
     assert len(problems) == 1
@@ -256,10 +257,10 @@ def test_ardrone_of_ros(write: Write) -> None:
     text += rows(lambda i: f"{T0 + i * 5_000_000},5,-10,-30,0,500,100,0,0,0,1,{5000 * i + 77}")
     log = open_log(write("navdata.csv", text))
     assert log.format == "CSV (ardrone_ros)"
-    attitude = log.attitude("attitude", [])
+    attitude = log.attitude("attitude").value
     expected = Rotation.from_euler("ZYX", [30, 10, 5], degrees=True).as_matrix()  # FLU: y and z change sign
     np.testing.assert_allclose(rotation(attitude), expected, atol=1e-9)
-    np.testing.assert_allclose(log.velocity("velocity", []).xyz[0], [0.5, -0.1, 0.0])
+    np.testing.assert_allclose(log.velocity("velocity").value.xyz[0], [0.5, -0.1, 0.0])
     assert attitude.t_ns[:2].tolist() == [77_000, 5_077_000]
 
 
@@ -269,8 +270,8 @@ def test_ardrone_of_its_own_sdk(write: Write) -> None:
     )
     log = open_log(write("navdata.csv", text))
     expected = Rotation.from_euler("ZYX", [30, 10, 5], degrees=True).as_matrix()
-    np.testing.assert_allclose(rotation(log.attitude("attitude", [])), expected, atol=1e-9)
-    np.testing.assert_allclose(log.velocity("velocity", []).xyz[0], [0.5, 0.1, 0.0])
+    np.testing.assert_allclose(rotation(log.attitude("attitude").value), expected, atol=1e-9)
+    np.testing.assert_allclose(log.velocity("velocity").value.xyz[0], [0.5, 0.1, 0.0])
 
 
 # ------------------------------------------------------------------------------------------- names and shapes
@@ -348,7 +349,7 @@ def test_damaged_rows_are_dropped_and_counted(write: Write) -> None:
     bad[3], bad[7], bad[20] = "what,is,this,row", f"{T0},1", "\0\0\0"[:0] + "x;y"
     path = write("a.csv", "t,gx,gy,gz\n" + "\n".join(bad) + "\n")
     log = open_columns(path, None, "frd")
-    assert len(log.imu("imu", []).t_ns) == 37
+    assert len(log.imu("imu").value.t_ns) == 37
     assert any(
         text.startswith("a.csv: 3 rows damaged, dropped, the first is 'what,is,this") for text in log.problems
     )
@@ -356,8 +357,8 @@ def test_damaged_rows_are_dropped_and_counted(write: Write) -> None:
 
 def test_empty_fields_are_no_numbers(write: Write) -> None:
     text = "t,gx,gy,gz,ax,ay,az\n" + rows(lambda i: f"{i * 10},1,2,{'' if i == 4 else 3},,,")
-    problems: list[str] = []
-    imu = open_columns(write("a.csv", text), None, "frd").imu("imu", problems)
+    problems = Told()
+    imu = problems.take(open_columns(write("a.csv", text), None, "frd").imu("imu"))
     assert len(imu.t_ns) == 29
     assert any("1 row with a gyro value" in text for text in problems)
 
@@ -365,7 +366,7 @@ def test_empty_fields_are_no_numbers(write: Write) -> None:
 def test_a_torn_end_costs_one_row(write: Write) -> None:
     text = "t,gx,gy,gz\n" + rows(lambda i: f"{i * 10},1.25,2.25,3.25")
     log = open_columns(write("a.csv", text[:-4]), None, "frd")
-    assert len(log.imu("imu", []).t_ns) == 29
+    assert len(log.imu("imu").value.t_ns) == 29
     assert "a.csv: the last line is cut short, dropped" in log.problems
 
 
@@ -375,7 +376,7 @@ def test_cut_anywhere_it_reads_or_says_why(write: Write) -> None:
         try:
             log = open_log(write("cut.csv", text[:end]))
             for topic in log.topics:
-                getattr(log, topic.kind.value)(topic.name, [])
+                getattr(log, topic.kind.value)(topic.name)
         except InputError as error:
             said.append(str(error))
     assert said
@@ -438,8 +439,8 @@ def test_what_cannot_be_read_says_what_to_do(
 
 def test_long_files_are_read_in_blocks(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows across the borders of blocks are neither lost nor doubled."""
-    monkeypatch.setattr("fusion.logs.csv.table._BLOCK_BYTES", 100)
-    monkeypatch.setattr("fusion.logs.csv.table._PIECE_ROWS", 3)
+    monkeypatch.setattr("fusion.logs.csv.rows._BLOCK_CHARACTERS", 100)
+    monkeypatch.setattr("fusion.logs.csv.rows._PIECE_ROWS", 3)
     lines = [f"{i * 10},{i},2,3" for i in range(200)]
     lines[77] = "broken"
     imu = imu_of(write("a.csv", "t,gx,gy,gz\n" + "\n".join(lines) + "\n"), None, "frd")
@@ -450,21 +451,21 @@ def test_long_files_are_read_in_blocks(write: Write, monkeypatch: pytest.MonkeyP
 
 
 def test_times_of_pictures(write: Write) -> None:
-    problems: list[str] = []
-    named = read_times(write("t.csv", "name,time_s\n" + rows(lambda i: f"{i}.jpg,{i / 20}")), None, problems)
+    problems = Told()
+    path = write("t.csv", "name,time_s\n" + rows(lambda i: f"{i}.jpg,{i / 20}"))
+    named = problems.take(read_times(path, None))
     assert named.names is not None
     assert named.names[2] == "2.jpg"
     assert named.t_ns[2] == 100_000_000
-    plain = read_times(
-        write("t.txt", "# timecode format v2\n" + rows(lambda i: f"{i * 33.333:.3f}")), None, problems
-    )
+    path = write("t.txt", "# timecode format v2\n" + rows(lambda i: f"{i * 33.333:.3f}"))
+    plain = problems.take(read_times(path, None))
     assert plain.names is None
     assert plain.t_ns[1] == 33_333_000
     assert problems == ["t.txt: times taken for milliseconds; time_unit in flight.toml says otherwise"]
 
 
 def test_a_broken_row_keeps_the_numbers_of_the_others(write: Write) -> None:
-    times = read_times(write("t.csv", "time_ms\n0\n50\nbroken\n150\n"), None, [])
+    times = read_times(write("t.csv", "time_ms\n0\n50\nbroken\n150\n"), None).value
     assert times.row.tolist() == [0, 1, 3]
     assert times.t_ns.tolist() == [0, 50_000_000, 150_000_000]
 
@@ -482,7 +483,7 @@ def test_the_streams_are_of_their_types(write: Write) -> None:
     )
     log = open_columns(write("a.csv", text), None, "frd")
     assert [topic.name for topic in log.topics] == ["imu", "attitude", "position", "velocity"]
-    assert isinstance(log.position("position", []), VectorStream)
+    assert isinstance(log.position("position").value, VectorStream)
     assert log.camera("imu") is None
     with pytest.raises(InputError, match="carries no pictures"):
-        log.frames("imu", [])
+        log.frames("imu")

@@ -12,15 +12,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion.cli import app as cli
+from fusion.cli.evaluate_text import comparison_text
 from fusion.estimator.tables import ESTIMATE_DTYPE
 from fusion.evaluation.comparison import compare, read_outputs
-from fusion.evaluation.comparison_text import comparison_text
 from fusion.evaluation.truth_file import _times, read_truth
-from fusion.outputs.exports import Frame
-from fusion.outputs.folder import write_summary, write_table
 from fusion.outputs.tum import write_tum
-from fusion.result.conventions import file_facts, summary_in_frame, table_in_frame
+from fusion.result.conventions import Frame, file_facts, summary_in_frame, table_in_frame
+from fusion.result.summary_json import write_summary
+from fusion.result.tables_csv import write_table
+from tests.command import Corridor
 from vision import InputError
 
 T0_NS = 1_600_000_000_000_000_000
@@ -327,47 +327,43 @@ class TestCompare:
 
 
 class TestCommand:
-    def run(self, capsys: Any, *arguments: Any) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as end:
-            cli.main([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return int(end.value.code or 0), out, err
-
-    def test_tables_and_json_say_the_same(self, tmp_path: Path, truth: Path, capsys: Any) -> None:
+    def test_tables_and_json_say_the_same(self, tmp_path: Path, truth: Path, corridor: Corridor) -> None:
         outs = [
             write_output(tmp_path / "a", estimates()),
             write_output(tmp_path / "b", estimates(radians(2))),
         ]
-        code, text, _ = self.run(capsys, "evaluate", *outs, "--truth", truth)
+        code, text, _ = corridor("evaluate", *outs, "--truth", truth)
         assert code == 0
-        code, data, _ = self.run(capsys, "evaluate", *outs, "--truth", truth, "--json")
+        code, data, _ = corridor("evaluate", *outs, "--truth", truth, "--json")
         assert code == 0
         found = json.loads(data)
         rmse = [output["causal"]["heading"]["rmse_rad"] for output in found["outputs"]]
         assert rmse == pytest.approx([radians(1), radians(2)])
         assert all(f"{np.degrees(value):.3f}" in text for value in rmse)
 
-    def test_refusals_are_one_line_and_exit_code_2(self, tmp_path: Path, truth: Path, capsys: Any) -> None:
-        code, text, err = self.run(capsys, "evaluate", tmp_path / "none", "--truth", truth)
+    def test_refusals_are_one_line_and_exit_code_2(
+        self, tmp_path: Path, truth: Path, corridor: Corridor
+    ) -> None:
+        code, text, err = corridor("evaluate", tmp_path / "none", "--truth", truth)
         assert (code, text) == (2, "")
         assert err.startswith("corridor: error: ")
         assert err.count("\n") == 1
-        assert self.run(capsys, "evaluate", tmp_path)[0] == 2  # no --truth
+        assert corridor("evaluate", tmp_path)[0] == 2  # no --truth
 
     @pytest.mark.parametrize("command", ["evaluate", "config"])
-    def test_help_shows_examples_and_the_next_step(self, capsys: Any, command: str) -> None:
-        code, text, _ = self.run(capsys, command, "--help")
+    def test_help_shows_examples_and_the_next_step(self, corridor: Corridor, command: str) -> None:
+        code, text, _ = corridor(command, "--help")
         assert code == 0
         assert "Examples:" in text
         assert "Next:" in text
         assert f"  corridor {command} " in text
 
-    def test_config_prints_what_can_be_given_back(self, tmp_path: Path, capsys: Any) -> None:
-        code, text, _ = self.run(capsys, "config")
+    def test_config_prints_what_can_be_given_back(self, tmp_path: Path, corridor: Corridor) -> None:
+        code, text, _ = corridor("config")
         (tmp_path / "my.toml").write_text(text + "corridor_width_m = 2.2\n")
-        code, effective, _ = self.run(capsys, "config", tmp_path / "my.toml")
+        code, effective, _ = corridor("config", tmp_path / "my.toml")
         assert code == 0
         assert "corridor_width_m = 2.2  # m" in effective
-        code, text, err = self.run(capsys, "config", "--simulate", tmp_path / "my.toml")
+        code, text, err = corridor("config", "--simulate", tmp_path / "my.toml")
         assert (code, text) == (2, "")
         assert "unknown setting" in err

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from fusion.estimator.config import FusionConfig
-from fusion.settings.toml import config_toml, section_of, settings_text
-from fusion.settings.unit_hints import as_number, nearest, too_large, unit_of
+from fusion.settings.sentences import section_of
+from fusion.settings.toml import config_toml, settings_text
+from fusion.settings.unit_hints import as_number, suggestion, too_large, unit_of
 from fusion.simulate import SimulationConfig
 from vision.errors import InputError
 
@@ -34,11 +35,11 @@ class TestPrinted:
     def test_the_defaults_come_back_as_they_were(self, tmp_path: Path, simulate: bool) -> None:
         model = SimulationConfig if simulate else FusionConfig
         path = tmp_path / "all.toml"
-        path.write_text(settings_text(simulate=simulate), encoding="utf-8")
+        path.write_text(settings_text(model, "corridor x"), encoding="utf-8")
         assert model.from_toml(path) == model()
 
     def test_every_setting_is_there_with_its_meaning(self) -> None:
-        text = " ".join(settings_text().replace("\n# ", " ").split())
+        text = " ".join(settings_text(FusionConfig, "corridor fuse FLIGHT").replace("\n# ", " ").split())
         for name, field in FusionConfig.model_fields.items():
             assert f" {name} = " in text
             words = (field.description or "").replace("None:", "").split()
@@ -47,7 +48,7 @@ class TestPrinted:
     def test_what_a_file_set_is_marked_with_its_default(self, tmp_path: Path) -> None:
         path = tmp_path / "my.toml"
         path.write_text("corridor_width_m = 2.2\nmin_lines = 6\n")
-        text = settings_text(path)
+        text = settings_text(FusionConfig, "corridor fuse FLIGHT", path)
         assert "corridor_width_m = 2.2  # m; above 0.2 to 100; default: not set" in text
         assert "min_lines = 6  # from 2 to 1000; default 4" in text
         assert "# camera_height_m = ...  # m; above 0.01 to 100; not set" in text
@@ -198,8 +199,8 @@ def test_units_of_names() -> None:
 
 
 def test_hints_say_nothing_where_they_know_nothing() -> None:
-    assert nearest("wing_span_furlongs", 3, {"min_lines": "", "buffer_s": "s"}) is None
-    assert nearest("delay_ms", "soon", {"delay_s": "s"}) == "did you mean delay_s, in s?"
+    assert suggestion("wing_span_furlongs", 3, {"min_lines": "", "buffer_s": "s"}) is None
+    assert suggestion("delay_ms", "soon", {"delay_s": "s"}) == "did you mean delay_s, in s?"
     assert as_number("corridor_width_m", "wide") is None
     assert as_number("corridor_width_m", "3 parsecs") is None
     assert as_number("corridor_width_m", "3 deg") == "it is in m, not in degrees"

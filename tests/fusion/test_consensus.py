@@ -6,8 +6,8 @@ from math import pi, radians
 
 import pytest
 
-from fusion.estimator.models import wrap_axis
 from fusion.estimator.votes import MAX_VOTES, Vote, add_vote, agreement
+from vision.rotations import wrap_axis
 
 S = 1_000_000_000
 

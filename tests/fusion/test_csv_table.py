@@ -9,7 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fusion.logs.csv.strict_table import CsvTable, parse_time, read_table
+from fusion.logs.csv.rows import parse_time
+from fusion.logs.csv.stamped_table import CsvTable, read_table
 from fusion.logs.samples import order_times
 from vision import InputError
 
@@ -25,9 +26,8 @@ def rows(n: int, start: int = 0) -> list[str]:
 def read(path: Path, text: str, **options: bool) -> tuple[CsvTable, list[str]]:
     path.mkdir(exist_ok=True)
     (path / "data.csv").write_bytes(text.encode())
-    problems: list[str] = []
-    table = read_table(path / "data.csv", ("a", "b"), problems, label="x0/data.csv", **options)
-    return table, problems
+    table, problems = read_table(path / "data.csv", ("a", "b"), label="x0/data.csv", **options)
+    return table, list(problems)
 
 
 def lines(*parts: str) -> str:
@@ -143,9 +143,8 @@ def test_any_order_of_rows_reads_as_the_sorted_file(
 
 @given(st.lists(st.integers(0, 20), min_size=1, max_size=40))
 def test_ordered_times_are_the_distinct_ones(times: list[int]) -> None:
-    problems: list[str] = []
     t_ns = np.array(times, dtype=np.int64)
-    index = order_times(t_ns, problems, "x")
+    index, problems = order_times(t_ns, "x")
     assert t_ns[index].tolist() == sorted(set(times))
     assert [times.index(t) for t in t_ns[index]] == index.tolist()  # the first of equal ones
     assert bool(problems) == (times != sorted(set(times)))
@@ -209,4 +208,4 @@ def test_columns_by_name(tmp_path: Path) -> None:
 
 def test_a_folder_in_place_of_the_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read: Is a directory"):
-        read_table(tmp_path, ("a", "b"), [], label="x")
+        read_table(tmp_path, ("a", "b"), label="x")

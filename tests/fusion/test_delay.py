@@ -10,11 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion.estimator.camera_delay import Axis, AxisNoise, Delay, Turned, turned_at, unknown_delay, with_turn
+from fusion.estimator.camera_delay import (
+    AxisFilter,
+    AxisNoise,
+    Delay,
+    TurnPoint,
+    turned_at,
+    unknown_delay,
+    with_turn,
+)
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.engine import Entry
+from fusion.estimator.estimate import Estimate
 from fusion.estimator.estimator import CorridorEstimator
-from fusion.estimator.state import Estimate
-from fusion.estimator.timeline import Entry
 from tests.fusion.simulated import Sample, Scene, Simulated, config_for, give, simulate, weaving, wrap
 
 MS = 1_000_000
@@ -92,7 +100,6 @@ def everything(samples: list[Sample]) -> list[Any]:
     seen: list[Any] = []
 
     def keep(entry: Entry) -> None:
-        assert entry.after is not None
         seen.append((entry.t_ns, entry.after.x.tobytes(), entry.after.P.tobytes(), entry.after.delay))
 
     config = FusionConfig(camera_delay_s=TOLD_S, camera_delay_std_s=STD_S)
@@ -152,12 +159,12 @@ def test_dead_reckoning_is_kept_thinned_and_read_between_its_points() -> None:
     assert t[-1] == 599 * 5 * MS
     for when in (2_600 * MS, 2_613 * MS, 2_994 * MS):
         assert turned_at(delay.turns, when) == pytest.approx(0.1 * when / (5 * MS))
-    assert turned_at((Turned(0, 1.0), Turned(10, 2.0)), -5) == 1.0
+    assert turned_at((TurnPoint(0, 1.0), TurnPoint(10, 2.0)), -5) == 1.0
 
 
 def test_the_axis_filter_is_a_kalman_filter_of_axis_and_bias() -> None:
     noise = AxisNoise(0.01, 0.02, 0.001, 0.0)
-    axis = Axis(0.2, 0.01, (0.01, 0.001, 0.004), (0.3, 0.1))
+    axis = AxisFilter(0.2, 0.01, (0.01, 0.001, 0.004), (0.3, 0.1))
     x, P = np.array([0.2, 0.01]), np.array([[0.01, 0.001], [0.001, 0.004]])
     dt, H, R = 0.5, np.array([1.0, 0.0]), 0.02
     F = np.array([[1.0, dt], [0.0, 1.0]])

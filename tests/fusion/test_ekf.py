@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.estimator.ekf import CorridorEKF
-from fusion.estimator.models import ProcessNoise, ScalarMeasurement, propagate, transition
+from fusion.estimator.models import ProcessNoise, ScalarMeasurement
+from tests.fusion.process_model import propagate, transition
 
 NOISE = ProcessNoise(0.0075, 1e-4, 0.009, 0.3, 1.0)
 
@@ -18,32 +19,103 @@ def random_filter(seed: int) -> tuple[CorridorEKF, np.random.Generator]:
     return CorridorEKF(rng.normal(size=5), A @ A.T + 0.1 * np.eye(5)), rng
 
 
-@settings(deadline=None)  # the first filter may have to compile
-@given(st.integers(0, 10_000))
-def test_update_equals_filterpys(seed: int) -> None:
-    ekf, rng = random_filter(seed)
-    H, R, residual = rng.normal(size=5), float(rng.uniform(0.01, 2)), float(rng.normal())
+def theirs_like(ekf: CorridorEKF) -> ExtendedKalmanFilter:
+    """filterpy's own filter in the same state."""
     theirs = ExtendedKalmanFilter(5, 1)
     theirs.x, theirs.P = ekf.x.copy(), ekf.P.copy()
+    return theirs
+
+
+def assert_same(ekf: CorridorEKF, theirs: ExtendedKalmanFilter, *names: str) -> None:
+    for name in names:
+        ours, expected = getattr(ekf, name), getattr(theirs, name)
+        assert np.shape(ours) == np.shape(expected), name
+        size = max(1.0, float(np.abs(expected).max()))
+        np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-12 * size, err_msg=name)
+
+
+seeds = st.integers(0, 1_000_000)
+
+
+@settings(deadline=None)  # the first filter may have to compile
+@given(seeds, st.floats(-4.0, 1.0))
+def test_update_equals_filterpys(seed: int, decade: float) -> None:
+    ekf, rng = random_filter(seed)
+    H, R, residual = rng.normal(size=5), 10.0**decade, float(rng.normal())
+    theirs = theirs_like(ekf)
     z = float(H @ theirs.x) + residual
     theirs.update(np.array([z]), lambda x: H[None, :], lambda x: H[None, :] @ x, R=R)
     gate = ekf.update(ScalarMeasurement(residual, H, R))
     assert gate.accepted
-    np.testing.assert_allclose(ekf.x, theirs.x, atol=1e-9)
-    np.testing.assert_allclose(ekf.P, theirs.P, atol=1e-9)
-    assert ekf.mahalanobis == pytest.approx(theirs.mahalanobis)
-    assert ekf.log_likelihood == pytest.approx(theirs.log_likelihood)
+    assert_same(ekf, theirs, "x", "P", "x_post", "P_post", "K", "y", "S", "SI")
+    assert ekf.mahalanobis == pytest.approx(theirs.mahalanobis, rel=1e-9)
+    assert ekf.log_likelihood == pytest.approx(theirs.log_likelihood, rel=1e-9)
+    assert ekf.likelihood == pytest.approx(theirs.likelihood, rel=1e-9)
 
 
-def test_predict_equals_filterpys() -> None:
-    ekf, rng = random_filter(1)
-    F, Q = rng.normal(size=(5, 5)), np.diag(rng.uniform(0.1, 1, 5))
-    theirs = ExtendedKalmanFilter(5, 1)
-    theirs.x, theirs.P, theirs.F, theirs.Q = ekf.x.copy(), ekf.P.copy(), F, Q
+@settings(deadline=None)
+@given(seeds)
+def test_predict_equals_filterpys(seed: int) -> None:
+    ekf, rng = random_filter(seed)
+    F, B = rng.normal(size=(5, 5)), rng.normal(size=(5, 5))
+    Q = B @ B.T
+    theirs = theirs_like(ekf)
+    theirs.F, theirs.Q = F, Q
     theirs.predict()
     ekf.predict(F @ ekf.x, F, Q)
-    for name in ("x", "P", "x_prior", "P_prior"):
-        np.testing.assert_allclose(getattr(ekf, name), getattr(theirs, name), rtol=1e-12, atol=1e-12)
+    assert_same(ekf, theirs, "x", "P", "x_prior", "P_prior", "F", "Q")
+
+
+@settings(deadline=None)
+@given(seeds, st.floats(1e-4, 0.5), st.floats(-1, 1), st.floats(-3, 3), st.floats(-1, 1))
+def test_a_step_of_the_process_model_equals_filterpys_prediction(
+    seed: int, dt: float, turned: float, forward: float, sideways: float
+) -> None:
+    ekf, _ = random_filter(seed)
+    theirs = theirs_like(ekf)
+    x_next = propagate(ekf.x, dt, turned, NOISE, forward, sideways)
+    ekf.advance(dt, turned, NOISE, forward, sideways, 0.0)
+    theirs.F, theirs.Q = ekf.F, ekf.Q
+    theirs.predict_x = lambda u=0: setattr(theirs, "x", x_next)  # as filterpy asks for non-linear models
+    theirs.predict()
+    assert_same(ekf, theirs, "x", "P", "x_prior", "P_prior")
+
+
+def test_many_steps_stay_filterpys() -> None:
+    ekf, rng = random_filter(3)
+    theirs = theirs_like(ekf)
+    for _ in range(200):
+        ekf.advance(0.005, float(rng.normal(0, 0.01)), NOISE, 0.5, 0.0, 0.0)
+        theirs.F, theirs.Q = ekf.F.copy(), ekf.Q.copy()
+        theirs.predict_x = lambda u=0: setattr(theirs, "x", ekf.x_prior.copy())
+        theirs.predict()
+        H, residual = np.eye(5)[rng.integers(5)], float(rng.normal(0, 0.1))
+        z = float(H @ theirs.x) + residual
+        theirs.update(np.array([z]), lambda x, H=H: H[None, :], lambda x, H=H: H[None, :] @ x, R=0.01)
+        ekf.update(ScalarMeasurement(residual, H, 0.01))
+    np.testing.assert_allclose(ekf.P, theirs.P, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(ekf.x, theirs.x, rtol=0, atol=1e-12)
+
+
+def test_every_change_is_noted_for_the_smoother() -> None:
+    ekf, _ = random_filter(4)
+    x0, P0 = ekf.x, ekf.P
+    ekf.update(ScalarMeasurement(0.1, np.eye(5)[0], 1.0))  # before anything moves
+    ekf.advance(0.01, 0.0, NOISE, 0.0, 0.0, 0.0)
+    ekf.update(ScalarMeasurement(0.1, np.eye(5)[3], 1.0))
+    ekf.correct(ekf.x + 0.1)
+    ekf.widen(2, 4.0)
+    first, moved, widened = ekf.nodes
+    assert first.F is None
+    assert first.x_prior is x0
+    assert first.P_prior is P0
+    assert moved.x_prior is not moved.x
+    np.testing.assert_array_equal(moved.x, widened.x_prior)
+    np.testing.assert_array_equal(widened.P, moved.P + 4.0 * np.diag([0, 0, 1.0, 0, 0]))
+    assert widened.x is ekf.x
+    assert widened.P is ekf.P
+    ekf.load(ekf.x, ekf.P)
+    assert ekf.nodes == []
 
 
 def test_advance_is_a_prediction_by_the_process_model() -> None:

@@ -5,6 +5,7 @@ from math import degrees, isnan, nan, pi, radians
 
 import numpy as np
 import pytest
+from filterpy.kalman import ExtendedKalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -165,8 +166,9 @@ def test_nothing_is_said_before_anything_is_known() -> None:
 @pytest.mark.parametrize("error_deg", [30, -60, 90, -150])
 def test_injected_error_is_recovered_in_half_a_second(error_deg: float) -> None:
     estimator, t = steady(5.0)
-    state = estimator._machine.state
-    state.x = state.x + np.array([radians(error_deg), 0, 0, 0, 0])
+    timeline = estimator._timeline
+    x = timeline.state.x + np.array([radians(error_deg), 0, 0, 0, 0])
+    timeline.state = timeline.state._replace(x=x)
     go_on(estimator, t, 0.5, 0.2)
     estimate = estimator.estimate()
     assert degrees(abs(estimate.heading_rad - 0.2)) < 0.5
@@ -622,12 +624,28 @@ def test_camera_mount_is_learned_and_handed_on() -> None:
         t = i * 50 * MS
         estimator.add_attitude(t, quaternion(0.0, 0.0, 0.3))
         estimator.add_measurement(t, frame(0.0, elevation_rad=radians(-2.2), elevation_std_rad=radians(0.2)))
-    prior = estimator._machine.prior()
+    prior = estimator._engine.expected_frame(estimator._timeline.state, t)
     assert degrees(prior.elevation_rad) == pytest.approx(-2.2, abs=0.15)
     assert degrees(prior.elevation_std_rad) < 0.5
 
 
 # The interface
+
+
+def test_the_filter_to_look_at_is_filterpys() -> None:
+    estimator = CorridorEstimator(FusionConfig(corridor_width_m=2.0))
+    assert isinstance(estimator.ekf, ExtendedKalmanFilter)
+    go_on(estimator, 0, 2.0, 0.2)
+    ekf, estimate = estimator.ekf, estimator.estimate()
+    assert float(ekf.x[0]) == pytest.approx(estimate.heading_rad)
+    assert np.sqrt(ekf.P[0, 0]) == pytest.approx(estimate.heading_std_rad)
+    assert float(ekf.x[1]) == pytest.approx(estimate.gyro_bias_rad_s)
+    assert ekf.F[0, 1] < 0.0  # a bias turns the heading back
+    assert ekf.Q[0, 0] > 0.0
+    assert ekf.K.shape == (5, 1)
+    assert 0.0 < ekf.K[3, 0] < 1.0  # the last update was a lateral offset
+    assert ekf.likelihood > 0.0
+    assert ekf.mahalanobis == pytest.approx(abs(ekf.y[0]) / np.sqrt(ekf.S[0, 0]))
 
 
 def test_pictures_need_a_camera() -> None:

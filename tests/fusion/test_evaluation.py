@@ -4,12 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
-from fusion.evaluation.errors import evaluate, interpolate_truth, mae, rmse, wrap_angle
+from fusion.evaluation.errors import evaluate, interpolate_truth, mae, rmse
 from fusion.flight import CorridorTruth
+from vision.rotations import wrap
 
 UNIX_NS = 1_600_000_000_000_000_000
 
@@ -53,17 +52,9 @@ def test_shapes_must_agree_and_hold_something(function):
         function([], [])
 
 
-@given(st.floats(-1e3, 1e3))
-def test_wrapping_keeps_the_direction(angle):
-    wrapped = float(wrap_angle(angle))
-    assert -np.pi <= wrapped < np.pi
-    assert np.cos(wrapped) == pytest.approx(np.cos(angle), abs=1e-9)
-    assert np.sin(wrapped) == pytest.approx(np.sin(angle), abs=1e-9)
-
-
 def test_truth_is_interpolated_across_half_a_turn():
     at = interpolate_truth(make_truth([np.pi - 0.1, -np.pi + 0.1]), np.array([UNIX_NS + 50_000_000]))
-    assert abs(wrap_angle(at.heading_rad[0] - np.pi)) < 1e-12
+    assert abs(wrap(at.heading_rad[0] - np.pi)) < 1e-12
     assert at.lateral_offset_norm[0] == pytest.approx(0.2)
 
 
@@ -164,7 +155,7 @@ def test_corridors_are_judged_apart():
 def test_nothing_in_common_is_said_with_none_and_is_valid_json():
     truth = make_truth(np.zeros(5))
     table = make_estimates(truth.t_ns + 10**12, 0.0)
-    out = json.loads(json.dumps(evaluate(table, truth), allow_nan=False))
+    out = json.loads(json.dumps(evaluate(table, truth).to_dict(), allow_nan=False))
     assert out["judged"] == 0
     assert out["heading"]["rmse_rad"] is None
     assert evaluate(table, make_truth([]))["excluded"]["outside_truth"] == 5
@@ -175,3 +166,15 @@ def test_unknown_sigmas_leave_the_errors_standing():
     heading = evaluate(make_estimates(truth.t_ns, 0.2, std_rad=[np.nan, 0.1, 0.0, 0.1]), truth)["heading"]
     assert heading["count"] == 4
     assert heading["nees_mean"] == pytest.approx(4.0)
+
+
+def test_a_result_reads_by_attribute_and_as_the_json_it_is_written_as():
+    truth = make_truth(np.zeros(10))
+    errors = evaluate(make_estimates(truth.t_ns, 0.1), truth)
+    assert errors.heading.rmse == errors["heading"]["rmse_rad"] == pytest.approx(0.1)
+    assert dict(errors) == errors.to_dict()
+    frames = np.zeros(10, dtype=FRAME_DTYPE)
+    frames["timestamp_ns"] = truth.t_ns
+    assert evaluate(frames, truth).lateral_offset_m is None
+    with pytest.raises(KeyError):
+        evaluate(frames, truth)["lateral_offset_m"]

@@ -16,12 +16,22 @@ import pytest
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from fusion.flight import Flight, FrameStream, VectorStream
-from fusion.offline.fuse import FusionResult
 from fusion.outputs import exports
 from fusion.outputs import foxglove as fox
-from fusion.outputs.exports import EXPORT_FILES, Format, Frame, check_formats, write_exports
-from fusion.outputs.folder import read_table, write_outputs
-from fusion.result.conventions import COLUMNS, describe, summary_in_frame, table_in_frame
+from fusion.outputs.exports import EXPORT_FILES, Format, check_formats, write_exports
+from fusion.outputs.folder import write_outputs
+from fusion.result.conventions import COLUMNS, Frame, column_metadata, summary_in_frame, table_in_frame
+from fusion.result.result import FusionResult
+from fusion.result.summary import (
+    CorridorErrors,
+    CorridorStretch,
+    ErrorStatistics,
+    FlightErrors,
+    Level,
+    Summary,
+    TableErrors,
+)
+from fusion.result.tables_csv import read_table
 from vision import Camera, InputError
 from vision.measurement import FrameMeasurement, LineClass, Reason
 
@@ -81,18 +91,15 @@ def result(flight: Flight) -> FusionResult:
     frames["heading_rad"], frames["innovation_rad"], frames["paper_yaw_rad"] = radians(10), 0.001, 0.2
     frames["vp_x_px"], frames["vp_y_px"] = 80.0, 60.0
     frames["heading_rad"][2] = np.nan
-    summary = {
-        "flight": "two walls",
-        "method": "geometric",
-        "verdict": "pass",
-        "corridors": [{"index": 0, "turn_rad": 0.5}],
-        "errors": {
-            "filter": {
-                "heading": {"bias_rad": 0.01, "rmse_rad": 0.02},
-                "corridors": {"1": {"bias_rad": None}},
-            }
-        },
-    }
+    heading = ErrorStatistics("rad", 5, rmse=0.02, bias=0.01)
+    corridor = CorridorErrors(5, None, ErrorStatistics("rad", 0), None, None)
+    errors = TableErrors(5, 5, {}, None, heading, None, None, {"1": corridor})
+    summary = Summary(
+        verdict=Level.PASS,
+        flight="two walls",
+        corridors=(CorridorStretch(0, 0.5, 0, 1, 5, 3),),
+        errors=FlightErrors(errors, errors, errors),
+    )
     return FusionResult("two walls", FusionConfig(), table, table.copy(), frames, summary, ("a torn row",))
 
 
@@ -101,7 +108,7 @@ class TestConventions:
         assert set(COLUMNS) == {*(ESTIMATE_DTYPE.names or ()), *(FRAME_DTYPE.names or ())}
         for name in COLUMNS:
             for frame in Frame:
-                assert "{" not in describe(name, frame)["description"]
+                assert "{" not in column_metadata(name, frame)["description"]
             for suffix, unit in (
                 ("_rad", "rad"),
                 ("_m", "m"),
@@ -110,7 +117,7 @@ class TestConventions:
                 ("_rad_s", "rad/s"),
             ):
                 if name.endswith(suffix):
-                    assert describe(name, Frame.FRD)["unit"] == unit
+                    assert column_metadata(name, Frame.FRD)["unit"] == unit
 
     def test_ros_turns_what_has_a_side_and_nothing_else(self, result: FusionResult) -> None:
         for table in (result.estimates, result.frames):
@@ -135,8 +142,9 @@ class TestConventions:
         ros = summary_in_frame(result.summary, Frame.ROS)
         assert ros["frame"] == "ros"
         assert ros["corridors"][0]["turn_rad"] == -0.5
-        assert ros["errors"]["filter"]["heading"] == {"bias_rad": -0.01, "rmse_rad": 0.02}
-        assert ros["errors"]["filter"]["corridors"]["1"]["bias_rad"] is None
+        heading = ros["errors"]["filter"]["heading"]
+        assert (heading["bias_rad"], heading["rmse_rad"]) == (-0.01, 0.02)
+        assert ros["errors"]["filter"]["corridors"]["1"]["heading"]["bias_rad"] is None
         assert summary_in_frame(result.summary, Frame.FRD) == result.summary | {"frame": "frd"}
 
 
@@ -228,7 +236,7 @@ class TestTum:
         table = result.estimates.copy()
         table["lateral_offset_m"] = np.nan
         bare = Flight(flight.name, flight.camera, flight.frames)
-        fused = FusionResult("two walls", result.config, table, table, result.frames, result.summary)
+        fused = FusionResult("two walls", result.config, table, table, result.frames, result.overview)
         write_exports(fused, bare, tmp_path, [Format.TUM])
         comments, rows = read_tum(tmp_path / "estimates.tum")
         assert np.all(rows[:, 1] == 0)
@@ -369,7 +377,7 @@ class TestMcap:
         pytest.importorskip("mcap")
         table = result.estimates.copy()
         table["timestamp_ns"] -= 2 * T0_NS
-        early = FusionResult("two walls", result.config, table, table, result.frames, result.summary)
+        early = FusionResult("two walls", result.config, table, table, result.frames, result.overview)
         with pytest.raises(InputError, match="times begin at zero"):
             write_exports(early, flight, tmp_path, [Format.MCAP])
 

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimate import Estimate
 from fusion.estimator.estimator import CorridorEstimator
-from fusion.estimator.state import Estimate
+from fusion.estimator.propagation import ImuSample
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table
-from fusion.estimator.timeline import Kind
 from fusion.offline.fuse import Recorder
 from tests.fusion.simulated import Scene, Simulated, config_for, give, plus, simulate, turning, weaving, wrap
 from vision.errors import InputError
@@ -42,7 +42,7 @@ SIMULATED = simulate(
 def until(end_ns: int, lag_s: float, **config: Any) -> tuple[Estimate, Table]:
     """The fixed-lag estimate once all samples that arrived by then are in, and the offline table of the same ones."""
     settings_ = config_for(SIMULATED.scene, fixed_lag_s=lag_s, **config)
-    recorder = Recorder(settings_, Kind.IMU)
+    recorder = Recorder(settings_, ImuSample)
     estimator = CorridorEstimator(settings_, on_final=recorder.take)
     for sample in SIMULATED.samples:
         if sample.arrival_ns <= end_ns:

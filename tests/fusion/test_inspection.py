@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.cli import app as cli
-from fusion.flight import AttitudeStream, FrameStream, ImuStream, VectorStream
+from fusion.flight import AttitudeStream, FrameStream, ImuStream, RangeStream, VectorStream
 from fusion.inspection.advice import Matter
 from fusion.inspection.imu import inspect_imu
 from fusion.inspection.log import Inspection, inspect_log
@@ -25,8 +25,9 @@ from fusion.inspection.sources import inspect_path
 from fusion.inspection.text import inspection_text, inspection_values
 from fusion.inspection.times import share_covered, time_stream
 from fusion.logs import load_flight
-from fusion.logs.contents import Kind, Topic
-from fusion.outputs.folder import summary_json
+from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.samples import WithProblems
+from fusion.result.summary_json import summary_json
 from vision import Camera, InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -207,7 +208,7 @@ class Pictures:
 
 
 @dataclass
-class MadeUp:
+class MadeUp(LogContents):
     """A log in memory, as `LogContents`; a topic in ``torn`` cannot be read."""
 
     imus: dict[str, ImuStream] = field(default_factory=dict)
@@ -239,27 +240,29 @@ class MadeUp:
         if topic in self.torn:
             raise InputError(f"{topic} is torn", file=self.path, remedy="copy it again")
 
-    def frames(self, topic: str, problems: list[str]) -> FrameStream:
+    def frames(self, topic: str) -> WithProblems[FrameStream]:
         self._whole(topic)
-        return FrameStream(self.cameras[topic], self.pictures)
+        return WithProblems(FrameStream(self.cameras[topic], self.pictures))
 
     def camera(self, topic: str) -> Camera | None:
         return self.calibration
 
-    def imu(self, topic: str, problems: list[str]) -> ImuStream:
+    def imu(self, topic: str) -> WithProblems[ImuStream]:
         self._whole(topic)
-        problems.append(f"{topic}: 1 row of NaN dropped")
-        return self.imus[topic]
+        return WithProblems(self.imus[topic], (f"{topic}: 1 row of NaN dropped",))
 
-    def attitude(self, topic: str, problems: list[str]) -> AttitudeStream:
+    def attitude(self, topic: str) -> WithProblems[AttitudeStream]:
         self._whole(topic)
-        return self.attitudes[topic]
+        return WithProblems(self.attitudes[topic])
 
-    def velocity(self, topic: str, problems: list[str]) -> VectorStream:
+    def velocity(self, topic: str) -> WithProblems[VectorStream]:
         self._whole(topic)
-        return self.velocities[topic]
+        return WithProblems(self.velocities[topic])
 
-    def position(self, topic: str, problems: list[str]) -> VectorStream:
+    def position(self, topic: str) -> WithProblems[VectorStream]:
+        raise NotImplementedError
+
+    def range(self, topic: str) -> WithProblems[RangeStream]:
         raise NotImplementedError
 
 

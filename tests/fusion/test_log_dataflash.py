@@ -14,6 +14,7 @@ import pytest
 from fusion.logs.autopilot import dataflash
 from fusion.logs.contents import Kind
 from tests.fusion import damage
+from tests.fusion.reading import Told
 from vision import InputError
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "logs" / "ardupilot" / "test.BIN"
@@ -92,19 +93,19 @@ def test_every_stream_has_the_values_written(tmp_path: Path) -> None:
         (Kind.VELOCITY, "XKF1[1]"),
         (Kind.RANGE, "RFND[0]"),
     ]
-    problems: list[str] = []
-    imu = log.imu("IMU[1]", problems)
+    problems = Told()
+    imu = problems.take(log.imu("IMU[1]"))
     np.testing.assert_array_equal(imu.t_ns, np.array(times_us()) * 1000)
     np.testing.assert_array_equal(imu.t_ns, log.topics[1].t_ns)
     np.testing.assert_allclose(imu.gyro_rad_s, [[0.1, 0.2, 1.3]] * N, rtol=1e-6)
     np.testing.assert_allclose(imu.accel_m_s2[:, 2], 0.01 * np.arange(N), atol=1e-6)
-    np.testing.assert_allclose(log.attitude("XKQ[0]", problems).q_world_body, [[0.5] * 4] * N)
-    position = log.position("XKF1[0]", problems)
+    np.testing.assert_allclose(problems.take(log.attitude("XKQ[0]")).q_world_body, [[0.5] * 4] * N)
+    position = problems.take(log.position("XKF1[0]"))
     np.testing.assert_allclose(position.xyz[-1], [1.0, 0.06 * (N - 1), -1.5], rtol=1e-6)
     # The body's x points east, its y down and its z north.
-    velocity = log.velocity("XKF1[0]", problems)
+    velocity = problems.take(log.velocity("XKF1[0]"))
     np.testing.assert_allclose(velocity.xyz, [[3.0, 0.5, 0.0]] * N, atol=1e-6)
-    np.testing.assert_allclose(log.range("RFND[0]", problems).distance_m, [2.5] * 3)
+    np.testing.assert_allclose(problems.take(log.range("RFND[0]")).distance_m, [2.5] * 3)
     assert problems == []
     assert log.problems == ()
 
@@ -112,7 +113,7 @@ def test_every_stream_has_the_values_written(tmp_path: Path) -> None:
 def test_angles_in_hundredths_of_degrees(tmp_path: Path) -> None:
     from scipy.spatial.transform import Rotation
 
-    attitude = dataflash.open_log(new_log(tmp_path)).attitude("ATT", [])
+    attitude = dataflash.open_log(new_log(tmp_path)).attitude("ATT").value
     yaw_pitch_roll = Rotation.from_quat(attitude.q_world_body, scalar_first=True).as_euler(
         "ZYX", degrees=True
     )
@@ -130,7 +131,7 @@ def test_old_logs_number_their_sensors_in_the_name(tmp_path: Path) -> None:
         writer.write("NKQ1", t_us, 1.0, 0.0, 0.0, 0.0)
     log = dataflash.open_log(writer.save(tmp_path / "old.BIN"))
     assert [topic.name for topic in log.topics] == ["IMU[0]", "IMU[1]", "NKQ1"]
-    imu = log.imu("IMU[1]", [])
+    imu = log.imu("IMU[1]").value
     assert imu.t_ns[1] == (START_US + STEP_US) * 1000
     np.testing.assert_allclose(imu.gyro_rad_s[:, 0], 0.5)
 
@@ -140,15 +141,15 @@ def test_rubbish_between_messages_is_skipped_and_said(tmp_path: Path) -> None:
     log = dataflash.open_log(new_log(tmp_path, rubbish))
     assert log.problems[0].startswith("13 of ")
     for topic, n in (("IMU[0]", N), ("IMU[1]", N)):
-        assert len(log.imu(topic, []).t_ns) == n
-    assert len(log.attitude("ATT", []).t_ns) == N
+        assert len(log.imu(topic).value.t_ns) == n
+    assert len(log.attitude("ATT").value.t_ns) == N
 
 
 def test_a_torn_end_costs_one_message(tmp_path: Path) -> None:
     path = new_log(tmp_path)
     path.write_bytes(path.read_bytes()[:-10])
     log = dataflash.open_log(path)
-    assert len(log.attitude("ATT", []).t_ns) == N - 1
+    assert len(log.attitude("ATT").value.t_ns) == N - 1
     assert "belong to no whole message" in log.problems[0]
 
 
@@ -168,7 +169,7 @@ def test_refusals_name_the_file_and_the_remedy(tmp_path: Path) -> None:
         dataflash.open_log(tmp_path / "nothing.BIN")
     log = dataflash.open_log(new_log(tmp_path))
     with pytest.raises(InputError, match=r"has no imu topic IMU\[2\] \(choose one of IMU\[0\], IMU\[1\]\)"):
-        log.imu("IMU[2]", [])
+        log.imu("IMU[2]")
 
 
 def test_damage_is_said_or_refused_and_nothing_else(tmp_path: Path) -> None:
@@ -190,17 +191,17 @@ def test_a_real_log_reads_as_pymavlink_reads_it() -> None:
         while (message := reader.recv_match(type=["IMU", "IMU2", "NKQ1", "ATT", "NKF1"])) is not None:
             expected.setdefault(message.get_type(), []).append(list(message.to_dict().values())[1:])
         reader.close()
-    problems: list[str] = []
+    problems = Told()
     for name, label in (("IMU", "IMU[0]"), ("IMU2", "IMU[1]")):
         values = np.array(expected[name], dtype=float)
-        imu = log.imu(label, problems)
+        imu = problems.take(log.imu(label))
         np.testing.assert_array_equal(imu.t_ns, values[:, 0].astype(np.int64) * 1000)
         np.testing.assert_array_equal(np.hstack([imu.gyro_rad_s, imu.accel_m_s2]), values[:, 1:7])
     values = np.array(expected["NKQ1"], dtype=float)
-    np.testing.assert_allclose(log.attitude("NKQ1", problems).q_world_body, values[:, 1:5], atol=1e-6)
+    np.testing.assert_allclose(problems.take(log.attitude("NKQ1")).q_world_body, values[:, 1:5], atol=1e-6)
     values = np.array(expected["NKF1"], dtype=float)
-    np.testing.assert_array_equal(log.position("NKF1", problems).xyz, values[:, 8:11])
-    speed = np.linalg.norm(log.velocity("NKF1", problems).xyz, axis=1)
+    np.testing.assert_array_equal(problems.take(log.position("NKF1")).xyz, values[:, 8:11])
+    speed = np.linalg.norm(problems.take(log.velocity("NKF1")).xyz, axis=1)
     np.testing.assert_allclose(speed, np.linalg.norm(values[:, 4:7], axis=1), rtol=1e-9)
     assert problems == []
 
@@ -209,7 +210,7 @@ def test_attitudes_of_a_real_log_agree() -> None:
     if not REAL.exists():
         pytest.skip("the real ArduPilot log is not here")
     log = dataflash.open_log(REAL)
-    attitudes = [log.attitude(name, []).q_world_body for name in ("ATT", "AHR2", "NKQ1", "NKQ2")]
+    attitudes = [log.attitude(name).value.q_world_body for name in ("ATT", "AHR2", "NKQ1", "NKQ2")]
     n = min(len(q) for q in attitudes)
     for q in attitudes[1:]:
         # The filters' quaternions leave out the trim, a few degrees here.
@@ -260,8 +261,8 @@ def test_range_finders_of_every_version(tmp_path: Path, version: str) -> None:
     assert [(topic.kind, topic.name) for topic in log.topics] == [(Kind.RANGE, name)]
     told = "taken to look down: the log does not tell" if version == "3.2" else "looks down"
     assert log.topics[0].note == told
-    problems: list[str] = []
-    found = log.range(name, problems)
+    problems = Told()
+    found = problems.take(log.range(name))
     np.testing.assert_array_equal(found.t_ns, np.array(times_us()) * 1000)
     np.testing.assert_allclose(found.distance_m, 1.0 + 0.01 * np.arange(N), rtol=1e-6)
     assert problems == []
@@ -276,7 +277,7 @@ def test_what_a_range_finder_calls_bad_is_dropped(tmp_path: Path) -> None:
         writer.write("RFND", t_us, 1, 3.0, 4, 0, 90)  # ahead
     log = dataflash.open_log(writer.save(tmp_path / "range.BIN"))
     assert [topic.name for topic in log.topics] == ["RFND[0]"]
-    problems: list[str] = []
-    found = log.range("RFND[0]", problems)
+    problems = Told()
+    found = problems.take(log.range("RFND[0]"))
     assert len(found.t_ns) == N - 4
     assert "RFND[0]: 4 rows with no distance within the sensor's reach dropped" in problems[0]

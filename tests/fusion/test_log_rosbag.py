@@ -20,6 +20,7 @@ from fusion.logs.rosbag.frames import StaticFrames
 from fusion.logs.rosbag.messages import camera_from_info
 from fusion.logs.rosbag.pictures import grey
 from tests.fusion import damage
+from tests.fusion.reading import Told
 from vision import InputError
 from vision.cameras.camera import Distortion
 from vision.images import read_image, to_grey
@@ -165,11 +166,6 @@ def flat(path: Path, kind: str) -> Path:
     return next(file for file in path.iterdir() if file.suffix in (".db3", ".mcap"))
 
 
-@pytest.fixture(scope="module")
-def office() -> Flight:
-    return load_flight(ROOT / "data" / "office")
-
-
 @pytest.fixture(scope="module", params=FORMATS)
 def office_bag(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, office: Flight
@@ -215,22 +211,22 @@ def test_a_flight_comes_back_as_it_was(office: Flight, office_bag: Path) -> None
     assert office.attitude is not None
     assert rosbag.recognises(office_bag)
     log = rosbag.open_log(office_bag)
-    problems: list[str] = []
-    imu = log.imu("/imu/data_raw", problems)
+    problems = Told()
+    imu = problems.take(log.imu("/imu/data_raw"))
     n = int(SECONDS * 200)
     np.testing.assert_array_equal(imu.t_ns, office.imu.t_ns[:n])
     np.testing.assert_allclose(imu.gyro_rad_s, office.imu.gyro_rad_s[:n], rtol=0, atol=1e-15)
     np.testing.assert_allclose(imu.accel_m_s2, office.imu.accel_m_s2[:n], rtol=0, atol=1e-14)
-    attitude = log.attitude("/imu/data", problems)
+    attitude = problems.take(log.attitude("/imu/data"))
     n = int(SECONDS * 50)
     np.testing.assert_array_equal(attitude.t_ns, office.attitude.t_ns[:n])
     np.testing.assert_allclose(attitude.q_world_body, office.attitude.q_world_body[:n], rtol=0, atol=1e-15)
-    frames = log.frames("/cam0/image_raw/compressed", problems)
+    frames = problems.take(log.frames("/cam0/image_raw/compressed"))
     n = int(SECONDS * 20)
     np.testing.assert_array_equal(frames.t_ns, office.frames.t_ns[:n])
     for k in (0, 1, 2, n - 1, 7, 7, 3):  # in any order, also twice
         np.testing.assert_array_equal(frames.read(k), office.frames.read(k))
-    plain = log.frames("/cam0/image_raw", problems)
+    plain = problems.take(log.frames("/cam0/image_raw"))
     np.testing.assert_array_equal(plain.read(2), office.frames.read(8))
     camera = log.camera("/cam0/image_raw/compressed")
     assert camera is not None
@@ -295,7 +291,7 @@ def test_the_file_in_the_folder_will_do(office_bag: Path, tmp_path: Path) -> Non
 
 
 def test_a_source_of_pictures_can_be_sent_to_another_process(office: Flight, office_bag: Path) -> None:
-    frames = rosbag.open_log(office_bag).frames("/cam0/image_raw/compressed", [])
+    frames = rosbag.open_log(office_bag).frames("/cam0/image_raw/compressed").value
     frames.read(0)
     copy = pickle.loads(pickle.dumps(frames.source))
     np.testing.assert_array_equal(copy.read(5), office.frames.read(5))
@@ -337,16 +333,18 @@ def test_poses_and_velocities_turn_into_frd(kind: str, tmp_path: Path) -> None:
         ("velocity", "/twist"),
         ("velocity", "/twist_world"),
     ]
-    problems: list[str] = []
+    problems = Told()
     half = 0.5**0.5
     for name in ("/odom", "/pose"):
-        np.testing.assert_allclose(log.position(name, problems).xyz, [[1.0, -2.0, -3.0]] * 50)
-        attitude = log.attitude(name, problems)
+        np.testing.assert_allclose(problems.take(log.position(name)).xyz, [[1.0, -2.0, -3.0]] * 50)
+        attitude = problems.take(log.attitude(name))
         np.testing.assert_allclose(attitude.q_world_body, [[half, 0.0, 0.0, -half]] * 50, atol=1e-12)
     for name in ("/odom", "/twist"):
-        np.testing.assert_allclose(log.velocity(name, problems).xyz, [[0.5, -0.1, 0.2]] * 50)
+        np.testing.assert_allclose(problems.take(log.velocity(name)).xyz, [[0.5, -0.1, 0.2]] * 50)
     # Turned left by 90 degrees, the world's x is to the right of the body, its y ahead.
-    np.testing.assert_allclose(log.velocity("/twist_world", problems).xyz, [[0.1, 0.5, 0.2]] * 50, atol=1e-9)
+    np.testing.assert_allclose(
+        problems.take(log.velocity("/twist_world")).xyz, [[0.1, 0.5, 0.2]] * 50, atol=1e-9
+    )
     assert problems == []
 
 
@@ -389,13 +387,13 @@ def test_ranges_that_look_down(kind: str, tmp_path: Path) -> None:
         (Kind.RANGE, "/lidar"),
     ]
     assert log.problems == ("/ahead: does not look down by /tf_static, left out",)
-    problems: list[str] = []
-    found = log.range("/down", problems)
+    problems = Told()
+    found = problems.take(log.range("/down"))
     kept = np.delete(np.arange(50), [3, 4, 5, 6, 7])
     np.testing.assert_array_equal(found.t_ns, START_NS + kept * 50_000_000)
     np.testing.assert_allclose(found.distance_m, 1.0 + 0.01 * kept, rtol=1e-6)
     assert len(problems) == 1
-    np.testing.assert_allclose(log.range("/lidar", problems).distance_m, 1.5)
+    np.testing.assert_allclose(problems.take(log.range("/lidar")).distance_m, 1.5)
     assert (
         problems[-1] == "/lidar: taken to look down, no transform tells; if it does not: [range] use = false"
     )
@@ -414,7 +412,7 @@ def test_messages_that_the_index_names_and_the_bag_does_not_hold_are_said(tmp_pa
 def test_pictures_of_a_bag_that_is_gone_are_unreadable_not_a_crash(office: Flight, tmp_path: Path) -> None:
     path = tmp_path / "office.bag"
     write_office(office, path, "ros1", seconds=0.2, plain=False)
-    frames = rosbag.open_log(path).frames("/cam0/image_raw/compressed", [])
+    frames = rosbag.open_log(path).frames("/cam0/image_raw/compressed").value
     path.unlink()
     with pytest.raises(InputError, match=r"office\.bag"):
         frames.read(0)
@@ -453,11 +451,11 @@ def test_sensors_are_mounted_as_the_static_transforms_say(kind: str, office: Fli
         data = next((ROOT / "data" / "office" / "mav0" / "cam0" / "data").iterdir()).read_bytes()
         bag.write("/cam0/image_raw/compressed", bag.compressed(START_NS, data), START_NS)
     log = rosbag.open_log(path)
-    problems: list[str] = []
-    imu = log.imu("/imu/data", problems)
+    problems = Told()
+    imu = problems.take(log.imu("/imu/data"))
     np.testing.assert_allclose(imu.gyro_rad_s, office.imu.gyro_rad_s[:40], atol=1e-12)
     np.testing.assert_allclose(imu.accel_m_s2, office.imu.accel_m_s2[:40], atol=1e-12)
-    attitude = log.attitude("/imu/data", problems)
+    attitude = problems.take(log.attitude("/imu/data"))
     body = Rotation.from_quat(attitude.q_world_body, scalar_first=True)
     angles = body.as_euler("ZYX", degrees=True)
     np.testing.assert_allclose(angles, [[-40.0, -5.0, -3.0]] * 40, atol=1e-9)  # the same body, FRD and z down
@@ -488,8 +486,8 @@ def test_empty_headers_leave_the_times_of_receipt_and_it_is_said(tmp_path: Path)
         for k in range(20):
             bag.write("/imu", bag.imu(0, (0, 0, 0.1), (0, 0, 9.8)), START_NS + k * 10_000_000)
     log = rosbag.open_log(tmp_path / "a.bag")
-    problems: list[str] = []
-    imu = log.imu("/imu", problems)
+    problems = Told()
+    imu = problems.take(log.imu("/imu"))
     np.testing.assert_array_equal(imu.t_ns, START_NS + np.arange(20) * 10_000_000)
     assert "headers without time" in problems[0]
     assert "times of receipt" in log.topics[0].note
@@ -502,8 +500,8 @@ def test_a_clock_of_its_own_and_a_clock_set_back_are_said(tmp_path: Path) -> Non
             bag.write("/imu", bag.imu(t_ns, (0, 0, 0.1), (0, 0, 9.8)), START_NS + k * 10_000_000)
     log = rosbag.open_log(tmp_path / "a.bag")
     assert "before receipt" in log.topics[0].note
-    problems: list[str] = []
-    imu = log.imu("/imu", problems)
+    problems = Told()
+    imu = problems.take(log.imu("/imu"))
     assert len(imu.t_ns) == 200
     assert imu.t_ns[0] == 2_000_000_000
     assert "the clock jumps by -3.99 s" in problems[0]
@@ -564,7 +562,7 @@ def test_every_encoding_gives_the_same_grey(encoding: str, tmp_path: Path) -> No
             message = bag.image(START_NS + k * 50_000_000, encoded(colour, encoding), encoding)
             message.height = 48
             bag.write("/image", message, START_NS + k * 50_000_000)
-    frames = rosbag.open_log(tmp_path / "a.bag").frames("/image", [])
+    frames = rosbag.open_log(tmp_path / "a.bag").frames("/image").value
     inside = (slice(2, -2), slice(2, -2))
     tolerance = 3 if encoding in BAYER else 1
     difference = frames.read(1)[inside].astype(int) - to_grey(colour)[inside].astype(int)
@@ -600,7 +598,7 @@ def test_pictures_that_cannot_be_read_are_left_out_and_said(tmp_path: Path) -> N
     assert [topic.kind for topic in log.topics] == [Kind.IMU]
     assert log.problems == ("/depth: pictures of encoding 32FC1 left out",)
     with pytest.raises(InputError, match="has no frames topic /depth"):
-        log.frames("/depth", [])
+        log.frames("/depth")
 
 
 def test_a_picture_that_does_not_decode_is_found_when_it_is_read(office: Flight, tmp_path: Path) -> None:
@@ -609,7 +607,7 @@ def test_a_picture_that_does_not_decode_is_found_when_it_is_read(office: Flight,
         for k, picture in enumerate([data, data[: len(data) // 2], data]):
             t_ns = START_NS + k * 50_000_000
             bag.write("/image/compressed", bag.compressed(t_ns, picture), t_ns)
-    frames = rosbag.open_log(tmp_path / "a.bag").frames("/image/compressed", [])
+    frames = rosbag.open_log(tmp_path / "a.bag").frames("/image/compressed").value
     with pytest.raises(InputError, match=r"/image/compressed, received at \d+: picture does not decode"):
         frames.read(1)
     assert frames.read(2).shape == (480, 640)
@@ -700,11 +698,11 @@ def test_a_torn_bag_gives_what_is_whole(kind: str, office: Flight, tmp_path: Pat
         return
     log = rosbag.open_log(torn)
     assert "no sound index" in log.problems[0]
-    problems: list[str] = []
-    imu = log.imu("/imu/data_raw", problems)
+    problems = Told()
+    imu = problems.take(log.imu("/imu/data_raw"))
     assert office.imu is not None
     np.testing.assert_array_equal(imu.t_ns, office.imu.t_ns[: len(imu.t_ns)])
-    frames = log.frames("/cam0/image_raw/compressed", problems)
+    frames = problems.take(log.frames("/cam0/image_raw/compressed"))
     for k in (len(frames.t_ns) - 1, 0):
         np.testing.assert_array_equal(frames.read(k), office.frames.read(k))
 
@@ -729,8 +727,8 @@ def test_real_bags(name: str) -> None:
     samples, refused, said = damage.read_everything(rosbag, REAL / name)
     assert (refused, said) == (0, [])
     assert samples == 3 * len(log.topics[2].t_ns) + 2 * len(log.topics[0].t_ns)
-    problems: list[str] = []
-    position, velocity = (read(log.topics[2].name, problems) for read in (log.position, log.velocity))
+    problems = Told()
+    position, velocity = (problems.take(read(log.topics[2].name)) for read in (log.position, log.velocity))
     # Wheel odometry: the way between positions is what the speed says.
     way_m = np.linalg.norm(np.diff(position.xyz, axis=0), axis=1).sum()
     steps_s = np.diff(velocity.t_ns) * 1e-9

@@ -12,6 +12,7 @@ import pytest
 from fusion.logs.autopilot import tlog
 from fusion.logs.contents import Kind
 from tests.fusion import damage
+from tests.fusion.reading import Told
 from vision import InputError
 
 pytest.importorskip("pymavlink")
@@ -81,20 +82,20 @@ def test_every_stream_has_the_values_sent(path: Path) -> None:
         (Kind.POSITION, "LOCAL_POSITION_NED"),
         (Kind.VELOCITY, "LOCAL_POSITION_NED"),
     ]
-    problems: list[str] = []
+    problems = Told()
     t_ns = (BOOT_MS + STEP_MS * np.arange(N)) * 1_000_000
     for name in ("RAW_IMU", "SCALED_IMU2"):
-        imu = log.imu(name, problems)
+        imu = problems.take(log.imu(name))
         np.testing.assert_array_equal(imu.t_ns, t_ns)  # the vehicle's clock, not the radio's delays
         np.testing.assert_allclose(imu.gyro_rad_s, [[0.0, -0.05, 0.25]] * N)
         np.testing.assert_allclose(imu.accel_m_s2, [[0.102 * G_M_S2, 0.0, -G_M_S2]] * N)
     half = 0.5**0.5
-    attitude = log.attitude("ATTITUDE_QUATERNION", problems)
+    attitude = problems.take(log.attitude("ATTITUDE_QUATERNION"))
     np.testing.assert_allclose(attitude.q_world_body, [[half, 0.0, 0.0, half]] * N, atol=1e-7)
     np.testing.assert_allclose(
-        log.position("LOCAL_POSITION_NED", problems).xyz[-1], [0.04 * (N - 1), 1.0, -1.5]
+        problems.take(log.position("LOCAL_POSITION_NED")).xyz[-1], [0.04 * (N - 1), 1.0, -1.5]
     )
-    velocity = log.velocity("LOCAL_POSITION_NED", problems)
+    velocity = problems.take(log.velocity("LOCAL_POSITION_NED"))
     np.testing.assert_allclose(velocity.xyz, [[0.0, -2.0, 0.0]] * N, atol=1e-6)
     assert problems == []
     assert log.problems == ()
@@ -103,7 +104,7 @@ def test_every_stream_has_the_values_sent(path: Path) -> None:
 def test_angles_of_attitude(path: Path) -> None:
     from scipy.spatial.transform import Rotation
 
-    q = tlog.open_log(path).attitude("ATTITUDE", []).q_world_body
+    q = tlog.open_log(path).attitude("ATTITUDE").value.q_world_body
     angles = Rotation.from_quat(q, scalar_first=True).as_euler("ZYX")
     np.testing.assert_allclose(angles, [[3.0, -0.2, 0.1]] * N, atol=1e-6)
 
@@ -127,8 +128,8 @@ def test_units_and_unix_times_of_highres_imu(tmp_path: Path) -> None:
     log = tlog.open_log(writer.save(tmp_path / "px4.tlog"))
     assert [topic.name for topic in log.topics] == ["HIGHRES_IMU"]
     assert "by SYSTEM_TIME, subtracted here" in log.topics[0].note
-    problems: list[str] = []
-    imu = log.imu("HIGHRES_IMU", problems)
+    problems = Told()
+    imu = problems.take(log.imu("HIGHRES_IMU"))
     np.testing.assert_array_equal(imu.t_ns, (BOOT_MS + 2 * STEP_MS * np.arange(N // 2)) * 1_000_000)
     np.testing.assert_allclose(imu.gyro_rad_s, [[0.01, 0.02, 0.3]] * (N // 2), rtol=1e-6)
     np.testing.assert_allclose(imu.accel_m_s2, [[0.1, 0.2, -9.8]] * (N // 2), rtol=1e-6)
@@ -142,7 +143,7 @@ def test_a_sensors_own_counts_are_refused(tmp_path: Path) -> None:
         writer.send(message, UNIX_US + k * 20_000)
     log = tlog.open_log(writer.save(tmp_path / "raw.tlog"))
     with pytest.raises(InputError, match=r"RAW_IMU holds a sensor's own counts: at rest 16\.4 g"):
-        log.imu("RAW_IMU", [])
+        log.imu("RAW_IMU")
 
 
 def test_two_vehicles_are_kept_apart(tmp_path: Path) -> None:
@@ -153,8 +154,8 @@ def test_two_vehicles_are_kept_apart(tmp_path: Path) -> None:
     assert {topic.name for topic in log.topics if topic.kind == Kind.IMU} == {
         *(f"{name}[{system}.1]" for name in ("RAW_IMU", "SCALED_IMU2") for system in (1, 7))
     }
-    assert log.imu("RAW_IMU[7.1]", []).t_ns[0] == 500_000 * 1_000_000
-    assert len(log.velocity("LOCAL_POSITION_NED[1.1]", []).t_ns) == N
+    assert log.imu("RAW_IMU[7.1]").value.t_ns[0] == 500_000 * 1_000_000
+    assert len(log.velocity("LOCAL_POSITION_NED[1.1]").value.t_ns) == N
 
 
 def test_a_restart_of_the_vehicle_does_not_shuffle_two_flights_into_one(tmp_path: Path) -> None:
@@ -162,9 +163,9 @@ def test_a_restart_of_the_vehicle_does_not_shuffle_two_flights_into_one(tmp_path
     flight(writer, start_ms=500, n=N, at_us=UNIX_US + 60_000_000)
     log = tlog.open_log(writer.save(tmp_path / "twice.tlog"))
     assert "the vehicle's clock went back 1 time, as when it restarts" in log.problems[0]
-    problems: list[str] = []
+    problems = Told()
     for topic in log.topics:
-        stream = getattr(log, topic.kind)(topic.name, problems)
+        stream = problems.take(getattr(log, topic.kind)(topic.name))
         np.testing.assert_array_equal(stream.t_ns, (500 + STEP_MS * np.arange(N)) * 1_000_000)
     assert problems == []
 
@@ -175,7 +176,7 @@ def test_a_wrong_checksum_costs_one_message_and_is_said(path: Path) -> None:
     path.write_bytes(data)
     log = tlog.open_log(path)
     assert log.problems == ("1 message with a wrong checksum dropped",)
-    assert len(log.imu("RAW_IMU", []).t_ns) == N - 1
+    assert len(log.imu("RAW_IMU").value.t_ns) == N - 1
 
 
 def test_rubbish_between_messages_is_skipped_and_said(path: Path) -> None:
@@ -183,7 +184,7 @@ def test_rubbish_between_messages_is_skipped_and_said(path: Path) -> None:
     path.write_bytes(data[:1000] + b"\xfe\xfd" * 40 + data[1000:])
     log = tlog.open_log(path)
     assert "belong to no whole message" in " ".join(log.problems)
-    assert len(log.imu("RAW_IMU", []).t_ns) >= N - 2
+    assert len(log.imu("RAW_IMU").value.t_ns) >= N - 2
 
 
 def test_it_is_known_by_its_first_bytes_not_its_name(path: Path, tmp_path: Path) -> None:
@@ -221,8 +222,8 @@ def test_centimetres_to_the_floor(tmp_path: Path, dialect: Any) -> None:
             writer.send(message, UNIX_US + k * STEP_MS * 1000)
     log = tlog.open_log(writer.save(tmp_path / "range.tlog"))
     assert [(topic.kind, topic.name) for topic in log.topics] == [(Kind.RANGE, "DISTANCE_SENSOR")]
-    problems: list[str] = []
-    found = log.range("DISTANCE_SENSOR", problems)
+    problems = Told()
+    found = problems.take(log.range("DISTANCE_SENSOR"))
     kept = np.delete(np.arange(N), [3, 4, 5])
     np.testing.assert_array_equal(found.t_ns, (BOOT_MS + STEP_MS * kept) * 1_000_000)
     np.testing.assert_allclose(found.distance_m, 1.0 + 0.01 * kept)
@@ -240,5 +241,5 @@ def test_a_signal_that_is_called_invalid_is_dropped(tmp_path: Path) -> None:
             ),
             UNIX_US + k * STEP_MS * 1000,
         )
-    found = tlog.open_log(writer.save(tmp_path / "range.tlog")).range("DISTANCE_SENSOR", [])
+    found = tlog.open_log(writer.save(tmp_path / "range.tlog")).range("DISTANCE_SENSOR").value
     np.testing.assert_array_equal(found.t_ns, (BOOT_MS + STEP_MS * np.delete(np.arange(N), 2)) * 1_000_000)

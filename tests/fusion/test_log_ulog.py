@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from fusion.logs.autopilot import ulog
 from fusion.logs.contents import Kind
 from tests.fusion import damage
+from tests.fusion.reading import Told
 from vision import InputError
 
 pytest.importorskip("pyulog")
@@ -98,8 +99,8 @@ def test_every_stream_has_the_values_written(tmp_path: Path) -> None:
         (Kind.POSITION, "vehicle_local_position"),
         (Kind.VELOCITY, "vehicle_local_position"),
     ]
-    problems: list[str] = []
-    imu = log.imu("sensor_combined", problems)
+    problems = Told()
+    imu = problems.take(log.imu("sensor_combined"))
     middle_ns = np.array(times_us()) * 1000 - 2_000_000  # a mean over 4 ms belongs to their middle
     np.testing.assert_array_equal(imu.t_ns, middle_ns)
     np.testing.assert_array_equal(imu.t_ns, log.topics[0].t_ns)
@@ -107,7 +108,7 @@ def test_every_stream_has_the_values_written(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.delete(imu.accel_m_s2, 3, axis=0), [[0.1, 0.2, -9.8]] * (N - 1), rtol=1e-6)
     assert np.isnan(imu.accel_m_s2[3]).all()
     assert problems == ["sensor_combined: 1 row without acceleration"]
-    attitude = log.attitude("vehicle_attitude", problems)
+    attitude = problems.take(log.attitude("vehicle_attitude"))
     np.testing.assert_array_equal(attitude.t_ns, np.array(times_us()) * 1000)  # when taken, not when logged
     np.testing.assert_allclose(attitude.q_world_body, [[0.5**0.5, 0.0, 0.0, 0.5**0.5]] * N, atol=1e-7)
     assert log.problems == ("the logger could not keep up: 1 dropout, 0.06 s in all, the longest 0.06 s",)
@@ -115,11 +116,11 @@ def test_every_stream_has_the_values_written(tmp_path: Path) -> None:
 
 def test_velocity_is_turned_into_the_body_and_untrusted_positions_are_dropped(tmp_path: Path) -> None:
     log = ulog.open_log(flying_right(tmp_path))
-    problems: list[str] = []
-    velocity = log.velocity("vehicle_local_position", problems)
+    problems = Told()
+    velocity = problems.take(log.velocity("vehicle_local_position"))
     np.testing.assert_allclose(velocity.xyz, [[0.0, -2.0, 0.0]] * (N // 10), atol=1e-6)
     assert problems == []
-    position = log.position("vehicle_local_position", problems)
+    position = problems.take(log.position("vehicle_local_position"))
     np.testing.assert_allclose(position.xyz[0], [1.0, 1.0, -1.5], rtol=1e-6)
     assert len(position.t_ns) == 14
     assert problems == [
@@ -130,8 +131,8 @@ def test_velocity_is_turned_into_the_body_and_untrusted_positions_are_dropped(tm
 
 def test_a_damaged_time_is_dropped_and_said(tmp_path: Path) -> None:
     log = ulog.open_log(flying_right(tmp_path, damaged_time=True))
-    problems: list[str] = []
-    imu = log.imu("sensor_combined", problems)
+    problems = Told()
+    imu = problems.take(log.imu("sensor_combined"))
     assert len(imu.t_ns) == N - 1
     assert imu.t_ns[-1] == times_us()[-1] * 1000 - 2_000_000
     assert "1 row with a time" in problems[0]
@@ -154,13 +155,13 @@ def test_several_sensors_are_several_topics(tmp_path: Path) -> None:
     log = ulog.open_log(writer.save(tmp_path / "many.ulg"))
     names = [topic.name for topic in log.topics]
     assert names == ["vehicle_imu", "vehicle_imu[1]", "sensor_gyro", "sensor_gyro[1]"]
-    problems: list[str] = []
-    integrated = log.imu("vehicle_imu[1]", problems)
+    problems = Told()
+    integrated = problems.take(log.imu("vehicle_imu[1]"))
     np.testing.assert_allclose(integrated.gyro_rad_s, [[2.0, 0.0, 0.0]] * 50, rtol=1e-6)
     np.testing.assert_allclose(integrated.accel_m_s2, [[0.0, 0.0, -9.8]] * 50, rtol=1e-6)
     assert integrated.t_ns[0] == START_US * 1000 - 2_000_000
     assert problems == []
-    raw = log.imu("sensor_gyro[1]", problems)
+    raw = problems.take(log.imu("sensor_gyro[1]"))
     np.testing.assert_allclose(raw.gyro_rad_s[:, 0], 1.1, rtol=1e-6)
     # The accelerometer's time is half a step off: at the gyroscope's the mean of two of its samples holds.
     expected = np.array(times_us(50))[1:] * 1e-6 - 2500e-6 + 1.0
@@ -200,9 +201,9 @@ def test_refusals_name_the_file_and_the_remedy(tmp_path: Path) -> None:
         ulog.open_log(tmp_path / "stub.ulg")
     log = ulog.open_log(flying_right(tmp_path))
     with pytest.raises(InputError, match="carries no pictures"):
-        log.frames("camera", [])
+        log.frames("camera")
     with pytest.raises(InputError, match=r"has no imu topic vehicle_imu \(choose one of sensor_combined"):
-        log.imu("vehicle_imu", [])
+        log.imu("vehicle_imu")
     assert log.camera("camera") is None
 
 
@@ -225,12 +226,12 @@ def test_real_logs_agree_with_themselves_on_where_down_is(name: str) -> None:
     if not (REAL / name).exists():
         pytest.skip("the real PX4 logs are not here")
     log = ulog.open_log(REAL / name)
-    problems: list[str] = []
-    imu = log.imu("sensor_combined", problems)
+    problems = Told()
+    imu = problems.take(log.imu("sensor_combined"))
     damage.check_stream(imu)
     up = np.nanmedian(imu.accel_m_s2, axis=0)
     assert np.linalg.norm(up) == pytest.approx(9.8, abs=0.3)
-    attitude = log.attitude("vehicle_attitude", problems)
+    attitude = problems.take(log.attitude("vehicle_attitude"))
     down = Rotation.from_quat(attitude.q_world_body, scalar_first=True).inv().apply([0.0, 0.0, 1.0])
     np.testing.assert_allclose(np.median(down, axis=0), -up / np.linalg.norm(up), atol=0.05)
     assert problems == []
@@ -269,8 +270,8 @@ def test_distances_of_sensors_that_look_down(tmp_path: Path) -> None:
         (Kind.RANGE, "distance_sensor[1]"),
         (Kind.RANGE, "distance_sensor[2]"),
     ]
-    problems: list[str] = []
-    found = log.range("distance_sensor[1]", problems)
+    problems = Told()
+    found = problems.take(log.range("distance_sensor[1]"))
     kept = [k for k in range(40) if k not in (5, 7, 8, 9, 10, 11)]
     np.testing.assert_array_equal(found.t_ns, np.array(times_us(40))[kept] * 1000)
     np.testing.assert_allclose(found.distance_m, 1.0 + 0.01 * np.array(kept), rtol=1e-6)
@@ -278,4 +279,4 @@ def test_distances_of_sensors_that_look_down(tmp_path: Path) -> None:
     assert problems == [
         f"distance_sensor[1]: 6 rows with no distance within the sensor's reach dropped (first at {first_ns})"
     ]
-    np.testing.assert_allclose(log.range("distance_sensor[2]", []).distance_m, [1.5] * 40)
+    np.testing.assert_allclose(log.range("distance_sensor[2]").value.distance_m, [1.5] * 40)

@@ -258,8 +258,16 @@ def test_a_slip_is_named_with_its_remedy(tmp_path: Path, text: str, message: str
 def test_a_manifest_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"gone\.toml: cannot be read"):
         read_manifest(tmp_path / "gone.toml")
-    (tmp_path / "bad.toml").write_bytes(b"name = '\xff'")
-    with pytest.raises(InputError, match="is not TOML"):
+    for torn in (b"name = '\xff'", b"corridor_width_m = " + b"1" * 5000):
+        (tmp_path / "bad.toml").write_bytes(torn)
+        with pytest.raises(InputError, match="is not TOML"):
+            read_manifest(tmp_path / "bad.toml")
+
+
+@pytest.mark.parametrize("path", ["a\\u0000b.mp4", "~nobody_of_that_name/a.mp4"])
+def test_a_path_that_cannot_be_is_refused(tmp_path: Path, path: str) -> None:
+    (tmp_path / "bad.toml").write_text(f'log = "{path}"\n')
+    with pytest.raises(InputError, match="names a path that cannot be"):
         read_manifest(tmp_path / "bad.toml")
 
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
+from fusion.estimator.ekf import CorridorEKF
 from fusion.estimator.models import (
     PSI,
     ProcessNoise,
@@ -17,12 +18,9 @@ from fusion.estimator.models import (
     imu_yaw_offset_model,
     lateral_model,
     level_yaw_rate,
-    propagate,
-    step,
-    transition,
-    wrap,
-    wrap_axis,
 )
+from tests.fusion.process_model import propagate, transition
+from vision.rotations import wrap, wrap_axis
 
 NOISE = ProcessNoise(heading=0.0075, bias=3e-4, offset=0.009, v_std=0.4, v_time_s=0.8)
 angles = st.floats(-50.0, 50.0)
@@ -66,11 +64,14 @@ def test_one_call_is_the_three(
 ) -> None:
     A = np.random.default_rng(1).normal(size=(5, 5))
     P = A @ A.T
-    x_next, F, P_next = step(x, P, dt, turned, NOISE, forward, sideways, gap)
+    ekf = CorridorEKF(x, P)
+    ekf.advance(dt, turned, NOISE, forward, sideways, gap)
+    x_next, F, Q_next, P_next = ekf.x, ekf.F, ekf.Q, ekf.P
     middle = x[PSI] + 0.5 * (turned - x[1] * dt)
     expected_F, Q = transition(dt, NOISE, forward * cos(middle) - sideways * sin(middle), gap)
     np.testing.assert_array_equal(x_next, propagate(x, dt, turned, NOISE, forward, sideways))
     np.testing.assert_allclose(F, expected_F, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(Q_next, Q, rtol=0, atol=1e-12)
     np.testing.assert_allclose(P_next, expected_F @ P @ expected_F.T + Q, rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(P_next, P_next.T)
 

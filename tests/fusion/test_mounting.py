@@ -91,7 +91,7 @@ def test_the_robots_imu_is_noticed_and_put_right() -> None:
     if not HUSKY.exists():
         pytest.skip("the shared logs are not here")
     log = open_log(HUSKY)
-    imu, attitude = log.imu("/imu/data", []), log.attitude("/imu/data", [])
+    imu, attitude = log.imu("/imu/data").value, log.attitude("/imu/data").value
     _, found = examine_streams(Streams(imu=imu, attitude=attitude), Advice())
     assert [(f.kind, f.text[:28]) for f in found] == [
         ("imu_axes", "gravity reads -9.8 along y i"),

@@ -13,15 +13,11 @@ from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from fusion.flight import AttitudeStream, Flight, FrameStream, ImuStream
 from fusion.logs.pictures.camera_folder import PictureFiles
 from vision.errors import InputError
+from vision.rotations import yaw_of
 
 ROOT = Path(__file__).parents[2]
 OFFICE = ROOT / "data" / "office"
 CONFIG = FusionConfig(corridor_width_m=2.2)
-
-
-@pytest.fixture(scope="module")
-def office() -> Flight:
-    return load_flight(OFFICE)
 
 
 @pytest.fixture(scope="module")
@@ -257,8 +253,7 @@ def test_the_real_flight_without_a_gyroscope() -> None:
     flight = load_flight(path)
     assert flight.attitude is not None
     result = fuse_flight(flight)
-    w, x, y, z = flight.attitude.q_world_body.T
-    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    yaw = np.unwrap(yaw_of(flight.attitude.q_world_body))
     for table in (result.estimates, result.smoothed):
         assert (table["corridor_index"][:42] == 0).all()
         assert (table["corridor_index"][64:] == 1).all()

@@ -15,15 +15,10 @@ from hypothesis import strategies as st
 
 import fusion.report
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
-from fusion.outputs import folder as outputs
-from fusion.outputs.folder import (
-    OUTPUT_FILES,
-    check_out_dir,
-    read_table,
-    write_outputs,
-    write_summary,
-    write_table,
-)
+from fusion.outputs.folder import OUTPUT_FILES, check_out_dir, write_outputs
+from fusion.result import tables_csv
+from fusion.result.summary_json import write_summary
+from fusion.result.tables_csv import read_table, write_table
 from vision import InputError
 
 
@@ -90,7 +85,7 @@ class TestTables:
         np.testing.assert_allclose(back["x"], table["x"], rtol=1e-8)
 
     def test_chunks_join_without_seam(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(outputs, "_CHUNK_ROWS", 4)
+        monkeypatch.setattr(tables_csv, "_CHUNK_ROWS", 4)
         table = np.zeros(10, ESTIMATE_DTYPE)
         table["timestamp_ns"] = np.arange(10)
         table["heading_rad"] = np.arange(10) / 3

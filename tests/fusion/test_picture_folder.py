@@ -11,6 +11,7 @@ import pytest
 from fusion.logs import open_log
 from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.pictures.picture_folder import TOPIC, open_folder, recognises
+from tests.fusion.reading import Told
 from vision import InputError
 
 T0 = 1_600_001_000_000_000_000
@@ -28,7 +29,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def brightness(log: object) -> list[int]:
-    frames = log.frames(TOPIC, [])  # type: ignore[attr-defined]
+    frames = log.frames(TOPIC).value  # type: ignore[attr-defined]
     return [int(frames.read(i)[0, 0]) // 10 for i in range(len(frames.t_ns))]
 
 
@@ -58,7 +59,7 @@ def test_lists_of_any_shape(folder: Path, row: str, inside: bool) -> None:
     file = (folder if inside else folder.parent) / "times.csv"
     file.write_text(text)
     log = open_log(folder) if inside else open_folder(folder, times=file)
-    frames = log.frames(TOPIC, [])
+    frames = log.frames(TOPIC).value
     assert brightness(log) == list(range(N))
     start = 0 if "{s" in row else T0
     np.testing.assert_allclose(frames.t_ns, start + np.arange(N) * 50_000_000, atol=1000)
@@ -110,7 +111,7 @@ def test_what_is_missing_is_counted(folder: Path) -> None:
         "pictures: 2 pictures missing (first 12.png)",
         "pictures: 2 pictures not in times.csv left out",
     }
-    frames = log.frames(TOPIC, [])
+    frames = log.frames(TOPIC).value
     assert len(frames.t_ns) == N
     with pytest.raises(InputError, match=r"12\.png"):
         frames.read(10)
@@ -119,8 +120,8 @@ def test_what_is_missing_is_counted(folder: Path) -> None:
 def test_shuffled_and_repeated_rows_are_put_in_order(folder: Path) -> None:
     order = [3, 1, 2, 0, 0, *range(4, N)]
     (folder / "times.csv").write_text("".join(f"{T0 + i * 50_000_000},{i}.png\n" for i in order))
-    problems: list[str] = []
-    frames = open_log(folder).frames(TOPIC, problems)
+    problems = Told()
+    frames = problems.take(open_log(folder).frames(TOPIC))
     assert [int(frames.read(i)[0, 0]) // 10 for i in range(N)] == list(range(N))
     assert any("repeated time" in text for text in problems)
     assert any("go backwards" in text for text in problems)
@@ -153,4 +154,4 @@ def test_it_has_nothing_but_pictures(folder: Path) -> None:
     assert log.camera(TOPIC) is None
     for kind in ("imu", "attitude", "position", "velocity", "range"):
         with pytest.raises(InputError, match=f"has no {kind} topic x"):
-            getattr(log, kind)("x", [])
+            getattr(log, kind)("x")

@@ -22,10 +22,10 @@ from fusion.logs.plausibility.imu import examine_imu
 from fusion.logs.plausibility.mounting import rotation
 from fusion.logs.plausibility.turn_rates import compare_turns, turn_between
 from fusion.simulate.config import AttitudeConfig, ImuConfig, MotionConfig
+from fusion.simulate.imu import read_attitude, read_imu, sample_times
 from fusion.simulate.motion import plan_flight
-from fusion.simulate.plan import floor_plan
-from fusion.simulate.scene_config import SceneConfig
-from fusion.simulate.sensors import read_attitude, read_imu, sample_times
+from fusion.simulate.scene.config import SceneConfig
+from fusion.simulate.scene.plan import floor_plan
 from vision import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -341,7 +341,7 @@ def test_a_real_vehicle_and_its_faults() -> None:
     from fusion.logs import open_log
 
     log = open_log(PX4)
-    good, turned = log.imu("sensor_combined", []), log.attitude("vehicle_attitude", [])
+    good, turned = log.imu("sensor_combined").value, log.attitude("vehicle_attitude").value
     comparison = compare_turns(good, turned)
     assert comparison is not None
     assert comparison.others == ()

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from fusion import fuse_flight, load_flight
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.engine import Entry
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.range_width import Heights, Widths, height_at, with_range, with_width
-from fusion.estimator.timeline import Entry
 from fusion.flight import Flight, RangeStream
 from fusion.logs.asl import read_ground_truth
 from tests.fusion.simulated import frame, quaternion
@@ -133,9 +133,8 @@ class Recorder:
 
     def __call__(self, entry: Entry) -> None:
         s = entry.after
-        assert s is not None
         self.seen.append(
-            (entry.t_ns, entry.kind, s.x.tobytes(), s.P.tobytes(), repr(s.heights), repr(s.widths))
+            (entry.t_ns, type(entry.sample).__name__, s.x.tobytes(), s.P.tobytes(), repr(s.width))
         )
 
 

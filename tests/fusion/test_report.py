@@ -1,149 +1,27 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from math import radians
-from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from fusion.estimator.config import FusionConfig
-from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from fusion.evaluation.checks import run_checks
 from fusion.evaluation.checks_input import yaw_steps
-from fusion.evaluation.verdict import Level, overall
-from fusion.flight import AttitudeStream, CorridorTruth, Flight, FrameStream, ImuStream
+from fusion.evaluation.verdict import overall
+from fusion.flight import AttitudeStream, FrameStream, ImuStream
 from fusion.logs.pictures.camera_folder import PictureFiles
 from fusion.report import write_report
-from fusion.report.plots import aligned_imu_yaw
-from fusion.report.remeasure import attitude_at
-from fusion.report.series import band_envelope, broken, envelope, runs, thin_points
+from fusion.report.plots import aligned_imu_yaw, plot_offset
+from fusion.report.remeasure import interpolated_attitude
+from fusion.report.series import band_envelope, broken, envelope, thin_points
 from fusion.report.strip import choose_frames, show_frames
-from vision import Camera, InputError
-
-T0_NS = 1_600_000_000_000_000_000
-WIDTH_M = 2.0
-CAMERA_HEIGHT_M = 1.2
-
-
-def corridor_picture(path, camera, heading_rad, offset_m):
-    """Draw the four edges of a corridor, and some joints along its floor, as the camera would see them."""
-    picture = np.full((camera.height_px, camera.width_px), 200, dtype=np.uint8)
-    c, s = np.cos(heading_rad), np.sin(heading_rad)
-    R_body_corridor = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    for y in (-1.0, -0.5, 0.4, 1.0):
-        for z in (CAMERA_HEIGHT_M, -1.3) if abs(y) == 1.0 else (CAMERA_HEIGHT_M,):
-            ends = np.array([[1.5, y - offset_m, z], [40.0, y - offset_m, z]])
-            points = camera.project(ends @ R_body_corridor.T @ camera.R_body_camera)
-            if np.isfinite(points).all():
-                a, b = (tuple(int(v) for v in np.round(p * 16)) for p in points)
-                cv2.line(picture, a, b, 60, 2, cv2.LINE_AA, 4)
-    cv2.imwrite(str(path), cv2.GaussianBlur(picture, (3, 3), 0.7))
-
-
-def make_flight(folder, *, duration_s=12.0, imu_hz=50.0, frame_hz=10.0, pictures=True, seed=3):
-    """Build a flight that swings in one corridor, and the result of a filter with known errors.
-
-    Filter errors are white with the sigma that the table states (0.3 degrees, 2 cm); vision's are twice that.
-    The IMU's yaw is off by 40 degrees and steps by 12 more between 6 and 8 s.
-    """
-    rng = np.random.default_rng(seed)
-    camera = Camera.from_fov(320, 240, radians(70))
-    t = np.arange(0.0, duration_s, 1 / imu_hz)
-    t_frame = np.arange(0.0, duration_s, 1 / frame_hz)
-
-    def heading(at):
-        return radians(12) * np.sin(2 * np.pi * at / 8.0)
-
-    def offset(at):
-        return 0.3 * np.cos(2 * np.pi * at / 11.0)
-
-    def nanoseconds(at):
-        return T0_NS + np.round(at * 1e9).astype(np.int64)
-
-    yaw_offset = radians(40) + np.where((t > 6) & (t < 8), radians(12), 0.0)
-    estimates = np.zeros(len(t), dtype=ESTIMATE_DTYPE)
-    estimates["timestamp_ns"] = nanoseconds(t)
-    estimates["heading_std_rad"] = radians(0.3)
-    estimates["heading_rad"] = heading(t) + rng.normal(0, radians(0.3), len(t))
-    estimates["lateral_offset_std_m"], estimates["lateral_offset_norm_std"] = 0.02, 0.02
-    estimates["lateral_offset_m"] = offset(t) + rng.normal(0, 0.02, len(t))
-    estimates["lateral_offset_norm"] = estimates["lateral_offset_m"] / (WIDTH_M / 2)
-    estimates["yaw_rate_rad_s"] = np.gradient(heading(t), t)
-    estimates["gyro_bias_rad_s"] = 0.01 * (1 - np.exp(-t))
-    estimates["imu_yaw_offset_rad"] = yaw_offset
-    estimates["status"] = np.where(t < 0.5, "initialising", "tracking")
-    estimates["vision_age_s"] = np.where(t < 0.5, np.nan, t % (1 / frame_hz))
-    smoothed = estimates.copy()
-    smoothed["heading_rad"] = heading(t) + rng.normal(0, radians(0.1), len(t))
-
-    frames = np.zeros(len(t_frame), dtype=FRAME_DTYPE)
-    frames["timestamp_ns"] = nanoseconds(t_frame)
-    frames["accepted"], frames["reason"] = True, "ok"
-    frames["n_lines"], frames["n_inliers"] = 12, 8
-    frames["innovation_rad"] = rng.normal(0, radians(0.6), len(t_frame))
-    frames["test_ratio"] = (frames["innovation_rad"] / (4 * radians(0.6))) ** 2
-    frames["heading_rad"] = heading(t_frame) + frames["innovation_rad"]
-    frames["heading_std_rad"] = radians(0.6)
-    frames["lateral_offset_norm"] = offset(t_frame) / (WIDTH_M / 2)
-    vp = camera.project(
-        np.column_stack([np.cos(heading(t_frame)), -np.sin(heading(t_frame)), 0 * t_frame])
-        @ camera.R_body_camera
-    )
-    frames["vp_x_px"], frames["vp_y_px"] = vp.T
-    frames["vision_ms"] = 3.0
-
-    yaw = np.where((t > 6) & (t < 8), radians(12), 0.0) + radians(40) + heading(t)
-    flight = Flight(
-        name="swing",
-        camera=camera,
-        frames=FrameStream(
-            frames["timestamp_ns"].copy(),
-            PictureFiles(tuple(folder / f"{k}.png" for k in range(len(frames)))),
-        ),
-        imu=ImuStream(estimates["timestamp_ns"].copy(), np.zeros((len(t), 3)), np.zeros((len(t), 3))),
-        attitude=AttitudeStream(
-            estimates["timestamp_ns"].copy(),
-            np.column_stack([np.cos(yaw / 2), 0 * t, 0 * t, np.sin(yaw / 2)]),
-        ),
-        truth=CorridorTruth(
-            t_ns=estimates["timestamp_ns"].copy(),
-            heading_rad=heading(t),
-            lateral_offset_m=offset(t),
-            corridor_width_m=np.full(len(t), WIDTH_M),
-            corridor_id=np.ones(len(t), dtype=np.int64),
-            in_junction=np.zeros(len(t), dtype=bool),
-        ),
-    )
-    if pictures:
-        for k in range(len(frames)):
-            corridor_picture(flight.frames.source.paths[k], camera, heading(t_frame[k]), offset(t_frame[k]))
-    result = SimpleNamespace(
-        flight_name="swing <one>",
-        config=FusionConfig(corridor_width_m=WIDTH_M),
-        estimates=estimates,
-        smoothed=smoothed,
-        frames=frames,
-        summary={"method": "geometric"},
-        problems=(),
-    )
-    return result, flight
-
-
-def change(thing, **changes):
-    """Return a copy of a result or flight with other fields."""
-    if isinstance(thing, SimpleNamespace):
-        return SimpleNamespace(**(vars(thing) | changes))
-    names = Flight.__slots__
-    return Flight(**({name: getattr(thing, name) for name in names} | changes))
-
-
-def table_with(table, **columns):
-    table = table.copy()
-    for name, (rows, value) in columns.items():
-        table[name][rows] = value
-    return table
+from fusion.result.summary import Level
+from fusion.result.table_rows import runs
+from tests.fusion.fused import T0_NS, make_flight, table_with
+from vision import InputError
 
 
 def by_name(result, flight):
@@ -235,7 +113,9 @@ def test_rejections_turns_and_switches_reach_the_strip(swing):
     )
     frames = table_with(frames, accepted=(80, False), reason=(80, "blur"))
     estimates = table_with(result.estimates, corridor_index=(slice(500, None), 1))
-    chosen = {c.row: c.why for c in choose_frames(change(result, frames=frames, estimates=estimates), flight)}
+    chosen = {
+        c.row: c.why for c in choose_frames(replace(result, frames=frames, estimates=estimates), flight)
+    }
     assert chosen[0] == "first frame used"
     assert chosen[44] == "rejected"  # the middle of its stretch
     assert chosen[80] == "rejected"
@@ -247,7 +127,7 @@ def test_rejections_turns_and_switches_reach_the_strip(swing):
 def test_a_drawn_frame_carries_the_recorded_verdict(swing):
     result, flight = swing
     frames = table_with(result.frames, accepted=(60, False), reason=(60, "gate"))
-    result = change(result, frames=frames)
+    result = replace(result, frames=frames)
     (shown,) = show_frames(result, flight, [c for c in choose_frames(result, flight) if c.row == 60])
     assert shown.t_s == pytest.approx(6.0)
     assert shown.picture.startswith("data:image/jpeg;base64,")
@@ -269,7 +149,7 @@ def test_ten_minutes_stay_under_six_megabytes(swing, tmp_path):
     paths = tuple(pictures[k % len(pictures)] for k in range(len(flight.frames.t_ns)))
     refused = np.random.default_rng(1).random(len(paths)) < 0.1
     result.frames["accepted"][refused], result.frames["reason"][refused] = False, "gate"
-    flight = change(flight, frames=FrameStream(flight.frames.t_ns, PictureFiles(paths)))
+    flight = replace(flight, frames=FrameStream(flight.frames.t_ns, PictureFiles(paths)))
     write_report(result, flight, tmp_path / "report.html")
     assert (tmp_path / "report.html").stat().st_size < 6e6
 
@@ -279,7 +159,7 @@ def test_an_earlier_report_survives_a_failure(swing, tmp_path):
     path.write_text("earlier")
     result, flight = swing
     with pytest.raises(AttributeError):
-        write_report(change(result, summary=None), flight, path)
+        write_report(replace(result, overview=None), flight, path)
     assert path.read_text() == "earlier"
     with pytest.raises(InputError, match="cannot write the report"):
         write_report(result, flight, tmp_path / "missing" / "report.html")
@@ -309,8 +189,8 @@ def test_a_bare_flight_is_reported_without_truth_imu_attitude_or_a_single_used_f
         heading_rad=(slice(None), np.nan),
         lateral_offset_norm=(slice(None), np.nan),
     )
-    result = change(result, estimates=estimates, smoothed=estimates.copy(), frames=frames)
-    flight = change(flight, truth=None, imu=None, attitude=None)
+    result = replace(result, estimates=estimates, smoothed=estimates.copy(), frames=frames)
+    flight = replace(flight, truth=None, imu=None, attitude=None)
     checks = by_name(result, flight)
     assert checks["Frames used"].level is Level.FAIL
     assert "too few lines" in checks["Frames used"].meaning
@@ -325,7 +205,7 @@ def test_a_bare_flight_is_reported_without_truth_imu_attitude_or_a_single_used_f
 
 def level_with(swing, name, *, table="frames", **columns):
     result, flight = swing
-    return by_name(change(result, **{table: table_with(getattr(result, table), **columns)}), flight)[
+    return by_name(replace(result, **{table: table_with(getattr(result, table), **columns)}), flight)[
         name
     ].level
 
@@ -377,13 +257,15 @@ def test_holes_and_problems_of_the_log_are_told(swing):
     result, flight = swing
     t_ns = flight.imu.t_ns.copy()
     t_ns[300:] += 2_000_000_000
-    hole = change(flight, imu=ImuStream(t_ns, flight.imu.gyro_rad_s, flight.imu.accel_m_s2))
+    hole = replace(flight, imu=ImuStream(t_ns, flight.imu.gyro_rad_s, flight.imu.accel_m_s2))
     check = by_name(result, hole)["Gaps in the log"]
     assert check.level is Level.WARN
     assert "IMU, at 6.0 s" in check.value
     assert "1 hole in" in check.meaning
-    torn = change(flight, problems=("imu0/data.csv: 3 rows of NaN dropped",))
-    check = by_name(change(result, problems=("imu0/data.csv: 3 rows of NaN dropped", "other")), torn)["Input"]
+    torn = replace(flight, problems=("imu0/data.csv: 3 rows of NaN dropped",))
+    check = by_name(replace(result, problems=("imu0/data.csv: 3 rows of NaN dropped", "other")), torn)[
+        "Input"
+    ]
     assert check.level is Level.WARN
     assert check.value == "2 problems"
 
@@ -414,10 +296,10 @@ def test_attitude_is_taken_between_its_samples_and_only_near_them(swing):
     q = np.column_stack([np.cos(roll / 2), np.sin(roll / 2), 0 * roll, 0 * roll])
     q[1] *= -1  # the same rotation
     stream = AttitudeStream(np.array([T0_NS, T0_NS + 20_000_000]), q)
-    flight = change(flight, attitude=stream)
-    assert attitude_at(flight, T0_NS + 5_000_000).roll_rad == pytest.approx(radians(10.5), abs=1e-4)
-    assert attitude_at(flight, T0_NS + 520_000_000 + 1_000_000_000) is None
-    assert attitude_at(change(flight, attitude=None), T0_NS) is None
+    flight = replace(flight, attitude=stream)
+    assert interpolated_attitude(flight, T0_NS + 5_000_000).roll_rad == pytest.approx(radians(10.5), abs=1e-4)
+    assert interpolated_attitude(flight, T0_NS + 520_000_000 + 1_000_000_000) is None
+    assert interpolated_attitude(replace(flight, attitude=None), T0_NS) is None
 
 
 def test_thinning_keeps_extremes_ends_and_holes():
@@ -455,3 +337,19 @@ def test_short_series_are_left_as_they_are():
     assert np.isnan(cut[2])
     assert runs(np.array([True, True, False, True])) == [(0, 2), (3, 4)]
     assert runs(np.zeros(3, dtype=bool)) == []
+
+
+def test_frames_are_drawn_in_the_metres_of_their_own_corridor(swing):
+    result, flight = swing
+    table, frames = result.estimates.copy(), result.frames.copy()
+    later = table["timestamp_ns"] >= T0_NS + 6_000_000_000
+    table["corridor_index"][later] = 1
+    table["lateral_offset_std_m"] = np.where(later, 1.5, 1.0) * table["lateral_offset_norm_std"]
+    frames["lateral_offset_norm"] = 0.5
+    ax = Figure().subplots()
+    plot_offset(ax, replace(result, estimates=table, frames=frames), replace(flight, truth=None))
+    (dots,) = (patch for patch in ax.patches if not patch.get_fill())
+    t_s, offset_m = dots.get_path().vertices.T
+    np.testing.assert_allclose(offset_m, np.where(t_s < 6.0, 0.5, 0.75))
+    walls = [line for line in ax.lines if line.get_label() == "wall"]
+    assert sorted({abs(float(y)) for line in walls for y in line.get_ydata() if y == y}) == [1.0, 1.5]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import radians
 from typing import Any
 
@@ -10,13 +11,12 @@ import pytest
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.tables import FRAME_DTYPE
-from fusion.evaluation.checks import run_checks
-from fusion.evaluation.verdict import Check, Level, worst_first, worst_of
+from fusion.evaluation.checks import CHECKS, run_checks
+from fusion.evaluation.verdict import CheckRule, Finding, Limits, nothing_to_judge, worst_first, worst_of
 from fusion.flight import FrameStream, ImuStream
 from fusion.report.page import _with_code
-from tests.fusion.test_report import change, make_flight, table_with
-
-T0_NS = 1_600_000_000_000_000_000
+from fusion.result.summary import Check, Level
+from tests.fusion.fused import T0_NS, make_flight, table_with
 
 
 def turning(
@@ -40,8 +40,8 @@ def turning(
     frames["heading_std_rad"] = radians(0.2)
     config = FusionConfig(camera_delay_s=delay_s)
     return (
-        change(result, frames=frames, config=config),
-        change(flight, imu=imu, attitude=None, truth=None),
+        replace(result, frames=frames, config=config),
+        replace(flight, imu=imu, attitude=None, truth=None),
     )
 
 
@@ -62,7 +62,7 @@ class TestFrames:
             rows = slice(start, start + count)
             frames = table_with(frames, accepted=(rows, False), reason=(rows, reason))
             start += count
-        return check_of("Rejected frames by reason", change(result, frames=frames), flight)
+        return check_of("Rejected frames by reason", replace(result, frames=frames), flight)
 
     def test_the_worst_reason_sets_level_and_advice(self, swing: Any) -> None:
         assert self.rejected(swing).value == "None"
@@ -104,9 +104,9 @@ class TestFrames:
         name = "Time offset of the camera"
         assert check_of(name, *turning(swing, swing_rad=radians(0.01))).level is Level.NOT_JUDGED
         result, flight = turning(swing)
-        blind = change(result, frames=result.frames[:0])
+        blind = replace(result, frames=result.frames[:0])
         assert check_of(name, blind, flight).level is Level.NOT_JUDGED
-        assert check_of(name, result, change(flight, imu=None)).level is Level.NOT_JUDGED
+        assert check_of(name, result, replace(flight, imu=None)).level is Level.NOT_JUDGED
 
 
 class TestRates:
@@ -116,7 +116,7 @@ class TestRates:
         imu, attitude = flight.imu, flight.attitude
 
         def every(k: int) -> Any:
-            return change(
+            return replace(
                 flight,
                 imu=ImuStream(imu.t_ns[::k], imu.gyro_rad_s[::k], imu.accel_m_s2[::k]),
                 attitude=type(attitude)(attitude.t_ns[::k], attitude.q_world_body[::k]),
@@ -129,16 +129,16 @@ class TestRates:
 
     def test_without_inertial_sensors_it_warns(self, swing: Any) -> None:
         result, flight = swing
-        check = check_of("Rates of the streams", result, change(flight, imu=None, attitude=None))
+        check = check_of("Rates of the streams", result, replace(flight, imu=None, attitude=None))
         assert (check.level, check.value) == (Level.WARN, "frames 10 Hz")
         assert "Log the gyroscope" in check.action
 
     def test_slow_or_single_frames(self, swing: Any) -> None:
         result, flight = swing
         frames = flight.frames
-        slow = change(flight, frames=FrameStream(frames.t_ns[::20], frames.source))
+        slow = replace(flight, frames=FrameStream(frames.t_ns[::20], frames.source))
         assert check_of("Rates of the streams", result, slow).level is Level.FAIL
-        one = change(flight, frames=FrameStream(frames.t_ns[:1], frames.source))
+        one = replace(flight, frames=FrameStream(frames.t_ns[:1], frames.source))
         assert check_of("Rates of the streams", result, one).level is Level.NOT_JUDGED
 
 
@@ -146,7 +146,7 @@ def test_a_few_gross_errors_spoil_the_sigma(swing: Any) -> None:
     result, flight = swing
     off = {"heading_rad": (slice(100, 130), radians(40))}
     check = check_of(
-        "Errors against their sigma", change(result, estimates=table_with(result.estimates, **off)), flight
+        "Errors against their sigma", replace(result, estimates=table_with(result.estimates, **off)), flight
     )
     assert check.level is Level.FAIL
 
@@ -155,7 +155,7 @@ def test_the_bias_names_its_side_not_a_sign(swing: Any) -> None:
     result, flight = swing
     assert "°/s to the right at the end" in check_of("Gyro bias", result, flight).value
     left = table_with(result.smoothed, gyro_bias_rad_s=(slice(None), -0.01))
-    assert check_of("Gyro bias", change(result, smoothed=left), flight).value.startswith(
+    assert check_of("Gyro bias", replace(result, smoothed=left), flight).value.startswith(
         "0.57°/s to the left"
     )
 
@@ -168,7 +168,7 @@ def test_every_check_says_what_it_means_and_what_to_do(swing: Any) -> None:
         reason=(slice(0, 100), "gate"),
         test_ratio=(slice(0, 100), 9.0),
     )
-    for check in run_checks(change(result, frames=bad, problems=("torn",)), flight):
+    for check in run_checks(replace(result, frames=bad, problems=("torn",)), flight):
         assert check.limit
         assert check.meaning.endswith(".")
         assert check.value
@@ -186,3 +186,50 @@ def test_the_worst_comes_first_and_else_the_order_stays() -> None:
 
 def test_commands_in_a_sentence_are_set_as_code_and_escaped() -> None:
     assert _with_code("Run `a <b>` & go.") == "Run <code>a &lt;b&gt;</code> &amp; go."
+
+
+class TestRules:
+    """How a rule of the table turns a finding into a line of the verdict."""
+
+    def rule(self, finding: Finding) -> CheckRule:
+        return CheckRule(
+            name="Speed",
+            measure=lambda result, flight, limits: finding,
+            pass_fail=lambda limits: limits.coast_s,
+            limit=lambda limits: f"pass to {limits.coast_s[0]:g}",
+            good="Fine.",
+            bad="Too much.",
+            remedy="Less.",
+        )
+
+    @pytest.mark.parametrize(
+        ("number", "level", "meaning", "action"),
+        [
+            (2.0, Level.PASS, "Fine.", ""),
+            (2.1, Level.WARN, "Too much.", "Less."),
+            (10.1, Level.FAIL, "Too much.", "Less."),
+        ],
+    )
+    def test_a_number_is_compared_with_the_limits(
+        self, swing: Any, number: float, level: Level, meaning: str, action: str
+    ) -> None:
+        check = self.rule(Finding("n", number)).apply(*swing, Limits(coast_s=(2.0, 10.0)))
+        assert check == Check("Speed", level, "n", "pass to 2", meaning, action)
+
+    def test_a_finding_may_say_more_than_its_rule(self, swing: Any) -> None:
+        finding = Finding("n", level=Level.WARN, limit="other", meaning="Because.", action="Do.")
+        check = self.rule(finding).apply(*swing, Limits())
+        assert check == Check("Speed", Level.WARN, "n", "other", "Because.", "Do.")
+
+    def test_nothing_to_judge_asks_for_nothing(self, swing: Any) -> None:
+        check = self.rule(nothing_to_judge("No data.")).apply(*swing, Limits())
+        assert (check.level, check.meaning, check.action) == (Level.NOT_JUDGED, "No data.", "")
+
+    def test_a_finding_without_outcome_is_refused(self, swing: Any) -> None:
+        with pytest.raises(ValueError, match="neither a level nor a number"):
+            self.rule(Finding("n")).apply(*swing, Limits())
+
+    def test_the_names_tell_the_checks_apart(self, swing: Any) -> None:
+        names = [check.name for check in run_checks(*swing)]
+        assert names == [rule.name for rule in CHECKS]
+        assert len(set(names)) == len(names)

@@ -16,10 +16,10 @@ from fusion.logs import load_flight
 from fusion.logs.asl import read_ground_truth
 from fusion.simulate import SimulationConfig, random_views, simulate_flight, simulate_frames
 from fusion.simulate.config import AttitudeConfig, ImuConfig, MotionConfig, RangeConfig
+from fusion.simulate.imu import read_attitude, read_imu, read_range, sample_times
 from fusion.simulate.motion import GRAVITY_M_S2, Trajectory, oscillation, plan_flight
-from fusion.simulate.plan import Room, floor_plan, outline
-from fusion.simulate.scene_config import JunctionConfig, SceneConfig
-from fusion.simulate.sensors import read_attitude, read_imu, read_range, sample_times
+from fusion.simulate.scene.config import JunctionConfig, SceneConfig
+from fusion.simulate.scene.plan import Room, floor_plan, outline
 from vision import Camera, InputError
 from vision.cameras.camera import Distortion
 

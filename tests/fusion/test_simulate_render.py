@@ -14,15 +14,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.simulate.config import ImagingConfig, rotation
-from fusion.simulate.imaging import Sensor
-from fusion.simulate.kernels import hit_distance, joint_share, texture_value, trace
-from fusion.simulate.lighting import bake
-from fusion.simulate.mesh import ALBEDO, EMISSION, LIGHT_START, POINTS, Builder, Material, Mesh, build_tree
-from fusion.simulate.plan import floor_plan
-from fusion.simulate.render import View, render_linear
-from fusion.simulate.scene import build_scene
-from fusion.simulate.scene_config import SceneConfig
-from fusion.simulate.textures import texture_set
+from fusion.simulate.render.kernels import hit_distance, joint_share, texture_value, trace
+from fusion.simulate.render.lighting import bake
+from fusion.simulate.render.mesh import (
+    ALBEDO,
+    EMISSION,
+    LIGHT_START,
+    POINTS,
+    SUN_COUNT,
+    Material,
+    Mesh,
+    build_tree,
+)
+from fusion.simulate.render.view import View, render_linear
+from fusion.simulate.scene.build import build_scene
+from fusion.simulate.scene.builder import Builder
+from fusion.simulate.scene.config import SceneConfig
+from fusion.simulate.scene.plan import floor_plan
+from fusion.simulate.scene.textures import texture_set
+from fusion.simulate.sensor import Sensor
 from vision import Camera
 from vision.cameras.camera import Distortion
 
@@ -42,7 +52,13 @@ CAMERAS = {
 def mesh_of(builder: Builder) -> Mesh:
     table, cells = builder.table(texture_set().number)
     nodes, order = build_tree(table[:, POINTS:].reshape(-1, 4, 3))
-    return Mesh(np.ascontiguousarray(table[order]), nodes, np.zeros(cells, np.float32), texture_set().copies)
+    return Mesh(
+        np.ascontiguousarray(table[order]),
+        nodes,
+        np.zeros(cells, np.float32),
+        texture_set().copies,
+        np.zeros(SUN_COUNT),
+    )
 
 
 def lamp(corner: FloatArray, a: FloatArray, b: FloatArray) -> Mesh:
@@ -253,12 +269,12 @@ def test_people_and_furniture_leave_the_path_free() -> None:
 
 def test_code_on_disk_is_not_used_after_an_inner_function_changed(tmp_path: Path) -> None:
     (tmp_path / "loops.py").write_text(
-        "import parts\nfrom fusion.simulate.inner import outer\n"
+        "import parts\nfrom fusion.simulate.render.compile import outer\n"
         "@outer(parts)\ndef twice(x):\n    return 2 * parts.step(x)\n"
     )
 
     def answer(step: str) -> str:
-        text = f"from fusion.simulate.inner import inner\n@inner\ndef step(x):\n    return {step}\n"
+        text = f"from fusion.simulate.render.compile import inner\n@inner\ndef step(x):\n    return {step}\n"
         (tmp_path / "parts.py").write_text(text)
         code = "import loops; print(loops.twice(5), sum(loops.twice.stats.cache_hits.values()))"
         return subprocess.run(

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from fusion.estimator.ekf import CorridorEKF
 from fusion.estimator.models import ScalarMeasurement
-from fusion.estimator.propagation import Node
-from fusion.estimator.smoother import Steps, rts
+from fusion.estimator.smoother import Node, Steps, rts
 
 
 def linear_problem(seed: int, n: int = 12):
@@ -17,7 +16,7 @@ def linear_problem(seed: int, n: int = 12):
     A = rng.normal(size=(5, 5))
     P0, x0 = A @ A.T + np.eye(5), rng.normal(size=5)
     ekf = CorridorEKF(x0, P0)
-    nodes = [Node(0, None, x0, P0, x0, P0)]
+    nodes = [Node(None, x0, P0, x0, P0)]
     Fs, Qs, offsets, measurements = [], [], [], []
     for k in range(1, n):
         F = np.eye(5) + 0.3 * rng.normal(size=(5, 5))
@@ -31,7 +30,7 @@ def linear_problem(seed: int, n: int = 12):
             H, R, z = rng.normal(size=5), float(rng.uniform(0.1, 2)), float(rng.normal(0, 3))
             ekf.update(ScalarMeasurement(z - float(H @ ekf.x), H, R))
             measurements.append((k, H, R, z))
-        nodes.append(Node(k, F, prior, P_prior, ekf.x, ekf.P))
+        nodes.append(Node(F, prior, P_prior, ekf.x, ekf.P))
         Fs.append(F)
         Qs.append(Q)
         offsets.append(offset)
@@ -70,8 +69,7 @@ def test_equals_the_batch_solution(seed: int) -> None:
     *problem, nodes = linear_problem(seed)
     steps = Steps()
     steps.add(nodes)
-    _, *arrays = steps.arrays()
-    x, P = rts(*arrays)
+    x, P = rts(*steps.arrays())
     expected_x, expected_P = batch(*problem)
     np.testing.assert_allclose(x, expected_x, rtol=0, atol=1e-9 * max(1.0, np.abs(expected_x).max()))
     np.testing.assert_allclose(P, expected_P, rtol=0, atol=1e-9 * max(1.0, np.abs(expected_P).max()))
@@ -97,7 +95,6 @@ def test_states_of_very_different_size_keep_the_precision() -> None:
     *_, nodes = linear_problem(7)
     scaled = [
         Node(
-            n.t_ns,
             None if n.F is None else D @ n.F @ D_inv,
             *(D @ v if v.ndim == 1 else D @ v @ D for v in (n.x_prior, n.P_prior, n.x, n.P)),
         )
@@ -105,7 +102,7 @@ def test_states_of_very_different_size_keep_the_precision() -> None:
     ]
     steps = Steps()
     steps.add(scaled)
-    x, _ = rts(*steps.arrays()[1:])
+    x, _ = rts(*steps.arrays())
     expected, _ = batch(x0, P0, Fs, Qs, offsets, measurements)
     np.testing.assert_allclose(x / scale, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
@@ -117,8 +114,8 @@ def test_steps_in_blocks_are_the_steps() -> None:
     steps.add(many[:5000])
     assert len(steps.arrays()[0]) == 5000
     steps.add(many[5000:])
-    t, F, _, _, x, _ = steps.arrays()
-    assert steps.count == len(many) == len(t)
+    F, _, _, x, _ = steps.arrays()
+    assert steps.count == len(many) == len(F)
     np.testing.assert_array_equal(x[-1], nodes[-1].x)
     np.testing.assert_array_equal(F[0], np.eye(5))
 
@@ -128,6 +125,6 @@ def test_short_runs(n: int) -> None:
     *_, nodes = linear_problem(3)
     steps = Steps()
     steps.add(nodes[:n])
-    x, P = rts(*steps.arrays()[1:])
+    x, P = rts(*steps.arrays())
     assert x.shape == (n, 5)
     assert P.shape == (n, 5, 5)

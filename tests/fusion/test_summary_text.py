@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -9,61 +10,59 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion.offline.summary_text import fusion_text, measured_text
+from fusion.cli.fuse_text import fusion_text
+from fusion.cli.measure_text import measured_text
 from fusion.pictures.measure import IMAGE_DTYPE
+from fusion.result.summary import (
+    Check,
+    CorridorStretch,
+    Counts,
+    ErrorStatistics,
+    FlightErrors,
+    Level,
+    SpeedSummary,
+    Summary,
+    TableErrors,
+)
 
 
-def quantity(unit: str, rmse: float | None) -> dict[str, Any]:
-    scale = (1.0, 0.5, 3.0)
-    words = zip(("rmse", "mae", "max"), scale, strict=True)
-    return {"count": 0 if rmse is None else 9} | {
-        f"{word}_{unit}": None if rmse is None else rmse * factor for word, factor in words
-    }
+def quantity(unit: str, rmse: float | None) -> ErrorStatistics:
+    if rmse is None:
+        return ErrorStatistics(unit, 0)
+    return ErrorStatistics(unit, 9, rmse=rmse, mae=0.5 * rmse, max=3 * rmse)
+
+
+def errors_of(heading_deg: float | None, offset_norm: float | None, metres: ErrorStatistics | None) -> Any:
+    heading = quantity("rad", None if heading_deg is None else radians(heading_deg))
+    return TableErrors(10, 9, {}, None, heading, metres, quantity("norm", offset_norm), {})
 
 
 @pytest.fixture
-def summary() -> dict[str, Any]:
-    def source(heading_deg: float, offset_norm: float, offset_m: float | None) -> dict[str, Any]:
-        return {
-            "rows": 10,
-            "judged": 9,
-            "heading": quantity("rad", radians(heading_deg)),
-            "lateral_offset_norm": quantity("norm", offset_norm),
-            "lateral_offset_m": quantity("m", offset_m),
-        }
-
-    vision = source(0.4, 0.05, None)
-    del vision["lateral_offset_m"]
-    return {
-        "verdict": "warn",
-        "checks": [
-            {"level": "pass", "name": "Gaps", "value": "none", "meaning": "Fine."},
-            {"level": "warn", "name": "Frames used", "value": "70%", "meaning": "Few."},
-            {"level": "fail", "name": "Offset", "value": "40 cm", "meaning": "Far."},
-        ],
-        "flight": "hall",
-        "method": "geometric",
-        "duration_s": 15.0,
-        "counts": {
-            "frames": 20,
-            "accepted": 15,
-            "estimates": 3001,
-            "by_reason": {"ok": 15, "gate": 4, "blur": 1},
-        },
-        "timings": {"times_real_time": 8.04, "vision_ms_median": 3.44, "total_s": 1.87},
-        "status_share": {"tracking": 0.9, "coasting": 0.1},
-        "corridors": [{"index": 0, "turn_rad": 0.0, "frames": 20}],
-        "errors": {
-            "filter": source(0.2, 0.03, 0.033),
-            "smoothed": source(0.1, 0.02, 0.022),
-            "vision": vision,
-        },
-        "problems": ["imu0/data.csv: the last line is cut short, dropped"],
-        "config": {"corridor_width_m": 2.2},
-    }
+def summary() -> Summary:
+    return Summary(
+        verdict=Level.WARN,
+        checks=(
+            Check("Gaps", Level.PASS, "none", "", "Fine."),
+            Check("Frames used", Level.WARN, "70%", "", "Few."),
+            Check("Offset", Level.FAIL, "40 cm", "", "Far."),
+        ),
+        flight="hall",
+        duration_s=15.0,
+        counts=Counts(20, 15, 5, {"ok": 15, "gate": 4, "blur": 1}, 3001),
+        timings=SpeedSummary(vision_ms_median=3.44, total_s=1.87, times_real_time=8.04),
+        status_share={"tracking": 0.9, "coasting": 0.1},
+        corridors=(CorridorStretch(0, 0.0, 0, 1, 20, 15),),
+        errors=FlightErrors(
+            filter=errors_of(0.2, 0.03, quantity("m", 0.033)),
+            smoothed=errors_of(0.1, 0.02, quantity("m", 0.022)),
+            vision=errors_of(0.4, 0.05, None),
+        ),
+        problems=("imu0/data.csv: the last line is cut short, dropped",),
+        config={"corridor_width_m": 2.2},
+    )
 
 
-def lines_of(summary: dict[str, Any]) -> dict[str, str]:
+def lines_of(summary: Summary) -> dict[str, str]:
     """What stands behind each name, single spaces between."""
     return {
         line[:14].strip(): " ".join(line[14:].split())
@@ -71,7 +70,7 @@ def lines_of(summary: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def test_the_table_holds_every_number(summary: dict[str, Any]) -> None:
+def test_the_table_holds_every_number(summary: Summary) -> None:
     lines = lines_of(summary)
     assert lines["filter"] == "0.20 0.10 0.60 3.30 1.65 9 of 10"
     assert lines["smoother"] == "0.10 0.05 0.30 2.20 1.10 9 of 10"
@@ -83,7 +82,7 @@ def test_the_table_holds_every_number(summary: dict[str, Any]) -> None:
     assert "cut short" in lines["problem"]
 
 
-def test_what_is_wrong_stands_under_the_verdict_worst_first(summary: dict[str, Any]) -> None:
+def test_what_is_wrong_stands_under_the_verdict_worst_first(summary: Summary) -> None:
     text = fusion_text(summary, Path("out"))
     assert (
         text.index("verdict       warn")
@@ -93,34 +92,32 @@ def test_what_is_wrong_stands_under_the_verdict_worst_first(summary: dict[str, A
     assert "Gaps" not in text
 
 
-def test_offsets_without_a_width_are_shares_of_it(summary: dict[str, Any]) -> None:
-    for source in ("filter", "smoothed"):
-        summary["errors"][source]["lateral_offset_m"] = quantity("m", None)
-    summary["config"]["corridor_width_m"] = None
-    lines = lines_of(summary)
+def test_offsets_without_a_width_are_shares_of_it(summary: Summary) -> None:
+    none = quantity("m", None)
+    errors = FlightErrors(errors_of(0.2, 0.03, none), errors_of(0.1, 0.02, none), errors_of(0.4, 0.05, None))
+    lines = lines_of(replace(summary, errors=errors, config={"corridor_width_m": None}))
     assert "%" in lines["error"]
     offsets = [lines[name].split()[3] for name in ("filter", "smoother", "vision alone")]
     assert offsets == ["3.00", "2.00", "5.00"]
 
 
-def test_without_truth_no_error_is_claimed(summary: dict[str, Any]) -> None:
-    summary["errors"] = None
-    text = fusion_text(summary, Path("out"))
+def test_without_truth_no_error_is_claimed(summary: Summary) -> None:
+    text = fusion_text(replace(summary, errors=None), Path("out"))
     assert "corridor_truth.csv" in text
     assert "RMSE" not in text
 
 
-def test_what_could_not_be_judged_is_a_dash(summary: dict[str, Any]) -> None:
-    summary["errors"]["vision"]["heading"] = quantity("rad", None)
-    summary["errors"]["vision"]["lateral_offset_norm"] = quantity("norm", None)
-    summary["timings"] |= {"times_real_time": None, "vision_ms_median": None}
-    lines = lines_of(summary)
+def test_what_could_not_be_judged_is_a_dash(summary: Summary) -> None:
+    assert summary.errors is not None
+    errors = replace(summary.errors, vision=errors_of(None, None, None))
+    lines = lines_of(replace(summary, errors=errors, timings=SpeedSummary(total_s=1.87)))
     assert lines["vision alone"].startswith("- - - - - 9")
     assert lines["speed"] == "1.9 s"
 
 
-def test_a_flight_through_two_corridors_names_the_turn(summary: dict[str, Any]) -> None:
-    summary["corridors"].append({"index": 1, "turn_rad": radians(-65), "frames": 7})
+def test_a_flight_through_two_corridors_names_the_turn(summary: Summary) -> None:
+    second = CorridorStretch(1, radians(-65), 1, 2, 7, 7)
+    summary = replace(summary, corridors=(*summary.corridors, second))
     assert "0 (20 frames), then 1 (7 frames, 65 degrees left of the first)" in fusion_text(
         summary, Path("out")
     )

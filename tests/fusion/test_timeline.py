@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.engine import Entry
 from fusion.estimator.estimator import CorridorEstimator
-from fusion.estimator.timeline import Entry, Kind
+from fusion.estimator.frame_update import FrameSample
 from tests.fusion.simulated import Sample, Scene, frame, give, plus, simulate, turning, weaving
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 
@@ -43,17 +44,16 @@ class Recorder:
 
     def __call__(self, entry: Entry) -> None:
         state = entry.after
-        assert state is not None
         result = entry.frame
         self.seen.append(
             (
                 entry.t_ns,
-                entry.kind,
+                type(entry.sample).__name__,
                 state.x.tobytes(),
                 state.P.tobytes(),
-                state.theta_rad,
-                state.corridor_index,
-                state.corridor_turn_rad,
+                state.reckoning.theta_rad,
+                state.axis.corridor_index,
+                state.axis.corridor_turn_rad,
                 state.elevation,
                 state.tilt,
                 None if result is None else (result.accepted, result.reason, repr(result.test_ratio)),
@@ -165,7 +165,7 @@ def test_replay_measures_again_with_what_came_late() -> None:
         return frame(0.1)
 
     estimator = CorridorEstimator()
-    estimator._add(100 * MS, Kind.FRAME, (100 * MS, measure))
+    estimator.add(FrameSample(100 * MS, 100 * MS, measure))
     assert seen[-1][0] is None
     estimator.add_attitude(50 * MS, (np.cos(0.1), np.sin(0.1), 0.0, 0.0))
     attitude = seen[-1][0]

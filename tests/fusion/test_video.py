@@ -15,6 +15,7 @@ import pytest
 from fusion.flight import FrameStream
 from fusion.logs import load_flight, open_log
 from fusion.logs.pictures.video import VideoLog, open_video, recognises
+from tests.fusion.reading import Told
 from vision import InputError
 from vision.images import GreyImage
 
@@ -67,7 +68,7 @@ def encode(
 
 
 def frames_of(log: Any) -> FrameStream:
-    return log.frames(log.topics[0].name, [])  # type: ignore[no-any-return]
+    return log.frames(log.topics[0].name).value  # type: ignore[no-any-return]
 
 
 def read_all(frames: FrameStream) -> list[GreyImage | None]:
@@ -171,8 +172,8 @@ def test_a_header_that_turns_the_pictures_is_obeyed(
     if not hasattr(av.video.stream.VideoStream, "set_display_rotation"):
         pytest.skip("this PyAV cannot write such a header")
     log = open_log(encode(tmp_path / "a.mp4", pictures, turned=turned))
-    problems: list[str] = []
-    image = log.frames("video", problems).read(0)
+    problems = Told()
+    image = problems.take(log.frames("video")).read(0)
     assert difference(image, np.rot90(pictures[0], turned // 90)) < 6.0
     assert f"turned by {turned} degrees" in problems[0]
 
@@ -304,9 +305,9 @@ def test_a_video_has_nothing_but_pictures(mp4: Path) -> None:
     assert log.camera("video") is None
     for kind in ("imu", "attitude", "position", "velocity", "range"):
         with pytest.raises(InputError, match=f"has no {kind} topic x"):
-            getattr(log, kind)("x", [])
+            getattr(log, kind)("x")
     with pytest.raises(InputError, match=r"has no frames topic y \(choose one of video\)"):
-        log.frames("y", [])
+        log.frames("y")
 
 
 def test_without_pyav_it_says_what_to_install(mp4: Path, monkeypatch: pytest.MonkeyPatch) -> None:

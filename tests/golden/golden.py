@@ -12,6 +12,7 @@ import gzip
 import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields
+from enum import IntEnum
 from math import nan, radians
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,11 @@ from typing import Any
 import numpy as np
 
 from fusion import Flight, FusionConfig, load_flight
+from fusion.estimator.engine import Entry
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.frame_update import FrameResult
+from fusion.estimator.propagation import ImuSample
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table
-from fusion.estimator.timeline import Entry, Kind
 from fusion.offline.fuse import Recorder
 from vision.measurement import FrameMeasurement, Position, Reason
 
@@ -30,7 +32,18 @@ HERE = Path(__file__).resolve().parent
 OFFICE = HERE.parents[1] / "data" / "office"
 EVERY = 20
 TOLERANCE = 1e-9
-RENEW = "python tests/golden/renew.py"
+RENEW = "python -m tests.golden.renew"
+
+
+class Kind(IntEnum):
+    """Kinds of samples in the files, in the order in which those of one instant are given."""
+
+    IMU = 0
+    ATTITUDE = 1
+    VELOCITY = 2
+    RANGE = 3
+    FRAME = 4
+
 
 Give = tuple[int, Kind, tuple[Any, ...]]  # when, to what, with which values
 SCALARS = tuple(
@@ -155,7 +168,7 @@ def differences(name: str, expected: Table, found: Table) -> Iterator[str]:
 
 def drive(gives: list[Give], config: FusionConfig, flight: Flight | None = None) -> tuple[Table, Table]:
     """Filter's and smoother's table of these samples."""
-    recorder = Recorder(config, Kind.IMU)
+    recorder = Recorder(config, ImuSample)
     estimator = CorridorEstimator(config, None if flight is None else flight.camera, on_final=recorder.take)
     call: dict[Kind, Callable[..., Any]] = {
         Kind.IMU: estimator.add_imu,

@@ -1,6 +1,6 @@
 """Put the estimates by anew, on purpose, and say by how much they changed.
 
-    python tests/golden/renew.py [--inputs]
+    python -m tests.golden.renew [--inputs]
 
 ``--inputs`` also measures the sample flight's pictures again and simulates the junction again.
 """
@@ -8,10 +8,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.golden import golden
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vision import Camera
-from vision.lines.edges import N_LINE
+from vision.lines.edges import FITTED_LINE
 from vision.lines.segments import LineSet, _line_set, _Traced
 
 FloatArray = npt.NDArray[np.float64]
@@ -90,10 +90,11 @@ def seen() -> Seen:
         px = px[((px > -0.2 * size) & (px < 1.2 * size)).all(axis=1)]
         random = rng.uniform(0, 1, (corridor.n_random, 4)) * size
         px = np.vstack([px, random]) + rng.normal(0.0, corridor.noise_px, (len(px) + len(random), 4))
-        rows = np.zeros((len(px), N_LINE))
-        rows[:, :4] = px
-        rows[:, 4] = np.hypot(px[:, 2] - px[:, 0], px[:, 3] - px[:, 1])
-        rows[:, 5], rows[:, 6], rows[:, 7] = 0.2, np.maximum(rows[:, 4], 5.0), 100.0
-        return _line_set(_Traced(rows[rows[:, 4] > 10.0], 20.0, False), camera, camera, time.perf_counter())
+        rows = np.zeros(len(px), FITTED_LINE)
+        rows["x0"], rows["y0"], rows["x1"], rows["y1"] = px.T
+        rows["length"] = np.hypot(px[:, 2] - px[:, 0], px[:, 3] - px[:, 1])
+        rows["rms"], rows["n_pixels"], rows["contrast"] = 0.2, np.maximum(rows["length"], 5.0), 100.0
+        long = rows[rows["length"] > 10.0]
+        return _line_set(_Traced(long, 20.0, False), camera, camera, time.perf_counter())
 
     return look

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from fusion.simulate import random_views
+from fusion.simulate import office_views
 from vision import Camera, InputError, measure_lines
 from vision.axis.field_of_view import (
     MAX_PICTURES,
@@ -121,7 +121,7 @@ class TestCorridorsOfLines:
 class TestPictures:
     @pytest.mark.parametrize("fov_deg", [45.0, 70.0, 90.0])
     def test_simulated_folders(self, fov_deg: float) -> None:
-        views = random_views(camera_of(fov_deg, 400, 300), 6, seed=round(fov_deg), views_per_scene=6)
+        views = office_views(camera_of(fov_deg, 400, 300), 6, seed=round(fov_deg), views_per_scene=6)
         found = estimate_field_of_view(view.image for view in views)
         assert found.told
         assert found.n_used >= 4
@@ -137,7 +137,7 @@ class TestPictures:
 
     def test_upright_pictures(self) -> None:
         """Cut out of the middle: the same focal length, another shape."""
-        views = random_views(camera_of(75, 480, 360), 5, seed=8, views_per_scene=5)
+        views = office_views(camera_of(75, 480, 360), 5, seed=8, views_per_scene=5)
         found = estimate_field_of_view(view.image[:, 120:360] for view in views)
         true_deg = degrees(2 * np.arctan(0.5 * tan(radians(75 / 2))))
         assert found.told
@@ -196,7 +196,7 @@ class TestOrdinary:
 
 class TestLinesOf:
     def test_as_if_found_with_the_other_camera(self) -> None:
-        image = next(iter(random_views(camera_of(70, 320, 240), 1, seed=4))).image
+        image = next(iter(office_views(camera_of(70, 320, 240), 1, seed=4))).image
         one, other = camera_of(50, 320, 240), camera_of(90, 320, 240)
         there, direct = lines_of(extract_lines(image, one), one, other), extract_lines(image, other)
         assert len(there) == len(direct) > 10

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from vision import Attitude, Camera, InputError, Position, Prior, Reason, measure_lines
 from vision.axis.level import level_from_verticals
@@ -90,6 +91,53 @@ def test_a_mirrored_world_gives_the_mirrored_answer(
     assert there.heading_std_rad == pytest.approx(here.heading_std_rad, rel=1e-3)
     if np.isfinite(here.lateral_offset_norm):
         assert there.lateral_offset_norm == pytest.approx(-here.lateral_offset_norm, abs=1e-3)
+
+
+@QUICK
+@given(
+    heading=st.floats(-0.2, 0.2),
+    tilt=st.tuples(st.floats(-0.15, 0.15), st.floats(-0.15, 0.15)),
+    mount=st.tuples(st.floats(-0.2, 0.2), st.floats(-0.15, 0.15), st.floats(-0.15, 0.15)),
+    seed=st.integers(0, 1000),
+)
+def test_a_turned_mount_is_like_a_turned_body(
+    corridor: Any,
+    seen: Any,
+    heading: float,
+    tilt: tuple[float, float],
+    mount: tuple[float, float, float],
+    seed: int,
+) -> None:
+    """A camera turned on its body sees what a body turned as much shows a camera that looks straight ahead."""
+    pitch, roll = tilt
+    body = Rotation.from_euler("ZYX", [heading, pitch, roll])
+    turn = Rotation.from_euler("ZYX", mount)
+    yaw, view_pitch, view_roll = (body * turn).as_euler("ZYX").tolist()
+    truth = corridor(
+        heading_rad=yaw,
+        pitch_rad=view_pitch,
+        roll_rad=view_roll,
+        offset_norm=0.2,
+        noise_px=0.1,
+        n_random=10,
+        seed=seed,
+    )
+    lines = seen(truth, CAMERA)
+    turned = replace(CAMERA, R_body_camera=turn.as_matrix() @ CAMERA.R_body_camera)
+    by_mount = measure_lines(
+        lines, turned, Attitude(roll, pitch), Prior(heading_rad=heading, heading_std_rad=0.1)
+    )
+    by_body = measure_lines(
+        lines, CAMERA, Attitude(view_roll, view_pitch), Prior(heading_rad=yaw, heading_std_rad=0.1)
+    )
+    # Equal to a fraction of sigma, no more: the vote's bins lie elsewhere among the lines.
+    assert by_mount.accepted == by_body.accepted
+    std = by_body.heading_std_rad
+    assert by_mount.heading_rad - heading == pytest.approx(by_body.heading_rad - yaw, abs=0.3 * std)
+    assert 0.5 < by_mount.heading_std_rad / std < 2.0
+    assert by_mount.elevation_rad == pytest.approx(by_body.elevation_rad, abs=0.3 * by_body.elevation_std_rad)
+    offset_std = by_body.lateral_offset_norm_std
+    assert by_mount.lateral_offset_norm == pytest.approx(by_body.lateral_offset_norm, abs=0.3 * offset_std)
 
 
 def test_a_mount_that_is_off_is_found_and_does_no_harm(corridor: Any, seen: Any) -> None:

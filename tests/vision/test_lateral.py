@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from fusion.simulate.views import random_views
+from fusion.simulate.single_views import office_views
 from vision import Attitude, Camera, FrameMeasurement, Prior, measure_frame, measure_lines
 from vision.lateral.corner_candidates import CORNER, MAX_CORNERS, CornerCandidates
 from vision.lateral.corner_pairs import N_EVIDENCE, PictureCorners, pair_corners
@@ -155,7 +155,7 @@ def test_simulated_corridors_have_hardly_a_wrong_corner() -> None:
     """Boards, lockers, pipes, carts, floor joints, doors: never seen before, no attitude error."""
     camera = Camera.from_fov(320, 240, radians(85))
     error, sigma, accepted = [], [], 0
-    for view in random_views(camera, 80, seed=31, views_per_scene=2):
+    for view in office_views(camera, 80, seed=31, views_per_scene=2):
         m = measure_frame(view.image, view.camera, Attitude(view.roll_rad, view.pitch_rad))
         accepted += m.accepted
         if m.accepted and np.isfinite(m.lateral_offset_norm):

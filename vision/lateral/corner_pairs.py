@@ -210,9 +210,18 @@ def pair_corners(candidates: CornerCandidates) -> tuple[CornerPairs, CornerPairs
 
 
 @compiled
-def _corners_of(
+def corners_of_arrays(
     lines: PictureLines, R_axis_camera: FloatArray, down: FloatArray, diagonal_px: float, max_corners: int
 ) -> PictureCorners:
+    """Find the pairs of lines that may be the corridor's corners, for compiled callers.
+
+    Parameters
+    ----------
+    lines, R_axis_camera, down, diagonal_px
+        As `arrays_of` gives them and `vision.lateral.line_directions.sort_by_direction` takes them.
+    max_corners
+        How many candidates to consider in a quadrant; lines are taken longest first.
+    """
     candidates = find_corner_candidates(
         sort_by_direction(lines, R_axis_camera, down, diagonal_px), max_corners
     )
@@ -220,20 +229,10 @@ def _corners_of(
     return PictureCorners(candidates, floor, ceiling)
 
 
-def find_corner_pairs(
-    lines: LineSet, axis: AxisFit, R_level_camera: FloatArray, max_corners: int = MAX_CORNERS
-) -> PictureCorners:
-    """Find the pairs of lines that may be the corridor's corners.
-
-    Parameters
-    ----------
-    lines, axis
-        The picture's lines, and the corridor's axis among them.
-    R_level_camera
-        Rotation (3, 3) from the optical frame to the level frame.
-    max_corners
-        How many candidates to consider in a quadrant; lines are taken longest first.
-    """
+def arrays_of(
+    lines: LineSet, axis: AxisFit, R_level_camera: FloatArray
+) -> tuple[PictureLines, FloatArray, FloatArray, float]:
+    """Return the first arguments of `corners_of_arrays`; parameters as of `find_corner_pairs`."""
     ahead = axis_direction(axis.heading_rad, axis.elevation_rad)
     rightward = axis_direction(axis.heading_rad - 0.5 * np.pi, 0.0)
     R_axis_camera = np.array([ahead, rightward, np.cross(ahead, rightward)]) @ R_level_camera
@@ -247,7 +246,17 @@ def find_corner_pairs(
         contrast=lines.contrast,
         along_corridor=axis.inlier,
     )
-    corners: PictureCorners = _corners_of(
-        arrays, R_axis_camera, R_level_camera[2], hypot(lines.width_px, lines.height_px), max_corners
-    )
-    return corners
+    return arrays, R_axis_camera, R_level_camera[2], hypot(lines.width_px, lines.height_px)
+
+
+def find_corner_pairs(lines: LineSet, axis: AxisFit, R_level_camera: FloatArray) -> PictureCorners:
+    """Find the pairs of lines that may be the corridor's corners.
+
+    Parameters
+    ----------
+    lines, axis
+        The picture's lines, and the corridor's axis among them.
+    R_level_camera
+        Rotation (3, 3) from the optical frame to the level frame.
+    """
+    return corners_of_arrays(*arrays_of(lines, axis, R_level_camera), MAX_CORNERS)

@@ -7,7 +7,7 @@ offset share their probability.
 
 from __future__ import annotations
 
-from math import exp, hypot, isfinite, log, sqrt
+from math import exp, hypot, isfinite, log, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -206,13 +206,20 @@ def most_probable_offset(
     Parameters
     ----------
     hypotheses
-        Array (k,) of `HYPOTHESIS`, at least one.
+        Array (k,) of `HYPOTHESIS`.
     n_floor
         How many pairs of the floor they choose from.
     prior, prior_std
         A filter's prediction of the offset, to choose between hypotheses; NaN: none.
+
+    Returns
+    -------
+    OffsetEstimate
+        Of probability 0 where there is no hypothesis.
     """
     n = len(hypotheses)
+    if n == 0:
+        return OffsetEstimate(nan, nan, nan, nan, 0.0, -1, -1, 0.0)
     evidence, likely = np.empty(n), np.empty(n)
     best, most, total = 0, 0.0, 1.0  # the odds that no pair can be relied on
     for k in range(n):

@@ -113,12 +113,15 @@ def mixture_of_components(rows: FloatArray, cannot_tell_odds: float, min_varianc
     Their weights are odds, as ``cannot_tell_odds`` are those of a frame that cannot tell.
     """
     bins = np.empty((N_BINS, 4))
-    bins = bins[: merge_by_bins(rows, bins)]
-    total = float(bins[:, WEIGHT].sum()) + cannot_tell_odds
-    bins[:, WEIGHT] /= total
-    bins = bins[bins[:, WEIGHT] > MIN_WEIGHT]
-    weight, offset, variance, width = bins.T.copy()
-    return OffsetMixture(weight, offset, np.sqrt(np.maximum(variance, min_variance)), width)
+    return mixture_of_bins(bins[: merge_by_bins(rows, bins)], cannot_tell_odds, min_variance)
+
+
+def mixture_of_bins(bins: FloatArray, cannot_tell_odds: float, min_variance: float) -> OffsetMixture:
+    """Make a mixture of components (n, 4) that have been merged; parameters as of `mixture_of_components`."""
+    weight = bins[:, WEIGHT] / (float(bins[:, WEIGHT].sum()) + cannot_tell_odds)
+    kept = weight > MIN_WEIGHT
+    _, offset, variance, width = bins[kept].T.copy()
+    return OffsetMixture(weight[kept], offset, np.sqrt(np.maximum(variance, min_variance)), width)
 
 
 @compiled
@@ -188,4 +191,4 @@ def combine(first: OffsetMixture, second: OffsetMixture) -> OffsetMixture:
     return mixture_of_components(rows, blind, 0.0)
 
 
-__all__ = ["OffsetMixture", "cannot_tell", "combine", "mixture_of_components"]
+__all__ = ["OffsetMixture", "cannot_tell", "combine", "merge_by_bins", "mixture_of_bins", "mixture_of_components"]

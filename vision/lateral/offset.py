@@ -20,15 +20,23 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.axis.vanishing_point import AxisFit
+from vision.compiled import compiled
 from vision.lateral.corner_candidates import MAX_CORNERS
-from vision.lateral.corner_pairs import PictureCorners, find_corner_pairs
-from vision.lateral.geometric import geometric_mixture
-from vision.lateral.hypotheses import WEIGHTS, OffsetEstimate, most_probable_offset, offset_hypotheses
+from vision.lateral.corner_pairs import arrays_of, corners_of_arrays
+from vision.lateral.geometric import merged_corner_components, mixture_of_corners
+from vision.lateral.hypotheses import (
+    WEIGHTS,
+    OffsetEstimate,
+    OffsetWeights,
+    most_probable_offset,
+    offset_hypotheses,
+)
+from vision.lateral.line_directions import PictureLines
 from vision.lateral.mixture import OffsetMixture
 from vision.lines.segments import LineSet
 from vision.types import FloatArray
 
-MAX_MIXTURE_CORNERS = 24  # in a quadrant: among bricks and tiles the corners are not among the longest
+MAX_MIXTURE_CORNERS = 24  # in a quadrant: among bricks and tiles the corners are not among the longest lines
 MIN_PROBABILITY = 0.97
 MIN_WIDTH_SHARE = 0.3  # of the answer, for the floor's pair to give the width
 MIN_STD = 0.004
@@ -56,6 +64,46 @@ class LateralFit:
     wall_lines: npt.NDArray[np.intp]
 
 
+@compiled
+def _estimate_offset(
+    lines: PictureLines,
+    R_axis_camera: FloatArray,
+    down: FloatArray,
+    diagonal_px: float,
+    weights: OffsetWeights,
+    prior: float,
+    prior_std: float,
+    roll_std: float,
+) -> tuple[OffsetEstimate, float, npt.NDArray[np.intp], FloatArray]:
+    """Go all the way from lines to the offset in compiled code: handing arrays over costs more than some steps.
+
+    Returns
+    -------
+    tuple
+        The estimate, the corridor's width over the camera's height (NaN where the floor's pair does not tell), and
+        the lines (k,) that stand for the corners; and the components (n, 4) of the mixture.
+    """
+    wide = picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, MAX_MIXTURE_CORNERS)
+    if wide.candidates.n_candidates.max() > MAX_CORNERS:
+        picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, MAX_CORNERS)
+    hypotheses = offset_hypotheses(picture, weights)
+    found = most_probable_offset(hypotheses, len(picture.floor.pair), prior, prior_std)
+    corners = picture.candidates.corners
+    width = nan
+    wall_lines = np.empty(4, np.intp)
+    count = 0
+    if found.floor_share > MIN_WIDTH_SHARE:
+        pair = picture.floor.pair[found.floor]
+        width = pair.width
+        wall_lines[0], wall_lines[1] = corners[0, pair.left].line, corners[1, pair.right].line
+        count = 2
+    if found.ceiling >= 0:
+        pair = picture.ceiling.pair[found.ceiling]
+        wall_lines[count], wall_lines[count + 1] = corners[2, pair.left].line, corners[3, pair.right].line
+        count += 2
+    return found, width, wall_lines[:count], merged_corner_components(wide, weights, roll_std)
+
+
 def fit_lateral(
     lines: LineSet,
     axis: AxisFit,
@@ -80,28 +128,18 @@ def fit_lateral(
     Returns
     -------
     fit, mixture
-        The answer, None where one picture does not tell, and the mixture of every hypothesis.
+        The answer, None where one picture does not tell, and the mixture of all hypotheses.
     """
-    wide = find_corner_pairs(lines, axis, R_level_camera, MAX_MIXTURE_CORNERS)
-    picture = wide
-    if wide.candidates.n_candidates.max() > MAX_CORNERS:
-        picture = find_corner_pairs(lines, axis, R_level_camera)
-    fit = _most_probable_fit(picture, roll_std_rad, prior_offset_norm, prior_offset_norm_std)
-    return fit, geometric_mixture(wide, roll_std_rad)
-
-
-def _most_probable_fit(
-    picture: PictureCorners, roll_std_rad: float, prior_offset_norm: float, prior_offset_norm_std: float
-) -> LateralFit | None:
-    """Return the offset that nearly all of the probability is for; None where there is none."""
-    if not len(picture.floor.pair) and not len(picture.ceiling.pair):
-        return None
-    hypotheses = offset_hypotheses(picture, WEIGHTS)
-    found: OffsetEstimate = most_probable_offset(
-        hypotheses, len(picture.floor.pair), prior_offset_norm, prior_offset_norm_std
+    found, width_per_height, wall_lines, components = _estimate_offset(
+        *arrays_of(lines, axis, R_level_camera),
+        WEIGHTS,
+        prior_offset_norm,
+        prior_offset_norm_std,
+        roll_std_rad,
     )
-    if found.probability < MIN_PROBABILITY:
-        return None
+    mixture = mixture_of_corners(components)
+    if not found.probability >= MIN_PROBABILITY:  # NaN fails too
+        return None, mixture
     variance = (
         SCATTER_SHARE * found.scatter**2
         + found.std**2
@@ -109,19 +147,4 @@ def _most_probable_fit(
         + MIN_STD**2
         + DOUBT * (1.0 - found.probability)
     )
-    wall_lines: list[int] = []
-    width_per_height = nan
-    if found.floor_share > MIN_WIDTH_SHARE:
-        pair = picture.floor.pair[found.floor]
-        width_per_height = float(pair["width"])
-        wall_lines += _corner_lines(picture, pair, 0)
-    if found.ceiling >= 0:
-        wall_lines += _corner_lines(picture, picture.ceiling.pair[found.ceiling], 2)
-    return LateralFit(found.offset, sqrt(variance), width_per_height, np.array(wall_lines, dtype=np.intp))
-
-
-def _corner_lines(picture: PictureCorners, pair: np.void, left_quadrant: int) -> list[int]:
-    """Return the indices of the two lines that stand for a pair's corners."""
-    corners = picture.candidates.corners
-    ends = (corners[left_quadrant, pair["left"]], corners[left_quadrant + 1, pair["right"]])
-    return [int(corner["line"]) for corner in ends]
+    return LateralFit(found.offset, sqrt(variance), width_per_height, wall_lines), mixture

@@ -1,19 +1,19 @@
-"""The pixel loops: gradient maxima joined to straight components in one raster pass, then fitted.
+"""Edge pixels, maxima of the gradient, joined to straight components in one raster pass; lines fitted to them.
 
-Compiled; everything works on buffers that the caller keeps from frame to frame. A component is a row of running
-sums, so that joining two of them is adding two rows and the line fit needs no second look at the pixels.
+Everything is compiled and works on buffers that the caller keeps from frame to frame. Of a component only running
+sums are kept: to join two is to add their sums, and a line is fitted without looking at the pixels again.
 """
 
 from __future__ import annotations
 
 from math import cos, radians, sqrt
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from vision.compiled import compiled
-
-FloatArray = npt.NDArray[np.float64]
+from vision.types import IntArray, Record, RecordArray
 
 DIRECTION_COS2 = cos(radians(22.5)) ** 2
 MAX_RMS_PX = 0.8  # scatter across the line beyond which it is not one
@@ -21,19 +21,63 @@ MIN_PIXELS = 5
 ROW_STEP = 8
 MAX_BLOCK_STEP = 20  # larger ones are the picture's own edges
 
-# columns of a component's running sums: one cache line
-N, SX, SY, SXX, SXY, SYY, GX, GY = range(8)
-N_SUMS = 8
-# columns of a fitted line
-X0, Y0, X1, Y1, LENGTH, RMS, COUNT, CONTRAST = range(8)
-N_LINE = 8
+COMPONENT = np.dtype(
+    [(name, np.float64) for name in ("n", "x", "y", "xx", "xy", "yy", "gx", "gy")], align=True
+)
+"""Running sums of a component's pixels: number, coordinates and their products, gradient. One cache line."""
+
+FITTED_LINE = np.dtype(
+    [
+        ("x0", np.float64),  # ends, pixels
+        ("y0", np.float64),
+        ("x1", np.float64),
+        ("y1", np.float64),
+        ("length", np.float64),  # pixels
+        ("rms", np.float64),  # scatter of the edge pixels across the line
+        ("n_pixels", np.float64),
+        ("contrast", np.float64),  # mean gradient magnitude
+    ],
+    align=True,
+)
+"""A line fitted to a component. Walking from the first end to the second, the bright side is on the right."""
+
+
+class Gradient(NamedTuple):
+    """A picture's gradient (Sobel 3x3) and its length, each (h, w)."""
+
+    gx: npt.NDArray[np.int16]
+    gy: npt.NDArray[np.int16]
+    magnitude: npt.NDArray[np.float32]
+
+
+class Components(NamedTuple):
+    """Buffers for the components of connected edge pixels in a picture of width w.
+
+    Parameters
+    ----------
+    parent
+        Parent (m,) of each label; a label that is its own is a component.
+    sums
+        Array (m,) of `COMPONENT`, of use for labels that are their own parent.
+    rows
+        Working memory (3, w).
+    mark
+        Working memory: the edge pixels of a row, filled up to a multiple of 8.
+    words
+        The same memory as ``mark``, eight pixels at a time.
+    """
+
+    parent: npt.NDArray[np.int32]
+    sums: RecordArray
+    rows: npt.NDArray[np.int32]
+    mark: npt.NDArray[np.uint8]
+    words: npt.NDArray[np.uint64]
 
 
 @compiled
-def gradient_magnitude(
-    gx: npt.NDArray[np.int16], gy: npt.NDArray[np.int16], magnitude: npt.NDArray[np.float32]
-) -> None:
-    """Fill ``magnitude`` (h, w) with the length of the gradient (gx, gy)."""
+def fill_magnitude(gradient: Gradient) -> None:
+    """Fill in the length of the gradient."""
+    gx, gy, magnitude = gradient.gx, gradient.gy, gradient.magnitude
     height, width = gx.shape
     for y in range(height):
         for x in range(width):
@@ -43,7 +87,7 @@ def gradient_magnitude(
 
 
 @compiled
-def difference_statistics(grey: npt.NDArray[np.uint8], counts: npt.NDArray[np.int64]) -> float:
+def difference_statistics(grey: npt.NDArray[np.uint8], counts: IntArray) -> float:
     """Fill ``counts`` (1024,) with the histogram of |a - 2b + c| along every eighth row; return the blockiness.
 
     Blockiness is the mean step between columns 8k - 1 and 8k, where JPEG's blocks meet, over the mean step elsewhere:
@@ -69,7 +113,7 @@ def difference_statistics(grey: npt.NDArray[np.uint8], counts: npt.NDArray[np.in
 
 
 @compiled
-def median_and_mean(magnitude: npt.NDArray[np.float32], counts: npt.NDArray[np.int64]) -> tuple[float, float]:
+def median_and_mean(magnitude: npt.NDArray[np.float32], counts: IntArray) -> tuple[float, float]:
     """Return the median, to half a level, and the mean of every fourth magnitude of every fourth row."""
     height, width = magnitude.shape
     counts[:] = 0
@@ -131,6 +175,18 @@ def _agree(ax: float, ay: float, bx: float, by: float) -> bool:
 
 
 @compiled
+def _add(total: Record, part: Record) -> None:
+    total.n += part.n
+    total.x += part.x
+    total.y += part.y
+    total.xx += part.xx
+    total.xy += part.xy
+    total.yy += part.yy
+    total.gx += part.gx
+    total.gy += part.gy
+
+
+@compiled
 def _join_around(
     x: int,
     a: float,
@@ -138,9 +194,9 @@ def _join_around(
     here: npt.NDArray[np.int32],
     above: npt.NDArray[np.int32],
     parent: npt.NDArray[np.int32],
-    sums: FloatArray,
+    sums: RecordArray,
 ) -> int:
-    """Find the component the pixel belongs to, joining those it connects; -1: none of its neighbours' agrees."""
+    """Find the component of an edge pixel, joining those that it connects; -1: it agrees with none around it."""
     label = -1
     for k in range(4):
         other = here[x - 1] if k == 0 else above[x - 2 + k]
@@ -151,51 +207,48 @@ def _join_around(
             continue
         s = sums[other]
         if label < 0:
-            if _agree(s[GX], s[GY], a, b):
+            if _agree(s.gx, s.gy, a, b):
                 label = other
-        elif _agree(s[GX], s[GY], sums[label, GX], sums[label, GY]):
+        elif _agree(s.gx, s.gy, sums[label].gx, sums[label].gy):
             if other < label:
                 label, other = other, label
             parent[other] = label
-            t = sums[label]
-            s = sums[other]
-            for j in range(N_SUMS):
-                t[j] += s[j]
+            _add(sums[label], sums[other])
     return label
 
 
 @compiled
-def connect(
-    gx: npt.NDArray[np.int16],
-    gy: npt.NDArray[np.int16],
-    magnitude: npt.NDArray[np.float32],
-    threshold: np.float32,
-    rectified: npt.NDArray[np.float32],
-    parent: npt.NDArray[np.int32],
-    sums: FloatArray,
-    rows: npt.NDArray[np.int32],
-    mark: npt.NDArray[np.uint8],
-    words: npt.NDArray[np.uint64],
-) -> tuple[int, float, float]:
-    """Join edge pixels to components in one raster pass; return how many labels were given out, and sharpness.
+def _clear(sums: Record) -> None:
+    sums.n = sums.x = sums.y = sums.xx = sums.xy = sums.yy = sums.gx = sums.gy = 0.0
 
-    Sharpness is the mean curvature of the gradient's ridge over its height, strong edges counting most: about 1 for
-    edges as sharp as the pixels, 1 / s^2 for edges blurred over s pixels. It is taken apart for steep and for flat
-    edges: motion blurs only those across its way.
+
+@compiled
+def connect(
+    gradient: Gradient, threshold: np.float32, rectified: npt.NDArray[np.float32], components: Components
+) -> tuple[int, float, float]:
+    """Join edge pixels to components of one gradient direction, in one raster pass.
 
     Parameters
     ----------
-    gx, gy, magnitude
-        Gradient and its length (h, w).
+    gradient
+        The picture's gradient.
     threshold
-        Length from which a maximum is an edge.
+        Magnitude from which a maximum across the edge is an edge pixel.
     rectified
         Rectified coordinates (h, w, 2) of the pixels, or (1, 1, 2) where they are the pixels' own.
-    parent, sums
-        Filled: each label's parent, and the sums (labels, 8) of those that are their own.
-    rows, mark, words
-        For work: three rows (3, w); a row of bytes, a multiple of 8 of them, and the same memory as words.
+    components
+        Filled with the components.
+
+    Returns
+    -------
+    tuple
+        How many labels were given out, and the sharpness of upright and of level edges: the mean curvature of the
+        gradient's ridge over its height, strong edges counting most. It is about 1 for edges as sharp as the pixels,
+        1 / s^2 for edges blurred over s pixels. Motion blurs only the edges across its direction.
     """
+    gx, gy, magnitude = gradient.gx, gradient.gy, gradient.magnitude
+    parent, sums, rows = components.parent, components.sums, components.rows
+    mark, words = components.mark, components.words
     height, width = magnitude.shape
     distorted = rectified.shape[0] > 1
     n_labels = 0
@@ -260,7 +313,7 @@ def connect(
                 one = ((w < 0) | (w == label)) & ((nw < 0) | (nw == label)) & ((n < 0) | (n == label))
                 if one & ((ne < 0) | (ne == label)):
                     label = _root(parent, label)
-                    if not _agree(sums[label, GX], sums[label, GY], a, b):
+                    if not _agree(sums[label].gx, sums[label].gy, a, b):
                         label = -1
                 else:
                     label = _join_around(x, a, b, here, above, parent, sums)
@@ -270,41 +323,51 @@ def connect(
                 label = n_labels
                 n_labels += 1
                 parent[label] = label
-                sums[label, :] = 0.0
+                _clear(sums[label])
             s = sums[label]
-            s[N] += 1.0
-            s[SX] += px
-            s[SY] += py
-            s[SXX] += px * px
-            s[SXY] += px * py
-            s[SYY] += py * py
-            s[GX] += a
-            s[GY] += b
+            s.n += 1.0
+            s.x += px
+            s.y += py
+            s.xx += px * px
+            s.xy += px * py
+            s.yy += py * py
+            s.gx += a
+            s.gy += b
             here[x] = label
         above, here = here, above
     return n_labels, bend[1] / ridge[1], bend[0] / ridge[0]
 
 
 @compiled
-def fit(
-    parent: npt.NDArray[np.int32], sums: FloatArray, n_labels: int, min_length_px: float, lines: FloatArray
-) -> int:
-    """Fit a line to each component (the article's equations 1 to 4); return how many are long and straight enough.
+def fit(components: Components, n_labels: int, min_length_px: float, lines: RecordArray) -> int:
+    """Fit a line to each component, by the article's equations 1 to 4.
 
-    ``lines`` gets a row per line: end points, length, scatter, pixels and mean gradient. Walking from the first end
-    to the second, the bright side is on the right.
+    Parameters
+    ----------
+    components, n_labels
+        As `connect` left them.
+    min_length_px
+        Shorter lines are left out.
+    lines
+        Array (m,) of `FITTED_LINE`, filled.
+
+    Returns
+    -------
+    int
+        How many lines are long and straight enough.
     """
+    parent, sums = components.parent, components.sums
     n_lines = 0
     for label in range(n_labels):
         s = sums[label]
-        n = s[N]
+        n = s.n
         if parent[label] != label or n < 0.7 * min_length_px or n < MIN_PIXELS:
             continue
-        x = s[SX] / n
-        y = s[SY] / n
-        sxx = s[SXX] / n - x * x
-        sxy = s[SXY] / n - x * y
-        syy = s[SYY] / n - y * y
+        x = s.x / n
+        y = s.y / n
+        sxx = s.xx / n - x * x
+        sxy = s.xy / n - x * y
+        syy = s.yy / n - y * y
         mean = 0.5 * (sxx + syy)
         half = sqrt(0.25 * (sxx - syy) ** 2 + sxy * sxy)
         rms = sqrt(max(mean - half, 0.0))
@@ -314,18 +377,18 @@ def fit(
         angle = 0.5 * np.arctan2(2.0 * sxy, sxx - syy)
         dx = 0.5 * length * np.cos(angle)
         dy = 0.5 * length * np.sin(angle)
-        if dx * s[GY] - dy * s[GX] < 0.0:  # the gradient points to bright; right of (dx, dy) is (-dy, dx)
+        if dx * s.gy - dy * s.gx < 0.0:  # the gradient points to bright; right of (dx, dy) is (-dy, dx)
             dx = -dx
             dy = -dy
-        row = lines[n_lines]
-        row[X0] = x - dx
-        row[Y0] = y - dy
-        row[X1] = x + dx
-        row[Y1] = y + dy
-        row[LENGTH] = length
-        row[RMS] = rms
-        row[COUNT] = n
-        row[CONTRAST] = sqrt(s[GX] * s[GX] + s[GY] * s[GY]) / n
+        line = lines[n_lines]
+        line.x0 = x - dx
+        line.y0 = y - dy
+        line.x1 = x + dx
+        line.y1 = y + dy
+        line.length = length
+        line.rms = rms
+        line.n_pixels = n
+        line.contrast = sqrt(s.gx * s.gx + s.gy * s.gy) / n
         n_lines += 1
         if n_lines == len(lines):
             break

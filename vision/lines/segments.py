@@ -24,25 +24,20 @@ from vision.cameras.camera import Camera, Distortion
 from vision.compiled import compiled
 from vision.images import to_grey
 from vision.lines.edges import (
-    CONTRAST,
-    COUNT,
-    LENGTH,
-    N_LINE,
-    N_SUMS,
-    RMS,
-    X0,
-    X1,
-    Y0,
-    Y1,
+    COMPONENT,
+    FITTED_LINE,
+    Components,
+    Gradient,
     connect,
     difference_statistics,
+    fill_magnitude,
     fit,
-    gradient_magnitude,
     median_and_mean,
 )
+from vision.types import FloatArray, GreyImage, IntArray, RecordArray
 
-FloatArray = npt.NDArray[np.float64]
-GreyImage = npt.NDArray[np.uint8]
+PINHOLE = np.dtype([(name, np.float64) for name in ("fx", "fy", "cx", "cy")], align=True)
+"""Focal lengths and principal point, pixels."""
 
 MAX_COMPONENTS = 1 << 15
 MAX_LINES = 1 << 12
@@ -65,6 +60,16 @@ MAX_HALF_FIELD_RAD = radians(75.0)  # rectified coordinates stretch without boun
 PIXELS_PER_INDEPENDENT = 6.0  # neighbouring edge pixels share blur and noise
 POSITION_FLOOR_PX = 0.08  # bias of the parabola, compression, edges not quite straight: does not average out
 SOFT = 3.0  # times that, where edges are blurred even as seen from as far away as can be
+
+
+class LineGeometry(NamedTuple):
+    """The planes of n lines as compiled code takes them; fields as in `LineSet`, in any one frame."""
+
+    normal: FloatArray  # (n, 3), as the next two
+    centre: FloatArray
+    direction: FloatArray
+    sigma_rad: FloatArray  # (n,)
+    arc_rad: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,21 +122,33 @@ class LineSet:
     def __len__(self) -> int:
         return len(self.length_px)
 
+    def geometry(self, R: FloatArray | None = None) -> LineGeometry:
+        """Return the lines' planes, turned by a rotation (3, 3) from the optical frame where one is given."""
+        normal, centre, direction = self.normal, self.centre, self.direction
+        if R is not None:
+            normal, centre, direction = normal @ R.T, centre @ R.T, direction @ R.T
+        return LineGeometry(normal, centre, direction, self.sigma_rad, self.arc_rad)
+
 
 class _Workspace:
     """Buffers for one picture size, kept so that no frame allocates what the last one already had."""
 
     def __init__(self, height_px: int, width_px: int) -> None:
         self.smooth = np.empty((height_px, width_px), np.uint8)
-        self.gx = np.empty((height_px, width_px), np.int16)
-        self.gy = np.empty((height_px, width_px), np.int16)
-        self.magnitude = np.empty((height_px, width_px), np.float32)
-        self.parent = np.empty(MAX_COMPONENTS, np.int32)
-        self.sums = np.empty((MAX_COMPONENTS, N_SUMS))
-        self.rows = np.empty((3, width_px), np.int32)
-        self.mark = np.empty((width_px + 7) // 8 * 8, np.uint8)
-        self.words = self.mark.view(np.uint64)
-        self.lines = np.empty((MAX_LINES, N_LINE))
+        self.gradient = Gradient(
+            gx=np.empty((height_px, width_px), np.int16),
+            gy=np.empty((height_px, width_px), np.int16),
+            magnitude=np.empty((height_px, width_px), np.float32),
+        )
+        mark = np.empty((width_px + 7) // 8 * 8, np.uint8)
+        self.components = Components(
+            parent=np.empty(MAX_COMPONENTS, np.int32),
+            sums=np.empty(MAX_COMPONENTS, COMPONENT),
+            rows=np.empty((3, width_px), np.int32),
+            mark=mark,
+            words=mark.view(np.uint64),
+        )
+        self.lines = np.empty(MAX_LINES, FITTED_LINE)
         self.counts = np.empty(1024, np.int64)
         self.magnitude_counts = np.empty(3072, np.int64)
 
@@ -178,7 +195,7 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera) -> LineSet:
 
 
 class _Traced(NamedTuple):
-    lines: FloatArray  # rows as `vision.lines.edges.fit` leaves them
+    lines: RecordArray  # (n,) of `vision.lines.edges.FITTED_LINE`
     threshold: float
     blurred: bool
 
@@ -187,28 +204,16 @@ def _trace(grey: GreyImage, camera: Camera) -> _Traced:
     height, width = grey.shape
     work = _workspace(height, width)
     smooth, expected_sharpness = _smoothed(grey, work)
-    gx, gy = work.gx, work.gy
-    cv2.spatialGradient(smooth, gx, gy)
-    gradient_magnitude(gx, gy, work.magnitude)
-    median, mean = median_and_mean(work.magnitude, work.magnitude_counts)
+    gradient = work.gradient
+    cv2.spatialGradient(smooth, gradient.gx, gradient.gy)
+    fill_magnitude(gradient)
+    median, mean = median_and_mean(gradient.magnitude, work.magnitude_counts)
     threshold = max(MIN_THRESHOLD, NOISE_TO_THRESHOLD * median, STRUCTURE_TO_THRESHOLD * mean)
-    n_labels, steep, flat = connect(
-        gx,
-        gy,
-        work.magnitude,
-        np.float32(threshold),
-        _rectified(camera),
-        work.parent,
-        work.sums,
-        work.rows,
-        work.mark,
-        work.words,
-    )
+    n_labels, *sharpness = connect(gradient, np.float32(threshold), _rectified(camera), work.components)
     min_length = max(MIN_LENGTH_PX, MIN_LENGTH_OF_DIAGONAL * hypot(width, height))
-    n = fit(work.parent, work.sums, n_labels, min_length, work.lines)
-    return _Traced(
-        work.lines[:n].copy(), threshold, min(steep, flat) < BLURRED_SHARPNESS * expected_sharpness
-    )
+    n = fit(work.components, n_labels, min_length, work.lines)
+    blurred = min(sharpness) < BLURRED_SHARPNESS * expected_sharpness
+    return _Traced(work.lines[:n].copy(), threshold, blurred)
 
 
 def _scaled(grey: GreyImage, camera: Camera) -> GreyImage:
@@ -224,7 +229,7 @@ def is_distorted(camera: Camera) -> bool:
     return any(camera.coefficients) or camera.distortion is Distortion.EQUIDISTANT
 
 
-def noise_and_blockiness(grey: GreyImage, counts: npt.NDArray[np.int64] | None = None) -> tuple[float, float]:
+def noise_and_blockiness(grey: GreyImage, counts: IntArray | None = None) -> tuple[float, float]:
     """Estimate a picture's noise, standard deviation in grey levels, and how much JPEG's blocks stand out.
 
     The noise follows from the median second difference, which edges hardly touch.
@@ -295,30 +300,34 @@ def _smoothed(grey: GreyImage, work: _Workspace) -> tuple[GreyImage, float]:
 
 @compiled
 def _span_planes(
-    lines: FloatArray,
-    working: FloatArray,
-    original: FloatArray,
-    floor_px: float,
-    ends_px: FloatArray,
-    centre: FloatArray,
-    direction: FloatArray,
-    normal: FloatArray,
-    sigma_rad: FloatArray,
-    arc_rad: FloatArray,
-) -> None:
-    """Fill each line's plane from its end points; ``working`` and ``original`` are fx, fy, cx, cy.
+    lines: RecordArray, working: RecordArray, original: RecordArray, floor_px: float
+) -> tuple[FloatArray, LineGeometry]:
+    """Return each line's ends (n, 4) in the original camera's rectified pixels, and its plane in the optical frame.
 
-    ``floor_px`` is the error across a line, in working pixels, that more edge pixels do not average out.
+    Parameters
+    ----------
+    lines
+        Array (n,) of `vision.lines.edges.FITTED_LINE`, in the working camera's pixels.
+    working, original
+        Arrays (1,) of `PINHOLE`.
+    floor_px
+        Error across a line, in working pixels, that more edge pixels do not average out.
     """
-    for i in range(len(lines)):
-        x0 = (lines[i, X0] - working[2]) / working[0]
-        y0 = (lines[i, Y0] - working[3]) / working[1]
-        x1 = (lines[i, X1] - working[2]) / working[0]
-        y1 = (lines[i, Y1] - working[3]) / working[1]
-        ends_px[i, 0] = x0 * original[0] + original[2]
-        ends_px[i, 1] = y0 * original[1] + original[3]
-        ends_px[i, 2] = x1 * original[0] + original[2]
-        ends_px[i, 3] = y1 * original[1] + original[3]
+    n = len(lines)
+    ends_px = np.empty((n, 4))
+    centre, direction, normal = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
+    sigma_rad, arc_rad = np.empty(n), np.empty(n)
+    w, o = working[0], original[0]
+    for i in range(n):
+        line = lines[i]
+        x0 = (line.x0 - w.cx) / w.fx
+        y0 = (line.y0 - w.cy) / w.fy
+        x1 = (line.x1 - w.cx) / w.fx
+        y1 = (line.y1 - w.cy) / w.fy
+        ends_px[i, 0] = x0 * o.fx + o.cx
+        ends_px[i, 1] = y0 * o.fy + o.cy
+        ends_px[i, 2] = x1 * o.fx + o.cx
+        ends_px[i, 3] = y1 * o.fy + o.cy
         # the cross product of (x0, y0, 1) and (x1, y1, 1)
         nx = y0 - y1
         ny = x1 - x0
@@ -337,46 +346,32 @@ def _span_planes(
         direction[i, 0] = normal[i, 1] * centre[i, 2] - normal[i, 2] * centre[i, 1]
         direction[i, 1] = normal[i, 2] * centre[i, 0] - normal[i, 0] * centre[i, 2]
         direction[i, 2] = normal[i, 0] * centre[i, 1] - normal[i, 1] * centre[i, 0]
-        sigma_px = hypot(lines[i, RMS] * sqrt(PIXELS_PER_INDEPENDENT / lines[i, COUNT]), floor_px)
-        sigma_rad[i] = sigma_px * hypot(normal[i, 0], normal[i, 1]) / (depth * working[0])
+        sigma_px = hypot(line.rms * sqrt(PIXELS_PER_INDEPENDENT / line.n_pixels), floor_px)
+        sigma_rad[i] = sigma_px * hypot(normal[i, 0], normal[i, 1]) / (depth * w.fx)
+    return ends_px, LineGeometry(normal, centre, direction, sigma_rad, arc_rad)
 
 
 def _line_set(found: _Traced, camera: Camera, working: Camera, started: float) -> LineSet:
     lines = found.lines
-    n = len(lines)
-    ends_px = np.empty((n, 4))
-    centre, direction, normal = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
-    sigma_rad, arc_rad = np.empty(n), np.empty(n)
     floor_px = POSITION_FLOOR_PX * max(camera.fx_px / working.fx_px, 1.0) * (SOFT if found.blurred else 1.0)
-    _span_planes(
-        lines,
-        _pinhole(working),
-        _pinhole(camera),
-        floor_px,
-        ends_px,
-        centre,
-        direction,
-        normal,
-        sigma_rad,
-        arc_rad,
-    )
+    ends_px, planes = _span_planes(lines, _pinhole(working), _pinhole(camera), floor_px)
     return LineSet(
         width_px=camera.width_px,
         height_px=camera.height_px,
         ends_px=ends_px,
-        length_px=lines[:, LENGTH] * (camera.fx_px / working.fx_px),
-        rms_px=lines[:, RMS],
-        n_pixels=lines[:, COUNT],
-        contrast=lines[:, CONTRAST],
-        centre=centre,
-        direction=direction,
-        normal=normal,
-        sigma_rad=sigma_rad,
-        arc_rad=arc_rad,
+        length_px=lines["length"] * (camera.fx_px / working.fx_px),
+        rms_px=lines["rms"],
+        n_pixels=lines["n_pixels"],
+        contrast=lines["contrast"],
+        centre=planes.centre,
+        direction=planes.direction,
+        normal=planes.normal,
+        sigma_rad=planes.sigma_rad,
+        arc_rad=planes.arc_rad,
         threshold=found.threshold,
         extract_ms=1e3 * (time.perf_counter() - started),
     )
 
 
-def _pinhole(camera: Camera) -> FloatArray:
-    return np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
+def _pinhole(camera: Camera) -> RecordArray:
+    return np.array([(camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)], PINHOLE)

@@ -9,28 +9,23 @@ Message by message: https://ardupilot.org/copter/docs/logmessages.html
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from mmap import ACCESS_READ, mmap
+from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
-from fusion.logs.contents import Kind, LogContents, Topic
-from fusion.logs.samples import BoolArray
+from fusion.flight import FloatArray, RangeStream, VectorStream
+from fusion.logs.autopilot.table import DOWNWARD, MessageTable, begins_with, map_file, series_of
+from fusion.logs.contents import Kind, LogContents
+from fusion.logs.samples import BoolArray, Problems, WithProblems
 from fusion.logs.series import (
-    MAX_POSITION,
     MAX_VELOCITY,
     Series,
     SeriesLog,
-    Stream,
-    Where,
-    attitude_stream,
-    imu_stream,
     into_body,
     nanoseconds,
     quaternions,
@@ -58,55 +53,43 @@ GYRO = ("GyrX", "GyrY", "GyrZ")
 ACCEL = ("AccX", "AccY", "AccZ")
 QUATERNION = ("Q1", "Q2", "Q3", "Q4")
 EULER = ("Roll", "Pitch", "Yaw")  # degrees
+DEGREE = pi / 180.0
 VELOCITY = ("VN", "VE", "VD")
 POSITION = ("PN", "PE", "PD")
 
 # Distances are metres in every version. Until 4.0 a message held two sensors, numbered in the names of its columns.
 RANGE_SUFFIXES = ("", "1", "2")
-DOWNWARD = 25  # RFND.Orient, ROTATION_PITCH_270
 GOOD = 4  # RFND.Stat; less is no data, or out of reach
 INVALID_SIGNAL = 0  # RFND.Quality, percent; -1 is one that is not known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Table:
-    """One message's samples, of one instance."""
+class _Table(MessageTable):
+    """One message's samples, of one instance; ``starts`` (n,) is where they begin in the log's bytes."""
 
-    file: Path
     data: npt.NDArray[np.uint8]
     fmt: Format
-    label: str
     starts: IndexArray
 
     def has(self, *columns: str) -> bool:
         """Whether it has all of these columns, in numbers."""
-        names = self.fmt.dtype.names or ()
-        return all(column in names and self.fmt.dtype[column].kind != "V" for column in columns)
+        return _has(self.fmt, *columns)
 
-    def numbers(self, columns: tuple[str, ...]) -> FloatArray:
+    def numbers(self, *columns: str) -> FloatArray:
         """Columns (n, k)."""
         from fusion.logs.autopilot.dataflash_parse import read_columns
 
         return read_columns(self.data, self.fmt, self.starts, columns)
 
-    def t_ns(self) -> TimeArray:
-        """Read the times (n,); logs from before 2014 count milliseconds."""
-        from fusion.logs.autopilot.dataflash_parse import read_column
 
-        column, tick_ns = ("TimeUS", 1_000) if self.has("TimeUS") else ("TimeMS", 1_000_000)
-        return nanoseconds(read_column(self.data, self.fmt, self.starts, column), tick_ns)
-
-    def where(self, problems: list[str]) -> Where:
-        """Where to report what is wrong with it."""
-        return Where(self.file, self.label, problems)
+def _has(fmt: Format, *columns: str) -> bool:
+    names = fmt.dtype.names or ()
+    return all(column in names and fmt.dtype[column].kind != "V" for column in columns)
 
 
 def recognises(path: Path) -> bool:
     """Whether a file begins with a DataFlash message."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(MAGIC)) == MAGIC
+    return begins_with(path, MAGIC)
 
 
 def open_log(path: Path) -> LogContents:
@@ -117,8 +100,7 @@ def open_log(path: Path) -> LogContents:
     InputError
         Where it holds none of them.
     """
-    problems: list[str] = []
-    tables = _tables(path, problems)
+    tables, problems = _tables(path)
     series = [
         *_imus(tables),
         *_attitudes(tables),
@@ -135,41 +117,39 @@ def open_log(path: Path) -> LogContents:
     return SeriesLog(path, FORMAT, series, problems)
 
 
-def _tables(path: Path, problems: list[str]) -> list[_Table]:
+def _tables(path: Path) -> WithProblems[list[_Table]]:
     from fusion.logs.autopilot.dataflash_parse import find_formats, find_messages
 
-    try:
-        with path.open("rb") as file:
-            mapped = mmap(file.fileno(), 0, access=ACCESS_READ)
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot be read: {error}", file=path, remedy="check the file") from error
+    mapped = map_file(path)
     formats = find_formats(mapped)
     data = np.frombuffer(mapped, dtype=np.uint8)
     names = [name for name in NAMES if name in formats]
     starts, lost = find_messages(data, formats, names)
+    problems: Problems = ()
     if lost:
-        problems.append(f"{lost} of {len(data)} bytes belong to no whole message and were skipped")
+        problems += (f"{lost} of {len(data)} bytes belong to no whole message and were skipped",)
     tables: list[_Table] = []
     for name in names:
-        table = _Table(path, data, formats[name], name, starts[name])
-        if len(table.starts) and (table.has("TimeUS") or table.has("TimeMS")):
-            tables += _instances(table)
-    return tables
+        if len(starts[name]) and (_has(formats[name], "TimeUS") or _has(formats[name], "TimeMS")):
+            tables += _instances(path, data, formats[name], starts[name])
+    return WithProblems(tables, problems)
 
 
-def _instances(table: _Table) -> list[_Table]:
+def _instances(path: Path, data: npt.NDArray[np.uint8], fmt: Format, starts: IndexArray) -> list[_Table]:
     """Split a message by the sensor or filter that it is of."""
     from fusion.logs.autopilot.dataflash_parse import read_column
 
-    name = table.fmt.name
-    column = next((column for column in INSTANCE if table.has(column)), None)
-    if column is None:
-        label = f"IMU[{IMUS[name]}]" if name in IMUS else name
-        return [_Table(table.file, table.data, table.fmt, label, table.starts)]
-    number = read_column(table.data, table.fmt, table.starts, column).astype(np.int64)
+    # Logs from before 2014 count milliseconds.
+    column, tick_ns = ("TimeUS", 1_000) if _has(fmt, "TimeUS") else ("TimeMS", 1_000_000)
+    t_ns = nanoseconds(read_column(data, fmt, starts, column), tick_ns)
+    instance = next((column for column in INSTANCE if _has(fmt, column)), None)
+    if instance is None:
+        label = f"IMU[{IMUS[fmt.name]}]" if fmt.name in IMUS else fmt.name
+        return [_Table(path, label, t_ns, data, fmt, starts)]
+    number = read_column(data, fmt, starts, instance).astype(np.int64)
     known = [k for k in np.unique(number).tolist() if 0 <= k < MAX_INSTANCES]
     return [
-        _Table(table.file, table.data, table.fmt, f"{name}[{k}]", table.starts[number == k]) for k in known
+        _Table(path, f"{fmt.name}[{k}]", t_ns[number == k], data, fmt, starts[number == k]) for k in known
     ]
 
 
@@ -178,59 +158,43 @@ def _having(tables: list[_Table], names: tuple[str, ...], *columns: str) -> list
     return [table for name in names for table in tables if table.fmt.name == name and table.has(*columns)]
 
 
-def _one(table: _Table, kind: Kind, note: str, read: Callable[[_Table, list[str]], Stream]) -> Series:
-    return Series(Topic(table.label, kind, table.t_ns(), note), partial(read, table))
-
-
 def _imus(tables: list[_Table]) -> list[Series]:
     found = _having(tables, tuple(IMUS), *GYRO, *ACCEL)
-    return [_one(table, Kind.IMU, "calibrated", _read_imu) for table in found]
+    return [series_of(table, Kind.IMU, "calibrated", lambda t: t.imu(GYRO, ACCEL)) for table in found]
 
 
 def _attitudes(tables: list[_Table]) -> list[Series]:
     filters = _having(tables, FILTER_QUATERNIONS, *QUATERNION)
     note = "of the filter, in the axes of the IMU (AHRS_TRIM not applied)"
-    found = [_one(table, Kind.ATTITUDE, note, _read_quaternions) for table in filters]
+    found = [series_of(table, Kind.ATTITUDE, note, lambda t: t.attitude(QUATERNION)) for table in filters]
     note = "from roll, pitch and yaw in degrees"
-    found += [_one(table, Kind.ATTITUDE, note, _read_angles) for table in _having(tables, ("ATT",), *EULER)]
-    backups = _having(tables, ("AHR2",), *QUATERNION)
-    return found + [_one(table, Kind.ATTITUDE, "backup filter", _read_quaternions) for table in backups]
+    found += [
+        series_of(table, Kind.ATTITUDE, note, lambda t: t.attitude_from_angles(EULER, DEGREE))
+        for table in _having(tables, ("ATT",), *EULER)
+    ]
+    found += [
+        series_of(table, Kind.ATTITUDE, "backup filter", lambda t: t.attitude(QUATERNION))
+        for table in _having(tables, ("AHR2",), *QUATERNION)
+    ]
+    return found
 
 
 def _positions(tables: list[_Table]) -> list[Series]:
+    note = "NED, from the filter's origin"
     found = _having(tables, FILTERS, *POSITION)
-    return [_one(table, Kind.POSITION, "NED, from the filter's origin", _read_position) for table in found]
+    return [series_of(table, Kind.POSITION, note, lambda t: t.position(POSITION)) for table in found]
 
 
 def _velocities(tables: list[_Table]) -> list[Series]:
     found = _having(tables, FILTERS, *VELOCITY, *EULER)
     note = "NED, turned into the body by the same filter's attitude"
-    return [_one(table, Kind.VELOCITY, note, _read_velocity) for table in found]
+    return [series_of(table, Kind.VELOCITY, note, _read_velocity) for table in found]
 
 
-def _read_imu(table: _Table, problems: list[str]) -> ImuStream:
-    return imu_stream(table.t_ns(), table.numbers(GYRO), table.numbers(ACCEL), table.where(problems))
-
-
-def _read_quaternions(table: _Table, problems: list[str]) -> AttitudeStream:
-    return attitude_stream(table.t_ns(), table.numbers(QUATERNION), table.where(problems))
-
-
-def _angles(table: _Table) -> FloatArray:
-    return quaternions(*np.radians(table.numbers(EULER)).T)
-
-
-def _read_angles(table: _Table, problems: list[str]) -> AttitudeStream:
-    return attitude_stream(table.t_ns(), _angles(table), table.where(problems))
-
-
-def _read_position(table: _Table, problems: list[str]) -> VectorStream:
-    return vector_stream(table.t_ns(), table.numbers(POSITION), table.where(problems), MAX_POSITION)
-
-
-def _read_velocity(table: _Table, problems: list[str]) -> VectorStream:
-    velocity_m_s = into_body(_angles(table), table.numbers(VELOCITY))
-    return vector_stream(table.t_ns(), velocity_m_s, table.where(problems), MAX_VELOCITY)
+def _read_velocity(table: _Table) -> WithProblems[VectorStream]:
+    q_world_body = quaternions(*(table.numbers(*EULER) * DEGREE).T)
+    velocity_m_s = into_body(q_world_body, table.numbers(*VELOCITY))
+    return vector_stream(table.t_ns, velocity_m_s, table.where(), MAX_VELOCITY)
 
 
 def _ranges(tables: list[_Table]) -> list[Series]:
@@ -238,13 +202,13 @@ def _ranges(tables: list[_Table]) -> list[Series]:
     found = []
     for table in (table for table in tables if table.fmt.name == RANGE):
         for suffix in (suffix for suffix in RANGE_SUFFIXES if table.has(f"Dist{suffix}")):
-            if not (_looks_down(table, suffix) & (table.numbers((f"Dist{suffix}",))[:, 0] > 0.0)).any():
+            if not (_looks_down(table, suffix) & (table.column(f"Dist{suffix}") > 0.0)).any():
                 continue
             name = f"{table.label}.Dist{suffix}" if suffix else table.label
             told = table.has(f"Orient{suffix}")
             note = "looks down" if told else "taken to look down: the log does not tell"
             read = partial(_read_range, suffix)
-            found.append(_one(replace(table, label=name), Kind.RANGE, note, read))
+            found.append(series_of(replace(table, label=name), Kind.RANGE, note, read))
     return found
 
 
@@ -252,14 +216,13 @@ def _looks_down(table: _Table, suffix: str) -> BoolArray:
     column = f"Orient{suffix}"
     if not table.has(column):
         return np.ones(len(table.starts), dtype=bool)
-    return np.asarray(table.numbers((column,))[:, 0] == DOWNWARD)
+    return np.asarray(table.column(column) == DOWNWARD)
 
 
-def _read_range(suffix: str, table: _Table, problems: list[str]) -> RangeStream:
+def _read_range(suffix: str, table: _Table) -> WithProblems[RangeStream]:
     trusted = _looks_down(table, suffix)
     if table.has(f"Stat{suffix}"):
-        trusted &= table.numbers((f"Stat{suffix}",))[:, 0] == GOOD
+        trusted &= table.column(f"Stat{suffix}") == GOOD
     if table.has("Quality"):
-        trusted &= table.numbers(("Quality",))[:, 0] != INVALID_SIGNAL
-    distance_m = table.numbers((f"Dist{suffix}",))[:, 0]
-    return range_stream(table.t_ns(), distance_m, table.where(problems), trusted=trusted)
+        trusted &= table.column("Quality") != INVALID_SIGNAL
+    return range_stream(table.t_ns, table.column(f"Dist{suffix}"), table.where(), trusted=trusted)

@@ -90,16 +90,16 @@ def find_messages(
         slots[formats[name].number] = slot
     nowhere = np.empty((len(names), 0), dtype=np.int64)
     counts = np.zeros(len(names), dtype=np.int64)
-    lost = int(_walk(data, lengths, slots, counts, nowhere))
+    lost = int(_scan(data, lengths, slots, counts, nowhere))
     starts = np.empty((len(names), int(counts.max(initial=0))), dtype=np.int64)
     filled = np.zeros_like(counts)
     if starts.shape[1]:
-        _walk(data, lengths, slots, filled, starts)
+        _scan(data, lengths, slots, filled, starts)
     return {name: starts[slot, : counts[slot]] for slot, name in enumerate(names)}, lost
 
 
 @compiled
-def _walk(
+def _scan(
     data: ByteArray, lengths: IndexArray, slots: IndexArray, counts: IndexArray, starts: IndexArray
 ) -> int:
     """Count messages by slot and, where ``starts`` has room, note where they begin; return the bytes lost."""
@@ -135,7 +135,24 @@ def _copy(data: ByteArray, starts: IndexArray, first: int, rows: ByteArray) -> N
 def read_columns(
     data: ByteArray, fmt: Format, starts: IndexArray, columns: tuple[str, ...]
 ) -> npt.NDArray[np.float64]:
-    """Columns (n, k) of messages, in the units of their names."""
+    """Read columns of messages, in the units of their names.
+
+    Parameters
+    ----------
+    data
+        Bytes of the log.
+    fmt
+        What the message holds.
+    starts
+        Where the messages begin (n,).
+    columns
+        Their names, k of them.
+
+    Returns
+    -------
+    array
+        Values (n, k).
+    """
     values = np.empty((len(starts), len(columns)))
     for k, column in enumerate(columns):
         with np.errstate(invalid="ignore"):  # a damaged float may be a signalling NaN
@@ -145,7 +162,20 @@ def read_columns(
 
 
 def read_column(data: ByteArray, fmt: Format, starts: IndexArray, column: str) -> npt.NDArray[np.generic]:
-    """One column (n,) as it is stored."""
+    """Read one column of messages as it is stored.
+
+    Parameters
+    ----------
+    data, fmt, starts
+        As for `read_columns`.
+    column
+        Its name.
+
+    Returns
+    -------
+    array
+        Values (n,), of the type that the message has.
+    """
     kind, first = fmt.dtype.fields[column][:2]  # type: ignore[index]
     rows = np.empty((len(starts), kind.itemsize), dtype=np.uint8)
     _copy(data, starts, int(first), rows)

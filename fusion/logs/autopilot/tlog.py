@@ -10,10 +10,9 @@ Messages: https://mavlink.io/en/messages/common.html
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,21 +20,17 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
-from fusion.logs.contents import Kind, LogContents, Topic
-from fusion.logs.samples import BoolArray, counted
+from fusion.logs.autopilot.table import DOWNWARD, MessageTable, map_file, series_of
+from fusion.logs.contents import Kind, LogContents
+from fusion.logs.samples import BoolArray, Problems, WithProblems, counted
 from fusion.logs.series import (
     CLOCK_BACK_NS,
-    MAX_POSITION,
     Series,
     SeriesLog,
     Stream,
-    Where,
-    attitude_stream,
     imu_stream,
     nanoseconds,
-    quaternions,
     range_stream,
-    vector_stream,
     velocity_stream,
 )
 from vision import InputError
@@ -47,7 +42,7 @@ FORMAT = "MAVLink tlog"
 MAGICS = (0xFE, 0xFD)
 HEAD_BYTES = 9  # time and magic
 EARLIEST_US, LATEST_US = 10**15, 4 * 10**15  # 2001 and 2096: what a recording computer's clock may say
-UNIX_US = 10**15  # more is a time since 1970, less one since boot, as MAVLink has it told apart
+UNIX_US = 10**15  # more is a time since 1970, less one since boot, as MAVLink distinguishes them
 
 # In the order of preference.
 IMUS = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
@@ -59,37 +54,37 @@ NAMES = (*IMUS, *ATTITUDES, POSITION, RANGE, CLOCK)
 
 GYRO = ("xgyro", "ygyro", "zgyro")
 ACCEL = ("xacc", "yacc", "zacc")
+QUATERNION = ("q1", "q2", "q3", "q4")
+EULER = ("roll", "pitch", "yaw")
+XYZ = ("x", "y", "z")
+VELOCITY = ("vx", "vy", "vz")
 GYRO_UPDATED, ACCEL_UPDATED = 0x38, 0x07  # bits of HIGHRES_IMU.fields_updated
 SCALES = {"mG": 9.80665e-3, "mrad/s": 1e-3, "m/s/s": 1.0, "rad/s": 1.0, "cm": 0.01}
 DISTANCES = ("current_distance", "min_distance", "max_distance")
-DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270
 INVALID_SIGNAL = 1  # of DISTANCE_SENSOR.signal_quality; 0 is one that is not known
 ONE_G_M_S2 = (3.0, 30.0)  # what the median of a sound accelerometer in flight lies between
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Table:
+class _Table(MessageTable):
     """Samples of one message from one sender, at the times of the vehicle's clock."""
 
-    file: Path
     name: str
-    label: str
-    t_ns: TimeArray
     rows: npt.NDArray[np.void]
     units: dict[str, str]
     clock: str
 
-    def numbers(self, columns: Sequence[str]) -> FloatArray:
+    def has(self, *columns: str) -> bool:
+        """Whether the message has all of these columns."""
+        return all(name in (self.rows.dtype.names or ()) for name in columns)
+
+    def numbers(self, *columns: str) -> FloatArray:
         """Columns (n, k) in SI units where the definitions give a unit."""
         with np.errstate(invalid="ignore"):  # a damaged float may be a signalling NaN
             values = [
                 self.rows[name].astype(float) * SCALES.get(self.units.get(name, ""), 1.0) for name in columns
             ]
         return np.stack(values, axis=1)
-
-    def where(self, problems: list[str]) -> Where:
-        """Where to report what is wrong with it."""
-        return Where(self.file, self.label, problems)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,8 +129,7 @@ def open_log(path: Path) -> LogContents:
     InputError
         Where pymavlink is not installed, or the log holds none of them.
     """
-    problems: list[str] = []
-    tables = _tables(path, problems)
+    tables, problems = _tables(path)
     series = _series(tables)
     if not series:
         raise InputError(
@@ -159,30 +153,29 @@ def _definitions(path: Path) -> dict[int, Any]:
     return dict(ardupilotmega.mavlink_map)
 
 
-def _tables(path: Path, problems: list[str]) -> list[_Table]:
+def _tables(path: Path) -> WithProblems[list[_Table]]:
     from fusion.logs.autopilot.tlog_parse import find_packets
 
     known = _definitions(path)
     classes = {number: kind for number, kind in known.items() if kind.msgname in NAMES}
-    try:
-        with path.open("rb") as file:
-            data = np.frombuffer(mmap(file.fileno(), 0, access=ACCESS_READ), dtype=np.uint8)
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot be read: {error}", file=path, remedy="check the file") from error
+    data = np.frombuffer(map_file(path), dtype=np.uint8)
     packets = find_packets(data, {number: kind.crc_extra for number, kind in known.items()}, classes)
+    problems: Problems = ()
     if packets.damaged:
-        problems.append(f"{counted(packets.damaged, 'message')} with a wrong checksum dropped")
+        problems += (f"{counted(packets.damaged, 'message')} with a wrong checksum dropped",)
     if packets.unknown:
-        problems.append(f"{counted(packets.unknown, 'message')} of a kind that is not known left out")
+        problems += (f"{counted(packets.unknown, 'message')} of a kind that is not known left out",)
     if packets.lost:
-        problems.append(f"{packets.lost} of {len(data)} bytes belong to no whole message and were skipped")
+        problems += (f"{packets.lost} of {len(data)} bytes belong to no whole message and were skipped",)
     senders = np.unique(packets.sender).tolist()
     tables: list[_Table] = []
     for sender in senders:
         suffix = f"[{sender // 256}.{sender % 256}]" if len(senders) > 1 else ""
         raws = _raws(data, packets, sender, classes)
-        tables += _on_one_clock(path, _of_one_boot(raws, suffix, problems), suffix)
-    return tables
+        raws, restarts = _of_one_boot(raws, suffix)
+        problems += restarts
+        tables += _on_one_clock(path, raws, suffix)
+    return WithProblems(tables, problems)
 
 
 def _raws(data: npt.NDArray[np.uint8], packets: Packets, sender: int, classes: dict[int, Any]) -> list[_Raw]:
@@ -198,7 +191,7 @@ def _raws(data: npt.NDArray[np.uint8], packets: Packets, sender: int, classes: d
 
 
 def _dtype(kind: Any) -> np.dtype[np.void]:
-    """Layout of a message's payload, as it stands in the packet."""
+    """Layout of a message's payload in the packet."""
     letters = kind.native_format.decode().lstrip("<")
     fields = []
     for name, letter, length in zip(kind.ordered_fieldnames, letters, kind.array_lengths, strict=True):
@@ -207,26 +200,26 @@ def _dtype(kind: Any) -> np.dtype[np.void]:
     return np.dtype(fields)
 
 
-def _of_one_boot(raws: list[_Raw], suffix: str, problems: list[str]) -> list[_Raw]:
-    """Messages between two restarts of the vehicle, the most there are: each restart begins the clock anew."""
+def _of_one_boot(raws: list[_Raw], suffix: str) -> WithProblems[list[_Raw]]:
+    """Messages between two restarts of the vehicle, the longest stretch: each restart sets the clock to zero."""
     timed = [(raw.place, t_ns) for raw in raws if (t_ns := raw.boot_ns()) is not None]
     if not timed:
-        return raws
+        return WithProblems(raws)
     place = np.concatenate([part for part, _ in timed])
     order = np.argsort(place)
     place, t_ns = place[order], np.concatenate([part for _, part in timed])[order]
     cuts = np.flatnonzero(np.diff(t_ns) < -CLOCK_BACK_NS) + 1
     if cuts.size == 0:
-        return raws
+        return WithProblems(raws)
     edges = [0, *cuts.tolist(), len(place)]
     longest = int(np.argmax(np.diff(edges)))
     first, last = place[edges[longest]], place[edges[longest + 1] - 1]
-    problems.append(
+    problem = (
         f"the vehicle's clock{suffix} went back {counted(len(cuts), 'time')}, as when it restarts; only the "
         f"longest of {len(cuts) + 1} stretches is used"
     )
     kept = [raw.between(first, last) for raw in raws]
-    return [raw for raw in kept if len(raw.place)]
+    return WithProblems([raw for raw in kept if len(raw.place)], (problem,))
 
 
 def _on_one_clock(path: Path, raws: list[_Raw], suffix: str) -> list[_Table]:
@@ -259,13 +252,13 @@ def _on_one_clock(path: Path, raws: list[_Raw], suffix: str) -> list[_Table]:
             t_ns, told = nanoseconds(raw.rows["time_usec"], 1000), "Unix time by the vehicle's clock"
         if raw.name != CLOCK:
             units = dict(raw.kind.fieldunits_by_name)
-            tables += _instances(_Table(path, raw.name, raw.name + suffix, t_ns, raw.rows, units, told))
+            tables += _instances(_Table(path, raw.name + suffix, t_ns, raw.name, raw.rows, units, told))
     return tables
 
 
 def _instances(table: _Table) -> list[_Table]:
     """Split a message by the sensor it numbers, where it does."""
-    if "id" not in (table.rows.dtype.names or ()):
+    if not table.has("id"):
         return [table]
     number = table.rows["id"]
     return [
@@ -289,7 +282,7 @@ def _series(tables: list[_Table]) -> list[Series]:
         found.append(_one(table, Kind.IMU, f"sent in {units}", _read_imu))
     attitudes = of(*ATTITUDES)
     found += [_one(table, Kind.ATTITUDE, "body FRD to NED", _read_attitude) for table in attitudes]
-    found += [_one(table, Kind.POSITION, "NED", _read_position) for table in of(POSITION)]
+    found += [_one(table, Kind.POSITION, "NED", lambda t: t.position(XYZ)) for table in of(POSITION)]
     for table in of(POSITION):
         sender = table.label.removeprefix(table.name)
         own = [attitude for attitude in attitudes if attitude.label == attitude.name + sender]
@@ -302,12 +295,12 @@ def _series(tables: list[_Table]) -> list[Series]:
     return found
 
 
-def _one(table: _Table, kind: Kind, note: str, read: Callable[[_Table, list[str]], Stream]) -> Series:
-    return Series(Topic(table.label, kind, table.t_ns, f"{note}; {table.clock}"), partial(read, table))
+def _one(table: _Table, kind: Kind, note: str, read: Callable[[_Table], WithProblems[Stream]]) -> Series:
+    return series_of(table, kind, f"{note}; {table.clock}", read)
 
 
-def _read_imu(table: _Table, problems: list[str]) -> ImuStream:
-    gyro_rad_s, accel_m_s2 = table.numbers(GYRO), table.numbers(ACCEL)
+def _read_imu(table: _Table) -> WithProblems[ImuStream]:
+    gyro_rad_s, accel_m_s2 = table.numbers(*GYRO), table.numbers(*ACCEL)
     if table.name == "HIGHRES_IMU":
         updated = table.rows["fields_updated"].astype(np.int64)
         for values, bits in ((gyro_rad_s, GYRO_UPDATED), (accel_m_s2, ACCEL_UPDATED)):
@@ -320,32 +313,25 @@ def _read_imu(table: _Table, problems: list[str]) -> ImuStream:
             file=table.file,
             remedy="choose another IMU message, or ask the vehicle for SCALED_IMU",
         )
-    return imu_stream(table.t_ns, gyro_rad_s, accel_m_s2, table.where(problems))
+    return imu_stream(table.t_ns, gyro_rad_s, accel_m_s2, table.where())
 
 
-def _read_attitude(table: _Table, problems: list[str]) -> AttitudeStream:
+def _read_attitude(table: _Table) -> WithProblems[AttitudeStream]:
     if table.name == "ATTITUDE":
-        q_world_body = quaternions(*table.numbers(("roll", "pitch", "yaw")).T)
-    else:
-        q_world_body = table.numbers(("q1", "q2", "q3", "q4"))
-    return attitude_stream(table.t_ns, q_world_body, table.where(problems))
+        return table.attitude_from_angles(EULER)
+    return table.attitude(QUATERNION)
 
 
-def _read_position(table: _Table, problems: list[str]) -> VectorStream:
-    return vector_stream(table.t_ns, table.numbers(("x", "y", "z")), table.where(problems), MAX_POSITION)
-
-
-def _read_velocity(attitude: _Table, table: _Table, problems: list[str]) -> VectorStream:
-    turning = _read_attitude(attitude, [])  # its own problems are told where it is asked for
-    return velocity_stream(table.t_ns, table.numbers(("vx", "vy", "vz")), turning, table.where(problems))
+def _read_velocity(attitude: _Table, table: _Table) -> WithProblems[VectorStream]:
+    turning = _read_attitude(attitude).value  # its problems are reported where it is read itself
+    return velocity_stream(table.t_ns, table.numbers(*VELOCITY), turning, table.where())
 
 
 def _looks_down(table: _Table) -> BoolArray:
     return np.asarray(table.rows["orientation"] == DOWNWARD)
 
 
-def _read_range(table: _Table, problems: list[str]) -> RangeStream:
-    distance_m, low_m, high_m = table.numbers(DISTANCES).T
+def _read_range(table: _Table) -> WithProblems[RangeStream]:
+    distance_m, low_m, high_m = table.numbers(*DISTANCES).T
     trusted = _looks_down(table) & (table.rows["signal_quality"] != INVALID_SIGNAL)
-    where = table.where(problems)
-    return range_stream(table.t_ns, distance_m, where, limits_m=(low_m, high_m), trusted=trusted)
+    return range_stream(table.t_ns, distance_m, table.where(), limits_m=(low_m, high_m), trusted=trusted)

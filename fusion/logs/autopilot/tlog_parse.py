@@ -61,10 +61,10 @@ def find_packets(data: ByteArray, seeds: dict[int, int], wanted: Iterable[int]) 
     is_wanted = np.zeros(MAX_ID, dtype=np.bool_)
     is_wanted[list(wanted)] = True
     tally = np.zeros(4, dtype=np.int64)
-    _walk(data, seed_of, is_wanted, tally, np.empty((0, _COLUMNS), dtype=np.int64))
+    _scan(data, seed_of, is_wanted, tally, np.empty((0, _COLUMNS), dtype=np.int64))
     found = np.empty((int(tally[_FOUND]), _COLUMNS), dtype=np.int64)
     if len(found):
-        _walk(data, seed_of, is_wanted, np.zeros(4, dtype=np.int64), found)
+        _scan(data, seed_of, is_wanted, np.zeros(4, dtype=np.int64), found)
     kinds, payloads_at, sizes, senders, records = found.T.copy()
     damaged, unknown, lost = (int(tally[k]) for k in (_DAMAGED, _UNKNOWN, _LOST))
     return Packets(kinds, payloads_at, sizes, senders, records, damaged, unknown, lost)
@@ -83,7 +83,7 @@ def _checksum(data: ByteArray, start: int, end: int, seed: int) -> int:
 
 
 @compiled
-def _walk(
+def _scan(
     data: ByteArray,
     seed_of: IndexArray,
     is_wanted: npt.NDArray[np.bool_],
@@ -149,7 +149,22 @@ def _copy(data: ByteArray, starts: IndexArray, lengths: IndexArray, rows: ByteAr
 def payloads(
     data: ByteArray, starts: IndexArray, lengths: IndexArray, dtype: np.dtype[np.void]
 ) -> npt.NDArray[np.void]:
-    """Payloads (n,) as records; what was not sent is zero."""
+    """Read payloads as records; what was not sent is zero.
+
+    Parameters
+    ----------
+    data
+        Bytes of the log.
+    starts, lengths
+        Where the payloads begin, and how long they are (n,).
+    dtype
+        Layout of the message.
+
+    Returns
+    -------
+    array
+        Records (n,).
+    """
     rows = np.zeros((len(starts), dtype.itemsize), dtype=np.uint8)
     _copy(data, starts, lengths, rows)
     return rows.view(dtype)[:, 0] if len(starts) else np.empty(0, dtype)

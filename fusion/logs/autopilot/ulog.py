@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,19 +19,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
-from fusion.logs.contents import Kind, LogContents, Topic
-from fusion.logs.samples import BoolArray, counted
+from fusion.flight import FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
+from fusion.logs.autopilot.table import DOWNWARD, MessageTable, begins_with, series_of
+from fusion.logs.contents import Kind, LogContents
+from fusion.logs.interpolation import interpolated
+from fusion.logs.samples import BoolArray, Problems, WithProblems, counted
 from fusion.logs.series import (
     MAX_ACCELERATION,
     MAX_POSITION,
     Series,
     SeriesLog,
-    Stream,
-    Where,
-    attitude_stream,
     imu_stream,
-    interpolated,
     nanoseconds,
     range_stream,
     vector_stream,
@@ -61,7 +58,6 @@ XYZ = POSITION = ("x", "y", "z")
 VELOCITY = ("vx", "vy", "vz")
 DISTANCE, DISTANCE_LIMITS = "current_distance", ("min_distance", "max_distance")  # metres
 
-DOWNWARD = 25  # ROTATION_DOWNWARD_FACING of distance_sensor.orientation
 INVALID_SIGNAL = 0  # percent; -1 is a quality that is not known
 
 MAX_ACCEL_GAP_NS = 50_000_000
@@ -72,47 +68,43 @@ REREADS = 8  # times the file's size that pyulog may read before it is taken to 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Table:
-    """One message's columns, and what to call it."""
+class _Table(MessageTable):
+    """One message's columns, and which instance of the message it is."""
 
-    path: Path
-    label: str
+    name: str
     columns: dict[str, npt.NDArray[np.generic]]
 
-    def numbers(self, *names: str) -> FloatArray:
+    def numbers(self, *columns: str) -> FloatArray:
         """Columns (n, k) as floats."""
         with np.errstate(invalid="ignore"):  # a damaged float may be a signalling NaN
-            return np.stack([self.columns[name].astype(float) for name in names], axis=1)
+            return np.stack([self.columns[name].astype(float) for name in columns], axis=1)
 
-    def has(self, *names: str) -> bool:
+    def has(self, *columns: str) -> bool:
         """Whether all of these columns are there."""
-        return all(name in self.columns for name in names)
-
-    def where(self, problems: list[str]) -> Where:
-        """Where to report what is wrong with it."""
-        return Where(self.path, self.label, problems)
+        return all(name in self.columns for name in columns)
 
     def trusted(self, *flags: str) -> BoolArray:
         """Rows (n,) whose flags, as far as they are logged, are all up."""
-        up = np.ones(len(self.columns["timestamp"]), dtype=bool)
+        up = np.ones(len(self.t_ns), dtype=bool)
         for flag in flags:
             if flag in self.columns:
                 up &= self.columns[flag] != 0
         return up
 
-    def t_ns(self) -> TimeArray:
-        """When each sample was taken (n,), not when it was logged, where the log tells."""
-        logged = self.columns["timestamp"].astype(np.uint64)
-        if "timestamp_sample" in self.columns:
-            taken = self.columns["timestamp_sample"].astype(np.uint64)
-            logged = np.where(taken > 0, taken, logged)
-        return nanoseconds(logged, 1000)
+
+def _sample_times(columns: dict[str, npt.NDArray[np.generic]]) -> TimeArray:
+    """When each sample was taken (n,), not when it was logged, where the log tells."""
+    logged = columns["timestamp"].astype(np.uint64)
+    if "timestamp_sample" in columns:
+        taken = columns["timestamp_sample"].astype(np.uint64)
+        logged = np.where(taken > 0, taken, logged)
+    return nanoseconds(logged, 1000)
 
 
 class _BoundedReader(io.BufferedReader):
     """A file that pretends to end once far more than its size was read.
 
-    pyulog seeks back over what looks damaged; at a torn end it can do so for ever.
+    pyulog seeks back over what looks damaged; at a torn end it may never stop.
     """
 
     def __init__(self, path: Path) -> None:
@@ -130,10 +122,7 @@ class _BoundedReader(io.BufferedReader):
 
 def recognises(path: Path) -> bool:
     """Whether a file begins as ULogs do."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(MAGIC)) == MAGIC
+    return begins_with(path, MAGIC)
 
 
 def open_log(path: Path) -> LogContents:
@@ -144,24 +133,27 @@ def open_log(path: Path) -> LogContents:
     InputError
         Where pyulog is not installed, or the file holds none of them.
     """
-    problems: list[str] = []
-    log = _parse(path, problems)
-    tables: dict[tuple[str, int], _Table] = {}
+    log, problems = _parse(path)
+    found: dict[tuple[str, int], _Table] = {}
     for data in log.data_list:
-        if (data.name, data.multi_id) not in tables and "timestamp" in data.data:
+        if (data.name, data.multi_id) not in found and "timestamp" in data.data:
             label = data.name if data.multi_id == 0 else f"{data.name}[{data.multi_id}]"
-            tables[data.name, data.multi_id] = _Table(path, label, data.data)
-    series = [*_imus(tables), *_attitudes(tables), *_local_positions(tables, problems), *_ranges(tables)]
+            found[data.name, data.multi_id] = _Table(
+                path, label, _sample_times(data.data), data.name, data.data
+            )
+    tables = [table for _, table in sorted(found.items(), key=lambda item: item[0])]
+    local, distrusted = _local_positions(tables)
+    series = [*_imus(tables), *_attitudes(tables), *local, *_ranges(tables)]
     if not series:
         raise InputError(
             "holds no IMU, attitude or position",
             file=path,
             remedy=f"log at least sensor_combined and {ATTITUDE} (SDLOG_PROFILE), or copy the whole file",
         )
-    return SeriesLog(path, FORMAT, series, problems)
+    return SeriesLog(path, FORMAT, series, problems + distrusted)
 
 
-def _parse(path: Path, problems: list[str]) -> ULog:
+def _parse(path: Path) -> WithProblems[ULog]:
     try:
         from pyulog import ULog
     except ImportError:
@@ -179,48 +171,43 @@ def _parse(path: Path, problems: list[str]) -> ULog:
             file=path,
             remedy="copy the log from the vehicle again",
         ) from error
+    problems: Problems = ()
     if log.file_corruption or file.left <= 0:
-        problems.append("parts of the file are damaged and were skipped")
+        problems += ("parts of the file are damaged and were skipped",)
     if file.torn:
-        problems.append("the file ends in the middle of a message: it was cut short")
+        problems += ("the file ends in the middle of a message: it was cut short",)
     if log.has_data_appended:
-        problems.append("data were appended after the log was closed (after a crash of the autopilot)")
+        problems += ("data were appended after the log was closed (after a crash of the autopilot)",)
     if log.dropouts:
         total_s = sum(dropout.duration for dropout in log.dropouts) * 1e-3
         longest_s = max(dropout.duration for dropout in log.dropouts) * 1e-3
-        problems.append(
+        problems += (
             f"the logger could not keep up: {counted(len(log.dropouts), 'dropout')}, {total_s:.3g} s in all, "
-            f"the longest {longest_s:.3g} s"
+            f"the longest {longest_s:.3g} s",
         )
-    return log
+    return WithProblems(log, problems)
 
 
-def _instances(tables: dict[tuple[str, int], _Table], name: str, *columns: str) -> list[_Table]:
+def _instances(tables: list[_Table], name: str, *columns: str) -> list[_Table]:
     """Every instance of a message that has these columns and samples."""
-    found = [table for (other, _), table in sorted(tables.items()) if other == name]
-    return [table for table in found if table.has(*columns) and len(table.columns["timestamp"])]
+    return [table for table in tables if table.name == name and table.has(*columns) and len(table.t_ns)]
 
 
-def _series(table: _Table, kind: Kind, t_ns: TimeArray, note: str, read: Callable[..., Stream]) -> Series:
-    return Series(Topic(table.label, kind, t_ns, note), partial(read, table, t_ns))
-
-
-def _imus(tables: dict[tuple[str, int], _Table]) -> list[Series]:
+def _imus(tables: list[_Table]) -> list[Series]:
     found: list[Series] = []
     for table in _instances(tables, "sensor_combined", *GYRO_RAD, *ACCEL_M_S2):
-        t_ns = table.t_ns()
         if table.has("gyro_integral_dt"):
-            t_ns = _middle(t_ns, table.numbers("gyro_integral_dt")[:, 0])
+            table = replace(table, t_ns=_middle(table.t_ns, table.column("gyro_integral_dt")))
         note = "calibrated; the IMU that the autopilot flew by"
-        found.append(_series(table, Kind.IMU, t_ns, note, _read_combined))
+        found.append(series_of(table, Kind.IMU, note, _read_combined))
     for table in _instances(tables, "vehicle_imu", *DELTA_ANGLE, *DELTA_VELOCITY, *INTERVALS):
-        t_ns = _middle(table.t_ns(), table.numbers(INTERVALS[0])[:, 0])
-        found.append(_series(table, Kind.IMU, t_ns, "calibrated, integrated", _read_integrated))
+        table = replace(table, t_ns=_middle(table.t_ns, table.column(INTERVALS[0])))
+        found.append(series_of(table, Kind.IMU, "calibrated, integrated", _read_integrated))
     accels = {table.label: table for table in _instances(tables, "sensor_accel", *XYZ)}
     for table in _instances(tables, "sensor_gyro", *XYZ):
         accel = accels.get(table.label.replace("gyro", "accel"))
         note = "raw, not calibrated" if accel else "raw, not calibrated, no acceleration"
-        found.append(_series(table, Kind.IMU, table.t_ns(), note, partial(_read_raw, accel)))
+        found.append(series_of(table, Kind.IMU, note, partial(_read_raw, accel)))
     return found
 
 
@@ -230,99 +217,97 @@ def _middle(t_ns: TimeArray, interval_us: FloatArray) -> TimeArray:
     return np.asarray(t_ns - np.where(sound, interval_us * 500.0, 0.0).astype(np.int64))
 
 
-def _read_combined(table: _Table, t_ns: TimeArray, problems: list[str]) -> ImuStream:
+def _read_combined(table: _Table) -> WithProblems[ImuStream]:
     accel_m_s2 = table.numbers(*ACCEL_M_S2)
     if table.has("accelerometer_timestamp_relative"):
         accel_m_s2[table.columns["accelerometer_timestamp_relative"] == NO_ACCEL] = np.nan
-    return imu_stream(t_ns, table.numbers(*GYRO_RAD), accel_m_s2, table.where(problems))
+    return imu_stream(table.t_ns, table.numbers(*GYRO_RAD), accel_m_s2, table.where())
 
 
-def _read_integrated(table: _Table, t_ns: TimeArray, problems: list[str]) -> ImuStream:
+def _read_integrated(table: _Table) -> WithProblems[ImuStream]:
     interval_us = table.numbers(*INTERVALS)
     interval_s = np.where(interval_us > 0.0, interval_us * 1e-6, np.nan)
     gyro_rad_s = table.numbers(*DELTA_ANGLE) / interval_s[:, :1]
     accel_m_s2 = table.numbers(*DELTA_VELOCITY) / interval_s[:, 1:]
-    return imu_stream(t_ns, gyro_rad_s, accel_m_s2, table.where(problems))
+    return imu_stream(table.t_ns, gyro_rad_s, accel_m_s2, table.where())
 
 
-def _read_raw(accel: _Table | None, table: _Table, t_ns: TimeArray, problems: list[str]) -> ImuStream:
+def _read_raw(accel: _Table | None, table: _Table) -> WithProblems[ImuStream]:
     """``sensor_gyro`` with the acceleration of the sensor of the same number, interpolated."""
-    accel_m_s2 = np.full((len(t_ns), 3), np.nan)
+    accel_m_s2 = np.full((len(table.t_ns), 3), np.nan)
+    problems: Problems = ()
     if accel is not None:
         try:
-            samples = vector_stream(
-                accel.t_ns(), accel.numbers(*XYZ), accel.where(problems), MAX_ACCELERATION
+            samples, problems = vector_stream(
+                accel.t_ns, accel.numbers(*XYZ), accel.where(), MAX_ACCELERATION
             )
         except InputError as error:
-            problems.append(f"{accel.label}: {error.problem}, left out")
+            problems = (f"{accel.label}: {error.problem}, left out",)
         else:
-            accel_m_s2 = interpolated(samples, t_ns, max(MAX_ACCEL_GAP_NS, 2 * _median_step_ns(t_ns)))
-    return imu_stream(t_ns, table.numbers(*XYZ), accel_m_s2, table.where(problems))
+            max_gap_ns = max(MAX_ACCEL_GAP_NS, 2 * _median_step_ns(table.t_ns))
+            accel_m_s2 = interpolated(samples, table.t_ns, max_gap_ns)
+    imu, more = imu_stream(table.t_ns, table.numbers(*XYZ), accel_m_s2, table.where())
+    return WithProblems(imu, problems + more)
 
 
 def _median_step_ns(t_ns: TimeArray) -> int:
     return int(np.median(np.abs(np.diff(t_ns)))) if len(t_ns) > 1 else 0
 
 
-def _attitudes(tables: dict[tuple[str, int], _Table]) -> list[Series]:
-    found = _instances(tables, ATTITUDE, *QUATERNION)
-    return [_series(table, Kind.ATTITUDE, table.t_ns(), "body FRD to NED", _read_attitude) for table in found]
+def _attitudes(tables: list[_Table]) -> list[Series]:
+    return [
+        series_of(table, Kind.ATTITUDE, "body FRD to NED", lambda t: t.attitude(QUATERNION))
+        for table in _instances(tables, ATTITUDE, *QUATERNION)
+    ]
 
 
-def _read_attitude(table: _Table, t_ns: TimeArray, problems: list[str]) -> AttitudeStream:
-    return attitude_stream(t_ns, table.numbers(*QUATERNION), table.where(problems))
-
-
-def _local_positions(tables: dict[tuple[str, int], _Table], problems: list[str]) -> list[Series]:
-    """Positions and velocities; left out, and said so, where the autopilot never trusted them."""
+def _local_positions(tables: list[_Table]) -> WithProblems[list[Series]]:
+    """Positions and velocities; left out, with a problem, where the autopilot never trusted them."""
     attitudes = _instances(tables, ATTITUDE, *QUATERNION)
     found: list[Series] = []
+    problems: Problems = ()
     for table in _instances(tables, LOCAL_POSITION, *POSITION):
         if table.trusted("xy_valid", "z_valid").any():
             note = "NED, from where the autopilot started"
-            found.append(_series(table, Kind.POSITION, table.t_ns(), note, _read_position))
+            found.append(series_of(table, Kind.POSITION, note, _read_position))
         else:
-            problems.append(f"{table.label}: the autopilot never trusted its position, left out")
+            problems += (f"{table.label}: the autopilot never trusted its position, left out",)
     for table in _instances(tables, LOCAL_POSITION, *VELOCITY):
         if not table.trusted("v_xy_valid", "v_z_valid").any():
-            problems.append(f"{table.label}: the autopilot never trusted its velocity, left out")
+            problems += (f"{table.label}: the autopilot never trusted its velocity, left out",)
         elif not attitudes:
-            problems.append(
-                f"{table.label}: its velocity is left out, no {ATTITUDE} to turn it into the body"
-            )
+            problems += (f"{table.label}: its velocity is left out, no {ATTITUDE} to turn it into the body",)
         else:
             note = f"NED, turned into the body by {attitudes[0].label}"
-            read = partial(_read_velocity, attitudes[0])
-            found.append(_series(table, Kind.VELOCITY, table.t_ns(), note, read))
-    return found
+            found.append(series_of(table, Kind.VELOCITY, note, partial(_read_velocity, attitudes[0])))
+    return WithProblems(found, problems)
 
 
-def _read_position(table: _Table, t_ns: TimeArray, problems: list[str]) -> VectorStream:
+def _read_position(table: _Table) -> WithProblems[VectorStream]:
     position_m = np.where(table.trusted("xy_valid", "z_valid")[:, None], table.numbers(*POSITION), np.nan)
     what = "a position that the autopilot did not trust"
-    return vector_stream(t_ns, position_m, table.where(problems), MAX_POSITION, what)
+    return vector_stream(table.t_ns, position_m, table.where(), MAX_POSITION, what)
 
 
-def _read_velocity(attitude: _Table, table: _Table, t_ns: TimeArray, problems: list[str]) -> VectorStream:
+def _read_velocity(attitude: _Table, table: _Table) -> WithProblems[VectorStream]:
     velocity_m_s = np.where(
         table.trusted("v_xy_valid", "v_z_valid")[:, None], table.numbers(*VELOCITY), np.nan
     )
-    turning = _read_attitude(attitude, attitude.t_ns(), [])  # its own problems are told where it is asked for
-    return velocity_stream(t_ns, velocity_m_s, turning, table.where(problems))
+    turning = attitude.attitude(QUATERNION).value  # its problems are reported where it is read itself
+    return velocity_stream(table.t_ns, velocity_m_s, turning, table.where())
 
 
-def _ranges(tables: dict[tuple[str, int], _Table]) -> list[Series]:
+def _ranges(tables: list[_Table]) -> list[Series]:
     """Distance sensors that look down; what looks elsewhere tells nothing of the floor."""
     found = _instances(tables, RANGE, DISTANCE, "orientation")
     down = [table for table in found if (table.columns["orientation"] == DOWNWARD).any()]
-    return [_series(table, Kind.RANGE, table.t_ns(), "looks down", _read_range) for table in down]
+    return [series_of(table, Kind.RANGE, "looks down", _read_range) for table in down]
 
 
-def _read_range(table: _Table, t_ns: TimeArray, problems: list[str]) -> RangeStream:
+def _read_range(table: _Table) -> WithProblems[RangeStream]:
     trusted = table.columns["orientation"] == DOWNWARD
     if table.has("signal_quality"):
         trusted &= table.columns["signal_quality"] != INVALID_SIGNAL
-    low_m, high_m = (table.numbers(name)[:, 0] if table.has(name) else np.nan for name in DISTANCE_LIMITS)
-    distance_m = table.numbers(DISTANCE)[:, 0]
-    where = table.where(problems)
-    return range_stream(t_ns, distance_m, where, limits_m=(low_m, high_m), trusted=trusted)
+    low_m, high_m = (table.column(name) if table.has(name) else np.nan for name in DISTANCE_LIMITS)
+    distance_m = table.column(DISTANCE)
+    return range_stream(table.t_ns, distance_m, table.where(), limits_m=(low_m, high_m), trusted=trusted)

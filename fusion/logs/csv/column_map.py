@@ -82,10 +82,25 @@ class ColumnMap(BaseModel):
 
     def columns_of(self, role: str) -> tuple[Column, ...]:
         """Return the columns named for a role such as ``gyro``; none where it is left open."""
-        named = getattr(self, role)
+        named: tuple[Column, ...] | Column | None = self._roles()[role][0]
         if named is None:
             return ()
         return named if isinstance(named, tuple) else (named,)
+
+    def unit_of(self, role: str) -> str | None:
+        """Return the unit of a role's columns; None where it has none."""
+        return self._roles()[role][1]
+
+    def _roles(self) -> dict[str, tuple[tuple[Column, ...] | Column | None, str | None]]:
+        return {
+            "gyro": (self.gyro, self.gyro_unit),
+            "accel": (self.accel, self.accel_unit),
+            "quaternion": (self.quaternion, None),
+            "euler": (self.euler, self.euler_unit),
+            "velocity": (self.velocity, self.velocity_unit),
+            "position": (self.position, self.position_unit),
+            "range": (self.range, self.range_unit),
+        }
 
 
 # DJI Tello, state packets of SDK 1.3 to 3.0, ten a second. Roll, pitch and yaw are whole degrees, yaw positive to

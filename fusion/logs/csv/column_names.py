@@ -7,6 +7,7 @@ from typing import Any
 
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap
 from fusion.logs.csv.table import Layout
+from fusion.logs.samples import Problems, WithProblems
 
 # {} stands for the axis. Names are compared in lower case, dots and blanks as underscores, without units.
 _VECTORS = {
@@ -38,51 +39,48 @@ def ready_map_of(layout: Layout) -> str | None:
     return next((key for key in READY_MAPS if _SIGNS[key] <= names), None)
 
 
-def map_of_names(layout: Layout, notes: list[str]) -> ColumnMap | None:
-    """Make a map of the columns whose names are known; ``notes`` say what unit was assumed. None: there are none.
+def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
+    """Make a map of the columns whose names are known, and say what unit was assumed; None where there are none.
 
     A vector's unit is that in brackets behind its names or at their end (``gyro_x_deg_s``); else SI.
     """
     known = [_normal(name, unit) for name, unit in zip(layout.names, layout.units, strict=True)]
     found: dict[str, Any] = {}
+    problems: Problems = ()
+
+    def take(role: str, patterns: list[list[str]], assumed: str, what: str | None = None) -> None:
+        nonlocal problems
+        columns, unit = _find(known, patterns, role)
+        if not columns:
+            return
+        names = tuple(layout.names[i] for i in columns)
+        found[role] = names[0] if role == "range" else names
+        if unit:
+            found[f"{role}_unit"] = unit
+        elif assumed:
+            problems += (f"{layout.path.name}: no unit is given for {what or names[0]}, {assumed} taken",)
+
     for role, patterns in _VECTORS.items():
-        unit = _find(
-            known, layout, [[p.format(axis) for axis in "xyz"] for p in patterns.split()], role, found
-        )
-        if unit == "" and role in found:
-            default = ColumnMap.model_fields[f"{role}_unit"].default
-            notes.append(f"{layout.path.name}: no unit is given for {role}, {default} taken")
-    _find(known, layout, [[p.format(part) for part in "wxyz"] for p in _QUATERNIONS], "quaternion", found)
+        axes = [[pattern.format(axis) for axis in "xyz"] for pattern in patterns.split()]
+        take(role, axes, ColumnMap.model_fields[f"{role}_unit"].default, role)
+    take("quaternion", [[p.format(part) for part in "wxyz"] for p in _QUATERNIONS], "")
     if "quaternion" not in found:
-        unit = _find(known, layout, [["roll", "pitch", "yaw"]], "euler", found)
-        if unit == "" and "euler" in found:
-            notes.append(f"{layout.path.name}: no unit is given for roll, pitch and yaw, rad taken")
-    unit = _find(known, layout, [[name] for name in _RANGES], "range", found)
-    if "range" in found:
-        (found["range"],) = found["range"]
-        if unit == "":
-            notes.append(f"{layout.path.name}: no unit is given for {found['range']}, m taken")
-    return ColumnMap(**found) if found else None
+        take("euler", [["roll", "pitch", "yaw"]], "rad", "roll, pitch and yaw")
+    take("range", [[name] for name in _RANGES], "m")
+    return WithProblems(ColumnMap(**found) if found else None, problems)
 
 
-def _find(
-    known: list[tuple[str, str]], layout: Layout, patterns: list[list[str]], role: str, found: dict[str, Any]
-) -> str:
-    """Put the columns of the first pattern that a file has under ``role``; return their unit, if any."""
+def _find(known: list[tuple[str, str]], patterns: list[list[str]], role: str) -> tuple[list[int], str]:
+    """Return the columns of the first pattern that a file has, and their unit, if any; none where it has none."""
     units = _UNITS.get(role, {})
     for names in patterns:
         for ending in ("", *units):
             wanted = [f"{name}_{ending}" if ending else name for name in names]
             places = [next((i for i, (name, _) in enumerate(known) if name == w), None) for w in wanted]
-            if None in places:
-                continue
-            columns = [int(i) for i in places if i is not None]
-            unit = units.get(ending) or units.get(known[columns[0]][1], "")
-            found[role] = tuple(layout.names[i] for i in columns)
-            if unit:
-                found[f"{role}_unit"] = unit
-            return unit
-    return ""
+            columns = [i for i in places if i is not None]
+            if len(columns) == len(wanted):
+                return columns, units.get(ending) or units.get(known[columns[0]][1], "")
+    return [], ""
 
 
 def _normal(name: str, unit: str) -> tuple[str, str]:

@@ -1,7 +1,7 @@
 """CSV files of any shape, read by a column map: one the user gives, a ready one, or one found from the header.
 
 Units become SI and axes FRD with z down, here, once. Where neither map nor manifest says the axes of the body,
-gravity decides between FRD and FLU, and it is said.
+gravity decides between FRD and FLU, and a problem reports the choice.
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.flight import AttitudeStream, FloatArray, TimeArray
+from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
 from fusion.logs.csv.column_names import map_of_names, ready_map_of
 from fusion.logs.csv.table import Layout, read_layout
 from fusion.logs.csv.times import ROLES, read_timed
+from fusion.logs.samples import WithProblems
 from fusion.logs.series import (
     MAX_POSITION,
     MAX_VELOCITY,
@@ -66,7 +67,7 @@ def recognises(path: Path) -> bool:
         layout = read_layout(path)
     except InputError:
         return False
-    return ready_map_of(layout) is not None or map_of_names(layout, []) is not None
+    return ready_map_of(layout) is not None or map_of_names(layout).value is not None
 
 
 def open_log(path: Path) -> LogContents:
@@ -91,45 +92,38 @@ def open_columns(
     Raises
     ------
     InputError
-        Where the file is none, a column is not there, or nothing says what the columns are.
+        Where the file cannot be read, a column is missing, or nothing says what the columns are.
     """
-    problems: list[str] = []
     layout = read_layout(
         path, *(() if not isinstance(columns, ColumnMap) else (columns.separator, columns.header))
     )
-    found, what = _map(layout, columns, problems)
-    table = _Table.read(layout, found, frame, problems)
+    (found, what), assumed = _map(layout, columns)
+    table, problems = _Table.read(layout, found, frame)
     series = []
-    kinds: tuple[tuple[Kind, tuple[str, ...], Callable[[_Table, list[str]], Stream]], ...] = (
-        (Kind.IMU, ("gyro",), _Table.imu),
-        (Kind.ATTITUDE, ("quaternion", "euler"), _Table.attitude),
-        (Kind.POSITION, ("position",), _Table.position),
-        (Kind.VELOCITY, ("velocity",), _Table.velocity),
-        (Kind.RANGE, ("range",), _Table.range),
-    )
-    for kind, roles, read in kinds:
+    for kind, roles, read in _READERS:
         if any(role in table.parts for role in roles):
             series.append(Series(Topic(kind.value, kind, table.t_ns, table.note(kind)), partial(read, table)))
-    return SeriesLog(path, what, series, problems)
+    return SeriesLog(path, what, series, assumed + problems)
 
 
-def _map(layout: Layout, columns: ColumnMap | str | None, problems: list[str]) -> tuple[ColumnMap, str]:
+def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[ColumnMap, str]]:
     """Return the map to use, and what to call the file."""
     if isinstance(columns, ColumnMap):
-        if all(getattr(columns, role) is None for role in ROLES):
-            guessed = map_of_names(layout, problems)
+        if not any(columns.columns_of(role) for role in ROLES):
+            guessed, problems = map_of_names(layout)
             if guessed is None:
                 raise InputError("the column map names no data", file=layout.path, remedy=_EXAMPLE)
-            return guessed.model_copy(update=columns.model_dump(exclude_unset=True)), "CSV"
-        return columns, "CSV"
+            changed = guessed.model_copy(update=columns.model_dump(exclude_unset=True))
+            return WithProblems((changed, "CSV"), problems)
+        return WithProblems((columns, "CSV"))
     ready = columns or ready_map_of(layout)
     if ready is not None:
-        return _present(READY_MAPS[ready], layout), f"CSV ({ready})"
-    guessed = map_of_names(layout, problems)
+        return WithProblems((_present(READY_MAPS[ready], layout), f"CSV ({ready})"))
+    guessed, problems = map_of_names(layout)
     if guessed is None:
         listed = ", ".join(layout.names[:20]) if layout.has_names else f"{len(layout.names)} without names"
         raise InputError(f"its columns are not known by name: {listed}", file=layout.path, remedy=_EXAMPLE)
-    return guessed, "CSV"
+    return WithProblems((guessed, "CSV"), problems)
 
 
 def _present(ready: ColumnMap, layout: Layout) -> ColumnMap:
@@ -139,7 +133,7 @@ def _present(ready: ColumnMap, layout: Layout) -> ColumnMap:
         for role in ROLES
         if any(isinstance(name, str) and layout.look_for(name) is None for name in ready.columns_of(role))
     ]
-    named = [role for role in ROLES if getattr(ready, role) is not None]
+    named = [role for role in ROLES if ready.columns_of(role)]
     return ready if absent == named else ready.model_copy(update=dict.fromkeys(absent))
 
 
@@ -154,7 +148,7 @@ class _Table:
     parts: dict[str, FloatArray]
 
     @classmethod
-    def read(cls, layout: Layout, columns: ColumnMap, frame: Frame | None, problems: list[str]) -> _Table:
+    def read(cls, layout: Layout, columns: ColumnMap, frame: Frame | None) -> WithProblems[_Table]:
         """Read them all in one pass."""
         wanted: dict[str, list[int]] = {}
         for role in ROLES:
@@ -162,17 +156,17 @@ class _Table:
             if names:
                 wanted[role] = [layout.find(name, f"columns.{role}") for name in names]
         order = [index for indices in wanted.values() for index in indices]
-        t_ns, data = read_timed(layout, columns, order, problems)
+        timed, problems = read_timed(layout, columns, order)
         parts: dict[str, FloatArray] = {}
         start = 0
         for role, indices in wanted.items():
-            unit = getattr(columns, f"{role}_unit", None)
-            values = data.values[:, start : start + len(indices)]
+            unit = columns.unit_of(role)
+            values = timed.rows.values[:, start : start + len(indices)]
             parts[role] = values * _SI[unit] if unit is not None else values
             start += len(indices)
         if "accel" in parts:
             parts["accel"] = parts["accel"] * columns.accel_sign
-        return cls(layout.path, columns, frame, t_ns, parts)
+        return WithProblems(cls(layout.path, columns, frame, timed.t_ns, parts), problems)
 
     def note(self, kind: Kind) -> str:
         """Say the axes, where something says them."""
@@ -185,15 +179,15 @@ class _Table:
         )
         return f"axes {frame}" if frame else ""
 
-    def where(self, kind: Kind, problems: list[str]) -> Where:
-        """Where to report what is wrong with a stream."""
-        return Where(self.path, f"{self.path.name} ({kind.value})", problems)
+    def where(self, kind: Kind) -> Where:
+        """Return what to call a stream in messages."""
+        return Where(self.path, f"{self.path.name} ({kind.value})")
 
-    def body_frame(self, problems: list[str] | None) -> Frame:
-        """Return the body's axes: as told, else as gravity has it."""
+    def body_frame(self) -> WithProblems[Frame]:
+        """Return the body's axes: those of the map, else those that gravity shows, with a problem that reports it."""
         told = self.frame or self.columns.frame
         if told is not None:
-            return told
+            return WithProblems(told)
         accel = self.parts.get("accel")
         up = float(np.nanmedian(accel[:, 2])) if accel is not None and np.isfinite(accel[:, 2]).any() else 0.0
         if abs(up) > _UPRIGHT_M_S2:
@@ -201,43 +195,46 @@ class _Table:
             why = f"gravity stands {'up' if up > 0.0 else 'down'} its z axis"
         else:
             frame, why = "frd", "nothing tells"
-        if problems is not None:
-            problems.append(
-                f"{self.path.name}: axes taken as {frame}, {why}; name them with frame in flight.toml"
-            )
-        return frame
+        problem = f"{self.path.name}: axes taken as {frame}, {why}; name them with frame in flight.toml"
+        return WithProblems(frame, (problem,))
 
-    def imu(self, problems: list[str]) -> Stream:
+    def imu(self) -> WithProblems[ImuStream]:
         """Gyroscope and accelerometer, body FRD."""
         gyro = self.parts["gyro"]
         accel = self.parts.get("accel")
-        flip = _FLIP if self.body_frame(problems) in ("flu", "enu") else np.ones(3)
-        where = self.where(Kind.IMU, problems)
+        frame, problems = self.body_frame()
+        flip = _FLIP if frame in ("flu", "enu") else np.ones(3)
+        where = self.where(Kind.IMU)
         if accel is not None:
-            return imu_stream(self.t_ns, gyro * flip, accel * flip, where)
-        # That no row has what no column holds need not be told.
-        stream = imu_stream(self.t_ns, gyro * flip, np.zeros_like(gyro), where)
-        return replace(stream, accel_m_s2=np.full_like(stream.gyro_rad_s, np.nan))
+            imu, more = imu_stream(self.t_ns, gyro * flip, accel * flip, where)
+        else:
+            # That no row has what no column holds need not be told.
+            imu, more = imu_stream(self.t_ns, gyro * flip, np.zeros_like(gyro), where)
+            imu = replace(imu, accel_m_s2=np.full_like(imu.gyro_rad_s, np.nan))
+        return WithProblems(imu, problems + more)
 
-    def attitude(self, problems: list[str]) -> AttitudeStream:
+    def attitude(self) -> WithProblems[AttitudeStream]:
         """Body FRD to world z down."""
-        frame = self.body_frame(problems if "gyro" not in self.parts else None)
+        frame, problems = self.body_frame()
+        if "gyro" in self.parts:
+            problems = ()  # reported with the IMU
         q = self.parts["quaternion"] if "quaternion" in self.parts else quaternions(*self.parts["euler"].T)
         if frame == "flu":
             q = q * _Q_FLIP
         elif frame == "enu":
             q = _product(_product(np.array([_Q_NED_ENU]), q), np.array([_Q_FLU_FRD]))
-        return attitude_stream(self.t_ns, q, self.where(Kind.ATTITUDE, problems))
+        attitude, more = attitude_stream(self.t_ns, q, self.where(Kind.ATTITUDE))
+        return WithProblems(attitude, problems + more)
 
-    def position(self, problems: list[str]) -> Stream:
+    def position(self) -> WithProblems[VectorStream]:
         """World, z down."""
-        xyz = _world(self.parts["position"], self.body_frame(None))
-        return vector_stream(self.t_ns, xyz, self.where(Kind.POSITION, problems), MAX_POSITION)
+        xyz = _world(self.parts["position"], self.body_frame().value)
+        return vector_stream(self.t_ns, xyz, self.where(Kind.POSITION), MAX_POSITION)
 
-    def velocity(self, problems: list[str]) -> Stream:
+    def velocity(self) -> WithProblems[VectorStream]:
         """Body FRD."""
-        frame = self.frame or self.columns.velocity_frame or self.body_frame(None)
-        where = self.where(Kind.VELOCITY, problems)
+        frame = self.frame or self.columns.velocity_frame or self.body_frame().value
+        where = self.where(Kind.VELOCITY)
         v = self.parts["velocity"]
         if frame in ("frd", "flu"):
             return vector_stream(self.t_ns, v * _FLIP if frame == "flu" else v, where, MAX_VELOCITY)
@@ -247,16 +244,25 @@ class _Table:
                 file=self.path,
                 remedy="name the attitude's columns too, or leave the stream out: [velocity] use = false",
             )
-        # What is wrong with the attitude is told where that is read.
-        return velocity_stream(self.t_ns, _world(v, frame), self.attitude([]), where)
+        attitude = self.attitude().value  # its problems are reported where it is read itself
+        return velocity_stream(self.t_ns, _world(v, frame), attitude, where)
 
-    def range(self, problems: list[str]) -> Stream:
+    def range(self) -> WithProblems[RangeStream]:
         """Distance to the floor along the body's z."""
-        told, where = self.columns.range_limits, self.where(Kind.RANGE, problems)
+        told, where = self.columns.range_limits, self.where(Kind.RANGE)
         if told is None:
             return range_stream(self.t_ns, self.parts["range"][:, 0], where)
         low, high = (limit * _SI[self.columns.range_unit] for limit in told)
         return range_stream(self.t_ns, self.parts["range"][:, 0], where, limits_m=(low, high))
+
+
+_READERS: tuple[tuple[Kind, tuple[str, ...], Callable[[_Table], WithProblems[Stream]]], ...] = (
+    (Kind.IMU, ("gyro",), _Table.imu),
+    (Kind.ATTITUDE, ("quaternion", "euler"), _Table.attitude),
+    (Kind.POSITION, ("position",), _Table.position),
+    (Kind.VELOCITY, ("velocity",), _Table.velocity),
+    (Kind.RANGE, ("range",), _Table.range),
+)
 
 
 def _world(xyz: FloatArray, frame: Frame) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 
 import numpy as np
@@ -31,7 +32,7 @@ MISSING = np.iinfo(np.int64).min
 
 
 def unit_named(name: str, bracket: str) -> TimeUnit | None:
-    """Return the unit that a column's name ends in, as in ``time_ms``, or that stands in brackets behind it."""
+    """Return the unit that a column's name ends in, as in ``time_ms``, or that follows it in brackets."""
     for word in (bracket, name.rsplit("_", 1)[-1] if "_" in name else ""):
         unit = _SPELLINGS.get(word.strip().lower())
         if unit is not None:
@@ -40,7 +41,7 @@ def unit_named(name: str, bracket: str) -> TimeUnit | None:
 
 
 def is_time_name(name: str) -> int | None:
-    """Return how telling a column's name is of time stamps, the less the better; None where it is not."""
+    """Return how clearly a column's name means time stamps, 0 the clearest; None where it does not."""
     plain = name.strip().lower().lstrip("#").strip()
     stem, _, last = plain.rpartition("_")
     candidates = (plain, stem if last in _SPELLINGS else plain)
@@ -59,13 +60,13 @@ def guess_unit(values: npt.NDArray[np.generic]) -> TimeUnit:
     return min(NS, key=lambda unit: abs(np.log(step * NS[unit] / 1e9 / _TYPICAL_STEP_S)))
 
 
-def said(unit: TimeUnit) -> str:
+def in_words(unit: TimeUnit) -> str:
     """Name a unit in words."""
     return _IN_WORDS[unit]
 
 
 def to_ns(values: npt.NDArray[np.generic], unit: TimeUnit) -> TimeArray:
-    """Turn time stamps (n,) into nanoseconds; `MISSING` where one is none."""
+    """Turn time stamps (n,) into nanoseconds; `MISSING` where the text is no time."""
     if unit == "iso":
         return np.array([_date_ns(str(text)) for text in values.tolist()], dtype=np.int64)
     if values.dtype.kind == "i":
@@ -83,6 +84,24 @@ def to_ns(values: npt.NDArray[np.generic], unit: TimeUnit) -> TimeArray:
     part = np.rint((numbers - whole) * NS[unit] / quantum).astype(np.int64) * quantum
     t_ns = whole.astype(np.int64) * NS[unit] + part
     return np.where(ok, t_ns, MISSING)
+
+
+def decimal_to_ns(text: str, unit: TimeUnit) -> int:
+    """Turn a decimal number in a unit into nanoseconds without a float in between, whose digits would not do.
+
+    Raises
+    ------
+    ValueError, OverflowError
+        Where the text is no number, or no finite one.
+    """
+    scale = NS[unit]
+    digits = len(str(scale)) - 1
+    match = re.fullmatch(r"([+-]?)(\d+)(?:\.(\d*))?", text)
+    if match is None:
+        return round(float(text) * scale)
+    part = (match[3] or "")[:digits].ljust(digits, "0")
+    t_ns = int(match[2]) * scale + (int(part) if part else 0)
+    return -t_ns if match[1] == "-" else t_ns
 
 
 def _date_ns(text: str) -> int:

@@ -1,8 +1,8 @@
-"""Rows of a CSV with their times: the column of time stamps found, its unit too, dates and all."""
+"""Rows of a CSV with their times: which column holds the time stamps is found, and in which unit."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +10,10 @@ import numpy.typing as npt
 
 from fusion.flight import TimeArray
 from fusion.logs.csv.column_map import ColumnMap, TimeUnit
-from fusion.logs.csv.table import Columns, Layout, read_columns, read_layout
-from fusion.logs.csv.time_units import MISSING, guess_unit, is_time_name, said, to_ns, unit_named
-from fusion.logs.samples import counted
+from fusion.logs.csv.rows import Rows
+from fusion.logs.csv.table import Layout, read_columns, read_layout
+from fusion.logs.csv.time_units import MISSING, guess_unit, in_words, is_time_name, to_ns, unit_named
+from fusion.logs.samples import WithProblems, counted
 from vision import InputError
 
 ROLES = ("gyro", "accel", "quaternion", "euler", "velocity", "position", "range")
@@ -37,7 +38,7 @@ class FrameTimes:
     names: tuple[str, ...] | None
 
 
-def read_times(path: Path, columns: ColumnMap | str | None, problems: list[str]) -> FrameTimes:
+def read_times(path: Path, columns: ColumnMap | str | None) -> WithProblems[FrameTimes]:
     """Read when pictures were taken, and, where a column gives them, their file names.
 
     Raises
@@ -45,23 +46,25 @@ def read_times(path: Path, columns: ColumnMap | str | None, problems: list[str])
     InputError
         Where the file has no time stamps.
     """
-    told = columns if isinstance(columns, ColumnMap) else ColumnMap()
-    layout = read_layout(path, told.separator, told.header)
-    names = _picture_column(layout, told)
-    t_ns, data = read_timed(layout, told, [], problems, avoid=names)
+    column_map = columns if isinstance(columns, ColumnMap) else ColumnMap()
+    layout = read_layout(path, column_map.separator, column_map.header)
+    names = _picture_column(layout, column_map)
+    timed, problems = read_timed(layout, column_map, [], avoid=names)
+    number = timed.rows.number
     if names is None:
-        return FrameTimes(data.row, t_ns, None)
-    files = read_columns(layout, names, [], "O", [])
-    at = np.searchsorted(files.row, data.row)
-    return FrameTimes(data.row, t_ns, tuple(str(files.first[i]).strip() for i in at))
+        return WithProblems(FrameTimes(number, timed.t_ns, None), problems)
+    files = read_columns(layout, names, [], "O").value  # its problems are those of the times
+    at = np.searchsorted(files.number, number)
+    listed = tuple(str(files.first[i]).strip() for i in at)
+    return WithProblems(FrameTimes(number, timed.t_ns, listed), problems)
 
 
-def _picture_column(layout: Layout, told: ColumnMap) -> int | None:
-    """Find the column of file names: as told, else the first whose fields end as pictures do."""
+def _picture_column(layout: Layout, column_map: ColumnMap) -> int | None:
+    """Find the column of file names: that of the map, else the first whose fields end like names of pictures."""
     from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES
 
-    if told.picture is not None:
-        return layout.find(told.picture, "columns.picture")
+    if column_map.picture is not None:
+        return layout.find(column_map.picture, "columns.picture")
     for index in range(len(layout.names)):
         fields = [row[index] for row in layout.sample if index < len(row)]
         pictures = sum(Path(field).suffix.lower() in PICTURE_SUFFIXES for field in fields)
@@ -70,10 +73,18 @@ def _picture_column(layout: Layout, told: ColumnMap) -> int | None:
     return None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TimedRows:
+    """Rows of a file and the times (n,) of each in nanoseconds, as they stand."""
+
+    t_ns: TimeArray
+    rows: Rows
+
+
 def read_timed(
-    layout: Layout, columns: ColumnMap, others: list[int], problems: list[str], avoid: int | None = None
-) -> tuple[TimeArray, Columns]:
-    """Read the time column, in nanoseconds, with others; rows whose time is none are dropped with the damaged.
+    layout: Layout, columns: ColumnMap, others: list[int], avoid: int | None = None
+) -> WithProblems[TimedRows]:
+    """Read the time column, in nanoseconds, with others; rows without a time are dropped like damaged ones.
 
     Parameters
     ----------
@@ -81,8 +92,6 @@ def read_timed(
         Of the file, and which column is the time, if that is told.
     others
         Indices of further columns of numbers.
-    problems
-        Sentences are appended here.
     avoid
         A column that is not the time.
 
@@ -94,13 +103,13 @@ def read_timed(
     index = _time_column(layout, columns, avoid)
     unit = columns.time_unit or unit_named(_title(layout, index), layout.units[index])
     fields = [row[index] for row in layout.sample if index < len(row)]
-    data = read_columns(layout, index, others, _time_type(fields, unit, layout), problems)
+    data, problems = read_columns(layout, index, others, _time_type(fields, unit))
     if data.first.dtype.kind == "O":
         unit = "iso"
     elif unit is None:
         unit = guess_unit(data.first)
-        problems.append(
-            f"{layout.path.name}: times taken for {said(unit)}; time_unit in flight.toml says otherwise"
+        problems += (
+            f"{layout.path.name}: times taken for {in_words(unit)}; time_unit in flight.toml says otherwise",
         )
     t_ns = to_ns(data.first, unit)
     good = t_ns != MISSING
@@ -117,13 +126,14 @@ def read_timed(
             remedy="name another column, time under columns in flight.toml, or log the time of each row",
         )
     if not good.all():
-        problems.append(
-            f"{layout.path.name}: {counted(int(np.count_nonzero(~good)), 'row')} without a time dropped"
+        problems += (
+            f"{layout.path.name}: {counted(int(np.count_nonzero(~good)), 'row')} without a time dropped",
         )
-    return t_ns[good], Columns(data.row[good], data.first[good], data.values[good])
+    kept = replace(data, number=data.number[good], first=data.first[good], values=data.values[good])
+    return WithProblems(TimedRows(t_ns[good], kept), problems)
 
 
-def _time_type(fields: list[str], unit: TimeUnit | None, layout: Layout) -> str:
+def _time_type(fields: list[str], unit: TimeUnit | None) -> str:
     """Type to read times as: whole numbers keep every digit."""
     whole = sum(field.lstrip("+-").isdigit() for field in fields)
     if unit == "iso":
@@ -144,7 +154,7 @@ def _time_column(layout: Layout, columns: ColumnMap, avoid: int | None) -> int:
     ranked = [(rank, i) for i, name in enumerate(layout.names) if (rank := is_time_name(name)) is not None]
     if ranked:
         return min(ranked)[1]
-    if not layout.has_names and not any(getattr(columns, role) for role in ROLES):
+    if not layout.has_names and not any(columns.columns_of(role) for role in ROLES):
         return next(i for i in range(len(layout.names) + 1) if i != avoid)
     listed = ", ".join(layout.names[:20]) if layout.has_names else f"{len(layout.names)} without names"
     raise InputError(

@@ -12,9 +12,7 @@ Signs, once for all readers and writers of a manifest:
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
 from math import cos, radians, sin
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -22,15 +20,16 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
+from fusion.files import replacing
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
+from fusion.settings.sentences import OWN_CHECK, UNKNOWN_NAME, Complaint, complaints, did_you_mean
+from fusion.settings.toml import read_toml
 from vision import Camera, InputError
 
 MANIFEST_NAME = "flight.toml"
 STREAMS = ("camera", "imu", "attitude", "velocity", "position", "range")
 
 _STRICT = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
 _WORDS = {"path_type": "it should be a path in quotes", "model_type": "it should be a table"}
 
 
@@ -67,12 +66,16 @@ class StreamSource(BaseModel):
     )
     use: bool = Field(default=True, description="false leaves the stream out.")
 
+    def how_to_open(self) -> dict[str, Path | int | str | ColumnMap | None]:
+        """Return what the table says on opening the file, by key; None where it says nothing."""
+        return {"columns": self.columns, "frame": self.frame, "times": None, "start_ns": None}
+
     @model_validator(mode="after")
     def _known_columns(self) -> Self:
         if isinstance(self.columns, str) and self.columns not in READY_MAPS:
-            near = get_close_matches(self.columns, READY_MAPS, n=1, cutoff=0.3)
-            known = near[0] if near else " or ".join(READY_MAPS)
-            raise ValueError(f"columns = {self.columns!r} is no known map: did you mean {known}?")
+            near = did_you_mean(self.columns, READY_MAPS, cutoff=0.3)
+            remedy = near or f"did you mean {' or '.join(READY_MAPS)}?"
+            raise ValueError(f"columns = {self.columns!r} is no known map: {remedy}")
         return self
 
 
@@ -132,6 +135,10 @@ class CameraSource(StreamSource):
         default=1.0, strict=True, ge=0.2, le=5.0, description="Factor on the focal lengths."
     )
 
+    def how_to_open(self) -> dict[str, Path | int | str | ColumnMap | None]:
+        """Return what the table says on opening the file, by key; None where it says nothing."""
+        return super().how_to_open() | {"times": self.times, "start_ns": self.start_ns}
+
     @model_validator(mode="after")
     def _one_clock(self) -> Self:
         if self.times is not None and self.start_ns is not None:
@@ -173,12 +180,20 @@ class Manifest(BaseModel):
             raise ValueError("[camera] use is false: a flight needs its pictures")
         return self
 
+    def streams(self) -> dict[str, StreamSource]:
+        """Return the source of each of `STREAMS`, by name."""
+        return {
+            "camera": self.camera,
+            "imu": self.imu,
+            "attitude": self.attitude,
+            "velocity": self.velocity,
+            "position": self.position,
+            "range": self.range,
+        }
+
     def stream(self, name: str) -> StreamSource:
         """Return the source of one of `STREAMS`."""
-        source = getattr(self, name)
-        if not isinstance(source, StreamSource):
-            raise KeyError(name)
-        return source
+        return self.streams()[name]
 
 
 def corrected_camera(camera: Camera, source: CameraSource) -> Camera:
@@ -215,17 +230,7 @@ def read_manifest(path: str | Path) -> Manifest:
         Where the file is missing or torn, or names something unknown or out of bounds.
     """
     path = Path(path)
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"cannot be read: {error.strerror or error}", file=path, remedy="check the path"
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"is not TOML: {error}", file=path, remedy='write lines like file = "video.mp4"'
-        ) from error
-    return make_manifest(values, file=path)
+    return make_manifest(read_toml(path, 'file = "video.mp4"'), file=path)
 
 
 def make_manifest(values: Mapping[str, Any], *, file: Path | None = None) -> Manifest:
@@ -239,9 +244,12 @@ def make_manifest(values: Mapping[str, Any], *, file: Path | None = None) -> Man
     try:
         manifest = Manifest.model_validate(dict(values))
     except ValidationError as error:
-        problem, remedy = _explain(error.errors()[0])
+        problem, remedy = _explain(complaints(error, Manifest)[0])
         raise InputError(problem, file=file, remedy=remedy) from error
-    return _with_paths(manifest, (file or Path("x")).absolute().parent)
+    try:
+        return _with_paths(manifest, (file or Path("x")).absolute().parent)
+    except (ValueError, RuntimeError) as error:  # of a path that no system has: a null byte, an unknown user
+        raise InputError(f"names a path that cannot be: {error}", file=file, remedy="correct it") from error
 
 
 def _with_paths(manifest: Manifest, folder: Path) -> Manifest:
@@ -257,43 +265,25 @@ def _with_paths(manifest: Manifest, folder: Path) -> Manifest:
     return manifest.model_copy(update=absolute(manifest))
 
 
-def _explain(error: Any) -> tuple[str, str | None]:
-    """Turn pydantic's first complaint into a problem and a remedy."""
-    where = [str(part) for part in error["loc"] if part not in ("name", "map") or part == error["loc"][0]]
-    if error["type"] == "value_error":
-        prefix = f"[{where[0]}] " if where else ""
-        problem, _, remedy = str(error["ctx"]["error"]).partition(": ")
+def _explain(complaint: Complaint) -> tuple[str, str | None]:
+    """Word a problem and its remedy."""
+    if complaint.kind == OWN_CHECK:
+        prefix = f"[{complaint.path[0]}] " if complaint.path else ""
+        problem, _, remedy = complaint.message.partition(": ")
         return prefix + problem, remedy or "see `corridor fuse --help` for an example"
-    where = [part for part in where if part not in ("constrained-int", "constrained-str")]
-    model, field = _model_at(where[:-1]), where[-1]
-    dotted, value = ".".join(where), error["input"]
-    shown = "{...}" if isinstance(value, dict) else repr(value)
-    if error["type"] == "extra_forbidden":
-        return f"unknown key {dotted} = {shown}", _nearest(field, model)
-    known = model.model_fields.get(field)
-    message = _WORDS.get(error["type"]) or f"{error['msg'][0].lower()}{error['msg'][1:]}"
-    return f"{dotted} = {shown}: {message}", known.description if known else None
+    if complaint.kind == UNKNOWN_NAME:
+        return f"unknown key {complaint.dotted} = {complaint.shown}", _place_of(complaint)
+    message = _WORDS.get(complaint.kind) or complaint.message
+    known = complaint.field
+    return f"{complaint.dotted} = {complaint.shown}: {message}", known.description if known else None
 
 
-def _model_at(where: list[str]) -> type[BaseModel]:
-    """Return the model whose keys stand at a place of the manifest."""
-    if "columns" in where:
-        return ColumnMap
-    if not where:
-        return Manifest
-    models: dict[str, type[BaseModel]] = {
-        "camera": CameraSource,
-        "imu": ImuSource,
-        "attitude": SensorSource,
-        "range": RangeSource,
-    }
-    return models.get(where[0], StreamSource)
-
-
-def _nearest(key: str, model: type[BaseModel]) -> str:
-    near = get_close_matches(key, model.model_fields, n=1, cutoff=0.5)
+def _place_of(complaint: Complaint) -> str:
+    """Say what an unknown key may mean, or where it belongs."""
+    key, model = complaint.name, complaint.model
+    near = did_you_mean(key, model.model_fields)
     if near:
-        return f"did you mean {near[0]}?"
+        return near
     places: dict[str, type[BaseModel]] = {
         "at the top": Manifest,
         "in [camera]": CameraSource,
@@ -328,12 +318,12 @@ def write_manifest(manifest: Manifest, path: str | Path, notes: Mapping[str, str
     from fusion.logs.manifest.text import manifest_text
 
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.partial")
     try:
-        temporary.write_text(manifest_text(manifest, path.absolute().parent, notes or {}), encoding="utf-8")
-        temporary.replace(path)
+        with replacing(path) as temporary:
+            temporary.write_text(
+                manifest_text(manifest, path.absolute().parent, notes or {}), encoding="utf-8"
+            )
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise InputError(
             f"cannot be written: {error.strerror or error}", file=path, remedy="choose another place"
         ) from error

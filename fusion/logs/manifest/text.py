@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 from pydantic import BaseModel
 
 from fusion.logs.csv.column_map import ColumnMap
-from fusion.logs.manifest.manifest import STREAMS, Manifest, StreamSource
+from fusion.logs.manifest.manifest import Manifest, StreamSource
+from fusion.settings.toml import toml_value
 
 _HEAD = """\
 # Where each stream of this flight comes from. `corridor fuse` takes this file, `corridor align` writes into it.
@@ -37,8 +36,7 @@ def manifest_text(manifest: Manifest, folder: Path, notes: Mapping[str, str]) ->
     """Return the TOML text; paths relative to ``folder``, an absolute one, where they share more than the root."""
     lines = [_HEAD]
     lines += _lines(manifest, "", folder, notes)
-    for name in STREAMS:
-        source = manifest.stream(name)
+    for name, source in manifest.streams().items():
         inside = list(_lines(source, f"{name}.", folder, notes))
         if inside:
             lines += ["", f"[{name}]", *inside]
@@ -58,32 +56,14 @@ def _lines(model: BaseModel, prefix: str, folder: Path, notes: Mapping[str, str]
         dotted = prefix + key
         remarks = [_MEANING.get(dotted) or _MEANING.get(key), notes.get(dotted)]
         remark = "; ".join(_in_one_line(text) for text in remarks if text)
-        yield f"{key} = {_value(value, folder)}" + (f"  # {remark}" if remark else "")
+        yield f"{key} = {toml_value(relative(value, folder) if isinstance(value, Path) else value)}" + (
+            f"  # {remark}" if remark else ""
+        )
 
 
 def _in_one_line(text: str) -> str:
     """Keep a comment within its line: no line breaks, nothing that TOML forbids."""
     return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
-
-
-def _value(value: Any, folder: Path) -> str:
-    if isinstance(value, Path):
-        return _string(relative(value, folder))
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        text = repr(value)
-        return text if any(sign in text for sign in ".e") else text + ".0"
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, tuple | list):
-        return "[" + ", ".join(_value(item, folder) for item in value) + "]"
-    return _string(str(value))
-
-
-def _string(text: str) -> str:
-    """Quote as a basic string of TOML, which escapes as JSON does, and the delete character too."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def relative(path: Path, folder: Path) -> str:

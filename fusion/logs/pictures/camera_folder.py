@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from fusion.flight import FrameStream
-from fusion.logs.csv.strict_table import check_row, parse_time, read_rows
-from fusion.logs.samples import MIN_STEP_NS, counted, in_order
+from fusion.logs.csv.rows import parse_time, read_blocks
+from fusion.logs.csv.stamped_table import check_columns, read_table_head
+from fusion.logs.samples import MIN_STEP_NS, Problems, WithProblems, counted, in_order
 from vision import Camera, InputError
 from vision.images import GreyImage, read_image
 
@@ -30,7 +31,7 @@ class PictureFiles:
         return read_image(self.paths[index])
 
 
-def read_frames(cam: Path, problems: list[str]) -> FrameStream:
+def read_frames(cam: Path) -> WithProblems[FrameStream]:
     """Read ``data.csv`` (time, file name) of a camera folder, or, without it, times from the pictures' names.
 
     A picture that is listed but missing stays in the stream, so that its time is counted as unreadable.
@@ -48,11 +49,12 @@ def read_frames(cam: Path, problems: list[str]) -> FrameStream:
     folder = cam / "data"
     present = set(os.listdir(folder)) if folder.is_dir() else set()
     if (cam / "data.csv").exists():
-        times, names = _read_list(cam / "data.csv", problems, label)
+        (times, names), problems = _read_list(cam / "data.csv", label)
     else:
-        times, names = _times_from_names(cam, sorted(present), problems)
+        (times, names), problems = _times_from_names(cam, sorted(present))
     t_ns = np.array(times, dtype=np.int64)
-    index = in_order(t_ns, label, problems, MIN_STEP_NS, file=cam / "data.csv")
+    index, disorder = in_order(t_ns, label, MIN_STEP_NS, file=cam / "data.csv")
+    problems += disorder
     t_ns = t_ns[index]
     names = [names[i] for i in index]
     missing = [name for name in names if name not in present and not (folder / name).is_file()]
@@ -63,35 +65,42 @@ def read_frames(cam: Path, problems: list[str]) -> FrameStream:
             remedy="copy the pictures beside it",
         )
     if missing:
-        problems.append(f"{label}: {counted(len(missing), 'picture')} missing in data/ (first {missing[0]})")
-    return FrameStream(t_ns, PictureFiles(tuple(folder / name for name in names)))
+        problems += (f"{label}: {counted(len(missing), 'picture')} missing in data/ (first {missing[0]})",)
+    return WithProblems(FrameStream(t_ns, PictureFiles(tuple(folder / name for name in names))), problems)
 
 
-def _read_list(path: Path, problems: list[str], label: str) -> tuple[list[int], list[str]]:
-    _, rows = read_rows(path, problems, label)
-    check_row(path, rows, 2, ("timestamp", "filename"))
+_TimesAndNames = tuple[list[int], list[str]]
+
+
+def _read_list(path: Path, label: str) -> WithProblems[_TimesAndNames]:
+    head = read_table_head(path)
+    check_columns(path, head, 2, ("timestamp", "filename"))
     times: list[int] = []
     names: list[str] = []
     broken: list[str] = []
-    for row in rows:
-        time, _, name = row.partition(",")
-        t_ns, name = parse_time(time.strip()), name.strip()
-        if t_ns is not None and name and "," not in name:
-            times.append(t_ns)
-            names.append(name)
-        else:
-            broken.append(row)
+    problems: Problems = ()
+    for rows, cut in read_blocks(path, ",", skip_lines=head.lines):
+        for row in rows:
+            time, _, name = row.partition(",")
+            t_ns, name = parse_time(time.strip()), name.strip()
+            if t_ns is not None and name and "," not in name:
+                times.append(t_ns)
+                names.append(name)
+            else:
+                broken.append(row)
+        if cut:
+            problems += (f"{label}: the last line is cut short, dropped",)
     if not times:
         raise InputError(
             "has no row of time and file name", file=path, remedy="write nanoseconds, then the name"
         )
     if broken:
         what = f"{counted(len(broken), 'row')} not of time and name dropped"
-        problems.append(f"{label}: {what}, the first is {broken[0][:60]!r}")
-    return times, names
+        problems += (f"{label}: {what}, the first is {broken[0][:60]!r}",)
+    return WithProblems((times, names), problems)
 
 
-def _times_from_names(cam: Path, present: list[str], problems: list[str]) -> tuple[list[int], list[str]]:
+def _times_from_names(cam: Path, present: list[str]) -> WithProblems[_TimesAndNames]:
     pictures = [name for name in present if Path(name).suffix.lower() in PICTURE_SUFFIXES]
     timed = {name: t_ns for name in pictures if (t_ns := parse_time(Path(name).stem)) is not None}
     if not timed:
@@ -100,16 +109,16 @@ def _times_from_names(cam: Path, present: list[str], problems: list[str]) -> tup
             file=cam / "data.csv",
             remedy="write it: nanoseconds and file name in each line",
         )
-    problems.append(
-        f"{cam.name}/data.csv is missing: times taken from the names of {counted(len(timed), 'picture')}"
+    problems: Problems = (
+        f"{cam.name}/data.csv is missing: times taken from the names of {counted(len(timed), 'picture')}",
     )
     if len(timed) < len(pictures):
         other = next(name for name in pictures if name not in timed)
-        problems.append(
+        problems += (
             f"{cam.name}/data: {counted(len(pictures) - len(timed), 'picture')} not named by a time left out "
-            f"(first {other})"
+            f"(first {other})",
         )
-    return list(timed.values()), list(timed)
+    return WithProblems((list(timed.values()), list(timed)), problems)
 
 
 def check_size(frames: FrameStream, camera: Camera, file: Path | None = None) -> None:

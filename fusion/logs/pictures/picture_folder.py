@@ -16,10 +16,10 @@ import numpy as np
 from fusion.flight import FrameStream, TimeArray
 from fusion.logs.contents import Kind, Topic
 from fusion.logs.csv.column_map import ColumnMap
-from fusion.logs.csv.time_units import MISSING, guess_unit, said, to_ns
+from fusion.logs.csv.time_units import MISSING, guess_unit, in_words, to_ns
 from fusion.logs.csv.times import read_times
 from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES, PictureFiles
-from fusion.logs.samples import counted, in_order
+from fusion.logs.samples import Problems, WithProblems, counted, in_order
 from fusion.logs.series import SeriesLog, no_such_topic
 from vision import InputError
 
@@ -56,35 +56,33 @@ def open_folder(
     InputError
         Where there are no pictures, or nothing says when they were taken.
     """
-    problems: list[str] = []
     names = sorted((name for name in os.listdir(path) if _is_picture(name)), key=_natural)
     if not names:
         raise InputError("holds no pictures", file=path, remedy="give the folder that the pictures lie in")
     file = times or _times_inside(path)
     if file is not None:
-        t_ns, names = _listed(path, file, columns, names, problems)
+        (t_ns, names), problems = _times_from_list(path, file, columns, names)
     else:
-        t_ns, names = _named(path, names, columns, problems)
-    return PictureFolder(path, t_ns, tuple(names), tuple(problems))
+        (t_ns, names), problems = _times_from_names(path, names, columns)
+    return PictureFolder(path, t_ns, tuple(names), problems)
 
 
 class PictureFolder(SeriesLog):
     """A folder of pictures as `fusion.logs.contents.LogContents`: pictures and nothing else."""
 
-    def __init__(
-        self, path: Path, t_ns: TimeArray, names: tuple[str, ...], problems: tuple[str, ...]
-    ) -> None:
+    def __init__(self, path: Path, t_ns: TimeArray, names: tuple[str, ...], problems: Problems) -> None:
         super().__init__(path, "folder of pictures", (), problems)
         self.topics = (Topic(TOPIC, Kind.FRAMES, t_ns),)
         self._names = names
 
-    def frames(self, topic: str, problems: list[str]) -> FrameStream:
+    def frames(self, topic: str) -> WithProblems[FrameStream]:
         """Pictures, decoded one at a time; one that is missing counts as unreadable."""
         if topic != TOPIC:
             raise no_such_topic(self.path, self.topics, Kind.FRAMES, topic)
         t_ns = self.topics[0].t_ns
-        index = in_order(t_ns, self.path.name, problems, file=self.path, remedy=_REMEDY)
-        return FrameStream(t_ns[index], PictureFiles(tuple(self.path / self._names[i] for i in index)))
+        index, problems = in_order(t_ns, self.path.name, file=self.path, remedy=_REMEDY)
+        pictures = PictureFiles(tuple(self.path / self._names[i] for i in index))
+        return WithProblems(FrameStream(t_ns[index], pictures), problems)
 
 
 def _is_picture(name: str) -> bool:
@@ -101,18 +99,21 @@ def _times_inside(path: Path) -> Path | None:
     found = []
     for text in texts:
         try:
-            read_times(text, None, [])
+            read_times(text, None)
         except InputError:
             continue
         found.append(text)
     return found[0] if len(found) == 1 else None
 
 
-def _listed(
-    path: Path, file: Path, columns: ColumnMap | str | None, names: list[str], problems: list[str]
-) -> tuple[TimeArray, list[str]]:
+_TimesAndNames = tuple[TimeArray, list[str]]
+
+
+def _times_from_list(
+    path: Path, file: Path, columns: ColumnMap | str | None, names: list[str]
+) -> WithProblems[_TimesAndNames]:
     """Take times from a file: by its names, else row by row in the pictures' order."""
-    listed = read_times(file, columns, problems)
+    listed, problems = read_times(file, columns)
     if listed.names is None:
         n_rows = int(listed.row[-1]) + 1
         if n_rows != len(names):
@@ -121,7 +122,7 @@ def _listed(
                 file=file,
                 remedy="add a column of file names",
             )
-        return listed.t_ns, [names[row] for row in listed.row]
+        return WithProblems((listed.t_ns, [names[row] for row in listed.row]), problems)
     chosen = [os.path.relpath(_beside(path, file, name), path) for name in listed.names]
     missing = [name for name in chosen if not (path / name).is_file()]
     if len(missing) == len(chosen):
@@ -131,11 +132,11 @@ def _listed(
             remedy="name the folder that they lie in",
         )
     if missing:
-        problems.append(f"{path.name}: {counted(len(missing), 'picture')} missing (first {missing[0]})")
+        problems += (f"{path.name}: {counted(len(missing), 'picture')} missing (first {missing[0]})",)
     unlisted = len(set(names) - set(chosen))
     if unlisted:
-        problems.append(f"{path.name}: {counted(unlisted, 'picture')} not in {file.name} left out")
-    return listed.t_ns, chosen
+        problems += (f"{path.name}: {counted(unlisted, 'picture')} not in {file.name} left out",)
+    return WithProblems((listed.t_ns, chosen), problems)
 
 
 def _beside(path: Path, file: Path, name: str) -> Path:
@@ -147,9 +148,9 @@ def _beside(path: Path, file: Path, name: str) -> Path:
     return path / name
 
 
-def _named(
-    path: Path, names: list[str], columns: ColumnMap | str | None, problems: list[str]
-) -> tuple[TimeArray, list[str]]:
+def _times_from_names(
+    path: Path, names: list[str], columns: ColumnMap | str | None
+) -> WithProblems[_TimesAndNames]:
     """Take times from the pictures' names: the last number in each, if it is long enough to be a time."""
     found = [_NUMBER.findall(Path(name).stem) for name in names]
     texts = [numbers[-1] if numbers else "" for numbers in found]
@@ -166,9 +167,9 @@ def _named(
     unit = told or guess_unit(numbers)
     t_ns = to_ns(numbers, unit)
     kept = [name for (name, _), t in zip(timed, t_ns, strict=True) if t != MISSING]
-    problems.append(f"{path.name}: times taken from the pictures' names, as {said(unit)}")
+    problems: Problems = (f"{path.name}: times taken from the pictures' names, as {in_words(unit)}",)
     if len(kept) < len(names):
-        problems.append(
-            f"{path.name}: {counted(len(names) - len(kept), 'picture')} not named by a time left out"
+        problems += (
+            f"{path.name}: {counted(len(names) - len(kept), 'picture')} not named by a time left out",
         )
-    return t_ns[t_ns != MISSING], kept
+    return WithProblems((t_ns[t_ns != MISSING], kept), problems)

@@ -2,11 +2,12 @@
 
 The flight's time of a frame is the video's own time, counted from its first frame, plus ``start_ns``; or row for row
 from a CSV of frame times, where the recorder wrote one (``libcamera-vid --save-pts``, the logs of most scripts). Raw
-streams (``.h264``) have no time stamps and need such a file; AVI has only a nominal rate, which is used and said.
+streams (``.h264``) have no time stamps and need such a file; AVI has only a nominal rate, which is used and reported.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -19,7 +20,7 @@ from fusion.flight import ChosenFrames, FrameStream, TimeArray
 from fusion.logs.contents import Kind, Topic
 from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.pictures.video_frames import VideoFrames
-from fusion.logs.samples import counted, in_order
+from fusion.logs.samples import Problems, WithProblems, counted, in_order
 from fusion.logs.series import SeriesLog, no_such_topic
 from vision import InputError
 
@@ -48,7 +49,7 @@ class VideoIndex:
     time_base
         Seconds per unit.
     numbered
-        Whether frames can only be told by counting them: the file has no time stamps of its own.
+        Whether frames can only be identified by counting them: the file has no time stamps of its own.
     """
 
     pts: npt.NDArray[np.int64]
@@ -95,30 +96,30 @@ def open_video(
     InputError
         Where PyAV is not installed, the file is no video or has no frames, or nothing says when they were taken.
     """
-    problems: list[str] = []
     with open_container(path) as container:
         streams = [stream for stream in container.streams.video if not _is_cover(stream)]
         if not streams:
             raise InputError("holds no video stream", file=path, remedy="give a video with pictures")
-        packets = {stream.index: _Packets() for stream in streams}
-        _count(path, container, streams, packets, problems)
+        packets, problems = _read_packets(path, container, streams)
         indices = {stream.index: _index(container, stream, packets[stream.index]) for stream in streams}
         nominal = _nominal_rate(container, streams[0])
         note = _note(container)
-        _check_end(path, container, streams, indices, problems)
+        problems += tuple(_cut_ends(path, container, streams, indices))
     videos: dict[str, _Video] = {}
     for number, index in indices.items():
         name = "video" if len(indices) == 1 else f"video{number}"
         if not len(index.pts):
             continue
         if times is not None:
-            t_ns, rows = _listed_times(path, len(index.pts), times, columns, problems)
+            (t_ns, rows), more = _listed_times(path, len(index.pts), times, columns)
         else:
-            t_ns, rows = _times(path, index, nominal, start_ns, problems), np.arange(len(index.pts))
+            t_ns, more = _times(path, index, nominal, start_ns)
+            rows = np.arange(len(index.pts))
+        problems += more
         videos[name] = _Video(t_ns, rows, index, number)
     if not videos:
         raise InputError("holds no frames", file=path, remedy="it was not written whole; copy it again")
-    return VideoLog(path, videos, note, tuple(problems))
+    return VideoLog(path, videos, note, problems)
 
 
 def open_container(path: Path) -> InputContainer:
@@ -158,16 +159,13 @@ class _Packets:
     without: int = 0
 
 
-def _count(
-    path: Path,
-    container: InputContainer,
-    streams: list[VideoStream],
-    packets: dict[int, _Packets],
-    problems: list[str],
-) -> None:
-    """Go through the file's packets and note their time stamps; none is decoded."""
+def _read_packets(
+    path: Path, container: InputContainer, streams: list[VideoStream]
+) -> WithProblems[dict[int, _Packets]]:
+    """Go through the file's packets and note their time stamps by stream; none is decoded."""
     from av.error import FFmpegError
 
+    packets = {stream.index: _Packets() for stream in streams}
     try:
         for packet in container.demux(streams):
             if not packet.size or packet.is_discard:
@@ -181,7 +179,9 @@ def _count(
                     found.key_pts.append(packet.pts)
     except (FFmpegError, ValueError) as error:
         cause = getattr(error, "strerror", None) or str(error)
-        problems.append(f"{path.name}: the file is damaged ({cause}); what lies beyond is lost")
+        problem = f"{path.name}: the file is damaged ({cause}); what lies beyond is lost"
+        return WithProblems(packets, (problem,))
+    return WithProblems(packets)
 
 
 def _index(container: InputContainer, stream: VideoStream, packets: _Packets) -> VideoIndex:
@@ -200,13 +200,12 @@ def _nominal_rate(container: InputContainer, stream: VideoStream) -> Fraction | 
     return stream.average_rate if container.format.name == "avi" else None
 
 
-def _times(
-    path: Path, index: VideoIndex, nominal: Fraction | None, start_ns: int, problems: list[str]
-) -> TimeArray:
+def _times(path: Path, index: VideoIndex, nominal: Fraction | None, start_ns: int) -> WithProblems[TimeArray]:
     """Return the times (n,) of the frames by the video's own clock."""
+    problems: Problems = ()
     if nominal is not None:
-        problems.append(
-            f"{path.name}: AVI stores no times; its nominal rate of {float(nominal):g} frames a second is taken"
+        problems += (
+            f"{path.name}: AVI stores no times; its nominal rate of {float(nominal):g} frames a second is taken",
         )
     if index.numbered and nominal is None:
         raise InputError("has no time stamps", file=path, remedy=_TIMES)
@@ -214,26 +213,25 @@ def _times(
     ticks = index.pts - index.pts[0]
     # Whole numbers without a float in between: hours of video keep every digit.
     seconds, rest = np.divmod(ticks * unit_s.numerator, unit_s.denominator)
-    return np.asarray(
-        start_ns + seconds * 10**9 + (rest * 10**9 + unit_s.denominator // 2) // unit_s.denominator
-    )
+    rest_ns = (rest * 10**9 + unit_s.denominator // 2) // unit_s.denominator
+    return WithProblems(np.asarray(start_ns + seconds * 10**9 + rest_ns), problems)
 
 
 def _listed_times(
-    path: Path, n_frames: int, times: Path, columns: ColumnMap | str | None, problems: list[str]
-) -> tuple[TimeArray, npt.NDArray[np.int64]]:
+    path: Path, n_frames: int, times: Path, columns: ColumnMap | str | None
+) -> WithProblems[tuple[TimeArray, npt.NDArray[np.int64]]]:
     """Return the times (m,) that a file gives, and the numbers (m,) of their frames; a broken row costs its frame."""
     from fusion.logs.csv.times import read_times
 
-    listed = read_times(times, columns, problems)
+    listed, problems = read_times(times, columns)
     n_rows = int(listed.row[-1]) + 1
     if n_rows != n_frames:
-        problems.append(
+        problems += (
             f"{times.name} has {counted(n_rows, 'row')}, {path.name} {counted(n_frames, 'frame')}: "
-            f"the first {min(n_rows, n_frames)} of both are taken together"
+            f"the first {min(n_rows, n_frames)} of both are taken together",
         )
     here = listed.row < n_frames
-    return listed.t_ns[here], listed.row[here]
+    return WithProblems((listed.t_ns[here], listed.row[here]), problems)
 
 
 def _note(container: InputContainer) -> str:
@@ -242,14 +240,10 @@ def _note(container: InputContainer) -> str:
     return f"made {made}" if made else ""
 
 
-def _check_end(
-    path: Path,
-    container: InputContainer,
-    streams: list[VideoStream],
-    indices: dict[int, VideoIndex],
-    problems: list[str],
-) -> None:
-    """Report a video that ends well before its header says."""
+def _cut_ends(
+    path: Path, container: InputContainer, streams: list[VideoStream], indices: dict[int, VideoIndex]
+) -> Iterator[str]:
+    """Yield a sentence for each stream that ends well before its header says."""
     for stream in streams:
         index = indices[stream.index]
         if index.numbered or not len(index.pts):
@@ -265,7 +259,7 @@ def _check_end(
         # Sound may last longer than the pictures.
         tolerance_s = 1.0 if len(container.streams) > 1 else 4 * step_s
         if declared_s - length_s > tolerance_s or (stream.frames and stream.frames > len(index.pts)):
-            problems.append(
+            yield (
                 f"{path.name}: cut short: {counted(len(index.pts), 'frame')} in {length_s:.1f} s, "
                 f"its header declares {declared_s:.1f} s"
             )
@@ -284,19 +278,19 @@ class _Video:
 class VideoLog(SeriesLog):
     """A video as `fusion.logs.contents.LogContents`: pictures and nothing else."""
 
-    def __init__(self, path: Path, videos: dict[str, _Video], note: str, problems: tuple[str, ...]) -> None:
+    def __init__(self, path: Path, videos: dict[str, _Video], note: str, problems: Problems) -> None:
         super().__init__(path, "video", (), problems)
         self.topics = tuple(Topic(name, Kind.FRAMES, video.t_ns, note) for name, video in videos.items())
         self._videos = videos
 
-    def frames(self, topic: str, problems: list[str]) -> FrameStream:
+    def frames(self, topic: str) -> WithProblems[FrameStream]:
         """Pictures, decoded one at a time."""
         if topic not in self._videos:
             raise no_such_topic(self.path, self.topics, Kind.FRAMES, topic)
         video = self._videos[topic]
-        index = in_order(video.t_ns, f"{self.path.name}", problems, file=self.path, remedy=_TIMES)
+        index, problems = in_order(video.t_ns, self.path.name, file=self.path, remedy=_TIMES)
         source = VideoFrames(
             self.path, video.stream, video.index.pts, video.index.key_pts, video.index.numbered
         )
-        source.check(problems)
-        return FrameStream(video.t_ns[index], ChosenFrames(source, video.rows[index]))
+        problems += source.check()
+        return WithProblems(FrameStream(video.t_ns[index], ChosenFrames(source, video.rows[index])), problems)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 import numpy.typing as npt
 
-from fusion.logs.samples import counted
+from fusion.logs.samples import Problems, counted
 from vision import InputError
 from vision.images import GreyImage
 
@@ -38,7 +38,7 @@ class VideoFrames:
     key_pts
         Those of key frames (k,), ascending: a frame can be reached from the last one at or before it.
     numbered
-        Whether frames are told by counting from the beginning, since the file has no time stamps of its own.
+        Whether frames are identified by counting from the beginning, since the file has no time stamps of its own.
     """
 
     def __init__(
@@ -76,8 +76,13 @@ class VideoFrames:
             )
         return _grey(frame, self.path)
 
-    def check(self, problems: list[str]) -> None:
+    def check(self) -> Problems:
         """Decode the first frame that will, so that a video of no use is refused before the work.
+
+        Returns
+        -------
+        tuple of str
+            What a user should know of the pictures.
 
         Raises
         ------
@@ -91,11 +96,11 @@ class VideoFrames:
                 continue
             _grey(frame, self.path)
             if frame.rotation % 360:
-                problems.append(
+                return (
                     f"{self.path.name}: pictures are turned by {frame.rotation % 360} degrees, as its header asks: "
-                    "the calibration must be of the turned pictures"
+                    "the calibration must be of the turned pictures",
                 )
-            return
+            return ()
         raise InputError(
             f"none of its first {counted(tries, 'frame')} decodes",
             file=self.path,
@@ -137,7 +142,9 @@ class VideoFrames:
 
         first = key_pts <= int(self._pts[0])
         container = self._container
-        if container is None or first:  # the beginning is reached by opening anew: raw streams cannot seek
+        if (
+            container is None or first
+        ):  # the beginning is reached by opening the file again: raw streams cannot seek
             container = self._open()
         if not first:
             try:

@@ -1,4 +1,4 @@
-"""Do the streams of a flight run on one clock, in nanoseconds: told from rates, durations and overlap."""
+"""Checks whether the streams of a flight run on one clock, in nanoseconds: rates, durations and overlap."""
 
 from __future__ import annotations
 
@@ -88,7 +88,17 @@ def _jumps(name: str, t_ns: TimeArray) -> Iterator[Finding]:
 
 
 def examine_overlap(name: str, t_ns: TimeArray, frames: TimeArray, advice: Advice) -> Finding | None:
-    """Say how much of the frames (n,) a stream covers, unless it is nearly all; an error where it is nothing."""
+    """Say how much of the frames a stream covers, unless it is nearly all; an error where it is nothing.
+
+    Parameters
+    ----------
+    name
+        Of the stream in a manifest.
+    t_ns, frames
+        Times (m,) of the stream and (n,) of the frames.
+    advice
+        Words the remedy for the kind of log.
+    """
     inside = float(np.mean((frames >= t_ns[0]) & (frames <= t_ns[-1])))
     if inside >= MIN_COVERED:
         return None

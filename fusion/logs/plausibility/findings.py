@@ -13,7 +13,7 @@ import numpy.typing as npt
 class Severity(StrEnum):
     """How sure it is, and what follows."""
 
-    WARNING = "warning"  # likely, or harmless enough: fused, and said
+    WARNING = "warning"  # likely, or harmless enough: fused, and reported
     ERROR = "error"  # certain, and the answer would be wrong: refused
 
 
@@ -43,13 +43,13 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """Stream, text and remedy in one line, as it stands in a flight's ``problems``."""
+        """Stream, text and remedy in one line, for a flight's ``problems``."""
         return f"{self.stream}: {self.text} ({self.remedy})"
 
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """What to change, in the words of the kind of log that a flight came from.
+    """What to change, worded for the kind of log that a flight came from.
 
     Parameters
     ----------
@@ -79,7 +79,17 @@ class Advice:
         )
 
     def unit(self, stream: str, key: str, unit: str, factor: str) -> str:
-        """Return how to correct a unit."""
+        """Return how to correct a unit.
+
+        Parameters
+        ----------
+        stream
+            Name of the stream in a manifest.
+        key, unit
+            What to write into its column map.
+        factor
+            What to multiply the numbers by where there is no column map.
+        """
         if self.is_folder:
             return f"multiply its columns in mav0/{stream}0/data.csv by {factor}"
         return f'set {key} = "{unit}" in [{stream}.columns] of flight.toml, or correct the logger'

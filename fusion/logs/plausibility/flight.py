@@ -1,7 +1,7 @@
-"""Is a flight what it claims to be: units, axes, clocks and live sensors, told from its data.
+"""Checks whether a flight is what it claims to be: units, axes, clocks and live sensors, by its data.
 
 Readers convert what a log says it holds; this looks at whether the numbers agree. What would make the answer wrong
-without a sign of it is refused; what is likely, or does little harm, is said in the flight's ``problems``. A stream
+without a sign of it is refused; what is likely, or does little harm, is listed in the flight's ``problems``. A stream
 that never changes is left out: it holds nothing, whatever it claims.
 """
 
@@ -27,7 +27,7 @@ MAX_HEIGHT_M = 20.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Streams:
-    """The streams of a flight that are looked at; None: there is none."""
+    """The streams of a flight that are checked; None where the flight lacks one."""
 
     frames_t_ns: TimeArray | None = None
     imu: ImuStream | None = None

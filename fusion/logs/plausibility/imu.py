@@ -1,7 +1,7 @@
-"""Is an IMU in rad/s and m/s^2, in body FRD, and alive: told from gravity, from itself and from the attitude.
+"""Checks whether an IMU is in rad/s and m/s^2, in body FRD, and alive, by gravity, by itself and by the attitude.
 
-Every check is silent where the data do not allow a judgement. Thresholds leave what vehicles do far aside: the point
-is a factor of 57 or 9.8 or a reversed axis, not calibration.
+Every check is silent where the data do not allow a judgement. Thresholds lie far beyond what vehicles do: they
+are to find a factor of 57 or 9.8 or a reversed axis, not a poor calibration.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def _accel_unit(gravity: Gravity, advice: Advice) -> Iterator[Finding]:
                 "imu",
                 "accel_without_gravity",
                 f"the accelerometer shows no gravity, in the median {gravity.length:.2g} m/s^2: it was taken out",
-                "give the raw accelerometer, else roll and pitch hang on the attitude alone",
+                "give the raw accelerometer, else roll and pitch come from the attitude alone",
             )
         return
     length = float(np.linalg.norm(gravity.mean))
@@ -251,7 +251,7 @@ def _gravity_sign(gravity: Gravity | None, advice: Advice, *, gyro_confirmed: bo
             "imu",
             "imu_axes",
             f"gravity points {degrees(np.arccos(-direction[2])):.0f} degrees off the body's z axis, median over the "
-            "log: the IMU is mounted aslant or the vehicle lay on its side",
+            "log: the IMU is mounted at an angle or the vehicle lay on its side",
             advice.mounting("imu", direction),
         )
 

@@ -1,4 +1,4 @@
-"""Sensors that do not sit on the vehicle as their axes or their readers say: put right, once.
+"""Corrects streams of sensors that are not mounted as their axes or their readers say.
 
 ``mount_rad`` is the sensor's own roll, pitch and yaw on the body, as of a small vehicle inside it: roll right side
 down, pitch nose up, yaw to the right, applied in the order yaw, pitch, roll (``R_body_sensor = Rz Ry Rx`` in FRD). A
@@ -14,7 +14,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream
-from fusion.logs.manifest.manifest import RangeSource, StreamSource
+from fusion.logs.manifest.manifest import RangeSource, SensorSource, StreamSource
 
 AnyStream = TypeVar("AnyStream", bound=Any)
 MountRad = tuple[float, float, float]
@@ -28,9 +28,9 @@ def mounted(stream: AnyStream, source: StreamSource) -> AnyStream:
     if isinstance(stream, RangeStream) and isinstance(source, RangeSource) and source.above_camera_m:
         lowered: Any = replace(stream, distance_m=stream.distance_m - source.above_camera_m)
         return cast(AnyStream, lowered)
-    mount_rad = getattr(source, "mount_rad", None)
-    if mount_rad is None:
+    if not isinstance(source, SensorSource) or source.mount_rad is None:
         return stream
+    mount_rad = source.mount_rad
     turned: Any = stream
     if isinstance(stream, ImuStream):
         turned = mounted_imu(stream, mount_rad)

@@ -1,4 +1,4 @@
-"""Does the gyroscope turn as the attitude does: its scale, its axes, and which way the quaternions run.
+"""Comparison of gyroscope and attitude: the scale of the rates, their axes, and the direction of the quaternions.
 
 Both are reduced to the mean rate over windows of a quarter of a second. The attitude's rates are compared with the
 gyroscope's under each way of confusing axes; correlation does not depend on units or bias, so the scale comes after.

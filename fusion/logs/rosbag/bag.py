@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,6 @@ from fusion.flight import (
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.rosbag.file import Bag, recognises
 from fusion.logs.rosbag.frames import StaticFrames
-from fusion.logs.rosbag.gather import Samples, gather, of_use
 from fusion.logs.rosbag.messages import (
     PICTURES,
     POSES,
@@ -37,7 +36,8 @@ from fusion.logs.rosbag.messages import (
     camera_from_info,
 )
 from fusion.logs.rosbag.pictures import BagPictures, describe, refusal
-from fusion.logs.samples import MIN_STEP_NS
+from fusion.logs.rosbag.topics import Samples, gather, of_use
+from fusion.logs.samples import MIN_STEP_NS, Problems, WithProblems
 from fusion.logs.series import (
     MAX_POSITION,
     MAX_VELOCITY,
@@ -53,9 +53,6 @@ from fusion.logs.series import (
     velocity_stream,
 )
 from vision import Camera, InputError
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["open_log", "recognises"]
 
@@ -80,8 +77,9 @@ class RosLog(SeriesLog):
         notes: dict[str, str],
         infos: dict[str, bytes],
         mounts: StaticFrames,
+        problems: Problems,
     ) -> None:
-        super().__init__(bag.path, bag.format, series, bag.problems)
+        super().__init__(bag.path, bag.format, series, problems)
         self._bag = bag
         self._pictures = pictures
         self._infos = infos
@@ -89,15 +87,15 @@ class RosLog(SeriesLog):
         topics = [Topic(p.name, Kind.FRAMES, p.t_ns, notes[p.name]) for p in pictures.values()]
         self.topics = (*topics, *self.topics)
 
-    def frames(self, topic: str, problems: list[str]) -> FrameStream:
+    def frames(self, topic: str) -> WithProblems[FrameStream]:
         """Pictures, decoded one at a time when asked for."""
         if topic not in self._pictures:
             raise no_such_topic(self.path, self.topics, Kind.FRAMES, topic)
         samples = self._pictures[topic]
-        index = usable(samples.t_ns, samples.where(problems), MIN_STEP_NS)
+        index, problems = samples.with_remarks(usable(samples.t_ns, samples.where(), MIN_STEP_NS))
         received_ns = samples.received_ns
         source = BagPictures(self.path, topic, received_ns[index], _repeats(received_ns)[index])
-        return FrameStream(samples.t_ns[index], source)
+        return WithProblems(FrameStream(samples.t_ns[index], source), problems)
 
     def camera(self, topic: str) -> Camera | None:
         """Calibration from the CameraInfo beside these pictures; it looks straight ahead unless transforms tell."""
@@ -123,7 +121,7 @@ def open_log(path: Path) -> LogContents:
     Raises
     ------
     InputError
-        Where rosbags is not installed, the bag is past reading, or holds no topic of use.
+        Where rosbags is not installed, the bag cannot be read, or holds no topic that is of use.
     """
     bag = Bag(path)
     try:
@@ -134,13 +132,15 @@ def open_log(path: Path) -> LogContents:
 
 def _opened(bag: Bag) -> RosLog:
     wire = Wire(bag.ros2)
-    samples, infos, frames = gather(bag, wire)
-    pictures, notes = _pictures(bag, [s for s in samples if s.kind in PICTURES])
-    series = _series(bag, wire, [s for s in samples if s.kind not in PICTURES])
+    gathered, problems = gather(bag, wire)
+    problems = bag.problems + problems
+    pictures, notes, refused = _pictures(bag, [s for s in gathered.samples if s.kind in PICTURES])
+    series, left_out = _series(wire, [s for s in gathered.samples if s.kind not in PICTURES])
+    problems += refused + left_out
     if not series and not pictures:
         if any(of_use(connection) for connection in bag.connections):
             raise InputError(
-                f"none of its messages can be read ({'; '.join(bag.problems) or 'it holds none'})",
+                f"none of its messages can be read ({'; '.join(problems) or 'it holds none'})",
                 file=bag.path,
                 remedy="copy the bag again",
             )
@@ -150,13 +150,14 @@ def _opened(bag: Bag) -> RosLog:
             file=bag.path,
             remedy="record sensor_msgs/Imu, and Image or CompressedImage with CameraInfo",
         )
-    return RosLog(bag, series, pictures, notes, infos, frames)
+    return RosLog(bag, series, pictures, notes, gathered.infos, gathered.frames, problems)
 
 
-def _pictures(bag: Bag, topics: Iterable[Samples]) -> tuple[dict[str, Samples], dict[str, str]]:
-    """Picture topics that can be read, and a note on each; the others are named in the bag's problems."""
+def _pictures(bag: Bag, topics: Iterable[Samples]) -> tuple[dict[str, Samples], dict[str, str], Problems]:
+    """Picture topics that can be read, a note on each, and why the others cannot."""
     found: dict[str, Samples] = {}
     notes: dict[str, str] = {}
+    problems: Problems = ()
     for samples in topics:
         try:
             message = bag.decode(samples.kind, samples.first)
@@ -168,11 +169,11 @@ def _pictures(bag: Bag, topics: Iterable[Samples]) -> tuple[dict[str, Samples], 
             found[samples.name] = samples
             notes[samples.name] = f"{what}; {samples.clock}"
         else:
-            bag.problems.append(f"{samples.name}: pictures of {reason} left out")
-    return found, notes
+            problems += (f"{samples.name}: pictures of {reason} left out",)
+    return found, notes, problems
 
 
-def _series(bag: Bag, wire: Wire, topics: list[Samples]) -> list[Series]:
+def _series(wire: Wire, topics: list[Samples]) -> WithProblems[list[Series]]:
     """Topics of numbers by kind, the one to prefer first."""
     imus = [s for s in topics if s.kind is RosType.IMU]
     inertial = [s for s in imus if np.isfinite(s.columns(4, 7)).all(axis=1).any()]
@@ -187,6 +188,7 @@ def _series(bag: Bag, wire: Wire, topics: list[Samples]) -> list[Series]:
     attitudes += [_one(s, Kind.ATTITUDE, _frame(wire, s), partial(_read_attitude, 3)) for s in poses]
     found += attitudes
     found += [_one(s, Kind.POSITION, _frame(wire, s), _read_position) for s in poses]
+    problems: Problems = ()
     for s in twists:
         frame = wire.frame_id(s.first) if s.kind is not RosType.ODOMETRY else ""
         if frame.strip("/") not in WORLDS:
@@ -196,16 +198,14 @@ def _series(bag: Bag, wire: Wire, topics: list[Samples]) -> list[Series]:
             note = f"of {frame}, turned into the body by {turning.topic.name}"
             found.append(_one(s, Kind.VELOCITY, note, partial(_read_world_velocity, turning)))
         else:
-            bag.problems.append(
-                f"{s.name}: a velocity in {frame}, left out: no attitude to turn it into the body"
-            )
+            problems += (f"{s.name}: a velocity in {frame}, left out: no attitude to turn it into the body",)
     found += [_one(s, Kind.RANGE, s.axes, _read_range) for s in topics if s.kind is RosType.RANGE]
-    return found
+    return WithProblems(found, problems)
 
 
-def _one(samples: Samples, kind: Kind, note: str, read: Callable[[Samples, list[str]], Stream]) -> Series:
+def _one(samples: Samples, kind: Kind, note: str, read: Callable[[Samples], WithProblems[Stream]]) -> Series:
     topic = Topic(samples.name, kind, samples.t_ns, f"{note}; {samples.clock}")
-    return Series(topic, partial(read, samples))
+    return Series(topic, lambda: samples.with_remarks(read(samples)))
 
 
 def _frame(wire: Wire, samples: Samples) -> str:
@@ -217,17 +217,17 @@ def _any_quaternion(q: FloatArray) -> bool:
     return bool((np.abs(np.linalg.norm(np.nan_to_num(q), axis=1) - 1.0) < 0.05).any())
 
 
-def _read_imu(samples: Samples, problems: list[str]) -> ImuStream:
-    where = samples.where(problems)
+def _read_imu(samples: Samples) -> WithProblems[ImuStream]:
+    where = samples.where()
     return imu_stream(samples.t_ns, samples.columns(4, 7), samples.columns(7, 10), where)
 
 
-def _read_attitude(start: int, samples: Samples, problems: list[str]) -> AttitudeStream:
-    return attitude_stream(samples.t_ns, samples.columns(start, start + 4), samples.where(problems))
+def _read_attitude(start: int, samples: Samples) -> WithProblems[AttitudeStream]:
+    return attitude_stream(samples.t_ns, samples.columns(start, start + 4), samples.where())
 
 
-def _read_position(samples: Samples, problems: list[str]) -> VectorStream:
-    return vector_stream(samples.t_ns, samples.columns(0, 3), samples.where(problems), MAX_POSITION)
+def _read_position(samples: Samples) -> WithProblems[VectorStream]:
+    return vector_stream(samples.t_ns, samples.columns(0, 3), samples.where(), MAX_POSITION)
 
 
 def _velocity_columns(samples: Samples) -> FloatArray:
@@ -235,19 +235,19 @@ def _velocity_columns(samples: Samples) -> FloatArray:
     return samples.columns(start, start + 3)
 
 
-def _read_velocity(samples: Samples, problems: list[str]) -> VectorStream:
-    return vector_stream(samples.t_ns, _velocity_columns(samples), samples.where(problems), MAX_VELOCITY)
+def _read_velocity(samples: Samples) -> WithProblems[VectorStream]:
+    return vector_stream(samples.t_ns, _velocity_columns(samples), samples.where(), MAX_VELOCITY)
 
 
-def _read_world_velocity(turning: Series, samples: Samples, problems: list[str]) -> VectorStream:
-    attitude = turning.read([])  # its own problems are told where it is asked for
-    where = samples.where(problems)
+def _read_world_velocity(turning: Series, samples: Samples) -> WithProblems[VectorStream]:
+    attitude = turning.read().value  # its problems are reported where it is read itself
+    where = samples.where()
     return velocity_stream(samples.t_ns, _velocity_columns(samples), cast(AttitudeStream, attitude), where)
 
 
-def _read_range(samples: Samples, problems: list[str]) -> RangeStream:
+def _read_range(samples: Samples) -> WithProblems[RangeStream]:
     distance_m, low_m, high_m = samples.values.T
-    return range_stream(samples.t_ns, distance_m, samples.where(problems), limits_m=(low_m, high_m))
+    return range_stream(samples.t_ns, distance_m, samples.where(), limits_m=(low_m, high_m))
 
 
 def _repeats(t_ns: TimeArray) -> npt.NDArray[np.int64]:

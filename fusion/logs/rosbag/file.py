@@ -1,7 +1,7 @@
 """Bags as files: ROS 1, ROS 2 (sqlite3 or MCAP, alone or in a folder), opened with rosbags, whole or torn.
 
-A recorder that lost power leaves a bag without its index. rosbags refuses it; here the index is made anew from what
-is there, in memory.
+A recorder that lost power leaves a bag without its index. rosbags refuses it; here the index is rebuilt in
+memory from what is there.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from fusion.logs.rosbag.messages import RosType
+from fusion.logs.samples import Problems
 from vision import InputError
 
 if TYPE_CHECKING:
@@ -83,12 +84,12 @@ class Bag:
     Raises
     ------
     InputError
-        Where rosbags is not installed or the file is past reading.
+        Where rosbags is not installed or the file cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.problems: list[str] = []
+        self.problems: Problems = ()
         self.ros2 = True
         try:
             import rosbags.rosbag2  # noqa: F401
@@ -139,15 +140,13 @@ class Bag:
                 file=folder,
                 remedy="run `ros2 bag reindex`",
             )
-        self.problems.append(
-            f"{METADATA} is missing: the recorder was not stopped; {storages[0].name} is read"
-        )
+        self.problems += (f"{METADATA} is missing: the recorder was not stopped; {storages[0].name} is read",)
         return storages[0]
 
     def _open_ros1(self, path: Path) -> Reader:
         from rosbags.rosbag1 import Reader as Reader1
 
-        from fusion.logs.rosbag.torn import TornRos1
+        from fusion.logs.rosbag.recovery import UnindexedRos1
 
         whole = Reader1(path)
         try:
@@ -155,17 +154,17 @@ class Bag:
             return whole
         except Exception as error:
             reason = one_line(error)
-        torn = TornRos1(path)
-        torn.open()
-        if torn.start_time == 0:
+        recovered = UnindexedRos1(path)
+        recovered.open()
+        if recovered.start_time == 0:
             raise InputError(
                 f"holds no whole message ({reason})", file=path, remedy="the recording was cut too early"
             )
-        self.problems += [f"the bag has no sound index ({reason}); it was made anew", *torn.problems]
-        return torn
+        self.problems += (f"the bag has no sound index ({reason}); it was rebuilt", *recovered.problems)
+        return recovered
 
     def _open_mcap(self, plugin: Any, path: Path) -> Reader:
-        from fusion.logs.rosbag.torn import index_mcap
+        from fusion.logs.rosbag.recovery import index_mcap
 
         reader: Reader = plugin(path)
         try:
@@ -181,7 +180,7 @@ class Bag:
             )
         reader = plugin(path)
         lost = index_mcap(reader)
-        self.problems.append(f"the bag has no sound index ({reason}); it was made anew, {lost}")
+        self.problems += (f"the bag has no sound index ({reason}); it was rebuilt, {lost}",)
         return reader
 
     @property
@@ -189,39 +188,10 @@ class Bag:
         """What was recorded."""
         return self._reader.connections
 
-    def messages(
-        self,
-        connections: Collection[Connection],
-        start_ns: int | None = None,
-        problems: list[str] | None = None,
-    ) -> Iterator[Message]:
-        """Messages in the order of receipt, from a time on; damaged stretches are skipped.
-
-        Without ``problems`` the first damage raises instead what rosbags raises.
-        """
-        skips, skip_ns, at_ns = 0, FIRST_SKIP_NS, start_ns
-        first_ns: int | None = None
-        while True:
-            try:
-                for connection, t_ns, raw in self._reader.messages(list(connections), start=at_ns):
-                    yield connection, t_ns, bytes(raw)
-                    at_ns, skip_ns = t_ns + 1, FIRST_SKIP_NS
-                break
-            except Exception as error:
-                if problems is None:
-                    raise
-                skips += 1
-                at_ns = self._start_ns() if at_ns is None else at_ns
-                first_ns = at_ns if first_ns is None else first_ns
-                reason = one_line(error)
-                at_ns += skip_ns
-                skip_ns *= 2
-                if skips > MAX_SKIPS or at_ns >= 2**62:
-                    break
-        if problems is not None and first_ns is not None:
-            problems.append(
-                f"parts of the bag are damaged and were skipped, the first near {first_ns} ({reason})"
-            )
+    def messages(self, connections: Collection[Connection], start_ns: int | None = None) -> Iterator[Message]:
+        """Messages in the order of receipt, from a time on; damage raises what rosbags raises."""
+        for connection, t_ns, raw in self._reader.messages(list(connections), start=start_ns):
+            yield connection, t_ns, bytes(raw)
 
     def decode(self, msgtype: str, raw: bytes) -> Any:
         """Take a message apart with rosbags.
@@ -239,7 +209,9 @@ class Bag:
         except Exception as error:  # rosbags lets anything through that damaged bytes make it do
             raise InputError(f"message does not decode: {one_line(error)}", file=self.path) from error
 
-    def _start_ns(self) -> int:
+    def start_ns(self) -> int:
+        """When the first message was received, by the index; 0 where that cannot be."""
+        # The readers of rosbags have it in either of two places, and damaged ones in neither.
         start = getattr(self._reader, "start_time", None)
         metadata = getattr(self._reader, "metadata", None)
         if start is None and metadata is not None:
@@ -250,6 +222,40 @@ class Bag:
         """Close the file; what was read of it stays."""
         with suppress(Exception):  # a damaged file may not even close
             self._reader.close()
+
+
+class SkippingMessages:
+    """Messages of a bag in the order of receipt; damaged stretches are skipped, and reported in ``problems``."""
+
+    def __init__(self, bag: Bag, connections: Collection[Connection]) -> None:
+        self.problems: Problems = ()
+        self._bag, self._connections = bag, connections
+
+    def __iter__(self) -> Iterator[Message]:
+        if not self._connections:
+            return
+        skips, skip_ns = 0, FIRST_SKIP_NS
+        at_ns: int | None = None
+        first_ns: int | None = None
+        while True:
+            try:
+                for connection, t_ns, raw in self._bag.messages(self._connections, at_ns):
+                    yield connection, t_ns, raw
+                    at_ns, skip_ns = t_ns + 1, FIRST_SKIP_NS
+                break
+            except Exception as error:  # rosbags lets anything through that damage makes it do
+                skips += 1
+                at_ns = self._bag.start_ns() if at_ns is None else at_ns
+                first_ns = at_ns if first_ns is None else first_ns
+                reason = one_line(error)
+                at_ns += skip_ns
+                skip_ns *= 2
+                if skips > MAX_SKIPS or at_ns >= 2**62:
+                    break
+        if first_ns is not None:
+            self.problems = (
+                f"parts of the bag are damaged and were skipped, the first near {first_ns} ({reason})",
+            )
 
 
 def _typestore(ros2: bool) -> Any:

@@ -52,7 +52,7 @@ class StaticFrames:
     parents: dict[str, tuple[str, FloatArray, FloatArray]] = field(default_factory=dict)
 
     def add(self, transforms: Iterable[Any]) -> None:
-        """Take up a message's transforms; those that are none are left out."""
+        """Add a message's transforms; those that are no rotations are left out."""
         for stamped in transforms:
             shift, turn = stamped.transform.translation, stamped.transform.rotation
             p = np.array([shift.x, shift.y, shift.z], dtype=float)

@@ -1,7 +1,7 @@
 """ROS messages as numbers: stamps, inertial samples, poses, velocities, calibrations; from REP 103 and 105 to FRD.
 
 ROS has bodies x forward, y left, z up and worlds with z up; both turn half round about x. Only message types of fixed
-layout are unpacked here, by hand, because a flight has millions of them; pictures are left to rosbags.
+layout are unpacked here, without rosbags, because a flight has millions of them; pictures are left to rosbags.
 """
 
 from __future__ import annotations

@@ -1,0 +1,45 @@
+"""The command ``corridor config``: every setting with its meaning, as TOML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+SHORT_HELP = "Print all settings with their meaning, as TOML."
+HELP = """Print every setting with its value, unit, bounds and meaning, as TOML to edit and give back.
+
+Without a file these are the defaults; with one, the settings as that file makes them, so that it can be seen what
+they come to. A name that does not exist, a wrong unit or a value out of bounds is refused with the nearest right one.
+
+\b
+Examples:
+  corridor config > my.toml
+  corridor config my.toml
+  corridor config --simulate > hall.toml
+
+Next: edit what you want to change, delete the rest, then `corridor fuse FLIGHT --config my.toml`.
+"""
+
+
+def print_config(
+    file: Annotated[
+        Path | None, typer.Argument(metavar="[FILE.toml]", help="Settings that differ; else the defaults.")
+    ] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="Those of `corridor simulate`, not of `corridor fuse`.")
+    ] = False,
+) -> None:
+    """Print a configuration whole."""
+    from fusion.settings.toml import settings_text
+
+    if simulate:
+        from fusion.simulate import SimulationConfig
+
+        text = settings_text(SimulationConfig, "corridor simulate OUT", file)
+    else:
+        from fusion.estimator.config import FusionConfig
+
+        text = settings_text(FusionConfig, "corridor fuse FLIGHT", file)
+    typer.echo(text, nl=False)

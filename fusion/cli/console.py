@@ -1,0 +1,79 @@
+"""How the command line speaks: notes, progress and errors on stderr, one line each; results go to stdout."""
+
+from __future__ import annotations
+
+import errno
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from fusion.progress import Progress
+from vision.errors import InputError
+
+
+def say(text: str) -> None:
+    """Tell the user something that is not a result, one line."""
+    print(f"corridor: {text}", file=sys.stderr, flush=True)
+
+
+class OneLineErrors(TyperGroup):
+    """Commands whose input errors are one line on stderr and exit code 2, never a traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command, and turn what goes wrong into a line and an exit code."""
+        try:
+            return super().invoke(ctx)
+        except InputError as error:
+            say("error: " + " ".join(str(error).split()))
+        except OSError as error:
+            if error.errno == errno.EPIPE:  # whoever read our output has gone: end as pipes do
+                raise
+            where = f"{error.filename}: " if error.filename else ""
+            say(f"error: {where}{error.strerror or error}")
+        except KeyboardInterrupt:
+            say("interrupted")
+            raise typer.Exit(130) from None
+        raise typer.Exit(2)
+
+
+@contextmanager
+def progress_bar(label: str) -> Iterator[Progress]:
+    """Show a bar while the block calls what it is given with (done, total); silent without a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def compile_notice(what: str) -> Iterator[None]:
+    """Say so, once, if the block has to compile the pixel loops, which takes far longer than running them.
+
+    numba announces each compilation; code taken from its cache on disk is not announced.
+    """
+    from numba.core import event
+
+    class Notice(event.Listener):
+        told = False
+
+        def on_start(self, event: Any) -> None:
+            if not self.told:
+                self.told = True
+                say(f"compiling {what} (once, some seconds) ...")
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Notice()):
+        yield

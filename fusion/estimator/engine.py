@@ -1,0 +1,369 @@
+"""The estimator for samples in order of time: takes a state and a sample, returns the next state, keeps nothing.
+
+The engine only orders the parts: for each kind of sample, which of them act, one after another. Each part has its own
+module, with its share of `State`; all correct one filter, `fusion.estimator.ekf.CorridorEKF`, which the engine hands
+to them. `fusion.estimator.timeline` brings samples into order.
+"""
+
+from __future__ import annotations
+
+from math import nan, pi, sqrt
+from typing import NamedTuple, assert_never
+
+import numpy as np
+
+from fusion.estimator import junctions
+from fusion.estimator import tilt as tilts
+from fusion.estimator.camera_delay import (
+    Delay,
+    DelayedInnovation,
+    FrameHeading,
+    innovation_of,
+    learn_delay,
+    turned_since_exposure,
+    unknown_delay,
+    with_axis,
+    with_turn,
+)
+from fusion.estimator.camera_elevation import Elevation
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.corridor_axis import CorridorAxis, Recovery, recover, start
+from fusion.estimator.frame_update import FrameResult, FrameSample, measure_with_prior, reason_to_reject
+from fusion.estimator.imu_yaw import (
+    UNKNOWN_YAW_OFFSET_STD_RAD,
+    AttitudeSample,
+    ImuYaw,
+    compare_by_frame,
+    fuse_imu_yaw,
+)
+from fusion.estimator.lateral import UNKNOWN_STD, Lateral, LateralOffset, MotionStep
+from fusion.estimator.models import (
+    BIAS,
+    N_STATES,
+    PSI,
+    YAW_OFFSET,
+    FloatArray,
+    Vector,
+    heading_model,
+    level_yaw_rate,
+)
+from fusion.estimator.noise_adaptation import Doubt, correlation, update_with_doubt
+from fusion.estimator.propagation import (
+    UNKNOWN_HEADING_STD_RAD,
+    DeadReckoning,
+    Drift,
+    ImuSample,
+    Mode,
+    Propagation,
+)
+from fusion.estimator.range_width import RangeSample, Width
+from fusion.estimator.sample_times import SampleTimes, seconds_since
+from fusion.estimator.smoother import Node
+from fusion.estimator.tilt import Tilt
+from fusion.estimator.velocity import Velocity, VelocitySample, with_velocity
+from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
+from vision.rotations import wrap_axis, yaw_of_quaternion
+
+OUTLIER_DENSITY = 1 / pi  # an outlying heading may be any
+
+Sample = ImuSample | AttitudeSample | VelocitySample | RangeSample | FrameSample
+
+
+class Source(NamedTuple):
+    """A kind of sample: place among those of one instant, name in the counters, whether it carries the heading on."""
+
+    order: int
+    name: str
+    propagates: bool
+
+
+SOURCES: dict[type[Sample], Source] = {
+    ImuSample: Source(0, "imu", True),
+    AttitudeSample: Source(1, "attitude", True),
+    VelocitySample: Source(2, "velocity", False),
+    RangeSample: Source(3, "range", False),
+    FrameSample: Source(4, "frame", True),
+}
+
+
+class State(NamedTuple):
+    """All that the next step depends on: the filter's state and covariance, and a share for each part; immutable."""
+
+    x: FloatArray
+    P: FloatArray
+    reckoning: DeadReckoning
+    tilt: Tilt = Tilt()
+    velocity: Velocity = Velocity()
+    width: Width = Width()
+    imu_yaw: ImuYaw = ImuYaw()
+    axis: CorridorAxis = CorridorAxis()
+    lateral: Lateral = Lateral()
+    frames: SampleTimes = SampleTimes()
+    elevation: Elevation = Elevation()
+    delay: Delay | None = None
+
+    @property
+    def t_ns(self) -> int | None:
+        """Time of the state; None before any sample."""
+        return self.reckoning.t_ns
+
+    def silences(self, t_ns: int, config: FusionConfig) -> list[str]:
+        """Say of each source but the camera whether it has fallen silent."""
+        found = (
+            self.reckoning.gyro_silence(t_ns, config),
+            self.reckoning.attitude_silence(t_ns, config),
+            self.velocity.silence(t_ns, config),
+            self.width.silence(t_ns, config),
+        )
+        return [text for text in found if text]
+
+
+class Entry(NamedTuple):
+    """A sample, and what the engine made of it.
+
+    Parameters
+    ----------
+    t_ns, sample
+        The sample and its time.
+    after
+        The engine's state behind it.
+    nodes
+        Its steps for the smoother.
+    frame
+        What became of it, where it is a frame.
+    """
+
+    t_ns: int
+    sample: Sample
+    after: State
+    nodes: tuple[Node, ...]
+    frame: FrameResult | None
+
+
+class Engine:
+    """Takes samples in order of time; what it does depends on nothing but state and sample.
+
+    Parameters
+    ----------
+    config
+        Settings.
+    camera_arm_m
+        How far the camera sits ahead and right of the body's centre.
+    """
+
+    def __init__(self, config: FusionConfig, camera_arm_m: tuple[float, float] = (0.0, 0.0)) -> None:
+        from fusion.estimator.ekf import CorridorEKF  # with it filterpy, which takes half a second to load
+
+        self.config = config
+        initial = self.initial_state()
+        self.ekf = CorridorEKF(initial.x, initial.P)
+        self._propagation = Propagation(config)
+        self._lateral = LateralOffset(config, camera_arm_m)
+
+    def initial_state(self) -> State:
+        """Return the state before any sample."""
+        std = [UNKNOWN_HEADING_STD_RAD, 0.02, UNKNOWN_YAW_OFFSET_STD_RAD, UNKNOWN_STD, 0.3]
+        reckoning = DeadReckoning(stored_gyro_bias=(0.0, self.config.gyro_bias_std_rad_s**2))
+        P = np.diag([s**2 for s in std])
+        return State(np.zeros(N_STATES), P, reckoning, delay=unknown_delay(self.config))
+
+    def process(self, state: State, sample: Sample) -> Entry:
+        """Take the next sample."""
+        ekf, frame = self.ekf, None
+        ekf.load(state.x, state.P)
+        match sample:
+            case ImuSample():
+                state = self._imu(state, sample)
+            case AttitudeSample():
+                state = self._attitude(state, sample)
+            case VelocitySample():
+                state = self._velocity(state, sample)
+            case RangeSample():
+                state = state._replace(width=state.width.with_range(sample, state.tilt.down[2]))
+            case FrameSample():
+                state, frame = self._frame(state, sample)
+            case _:
+                assert_never(sample)
+        return Entry(sample.t_ns, sample, state, tuple(ekf.nodes), frame)
+
+    def clock_set_back(self, s: State, t_ns: int) -> State:
+        """Go on after the samples' clock was set back: what was known is kept, how long ago it was is not."""
+        if s.t_ns is None:
+            return s
+        ekf = self.ekf
+        ekf.load(s.x, s.P)
+        Q = np.zeros((N_STATES, N_STATES))
+        Q[PSI, PSI] = Q[YAW_OFFSET, YAW_OFFSET] = 0.5**2
+        ekf.predict(ekf.x, np.eye(N_STATES), Q)
+        lateral = self._lateral.lost(s.lateral, ekf, s.width.half_m(self.config))
+        return s._replace(
+            reckoning=self._propagation.clock_set_back(s.reckoning, ekf, t_ns),
+            tilt=s.tilt.clock_set_back(t_ns),
+            velocity=s.velocity.clock_set_back(),
+            width=s.width.clock_set_back(),
+            axis=s.axis.clock_set_back(),
+            lateral=lateral._replace(t_ns=None),
+            frames=s.frames.clock_set_back(),
+            delay=None if s.delay is None else s.delay.interrupted(),
+            x=ekf.x,
+            P=ekf.P,
+        )
+
+    def expected_frame(self, s: State, t_ns: int) -> Prior:
+        """Return what the filter expects of a frame now, as a frame would see it."""
+        x, P, d = s.x, s.P, s.reckoning
+        psi = float(x[PSI]) - turned_since_exposure(s.delay, float(x[BIAS]), t_ns, d.raw_theta_rad)
+        offset = offset_std = nan
+        if seconds_since(t_ns, s.lateral.t_ns) <= s.frames.age_limit_s(self.config):
+            half_m = s.width.half_m(self.config)
+            offset, offset_std = self._lateral.expected(s.lateral, x, P, psi, half_m)
+        p, q, r = d.gyro_rad_s
+        return Prior(
+            heading_rad=wrap_axis(psi) if s.axis.acquired else nan,
+            heading_std_rad=sqrt(float(P[PSI, PSI])) if s.axis.acquired else nan,
+            lateral_offset_norm=offset,
+            lateral_offset_norm_std=offset_std,
+            width_per_height=s.width.per_height,
+            elevation_rad=s.elevation.mean_rad,
+            elevation_std_rad=s.elevation.std_rad,
+            body_rate_rad_s=sqrt(p * p + q * q + r * r) if d.mode is Mode.GYRO else nan,
+        )
+
+    def _imu(self, s: State, sample: ImuSample) -> State:
+        t_ns = sample.t_ns
+        gyro = self._propagation.mean_gyro(s.reckoning, sample)
+        tilt = tilts.with_imu(s.tilt, t_ns, gyro, sample.accel_m_s2)
+        rate = level_yaw_rate(sample.gyro_rad_s, tilt.down)
+        lateral, drift = self._moved(s, t_ns, rate, tilt.down, sample.accel_m_s2)
+        d = self._propagation.with_gyro(s.reckoning, self.ekf, sample, rate, drift)
+        delay = s.delay
+        if delay is not None:
+            delay = delay if d.mode is s.reckoning.mode else delay.interrupted()
+            delay = with_turn(delay, t_ns, d.raw_theta_rad)
+        _, _, _, _, velocity, width, imu_yaw, axis, _, frames, elevation, _ = s
+        x, P = self.ekf.x, self.ekf.P
+        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay)
+
+    def _attitude(self, s: State, sample: AttitudeSample) -> State:
+        q = sample.unit()
+        yaw_rad = yaw_of_quaternion(q)
+        lateral, drift = self._moved(s, sample.t_ns, s.reckoning.rate_rad_s, s.tilt.down)
+        d = self._propagation.with_attitude_yaw(s.reckoning, self.ekf, sample.t_ns, yaw_rad, drift)
+        tilt = tilts.from_quaternion(s.tilt, sample.t_ns, q)
+        imu_yaw = fuse_imu_yaw(s.imu_yaw, self.ekf, yaw_rad, d, s.axis, self.config)
+        delay = self._delay_in_mode(s, d)
+        _, _, _, _, velocity, width, _, axis, _, frames, elevation, _ = s
+        x, P = self.ekf.x, self.ekf.P
+        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay)
+
+    def _velocity(self, s: State, sample: VelocitySample) -> State:
+        s = self._held(s, sample.t_ns, s.frames)
+        return s._replace(velocity=with_velocity(s.velocity, sample, s.tilt.down))
+
+    def _frame(self, s: State, sample: FrameSample) -> tuple[State, FrameResult]:
+        s = self._held(s, sample.t_ns, s.frames.with_sample(sample.t_ns))
+        if sample.measure is None:
+            return s, FrameResult(sample.stamp_ns, None, False, Reason.UNREADABLE)
+        attitude = tilts.attitude_at(s.tilt, sample.t_ns, self.config.attitude_std_rad)
+        if isinstance(sample.measure, FrameMeasurement):
+            m = sample.measure
+        else:
+            prior, psi_rad = self.expected_frame(s, sample.t_ns), float(self.ekf.x[PSI])
+            m = measure_with_prior(sample.measure, attitude, prior, psi_rad, self.config)
+        reason = reason_to_reject(m, self.config)
+        if reason is not Reason.OK:
+            return s, FrameResult(sample.stamp_ns, m, False, reason)
+        return self._fuse_heading(s, sample, m, attitude)
+
+    def _moved(
+        self, s: State, t_ns: int, rate_rad_s: float, down: Vector, accel_m_s2: Vector | None = None
+    ) -> tuple[Lateral, Drift]:
+        """Tell the lateral offset of a propagation step, and ask how it moves in it."""
+        last_ns = s.reckoning.t_ns
+        dt_s = 0.0 if last_ns is None else (t_ns - last_ns) * 1e-9
+        step = MotionStep(t_ns, dt_s, self.ekf.x, rate_rad_s, down, accel_m_s2, s.velocity)
+        return self._lateral.propagated(s.lateral, step, s.width.half_m(self.config))
+
+    def _held(self, s: State, t_ns: int, frames: SampleTimes) -> State:
+        """Propagate to a sample that tells nothing of the heading's rate; ``frames`` came by then."""
+        lateral, drift = self._moved(s, t_ns, s.reckoning.rate_rad_s, s.tilt.down)
+        d = self._propagation.hold(s.reckoning, self.ekf, t_ns, drift)
+        delay = self._delay_in_mode(s, d)
+        _, _, _, tilt, velocity, width, imu_yaw, axis, _, _, elevation, _ = s
+        x, P = self.ekf.x, self.ekf.P
+        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay)
+
+    def _delay_in_mode(self, s: State, d: DeadReckoning) -> Delay | None:
+        """Start the delay's dead reckoning anew where something else carries the heading now."""
+        if s.delay is None or d.mode is s.reckoning.mode:
+            return s.delay
+        return s.delay.interrupted()
+
+    def _fuse_heading(
+        self, s: State, sample: FrameSample, m: FrameMeasurement, attitude: Attitude | None
+    ) -> tuple[State, FrameResult]:
+        """Gate a frame's heading and take it in, or keep it as a vote for another axis."""
+        c, ekf, t_ns, d, axis = self.config, self.ekf, sample.t_ns, s.reckoning, s.axis
+        interval_s = s.frames.interval_s
+        if axis.acquired and float(ekf.P[PSI, PSI]) > c.lost_heading_std_rad**2:
+            axis = axis.lost()
+        variance = max(m.heading_std_rad, c.heading_std_floor_rad) ** 2
+        variance += self._propagation.held_rate_variance(d, t_ns)
+        heading = m.heading_rad + turned_since_exposure(s.delay, float(ekf.x[BIAS]), t_ns, d.raw_theta_rad)
+        vote = (t_ns, d.theta_rad - heading, sqrt(variance))
+        if not axis.acquired:
+            axis = axis.voted(*vote, False, interval_s)
+            axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.coupled, c)
+            s = s._replace(axis=axis._replace(recent=axis.followed(t_ns, heading, axis.acquired, interval_s)))
+            if axis.acquired:
+                lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
+                s = s._replace(lateral=lateral, width=width, elevation=elevation, x=ekf.x, P=ekf.P)
+            return s, FrameResult(sample.stamp_ns, m, True, Reason.OK)
+        rho = correlation(t_ns, axis.t_vision_ns, c.heading_correlation_s)
+        measurement = heading_model(ekf.x, heading, variance)
+        delay, by_delay = s.delay, DelayedInnovation(0.0, 0.0)
+        if delay is not None:
+            delay = with_axis(delay, ekf, t_ns, d.raw_theta_rad, axis.reset_count)
+            by_delay = innovation_of(delay, ekf, t_ns, d.raw_theta_rad)
+        doubt = Doubt(c.heading_gate_sigma, rho, OUTLIER_DENSITY, by_delay.variance)
+        gate, noise = update_with_doubt(ekf, measurement, axis.noise, doubt)
+        recent = axis.followed(t_ns, heading, gate.accepted, interval_s)
+        axis = axis._replace(noise=noise, test_ratio=gate.test_ratio, recent=recent)
+        result = (gate.residual, gate.test_ratio)
+        if not gate.accepted:
+            axis = axis.voted(*vote, recent[-1].linked, interval_s)
+            s = self._follow_votes(s._replace(axis=axis, delay=delay), t_ns)
+            return s, FrameResult(sample.stamp_ns, m, False, Reason.GATE, *result)
+        if delay is not None and d.mode is Mode.GYRO:
+            seen = FrameHeading(t_ns, m.heading_rad, variance * noise.inflation, axis.reset_count)
+            delay = learn_delay(delay, ekf, seen, by_delay.per_s, c)
+        axis = axis.confirmed(ekf, t_ns, d.theta_rad)
+        lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
+        imu_yaw = compare_by_frame(s.imu_yaw, t_ns, heading, variance, d)
+        _, _, _, tilt, velocity, _, _, _, _, frames, _, _ = s
+        s = State(ekf.x, ekf.P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay)
+        return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
+
+    def _fuse_rest(
+        self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None
+    ) -> tuple[Lateral, Width, Elevation]:
+        """Use the rest of a frame whose heading was accepted: lateral offset, width, elevation of the camera."""
+        lateral = self._lateral.fused(s.lateral, self.ekf, t_ns, m, s.width.half_m(self.config))
+        return lateral, s.width.with_frame(t_ns, m.width_per_height), s.elevation.with_frame(m, attitude)
+
+    def _follow_votes(self, s: State, t_ns: int) -> State:
+        """Do what the votes against the present axis mean, if enough of them agree."""
+        c, ekf, theta_rad, coupled = self.config, self.ekf, s.reckoning.theta_rad, s.imu_yaw.coupled
+        axis, found = junctions.decide(s.axis, float(ekf.x[PSI]), t_ns, theta_rad, s.frames.interval_s, c)
+        if found is None:
+            return s._replace(axis=axis)  # the gate has left the filter as it was
+        imu_yaw = s.imu_yaw.axis_changed()
+        if isinstance(found, Recovery):
+            axis = recover(axis, ekf, found, t_ns, theta_rad, coupled)
+            return s._replace(axis=axis, imu_yaw=imu_yaw, x=ekf.x, P=ekf.P)
+        half_m = s.width.half_m(c)
+        lateral = self._lateral.lost(s.lateral, ekf, half_m)._replace(t_ns=None)
+        crossing = junctions.Crossing(coupled, *self._lateral.unknown_variances(half_m), lateral.n_used)
+        axis = junctions.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
+        width = s.width.corridor_changed()
+        return s._replace(axis=axis, imu_yaw=imu_yaw, lateral=lateral, width=width, x=ekf.x, P=ekf.P)

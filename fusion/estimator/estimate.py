@@ -1,0 +1,215 @@
+"""What the estimator reports: takes a state and a time, returns an `Estimate`, changes nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import hypot, nan, sqrt
+from statistics import median
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fusion.estimator.camera_delay import camera_delay, spread_by_delay
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.lateral import readout
+from fusion.estimator.models import PSI
+from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, Mode
+from fusion.estimator.sample_times import seconds_since
+from vision.measurement import position_from_offset
+from vision.rotations import wrap, wrap_axis
+
+if TYPE_CHECKING:
+    from fusion.estimator.engine import State
+
+
+class Status(StrEnum):
+    """How far the heading can be relied on; the words of the ``status`` column."""
+
+    INITIALISING = "initialising"  # no heading yet
+    TRACKING = "tracking"  # recent frames confirm it
+    COASTING = "coasting"  # carried on by gyroscope or attitude alone
+    LOST = "lost"  # carried on for too long, or too uncertain
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Heading and lateral offset at one instant; unknown numbers are NaN.
+
+    The fields up to ``vision_age_s`` are the columns of ``estimates.csv``,
+    `fusion.estimator.tables.ESTIMATE_COLUMNS`.
+
+    Parameters
+    ----------
+    timestamp_ns
+        Time of the newest sample, to which the estimate is predicted.
+    heading_rad, heading_std_rad
+        Relative to the corridor being flown, positive turned right, in [-pi, pi).
+    lateral_offset_m, lateral_offset_std_m, lateral_offset_norm, lateral_offset_norm_std
+        Right of the centre line; in metres where the width is known, and over half the width.
+    position
+        left, centre or right; empty where unknown.
+    yaw_rate_rad_s, gyro_bias_rad_s
+        Level yaw rate, corrected by the bias, and the bias.
+    imu_yaw_offset_rad
+        The IMU's yaw minus the heading in the first corridor's frame.
+    corridor_index, corridor_turn_rad
+        0 for the first corridor; angle of the present one's axis from the first one's, positive right.
+    status, vision_age_s
+        A `Status`; time since the last frame that was used.
+    reason
+        Why the status is what it is, or what is amiss though tracking; empty where all is well.
+    gyro_age_s, attitude_age_s, lateral_age_s
+        Time since the last sample of each, and since the last lateral offset used.
+    heading_test_ratio, lateral_test_ratio, imu_yaw_test_ratio
+        Of the last innovation of each: squared over gate squared; above 1 rejected.
+    lateral_velocity_norm_s, lateral_velocity_norm_s_std, lateral_velocity_m_s, lateral_velocity_std_m_s
+        How fast the lateral offset grows, by all that moves it: heading and speed, where a velocity stream tells it,
+        and drift. In half widths per second, and in metres per second where the width is known.
+    along_velocity_m_s
+        Speed along the corridor in the sense of its axis, from the velocity stream; NaN without.
+    reset_count, reset_heading_rad
+        How often the heading jumped (another corridor, a recovery, found again after loss), and by how much at the
+        last time, new minus old: a controller that needs continuity takes the step off whenever the count goes up.
+    lateral_reset_count, reset_lateral_norm, reset_lateral_m
+        The same for the lateral offset; its step is counted from the last one known to the first one known again.
+    roll_rad, pitch_rad
+        The tilt in use.
+    camera_delay_s, camera_delay_std_s
+        How late the frames are stamped, as configured or as estimated; NaN sigma where it is not estimated.
+    """
+
+    timestamp_ns: int
+    heading_rad: float = nan
+    heading_std_rad: float = nan
+    lateral_offset_m: float = nan
+    lateral_offset_std_m: float = nan
+    lateral_offset_norm: float = nan
+    lateral_offset_norm_std: float = nan
+    position: str = ""
+    yaw_rate_rad_s: float = nan
+    gyro_bias_rad_s: float = nan
+    imu_yaw_offset_rad: float = nan
+    corridor_index: int = 0
+    corridor_turn_rad: float = 0.0
+    status: str = Status.INITIALISING
+    vision_age_s: float = nan
+    reason: str = ""
+    gyro_age_s: float = nan
+    attitude_age_s: float = nan
+    lateral_age_s: float = nan
+    heading_test_ratio: float = nan
+    lateral_test_ratio: float = nan
+    imu_yaw_test_ratio: float = nan
+    lateral_velocity_norm_s: float = nan
+    lateral_velocity_norm_s_std: float = nan
+    lateral_velocity_m_s: float = nan
+    lateral_velocity_std_m_s: float = nan
+    along_velocity_m_s: float = nan
+    reset_count: int = 0
+    reset_heading_rad: float = 0.0
+    lateral_reset_count: int = 0
+    reset_lateral_norm: float = 0.0
+    reset_lateral_m: float = 0.0
+    roll_rad: float = nan
+    pitch_rad: float = nan
+    camera_delay_s: float = nan
+    camera_delay_std_s: float = nan
+
+
+def status_of(state: State, config: FusionConfig, t_ns: int, heading_std_rad: float) -> tuple[Status, str]:
+    """Status at a time and its reason; sources that have fallen silent are told of whatever the status.
+
+    Parameters
+    ----------
+    state
+        Of the estimator.
+    config
+        Settings.
+    t_ns
+        When; not before the state.
+    heading_std_rad
+        Standard deviation of the heading.
+    """
+    axis = state.axis
+    if not axis.ever_acquired:
+        return Status.INITIALISING, "waiting for frames that agree" if axis.votes else "no usable frame yet"
+    age, limit = seconds_since(t_ns, axis.t_vision_ns), state.frames.age_limit_s(config)
+    if heading_std_rad > config.lost_heading_std_rad:
+        status, reasons = Status.LOST, ["heading is too uncertain"]
+    elif age > config.lost_after_s:
+        status, reasons = Status.LOST, [f"no usable frame for {age:.0f} s"]
+    elif age > limit:
+        silent = state.frames.is_silent(t_ns, config)
+        status, reasons = Status.COASTING, ["no frames arrive" if silent else "frames are rejected"]
+    else:
+        status, reasons = Status.TRACKING, []
+        if state.lateral.acquired and seconds_since(t_ns, state.lateral.t_ns) > limit:
+            reasons.append("frames show no lateral offset")
+    return status, "; ".join([*reasons, *state.silences(t_ns, config)])
+
+
+def estimate_of(state: State, config: FusionConfig, t_ns: int | None = None) -> Estimate:
+    """Report a state, at its own time or (ages and status only) at a later one."""
+    if state.t_ns is None:
+        return Estimate(0 if t_ns is None else t_ns, reason="no sample yet")
+    t = state.t_ns if t_ns is None else t_ns
+    reckoning, axis, lateral = state.reckoning, state.axis, state.lateral
+    psi, bias, yaw_offset, _, _ = state.x.tolist()
+    heading, heading_std = psi, spread_by_delay(sqrt(float(state.P[PSI, PSI])), state.delay, state.t_ns)
+    delay_s, delay_std_s = camera_delay(state.delay, config)
+    if not axis.ever_acquired:
+        heading, heading_std = _provisional_heading(state)
+    status, reason = status_of(state, config, t, heading_std)
+    half = state.width.half_m(config)
+    found = readout(lateral, state.x, state.P, state.velocity, t, half)
+    position = position_from_offset(found.offset, config.position_dead_band_norm)
+    gx, gy, gz = state.tilt.down
+    return Estimate(
+        timestamp_ns=t,
+        heading_rad=wrap(heading),
+        heading_std_rad=heading_std,
+        lateral_offset_m=found.offset * half,
+        lateral_offset_std_m=found.offset_std * half,
+        lateral_offset_norm=found.offset,
+        lateral_offset_norm_std=found.offset_std,
+        position="" if position is None else str(position),
+        yaw_rate_rad_s=reckoning.yaw_rate(bias),
+        gyro_bias_rad_s=bias if reckoning.mode is Mode.GYRO else nan,
+        imu_yaw_offset_rad=wrap(yaw_offset) if state.imu_yaw.known else nan,
+        corridor_index=axis.corridor_index,
+        corridor_turn_rad=axis.corridor_turn_rad,
+        status=str(status),
+        vision_age_s=seconds_since(t, axis.t_vision_ns),
+        reason=reason,
+        gyro_age_s=seconds_since(t, reckoning.t_gyro_ns),
+        attitude_age_s=reckoning.attitude.age_s(t),
+        lateral_age_s=seconds_since(t, lateral.t_ns),
+        heading_test_ratio=axis.test_ratio,
+        lateral_test_ratio=lateral.test_ratio,
+        imu_yaw_test_ratio=state.imu_yaw.test_ratio,
+        lateral_velocity_norm_s=found.rate,
+        lateral_velocity_norm_s_std=found.rate_std,
+        lateral_velocity_m_s=found.rate * half,
+        lateral_velocity_std_m_s=found.rate_std * half,
+        along_velocity_m_s=found.along_m_s,
+        reset_count=axis.reset_count,
+        reset_heading_rad=axis.reset_heading_rad,
+        lateral_reset_count=lateral.reset_count,
+        reset_lateral_norm=lateral.reset_norm,
+        reset_lateral_m=lateral.reset_m,
+        roll_rad=float(np.arctan2(gy, gz)),
+        pitch_rad=float(np.arctan2(-gx, hypot(gy, gz))),
+        camera_delay_s=delay_s,
+        camera_delay_std_s=delay_std_s,
+    )
+
+
+def _provisional_heading(state: State) -> tuple[float, float]:
+    """Heading before the start is settled: what the frames so far say, with a wide sigma."""
+    votes = state.axis.votes
+    if not votes:
+        return nan, nan
+    newest = votes[-1].value
+    axis = newest + median(wrap_axis(vote.value - newest) for vote in votes)
+    return wrap_axis(state.reckoning.theta_rad - axis), UNKNOWN_HEADING_STD_RAD / (3.0 + len(votes))

@@ -1,0 +1,221 @@
+"""What votes against the present axis mean: takes its state and the newest vote, returns what is to be done.
+
+Once enough votes agree, they mean one of three things:
+
+- The filter has gone wrong: the axis is near the expected one, or it is where the axis was when frames last confirmed
+  it, or the picture has changed only gradually since then. The covariance is widened in the direction of the
+  disagreement, so that the votes' median can be taken in (`fusion.estimator.corridor_axis.recover`).
+- Another corridor: the vehicle itself has turned away from the old axis, and looks along the new one
+  (`enter_corridor`, which changes the filter and returns the axis's part of the state).
+- A wall, a side corridor, furniture: neither of these, so it is waited out, unless nothing else is seen for as long
+  as the present axis was.
+"""
+
+from __future__ import annotations
+
+from math import pi, radians
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.corridor_axis import CorridorAxis, PreviousAxis, Recovery, Rival
+from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, V, Y
+from fusion.estimator.votes import AGREEING_SHARE, Agreement, agreement, is_contested
+from vision.rotations import wrap_axis
+
+if TYPE_CHECKING:
+    from fusion.estimator.ekf import CorridorEKF
+
+KNOWN_AXIS_RAD = radians(5)
+ALIGNED_RAD = radians(10)
+OBLIQUE_RAD = radians(35)
+OBLIQUE_WAIT_S = 1.5
+WEAK_SUPPORT_S = 1.5
+REAL_CORRIDOR_OFFSETS = 10
+GLANCE_S = 3.0
+
+
+class NewCorridor(NamedTuple):
+    """The heading is to be measured from another axis, that of another corridor unless ``same_corridor``."""
+
+    heading_rad: float
+    axis_rad: float
+    std_rad: float
+    same_corridor: bool
+
+
+def decide(
+    axis: CorridorAxis,
+    psi_rad: float,
+    t_ns: int,
+    theta_rad: float,
+    frame_interval_s: float,
+    config: FusionConfig,
+) -> tuple[CorridorAxis, Recovery | NewCorridor | None]:
+    """Decide what the votes mean, if enough of them agree.
+
+    Parameters
+    ----------
+    axis
+        Part of the state, with the newest frame's vote.
+    psi_rad
+        The filter's heading.
+    t_ns, theta_rad
+        Now, and the dead-reckoned heading.
+    frame_interval_s
+        Mean time between frames.
+    config
+        Settings.
+    """
+    c = config
+    found = agreement(axis.votes, c.recovery_spread_rad, wrap_axis)
+    if found is None or found.n_votes < min(c.recovery_frames, c.junction_frames):
+        return axis, None
+    rival = _rival(axis, t_ns, found, frame_interval_s)
+    lasting_s = (t_ns - rival.since_ns) * 1e-9
+    if is_contested(found, axis.n_accepted):
+        return axis._replace(rival=None), None  # other frames still see the present axis
+    axis = axis._replace(rival=rival)
+    heading = wrap_axis(theta_rad - found.value)
+    distance = abs(wrap_axis(heading - psi_rad))
+    linked = found.linked_share > 0.5
+    at_anchor = abs(wrap_axis(found.value - axis.anchor_rad)) < KNOWN_AXIS_RAD
+    enough = found.n_votes >= c.recovery_frames
+    if distance < c.junction_min_turn_rad or linked or at_anchor:
+        if not enough:
+            return axis, None
+        expected = psi_rad
+        if at_anchor:
+            expected = theta_rad - axis.anchor_rad
+        elif linked:
+            expected = heading + axis.facing_rad
+        return axis, Recovery(_facing(heading, expected), found.std)
+    if _has_turned_into(axis, theta_rad, heading, found, lasting_s, c):
+        return axis, NewCorridor(heading, found.value, found.std, same_corridor=False)
+    if enough and lasting_s >= min(c.axis_jump_hold_s, 0.3 + axis.support_s):
+        # No turn explains it: the axis taken up before was the wrong one.
+        if axis.corridor_index == 0:
+            return axis, Recovery(_facing(heading, psi_rad), found.std)
+        return axis, NewCorridor(heading, found.value, found.std, same_corridor=True)
+    return axis, None
+
+
+class Crossing(NamedTuple):
+    """What else changes with the corridor.
+
+    Parameters
+    ----------
+    coupled
+        Whether the IMU's yaw offset is correlated with the heading.
+    y_variance, v_variance
+        Of the lateral offset and its unexplained velocity in a corridor of which nothing is known.
+    n_lateral
+        How many lateral offsets have been used.
+    """
+
+    coupled: bool
+    y_variance: float
+    v_variance: float
+    n_lateral: int
+
+
+def enter_corridor(
+    axis: CorridorAxis,
+    ekf: CorridorEKF,
+    found: NewCorridor,
+    t_ns: int,
+    theta_rad: float,
+    crossing: Crossing,
+    config: FusionConfig,
+) -> CorridorAxis:
+    """Measure the heading from another corridor's axis from now on.
+
+    As a transition: the new heading is what the votes say, independent of the old; the offset takes up the
+    difference, so that the IMU's yaw, psi + turn + o, goes on as it was; the lateral state is unknown.
+
+    Parameters
+    ----------
+    axis, ekf, t_ns, theta_rad, config
+        As in `fusion.estimator.corridor_axis.start`.
+    found
+        What the votes say.
+    crossing
+        What else changes.
+    """
+    psi, bias, offset, *_ = ekf.x.tolist()
+    turn = axis.corridor_turn_rad + psi - found.heading_rad
+    variance = found.std_rad**2
+    F, Q = np.zeros((N_STATES, N_STATES)), np.zeros((N_STATES, N_STATES))
+    F[BIAS, BIAS] = F[YAW_OFFSET, YAW_OFFSET] = 1.0
+    Q[PSI, PSI] = Q[YAW_OFFSET, YAW_OFFSET] = variance
+    if crossing.coupled:
+        F[YAW_OFFSET, PSI] = 1.0
+        Q[PSI, YAW_OFFSET] = Q[YAW_OFFSET, PSI] = -variance
+    else:
+        Q[YAW_OFFSET, YAW_OFFSET] += float(ekf.P[PSI, PSI])
+    Q[Y, Y], Q[V, V] = crossing.y_variance, crossing.v_variance
+    ekf.predict(np.array([found.heading_rad, bias, offset, 0.0, 0.0]), F, Q)
+    index = axis.corridor_index
+    left = PreviousAxis(theta_rad - psi, index, axis.corridor_turn_rad, t_ns, crossing.n_lateral)
+    back = axis.previous
+    recent = back is not None and _is_glance(back, t_ns, crossing.n_lateral, config)
+    if back is not None and recent and abs(wrap_axis(found.axis_rad - back.axis_rad)) < 2 * KNOWN_AXIS_RAD:
+        index = back.corridor_index  # the vehicle came back: it was no other corridor
+    elif found.same_corridor or (recent and axis.support_s < WEAK_SUPPORT_S):
+        left = back or left  # the right axis of the corridor just entered; the first guess was a wall's
+    else:
+        index = axis.n_corridors
+    axis = axis.stepped(ekf, psi)._replace(
+        corridor_index=index,
+        n_corridors=max(axis.n_corridors, index + 1),
+        previous=left,
+        corridor_turn_rad=turn,
+        votes=(),
+        rival=None,
+        support_s=0.0,
+    )
+    return axis.confirmed(ekf, t_ns, theta_rad)
+
+
+def _facing(heading_rad: float, expected_rad: float) -> float:
+    """Choose the end of the corridor that the vehicle faces, which a frame cannot tell."""
+    return heading_rad + pi * round((expected_rad - heading_rad) / pi)
+
+
+def _rival(axis: CorridorAxis, t_ns: int, found: Agreement, frame_interval_s: float) -> Rival:
+    """Follow the axis that votes agree on, also beyond the votes' own age."""
+    first_ns = found.first_ns
+    if axis.rival is not None:
+        alive = (t_ns - axis.rival.last_ns) * 1e-9 <= max(1.0, 5.0 * frame_interval_s)
+        if alive and abs(wrap_axis(axis.rival.axis_rad - found.value)) < KNOWN_AXIS_RAD:
+            first_ns = min(first_ns, axis.rival.since_ns)
+    return Rival(found.value, first_ns, t_ns)
+
+
+def _has_turned_into(
+    axis: CorridorAxis,
+    theta_rad: float,
+    heading_rad: float,
+    found: Agreement,
+    lasting_s: float,
+    c: FusionConfig,
+) -> bool:
+    """Whether the vehicle's own turn makes the agreed axis that of another corridor, ``heading_rad`` off it."""
+    turned = theta_rad - axis.anchor_rad
+    oblique = abs(heading_rad)
+    if abs(turned) < c.junction_min_turn_rad or oblique > OBLIQUE_RAD:
+        return False
+    if oblique + radians(5) > abs(wrap_axis(turned)):
+        return False
+    wait_s = c.junction_time_s + OBLIQUE_WAIT_S * max(
+        0.0, (oblique - ALIGNED_RAD) / (OBLIQUE_RAD - ALIGNED_RAD)
+    )
+    return found.n_votes >= c.junction_frames and lasting_s >= wait_s and found.share >= AGREEING_SHARE
+
+
+def _is_glance(back: PreviousAxis, t_ns: int, n_lateral: int, config: FusionConfig) -> bool:
+    """Whether the present corridor may still turn out to be a wall or a side corridor looked at in passing."""
+    since_s = (t_ns - back.left_ns) * 1e-9
+    two_sided = n_lateral - back.n_lateral >= REAL_CORRIDOR_OFFSETS  # a wall shows one side
+    return since_s <= (GLANCE_S if two_sided else config.junction_revert_s)

@@ -1,0 +1,46 @@
+"""When a source's samples came: takes times of samples, returns age and mean interval, changes nothing else."""
+
+from __future__ import annotations
+
+from math import isfinite, nan
+from typing import NamedTuple
+
+from fusion.estimator.config import FusionConfig
+
+
+def seconds_since(t_ns: int, then_ns: int | None) -> float:
+    """Age in seconds; NaN where it never was."""
+    return nan if then_ns is None else (t_ns - then_ns) * 1e-9
+
+
+class SampleTimes(NamedTuple):
+    """Time of a source's last sample, None before the first, and mean interval, NaN before the second."""
+
+    last_ns: int | None = None
+    interval_s: float = nan
+
+    def with_sample(self, t_ns: int) -> SampleTimes:
+        """Take in the newest sample's time."""
+        if self.last_ns is None:
+            return SampleTimes(t_ns, self.interval_s)
+        old_s, interval_s = self.interval_s, (t_ns - self.last_ns) * 1e-9
+        if isfinite(old_s):
+            interval_s = 0.8 * old_s + 0.2 * min(interval_s, 3 * old_s)
+        return SampleTimes(t_ns, interval_s)
+
+    def clock_set_back(self) -> SampleTimes:
+        """Forget when the last sample came; the interval stays."""
+        return SampleTimes(None, self.interval_s)
+
+    def age_s(self, t_ns: int) -> float:
+        """Seconds since the last sample; NaN before the first."""
+        return seconds_since(t_ns, self.last_ns)
+
+    def age_limit_s(self, config: FusionConfig) -> float:
+        """Age at which the source counts as silent: a source of one sample per second is not always silent."""
+        limit_s = config.coasting_after_s
+        return max(limit_s, 2.5 * self.interval_s) if isfinite(self.interval_s) else limit_s
+
+    def is_silent(self, t_ns: int, config: FusionConfig) -> bool:
+        """Whether the source has spoken once and no longer does."""
+        return self.last_ns is not None and (t_ns - self.last_ns) * 1e-9 > self.age_limit_s(config)

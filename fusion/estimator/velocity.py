@@ -1,0 +1,54 @@
+"""The velocity stream: takes a body velocity and the tilt, returns level speeds that are held for half a second."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import NamedTuple
+
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.models import Vector
+from fusion.estimator.sample_times import SampleTimes
+
+HELD_S = 0.5
+
+
+class VelocitySample(NamedTuple):
+    """A velocity (3,) in the body, FRD, metres per second, for instance from optical flow or wheels."""
+
+    t_ns: int
+    v_body_m_s: Vector
+
+    def fault(self) -> str:
+        """Why it cannot be used; empty where it can."""
+        x, y, z = self.v_body_m_s
+        return "" if isfinite(x) and isfinite(y) and isfinite(z) else "velocity_not_finite"
+
+
+class Velocity(NamedTuple):
+    """Level speeds ahead and to the right, metres per second, and when they were measured."""
+
+    times: SampleTimes = SampleTimes()
+    forward_m_s: float = 0.0
+    sideways_m_s: float = 0.0
+
+    def is_known(self, t_ns: int) -> bool:
+        """Whether the stream tells how the vehicle moves at a time."""
+        return self.times.age_s(t_ns) <= HELD_S
+
+    def clock_set_back(self) -> Velocity:
+        """Go on without the last sample."""
+        return self._replace(times=self.times.clock_set_back())
+
+    def silence(self, t_ns: int, config: FusionConfig) -> str:
+        """Say so if the source has fallen silent."""
+        return "velocity is silent" if self.times.is_silent(t_ns, config) else ""
+
+
+def with_velocity(velocity: Velocity, sample: VelocitySample, down: Vector) -> Velocity:
+    """Level a velocity by gravity's direction in the body; without yaw, that is all it takes."""
+    dx, dy, dz = down
+    vx, vy, vz = sample.v_body_m_s
+    horizontal = max((dy * dy + dz * dz) ** 0.5, 0.09)
+    right = (dz * vy - dy * vz) / horizontal
+    forward = vx * horizontal - dx * (dy * vy + dz * vz) / horizontal
+    return Velocity(velocity.times.with_sample(sample.t_ns), forward, right)

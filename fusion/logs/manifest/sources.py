@@ -1,0 +1,264 @@
+"""What a manifest's streams are: which file and topic each comes from, at which times, along which axes.
+
+`corridor fuse` and `corridor inspect` both read a manifest through `ManifestLog`, so that they see the same streams.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+from fusion.flight import (
+    AttitudeStream,
+    CorridorTruth,
+    FrameStream,
+    ImuStream,
+    RangeStream,
+    VectorStream,
+)
+from fusion.logs import open_log
+from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.manifest.manifest import CameraSource, Manifest, StreamSource, corrected_camera
+from fusion.logs.plausibility.mounting import mounted
+from fusion.logs.samples import Problems, WithProblems
+from fusion.logs.topic_choice import TABLES, choose_topic
+from vision import Camera, InputError
+
+AnyStream = TypeVar("AnyStream", bound=Any)
+
+
+class ManifestLog(LogContents):
+    """The streams that a manifest names, as one log: on the flight's clock, along the body's axes.
+
+    Parameters
+    ----------
+    manifest
+        With absolute paths. A clock offset that it leaves open is taken from the camera's calibration, where that
+        is a Kalibr chain.
+    path
+        The manifest's file; None where there is none.
+    camera
+        Calibration to use instead of the manifest's; the manifest's corrections apply to either.
+    """
+
+    format = "flight.toml"
+
+    def __init__(self, manifest: Manifest, path: Path | None = None, camera: Camera | None = None) -> None:
+        self.path = path or manifest.log or manifest.camera.file or Path()
+        self._shift_error: InputError | None = None
+        try:
+            self.manifest = _with_time_shift(manifest)
+        except InputError as error:  # raised where the calibration is read
+            self.manifest, self._shift_error = manifest, error
+        self._given_camera = camera
+        self._opened: dict[tuple[Path, str], LogContents | InputError] = {}
+
+    def source(self, kind: Kind) -> StreamSource:
+        """Return the manifest's table of a kind of stream."""
+        return self.manifest.stream(TABLES[kind])
+
+    def log(self, kind: Kind) -> LogContents | None:
+        """Open the file that a kind of stream comes from, once however many come from it; None: it has none.
+
+        Raises
+        ------
+        InputError
+            Where the file does not open.
+        """
+        source = self.source(kind)
+        path = source.file or self.manifest.log
+        if path is None or not source.use:
+            return None
+        key = (path, repr(source.how_to_open()))
+        if key not in self._opened:
+            try:
+                self._opened[key] = open_as_told(path, source)
+            except InputError as error:
+                self._opened[key] = error
+        opened = self._opened[key]
+        if isinstance(opened, InputError):
+            raise opened
+        return opened
+
+    def whole_log(self) -> LogContents | None:
+        """Return the log that the manifest names for everything, if it was opened."""
+        for (path, _), log in self._opened.items():
+            if path == self.manifest.log and not isinstance(log, InputError):
+                return log
+        return None
+
+    def choose(self, kind: Kind) -> WithProblems[str | None]:
+        """Name the topic of its file that a kind of stream is read from; None where there is none, or no clear one.
+
+        Raises
+        ------
+        InputError
+            Where the file does not open, the topic that the manifest names is not in it, or there are several
+            cameras or IMUs.
+        """
+        log = self.log(kind)
+        return WithProblems(None) if log is None else choose_topic(log, kind, self.source(kind).topic)
+
+    @cached_property
+    def topics(self) -> tuple[Topic, ...]:  # type: ignore[override]
+        """Every topic that a stream could be read from, of the files that open."""
+        return tuple(topic for kind in Kind for topic in self._topics(kind))
+
+    @cached_property
+    def problems(self) -> Problems:  # type: ignore[override]
+        """What is wrong with the files, and which streams the manifest names that they do not hold."""
+        found: list[str] = []
+        for kind in Kind:
+            source = self.source(kind)
+            try:
+                log = self.log(kind)
+            except InputError as error:
+                found.append(str(error))
+                continue
+            if log is None:
+                continue
+            found += log.problems
+            if not self._topics(kind) and (source.file is not None or source.topic is not None):
+                file = source.file or self.manifest.log or self.path
+                what = source.topic or "stream of this kind"
+                found.append(f"[{TABLES[kind]}]: {file.name} has no {what}")
+        return tuple(dict.fromkeys(found))
+
+    def _topics(self, kind: Kind) -> list[Topic]:
+        try:
+            log = self.log(kind)
+        except InputError:  # reported in `problems`
+            return []
+        source = self.source(kind)
+        if log is None:
+            return []
+        own = "" if source.file is None or source.file == self.manifest.log else source.file.name
+        shift_ns = round(source.clock_offset_s * 1e9)
+        shift = f"{source.clock_offset_s:+.3f} s" if shift_ns else ""
+        return [
+            replace(
+                topic,
+                t_ns=topic.t_ns + shift_ns,
+                note="; ".join(part for part in (own, topic.note, shift) if part),
+            )
+            for topic in log.topics
+            if topic.kind is kind and source.topic in (None, topic.name)
+        ]
+
+    def _read(
+        self, kind: Kind, read: Callable[[LogContents], Callable[[str], WithProblems[AnyStream]]], topic: str
+    ) -> WithProblems[AnyStream]:
+        """Read a topic, put it onto the flight's clock and turn it into the body."""
+        log, source = self.log(kind), self.source(kind)
+        if log is None:
+            raise InputError(f"names no {TABLES[kind]}", file=self.path, remedy="name it, or give a log")
+        stream, problems = read(log)(topic)
+        shift_ns = round(source.clock_offset_s * 1e9)
+        shifted: AnyStream = replace(stream, t_ns=stream.t_ns + shift_ns) if shift_ns else stream
+        return WithProblems(mounted(shifted, source), problems)
+
+    def frames(self, topic: str) -> WithProblems[FrameStream]:
+        """Pictures, on the flight's clock."""
+        return self._read(Kind.FRAMES, lambda log: log.frames, topic)
+
+    def camera(self, topic: str) -> Camera | None:
+        """Return the calibration that the manifest names, else the log's own, with the manifest's corrections."""
+        if self._shift_error is not None:
+            raise self._shift_error
+        log, source = self.log(Kind.FRAMES), self.manifest.camera
+        camera = self._given_camera
+        if camera is None and source.calibration is not None:
+            camera = Camera.from_yaml(source.calibration, None if log is None else log.body_frame)
+        if camera is None and log is not None:
+            camera = log.camera(topic)
+        return None if camera is None else corrected_camera(camera, source)
+
+    def imu(self, topic: str) -> WithProblems[ImuStream]:
+        """Gyroscope and accelerometer, with the noise that the manifest names."""
+        imu, problems = self._read(Kind.IMU, lambda log: log.imu, topic)
+        if self.manifest.imu.noise is not None:
+            from vision.cameras.calibration import read_imu_noise
+
+            noise = read_imu_noise(self.manifest.imu.noise)
+            imu = replace(
+                imu, gyro_noise_density=noise.gyro_noise_density, gyro_random_walk=noise.gyro_random_walk
+            )
+        return WithProblems(imu, problems)
+
+    def attitude(self, topic: str) -> WithProblems[AttitudeStream]:
+        """Attitude, on the flight's clock."""
+        return self._read(Kind.ATTITUDE, lambda log: log.attitude, topic)
+
+    def position(self, topic: str) -> WithProblems[VectorStream]:
+        """Position, on the flight's clock."""
+        return self._read(Kind.POSITION, lambda log: log.position, topic)
+
+    def velocity(self, topic: str) -> WithProblems[VectorStream]:
+        """Velocity, on the flight's clock."""
+        return self._read(Kind.VELOCITY, lambda log: log.velocity, topic)
+
+    def range(self, topic: str) -> WithProblems[RangeStream]:
+        """Distance to the floor, from the camera's height, on the flight's clock."""
+        return self._read(Kind.RANGE, lambda log: log.range, topic)
+
+    def truth(self) -> WithProblems[CorridorTruth | None]:
+        """Read what the flight really did: from the file that the manifest names, else from its log."""
+        from fusion.logs.asl import read_corridor_truth
+
+        if self.manifest.truth is not None:
+            return read_corridor_truth(self.manifest.truth)
+        log = self.whole_log()
+        return WithProblems(None) if log is None else log.truth()
+
+
+def _with_time_shift(manifest: Manifest) -> Manifest:
+    """Take the camera's clock offset from a Kalibr chain, where the manifest leaves it open."""
+    from vision.cameras.calibration import read_time_shift_s
+
+    source = manifest.camera
+    if source.calibration is None or "clock_offset_s" in source.model_fields_set:
+        return manifest
+    shift_s = read_time_shift_s(source.calibration)
+    if shift_s is None:
+        return manifest
+    return manifest.model_copy(update={"camera": source.model_copy(update={"clock_offset_s": shift_s})})
+
+
+def open_as_told(path: Path, source: StreamSource) -> LogContents:
+    """Open a file as a manifest's table says: with its column map and axes, its frame times, its start.
+
+    Raises
+    ------
+    InputError
+        Where it does not open, or a key does not go with this kind of file.
+    """
+    from fusion.logs.csv import columns
+    from fusion.logs.pictures import picture_folder as folder
+    from fusion.logs.pictures import video
+
+    told = source.how_to_open()
+    if isinstance(source, CameraSource):
+        if video.recognises(path):
+            _refuse(told, ("frame",), path, "a video")
+            return video.open_video(
+                path, start_ns=source.start_ns or 0, times=source.times, columns=source.columns
+            )
+        if folder.recognises(path) and (source.times is not None or source.columns is not None):
+            _refuse(told, ("start_ns", "frame"), path, "a folder of pictures")
+            return folder.open_folder(path, times=source.times, columns=source.columns)
+        _refuse(told, ("times", "start_ns", "columns", "frame"), path, "a log with pictures of its own")
+        return open_log(path)
+    if source.columns is not None or source.frame is not None:
+        if not path.is_file() or (source.columns is None and not columns.recognises(path)):
+            _refuse(told, ("columns", "frame"), path, "a log with columns and axes of its own")
+        return columns.open_columns(path, source.columns, source.frame)
+    return open_log(path)
+
+
+def _refuse(told: Mapping[str, object], keys: tuple[str, ...], path: Path, what: str) -> None:
+    for key in keys:
+        if told[key] is not None:
+            raise InputError(f"is {what}: {key} does not go with it", file=path, remedy=f"take {key} away")

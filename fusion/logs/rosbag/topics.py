@@ -1,0 +1,210 @@
+"""One pass through a bag: the times of every topic, and the numbers of topics that are not pictures."""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from collections import Counter
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from fusion.flight import FloatArray, TimeArray
+from fusion.logs.rosbag.file import Bag, SkippingMessages
+from fusion.logs.rosbag.frames import TOPICS as TRANSFORM_TOPICS
+from fusion.logs.rosbag.frames import Mount, StaticFrames
+from fusion.logs.rosbag.messages import WIDTH, RosType, Wire, row
+from fusion.logs.samples import Problems, WithProblems, counted
+from fusion.logs.series import LATEST_NS, Where
+from vision import InputError
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+WANTED = frozenset(kind.value for kind in RosType)
+LOOKS_DOWN, LOOKS_ELSEWHERE = "looks down by /tf_static", "does not look down by /tf_static"
+MIN_DOWN = 0.94  # of the beam along the body's z: within 20 degrees
+T = TypeVar("T")
+LATE_NS = 1_000_000_000  # between a header and its receipt; more means another clock
+
+
+@dataclass(slots=True, eq=False)
+class _Messages:
+    """What one pass through the bag finds of a topic."""
+
+    name: str
+    kind: RosType
+    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
+    received_ns: array[int] = field(default_factory=lambda: array("q"))
+    values: array[float] = field(default_factory=lambda: array("d"))
+    first: bytes = b""
+    broken: int = 0
+
+    def take(self, wire: Wire, received_ns: int, raw: bytes) -> None:
+        """Note a message; one that is damaged is counted."""
+        try:
+            stamp_ns = wire.stamp_ns(raw)
+            values = row(self.kind, wire.numbers(raw, self.kind)) if self.kind in WIDTH else ()
+        except (struct.error, IndexError):
+            self.broken += 1
+            return
+        if not 0 <= received_ns < LATEST_NS:
+            self.broken += 1
+            return
+        self.first = self.first or raw
+        self.stamps_ns.append(stamp_ns)
+        self.received_ns.append(received_ns)
+        self.values.extend(values)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """A topic's samples in the order of receipt, in FRD and z down."""
+
+    file: Path
+    name: str
+    kind: RosType
+    t_ns: TimeArray
+    received_ns: TimeArray
+    values: FloatArray
+    first: bytes
+    clock: str
+    remarks: Problems
+    axes: str = "x forward, y left, z up taken"
+
+    def columns(self, start: int, end: int) -> FloatArray:
+        """Return some of the numbers (n, k)."""
+        return self.values[:, start:end]
+
+    def where(self) -> Where:
+        """Return what to call it in messages."""
+        return Where(self.file, self.name)
+
+    def with_remarks(self, read: WithProblems[T]) -> WithProblems[T]:
+        """Put what was noticed while going through the bag before what was found on reading."""
+        return WithProblems(read.value, self.remarks + read.problems)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gathered:
+    """What one pass through a bag finds.
+
+    Parameters
+    ----------
+    samples
+        Every topic of use.
+    infos
+        The first CameraInfo of each topic of them.
+    frames
+        How the sensors are mounted.
+    """
+
+    samples: tuple[Samples, ...]
+    infos: dict[str, bytes]
+    frames: StaticFrames
+
+
+def gather(bag: Bag, wire: Wire) -> WithProblems[Gathered]:
+    """Go through a bag once."""
+    found: dict[tuple[str, str], _Messages] = {}
+    connections = [connection for connection in bag.connections if of_use(connection)]
+    infos: dict[str, bytes] = {}
+    frames = StaticFrames()
+    read: Counter[str] = Counter()
+    messages = SkippingMessages(bag, connections)
+    for connection, received_ns, raw in messages:
+        read[connection.topic] += 1
+        if connection.msgtype == RosType.CAMERA_INFO:
+            infos.setdefault(connection.topic, raw)
+        elif connection.msgtype == RosType.TRANSFORMS:
+            with suppress(InputError):  # a damaged one is one that is not there
+                frames.add(bag.decode(connection.msgtype, raw).transforms)
+        else:
+            key = (connection.topic, connection.msgtype)
+            if key not in found:
+                found[key] = _Messages(connection.topic, RosType(connection.msgtype))
+            found[key].take(wire, received_ns, raw)
+    problems: Problems = messages.problems
+    for topic in sorted({connection.topic for connection in connections}):
+        promised = sum(connection.msgcount for connection in connections if connection.topic == topic)
+        if read[topic] < promised:
+            problems += (
+                f"{topic}: {read[topic]} of {counted(promised, 'message')} in the index can be read",
+            )
+    gathered = sorted((topic for topic in found.values() if topic.stamps_ns), key=lambda topic: topic.name)
+    samples = [_turned_into_body(_put_right(bag, topic), wire, frames) for topic in gathered]
+    elsewhere = [s for s in samples if s.kind is RosType.RANGE and s.axes == LOOKS_ELSEWHERE]
+    problems += tuple(f"{s.name}: {LOOKS_ELSEWHERE}, left out" for s in elsewhere)
+    kept = tuple(s for s in samples if s not in elsewhere)
+    return WithProblems(Gathered(kept, infos, frames), problems)
+
+
+def _put_right(bag: Bag, found: _Messages) -> Samples:
+    """Choose a topic's clock: its headers, or where these are empty, the receipt."""
+    stamps_ns = np.array(found.stamps_ns, dtype=np.int64)
+    received_ns = np.array(found.received_ns, dtype=np.int64)
+    remarks: Problems = ()
+    if found.broken:
+        remarks += (f"{found.name}: {counted(found.broken, 'damaged message')} dropped",)
+    empty = stamps_ns == 0
+    if 2 * np.count_nonzero(empty) > len(empty):
+        t_ns, clock = received_ns, "times of receipt, its headers are empty"
+        remarks += (
+            f"{found.name}: headers without time; the times are those of receipt, late by an unknown delay",
+        )
+    else:
+        t_ns, clock = np.where(empty, -1, stamps_ns), "times of the headers"
+        late_ns = int(np.median(received_ns - stamps_ns))
+        if abs(late_ns) > LATE_NS:
+            clock += f", {abs(late_ns) * 1e-9:.6g} s {'before' if late_ns > 0 else 'after'} receipt"
+    width = WIDTH.get(found.kind, 0)
+    values = np.array(found.values, dtype=float).reshape(len(t_ns), width)
+    return Samples(bag.path, found.name, found.kind, t_ns, received_ns, values, found.first, clock, remarks)
+
+
+def of_use(connection: Connection) -> bool:
+    """Whether a connection is read; of the transforms only those that never change."""
+    if connection.msgtype == RosType.TRANSFORMS:
+        return connection.topic in TRANSFORM_TOPICS
+    return connection.msgtype in WANTED
+
+
+def _turned_into_body(samples: Samples, wire: Wire, frames: StaticFrames) -> Samples:
+    """Turn inertial samples into the body, where transforms tell the mount; tell of a range sensor where it looks."""
+    if samples.kind not in (RosType.IMU, RosType.RANGE):
+        return samples
+    frame_id = wire.frame_id(samples.first)
+    mount = frames.mount(frame_id)
+    if samples.kind is RosType.RANGE:
+        return _told_where_it_looks(samples, mount)
+    if mount is None:
+        return samples
+    R = mount.of_flu_sensor()
+    values = samples.values.copy()
+    values[:, 4:7] = samples.columns(4, 7) @ R.T
+    values[:, 7:10] = samples.columns(7, 10) @ R.T
+    values[:, 0:4] = _times_inverse(samples.columns(0, 4), R)
+    return replace(samples, values=values, axes=f"turned from {frame_id} into {mount.body} by /tf_static")
+
+
+def _told_where_it_looks(samples: Samples, mount: Mount | None) -> Samples:
+    """Distances with a word on where the sensor looks, which is along its x (sensor_msgs/Range)."""
+    if mount is None:
+        remark = (
+            f"{samples.name}: taken to look down, no transform tells; if it does not: [range] use = false"
+        )
+        return replace(samples, axes="taken to look down", remarks=(*samples.remarks, remark))
+    down = float(mount.R_body_sensor[2, 0]) > MIN_DOWN
+    return replace(samples, axes=LOOKS_DOWN if down else LOOKS_ELSEWHERE)
+
+
+def _times_inverse(q: FloatArray, R: FloatArray) -> FloatArray:
+    """Quaternions (n, 4), w x y z, times the inverse of a rotation (3, 3); any length is kept, and NaN."""
+    from scipy.spatial.transform import Rotation
+
+    w, x, y, z = Rotation.from_matrix(R.T).as_quat(scalar_first=True)
+    right = np.array([[w, x, y, z], [-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]])
+    return np.asarray(q @ right)

@@ -1,0 +1,240 @@
+"""What ``summary.json`` says of a fused flight, typed: the fields are its keys, in its order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from fusion.result.record import Record
+
+PERCENTILES = (50, 90, 95, 99)
+
+
+class Level(StrEnum):
+    """Outcome of a check; ``not_judged`` where the flight has nothing to judge."""
+
+    PASS = "pass"
+    WARN = "warn"
+    FAIL = "fail"
+    NOT_JUDGED = "not_judged"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Check(Record):
+    """One line of the verdict.
+
+    Parameters
+    ----------
+    name, level
+        What was looked at, and how it came out.
+    value
+        The number found, in units for people.
+    limit
+        Where it passes and where it fails.
+    meaning
+        One sentence: what this says about the flight.
+    action
+        One sentence: what to do; empty where nothing needs doing.
+    """
+
+    name: str
+    level: Level
+    value: str
+    limit: str
+    meaning: str
+    action: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorStatistics(Record):
+    """Errors of one quantity, estimate minus truth; None where no row was left to judge.
+
+    Parameters
+    ----------
+    unit
+        ``rad``, ``m`` or ``norm`` (half widths of the corridor); appended to the names in JSON: ``rmse_rad``.
+    count
+        Rows judged.
+    rmse, mae, max, p50, p90, p95, p99
+        Of the absolute error (RMSE and MAE: the article's equations 9 and 10), and its percentiles.
+    bias
+        Mean error.
+    nees_mean
+        Mean of (error / sigma) squared; 1 for an honest sigma.
+    error_over_sigma_p90
+        90th percentile of abs(error) / sigma; 1.64 for an honest Gaussian one.
+    """
+
+    unit: str
+    count: int
+    rmse: float | None = None
+    mae: float | None = None
+    max: float | None = None
+    p50: float | None = None
+    p90: float | None = None
+    p95: float | None = None
+    p99: float | None = None
+    bias: float | None = None
+    nees_mean: float | None = None
+    error_over_sigma_p90: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object: the unit is part of the names."""
+        percentiles = zip(PERCENTILES, (self.p50, self.p90, self.p95, self.p99), strict=True)
+        sizes = {"rmse": self.rmse, "mae": self.mae, "max": self.max}
+        sizes |= {f"p{share}": value for share, value in percentiles} | {"bias": self.bias}
+        return {
+            "count": self.count,
+            **{f"{name}_{self.unit}": value for name, value in sizes.items()},
+            "nees_mean": self.nees_mean,
+            "error_over_sigma_p90": self.error_over_sigma_p90,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorridorErrors(Record):
+    """Errors within one corridor of the truth.
+
+    Parameters
+    ----------
+    rows
+        Within the truth's time and this corridor.
+    status_share
+        Share of those rows in each status; None for single frames, which have none.
+    heading, lateral_offset_m, lateral_offset_norm
+        Errors of each quantity; None where the table or the truth has no such column.
+    """
+
+    optional = frozenset({"status_share", "lateral_offset_m", "lateral_offset_norm"})
+
+    rows: int
+    status_share: Mapping[str, float] | None
+    heading: ErrorStatistics
+    lateral_offset_m: ErrorStatistics | None
+    lateral_offset_norm: ErrorStatistics | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TableErrors(Record):
+    """Errors of a whole table against the truth, see `fusion.evaluation.errors.evaluate`.
+
+    Parameters
+    ----------
+    rows, judged
+        Rows of the table, and those that were compared with the truth.
+    excluded
+        The others, counted under the first cause that applies: ``outside_truth``, ``junction``, ``no_truth``, and
+        ``not_tracking`` (estimates) or ``not_accepted`` (frames).
+    status_share
+        Share of the rows in each status; None for single frames.
+    heading, lateral_offset_m, lateral_offset_norm
+        Errors of each quantity; None where the table or the truth has no such column.
+    corridors
+        The same by the truth's corridor id, as text.
+    """
+
+    optional = CorridorErrors.optional
+
+    rows: int
+    judged: int
+    excluded: Mapping[str, int]
+    status_share: Mapping[str, float] | None
+    heading: ErrorStatistics
+    lateral_offset_m: ErrorStatistics | None
+    lateral_offset_norm: ErrorStatistics | None
+    corridors: Mapping[str, CorridorErrors]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightErrors(Record):
+    """Errors of the causal filter, of the smoother, and of single frames."""
+
+    filter: TableErrors
+    smoothed: TableErrors
+    vision: TableErrors
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Counts(Record):
+    """Numbers of frames, by outcome and reason, of rows, and of samples used and dropped."""
+
+    frames: int = 0
+    accepted: int = 0
+    rejected: int = 0
+    by_reason: Mapping[str, int] = field(default_factory=dict)
+    estimates: int = 0
+    samples: Mapping[str, int] = field(default_factory=dict)
+    dropped: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rates(Record):
+    """Nominal rates of the streams, Hz; None for a stream that the flight lacks."""
+
+    frames_hz: float | None = None
+    imu_hz: float | None = None
+    attitude_hz: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpeedSummary(Record):
+    """What the run cost: milliseconds per picture, and seconds of wall clock."""
+
+    vision_ms_median: float | None = None
+    vision_ms_p95: float | None = None
+    vision_s: float = 0.0
+    filter_s: float = 0.0
+    smoother_s: float = 0.0
+    total_s: float = 0.0
+    times_real_time: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorridorStretch(Record):
+    """One corridor's part of the flight, as the smoother places it; ``turn_rad`` is from the first corridor."""
+
+    index: int
+    turn_rad: float
+    first_ns: int
+    last_ns: int
+    frames: int
+    accepted: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Summary(Record):
+    """Verdict, counts, rates, timings and errors of a fused flight; `to_dict` is ``summary.json``.
+
+    Parameters
+    ----------
+    verdict, checks
+        The worst level of all checks, and each of them.
+    flight, method, duration_s
+        Name, measurement method and length of the flight.
+    counts, rates, timings
+        What went in, how often it came, and what the run cost.
+    status_share
+        Share of the rows of the estimates in each status.
+    corridors
+        The corridors flown, in order.
+    errors
+        Against the truth; None without one.
+    problems, config
+        What was wrong with the log, a sentence each; the settings as used.
+    """
+
+    verdict: Level = Level.NOT_JUDGED
+    checks: tuple[Check, ...] = ()
+    flight: str = ""
+    method: str = "geometric"
+    duration_s: float = 0.0
+    counts: Counts = field(default_factory=Counts)
+    rates: Rates = field(default_factory=Rates)
+    timings: SpeedSummary | None = None
+    status_share: Mapping[str, float] = field(default_factory=dict)
+    corridors: tuple[CorridorStretch, ...] = ()
+    errors: FlightErrors | None = None
+    problems: tuple[str, ...] = ()
+    config: Mapping[str, Any] = field(default_factory=dict)

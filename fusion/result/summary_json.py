@@ -1,0 +1,35 @@
+"""A result's summary as JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def write_summary(summary: Mapping[str, Any], path: str | Path) -> None:
+    """Write a summary as JSON that every reader takes: unknown numbers are null, never ``NaN``."""
+    Path(path).write_text(summary_json(summary), encoding="utf-8")
+
+
+def summary_json(summary: Mapping[str, Any]) -> str:
+    """Return the text that `write_summary` writes."""
+    return json.dumps(_plain(summary), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.generic | np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Path):
+        return str(value)
+    return value

@@ -1,0 +1,1 @@
+"""The building: floor plan, walls, fittings and materials, from a `SceneConfig` to a lit mesh."""
