@@ -94,8 +94,8 @@ class OffsetModel(NamedTuple):
         0.95,
         0.2,
     )  # 1/m, mean and standard deviation in an unknown corridor
-    weight_time_s: float = 0.35
-    state_time_s: float = 0.2
+    weight_time_s: float = 0.4
+    state_time_s: float = 0.25
     forget_1_s: float = 0.3
     slack_norm: float = 0.02
     scatter_time_s: float = 0.7

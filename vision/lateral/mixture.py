@@ -191,4 +191,11 @@ def combine(first: OffsetMixture, second: OffsetMixture) -> OffsetMixture:
     return mixture_of_components(rows, blind, 0.0)
 
 
-__all__ = ["OffsetMixture", "cannot_tell", "combine", "merge_by_bins", "mixture_of_bins", "mixture_of_components"]
+__all__ = [
+    "OffsetMixture",
+    "cannot_tell",
+    "combine",
+    "merge_by_bins",
+    "mixture_of_bins",
+    "mixture_of_components",
+]
