@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-SOURCE_SUFFIXES = {".py", ".typed", ".html", ".j2", ".css", ".js", ".json", ".toml", ".svg", ".csv"}
+SOURCE_SUFFIXES = {".py", ".typed", ".html", ".j2", ".css", ".js", ".json", ".toml", ".svg", ".csv", ".onnx"}
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,166 @@
+"""A picture in polar form about the corridor's axis: whatever runs along the corridor becomes an upright stripe.
+
+Columns are angles about the axis, rows logarithms of the tangent of the angle off the axis; a corner where a wall
+meets the floor lies in one column, from the near end of the corridor at the bottom to the far end at the top.
+Angles are counted from the corridor's right, clockwise as seen along it: right 0, down pi/2, left pi, up 3/2 pi.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import cos, pi, sin
+from threading import local
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vision.cameras.camera import Camera
+from vision.compiled import compiled
+from vision.images import GreyImage
+
+FloatArray = npt.NDArray[np.float64]
+Polar = npt.NDArray[np.float32]
+
+N_ANGLES, N_RADII = 192, 24
+NEAREST_TAN, WIDEST_TAN = 0.06, 1.5  # of the angle off the axis, first row and last
+N_LEVELS = 6  # of the picture at halved sizes
+MIN_SIDE_PX = 8
+MAX_SIGMA = 3.0  # brighter and darker is cut off
+
+_PER_THREAD = local()
+
+ANGLES: FloatArray = np.linspace(0.5, N_ANGLES - 0.5, N_ANGLES) * (2.0 * pi / N_ANGLES)
+TANGENTS: FloatArray = NEAREST_TAN * (WIDEST_TAN / NEAREST_TAN) ** (np.arange(N_RADII) / (N_RADII - 1))
+# Directions (N_RADII, N_ANGLES, 3) of the samples: along the corridor, right, down
+DIRECTIONS: FloatArray = np.stack(
+    [
+        np.ones((N_RADII, N_ANGLES)),
+        TANGENTS[:, None] * np.cos(ANGLES),
+        TANGENTS[:, None] * np.sin(ANGLES),
+    ],
+    axis=-1,
+)
+
+
+def corridor_frame(R_level_camera: FloatArray, heading_rad: float, elevation_rad: float) -> FloatArray:
+    """Return the rotation (3, 3) from the optical frame to axes along the corridor, to its right, and down."""
+    ce, se, cp, sp = cos(elevation_rad), sin(elevation_rad), cos(heading_rad), sin(heading_rad)
+    along, right = np.array([ce * cp, -ce * sp, -se]), np.array([sp, cp, 0.0])
+    return np.asarray(np.stack([along, right, np.cross(along, right)]) @ R_level_camera, dtype=float)
+
+
+@compiled
+def _sample(
+    points: FloatArray, pixels: npt.NDArray[np.float32], sizes: npt.NDArray[np.int64], out: Polar
+) -> None:
+    """Read the pyramid at points (rows, columns, 2), each at the level whose pixels are as wide as the columns."""
+    height, width = sizes[0, 0], sizes[0, 1]
+    n_columns = points.shape[1]
+    for r in range(points.shape[0]):
+        for a in range(n_columns):
+            x, y = points[r, a, 0], points[r, a, 1]
+            if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):  # NaN neither
+                out[0, r, a] = 0.0
+                out[1, r, a] = 0.0
+                continue
+            after = a + 1 if a + 1 < n_columns else 0
+            gap = (points[r, after, 0] - x) ** 2 + (points[r, after, 1] - y) ** 2
+            if not gap < 1e9:
+                gap = (points[r, a - 1, 0] - x) ** 2 + (points[r, a - 1, 1] - y) ** 2
+            level = start = 0
+            while gap > 2.0 and level + 1 < len(sizes):
+                gap *= 0.25
+                start += sizes[level, 0] * sizes[level, 1]
+                level += 1
+            rows, columns = sizes[level, 0], sizes[level, 1]
+            u = min(max((x + 0.5) * columns / width - 0.5, 0.0), columns - 1.0)
+            v = min(max((y + 0.5) * rows / height - 0.5, 0.0), rows - 1.0)
+            i, j = min(int(u), columns - 2), min(int(v), rows - 2)
+            u -= i
+            v -= j
+            k = start + j * columns + i
+            above = pixels[k] * (1.0 - u) + pixels[k + 1] * u
+            below = pixels[k + columns] * (1.0 - u) + pixels[k + columns + 1] * u
+            out[0, r, a] = above * (1.0 - v) + below * v
+            out[1, r, a] = 1.0
+
+
+@compiled
+def standardise(polar: Polar) -> None:
+    """Bring the samples (2, rows, columns) that the picture holds to mean 0 and standard deviation 1, in place."""
+    count = total = squares = 0.0
+    for r in range(polar.shape[1]):
+        for a in range(polar.shape[2]):
+            count += polar[1, r, a]
+            total += polar[0, r, a]
+            squares += polar[0, r, a] * polar[0, r, a]
+    mean = total / max(count, 1.0)
+    std = np.sqrt(max(squares / max(count, 1.0) - mean * mean, 0.0))
+    for r in range(polar.shape[1]):
+        for a in range(polar.shape[2]):
+            z = (polar[0, r, a] - mean) / (std + 1.0)
+            polar[0, r, a] = min(max(z, -MAX_SIGMA), MAX_SIGMA) * polar[1, r, a]
+
+
+class _Pyramid:
+    """A picture at halved sizes, in one piece of memory that serves picture after picture.
+
+    Fresh memory of this size would be mapped and cleared for every frame, which takes longer than all the rest.
+    """
+
+    def __init__(self, height: int, width: int) -> None:
+        sizes = [(height, width)]
+        while len(sizes) < N_LEVELS and min(sizes[-1]) >= 2 * MIN_SIDE_PX:
+            sizes.append(((sizes[-1][0] + 1) // 2, (sizes[-1][1] + 1) // 2))
+        self.sizes = np.array(sizes, dtype=np.int64)
+        ends = np.cumsum(self.sizes.prod(axis=1))
+        self.pixels = np.empty(ends[-1], np.float32)
+        parts = np.split(self.pixels, ends[:-1])
+        self._levels = [part.reshape(size) for part, size in zip(parts, sizes, strict=True)]
+
+    def fill(self, grey: GreyImage) -> None:
+        np.copyto(self._levels[0], grey)
+        for large, small in pairwise(self._levels):
+            cv2.resize(large, small.shape[::-1], dst=small, interpolation=cv2.INTER_AREA)
+
+
+def _pyramid(grey: GreyImage) -> _Pyramid:
+    pyramid: _Pyramid | None = getattr(_PER_THREAD, "pyramid", None)
+    if pyramid is None or tuple(pyramid.sizes[0]) != grey.shape:
+        pyramid = _PER_THREAD.pyramid = _Pyramid(*grey.shape)
+    pyramid.fill(grey)
+    return pyramid
+
+
+def sample_points(grey: GreyImage, points_px: FloatArray) -> Polar:
+    """Brightness and validity (2, rows, columns) of a picture at points (rows, columns, 2), in grey levels.
+
+    Each sample is an average over about the distance to the next column, so that noise and fine grain even out;
+    points outside the picture, or NaN, are 0 and not valid.
+    """
+    pyramid = _pyramid(grey)
+    out: Polar = np.empty((2, *points_px.shape[:2]), np.float32)
+    _sample(points_px, pyramid.pixels, pyramid.sizes, out)
+    return out
+
+
+def polar_picture(grey: GreyImage, camera: Camera, R_corridor_camera: FloatArray) -> Polar:
+    """Resample a picture about the corridor's axis.
+
+    Parameters
+    ----------
+    grey
+        Picture (h, w) of the camera, as it was taken; the lens model takes the directions into it.
+    R_corridor_camera
+        Rotation (3, 3) by `corridor_frame`.
+
+    Returns
+    -------
+    Polar
+        Standardised brightness and validity (2, N_RADII, N_ANGLES).
+    """
+    points = camera.project(DIRECTIONS.reshape(-1, 3) @ R_corridor_camera)
+    polar = sample_points(grey, points.reshape(N_RADII, N_ANGLES, 2))
+    standardise(polar)
+    return polar
