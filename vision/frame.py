@@ -22,7 +22,9 @@ from vision.axis.vote import VERTICAL_SINE
 from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.images import to_grey
+from vision.lateral.learned import learned_mixture
 from vision.lateral.offset import fit_lateral
+from vision.lateral.polar import corridor_frame
 from vision.lines.segments import LineSet, extract_lines, is_distorted
 from vision.measurement import (
     Attitude,
@@ -126,10 +128,10 @@ def measure_lines(
         found = FrameMeasurement(False, Reason.TOO_FEW_LINES, n_lines=len(lines))
     else:
         found = _describe(fit, lines, camera, level, prior)
-        if lateral:
-            found = _with_lateral(found, fit, lines, camera, level, prior)
         reason = _judge(found, fit, camera, prior, elevation_std_rad)
         found = replace(found, accepted=reason is Reason.OK, reason=reason)
+        if lateral:
+            found = _with_lateral(found, fit, lines, camera, level, prior)
     return replace(found, vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started))
 
 
@@ -180,7 +182,7 @@ def _describe(fit: AxisFit, lines: LineSet, camera: Camera, level: Level, prior:
 def _with_lateral(
     found: FrameMeasurement, fit: AxisFit, lines: LineSet, camera: Camera, level: Level, prior: Prior
 ) -> FrameMeasurement:
-    """Add what the lines say about the lateral offset."""
+    """Add what lines and, where the axis is to be relied on, regions say about the lateral offset."""
     answer, mixture = fit_lateral(
         lines,
         fit,
@@ -189,7 +191,11 @@ def _with_lateral(
         prior.lateral_offset_norm,
         prior.lateral_offset_norm_std,
     )
-    found = replace(found, offset_evidence=(mixture,))
+    evidence = [mixture]
+    if found.accepted and lines.grey is not None:
+        axes = corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad)
+        evidence.append(learned_mixture(lines.grey, camera, axes))
+    found = replace(found, offset_evidence=tuple(evidence))
     if answer is None:
         return found
     return replace(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import atan2, ceil, hypot, radians, sqrt, tan
 from typing import Any, NamedTuple
@@ -102,6 +102,8 @@ class LineSet:
         Gradient magnitude above which pixels counted as edges.
     extract_ms
         Time it took to find them, milliseconds.
+    grey
+        The picture (h, w), uint8, for what lines do not tell; None for lines without one.
     """
 
     width_px: int
@@ -118,6 +120,7 @@ class LineSet:
     arc_rad: FloatArray
     threshold: float
     extract_ms: float
+    grey: GreyImage | None = None
 
     def __len__(self) -> int:
         return len(self.length_px)
@@ -191,7 +194,7 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera) -> LineSet:
     while found.blurred and hypot(working.width_px, working.height_px) > 2.0 * MIN_DIAGONAL_PX:
         working = _halved(working)
         found = _trace(_scaled(grey, working), working)
-    return _line_set(found, camera, working, started)
+    return replace(_line_set(found, camera, working, started), grey=grey)
 
 
 class _Traced(NamedTuple):
