@@ -183,7 +183,7 @@ def _describe(fit: AxisFit, lines: LineSet, camera: Camera, level: Level, prior:
 def _with_lateral(
     found: FrameMeasurement, fit: AxisFit, lines: LineSet, camera: Camera, level: Level, prior: Prior
 ) -> FrameMeasurement:
-    """Add what the lines say about the lateral offset."""
+    """Add what lines and, where the axis is to be relied on, regions say about the lateral offset."""
     answer, mixture = fit_lateral(
         lines,
         fit,
@@ -193,9 +193,9 @@ def _with_lateral(
         prior.lateral_offset_norm_std,
     )
     evidence = [mixture]
-    if found.accepted and lines.picture is not None:
+    if found.accepted and lines.grey is not None:
         R_corridor_camera = corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad)
-        scores = corner_scores(polar_picture(lines.picture, camera, R_corridor_camera))
+        scores = corner_scores(polar_picture(lines.grey, camera, R_corridor_camera))
         evidence.append(mixture_of(scores))
         if answer is None and evidence[-1].cannot_tell < MAX_DRAWN_DOUBT:
             walls = corner_lines(scores, camera, R_corridor_camera).astype(np.float32)

@@ -27,11 +27,10 @@ MERGE_VELOCITY_SIGMA2 = 2.0
 def moved(
     x: FloatArray, P: FloatArray, F: FloatArray, Q: FloatArray, x_out: FloatArray, P_out: FloatArray
 ) -> None:
-    """Carry hypotheses on: F x and F P F' + s^2 Q, each with its own s, as ``Q`` (4, 4) is in metres."""
+    """Carry hypotheses on: F x and F P F' + Q."""
     n = N_LATERAL
     FP = np.empty((n, n))
     for h in range(len(x)):
-        scale = x[h, S] ** 2 + P[h, S, S]
         for i in range(n):
             total = 0.0
             for j in range(n):
@@ -44,7 +43,7 @@ def moved(
                 FP[i, j] = total
         for i in range(n):
             for j in range(i + 1):
-                total = scale * Q[i, j]
+                total = Q[i, j]
                 for k in range(n):
                     total += 0.5 * (FP[i, k] * F[j, k] + FP[j, k] * F[i, k])
                 P_out[h, i, j] = P_out[h, j, i] = total

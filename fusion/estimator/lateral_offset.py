@@ -13,7 +13,7 @@ Control 17(4), 1972) and the probability that the offset is unknown. Each hypoth
 pitch::
 
     a  = sin(psi) f_forward + cos(psi) f_right
-    y' = v        v' = a s - c + s n_v        c' = s n_c        s' = 0
+    y' = v        v' = a s - c + n_v        c' = n_c        s' = 0
 
 which is linear in the state, as s multiplies what is measured: with A1 and A2 the single and double integral of a
 over T, one transition serves all hypotheses, and a sample of the accelerometer costs a few additions::
@@ -44,6 +44,7 @@ narrow.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 from math import cos, erf, exp, expm1, isfinite, nan, sin, sqrt
 from typing import NamedTuple
 
@@ -68,6 +69,7 @@ MAX_HYPOTHESES = 15
 MIN_WEIGHT = 1e-4
 MAX_SCATTER = 0.1
 MAX_OFFSET = 1.2  # beyond the walls
+MIN_CANNOT_TELL = 0.15  # of each kind of evidence, as no frame tells what it does not know
 FIRST_FRAME_S = 0.05  # as if that long after another: one frame alone is not to be relied on
 SUPPORTED = 0.5  # belief in a frame from which on it confirms the likeliest hypothesis
 MAX_SILENCE_S = 0.1  # of the accelerometer, until which its last sample is held
@@ -80,25 +82,25 @@ class OffsetModel(NamedTuple):
     """What the filter assumes; lengths in metres unless they are said to be in half widths (``norm``)."""
 
     accel_noise: float = (
-        0.08  # m/s/sqrt(s), beyond what the accelerometer itself shows: tilt that comes and goes
+        0.08  # m/s/sqrt(s), besides what the accelerometer itself shows: tilt that comes and goes
     )
     accel_bias_std: float = 0.12  # m/s^2
-    accel_bias_walk: float = 0.1  # m/s^2/sqrt(s): the attitude's slow errors
+    accel_bias_walk: float = 0.07  # m/s^2/sqrt(s): the attitude's slow errors
     rough_limit: float = 0.17  # m/s/sqrt(s) of noise from which on an accelerometer is worth nothing
     velocity_std_m_s: float = 0.3  # without accelerometer
     velocity_time_s: float = 1.0
     start_velocity_std_m_s: float = 0.4
     inverse_half_width: tuple[float, float] = (
-        0.9,
-        0.3,
-    )  # 1/m, mean and standard deviation where it is not told
-    weight_time_s: float = 0.45
-    state_time_s: float = 0.2
+        0.95,
+        0.2,
+    )  # 1/m, mean and standard deviation in an unknown corridor
+    weight_time_s: float = 0.4
+    state_time_s: float = 0.25
     forget_1_s: float = 0.3
     slack_norm: float = 0.02
     scatter_time_s: float = 0.7
     least_scatter: float = 0.008
-    near_norm: float = 0.05  # hypotheses nearer than this are one
+    near_norm: float = 0.03  # hypotheses nearer than this are one
     tolerance_norm: float = 0.1
     known_probability: float = 0.9
     known_std_norm: float = 0.12
@@ -238,15 +240,21 @@ def propagate(
 
 
 def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tuple[FloatArray, FloatArray]:
-    """Return F (4, 4) and Q (4, 4), the latter in metres: over s squared; ``backward``, those that lead back."""
+    """Return F (4, 4) and Q (4, 4), or, ``backward``, those that lead back.
+
+    The noise is turned into half widths by the s of the model, not that of a hypothesis: one that takes the corridor
+    for wider would have less of it, and win for that alone.
+    """
     t = path.t_s
-    F, Q = np.eye(N_LATERAL), np.zeros((N_LATERAL, N_LATERAL))
+    F: FloatArray = np.eye(N_LATERAL)
+    Q: FloatArray = np.zeros((N_LATERAL, N_LATERAL))
     if not t > 0.0:
         return F, Q
-    n2 = path.noise / t + model.accel_noise**2
-    b2 = model.accel_bias_walk**2
-    if path.accel_s < 0.9 * t or n2 > model.rough_limit**2:
-        tau, std = model.velocity_time_s, model.velocity_std_m_s
+    scale = model.inverse_half_width[0]
+    n2 = scale**2 * (path.noise / t + model.accel_noise**2)
+    b2 = (scale * model.accel_bias_walk) ** 2
+    if path.accel_s < 0.9 * t or n2 > (scale * model.rough_limit) ** 2:
+        tau, std = model.velocity_time_s, scale * model.velocity_std_m_s
         x = t / tau
         fall = -expm1(-x)
         F[Y, V], F[V, V] = tau * fall, exp(-x)
@@ -267,8 +275,8 @@ def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tup
     Q[V, C] = Q[C, V] = -b2 * t**2 / 2
     Q[C, C] = b2 * t
     if backward:
-        inverse = np.asarray(np.linalg.inv(F), np.float64)
-        return inverse, inverse @ Q @ inverse.T
+        F = np.asarray(np.linalg.inv(F), dtype=float)
+        Q = F @ Q @ F.T
     return F, Q
 
 
@@ -332,9 +340,7 @@ def frame_evidence(
     camera_arm_m
         How far the camera sits ahead and right of the body's centre.
     """
-    mixture = mixtures[0]
-    for other in mixtures[1:]:
-        mixture = combine(mixture, other)
+    mixture = reduce(combine, [m.less_sure(MIN_CANNOT_TELL) for m in mixtures])
     side = 1.0 if cos(heading_rad) >= 0.0 else -1.0
     ahead_m, right_m = camera_arm_m
     aside_m = side * (ahead_m * sin(heading_rad) + right_m * cos(heading_rad))

@@ -211,11 +211,7 @@ def pair_corners(candidates: CornerCandidates) -> tuple[CornerPairs, CornerPairs
 
 @compiled
 def corners_of_arrays(
-    lines: PictureLines,
-    R_axis_camera: FloatArray,
-    down: FloatArray,
-    diagonal_px: float,
-    max_corners: int,
+    lines: PictureLines, R_axis_camera: FloatArray, down: FloatArray, diagonal_px: float, max_corners: int
 ) -> PictureCorners:
     """Find the pairs of lines that may be the corridor's corners, for compiled callers.
 
@@ -236,7 +232,7 @@ def corners_of_arrays(
 def arrays_of(
     lines: LineSet, axis: AxisFit, R_level_camera: FloatArray
 ) -> tuple[PictureLines, FloatArray, FloatArray, float]:
-    """Return the arguments of `corners_of_arrays`; parameters as of `find_corner_pairs`."""
+    """Return the first arguments of `corners_of_arrays`; parameters as of `find_corner_pairs`."""
     ahead = axis_direction(axis.heading_rad, axis.elevation_rad)
     rightward = axis_direction(axis.heading_rad - 0.5 * np.pi, 0.0)
     R_axis_camera = np.array([ahead, rightward, np.cross(ahead, rightward)]) @ R_level_camera

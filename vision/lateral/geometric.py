@@ -25,7 +25,7 @@ from vision.lateral.hypotheses import (
     add_weighted,
     roll_slope_of,
 )
-from vision.lateral.mixture import OffsetMixture, cannot_tell, mixture_of_components
+from vision.lateral.mixture import N_BINS, OffsetMixture, merge_by_bins, mixture_of_bins
 from vision.types import FloatArray, IntArray
 
 MIN_CANNOT_TELL = 0.1  # whatever the lines look like: what runs along a corridor need not be its corner
@@ -108,8 +108,23 @@ def corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std:
     return rows
 
 
-def geometric_mixture(components: FloatArray) -> OffsetMixture:
-    """Return what pairs of corners say about the lateral offset, from their components (k, 4)."""
-    if not len(components):
-        return cannot_tell()
-    return mixture_of_components(components, 1.0, MIN_STD**2).less_sure(MIN_CANNOT_TELL)
+@compiled
+def merged_corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std: float) -> FloatArray:
+    """Return what pairs of corners say about the lateral offset, as components (n, 4) merged by bins.
+
+    Parameters
+    ----------
+    picture
+        Candidates for corners and their pairs.
+    weights
+        Of the evidence.
+    roll_std
+        Standard deviation of the level frame's roll, radians: it tilts left against right.
+    """
+    bins = np.empty((N_BINS, 4))
+    return bins[: merge_by_bins(corner_components(picture, weights, roll_std), bins)]
+
+
+def mixture_of_corners(components: FloatArray) -> OffsetMixture:
+    """Make a mixture of the components of `merged_corner_components`."""
+    return mixture_of_bins(components, 1.0, MIN_STD**2).less_sure(MIN_CANNOT_TELL)

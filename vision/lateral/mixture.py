@@ -28,7 +28,7 @@ WEIGHT, OFFSET, VARIANCE, WIDTH = range(4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OffsetMixture:
-    """What one frame says about the scale-free lateral offset: a sum of Gaussians, and a share for "cannot tell".
+    """What one frame says about the scale-free lateral offset: Gaussians, and a share that says "cannot tell".
 
     The likelihood of the offset y in (-1, 1) is ``(1 - sum(weight)) / 2 + sum_j weight_j N(offset_norm_j; y,
     std_norm_j^2)``.
@@ -54,7 +54,7 @@ class OffsetMixture:
         return max(1.0 - float(self.weight.sum()), 0.0)
 
     def likelihood(self, offset_norm: npt.ArrayLike) -> FloatArray:
-        """Likelihood of offsets (...), any shape; it is 1/2 where the frame cannot tell, so its integral is 1."""
+        """Likelihood of offsets (...) of any shape; where the frame cannot tell it is 1/2, as over (-1, 1) any is."""
         y = np.asarray(offset_norm, dtype=float)[..., None]
         z = (y - self.offset_norm) / self.std_norm
         density = self.weight / self.std_norm * np.exp(-0.5 * z * z) / _SQRT_TWO_PI
@@ -108,24 +108,30 @@ def merge_by_bins(rows: FloatArray, bins: FloatArray) -> int:
 
 
 def mixture_of_components(rows: FloatArray, cannot_tell_odds: float, min_variance: float) -> OffsetMixture:
-    """Make a mixture of components (n, 4) as in `merge_by_bins`; weights are odds against ``cannot_tell_odds``."""
+    """Make a mixture of components (n, 4) as `merge_by_bins` takes them.
+
+    Their weights are odds, as ``cannot_tell_odds`` are those of a frame that cannot tell.
+    """
     bins = np.empty((N_BINS, 4))
-    bins = bins[: merge_by_bins(rows, bins)]
-    total = float(bins[:, WEIGHT].sum()) + cannot_tell_odds
-    bins[:, WEIGHT] /= total
-    bins = bins[bins[:, WEIGHT] > MIN_WEIGHT]
-    weight, offset, variance, width = bins.T.copy()
-    return OffsetMixture(weight, offset, np.sqrt(np.maximum(variance, min_variance)), width)
+    return mixture_of_bins(bins[: merge_by_bins(rows, bins)], cannot_tell_odds, min_variance)
+
+
+def mixture_of_bins(bins: FloatArray, cannot_tell_odds: float, min_variance: float) -> OffsetMixture:
+    """Make a mixture of components (n, 4) that have been merged; parameters as of `mixture_of_components`."""
+    weight = bins[:, WEIGHT] / (float(bins[:, WEIGHT].sum()) + cannot_tell_odds)
+    kept = weight > MIN_WEIGHT
+    _, offset, variance, width = bins[kept].T.copy()
+    return OffsetMixture(weight[kept], offset, np.sqrt(np.maximum(variance, min_variance)), width)
 
 
 @compiled
 def _products(
     first: FloatArray, second: FloatArray, slack: float, both_blind: float, rows: FloatArray
 ) -> float:
-    """Multiply two likelihoods given as components (n, 4), (m, 4).
+    """Multiply two likelihoods given as components (n, 4), (m, 4) into ``rows``; return what is alike everywhere.
 
-    Fills ``rows`` and returns what is the same everywhere. Rows and return value are weights: the integral over
-    (-1, 1). ``slack`` is the variance that each has besides.
+    Rows and return value are weights: the integral over (-1, 1). ``slack`` is the variance that each has besides,
+    ``both_blind`` the probability that neither tells anything though both seem to.
     """
     n, m = len(first), len(second)
     blind_first, blind_second = 1.0, 1.0
@@ -185,4 +191,11 @@ def combine(first: OffsetMixture, second: OffsetMixture) -> OffsetMixture:
     return mixture_of_components(rows, blind, 0.0)
 
 
-__all__ = ["OffsetMixture", "cannot_tell", "combine", "mixture_of_components"]
+__all__ = [
+    "OffsetMixture",
+    "cannot_tell",
+    "combine",
+    "merge_by_bins",
+    "mixture_of_bins",
+    "mixture_of_components",
+]

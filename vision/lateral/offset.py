@@ -23,7 +23,7 @@ from vision.axis.vanishing_point import AxisFit
 from vision.compiled import compiled
 from vision.lateral.corner_candidates import MAX_CORNERS
 from vision.lateral.corner_pairs import arrays_of, corners_of_arrays
-from vision.lateral.geometric import corner_components, geometric_mixture
+from vision.lateral.geometric import merged_corner_components, mixture_of_corners
 from vision.lateral.hypotheses import (
     WEIGHTS,
     OffsetEstimate,
@@ -36,7 +36,7 @@ from vision.lateral.mixture import OffsetMixture
 from vision.lines.segments import LineSet
 from vision.types import FloatArray
 
-MAX_MIXTURE_CORNERS = 24  # in a quadrant: among bricks and tiles the corners are not among the longest
+MAX_MIXTURE_CORNERS = 24  # in a quadrant: among bricks and tiles the corners are not among the longest lines
 MIN_PROBABILITY = 0.97
 MIN_WIDTH_SHARE = 0.3  # of the answer, for the floor's pair to give the width
 MIN_STD = 0.004
@@ -71,23 +71,21 @@ def _estimate_offset(
     down: FloatArray,
     diagonal_px: float,
     weights: OffsetWeights,
-    roll_std: float,
     prior: float,
     prior_std: float,
+    roll_std: float,
 ) -> tuple[OffsetEstimate, float, npt.NDArray[np.intp], FloatArray]:
     """Go all the way from lines to the offset in compiled code: handing arrays over costs more than some steps.
 
     Returns
     -------
     tuple
-        The estimate, the corridor's width over the camera's height (NaN where the floor's pair does not tell), the
-        lines (k,) that stand for the corners, and every pair as a component (m, 4) of the mixture.
+        The estimate, the corridor's width over the camera's height (NaN where the floor's pair does not tell), and
+        the lines (k,) that stand for the corners; and the components (n, 4) of the mixture.
     """
-    wide = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, MAX_MIXTURE_CORNERS)
-    picture = wide
+    wide = picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, MAX_MIXTURE_CORNERS)
     if wide.candidates.n_candidates.max() > MAX_CORNERS:
         picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, MAX_CORNERS)
-    components = corner_components(wide, weights, roll_std)
     hypotheses = offset_hypotheses(picture, weights)
     found = most_probable_offset(hypotheses, len(picture.floor.pair), prior, prior_std)
     corners = picture.candidates.corners
@@ -103,7 +101,7 @@ def _estimate_offset(
         pair = picture.ceiling.pair[found.ceiling]
         wall_lines[count], wall_lines[count + 1] = corners[2, pair.left].line, corners[3, pair.right].line
         count += 2
-    return found, width, wall_lines[:count], components
+    return found, width, wall_lines[:count], merged_corner_components(wide, weights, roll_std)
 
 
 def fit_lateral(
@@ -130,17 +128,17 @@ def fit_lateral(
     Returns
     -------
     fit, mixture
-        The answer, None where one picture does not tell, and the mixture of every hypothesis.
+        The answer, None where one picture does not tell, and the mixture of all hypotheses.
     """
     found, width_per_height, wall_lines, components = _estimate_offset(
         *arrays_of(lines, axis, R_level_camera),
         WEIGHTS,
-        roll_std_rad,
         prior_offset_norm,
         prior_offset_norm_std,
+        roll_std_rad,
     )
-    mixture = geometric_mixture(components)
-    if found.probability < MIN_PROBABILITY:
+    mixture = mixture_of_corners(components)
+    if not found.probability >= MIN_PROBABILITY:  # NaN fails too
         return None, mixture
     variance = (
         SCATTER_SHARE * found.scatter**2

@@ -102,8 +102,8 @@ class LineSet:
         Gradient magnitude above which pixels counted as edges.
     extract_ms
         Time it took to find them, milliseconds.
-    picture
-        The grey picture (h, w) itself, for the lateral offset's learned evidence; None where it was not kept.
+    grey
+        The picture (h, w), uint8, for what lines do not tell; None for lines without one.
     """
 
     width_px: int
@@ -120,7 +120,7 @@ class LineSet:
     arc_rad: FloatArray
     threshold: float
     extract_ms: float
-    picture: GreyImage | None = None
+    grey: GreyImage | None = None
 
     def __len__(self) -> int:
         return len(self.length_px)
@@ -197,7 +197,7 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera, *, keep_picture: bool
         working = _halved(working)
         found = _trace(_scaled(grey, working), working)
     lines = _line_set(found, camera, working, started)
-    return replace(lines, picture=grey) if keep_picture else lines
+    return replace(lines, grey=grey) if keep_picture else lines
 
 
 class _Traced(NamedTuple):
