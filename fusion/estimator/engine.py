@@ -202,7 +202,7 @@ class Engine:
             velocity=s.velocity.clock_set_back(),
             width=s.width.clock_set_back(),
             axis=s.axis.clock_set_back(),
-            lateral=s.lateral.clock_set_back(),
+            lateral=s.lateral.unknown_again(),
             frames=s.frames.clock_set_back(),
             delay=None if s.delay is None else s.delay.interrupted(),
             x=ekf.x,
@@ -363,7 +363,7 @@ class Engine:
         if isinstance(found, Recovery):
             axis = recover(axis, ekf, found, t_ns, theta_rad, coupled)
             return s._replace(axis=axis, imu_yaw=imu_yaw, x=ekf.x, P=ekf.P)
-        lateral = s.lateral.corridor_changed()
+        lateral = s.lateral.unknown_again()
         crossing = junctions.Crossing(coupled, 1.0, 0.3**2, lateral.n_used)
         axis = junctions.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
         width = s.width.corridor_changed()

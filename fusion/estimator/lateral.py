@@ -91,7 +91,7 @@ class Lateral(NamedTuple):
     test_ratio
         Squared innovation of the last frame's likeliest offset over its gate's square.
     last_known
-        Last offset known, half widths and metres.
+        Offset after the last frame that left it known, half widths and metres.
     reset_count, reset_norm, reset_m
         How often it jumped, and its last step.
     """
@@ -107,15 +107,11 @@ class Lateral(NamedTuple):
     reset_norm: float = 0.0
     reset_m: float = 0.0
 
-    def clock_set_back(self) -> Lateral:
-        """Go on with nothing known."""
+    def unknown_again(self) -> Lateral:
+        """Go on in another corridor, or at another time, with nothing known but what the offset was last."""
         offset = in_new_corridor(self.offset)
         step = OffsetStep(Path(), offset, starts_anew=True)
         return self._replace(offset=offset, step=step, t_frame_ns=None, t_ns=None)
-
-    def corridor_changed(self) -> Lateral:
-        """Go on in a corridor of which nothing is known."""
-        return self.clock_set_back()
 
 
 class LateralOffset:
@@ -332,19 +328,15 @@ def _test_ratio(
 
 
 def _with_jump(lateral: Lateral, before: OffsetReadout, after: OffsetReadout, half_m: float) -> Lateral:
-    """Count a step: another hypothesis has won, or the offset is known again elsewhere than it was last."""
-    if not after.known:
-        if before.known:
-            lateral = lateral._replace(last_known=(before.offset_norm, before.offset_norm * half_m))
-        return lateral
+    """Count a step: another hypothesis has won, or the offset is known again after it was unknown."""
     old, old_m = (before.offset_norm, before.offset_norm * half_m) if before.known else lateral.last_known
-    step = after.offset_norm - old
-    jumped = abs(step) > JUMP_NORM if before.known else isfinite(step)
-    if jumped:
-        lateral = lateral._replace(
-            reset_count=lateral.reset_count + 1, reset_norm=step, reset_m=after.offset_norm * half_m - old_m
-        )
-    return lateral._replace(last_known=(nan, nan))
+    if not after.known:
+        return lateral._replace(last_known=(old, old_m))
+    new, new_m = after.offset_norm, after.offset_norm * half_m
+    if abs(new - old) > JUMP_NORM or (isfinite(old) and not before.known):
+        count = lateral.reset_count + 1
+        lateral = lateral._replace(reset_count=count, reset_norm=new - old, reset_m=new_m - old_m)
+    return lateral._replace(last_known=(new, new_m))
 
 
 __all__ = [
