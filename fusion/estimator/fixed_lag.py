@@ -34,17 +34,21 @@ class FixedLag:
         self.lag_ns = lag_ns
         self.config = config
         self._passed: deque[Entry] = deque()
+        self._dropped: Entry | None = None  # last one dropped with a step of the lateral offset
 
     def keep(self, entry: Entry) -> None:
         """Take an entry that has left the buffer, in order of time."""
         passed = self._passed
         passed.append(entry)
         while passed[0].t_ns < entry.t_ns - self.lag_ns and passed[1].t_ns <= entry.t_ns - self.lag_ns:
-            passed.popleft()
+            gone = passed.popleft()
+            if gone.after.lateral.step is not None:
+                self._dropped = gone
 
     def clear(self) -> None:
         """Forget everything: the samples' clock was set back."""
         self._passed.clear()
+        self._dropped = None
 
     def smoothed(self, buffer: Sequence[Entry]) -> Estimate:
         """Smooth over the lag's window: the passed entries and those in the buffer.
@@ -56,7 +60,8 @@ class FixedLag:
         if not entries:
             return Estimate(0, reason="no sample yet")
         wanted_ns = entries[-1].t_ns - self.lag_ns
-        window = entries[max(bisect_right(entries, wanted_ns, key=lambda e: e.t_ns) - 1, 0) :]
+        first = max(bisect_right(entries, wanted_ns, key=lambda e: e.t_ns) - 1, 0)
+        window = entries[first:]
         target, newest = window[0].after, window[-1].after
         whole = _axis(target) != _axis(newest)
         instants = list(_instants(window)) if whole else [0, len(window) - 1]
@@ -67,7 +72,10 @@ class FixedLag:
         steps.add(chain.from_iterable(entry.nodes for entry in window[1:]))
         ends = np.cumsum([0, *(len(entry.nodes) for entry in window[1:])])
         offset_steps = OffsetSteps()
-        for entry in window:
+        # The offset is interpolated between its steps: the last one before the window is needed too.
+        before = [self._dropped] if self._dropped is not None else []
+        before += [entry for entry in entries[:first] if entry.after.lateral.step is not None]
+        for entry in [*before[-1:], *window]:
             offset_steps.add(entry.t_ns, entry.after.lateral.step)
         row = smoothed_table(table, ends[instants], steps, offset_steps, self.config)[0]
         return replace(rows[0], **dict(zip(ESTIMATE_DTYPE.names or (), row.item(), strict=True)))

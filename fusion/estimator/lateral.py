@@ -156,6 +156,8 @@ class LateralOffset:
         along = velocity.forward_m_s * cos(psi) - velocity.sideways_m_s * sin(psi)
         across = velocity.forward_m_s * sin(psi) + velocity.sideways_m_s * cos(psi)
         variance = self.config.velocity_std_m_s**2 + along * along * float(P[PSI, PSI])
+        interval_s = velocity.times.interval_s  # NaN before the second
+        variance *= max(self.config.lateral_velocity_time_s / interval_s, 1.0) if interval_s > 0.0 else 1.0
         path = lateral.offset.path
         offset = with_speed(at_path_end(lateral.offset, self.model), across, variance)
         return lateral._replace(offset=offset, step=OffsetStep(path, offset, speed=(across, variance)))

@@ -67,7 +67,7 @@ def smoothed_table(
     out["imu_yaw_offset_rad"] = np.where(known, wrap(at[:, YAW_OFFSET]), nan)
     _smooth_offset(out, offset_steps, config)
     _move_corridor_changes(out, row_steps, F, x_s, variance, config)
-    half_m = half_widths_m(table)
+    half_m = half_widths_m(table, config)
     out["lateral_offset_m"] = out["lateral_offset_norm"] * half_m
     out["lateral_offset_std_m"] = out["lateral_offset_norm_std"] * half_m
     names = (
@@ -129,8 +129,10 @@ def _move_corridor_changes(
             back -= 1
 
 
-def half_widths_m(table: Table) -> FloatArray:
-    """Half width (n,) of each row's corridor as known at its end; NaN where never."""
+def half_widths_m(table: Table, config: FusionConfig) -> FloatArray:
+    """Half width (n,) of each row's corridor: as told, else as known at its end; NaN where never."""
+    if config.corridor_width_m is not None:
+        return np.full(len(table), 0.5 * config.corridor_width_m)
     norm = table["lateral_offset_norm_std"]
     ratio = np.where(norm > 0, table["lateral_offset_std_m"] / np.where(norm > 0, norm, 1.0), nan)
     half = np.full(len(table), nan)

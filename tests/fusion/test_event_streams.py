@@ -182,7 +182,7 @@ OVERFLOWS = pytest.mark.xfail(
             id="elevation sigma",
             marks=OVERFLOWS,
         ),
-        pytest.param(sample("velocity", 1500.3, (1e300, 1e300, 0.0)), id="velocity", marks=OVERFLOWS),
+        pytest.param(sample("velocity", 1500.3, (1e300, 1e300, 0.0)), id="velocity"),
     ],
 )
 def test_one_absurd_sample_makes_no_absurd_numbers(stranger: TimedSample) -> None:

@@ -153,5 +153,6 @@ def test_lateral_offset_starts_anew_in_the_new_corridor() -> None:
     result, _ = fly(10, turning((7, 2, radians(90))), seen_as((8, 99, radians(90))), lateral=lateral)
     first = int(np.argmax(result.corridor))
     old, new = result.lateral[(result.t_s > 1) & (result.t_s < 7)], result.lateral[first:]
-    assert old == pytest.approx(0.5, abs=0.1)
+    assert np.isfinite(old).mean() > 0.8
+    assert old[np.isfinite(old)] == pytest.approx(0.5, abs=0.1)
     assert new[np.isfinite(new)] == pytest.approx(-0.4, abs=0.1)

@@ -347,7 +347,9 @@ def test_frames_are_drawn_in_the_metres_of_their_own_corridor(swing):
     table["lateral_offset_std_m"] = np.where(later, 1.5, 1.0) * table["lateral_offset_norm_std"]
     frames["lateral_offset_norm"] = 0.5
     ax = Figure().subplots()
-    plot_offset(ax, replace(result, estimates=table, frames=frames), replace(flight, truth=None))
+    config = result.config.model_copy(update={"corridor_width_m": None})
+    told = replace(result, config=config, estimates=table, frames=frames)
+    plot_offset(ax, told, replace(flight, truth=None))
     (dots,) = (patch for patch in ax.patches if not patch.get_fill())
     t_s, offset_m = dots.get_path().vertices.T
     np.testing.assert_allclose(offset_m, np.where(t_s < 6.0, 0.5, 0.75))

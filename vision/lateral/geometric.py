@@ -28,7 +28,9 @@ from vision.lateral.hypotheses import (
 from vision.lateral.mixture import N_BINS, OffsetMixture, merge_by_bins, mixture_of_bins
 from vision.types import FloatArray, IntArray
 
-MIN_CANNOT_TELL = 0.3  # what runs along a corridor need not be its corner: on random corridors a tenth are wrong
+MIN_CANNOT_TELL = (
+    0.3  # what runs along a corridor need not be its corner: on random corridors a tenth are wrong
+)
 MIN_STD = 0.004
 MIN_VARIANCE = 1e-8
 
