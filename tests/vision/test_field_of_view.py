@@ -24,7 +24,14 @@ from vision.axis.field_of_view import (
     lines_of,
     ordinary_field_of_view,
 )
-from vision.axis.right_angles import N_PARAMETERS, _point_axes, _solve, fit_right_angles, slack_std
+from vision.axis.right_angles import (
+    N_PARAMETERS,
+    RightAngles,
+    _nominal_axes,
+    _solve,
+    fit_right_angles,
+    slack_std,
+)
 from vision.lines.segments import LineSet, extract_lines
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -218,19 +225,12 @@ class TestRightAngles:
         self, turn: tuple[float, float, float], slack: list[float], stretch: float
     ) -> None:
         rotation, loose = Rotation.from_rotvec(turn).as_matrix(), np.array(slack)
-        axes, slopes = np.empty((3, 3)), np.empty((3, N_PARAMETERS, 3))
-        _point_axes(rotation, loose, stretch, axes, slopes)
-        step, moved, unused = 1e-6, np.empty((3, 3)), np.empty((3, N_PARAMETERS, 3))
+        axes, step = _nominal_axes(rotation, loose, stretch), 1e-6
         for p in range(N_PARAMETERS):
             change = step * np.eye(N_PARAMETERS)[p]
-            _point_axes(
-                Rotation.from_rotvec(change[:3]).as_matrix() @ rotation,
-                loose + change[3:],
-                stretch,
-                moved,
-                unused,
-            )
-            np.testing.assert_allclose((moved - axes) / step, slopes[:, p], atol=1e-4)
+            turned = Rotation.from_rotvec(change[:3]).as_matrix() @ rotation
+            moved = _nominal_axes(turned, loose + change[3:], stretch)
+            np.testing.assert_allclose((moved.ray - axes.ray) / step, axes.slopes[:, p], atol=1e-4)
 
     def test_cholesky(self) -> None:
         rng = np.random.default_rng(1)
@@ -247,11 +247,12 @@ class TestRightAngles:
         look = corridor(pitch_rad=radians(5), heading_rad=radians(-8), roll_rad=radians(3))
         lines = lines_of(seen(look, true), true, nominal)
         exact = (look.rotation() @ true.R_body_camera).T  # columns: the corridor's axes in the optical frame
-        rotation, slack = Rotation.from_rotvec([0.01, -0.012, 0.008]).as_matrix() @ exact, np.zeros(5)
-        swing = np.sqrt(12.0) * lines.sigma_rad / lines.arc_rad
-        arrays = (lines.normal, lines.centre, lines.direction, lines.sigma_rad, swing)
-        score = fit_right_angles(*arrays, stretch, slack_std(0.01), radians(2), rotation, slack)
-        assert score > 10.0
-        np.testing.assert_allclose(rotation, exact, atol=2e-3)
-        wrong = fit_right_angles(*arrays, 1.4 * stretch, slack_std(0.01), radians(2), rotation, slack)
-        assert wrong < score - 5.0
+        near = Rotation.from_rotvec([0.01, -0.012, 0.008]).as_matrix() @ exact
+        geometry, swing = lines.geometry(), np.sqrt(12.0) * lines.sigma_rad / lines.arc_rad
+        start, loose = RightAngles(0.0, near, np.zeros(5)), slack_std(0.01)
+        found = fit_right_angles(geometry, swing, stretch, loose, start, radians(2))
+        assert found.score > 10.0
+        np.testing.assert_allclose(found.rotation, exact, atol=2e-3)
+        np.testing.assert_array_equal(start.rotation, near)  # the start is left as it was
+        wrong = fit_right_angles(geometry, swing, 1.4 * stretch, loose, found, radians(2))
+        assert wrong.score < found.score - 5.0

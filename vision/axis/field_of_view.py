@@ -15,23 +15,22 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import chain, pairwise
-from math import atan, exp, hypot, radians, sin, sqrt, tan
-from typing import Any, NamedTuple
+from math import atan, exp, hypot, inf, radians, sin, sqrt, tan
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import Akima1DInterpolator
 
 from vision.axis.level import level_from_verticals
-from vision.axis.right_angles import CENTRE_STD_OF_SIDE, N_SLACK, fit_right_angles, slack_std
+from vision.axis.right_angles import CENTRE_STD_OF_SIDE, N_SLACK, RightAngles, fit_right_angles, slack_std
 from vision.axis.vanishing_point import axis_direction, fit_axis
 from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.images import to_grey
 from vision.lines.segments import LineSet, extract_lines
 from vision.measurement import Attitude
-
-FloatArray = npt.NDArray[np.float64]
+from vision.types import FloatArray
 
 PRIOR_RAD, PRIOR_STD_RAD = radians(65.0), radians(20.0)  # what ordinary cameras have along the longer side
 RANGE_RAD = (radians(30.0), radians(120.0))
@@ -158,14 +157,6 @@ def _nominal_camera(width_px: int, height_px: int) -> Camera:
     return _camera(width_px, height_px, NOMINAL_RAD)
 
 
-class _Fit(NamedTuple):
-    """The right-angled axes that explain a picture best at one focal length."""
-
-    score: float
-    rotation: FloatArray  # (3, 3) axes to optical frame
-    slack: FloatArray  # (5,)
-
-
 class _Clue:
     """One picture: its score at the focal lengths tried so far.
 
@@ -173,13 +164,14 @@ class _Clue:
     """
 
     def __init__(self, lines: LineSet, camera: Camera) -> None:
-        swing = sqrt(12.0) * lines.sigma_rad / lines.arc_rad
-        self._lines = (lines.normal, lines.centre, lines.direction, lines.sigma_rad, swing)
+        self._lines = lines.geometry()
+        self._swing = sqrt(12.0) * lines.sigma_rad / lines.arc_rad
         self._spread = slack_std(CENTRE_STD_OF_SIDE * max(camera.width_px, camera.height_px) / camera.fx_px)
-        self._fits: dict[float, _Fit] = {}
+        self._fits: dict[float, RightAngles] = {}
         for down, axis in _seeds(lines, camera):
             for u in _COARSE_U:
-                self._improve(u, _rotation(down, axis, _stretch(u)), np.zeros(N_SLACK), SEED_STD_RAD)
+                start = RightAngles(-inf, _rotation(down, axis, _stretch(u)), np.zeros(N_SLACK))
+                self._improve(u, start, SEED_STD_RAD)
         if self._fits:
             self._sweep(_COARSE_U)
 
@@ -215,15 +207,12 @@ class _Clue:
         for there in (nodes, nodes[::-1]):
             for neighbour, u in pairwise(there):
                 if neighbour in self._fits:
-                    self._improve(
-                        u, self._fits[neighbour].rotation, self._fits[neighbour].slack, NEIGHBOUR_STD_RAD
-                    )
+                    self._improve(u, self._fits[neighbour], NEIGHBOUR_STD_RAD)
 
-    def _improve(self, u: float, rotation: FloatArray, slack: FloatArray, start_std_rad: float) -> None:
-        rotation, slack = rotation.copy(), slack.copy()
-        score = fit_right_angles(*self._lines, _stretch(u), self._spread, start_std_rad, rotation, slack)
-        if u not in self._fits or score > self._fits[u].score:
-            self._fits[u] = _Fit(score, rotation, slack)
+    def _improve(self, u: float, start: RightAngles, start_std_rad: float) -> None:
+        fit = fit_right_angles(self._lines, self._swing, _stretch(u), self._spread, start, start_std_rad)
+        if u not in self._fits or fit.score > self._fits[u].score:
+            self._fits[u] = fit
 
 
 def _stretch(u: float) -> float:

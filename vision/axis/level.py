@@ -10,14 +10,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import atan, radians, sqrt
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from vision.compiled import compiled
-from vision.lines.segments import LineSet
-
-FloatArray = npt.NDArray[np.float64]
+from vision.lines.segments import LineGeometry, LineSet
+from vision.types import FloatArray
 
 COARSE_STEP_RAD = radians(2.0)
 GRID_REACH_SIGMA = 2.5
@@ -55,9 +54,29 @@ def _vertical_std(down: float, along: float, sigma: float, arc: float) -> float:
     return sqrt((sigma * down) ** 2 + (rotation * along) ** 2 + PLUMB_STD_RAD * PLUMB_STD_RAD)
 
 
+class _Down(NamedTuple):
+    """Down vector (a, b, 1) in the given level frame, and the information on it.
+
+    Parameters
+    ----------
+    a, b
+        Components along the given level frame's x and y.
+    information_a, information_both, information_b
+        Elements of their information matrix.
+    """
+
+    a: float
+    b: float
+    information_a: float
+    information_both: float
+    information_b: float
+
+
 @compiled
-def _search(normal: FloatArray, direction: FloatArray, arc: FloatArray, std: float, out: FloatArray) -> None:
-    """Find by exhaustive vote where the upright lines meet, coarsely first; ``out`` = a, b as in `_plumb`."""
+def _search_down(lines: LineGeometry, std: float) -> tuple[float, float]:
+    """Find by exhaustive vote, coarsely first, where the vertical lines meet: a and b of `_Down`."""
+    normal, direction, arc = lines.normal, lines.direction, lines.arc_rad
+    out = np.empty(2)
     upright = np.empty((len(arc), 4))
     n = 0
     for k in range(len(arc)):
@@ -88,30 +107,20 @@ def _search(normal: FloatArray, direction: FloatArray, arc: FloatArray, std: flo
                     out[1] = b
         step = 0.5 * COARSE_STEP_RAD
         reach = 2
+    return out[0], out[1]
 
 
 @compiled
-def _plumb(
-    normal: FloatArray,
-    centre: FloatArray,
-    direction: FloatArray,
-    sigma: FloatArray,
-    arc: FloatArray,
-    std: float,
-    out: FloatArray,
-) -> None:
-    """Find the down vector (a, b, 1) the vertical lines agree on; ``out`` = a, b and information (3 numbers).
-
-    a is down's component along the given level frame's x, b along its y; both have the prior N(0, std).
-    """
+def _fit_down(lines: LineGeometry, std: float) -> _Down:
+    """Find the down vector that the vertical lines agree on; its a and b have the prior N(0, std)."""
+    normal, centre, direction = lines.normal, lines.centre, lines.direction
+    sigma, arc = lines.sigma_rad, lines.arc_rad
     n = len(sigma)
     a = 0.0
     b = 0.0
     start = std
     if std > GRID_FROM_STD_RAD:
-        _search(normal, direction, arc, std, out)
-        a = out[0]
-        b = out[1]
+        a, b = _search_down(lines, std)
         start = 0.5 * COARSE_STEP_RAD
     h00 = h01 = h11 = 0.0
     for iteration in range(8):
@@ -140,11 +149,7 @@ def _plumb(
         determinant = h00 * h11 - h01 * h01
         a -= (h11 * g0 - h01 * g1) / determinant
         b -= (h00 * g1 - h01 * g0) / determinant
-    out[0] = a
-    out[1] = b
-    out[2] = h00
-    out[3] = h01
-    out[4] = h11
+    return _Down(a, b, h00, h01, h11)
 
 
 def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: float) -> Level:
@@ -159,11 +164,7 @@ def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: fl
     std_rad
         Standard deviation of its roll and pitch.
     """
-    out = np.zeros(5)
-    to_level = R_level_camera.T
-    normal, centre, direction = lines.normal @ to_level, lines.centre @ to_level, lines.direction @ to_level
-    _plumb(normal, centre, direction, lines.sigma_rad, lines.arc_rad, std_rad, out)
-    a, b, h_pitch, h_both, h_roll = (float(v) for v in out)
+    a, b, h_pitch, h_both, h_roll = _fit_down(lines.geometry(R_level_camera), std_rad)
     determinant = h_pitch * h_roll - h_both * h_both
     # The shortest rotation that brings the found down (a, b, 1) to (0, 0, 1): heading is left alone.
     size = sqrt(1.0 + a * a + b * b)
