@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from math import cos, hypot, isfinite, pi, radians, sin, sqrt
+from math import hypot, isfinite, pi, radians, sin, sqrt
 from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vision.axis.level import Level, level_from_verticals
+from vision.axis.level import LevelFrame, level_from_verticals
 from vision.axis.vanishing_point import AxisFit, axis_direction, fit_axis
 from vision.axis.vote import VERTICAL_SINE
 from vision.cameras.camera import Camera
@@ -33,8 +33,9 @@ from vision.measurement import (
     position_from_offset,
 )
 from vision.paper.measure import FIRST_PIXEL, equation_8, measure_paper
+from vision.rotations import rotation_from_angles
+from vision.types import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Method = Literal["geometric", "paper"]
 
 MIN_LINES = 4
@@ -103,9 +104,11 @@ def measure_lines(
         attitude = UNKNOWN_ATTITUDE
     elif not isinstance(attitude, Attitude):
         attitude = Attitude.from_quaternion(attitude)
+    # Brings an axis of the elevation that the filter expects down to the horizon.
+    R_horizon_level = rotation_from_angles(0.0, -prior.elevation_rad, 0.0)
     level = level_from_verticals(
         lines,
-        _pitched(prior.elevation_rad) @ attitude.R_level_body() @ camera.R_body_camera,
+        R_horizon_level @ attitude.R_level_body() @ camera.R_body_camera,
         hypot(attitude.std_rad, prior.elevation_std_rad),
     )
     elevation_std_rad = hypot(level.pitch_std_rad, SLOPE_STD_RAD)
@@ -143,7 +146,9 @@ def warm_up(camera: Camera) -> None:
         measure_frame(picture, camera, attitude)
 
 
-def _describe(fit: AxisFit, lines: LineSet, camera: Camera, level: Level, prior: Prior) -> FrameMeasurement:
+def _describe(
+    fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
+) -> FrameMeasurement:
     """Turn an axis into the numbers and drawings of a measurement, not yet judged."""
     vp, vp_cov = _vanishing_point(fit, camera, level.R_level_camera)
     found = FrameMeasurement(
@@ -204,12 +209,6 @@ def _judge(
     if abs(fit.elevation_rad) > max(MAX_ELEVATION_RAD, MAX_ELEVATION_SIGMA * elevation_std_rad):
         return Reason.UNCERTAIN
     return Reason.OK
-
-
-def _pitched(elevation_rad: float) -> FloatArray:
-    """Rotation (3, 3) that brings an axis at this elevation down to the horizon."""
-    c, s = cos(elevation_rad), sin(elevation_rad)
-    return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
 
 
 def _vanishing_point(

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.errors import InputError
-
-GreyImage = npt.NDArray[np.uint8]
+from vision.types import GreyImage as GreyImage
 
 
 def read_image(path: str | Path) -> GreyImage:

@@ -29,7 +29,7 @@ CUT_SIGMA = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Level:
+class LevelFrame:
     """The level frame as seen by the camera.
 
     Parameters
@@ -152,7 +152,7 @@ def _fit_down(lines: LineGeometry, std: float) -> _Down:
     return _Down(a, b, h00, h01, h11)
 
 
-def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: float) -> Level:
+def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: float) -> LevelFrame:
     """Correct a level frame by the picture's vertical lines.
 
     Parameters
@@ -174,7 +174,7 @@ def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: fl
     R_new_old = np.array(
         [[fx, fy, fz], [dy * fz - dz * fy, dz * fx - dx * fz, dx * fy - dy * fx], [dx, dy, dz]]
     )
-    return Level(
+    return LevelFrame(
         R_level_camera=R_new_old @ R_level_camera,
         roll_std_rad=sqrt(h_pitch / determinant),
         pitch_std_rad=sqrt(h_roll / determinant),

@@ -1,13 +1,13 @@
-"""How well three directions at right angles explain a picture's lines, if its focal length were so and so.
+"""How well three directions at right angles explain a picture's lines, for an assumed focal length.
 
-Corridor lines, transverse lines and door posts meet in three vanishing points. The points alone say nothing of the
-focal length; that the directions towards them are at right angles does, as soon as the camera pitches, or turns while
-something transverse is seen. The fit lives in nominal rays, those of a camera of a fixed, assumed focal length:
-the lines and their tolerances stay what they are whatever focal length is tried, so that a picture that
-cannot tell gives the same score to all.
+Corridor lines, transverse lines and door posts meet in three vanishing points. That the directions towards them are
+at right angles determines the focal length, provided the camera is pitched, or turned while transverse lines are
+seen. The fit works with nominal rays, those of a camera of a fixed, assumed focal length: the lines and their
+tolerances are then the same for every focal length tried, so that a picture without information gives the same score
+to all.
 
-Buildings are not exact, and neither is the assumption that the optical axis passes through the picture's centre. So
-each picture may take a little slack, at the price of its prior: `SLACK_STD`.
+Buildings are not exact, and the optical axis does not pass exactly through the picture's centre. These five
+deviations are called the slack; each has a Gaussian prior, see `slack_std`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ MAX_TURN_RAD = 0.1
 
 
 def slack_std(centre_std: float) -> FloatArray:
-    """Give the standard deviations (5,) of a picture's slack.
+    """Return the standard deviations (5,) of a picture's slack.
 
     In this order: slope of the corridor against the posts, slope of the transverse lines, squareness of the walls
     (radians); place of the optical axis right and down of the picture's centre (``centre_std``, nominal rays).
@@ -77,7 +77,7 @@ class RightAngles(NamedTuple):
     rotation
         Rotation (3, 3) from the axes (along, across, down) to the optical frame.
     slack
-        What the picture needs of its slack (5,), as `slack_std`.
+        Deviations (5,), in the order of `slack_std`.
     """
 
     score: float
@@ -86,7 +86,7 @@ class RightAngles(NamedTuple):
 
 
 @compiled
-def _nominal_axes(rotation: FloatArray, slack: FloatArray, stretch: float) -> NominalAxes:
+def _nominal_axes(rotation: FloatArray, slack: FloatArray, focal_ratio: float) -> NominalAxes:
     axes, slopes = np.empty((N_AXES, 3)), np.zeros((N_AXES, N_PARAMETERS, 3))
     for i in range(3):
         axes[0, i] = rotation[i, 0] + slack[0] * rotation[i, 2]
@@ -101,15 +101,15 @@ def _nominal_axes(rotation: FloatArray, slack: FloatArray, stretch: float) -> No
             slopes[k, p, (p + 2) % 3] = axes[k, (p + 1) % 3]
     for k in range(N_AXES):
         depth = axes[k, 2]
-        axes[k, 0] = stretch * axes[k, 0] + slack[3] * depth
-        axes[k, 1] = stretch * axes[k, 1] + slack[4] * depth
+        axes[k, 0] = focal_ratio * axes[k, 0] + slack[3] * depth
+        axes[k, 1] = focal_ratio * axes[k, 1] + slack[4] * depth
         size = sqrt(axes[k, 0] ** 2 + axes[k, 1] ** 2 + depth * depth)
         for i in range(3):
             axes[k, i] /= size
         for p in range(N_PARAMETERS):
             z = slopes[k, p, 2]
-            x = stretch * slopes[k, p, 0] + slack[3] * z
-            y = stretch * slopes[k, p, 1] + slack[4] * z
+            x = focal_ratio * slopes[k, p, 0] + slack[3] * z
+            y = focal_ratio * slopes[k, p, 1] + slack[4] * z
             if p == 6:
                 x = depth
             if p == 7:
@@ -125,7 +125,7 @@ def _nominal_axes(rotation: FloatArray, slack: FloatArray, stretch: float) -> No
 def _log_likelihood(
     lines: LineGeometry, swing: FloatArray, axes: NominalAxes, extra_std: float, H: FloatArray, g: FloatArray
 ) -> float:
-    """Log-likelihood of the lines over stray ones; H (lower half) and g become Gauss-Newton's equations.
+    """Return the log-likelihood of the lines over stray ones; H (lower half) and g become Gauss-Newton's equations.
 
     A line runs along each axis with its share's probability, or anywhere. Likelihoods are densities of its direction
     in the picture. ``swing`` (n,) is the standard deviation of each line's direction.
@@ -221,7 +221,7 @@ def _turn(rotation: FloatArray, x: float, y: float, z: float) -> None:
 def fit_right_angles(
     lines: LineGeometry,
     swing: FloatArray,
-    stretch: float,
+    focal_ratio: float,
     slack_stds: FloatArray,
     start: RightAngles,
     start_std: float,
@@ -234,7 +234,7 @@ def fit_right_angles(
         The picture's lines, for the nominal camera, optical frame.
     swing
         Standard deviation (n,) of each line's direction, radians.
-    stretch
+    focal_ratio
         The focal length to try, over the nominal one.
     slack_stds
         Standard deviations (5,) of the slack, see `slack_std`.
@@ -249,7 +249,7 @@ def fit_right_angles(
     x = np.empty(N_PARAMETERS)
     extra = start_std
     for _ in range(MAX_STEPS):
-        _log_likelihood(lines, swing, _nominal_axes(rotation, slack, stretch), extra, H, g)
+        _log_likelihood(lines, swing, _nominal_axes(rotation, slack, focal_ratio), extra, H, g)
         for p in range(N_TURN):
             H[p, p] += 1.0 / TURN_STD_RAD**2
         for p in range(N_SLACK):
@@ -264,7 +264,7 @@ def fit_right_angles(
         if extra == 0.0 and turned < 1e-5:
             break
         extra = extra * 0.5 if extra > LAST_EXTRA_RAD else 0.0
-    score = _log_likelihood(lines, swing, _nominal_axes(rotation, slack, stretch), 0.0, H, g)
+    score = _log_likelihood(lines, swing, _nominal_axes(rotation, slack, focal_ratio), 0.0, H, g)
     for p in range(N_SLACK):
         score -= 0.5 * (slack[p] / slack_stds[p]) ** 2
     return RightAngles(score, rotation, slack)

@@ -10,12 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from vision.cameras.camera import nearest_rotation
 from vision.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
+from vision.types import FloatArray
 
 R_FRD_FLU: FloatArray = np.diag([1.0, -1.0, -1.0])
 
