@@ -1,8 +1,8 @@
-"""One frame, from picture to measurement: the door to the package.
+"""One frame, from picture to measurement: where to enter the package.
 
-`measure_frame` does it all. A filter calls its two halves: `extract_lines`, which needs only the picture
-and takes nearly all of the time, and `measure_lines`, which needs the attitude and the prediction at the
-frame's time and is cheap enough to be repeated when late samples change either.
+`measure_frame` takes all steps. A filter calls the two halves: `extract_lines` needs only the picture and takes most
+of the time; `measure_lines` needs the attitude and the prediction at the frame's time, and is cheap enough to be
+repeated when late samples change either.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ MIN_LINES = 4
 MIN_SCORE = 8.0  # log-likelihood over chance
 MIN_MARGIN = 6.5  # log-likelihood over the second-best heading, by lines that are not pieces of one edge
 MAX_RIVAL = 0.80  # score of the second-best heading over the best
-MIN_SHARE = 0.07  # of the length of all lines that are not upright
+MIN_SHARE = 0.07  # of the length of all lines that are not vertical
 MAX_STD_RAD = radians(1.5)
 MAX_ELEVATION_RAD = radians(2.5)  # corridors are level: an axis that is not was none
 MAX_ELEVATION_SIGMA = 2.5
@@ -81,7 +81,7 @@ def measure_frame(
     Raises
     ------
     InputError
-        Where the picture is none, has another size than the camera, or the quaternion is not a unit one.
+        Where the array is not a picture or has another size than the camera's, or the quaternion is not a unit one.
     """
     if method not in get_args(Method):
         raise InputError(f"method {method!r} is unknown", remedy=f"use one of {', '.join(get_args(Method))}")
@@ -97,7 +97,22 @@ def measure_lines(
     attitude: Attitude | npt.ArrayLike | None = None,
     prior: Prior | None = None,
 ) -> FrameMeasurement:
-    """Measure heading and lateral offset from the lines of a picture; parameters as in `measure_frame`."""
+    """Measure heading and lateral offset from the lines of a picture.
+
+    Parameters
+    ----------
+    lines
+        Result of `extract_lines`.
+    camera
+        Calibration that they were found with.
+    attitude, prior
+        As in `measure_frame`.
+
+    Raises
+    ------
+    InputError
+        Where the quaternion is not a unit one.
+    """
     started = time.perf_counter()
     prior = prior or Prior()
     if attitude is None:
@@ -129,7 +144,7 @@ def measure_lines(
 
 
 def warm_up(camera: Camera) -> None:
-    """Load the machine code, or compile it, so that the first frame takes no longer than any other.
+    """Load the compiled code, or compile it, so that the first frame takes no longer than any other.
 
     A controller calls it before take-off, with the camera it flies with: some ten seconds the first time on a
     machine, a fraction of a second from then on.
@@ -149,7 +164,7 @@ def warm_up(camera: Camera) -> None:
 def _describe(
     fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
 ) -> FrameMeasurement:
-    """Turn an axis into the numbers and drawings of a measurement, not yet judged."""
+    """Turn an axis into a measurement that has not been accepted yet."""
     vp, vp_cov = _vanishing_point(fit, camera, level.R_level_camera)
     found = FrameMeasurement(
         accepted=False,
@@ -193,7 +208,7 @@ def _describe(
 def _judge(
     found: FrameMeasurement, fit: AxisFit, camera: Camera, prior: Prior, elevation_std_rad: float
 ) -> Reason:
-    """Decide whether the heading may be used; the limits are where gross errors of spoilt pictures end."""
+    """Decide whether the heading may be used; the limits were set where gross errors in degraded pictures end."""
     if found.n_inliers < MIN_LINES or fit.score < MIN_SCORE:
         return Reason.TOO_FEW_LINES
     blur_px = prior.body_rate_rad_s * camera.exposure_s * camera.fx_px

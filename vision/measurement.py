@@ -1,4 +1,4 @@
-"""What one camera frame says about heading and lateral offset, and what may be known beforehand.
+"""The measurement from one camera frame, and what may be known beforehand: attitude and a filter's prediction.
 
 Frames and signs (the whole project keeps them):
 

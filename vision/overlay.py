@@ -1,8 +1,8 @@
-"""A measured frame as a picture: what was seen, what came of it, and why it was or was not used.
+"""A measured frame drawn as a picture: its lines, vanishing point and corners, and why it was or was not used.
 
-Lines keep their place in the original, distorted picture; below it stand the corridor from above and the
-verdict in words. The colours follow Okabe and Ito, told apart by colour-blind readers, and wear a dark casing
-that holds them on bright walls.
+Lines are drawn where they are in the original, distorted picture; below it are the corridor from above and the result
+in words. The colours are those of Okabe and Ito, which colour-blind readers can distinguish, with dark outlines that
+keep them visible on bright walls.
 """
 
 from __future__ import annotations

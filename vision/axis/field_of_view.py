@@ -271,7 +271,7 @@ def lines_of(lines: LineSet, camera: Camera, other: Camera) -> LineSet:
         return np.hstack([ends[:, :2], one]), np.hstack([ends[:, 2:], one])
 
     def off_plane(normal: FloatArray, p0: FloatArray, p1: FloatArray, of: Camera) -> FloatArray:
-        """Angle by which the middle leaves its plane, per pixel across the line."""
+        """Return the angle by which a line's middle leaves its plane, per pixel across the line."""
         depth = np.linalg.norm(0.5 * (p0 + p1), axis=1)
         return np.asarray(np.hypot(normal[:, 0], normal[:, 1]) / (depth * of.fx_px), np.float64)
 

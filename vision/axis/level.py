@@ -1,9 +1,9 @@
 """Level from the picture itself: door posts and wall corners are vertical, and they show roll and pitch.
 
-The attitude that comes with a frame is a starting point with a standard deviation: a filter's tilt error, a
-camera that is not mounted as its file says, or nothing known at all. Vertical lines then make level as
-exact as the picture is, which the lateral offset needs (half a degree of roll is 1 % of the corridor's
-width) and the heading welcomes.
+The attitude that comes with a frame is a starting point with a standard deviation: a filter's tilt error, a camera
+that is not mounted as its file says, or an attitude that is unknown. Vertical lines then make level as exact as the
+picture allows. The lateral offset needs that (half a degree of roll is 1 % of the corridor's width); the heading
+gains by it.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from vision.types import FloatArray
 
 COARSE_STEP_RAD = radians(2.0)
 GRID_REACH_SIGMA = 2.5
-MAX_VOTE_ARC_RAD = 0.3  # longer lines count no more
+MAX_VOTE_ARC_RAD = 0.3  # longer lines have no more weight
 VOTE_WEIGHT = 6.0
-UPRIGHT = 0.7  # at least this much of a line's direction is along the given vertical
+VERTICAL_COSINE = 0.7  # least component of a vertical line's direction along the given vertical
 GRID_FROM_STD_RAD = radians(2.0)  # below this the prior is good enough to start from
-PLUMB_STD_RAD = radians(0.15)  # door posts are upright to about this
+PLUMB_STD_RAD = radians(0.15)  # door posts are vertical to about this
 CUT_SIGMA = 3.0
 
 
@@ -37,7 +37,7 @@ class LevelFrame:
     R_level_camera
         Rotation (3, 3) from the optical frame.
     roll_std_rad, pitch_std_rad
-        Standard deviations of what is left, about the level frame's x and y axes.
+        Standard deviations of the remaining errors about the level frame's x and y axes.
     pitch_correction_rad
         Elevation by which the picture's level lies above the given attitude's.
     """
@@ -80,7 +80,7 @@ def _search_down(lines: LineGeometry, std: float) -> tuple[float, float]:
     upright = np.empty((len(arc), 4))
     n = 0
     for k in range(len(arc)):
-        if abs(direction[k, 2]) >= UPRIGHT:
+        if abs(direction[k, 2]) >= VERTICAL_COSINE:
             upright[n, :3] = normal[k]
             upright[n, 3] = min(arc[k], MAX_VOTE_ARC_RAD) / MAX_VOTE_ARC_RAD
             n += 1
@@ -129,7 +129,7 @@ def _fit_down(lines: LineGeometry, std: float) -> _Down:
         g0 = a / (std * std)
         g1 = b / (std * std)
         for k in range(n):
-            if abs(direction[k, 2]) < UPRIGHT:
+            if abs(direction[k, 2]) < VERTICAL_COSINE:
                 continue
             nx = normal[k, 0]
             ny = normal[k, 1]

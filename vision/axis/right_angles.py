@@ -31,7 +31,7 @@ STRAY_SHARE = 1.0 - float(SHARE.sum())
 PARALLEL_STD_RAD = np.array(
     [radians(0.10), radians(0.15), radians(0.15)]
 )  # lines along an axis are parallel to this
-CORRELATION = 2.0  # the edges of one door or board err together: so many lines speak as one
+CORRELATION = 2.0  # edges of one door or skirting board have a common error: so many lines count as one
 UNIFORM = (
     1.2533  # density of a Gaussian's peak over that of any direction within half a turn: pi / sqrt(2 pi)
 )

@@ -2,8 +2,7 @@
 
 Each segment spans a plane with the camera's centre; a line along the corridor has the axis in its plane. Turned
 level by roll and pitch, that makes each line vote for one heading. The vote is over all headings (and over
-elevations, as far as tilt and mount are uncertain), so there is no initial guess and no random sampling to be unlucky
-with.
+elevations, as far as tilt and mount are uncertain), so it needs neither an initial guess nor random sampling.
 
 The axis at heading psi and elevation e (positive up) is ``d = (cos e cos psi, -cos e sin psi, -sin e)`` in the level
 frame; the residual of a line with plane normal n is ``n . d``, zero for a corridor line.
@@ -28,7 +27,7 @@ MAX_SLICES = 21
 INLIER_SIGMA = 3.0
 MIN_SCALE = 0.7  # of the covariance, however well the lines agree
 DIRECTIONS = 45  # in half a turn about the axis
-CORRELATION = 1.3  # the edges of one door or board err together: so many lines speak as one
+CORRELATION = 1.3  # edges of one door or skirting board have a common error: so many lines count as one
 
 
 class _Refined(NamedTuple):
@@ -75,7 +74,7 @@ class AxisFit:
     inlier
         Lines (n,) that run along the axis.
     inlier_share
-        Their share of the length of all lines that are not upright.
+        Their share of the length of all lines that are not vertical.
     n_distinct
         In how many directions about the axis they lie, 4 degrees apart.
     """
@@ -164,7 +163,7 @@ def _count_distinct(normal: FloatArray, inlier: BoolArray, psi: float, e: float)
 
 
 def _covariance(fit: _Refined, vote_variance: float) -> FloatArray | None:
-    """Return the covariance (2, 2) of heading and elevation, as wide as the vote's peak; None: nothing is fixed."""
+    """Return the covariance (2, 2) of heading and elevation, no narrower than the vote; None: it is infinite."""
     h00, h01, h11 = fit.information_heading, fit.information_both, fit.information_elevation
     determinant = h00 * h11 - h01**2
     if not determinant > 0.0:
@@ -203,7 +202,7 @@ def fit_axis(
     elevation_rad, elevation_std_rad
         What is known of the axis's elevation: tilt error and mount together.
     prior_heading_rad, prior_heading_std_rad
-        A filter's prediction, to choose between peaks; NaN: the camera looks along rather than across.
+        A filter's prediction, to choose between peaks; NaN: none, the camera is taken to look along the corridor.
     """
     if len(lines) == 0:
         return None

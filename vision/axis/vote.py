@@ -1,7 +1,8 @@
-"""The exhaustive vote over heading and elevation, and what its shape tells.
+"""The exhaustive vote over heading and elevation of the corridor's axis.
 
-Each line counts by the log-likelihood that it passes through the axis rather than somewhere at random, cut off at
-zero: a parabola over heading, centred where the line meets the horizon.
+Each line adds the log-likelihood that it passes through the axis rather than somewhere at random, cut off at zero: a
+parabola over heading, centred where the line meets the horizon. The vote's peaks are the candidates for the axis; how
+broad the best one is says how uncertain its heading is.
 """
 
 from __future__ import annotations
@@ -20,18 +21,20 @@ BIN_RAD = pi / N_BINS
 PEAK_BINS = 4  # a peak exceeds everything within a degree
 ALIGN_STD_RAD = radians(0.10)  # lines along a real corridor are parallel to about this
 INLIER_ODDS = 0.25  # share of lines expected to run along the corridor
-VERTICAL_SINE = 0.10  # a plane this close to vertical may be a door post's: it says nothing about the axis
-STEEP_SINE = 0.3  # and one up to here is trusted less: streaks on a wall, leaning things
-VOTE_TEMPERATURE = 0.8  # the edges of one door or board err together: so many lines speak as one
+VERTICAL_SINE = (
+    0.10  # a plane this close to vertical may be a door post's, which has no information on the axis
+)
+STEEP_SINE = 0.3  # and one up to here has less weight: streaks on a wall, leaning objects
+VOTE_TEMPERATURE = 0.8  # edges of one door or skirting board have a common error: so many lines count as one
 RIVAL_DISTANCE_RAD = radians(8.0)
 HEADING_PRIOR_STD_RAD = radians(30.0)  # the camera looks along the corridor rather than across
-MAX_HEADING_RAD = radians(60.0)  # without a filter's word, what is farther off is taken for a transverse axis
+MAX_HEADING_RAD = radians(60.0)  # without a prediction, what is farther off is taken for a transverse axis
 PRIOR_FLOOR_STD_RAD = radians(1.0)
 PRIOR_DOUBT = 0.01  # a filter can be wrong: strong evidence wins against it
 
 
 class HeadingVote(NamedTuple):
-    """What the vote says of every heading, and its best peak.
+    """Score of every heading, and the best peak among them.
 
     Parameters
     ----------
@@ -68,7 +71,17 @@ class RivalPeak(NamedTuple):
 
 @compiled
 def line_std(alpha: float, beta: float, sigma: float, arc: float) -> float:
-    """Return the standard deviation of ``n . d``; alpha, beta: components of d along the line's middle, direction."""
+    """Return the standard deviation of a corridor line's residual ``n . d``.
+
+    Parameters
+    ----------
+    alpha, beta
+        Components of the axis d along the line's middle and along its direction.
+    sigma
+        Standard deviation of the angle by which the line's middle is off its plane, radians.
+    arc
+        Angle that the line subtends, radians.
+    """
     rotation = 3.4641 * sigma / arc
     return sqrt((sigma * alpha) ** 2 + (rotation * beta) ** 2 + ALIGN_STD_RAD * ALIGN_STD_RAD)
 
