@@ -205,12 +205,12 @@ def _draw_border_arrow(canvas: ColourImage, direction: FloatArray, unit: float) 
     reach = middle - 3.0 * unit
     ahead = direction / hypot(*direction)
     tip = middle + ahead * np.min(reach / np.maximum(np.abs(ahead), 1e-9))
-    aside = np.array([-ahead[1], ahead[0]])
+    across = np.array([-ahead[1], ahead[0]])
     back = tip - 16.0 * unit * ahead
     _cased(canvas, np.array([tip - 44.0 * unit * ahead, tip]), VANISHING_POINT, 2.4 * unit)
     _cased(
         canvas,
-        np.array([back + 8.0 * unit * aside, tip, back - 8.0 * unit * aside]),
+        np.array([back + 8.0 * unit * across, tip, back - 8.0 * unit * across]),
         VANISHING_POINT,
         2.4 * unit,
     )
