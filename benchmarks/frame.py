@@ -34,7 +34,7 @@ from support.peer import PEER, Peer, environment_folder, make_environment
 from support.ransac import heading_by_ransac, segments
 from support.scores import number, percent, rms, table
 from vision import Attitude, extract_lines, measure_frame
-from vision.axis.level import Level, level_from_verticals
+from vision.axis.level import LevelFrame, level_from_verticals
 from vision.axis.vanishing_point import AxisFit, fit_axis
 from vision.frame import CALIBRATION_STD_RAD, SLOPE_STD_RAD
 from vision.images import GreyImage
@@ -74,7 +74,7 @@ def unit(case: Case) -> float:
     return nan
 
 
-def _axis_of(case: Case) -> tuple[LineSet, AxisFit | None, Level]:
+def _axis_of(case: Case) -> tuple[LineSet, AxisFit | None, LevelFrame]:
     """Picture to axis: what `measure_frame` does before it judges and describes."""
     lines = extract_lines(case.image, case.camera)
     a = case.attitude or Attitude(0.0, 0.0, radians(12.0))

@@ -2,6 +2,11 @@
 
 `measure_frame` turns a picture and a `Camera` into a `FrameMeasurement`. Frames, signs and units are those of
 `vision.measurement`. Importing the package is light: the compiled line finder loads at its first use.
+
+Begin reading at `vision.frame`, which calls the packages in their order: `vision.lines` finds line segments,
+`vision.axis` the corridor's axis among them, `vision.lateral` the corridor's corners and from them the lateral
+offset; `vision.cameras` relates pixels to rays. `vision.paper` is the published article's own method. Nothing here
+imports `fusion`.
 """
 
 from __future__ import annotations

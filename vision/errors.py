@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 class InputError(ValueError):
-    """Input that cannot be used, said in one line: file, field, value and remedy.
+    """Input that cannot be used, explained in one line: file, field, value and remedy.
 
     The command line prints it and exits with code 2; a library caller catches it.
 

@@ -1,22 +1,22 @@
-"""One frame, from picture to measurement: the door to the package.
+"""One frame, from picture to measurement: where to enter the package.
 
-`measure_frame` does it all. A filter calls its two halves: `extract_lines`, which needs only the picture
-and takes nearly all of the time, and `measure_lines`, which needs the attitude and the prediction at the
-frame's time and is cheap enough to be repeated when late samples change either.
+`measure_frame` takes all steps. A filter calls the two halves: `extract_lines` needs only the picture and takes most
+of the time; `measure_lines` needs the attitude and the prediction at the frame's time, and is cheap enough to be
+repeated when late samples change either.
 """
 
 from __future__ import annotations
 
 import time
 from dataclasses import replace
-from math import cos, hypot, isfinite, pi, radians, sin, sqrt
+from math import hypot, isfinite, pi, radians, sin, sqrt
 from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vision.axis.level import Level, level_from_verticals
+from vision.axis.level import LevelFrame, level_from_verticals
 from vision.axis.vanishing_point import AxisFit, axis_direction, fit_axis
 from vision.axis.vote import VERTICAL_SINE
 from vision.cameras.camera import Camera
@@ -35,15 +35,16 @@ from vision.measurement import (
     position_from_offset,
 )
 from vision.paper.measure import FIRST_PIXEL, equation_8, measure_paper
+from vision.rotations import rotation_from_angles
+from vision.types import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Method = Literal["geometric", "paper"]
 
 MIN_LINES = 4
 MIN_SCORE = 8.0  # log-likelihood over chance
 MIN_MARGIN = 6.5  # log-likelihood over the second-best heading, by lines that are not pieces of one edge
 MAX_RIVAL = 0.80  # score of the second-best heading over the best
-MIN_SHARE = 0.07  # of the length of all lines that are not upright
+MIN_SHARE = 0.07  # of the length of all lines that are not vertical
 MAX_STD_RAD = radians(1.5)
 MAX_ELEVATION_RAD = radians(2.5)  # corridors are level: an axis that is not was none
 MAX_ELEVATION_SIGMA = 2.5
@@ -87,7 +88,7 @@ def measure_frame(
     Raises
     ------
     InputError
-        Where the picture is none, has another size than the camera, or the quaternion is not a unit one.
+        Where the array is not a picture or has another size than the camera's, or the quaternion is not a unit one.
     """
     if method not in get_args(Method):
         raise InputError(f"method {method!r} is unknown", remedy=f"use one of {', '.join(get_args(Method))}")
@@ -105,16 +106,33 @@ def measure_lines(
     *,
     lateral: bool = True,
 ) -> FrameMeasurement:
-    """Measure heading and lateral offset from the lines of a picture; parameters as in `measure_frame`."""
+    """Measure heading and lateral offset from the lines of a picture.
+
+    Parameters
+    ----------
+    lines
+        Result of `extract_lines`.
+    camera
+        Calibration that they were found with.
+    attitude, prior
+        As in `measure_frame`.
+
+    Raises
+    ------
+    InputError
+        Where the quaternion is not a unit one.
+    """
     started = time.perf_counter()
     prior = prior or Prior()
     if attitude is None:
         attitude = UNKNOWN_ATTITUDE
     elif not isinstance(attitude, Attitude):
         attitude = Attitude.from_quaternion(attitude)
+    # Brings an axis of the elevation that the filter expects down to the horizon.
+    R_horizon_level = rotation_from_angles(0.0, -prior.elevation_rad, 0.0)
     level = level_from_verticals(
         lines,
-        _pitched(prior.elevation_rad) @ attitude.R_level_body() @ camera.R_body_camera,
+        R_horizon_level @ attitude.R_level_body() @ camera.R_body_camera,
         hypot(attitude.std_rad, prior.elevation_std_rad),
     )
     elevation_std_rad = hypot(level.pitch_std_rad, SLOPE_STD_RAD)
@@ -137,7 +155,7 @@ def measure_lines(
 
 
 def warm_up(camera: Camera) -> None:
-    """Load the machine code, or compile it, so that the first frame takes no longer than any other.
+    """Load the compiled code, or compile it, so that the first frame takes no longer than any other.
 
     A controller calls it before take-off, with the camera it flies with: some ten seconds the first time on a
     machine, a fraction of a second from then on.
@@ -154,8 +172,10 @@ def warm_up(camera: Camera) -> None:
         measure_frame(picture, camera, attitude)
 
 
-def _describe(fit: AxisFit, lines: LineSet, camera: Camera, level: Level, prior: Prior) -> FrameMeasurement:
-    """Turn an axis into the numbers and drawings of a measurement, not yet judged."""
+def _describe(
+    fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
+) -> FrameMeasurement:
+    """Turn an axis into a measurement that has not been accepted yet."""
     vp, vp_cov = _vanishing_point(fit, camera, level.R_level_camera)
     return FrameMeasurement(
         accepted=False,
@@ -181,7 +201,7 @@ def _describe(fit: AxisFit, lines: LineSet, camera: Camera, level: Level, prior:
 
 
 def _with_lateral(
-    found: FrameMeasurement, fit: AxisFit, lines: LineSet, camera: Camera, level: Level, prior: Prior
+    found: FrameMeasurement, fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
 ) -> FrameMeasurement:
     """Add what lines and, where the axis is to be relied on, regions say about the lateral offset."""
     answer, mixture = fit_lateral(
@@ -216,7 +236,7 @@ def _with_lateral(
 def _judge(
     found: FrameMeasurement, fit: AxisFit, camera: Camera, prior: Prior, elevation_std_rad: float
 ) -> Reason:
-    """Decide whether the heading may be used; the limits are where gross errors of spoilt pictures end."""
+    """Decide whether the heading may be used; the limits were set where gross errors in degraded pictures end."""
     if found.n_inliers < MIN_LINES or fit.score < MIN_SCORE:
         return Reason.TOO_FEW_LINES
     blur_px = prior.body_rate_rad_s * camera.exposure_s * camera.fx_px
@@ -232,12 +252,6 @@ def _judge(
     if abs(fit.elevation_rad) > max(MAX_ELEVATION_RAD, MAX_ELEVATION_SIGMA * elevation_std_rad):
         return Reason.UNCERTAIN
     return Reason.OK
-
-
-def _pitched(elevation_rad: float) -> FloatArray:
-    """Rotation (3, 3) that brings an axis at this elevation down to the horizon."""
-    c, s = cos(elevation_rad), sin(elevation_rad)
-    return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
 
 
 def _vanishing_point(

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.errors import InputError
-
-GreyImage = npt.NDArray[np.uint8]
+from vision.types import GreyImage as GreyImage
 
 
 def read_image(path: str | Path) -> GreyImage:
@@ -59,7 +58,7 @@ def decode_image(data: npt.NDArray[np.uint8]) -> GreyImage:
 
 
 def _is_cut_jpeg(data: bytes) -> bool:
-    """Whether a JPEG lacks its end marker; OpenCV 4.10 fills the lost part with grey and says nothing."""
+    """Whether a JPEG lacks its end marker; OpenCV 4.10 fills the lost part with grey without a warning."""
     if not data.startswith(b"\xff\xd8"):
         return False
     # An embedded thumbnail has an end marker of its own, near the beginning.

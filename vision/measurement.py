@@ -1,4 +1,4 @@
-"""What one camera frame says about heading and lateral offset, and what may be known beforehand.
+"""The measurement from one camera frame, and what may be known beforehand: attitude and a filter's prediction.
 
 Frames and signs (the whole project keeps them):
 
@@ -14,18 +14,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
-from math import asin, atan2, cos, nan, radians, sin
+from math import asin, atan2, nan, radians
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from vision.errors import InputError
+from vision.rotations import down_of_quaternion, rotation_from_angles
+from vision.types import FloatArray
 
 if TYPE_CHECKING:
     from vision.lateral.mixture import OffsetMixture
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Reason(StrEnum):
@@ -90,17 +90,14 @@ class Attitude:
                 f"attitude quaternion ({w:g}, {x:g}, {y:g}, {z:g}) has length {norm:g}",
                 remedy="give a unit quaternion w, x, y, z",
             )
-        w, x, y, z = w / norm, x / norm, y / norm, z / norm
+        down = down_of_quaternion((w / norm, x / norm, y / norm, z / norm))
         return cls(
-            roll_rad=atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
-            pitch_rad=asin(max(-1.0, min(1.0, 2 * (w * y - z * x)))),
-            std_rad=std_rad,
+            roll_rad=atan2(down[1], down[2]), pitch_rad=asin(max(-1.0, min(1.0, -down[0]))), std_rad=std_rad
         )
 
     def R_level_body(self) -> FloatArray:
         """Rotation (3, 3) that takes body vectors to the level frame."""
-        cr, sr, cp, sp = cos(self.roll_rad), sin(self.roll_rad), cos(self.pitch_rad), sin(self.pitch_rad)
-        return np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
+        return rotation_from_angles(0.0, self.pitch_rad, self.roll_rad)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
-"""A measured frame as a picture: what was seen, what came of it, and why it was or was not used.
+"""A measured frame drawn as a picture: its lines, vanishing point and corners, and why it was or was not used.
 
-Lines keep their place in the original, distorted picture; below it stand the corridor from above and the
-verdict in words. The colours follow Okabe and Ito, told apart by colour-blind readers, and wear a dark casing
-that holds them on bright walls.
+Lines are drawn where they are in the original, distorted picture; below it are the corridor from above and the result
+in words. The colours are those of Okabe and Ito, which colour-blind readers can distinguish, with dark outlines that
+keep them visible on bright walls.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ import numpy.typing as npt
 from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.measurement import FrameMeasurement, LineClass, Position, Reason
+from vision.types import ColourImage, FloatArray
 
-Picture = npt.NDArray[np.uint8]
-FloatArray = npt.NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 CASING: Colour = (20, 20, 20)
@@ -60,7 +59,7 @@ def overlay_scale(width_px: int) -> int:
 
 def draw_overlay(
     image: npt.NDArray[np.generic], camera: Camera, measurement: FrameMeasurement, *, footer: bool = True
-) -> Picture:
+) -> ColourImage:
     """Draw a measurement over its picture, with the corridor from above and the verdict below it.
 
     Parameters
@@ -98,7 +97,7 @@ def draw_overlay(
     return np.vstack([canvas, _footer(canvas.shape[1], measurement)]) if footer else canvas
 
 
-def _to_bgr(image: npt.NDArray[np.generic]) -> Picture:
+def _to_bgr(image: npt.NDArray[np.generic]) -> ColourImage:
     if image.dtype == np.uint16:
         top = max(int(image.max(initial=1)), 1)  # 10 and 12 bit cameras leave the upper bits empty
         image = (image.astype(np.float32) * (255.0 / top)).astype(np.uint8)
@@ -134,20 +133,20 @@ def _fixed(points: FloatArray) -> npt.NDArray[np.int32]:
 
 
 def _stroke(
-    canvas: Picture, points: FloatArray, colour: Colour, width: float, *, closed: bool = False
+    canvas: ColourImage, points: FloatArray, colour: Colour, width: float, *, closed: bool = False
 ) -> None:
     if np.all(np.isfinite(points)):
         cv2.polylines(canvas, [_fixed(points)], closed, colour, max(1, round(width)), cv2.LINE_AA, _SHIFT)
 
 
 def _cased(
-    canvas: Picture, points: FloatArray, colour: Colour, width: float, *, closed: bool = False
+    canvas: ColourImage, points: FloatArray, colour: Colour, width: float, *, closed: bool = False
 ) -> None:
     _stroke(canvas, points, CASING, max(round(1.8 * width), round(width) + 2), closed=closed)
     _stroke(canvas, points, colour, width, closed=closed)
 
 
-def _draw_lines(canvas: Picture, to_canvas: _Mapping, measurement: FrameMeasurement, unit: float) -> None:
+def _draw_lines(canvas: ColourImage, to_canvas: _Mapping, measurement: FrameMeasurement, unit: float) -> None:
     if measurement.lines_px is not None:
         lines = to_canvas.lines(measurement.lines_px)
         classes = measurement.line_class
@@ -165,13 +164,13 @@ def _draw_lines(canvas: Picture, to_canvas: _Mapping, measurement: FrameMeasurem
             _cased(canvas, line, WALL, 3.4 * unit)
 
 
-def _draw_principal_point(canvas: Picture, centre: FloatArray, unit: float) -> None:
+def _draw_principal_point(canvas: ColourImage, centre: FloatArray, unit: float) -> None:
     for step in ((6.0 * unit, 0.0), (0.0, 6.0 * unit)):
         _cased(canvas, np.array([centre - step, centre + step]), FAINT, unit)
 
 
 def _draw_vanishing_point(
-    canvas: Picture, to_canvas: _Mapping, measurement: FrameMeasurement, unit: float
+    canvas: ColourImage, to_canvas: _Mapping, measurement: FrameMeasurement, unit: float
 ) -> None:
     height, width = canvas.shape[:2]
     middle = np.array([(width - 1) / 2.0, (height - 1) / 2.0])
@@ -199,25 +198,25 @@ def _draw_vanishing_point(
         _draw_border_arrow(canvas, point - middle, unit)
 
 
-def _draw_border_arrow(canvas: Picture, direction: FloatArray, unit: float) -> None:
+def _draw_border_arrow(canvas: ColourImage, direction: FloatArray, unit: float) -> None:
     """Draw an arrow whose tip touches the picture's border in a direction (x, y) from its centre."""
     height, width = canvas.shape[:2]
     middle = np.array([(width - 1) / 2.0, (height - 1) / 2.0])
     reach = middle - 3.0 * unit
     ahead = direction / hypot(*direction)
     tip = middle + ahead * np.min(reach / np.maximum(np.abs(ahead), 1e-9))
-    aside = np.array([-ahead[1], ahead[0]])
+    across = np.array([-ahead[1], ahead[0]])
     back = tip - 16.0 * unit * ahead
     _cased(canvas, np.array([tip - 44.0 * unit * ahead, tip]), VANISHING_POINT, 2.4 * unit)
     _cased(
         canvas,
-        np.array([back + 8.0 * unit * aside, tip, back - 8.0 * unit * aside]),
+        np.array([back + 8.0 * unit * across, tip, back - 8.0 * unit * across]),
         VANISHING_POINT,
         2.4 * unit,
     )
 
 
-def _footer(width_px: int, measurement: FrameMeasurement) -> Picture:
+def _footer(width_px: int, measurement: FrameMeasurement) -> ColourImage:
     unit = width_px / 640.0
     height = round(112 * unit)
     footer = np.full((height, width_px, 3), PAPER, dtype=np.uint8)
@@ -250,7 +249,7 @@ def _offset_words(m: FrameMeasurement) -> str:
     return f"offset {abs(m.lateral_offset_norm):.3f} half widths {side}{place}{sigma}"
 
 
-def _legend(footer: Picture, m: FrameMeasurement, x: float, y: float, unit: float) -> None:
+def _legend(footer: ColourImage, m: FrameMeasurement, x: float, y: float, unit: float) -> None:
     keys: list[tuple[str, Colour]] = []
     if m.lines_px is not None:
         keys = [
@@ -266,7 +265,9 @@ def _legend(footer: Picture, m: FrameMeasurement, x: float, y: float, unit: floa
         x = _text(footer, word, x + 19 * unit, y, 13 * unit, FAINT, footer.shape[1] - x) + 13 * unit
 
 
-def _text(footer: Picture, text: str, x: float, y: float, size: float, colour: Colour, room: float) -> float:
+def _text(
+    footer: ColourImage, text: str, x: float, y: float, size: float, colour: Colour, room: float
+) -> float:
     """Write on a base line, capitals ``0.7 * size`` high, smaller where there is no room; return the end."""
     face, thickness = cv2.FONT_HERSHEY_SIMPLEX, max(1, round(size / 15))
     scale = 0.7 * size / cv2.getTextSize("H", face, 1.0, 1)[0][1]
@@ -279,7 +280,7 @@ def _text(footer: Picture, text: str, x: float, y: float, size: float, colour: C
 
 
 def _draw_from_above(
-    footer: Picture, m: FrameMeasurement, *, left: float, side: float, top: float, unit: float
+    footer: ColourImage, m: FrameMeasurement, *, left: float, side: float, top: float, unit: float
 ) -> None:
     """Draw the corridor from above, its axis upward, and the vehicle; hollow where its place is unknown."""
     half = 0.40 * side

@@ -6,13 +6,13 @@ pitch, then roll. Right-handed about each axis, so yaw is positive to the right 
 
 from __future__ import annotations
 
-from math import atan2, pi
+from math import atan2, cos, pi, sin
 from typing import overload
 
 import numpy as np
 import numpy.typing as npt
 
-from vision.measurement import FloatArray
+from vision.types import FloatArray
 
 
 @overload
@@ -59,7 +59,8 @@ def rotation_from_angles(yaw_rad: float, pitch_rad: float, roll_rad: float) -> F
     yaw_rad, pitch_rad, roll_rad
         Turned in this order about z, the new y and the new x.
     """
-    (cr, cp, cy), (sr, sp, sy) = (f(np.array([roll_rad, pitch_rad, yaw_rad])) for f in (np.cos, np.sin))
+    cr, cp, cy = cos(roll_rad), cos(pitch_rad), cos(yaw_rad)
+    sr, sp, sy = sin(roll_rad), sin(pitch_rad), sin(yaw_rad)
     return np.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],

@@ -160,7 +160,7 @@ def _focal_of_pictures(views: Views) -> Quantity:
     scale = found.fx_px / views.camera.fx_px
     # d(f)/f = -d(fov) / sin(fov)
     sigma = scale * view.std_rad / float(np.sin(view.horizontal_rad))
-    if not view.told:
+    if not view.measured:
         said = "Neither turns nor pictures tell the focal length: an ordinary camera's is taken."
         return Quantity("focal_scale", nan, inf, False, said, 1.0)
     said = (

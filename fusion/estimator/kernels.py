@@ -12,7 +12,7 @@ from math import cos, exp, expm1, sin, sqrt
 import numpy as np
 
 from vision.compiled import compiled
-from vision.measurement import FloatArray as FloatArray
+from vision.types import FloatArray as FloatArray
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

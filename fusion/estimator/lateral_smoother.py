@@ -36,7 +36,6 @@ from fusion.estimator.lateral_offset import (
     with_evidence,
     with_speed,
 )
-from fusion.estimator.tables import HYPOTHESIS_DTYPE, Table
 from vision.types import FloatArray
 
 YV = slice(Y, V + 1)
@@ -78,17 +77,6 @@ class OffsetSteps:
         if step is not None:
             self.t_ns.append(t_ns)
             self.steps.append(step)
-
-
-def hypotheses_table(steps: OffsetSteps, least_probability: float = 0.02) -> Table:
-    """Return the hypotheses after each step, rows of `fusion.estimator.tables.HYPOTHESIS_DTYPE`."""
-    rows = []
-    for t_ns, step in zip(steps.t_ns, steps.steps, strict=True):
-        after = step.after
-        for x, P, weight in zip(after.x, after.P, after.weight[:-1].tolist(), strict=True):
-            if weight >= least_probability:
-                rows.append((t_ns, float(x[Y]), sqrt(float(P[Y, Y])), weight))
-    return np.array(rows, dtype=HYPOTHESIS_DTYPE)
 
 
 def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[OffsetReadout]:

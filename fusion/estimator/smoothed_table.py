@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from math import nan
+from math import nan, sqrt
 
 import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.lateral import LateralStatus, offset_model
+from fusion.estimator.lateral_kernels import Y
 from fusion.estimator.lateral_smoother import OffsetSteps, at_times, smoothed_offsets
 from fusion.estimator.models import BIAS, PSI, YAW_OFFSET, FloatArray
 from fusion.estimator.smoother import Steps, rts
-from fusion.estimator.tables import Table
+from fusion.estimator.tables import HYPOTHESIS_DTYPE, Table
 from vision.measurement import position_from_offset
 from vision.rotations import wrap, wrap_axis
 
@@ -127,6 +128,17 @@ def _move_corridor_changes(
             out["corridor_index"][back] = out["corridor_index"][row]
             out["corridor_turn_rad"][back] = out["corridor_turn_rad"][row]
             back -= 1
+
+
+def hypotheses_table(steps: OffsetSteps, least_probability: float = 0.02) -> Table:
+    """Return the hypotheses after each step, rows of `fusion.estimator.tables.HYPOTHESIS_DTYPE`."""
+    rows = []
+    for t_ns, step in zip(steps.t_ns, steps.steps, strict=True):
+        after = step.after
+        for x, P, weight in zip(after.x, after.P, after.weight[:-1].tolist(), strict=True):
+            if weight >= least_probability:
+                rows.append((t_ns, float(x[Y]), sqrt(float(P[Y, Y])), weight))
+    return np.array(rows, dtype=HYPOTHESIS_DTYPE)
 
 
 def half_widths_m(table: Table, config: FusionConfig) -> FloatArray:

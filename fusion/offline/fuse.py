@@ -17,9 +17,9 @@ from fusion.estimator.estimate import estimate_of
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.frame_update import FrameResult, FrameSample
 from fusion.estimator.imu_yaw import AttitudeSample
-from fusion.estimator.lateral_smoother import OffsetSteps, hypotheses_table
+from fusion.estimator.lateral_smoother import OffsetSteps
 from fusion.estimator.propagation import ImuSample
-from fusion.estimator.smoothed_table import smoothed_table
+from fusion.estimator.smoothed_table import hypotheses_table, smoothed_table
 from fusion.estimator.smoother import Steps
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table, estimate_row
 from fusion.flight import Flight

@@ -200,7 +200,7 @@ def _view(
     if first is None:
         return ordinary
     found = estimate_field_of_view(chain([first], images))
-    if not found.told:
+    if not found.measured:
         return ordinary
     return replace(
         ordinary,

@@ -7,15 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
 from vision import Camera
 from vision.lines.edges import FITTED_LINE
 from vision.lines.segments import LineSet, _line_set, _Traced
-
-FloatArray = npt.NDArray[np.float64]
+from vision.types import FloatArray
 
 
 @dataclass(frozen=True)

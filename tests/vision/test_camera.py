@@ -7,7 +7,6 @@ from math import cos, inf, nan, pi, radians, sin, sqrt
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,8 +14,7 @@ from hypothesis import strategies as st
 from vision.cameras.camera import Camera, Distortion
 from vision.cameras.lens import Equidistant, RadialTangential
 from vision.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
+from vision.types import FloatArray
 
 # The analogue fisheye-like lens of a Crazyflie: OpenCV's own inverse fails on it.
 STRONG = Camera(

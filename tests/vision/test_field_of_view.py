@@ -24,7 +24,14 @@ from vision.axis.field_of_view import (
     lines_of,
     ordinary_field_of_view,
 )
-from vision.axis.right_angles import N_PARAMETERS, _point_axes, _solve, fit_right_angles, slack_std
+from vision.axis.right_angles import (
+    N_PARAMETERS,
+    RightAngles,
+    _nominal_axes,
+    _solve,
+    fit_right_angles,
+    slack_std,
+)
 from vision.lines.segments import LineSet, extract_lines
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -54,7 +61,7 @@ class TestCorridorsOfLines:
             pitch_rad=radians(pitch_deg), heading_rad=radians(3), roll_rad=radians(2), noise_px=0.1
         )
         found = field_of_view_of_lines([seen(look, camera)], camera)
-        assert found.told
+        assert found.measured
         assert error_deg(found, fov_deg) < 3.0
         assert error_deg(found, fov_deg) < 2.0 * degrees(found.std_rad)
 
@@ -69,7 +76,7 @@ class TestCorridorsOfLines:
     def test_a_level_camera_that_looks_straight_along_cannot_tell(self, corridor: Any, seen: Seen) -> None:
         camera = camera_of(50)
         found = field_of_view_of_lines([seen(corridor(noise_px=0.1), camera)], camera)
-        assert not found.told
+        assert not found.measured
         assert (found.horizontal_rad, found.std_rad) == (radians(65), radians(20))
         assert (found.n_used, found.n_tried) == (0, 1)
 
@@ -77,7 +84,7 @@ class TestCorridorsOfLines:
         camera = camera_of(60)
         views = [corridor(along=False, posts=False, n_random=60, seed=seed) for seed in range(5)]
         found = field_of_view_of_lines([seen(view, camera) for view in views], camera)
-        assert not found.told
+        assert not found.measured
         assert found.n_used == 0
 
     def test_more_pictures_are_surer(self, corridor: Any, seen: Seen) -> None:
@@ -106,7 +113,7 @@ class TestCorridorsOfLines:
         off = Camera(640, 480, 554.3, 554.3, 319.5 + 6.4, 239.5 - 6.4)
         views = [seen(corridor(pitch_rad=radians(p), noise_px=0.1), off) for p in (5.0, 5.5, 6.0, 6.5)]
         found = field_of_view_of_lines(views, camera_of(60))
-        assert found.told
+        assert found.measured
         assert error_deg(found, 60) < 2.5 * degrees(found.std_rad)
         assert degrees(found.std_rad) > 1.0
 
@@ -123,7 +130,7 @@ class TestPictures:
     def test_simulated_folders(self, fov_deg: float) -> None:
         views = office_views(camera_of(fov_deg, 400, 300), 6, seed=round(fov_deg), views_per_scene=6)
         found = estimate_field_of_view(view.image for view in views)
-        assert found.told
+        assert found.measured
         assert found.n_used >= 4
         assert error_deg(found, fov_deg) < min(4.0, 2.5 * degrees(found.std_rad))
 
@@ -132,7 +139,7 @@ class TestPictures:
             cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(OFFICE.iterdir())[10:200:20]
         ]
         found = estimate_field_of_view(pictures)
-        assert found.told
+        assert found.measured
         assert error_deg(found, OFFICE_FOV_DEG) < 3.0
 
     def test_upright_pictures(self) -> None:
@@ -140,7 +147,7 @@ class TestPictures:
         views = office_views(camera_of(75, 480, 360), 5, seed=8, views_per_scene=5)
         found = estimate_field_of_view(view.image[:, 120:360] for view in views)
         true_deg = degrees(2 * np.arctan(0.5 * tan(radians(75 / 2))))
-        assert found.told
+        assert found.measured
         assert error_deg(found, true_deg) < 4.0
 
     def test_blank_and_noisy_pictures_do_not_tell(self) -> None:
@@ -148,7 +155,7 @@ class TestPictures:
         blank = np.full((120, 160), 90, np.uint8)
         noise = rng.integers(0, 255, (120, 160)).astype(np.uint8)
         found = estimate_field_of_view([blank, noise, blank])
-        assert not found.told
+        assert not found.measured
         assert found.n_tried == 3
 
     def test_no_pictures_or_different_ones_are_refused(self) -> None:
@@ -164,8 +171,8 @@ class TestPictures:
             pytest.skip("the shared pictures are not here")
         pictures = [cv2.imread(str(folder / f"{i}.jpg"), cv2.IMREAD_GRAYSCALE) for i in range(2, 84, 4)]
         first, second = estimate_field_of_view(pictures[::2]), estimate_field_of_view(pictures[1::2])
-        assert first.told
-        assert second.told
+        assert first.measured
+        assert second.measured
         between = abs(first.horizontal_rad - second.horizontal_rad)
         assert between < 2.0 * np.hypot(first.std_rad, second.std_rad)
         accepted = {
@@ -182,7 +189,7 @@ class TestPictures:
         if not folder.is_dir():
             pytest.skip("the shared pictures are not here")
         pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(folder.glob("*.pgm"))]
-        assert not estimate_field_of_view(pictures).told
+        assert not estimate_field_of_view(pictures).measured
 
 
 class TestOrdinary:
@@ -191,7 +198,7 @@ class TestOrdinary:
         assert wide.horizontal_rad == pytest.approx(radians(65))
         assert tan(upright.horizontal_rad / 2) == pytest.approx(0.75 * tan(wide.horizontal_rad / 2))
         assert upright.std_rad < wide.std_rad
-        assert not wide.told
+        assert not wide.measured
 
 
 class TestLinesOf:
@@ -218,19 +225,12 @@ class TestRightAngles:
         self, turn: tuple[float, float, float], slack: list[float], stretch: float
     ) -> None:
         rotation, loose = Rotation.from_rotvec(turn).as_matrix(), np.array(slack)
-        axes, slopes = np.empty((3, 3)), np.empty((3, N_PARAMETERS, 3))
-        _point_axes(rotation, loose, stretch, axes, slopes)
-        step, moved, unused = 1e-6, np.empty((3, 3)), np.empty((3, N_PARAMETERS, 3))
+        axes, step = _nominal_axes(rotation, loose, stretch), 1e-6
         for p in range(N_PARAMETERS):
             change = step * np.eye(N_PARAMETERS)[p]
-            _point_axes(
-                Rotation.from_rotvec(change[:3]).as_matrix() @ rotation,
-                loose + change[3:],
-                stretch,
-                moved,
-                unused,
-            )
-            np.testing.assert_allclose((moved - axes) / step, slopes[:, p], atol=1e-4)
+            turned = Rotation.from_rotvec(change[:3]).as_matrix() @ rotation
+            moved = _nominal_axes(turned, loose + change[3:], stretch)
+            np.testing.assert_allclose((moved.ray - axes.ray) / step, axes.slopes[:, p], atol=1e-4)
 
     def test_cholesky(self) -> None:
         rng = np.random.default_rng(1)
@@ -247,11 +247,12 @@ class TestRightAngles:
         look = corridor(pitch_rad=radians(5), heading_rad=radians(-8), roll_rad=radians(3))
         lines = lines_of(seen(look, true), true, nominal)
         exact = (look.rotation() @ true.R_body_camera).T  # columns: the corridor's axes in the optical frame
-        rotation, slack = Rotation.from_rotvec([0.01, -0.012, 0.008]).as_matrix() @ exact, np.zeros(5)
-        swing = np.sqrt(12.0) * lines.sigma_rad / lines.arc_rad
-        arrays = (lines.normal, lines.centre, lines.direction, lines.sigma_rad, swing)
-        score = fit_right_angles(*arrays, stretch, slack_std(0.01), radians(2), rotation, slack)
-        assert score > 10.0
-        np.testing.assert_allclose(rotation, exact, atol=2e-3)
-        wrong = fit_right_angles(*arrays, 1.4 * stretch, slack_std(0.01), radians(2), rotation, slack)
-        assert wrong < score - 5.0
+        near = Rotation.from_rotvec([0.01, -0.012, 0.008]).as_matrix() @ exact
+        geometry, swing = lines.geometry(), np.sqrt(12.0) * lines.sigma_rad / lines.arc_rad
+        start, loose = RightAngles(0.0, near, np.zeros(5)), slack_std(0.01)
+        found = fit_right_angles(geometry, swing, stretch, loose, start, radians(2))
+        assert found.score > 10.0
+        np.testing.assert_allclose(found.rotation, exact, atol=2e-3)
+        np.testing.assert_array_equal(start.rotation, near)  # the start is left as it was
+        wrong = fit_right_angles(geometry, swing, 1.4 * stretch, loose, found, radians(2))
+        assert wrong.score < found.score - 5.0

@@ -1,4 +1,7 @@
-"""The corridor's axis in one picture: level, vanishing point, field of view.
+"""The corridor's axis in one picture: level, heading, vanishing point; and the field of view of an unknown camera.
 
-Imports `vision.lines` and `vision.cameras`. Begin reading at `vision.axis.vanishing_point`.
+Imports `vision.lines` and `vision.cameras`. Begin reading at `vision.axis.vanishing_point`: `fit_axis` finds the axis
+by a vote (`vision.axis.vote`) and a least-squares fit. `vision.axis.level` corrects roll and pitch by vertical lines
+beforehand. Apart from these, `vision.axis.field_of_view` finds the focal length of an uncalibrated camera from the
+right angles between corridor lines, transverse lines and door posts (`vision.axis.right_angles`).
 """

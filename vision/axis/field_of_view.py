@@ -1,8 +1,8 @@
 """The field of view of an uncalibrated camera, from pictures of corridors.
 
-A picture's door posts say where down is, its corridor lines where the corridor goes, its transverse lines what lies
-across; only with the right focal length are the three at right angles (`vision.axis.right_angles`). Each picture
-gives a curve of log-likelihood over the field of view; pictures of one camera add theirs up, on top of what ordinary
+Door posts meet in the vanishing point of the vertical, corridor lines and transverse lines in theirs. The directions
+to the three are at right angles only with the right focal length (`vision.axis.right_angles`). Each picture gives a
+log-likelihood for every field of view; those of one camera's pictures are added up, on top of a prior: what ordinary
 cameras have.
 
 Assumed throughout: square pixels, no distortion, the optical axis at the picture's centre to about one percent of its
@@ -15,23 +15,22 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import chain, pairwise
-from math import atan, exp, hypot, radians, sin, sqrt, tan
-from typing import Any, NamedTuple
+from math import atan, exp, hypot, inf, radians, sin, sqrt, tan
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import Akima1DInterpolator
 
 from vision.axis.level import level_from_verticals
-from vision.axis.right_angles import CENTRE_STD_OF_SIDE, N_SLACK, fit_right_angles, slack_std
+from vision.axis.right_angles import CENTRE_STD_OF_SIDE, N_SLACK, RightAngles, fit_right_angles, slack_std
 from vision.axis.vanishing_point import axis_direction, fit_axis
 from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.images import to_grey
 from vision.lines.segments import LineSet, extract_lines
 from vision.measurement import Attitude
-
-FloatArray = npt.NDArray[np.float64]
+from vision.types import FloatArray
 
 PRIOR_RAD, PRIOR_STD_RAD = radians(65.0), radians(20.0)  # what ordinary cameras have along the longer side
 RANGE_RAD = (radians(30.0), radians(120.0))
@@ -39,10 +38,13 @@ MAX_PICTURES = 30
 MAX_TRIED = 60
 MIN_LINES = 6
 MIN_SCORE = 15.0  # log-likelihood of right angles over stray lines; up to 300 stray ones reach 6
-MIN_EVIDENCE = 2.0  # of a picture's best field of view over its median one; below, it tells nothing
-TOLD_STD_RAD = radians(10.0)
-EDGE_RAD, EDGE_SHARE = radians(3.0), 0.1  # so probable so close to the range's ends: outside, or nonsense
-MISLED_SHARE = 0.1  # of pictures whose lines form right angles that are none
+MIN_EVIDENCE = 2.0  # log-likelihood of a picture's best field of view over its median one, to be of use
+MAX_STD_RAD = radians(10.0)
+EDGE_RAD, EDGE_SHARE = (
+    radians(3.0),
+    0.1,
+)  # a larger share of the probability so near to the range's ends is refused
+OUTLIER_SHARE = 0.1  # of pictures whose lines form right angles that are none
 MEDIAN_CHI2 = 0.455  # of one degree of freedom
 
 NOMINAL_RAD = radians(65.0)
@@ -66,24 +68,24 @@ class FieldOfView:
     ----------
     horizontal_rad, std_rad
         Field of view across the picture, and its standard deviation.
-    told
-        Whether the pictures told it; otherwise it is what ordinary cameras have.
+    measured
+        Whether the pictures show it; otherwise it is what ordinary cameras have.
     n_used
-        Pictures that had a say.
+        Pictures that it was measured from.
     n_tried
-        Pictures looked at.
+        Pictures that were examined.
     """
 
     horizontal_rad: float
     std_rad: float
-    told: bool
+    measured: bool
     n_used: int = 0
     n_tried: int = 0
 
 
 def ordinary_field_of_view(width_px: int, height_px: int) -> FieldOfView:
     """Return what to assume of a picture's camera where nothing is known: 65 +- 20 degrees along the longer side."""
-    return _across(FieldOfView(PRIOR_RAD, PRIOR_STD_RAD, told=False), width_px, height_px)
+    return _across(FieldOfView(PRIOR_RAD, PRIOR_STD_RAD, measured=False), width_px, height_px)
 
 
 def estimate_field_of_view(images: Iterable[npt.NDArray[Any]]) -> FieldOfView:
@@ -92,19 +94,19 @@ def estimate_field_of_view(images: Iterable[npt.NDArray[Any]]) -> FieldOfView:
     Parameters
     ----------
     images
-        Pictures of one size, grey (h, w), BGR or BGRA, uint8 or uint16, at least one. They are taken one by
-        one until `MAX_PICTURES` had a say or `MAX_TRIED` were looked at: let the first few be unlike each other.
+        Pictures of one size, grey (h, w), BGR or BGRA, uint8 or uint16, at least one. They are taken one by one
+        until `MAX_PICTURES` were of use or `MAX_TRIED` were examined: let the first few be unlike each other.
 
     Returns
     -------
     FieldOfView
-        `ordinary_field_of_view`, with ``told`` False, where the pictures do not tell: level cameras that look
-        straight along, blank walls, pictures cropped off their centre.
+        `ordinary_field_of_view`, with ``measured`` False, where the pictures do not show it: level
+        cameras that look straight along the corridor, blank walls, pictures cropped off their centre.
 
     Raises
     ------
     InputError
-        Where there is no image, one is none, or their sizes differ.
+        Where there is no picture, an array is not one, or their sizes differ.
     """
     rest = iter(images)
     first = next(rest, None)
@@ -128,17 +130,17 @@ def field_of_view_of_lines(line_sets: Iterable[LineSet], camera: Camera) -> Fiel
         What they were found with: no distortion, optical axis at the centre, any focal length.
     """
     nominal = _nominal_camera(camera.width_px, camera.height_px)
-    clues: list[_Clue] = []
+    pictures: list[_PictureLikelihood] = []
     tried = 0
     for lines in line_sets:
         tried += 1
         if len(lines) >= MIN_LINES:
-            clue = _Clue(lines_of(lines, camera, nominal), nominal)
-            if clue.tells:
-                clues.append(clue)
-        if len(clues) >= MAX_PICTURES or tried >= MAX_TRIED:
+            picture = _PictureLikelihood(lines_of(lines, camera, nominal), nominal)
+            if picture.is_informative:
+                pictures.append(picture)
+        if len(pictures) >= MAX_PICTURES or tried >= MAX_TRIED:
             break
-    return _across(replace(_judged(clues), n_tried=tried), camera.width_px, camera.height_px)
+    return _across(replace(_combined(pictures), n_tried=tried), camera.width_px, camera.height_px)
 
 
 def _across(along_longer_side: FieldOfView, width_px: int, height_px: int) -> FieldOfView:
@@ -151,7 +153,7 @@ def _across(along_longer_side: FieldOfView, width_px: int, height_px: int) -> Fi
 
 def _camera(width_px: int, height_px: int, fov_rad: float) -> Camera:
     """Return the camera of a field of view along the longer side."""
-    horizontal = _across(FieldOfView(fov_rad, 0.0, told=False), width_px, height_px)
+    horizontal = _across(FieldOfView(fov_rad, 0.0, measured=False), width_px, height_px)
     return Camera.from_fov(width_px, height_px, horizontal.horizontal_rad)
 
 
@@ -160,41 +162,34 @@ def _nominal_camera(width_px: int, height_px: int) -> Camera:
     return _camera(width_px, height_px, NOMINAL_RAD)
 
 
-class _Fit(NamedTuple):
-    """The right-angled axes that explain a picture best at one focal length."""
+class _PictureLikelihood:
+    """How well right-angled axes explain a picture's lines, at the focal lengths tried so far.
 
-    score: float
-    rotation: FloatArray  # (3, 3) axes to optical frame
-    slack: FloatArray  # (5,)
-
-
-class _Clue:
-    """One picture: its score at the focal lengths tried so far.
-
-    Focal lengths go by u, the logarithm of half the picture's longer side over the focal length.
+    A focal length is given by u, the logarithm of half the picture's longer side over the focal length.
     """
 
     def __init__(self, lines: LineSet, camera: Camera) -> None:
-        swing = sqrt(12.0) * lines.sigma_rad / lines.arc_rad
-        self._lines = (lines.normal, lines.centre, lines.direction, lines.sigma_rad, swing)
+        self._lines = lines.geometry()
+        self._swing = sqrt(12.0) * lines.sigma_rad / lines.arc_rad
         self._spread = slack_std(CENTRE_STD_OF_SIDE * max(camera.width_px, camera.height_px) / camera.fx_px)
-        self._fits: dict[float, _Fit] = {}
+        self._fits: dict[float, RightAngles] = {}
         for down, axis in _seeds(lines, camera):
             for u in _COARSE_U:
-                self._improve(u, _rotation(down, axis, _stretch(u)), np.zeros(N_SLACK), SEED_STD_RAD)
+                start = RightAngles(-inf, _rotation(down, axis, _focal_ratio(u)), np.zeros(N_SLACK))
+                self._improve(u, start, SEED_STD_RAD)
         if self._fits:
             self._sweep(_COARSE_U)
 
     @property
-    def tells(self) -> bool:
-        """Whether there are right angles in the picture, and not equally at all focal lengths."""
+    def is_informative(self) -> bool:
+        """Whether the picture has right angles, and not equally at all focal lengths."""
         scores = [self._fits[u].score for u in _COARSE_U if u in self._fits]
         if not scores or max(scores) < MIN_SCORE:
             return False
         return max(scores) - float(np.median(scores)) >= MIN_EVIDENCE
 
-    def look_closer(self, u: float) -> None:
-        """Try focal lengths in small steps about one."""
+    def refine(self, u: float) -> None:
+        """Try more focal lengths, in small steps about one."""
         steps = round(FINE_REACH / FINE_STEP)
         nodes = [u + k * FINE_STEP for k in range(-steps, steps + 1)]
         around = [node for node in self._fits if abs(node - u) < FINE_REACH + COARSE_STEP]
@@ -217,23 +212,20 @@ class _Clue:
         for there in (nodes, nodes[::-1]):
             for neighbour, u in pairwise(there):
                 if neighbour in self._fits:
-                    self._improve(
-                        u, self._fits[neighbour].rotation, self._fits[neighbour].slack, NEIGHBOUR_STD_RAD
-                    )
+                    self._improve(u, self._fits[neighbour], NEIGHBOUR_STD_RAD)
 
-    def _improve(self, u: float, rotation: FloatArray, slack: FloatArray, start_std_rad: float) -> None:
-        rotation, slack = rotation.copy(), slack.copy()
-        score = fit_right_angles(*self._lines, _stretch(u), self._spread, start_std_rad, rotation, slack)
-        if u not in self._fits or score > self._fits[u].score:
-            self._fits[u] = _Fit(score, rotation, slack)
+    def _improve(self, u: float, start: RightAngles, start_std_rad: float) -> None:
+        fit = fit_right_angles(self._lines, self._swing, _focal_ratio(u), self._spread, start, start_std_rad)
+        if u not in self._fits or fit.score > self._fits[u].score:
+            self._fits[u] = fit
 
 
-def _stretch(u: float) -> float:
+def _focal_ratio(u: float) -> float:
     return tan(0.5 * NOMINAL_RAD) / exp(u)
 
 
 def _seeds(lines: LineSet, camera: Camera) -> list[tuple[FloatArray, FloatArray]]:
-    """Nominal rays towards what may be down, and the corridor's end, by the measurement's own means."""
+    """Nominal rays towards down and the corridor's end, as measured with several assumed fields of view."""
     seeds = []
     for fov_rad in SEED_FIELDS_RAD:
         tried = _camera(camera.width_px, camera.height_px, fov_rad)
@@ -250,9 +242,9 @@ def _seeds(lines: LineSet, camera: Camera) -> list[tuple[FloatArray, FloatArray]
     return seeds
 
 
-def _rotation(down: FloatArray, axis: FloatArray, stretch: float) -> FloatArray:
+def _rotation(down: FloatArray, axis: FloatArray, focal_ratio: float) -> FloatArray:
     """Right-angled axes (3, 3), columns along, across, down, nearest to two nominal rays at a focal length."""
-    from_nominal = np.array([1.0 / stretch, 1.0 / stretch, 1.0])
+    from_nominal = np.array([1.0 / focal_ratio, 1.0 / focal_ratio, 1.0])
     down, axis = down * from_nominal, axis * from_nominal
     down, axis = down / np.linalg.norm(down), axis / np.linalg.norm(axis)
     off = 0.5 * float(down @ axis)
@@ -281,7 +273,7 @@ def lines_of(lines: LineSet, camera: Camera, other: Camera) -> LineSet:
         return np.hstack([ends[:, :2], one]), np.hstack([ends[:, 2:], one])
 
     def off_plane(normal: FloatArray, p0: FloatArray, p1: FloatArray, of: Camera) -> FloatArray:
-        """Angle by which the middle leaves its plane, per pixel across the line."""
+        """Return the angle by which a line's middle leaves its plane, per pixel across the line."""
         depth = np.linalg.norm(0.5 * (p0 + p1), axis=1)
         return np.asarray(np.hypot(normal[:, 0], normal[:, 1]) / (depth * of.fx_px), np.float64)
 
@@ -302,45 +294,45 @@ def lines_of(lines: LineSet, camera: Camera, other: Camera) -> LineSet:
     )
 
 
-def _judged(clues: Sequence[_Clue]) -> FieldOfView:
-    """Add up what the pictures say of the field of view along their longer side, and judge whether it is enough."""
-    unknown = FieldOfView(PRIOR_RAD, PRIOR_STD_RAD, told=False)
-    if not clues:
+def _combined(pictures: Sequence[_PictureLikelihood]) -> FieldOfView:
+    """Combine the pictures' likelihoods of the field of view along their longer side; judge whether they suffice."""
+    unknown = FieldOfView(PRIOR_RAD, PRIOR_STD_RAD, measured=False)
+    if not pictures:
         return unknown
-    mode = int(np.argmax(_posterior(clues)))
-    for clue in clues:
-        clue.look_closer(float(_GRID_U[mode]))
-    probability = _posterior(clues)
+    mode = int(np.argmax(_posterior(pictures)))
+    for picture in pictures:
+        picture.refine(float(_GRID_U[mode]))
+    probability = _posterior(pictures)
     mode = int(np.argmax(probability))
-    # Pictures of one camera that disagree by more than they should are less sure than they say.
-    curves = [clue.curve(_GRID_U) for clue in clues]
+    # Where pictures of one camera disagree by more than they should, each counts for less.
+    curves = [picture.curve(_GRID_U) for picture in pictures]
     disagreement = np.median([2.0 * (curve.max() - curve[mode]) for curve in curves]) / MEDIAN_CHI2
-    probability = _posterior(clues, max(1.0, float(disagreement)))
+    probability = _posterior(pictures, max(1.0, float(disagreement)))
     mode = int(np.argmax(probability))
     cumulative = np.cumsum(probability)
     low, high = np.interp([0.16, 0.84], cumulative, _GRID_RAD)
-    std_rad = hypot(0.5 * (high - low), _centre_std(clues, mode))
+    std_rad = hypot(0.5 * (high - low), _centre_std(pictures, mode))
     at_edge = np.abs(_GRID_RAD - np.array(RANGE_RAD)[:, None]).min(axis=0) < EDGE_RAD
-    if std_rad > TOLD_STD_RAD or probability[at_edge].sum() > EDGE_SHARE:
+    if std_rad > MAX_STD_RAD or probability[at_edge].sum() > EDGE_SHARE:
         return unknown
-    return FieldOfView(float(_GRID_RAD[mode]), std_rad, told=True, n_used=len(clues))
+    return FieldOfView(float(_GRID_RAD[mode]), std_rad, measured=True, n_used=len(pictures))
 
 
-def _posterior(clues: Sequence[_Clue], temperature: float = 1.0) -> FloatArray:
+def _posterior(pictures: Sequence[_PictureLikelihood], temperature: float = 1.0) -> FloatArray:
     """Probability (n,) of each field of view of the grid."""
     prior = np.exp(-0.5 * ((_GRID_RAD - PRIOR_RAD) / PRIOR_STD_RAD) ** 2)
     prior /= prior.sum()
     log_posterior = np.log(prior)
-    for clue in clues:
-        curve = clue.curve(_GRID_U) / temperature
+    for picture in pictures:
+        curve = picture.curve(_GRID_U) / temperature
         likelihood = np.exp(curve - curve.max())
         likelihood /= likelihood @ prior
-        log_posterior += np.log((1.0 - MISLED_SHARE) * likelihood + MISLED_SHARE)
+        log_posterior += np.log((1.0 - OUTLIER_SHARE) * likelihood + OUTLIER_SHARE)
     posterior = np.exp(log_posterior - log_posterior.max())
     return np.asarray(posterior / posterior.sum(), np.float64)
 
 
-def _centre_std(clues: Sequence[_Clue], mode: int) -> float:
+def _centre_std(pictures: Sequence[_PictureLikelihood], mode: int) -> float:
     """Say what the optical axis's place adds to the standard deviation, being the same in all pictures.
 
     Each picture's fit already lets it move on its own. By the envelope theorem the derivative of a picture's score by
@@ -348,13 +340,14 @@ def _centre_std(clues: Sequence[_Clue], mode: int) -> float:
     """
     u = float(np.clip(_GRID_U[mode], _LOW_U + FINE_STEP, _HIGH_U - FINE_STEP))
     below, here, above = (
-        sum(clue.curve(np.array([x]))[0] for clue in clues) for x in (u - FINE_STEP, u, u + FINE_STEP)
+        sum(picture.curve(np.array([x]))[0] for picture in pictures)
+        for x in (u - FINE_STEP, u, u + FINE_STEP)
     )
     curvature = (2.0 * here - below - above) / FINE_STEP**2
     if not curvature > 0.0:
         return PRIOR_STD_RAD
-    mixed = sum(clue.centre_slack(u + FINE_STEP) - clue.centre_slack(u - FINE_STEP) for clue in clues) / (
-        2.0 * FINE_STEP
-    )
-    shift = np.linalg.norm(mixed) / curvature * sqrt(1.0 - 1.0 / len(clues))
+    mixed = sum(
+        picture.centre_slack(u + FINE_STEP) - picture.centre_slack(u - FINE_STEP) for picture in pictures
+    ) / (2.0 * FINE_STEP)
+    shift = np.linalg.norm(mixed) / curvature * sqrt(1.0 - 1.0 / len(pictures))
     return float(shift * np.sin(_GRID_RAD[mode]))

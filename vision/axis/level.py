@@ -1,37 +1,36 @@
 """Level from the picture itself: door posts and wall corners are vertical, and they show roll and pitch.
 
-The attitude that comes with a frame is a starting point with a standard deviation: a filter's tilt error, a
-camera that is not mounted as its file says, or nothing known at all. Vertical lines then make level as
-exact as the picture is, which the lateral offset needs (half a degree of roll is 1 % of the corridor's
-width) and the heading welcomes.
+The attitude that comes with a frame is a starting point with a standard deviation: a filter's tilt error, a camera
+that is not mounted as its file says, or an attitude that is unknown. Vertical lines then make level as exact as the
+picture allows. The lateral offset needs that (half a degree of roll is 1 % of the corridor's width); the heading
+gains by it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import atan, nan, radians, sqrt
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from vision.compiled import compiled
-from vision.lines.segments import LineSet
-
-FloatArray = npt.NDArray[np.float64]
+from vision.lines.segments import LineGeometry, LineSet
+from vision.types import FloatArray
 
 COARSE_STEP_RAD = radians(2.0)
 GRID_REACH_SIGMA = 2.5
-MAX_VOTE_ARC_RAD = 0.3  # longer lines count no more
+MAX_VOTE_ARC_RAD = 0.3  # longer lines have no more weight
 VOTE_WEIGHT = 6.0
-UPRIGHT = 0.7  # at least this much of a line's direction is along the given vertical
+VERTICAL_COSINE = 0.7  # least component of a vertical line's direction along the given vertical
 GRID_FROM_STD_RAD = radians(2.0)  # below this the prior is good enough to start from
-PLUMB_STD_RAD = radians(0.15)  # door posts are upright to about this
+PLUMB_STD_RAD = radians(0.15)  # door posts are vertical to about this
 CUT_SIGMA = 3.0
 MAX_ROLL_VARIANCE_SHARE = 0.8  # left of the given variance, for the vertical lines to tell anything
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Level:
+class LevelFrame:
     """The level frame as seen by the camera.
 
     Parameters
@@ -39,7 +38,7 @@ class Level:
     R_level_camera
         Rotation (3, 3) from the optical frame.
     roll_std_rad, pitch_std_rad
-        Standard deviations of what is left, about the level frame's x and y axes.
+        Standard deviations of the remaining errors about the level frame's x and y axes.
     pitch_correction_rad
         Elevation by which the picture's level lies above the given attitude's.
     roll_correction_rad, roll_correction_std_rad
@@ -61,13 +60,33 @@ def _vertical_std(down: float, along: float, sigma: float, arc: float) -> float:
     return sqrt((sigma * down) ** 2 + (rotation * along) ** 2 + PLUMB_STD_RAD * PLUMB_STD_RAD)
 
 
+class _Down(NamedTuple):
+    """Down vector (a, b, 1) in the given level frame, and the information on it.
+
+    Parameters
+    ----------
+    a, b
+        Components along the given level frame's x and y.
+    information_a, information_both, information_b
+        Elements of their information matrix.
+    """
+
+    a: float
+    b: float
+    information_a: float
+    information_both: float
+    information_b: float
+
+
 @compiled
-def _search(normal: FloatArray, direction: FloatArray, arc: FloatArray, std: float, out: FloatArray) -> None:
-    """Find by exhaustive vote where the upright lines meet, coarsely first; ``out`` = a, b as in `_plumb`."""
+def _search_down(lines: LineGeometry, std: float) -> tuple[float, float]:
+    """Find by exhaustive vote, coarsely first, where the vertical lines meet: a and b of `_Down`."""
+    normal, direction, arc = lines.normal, lines.direction, lines.arc_rad
+    out = np.empty(2)
     upright = np.empty((len(arc), 4))
     n = 0
     for k in range(len(arc)):
-        if abs(direction[k, 2]) >= UPRIGHT:
+        if abs(direction[k, 2]) >= VERTICAL_COSINE:
             upright[n, :3] = normal[k]
             upright[n, 3] = min(arc[k], MAX_VOTE_ARC_RAD) / MAX_VOTE_ARC_RAD
             n += 1
@@ -94,30 +113,20 @@ def _search(normal: FloatArray, direction: FloatArray, arc: FloatArray, std: flo
                     out[1] = b
         step = 0.5 * COARSE_STEP_RAD
         reach = 2
+    return out[0], out[1]
 
 
 @compiled
-def _plumb(
-    normal: FloatArray,
-    centre: FloatArray,
-    direction: FloatArray,
-    sigma: FloatArray,
-    arc: FloatArray,
-    std: float,
-    out: FloatArray,
-) -> None:
-    """Find the down vector (a, b, 1) the vertical lines agree on; ``out`` = a, b and information (3 numbers).
-
-    a is down's component along the given level frame's x, b along its y; both have the prior N(0, std).
-    """
+def _fit_down(lines: LineGeometry, std: float) -> _Down:
+    """Find the down vector that the vertical lines agree on; its a and b have the prior N(0, std)."""
+    normal, centre, direction = lines.normal, lines.centre, lines.direction
+    sigma, arc = lines.sigma_rad, lines.arc_rad
     n = len(sigma)
     a = 0.0
     b = 0.0
     start = std
     if std > GRID_FROM_STD_RAD:
-        _search(normal, direction, arc, std, out)
-        a = out[0]
-        b = out[1]
+        a, b = _search_down(lines, std)
         start = 0.5 * COARSE_STEP_RAD
     h00 = h01 = h11 = 0.0
     for iteration in range(8):
@@ -126,7 +135,7 @@ def _plumb(
         g0 = a / (std * std)
         g1 = b / (std * std)
         for k in range(n):
-            if abs(direction[k, 2]) < UPRIGHT:
+            if abs(direction[k, 2]) < VERTICAL_COSINE:
                 continue
             nx = normal[k, 0]
             ny = normal[k, 1]
@@ -146,14 +155,10 @@ def _plumb(
         determinant = h00 * h11 - h01 * h01
         a -= (h11 * g0 - h01 * g1) / determinant
         b -= (h00 * g1 - h01 * g0) / determinant
-    out[0] = a
-    out[1] = b
-    out[2] = h00
-    out[3] = h01
-    out[4] = h11
+    return _Down(a, b, h00, h01, h11)
 
 
-def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: float) -> Level:
+def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: float) -> LevelFrame:
     """Correct a level frame by the picture's vertical lines.
 
     Parameters
@@ -165,11 +170,7 @@ def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: fl
     std_rad
         Standard deviation of its roll and pitch.
     """
-    out = np.zeros(5)
-    to_level = R_level_camera.T
-    normal, centre, direction = lines.normal @ to_level, lines.centre @ to_level, lines.direction @ to_level
-    _plumb(normal, centre, direction, lines.sigma_rad, lines.arc_rad, std_rad, out)
-    a, b, h_pitch, h_both, h_roll = (float(v) for v in out)
+    a, b, h_pitch, h_both, h_roll = _fit_down(lines.geometry(R_level_camera), std_rad)
     determinant = h_pitch * h_roll - h_both * h_both
     # The shortest rotation that brings the found down (a, b, 1) to (0, 0, 1): heading is left alone.
     size = sqrt(1.0 + a * a + b * b)
@@ -184,7 +185,7 @@ def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: fl
     if roll_variance < MAX_ROLL_VARIANCE_SHARE * given:
         alone_variance = roll_variance * given / (given - roll_variance)
         alone_rad = atan(b * alone_variance / roll_variance)
-    return Level(
+    return LevelFrame(
         R_level_camera=R_new_old @ R_level_camera,
         roll_std_rad=sqrt(roll_variance),
         pitch_std_rad=sqrt(h_roll / determinant),

@@ -1,25 +1,25 @@
-"""How well three directions at right angles explain a picture's lines, if its focal length were so and so.
+"""How well three directions at right angles explain a picture's lines, for an assumed focal length.
 
-Corridor lines, transverse lines and door posts meet in three vanishing points. The points alone say nothing of the
-focal length; that the directions towards them are at right angles does, as soon as the camera pitches, or turns while
-something transverse is seen. The fit lives in nominal rays, those of a camera of a fixed, assumed focal length:
-the lines and their tolerances stay what they are whatever focal length is tried, so that a picture that
-cannot tell gives the same score to all.
+Corridor lines, transverse lines and door posts meet in three vanishing points. That the directions towards them are
+at right angles determines the focal length, provided the camera is pitched, or turned while transverse lines are
+seen. The fit works with nominal rays, those of a camera of a fixed, assumed focal length: the lines and their
+tolerances are then the same for every focal length tried, so that a picture without information gives the same score
+to all.
 
-Buildings are not exact, and neither is the assumption that the optical axis passes through the picture's centre. So
-each picture may take a little slack, at the price of its prior: `SLACK_STD`.
+Buildings are not exact, and the optical axis does not pass exactly through the picture's centre. These five
+deviations are called the slack; each has a Gaussian prior, see `slack_std`.
 """
 
 from __future__ import annotations
 
 from math import cos, exp, log, radians, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from vision.compiled import compiled
-
-FloatArray = npt.NDArray[np.float64]
+from vision.lines.segments import LineGeometry
+from vision.types import FloatArray
 
 N_AXES = 3  # along the corridor, across it, down: columns of a rotation, optical frame
 N_TURN, N_SLACK = 3, 5
@@ -31,7 +31,7 @@ STRAY_SHARE = 1.0 - float(SHARE.sum())
 PARALLEL_STD_RAD = np.array(
     [radians(0.10), radians(0.15), radians(0.15)]
 )  # lines along an axis are parallel to this
-CORRELATION = 2.0  # the edges of one door or board err together: so many lines speak as one
+CORRELATION = 2.0  # edges of one door or skirting board have a common error: so many lines count as one
 UNIFORM = (
     1.2533  # density of a Gaussian's peak over that of any direction within half a turn: pi / sqrt(2 pi)
 )
@@ -44,7 +44,7 @@ MAX_TURN_RAD = 0.1
 
 
 def slack_std(centre_std: float) -> FloatArray:
-    """Give the standard deviations (5,) of a picture's slack.
+    """Return the standard deviations (5,) of a picture's slack.
 
     In this order: slope of the corridor against the posts, slope of the transverse lines, squareness of the walls
     (radians); place of the optical axis right and down of the picture's centre (``centre_std``, nominal rays).
@@ -52,12 +52,42 @@ def slack_std(centre_std: float) -> FloatArray:
     return np.array([radians(0.25), radians(0.25), radians(0.5), centre_std, centre_std])
 
 
+class NominalAxes(NamedTuple):
+    """The three axes as nominal rays.
+
+    Parameters
+    ----------
+    ray
+        Unit vectors (3, 3), a row per axis.
+    slopes
+        Their derivatives (3, 8, 3) with respect to the turn (3) and the slack (5).
+    """
+
+    ray: FloatArray
+    slopes: FloatArray
+
+
+class RightAngles(NamedTuple):
+    """Three right-angled axes fitted to a picture's lines at one focal length.
+
+    Parameters
+    ----------
+    score
+        Log-likelihood over stray lines.
+    rotation
+        Rotation (3, 3) from the axes (along, across, down) to the optical frame.
+    slack
+        Deviations (5,), in the order of `slack_std`.
+    """
+
+    score: float
+    rotation: FloatArray
+    slack: FloatArray
+
+
 @compiled
-def _point_axes(
-    rotation: FloatArray, slack: FloatArray, stretch: float, axes: FloatArray, slopes: FloatArray
-) -> None:
-    """Fill the axes' nominal rays (3, 3), one per row, and their derivatives (3, 8, 3) by turn and slack."""
-    slopes[:] = 0.0
+def _nominal_axes(rotation: FloatArray, slack: FloatArray, focal_ratio: float) -> NominalAxes:
+    axes, slopes = np.empty((N_AXES, 3)), np.zeros((N_AXES, N_PARAMETERS, 3))
     for i in range(3):
         axes[0, i] = rotation[i, 0] + slack[0] * rotation[i, 2]
         axes[1, i] = rotation[i, 1] + slack[1] * rotation[i, 2] + slack[2] * rotation[i, 0]
@@ -71,15 +101,15 @@ def _point_axes(
             slopes[k, p, (p + 2) % 3] = axes[k, (p + 1) % 3]
     for k in range(N_AXES):
         depth = axes[k, 2]
-        axes[k, 0] = stretch * axes[k, 0] + slack[3] * depth
-        axes[k, 1] = stretch * axes[k, 1] + slack[4] * depth
+        axes[k, 0] = focal_ratio * axes[k, 0] + slack[3] * depth
+        axes[k, 1] = focal_ratio * axes[k, 1] + slack[4] * depth
         size = sqrt(axes[k, 0] ** 2 + axes[k, 1] ** 2 + depth * depth)
         for i in range(3):
             axes[k, i] /= size
         for p in range(N_PARAMETERS):
             z = slopes[k, p, 2]
-            x = stretch * slopes[k, p, 0] + slack[3] * z
-            y = stretch * slopes[k, p, 1] + slack[4] * z
+            x = focal_ratio * slopes[k, p, 0] + slack[3] * z
+            y = focal_ratio * slopes[k, p, 1] + slack[4] * z
             if p == 6:
                 x = depth
             if p == 7:
@@ -88,26 +118,20 @@ def _point_axes(
             slopes[k, p, 0] = (x - along * axes[k, 0]) / size
             slopes[k, p, 1] = (y - along * axes[k, 1]) / size
             slopes[k, p, 2] = (z - along * axes[k, 2]) / size
+    return NominalAxes(axes, slopes)
 
 
 @compiled
-def _weigh(
-    normal: FloatArray,
-    centre: FloatArray,
-    direction: FloatArray,
-    sigma: FloatArray,
-    swing: FloatArray,
-    axes: FloatArray,
-    slopes: FloatArray,
-    extra_std: float,
-    H: FloatArray,
-    g: FloatArray,
+def _log_likelihood(
+    lines: LineGeometry, swing: FloatArray, axes: NominalAxes, extra_std: float, H: FloatArray, g: FloatArray
 ) -> float:
-    """Log-likelihood of the lines over stray ones; H (lower half) and g become Gauss-Newton's equations.
+    """Return the log-likelihood of the lines over stray ones; H (lower half) and g become Gauss-Newton's equations.
 
     A line runs along each axis with its share's probability, or anywhere. Likelihoods are densities of its direction
-    in the picture. ``swing``: standard deviation of a line's direction.
+    in the picture. ``swing`` (n,) is the standard deviation of each line's direction.
     """
+    normal, centre, direction, sigma = lines.normal, lines.centre, lines.direction, lines.sigma_rad
+    ray, slopes = axes.ray, axes.slopes
     H[:] = 0.0
     g[:] = 0.0
     residual = np.empty(N_AXES)
@@ -118,9 +142,9 @@ def _weigh(
     for i in range(len(sigma)):
         total = STRAY_SHARE
         for k in range(N_AXES):
-            x = axes[k, 0]
-            y = axes[k, 1]
-            z = axes[k, 2]
+            x = ray[k, 0]
+            y = ray[k, 1]
+            z = ray[k, 2]
             alpha = centre[i, 0] * x + centre[i, 1] * y + centre[i, 2] * z
             beta = direction[i, 0] * x + direction[i, 1] * y + direction[i, 2] * z
             r = normal[i, 0] * x + normal[i, 1] * y + normal[i, 2] * z
@@ -195,48 +219,42 @@ def _turn(rotation: FloatArray, x: float, y: float, z: float) -> None:
 
 @compiled
 def fit_right_angles(
-    normal: FloatArray,
-    centre: FloatArray,
-    direction: FloatArray,
-    sigma: FloatArray,
+    lines: LineGeometry,
     swing: FloatArray,
-    stretch: float,
-    spread: FloatArray,
+    focal_ratio: float,
+    slack_stds: FloatArray,
+    start: RightAngles,
     start_std: float,
-    rotation: FloatArray,
-    slack: FloatArray,
-) -> float:
-    """Turn three right-angled axes until they explain the lines best; return the log-likelihood over stray lines.
+) -> RightAngles:
+    """Turn three right-angled axes until they explain the lines best.
 
     Parameters
     ----------
-    normal, centre, direction, sigma
-        Of the lines, as in `vision.lines.segments.LineSet`, for the nominal camera.
+    lines
+        The picture's lines, for the nominal camera, optical frame.
     swing
         Standard deviation (n,) of each line's direction, radians.
-    stretch
+    focal_ratio
         The focal length to try, over the nominal one.
-    spread
-        `slack_std`.
+    slack_stds
+        Standard deviations (5,) of the slack, see `slack_std`.
+    start
+        Axes to start from; their score is not used.
     start_std
         How far the axes may be from where they start, radians.
-    rotation, slack
-        Where to start, (3, 3) and (5,); they become the fit.
     """
-    axes = np.empty((N_AXES, 3))
-    slopes = np.empty((N_AXES, N_PARAMETERS, 3))
+    rotation, slack = start.rotation.copy(), start.slack.copy()
     H = np.empty((N_PARAMETERS, N_PARAMETERS))
     g = np.empty(N_PARAMETERS)
     x = np.empty(N_PARAMETERS)
     extra = start_std
     for _ in range(MAX_STEPS):
-        _point_axes(rotation, slack, stretch, axes, slopes)
-        _weigh(normal, centre, direction, sigma, swing, axes, slopes, extra, H, g)
+        _log_likelihood(lines, swing, _nominal_axes(rotation, slack, focal_ratio), extra, H, g)
         for p in range(N_TURN):
             H[p, p] += 1.0 / TURN_STD_RAD**2
         for p in range(N_SLACK):
-            H[N_TURN + p, N_TURN + p] += 1.0 / spread[p] ** 2
-            g[N_TURN + p] += slack[p] / spread[p] ** 2
+            H[N_TURN + p, N_TURN + p] += 1.0 / slack_stds[p] ** 2
+            g[N_TURN + p] += slack[p] / slack_stds[p] ** 2
         _solve(H, g, x)
         turned = sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
         shorter = min(1.0, MAX_TURN_RAD / max(turned, 1e-12))
@@ -246,8 +264,7 @@ def fit_right_angles(
         if extra == 0.0 and turned < 1e-5:
             break
         extra = extra * 0.5 if extra > LAST_EXTRA_RAD else 0.0
-    _point_axes(rotation, slack, stretch, axes, slopes)
-    score = _weigh(normal, centre, direction, sigma, swing, axes, slopes, 0.0, H, g)
+    score = _log_likelihood(lines, swing, _nominal_axes(rotation, slack, focal_ratio), 0.0, H, g)
     for p in range(N_SLACK):
-        score -= 0.5 * (slack[p] / spread[p]) ** 2
-    return score
+        score -= 0.5 * (slack[p] / slack_stds[p]) ** 2
+    return RightAngles(score, rotation, slack)

@@ -2,8 +2,7 @@
 
 Each segment spans a plane with the camera's centre; a line along the corridor has the axis in its plane. Turned
 level by roll and pitch, that makes each line vote for one heading. The vote is over all headings (and over
-elevations, as far as tilt and mount are uncertain), so there is no initial guess and no random sampling to be unlucky
-with.
+elevations, as far as tilt and mount are uncertain), so it needs neither an initial guess nor random sampling.
 
 The axis at heading psi and elevation e (positive up) is ``d = (cos e cos psi, -cos e sin psi, -sin e)`` in the level
 frame; the residual of a line with plane normal n is ``n . d``, zero for a corridor line.
@@ -13,26 +12,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import atan2, cos, nan, pi, radians, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from vision.axis.vote import (
-    BEST_BIN,
-    BEST_SCORE,
-    BEST_SLICE,
-    N_BINS,
-    VERTICAL_SINE,
-    bin_heading,
-    line_std,
-    rival_and_variance,
-    vote,
-    weigh,
-)
+from vision.axis.vote import VERTICAL_SINE, bin_heading, find_best_heading, find_rival, line_std, vote
 from vision.compiled import compiled
-from vision.lines.segments import LineSet
-
-FloatArray = npt.NDArray[np.float64]
+from vision.lines.segments import LineGeometry, LineSet
+from vision.types import BoolArray, FloatArray
 
 MAX_REFINEMENT_RAD = radians(4.0)
 SLICE_STEP_RAD = radians(1.0)
@@ -40,10 +27,32 @@ MAX_SLICES = 21
 INLIER_SIGMA = 3.0
 MIN_SCALE = 0.7  # of the covariance, however well the lines agree
 DIRECTIONS = 45  # in half a turn about the axis
-CORRELATION = 1.3  # the edges of one door or board err together: so many lines speak as one
+CORRELATION = 1.3  # edges of one door or skirting board have a common error: so many lines count as one
 
-# columns of `_refine`'s result
-PSI, ELEVATION, H_PSI, H_BOTH, H_ELEVATION, CHI2, WEIGHT = range(7)
+
+class _Refined(NamedTuple):
+    """The axis after the least-squares fit.
+
+    Parameters
+    ----------
+    heading, elevation
+        Of the axis in the level frame, radians.
+    information_heading, information_both, information_elevation
+        Elements of the information matrix of the two, rad^-2.
+    chi2, weight
+        Weighted sum of the squared residuals, and the sum of the weights.
+    residual
+        Each line's residual over its standard deviation (n,).
+    """
+
+    heading: float
+    elevation: float
+    information_heading: float
+    information_both: float
+    information_elevation: float
+    chi2: float
+    weight: float
+    residual: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +74,7 @@ class AxisFit:
     inlier
         Lines (n,) that run along the axis.
     inlier_share
-        Their share of the length of all lines that are not upright.
+        Their share of the length of all lines that are not vertical.
     n_distinct
         In how many directions about the axis they lie, 4 degrees apart.
     """
@@ -77,27 +86,19 @@ class AxisFit:
     second_heading_rad: float
     second_score: float
     residual: FloatArray
-    inlier: npt.NDArray[np.bool_]
+    inlier: BoolArray
     inlier_share: float
     n_distinct: int
 
 
 @compiled
-def _refine(
-    normal: FloatArray,
-    centre: FloatArray,
-    direction: FloatArray,
-    sigma: FloatArray,
-    arc: FloatArray,
-    psi: float,
-    e: float,
-    prior_e: float,
-    prior_e_std: float,
-    residual: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Fit by robust Gauss-Newton from (psi, e): the fit, its information, weighted chi-square and sum of weights."""
+def _refine(lines: LineGeometry, psi: float, e: float, prior_e: float, prior_e_std: float) -> _Refined:
+    """Fit the axis by robust Gauss-Newton, from heading psi and elevation e."""
+    normal, centre, direction = lines.normal, lines.centre, lines.direction
+    sigma, arc = lines.sigma_rad, lines.arc_rad
     n = len(sigma)
+    residual = np.empty(n)
+    h00 = h01 = h11 = chi2 = total = 0.0
     for iteration in range(12):
         cut = max(INLIER_SIGMA, 6.0 - iteration)
         h00 = h01 = h11 = g0 = g1 = 0.0
@@ -133,11 +134,6 @@ def _refine(
         h11 += prior_information
         g1 += (e - prior_e) * prior_information
         determinant = h00 * h11 - h01 * h01
-        out[H_PSI] = h00
-        out[H_BOTH] = h01
-        out[H_ELEVATION] = h11
-        out[CHI2] = chi2
-        out[WEIGHT] = total
         if determinant <= 0.0 or h00 <= 0.0:
             break
         step_psi = -(h11 * g0 - h01 * g1) / determinant
@@ -146,12 +142,11 @@ def _refine(
         e += min(max(step_e, -0.05), 0.05)
         if iteration >= 4 and abs(step_psi) < 1e-7 and abs(step_e) < 1e-7:
             break
-    out[PSI] = psi
-    out[ELEVATION] = e
+    return _Refined(psi, e, h00, h01, h11, chi2, total, residual)
 
 
 @compiled
-def _count_distinct(normal: FloatArray, inlier: npt.NDArray[np.bool_], psi: float, e: float) -> int:
+def _count_distinct(normal: FloatArray, inlier: BoolArray, psi: float, e: float) -> int:
     """Count the directions, about the axis, in which lines lie: pieces of one edge and its two sides are one."""
     cp, sp, ce, se = cos(psi), sin(psi), cos(e), sin(e)
     seen = np.zeros(DIRECTIONS, np.bool_)
@@ -167,13 +162,14 @@ def _count_distinct(normal: FloatArray, inlier: npt.NDArray[np.bool_], psi: floa
     return count
 
 
-def _covariance(fit: FloatArray, vote_variance: float) -> FloatArray | None:
-    """Return the covariance (2, 2) of heading and elevation, as wide as the vote's peak; None: nothing is fixed."""
-    determinant = fit[H_PSI] * fit[H_ELEVATION] - fit[H_BOTH] ** 2
+def _covariance(fit: _Refined, vote_variance: float) -> FloatArray | None:
+    """Return the covariance (2, 2) of heading and elevation, no narrower than the vote; None: it is infinite."""
+    h00, h01, h11 = fit.information_heading, fit.information_both, fit.information_elevation
+    determinant = h00 * h11 - h01**2
     if not determinant > 0.0:
         return None
-    misfit = float(fit[CHI2]) / max(float(fit[WEIGHT]) - 2.0, 1.0)
-    covariance = np.array([[fit[H_ELEVATION], -fit[H_BOTH]], [-fit[H_BOTH], fit[H_PSI]]])
+    misfit = fit.chi2 / max(fit.weight - 2.0, 1.0)
+    covariance = np.array([[h11, -h01], [-h01, h00]])
     covariance *= max(MIN_SCALE, CORRELATION * misfit) / determinant
     if vote_variance > covariance[0, 0]:
         wider = np.array([sqrt(vote_variance / covariance[0, 0]), 1.0])
@@ -206,48 +202,37 @@ def fit_axis(
     elevation_rad, elevation_std_rad
         What is known of the axis's elevation: tilt error and mount together.
     prior_heading_rad, prior_heading_std_rad
-        A filter's prediction, to choose between peaks; NaN: the camera looks along rather than across.
+        A filter's prediction, to choose between peaks; NaN: none, the camera is taken to look along the corridor.
     """
     if len(lines) == 0:
         return None
-    normal = lines.normal @ R_level_camera.T
-    geometry = (
-        normal,
-        lines.centre @ R_level_camera.T,
-        lines.direction @ R_level_camera.T,
-        lines.sigma_rad,
-        lines.arc_rad,
-    )
+    geometry = lines.geometry(R_level_camera)
     half_slices = min(int(2.0 * elevation_std_rad / SLICE_STEP_RAD), (MAX_SLICES - 1) // 2)
     steps = np.array([i * SLICE_STEP_RAD for i in range(-half_slices, half_slices + 1)])
-    scores, marginal, ranked = np.empty((len(steps), N_BINS)), np.empty(N_BINS), np.empty(N_BINS)
-    vote(*geometry, elevation_rad + steps, min(elevation_std_rad, 0.4 * SLICE_STEP_RAD), scores)
-    best = np.zeros(3)
-    weigh(scores, steps, elevation_std_rad, prior_heading_rad, prior_heading_std_rad, marginal, ranked, best)
-    if not best[BEST_SCORE] > 0.0:
+    scores = vote(geometry, elevation_rad + steps, min(elevation_std_rad, 0.4 * SLICE_STEP_RAD))
+    voted = find_best_heading(scores, steps, elevation_std_rad, prior_heading_rad, prior_heading_std_rad)
+    if not voted.best_score > 0.0:
         return None
-    start_rad = bin_heading(int(best[BEST_BIN]))
-    start_elevation_rad = elevation_rad + float(steps[int(best[BEST_SLICE])])
-    residual = np.empty(len(lines))
-    out = np.empty(7)
-    _refine(*geometry, start_rad, start_elevation_rad, elevation_rad, elevation_std_rad, residual, out)
-    if abs(out[PSI] - start_rad) > MAX_REFINEMENT_RAD:
-        return None  # the fit left the peak it started from: there was no axis, only a crowd
-    second, second_score, spread = rival_and_variance(marginal, ranked, float(out[PSI]))
-    covariance = _covariance(out, spread)
+    start_rad = bin_heading(voted.best_bin)
+    start_elevation_rad = elevation_rad + float(steps[voted.best_elevation])
+    fit = _refine(geometry, start_rad, start_elevation_rad, elevation_rad, elevation_std_rad)
+    if abs(fit.heading - start_rad) > MAX_REFINEMENT_RAD:
+        return None  # the fit left the peak it started from: there was no axis, only many stray lines
+    rival = find_rival(voted, fit.heading)
+    covariance = _covariance(fit, rival.best_variance)
     if covariance is None:
         return None
-    leaning = np.abs(normal[:, 2]) >= VERTICAL_SINE
-    inlier = leaning & (np.abs(residual) < INLIER_SIGMA)
+    leaning = np.abs(geometry.normal[:, 2]) >= VERTICAL_SINE
+    inlier = leaning & (np.abs(fit.residual) < INLIER_SIGMA)
     return AxisFit(
-        heading_rad=float(out[PSI]),
-        elevation_rad=float(out[ELEVATION]),
+        heading_rad=fit.heading,
+        elevation_rad=fit.elevation,
         covariance=covariance,
-        score=float(best[BEST_SCORE]),
-        second_heading_rad=bin_heading(second),
-        second_score=second_score,
-        residual=residual,
+        score=voted.best_score,
+        second_heading_rad=bin_heading(rival.bin),
+        second_score=rival.score,
+        residual=fit.residual,
         inlier=inlier,
-        n_distinct=_count_distinct(normal, inlier, float(out[PSI]), float(out[ELEVATION])),
+        n_distinct=_count_distinct(geometry.normal, inlier, fit.heading, fit.elevation),
         inlier_share=float(lines.length_px[inlier].sum() / max(lines.length_px[leaning].sum(), 1.0)),
     )

@@ -1,41 +1,87 @@
-"""The exhaustive vote over heading and elevation, and what its shape tells.
+"""The exhaustive vote over heading and elevation of the corridor's axis.
 
-Each line counts by the log-likelihood that it passes through the axis rather than somewhere at random, cut off at
-zero: a parabola over heading, centred where the line meets the horizon.
+Each line adds the log-likelihood that it passes through the axis rather than somewhere at random, cut off at zero: a
+parabola over heading, centred where the line meets the horizon. The vote's peaks are the candidates for the axis; how
+broad the best one is says how uncertain its heading is.
 """
 
 from __future__ import annotations
 
 from math import atan2, cos, exp, hypot, log, pi, radians, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from vision.compiled import compiled
-
-FloatArray = npt.NDArray[np.float64]
+from vision.lines.segments import LineGeometry
+from vision.types import FloatArray
 
 N_BINS = 720
 BIN_RAD = pi / N_BINS
 PEAK_BINS = 4  # a peak exceeds everything within a degree
 ALIGN_STD_RAD = radians(0.10)  # lines along a real corridor are parallel to about this
 INLIER_ODDS = 0.25  # share of lines expected to run along the corridor
-VERTICAL_SINE = 0.10  # a plane this close to vertical may be a door post's: it says nothing about the axis
-STEEP_SINE = 0.3  # and one up to here is trusted less: streaks on a wall, leaning things
-VOTE_TEMPERATURE = 0.8  # the edges of one door or board err together: so many lines speak as one
+VERTICAL_SINE = (
+    0.10  # a plane this close to vertical may be a door post's, which has no information on the axis
+)
+STEEP_SINE = 0.3  # and one up to here has less weight: streaks on a wall, leaning objects
+VOTE_TEMPERATURE = 0.8  # edges of one door or skirting board have a common error: so many lines count as one
 RIVAL_DISTANCE_RAD = radians(8.0)
 HEADING_PRIOR_STD_RAD = radians(30.0)  # the camera looks along the corridor rather than across
-MAX_HEADING_RAD = radians(60.0)  # without a filter's word, what is farther off is taken for a transverse axis
+MAX_HEADING_RAD = radians(60.0)  # without a prediction, what is farther off is taken for a transverse axis
 PRIOR_FLOOR_STD_RAD = radians(1.0)
 PRIOR_DOUBT = 0.01  # a filter can be wrong: strong evidence wins against it
 
-# columns of `weigh`'s result
-BEST_BIN, BEST_SLICE, BEST_SCORE = range(3)
+
+class HeadingVote(NamedTuple):
+    """Score of every heading, and the best peak among them.
+
+    Parameters
+    ----------
+    marginal
+        Each heading's score at its best elevation (N_BINS,), log-likelihood over lines at random.
+    ranked
+        The same with the prior added, minus infinity where there is no peak (N_BINS,).
+    best_bin, best_elevation, best_score
+        Bin of the best peak, index of its elevation, and its ranked score.
+    """
+
+    marginal: FloatArray
+    ranked: FloatArray
+    best_bin: int
+    best_elevation: int
+    best_score: float
+
+
+class RivalPeak(NamedTuple):
+    """The second-best peak of a vote, and how broad the best one is.
+
+    Parameters
+    ----------
+    bin, score
+        Bin of the second-best peak and its ranked score.
+    best_variance
+        Variance of the heading about the best peak, rad^2, taking the vote for a likelihood.
+    """
+
+    bin: int
+    score: float
+    best_variance: float
 
 
 @compiled
 def line_std(alpha: float, beta: float, sigma: float, arc: float) -> float:
-    """Return the standard deviation of ``n . d``; alpha, beta: components of d along the line's middle, direction."""
+    """Return the standard deviation of a corridor line's residual ``n . d``.
+
+    Parameters
+    ----------
+    alpha, beta
+        Components of the axis d along the line's middle and along its direction.
+    sigma
+        Standard deviation of the angle by which the line's middle is off its plane, radians.
+    arc
+        Angle that the line subtends, radians.
+    """
     rotation = 3.4641 * sigma / arc
     return sqrt((sigma * alpha) ** 2 + (rotation * beta) ** 2 + ALIGN_STD_RAD * ALIGN_STD_RAD)
 
@@ -47,22 +93,26 @@ def bin_heading(b: int) -> float:
 
 
 @compiled
-def vote(
-    normal: FloatArray,
-    centre: FloatArray,
-    direction: FloatArray,
-    sigma: FloatArray,
-    arc: FloatArray,
-    elevation: FloatArray,
-    elevation_std: float,
-    scores: FloatArray,
-) -> None:
-    """Fill ``scores`` (elevations, N_BINS) with the sum of the lines' truncated log-likelihoods.
+def vote(lines: LineGeometry, elevation: FloatArray, elevation_std: float) -> FloatArray:
+    """Add up the lines' truncated log-likelihoods of every heading and elevation of the axis.
 
-    Lines (n, 3) are given in the level frame as in `vision.lines.segments.LineSet`; ``elevation_std`` is the half
-    width of a slice.
+    Parameters
+    ----------
+    lines
+        The picture's lines, level frame.
+    elevation
+        Elevations to try (m,), radians.
+    elevation_std
+        Half the step between them.
+
+    Returns
+    -------
+    ndarray
+        Scores (m, N_BINS), log-likelihood over lines at random.
     """
-    scores[:] = 0.0
+    normal, centre, direction = lines.normal, lines.centre, lines.direction
+    sigma, arc = lines.sigma_rad, lines.arc_rad
+    scores = np.zeros((len(elevation), N_BINS))
     for i in range(len(sigma)):
         nx = normal[i, 0]
         ny = normal[i, 1]
@@ -105,6 +155,7 @@ def vote(
                 for b in range(max(first, 0), min(last, N_BINS - 1) + 1):
                     offset = bin_heading(b) - psi
                     scores[k, b] += trust * (top - 0.5 * offset * offset / variance)
+    return scores
 
 
 @compiled
@@ -118,38 +169,28 @@ def _log_prior(heading: float, prior_heading: float, prior_std: float) -> float:
 
 
 @compiled
-def weigh(
-    scores: FloatArray,
-    elevation: FloatArray,
-    elevation_std: float,
-    prior_heading: float,
-    prior_std: float,
-    marginal: FloatArray,
-    ranked: FloatArray,
-    best: FloatArray,
-) -> None:
-    """Find the best peak; NaN as ``prior_heading``: no filter.
+def find_best_heading(
+    scores: FloatArray, elevation: FloatArray, elevation_std: float, prior_heading: float, prior_std: float
+) -> HeadingVote:
+    """Find the best peak of a vote.
 
     Parameters
     ----------
-    scores, elevation, elevation_std
-        As `vote` left them; ``elevation`` relative to the expected one, with its standard deviation.
+    scores
+        Result of `vote`, (m, N_BINS).
+    elevation, elevation_std
+        The elevations it tried (m,) relative to the expected one, and the standard deviation of that, radians.
     prior_heading, prior_std
-        A filter's prediction.
-    marginal
-        Filled (N_BINS,): each heading's score at its best elevation.
-    ranked
-        Filled (N_BINS,): the same with the prior, minus infinity where there is no peak.
-    best
-        Filled (3,): bin, slice and ranked score of the best peak.
+        A filter's prediction, radians; NaN: none.
     """
+    marginal, ranked = np.empty(N_BINS), np.empty(N_BINS)
     for b in range(N_BINS):
         top = -np.inf
         for k in range(len(elevation)):
             z = elevation[k] / elevation_std
             top = max(top, scores[k, b] - 0.5 * z * z)
         marginal[b] = top
-    best[BEST_SCORE] = -np.inf
+    best_bin, best_elevation, best_score = 0, 0, -np.inf
     for b in range(N_BINS):
         ranked[b] = -np.inf
         peak = True
@@ -158,22 +199,24 @@ def weigh(
         if not peak:
             continue
         ranked[b] = marginal[b] + _log_prior(bin_heading(b), prior_heading, prior_std)
-        if ranked[b] > best[BEST_SCORE]:
-            best[BEST_SCORE] = ranked[b]
-            best[BEST_BIN] = b
+        if ranked[b] > best_score:
+            best_score = ranked[b]
+            best_bin = b
     for k in range(len(elevation)):
         z = elevation[k] / elevation_std
-        if scores[k, int(best[BEST_BIN])] - 0.5 * z * z == marginal[int(best[BEST_BIN])]:
-            best[BEST_SLICE] = k
+        if scores[k, best_bin] - 0.5 * z * z == marginal[best_bin]:
+            best_elevation = k
+    return HeadingVote(marginal, ranked, best_bin, best_elevation, best_score)
 
 
 @compiled
-def rival_and_variance(marginal: FloatArray, ranked: FloatArray, heading: float) -> tuple[int, float, float]:
-    """Return the second-best peak (bin and ranked score), and the heading's variance (rad^2) by the vote.
+def find_rival(voted: HeadingVote, heading: float) -> RivalPeak:
+    """Find the second-best peak, at least 8 degrees from a heading (rad), and how broad the best one is.
 
-    The rival is at least 8 degrees away. Nearer than that the vote is taken as a likelihood: where it is broad or
-    split, the heading is uncertain, whatever the fit to one of its peaks says.
+    Nearer than that the vote is taken as a likelihood: where it is broad or split, the heading is uncertain, whatever
+    the fit to one of its peaks says.
     """
+    marginal, ranked = voted.marginal, voted.ranked
     second = 0
     second_score = -np.inf
     top = -np.inf
@@ -193,4 +236,4 @@ def rival_and_variance(marginal: FloatArray, ranked: FloatArray, heading: float)
             likelihood = exp((marginal[b] - top) / VOTE_TEMPERATURE)
             total += likelihood
             variance += likelihood * offset * offset
-    return second, second_score, max(variance / total - BIN_RAD * BIN_RAD / 12.0, 0.0)
+    return RivalPeak(second, second_score, max(variance / total - BIN_RAD * BIN_RAD / 12.0, 0.0))

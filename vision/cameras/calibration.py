@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from vision.cameras.camera import COEFFICIENT_COUNTS, BodyFrame, Camera, Distortion
 from vision.cameras.fields import (
@@ -39,8 +38,8 @@ from vision.cameras.imu_noise import ImuNoise as ImuNoise
 from vision.cameras.imu_noise import read_imu_noise as read_imu_noise
 from vision.cameras.matrix_files import is_matrix_file, read_lens
 from vision.errors import InputError
+from vision.types import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Pose = tuple[FloatArray, FloatArray]
 
 FORMATS = (

@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from vision.cameras.lens import Equidistant, RadialTangential
 from vision.errors import InputError
+from vision.types import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 BodyFrame = Literal["flu", "frd"]
 
 ROTATION_TOLERANCE = 1e-3  # files print rotations to a few digits; beyond this it is not one

@@ -1,4 +1,4 @@
-"""Calibration files as mappings, and their fields: every one checked, and named where it is wrong."""
+"""Calibration files read as mappings, and checks of their fields that name the field in every complaint."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from vision.cameras.camera import nearest_rotation
 from vision.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
+from vision.types import FloatArray
 
 R_FRD_FLU: FloatArray = np.diag([1.0, -1.0, -1.0])
 
@@ -80,7 +78,22 @@ def _parse_yaml(text: str, path: Path) -> object:
 
 
 def require(content: Mapping[str, Any], key: str, file: Path | None, remedy: str, prefix: str = "") -> Any:
-    """Return a field that must be there."""
+    """Return a field that must be there.
+
+    Parameters
+    ----------
+    content
+        The file's content, or a part of it.
+    key, prefix
+        Name of the field, and what stands before it in a complaint, such as ``cam0.``.
+    file, remedy
+        For the complaint.
+
+    Raises
+    ------
+    InputError
+        Where the field is missing or empty.
+    """
     if content.get(key) is None:
         raise InputError(f"{prefix}{key} is missing", file=file, remedy=remedy)
     return content[key]
@@ -89,7 +102,20 @@ def require(content: Mapping[str, Any], key: str, file: Path | None, remedy: str
 def numbers(
     content: Mapping[str, Any], key: str, prefix: str, counts: tuple[int, ...] | None, remedy: str
 ) -> tuple[float, ...]:
-    """Return a field of finite numbers, given flat, nested or as a mapping with ``data``, of a known count."""
+    """Return a field of finite numbers, given flat, nested or as a mapping with ``data``.
+
+    Parameters
+    ----------
+    content, key, prefix, remedy
+        As in `require`.
+    counts
+        How many numbers there may be; None: any number of them.
+
+    Raises
+    ------
+    InputError
+        Where the field is missing, is not a list of finite numbers, or has another count.
+    """
     value = require(content, key, None, remedy, prefix=prefix)
     if isinstance(value, Mapping):
         value = require(value, "data", None, remedy, prefix=f"{prefix}{key}.")
@@ -108,7 +134,18 @@ def numbers(
 
 
 def positive(content: Mapping[str, Any], key: str, remedy: str, prefix: str = "") -> float | None:
-    """Return a positive number, None where the field is absent."""
+    """Return a field that is a positive number, None where it is absent.
+
+    Parameters
+    ----------
+    content, key, prefix, remedy
+        As in `require`.
+
+    Raises
+    ------
+    InputError
+        Where it is anything else.
+    """
     value = content.get(key)
     if value is None:
         return None
@@ -118,7 +155,7 @@ def positive(content: Mapping[str, Any], key: str, remedy: str, prefix: str = ""
 
 
 def exposure_s(content: Mapping[str, Any], prefix: str) -> float:
-    """Return the exposure time in seconds, NaN where the file does not tell."""
+    """Return the exposure time in seconds, NaN where the file does not state it."""
     remedy = "give seconds, or leave it out"
     value = positive(content, "exposure_s", remedy, prefix)
     if value is not None and value >= 10.0:

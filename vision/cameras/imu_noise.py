@@ -22,7 +22,7 @@ _RATES = ("update_rate", "rate_hz")
 
 @dataclass(frozen=True, slots=True)
 class ImuNoise:
-    """Continuous-time noise of an IMU; None where the calibration does not tell.
+    """Continuous-time noise of an IMU; None where the calibration does not state it.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class ImuNoise:
     accel_noise_density, accel_random_walk
         m/s^2/sqrt(Hz) and m/s^3/sqrt(Hz).
     rate_hz
-        Samples a second.
+        Samples per second.
     """
 
     gyro_noise_density: float | None = None

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from math import atan, inf, pi, radians, sqrt, tan
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from vision.types import FloatArray
 
 _TABLE_SIZE = 2048
 _WIDEST_RAD = radians(89.9)

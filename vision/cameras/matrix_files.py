@@ -62,7 +62,7 @@ MAX_TANGENTIAL = 0.02  # p1 and p2 of real lenses are far smaller
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """What these files say of a camera: size of its raw pictures, ``fx fy cx cy`` in pixels, and distortion."""
+    """Content of these files: size of its raw pictures, ``fx fy cx cy`` in pixels, and distortion."""
 
     size: tuple[int, int]
     pinhole: tuple[float, float, float, float]
@@ -72,7 +72,7 @@ class Lens:
 
 @dataclass(frozen=True, slots=True)
 class _Fields:
-    """A file's fields by their plain names: lower case, without underscores."""
+    """A file's fields, found by name in lower case without underscores."""
 
     content: Mapping[str, Any]
     names: Mapping[str, str]
@@ -201,7 +201,7 @@ def _named_model(fields: _Fields) -> Distortion | None:
 
 
 def _model_by_count(key: str, given: tuple[float, ...], size: tuple[int, int], fx_px: float) -> Distortion:
-    """Tell the model by the number of coefficients, as OpenCV does; four of a wide lens may be a fisheye's."""
+    """Choose the model by the number of coefficients, as OpenCV does; four of a wide lens may be a fisheye's."""
     if len(given) != 4 or not any(given):
         return Distortion.RADTAN
     fov_rad = 2.0 * atan(0.5 * size[0] / fx_px)

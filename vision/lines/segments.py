@@ -74,7 +74,7 @@ class LineGeometry(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineSet:
-    """Line segments of one picture, as the vanishing point needs them; n lines.
+    """Line segments of one picture; n lines.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ class LineSet:
 
 
 class _Workspace:
-    """Buffers for one picture size, kept so that no frame allocates what the last one already had."""
+    """Buffers for one picture size, kept from frame to frame to save allocations."""
 
     def __init__(self, height_px: int, width_px: int) -> None:
         self.smooth = np.empty((height_px, width_px), np.uint8)
@@ -185,7 +185,7 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera, *, keep_picture: bool
     Raises
     ------
     InputError
-        Where it is no picture, or not of the camera's size.
+        Where the array is not a picture, or not of the camera's size.
     """
     started = time.perf_counter()
     grey = to_grey(image)
@@ -231,12 +231,12 @@ def _scaled(grey: GreyImage, camera: Camera) -> GreyImage:
 
 
 def is_distorted(camera: Camera) -> bool:
-    """Tell whether straight things have bent edges in this camera's pictures."""
+    """Return whether straight lines are curved in this camera's pictures."""
     return any(camera.coefficients) or camera.distortion is Distortion.EQUIDISTANT
 
 
 def noise_and_blockiness(grey: GreyImage, counts: IntArray | None = None) -> tuple[float, float]:
-    """Estimate a picture's noise, standard deviation in grey levels, and how much JPEG's blocks stand out.
+    """Estimate a picture's noise, standard deviation in grey levels, and how visible JPEG's blocks are.
 
     The noise follows from the median second difference, which edges hardly touch.
     """
@@ -252,7 +252,7 @@ def noise_and_blockiness(grey: GreyImage, counts: IntArray | None = None) -> tup
 
 @lru_cache(maxsize=8)
 def _working_camera(camera: Camera) -> Camera:
-    """Return the camera at the size lines are sought at.
+    """Return the camera scaled to the size at which lines are searched.
 
     Large pictures gain nothing but time; small ones hide neighbouring edges from each other, which interpolation
     undoes in part.
@@ -288,7 +288,7 @@ def _rectified(camera: Camera) -> npt.NDArray[np.float32]:
 
 
 def _smoothed(grey: GreyImage, work: _Workspace) -> tuple[GreyImage, float]:
-    """Blur as little as the noise allows, and say how sharp a sharp edge still is.
+    """Blur as little as the noise allows; return the picture and how sharp a sharp edge still is in it.
 
     Blur lets neighbouring edges pull at each other.
     """

@@ -18,9 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.images import to_grey
-
-FloatArray = npt.NDArray[np.float64]
-GreyImage = npt.NDArray[np.uint8]
+from vision.types import FloatArray, GreyImage
 
 KERNEL_45_DEGREES = np.array([[-1, -1, 2], [-1, 2, -1], [2, -1, -1]], dtype=np.float32)
 SATURATED_FRACTION = 0.01  # imadjust, at each end

@@ -33,7 +33,8 @@ import numpy.typing as npt
 
 from vision.errors import InputError
 from vision.measurement import FrameMeasurement, LineClass, Position, Reason
-from vision.paper.lines import FloatArray, find_lines
+from vision.paper.lines import find_lines
+from vision.types import FloatArray
 
 if TYPE_CHECKING:
     from vision.cameras.camera import Camera
