@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import hypot, nan, radians
+from math import hypot, log, nan, radians
 from typing import Annotated
 
 import numpy as np
@@ -115,8 +115,15 @@ def simulated(views: int, seed: int) -> list[Picture]:
 
 
 def office(size: tuple[int, int]) -> list[Picture]:
-    cases = flight_cases(flight_named("office"), size)[0]
-    found = [picture_of(c.image, c.camera, c.attitude, c.offset_norm, True) for c in cases]
+    folder = flight_named("office")
+    if folder is None:
+        raise FileNotFoundError("the sample flight data/office is missing")
+    cases = flight_cases(folder, size)[0]
+    found = [
+        picture_of(c.image, c.camera, c.attitude, c.offset_norm, True)
+        for c in cases
+        if c.attitude is not None
+    ]
     return [p for p in found if p is not None]
 
 
@@ -128,15 +135,15 @@ def likelihood(
     for p in pictures:
         odds = np.exp(np.minimum(p.evidence @ weights, 100.0))
         right = np.abs(p.offset - p.truth) < RIGHT
-        held, everything = odds @ right, odds.sum() + 1.0
+        held, everything = float(odds @ right), float(odds.sum()) + 1.0
         if not right.any():
             held, share = 1.0, np.zeros(len(odds))
         else:
             share = odds * right / held
-        total += np.log(everything / held)
+        total += log(everything / held)
         gradient += (odds / everything - share) @ p.evidence
     n = len(pictures)
-    penalty = RIDGE * weights[free] @ weights[free]
+    penalty = float(RIDGE * weights[free] @ weights[free])
     return total / n + penalty, np.where(free, gradient / n + 2.0 * RIDGE * weights, 0.0)
 
 
