@@ -10,6 +10,7 @@ calibrate "cannot tell". ``--drawings`` writes pictures with the likeliest corne
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import inf
 from pathlib import Path
 from time import perf_counter
@@ -58,7 +59,7 @@ def cost_ms(view: TrainingView, repeats: int = 200) -> dict[str, float]:
     """Fastest time of each step on this thread, milliseconds."""
     polar = polar_picture(view.image, view.camera, view.R_true)
     found = corner_scores(polar)
-    steps = {
+    steps: dict[str, Callable[[], object]] = {
         "resample": lambda: polar_picture(view.image, view.camera, view.R_true),
         "network": lambda: corner_scores(polar),
         "mixture": lambda: mixture_of(found),
@@ -75,7 +76,7 @@ def cost_ms(view: TrainingView, repeats: int = 200) -> dict[str, float]:
 
 def drawn(image: GreyImage, camera: Camera, attitude: Attitude | None) -> GreyImage:
     """Draw the likeliest corners into a picture: thick where one angle holds most of the probability."""
-    out = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    out = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
     axis = measured_frame(image, camera, attitude)
     if axis is None:
         return out

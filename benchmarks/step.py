@@ -67,7 +67,7 @@ def stamps(
     """Return the times of a sensor's samples, nanoseconds, with jitter."""
     regular = (start_s + (np.arange(round(seconds * rate_hz)) + 0.5) / rate_hz) * 1e9
     jitter = rng.uniform(-jitter_ns, jitter_ns, len(regular))
-    return np.asarray(regular + jitter, np.int64).tolist()
+    return [int(t) for t in regular + jitter]
 
 
 def imu(

@@ -41,7 +41,7 @@ def main() -> None:
     start = flight.frames.t_ns[0]
 
     def seconds(t_ns: np.ndarray) -> np.ndarray:
-        return (t_ns - start) / 1e9
+        return np.asarray((t_ns - start) / 1e9)
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.6), width_ratios=(1, 1.6), layout="constrained")
     left.imshow(overlay(flight, FRAME))

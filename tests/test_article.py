@@ -5,17 +5,14 @@ from __future__ import annotations
 import importlib.util
 import math
 import sys
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 
+from tests.files import HALLWAY, OFFICE, ROOT
 from vision.paper.measure import equation_8, position_of
 
-ROOT = Path(__file__).resolve().parent.parent
-OFFICE = ROOT / "data" / "office"
-HALLWAY = ROOT.parent / "shared" / "flights" / "mononav_hallway"
 MISPRINTS = [(10, 5), (10, 13), (10, 34), (10, 35), (10, 36), (10, 37), (10, 38), (11, 23)]
 
 

@@ -9,17 +9,15 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from support import cases, perturb, ransac, scenes, scores
+from tests.files import HALLWAY, OFFICE, ROOT
 from vision import Attitude, Camera, FrameMeasurement, Reason
 
-ROOT = Path(__file__).resolve().parent.parent
-
-OFFICE = ROOT / "data" / "office"
-HALLWAY = ROOT.parent / "shared" / "flights" / "mononav_hallway"
 RNG = np.random.default_rng
 CAMERA = Camera.from_fov(160, 120, math.radians(70))
 
@@ -28,14 +26,14 @@ def grey(value: int = 128, shape: tuple[int, int] = (120, 160)) -> np.ndarray:
     return np.full(shape, value, np.uint8)
 
 
-def case_of(image: np.ndarray, **changes: object) -> cases.Case:
+def case_of(image: np.ndarray, **changes: Any) -> cases.Case:
     case = cases.Case("test", 0, image, CAMERA, Attitude(0.01, -0.02), (0.1,))
     return replace(case, **changes)
 
 
 def result_of(
     error_deg: float, *, accepted: bool = True, std_deg: float = 1.0, offset_error: float = math.nan
-):
+) -> cases.Result:
     return cases.Result(
         source="test",
         index=0,
@@ -169,9 +167,12 @@ def test_roll_shows_the_same_directions(roll_deg: float) -> None:
 def test_roll_tilt_and_focal_length_say_what_they_did() -> None:
     case = case_of(grey())
     rolled = perturb.with_roll(math.radians(20))(case, RNG(0))
+    assert rolled.attitude is not None
     assert 0 < abs(rolled.attitude.roll_rad - 0.01) <= math.radians(20)
     assert rolled.attitude.pitch_rad == -0.02
     tilted = perturb.with_tilt_error(math.radians(3))(case, RNG(0)).attitude
+    assert tilted is not None
+    assert case.attitude is not None
     assert math.hypot(tilted.roll_rad - 0.01, tilted.pitch_rad + 0.02) == pytest.approx(math.radians(3))
     assert tilted.std_rad == case.attitude.std_rad
     assert perturb.with_focal_error(0.02)(case, RNG(0)).camera.fx_px == pytest.approx(1.02 * CAMERA.fx_px)
@@ -248,6 +249,7 @@ def test_junction_views_know_both_corridors() -> None:
     angle = scene.junctions[0].angle_rad
     assert math.radians(45) <= abs(angle) <= math.radians(135)
     truths = scenes.SCENES["across a junction"].truths
+    assert truths is not None
     assert truths(scene, 0.0) == (0.0,)
     assert truths(scene, cases.half_turn(angle)) == pytest.approx((cases.half_turn(angle), 0.0), abs=1e-12)
 

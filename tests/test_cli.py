@@ -20,9 +20,11 @@ from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from fusion.outputs.folder import OUTPUT_FILES
 from fusion.pictures import measure as measure_images
 from fusion.result.tables_csv import read_table
+from tests import command
 from tests.command import Corridor, Run
+from tests.files import OFFICE
+from tests.pictures import read_colour, read_grey
 
-OFFICE = Path(__file__).resolve().parent.parent / "data" / "office"
 N_FRAMES = 30
 
 
@@ -62,15 +64,10 @@ def edit_lines(path: Path, edit: Callable[[list[str]], list[str]]) -> None:
 
 
 def refused(run: Run, *words: str) -> None:
-    """One line on stderr that holds these words, exit code 2, nothing on stdout, nothing left behind."""
-    lines = [line for line in run.err.splitlines() if not line.startswith("corridor: no --")]
-    assert run.code == 2, run
-    assert len(lines) == 1, run.err
-    assert lines[0].startswith("corridor: error: ")
-    for word in words:
-        assert word in lines[0]
-    assert run.out == ""
-    assert os.listdir() == []
+    """As `tests.command.refused`, after lines that say what the command assumes."""
+    lines = run.err.splitlines(keepends=True)
+    err = "".join(line for line in lines if not line.startswith("corridor: no --"))
+    command.refused(run._replace(err=err), *words)
 
 
 class TestFuse:
@@ -267,7 +264,7 @@ class TestMeasure:
         rows = rows_of(run.out)
         assert [Path(row["image"]).name for row in rows] == ["2.jpg", "10.jpg", "left, then right.jpg"]
         assert [row["timestamp_ns"] for row in rows] == ["2", "10", ""]
-        assert list(rows[0]) == ["image", *FRAME_DTYPE.names]
+        assert list(rows[0]) == ["image", *(FRAME_DTYPE.names or ())]
         assert all(row["reason"] == "ok" and abs(float(row["heading_rad"])) < 0.2 for row in rows)
         assert all(row["innovation_rad"] == row["test_ratio"] == "" for row in rows)
         assert "assuming a horizontal field of view of" in run.err
@@ -328,7 +325,7 @@ class TestMeasure:
         self, corridor: Corridor, start_of_office: Path, pictures: list[Path], tmp_path: Path
     ) -> None:
         small = tmp_path / "small.png"
-        image = cv2.imread(str(pictures[0]), cv2.IMREAD_GRAYSCALE)
+        image = read_grey(pictures[0])
         cv2.imwrite(str(small), cv2.resize(image, (320, 240), interpolation=cv2.INTER_AREA))
         run = corridor("measure", pictures[0], small, "--camera", start_of_office / "mav0/cam0/sensor.yaml")
         whole, half = (float(row["heading_rad"]) for row in rows_of(run.out))
@@ -375,7 +372,7 @@ class TestMeasure:
         assert run.code == 0, run.err
         stem = twin.stem
         assert set(os.listdir("drawn")) == {f"{stem}_overlay.jpg", f"{stem}_overlay_2.jpg"}
-        drawn = cv2.imread(f"drawn/{stem}_overlay.jpg")
+        drawn = read_colour(f"drawn/{stem}_overlay.jpg")
         assert drawn.shape[1] >= 640
         shutil.rmtree("drawn")
         refused(corridor("measure", twin, "--overlay", twin.parent), "among the pictures")
@@ -414,7 +411,7 @@ class TestSimulate:
         assert {float(row["corridor_width_m"]) for row in truth} == {2.4}
         pictures = sorted(Path("flight/mav0/cam0/data").iterdir())
         assert 19 <= len(pictures) <= 21
-        assert cv2.imread(str(pictures[0])).shape[:2] == (120, 160)
+        assert read_colour(pictures[0]).shape[:2] == (120, 160)
         assert corridor("fuse", "flight").code == 0
 
     def test_the_options_go_on_top_of_the_file(self, tmp_path: Path) -> None:

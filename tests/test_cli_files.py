@@ -15,9 +15,9 @@ from fusion.estimator.tables import ESTIMATE_DTYPE
 from fusion.logs.manifest.manifest import read_manifest
 from fusion.outputs.folder import OUTPUT_FILES
 from fusion.result.tables_csv import read_table
-from tests.command import Corridor, Run
+from tests.command import Corridor, refused
+from tests.files import OFFICE
 
-OFFICE = Path(__file__).resolve().parent.parent / "data" / "office"
 N_FRAMES = 30
 G = 9.80665
 
@@ -57,17 +57,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     np.savetxt(folder / "imu.csv", np.column_stack(values), "%.9f", ",", header=header, comments="")
     shutil.copy(OFFICE / "mav0" / "cam0" / "sensor.yaml", folder / "camera.yaml")
     return folder
-
-
-def refused(run: Run, *words: str) -> None:
-    """One line on stderr that holds these words, exit code 2, nothing on stdout, nothing left behind."""
-    assert run.code == 2, run
-    assert run.err.count("\n") == 1, run.err
-    assert run.err.startswith("corridor: error: ")
-    for word in words:
-        assert word in run.err
-    assert run.out == ""
-    assert os.listdir() == []
 
 
 def test_imu_and_video_named_one_by_one(corridor: Corridor, files: Path) -> None:

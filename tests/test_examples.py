@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from math import atan2, cos, hypot, isnan, nan, pi, radians
@@ -23,13 +24,14 @@ from scipy.spatial.transform import Rotation
 from simulated_vehicle import Body, Vehicle, World, flown, junction_config
 
 from fusion import Estimate
+from fusion.simulate import SimulationConfig
 from fusion.simulate.motion import GRAVITY_M_S2
 from vision import Camera
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 RATE_HZ = 100.0
-SMALL = {"size_px": (160, 120), "frame_hz": 15.0}
+SMALL: dict[str, Any] = {"size_px": (160, 120), "frame_hz": 15.0}
 CAMERA = Camera.from_fov(64, 48, radians(70))
 GAINS = Gains()
 
@@ -180,7 +182,8 @@ def test_the_vision_thread_never_keeps_its_caller_waiting() -> None:
     assert list(vision.finished()) == []  # and asking does not wait either
     go_on.set()
     vision.wait()
-    assert list(vision.finished()) == [(0, "lines of 0"), (4, "lines of 4")]
+    answers: list[tuple[int, object]] = list(vision.finished())
+    assert answers == [(0, "lines of 0"), (4, "lines of 4")]
     assert measured == [0, 4]
     assert vision.dropped == 3
     vision.close()
@@ -312,7 +315,7 @@ def test_a_turn_lasts_until_the_corridor_that_is_meant_is_held() -> None:
 
 def test_the_pilot_hands_frames_on_with_their_own_time() -> None:
     pilot, told = pilot_and_estimator()
-    pilot.vision.finished = lambda: iter([(7, SimpleNamespace()), (9, None)])  # type: ignore[assignment,list-item]
+    pilot.vision.finished = lambda: iter([(7, SimpleNamespace()), (9, None)])  # type: ignore[method-assign,list-item]
     pilot.control(100)
     assert told.given == [("lines", 7), ("unreadable", 9)]
 
@@ -326,8 +329,8 @@ def test_the_vehicles_clock_stands_still_while_the_world_is_computed(monkeypatch
     def sleep(seconds: float) -> None:
         wall.ns += round(seconds * 1e9)
 
-    monkeypatch.setattr(control_loop.time, "perf_counter_ns", lambda: wall.ns)
-    monkeypatch.setattr(control_loop.time, "sleep", sleep)
+    monkeypatch.setattr(time, "perf_counter_ns", lambda: wall.ns)
+    monkeypatch.setattr(time, "sleep", sleep)
     clock = Clock(follows_wall=True)
     start = clock.now_ns()
     wall.ns += 100
@@ -347,10 +350,11 @@ def test_the_vehicles_clock_stands_still_while_the_world_is_computed(monkeypatch
 # The vehicle
 
 
-def quiet() -> Any:
+def quiet() -> SimulationConfig:
     """Return the configuration with perfect sensors."""
     config = junction_config(**SMALL)
     none = {"gyro_noise_density": 0.0, "gyro_bias_std_rad_s": 0.0, "gyro_random_walk": 0.0}
+    assert config.imu is not None
     none |= {"accel_noise_density": 0.0, "accel_bias_std_m_s2": 0.0, "accel_random_walk": 0.0}
     return config.model_copy(update={"imu": config.imu.model_copy(update=none)})
 

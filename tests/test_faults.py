@@ -6,20 +6,18 @@ import subprocess
 import sys
 from dataclasses import replace
 from math import atan, atan2, degrees, inf, nan, radians, tan
-from pathlib import Path
+from typing import Any
 
+import faults
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-
-import faults  # noqa: E402
-
-from fusion import Estimate  # noqa: E402
-from support import fault_score, fault_table, injections, recording  # noqa: E402
-from support.fault_score import Bound, Fault, Trace  # noqa: E402
-from support.random_faults import DRAWS, random_faults  # noqa: E402
+from fusion import Estimate
+from support import fault_score, fault_table, injections, recording
+from support.fault_score import Bound, Fault, Trace
+from support.random_faults import DRAWS, random_faults
+from tests.files import ROOT
+from vision.types import FloatArray
 
 
 @pytest.fixture(scope="module")
@@ -27,19 +25,21 @@ def clean() -> recording.Recording:
     return recording.simulated_recording(recording.base_scene(0, 10.0))
 
 
-def trace_of(error_deg: np.ndarray, told: np.ndarray | None = None, std_deg: float = 0.25) -> Trace:
+def trace_of(error_deg: FloatArray, told: np.ndarray | None = None, std_deg: float = 0.25) -> Trace:
     """Ten seconds of estimates every 20 ms."""
     n = len(error_deg)
     told = np.zeros(n, bool) if told is None else told
     reasons = tuple("coasting: test" if t else "tracking" for t in told)
-    return Trace(np.arange(n) * 0.02, error_deg, np.full(n, std_deg), ~told, told, reasons, 0, "", 0, 0)
+    return Trace(
+        np.arange(float(n)) * 0.02, error_deg, np.full(n, std_deg), ~told, told, reasons, 0, "", 0, 0
+    )
 
 
-def judged(trace: Trace, **bound: object) -> fault_score.Outcome:
+def judged(trace: Trace, **bound: Any) -> fault_score.Outcome:
     return fault_score.judge(Fault("test", "-", None, Bound(**bound), start_s=2.0, end_s=4.0), trace)
 
 
-def wrong_between(start_s: float, end_s: float, error_deg: float = 5.0) -> np.ndarray:
+def wrong_between(start_s: float, end_s: float, error_deg: float = 5.0) -> FloatArray:
     t = np.arange(500) * 0.02
     return np.where((t >= start_s) & (t < end_s), error_deg, 0.1)
 
@@ -216,7 +216,7 @@ def test_what_is_held_or_told_stays_so(name: str) -> None:
 def test_it_runs_and_prints_what_is_asked_beside_what_is_measured() -> None:
     command = [
         sys.executable,
-        str(BENCHMARKS / "faults.py"),
+        str(ROOT / "benchmarks" / "faults.py"),
         "--only",
         "F11",
         "--random",

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+from tests.files import ROOT
+
 MODULES = sorted([*(ROOT / "vision").rglob("*.py"), *(ROOT / "fusion").rglob("*.py")])
 LINT = [sys.executable, "-c", "from importlinter.cli import lint_imports_command as c; c()", "--no-cache"]
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+from tests.files import ROOT
+
 SOURCE_SUFFIXES = {".py", ".typed", ".html", ".j2", ".css", ".js", ".json", ".toml", ".svg", ".csv", ".onnx"}
 
 

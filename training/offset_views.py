@@ -319,13 +319,15 @@ def _spoil(image: npt.NDArray[np.uint8], rng: np.random.Generator) -> npt.NDArra
     """Blur a picture, and bend its tone curve."""
     scale = image.shape[1] / 640.0
     if rng.random() < 0.25:
-        image = cv2.GaussianBlur(image, (0, 0), float(rng.uniform(0.5, 4.0)) * scale + 0.1)
+        sigma_px = float(rng.uniform(0.5, 4.0)) * scale + 0.1
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.uint8)
     elif rng.random() < 0.15:
         length = 2 * round(float(rng.uniform(2.0, 25.0)) * scale) + 1
-        image = cv2.blur(image, (length, 1) if rng.random() < 0.7 else (1, length))
+        size = (length, 1) if rng.random() < 0.7 else (1, length)
+        image = np.asarray(cv2.blur(image, size), np.uint8)
     if rng.random() < 0.5:
         table = 255.0 * (np.arange(256) / 255.0) ** float(np.exp(rng.normal(0.0, 0.4)))
-        image = cv2.LUT(image, np.clip(table + 0.5, 0, 255).astype(np.uint8))
+        image = np.asarray(cv2.LUT(image, np.clip(table + 0.5, 0, 255).astype(np.uint8)), np.uint8)
     return image
 
 

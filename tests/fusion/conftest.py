@@ -6,7 +6,7 @@ import pytest
 
 from fusion import load_flight
 from fusion.flight import Flight
-from tests.fusion.reading import OFFICE
+from tests.files import OFFICE
 
 
 @pytest.fixture(scope="session")

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from math import radians
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
-from fusion.flight import AttitudeStream, CorridorTruth, Flight, FrameStream, ImuStream
+from fusion.flight import AttitudeStream, CorridorTruth, Flight, FloatArray, FrameStream, ImuStream, TimeArray
 from fusion.logs.pictures.camera_folder import PictureFiles
 from fusion.result.result import FusionResult
 from vision import Camera
@@ -18,8 +21,11 @@ T0_NS = 1_600_000_000_000_000_000
 WIDTH_M = 2.0
 CAMERA_HEIGHT_M = 1.2
 
+Table = npt.NDArray[np.void]
+Fused = tuple[FusionResult, Flight]
 
-def corridor_picture(path, camera, heading_rad, offset_m):
+
+def corridor_picture(path: Path, camera: Camera, heading_rad: float, offset_m: float) -> None:
     """Draw the four edges of a corridor, and some joints along its floor, as the camera would see them."""
     picture = np.full((camera.height_px, camera.width_px), 200, dtype=np.uint8)
     c, s = np.cos(heading_rad), np.sin(heading_rad)
@@ -34,7 +40,15 @@ def corridor_picture(path, camera, heading_rad, offset_m):
     cv2.imwrite(str(path), cv2.GaussianBlur(picture, (3, 3), 0.7))
 
 
-def make_flight(folder, *, duration_s=12.0, imu_hz=50.0, frame_hz=10.0, pictures=True, seed=3):
+def make_flight(
+    folder: Path,
+    *,
+    duration_s: float = 12.0,
+    imu_hz: float = 50.0,
+    frame_hz: float = 10.0,
+    pictures: bool = True,
+    seed: int = 3,
+) -> Fused:
     """Build a flight that swings in one corridor, and the result of a filter with known errors.
 
     Filter errors are white with the sigma that the table states (0.3 degrees, 2 cm); vision's are twice that.
@@ -45,13 +59,13 @@ def make_flight(folder, *, duration_s=12.0, imu_hz=50.0, frame_hz=10.0, pictures
     t = np.arange(0.0, duration_s, 1 / imu_hz)
     t_frame = np.arange(0.0, duration_s, 1 / frame_hz)
 
-    def heading(at):
+    def heading(at: FloatArray) -> FloatArray:
         return radians(12) * np.sin(2 * np.pi * at / 8.0)
 
-    def offset(at):
+    def offset(at: FloatArray) -> FloatArray:
         return 0.3 * np.cos(2 * np.pi * at / 11.0)
 
-    def nanoseconds(at):
+    def nanoseconds(at: FloatArray) -> TimeArray:
         return T0_NS + np.round(at * 1e9).astype(np.int64)
 
     yaw_offset = radians(40) + np.where((t > 6) & (t < 8), radians(12), 0.0)
@@ -87,12 +101,13 @@ def make_flight(folder, *, duration_s=12.0, imu_hz=50.0, frame_hz=10.0, pictures
     frames["vision_ms"] = 3.0
 
     yaw = np.where((t > 6) & (t < 8), radians(12), 0.0) + radians(40) + heading(t)
+    paths = tuple(folder / f"{k}.png" for k in range(len(frames)))
     flight = Flight(
         name="swing",
         camera=camera,
         frames=FrameStream(
             frames["timestamp_ns"].copy(),
-            PictureFiles(tuple(folder / f"{k}.png" for k in range(len(frames)))),
+            PictureFiles(paths),
         ),
         imu=ImuStream(estimates["timestamp_ns"].copy(), np.zeros((len(t), 3)), np.zeros((len(t), 3))),
         attitude=AttitudeStream(
@@ -109,8 +124,8 @@ def make_flight(folder, *, duration_s=12.0, imu_hz=50.0, frame_hz=10.0, pictures
         ),
     )
     if pictures:
-        for k in range(len(frames)):
-            corridor_picture(flight.frames.source.paths[k], camera, heading(t_frame[k]), offset(t_frame[k]))
+        for path, heading_rad, offset_m in zip(paths, heading(t_frame), offset(t_frame), strict=True):
+            corridor_picture(path, camera, heading_rad, offset_m)
     result = FusionResult(
         flight_name="swing <one>",
         config=FusionConfig(corridor_width_m=WIDTH_M),
@@ -122,7 +137,8 @@ def make_flight(folder, *, duration_s=12.0, imu_hz=50.0, frame_hz=10.0, pictures
     return result, flight
 
 
-def table_with(table, **columns):
+def table_with(table: Table, **columns: tuple[Any, Any]) -> Table:
+    """Copy a table, some rows (an index or a slice) of some columns replaced by a value."""
     table = table.copy()
     for name, (rows, value) in columns.items():
         table[name][rows] = value

@@ -1,13 +1,11 @@
-"""What tests of the readers share: streams taken with the problems that came with them, and the sample flight."""
+"""What tests of the readers share: streams taken with the problems that came with them."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TypeVar
 
 from fusion.logs.samples import WithProblems
 
-OFFICE = Path(__file__).resolve().parents[2] / "data" / "office"
 T = TypeVar("T")
 
 

@@ -125,7 +125,7 @@ class Simulated:
     samples: list[Sample]  # in order of arrival
 
     def heading_in(self, axis_rad: Any) -> np.ndarray:
-        return wrap(self.heading - axis_rad)
+        return np.asarray(wrap(self.heading - axis_rad))
 
 
 def simulate(scene: Scene) -> Simulated:
@@ -140,7 +140,7 @@ def simulate(scene: Scene) -> Simulated:
 
     def rate(f: Function, at: np.ndarray) -> np.ndarray:
         h = 1e-4
-        return (f(at + h) - f(at - h)) / (2 * h)
+        return np.asarray((f(at + h) - f(at - h)) / (2 * h))
 
     psi, roll, pitch = scene.heading(t), roll_of(t), pitch_of(t)
     dpsi, droll, dpitch = rate(scene.heading, t), rate(roll_of, t), rate(pitch_of, t)
@@ -256,6 +256,8 @@ def give(estimator: CorridorEstimator, sample: Sample) -> None:
         estimator.add_attitude(sample.t_ns, *sample.values)
     elif sample.kind == "velocity":
         estimator.add_velocity(sample.t_ns, *sample.values)
+    elif sample.kind == "range":
+        estimator.add_range(sample.t_ns, *sample.values)
     else:
         estimator.add_measurement(sample.t_ns, *sample.values)
 
@@ -323,4 +325,4 @@ def _rows(
 def heading_error(result: Run, simulated: Simulated, axis_rad: Any = 0.0) -> np.ndarray:
     """Estimate minus truth at each row, wrapped."""
     truth = np.interp(result.t_s, simulated.t_s, simulated.heading)
-    return wrap(result.heading - truth + axis_rad)
+    return np.asarray(wrap(result.heading - truth + axis_rad))

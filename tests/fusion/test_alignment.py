@@ -21,9 +21,8 @@ from fusion.logs.asl import read_ground_truth
 from fusion.logs.manifest.manifest import read_manifest
 from fusion.simulate import SimulationConfig, simulate_flight
 from tests.command import Corridor
+from tests.files import OFFICE
 from vision import Camera, InputError
-
-OFFICE = Path(__file__).resolve().parent.parent.parent / "data" / "office"
 
 
 def spoilt(

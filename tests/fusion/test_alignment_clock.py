@@ -31,7 +31,7 @@ def weave(seed: int, amplitude_rad: float) -> tuple[np.ndarray, np.ndarray, np.n
 
 def heading(t: np.ndarray, curve: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
     rates, phases, weights = curve
-    return (weights * np.sin(np.multiply.outer(t, rates) + phases)).sum(axis=-1)
+    return np.asarray((weights * np.sin(np.multiply.outer(t, rates) + phases)).sum(axis=-1))
 
 
 def turning(seed: int, curve: tuple[np.ndarray, ...], noise: float = 0.005, bias: float = 0.02) -> Turning:

@@ -32,7 +32,7 @@ def views(
     """Frames of a corridor by a camera turned on the body by roll, pitch, yaw, taken to look straight ahead."""
     rng = np.random.default_rng(seed)
     n, step = 400, 0.05
-    t = np.arange(n) * step
+    t = np.arange(float(n)) * step
     phases = rng.uniform(0, 2 * pi, 3)
     roll = radians(tilt_deg) * np.sin(2.1 * t + phases[0])
     pitch = radians(tilt_deg) * np.sin(1.7 * t + phases[1])

@@ -104,6 +104,7 @@ def test_what_the_camera_was_turned_by_is_added() -> None:
 def test_without_velocity_or_way_it_says_nothing() -> None:
     drive = Drive(4, 2.0)
     clock = drive.clock()
-    still = VectorStream(drive.flight.velocity.t_ns, np.zeros((len(drive.flight.velocity.t_ns), 3)))  # type: ignore[union-attr]
+    assert drive.flight.velocity is not None
+    still = replace(drive.flight.velocity, xyz=np.zeros_like(drive.flight.velocity.xyz))
     for flight in (replace(drive.flight, velocity=None), replace(drive.flight, velocity=still)):
         assert fit_track(flight, drive.sightings, drive.turning, clock, START_NS) is None

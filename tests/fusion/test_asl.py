@@ -15,11 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from fusion.logs import load_flight
 from fusion.logs.asl import read_ground_truth
+from tests.files import HALLWAY, OFFICE
+from tests.pictures import picture_paths
 from vision import Attitude, Camera, InputError
-
-ROOT = Path(__file__).resolve().parents[2]
-OFFICE = ROOT / "data" / "office"
-HALLWAY = ROOT.parent / "shared" / "flights" / "mononav_hallway"
 
 T0 = 1_600_001_000_000_000_000
 N_FRAMES = 8
@@ -95,8 +93,8 @@ def test_flight_folder_or_mav0(folder: Folder, inside: str) -> None:
     assert len(flight.frames.t_ns) == N_FRAMES
     assert flight.frames.t_ns.dtype == np.int64
     assert flight.frames.t_ns[1] == T0 + 50_000_000
-    assert flight.frames.source.paths[1].name == f"{T0 + 50_000_000}.png"
-    assert flight.frames.source.paths[1].is_file()
+    assert picture_paths(flight)[1].name == f"{T0 + 50_000_000}.png"
+    assert picture_paths(flight)[1].is_file()
     assert flight.imu is not None
     assert len(flight.imu.t_ns) == 40
     assert flight.attitude is not None
@@ -389,7 +387,7 @@ def test_missing_pictures_stay_as_frames(folder: Folder) -> None:
     for i in (2, 5):
         (folder.path / f"mav0/cam0/data/{T0 + i * 50_000_000}.png").unlink()
     flight = load_flight(folder.path)
-    assert len(flight.frames.source.paths) == N_FRAMES
+    assert len(picture_paths(flight)) == N_FRAMES
     assert flight.problems == (f"cam0/data.csv: 2 pictures missing in data/ (first {T0 + 100_000_000}.png)",)
 
 
@@ -408,7 +406,7 @@ def test_times_from_picture_names(folder: Folder) -> None:
     (folder.path / "mav0/cam0/data/notes.txt").write_bytes(b"x")
     flight = load_flight(folder.path)
     np.testing.assert_array_equal(flight.frames.t_ns, listed.t_ns)
-    assert flight.frames.source.paths == listed.source.paths
+    assert picture_paths(flight) == picture_paths(listed)
     assert flight.problems == (
         "cam0/data.csv is missing: times taken from the names of 8 pictures",
         "cam0/data: 1 picture not named by a time left out (first thumb.png)",
@@ -428,7 +426,7 @@ def test_names_in_the_order_of_numbers(folder: Folder) -> None:
         shutil.rmtree(folder.path / "mav0" / stream)
     frames = load_flight(folder.path).frames
     assert frames.t_ns.tolist() == [8 * 10**9, 9 * 10**9, 10**10, 11 * 10**9]
-    assert [path.stem for path in frames.source.paths] == [str(t) for t in frames.t_ns]
+    assert [path.stem for path in picture_paths(frames)] == [str(t) for t in frames.t_ns]
 
 
 def test_neither_list_nor_names(folder: Folder) -> None:
@@ -462,7 +460,7 @@ def test_list_shuffled_and_repeated(folder: Folder) -> None:
     )
     flight = load_flight(folder.path)
     np.testing.assert_array_equal(flight.frames.t_ns, clean.t_ns)
-    assert flight.frames.source.paths == clean.source.paths
+    assert picture_paths(flight) == picture_paths(clean)
     assert flight.problems == (
         f"cam0/data.csv: times go backwards in 2 places (first at {T0}), rows sorted",
         f"cam0/data.csv: 1 row with a repeated time (first {T0}) dropped",
@@ -475,7 +473,7 @@ def test_windows_line_ends_and_no_header(folder: Folder) -> None:
         folder.write(name, "\r\n".join(folder.read(name).splitlines()[1:]) + "\r\n")
     flight = load_flight(folder.path)
     assert flight.problems == ()
-    assert flight.frames.source.paths == clean.frames.source.paths
+    assert picture_paths(flight) == picture_paths(clean)
     assert flight.imu is not None
     assert clean.imu is not None
     np.testing.assert_array_equal(flight.imu.gyro_rad_s, clean.imu.gyro_rad_s)
@@ -569,7 +567,7 @@ def test_office_loads_whole() -> None:
         3001,
     ]
     assert (flight.imu.gyro_noise_density, flight.imu.gyro_random_walk) == (0.005, 0.0001)
-    assert all(path.is_file() for path in flight.frames.source.paths)
+    assert all(path.is_file() for path in picture_paths(flight))
 
 
 def test_office_gyro_turns_as_the_heading_does() -> None:

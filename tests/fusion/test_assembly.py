@@ -22,11 +22,10 @@ from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.manifest.assembly import assemble_flight
 from fusion.logs.manifest.manifest import Manifest, make_manifest, read_manifest, write_manifest
 from fusion.logs.topic_choice import RANKED_FORMATS, TABLES, choose_topic
+from tests.files import OFFICE
 from tests.fusion.test_log_dataflash import new_log
 from vision import InputError
 
-ROOT = Path(__file__).resolve().parents[2]
-OFFICE = ROOT / "data" / "office"
 N_FRAMES = 60
 IMU_CLOCK_S = 100.0  # the IMU's clock reads this much when the video's reads zero
 G = 9.80665
@@ -124,6 +123,11 @@ range_unit = "cm"
 """
 
 
+def manifest_of(flight: Flight) -> Manifest:
+    assert isinstance(flight.manifest, Manifest)
+    return flight.manifest
+
+
 def test_distances_from_a_file_of_their_own(parts: Parts) -> None:
     lines = (f"{1000 * IMU_CLOCK_S + 50 * k:.0f},{0 if k == 3 else 140 + k}\n" for k in range(N_FRAMES))
     (parts.folder / "tof.csv").write_text("t,tof\n" + "".join(lines))
@@ -135,8 +139,7 @@ def test_distances_from_a_file_of_their_own(parts: Parts) -> None:
     np.testing.assert_array_equal(flight.range.t_ns, kept * 50_000_000)
     np.testing.assert_allclose(flight.range.distance_m, 1.4 + 0.01 * kept - 0.1)
     assert any("(range): 1 row with no distance" in text for text in flight.problems)
-    assert flight.manifest is not None
-    assert flight.manifest.range.topic == "range"
+    assert manifest_of(flight).range.topic == "range"
     path.write_text(MANIFEST + RANGE.replace("[range]", "[range]\nuse = false"))
     assert load_flight(path).range is None
     (parts.folder / "tof.csv").write_text("t,tof\n" + "".join(f"{50 * k},0\n" for k in range(40)))
@@ -232,8 +235,7 @@ def test_a_folder_of_pictures_with_its_list(parts: Parts) -> None:
 def test_the_manifest_of_a_flight_gives_the_same_flight(parts: Parts, tmp_path: Path) -> None:
     for source in (parts.folder, OFFICE):
         flight = load_flight(source)
-        assert flight.manifest is not None
-        write_manifest(flight.manifest, tmp_path / "flight.toml")
+        write_manifest(manifest_of(flight), tmp_path / "flight.toml")
         again = load_flight(tmp_path / "flight.toml")
         np.testing.assert_array_equal(again.frames.t_ns, flight.frames.t_ns)
         assert again.imu is not None
@@ -263,8 +265,7 @@ def test_the_time_shift_of_a_kalibr_chain_is_taken_unless_the_manifest_says(part
     text = MANIFEST.replace("camera.yaml", "camchain.yaml")
     flight = load_flight(at(parts, text))
     assert flight.frames.t_ns[0] == 125_000_000
-    assert flight.manifest is not None
-    assert flight.manifest.camera.clock_offset_s == 0.125
+    assert manifest_of(flight).camera.clock_offset_s == 0.125
     flight = load_flight(at(parts, text.replace("[imu]", "clock_offset_s = 0.0\n[imu]", 1)))
     assert flight.frames.t_ns[0] == 0
 
@@ -391,9 +392,9 @@ def test_inspecting_shows_the_streams_that_are_fused(parts: Parts, case: str) ->
     (parts.folder / "camchain.yaml").write_text(CHAIN)
     path = at(parts, SEEN_ALIKE[case])
     flight = assemble_flight(read_manifest(path))
-    assert flight.manifest is not None
+    manifest = manifest_of(flight)
     fused = {
-        kind: (flight.manifest.stream(TABLES[kind]).topic, len(stream.t_ns), stream.t_ns[0], stream.t_ns[-1])
+        kind: (manifest.stream(TABLES[kind]).topic, len(stream.t_ns), stream.t_ns[0], stream.t_ns[-1])
         for kind, stream in {
             Kind.FRAMES: flight.frames,
             Kind.IMU: flight.imu,

@@ -21,22 +21,12 @@ from fusion.logs.csv.columns import open_columns
 from fusion.logs.csv.table import read_layout
 from fusion.logs.csv.time_units import guess_unit, to_ns
 from fusion.logs.csv.times import read_times
+from tests.files import written
 from tests.fusion.reading import Told
 from vision import InputError
 
 T0 = 1_403_636_579_763_555_584
 G = 9.80665
-
-Write = Callable[[str, str], Path]
-
-
-@pytest.fixture
-def write(tmp_path: Path) -> Write:
-    def make(name: str, text: str) -> Path:
-        (tmp_path / name).write_text(text, encoding="utf-8", newline="")
-        return tmp_path / name
-
-    return make
 
 
 def rows(row: Callable[[int], str], n: int = 30) -> str:
@@ -54,15 +44,15 @@ def attitude_of(
 
 
 def rotation(stream: AttitudeStream) -> np.ndarray:
-    return Rotation.from_quat(np.roll(stream.q_world_body[0], -1)).as_matrix()
+    return np.asarray(Rotation.from_quat(np.roll(stream.q_world_body[0], -1)).as_matrix())
 
 
 # ------------------------------------------------------------------------------------------- units and axes
 
 
 @pytest.mark.parametrize(("unit", "one"), [("rad/s", 1.0), ("deg/s", radians(1)), ("mrad/s", 1e-3)])
-def test_units_of_the_gyroscope(write: Write, unit: str, one: float) -> None:
-    path = write("a.csv", "t,x,y,z\n" + rows(lambda i: f"{i * 10},1,2,-3"))
+def test_units_of_the_gyroscope(tmp_path: Path, unit: str, one: float) -> None:
+    path = written(tmp_path / "a.csv", "t,x,y,z\n" + rows(lambda i: f"{i * 10},1,2,-3"))
     columns = ColumnMap(time="t", time_unit="ms", gyro=("x", "y", "z"), gyro_unit=unit)  # type: ignore[arg-type]
     imu = imu_of(path, columns, "frd")
     np.testing.assert_allclose(imu.gyro_rad_s[0], [one, 2 * one, -3 * one])
@@ -71,8 +61,8 @@ def test_units_of_the_gyroscope(write: Write, unit: str, one: float) -> None:
 
 
 @pytest.mark.parametrize(("unit", "one"), [("m/s2", 1.0), ("g", G), ("mg", G * 1e-3), ("cm/s2", 0.01)])
-def test_units_of_the_accelerometer(write: Write, unit: str, one: float) -> None:
-    path = write("a.csv", "t,gx,gy,gz,x,y,z\n" + rows(lambda i: f"{i * 10},0,0,0,1,2,-3"))
+def test_units_of_the_accelerometer(tmp_path: Path, unit: str, one: float) -> None:
+    path = written(tmp_path / "a.csv", "t,gx,gy,gz,x,y,z\n" + rows(lambda i: f"{i * 10},0,0,0,1,2,-3"))
     columns = ColumnMap(gyro=("gx", "gy", "gz"), accel=("x", "y", "z"), accel_unit=unit)  # type: ignore[arg-type]
     np.testing.assert_allclose(imu_of(path, columns, "frd").accel_m_s2[0], [one, 2 * one, -3 * one])
     np.testing.assert_allclose(
@@ -85,16 +75,16 @@ def test_units_of_the_accelerometer(write: Write, unit: str, one: float) -> None
     ("frame", "expected"),
     [("frd", (1, 2, -3)), ("ned", (1, 2, -3)), ("flu", (1, -2, 3)), ("enu", (1, -2, 3))],
 )
-def test_axes_of_an_imu(write: Write, frame: Frame, expected: tuple[float, ...]) -> None:
-    path = write("a.csv", "t,gx,gy,gz,ax,ay,az\n" + rows(lambda i: f"{i * 10},1,2,-3,1,2,-3"))
+def test_axes_of_an_imu(tmp_path: Path, frame: Frame, expected: tuple[float, ...]) -> None:
+    path = written(tmp_path / "a.csv", "t,gx,gy,gz,ax,ay,az\n" + rows(lambda i: f"{i * 10},1,2,-3,1,2,-3"))
     imu = imu_of(path, None, frame)
     np.testing.assert_allclose(imu.gyro_rad_s[0], expected)
     np.testing.assert_allclose(imu.accel_m_s2[0], expected)
 
 
 @pytest.mark.parametrize(("z", "frame"), [(9.8, "flu"), (-9.8, "frd")])
-def test_gravity_tells_the_axes_and_it_is_said(write: Write, z: float, frame: str) -> None:
-    path = write("a.csv", "t,gx,gy,gz,ax,ay,az\n" + rows(lambda i: f"{i * 10},0,0,1,0,0,{z}"))
+def test_gravity_tells_the_axes_and_it_is_said(tmp_path: Path, z: float, frame: str) -> None:
+    path = written(tmp_path / "a.csv", "t,gx,gy,gz,ax,ay,az\n" + rows(lambda i: f"{i * 10},0,0,1,0,0,{z}"))
     problems = Told()
     imu = problems.take(open_log(path).imu("imu"))
     assert imu.accel_m_s2[0, 2] == -9.8
@@ -103,14 +93,16 @@ def test_gravity_tells_the_axes_and_it_is_said(write: Write, z: float, frame: st
 
 
 @pytest.mark.parametrize("unit", ["rad", "deg", "mdeg"])
-def test_euler_angles_in_frd_and_flu(write: Write, unit: str) -> None:
+def test_euler_angles_in_frd_and_flu(tmp_path: Path, unit: str) -> None:
     """A nose turned 30 degrees right and 10 up, right side 5 down, told in either convention, is the same."""
     one = {"rad": radians(1), "deg": 1.0, "mdeg": 1000.0}[unit]
-    right = write(
-        "frd.csv", "t,roll,pitch,yaw\n" + rows(lambda i: f"{i * 10},{5 * one},{10 * one},{30 * one}")
+    right = written(
+        tmp_path / "frd.csv",
+        "t,roll,pitch,yaw\n" + rows(lambda i: f"{i * 10},{5 * one},{10 * one},{30 * one}"),
     )
-    left = write(
-        "flu.csv", "t,roll,pitch,yaw\n" + rows(lambda i: f"{i * 10},{5 * one},{-10 * one},{-30 * one}")
+    left = written(
+        tmp_path / "flu.csv",
+        "t,roll,pitch,yaw\n" + rows(lambda i: f"{i * 10},{5 * one},{-10 * one},{-30 * one}"),
     )
     columns = ColumnMap(euler=("roll", "pitch", "yaw"), euler_unit=unit)  # type: ignore[arg-type]
     frd = attitude_of(right, columns, "frd")
@@ -121,16 +113,20 @@ def test_euler_angles_in_frd_and_flu(write: Write, unit: str) -> None:
     np.testing.assert_allclose(rotation(frd), expected, atol=1e-9)
 
 
-def test_an_attitude_to_east_north_up(write: Write) -> None:
+def test_an_attitude_to_east_north_up(tmp_path: Path) -> None:
     """Level, nose north-east: in ENU a yaw of 45 degrees from east, in NED one of 45 from north; by hand."""
     half = radians(45) / 2
-    path = write("a.csv", "t,qw,qx,qy,qz\n" + rows(lambda i: f"{i * 10},{cos(half)},0,0,{sin(half)}"))
+    path = written(
+        tmp_path / "a.csv", "t,qw,qx,qy,qz\n" + rows(lambda i: f"{i * 10},{cos(half)},0,0,{sin(half)}")
+    )
     ned = rotation(attitude_of(path, None, "enu"))
     np.testing.assert_allclose(ned @ [1, 0, 0], [cos(2 * half), sin(2 * half), 0], atol=1e-9)  # forward
     np.testing.assert_allclose(ned @ [0, 0, 1], [0, 0, 1], atol=1e-9)  # down
     # East by north: 30 degrees from east towards north is 60 from north towards east.
     half = radians(30) / 2
-    path = write("b.csv", "t,qw,qx,qy,qz\n" + rows(lambda i: f"{i * 10},{cos(half)},0,0,{sin(half)}"))
+    path = written(
+        tmp_path / "b.csv", "t,qw,qx,qy,qz\n" + rows(lambda i: f"{i * 10},{cos(half)},0,0,{sin(half)}")
+    )
     ned = rotation(attitude_of(path, None, "enu"))
     np.testing.assert_allclose(ned @ [1, 0, 0], [cos(radians(60)), sin(radians(60)), 0], atol=1e-9)
 
@@ -138,8 +134,10 @@ def test_an_attitude_to_east_north_up(write: Write) -> None:
 @pytest.mark.parametrize(
     ("frame", "expected"), [("ned", (1, 2, 3)), ("frd", (1, 2, 3)), ("flu", (1, -2, -3)), ("enu", (2, 1, -3))]
 )
-def test_positions_in_every_world(write: Write, frame: Frame, expected: tuple[float, ...]) -> None:
-    path = write("a.csv", "t;px [cm];py [cm];pz [cm]\n" + rows(lambda i: f"{i * 10};100;200;300"))
+def test_positions_in_every_world(tmp_path: Path, frame: Frame, expected: tuple[float, ...]) -> None:
+    path = written(
+        tmp_path / "a.csv", "t;px [cm];py [cm];pz [cm]\n" + rows(lambda i: f"{i * 10};100;200;300")
+    )
     found = open_columns(path, None, frame).position("position").value
     np.testing.assert_allclose(found.xyz[0], expected)
 
@@ -148,10 +146,12 @@ def test_positions_in_every_world(write: Write, frame: Frame, expected: tuple[fl
     ("frame", "expected"),
     [("frd", (1, 2, 3)), ("flu", (1, -2, -3)), ("ned", (2, -1, 3)), ("enu", (1, -2, -3))],
 )
-def test_velocities_of_body_and_world(write: Write, frame: Frame, expected: tuple[float, ...]) -> None:
+def test_velocities_of_body_and_world(tmp_path: Path, frame: Frame, expected: tuple[float, ...]) -> None:
     """Nose to the east: yaw 90 degrees from north (NED), none from east (ENU)."""
     yaw = 0.0 if frame == "enu" else 90.0
-    path = write("a.csv", "t,roll,pitch,yaw_deg,vx,vy,vz\n" + rows(lambda i: f"{i * 10},0,0,{yaw},1,2,3"))
+    path = written(
+        tmp_path / "a.csv", "t,roll,pitch,yaw_deg,vx,vy,vz\n" + rows(lambda i: f"{i * 10},0,0,{yaw},1,2,3")
+    )
     columns = ColumnMap(
         frame="flu" if frame == "flu" else "enu" if frame == "enu" else "frd",
         velocity_frame=frame,
@@ -163,8 +163,8 @@ def test_velocities_of_body_and_world(write: Write, frame: Frame, expected: tupl
     np.testing.assert_allclose(found.xyz[0], expected, atol=1e-9)
 
 
-def test_a_velocity_of_the_world_needs_an_attitude(write: Write) -> None:
-    path = write("a.csv", "t,vx,vy,vz\n" + rows(lambda i: f"{i * 10},1,2,3"))
+def test_a_velocity_of_the_world_needs_an_attitude(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.csv", "t,vx,vy,vz\n" + rows(lambda i: f"{i * 10},1,2,3"))
     with pytest.raises(InputError, match=r"along the world's axes \(ned\).*use = false"):
         open_columns(path, None, "ned").velocity("velocity")
 
@@ -197,11 +197,11 @@ def check_tello(path: Path) -> None:
     np.testing.assert_allclose(log.range("range").value.distance_m, 0.8)
 
 
-def test_tello_on_the_ground_and_out_of_reach(write: Write) -> None:
+def test_tello_on_the_ground_and_out_of_reach(tmp_path: Path) -> None:
     far = {3: 10, 4: 6553, 5: 29, 6: 31}
     lines = rows(lambda i: tello(i).replace(",62,80,70,", f",62,{far.get(i, 80)},70,"))
     problems = Told()
-    found = problems.take(open_log(write("tello.csv", TELLO + lines)).range("range"))
+    found = problems.take(open_log(written(tmp_path / "tello.csv", TELLO + lines)).range("range"))
     assert found.distance_m[3] == pytest.approx(0.31)
     np.testing.assert_allclose(np.delete(found.distance_m, 3), 0.8)
     assert "(range): 3 rows with no distance within the sensor's reach dropped" in problems[0]
@@ -216,46 +216,48 @@ def test_tello_on_the_ground_and_out_of_reach(write: Write) -> None:
         ("range", 1.4, True),
     ],
 )
-def test_distances_to_the_floor_by_name(write: Write, header: str, value: float, told: bool) -> None:
-    log = open_log(write("range.csv", f"time_ms,{header}\n" + rows(lambda i: f"{20 * i},{value}")))
+def test_distances_to_the_floor_by_name(tmp_path: Path, header: str, value: float, told: bool) -> None:
+    log = open_log(
+        written(tmp_path / "range.csv", f"time_ms,{header}\n" + rows(lambda i: f"{20 * i},{value}"))
+    )
     assert [topic.kind for topic in log.topics] == [Kind.RANGE]
     np.testing.assert_allclose(log.range("range").value.distance_m, 1.4)
     assert any("no unit is given for range, m taken" in text for text in log.problems) == told
 
 
-def test_distances_to_the_floor_by_a_map(write: Write) -> None:
+def test_distances_to_the_floor_by_a_map(tmp_path: Path) -> None:
     text = "t,d\n" + rows(lambda i: f"{0.02 * i:.2f},{400 if i == 3 else 140 + i}")
     columns = ColumnMap(time="t", time_unit="s", range="d", range_unit="cm", range_limits=(5.0, 399.0))
-    found, problems = open_columns(write("range.csv", text), columns).range("range")
+    found, problems = open_columns(written(tmp_path / "range.csv", text), columns).range("range")
     assert found.distance_m[0] == pytest.approx(1.4)
     assert found.distance_m[3] == pytest.approx(1.44)
     assert len(problems) == 1
 
 
-def test_tello_state_as_csv(write: Write) -> None:
-    check_tello(write("tello.csv", TELLO + rows(tello)))
+def test_tello_state_as_csv(tmp_path: Path) -> None:
+    check_tello(written(tmp_path / "tello.csv", TELLO + rows(tello)))
 
 
 @pytest.mark.parametrize("between", [" ", ",", ";", ", "])
-def test_tello_state_as_it_comes_over_the_network(write: Write, between: str) -> None:
+def test_tello_state_as_it_comes_over_the_network(tmp_path: Path, between: str) -> None:
     text = rows(
         lambda i: f"{1612345678 + i / 10:.3f}{between}{STATE}bat:87;baro:44.50;time:{i};agz:-998.00;\r"
     )
-    check_tello(write("state.txt", text))
+    check_tello(written(tmp_path / "state.txt", text))
 
 
-def test_tello_state_without_a_time(write: Write) -> None:
+def test_tello_state_without_a_time(tmp_path: Path) -> None:
     text = rows(lambda i: f"{STATE}bat:87;baro:44.50;time:{i // 10};agz:-998.00;", 60)
     with pytest.raises(
         InputError, match=r"times in column 'time' repeat: .*too coarse.*log the time of each row"
     ):
-        open_log(write("state.txt", text))
+        open_log(written(tmp_path / "state.txt", text))
 
 
-def test_ardrone_of_ros(write: Write) -> None:
+def test_ardrone_of_ros(tmp_path: Path) -> None:
     text = "%time,rotX,rotY,rotZ,altd,vx,vy,vz,ax,ay,az,tm\n"
     text += rows(lambda i: f"{T0 + i * 5_000_000},5,-10,-30,0,500,100,0,0,0,1,{5000 * i + 77}")
-    log = open_log(write("navdata.csv", text))
+    log = open_log(written(tmp_path / "navdata.csv", text))
     assert log.format == "CSV (ardrone_ros)"
     attitude = log.attitude("attitude").value
     expected = Rotation.from_euler("ZYX", [30, 10, 5], degrees=True).as_matrix()  # FLU: y and z change sign
@@ -264,11 +266,11 @@ def test_ardrone_of_ros(write: Write) -> None:
     assert attitude.t_ns[:2].tolist() == [77_000, 5_077_000]
 
 
-def test_ardrone_of_its_own_sdk(write: Write) -> None:
+def test_ardrone_of_its_own_sdk(tmp_path: Path) -> None:
     text = "time_ms,theta,phi,psi,altitude,vx,vy,vz\n" + rows(
         lambda i: f"{i * 5},10000,5000,30000,0,500,100,0"
     )
-    log = open_log(write("navdata.csv", text))
+    log = open_log(written(tmp_path / "navdata.csv", text))
     expected = Rotation.from_euler("ZYX", [30, 10, 5], degrees=True).as_matrix()
     np.testing.assert_allclose(rotation(log.attitude("attitude").value), expected, atol=1e-9)
     np.testing.assert_allclose(log.velocity("velocity").value.xyz[0], [0.5, 0.1, 0.0])
@@ -288,8 +290,8 @@ def test_ardrone_of_its_own_sdk(write: Write) -> None:
         ("t,wx [°/s],wy [°/s],wz [°/s]", radians(1)),
     ],
 )
-def test_usual_names_need_no_map(write: Write, header: str, unit: float) -> None:
-    path = write("a.csv", header + "\n" + rows(lambda i: f"{T0 + i * 5_000_000},1,2,3"))
+def test_usual_names_need_no_map(tmp_path: Path, header: str, unit: float) -> None:
+    path = written(tmp_path / "a.csv", header + "\n" + rows(lambda i: f"{T0 + i * 5_000_000},1,2,3"))
     imu = imu_of(path, None, "frd")
     np.testing.assert_allclose(imu.gyro_rad_s[0], np.array([1, 2, 3]) * unit)
     assert imu.t_ns[0] == T0  # every digit
@@ -307,20 +309,20 @@ def test_usual_names_need_no_map(write: Write, header: str, unit: float) -> None
     ids=["german", "comma", "tab", "blanks", "quoted"],
 )
 @pytest.mark.parametrize("header", [True, False])
-def test_separators_decimal_commas_and_no_header(write: Write, line: str, header: bool) -> None:
+def test_separators_decimal_commas_and_no_header(tmp_path: Path, line: str, header: bool) -> None:
     separator = next(s for s in (";", "\t", ",", " ") if s in line)
     text = (separator.join(["when", "x", "y", "z"]) + "\n") * header + rows(lambda i: line.format(t=i * 10))
     columns = ColumnMap(time="when", gyro=("x", "y", "z")) if header else ColumnMap(time=1, gyro=(2, 3, 4))
-    imu = imu_of(write("a.csv", text), columns, "frd")
+    imu = imu_of(written(tmp_path / "a.csv", text), columns, "frd")
     np.testing.assert_allclose(imu.gyro_rad_s, np.tile([0.5, 1.5, -2.5], (30, 1)))
     assert imu.t_ns[-1] == 290_000_000
 
 
-def test_dates_are_times(write: Write) -> None:
+def test_dates_are_times(tmp_path: Path) -> None:
     text = "datetime,roll,pitch,yaw\n" + rows(lambda i: f"2021-03-05 12:00:{i:02d}.250,0,0,0")
-    assert attitude_of(write("a.csv", text), None, "frd").t_ns[0] == 1_614_945_600_250_000_000
+    assert attitude_of(written(tmp_path / "a.csv", text), None, "frd").t_ns[0] == 1_614_945_600_250_000_000
     text = "datetime,roll,pitch,yaw\n" + rows(lambda i: f"2021-03-05T13:00:{i:02d}.25+01:00,0,0,0")
-    assert attitude_of(write("b.csv", text), None, "frd").t_ns[0] == 1_614_945_600_250_000_000
+    assert attitude_of(written(tmp_path / "b.csv", text), None, "frd").t_ns[0] == 1_614_945_600_250_000_000
 
 
 @pytest.mark.parametrize("unit", ["ns", "us", "ms", "s"])
@@ -331,7 +333,7 @@ def test_the_unit_of_times_is_found(unit: str, start: int, step_s: float) -> Non
     t_ns = start + (np.arange(50) * step_s * 1e9).astype(np.int64)
     values = t_ns / ns if unit == "s" else t_ns // ns
     assert guess_unit(values) == unit
-    assert np.abs(to_ns(values, unit) - t_ns).max() <= max(ns if unit != "s" else 1000, 1)  # type: ignore[arg-type]
+    assert np.abs(to_ns(values, unit) - t_ns).max() <= max(ns if unit != "s" else 1000, 1)
 
 
 @given(st.lists(st.integers(-(2**61), 2**61), min_size=1, max_size=20, unique=True))
@@ -343,11 +345,11 @@ def test_whole_nanoseconds_keep_every_digit(values: list[int]) -> None:
 # ------------------------------------------------------------------------------------------- damage
 
 
-def test_damaged_rows_are_dropped_and_counted(write: Write) -> None:
+def test_damaged_rows_are_dropped_and_counted(tmp_path: Path) -> None:
     good = [f"{T0 + i * 5_000_000},1,2,3" for i in range(40)]
     bad = list(good)
     bad[3], bad[7], bad[20] = "what,is,this,row", f"{T0},1", "\0\0\0"[:0] + "x;y"
-    path = write("a.csv", "t,gx,gy,gz\n" + "\n".join(bad) + "\n")
+    path = written(tmp_path / "a.csv", "t,gx,gy,gz\n" + "\n".join(bad) + "\n")
     log = open_columns(path, None, "frd")
     assert len(log.imu("imu").value.t_ns) == 37
     assert any(
@@ -355,26 +357,26 @@ def test_damaged_rows_are_dropped_and_counted(write: Write) -> None:
     )
 
 
-def test_empty_fields_are_no_numbers(write: Write) -> None:
+def test_empty_fields_are_no_numbers(tmp_path: Path) -> None:
     text = "t,gx,gy,gz,ax,ay,az\n" + rows(lambda i: f"{i * 10},1,2,{'' if i == 4 else 3},,,")
     problems = Told()
-    imu = problems.take(open_columns(write("a.csv", text), None, "frd").imu("imu"))
+    imu = problems.take(open_columns(written(tmp_path / "a.csv", text), None, "frd").imu("imu"))
     assert len(imu.t_ns) == 29
     assert any("1 row with a gyro value" in text for text in problems)
 
 
-def test_a_torn_end_costs_one_row(write: Write) -> None:
+def test_a_torn_end_costs_one_row(tmp_path: Path) -> None:
     text = "t,gx,gy,gz\n" + rows(lambda i: f"{i * 10},1.25,2.25,3.25")
-    log = open_columns(write("a.csv", text[:-4]), None, "frd")
+    log = open_columns(written(tmp_path / "a.csv", text[:-4]), None, "frd")
     assert len(log.imu("imu").value.t_ns) == 29
     assert "a.csv: the last line is cut short, dropped" in log.problems
 
 
-def test_cut_anywhere_it_reads_or_says_why(write: Write) -> None:
+def test_cut_anywhere_it_reads_or_says_why(tmp_path: Path) -> None:
     text, said = TELLO + rows(tello, 6), []
     for end in range(0, len(text), 7):
         try:
-            log = open_log(write("cut.csv", text[:end]))
+            log = open_log(written(tmp_path / "cut.csv", text[:end]))
             for topic in log.topics:
                 getattr(log, topic.kind.value)(topic.name)
         except InputError as error:
@@ -430,58 +432,60 @@ def test_any_bytes_read_or_say_why(tmp_path_factory: pytest.TempPathFactory, dat
     ],
 )
 def test_what_cannot_be_read_says_what_to_do(
-    write: Write, text: str, columns: ColumnMap | None, message: str
+    tmp_path: Path, text: str, columns: ColumnMap | None, message: str
 ) -> None:
     with pytest.raises(InputError, match=rf"a\.csv: .*{message}") as caught:
-        open_columns(write("a.csv", text), columns)
+        open_columns(written(tmp_path / "a.csv", text), columns)
     assert caught.value.remedy
 
 
-def test_long_files_are_read_in_blocks(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_files_are_read_in_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows across the borders of blocks are neither lost nor doubled."""
     monkeypatch.setattr("fusion.logs.csv.rows._BLOCK_CHARACTERS", 100)
     monkeypatch.setattr("fusion.logs.csv.rows._PIECE_ROWS", 3)
     lines = [f"{i * 10},{i},2,3" for i in range(200)]
     lines[77] = "broken"
-    imu = imu_of(write("a.csv", "t,gx,gy,gz\n" + "\n".join(lines) + "\n"), None, "frd")
+    imu = imu_of(written(tmp_path / "a.csv", "t,gx,gy,gz\n" + "\n".join(lines) + "\n"), None, "frd")
     assert imu.gyro_rad_s[:, 0].tolist() == [i for i in range(200) if i != 77]
 
 
 # ------------------------------------------------------------------------------------------- times of pictures
 
 
-def test_times_of_pictures(write: Write) -> None:
+def test_times_of_pictures(tmp_path: Path) -> None:
     problems = Told()
-    path = write("t.csv", "name,time_s\n" + rows(lambda i: f"{i}.jpg,{i / 20}"))
+    path = written(tmp_path / "t.csv", "name,time_s\n" + rows(lambda i: f"{i}.jpg,{i / 20}"))
     named = problems.take(read_times(path, None))
     assert named.names is not None
     assert named.names[2] == "2.jpg"
     assert named.t_ns[2] == 100_000_000
-    path = write("t.txt", "# timecode format v2\n" + rows(lambda i: f"{i * 33.333:.3f}"))
+    path = written(tmp_path / "t.txt", "# timecode format v2\n" + rows(lambda i: f"{i * 33.333:.3f}"))
     plain = problems.take(read_times(path, None))
     assert plain.names is None
     assert plain.t_ns[1] == 33_333_000
     assert problems == ["t.txt: times taken for milliseconds; time_unit in flight.toml says otherwise"]
 
 
-def test_a_broken_row_keeps_the_numbers_of_the_others(write: Write) -> None:
-    times = read_times(write("t.csv", "time_ms\n0\n50\nbroken\n150\n"), None).value
+def test_a_broken_row_keeps_the_numbers_of_the_others(tmp_path: Path) -> None:
+    times = read_times(written(tmp_path / "t.csv", "time_ms\n0\n50\nbroken\n150\n"), None).value
     assert times.row.tolist() == [0, 1, 3]
     assert times.t_ns.tolist() == [0, 50_000_000, 150_000_000]
 
 
-def test_layouts_are_found(write: Write) -> None:
-    layout = read_layout(write("a.csv", "# a remark\n# time [s];gyro x [deg/s]\n1,5;2,5\n2,5;3\n"))
+def test_layouts_are_found(tmp_path: Path) -> None:
+    layout = read_layout(
+        written(tmp_path / "a.csv", "# a remark\n# time [s];gyro x [deg/s]\n1,5;2,5\n2,5;3\n")
+    )
     assert (layout.separator, layout.decimal_comma) == (";", True)
     assert layout.names == ("time", "gyro x")
     assert layout.units == ("s", "deg/s")
 
 
-def test_the_streams_are_of_their_types(write: Write) -> None:
+def test_the_streams_are_of_their_types(tmp_path: Path) -> None:
     text = "t,gx,gy,gz,qw,qx,qy,qz,px,py,pz,vx,vy,vz\n" + rows(
         lambda i: f"{i * 10},0,0,0,1,0,0,0,1,2,3,4,5,6"
     )
-    log = open_columns(write("a.csv", text), None, "frd")
+    log = open_columns(written(tmp_path / "a.csv", text), None, "frd")
     assert [topic.name for topic in log.topics] == ["imu", "attitude", "position", "velocity"]
     assert isinstance(log.position("position").value, VectorStream)
     assert log.camera("imu") is None

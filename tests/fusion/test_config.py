@@ -6,24 +6,21 @@ import pytest
 from pydantic import ValidationError
 
 from fusion.estimator.config import FusionConfig
+from tests.files import written
 from vision.errors import InputError
 
 
-def write(tmp_path: Path, text: str) -> Path:
-    path = tmp_path / "settings.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 def test_file_sets_what_it_names(tmp_path: Path) -> None:
-    config = FusionConfig.from_toml(write(tmp_path, "corridor_width_m = 2.2\nmin_lines = 6\n"))
+    config = FusionConfig.from_toml(
+        written(tmp_path / "settings.toml", "corridor_width_m = 2.2\nmin_lines = 6\n")
+    )
     assert config.corridor_width_m == 2.2
     assert config.min_lines == 6
     assert config.buffer_s == FusionConfig().buffer_s
 
 
 def test_unknown_name_is_refused_with_the_nearest(tmp_path: Path) -> None:
-    path = write(tmp_path, "coridor_width = 2.5\n")
+    path = written(tmp_path / "settings.toml", "coridor_width = 2.5\n")
     with pytest.raises(
         InputError, match=r"settings\.toml: unknown setting coridor_width = 2\.5 \(did you mean"
     ) as error:
@@ -34,7 +31,7 @@ def test_unknown_name_is_refused_with_the_nearest(tmp_path: Path) -> None:
 
 def test_section_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="unknown setting filter"):
-        FusionConfig.from_toml(write(tmp_path, "[filter]\nmin_lines = 5\n"))
+        FusionConfig.from_toml(written(tmp_path / "settings.toml", "[filter]\nmin_lines = 5\n"))
 
 
 @pytest.mark.parametrize(
@@ -51,7 +48,7 @@ def test_section_is_refused(tmp_path: Path) -> None:
 )
 def test_bad_value_is_named(tmp_path: Path, line: str, message: str) -> None:
     with pytest.raises(InputError) as error:
-        FusionConfig.from_toml(write(tmp_path, line))
+        FusionConfig.from_toml(written(tmp_path / "settings.toml", line))
     assert message in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -63,7 +60,7 @@ def test_missing_file(tmp_path: Path) -> None:
 
 def test_frozen_and_described() -> None:
     with pytest.raises(ValidationError):
-        FusionConfig().min_lines = 5  # type: ignore[misc]
+        FusionConfig().min_lines = 5
     assert all(field.description for field in FusionConfig.model_fields.values())
 
 

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from fusion import CorridorEstimator, Estimate, FusionConfig
-from fusion.estimator.timeline import Entry
+from fusion.estimator.engine import Entry
 from tests.fusion.simulated import Sample as TimedSample
 from tests.fusion.simulated import frame, give, quaternion
 from vision import FrameMeasurement

@@ -294,6 +294,7 @@ def read(result: FusionResult, flight: Flight, tmp_path_factory: Any) -> Any:
         reader = make_reader(file, validate_crcs=True)
         for schema, channel, message in reader.iter_messages(log_time_order=False):
             messages[channel.topic].append((message.log_time, json.loads(message.data)))
+            assert schema is not None
             schemas[channel.topic] = (
                 schema.name,
                 schema.encoding,
@@ -349,6 +350,7 @@ class TestMcap:
         data = np.frombuffer(base64.b64decode(message["data"]), np.uint8)
         picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
         assert message["format"] == "jpeg"
+        assert picture is not None
         assert np.abs(picture.astype(int) - Drawn().read(0)).mean() < 4
         assert len(messages["/corridor/frame"]) == 5
 

@@ -28,11 +28,10 @@ from fusion.logs import load_flight
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.samples import WithProblems
 from fusion.result.summary_json import summary_json
+from tests.files import HALLWAY, OFFICE, SHARED
+from tests.pictures import read_grey
 from vision import Camera, InputError
 
-ROOT = Path(__file__).resolve().parents[2]
-OFFICE = ROOT / "data" / "office"
-SHARED = ROOT.parent / "shared"
 T0 = 1_600_000_000_000_000_000
 SECOND = 10**9
 
@@ -144,6 +143,7 @@ def test_noise_and_bias_are_measured_while_it_stands() -> None:
     assert found.at_rest is not None
     assert found.at_rest.gyro == pytest.approx(GYRO_NOISE, rel=0.15)
     assert found.at_rest.accel == pytest.approx(ACCEL_NOISE, rel=0.15)
+    assert found.gyro_bias_rad_s is not None
     np.testing.assert_allclose(found.gyro_bias_rad_s, BIAS, atol=0.002)
     assert found.gravity_m_s2 == pytest.approx(9.801, abs=0.005)
     assert found.in_flight.gyro is not None
@@ -225,16 +225,13 @@ class MadeUp(LogContents):
 
     def __post_init__(self) -> None:
         self.pictures = Pictures(self.broken, self.sizes)
-
-    @property
-    def topics(self) -> tuple[Topic, ...]:
         streams: dict[Kind, dict[str, Any]] = {
             Kind.IMU: self.imus,
             Kind.ATTITUDE: self.attitudes,
             Kind.VELOCITY: self.velocities,
         }
         made = [Topic(name, kind, s.t_ns) for kind, found in streams.items() for name, s in found.items()]
-        return (*made, *(Topic(name, Kind.FRAMES, t_ns) for name, t_ns in self.cameras.items()))
+        self.topics = (*made, *(Topic(name, Kind.FRAMES, t_ns) for name, t_ns in self.cameras.items()))
 
     def _whole(self, topic: str) -> None:
         if topic in self.torn:
@@ -496,7 +493,7 @@ REAL = [
     *sorted((SHARED / "logs").glob("*/*.ulg")),
     *sorted((SHARED / "logs").glob("*/*.bag")),
     *sorted((SHARED / "logs").glob("*/*.BIN")),
-    SHARED / "flights" / "mononav_hallway",
+    HALLWAY,
 ]
 
 
@@ -535,7 +532,7 @@ def test_the_command_prints_and_writes_the_first_picture(
     assert err == f"corridor: first picture in {picture}\n"
     image = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)
     first = sorted((OFFICE / "mav0" / "cam0" / "data").iterdir())[0]
-    np.testing.assert_array_equal(image, cv2.imread(str(first), cv2.IMREAD_GRAYSCALE))
+    np.testing.assert_array_equal(image, read_grey(first))
     assert corridor("inspect", OFFICE, "--json") == 0
     assert json.loads(capsys.readouterr().out)["format"] == "ASL / EuRoC folder"
 

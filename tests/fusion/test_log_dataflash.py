@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,11 +14,12 @@ import pytest
 
 from fusion.logs.autopilot import dataflash
 from fusion.logs.contents import Kind
+from tests.files import SHARED
 from tests.fusion import damage
 from tests.fusion.reading import Told
 from vision import InputError
 
-REAL = Path(__file__).resolve().parents[3] / "shared" / "logs" / "ardupilot" / "test.BIN"
+REAL = SHARED / "logs" / "ardupilot" / "test.BIN"
 START_US = 80_000_000
 STEP_US = 20_000
 N = 120
@@ -231,7 +233,7 @@ def test_a_real_log_in_pieces(tmp_path: Path) -> None:
 
 
 # As ArduPilot has defined the message over the years: 3.2, 3.5, 3.6, 4.0, and with the quality of the signal.
-RANGES = {
+RANGES: dict[str, tuple[str, str, Callable[[int], tuple[float, ...]], str]] = {
     "3.2": ("QCC", "TimeUS,Dist1,Dist2", lambda cm: (cm, 0), "RFND.Dist1"),
     "3.5": ("QCBCB", "TimeUS,Dist1,Orient1,Dist2,Orient2", lambda cm: (300, 0, cm, 25), "RFND.Dist2"),
     "3.6": (

@@ -19,6 +19,7 @@ from fusion.logs.rosbag import bag as rosbag
 from fusion.logs.rosbag.frames import StaticFrames
 from fusion.logs.rosbag.messages import camera_from_info
 from fusion.logs.rosbag.pictures import grey
+from tests.files import ROOT, SHARED
 from tests.fusion import damage
 from tests.fusion.reading import Told
 from vision import InputError
@@ -30,8 +31,7 @@ pytest.importorskip("rosbags")
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-ROOT = Path(__file__).resolve().parents[2]
-REAL = ROOT.parent / "shared" / "logs" / "ros1"
+REAL = SHARED / "logs" / "ros1"
 SECONDS = 2.0
 FORMATS = ("ros1", "ros1-lz4", "sqlite3", "mcap", "mcap-zstd")
 LATE_NS = 3_000_000  # between taking and receiving

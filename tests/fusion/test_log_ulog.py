@@ -12,13 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from fusion.logs.autopilot import ulog
 from fusion.logs.contents import Kind
+from tests.files import SHARED
 from tests.fusion import damage
 from tests.fusion.reading import Told
 from vision import InputError
 
 pytest.importorskip("pyulog")
 
-REAL = Path(__file__).resolve().parents[3] / "shared" / "logs" / "px4"
+REAL = SHARED / "logs" / "px4"
 START_US = 5_000_000
 STEP_US = 5_000
 N = 240

@@ -287,7 +287,7 @@ def test_ready_maps_are_named_in_the_description() -> None:
 
 
 def axis(camera: Camera) -> np.ndarray:
-    return camera.R_body_camera @ np.array([0.0, 0.0, 1.0])
+    return np.asarray(camera.R_body_camera @ [0.0, 0.0, 1.0])
 
 
 def test_corrections_turn_the_camera_right_and_up() -> None:

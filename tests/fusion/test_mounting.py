@@ -18,11 +18,10 @@ from fusion.logs import load_flight, open_log
 from fusion.logs.plausibility.findings import Advice
 from fusion.logs.plausibility.flight import Streams, examine_streams
 from fusion.logs.plausibility.mounting import mounted_attitude, mounted_imu, rotation
+from tests.files import OFFICE, SHARED
 from vision import InputError
 
-ROOT = Path(__file__).resolve().parents[2]
-OFFICE = ROOT / "data" / "office"
-HUSKY = ROOT.parent / "shared" / "logs" / "ros1" / "test1.bag"
+HUSKY = SHARED / "logs" / "ros1" / "test1.bag"
 
 
 def test_each_angle_by_hand() -> None:

@@ -12,11 +12,11 @@ from fusion import FusionConfig, FusionResult, fuse_flight, load_flight
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from fusion.flight import AttitudeStream, Flight, FrameStream, ImuStream
 from fusion.logs.pictures.camera_folder import PictureFiles
+from tests.files import HALLWAY
+from tests.pictures import picture_paths
 from vision.errors import InputError
 from vision.rotations import yaw_of
 
-ROOT = Path(__file__).parents[2]
-OFFICE = ROOT / "data" / "office"
 CONFIG = FusionConfig(corridor_width_m=2.2)
 
 
@@ -33,7 +33,7 @@ def short(flight: Flight, n: int = 40) -> Flight:
     i, a = flight.imu.t_ns <= end, flight.attitude.t_ns <= end
     return replace(
         flight,
-        frames=FrameStream(flight.frames.t_ns[:n], PictureFiles(flight.frames.source.paths[:n])),
+        frames=FrameStream(flight.frames.t_ns[:n], PictureFiles(picture_paths(flight)[:n])),
         imu=replace(
             flight.imu,
             t_ns=flight.imu.t_ns[i],
@@ -101,9 +101,9 @@ def test_progress_counts_frames(office: Flight) -> None:
 
 def test_pictures_that_do_not_decode_are_rows(office: Flight, tmp_path: Path) -> None:
     torn = tmp_path / "torn.jpg"
-    torn.write_bytes(office.frames.source.paths[10].read_bytes()[:900])
+    torn.write_bytes(picture_paths(office)[10].read_bytes()[:900])
     part = short(office, 30)
-    paths = list(part.frames.source.paths)
+    paths = list(picture_paths(part))
     paths[10], paths[11] = torn, tmp_path / "missing.jpg"
     result = fuse_flight(
         replace(part, frames=FrameStream(part.frames.t_ns, PictureFiles(tuple(paths)))), CONFIG
@@ -163,7 +163,7 @@ def test_flight_without_frames_is_refused(office: Flight) -> None:
 
 def test_flight_without_one_good_frame_still_has_its_tables(office: Flight) -> None:
     part = short(office, 10)
-    nothing = tuple(path.with_suffix(".gone") for path in part.frames.source.paths)
+    nothing = tuple(path.with_suffix(".gone") for path in picture_paths(part))
     result = fuse_flight(replace(part, frames=FrameStream(part.frames.t_ns, PictureFiles(nothing))), CONFIG)
     assert (result.frames["reason"] == "unreadable").all()
     assert (result.estimates["status"] == "initialising").all()
@@ -247,7 +247,7 @@ def test_a_corridor_begins_in_the_smoothed_table_where_the_vehicle_turned(
 
 def test_the_real_flight_without_a_gyroscope() -> None:
     """Ninety-one frames of a nano drone: the second corridor gets its own index, vision follows the vehicle's yaw."""
-    path = ROOT.parent / "shared" / "flights" / "mononav_hallway"
+    path = HALLWAY
     if not path.exists():
         pytest.skip("the real flight mononav_hallway is not beside the repository")
     flight = load_flight(path)

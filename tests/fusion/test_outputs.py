@@ -15,11 +15,16 @@ from hypothesis import strategies as st
 
 import fusion.report
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
+from fusion.flight import Flight, FrameStream
+from fusion.logs.pictures.camera_folder import PictureFiles
 from fusion.outputs.folder import OUTPUT_FILES, check_out_dir, write_outputs
 from fusion.result import tables_csv
 from fusion.result.summary_json import write_summary
 from fusion.result.tables_csv import read_table, write_table
-from vision import InputError
+from vision import Camera, InputError
+
+# Made by hand: it has no manifest.
+FLIGHT = Flight("bare", Camera.from_fov(64, 48, 1.2), FrameStream(np.zeros(0, np.int64), PictureFiles(())))
 
 
 @pytest.fixture
@@ -128,15 +133,15 @@ def test_summary_is_json_for_every_reader(tmp_path: Path) -> None:
 
 class TestFolder:
     def test_all_five_files_and_nothing_else(self, result: Any, tmp_path: Path) -> None:
-        folder = write_outputs(result, SimpleNamespace(manifest=None), tmp_path / "deep" / "out")
+        folder = write_outputs(result, FLIGHT, tmp_path / "deep" / "out")
         assert folder == tmp_path / "deep" / "out"
         assert names_in(folder) == set(OUTPUT_FILES) - {"flight.toml"}
         assert names_in(tmp_path / "deep") == {"out"}
 
     def test_an_earlier_output_is_replaced_whole(self, result: Any, tmp_path: Path) -> None:
-        write_outputs(result, SimpleNamespace(manifest=None), tmp_path / "out")
+        write_outputs(result, FLIGHT, tmp_path / "out")
         (tmp_path / "out" / "summary.json").write_text("old")
-        write_outputs(result, SimpleNamespace(manifest=None), tmp_path / "out", report=False)
+        write_outputs(result, FLIGHT, tmp_path / "out", report=False)
         assert names_in(tmp_path / "out") == set(OUTPUT_FILES) - {"flight.toml"} - {"report.html"}
         assert json.loads((tmp_path / "out" / "summary.json").read_text())["verdict"] == "pass"
         assert names_in(tmp_path) == {"out"}
@@ -149,13 +154,13 @@ class TestFolder:
 
         monkeypatch.setattr(fusion.report, "write_report", fail)
         with pytest.raises(KeyboardInterrupt):
-            write_outputs(result, SimpleNamespace(manifest=None), tmp_path / "out")
+            write_outputs(result, FLIGHT, tmp_path / "out")
         assert names_in(tmp_path) == set()
 
     def test_a_failure_keeps_the_earlier_output(
         self, result: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        write_outputs(result, SimpleNamespace(manifest=None), tmp_path / "out")
+        write_outputs(result, FLIGHT, tmp_path / "out")
         (tmp_path / "out" / "summary.json").write_text("old")
 
         def fail(*args: Any) -> None:
@@ -163,7 +168,7 @@ class TestFolder:
 
         monkeypatch.setattr(fusion.report, "write_report", fail)
         with pytest.raises(InputError, match="No space left on device"):
-            write_outputs(result, SimpleNamespace(manifest=None), tmp_path / "out")
+            write_outputs(result, FLIGHT, tmp_path / "out")
         assert (tmp_path / "out" / "summary.json").read_text() == "old"
         assert names_in(tmp_path) == {"out"}
 
@@ -171,7 +176,7 @@ class TestFolder:
         (tmp_path / "out").mkdir()
         (tmp_path / "out" / "thesis.tex").write_text("years of work")
         with pytest.raises(InputError, match=r"holds 'thesis.tex', which corridor did not write"):
-            write_outputs(result, SimpleNamespace(manifest=None), tmp_path / "out")
+            write_outputs(result, FLIGHT, tmp_path / "out")
         assert names_in(tmp_path / "out") == {"thesis.tex"}
         assert names_in(tmp_path) == {"out"}
 
@@ -188,21 +193,21 @@ class TestFolder:
     def test_a_file_where_a_parent_should_be(self, result: Any, tmp_path: Path) -> None:
         (tmp_path / "file").write_text("")
         with pytest.raises(InputError, match="cannot write the outputs: Not a directory"):
-            write_outputs(result, SimpleNamespace(manifest=None), tmp_path / "file" / "out")
+            write_outputs(result, FLIGHT, tmp_path / "file" / "out")
 
     def test_the_current_folder_keeps_its_identity(
         self, result: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.chdir(tmp_path)
         before = os.stat(".").st_ino
-        write_outputs(result, SimpleNamespace(manifest=None), ".")
-        write_outputs(result, SimpleNamespace(manifest=None), ".", report=False)
+        write_outputs(result, FLIGHT, ".")
+        write_outputs(result, FLIGHT, ".", report=False)
         assert os.stat(".").st_ino == before
         assert names_in(Path()) == set(OUTPUT_FILES) - {"flight.toml"} - {"report.html"}
 
     def test_a_linked_folder_stays_a_link(self, result: Any, tmp_path: Path) -> None:
         (tmp_path / "disk").mkdir()
         (tmp_path / "out").symlink_to(tmp_path / "disk")
-        write_outputs(result, SimpleNamespace(manifest=None), tmp_path / "out")
+        write_outputs(result, FLIGHT, tmp_path / "out")
         assert (tmp_path / "out").is_symlink()
         assert names_in(tmp_path / "disk") == set(OUTPUT_FILES) - {"flight.toml"}

@@ -26,10 +26,9 @@ from fusion.simulate.imu import read_attitude, read_imu, sample_times
 from fusion.simulate.motion import plan_flight
 from fusion.simulate.scene.config import SceneConfig
 from fusion.simulate.scene.plan import floor_plan
+from tests.files import HALLWAY, ROOT, SHARED
 from vision import InputError
 
-ROOT = Path(__file__).resolve().parents[2]
-SHARED = ROOT.parent / "shared"
 OFFICE: Flight = load_flight(ROOT / "data" / "office")
 TOML = Path("flight.toml")
 
@@ -279,7 +278,7 @@ def test_the_sample_flight_is_plausible(flight: Flight) -> None:
 
 
 def test_the_real_flight_is_plausible() -> None:
-    hallway = SHARED / "flights" / "mononav_hallway"
+    hallway = HALLWAY
     if not hallway.exists():
         pytest.skip("the shared flights are not here")
     assert examine_flight(load_flight(hallway), Advice()) == []
@@ -359,7 +358,8 @@ def test_a_real_vehicle_and_its_faults() -> None:
 def test_streams_too_short_to_judge_are_not_judged() -> None:
     short = ImuStream(T[:10], 1000.0 + GYRO[:10], ACCEL[:10] * 100.0)
     assert list(examine_imu(short, None, Advice())) == []
-    nothing = replace(OFFICE.imu, accel_m_s2=np.full_like(ACCEL, np.nan))  # type: ignore[type-var]
+    assert OFFICE.imu is not None
+    nothing = replace(OFFICE.imu, accel_m_s2=np.full_like(ACCEL, np.nan))
     assert list(examine_imu(nothing, OFFICE.attitude, Advice())) == []
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from dataclasses import asdict, replace
-from math import cos, isnan, nan, radians, sqrt
-from pathlib import Path
+from math import cos, isnan, nan, radians, sin, sqrt
 from typing import Any
 
 import numpy as np
@@ -13,22 +13,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion import fuse_flight, load_flight
+from fusion import fuse_flight
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.engine import Entry
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.range_width import Heights, Widths, height_at, with_range, with_width
 from fusion.flight import Flight, RangeStream
 from fusion.logs.asl import read_ground_truth
-from tests.fusion.simulated import frame, quaternion
+from tests.files import OFFICE
+from tests.fusion.simulated import Sample, frame, give, quaternion
 
-OFFICE = Path(__file__).resolve().parents[2] / "data" / "office"
 MS = 1_000_000
 WIDTH_M = 2.4
 
 
 def height_m(t_s: float) -> float:
-    return 1.4 + 0.3 * np.sin(0.7 * t_s)
+    return 1.4 + 0.3 * sin(0.7 * t_s)
 
 
 def samples(
@@ -53,16 +53,10 @@ def samples(
     return given_samples
 
 
-def give(estimator: CorridorEstimator, sample: tuple[str, int, tuple[Any, ...]]) -> None:
-    kind, t_ns, values = sample
-    name = "add_measurement" if kind == "frame" else f"add_{kind}"
-    getattr(estimator, name)(t_ns, *values)
-
-
 def fly(flown: list[tuple[str, int, tuple[Any, ...]]], **config: Any) -> CorridorEstimator:
     estimator = CorridorEstimator(FusionConfig(**config))
-    for sample in flown:
-        give(estimator, sample)
+    for kind, t_ns, values in flown:
+        give(estimator, Sample(kind, t_ns, t_ns, values))
     return estimator
 
 
@@ -100,9 +94,9 @@ def test_a_table_below_for_a_second_does_not_move_the_width() -> None:
     flown = samples(floor_m=lambda t_s: 0.75 if 6.0 <= t_s < 7.0 else 0.0)
     estimator = CorridorEstimator(FusionConfig())
     widths = []
-    for sample in flown:
-        give(estimator, sample)
-        if sample[0] == "frame" and sample[1] > 3_000 * MS:
+    for kind, t_ns, values in flown:
+        give(estimator, Sample(kind, t_ns, t_ns, values))
+        if kind == "frame" and t_ns > 3_000 * MS:
             widths.append(width_m(estimator))
     assert np.abs(np.array(widths) / WIDTH_M - 1.0).max() < 0.025
 
@@ -110,7 +104,7 @@ def test_a_table_below_for_a_second_does_not_move_the_width() -> None:
 @pytest.mark.parametrize("wrong", ["noise", "stuck", "spikes"])
 def test_a_sensor_that_lies_does_not_spoil_the_scale_free_offset(wrong: str) -> None:
     rng = random.Random(3)
-    lies = {
+    lies: dict[str, Callable[[float], float]] = {
         "noise": lambda d: rng.uniform(0.1, 5.0),
         "stuck": lambda d: 0.05,
         "spikes": lambda d: d if rng.random() < 0.7 else rng.choice((0.02, 40.0)),
@@ -140,8 +134,8 @@ class Recorder:
 
 def recorded(flown: list[tuple[str, int, tuple[Any, ...]]]) -> list[Any]:
     estimator = CorridorEstimator(FusionConfig(), on_final=(recorder := Recorder()))
-    for sample in flown:
-        give(estimator, sample)
+    for kind, t_ns, values in flown:
+        give(estimator, Sample(kind, t_ns, t_ns, values))
     last = repr(asdict(estimator.estimate()))
     estimator.finish()
     assert not any(name.endswith(("_late", "_duplicate")) for name in estimator.counters)
@@ -218,47 +212,50 @@ def test_widths_must_be_several_and_agree() -> None:
 
 
 @pytest.fixture(scope="module")
-def office() -> Flight:
+def ranged(office: Flight) -> Flight:
     """The sample flight without its corridor's width, with distances to the floor: noise of 1 cm and 1 %."""
-    flight, truth = load_flight(OFFICE), read_ground_truth(OFFICE)
+    truth = read_ground_truth(OFFICE)
     rng = np.random.default_rng(1)
     every = slice(None, None, 10)  # 20 Hz
     q = truth.q_world_body[every]
     distance_m = -truth.p_world_m[every, 2] / (1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2))
     distance_m *= 1.0 + 0.01 * rng.normal(size=len(q))
     distance_m += 0.01 * rng.normal(size=len(q))
-    return replace(flight, corridor_width_m=None, range=RangeStream(truth.t_ns[every], distance_m))
+    return replace(office, corridor_width_m=None, range=RangeStream(truth.t_ns[every], distance_m))
 
 
-def test_metres_of_a_flight_without_a_width(office: Flight) -> None:
+def test_metres_of_a_flight_without_a_width(ranged: Flight) -> None:
     """Measured: filter 1.1 cm RMSE, smoother 0.6; with the true width told 1.4 and 0.9."""
-    result = fuse_flight(office)
+    result = fuse_flight(ranged)
     errors = result.summary["errors"]
     assert errors["filter"]["lateral_offset_m"]["rmse_m"] < 0.015
     assert errors["smoothed"]["lateral_offset_m"]["rmse_m"] < 0.010
     assert errors["filter"]["lateral_offset_m"]["max_m"] < 0.05
     known = np.isfinite(result.estimates["lateral_offset_m"])
     assert known.sum() > 0.9 * np.isfinite(result.estimates["lateral_offset_norm"]).sum()
-    assert result.summary["counts"]["samples"]["range"] == len(office.range.t_ns)  # type: ignore[union-attr]
+    assert result.summary["counts"]["samples"]["range"] == len(ranged.range.t_ns)  # type: ignore[union-attr]
     assert not result.problems
 
 
-def test_a_table_below_changes_next_to_nothing(office: Flight) -> None:
-    assert office.range is not None
-    t_s = (office.range.t_ns - office.range.t_ns[0]) * 1e-9
+def test_a_table_below_changes_next_to_nothing(ranged: Flight) -> None:
+    assert ranged.range is not None
+    t_s = (ranged.range.t_ns - ranged.range.t_ns[0]) * 1e-9
     over = (t_s > 6.0) & (t_s < 7.0)
-    table = replace(office.range, distance_m=office.range.distance_m - 0.75 * over)
-    plain, tabled = fuse_flight(office).estimates, fuse_flight(replace(office, range=table)).estimates
+    table = replace(ranged.range, distance_m=ranged.range.distance_m - 0.75 * over)
+    plain, tabled = (
+        fuse_flight(ranged).estimates,
+        fuse_flight(replace(ranged, range=table)).estimates,
+    )
     assert np.nanmax(np.abs(tabled["lateral_offset_m"] - plain["lateral_offset_m"])) < 0.005
     np.testing.assert_array_equal(np.isnan(tabled["lateral_offset_m"]), np.isnan(plain["lateral_offset_m"]))
     np.testing.assert_allclose(tabled["lateral_offset_norm"], plain["lateral_offset_norm"], atol=0.002)
 
 
-def test_a_sensor_of_noise_leaves_the_scale_free_offset_alone(office: Flight) -> None:
-    assert office.range is not None
+def test_a_sensor_of_noise_leaves_the_scale_free_offset_alone(ranged: Flight) -> None:
+    assert ranged.range is not None
     rng = np.random.default_rng(2)
-    noise = replace(office.range, distance_m=rng.uniform(0.2, 4.0, len(office.range.t_ns)))
-    without, noisy = (fuse_flight(replace(office, range=r)).summary["errors"] for r in (None, noise))
+    noise = replace(ranged.range, distance_m=rng.uniform(0.2, 4.0, len(ranged.range.t_ns)))
+    without, noisy = (fuse_flight(replace(ranged, range=r)).summary["errors"] for r in (None, noise))
     for table in ("filter", "smoothed"):
         a, b = (errors[table]["lateral_offset_norm"]["rmse_norm"] for errors in (without, noisy))
         assert b < 1.05 * a

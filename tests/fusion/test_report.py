@@ -3,6 +3,8 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from math import radians
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,36 +13,45 @@ from matplotlib.figure import Figure
 from fusion.evaluation.checks import run_checks
 from fusion.evaluation.checks_input import yaw_steps
 from fusion.evaluation.verdict import overall
-from fusion.flight import AttitudeStream, FrameStream, ImuStream
+from fusion.flight import AttitudeStream, Flight, FrameStream, ImuStream
 from fusion.logs.pictures.camera_folder import PictureFiles
 from fusion.report import write_report
 from fusion.report.plots import aligned_imu_yaw, plot_offset
 from fusion.report.remeasure import interpolated_attitude
 from fusion.report.series import band_envelope, broken, envelope, thin_points
 from fusion.report.strip import choose_frames, show_frames
-from fusion.result.summary import Level
+from fusion.result.result import FusionResult
+from fusion.result.summary import Check, Level
 from fusion.result.table_rows import runs
-from tests.fusion.fused import T0_NS, make_flight, table_with
+from tests.fusion.fused import T0_NS, Fused, make_flight, table_with
+from tests.pictures import picture_paths
 from vision import InputError
 
 
-def by_name(result, flight):
+def by_name(result: FusionResult, flight: Flight) -> dict[str, Check]:
     return {check.name: check for check in run_checks(result, flight)}
 
 
 @pytest.fixture(scope="module")
-def swing(tmp_path_factory):
+def swing(tmp_path_factory: pytest.TempPathFactory) -> Fused:
     return make_flight(tmp_path_factory.mktemp("swing"))
 
 
 @pytest.fixture(scope="module")
-def page(swing, tmp_path_factory):
+def page(swing: Fused, tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("page") / "report.html"
     write_report(*swing, path)
     return path.read_text(encoding="utf-8")
 
 
-def test_the_page_states_the_verdict_and_every_check(swing, page):
+def first_group(pattern: str, text: str) -> str:
+    """What the first group matches at the first place where the pattern does."""
+    match = re.search(pattern, text)
+    assert match is not None, pattern
+    return match[1]
+
+
+def test_the_page_states_the_verdict_and_every_check(swing: Fused, page: str) -> None:
     checks = by_name(*swing)
     assert checks["Steps of the IMU's yaw"].level is Level.WARN  # the step that was built in
     assert overall(tuple(checks.values())) is Level.WARN
@@ -50,7 +61,7 @@ def test_the_page_states_the_verdict_and_every_check(swing, page):
     assert page.count('class="badge ') == len(checks)
 
 
-def test_the_page_stands_alone(page):
+def test_the_page_stands_alone(page: str) -> None:
     assert "http" not in page
     assert "<script" not in page
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
@@ -60,19 +71,19 @@ def test_the_page_stands_alone(page):
     assert set(re.findall(r'(?:url\(#|href="#)([^")]+)', page)) <= set(ids)
 
 
-def test_the_page_escapes_names_and_shows_numbers_in_degrees(swing, page):
+def test_the_page_escapes_names_and_shows_numbers_in_degrees(swing: Fused, page: str) -> None:
     assert "<h1>swing &lt;one&gt;</h1>" in page
-    rmse_deg = float(re.search(r"<dt>Heading error</dt><dd>([\d.]+)°", page)[1])
+    rmse_deg = float(first_group(r"<dt>Heading error</dt><dd>([\d.]+)°", page))
     assert rmse_deg == pytest.approx(0.30, abs=0.02)
     assert "corridor_width_m" in page
     assert re.search(r'<tr class="changed"><th><code>corridor_width_m</code></th><td>2</td>', page)
 
 
-def test_every_plot_comes_wide_and_narrow_with_readable_text(page):
+def test_every_plot_comes_wide_and_narrow_with_readable_text(page: str) -> None:
     assert page.count('<div class="wide">') == page.count('<div class="narrow">') == 5
     for kind, across_px, least_px in (("wide", 1000, 10), ("narrow", 360, 8)):
-        svg = re.search(rf'<div class="{kind}">(<svg.*?</svg>)', page, flags=re.S)[1]
-        width = float(re.search(r'viewBox="0 0 ([\d.]+)', svg)[1])
+        svg = first_group(rf'(?s)<div class="{kind}">(<svg.*?</svg>)', page)
+        width = float(first_group(r'viewBox="0 0 ([\d.]+)', svg))
         sizes = [float(v) for v in re.findall(r"font(?:-size)?: ([\d.]+)px", svg)]
         assert sizes
         assert min(sizes) * across_px / width > least_px
@@ -80,7 +91,7 @@ def test_every_plot_comes_wide_and_narrow_with_readable_text(page):
         assert "Heading, degrees right" in svg
 
 
-def test_colours_of_the_plots_follow_the_scheme(page):
+def test_colours_of_the_plots_follow_the_scheme(page: str) -> None:
     svgs = re.findall(r"<svg role=.*?</svg>", page, flags=re.S)
     assert len(svgs) == 10
     css = set(re.findall(r"(--[\w-]+):", page))
@@ -92,7 +103,7 @@ def test_colours_of_the_plots_follow_the_scheme(page):
     assert left <= {"#000000", "#ffffff"}
 
 
-def test_the_strip_shows_pictures_of_what_happened(swing, page):
+def test_the_strip_shows_pictures_of_what_happened(swing: Fused, page: str) -> None:
     result, _ = swing
     pictures = re.findall(
         r'<img src="data:image/jpeg;base64,[\w+/=]{2000,}" alt="Frame at ([\d.]+) s, ([^"]+)"', page
@@ -104,7 +115,7 @@ def test_the_strip_shows_pictures_of_what_happened(swing, page):
     assert min(abs(float(t) - worst) for t, _ in pictures) <= 0.25
 
 
-def test_rejections_turns_and_switches_reach_the_strip(swing):
+def test_rejections_turns_and_switches_reach_the_strip(swing: Fused) -> None:
     result, flight = swing
     frames = table_with(
         result.frames,
@@ -124,17 +135,18 @@ def test_rejections_turns_and_switches_reach_the_strip(swing):
     assert min(np.diff(sorted(chosen))) >= 2
 
 
-def test_a_drawn_frame_carries_the_recorded_verdict(swing):
+def test_a_drawn_frame_carries_the_recorded_verdict(swing: Fused) -> None:
     result, flight = swing
     frames = table_with(result.frames, accepted=(60, False), reason=(60, "gate"))
     result = replace(result, frames=frames)
     (shown,) = show_frames(result, flight, [c for c in choose_frames(result, flight) if c.row == 60])
     assert shown.t_s == pytest.approx(6.0)
+    assert shown.picture is not None
     assert shown.picture.startswith("data:image/jpeg;base64,")
     assert shown.filter_heading_rad == pytest.approx(radians(12) * np.sin(2 * np.pi * 6 / 8), abs=0.03)
 
 
-def test_a_picture_that_is_gone_leaves_the_page_whole(tmp_path):
+def test_a_picture_that_is_gone_leaves_the_page_whole(tmp_path: Path) -> None:
     result, flight = make_flight(tmp_path, duration_s=3.0, pictures=False)
     write_report(result, flight, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -142,10 +154,10 @@ def test_a_picture_that_is_gone_leaves_the_page_whole(tmp_path):
     assert "<img" not in page
 
 
-def test_ten_minutes_stay_under_six_megabytes(swing, tmp_path):
+def test_ten_minutes_stay_under_six_megabytes(swing: Fused, tmp_path: Path) -> None:
     _, short = swing
     result, flight = make_flight(tmp_path, duration_s=600.0, imu_hz=200.0, frame_hz=30.0, pictures=False)
-    pictures = short.frames.source.paths
+    pictures = picture_paths(short)
     paths = tuple(pictures[k % len(pictures)] for k in range(len(flight.frames.t_ns)))
     refused = np.random.default_rng(1).random(len(paths)) < 0.1
     result.frames["accepted"][refused], result.frames["reason"][refused] = False, "gate"
@@ -154,19 +166,19 @@ def test_ten_minutes_stay_under_six_megabytes(swing, tmp_path):
     assert (tmp_path / "report.html").stat().st_size < 6e6
 
 
-def test_an_earlier_report_survives_a_failure(swing, tmp_path):
+def test_an_earlier_report_survives_a_failure(swing: Fused, tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     path.write_text("earlier")
     result, flight = swing
     with pytest.raises(AttributeError):
-        write_report(replace(result, overview=None), flight, path)
+        write_report(replace(result, overview=None), flight, path)  # type: ignore[arg-type]
     assert path.read_text() == "earlier"
     with pytest.raises(InputError, match="cannot write the report"):
         write_report(result, flight, tmp_path / "missing" / "report.html")
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
 
 
-def test_a_bare_flight_is_reported_without_truth_imu_attitude_or_a_single_used_frame(tmp_path):
+def test_a_bare_flight_is_reported_without_truth_imu_attitude_or_a_single_used_frame(tmp_path: Path) -> None:
     result, flight = make_flight(tmp_path, duration_s=3.0)
     nan_columns = {
         n: (slice(None), np.nan) for n in ("lateral_offset_m", "lateral_offset_std_m", "gyro_bias_rad_s")
@@ -203,14 +215,13 @@ def test_a_bare_flight_is_reported_without_truth_imu_attitude_or_a_single_used_f
     assert "nan" not in re.sub(r"base64,[\w+/=]+", "", page).lower().replace("nano", "")
 
 
-def level_with(swing, name, *, table="frames", **columns):
+def level_with(swing: Fused, name: str, *, table: str = "frames", **columns: tuple[Any, Any]) -> Level:
     result, flight = swing
-    return by_name(replace(result, **{table: table_with(getattr(result, table), **columns)}), flight)[
-        name
-    ].level
+    changed: dict[str, Any] = {table: table_with(getattr(result, table), **columns)}
+    return by_name(replace(result, **changed), flight)[name].level
 
 
-def test_each_check_turns_with_what_it_judges(swing):
+def test_each_check_turns_with_what_it_judges(swing: Fused) -> None:
     n = 120
     assert level_with(swing, "Frames used", accepted=(slice(0, 12), False)) is Level.PASS
     assert level_with(swing, "Frames used", accepted=(slice(0, 36), False)) is Level.WARN
@@ -253,8 +264,9 @@ def test_each_check_turns_with_what_it_judges(swing):
     assert level_with(swing, "Offset against truth", table="estimates", **aside) is Level.FAIL
 
 
-def test_holes_and_problems_of_the_log_are_told(swing):
+def test_holes_and_problems_of_the_log_are_told(swing: Fused) -> None:
     result, flight = swing
+    assert flight.imu is not None
     t_ns = flight.imu.t_ns.copy()
     t_ns[300:] += 2_000_000_000
     hole = replace(flight, imu=ImuStream(t_ns, flight.imu.gyro_rad_s, flight.imu.accel_m_s2))
@@ -270,7 +282,7 @@ def test_holes_and_problems_of_the_log_are_told(swing):
     assert check.value == "2 problems"
 
 
-def test_yaw_steps_are_found_with_time_and_size(swing):
+def test_yaw_steps_are_found_with_time_and_size(swing: Fused) -> None:
     steps = yaw_steps(swing[0].smoothed, radians(3))
     assert [round(t) for t, _ in steps] == [6, 8]
     assert [size for _, size in steps] == pytest.approx([radians(12), -radians(12)], abs=1e-6)
@@ -279,8 +291,10 @@ def test_yaw_steps_are_found_with_time_and_size(swing):
     assert yaw_steps(drifting, radians(3)) == []
 
 
-def test_the_imu_yaw_is_aligned_by_its_offset_but_not_by_the_constant(swing):
+def test_the_imu_yaw_is_aligned_by_its_offset_but_not_by_the_constant(swing: Fused) -> None:
     result, flight = swing
+    assert flight.attitude is not None
+    assert flight.truth is not None
     aligned, raw = aligned_imu_yaw(flight.attitude, result.estimates)
     truth = flight.truth.heading_rad
     assert np.abs(aligned - truth).max() < 1e-6
@@ -290,19 +304,21 @@ def test_the_imu_yaw_is_aligned_by_its_offset_but_not_by_the_constant(swing):
     assert np.mean((raw - truth)[disturbed]) == pytest.approx(radians(12), abs=radians(0.3))
 
 
-def test_attitude_is_taken_between_its_samples_and_only_near_them(swing):
+def test_attitude_is_taken_between_its_samples_and_only_near_them(swing: Fused) -> None:
     _, flight = swing
     roll = np.radians([10.0, 12.0])
     q = np.column_stack([np.cos(roll / 2), np.sin(roll / 2), 0 * roll, 0 * roll])
     q[1] *= -1  # the same rotation
     stream = AttitudeStream(np.array([T0_NS, T0_NS + 20_000_000]), q)
     flight = replace(flight, attitude=stream)
-    assert interpolated_attitude(flight, T0_NS + 5_000_000).roll_rad == pytest.approx(radians(10.5), abs=1e-4)
+    between = interpolated_attitude(flight, T0_NS + 5_000_000)
+    assert between is not None
+    assert between.roll_rad == pytest.approx(radians(10.5), abs=1e-4)
     assert interpolated_attitude(flight, T0_NS + 520_000_000 + 1_000_000_000) is None
     assert interpolated_attitude(replace(flight, attitude=None), T0_NS) is None
 
 
-def test_thinning_keeps_extremes_ends_and_holes():
+def test_thinning_keeps_extremes_ends_and_holes() -> None:
     t = np.linspace(0.0, 100.0, 200_000)
     y = np.sin(t)
     y[123_456], y[77_777] = 9.0, -9.0
@@ -322,13 +338,13 @@ def test_thinning_keeps_extremes_ends_and_holes():
     assert np.isfinite(few).all()
 
 
-def test_a_thinned_scatter_still_looks_like_the_whole_one():
+def test_a_thinned_scatter_still_looks_like_the_whole_one() -> None:
     t, y = np.arange(50_000.0), np.random.default_rng(2).normal(0.0, 1.0, 50_000)
     _, few = thin_points(t, y, limit=3000)
     assert np.mean(np.abs(few) < 0.5) > 0.15  # 0.38 of all; of the extremes of 100 samples nearly none
 
 
-def test_short_series_are_left_as_they_are():
+def test_short_series_are_left_as_they_are() -> None:
     t, y = np.arange(5.0), np.array([1.0, np.nan, 3.0, 2.0, 0.0])
     assert envelope(t, y)[1].tolist()[2:] == [3.0, 2.0, 0.0]
     assert thin_points(t, y)[1].tolist() == [1.0, 3.0, 2.0, 0.0]
@@ -339,7 +355,7 @@ def test_short_series_are_left_as_they_are():
     assert runs(np.zeros(3, dtype=bool)) == []
 
 
-def test_frames_are_drawn_in_the_metres_of_their_own_corridor(swing):
+def test_frames_are_drawn_in_the_metres_of_their_own_corridor(swing: Fused) -> None:
     result, flight = swing
     table, frames = result.estimates.copy(), result.frames.copy()
     later = table["timestamp_ns"] >= T0_NS + 6_000_000_000
@@ -351,7 +367,10 @@ def test_frames_are_drawn_in_the_metres_of_their_own_corridor(swing):
     told = replace(result, config=config, estimates=table, frames=frames)
     plot_offset(ax, told, replace(flight, truth=None))
     (dots,) = (patch for patch in ax.patches if not patch.get_fill())
-    t_s, offset_m = dots.get_path().vertices.T
+    t_s, offset_m = np.asarray(dots.get_path().vertices).T
     np.testing.assert_allclose(offset_m, np.where(t_s < 6.0, 0.5, 0.75))
     walls = [line for line in ax.lines if line.get_label() == "wall"]
-    assert sorted({abs(float(y)) for line in walls for y in line.get_ydata() if y == y}) == [1.0, 1.5]
+    assert sorted({abs(float(y)) for line in walls for y in np.asarray(line.get_ydata()) if y == y}) == [
+        1.0,
+        1.5,
+    ]

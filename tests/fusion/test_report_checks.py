@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import radians
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,27 +12,28 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.tables import FRAME_DTYPE
 from fusion.evaluation.checks import CHECKS, run_checks
 from fusion.evaluation.verdict import CheckRule, Finding, Limits, nothing_to_judge, worst_first, worst_of
-from fusion.flight import FrameStream, ImuStream
+from fusion.flight import Flight, FloatArray, FrameStream, ImuStream
 from fusion.report.page import _with_code
+from fusion.result.result import FusionResult
 from fusion.result.summary import Check, Level
-from tests.fusion.fused import T0_NS, make_flight, table_with
+from tests.fusion.fused import T0_NS, Fused, make_flight, table_with
 
 
 def turning(
-    swing: Any, late_s: float = 0.0, *, swing_rad: float = radians(15), delay_s: float = 0.0
-) -> tuple[Any, Any]:
+    swing: Fused, late_s: float = 0.0, *, swing_rad: float = radians(15), delay_s: float = 0.0
+) -> Fused:
     """Make a minute of turning to and fro, its frames stamped late, for a filter that knows of ``delay_s``."""
     result, flight = swing
     rng = np.random.default_rng(4)
 
-    def heading(at: Any) -> Any:
+    def heading(at: FloatArray) -> FloatArray:
         return swing_rad * (np.sin(1.3 * at) + 0.4 * np.sin(3.1 * at))
 
     t = np.arange(0.0, 60.0, 0.01)
     gyro = np.column_stack([0 * t, 0 * t, np.gradient(heading(t), t) + rng.normal(0, 0.02, len(t))])
     imu = ImuStream(T0_NS + np.round(t * 1e9).astype(np.int64), gyro, np.full((len(t), 3), [0, 0, -9.81]))
     frames = np.zeros(1200, FRAME_DTYPE)
-    taken_s = 0.05 * np.arange(1200)
+    taken_s = 0.05 * np.arange(1200.0)
     frames["timestamp_ns"] = T0_NS + np.round((taken_s + late_s + delay_s) * 1e9).astype(np.int64)
     frames["accepted"], frames["reason"] = True, "ok"
     frames["heading_rad"] = heading(taken_s) + rng.normal(0, radians(0.2), 1200)
@@ -46,16 +46,16 @@ def turning(
 
 
 @pytest.fixture(scope="module")
-def swing(tmp_path_factory: Any) -> Any:
+def swing(tmp_path_factory: pytest.TempPathFactory) -> Fused:
     return make_flight(tmp_path_factory.mktemp("swing"), pictures=False)
 
 
-def check_of(name: str, result: Any, flight: Any) -> Check:
+def check_of(name: str, result: FusionResult, flight: Flight) -> Check:
     return next(check for check in run_checks(result, flight) if check.name == name)
 
 
 class TestFrames:
-    def rejected(self, swing: Any, **counts: int) -> Check:
+    def rejected(self, swing: Fused, **counts: int) -> Check:
         result, flight = swing
         frames, start = result.frames, 0
         for reason, count in counts.items():
@@ -64,7 +64,7 @@ class TestFrames:
             start += count
         return check_of("Rejected frames by reason", replace(result, frames=frames), flight)
 
-    def test_the_worst_reason_sets_level_and_advice(self, swing: Any) -> None:
+    def test_the_worst_reason_sets_level_and_advice(self, swing: Fused) -> None:
         assert self.rejected(swing).value == "None"
         check = self.rejected(swing, gate=6, blur=5)
         assert (check.level, check.value) == (Level.PASS, "gate 5.0%, blur 4.2%")
@@ -74,7 +74,7 @@ class TestFrames:
         assert "exposure" in check.action
         assert self.rejected(swing, too_few_lines=60).level is Level.FAIL
 
-    def test_a_single_damaged_picture_is_a_warning(self, swing: Any) -> None:
+    def test_a_single_damaged_picture_is_a_warning(self, swing: Fused) -> None:
         check = self.rejected(swing, unreadable=1, gate=4)
         assert check.level is Level.WARN
         assert "does not decode" in check.meaning
@@ -86,7 +86,7 @@ class TestFrames:
         [(0.0, Level.PASS), (0.012, Level.PASS), (0.035, Level.WARN), (-0.09, Level.FAIL), (1.3, Level.FAIL)],
     )
     def test_the_time_offset_is_judged_and_sends_to_align(
-        self, swing: Any, late_s: float, level: Level
+        self, swing: Fused, late_s: float, level: Level
     ) -> None:
         check = check_of("Time offset of the camera", *turning(swing, late_s))
         assert check.level is level
@@ -95,12 +95,12 @@ class TestFrames:
         if late_s:
             assert check.value.endswith("ms early" if late_s < 0 else "ms late")
 
-    def test_the_offset_that_the_configuration_knows_is_none(self, swing: Any) -> None:
+    def test_the_offset_that_the_configuration_knows_is_none(self, swing: Fused) -> None:
         check = check_of("Time offset of the camera", *turning(swing, delay_s=0.08))
         assert check.level is Level.PASS
         assert "0.08" in check_of("Time offset of the camera", *turning(swing, 0.1, delay_s=0.08)).action
 
-    def test_without_turns_or_frames_or_a_gyroscope_the_offset_is_not_judged(self, swing: Any) -> None:
+    def test_without_turns_or_frames_or_a_gyroscope_the_offset_is_not_judged(self, swing: Fused) -> None:
         name = "Time offset of the camera"
         assert check_of(name, *turning(swing, swing_rad=radians(0.01))).level is Level.NOT_JUDGED
         result, flight = turning(swing)
@@ -110,12 +110,14 @@ class TestFrames:
 
 
 class TestRates:
-    def test_slow_streams_are_told(self, swing: Any) -> None:
+    def test_slow_streams_are_told(self, swing: Fused) -> None:
         result, flight = swing
         assert check_of("Rates of the streams", result, flight).level is Level.PASS
         imu, attitude = flight.imu, flight.attitude
+        assert imu is not None
+        assert attitude is not None
 
-        def every(k: int) -> Any:
+        def every(k: int) -> Flight:
             return replace(
                 flight,
                 imu=ImuStream(imu.t_ns[::k], imu.gyro_rad_s[::k], imu.accel_m_s2[::k]),
@@ -127,13 +129,13 @@ class TestRates:
         assert "Inertial samples" in check.meaning
         assert check_of("Rates of the streams", result, every(60)).level is Level.FAIL
 
-    def test_without_inertial_sensors_it_warns(self, swing: Any) -> None:
+    def test_without_inertial_sensors_it_warns(self, swing: Fused) -> None:
         result, flight = swing
         check = check_of("Rates of the streams", result, replace(flight, imu=None, attitude=None))
         assert (check.level, check.value) == (Level.WARN, "frames 10 Hz")
         assert "Log the gyroscope" in check.action
 
-    def test_slow_or_single_frames(self, swing: Any) -> None:
+    def test_slow_or_single_frames(self, swing: Fused) -> None:
         result, flight = swing
         frames = flight.frames
         slow = replace(flight, frames=FrameStream(frames.t_ns[::20], frames.source))
@@ -142,7 +144,7 @@ class TestRates:
         assert check_of("Rates of the streams", result, one).level is Level.NOT_JUDGED
 
 
-def test_a_few_gross_errors_spoil_the_sigma(swing: Any) -> None:
+def test_a_few_gross_errors_spoil_the_sigma(swing: Fused) -> None:
     result, flight = swing
     off = {"heading_rad": (slice(100, 130), radians(40))}
     check = check_of(
@@ -151,7 +153,7 @@ def test_a_few_gross_errors_spoil_the_sigma(swing: Any) -> None:
     assert check.level is Level.FAIL
 
 
-def test_the_bias_names_its_side_not_a_sign(swing: Any) -> None:
+def test_the_bias_names_its_side_not_a_sign(swing: Fused) -> None:
     result, flight = swing
     assert "°/s to the right at the end" in check_of("Gyro bias", result, flight).value
     left = table_with(result.smoothed, gyro_bias_rad_s=(slice(None), -0.01))
@@ -160,7 +162,7 @@ def test_the_bias_names_its_side_not_a_sign(swing: Any) -> None:
     )
 
 
-def test_every_check_says_what_it_means_and_what_to_do(swing: Any) -> None:
+def test_every_check_says_what_it_means_and_what_to_do(swing: Fused) -> None:
     result, flight = swing
     bad = table_with(
         result.frames,
@@ -211,25 +213,25 @@ class TestRules:
         ],
     )
     def test_a_number_is_compared_with_the_limits(
-        self, swing: Any, number: float, level: Level, meaning: str, action: str
+        self, swing: Fused, number: float, level: Level, meaning: str, action: str
     ) -> None:
         check = self.rule(Finding("n", number)).apply(*swing, Limits(coast_s=(2.0, 10.0)))
         assert check == Check("Speed", level, "n", "pass to 2", meaning, action)
 
-    def test_a_finding_may_say_more_than_its_rule(self, swing: Any) -> None:
+    def test_a_finding_may_say_more_than_its_rule(self, swing: Fused) -> None:
         finding = Finding("n", level=Level.WARN, limit="other", meaning="Because.", action="Do.")
         check = self.rule(finding).apply(*swing, Limits())
         assert check == Check("Speed", Level.WARN, "n", "other", "Because.", "Do.")
 
-    def test_nothing_to_judge_asks_for_nothing(self, swing: Any) -> None:
+    def test_nothing_to_judge_asks_for_nothing(self, swing: Fused) -> None:
         check = self.rule(nothing_to_judge("No data.")).apply(*swing, Limits())
         assert (check.level, check.meaning, check.action) == (Level.NOT_JUDGED, "No data.", "")
 
-    def test_a_finding_without_outcome_is_refused(self, swing: Any) -> None:
+    def test_a_finding_without_outcome_is_refused(self, swing: Fused) -> None:
         with pytest.raises(ValueError, match="neither a level nor a number"):
             self.rule(Finding("n")).apply(*swing, Limits())
 
-    def test_the_names_tell_the_checks_apart(self, swing: Any) -> None:
+    def test_the_names_tell_the_checks_apart(self, swing: Fused) -> None:
         names = [check.name for check in run_checks(*swing)]
         assert names == [rule.name for rule in CHECKS]
         assert len(set(names)) == len(names)

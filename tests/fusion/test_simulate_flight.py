@@ -20,6 +20,7 @@ from fusion.simulate.imu import read_attitude, read_imu, read_range, sample_time
 from fusion.simulate.motion import GRAVITY_M_S2, Trajectory, oscillation, plan_flight
 from fusion.simulate.scene.config import JunctionConfig, SceneConfig
 from fusion.simulate.scene.plan import Room, floor_plan, outline
+from tests.pictures import picture_paths, read_grey
 from vision import Camera, InputError
 from vision.cameras.camera import Distortion
 
@@ -336,15 +337,13 @@ def test_a_folder_loads_with_everything_in_it(tmp_path: Path, body_frame: str) -
 
 
 def test_frames_in_memory_are_the_folders_frames(tmp_path: Path) -> None:
-    import cv2
-
     root = simulate_flight(config(), tmp_path / "a")
     flight = load_flight(root)
     for frame, t, path in zip(
-        simulate_frames(config()), flight.frames.t_ns, flight.frames.source.paths, strict=True
+        simulate_frames(config()), flight.frames.t_ns, picture_paths(flight), strict=True
     ):
         assert frame.t_ns == t
-        assert np.array_equal(frame.image, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+        assert np.array_equal(frame.image, read_grey(path))
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not(tmp_path: Path) -> None:
@@ -370,7 +369,7 @@ def test_random_views_repeat_and_depend_on_the_seed() -> None:
 def test_an_exposures_blur_does_not_move_a_view() -> None:
     """Blurred evenly about the middle, the mean column of the light stays; the sharpness does not."""
     camera = Camera(64, 48, 60, 60, 31.5, 23.5, exposure_s=0.02)
-    plain = {
+    plain: dict[str, Any] = {
         "seed": 3,
         "imaging": SimulationConfig().imaging.model_copy(update={"noise": False, "jpeg_quality": None}),
     }

@@ -26,10 +26,10 @@ from fusion.simulate.render.mesh import (
     Mesh,
     build_tree,
 )
-from fusion.simulate.render.view import View, render_linear
+from fusion.simulate.render.view import Image, View, render_linear
 from fusion.simulate.scene.build import build_scene
 from fusion.simulate.scene.builder import Builder
-from fusion.simulate.scene.config import SceneConfig
+from fusion.simulate.scene.config import Floor, SceneConfig
 from fusion.simulate.scene.plan import floor_plan
 from fusion.simulate.scene.textures import texture_set
 from fusion.simulate.sensor import Sensor
@@ -112,7 +112,7 @@ def test_the_nearest_surface_hides_the_others_and_a_back_is_not_seen() -> None:
     assert np.allclose(picture, 0.5)
 
 
-def edge_profile(picture: FloatArray, row: float, column: float, normal: FloatArray) -> float:
+def edge_profile(picture: Image, row: float, column: float, normal: FloatArray) -> float:
     """Signed distance along the normal from a point to the steepest change, from second differences."""
     import cv2
 
@@ -130,7 +130,7 @@ def edge_profile(picture: FloatArray, row: float, column: float, normal: FloatAr
 def test_corridor_corners_stand_where_they_project_to(name: str) -> None:
     camera = CAMERAS[name].resized(320, 240)
     bare = SceneConfig(
-        length_m=12, floor="carpet", floor_albedo=0.05, wall_albedo=0.9, skirting_height_m=0, door_spacing_m=0,
+        length_m=12, floor=Floor.CARPET, floor_albedo=0.05, wall_albedo=0.9, skirting_height_m=0, door_spacing_m=0,
         poster_spacing_m=0, sign_spacing_m=0, furniture_spacing_m=0, lamp_off_share=0, parallel_std_rad=0,
     )  # fmt: skip
     scene = build_scene(bare, 1)
@@ -164,7 +164,8 @@ def test_the_tree_finds_what_testing_every_surface_finds(seed: int) -> None:
         o, d = rng.uniform(-3, 3, 3), rng.normal(0, 1, 3)
         d /= np.linalg.norm(d)
         every = [hit_distance(mesh.table, i, *o, *d)[0] for i in range(len(mesh.table))]
-        found, t, _, _ = trace(mesh.table, mesh.nodes, *o, *d, 1e9, False)
+        (ox, oy, oz), (dx, dy, dz) = o.tolist(), d.tolist()
+        found, t, _, _ = trace(mesh.table, mesh.nodes, ox, oy, oz, dx, dy, dz, 1e9, False)
         assert t == pytest.approx(min(every))
         assert found == (-1 if min(every) >= 1e9 else int(np.argmin(every)))
 
@@ -251,7 +252,8 @@ def test_a_wide_lens_shows_what_lies_beside_it_and_nothing_outside_its_circle() 
     camera = Camera(200, 200, 55, 55, 99.5, 99.5, Distortion.EQUIDISTANT, (0.0, -0.05, 0.0, 0.0))
     scene = build_scene(SceneConfig(length_m=6), 2)
     picture = render_linear(scene.mesh, View.of(camera), [np.array([2.0, 0.0, -1.3])], [np.eye(3)])
-    inside = np.isfinite(camera.rays(np.array([[x, 100.0] for x in range(200)]))).all(axis=1)
+    rays = camera.rays(np.array([[x, 100.0] for x in range(200)]))
+    inside = np.asarray(np.isfinite(rays).all(axis=1))
     assert 0 < inside.sum() < 200
     lit = picture[100] > 0
     assert lit[2:-2].tolist() == inside[2:-2].tolist() or np.count_nonzero(lit != inside) <= 2

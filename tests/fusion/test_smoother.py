@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,18 @@ from fusion.estimator.models import ScalarMeasurement
 from fusion.estimator.smoother import Node, Steps, rts
 
 
-def linear_problem(seed: int, n: int = 12):
+class Problem(NamedTuple):
+    """Start and its covariance; transitions with their noise and offset; measurements: after which step, H, R, z."""
+
+    x0: np.ndarray
+    P0: np.ndarray
+    Fs: list[np.ndarray]
+    Qs: list[np.ndarray]
+    offsets: list[np.ndarray]
+    measurements: list[tuple[int, np.ndarray, float, float]]
+
+
+def linear_problem(seed: int, n: int = 12) -> tuple[Problem, list[Node]]:
     """A filter's run over transitions that all differ, with several, one or no measurements after each."""
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(5, 5))
@@ -34,11 +47,12 @@ def linear_problem(seed: int, n: int = 12):
         Fs.append(F)
         Qs.append(Q)
         offsets.append(offset)
-    return x0, P0, Fs, Qs, offsets, measurements, nodes
+    return Problem(x0, P0, Fs, Qs, offsets, measurements), nodes
 
 
-def batch(x0, P0, Fs, Qs, offsets, measurements) -> tuple[np.ndarray, np.ndarray]:
+def batch(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """Least squares over the whole trajectory at once: the definition of what the smoother must find."""
+    x0, P0, Fs, Qs, offsets, measurements = problem
     n = len(Fs) + 1
     rows, values = [], []
 
@@ -66,11 +80,11 @@ def batch(x0, P0, Fs, Qs, offsets, measurements) -> tuple[np.ndarray, np.ndarray
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 100_000))
 def test_equals_the_batch_solution(seed: int) -> None:
-    *problem, nodes = linear_problem(seed)
+    problem, nodes = linear_problem(seed)
     steps = Steps()
     steps.add(nodes)
     x, P = rts(*steps.arrays())
-    expected_x, expected_P = batch(*problem)
+    expected_x, expected_P = batch(problem)
     np.testing.assert_allclose(x, expected_x, rtol=0, atol=1e-9 * max(1.0, np.abs(expected_x).max()))
     np.testing.assert_allclose(P, expected_P, rtol=0, atol=1e-9 * max(1.0, np.abs(expected_P).max()))
 
@@ -79,20 +93,19 @@ def test_filterpys_smoother_is_wrong_here() -> None:
     """The reason for an own one; should this fail, filterpy was mended."""
     from filterpy.kalman import KalmanFilter, rts_smoother
 
-    *problem, nodes = linear_problem(1)
-    _, _, Fs, Qs, *_ = problem
-    expected_x, _ = batch(*problem)
+    problem, nodes = linear_problem(1)
+    expected_x, _ = batch(problem)
     xs, Ps = np.stack([node.x for node in nodes]), np.stack([node.P for node in nodes])
-    theirs = rts_smoother(xs, Ps, np.stack([np.eye(5), *Fs]), np.stack([np.eye(5), *Qs]))[0]
+    theirs = rts_smoother(xs, Ps, np.stack([np.eye(5), *problem.Fs]), np.stack([np.eye(5), *problem.Qs]))[0]
     assert KalmanFilter is not None
     assert np.abs(theirs - expected_x).max() > 1e-3
 
 
 def test_states_of_very_different_size_keep_the_precision() -> None:
     scale = np.array([1e-3, 1e-6, 10.0, 1e-2, 1.0])
-    x0, P0, Fs, Qs, offsets, measurements, _ = linear_problem(7)
+    (x0, P0, Fs, Qs, offsets, measurements), _ = linear_problem(7)
     D, D_inv = np.diag(scale), np.diag(1 / scale)
-    *_, nodes = linear_problem(7)
+    _, nodes = linear_problem(7)
     scaled = [
         Node(
             None if n.F is None else D @ n.F @ D_inv,
@@ -103,12 +116,12 @@ def test_states_of_very_different_size_keep_the_precision() -> None:
     steps = Steps()
     steps.add(scaled)
     x, _ = rts(*steps.arrays())
-    expected, _ = batch(x0, P0, Fs, Qs, offsets, measurements)
+    expected, _ = batch(Problem(x0, P0, Fs, Qs, offsets, measurements))
     np.testing.assert_allclose(x / scale, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
 def test_steps_in_blocks_are_the_steps() -> None:
-    *_, nodes = linear_problem(2)
+    _, nodes = linear_problem(2)
     many = nodes * 700  # more than one block
     steps = Steps()
     steps.add(many[:5000])
@@ -122,7 +135,7 @@ def test_steps_in_blocks_are_the_steps() -> None:
 
 @pytest.mark.parametrize("n", [0, 1])
 def test_short_runs(n: int) -> None:
-    *_, nodes = linear_problem(3)
+    _, nodes = linear_problem(3)
     steps = Steps()
     steps.add(nodes[:n])
     x, P = rts(*steps.arrays())

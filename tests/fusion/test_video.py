@@ -6,7 +6,7 @@ import gc
 import tracemalloc
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -15,13 +15,16 @@ import pytest
 from fusion.flight import FrameStream
 from fusion.logs import load_flight, open_log
 from fusion.logs.pictures.video import VideoLog, open_video, recognises
+from tests.files import OFFICE
 from tests.fusion.reading import Told
 from vision import InputError
 from vision.images import GreyImage
 
+if TYPE_CHECKING:
+    from av.container import InputContainer
+
 av = pytest.importorskip("av")
 
-OFFICE = Path(__file__).resolve().parents[2] / "data" / "office"
 SIZE = (160, 120)
 N_FRAMES = 40
 CLOCK = Fraction(1, 90000)
@@ -137,7 +140,12 @@ def test_reading_on_does_not_seek(mp4: Path, monkeypatch: pytest.MonkeyPatch) ->
     from fusion.logs.pictures import video
 
     real = video.open_container
-    monkeypatch.setattr(video, "open_container", lambda path: (opened.append(path), real(path))[1])
+
+    def noted(path: Path) -> InputContainer:
+        opened.append(path)
+        return real(path)
+
+    monkeypatch.setattr(video, "open_container", noted)
     frames.read(0)
     opened.clear()
     assert all(image is not None for image in read_all(frames))
@@ -226,7 +234,7 @@ def test_times_from_a_file_go_row_by_row(mp4: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts", "fast.mp4"])
 def test_cut_at_every_kilobyte(pictures: list[GreyImage], tmp_path: Path, name: str) -> None:
-    options = {"movflags": "faststart"} if name == "fast.mp4" else {}
+    options: dict[str, Any] = {"movflags": "faststart"} if name == "fast.mp4" else {}
     whole = encode(tmp_path / name, pictures, **options)
     data = whole.read_bytes()
     cut = tmp_path / ("cut" + whole.suffix)

@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from tests.files import HALLWAY, OFFICE, written
 from vision import Camera, InputError
 from vision.cameras.calibration import read_body_frame, read_yaml
 from vision.cameras.camera import BodyFrame, Distortion
 
-ROOT = Path(__file__).resolve().parents[2]
-OFFICE = ROOT / "data" / "office" / "mav0" / "cam0" / "sensor.yaml"
-HALLWAY = ROOT.parent / "shared" / "flights" / "mononav_hallway" / "mav0" / "cam0" / "sensor.yaml"
+OFFICE_CAMERA = OFFICE / "mav0" / "cam0" / "sensor.yaml"
+HALLWAY_CAMERA = HALLWAY / "mav0" / "cam0" / "sensor.yaml"
 
 EUROC = """%YAML:1.0
 # a comment
@@ -64,13 +64,6 @@ def kalibr(R_camera_imu: npt.ArrayLike) -> str:
     return KALIBR.format(*(numbers(row) for row in np.asarray(R_camera_imu)))
 
 
-def write(folder: Path, text: str, name: str = "sensor.yaml") -> Path:
-    path = folder / name
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 # A camera on a body with x forward, y left, z up, turned 25 degrees to the right and pitched 10 degrees down.
 # By hand, its right is (-s, -c, 0); its view (C c, -C s, -S); its down is view cross right.
 c, s, C, S = cos(radians(25)), sin(radians(25)), cos(radians(10)), sin(radians(10))
@@ -87,19 +80,19 @@ def check_tilted(camera: Camera) -> None:
 
 
 def test_euroc_takes_the_camera_to_the_body(tmp_path: Path) -> None:
-    check_tilted(Camera.from_yaml(write(tmp_path, euroc(R_FLU_CAMERA))))
-    check_tilted(Camera.from_yaml(write(tmp_path, euroc(R_FLU_CAMERA)), body_frame="flu"))
+    check_tilted(Camera.from_yaml(written(tmp_path / "sensor.yaml", euroc(R_FLU_CAMERA))))
+    check_tilted(Camera.from_yaml(written(tmp_path / "sensor.yaml", euroc(R_FLU_CAMERA)), body_frame="flu"))
 
 
 def test_kalibr_takes_the_imu_to_the_camera(tmp_path: Path) -> None:
-    check_tilted(Camera.from_yaml(write(tmp_path, kalibr(R_FLU_CAMERA.T))))
+    check_tilted(Camera.from_yaml(written(tmp_path / "sensor.yaml", kalibr(R_FLU_CAMERA.T))))
 
 
 @pytest.mark.parametrize("text", [euroc, lambda R: kalibr(np.transpose(R))], ids=["euroc", "kalibr"])
 def test_a_body_in_frd_is_taken_as_it_is(tmp_path: Path, text: object) -> None:
     R_frd_camera = np.array([RIGHT_FRD, DOWN_FRD, VIEW_FRD]).T
     assert callable(text)
-    check_tilted(Camera.from_yaml(write(tmp_path, text(R_frd_camera)), body_frame="frd"))
+    check_tilted(Camera.from_yaml(written(tmp_path / "sensor.yaml", text(R_frd_camera)), body_frame="frd"))
 
 
 @pytest.mark.parametrize(
@@ -109,9 +102,9 @@ def test_a_body_in_frd_is_taken_as_it_is(tmp_path: Path, text: object) -> None:
 def test_the_body_frame_is_read_beside_the_sensor_folder(
     tmp_path: Path, body: str | None, axis: list[float]
 ) -> None:
-    path = write(tmp_path, euroc(R_FLU_CAMERA), "mav0/cam0/sensor.yaml")
+    path = written(tmp_path / "mav0/cam0/sensor.yaml", euroc(R_FLU_CAMERA))
     if body is not None:
-        write(tmp_path, body, "mav0/body.yaml")
+        written(tmp_path / "mav0/body.yaml", body)
     np.testing.assert_allclose(Camera.from_yaml(path).R_body_camera[:, 2], axis, atol=1e-12)
     np.testing.assert_allclose(
         Camera.from_yaml(path, body_frame="flu").R_body_camera[:, 2], VIEW_FRD, atol=1e-12
@@ -119,17 +112,17 @@ def test_the_body_frame_is_read_beside_the_sensor_folder(
 
 
 def test_euroc_fields(tmp_path: Path) -> None:
-    camera = Camera.from_yaml(write(tmp_path, euroc(R_FLU_CAMERA) + "exposure_s: 4e-3\n"))
+    camera = Camera.from_yaml(written(tmp_path / "sensor.yaml", euroc(R_FLU_CAMERA) + "exposure_s: 4e-3\n"))
     assert (camera.width_px, camera.height_px) == (752, 480)
     assert (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px) == (458.654, 457.296, 367.215, 248.375)
     assert camera.distortion is Distortion.RADTAN
     assert camera.coefficients == (-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05)
     assert camera.exposure_s == 0.004
-    assert isnan(Camera.from_yaml(write(tmp_path, euroc(R_FLU_CAMERA))).exposure_s)
+    assert isnan(Camera.from_yaml(written(tmp_path / "sensor.yaml", euroc(R_FLU_CAMERA))).exposure_s)
 
 
 def test_kalibr_fields(tmp_path: Path) -> None:
-    camera = Camera.from_yaml(write(tmp_path, kalibr(R_FLU_CAMERA.T)))
+    camera = Camera.from_yaml(written(tmp_path / "sensor.yaml", kalibr(R_FLU_CAMERA.T)))
     assert (camera.width_px, camera.height_px) == (512, 512)
     assert camera.fx_px == 190.97847715128717
     assert camera.distortion is Distortion.EQUIDISTANT
@@ -138,7 +131,9 @@ def test_kalibr_fields(tmp_path: Path) -> None:
 
 def test_another_camera_of_a_chain(tmp_path: Path) -> None:
     both = kalibr(R_FLU_CAMERA.T).split("cam1:")[0]
-    path = write(tmp_path, both + both.replace("cam0", "cam1").replace("[512, 512]", "[640, 480]"))
+    path = written(
+        tmp_path / "sensor.yaml", both + both.replace("cam0", "cam1").replace("[512, 512]", "[640, 480]")
+    )
     assert Camera.from_yaml(path).width_px == 512
     assert Camera.from_yaml(path, cam="cam1").width_px == 640
     with pytest.raises(InputError, match=r"no camera cam2 in this chain \(choose one of: cam0, cam1\)"):
@@ -156,7 +151,7 @@ def test_another_camera_of_a_chain(tmp_path: Path) -> None:
 def test_names_of_kalibr_models(
     tmp_path: Path, old: str, new: str, distortion: Distortion, count: int
 ) -> None:
-    camera = Camera.from_yaml(write(tmp_path, kalibr(R_FLU_CAMERA.T).replace(old, new)))
+    camera = Camera.from_yaml(written(tmp_path / "sensor.yaml", kalibr(R_FLU_CAMERA.T).replace(old, new)))
     assert camera.distortion is distortion
     assert len(camera.coefficients) == count
 
@@ -164,14 +159,14 @@ def test_names_of_kalibr_models(
 def test_a_model_named_once_is_enough(tmp_path: Path) -> None:
     text = kalibr(R_FLU_CAMERA.T).replace("camera_model: pinhole", "camera_model: pinhole-radtan")
     text = text.replace("  distortion_model: equidistant\n", "")
-    assert Camera.from_yaml(write(tmp_path, text)).distortion is Distortion.RADTAN
+    assert Camera.from_yaml(written(tmp_path / "sensor.yaml", text)).distortion is Distortion.RADTAN
 
 
 @pytest.mark.parametrize("coefficients", ["[]", "[0, 0, 0, 0]", "null"])
 def test_no_distortion(tmp_path: Path, coefficients: str) -> None:
     head, _ = euroc(R_FLU_CAMERA).split("distortion_model")
     text = f"{head}distortion_model: none\ndistortion_coefficients: {coefficients}\n"
-    camera = Camera.from_yaml(write(tmp_path, text))
+    camera = Camera.from_yaml(written(tmp_path / "sensor.yaml", text))
     assert camera.distortion is Distortion.NONE
     assert camera.coefficients == ()
 
@@ -179,7 +174,7 @@ def test_no_distortion(tmp_path: Path, coefficients: str) -> None:
 @pytest.mark.parametrize("count", [4, 5, 8])
 def test_counts_of_radial_tangential_coefficients(tmp_path: Path, count: int) -> None:
     text = euroc(R_FLU_CAMERA).replace("0.00019359, 1.76187114e-05", ", ".join(["1e-4"] * (count - 2)))
-    assert len(Camera.from_yaml(write(tmp_path, text)).coefficients) == count
+    assert len(Camera.from_yaml(written(tmp_path / "sensor.yaml", text)).coefficients) == count
 
 
 def test_opencv_matrix_and_nested_rows(tmp_path: Path) -> None:
@@ -187,8 +182,8 @@ def test_opencv_matrix_and_nested_rows(tmp_path: Path) -> None:
     tagged = flat.replace("T_BS:\n", "T_BS: !!opencv-matrix\n").replace("  rows: 4\n", "  rows: 4\n  dt: d\n")
     nested = f"T_BS: {[[*row, 0.0] for row in R_FLU_CAMERA.tolist()] + [[0, 0, 0, 1]]}\n"
     nested += flat[flat.index("rate_hz") :]
-    check_tilted(Camera.from_yaml(write(tmp_path, tagged)))
-    check_tilted(Camera.from_yaml(write(tmp_path, nested)))
+    check_tilted(Camera.from_yaml(written(tmp_path / "sensor.yaml", tagged)))
+    check_tilted(Camera.from_yaml(written(tmp_path / "sensor.yaml", nested)))
 
 
 @pytest.mark.parametrize(
@@ -236,7 +231,7 @@ def test_opencv_matrix_and_nested_rows(tmp_path: Path) -> None:
 def test_what_is_wrong_in_a_sensor_file_is_named(tmp_path: Path, old: str, new: str, match: str) -> None:
     text = euroc(R_FLU_CAMERA)
     assert old in text
-    path = write(tmp_path, text.replace(old, new))
+    path = written(tmp_path / "sensor.yaml", text.replace(old, new))
     with pytest.raises(InputError, match=match) as caught:
         Camera.from_yaml(path)
     assert caught.value.file == path
@@ -262,7 +257,7 @@ def test_what_is_wrong_in_a_sensor_file_is_named(tmp_path: Path, old: str, new: 
 def test_what_is_wrong_in_a_chain_is_named(tmp_path: Path, old: str, new: str, match: str) -> None:
     text = kalibr(R_FLU_CAMERA.T)
     assert old in text
-    path = write(tmp_path, text.replace(old, new), "camchain.yaml")
+    path = written(tmp_path / "camchain.yaml", text.replace(old, new))
     with pytest.raises(InputError, match=match) as caught:
         Camera.from_yaml(path)
     assert caught.value.file == path
@@ -277,7 +272,7 @@ def test_what_is_wrong_in_a_chain_is_named(tmp_path: Path, old: str, new: str, m
     ],
 )
 def test_a_transform_that_does_not_rotate(tmp_path: Path, R: npt.NDArray[np.float64], match: str) -> None:
-    path = write(tmp_path, euroc(R))
+    path = written(tmp_path / "sensor.yaml", euroc(R))
     with pytest.raises(InputError, match=match) as caught:
         Camera.from_yaml(path)
     assert caught.value.file == path
@@ -295,12 +290,13 @@ def test_the_remedy_for_a_missing_extrinsic_looks_straight_ahead(
     count = 4 if kind == "euroc" else 5
     without = "".join(lines[:start] + lines[start + count :])
     with pytest.raises(InputError, match="is missing") as caught:
-        Camera.from_yaml(write(tmp_path, without), body_frame=frame)
+        Camera.from_yaml(written(tmp_path / "sensor.yaml", without), body_frame=frame)
     assert caught.value.remedy is not None
     example = caught.value.remedy[caught.value.remedy.index("[") :]
     pasted = f"T_BS: {{data: {example}}}\n" if kind == "euroc" else f"  T_cam_imu: {example}\n"
     camera = Camera.from_yaml(
-        write(tmp_path, "".join([*lines[:start], pasted, *lines[start + count :]])), body_frame=frame
+        written(tmp_path / "sensor.yaml", "".join([*lines[:start], pasted, *lines[start + count :]])),
+        body_frame=frame,
     )
     np.testing.assert_array_equal(camera.R_body_camera, [[0, 0, 1], [1, 0, 0], [0, 1, 0]])
 
@@ -315,24 +311,24 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read as text"):
         Camera.from_yaml(binary)
     with pytest.raises(InputError, match="does not hold a YAML mapping"):
-        read_yaml(write(tmp_path, "- 1\n- 2\n"))
+        read_yaml(written(tmp_path / "sensor.yaml", "- 1\n- 2\n"))
     with pytest.raises(InputError, match="does not hold a YAML mapping"):
-        read_yaml(write(tmp_path, ""))
+        read_yaml(written(tmp_path / "sensor.yaml", ""))
 
 
 def test_body_frame_files(tmp_path: Path) -> None:
     assert read_body_frame(tmp_path / "body.yaml") == "flu"
-    assert read_body_frame(write(tmp_path, "body_frame: frd\n", "body.yaml")) == "frd"
+    assert read_body_frame(written(tmp_path / "body.yaml", "body_frame: frd\n")) == "frd"
     with pytest.raises(InputError, match=r"body\.yaml: body_frame is 'ned' \(write flu"):
-        read_body_frame(write(tmp_path, "body_frame: ned\n", "body.yaml"))
+        read_body_frame(written(tmp_path / "body.yaml", "body_frame: ned\n"))
     with pytest.raises(InputError, match="body_frame is missing"):
-        read_body_frame(write(tmp_path, "comment: x\n", "body.yaml"))
+        read_body_frame(written(tmp_path / "body.yaml", "comment: x\n"))
     with pytest.raises(InputError, match="body_frame is 'enu'"):
-        Camera.from_yaml(OFFICE, body_frame="enu")  # type: ignore[arg-type]
+        Camera.from_yaml(OFFICE_CAMERA, body_frame="enu")  # type: ignore[arg-type]
 
 
 def test_the_sample_flight() -> None:
-    camera = Camera.from_yaml(OFFICE)
+    camera = Camera.from_yaml(OFFICE_CAMERA)
     assert (camera.width_px, camera.height_px, camera.fx_px, camera.cx_px) == (640, 480, 466.0, 319.5)
     np.testing.assert_array_equal(camera.R_body_camera, [[0, 0, 1], [1, 0, 0], [0, 1, 0]])
     assert camera.mount_problem() is None
@@ -340,9 +336,9 @@ def test_the_sample_flight() -> None:
 
 
 def test_the_real_flight() -> None:
-    if not HALLWAY.exists():
+    if not HALLWAY_CAMERA.exists():
         pytest.skip("the shared flights are not here")
-    camera = Camera.from_yaml(HALLWAY)
+    camera = Camera.from_yaml(HALLWAY_CAMERA)
     assert camera.coefficients[4] == 0.047875485130274044
     np.testing.assert_array_equal(camera.R_body_camera, [[0, 0, 1], [1, 0, 0], [0, 1, 0]])
 

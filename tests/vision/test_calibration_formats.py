@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.files import ROOT, written
 from vision import Camera, InputError
 from vision.cameras.calibration import ImuNoise, read_imu_noise, read_time_shift_s
 from vision.cameras.camera import Distortion
 
-ROOT = Path(__file__).resolve().parents[2]
 FORWARD = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
 
 # What camera_calibration of ROS writes; P is of the rectified picture and must not be taken for K.
@@ -65,19 +65,13 @@ roi:
 """
 
 
-def write(folder: Path, text: str, name: str = "camera.yaml") -> Path:
-    path = folder / name
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 def check_pinhole(camera: Camera) -> None:
     assert (camera.width_px, camera.height_px) == (640, 480)
     assert (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px) == (500.5, 501.75, 321.25, 238.5)
 
 
 def test_ros_camera_info_gives_the_raw_picture(tmp_path: Path) -> None:
-    camera = Camera.from_yaml(write(tmp_path, ROS))
+    camera = Camera.from_yaml(written(tmp_path / "camera.yaml", ROS))
     check_pinhole(camera)
     assert camera.distortion is Distortion.RADTAN
     assert camera.coefficients == (-0.28, 0.07, 0.0002, 1.8e-05, 0.01)
@@ -89,36 +83,37 @@ def test_an_echoed_message(tmp_path: Path, lower: bool) -> None:
     text = ECHO
     for key in "DKRP":
         text = text.replace(f"\n{key}: ", f"\n{key.lower() if lower else key}: ")
-    camera = Camera.from_yaml(write(tmp_path, text))
+    camera = Camera.from_yaml(written(tmp_path / "camera.yaml", text))
     check_pinhole(camera)
     assert camera.coefficients == (0.1, -0.2, 0.001, 0.002, 0.03, 0.04, 0.05, 0.06)
 
 
 def test_an_equidistant_lens_of_ros(tmp_path: Path) -> None:
     text = ROS.replace("plumb_bob", "equidistant").replace(", 0.01]", "]")
-    camera = Camera.from_yaml(write(tmp_path, text))
+    camera = Camera.from_yaml(written(tmp_path / "camera.yaml", text))
     assert camera.distortion is Distortion.EQUIDISTANT
     assert camera.coefficients == (-0.28, 0.07, 0.0002, 1.8e-05)
 
 
 def test_an_equidistant_lens_without_coefficients_still_bends(tmp_path: Path) -> None:
     text = ROS.replace("plumb_bob", "equidistant").replace("[-0.28, 0.07, 0.0002, 1.8e-05, 0.01]", "[]")
-    camera = Camera.from_yaml(write(tmp_path, text))
+    camera = Camera.from_yaml(written(tmp_path / "camera.yaml", text))
     ray = [sin(radians(40.0)), 0.0, cos(radians(40.0))]
     assert camera.project(ray)[0, 0] == pytest.approx(321.25 + 500.5 * radians(40.0))
 
 
 def test_no_coefficients_are_no_distortion(tmp_path: Path) -> None:
     camera = Camera.from_yaml(
-        write(
-            tmp_path, ROS.replace("[-0.28, 0.07, 0.0002, 1.8e-05, 0.01]", "[]").replace("cols: 5", "cols: 0")
+        written(
+            tmp_path / "camera.yaml",
+            ROS.replace("[-0.28, 0.07, 0.0002, 1.8e-05, 0.01]", "[]").replace("cols: 5", "cols: 0"),
         )
     )
     assert camera.distortion is Distortion.NONE
 
 
 def test_a_file_without_extrinsic_says_that_straight_ahead_is_assumed(tmp_path: Path) -> None:
-    camera = Camera.from_yaml(write(tmp_path, ROS))
+    camera = Camera.from_yaml(written(tmp_path / "camera.yaml", ROS))
     np.testing.assert_array_equal(camera.R_body_camera, FORWARD)
     assert camera.mount_assumed
     assert camera.resized(320, 240).mount_assumed
@@ -154,7 +149,7 @@ def extrinsic(name: str) -> npt.NDArray[np.float64]:
 def test_which_way_each_extrinsic_runs(tmp_path: Path, name: str, kind: str) -> None:
     rows = extrinsic(name).tolist()
     text = ROS + f"{name}: {rows}\n" if kind == "ros" else KALIBR + f"  {name}: {rows}\n"
-    camera = Camera.from_yaml(write(tmp_path, text))
+    camera = Camera.from_yaml(written(tmp_path / "camera.yaml", text))
     check_pinhole(camera)
     np.testing.assert_allclose(camera.R_body_camera[:, 2], VIEW_FRD, atol=1e-12)
     np.testing.assert_allclose(camera.p_body_camera_m, P_FRD, atol=1e-12)
@@ -163,9 +158,9 @@ def test_which_way_each_extrinsic_runs(tmp_path: Path, name: str, kind: str) -> 
 
 def test_two_extrinsics_in_one_file_must_agree(tmp_path: Path) -> None:
     both = f"  T_cam_imu: {T_CAMERA_BODY.tolist()}\n  T_imu_cam: {{}}\n"
-    path = write(tmp_path, KALIBR + both.format(T_BODY_CAMERA.tolist()))
+    path = written(tmp_path / "camera.yaml", KALIBR + both.format(T_BODY_CAMERA.tolist()))
     np.testing.assert_allclose(Camera.from_yaml(path).p_body_camera_m, P_FRD, atol=1e-12)
-    write(tmp_path, KALIBR + both.format(T_CAMERA_BODY.tolist()))
+    written(tmp_path / "camera.yaml", KALIBR + both.format(T_CAMERA_BODY.tolist()))
     with pytest.raises(
         InputError, match=r"cam0.T_cam_imu and cam0.T_imu_cam place the camera differently"
     ) as e:
@@ -245,7 +240,7 @@ def test_names_that_people_use(
         coefficients: [[-0.28, 0.07, 0.0002, 1.8e-05, 0.01]],
         **size,
     }
-    camera = Camera.from_yaml(write(tmp_path, json.dumps(content), "calibration.json"))
+    camera = Camera.from_yaml(written(tmp_path / "calibration.json", json.dumps(content)))
     check_pinhole(camera)
     assert camera.coefficients == (-0.28, 0.07, 0.0002, 1.8e-05, 0.01)
 
@@ -256,8 +251,8 @@ def test_four_coefficients_of_a_wide_lens_are_not_guessed_at(tmp_path: Path, coe
     with pytest.raises(
         InputError, match=r"no distortion_model; with a view of 104 degrees it may be a fisheye's"
     ):
-        Camera.from_yaml(write(tmp_path, text))
-    named = Camera.from_yaml(write(tmp_path, text + "distortion_model: equidistant\n"))
+        Camera.from_yaml(written(tmp_path / "camera.yaml", text))
+    named = Camera.from_yaml(written(tmp_path / "camera.yaml", text + "distortion_model: equidistant\n"))
     assert named.distortion is Distortion.EQUIDISTANT
 
 
@@ -290,7 +285,7 @@ def test_four_coefficients_of_a_wide_lens_are_not_guessed_at(tmp_path: Path, coe
 )
 def test_what_is_wrong_in_a_camera_info_is_named(tmp_path: Path, old: str, new: str, match: str) -> None:
     assert old in ROS
-    path = write(tmp_path, ROS.replace(old, new))
+    path = written(tmp_path / "camera.yaml", ROS.replace(old, new))
     with pytest.raises(InputError, match=match) as caught:
         Camera.from_yaml(path)
     assert caught.value.file == path
@@ -301,12 +296,15 @@ def test_what_is_wrong_in_a_camera_info_is_named(tmp_path: Path, old: str, new: 
 def test_a_matrix_alone_is_not_enough(tmp_path: Path) -> None:
     text = "K: [500, 0, 320, 0, 500, 240, 0, 0, 1]\nimage_size: [640, 480]\n"
     with pytest.raises(InputError, match=r"distortion_coefficients is missing \(write zeros where"):
-        Camera.from_yaml(write(tmp_path, text))
-    assert Camera.from_yaml(write(tmp_path, text + "D: [0, 0, 0, 0]\n")).distortion is Distortion.RADTAN
+        Camera.from_yaml(written(tmp_path / "camera.yaml", text))
+    assert (
+        Camera.from_yaml(written(tmp_path / "camera.yaml", text + "D: [0, 0, 0, 0]\n")).distortion
+        is Distortion.RADTAN
+    )
 
 
 def test_files_of_another_kind(tmp_path: Path) -> None:
-    imu = write(tmp_path, "gyroscope_noise_density: 1.0e-3\nupdate_rate: 200\n", "imu.yaml")
+    imu = written(tmp_path / "imu.yaml", "gyroscope_noise_density: 1.0e-3\nupdate_rate: 200\n")
     with pytest.raises(
         InputError, match=r"is no camera calibration, it holds gyroscope_noise_density, update_rate"
     ):
@@ -314,11 +312,11 @@ def test_files_of_another_kind(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"give EuRoC sensor.yaml, Kalibr camchain.yaml, ROS camera_info YAML, or"
     ):
-        Camera.from_yaml(write(tmp_path, '{"value0": 1}', "basalt.json"))
+        Camera.from_yaml(written(tmp_path / "basalt.json", '{"value0": 1}'))
     with pytest.raises(InputError, match=r"is not valid JSON in line 2: Expecting"):
-        Camera.from_yaml(write(tmp_path, '{"K": [1, 2],\n"D": [}', "cut.json"))
+        Camera.from_yaml(written(tmp_path / "cut.json", '{"K": [1, 2],\n"D": [}'))
     with pytest.raises(InputError, match="does not hold a JSON object"):
-        Camera.from_yaml(write(tmp_path, "[1, 2]", "list.json"))
+        Camera.from_yaml(written(tmp_path / "list.json", "[1, 2]"))
     xml = opencv_file(tmp_path / "camera.xml", [0.1, 0.0, 0.0, 0.0, 0.0])
     with pytest.raises(InputError, match=r"is XML \(write it as YAML or JSON"):
         Camera.from_yaml(xml)
@@ -338,7 +336,7 @@ def test_bytes_that_are_no_calibration_are_refused(
 def test_a_file_cut_anywhere_never_becomes_another_camera(
     tmp_path_factory: pytest.TempPathFactory, cut: int
 ) -> None:
-    path = write(tmp_path_factory.mktemp("camera"), ROS[:cut])
+    path = written(tmp_path_factory.mktemp("camera") / "camera.yaml", ROS[:cut])
     try:
         camera = Camera.from_yaml(path)
     except InputError as error:
@@ -353,13 +351,18 @@ def test_a_file_cut_anywhere_never_becomes_another_camera(
 
 
 def test_the_time_shift_of_a_chain(tmp_path: Path) -> None:
-    path = write(tmp_path, KALIBR)
+    path = written(tmp_path / "camera.yaml", KALIBR)
     assert read_time_shift_s(path) == -0.0123
     assert read_time_shift_s(path, "cam1") is None
-    assert read_time_shift_s(write(tmp_path, ROS)) is None
-    assert read_time_shift_s(write(tmp_path, KALIBR.replace("  timeshift_cam_imu: -0.0123\n", ""))) is None
+    assert read_time_shift_s(written(tmp_path / "camera.yaml", ROS)) is None
+    assert (
+        read_time_shift_s(
+            written(tmp_path / "camera.yaml", KALIBR.replace("  timeshift_cam_imu: -0.0123\n", ""))
+        )
+        is None
+    )
     with pytest.raises(InputError, match=r"cam0.timeshift_cam_imu is 'soon' \(give seconds\)"):
-        read_time_shift_s(write(tmp_path, KALIBR.replace("-0.0123", "soon")))
+        read_time_shift_s(written(tmp_path / "camera.yaml", KALIBR.replace("-0.0123", "soon")))
 
 
 NOISE = """accelerometer_noise_density: 0.02
@@ -373,9 +376,9 @@ update_rate: 200.0
 
 def test_imu_noise_of_kalibr_and_of_the_sample_flight(tmp_path: Path) -> None:
     expected = ImuNoise(0.005, 0.0001, 0.02, 0.001, 200.0)
-    assert read_imu_noise(write(tmp_path, NOISE)) == expected
+    assert read_imu_noise(written(tmp_path / "camera.yaml", NOISE)) == expected
     nested = "imu0:\n" + "".join(f"  {line}\n" for line in NOISE.splitlines()) + "  model: calibrated\n"
-    assert read_imu_noise(write(tmp_path, nested)) == expected
+    assert read_imu_noise(written(tmp_path / "camera.yaml", nested)) == expected
     assert read_imu_noise(ROOT / "data" / "office" / "mav0" / "imu0" / "sensor.yaml") == expected
 
 
@@ -392,12 +395,12 @@ def test_imu_noise_of_kalibr_and_of_the_sample_flight(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_wrong_with_imu_noise_is_named(tmp_path: Path, text: str, match: str) -> None:
-    path = write(tmp_path, text, "imu.yaml")
+    path = written(tmp_path / "imu.yaml", text)
     with pytest.raises(InputError, match=match) as caught:
         read_imu_noise(path)
     assert caught.value.file == path
 
 
 def test_partial_imu_noise(tmp_path: Path) -> None:
-    noise = read_imu_noise(write(tmp_path, "gyroscope_noise_density: 0.002\n"))
+    noise = read_imu_noise(written(tmp_path / "camera.yaml", "gyroscope_noise_density: 0.002\n"))
     assert noise == ImuNoise(gyro_noise_density=0.002)

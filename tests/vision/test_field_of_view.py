@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import degrees, radians, tan
-from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,6 +13,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fusion.simulate import office_views
+from tests.files import OFFICE, SHARED
+from tests.pictures import read_grey
 from vision import Camera, InputError, measure_lines
 from vision.axis.field_of_view import (
     MAX_PICTURES,
@@ -34,9 +34,8 @@ from vision.axis.right_angles import (
 )
 from vision.lines.segments import LineSet, extract_lines
 
-ROOT = Path(__file__).resolve().parents[2]
-IMAGES = ROOT.parent / "shared" / "images"
-OFFICE = ROOT / "data" / "office" / "mav0" / "cam0" / "data"
+IMAGES = SHARED / "images"
+OFFICE_PICTURES = OFFICE / "mav0" / "cam0" / "data"
 OFFICE_FOV_DEG = degrees(2 * np.arctan(320 / 466.0))
 
 Seen = Callable[[Any, Camera], LineSet]
@@ -135,9 +134,7 @@ class TestPictures:
         assert error_deg(found, fov_deg) < min(4.0, 2.5 * degrees(found.std_rad))
 
     def test_the_sample_flight(self) -> None:
-        pictures = [
-            cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(OFFICE.iterdir())[10:200:20]
-        ]
+        pictures = [read_grey(path) for path in sorted(OFFICE_PICTURES.iterdir())[10:200:20]]
         found = estimate_field_of_view(pictures)
         assert found.measured
         assert error_deg(found, OFFICE_FOV_DEG) < 3.0
@@ -169,7 +166,7 @@ class TestPictures:
         folder = IMAGES / "handheld_corridor"
         if not folder.is_dir():
             pytest.skip("the shared pictures are not here")
-        pictures = [cv2.imread(str(folder / f"{i}.jpg"), cv2.IMREAD_GRAYSCALE) for i in range(2, 84, 4)]
+        pictures = [read_grey(folder / f"{i}.jpg") for i in range(2, 84, 4)]
         first, second = estimate_field_of_view(pictures[::2]), estimate_field_of_view(pictures[1::2])
         assert first.measured
         assert second.measured
@@ -188,7 +185,7 @@ class TestPictures:
         folder = IMAGES / "crazyflie_grey"
         if not folder.is_dir():
             pytest.skip("the shared pictures are not here")
-        pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(folder.glob("*.pgm"))]
+        pictures = [read_grey(path) for path in sorted(folder.glob("*.pgm"))]
         assert not estimate_field_of_view(pictures).measured
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from math import degrees, radians
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,12 +13,11 @@ import pytest
 
 from fusion.flight import Flight
 from fusion.logs import load_flight
+from tests.files import HALLWAY, OFFICE, SHARED
+from tests.pictures import picture_paths, read_colour, read_grey
 from vision import Attitude, Camera, FrameMeasurement, InputError, Prior, Reason, measure_frame
 
-ROOT = Path(__file__).resolve().parents[2]
-OFFICE = ROOT / "data" / "office"
-HALLWAY = ROOT.parent / "shared" / "flights" / "mononav_hallway"
-HANDHELD = ROOT.parent / "shared" / "images" / "handheld_corridor"
+HANDHELD = SHARED / "images" / "handheld_corridor"
 
 
 def attitudes(flight: Flight) -> list[Attitude]:
@@ -51,8 +49,7 @@ def office(width: int, height: int, with_attitude: bool = True, step: int = 2) -
     found: list[FrameMeasurement] = []
     chosen = range(0, len(flight.frames.t_ns), step)
     for i in chosen:
-        image = flight.frames.read(i)
-        image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+        image = cv2.resize(flight.frames.read(i), (width, height), interpolation=cv2.INTER_AREA)
         found.append(measure_frame(image, camera, tilt[i] if with_attitude else None))
     t = flight.frames.t_ns[::step]
     heading = np.interp(t, truth.t_ns, truth.heading_rad)
@@ -135,7 +132,7 @@ def test_the_real_flight_agrees_with_its_own_yaw(stretch: slice) -> None:
 
 def test_a_colour_picture_is_its_grey_one() -> None:
     flight = load_flight(OFFICE)
-    colour = cv2.imread(str(flight.frames.source.paths[0]), cv2.IMREAD_COLOR)
+    colour = read_colour(picture_paths(flight)[0])
     grey = cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)
     a = measure_frame(colour, flight.camera)
     b = measure_frame(grey, flight.camera)
@@ -181,7 +178,7 @@ def test_handheld_pictures_without_calibration_make_sense() -> None:
         pytest.skip("the real pictures are not part of the repository")
     paths = sorted(HANDHELD.glob("*.jpg"))
     camera = Camera.from_fov(512, 384, radians(46))  # at which uprights and corridor lines agree best
-    found = [measure_frame(cv2.imread(str(p), cv2.IMREAD_GRAYSCALE), camera) for p in paths]
+    found = [measure_frame(read_grey(p), camera) for p in paths]
     accepted = [m for m in found if m.accepted]
     assert len(accepted) >= 0.8 * len(found)
     assert all(abs(m.heading_rad) < radians(45) for m in accepted)

@@ -66,7 +66,7 @@ def test_a_mirrored_picture_gives_the_mirrored_answer() -> None:
     camera = replace(CAMERA, R_body_camera=R_LEVEL_CAMERA)
     views = [v for v in rendered() if v.camera.distortion is Distortion.NONE]
     for view in views[:6]:
-        picture = cv2.resize(view.image, (camera.width_px, camera.height_px))
+        picture = np.asarray(cv2.resize(view.image, (camera.width_px, camera.height_px)), np.uint8)
         R = corridor_frame(R_LEVEL_CAMERA, 0.1, 0.02)
         R_mirrored = corridor_frame(R_LEVEL_CAMERA, -0.1, 0.02)
         here = learned_mixture(picture, camera, R)

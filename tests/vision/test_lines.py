@@ -33,7 +33,7 @@ def half_plane(
     v = (y + 0.5) / k - 0.5 - (height - 1) / 2
     inside = np.clip(0.5 + k * (-sin(angle_rad) * u + cos(angle_rad) * v - offset_px), 0.0, 1.0)
     share = inside.reshape(height, k, width, k).mean(axis=(1, 3))
-    return np.round(dark + (bright - dark) * share).astype(np.uint8)
+    return np.asarray(np.round(dark + (bright - dark) * share), dtype=np.uint8)
 
 
 @settings(max_examples=12, deadline=None)

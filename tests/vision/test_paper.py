@@ -65,11 +65,12 @@ class TestClustering:
     def test_the_seed_decides_and_nothing_global_is_touched(self) -> None:
         points = np.random.default_rng(0).uniform(0, 640, (60, 2))
         np.random.seed(5)  # noqa: NPY002 - the global generator is what is watched
-        before = np.random.get_state()[1].copy()  # noqa: NPY002
+        before = np.random.get_state(legacy=False)["state"]["key"].copy()  # noqa: NPY002
         first = cluster_end_points(points, seed=1)
         np.testing.assert_array_equal(first, cluster_end_points(points, seed=1))
         assert any(not np.array_equal(first, cluster_end_points(points, seed=s)) for s in range(2, 12))
-        np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+        after = np.random.get_state(legacy=False)["state"]["key"]  # noqa: NPY002
+        np.testing.assert_array_equal(after, before)
 
     def test_four_different_points_are_their_own_centroids(self) -> None:
         points = np.vstack((CORNERS, CORNERS))
