@@ -15,7 +15,9 @@ import numpy.typing as npt
 
 from fusion import CorridorEstimator, FusionConfig
 from fusion.estimator.engine import Entry
-from fusion.estimator.models import PSI, Y
+from fusion.estimator.lateral import offset_model
+from fusion.estimator.lateral_smoother import OffsetSteps, at_times, smoothed_offsets
+from fusion.estimator.models import PSI
 from fusion.estimator.smoother import Steps, rts
 from tests.fusion.simulated import Scene, Simulated, config_for, drifting, give, simulate, weaving, wrap
 
@@ -106,10 +108,11 @@ class Flown:
 
 def fly(simulated: Simulated, config: FusionConfig, smooth: bool = True) -> Flown:
     """Run the estimator over the samples in order of arrival, and ask it every 50 ms."""
-    steps, stamps = Steps(), []
+    steps, offset_steps, stamps = Steps(), OffsetSteps(), []
 
     def keep(entry: Entry) -> None:
         steps.add(entry.nodes)
+        offset_steps.add(entry.t_ns, entry.after.lateral.step)
         stamps.extend([entry.t_ns] * len(entry.nodes))
 
     estimator = CorridorEstimator(config, on_final=keep if smooth else None)
@@ -131,7 +134,9 @@ def fly(simulated: Simulated, config: FusionConfig, smooth: bool = True) -> Flow
         x, P = rts(*steps.arrays())
         at = np.searchsorted(np.array(stamps) * 1e-9, t, side="right") - 1
         smoothed, smoothed_std = wrap(x[at, PSI] - truth), np.sqrt(P[at, PSI, PSI])
-        lateral_smoothed = x[at, Y] - offset
+        offsets = smoothed_offsets(offset_steps.steps, offset_model(config))
+        found, _, known = at_times(np.array(offset_steps.t_ns) * 1e-9, offsets, t)
+        lateral_smoothed = np.where(known, found, np.nan) - offset
     return Flown(
         t,
         wrap(heading - truth),
