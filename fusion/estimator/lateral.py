@@ -90,8 +90,10 @@ class Lateral(NamedTuple):
         How many confirmed it.
     test_ratio
         Squared innovation of the last frame's likeliest offset over its gate's square.
+    known
+        Whether the last frame left it known.
     last_known
-        Offset after the last frame that left it known, half widths and metres.
+        Offset when it was last known, half widths and metres.
     reset_count, reset_norm, reset_m
         How often it jumped, and its last step.
     """
@@ -102,6 +104,7 @@ class Lateral(NamedTuple):
     t_ns: int | None = None
     n_used: int = 0
     test_ratio: float = nan
+    known: bool = False
     last_known: tuple[float, float] = (nan, nan)
     reset_count: int = 0
     reset_norm: float = 0.0
@@ -111,7 +114,7 @@ class Lateral(NamedTuple):
         """Go on in another corridor, or at another time, with nothing known but what the offset was last."""
         offset = in_new_corridor(self.offset)
         step = OffsetStep(Path(), offset, starts_anew=True)
-        return self._replace(offset=offset, step=step, t_frame_ns=None, t_ns=None)
+        return self._replace(offset=offset, step=step, t_frame_ns=None, t_ns=None, known=False)
 
 
 class LateralOffset:
@@ -330,15 +333,19 @@ def _test_ratio(
 
 
 def _with_jump(lateral: Lateral, before: OffsetReadout, after: OffsetReadout, half_m: float) -> Lateral:
-    """Count a step: another hypothesis has won, or the offset is known again after it was unknown."""
-    old, old_m = (before.offset_norm, before.offset_norm * half_m) if before.known else lateral.last_known
+    """Count a step: another hypothesis has won, or the offset is known again after a frame left it unknown.
+
+    That it is too uncertain between two frames is none: the hypothesis stays the same.
+    """
+    latest = (before.offset_norm, before.offset_norm * half_m) if before.known else lateral.last_known
     if not after.known:
-        return lateral._replace(last_known=(old, old_m))
+        return lateral._replace(known=False, last_known=latest)
+    old, old_m = latest if lateral.known else lateral.last_known
     new, new_m = after.offset_norm, after.offset_norm * half_m
-    if abs(new - old) > JUMP_NORM or (isfinite(old) and not before.known):
+    if abs(new - old) > JUMP_NORM or (isfinite(old) and not lateral.known):
         count = lateral.reset_count + 1
         lateral = lateral._replace(reset_count=count, reset_norm=new - old, reset_m=new_m - old_m)
-    return lateral._replace(last_known=(new, new_m))
+    return lateral._replace(known=True, last_known=(new, new_m))
 
 
 __all__ = [
