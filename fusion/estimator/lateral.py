@@ -44,7 +44,9 @@ from vision.rotations import wrap_axis
 PRIOR_STD = 0.1
 WIDTH_STD_SHARE = 0.05  # of a width that is told: corridors are not as wide everywhere
 ANSWER_PROBABILITY = 0.97  # that a single frame's answer is right, where that is all there is
-MAX_FORCE_M_S2 = 300.0
+MAX_FORCE_M_S2 = 300.0  # beyond these no vehicle flies: damaged samples
+MAX_SPEED_M_S = 100.0
+MAX_ANSWER_NORM = 10.0  # half widths, of an offset or its sigma: what is beyond says nothing
 JUMP_NORM = 0.1  # change in one frame from which on another hypothesis has won
 
 
@@ -139,12 +141,12 @@ class LateralOffset:
             return lateral if lateral.step is None else lateral._replace(step=None)
         force = step.accel_m_s2
         if force is not None and not max(map(abs, force)) < MAX_FORCE_M_S2:
-            force = None  # no vehicle flies so: a damaged sample
+            force = None
         offset = propagate(lateral.offset, step.dt_s, step.heading_rad, force, step.down)
         return lateral._replace(offset=offset, step=None)
 
     def with_velocity(self, lateral: Lateral, x: FloatArray, P: FloatArray, velocity: Velocity) -> Lateral:
-        """Take a level velocity as a measurement of the offset's rate.
+        """Take a level velocity as a measurement of the offset's rate, unless it is absurd.
 
         Parameters
         ----------
@@ -155,6 +157,8 @@ class LateralOffset:
         velocity
             As just measured.
         """
+        if not max(abs(velocity.forward_m_s), abs(velocity.sideways_m_s)) < MAX_SPEED_M_S:
+            return lateral
         psi = float(x[PSI])
         along = velocity.forward_m_s * cos(psi) - velocity.sideways_m_s * sin(psi)
         across = velocity.forward_m_s * sin(psi) + velocity.sideways_m_s * cos(psi)
@@ -297,7 +301,8 @@ def _mixtures_of(m: FrameMeasurement, config: FusionConfig) -> tuple[OffsetMixtu
     """Return what a frame says; one measured elsewhere may hold nothing but an answer."""
     if m.offset_evidence:
         return m.offset_evidence
-    if not (isfinite(m.lateral_offset_norm) and 0.0 < m.lateral_offset_norm_std < 10.0):
+    is_possible = abs(m.lateral_offset_norm) < MAX_ANSWER_NORM  # NaN fails too
+    if not (is_possible and 0.0 < m.lateral_offset_norm_std < MAX_ANSWER_NORM):
         return ()
     std = max(m.lateral_offset_norm_std, config.lateral_std_floor_norm)
     values = ([ANSWER_PROBABILITY], [m.lateral_offset_norm], [std], [m.width_per_height])
