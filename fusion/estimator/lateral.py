@@ -9,7 +9,7 @@ tells when the offset is known and when it jumps.
 from __future__ import annotations
 
 from enum import StrEnum
-from math import cos, hypot, isfinite, nan, sin
+from math import cos, hypot, inf, isfinite, nan, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -320,7 +320,7 @@ def _with_width(offset: OffsetState, half_m: float) -> OffsetState:
     x, P = offset.x.copy(), offset.P.copy()
     H = np.zeros(N_LATERAL)
     H[S] = 1.0
-    correct_all(x, P, H, inverse, variance)
+    correct_all(x, P, H, inverse, variance, inf)
     return offset._replace(x=x, P=P)
 
 
