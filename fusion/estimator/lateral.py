@@ -9,7 +9,7 @@ tells when the offset is known and when it jumps.
 from __future__ import annotations
 
 from enum import StrEnum
-from math import cos, hypot, isfinite, nan, sin
+from math import cos, hypot, inf, isfinite, nan, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +44,9 @@ from vision.rotations import wrap_axis
 PRIOR_STD = 0.1
 WIDTH_STD_SHARE = 0.05  # of a width that is told: corridors are not as wide everywhere
 ANSWER_PROBABILITY = 0.97  # that a single frame's answer is right, where that is all there is
-MAX_FORCE_M_S2 = 300.0
+MAX_FORCE_M_S2 = 300.0  # beyond these no vehicle flies: damaged samples
+MAX_SPEED_M_S = 100.0
+MAX_ANSWER_NORM = 10.0  # half widths, of an offset or its sigma: what is beyond says nothing
 JUMP_NORM = 0.1  # change in one frame from which on another hypothesis has won
 
 
@@ -90,8 +92,10 @@ class Lateral(NamedTuple):
         How many confirmed it.
     test_ratio
         Squared innovation of the last frame's likeliest offset over its gate's square.
+    known
+        Whether the last frame left it known.
     last_known
-        Offset after the last frame that left it known, half widths and metres.
+        Offset when it was last known, half widths and metres.
     reset_count, reset_norm, reset_m
         How often it jumped, and its last step.
     """
@@ -102,6 +106,7 @@ class Lateral(NamedTuple):
     t_ns: int | None = None
     n_used: int = 0
     test_ratio: float = nan
+    known: bool = False
     last_known: tuple[float, float] = (nan, nan)
     reset_count: int = 0
     reset_norm: float = 0.0
@@ -111,7 +116,7 @@ class Lateral(NamedTuple):
         """Go on in another corridor, or at another time, with nothing known but what the offset was last."""
         offset = in_new_corridor(self.offset)
         step = OffsetStep(Path(), offset, starts_anew=True)
-        return self._replace(offset=offset, step=step, t_frame_ns=None, t_ns=None)
+        return self._replace(offset=offset, step=step, t_frame_ns=None, t_ns=None, known=False)
 
 
 class LateralOffset:
@@ -136,12 +141,12 @@ class LateralOffset:
             return lateral if lateral.step is None else lateral._replace(step=None)
         force = step.accel_m_s2
         if force is not None and not max(map(abs, force)) < MAX_FORCE_M_S2:
-            force = None  # no vehicle flies so: a damaged sample
+            force = None
         offset = propagate(lateral.offset, step.dt_s, step.heading_rad, force, step.down)
         return lateral._replace(offset=offset, step=None)
 
     def with_velocity(self, lateral: Lateral, x: FloatArray, P: FloatArray, velocity: Velocity) -> Lateral:
-        """Take a level velocity as a measurement of the offset's rate.
+        """Take a level velocity as a measurement of the offset's rate, unless it is absurd.
 
         Parameters
         ----------
@@ -152,6 +157,8 @@ class LateralOffset:
         velocity
             As just measured.
         """
+        if not max(abs(velocity.forward_m_s), abs(velocity.sideways_m_s)) < MAX_SPEED_M_S:
+            return lateral
         psi = float(x[PSI])
         along = velocity.forward_m_s * cos(psi) - velocity.sideways_m_s * sin(psi)
         across = velocity.forward_m_s * sin(psi) + velocity.sideways_m_s * cos(psi)
@@ -294,7 +301,8 @@ def _mixtures_of(m: FrameMeasurement, config: FusionConfig) -> tuple[OffsetMixtu
     """Return what a frame says; one measured elsewhere may hold nothing but an answer."""
     if m.offset_evidence:
         return m.offset_evidence
-    if not (isfinite(m.lateral_offset_norm) and 0.0 < m.lateral_offset_norm_std < 10.0):
+    is_possible = abs(m.lateral_offset_norm) < MAX_ANSWER_NORM  # NaN fails too
+    if not (is_possible and 0.0 < m.lateral_offset_norm_std < MAX_ANSWER_NORM):
         return ()
     std = max(m.lateral_offset_norm_std, config.lateral_std_floor_norm)
     values = ([ANSWER_PROBABILITY], [m.lateral_offset_norm], [std], [m.width_per_height])
@@ -312,7 +320,7 @@ def _with_width(offset: OffsetState, half_m: float) -> OffsetState:
     x, P = offset.x.copy(), offset.P.copy()
     H = np.zeros(N_LATERAL)
     H[S] = 1.0
-    correct_all(x, P, H, inverse, variance)
+    correct_all(x, P, H, inverse, variance, inf)
     return offset._replace(x=x, P=P)
 
 
@@ -330,15 +338,19 @@ def _test_ratio(
 
 
 def _with_jump(lateral: Lateral, before: OffsetReadout, after: OffsetReadout, half_m: float) -> Lateral:
-    """Count a step: another hypothesis has won, or the offset is known again after it was unknown."""
-    old, old_m = (before.offset_norm, before.offset_norm * half_m) if before.known else lateral.last_known
+    """Count a step: another hypothesis has won, or the offset is known again after a frame left it unknown.
+
+    That it is too uncertain between two frames is none: the hypothesis stays the same.
+    """
+    latest = (before.offset_norm, before.offset_norm * half_m) if before.known else lateral.last_known
     if not after.known:
-        return lateral._replace(last_known=(old, old_m))
+        return lateral._replace(known=False, last_known=latest)
+    old, old_m = latest if lateral.known else lateral.last_known
     new, new_m = after.offset_norm, after.offset_norm * half_m
-    if abs(new - old) > JUMP_NORM or (isfinite(old) and not before.known):
+    if abs(new - old) > JUMP_NORM or (isfinite(old) and not lateral.known):
         count = lateral.reset_count + 1
         lateral = lateral._replace(reset_count=count, reset_norm=new - old, reset_m=new_m - old_m)
-    return lateral._replace(last_known=(new, new_m))
+    return lateral._replace(known=True, last_known=(new, new_m))
 
 
 __all__ = [

@@ -74,13 +74,22 @@ def corrected(x: FloatArray, P: FloatArray, H: FloatArray, residual: float, vari
 
 
 @compiled
-def correct_all(x: FloatArray, P: FloatArray, H: FloatArray, z: float, variance: float) -> None:
-    """Update every hypothesis in place by one scalar measurement."""
+def correct_all(
+    x: FloatArray, P: FloatArray, H: FloatArray, z: float, variance: float, max_sigma: float
+) -> None:
+    """Update every hypothesis in place by one scalar measurement.
+
+    One that is further than ``max_sigma`` from what a hypothesis expects has there the variance with which it is as
+    far as that: the further off, the less it counts.
+    """
     for h in range(len(x)):
-        residual = z
+        residual, expected_variance = z, 0.0
         for i in range(N_LATERAL):
             residual -= H[i] * x[h, i]
-        corrected(x[h], P[h], H, residual, variance)
+            for j in range(N_LATERAL):
+                expected_variance += H[i] * P[h, i, j] * H[j]
+        doubted = max(variance, (residual / max_sigma) ** 2 - expected_variance)
+        corrected(x[h], P[h], H, residual, doubted)
 
 
 @compiled

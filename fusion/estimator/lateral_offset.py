@@ -25,7 +25,7 @@ over T, one transition serves all hypotheses, and a sample of the accelerometer 
 
 Where there is no accelerometer, or one that vibrates so much that it tells less than nothing would, v is a
 Gauss-Markov process instead, as long as the silence lasts. A velocity stream's speed w across the corridor is a
-measurement of v: ``0 = v - w s``.
+measurement of v: ``0 = v - w s``, with its variance inflated where it is far from what a hypothesis expects.
 
 **Evidence.** A frame's likelihood of the offset is ``p(y) = e / 2 + sum_j w_j N(o_j; y, sigma_j^2)``, with e the
 probability that it cannot tell. Errors of successive frames resemble each other, so a frame that follows the last one
@@ -75,6 +75,7 @@ SUPPORTED = 0.5  # belief in a frame from which on it confirms the likeliest hyp
 MAX_SILENCE_S = 0.1  # of the accelerometer, until which its last sample is held
 ROUGHNESS_SAMPLES = 100
 ROLL_WALK = 0.006  # rad/sqrt(s) that the attitude's roll strays
+SPEED_SIGMA = 3.0  # from which on a velocity is doubted
 ROLL_TIME_S = 0.3  # over which errors of the frames' verticals resemble each other
 
 
@@ -354,7 +355,7 @@ def with_speed(state: OffsetState, across_m_s: float, variance: float) -> Offset
         return state
     x, P = state.x.copy(), state.P.copy()
     H = np.array([0.0, 1.0, 0.0, -across_m_s])
-    correct_all(x, P, H, 0.0, variance * float(np.mean(x[:, S])) ** 2)
+    correct_all(x, P, H, 0.0, variance * float(np.mean(x[:, S])) ** 2, SPEED_SIGMA)
     return state._replace(x=x, P=P)
 
 

@@ -125,6 +125,7 @@ def _move_corridor_changes(
             out["heading_rad"][back] = wrap(old - turn)
             out["heading_std_rad"][back] = (variance[step, PSI] + config.gyro_noise**2 * elapsed_s) ** 0.5
             out["lateral_offset_norm"][back] = out["lateral_offset_norm_std"][back] = nan
+            out["lateral_status"][back] = LateralStatus.UNKNOWN
             out["corridor_index"][back] = out["corridor_index"][row]
             out["corridor_turn_rad"][back] = out["corridor_turn_rad"][row]
             back -= 1

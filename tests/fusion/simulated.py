@@ -7,14 +7,16 @@ filter's models: body rates come from the Euler angles by the textbook kinematic
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import pi, radians
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
+from vision.lateral.mixture import OffsetMixture
 from vision.measurement import FrameMeasurement, Reason
 
 Function = Callable[[np.ndarray], np.ndarray]
@@ -95,7 +97,7 @@ class Scene:
     yaw_walk: float = 0.002
     yaw_std_rad: float = radians(0.2)
     yaw_shares_gyro: bool = False
-    accel: bool = False
+    accel: bool = False  # of gravity and the lateral motion, which must be smooth then
     half_width_m: float = 1.1
     speed_m_s: float = 0.0
     lateral: Function = field(
@@ -158,8 +160,9 @@ def simulate(scene: Scene) -> Simulated:
     noise = rng.normal(0, scene.gyro_noise / np.sqrt(dt), len(t))
     gyro = true_rates + (bias + noise)[:, None] * down
     samples: list[Sample] = []
+    force = _specific_force(scene, t, psi, roll, pitch) if scene.accel else None
     for i in range(len(t)):
-        accel = tuple((-9.80665 * down[i] + rng.normal(0, 0.05, 3)).tolist()) if scene.accel else None
+        accel = None if force is None else tuple((force[i] + rng.normal(0, 0.05, 3)).tolist())
         samples.append(Sample("imu", int(t_ns[i]), int(t_ns[i]), (tuple(gyro[i].tolist()), accel)))
     _attitudes(
         scene, np.random.default_rng(scene.seed + 2000), t, np.cumsum(noise) * dt, samples, roll_of, pitch_of
@@ -167,6 +170,20 @@ def simulate(scene: Scene) -> Simulated:
     frames = _frames(scene, np.random.default_rng(scene.seed + 3000), samples)
     samples.sort(key=lambda s: s.arrival_ns)
     return Simulated(scene, t, t_ns, psi, scene.lateral(t), bias, dpsi + bias + noise, frames, samples)
+
+
+def _specific_force(
+    scene: Scene, t: np.ndarray, psi: np.ndarray, roll: np.ndarray, pitch: np.ndarray
+) -> np.ndarray:
+    """Acceleration across the corridor less gravity, m/s^2, in the body (n, 3)."""
+    h = 1e-3
+    across = scene.half_width_m * (scene.lateral(t + h) - 2 * scene.lateral(t) + scene.lateral(t - h)) / h**2
+    relative = psi - scene.axis(t)
+    level = np.stack(
+        [across * np.sin(relative), across * np.cos(relative), np.full_like(t, -9.80665)], axis=1
+    )
+    body_to_level = Rotation.from_euler("ZYX", np.stack([np.zeros_like(t), pitch, roll], axis=1))
+    return np.asarray(body_to_level.inv().apply(level))
 
 
 def _attitudes(
@@ -247,6 +264,29 @@ def frame(
         "lateral_offset_norm_std": lateral_std,
     }
     return FrameMeasurement(**(values | changes))
+
+
+def mirrored(s: Sample) -> Sample:
+    """What the same sensors would say in a world seen in a mirror that swaps left and right."""
+    if s.kind == "imu":
+        (p, q, r), accel = s.values
+        return replace(s, values=((-p, q, -r), accel and (accel[0], -accel[1], accel[2])))
+    if s.kind == "attitude":
+        w, x, y, z = s.values[0]
+        return replace(s, values=((w, -x, y, -z),))
+    if s.kind == "velocity":
+        x, y, z = s.values[0]
+        return replace(s, values=((x, -y, z),))
+    m = s.values[0]
+    evidence = tuple(replace(e, offset_norm=-e.offset_norm) for e in m.offset_evidence)
+    sides = {"heading_rad": -m.heading_rad, "lateral_offset_norm": -m.lateral_offset_norm}
+    return replace(s, values=(replace(m, offset_evidence=evidence, **sides),))
+
+
+def two_places(offset: float, other: float, weight: float = 0.7, std: float = 0.02) -> OffsetMixture:
+    """What a frame says that leaves open which of two offsets is right, the first with this probability."""
+    nan = np.full(2, np.nan)
+    return OffsetMixture(np.array([weight, 0.9 - weight]), np.array([offset, other]), np.full(2, std), nan)
 
 
 def give(estimator: CorridorEstimator, sample: Sample) -> None:

@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
-from fusion.estimator.lateral import offset_model
-from fusion.estimator.lateral_offset import OffsetReadout, readout
 from tests.fusion.simulated import (
     Run,
     Scene,
@@ -50,11 +48,6 @@ def steady(seconds: float = 2.0, heading: float = 0.2, **config: Any) -> tuple[C
     return estimator, t
 
 
-def readout_of(estimator: CorridorEstimator) -> OffsetReadout:
-    """Return what the Gaussian sum holds likeliest, known or not."""
-    return readout(estimator._timeline.state.lateral.offset, offset_model(estimator.config))
-
-
 def go_on(
     estimator: CorridorEstimator, t: int, seconds: float, heading: float | None, rate: float = 0.0
 ) -> int:
@@ -71,19 +64,44 @@ def go_on(
 
 def test_errors_are_as_large_as_the_filter_says() -> None:
     """Mean NEES over runs lies within the 99.9 % band of chi-square; rows a second apart are about independent."""
-    ratios, lateral_ratios = [], []
+    ratios = []
     for seed in range(24):
         simulated = simulate(Scene(seed=seed, duration_s=14, heading=weaving(seed), gross=0.05, **QUICK))
         result = run(simulated, every=100)
         error = heading_error(result, simulated)
-        truth = np.interp(result.t_s, simulated.t_s, simulated.lateral)
         rows = result.t_s > 1.5
         ratios.append((error / result.std)[rows] ** 2)
-        lateral_ratios.append(((result.lateral - truth) / result.lateral_std)[rows] ** 2)
     nees = np.concatenate(ratios)
     assert abs(nees.mean() - 1) < 3.3 * np.sqrt(2 / nees.size)
-    # The simulated offset is smoother than the model allows for: never more confident than right.
-    assert np.nanmean(np.concatenate(lateral_ratios)) < 1.2
+
+
+@pytest.mark.parametrize(("accel", "known_share"), [(True, 0.97), (False, 0.8)])
+def test_errors_of_the_offset_are_no_larger_than_the_filter_says(accel: bool, known_share: float) -> None:
+    """Frames err as the model has it, alike for a quarter of a second, and one in twenty shows another place."""
+    errors, ratios, known = [], [], []
+    for seed in range(8):
+        scene = Scene(
+            seed=seed,
+            duration_s=14,
+            heading=weaving(seed),
+            lateral=weaving(seed + 50, 0.5, 9.0),
+            gross=0.05,
+            frame_correlation=0.82,
+            attitude_hz=25,
+            accel=accel,
+            **QUICK,
+        )
+        simulated = simulate(scene)
+        result = run(simulated, every=50)
+        error = result.lateral - np.interp(result.t_s, simulated.t_s, simulated.lateral)
+        rows = result.t_s > 2.0
+        known.append(np.isfinite(error[rows]))
+        errors.append(error[rows][known[-1]])
+        ratios.append((error / result.lateral_std)[rows][known[-1]] ** 2)
+    assert np.concatenate(known).mean() > known_share
+    assert np.abs(np.concatenate(errors)).max() < 0.1
+    # The simulated offset is smoother than the model allows for: sigma may be too large, but not boundless.
+    assert 0.1 < np.concatenate(ratios).mean() < 1.2
 
 
 @pytest.mark.parametrize("gross", [0.0, 0.05, 0.5])
@@ -569,7 +587,7 @@ def test_width_from_the_cameras_height() -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(st.floats(0.3, 5.0))
-def test_scale_free_offset_does_not_depend_on_the_scale(factor: float) -> None:
+def test_offset_in_metres_grows_with_the_width_and_its_scale_free_form_does_not(factor: float) -> None:
     base, _ = steady(2.0, corridor_width_m=2.0)
     scaled, _ = steady(2.0, corridor_width_m=2.0 * factor)
     a, b = base.estimate(), scaled.estimate()
@@ -584,40 +602,59 @@ def test_wrong_corners_are_rejected_and_lasting_ones_believed() -> None:
         estimator.add_imu(t, (0, 0, 0), AT_REST)
         wrong = -0.4 if i % 2 else 0.3
         estimator.add_measurement(t, frame(0.2, lateral=wrong, lateral_std=0.02))
-        found = estimator.estimate().lateral_offset_norm
-        assert found == pytest.approx(0.3, abs=0.03) or (
-            i > 2 and isnan(found)
-        )  # unknown, never the wrong one
-    for _ in range(50):
+        assert estimator.estimate().lateral_offset_norm == pytest.approx(0.3, abs=0.03)
+    for _ in range(25):
         t += 30 * MS
         estimator.add_imu(t, (0, 0, 0), AT_REST)
         estimator.add_measurement(t, frame(0.2, lateral=-0.1, lateral_std=0.02))
+        found = estimator.estimate()  # one of the two or unknown, never between them
+        assert (
+            isnan(found.lateral_offset_norm)
+            or min(abs(found.lateral_offset_norm - place) for place in (0.3, -0.1)) < 0.03
+        )
     assert estimator.estimate().lateral_offset_norm == pytest.approx(-0.1, abs=0.03)
 
 
-def test_forward_speed_moves_the_offset() -> None:
+def set_off(
+    estimator: CorridorEstimator, t: int, forward: float, right: float, roll: float, accel: bool
+) -> None:
+    """Gain a level speed, m/s, within half a second and keep it for another, without frames, rolled."""
+
+    def body(forward: float, right: float, down: float) -> tuple[float, float, float]:
+        c, s = float(np.cos(roll)), float(np.sin(roll))
+        return forward, c * right + s * down, c * down - s * right
+
+    for i in range(1, 101):
+        t += 10 * MS
+        gained, rate = min(i / 50, 1.0), 2.0 if i <= 50 else 0.0
+        estimator.add_attitude(t, quaternion(roll, 0.0, 0.5))
+        estimator.add_velocity(t, body(gained * forward, gained * right, 0.0))
+        force = body(rate * forward, rate * right, -9.80665)
+        estimator.add_imu(t, (0.0, 0.0, 0.0), force if accel else None)
+
+
+WAY_M = 0.75  # at 1 m/s
+
+
+@pytest.mark.parametrize("accel", [True, False])
+def test_forward_speed_moves_the_offset(accel: bool) -> None:
     estimator, t = steady(3.0, heading=0.2, corridor_width_m=2.0, velocity_std_m_s=0.02)
     before = estimator.estimate().lateral_offset_m
-    for i in range(100):
-        t += 10 * MS
-        if i % 10 == 0:
-            estimator.add_velocity(t, (1.0, 0.0, 0.0))
-        estimator.add_imu(t, (0, 0, 0))
-    moved = float(readout_of(estimator).offset_norm) - before  # half a width is one metre
-    assert moved == pytest.approx(np.sin(0.2), abs=0.06)
+    set_off(estimator, t, 1.0, 0.0, 0.0, accel)
+    now = estimator.estimate()
+    assert now.lateral_status == "coasting"
+    assert now.lateral_offset_m - before == pytest.approx(WAY_M * np.sin(0.2), abs=0.02)
 
 
-def test_velocity_is_levelled() -> None:
+@pytest.mark.parametrize(("accel", "lag_m"), [(True, 0.03), (False, 0.08)])
+def test_velocity_is_levelled(accel: bool, lag_m: float) -> None:
     estimator, t = steady(3.0, heading=0.0, corridor_width_m=2.0, velocity_std_m_s=0.02)
-    for _ in range(100):
-        t += 10 * MS
-        estimator.add_attitude(t, quaternion(radians(20), 0.0, 0.5))
-        estimator.add_velocity(
-            t, (0.0, np.cos(radians(20)), -np.sin(radians(20)))
-        )  # 1 m/s level, to the right
-        estimator.add_imu(t, (0, 0, 0))
-    assert estimator._timeline.state.velocity.sideways_m_s == pytest.approx(1.0, abs=0.01)
-    assert readout_of(estimator).velocity_norm_s > 0.5  # it has begun to move the offset
+    before = estimator.estimate().lateral_offset_m
+    set_off(estimator, t, 0.0, -1.0, radians(20), accel)
+    now = estimator.estimate()
+    assert now.lateral_status == "coasting"
+    assert estimator._timeline.state.velocity.sideways_m_s == pytest.approx(-1.0, abs=0.01)
+    assert now.lateral_offset_m - before == pytest.approx(-WAY_M, abs=lag_m)
 
 
 def test_flying_back_the_offset_keeps_its_side() -> None:
@@ -627,12 +664,13 @@ def test_flying_back_the_offset_keeps_its_side() -> None:
         heading=turning((5, 3, pi)),
         lateral=lambda t: np.full_like(np.asarray(t, float), 0.4),
         tilt_rad=radians(3),
+        accel=True,
         **QUICK,
     )
     result = run(simulate(scene))
     for rows in ((result.t_s > 1) & (result.t_s < 5), result.t_s > 8):  # along the axis, and back
         known = np.isfinite(result.lateral) & rows
-        assert known.sum() > 0.5 * rows.sum()
+        assert known.sum() > 0.95 * rows.sum()
         assert result.lateral[known] == pytest.approx(0.4, abs=0.1)
     assert degrees(abs(wrap(result.heading[-1] - pi))) < 1.5
 

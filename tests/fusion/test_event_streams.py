@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from fusion import CorridorEstimator, Estimate, FusionConfig
 from fusion.estimator.engine import Entry
 from tests.fusion.simulated import Sample as TimedSample
-from tests.fusion.simulated import frame, give, quaternion
+from tests.fusion.simulated import frame, give, mirrored, quaternion, two_places
 from vision import FrameMeasurement
 
 MS = 1_000_000
@@ -100,8 +100,9 @@ def _measurement(
     )
 
 
-def flight(amplitude_rad: float, rate_rad_s: float, with_attitude: bool) -> Stream:
-    """Weave in a corridor: samples of all kinds, exact, in order."""
+def flight(amplitude_rad: float, rate_rad_s: float, with_attitude: bool, ambiguous: bool = False) -> Stream:
+    """Weave in a corridor: samples of all kinds, exact, in order; ambiguous frames show two lateral offsets."""
+    evidence = (two_places(0.2, -0.5),) if ambiguous else ()
     t = np.arange(0, LENGTH_MS, 10)
     rate = amplitude_rad * rate_rad_s * np.cos(rate_rad_s * t * 1e-3)
     stream = [
@@ -110,14 +111,14 @@ def flight(amplitude_rad: float, rate_rad_s: float, with_attitude: bool) -> Stre
     ]
     for ms in range(3, LENGTH_MS, 50):
         heading = amplitude_rad * float(np.sin(rate_rad_s * ms * 1e-3))
-        stream.append(sample("frame", ms, frame(heading, 0.01, 0.2, 0.02)))
+        stream.append(sample("frame", ms, frame(heading, 0.01, 0.2, 0.02, offset_evidence=evidence)))
     for ms in range(6, LENGTH_MS if with_attitude else 0, 40):
         yaw = 0.7 + amplitude_rad * float(np.sin(rate_rad_s * ms * 1e-3))
         stream.append(sample("attitude", ms, quaternion(0.02, -0.03, yaw)))
     return Stream(stream)
 
 
-flights = st.builds(flight, st.floats(0.0, 0.5), st.floats(0.5, 4.0), st.booleans())
+flights = st.builds(flight, st.floats(0.0, 0.5), st.floats(0.5, 4.0), st.booleans(), st.booleans())
 
 
 plausible = st.builds(Stream, flights, st.lists(strewn(small), max_size=12))
@@ -158,6 +159,8 @@ def check_sound(estimates: Sequence[Estimate]) -> None:
             assert e.heading_std_rad > 0.0
         assert isfinite(e.lateral_offset_norm) == isfinite(e.lateral_offset_norm_std)
         assert e.lateral_offset_norm_std != e.lateral_offset_norm_std or e.lateral_offset_norm_std > 0.0
+        assert isfinite(e.lateral_offset_norm) == (e.lateral_status != "unknown")
+        assert 0.0 <= e.lateral_probability <= 1.0 + 1e-9
 
 
 @EXAMPLES
@@ -176,7 +179,7 @@ OVERFLOWS = pytest.mark.xfail(
     [
         pytest.param(sample("imu", 1500.1, (0.0, 0.0, 1e308), (0.0, 0.0, -9.8)), id="rate", marks=OVERFLOWS),
         pytest.param(sample("imu", 1500.1, (0.0, 0.0, 0.0), (1e200, 0.0, 0.0)), id="acceleration"),
-        pytest.param(sample("frame", 1500.4, frame(0.0, 0.01, 1e300, 0.02)), id="offset", marks=OVERFLOWS),
+        pytest.param(sample("frame", 1500.4, frame(0.0, 0.01, 1e300, 0.02)), id="offset"),
         pytest.param(
             sample("frame", 1500.4, _measurement(0, 0.01, 0, 0.02, 0, 1e200, 1)),
             id="elevation sigma",
@@ -187,6 +190,15 @@ OVERFLOWS = pytest.mark.xfail(
 )
 def test_one_absurd_sample_makes_no_absurd_numbers(stranger: TimedSample) -> None:
     check_sound(run(Stream(flight(0.2, 2.0, False), [stranger])))
+
+
+def test_one_absurd_velocity_leaves_the_offset_as_it_was() -> None:
+    plain = run(Stream(flight(0.2, 2.0, False)))[-1]
+    for speed in (1e3, 1e100, 1e300):
+        estimates = run(Stream(flight(0.2, 2.0, False), [sample("velocity", 1500.3, (0.0, speed, 0.0))]))
+        assert {e.lateral_status for e in estimates if e.timestamp_ns > 1500 * MS} == {"known"}
+        assert estimates[-1].lateral_offset_norm == pytest.approx(plain.lateral_offset_norm, abs=1e-6)
+        assert estimates[-1].lateral_offset_norm_std == pytest.approx(plain.lateral_offset_norm_std, rel=1e-3)
 
 
 @OVERFLOWS
@@ -261,30 +273,26 @@ def test_counts_never_go_back_whatever_arrives_late() -> None:
     assert counts == sorted(counts)
 
 
-def mirrored(s: TimedSample) -> TimedSample:
-    """What the same sensors would say in a world seen in a mirror that swaps left and right."""
-    if s.kind == "imu":
-        (p, q, r), (x, y, z) = s.values
-        return replace(s, values=((-p, q, -r), (x, -y, z)))
-    if s.kind == "attitude":
-        w, x, y, z = s.values[0]
-        return replace(s, values=((w, -x, y, -z),))
-    if s.kind == "velocity":
-        x, y, z = s.values[0]
-        return replace(s, values=((x, -y, z),))
-    m = s.values[0]
-    there = replace(m, heading_rad=-m.heading_rad, lateral_offset_norm=-m.lateral_offset_norm)
-    return replace(s, values=(there,))
-
-
 MIRRORED = (
     "heading_rad",
     "lateral_offset_norm",
     "yaw_rate_rad_s",
     "gyro_bias_rad_s",
     "lateral_velocity_norm_s",
+    "reset_lateral_norm",
 )
-THE_SAME = ("heading_std_rad", "lateral_offset_norm_std", "status", "reason", "reset_count", "corridor_index")
+THE_SAME = (
+    "heading_std_rad",
+    "lateral_offset_norm_std",
+    "lateral_status",
+    "lateral_probability",
+    "lateral_age_s",
+    "lateral_reset_count",
+    "status",
+    "reason",
+    "reset_count",
+    "corridor_index",
+)
 
 
 @EXAMPLES

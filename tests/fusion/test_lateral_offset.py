@@ -252,6 +252,21 @@ def test_a_velocity_across_the_corridor_carries_it_on() -> None:
     assert found.offset_norm == pytest.approx(0.4 * float(state.x[0, S]), abs=0.08)
 
 
+@pytest.mark.parametrize("speed_m_s", [5.0, 10.0, -30.0, 99.0])
+def test_a_velocity_that_cannot_be_does_not_tell_the_width(speed_m_s: float) -> None:
+    state = nothing_known()
+    for _ in range(40):
+        state = seen(moved_on(state, FRAME_S), (0.9, 0.2, 0.01))
+    state = along_path(state, state.path, MODEL)._replace(path=Path())
+    after = with_speed(state, speed_m_s, 0.1**2)
+    std = np.sqrt(state.P[0, S, S])
+    assert abs(after.x[0, S] - state.x[0, S]) < 2.5 * std
+    assert np.sqrt(after.P[0, S, S]) > 0.25 * std
+    again = with_speed(after, 0.0, 0.1**2)  # and nothing is locked: true ones count as before
+    assert again.P[0, V, V] < after.P[0, V, V]
+    assert readout(again, MODEL).offset_norm == pytest.approx(0.2, abs=0.02)
+
+
 @pytest.mark.parametrize(("roll", "pitch"), [(0.2, 0.0), (-0.1, 0.15), (0.0, -0.3)])
 def test_specific_force_is_levelled(roll: float, pitch: float) -> None:
     down = np.array([-sin(pitch), sin(roll) * cos(pitch), cos(roll) * cos(pitch)])
@@ -380,6 +395,48 @@ def test_a_mirrored_flight_gives_the_mirrored_offset(frames: list[Parts], right_
     if a.known:
         assert a.offset_norm == pytest.approx(-b.offset_norm, abs=1e-9)
         assert a.std_norm == pytest.approx(b.std_norm, rel=1e-6)
+
+
+@pytest.mark.parametrize("factor", [0.3, 5.0])
+@pytest.mark.parametrize("accel", [True, False])
+def test_scale_free_offset_does_not_depend_on_the_scale(factor: float, accel: bool) -> None:
+    """Where all that is metric grows with the corridor, nothing else changes."""
+
+    def flown(scale: float) -> list[OffsetReadout]:
+        grown = {
+            name: getattr(MODEL, name) * scale
+            for name in (
+                "accel_noise",
+                "accel_bias_std",
+                "accel_bias_walk",
+                "rough_limit",
+                "velocity_std_m_s",
+                "start_velocity_std_m_s",
+            )
+        }
+        s, s_std = MODEL.inverse_half_width
+        model = MODEL._replace(inverse_half_width=(s / scale, s_std / scale), **grown)
+        rng, state, out = np.random.default_rng(3), nothing_known(), []
+        for k in range(1, 81):
+            for i in range(10):
+                t = (10 * k - 9 + i) * IMU_S
+                force = (0.0, scale * (-0.9 * 0.9 * weave(t) + 0.2 * rng.normal()), -G)
+                state = propagate(state, IMU_S, 0.0, force if accel else None, LEVEL)
+            if k > 60:  # no frames: carried on
+                state = with_speed(
+                    along_path(state, state.path, model)._replace(path=Path()), 0.1 * scale, scale**2
+                )
+            else:
+                told = mixture((0.6, weave(k * FRAME_S), 0.02), (0.2, 0.5, 0.02))
+                state = update(state, frame_evidence([told], FRAME_S, 0.0, (0.0, 0.0)), model)
+            out.append(readout(state, model))
+        return out
+
+    one, other = flown(1.0), flown(factor)
+    assert any(o.known for o in one)
+    for a, b in zip(one, other, strict=True):
+        assert b.known == a.known
+        assert b[:5] == pytest.approx(a[:5], rel=1e-6, abs=1e-9)
 
 
 def test_the_same_samples_give_the_same_bits() -> None:

@@ -57,6 +57,26 @@ def test_errors_on_the_sample_flight(fused: FusionResult) -> None:
     assert 0.5 < fused.summary["errors"]["filter"]["heading"]["nees_mean"] < 2.0
 
 
+@pytest.mark.parametrize(
+    ("which", "rmse_m", "known_share"), [("estimates", 0.020, 0.90), ("smoothed", 0.015, 0.97)]
+)
+def test_the_lateral_offset_of_the_sample_flight_is_known_and_right(
+    fused: FusionResult, office: Flight, which: str, rmse_m: float, known_share: float
+) -> None:
+    table, truth = getattr(fused, which), office.truth
+    assert truth is not None
+    known = np.isfinite(table["lateral_offset_norm"])
+    np.testing.assert_array_equal(known, table["lateral_status"] != "unknown")
+    offset_m, width_m = (
+        np.interp(table["timestamp_ns"], truth.t_ns, values)
+        for values in (truth.lateral_offset_m, truth.corridor_width_m)
+    )
+    error_m = table["lateral_offset_norm"] * width_m / 2 - offset_m
+    assert known.mean() >= known_share
+    assert np.sqrt(np.mean(error_m[known] ** 2)) <= rmse_m
+    assert (np.abs(error_m[known]) <= 0.1 * width_m[known] / 2).all()
+
+
 def test_tables_have_a_row_per_sample(fused: FusionResult, office: Flight) -> None:
     assert office.imu is not None
     for table in (fused.estimates, fused.smoothed):
