@@ -70,7 +70,7 @@ MIN_WEIGHT = 1e-4
 MAX_SCATTER = 0.1
 MAX_OFFSET = 1.2  # beyond the walls
 MIN_CANNOT_TELL = 0.15  # of each kind of evidence, as no frame tells what it does not know
-FIRST_FRAME_S = 0.05  # as if that long after another: one frame alone is not to be relied on
+FIRST_FRAME_S = 0.3  # as if that long after another: one frame alone, whenever it comes, is not to be relied on
 SUPPORTED = 0.5  # belief in a frame from which on it confirms the likeliest hypothesis
 MAX_SILENCE_S = 0.1  # of the accelerometer, until which its last sample is held
 ROUGHNESS_SAMPLES = 100
@@ -97,7 +97,8 @@ class OffsetModel(NamedTuple):
     )  # 1/m, mean and standard deviation in an unknown corridor
     weight_time_s: float = 0.4
     state_time_s: float = 0.25
-    forget_1_s: float = 0.3
+    forgotten: float = 0.12  # share of all weights that a frame which is all new gives to the unknown
+    forget_1_s: float = 0.3  # the same while no frame comes
     slack_norm: float = 0.02
     scatter_time_s: float = 0.7
     least_scatter: float = 0.008
@@ -362,12 +363,13 @@ def with_speed(state: OffsetState, across_m_s: float, variance: float) -> Offset
 def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> OffsetState:
     """Take in what a frame says, at the hypotheses' time."""
     components, dt_s, side, aside_m = frame
+    gap_s, dt_s = max(dt_s - FIRST_FRAME_S, 0.0), min(dt_s, FIRST_FRAME_S)
     temper = -expm1(-dt_s / model.weight_time_s)
     inflation = -1.0 / expm1(-dt_s / model.state_time_s)
     x, P, weight = state.x.copy(), state.P.copy(), state.weight.copy()
     H = np.array([side, 0.0, 0.0, aside_m])
     belief, residual = associate(x, P, weight, components, H, state.scatter2, temper, inflation)
-    forgotten = -expm1(-dt_s * model.forget_1_s) * weight[:-1]
+    forgotten = (1.0 - (1.0 - model.forgotten * temper) * exp(-model.forget_1_s * gap_s)) * weight[:-1]
     weight[:-1] -= forgotten
     weight[-1] += forgotten.sum()
     x, P, weight = _with_new(x, P, weight, frame, model, temper)

@@ -39,6 +39,8 @@ from fusion.estimator.lateral_offset import (
 from vision.types import FloatArray
 
 YV = slice(Y, V + 1)
+BOTH_INFLATION = 1.5  # of the variance, as errors of what comes before and after resemble each other
+KNOWN_PROBABILITY = 0.95  # likewise higher than the filter's
 
 
 class OffsetStep(NamedTuple):
@@ -81,6 +83,7 @@ class OffsetSteps:
 
 def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[OffsetReadout]:
     """Return the offset after each step from the whole flight; ages are the filter's."""
+    model = model._replace(known_probability=KNOWN_PROBABILITY)
     out: list[OffsetReadout] = []
     later = nothing_known()
     for step in reversed(steps):
@@ -112,7 +115,8 @@ def _met(before: OffsetState, after: OffsetState, model: OffsetModel) -> OffsetR
         middle = m_f[:, None] + (P_f[:, None] @ pull)[..., 0]
         mean[: n * k] = middle.reshape(-1, 2)
         both = P_f[:, None] - gain @ P_f[:, None]
-        cov[: n * k] = 0.5 * (both + np.swapaxes(both, -1, -2)).reshape(-1, 2, 2)
+        both = 0.5 * BOTH_INFLATION * (both + np.swapaxes(both, -1, -2))
+        cov[: n * k] = both.reshape(-1, 2, 2)
         distance = (apart[..., None, :] @ pull)[..., 0, 0]
         density = np.exp(-0.5 * distance) / (2.0 * pi * np.sqrt(np.linalg.det(total)))
         v_std = model.start_velocity_std_m_s * model.inverse_half_width[0]
