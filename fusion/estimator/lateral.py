@@ -24,6 +24,7 @@ from fusion.estimator.lateral_offset import (
     OffsetState,
     Path,
     at_path_end,
+    compile_filter,
     frame_evidence,
     in_new_corridor,
     nothing_known,
@@ -134,6 +135,7 @@ class LateralOffset:
         self.config = config
         self.camera_arm_m = camera_arm_m
         self.model = offset_model(config)
+        compile_filter()
 
     def propagated(self, lateral: Lateral, step: MotionStep) -> Lateral:
         """Take a propagation step."""

@@ -7,7 +7,7 @@ symmetric to the last bit: each pair of entries is computed once.
 
 from __future__ import annotations
 
-from math import exp, pi, sqrt
+from math import erf, exp, expm1, pi, sqrt
 
 import numpy as np
 
@@ -19,6 +19,7 @@ N_LATERAL = 4
 MIN_LIKELIHOOD = 1e-12
 MIN_BELIEF = 0.01  # of a hypothesis in any component, for an update to be worth while
 EXPLAINED_SIGMA = 3.0
+ACCEL_SHARE = 0.9  # of a path over which the accelerometer must have spoken
 MERGE_SIGMA2 = 1.0
 MERGE_VELOCITY_SIGMA2 = 2.0
 
@@ -47,6 +48,72 @@ def moved(
                 for k in range(n):
                     total += 0.5 * (FP[i, k] * F[j, k] + FP[j, k] * F[i, k])
                 P_out[h, i, j] = P_out[h, j, i] = total
+
+
+@compiled
+def fill_transition(
+    path: tuple[float, float, float, float, float],
+    noise: tuple[float, float, float, float, float, float],
+    backward: bool,
+    F: FloatArray,
+    Q: FloatArray,
+) -> None:
+    """Fill in F (4, 4) and Q (4, 4) of a path of some length; see `fusion.estimator.lateral_offset.transition`.
+
+    Parameters
+    ----------
+    path
+        The numbers of a `fusion.estimator.lateral_offset.Path`.
+    noise
+        One over the half width, accel_noise, accel_bias_walk, rough_limit, velocity_std_m_s and velocity_time_s of an
+        `OffsetModel`.
+    backward
+        Whether to lead back.
+    F, Q
+        Filled.
+    """
+    t, accel_s, a1, a2, rough = path
+    scale, accel_noise, bias_walk, rough_limit, v_std, tau = noise
+    F[:], Q[:] = 0.0, 0.0
+    for k in range(N_LATERAL):
+        F[k, k] = 1.0
+    n2, b2 = scale**2 * (rough / t + accel_noise**2), (scale * bias_walk) ** 2
+    sign = -1.0 if backward else 1.0
+    Q[C, C] = b2 * t
+    if accel_s < ACCEL_SHARE * t or n2 > (scale * rough_limit) ** 2:
+        x, std = t / tau, scale * v_std
+        fall = -expm1(-x)
+        yy = 2 * x - 2 * fall - fall * fall if x > 0.05 else x**3 * (2 / 3 - x / 2 + 7 * x * x / 30)
+        F[Y, V], F[V, V] = sign * tau * fall, exp(-x)  # a stationary process is the same in either direction
+        Q[Y, Y] = (std * tau) ** 2 * yy
+        Q[Y, V] = Q[V, Y] = sign * std**2 * tau * fall * fall
+        Q[V, V] = -(std**2) * expm1(-2 * x)
+        return
+    F[Y, V], F[Y, C], F[V, C] = sign * t, -0.5 * t * t, -sign * t
+    F[V, S] = sign * a1
+    F[Y, S] = t * a1 - a2 if backward else a2
+    # The noise of the way back, F^-1 Q F^-T, is that of the way there with time reversed.
+    Q[Y, Y] = n2 * t**3 / 3 + b2 * t**5 / 20
+    Q[Y, V] = Q[V, Y] = sign * (n2 * t**2 / 2 + b2 * t**4 / 8)
+    Q[V, V] = n2 * t + b2 * t**3 / 3
+    Q[Y, C] = Q[C, Y] = -b2 * t**3 / 6
+    Q[V, C] = Q[C, V] = -sign * b2 * t**2 / 2
+
+
+@compiled
+def moved_along(
+    x: FloatArray,
+    P: FloatArray,
+    path: tuple[float, float, float, float, float],
+    noise: tuple[float, float, float, float, float, float],
+    backward: bool,
+) -> tuple[FloatArray, FloatArray]:
+    """Carry hypotheses (k, 4), (k, 4, 4) along a path of some length, or back along it; see `fill_transition`."""
+    F, Q = np.empty((N_LATERAL, N_LATERAL)), np.empty((N_LATERAL, N_LATERAL))
+    fill_transition(path, noise, backward, F, Q)
+    x_out, P_out = np.empty_like(x), np.empty_like(P)
+    moved(x, P, F, Q, x_out, P_out)
+    return x_out, P_out
 
 
 @compiled
@@ -164,7 +231,7 @@ def spawn(
     evidence: FloatArray,
     side: float,
     aside_m: float,
-    start: FloatArray,
+    start: tuple[float, float, float, float, float],
     share: float,
     near: float,
     x_out: FloatArray,
@@ -261,3 +328,135 @@ def merge(
         keep[count] = i
         count += 1
     return count
+
+
+@compiled
+def reduce(
+    x: FloatArray,
+    P: FloatArray,
+    weight: FloatArray,
+    near: float,
+    lost_variance: float,
+    max_offset: float,
+    max_count: int,
+    min_weight: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Merge what has become one and drop what hardly counts; what they held is unknown.
+
+    Parameters
+    ----------
+    x, P, weight
+        Hypotheses, changed; ``weight`` (k + 1,).
+    near
+        As in `merge`.
+    lost_variance, max_offset
+        A hypothesis less certain than this, or beyond this, is none.
+    max_count, min_weight
+        So many are kept, the likeliest, if they weigh more than this.
+    """
+    k = len(x)
+    for h in range(k):
+        if P[h, Y, Y] > lost_variance or abs(x[h, Y]) > max_offset:
+            weight[h] = 0.0
+    keep = np.empty(k, np.int64)
+    n = merge(x, P, weight, np.argsort(-weight[:k], kind="mergesort"), near, keep)
+    keep = keep[:n]
+    keep = keep[np.argsort(-weight[keep], kind="mergesort")][:max_count]
+    keep = keep[weight[keep] > min_weight]
+    n = len(keep)
+    x_out, P_out = np.empty((n, N_LATERAL)), np.empty((n, N_LATERAL, N_LATERAL))
+    weight_out = np.empty(n + 1)
+    left = 1.0
+    for i in range(n):
+        x_out[i], P_out[i], weight_out[i] = x[keep[i]], P[keep[i]], weight[keep[i]]
+        left -= weight_out[i]
+    weight_out[n] = max(left, 0.0)
+    return x_out, P_out, weight_out
+
+
+@compiled
+def take_frame(
+    x: FloatArray,
+    P: FloatArray,
+    weight: FloatArray,
+    evidence: FloatArray,
+    side: float,
+    aside_m: float,
+    slack: float,
+    shares: tuple[float, float, float],
+    start: tuple[float, float, float, float, float],
+    near: float,
+    limits: tuple[float, float, int, float],
+) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
+    """Take in a frame: `associate`, forget, `spawn` and `reduce`; the hypotheses given are left as they are.
+
+    Parameters
+    ----------
+    x, P, weight, evidence, side, aside_m, start, near
+        As in `spawn`.
+    slack
+        As in `associate`.
+    shares
+        How much of the frame is new for the weights and for the state; the share of all weights that is forgotten.
+    limits
+        ``lost_variance`` to ``min_weight`` of `reduce`.
+
+    Returns
+    -------
+    tuple
+        Hypotheses, covariances, weights; the likeliest's belief in the frame and its residual.
+    """
+    k, m = len(x), len(evidence)
+    all_x, all_P = np.empty((k + m, N_LATERAL)), np.empty((k + m, N_LATERAL, N_LATERAL))
+    old, new_weight = np.empty(k + 1), np.empty(m)
+    all_x[:k], all_P[:k], old[:] = x, P, weight
+    H = np.zeros(N_LATERAL)
+    H[Y], H[S] = side, aside_m
+    belief, residual = associate(all_x[:k], all_P[:k], old, evidence, H, slack, shares[0], 1.0 / shares[1])
+    for h in range(k):
+        old[k] += shares[2] * old[h]
+        old[h] *= 1.0 - shares[2]
+    known_x, known_P, new_x, new_P = all_x[:k], all_P[:k], all_x[k:], all_P[k:]
+    n = spawn(
+        known_x, known_P, old, evidence, side, aside_m, start, shares[0], near, new_x, new_P, new_weight
+    )
+    all_weight = np.empty(k + n + 1)
+    all_weight[:k], all_weight[k : k + n], all_weight[k + n] = old[:k], new_weight[:n], old[k]
+    x_out, P_out, weight_out = reduce(all_x[: k + n], all_P[: k + n], all_weight, near, *limits)
+    return x_out, P_out, weight_out, belief, residual
+
+
+@compiled
+def summarised(
+    mean: FloatArray, cov: FloatArray, weight: FloatArray, tolerance: float
+) -> tuple[float, float, float, float, float]:
+    """Offset and rate of the hypotheses within ``tolerance`` of the likeliest; at least one.
+
+    Returns
+    -------
+    tuple
+        Offset and its standard deviation, rate and its own, and the probability that the offset lies within the
+        tolerance.
+    """
+    k = len(mean)
+    best = 0
+    for h in range(k):
+        if weight[h] > weight[best]:
+            best = h
+    total = y = v = 0.0
+    for h in range(k):
+        if abs(mean[h, Y] - mean[best, Y]) < tolerance:
+            total += weight[h]
+            y += weight[h] * mean[h, Y]
+            v += weight[h] * mean[h, V]
+    y, v = y / total, v / total
+    y_variance = v_variance = probability = 0.0
+    for h in range(k):
+        apart = mean[h, Y] - y
+        square = cov[h, Y, Y] + apart * apart
+        if abs(mean[h, Y] - mean[best, Y]) < tolerance:
+            y_variance += weight[h] / total * square
+            v_variance += weight[h] / total * (cov[h, V, V] + (mean[h, V] - v) ** 2)
+        scale = sqrt(2.0 * cov[h, Y, Y])
+        probability += 0.5 * weight[h] * (erf((tolerance - apart) / scale) + erf((tolerance + apart) / scale))
+    return y, sqrt(y_variance), v, sqrt(v_variance), probability

@@ -44,23 +44,20 @@ narrow.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import reduce
-from math import cos, erf, exp, expm1, isfinite, nan, sin, sqrt
+from functools import cache, reduce
+from math import cos, exp, expm1, isfinite, nan, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from fusion.estimator.lateral_kernels import (
     N_LATERAL,
-    C,
     S,
-    V,
-    Y,
-    associate,
     correct_all,
-    merge,
-    moved,
-    spawn,
+    fill_transition,
+    moved_along,
+    summarised,
+    take_frame,
 )
 from vision.lateral.mixture import OffsetMixture, combine
 from vision.types import FloatArray
@@ -70,7 +67,9 @@ MIN_WEIGHT = 1e-4
 MAX_SCATTER = 0.1
 MAX_OFFSET = 1.2  # beyond the walls
 MIN_CANNOT_TELL = 0.15  # of each kind of evidence, as no frame tells what it does not know
-FIRST_FRAME_S = 0.3  # as if that long after another: one frame alone, whenever it comes, is not to be relied on
+FIRST_FRAME_S = (
+    0.3  # as if that long after another: one frame alone, whenever it comes, is not to be relied on
+)
 SUPPORTED = 0.5  # belief in a frame from which on it confirms the likeliest hypothesis
 MAX_SILENCE_S = 0.1  # of the accelerometer, until which its last sample is held
 ROUGHNESS_SAMPLES = 100
@@ -242,53 +241,29 @@ def propagate(
 
 
 def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tuple[FloatArray, FloatArray]:
-    """Return F (4, 4) and Q (4, 4), or, ``backward``, those that lead back.
+    """Return F (4, 4) and Q (4, 4) of a path of some length, or, ``backward``, those that lead back.
 
     The noise is turned into half widths by the s of the model, not that of a hypothesis: one that takes the corridor
     for wider would have less of it, and win for that alone.
     """
-    t = path.t_s
-    F: FloatArray = np.eye(N_LATERAL)
-    Q: FloatArray = np.zeros((N_LATERAL, N_LATERAL))
-    if not t > 0.0:
-        return F, Q
-    scale = model.inverse_half_width[0]
-    n2 = scale**2 * (path.noise / t + model.accel_noise**2)
-    b2 = (scale * model.accel_bias_walk) ** 2
-    if path.accel_s < 0.9 * t or n2 > (scale * model.rough_limit) ** 2:
-        tau, std = model.velocity_time_s, scale * model.velocity_std_m_s
-        x = t / tau
-        fall = -expm1(-x)
-        F[Y, V], F[V, V] = tau * fall, exp(-x)
-        yy = 2 * x - 2 * fall - fall * fall if x > 0.05 else x**3 * (2 / 3 - x / 2)
-        Q[Y, Y] = (std * tau) ** 2 * yy
-        Q[Y, V] = Q[V, Y] = std**2 * tau * fall * fall
-        Q[V, V] = -(std**2) * expm1(-2 * x)
-        Q[C, C] = b2 * t
-        if backward:  # a stationary process is the same in either direction
-            F[Y, V], Q[Y, V], Q[V, Y] = -F[Y, V], -Q[Y, V], -Q[V, Y]
-        return F, Q
-    F[Y, V], F[Y, C], F[Y, S] = t, -0.5 * t * t, path.a2
-    F[V, C], F[V, S] = -t, path.a1
-    Q[Y, Y] = n2 * t**3 / 3 + b2 * t**5 / 20
-    Q[Y, V] = Q[V, Y] = n2 * t**2 / 2 + b2 * t**4 / 8
-    Q[V, V] = n2 * t + b2 * t**3 / 3
-    Q[Y, C] = Q[C, Y] = -b2 * t**3 / 6
-    Q[V, C] = Q[C, V] = -b2 * t**2 / 2
-    Q[C, C] = b2 * t
-    if backward:
-        F = np.asarray(np.linalg.inv(F), dtype=float)
-        Q = F @ Q @ F.T
+    F, Q = np.empty((N_LATERAL, N_LATERAL)), np.empty((N_LATERAL, N_LATERAL))
+    t_s, accel_s, a1, a2, noise = path
+    fill_transition((t_s, accel_s, a1, a2, noise), _noise(model), backward, F, Q)
     return F, Q
+
+
+def _noise(m: OffsetModel) -> tuple[float, float, float, float, float, float]:
+    """Return what `fill_transition` takes of a model."""
+    inverse, _ = m.inverse_half_width
+    return inverse, m.accel_noise, m.accel_bias_walk, m.rough_limit, m.velocity_std_m_s, m.velocity_time_s
 
 
 def along_path(state: OffsetState, path: Path, model: OffsetModel, *, backward: bool = False) -> OffsetState:
     """Carry the hypotheses along a path, or back along it."""
     if not path.t_s > 0.0 or not len(state.x):
         return state
-    F, Q = transition(path, model, backward=backward)
-    x, P = np.empty_like(state.x), np.empty_like(state.P)
-    moved(state.x, state.P, F, Q, x, P)
+    t_s, accel_s, a1, a2, noise = path
+    x, P = moved_along(state.x, state.P, (t_s, accel_s, a1, a2, noise), _noise(model), backward)
     return state._replace(x=x, P=P)
 
 
@@ -364,16 +339,23 @@ def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) 
     """Take in what a frame says, at the hypotheses' time."""
     components, dt_s, side, aside_m = frame
     gap_s, dt_s = max(dt_s - FIRST_FRAME_S, 0.0), min(dt_s, FIRST_FRAME_S)
-    temper = -expm1(-dt_s / model.weight_time_s)
-    inflation = -1.0 / expm1(-dt_s / model.state_time_s)
-    x, P, weight = state.x.copy(), state.P.copy(), state.weight.copy()
-    H = np.array([side, 0.0, 0.0, aside_m])
-    belief, residual = associate(x, P, weight, components, H, state.scatter2, temper, inflation)
-    forgotten = (1.0 - (1.0 - model.forgotten * temper) * exp(-model.forget_1_s * gap_s)) * weight[:-1]
-    weight[:-1] -= forgotten
-    weight[-1] += forgotten.sum()
-    x, P, weight = _with_new(x, P, weight, frame, model, temper)
-    x, P, weight = _reduced(x, P, weight, model)
+    new, new_of_state = -expm1(-dt_s / model.weight_time_s), -expm1(-dt_s / model.state_time_s)
+    forgotten = 1.0 - (1.0 - model.forgotten * new) * exp(-model.forget_1_s * gap_s)
+    s, s_std = model.inverse_half_width
+    v_std, c_std = model.start_velocity_std_m_s * s, model.accel_bias_std * s
+    x, P, weight, belief, residual = take_frame(
+        state.x,
+        state.P,
+        state.weight,
+        components,
+        side,
+        aside_m,
+        state.scatter2,
+        (new, new_of_state, forgotten),
+        (model.slack_norm**2, v_std**2, c_std**2, s, s_std**2),
+        model.near_norm,
+        (model.lost_std_norm**2, MAX_OFFSET, MAX_HYPOTHESES, MIN_WEIGHT),
+    )
     age_s = 0.0 if belief > SUPPORTED or not len(state.x) else state.evidence_age_s
     scatter2 = state.scatter2
     if belief > SUPPORTED:
@@ -386,46 +368,6 @@ def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) 
 def update(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> OffsetState:
     """Take in what a frame at the state's time says."""
     return with_evidence(at_path_end(state, model), frame, model)
-
-
-def _with_new(
-    x: FloatArray,
-    P: FloatArray,
-    weight: FloatArray,
-    frame: FrameEvidence,
-    model: OffsetModel,
-    share: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Let the unknown's weight move to the components, as new hypotheses where none explains them."""
-    components, _, side, aside_m = frame
-    m = len(components)
-    new_x, new_P, new_weight = np.empty((m, N_LATERAL)), np.empty((m, N_LATERAL, N_LATERAL)), np.empty(m)
-    s, s_std = model.inverse_half_width
-    v_std, c_std = model.start_velocity_std_m_s * s, model.accel_bias_std * s
-    start = np.array([model.slack_norm**2, v_std**2, c_std**2, s, s_std**2])
-    near = model.near_norm
-    n = spawn(x, P, weight, components, side, aside_m, start, share, near, new_x, new_P, new_weight)
-    if n == 0:
-        return x, P, weight
-    return (
-        np.concatenate([x, new_x[:n]]),
-        np.concatenate([P, new_P[:n]]),
-        np.concatenate([weight[:-1], new_weight[:n], weight[-1:]]),
-    )
-
-
-def _reduced(
-    x: FloatArray, P: FloatArray, weight: FloatArray, model: OffsetModel
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Merge what has become one and drop what hardly counts; what they held is unknown."""
-    known = weight[:-1].copy()
-    known[(P[:, Y, Y] > model.lost_std_norm**2) | (np.abs(x[:, Y]) > MAX_OFFSET)] = 0.0
-    keep = np.empty(len(x), np.int64)
-    n = merge(x, P, known, np.argsort(-known, kind="stable"), model.near_norm, keep)
-    keep = keep[:n][np.argsort(-known[keep[:n]], kind="stable")][:MAX_HYPOTHESES]
-    keep = keep[known[keep] > MIN_WEIGHT]
-    left = known[keep]
-    return x[keep], P[keep], np.append(left, max(1.0 - float(left.sum()), 0.0))
 
 
 def readout(state: OffsetState, model: OffsetModel) -> OffsetReadout:
@@ -452,16 +394,18 @@ def summary(
     """
     if not len(mean):
         return OffsetReadout(nan, nan, nan, nan, 0.0, False, nan)
-    best = int(np.argmax(weight))
-    near = np.abs(mean[:, Y] - mean[best, Y]) < model.tolerance_norm
-    share = weight[near] / weight[near].sum()
-    middle = share @ mean[near]
-    apart = mean[near] - middle
-    y_std, v_std = (sqrt(float(share @ (cov[near, i, i] + apart[:, i] ** 2))) for i in (Y, V))
-    probability = 0.0
-    for w, y, variance in zip(weight.tolist(), mean[:, Y].tolist(), cov[:, Y, Y].tolist(), strict=True):
-        scale = sqrt(2.0 * variance)
-        above, below = middle[Y] + model.tolerance_norm - y, middle[Y] - model.tolerance_norm - y
-        probability += 0.5 * w * (erf(above / scale) - erf(below / scale))
+    y, y_std, v, v_std, probability = summarised(mean, cov, weight, model.tolerance_norm)
     known = probability > model.known_probability and y_std < model.known_std_norm
-    return OffsetReadout(float(middle[Y]), y_std, float(middle[V]), v_std, probability, known, evidence_age_s)
+    return OffsetReadout(y, y_std, v, v_std, probability, known, evidence_age_s)
+
+
+@cache
+def compile_filter() -> None:
+    """Compile, or load what was compiled, when an estimator is made: not at its first frame, in flight."""
+    one = np.array([0.5])
+    mixture = OffsetMixture(one, one, one, one)
+    frame = frame_evidence([mixture, mixture], FIRST_FRAME_S, 0.0, (0.0, 0.0))
+    state, model = nothing_known(), OffsetModel()
+    for _ in range(2):
+        state = update(propagate(state, 0.01, 0.0, None, (0.0, 0.0, 1.0)), frame, model)
+    readout(with_speed(state, 0.0, 1.0), model)

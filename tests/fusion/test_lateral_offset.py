@@ -294,10 +294,38 @@ def test_the_roll_of_the_verticals_is_averaged() -> None:
 
 def test_backward_transitions_undo_forward_ones() -> None:
     path = Path(0.2, 0.2, 0.05, 0.004, 0.001)
-    F, _ = transition(path, MODEL)
-    back, Q = transition(path, MODEL, backward=True)
+    F, Q = transition(path, MODEL)
+    back, Q_back = transition(path, MODEL, backward=True)
     np.testing.assert_allclose(back @ F, np.eye(4), atol=1e-12)
-    assert np.linalg.eigvalsh(Q).min() > -1e-15
+    np.testing.assert_allclose(Q_back, back @ Q @ back.T, rtol=1e-9, atol=1e-15)
+
+
+def test_without_accelerometer_the_way_back_is_as_uncertain_as_the_way_there() -> None:
+    F, Q = transition(Path(0.2), MODEL)
+    back, Q_back = transition(Path(0.2), MODEL, backward=True)
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])  # time turned round: the rate changes its sign
+    np.testing.assert_allclose(back, mirror @ F @ mirror, atol=1e-15)
+    np.testing.assert_allclose(Q_back, mirror @ Q @ mirror, atol=1e-15)
+
+
+@pytest.mark.parametrize("gap_s", [0.05, 1.0, 20.0])
+def test_one_frame_alone_is_not_relied_on_however_late_it_comes(gap_s: float) -> None:
+    state = nothing_known()
+    for place in (-0.5, 0.4):
+        state = update(state, frame_evidence([mixture((0.95, place, 0.01))], gap_s, 0.0, (0.0, 0.0)), MODEL)
+        found = readout(state, MODEL)
+        assert not (found.known and found.offset_norm == pytest.approx(place, abs=0.1))
+
+
+@pytest.mark.parametrize("frame_s", [0.02, 0.05, 0.2])
+def test_known_within_a_second_at_any_rate_of_frames(frame_s: float) -> None:
+    state, t_s = nothing_known(), 0.0
+    while not readout(state, MODEL).known:
+        evidence = frame_evidence([mixture((0.85, 0.2, 0.02))], frame_s if t_s else nan, 0.0, (0.0, 0.0))
+        state = update(moved_on(state, frame_s), evidence, MODEL)
+        t_s += frame_s
+        assert t_s < 1.5
+    assert t_s > 0.1
 
 
 def test_smoothed_is_better_knows_the_start_and_mirrors() -> None:
