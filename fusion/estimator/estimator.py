@@ -16,6 +16,7 @@ from fusion.estimator.estimate import Estimate, Status, estimate_of
 from fusion.estimator.fixed_lag import FixedLag
 from fusion.estimator.frame_update import FrameResult, FrameSample, Measure
 from fusion.estimator.imu_yaw import AttitudeSample
+from fusion.estimator.input_checks import finite_or_not, number, whole_nanoseconds, within_bounds
 from fusion.estimator.models import Vector
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.range_width import RangeSample
@@ -77,6 +78,7 @@ class CorridorEstimator:
         self._timeline = Timeline(
             self._engine,
             round(self.config.buffer_s * 1e9),
+            self.counters,
             on_final if self._lag is None else self._finalise,
         )
         self._delay_ns = round(self.config.camera_delay_s * 1e9)
@@ -92,7 +94,10 @@ class CorridorEstimator:
         return self._engine.ekf
 
     def add(self, sample: Sample) -> Entry | None:
-        """Add a sample of any kind; return what became of it for now, or None where it is ignored and counted."""
+        """Add a sample of any kind; return what became of it for now, or None where it is ignored and counted.
+
+        An error raised by what measures a frame goes to the caller, and leaves no trace of that frame.
+        """
         if fault := sample.fault():
             self.counters[fault] += 1
             return None
@@ -113,22 +118,26 @@ class CorridorEstimator:
         return entry
 
     def add_imu(self, t_ns: int, gyro: npt.ArrayLike, accel: npt.ArrayLike | None = None) -> None:
-        """Add a gyroscope sample (3,) rad/s and, where there is one, accelerometer (3,) m/s^2, body FRD."""
+        """Add a gyroscope sample (3,) rad/s and, where there is one, accelerometer (3,) m/s^2, body FRD.
+
+        This and the methods below raise `InputError` where a time is no whole number of nanoseconds, or a value has
+        another shape. Values that are no numbers, or that no vehicle can reach, are counted and ignored.
+        """
         force = None
         if accel is not None:
-            ax, ay, az = _vector(accel)
+            ax, ay, az = _vector(accel, "accel")
             if isfinite(ax) and isfinite(ay) and isfinite(az):
                 force = (ax, ay, az)
-        self.add(ImuSample(int(t_ns), _vector(gyro), force))
+        self.add(ImuSample(whole_nanoseconds(t_ns), _vector(gyro, "gyro"), force))
 
     def add_attitude(self, t_ns: int, q_world_body: npt.ArrayLike) -> None:
         """Add an attitude (4,), unit quaternion w, x, y, z, body FRD to a world whose z points down."""
-        w, x, y, z = np.asarray(q_world_body, dtype=float).reshape(4).tolist()
-        self.add(AttitudeSample(int(t_ns), (w, x, y, z)))
+        w, x, y, z = finite_or_not(q_world_body, 4, "q_world_body")
+        self.add(AttitudeSample(whole_nanoseconds(t_ns), (w, x, y, z)))
 
     def add_velocity(self, t_ns: int, v_body: npt.ArrayLike) -> None:
         """Add a velocity (3,) m/s in body FRD, for instance from optical flow or wheels."""
-        self.add(VelocitySample(int(t_ns), _vector(v_body)))
+        self.add(VelocitySample(whole_nanoseconds(t_ns), _vector(v_body, "v_body")))
 
     def add_range(self, t_ns: int, distance_m: float) -> None:
         """Add a distance to the floor, metres along the body's z, as seen from the camera's place.
@@ -136,7 +145,7 @@ class CorridorEstimator:
         With the width per height that frames see it gives the corridor's width, and so offsets in metres, where the
         configuration tells neither the width nor the camera's height.
         """
-        self.add(RangeSample(int(t_ns), float(distance_m)))
+        self.add(RangeSample(whole_nanoseconds(t_ns), number(distance_m, "distance_m")))
 
     def add_frame(self, t_ns: int, image: npt.NDArray[Any]) -> FrameResult:
         """Add a picture: grey (h, w), BGR or BGRA, uint8 or uint16. A picture of no use is counted as unreadable.
@@ -175,7 +184,13 @@ class CorridorEstimator:
         return self._add_frame(t_ns, measure)
 
     def add_measurement(self, t_ns: int, measurement: FrameMeasurement) -> FrameResult:
-        """Add a frame that was measured elsewhere."""
+        """Add a frame that was measured elsewhere.
+
+        A field that no camera in a corridor can show (an offset of three half widths, an elevation of 30 degrees) is
+        counted, ``frame_offset_out_of_range`` for instance, and taken for not measured.
+        """
+        measurement, refused = within_bounds(measurement)
+        self.counters.update(refused)
         return self._add_frame(t_ns, measurement)
 
     def add_unreadable_frame(self, t_ns: int) -> FrameResult:
@@ -227,7 +242,7 @@ class CorridorEstimator:
         return self.camera
 
     def _add_frame(self, t_ns: int, measure: Measure | FrameMeasurement | None) -> FrameResult:
-        t_ns = int(t_ns)
+        t_ns = whole_nanoseconds(t_ns)
         entry = self.add(FrameSample(t_ns - self._delay_ns, t_ns, measure))
         if entry is None or entry.frame is None:
             self.last_frame = FrameResult(t_ns, None, False, Reason.LATE)
@@ -237,10 +252,13 @@ class CorridorEstimator:
         return self.last_frame
 
 
-def _vector(values: npt.ArrayLike) -> Vector:
+def _vector(values: npt.ArrayLike, name: str) -> Vector:
     """Three floats."""
-    if type(values) is np.ndarray and values.shape == (3,):
-        x, y, z = values.tolist()  # the usual case, for half the price
-    else:
-        x, y, z = values if isinstance(values, tuple) else np.asarray(values, dtype=float).reshape(3).tolist()
-    return float(x), float(y), float(z)
+    # Without numpy for what the usual callers give, at half the price.
+    listed: Any = values.tolist() if type(values) is np.ndarray and values.shape == (3,) else values
+    try:
+        x, y, z = listed
+        return float(x), float(y), float(z)
+    except (TypeError, ValueError):
+        x, y, z = finite_or_not(values, 3, name)
+        return x, y, z
