@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from fusion.estimator.arrivals import Admission, Arrivals
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.engine import SOURCES, Engine, Entry, Sample
 from fusion.estimator.estimate import Estimate, Status, estimate_of
@@ -40,8 +41,11 @@ class CorridorEstimator:
 
     Samples may come late and out of order by up to ``config.buffer_s`` behind the newest one; the result is bit for
     bit that of samples in order. What comes later than that, twice, or is no number is counted in `counters` and
-    otherwise ignored. Not thread-safe: measure frames elsewhere if you like (`vision.extract_lines`), but call the
-    estimator from one thread.
+    otherwise ignored; so is a stamp far ahead of the IMU's clock, until the next one confirms it. Status and reason
+    also tell how samples arrive: of clocks that are off, and later of silence where frames always come late.
+
+    Not thread-safe: measure frames elsewhere if you like (`vision.extract_lines`), but call the estimator from one
+    thread.
 
     Parameters
     ----------
@@ -81,6 +85,7 @@ class CorridorEstimator:
             self.counters,
             on_final if self._lag is None else self._finalise,
         )
+        self._arrivals = Arrivals(round(self.config.buffer_s * 1e9), self.counters)
         self._delay_ns = round(self.config.camera_delay_s * 1e9)
         self._late_in_a_row = 0
 
@@ -101,21 +106,43 @@ class CorridorEstimator:
         if fault := sample.fault():
             self.counters[fault] += 1
             return None
-        name = SOURCES[type(sample)].name
-        if self._timeline.is_late(sample.t_ns):
-            self.counters[f"{name}_late"] += 1
-            self._late_in_a_row += 1
-            if self._late_in_a_row < CLOCK_RESET_SAMPLES:
-                return None
-            # Nothing but late samples: it is the clock that was set back.
-            self.counters["clock_set_back"] += 1
-            self._timeline.restart(sample.t_ns)
-            if self._lag is not None:
-                self._lag.clear()
+        timeline = self._timeline
+        admission = self._arrivals.admit(sample, timeline.newest_ns)
+        if admission is Admission.TAKE:
+            return self._insert(sample)
+        if admission is Admission.WAIT:
+            return None
+        if admission is Admission.LATE:
+            return self._late(sample)
+        released = self._arrivals.released()
+        if admission is Admission.JUMPED:
+            timeline.leap()
+        else:
+            self._set_back(released[0].t_ns)
+        return [self._insert(held) for held in released][-1]
+
+    def _insert(self, sample: Sample) -> Entry | None:
         self._late_in_a_row = 0
         entry = self._timeline.insert(sample)
+        name = SOURCES[type(sample)].name
         self.counters[f"{name}_duplicate" if entry is None else name] += 1
         return entry
+
+    def _late(self, sample: Sample) -> Entry | None:
+        """Count a late sample; where nothing but late ones come, it is the clock that was set back."""
+        self.counters[f"{SOURCES[type(sample)].name}_late"] += 1
+        self._late_in_a_row += 1
+        if self._late_in_a_row < CLOCK_RESET_SAMPLES:
+            return None
+        self._arrivals.restart()
+        self._set_back(sample.t_ns)
+        return self.add(sample)
+
+    def _set_back(self, t_ns: int) -> None:
+        self.counters["clock_set_back"] += 1
+        self._timeline.restart(t_ns)
+        if self._lag is not None:
+            self._lag.clear()
 
     def add_imu(self, t_ns: int, gyro: npt.ArrayLike, accel: npt.ArrayLike | None = None) -> None:
         """Add a gyroscope sample (3,) rad/s and, where there is one, accelerometer (3,) m/s^2, body FRD.
@@ -205,7 +232,7 @@ class CorridorEstimator:
         state = self._timeline.state
         if now_ns is not None and state.t_ns is not None:
             now_ns = max(now_ns, state.t_ns)
-        return estimate_of(state, self.config, now_ns)
+        return estimate_of(state, self.config, now_ns, self._arrivals)
 
     def smoothed(self) -> Estimate:
         """Estimate of ``config.fixed_lag_s`` ago, with all that has been measured since then.
@@ -226,6 +253,7 @@ class CorridorEstimator:
 
     def finish(self) -> None:
         """End the flight: hand what is still in the buffer to ``on_final``."""
+        self._arrivals.finish()
         self._timeline.finish()
 
     def _finalise(self, entry: Entry) -> None:
@@ -243,13 +271,32 @@ class CorridorEstimator:
 
     def _add_frame(self, t_ns: int, measure: Measure | FrameMeasurement | None) -> FrameResult:
         t_ns = whole_nanoseconds(t_ns)
-        entry = self.add(FrameSample(t_ns - self._delay_ns, t_ns, measure))
+        sample = FrameSample(t_ns - self._delay_ns - self._arrivals.frames.moved_ns, t_ns, measure)
+        newest_ns = self._timeline.newest_ns
+        entry = self.add(sample)
         if entry is None or entry.frame is None:
-            self.last_frame = FrameResult(t_ns, None, False, Reason.LATE)
+            ahead = newest_ns is not None and sample.t_ns > newest_ns
+            self.last_frame = FrameResult(t_ns, None, False, Reason.AHEAD if ahead else Reason.LATE)
         else:
             self.last_frame = entry.frame
             self.counters[f"frame_{entry.frame.reason}"] += 1
+            if self._arrivals.frames.shift_s != 0.0:
+                self._weigh_stamps(entry, entry.frame.measurement)
         return self.last_frame
+
+    def _weigh_stamps(self, entry: Entry, m: FrameMeasurement | None) -> None:
+        """Ask a frame whether the camera's clock has moved, or frames only take another time to arrive.
+
+        A clock that has moved is taken off the stamps from then on.
+        """
+        stamps = self._arrivals.frames
+        before = self._timeline.at(entry.t_ns - round(stamps.shift_s * 1e9))
+        if m is None or before is None or not (m.accepted and 0.0 < m.heading_std_rad < 1.0):
+            return
+        turned = (entry.after.reckoning.raw_theta_rad, before.reckoning.raw_theta_rad)
+        moved_ns = stamps.moved_ns
+        stamps.weigh(entry.t_ns, m.heading_rad, m.heading_std_rad, turned)
+        self.counters["camera_clock_moved"] += stamps.moved_ns != moved_ns
 
 
 def _vector(values: npt.ArrayLike, name: str) -> Vector:

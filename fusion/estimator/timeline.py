@@ -9,11 +9,11 @@ error goes to the caller, and leaves the buffer as it was; a sample that raises 
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Callable
 
-from fusion.estimator.engine import SOURCES, Engine, Entry, Sample
+from fusion.estimator.engine import SOURCES, Engine, Entry, Sample, State
 
 
 class Timeline:
@@ -46,15 +46,22 @@ class Timeline:
         self.entries: list[Entry] = []
         self._keys: list[tuple[int, int]] = []
         self._base = self.state  # behind the last entry that has left the buffer
+        self._before_leap: State | None = None
 
-    def is_late(self, t_ns: int) -> bool:
-        """Whether a sample of this time would come after the buffer has passed it."""
-        return bool(self._keys) and t_ns < self._keys[-1][0] - self.buffer_ns
+    @property
+    def newest_ns(self) -> int | None:
+        """Time of the newest sample; None without any."""
+        return self._keys[-1][0] if self._keys else None
+
+    def at(self, t_ns: int) -> State | None:
+        """Return the state behind the last sample up to a time; None where the buffer does not reach back so far."""
+        place = bisect_right(self.entries, t_ns, key=lambda entry: entry.t_ns)
+        return self.entries[place - 1].after if place > 0 else None
 
     def insert(self, sample: Sample) -> Entry | None:
         """Take a sample and bring the engine up to date; None where one of its time and kind is there already.
 
-        The caller asks `is_late` first.
+        It is not older than the buffer.
         """
         key = (sample.t_ns, SOURCES[type(sample)].order)
         keys, entries = self._keys, self.entries
@@ -89,8 +96,19 @@ class Timeline:
         self._keys[at:], self.entries[at:] = new_keys, replayed
         self.state = replayed[-1].after
 
+    def leap(self) -> None:
+        """Note that the next samples are far ahead: should time prove to be another, they were wrong."""
+        self._before_leap = self.state
+
     def restart(self, t_ns: int) -> None:
-        """Go on at an earlier time: the samples' clock was set back."""
+        """Go on at an earlier time: what was stamped after it was wrong, or the samples' clock was set back."""
+        before, self._before_leap = self._before_leap, None
+        if before is not None and before.t_ns is not None and before.t_ns <= t_ns:
+            right = bisect_right(self.entries, before.t_ns, key=lambda entry: entry.t_ns)
+            del self.entries[right:], self._keys[right:]
+            self.finish()
+            self.state = self._base = before
+            return
         self.finish()
         self.state = self._base = self.engine.clock_set_back(self._base, t_ns)
 

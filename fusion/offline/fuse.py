@@ -189,6 +189,9 @@ def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
         "velocity_not_finite": "velocities that are no numbers were skipped",
         "velocity_out_of_range": "velocities that no vehicle indoors reaches were skipped",
         "range_not_positive": "distances to the floor that can be none were skipped",
+        "imu_ahead": "IMU samples stamped far ahead of all others were skipped",
+        "attitude_ahead": "attitudes stamped far ahead of all others were skipped",
+        "frame_ahead": "frames stamped far ahead of all others were skipped",
         "clock_set_back": "times the samples' clock was set back",
     }
     for name, sentence in what.items():

@@ -19,6 +19,7 @@ from fusion.result.summary import CorridorStretch, Counts, FlightErrors, Rates, 
 
 _DROPPED_ENDINGS = (
     "_late",
+    "_ahead",
     "_duplicate",
     "_not_finite",
     "_not_unit",
