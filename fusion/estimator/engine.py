@@ -108,16 +108,6 @@ class State(NamedTuple):
         """Time of the state; None before any sample."""
         return self.reckoning.t_ns
 
-    def silences(self, t_ns: int, config: FusionConfig) -> list[str]:
-        """Say of each source but the camera whether it has fallen silent."""
-        found = (
-            self.reckoning.gyro_silence(t_ns, config),
-            self.reckoning.attitude_silence(t_ns, config),
-            self.velocity.silence(t_ns, config),
-            self.width.silence(t_ns, config),
-        )
-        return [text for text in found if text]
-
 
 class Entry(NamedTuple):
     """A sample, and what the engine made of it.

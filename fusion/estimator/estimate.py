@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import reduce
 from math import hypot, nan, sqrt
+from operator import or_
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from fusion.estimator.camera_delay import camera_delay, spread_by_delay
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.faults import Fault, Notice
+from fusion.estimator.frame_update import FrameSample
+from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.lateral import LateralStatus, offset_model, readout
 from fusion.estimator.models import PSI
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, Mode
+from fusion.estimator.range_width import RangeSample
 from fusion.estimator.sample_times import seconds_since
+from fusion.estimator.velocity import VelocitySample
 from vision.measurement import position_from_offset
 from vision.rotations import wrap, wrap_axis
 
 if TYPE_CHECKING:
-    from fusion.estimator.engine import State
+    from fusion.estimator.engine import Sample, State
 
 
 class Status(StrEnum):
@@ -80,6 +88,8 @@ class Estimate:
     lateral_status, lateral_probability
         A `LateralStatus`; the probability that the offset is within 0.1 half widths of the likeliest hypothesis,
         whether it is reported or not.
+    faults
+        What ``reason`` says, as bits for programs.
     """
 
     timestamp_ns: int
@@ -120,10 +130,30 @@ class Estimate:
     camera_delay_std_s: float = nan
     lateral_status: str = LateralStatus.UNKNOWN
     lateral_probability: float = 0.0
+    faults: Fault = Fault.NONE
 
 
-def status_of(state: State, config: FusionConfig, t_ns: int, heading_std_rad: float) -> tuple[Status, str]:
-    """Status at a time and its reason; sources that have fallen silent are told of whatever the status.
+class ArrivalTimes(Protocol):
+    """How samples arrive, where they do: `fusion.estimator.arrivals.Arrivals`. In a log they are simply there."""
+
+    def latency_ns(self, kind: type[Sample]) -> int:
+        """How far behind the IMU's clock a source's samples usually come."""
+
+    def notices(self) -> Iterator[Notice]:
+        """Say which clocks are off."""
+
+
+def status_of(
+    state: State,
+    config: FusionConfig,
+    t_ns: int,
+    heading_std_rad: float,
+    arrivals: ArrivalTimes | None = None,
+) -> tuple[Status, list[Notice]]:
+    """Status at a time, and why; sources that have fallen silent are told of whatever the status.
+
+    A source is silent, and frames are rejected, for as long as is known by now: samples that always come 0.3 s late
+    cannot be missed before.
 
     Parameters
     ----------
@@ -135,27 +165,64 @@ def status_of(state: State, config: FusionConfig, t_ns: int, heading_std_rad: fl
         When; not before the state.
     heading_std_rad
         Standard deviation of the heading.
+    arrivals
+        How samples arrive; None for those of a log.
     """
-    axis = state.axis
+    axis, clocks = state.axis, [] if arrivals is None else list(arrivals.notices())
     if not axis.ever_acquired:
-        return Status.INITIALISING, "waiting for frames that agree" if axis.votes else "no usable frame yet"
-    age, limit = seconds_since(t_ns, axis.t_vision_ns), state.frames.age_limit_s(config)
+        text = "waiting for frames that agree" if axis.votes else "no usable frame yet"
+        return Status.INITIALISING, clocks or [Notice(Fault.NOT_STARTED, text)]
+    latency_ns = 0 if arrivals is None else arrivals.latency_ns(FrameSample)
+    seen_ns = t_ns if not latency_ns else max(t_ns - latency_ns, state.frames.last_ns or 0)
+    age, limit = seconds_since(seen_ns, axis.t_vision_ns), state.frames.age_limit_s(config)
+    notices = []
     if heading_std_rad > config.lost_heading_std_rad:
-        status, reasons = Status.LOST, ["heading is too uncertain"]
+        status = Status.LOST
+        notices.append(Notice(Fault.HEADING_UNCERTAIN, "heading is too uncertain"))
     elif age > config.lost_after_s:
-        status, reasons = Status.LOST, [f"no usable frame for {age:.0f} s"]
+        status, told = Status.LOST, f"no usable frame for {age:.0f} s"
+        silent = state.frames.is_silent(seen_ns, config)
+        notices.append(Notice(Fault.FRAMES_SILENT if silent else Fault.FRAMES_REJECTED, told))
     elif age > limit:
-        silent = state.frames.is_silent(t_ns, config)
-        status, reasons = Status.COASTING, ["no frames arrive" if silent else "frames are rejected"]
+        status = Status.COASTING
+        if state.frames.is_silent(seen_ns, config):
+            notices.append(Notice(Fault.FRAMES_SILENT, "no frames arrive"))
+        else:
+            notices.append(Notice(Fault.FRAMES_REJECTED, "frames are rejected"))
     else:
-        status, reasons = Status.TRACKING, []
-        if state.lateral.n_used and seconds_since(t_ns, state.lateral.t_ns) > limit:
-            reasons.append("frames show no lateral offset")
-    return status, "; ".join([*reasons, *state.silences(t_ns, config)])
+        status = Status.TRACKING
+        if state.lateral.n_used and seconds_since(seen_ns, state.lateral.t_ns) > limit:
+            notices.append(Notice(Fault.NO_LATERAL_OFFSET, "frames show no lateral offset"))
+    if clocks:  # frames do arrive, with stamps of no use
+        notices = [n for n in notices if n.text != "no frames arrive"] + clocks
+    return status, [*notices, *_silences(state, config, t_ns, arrivals)]
 
 
-def estimate_of(state: State, config: FusionConfig, t_ns: int | None = None) -> Estimate:
-    """Report a state, at its own time or (ages and status only) at a later one."""
+def _silences(
+    state: State, config: FusionConfig, t_ns: int, arrivals: ArrivalTimes | None
+) -> Iterator[Notice]:
+    """Say of each source but the camera whether it has fallen silent."""
+
+    def due_ns(kind: type[Sample]) -> int:
+        return t_ns if arrivals is None else t_ns - arrivals.latency_ns(kind)
+
+    reckoning = state.reckoning
+    found = (
+        (Fault.GYRO_SILENT, reckoning.gyro_silence(t_ns, config)),
+        (Fault.ATTITUDE_SILENT, reckoning.attitude_silence(due_ns(AttitudeSample), config)),
+        (Fault.VELOCITY_SILENT, state.velocity.silence(due_ns(VelocitySample), config)),
+        (Fault.RANGE_SILENT, state.width.silence(due_ns(RangeSample), config)),
+    )
+    return (Notice(fault, text) for fault, text in found if text)
+
+
+def estimate_of(
+    state: State, config: FusionConfig, t_ns: int | None = None, arrivals: ArrivalTimes | None = None
+) -> Estimate:
+    """Report a state, at its own time or (ages and status only) at a later one.
+
+    ``arrivals`` as in `status_of`.
+    """
     if state.t_ns is None:
         return Estimate(0 if t_ns is None else t_ns, reason="no sample yet")
     t = state.t_ns if t_ns is None else t_ns
@@ -165,9 +232,11 @@ def estimate_of(state: State, config: FusionConfig, t_ns: int | None = None) -> 
     delay_s, delay_std_s = camera_delay(state.delay, config)
     if not axis.ever_acquired:
         heading, heading_std = _provisional_heading(state)
-    status, reason = status_of(state, config, t, heading_std)
+    status, notices = status_of(state, config, t, heading_std, arrivals)
     half = state.width.half_m(config)
     limit = state.frames.age_limit_s(config)
+    if arrivals is not None:
+        limit += arrivals.latency_ns(FrameSample) * 1e-9
     found = readout(lateral, offset_model(config), psi, state.velocity, t, limit)
     position = position_from_offset(found.offset, config.position_dead_band_norm)
     gx, gy, gz = state.tilt.down
@@ -187,7 +256,7 @@ def estimate_of(state: State, config: FusionConfig, t_ns: int | None = None) -> 
         corridor_turn_rad=axis.corridor_turn_rad,
         status=str(status),
         vision_age_s=seconds_since(t, axis.t_vision_ns),
-        reason=reason,
+        reason="; ".join(notice.text for notice in notices),
         gyro_age_s=seconds_since(t, reckoning.t_gyro_ns),
         attitude_age_s=reckoning.attitude.age_s(t),
         lateral_age_s=seconds_since(t, lateral.t_ns),
@@ -210,6 +279,7 @@ def estimate_of(state: State, config: FusionConfig, t_ns: int | None = None) -> 
         camera_delay_std_s=delay_std_s,
         lateral_status=str(found.status),
         lateral_probability=found.probability,
+        faults=reduce(or_, (notice.fault for notice in notices), Fault.NONE),
     )
 
 

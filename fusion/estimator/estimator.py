@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from fusion.estimator.arrivals import Admission, Arrivals
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.engine import SOURCES, Engine, Entry, Sample
 from fusion.estimator.estimate import Estimate, Status, estimate_of
 from fusion.estimator.fixed_lag import FixedLag
 from fusion.estimator.frame_update import FrameResult, FrameSample, Measure
 from fusion.estimator.imu_yaw import AttitudeSample
+from fusion.estimator.input_checks import finite_or_not, number, whole_nanoseconds, within_bounds
 from fusion.estimator.models import Vector
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.range_width import RangeSample
@@ -39,8 +41,11 @@ class CorridorEstimator:
 
     Samples may come late and out of order by up to ``config.buffer_s`` behind the newest one; the result is bit for
     bit that of samples in order. What comes later than that, twice, or is no number is counted in `counters` and
-    otherwise ignored. Not thread-safe: measure frames elsewhere if you like (`vision.extract_lines`), but call the
-    estimator from one thread.
+    otherwise ignored; so is a stamp far ahead of the IMU's clock, until the next one confirms it. Status and reason
+    also tell how samples arrive: of clocks that are off, and later of silence where frames always come late.
+
+    Not thread-safe: measure frames elsewhere if you like (`vision.extract_lines`), but call the estimator from one
+    thread.
 
     Parameters
     ----------
@@ -77,8 +82,10 @@ class CorridorEstimator:
         self._timeline = Timeline(
             self._engine,
             round(self.config.buffer_s * 1e9),
+            self.counters,
             on_final if self._lag is None else self._finalise,
         )
+        self._arrivals = Arrivals(round(self.config.buffer_s * 1e9), self.counters)
         self._delay_ns = round(self.config.camera_delay_s * 1e9)
         self._late_in_a_row = 0
 
@@ -92,43 +99,72 @@ class CorridorEstimator:
         return self._engine.ekf
 
     def add(self, sample: Sample) -> Entry | None:
-        """Add a sample of any kind; return what became of it for now, or None where it is ignored and counted."""
+        """Add a sample of any kind; return what became of it for now, or None where it is ignored and counted.
+
+        An error raised by what measures a frame goes to the caller, and leaves no trace of that frame.
+        """
         if fault := sample.fault():
             self.counters[fault] += 1
             return None
-        name = SOURCES[type(sample)].name
-        if self._timeline.is_late(sample.t_ns):
-            self.counters[f"{name}_late"] += 1
-            self._late_in_a_row += 1
-            if self._late_in_a_row < CLOCK_RESET_SAMPLES:
-                return None
-            # Nothing but late samples: it is the clock that was set back.
-            self.counters["clock_set_back"] += 1
-            self._timeline.restart(sample.t_ns)
-            if self._lag is not None:
-                self._lag.clear()
+        timeline = self._timeline
+        admission = self._arrivals.admit(sample, timeline.newest_ns)
+        if admission is Admission.TAKE:
+            return self._insert(sample)
+        if admission is Admission.WAIT:
+            return None
+        if admission is Admission.LATE:
+            return self._late(sample)
+        released = self._arrivals.released()
+        if admission is Admission.JUMPED:
+            timeline.leap()
+        else:
+            self._set_back(released[0].t_ns)
+        return [self._insert(held) for held in released][-1]
+
+    def _insert(self, sample: Sample) -> Entry | None:
         self._late_in_a_row = 0
         entry = self._timeline.insert(sample)
+        name = SOURCES[type(sample)].name
         self.counters[f"{name}_duplicate" if entry is None else name] += 1
         return entry
 
+    def _late(self, sample: Sample) -> Entry | None:
+        """Count a late sample; where nothing but late ones come, it is the clock that was set back."""
+        self.counters[f"{SOURCES[type(sample)].name}_late"] += 1
+        self._late_in_a_row += 1
+        if self._late_in_a_row < CLOCK_RESET_SAMPLES:
+            return None
+        self._arrivals.restart()
+        self._set_back(sample.t_ns)
+        return self.add(sample)
+
+    def _set_back(self, t_ns: int) -> None:
+        self.counters["clock_set_back"] += 1
+        self._timeline.restart(t_ns)
+        if self._lag is not None:
+            self._lag.clear()
+
     def add_imu(self, t_ns: int, gyro: npt.ArrayLike, accel: npt.ArrayLike | None = None) -> None:
-        """Add a gyroscope sample (3,) rad/s and, where there is one, accelerometer (3,) m/s^2, body FRD."""
+        """Add a gyroscope sample (3,) rad/s and, where there is one, accelerometer (3,) m/s^2, body FRD.
+
+        This and the methods below raise `InputError` where a time is no whole number of nanoseconds, or a value has
+        another shape. Values that are no numbers, or that no vehicle can reach, are counted and ignored.
+        """
         force = None
         if accel is not None:
-            ax, ay, az = _vector(accel)
+            ax, ay, az = _vector(accel, "accel")
             if isfinite(ax) and isfinite(ay) and isfinite(az):
                 force = (ax, ay, az)
-        self.add(ImuSample(int(t_ns), _vector(gyro), force))
+        self.add(ImuSample(whole_nanoseconds(t_ns), _vector(gyro, "gyro"), force))
 
     def add_attitude(self, t_ns: int, q_world_body: npt.ArrayLike) -> None:
         """Add an attitude (4,), unit quaternion w, x, y, z, body FRD to a world whose z points down."""
-        w, x, y, z = np.asarray(q_world_body, dtype=float).reshape(4).tolist()
-        self.add(AttitudeSample(int(t_ns), (w, x, y, z)))
+        w, x, y, z = finite_or_not(q_world_body, 4, "q_world_body")
+        self.add(AttitudeSample(whole_nanoseconds(t_ns), (w, x, y, z)))
 
     def add_velocity(self, t_ns: int, v_body: npt.ArrayLike) -> None:
         """Add a velocity (3,) m/s in body FRD, for instance from optical flow or wheels."""
-        self.add(VelocitySample(int(t_ns), _vector(v_body)))
+        self.add(VelocitySample(whole_nanoseconds(t_ns), _vector(v_body, "v_body")))
 
     def add_range(self, t_ns: int, distance_m: float) -> None:
         """Add a distance to the floor, metres along the body's z, as seen from the camera's place.
@@ -136,7 +172,7 @@ class CorridorEstimator:
         With the width per height that frames see it gives the corridor's width, and so offsets in metres, where the
         configuration tells neither the width nor the camera's height.
         """
-        self.add(RangeSample(int(t_ns), float(distance_m)))
+        self.add(RangeSample(whole_nanoseconds(t_ns), number(distance_m, "distance_m")))
 
     def add_frame(self, t_ns: int, image: npt.NDArray[Any]) -> FrameResult:
         """Add a picture: grey (h, w), BGR or BGRA, uint8 or uint16. A picture of no use is counted as unreadable.
@@ -175,7 +211,13 @@ class CorridorEstimator:
         return self._add_frame(t_ns, measure)
 
     def add_measurement(self, t_ns: int, measurement: FrameMeasurement) -> FrameResult:
-        """Add a frame that was measured elsewhere."""
+        """Add a frame that was measured elsewhere.
+
+        A field that no camera in a corridor can show (an offset of three half widths, an elevation of 30 degrees) is
+        counted, ``frame_offset_out_of_range`` for instance, and taken for not measured.
+        """
+        measurement, refused = within_bounds(measurement)
+        self.counters.update(refused)
         return self._add_frame(t_ns, measurement)
 
     def add_unreadable_frame(self, t_ns: int) -> FrameResult:
@@ -190,7 +232,7 @@ class CorridorEstimator:
         state = self._timeline.state
         if now_ns is not None and state.t_ns is not None:
             now_ns = max(now_ns, state.t_ns)
-        return estimate_of(state, self.config, now_ns)
+        return estimate_of(state, self.config, now_ns, self._arrivals)
 
     def smoothed(self) -> Estimate:
         """Estimate of ``config.fixed_lag_s`` ago, with all that has been measured since then.
@@ -211,6 +253,7 @@ class CorridorEstimator:
 
     def finish(self) -> None:
         """End the flight: hand what is still in the buffer to ``on_final``."""
+        self._arrivals.finish()
         self._timeline.finish()
 
     def _finalise(self, entry: Entry) -> None:
@@ -227,20 +270,42 @@ class CorridorEstimator:
         return self.camera
 
     def _add_frame(self, t_ns: int, measure: Measure | FrameMeasurement | None) -> FrameResult:
-        t_ns = int(t_ns)
-        entry = self.add(FrameSample(t_ns - self._delay_ns, t_ns, measure))
+        t_ns = whole_nanoseconds(t_ns)
+        sample = FrameSample(t_ns - self._delay_ns - self._arrivals.frames.moved_ns, t_ns, measure)
+        newest_ns = self._timeline.newest_ns
+        entry = self.add(sample)
         if entry is None or entry.frame is None:
-            self.last_frame = FrameResult(t_ns, None, False, Reason.LATE)
+            ahead = newest_ns is not None and sample.t_ns > newest_ns
+            self.last_frame = FrameResult(t_ns, None, False, Reason.AHEAD if ahead else Reason.LATE)
         else:
             self.last_frame = entry.frame
             self.counters[f"frame_{entry.frame.reason}"] += 1
+            if self._arrivals.frames.shift_s != 0.0:
+                self._weigh_stamps(entry, entry.frame.measurement)
         return self.last_frame
 
+    def _weigh_stamps(self, entry: Entry, m: FrameMeasurement | None) -> None:
+        """Ask a frame whether the camera's clock has moved, or frames only take another time to arrive.
 
-def _vector(values: npt.ArrayLike) -> Vector:
+        A clock that has moved is taken off the stamps from then on.
+        """
+        stamps = self._arrivals.frames
+        before = self._timeline.at(entry.t_ns - round(stamps.shift_s * 1e9))
+        if m is None or before is None or not (m.accepted and 0.0 < m.heading_std_rad < 1.0):
+            return
+        turned = (entry.after.reckoning.raw_theta_rad, before.reckoning.raw_theta_rad)
+        moved_ns = stamps.moved_ns
+        stamps.weigh(entry.t_ns, m.heading_rad, m.heading_std_rad, turned)
+        self.counters["camera_clock_moved"] += stamps.moved_ns != moved_ns
+
+
+def _vector(values: npt.ArrayLike, name: str) -> Vector:
     """Three floats."""
-    if type(values) is np.ndarray and values.shape == (3,):
-        x, y, z = values.tolist()  # the usual case, for half the price
-    else:
-        x, y, z = values if isinstance(values, tuple) else np.asarray(values, dtype=float).reshape(3).tolist()
-    return float(x), float(y), float(z)
+    # Without numpy for what the usual callers give, at half the price.
+    listed: Any = values.tolist() if type(values) is np.ndarray and values.shape == (3,) else values
+    try:
+        x, y, z = listed
+        return float(x), float(y), float(z)
+    except (TypeError, ValueError):
+        x, y, z = finite_or_not(values, 3, name)
+        return x, y, z

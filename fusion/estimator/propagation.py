@@ -198,7 +198,7 @@ class Propagation:
         drift
             Of the lateral offset.
         """
-        d = self.leave_silent_gyro(d, ekf, t_ns)
+        d = self._leave_silent_gyro(d, ekf, t_ns)
         rate = d.rate_rad_s
         if d.mode is Mode.ATTITUDE and d.attitude.last_ns is not None:
             increment = wrap(yaw_rad - d.yaw_rad)
@@ -227,7 +227,10 @@ class Propagation:
 
     def hold(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, drift: Drift) -> DeadReckoning:
         """Propagate to a time of which neither gyroscope nor attitude tells."""
-        return self.advance(self.leave_silent_gyro(d, ekf, t_ns), ekf, t_ns, drift)
+        d = self._leave_silent_gyro(d, ekf, t_ns)
+        if d.mode is Mode.ATTITUDE and not self._attitude_lives(d, t_ns):
+            d = self._with_mode(d, ekf, Mode.NONE)
+        return self.advance(d, ekf, t_ns, drift)
 
     def advance(
         self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, drift: Drift, turned_rad: float | None = None
@@ -300,13 +303,15 @@ class Propagation:
         ekf.advance(dt_s, turned_rad, noise, drift.forward, drift.sideways, variance)
         return turned_rad, turned_rad - bias_turn
 
-    def leave_silent_gyro(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
+    def _leave_silent_gyro(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
         """Go over to the attitude's yaw, or to a constant rate, where the gyroscope has fallen silent."""
         silent = d.t_gyro_ns is not None and t_ns - d.t_gyro_ns > self._grace_ns
         if d.mode is Mode.GYRO and silent:
-            live = d.attitude.age_s(t_ns) <= ATTITUDE_GAP_S
-            return self._with_mode(d, ekf, Mode.ATTITUDE if live else Mode.NONE)
+            return self._with_mode(d, ekf, Mode.ATTITUDE if self._attitude_lives(d, t_ns) else Mode.NONE)
         return d
+
+    def _attitude_lives(self, d: DeadReckoning, t_ns: int) -> bool:
+        return d.attitude.age_s(t_ns) <= max(ATTITUDE_GAP_S, d.attitude.age_limit_s(self.config))
 
     def held_rate_variance(self, d: DeadReckoning, t_ns: int) -> float:
         """Variance of the heading at ``t_ns`` from holding the last rate or yaw until then; gone with the next."""

@@ -2,14 +2,18 @@
 
 After every sample the engine's state is kept for as long as the buffer lasts, so a late sample costs no more than
 the samples behind it: roll back to before it, and replay. The result is, bit for bit, that of the samples in order.
+
+A frame is measured again in each replay, by a function that may raise. What raises is not kept: the new sample's
+error goes to the caller, and leaves the buffer as it was; a sample that raises in a replay is dropped and counted.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
+from collections import Counter
 from collections.abc import Callable
 
-from fusion.estimator.engine import SOURCES, Engine, Entry, Sample
+from fusion.estimator.engine import SOURCES, Engine, Entry, Sample, State
 
 
 class Timeline:
@@ -21,52 +25,90 @@ class Timeline:
         What takes samples in order.
     buffer_ns
         How far behind the newest sample one may lie and still be taken.
+    counters
+        Where samples that raise in a replay are counted, by source.
     on_final
         Called with each entry that nothing can change any more, in order.
     """
 
     def __init__(
-        self, engine: Engine, buffer_ns: int, on_final: Callable[[Entry], None] | None = None
+        self,
+        engine: Engine,
+        buffer_ns: int,
+        counters: Counter[str],
+        on_final: Callable[[Entry], None] | None = None,
     ) -> None:
         self.engine = engine
         self.buffer_ns = buffer_ns
+        self.counters = counters
         self.on_final = on_final
         self.state = engine.initial_state()
         self.entries: list[Entry] = []
         self._keys: list[tuple[int, int]] = []
         self._base = self.state  # behind the last entry that has left the buffer
+        self._before_leap: State | None = None
 
-    def is_late(self, t_ns: int) -> bool:
-        """Whether a sample of this time would come after the buffer has passed it."""
-        return bool(self._keys) and t_ns < self._keys[-1][0] - self.buffer_ns
+    @property
+    def newest_ns(self) -> int | None:
+        """Time of the newest sample; None without any."""
+        return self._keys[-1][0] if self._keys else None
+
+    def at(self, t_ns: int) -> State | None:
+        """Return the state behind the last sample up to a time; None where the buffer does not reach back so far."""
+        place = bisect_right(self.entries, t_ns, key=lambda entry: entry.t_ns)
+        return self.entries[place - 1].after if place > 0 else None
 
     def insert(self, sample: Sample) -> Entry | None:
         """Take a sample and bring the engine up to date; None where one of its time and kind is there already.
 
-        The caller asks `is_late` first.
+        It is not older than the buffer.
         """
         key = (sample.t_ns, SOURCES[type(sample)].order)
         keys, entries = self._keys, self.entries
-        if not keys or key > keys[-1]:
-            entry = self.engine.process(self.state, sample)
+        at = len(keys) if not keys or key > keys[-1] else bisect_left(keys, key)
+        if at < len(keys) and keys[at] == key:
+            return None
+        before = self.state if at == len(keys) else entries[at - 1].after if at > 0 else self._base
+        try:
+            entry = self.engine.process(before, sample)
+        except Exception:
+            self.engine.ekf.load(self.state.x, self.state.P)
+            raise
+        if at == len(keys):
             keys.append(key)
             entries.append(entry)
             self.state = entry.after
             self._trim()
-            return entry
-        at = bisect_left(keys, key)
-        if keys[at] == key:
-            return None
-        replayed = [self.engine.process(entries[at - 1].after if at > 0 else self._base, sample)]
-        for later in entries[at:]:
-            replayed.append(self.engine.process(replayed[-1].after, later.sample))
-        keys.insert(at, key)
-        entries[at:] = replayed
+        else:
+            self._replay(at, key, entry)
+        return entry
+
+    def _replay(self, at: int, key: tuple[int, int], entry: Entry) -> None:
+        """Put an entry in its place, and process anew what lies behind it."""
+        new_keys, replayed = [key], [entry]
+        for later_key, later in zip(self._keys[at:], self.entries[at:], strict=True):
+            try:
+                replayed.append(self.engine.process(replayed[-1].after, later.sample))
+                new_keys.append(later_key)
+            except Exception:
+                self.counters[f"{SOURCES[type(later.sample)].name}_failed"] += 1
+                self.engine.ekf.load(replayed[-1].after.x, replayed[-1].after.P)
+        self._keys[at:], self.entries[at:] = new_keys, replayed
         self.state = replayed[-1].after
-        return replayed[0]
+
+    def leap(self) -> None:
+        """Note that the next samples are far ahead: should time prove to be another, they were wrong."""
+        self._before_leap = self.state
 
     def restart(self, t_ns: int) -> None:
-        """Go on at an earlier time: the samples' clock was set back."""
+        """Go on at an earlier time: what was stamped after it was wrong, or the samples' clock was set back."""
+        before, self._before_leap = self._before_leap, None
+        if before is not None and before.t_ns is not None and before.t_ns <= t_ns:
+            right = bisect_right(self.entries, before.t_ns, key=lambda entry: entry.t_ns)
+            del self.entries[right:], self._keys[right:]
+            self.finish()
+            self.state = self._base = before
+            return
         self.finish()
         self.state = self._base = self.engine.clock_set_back(self._base, t_ns)
 

@@ -10,6 +10,7 @@ from fusion.estimator.models import Vector
 from fusion.estimator.sample_times import SampleTimes
 
 HELD_S = 0.5
+MAX_SPEED_M_S = 100.0
 
 
 class VelocitySample(NamedTuple):
@@ -21,7 +22,9 @@ class VelocitySample(NamedTuple):
     def fault(self) -> str:
         """Why it cannot be used; empty where it can."""
         x, y, z = self.v_body_m_s
-        return "" if isfinite(x) and isfinite(y) and isfinite(z) else "velocity_not_finite"
+        if not (isfinite(x) and isfinite(y) and isfinite(z)):
+            return "velocity_not_finite"
+        return "" if max(abs(x), abs(y), abs(z)) <= MAX_SPEED_M_S else "velocity_out_of_range"
 
 
 class Velocity(NamedTuple):

@@ -57,11 +57,12 @@ def fuse_flight(
     Raises
     ------
     InputError
-        Where the method is unknown or the flight has no frames.
+        Where the method is unknown, the flight has no frames, or the times of a stream go back.
     """
     started = time.perf_counter()
     if not len(flight.frames.t_ns):
         raise InputError("the flight has no camera frames", remedy="check mav0/cam0/data.csv of the log")
+    check_times(flight)
     settings = _with_declared_values(config or FusionConfig(), flight)
     recorder = Recorder(settings, _row_kind(flight))
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
@@ -82,6 +83,39 @@ def fuse_flight(
         offset_hypotheses=hypotheses_table(recorder.offset_steps),
     )
     return replace(result, overview=summarise(result, flight, method, estimator.counters, timings))
+
+
+def check_times(flight: Flight) -> None:
+    """Refuse a flight made by hand with a stream whose times are not whole numbers in order.
+
+    Raises
+    ------
+    InputError
+        Naming the stream, and the first row that is out of order.
+    """
+    streams = {
+        "frames": flight.frames,
+        "imu": flight.imu,
+        "attitude": flight.attitude,
+        "velocity": flight.velocity,
+        "range": flight.range,
+    }
+    for name, stream in streams.items():
+        if stream is None:
+            continue
+        t_ns = np.asarray(stream.t_ns)
+        if t_ns.ndim != 1 or not np.issubdtype(t_ns.dtype, np.integer):
+            raise InputError(
+                f"flight.{name}.t_ns is {t_ns.dtype} of shape {t_ns.shape}",
+                remedy="give int64 nanoseconds (n,)",
+            )
+        back = np.flatnonzero(np.diff(t_ns) < 0)
+        if len(back):
+            row = int(back[0]) + 1
+            raise InputError(
+                f"flight.{name}.t_ns goes back in row {row}, from {t_ns[row - 1]} to {t_ns[row]}",
+                remedy="sort the stream by time",
+            )
 
 
 def _with_declared_values(config: FusionConfig, flight: Flight) -> FusionConfig:
@@ -153,7 +187,11 @@ def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
         "imu_not_finite": "gyroscope samples that are no numbers were skipped",
         "attitude_not_unit": "attitudes that are no unit quaternions were skipped",
         "velocity_not_finite": "velocities that are no numbers were skipped",
+        "velocity_out_of_range": "velocities that no vehicle indoors reaches were skipped",
         "range_not_positive": "distances to the floor that can be none were skipped",
+        "imu_ahead": "IMU samples stamped far ahead of all others were skipped",
+        "attitude_ahead": "attitudes stamped far ahead of all others were skipped",
+        "frame_ahead": "frames stamped far ahead of all others were skipped",
         "clock_set_back": "times the samples' clock was set back",
     }
     for name, sentence in what.items():

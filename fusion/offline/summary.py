@@ -17,7 +17,17 @@ from fusion.flight import Flight
 from fusion.result.result import FusionResult, Timings
 from fusion.result.summary import CorridorStretch, Counts, FlightErrors, Rates, SpeedSummary, Summary
 
-_DROPPED_ENDINGS = ("_late", "_duplicate", "_not_finite", "_not_unit", "_not_positive", "_set_back")
+_DROPPED_ENDINGS = (
+    "_late",
+    "_ahead",
+    "_duplicate",
+    "_not_finite",
+    "_not_unit",
+    "_not_positive",
+    "_out_of_range",
+    "_failed",
+    "_set_back",
+)
 
 
 def summarise(

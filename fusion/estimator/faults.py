@@ -1,0 +1,37 @@
+"""What is amiss, for people and for programs: a sentence and a bit for each thing that the estimator can tell of."""
+
+from __future__ import annotations
+
+from enum import IntFlag
+from typing import NamedTuple
+
+
+class Fault(IntFlag):
+    """Bits of `fusion.estimator.estimate.Estimate.faults`; a bit keeps its meaning for good, new ones are added.
+
+    As in the flags of PX4's EKF2, a set bit is something that a flight controller may act on without reading text.
+    """
+
+    NONE = 0
+    GYRO_SILENT = (
+        1 << 0
+    )  # no gyroscope sample for gyro_gap_s: attitude or a constant rate carries the heading
+    ATTITUDE_SILENT = 1 << 1
+    FRAMES_SILENT = 1 << 2  # no frame arrives
+    VELOCITY_SILENT = 1 << 3
+    RANGE_SILENT = 1 << 4
+    FRAMES_REJECTED = 1 << 5  # frames arrive, but none is used
+    NO_LATERAL_OFFSET = 1 << 6  # frames are used, but show no lateral offset
+    HEADING_UNCERTAIN = 1 << 7  # sigma beyond lost_heading_std_rad
+    NOT_STARTED = 1 << 8  # no heading yet
+    CAMERA_CLOCK = 1 << 9  # frames are stamped ahead of, behind, or otherwise than before against the IMU
+    ATTITUDE_CLOCK = 1 << 10  # attitudes are stamped ahead of the IMU, or too far behind
+    IMU_CLOCK = 1 << 11  # IMU samples come too far behind the other sources
+    OTHER_CLOCK = 1 << 12  # velocities or ranges are stamped ahead of the IMU, or too far behind
+
+
+class Notice(NamedTuple):
+    """One thing that is amiss: its bit, and a sentence for people."""
+
+    fault: Fault
+    text: str

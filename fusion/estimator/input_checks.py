@@ -1,0 +1,143 @@
+"""What a caller hands over: takes arguments of any type, returns plain numbers, or raises naming the argument.
+
+Also the bounds of a frame's measurement: a field beyond them is taken out before the filter squares it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import inf, isfinite, nan, pi
+from operator import index
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from vision.errors import InputError
+from vision.lateral.mixture import OffsetMixture
+from vision.measurement import FrameMeasurement, Reason
+
+MAX_TIME_NS = 2**62  # 146 years; sums of such times fit into 64 bits
+MAX_OFFSET_NORM = 3.0  # a camera is between the walls, which is within 1
+MAX_OFFSET_STD = 10.0
+MAX_WIDTH_PER_HEIGHT = 1000.0
+MAX_ELEVATION_RAD = 0.5  # a camera's mount that is off by more is no matter of calibration
+MAX_ROLL_CORRECTION_RAD = 0.5
+MAX_ANGLE_STD_RAD = pi
+
+
+def whole_nanoseconds(t_ns: object) -> int:
+    """Return a time as an int.
+
+    Raises
+    ------
+    InputError
+        Where it is no whole number (seconds as a float, say) or does not fit.
+    """
+    if type(t_ns) is not int:
+        try:
+            t_ns = index(t_ns)  # type: ignore[arg-type]  # numpy's integers have one, floats do not
+        except TypeError:
+            raise InputError(
+                f"t_ns = {t_ns!r} is no whole number",
+                remedy="give nanoseconds as an int: round(seconds * 1e9)",
+            ) from None
+    if not -MAX_TIME_NS < t_ns < MAX_TIME_NS:
+        raise InputError(f"t_ns = {t_ns} is beyond 64 bits", remedy="give nanoseconds since any epoch")
+    return t_ns
+
+
+def finite_or_not(values: npt.ArrayLike, count: int, name: str) -> list[float]:
+    """Return so many floats, be they finite or not.
+
+    Raises
+    ------
+    InputError
+        Where there are more, or fewer, or they are no numbers.
+    """
+    try:
+        found = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} = {values!r} is not {count} numbers") from None
+    if found.shape != (count,):
+        raise InputError(f"{name} has shape {found.shape}, not ({count},)", remedy="give one sample per call")
+    numbers: list[float] = found.tolist()
+    return numbers
+
+
+def number(value: object, name: str) -> float:
+    """Return a float, be it finite or not.
+
+    Raises
+    ------
+    InputError
+        Where it is no number.
+    """
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name} = {value!r} is no number") from None
+
+
+class _Bound(NamedTuple):
+    """Fields that are of use only together, the bounds of value and sigma, and how a refusal is counted."""
+
+    value: str
+    std: str
+    largest: float
+    largest_std: float
+    counted: str
+    smallest: float = -inf
+
+
+_BOUNDS = (
+    _Bound("lateral_offset_norm", "lateral_offset_norm_std", MAX_OFFSET_NORM, MAX_OFFSET_STD, "frame_offset"),
+    _Bound("elevation_rad", "elevation_std_rad", MAX_ELEVATION_RAD, MAX_ANGLE_STD_RAD, "frame_elevation"),
+    _Bound(
+        "roll_correction_rad",
+        "roll_correction_std_rad",
+        MAX_ROLL_CORRECTION_RAD,
+        MAX_ANGLE_STD_RAD,
+        "frame_roll",
+    ),
+    _Bound("width_per_height", "", MAX_WIDTH_PER_HEIGHT, inf, "frame_width", 0.0),
+)
+
+
+def within_bounds(m: FrameMeasurement) -> tuple[FrameMeasurement, tuple[str, ...]]:
+    """Return a measurement without what no camera in a corridor can see, and the names that count it.
+
+    A heading beyond half a turn takes the frame with it; other fields are only taken out themselves. NaN is no fault:
+    it says that a field was not measured.
+    """
+    changes: dict[str, Any] = {}
+    counted = []
+    for bound in _BOUNDS:
+        if _is_beyond(m, bound):
+            changes |= dict.fromkeys((bound.value, bound.std) if bound.std else (bound.value,), nan)
+            counted.append(bound.counted)
+    if not all(map(_is_sound, m.offset_evidence)):
+        changes["offset_evidence"] = tuple(filter(_is_sound, m.offset_evidence))
+        counted.append("frame_offset")
+    if m.accepted and abs(m.heading_rad) > pi:  # not so for NaN, which is refused as unmeasured
+        changes |= {"accepted": False, "reason": Reason.UNCERTAIN, "heading_rad": nan}
+        counted.append("frame_heading")
+    if not counted:
+        return m, ()
+    return replace(m, **changes), tuple(f"{name}_out_of_range" for name in dict.fromkeys(counted))
+
+
+def _is_beyond(m: FrameMeasurement, bound: _Bound) -> bool:
+    value, std = getattr(m, bound.value), getattr(m, bound.std) if bound.std else 0.0
+    beyond: bool = abs(value) > bound.largest or value <= bound.smallest or std > bound.largest_std
+    return beyond
+
+
+def _is_sound(mixture: OffsetMixture) -> bool:
+    """Whether a mixture's numbers may be used: widths may be NaN, nothing else."""
+    weight, offset, std = mixture.weight, mixture.offset_norm, mixture.std_norm
+    arrays: Iterator[Any] = iter(
+        (weight >= 0.0, abs(offset) <= MAX_OFFSET_NORM, (std > 0.0) & (std <= MAX_OFFSET_STD))
+    )
+    return all(bool(np.all(a)) for a in arrays) and isfinite(float(weight.sum()))
