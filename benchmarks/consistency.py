@@ -159,7 +159,7 @@ def comparisons(count: int, seconds: float, as_it_is: float, by_oracle: float) -
     gross, gross_oracle = filter_rms(count, seconds, gross=0.5), oracle_rms(count, seconds, gross=0.5)
     never = filter_rms(count, seconds, {"imu_yaw_use": "never"})
     shared = filter_rms(count, seconds, yaw_shares_gyro=True)
-    default = filter_rms(count, seconds, {"heading_correlation_s": 0.03, "lateral_correlation_s": 0.15})
+    default = filter_rms(count, seconds, {"heading_correlation_s": 0.03})
     return [
         ("filter without IMU yaw over oracle", "<= 1.05", f"{never / by_oracle:.3f}"),
         ("RMSE with 50 % gross over that with 5 %", "<= 1.10", f"{gross / as_it_is:.3f}"),

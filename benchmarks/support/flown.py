@@ -82,7 +82,7 @@ def told(scene: Scene) -> dict[str, Any]:
     """Return the settings that say over what time the frames' errors resemble each other."""
     rho = scene.frame_correlation
     time_s = -1.0 / (scene.frame_hz * np.log(rho)) if rho else 0.0
-    return {"heading_correlation_s": time_s, "lateral_correlation_s": time_s}
+    return {"heading_correlation_s": time_s}
 
 
 def settings(scene: Scene, **changes: Any) -> FusionConfig:

@@ -121,7 +121,6 @@ def simulated_recording(scene: Scene, **config: Any) -> Recording:
         "imu_yaw_std_rad": scene.yaw_std_rad,
         "imu_yaw_walk": max(scene.yaw_walk, 1e-4),
         "heading_correlation_s": FusionConfig().heading_correlation_s,
-        "lateral_correlation_s": FusionConfig().lateral_correlation_s,
     }
     roll, pitch = (weaving(scene.seed + k, scene.tilt_rad, 2.0 + k)(simulated.t_s) for k in (1, 2))
     heading = simulated.heading - scene.axis(simulated.t_s)

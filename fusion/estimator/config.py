@@ -112,31 +112,19 @@ class FusionConfig(BaseModel):
         default=4, ge=2, le=1000, description="Lines that must meet for a frame to be used."
     )
 
-    lateral_velocity_std_m_s: float = Field(
-        default=0.3,
-        gt=0,
-        le=50,
-        description="Sideways velocity that forward speed and heading do not explain.",
-    )
-    lateral_velocity_time_s: float = Field(default=1.0, gt=0, le=100, description="Its correlation time.")
     velocity_std_m_s: float = Field(
         default=0.1,
         gt=0,
         le=50,
         description="Sideways velocity left unexplained where a velocity stream is given.",
     )
+    lateral_velocity_time_s: float = Field(default=1.0, gt=0, le=100, description="Its correlation time.")
     lateral_gate_sigma: float = Field(default=4.0, ge=1, le=100, description="Gate of the lateral offset.")
     lateral_std_floor_norm: float = Field(
         default=0.005,
         gt=0,
         le=1,
         description="No frame's offset is believed better than this, in half widths.",
-    )
-    lateral_correlation_s: float = Field(
-        default=0.15,
-        ge=0,
-        le=10,
-        description="Time over which errors of successive lateral offsets resemble each other.",
     )
     position_dead_band_norm: float = Field(
         default=0.1, ge=0, lt=1, description="Offsets up to this, in half widths, are called centre."
@@ -150,9 +138,6 @@ class FusionConfig(BaseModel):
     )
     recovery_spread_rad: float = Field(
         default=radians(1.5), gt=0, le=0.5, description="How well they must agree."
-    )
-    lateral_recovery_spread_norm: float = Field(
-        default=0.08, gt=0, le=1, description="The same for lateral offsets."
     )
     axis_jump_hold_s: float = Field(
         default=10.0,

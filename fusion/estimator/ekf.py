@@ -39,7 +39,7 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
     Parameters
     ----------
     x, P
-        State (5,) and covariance (5, 5).
+        State (3,) and covariance (3, 3).
     """
 
     x: FloatArray
@@ -54,11 +54,11 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         _compile()
 
     def load(self, x: FloatArray, P: FloatArray) -> None:
-        """Go on from a state (5,) and covariance (5, 5), with no steps noted yet."""
+        """Go on from a state (3,) and covariance (3, 3), with no steps noted yet."""
         self.x, self.P, self.nodes = x, P, []
 
     def predict(self, x_next: FloatArray, F: FloatArray, Q: FloatArray) -> None:
-        """Move to ``x_next`` (5,), with ``F`` its derivative and ``Q`` the noise gained."""
+        """Move to ``x_next`` (3,), with ``F`` its derivative and ``Q`` the noise gained."""
         P = np.empty_like(self.P)
         predicted(self.P, F, Q, P)
         self._moved(x_next, F, Q, P)
@@ -70,7 +70,7 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         self.predict(self.x, np.eye(N_STATES), Q)
 
     def advance(
-        self, dt_s: float, turned_rad: float, noise: ProcessNoise, u: float, w: float, heading_variance: float
+        self, dt_s: float, turned_rad: float, noise: ProcessNoise, heading_variance: float = 0.0
     ) -> None:
         """Move by the process model, discretised exactly.
 
@@ -80,13 +80,11 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
             Length of the step, and by how much the level frame turned in it (bias included).
         noise
             Continuous noise.
-        u, w
-            Forward and sideways velocity, half widths per second; the heading half-way is used for y.
         heading_variance
             Further variance of the heading gained in the step, rad^2 (a gap in the gyroscope).
         """
         x, F, P, Q = np.empty(N_STATES), np.empty(_SQUARE), np.empty(_SQUARE), self._Q
-        stepped(self.x, self.P, x, F, Q, P, dt_s, turned_rad, *noise, u, w, heading_variance)
+        stepped(self.x, self.P, x, F, Q, P, dt_s, turned_rad, *noise, heading_variance)
         self._moved(x, F, Q, P)
 
     def update(
@@ -128,7 +126,7 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         return Gate(True, residual, ratio)
 
     def correct(self, x: FloatArray) -> None:
-        """Take a state (5,) that a measurement implies beside its update; the covariance stays."""
+        """Take a state (3,) that a measurement implies beside its update; the covariance stays."""
         self._measured(x, self.P)
 
     def _moved(self, x: FloatArray, F: FloatArray, Q: FloatArray, P: FloatArray) -> None:
@@ -154,5 +152,5 @@ def _compile() -> None:
         predicted_variance(P, H)
         updated(x, P, H, 0.0, 1.0, x.copy(), P.copy(), np.zeros((N_STATES, 1)))
     predicted(P, P, P, P.copy())
-    noise = ProcessNoise(1.0, 1.0, 1.0, 1.0, 1.0)
-    stepped(x, P, x.copy(), P.copy(), P.copy(), P.copy(), 1.0, 0.0, *noise, 0.0, 0.0, 0.0)
+    noise = ProcessNoise(1.0, 1.0, 1.0)
+    stepped(x, P, x.copy(), P.copy(), P.copy(), P.copy(), 1.0, 0.0, *noise, 0.0)

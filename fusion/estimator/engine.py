@@ -51,7 +51,6 @@ from fusion.estimator.noise_adaptation import Doubt, correlation, update_with_do
 from fusion.estimator.propagation import (
     UNKNOWN_HEADING_STD_RAD,
     DeadReckoning,
-    Drift,
     ImuSample,
     Mode,
     Propagation,
@@ -64,7 +63,6 @@ from fusion.estimator.velocity import Velocity, VelocitySample, with_velocity
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 from vision.rotations import wrap_axis, yaw_of_quaternion
 
-NO_DRIFT = Drift(0.0, 0.0, 0.3)
 OUTLIER_DENSITY = 1 / pi  # an outlying heading may be any
 
 Sample = ImuSample | AttitudeSample | VelocitySample | RangeSample | FrameSample
@@ -153,7 +151,7 @@ class Engine:
 
     def initial_state(self) -> State:
         """Return the state before any sample."""
-        std = [UNKNOWN_HEADING_STD_RAD, 0.02, UNKNOWN_YAW_OFFSET_STD_RAD, 1.0, 0.3]
+        std = [UNKNOWN_HEADING_STD_RAD, 0.02, UNKNOWN_YAW_OFFSET_STD_RAD]
         reckoning = DeadReckoning(stored_gyro_bias=(0.0, self.config.gyro_bias_std_rad_s**2))
         P = np.diag([s**2 for s in std])
         return State(np.zeros(N_STATES), P, reckoning, delay=unknown_delay(self.config))
@@ -225,7 +223,7 @@ class Engine:
         tilt = tilts.with_imu(s.tilt, t_ns, gyro, sample.accel_m_s2)
         rate = level_yaw_rate(sample.gyro_rad_s, tilt.down)
         lateral = self._moved(s, t_ns, tilt.down, sample.accel_m_s2)
-        d = self._propagation.with_gyro(s.reckoning, self.ekf, sample, rate, NO_DRIFT)
+        d = self._propagation.with_gyro(s.reckoning, self.ekf, sample, rate)
         delay = s.delay
         if delay is not None:
             delay = delay if d.mode is s.reckoning.mode else delay.interrupted()
@@ -238,7 +236,7 @@ class Engine:
         q = sample.unit()
         yaw_rad = yaw_of_quaternion(q)
         lateral = self._moved(s, sample.t_ns, s.tilt.down)
-        d = self._propagation.with_attitude_yaw(s.reckoning, self.ekf, sample.t_ns, yaw_rad, NO_DRIFT)
+        d = self._propagation.with_attitude_yaw(s.reckoning, self.ekf, sample.t_ns, yaw_rad)
         tilt = tilts.from_quaternion(s.tilt, sample.t_ns, q)
         imu_yaw = fuse_imu_yaw(s.imu_yaw, self.ekf, yaw_rad, d, s.axis, self.config)
         delay = self._delay_in_mode(s, d)
@@ -278,7 +276,7 @@ class Engine:
     def _held(self, s: State, t_ns: int, frames: SampleTimes) -> State:
         """Propagate to a sample that tells nothing of the heading's rate; ``frames`` came by then."""
         lateral = self._moved(s, t_ns, s.tilt.down)
-        d = self._propagation.hold(s.reckoning, self.ekf, t_ns, NO_DRIFT)
+        d = self._propagation.hold(s.reckoning, self.ekf, t_ns)
         delay = self._delay_in_mode(s, d)
         _, _, _, tilt, velocity, width, imu_yaw, axis, _, _, elevation, _ = s
         x, P = self.ekf.x, self.ekf.P
@@ -354,7 +352,7 @@ class Engine:
             axis = recover(axis, ekf, found, t_ns, theta_rad, coupled)
             return s._replace(axis=axis, imu_yaw=imu_yaw, x=ekf.x, P=ekf.P)
         lateral = s.lateral.unknown_again()
-        crossing = junctions.Crossing(coupled, 1.0, 0.3**2, lateral.n_used)
+        crossing = junctions.Crossing(coupled, lateral.n_used)
         axis = junctions.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
         width = s.width.corridor_changed()
         return s._replace(axis=axis, imu_yaw=imu_yaw, lateral=lateral, width=width, x=ekf.x, P=ekf.P)

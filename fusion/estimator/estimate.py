@@ -227,7 +227,7 @@ def estimate_of(
         return Estimate(0 if t_ns is None else t_ns, reason="no sample yet")
     t = state.t_ns if t_ns is None else t_ns
     reckoning, axis, lateral = state.reckoning, state.axis, state.lateral
-    psi, bias, yaw_offset, _, _ = state.x.tolist()
+    psi, bias, yaw_offset = state.x.tolist()
     heading, heading_std = psi, spread_by_delay(sqrt(float(state.P[PSI, PSI])), state.delay, state.t_ns)
     delay_s, delay_std_s = camera_delay(state.delay, config)
     if not axis.ever_acquired:

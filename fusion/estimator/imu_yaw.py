@@ -194,7 +194,7 @@ def _trace(
         return part._replace(traces=traced(part.traces, now))
     unseen = axis.t_vision_ns is None or axis.t_vision_ns < found.since_ns
     if part.coupled and unseen:  # no frame has moved them meanwhile, so the yaw has
-        moved = np.array([found.heading_rad, found.bias_rad_s, 0.0, 0.0, 0.0])
+        moved = np.array([found.heading_rad, found.bias_rad_s, 0.0])
         ekf.predict(x - moved, np.eye(N_STATES), np.multiply.outer(moved, moved))
     return part._replace(traces=(now,))
 

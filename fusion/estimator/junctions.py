@@ -20,7 +20,7 @@ import numpy as np
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import CorridorAxis, PreviousAxis, Recovery, Rival
-from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, V, Y
+from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET
 from fusion.estimator.votes import AGREEING_SHARE, Agreement, agreement, is_contested
 from vision.rotations import wrap_axis
 
@@ -108,15 +108,11 @@ class Crossing(NamedTuple):
     ----------
     coupled
         Whether the IMU's yaw offset is correlated with the heading.
-    y_variance, v_variance
-        Of the lateral offset and its unexplained velocity in a corridor of which nothing is known.
     n_lateral
         How many lateral offsets have been used.
     """
 
     coupled: bool
-    y_variance: float
-    v_variance: float
     n_lateral: int
 
 
@@ -132,7 +128,7 @@ def enter_corridor(
     """Measure the heading from another corridor's axis from now on.
 
     As a transition: the new heading is what the votes say, independent of the old; the offset takes up the
-    difference, so that the IMU's yaw, psi + turn + o, goes on as it was; the lateral state is unknown.
+    difference, so that the IMU's yaw, psi + turn + o, goes on as it was.
 
     Parameters
     ----------
@@ -143,7 +139,7 @@ def enter_corridor(
     crossing
         What else changes.
     """
-    psi, bias, offset, *_ = ekf.x.tolist()
+    psi, bias, offset = ekf.x.tolist()
     turn = axis.corridor_turn_rad + psi - found.heading_rad
     variance = found.std_rad**2
     F, Q = np.zeros((N_STATES, N_STATES)), np.zeros((N_STATES, N_STATES))
@@ -154,8 +150,7 @@ def enter_corridor(
         Q[PSI, YAW_OFFSET] = Q[YAW_OFFSET, PSI] = -variance
     else:
         Q[YAW_OFFSET, YAW_OFFSET] += float(ekf.P[PSI, PSI])
-    Q[Y, Y], Q[V, V] = crossing.y_variance, crossing.v_variance
-    ekf.predict(np.array([found.heading_rad, bias, offset, 0.0, 0.0]), F, Q)
+    ekf.predict(np.array([found.heading_rad, bias, offset]), F, Q)
     index = axis.corridor_index
     left = PreviousAxis(theta_rad - psi, index, axis.corridor_turn_rad, t_ns, crossing.n_lateral)
     back = axis.previous

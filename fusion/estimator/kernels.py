@@ -1,13 +1,13 @@
 """The filter's inner arithmetic, compiled: takes numbers and arrays, fills the arrays named ``_out``, no more.
 
-Calling numpy takes ten times as long as a 5 by 5 product itself, and returning a new array from compiled code costs
+Calling numpy takes ten times as long as a 3 by 3 product itself, and returning a new array from compiled code costs
 more than filling one of the caller's. What the numbers mean is said in `fusion.estimator.models` and
 `fusion.estimator.tilt`. Covariances are symmetric to the last bit: each pair is computed once, or averaged.
 """
 
 from __future__ import annotations
 
-from math import cos, exp, expm1, sin, sqrt
+from math import sqrt
 
 import numpy as np
 
@@ -17,43 +17,8 @@ from vision.types import FloatArray as FloatArray
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
-PSI, BIAS, YAW_OFFSET, Y, V = range(5)
-N_STATES = 5
-
-
-@compiled
-def propagated(
-    x: FloatArray,
-    x_out: FloatArray,
-    dt: float,
-    turned: float,
-    v_time_s: float,
-    forward: float,
-    sideways: float,
-) -> None:
-    """State (5,) after ``dt`` in which the level frame turned by ``turned`` (bias included).
-
-    ``forward`` and ``sideways`` are velocities in half widths per second; the heading half-way is used for y.
-    """
-    change = turned - x[BIAS] * dt
-    middle = x[PSI] + 0.5 * change
-    x_out[:] = x
-    x_out[PSI] += change
-    x_out[Y] += (forward * sin(middle) + sideways * cos(middle)) * dt - v_time_s * expm1(-dt / v_time_s) * x[
-        V
-    ]
-    x_out[V] *= exp(-dt / v_time_s)
-
-
-@compiled
-def _wander(x: float, v_std: float, time_s: float) -> tuple[float, float, float]:
-    """Covariance of (y, v) gained by a Gauss-Markov velocity over ``x`` correlation times."""
-    fall = -expm1(-x)
-    if x < 0.05:  # the closed form cancels to third order
-        yy = x**3 * (2 / 3 - x / 2 + 7 * x * x / 30 - x**3 / 12 + 31 * x**4 / 1260)
-    else:
-        yy = 2 * x - 2 * fall - fall * fall
-    return (v_std * time_s) ** 2 * yy, v_std**2 * time_s * fall * fall, -(v_std**2) * expm1(-2 * x)
+PSI, BIAS, YAW_OFFSET = range(3)
+N_STATES = 3
 
 
 @compiled
@@ -64,37 +29,22 @@ def discretised(
     heading: float,
     bias: float,
     offset: float,
-    v_std: float,
-    v_time_s: float,
-    c: float,
     heading_variance: float,
 ) -> None:
-    """Discretise the process model exactly over ``dt``: transition F and noise Q, (5, 5) each.
+    """Discretise the process model exactly over ``dt``: transition F and noise Q, (3, 3) each.
 
-    ``heading`` to ``v_time_s`` are those of `fusion.estimator.models.ProcessNoise`; ``c`` is the derivative of y'
-    with respect to psi, ``forward cos(psi) - sideways sin(psi)``, held over the step; ``heading_variance`` is
-    further variance of the heading gained in the step, rad^2 (a gap in the gyroscope).
+    ``heading`` to ``offset`` are those of `fusion.estimator.models.ProcessNoise`; ``heading_variance`` is further
+    variance of the heading gained in the step, rad^2 (a gap in the gyroscope).
     """
     n2, b2, o2 = heading**2, bias**2, offset**2
     F, Q = F_out, Q_out
     F[:], Q[:] = 0.0, 0.0
-    F[PSI, PSI] = F[BIAS, BIAS] = F[YAW_OFFSET, YAW_OFFSET] = F[Y, Y] = 1.0
+    F[PSI, PSI] = F[BIAS, BIAS] = F[YAW_OFFSET, YAW_OFFSET] = 1.0
     F[PSI, BIAS] = -dt
-    F[Y, PSI] = c * dt
-    F[Y, BIAS] = -c * dt * dt / 2
-    F[Y, V] = -v_time_s * expm1(-dt / v_time_s)
-    F[V, V] = exp(-dt / v_time_s)
     Q[PSI, PSI] = n2 * dt + b2 * dt**3 / 3 + heading_variance
     Q[BIAS, BIAS] = b2 * dt
     Q[YAW_OFFSET, YAW_OFFSET] = o2 * dt
     Q[PSI, BIAS] = Q[BIAS, PSI] = -b2 * dt * dt / 2
-    Q[Y, PSI] = c * (n2 * dt**2 / 2 + b2 * dt**4 / 8)
-    Q[Y, BIAS] = -c * b2 * dt**3 / 6
-    Q[PSI, Y], Q[BIAS, Y] = Q[Y, PSI], Q[Y, BIAS]
-    q_yy, q_yv, q_vv = _wander(dt / v_time_s, v_std, v_time_s)
-    Q[Y, Y] = q_yy + c * c * (n2 * dt**3 / 3 + b2 * dt**5 / 20)
-    Q[Y, V] = Q[V, Y] = q_yv
-    Q[V, V] = q_vv
 
 
 @compiled
@@ -129,17 +79,15 @@ def stepped(
     heading: float,
     bias: float,
     offset: float,
-    v_std: float,
-    v_time_s: float,
-    forward: float,
-    sideways: float,
     heading_variance: float,
 ) -> None:
-    """See `fusion.estimator.models.step`."""
-    middle = x[PSI] + 0.5 * (turned - x[BIAS] * dt)
-    c = forward * cos(middle) - sideways * sin(middle)
-    discretised(F_out, Q_out, dt, heading, bias, offset, v_std, v_time_s, c, heading_variance)
-    propagated(x, x_out, dt, turned, v_time_s, forward, sideways)
+    """State (3,), covariance (3, 3), F and Q after ``dt`` in which the level frame turned by ``turned``.
+
+    The bias is still in ``turned``; what follows is as in `discretised`.
+    """
+    discretised(F_out, Q_out, dt, heading, bias, offset, heading_variance)
+    x_out[:] = x
+    x_out[PSI] += turned - x[BIAS] * dt
     predicted(P, F_out, Q_out, P_out)
 
 

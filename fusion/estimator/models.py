@@ -1,25 +1,22 @@
 """State, process model and measurement models: take numbers and small arrays, return new ones, change nothing.
 
-State (5,): ``[psi, b_z, o, y, v]``
+State (3,): ``[psi, b_z, o]``
 
 - psi: heading, rad, kept unwrapped;
 - b_z: bias of the level yaw rate, rad/s;
-- o: IMU yaw minus heading in the first corridor's frame, rad;
-- y: lateral offset right of the centre line, in half widths of the corridor, so that it needs no scale;
-- v: sideways velocity that heading and forward speed do not explain, half widths per second.
+- o: IMU yaw minus heading in the first corridor's frame, rad.
 
-Process, with level yaw rate omega, forward and sideways speed u, w (half widths per second, zero where unknown)::
+Process, with level yaw rate omega::
 
     psi' = omega - b_z + n_psi        omega = (q sin(roll) + r cos(roll)) / cos(pitch)
     b_z' = n_b
     o'   = n_o
-    y'   = u sin(psi) + w cos(psi) + v
-    v'   = -v / tau + n_v
+
+The lateral offset has a filter of its own, `fusion.estimator.lateral_offset`.
 """
 
 from __future__ import annotations
 
-from math import cos
 from typing import NamedTuple
 
 import numpy as np
@@ -30,9 +27,7 @@ from fusion.estimator.kernels import PSI as PSI
 from fusion.estimator.kernels import YAW_OFFSET as YAW_OFFSET
 from fusion.estimator.kernels import FloatArray as FloatArray
 from fusion.estimator.kernels import Quaternion as Quaternion
-from fusion.estimator.kernels import V as V
 from fusion.estimator.kernels import Vector as Vector
-from fusion.estimator.kernels import Y as Y
 from vision.rotations import wrap, wrap_axis
 
 
@@ -47,19 +42,15 @@ class ProcessNoise(NamedTuple):
         Density of n_b, rad/s/sqrt(s).
     offset
         Density of n_o, rad/sqrt(s).
-    v_std, v_time_s
-        Stationary standard deviation (half widths per second) and correlation time of v.
     """
 
     heading: float
     bias: float
     offset: float
-    v_std: float
-    v_time_s: float
 
 
 class ScalarMeasurement(NamedTuple):
-    """What an update needs: residual (wrapped where it is an angle), H (5,) and the variance R."""
+    """What an update needs: residual (wrapped where it is an angle), H (3,) and the variance R."""
 
     residual: float
     H: FloatArray
@@ -91,11 +82,10 @@ def level_yaw_rate(gyro_rad_s: tuple[float, float, float], down: tuple[float, fl
     return (q * dy + r * dz) / max(dy * dy + dz * dz, 0.0076)
 
 
-_H_HEADING = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
-_H_IMU_YAW = np.array([1.0, 0.0, 1.0, 0.0, 0.0])
-_H_YAW_OFFSET = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
-_H_LATERAL = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
-for _H in (_H_HEADING, _H_IMU_YAW, _H_YAW_OFFSET, _H_LATERAL):
+_H_HEADING = np.array([1.0, 0.0, 0.0])
+_H_IMU_YAW = np.array([1.0, 0.0, 1.0])
+_H_YAW_OFFSET = np.array([0.0, 0.0, 1.0])
+for _H in (_H_HEADING, _H_IMU_YAW, _H_YAW_OFFSET):
     _H.setflags(write=False)
 
 
@@ -119,10 +109,3 @@ def imu_yaw_offset_model(
     """Compare the IMU's yaw so that only the offset learns from it: the heading's variance counts as noise."""
     residual, _, R = imu_yaw_model(x, yaw_rad, corridor_turn_rad, variance)
     return ScalarMeasurement(residual, _H_YAW_OFFSET, R + float(P[PSI, PSI]))
-
-
-def lateral_model(x: FloatArray, offset_norm: float, variance: float) -> ScalarMeasurement:
-    """Compare a frame's lateral offset, seen along the corridor or, flying back, against it: then right is left."""
-    if cos(float(x[PSI])) >= 0.0:
-        return ScalarMeasurement(offset_norm - float(x[Y]), _H_LATERAL, variance)
-    return ScalarMeasurement(offset_norm + float(x[Y]), -_H_LATERAL, variance)

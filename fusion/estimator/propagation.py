@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 UNKNOWN_HEADING_STD_RAD = pi / 2
 ATTITUDE_DRIFT_STD_RAD_S = 0.003  # an attitude filter has removed most of the gyroscope's bias
 HELD_RATE_STD_RAD_S = 0.2
-_CACHE_SIZE = 512
 
 
 class ImuSample(NamedTuple):
@@ -103,22 +102,6 @@ class DeadReckoning(NamedTuple):
         return "attitude is silent" if self.attitude.is_silent(t_ns, config) else ""
 
 
-class Drift(NamedTuple):
-    """How the lateral offset moves in a step, in half widths of the corridor per second.
-
-    Parameters
-    ----------
-    forward, sideways
-        Velocities ahead and to the right.
-    v_std
-        Standard deviation of the sideways velocity that they do not explain.
-    """
-
-    forward: float
-    sideways: float
-    v_std: float
-
-
 class Propagation:
     """Moves the filter, and the dead-reckoned heading with it.
 
@@ -131,7 +114,7 @@ class Propagation:
     def __init__(self, config: FusionConfig) -> None:
         self.config = config
         self._grace_ns = round(config.gyro_gap_s * 1e9)
-        self._noise_cache: dict[tuple[Mode, float], ProcessNoise] = {}
+        self._noise = {mode: _noise(mode, config) for mode in Mode}
 
     def mean_gyro(self, d: DeadReckoning, sample: ImuSample) -> Vector:
         """Mean rate since the last sample; that of the newest where the last one is too old."""
@@ -142,7 +125,7 @@ class Propagation:
         return 0.5 * (p + new_p), 0.5 * (q + new_q), 0.5 * (r + new_r)
 
     def with_gyro(
-        self, d: DeadReckoning, ekf: CorridorEKF, sample: ImuSample, rate_rad_s: float, drift: Drift
+        self, d: DeadReckoning, ekf: CorridorEKF, sample: ImuSample, rate_rad_s: float
     ) -> DeadReckoning:
         """Propagate to a gyroscope sample.
 
@@ -156,15 +139,13 @@ class Propagation:
             The sample.
         rate_rad_s
             Its level yaw rate.
-        drift
-            Of the lateral offset.
         """
         t_ns: int | None = sample.t_ns
         turned = corrected = 0.0
         if d.mode is Mode.GYRO:
-            turned, corrected = self._move(d, ekf, sample.t_ns, drift, rate_rad_s, None)
+            turned, corrected = self._move(d, ekf, sample.t_ns, rate_rad_s, None)
         else:
-            d = self._with_mode(self.advance(d, ekf, sample.t_ns, drift), ekf, Mode.GYRO)
+            d = self._with_mode(self.advance(d, ekf, sample.t_ns), ekf, Mode.GYRO)
             t_ns = d.t_ns
         _, mode, _, theta, raw_theta, _, _, _, yaw, yaw_done, attitude, stored = d
         return DeadReckoning(
@@ -183,7 +164,7 @@ class Propagation:
         )
 
     def with_attitude_yaw(
-        self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, yaw_rad: float, drift: Drift
+        self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, yaw_rad: float
     ) -> DeadReckoning:
         """Propagate to an attitude sample; its yaw increment carries the heading where no gyroscope does.
 
@@ -195,19 +176,17 @@ class Propagation:
             Filter to move.
         t_ns, yaw_rad
             The sample's time and yaw.
-        drift
-            Of the lateral offset.
         """
         d = self._leave_silent_gyro(d, ekf, t_ns)
         rate = d.rate_rad_s
         if d.mode is Mode.ATTITUDE and d.attitude.last_ns is not None:
             increment = wrap(yaw_rad - d.yaw_rad)
             span_s = (t_ns - d.attitude.last_ns) * 1e-9
-            d = self.advance(d, ekf, t_ns, drift, wrap(increment - d.yaw_done_rad))
+            d = self.advance(d, ekf, t_ns, wrap(increment - d.yaw_done_rad))
             if span_s > 0:
                 rate = increment / span_s
         else:
-            d = self.advance(d, ekf, t_ns, drift)
+            d = self.advance(d, ekf, t_ns)
         end_ns, mode, _, theta, raw_theta, t_gyro, gyro, gyro_done, _, _, attitude, stored = d
         d = DeadReckoning(
             end_ns,
@@ -225,15 +204,15 @@ class Propagation:
         )
         return self._with_mode(d, ekf, Mode.ATTITUDE) if d.mode is Mode.NONE else d
 
-    def hold(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, drift: Drift) -> DeadReckoning:
+    def hold(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
         """Propagate to a time of which neither gyroscope nor attitude tells."""
         d = self._leave_silent_gyro(d, ekf, t_ns)
         if d.mode is Mode.ATTITUDE and not self._attitude_lives(d, t_ns):
             d = self._with_mode(d, ekf, Mode.NONE)
-        return self.advance(d, ekf, t_ns, drift)
+        return self.advance(d, ekf, t_ns)
 
     def advance(
-        self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, drift: Drift, turned_rad: float | None = None
+        self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, turned_rad: float | None = None
     ) -> DeadReckoning:
         """Propagate to a time with the mode in force.
 
@@ -245,8 +224,6 @@ class Propagation:
             Filter to move.
         t_ns
             Where to.
-        drift
-            Of the lateral offset.
         turned_rad
             The attitude's yaw increment less what was propagated already. Without, the last rate is held, and made
             good when the next is known.
@@ -255,7 +232,7 @@ class Propagation:
             return d._replace(t_ns=t_ns)
         if t_ns <= d.t_ns and turned_rad is None:
             return d
-        turned, corrected = self._move(d, ekf, t_ns, drift, None, turned_rad)
+        turned, corrected = self._move(d, ekf, t_ns, None, turned_rad)
         _, mode, rate, theta, raw_theta, t_gyro, gyro, gyro_done, yaw, yaw_done, attitude, stored = d
         return DeadReckoning(
             t_ns,
@@ -277,7 +254,6 @@ class Propagation:
         d: DeadReckoning,
         ekf: CorridorEKF,
         t_ns: int,
-        drift: Drift,
         end_rate_rad_s: float | None,
         turned_rad: float | None,
     ) -> tuple[float, float]:
@@ -299,8 +275,7 @@ class Propagation:
             if mode is Mode.GYRO:
                 variance = self._silence_variance(d, ekf, t_ns)
         bias_turn = float(ekf.x[BIAS]) * dt_s
-        noise = self._noise(mode, drift.v_std)
-        ekf.advance(dt_s, turned_rad, noise, drift.forward, drift.sideways, variance)
+        ekf.advance(dt_s, turned_rad, self._noise[mode], variance)
         return turned_rad, turned_rad - bias_turn
 
     def _leave_silent_gyro(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
@@ -360,25 +335,14 @@ class Propagation:
         ekf.predict(x, F, Q)
         return d._replace(mode=mode, stored_gyro_bias=stored)
 
-    def _noise(self, mode: Mode, v_std: float) -> ProcessNoise:
-        key = (mode, v_std)
-        noise = self._noise_cache.get(key)
-        if noise is None:
-            noise = self._make_noise(mode, v_std)
-            if len(self._noise_cache) >= _CACHE_SIZE:
-                self._noise_cache.clear()
-            self._noise_cache[key] = noise
-        return noise
 
-    def _make_noise(self, mode: Mode, v_std: float) -> ProcessNoise:
-        c = self.config
-        lateral = (v_std, c.lateral_velocity_time_s)
-        walk = c.offset_walk
-        if mode is Mode.GYRO:
-            return ProcessNoise(c.gyro_noise, c.bias_walk, walk, *lateral)
-        if mode is Mode.ATTITUDE:
-            return ProcessNoise(walk, c.bias_walk, walk, *lateral)
-        return ProcessNoise(1e-4, c.yaw_acceleration_density, walk, *lateral)
+def _noise(mode: Mode, c: FusionConfig) -> ProcessNoise:
+    walk = c.offset_walk
+    if mode is Mode.GYRO:
+        return ProcessNoise(c.gyro_noise, c.bias_walk, walk)
+    if mode is Mode.ATTITUDE:
+        return ProcessNoise(walk, c.bias_walk, walk)
+    return ProcessNoise(1e-4, c.yaw_acceleration_density, walk)
 
 
 def _turn_since_gyro(d: DeadReckoning, t_ns: int, end_rate_rad_s: float) -> float:

@@ -27,9 +27,9 @@ class Node:
     Parameters
     ----------
     F
-        Transition (5, 5); None where nothing moved.
+        Transition (3, 3); None where nothing moved.
     x_prior, P_prior
-        State (5,) and covariance (5, 5) right behind the transition.
+        State (3,) and covariance (3, 3) right behind the transition.
     x, P
         The same after the step's measurements.
     """
@@ -42,7 +42,7 @@ class Node:
 
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-"""F (n, 5, 5), prior state (n, 5) and covariance (n, 5, 5), state and covariance after the measurements."""
+"""F (n, 3, 3), prior state (n, 3) and covariance (n, 3, 3), state and covariance after the measurements."""
 
 
 @dataclass(slots=True, eq=False)

@@ -4,28 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from fusion.estimator.kernels import N_STATES, discretised, propagated
+from fusion.estimator.kernels import BIAS, N_STATES, PSI, discretised
 from fusion.estimator.models import ProcessNoise
 
 
 def transition(
-    dt_s: float, noise: ProcessNoise, y_per_psi: float = 0.0, heading_variance: float = 0.0
+    dt_s: float, noise: ProcessNoise, heading_variance: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """F and Q of a step."""
     F, Q = np.empty((N_STATES, N_STATES)), np.empty((N_STATES, N_STATES))
-    discretised(F, Q, dt_s, *noise, y_per_psi, heading_variance)
+    discretised(F, Q, dt_s, *noise, heading_variance)
     return F, Q
 
 
-def propagate(
-    x: np.ndarray,
-    dt_s: float,
-    turned_rad: float,
-    noise: ProcessNoise,
-    forward: float = 0.0,
-    sideways: float = 0.0,
-) -> np.ndarray:
+def propagate(x: np.ndarray, dt_s: float, turned_rad: float) -> np.ndarray:
     """The state after a step."""
-    x_next = np.empty(N_STATES)
-    propagated(x, x_next, dt_s, turned_rad, noise.v_time_s, forward, sideways)
+    x_next = x.copy()
+    x_next[PSI] += turned_rad - x[BIAS] * dt_s
     return x_next

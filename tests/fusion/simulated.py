@@ -321,7 +321,6 @@ def config_for(scene: Scene, **changes: Any) -> FusionConfig:
         "gyro_bias_walk": scene.gyro_bias_walk,
         "corridor_width_m": 2 * scene.half_width_m,
         "heading_correlation_s": 0.0,
-        "lateral_correlation_s": 0.0,
     }
     return FusionConfig(**(values | changes))
 
