@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import pickle
 import subprocess
+import sys
 import time
 from dataclasses import asdict, dataclass
 from math import cos, pi
@@ -366,15 +367,23 @@ def train_and_write(
         "views": chunks * CHUNK_VIEWS,
         "temperature": temperature,
         "cannot_tell_shift": shift,
-        "simulated_corridors": scores(held_out[HELD_OUT // 2 :]),
-        "test_views": {
-            "views": TEST_VIEWS,
-            "seed": TEST_SEED,
-            **scores(list(render_views(TEST_VIEWS, TEST_SEED))),
-        },
+        # In a process of its own: this one holds the weights that it found when it began.
+        **json.loads(subprocess.check_output([sys.executable, "-m", "training.offset_network", "score"])),
     }
     file.with_suffix(".json").write_text(json.dumps(made, indent=2) + "\n", encoding="utf-8")
     print(json.dumps(made, indent=2))
+
+
+@app.command()
+def score() -> None:
+    """Print how good the weights in the package are on corridors that no training has seen."""
+    corridors = list(render_views(HELD_OUT, HELD_OUT_SEED))[HELD_OUT // 2 :]
+    views = list(render_views(TEST_VIEWS, TEST_SEED))
+    figures = {
+        "simulated_corridors": scores(corridors),
+        "test_views": {"views": TEST_VIEWS, "seed": TEST_SEED, **scores(views)},
+    }
+    print(json.dumps(figures, indent=2))
 
 
 if __name__ == "__main__":
