@@ -201,19 +201,21 @@ def status_of(
 def _silences(
     state: State, config: FusionConfig, t_ns: int, arrivals: ArrivalTimes | None
 ) -> Iterator[Notice]:
-    """Say of each source but the camera whether it has fallen silent."""
+    """Say of each source but the camera whether it has fallen silent, and what was wrong with the gyroscope."""
 
     def due_ns(kind: type[Sample]) -> int:
         return t_ns if arrivals is None else t_ns - arrivals.latency_ns(kind)
 
     reckoning = state.reckoning
+    if (wrong := state.gyro_check.notice(t_ns)) is not None:
+        yield wrong
     found = (
         (Fault.GYRO_SILENT, reckoning.gyro_silence(t_ns, config)),
         (Fault.ATTITUDE_SILENT, reckoning.attitude_silence(due_ns(AttitudeSample), config)),
         (Fault.VELOCITY_SILENT, state.velocity.silence(due_ns(VelocitySample), config)),
         (Fault.RANGE_SILENT, state.width.silence(due_ns(RangeSample), config)),
     )
-    return (Notice(fault, text) for fault, text in found if text)
+    yield from (Notice(fault, text) for fault, text in found if text)
 
 
 def estimate_of(

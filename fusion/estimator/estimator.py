@@ -16,6 +16,7 @@ from fusion.estimator.engine import SOURCES, Engine, Entry, Sample
 from fusion.estimator.estimate import Estimate, Status, estimate_of
 from fusion.estimator.fixed_lag import FixedLag
 from fusion.estimator.frame_update import FrameResult, FrameSample, Measure
+from fusion.estimator.gyro_checks import GyroVerdict
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.input_checks import finite_or_not, number, whole_nanoseconds, within_bounds
 from fusion.estimator.models import Vector
@@ -126,6 +127,10 @@ class CorridorEstimator:
         entry = self._timeline.insert(sample)
         name = SOURCES[type(sample)].name
         self.counters[f"{name}_duplicate" if entry is None else name] += 1
+        if entry is not None and type(sample) is ImuSample:
+            verdict = entry.after.gyro_check.verdict
+            if verdict is not GyroVerdict.GOOD:
+                self.counters[f"imu_{verdict}"] += 1
         return entry
 
     def _late(self, sample: Sample) -> Entry | None:

@@ -28,6 +28,10 @@ class Fault(IntFlag):
     ATTITUDE_CLOCK = 1 << 10  # attitudes are stamped ahead of the IMU, or too far behind
     IMU_CLOCK = 1 << 11  # IMU samples come too far behind the other sources
     OTHER_CLOCK = 1 << 12  # velocities or ranges are stamped ahead of the IMU, or too far behind
+    GYRO_OUT_OF_RANGE = 1 << 13  # beyond gyro_range_rad_s: refused
+    GYRO_SPIKES = 1 << 14  # jumps that no vehicle makes: held back
+    GYRO_CLIPPED = 1 << 15  # at the end of its range: used, with a larger variance
+    GYRO_FROZEN = 1 << 16  # the same sample again and again: refused
 
 
 class Notice(NamedTuple):

@@ -185,6 +185,10 @@ def _times(t_ns: npt.NDArray[np.int64], stream: int) -> Iterator[tuple[int, int,
 def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
     what = {
         "imu_not_finite": "gyroscope samples that are no numbers were skipped",
+        "imu_out_of_range": "gyroscope samples beyond its range were skipped",
+        "imu_spike": "gyroscope samples that jumped as no vehicle can were held back",
+        "imu_clipped": "gyroscope samples were clipped at the end of its range",
+        "imu_frozen": "gyroscope samples that repeated the ones before were skipped",
         "attitude_not_unit": "attitudes that are no unit quaternions were skipped",
         "velocity_not_finite": "velocities that are no numbers were skipped",
         "velocity_out_of_range": "velocities that no vehicle indoors reaches were skipped",
