@@ -26,6 +26,7 @@ from fusion.estimator.camera_delay import (
     with_turn,
 )
 from fusion.estimator.camera_elevation import Elevation
+from fusion.estimator.camera_repeats import Repeats
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import CorridorAxis, Recovery, recover, start
 from fusion.estimator.frame_update import FrameResult, FrameSample, measure_with_prior, reason_to_reject
@@ -92,6 +93,13 @@ SOURCES: dict[type[Sample], Source] = {
 }
 
 
+class Checks(NamedTuple):
+    """Whether what the sensors say can be true."""
+
+    gyro: GyroCheck = GyroCheck()
+    repeats: Repeats = Repeats()
+
+
 class State(NamedTuple):
     """All that the next step depends on: the filter's state and covariance, and a share for each part; immutable."""
 
@@ -107,7 +115,7 @@ class State(NamedTuple):
     frames: SampleTimes = SampleTimes()
     elevation: Elevation = Elevation()
     delay: Delay | None = None
-    gyro_check: GyroCheck = GyroCheck()
+    checks: Checks = Checks()
 
     @property
     def t_ns(self) -> int | None:
@@ -201,7 +209,7 @@ class Engine:
             lateral=s.lateral.unknown_again(),
             frames=s.frames.clock_set_back(),
             delay=None if s.delay is None else s.delay.interrupted(),
-            gyro_check=s.gyro_check.clock_set_back(),
+            checks=Checks(s.checks.gyro.clock_set_back()),
             x=ekf.x,
             P=ekf.P,
         )
@@ -228,27 +236,26 @@ class Engine:
 
     def _imu(self, s: State, sample: ImuSample) -> State:
         t_ns = sample.t_ns
-        gyro_check = with_sample(s.gyro_check, sample, self.config)
-        if not gyro_check.is_used:
-            return self._held(s, t_ns, s.frames)._replace(gyro_check=gyro_check)
-        if gyro_check.verdict is GyroVerdict.CONFIRMED:
-            s = self._with_rate_since(s, rate_that_bridges(s.gyro_check, sample))
+        before, repeats = s.checks
+        checks = Checks(with_sample(before, sample, self.config), repeats)
+        if not checks.gyro.is_used:
+            return self._held(s, t_ns, s.frames)._replace(checks=checks)
+        if checks.gyro.verdict is GyroVerdict.CONFIRMED:
+            s = self._with_rate_since(s, rate_that_bridges(before, sample))
         gyro = self._propagation.mean_gyro(s.reckoning, sample)
         tilt = tilts.with_imu(s.tilt, t_ns, gyro, sample.accel_m_s2)
         rate = level_yaw_rate(sample.gyro_rad_s, tilt.down)
         lateral = self._moved(s, t_ns, tilt.down, sample.accel_m_s2)
         d = self._propagation.with_gyro(s.reckoning, self.ekf, sample, rate)
-        if gyro_check.clipped_from_ns is not None:
-            self.ekf.widen(PSI, clipped_variance(s.gyro_check, gyro_check))
+        if checks.gyro.clipped_from_ns is not None:
+            self.ekf.widen(PSI, clipped_variance(before, checks.gyro))
         delay = s.delay
         if delay is not None:
             delay = delay if d.mode is s.reckoning.mode else delay.interrupted()
             delay = with_turn(delay, t_ns, d.raw_theta_rad)
         _, _, _, _, velocity, width, imu_yaw, axis, _, frames, elevation, _, _ = s
         x, P = self.ekf.x, self.ekf.P
-        return State(
-            x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, gyro_check
-        )
+        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
 
     def _with_rate_since(self, s: State, gyro_rad_s: Vector) -> State:
         """Take this for the rate at the last gyroscope sample."""
@@ -263,11 +270,9 @@ class Engine:
         tilt = tilts.from_quaternion(s.tilt, sample.t_ns, q)
         imu_yaw = fuse_imu_yaw(s.imu_yaw, self.ekf, yaw_rad, d, s.axis, self.config)
         delay = self._delay_in_mode(s, d)
-        _, _, _, _, velocity, width, _, axis, _, frames, elevation, _, gyro_check = s
+        _, _, _, _, velocity, width, _, axis, _, frames, elevation, _, checks = s
         x, P = self.ekf.x, self.ekf.P
-        return State(
-            x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, gyro_check
-        )
+        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
 
     def _velocity(self, s: State, sample: VelocitySample) -> State:
         s = self._held(s, sample.t_ns, s.frames)
@@ -281,6 +286,11 @@ class Engine:
         s = self._held(s, sample.t_ns, s.frames.with_sample(sample.t_ns))
         if sample.measure is None:
             return s, FrameResult(sample.stamp_ns, None, False, Reason.UNREADABLE)
+        repeats = s.checks.repeats.with_frame(sample, s.reckoning, s.checks.gyro)
+        s = s._replace(checks=s.checks._replace(repeats=repeats))
+        if repeats.found:
+            m = sample.measure if isinstance(sample.measure, FrameMeasurement) else None
+            return s, FrameResult(sample.stamp_ns, m, False, Reason.REPEATED)
         attitude = tilts.attitude_at(s.tilt, sample.t_ns, self.config.attitude_std_rad)
         if isinstance(sample.measure, FrameMeasurement):
             m = sample.measure
@@ -303,11 +313,9 @@ class Engine:
         lateral = self._moved(s, t_ns, s.tilt.down)
         d = self._propagation.hold(s.reckoning, self.ekf, t_ns)
         delay = self._delay_in_mode(s, d)
-        _, _, _, tilt, velocity, width, imu_yaw, axis, _, _, elevation, _, gyro_check = s
+        _, _, _, tilt, velocity, width, imu_yaw, axis, _, _, elevation, _, checks = s
         x, P = self.ekf.x, self.ekf.P
-        return State(
-            x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, gyro_check
-        )
+        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
 
     def _delay_in_mode(self, s: State, d: DeadReckoning) -> Delay | None:
         """Start the delay's dead reckoning anew where something else carries the heading now."""
@@ -356,21 +364,9 @@ class Engine:
         axis = axis.confirmed(ekf, t_ns, d.theta_rad)
         lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
         imu_yaw = compare_by_frame(s.imu_yaw, t_ns, heading, variance, d)
-        _, _, _, tilt, velocity, _, _, _, _, frames, _, _, gyro_check = s
+        _, _, _, tilt, velocity, _, _, _, _, frames, _, _, checks = s
         s = State(
-            ekf.x,
-            ekf.P,
-            d,
-            tilt,
-            velocity,
-            width,
-            imu_yaw,
-            axis,
-            lateral,
-            frames,
-            elevation,
-            delay,
-            gyro_check,
+            ekf.x, ekf.P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks
         )
         return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
 

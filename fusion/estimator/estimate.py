@@ -193,6 +193,8 @@ def status_of(
         status = Status.TRACKING
         if state.lateral.n_used and seconds_since(seen_ns, state.lateral.t_ns) > limit:
             notices.append(Notice(Fault.NO_LATERAL_OFFSET, "frames show no lateral offset"))
+    if (frozen := state.checks.repeats.notice()) is not None:
+        notices = [n for n in notices if n.fault is not Fault.FRAMES_REJECTED] + [frozen]
     if clocks:  # frames do arrive, with stamps of no use
         notices = [n for n in notices if n.text != "no frames arrive"] + clocks
     return status, [*notices, *_silences(state, config, t_ns, arrivals)]
@@ -207,7 +209,7 @@ def _silences(
         return t_ns if arrivals is None else t_ns - arrivals.latency_ns(kind)
 
     reckoning = state.reckoning
-    if (wrong := state.gyro_check.notice(t_ns)) is not None:
+    if (wrong := state.checks.gyro.notice(t_ns)) is not None:
         yield wrong
     found = (
         (Fault.GYRO_SILENT, reckoning.gyro_silence(t_ns, config)),

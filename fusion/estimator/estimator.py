@@ -128,7 +128,7 @@ class CorridorEstimator:
         name = SOURCES[type(sample)].name
         self.counters[f"{name}_duplicate" if entry is None else name] += 1
         if entry is not None and type(sample) is ImuSample:
-            verdict = entry.after.gyro_check.verdict
+            verdict = entry.after.checks.gyro.verdict
             if verdict is not GyroVerdict.GOOD:
                 self.counters[f"imu_{verdict}"] += 1
         return entry
@@ -213,7 +213,7 @@ class CorridorEstimator:
         def measure(attitude: Attitude | None, prior: Prior) -> FrameMeasurement:
             return measure_lines(lines, camera, attitude, prior)
 
-        return self._add_frame(t_ns, measure)
+        return self._add_frame(t_ns, measure, lines.ends_px.tobytes())
 
     def add_measurement(self, t_ns: int, measurement: FrameMeasurement) -> FrameResult:
         """Add a frame that was measured elsewhere.
@@ -274,9 +274,11 @@ class CorridorEstimator:
             )
         return self.camera
 
-    def _add_frame(self, t_ns: int, measure: Measure | FrameMeasurement | None) -> FrameResult:
+    def _add_frame(
+        self, t_ns: int, measure: Measure | FrameMeasurement | None, picture: bytes = b""
+    ) -> FrameResult:
         t_ns = whole_nanoseconds(t_ns)
-        sample = FrameSample(t_ns - self._delay_ns - self._arrivals.frames.moved_ns, t_ns, measure)
+        sample = FrameSample(t_ns - self._delay_ns - self._arrivals.frames.moved_ns, t_ns, measure, picture)
         newest_ns = self._timeline.newest_ns
         entry = self.add(sample)
         if entry is None or entry.frame is None:

@@ -32,6 +32,7 @@ class Fault(IntFlag):
     GYRO_SPIKES = 1 << 14  # jumps that no vehicle makes: held back
     GYRO_CLIPPED = 1 << 15  # at the end of its range: used, with a larger variance
     GYRO_FROZEN = 1 << 16  # the same sample again and again: refused
+    CAMERA_FROZEN = 1 << 17  # the same picture again and again: not used
 
 
 class Notice(NamedTuple):

@@ -103,6 +103,11 @@ class GyroCheck(NamedTuple):
         """Whether the newest sample is to be integrated."""
         return self.verdict in _USED
 
+    @property
+    def is_noisy(self) -> bool:
+        """Whether the samples have noise, as those of a real gyroscope."""
+        return self.noisy >= NOISY
+
     def clock_set_back(self) -> GyroCheck:
         """Start anew, but for what is known of the noise."""
         return GyroCheck(noisy=self.noisy)
