@@ -44,6 +44,7 @@ from fusion.estimator.imu_yaw import (
     compare_by_frame,
     fuse_imu_yaw,
 )
+from fusion.estimator.installation_checks import Installation
 from fusion.estimator.lateral import Lateral, LateralOffset, MotionStep
 from fusion.estimator.models import (
     BIAS,
@@ -98,6 +99,7 @@ class Checks(NamedTuple):
 
     gyro: GyroCheck = GyroCheck()
     repeats: Repeats = Repeats()
+    installation: Installation = Installation()
 
 
 class State(NamedTuple):
@@ -209,7 +211,7 @@ class Engine:
             lateral=s.lateral.unknown_again(),
             frames=s.frames.clock_set_back(),
             delay=None if s.delay is None else s.delay.interrupted(),
-            checks=Checks(s.checks.gyro.clock_set_back()),
+            checks=Checks(s.checks.gyro.clock_set_back(), installation=s.checks.installation.interrupted()),
             x=ekf.x,
             P=ekf.P,
         )
@@ -236,8 +238,10 @@ class Engine:
 
     def _imu(self, s: State, sample: ImuSample) -> State:
         t_ns = sample.t_ns
-        before, repeats = s.checks
-        checks = Checks(with_sample(before, sample, self.config), repeats)
+        before, repeats, installed = s.checks
+        if sample.accel_m_s2 is not None:
+            installed = installed.with_accel(t_ns, sample.accel_m_s2)
+        checks = Checks(with_sample(before, sample, self.config), repeats, installed)
         if not checks.gyro.is_used:
             return self._held(s, t_ns, s.frames)._replace(checks=checks)
         if checks.gyro.verdict is GyroVerdict.CONFIRMED:
@@ -300,6 +304,12 @@ class Engine:
         reason = reason_to_reject(m, self.config)
         if reason is not Reason.OK:
             return s, FrameResult(sample.stamp_ns, m, False, reason)
+        installed = s.checks.installation
+        if s.reckoning.mode is Mode.GYRO:
+            installed = installed.with_frame(sample.t_ns, m.heading_rad, s.reckoning.raw_theta_rad)
+        else:
+            installed = installed.interrupted()
+        s = s._replace(checks=s.checks._replace(installation=installed))
         return self._fuse_heading(s, sample, m, attitude)
 
     def _moved(self, s: State, t_ns: int, down: Vector, accel_m_s2: Vector | None = None) -> Lateral:

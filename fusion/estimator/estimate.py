@@ -170,6 +170,7 @@ def status_of(
     """
     axis, clocks = state.axis, [] if arrivals is None else list(arrivals.notices())
     if not axis.ever_acquired:
+        clocks = [*clocks, *state.checks.installation.notices(state.tilt.down)]
         text = "waiting for frames that agree" if axis.votes else "no usable frame yet"
         return Status.INITIALISING, clocks or [Notice(Fault.NOT_STARTED, text)]
     latency_ns = 0 if arrivals is None else arrivals.latency_ns(FrameSample)
@@ -211,6 +212,7 @@ def _silences(
     reckoning = state.reckoning
     if (wrong := state.checks.gyro.notice(t_ns)) is not None:
         yield wrong
+    yield from state.checks.installation.notices(state.tilt.down)
     found = (
         (Fault.GYRO_SILENT, reckoning.gyro_silence(t_ns, config)),
         (Fault.ATTITUDE_SILENT, reckoning.attitude_silence(due_ns(AttitudeSample), config)),

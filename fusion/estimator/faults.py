@@ -34,6 +34,12 @@ class Fault(IntFlag):
     GYRO_FROZEN = 1 << 16  # the same sample again and again: refused
     CAMERA_FROZEN = 1 << 17  # the same picture again and again: not used
 
+    GYRO_SIGN = 1 << 18  # turns the other way than the camera sees
+    GYRO_SCALE = 1 << 19  # turns far more than the camera sees
+    GYRO_BIAS = 1 << 20  # far from zero at rest
+    FOCAL_LENGTH = 1 << 21  # the camera sees more, or less, of each turn than the gyroscope
+    TILT_WRONG = 1 << 22  # attitude or accelerometer do not point where gravity does
+
 
 class Notice(NamedTuple):
     """One thing that is amiss: its bit, and a sentence for people."""
