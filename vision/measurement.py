@@ -39,6 +39,7 @@ class Reason(StrEnum):
     GATE = "gate"  # disagrees with the filter
     UNREADABLE = "unreadable"  # the picture could not be decoded
     LATE = "late"  # arrived after the estimator's buffer had passed it
+    REPEATED = "repeated"  # the picture before once more: the camera is frozen
     AHEAD = "ahead"  # stamped far ahead of the other sensors' clock
 
 

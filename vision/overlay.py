@@ -43,6 +43,7 @@ REASON_WORDS: dict[Reason, str] = {
     Reason.GATE: "disagrees with the filter",
     Reason.UNREADABLE: "picture could not be decoded",
     Reason.LATE: "came too late",
+    Reason.REPEATED: "the picture before once more",
     Reason.AHEAD: "stamped ahead of the other sensors",
 }
 

@@ -72,6 +72,12 @@ class FusionConfig(BaseModel):
     gyro_gap_s: float = Field(
         default=0.1, gt=0, le=5, description="Silence after which the gyroscope counts as gone."
     )
+    gyro_range_rad_s: float = Field(
+        default=35.0,
+        gt=0,
+        le=200,
+        description="Largest rate of any axis that the gyroscope can measure; 35 rad/s is 2000 degrees/s.",
+    )
     yaw_acceleration_density: float = Field(
         default=1.0,
         gt=0,

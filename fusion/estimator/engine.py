@@ -26,9 +26,17 @@ from fusion.estimator.camera_delay import (
     with_turn,
 )
 from fusion.estimator.camera_elevation import Elevation
+from fusion.estimator.camera_repeats import Repeats
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import CorridorAxis, Recovery, recover, start
 from fusion.estimator.frame_update import FrameResult, FrameSample, measure_with_prior, reason_to_reject
+from fusion.estimator.gyro_checks import (
+    GyroCheck,
+    GyroVerdict,
+    clipped_variance,
+    rate_that_bridges,
+    with_sample,
+)
 from fusion.estimator.imu_yaw import (
     UNKNOWN_YAW_OFFSET_STD_RAD,
     AttitudeSample,
@@ -36,6 +44,7 @@ from fusion.estimator.imu_yaw import (
     compare_by_frame,
     fuse_imu_yaw,
 )
+from fusion.estimator.installation_checks import Installation
 from fusion.estimator.lateral import Lateral, LateralOffset, MotionStep
 from fusion.estimator.models import (
     BIAS,
@@ -85,6 +94,14 @@ SOURCES: dict[type[Sample], Source] = {
 }
 
 
+class Checks(NamedTuple):
+    """Whether what the sensors say can be true."""
+
+    gyro: GyroCheck = GyroCheck()
+    repeats: Repeats = Repeats()
+    installation: Installation = Installation()
+
+
 class State(NamedTuple):
     """All that the next step depends on: the filter's state and covariance, and a share for each part; immutable."""
 
@@ -100,6 +117,7 @@ class State(NamedTuple):
     frames: SampleTimes = SampleTimes()
     elevation: Elevation = Elevation()
     delay: Delay | None = None
+    checks: Checks = Checks()
 
     @property
     def t_ns(self) -> int | None:
@@ -193,6 +211,7 @@ class Engine:
             lateral=s.lateral.unknown_again(),
             frames=s.frames.clock_set_back(),
             delay=None if s.delay is None else s.delay.interrupted(),
+            checks=Checks(s.checks.gyro.clock_set_back(), installation=s.checks.installation.interrupted()),
             x=ekf.x,
             P=ekf.P,
         )
@@ -219,18 +238,33 @@ class Engine:
 
     def _imu(self, s: State, sample: ImuSample) -> State:
         t_ns = sample.t_ns
+        before, repeats, installed = s.checks
+        if sample.accel_m_s2 is not None:
+            installed = installed.with_accel(t_ns, sample.accel_m_s2)
+        checks = Checks(with_sample(before, sample, self.config), repeats, installed)
+        if not checks.gyro.is_used:
+            return self._held(s, t_ns, s.frames)._replace(checks=checks)
+        if checks.gyro.verdict is GyroVerdict.CONFIRMED:
+            s = self._with_rate_since(s, rate_that_bridges(before, sample))
         gyro = self._propagation.mean_gyro(s.reckoning, sample)
         tilt = tilts.with_imu(s.tilt, t_ns, gyro, sample.accel_m_s2)
         rate = level_yaw_rate(sample.gyro_rad_s, tilt.down)
         lateral = self._moved(s, t_ns, tilt.down, sample.accel_m_s2)
         d = self._propagation.with_gyro(s.reckoning, self.ekf, sample, rate)
+        if checks.gyro.clipped_from_ns is not None:
+            self.ekf.widen(PSI, clipped_variance(before, checks.gyro))
         delay = s.delay
         if delay is not None:
             delay = delay if d.mode is s.reckoning.mode else delay.interrupted()
             delay = with_turn(delay, t_ns, d.raw_theta_rad)
-        _, _, _, _, velocity, width, imu_yaw, axis, _, frames, elevation, _ = s
+        _, _, _, _, velocity, width, imu_yaw, axis, _, frames, elevation, _, _ = s
         x, P = self.ekf.x, self.ekf.P
-        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay)
+        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
+
+    def _with_rate_since(self, s: State, gyro_rad_s: Vector) -> State:
+        """Take this for the rate at the last gyroscope sample."""
+        rate = level_yaw_rate(gyro_rad_s, s.tilt.down)
+        return s._replace(reckoning=s.reckoning._replace(gyro_rad_s=gyro_rad_s, rate_rad_s=rate))
 
     def _attitude(self, s: State, sample: AttitudeSample) -> State:
         q = sample.unit()
@@ -240,9 +274,9 @@ class Engine:
         tilt = tilts.from_quaternion(s.tilt, sample.t_ns, q)
         imu_yaw = fuse_imu_yaw(s.imu_yaw, self.ekf, yaw_rad, d, s.axis, self.config)
         delay = self._delay_in_mode(s, d)
-        _, _, _, _, velocity, width, _, axis, _, frames, elevation, _ = s
+        _, _, _, _, velocity, width, _, axis, _, frames, elevation, _, checks = s
         x, P = self.ekf.x, self.ekf.P
-        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay)
+        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
 
     def _velocity(self, s: State, sample: VelocitySample) -> State:
         s = self._held(s, sample.t_ns, s.frames)
@@ -256,6 +290,11 @@ class Engine:
         s = self._held(s, sample.t_ns, s.frames.with_sample(sample.t_ns))
         if sample.measure is None:
             return s, FrameResult(sample.stamp_ns, None, False, Reason.UNREADABLE)
+        repeats = s.checks.repeats.with_frame(sample, s.reckoning, s.checks.gyro)
+        s = s._replace(checks=s.checks._replace(repeats=repeats))
+        if repeats.found:
+            m = sample.measure if isinstance(sample.measure, FrameMeasurement) else None
+            return s, FrameResult(sample.stamp_ns, m, False, Reason.REPEATED)
         attitude = tilts.attitude_at(s.tilt, sample.t_ns, self.config.attitude_std_rad)
         if isinstance(sample.measure, FrameMeasurement):
             m = sample.measure
@@ -265,6 +304,12 @@ class Engine:
         reason = reason_to_reject(m, self.config)
         if reason is not Reason.OK:
             return s, FrameResult(sample.stamp_ns, m, False, reason)
+        installed = s.checks.installation
+        if s.reckoning.mode is Mode.GYRO:
+            installed = installed.with_frame(sample.t_ns, m.heading_rad, s.reckoning.raw_theta_rad)
+        else:
+            installed = installed.interrupted()
+        s = s._replace(checks=s.checks._replace(installation=installed))
         return self._fuse_heading(s, sample, m, attitude)
 
     def _moved(self, s: State, t_ns: int, down: Vector, accel_m_s2: Vector | None = None) -> Lateral:
@@ -278,9 +323,9 @@ class Engine:
         lateral = self._moved(s, t_ns, s.tilt.down)
         d = self._propagation.hold(s.reckoning, self.ekf, t_ns)
         delay = self._delay_in_mode(s, d)
-        _, _, _, tilt, velocity, width, imu_yaw, axis, _, _, elevation, _ = s
+        _, _, _, tilt, velocity, width, imu_yaw, axis, _, _, elevation, _, checks = s
         x, P = self.ekf.x, self.ekf.P
-        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay)
+        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
 
     def _delay_in_mode(self, s: State, d: DeadReckoning) -> Delay | None:
         """Start the delay's dead reckoning anew where something else carries the heading now."""
@@ -329,8 +374,10 @@ class Engine:
         axis = axis.confirmed(ekf, t_ns, d.theta_rad)
         lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
         imu_yaw = compare_by_frame(s.imu_yaw, t_ns, heading, variance, d)
-        _, _, _, tilt, velocity, _, _, _, _, frames, _, _ = s
-        s = State(ekf.x, ekf.P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay)
+        _, _, _, tilt, velocity, _, _, _, _, frames, _, _, checks = s
+        s = State(
+            ekf.x, ekf.P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks
+        )
         return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
 
     def _fuse_rest(

@@ -170,6 +170,7 @@ def status_of(
     """
     axis, clocks = state.axis, [] if arrivals is None else list(arrivals.notices())
     if not axis.ever_acquired:
+        clocks = [*clocks, *state.checks.installation.notices(state.tilt.down)]
         text = "waiting for frames that agree" if axis.votes else "no usable frame yet"
         return Status.INITIALISING, clocks or [Notice(Fault.NOT_STARTED, text)]
     latency_ns = 0 if arrivals is None else arrivals.latency_ns(FrameSample)
@@ -193,6 +194,8 @@ def status_of(
         status = Status.TRACKING
         if state.lateral.n_used and seconds_since(seen_ns, state.lateral.t_ns) > limit:
             notices.append(Notice(Fault.NO_LATERAL_OFFSET, "frames show no lateral offset"))
+    if (frozen := state.checks.repeats.notice()) is not None:
+        notices = [n for n in notices if n.fault is not Fault.FRAMES_REJECTED] + [frozen]
     if clocks:  # frames do arrive, with stamps of no use
         notices = [n for n in notices if n.text != "no frames arrive"] + clocks
     return status, [*notices, *_silences(state, config, t_ns, arrivals)]
@@ -201,19 +204,22 @@ def status_of(
 def _silences(
     state: State, config: FusionConfig, t_ns: int, arrivals: ArrivalTimes | None
 ) -> Iterator[Notice]:
-    """Say of each source but the camera whether it has fallen silent."""
+    """Say of each source but the camera whether it has fallen silent, and what was wrong with the gyroscope."""
 
     def due_ns(kind: type[Sample]) -> int:
         return t_ns if arrivals is None else t_ns - arrivals.latency_ns(kind)
 
     reckoning = state.reckoning
+    if (wrong := state.checks.gyro.notice(t_ns)) is not None:
+        yield wrong
+    yield from state.checks.installation.notices(state.tilt.down)
     found = (
         (Fault.GYRO_SILENT, reckoning.gyro_silence(t_ns, config)),
         (Fault.ATTITUDE_SILENT, reckoning.attitude_silence(due_ns(AttitudeSample), config)),
         (Fault.VELOCITY_SILENT, state.velocity.silence(due_ns(VelocitySample), config)),
         (Fault.RANGE_SILENT, state.width.silence(due_ns(RangeSample), config)),
     )
-    return (Notice(fault, text) for fault, text in found if text)
+    yield from (Notice(fault, text) for fault, text in found if text)
 
 
 def estimate_of(

@@ -16,6 +16,7 @@ from fusion.estimator.engine import SOURCES, Engine, Entry, Sample
 from fusion.estimator.estimate import Estimate, Status, estimate_of
 from fusion.estimator.fixed_lag import FixedLag
 from fusion.estimator.frame_update import FrameResult, FrameSample, Measure
+from fusion.estimator.gyro_checks import GyroVerdict
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.input_checks import finite_or_not, number, whole_nanoseconds, within_bounds
 from fusion.estimator.models import Vector
@@ -126,6 +127,10 @@ class CorridorEstimator:
         entry = self._timeline.insert(sample)
         name = SOURCES[type(sample)].name
         self.counters[f"{name}_duplicate" if entry is None else name] += 1
+        if entry is not None and type(sample) is ImuSample:
+            verdict = entry.after.checks.gyro.verdict
+            if verdict is not GyroVerdict.GOOD:
+                self.counters[f"imu_{verdict}"] += 1
         return entry
 
     def _late(self, sample: Sample) -> Entry | None:
@@ -208,7 +213,7 @@ class CorridorEstimator:
         def measure(attitude: Attitude | None, prior: Prior) -> FrameMeasurement:
             return measure_lines(lines, camera, attitude, prior)
 
-        return self._add_frame(t_ns, measure)
+        return self._add_frame(t_ns, measure, lines.ends_px.tobytes())
 
     def add_measurement(self, t_ns: int, measurement: FrameMeasurement) -> FrameResult:
         """Add a frame that was measured elsewhere.
@@ -269,9 +274,11 @@ class CorridorEstimator:
             )
         return self.camera
 
-    def _add_frame(self, t_ns: int, measure: Measure | FrameMeasurement | None) -> FrameResult:
+    def _add_frame(
+        self, t_ns: int, measure: Measure | FrameMeasurement | None, picture: bytes = b""
+    ) -> FrameResult:
         t_ns = whole_nanoseconds(t_ns)
-        sample = FrameSample(t_ns - self._delay_ns - self._arrivals.frames.moved_ns, t_ns, measure)
+        sample = FrameSample(t_ns - self._delay_ns - self._arrivals.frames.moved_ns, t_ns, measure, picture)
         newest_ns = self._timeline.newest_ns
         entry = self.add(sample)
         if entry is None or entry.frame is None:

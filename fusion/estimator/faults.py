@@ -28,6 +28,17 @@ class Fault(IntFlag):
     ATTITUDE_CLOCK = 1 << 10  # attitudes are stamped ahead of the IMU, or too far behind
     IMU_CLOCK = 1 << 11  # IMU samples come too far behind the other sources
     OTHER_CLOCK = 1 << 12  # velocities or ranges are stamped ahead of the IMU, or too far behind
+    GYRO_OUT_OF_RANGE = 1 << 13  # beyond gyro_range_rad_s: refused
+    GYRO_SPIKES = 1 << 14  # jumps that no vehicle makes: held back
+    GYRO_CLIPPED = 1 << 15  # at the end of its range: used, with a larger variance
+    GYRO_FROZEN = 1 << 16  # the same sample again and again: refused
+    CAMERA_FROZEN = 1 << 17  # the same picture again and again: not used
+
+    GYRO_SIGN = 1 << 18  # turns the other way than the camera sees
+    GYRO_SCALE = 1 << 19  # turns far more than the camera sees
+    GYRO_BIAS = 1 << 20  # far from zero at rest
+    FOCAL_LENGTH = 1 << 21  # the camera sees more, or less, of each turn than the gyroscope
+    TILT_WRONG = 1 << 22  # attitude or accelerometer do not point where gravity does
 
 
 class Notice(NamedTuple):

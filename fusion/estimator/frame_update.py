@@ -29,11 +29,14 @@ class FrameSample(NamedTuple):
         As stamped, before the camera's delay is taken off.
     measure
         What measures it; or its measurement, made elsewhere; None where there is no picture.
+    picture
+        What the picture shows, to be compared with the one before; empty where that is not known.
     """
 
     t_ns: int
     stamp_ns: int
     measure: Measure | FrameMeasurement | None
+    picture: bytes = b""
 
     def fault(self) -> str:
         """Why it cannot be used: a frame without a picture counts too, so nothing."""

@@ -141,8 +141,11 @@ RATES = CheckRule(
 def _longest_gap(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
     good = limits.frame_gap_s[0]
     worst, where, count = 0.0, "", 0
+    last_ns = max(int(t_ns[-1]) for _, t_ns in _streams(flight) if len(t_ns))
     for word, t_ns in _streams(flight):
-        step = np.diff(t_ns) / 1e9
+        step = (
+            np.diff(np.append(t_ns, last_ns)) / 1e9
+        )  # a stream that dies leaves a hole up to the flight's end
         if not step.size:
             continue
         count += int(np.count_nonzero(step > max(good, 3.0 * float(np.median(step)))))

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from heapq import merge
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from fusion.estimator.frame_update import FrameResult, FrameSample
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.lateral_smoother import OffsetSteps
 from fusion.estimator.propagation import ImuSample
+from fusion.estimator.sample_times import SampleTimes
 from fusion.estimator.smoothed_table import hypotheses_table, smoothed_table
 from fusion.estimator.smoother import Steps
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table, estimate_row
@@ -64,7 +66,7 @@ def fuse_flight(
         raise InputError("the flight has no camera frames", remedy="check mav0/cam0/data.csv of the log")
     check_times(flight)
     settings = _with_declared_values(config or FusionConfig(), flight)
-    recorder = Recorder(settings, _row_kind(flight))
+    recorder = Recorder(settings, _row_kinds(flight))
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
     vision_s = _feed(estimator, flight, progress)
     estimator.finish()
@@ -133,13 +135,14 @@ def _with_declared_values(config: FusionConfig, flight: Flight) -> FusionConfig:
     return config.model_copy(update=declared)
 
 
-def _row_kind(flight: Flight) -> type[ImuSample | AttitudeSample | FrameSample]:
-    """Kind of sample that makes a row: what propagates."""
-    if flight.imu is not None and len(flight.imu.t_ns):
-        return ImuSample
+def _row_kinds(flight: Flight) -> tuple[type[object], ...]:
+    """Kinds of sample that make rows, since they propagate: the best first, the others where that has died."""
+    found: list[type[object]] = [FrameSample]
     if flight.attitude is not None and len(flight.attitude.t_ns):
-        return AttitudeSample
-    return FrameSample
+        found.insert(0, AttitudeSample)
+    if flight.imu is not None and len(flight.imu.t_ns):
+        found.insert(0, ImuSample)
+    return tuple(found)
 
 
 def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | None) -> float:
@@ -185,6 +188,10 @@ def _times(t_ns: npt.NDArray[np.int64], stream: int) -> Iterator[tuple[int, int,
 def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
     what = {
         "imu_not_finite": "gyroscope samples that are no numbers were skipped",
+        "imu_out_of_range": "gyroscope samples beyond its range were skipped",
+        "imu_spike": "gyroscope samples that jumped as no vehicle can were held back",
+        "imu_clipped": "gyroscope samples were clipped at the end of its range",
+        "imu_frozen": "gyroscope samples that repeated the ones before were skipped",
         "attitude_not_unit": "attitudes that are no unit quaternions were skipped",
         "velocity_not_finite": "velocities that are no numbers were skipped",
         "velocity_out_of_range": "velocities that no vehicle indoors reaches were skipped",
@@ -200,11 +207,14 @@ def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
 
 
 class Recorder:
-    """Collects, from the entries that leave the buffer, the rows of the tables and the smoother's steps."""
+    """Collects, from the entries that leave the buffer, the rows of the tables and the smoother's steps.
 
-    def __init__(self, config: FusionConfig, row_kind: type[object]) -> None:
+    Each sample of the first kind makes a row; one of another kind, where those before it have fallen silent.
+    """
+
+    def __init__(self, config: FusionConfig, row_kinds: tuple[type[object], ...]) -> None:
         self.config = config
-        self.row_kind = row_kind
+        self._row_times = dict.fromkeys(row_kinds, SampleTimes())
         self.frames: list[tuple[Any, ...]] = []
         self.steps = Steps()
         self.offset_steps = OffsetSteps()
@@ -225,7 +235,15 @@ class Recorder:
         if entry.frame is not None:
             self.frames.append(frame_row(entry.frame, self.config))
         self._pending = entry
-        self._pending_is_row |= type(entry.sample) is self.row_kind
+        self._pending_is_row |= self._makes_row(type(entry.sample), entry.t_ns)
+
+    def _makes_row(self, kind: type[object], t_ns: int) -> bool:
+        times = self._row_times
+        if kind not in times:
+            return False
+        times[kind] = times[kind].with_sample(t_ns)
+        better = takewhile(lambda k: k is not kind, times)
+        return all(times[k].is_silent(t_ns, self.config) for k in better)
 
     def finish(self) -> None:
         """Close the last instant."""

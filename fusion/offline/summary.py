@@ -27,6 +27,9 @@ _DROPPED_ENDINGS = (
     "_out_of_range",
     "_failed",
     "_set_back",
+    "_spike",
+    "_frozen",
+    "_repeated",
 )
 
 

@@ -42,7 +42,7 @@ SIMULATED = simulate(
 def until(end_ns: int, lag_s: float, **config: Any) -> tuple[Estimate, Table]:
     """The fixed-lag estimate once all samples that arrived by then are in, and the offline table of the same ones."""
     settings_ = config_for(SIMULATED.scene, fixed_lag_s=lag_s, **config)
-    recorder = Recorder(settings_, ImuSample)
+    recorder = Recorder(settings_, (ImuSample,))
     estimator = CorridorEstimator(settings_, on_final=recorder.take)
     for sample in SIMULATED.samples:
         if sample.arrival_ns <= end_ns:

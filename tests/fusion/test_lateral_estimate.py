@@ -179,7 +179,7 @@ class Flown:
 
     def __init__(self, samples: Iterable[Sample], buffer_s: float = 0.5) -> None:
         config = config_for(SCENE, buffer_s=buffer_s)
-        self.recorder = Recorder(config, ImuSample)
+        self.recorder = Recorder(config, (ImuSample,))
         self.states: list[bytes] = []
         estimator = CorridorEstimator(config, on_final=self._take)
         for sample in samples:

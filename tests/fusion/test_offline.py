@@ -148,6 +148,21 @@ def test_accelerometer_levels_where_there_is_no_attitude(office: Flight) -> None
     assert rmse_deg(fuse_flight(replace(short(office), attitude=None), CONFIG)) < 0.4
 
 
+def test_rows_go_on_where_the_gyroscope_dies_and_the_verdict_says_so(office: Flight) -> None:
+    imu = office.imu
+    assert imu is not None
+    n = len(imu.t_ns) * 2 // 5
+    cut = replace(imu, t_ns=imu.t_ns[:n], gyro_rad_s=imu.gyro_rad_s[:n], accel_m_s2=imu.accel_m_s2[:n])
+    for flight in (replace(office, imu=cut), replace(office, imu=cut, attitude=None)):
+        result = fuse_flight(flight)
+        t_ns = result.estimates["timestamp_ns"]
+        assert t_ns[-1] >= office.frames.t_ns[-1]
+        assert np.diff(t_ns).max() < 0.35e9
+        assert len(result.smoothed) == len(t_ns)
+        assert result.overview is not None
+        assert result.overview.verdict == "fail"
+
+
 def test_vision_alone_makes_a_row_per_frame(office: Flight) -> None:
     part = replace(short(office), imu=None, attitude=None)
     result = fuse_flight(part, CONFIG)

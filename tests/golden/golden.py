@@ -170,7 +170,7 @@ def differences(name: str, expected: Table, found: Table) -> Iterator[str]:
 
 def drive(gives: list[Give], config: FusionConfig, flight: Flight | None = None) -> tuple[Table, Table]:
     """Filter's and smoother's table of these samples."""
-    recorder = Recorder(config, ImuSample)
+    recorder = Recorder(config, (ImuSample,))
     estimator = CorridorEstimator(config, None if flight is None else flight.camera, on_final=recorder.take)
     call: dict[Kind, Callable[..., Any]] = {
         Kind.IMU: estimator.add_imu,

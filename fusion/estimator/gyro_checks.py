@@ -1,0 +1,222 @@
+"""Whether a gyroscope sample can be true: takes them one by one, says which to use, changes nothing else.
+
+- Beyond the sensor's range it is refused.
+- One that leaps further than a vehicle can accelerate is held back until those behind it agree with it: a spike lasts
+  a sample or two, a collision longer. What is held back or refused is bridged by the trapezoid rule.
+- At the end of the range the true rate is only known to be larger, so the heading's variance grows.
+- Noise makes a real gyroscope's samples differ: one that was noisy and then repeats itself bit for bit is frozen, and
+  counts as silent.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from itertools import pairwise
+from math import sqrt
+from typing import NamedTuple
+
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.faults import Fault, Notice
+from fusion.estimator.models import Vector
+from fusion.estimator.propagation import ImuSample
+
+MAX_ANGULAR_ACCELERATION_RAD_S2 = 300.0  # about what small racing multirotors reach
+MIN_LEAP_RAD_S = 3.0  # from sample to sample; vibration makes smaller ones
+LEAP_SIGMA = 8.0  # of the gyroscope's noise
+CONFIRMED_SAMPLES, CONFIRMED_NS = 3, 20_000_000  # that agree, before a leap is believed
+CLIPPED_SHARE = 0.98  # of the range, from which on a sample is taken for clipped
+CLIPPED_REPEATS = 2  # of one fast axis while another changes: clipped at a range that is not configured
+MIN_CLIPPED_RAD_S = 1.0
+CLIPPED_STD_SHARE = 0.3  # of the rate: what may be above the range, one sigma
+FROZEN_REPEATS, FROZEN_NS = (
+    8,
+    50_000_000,
+)  # coarse quantisation repeats fewer, a slow sensor read often for less time
+NOISY, NOISY_MEMORY = (
+    0.3,
+    1 / 32,
+)  # share of changes that reverse: 2/3 in noise, near 0 in an exact simulation
+TOLD_NS = 500_000_000
+
+
+class GyroVerdict(StrEnum):
+    """What a sample was; the names in the counters."""
+
+    GOOD = "good"
+    CONFIRMED = "confirmed"  # with it, those that were held back
+    OUT_OF_RANGE = "out_of_range"
+    SPIKE = "spike"
+    CLIPPED = "clipped"
+    FROZEN = "frozen"
+
+
+_USED = (GyroVerdict.GOOD, GyroVerdict.CLIPPED, GyroVerdict.CONFIRMED)
+_TEXTS = {
+    GyroVerdict.OUT_OF_RANGE: (
+        Fault.GYRO_OUT_OF_RANGE,
+        "gyroscope exceeds gyro_range_rad_s; are its rates in rad/s?",
+    ),
+    GyroVerdict.SPIKE: (Fault.GYRO_SPIKES, "gyroscope jumps as no vehicle can; are its rates in rad/s?"),
+    GyroVerdict.CLIPPED: (Fault.GYRO_CLIPPED, "gyroscope is clipped at the end of its range"),
+    GyroVerdict.FROZEN: (Fault.GYRO_FROZEN, "gyroscope repeats the same sample"),
+}
+
+
+class GyroCheck(NamedTuple):
+    """What is known of the gyroscope's samples.
+
+    Parameters
+    ----------
+    verdict
+        What the newest sample was.
+    t_ns, gyro_rad_s
+        The last sample used; None before the first.
+    waiting
+        Samples that are held back, oldest first.
+    change_rad_s, noisy
+        Last change of the third axis, and the share of its changes that reverse the one before.
+    repeats, stuck
+        Samples in a row that equal the one before: all axes, and one fast axis alone.
+    changed_ns
+        When a sample last differed from the one before.
+    clipped_from_ns
+        Since when samples are clipped; None where they are not.
+    told, told_ns
+        The last verdict that was not good, and when.
+    """
+
+    verdict: GyroVerdict = GyroVerdict.GOOD
+    t_ns: int | None = None
+    gyro_rad_s: Vector = (0.0, 0.0, 0.0)
+    waiting: tuple[ImuSample, ...] = ()
+    change_rad_s: float = 0.0
+    noisy: float = 0.0
+    repeats: int = 0
+    stuck: int = 0
+    changed_ns: int = 0
+    clipped_from_ns: int | None = None
+    told: GyroVerdict = GyroVerdict.GOOD
+    told_ns: int = 0
+
+    @property
+    def is_used(self) -> bool:
+        """Whether the newest sample is to be integrated."""
+        return self.verdict in _USED
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether the samples have noise, as those of a real gyroscope."""
+        return self.noisy >= NOISY
+
+    def clock_set_back(self) -> GyroCheck:
+        """Start anew, but for what is known of the noise."""
+        return GyroCheck(noisy=self.noisy)
+
+    def notice(self, t_ns: int) -> Notice | None:
+        """Say what was wrong with a sample within the last half second; None: nothing."""
+        if self.told is GyroVerdict.GOOD or t_ns - self.told_ns > TOLD_NS:
+            return None
+        return Notice(*_TEXTS[self.told])
+
+    def _wrong(self, verdict: GyroVerdict, t_ns: int) -> GyroCheck:
+        return self._replace(verdict=verdict, told=verdict, told_ns=t_ns)
+
+
+def with_sample(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> GyroCheck:
+    """Judge the next sample.
+
+    Parameters
+    ----------
+    check
+        What is known so far.
+    sample
+        The next sample.
+    config
+        Settings.
+    """
+    t_ns, gyro, _ = sample
+    p, q, r = gyro
+    top = config.gyro_range_rad_s
+    if not (-top <= p <= top and -top <= q <= top and -top <= r <= top):
+        return check._wrong(GyroVerdict.OUT_OF_RANGE, t_ns)
+    _, last_ns, last, _, change, noisy, repeats, stuck, changed_ns, clipped_ns, told, told_ns = check
+    if last_ns is None:
+        return check._replace(verdict=GyroVerdict.GOOD, t_ns=t_ns, gyro_rad_s=gyro, changed_ns=t_ns)
+    dp, dq, dr = p - last[0], q - last[1], r - last[2]
+    least = MIN_LEAP_RAD_S
+    far = not (-least < dp < least and -least < dq < least and -least < dr < least)
+    if far and _leaps(gyro, last, t_ns - last_ns, config):
+        return _with_leap(check, sample, config)
+    if dr != 0.0:
+        noisy += NOISY_MEMORY * ((dr * change < 0.0) - noisy)
+        change = dr
+    if dp == 0.0 and dq == 0.0 and dr == 0.0:
+        repeats += 1
+        if repeats >= FROZEN_REPEATS and t_ns - changed_ns >= FROZEN_NS and noisy >= NOISY:
+            return check._replace(waiting=(), repeats=repeats)._wrong(GyroVerdict.FROZEN, t_ns)
+    else:
+        repeats, changed_ns = 0, t_ns
+        fast = MIN_CLIPPED_RAD_S
+        held = (dp == 0.0 and abs(p) > fast) or (dq == 0.0 and abs(q) > fast) or (dr == 0.0 and abs(r) > fast)
+        stuck = stuck + 1 if held else 0
+    verdict, clip = GyroVerdict.GOOD, CLIPPED_SHARE * top
+    if (stuck >= CLIPPED_REPEATS and noisy >= NOISY) or abs(p) > clip or abs(q) > clip or abs(r) > clip:
+        verdict = told = GyroVerdict.CLIPPED
+        told_ns, clipped_ns = t_ns, clipped_ns or last_ns
+    else:
+        clipped_ns = None
+    return GyroCheck(
+        verdict, t_ns, gyro, (), change, noisy, repeats, stuck, changed_ns, clipped_ns, told, told_ns
+    )
+
+
+def clipped_variance(before: GyroCheck, check: GyroCheck) -> float:
+    """Variance of the heading, rad^2, that a clipped sample adds: a constant unknown rate, as long as it lasts."""
+    if check.clipped_from_ns is None or check.t_ns is None or before.t_ns is None:
+        return 0.0
+    std = CLIPPED_STD_SHARE * max(map(abs, check.gyro_rad_s))
+    first_s, last_s = ((t - check.clipped_from_ns) * 1e-9 for t in (before.t_ns, check.t_ns))
+    return float(std**2 * (last_s**2 - first_s**2))
+
+
+def rate_that_bridges(before: GyroCheck, sample: ImuSample) -> Vector:
+    """Rate (3,) at the last sample used with which one trapezoid to ``sample`` turns as those held back do."""
+    if before.t_ns is None:
+        return sample.gyro_rad_s
+    path = [(before.t_ns, before.gyro_rad_s), *((w.t_ns, w.gyro_rad_s) for w in before.waiting)]
+    path.append((sample.t_ns, sample.gyro_rad_s))
+    span_ns = sample.t_ns - before.t_ns
+
+    def start(axis: int) -> float:
+        turned = sum((a[axis] + b[axis]) * (t - s) for (s, a), (t, b) in pairwise(path))
+        return turned / span_ns - sample.gyro_rad_s[axis]
+
+    return start(0), start(1), start(2)
+
+
+def _leaps(gyro: Vector, last: Vector, dt_ns: int, config: FusionConfig) -> bool:
+    """Whether neither a vehicle nor noise gets from one rate to the other in that time."""
+    dt_s = max(dt_ns * 1e-9, 1e-4)
+    reach = max(
+        MAX_ANGULAR_ACCELERATION_RAD_S2 * dt_s, MIN_LEAP_RAD_S
+    ) + LEAP_SIGMA * config.gyro_noise / sqrt(dt_s)
+    return max(abs(a - b) for a, b in zip(gyro, last, strict=True)) > reach
+
+
+def _with_leap(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> GyroCheck:
+    """Hold a sample back, or believe it, where it agrees with enough of those that are."""
+    waiting, t_ns = check.waiting, sample.t_ns
+    if waiting and _leaps(sample.gyro_rad_s, waiting[-1].gyro_rad_s, t_ns - waiting[-1].t_ns, config):
+        waiting = ()
+    if len(waiting) + 1 >= CONFIRMED_SAMPLES and t_ns - waiting[0].t_ns >= CONFIRMED_NS:
+        return check._replace(
+            verdict=GyroVerdict.CONFIRMED,
+            t_ns=t_ns,
+            gyro_rad_s=sample.gyro_rad_s,
+            waiting=(),
+            repeats=0,
+            stuck=0,
+            changed_ns=t_ns,
+            clipped_from_ns=None,
+        )
+    return check._wrong(GyroVerdict.SPIKE, t_ns)._replace(waiting=(*waiting, sample))

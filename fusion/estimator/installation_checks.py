@@ -1,0 +1,119 @@
+"""Whether sensors are installed as told: takes what they measure of the same motion, says which of them disagree.
+
+The turns that frames see are regressed on those of the gyroscope: a slope of -1 is a wrong sign, one near 0 a wrong
+unit, another one a wrong focal length, and the intercept is the gyroscope's bias. At rest the accelerometer reads
+(0, 0, -9.8) m/s^2 in FRD, and its mean points where the attitude has up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import degrees, hypot, radians, sqrt
+from typing import NamedTuple
+
+from fusion.estimator.faults import Fault, Notice
+from fusion.estimator.models import Vector
+from vision.rotations import wrap_axis
+
+SPAN_NS = 250_000_000  # of a turn that is compared
+MAX_TURN_RAD = 0.35  # in that time; more is another axis
+MEMORY = 1.0 - 1 / 40  # of each turn, when the next comes
+MIN_TURNS, SURE_SIGMA = 5.0, 6.0
+FOCAL_SLOPES = (0.85, 1.18)
+FAST_RAD_S = 3.0  # rms that no flight along a corridor has
+MAX_BIAS_RAD_S = 0.1
+ACCEL_STEP_NS, ACCEL_MEMORY_S, ACCEL_MIN_S = 50_000_000, 3.0, 0.5
+MAX_TILT_ERROR_RAD = radians(20)
+
+
+class Installation(NamedTuple):
+    """What has been compared so far.
+
+    Parameters
+    ----------
+    since
+        Time, heading and gyroscope's angle at which the turn being compared began.
+    sums
+        Weight, x, y, xx, xy, yy of the turns; x is the gyroscope's, y the frames', rad/s.
+    accel_m_s2, accel_s, accel_ns
+        Mean specific force, over how long, and when it was last taken in.
+    """
+
+    since: tuple[int, float, float] | None = None
+    sums: tuple[float, float, float, float, float, float] = (0.0,) * 6
+    accel_m_s2: Vector = (0.0, 0.0, 0.0)
+    accel_s: float = 0.0
+    accel_ns: int | None = None
+
+    def interrupted(self) -> Installation:
+        """Start another turn and another mean: time has moved, or something else carries the heading."""
+        return self._replace(since=None, accel_ns=None)
+
+    def with_frame(self, t_ns: int, heading_rad: float, gyro_rad: float) -> Installation:
+        """Take a frame's heading, and the angle that the gyroscope has turned by then."""
+        if self.since is None:
+            return self._replace(since=(t_ns, heading_rad, gyro_rad))
+        then_ns, then_heading, then_gyro = self.since
+        if t_ns - then_ns < SPAN_NS:
+            return self
+        turn, span_s = wrap_axis(heading_rad - then_heading), (t_ns - then_ns) * 1e-9
+        new = self._replace(since=(t_ns, heading_rad, gyro_rad))
+        if abs(turn) > MAX_TURN_RAD or t_ns - then_ns > 2 * SPAN_NS:
+            return new
+        x, y = (gyro_rad - then_gyro) / span_s, turn / span_s
+        n, sx, sy, sxx, sxy, syy = (MEMORY * value for value in self.sums)
+        return new._replace(sums=(n + 1.0, sx + x, sy + y, sxx + x * x, sxy + x * y, syy + y * y))
+
+    def with_accel(self, t_ns: int, accel_m_s2: Vector) -> Installation:
+        """Take an accelerometer sample, where it is time for one."""
+        if self.accel_ns is None:
+            return self._replace(accel_ns=t_ns, accel_m_s2=accel_m_s2, accel_s=0.0)
+        step_s = (t_ns - self.accel_ns) * 1e-9
+        if t_ns - self.accel_ns < ACCEL_STEP_NS:
+            return self
+        gain = step_s / (min(self.accel_s, ACCEL_MEMORY_S) + step_s)
+        x, y, z = (m + gain * (a - m) for m, a in zip(self.accel_m_s2, accel_m_s2, strict=True))
+        return self._replace(accel_ns=t_ns, accel_s=self.accel_s + step_s, accel_m_s2=(x, y, z))
+
+    def notices(self, down: Vector) -> Iterator[Notice]:
+        """Say what is installed otherwise than told; ``down`` is that of the attitude in use, body FRD."""
+        yield from self._of_turns()
+        ax, ay, az = self.accel_m_s2
+        if self.accel_s < ACCEL_MIN_S:
+            return
+        if az > 5.0:
+            text = "accelerometer is upside down: give FRD, (0, 0, -9.8) m/s^2 at rest"
+            yield Notice(Fault.TILT_WRONG, text)
+            return
+        dot = -(ax * down[0] + ay * down[1] + az * down[2])
+        cross = hypot(ay * down[2] - az * down[1], az * down[0] - ax * down[2], ax * down[1] - ay * down[0])
+        if dot < 0.0:
+            yield Notice(Fault.TILT_WRONG, "attitude is upside down: give it from FRD to a world with z down")
+        elif cross > MAX_TILT_ERROR_RAD * dot:
+            yield Notice(Fault.TILT_WRONG, "attitude and accelerometer disagree: check how each is mounted")
+
+    def _of_turns(self) -> Iterator[Notice]:
+        n, sx, sy, sxx, sxy, syy = self.sums
+        if n < MIN_TURNS:
+            return
+        vxx, vxy, vyy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
+        if vxx <= 1e-6 * sxx or vxx <= 0.0:
+            return
+        slope = vxy / vxx
+        noise = max(vyy - slope * vxy, 0.0) / (n - 2.0) + 1e-8
+        std = sqrt(noise / vxx)
+        if sxx > FAST_RAD_S**2 * n and abs(slope) + std < 0.1:
+            yield Notice(Fault.GYRO_SCALE, "gyroscope turns far more than the camera: convert deg/s to rad/s")
+            return
+        if slope < -0.5 and -slope > SURE_SIGMA * std:
+            text = "gyroscope turns against the camera: give it in FRD, positive to the right"
+            yield Notice(Fault.GYRO_SIGN, text)
+            return
+        scaled = 0.5 < slope < FOCAL_SLOPES[0] or FOCAL_SLOPES[1] < slope < 2.0
+        if scaled and abs(slope - 1.0) > SURE_SIGMA * std:
+            text = f"camera sees {slope:.2f} times the gyroscope's turns: check the focal length"
+            yield Notice(Fault.FOCAL_LENGTH, text)
+        bias = (sx - sy / slope) / n if 0.5 < slope < 2.0 else (sx - sy) / n
+        if abs(bias) > MAX_BIAS_RAD_S and abs(bias) > SURE_SIGMA * sqrt(noise / n):
+            text = f"gyroscope is off by {degrees(bias):.0f} deg/s: calibrate it at rest"
+            yield Notice(Fault.GYRO_BIAS, text)

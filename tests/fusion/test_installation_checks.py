@@ -1,0 +1,60 @@
+"""Sensors that are installed otherwise than told are named within seconds, and those that are not never."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fusion.estimator.faults import Fault
+from fusion.estimator.installation_checks import Installation
+
+DOWN = (0.0, 0.0, 1.0)
+
+
+def told(slope: float, bias: float, seconds: float = 6.0, seed: int = 0) -> Fault:
+    """What is said where frames see ``slope`` times the gyroscope's turns, which have this bias, rad/s."""
+    installation, rng, said = Installation(), np.random.default_rng(seed), Fault.NONE
+    for t in np.arange(0.0, seconds, 1 / 30).tolist():
+        turned = 0.4 * float(np.sin(1.5 * t))
+        heading = slope * turned + float(rng.normal(0.0, 0.009))
+        installation = installation.with_frame(round(t * 1e9), heading, turned + bias * t)
+        for notice in installation.notices(DOWN):
+            said |= notice.fault
+    return said
+
+
+@pytest.mark.parametrize(
+    ("slope", "bias", "fault"),
+    [
+        (-1.0, 0.0, Fault.GYRO_SIGN),
+        (1.0, 0.35, Fault.GYRO_BIAS),
+        (1 / 0.7, 0.0, Fault.FOCAL_LENGTH),
+    ],
+)
+def test_turns_tell(slope: float, bias: float, fault: Fault) -> None:
+    assert told(slope, bias) == fault
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_is_installed_as_told_is_not_accused(seed: int) -> None:
+    assert told(1.05, 0.02, 20.0, seed) == Fault.NONE
+
+
+@pytest.mark.parametrize(
+    ("accel", "down", "words"),
+    [
+        ((0.0, 0.0, 9.8), (0.0, 0.0, -1.0), "accelerometer is upside down"),
+        ((0.0, 0.0, -9.8), (0.0, 0.0, -1.0), "attitude is upside down"),
+        ((0.0, -5.0, -8.4), (0.0, 0.0, 1.0), "disagree"),
+        ((0.0, -1.0, -9.7), (0.0, 0.0, 1.0), ""),
+    ],
+)
+def test_gravity_tells(
+    accel: tuple[float, float, float], down: tuple[float, float, float], words: str
+) -> None:
+    installation = Installation()
+    for k in range(200):
+        installation = installation.with_accel(k * 5_000_000, accel)
+    text = "; ".join(notice.text for notice in installation.notices(down))
+    assert words in text
+    assert bool(words) == bool(text)
