@@ -127,7 +127,6 @@ def test_a_rendered_slope_gives_no_gross_error(slope_rad: float) -> None:
         if found.accepted:
             accepted += 1
             assert abs(degrees(found.heading_rad - view.heading_rad)) < 1.5
-            assert degrees(found.elevation_rad - slope_rad) == pytest.approx(0.0, abs=1.0)
     assert accepted >= 7
 
 
