@@ -211,6 +211,7 @@ def _with_lateral(
         level.roll_std_rad,
         prior.lateral_offset_norm,
         prior.lateral_offset_norm_std,
+        prior.width_per_height,
     )
     evidence = [mixture]
     if found.accepted and lines.grey is not None:

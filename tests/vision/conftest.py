@@ -57,7 +57,7 @@ class Corridor:
                     out += [(x + near, y, z, x + far, y, z) for x in (1.5, 4.0, 8.0)]
             if self.posts:
                 out += [(x, y, -0.7, x, y, self.below_m) for x in (2.0, 2.9, 5.0, 5.9, 9.0)]
-        segments = np.array(out)
+        segments = np.array(out).reshape(-1, 6)
         segments[:, [2, 5]] -= np.tan(self.slope_rad) * segments[:, [0, 3]]
         return segments
 
