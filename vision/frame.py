@@ -46,7 +46,7 @@ MIN_MARGIN = 6.5  # log-likelihood over the second-best heading, by lines that a
 MAX_RIVAL = 0.80  # score of the second-best heading over the best
 MIN_SHARE = 0.07  # of the length of all lines that are not vertical
 MAX_STD_RAD = radians(1.5)
-MAX_ELEVATION_RAD = radians(2.5)  # corridors are level: an axis that is not was none
+MAX_ELEVATION_RAD = radians(5.5)  # ramps are at most 1:12 steep: an axis that rises more was none
 MAX_ELEVATION_SIGMA = 2.5
 MAX_BLUR_PX = 20.0
 MAX_DRAWN_DOUBT = 0.5  # of the network: less sure, its corners are not drawn
@@ -211,6 +211,7 @@ def _with_lateral(
         level.roll_std_rad,
         prior.lateral_offset_norm,
         prior.lateral_offset_norm_std,
+        prior.width_per_height,
     )
     evidence = [mixture]
     if found.accepted and lines.grey is not None:

@@ -36,6 +36,7 @@ class Corridor:
     walls: tuple[int, ...] = (-1, 1)  # left, right
     joints: tuple[float, ...] = ()  # lines along the floor, where between left and right wall (-1 to 1)
     left_rails_m: tuple[float, ...] = ()
+    slope_rad: float = 0.0  # climbs ahead by so much; posts stay upright
 
     def segments(self) -> FloatArray:
         """World segments (n, 6)."""
@@ -56,7 +57,9 @@ class Corridor:
                     out += [(x + near, y, z, x + far, y, z) for x in (1.5, 4.0, 8.0)]
             if self.posts:
                 out += [(x, y, -0.7, x, y, self.below_m) for x in (2.0, 2.9, 5.0, 5.9, 9.0)]
-        return np.array(out)
+        segments = np.array(out).reshape(-1, 6)
+        segments[:, [2, 5]] -= np.tan(self.slope_rad) * segments[:, [0, 3]]
+        return segments
 
     def rotation(self) -> FloatArray:
         """Rotation body to corridor frame."""

@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 from fusion.simulate.single_views import office_views
 from vision import Attitude, Camera, FrameMeasurement, Prior, measure_frame, measure_lines
 from vision.lateral.corner_candidates import CORNER, MAX_CORNERS, CornerCandidates
-from vision.lateral.corner_pairs import N_EVIDENCE, PictureCorners, pair_corners
+from vision.lateral.corner_pairs import N_EVIDENCE, PAIR, PictureCorners, pair_corners
 from vision.lateral.hypotheses import (
     HYPOTHESIS,
     POSITION_TERMS,
     WEIGHTS,
     most_probable_offset,
     offset_hypotheses,
+    width_log_odds,
 )
 
 CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)
@@ -78,34 +79,61 @@ def hypotheses(*odds: tuple[float, float]) -> np.ndarray:
 
 
 def test_probability_is_shared_between_the_answers_and_none() -> None:
-    found = most_probable_offset(hypotheses((0.3, 90.0), (0.31, 9.0), (-0.2, 900.0)), 3, nan, nan)
+    found = most_probable_offset(hypotheses((0.3, 90.0), (0.31, 9.0), (-0.2, 900.0)), np.zeros(3), nan, nan)
     assert found.offset == pytest.approx(-0.2)
     assert found.probability == pytest.approx(900 / 1000)
     assert found.floor == 2
     assert found.floor_share == pytest.approx(1.0)
-    joined = most_probable_offset(hypotheses((0.3, 90.0), (0.31, 9.0)), 2, nan, nan)
+    joined = most_probable_offset(hypotheses((0.3, 90.0), (0.31, 9.0)), np.zeros(2), nan, nan)
     assert joined.offset == pytest.approx((90 * 0.3 + 9 * 0.31) / 99)
     assert joined.probability == pytest.approx(99 / 100)
 
 
 def test_a_prior_settles_what_the_picture_leaves_open() -> None:
     rows = hypotheses((0.3, 500.0), (-0.3, 80.0))
-    assert most_probable_offset(rows, 2, nan, nan).probability < 0.9
-    chosen = most_probable_offset(rows, 2, 0.3, 0.04)
+    assert most_probable_offset(rows, np.zeros(2), nan, nan).probability < 0.9
+    chosen = most_probable_offset(rows, np.zeros(2), 0.3, 0.04)
     assert chosen.offset == pytest.approx(0.3)
     assert chosen.probability == pytest.approx(500 / (500 + 80 * 0.1 + 1), rel=1e-3)
     against = most_probable_offset(
-        rows, 2, -0.3, 0.04
+        rows, np.zeros(2), -0.3, 0.04
     )  # what a lost filter would like to hear is not answered
     assert against.probability < 0.9
+
+
+def test_a_known_width_settles_which_pair_of_the_floor_it_is() -> None:
+    pairs = np.zeros(2, PAIR)
+    pairs["width"] = 1.6, 2.4
+    rows = hypotheses((0.3, 60.0), (-0.3, 60.0))
+    for known, chosen in ((1.6, 0), (2.4, 1)):
+        odds = width_log_odds(pairs, known, WEIGHTS)
+        assert odds[chosen] > 1.0 > -1.0 > odds[1 - chosen]
+        found = most_probable_offset(rows, odds, nan, nan)
+        assert found.floor == chosen
+        assert found.probability > 0.95
+    np.testing.assert_array_equal(width_log_odds(pairs, nan, WEIGHTS), [0.0, 0.0])
+    # A width that no pair has leaves strong evidence its say.
+    against = most_probable_offset(rows, width_log_odds(pairs, 5.0, WEIGHTS), nan, nan)
+    assert 0.3 < against.probability < 0.6
+
+
+@QUICK
+@given(offset=st.floats(-0.6, 0.6), width=st.floats(0.5, 6.0))
+def test_a_known_width_never_moves_the_answer(corridor: Any, seen: Any, offset: float, width: float) -> None:
+    lines = seen(corridor(offset_norm=offset), CAMERA)
+    alone = measure_lines(lines, CAMERA, LEVEL)
+    assume(np.isfinite(alone.lateral_offset_norm))
+    m = measure_lines(lines, CAMERA, LEVEL, Prior(width_per_height=width))
+    if np.isfinite(m.lateral_offset_norm):
+        assert m.lateral_offset_norm == pytest.approx(alone.lateral_offset_norm, abs=1e-6)
 
 
 def test_evidence_beyond_the_range_of_exp_is_no_trouble() -> None:
     rows = hypotheses((0.1, 1.0))
     rows["log_odds"] = 800.0
-    assert most_probable_offset(rows, 1, nan, nan).probability == pytest.approx(1.0)
+    assert most_probable_offset(rows, np.zeros(1), nan, nan).probability == pytest.approx(1.0)
     rows["log_odds"] = -800.0
-    assert most_probable_offset(rows, 1, nan, nan).probability < exp(-100)
+    assert most_probable_offset(rows, np.zeros(1), nan, nan).probability < exp(-100)
 
 
 def test_there_is_a_weight_for_every_piece_of_evidence() -> None:

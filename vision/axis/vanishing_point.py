@@ -11,23 +11,33 @@ frame; the residual of a line with plane normal n is ``n . d``, zero for a corri
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, cos, nan, pi, radians, sin, sqrt
+from math import atan2, cos, isnan, nan, pi, radians, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from vision.axis.vote import VERTICAL_SINE, bin_heading, find_best_heading, find_rival, line_std, vote
+from vision.axis.vote import (
+    MAX_HEADING_RAD,
+    RIVAL_DISTANCE_RAD,
+    VERTICAL_SINE,
+    bin_heading,
+    elevation_information,
+    elevations_to_try,
+    find_best_heading,
+    find_rival,
+    line_variance,
+    vote,
+)
 from vision.compiled import compiled
 from vision.lines.segments import LineGeometry, LineSet
 from vision.types import BoolArray, FloatArray
 
 MAX_REFINEMENT_RAD = radians(4.0)
-SLICE_STEP_RAD = radians(1.0)
-MAX_SLICES = 21
 INLIER_SIGMA = 3.0
-MIN_SCALE = 0.7  # of the covariance, however well the lines agree
+MIN_SCALE = 0.65  # of the covariance, however well the lines agree
+MIN_FREEDOM = 3  # degrees of freedom: with two, Student's t has no variance
 DIRECTIONS = 45  # in half a turn about the axis
-CORRELATION = 1.3  # edges of one door or skirting board have a common error: so many lines count as one
+CORRELATION = 1.2  # edges of one door or skirting board have a common error: so many lines count as one
 
 
 class _Refined(NamedTuple):
@@ -114,7 +124,7 @@ def _refine(lines: LineGeometry, psi: float, e: float, prior_e: float, prior_e_s
             r = ce * (nx * cp - ny * sp) - nz * se
             alpha = ce * (centre[i, 0] * cp - centre[i, 1] * sp) - centre[i, 2] * se
             beta = ce * (direction[i, 0] * cp - direction[i, 1] * sp) - direction[i, 2] * se
-            std = line_std(alpha, beta, sigma[i], arc[i])
+            std = sqrt(line_variance(alpha, beta, sigma[i], arc[i]))
             z = r / std
             residual[i] = z
             if abs(nz) < VERTICAL_SINE or abs(z) >= cut:
@@ -130,7 +140,7 @@ def _refine(lines: LineGeometry, psi: float, e: float, prior_e: float, prior_e_s
             g1 += w * j1 * z
             chi2 += w * z * z
             total += w
-        prior_information = 1.0 / (prior_e_std * prior_e_std)
+        prior_information = elevation_information(e - prior_e, prior_e_std)
         h11 += prior_information
         g1 += (e - prior_e) * prior_information
         determinant = h00 * h11 - h01 * h01
@@ -162,8 +172,12 @@ def _count_distinct(normal: FloatArray, inlier: BoolArray, psi: float, e: float)
     return count
 
 
-def _covariance(fit: _Refined, vote_variance: float) -> FloatArray | None:
-    """Return the covariance (2, 2) of heading and elevation, no narrower than the vote; None: it is infinite."""
+def _covariance(fit: _Refined, excess_variance: float, n_distinct: int) -> FloatArray | None:
+    """Return the covariance (2, 2) of heading and elevation; None: it is infinite.
+
+    It is that of the fit, with the vote's excess variance added to the heading's. Its scale comes from the lines' own
+    residuals, so that errors follow Student's t distribution: the fewer distinct lines, the larger its variance.
+    """
     h00, h01, h11 = fit.information_heading, fit.information_both, fit.information_elevation
     determinant = h00 * h11 - h01**2
     if not determinant > 0.0:
@@ -171,10 +185,10 @@ def _covariance(fit: _Refined, vote_variance: float) -> FloatArray | None:
     misfit = fit.chi2 / max(fit.weight - 2.0, 1.0)
     covariance = np.array([[h11, -h01], [-h01, h00]])
     covariance *= max(MIN_SCALE, CORRELATION * misfit) / determinant
-    if vote_variance > covariance[0, 0]:
-        wider = np.array([sqrt(vote_variance / covariance[0, 0]), 1.0])
-        covariance *= np.outer(wider, wider)
-    return covariance
+    wider = np.array([sqrt(1.0 + excess_variance / covariance[0, 0]), 1.0])
+    covariance *= np.outer(wider, wider)
+    freedom = max(n_distinct - 2, MIN_FREEDOM)
+    return covariance * (freedom / (freedom - 2.0))
 
 
 def axis_direction(heading_rad: float, elevation_rad: float) -> FloatArray:
@@ -207,9 +221,10 @@ def fit_axis(
     if len(lines) == 0:
         return None
     geometry = lines.geometry(R_level_camera)
-    half_slices = min(int(2.0 * elevation_std_rad / SLICE_STEP_RAD), (MAX_SLICES - 1) // 2)
-    steps = np.array([i * SLICE_STEP_RAD for i in range(-half_slices, half_slices + 1)])
-    scores = vote(geometry, elevation_rad + steps, min(elevation_std_rad, 0.4 * SLICE_STEP_RAD))
+    steps = elevations_to_try(elevation_std_rad)
+    step_std = np.minimum(elevation_std_rad, 0.4 * np.gradient(steps))
+    max_heading = MAX_HEADING_RAD + RIVAL_DISTANCE_RAD if isnan(prior_heading_rad) else 0.5 * pi
+    scores = vote(geometry, elevation_rad + steps, step_std, max_heading)
     voted = find_best_heading(scores, steps, elevation_std_rad, prior_heading_rad, prior_heading_std_rad)
     if not voted.best_score > 0.0:
         return None
@@ -218,12 +233,13 @@ def fit_axis(
     fit = _refine(geometry, start_rad, start_elevation_rad, elevation_rad, elevation_std_rad)
     if abs(fit.heading - start_rad) > MAX_REFINEMENT_RAD:
         return None  # the fit left the peak it started from: there was no axis, only many stray lines
-    rival = find_rival(voted, fit.heading)
-    covariance = _covariance(fit, rival.best_variance)
-    if covariance is None:
-        return None
+    rival = find_rival(voted, fit.heading, fit.elevation - elevation_rad)
     leaning = np.abs(geometry.normal[:, 2]) >= VERTICAL_SINE
     inlier = leaning & (np.abs(fit.residual) < INLIER_SIGMA)
+    n_distinct = _count_distinct(geometry.normal, inlier, fit.heading, fit.elevation)
+    covariance = _covariance(fit, rival.excess_variance, n_distinct)
+    if covariance is None:
+        return None
     return AxisFit(
         heading_rad=fit.heading,
         elevation_rad=fit.elevation,
@@ -233,6 +249,6 @@ def fit_axis(
         second_score=rival.score,
         residual=fit.residual,
         inlier=inlier,
-        n_distinct=_count_distinct(geometry.normal, inlier, fit.heading, fit.elevation),
+        n_distinct=n_distinct,
         inlier_share=float(lines.length_px[inlier].sum() / max(lines.length_px[leaning].sum(), 1.0)),
     )

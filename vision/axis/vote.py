@@ -1,13 +1,18 @@
 """The exhaustive vote over heading and elevation of the corridor's axis.
 
-Each line adds the log-likelihood that it passes through the axis rather than somewhere at random, cut off at zero: a
-parabola over heading, centred where the line meets the horizon. The vote's peaks are the candidates for the axis; how
-broad the best one is says how uncertain its heading is.
+At every elevation each line adds the log-likelihood that it passes through the axis rather than somewhere at random,
+cut off at zero: a parabola over heading, centred where the line meets that elevation. To the sum comes the logarithm
+of the elevation's prior, a mixture of two Gaussians: level corridors, whose axis is off the horizon by the level
+frame's error only, and a small share of sloping ones. The heading's score is that of its best elevation (profile
+likelihood): left and right lines meet in one point only where the elevation is right.
+
+The peaks are the candidates for the axis. What the score has beside its best peak says by how much more its heading
+is uncertain than the fit to that peak's lines.
 """
 
 from __future__ import annotations
 
-from math import atan2, cos, exp, hypot, log, pi, radians, sin, sqrt
+from math import atan2, cos, exp, hypot, log, pi, radians, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -26,9 +31,16 @@ VERTICAL_SINE = (
 )
 STEEP_SINE = 0.3  # and one up to here has less weight: streaks on a wall, leaning objects
 VOTE_TEMPERATURE = 0.8  # edges of one door or skirting board have a common error: so many lines count as one
+NEGLIGIBLE = 15.0  # in the logarithm
+SUBDIVISIONS = 8  # of a bin
+MIN_COSINE = 0.3  # of a heading, for its elevation to tell the tilt error
 RIVAL_DISTANCE_RAD = radians(8.0)
 HEADING_PRIOR_STD_RAD = radians(30.0)  # the camera looks along the corridor rather than across
 MAX_HEADING_RAD = radians(60.0)  # without a prediction, what is farther off is taken for a transverse axis
+SLOPE_STD_RAD = radians(2.5)  # of the elevation of ramps and of floors that are not level
+SLOPE_SHARE = 0.02  # of corridors
+FINE_STEP_RAD, COARSE_STEP_RAD = radians(0.5), radians(1.0)  # between elevations to try
+FINE_REACH_RAD, MAX_REACH_RAD = radians(1.0), radians(10.0)
 PRIOR_FLOOR_STD_RAD = radians(1.0)
 PRIOR_DOUBT = 0.01  # a filter can be wrong: strong evidence wins against it
 
@@ -38,6 +50,9 @@ class HeadingVote(NamedTuple):
 
     Parameters
     ----------
+    scores, elevation, elevation_std
+        The vote (m, N_BINS), the elevations it tried (m,) relative to the expected one, and the standard deviation of
+        that, radians.
     marginal
         Each heading's score at its best elevation (N_BINS,), log-likelihood over lines at random.
     ranked
@@ -46,6 +61,9 @@ class HeadingVote(NamedTuple):
         Bin of the best peak, index of its elevation, and its ranked score.
     """
 
+    scores: FloatArray
+    elevation: FloatArray
+    elevation_std: float
     marginal: FloatArray
     ranked: FloatArray
     best_bin: int
@@ -54,24 +72,25 @@ class HeadingVote(NamedTuple):
 
 
 class RivalPeak(NamedTuple):
-    """The second-best peak of a vote, and how broad the best one is.
+    """The second-best peak of a vote, and what there is beside the best one.
 
     Parameters
     ----------
     bin, score
         Bin of the second-best peak and its ranked score.
-    best_variance
-        Variance of the heading about the best peak, rad^2, taking the vote for a likelihood.
+    excess_variance
+        By how much the heading's variance about the best peak exceeds that peak's own, rad^2, taking the vote for a
+        likelihood.
     """
 
     bin: int
     score: float
-    best_variance: float
+    excess_variance: float
 
 
 @compiled
-def line_std(alpha: float, beta: float, sigma: float, arc: float) -> float:
-    """Return the standard deviation of a corridor line's residual ``n . d``.
+def line_variance(alpha: float, beta: float, sigma: float, arc: float) -> float:
+    """Return the variance of a corridor line's residual ``n . d``.
 
     Parameters
     ----------
@@ -83,7 +102,7 @@ def line_std(alpha: float, beta: float, sigma: float, arc: float) -> float:
         Angle that the line subtends, radians.
     """
     rotation = 3.4641 * sigma / arc
-    return sqrt((sigma * alpha) ** 2 + (rotation * beta) ** 2 + ALIGN_STD_RAD * ALIGN_STD_RAD)
+    return (sigma * alpha) ** 2 + (rotation * beta) ** 2 + ALIGN_STD_RAD * ALIGN_STD_RAD
 
 
 @compiled
@@ -93,7 +112,9 @@ def bin_heading(b: int) -> float:
 
 
 @compiled
-def vote(lines: LineGeometry, elevation: FloatArray, elevation_std: float) -> FloatArray:
+def vote(
+    lines: LineGeometry, elevation: FloatArray, elevation_std: FloatArray, max_heading: float
+) -> FloatArray:
     """Add up the lines' truncated log-likelihoods of every heading and elevation of the axis.
 
     Parameters
@@ -103,7 +124,9 @@ def vote(lines: LineGeometry, elevation: FloatArray, elevation_std: float) -> Fl
     elevation
         Elevations to try (m,), radians.
     elevation_std
-        Half the step between them.
+        Standard deviation (m,) of those that each stands for.
+    max_heading
+        Headings beyond this are left out; `MAX_HEADING_RAD` without a prediction, else a right angle.
 
     Returns
     -------
@@ -113,6 +136,8 @@ def vote(lines: LineGeometry, elevation: FloatArray, elevation_std: float) -> Fl
     normal, centre, direction = lines.normal, lines.centre, lines.direction
     sigma, arc = lines.sigma_rad, lines.arc_rad
     scores = np.zeros((len(elevation), N_BINS))
+    least_cosine = cos(max_heading)
+    tangent, cosine_e = np.tan(elevation), np.cos(elevation)
     for i in range(len(sigma)):
         nx = normal[i, 0]
         ny = normal[i, 1]
@@ -121,40 +146,40 @@ def vote(lines: LineGeometry, elevation: FloatArray, elevation_std: float) -> Fl
             continue
         trust = min(abs(nz) / STEEP_SINE, 1.0)
         a = max(hypot(nx, ny), 1e-9)
-        g = atan2(-ny, nx)
+        cg, sg = (
+            nx / a,
+            -ny / a,
+        )  # cosine and sine of the normal's own heading; the axis is to either side of it
         for k in range(len(elevation)):
-            e = elevation[k]
-            cosine = nz * np.tan(e) / a
+            cosine = nz * tangent[k] / a
             if abs(cosine) >= 1.0:
                 continue
-            half = np.arccos(cosine)
-            for side in range(2):
-                psi = g + half if side == 0 else g - half
-                if psi > pi:
-                    psi -= 2 * pi
-                if psi < -pi:
-                    psi += 2 * pi
-                if abs(psi) > 0.5 * pi:
+            sine = sqrt(1.0 - cosine * cosine)
+            ce, se = cosine_e[k], tangent[k] * cosine_e[k]
+            for side in (1.0, -1.0):
+                cp = cg * cosine - side * sg * sine
+                sp = sg * cosine + side * cg * sine
+                if cp < least_cosine:
                     continue
-                dx = cos(e) * cos(psi)
-                dy = -cos(e) * sin(psi)
-                dz = -sin(e)
+                dx = ce * cp
+                dy = -ce * sp
+                dz = -se
                 alpha = centre[i, 0] * dx + centre[i, 1] * dy + centre[i, 2] * dz
                 beta = direction[i, 0] * dx + direction[i, 1] * dy + direction[i, 2] * dz
-                r_std = line_std(alpha, beta, sigma[i], arc[i])
-                slope = max(abs(nx * sin(psi) + ny * cos(psi)) * cos(e), 1e-6)
-                variance = (r_std * r_std + (nz * elevation_std) ** 2) / (
-                    slope * slope
-                ) + BIN_RAD * BIN_RAD / 3.0
-                top = log(INLIER_ODDS * pi / (2.5066 * sqrt(variance)))
+                slope = max(abs(nx * sp + ny * cp) * ce, 1e-6)
+                blurred = line_variance(alpha, beta, sigma[i], arc[i]) + (nz * elevation_std[k]) ** 2
+                variance = blurred / (slope * slope) + BIN_RAD * BIN_RAD / 3.0
+                top = 0.5 * log((INLIER_ODDS * pi) ** 2 / (2.0 * pi * variance))
                 if top <= 0.0:
                     continue
+                psi = atan2(sp, cp)
                 reach = sqrt(2.0 * top * variance)
                 first = int(np.ceil((psi - reach + 0.5 * pi) / BIN_RAD - 0.5))
                 last = int(np.floor((psi + reach + 0.5 * pi) / BIN_RAD - 0.5))
+                bend = 0.5 * trust / variance
                 for b in range(max(first, 0), min(last, N_BINS - 1) + 1):
                     offset = bin_heading(b) - psi
-                    scores[k, b] += trust * (top - 0.5 * offset * offset / variance)
+                    scores[k, b] += trust * top - bend * offset * offset
     return scores
 
 
@@ -166,6 +191,42 @@ def _log_prior(heading: float, prior_heading: float, prior_std: float) -> float:
         return -0.5 * (heading / HEADING_PRIOR_STD_RAD) ** 2
     z = ((heading - prior_heading + 0.5 * pi) % pi - 0.5 * pi) / hypot(prior_std, PRIOR_FLOOR_STD_RAD)
     return log(PRIOR_DOUBT + exp(-0.5 * z * z))
+
+
+def elevations_to_try(std: float) -> FloatArray:
+    """Return elevations (m,) about the expected one, closer together where corridors are level (``std`` given)."""
+    reach = min(2.0 * hypot(std, SLOPE_STD_RAD), MAX_REACH_RAD)
+    fine = np.arange(0.0, FINE_REACH_RAD, FINE_STEP_RAD)
+    up = np.concatenate([fine, np.arange(FINE_REACH_RAD, reach, COARSE_STEP_RAD)])
+    return np.concatenate([-up[:0:-1], up])
+
+
+@compiled
+def elevation_log_prior(elevation: float, std: float) -> float:
+    """Return the log of the elevation's prior density over that of a Gaussian's peak.
+
+    Most corridors are level: then the axis's elevation is the error of the level frame, Gaussian with ``std``. A few
+    slope: that adds their own elevation, and the sum is Gaussian, too. The prior is the mixture of both.
+    """
+    z = elevation / std
+    wide = hypot(std, SLOPE_STD_RAD)
+    y = elevation / wide
+    return log((1.0 - SLOPE_SHARE) * exp(-0.5 * z * z) + SLOPE_SHARE * std / wide * exp(-0.5 * y * y))
+
+
+@compiled
+def elevation_information(elevation: float, std: float) -> float:
+    """Return the information (rad^-2) of the Gaussian whose gradient there is that of `elevation_log_prior`.
+
+    It is the mean of both Gaussians' information by their share of the density: iterated, it finds the maximum of
+    the posterior (expectation-maximisation).
+    """
+    z = elevation / std
+    wide = hypot(std, SLOPE_STD_RAD)
+    y = elevation / wide
+    level = (1.0 - SLOPE_SHARE) * exp(-0.5 * z * z) / std
+    sloping = SLOPE_SHARE * exp(-0.5 * y * y) / wide
+    return (level / (std * std) + sloping / (wide * wide)) / (level + sloping)
 
 
 @compiled
@@ -184,11 +245,11 @@ def find_best_heading(
         A filter's prediction, radians; NaN: none.
     """
     marginal, ranked = np.empty(N_BINS), np.empty(N_BINS)
+    prior = np.array([elevation_log_prior(e, elevation_std) for e in elevation])
     for b in range(N_BINS):
         top = -np.inf
         for k in range(len(elevation)):
-            z = elevation[k] / elevation_std
-            top = max(top, scores[k, b] - 0.5 * z * z)
+            top = max(top, scores[k, b] + prior[k])
         marginal[b] = top
     best_bin, best_elevation, best_score = 0, 0, -np.inf
     for b in range(N_BINS):
@@ -203,37 +264,75 @@ def find_best_heading(
             best_score = ranked[b]
             best_bin = b
     for k in range(len(elevation)):
-        z = elevation[k] / elevation_std
-        if scores[k, best_bin] - 0.5 * z * z == marginal[best_bin]:
+        if scores[k, best_bin] + prior[k] == marginal[best_bin]:
             best_elevation = k
-    return HeadingVote(marginal, ranked, best_bin, best_elevation, best_score)
+    return HeadingVote(
+        scores, elevation, elevation_std, marginal, ranked, best_bin, best_elevation, best_score
+    )
 
 
 @compiled
-def find_rival(voted: HeadingVote, heading: float) -> RivalPeak:
-    """Find the second-best peak, at least 8 degrees from a heading (rad), and how broad the best one is.
+def _excess_variance(marginal: FloatArray, heading: float) -> float:
+    """Return by how much (rad^2) the variance about a heading exceeds that of the peak there.
 
-    Nearer than that the vote is taken as a likelihood: where it is broad or split, the heading is uncertain, whatever
-    the fit to one of its peaks says.
+    ``marginal`` is taken for the logarithm of a likelihood. From bin to bin it is interpolated by parabolas, which it
+    consists of, so that it does not matter where the bins lie. The peak itself is the Gaussian of its curvature.
     """
-    marginal, ranked = voted.marginal, voted.ranked
+    reach = int(RIVAL_DISTANCE_RAD / BIN_RAD)
+    middle = int((heading + 0.5 * pi) / BIN_RAD)
+    best, top = middle, -np.inf
+    for b in range(middle - reach, middle + reach + 1):
+        if marginal[b % N_BINS] > top:
+            best, top = b, marginal[b % N_BINS]
+    total = variance = curvature = 0.0
+    for b in range(middle - reach, middle + reach + 1):
+        before, here, after = marginal[(b - 1) % N_BINS], marginal[b % N_BINS], marginal[(b + 1) % N_BINS]
+        rise, bend = 0.5 * (after - before), 0.5 * (after + before) - here
+        if abs(b - best) <= 1:
+            curvature -= (
+                2.0 * bend / (3.0 * BIN_RAD * BIN_RAD)
+            )  # mean of three: the lines' cut-offs are kinks
+        if here < top - NEGLIGIBLE * VOTE_TEMPERATURE:
+            continue
+        for i in range(SUBDIVISIONS):
+            u = (i + 0.5) / SUBDIVISIONS - 0.5
+            likelihood = exp((here - top + (rise + bend * u) * u) / VOTE_TEMPERATURE)
+            total += likelihood
+            variance += likelihood * (bin_heading(b) + u * BIN_RAD - heading) ** 2
+    if curvature <= 0.0:
+        return RIVAL_DISTANCE_RAD**2
+    return max(variance / total - VOTE_TEMPERATURE / curvature, 0.0)
+
+
+@compiled
+def find_rival(voted: HeadingVote, heading: float, elevation: float) -> RivalPeak:
+    """Find the second-best peak, at least 8 degrees from the axis, and what the vote has nearer beside its peak.
+
+    Where the vote is split between headings nearer than that, the heading is uncertain, whatever the fit to one of
+    its peaks says. A rival does not choose an elevation of its own: a tilt error that lifts the axis lifts every
+    level direction with it.
+
+    Parameters
+    ----------
+    voted
+        Result of `find_best_heading`.
+    heading, elevation
+        The axis after its refinement, radians; the elevation relative to the expected one.
+    """
     second = 0
     second_score = -np.inf
-    top = -np.inf
+    std = hypot(voted.elevation_std, 0.5 * FINE_STEP_RAD)
     for b in range(N_BINS):
         offset = (bin_heading(b) - heading + 0.5 * pi) % pi - 0.5 * pi
-        if abs(offset) > RIVAL_DISTANCE_RAD:
-            if ranked[b] > second_score:
-                second_score = ranked[b]
-                second = b
-        else:
-            top = max(top, marginal[b])
-    total = 0.0
-    variance = 0.0
-    for b in range(N_BINS):
-        offset = (bin_heading(b) - heading + 0.5 * pi) % pi - 0.5 * pi
-        if abs(offset) <= RIVAL_DISTANCE_RAD:
-            likelihood = exp((marginal[b] - top) / VOTE_TEMPERATURE)
-            total += likelihood
-            variance += likelihood * offset * offset
-    return RivalPeak(second, second_score, max(variance / total - BIN_RAD * BIN_RAD / 12.0, 0.0))
+        if abs(offset) <= RIVAL_DISTANCE_RAD or voted.ranked[b] == -np.inf:
+            continue
+        lifted = elevation * cos(bin_heading(b)) / max(cos(heading), MIN_COSINE)
+        score = -np.inf
+        for k in range(len(voted.elevation)):
+            z = (voted.elevation[k] - lifted) / std
+            score = max(score, voted.scores[k, b] - 0.5 * z * z)
+        score += voted.ranked[b] - voted.marginal[b]
+        if score > second_score:
+            second_score = score
+            second = b
+    return RivalPeak(second, second_score, _excess_variance(voted.marginal, heading))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.compiled import compiled
-from vision.lateral.corner_pairs import EVIDENCE, N_EVIDENCE, PictureCorners
+from vision.lateral.corner_pairs import EVIDENCE, N_EVIDENCE, TYPICAL_WIDTH, PictureCorners
 from vision.types import FloatArray, Record, RecordArray
 
 JOINT_WINDOW = 0.06  # in lateral offset: floor and ceiling must agree to this
@@ -21,6 +21,7 @@ MIN_CEILING, MAX_CEILING = 0.1, 6.0  # camera to ceiling over camera to floor
 SAME_OFFSET = 0.08  # hypotheses nearer than this are one answer
 PRIOR_SLACK = 0.03
 PRIOR_FLOOR = 0.1  # lets strong evidence win
+WIDTH_STD = 0.1  # of the logarithm of a known width per height: the camera rises and sinks
 MAX_LOG_ODDS = 100.0  # keeps the exponential finite
 
 HYPOTHESIS = np.dtype(
@@ -96,6 +97,8 @@ POSITION_TERMS = tuple(
     (EVIDENCE.names or ()).index(name) for name in ("near_wall", "log_width", "log_width_squared")
 )
 """Evidence on the vehicle's place and the corridor's width: in a joint hypothesis only the floor's counts."""
+
+LOG_WIDTH, LOG_WIDTH_SQUARED = POSITION_TERMS[1:]
 
 
 class OffsetEstimate(NamedTuple):
@@ -198,8 +201,29 @@ def offset_hypotheses(picture: PictureCorners, weights: OffsetWeights) -> Record
 
 
 @compiled
+def width_log_odds(floor: RecordArray, prior_width: float, weights: OffsetWeights) -> FloatArray:
+    """Return what a known width adds to the log odds of hypotheses with each of the floor's pairs (n,).
+
+    It is the density of the pair's width where the corridor's is known, over the density that `EVIDENCE` has of
+    corridors in general. Zero where none is known.
+    """
+    out = np.zeros(len(floor))
+    if not prior_width > 0.0:  # NaN fails too
+        return out
+    curvature, slope = -2.0 * weights.floor[LOG_WIDTH_SQUARED], weights.floor[LOG_WIDTH]
+    usual, usual_std = slope / curvature, 1.0 / sqrt(curvature)
+    for f in range(len(floor)):
+        z = log(floor[f].width / prior_width) / WIDTH_STD
+        known = (1.0 - PRIOR_FLOOR) * exp(-0.5 * z * z) / WIDTH_STD
+        y = (log(floor[f].width / TYPICAL_WIDTH[0]) - usual) / usual_std
+        unknown = exp(-0.5 * y * y) / usual_std
+        out[f] = log(known / unknown + PRIOR_FLOOR)
+    return out
+
+
+@compiled
 def most_probable_offset(
-    hypotheses: RecordArray, n_floor: int, prior: float, prior_std: float
+    hypotheses: RecordArray, floor_log_odds: FloatArray, prior: float, prior_std: float
 ) -> OffsetEstimate:
     """Find the offset that most of the probability is for.
 
@@ -207,8 +231,8 @@ def most_probable_offset(
     ----------
     hypotheses
         Array (k,) of `HYPOTHESIS`.
-    n_floor
-        How many pairs of the floor they choose from.
+    floor_log_odds
+        What is known beforehand of each of the floor's pairs (n,) that they choose from, see `width_log_odds`.
     prior, prior_std
         A filter's prediction of the offset, to choose between hypotheses; NaN: none.
 
@@ -223,7 +247,9 @@ def most_probable_offset(
     evidence, likely = np.empty(n), np.empty(n)
     best, most, total = 0, 0.0, 1.0  # the odds that no pair can be relied on
     for k in range(n):
-        evidence[k] = likely[k] = exp(min(hypotheses[k].log_odds, MAX_LOG_ODDS))
+        row = hypotheses[k]
+        evidence[k] = exp(min(row.log_odds, MAX_LOG_ODDS))
+        likely[k] = evidence[k] * exp(floor_log_odds[row.floor]) if row.floor >= 0 else evidence[k]
         if isfinite(prior):
             z = (hypotheses[k].offset - prior) / hypot(prior_std, PRIOR_SLACK)
             likely[k] *= PRIOR_FLOOR + (1.0 - PRIOR_FLOOR) * exp(-0.5 * z * z)
@@ -238,6 +264,7 @@ def most_probable_offset(
                 moment += evidence[k] * hypotheses[k].offset
                 weight += evidence[k]
         offset = moment / weight
+    n_floor = len(floor_log_odds)
     share = np.zeros(n_floor + 1)  # of each floor's pair; the last for none
     weight = probability = scatter = std = roll_slope = most = 0.0
     ceiling = -1

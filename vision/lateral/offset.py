@@ -30,6 +30,7 @@ from vision.lateral.hypotheses import (
     OffsetWeights,
     most_probable_offset,
     offset_hypotheses,
+    width_log_odds,
 )
 from vision.lateral.line_directions import PictureLines
 from vision.lateral.mixture import OffsetMixture
@@ -73,6 +74,7 @@ def _estimate_offset(
     weights: OffsetWeights,
     prior: float,
     prior_std: float,
+    prior_width: float,
     roll_std: float,
 ) -> tuple[OffsetEstimate, float, npt.NDArray[np.intp], FloatArray]:
     """Go all the way from lines to the offset in compiled code: handing arrays over costs more than some steps.
@@ -87,7 +89,8 @@ def _estimate_offset(
     if wide.candidates.n_candidates.max() > MAX_CORNERS:
         picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, MAX_CORNERS)
     hypotheses = offset_hypotheses(picture, weights)
-    found = most_probable_offset(hypotheses, len(picture.floor.pair), prior, prior_std)
+    known = width_log_odds(picture.floor.pair, prior_width, weights)
+    found = most_probable_offset(hypotheses, known, prior, prior_std)
     corners = picture.candidates.corners
     width = nan
     wall_lines = np.empty(4, np.intp)
@@ -111,6 +114,7 @@ def fit_lateral(
     roll_std_rad: float,
     prior_offset_norm: float = nan,
     prior_offset_norm_std: float = nan,
+    prior_width_per_height: float = nan,
 ) -> tuple[LateralFit | None, OffsetMixture]:
     """Find the lateral offset, and all that the lines say about it.
 
@@ -124,6 +128,8 @@ def fit_lateral(
         Standard deviation of the level frame's roll: it tilts left against right.
     prior_offset_norm, prior_offset_norm_std
         A filter's prediction, to choose between hypotheses; NaN: none. The mixture does not know of it.
+    prior_width_per_height
+        Corridor width over camera height as seen so far, for the same; NaN: unknown.
 
     Returns
     -------
@@ -135,6 +141,7 @@ def fit_lateral(
         WEIGHTS,
         prior_offset_norm,
         prior_offset_norm_std,
+        prior_width_per_height,
         roll_std_rad,
     )
     mixture = mixture_of_corners(components)

@@ -1,0 +1,149 @@
+"""The vote over heading and elevation: its prior, what it finds beside a peak, and rendered slopes."""
+
+from __future__ import annotations
+
+import csv
+from math import degrees, pi, radians
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fusion.simulate import SceneConfig, random_views
+from tests.files import SHARED
+from tests.pictures import read_grey
+from vision import Attitude, Camera, measure_frame
+from vision.axis.vote import (
+    BIN_RAD,
+    N_BINS,
+    RIVAL_DISTANCE_RAD,
+    VOTE_TEMPERATURE,
+    HeadingVote,
+    bin_heading,
+    elevation_information,
+    elevation_log_prior,
+    elevations_to_try,
+    find_rival,
+)
+from vision.types import FloatArray
+
+PICTURES = SHARED / "cases" / "pictures"
+HEADINGS = -0.5 * pi + (np.arange(N_BINS) + 0.5) * BIN_RAD
+
+
+def vote_of(log_likelihood: FloatArray) -> HeadingVote:
+    """A vote at one elevation, every heading of it a peak."""
+    scores = log_likelihood[None, :]
+    best = int(np.argmax(log_likelihood))
+    return HeadingVote(
+        scores, np.zeros(1), radians(0.5), log_likelihood, log_likelihood, best, 0, log_likelihood[best]
+    )
+
+
+@given(std=st.floats(radians(0.2), radians(12)), elevation=st.floats(radians(-8), radians(8)))
+def test_the_information_is_the_gradient_of_the_prior(std: float, elevation: float) -> None:
+    step = 1e-6
+    gradient = (elevation_log_prior(elevation + step, std) - elevation_log_prior(elevation - step, std)) / (
+        2 * step
+    )
+    assert -elevation * elevation_information(elevation, std) == pytest.approx(gradient, rel=1e-3, abs=1e-2)
+
+
+def test_a_level_corridor_is_expected_and_a_slope_is_possible() -> None:
+    std = radians(0.4)
+    assert elevation_log_prior(0.0, std) == pytest.approx(0.0, abs=0.03)
+    assert elevation_log_prior(std, std) == pytest.approx(-0.5, abs=0.03)
+    assert -12.0 < elevation_log_prior(radians(4.8), std) < -6.0  # a Gaussian alone: -72
+    assert elevation_information(0.0, std) == pytest.approx(1 / std**2, rel=0.02)
+    assert elevation_information(radians(4.8), std) < 1 / radians(2.5) ** 2
+
+
+@given(std=st.floats(radians(0.1), radians(20)))
+def test_the_elevations_to_try_are_symmetric_and_reach_slopes(std: float) -> None:
+    found = elevations_to_try(std)
+    assert len(found) <= 23
+    assert found == pytest.approx(-found[::-1])
+    assert found[-1] >= radians(4.0)
+    assert np.diff(found).max() <= radians(1.0) + 1e-12
+
+
+@given(shift=st.floats(-1.0, 1.0), sigma_bins=st.floats(0.5, 3.0))
+def test_one_peak_has_no_excess_wherever_the_bins_lie(shift: float, sigma_bins: float) -> None:
+    heading = bin_heading(400) + shift * BIN_RAD
+    sigma = sigma_bins * BIN_RAD
+    peak = np.asarray(-0.5 * ((HEADINGS - heading) / sigma) ** 2, dtype=np.float64)
+    found = find_rival(vote_of(peak), heading, 0.0)
+    assert found.excess_variance < (0.1 * sigma) ** 2
+
+
+@given(apart=st.floats(radians(2), radians(7)), behind=st.floats(0.0, 3.0), shift=st.floats(0.0, 1.0))
+def test_two_peaks_add_the_variance_of_the_choice(apart: float, behind: float, shift: float) -> None:
+    heading = bin_heading(300) + shift * BIN_RAD
+    sigma = 1.5 * BIN_RAD
+    peaks = np.maximum(
+        -0.5 * ((HEADINGS - heading) / sigma) ** 2,
+        -behind - 0.5 * ((HEADINGS - heading - apart) / sigma) ** 2,
+    )
+    odds = np.exp(-behind / VOTE_TEMPERATURE)
+    excess = find_rival(vote_of(peaks), heading, 0.0).excess_variance
+    assert excess == pytest.approx(odds / (1 + odds) * apart**2, rel=0.15)
+
+
+def test_a_flat_vote_does_not_tell_at_all() -> None:
+    found = find_rival(vote_of(np.zeros(N_BINS)), 0.3, 0.0)
+    assert found.excess_variance == RIVAL_DISTANCE_RAD**2
+
+
+def test_a_rival_is_judged_at_the_elevation_of_the_axis() -> None:
+    """Two headings at elevations of their own: one tilt error explains only one of them."""
+    elevation = np.array([radians(-2), 0.0, radians(2)])
+    scores = np.zeros((3, N_BINS))
+    first, second = 360, 400
+    scores[2, first], scores[0, second] = 30.0, 25.0
+    marginal = scores.max(axis=0)
+    ranked = np.full(N_BINS, -np.inf)
+    ranked[[first, second]] = marginal[[first, second]]
+    voted = HeadingVote(scores, elevation, radians(0.3), marginal, ranked, first, 2, 30.0)
+    own = find_rival(voted, bin_heading(first), radians(2))
+    assert own.bin == second
+    assert own.score < 1.0
+    assert find_rival(voted, bin_heading(first), radians(-2)).score == pytest.approx(25.0, abs=0.1)
+
+
+@pytest.mark.parametrize("slope_rad", [-0.08, 0.03, 0.08])
+def test_a_rendered_slope_gives_no_gross_error(slope_rad: float) -> None:
+    camera = Camera.from_fov(320, 240, radians(70))
+    accepted = 0
+    views = random_views(
+        camera,
+        12,
+        7,
+        scene=lambda seed: SceneConfig.random_office(seed, slope_rad=slope_rad),
+        views_per_scene=4,
+    )
+    for view in views:
+        found = measure_frame(view.image, camera, Attitude(view.roll_rad, view.pitch_rad))
+        if found.accepted:
+            accepted += 1
+            assert abs(degrees(found.heading_rad - view.heading_rad)) < 1.5
+    assert accepted >= 7
+
+
+@pytest.mark.parametrize(
+    ("name", "heading_deg"),
+    [("corridor_0120.jpg", -1.89), ("corridor_0135.jpg", -1.53), ("corridor_0148.jpg", None)],
+)
+def test_a_real_corridor_that_the_horizon_alone_splits_is_accepted(
+    name: str, heading_deg: float | None
+) -> None:
+    if not PICTURES.is_dir():
+        pytest.skip("the shared pictures are not here")
+    with (PICTURES / "tilt.csv").open(encoding="utf-8") as file:
+        tilt = {row["image"]: row for row in csv.DictReader(file)}[name]
+    camera = Camera.from_yaml(PICTURES / "indoor.yaml")
+    attitude = Attitude(float(tilt["roll_rad"]), float(tilt["pitch_rad"]))
+    found = measure_frame(read_grey(PICTURES / name), camera, attitude)
+    assert found.accepted
+    if heading_deg is not None:
+        assert degrees(found.heading_rad) == pytest.approx(heading_deg, abs=0.2)
