@@ -37,6 +37,7 @@ from fusion.estimator.imu_yaw import (
     fuse_imu_yaw,
 )
 from fusion.estimator.lateral import Lateral, LateralOffset, MotionStep
+from fusion.estimator.lateral_offset import OffsetModel
 from fusion.estimator.models import (
     BIAS,
     N_STATES,
@@ -155,6 +156,10 @@ class Engine:
         reckoning = DeadReckoning(stored_gyro_bias=(0.0, self.config.gyro_bias_std_rad_s**2))
         P = np.diag([s**2 for s in std])
         return State(np.zeros(N_STATES), P, reckoning, delay=unknown_delay(self.config))
+
+    def offset_model(self, state: State) -> OffsetModel:
+        """Return what the lateral offset's filter assumes."""
+        return self._lateral.model
 
     def process(self, state: State, sample: Sample) -> Entry:
         """Take the next sample."""

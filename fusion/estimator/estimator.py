@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from fusion.estimator.arrivals import Admission, Arrivals
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.engine import SOURCES, Engine, Entry, Sample
+from fusion.estimator.engine import SOURCES, Engine, Entry, Sample, State
 from fusion.estimator.estimate import Estimate, Status, estimate_of
 from fusion.estimator.fixed_lag import FixedLag
 from fusion.estimator.frame_update import FrameResult, FrameSample, Measure
@@ -21,6 +21,7 @@ from fusion.estimator.input_checks import finite_or_not, number, whole_nanosecon
 from fusion.estimator.models import Vector
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.range_width import RangeSample
+from fusion.estimator.resets import Resets
 from fusion.estimator.timeline import Timeline
 from fusion.estimator.velocity import VelocitySample
 from vision.errors import InputError
@@ -86,6 +87,7 @@ class CorridorEstimator:
             on_final if self._lag is None else self._finalise,
         )
         self._arrivals = Arrivals(round(self.config.buffer_s * 1e9), self.counters)
+        self._resets = Resets()
         self._delay_ns = round(self.config.camera_delay_s * 1e9)
         self._late_in_a_row = 0
 
@@ -123,10 +125,26 @@ class CorridorEstimator:
 
     def _insert(self, sample: Sample) -> Entry | None:
         self._late_in_a_row = 0
+        before = self._timeline.state
         entry = self._timeline.insert(sample)
         name = SOURCES[type(sample)].name
         self.counters[f"{name}_duplicate" if entry is None else name] += 1
+        after = self._timeline.state
+        # A gyroscope sample in order only propagates.
+        if (
+            type(sample) is not ImuSample
+            or before.reckoning.gyro_done_rad != 0.0
+            or after.t_ns == before.t_ns
+        ):
+            self._count_steps(before)
         return entry
+
+    def _count_steps(self, before: State) -> None:
+        """Count what has moved the newest estimate in a jump."""
+        after = self._timeline.state
+        if after is not before:
+            half_m = after.width.half_m(self.config)
+            self._resets = self._resets.after(before, after, self._engine.offset_model(after), half_m)
 
     def _late(self, sample: Sample) -> Entry | None:
         """Count a late sample; where nothing but late ones come, it is the clock that was set back."""
@@ -140,7 +158,9 @@ class CorridorEstimator:
 
     def _set_back(self, t_ns: int) -> None:
         self.counters["clock_set_back"] += 1
+        before = self._timeline.state
         self._timeline.restart(t_ns)
+        self._count_steps(before)
         if self._lag is not None:
             self._lag.clear()
 
@@ -232,7 +252,7 @@ class CorridorEstimator:
         state = self._timeline.state
         if now_ns is not None and state.t_ns is not None:
             now_ns = max(now_ns, state.t_ns)
-        return estimate_of(state, self.config, now_ns, self._arrivals)
+        return estimate_of(state, self.config, now_ns, self._arrivals, self._resets)
 
     def smoothed(self) -> Estimate:
         """Estimate of ``config.fixed_lag_s`` ago, with all that has been measured since then.
