@@ -51,7 +51,7 @@ class Estimate:
     Parameters
     ----------
     timestamp_ns
-        Time of the newest sample, to which the estimate is predicted.
+        Time to which the estimate is predicted: that of the newest sample, or the later one that was asked for.
     heading_rad, heading_std_rad
         Relative to the corridor being flown, positive turned right, in [-pi, pi).
     lateral_offset_m, lateral_offset_std_m, lateral_offset_norm, lateral_offset_norm_std
@@ -65,7 +65,7 @@ class Estimate:
     corridor_index, corridor_turn_rad
         0 for the first corridor; angle of the present one's axis from the first one's, positive right.
     status, vision_age_s
-        A `Status`; time since the last frame that was used.
+        A `Status`; time since the last frame that was used, or the heading that was seeded.
     reason
         Why the status is what it is, or what is amiss though tracking; empty where all is well.
     gyro_age_s, attitude_age_s, lateral_age_s
@@ -80,9 +80,9 @@ class Estimate:
     reset_count, reset_heading_rad, reset_heading_total_rad
         How often the heading jumped (another corridor, a recovery, found again after loss or a gap, a late sample
         that changed what had been published, a seed, a reset), by how much at the last time, new minus old, and the
-        sum of all steps. A controller that needs continuity takes off the step whenever the count goes up, or, as several
-        steps may lie between two calls, the growth of the sum: heading less sum is continuous, modulo a turn. The
-        count never goes down. Corrections below 2 degrees are no steps.
+        sum of all steps. A controller that needs continuity takes off the step whenever the count goes up; or, as
+        several may lie between two calls, the growth of the sum: heading less sum is continuous, modulo a turn.
+        The count never goes down. Corrections below 2 degrees are no steps.
     lateral_reset_count, reset_lateral_norm, reset_lateral_m, reset_lateral_total_norm
         The same for the lateral offset; its step is counted from the last one known to the first one known again.
     roll_rad, pitch_rad
@@ -240,7 +240,7 @@ def estimate_of(
             0 if t_ns is None else t_ns,
             reason="no sample yet",
             faults=Fault.NOT_STARTED,
-            reset_count=resets.count,
+            reset_count=resets.heading_count,
             reset_heading_rad=resets.heading_rad,
             lateral_reset_count=resets.lateral_count,
             reset_lateral_norm=resets.lateral_norm,
@@ -260,7 +260,7 @@ def estimate_of(
     limit = state.frames.age_limit_s(config)
     if arrivals is not None:
         limit += arrivals.latency_ns(FrameSample) * 1e-9
-    found = readout(lateral, offset_model(config), psi, state.velocity, t, limit)
+    found = readout(lateral, lateral.model or offset_model(config), psi, state.velocity, t, limit)
     position = position_from_offset(found.offset, config.position_dead_band_norm)
     gx, gy, gz = state.tilt.down
     return Estimate(
@@ -291,7 +291,7 @@ def estimate_of(
         lateral_velocity_m_s=found.rate * half,
         lateral_velocity_std_m_s=found.rate_std * half,
         along_velocity_m_s=found.along_m_s,
-        reset_count=resets.count,
+        reset_count=resets.heading_count,
         reset_heading_rad=resets.heading_rad,
         lateral_reset_count=resets.lateral_count,
         reset_lateral_norm=resets.lateral_norm,

@@ -28,7 +28,7 @@ class Resets(NamedTuple):
 
     Parameters
     ----------
-    count, heading_rad, heading_total_rad
+    heading_count, heading_rad, heading_total_rad
         Number of steps of the heading, the last one, new minus old, and the sum of all.
     lateral_count, lateral_norm, lateral_m, lateral_total_norm
         The same for the lateral offset; half widths, and metres where the width is known.
@@ -36,7 +36,7 @@ class Resets(NamedTuple):
         Heading when it was last known, while it is not; None otherwise.
     """
 
-    count: int = 0
+    heading_count: int = 0
     heading_rad: float = 0.0
     heading_total_rad: float = 0.0
     lateral_count: int = 0
@@ -48,7 +48,9 @@ class Resets(NamedTuple):
     def with_heading_step(self, step_rad: float) -> Resets:
         """Count a step of the heading."""
         return self._replace(
-            count=self.count + 1, heading_rad=step_rad, heading_total_rad=self.heading_total_rad + step_rad
+            heading_count=self.heading_count + 1,
+            heading_rad=step_rad,
+            heading_total_rad=self.heading_total_rad + step_rad,
         )
 
     def with_lateral_step(self, step_norm: float, step_m: float) -> Resets:
