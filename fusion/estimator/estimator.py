@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from vision.lines.segments import LineSet
 
 CLOCK_RESET_SAMPLES = 50
-MAX_AHEAD_S = 0.5  # that a state may be predicted: beyond, the last rate says little
+MAX_AHEAD_NS = 500_000_000  # that a state may be predicted: beyond, the last rate says little
 
 __all__ = ["CorridorEstimator", "Estimate", "FrameResult", "Status"]
 
@@ -357,17 +357,21 @@ class CorridorEstimator:
         state = self._timeline.state
         if now_ns is not None and state.t_ns is not None:
             now_ns = max(now_ns, state.t_ns)
+        newest = estimate_of(state, self.config, now_ns, self._arrivals, self._resets)
         if at_ns is None or state.t_ns is None:
-            return estimate_of(state, self.config, now_ns, self._arrivals, self._resets)
-        ahead_ns = max(whole_nanoseconds(at_ns) - state.t_ns, 0)
-        end_ns = state.t_ns + min(ahead_ns, round(MAX_AHEAD_S * 1e9))
+            return newest
+        ahead_ns = whole_nanoseconds(at_ns) - state.t_ns
+        if ahead_ns <= 0:
+            return newest
+        end_ns = state.t_ns + min(ahead_ns, MAX_AHEAD_NS)
         moved = self._engine.predicted(state, end_ns)
-        now_ns = state.t_ns if now_ns is None else now_ns
-        e = estimate_of(moved, self.config, now_ns, self._arrivals, self._resets)
-        reasons = [e.reason] if e.reason else []
-        if end_ns < at_ns and ahead_ns > 0:
-            reasons.append(f"predicted {MAX_AHEAD_S:g} s ahead, not the {ahead_ns * 1e-9:.2f} s asked for")
-        return replace(e, timestamp_ns=end_ns, reason="; ".join(reasons))
+        e = estimate_of(moved, self.config, newest.timestamp_ns, self._arrivals, self._resets)
+        reason = newest.reason
+        if end_ns < at_ns:
+            told = f"predicted {MAX_AHEAD_NS * 1e-9:g} s ahead, not the {ahead_ns * 1e-9:.2f} s asked for"
+            reason = f"{reason}; {told}" if reason else told
+        # What is known is judged where it is known; what the way ahead adds is in the sigmas.
+        return replace(e, timestamp_ns=end_ns, status=newest.status, reason=reason, faults=newest.faults)
 
     def covariance(self) -> Covariance:
         """Mean and covariance of all states with their names, at the newest sample."""
