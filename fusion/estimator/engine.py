@@ -36,7 +36,7 @@ from fusion.estimator.imu_yaw import (
     compare_by_frame,
     fuse_imu_yaw,
 )
-from fusion.estimator.lateral import Lateral, LateralOffset, MotionStep
+from fusion.estimator.lateral import Lateral, LateralOffset, MotionStep, offset_model
 from fusion.estimator.lateral_offset import OffsetModel
 from fusion.estimator.models import (
     BIAS,
@@ -158,7 +158,8 @@ class Engine:
         std = [UNKNOWN_HEADING_STD_RAD, 0.02, UNKNOWN_YAW_OFFSET_STD_RAD]
         reckoning = DeadReckoning(stored_gyro_bias=(0.0, self.config.gyro_bias_std_rad_s**2))
         P = np.diag([s**2 for s in std])
-        return State(np.zeros(N_STATES), P, reckoning, delay=unknown_delay(self.config))
+        lateral = Lateral(model=offset_model(self.config))
+        return State(np.zeros(N_STATES), P, reckoning, lateral=lateral, delay=unknown_delay(self.config))
 
     def offset_model(self, state: State) -> OffsetModel:
         """Return what the lateral offset's filter assumes."""
@@ -166,10 +167,10 @@ class Engine:
 
     def forgotten(self, s: State) -> State:
         """Return the state before any sample, with the numbers of resets of another one, counted up."""
+        initial, old = self.initial_state(), s.lateral
         axis = CorridorAxis(reset_count=s.axis.reset_count + 1)
-        old = s.lateral
-        lateral = Lateral(last_known=old.last_known, reset_count=old.reset_count)
-        return self.initial_state()._replace(axis=axis, lateral=lateral)
+        lateral = initial.lateral._replace(last_known=old.last_known, reset_count=old.reset_count)
+        return initial._replace(axis=axis, lateral=lateral)
 
     def predicted(self, s: State, t_ns: int) -> State:
         """Move a state to a time of which no sample tells, later than its own; the filter stays as it is.

@@ -140,12 +140,11 @@ class CorridorEstimator:
         entry = self._timeline.insert(sample)
         name = SOURCES[type(sample)].name
         self.counters[f"{name}_duplicate" if entry is None else name] += 1
-        after = self._timeline.state
         # A gyroscope sample in order only propagates.
         if (
             type(sample) is not ImuSample
+            or self._timeline.entries[-1] is not entry
             or before.reckoning.gyro_done_rad != 0.0
-            or after.t_ns == before.t_ns
         ):
             self._count_steps(before)
         return entry

