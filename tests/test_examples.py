@@ -481,3 +481,14 @@ def test_a_bad_flight_is_called_what_it_was(rows: list[Row], turned_s: float | N
 def test_measuring_in_the_control_thread_would_be_told() -> None:
     assert any("in the control thread" in line for line in table(flight_of(STRAIGHT, control_thread=1)))
     assert any("beside the control thread" in line for line in table(flight_of(STRAIGHT, control_thread=2)))
+
+
+def test_the_example_of_the_actuators_time_runs() -> None:
+    ran = subprocess.run(
+        [sys.executable, str(EXAMPLES / "actuator_time.py")], capture_output=True, text=True, check=True
+    )
+    lines = ran.stdout.splitlines()
+    assert float(re.findall(r"[\d.]+ degrees", lines[0])[0].split()[0]) < 0.5
+    assert lines[1] == "offset 0.20 half widths, 0.30 m in the wider corridor"
+    assert "after 1 step the setpoint is 0.40 rad; faults <Fault.NONE: 0>" in lines
+    assert lines[-1] == "after a reset: initialising, 2 steps, <Fault.NOT_STARTED: 256>"

@@ -43,6 +43,8 @@ _WORDS = {
     "frame": ("camera", "frames"),
     "velocity": ("velocity", "velocities"),
     "range": ("range sensor", "ranges"),
+    "heading_seed": ("seed", "seeds"),
+    "width_change": ("width", "widths"),
 }
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.models import N_STATES, PSI, YAW_OFFSET, heading_model
+from fusion.estimator.models import N_STATES, PSI, YAW_OFFSET, Gate, heading_model
 from fusion.estimator.noise_adaptation import SourceNoise
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD
 from fusion.estimator.votes import AGREEING_SHARE, Vote, add_vote, agreement
@@ -72,8 +72,8 @@ class CorridorAxis(NamedTuple):
         Axis in the dead-reckoned frame when a frame last confirmed it.
     facing_rad
         pi where the vehicle then faced against the axis.
-    noise, test_ratio
-        Of the frames' headings; of the last innovation.
+    noise, gate
+        Of the frames' headings; outcome of the last innovation.
     votes
         Rejected headings, as axes in the dead-reckoned frame.
     recent
@@ -97,11 +97,16 @@ class CorridorAxis(NamedTuple):
     anchor_rad: float = nan
     facing_rad: float = 0.0
     noise: SourceNoise = SourceNoise()
-    test_ratio: float = nan
+    gate: Gate | None = None
     votes: tuple[Vote, ...] = ()
     recent: tuple[FrameAxis, ...] = ()
     rival: Rival | None = None
     previous: PreviousAxis | None = None
+
+    @property
+    def test_ratio(self) -> float:
+        """Of the last innovation: squared over gate squared."""
+        return nan if self.gate is None else self.gate.test_ratio
 
     def lost(self) -> CorridorAxis:
         """Let the next headings start anew."""

@@ -109,7 +109,7 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         """
         if measurement is None or not isfinite(measurement.residual) or not measurement.R > 0.0:
             self.y[0] = np.nan
-            return Gate(False, float("nan"), float("nan"))
+            return Gate(False, float("nan"), float("nan"), float("nan"))
         residual, H, gate_variance = measurement
         expected = predicted_variance(self.P, H)
         ratio = residual * residual / (gate_sigma * gate_sigma * (expected + gate_variance))
@@ -118,12 +118,12 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         self.y[0], self.S[0, 0], self.SI[0, 0], self.R[0, 0] = residual, S, 1.0 / S, variance
         self._log_likelihood = self._likelihood = self._mahalanobis = None
         if ratio > 1.0:
-            return Gate(False, residual, ratio)
+            return Gate(False, residual, ratio, expected + gate_variance)
         x, P, K = np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty((N_STATES, 1))
         updated(self.x, self.P, H, residual, variance, x, P, K)
         self.K = K
         self._measured(x, P)
-        return Gate(True, residual, ratio)
+        return Gate(True, residual, ratio, expected + gate_variance)
 
     def correct(self, x: FloatArray) -> None:
         """Take a state (3,) that a measurement implies beside its update; the covariance stays."""

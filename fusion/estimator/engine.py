@@ -45,7 +45,8 @@ from fusion.estimator.imu_yaw import (
     fuse_imu_yaw,
 )
 from fusion.estimator.installation_checks import Installation
-from fusion.estimator.lateral import Lateral, LateralOffset, MotionStep
+from fusion.estimator.lateral import Lateral, LateralOffset, MotionStep, offset_model
+from fusion.estimator.lateral_offset import OffsetModel
 from fusion.estimator.models import (
     BIAS,
     N_STATES,
@@ -66,6 +67,7 @@ from fusion.estimator.propagation import (
 )
 from fusion.estimator.range_width import RangeSample, Width
 from fusion.estimator.sample_times import SampleTimes, seconds_since
+from fusion.estimator.seed import HeadingSeed, WidthChange, seed_heading
 from fusion.estimator.smoother import Node
 from fusion.estimator.tilt import Tilt
 from fusion.estimator.velocity import Velocity, VelocitySample, with_velocity
@@ -74,7 +76,7 @@ from vision.rotations import wrap_axis, yaw_of_quaternion
 
 OUTLIER_DENSITY = 1 / pi  # an outlying heading may be any
 
-Sample = ImuSample | AttitudeSample | VelocitySample | RangeSample | FrameSample
+Sample = ImuSample | AttitudeSample | VelocitySample | RangeSample | FrameSample | HeadingSeed | WidthChange
 
 
 class Source(NamedTuple):
@@ -91,6 +93,8 @@ SOURCES: dict[type[Sample], Source] = {
     VelocitySample: Source(2, "velocity", False),
     RangeSample: Source(3, "range", False),
     FrameSample: Source(4, "frame", True),
+    HeadingSeed: Source(5, "heading_seed", False),
+    WidthChange: Source(6, "width_change", False),
 }
 
 
@@ -163,7 +167,7 @@ class Engine:
 
         self.config = config
         initial = self.initial_state()
-        self.ekf = CorridorEKF(initial.x, initial.P)
+        self.ekf, self._ahead = CorridorEKF(initial.x, initial.P), CorridorEKF(initial.x, initial.P)
         self._propagation = Propagation(config)
         self._lateral = LateralOffset(config, camera_arm_m)
 
@@ -172,7 +176,35 @@ class Engine:
         std = [UNKNOWN_HEADING_STD_RAD, 0.02, UNKNOWN_YAW_OFFSET_STD_RAD]
         reckoning = DeadReckoning(stored_gyro_bias=(0.0, self.config.gyro_bias_std_rad_s**2))
         P = np.diag([s**2 for s in std])
-        return State(np.zeros(N_STATES), P, reckoning, delay=unknown_delay(self.config))
+        lateral = Lateral(model=offset_model(self.config))
+        return State(np.zeros(N_STATES), P, reckoning, lateral=lateral, delay=unknown_delay(self.config))
+
+    def offset_model(self, state: State) -> OffsetModel:
+        """Return what the lateral offset's filter assumes."""
+        return self._lateral.model_of(state.lateral)
+
+    def forgotten(self, s: State) -> State:
+        """Return the state before any sample, with the numbers of resets of another one, counted up."""
+        initial, old = self.initial_state(), s.lateral
+        axis = CorridorAxis(reset_count=s.axis.reset_count + 1)
+        lateral = initial.lateral._replace(last_known=old.last_known, reset_count=old.reset_count)
+        return initial._replace(axis=axis, lateral=lateral)
+
+    def predicted(self, s: State, t_ns: int) -> State:
+        """Move a state to a time of which no sample tells, later than its own; the filter stays as it is.
+
+        The heading turns with the last rate; its variance grows by the process noise and by what the rate may have
+        changed since it was measured. The lateral offset moves by its rate and the last acceleration.
+        """
+        if s.t_ns is None or t_ns <= s.t_ns:
+            return s
+        lateral = self._lateral.propagated(
+            s.lateral, MotionStep((t_ns - s.t_ns) * 1e-9, float(s.x[PSI]), s.tilt.down, None)
+        )
+        ekf = self._ahead
+        ekf.load(s.x, s.P)
+        reckoning = self._propagation.ahead(s.reckoning, ekf, t_ns)
+        return s._replace(x=ekf.x, P=ekf.P, reckoning=reckoning, lateral=lateral)
 
     def process(self, state: State, sample: Sample) -> Entry:
         """Take the next sample."""
@@ -189,6 +221,10 @@ class Engine:
                 state = state._replace(width=state.width.with_range(sample, state.tilt.down[2]))
             case FrameSample():
                 state, frame = self._frame(state, sample)
+            case HeadingSeed():
+                state = self._seeded(state, sample)
+            case WidthChange():
+                state = self._with_told_width(state, sample)
             case _:
                 assert_never(sample)
         return Entry(sample.t_ns, sample, state, tuple(ekf.nodes), frame)
@@ -286,6 +322,16 @@ class Engine:
             lateral = self._lateral.with_velocity(lateral, s.x, s.P, velocity)
         return s._replace(velocity=velocity, lateral=lateral)
 
+    def _seeded(self, s: State, seed: HeadingSeed) -> State:
+        s = self._held(s, seed.t_ns, s.frames)
+        axis = seed_heading(s.axis, self.ekf, seed, s.reckoning.theta_rad, s.imu_yaw.coupled)
+        return s._replace(axis=axis, imu_yaw=s.imu_yaw.axis_changed(), x=self.ekf.x, P=self.ekf.P)
+
+    def _with_told_width(self, s: State, sample: WidthChange) -> State:
+        s = self._held(s, sample.t_ns, s.frames)
+        lateral = self._lateral.with_told_width(s.lateral, sample.width_m)
+        return s._replace(width=s.width.told(sample.width_m), lateral=lateral)
+
     def _frame(self, s: State, sample: FrameSample) -> tuple[State, FrameResult]:
         s = self._held(s, sample.t_ns, s.frames.with_sample(sample.t_ns))
         if sample.measure is None:
@@ -362,7 +408,7 @@ class Engine:
         doubt = Doubt(c.heading_gate_sigma, rho, OUTLIER_DENSITY, by_delay.variance)
         gate, noise = update_with_doubt(ekf, measurement, axis.noise, doubt)
         recent = axis.followed(t_ns, heading, gate.accepted, interval_s)
-        axis = axis._replace(noise=noise, test_ratio=gate.test_ratio, recent=recent)
+        axis = axis._replace(noise=noise, gate=gate, recent=recent)
         result = (gate.residual, gate.test_ratio)
         if not gate.accepted:
             axis = axis.voted(*vote, recent[-1].linked, interval_s)

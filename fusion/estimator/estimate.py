@@ -22,6 +22,7 @@ from fusion.estimator.lateral import LateralStatus, offset_model, readout
 from fusion.estimator.models import PSI
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, Mode
 from fusion.estimator.range_width import RangeSample
+from fusion.estimator.resets import Resets
 from fusion.estimator.sample_times import seconds_since
 from fusion.estimator.velocity import VelocitySample
 from vision.measurement import position_from_offset
@@ -50,7 +51,7 @@ class Estimate:
     Parameters
     ----------
     timestamp_ns
-        Time of the newest sample, to which the estimate is predicted.
+        Time to which the estimate is predicted: that of the newest sample, or the later one that was asked for.
     heading_rad, heading_std_rad
         Relative to the corridor being flown, positive turned right, in [-pi, pi).
     lateral_offset_m, lateral_offset_std_m, lateral_offset_norm, lateral_offset_norm_std
@@ -64,7 +65,7 @@ class Estimate:
     corridor_index, corridor_turn_rad
         0 for the first corridor; angle of the present one's axis from the first one's, positive right.
     status, vision_age_s
-        A `Status`; time since the last frame that was used.
+        A `Status`; time since the last frame that was used, or the heading that was seeded.
     reason
         Why the status is what it is, or what is amiss though tracking; empty where all is well.
     gyro_age_s, attitude_age_s, lateral_age_s
@@ -76,10 +77,13 @@ class Estimate:
         and drift. In half widths per second, and in metres per second where the width is known.
     along_velocity_m_s
         Speed along the corridor in the sense of its axis, from the velocity stream; NaN without.
-    reset_count, reset_heading_rad
-        How often the heading jumped (another corridor, a recovery, found again after loss), and by how much at the
-        last time, new minus old: a controller that needs continuity takes the step off whenever the count goes up.
-    lateral_reset_count, reset_lateral_norm, reset_lateral_m
+    reset_count, reset_heading_rad, reset_heading_total_rad
+        How often the heading jumped (another corridor, a recovery, found again after loss or a gap, a late sample
+        that changed what had been published, a seed, a reset), by how much at the last time, new minus old, and the
+        sum of all steps. A controller that needs continuity takes off the step whenever the count goes up; or, as
+        several may lie between two calls, the growth of the sum: heading less sum is continuous, modulo a turn.
+        The count never goes down. Corrections below 2 degrees are no steps.
+    lateral_reset_count, reset_lateral_norm, reset_lateral_m, reset_lateral_total_norm
         The same for the lateral offset; its step is counted from the last one known to the first one known again.
     roll_rad, pitch_rad
         The tilt in use.
@@ -131,6 +135,8 @@ class Estimate:
     lateral_status: str = LateralStatus.UNKNOWN
     lateral_probability: float = 0.0
     faults: Fault = Fault.NONE
+    reset_heading_total_rad: float = 0.0
+    reset_lateral_total_norm: float = 0.0
 
 
 class ArrivalTimes(Protocol):
@@ -223,14 +229,31 @@ def _silences(
 
 
 def estimate_of(
-    state: State, config: FusionConfig, t_ns: int | None = None, arrivals: ArrivalTimes | None = None
+    state: State,
+    config: FusionConfig,
+    t_ns: int | None = None,
+    arrivals: ArrivalTimes | None = None,
+    resets: Resets | None = None,
 ) -> Estimate:
     """Report a state, at its own time or (ages and status only) at a later one.
 
-    ``arrivals`` as in `status_of`.
+    ``arrivals`` as in `status_of`; ``resets`` are the steps that were published, None for those of the state, which
+    knows no sums.
     """
+    resets = _resets_of(state) if resets is None else resets
     if state.t_ns is None:
-        return Estimate(0 if t_ns is None else t_ns, reason="no sample yet")
+        return Estimate(
+            0 if t_ns is None else t_ns,
+            reason="no sample yet",
+            faults=Fault.NOT_STARTED,
+            reset_count=resets.heading_count,
+            reset_heading_rad=resets.heading_rad,
+            lateral_reset_count=resets.lateral_count,
+            reset_lateral_norm=resets.lateral_norm,
+            reset_lateral_m=resets.lateral_m,
+            reset_heading_total_rad=resets.heading_total_rad,
+            reset_lateral_total_norm=resets.lateral_total_norm,
+        )
     t = state.t_ns if t_ns is None else t_ns
     reckoning, axis, lateral = state.reckoning, state.axis, state.lateral
     psi, bias, yaw_offset = state.x.tolist()
@@ -243,7 +266,7 @@ def estimate_of(
     limit = state.frames.age_limit_s(config)
     if arrivals is not None:
         limit += arrivals.latency_ns(FrameSample) * 1e-9
-    found = readout(lateral, offset_model(config), psi, state.velocity, t, limit)
+    found = readout(lateral, lateral.model or offset_model(config), psi, state.velocity, t, limit)
     position = position_from_offset(found.offset, config.position_dead_band_norm)
     gx, gy, gz = state.tilt.down
     return Estimate(
@@ -274,11 +297,11 @@ def estimate_of(
         lateral_velocity_m_s=found.rate * half,
         lateral_velocity_std_m_s=found.rate_std * half,
         along_velocity_m_s=found.along_m_s,
-        reset_count=axis.reset_count,
-        reset_heading_rad=axis.reset_heading_rad,
-        lateral_reset_count=lateral.reset_count,
-        reset_lateral_norm=lateral.reset_norm,
-        reset_lateral_m=lateral.reset_m,
+        reset_count=resets.heading_count,
+        reset_heading_rad=resets.heading_rad,
+        lateral_reset_count=resets.lateral_count,
+        reset_lateral_norm=resets.lateral_norm,
+        reset_lateral_m=resets.lateral_m,
         roll_rad=float(np.arctan2(gy, gz)),
         pitch_rad=float(np.arctan2(-gx, hypot(gy, gz))),
         camera_delay_s=delay_s,
@@ -286,7 +309,15 @@ def estimate_of(
         lateral_status=str(found.status),
         lateral_probability=found.probability,
         faults=reduce(or_, (notice.fault for notice in notices), Fault.NONE),
+        reset_heading_total_rad=resets.heading_total_rad,
+        reset_lateral_total_norm=resets.lateral_total_norm,
     )
+
+
+def _resets_of(state: State) -> Resets:
+    axis, lateral = state.axis, state.lateral
+    step_norm, step_m = lateral.reset_norm, lateral.reset_m
+    return Resets(axis.reset_count, axis.reset_heading_rad, nan, lateral.reset_count, step_norm, step_m, nan)
 
 
 def _provisional_heading(state: State) -> tuple[float, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -12,16 +13,26 @@ import numpy.typing as npt
 
 from fusion.estimator.arrivals import Admission, Arrivals
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.engine import SOURCES, Engine, Entry, Sample
+from fusion.estimator.diagnostics import Covariance, Innovations, covariance_of, innovations_of
+from fusion.estimator.engine import SOURCES, Engine, Entry, Sample, State
 from fusion.estimator.estimate import Estimate, Status, estimate_of
 from fusion.estimator.fixed_lag import FixedLag
 from fusion.estimator.frame_update import FrameResult, FrameSample, Measure
 from fusion.estimator.gyro_checks import GyroVerdict
 from fusion.estimator.imu_yaw import AttitudeSample
-from fusion.estimator.input_checks import finite_or_not, number, whole_nanoseconds, within_bounds
+from fusion.estimator.input_checks import (
+    MAX_ANGLE_STD_RAD,
+    finite_or_not,
+    number,
+    whole_nanoseconds,
+    within_bounds,
+)
+from fusion.estimator.lateral_offset import readout as readout_of
 from fusion.estimator.models import Vector
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.range_width import RangeSample
+from fusion.estimator.resets import Resets
+from fusion.estimator.seed import HeadingSeed, WidthChange
 from fusion.estimator.timeline import Timeline
 from fusion.estimator.velocity import VelocitySample
 from vision.errors import InputError
@@ -33,6 +44,7 @@ if TYPE_CHECKING:
     from vision.lines.segments import LineSet
 
 CLOCK_RESET_SAMPLES = 50
+MAX_AHEAD_NS = 500_000_000  # that a state may be predicted: beyond, the last rate says little
 
 __all__ = ["CorridorEstimator", "Estimate", "FrameResult", "Status"]
 
@@ -87,6 +99,7 @@ class CorridorEstimator:
             on_final if self._lag is None else self._finalise,
         )
         self._arrivals = Arrivals(round(self.config.buffer_s * 1e9), self.counters)
+        self._resets = Resets()
         self._delay_ns = round(self.config.camera_delay_s * 1e9)
         self._late_in_a_row = 0
 
@@ -124,6 +137,7 @@ class CorridorEstimator:
 
     def _insert(self, sample: Sample) -> Entry | None:
         self._late_in_a_row = 0
+        before = self._timeline.state
         entry = self._timeline.insert(sample)
         name = SOURCES[type(sample)].name
         self.counters[f"{name}_duplicate" if entry is None else name] += 1
@@ -131,7 +145,21 @@ class CorridorEstimator:
             verdict = entry.after.checks.gyro.verdict
             if verdict is not GyroVerdict.GOOD:
                 self.counters[f"imu_{verdict}"] += 1
+        # A gyroscope sample in order only propagates.
+        if (
+            type(sample) is not ImuSample
+            or self._timeline.entries[-1] is not entry
+            or before.reckoning.gyro_done_rad != 0.0
+        ):
+            self._count_steps(before)
         return entry
+
+    def _count_steps(self, before: State) -> None:
+        """Count what has moved the newest estimate in a jump."""
+        after = self._timeline.state
+        if after is not before:
+            half_m = after.width.half_m(self.config)
+            self._resets = self._resets.after(before, after, self._engine.offset_model(after), half_m)
 
     def _late(self, sample: Sample) -> Entry | None:
         """Count a late sample; where nothing but late ones come, it is the clock that was set back."""
@@ -145,7 +173,9 @@ class CorridorEstimator:
 
     def _set_back(self, t_ns: int) -> None:
         self.counters["clock_set_back"] += 1
+        before = self._timeline.state
         self._timeline.restart(t_ns)
+        self._count_steps(before)
         if self._lag is not None:
             self._lag.clear()
 
@@ -229,15 +259,133 @@ class CorridorEstimator:
         """Add a frame of which there is no picture, so that it is counted and its age is known."""
         return self._add_frame(t_ns, None)
 
-    def estimate(self, now_ns: int | None = None) -> Estimate:
-        """Newest estimate, predicted to the newest sample.
+    def seed(
+        self,
+        t_ns: int,
+        heading_rad: float,
+        heading_std_rad: float,
+        corridor_width_m: float | None = None,
+    ) -> None:
+        """Tell the heading at a time, from a source of the program's own; before the first frame or in flight.
 
-        ``now_ns`` is the caller's clock, where status and ages should tell of sources that have fallen silent since.
+        It replaces the heading that was estimated by then, and is tracked from; where one was, that is a counted
+        step. Unlike a frame's, it also says which way along the corridor the vehicle faces. Frames correct it as they
+        would any heading.
+
+        Parameters
+        ----------
+        t_ns
+            Time; not older than the buffer.
+        heading_rad, heading_std_rad
+            Heading from the corridor's axis, positive turned right, and its standard deviation.
+        corridor_width_m
+            Width of the corridor from then on, where it is told too; None leaves it as it is.
+
+        Raises
+        ------
+        InputError
+            Where a value cannot be, or the time is beyond the buffer or already taken by a seed.
+        """
+        heading, std = number(heading_rad, "heading_rad"), number(heading_std_rad, "heading_std_rad")
+        if not isfinite(heading):
+            raise InputError(f"heading_rad = {heading} is not finite")
+        if not 1e-4 <= std <= MAX_ANGLE_STD_RAD:
+            raise InputError(f"heading_std_rad = {std} is not within 1e-4 and pi")
+        samples: list[Sample] = [HeadingSeed(whole_nanoseconds(t_ns), heading, std)]
+        if corridor_width_m is not None:
+            samples.append(_width_change(t_ns, corridor_width_m))
+        self._tell(samples)
+
+    def set_corridor_width(self, t_ns: int, width_m: float | None) -> None:
+        """Tell the corridor's width from a time on, in place of ``config.corridor_width_m``.
+
+        The offset stays what it is in half widths. None: the width is not known any more, and is measured again by
+        the camera's height or the range sensor, where there is one.
+
+        Parameters
+        ----------
+        t_ns
+            Time; not older than the buffer.
+        width_m
+            0.2 to 100 m, or None.
+
+        Raises
+        ------
+        InputError
+            As for `seed`.
+        """
+        self._tell([_width_change(t_ns, width_m)])
+
+    def _tell(self, samples: list[Sample]) -> None:
+        """Take what the program tells; the arrivals' clocks have nothing to do with it."""
+        t_ns, newest_ns, buffer_ns = samples[0].t_ns, self._timeline.newest_ns, self._timeline.buffer_ns
+        if newest_ns is not None and abs(t_ns - newest_ns) > buffer_ns:
+            raise InputError(
+                f"t_ns = {t_ns} is {(t_ns - newest_ns) * 1e-9:+.2f} s from the newest sample",
+                remedy=f"seed within buffer_s = {buffer_ns * 1e-9:g} s of it, or after reset()",
+            )
+        for sample in samples:
+            if self._insert(sample) is None:
+                raise InputError(f"t_ns = {t_ns} has been told another value", remedy="tell it 1 ns later")
+
+    def reset(self) -> None:
+        """Forget all samples and all that was learned or told in flight; configuration and `counters` stay.
+
+        It is counted as a reset at once, with a step of zero, as the heading is unknown then; and again when a
+        heading is known, with the step from the last one known to the first one known again.
+        """
+        before = self._timeline.state
+        self._timeline.start_anew(self._engine.forgotten(before))
+        self._arrivals.restart()
+        if self._lag is not None:
+            self._lag.clear()
+        self.last_frame = None
+        self._late_in_a_row = 0
+        self.counters["reset"] += 1
+        self._count_steps(before)
+        self._resets = self._resets.with_heading_step(0.0)
+
+    def estimate(self, now_ns: int | None = None, *, at_ns: int | None = None) -> Estimate:
+        """Newest estimate, predicted to the newest sample, or ahead of it.
+
+        Parameters
+        ----------
+        now_ns
+            The caller's clock, where status and ages should tell of sources that have fallen silent since.
+        at_ns
+            Time to predict to, for instance when the actuators will act: the heading turns on with the last rate, the
+            lateral offset moves on with its own, and sigmas grow by the process noise and by what the rate may have
+            changed since it was measured. A time before the newest sample gives that sample's estimate. At most 0.5 s
+            ahead: beyond, ``timestamp_ns`` and ``reason`` say so. Status and ages stay those of ``now_ns``.
         """
         state = self._timeline.state
         if now_ns is not None and state.t_ns is not None:
             now_ns = max(now_ns, state.t_ns)
-        return estimate_of(state, self.config, now_ns, self._arrivals)
+        newest = estimate_of(state, self.config, now_ns, self._arrivals, self._resets)
+        if at_ns is None or state.t_ns is None:
+            return newest
+        ahead_ns = whole_nanoseconds(at_ns) - state.t_ns
+        if ahead_ns <= 0:
+            return newest
+        end_ns = state.t_ns + min(ahead_ns, MAX_AHEAD_NS)
+        moved = self._engine.predicted(state, end_ns)
+        e = estimate_of(moved, self.config, newest.timestamp_ns, self._arrivals, self._resets)
+        reason = newest.reason
+        if end_ns < at_ns:
+            told = f"predicted {MAX_AHEAD_NS * 1e-9:g} s ahead, not the {ahead_ns * 1e-9:.2f} s asked for"
+            reason = f"{reason}; {told}" if reason else told
+        # What is known is judged where it is known; what the way ahead adds is in the sigmas.
+        return replace(e, timestamp_ns=end_ns, status=newest.status, reason=reason, faults=newest.faults)
+
+    def covariance(self) -> Covariance:
+        """Mean and covariance of all states with their names, at the newest sample."""
+        state = self._timeline.state
+        model = self._engine.offset_model(state)
+        return covariance_of(state, model, readout_of(state.lateral.offset, model).known)
+
+    def innovations(self) -> Innovations:
+        """Return the last innovation of each source with its variance and test ratio, as PX4's EKF2 logs them."""
+        return innovations_of(self._timeline.state)
 
     def smoothed(self) -> Estimate:
         """Estimate of ``config.fixed_lag_s`` ago, with all that has been measured since then.
@@ -304,6 +452,14 @@ class CorridorEstimator:
         moved_ns = stamps.moved_ns
         stamps.weigh(entry.t_ns, m.heading_rad, m.heading_std_rad, turned)
         self.counters["camera_clock_moved"] += stamps.moved_ns != moved_ns
+
+
+def _width_change(t_ns: int, width_m: float | None) -> WidthChange:
+    """Take a width that a program tells."""
+    width = None if width_m is None else number(width_m, "corridor_width_m")
+    if width is not None and not 0.2 < width <= 100.0:
+        raise InputError(f"corridor_width_m = {width} is not within 0.2 and 100 m")
+    return WidthChange(whole_nanoseconds(t_ns), width)
 
 
 def _vector(values: npt.ArrayLike, name: str) -> Vector:

@@ -78,7 +78,12 @@ class FixedLag:
         for entry in [*before[-1:], *window]:
             offset_steps.add(entry.t_ns, entry.after.lateral.step)
         row = smoothed_table(table, ends[instants], steps, offset_steps, self.config)[0]
-        return replace(rows[0], **dict(zip(ESTIMATE_DTYPE.names or (), row.item(), strict=True)))
+        found = replace(rows[0], **dict(zip(ESTIMATE_DTYPE.names or (), row.item(), strict=True)))
+        if target.width.told_m is None:
+            return found
+        half_m = target.width.half_m(self.config)
+        norm, std = found.lateral_offset_norm, found.lateral_offset_norm_std
+        return replace(found, lateral_offset_m=norm * half_m, lateral_offset_std_m=std * half_m)
 
 
 def _axis(state: State) -> tuple[int, int]:

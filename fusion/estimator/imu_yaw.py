@@ -28,6 +28,7 @@ from fusion.estimator.models import (
     N_STATES,
     PSI,
     YAW_OFFSET,
+    Gate,
     Quaternion,
     ScalarMeasurement,
     imu_yaw_model,
@@ -77,8 +78,8 @@ class ImuYaw(NamedTuple):
         Whether the offset is correlated with the other states.
     rejects
         Samples that the gate has rejected in a row.
-    test_ratio
-        Of the last innovation.
+    gate
+        Outcome of the last innovation.
     watch, traces
         See `fusion.estimator.imu_yaw_check`.
     """
@@ -86,9 +87,14 @@ class ImuYaw(NamedTuple):
     known: bool = False
     coupled: bool = False
     rejects: int = 0
-    test_ratio: float = nan
+    gate: Gate | None = None
     watch: YawWatch = YawWatch()
     traces: tuple[Trace, ...] = ()
+
+    @property
+    def test_ratio(self) -> float:
+        """Of the last innovation: squared over gate squared."""
+        return nan if self.gate is None else self.gate.test_ratio
 
     def axis_changed(self) -> ImuYaw:
         """Drop the running comparison of gyroscope and yaw: frames no longer show the same axis."""
@@ -129,9 +135,9 @@ def fuse_imu_yaw(
         return part._replace(known=True)
     gate = ekf.update(measurement, config.imu_yaw_gate_sigma)
     if gate.accepted:
-        part = part._replace(test_ratio=gate.test_ratio, rejects=0)
+        part = part._replace(gate=gate, rejects=0)
         return _trace(part, ekf, yaw_rad, reckoning, axis, config)
-    part = part._replace(test_ratio=gate.test_ratio, rejects=part.rejects + 1)
+    part = part._replace(gate=gate, rejects=part.rejects + 1)
     if part.rejects >= STEP_SAMPLES:
         ekf.widen(YAW_OFFSET, gate.residual**2)
         ekf.update(_measurement(part, ekf, yaw_rad, axis, config))

@@ -19,6 +19,7 @@ Quaternion = tuple[float, float, float, float]
 
 PSI, BIAS, YAW_OFFSET = range(3)
 N_STATES = 3
+STATE_NAMES = ("heading_rad", "gyro_bias_rad_s", "imu_yaw_offset_rad")
 
 
 @compiled

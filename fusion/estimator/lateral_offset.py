@@ -53,6 +53,7 @@ import numpy as np
 from fusion.estimator.lateral_kernels import (
     N_LATERAL,
     S,
+    Y,
     correct_all,
     fill_transition,
     moved_along,
@@ -397,6 +398,17 @@ def summary(
     y, y_std, v, v_std, probability = summarised(mean, cov, weight, model.tolerance_norm)
     known = probability > model.known_probability and y_std < model.known_std_norm
     return OffsetReadout(y, y_std, v, v_std, probability, known, evidence_age_s)
+
+
+def moments(state: OffsetState, model: OffsetModel) -> tuple[FloatArray, FloatArray]:
+    """Mean (4,) and covariance (4, 4) of the hypotheses that `summary` reports on; there is at least one."""
+    weight = state.weight[:-1]
+    near = np.abs(state.x[:, Y] - state.x[np.argmax(weight), Y]) < model.tolerance_norm
+    share = weight[near] / weight[near].sum()
+    mean = share @ state.x[near]
+    apart = state.x[near] - mean
+    cov = np.einsum("k,kij->ij", share, state.P[near]) + np.einsum("k,ki,kj->ij", share, apart, apart)
+    return mean, cov
 
 
 @cache

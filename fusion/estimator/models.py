@@ -24,6 +24,7 @@ import numpy as np
 from fusion.estimator.kernels import BIAS as BIAS
 from fusion.estimator.kernels import N_STATES as N_STATES
 from fusion.estimator.kernels import PSI as PSI
+from fusion.estimator.kernels import STATE_NAMES as STATE_NAMES
 from fusion.estimator.kernels import YAW_OFFSET as YAW_OFFSET
 from fusion.estimator.kernels import FloatArray as FloatArray
 from fusion.estimator.kernels import Quaternion as Quaternion
@@ -58,11 +59,12 @@ class ScalarMeasurement(NamedTuple):
 
 
 class Gate(NamedTuple):
-    """Outcome of an update: whether it was taken, the residual, and residual^2 / (gate^2 S)."""
+    """Outcome of an update: whether it was taken, the residual, residual^2 / (gate^2 S), and S."""
 
     accepted: bool
     residual: float
     test_ratio: float
+    variance: float
 
 
 def level_yaw_rate(gyro_rad_s: tuple[float, float, float], down: tuple[float, float, float]) -> float:

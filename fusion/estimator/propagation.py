@@ -297,6 +297,13 @@ class Propagation:
         variance = self.config.yaw_acceleration_density**2 * age_s**3 / 3.0
         return variance + (self.config.imu_yaw_std_rad**2 if d.mode is Mode.ATTITUDE else 0.0)
 
+    def ahead(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
+        """Predict to a time later than the last sample, as if the mode went on: for a look, not to go on from."""
+        dt_s = 0.0 if d.t_ns is None else (t_ns - d.t_ns) * 1e-9
+        turned = 0.0 if d.mode is Mode.NONE else d.rate_rad_s * dt_s
+        ekf.advance(dt_s, turned, self._noise[d.mode], self.held_rate_variance(d, t_ns))
+        return d._replace(t_ns=t_ns)
+
     def clock_set_back(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
         """Go on at an earlier time with neither gyroscope nor attitude known."""
         attitude = d.attitude.clock_set_back()

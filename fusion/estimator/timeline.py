@@ -112,6 +112,13 @@ class Timeline:
         self.finish()
         self.state = self._base = self.engine.clock_set_back(self._base, t_ns)
 
+    def start_anew(self, state: State) -> None:
+        """Go on from a state that no sample has led to; what is in the buffer is handed out."""
+        self.finish()
+        self._before_leap = None
+        self.state = self._base = state
+        self.engine.ekf.load(state.x, state.P)
+
     def finish(self) -> None:
         """Hand out what is still in the buffer; nothing may be inserted before it any more."""
         self._let_go(len(self.entries))

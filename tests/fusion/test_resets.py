@@ -147,3 +147,33 @@ def test_a_clock_that_is_set_back_hides_no_step() -> None:
 
 def test_the_contract_columns_stay_as_they_are() -> None:
     assert not any("reset" in name for name in ESTIMATE_DTYPE.names or ())
+
+
+def test_the_first_frame_after_a_gap_makes_a_step() -> None:
+    """Inside the gate, so that no recovery is needed; without a count a controller would be jolted by it."""
+    watched, t = started()
+    for _ in range(800):
+        t += 10 * MS
+        watched.estimator.add_imu(t, (0.0, 0.0, 0.01), (0.0, 0.0, -9.80665))
+        watched.look()
+    assert watched.last.reset_count == 0
+    watched.estimator.add_measurement(t, frame(0.2))
+    watched.look()
+    assert watched.last.status == "tracking"
+    assert watched.last.reset_count == 1
+    assert watched.last.reset_heading_total_rad == watched.last.reset_heading_rad
+    assert watched.last.reset_heading_rad == pytest.approx(-0.08, abs=0.02)
+    assert degrees(watched.heading_jolt) < 0.5
+
+
+def test_increments_that_a_held_rate_got_wrong_are_a_step() -> None:
+    """A frame has 2 rad/s held for 85 ms; the next sample tells that the vehicle turned back meanwhile."""
+    watched, t = started()
+    watched.estimator.add_imu(t + 10 * MS, (0.0, 0.0, 2.0), (0.0, 0.0, -9.80665))
+    watched.look()
+    watched.estimator.add_unreadable_frame(t + 95 * MS)
+    watched.look()
+    watched.estimator.add_imu(t + 100 * MS, (0.0, 0.0, -2.0), (0.0, 0.0, -9.80665))
+    watched.look()
+    assert watched.last.reset_count == 1
+    assert watched.last.reset_heading_rad == pytest.approx(-2.0 * 0.085, abs=0.01)

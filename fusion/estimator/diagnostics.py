@@ -1,0 +1,129 @@
+"""What an autopilot logs beside the estimate: takes a state, returns covariances and innovations with their names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot, nan
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fusion.estimator.camera_delay import spread_by_delay
+from fusion.estimator.lateral_offset import OffsetModel, along_path, moments
+from fusion.estimator.models import N_STATES, PSI, STATE_NAMES, FloatArray, Gate
+
+if TYPE_CHECKING:
+    from fusion.estimator.engine import State
+
+OFFSET_NAMES = (
+    "lateral_offset_norm",
+    "lateral_velocity_norm_s",
+    "lateral_accel_bias_norm_s2",
+    "inverse_half_width_1_m",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Covariance:
+    """Mean and covariance of everything that is estimated, at one time.
+
+    Parameters
+    ----------
+    timestamp_ns
+        Of the newest sample; None before any.
+    names
+        Of the states, in order; each ends with its unit (``norm``: half widths, positive right of the centre line).
+        ``heading_rad`` is unwrapped; ``gyro_bias_rad_s`` is the bias of what carries the heading: minus the rate
+        itself where neither gyroscope nor attitude does. The last four, of the lateral offset, are the moments of the
+        hypotheses about the likeliest, and stand there only while the offset is known.
+    mean, matrix
+        (n,) and (n, n). The lateral offset has a filter of its own: between it and the others stand zeros.
+    """
+
+    timestamp_ns: int | None
+    names: tuple[str, ...]
+    mean: FloatArray
+    matrix: FloatArray
+
+    def variance(self, row: str, column: str | None = None) -> float:
+        """Return the variance of a state, or its covariance with another one, by name; KeyError for no such state."""
+        try:
+            i = self.names.index(row)
+            return float(self.matrix[i, i if column is None else self.names.index(column)])
+        except ValueError:
+            raise KeyError(f"no state {row!r} {column or ''} among {', '.join(self.names)}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Innovation:
+    """What a source measured last, minus what was expected, as judged by its gate.
+
+    Parameters
+    ----------
+    value, variance
+        Innovation and its variance, prediction and measurement together; in the source's unit, and its square.
+    test_ratio
+        ``value**2 / (gate_sigma**2 * variance)``; above 1 it is beyond the gate.
+    accepted
+        Whether it was taken in.
+    """
+
+    value: float = nan
+    variance: float = nan
+    test_ratio: float = nan
+    accepted: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Innovations:
+    """Last innovation of each source; NaN where a source has not spoken.
+
+    Parameters
+    ----------
+    heading
+        Of frames, rad.
+    lateral
+        Of frames' likeliest offset, half widths. Beyond the gate it is evidence for other hypotheses, if for any.
+    imu_yaw
+        Of attitudes, rad.
+    velocity
+        Across the corridor, m/s. Beyond the gate its variance is raised until it is at the rim; none is refused.
+
+    Ranges go through medians, and no filter: they have no innovation.
+    """
+
+    heading: Innovation
+    lateral: Innovation
+    imu_yaw: Innovation
+    velocity: Innovation
+
+
+def covariance_of(state: State, model: OffsetModel, known: bool) -> Covariance:
+    """Return mean and covariance of a state; ``known`` says whether the lateral offset is.
+
+    The variance of the heading contains what an estimated camera delay adds, as `Estimate.heading_std_rad` does.
+    """
+    P = state.P.copy()
+    if state.t_ns is not None:
+        by_delay = spread_by_delay(0.0, state.delay, state.t_ns)
+        P[PSI, PSI] = hypot(P[PSI, PSI] ** 0.5, by_delay) ** 2
+    if not known:
+        return Covariance(state.t_ns, STATE_NAMES, state.x.copy(), P)
+    offset = state.lateral.offset
+    mean, cov = moments(along_path(offset, offset.path, model), model)
+    n = N_STATES + len(mean)
+    matrix = np.zeros((n, n))
+    matrix[:N_STATES, :N_STATES], matrix[N_STATES:, N_STATES:] = P, cov
+    return Covariance(state.t_ns, STATE_NAMES + OFFSET_NAMES, np.concatenate([state.x, mean]), matrix)
+
+
+def innovations_of(state: State) -> Innovations:
+    """Return the last innovations of a state."""
+    gates = (state.axis.gate, state.lateral.gate, state.imu_yaw.gate, state.lateral.speed_gate)
+    return Innovations(*(_innovation(gate) for gate in gates))
+
+
+def _innovation(gate: Gate | None) -> Innovation:
+    if gate is None:
+        return Innovation()
+    return Innovation(gate.residual, gate.variance, gate.test_ratio, gate.accepted)

@@ -1,0 +1,122 @@
+"""Steps of the published estimate: takes the newest state before and after a sample, counts what moved it in a jump.
+
+The engine counts the steps that it makes, but a late sample rolls its state back and may undo one of them, or make
+another one in the past. What a controller has read cannot be rolled back. So the count is kept here, beside the
+states, and goes only up: whatever separates the newest state from the one before, beyond what dead reckoning carried
+it on and beyond an ordinary correction, is one more step.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, radians
+from typing import TYPE_CHECKING, NamedTuple
+
+from fusion.estimator.lateral import JUMP_NORM, Lateral
+from fusion.estimator.lateral_offset import OffsetModel
+from fusion.estimator.lateral_offset import readout as readout_of
+from fusion.estimator.models import BIAS, PSI
+from vision.rotations import wrap
+
+if TYPE_CHECKING:
+    from fusion.estimator.engine import State
+
+STEP_RAD = radians(2)  # a single correction beyond this is a step: the first frame after a gap makes some
+
+
+class Resets(NamedTuple):
+    """Steps of the published heading and lateral offset.
+
+    Parameters
+    ----------
+    heading_count, heading_rad, heading_total_rad
+        Number of steps of the heading, the last one, new minus old, and the sum of all.
+    lateral_count, lateral_norm, lateral_m, lateral_total_norm
+        The same for the lateral offset; half widths, and metres where the width is known.
+    lost_rad
+        Heading when it was last known, while it is not; None otherwise.
+    """
+
+    heading_count: int = 0
+    heading_rad: float = 0.0
+    heading_total_rad: float = 0.0
+    lateral_count: int = 0
+    lateral_norm: float = 0.0
+    lateral_m: float = 0.0
+    lateral_total_norm: float = 0.0
+    lost_rad: float | None = None
+
+    def with_heading_step(self, step_rad: float) -> Resets:
+        """Count a step of the heading."""
+        return self._replace(
+            heading_count=self.heading_count + 1,
+            heading_rad=step_rad,
+            heading_total_rad=self.heading_total_rad + step_rad,
+        )
+
+    def with_lateral_step(self, step_norm: float, step_m: float) -> Resets:
+        """Count a step of the lateral offset."""
+        return self._replace(
+            lateral_count=self.lateral_count + 1,
+            lateral_norm=step_norm,
+            lateral_m=step_m,
+            lateral_total_norm=self.lateral_total_norm + step_norm,
+        )
+
+    def after(self, old: State, new: State, model: OffsetModel, half_m: float) -> Resets:
+        """Count what separates the newest state from the one before.
+
+        Parameters
+        ----------
+        old, new
+            The newest states, before and after a sample was taken.
+        model, half_m
+            What the lateral offset's filter assumes, and half the corridor's width, metres.
+        """
+        resets = self._after_heading(old, new)
+        if new.lateral is old.lateral:
+            return resets
+        rolled_back = new.t_ns == old.t_ns
+        return resets._after_lateral(old.lateral, new.lateral, model, half_m, rolled_back)
+
+    def _after_heading(self, old: State, new: State) -> Resets:
+        was_known, is_known = old.axis.ever_acquired, new.axis.ever_acquired
+        if was_known and is_known:
+            step = heading_step(old, new)
+            if new.axis.reset_count != old.axis.reset_count or abs(step) > STEP_RAD:
+                return self.with_heading_step(step)
+        elif was_known:
+            return self._replace(lost_rad=float(old.x[PSI]))
+        elif is_known and self.lost_rad is not None:
+            return self.with_heading_step(wrap(float(new.x[PSI]) - self.lost_rad))._replace(lost_rad=None)
+        return self
+
+    def _after_lateral(
+        self, old: Lateral, new: Lateral, model: OffsetModel, half_m: float, rolled_back: bool
+    ) -> Resets:
+        if not rolled_back:
+            counted = new.reset_count != old.reset_count
+            return self.with_lateral_step(new.reset_norm, new.reset_m) if counted else self
+        before, after = readout_of(old.offset, model), readout_of(new.offset, model)
+        step = after.offset_norm - before.offset_norm
+        if before.known and after.known:
+            if abs(step) > JUMP_NORM or new.reset_count != old.reset_count:
+                return self.with_lateral_step(step, step * half_m)
+        elif after.known and new.reset_count != old.reset_count and isfinite(new.reset_norm):
+            return self.with_lateral_step(new.reset_norm, new.reset_m)
+        return self
+
+
+def heading_step(old: State, new: State) -> float:
+    """How far the heading has moved beyond propagation, rad.
+
+    States of one time differ by what a late sample, or one of the same instant, changed. A later state differs by
+    what it was corrected by since, and by what an increment makes good that the rate held meanwhile got wrong.
+    """
+    moved = float(new.x[PSI]) - float(old.x[PSI])
+    before, after = old.reckoning, new.reckoning
+    if before.t_ns is None or after.t_ns is None or after.t_ns <= before.t_ns:
+        return moved
+    if before.gyro_done_rad == 0.0 or after.mode is not before.mode:
+        return moved - (after.theta_rad - before.theta_rad)
+    rate = 0.5 * (before.yaw_rate(float(old.x[BIAS])) + after.yaw_rate(float(new.x[BIAS])))
+    return moved - rate * (after.t_ns - before.t_ns) * 1e-9

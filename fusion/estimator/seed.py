@@ -1,0 +1,77 @@
+"""What a program tells the filter beside its sensors: a heading, or the corridor's width, at a time.
+
+They are samples like others: late ones are put in their place, and what lies behind them is processed anew.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from fusion.estimator.corridor_axis import CorridorAxis
+from fusion.estimator.models import N_STATES, PSI, YAW_OFFSET
+from vision.rotations import wrap
+
+if TYPE_CHECKING:
+    from fusion.estimator.ekf import CorridorEKF
+
+
+class HeadingSeed(NamedTuple):
+    """A heading from the corridor's axis, rad, with its sigma; all of it, not modulo half a turn as a frame's."""
+
+    t_ns: int
+    heading_rad: float
+    std_rad: float
+
+    def fault(self) -> str:
+        """Why it cannot be used: never, for the estimator has looked."""
+        return ""
+
+
+class WidthChange(NamedTuple):
+    """The corridor's width from a time on, metres; None: no longer told, so measured where something measures it."""
+
+    t_ns: int
+    width_m: float | None
+
+    def fault(self) -> str:
+        """Why it cannot be used: never, for the estimator has looked."""
+        return ""
+
+
+def seed_heading(
+    axis: CorridorAxis, ekf: CorridorEKF, seed: HeadingSeed, theta_rad: float, coupled: bool
+) -> CorridorAxis:
+    """Replace the heading by a seed, independent of what was known; the gyroscope's bias stays.
+
+    The offset of the IMU's yaw takes up the difference, so that the yaw, psi + turn + o, goes on as it was.
+
+    Parameters
+    ----------
+    axis
+        Part of the state.
+    ekf
+        Filter to change, at the seed's time.
+    seed
+        The heading.
+    theta_rad
+        Dead-reckoned heading.
+    coupled
+        Whether the IMU's yaw offset is correlated with the heading.
+    """
+    psi, bias, offset = ekf.x.tolist()
+    step, variance = wrap(seed.heading_rad - psi), seed.std_rad**2
+    F, Q = np.eye(N_STATES), np.zeros((N_STATES, N_STATES))
+    F[PSI] = 0.0
+    Q[PSI, PSI] = Q[YAW_OFFSET, YAW_OFFSET] = variance
+    if coupled:
+        F[YAW_OFFSET, PSI] = 1.0
+        Q[PSI, YAW_OFFSET] = Q[YAW_OFFSET, PSI] = -variance
+    else:
+        Q[YAW_OFFSET, YAW_OFFSET] += float(ekf.P[PSI, PSI])
+    ekf.predict(np.array([psi + step, bias, offset - step]), F, Q)
+    if axis.ever_acquired:
+        axis = axis.stepped(ekf, psi)
+    axis = axis._replace(acquired=True, ever_acquired=True, votes=(), recent=(), rival=None)
+    return axis.confirmed(ekf, seed.t_ns, theta_rad)
