@@ -28,16 +28,9 @@ import typer
 from torch import Tensor, nn
 from torch.nn import functional
 
-from training.offset_views import (
-    UNKNOWN,
-    VIEWS_PER_CAMERA,
-    Sample,
-    TrainingView,
-    render_views,
-    varied,
-    without_corridor,
-)
+from training.offset_views import VIEWS_PER_CAMERA, TrainingView, render_views
 from training.scores import OffsetScores
+from training.variations import UNKNOWN, Sample, varied, without_corridor
 from vision.lateral import learned
 from vision.lateral.learned import N_BINS, N_ODDS, N_QUARTER, PAIR_OFFSET, learned_mixture
 from vision.lateral.polar import ANGLES, N_ANGLES, N_RADII

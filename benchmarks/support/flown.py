@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion import CorridorEstimator, FusionConfig
-from fusion.estimator.engine import Entry
 from fusion.estimator.lateral import offset_model
 from fusion.estimator.lateral_smoother import OffsetSteps, at_times, smoothed_offsets
 from fusion.estimator.models import PSI
 from fusion.estimator.smoother import Steps, rts
+from fusion.estimator.state import Entry
 from tests.fusion.simulated import Scene, Simulated, config_for, drifting, give, simulate, weaving, wrap
 
 FloatArray = npt.NDArray[np.float64]

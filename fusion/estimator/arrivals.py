@@ -18,8 +18,8 @@ from enum import Enum
 from math import nan
 from statistics import median
 
-from fusion.estimator.engine import SOURCES, Sample
 from fusion.estimator.faults import Fault, Notice
+from fusion.estimator.state import SOURCES, Sample
 from vision.rotations import wrap_axis
 
 CLOCKS = ("imu", "attitude", "frame")

@@ -13,7 +13,7 @@ from fusion.estimator.lateral_offset import OffsetModel, along_path, moments
 from fusion.estimator.models import N_STATES, PSI, STATE_NAMES, FloatArray, Gate
 
 if TYPE_CHECKING:
-    from fusion.estimator.engine import State
+    from fusion.estimator.state import State
 
 OFFSET_NAMES = (
     "lateral_offset_norm",

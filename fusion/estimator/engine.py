@@ -1,14 +1,15 @@
 """The estimator for samples in order of time: takes a state and a sample, returns the next state, keeps nothing.
 
 The engine only orders the parts: for each kind of sample, which of them act, one after another. Each part has its own
-module, with its share of `State`; all correct one filter, `fusion.estimator.ekf.CorridorEKF`, which the engine hands
-to them. `fusion.estimator.timeline` brings samples into order.
+module, with its share of `fusion.estimator.state.State`; all correct one filter,
+`fusion.estimator.ekf.CorridorEKF`, which the engine hands to them. `fusion.estimator.timeline` brings samples into
+order.
 """
 
 from __future__ import annotations
 
 from math import nan, pi, sqrt
-from typing import NamedTuple, assert_never
+from typing import assert_never
 
 import numpy as np
 
@@ -26,12 +27,10 @@ from fusion.estimator.camera_delay import (
     with_turn,
 )
 from fusion.estimator.camera_elevation import Elevation
-from fusion.estimator.camera_repeats import Repeats
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import CorridorAxis, Recovery, recover, start
 from fusion.estimator.frame_update import FrameResult, FrameSample, measure_with_prior, reason_to_reject
 from fusion.estimator.gyro_checks import (
-    GyroCheck,
     GyroVerdict,
     clipped_variance,
     rate_that_bridges,
@@ -40,11 +39,9 @@ from fusion.estimator.gyro_checks import (
 from fusion.estimator.imu_yaw import (
     UNKNOWN_YAW_OFFSET_STD_RAD,
     AttitudeSample,
-    ImuYaw,
     compare_by_frame,
     fuse_imu_yaw,
 )
-from fusion.estimator.installation_checks import Installation
 from fusion.estimator.lateral import Lateral, LateralOffset, MotionStep, offset_model
 from fusion.estimator.lateral_offset import OffsetModel
 from fusion.estimator.models import (
@@ -52,7 +49,6 @@ from fusion.estimator.models import (
     N_STATES,
     PSI,
     YAW_OFFSET,
-    FloatArray,
     Vector,
     heading_model,
     level_yaw_rate,
@@ -68,87 +64,12 @@ from fusion.estimator.propagation import (
 from fusion.estimator.range_width import RangeSample, Width
 from fusion.estimator.sample_times import SampleTimes, seconds_since
 from fusion.estimator.seed import HeadingSeed, WidthChange, seed_heading
-from fusion.estimator.smoother import Node
-from fusion.estimator.tilt import Tilt
-from fusion.estimator.velocity import Velocity, VelocitySample, with_velocity
+from fusion.estimator.state import Checks, Entry, Sample, State
+from fusion.estimator.velocity import VelocitySample, with_velocity
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 from vision.rotations import wrap_axis, yaw_of_quaternion
 
 OUTLIER_DENSITY = 1 / pi  # an outlying heading may be any
-
-Sample = ImuSample | AttitudeSample | VelocitySample | RangeSample | FrameSample | HeadingSeed | WidthChange
-
-
-class Source(NamedTuple):
-    """A kind of sample: place among those of one instant, name in the counters, whether it carries the heading on."""
-
-    order: int
-    name: str
-    propagates: bool
-
-
-SOURCES: dict[type[Sample], Source] = {
-    ImuSample: Source(0, "imu", True),
-    AttitudeSample: Source(1, "attitude", True),
-    VelocitySample: Source(2, "velocity", False),
-    RangeSample: Source(3, "range", False),
-    FrameSample: Source(4, "frame", True),
-    HeadingSeed: Source(5, "heading_seed", False),
-    WidthChange: Source(6, "width_change", False),
-}
-
-
-class Checks(NamedTuple):
-    """Whether what the sensors say can be true."""
-
-    gyro: GyroCheck = GyroCheck()
-    repeats: Repeats = Repeats()
-    installation: Installation = Installation()
-
-
-class State(NamedTuple):
-    """All that the next step depends on: the filter's state and covariance, and a share for each part; immutable."""
-
-    x: FloatArray
-    P: FloatArray
-    reckoning: DeadReckoning
-    tilt: Tilt = Tilt()
-    velocity: Velocity = Velocity()
-    width: Width = Width()
-    imu_yaw: ImuYaw = ImuYaw()
-    axis: CorridorAxis = CorridorAxis()
-    lateral: Lateral = Lateral()
-    frames: SampleTimes = SampleTimes()
-    elevation: Elevation = Elevation()
-    delay: Delay | None = None
-    checks: Checks = Checks()
-
-    @property
-    def t_ns(self) -> int | None:
-        """Time of the state; None before any sample."""
-        return self.reckoning.t_ns
-
-
-class Entry(NamedTuple):
-    """A sample, and what the engine made of it.
-
-    Parameters
-    ----------
-    t_ns, sample
-        The sample and its time.
-    after
-        The engine's state behind it.
-    nodes
-        Its steps for the smoother.
-    frame
-        What became of it, where it is a frame.
-    """
-
-    t_ns: int
-    sample: Sample
-    after: State
-    nodes: tuple[Node, ...]
-    frame: FrameResult | None
 
 
 class Engine:
@@ -247,7 +168,7 @@ class Engine:
             lateral=s.lateral.unknown_again(),
             frames=s.frames.clock_set_back(),
             delay=None if s.delay is None else s.delay.interrupted(),
-            checks=Checks(s.checks.gyro.clock_set_back(), installation=s.checks.installation.interrupted()),
+            checks=s.checks.clock_set_back(),
             x=ekf.x,
             P=ekf.P,
         )

@@ -9,7 +9,7 @@ from functools import reduce
 from math import hypot, nan, sqrt
 from operator import or_
 from statistics import median
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from vision.measurement import position_from_offset
 from vision.rotations import wrap, wrap_axis
 
 if TYPE_CHECKING:
-    from fusion.estimator.engine import Sample, State
+    from fusion.estimator.state import Sample, State
 
 
 class Status(StrEnum):
@@ -204,10 +204,10 @@ def status_of(
         notices = [n for n in notices if n.fault is not Fault.FRAMES_REJECTED] + [frozen]
     if clocks:  # frames do arrive, with stamps of no use
         notices = [n for n in notices if n.text != "no frames arrive"] + clocks
-    return status, [*notices, *_silences(state, config, t_ns, arrivals)]
+    return status, [*notices, *_of_sensors(state, config, t_ns, arrivals)]
 
 
-def _silences(
+def _of_sensors(
     state: State, config: FusionConfig, t_ns: int, arrivals: ArrivalTimes | None
 ) -> Iterator[Notice]:
     """Say of each source but the camera whether it has fallen silent, and what was wrong with the gyroscope."""
@@ -246,13 +246,7 @@ def estimate_of(
             0 if t_ns is None else t_ns,
             reason="no sample yet",
             faults=Fault.NOT_STARTED,
-            reset_count=resets.heading_count,
-            reset_heading_rad=resets.heading_rad,
-            lateral_reset_count=resets.lateral_count,
-            reset_lateral_norm=resets.lateral_norm,
-            reset_lateral_m=resets.lateral_m,
-            reset_heading_total_rad=resets.heading_total_rad,
-            reset_lateral_total_norm=resets.lateral_total_norm,
+            **_steps(resets),
         )
     t = state.t_ns if t_ns is None else t_ns
     reckoning, axis, lateral = state.reckoning, state.axis, state.lateral
@@ -297,11 +291,6 @@ def estimate_of(
         lateral_velocity_m_s=found.rate * half,
         lateral_velocity_std_m_s=found.rate_std * half,
         along_velocity_m_s=found.along_m_s,
-        reset_count=resets.heading_count,
-        reset_heading_rad=resets.heading_rad,
-        lateral_reset_count=resets.lateral_count,
-        reset_lateral_norm=resets.lateral_norm,
-        reset_lateral_m=resets.lateral_m,
         roll_rad=float(np.arctan2(gy, gz)),
         pitch_rad=float(np.arctan2(-gx, hypot(gy, gz))),
         camera_delay_s=delay_s,
@@ -309,9 +298,21 @@ def estimate_of(
         lateral_status=str(found.status),
         lateral_probability=found.probability,
         faults=reduce(or_, (notice.fault for notice in notices), Fault.NONE),
-        reset_heading_total_rad=resets.heading_total_rad,
-        reset_lateral_total_norm=resets.lateral_total_norm,
+        **_steps(resets),
     )
+
+
+def _steps(resets: Resets) -> dict[str, Any]:
+    """Return the fields of an `Estimate` that tell of steps."""
+    return {
+        "reset_count": resets.heading_count,
+        "reset_heading_rad": resets.heading_rad,
+        "reset_heading_total_rad": resets.heading_total_rad,
+        "lateral_reset_count": resets.lateral_count,
+        "reset_lateral_norm": resets.lateral_norm,
+        "reset_lateral_m": resets.lateral_m,
+        "reset_lateral_total_norm": resets.lateral_total_norm,
+    }
 
 
 def _resets_of(state: State) -> Resets:

@@ -8,31 +8,24 @@ from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.arrivals import Admission, Arrivals
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.diagnostics import Covariance, Innovations, covariance_of, innovations_of
-from fusion.estimator.engine import SOURCES, Engine, Entry, Sample, State
+from fusion.estimator.engine import Engine
 from fusion.estimator.estimate import Estimate, Status, estimate_of
 from fusion.estimator.fixed_lag import FixedLag
 from fusion.estimator.frame_update import FrameResult, FrameSample, Measure
 from fusion.estimator.gyro_checks import GyroVerdict
 from fusion.estimator.imu_yaw import AttitudeSample
-from fusion.estimator.input_checks import (
-    MAX_ANGLE_STD_RAD,
-    finite_or_not,
-    number,
-    whole_nanoseconds,
-    within_bounds,
-)
+from fusion.estimator.input_checks import finite_or_not, number, vector, whole_nanoseconds, within_bounds
 from fusion.estimator.lateral_offset import readout as readout_of
-from fusion.estimator.models import Vector
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.range_width import RangeSample
 from fusion.estimator.resets import Resets
 from fusion.estimator.seed import HeadingSeed, WidthChange
+from fusion.estimator.state import SOURCES, Entry, Sample, State
 from fusion.estimator.timeline import Timeline
 from fusion.estimator.velocity import VelocitySample
 from vision.errors import InputError
@@ -69,7 +62,7 @@ class CorridorEstimator:
     method
         ``geometric``, or ``paper`` for the article's measurement.
     on_final
-        Called with each `fusion.estimator.engine.Entry` that nothing can change any more, in order of time.
+        Called with each `fusion.estimator.state.Entry` that nothing can change any more, in order of time.
     """
 
     def __init__(
@@ -187,10 +180,10 @@ class CorridorEstimator:
         """
         force = None
         if accel is not None:
-            ax, ay, az = _vector(accel, "accel")
+            ax, ay, az = vector(accel, "accel")
             if isfinite(ax) and isfinite(ay) and isfinite(az):
                 force = (ax, ay, az)
-        self.add(ImuSample(whole_nanoseconds(t_ns), _vector(gyro, "gyro"), force))
+        self.add(ImuSample(whole_nanoseconds(t_ns), vector(gyro, "gyro"), force))
 
     def add_attitude(self, t_ns: int, q_world_body: npt.ArrayLike) -> None:
         """Add an attitude (4,), unit quaternion w, x, y, z, body FRD to a world whose z points down."""
@@ -199,7 +192,7 @@ class CorridorEstimator:
 
     def add_velocity(self, t_ns: int, v_body: npt.ArrayLike) -> None:
         """Add a velocity (3,) m/s in body FRD, for instance from optical flow or wheels."""
-        self.add(VelocitySample(whole_nanoseconds(t_ns), _vector(v_body, "v_body")))
+        self.add(VelocitySample(whole_nanoseconds(t_ns), vector(v_body, "v_body")))
 
     def add_range(self, t_ns: int, distance_m: float) -> None:
         """Add a distance to the floor, metres along the body's z, as seen from the camera's place.
@@ -286,14 +279,9 @@ class CorridorEstimator:
         InputError
             Where a value cannot be, or the time is beyond the buffer or already taken by a seed.
         """
-        heading, std = number(heading_rad, "heading_rad"), number(heading_std_rad, "heading_std_rad")
-        if not isfinite(heading):
-            raise InputError(f"heading_rad = {heading} is not finite")
-        if not 1e-4 <= std <= MAX_ANGLE_STD_RAD:
-            raise InputError(f"heading_std_rad = {std} is not within 1e-4 and pi")
-        samples: list[Sample] = [HeadingSeed(whole_nanoseconds(t_ns), heading, std)]
+        samples: list[Sample] = [HeadingSeed.told(t_ns, heading_rad, heading_std_rad)]
         if corridor_width_m is not None:
-            samples.append(_width_change(t_ns, corridor_width_m))
+            samples.append(WidthChange.told(t_ns, corridor_width_m))
         self._tell(samples)
 
     def set_corridor_width(self, t_ns: int, width_m: float | None) -> None:
@@ -314,7 +302,7 @@ class CorridorEstimator:
         InputError
             As for `seed`.
         """
-        self._tell([_width_change(t_ns, width_m)])
+        self._tell([WidthChange.told(t_ns, width_m)])
 
     def _tell(self, samples: list[Sample]) -> None:
         """Take what the program tells; the arrivals' clocks have nothing to do with it."""
@@ -452,23 +440,3 @@ class CorridorEstimator:
         moved_ns = stamps.moved_ns
         stamps.weigh(entry.t_ns, m.heading_rad, m.heading_std_rad, turned)
         self.counters["camera_clock_moved"] += stamps.moved_ns != moved_ns
-
-
-def _width_change(t_ns: int, width_m: float | None) -> WidthChange:
-    """Take a width that a program tells."""
-    width = None if width_m is None else number(width_m, "corridor_width_m")
-    if width is not None and not 0.2 < width <= 100.0:
-        raise InputError(f"corridor_width_m = {width} is not within 0.2 and 100 m")
-    return WidthChange(whole_nanoseconds(t_ns), width)
-
-
-def _vector(values: npt.ArrayLike, name: str) -> Vector:
-    """Three floats."""
-    # Without numpy for what the usual callers give, at half the price.
-    listed: Any = values.tolist() if type(values) is np.ndarray and values.shape == (3,) else values
-    try:
-        x, y, z = listed
-        return float(x), float(y), float(z)
-    except (TypeError, ValueError):
-        x, y, z = finite_or_not(values, 3, name)
-        return x, y, z

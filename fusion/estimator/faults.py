@@ -13,9 +13,7 @@ class Fault(IntFlag):
     """
 
     NONE = 0
-    GYRO_SILENT = (
-        1 << 0
-    )  # no gyroscope sample for gyro_gap_s: attitude or a constant rate carries the heading
+    GYRO_SILENT = 1 << 0  # no sample for gyro_gap_s: attitude or a constant rate carries the heading
     ATTITUDE_SILENT = 1 << 1
     FRAMES_SILENT = 1 << 2  # no frame arrives
     VELOCITY_SILENT = 1 << 3
@@ -33,7 +31,6 @@ class Fault(IntFlag):
     GYRO_CLIPPED = 1 << 15  # at the end of its range: used, with a larger variance
     GYRO_FROZEN = 1 << 16  # the same sample again and again: refused
     CAMERA_FROZEN = 1 << 17  # the same picture again and again: not used
-
     GYRO_SIGN = 1 << 18  # turns the other way than the camera sees
     GYRO_SCALE = 1 << 19  # turns far more than the camera sees
     GYRO_BIAS = 1 << 20  # far from zero at rest

@@ -11,11 +11,11 @@ from itertools import chain
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.engine import SOURCES, Entry, State
 from fusion.estimator.estimate import Estimate, estimate_of
 from fusion.estimator.lateral_smoother import OffsetSteps
 from fusion.estimator.smoothed_table import smoothed_table
 from fusion.estimator.smoother import Node, Steps
+from fusion.estimator.state import SOURCES, Entry, State
 from fusion.estimator.tables import ESTIMATE_DTYPE, estimate_row
 
 

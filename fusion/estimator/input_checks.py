@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fusion.estimator.models import Vector
 from vision.errors import InputError
 from vision.lateral.mixture import OffsetMixture
 from vision.measurement import FrameMeasurement, Reason
@@ -64,6 +65,18 @@ def finite_or_not(values: npt.ArrayLike, count: int, name: str) -> list[float]:
         raise InputError(f"{name} has shape {found.shape}, not ({count},)", remedy="give one sample per call")
     numbers: list[float] = found.tolist()
     return numbers
+
+
+def vector(values: npt.ArrayLike, name: str) -> Vector:
+    """Return three floats, be they finite or not; errors as in `finite_or_not`."""
+    # Without numpy for what the usual callers give, at half the price.
+    listed: Any = values.tolist() if type(values) is np.ndarray and values.shape == (3,) else values
+    try:
+        x, y, z = listed
+        return float(x), float(y), float(z)
+    except (TypeError, ValueError):
+        x, y, z = finite_or_not(values, 3, name)
+        return x, y, z
 
 
 def number(value: object, name: str) -> float:

@@ -76,21 +76,29 @@ class Installation(NamedTuple):
         return self._replace(accel_ns=t_ns, accel_s=self.accel_s + step_s, accel_m_s2=(x, y, z))
 
     def notices(self, down: Vector) -> Iterator[Notice]:
-        """Say what is installed otherwise than told; ``down`` is that of the attitude in use, body FRD."""
-        yield from self._of_turns()
+        """Say what is installed otherwise than told; ``down`` is that of the attitude in use, body FRD.
+
+        A wrong tilt reverses the level yaw rate: then the turns tell nothing of the gyroscope.
+        """
+        tilt = self._of_gravity(down)
+        if tilt is None:
+            yield from self._of_turns()
+        else:
+            yield Notice(Fault.TILT_WRONG, tilt)
+
+    def _of_gravity(self, down: Vector) -> str | None:
         ax, ay, az = self.accel_m_s2
         if self.accel_s < ACCEL_MIN_S:
-            return
+            return None
         if az > 5.0:
-            text = "accelerometer is upside down: give FRD, (0, 0, -9.8) m/s^2 at rest"
-            yield Notice(Fault.TILT_WRONG, text)
-            return
+            return "accelerometer is upside down: give FRD, (0, 0, -9.8) m/s^2 at rest"
         dot = -(ax * down[0] + ay * down[1] + az * down[2])
         cross = hypot(ay * down[2] - az * down[1], az * down[0] - ax * down[2], ax * down[1] - ay * down[0])
         if dot < 0.0:
-            yield Notice(Fault.TILT_WRONG, "attitude is upside down: give it from FRD to a world with z down")
-        elif cross > MAX_TILT_ERROR_RAD * dot:
-            yield Notice(Fault.TILT_WRONG, "attitude and accelerometer disagree: check how each is mounted")
+            return "attitude is upside down: give it from FRD to a world with z down"
+        if cross > MAX_TILT_ERROR_RAD * dot:
+            return "attitude and accelerometer disagree: check how each is mounted"
+        return None
 
     def _of_turns(self) -> Iterator[Notice]:
         n, sx, sy, sxx, sxy, syy = self.sums

@@ -57,9 +57,8 @@ from fusion.estimator.lateral_kernels import (
     correct_all,
     fill_transition,
     moved_along,
-    summarised,
-    take_frame,
 )
+from fusion.estimator.lateral_mixture_kernels import summarised, take_frame
 from vision.lateral.mixture import OffsetMixture, combine
 from vision.types import FloatArray
 

@@ -18,7 +18,7 @@ from fusion.estimator.models import BIAS, PSI
 from vision.rotations import wrap
 
 if TYPE_CHECKING:
-    from fusion.estimator.engine import State
+    from fusion.estimator.state import State
 
 STEP_RAD = radians(2)  # a single correction beyond this is a step: the first frame after a gap makes some
 

@@ -5,16 +5,22 @@ They are samples like others: late ones are put in their place, and what lies be
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fusion.estimator.corridor_axis import CorridorAxis
+from fusion.estimator.input_checks import MAX_ANGLE_STD_RAD, number, whole_nanoseconds
 from fusion.estimator.models import N_STATES, PSI, YAW_OFFSET
+from vision.errors import InputError
 from vision.rotations import wrap
 
 if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF
+
+MIN_STD_RAD = 1e-4
+MIN_WIDTH_M, MAX_WIDTH_M = 0.2, 100.0
 
 
 class HeadingSeed(NamedTuple):
@@ -24,8 +30,21 @@ class HeadingSeed(NamedTuple):
     heading_rad: float
     std_rad: float
 
+    @classmethod
+    def told(cls, t_ns: int, heading_rad: float, std_rad: float) -> HeadingSeed:
+        """Take what a program tells; `InputError` where it cannot be."""
+        heading, std = number(heading_rad, "heading_rad"), number(std_rad, "heading_std_rad")
+        if not isfinite(heading):
+            raise InputError(f"heading_rad = {heading} is not finite", remedy="give radians, or no seed")
+        if not MIN_STD_RAD <= std <= MAX_ANGLE_STD_RAD:
+            raise InputError(
+                f"heading_std_rad = {std} is not within {MIN_STD_RAD:g} and pi",
+                remedy="say how far the heading may be off, in radians: 0.1 for some 6 degrees",
+            )
+        return cls(whole_nanoseconds(t_ns), heading, std)
+
     def fault(self) -> str:
-        """Why it cannot be used: never, for the estimator has looked."""
+        """Why it cannot be used: never, `told` has looked."""
         return ""
 
 
@@ -35,8 +54,19 @@ class WidthChange(NamedTuple):
     t_ns: int
     width_m: float | None
 
+    @classmethod
+    def told(cls, t_ns: int, width_m: float | None) -> WidthChange:
+        """Take what a program tells; `InputError` where it cannot be."""
+        width = None if width_m is None else number(width_m, "corridor_width_m")
+        if width is not None and not MIN_WIDTH_M < width <= MAX_WIDTH_M:
+            raise InputError(
+                f"corridor_width_m = {width} is not within {MIN_WIDTH_M:g} and {MAX_WIDTH_M:g} m",
+                remedy="give metres from wall to wall, or None where it is not known",
+            )
+        return cls(whole_nanoseconds(t_ns), width)
+
     def fault(self) -> str:
-        """Why it cannot be used: never, for the estimator has looked."""
+        """Why it cannot be used: never, `told` has looked."""
         return ""
 
 

@@ -13,7 +13,8 @@ from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Callable
 
-from fusion.estimator.engine import SOURCES, Engine, Entry, Sample, State
+from fusion.estimator.engine import Engine
+from fusion.estimator.state import SOURCES, Entry, Sample, State
 
 
 class Timeline:

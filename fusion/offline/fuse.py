@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.engine import Entry
 from fusion.estimator.estimate import estimate_of
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.frame_update import FrameResult, FrameSample
@@ -23,6 +22,7 @@ from fusion.estimator.propagation import ImuSample
 from fusion.estimator.sample_times import SampleTimes
 from fusion.estimator.smoothed_table import hypotheses_table, smoothed_table
 from fusion.estimator.smoother import Steps
+from fusion.estimator.state import Entry
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table, estimate_row
 from fusion.flight import Flight
 from fusion.offline.summary import summarise

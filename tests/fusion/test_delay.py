@@ -20,9 +20,9 @@ from fusion.estimator.camera_delay import (
     with_turn,
 )
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.engine import Entry
 from fusion.estimator.estimate import Estimate
 from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.state import Entry
 from tests.fusion.simulated import Sample, Scene, Simulated, config_for, give, simulate, weaving, wrap
 
 MS = 1_000_000

@@ -18,8 +18,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from fusion import CorridorEstimator, Estimate, FusionConfig
-from fusion.estimator.engine import Entry
 from fusion.estimator.resets import STEP_RAD
+from fusion.estimator.state import Entry
 from tests.fusion.simulated import Sample as TimedSample
 from tests.fusion.simulated import frame, give, mirrored, quaternion, two_places
 from vision import FrameMeasurement

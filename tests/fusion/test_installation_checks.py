@@ -58,3 +58,14 @@ def test_gravity_tells(
     text = "; ".join(notice.text for notice in installation.notices(down))
     assert words in text
     assert bool(words) == bool(text)
+
+
+def test_a_wrong_tilt_is_named_and_not_the_gyroscope_whose_turns_it_reverses() -> None:
+    installation, rng = Installation(), np.random.default_rng(0)
+    for t in np.arange(0.0, 6.0, 1 / 30).tolist():
+        turned = 0.4 * float(np.sin(1.5 * t))
+        heading = -turned + float(rng.normal(0.0, 0.009))
+        installation = installation.with_frame(round(t * 1e9), heading, turned)
+        installation = installation.with_accel(round(t * 1e9), (0.0, 0.0, -9.8))
+    assert [notice.fault for notice in installation.notices(DOWN)] == [Fault.GYRO_SIGN]
+    assert [notice.fault for notice in installation.notices((0.0, 0.0, -1.0))] == [Fault.TILT_WRONG]

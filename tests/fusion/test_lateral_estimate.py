@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.engine import Entry
 from fusion.estimator.estimate import Estimate
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.smoothed_table import hypotheses_table
+from fusion.estimator.state import Entry
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table, estimate_row
 from fusion.offline.fuse import Recorder
 from fusion.result.tables_csv import read_table, write_table

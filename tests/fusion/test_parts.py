@@ -16,7 +16,7 @@ from fusion.estimator.camera_elevation import FLOOR_RAD, Elevation
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import CorridorAxis, Recovery
 from fusion.estimator.ekf import CorridorEKF
-from fusion.estimator.engine import SOURCES, Engine, Sample, State
+from fusion.estimator.engine import Engine
 from fusion.estimator.frame_update import FrameSample, measure_with_prior, reason_to_reject
 from fusion.estimator.imu_yaw import AttitudeSample, ImuYaw, fuse_imu_yaw
 from fusion.estimator.junctions import NewCorridor
@@ -33,6 +33,7 @@ from fusion.estimator.noise_adaptation import Doubt, SourceNoise, update_with_do
 from fusion.estimator.propagation import DeadReckoning, ImuSample, Mode, Propagation
 from fusion.estimator.range_width import RangeSample, Width
 from fusion.estimator.sample_times import SampleTimes
+from fusion.estimator.state import SOURCES, Sample, State
 from fusion.estimator.velocity import Velocity, VelocitySample, with_velocity
 from fusion.estimator.votes import Vote
 from tests.fusion.simulated import frame

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from fusion import fuse_flight
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.engine import Entry
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.range_width import Heights, Widths, height_at, with_range, with_width
+from fusion.estimator.state import Entry
 from fusion.flight import Flight, RangeStream
 from fusion.logs.asl import read_ground_truth
 from tests.files import OFFICE

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.engine import Entry
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.frame_update import FrameSample
+from fusion.estimator.state import Entry
 from tests.fusion.simulated import Sample, Scene, frame, give, plus, simulate, turning, weaving
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from fusion import Flight, FusionConfig, load_flight
-from fusion.estimator.engine import Entry
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.frame_update import FrameResult
 from fusion.estimator.propagation import ImuSample
+from fusion.estimator.state import Entry
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table
 from fusion.offline.fuse import Recorder
 from vision.measurement import FrameMeasurement, Position, Reason

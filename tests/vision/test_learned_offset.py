@@ -15,8 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ndtr
 
-from training.offset_views import Box, TrainingView, corner_angles, render_views
+from training.offset_views import Box, TrainingView, render_views
 from training.scores import OffsetScores
+from training.variations import corner_angles
 from vision import Camera
 from vision.cameras.camera import Distortion
 from vision.lateral.learned import (
