@@ -120,3 +120,40 @@ def test_a_manifest_of_the_users_is_not_overwritten(corridor: Corridor, files: P
     run = corridor("fuse", hall, "-o", hall)
     refused(run, "holds 'flight.toml', which corridor did not write")
     assert (hall / "flight.toml").read_text() == f'log = "{OFFICE.as_posix()}"\n'
+
+
+def test_a_manifest_does_not_choose_where_the_output_goes(
+    corridor: Corridor, files: Path, tmp_path: Path
+) -> None:
+    for name in ("../../evil", "/evil", "..", "a\\\\b"):
+        (files / "evil.toml").write_text(f'name = "{name}"\nlog = "{OFFICE.as_posix()}"\n')
+        refused(corridor("fuse", files / "evil.toml"), "name = ", "give a plain name, without slashes")
+
+
+def test_a_list_of_pictures_names_none_elsewhere(corridor: Corridor, tmp_path: Path) -> None:
+    cam = tmp_path / "flight" / "mav0" / "cam0"
+    (cam / "data").mkdir(parents=True)
+    shutil.copy(OFFICE / "mav0" / "cam0" / "sensor.yaml", cam)
+    secret = tmp_path / "secret.jpg"
+    shutil.copy(sorted((OFFICE / "mav0" / "cam0" / "data").iterdir())[0], secret)
+    for name in ("../../../../secret.jpg", str(secret), "a/../../data.csv"):
+        (cam / "data.csv").write_text(f"#timestamp [ns],filename\n1000000000,{name}\n")
+        refused(corridor("fuse", tmp_path / "flight"), "data.csv: names", "outside data/")
+    (cam / "data.csv").unlink()
+    shutil.copy(secret, cam / "data" / "1.jpg")
+    (cam / "data" / "times.csv").write_text("timestamp_ns,filename\n1000000000,../../../../secret.jpg\n")
+    (tmp_path / "flight.toml").write_text(
+        '[camera]\nfile = "flight/mav0/cam0/data"\ntimes = "flight/mav0/cam0/data/times.csv"\n'
+        'calibration = "flight/mav0/cam0/sensor.yaml"\n'
+    )
+    refused(corridor("fuse", tmp_path / "flight.toml"), "names '../../../../secret.jpg', outside the folder")
+
+
+def test_files_outside_a_manifests_folder_are_told(corridor: Corridor, files: Path, tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "flight.toml").write_text(
+        f'[camera]\nfile = "{files}/hall.mp4"\ncalibration = "{files}/camera.yaml"\n'
+    )
+    run = corridor("fuse", tmp_path / "there", "-o", "out")
+    assert run.code == 0, run.err
+    assert f"flight.toml reads {files}/hall.mp4 and 1 more, outside its folder" in run.err

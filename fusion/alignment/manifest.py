@@ -202,8 +202,5 @@ def _write_calibration(alignment: Alignment, path: Path, body_frame: BodyFrame) 
         f"intrinsics: [{pinhole}]   # fu, fv, cu, cv\n"
         "distortion_model: none\ndistortion_coefficients: []\n"
     )
-    try:
-        with replacing(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
+    with replacing(path) as draft:
+        draft.write_text(text, encoding="utf-8")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fusion.cli.console import compile_notice, progress_bar
+from fusion.cli.console import compile_notice, progress_bar, say
 from fusion.cli.options import CameraOption, Method, MethodOption
 from fusion.result.conventions import Frame
 
@@ -119,7 +119,7 @@ def fuse(
 ) -> None:
     """Fuse a flight and write its files."""
     from fusion import FusionConfig, fuse_flight
-    from fusion.cli.fuse_options import flight_from_options
+    from fusion.cli.fuse_options import flight_from_options, outside_text
     from fusion.cli.fuse_text import fusion_text
     from fusion.outputs.exports import check_formats, remarks
     from fusion.outputs.folder import check_out_dir, write_outputs
@@ -131,6 +131,8 @@ def fuse(
     log = flight_from_options(
         flight, imu=imu, video=video, attitude=attitude, camera=camera, clock_offset_s=clock_offset_s
     )
+    if (told := outside_text(flight)) is not None:
+        say(told)
     folder = out if out is not None else Path(f"{log.name}_fused")
     check_out_dir(folder)
     with compile_notice("the line finder"), progress_bar("fusing") as progress:

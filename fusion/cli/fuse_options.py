@@ -77,6 +77,18 @@ def flight_from_options(
     return load_manifest(make_manifest(values), path=flight or video)
 
 
+def outside_text(flight: Path | None) -> str | None:
+    """Say which files a flight's manifest takes from outside its folder; None where it does not."""
+    from fusion.logs.manifest.manifest import files_outside, find_manifest, read_manifest
+
+    described = None if flight is None else find_manifest(flight)
+    if described is None:
+        return None
+    outside = files_outside(read_manifest(described), described.parent)
+    more = f" and {len(outside) - 1} more" if len(outside) > 1 else ""
+    return f"{described} reads {outside[0]}{more}, outside its folder" if outside else None
+
+
 def _put(values: dict[str, Any], table: str, new: dict[str, Path | None]) -> None:
     """Set a stream's new file; what the manifest said of the old one, its topic and columns, goes with it."""
     given = {key: path.absolute() for key, path in new.items() if path is not None}

@@ -107,10 +107,5 @@ def write_picture(picture: GreyImage | None, path: Path) -> None:
     if picture is None:
         raise InputError("there is no picture to write", file=path, remedy="leave --picture out")
     _, encoded = cv2.imencode(path.suffix.lower(), picture)
-    try:
-        with replacing(path) as temporary:
-            temporary.write_bytes(encoded.tobytes())
-    except OSError as error:
-        raise InputError(
-            f"cannot be written: {error.strerror or error}", file=path, remedy="choose another place"
-        ) from error
+    with replacing(path) as draft:
+        draft.write_bytes(encoded.tobytes())

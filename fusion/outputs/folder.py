@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import os
-import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 
-from fusion.files import error_text, temporary_beside
+from fusion.files import (
+    draft_name,
+    error_text,
+    left_behind,
+    locked,
+    remove,
+    replacing_folder,
+    restore,
+    to_disk,
+    tree_to_disk,
+)
 from fusion.flight import Flight
 from fusion.outputs.exports import EXPORT_FILES, Format, write_exports
 from fusion.progress import Progress
@@ -21,6 +31,7 @@ from vision.errors import InputError
 
 OUTPUT_FILES = ("estimates.csv", "smoothed.csv", "frames.csv", "summary.json", "report.html", "flight.toml")
 _OURS = (*OUTPUT_FILES, *chain.from_iterable(EXPORT_FILES.values()))
+MARK = "summary.json"  # a folder that holds it is ours; it lists the files written with it
 _LEFT_BY_FILE_BROWSERS = frozenset({".DS_Store", "Thumbs.db"})
 
 
@@ -39,8 +50,9 @@ def write_outputs(
     ``flight.toml`` names where the flight came from, for `corridor fuse` and `corridor align` to take up again; a
     flight made by hand has none.
 
-    They are written beside ``out_dir`` under a temporary name and renamed once complete. An earlier output is
-    replaced; a folder that holds anything else is left alone.
+    They are written beside ``out_dir`` under a temporary name and renamed once complete and on the disk. An earlier
+    output is replaced, known by the list of files in its ``summary.json``; a folder that holds anything else is left
+    alone. What a run killed before left behind is cleared, or finished.
 
     Parameters
     ----------
@@ -71,13 +83,14 @@ def write_outputs(
         write_table(table_in_frame(result.estimates, frame), folder / "estimates.csv")
         write_table(table_in_frame(result.smoothed, frame), folder / "smoothed.csv")
         write_table(table_in_frame(result.frames, frame), folder / "frames.csv")
-        write_summary(summary_in_frame(result.summary, frame), folder / "summary.json")
         _write_manifest(flight, folder / "flight.toml", Path(out_dir).resolve())
         write_exports(result, flight, folder, exports, frame, progress)
         if report:
             from fusion.report import write_report
 
             write_report(result, flight, folder / "report.html")
+        files = sorted([MARK, *(entry.name for entry in folder.iterdir())])
+        write_summary(summary_in_frame(result.summary, frame) | {"files": files}, folder / MARK)
     return Path(out_dir).resolve()
 
 
@@ -95,22 +108,35 @@ def _write_manifest(flight: Flight, path: Path, folder: Path) -> None:
 def check_out_dir(out_dir: str | Path) -> Path:
     """Say before the work whether `write_outputs` will accept ``out_dir``; return it absolute.
 
+    What a killed run left there half done is put in order first.
+
     Raises
     ------
     InputError
         Where it is a file, or a folder that holds files that are not ours.
     """
-    folder = Path(out_dir).resolve()
-    remedy = "choose another with -o, or remove it"
-    if not folder.exists():
-        return folder
-    if not folder.is_dir():
-        raise InputError("the output folder is an existing file", file=out_dir, remedy=remedy)
-    ours = {*_OURS, *_LEFT_BY_FILE_BROWSERS}
-    there = {entry.name for entry in folder.iterdir()}
-    if "summary.json" not in there:  # a manifest alone is the user's own
-        ours -= {"flight.toml"}
-    foreign = sorted(entry.name for entry in folder.iterdir() if entry.name not in ours or entry.is_dir())
+    try:
+        folder = Path(out_dir).resolve()
+        _put_in_order(folder)
+        if not folder.exists():
+            return folder
+        if not folder.is_dir():
+            raise InputError(
+                "the output folder is an existing file",
+                file=out_dir,
+                remedy="choose another with -o, or remove it",
+            )
+        ours = _written_by_us(folder) | _LEFT_BY_FILE_BROWSERS
+        foreign = sorted(
+            entry.name
+            for entry in folder.iterdir()
+            if (entry.name not in ours or entry.is_dir()) and not _is_draft(entry)
+        )
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        problem = f"the output folder cannot be used: {error_text(error)}"
+        raise InputError(problem, file=out_dir, remedy="choose another with -o") from error
     if foreign:
         more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
         raise InputError(
@@ -121,49 +147,87 @@ def check_out_dir(out_dir: str | Path) -> Path:
     return folder
 
 
+def _written_by_us(folder: Path) -> set[str]:
+    """Return the names of the files that the summary in a folder says were written with it; none without one."""
+    try:
+        summary = json.loads((folder / MARK).read_text(encoding="utf-8"))
+        files = summary.get("files", _OURS)  # the first outputs did not list theirs
+        return {*files} & {*_OURS} if "verdict" in summary else set()
+    except (OSError, ValueError, AttributeError, TypeError, RecursionError):
+        return set()
+
+
+def _is_draft(entry: Path) -> bool:
+    return entry.is_dir() and entry.name.startswith(".corridor-")
+
+
 @contextmanager
 def _appearing_whole(out_dir: str | Path) -> Iterator[Path]:
-    """Give a temporary folder to fill; it takes the name ``out_dir`` when the block ends without error."""
+    """Give a draft to fill; it takes the place of ``out_dir`` when the block ends without error."""
     folder = check_out_dir(out_dir)
-    # A mount point or the shell's own folder cannot be renamed: fill a folder inside it and move the files.
-    in_place = folder.is_dir() and (folder.is_mount() or Path.cwd().is_relative_to(folder))
-    temporary = temporary_beside(folder / folder.name if in_place else folder)
+    draft = folder
     try:
-        temporary.mkdir(parents=True)
-        yield temporary
-        if in_place:
-            _replace_files(temporary, folder)
-        else:
-            _replace_folder(temporary, folder)
+        with _moved_into(folder) if _stays(folder) else replacing_folder(folder) as draft:
+            yield draft
+    except InputError as error:
+        if error.file is None or not error.file.is_relative_to(draft):
+            raise
+        file = Path(out_dir) / error.file.relative_to(draft)  # the name that it would have had
+        raise InputError(error.problem, file=file, remedy=error.remedy) from error
     except OSError as error:
         raise InputError(
             f"cannot write the outputs: {error_text(error)}",
             file=out_dir,
             remedy="choose another folder with -o",
         ) from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _replace_folder(new: Path, folder: Path) -> None:
-    if not folder.exists():
-        new.rename(folder)
-        return
-    old = new.with_suffix(".old")
-    folder.rename(old)
+def _stays(folder: Path) -> bool:
+    """Whether a folder cannot be renamed: a mount point, the shell's own, or one in a folder of somebody else's."""
+    if not folder.is_dir():
+        return False
+    return (
+        folder.is_mount()
+        or Path.cwd().is_relative_to(folder)
+        or not os.access(folder.parent, os.W_OK | os.X_OK)
+    )
+
+
+@contextmanager
+def _moved_into(folder: Path) -> Iterator[Path]:
+    """Give a draft inside a folder that stays; its files are moved when all are written.
+
+    From the renaming to ``.complete`` on, a run that is killed is finished by the next one.
+    """
+    draft = folder / draft_name()
     try:
-        new.rename(folder)
-    except OSError:
-        with suppress(OSError):
-            old.rename(folder)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
+        draft.mkdir()
+        with locked(draft):
+            yield draft
+            tree_to_disk(draft)
+            complete = draft.rename(draft.with_suffix(".complete"))
+            to_disk(folder)
+            _move_files(complete, folder)
+    finally:
+        remove(draft)
 
 
-def _replace_files(new: Path, folder: Path) -> None:
-    written = {entry.name for entry in new.iterdir()}
-    for name in _OURS:
-        if name in written:
-            os.replace(new / name, folder / name)
-        else:
+def _move_files(complete: Path, folder: Path) -> None:
+    """Move a complete draft's files into its folder, the summary last; it lists what belongs there."""
+    if (complete / MARK).exists():
+        for name in _written_by_us(folder) - _written_by_us(complete):
             (folder / name).unlink(missing_ok=True)
+        for path in sorted(complete.iterdir(), key=lambda path: path.name == MARK):
+            path.replace(folder / path.name)
+        to_disk(folder)
+    complete.rmdir()
+
+
+def _put_in_order(folder: Path) -> None:
+    """Finish, put back or clear what a killed run left of an output."""
+    restore(folder)
+    for left in left_behind(folder):
+        if left.suffix == ".complete":
+            _move_files(left, folder)
+        else:
+            remove(left)

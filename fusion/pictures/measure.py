@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.estimator.tables import FRAME_DTYPE, Table
+from fusion.files import replacing
 from fusion.logs.csv.rows import parse_time
 from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES
 from fusion.pictures.assumed_camera import AssumedView, AssumedViews, assume_views
@@ -229,4 +230,5 @@ class _Overlays:
             name = f"{path.stem}_overlay_{copy}.jpg"
         self.used.add(name)
         encoded = cv2.imencode(".jpg", draw_overlay(image, camera, measurement))[1]
-        (self.folder / name).write_bytes(encoded.tobytes())
+        with replacing(self.folder / name) as draft:
+            draft.write_bytes(encoded.tobytes())

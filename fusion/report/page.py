@@ -18,14 +18,13 @@ from fusion.evaluation.checks_frames import REASON_WORDS
 from fusion.evaluation.checks_input import all_problems
 from fusion.evaluation.errors import evaluate
 from fusion.evaluation.verdict import overall, worst_first
-from fusion.files import error_text, replacing
+from fusion.files import replacing
 from fusion.flight import Flight
 from fusion.report import plots
 from fusion.report.strip import DrawnFrame, choose_frames, show_frames
 from fusion.report.svg import Drawing, draw
 from fusion.result.result import FusionResult
 from fusion.result.summary import CorridorErrors, Level, TableErrors
-from vision.errors import InputError
 
 TIMING_WORDS = {
     "vision_s": ("Reading and measuring all pictures", "s"),
@@ -113,14 +112,8 @@ def _with_code(text: str) -> Markup:
 
 def replace_text(path: str | Path, text: str) -> None:
     """Write the report so that it is whole, or the earlier one is left."""
-    path = Path(path)
-    try:
-        with replacing(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            f"cannot write the report: {error_text(error)}", file=path, remedy="choose another place"
-        ) from error
+    with replacing(Path(path)) as draft:
+        draft.write_text(text, encoding="utf-8")
 
 
 def facts(result: FusionResult, flight: Flight) -> list[tuple[str, str, str]]:

@@ -30,15 +30,8 @@ def write_table(table: Table, path: str | Path) -> None:
     InputError
         Where ``path`` is a folder or cannot be written.
     """
-    path = Path(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-            print_table(table, file)
-    except OSError as error:
-        raise InputError(
-            f"cannot be written: {error_text(error)}", file=path, remedy="choose another file"
-        ) from error
+    with replacing(Path(path)) as draft, draft.open("w", encoding="utf-8", newline="") as file:
+        print_table(table, file)
 
 
 def print_table(table: Table, file: TextIO) -> None:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import tempfile
 from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from fusion.files import error_text, replacing_folder
 from fusion.progress import Progress
 from fusion.simulate.config import SimulationConfig
 from fusion.simulate.exposure import FlyingCamera
@@ -69,25 +67,11 @@ def simulate_flight(
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError("is there already", file=out, remedy="name a folder that does not exist yet")
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        draft = Path(tempfile.mkdtemp(prefix=f".{out.name}_", dir=out.parent))
+        with replacing_folder(out) as draft:
+            _write(config, draft, progress or (lambda done, total: None), camera)
     except OSError as error:
-        raise InputError(f"cannot be made: {error.strerror or error}", file=out) from error
-    try:
-        _write(config, draft, progress or (lambda done, total: None), camera)
-        draft.chmod(0o777 & ~_umask())
-        os.replace(draft, out)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", file=out) from error
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
+        raise InputError(f"cannot be written: {error_text(error)}", file=out) from error
     return out
-
-
-def _umask() -> int:
-    value = os.umask(0)
-    os.umask(value)
-    return value
 
 
 def _write(config: SimulationConfig, root: Path, progress: Progress, camera: Camera | None) -> None:

@@ -140,10 +140,10 @@ class TestFolder:
 
     def test_an_earlier_output_is_replaced_whole(self, result: Any, tmp_path: Path) -> None:
         write_outputs(result, FLIGHT, tmp_path / "out")
-        (tmp_path / "out" / "summary.json").write_text("old")
+        (tmp_path / "out" / "estimates.csv").write_text("old")
         write_outputs(result, FLIGHT, tmp_path / "out", report=False)
         assert names_in(tmp_path / "out") == set(OUTPUT_FILES) - {"flight.toml"} - {"report.html"}
-        assert json.loads((tmp_path / "out" / "summary.json").read_text())["verdict"] == "pass"
+        assert (tmp_path / "out" / "estimates.csv").read_text() != "old"
         assert names_in(tmp_path) == {"out"}
 
     def test_a_failure_leaves_nothing(
@@ -161,7 +161,7 @@ class TestFolder:
         self, result: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         write_outputs(result, FLIGHT, tmp_path / "out")
-        (tmp_path / "out" / "summary.json").write_text("old")
+        (tmp_path / "out" / "estimates.csv").write_text("old")
 
         def fail(*args: Any) -> None:
             raise OSError(28, "No space left on device")
@@ -169,7 +169,7 @@ class TestFolder:
         monkeypatch.setattr(fusion.report, "write_report", fail)
         with pytest.raises(InputError, match="No space left on device"):
             write_outputs(result, FLIGHT, tmp_path / "out")
-        assert (tmp_path / "out" / "summary.json").read_text() == "old"
+        assert (tmp_path / "out" / "estimates.csv").read_text() == "old"
         assert names_in(tmp_path) == {"out"}
 
     def test_a_foreign_folder_is_refused_and_kept(self, result: Any, tmp_path: Path) -> None:
@@ -179,6 +179,45 @@ class TestFolder:
             write_outputs(result, FLIGHT, tmp_path / "out")
         assert names_in(tmp_path / "out") == {"thesis.tex"}
         assert names_in(tmp_path) == {"out"}
+
+    def test_a_table_of_the_users_own_is_not_taken_for_ours(self, result: Any, tmp_path: Path) -> None:
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "estimates.csv").write_text("t,x\n1,2\n")
+        with pytest.raises(InputError, match=r"holds 'estimates.csv', which corridor did not write"):
+            write_outputs(result, FLIGHT, tmp_path / "out")
+        (tmp_path / "out" / "summary.json").write_text('{"files": ["estimates.csv"]}')  # no summary of ours
+        with pytest.raises(InputError, match=r"holds 'estimates.csv' and 1 more"):
+            write_outputs(result, FLIGHT, tmp_path / "out")
+        assert (tmp_path / "out" / "estimates.csv").read_text() == "t,x\n1,2\n"
+
+    def test_a_file_added_to_an_output_is_the_users(self, result: Any, tmp_path: Path) -> None:
+        write_outputs(result, FLIGHT, tmp_path / "out", report=False)
+        (tmp_path / "out" / "report.html").write_text("mine")
+        with pytest.raises(InputError, match=r"holds 'report.html', which corridor did not write"):
+            write_outputs(result, FLIGHT, tmp_path / "out")
+
+    def test_a_summary_cannot_name_files_elsewhere(
+        self, result: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        (tmp_path / "precious.csv").write_text("1")
+        (tmp_path / "out").mkdir()
+        mark = {"verdict": "pass", "files": ["summary.json", "../precious.csv"]}
+        (tmp_path / "out" / "summary.json").write_text(json.dumps(mark))
+        monkeypatch.chdir(tmp_path / "out")
+        write_outputs(result, FLIGHT, ".")
+        assert (tmp_path / "precious.csv").read_text() == "1"
+
+    def test_an_error_names_the_file_the_user_knows(
+        self, result: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def fail(self: Path, *args: Any, **kwargs: Any) -> None:
+            raise OSError(28, "No space left on device", str(self))
+
+        monkeypatch.setattr(Path, "open", fail)
+        with pytest.raises(InputError, match="No space left on device") as caught:
+            write_outputs(result, FLIGHT, tmp_path / "out")
+        assert caught.value.file == tmp_path / "out" / "estimates.csv"
+        assert names_in(tmp_path) == set()
 
     def test_a_folder_named_like_an_output_is_foreign(self, tmp_path: Path) -> None:
         (tmp_path / "out" / "frames.csv").mkdir(parents=True)

@@ -18,7 +18,16 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from fusion.files import replacing
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
@@ -116,7 +125,9 @@ class CameraSource(StreamSource):
         default=None,
         description="CSV with the time of each frame of a video or picture folder, a row per frame.",
     )
-    start_ns: int | None = Field(default=None, strict=True, description="Time of a video's first frame.")
+    start_ns: int | None = Field(
+        default=None, strict=True, ge=-(2**62), le=2**62, description="Time of a video's first frame."
+    )
     mount_yaw_rad: float = Field(
         default=0.0,
         strict=True,
@@ -171,6 +182,13 @@ class Manifest(BaseModel):
     velocity: StreamSource = Field(default_factory=StreamSource)
     position: StreamSource = Field(default_factory=StreamSource)
     range: RangeSource = Field(default_factory=RangeSource)
+
+    @field_validator("name")
+    @classmethod
+    def _plain_name(cls, name: str | None) -> str | None:
+        if name is not None and (name in (".", "..") or set("/\\\0") & set(name)):
+            raise ValueError(f"name = {name!r} names a place: give a plain name, without slashes")
+        return name
 
     @model_validator(mode="after")
     def _some_pictures(self) -> Self:
@@ -318,15 +336,8 @@ def write_manifest(manifest: Manifest, path: str | Path, notes: Mapping[str, str
     from fusion.logs.manifest.text import manifest_text
 
     path = Path(path)
-    try:
-        with replacing(path) as temporary:
-            temporary.write_text(
-                manifest_text(manifest, path.absolute().parent, notes or {}), encoding="utf-8"
-            )
-    except OSError as error:
-        raise InputError(
-            f"cannot be written: {error.strerror or error}", file=path, remedy="choose another place"
-        ) from error
+    with replacing(path) as draft:
+        draft.write_text(manifest_text(manifest, path.absolute().parent, notes or {}), encoding="utf-8")
 
 
 def files_of(manifest: Manifest) -> Iterator[tuple[str, Path]]:
@@ -336,3 +347,8 @@ def files_of(manifest: Manifest) -> Iterator[tuple[str, Path]]:
             yield key, value
         elif isinstance(value, StreamSource):
             yield from ((f"{key}.{inner}", path) for inner, path in value if isinstance(path, Path))
+
+
+def files_outside(manifest: Manifest, folder: Path) -> list[Path]:
+    """Return the files that a manifest in this folder names outside of it."""
+    return [path for _, path in files_of(manifest) if not path.is_relative_to(folder.resolve())]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion.files import stays_inside
 from fusion.flight import FrameStream
 from fusion.logs.csv.rows import parse_time, read_blocks
 from fusion.logs.csv.stamped_table import check_columns, read_table_head
@@ -88,6 +89,10 @@ def _read_list(path: Path, label: str) -> WithProblems[_TimesAndNames]:
                 names.append(name)
             else:
                 broken.append(row)
+            if not stays_inside(name):
+                raise InputError(
+                    f"names {name!r}, outside data/", file=path, remedy="copy the pictures there"
+                )
         if cut:
             problems += (f"{label}: the last line is cut short, dropped",)
     if not times:

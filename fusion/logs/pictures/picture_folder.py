@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion.files import stays_inside
 from fusion.flight import FrameStream, TimeArray
 from fusion.logs.contents import Kind, Topic
 from fusion.logs.csv.column_map import ColumnMap
@@ -142,6 +143,8 @@ def _times_from_list(
 def _beside(path: Path, file: Path, name: str) -> Path:
     """Return where a listed picture lies: in the folder, or where the list's own folder has it."""
     name = name.strip().strip('"').replace("\\", "/")
+    if not stays_inside(name):
+        raise InputError(f"names {name!r}, outside the folder", file=file, remedy="copy the pictures there")
     for candidate in (path / name, file.parent / name, path / Path(name).name):
         if candidate.is_file():
             return candidate
