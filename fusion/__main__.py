@@ -1,5 +1,15 @@
-"""Run the command line as ``python -m fusion``."""
+"""Run the command line: the entry point of the script ``corridor`` and of ``python -m fusion``."""
 
-from fusion.cli.app import main
+from fusion.cli.interrupts import leave_at_once
 
-main()
+
+def main() -> None:
+    """Load the commands and run them."""
+    leave_at_once()
+    from fusion.cli.app import main as run
+
+    run()
+
+
+if __name__ == "__main__":
+    main()

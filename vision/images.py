@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.errors import InputError
+from vision.limits import check_is_file, check_pixels
 from vision.types import GreyImage as GreyImage
 
 
@@ -22,6 +24,7 @@ def read_image(path: str | Path) -> GreyImage:
     """
     path = Path(path)
     try:
+        check_is_file(path)
         data = np.fromfile(path, dtype=np.uint8)  # imread prints to stderr and cannot read some paths
     except OSError as error:
         reason = (
@@ -45,7 +48,7 @@ def decode_image(data: npt.NDArray[np.uint8]) -> GreyImage:
     import cv2
 
     image = None
-    if data.size and not _is_cut_jpeg(data.tobytes()):
+    if data.size and not _is_cut_jpeg(data.tobytes()) and _has_size(data.tobytes()):
         try:
             image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
         except cv2.error:
@@ -55,6 +58,20 @@ def decode_image(data: npt.NDArray[np.uint8]) -> GreyImage:
             f"picture does not decode ({data.size} bytes)", remedy="give a whole JPEG, PNG or similar"
         )
     return to_grey(image)
+
+
+def _has_size(data: bytes) -> bool:
+    """Whether a picture's header tells its size; `InputError` where that is too large to be unpacked."""
+    from PIL import Image
+
+    try:
+        size = Image.open(BytesIO(data)).size
+    except Image.DecompressionBombError as error:
+        raise InputError("picture has too many pixels", remedy="give a smaller one") from error
+    except Exception:  # of any of Pillow's readers
+        return False
+    check_pixels(*size)
+    return True
 
 
 def _is_cut_jpeg(data: bytes) -> bool:

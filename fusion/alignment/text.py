@@ -6,6 +6,7 @@ from math import degrees, isfinite
 from textwrap import wrap
 
 from fusion.alignment.result import Alignment, Quantity
+from fusion.printable import printable
 
 WIDTH = 110
 _LABELS = {
@@ -25,7 +26,7 @@ def alignment_text(alignment: Alignment) -> str:
         lines.append(f"{_LABELS[quantity.name]:15} {value:>12}  {sigma:>10}  {_verdict(quantity)}".rstrip())
         lines += wrap(quantity.sentence, WIDTH, initial_indent="  ", subsequent_indent="  ")
     frames = f"{alignment.n_frames} frames looked at, {alignment.n_used} of them tell time and focal length."
-    return "\n".join([*lines, *alignment.notes, frames])
+    return "\n".join(printable(line) for line in [*lines, *alignment.notes, frames])
 
 
 def note_of(quantity: Quantity) -> str:

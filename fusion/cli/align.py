@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fusion.cli.console import compile_notice, progress_bar, say
+from fusion.cli.console import compile_notice, echo, progress_bar, say
 from vision.errors import InputError
 
 SHORT_HELP = "Put camera and clock right by the flight itself: time offset, focal length, mounting."
@@ -74,7 +74,7 @@ def align(
         )
     if not alignment.clock_offset.usable:
         raise InputError(alignment.clock_offset.sentence, file=flight)
-    typer.echo(alignment_text(alignment))
+    echo(alignment_text(alignment))
     if place is None:
         say("nothing written: add --write, or -o FILE.toml")
         return

@@ -11,13 +11,25 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from fusion.cli import interrupts
+from fusion.printable import printable
 from fusion.progress import Progress
 from vision.errors import InputError
+
+MAX_LINE = 2000  # characters: a line that quotes a file's value may be as long as the file
 
 
 def say(text: str) -> None:
     """Tell the user something that is not a result, one line."""
-    print(f"corridor: {text}", file=sys.stderr, flush=True)
+    line = printable(" ".join(text.split()))
+    if len(line) > MAX_LINE:
+        line = f"{line[: MAX_LINE // 2]} ... {line[-MAX_LINE // 2 :]}"
+    print(f"corridor: {line}", file=sys.stderr, flush=True)
+
+
+def echo(text: str) -> None:
+    """Print a result for people to stdout."""
+    typer.echo(printable(text, keep="\n"))
 
 
 class OneLineErrors(TyperGroup):
@@ -26,17 +38,20 @@ class OneLineErrors(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run the command, and turn what goes wrong into a line and an exit code."""
         try:
-            return super().invoke(ctx)
+            with interrupts.raised():
+                return super().invoke(ctx)
         except InputError as error:
-            say("error: " + " ".join(str(error).split()))
+            say(f"error: {error}")
         except OSError as error:
             if error.errno == errno.EPIPE:  # whoever read our output has gone: end as pipes do
                 raise
             where = f"{error.filename}: " if error.filename else ""
             say(f"error: {where}{error.strerror or error}")
-        except KeyboardInterrupt:
+        except (Exception, KeyboardInterrupt) as error:
+            if not interrupts.was_interrupted(error):
+                raise
             say("interrupted")
-            raise typer.Exit(130) from None
+            raise typer.Exit(interrupts.EXIT_CODE) from None
         raise typer.Exit(2)
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from fusion.cli.console import echo
 from fusion.result.conventions import Frame
 
 SHORT_HELP = "Compare fused flights with what the vehicle really did."
@@ -58,4 +59,4 @@ def evaluate(
     from fusion.result.summary_json import summary_json
 
     found = compare(read_outputs(outs), read_truth(truth, truth_frame), align=align)
-    typer.echo(summary_json(found) if as_json else comparison_text(found), nl=not as_json)
+    echo(summary_json(found).rstrip("\n") if as_json else comparison_text(found))

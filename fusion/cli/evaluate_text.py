@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from fusion.evaluation.comparison import ComparedOutput, Comparison
 from fusion.logs.samples import counted
+from fusion.printable import printable
 from fusion.result.summary import PERCENTILES, CorridorErrors, ErrorStatistics, TableErrors
 
 NAME, KIND, CELL = 24, 11, 8
@@ -57,7 +58,7 @@ def comparison_text(found: Comparison) -> str:
     if all(quantity.of(output.causal.errors) is None for output in outputs for quantity in offsets):
         lines += ["", "lateral offset: the truth has none"]
     lines += ["", *_statuses(outputs), "", *_remarks(found)]
-    return "\n".join(line.rstrip() for line in lines).rstrip()
+    return "\n".join(printable(line.rstrip()) for line in lines).rstrip()
 
 
 def _head(title: str) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fusion.cli.console import compile_notice, progress_bar, say
+from fusion.cli.console import compile_notice, echo, progress_bar, say
 from fusion.cli.options import CameraOption, Method, MethodOption
 from fusion.result.conventions import Frame
 
@@ -139,4 +139,4 @@ def fuse(
         result = fuse_flight(log, settings, method=method.value, progress=progress)
     with progress_bar("writing") as progress:
         write_outputs(result, log, folder, exports=exports, frame=frame, progress=progress)
-    typer.echo(fusion_text(result.overview, folder, remarks(exports, frame)))
+    echo(fusion_text(result.overview, folder, remarks(exports, frame)))

@@ -11,6 +11,7 @@ from pathlib import Path
 from textwrap import wrap
 
 from fusion.logs.samples import counted
+from fusion.printable import printable
 from fusion.result.summary import CorridorStretch, ErrorStatistics, FlightErrors, Level, SpeedSummary, Summary
 
 
@@ -52,7 +53,7 @@ def fusion_text(summary: Summary, folder: Path, remarks: Sequence[str] = ()) -> 
             if check.level == level:
                 text = f"{level}: {check.name}: {check.value}. {check.meaning}"
                 lines += wrap(text, 100, initial_indent="  ", subsequent_indent="        ")
-    return "\n".join(line.rstrip() for line in lines)
+    return "\n".join(printable(line.rstrip()) for line in lines)
 
 
 def _line(name: str, text: str) -> str:

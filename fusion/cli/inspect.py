@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fusion.cli.console import say
+from fusion.cli.console import echo, say
 
 SHORT_HELP = "Say what a log holds, and what can be made of it."
 HELP = """Say what a log holds, and what can be made of it: streams, rates, gaps, clocks, noise, the first picture.
@@ -53,8 +53,7 @@ def inspect(
     if picture is not None:
         check_picture_file(picture)
     found = inspect_path(log)
-    text = summary_json(inspection_values(found)) if as_json else inspection_text(found)
-    typer.echo(text, nl=not as_json)
+    echo(summary_json(inspection_values(found)).rstrip("\n") if as_json else inspection_text(found))
     if picture is not None:
         write_picture(found.first_picture, picture)
         say(f"first picture in {picture}")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fusion.cli.console import compile_notice, progress_bar
+from fusion.cli.console import compile_notice, echo, progress_bar
 from fusion.cli.options import CameraOption
 
 SHORT_HELP = "Make a flight to try things on, truth included."
@@ -67,4 +67,4 @@ def simulate(
     calibration = None if camera is None else Camera.from_yaml(camera)
     with compile_notice("the renderer"), progress_bar("rendering") as progress:
         simulate_flight(settings, out, progress, calibration)
-    typer.echo(f"{out}: a flight of {settings.motion.duration_s:g} s; next: corridor fuse {out}")
+    echo(f"{out}: a flight of {settings.motion.duration_s:g} s; next: corridor fuse {out}")

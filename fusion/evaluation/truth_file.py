@@ -238,12 +238,15 @@ def _without_names(blocks: Iterable[Block], separator: str) -> Iterator[Block]:
         yield Block(rows[start:], cut)
 
 
+_MAX_NAME = 200
+
+
 def _plain_name(cell: str) -> str:
     """Return ``heading_deg`` for ``Heading [deg]``."""
     name = re.sub(
         r"\s*[\[(]\s*([\w/]*)\s*[\])]\s*$",
         lambda unit: f"_{unit[1]}" if unit[1] else "",
-        cell.strip().lower(),
+        cell.strip()[:_MAX_NAME].lower(),
     )
     return re.sub(r"[\s.]+", "_", name)
 

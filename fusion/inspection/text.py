@@ -18,6 +18,7 @@ from fusion.inspection.times import Gap, Timing
 from fusion.logs.plausibility.clocks import UNIX_FROM_NS, UNIX_TO_NS, span_of
 from fusion.logs.plausibility.findings import Severity
 from fusion.logs.samples import counted
+from fusion.printable import printable
 
 WIDTH = 110
 ONE_CLOCK_S = 1e6  # streams further apart than eleven days do not share a clock
@@ -56,7 +57,7 @@ def inspection_text(inspection: Inspection) -> str:
         texts = [sentence.text for sentence in inspection.advice if sentence.matter is matter]
         if texts:
             lines += ["", title, *(line for text in texts for line in _wrapped(text, "  - ", "    "))]
-    return "\n".join(line.rstrip() for line in lines)
+    return "\n".join(printable(line.rstrip()) for line in lines)
 
 
 def _wrapped(text: str, first: str, then: str) -> list[str]:

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from fusion.logs.csv.stamped_table import read_table
 from vision import Attitude, InputError
 from vision.cameras.calibration import read_body_frame
+from vision.limits import check_is_file
 
 MAX_GAP_NS = 100_000_000
 LENGTH_TOLERANCE = 0.05
@@ -58,11 +59,12 @@ class AttitudeFile:
             Where it is missing, of another shape, or has no usable row.
         """
         try:
+            check_is_file(path)
             with path.open(encoding="utf-8-sig", newline="") as file:
                 names = tuple(name.strip() for name in next(csv.reader(file), []))
                 if names[:1] == ("image",):
                     return cls(by_name=_read_by_name(path, names, csv.reader(file)))
-        except (OSError, UnicodeDecodeError) as error:
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             raise InputError(f"cannot be read: {reason}", file=path, remedy="check --attitude") from error
         return _read_by_time(path)

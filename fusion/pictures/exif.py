@@ -10,6 +10,7 @@ from typing import Any
 
 from vision import InputError
 from vision.images import read_image
+from vision.limits import check_is_file
 
 FILM_DIAGONAL_MM = hypot(36.0, 24.0)
 FILM_RANGE_MM = (5.0, 300.0)  # 0 means unknown; what is beyond is no corridor camera
@@ -58,6 +59,7 @@ def read_header(path: Path) -> PictureHeader | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # large, or with oddities in it: nobody is decoding it here
+            check_is_file(path)
             with Image.open(path) as image:
                 if image.format not in EXIF_FORMATS:  # Pillow would decode a PNG to look for it
                     return PictureHeader(*image.size)

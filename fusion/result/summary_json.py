@@ -18,7 +18,13 @@ def write_summary(summary: Mapping[str, Any], path: str | Path) -> None:
 
 def summary_json(summary: Mapping[str, Any]) -> str:
     """Return the text that `write_summary` writes."""
-    return json.dumps(_plain(summary), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(_plain(summary), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    # JSON allows some of what a terminal takes for commands; its own escapes of them stand within texts only.
+    return "".join(sign if sign.isprintable() or sign == "\n" else _escaped(sign) for sign in text)
+
+
+def _escaped(sign: str) -> str:
+    return f"\\u{ord(sign):04x}" if ord(sign) < 1 << 16 else json.dumps(sign)[1:-1]
 
 
 def _plain(value: Any) -> Any:

@@ -18,6 +18,7 @@ import numpy as np
 from fusion.estimator.tables import Table
 from fusion.files import error_text, replacing
 from vision.errors import InputError
+from vision.limits import check_is_file
 
 _CHUNK_ROWS = 50_000
 
@@ -79,6 +80,7 @@ def read_table(path: str | Path, dtype: np.dtype[Any]) -> Table:
     names = list(dtype.names or ())
     chunks: list[Table] = []
     try:
+        check_is_file(Path(path))
         with Path(path).open(encoding="utf-8", newline="") as file:
             reader = csv.reader(file)
             header = next(reader, None)
@@ -92,7 +94,7 @@ def read_table(path: str | Path, dtype: np.dtype[Any]) -> Table:
             while rows := list(islice(reader, _CHUNK_ROWS)):
                 chunks.append(_parse_rows(rows, dtype, path, line))
                 line += len(rows)
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"cannot be read: {error_text(error)}", file=path) from error
     return np.concatenate(chunks) if chunks else np.zeros(0, dtype)
 

@@ -97,5 +97,5 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
 
 def did_you_mean(name: str, known: Iterable[str], *, cutoff: float = 0.5) -> str | None:
     """Ask whether the nearest of the known names was meant; None where none is near."""
-    near = get_close_matches(name, list(known), n=1, cutoff=cutoff)
+    near = get_close_matches(name[:100], list(known), n=1, cutoff=cutoff)
     return f"did you mean {near[0]}?" if near else None

@@ -17,6 +17,7 @@ from pydantic.fields import FieldInfo
 from fusion.settings.sentences import OWN_CHECK, UNKNOWN_NAME, Complaint, complaints, section_of
 from fusion.settings.unit_hints import as_number, suggestion, too_large, unit_of
 from vision.errors import InputError
+from vision.limits import check_toml, check_values, read_text
 
 WIDTH = 100
 Config = TypeVar("Config", bound=BaseModel)
@@ -31,11 +32,17 @@ def read_toml(path: str | Path, example: str = "name = 1.5") -> dict[str, Any]:
         Where the file is missing or torn.
     """
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+        text = read_text(Path(path), "settings")
+        check_toml(text)
+        values = tomllib.loads(text)
+        check_values(values)
+        return values
     except OSError as error:
         raise InputError(
             f"cannot be read: {error.strerror or error}", file=path, remedy="check the path"
         ) from error
+    except InputError:
+        raise
     except (ValueError, RecursionError) as error:  # also a number of thousands of digits, or tables too deep
         raise InputError(f"is not TOML: {error}", file=path, remedy=f"write lines like {example}") from error
 

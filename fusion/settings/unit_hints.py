@@ -110,7 +110,7 @@ def suggestion(name: str, value: Any, units: Mapping[str, str]) -> str | None:
 
 def as_number(name: str, value: Any) -> str | None:
     """Say how to write a value that was given as text with a unit, such as ``"220 cm"``; None where it is not."""
-    match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    match = _QUANTITY.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
     foreign = FOREIGN.get(match[2].lower()) if match else None
     if match is None or foreign is None:
         return None

@@ -13,13 +13,10 @@ import numpy as np
 
 from vision.cameras.camera import nearest_rotation
 from vision.errors import InputError
+from vision.limits import MAX_SIDE_PX, check_values, check_yaml, read_text
 from vision.types import FloatArray
 
 R_FRD_FLU: FloatArray = np.diag([1.0, -1.0, -1.0])
-
-_KEPT_BYTES = (
-    16_000_000  # a calibration takes a few thousand; a video given by mistake shall not be read whole
-)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -31,13 +28,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         Where the file is missing, unreadable, neither of the two, or no mapping.
     """
     try:
-        if path.stat().st_size > _KEPT_BYTES:
-            raise InputError(
-                f"has {path.stat().st_size} bytes, too many for a calibration",
-                file=path,
-                remedy="give a YAML or JSON file",
-            )
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, "a calibration")
     except FileNotFoundError:
         raise InputError("there is no such file", file=path, remedy="check the path") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -56,9 +47,15 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 def _parse_json(text: str, path: Path) -> object:
     try:
-        return json.loads(text)
+        content = json.loads(text)
+        check_values(content)
+        return content
     except (ValueError, RecursionError) as error:
-        where = f" in line {error.lineno}: {error.msg}" if isinstance(error, json.JSONDecodeError) else ""
+        where = (
+            f" in line {error.lineno}: {error.msg}"
+            if isinstance(error, json.JSONDecodeError)
+            else f": {error}"
+        )
         raise InputError(f"is not valid JSON{where}", file=path, remedy="correct the file") from error
 
 
@@ -69,11 +66,14 @@ def _parse_yaml(text: str, path: Path) -> object:
     text = re.sub(r"\A%YAML:[^\n]*\n(---[^\n]*\n)?", "", text).replace("!!opencv-matrix", "")
     text = re.sub(r"\n(---|\.\.\.)\s*\Z", "\n", text)  # `rostopic echo` ends each message so
     try:
-        return YAML(typ="safe", pure=True).load(text)
+        check_yaml(text)
+        content = YAML(typ="safe", pure=True).load(text)
+        check_values(content)
+        return content
     except (YAMLError, ValueError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f" in line {mark.line + 1}" if mark is not None else ""
-        what = getattr(error, "problem", None) or "syntax error"
+        what = getattr(error, "problem", None) or (error if type(error) is ValueError else "syntax error")
         raise InputError(f"is not valid YAML{where}: {what}", file=path, remedy="correct the file") from error
 
 
@@ -183,7 +183,7 @@ def parts_of_transform(value: object, name: str) -> tuple[FloatArray, FloatArray
 
 def check_size(width_px: float, height_px: float, what: str) -> tuple[int, int]:
     """Return a picture's size in whole pixels."""
-    if any(v != int(v) or v < 1 for v in (width_px, height_px)):
+    if not all(isfinite(v) and v == int(v) and 1 <= v <= MAX_SIDE_PX for v in (width_px, height_px)):
         raise InputError(f"{what} is {[width_px, height_px]}", remedy="write [width, height] in whole pixels")
     return int(width_px), int(height_px)
 

@@ -20,16 +20,18 @@ import numpy.typing as npt
 
 from fusion.flight import FloatArray
 from vision import InputError
+from vision.limits import check_is_file
 
 _HEAD_BYTES = 1 << 16
 _BLOCK_CHARACTERS = 1 << 23
+_MAX_LINE = 1 << 20
 _PIECE_ROWS = 2048
 _WORDS = {"true": "1", "false": "0", "null": "nan", "none": "nan"}
 
 
 def parse_time(text: str) -> int | None:
     """Whole number that fits 64 bits, such as nanoseconds; None where the text is something else."""
-    if not re.fullmatch(r"[+-]?[0-9]+", text):
+    if not re.fullmatch(r"[+-]?0*[0-9]{1,19}", text):
         return None
     number = int(text)
     return number if abs(number) < 2**63 else None
@@ -62,6 +64,7 @@ def read_head(path: Path) -> list[str]:
         Where it cannot be read or holds nothing but blanks.
     """
     try:
+        check_is_file(path)
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
     except OSError as error:
@@ -128,6 +131,8 @@ def read_blocks(
             for _ in range(skip_lines):
                 file.readline()
             while text := file.read(_BLOCK_CHARACTERS):
+                if len(rest) > _MAX_LINE:
+                    raise InputError(f"has a line of more than {_MAX_LINE} characters", file=path)
                 whole, line_end, rest = (rest + text).rpartition("\n")
                 rows = rows_of(whole + line_end)
                 if rows:

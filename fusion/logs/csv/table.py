@@ -17,8 +17,11 @@ from fusion.settings.sentences import did_you_mean
 from vision import InputError
 
 _SEPARATORS = (";", "\t", "|", ",", " ")  # a comma may be the decimal point of what semicolons part
-_KEY = re.compile(r"[A-Za-z_]\w*:")
-_STAMP_BEFORE_KEYS = re.compile(r"^([^A-Za-z;]*?\d[^A-Za-z;]*?)[,;\s]+(?=[A-Za-z_]\w*:)", re.MULTILINE)
+_KEY = re.compile(r"\b[A-Za-z_]\w*:")
+_STAMP_BEFORE_KEYS = re.compile(
+    r"^(?=[^A-Za-z;]*\d)([^A-Za-z;]*?[^A-Za-z;,\s])[,;\s]++(?=[A-Za-z_]\w*:)", re.MULTILINE
+)
+_MAX_NAME = 200  # of a column
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE)
 
 
@@ -100,6 +103,8 @@ class Layout:
 
 def _plain(name: str) -> tuple[str, str]:
     """Split a column's name from the unit behind it: ``gyro x [deg/s]``."""
+    if len(name) > _MAX_NAME:
+        return name.strip(), ""
     match = re.fullmatch(r"\s*(.*?)\s*[\[(]\s*(.*?)\s*[\])]\s*", name)
     return (match[1], match[2]) if match and match[1] else (name.strip(), "")
 

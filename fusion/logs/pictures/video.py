@@ -23,6 +23,7 @@ from fusion.logs.pictures.video_frames import VideoFrames
 from fusion.logs.samples import Problems, WithProblems, counted, in_order
 from fusion.logs.series import SeriesLog, no_such_topic
 from vision import InputError
+from vision.limits import check_pixels
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -32,6 +33,11 @@ SUFFIXES = frozenset(
     {".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts", ".mpg", ".mpeg", ".wmv", ".flv"}
     | {".3gp", ".ogv", ".mjpg", ".mjpeg", ".h264", ".264", ".h265", ".265", ".hevc"}
 )
+# A playlist in a file that is named like a video would make FFmpeg open what it lists, also over the network.
+_LOCAL_VIDEO = {
+    "protocol_whitelist": "file",
+    "format_whitelist": "mov,matroska,avi,mpegts,mpeg,asf,flv,ogg,mjpeg,h264,hevc,mpegvideo,m4v",
+}
 _EXTRA = "install it: pip install 'corridor-fusion[video]'"
 _TIMES = "name a CSV with the time of each frame: times under [camera] in flight.toml"
 
@@ -135,7 +141,12 @@ def open_container(path: Path) -> InputContainer:
     except ImportError as error:
         raise InputError("reading videos needs PyAV", file=path, remedy=_EXTRA) from error
     try:
-        return av.open(str(path), "r")
+        container = av.open(str(path.absolute()), "r", options=_LOCAL_VIDEO)
+        for stream in container.streams.video:
+            check_pixels(stream.width or 0, stream.height or 0)
+        return container
+    except InputError as error:
+        raise InputError(error.problem, file=path, remedy=error.remedy) from error
     except (av.error.FFmpegError, ValueError) as error:
         cause = getattr(error, "strerror", None) or str(error)
         raise InputError(

@@ -11,9 +11,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from fusion.logs.csv.rows import read_head
 from fusion.logs.rosbag.messages import RosType
+from fusion.logs.rosbag.unpack import bound_rosbags
 from fusion.logs.samples import Problems
 from vision import InputError
+from vision.limits import check_yaml, read_text
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -67,7 +70,7 @@ def recognises(path: Path) -> bool:
     if not path.is_dir():
         return False
     metadata = path / METADATA
-    if metadata.is_file() and METADATA_KEY in metadata.read_text(encoding="utf-8", errors="replace"):
+    if metadata.is_file() and METADATA_KEY in "".join(read_head(metadata)):
         return True
     only_bags = all(child.suffix in _SUFFIXES for child in path.iterdir())
     return only_bags and bool(storages_in(path))
@@ -97,10 +100,11 @@ class Bag:
             raise InputError(
                 "is a ROS bag, which rosbags reads", file=path, remedy="pip install 'corridor-fusion[ros]'"
             ) from None
+        bound_rosbags()
         try:
             self._open()
-        except InputError:
-            raise
+        except InputError as error:
+            raise InputError(error.problem, file=error.file or path, remedy=error.remedy) from error
         except Exception as error:  # rosbags lets anything through that a damaged file makes it do
             raise InputError(
                 f"cannot be opened: {one_line(error, path)}",
@@ -117,6 +121,7 @@ class Bag:
             path = self._only_storage(path)
         if path.is_dir():
             self.format = "ROS 2 bag"
+            check_yaml(read_text(path / METADATA, "a bag's metadata"))
             self._reader: Reader = plugins["dir"](path)
             self._reader.open()
             return
@@ -243,6 +248,8 @@ class SkippingMessages:
                     yield connection, t_ns, raw
                     at_ns, skip_ns = t_ns + 1, FIRST_SKIP_NS
                 break
+            except InputError:  # a bound, not damage
+                raise
             except Exception as error:  # rosbags lets anything through that damage makes it do
                 skips += 1
                 at_ns = self._bag.start_ns() if at_ns is None else at_ns

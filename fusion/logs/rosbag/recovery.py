@@ -5,13 +5,13 @@ Formats: http://wiki.ros.org/Bags/Format/2.0 and https://mcap.dev/spec
 
 from __future__ import annotations
 
-import bz2
 import struct
 from bisect import bisect_left
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
+from fusion.logs.rosbag.unpack import unpack_bz2, unpack_lz4
 from fusion.logs.samples import Problems, counted
 from vision import InputError
 
@@ -111,6 +111,8 @@ class UnindexedRos1:
 
         try:
             content = self._content(number)
+        except InputError:  # a bound, not damage
+            raise
         except Exception:  # of any decompressor
             return False
         bio, at = BytesIO(content), 0
@@ -185,12 +187,8 @@ def _fields(header: bytes) -> dict[bytes, bytes]:
 
 def _decompressed(data: bytes, compression: str) -> bytes:
     if compression == "bz2":
-        return bz2.decompress(data)
-    if compression == "lz4":
-        from lz4.frame import decompress  # type: ignore[import-untyped]
-
-        return bytes(decompress(data))
-    return data
+        return unpack_bz2(data)
+    return unpack_lz4(data) if compression == "lz4" else data
 
 
 def index_mcap(reader: Any) -> str:

@@ -1,0 +1,23 @@
+"""Text from files made fit for a terminal: a name in a log may hold what a terminal takes for a command."""
+
+from __future__ import annotations
+
+
+def printable(text: str, keep: str = "") -> str:
+    """Write control characters, line breaks and marks that change the direction of writing as escapes, like Python.
+
+    Parameters
+    ----------
+    text
+        Any text.
+    keep
+        Characters to leave as they are, such as line breaks.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        sign
+        if sign.isprintable() or sign in keep
+        else sign.encode("unicode_escape", "surrogatepass").decode()
+        for sign in text
+    )
