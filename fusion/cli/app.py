@@ -8,6 +8,7 @@ commands, so that ``--help`` is quick.
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Sequence
 from io import TextIOWrapper
 from typing import Annotated, NoReturn
@@ -84,6 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         sys.stdout, TextIOWrapper
     ):  # a terminal that cannot write a degree sign gets a question mark
         sys.stdout.reconfigure(errors="replace")
+    if not sys.warnoptions:  # a library's warning says nothing to who has no program to mend
+        warnings.simplefilter("ignore")
     app(arguments, prog_name="corridor")
     raise SystemExit(0)
 

@@ -46,7 +46,7 @@ def smoothed_table(
         Settings.
     """
     out = table.copy()
-    if not len(table):
+    if (row_steps < 0).all():  # no rows, or none behind a step
         return out
     F, x_prior, P_prior, x, P = steps.arrays()
     x_s, P_s = rts(F, x_prior, P_prior, x, P)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from fusion.flight import CorridorTruth
 from fusion.result.conventions import Frame, table_in_frame
 from fusion.result.record import Record
 from fusion.result.summary import CorridorErrors, TableErrors
+from fusion.result.summary_json import read_summary
 from fusion.result.tables_csv import read_table
 from vision.errors import InputError
 from vision.rotations import wrap
@@ -128,9 +128,9 @@ def _read_output(folder: Path, name: str) -> Output:
     if missing:
         raise InputError(f"holds no {missing[0]}", file=folder, remedy=remedy)
     try:
-        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        summary = read_summary(folder / "summary.json")
         frame = Frame(summary.get("frame", Frame.FRD))
-    except (OSError, ValueError, AttributeError) as error:
+    except (OSError, ValueError) as error:
         problem = "is not the summary of a fused flight"
         raise InputError(problem, file=folder / "summary.json", remedy=remedy) from error
     tables = {}

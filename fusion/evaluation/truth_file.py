@@ -7,7 +7,6 @@ heading plus the turn between corridors, and offsets only within the first corri
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -34,6 +33,7 @@ from fusion.logs.csv.rows import (
 from fusion.logs.csv.time_units import NS, decimal_to_ns
 from fusion.logs.samples import Problems, WithProblems, counted, order_times
 from fusion.result.conventions import Frame
+from fusion.result.summary_json import read_summary
 from vision.errors import InputError
 from vision.rotations import yaw_of
 
@@ -124,7 +124,7 @@ def _frame_beside(path: Path) -> Frame | None:
     if path.name not in ("estimates.csv", "smoothed.csv"):
         return None
     with suppress(OSError, ValueError, KeyError):
-        return Frame(json.loads((path.parent / "summary.json").read_text(encoding="utf-8"))["frame"])
+        return Frame(read_summary(path.parent / "summary.json")["frame"])
     return None
 
 

@@ -52,6 +52,7 @@ from fusion.logs.series import QUATERNION_TOLERANCE, Series, SeriesLog, Stream, 
 from vision import Camera, InputError
 from vision.cameras.calibration import read_body_frame, read_yaml, rotation_of_transform, to_frd
 from vision.cameras.camera import BodyFrame
+from vision.limits import check_is_file
 
 TRUTH_NAME = "corridor_truth.csv"
 _TRUTH_COLUMNS = ("heading_rad", "lateral_offset_m", "corridor_width_m", "corridor_id", "in_junction")
@@ -201,6 +202,7 @@ def _raw_times(folder: Path) -> TimeArray:
         names = sorted(os.listdir(folder / "data")) if (folder / "data").is_dir() else []
         fields = [Path(name).stem for name in names]
         return np.array([t for field in fields if (t := parse_time(field)) is not None], dtype=np.int64)
+    check_is_file(path)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -25,7 +24,7 @@ from fusion.outputs.exports import EXPORT_FILES, Format, write_exports
 from fusion.progress import Progress
 from fusion.result.conventions import Frame, summary_in_frame, table_in_frame
 from fusion.result.result import FusionResult
-from fusion.result.summary_json import write_summary
+from fusion.result.summary_json import read_summary, write_summary
 from fusion.result.tables_csv import write_table
 from vision.errors import InputError
 
@@ -150,10 +149,10 @@ def check_out_dir(out_dir: str | Path) -> Path:
 def _written_by_us(folder: Path) -> set[str]:
     """Return the names of the files that the summary in a folder says were written with it; none without one."""
     try:
-        summary = json.loads((folder / MARK).read_text(encoding="utf-8"))
+        summary = read_summary(folder / MARK)
         files = summary.get("files", _OURS)  # the first outputs did not list theirs
         return {*files} & {*_OURS} if "verdict" in summary else set()
-    except (OSError, ValueError, AttributeError, TypeError, RecursionError):
+    except (OSError, ValueError, TypeError):
         return set()
 
 

@@ -10,10 +10,36 @@ from typing import Any
 
 import numpy as np
 
+from vision.limits import check_is_file
+
+MAX_BYTES = 16_000_000
+
 
 def write_summary(summary: Mapping[str, Any], path: str | Path) -> None:
     """Write a summary as JSON that every reader takes: unknown numbers are null, never ``NaN``."""
     Path(path).write_text(summary_json(summary), encoding="utf-8")
+
+
+def read_summary(path: str | Path) -> dict[str, Any]:
+    """Read a summary back.
+
+    Raises
+    ------
+    OSError, ValueError
+        Where the file cannot be read, is too large, or holds something else.
+    """
+    check_is_file(Path(path))
+    with Path(path).open("rb") as file:
+        data = file.read(MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise ValueError(f"more than {MAX_BYTES} bytes")
+    try:
+        found = json.loads(data)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+    if not isinstance(found, dict):
+        raise ValueError("no summary")
+    return found
 
 
 def summary_json(summary: Mapping[str, Any]) -> str:

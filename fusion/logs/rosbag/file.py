@@ -248,8 +248,8 @@ class SkippingMessages:
                     yield connection, t_ns, raw
                     at_ns, skip_ns = t_ns + 1, FIRST_SKIP_NS
                 break
-            except InputError:  # a bound, not damage
-                raise
+            except InputError as error:  # a bound, not damage
+                raise InputError(error.problem, file=self._bag.path, remedy=error.remedy) from error
             except Exception as error:  # rosbags lets anything through that damage makes it do
                 skips += 1
                 at_ns = self._bag.start_ns() if at_ns is None else at_ns
