@@ -9,6 +9,12 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTHON ?=
 PYTEST_FLAGS ?= -n 2
+CONSTRAINTS ?=
+# Where a reader, a writer or the command line leans on another library; the filter's own arithmetic does not.
+LOWEST_TESTS := tests/test_cli.py tests/fusion/test_log_ulog.py tests/fusion/test_log_tlog.py \
+	tests/fusion/test_log_dataflash.py tests/fusion/test_log_rosbag.py tests/fusion/test_video.py \
+	tests/fusion/test_exports.py tests/fusion/test_report.py tests/fusion/test_config_file.py \
+	tests/vision/test_calibration.py tests/vision/test_images.py tests/test_imports.py
 
 help:  ## show this list
 	@sed -n 's/^\([a-z]*\):.*## */\1 /p' $(MAKEFILE_LIST) | while read -r name what; do printf '  make %-6s %s\n' "$$name" "$$what"; done
@@ -18,6 +24,10 @@ run: $(STAMP)  ## fuse the sample flight in data/office and print how well it we
 
 test: $(STAMP)  ## run all tests
 	@$(BIN)/python -m pytest $(PYTEST_FLAGS)
+
+lowest:  ## run the tests of what other libraries do with the lowest versions that pyproject.toml allows
+	@$(MAKE) --no-print-directory setup VENV=.venv-lowest CONSTRAINTS=.ci/lowest.py
+	@NUMBA_CACHE_DIR=.venv-lowest/numba .venv-lowest/bin/python -m pytest $(PYTEST_FLAGS) $(LOWEST_TESTS)
 
 lint: $(STAMP)  ## ruff: rules and format; import-linter: who may import whom
 	@$(BIN)/ruff check .
@@ -36,7 +46,7 @@ hooks: $(STAMP)  ## install the git hooks (lint and types before each commit)
 setup: $(STAMP)  ## only set up .venv
 
 clean:  ## remove .venv, caches and outputs
-	rm -rf $(VENV) out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	rm -rf $(VENV) .venv-lowest out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # One shell script on purpose: find a Python, make the environment, install, and only then stamp it.
@@ -54,7 +64,11 @@ $(STAMP): pyproject.toml
 	fi; \
 	echo "Setting up $(VENV) with $$("$$python" --version) (once, takes a minute or two) ..." >&2; \
 	$(BIN)/python -c pass 2>/dev/null || "$$python" -m venv --clear $(VENV); \
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' >&2; \
+	constraint=""; \
+	if [ -n "$(CONSTRAINTS)" ]; then \
+	  $(BIN)/python $(CONSTRAINTS) >$(VENV)/constraints.txt; constraint="-c $(VENV)/constraints.txt"; \
+	fi; \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $$constraint --editable '.[dev]' >&2; \
 	touch $(STAMP)
 
-.PHONY: help run test lint types bench hooks setup clean
+.PHONY: help run test lowest lint types bench hooks setup clean

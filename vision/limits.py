@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from errno import EISDIR
+from os import strerror
 from pathlib import Path
 from stat import S_ISDIR, S_ISREG
 from typing import Any
@@ -33,15 +35,16 @@ def check_is_file(path: Path) -> None:
     InputError
         Also where the path cannot be one of any file.
     OSError
-        Where there is no such file, or it may not be looked at.
+        Where there is no such file, it may not be looked at, or is a folder.
     """
     try:
         mode = path.stat().st_mode
     except ValueError as error:  # a null byte
         raise InputError(f"is no path: {error}", file=repr(str(path)), remedy="correct it") from error
+    if S_ISDIR(mode):
+        raise IsADirectoryError(EISDIR, strerror(EISDIR), str(path))
     if not S_ISREG(mode):
-        what = "is a folder" if S_ISDIR(mode) else "is a pipe or a device"
-        raise InputError(what, file=path, remedy="give a file")
+        raise InputError("is a pipe or a device", file=path, remedy="give a file")
 
 
 def read_text(path: Path, what: str) -> str:

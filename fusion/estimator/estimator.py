@@ -15,6 +15,7 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.diagnostics import Covariance, Innovations, covariance_of, innovations_of
 from fusion.estimator.engine import Engine
 from fusion.estimator.estimate import Estimate, Status, estimate_of
+from fusion.estimator.events import EventLog
 from fusion.estimator.fixed_lag import FixedLag
 from fusion.estimator.frame_update import FrameResult, FrameSample, Measure
 from fusion.estimator.gyro_checks import GyroVerdict
@@ -49,6 +50,7 @@ class CorridorEstimator:
     bit that of samples in order. What comes later than that, twice, or is no number is counted in `counters` and
     otherwise ignored; so is a stamp far ahead of the IMU's clock, until the next one confirms it. Status and reason
     also tell how samples arrive: of clocks that are off, and later of silence where frames always come late.
+    The logger ``fusion.estimator`` is told of rejections, steps and changes, see `fusion.estimator.events`.
 
     Not thread-safe: measure frames elsewhere if you like (`vision.extract_lines`), but call the estimator from one
     thread.
@@ -85,11 +87,12 @@ class CorridorEstimator:
         lag_s = self.config.fixed_lag_s
         self._lag = None if lag_s is None else FixedLag(round(lag_s * 1e9), self.config)
         self._on_final = on_final
+        self._events = EventLog(self.config)
         self._timeline = Timeline(
             self._engine,
             round(self.config.buffer_s * 1e9),
             self.counters,
-            on_final if self._lag is None else self._finalise,
+            self._finalise,
         )
         self._arrivals = Arrivals(round(self.config.buffer_s * 1e9), self.counters)
         self._resets = Resets()
@@ -396,8 +399,10 @@ class CorridorEstimator:
         """End the flight: hand what is still in the buffer to ``on_final``."""
         self._arrivals.finish()
         self._timeline.finish()
+        self._events.finish()
 
     def _finalise(self, entry: Entry) -> None:
+        self._events.take(entry)
         if self._lag is not None:
             self._lag.keep(entry)
         if self._on_final is not None:

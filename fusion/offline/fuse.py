@@ -15,6 +15,7 @@ import numpy.typing as npt
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import estimate_of
 from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.events import Event, EventFinder
 from fusion.estimator.frame_update import FrameResult, FrameSample
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.lateral_smoother import OffsetSteps
@@ -84,7 +85,9 @@ def fuse_flight(
         problems=(*flight.problems, *_sample_problems(estimator)),
         offset_hypotheses=hypotheses_table(recorder.offset_steps),
     )
-    return replace(result, overview=summarise(result, flight, method, estimator.counters, timings))
+    return replace(
+        result, overview=summarise(result, flight, method, estimator.counters, timings, recorder.events)
+    )
 
 
 def check_times(flight: Flight) -> None:
@@ -218,6 +221,8 @@ class Recorder:
         self.frames: list[tuple[Any, ...]] = []
         self.steps = Steps()
         self.offset_steps = OffsetSteps()
+        self.events: list[Event] = []
+        self._finder = EventFinder(config)
         self._rows: list[tuple[Any, ...]] = []
         self._packed: list[
             Table
@@ -232,6 +237,7 @@ class Recorder:
             self._close_instant()
         self.steps.add(entry.nodes)
         self.offset_steps.add(entry.t_ns, entry.after.lateral.step)
+        self.events += self._finder.take(entry)
         if entry.frame is not None:
             self.frames.append(frame_row(entry.frame, self.config))
         self._pending = entry
@@ -249,6 +255,7 @@ class Recorder:
         """Close the last instant."""
         if self._pending is not None:
             self._close_instant()
+        self.events += self._finder.finish()
 
     def _close_instant(self) -> None:
         # A row stands for its instant after all samples of that time, whatever their order of arrival.

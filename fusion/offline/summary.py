@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from fusion.estimator.events import Event, EventKind
 from fusion.estimator.tables import Table
 from fusion.evaluation.checks import run_checks
 from fusion.evaluation.errors import evaluate
@@ -17,6 +19,7 @@ from fusion.flight import Flight
 from fusion.result.result import FusionResult, Timings
 from fusion.result.summary import CorridorStretch, Counts, FlightErrors, Rates, SpeedSummary, Summary
 
+MAX_EVENTS = 20_000  # in the summary; frames.csv has every rejection
 _DROPPED_ENDINGS = (
     "_late",
     "_ahead",
@@ -34,7 +37,12 @@ _DROPPED_ENDINGS = (
 
 
 def summarise(
-    result: FusionResult, flight: Flight, method: str, counters: Mapping[str, int], timings: Timings
+    result: FusionResult,
+    flight: Flight,
+    method: str,
+    counters: Mapping[str, int],
+    timings: Timings,
+    events: Sequence[Event] = (),
 ) -> Summary:
     """Summarise a fused flight.
 
@@ -48,6 +56,8 @@ def summarise(
         Samples that the estimator took and dropped, by name.
     timings
         What the run cost.
+    events
+        What happened, in order of time.
     """
     duration_s = _duration_s(result, flight)
     checks = run_checks(result, flight)
@@ -69,7 +79,26 @@ def summarise(
         errors=_errors(result, flight),
         problems=result.problems,
         config=result.config.model_dump(),
+        events=_summed_up(events[:MAX_EVENTS]),
+        events_left_out=max(len(events) - MAX_EVENTS, 0),
     )
+
+
+def _summed_up(events: Sequence[Event]) -> tuple[Mapping[str, Any], ...]:
+    """Put events as plain values; frames rejected one after another for one reason are one, with their number."""
+    found: list[dict[str, Any]] = []
+    for event in events:
+        last, reason = found[-1] if found else {}, event.values.get("reason")
+        if event.kind is EventKind.FRAME_REJECTED and (last.get("kind"), last.get("reason")) == (
+            event.kind,
+            reason,
+        ):
+            last |= {"last_ns": event.timestamp_ns, "frames": last["frames"] + 1}
+            continue
+        found.append({"timestamp_ns": event.timestamp_ns, "kind": str(event.kind), **event.values})
+        if event.kind is EventKind.FRAME_REJECTED:
+            found[-1] |= {"last_ns": event.timestamp_ns, "frames": 1}
+    return tuple(found)
 
 
 def _duration_s(result: FusionResult, flight: Flight) -> float:

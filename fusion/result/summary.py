@@ -223,6 +223,10 @@ class Summary(Record):
         Against the truth; None without one.
     problems, config
         What was wrong with the log, a sentence each; the settings as used.
+    events, events_left_out
+        What happened, see `fusion.estimator.events`, and how much more than is listed: each with ``timestamp_ns``,
+        ``kind`` and its numbers. Frames rejected in a row for one reason are one event, from ``timestamp_ns`` to
+        ``last_ns``.
     """
 
     verdict: Level = Level.NOT_JUDGED
@@ -238,3 +242,5 @@ class Summary(Record):
     errors: FlightErrors | None = None
     problems: tuple[str, ...] = ()
     config: Mapping[str, Any] = field(default_factory=dict)
+    events: tuple[Mapping[str, Any], ...] = ()
+    events_left_out: int = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from os.path import isfile
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,7 @@ def read_frames(cam: Path) -> WithProblems[FrameStream]:
     problems += disorder
     t_ns = t_ns[index]
     names = [names[i] for i in index]
-    missing = [name for name in names if name not in present and not (folder / name).is_file()]
+    missing = [name for name in names if name not in present and not isfile(folder / name)]
     if len(missing) == len(names):
         raise InputError(
             f"none of its {counted(len(names), 'picture')} is in data/, such as {missing[0]}",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+from os.path import isfile
 from pathlib import Path
 
 import numpy as np
@@ -125,7 +126,7 @@ def _times_from_list(
             )
         return WithProblems((listed.t_ns, [names[row] for row in listed.row]), problems)
     chosen = [os.path.relpath(_beside(path, file, name), path) for name in listed.names]
-    missing = [name for name in chosen if not (path / name).is_file()]
+    missing = [name for name in chosen if not isfile(path / name)]
     if len(missing) == len(chosen):
         raise InputError(
             f"none of its {counted(len(chosen), 'picture')} is in {path.name}, such as {missing[0]}",
@@ -146,7 +147,7 @@ def _beside(path: Path, file: Path, name: str) -> Path:
     if not stays_inside(name):
         raise InputError(f"names {name!r}, outside the folder", file=file, remedy="copy the pictures there")
     for candidate in (path / name, file.parent / name, path / Path(name).name):
-        if candidate.is_file():
+        if isfile(candidate):
             return candidate
     return path / name
 

@@ -1,0 +1,144 @@
+"""What happened in flight, with times and numbers: frames rejected, steps, other corridors, changes of status.
+
+Events are found between entries that have left the buffer, which no late sample can change any more: they are those
+of the sorted log, and come ``config.buffer_s`` after the fact. A program that acts at once reads the `Estimate`.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from math import sqrt
+
+from fusion.estimator.camera_delay import spread_by_delay
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimate import status_of
+from fusion.estimator.models import PSI
+from fusion.estimator.resets import heading_step
+from fusion.estimator.state import Entry, State
+
+LOGGER = logging.getLogger("fusion.estimator")
+logging.getLogger("fusion").addHandler(logging.NullHandler())  # a library is quiet until it is asked
+
+
+class EventKind(StrEnum):
+    """What happened."""
+
+    FRAME_REJECTED = "frame_rejected"
+    HEADING_RESET = "heading_reset"
+    LATERAL_RESET = "lateral_reset"
+    CORRIDOR_CHANGED = "corridor_changed"
+    STATUS_CHANGED = "status_changed"
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened at an instant.
+
+    Parameters
+    ----------
+    timestamp_ns
+        When; of a frame, its time stamp.
+    kind
+        What.
+    values
+        Its numbers and words, by name; units are in the names.
+    """
+
+    timestamp_ns: int
+    kind: EventKind
+    values: Mapping[str, float | str] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        told = (
+            f"{name}={value:.6g}" if isinstance(value, float) else f"{name}={value}"
+            for name, value in self.values.items()
+        )
+        return " ".join((f"t_ns={self.timestamp_ns}", str(self.kind), *told))
+
+
+class EventFinder:
+    """Finds the events of a flight in its entries, given in order of time."""
+
+    def __init__(self, config: FusionConfig) -> None:
+        self._config = config
+        self._before: State | None = None  # behind the last instant that is closed
+        self._status: str | None = None
+        self._open: Entry | None = None
+
+    def take(self, entry: Entry) -> list[Event]:
+        """Take the next entry; return what it shows to have happened."""
+        found: list[Event] = []
+        if self._open is not None and entry.t_ns != self._open.t_ns:
+            found += self._close(self._open)
+        self._open = entry
+        frame = entry.frame
+        if frame is not None and not frame.accepted:
+            values: dict[str, float | str] = {"reason": str(frame.reason)}
+            if frame.test_ratio == frame.test_ratio:
+                values |= {"innovation_rad": frame.innovation_rad, "test_ratio": frame.test_ratio}
+            found.append(Event(frame.timestamp_ns, EventKind.FRAME_REJECTED, values))
+        return found
+
+    def finish(self) -> list[Event]:
+        """Return what the last instant shows."""
+        last, self._open = self._open, None
+        return [] if last is None else list(self._close(last))
+
+    def _close(self, entry: Entry) -> Iterator[Event]:
+        """Compare the state after all samples of an instant with that of the one before."""
+        old, new, t_ns = self._before, entry.after, entry.t_ns
+        self._before = new
+        if old is not None:
+            if new.axis.corridor_index != old.axis.corridor_index:
+                yield Event(
+                    t_ns,
+                    EventKind.CORRIDOR_CHANGED,
+                    {
+                        "corridor_index": new.axis.corridor_index,
+                        "corridor_turn_rad": new.axis.corridor_turn_rad,
+                    },
+                )
+            if new.axis.reset_count != old.axis.reset_count:
+                yield Event(t_ns, EventKind.HEADING_RESET, {"step_rad": heading_step(old, new)})
+            if new.lateral.reset_count != old.lateral.reset_count:
+                steps = {"step_norm": new.lateral.reset_norm, "step_m": new.lateral.reset_m}
+                yield Event(t_ns, EventKind.LATERAL_RESET, steps)
+        heading_std = spread_by_delay(sqrt(float(new.P[PSI, PSI])), new.delay, t_ns)
+        status, notices = status_of(new, self._config, t_ns, heading_std)
+        if status != self._status:
+            values = {"before": self._status or "", "status": str(status)}
+            values["reason"] = "; ".join(notice.text for notice in notices)
+            self._status = str(status)
+            yield Event(t_ns, EventKind.STATUS_CHANGED, values)
+
+
+class EventLog:
+    """Tells the logger ``fusion.estimator`` of events, at level INFO; costs nothing while nobody listens.
+
+    Each record carries its `Event` as ``record.event``.
+    """
+
+    def __init__(self, config: FusionConfig) -> None:
+        self._config = config
+        self._finder: EventFinder | None = None
+
+    def take(self, entry: Entry) -> None:
+        """Take the next entry in order of time."""
+        if not LOGGER.isEnabledFor(logging.INFO):
+            self._finder = None
+            return
+        if self._finder is None:
+            self._finder = EventFinder(self._config)
+        self._tell(self._finder.take(entry))
+
+    def finish(self) -> None:
+        """Tell of the last instant."""
+        if self._finder is not None:
+            self._tell(self._finder.finish())
+
+    def _tell(self, events: list[Event]) -> None:
+        for event in events:
+            LOGGER.info("%s", event, extra={"event": event})
