@@ -9,6 +9,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTHON ?=
 PYTEST_FLAGS ?= -n 2
+EXTRA ?= dev
 CONSTRAINTS ?=
 # Where a reader, a writer or the command line leans on another library; the filter's own arithmetic does not.
 LOWEST_TESTS := tests/test_cli.py tests/fusion/test_log_ulog.py tests/fusion/test_log_tlog.py \
@@ -26,7 +27,7 @@ test: $(STAMP)  ## run all tests
 	@$(BIN)/python -m pytest $(PYTEST_FLAGS)
 
 lowest:  ## run the tests of what other libraries do with the lowest versions that pyproject.toml allows
-	@$(MAKE) --no-print-directory setup VENV=.venv-lowest CONSTRAINTS=.ci/lowest.py
+	@$(MAKE) --no-print-directory setup VENV=.venv-lowest EXTRA=test CONSTRAINTS=.ci/lowest.py
 	@NUMBA_CACHE_DIR=.venv-lowest/numba .venv-lowest/bin/python -m pytest $(PYTEST_FLAGS) $(LOWEST_TESTS)
 
 lint: $(STAMP)  ## ruff: rules and format; import-linter: who may import whom
@@ -68,7 +69,7 @@ $(STAMP): pyproject.toml
 	if [ -n "$(CONSTRAINTS)" ]; then \
 	  $(BIN)/python $(CONSTRAINTS) >$(VENV)/constraints.txt; constraint="-c $(VENV)/constraints.txt"; \
 	fi; \
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check $$constraint --editable '.[dev]' >&2; \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $$constraint --editable '.[$(EXTRA)]' >&2; \
 	touch $(STAMP)
 
 .PHONY: help run test lowest lint types bench hooks setup clean

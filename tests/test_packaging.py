@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
+import tomllib
 import venv
 import zipfile
 from pathlib import Path
@@ -85,3 +87,13 @@ def test_the_command_runs_from_another_folder(installed: Path) -> None:
     assert "fuse" in run.stdout
     assert "measure" in run.stdout
     assert run_in(installed, "corridor", "--version").stdout.startswith("corridor-fusion 0.")
+
+
+def test_every_library_is_listed_with_its_licence() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    optional = project["optional-dependencies"]
+    extras = [name for name in optional if name not in ("test", "dev")]
+    wanted = [*project["dependencies"], *(library for extra in extras for library in optional[extra])]
+    names = {re.split(r"[<>=\[]", library)[0] for library in wanted} - {"corridor-fusion"}
+    rows = re.findall(r"^\| ([\w., -]+) \| \S+", (ROOT / "LICENSES.md").read_text(), re.MULTILINE)
+    assert names == {name.strip() for row in rows for name in row.split(",")} - {"library"}
