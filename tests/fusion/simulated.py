@@ -125,7 +125,7 @@ class Simulated:
     samples: list[Sample]  # in order of arrival
 
     def heading_in(self, axis_rad: Any) -> np.ndarray:
-        return wrap(self.heading - axis_rad)
+        return np.asarray(wrap(self.heading - axis_rad))
 
 
 def simulate(scene: Scene) -> Simulated:

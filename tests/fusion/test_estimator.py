@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import degrees, isnan, nan, pi, radians
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,10 +29,10 @@ from vision.errors import InputError
 from vision.measurement import FrameMeasurement, Reason
 
 MS = 1_000_000
-QUICK = {"gyro_hz": 100.0, "frame_hz": 20.0, "delay_s": 0.08}
+QUICK: dict[str, Any] = {"gyro_hz": 100.0, "frame_hz": 20.0, "delay_s": 0.08}
 
 
-def steady(seconds: float = 2.0, heading: float = 0.2, **config: object) -> tuple[CorridorEstimator, int]:
+def steady(seconds: float = 2.0, heading: float = 0.2, **config: Any) -> tuple[CorridorEstimator, int]:
     """An estimator that has flown straight on for a while, and the time it is at."""
     estimator = CorridorEstimator(FusionConfig(**config))
     t = 0
@@ -292,7 +293,7 @@ def test_an_hour_of_silence_is_survived() -> None:
 # The IMU's yaw
 
 
-def yaw_scene(**changes: object) -> Scene:
+def yaw_scene(**changes: Any) -> Scene:
     return replace(
         Scene(seed=6, duration_s=15, heading=weaving(6), attitude_hz=25, attitude_std_rad=0.0, **QUICK),
         **changes,
