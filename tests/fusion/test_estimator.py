@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
 from tests.fusion.simulated import (
+    Run,
     Scene,
     config_for,
     frame,
@@ -311,7 +312,7 @@ def test_steps_of_the_imu_yaw_never_reach_the_heading() -> None:
 
 
 def test_coupled_imu_yaw_helps_in_a_drop_out_and_its_steps_do_little() -> None:
-    def run_with(**changes: object):
+    def run_with(**changes: Any) -> list[tuple[Run, np.ndarray]]:
         scene = yaw_scene(dropouts=[(6.0, 11.0)], gyro_bias_walk=3e-3, **changes)
         simulated = simulate(scene)
         results = [
