@@ -125,7 +125,7 @@ class Simulated:
     samples: list[Sample]  # in order of arrival
 
     def heading_in(self, axis_rad: Any) -> np.ndarray:
-        return wrap(self.heading - axis_rad)
+        return np.asarray(wrap(self.heading - axis_rad))
 
 
 def simulate(scene: Scene) -> Simulated:
@@ -323,4 +323,4 @@ def _rows(
 def heading_error(result: Run, simulated: Simulated, axis_rad: Any = 0.0) -> np.ndarray:
     """Estimate minus truth at each row, wrapped."""
     truth = np.interp(result.t_s, simulated.t_s, simulated.heading)
-    return wrap(result.heading - truth + axis_rad)
+    return np.asarray(wrap(result.heading - truth + axis_rad))

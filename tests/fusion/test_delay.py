@@ -138,7 +138,7 @@ def test_it_outlasts_a_silent_gyroscope() -> None:
 
 
 def test_it_stays_within_its_bounds() -> None:
-    known = {"gain": 1e6, "spread": 1e6}
+    known: dict[str, Any] = {"gain": 1e6, "spread": 1e6}
     start = unknown_delay(FusionConfig(camera_delay_s=0.02, camera_delay_std_s=0.03, buffer_s=0.05))
     assert start is not None
     assert start.late_s == 0.0

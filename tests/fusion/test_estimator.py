@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import degrees, isnan, nan, pi, radians
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
 from tests.fusion.simulated import (
+    Run,
     Scene,
     config_for,
     frame,
@@ -28,10 +30,10 @@ from vision.errors import InputError
 from vision.measurement import FrameMeasurement, Reason
 
 MS = 1_000_000
-QUICK = {"gyro_hz": 100.0, "frame_hz": 20.0, "delay_s": 0.08}
+QUICK: dict[str, Any] = {"gyro_hz": 100.0, "frame_hz": 20.0, "delay_s": 0.08}
 
 
-def steady(seconds: float = 2.0, heading: float = 0.2, **config: object) -> tuple[CorridorEstimator, int]:
+def steady(seconds: float = 2.0, heading: float = 0.2, **config: Any) -> tuple[CorridorEstimator, int]:
     """An estimator that has flown straight on for a while, and the time it is at."""
     estimator = CorridorEstimator(FusionConfig(**config))
     t = 0
@@ -292,7 +294,7 @@ def test_an_hour_of_silence_is_survived() -> None:
 # The IMU's yaw
 
 
-def yaw_scene(**changes: object) -> Scene:
+def yaw_scene(**changes: Any) -> Scene:
     return replace(
         Scene(seed=6, duration_s=15, heading=weaving(6), attitude_hz=25, attitude_std_rad=0.0, **QUICK),
         **changes,
@@ -310,7 +312,7 @@ def test_steps_of_the_imu_yaw_never_reach_the_heading() -> None:
 
 
 def test_coupled_imu_yaw_helps_in_a_drop_out_and_its_steps_do_little() -> None:
-    def run_with(**changes: object):
+    def run_with(**changes: Any) -> list[tuple[Run, np.ndarray]]:
         scene = yaw_scene(dropouts=[(6.0, 11.0)], gyro_bias_walk=3e-3, **changes)
         simulated = simulate(scene)
         results = [

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import cos, pi, sin
 
 import numpy as np
@@ -12,6 +13,7 @@ from fusion.estimator.ekf import CorridorEKF
 from fusion.estimator.models import (
     PSI,
     ProcessNoise,
+    ScalarMeasurement,
     Y,
     heading_model,
     imu_yaw_model,
@@ -29,7 +31,9 @@ states = st.tuples(angles, st.floats(-0.5, 0.5), angles, st.floats(-2, 2), st.fl
 steps = st.floats(1e-4, 2.0)
 
 
-def finite_difference(function, x: np.ndarray, h: float = 1e-5) -> np.ndarray:
+def finite_difference(
+    function: Callable[[np.ndarray], np.ndarray], x: np.ndarray, h: float = 1e-5
+) -> np.ndarray:
     return np.stack([(function(x + h * e) - function(x - h * e)) / (2 * h) for e in np.eye(len(x))], axis=-1)
 
 
@@ -116,7 +120,7 @@ def test_level_rate_stays_finite_when_yaw_has_no_meaning() -> None:
 
 @given(states, angles)
 def test_measurement_derivatives(x: np.ndarray, z: float) -> None:
-    def agrees(model) -> None:
+    def agrees(model: Callable[[np.ndarray], ScalarMeasurement]) -> None:
         H = model(x).H
         h = 1e-6
         numeric = np.array(

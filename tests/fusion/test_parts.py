@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import cos, isnan, nan, radians, sin
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from fusion.estimator.camera_elevation import FLOOR_RAD, Elevation
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import CorridorAxis, Recovery
 from fusion.estimator.ekf import CorridorEKF
-from fusion.estimator.engine import SOURCES, Engine, State
+from fusion.estimator.engine import SOURCES, Engine, Sample, State
 from fusion.estimator.frame_update import FrameSample, measure_with_prior, reason_to_reject
 from fusion.estimator.imu_yaw import AttitudeSample, ImuYaw, fuse_imu_yaw
 from fusion.estimator.junctions import NewCorridor
@@ -161,7 +162,7 @@ def decided(axis: CorridorAxis, theta_rad: float, n: int) -> Recovery | NewCorri
     return junctions.decide(axis, theta_rad - axis.anchor_rad, now_ns, theta_rad, 0.1, FusionConfig())[1]
 
 
-def known_axis(**changes: object) -> CorridorAxis:
+def known_axis(**changes: Any) -> CorridorAxis:
     return CorridorAxis(
         acquired=True, ever_acquired=True, anchor_rad=0.0, n_accepted=40, support_s=20.0, t_vision_ns=0
     )._replace(**changes)
@@ -311,7 +312,7 @@ def test_the_lateral_offset_is_told_every_step() -> None:
     engine = Engine(FusionConfig())
     engine._lateral = part = Listening(engine.config)
     state, force = engine.initial_state(), (0.1, -0.2, -9.8)
-    samples = [
+    samples: list[Sample] = [
         *(ImuSample(k * 10 * MS, (0.0, 0.0, 0.1), force) for k in range(100)),
         VelocitySample(503 * MS, (1.0, 0.0, 0.0)),
         AttitudeSample(507 * MS, (1.0, 0.0, 0.0, 0.0)),
@@ -340,8 +341,8 @@ def test_velocities_are_levelled(roll: float, pitch: float) -> None:
     down = (-sin(pitch), sin(roll) * cos(pitch), cos(roll) * cos(pitch))
     forward = (cos(pitch), sin(roll) * sin(pitch), cos(roll) * sin(pitch))
     right = (0.0, cos(roll), -sin(roll))
-    velocity = tuple(2.0 * f - 0.5 * r + 3.0 * d for f, r, d in zip(forward, right, down, strict=True))
-    found = with_velocity(Velocity(), VelocitySample(7, velocity), down)
+    x, y, z = (2.0 * f - 0.5 * r + 3.0 * d for f, r, d in zip(forward, right, down, strict=True))
+    found = with_velocity(Velocity(), VelocitySample(7, (x, y, z)), down)
     assert (found.forward_m_s, found.sideways_m_s) == pytest.approx((2.0, -0.5))
     assert found.is_known(7 + 500 * MS)
     assert not found.is_known(7 + 501 * MS)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from dataclasses import asdict, replace
-from math import cos, isnan, nan, radians, sqrt
+from math import cos, isnan, nan, radians, sin, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ WIDTH_M = 2.4
 
 
 def height_m(t_s: float) -> float:
-    return 1.4 + 0.3 * np.sin(0.7 * t_s)
+    return 1.4 + 0.3 * sin(0.7 * t_s)
 
 
 def samples(
@@ -110,7 +111,7 @@ def test_a_table_below_for_a_second_does_not_move_the_width() -> None:
 @pytest.mark.parametrize("wrong", ["noise", "stuck", "spikes"])
 def test_a_sensor_that_lies_does_not_spoil_the_scale_free_offset(wrong: str) -> None:
     rng = random.Random(3)
-    lies = {
+    lies: dict[str, Callable[[float], float]] = {
         "noise": lambda d: rng.uniform(0.1, 5.0),
         "stuck": lambda d: 0.05,
         "spikes": lambda d: d if rng.random() < 0.7 else rng.choice((0.02, 40.0)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import degrees, isnan, radians
+from typing import Any
 
 import numpy as np
 import pytest
@@ -54,7 +55,7 @@ def fly(
     return t
 
 
-def started(**config: object) -> tuple[Continuous, int]:
+def started(**config: Any) -> tuple[Continuous, int]:
     watched = Continuous(CorridorEstimator(FusionConfig(**config)))
     return watched, fly(watched, 0, 4.0, 0.2)
 

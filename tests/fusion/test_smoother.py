@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,7 @@ from fusion.estimator.models import ScalarMeasurement
 from fusion.estimator.smoother import Node, Steps, rts
 
 
-def linear_problem(seed: int, n: int = 12):
+def linear_problem(seed: int, n: int = 12) -> tuple[Any, ...]:
     """A filter's run over transitions that all differ, with several, one or no measurements after each."""
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(5, 5))
@@ -37,7 +39,14 @@ def linear_problem(seed: int, n: int = 12):
     return x0, P0, Fs, Qs, offsets, measurements, nodes
 
 
-def batch(x0, P0, Fs, Qs, offsets, measurements) -> tuple[np.ndarray, np.ndarray]:
+def batch(
+    x0: np.ndarray,
+    P0: np.ndarray,
+    Fs: list[np.ndarray],
+    Qs: list[np.ndarray],
+    offsets: list[np.ndarray],
+    measurements: list[tuple[int, np.ndarray, float, float]],
+) -> tuple[np.ndarray, np.ndarray]:
     """Least squares over the whole trajectory at once: the definition of what the smoother must find."""
     n = len(Fs) + 1
     rows, values = [], []

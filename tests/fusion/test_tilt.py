@@ -42,7 +42,9 @@ def test_nothing_measured_is_no_attitude() -> None:
     assert attitude_at(Tilt(), 0, 0.01) is None
 
 
-def fly(seed: int, *, attitude_hz: float, accel: bool, bias: float, seconds: float = 20.0, hz: float = 100.0):
+def fly(
+    seed: int, *, attitude_hz: float, accel: bool, bias: float, seconds: float = 20.0, hz: float = 100.0
+) -> tuple[np.ndarray, Attitude]:
     """Tilt by sensors against the truth; returns the errors of roll and pitch and the last attitude."""
     roll_of, pitch_of = weaving(seed, radians(12), 4.0), weaving(seed + 50, radians(12), 5.0)
     rng = np.random.default_rng(seed)
@@ -56,7 +58,10 @@ def fly(seed: int, *, attitude_hz: float, accel: bool, bias: float, seconds: flo
         dpitch = float((pitch_of(np.array(t)) - pitch_of(np.array(t - 2 * h))) * hz)
         gyro = (droll + bias, dpitch * cos(roll) + bias, -dpitch * sin(roll))
         roll, pitch = float(roll_of(np.array(t))), float(pitch_of(np.array(t)))
-        force = tuple(-9.80665 * d + rng.normal(0, 0.3) for d in down_of(roll, pitch)) if accel else None
+        force = None
+        if accel:
+            x, y, z = (-9.80665 * d + rng.normal(0, 0.3) for d in down_of(roll, pitch))
+            force = (x, y, z)
         t_ns = round(t * S)
         if attitude_hz and i % round(hz / attitude_hz) == 0:
             tilt = from_quaternion(tilt, t_ns, quaternion(roll, pitch, 1.0))

@@ -61,7 +61,7 @@ class Recorder:
         )
 
 
-def fuse(samples: list[Sample], **config: Any) -> tuple[list[tuple[Any, ...]], CorridorEstimator]:
+def fuse(samples: list[Sample], **config: Any) -> tuple[list[Any], CorridorEstimator]:
     recorder = Recorder()
     estimator = CorridorEstimator(FusionConfig(corridor_width_m=2.0, **config), on_final=recorder)
     for sample in samples:

@@ -131,7 +131,7 @@ def read_table(path: Path) -> dict[str, Table]:
     found: dict[str, list[tuple[Any, ...]]] = {"filter": [], "smoother": []}
     for row in read_rows(path):
         cells = (row[name] for name in ESTIMATE_DTYPE.names or ())
-        kinds = (ESTIMATE_DTYPE[i].kind for i in range(len(ESTIMATE_DTYPE)))
+        kinds = (ESTIMATE_DTYPE[name].kind for name in ESTIMATE_DTYPE.names or ())
         found[row["table"]].append(tuple(_value(c, k) for c, k in zip(cells, kinds, strict=True)))
     return {which: np.array(rows, dtype=ESTIMATE_DTYPE) for which, rows in found.items()}
 
@@ -213,7 +213,10 @@ def measure_office() -> list[list[str]]:
             seen[result.timestamp_ns] = result.measurement
 
     estimator = CorridorEstimator(office_config(flight), flight.camera, on_final=keep)
-    call = {Kind.IMU: estimator.add_imu, Kind.ATTITUDE: estimator.add_attitude}
+    call: dict[Kind, Callable[..., Any]] = {
+        Kind.IMU: estimator.add_imu,
+        Kind.ATTITUDE: estimator.add_attitude,
+    }
     pictures = [(int(t), Kind.FRAME, (i,)) for i, t in enumerate(flight.frames.t_ns)]
     for t_ns, kind, values in sorted([*_sensors(flight), *pictures], key=lambda give: give[:2]):
         if kind is Kind.FRAME:
