@@ -6,13 +6,28 @@ corridor stays where it is however the vehicle turns; `fusion.estimator.junction
 
 from __future__ import annotations
 
-from math import isfinite, nan, radians
+from math import exp, isfinite, isnan, nan, radians, sqrt
+from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.models import N_STATES, PSI, YAW_OFFSET, heading_model
+from fusion.estimator.hypotheses import (
+    MIN_POINTS,
+    SHORT_S,
+    SPANS_S,
+    Evidence,
+    Hypothesis,
+    Innovations,
+    Sight,
+    Slope,
+    Verdict,
+    judge,
+    slopes,
+    with_sight,
+)
+from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, heading_model
 from fusion.estimator.noise_adaptation import SourceNoise
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD
 from fusion.estimator.votes import AGREEING_SHARE, Vote, add_vote, agreement
@@ -24,7 +39,8 @@ if TYPE_CHECKING:
 VOTE_AGE_S = 3.0
 VOTE_AGE_FRAMES = 15
 VOTE_SPACING_S = 0.03
-GRADUAL_RAD = radians(6)
+GRADUAL_RAD = radians(6)  # what a vehicle turns between frames, if the gyroscope may be wrong
+LINK_SIGMA = 3.0
 
 
 class PreviousAxis(NamedTuple):
@@ -38,11 +54,23 @@ class PreviousAxis(NamedTuple):
 
 
 class FrameAxis(NamedTuple):
-    """A heading that a picture showed, and whether no jump lies between it and one that the filter accepted."""
+    """A heading that a picture showed, its sigma, and what the gyroscope had turned by then.
+
+    ``linked``: no jump lies between it and one that the filter accepted.
+    """
 
     t_ns: int
     heading_rad: float
+    std_rad: float
     linked: bool
+    raw_theta_rad: float
+
+
+class Told(NamedTuple):
+    """Who was found wrong, and when last."""
+
+    hypothesis: Hypothesis
+    t_ns: int
 
 
 class Rival(NamedTuple):
@@ -82,6 +110,17 @@ class CorridorAxis(NamedTuple):
         Axis that rejected frames agree on.
     previous
         The corridor left last.
+    innovations, sights, verdict
+        What the frames have shown against the prediction, and who is wrong by that.
+    told
+        Who was found wrong last, and when.
+    refused_share
+        Share of the frames of the last half second that were not used.
+    judged_ns, found
+        When it was asked last who is wrong, and what was found.
+    straight_bias_rad_s
+        The gyroscope's bias from before frames began to drift from gyroscope and attitude; the filter's own takes up
+        the bend's rate meanwhile. NaN while there is no bend.
     """
 
     acquired: bool = False
@@ -102,10 +141,25 @@ class CorridorAxis(NamedTuple):
     recent: tuple[FrameAxis, ...] = ()
     rival: Rival | None = None
     previous: PreviousAxis | None = None
+    innovations: Innovations = Innovations()
+    sights: tuple[Sight, ...] = ()
+    verdict: Verdict = Verdict()
+    told: Told | None = None
+    refused_share: float = 0.0
+    judged_ns: int | None = None
+    found: Hypothesis = Hypothesis.WELL
+    straight_bias_rad_s: float = nan
 
     def lost(self) -> CorridorAxis:
         """Let the next headings start anew."""
-        return self._replace(acquired=False, votes=())
+        return self._replace(
+            acquired=False,
+            votes=(),
+            sights=(),
+            innovations=Innovations(),
+            verdict=Verdict(),
+            straight_bias_rad_s=nan,
+        )
 
     def clock_set_back(self) -> CorridorAxis:
         """Start anew; corridors and counts stay."""
@@ -121,28 +175,42 @@ class CorridorAxis(NamedTuple):
             support_s=support_s,
             t_vision_ns=t_ns,
             n_accepted=self.n_accepted + 1,
-            anchor_rad=theta_rad - psi,
+            anchor_rad=theta_rad - psi if isnan(self.straight_bias_rad_s) else self.anchor_rad,
             facing_rad=psi - wrap_axis(psi),
         )
 
     def followed(
-        self, t_ns: int, heading_rad: float, accepted: bool, frame_interval_s: float
+        self,
+        t_ns: int,
+        heading_rad: float,
+        std_rad: float,
+        raw_theta_rad: float,
+        accepted: bool,
+        frame_interval_s: float,
     ) -> tuple[FrameAxis, ...]:
         """Follow the axis through the pictures alone; return ``recent`` with a frame's heading.
 
         Parameters
         ----------
-        t_ns, heading_rad, accepted
+        t_ns, heading_rad, std_rad, accepted
             Of the frame, and whether the filter took it.
+        raw_theta_rad
+            What the gyroscope has turned until then.
         frame_interval_s
             Mean time between frames; NaN where unknown.
         """
         reach_ns = round(max(0.4, 2.5 * frame_interval_s if isfinite(frame_interval_s) else 0.0) * 1e9)
-        linked = accepted or any(
-            known and t_ns - t <= reach_ns and abs(wrap_axis(heading_rad - heading)) < GRADUAL_RAD
-            for t, heading, known in self.recent
-        )
-        return (*self.recent[-3:], FrameAxis(t_ns, heading_rad, linked))
+        near = [r for r in self.recent if r.linked and t_ns - r.t_ns <= reach_ns]
+        linked = accepted and self.refused_share < 0.5
+        if near and not linked:
+            last = near[-1].heading_rad
+            step = wrap_axis(heading_rad - last - median(wrap_axis(r.heading_rad - last) for r in near))
+            turned = raw_theta_rad - median(r.raw_theta_rad for r in near)
+            variance = std_rad**2 + sum(r.std_rad**2 for r in near) / len(near) ** 2
+            noise = LINK_SIGMA * sqrt(variance)
+            low, high = max(min(turned, 0.0), -GRADUAL_RAD), min(max(turned, 0.0), GRADUAL_RAD)
+            linked = low - noise < step < high + noise or abs(step - turned) < noise
+        return (*self.recent[-5:], FrameAxis(t_ns, heading_rad, std_rad, linked, raw_theta_rad))
 
     def voted(
         self, t_ns: int, axis_rad: float, std_rad: float, linked: bool, frame_interval_s: float
@@ -168,7 +236,12 @@ class CorridorAxis(NamedTuple):
     def stepped(self, ekf: CorridorEKF, before_rad: float) -> CorridorAxis:
         """Count a jump of the heading from ``before_rad`` to what it is now."""
         step_rad = float(ekf.x[PSI]) - before_rad
-        return self._replace(reset_count=self.reset_count + 1, reset_heading_rad=step_rad)
+        return self._replace(
+            reset_count=self.reset_count + 1,
+            reset_heading_rad=step_rad,
+            innovations=Innovations(),
+            sights=(),
+        )
 
 
 class Recovery(NamedTuple):
@@ -228,6 +301,115 @@ def recover(
     expected = heading_model(ekf.x, found.heading_rad, found.std_rad**2)
     ekf.update(expected._replace(residual=found.heading_rad - before))
     axis = axis.stepped(ekf, before)._replace(votes=(), rival=None)
+    return axis.confirmed(ekf, t_ns, theta_rad)
+
+
+def weigh(
+    axis: CorridorAxis,
+    ekf: CorridorEKF,
+    new: Sight,
+    normalised: float,
+    rho: float,
+    config: FusionConfig,
+    refused: bool,
+) -> tuple[CorridorAxis, Slope | None]:
+    """Ask who is wrong, and return what frames minus gyroscope showed.
+
+    Parameters
+    ----------
+    axis, ekf
+        As in `start`.
+    new
+        The newest frame beside what gyroscope and IMU yaw say.
+    normalised
+        Its innovation, over its standard deviation.
+    rho
+        Correlation of its error with that of the frame before.
+    refused
+        Whether the gate rejected it.
+    """
+    interval_s = 0.5
+    if axis.sights:
+        interval_s = min((new.t_ns - axis.sights[-1].t_ns) * 1e-9, interval_s)
+    innovations = axis.innovations.with_innovation(normalised, interval_s, rho)
+    if not isnan(axis.straight_bias_rad_s):  # dead reckoning turns with the bend, the anchor does not
+        axis = axis._replace(anchor_rad=axis.anchor_rad + bend_rate(axis, ekf) * interval_s)
+    kept = exp(-interval_s / SHORT_S)
+    share = 1.0 - kept + kept * axis.refused_share if refused else kept * axis.refused_share
+    axis = axis._replace(
+        refused_share=share,
+        innovations=innovations,
+        sights=with_sight(axis.sights, new, round(0.9 * VOTE_SPACING_S * 1e9)),
+    )
+    due = axis.judged_ns is None or new.t_ns - axis.judged_ns >= SHORT_S * 1e9
+    if not (innovations.systematic or due) or axis.sights[-1] is not new:
+        return axis._replace(verdict=Verdict()), None
+    last = axis.sights[-MIN_POINTS:]
+    jumped = innovations.systematic and 2 * sum(not s.linked for s in last) > MIN_POINTS
+    walks = (config.gyro_noise, config.offset_walk)
+    bias = float(ekf.x[BIAS]) + bend_rate(axis, ekf)
+    verdict, gyro = Verdict(), None
+    for span_s in SPANS_S if innovations.systematic else SPANS_S[-1:]:
+        drift, yaw = slopes(axis.sights, span_s, float(ekf.x[PSI]), bias, walks)
+        # Wander of gyroscope and IMU yaw, and the yaw's own noise; of a line fitted to it, the ends count for most.
+        apart = (1.2 * (walks[0] ** 2 + walks[1] ** 2) + 2.0 * config.imu_yaw_std_rad**2 / span_s) / span_s
+        found = judge(Evidence(drift, yaw, sqrt(apart), jumped), axis.found)
+        if gyro is None or found.of(Hypothesis.WELL) < verdict.of(Hypothesis.WELL):
+            verdict, gyro = found, drift
+    axis = axis._replace(judged_ns=new.t_ns, found=verdict.likeliest)
+    if innovations.systematic or verdict.likeliest is not Hypothesis.WELL:
+        axis = axis._replace(told=Told(verdict.likeliest, new.t_ns))
+    if verdict.likeliest in (Hypothesis.WELL, Hypothesis.GYRO) and not isnan(axis.straight_bias_rad_s):
+        axis = straight_again(axis, ekf)
+    if verdict.likeliest is Hypothesis.SPIKE:
+        axis = axis._replace(sights=(new,))
+    return axis._replace(verdict=verdict), gyro
+
+
+def bend_rate(axis: CorridorAxis, ekf: CorridorEKF) -> float:
+    """Rate, rad/s, at which the axis is taken to turn; zero where it is straight."""
+    straight = axis.straight_bias_rad_s
+    return 0.0 if isnan(straight) else straight - float(ekf.x[BIAS])
+
+
+def straight_again(axis: CorridorAxis, ekf: CorridorEKF) -> CorridorAxis:
+    """Take the rate of a bend that has ended off the bias again."""
+    x = ekf.x.copy()
+    x[BIAS] = axis.straight_bias_rad_s
+    ekf.predict(x, np.eye(N_STATES), np.zeros((N_STATES, N_STATES)))
+    return axis._replace(straight_bias_rad_s=nan)
+
+
+def follow_drift(
+    axis: CorridorAxis, ekf: CorridorEKF, found: Slope, t_ns: int, theta_rad: float, coupled: bool
+) -> CorridorAxis:
+    """Let heading and, where the gyroscope is wrong, bias follow frames that drift away from the gyroscope.
+
+    The covariance is widened along the drift, heading and bias together, so that the heading on the fitted line
+    corrects both.
+
+    Parameters
+    ----------
+    axis, ekf, t_ns, theta_rad, coupled
+        As in `start`.
+    found
+        The drift.
+    """
+    d = np.zeros(N_STATES)
+    d[PSI] = found.now_rad
+    d[BIAS] = -(found.rate_rad_s - bend_rate(axis, ekf))
+    if coupled:
+        d[YAW_OFFSET] = -found.now_rad
+    before = float(ekf.x[PSI])
+    Q = np.multiply.outer(d, d)
+    if not coupled:
+        Q[YAW_OFFSET, YAW_OFFSET] += found.now_rad**2
+    ekf.predict(ekf.x, np.eye(N_STATES), Q)
+    if axis.verdict.likeliest is Hypothesis.BEND and isnan(axis.straight_bias_rad_s):
+        axis = axis._replace(straight_bias_rad_s=float(ekf.x[BIAS]))
+    m = heading_model(ekf.x, before + found.now_rad, found.now_std**2)
+    ekf.update(m._replace(residual=found.now_rad))
+    axis = axis.stepped(ekf, before)._replace(votes=(), rival=None, sights=axis.sights)
     return axis.confirmed(ekf, t_ns, theta_rad)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from fusion.estimator.camera_delay import camera_delay, spread_by_delay
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.hypotheses import Hypothesis
 from fusion.estimator.lateral import readout
 from fusion.estimator.models import PSI
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, Mode
@@ -21,6 +22,16 @@ from vision.rotations import wrap, wrap_axis
 
 if TYPE_CHECKING:
     from fusion.estimator.engine import State
+
+
+CONTESTED_S = 1.0  # from the last frame that contested
+CONTESTED = {
+    Hypothesis.WELL: "contested: frames lie to one side of the prediction",
+    Hypothesis.GYRO: "contested: frames drift from the gyroscope",
+    Hypothesis.SPIKE: "contested: the gyroscope leapt",
+    Hypothesis.BEND: "contested: frames drift from gyroscope and attitude",
+    Hypothesis.AXIS: "contested: frames show another axis",
+}
 
 
 class Status(StrEnum):
@@ -142,10 +153,14 @@ def status_of(state: State, config: FusionConfig, t_ns: int, heading_std_rad: fl
     elif age > limit:
         silent = state.frames.is_silent(t_ns, config)
         status, reasons = Status.COASTING, ["no frames arrive" if silent else "frames are rejected"]
+    elif axis.refused_share > 0.5:
+        status, reasons = Status.COASTING, ["frames are rejected"]
     else:
         status, reasons = Status.TRACKING, []
         if state.lateral.acquired and seconds_since(t_ns, state.lateral.t_ns) > limit:
             reasons.append("frames show no lateral offset")
+        if axis.told is not None and seconds_since(t_ns, axis.told.t_ns) < CONTESTED_S:
+            reasons.append(CONTESTED[axis.told.hypothesis])
     return status, "; ".join([*reasons, *state.silences(t_ns, config)])
 
 
