@@ -6,12 +6,14 @@ corridor stays where it is however the vehicle turns; `fusion.estimator.junction
 
 from __future__ import annotations
 
-from math import isfinite, nan, radians
+from math import isfinite, isnan, nan, radians, sqrt
+from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.hypotheses import Hypothesis, Innovations, Sight, Verdict
 from fusion.estimator.models import N_STATES, PSI, YAW_OFFSET, heading_model
 from fusion.estimator.noise_adaptation import SourceNoise
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD
@@ -24,7 +26,8 @@ if TYPE_CHECKING:
 VOTE_AGE_S = 3.0
 VOTE_AGE_FRAMES = 15
 VOTE_SPACING_S = 0.03
-GRADUAL_RAD = radians(6)
+GRADUAL_RAD = radians(6)  # what a vehicle turns between frames, if the gyroscope may be wrong
+LINK_SIGMA = 3.0
 
 
 class PreviousAxis(NamedTuple):
@@ -38,11 +41,23 @@ class PreviousAxis(NamedTuple):
 
 
 class FrameAxis(NamedTuple):
-    """A heading that a picture showed, and whether no jump lies between it and one that the filter accepted."""
+    """A heading that a picture showed, its sigma, and what the gyroscope had turned by then.
+
+    ``linked``: no jump lies between it and one that the filter accepted.
+    """
 
     t_ns: int
     heading_rad: float
+    std_rad: float
     linked: bool
+    raw_theta_rad: float
+
+
+class Told(NamedTuple):
+    """Who was found wrong, and when last."""
+
+    hypothesis: Hypothesis
+    t_ns: int
 
 
 class Rival(NamedTuple):
@@ -82,6 +97,17 @@ class CorridorAxis(NamedTuple):
         Axis that rejected frames agree on.
     previous
         The corridor left last.
+    innovations, sights, verdict
+        What the frames have shown against the prediction, and who is wrong by that.
+    told
+        Who was found wrong last, and when.
+    refused_share
+        Share of the frames of the last half second that were not used.
+    judged_ns, found
+        When it was asked last who is wrong, and what was found.
+    straight_bias_rad_s
+        The gyroscope's bias from before frames began to drift from gyroscope and attitude; the filter's own takes up
+        the bend's rate meanwhile. NaN while there is no bend.
     """
 
     acquired: bool = False
@@ -102,10 +128,25 @@ class CorridorAxis(NamedTuple):
     recent: tuple[FrameAxis, ...] = ()
     rival: Rival | None = None
     previous: PreviousAxis | None = None
+    innovations: Innovations = Innovations()
+    sights: tuple[Sight, ...] = ()
+    verdict: Verdict = Verdict()
+    told: Told | None = None
+    refused_share: float = 0.0
+    judged_ns: int | None = None
+    found: Hypothesis = Hypothesis.WELL
+    straight_bias_rad_s: float = nan
 
     def lost(self) -> CorridorAxis:
         """Let the next headings start anew."""
-        return self._replace(acquired=False, votes=())
+        return self._replace(
+            acquired=False,
+            votes=(),
+            sights=(),
+            innovations=Innovations(),
+            verdict=Verdict(),
+            straight_bias_rad_s=nan,
+        )
 
     def clock_set_back(self) -> CorridorAxis:
         """Start anew; corridors and counts stay."""
@@ -121,28 +162,42 @@ class CorridorAxis(NamedTuple):
             support_s=support_s,
             t_vision_ns=t_ns,
             n_accepted=self.n_accepted + 1,
-            anchor_rad=theta_rad - psi,
+            anchor_rad=theta_rad - psi if isnan(self.straight_bias_rad_s) else self.anchor_rad,
             facing_rad=psi - wrap_axis(psi),
         )
 
     def followed(
-        self, t_ns: int, heading_rad: float, accepted: bool, frame_interval_s: float
+        self,
+        t_ns: int,
+        heading_rad: float,
+        std_rad: float,
+        raw_theta_rad: float,
+        accepted: bool,
+        frame_interval_s: float,
     ) -> tuple[FrameAxis, ...]:
         """Follow the axis through the pictures alone; return ``recent`` with a frame's heading.
 
         Parameters
         ----------
-        t_ns, heading_rad, accepted
+        t_ns, heading_rad, std_rad, accepted
             Of the frame, and whether the filter took it.
+        raw_theta_rad
+            What the gyroscope has turned until then.
         frame_interval_s
             Mean time between frames; NaN where unknown.
         """
         reach_ns = round(max(0.4, 2.5 * frame_interval_s if isfinite(frame_interval_s) else 0.0) * 1e9)
-        linked = accepted or any(
-            known and t_ns - t <= reach_ns and abs(wrap_axis(heading_rad - heading)) < GRADUAL_RAD
-            for t, heading, known in self.recent
-        )
-        return (*self.recent[-3:], FrameAxis(t_ns, heading_rad, linked))
+        near = [r for r in self.recent if r.linked and t_ns - r.t_ns <= reach_ns]
+        linked = accepted and self.refused_share < 0.5
+        if near and not linked:
+            last = near[-1].heading_rad
+            step = wrap_axis(heading_rad - last - median(wrap_axis(r.heading_rad - last) for r in near))
+            turned = raw_theta_rad - median(r.raw_theta_rad for r in near)
+            variance = std_rad**2 + sum(r.std_rad**2 for r in near) / len(near) ** 2
+            noise = LINK_SIGMA * sqrt(variance)
+            low, high = max(min(turned, 0.0), -GRADUAL_RAD), min(max(turned, 0.0), GRADUAL_RAD)
+            linked = low - noise < step < high + noise or abs(step - turned) < noise
+        return (*self.recent[-5:], FrameAxis(t_ns, heading_rad, std_rad, linked, raw_theta_rad))
 
     def voted(
         self, t_ns: int, axis_rad: float, std_rad: float, linked: bool, frame_interval_s: float
@@ -168,7 +223,12 @@ class CorridorAxis(NamedTuple):
     def stepped(self, ekf: CorridorEKF, before_rad: float) -> CorridorAxis:
         """Count a jump of the heading from ``before_rad`` to what it is now."""
         step_rad = float(ekf.x[PSI]) - before_rad
-        return self._replace(reset_count=self.reset_count + 1, reset_heading_rad=step_rad)
+        return self._replace(
+            reset_count=self.reset_count + 1,
+            reset_heading_rad=step_rad,
+            innovations=Innovations(),
+            sights=(),
+        )
 
 
 class Recovery(NamedTuple):

@@ -7,13 +7,14 @@ to them. `fusion.estimator.timeline` brings samples into order.
 
 from __future__ import annotations
 
-from math import nan, pi, sqrt
+from math import isnan, nan, pi, sqrt
 from typing import NamedTuple, assert_never
 
 import numpy as np
 
 from fusion.estimator import junctions
 from fusion.estimator import tilt as tilts
+from fusion.estimator.axis_drift import follow_drift, weigh
 from fusion.estimator.camera_delay import (
     Delay,
     DelayedInnovation,
@@ -29,7 +30,9 @@ from fusion.estimator.camera_elevation import Elevation
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import CorridorAxis, Recovery, recover, start
 from fusion.estimator.frame_update import FrameResult, FrameSample, measure_with_prior, reason_to_reject
+from fusion.estimator.hypotheses import Hypothesis, Sight
 from fusion.estimator.imu_yaw import (
+    MAX_YAW_AGE_S,
     UNKNOWN_YAW_OFFSET_STD_RAD,
     AttitudeSample,
     ImuYaw,
@@ -303,7 +306,8 @@ class Engine:
         if not axis.acquired:
             axis = axis.voted(*vote, False, interval_s)
             axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.coupled, c)
-            s = s._replace(axis=axis._replace(recent=axis.followed(t_ns, heading, axis.acquired, interval_s)))
+            recent = axis.followed(t_ns, heading, sqrt(variance), d.raw_theta_rad, axis.acquired, interval_s)
+            s = s._replace(axis=axis._replace(recent=recent))
             if axis.acquired:
                 lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
                 s = s._replace(lateral=lateral, width=width, elevation=elevation, x=ekf.x, P=ekf.P)
@@ -314,11 +318,35 @@ class Engine:
         if delay is not None:
             delay = with_axis(delay, ekf, t_ns, d.raw_theta_rad, axis.reset_count)
             by_delay = innovation_of(delay, ekf, t_ns, d.raw_theta_rad)
-        doubt = Doubt(c.heading_gate_sigma, rho, OUTLIER_DENSITY, by_delay.variance)
+        innovation_variance = float(ekf.P[PSI, PSI]) + by_delay.variance + variance * axis.noise.inflation
+        mean = axis.innovations.short * sqrt(innovation_variance)
+        # While another axis is seen, what lies between the two is its own, not the present one's.
+        gate_sigma = c.heading_gate_sigma * (0.5 if axis.found is Hypothesis.AXIS else 1.0)
+        doubt = Doubt(gate_sigma, rho, OUTLIER_DENSITY, by_delay.variance, mean)
         gate, noise = update_with_doubt(ekf, measurement, axis.noise, doubt)
-        recent = axis.followed(t_ns, heading, gate.accepted, interval_s)
+        recent = axis.followed(t_ns, heading, sqrt(variance), d.raw_theta_rad, gate.accepted, interval_s)
+        yaw = d.yaw_rad + d.yaw_done_rad if d.attitude.age_s(t_ns) <= MAX_YAW_AGE_S else nan
+        spread = sqrt(variance * axis.noise.inflation * (1.0 + rho) / (1.0 - rho))
+        sight = Sight(t_ns, heading, spread, d.raw_theta_rad, yaw, recent[-1].linked)
+        normalised = gate.residual / sqrt(innovation_variance)
         axis = axis._replace(noise=noise, test_ratio=gate.test_ratio, recent=recent)
+        axis, drift = weigh(axis, ekf, sight, normalised, rho, c, not gate.accepted)
         result = (gate.residual, gate.test_ratio)
+        followed = not isnan(axis.straight_bias_rad_s) and not axis.innovations.systematic
+        if (
+            drift is not None
+            and not followed
+            and axis.verdict.likeliest in (Hypothesis.GYRO, Hypothesis.BEND)
+        ):
+            axis = follow_drift(axis, ekf, drift, t_ns, d.theta_rad, s.imu_yaw.coupled)
+            s = s._replace(axis=axis, delay=delay, x=ekf.x, P=ekf.P)
+            return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
+        leapt = axis.verdict.likeliest is Hypothesis.SPIKE and axis.refused_share > 0.5
+        if leapt and recent[-1].linked and not gate.accepted:
+            found = Recovery(heading + axis.facing_rad, spread)
+            axis = recover(axis, ekf, found, t_ns, d.theta_rad, s.imu_yaw.coupled)
+            s = s._replace(axis=axis, delay=delay, x=ekf.x, P=ekf.P)
+            return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
         if not gate.accepted:
             axis = axis.voted(*vote, recent[-1].linked, interval_s)
             s = self._follow_votes(s._replace(axis=axis, delay=delay), t_ns)

@@ -28,6 +28,7 @@ class Fault(IntFlag):
     ATTITUDE_CLOCK = 1 << 10  # attitudes are stamped ahead of the IMU, or too far behind
     IMU_CLOCK = 1 << 11  # IMU samples come too far behind the other sources
     OTHER_CLOCK = 1 << 12  # velocities or ranges are stamped ahead of the IMU, or too far behind
+    HEADING_CONTESTED = 1 << 13  # frames and prediction part, and it is not settled who is wrong
 
 
 class Notice(NamedTuple):

@@ -2,8 +2,8 @@
 
 Once enough votes agree, they mean one of three things:
 
-- The filter has gone wrong: the axis is near the expected one, or it is where the axis was when frames last confirmed
-  it, or the picture has changed only gradually since then. The covariance is widened in the direction of the
+- The filter has gone wrong: the axis is where it was when frames last confirmed it, or the picture has changed no
+  more since then than noise and the gyroscope's turn explain. The covariance is widened in the direction of the
   disagreement, so that the votes' median can be taken in (`fusion.estimator.corridor_axis.recover`).
 - Another corridor: the vehicle itself has turned away from the old axis, and looks along the new one
   (`enter_corridor`, which changes the filter and returns the axis's part of the state).
@@ -78,11 +78,10 @@ def decide(
         return axis._replace(rival=None), None  # other frames still see the present axis
     axis = axis._replace(rival=rival)
     heading = wrap_axis(theta_rad - found.value)
-    distance = abs(wrap_axis(heading - psi_rad))
     linked = found.linked_share > 0.5
-    at_anchor = abs(wrap_axis(found.value - axis.anchor_rad)) < KNOWN_AXIS_RAD
+    at_anchor = abs(wrap_axis(found.value - axis.anchor_rad)) < c.recovery_spread_rad
     enough = found.n_votes >= c.recovery_frames
-    if distance < c.junction_min_turn_rad or linked or at_anchor:
+    if linked or at_anchor:
         if not enough:
             return axis, None
         expected = psi_rad

@@ -124,12 +124,15 @@ class Doubt(NamedTuple):
         Probability density of outliers.
     more_variance
         What the innovation has besides, of which neither state nor measurement knows.
+    mean_residual
+        What the innovations have been on average: a prediction that is wrong, and no noise of the measurement.
     """
 
     gate_sigma: float
     rho: float
     outlier_density: float
     more_variance: float = 0.0
+    mean_residual: float = 0.0
 
 
 def update_with_doubt(
@@ -158,4 +161,5 @@ def update_with_doubt(
     )
     variance = weakened(as_if_independent(believed, predicted, doubt.rho), predicted, probability)
     gate = ekf.update(m._replace(R=believed + doubt.more_variance), doubt.gate_sigma, variance)
-    return gate, learn(noise, m.residual, predicted, stated, probability if gate.accepted else 0.0)
+    probability = probability if gate.accepted else 0.0
+    return gate, learn(noise, m.residual - doubt.mean_residual, predicted, stated, probability)
