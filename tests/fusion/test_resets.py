@@ -115,7 +115,7 @@ def test_found_again_after_loss_the_heading_steps() -> None:
 def test_a_recovery_steps() -> None:
     watched, t = started()
     timeline = watched.estimator._timeline
-    x = timeline.state.x + np.array([radians(40), 0, 0, 0, 0])
+    x = timeline.state.x + np.array([radians(40), 0, 0])
     timeline.state = timeline.state._replace(x=x)
     watched.last = watched.estimator.estimate()  # the fault itself is no step of the estimator's
     fly(watched, t, 1.0, 0.2)

@@ -134,7 +134,7 @@ def test_corners_at_known_angles_give_the_offset_and_the_width(
     found = CornerScores(corner, np.full(3, 0.01))
     mixture = mixture_of(found)
     best = mixture.weight.argmax()
-    assert mixture.offset_norm[best] == pytest.approx(offset, abs=0.035)  # columns are 1.9 degrees wide
+    assert mixture.offset_norm[best] == pytest.approx(offset, abs=0.045)  # columns are 1.9 degrees wide
     assert mixture.width_per_height[best] == pytest.approx(width / height, rel=0.1)
     assert likeliest_corners(found) == pytest.approx(angles[[1, 0, 2, 3]], abs=radians(1.0))
 
