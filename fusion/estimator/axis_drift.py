@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF
 
 
+REFUSED_SHARE = 0.25  # one gross frame of ten is none of the gyroscope's
+
+
 def weigh(
     axis: CorridorAxis,
     ekf: CorridorEKF,
@@ -80,7 +83,7 @@ def weigh(
         drift, yaw = slopes(axis.sights, span_s, float(ekf.x[PSI]), bias, walks)
         # Wander of gyroscope and IMU yaw, and the yaw's own noise; of a line fitted to it, the ends count for most.
         apart = (1.2 * (walks[0] ** 2 + walks[1] ** 2) + 2.0 * config.imu_yaw_std_rad**2 / span_s) / span_s
-        found = judge(Evidence(drift, yaw, sqrt(apart), jumped), axis.found)
+        found = judge(Evidence(drift, yaw, sqrt(apart), jumped, share > REFUSED_SHARE), axis.found)
         if gyro is None or found.of(Hypothesis.WELL) < verdict.of(Hypothesis.WELL):
             verdict, gyro = found, drift
     axis = axis._replace(judged_ns=new.t_ns, found=verdict.likeliest)

@@ -195,7 +195,9 @@ class CorridorAxis(NamedTuple):
             turned = raw_theta_rad - median(r.raw_theta_rad for r in near)
             variance = std_rad**2 + sum(r.std_rad**2 for r in near) / len(near) ** 2
             noise = LINK_SIGMA * sqrt(variance)
-            low, high = max(min(turned, 0.0), -GRADUAL_RAD), min(max(turned, 0.0), GRADUAL_RAD)
+            low, high = min(turned, 0.0), max(turned, 0.0)
+            if high - low > GRADUAL_RAD:  # so fast a turn, and the picture has hardly moved
+                low, high = -GRADUAL_RAD, GRADUAL_RAD
             linked = low - noise < step < high + noise or abs(step - turned) < noise
         return (*self.recent[-5:], FrameAxis(t_ns, heading_rad, std_rad, linked, raw_theta_rad))
 

@@ -322,7 +322,7 @@ class Engine:
         mean = axis.innovations.short * sqrt(innovation_variance)
         # While another axis is seen, what lies between the two is its own, not the present one's.
         gate_sigma = c.heading_gate_sigma * (0.5 if axis.found is Hypothesis.AXIS else 1.0)
-        doubt = Doubt(gate_sigma, rho, OUTLIER_DENSITY, by_delay.variance, mean)
+        doubt = Doubt(gate_sigma, rho, OUTLIER_DENSITY, by_delay.variance, mean, axis.refused_share)
         gate, noise = update_with_doubt(ekf, measurement, axis.noise, doubt)
         recent = axis.followed(t_ns, heading, sqrt(variance), d.raw_theta_rad, gate.accepted, interval_s)
         yaw = d.yaw_rad + d.yaw_done_rad if d.attitude.age_s(t_ns) <= MAX_YAW_AGE_S else nan
@@ -372,7 +372,9 @@ class Engine:
     def _follow_votes(self, s: State, t_ns: int) -> State:
         """Do what the votes against the present axis mean, if enough of them agree."""
         c, ekf, theta_rad, coupled = self.config, self.ekf, s.reckoning.theta_rad, s.imu_yaw.coupled
-        axis, found = junctions.decide(s.axis, float(ekf.x[PSI]), t_ns, theta_rad, s.frames.interval_s, c)
+        axis, found = junctions.decide(
+            s.axis, float(ekf.x[PSI]), sqrt(float(ekf.P[PSI, PSI])), t_ns, theta_rad, s.frames.interval_s, c
+        )
         if found is None:
             return s._replace(axis=axis)  # the gate has left the filter as it was
         imu_yaw = s.imu_yaw.axis_changed()

@@ -135,12 +135,15 @@ class Evidence(NamedTuple):
         Sigma of the difference of the two rates, in which the frames' errors cancel.
     jumped
         Whether the frames themselves jumped, by more than the gyroscope turned meanwhile.
+    refused
+        Whether frames were refused lately: a gyroscope that leapt by less has done no harm.
     """
 
     gyro: Slope | None
     yaw: Slope | None
     apart_std: float
     jumped: bool
+    refused: bool = True
 
 
 class Verdict(NamedTuple):
@@ -281,7 +284,7 @@ def judge(evidence: Evidence, before: Hypothesis = Hypothesis.WELL) -> Verdict:
     logs = (
         log(1.0 - sum(priors.values())) + well + agrees + steady,
         log(priors[Hypothesis.GYRO]) + drifts + gyro + steady,
-        log(priors[Hypothesis.SPIKE]) - log(2.0 * MAX_RATE_RAD_S) + gyro,
+        log(priors[Hypothesis.SPIKE]) - log(2.0 * MAX_RATE_RAD_S) + gyro if evidence.refused else -1e9,
         log(priors[Hypothesis.BEND]) + drifts + repeats + steady if yaw is not None else -1e9,
         -1e9,
     )

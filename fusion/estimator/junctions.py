@@ -34,6 +34,7 @@ OBLIQUE_WAIT_S = 1.5
 WEAK_SUPPORT_S = 1.5
 REAL_CORRIDOR_OFFSETS = 10
 GLANCE_S = 3.0
+DRIFTED_SIGMA = 3.0
 
 
 class NewCorridor(NamedTuple):
@@ -48,6 +49,7 @@ class NewCorridor(NamedTuple):
 def decide(
     axis: CorridorAxis,
     psi_rad: float,
+    psi_std: float,
     t_ns: int,
     theta_rad: float,
     frame_interval_s: float,
@@ -59,8 +61,8 @@ def decide(
     ----------
     axis
         Part of the state, with the newest frame's vote.
-    psi_rad
-        The filter's heading.
+    psi_rad, psi_std
+        The filter's heading and its standard deviation.
     t_ns, theta_rad
         Now, and the dead-reckoned heading.
     frame_interval_s
@@ -79,7 +81,8 @@ def decide(
     axis = axis._replace(rival=rival)
     heading = wrap_axis(theta_rad - found.value)
     linked = found.linked_share > 0.5
-    at_anchor = abs(wrap_axis(found.value - axis.anchor_rad)) < c.recovery_spread_rad
+    reach = max(c.recovery_spread_rad, DRIFTED_SIGMA * psi_std)  # by which the heading may have drifted since
+    at_anchor = abs(wrap_axis(found.value - axis.anchor_rad)) < reach
     enough = found.n_votes >= c.recovery_frames
     if linked or at_anchor:
         if not enough:
@@ -90,7 +93,8 @@ def decide(
         elif linked:
             expected = heading + axis.facing_rad
         return axis, Recovery(_facing(heading, expected), found.std)
-    if _has_turned_into(axis, theta_rad, heading, found, lasting_s, c):
+    differs = abs(wrap_axis(heading - psi_rad)) >= c.junction_min_turn_rad
+    if differs and _has_turned_into(axis, theta_rad, heading, found, lasting_s, c):
         return axis, NewCorridor(heading, found.value, found.std, same_corridor=False)
     if enough and lasting_s >= min(c.axis_jump_hold_s, 0.3 + axis.support_s):
         # No turn explains it: the axis taken up before was the wrong one.
