@@ -6,6 +6,7 @@ corridor stays where it is however the vehicle turns; `fusion.estimator.junction
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite, isnan, nan, radians, sqrt
 from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
@@ -28,6 +29,7 @@ VOTE_AGE_FRAMES = 15
 VOTE_SPACING_S = 0.03
 GRADUAL_RAD = radians(6)  # what a vehicle turns between frames, if the gyroscope may be wrong
 LINK_SIGMA = 3.0
+MAX_ACCELERATION_RAD_S2 = radians(150)  # of the yaw of a vehicle that flies with a camera
 
 
 class PreviousAxis(NamedTuple):
@@ -66,6 +68,28 @@ class Rival(NamedTuple):
     axis_rad: float
     since_ns: int
     last_ns: int
+
+
+def goes_on(seen: Sequence[FrameAxis], t_ns: int, heading_rad: float, std_rad: float) -> bool:
+    """Whether a frame's heading goes on at the rate of those before, by noise and by what a vehicle accelerates.
+
+    Parameters
+    ----------
+    seen
+        Frames before, oldest first.
+    t_ns, heading_rad, std_rad
+        The frame's time, heading and standard deviation.
+    """
+    first, last = seen[0], seen[-1]
+    span_s, dt_s = (last.t_ns - first.t_ns) * 1e-9, (t_ns - last.t_ns) * 1e-9
+    if not 0.0 < dt_s < span_s:
+        return False
+    ahead = dt_s / span_s
+    step = wrap_axis(heading_rad - last.heading_rad)
+    expected = ahead * wrap_axis(last.heading_rad - first.heading_rad)
+    variance = std_rad**2 + ((1.0 + ahead) * last.std_rad) ** 2 + (ahead * first.std_rad) ** 2
+    reach = LINK_SIGMA * sqrt(variance) + 0.5 * MAX_ACCELERATION_RAD_S2 * dt_s * (dt_s + span_s)
+    return abs(step - expected) < min(reach, GRADUAL_RAD)
 
 
 class CorridorAxis(NamedTuple):
@@ -195,10 +219,10 @@ class CorridorAxis(NamedTuple):
             turned = raw_theta_rad - median(r.raw_theta_rad for r in near)
             variance = std_rad**2 + sum(r.std_rad**2 for r in near) / len(near) ** 2
             noise = LINK_SIGMA * sqrt(variance)
-            low, high = min(turned, 0.0), max(turned, 0.0)
-            if high - low > GRADUAL_RAD:  # so fast a turn, and the picture has hardly moved
-                low, high = -GRADUAL_RAD, GRADUAL_RAD
+            low, high = max(min(turned, 0.0), -GRADUAL_RAD), min(max(turned, 0.0), GRADUAL_RAD)
             linked = low - noise < step < high + noise or abs(step - turned) < noise
+            if abs(raw_theta_rad - near[-1].raw_theta_rad) > GRADUAL_RAD and not linked:
+                linked = goes_on(near, t_ns, heading_rad, std_rad)  # whatever the gyroscope says
         return (*self.recent[-5:], FrameAxis(t_ns, heading_rad, std_rad, linked, raw_theta_rad))
 
     def voted(
