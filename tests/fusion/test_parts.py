@@ -166,7 +166,7 @@ def votes(axis_rad: float, n: int, *, n_accepted: int = 40, linked: bool = False
 
 def decided(axis: CorridorAxis, theta_rad: float, n: int) -> Recovery | NewCorridor | None:
     now_ns = (n - 1) * 100 * MS
-    return junctions.decide(axis, theta_rad - axis.anchor_rad, now_ns, theta_rad, 0.1, FusionConfig())[1]
+    return junctions.decide(axis, theta_rad - axis.anchor_rad, radians(0.3), now_ns, theta_rad, 0.1, FusionConfig())[1]
 
 
 def known_axis(**changes: Any) -> CorridorAxis:
