@@ -28,6 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.estimator.kernels import FloatArray
+from vision.rotations import wrap_axis
 
 SHORT_S, LONG_S = 0.25, 1.5  # time constants of means over about 0.5 and 3 s
 CLIPPED_SIGMA = 4.0  # a gross error must not make a mean
@@ -277,17 +278,17 @@ def slopes(
     if t[0] == 0.0:
         return None, None
     expected = psi_rad + (raw - last.raw_theta_rad) - bias_rad_s * t
-    gyro = slope_of(t, _axis(heading - expected), std, walks[0])
+    gyro = slope_of(t, _unwrapped(heading - expected), std, walks[0])
     yaw = np.array([s.yaw_rad for s in seen])
     if gyro is None or not np.isfinite(yaw).all():
         return gyro, None
-    difference = heading - yaw
-    centre = difference[-1]
-    return gyro, slope_of(t, _axis(difference - centre), std, walks[1])
+    return gyro, slope_of(t, _unwrapped(heading - yaw), std, walks[1])
 
 
-def _axis(angle: FloatArray) -> FloatArray:
-    return (angle + 0.5 * pi) % pi - 0.5 * pi
+def _unwrapped(difference: FloatArray) -> FloatArray:
+    """Differences of axes, the last within a quarter turn, the others within one of the last."""
+    last = wrap_axis(float(difference[-1]))
+    return last + (difference - last + 0.5 * pi) % pi - 0.5 * pi
 
 
 def _log_normal(x: float, variance: float) -> float:
