@@ -24,6 +24,7 @@ from fusion.logs.plausibility.flight import Streams, examine_streams
 from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.topic_choice import choose_topic
 from vision import InputError
+from vision.cameras.lens_check import lens_problem
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,5 +182,5 @@ class _Reading:
             return WithProblems(None, (str(error),))
         if camera is None:
             return WithProblems(None)
-        mounting = camera.mount_problem()
-        return WithProblems(CameraFindings.of(camera), () if mounting is None else (mounting,))
+        texts = (camera.mount_problem(), lens_problem(camera))
+        return WithProblems(CameraFindings.of(camera), tuple(text for text in texts if text is not None))

@@ -491,3 +491,53 @@ def test_the_streams_are_of_their_types(tmp_path: Path) -> None:
     assert log.camera("imu") is None
     with pytest.raises(InputError, match="carries no pictures"):
         log.frames("imu")
+
+
+# ------------------------------------------------------------------------------------------- velocities by the pose
+
+TURNS_S = np.arange(0.0, 12.0, 0.02)
+YAW_RAD = 0.6 * np.sin(0.7 * TURNS_S) + 0.2 * TURNS_S
+AHEAD_M_S = np.stack([0.8 * np.cos(YAW_RAD), 0.8 * np.sin(YAW_RAD), np.zeros_like(YAW_RAD)], axis=1)
+
+
+def pose_csv(path: Path, velocity: np.ndarray, names: str = "vx,vy,vz", position: bool = True) -> Path:
+    """A body x ahead, y left, z up that flies ahead at 0.8 m/s through turns, its pose in a world with z up."""
+    p = np.concatenate([np.zeros((1, 3)), np.cumsum(AHEAD_M_S[:-1] * 0.02, axis=0)])
+    q = np.stack([np.cos(YAW_RAD / 2), 0 * YAW_RAD, 0 * YAW_RAD, np.sin(YAW_RAD / 2)], axis=1)
+    columns = [p, q, velocity] if position else [q, velocity]
+    data = np.hstack(columns)
+    head = "timestamp_ns," + ("px,py,pz," if position else "") + "qw,qx,qy,qz," + names
+    lines = [f"{i * 20_000_000}," + ",".join(f"{v:.9g}" for v in row) for i, row in enumerate(data)]
+    return written(path, "\n".join([head, *lines]) + "\n")
+
+
+BODY_M_S = np.tile([0.8, 0.0, 0.0], (len(TURNS_S), 1))
+
+
+@pytest.mark.parametrize("frame", [None, "flu", "enu"])
+@pytest.mark.parametrize("names", ["v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1]", "vx,vy,vz"])
+def test_a_velocity_of_the_world_is_turned_into_the_body(
+    tmp_path: Path, names: str, frame: Frame | None
+) -> None:
+    told = Told()
+    log = open_columns(pose_csv(tmp_path / "gt.csv", AHEAD_M_S, names), None, frame)
+    velocity = told.take(log.velocity("velocity"))
+    np.testing.assert_allclose(velocity.xyz, np.tile([0.8, 0.0, 0.0], (len(velocity.xyz), 1)), atol=2e-3)
+    assert frame == "enu" or any("along the world's axes" in text for text in told)
+
+
+def test_a_velocity_of_the_body_beside_a_pose_stays_as_it_is(tmp_path: Path) -> None:
+    velocity = open_log(pose_csv(tmp_path / "body.csv", BODY_M_S)).velocity("velocity").value
+    np.testing.assert_allclose(velocity.xyz, BODY_M_S, atol=1e-9)
+
+
+def test_a_velocity_that_may_be_either_is_asked_about_and_the_answers_work(tmp_path: Path) -> None:
+    path = pose_csv(tmp_path / "open.csv", AHEAD_M_S, position=False)
+    with pytest.raises(InputError, match=r'\[velocity\] frame = "frd" or "flu" of the body, "ned" or "enu"'):
+        open_log(path).velocity("velocity")
+    world = open_columns(path, None, "enu").velocity("velocity").value
+    np.testing.assert_allclose(world.xyz[::50], BODY_M_S[::50], atol=2e-3)
+    body = open_columns(path, None, "frd").velocity("velocity").value
+    np.testing.assert_allclose(body.xyz, AHEAD_M_S, atol=1e-6)
+    sure = ColumnMap(velocity_frame="frd")
+    np.testing.assert_allclose(open_columns(path, sure).velocity("velocity").value.xyz, AHEAD_M_S, atol=1e-6)

@@ -229,6 +229,38 @@ def test_times_from_a_file_go_row_by_row(mp4: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(less.read(10), frames.read(11))
 
 
+def test_two_frames_with_one_time_stamp_keep_their_rows_of_a_times_file(
+    pictures: list[GreyImage], tmp_path: Path
+) -> None:
+    """Every row is of the packet in its place: a repeated stamp must not shift those that follow."""
+    evenly_s, milliseconds = np.arange(N_FRAMES) / 20, Fraction(1, 1000)
+    whole = encode(
+        tmp_path / "whole.mkv", pictures, "mpeg4", times_s=evenly_s, clock=milliseconds, b_frames=0
+    )
+    path = tmp_path / "twice.mkv"
+    with av.open(str(whole)) as source, av.open(str(path), "w") as file:
+        stream = file.add_stream_from_template(source.streams.video[0])
+        last = 0
+        for number, packet in enumerate(p for p in source.demux(video=0) if p.dts is not None):
+            packet.stream = stream
+            packet.pts = packet.dts = last if number == 10 else packet.pts
+            last = packet.pts
+            file.mux(packet)
+    stamps = 1_600_000_000_000_000_000 + np.arange(N_FRAMES) * 40_000_000
+    times = tmp_path / "times.csv"
+    times.write_text("timestamp_ns\n" + "".join(f"{t}\n" for t in stamps))
+    log = open_video(path, times=times)
+    assert log.problems == ("twice.mkv: 1 frame with the time stamp of another left out",)
+    frames = frames_of(log)
+    np.testing.assert_array_equal(frames.t_ns, np.delete(stamps, 10))
+    for row in (0, 9, 10, 20, N_FRAMES - 2):
+        nearest = min(range(N_FRAMES), key=lambda k: difference(frames.read(row), pictures[k]))
+        assert stamps[nearest] == frames.t_ns[row]
+    # A file with a row per frame that can be told apart is taken as it stands.
+    times.write_text("timestamp_ns\n" + "".join(f"{t}\n" for t in np.delete(stamps, 10)))
+    np.testing.assert_array_equal(frames_of(open_video(path, times=times)).t_ns, np.delete(stamps, 10))
+
+
 # ------------------------------------------------------------------------------------------- damage
 
 

@@ -36,6 +36,7 @@ from vision.cameras.fields import (
 from vision.cameras.fields import read_yaml as read_yaml
 from vision.cameras.imu_noise import ImuNoise as ImuNoise
 from vision.cameras.imu_noise import read_imu_noise as read_imu_noise
+from vision.cameras.lens_check import refuse_fisheye_numbers
 from vision.cameras.matrix_files import is_matrix_file, read_lens
 from vision.errors import InputError
 from vision.types import FloatArray
@@ -97,18 +98,24 @@ def read_camera(path: Path, body_frame: BodyFrame | None, cam: str) -> Camera:
     else:
         body_frame = check_body_frame(body_frame)
     try:
-        if _is_chain(content):
-            return _read_kalibr(content, body_frame, cam)
-        if is_matrix_file(content):
-            return _read_matrix_file(content, body_frame)
-        if not any(key in content for key in ("resolution", "intrinsics", "camera_model", "T_BS")):
-            found = ", ".join(str(key) for key in list(content)[:8]) or "nothing"
-            raise InputError(f"is no camera calibration, it holds {found}", remedy=f"give {FORMATS}")
-        return _read_euroc(content, body_frame)
+        camera = _read_content(content, body_frame, cam)
+        refuse_fisheye_numbers(camera)
+        return camera
     except InputError as error:
         if error.file is not None:
             raise
         raise InputError(error.problem, file=path, remedy=error.remedy) from error
+
+
+def _read_content(content: Mapping[str, Any], body_frame: BodyFrame, cam: str) -> Camera:
+    if _is_chain(content):
+        return _read_kalibr(content, body_frame, cam)
+    if is_matrix_file(content):
+        return _read_matrix_file(content, body_frame)
+    if not any(key in content for key in ("resolution", "intrinsics", "camera_model", "T_BS")):
+        found = ", ".join(str(key) for key in list(content)[:8]) or "nothing"
+        raise InputError(f"is no camera calibration, it holds {found}", remedy=f"give {FORMATS}")
+    return _read_euroc(content, body_frame)
 
 
 def read_time_shift_s(path: Path, cam: str = "cam0") -> float | None:

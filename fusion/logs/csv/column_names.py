@@ -70,6 +70,18 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
     return WithProblems(ColumnMap(**found) if found else None, problems)
 
 
+def names_the_world(columns: ColumnMap) -> str | None:
+    """Return the velocity's name where it says that it is along the world's axes, as EuRoC's ``v_RS_R_x`` does."""
+    names = [name for name in columns.velocity or () if isinstance(name, str)]
+    return next((name for name in names if re.search(r"v_rs_r|world", name, re.IGNORECASE)), None)
+
+
+def has_asl_names(columns: ColumnMap) -> bool:
+    """Whether any column goes by a name of the ASL / EuRoC layout, whose axes are x ahead, y left, z up."""
+    roles = ("gyro", "accel", "quaternion", "velocity", "position")
+    return any("_rs_" in str(name).lower() for role in roles for name in columns.columns_of(role))
+
+
 def _find(known: list[tuple[str, str]], patterns: list[list[str]], role: str) -> tuple[list[int], str]:
     """Return the columns of the first pattern that a file has, and their unit, if any; none where it has none."""
     units = _UNITS.get(role, {})

@@ -16,7 +16,7 @@ import numpy as np
 from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
-from fusion.logs.csv.column_names import map_of_names, ready_map_of
+from fusion.logs.csv.column_names import has_asl_names, map_of_names, names_the_world, ready_map_of
 from fusion.logs.csv.table import Layout, read_layout
 from fusion.logs.csv.times import ROLES, read_timed
 from fusion.logs.samples import WithProblems
@@ -34,6 +34,7 @@ from fusion.logs.series import (
     vector_stream,
     velocity_stream,
 )
+from fusion.logs.velocity_axes import Axes, axes_of_velocity
 from vision import InputError
 
 SUFFIXES = frozenset({".csv", ".tsv"})
@@ -188,15 +189,25 @@ class _Table:
         told = self.frame or self.columns.frame
         if told is not None:
             return WithProblems(told)
-        accel = self.parts.get("accel")
-        up = float(np.nanmedian(accel[:, 2])) if accel is not None and np.isfinite(accel[:, 2]).any() else 0.0
-        if abs(up) > _UPRIGHT_M_S2:
-            frame: Frame = "flu" if up > 0.0 else "frd"
-            why = f"gravity stands {'up' if up > 0.0 else 'down'} its z axis"
-        else:
-            frame, why = "frd", "nothing tells"
+        frame, why = self._likely_frame()
         problem = f"{self.path.name}: axes taken as {frame}, {why}; name them with frame in flight.toml"
         return WithProblems(frame, (problem,))
+
+    def _likely_frame(self) -> tuple[Frame, str]:
+        """Return the axes that gravity shows, else those that the columns' names are used with, and why."""
+        accel = self.parts.get("accel", np.zeros((0, 3)))
+        accel = accel[np.isfinite(accel).all(axis=1)]
+        usual = np.median(accel, axis=0) if len(accel) else np.zeros(3)
+        if abs(usual[2]) > _UPRIGHT_M_S2:
+            return ("flu", "gravity stands up its z axis") if usual[2] > 0.0 else (
+                "frd", "gravity stands down its z axis"
+            )  # fmt: skip
+        if np.linalg.norm(usual) > _UPRIGHT_M_S2:
+            # No vehicle's axes, so the calibration tells how the IMU sits on it: Kalibr's goes with ROS's axes.
+            return "flu", "gravity stands along another axis than z"
+        if has_asl_names(self.columns):
+            return "flu", "as its names are used in ASL / EuRoC logs"
+        return "frd", "nothing tells"
 
     def imu(self) -> WithProblems[ImuStream]:
         """Gyroscope and accelerometer, body FRD."""
@@ -218,7 +229,7 @@ class _Table:
         frame, problems = self.body_frame()
         if "gyro" in self.parts:
             problems = ()  # reported with the IMU
-        q = self.parts["quaternion"] if "quaternion" in self.parts else quaternions(*self.parts["euler"].T)
+        q = self._quaternions()
         if frame == "flu":
             q = q * _Q_FLIP
         elif frame == "enu":
@@ -233,19 +244,67 @@ class _Table:
 
     def velocity(self) -> WithProblems[VectorStream]:
         """Body FRD."""
-        frame = self.frame or self.columns.velocity_frame or self.body_frame().value
+        (axes, frame), problems = self._velocity_axes()
         where = self.where(Kind.VELOCITY)
         v = self.parts["velocity"]
-        if frame in ("frd", "flu"):
-            return vector_stream(self.t_ns, v * _FLIP if frame == "flu" else v, where, MAX_VELOCITY)
-        if "quaternion" not in self.parts and "euler" not in self.parts:
+        if axes is Axes.BODY:
+            flip = frame in ("flu", "enu")
+            stream, more = vector_stream(self.t_ns, v * _FLIP if flip else v, where, MAX_VELOCITY)
+            return WithProblems(stream, problems + more)
+        if not self._has_attitude:
             raise InputError(
                 f"velocity is along the world's axes ({frame}), and no column gives the attitude",
                 file=self.path,
                 remedy="name the attitude's columns too, or leave the stream out: [velocity] use = false",
             )
         attitude = self.attitude().value  # its problems are reported where it is read itself
-        return velocity_stream(self.t_ns, _world(v, frame), attitude, where)
+        stream, more = velocity_stream(self.t_ns, _world(v, frame), attitude, where)
+        return WithProblems(stream, problems + more)
+
+    def _velocity_axes(self) -> WithProblems[tuple[Axes, Frame]]:
+        """Say which axes the velocity is along: as told, by its name, else by the pose beside it.
+
+        Raises
+        ------
+        InputError
+            Where that stays open and matters.
+        """
+        pose_frame, told = self.body_frame().value, self.frame or self.columns.velocity_frame
+        name = names_the_world(self.columns)
+        if name is not None and self.columns.velocity_frame is None:
+            problem = f"{self.path.name}: velocity taken along the world's axes, as its name {name} says"
+            return WithProblems((Axes.WORLD, pose_frame), (problem,))
+        if told in ("ned", "enu") or (told is None and self.columns.frame in ("ned", "enu")):
+            return WithProblems((Axes.WORLD, told or pose_frame))
+        found: Axes | None = Axes.BODY
+        if self._has_attitude and self.columns.velocity_frame is None:
+            pose = self.parts.get("position"), self._quaternions()
+            found = axes_of_velocity(self.t_ns, *pose, self.parts["velocity"])
+        told = told or self.columns.frame
+        if found is None and told is None:
+            raise InputError(
+                "velocity may be along the body's axes or the world's, and the pose does not tell",
+                file=self.path,
+                remedy='say it in flight.toml: [velocity] frame = "frd" or "flu" of the body, "ned" or "enu" of the '
+                "world; or [velocity] use = false",
+            )
+        if found is not Axes.WORLD:
+            return WithProblems((Axes.BODY, told or pose_frame))
+        problem = (
+            f"{self.path.name}: velocity taken along the world's axes, as its positions move; velocity_frame under "
+            "[velocity.columns] in flight.toml says otherwise"
+        )
+        return WithProblems((Axes.WORLD, pose_frame), (problem,))
+
+    @property
+    def _has_attitude(self) -> bool:
+        return "quaternion" in self.parts or "euler" in self.parts
+
+    def _quaternions(self) -> FloatArray:
+        """Attitude (n, 4), w x y z, along the file's own axes."""
+        if "quaternion" in self.parts:
+            return self.parts["quaternion"]
+        return quaternions(*self.parts["euler"].T)
 
     def range(self) -> WithProblems[RangeStream]:
         """Distance to the floor along the body's z."""

@@ -15,8 +15,11 @@ from fusion.logs.plausibility.clocks import is_unix, span
 from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.topic_choice import TABLES, WORDS, holdings
 from vision import Camera, InputError
+from vision.cameras.lens_check import lens_problem
 
 AnyStream = TypeVar("AnyStream", bound=Any)
+
+_DISPENSABLE = (Kind.RANGE, Kind.VELOCITY, Kind.POSITION)
 
 VIDEO_HINT = (
     "give the video too: corridor fuse {log} --video VIDEO --camera CAM.yaml, or name it in a flight.toml"
@@ -115,9 +118,7 @@ class _Assembly:
                 file=missing or log.path,
                 remedy="add the calibration: name it with --camera, or under [camera] in flight.toml",
             )
-        mount_problem = camera.mount_problem()
-        if mount_problem is not None:
-            self._note((mount_problem,))
+        self._note(tuple(text for text in (camera.mount_problem(), lens_problem(camera)) if text is not None))
         return camera
 
     def _stream(
@@ -139,10 +140,10 @@ class _Assembly:
         try:
             stream = self._noted(read(topic))
         except InputError as error:
-            # Range finders are often carried beyond their reach.
-            if kind is not Kind.RANGE or source.file is not None or source.topic is not None:
+            # The flight can do without what nobody asked for; range finders are often carried beyond their reach.
+            if kind not in _DISPENSABLE or source != type(source)():
                 raise
-            self._note((f"{error.problem}: left out",))
+            self._note((f"{log.path.name}: {error.problem}: left out; {error.remedy}",))
             return None
         self._changes[TABLES[kind]] = source.model_copy(update={"topic": topic})
         self._check_clock(log.file_of(topic), TABLES[kind], stream.t_ns, frame_t_ns)

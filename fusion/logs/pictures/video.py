@@ -8,7 +8,7 @@ streams (``.h264``) have no time stamps and need such a file; AVI has only a nom
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,12 +50,18 @@ class VideoIndex:
         Seconds per unit.
     numbered
         Whether frames can only be identified by counting them: the file has no time stamps of its own.
+    rows
+        Number (n,) of each frame among all that the camera delivered, one with another's time stamp included.
+    delivered
+        How many these are.
     """
 
     pts: npt.NDArray[np.int64]
     key_pts: npt.NDArray[np.int64]
     time_base: Fraction
     numbered: bool
+    rows: npt.NDArray[np.int64]
+    delivered: int
 
 
 def recognises(path: Path) -> bool:
@@ -110,8 +116,13 @@ def open_video(
         name = "video" if len(indices) == 1 else f"video{number}"
         if not len(index.pts):
             continue
+        repeated = index.delivered - len(index.pts)
+        if repeated:
+            problems += (
+                f"{path.name}: {counted(repeated, 'frame')} with the time stamp of another left out",
+            )
         if times is not None:
-            (t_ns, rows), more = _listed_times(path, len(index.pts), times, columns)
+            (t_ns, rows), more = _listed_times(path, index, times, columns)
         else:
             t_ns, more = _times(path, index, nominal, start_ns)
             rows = np.arange(len(index.pts))
@@ -191,8 +202,12 @@ def _index(container: InputContainer, stream: VideoStream, packets: _Packets) ->
     made_up = container.format.name == "avi" and bool(getattr(stream.codec_context, "has_b_frames", False))
     if made_up or packets.without > len(pts):
         count = len(packets.pts) + packets.without
-        return VideoIndex(np.arange(count), np.zeros(1, dtype=np.int64), time_base, numbered=True)
-    return VideoIndex(pts, np.unique(np.array(packets.key_pts, dtype=np.int64)), time_base, numbered=False)
+        number = np.arange(count)
+        return VideoIndex(number, np.zeros(1, dtype=np.int64), time_base, True, number, count)
+    # A frame with another's time stamp cannot be asked for, but the camera did deliver it: it has a row of its own.
+    rows = np.searchsorted(np.sort(packets.pts), pts)
+    key_pts = np.unique(np.array(packets.key_pts, dtype=np.int64))
+    return VideoIndex(pts, key_pts, time_base, False, rows, len(packets.pts))
 
 
 def _nominal_rate(container: InputContainer, stream: VideoStream) -> Fraction | None:
@@ -218,20 +233,23 @@ def _times(path: Path, index: VideoIndex, nominal: Fraction | None, start_ns: in
 
 
 def _listed_times(
-    path: Path, n_frames: int, times: Path, columns: ColumnMap | str | None
+    path: Path, index: VideoIndex, times: Path, columns: ColumnMap | str | None
 ) -> WithProblems[tuple[TimeArray, npt.NDArray[np.int64]]]:
     """Return the times (m,) that a file gives, and the numbers (m,) of their frames; a broken row costs its frame."""
     from fusion.logs.csv.times import read_times
 
     listed, problems = read_times(times, columns)
-    n_rows = int(listed.row[-1]) + 1
-    if n_rows != n_frames:
+    n_rows, n_frames = int(listed.row[-1]) + 1, index.delivered
+    if n_rows == len(index.pts) < n_frames:  # written by a script that read the video, not by the recorder
+        index = replace(index, rows=np.arange(len(index.pts)), delivered=len(index.pts))
+    elif n_rows != n_frames:
         problems += (
             f"{times.name} has {counted(n_rows, 'row')}, {path.name} {counted(n_frames, 'frame')}: "
             f"the first {min(n_rows, n_frames)} of both are taken together",
         )
-    here = listed.row < n_frames
-    return WithProblems((listed.t_ns[here], listed.row[here]), problems)
+    frame = np.clip(np.searchsorted(index.rows, listed.row), 0, len(index.rows) - 1)
+    here = index.rows[frame] == listed.row
+    return WithProblems((listed.t_ns[here], frame[here]), problems)
 
 
 def _note(container: InputContainer) -> str:

@@ -52,6 +52,7 @@ from fusion.logs.series import (
     vector_stream,
     velocity_stream,
 )
+from fusion.logs.velocity_axes import Axes, axes_of_velocity
 from vision import Camera, InputError
 
 __all__ = ["open_log", "recognises"]
@@ -236,7 +237,16 @@ def _velocity_columns(samples: Samples) -> FloatArray:
 
 
 def _read_velocity(samples: Samples) -> WithProblems[VectorStream]:
-    return vector_stream(samples.t_ns, _velocity_columns(samples), samples.where(), MAX_VELOCITY)
+    """Velocity of the body, as messages should carry it; some odometry carries the world's, which its pose shows."""
+    velocity = _velocity_columns(samples)
+    if samples.kind is RosType.ODOMETRY:
+        pose = samples.columns(0, 3), samples.columns(3, 7)
+        if axes_of_velocity(samples.t_ns, *pose, velocity) is Axes.WORLD:
+            attitude = attitude_stream(samples.t_ns, pose[1], samples.where()).value
+            stream, problems = velocity_stream(samples.t_ns, velocity, attitude, samples.where())
+            problem = f"{samples.name}: its velocity is along the world's axes, as its positions move; turned"
+            return WithProblems(stream, (problem, *problems))
+    return vector_stream(samples.t_ns, velocity, samples.where(), MAX_VELOCITY)
 
 
 def _read_world_velocity(turning: Series, samples: Samples) -> WithProblems[VectorStream]:
