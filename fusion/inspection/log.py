@@ -86,16 +86,35 @@ def inspect_log(
         if pictures and topic.kind is not Kind.FRAMES:
             found = replace(found, frames_covered=share_covered(pictures[0], topic.t_ns))
         streams.append(found)
-    _, findings = examine_streams(reading.streams, Advice(is_folder=is_folder))
+    alive, findings = examine_streams(reading.streams, Advice(is_folder=is_folder))
     return Inspection(
         name,
         log.format,
         tuple(streams),
         tuple(log.problems),
         tuple(findings),
-        tuple(advise(name, streams, findings, unclear)),
+        tuple(advise(name, _as_fused(streams, alive), findings, unclear)),
         reading.first_picture,
     )
+
+
+def _as_fused(found: list[StreamFindings], alive: Streams) -> list[StreamFindings]:
+    """Return the streams without what fusing leaves out: those that never change, and a dead accelerometer."""
+    there = {
+        Kind.IMU: alive.imu,
+        Kind.ATTITUDE: alive.attitude,
+        Kind.VELOCITY: alive.velocity,
+        Kind.RANGE: alive.range,
+    }
+    kept = [stream for stream in found if not stream.chosen or there.get(stream.kind, stream) is not None]
+    if alive.imu is None or np.isfinite(alive.imu.accel_m_s2).any():
+        return kept
+    return [
+        replace(stream, imu=replace(stream.imu, usual_accel_m_s2=None))
+        if stream.chosen and stream.imu is not None
+        else stream
+        for stream in kept
+    ]
 
 
 def _chosen(

@@ -20,7 +20,7 @@ from fusion.flight import (
     VectorStream,
 )
 from fusion.logs.contents import Kind, LogContents, Topic
-from fusion.logs.interpolation import attitude_at
+from fusion.logs.interpolation import attitude_at, interpolated
 from fusion.logs.samples import (
     MIN_IMU_STEP_NS,
     BoolArray,
@@ -39,6 +39,12 @@ Read = Callable[[], WithProblems[Stream]]
 
 QUATERNION_TOLERANCE = 0.05  # of its length; more is not rounding but damage
 LATEST_NS = 2**62  # the year 2116; later is no time but damage
+
+MAX_ACCEL_GAP_NS = 50_000_000  # bridged between an accelerometer's samples, if it is not slower itself
+MIN_ALONE, MOSTLY = (
+    0.1,
+    0.8,
+)  # shares of rows that hold one sensor, of each and of both, where they come by turns
 
 STRAY_WINDOW = 11  # samples; up to five damaged ones side by side are recognised
 STRAY_NS = 500_000_000
@@ -146,6 +152,9 @@ def imu_stream(
 ) -> WithProblems[ImuStream]:
     """Clean IMU samples; rows without acceleration keep NaN there.
 
+    Some drivers send one sensor at a time, the other zero or unknown by turns: then the gyroscope's rows are kept,
+    with the acceleration between its own.
+
     Parameters
     ----------
     t_ns
@@ -155,6 +164,23 @@ def imu_stream(
     where
         What to call the stream.
     """
+    with_gyro, with_accel = is_measured(gyro_rad_s), is_measured(accel_m_s2)
+    alone = (
+        (float(np.mean(with_gyro & ~with_accel)), float(np.mean(with_accel & ~with_gyro)))
+        if len(t_ns)
+        else (0, 0)
+    )
+    if min(alone) > MIN_ALONE and sum(alone) > MOSTLY:
+        accel = VectorStream(t_ns[with_accel], accel_m_s2[with_accel])
+        imu, problems = joined_imu(t_ns[with_gyro], gyro_rad_s[with_gyro], accel, where, where)
+        told = f"{where.label}: gyroscope and accelerometer come in rows of their own, joined by time"
+        return WithProblems(imu, (told, *problems))
+    return _clean_imu(t_ns, gyro_rad_s, accel_m_s2, where)
+
+
+def _clean_imu(
+    t_ns: TimeArray, gyro_rad_s: FloatArray, accel_m_s2: FloatArray, where: Where
+) -> WithProblems[ImuStream]:
     index, problems = usable(t_ns, where)
     t_ns, gyro_rad_s, accel_m_s2 = t_ns[index], gyro_rad_s[index], accel_m_s2[index]
     good = _within(gyro_rad_s, MAX_RATE)
@@ -165,6 +191,39 @@ def imu_stream(
         accel_m_s2 = np.where(without[:, None], np.nan, accel_m_s2)
         problems += (f"{where.label}: {counted(int(np.count_nonzero(without)), 'row')} without acceleration",)
     return WithProblems(ImuStream(t_ns, gyro_rad_s, accel_m_s2), problems)
+
+
+def is_measured(values: FloatArray) -> BoolArray:
+    """Rows (n,) of (n, 3) that a sensor can have given: numbers, and not all zero."""
+    return np.asarray(finite(values) & (values != 0.0).any(axis=1))
+
+
+def joined_imu(
+    t_ns: TimeArray, gyro_rad_s: FloatArray, accel: VectorStream | None, where: Where, accel_where: Where
+) -> WithProblems[ImuStream]:
+    """Clean a gyroscope's samples and give them the acceleration of another sensor, interpolated at their times.
+
+    Parameters
+    ----------
+    t_ns, gyro_rad_s
+        Times (n,) and angular rates (n, 3), body FRD, as read.
+    accel
+        Specific force, body FRD, on the same clock, as read; None where there is none.
+    where, accel_where
+        What to call the two.
+    """
+    accel_m_s2 = np.full((len(t_ns), 3), np.nan)
+    problems: Problems = ()
+    if accel is not None:
+        try:
+            samples, problems = vector_stream(accel.t_ns, accel.xyz, accel_where, MAX_ACCELERATION)
+        except InputError as error:
+            problems = (f"{accel_where.label}: {error.problem}, left out",)
+        else:
+            steps_ns = [int(np.median(np.abs(np.diff(t)))) for t in (t_ns, samples.t_ns) if len(t) > 1]
+            accel_m_s2 = interpolated(samples, t_ns, max(MAX_ACCEL_GAP_NS, 2 * max(steps_ns, default=0)))
+    imu, more = _clean_imu(t_ns, gyro_rad_s, accel_m_s2, where)
+    return WithProblems(imu, problems + more)
 
 
 def attitude_stream(t_ns: TimeArray, q_world_body: FloatArray, where: Where) -> WithProblems[AttitudeStream]:

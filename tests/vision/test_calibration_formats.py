@@ -425,7 +425,9 @@ def wide_file(path: Path, model: str, numbers: tuple[float, ...]) -> Path:
 
 
 def test_fisheye_numbers_by_another_name_are_refused_and_the_remedies_work(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"p1 = -0.036.*k1 to k4 of a fisheye.*distortion_model: equidistant"):
+    with pytest.raises(
+        InputError, match=r"p1 = -0.036.*k1 to k4 of a fisheye.*distortion_model: equidistant"
+    ):
         Camera.from_yaml(wide_file(tmp_path / "wrong.yaml", "plumb_bob", (*FISHEYE_K, 0.0)))
     camera = Camera.from_yaml(wide_file(tmp_path / "right.yaml", "equidistant", FISHEYE_K))
     assert lens_problem(camera) is None

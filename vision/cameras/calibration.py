@@ -66,11 +66,12 @@ _STRAIGHT_AHEAD = {
 
 
 def read_body_frame(path: Path) -> BodyFrame:
-    """Read ``body_frame`` (``flu`` or ``frd``) from a ``body.yaml``; ``flu`` where the file is absent."""
-    if not path.exists():
-        return "flu"
-    content = read_yaml(path)
-    return check_body_frame(require(content, "body_frame", path, "write `body_frame: flu` or `frd`"), path)
+    """Read ``body_frame`` (``flu`` or ``frd``) from a ``body.yaml``; ``flu`` where nothing says it.
+
+    The public EuRoC flights have a ``body.yaml`` that holds a comment only.
+    """
+    told = read_yaml(path).get("body_frame") if path.exists() else None
+    return "flu" if told is None else check_body_frame(told, path)
 
 
 def check_body_frame(value: object, file: Path | None = None) -> BodyFrame:

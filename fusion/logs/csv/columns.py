@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
-from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.contents import Kind, LogContents, Topic, UndecidedError
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
 from fusion.logs.csv.column_names import has_asl_names, map_of_names, names_the_world, ready_map_of
 from fusion.logs.csv.table import Layout, read_layout
@@ -41,7 +41,8 @@ SUFFIXES = frozenset({".csv", ".tsv"})
 TEXT_SUFFIXES = frozenset({".txt", ".log"})
 
 _G_M_S2, _DEG = 9.80665, np.pi / 180.0
-_SI = (
+#: What one of each unit is in SI.
+SI = (
     {"rad/s": 1.0, "deg/s": _DEG, "mrad/s": 1e-3, "rad": 1.0, "deg": _DEG, "mdeg": _DEG * 1e-3}
     | {"m/s2": 1.0, "g": _G_M_S2, "mg": _G_M_S2 * 1e-3, "cm/s2": 1e-2}
     | {"m/s": 1.0, "dm/s": 0.1, "cm/s": 0.01, "mm/s": 1e-3, "m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3}
@@ -104,7 +105,11 @@ def open_columns(
     for kind, roles, read in _READERS:
         if any(role in table.parts for role in roles):
             series.append(Series(Topic(kind.value, kind, table.t_ns, table.note(kind)), partial(read, table)))
-    return SeriesLog(path, what, series, assumed + problems)
+    return CsvLog(path, what, series, assumed + problems)
+
+
+class CsvLog(SeriesLog):
+    """`LogContents` of a CSV."""
 
 
 def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[ColumnMap, str]]:
@@ -163,7 +168,7 @@ class _Table:
         for role, indices in wanted.items():
             unit = columns.unit_of(role)
             values = timed.rows.values[:, start : start + len(indices)]
-            parts[role] = values * _SI[unit] if unit is not None else values
+            parts[role] = values * SI[unit] if unit is not None else values
             start += len(indices)
         if "accel" in parts:
             parts["accel"] = parts["accel"] * columns.accel_sign
@@ -266,7 +271,7 @@ class _Table:
 
         Raises
         ------
-        InputError
+        UndecidedError
             Where that stays open and matters.
         """
         pose_frame, told = self.body_frame().value, self.frame or self.columns.velocity_frame
@@ -282,7 +287,7 @@ class _Table:
             found = axes_of_velocity(self.t_ns, *pose, self.parts["velocity"])
         told = told or self.columns.frame
         if found is None and told is None:
-            raise InputError(
+            raise UndecidedError(
                 "velocity may be along the body's axes or the world's, and the pose does not tell",
                 file=self.path,
                 remedy='say it in flight.toml: [velocity] frame = "frd" or "flu" of the body, "ned" or "enu" of the '
@@ -311,7 +316,7 @@ class _Table:
         told, where = self.columns.range_limits, self.where(Kind.RANGE)
         if told is None:
             return range_stream(self.t_ns, self.parts["range"][:, 0], where)
-        low, high = (limit * _SI[self.columns.range_unit] for limit in told)
+        low, high = (limit * SI[self.columns.range_unit] for limit in told)
         return range_stream(self.t_ns, self.parts["range"][:, 0], where, limits_m=(low, high))
 
 

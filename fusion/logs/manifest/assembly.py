@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from fusion.flight import CorridorTruth, Flight, FrameStream, TimeArray
-from fusion.logs.contents import Kind, LogContents
+from fusion.logs.contents import Kind, LogContents, UndecidedError
 from fusion.logs.manifest.manifest import Manifest, StreamSource, files_of
 from fusion.logs.manifest.sources import ManifestLog
 from fusion.logs.pictures.camera_folder import check_size
@@ -18,8 +18,6 @@ from vision import Camera, InputError
 from vision.cameras.lens_check import lens_problem
 
 AnyStream = TypeVar("AnyStream", bound=Any)
-
-_DISPENSABLE = (Kind.RANGE, Kind.VELOCITY, Kind.POSITION)
 
 VIDEO_HINT = (
     "give the video too: corridor fuse {log} --video VIDEO --camera CAM.yaml, or name it in a flight.toml"
@@ -82,7 +80,9 @@ class _Assembly:
             range=self._stream(Kind.RANGE, sources.range, frames.t_ns),
             problems=tuple(self.problems),
             corridor_width_m=sources.manifest.corridor_width_m,
-            manifest=sources.manifest.model_copy(update=self._changes),
+            manifest=sources.manifest.model_copy(
+                update={**self._changes, "body_from_imu_rad": sources.rig.value}
+            ),
         )
 
     def _note(self, problems: Problems) -> None:
@@ -111,6 +111,7 @@ class _Assembly:
 
     def _camera(self, log: LogContents, topic: str) -> Camera:
         camera = self.sources.camera(topic)
+        self._note(self.sources.rig.problems)
         if camera is None:
             missing = log.calibration_file(topic)
             raise InputError(
@@ -141,7 +142,8 @@ class _Assembly:
             stream = self._noted(read(topic))
         except InputError as error:
             # The flight can do without what nobody asked for; range finders are often carried beyond their reach.
-            if kind not in _DISPENSABLE or source != type(source)():
+            is_dispensable = kind is Kind.RANGE or isinstance(error, UndecidedError)
+            if not is_dispensable or source.file is not None or source.topic is not None:
                 raise
             self._note((f"{log.path.name}: {error.problem}: left out; {error.remedy}",))
             return None

@@ -4,6 +4,8 @@ Signs, once for all readers and writers of a manifest:
 
 - ``clock_offset_s`` is added: time of the flight = time in the file + ``clock_offset_s``. The flight's clock is that
   of whichever stream has none.
+- ``body_from_imu_rad`` is roll, pitch and yaw of the IMU's own axes on the vehicle, as ``mount_rad``. It turns the
+  IMU and the camera that is calibrated to it together; left open, it is found where gravity and the camera agree.
 - ``mount_yaw_rad`` and ``mount_pitch_rad`` turn the camera of the calibration on the body: the true optical axis
   points that much further right and further up.
 - ``focal_scale`` multiplies both focal lengths of the calibration.
@@ -44,6 +46,11 @@ Columns = Annotated[
     Annotated[str, Tag("name")] | Annotated[ColumnMap, Tag("map")], Discriminator(_kind_of_columns)
 ]
 
+#: Keys of a column map that hold for any format: the unit of its numbers where they are not in the format's own.
+UNIT_KEYS = frozenset(
+    {"gyro_unit", "accel_unit", "accel_sign", "velocity_unit", "position_unit", "range_unit"}
+)
+
 
 class StreamSource(BaseModel):
     """Where one stream comes from; what is left open is chosen from the log."""
@@ -65,6 +72,11 @@ class StreamSource(BaseModel):
         description="Added to the file's times to give the flight's.",
     )
     use: bool = Field(default=True, description="false leaves the stream out.")
+
+    def units(self) -> ColumnMap | None:
+        """Return the column map where it gives nothing but units, which go with any format; else None."""
+        is_units = isinstance(self.columns, ColumnMap) and self.columns.model_fields_set <= UNIT_KEYS
+        return self.columns if is_units and isinstance(self.columns, ColumnMap) else None
 
     def how_to_open(self) -> dict[str, Path | int | str | ColumnMap | None]:
         """Return what the table says on opening the file, by key; None where it says nothing."""
@@ -161,6 +173,10 @@ class Manifest(BaseModel):
         gt=0.2,
         le=100,
         description="Width between the walls, for offsets in metres.",
+    )
+    body_from_imu_rad: tuple[MountAngle, MountAngle, MountAngle] | None = Field(
+        default=None,
+        description="Roll, pitch and yaw of the IMU's axes on the vehicle; turns IMU and camera together.",
     )
     truth: Path | None = Field(
         default=None, description="corridor_truth.csv, if known: errors are then reported."

@@ -150,12 +150,12 @@ def examine_attitude(attitude: AttitudeStream, advice: Advice) -> Iterator[Findi
         yield Finding(Severity.ERROR, "attitude", "attitude_axes", text, advice.frame("attitude", "flu"))
     elif tilt_deg > 45.0:
         text = f"the vehicle lies on its side most of the time, by {tilt_deg:.0f} degrees"
-        up = -np.median(_down_in_body(q), axis=0)
+        up = -np.median(down_in_body(q), axis=0)
         severity = Severity.ERROR if tilt_deg > 65.0 else Severity.WARNING
         yield Finding(severity, "attitude", "attitude_axes", text, advice.mounting("attitude", up))
 
 
-def _down_in_body(q_world_body: FloatArray) -> FloatArray:
+def down_in_body(q_world_body: FloatArray) -> FloatArray:
     """Return the world's down (n, 3) as the body sees it."""
     w, x, y, z = q_world_body.T
     return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)

@@ -7,6 +7,7 @@ keeps the times of receipt, and says so.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
@@ -46,6 +47,8 @@ from fusion.logs.series import (
     Stream,
     attitude_stream,
     imu_stream,
+    is_measured,
+    joined_imu,
     no_such_topic,
     range_stream,
     usable,
@@ -177,19 +180,17 @@ def _pictures(bag: Bag, topics: Iterable[Samples]) -> tuple[dict[str, Samples], 
 def _series(wire: Wire, topics: list[Samples]) -> WithProblems[list[Series]]:
     """Topics of numbers by kind, the one to prefer first."""
     imus = [s for s in topics if s.kind is RosType.IMU]
-    inertial = [s for s in imus if np.isfinite(s.columns(4, 7)).all(axis=1).any()]
+    inertial, problems = _inertial(imus)
     oriented = [s for s in imus if _any_quaternion(s.columns(0, 4))]
     poses = sorted((s for s in topics if s.kind in POSES), key=lambda s: POSES.index(s.kind))
     twists = sorted((s for s in topics if s.kind in TWISTS), key=lambda s: TWISTS.index(s.kind))
-    found = [_one(s, Kind.IMU, s.axes, _read_imu) for s in inertial]
     attitudes = [
         _one(s, Kind.ATTITUDE, f"orientation of the IMU, {s.axes}", partial(_read_attitude, 0))
         for s in oriented
     ]
     attitudes += [_one(s, Kind.ATTITUDE, _frame(wire, s), partial(_read_attitude, 3)) for s in poses]
-    found += attitudes
+    found = [*inertial, *attitudes]
     found += [_one(s, Kind.POSITION, _frame(wire, s), _read_position) for s in poses]
-    problems: Problems = ()
     for s in twists:
         frame = wire.frame_id(s.first) if s.kind is not RosType.ODOMETRY else ""
         if frame.strip("/") not in WORLDS:
@@ -202,6 +203,31 @@ def _series(wire: Wire, topics: list[Samples]) -> WithProblems[list[Series]]:
             problems += (f"{s.name}: a velocity in {frame}, left out: no attitude to turn it into the body",)
     found += [_one(s, Kind.RANGE, s.axes, _read_range) for s in topics if s.kind is RosType.RANGE]
     return WithProblems(found, problems)
+
+
+def _inertial(imus: list[Samples]) -> WithProblems[list[Series]]:
+    """IMUs, a gyroscope and an accelerometer with topics of their own taken together, as RealSense sends them."""
+    with_gyro = [s for s in imus if is_measured(s.columns(4, 7)).any()]
+    accels = [s for s in imus if s not in with_gyro and is_measured(s.columns(7, 10)).any()]
+    lone = [s for s in with_gyro if not is_measured(s.columns(7, 10)).any()]
+    found: list[Series] = []
+    left = list(accels)
+    for gyro in with_gyro:
+        own = [a for a in accels if _of_device(a.name) == _of_device(gyro.name)]
+        if gyro in lone and not own and len(lone) == len(accels) == 1:
+            own = accels
+        if gyro not in lone or len(own) != 1:
+            found.append(_one(gyro, Kind.IMU, gyro.axes, _read_imu))
+            continue
+        note = f"{gyro.axes}; acceleration from {own[0].name}"
+        found.append(_one(gyro, Kind.IMU, note, partial(_read_joined, own[0])))
+        left = [a for a in left if a is not own[0]]
+    return WithProblems(found, tuple(f"{a.name}: an accelerometer without gyroscope, left out" for a in left))
+
+
+def _of_device(topic: str) -> str:
+    """Name of a sensor's topic without the word for the sensor."""
+    return re.sub(r"gyro(scope)?|acc(el(erometer)?)?", "", topic, flags=re.IGNORECASE)
 
 
 def _one(samples: Samples, kind: Kind, note: str, read: Callable[[Samples], WithProblems[Stream]]) -> Series:
@@ -221,6 +247,11 @@ def _any_quaternion(q: FloatArray) -> bool:
 def _read_imu(samples: Samples) -> WithProblems[ImuStream]:
     where = samples.where()
     return imu_stream(samples.t_ns, samples.columns(4, 7), samples.columns(7, 10), where)
+
+
+def _read_joined(accel: Samples, gyro: Samples) -> WithProblems[ImuStream]:
+    force = VectorStream(accel.t_ns, accel.columns(7, 10))
+    return joined_imu(gyro.t_ns, gyro.columns(4, 7), force, gyro.where(), accel.where())
 
 
 def _read_attitude(start: int, samples: Samples) -> WithProblems[AttitudeStream]:
