@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
 from fusion.logs.contents import LogContents
+from fusion.logs.samples import refuse_placeholder
 from vision import Camera, InputError
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ def open_log(path: str | Path) -> LogContents:
     path = Path(path)
     if not path.exists():
         raise InputError("there is no such file or folder", file=path, remedy="check the path")
+    refuse_placeholder(path)
     for module in FORMATS.values():
         if find_spec(module) is None:
             continue

@@ -27,7 +27,7 @@ from vision.cameras.camera import BodyFrame
 
 
 class UndecidedError(InputError):
-    """A stream whose meaning the log leaves open: the user is asked where the flight needs it, else it is left out."""
+    """A stream whose meaning the log leaves open: the user is asked where it was named, else it is left out."""
 
 
 class Kind(StrEnum):

@@ -46,8 +46,15 @@ MIN_ALONE, MOSTLY = (
     0.8,
 )  # shares of rows that hold one sensor, of each and of both, where they come by turns
 
+MAX_BURST_STEP_NS, MIN_BURST_SHARE, MIN_BURST_STEPS = 200_000, 0.4, 20
+BURST_RATIO = 5.0  # of the usual step to that within a burst
+
 STRAY_WINDOW = 11  # samples; up to five damaged ones side by side are recognised
 STRAY_NS = 500_000_000
+LONE_PAUSE_NS, LONG_PAUSE_NS = (
+    5_000_000_000,
+    60_000_000_000,
+)  # beside a lone row, beside rows of the usual step
 CLOCK_BACK_NS = 1_000_000_000  # less is jitter and is sorted
 CLOCK_AHEAD_NS = 3_600_000_000_000
 
@@ -128,7 +135,20 @@ def _without_strays(t_ns: TimeArray, where: Where) -> WithProblems[IndexArray]:
     good = np.abs(t_ns - around) <= limit_ns
     if not good.any():
         return WithProblems(np.arange(len(t_ns)))
+    _keep_what_fits_in(t_ns, good)
     return WithProblems(np.flatnonzero(good), where.dropped(good, t_ns, "a time far from its neighbours'"))
+
+
+def _keep_what_fits_in(t_ns: TimeArray, good: BoolArray) -> None:
+    """Call rows good (n,) again that are few between two pauses, or between a pause and the log's end."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], good, [True]])))
+    usual_ns = max(int(np.median(np.abs(np.diff(t_ns)))), 1)
+    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        around = t_ns[max(first - 1, 0) : end + 1]
+        steps, inside = np.diff(around), np.diff(t_ns[first:end])
+        is_even = len(inside) > 0 and bool(((4 * inside > usual_ns) & (inside < 4 * usual_ns)).all())
+        longest_ns = LONG_PAUSE_NS if is_even else LONE_PAUSE_NS
+        good[first:end] = bool((steps > 0).all()) and bool((steps < longest_ns).all())
 
 
 def _longest_stretch(t_ns: TimeArray, where: Where) -> WithProblems[slice]:
@@ -181,7 +201,9 @@ def imu_stream(
 def _clean_imu(
     t_ns: TimeArray, gyro_rad_s: FloatArray, accel_m_s2: FloatArray, where: Where
 ) -> WithProblems[ImuStream]:
+    t_ns, told = spread_bursts(t_ns, where)
     index, problems = usable(t_ns, where)
+    problems = told + problems
     t_ns, gyro_rad_s, accel_m_s2 = t_ns[index], gyro_rad_s[index], accel_m_s2[index]
     good = _within(gyro_rad_s, MAX_RATE)
     problems += where.dropped(good, t_ns, "a gyro value that is none")
@@ -295,6 +317,38 @@ def range_stream(
     t_ns, distance_m, good = t_ns[index], distance_m[index], good[index]
     problems += where.dropped(good, t_ns, "no distance within the sensor's reach")
     return WithProblems(RangeStream(t_ns[good], distance_m[good]), problems)
+
+
+def spread_bursts(t_ns: TimeArray, where: Where) -> WithProblems[TimeArray]:
+    """Spread times (n,) that a driver gave to whole buffers on receipt evenly over the time between the buffers.
+
+    The last sample of a buffer is as old as its stamp says; the others came before it at the sensor's own pace.
+    """
+    steps = np.diff(t_ns)
+    if len(steps) < MIN_BURST_STEPS or steps.min() < 0:
+        return WithProblems(t_ns)
+    close = steps < MAX_BURST_STEP_NS
+    usual_ns = float(t_ns[-1] - t_ns[0]) / len(steps)
+    if not MIN_BURST_SHARE < float(np.mean(close)) < 1.0 or usual_ns < BURST_RATIO * float(
+        np.median(steps[close])
+    ):
+        return WithProblems(t_ns)
+    ends = np.append(np.flatnonzero(~close), len(steps))  # the last sample of each buffer
+    lengths = np.diff(ends, prepend=-1)
+    period_ns = np.diff(t_ns[ends], prepend=0) / lengths
+    pace_ns = float(np.median(period_ns[1:]))
+    period_ns[0] = pace_ns
+    period_ns = np.minimum(
+        period_ns, 2.0 * pace_ns
+    )  # after a pause the sensor's own pace is the better guess
+    before = np.repeat(ends, lengths) - np.arange(len(t_ns))
+    spread = np.repeat(t_ns[ends], lengths) - np.rint(before * np.repeat(period_ns, lengths)).astype(np.int64)
+    within_us = float(np.median(steps[close])) * 1e-3
+    problem = (
+        f"{where.label}: samples stamped in bursts of {int(np.median(lengths))}, {within_us:.0f} us apart, as when "
+        "a driver empties a buffer: spread over the time between the bursts"
+    )
+    return WithProblems(np.maximum.accumulate(spread), (problem,))
 
 
 def _within(values: FloatArray, limit: float) -> BoolArray:

@@ -280,7 +280,8 @@ class _Table:
             problem = f"{self.path.name}: velocity taken along the world's axes, as its name {name} says"
             return WithProblems((Axes.WORLD, pose_frame), (problem,))
         if told in ("ned", "enu") or (told is None and self.columns.frame in ("ned", "enu")):
-            return WithProblems((Axes.WORLD, told or pose_frame))
+            is_same_up = (told in ("flu", "enu")) == (pose_frame in ("flu", "enu"))
+            return WithProblems((Axes.WORLD, pose_frame if told is None or is_same_up else told))
         found: Axes | None = Axes.BODY
         if self._has_attitude and self.columns.velocity_frame is None:
             pose = self.parts.get("position"), self._quaternions()

@@ -28,7 +28,7 @@ from fusion.logs.plausibility.imu import Gravity, gravity_of
 from fusion.logs.plausibility.mounting import MountRad, mounted, mounted_attitude, mounted_imu
 from fusion.logs.plausibility.rig import find_body_from_imu, is_along_imu, turned_camera, turned_velocity
 from fusion.logs.plausibility.rig import sentence as rig_sentence
-from fusion.logs.samples import Problems, WithProblems
+from fusion.logs.samples import Problems, WithProblems, refuse_placeholder
 from fusion.logs.topic_choice import RANKED_FORMATS, TABLES, choose_topic
 from vision import Camera, InputError
 
@@ -305,6 +305,7 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
     from fusion.logs.pictures import video
 
     told = source.how_to_open()
+    refuse_placeholder(path)
     if isinstance(source, CameraSource):
         if video.recognises(path):
             _refuse(told, ("frame",), path, "a video")

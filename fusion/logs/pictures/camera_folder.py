@@ -11,7 +11,14 @@ import numpy as np
 from fusion.flight import FrameStream
 from fusion.logs.csv.rows import parse_time, read_blocks
 from fusion.logs.csv.stamped_table import check_columns, read_table_head
-from fusion.logs.samples import MIN_STEP_NS, Problems, WithProblems, counted, in_order
+from fusion.logs.samples import (
+    MIN_STEP_NS,
+    Problems,
+    WithProblems,
+    counted,
+    in_order,
+    refuse_placeholder,
+)
 from vision import Camera, InputError
 from vision.images import GreyImage, read_image
 
@@ -128,6 +135,8 @@ def check_size(frames: FrameStream, camera: Camera, file: Path | None = None) ->
         path = frames.source.paths[index] if isinstance(frames.source, PictureFiles) else file
         if path is not None and not path.exists():  # a missing picture is found at once: any number of them
             continue
+        if path is not None and not tries:
+            refuse_placeholder(path)
         try:
             height_px, width_px = frames.read(index).shape
         except InputError:

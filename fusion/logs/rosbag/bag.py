@@ -70,6 +70,9 @@ WORLDS = (
 )  # frames of a velocity that is not the body's
 
 
+_ACCESSORIES = {RosType.TRANSFORMS: "transforms", RosType.CAMERA_INFO: "calibrations"}
+
+
 class RosLog(SeriesLog):
     """`LogContents` of a bag."""
 
@@ -142,7 +145,15 @@ def _opened(bag: Bag) -> RosLog:
     series, left_out = _series(wire, [s for s in gathered.samples if s.kind not in PICTURES])
     problems += refused + left_out
     if not series and not pictures:
-        if any(of_use(connection) for connection in bag.connections):
+        told = {c.msgtype for c in bag.connections if of_use(c)}
+        if told and told <= {RosType.TRANSFORMS, RosType.CAMERA_INFO}:
+            what = " and ".join(word for kind, word in _ACCESSORIES.items() if kind in told)
+            raise InputError(
+                f"holds {what}, but no pictures and no IMU",
+                file=bag.path,
+                remedy="give the bag with the sensors' topics: sensor_msgs/Imu, and Image or CompressedImage",
+            )
+        if told:
             raise InputError(
                 f"none of its messages can be read ({'; '.join(problems) or 'it holds none'})",
                 file=bag.path,

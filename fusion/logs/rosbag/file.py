@@ -102,6 +102,12 @@ class Bag:
         except InputError:
             raise
         except Exception as error:  # rosbags lets anything through that a damaged file makes it do
+            if "erialization format" in str(error):
+                raise InputError(
+                    f"its messages are not written as ROS 2 writes them: {one_line(error, path)}",
+                    file=path,
+                    remedy="record or convert it with the serialization format cdr, as `ros2 bag convert` does",
+                ) from error
             raise InputError(
                 f"cannot be opened: {one_line(error, path)}",
                 file=path,

@@ -156,7 +156,14 @@ def _put_right(bag: Bag, found: _Messages) -> Samples:
             f"{found.name}: headers without time; the times are those of receipt, late by an unknown delay",
         )
     else:
-        t_ns, clock = np.where(empty, -1, stamps_ns), "times of the headers"
+        t_ns, clock = stamps_ns, "times of the headers"
+        if empty.any():
+            usual_ns = int(np.median((received_ns - stamps_ns)[~empty]))
+            t_ns = np.where(empty, received_ns - usual_ns, stamps_ns)
+            remarks += (
+                f"{found.name}: {counted(int(empty.sum()), 'header')} without time; taken from the receipt, less the "
+                f"usual delay of {usual_ns * 1e-6:.1f} ms",
+            )
         late_ns = int(np.median(received_ns - stamps_ns))
         if abs(late_ns) > LATE_NS:
             clock += f", {abs(late_ns) * 1e-9:.6g} s {'before' if late_ns > 0 else 'after'} receipt"
