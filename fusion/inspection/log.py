@@ -19,6 +19,7 @@ from fusion.inspection.imu import inspect_imu
 from fusion.inspection.pictures import inspect_pictures
 from fusion.inspection.times import share_covered, time_stream
 from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.pictures.camera_folder import darkness_problem
 from fusion.logs.plausibility.findings import Advice, Finding
 from fusion.logs.plausibility.flight import Streams, examine_streams
 from fusion.logs.samples import Problems, WithProblems
@@ -164,6 +165,8 @@ class _Reading:
             case Kind.FRAMES:
                 frames, problems = self.log.frames(name)
                 pictures, first = inspect_pictures(frames)
+                dark = darkness_problem(frames) if found.chosen else None
+                problems += () if dark is None else (dark,)
                 if found.chosen:
                     self.first_picture = first
                     self.streams = replace(kept, frames_t_ns=frames.t_ns)

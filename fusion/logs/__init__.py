@@ -30,6 +30,7 @@ FORMATS = {
     "ArduPilot DataFlash log": "fusion.logs.autopilot.dataflash",
     "MAVLink tlog": "fusion.logs.autopilot.tlog",
     "video": "fusion.logs.pictures.video",
+    "TUM RGB-D, UZH-FPV or KITTI folder": "fusion.logs.datasets",
     "folder of pictures": "fusion.logs.pictures.picture_folder",
     "CSV": "fusion.logs.csv.columns",
 }

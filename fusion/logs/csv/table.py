@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fusion.logs.csv.rows import RowFormat, Rows, is_row, read_blocks, read_head, read_rows, split_fields
+from fusion.logs.csv.time_units import is_date
 from fusion.logs.samples import Problems, WithProblems, counted
 from fusion.settings.sentences import did_you_mean
 from vision import InputError
@@ -133,7 +134,7 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
         return _keyed_layout(path, rows[0])
     separator = separator or _separator(rows[-20:])
     first = split_fields(rows[0], separator)
-    named = header if header is not None else not any(_is_number(field, separator) for field in first)
+    named = not any(_is_number(f, separator) or is_date(f) for f in first) if header is None else header
     comment = next((line for line in reversed(lines[: lines.index(rows[0])]) if separator in line), None)
     titles = first if named else [""] * len(first)
     if not named and comment is not None:

@@ -10,7 +10,7 @@ from fusion.flight import CorridorTruth, Flight, FrameStream, TimeArray
 from fusion.logs.contents import Kind, LogContents, UndecidedError
 from fusion.logs.manifest.manifest import Manifest, StreamSource, files_of
 from fusion.logs.manifest.sources import ManifestLog
-from fusion.logs.pictures.camera_folder import check_size
+from fusion.logs.pictures.camera_folder import check_size, darkness_problem
 from fusion.logs.plausibility.clocks import is_unix, span
 from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.topic_choice import TABLES, WORDS, holdings
@@ -68,6 +68,8 @@ class _Assembly:
         frames = self._noted(sources.frames(topic))
         camera = self._camera(log, topic)
         check_size(frames, camera, log.path)
+        dark = darkness_problem(frames)
+        self._note(() if dark is None else (dark,))
         return Flight(
             sources.manifest.name or self._name(log),
             camera,

@@ -78,9 +78,15 @@ class StreamSource(BaseModel):
         is_units = isinstance(self.columns, ColumnMap) and self.columns.model_fields_set <= UNIT_KEYS
         return self.columns if is_units and isinstance(self.columns, ColumnMap) else None
 
-    def how_to_open(self) -> dict[str, Path | int | str | ColumnMap | None]:
+    def how_to_open(self) -> dict[str, Path | float | str | ColumnMap | None]:
         """Return what the table says on opening the file, by key; None where it says nothing."""
-        return {"columns": self.columns, "frame": self.frame, "times": None, "start_ns": None}
+        return {
+            "columns": self.columns,
+            "frame": self.frame,
+            "times": None,
+            "start_ns": None,
+            "rate_hz": None,
+        }
 
     @model_validator(mode="after")
     def _known_columns(self) -> Self:
@@ -128,7 +134,14 @@ class CameraSource(StreamSource):
         default=None,
         description="CSV with the time of each frame of a video or picture folder, a row per frame.",
     )
-    start_ns: int | None = Field(default=None, strict=True, description="Time of a video's first frame.")
+    start_ns: int | None = Field(default=None, strict=True, description="Time of the first frame.")
+    rate_hz: float | None = Field(
+        default=None,
+        strict=True,
+        gt=0.0,
+        le=2000.0,
+        description="Frames a second of numbered pictures or of a video without times.",
+    )
     mount_yaw_rad: float = Field(
         default=0.0,
         strict=True,
@@ -147,14 +160,20 @@ class CameraSource(StreamSource):
         default=1.0, strict=True, ge=0.2, le=5.0, description="Factor on the focal lengths."
     )
 
-    def how_to_open(self) -> dict[str, Path | int | str | ColumnMap | None]:
+    def how_to_open(self) -> dict[str, Path | float | str | ColumnMap | None]:
         """Return what the table says on opening the file, by key; None where it says nothing."""
-        return super().how_to_open() | {"times": self.times, "start_ns": self.start_ns}
+        return super().how_to_open() | {
+            "times": self.times,
+            "start_ns": self.start_ns,
+            "rate_hz": self.rate_hz,
+        }
 
     @model_validator(mode="after")
     def _one_clock(self) -> Self:
         if self.times is not None and self.start_ns is not None:
             raise ValueError("times and start_ns both say when the frames were taken: give one of them")
+        if self.times is not None and self.rate_hz is not None:
+            raise ValueError("times and rate_hz both say when the frames were taken: give one of them")
         return self
 
 

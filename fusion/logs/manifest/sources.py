@@ -310,12 +310,23 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
         if video.recognises(path):
             _refuse(told, ("frame",), path, "a video")
             return video.open_video(
-                path, start_ns=source.start_ns or 0, times=source.times, columns=source.columns
+                path,
+                start_ns=source.start_ns or 0,
+                times=source.times,
+                columns=source.columns,
+                rate_hz=source.rate_hz,
             )
-        if folder.recognises(path) and (source.times is not None or source.columns is not None):
-            _refuse(told, ("start_ns", "frame"), path, "a folder of pictures")
-            return folder.open_folder(path, times=source.times, columns=source.columns)
-        _refuse(told, ("times", "start_ns", "columns", "frame"), path, "a log with pictures of its own")
+        if folder.recognises(path) and any(told[key] is not None for key in ("times", "columns", "rate_hz")):
+            _refuse(told, ("frame",), path, "a folder of pictures")
+            return folder.open_folder(
+                path,
+                times=source.times,
+                columns=source.columns,
+                rate_hz=source.rate_hz,
+                start_ns=source.start_ns or 0,
+            )
+        own = ("times", "start_ns", "rate_hz", "columns", "frame")
+        _refuse(told, own, path, "a log with pictures of its own")
         return open_log(path)
     is_table = columns.recognises(path)
     if (source.columns is not None and (is_table or source.units() is None)) or source.frame is not None:

@@ -92,7 +92,7 @@ def examine_streams(streams: Streams, advice: Advice) -> tuple[Streams, list[Fin
         return streams, found  # rates mean nothing without their times
     if streams.imu is not None:
         found += examine_imu(streams.imu, streams.attitude, advice)
-    if streams.attitude is not None:
+    if streams.attitude is not None and not any(finding.kind == "quaternion_order" for finding in found):
         found += examine_attitude(streams.attitude, advice)
     if streams.velocity is not None:
         found += _speeds(streams.velocity)

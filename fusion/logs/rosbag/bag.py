@@ -26,6 +26,7 @@ from fusion.flight import (
     VectorStream,
 )
 from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.rosbag.encoded import EncodedPictures, codec_of, is_key_frame
 from fusion.logs.rosbag.file import Bag, recognises
 from fusion.logs.rosbag.frames import StaticFrames
 from fusion.logs.rosbag.messages import (
@@ -36,9 +37,9 @@ from fusion.logs.rosbag.messages import (
     Wire,
     camera_from_info,
 )
-from fusion.logs.rosbag.pictures import BagPictures, describe, refusal
+from fusion.logs.rosbag.pictures import GREY_16, BagPictures, describe, refusal
 from fusion.logs.rosbag.topics import Samples, gather, of_use
-from fusion.logs.samples import MIN_STEP_NS, Problems, WithProblems
+from fusion.logs.samples import MIN_STEP_NS, Problems, WithProblems, counted
 from fusion.logs.series import (
     MAX_POSITION,
     MAX_VELOCITY,
@@ -82,6 +83,7 @@ class RosLog(SeriesLog):
         series: list[Series],
         pictures: dict[str, Samples],
         notes: dict[str, str],
+        formats: dict[str, str],
         infos: dict[str, bytes],
         mounts: StaticFrames,
         problems: Problems,
@@ -89,6 +91,7 @@ class RosLog(SeriesLog):
         super().__init__(bag.path, bag.format, series, problems)
         self._bag = bag
         self._pictures = pictures
+        self._formats = formats
         self._infos = infos
         self._mounts = mounts
         topics = [Topic(p.name, Kind.FRAMES, p.t_ns, notes[p.name]) for p in pictures.values()]
@@ -102,6 +105,14 @@ class RosLog(SeriesLog):
         index, problems = samples.with_remarks(usable(samples.t_ns, samples.where(), MIN_STEP_NS))
         received_ns = samples.received_ns
         source = BagPictures(self.path, topic, received_ns[index], _repeats(received_ns)[index])
+        codec = codec_of(self._formats[topic])
+        if codec is not None:
+            video, more = _video(self.path, topic, source, codec, len(index))
+            return WithProblems(FrameStream(samples.t_ns[index], video), problems + more)
+        bits = source.used_bits() if self._formats[topic].startswith(GREY_16) else 16
+        if bits < 16:
+            source = BagPictures(self.path, topic, source.received_ns, source.repeat, bits)
+            problems += (f"{topic}: its pictures fill {bits} of 16 bits, read by that depth",)
         return WithProblems(FrameStream(samples.t_ns[index], source), problems)
 
     def camera(self, topic: str) -> Camera | None:
@@ -141,7 +152,7 @@ def _opened(bag: Bag) -> RosLog:
     wire = Wire(bag.ros2)
     gathered, problems = gather(bag, wire)
     problems = bag.problems + problems
-    pictures, notes, refused = _pictures(bag, [s for s in gathered.samples if s.kind in PICTURES])
+    pictures, notes, formats, refused = _pictures(bag, [s for s in gathered.samples if s.kind in PICTURES])
     series, left_out = _series(wire, [s for s in gathered.samples if s.kind not in PICTURES])
     problems += refused + left_out
     if not series and not pictures:
@@ -165,27 +176,54 @@ def _opened(bag: Bag) -> RosLog:
             file=bag.path,
             remedy="record sensor_msgs/Imu, and Image or CompressedImage with CameraInfo",
         )
-    return RosLog(bag, series, pictures, notes, gathered.infos, gathered.frames, problems)
+    return RosLog(bag, series, pictures, notes, formats, gathered.infos, gathered.frames, problems)
 
 
-def _pictures(bag: Bag, topics: Iterable[Samples]) -> tuple[dict[str, Samples], dict[str, str], Problems]:
-    """Picture topics that can be read, a note on each, and why the others cannot."""
+def _pictures(
+    bag: Bag, topics: Iterable[Samples]
+) -> tuple[dict[str, Samples], dict[str, str], dict[str, str], Problems]:
+    """Picture topics that can be read, a note and the format of each, and why the others cannot."""
     found: dict[str, Samples] = {}
     notes: dict[str, str] = {}
+    formats: dict[str, str] = {}
     problems: Problems = ()
     for samples in topics:
         try:
             message = bag.decode(samples.kind, samples.first)
             reason = refusal(message, samples.kind)
-            what = describe(message, samples.kind)
+            what, form = (
+                describe(message, samples.kind),
+                str(message.format if samples.kind is RosType.COMPRESSED else message.encoding),
+            )
+            if getattr(message, "encoding", "") == "16UC1" and "depth" in samples.name:
+                reason = "distances (16UC1)"
         except InputError:
-            reason, what = None, "its first picture does not decode"
+            reason, what, form = None, "its first picture does not decode", ""
         if reason is None:
             found[samples.name] = samples
             notes[samples.name] = f"{what}; {samples.clock}"
+            formats[samples.name] = form
         else:
             problems += (f"{samples.name}: pictures of {reason} left out",)
-    return found, notes, problems
+    return found, notes, formats, problems
+
+
+def _video(
+    path: Path, topic: str, packets: BagPictures, codec: str, count: int
+) -> WithProblems[EncodedPictures]:
+    """Find the key frames of a video stream, from which its pictures are decoded."""
+    keys = np.flatnonzero([is_key_frame(packets.packet(number), codec) for number in range(count)])
+    if not len(keys):
+        raise InputError(
+            f"{topic}: none of its {counted(count, 'packet')} of {codec} begins a picture of its own",
+            file=path,
+            remedy="record it from the camera's start, or with key frames every second",
+        )
+    problems: Problems = ()
+    if keys[0] > 0:
+        before = counted(int(keys[0]), "picture")
+        problems = (f"{topic}: {before} before the first key frame cannot be decoded",)
+    return WithProblems(EncodedPictures(codec, packets.packet, keys, count), problems)
 
 
 def _series(wire: Wire, topics: list[Samples]) -> WithProblems[list[Series]]:

@@ -99,15 +99,10 @@ class Bag:
             ) from None
         try:
             self._open()
+            self._check_format()
         except InputError:
             raise
         except Exception as error:  # rosbags lets anything through that a damaged file makes it do
-            if "erialization format" in str(error):
-                raise InputError(
-                    f"its messages are not written as ROS 2 writes them: {one_line(error, path)}",
-                    file=path,
-                    remedy="record or convert it with the serialization format cdr, as `ros2 bag convert` does",
-                ) from error
             raise InputError(
                 f"cannot be opened: {one_line(error, path)}",
                 file=path,
@@ -137,6 +132,16 @@ class Bag:
         else:
             self.format, self.ros2 = "ROS 1 bag", False
             self._reader = self._open_ros1(path)
+
+    def _check_format(self) -> None:
+        told = {str(getattr(c.ext, "serialization_format", "cdr")) for c in self.connections}
+        other = ", ".join(sorted(told - {"cdr", ""}))
+        if self.ros2 and other:
+            raise InputError(
+                f"its messages are serialized as {other}, not as cdr, which ROS 2 writes",
+                file=self.path,
+                remedy="record or convert it with the serialization format cdr, as `ros2 bag convert` does",
+            )
 
     def _only_storage(self, folder: Path) -> Path:
         storages = storages_in(folder)
