@@ -19,7 +19,7 @@ PAGE = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
 @pytest.mark.parametrize("block", re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL))
 def test_settings_on_the_page_are_ones(block: str) -> None:
     values = tomllib.loads(block)
-    assert make_manifest(values).model_dump(exclude_unset=True).keys() == values.keys()
+    assert make_manifest(values).model_fields_set >= values.keys()
 
 
 def test_the_page_names_every_format_map_and_message() -> None:

@@ -129,4 +129,5 @@ def load_manifest(
     from fusion.logs.plausibility.flight import check_flight
 
     flight = assemble_flight(manifest, camera)
-    return check_flight(flight, path or manifest.log or manifest.camera.file or Path(flight.name))
+    files = {name: s.file for name, s in manifest.streams().items() if s.file is not None}
+    return check_flight(flight, path or manifest.log or manifest.camera.file or Path(flight.name), files)

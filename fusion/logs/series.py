@@ -16,6 +16,7 @@ from fusion.flight import (
     FrameStream,
     ImuStream,
     RangeStream,
+    Remark,
     TimeArray,
     VectorStream,
 )
@@ -194,7 +195,7 @@ def imu_stream(
         accel = VectorStream(t_ns[with_accel], accel_m_s2[with_accel])
         imu, problems = joined_imu(t_ns[with_gyro], gyro_rad_s[with_gyro], accel, where, where)
         told = f"{where.label}: gyroscope and accelerometer come in rows of their own, joined by time"
-        return WithProblems(imu, (told, *problems))
+        return WithProblems(imu, (Remark(told), *problems))
     return _clean_imu(t_ns, gyro_rad_s, accel_m_s2, where)
 
 

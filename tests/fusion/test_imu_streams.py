@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fusion.flight import FloatArray, ImuStream
+from fusion.flight import FloatArray, ImuStream, Remark
 from fusion.inspection.advice import Matter
 from fusion.inspection.sources import inspect_path
 from fusion.logs import load_flight, open_log
@@ -156,3 +156,22 @@ def test_what_fusing_leaves_out_is_not_listed_as_fused(office: ImuStream, tmp_pa
     path = written(tmp_path / "dead.csv", "timestamp_ns,gx,gy,gz,ax,ay,az\n" + "\n".join(dead) + "\n")
     (fusable,) = (s.text for s in inspect_path(path).advice if s.matter is Matter.FUSE)
     assert fusable == "nothing yet: a heading in a corridor needs pictures"
+
+
+def test_the_file_at_fault_is_named_and_what_was_only_taken_is_a_remark(
+    office: ImuStream, tmp_path: Path
+) -> None:
+    values = np.hstack([np.degrees(office.gyro_rad_s), office.accel_m_s2])
+    lines = [f"{t},{','.join(map(str, row))}" for t, row in zip(office.t_ns, values, strict=True)]
+    head = "timestamp_ns,gx,gy,gz,ax,ay,az\n"
+    written(tmp_path / "imu.csv", head + "\n".join(lines) + "\n")
+    table = f'log = "{OFFICE.as_posix()}"\n[imu]\nfile = "imu.csv"\n[attitude]\nuse = false\n'
+    manifest = written(tmp_path / "flight.toml", table)
+    with pytest.raises(InputError, match=r"imu: .* it is in degrees/s") as caught:
+        load_flight(manifest)
+    assert caught.value.file == tmp_path / "imu.csv"
+    written(manifest, table + '[imu.columns]\ngyro_unit = "deg/s"\n')
+    problems = load_flight(manifest).problems
+    lost = [text for text in problems if not isinstance(text, Remark)]
+    assert [text[:12] for text in lost] == ["imu: it cove"]  # less than the whole flight
+    assert any("axes taken as frd, gravity stands down" in text for text in problems)

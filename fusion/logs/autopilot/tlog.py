@@ -131,6 +131,8 @@ def recognises(path: Path) -> bool:
     if EARLIEST_US < first_us < LATEST_US:
         return True
     # A computer without a clock counts from 1970: then the next packet has to follow where the first one ends.
+    if len(head) < 2 * HEAD_BYTES:
+        return False
     overhead = 8 if head[8] == MAGICS[0] else 12 + 13 * (head[10] & 1)
     next_at = 8 + overhead + head[9]
     following = head[next_at : next_at + HEAD_BYTES]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from fusion.flight import Remark
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap
 from fusion.logs.csv.table import Layout
 from fusion.logs.samples import Problems, WithProblems
@@ -52,7 +53,9 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
     A vector's unit is that in brackets behind its names or at their end (``gyro_x_deg_s``); else SI.
     """
     if not layout.has_names and is_tum(layout):
-        said = f"{layout.path.name}: taken for a TUM trajectory: time, position, quaternion x, y, z, w"
+        said = Remark(
+            f"{layout.path.name}: taken for a TUM trajectory: time, position, quaternion x, y, z, w"
+        )
         return WithProblems(_TUM, (said,))
     known = [_normal(name, unit) for name, unit in zip(layout.names, layout.units, strict=True)]
     found: dict[str, Any] = {}
@@ -68,7 +71,9 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
         if unit:
             found[f"{role}_unit"] = unit
         elif assumed:
-            problems += (f"{layout.path.name}: no unit is given for {what or names[0]}, {assumed} taken",)
+            problems += (
+                Remark(f"{layout.path.name}: no unit is given for {what or names[0]}, {assumed} taken"),
+            )
 
     sensor = _sensor_of(layout)
     for role, patterns in _VECTORS.items():

@@ -13,7 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
+from fusion.flight import (
+    AttitudeStream,
+    FloatArray,
+    ImuStream,
+    RangeStream,
+    Remark,
+    TimeArray,
+    VectorStream,
+)
 from fusion.logs.contents import Kind, LogContents, Topic, UndecidedError
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
 from fusion.logs.csv.column_names import has_asl_names, map_of_names, names_the_world, ready_map_of
@@ -52,6 +60,7 @@ _Q_FLIP = np.array([1.0, 1.0, -1.0, -1.0])  # the same on both sides of a quater
 _Q_NED_ENU = (0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0)
 _Q_FLU_FRD = (0.0, 1.0, 0.0, 0.0)
 _UPRIGHT_M_S2 = 5.0
+_NOTHING_TELLS = "nothing tells"
 
 _EXAMPLE = (
     'name them in flight.toml, as in [imu.columns] time = "t", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s"'
@@ -196,7 +205,7 @@ class _Table:
             return WithProblems(told)
         frame, why = self._likely_frame()
         problem = f"{self.path.name}: axes taken as {frame}, {why}; name them with frame in flight.toml"
-        return WithProblems(frame, (problem,))
+        return WithProblems(frame, (problem if why == _NOTHING_TELLS else Remark(problem),))
 
     def _likely_frame(self) -> tuple[Frame, str]:
         """Return the axes that gravity shows, else those that the columns' names are used with, and why."""
@@ -212,7 +221,7 @@ class _Table:
             return "flu", "gravity stands along another axis than z"
         if has_asl_names(self.columns):
             return "flu", "as its names are used in ASL / EuRoC logs"
-        return "frd", "nothing tells"
+        return "frd", _NOTHING_TELLS
 
     def imu(self) -> WithProblems[ImuStream]:
         """Gyroscope and accelerometer, body FRD."""
@@ -278,7 +287,7 @@ class _Table:
         name = names_the_world(self.columns)
         if name is not None and self.columns.velocity_frame is None:
             problem = f"{self.path.name}: velocity taken along the world's axes, as its name {name} says"
-            return WithProblems((Axes.WORLD, pose_frame), (problem,))
+            return WithProblems((Axes.WORLD, pose_frame), (Remark(problem),))
         if told in ("ned", "enu") or (told is None and self.columns.frame in ("ned", "enu")):
             is_same_up = (told in ("flu", "enu")) == (pose_frame in ("flu", "enu"))
             return WithProblems((Axes.WORLD, pose_frame if told is None or is_same_up else told))
@@ -300,7 +309,7 @@ class _Table:
             f"{self.path.name}: velocity taken along the world's axes, as its positions move; velocity_frame under "
             "[velocity.columns] in flight.toml says otherwise"
         )
-        return WithProblems((Axes.WORLD, pose_frame), (problem,))
+        return WithProblems((Axes.WORLD, pose_frame), (Remark(problem),))
 
     @property
     def _has_attitude(self) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fusion.flight import TimeArray
+from fusion.flight import Remark, TimeArray
 from fusion.logs.csv.column_map import ColumnMap, TimeUnit
 from fusion.logs.csv.rows import Rows, is_number
 from fusion.logs.csv.table import Layout, read_columns, read_layout
@@ -120,7 +120,9 @@ def read_timed(
     elif unit is None:
         unit = guess_unit(data.first)
         problems += (
-            f"{layout.path.name}: times taken for {in_words(unit)}; time_unit in flight.toml says otherwise",
+            Remark(
+                f"{layout.path.name}: times taken for {in_words(unit)}; time_unit in flight.toml says otherwise"
+            ),
         )
     ticks = data.first
     t_ns = to_ns(unwrapped(ticks.astype(np.int64)) if ticks.dtype.kind == "i" else ticks, unit)

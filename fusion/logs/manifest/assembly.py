@@ -119,7 +119,8 @@ class _Assembly:
             raise InputError(
                 "holds no calibration of the camera" if missing is None else "there is no such file",
                 file=missing or log.path,
-                remedy="add the calibration: name it with --camera, or under [camera] in flight.toml",
+                remedy="add the calibration: name it with --camera, or under [camera] in flight.toml; where there is "
+                "none, `corridor align` finds the focal length from the flight",
             )
         self._note(tuple(text for text in (camera.mount_problem(), lens_problem(camera)) if text is not None))
         return camera

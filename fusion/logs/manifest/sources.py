@@ -17,6 +17,7 @@ from fusion.flight import (
     FrameStream,
     ImuStream,
     RangeStream,
+    Remark,
     VectorStream,
 )
 from fusion.logs import open_log
@@ -192,7 +193,7 @@ class ManifestLog(LogContents):
         except InputError:  # told where it is read for its own sake
             return WithProblems(None)
         found = None if camera is None else find_body_from_imu(gravity, camera)
-        return WithProblems(found, () if found is None else (rig_sentence(found),))
+        return WithProblems(found, () if found is None else (Remark(rig_sentence(found)),))
 
     @cached_property
     def _gravity(self) -> Gravity | None:

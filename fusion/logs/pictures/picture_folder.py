@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fusion.flight import FrameStream, TimeArray
+from fusion.flight import FrameStream, Remark, TimeArray
 from fusion.logs.contents import Kind, Topic
 from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.csv.time_units import MISSING, guess_unit, in_words, to_ns
@@ -200,7 +200,7 @@ def _times_from_names(
     unit = told or guess_unit(numbers)
     t_ns = to_ns(numbers, unit)
     kept = [name for (name, _), t in zip(timed, t_ns, strict=True) if t != MISSING]
-    problems: Problems = (f"{path.name}: times taken from the pictures' names, as {in_words(unit)}",)
+    problems: Problems = (Remark(f"{path.name}: times taken from the pictures' names, as {in_words(unit)}"),)
     if len(kept) < len(names):
         problems += (
             f"{path.name}: {counted(len(names) - len(kept), 'picture')} not named by a time left out",

@@ -7,7 +7,7 @@ that never changes is left out: it holds nothing, whatever it claims.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import degrees
 from pathlib import Path
@@ -49,7 +49,7 @@ class Streams:
         return found | {name: stream.t_ns for name, stream in streams.items() if stream is not None}
 
 
-def check_flight(flight: Flight, path: Path | None = None) -> Flight:
+def check_flight(flight: Flight, path: Path | None = None, files: Mapping[str, Path] | None = None) -> Flight:
     """Return the flight without dead streams and with what is implausible among its problems.
 
     Parameters
@@ -58,6 +58,8 @@ def check_flight(flight: Flight, path: Path | None = None) -> Flight:
         As a reader made it.
     path
         What the user named, for messages; a folder in the ASL layout gets other advice than a log.
+    files
+        Files that streams have of their own, by the stream's name in a manifest.
 
     Raises
     ------
@@ -67,7 +69,11 @@ def check_flight(flight: Flight, path: Path | None = None) -> Flight:
     alive, findings = examine_streams(_streams(flight), Advice(is_folder=path is not None and is_asl(path)))
     for finding in findings:
         if finding.severity is Severity.ERROR:
-            raise InputError(f"{finding.stream}: {finding.text}", file=path, remedy=finding.remedy)
+            raise InputError(
+                f"{finding.stream}: {finding.text}",
+                file=(files or {}).get(finding.stream, path),
+                remedy=finding.remedy,
+            )
     problems = (*flight.problems, *(finding.sentence for finding in findings))
     return replace(
         flight,

@@ -22,6 +22,7 @@ from fusion.flight import (
     FrameStream,
     ImuStream,
     RangeStream,
+    Remark,
     TimeArray,
     VectorStream,
 )
@@ -112,7 +113,7 @@ class RosLog(SeriesLog):
         bits = source.used_bits() if self._formats[topic].startswith(GREY_16) else 16
         if bits < 16:
             source = BagPictures(self.path, topic, source.received_ns, source.repeat, bits)
-            problems += (f"{topic}: its pictures fill {bits} of 16 bits, read by that depth",)
+            problems += (Remark(f"{topic}: its pictures fill {bits} of 16 bits, read by that depth"),)
         return WithProblems(FrameStream(samples.t_ns[index], source), problems)
 
     def camera(self, topic: str) -> Camera | None:
@@ -325,7 +326,7 @@ def _read_velocity(samples: Samples) -> WithProblems[VectorStream]:
             attitude = attitude_stream(samples.t_ns, pose[1], samples.where()).value
             stream, problems = velocity_stream(samples.t_ns, velocity, attitude, samples.where())
             problem = f"{samples.name}: its velocity is along the world's axes, as its positions move; turned"
-            return WithProblems(stream, (problem, *problems))
+            return WithProblems(stream, (Remark(problem), *problems))
     return vector_stream(samples.t_ns, velocity, samples.where(), MAX_VELOCITY)
 
 
