@@ -31,6 +31,7 @@ FORMATS = {
     "MAVLink tlog": "fusion.logs.autopilot.tlog",
     "video": "fusion.logs.pictures.video",
     "TUM RGB-D, UZH-FPV or KITTI folder": "fusion.logs.datasets",
+    "folder of a phone's sensors": "fusion.logs.csv.phone_folder",
     "folder of pictures": "fusion.logs.pictures.picture_folder",
     "CSV": "fusion.logs.csv.columns",
 }

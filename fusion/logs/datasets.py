@@ -24,6 +24,7 @@ from fusion.logs.composite import CompositeLog, Part
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.csv import columns
 from fusion.logs.csv.times import read_times
+from fusion.logs.imu_series import imu_stream
 from fusion.logs.pictures import picture_folder
 from fusion.logs.samples import Problems, WithProblems, counted
 from fusion.logs.series import (
@@ -32,7 +33,6 @@ from fusion.logs.series import (
     SeriesLog,
     Where,
     attitude_stream,
-    imu_stream,
     quaternions,
     vector_stream,
 )

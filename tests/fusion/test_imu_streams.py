@@ -15,10 +15,11 @@ from fusion.inspection.advice import Matter
 from fusion.inspection.sources import inspect_path
 from fusion.logs import load_flight, open_log
 from fusion.logs.contents import Kind
+from fusion.logs.imu_series import imu_stream
 from fusion.logs.manifest.manifest import read_manifest
 from fusion.logs.manifest.sources import ManifestLog
 from fusion.logs.samples import Problems
-from fusion.logs.series import Where, imu_stream
+from fusion.logs.series import Where
 from tests.files import OFFICE, written
 from tests.fusion.test_log_rosbag import Bag
 from vision import InputError
@@ -175,3 +176,24 @@ def test_the_file_at_fault_is_named_and_what_was_only_taken_is_a_remark(
     lost = [text for text in problems if not isinstance(text, Remark)]
     assert [text[:12] for text in lost] == ["imu: it cove"]  # less than the whole flight
     assert any("axes taken as frd, gravity stands down" in text for text in problems)
+
+
+def test_a_phones_folder_is_one_imu(office: ImuStream, tmp_path: Path) -> None:
+    """As Sensor Logger writes it: a file per sensor, z first, the accelerometer on times of its own."""
+    folder = tmp_path / "2024-05-01"
+    gyro, accel = office.gyro_rad_s, office.accel_m_s2
+    t_ns, late_ns = office.t_ns, office.t_ns[::2] + 1_000_000
+    for name, times, values in (("Gyroscope", t_ns, gyro), ("TotalAcceleration", late_ns, accel[::2])):
+        lines = [f"{t},{(t - t_ns[0]) / 1e9},{z},{y},{x}" for t, (x, y, z) in zip(times, values, strict=True)]
+        written(folder / f"{name}.csv", "time,seconds_elapsed,z,y,x\n" + "\n".join(lines) + "\n")
+    written(folder / "Gravity.csv", "time,seconds_elapsed,z,y,x\n1,0,0,0,0\n")
+    log = open_log(folder)
+    assert log.format == "folder of a phone's sensors"
+    imu = log.imu("imu").value
+    np.testing.assert_array_equal(imu.t_ns, t_ns)
+    np.testing.assert_allclose(imu.gyro_rad_s, gyro)
+    assert np.nanmedian(imu.accel_m_s2[:, 2]) == pytest.approx(np.median(accel[:, 2]), abs=0.05)
+    assert log.problems == ()
+    written(folder / "Gyroscope.csv", "time,a,b,c\n" + "1,2,3,4\n" * 3)
+    with pytest.raises(InputError, match="has no columns x, y, z of the gyro: time, a, b, c"):
+        open_log(folder)

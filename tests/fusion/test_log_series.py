@@ -13,18 +13,17 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from fusion.flight import AttitudeStream, VectorStream
 from fusion.logs.autopilot import tlog, ulog
+from fusion.logs.imu_series import imu_stream, spread_bursts
 from fusion.logs.interpolation import attitude_at, interpolated
 from fusion.logs.rosbag import bag as rosbag
 from fusion.logs.series import (
     LATEST_NS,
     Where,
     attitude_stream,
-    imu_stream,
     into_body,
     nanoseconds,
     quaternions,
     range_stream,
-    spread_bursts,
     usable,
     vector_stream,
     velocity_stream,

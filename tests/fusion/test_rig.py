@@ -120,3 +120,42 @@ def test_gravity_and_camera_that_contradict_each_other_tell_nothing() -> None:
     assert find_body_from_imu(Gravity(np.array([9.81, 0.0, 0.0]), 9.81), camera) is None
     assumed = Camera(64, 48, 50.0, 50.0, 31.5, 23.5, mount_assumed=True)
     assert find_body_from_imu(Gravity(np.array([9.81, 0.0, 0.0]), 9.81), assumed) is None
+
+
+@pytest.mark.parametrize("pitch_deg", [0.0, -8.0])
+@pytest.mark.parametrize("phone", [True, False], ids=["phone on its side", "reversed on its side"])
+def test_a_phone_needs_to_be_told_only_where_its_camera_looks(
+    tmp_path: Path, phone: bool, pitch_deg: float
+) -> None:
+    """A phone's axes: x right and y up of its screen, z out of it; the camera looks out of its back."""
+    office = load_flight(OFFICE)
+    assert office.imu is not None
+    # Held sideways its x points up or down; the vehicle's x is its -z. It looks down a little.
+    side = 1.0 if phone else -1.0
+    R_phone_flu = np.array([[0.0, 0.0, side], [0.0, side, 0.0], [-1.0, 0.0, 0.0]])
+    R_phone = R_phone_flu @ FLU @ rotation((0.0, radians(pitch_deg), 0.0)).T @ FLU
+    gyro, accel = (v @ FLU @ R_phone.T for v in (office.imu.gyro_rad_s, office.imu.accel_m_s2))
+    rows = zip(office.imu.t_ns.tolist(), np.hstack([gyro, accel]).tolist(), strict=True)
+    head = "timestamp_ns,gx,gy,gz,ax,ay,az\n"
+    written(
+        tmp_path / "imu.csv", head + "".join(f"{t}," + ",".join(map(repr, row)) + "\n" for t, row in rows)
+    )
+    written(
+        tmp_path / "camera.yaml",
+        "image_width: 640\nimage_height: 480\nK: [466.0, 0, 319.5, 0, 466.0, 239.5, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\n"
+        "distortion_model: plumb_bob\n",
+    )
+    table = (
+        f'[camera]\nfile = "{OFFICE.as_posix()}"\ncalibration = "camera.yaml"\n[imu]\nfile = "imu.csv"\n'
+        'camera_axis = "-z"\n'
+    )
+    flight = load_flight(written(tmp_path / "flight.toml", table))
+    assert flight.imu is not None
+    # Level is the usual attitude of the flight, half a degree from the office's own.
+    np.testing.assert_allclose(flight.imu.gyro_rad_s, office.imu.gyro_rad_s, atol=0.06)
+    assert np.rad2deg(np.arcsin(-flight.camera.R_body_camera[2, 2])) == pytest.approx(pitch_deg, abs=2.0)
+    assert not flight.camera.mount_assumed
+    assert any("axes of IMU and camera are not the vehicle's" in text for text in flight.problems)
+    written(tmp_path / "flight.toml", table.replace('"-z"', '"x"'))  # it looks up
+    with pytest.raises(InputError, match="the IMU's axes are not the body's"):
+        load_flight(tmp_path / "flight.toml")

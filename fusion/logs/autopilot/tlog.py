@@ -22,13 +22,13 @@ import numpy.typing as npt
 from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
 from fusion.logs.autopilot.table import DOWNWARD, MessageTable, map_file, series_of
 from fusion.logs.contents import Kind, LogContents
+from fusion.logs.imu_series import imu_stream
 from fusion.logs.samples import BoolArray, Problems, WithProblems, counted, unwrapped
 from fusion.logs.series import (
     CLOCK_BACK_NS,
     Series,
     SeriesLog,
     Stream,
-    imu_stream,
     nanoseconds,
     range_stream,
     velocity_stream,

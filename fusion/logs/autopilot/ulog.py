@@ -22,13 +22,12 @@ import numpy.typing as npt
 from fusion.flight import FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
 from fusion.logs.autopilot.table import DOWNWARD, MessageTable, begins_with, series_of
 from fusion.logs.contents import Kind, LogContents
+from fusion.logs.imu_series import imu_stream, joined_imu
 from fusion.logs.samples import BoolArray, Problems, WithProblems, counted
 from fusion.logs.series import (
     MAX_POSITION,
     Series,
     SeriesLog,
-    imu_stream,
-    joined_imu,
     nanoseconds,
     range_stream,
     vector_stream,

@@ -27,6 +27,7 @@ from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
 from fusion.logs.csv.column_names import has_asl_names, map_of_names, names_the_world, ready_map_of
 from fusion.logs.csv.table import Layout, read_layout
 from fusion.logs.csv.times import ROLES, read_timed
+from fusion.logs.imu_series import imu_stream
 from fusion.logs.samples import WithProblems
 from fusion.logs.series import (
     MAX_POSITION,
@@ -36,7 +37,6 @@ from fusion.logs.series import (
     Stream,
     Where,
     attitude_stream,
-    imu_stream,
     quaternions,
     range_stream,
     vector_stream,
@@ -114,11 +114,13 @@ def open_columns(
     for kind, roles, read in _READERS:
         if any(role in table.parts for role in roles):
             series.append(Series(Topic(kind.value, kind, table.t_ns, table.note(kind)), partial(read, table)))
-    return CsvLog(path, what, series, assumed + problems)
+    log = CsvLog(path, what, series, assumed + problems)
+    log.body_frame = "flu" if table.body_frame().value in ("flu", "enu") else "frd"
+    return log
 
 
 class CsvLog(SeriesLog):
-    """`LogContents` of a CSV."""
+    """`LogContents` of a CSV; ``body_frame`` is what its axes are taken for."""
 
 
 def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[ColumnMap, str]]:

@@ -83,9 +83,14 @@ class _Assembly:
             problems=tuple(self.problems),
             corridor_width_m=sources.manifest.corridor_width_m,
             manifest=sources.manifest.model_copy(
-                update={**self._changes, "body_from_imu_rad": sources.rig.value}
+                update={**self._changes, "body_from_imu_rad": self._body_from_imu()}
             ),
         )
+
+    def _body_from_imu(self) -> tuple[float, float, float] | None:
+        """Rotation that was found, unless the manifest says how to find it."""
+        rig = self.sources.rig.value
+        return None if rig is None or rig.looks_up_rad is not None else rig.mount_rad
 
     def _note(self, problems: Problems) -> None:
         """Add problems; one of a file, or of a topic that is read twice, is listed once."""

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from math import cos, radians, sin
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
@@ -35,6 +35,7 @@ _STRICT = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _WORDS = {"path_type": "it should be a path in quotes", "model_type": "it should be a table"}
 
 
+CameraAxis = Literal["x", "-x", "y", "-y", "z", "-z"]
 MountAngle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
 
 
@@ -109,6 +110,10 @@ class SensorSource(StreamSource):
 class ImuSource(SensorSource):
     """Where the IMU's samples come from, how it is mounted, and how noisy it is."""
 
+    camera_axis: CameraAxis | None = Field(
+        default=None,
+        description="Which of the IMU's own axes the camera looks along, as -z of a phone; gravity tells the rest.",
+    )
     noise: Path | None = Field(
         default=None, description="Kalibr's imu.yaml or EuRoC's sensor.yaml with the gyroscope's noise."
     )

@@ -11,6 +11,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from fusion.flight import (
     AttitudeStream,
     CorridorTruth,
@@ -26,12 +28,20 @@ from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.csv.columns import SI, CsvLog
 from fusion.logs.manifest.manifest import CameraSource, Manifest, StreamSource, corrected_camera
 from fusion.logs.plausibility.imu import Gravity, gravity_of
-from fusion.logs.plausibility.mounting import MountRad, mounted, mounted_attitude, mounted_imu
-from fusion.logs.plausibility.rig import find_body_from_imu, is_along_imu, turned_camera, turned_velocity
+from fusion.logs.plausibility.mounting import mounted, mounted_attitude, mounted_imu
+from fusion.logs.plausibility.rig import (
+    Rig,
+    body_from_camera_axis,
+    find_body_from_imu,
+    is_along_imu,
+    turned_camera,
+    turned_velocity,
+)
 from fusion.logs.plausibility.rig import sentence as rig_sentence
 from fusion.logs.samples import Problems, WithProblems, refuse_placeholder
 from fusion.logs.topic_choice import RANKED_FORMATS, TABLES, choose_topic
 from vision import Camera, InputError
+from vision.cameras.calibration import to_frd
 
 AnyStream = TypeVar("AnyStream", bound=Any)
 
@@ -178,14 +188,16 @@ class ManifestLog(LogContents):
         return found
 
     @cached_property
-    def rig(self) -> WithProblems[MountRad | None]:
+    def rig(self) -> WithProblems[Rig | None]:
         """How IMU and camera sit on the vehicle together: as the manifest says, else as found; None: as read."""
         told = self.manifest.body_from_imu_rad
         if told is not None:
-            return WithProblems(told)
+            return WithProblems(Rig(told))
         try:
             log, gravity = self.log(Kind.IMU), self._gravity
             topic = self.choose(Kind.FRAMES).value
+            if self.manifest.imu.camera_axis is not None and log is not None:
+                return self._rig_by_axis(log, gravity)
             is_known = self._given_camera is not None or self.manifest.imu.mount_rad is not None
             if is_known or log is None or log.format in RANKED_FORMATS or gravity is None or topic is None:
                 return WithProblems(None)
@@ -193,7 +205,21 @@ class ManifestLog(LogContents):
         except InputError:  # told where it is read for its own sake
             return WithProblems(None)
         found = None if camera is None else find_body_from_imu(gravity, camera)
-        return WithProblems(found, () if found is None else (Remark(rig_sentence(found)),))
+        return (
+            WithProblems(None) if found is None else WithProblems(Rig(found), (Remark(rig_sentence(found)),))
+        )
+
+    def _rig_by_axis(self, log: LogContents, gravity: Gravity | None) -> WithProblems[Rig | None]:
+        """Tell how the IMU sits from gravity and the axis that the manifest says the camera looks along."""
+        told = str(self.manifest.imu.camera_axis)
+        axis = np.zeros(3)
+        axis["xyz".index(told[-1])] = -1.0 if told.startswith("-") else 1.0
+        frame = log.body_frame or ("frd" if log.format in RANKED_FORMATS else "flu")
+        found = None if gravity is None else body_from_camera_axis(gravity, to_frd(frame) @ axis)
+        if found is None:
+            text = f"[imu] camera_axis = {told!r} is of no use: gravity is not seen, or the camera looks along it"
+            return WithProblems(None, (text,))
+        return WithProblems(found, (Remark(rig_sentence(found.mount_rad)),))
 
     @cached_property
     def _gravity(self) -> Gravity | None:
@@ -238,7 +264,7 @@ class ManifestLog(LogContents):
         """Gyroscope and accelerometer, with the noise that the manifest names."""
         imu, problems = self._imu_as_read(topic)
         if self.rig.value is not None:
-            imu = mounted_imu(imu, self.rig.value)
+            imu = mounted_imu(imu, self.rig.value.mount_rad)
         if self.manifest.imu.noise is not None:
             from vision.cameras.calibration import read_imu_noise
 
@@ -252,7 +278,7 @@ class ManifestLog(LogContents):
         """Attitude, on the flight's clock."""
         attitude, problems = self._read(Kind.ATTITUDE, lambda log: log.attitude, topic)
         if self.rig.value is not None and is_along_imu(attitude, self._gravity_or_none()):
-            attitude = mounted_attitude(attitude, self.rig.value)
+            attitude = mounted_attitude(attitude, self.rig.value.mount_rad)
         return WithProblems(attitude, problems)
 
     def position(self, topic: str) -> WithProblems[VectorStream]:
@@ -263,7 +289,7 @@ class ManifestLog(LogContents):
         """Velocity, on the flight's clock."""
         velocity, problems = self._read(Kind.VELOCITY, lambda log: log.velocity, topic)
         if self.rig.value is not None and self.log(Kind.VELOCITY) is self.log(Kind.IMU):
-            velocity = turned_velocity(velocity, self.rig.value)
+            velocity = turned_velocity(velocity, self.rig.value.mount_rad)
         return WithProblems(velocity, problems)
 
     def range(self, topic: str) -> WithProblems[RangeStream]:

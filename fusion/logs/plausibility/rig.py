@@ -7,8 +7,8 @@ agree on how the rig stands, they tell the rotation that turns camera and IMU to
 
 from __future__ import annotations
 
-from dataclasses import replace
-from math import asin, atan2, cos, degrees, radians
+from dataclasses import dataclass, replace
+from math import asin, atan2, cos, degrees, radians, sin, sqrt
 
 import numpy as np
 
@@ -20,10 +20,27 @@ from vision import Camera
 from vision.cameras.camera import MAX_AXIS_ANGLE_RAD
 
 MAX_PICTURE_TILT_RAD = radians(45)  # between the picture's down and gravity
+MAX_LOOK_RAD = radians(60)  # of an optical axis above or below level
 MAX_SNAP_RAD = radians(
     20
 )  # from quarter turns: rigs are built so, and a flight's usual attitude is not quite level
 SAME_AXES_RAD = radians(30)  # between gravity by the IMU and by an attitude in the same axes
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """How IMU and camera sit on the vehicle together.
+
+    Parameters
+    ----------
+    mount_rad
+        Roll, pitch and yaw of the IMU's axes.
+    looks_up_rad
+        Angle of the optical axis above level, where it is told by the IMU's axes and not by the calibration.
+    """
+
+    mount_rad: MountRad
+    looks_up_rad: float | None = None
 
 
 def find_body_from_imu(gravity: Gravity, camera: Camera) -> MountRad | None:
@@ -54,6 +71,29 @@ def find_body_from_imu(gravity: Gravity, camera: Camera) -> MountRad | None:
     return _angles(_snapped(np.stack([forward, np.cross(-up, forward), -up])))
 
 
+def body_from_camera_axis(gravity: Gravity, optical_axis: FloatArray) -> Rig | None:
+    """Find how an IMU sits whose camera is known to look along one of its axes, upright.
+
+    Parameters
+    ----------
+    gravity
+        As the IMU measures it along the axes it is read in.
+    optical_axis
+        Unit vector (3,) along the same axes.
+
+    Returns
+    -------
+    Rig or None
+        None where gravity is not seen, or the camera looks along it.
+    """
+    up = gravity.direction if gravity.is_seen else optical_axis
+    upward = float(optical_axis @ up)
+    if abs(upward) > sin(MAX_LOOK_RAD):
+        return None
+    forward = (optical_axis - upward * up) / sqrt(1.0 - upward**2)
+    return Rig(_angles(np.stack([forward, np.cross(-up, forward), -up])), round(asin(upward), 5))
+
+
 def _snapped(R: FloatArray) -> FloatArray:
     """Return the nearest rotation (3, 3) by quarter turns, where one is near."""
     from scipy.spatial.transform import Rotation
@@ -75,11 +115,14 @@ def _angles(R: FloatArray) -> MountRad:
     return roll, pitch, yaw
 
 
-def turned_camera(camera: Camera, mount_rad: MountRad) -> Camera:
-    """Return a camera that was calibrated to the IMU's axes, along the vehicle's; one that is assumed stays."""
+def turned_camera(camera: Camera, rig: Rig) -> Camera:
+    """Return a camera that was calibrated to the IMU's axes, along the vehicle's; one that is assumed looks ahead."""
     if camera.mount_assumed:
-        return camera
-    R = rotation(mount_rad)
+        if rig.looks_up_rad is None:
+            return camera
+        R_up = rotation((0.0, rig.looks_up_rad, 0.0))
+        return replace(camera, R_body_camera=R_up @ camera.R_body_camera, mount_assumed=False)
+    R = rotation(rig.mount_rad)
     return replace(camera, R_body_camera=R @ camera.R_body_camera, p_body_camera_m=R @ camera.p_body_camera_m)
 
 

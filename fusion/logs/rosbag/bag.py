@@ -27,6 +27,7 @@ from fusion.flight import (
     VectorStream,
 )
 from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.imu_series import imu_stream, is_measured, joined_imu
 from fusion.logs.rosbag.encoded import EncodedPictures, codec_of, is_key_frame
 from fusion.logs.rosbag.file import Bag, recognises
 from fusion.logs.rosbag.frames import StaticFrames
@@ -48,9 +49,6 @@ from fusion.logs.series import (
     SeriesLog,
     Stream,
     attitude_stream,
-    imu_stream,
-    is_measured,
-    joined_imu,
     no_such_topic,
     range_stream,
     usable,
