@@ -33,6 +33,7 @@ FORMATS = {
     "TUM RGB-D, UZH-FPV or KITTI folder": "fusion.logs.datasets",
     "folder of a phone's sensors": "fusion.logs.csv.phone_folder",
     "folder of pictures": "fusion.logs.pictures.picture_folder",
+    "Gyroflow IMU log": "fusion.logs.csv.gyroflow",
     "CSV": "fusion.logs.csv.columns",
 }
 

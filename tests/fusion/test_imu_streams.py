@@ -197,3 +197,29 @@ def test_a_phones_folder_is_one_imu(office: ImuStream, tmp_path: Path) -> None:
     written(folder / "Gyroscope.csv", "time,a,b,c\n" + "1,2,3,4\n" * 3)
     with pytest.raises(InputError, match="has no columns x, y, z of the gyro: time, a, b, c"):
         open_log(folder)
+
+
+def test_gyroflows_log_is_in_its_scales(office: ImuStream, tmp_path: Path) -> None:
+    head = (
+        "GYROFLOW IMU LOG\nversion,1.3\nid,logger\norientation,YxZ\nnote,a, b\ntscale,0.000001\n"
+        "gscale,0.001\nascale,0.0005\nt,gx,gy,gz,ax,ay,az\n"
+    )
+    t_us = (office.t_ns - office.t_ns[0]) // 1000
+    counts = np.rint(np.hstack([office.gyro_rad_s / 0.001, office.accel_m_s2 / (0.0005 * 9.80665)]))
+    lines = [f"{t},{','.join(f'{v:.0f}' for v in row)}" for t, row in zip(t_us, counts, strict=True)]
+    path = written(tmp_path / "clip.gcsv", head + "\n".join(lines) + "\n")
+    log = open_log(path)
+    assert log.format == "Gyroflow IMU log"
+    imu = log.imu("imu").value
+    np.testing.assert_array_equal(imu.t_ns, office.t_ns - office.t_ns[0])
+    np.testing.assert_allclose(imu.gyro_rad_s, office.gyro_rad_s, atol=0.0005001)
+    np.testing.assert_allclose(imu.accel_m_s2, office.accel_m_s2, atol=0.00246)
+    written(path, head.replace("gscale,0.001\n", "") + "\n".join(lines) + "\n")
+    with pytest.raises(InputError, match="gscale is missing"):
+        open_log(path)
+    written(path, head.split("t,gx")[0])
+    with pytest.raises(InputError, match="has no table of samples"):
+        open_log(path)
+    without = "\n".join(",".join(line.split(",")[:4]) for line in lines)
+    written(path, head.replace(",ax,ay,az", "") + without + "\n")
+    assert np.isnan(open_log(path).imu("imu").value.accel_m_s2).all()
