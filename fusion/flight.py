@@ -15,6 +15,12 @@ TimeArray = npt.NDArray[np.int64]
 GreyImage = npt.NDArray[np.uint8]
 
 
+class Remark(str):
+    """A sentence among a flight's ``problems`` on what was found and taken, where nothing was lost or is in doubt."""
+
+    __slots__ = ()
+
+
 class FrameSource(Protocol):
     """Pictures of a log by number, decoded one at a time, so that memory does not grow with the flight."""
 
@@ -137,7 +143,8 @@ class Flight:
     """One flight: a camera, its frames, and whatever else the log carried (None: it did not).
 
     ``problems`` names, one sentence each, what was dropped or mended on reading (duplicated times, rows of NaN,
-    zero quaternions, missing pictures ...), so that nothing is lost silently. ``corridor_width_m`` is what the
+    zero quaternions, missing pictures ...), so that nothing is lost silently; those that are a `Remark` tell what was
+    found instead. ``corridor_width_m`` is what the
     manifest says; ``manifest`` is where everything came from, each choice named, None for a flight made by hand.
     """
 

@@ -18,7 +18,7 @@ HELP = """Fuse a logged flight into a smooth heading and lateral offset.
 FLIGHT is one of
   a folder in ASL / EuRoC layout, the truth beside it if known: mav0/cam0/{sensor.yaml,data.csv,data/*}, and as
     there are mav0/imu0, mav0/attitude0, mav0/velocity0, mav0/position0, mav0/range0; corridor_truth.csv
-  a ROS 1 or 2 bag or MCAP with pictures
+  a ROS 1 or 2 bag or MCAP with pictures; a folder of TUM RGB-D, UZH-FPV or KITTI
   a flight.toml, or the folder that holds it: where each stream comes from, see below
   a PX4 ULog, ArduPilot DataFlash log, MAVLink tlog or CSV, together with --video
 Without FLIGHT: --imu and --video name the files; their clocks may differ by --clock-offset.
@@ -51,7 +51,8 @@ Examples:
 flight.toml, for streams in several files; paths count from its folder, flight time = file time + clock_offset_s:
   corridor_width_m = 2.2
   [camera]
-  file = "hall.mp4"              # or a folder of pictures; times = "times.csv" where a CSV has the frames' times
+  file = "hall.mp4"              # or a folder of pictures; times = "times.csv" where a CSV has the frames' times,
+                                 # rate_hz = 20 where they are numbered
   calibration = "camera.yaml"
   clock_offset_s = 12.85
   [imu]
@@ -60,7 +61,7 @@ flight.toml, for streams in several files; paths count from its folder, flight t
   columns = { time = "t", time_unit = "ms", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s" }
   [attitude]
   file = "state.csv"
-  columns = "tello"              # ready maps: tello, ardrone, ardrone_ros
+  columns = "tello"              # ready maps: tello, crazyflie, ardrone, ardrone_ros
 
 \b
 hall.toml, for offsets in metres where the log has no range sensor:

@@ -8,7 +8,7 @@ import numpy as np
 
 from fusion.estimator.tables import Table
 from fusion.evaluation.verdict import CheckRule, Finding, Limits, level_of, nothing_to_judge, worst_of
-from fusion.flight import Flight, FloatArray, TimeArray
+from fusion.flight import Flight, FloatArray, Remark, TimeArray
 from fusion.result.result import FusionResult
 from fusion.result.summary import Level
 from fusion.result.table_rows import runs
@@ -169,7 +169,7 @@ GAPS = CheckRule(
 
 
 def _problems(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
-    count = len(all_problems(result, flight))
+    count = sum(not isinstance(problem, Remark) for problem in all_problems(result, flight))
     if not count:
         return Finding("No problems", level=Level.PASS)
     return Finding(f"{count} problem{'s' if count != 1 else ''}", level=Level.WARN)

@@ -72,13 +72,18 @@ def _is_usable(stream: StreamFindings) -> bool:
 
 
 def _fusable(name: str, usable: Mapping[Kind, StreamFindings], *, possible: bool) -> str:
-    parts = [f"{_WHAT[kind]} ({stream.name}, {_rate(stream)})" for kind, stream in usable.items()]
+    parts = [f"{_what(stream)} ({stream.name}, {_rate(stream)})" for stream in usable.values()]
     if Kind.FRAMES not in usable:
         held = f"; it has {_listed(parts)}" if parts else ""
         return f"nothing yet: a heading in a corridor needs pictures{held}"
     if possible:
         return f"corridor fuse {name} takes {_listed(parts)}"
     return f"{_listed(parts)}, once the following is settled"
+
+
+def _what(stream: StreamFindings) -> str:
+    has_accel = stream.imu is None or stream.imu.usual_accel_m_s2 is not None
+    return _WHAT[stream.kind] if has_accel else "gyroscope"
 
 
 def _missing(

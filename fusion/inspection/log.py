@@ -19,11 +19,13 @@ from fusion.inspection.imu import inspect_imu
 from fusion.inspection.pictures import inspect_pictures
 from fusion.inspection.times import share_covered, time_stream
 from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.pictures.camera_folder import darkness_problem
 from fusion.logs.plausibility.findings import Advice, Finding
 from fusion.logs.plausibility.flight import Streams, examine_streams
 from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.topic_choice import choose_topic
 from vision import InputError
+from vision.cameras.lens_check import lens_problem
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,16 +87,35 @@ def inspect_log(
         if pictures and topic.kind is not Kind.FRAMES:
             found = replace(found, frames_covered=share_covered(pictures[0], topic.t_ns))
         streams.append(found)
-    _, findings = examine_streams(reading.streams, Advice(is_folder=is_folder))
+    alive, findings = examine_streams(reading.streams, Advice(is_folder=is_folder))
     return Inspection(
         name,
         log.format,
         tuple(streams),
         tuple(log.problems),
         tuple(findings),
-        tuple(advise(name, streams, findings, unclear)),
+        tuple(advise(name, _as_fused(streams, alive), findings, unclear)),
         reading.first_picture,
     )
+
+
+def _as_fused(found: list[StreamFindings], alive: Streams) -> list[StreamFindings]:
+    """Return the streams without what fusing leaves out: those that never change, and a dead accelerometer."""
+    there = {
+        Kind.IMU: alive.imu,
+        Kind.ATTITUDE: alive.attitude,
+        Kind.VELOCITY: alive.velocity,
+        Kind.RANGE: alive.range,
+    }
+    kept = [stream for stream in found if not stream.chosen or there.get(stream.kind, stream) is not None]
+    if alive.imu is None or np.isfinite(alive.imu.accel_m_s2).any():
+        return kept
+    return [
+        replace(stream, imu=replace(stream.imu, usual_accel_m_s2=None))
+        if stream.chosen and stream.imu is not None
+        else stream
+        for stream in kept
+    ]
 
 
 def _chosen(
@@ -144,6 +165,8 @@ class _Reading:
             case Kind.FRAMES:
                 frames, problems = self.log.frames(name)
                 pictures, first = inspect_pictures(frames)
+                dark = darkness_problem(frames) if found.chosen else None
+                problems += () if dark is None else (dark,)
                 if found.chosen:
                     self.first_picture = first
                     self.streams = replace(kept, frames_t_ns=frames.t_ns)
@@ -181,5 +204,5 @@ class _Reading:
             return WithProblems(None, (str(error),))
         if camera is None:
             return WithProblems(None)
-        mounting = camera.mount_problem()
-        return WithProblems(CameraFindings.of(camera), () if mounting is None else (mounting,))
+        texts = (camera.mount_problem(), lens_problem(camera))
+        return WithProblems(CameraFindings.of(camera), tuple(text for text in texts if text is not None))

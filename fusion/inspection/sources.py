@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from fusion.inspection.log import Inspection, inspect_log
-from fusion.logs import open_log
-from fusion.logs.manifest.manifest import find_manifest, read_manifest
+from fusion.logs.contents import Kind
+from fusion.logs.manifest.manifest import Manifest, find_manifest, read_manifest
 from fusion.logs.manifest.sources import ManifestLog
 from fusion.logs.plausibility.flight import is_asl
 from vision import InputError
@@ -23,7 +23,9 @@ def inspect_path(path: Path) -> Inspection:
     if not path.exists():
         raise InputError("there is no such file or folder", file=path, remedy="check the path")
     described = find_manifest(path)
-    if described is None:
-        return inspect_log(open_log(path), is_folder=is_asl(path), name=str(path))
-    log = ManifestLog(read_manifest(described), described)
-    return inspect_log(log, name=str(path), choose=log.choose)
+    if described is not None:
+        log = ManifestLog(read_manifest(described), described)
+        return inspect_log(log, name=str(path), choose=log.choose)
+    log = ManifestLog(Manifest(log=path.resolve()))
+    log.log(Kind.IMU)  # raises where it does not open: there is nothing else to describe
+    return inspect_log(log, is_folder=is_asl(path), name=str(path), choose=log.choose)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
 from fusion.logs.contents import LogContents
+from fusion.logs.samples import refuse_placeholder
 from vision import Camera, InputError
 
 if TYPE_CHECKING:
@@ -29,7 +30,10 @@ FORMATS = {
     "ArduPilot DataFlash log": "fusion.logs.autopilot.dataflash",
     "MAVLink tlog": "fusion.logs.autopilot.tlog",
     "video": "fusion.logs.pictures.video",
+    "TUM RGB-D, UZH-FPV or KITTI folder": "fusion.logs.datasets",
+    "folder of a phone's sensors": "fusion.logs.csv.phone_folder",
     "folder of pictures": "fusion.logs.pictures.picture_folder",
+    "Gyroflow IMU log": "fusion.logs.csv.gyroflow",
     "CSV": "fusion.logs.csv.columns",
 }
 
@@ -55,6 +59,7 @@ def open_log(path: str | Path) -> LogContents:
     path = Path(path)
     if not path.exists():
         raise InputError("there is no such file or folder", file=path, remedy="check the path")
+    refuse_placeholder(path)
     for module in FORMATS.values():
         if find_spec(module) is None:
             continue
@@ -126,4 +131,5 @@ def load_manifest(
     from fusion.logs.plausibility.flight import check_flight
 
     flight = assemble_flight(manifest, camera)
-    return check_flight(flight, path or manifest.log or manifest.camera.file or Path(flight.name))
+    files = {name: s.file for name, s in manifest.streams().items() if s.file is not None}
+    return check_flight(flight, path or manifest.log or manifest.camera.file or Path(flight.name), files)

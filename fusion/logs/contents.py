@@ -22,8 +22,12 @@ from fusion.flight import (
     VectorStream,
 )
 from fusion.logs.samples import Problems, WithProblems
-from vision import Camera
+from vision import Camera, InputError
 from vision.cameras.camera import BodyFrame
+
+
+class UndecidedError(InputError):
+    """A stream whose meaning the log leaves open: the user is asked where it was named, else it is left out."""
 
 
 class Kind(StrEnum):

@@ -30,7 +30,33 @@ class WithProblems(NamedTuple, Generic[T_co]):
 MIN_STEP_NS = 500_000  # of cameras and slow streams; faster than 2 kHz means another unit
 MIN_IMU_STEP_NS = 50_000
 
+LFS_MAGIC = b"version https://git-lfs.github.com/spec/"
 NOT_NANOSECONDS = "the first column must be whole nanoseconds"
+
+
+def refuse_placeholder(path: Path) -> None:
+    """Refuse a file that is empty, or stands for one that was never fetched.
+
+    Raises
+    ------
+    InputError
+        Where it holds nothing, or is a pointer of Git LFS; a folder is neither.
+    """
+    if not path.is_file():
+        return
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(LFS_MAGIC))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", file=path, remedy="check the file") from error
+    if not head:
+        raise InputError("is empty", file=path, remedy="the file was not written whole; copy it again")
+    if head == LFS_MAGIC:
+        raise InputError(
+            "is a pointer of Git LFS, not the file itself",
+            file=path,
+            remedy="fetch it: git lfs pull, in the repository that it is from",
+        )
 
 
 def counted(n: int, noun: str) -> str:
@@ -126,6 +152,26 @@ def check_nanoseconds(
         file=file,
         remedy=f"{remedy}; these look like {guess}",
     )
+
+
+COUNTERS = (1 << 16, 1 << 32)  # where counters of ticks start over
+
+
+def unwrapped(ticks: IndexArray) -> IndexArray:
+    """Ticks (n,) of a counter that starts over at 2^16 or 2^32, in the order of the file, as one that goes on.
+
+    A clock that was set back is left as it is: it does not land just where the counter would go on.
+    """
+    steps = np.diff(ticks)
+    if len(steps) == 0 or steps.min() >= 0 or ticks.min() < 0:
+        return ticks
+    usual = max(float(np.median(np.abs(steps))), 1.0)
+    for size in COUNTERS:
+        over = (steps < -size // 2).astype(np.int64) - (steps > size // 2)
+        rest = np.abs(steps + over * size)
+        if ticks.max() < size and over.any() and float(rest[over != 0].max()) <= 100.0 * usual:
+            return np.asarray(ticks + size * np.concatenate([[0], np.cumsum(over)]))
+    return ticks
 
 
 def finite(values: FloatArray) -> BoolArray:

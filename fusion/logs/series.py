@@ -42,12 +42,11 @@ LATEST_NS = 2**62  # the year 2116; later is no time but damage
 
 STRAY_WINDOW = 11  # samples; up to five damaged ones side by side are recognised
 STRAY_NS = 500_000_000
+LONE_PAUSE_NS, LONG_PAUSE_NS = 5_000_000_000, 60_000_000_000  # beside one row, beside rows of the usual step
 CLOCK_BACK_NS = 1_000_000_000  # less is jitter and is sorted
 CLOCK_AHEAD_NS = 3_600_000_000_000
 
 # Beyond what any vehicle does, in any unit that a driver may have got wrong: damage.
-MAX_RATE = 1e4
-MAX_ACCELERATION = 1e5
 MAX_POSITION = 1e7
 MAX_VELOCITY = 1e4
 MAX_DISTANCE_M = 100.0
@@ -122,7 +121,20 @@ def _without_strays(t_ns: TimeArray, where: Where) -> WithProblems[IndexArray]:
     good = np.abs(t_ns - around) <= limit_ns
     if not good.any():
         return WithProblems(np.arange(len(t_ns)))
+    _keep_what_fits_in(t_ns, good)
     return WithProblems(np.flatnonzero(good), where.dropped(good, t_ns, "a time far from its neighbours'"))
+
+
+def _keep_what_fits_in(t_ns: TimeArray, good: BoolArray) -> None:
+    """Call rows good (n,) again that are few between two pauses, or between a pause and the log's end."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], good, [True]])))
+    usual_ns = max(int(np.median(np.abs(np.diff(t_ns)))), 1)
+    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        around = t_ns[max(first - 1, 0) : end + 1]
+        steps, inside = np.diff(around), np.diff(t_ns[first:end])
+        is_even = len(inside) > 0 and bool(((4 * inside > usual_ns) & (inside < 4 * usual_ns)).all())
+        longest_ns = LONG_PAUSE_NS if is_even else LONE_PAUSE_NS
+        good[first:end] = bool((steps > 0).all()) and bool((steps < longest_ns).all())
 
 
 def _longest_stretch(t_ns: TimeArray, where: Where) -> WithProblems[slice]:
@@ -139,32 +151,6 @@ def _longest_stretch(t_ns: TimeArray, where: Where) -> WithProblems[slice]:
         f"{len(lengths)} stretches is used, {counted(len(t_ns) - int(lengths[longest]), 'sample')} left out"
     )
     return WithProblems(slice(edges[longest], edges[longest + 1]), (problem,))
-
-
-def imu_stream(
-    t_ns: TimeArray, gyro_rad_s: FloatArray, accel_m_s2: FloatArray, where: Where
-) -> WithProblems[ImuStream]:
-    """Clean IMU samples; rows without acceleration keep NaN there.
-
-    Parameters
-    ----------
-    t_ns
-        Times (n,), as read.
-    gyro_rad_s, accel_m_s2
-        Angular rate and specific force (n, 3), body FRD.
-    where
-        What to call the stream.
-    """
-    index, problems = usable(t_ns, where)
-    t_ns, gyro_rad_s, accel_m_s2 = t_ns[index], gyro_rad_s[index], accel_m_s2[index]
-    good = _within(gyro_rad_s, MAX_RATE)
-    problems += where.dropped(good, t_ns, "a gyro value that is none")
-    t_ns, gyro_rad_s, accel_m_s2 = t_ns[good], gyro_rad_s[good], accel_m_s2[good]
-    without = ~_within(accel_m_s2, MAX_ACCELERATION)
-    if without.any():
-        accel_m_s2 = np.where(without[:, None], np.nan, accel_m_s2)
-        problems += (f"{where.label}: {counted(int(np.count_nonzero(without)), 'row')} without acceleration",)
-    return WithProblems(ImuStream(t_ns, gyro_rad_s, accel_m_s2), problems)
 
 
 def attitude_stream(t_ns: TimeArray, q_world_body: FloatArray, where: Where) -> WithProblems[AttitudeStream]:
@@ -196,7 +182,7 @@ def vector_stream(
     """
     index, problems = usable(t_ns, where)
     t_ns, xyz = t_ns[index], xyz[index]
-    good = _within(xyz, limit)
+    good = within(xyz, limit)
     problems += where.dropped(good, t_ns, what)
     return WithProblems(VectorStream(t_ns[good], xyz[good]), problems)
 
@@ -238,7 +224,8 @@ def range_stream(
     return WithProblems(RangeStream(t_ns[good], distance_m[good]), problems)
 
 
-def _within(values: FloatArray, limit: float) -> BoolArray:
+def within(values: FloatArray, limit: float) -> BoolArray:
+    """Rows (n,) of (n, k) that are numbers, none beyond a limit."""
     with np.errstate(invalid="ignore"):
         return finite(values) & (np.abs(values) < limit).all(axis=1)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from datetime import UTC, datetime, timedelta
 from math import cos, radians, sin
 from pathlib import Path
 
@@ -425,7 +426,7 @@ def test_any_bytes_read_or_say_why(tmp_path_factory: pytest.TempPathFactory, dat
         (
             "t,gx,gy,gz\na,b,c,d\ne,f,g,h\n",
             ColumnMap(gyro=("gx", "gy", "gz")),
-            r"has no row of the numbers wanted",
+            r"column 't' holds no times, such as 'a'",
         ),
         ("t,x\n1,2\n", ColumnMap(time="t"), r"the column map names no data"),
         ("t,gx,gy,gz\n\0", None, r"is no text file"),
@@ -491,3 +492,189 @@ def test_the_streams_are_of_their_types(tmp_path: Path) -> None:
     assert log.camera("imu") is None
     with pytest.raises(InputError, match="carries no pictures"):
         log.frames("imu")
+
+
+# ------------------------------------------------------------------------------------------- velocities by the pose
+
+TURNS_S = np.arange(0.0, 12.0, 0.02)
+YAW_RAD = 0.6 * np.sin(0.7 * TURNS_S) + 0.2 * TURNS_S
+AHEAD_M_S = np.stack([0.8 * np.cos(YAW_RAD), 0.8 * np.sin(YAW_RAD), np.zeros_like(YAW_RAD)], axis=1)
+
+
+def pose_csv(path: Path, velocity: np.ndarray, names: str = "vx,vy,vz", position: bool = True) -> Path:
+    """A body x ahead, y left, z up that flies ahead at 0.8 m/s through turns, its pose in a world with z up."""
+    p = np.concatenate([np.zeros((1, 3)), np.cumsum(AHEAD_M_S[:-1] * 0.02, axis=0)])
+    q = np.stack([np.cos(YAW_RAD / 2), 0 * YAW_RAD, 0 * YAW_RAD, np.sin(YAW_RAD / 2)], axis=1)
+    columns = [p, q, velocity] if position else [q, velocity]
+    data = np.hstack(columns)
+    head = "timestamp_ns," + ("px,py,pz," if position else "") + "qw,qx,qy,qz," + names
+    lines = [f"{i * 20_000_000}," + ",".join(f"{v:.9g}" for v in row) for i, row in enumerate(data)]
+    return written(path, "\n".join([head, *lines]) + "\n")
+
+
+BODY_M_S = np.tile([0.8, 0.0, 0.0], (len(TURNS_S), 1))
+
+
+@pytest.mark.parametrize("frame", [None, "flu", "enu"])
+@pytest.mark.parametrize("names", ["v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1]", "vx,vy,vz"])
+def test_a_velocity_of_the_world_is_turned_into_the_body(
+    tmp_path: Path, names: str, frame: Frame | None
+) -> None:
+    told = Told()
+    log = open_columns(pose_csv(tmp_path / "gt.csv", AHEAD_M_S, names), None, frame)
+    velocity = told.take(log.velocity("velocity"))
+    np.testing.assert_allclose(velocity.xyz, np.tile([0.8, 0.0, 0.0], (len(velocity.xyz), 1)), atol=2e-3)
+    assert frame == "enu" or any("along the world's axes" in text for text in told)
+
+
+def test_a_velocity_of_the_body_beside_a_pose_stays_as_it_is(tmp_path: Path) -> None:
+    velocity = open_log(pose_csv(tmp_path / "body.csv", BODY_M_S)).velocity("velocity").value
+    np.testing.assert_allclose(velocity.xyz, BODY_M_S, atol=1e-9)
+
+
+def test_a_velocity_that_may_be_either_is_asked_about_and_the_answers_work(tmp_path: Path) -> None:
+    path = pose_csv(tmp_path / "open.csv", AHEAD_M_S, position=False)
+    with pytest.raises(InputError, match=r'\[velocity\] frame = "frd" or "flu" of the body, "ned" or "enu"'):
+        open_log(path).velocity("velocity")
+    world = open_columns(path, None, "enu").velocity("velocity").value
+    np.testing.assert_allclose(world.xyz[::50], BODY_M_S[::50], atol=2e-3)
+    body = open_columns(path, None, "frd").velocity("velocity").value
+    np.testing.assert_allclose(body.xyz, AHEAD_M_S, atol=1e-6)
+    sure = ColumnMap(velocity_frame="frd")
+    np.testing.assert_allclose(open_columns(path, sure).velocity("velocity").value.xyz, AHEAD_M_S, atol=1e-6)
+
+
+# ------------------------------------------------------------------------------------------- as people have them
+
+
+def turning(i: int) -> str:
+    return f"0.1,0.2,{0.01 * i:.2f},0,0,9.8"
+
+
+@pytest.mark.parametrize(
+    ("style", "start_ns"),
+    [
+        ("%Y-%m-%dT%H:%M:%S.%fZ", 1_600_001_000_000_000_000),
+        ("%Y-%m-%d %H:%M:%S.%f", 1_600_001_000_000_000_000),
+        ("%Y/%m/%d %H:%M:%S.%f", 1_600_001_000_000_000_000),
+        ("%d.%m.%Y %H:%M:%S.%f", 1_600_001_000_000_000_000),
+        ("%Y-%m-%dT%H:%M:%S.%f+02:00", 1_599_993_800_000_000_000),
+        ("%H:%M:%S.%f", 45_800_000_000_000),
+    ],
+)
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_dates_as_they_are_written(tmp_path: Path, style: str, start_ns: int, separator: str) -> None:
+    first = datetime(2020, 9, 13, 12, 43, 20, tzinfo=UTC)
+    lines = [
+        f"{(first + timedelta(milliseconds=10 * i)).strftime(style)},{turning(i)}".replace(",", separator)
+        for i in range(30)
+    ]
+    head = "time,gx,gy,gz,ax,ay,az".replace(",", separator)
+    imu = imu_of(written(tmp_path / "a.csv", "\n".join([head, *lines]) + "\n"))
+    np.testing.assert_array_equal(imu.t_ns, start_ns + 10_000_000 * np.arange(30))
+
+
+def test_a_date_apart_by_a_blank_among_columns_apart_by_blanks(tmp_path: Path) -> None:
+    """As KITTI writes it, nine digits behind the second."""
+    text = "time gx gy gz\n" + rows(lambda i: f"2011-09-26 13:02:25.{100 + 10 * i}389445 0 0 {i}", 20)
+    imu = imu_of(written(tmp_path / "a.csv", text))
+    assert imu.t_ns[0] == 1_317_042_145_100_389_445
+    assert set(np.diff(imu.t_ns).tolist()) == {10_000_000}
+
+
+def test_a_time_of_day_goes_on_past_midnight(tmp_path: Path) -> None:
+    times = [f"23:59:59.{i}00" for i in range(5, 10)] + [f"00:00:00.{i}00" for i in range(5)]
+    text = "time,gx,gy,gz\n" + "".join(f"{t},0,0,{i}\n" for i, t in enumerate(times))
+    assert np.diff(imu_of(written(tmp_path / "a.csv", text)).t_ns).tolist() == [100_000_000] * 9
+
+
+def test_an_ambiguous_date_is_named_with_its_column(tmp_path: Path) -> None:
+    text = "when,time,gx,gy,gz\n" + rows(lambda i: f"x,9/3/2020 12:43:{i:02},0,0,{i}")
+    with pytest.raises(InputError, match=r"column 'time' holds no times, such as '9/3/2020 12:43:00'"):
+        imu_of(written(tmp_path / "a.csv", text))
+
+
+@pytest.mark.parametrize(("size", "name"), [(1 << 32, "time_us"), (1 << 16, "time_ms")])
+def test_counters_that_start_over_go_on(tmp_path: Path, size: int, name: str) -> None:
+    step = 5000 if name == "time_us" else 5
+    text = f"{name},gx,gy,gz\n" + rows(lambda i: f"{(size - 50 * step + i * step) % size},0,0,{i}", 200)
+    log = open_columns(written(tmp_path / "a.csv", text))
+    told = Told()
+    imu = told.take(log.imu("imu"))
+    assert set(np.diff(imu.t_ns).tolist()) == {5_000_000}
+    assert len(imu.t_ns) == 200
+    assert not any("clock" in text for text in told)
+
+
+def test_a_header_behind_a_hash_and_a_comma_at_the_end_of_each_row(tmp_path: Path) -> None:
+    text = "#timestamp [ns],gx [rad/s],gy [rad/s],gz [rad/s],ax,ay,az\n"
+    imu = imu_of(
+        written(tmp_path / "a.csv", text + rows(lambda i: f"{T0 + i * 10_000_000},{turning(i)},")),
+        None,
+        "flu",
+    )
+    assert len(imu.t_ns) == 30
+    np.testing.assert_allclose(imu.gyro_rad_s[10], [0.1, -0.2, -0.1])
+
+
+def test_names_of_uzh_fpv(tmp_path: Path) -> None:
+    head = "# id timestamp ang_vel_x ang_vel_y ang_vel_z lin_acc_x lin_acc_y lin_acc_z\n"
+    line = "{} {} 0.1 0.2 0.3 0 0 9.8"
+    path = written(
+        tmp_path / "imu.txt", head + rows(lambda i: line.format(i, f"{1540821844.5 + i * 0.002:.6f}"))
+    )
+    imu = open_log(path).imu("imu").value
+    np.testing.assert_allclose(imu.gyro_rad_s[0], [0.1, -0.2, -0.3])
+    assert imu.t_ns[0] == 1_540_821_844_500_000_000
+
+
+@pytest.mark.parametrize(
+    "head", ["", "# timestamp tx ty tz qx qy qz qw\n", "timestamp tx ty tz qx qy qz qw\n"]
+)
+@pytest.mark.parametrize("covariances", ["", " 0.1" * 21])
+def test_tum_trajectories(tmp_path: Path, head: str, covariances: str) -> None:
+    if head and covariances:
+        head = head.rstrip() + "".join(f" c{k}" for k in range(21)) + "\n"
+    half = radians(15)
+    text = head + rows(
+        lambda i: f"{1e9 + i / 10:.6f} {i} 2 3 0 0 {sin(half):.9f} {cos(half):.9f}{covariances}"
+    )
+    log = open_log(written(tmp_path / "a.txt", text))
+    assert [topic.kind for topic in log.topics] == [Kind.ATTITUDE, Kind.POSITION]
+    np.testing.assert_allclose(log.attitude("attitude").value.q_world_body[0], [cos(half), 0, 0, sin(half)])
+    np.testing.assert_allclose(log.position("position").value.xyz[5], [5, 2, 3])
+
+
+def test_a_phones_file_of_one_sensor_is_known_by_its_name(tmp_path: Path) -> None:
+    text = "time,seconds_elapsed,z,y,x\n" + rows(lambda i: f"{T0 + i * 10_000_000},{i / 100},3,2,1")
+    log = open_columns(written(tmp_path / "Gyroscope.csv", text), None, "frd")
+    assert [topic.kind for topic in log.topics] == [Kind.IMU]
+    np.testing.assert_allclose(log.imu("imu").value.gyro_rad_s[0], [1, 2, 3])
+    with pytest.raises(InputError, match="not known by name"):  # and no position
+        open_columns(written(tmp_path / "Magnetometer.csv", text))
+
+
+def test_excels_unicode_text(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    head = "timestamp_ns\tgx\tgy\tgz\n"
+    path.write_text(head + rows(lambda i: f"{T0 + i * 10_000_000}\t1\t2\t3"), encoding="utf-16")
+    np.testing.assert_allclose(imu_of(path, None, "frd").gyro_rad_s, [[1, 2, 3]] * 30)
+
+
+def test_crazyflie(tmp_path: Path) -> None:
+    names = (
+        "timestamp,gyro.x,gyro.y,gyro.z,acc.x,acc.y,acc.z,stateEstimate.qw,stateEstimate.qx,stateEstimate.qy,"
+        "stateEstimate.qz,stateEstimate.vx,stateEstimate.vy,stateEstimate.vz,range.zrange\n"
+    )
+    half = radians(45)  # nose along the world's y, where it flies
+    path = written(
+        tmp_path / "cf.csv",
+        names + rows(lambda i: f"{5000 + 10 * i},0,0,90,0,0,1,{cos(half)},0,0,{sin(half)},0,0.5,0,1200"),
+    )
+    log = open_log(path)
+    assert log.format == "CSV (crazyflie)"
+    imu = log.imu("imu").value
+    np.testing.assert_allclose(imu.gyro_rad_s[0], [0, 0, -radians(90)], atol=1e-12)
+    np.testing.assert_allclose(imu.accel_m_s2[0], [0, 0, -G])
+    np.testing.assert_allclose(log.velocity("velocity").value.xyz[0], [0.5, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(log.range("range").value.distance_m, 1.2)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fusion.logs import open_log
 from fusion.logs.autopilot import dataflash
 from fusion.logs.contents import Kind
 from tests.files import SHARED
@@ -283,3 +284,34 @@ def test_what_a_range_finder_calls_bad_is_dropped(tmp_path: Path) -> None:
     found = problems.take(log.range("RFND[0]"))
     assert len(found.t_ns) == N - 4
     assert "RFND[0]: 4 rows with no distance within the sensor's reach dropped" in problems[0]
+
+
+def test_a_log_as_text_is_the_same_log(tmp_path: Path) -> None:
+    """As Mission Planner writes it: its lengths are not those of the fields, and a line may be damaged."""
+    lines = [
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+        "FMT, 1, 43, IMU, QBffffff, TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ",
+        "FMT, 4, 20, ATT, QccC, TimeUS,Roll,Pitch,Yaw",
+        "FMT, 6, 20, RFND, QBCBB, TimeUS,Instance,Dist,Stat,Orient",
+        "FMT, 5, 75, MSG, QZ, TimeUS,Message",
+    ]
+    for k, t_us in enumerate(times_us()):
+        lines += [
+            f"IMU, {t_us}, 0, 0.1, 0.2, {0.3 + k}, 0, 9.8, {0.01 * k:.4f}",
+            f"ATT, {t_us + 15}, -45, 10, 359",
+            f"RFND, {t_us}, 0, 2.5, 4, 25",
+        ]
+    lines[50] = lines[50][:20]
+    lines.append("MSG, 5, hello, world")
+    path = tmp_path / "text.log"
+    path.write_text("\n".join(lines) + "\n")
+    log = open_log(path)
+    assert log.format == dataflash.FORMAT
+    assert log.problems == ("1 line damaged, dropped",)
+    imu = log.imu("IMU[0]").value
+    np.testing.assert_allclose(imu.gyro_rad_s[3], [0.1, 0.2, 3.3], rtol=1e-6)
+    np.testing.assert_array_equal(imu.t_ns[:3], np.array(times_us()[:3]) * 1000)
+    binary = dataflash.open_log(new_log(tmp_path)).attitude("ATT").value
+    text = log.attitude("ATT").value
+    np.testing.assert_allclose(text.q_world_body[0], binary.q_world_body[0], atol=1e-12)
+    np.testing.assert_allclose(log.range("RFND[0]").value.distance_m, 2.5)

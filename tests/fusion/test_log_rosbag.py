@@ -664,6 +664,19 @@ def test_calibrations_that_are_none(ros1: Bag) -> None:
         camera_from_info(info, "/camera_info", rectified=False)
 
 
+def test_fisheye_numbers_that_go_by_plumb_bob_are_refused(ros1: Bag) -> None:
+    lens, fisheye = (285.6, 286.7, 424.6, 408.2), [-0.0022, 0.0376, -0.0364, 0.0059, 0.0]
+    info = ros1.camera_info(START_NS, 848, 800, lens, "plumb_bob", fisheye)
+    with pytest.raises(
+        InputError, match=r"/camera_info: distortion plumb_bob.*look like k1 to k4 of a fisheye"
+    ):
+        camera_from_info(info, "/camera_info", rectified=False)
+    info = ros1.camera_info(START_NS, 848, 800, lens, "equidistant", fisheye)  # the driver fills all five
+    camera = camera_from_info(info, "/camera_info", rectified=False)
+    assert camera is not None
+    assert camera.coefficients == tuple(fisheye[:4])
+
+
 def test_refusals_name_the_file_and_the_remedy(tmp_path: Path) -> None:
     with Bag(tmp_path / "a.bag", "ros1") as bag:
         text = bag.types["std_msgs/msg/String"](data="hello")
@@ -743,3 +756,37 @@ def test_a_real_bag_in_pieces(tmp_path: Path) -> None:
     assert opened >= 6
     opened, _ = damage.survives(rosbag, damage.flips(data, 12), tmp_path / "flip.bag")
     assert opened >= 6
+
+
+@pytest.mark.parametrize("of_world", [False, True])
+def test_an_odometry_whose_twist_is_the_worlds_is_turned_into_the_body(
+    tmp_path: Path, of_world: bool
+) -> None:
+    """As VINS-Mono publishes it; REP 105 and most drivers give the body's."""
+    path = tmp_path / "bag"
+    with Bag(path, "sqlite3") as bag:
+        position = np.zeros(3)
+        for i in range(300):
+            t_ns, yaw = START_NS + i * 20_000_000, 0.9 * np.sin(0.03 * i)
+            ahead = np.array([0.8 * np.cos(yaw), 0.8 * np.sin(yaw), 0.0])
+            q = (np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2))
+            velocity = ahead if of_world else (0.8, 0.0, 0.0)
+            twist = bag.types["geometry_msgs/msg/Twist"](
+                linear=bag.vector(velocity), angular=bag.vector((0, 0, 0))
+            )
+            message = bag.types["nav_msgs/msg/Odometry"](
+                header=bag.header(t_ns, "world"),
+                child_frame_id="base_link",
+                pose=bag.types["geometry_msgs/msg/PoseWithCovariance"](
+                    pose=bag.pose(position, q), covariance=np.zeros(36)
+                ),
+                twist=bag.types["geometry_msgs/msg/TwistWithCovariance"](
+                    twist=twist, covariance=np.zeros(36)
+                ),
+            )
+            bag.write("/odom", message, t_ns)
+            position = position + 0.02 * ahead
+    told = Told()
+    found = told.take(rosbag.open_log(path).velocity("/odom"))
+    np.testing.assert_allclose(found.xyz, np.tile([0.8, 0.0, 0.0], (len(found.xyz), 1)), atol=1e-9)
+    assert any("along the world's axes" in text for text in told) == of_world

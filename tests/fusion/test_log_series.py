@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from fusion.flight import AttitudeStream, VectorStream
 from fusion.logs.autopilot import tlog, ulog
+from fusion.logs.imu_series import imu_stream, spread_bursts
 from fusion.logs.interpolation import attitude_at, interpolated
 from fusion.logs.rosbag import bag as rosbag
 from fusion.logs.series import (
     LATEST_NS,
     Where,
     attitude_stream,
-    imu_stream,
     into_body,
     nanoseconds,
     quaternions,
@@ -217,3 +217,32 @@ def test_distances_that_are_none_are_dropped() -> None:
     assert range_stream(t_ns, distance_m, where(), trusted=trusted).value.distance_m[0] == 0.3
     with pytest.raises(InputError, match="every row has no distance within the sensor's reach"):
         range_stream(t_ns, np.full(10, nan), where())
+
+
+def test_rows_before_a_pause_are_no_damage() -> None:
+    """A few samples at an end, or between two pauses, in the usual step: the log was paused."""
+    t_ns = clean()
+    t_ns[:3] -= 9_000_000_000
+    t_ns[150:] += 3_000_000_000
+    t_ns[154:] += 3_000_000_000
+    t_ns[199] += 2_000_000_000
+    index, problems = usable(t_ns, where())
+    np.testing.assert_array_equal(index, np.arange(200))
+    assert problems == ()
+
+
+@pytest.mark.parametrize(("size", "close_ns"), [(10, 20_000), (10, 60_000), (3, 150_000)])
+def test_bursts_of_a_drivers_buffer_are_spread(size: int, close_ns: int) -> None:
+    true_ns = clean(600)
+    last = np.minimum(np.arange(600) // size * size + size - 1, 599)
+    stamped_ns = true_ns[last] + np.arange(600) % size * close_ns - (size - 1) * close_ns
+    gyro = np.linspace(1.0, 2.0, 600)[:, None] * np.ones(3)
+    imu, problems = imu_stream(stamped_ns, gyro, np.full((600, 3), 9.8), where())
+    assert np.abs(imu.t_ns - true_ns).max() < 1_000_000
+    assert f"bursts of {size}, {close_ns // 1000} us apart" in problems[0]
+
+
+@given(rate_hz=st.integers(1, 8000))
+def test_an_even_rate_is_no_burst(rate_hz: int) -> None:
+    t_ns = START_NS + (np.arange(300) * 10**9) // rate_hz
+    assert spread_bursts(t_ns, where()) == (t_ns, ())

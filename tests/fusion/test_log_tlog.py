@@ -243,3 +243,35 @@ def test_a_signal_that_is_called_invalid_is_dropped(tmp_path: Path) -> None:
         )
     found = tlog.open_log(writer.save(tmp_path / "range.tlog")).range("DISTANCE_SENSOR").value
     np.testing.assert_array_equal(found.t_ns, (BOOT_MS + STEP_MS * np.delete(np.arange(N), 2)) * 1_000_000)
+
+
+def test_a_recording_computer_that_had_no_clock(tmp_path: Path) -> None:
+    """It counts from 1970; the vehicle's clock is what counts."""
+    path = flight(Writer(), at_us=47_000_000).save(tmp_path / "pi.tlog")
+    assert tlog.recognises(path)
+    log = tlog.open_log(path)
+    np.testing.assert_array_equal(
+        log.imu("SCALED_IMU2").value.t_ns, (BOOT_MS + STEP_MS * np.arange(N)) * 1_000_000
+    )
+    assert not any("Unix time" in topic.note for topic in log.topics)
+    other = tmp_path / "noise.tlog"
+    other.write_bytes(path.read_bytes()[:20] + bytes(300))
+    assert not tlog.recognises(other)
+
+
+def test_a_counter_of_milliseconds_that_starts_over_goes_on(tmp_path: Path) -> None:
+    """After 49.7 days; a message that is first sent after that goes on with the others."""
+    start_ms = 2**32 - 50 * STEP_MS
+    writer = Writer()
+    for k in range(N):
+        boot_ms = (start_ms + k * STEP_MS) % 2**32
+        received_us = UNIX_US + k * STEP_MS * 1000
+        counts = (102, 0, -1000, 0, -50, 250, 0, 0, 0)
+        writer.send(mavlink2.MAVLink_scaled_imu_message(boot_ms, *counts), received_us)
+        if k >= 60:
+            writer.send(mavlink2.MAVLink_attitude_message(boot_ms, 0.1, 0, 0, 0, 0, 0.25), received_us)
+    log = tlog.open_log(writer.save(tmp_path / "long.tlog"))
+    t_ns = (start_ms + STEP_MS * np.arange(N)) * 1_000_000
+    np.testing.assert_array_equal(log.imu("SCALED_IMU").value.t_ns, t_ns)
+    np.testing.assert_array_equal(log.attitude("ATTITUDE").value.t_ns, t_ns[60:])
+    assert log.problems == ()

@@ -281,3 +281,20 @@ def test_distances_of_sensors_that_look_down(tmp_path: Path) -> None:
         f"distance_sensor[1]: 6 rows with no distance within the sensor's reach dropped (first at {first_ns})"
     ]
     np.testing.assert_allclose(log.range("distance_sensor[2]").value.distance_m, [1.5] * 40)
+
+
+def test_intervals_in_seconds_and_a_time_stamp_of_another_clock(tmp_path: Path) -> None:
+    """Logs from before 2017 have gyro_integral_dt in seconds; a companion may stamp samples in Unix time, or not."""
+    writer = Writer()
+    writer.formats(COMBINED.replace("uint32_t gyro_integral_dt", "float gyro_integral_dt"), ATTITUDE)
+    writer.subscribe(0, "sensor_combined")
+    writer.subscribe(1, "vehicle_attitude")
+    for k, t_us in enumerate(times_us()):
+        writer.sample(0, "Q4fi3fI", t_us, 0.01, 0.02, 0.25, 0.004, 0, 0.1, 0.2, -9.8, 4000)
+        taken_us = (1_716_551_400_058_872 + t_us, 0, t_us - 900)[k % 3]
+        writer.sample(1, "QQ4f", t_us, taken_us, 1.0, 0.0, 0.0, 0.0)
+    log = ulog.open_log(writer.save(tmp_path / "old.ulg"))
+    middle_ns = np.array(times_us()) * 1000 - 2_000_000
+    np.testing.assert_allclose(log.imu("sensor_combined").value.t_ns, middle_ns, atol=1)
+    late_us = np.array(times_us()) - log.attitude("vehicle_attitude").value.t_ns // 1000
+    assert set(late_us.tolist()) == {0, 900}

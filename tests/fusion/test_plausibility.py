@@ -403,3 +403,18 @@ def test_overlap_is_said_where_frames_are_not_covered(
         disjoint = other[0] > frames[-1] or other[-1] < frames[0]
         assert finding.severity is (Severity.ERROR if disjoint else Severity.WARNING)
         assert disjoint == ("do not overlap" in finding.text)
+
+
+@pytest.mark.parametrize(
+    ("shift", "order"), [(1, "w, x, y, z, read as x, y, z, w"), (-1, "x, y, z, w, read as w, x, y, z")]
+)
+@pytest.mark.parametrize("turned", [False, True], ids=["frd", "turned from flu by its reader"])
+def test_quaternions_in_the_wrong_order_are_named_as_that(shift: int, order: str, turned: bool) -> None:
+    assert OFFICE.attitude is not None
+    flip = np.array(ENU) if turned else np.ones(4)
+    in_file = OFFICE.attitude.q_world_body * flip
+    wrong = replace(OFFICE.attitude, q_world_body=np.roll(in_file, shift, axis=1) * flip)
+    with pytest.raises(InputError, match=f"written in the order {order}") as caught:
+        check_flight(replace(OFFICE, attitude=wrong), TOML)
+    assert "set use = false for [attitude]" in (caught.value.remedy or "")
+    assert check_flight(replace(OFFICE, attitude=None), TOML).attitude is None

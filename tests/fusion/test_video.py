@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import tracemalloc
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -229,6 +230,84 @@ def test_times_from_a_file_go_row_by_row(mp4: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(less.read(10), frames.read(11))
 
 
+def test_two_frames_with_one_time_stamp_keep_their_rows_of_a_times_file(
+    pictures: list[GreyImage], tmp_path: Path
+) -> None:
+    """Every row is of the packet in its place: a repeated stamp must not shift those that follow."""
+    evenly_s, milliseconds = np.arange(N_FRAMES) / 20, Fraction(1, 1000)
+    whole = encode(
+        tmp_path / "whole.mkv", pictures, "mpeg4", times_s=evenly_s, clock=milliseconds, b_frames=0
+    )
+    path = tmp_path / "twice.mkv"
+    with av.open(str(whole)) as source, av.open(str(path), "w") as file:
+        stream = file.add_stream_from_template(source.streams.video[0])
+        last = 0
+        for number, packet in enumerate(p for p in source.demux(video=0) if p.dts is not None):
+            packet.stream = stream
+            packet.pts = packet.dts = last if number == 10 else packet.pts
+            last = packet.pts
+            file.mux(packet)
+    stamps = 1_600_000_000_000_000_000 + np.arange(N_FRAMES) * 40_000_000
+    times = tmp_path / "times.csv"
+    times.write_text("timestamp_ns\n" + "".join(f"{t}\n" for t in stamps))
+    log = open_video(path, times=times)
+    assert log.problems == ("twice.mkv: 1 frame with the time stamp of another left out",)
+    frames = frames_of(log)
+    np.testing.assert_array_equal(frames.t_ns, np.delete(stamps, 10))
+    for row in (0, 9, 10, 20, N_FRAMES - 2):
+        nearest = min(range(N_FRAMES), key=lambda k: difference(frames.read(row), pictures[k]))
+        assert stamps[nearest] == frames.t_ns[row]
+    # A file with a row per frame that can be told apart is taken as it stands.
+    times.write_text("timestamp_ns\n" + "".join(f"{t}\n" for t in np.delete(stamps, 10)))
+    np.testing.assert_array_equal(frames_of(open_video(path, times=times)).t_ns, np.delete(stamps, 10))
+
+
+def test_videos_that_start_late_or_lack_frames_are_not_cut_short(
+    pictures: list[GreyImage], tmp_path: Path
+) -> None:
+    late = encode(tmp_path / "late.mkv", pictures, times_s=10.0 + np.arange(N_FRAMES) / 20)
+    log = open_log(late)
+    assert log.problems == ()
+    np.testing.assert_allclose(np.diff(frames_of(log).t_ns), 5e7, atol=1e6)
+    transport = encode(tmp_path / "late.ts", pictures, times_s=10.0 + np.arange(N_FRAMES) / 20)
+    assert open_log(transport).problems == ()
+
+    whole = encode(tmp_path / "whole.mp4", pictures, times_s=np.arange(N_FRAMES) / 20)
+    edited = tmp_path / "edited.mp4"  # an edit list leaves the first second out
+    remux(whole, edited, lambda n, packet: shift(packet, -1.0))
+    log = open_log(edited)
+    assert log.problems == ()
+    nearest = min(range(N_FRAMES), key=lambda k: difference(frames_of(log).read(0), pictures[k]))
+    assert nearest == 20
+
+    evenly_s = np.arange(N_FRAMES) / 20
+    even = encode(
+        tmp_path / "even.avi", pictures, "mjpeg", clock=Fraction(1, 20), times_s=evenly_s, b_frames=0
+    )
+    dropped = tmp_path / "dropped.avi"
+    remux(even, dropped, lambda n, packet: not 10 <= n < 15)
+    log = open_log(dropped)
+    assert [text for text in log.problems if "cut" in text] == []
+    assert len(frames_of(log).t_ns) == N_FRAMES - 5
+    assert frames_of(log).t_ns[10] == 15 * 50_000_000
+
+
+def remux(source: Path, target: Path, keep: Callable[[int, Any], bool]) -> None:
+    """Copy a video's packets as they are, but for what ``keep`` changes in them or leaves out."""
+    with av.open(str(source)) as read, av.open(str(target), "w") as file:
+        stream = file.add_stream_from_template(read.streams.video[0])
+        for number, packet in enumerate(p for p in read.demux(video=0) if p.dts is not None):
+            if keep(number, packet):
+                packet.stream = stream
+                file.mux(packet)
+
+
+def shift(packet: Any, by_s: float) -> bool:
+    ticks = round(by_s / packet.time_base)
+    packet.pts, packet.dts = packet.pts + ticks, packet.dts + ticks
+    return True
+
+
 # ------------------------------------------------------------------------------------------- damage
 
 
@@ -284,7 +363,13 @@ def test_flipped_bytes_cost_frames_and_never_pass_for_pictures(mp4: Path, tmp_pa
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
-        ("a.mp4", b"", r"a\.mp4: does not open as a video: .*\(it is no video or was not written to its end"),
+        ("a.mp4", b"", r"a\.mp4: is empty \(the file was not written whole"),
+        (
+            "a.mp4",
+            b"version https://git-lfs.github.com/spec/v1\noid sha256:ff\n",
+            r"pointer of Git LFS.*git lfs pull",
+        ),
+        ("b.mp4", b"rubbish", r"does not open as a video: .*\(it is no video or was not written to its end"),
         ("a.mp4", b"\0\0\0\x20ftypisom" + bytes(20), r"does not open as a video"),
         ("a.mkv", b"\x1a\x45\xdf\xa3", r"does not open as a video"),
         ("a.mp4", b"<html>not found</html>", r"does not open as a video"),

@@ -17,6 +17,7 @@ from tests.files import ROOT, written
 from vision import Camera, InputError
 from vision.cameras.calibration import ImuNoise, read_imu_noise, read_time_shift_s
 from vision.cameras.camera import Distortion
+from vision.cameras.lens_check import lens_problem
 
 FORWARD = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
 
@@ -310,16 +311,14 @@ def test_files_of_another_kind(tmp_path: Path) -> None:
     ):
         Camera.from_yaml(imu)
     with pytest.raises(
-        InputError, match=r"give EuRoC sensor.yaml, Kalibr camchain.yaml, ROS camera_info YAML, or"
+        InputError,
+        match=r"give EuRoC sensor.yaml, Kalibr camchain.yaml, ROS camera_info \(YAML or INI\), a file of",
     ):
         Camera.from_yaml(written(tmp_path / "basalt.json", '{"value0": 1}'))
     with pytest.raises(InputError, match=r"is not valid JSON in line 2: Expecting"):
         Camera.from_yaml(written(tmp_path / "cut.json", '{"K": [1, 2],\n"D": [}'))
     with pytest.raises(InputError, match="does not hold a JSON object"):
         Camera.from_yaml(written(tmp_path / "list.json", "[1, 2]"))
-    xml = opencv_file(tmp_path / "camera.xml", [0.1, 0.0, 0.0, 0.0, 0.0])
-    with pytest.raises(InputError, match=r"is XML \(write it as YAML or JSON"):
-        Camera.from_yaml(xml)
 
 
 @given(st.binary(max_size=300))
@@ -404,3 +403,39 @@ def test_what_is_wrong_with_imu_noise_is_named(tmp_path: Path, text: str, match:
 def test_partial_imu_noise(tmp_path: Path) -> None:
     noise = read_imu_noise(written(tmp_path / "camera.yaml", "gyroscope_noise_density: 0.002\n"))
     assert noise == ImuNoise(gyro_noise_density=0.002)
+
+
+# ------------------------------------------------------------------------------------------- implausible lenses
+
+# Kannala-Brandt coefficients of a stereo camera whose driver calls them plumb_bob.
+FISHEYE_K = (-0.00217446, 0.03760552, -0.03640431, 0.00593686)
+WIDE = """image_width: 848
+image_height: 800
+camera_matrix: {rows: 3, cols: 3, data: [285.6467, 0., 424.574, 0., 286.685, 408.1993, 0., 0., 1.]}
+distortion_model: MODEL
+distortion_coefficients: [NUMBERS]
+"""
+
+
+def wide_file(path: Path, model: str, numbers: tuple[float, ...]) -> Path:
+    listed = ", ".join(map(str, numbers))
+    return written(path, WIDE.replace("MODEL", model).replace("NUMBERS", listed))
+
+
+def test_fisheye_numbers_by_another_name_are_refused_and_the_remedies_work(tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"p1 = -0.036.*k1 to k4 of a fisheye.*distortion_model: equidistant"
+    ):
+        Camera.from_yaml(wide_file(tmp_path / "wrong.yaml", "plumb_bob", (*FISHEYE_K, 0.0)))
+    camera = Camera.from_yaml(wide_file(tmp_path / "right.yaml", "equidistant", FISHEYE_K))
+    assert lens_problem(camera) is None
+    edge = camera.project([[sin(radians(50)), 0.0, cos(radians(50))]])
+    np.testing.assert_allclose(camera.rays(edge)[0], [sin(radians(50)), 0.0, cos(radians(50))], atol=1e-9)
+    told = Camera.from_yaml(wide_file(tmp_path / "told.yaml", "plumb_bob", (*FISHEYE_K, 0, 0, 0, 0)))
+    assert "tangential distortion" in (lens_problem(told) or "")
+
+
+def test_a_distortion_that_turns_back_within_the_picture_is_told(tmp_path: Path) -> None:
+    barrel = Camera.from_yaml(wide_file(tmp_path / "a.yaml", "plumb_bob", (-0.35, 0.05, 0.0, 0.0, 0.0)))
+    assert "turns back within the picture" in (lens_problem(barrel) or "")
+    assert lens_problem(Camera.from_yaml(written(tmp_path / "b.yaml", ROS))) is None

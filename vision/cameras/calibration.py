@@ -4,9 +4,10 @@
 kind                   known by                                       pose of the camera
 =====================  =============================================  ==================================
 EuRoC ``sensor.yaml``  ``resolution``, ``intrinsics``                 ``T_BS``: camera to body
-Kalibr ``camchain``    ``cam0``, ``cam1`` ...                         ``T_cam_imu``: IMU to camera
+Kalibr ``camchain``    ``cam0``, ``cam1`` ...                         ``T_cam_imu``: IMU to camera, if any
 ROS ``camera_info``    ``camera_matrix`` or ``K``, the model's name   none: taken as straight ahead
-OpenCV YAML or JSON    ``camera_matrix`` and other names in use       none: taken as straight ahead
+OpenCV YAML, JSON, XML ``camera_matrix`` and other names in use       none: taken as straight ahead
+SLAM systems           see `vision.cameras.slam_files`                of the camera in the IMU, if any
 =====================  =============================================  ==================================
 
 Extrinsics run in opposite directions: ``T_BS`` and ``T_imu_cam`` (OpenVINS) take points from the camera to the
@@ -36,15 +37,17 @@ from vision.cameras.fields import (
 from vision.cameras.fields import read_yaml as read_yaml
 from vision.cameras.imu_noise import ImuNoise as ImuNoise
 from vision.cameras.imu_noise import read_imu_noise as read_imu_noise
+from vision.cameras.lens_check import refuse_fisheye_numbers
 from vision.cameras.matrix_files import is_matrix_file, read_lens
+from vision.cameras.slam_files import as_euroc
 from vision.errors import InputError
 from vision.types import FloatArray
 
 Pose = tuple[FloatArray, FloatArray]
 
 FORMATS = (
-    "EuRoC sensor.yaml, Kalibr camchain.yaml, ROS camera_info YAML, or OpenCV's camera_matrix and "
-    "distortion_coefficients in YAML or JSON"
+    "EuRoC sensor.yaml, Kalibr camchain.yaml, ROS camera_info (YAML or INI), a file of VINS-Fusion, ORB-SLAM, OKVIS, "
+    "Basalt or stella_vslam, or OpenCV's camera_matrix and distortion_coefficients in YAML, JSON or XML"
 )
 
 _DISTORTIONS = {
@@ -59,17 +62,18 @@ _DISTORTIONS = {
 }
 _POSES_AGREE = 2e-3  # of two extrinsics in one file, printed to three digits
 _STRAIGHT_AHEAD = {
-    "flu": ("[0,0,1,0, -1,0,0,0, 0,-1,0,0, 0,0,0,1]", "[[0,-1,0,0],[0,0,-1,0],[1,0,0,0],[0,0,0,1]]"),
-    "frd": ("[0,0,1,0, 1,0,0,0, 0,1,0,0, 0,0,0,1]", "[[0,1,0,0],[0,0,1,0],[1,0,0,0],[0,0,0,1]]"),
+    "flu": "[0,0,1,0, -1,0,0,0, 0,-1,0,0, 0,0,0,1]",
+    "frd": "[0,0,1,0, 1,0,0,0, 0,1,0,0, 0,0,0,1]",
 }
 
 
 def read_body_frame(path: Path) -> BodyFrame:
-    """Read ``body_frame`` (``flu`` or ``frd``) from a ``body.yaml``; ``flu`` where the file is absent."""
-    if not path.exists():
-        return "flu"
-    content = read_yaml(path)
-    return check_body_frame(require(content, "body_frame", path, "write `body_frame: flu` or `frd`"), path)
+    """Read ``body_frame`` (``flu`` or ``frd``) from a ``body.yaml``; ``flu`` where nothing says it.
+
+    The public EuRoC flights have a ``body.yaml`` that holds a comment only.
+    """
+    told = read_yaml(path).get("body_frame") if path.exists() else None
+    return "flu" if told is None else check_body_frame(told, path)
 
 
 def check_body_frame(value: object, file: Path | None = None) -> BodyFrame:
@@ -97,18 +101,28 @@ def read_camera(path: Path, body_frame: BodyFrame | None, cam: str) -> Camera:
     else:
         body_frame = check_body_frame(body_frame)
     try:
-        if _is_chain(content):
-            return _read_kalibr(content, body_frame, cam)
-        if is_matrix_file(content):
-            return _read_matrix_file(content, body_frame)
-        if not any(key in content for key in ("resolution", "intrinsics", "camera_model", "T_BS")):
-            found = ", ".join(str(key) for key in list(content)[:8]) or "nothing"
-            raise InputError(f"is no camera calibration, it holds {found}", remedy=f"give {FORMATS}")
-        return _read_euroc(content, body_frame)
+        camera = _read_content(content, path.absolute().parent, body_frame, cam)
+        refuse_fisheye_numbers(camera)
+        return camera
     except InputError as error:
         if error.file is not None:
             raise
         raise InputError(error.problem, file=path, remedy=error.remedy) from error
+
+
+def _read_content(content: Mapping[str, Any], folder: Path, body_frame: BodyFrame, cam: str) -> Camera:
+    translated = as_euroc(content, folder, cam)
+    if translated is not None:
+        pose = _read_pose(translated, "", body_frame)
+        return _make_camera(translated, "", "distortion_coefficients", pose)
+    if _is_chain(content):
+        return _read_kalibr(content, body_frame, cam)
+    if is_matrix_file(content):
+        return _read_matrix_file(content, body_frame)
+    if not any(key in content for key in ("resolution", "intrinsics", "camera_model", "T_BS")):
+        found = ", ".join(str(key) for key in list(content)[:8]) or "nothing"
+        raise InputError(f"is no camera calibration, it holds {found}", remedy=f"give {FORMATS}")
+    return _read_euroc(content, body_frame)
 
 
 def read_time_shift_s(path: Path, cam: str = "cam0") -> float | None:
@@ -140,7 +154,7 @@ def _is_chain(content: Mapping[str, Any]) -> bool:
 def _read_euroc(content: Mapping[str, Any], body_frame: BodyFrame) -> Camera:
     pose = _read_pose(content, "", body_frame)
     if pose is None:
-        example = f"add T_BS, body from camera; straight ahead it is data: {_STRAIGHT_AHEAD[body_frame][0]}"
+        example = f"add T_BS, body from camera; straight ahead it is data: {_STRAIGHT_AHEAD[body_frame]}"
         raise InputError("T_BS is missing", remedy=example)
     return _make_camera(content, "", "distortion_coefficients", pose)
 
@@ -150,10 +164,7 @@ def _read_kalibr(content: Mapping[str, Any], body_frame: BodyFrame, cam: str) ->
     if not isinstance(chain, Mapping):
         found = ", ".join(str(key) for key in content)
         raise InputError(f"there is no camera {cam} in this chain", remedy=f"choose one of: {found}")
-    pose = _read_pose(chain, f"{cam}.", body_frame)
-    if pose is None:
-        example = f"add T_cam_imu, camera from IMU; straight ahead it is {_STRAIGHT_AHEAD[body_frame][1]}"
-        raise InputError(f"{cam}.T_cam_imu is missing", remedy=example)
+    pose = _read_pose(chain, f"{cam}.", body_frame)  # None in a chain of cameras alone
     return _make_camera(chain, f"{cam}.", "distortion_coeffs", pose)
 
 
@@ -197,16 +208,23 @@ def rotation_of_transform(value: object, name: str) -> FloatArray:
     return parts_of_transform(value, name)[0]
 
 
-def _make_camera(content: Mapping[str, Any], prefix: str, coefficient_key: str, pose: Pose) -> Camera:
+def _make_camera(content: Mapping[str, Any], prefix: str, coefficient_key: str, pose: Pose | None) -> Camera:
     resolution = numbers(content, "resolution", prefix, (2,), "write [width, height]")
     size = check_size(resolution[0], resolution[1], f"{prefix}resolution")
     known = _distortion_model(content, prefix)
-    pinhole = numbers(content, "intrinsics", prefix, (4,), "write [fu, fv, cu, cv]")
-    fx_px, fy_px, cx_px, cy_px = pinhole
-    check_pinhole(size, (fx_px, fy_px, cx_px, cy_px), f"{prefix}intrinsics")
+    fx_px, fy_px, cx_px, cy_px = numbers(content, "intrinsics", prefix, (4,), "write [fu, fv, cu, cv]")
+    pinhole_px = (fx_px, fy_px, cx_px, cy_px)
+    check_pinhole(size, pinhole_px, f"{prefix}intrinsics")
     coefficients = _coefficients(content, prefix, coefficient_key, known)
-    lens = (fx_px, fy_px, cx_px, cy_px, known, coefficients)
-    return Camera(size[0], size[1], *lens, pose[0], exposure_s(content, prefix), pose[1])
+    camera = Camera(
+        *size,
+        *pinhole_px,
+        distortion=known,
+        coefficients=coefficients,
+        exposure_s=exposure_s(content, prefix),
+        mount_assumed=pose is None,
+    )
+    return camera if pose is None else replace(camera, R_body_camera=pose[0], p_body_camera_m=pose[1])
 
 
 def _coefficients(

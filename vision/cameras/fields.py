@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from vision.cameras.camera import nearest_rotation
+from vision.cameras.text_files import is_ini, parse_ini, parse_xml
 from vision.errors import InputError
 from vision.limits import MAX_SIDE_PX, check_values, check_yaml, read_text
 from vision.types import FloatArray
@@ -20,7 +21,7 @@ R_FRD_FLU: FloatArray = np.diag([1.0, -1.0, -1.0])
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a mapping from YAML, also as OpenCV writes it (``%YAML:1.0``, ``!!opencv-matrix``), or from JSON.
+    """Read a mapping from YAML, also as OpenCV writes it (``%YAML:1.0``, ``!!opencv-matrix``), JSON, XML or INI.
 
     Raises
     ------
@@ -34,7 +35,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read as text: {error}", file=path, remedy="give a YAML file") from error
     if text.lstrip().startswith("<"):
-        raise InputError("is XML", file=path, remedy="write it as YAML or JSON, OpenCV goes by the suffix")
+        return parse_xml(text, path)
+    if is_ini(text):
+        return parse_ini(text, path)
     is_json = path.suffix.lower() == ".json" or text.lstrip().startswith("{")
     content = _parse_json(text, path) if is_json else _parse_yaml(text, path)
     if not isinstance(content, dict):

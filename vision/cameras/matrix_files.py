@@ -17,6 +17,7 @@ from typing import Any
 
 from vision.cameras.camera import Distortion
 from vision.cameras.fields import check_pinhole, check_size, numbers
+from vision.cameras.lens_check import MAX_TANGENTIAL
 from vision.errors import InputError
 
 _MATRIX = ("cameramatrix", "k", "mtx", "intrinsicmatrix", "m1")
@@ -57,7 +58,6 @@ SUPPORTED = (
 )
 
 MAX_PLAIN_FOV_RAD = pi / 2  # four coefficients without a name are OpenCV's plain model up to here
-MAX_TANGENTIAL = 0.02  # p1 and p2 of real lenses are far smaller
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,9 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.flight import FloatArray, RangeStream, VectorStream
+from fusion.logs.autopilot import dataflash_text
 from fusion.logs.autopilot.table import DOWNWARD, MessageTable, begins_with, map_file, series_of
 from fusion.logs.contents import Kind, LogContents
-from fusion.logs.samples import BoolArray, Problems, WithProblems
+from fusion.logs.samples import BoolArray, Problems, WithProblems, counted
 from fusion.logs.series import (
     MAX_VELOCITY,
     Series,
@@ -88,8 +89,8 @@ def _has(fmt: Format, *columns: str) -> bool:
 
 
 def recognises(path: Path) -> bool:
-    """Whether a file begins with a DataFlash message."""
-    return begins_with(path, MAGIC)
+    """Whether a file begins with a DataFlash message, or with the definition of one as text."""
+    return begins_with(path, MAGIC) or dataflash_text.recognises(path)
 
 
 def open_log(path: Path) -> LogContents:
@@ -120,6 +121,8 @@ def open_log(path: Path) -> LogContents:
 def _tables(path: Path) -> WithProblems[list[_Table]]:
     from fusion.logs.autopilot.dataflash_parse import find_formats, find_messages
 
+    if dataflash_text.recognises(path):
+        return _tables_of_text(path)
     mapped = map_file(path)
     formats = find_formats(mapped)
     data = np.frombuffer(mapped, dtype=np.uint8)
@@ -130,9 +133,24 @@ def _tables(path: Path) -> WithProblems[list[_Table]]:
         problems += (f"{lost} of {len(data)} bytes belong to no whole message and were skipped",)
     tables: list[_Table] = []
     for name in names:
-        if len(starts[name]) and (_has(formats[name], "TimeUS") or _has(formats[name], "TimeMS")):
+        if len(starts[name]) and _is_timed(formats[name]):
             tables += _instances(path, data, formats[name], starts[name])
     return WithProblems(tables, problems)
+
+
+def _tables_of_text(path: Path) -> WithProblems[list[_Table]]:
+    messages, damaged = dataflash_text.read_messages(path, NAMES)
+    problems = (f"{counted(damaged, 'line')} damaged, dropped",) if damaged else ()
+    tables: list[_Table] = []
+    for name in (name for name in NAMES if name in messages):
+        fmt, data = messages[name]
+        if len(data) and _is_timed(fmt):
+            tables += _instances(path, data, fmt, np.arange(0, len(data), fmt.length))
+    return WithProblems(tables, problems)
+
+
+def _is_timed(fmt: Format) -> bool:
+    return _has(fmt, "TimeUS") or _has(fmt, "TimeMS")
 
 
 def _instances(path: Path, data: npt.NDArray[np.uint8], fmt: Format, starts: IndexArray) -> list[_Table]:

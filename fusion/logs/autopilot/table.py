@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 from fusion.flight import AttitudeStream, FloatArray, ImuStream, TimeArray, VectorStream
 from fusion.logs.contents import Kind, Topic
+from fusion.logs.imu_series import imu_stream
 from fusion.logs.samples import WithProblems
 from fusion.logs.series import (
     MAX_POSITION,
@@ -19,7 +20,6 @@ from fusion.logs.series import (
     Stream,
     Where,
     attitude_stream,
-    imu_stream,
     quaternions,
     vector_stream,
 )

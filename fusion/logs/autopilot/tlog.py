@@ -22,13 +22,13 @@ import numpy.typing as npt
 from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
 from fusion.logs.autopilot.table import DOWNWARD, MessageTable, map_file, series_of
 from fusion.logs.contents import Kind, LogContents
-from fusion.logs.samples import BoolArray, Problems, WithProblems, counted
+from fusion.logs.imu_series import imu_stream
+from fusion.logs.samples import BoolArray, Problems, WithProblems, counted, unwrapped
 from fusion.logs.series import (
     CLOCK_BACK_NS,
     Series,
     SeriesLog,
     Stream,
-    imu_stream,
     nanoseconds,
     range_stream,
     velocity_stream,
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 FORMAT = "MAVLink tlog"
 MAGICS = (0xFE, 0xFD)
 HEAD_BYTES = 9  # time and magic
+LONGEST_PACKET = 300  # bytes after the time
+LONGEST_PAUSE_US = 3_600_000_000
 EARLIEST_US, LATEST_US = 10**15, 4 * 10**15  # 2001 and 2096: what a recording computer's clock may say
 UNIX_US = 10**15  # more is a time since 1970, less one since boot, as MAVLink distinguishes them
 
@@ -96,18 +98,25 @@ class _Raw:
     place: npt.NDArray[np.int64]
     rows: npt.NDArray[np.void]
     received_us: npt.NDArray[np.uint64]
+    wrapped_ns: TimeArray  # of the times that the counter of milliseconds has started over before
 
     def boot_ns(self) -> TimeArray | None:
         """Return the times (n,) since the vehicle booted; None where the message tells Unix time."""
         if "time_boot_ms" in (self.rows.dtype.names or ()):
-            return nanoseconds(self.rows["time_boot_ms"], 1_000_000)
+            return nanoseconds(self.rows["time_boot_ms"], 1_000_000) + self.wrapped_ns
         unix = float(np.median(self.rows["time_usec"])) > UNIX_US
         return None if unix else nanoseconds(self.rows["time_usec"], 1_000)
 
     def between(self, first: int, last: int) -> _Raw:
         """Only the packets from one place to another."""
         kept = (self.place >= first) & (self.place <= last)
-        return replace(self, place=self.place[kept], rows=self.rows[kept], received_us=self.received_us[kept])
+        return replace(
+            self,
+            place=self.place[kept],
+            rows=self.rows[kept],
+            received_us=self.received_us[kept],
+            wrapped_ns=self.wrapped_ns[kept],
+        )
 
 
 def recognises(path: Path) -> bool:
@@ -115,10 +124,21 @@ def recognises(path: Path) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        head = file.read(HEAD_BYTES)
-    if len(head) < HEAD_BYTES:
+        head = file.read(HEAD_BYTES + LONGEST_PACKET)
+    if len(head) < HEAD_BYTES or head[8] not in MAGICS:
         return False
-    return head[8] in MAGICS and EARLIEST_US < int.from_bytes(head[:8], "big") < LATEST_US
+    first_us = int.from_bytes(head[:8], "big")
+    if EARLIEST_US < first_us < LATEST_US:
+        return True
+    # A computer without a clock counts from 1970: then the next packet has to follow where the first one ends.
+    if len(head) < 2 * HEAD_BYTES:
+        return False
+    overhead = 8 if head[8] == MAGICS[0] else 12 + 13 * (head[10] & 1)
+    next_at = 8 + overhead + head[9]
+    following = head[next_at : next_at + HEAD_BYTES]
+    if first_us > EARLIEST_US or len(following) < HEAD_BYTES or following[8] not in MAGICS:
+        return False
+    return 0 <= int.from_bytes(following[:8], "big") - first_us < LONGEST_PAUSE_US
 
 
 def open_log(path: Path) -> LogContents:
@@ -186,8 +206,24 @@ def _raws(data: npt.NDArray[np.uint8], packets: Packets, sender: int, classes: d
         place = np.flatnonzero((packets.sender == sender) & (packets.identifier == number))
         rows = payloads(data, packets.payload[place], packets.length[place], _dtype(kind))
         if len(place):
-            raws.append(_Raw(kind.msgname, kind, place, rows, received_us(data, packets.record[place])))
-    return raws
+            received = received_us(data, packets.record[place])
+            raws.append(_Raw(kind.msgname, kind, place, rows, received, np.zeros(len(place), np.int64)))
+    return _on_counting(raws)
+
+
+def _on_counting(raws: list[_Raw]) -> list[_Raw]:
+    """Let ``time_boot_ms`` go on where it starts over after 49.7 days: one counter, whichever message tells it."""
+    counted_ms = [raw for raw in raws if "time_boot_ms" in (raw.rows.dtype.names or ())]
+    if not counted_ms:
+        return raws
+    place = np.concatenate([raw.place for raw in counted_ms])
+    ticks = np.concatenate([raw.rows["time_boot_ms"] for raw in counted_ms]).astype(np.int64)
+    order = np.argsort(place)
+    wrapped_ns = np.empty_like(ticks)
+    wrapped_ns[order] = (unwrapped(ticks[order]) - ticks[order]) * 1_000_000
+    parts = np.split(wrapped_ns, np.cumsum([len(raw.place) for raw in counted_ms])[:-1])
+    on = {raw.name: replace(raw, wrapped_ns=part) for raw, part in zip(counted_ms, parts, strict=True)}
+    return [on.get(raw.name, raw) for raw in raws]
 
 
 def _dtype(kind: Any) -> np.dtype[np.void]:
@@ -228,7 +264,8 @@ def _on_one_clock(path: Path, raws: list[_Raw], suffix: str) -> list[_Table]:
     late = [
         raw.received_us.astype(np.int64) - t_ns // 1000 for raw in raws if (t_ns := raw.boot_ns()) is not None
     ]
-    if late:
+    has_clock = any(float(np.median(raw.received_us)) > EARLIEST_US for raw in raws)
+    if late and has_clock:
         offset_us = int(min(part.min() for part in late))  # the least delayed message
     source = "the recording computer's clock"
     for raw in raws:

@@ -22,14 +22,12 @@ import numpy.typing as npt
 from fusion.flight import FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
 from fusion.logs.autopilot.table import DOWNWARD, MessageTable, begins_with, series_of
 from fusion.logs.contents import Kind, LogContents
-from fusion.logs.interpolation import interpolated
+from fusion.logs.imu_series import imu_stream, joined_imu
 from fusion.logs.samples import BoolArray, Problems, WithProblems, counted
 from fusion.logs.series import (
-    MAX_ACCELERATION,
     MAX_POSITION,
     Series,
     SeriesLog,
-    imu_stream,
     nanoseconds,
     range_stream,
     vector_stream,
@@ -60,9 +58,9 @@ DISTANCE, DISTANCE_LIMITS = "current_distance", ("min_distance", "max_distance")
 
 INVALID_SIGNAL = 0  # percent; -1 is a quality that is not known
 
-MAX_ACCEL_GAP_NS = 50_000_000
 NO_ACCEL = 0x7FFFFFFF  # accelerometer_timestamp_relative of a sample without acceleration
 LONGEST_INTERVAL_US = 1e6
+MAX_LATE_US = 10_000_000  # between taking and logging a sample
 HEADER_BYTES = 3  # of a message
 REREADS = 8  # times the file's size that pyulog may read before it is taken to go in circles
 
@@ -97,7 +95,9 @@ def _sample_times(columns: dict[str, npt.NDArray[np.generic]]) -> TimeArray:
     logged = columns["timestamp"].astype(np.uint64)
     if "timestamp_sample" in columns:
         taken = columns["timestamp_sample"].astype(np.uint64)
-        logged = np.where(taken > 0, taken, logged)
+        # Some companions fill in a time of another clock, and zero where they have none.
+        late_us = logged.astype(np.int64) - taken.astype(np.int64)
+        logged = np.where((taken > 0) & (np.abs(late_us) < MAX_LATE_US), taken, logged)
     return nanoseconds(logged, 1000)
 
 
@@ -197,7 +197,9 @@ def _imus(tables: list[_Table]) -> list[Series]:
     found: list[Series] = []
     for table in _instances(tables, "sensor_combined", *GYRO_RAD, *ACCEL_M_S2):
         if table.has("gyro_integral_dt"):
-            table = replace(table, t_ns=_middle(table.t_ns, table.column("gyro_integral_dt")))
+            interval = table.column("gyro_integral_dt")
+            is_seconds = table.columns["gyro_integral_dt"].dtype.kind == "f"  # of logs from before 2017
+            table = replace(table, t_ns=_middle(table.t_ns, interval * 1e6 if is_seconds else interval))
         note = "calibrated; the IMU that the autopilot flew by"
         found.append(series_of(table, Kind.IMU, note, _read_combined))
     for table in _instances(tables, "vehicle_imu", *DELTA_ANGLE, *DELTA_VELOCITY, *INTERVALS):
@@ -234,24 +236,9 @@ def _read_integrated(table: _Table) -> WithProblems[ImuStream]:
 
 def _read_raw(accel: _Table | None, table: _Table) -> WithProblems[ImuStream]:
     """``sensor_gyro`` with the acceleration of the sensor of the same number, interpolated."""
-    accel_m_s2 = np.full((len(table.t_ns), 3), np.nan)
-    problems: Problems = ()
-    if accel is not None:
-        try:
-            samples, problems = vector_stream(
-                accel.t_ns, accel.numbers(*XYZ), accel.where(), MAX_ACCELERATION
-            )
-        except InputError as error:
-            problems = (f"{accel.label}: {error.problem}, left out",)
-        else:
-            max_gap_ns = max(MAX_ACCEL_GAP_NS, 2 * _median_step_ns(table.t_ns))
-            accel_m_s2 = interpolated(samples, table.t_ns, max_gap_ns)
-    imu, more = imu_stream(table.t_ns, table.numbers(*XYZ), accel_m_s2, table.where())
-    return WithProblems(imu, problems + more)
-
-
-def _median_step_ns(t_ns: TimeArray) -> int:
-    return int(np.median(np.abs(np.diff(t_ns)))) if len(t_ns) > 1 else 0
+    samples = None if accel is None else VectorStream(accel.t_ns, accel.numbers(*XYZ))
+    where = table.where()
+    return joined_imu(table.t_ns, table.numbers(*XYZ), samples, where, accel.where() if accel else where)
 
 
 def _attitudes(tables: list[_Table]) -> list[Series]:

@@ -145,7 +145,24 @@ _ARDRONE = ColumnMap(
     velocity_unit="mm/s",
 )
 
-READY_MAPS = {"tello": _TELLO, "ardrone": _ARDRONE, "ardrone_ros": _ARDRONE_ROS}
+# Crazyflie, variables of its log blocks under their own names: FLU, degrees/s, g; the state is of a world with z up.
+# zrange looks down, millimetres; 32767 where nothing came back.
+_CRAZYFLIE = ColumnMap(
+    frame="flu",
+    velocity_frame="enu",
+    gyro=("gyro.x", "gyro.y", "gyro.z"),
+    gyro_unit="deg/s",
+    accel=("acc.x", "acc.y", "acc.z"),
+    accel_unit="g",
+    quaternion=("stateEstimate.qw", "stateEstimate.qx", "stateEstimate.qy", "stateEstimate.qz"),
+    velocity=("stateEstimate.vx", "stateEstimate.vy", "stateEstimate.vz"),
+    position=("stateEstimate.x", "stateEstimate.y", "stateEstimate.z"),
+    range="range.zrange",
+    range_unit="mm",
+    range_limits=(20.0, 4000.0),
+)
+
+READY_MAPS = {"tello": _TELLO, "crazyflie": _CRAZYFLIE, "ardrone": _ARDRONE, "ardrone_ros": _ARDRONE_ROS}
 
 #: Names that time stamps go by, most telling first; a unit may follow, as in ``time_ms``.
 TIME_NAMES = (

@@ -5,16 +5,21 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import numpy as np
+
+from fusion.flight import Remark
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap
 from fusion.logs.csv.table import Layout
 from fusion.logs.samples import Problems, WithProblems
 
 # {} stands for the axis. Names are compared in lower case, dots and blanks as underscores, without units.
 _VECTORS = {
-    "gyro": "w_rs_s_{} gyro_{} gyr_{} gyroscope_{} angular_velocity_{} omega_{} w_{} g{} w{} gyro{} {}gyro",
-    "accel": "a_rs_s_{} accel_{} acc_{} accelerometer_{} linear_acceleration_{} a_{} a{} acc{} accel{} {}acc",
+    "gyro": "w_rs_s_{} gyro_{} gyr_{} gyroscope_{} angular_velocity_{} ang_vel_{} omega_{} w_{} g{} w{} gyro{} "
+    "{}gyro",
+    "accel": "a_rs_s_{} accel_{} acc_{} accelerometer_{} linear_acceleration_{} lin_acc_{} a_{} a{} acc{} accel{} "
+    "{}acc",
     "velocity": "v_rs_r_{} velocity_{} vel_{} v_{} v{} twist_linear_{}",
-    "position": "p_rs_r_{} position_{} pos_{} p_{} p{} pose_position_{} {}",
+    "position": "p_rs_r_{} position_{} pos_{} p_{} p{} t{} t_{} pose_position_{} {}",
 }
 _QUATERNIONS = ("q_rs_{}", "q_{}", "q{}", "quat_{}", "quaternion_{}", "orientation_{}", "pose_orientation_{}")
 _RANGES = ("range", "rangefinder", "tof", "distance_to_floor", "distance_to_ground")
@@ -26,8 +31,11 @@ _UNITS = {
     "euler": {"rad": "rad", "deg": "deg", "mdeg": "mdeg"},
     "range": {"m": "m", "dm": "dm", "cm": "cm", "mm": "mm"},
 }
+_SENSORS = {"gyro": "gyro", "accel": "accel", "magnet": "", "gravity": "", "orientation": ""}
+_TUM = ColumnMap(time=1, position=(2, 3, 4), quaternion=(8, 5, 6, 7))
 _SIGNS = {
     "tello": {"pitch", "roll", "yaw", "vgx", "vgy", "vgz"},
+    "crazyflie": {"gyro.x", "gyro.y", "gyro.z"},
     "ardrone_ros": {"rotx", "roty", "rotz", "altd"},
     "ardrone": {"phi", "theta", "psi", "vx", "vy", "vz"},
 }
@@ -44,6 +52,11 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
 
     A vector's unit is that in brackets behind its names or at their end (``gyro_x_deg_s``); else SI.
     """
+    if not layout.has_names and is_tum(layout):
+        said = Remark(
+            f"{layout.path.name}: taken for a TUM trajectory: time, position, quaternion x, y, z, w"
+        )
+        return WithProblems(_TUM, (said,))
     known = [_normal(name, unit) for name, unit in zip(layout.names, layout.units, strict=True)]
     found: dict[str, Any] = {}
     problems: Problems = ()
@@ -58,16 +71,51 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
         if unit:
             found[f"{role}_unit"] = unit
         elif assumed:
-            problems += (f"{layout.path.name}: no unit is given for {what or names[0]}, {assumed} taken",)
+            problems += (
+                Remark(f"{layout.path.name}: no unit is given for {what or names[0]}, {assumed} taken"),
+            )
 
+    sensor = _sensor_of(layout)
     for role, patterns in _VECTORS.items():
-        axes = [[pattern.format(axis) for axis in "xyz"] for pattern in patterns.split()]
+        # Phones write a file for each sensor, whose columns are called x, y, z.
+        told = patterns.split() if sensor is None else [p for p in patterns.split() if p != "{}"]
+        told += ["{}"] if role == sensor else []
+        axes = [[pattern.format(axis) for axis in "xyz"] for pattern in told]
         take(role, axes, ColumnMap.model_fields[f"{role}_unit"].default, role)
     take("quaternion", [[p.format(part) for part in "wxyz"] for p in _QUATERNIONS], "")
     if "quaternion" not in found:
         take("euler", [["roll", "pitch", "yaw"]], "rad", "roll, pitch and yaw")
     take("range", [[name] for name in _RANGES], "m")
     return WithProblems(ColumnMap(**found) if found else None, problems)
+
+
+def is_tum(layout: Layout) -> bool:
+    """Whether rows without names are a trajectory: time, position, a unit quaternion, and perhaps covariances."""
+    try:
+        q = np.array([row[4:8] for row in layout.sample], dtype=float)
+    except ValueError:
+        return False
+    if q.ndim != 2 or q.shape[1] != 4:
+        return False
+    return bool((np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.01).all())
+
+
+def _sensor_of(layout: Layout) -> str | None:
+    """Return which sensor a file is named after, as ``Gyroscope.csv`` of phones is; None where it is not."""
+    stem = layout.path.stem.lower()
+    return next((role for word, role in _SENSORS.items() if word in stem), None)
+
+
+def names_the_world(columns: ColumnMap) -> str | None:
+    """Return the velocity's name where it says that it is along the world's axes, as EuRoC's ``v_RS_R_x`` does."""
+    names = [name for name in columns.velocity or () if isinstance(name, str)]
+    return next((name for name in names if re.search(r"v_rs_r|world", name, re.IGNORECASE)), None)
+
+
+def has_asl_names(columns: ColumnMap) -> bool:
+    """Whether any column goes by a name of the ASL / EuRoC layout, whose axes are x ahead, y left, z up."""
+    roles = ("gyro", "accel", "quaternion", "velocity", "position")
+    return any("_rs_" in str(name).lower() for role in roles for name in columns.columns_of(role))
 
 
 def _find(known: list[tuple[str, str]], patterns: list[list[str]], role: str) -> tuple[list[int], str]:

@@ -13,12 +13,21 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.flight import AttitudeStream, FloatArray, ImuStream, RangeStream, TimeArray, VectorStream
-from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.flight import (
+    AttitudeStream,
+    FloatArray,
+    ImuStream,
+    RangeStream,
+    Remark,
+    TimeArray,
+    VectorStream,
+)
+from fusion.logs.contents import Kind, LogContents, Topic, UndecidedError
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
-from fusion.logs.csv.column_names import map_of_names, ready_map_of
+from fusion.logs.csv.column_names import has_asl_names, map_of_names, names_the_world, ready_map_of
 from fusion.logs.csv.table import Layout, read_layout
 from fusion.logs.csv.times import ROLES, read_timed
+from fusion.logs.imu_series import imu_stream
 from fusion.logs.samples import WithProblems
 from fusion.logs.series import (
     MAX_POSITION,
@@ -28,19 +37,20 @@ from fusion.logs.series import (
     Stream,
     Where,
     attitude_stream,
-    imu_stream,
     quaternions,
     range_stream,
     vector_stream,
     velocity_stream,
 )
+from fusion.logs.velocity_axes import Axes, axes_of_velocity
 from vision import InputError
 
 SUFFIXES = frozenset({".csv", ".tsv"})
 TEXT_SUFFIXES = frozenset({".txt", ".log"})
 
 _G_M_S2, _DEG = 9.80665, np.pi / 180.0
-_SI = (
+#: What one of each unit is in SI.
+SI = (
     {"rad/s": 1.0, "deg/s": _DEG, "mrad/s": 1e-3, "rad": 1.0, "deg": _DEG, "mdeg": _DEG * 1e-3}
     | {"m/s2": 1.0, "g": _G_M_S2, "mg": _G_M_S2 * 1e-3, "cm/s2": 1e-2}
     | {"m/s": 1.0, "dm/s": 0.1, "cm/s": 0.01, "mm/s": 1e-3, "m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3}
@@ -50,6 +60,7 @@ _Q_FLIP = np.array([1.0, 1.0, -1.0, -1.0])  # the same on both sides of a quater
 _Q_NED_ENU = (0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0)
 _Q_FLU_FRD = (0.0, 1.0, 0.0, 0.0)
 _UPRIGHT_M_S2 = 5.0
+_NOTHING_TELLS = "nothing tells"
 
 _EXAMPLE = (
     'name them in flight.toml, as in [imu.columns] time = "t", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s"'
@@ -103,7 +114,13 @@ def open_columns(
     for kind, roles, read in _READERS:
         if any(role in table.parts for role in roles):
             series.append(Series(Topic(kind.value, kind, table.t_ns, table.note(kind)), partial(read, table)))
-    return SeriesLog(path, what, series, assumed + problems)
+    log = CsvLog(path, what, series, assumed + problems)
+    log.body_frame = "flu" if table.body_frame().value in ("flu", "enu") else "frd"
+    return log
+
+
+class CsvLog(SeriesLog):
+    """`LogContents` of a CSV; ``body_frame`` is what its axes are taken for."""
 
 
 def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[ColumnMap, str]]:
@@ -162,7 +179,7 @@ class _Table:
         for role, indices in wanted.items():
             unit = columns.unit_of(role)
             values = timed.rows.values[:, start : start + len(indices)]
-            parts[role] = values * _SI[unit] if unit is not None else values
+            parts[role] = values * SI[unit] if unit is not None else values
             start += len(indices)
         if "accel" in parts:
             parts["accel"] = parts["accel"] * columns.accel_sign
@@ -188,15 +205,25 @@ class _Table:
         told = self.frame or self.columns.frame
         if told is not None:
             return WithProblems(told)
-        accel = self.parts.get("accel")
-        up = float(np.nanmedian(accel[:, 2])) if accel is not None and np.isfinite(accel[:, 2]).any() else 0.0
-        if abs(up) > _UPRIGHT_M_S2:
-            frame: Frame = "flu" if up > 0.0 else "frd"
-            why = f"gravity stands {'up' if up > 0.0 else 'down'} its z axis"
-        else:
-            frame, why = "frd", "nothing tells"
+        frame, why = self._likely_frame()
         problem = f"{self.path.name}: axes taken as {frame}, {why}; name them with frame in flight.toml"
-        return WithProblems(frame, (problem,))
+        return WithProblems(frame, (problem if why == _NOTHING_TELLS else Remark(problem),))
+
+    def _likely_frame(self) -> tuple[Frame, str]:
+        """Return the axes that gravity shows, else those that the columns' names are used with, and why."""
+        accel = self.parts.get("accel", np.zeros((0, 3)))
+        accel = accel[np.isfinite(accel).all(axis=1)]
+        usual = np.median(accel, axis=0) if len(accel) else np.zeros(3)
+        if abs(usual[2]) > _UPRIGHT_M_S2:
+            return ("flu", "gravity stands up its z axis") if usual[2] > 0.0 else (
+                "frd", "gravity stands down its z axis"
+            )  # fmt: skip
+        if np.linalg.norm(usual) > _UPRIGHT_M_S2:
+            # No vehicle's axes, so the calibration tells how the IMU sits on it: Kalibr's goes with ROS's axes.
+            return "flu", "gravity stands along another axis than z"
+        if has_asl_names(self.columns):
+            return "flu", "as its names are used in ASL / EuRoC logs"
+        return "frd", _NOTHING_TELLS
 
     def imu(self) -> WithProblems[ImuStream]:
         """Gyroscope and accelerometer, body FRD."""
@@ -218,7 +245,7 @@ class _Table:
         frame, problems = self.body_frame()
         if "gyro" in self.parts:
             problems = ()  # reported with the IMU
-        q = self.parts["quaternion"] if "quaternion" in self.parts else quaternions(*self.parts["euler"].T)
+        q = self._quaternions()
         if frame == "flu":
             q = q * _Q_FLIP
         elif frame == "enu":
@@ -233,26 +260,75 @@ class _Table:
 
     def velocity(self) -> WithProblems[VectorStream]:
         """Body FRD."""
-        frame = self.frame or self.columns.velocity_frame or self.body_frame().value
+        (axes, frame), problems = self._velocity_axes()
         where = self.where(Kind.VELOCITY)
         v = self.parts["velocity"]
-        if frame in ("frd", "flu"):
-            return vector_stream(self.t_ns, v * _FLIP if frame == "flu" else v, where, MAX_VELOCITY)
-        if "quaternion" not in self.parts and "euler" not in self.parts:
+        if axes is Axes.BODY:
+            flip = frame in ("flu", "enu")
+            stream, more = vector_stream(self.t_ns, v * _FLIP if flip else v, where, MAX_VELOCITY)
+            return WithProblems(stream, problems + more)
+        if not self._has_attitude:
             raise InputError(
                 f"velocity is along the world's axes ({frame}), and no column gives the attitude",
                 file=self.path,
                 remedy="name the attitude's columns too, or leave the stream out: [velocity] use = false",
             )
         attitude = self.attitude().value  # its problems are reported where it is read itself
-        return velocity_stream(self.t_ns, _world(v, frame), attitude, where)
+        stream, more = velocity_stream(self.t_ns, _world(v, frame), attitude, where)
+        return WithProblems(stream, problems + more)
+
+    def _velocity_axes(self) -> WithProblems[tuple[Axes, Frame]]:
+        """Say which axes the velocity is along: as told, by its name, else by the pose beside it.
+
+        Raises
+        ------
+        UndecidedError
+            Where that stays open and matters.
+        """
+        pose_frame, told = self.body_frame().value, self.frame or self.columns.velocity_frame
+        name = names_the_world(self.columns)
+        if name is not None and self.columns.velocity_frame is None:
+            problem = f"{self.path.name}: velocity taken along the world's axes, as its name {name} says"
+            return WithProblems((Axes.WORLD, pose_frame), (Remark(problem),))
+        if told in ("ned", "enu") or (told is None and self.columns.frame in ("ned", "enu")):
+            is_same_up = (told in ("flu", "enu")) == (pose_frame in ("flu", "enu"))
+            return WithProblems((Axes.WORLD, pose_frame if told is None or is_same_up else told))
+        found: Axes | None = Axes.BODY
+        if self._has_attitude and self.columns.velocity_frame is None:
+            pose = self.parts.get("position"), self._quaternions()
+            found = axes_of_velocity(self.t_ns, *pose, self.parts["velocity"])
+        told = told or self.columns.frame
+        if found is None and told is None:
+            raise UndecidedError(
+                "velocity may be along the body's axes or the world's, and the pose does not tell",
+                file=self.path,
+                remedy='say it in flight.toml: [velocity] frame = "frd" or "flu" of the body, "ned" or "enu" of the '
+                "world; or [velocity] use = false",
+            )
+        if found is not Axes.WORLD:
+            return WithProblems((Axes.BODY, told or pose_frame))
+        problem = (
+            f"{self.path.name}: velocity taken along the world's axes, as its positions move; velocity_frame under "
+            "[velocity.columns] in flight.toml says otherwise"
+        )
+        return WithProblems((Axes.WORLD, pose_frame), (Remark(problem),))
+
+    @property
+    def _has_attitude(self) -> bool:
+        return "quaternion" in self.parts or "euler" in self.parts
+
+    def _quaternions(self) -> FloatArray:
+        """Attitude (n, 4), w x y z, along the file's own axes."""
+        if "quaternion" in self.parts:
+            return self.parts["quaternion"]
+        return quaternions(*self.parts["euler"].T)
 
     def range(self) -> WithProblems[RangeStream]:
         """Distance to the floor along the body's z."""
         told, where = self.columns.range_limits, self.where(Kind.RANGE)
         if told is None:
             return range_stream(self.t_ns, self.parts["range"][:, 0], where)
-        low, high = (limit * _SI[self.columns.range_unit] for limit in told)
+        low, high = (limit * SI[self.columns.range_unit] for limit in told)
         return range_stream(self.t_ns, self.parts["range"][:, 0], where, limits_m=(low, high))
 
 

@@ -55,6 +55,11 @@ def split_fields(line: str, separator: str, *, quoted: bool = True) -> list[str]
     return [field.strip() for field in next(csv.reader([line], delimiter=separator))]
 
 
+def encoding_of(head: bytes) -> str:
+    """Return how a text is encoded by its first bytes: UTF-16 as Excel's Unicode text is, else UTF-8."""
+    return "utf-16" if head.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+
+
 def read_head(path: Path) -> list[str]:
     """Read the first lines of a text file, up to 64 kB.
 
@@ -69,7 +74,7 @@ def read_head(path: Path) -> list[str]:
             head = file.read(_HEAD_BYTES)
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", file=path, remedy="check the file") from error
-    text = head.decode("utf-8-sig", errors="replace")
+    text = head.decode(encoding_of(head), errors="replace")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     if len(head) == _HEAD_BYTES and len(lines) > 1:
         del lines[-1]  # may be cut
@@ -127,7 +132,9 @@ def read_blocks(
 
     rest, before = "", ""
     try:
-        with path.open(encoding="utf-8-sig", errors="replace", newline=None) as file:
+        with path.open("rb") as raw:
+            encoding = encoding_of(raw.read(4))
+        with path.open(encoding=encoding, errors="replace", newline=None) as file:
             for _ in range(skip_lines):
                 file.readline()
             while text := file.read(_BLOCK_CHARACTERS):

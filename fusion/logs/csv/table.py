@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fusion.logs.csv.rows import RowFormat, Rows, is_row, read_blocks, read_head, read_rows, split_fields
+from fusion.logs.csv.time_units import is_date
 from fusion.logs.samples import Problems, WithProblems, counted
 from fusion.settings.sentences import did_you_mean
 from vision import InputError
@@ -20,6 +21,9 @@ _SEPARATORS = (";", "\t", "|", ",", " ")  # a comma may be the decimal point of 
 _KEY = re.compile(r"\b[A-Za-z_]\w*:")
 _STAMP_BEFORE_KEYS = re.compile(
     r"^(?=[^A-Za-z;]*\d)([^A-Za-z;]*?[^A-Za-z;,\s])[,;\s]++(?=[A-Za-z_]\w*:)", re.MULTILINE
+)
+_DATE_AND_TIME = re.compile(
+    r"\b(\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}\.\d{1,2}\.\d{4}) (\d{1,2}:\d{2}:\d{2})"
 )
 _MAX_NAME = 200  # of a column
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE)
@@ -124,7 +128,7 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
     InputError
         Where it cannot be read, is empty, or no text.
     """
-    lines = read_head(path)
+    lines = [_dates_joined(line) for line in read_head(path)]
     if any("\0" in line for line in lines):
         raise InputError("is no text file", file=path, remedy="give a CSV file")
     rows = [line for line in lines if is_row(line)]
@@ -135,11 +139,13 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
         return _keyed_layout(path, rows[0])
     separator = separator or _separator(rows[-20:])
     first = split_fields(rows[0], separator)
-    named = header if header is not None else not any(_is_number(field, separator) for field in first)
+    named = not any(_is_number(f, separator) or is_date(f) for f in first) if header is None else header
     comment = next((line for line in reversed(lines[: lines.index(rows[0])]) if separator in line), None)
     titles = first if named else [""] * len(first)
-    if not named and comment is not None and len(split_fields(comment.lstrip("# "), separator)) == len(first):
-        titles = split_fields(comment.lstrip("# "), separator)
+    if not named and comment is not None:
+        told = split_fields(comment.lstrip("# "), separator)
+        told += [""] * (len(first) - len(told) if not any(first[len(told) :]) else 0)  # a comma ends each row
+        titles = told if len(told) == len(first) else titles
     sample = [tuple(split_fields(row, separator)) for row in rows[int(named) :][:50]]
     if not sample:
         raise InputError("has a header but no rows", file=path, remedy="the log is empty; leave it out")
@@ -155,6 +161,11 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
         and any(re.fullmatch(r"[+-]?\d+,\d+", f) for row in sample for f in row),
         sample=tuple(sample),
     )
+
+
+def _dates_joined(text: str) -> str:
+    """Write a T between date and time of day, which may stand among columns that blanks part."""
+    return _DATE_AND_TIME.sub(r"\1T\2", text)
 
 
 def _keyed_layout(path: Path, row: str) -> Layout:
@@ -202,6 +213,7 @@ def read_columns(layout: Layout, first: int, others: Sequence[int], first_type: 
 
     def tidy(text: str) -> str:
         text = _without_keys(text) if layout.keyed else text
+        text = _dates_joined(text) if layout.separator == " " else text
         return text.replace(",", ".") if layout.decimal_comma else text
 
     blocks = read_blocks(layout.path, layout.separator, skip_lines=layout.header_lines, tidy=tidy)

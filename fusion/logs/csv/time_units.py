@@ -68,7 +68,7 @@ def in_words(unit: TimeUnit) -> str:
 def to_ns(values: npt.NDArray[np.generic], unit: TimeUnit) -> TimeArray:
     """Turn time stamps (n,) into nanoseconds; `MISSING` where the text is no time."""
     if unit == "iso":
-        return np.array([_date_ns(str(text)) for text in values.tolist()], dtype=np.int64)
+        return dates_to_ns(values)
     if values.dtype.kind == "i":
         ok = np.abs(values) < 2**62 // NS[unit]
         return np.where(ok, np.where(ok, values, 0) * NS[unit], MISSING)
@@ -104,11 +104,48 @@ def decimal_to_ns(text: str, unit: TimeUnit) -> int:
     return -t_ns if match[1] == "-" else t_ns
 
 
+_CLOCK = r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d+))?"
+_DATE = re.compile(
+    rf"(?:(\d{{4}})[-/.](\d{{1,2}})[-/.](\d{{1,2}})|(\d{{1,2}})\.(\d{{1,2}})\.(\d{{4}}))[T ]\s*{_CLOCK}\s*(\S.*)?"
+)
+_TIME_OF_DAY = re.compile(_CLOCK)
+DAY_NS = 86_400_000_000_000
+
+
+def is_date(text: str) -> bool:
+    """Whether a text is a date with a time of day, in an order that is not ambiguous, or the latter alone."""
+    return _date_ns(text) != MISSING
+
+
+def dates_to_ns(values: npt.NDArray[np.generic]) -> TimeArray:
+    """Turn dates or times of day (n,) into nanoseconds; the latter from midnight on, past the next one too."""
+    texts = [str(text).strip() for text in values.tolist()]
+    t_ns = np.array([_date_ns(text) for text in texts], dtype=np.int64)
+    known = np.flatnonzero(t_ns != MISSING)
+    if len(known) and _TIME_OF_DAY.fullmatch(texts[known[0]]):
+        midnights = np.cumsum(np.diff(t_ns[known], prepend=t_ns[known[0]]) < -DAY_NS // 2)
+        t_ns[known] += midnights * DAY_NS
+    return t_ns
+
+
 def _date_ns(text: str) -> int:
+    """Nanoseconds since 1970, or since midnight for a time of day; `MISSING` where the text is neither."""
+    text = text.strip().strip('"')
+    alone, dated = _TIME_OF_DAY.fullmatch(text), _DATE.fullmatch(text)
+    found = alone or dated
+    if found is None:
+        return MISSING
+    groups = found.groups()
+    hour, minute, second, fraction = groups[:4] if alone else groups[6:10]
+    part_ns = int((fraction or "")[:9].ljust(9, "0"))
+    day_ns = ((int(hour) * 60 + int(minute)) * 60 + int(second)) * 10**9 + part_ns
+    if alone:
+        return day_ns
+    year, month, day = groups[:3] if groups[0] else (groups[5], groups[4], groups[3])
     try:
-        moment = datetime.fromisoformat(text.strip())
+        # fromisoformat reads the zone behind the time; fractions of any length are added by hand
+        zone = datetime.fromisoformat(f"{year}-{int(month):02}-{int(day):02}T00:00:00{groups[10] or ''}")
     except ValueError:
         return MISSING
-    moment = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
-    whole = int(moment.replace(microsecond=0).timestamp())
-    return whole * 10**9 + moment.microsecond * 1000
+    zone = zone if zone.tzinfo is not None else zone.replace(tzinfo=UTC)
+    return int(zone.timestamp()) * 10**9 + day_ns

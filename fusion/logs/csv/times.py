@@ -8,12 +8,20 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fusion.flight import TimeArray
+from fusion.flight import Remark, TimeArray
 from fusion.logs.csv.column_map import ColumnMap, TimeUnit
-from fusion.logs.csv.rows import Rows
+from fusion.logs.csv.rows import Rows, is_number
 from fusion.logs.csv.table import Layout, read_columns, read_layout
-from fusion.logs.csv.time_units import MISSING, guess_unit, in_words, is_time_name, to_ns, unit_named
-from fusion.logs.samples import WithProblems, counted
+from fusion.logs.csv.time_units import (
+    MISSING,
+    guess_unit,
+    in_words,
+    is_date,
+    is_time_name,
+    to_ns,
+    unit_named,
+)
+from fusion.logs.samples import WithProblems, counted, unwrapped
 from vision import InputError
 
 ROLES = ("gyro", "accel", "quaternion", "euler", "velocity", "position", "range")
@@ -103,22 +111,24 @@ def read_timed(
     index = _time_column(layout, columns, avoid)
     unit = columns.time_unit or unit_named(_title(layout, index), layout.units[index])
     fields = [row[index] for row in layout.sample if index < len(row)]
-    data, problems = read_columns(layout, index, others, _time_type(fields, unit))
+    time_type = _time_type(fields, unit)
+    if time_type == "f8" and not any(is_number(field.replace(",", ".")) for field in fields):
+        raise _no_times(layout, index, fields[0])
+    data, problems = read_columns(layout, index, others, time_type)
     if data.first.dtype.kind == "O":
         unit = "iso"
     elif unit is None:
         unit = guess_unit(data.first)
         problems += (
-            f"{layout.path.name}: times taken for {in_words(unit)}; time_unit in flight.toml says otherwise",
+            Remark(
+                f"{layout.path.name}: times taken for {in_words(unit)}; time_unit in flight.toml says otherwise"
+            ),
         )
-    t_ns = to_ns(data.first, unit)
+    ticks = data.first
+    t_ns = to_ns(unwrapped(ticks.astype(np.int64)) if ticks.dtype.kind == "i" else ticks, unit)
     good = t_ns != MISSING
     if not good.any():
-        raise InputError(
-            f"column {_title(layout, index)!r} holds no times, such as {str(data.first[0])!r}",
-            file=layout.path,
-            remedy="name the column of the time stamps, time under columns, and its time_unit",
-        )
+        raise _no_times(layout, index, str(data.first[0]))
     if len(t_ns) > 20 and 2 * len(np.unique(t_ns[good])) < np.count_nonzero(good):
         raise InputError(
             f"times in column {_title(layout, index)!r} repeat: they are too coarse to stamp samples",
@@ -133,6 +143,15 @@ def read_timed(
     return WithProblems(TimedRows(t_ns[good], kept), problems)
 
 
+def _no_times(layout: Layout, index: int, example: str) -> InputError:
+    return InputError(
+        f"column {_title(layout, index)!r} holds no times, such as {example!r}",
+        file=layout.path,
+        remedy="name the column of the time stamps, time under columns, and its time_unit; dates are written "
+        "2020-09-13 12:43:20.5, 2020/09/13 ..., 13.09.2020 ..., or without the day",
+    )
+
+
 def _time_type(fields: list[str], unit: TimeUnit | None) -> str:
     """Type to read times as: whole numbers keep every digit."""
     whole = sum(field.lstrip("+-").isdigit() for field in fields)
@@ -140,7 +159,7 @@ def _time_type(fields: list[str], unit: TimeUnit | None) -> str:
         return "O"
     if 2 * whole > len(fields):
         return "i8"
-    dates = sum(field[:4].isdigit() and field[4:5] == "-" for field in fields)
+    dates = sum(is_date(field) for field in fields)
     return "O" if 2 * dates > len(fields) else "f8"
 
 

@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from fusion.flight import CorridorTruth, Flight, FrameStream, TimeArray
-from fusion.logs.contents import Kind, LogContents
+from fusion.logs.contents import Kind, LogContents, UndecidedError
 from fusion.logs.manifest.manifest import Manifest, StreamSource, files_of
 from fusion.logs.manifest.sources import ManifestLog
-from fusion.logs.pictures.camera_folder import check_size
+from fusion.logs.pictures.camera_folder import check_size, darkness_problem
 from fusion.logs.plausibility.clocks import is_unix, span
 from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.topic_choice import TABLES, WORDS, holdings
 from vision import Camera, InputError
+from vision.cameras.lens_check import lens_problem
 
 AnyStream = TypeVar("AnyStream", bound=Any)
 
@@ -67,6 +68,8 @@ class _Assembly:
         frames = self._noted(sources.frames(topic))
         camera = self._camera(log, topic)
         check_size(frames, camera, log.path)
+        dark = darkness_problem(frames)
+        self._note(() if dark is None else (dark,))
         return Flight(
             sources.manifest.name or self._name(log),
             camera,
@@ -79,8 +82,15 @@ class _Assembly:
             range=self._stream(Kind.RANGE, sources.range, frames.t_ns),
             problems=tuple(self.problems),
             corridor_width_m=sources.manifest.corridor_width_m,
-            manifest=sources.manifest.model_copy(update=self._changes),
+            manifest=sources.manifest.model_copy(
+                update={**self._changes, "body_from_imu_rad": self._body_from_imu()}
+            ),
         )
+
+    def _body_from_imu(self) -> tuple[float, float, float] | None:
+        """Rotation that was found, unless the manifest says how to find it."""
+        rig = self.sources.rig.value
+        return None if rig is None or rig.looks_up_rad is not None else rig.mount_rad
 
     def _note(self, problems: Problems) -> None:
         """Add problems; one of a file, or of a topic that is read twice, is listed once."""
@@ -108,16 +118,16 @@ class _Assembly:
 
     def _camera(self, log: LogContents, topic: str) -> Camera:
         camera = self.sources.camera(topic)
+        self._note(self.sources.rig.problems)
         if camera is None:
             missing = log.calibration_file(topic)
             raise InputError(
                 "holds no calibration of the camera" if missing is None else "there is no such file",
                 file=missing or log.path,
-                remedy="add the calibration: name it with --camera, or under [camera] in flight.toml",
+                remedy="add the calibration: name it with --camera, or under [camera] in flight.toml; where there is "
+                "none, `corridor align` finds the focal length from the flight",
             )
-        mount_problem = camera.mount_problem()
-        if mount_problem is not None:
-            self._note((mount_problem,))
+        self._note(tuple(text for text in (camera.mount_problem(), lens_problem(camera)) if text is not None))
         return camera
 
     def _stream(
@@ -139,10 +149,11 @@ class _Assembly:
         try:
             stream = self._noted(read(topic))
         except InputError as error:
-            # Range finders are often carried beyond their reach.
-            if kind is not Kind.RANGE or source.file is not None or source.topic is not None:
+            # The flight can do without what nobody asked for; range finders are often carried beyond their reach.
+            is_dispensable = kind is Kind.RANGE or isinstance(error, UndecidedError)
+            if not is_dispensable or source.file is not None or source.topic is not None:
                 raise
-            self._note((f"{error.problem}: left out",))
+            self._note((f"{log.path.name}: {error.problem}: left out; {error.remedy}",))
             return None
         self._changes[TABLES[kind]] = source.model_copy(update={"topic": topic})
         self._check_clock(log.file_of(topic), TABLES[kind], stream.t_ns, frame_t_ns)

@@ -4,6 +4,8 @@ Signs, once for all readers and writers of a manifest:
 
 - ``clock_offset_s`` is added: time of the flight = time in the file + ``clock_offset_s``. The flight's clock is that
   of whichever stream has none.
+- ``body_from_imu_rad`` is roll, pitch and yaw of the IMU's own axes on the vehicle, as ``mount_rad``. It turns the
+  IMU and the camera that is calibrated to it together; left open, it is found where gravity and the camera agree.
 - ``mount_yaw_rad`` and ``mount_pitch_rad`` turn the camera of the calibration on the body: the true optical axis
   points that much further right and further up.
 - ``focal_scale`` multiplies both focal lengths of the calibration.
@@ -15,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from math import cos, radians, sin
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -42,6 +44,7 @@ _STRICT = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _WORDS = {"path_type": "it should be a path in quotes", "model_type": "it should be a table"}
 
 
+CameraAxis = Literal["x", "-x", "y", "-y", "z", "-z"]
 MountAngle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
 
 
@@ -52,6 +55,11 @@ def _kind_of_columns(value: object) -> str:
 Columns = Annotated[
     Annotated[str, Tag("name")] | Annotated[ColumnMap, Tag("map")], Discriminator(_kind_of_columns)
 ]
+
+#: Keys of a column map that hold for any format: the unit of its numbers where they are not in the format's own.
+UNIT_KEYS = frozenset(
+    {"gyro_unit", "accel_unit", "accel_sign", "velocity_unit", "position_unit", "range_unit"}
+)
 
 
 class StreamSource(BaseModel):
@@ -75,9 +83,20 @@ class StreamSource(BaseModel):
     )
     use: bool = Field(default=True, description="false leaves the stream out.")
 
-    def how_to_open(self) -> dict[str, Path | int | str | ColumnMap | None]:
+    def units(self) -> ColumnMap | None:
+        """Return the column map where it gives nothing but units, which go with any format; else None."""
+        is_units = isinstance(self.columns, ColumnMap) and self.columns.model_fields_set <= UNIT_KEYS
+        return self.columns if is_units and isinstance(self.columns, ColumnMap) else None
+
+    def how_to_open(self) -> dict[str, Path | float | str | ColumnMap | None]:
         """Return what the table says on opening the file, by key; None where it says nothing."""
-        return {"columns": self.columns, "frame": self.frame, "times": None, "start_ns": None}
+        return {
+            "columns": self.columns,
+            "frame": self.frame,
+            "times": None,
+            "start_ns": None,
+            "rate_hz": None,
+        }
 
     @model_validator(mode="after")
     def _known_columns(self) -> Self:
@@ -100,6 +119,10 @@ class SensorSource(StreamSource):
 class ImuSource(SensorSource):
     """Where the IMU's samples come from, how it is mounted, and how noisy it is."""
 
+    camera_axis: CameraAxis | None = Field(
+        default=None,
+        description="Which of the IMU's own axes the camera looks along, as -z of a phone; gravity tells the rest.",
+    )
     noise: Path | None = Field(
         default=None, description="Kalibr's imu.yaml or EuRoC's sensor.yaml with the gyroscope's noise."
     )
@@ -126,7 +149,14 @@ class CameraSource(StreamSource):
         description="CSV with the time of each frame of a video or picture folder, a row per frame.",
     )
     start_ns: int | None = Field(
-        default=None, strict=True, ge=-(2**62), le=2**62, description="Time of a video's first frame."
+        default=None, strict=True, ge=-(2**62), le=2**62, description="Time of the first frame."
+    )
+    rate_hz: float | None = Field(
+        default=None,
+        strict=True,
+        gt=0.0,
+        le=2000.0,
+        description="Frames a second of numbered pictures or of a video without times.",
     )
     mount_yaw_rad: float = Field(
         default=0.0,
@@ -146,14 +176,20 @@ class CameraSource(StreamSource):
         default=1.0, strict=True, ge=0.2, le=5.0, description="Factor on the focal lengths."
     )
 
-    def how_to_open(self) -> dict[str, Path | int | str | ColumnMap | None]:
+    def how_to_open(self) -> dict[str, Path | float | str | ColumnMap | None]:
         """Return what the table says on opening the file, by key; None where it says nothing."""
-        return super().how_to_open() | {"times": self.times, "start_ns": self.start_ns}
+        return super().how_to_open() | {
+            "times": self.times,
+            "start_ns": self.start_ns,
+            "rate_hz": self.rate_hz,
+        }
 
     @model_validator(mode="after")
     def _one_clock(self) -> Self:
         if self.times is not None and self.start_ns is not None:
             raise ValueError("times and start_ns both say when the frames were taken: give one of them")
+        if self.times is not None and self.rate_hz is not None:
+            raise ValueError("times and rate_hz both say when the frames were taken: give one of them")
         return self
 
 
@@ -172,6 +208,10 @@ class Manifest(BaseModel):
         gt=0.2,
         le=100,
         description="Width between the walls, for offsets in metres.",
+    )
+    body_from_imu_rad: tuple[MountAngle, MountAngle, MountAngle] | None = Field(
+        default=None,
+        description="Roll, pitch and yaw of the IMU's axes on the vehicle; turns IMU and camera together.",
     )
     truth: Path | None = Field(
         default=None, description="corridor_truth.csv, if known: errors are then reported."

@@ -11,21 +11,37 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from fusion.flight import (
     AttitudeStream,
     CorridorTruth,
     FrameStream,
     ImuStream,
     RangeStream,
+    Remark,
     VectorStream,
 )
 from fusion.logs import open_log
 from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.csv.column_map import ColumnMap
+from fusion.logs.csv.columns import SI, CsvLog
 from fusion.logs.manifest.manifest import CameraSource, Manifest, StreamSource, corrected_camera
-from fusion.logs.plausibility.mounting import mounted
-from fusion.logs.samples import Problems, WithProblems
-from fusion.logs.topic_choice import TABLES, choose_topic
+from fusion.logs.plausibility.imu import Gravity, gravity_of
+from fusion.logs.plausibility.mounting import mounted, mounted_attitude, mounted_imu
+from fusion.logs.plausibility.rig import (
+    Rig,
+    body_from_camera_axis,
+    find_body_from_imu,
+    is_along_imu,
+    turned_camera,
+    turned_velocity,
+)
+from fusion.logs.plausibility.rig import sentence as rig_sentence
+from fusion.logs.samples import Problems, WithProblems, refuse_placeholder
+from fusion.logs.topic_choice import RANKED_FORMATS, TABLES, choose_topic
 from vision import Camera, InputError
+from vision.cameras.calibration import to_frd
 
 AnyStream = TypeVar("AnyStream", bound=Any)
 
@@ -44,9 +60,8 @@ class ManifestLog(LogContents):
         Calibration to use instead of the manifest's; the manifest's corrections apply to either.
     """
 
-    format = "flight.toml"
-
     def __init__(self, manifest: Manifest, path: Path | None = None, camera: Camera | None = None) -> None:
+        self._described = path is not None
         self.path = path or manifest.log or manifest.camera.file or Path()
         self._shift_error: InputError | None = None
         try:
@@ -55,6 +70,7 @@ class ManifestLog(LogContents):
             self.manifest, self._shift_error = manifest, error
         self._given_camera = camera
         self._opened: dict[tuple[Path, str], LogContents | InputError] = {}
+        self._streams: dict[tuple[Kind, str], WithProblems[Any]] = {}
 
     def source(self, kind: Kind) -> StreamSource:
         """Return the manifest's table of a kind of stream."""
@@ -102,6 +118,12 @@ class ManifestLog(LogContents):
         log = self.log(kind)
         return WithProblems(None) if log is None else choose_topic(log, kind, self.source(kind).topic)
 
+    @property
+    def format(self) -> str:  # type: ignore[override]
+        """In words: that of the log where nothing describes it further."""
+        log = None if self._described else self.whole_log()
+        return "flight.toml" if log is None else log.format
+
     @cached_property
     def topics(self) -> tuple[Topic, ...]:  # type: ignore[override]
         """Every topic that a stream could be read from, of the files that open."""
@@ -125,7 +147,7 @@ class ManifestLog(LogContents):
                 file = source.file or self.manifest.log or self.path
                 what = source.topic or "stream of this kind"
                 found.append(f"[{TABLES[kind]}]: {file.name} has no {what}")
-        return tuple(dict.fromkeys(found))
+        return tuple(dict.fromkeys((*found, *self.rig.problems)))
 
     def _topics(self, kind: Kind) -> list[Topic]:
         try:
@@ -151,14 +173,68 @@ class ManifestLog(LogContents):
     def _read(
         self, kind: Kind, read: Callable[[LogContents], Callable[[str], WithProblems[AnyStream]]], topic: str
     ) -> WithProblems[AnyStream]:
-        """Read a topic, put it onto the flight's clock and turn it into the body."""
-        log, source = self.log(kind), self.source(kind)
-        if log is None:
-            raise InputError(f"names no {TABLES[kind]}", file=self.path, remedy="name it, or give a log")
-        stream, problems = read(log)(topic)
-        shift_ns = round(source.clock_offset_s * 1e9)
-        shifted: AnyStream = replace(stream, t_ns=stream.t_ns + shift_ns) if shift_ns else stream
-        return WithProblems(mounted(shifted, source), problems)
+        """Read a topic, put it onto the flight's clock, into SI units, and turn it into the sensor's own mounting."""
+        if (kind, topic) not in self._streams:
+            log, source = self.log(kind), self.source(kind)
+            if log is None:
+                raise InputError(f"names no {TABLES[kind]}", file=self.path, remedy="name it, or give a log")
+            stream, problems = read(log)(topic)
+            shift_ns = round(source.clock_offset_s * 1e9)
+            shifted: Any = replace(stream, t_ns=stream.t_ns + shift_ns) if shift_ns else stream
+            if isinstance(source.columns, ColumnMap) and not isinstance(log, CsvLog):
+                shifted = in_si(shifted, kind, source.columns)
+            self._streams[kind, topic] = WithProblems(mounted(shifted, source), problems)
+        found: WithProblems[AnyStream] = self._streams[kind, topic]
+        return found
+
+    @cached_property
+    def rig(self) -> WithProblems[Rig | None]:
+        """How IMU and camera sit on the vehicle together: as the manifest says, else as found; None: as read."""
+        told = self.manifest.body_from_imu_rad
+        if told is not None:
+            return WithProblems(Rig(told))
+        try:
+            log, gravity = self.log(Kind.IMU), self._gravity
+            topic = self.choose(Kind.FRAMES).value
+            if self.manifest.imu.camera_axis is not None and log is not None:
+                return self._rig_by_axis(log, gravity)
+            is_known = self._given_camera is not None or self.manifest.imu.mount_rad is not None
+            if is_known or log is None or log.format in RANKED_FORMATS or gravity is None or topic is None:
+                return WithProblems(None)
+            camera = self._camera_as_calibrated(topic)
+        except InputError:  # told where it is read for its own sake
+            return WithProblems(None)
+        found = None if camera is None else find_body_from_imu(gravity, camera)
+        return (
+            WithProblems(None) if found is None else WithProblems(Rig(found), (Remark(rig_sentence(found)),))
+        )
+
+    def _rig_by_axis(self, log: LogContents, gravity: Gravity | None) -> WithProblems[Rig | None]:
+        """Tell how the IMU sits from gravity and the axis that the manifest says the camera looks along."""
+        told = str(self.manifest.imu.camera_axis)
+        axis = np.zeros(3)
+        axis["xyz".index(told[-1])] = -1.0 if told.startswith("-") else 1.0
+        frame = log.body_frame or ("frd" if log.format in RANKED_FORMATS else "flu")
+        found = None if gravity is None else body_from_camera_axis(gravity, to_frd(frame) @ axis)
+        if found is None:
+            text = f"[imu] camera_axis = {told!r} is of no use: gravity is not seen, or the camera looks along it"
+            return WithProblems(None, (text,))
+        return WithProblems(found, (Remark(rig_sentence(found.mount_rad)),))
+
+    @cached_property
+    def _gravity(self) -> Gravity | None:
+        """Gravity along the axes that the chosen IMU is read in; None where there is none."""
+        topic = self.choose(Kind.IMU).value
+        return None if topic is None else gravity_of(self._imu_as_read(topic).value)
+
+    def _gravity_or_none(self) -> Gravity | None:
+        try:
+            return self._gravity
+        except InputError:  # told where the IMU is read
+            return None
+
+    def _imu_as_read(self, topic: str) -> WithProblems[ImuStream]:
+        return self._read(Kind.IMU, lambda log: log.imu, topic)
 
     def frames(self, topic: str) -> WithProblems[FrameStream]:
         """Pictures, on the flight's clock."""
@@ -166,6 +242,14 @@ class ManifestLog(LogContents):
 
     def camera(self, topic: str) -> Camera | None:
         """Return the calibration that the manifest names, else the log's own, with the manifest's corrections."""
+        camera, rig = self._camera_as_calibrated(topic), self.rig.value
+        if camera is None:
+            return None
+        if rig is not None and self._given_camera is None:
+            camera = turned_camera(camera, rig)
+        return corrected_camera(camera, self.manifest.camera)
+
+    def _camera_as_calibrated(self, topic: str) -> Camera | None:
         if self._shift_error is not None:
             raise self._shift_error
         log, source = self.log(Kind.FRAMES), self.manifest.camera
@@ -174,11 +258,13 @@ class ManifestLog(LogContents):
             camera = Camera.from_yaml(source.calibration, None if log is None else log.body_frame)
         if camera is None and log is not None:
             camera = log.camera(topic)
-        return None if camera is None else corrected_camera(camera, source)
+        return camera
 
     def imu(self, topic: str) -> WithProblems[ImuStream]:
         """Gyroscope and accelerometer, with the noise that the manifest names."""
-        imu, problems = self._read(Kind.IMU, lambda log: log.imu, topic)
+        imu, problems = self._imu_as_read(topic)
+        if self.rig.value is not None:
+            imu = mounted_imu(imu, self.rig.value.mount_rad)
         if self.manifest.imu.noise is not None:
             from vision.cameras.calibration import read_imu_noise
 
@@ -190,7 +276,10 @@ class ManifestLog(LogContents):
 
     def attitude(self, topic: str) -> WithProblems[AttitudeStream]:
         """Attitude, on the flight's clock."""
-        return self._read(Kind.ATTITUDE, lambda log: log.attitude, topic)
+        attitude, problems = self._read(Kind.ATTITUDE, lambda log: log.attitude, topic)
+        if self.rig.value is not None and is_along_imu(attitude, self._gravity_or_none()):
+            attitude = mounted_attitude(attitude, self.rig.value.mount_rad)
+        return WithProblems(attitude, problems)
 
     def position(self, topic: str) -> WithProblems[VectorStream]:
         """Position, on the flight's clock."""
@@ -198,7 +287,10 @@ class ManifestLog(LogContents):
 
     def velocity(self, topic: str) -> WithProblems[VectorStream]:
         """Velocity, on the flight's clock."""
-        return self._read(Kind.VELOCITY, lambda log: log.velocity, topic)
+        velocity, problems = self._read(Kind.VELOCITY, lambda log: log.velocity, topic)
+        if self.rig.value is not None and self.log(Kind.VELOCITY) is self.log(Kind.IMU):
+            velocity = turned_velocity(velocity, self.rig.value.mount_rad)
+        return WithProblems(velocity, problems)
 
     def range(self, topic: str) -> WithProblems[RangeStream]:
         """Distance to the floor, from the camera's height, on the flight's clock."""
@@ -240,22 +332,54 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
     from fusion.logs.pictures import video
 
     told = source.how_to_open()
+    refuse_placeholder(path)
     if isinstance(source, CameraSource):
         if video.recognises(path):
             _refuse(told, ("frame",), path, "a video")
             return video.open_video(
-                path, start_ns=source.start_ns or 0, times=source.times, columns=source.columns
+                path,
+                start_ns=source.start_ns or 0,
+                times=source.times,
+                columns=source.columns,
+                rate_hz=source.rate_hz,
             )
-        if folder.recognises(path) and (source.times is not None or source.columns is not None):
-            _refuse(told, ("start_ns", "frame"), path, "a folder of pictures")
-            return folder.open_folder(path, times=source.times, columns=source.columns)
-        _refuse(told, ("times", "start_ns", "columns", "frame"), path, "a log with pictures of its own")
+        if folder.recognises(path) and any(told[key] is not None for key in ("times", "columns", "rate_hz")):
+            _refuse(told, ("frame",), path, "a folder of pictures")
+            return folder.open_folder(
+                path,
+                times=source.times,
+                columns=source.columns,
+                rate_hz=source.rate_hz,
+                start_ns=source.start_ns or 0,
+            )
+        own = ("times", "start_ns", "rate_hz", "columns", "frame")
+        _refuse(told, own, path, "a log with pictures of its own")
         return open_log(path)
-    if source.columns is not None or source.frame is not None:
-        if not path.is_file() or (source.columns is None and not columns.recognises(path)):
+    is_table = columns.recognises(path)
+    if (source.columns is not None and (is_table or source.units() is None)) or source.frame is not None:
+        if not path.is_file() or (source.columns is None and not is_table):
             _refuse(told, ("columns", "frame"), path, "a log with columns and axes of its own")
         return columns.open_columns(path, source.columns, source.frame)
     return open_log(path)
+
+
+def in_si(stream: AnyStream, kind: Kind, columns: ColumnMap) -> AnyStream:
+    """Return a stream of a log whose format has units of its own, where its numbers are in others."""
+    scaled: Any = stream
+    if isinstance(stream, ImuStream):
+        accel_unit = SI[columns.accel_unit] * columns.accel_sign
+        scaled = replace(
+            stream,
+            gyro_rad_s=stream.gyro_rad_s * SI[columns.gyro_unit],
+            accel_m_s2=stream.accel_m_s2 * accel_unit,
+        )
+    elif isinstance(stream, VectorStream):
+        unit = columns.velocity_unit if kind is Kind.VELOCITY else columns.position_unit
+        scaled = replace(stream, xyz=stream.xyz * SI[unit])
+    elif isinstance(stream, RangeStream):
+        scaled = replace(stream, distance_m=stream.distance_m * SI[columns.range_unit])
+    result: AnyStream = scaled
+    return result
 
 
 def _refuse(told: Mapping[str, object], keys: tuple[str, ...], path: Path, what: str) -> None:

@@ -20,7 +20,9 @@ _HEAD = """\
 _MEANING = {
     "log": "everything that is not named below comes from here",
     "corridor_width_m": "between the walls",
-    "camera.start_ns": "time of the video's first frame",
+    "body_from_imu_rad": "roll, pitch, yaw of the axes of IMU and camera on the vehicle",
+    "camera.start_ns": "time of the first frame",
+    "camera.rate_hz": "frames a second",
     "camera.times": "time of each frame, a row per frame",
     "camera.mount_yaw_rad": "the camera looks this much further right than its calibration says",
     "camera.mount_pitch_rad": "the camera looks this much further up than its calibration says",

@@ -3,23 +3,34 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from fusion.files import stays_inside
 from fusion.flight import FrameStream
 from fusion.logs.csv.rows import parse_time, read_blocks
 from fusion.logs.csv.stamped_table import check_columns, read_table_head
-from fusion.logs.samples import MIN_STEP_NS, Problems, WithProblems, counted, in_order
+from fusion.logs.samples import (
+    MIN_STEP_NS,
+    Problems,
+    WithProblems,
+    counted,
+    in_order,
+    refuse_placeholder,
+)
 from vision import Camera, InputError
 from vision.images import GreyImage, read_image
 
 PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp"})
 
 _TRIES = 5
+_SAMPLED, _MIN_CONTRAST, _MAX_BLACK = 5, 2.0, 16.0
+MAX_FRAME_NUMBER, MAX_FRAME_STEP = 10**8, 10  # beyond either it may be a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,6 +126,12 @@ def _times_from_names(cam: Path, present: list[str]) -> WithProblems[_TimesAndNa
             file=cam / "data.csv",
             remedy="write it: nanoseconds and file name in each line",
         )
+    if are_numbers_of_frames(np.array(list(timed.values()), dtype=np.int64)):
+        raise InputError(
+            f"is missing, and the pictures in data/ are numbered ({next(iter(timed))} ...), not named by their times",
+            file=cam / "data.csv",
+            remedy="write it: nanoseconds and file name in each line; or give data/ as [camera] file, with rate_hz",
+        )
     problems: Problems = (
         f"{cam.name}/data.csv is missing: times taken from the names of {counted(len(timed), 'picture')}",
     )
@@ -127,6 +144,32 @@ def _times_from_names(cam: Path, present: list[str]) -> WithProblems[_TimesAndNa
     return WithProblems((list(timed.values()), list(timed)), problems)
 
 
+def darkness_problem(frames: FrameStream) -> str | None:
+    """Return one sentence where pictures all over the log are black, else None."""
+    brightest = 0.0
+    count = 0
+    for index in np.unique(np.linspace(0, len(frames.t_ns) - 1, _SAMPLED).astype(int)).tolist():
+        with suppress(InputError):
+            picture = frames.read(index)
+            if float(picture.std()) >= _MIN_CONTRAST or float(picture.mean()) >= _MAX_BLACK:
+                return None
+            brightest, count = max(brightest, float(picture.mean())), count + 1
+    if not count:
+        return None
+    return (
+        f"the pictures are black: brightness up to {brightest:.1f} of 255 in {counted(count, 'picture')} over the "
+        "log (exposure, a covered lens, or a wrong bit depth)"
+    )
+
+
+def are_numbers_of_frames(numbers: npt.NDArray[np.generic]) -> bool:
+    """Whether the numbers (n,) in pictures' names count frames: small, and mostly one or a few apart."""
+    if len(numbers) < 2 or numbers.dtype.kind != "i":
+        return False
+    steps = np.diff(np.sort(numbers))
+    return bool(float(np.max(numbers)) < MAX_FRAME_NUMBER and float(np.median(steps)) <= MAX_FRAME_STEP)
+
+
 def check_size(frames: FrameStream, camera: Camera, file: Path | None = None) -> None:
     """Raise `InputError` where the first picture that decodes is not of the camera's resolution."""
     tries = 0
@@ -134,6 +177,8 @@ def check_size(frames: FrameStream, camera: Camera, file: Path | None = None) ->
         path = frames.source.paths[index] if isinstance(frames.source, PictureFiles) else file
         if path is not None and not path.exists():  # a missing picture is found at once: any number of them
             continue
+        if path is not None and not tries:
+            refuse_placeholder(path)
         try:
             height_px, width_px = frames.read(index).shape
         except InputError:

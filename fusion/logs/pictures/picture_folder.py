@@ -13,20 +13,24 @@ from os.path import isfile
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from fusion.files import stays_inside
-from fusion.flight import FrameStream, TimeArray
+from fusion.flight import FrameStream, Remark, TimeArray
 from fusion.logs.contents import Kind, Topic
 from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.csv.time_units import MISSING, guess_unit, in_words, to_ns
 from fusion.logs.csv.times import read_times
-from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES, PictureFiles
+from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES, PictureFiles, are_numbers_of_frames
 from fusion.logs.samples import Problems, WithProblems, counted, in_order
 from fusion.logs.series import SeriesLog, no_such_topic
 from vision import InputError
 
 _TIME_FILES = frozenset({".csv", ".txt", ".tsv"})
-_REMEDY = "give a CSV of time and file name: times under [camera] in flight.toml, or in the folder"
+_REMEDY = (
+    "give a CSV of time and file name, times under [camera] in flight.toml or in the folder, or the pictures' rate: "
+    "rate_hz = 20"
+)
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 TOPIC = "pictures"
 
@@ -42,7 +46,12 @@ def open_log(path: Path) -> PictureFolder:
 
 
 def open_folder(
-    path: Path, *, times: Path | None = None, columns: ColumnMap | str | None = None
+    path: Path,
+    *,
+    times: Path | None = None,
+    columns: ColumnMap | str | None = None,
+    rate_hz: float | None = None,
+    start_ns: int = 0,
 ) -> PictureFolder:
     """Open a folder of pictures and find out when they were taken.
 
@@ -51,7 +60,9 @@ def open_folder(
     path
         The folder.
     times, columns
-        A CSV with the times, and its columns; else one in the folder, else the pictures' names.
+        A CSV with the times, and its columns; else one in the folder or beside it, else the pictures' names.
+    rate_hz, start_ns
+        Pictures a second, for pictures that are numbered, and the time of the first.
 
     Raises
     ------
@@ -61,6 +72,9 @@ def open_folder(
     names = sorted((name for name in os.listdir(path) if _is_picture(name)), key=_natural)
     if not names:
         raise InputError("holds no pictures", file=path, remedy="give the folder that the pictures lie in")
+    if rate_hz is not None:
+        t_ns = start_ns + np.rint((_numbers(names)) * (1e9 / rate_hz)).astype(np.int64)
+        return PictureFolder(path, t_ns, tuple(names), ())
     file = times or _times_inside(path)
     if file is not None:
         (t_ns, names), problems = _times_from_list(path, file, columns, names)
@@ -95,9 +109,22 @@ def _natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
+def _numbers(names: list[str]) -> npt.NDArray[np.int64]:
+    """Numbers (n,) of pictures from the first on, as their names count them; else in their order."""
+    found = [_NUMBER.findall(Path(name).stem) for name in names]
+    told = np.array([int(numbers[-1]) if numbers and numbers[-1].isdigit() else -1 for numbers in found])
+    counts = are_numbers_of_frames(told) and told.min() >= 0 and len(set(told.tolist())) == len(told)
+    return told - told.min() if counts else np.arange(len(names))
+
+
 def _times_inside(path: Path) -> Path | None:
-    """Find the one text file of a folder that gives times; None where there is none or no single one."""
+    """Find the one text file of a folder that gives times; None where there is none or no single one.
+
+    KITTI has it beside the folder, as ``timestamps.txt``.
+    """
     texts = [path / name for name in sorted(os.listdir(path)) if Path(name).suffix.lower() in _TIME_FILES]
+    beside = path.parent / "timestamps.txt"
+    texts += [beside] if not texts and beside.is_file() else []
     found = []
     for text in texts:
         try:
@@ -167,11 +194,17 @@ def _times_from_names(
     numbers = np.array(
         [int(text) if whole else float(text) for _, text in timed], dtype="i8" if whole else "f8"
     )
+    if are_numbers_of_frames(numbers):
+        raise InputError(
+            f"its {counted(len(names), 'picture')} are numbered ({timed[0][0]} ...), not named by their times",
+            file=path,
+            remedy=_REMEDY,
+        )
     told = columns.time_unit if isinstance(columns, ColumnMap) else None
     unit = told or guess_unit(numbers)
     t_ns = to_ns(numbers, unit)
     kept = [name for (name, _), t in zip(timed, t_ns, strict=True) if t != MISSING]
-    problems: Problems = (f"{path.name}: times taken from the pictures' names, as {in_words(unit)}",)
+    problems: Problems = (Remark(f"{path.name}: times taken from the pictures' names, as {in_words(unit)}"),)
     if len(kept) < len(names):
         problems += (
             f"{path.name}: {counted(len(names) - len(kept), 'picture')} not named by a time left out",

@@ -8,7 +8,7 @@ streams (``.h264``) have no time stamps and need such a file; AVI has only a nom
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -39,7 +39,9 @@ _LOCAL_VIDEO = {
     "format_whitelist": "mov,matroska,avi,mpegts,mpeg,asf,flv,ogg,mjpeg,h264,hevc,mpegvideo,m4v",
 }
 _EXTRA = "install it: pip install 'corridor-fusion[video]'"
-_TIMES = "name a CSV with the time of each frame: times under [camera] in flight.toml"
+_TIMES = (
+    "name a CSV with the time of each frame, times under [camera] in flight.toml, or their rate, rate_hz = 30"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,12 +58,18 @@ class VideoIndex:
         Seconds per unit.
     numbered
         Whether frames can only be identified by counting them: the file has no time stamps of its own.
+    rows
+        Number (n,) of each frame among all that the camera delivered, one with another's time stamp included.
+    delivered
+        How many these are.
     """
 
     pts: npt.NDArray[np.int64]
     key_pts: npt.NDArray[np.int64]
     time_base: Fraction
     numbered: bool
+    rows: npt.NDArray[np.int64]
+    delivered: int
 
 
 def recognises(path: Path) -> bool:
@@ -84,7 +92,12 @@ def open_log(path: Path) -> VideoLog:
 
 
 def open_video(
-    path: Path, *, start_ns: int = 0, times: Path | None = None, columns: ColumnMap | str | None = None
+    path: Path,
+    *,
+    start_ns: int = 0,
+    times: Path | None = None,
+    columns: ColumnMap | str | None = None,
+    rate_hz: float | None = None,
 ) -> VideoLog:
     """Open a video and find out when its frames were taken.
 
@@ -96,6 +109,8 @@ def open_video(
         Time of its first frame.
     times, columns
         A CSV with the time of each frame instead, a row per frame in the order they are shown; its columns.
+    rate_hz
+        Frames a second, for a file without times of its own.
 
     Raises
     ------
@@ -108,18 +123,24 @@ def open_video(
             raise InputError("holds no video stream", file=path, remedy="give a video with pictures")
         packets, problems = _read_packets(path, container, streams)
         indices = {stream.index: _index(container, stream, packets[stream.index]) for stream in streams}
-        nominal = _nominal_rate(container, streams[0])
+        told = None if rate_hz is None else Fraction(rate_hz).limit_denominator(10**6)
+        nominal = told or _nominal_rate(container, streams[0])
         note = _note(container)
-        problems += tuple(_cut_ends(path, container, streams, indices))
+        problems += tuple(_cut_ends(path, container, streams, packets, indices))
     videos: dict[str, _Video] = {}
     for number, index in indices.items():
         name = "video" if len(indices) == 1 else f"video{number}"
         if not len(index.pts):
             continue
+        repeated = index.delivered - len(index.pts)
+        if repeated:
+            problems += (
+                f"{path.name}: {counted(repeated, 'frame')} with the time stamp of another left out",
+            )
         if times is not None:
-            (t_ns, rows), more = _listed_times(path, len(index.pts), times, columns)
+            (t_ns, rows), more = _listed_times(path, index, times, columns)
         else:
-            t_ns, more = _times(path, index, nominal, start_ns)
+            t_ns, more = _times(path, index, nominal, start_ns, is_told=told is not None)
             rows = np.arange(len(index.pts))
         problems += more
         videos[name] = _Video(t_ns, rows, index, number)
@@ -168,6 +189,7 @@ class _Packets:
     pts: list[int] = field(default_factory=list)
     key_pts: list[int] = field(default_factory=list)
     without: int = 0
+    seen: int = 0  # empty ones and those that are not shown included
 
 
 def _read_packets(
@@ -179,9 +201,12 @@ def _read_packets(
     packets = {stream.index: _Packets() for stream in streams}
     try:
         for packet in container.demux(streams):
+            found = packets[packet.stream_index]
+            found.seen += packet.dts is not None or bool(
+                packet.size
+            )  # an empty one stands for a dropped frame
             if not packet.size or packet.is_discard:
                 continue
-            found = packets[packet.stream_index]
             if packet.pts is None:
                 found.without += 1
             else:
@@ -202,8 +227,12 @@ def _index(container: InputContainer, stream: VideoStream, packets: _Packets) ->
     made_up = container.format.name == "avi" and bool(getattr(stream.codec_context, "has_b_frames", False))
     if made_up or packets.without > len(pts):
         count = len(packets.pts) + packets.without
-        return VideoIndex(np.arange(count), np.zeros(1, dtype=np.int64), time_base, numbered=True)
-    return VideoIndex(pts, np.unique(np.array(packets.key_pts, dtype=np.int64)), time_base, numbered=False)
+        number = np.arange(count)
+        return VideoIndex(number, np.zeros(1, dtype=np.int64), time_base, True, number, count)
+    # A frame with another's time stamp cannot be asked for, but the camera did deliver it: it has a row of its own.
+    rows = np.searchsorted(np.sort(packets.pts), pts)
+    key_pts = np.unique(np.array(packets.key_pts, dtype=np.int64))
+    return VideoIndex(pts, key_pts, time_base, False, rows, len(packets.pts))
 
 
 def _nominal_rate(container: InputContainer, stream: VideoStream) -> Fraction | None:
@@ -211,10 +240,16 @@ def _nominal_rate(container: InputContainer, stream: VideoStream) -> Fraction | 
     return stream.average_rate if container.format.name == "avi" else None
 
 
-def _times(path: Path, index: VideoIndex, nominal: Fraction | None, start_ns: int) -> WithProblems[TimeArray]:
+def _times(
+    path: Path, index: VideoIndex, nominal: Fraction | None, start_ns: int, *, is_told: bool = False
+) -> WithProblems[TimeArray]:
     """Return the times (n,) of the frames by the video's own clock."""
     problems: Problems = ()
-    if nominal is not None:
+    if is_told and not index.numbered:
+        raise InputError(
+            "has times of its own: rate_hz does not go with it", file=path, remedy="take rate_hz away"
+        )
+    if nominal is not None and not is_told:
         problems += (
             f"{path.name}: AVI stores no times; its nominal rate of {float(nominal):g} frames a second is taken",
         )
@@ -229,20 +264,23 @@ def _times(path: Path, index: VideoIndex, nominal: Fraction | None, start_ns: in
 
 
 def _listed_times(
-    path: Path, n_frames: int, times: Path, columns: ColumnMap | str | None
+    path: Path, index: VideoIndex, times: Path, columns: ColumnMap | str | None
 ) -> WithProblems[tuple[TimeArray, npt.NDArray[np.int64]]]:
     """Return the times (m,) that a file gives, and the numbers (m,) of their frames; a broken row costs its frame."""
     from fusion.logs.csv.times import read_times
 
     listed, problems = read_times(times, columns)
-    n_rows = int(listed.row[-1]) + 1
-    if n_rows != n_frames:
+    n_rows, n_frames = int(listed.row[-1]) + 1, index.delivered
+    if n_rows == len(index.pts) < n_frames:  # written by a script that read the video, not by the recorder
+        index = replace(index, rows=np.arange(len(index.pts)), delivered=len(index.pts))
+    elif n_rows != n_frames:
         problems += (
             f"{times.name} has {counted(n_rows, 'row')}, {path.name} {counted(n_frames, 'frame')}: "
             f"the first {min(n_rows, n_frames)} of both are taken together",
         )
-    here = listed.row < n_frames
-    return WithProblems((listed.t_ns[here], listed.row[here]), problems)
+    frame = np.clip(np.searchsorted(index.rows, listed.row), 0, len(index.rows) - 1)
+    here = index.rows[frame] == listed.row
+    return WithProblems((listed.t_ns[here], frame[here]), problems)
 
 
 def _note(container: InputContainer) -> str:
@@ -252,26 +290,31 @@ def _note(container: InputContainer) -> str:
 
 
 def _cut_ends(
-    path: Path, container: InputContainer, streams: list[VideoStream], indices: dict[int, VideoIndex]
+    path: Path,
+    container: InputContainer,
+    streams: list[VideoStream],
+    packets: dict[int, _Packets],
+    indices: dict[int, VideoIndex],
 ) -> Iterator[str]:
     """Yield a sentence for each stream that ends well before its header says."""
     for stream in streams:
         index = indices[stream.index]
         if index.numbered or not len(index.pts):
             continue
-        if stream.duration is not None:
-            declared_s = float(stream.duration * index.time_base)
-        elif container.duration is not None:
-            declared_s = container.duration * 1e-6
-        else:
+        if container.duration is None:
             continue
+        is_end = container.format.name.startswith("matroska")  # whose duration counts from zero
+        declared_s = (container.duration + (0 if is_end else container.start_time or 0)) * 1e-6
         step_s = float(np.median(np.diff(index.pts)) * index.time_base) if len(index.pts) > 1 else 0.1
-        length_s = float((index.pts[-1] - index.pts[0]) * index.time_base) + step_s
-        # Sound may last longer than the pictures.
+        end_s = float(index.pts[-1] * index.time_base) + step_s
+        # Sound may last longer than the pictures. Frames that are listed and not there may have been dropped, or be
+        # left out by an edit list: only at the end they were lost.
         tolerance_s = 1.0 if len(container.streams) > 1 else 4 * step_s
-        if declared_s - length_s > tolerance_s or (stream.frames and stream.frames > len(index.pts)):
+        if stream.frames > packets[stream.index].seen:
+            tolerance_s = 0.5 * step_s
+        if declared_s - end_s > tolerance_s:
             yield (
-                f"{path.name}: cut short: {counted(len(index.pts), 'frame')} in {length_s:.1f} s, "
+                f"{path.name}: cut short: {counted(len(index.pts), 'frame')} up to {end_s:.1f} s, "
                 f"its header declares {declared_s:.1f} s"
             )
 

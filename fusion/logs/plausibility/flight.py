@@ -7,7 +7,7 @@ that never changes is left out: it holds nothing, whatever it claims.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import degrees
 from pathlib import Path
@@ -49,7 +49,7 @@ class Streams:
         return found | {name: stream.t_ns for name, stream in streams.items() if stream is not None}
 
 
-def check_flight(flight: Flight, path: Path | None = None) -> Flight:
+def check_flight(flight: Flight, path: Path | None = None, files: Mapping[str, Path] | None = None) -> Flight:
     """Return the flight without dead streams and with what is implausible among its problems.
 
     Parameters
@@ -58,6 +58,8 @@ def check_flight(flight: Flight, path: Path | None = None) -> Flight:
         As a reader made it.
     path
         What the user named, for messages; a folder in the ASL layout gets other advice than a log.
+    files
+        Files that streams have of their own, by the stream's name in a manifest.
 
     Raises
     ------
@@ -67,7 +69,11 @@ def check_flight(flight: Flight, path: Path | None = None) -> Flight:
     alive, findings = examine_streams(_streams(flight), Advice(is_folder=path is not None and is_asl(path)))
     for finding in findings:
         if finding.severity is Severity.ERROR:
-            raise InputError(f"{finding.stream}: {finding.text}", file=path, remedy=finding.remedy)
+            raise InputError(
+                f"{finding.stream}: {finding.text}",
+                file=(files or {}).get(finding.stream, path),
+                remedy=finding.remedy,
+            )
     problems = (*flight.problems, *(finding.sentence for finding in findings))
     return replace(
         flight,
@@ -92,7 +98,7 @@ def examine_streams(streams: Streams, advice: Advice) -> tuple[Streams, list[Fin
         return streams, found  # rates mean nothing without their times
     if streams.imu is not None:
         found += examine_imu(streams.imu, streams.attitude, advice)
-    if streams.attitude is not None:
+    if streams.attitude is not None and not any(finding.kind == "quaternion_order" for finding in found):
         found += examine_attitude(streams.attitude, advice)
     if streams.velocity is not None:
         found += _speeds(streams.velocity)
@@ -150,12 +156,12 @@ def examine_attitude(attitude: AttitudeStream, advice: Advice) -> Iterator[Findi
         yield Finding(Severity.ERROR, "attitude", "attitude_axes", text, advice.frame("attitude", "flu"))
     elif tilt_deg > 45.0:
         text = f"the vehicle lies on its side most of the time, by {tilt_deg:.0f} degrees"
-        up = -np.median(_down_in_body(q), axis=0)
+        up = -np.median(down_in_body(q), axis=0)
         severity = Severity.ERROR if tilt_deg > 65.0 else Severity.WARNING
         yield Finding(severity, "attitude", "attitude_axes", text, advice.mounting("attitude", up))
 
 
-def _down_in_body(q_world_body: FloatArray) -> FloatArray:
+def down_in_body(q_world_body: FloatArray) -> FloatArray:
     """Return the world's down (n, 3) as the body sees it."""
     w, x, y, z = q_world_body.T
     return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)

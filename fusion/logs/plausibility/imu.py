@@ -7,7 +7,7 @@ are to find a factor of 57 or 9.8 or a reversed axis, not a poor calibration.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import degrees, radians
 
 import numpy as np
@@ -60,6 +60,10 @@ def examine_imu(imu: ImuStream, attitude: AttitudeStream | None, advice: Advice)
     gravity = gravity_of(imu)
     if gravity is not None:
         yield from _accel_unit(gravity, advice)
+    if attitude is not None and (order := examine_order(imu, attitude)) is not None:
+        yield order
+        yield from _gravity_sign(gravity, advice, gyro_confirmed=False)
+        return
     comparison = None if attitude is None else compare_turns(imu, attitude)
     likeliest = None if comparison is None else (comparison.others or (comparison.as_taken,))[0]
     if likeliest is not None and likeliest.correlation >= MIN_CORRELATION:
@@ -71,6 +75,34 @@ def examine_imu(imu: ImuStream, attitude: AttitudeStream | None, advice: Advice)
         return
     yield from _gyro_degrees(imu, gravity, advice)
     yield from _gravity_sign(gravity, advice, gyro_confirmed=False)
+
+
+def examine_order(imu: ImuStream, attitude: AttitudeStream) -> Finding | None:
+    """Tell whether quaternions are in another order than taken: w first where it should be last, or the reverse.
+
+    In the other order, and only in it, they turn as the gyroscope does, and the vehicle stands upright.
+    """
+    taken = compare_turns(imu, attitude)
+    if taken is None or (taken.as_taken.correlation >= MIN_CORRELATION and not taken.others):
+        return None
+    flip = np.array([1.0, 1.0, -1.0, -1.0])  # a reader may have turned them from z up already
+    for turned in (np.ones(4), flip):
+        for shift, text in ((-1, "w, x, y, z, read as x, y, z, w"), (1, "x, y, z, w, read as w, x, y, z")):
+            q = np.roll(attitude.q_world_body * turned, shift, axis=1) * turned
+            other = compare_turns(imu, replace(attitude, q_world_body=q))
+            upright = np.median(1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2)) > UPRIGHT
+            if other is None or other.others or not upright or other.as_taken.correlation < MIN_CORRELATION:
+                continue
+            return Finding(
+                Severity.ERROR,
+                "attitude",
+                "quaternion_order",
+                f"its quaternions are written in the order {text}: in the other order they turn as the gyroscope, "
+                f"correlation {other.as_taken.correlation:+.2f}, as taken {taken.as_taken.correlation:+.2f}",
+                "name the columns of a CSV in the order w, x, y, z: quaternion in [attitude.columns] of flight.toml; "
+                "else set use = false for [attitude]",
+            )
+    return None
 
 
 def _stuck(imu: ImuStream, advice: Advice) -> Iterator[Finding]:

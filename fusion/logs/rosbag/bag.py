@@ -7,6 +7,7 @@ keeps the times of receipt, and says so.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
@@ -21,10 +22,13 @@ from fusion.flight import (
     FrameStream,
     ImuStream,
     RangeStream,
+    Remark,
     TimeArray,
     VectorStream,
 )
 from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.imu_series import imu_stream, is_measured, joined_imu
+from fusion.logs.rosbag.encoded import EncodedPictures, codec_of, is_key_frame
 from fusion.logs.rosbag.file import Bag, recognises
 from fusion.logs.rosbag.frames import StaticFrames
 from fusion.logs.rosbag.messages import (
@@ -35,9 +39,9 @@ from fusion.logs.rosbag.messages import (
     Wire,
     camera_from_info,
 )
-from fusion.logs.rosbag.pictures import BagPictures, describe, refusal
+from fusion.logs.rosbag.pictures import GREY_16, BagPictures, describe, refusal
 from fusion.logs.rosbag.topics import Samples, gather, of_use
-from fusion.logs.samples import MIN_STEP_NS, Problems, WithProblems
+from fusion.logs.samples import MIN_STEP_NS, Problems, WithProblems, counted
 from fusion.logs.series import (
     MAX_POSITION,
     MAX_VELOCITY,
@@ -45,13 +49,13 @@ from fusion.logs.series import (
     SeriesLog,
     Stream,
     attitude_stream,
-    imu_stream,
     no_such_topic,
     range_stream,
     usable,
     vector_stream,
     velocity_stream,
 )
+from fusion.logs.velocity_axes import Axes, axes_of_velocity
 from vision import Camera, InputError
 
 __all__ = ["open_log", "recognises"]
@@ -66,6 +70,9 @@ WORLDS = (
 )  # frames of a velocity that is not the body's
 
 
+_ACCESSORIES = {RosType.TRANSFORMS: "transforms", RosType.CAMERA_INFO: "calibrations"}
+
+
 class RosLog(SeriesLog):
     """`LogContents` of a bag."""
 
@@ -75,6 +82,7 @@ class RosLog(SeriesLog):
         series: list[Series],
         pictures: dict[str, Samples],
         notes: dict[str, str],
+        formats: dict[str, str],
         infos: dict[str, bytes],
         mounts: StaticFrames,
         problems: Problems,
@@ -82,6 +90,7 @@ class RosLog(SeriesLog):
         super().__init__(bag.path, bag.format, series, problems)
         self._bag = bag
         self._pictures = pictures
+        self._formats = formats
         self._infos = infos
         self._mounts = mounts
         topics = [Topic(p.name, Kind.FRAMES, p.t_ns, notes[p.name]) for p in pictures.values()]
@@ -95,6 +104,14 @@ class RosLog(SeriesLog):
         index, problems = samples.with_remarks(usable(samples.t_ns, samples.where(), MIN_STEP_NS))
         received_ns = samples.received_ns
         source = BagPictures(self.path, topic, received_ns[index], _repeats(received_ns)[index])
+        codec = codec_of(self._formats[topic])
+        if codec is not None:
+            video, more = _video(self.path, topic, source, codec, len(index))
+            return WithProblems(FrameStream(samples.t_ns[index], video), problems + more)
+        bits = source.used_bits() if self._formats[topic].startswith(GREY_16) else 16
+        if bits < 16:
+            source = BagPictures(self.path, topic, source.received_ns, source.repeat, bits)
+            problems += (Remark(f"{topic}: its pictures fill {bits} of 16 bits, read by that depth"),)
         return WithProblems(FrameStream(samples.t_ns[index], source), problems)
 
     def camera(self, topic: str) -> Camera | None:
@@ -134,11 +151,19 @@ def _opened(bag: Bag) -> RosLog:
     wire = Wire(bag.ros2)
     gathered, problems = gather(bag, wire)
     problems = bag.problems + problems
-    pictures, notes, refused = _pictures(bag, [s for s in gathered.samples if s.kind in PICTURES])
+    pictures, notes, formats, refused = _pictures(bag, [s for s in gathered.samples if s.kind in PICTURES])
     series, left_out = _series(wire, [s for s in gathered.samples if s.kind not in PICTURES])
     problems += refused + left_out
     if not series and not pictures:
-        if any(of_use(connection) for connection in bag.connections):
+        told = {c.msgtype for c in bag.connections if of_use(c)}
+        if told and told <= {RosType.TRANSFORMS, RosType.CAMERA_INFO}:
+            what = " and ".join(word for kind, word in _ACCESSORIES.items() if kind in told)
+            raise InputError(
+                f"holds {what}, but no pictures and no IMU",
+                file=bag.path,
+                remedy="give the bag with the sensors' topics: sensor_msgs/Imu, and Image or CompressedImage",
+            )
+        if told:
             raise InputError(
                 f"none of its messages can be read ({'; '.join(problems) or 'it holds none'})",
                 file=bag.path,
@@ -150,45 +175,70 @@ def _opened(bag: Bag) -> RosLog:
             file=bag.path,
             remedy="record sensor_msgs/Imu, and Image or CompressedImage with CameraInfo",
         )
-    return RosLog(bag, series, pictures, notes, gathered.infos, gathered.frames, problems)
+    return RosLog(bag, series, pictures, notes, formats, gathered.infos, gathered.frames, problems)
 
 
-def _pictures(bag: Bag, topics: Iterable[Samples]) -> tuple[dict[str, Samples], dict[str, str], Problems]:
-    """Picture topics that can be read, a note on each, and why the others cannot."""
+def _pictures(
+    bag: Bag, topics: Iterable[Samples]
+) -> tuple[dict[str, Samples], dict[str, str], dict[str, str], Problems]:
+    """Picture topics that can be read, a note and the format of each, and why the others cannot."""
     found: dict[str, Samples] = {}
     notes: dict[str, str] = {}
+    formats: dict[str, str] = {}
     problems: Problems = ()
     for samples in topics:
         try:
             message = bag.decode(samples.kind, samples.first)
             reason = refusal(message, samples.kind)
-            what = describe(message, samples.kind)
+            what, form = (
+                describe(message, samples.kind),
+                str(message.format if samples.kind is RosType.COMPRESSED else message.encoding),
+            )
+            if getattr(message, "encoding", "") == "16UC1" and "depth" in samples.name:
+                reason = "distances (16UC1)"
         except InputError:
-            reason, what = None, "its first picture does not decode"
+            reason, what, form = None, "its first picture does not decode", ""
         if reason is None:
             found[samples.name] = samples
             notes[samples.name] = f"{what}; {samples.clock}"
+            formats[samples.name] = form
         else:
             problems += (f"{samples.name}: pictures of {reason} left out",)
-    return found, notes, problems
+    return found, notes, formats, problems
+
+
+def _video(
+    path: Path, topic: str, packets: BagPictures, codec: str, count: int
+) -> WithProblems[EncodedPictures]:
+    """Find the key frames of a video stream, from which its pictures are decoded."""
+    keys = np.flatnonzero([is_key_frame(packets.packet(number), codec) for number in range(count)])
+    if not len(keys):
+        raise InputError(
+            f"{topic}: none of its {counted(count, 'packet')} of {codec} begins a picture of its own",
+            file=path,
+            remedy="record it from the camera's start, or with key frames every second",
+        )
+    problems: Problems = ()
+    if keys[0] > 0:
+        before = counted(int(keys[0]), "picture")
+        problems = (f"{topic}: {before} before the first key frame cannot be decoded",)
+    return WithProblems(EncodedPictures(codec, packets.packet, keys, count), problems)
 
 
 def _series(wire: Wire, topics: list[Samples]) -> WithProblems[list[Series]]:
     """Topics of numbers by kind, the one to prefer first."""
     imus = [s for s in topics if s.kind is RosType.IMU]
-    inertial = [s for s in imus if np.isfinite(s.columns(4, 7)).all(axis=1).any()]
+    inertial, problems = _inertial(imus)
     oriented = [s for s in imus if _any_quaternion(s.columns(0, 4))]
     poses = sorted((s for s in topics if s.kind in POSES), key=lambda s: POSES.index(s.kind))
     twists = sorted((s for s in topics if s.kind in TWISTS), key=lambda s: TWISTS.index(s.kind))
-    found = [_one(s, Kind.IMU, s.axes, _read_imu) for s in inertial]
     attitudes = [
         _one(s, Kind.ATTITUDE, f"orientation of the IMU, {s.axes}", partial(_read_attitude, 0))
         for s in oriented
     ]
     attitudes += [_one(s, Kind.ATTITUDE, _frame(wire, s), partial(_read_attitude, 3)) for s in poses]
-    found += attitudes
+    found = [*inertial, *attitudes]
     found += [_one(s, Kind.POSITION, _frame(wire, s), _read_position) for s in poses]
-    problems: Problems = ()
     for s in twists:
         frame = wire.frame_id(s.first) if s.kind is not RosType.ODOMETRY else ""
         if frame.strip("/") not in WORLDS:
@@ -201,6 +251,31 @@ def _series(wire: Wire, topics: list[Samples]) -> WithProblems[list[Series]]:
             problems += (f"{s.name}: a velocity in {frame}, left out: no attitude to turn it into the body",)
     found += [_one(s, Kind.RANGE, s.axes, _read_range) for s in topics if s.kind is RosType.RANGE]
     return WithProblems(found, problems)
+
+
+def _inertial(imus: list[Samples]) -> WithProblems[list[Series]]:
+    """IMUs, a gyroscope and an accelerometer with topics of their own taken together, as RealSense sends them."""
+    with_gyro = [s for s in imus if is_measured(s.columns(4, 7)).any()]
+    accels = [s for s in imus if s not in with_gyro and is_measured(s.columns(7, 10)).any()]
+    lone = [s for s in with_gyro if not is_measured(s.columns(7, 10)).any()]
+    found: list[Series] = []
+    left = list(accels)
+    for gyro in with_gyro:
+        own = [a for a in accels if _of_device(a.name) == _of_device(gyro.name)]
+        if gyro in lone and not own and len(lone) == len(accels) == 1:
+            own = accels
+        if gyro not in lone or len(own) != 1:
+            found.append(_one(gyro, Kind.IMU, gyro.axes, _read_imu))
+            continue
+        note = f"{gyro.axes}; acceleration from {own[0].name}"
+        found.append(_one(gyro, Kind.IMU, note, partial(_read_joined, own[0])))
+        left = [a for a in left if a is not own[0]]
+    return WithProblems(found, tuple(f"{a.name}: an accelerometer without gyroscope, left out" for a in left))
+
+
+def _of_device(topic: str) -> str:
+    """Name of a sensor's topic without the word for the sensor."""
+    return re.sub(r"gyro(scope)?|acc(el(erometer)?)?", "", topic, flags=re.IGNORECASE)
 
 
 def _one(samples: Samples, kind: Kind, note: str, read: Callable[[Samples], WithProblems[Stream]]) -> Series:
@@ -222,6 +297,11 @@ def _read_imu(samples: Samples) -> WithProblems[ImuStream]:
     return imu_stream(samples.t_ns, samples.columns(4, 7), samples.columns(7, 10), where)
 
 
+def _read_joined(accel: Samples, gyro: Samples) -> WithProblems[ImuStream]:
+    force = VectorStream(accel.t_ns, accel.columns(7, 10))
+    return joined_imu(gyro.t_ns, gyro.columns(4, 7), force, gyro.where(), accel.where())
+
+
 def _read_attitude(start: int, samples: Samples) -> WithProblems[AttitudeStream]:
     return attitude_stream(samples.t_ns, samples.columns(start, start + 4), samples.where())
 
@@ -236,7 +316,16 @@ def _velocity_columns(samples: Samples) -> FloatArray:
 
 
 def _read_velocity(samples: Samples) -> WithProblems[VectorStream]:
-    return vector_stream(samples.t_ns, _velocity_columns(samples), samples.where(), MAX_VELOCITY)
+    """Velocity of the body, as messages should carry it; some odometry carries the world's, which its pose shows."""
+    velocity = _velocity_columns(samples)
+    if samples.kind is RosType.ODOMETRY:
+        pose = samples.columns(0, 3), samples.columns(3, 7)
+        if axes_of_velocity(samples.t_ns, *pose, velocity) is Axes.WORLD:
+            attitude = attitude_stream(samples.t_ns, pose[1], samples.where()).value
+            stream, problems = velocity_stream(samples.t_ns, velocity, attitude, samples.where())
+            problem = f"{samples.name}: its velocity is along the world's axes, as its positions move; turned"
+            return WithProblems(stream, (Remark(problem), *problems))
+    return vector_stream(samples.t_ns, velocity, samples.where(), MAX_VELOCITY)
 
 
 def _read_world_velocity(turning: Series, samples: Samples) -> WithProblems[VectorStream]:

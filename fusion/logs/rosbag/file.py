@@ -103,6 +103,7 @@ class Bag:
         bound_rosbags()
         try:
             self._open()
+            self._check_format()
         except InputError as error:
             raise InputError(error.problem, file=error.file or path, remedy=error.remedy) from error
         except Exception as error:  # rosbags lets anything through that a damaged file makes it do
@@ -136,6 +137,16 @@ class Bag:
         else:
             self.format, self.ros2 = "ROS 1 bag", False
             self._reader = self._open_ros1(path)
+
+    def _check_format(self) -> None:
+        told = {str(getattr(c.ext, "serialization_format", "cdr")) for c in self.connections}
+        other = ", ".join(sorted(told - {"cdr", ""}))
+        if self.ros2 and other:
+            raise InputError(
+                f"its messages are serialized as {other}, not as cdr, which ROS 2 writes",
+                file=self.path,
+                remedy="record or convert it with the serialization format cdr, as `ros2 bag convert` does",
+            )
 
     def _only_storage(self, folder: Path) -> Path:
         storages = storages_in(folder)

@@ -16,6 +16,8 @@ from fusion.flight import FloatArray
 from vision.cameras.calibration import to_frd
 
 R_FRD_FLU: FloatArray = to_frd("flu")
+# For samples in an optical frame (x right, y down, z forward) that were turned as if in x forward, y left, z up.
+OPTICAL_AS_FLU: FloatArray = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]) @ R_FRD_FLU.T
 TOPICS = ("/tf_static", "tf_static")
 BODIES = ("base_link", "base_footprint", "base", "body")  # last part of the name of a vehicle's own axes
 DEEPEST = 50  # more transforms in a row go in a circle
@@ -73,6 +75,11 @@ class StaticFrames:
             frame, R_parent, p_parent = self.parents[frame]
             R, p = R_parent @ R, R_parent @ p + p_parent
         return None
+
+
+def is_optical(frame_id: str) -> bool:
+    """Whether axes are those of pictures by their name (REP 103): x right, y down, z forward."""
+    return name_of(frame_id).removesuffix("_frame").endswith("_optical")
 
 
 def name_of(frame_id: str) -> str:

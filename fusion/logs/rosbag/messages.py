@@ -15,6 +15,7 @@ from math import nan
 from fusion.logs.rosbag.frames import Mount
 from vision import Camera, InputError
 from vision.cameras.camera import Distortion
+from vision.cameras.lens_check import refuse_fisheye_numbers
 
 HALF_TURN_X = (1.0, -1.0, -1.0)
 NO_DATA = -1.0  # first covariance of a part that a message does not carry, sensor_msgs/Imu
@@ -206,6 +207,7 @@ def camera_from_info(
         whole = Camera(width, height, fx_px, fy_px, *centre, model, tuple(D))
         if mount is not None:
             whole = replace(whole, R_body_camera=mount.R_body_sensor, p_body_camera_m=mount.p_body_sensor_m)
+        refuse_fisheye_numbers(whole)
         return whole.resized(width // binning[0], height // binning[1]) if max(binning) > 1 else whole
     except InputError as error:
         raise InputError(f"{topic}: {error.problem}", remedy=error.remedy) from error
@@ -220,6 +222,10 @@ def _distortion(name: str, D: list[float], topic: str) -> tuple[Distortion, list
     if not any(D):
         return Distortion.NONE, []
     model = _DISTORTIONS[name]
+    if (
+        model is Distortion.EQUIDISTANT and len(D) == 5 and D[4] == 0.0
+    ):  # drivers fill all five of RealSense's
+        D = D[:4]
     if model is Distortion.RADTAN and len(D) > 8 and not any(D[8:]):  # thin prism and tilt, unused
         D = D[:8]
     return model, D

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from fusion.logs.rosbag.encoded import codec_of, refusal_of
 from fusion.logs.rosbag.file import Bag, Message, one_line
 from fusion.logs.rosbag.messages import RosType
 from vision import InputError
 from vision.images import GreyImage, decode_image, to_grey
 
+DEPTHS = (10, 12, 14)  # of sensors whose pictures are stored in 16 bits, the lowest of them used
+DEPTH_SAMPLES = 5
 MAX_SIDE_PX = 1 << 15
 FORWARD_NS = 2_000_000_000  # farther ahead it is cheaper to look the time up than to read on
 
 # Encodings of sensor_msgs/Image: channels and bytes of each.
 _PLAIN = {
-    "mono8": (1, 1), "8UC1": (1, 1), "mono16": (1, 2), "bgr8": (3, 1), "8UC3": (3, 1), "rgb8": (3, 1),
-    "bgra8": (4, 1), "8UC4": (4, 1), "rgba8": (4, 1), "bgr16": (3, 2), "rgb16": (3, 2),
+    "mono8": (1, 1), "8UC1": (1, 1), "mono16": (1, 2), "16UC1": (1, 2), "bgr8": (3, 1), "8UC3": (3, 1),
+    "rgb8": (3, 1), "bgra8": (4, 1), "8UC4": (4, 1), "rgba8": (4, 1), "bgr16": (3, 2), "rgb16": (3, 2),
 }  # fmt: skip
 _BAYER = {
     "bayer_rggb8": "BG",
@@ -37,6 +41,7 @@ _YUV422 = {
     "yuyv": 0,
     "YUYV": 0,
 }  # where brightness stands
+GREY_16 = ("mono16", "16UC1")
 _PLANAR = ("nv12", "nv21", "nv24")  # brightness first
 ENCODINGS = (*_PLAIN, *_BAYER, *_YUV422, *_PLANAR)
 
@@ -54,12 +59,19 @@ class BagPictures:
         When each message was received (n,): where in the bag it stands.
     repeat
         How many messages of the topic with that very time come before it (n,).
+    depth_bits
+        How many bits of 16 a sensor fills: the rest of the range is never used.
     """
 
     def __init__(
-        self, path: Path, topic: str, received_ns: npt.NDArray[np.int64], repeat: npt.NDArray[np.int64]
+        self,
+        path: Path,
+        topic: str,
+        received_ns: npt.NDArray[np.int64],
+        repeat: npt.NDArray[np.int64],
+        depth_bits: int = 16,
     ) -> None:
-        self.path, self.topic = path, topic
+        self.path, self.topic, self.depth_bits = path, topic, depth_bits
         self.received_ns, self.repeat = received_ns, repeat
         self._lock = threading.Lock()  # a bag is read at one place at a time
         self._bag: Bag | None = None
@@ -67,14 +79,34 @@ class BagPictures:
         self._at = (-1, 0)  # time and number of the message last read
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return BagPictures, (self.path, self.topic, self.received_ns, self.repeat)
+        return BagPictures, (self.path, self.topic, self.received_ns, self.repeat, self.depth_bits)
 
     def read(self, index: int) -> GreyImage:
         """Decode a picture."""
         with self._lock:
-            return self._read(index)
+            message = self._message(index)
+        try:
+            return grey(message, self.depth_bits)
+        except InputError as error:
+            raise self._unreadable(error.problem, int(self.received_ns[index])) from error
 
-    def _read(self, index: int) -> GreyImage:
+    def packet(self, index: int) -> bytes:
+        """Return the bytes of a ``CompressedImage``."""
+        with self._lock:
+            return bytes(self._message(index).data)
+
+    def used_bits(self) -> int:
+        """Find how many bits of 16 the pictures fill, from a few of them; 16 for pictures of 8 bits."""
+        bits = 0
+        for index in np.unique(np.linspace(0, len(self.received_ns) - 1, DEPTH_SAMPLES).astype(int)).tolist():
+            with suppress(InputError):
+                words = _words(self._message(index))
+                if words is None:
+                    return 16
+                bits = max(bits, int(words.max()).bit_length())
+        return next((depth for depth in DEPTHS if bits <= depth), 16) if bits else 16
+
+    def _message(self, index: int) -> Any:
         wanted = (int(self.received_ns[index]), int(self.repeat[index]))
         try:
             message = self._find(wanted)
@@ -82,16 +114,16 @@ class BagPictures:
             raise
         except Exception as error:  # rosbags lets anything through that a damaged file makes it do
             self._messages = None
-            raise self._unreadable(f"picture cannot be read: {one_line(error)}", wanted) from error
+            raise self._unreadable(f"picture cannot be read: {one_line(error)}", wanted[0]) from error
         if message is None:
             self._messages = None
-            raise self._unreadable("picture is no longer there", wanted)
+            raise self._unreadable("picture is no longer there", wanted[0])
         connection, _, raw = message
         assert self._bag is not None
         try:
-            return grey(self._bag.decode(connection.msgtype, raw))
+            return self._bag.decode(connection.msgtype, raw)
         except InputError as error:
-            raise self._unreadable(error.problem, wanted) from error
+            raise self._unreadable(error.problem, wanted[0]) from error
 
     def _find(self, wanted: tuple[int, int]) -> Message | None:
         if self._bag is None:
@@ -109,9 +141,9 @@ class BagPictures:
                 break
         return None
 
-    def _unreadable(self, what: str, wanted: tuple[int, int]) -> InputError:
+    def _unreadable(self, what: str, received_ns: int) -> InputError:
         return InputError(
-            f"{self.topic}, received at {wanted[0]}: {what}",
+            f"{self.topic}, received at {received_ns}: {what}",
             file=self.path,
             remedy="the bag is damaged there",
         )
@@ -127,18 +159,24 @@ def describe(message: Any, kind: str) -> str:
 def refusal(message: Any, kind: str) -> str | None:
     """Why pictures like this one cannot be read; None where they can."""
     if kind == RosType.COMPRESSED:
+        codec = codec_of(message.format)
+        if codec is not None:
+            return refusal_of(codec)
         return "compressed depth" if "compressedDepth" in message.format else None
     return None if message.encoding in ENCODINGS else f"encoding {message.encoding}"
 
 
-def grey(message: Any) -> GreyImage:
-    """Turn an Image or a CompressedImage into grey uint8 (h, w).
+def grey(message: Any, depth_bits: int = 16) -> GreyImage:
+    """Turn an Image or a CompressedImage into grey uint8 (h, w); of 16 bits, the highest 8 of those used.
 
     Raises
     ------
     InputError
         Where it does not decode, or its encoding is not known.
     """
+    words = _words(message)
+    if words is not None:
+        return np.asarray(np.minimum(words >> (depth_bits - 8), 255), dtype=np.uint8)
     if hasattr(message, "format"):
         return decode_image(np.asarray(message.data, dtype=np.uint8))
     width, height, encoding = int(message.width), int(message.height), str(message.encoding)
@@ -156,13 +194,31 @@ def grey(message: Any) -> GreyImage:
         import cv2
 
         return to_grey(cv2.cvtColor(pixels, getattr(cv2, f"COLOR_Bayer{_BAYER[encoding]}2GRAY")))
-    if depth == 2:
+    if depth == 2:  # in colours
         words = np.ascontiguousarray(pixels).view(">u2" if message.is_bigendian else "<u2")
         pixels = (words >> 8).astype(np.uint8)
     shaped = pixels.reshape(height, width, channels)
     if encoding.startswith("rgb"):
         shaped = shaped[:, :, [2, 1, 0, 3][:channels]]
     return to_grey(shaped)
+
+
+def _words(message: Any) -> npt.NDArray[np.uint16] | None:
+    """Pixels (h, w) of a grey picture of 16 bits; None for any other, and one that does not decode."""
+    if hasattr(message, "format"):
+        if not str(message.format).startswith(GREY_16):
+            return None
+        import cv2
+
+        image = cv2.imdecode(np.asarray(message.data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        is_grey = image is not None and image.dtype == np.uint16 and image.ndim == 2
+        return np.asarray(image, dtype=np.uint16) if is_grey else None
+    if message.encoding not in GREY_16:
+        return None
+    width, height = int(message.width), int(message.height)
+    data = np.asarray(message.data, dtype=np.uint8)
+    pixels = _rows(data, width, height, int(message.step) or 2 * width, 2 * width)
+    return np.ascontiguousarray(pixels).view(">u2" if message.is_bigendian else "<u2").astype(np.uint16)
 
 
 def _rows(data: npt.NDArray[np.uint8], width: int, height: int, step: int, used: int) -> GreyImage:

@@ -14,8 +14,8 @@ import numpy as np
 
 from fusion.flight import FloatArray, TimeArray
 from fusion.logs.rosbag.file import Bag, SkippingMessages
+from fusion.logs.rosbag.frames import OPTICAL_AS_FLU, Mount, StaticFrames, is_optical
 from fusion.logs.rosbag.frames import TOPICS as TRANSFORM_TOPICS
-from fusion.logs.rosbag.frames import Mount, StaticFrames
 from fusion.logs.rosbag.messages import WIDTH, RosType, Wire, row
 from fusion.logs.samples import Problems, WithProblems, counted
 from fusion.logs.series import LATEST_NS, Where
@@ -156,7 +156,14 @@ def _put_right(bag: Bag, found: _Messages) -> Samples:
             f"{found.name}: headers without time; the times are those of receipt, late by an unknown delay",
         )
     else:
-        t_ns, clock = np.where(empty, -1, stamps_ns), "times of the headers"
+        t_ns, clock = stamps_ns, "times of the headers"
+        if empty.any():
+            usual_ns = int(np.median((received_ns - stamps_ns)[~empty]))
+            t_ns = np.where(empty, received_ns - usual_ns, stamps_ns)
+            remarks += (
+                f"{found.name}: {counted(int(empty.sum()), 'header')} without time; taken from the receipt, less the "
+                f"usual delay of {usual_ns * 1e-6:.1f} ms",
+            )
         late_ns = int(np.median(received_ns - stamps_ns))
         if abs(late_ns) > LATE_NS:
             clock += f", {abs(late_ns) * 1e-9:.6g} s {'before' if late_ns > 0 else 'after'} receipt"
@@ -180,13 +187,15 @@ def _turned_into_body(samples: Samples, wire: Wire, frames: StaticFrames) -> Sam
     mount = frames.mount(frame_id)
     if samples.kind is RosType.RANGE:
         return _told_where_it_looks(samples, mount)
-    if mount is None:
+    if mount is None and not is_optical(frame_id):
         return samples
-    R = mount.of_flu_sensor()
+    R = OPTICAL_AS_FLU if mount is None else mount.of_flu_sensor()
     values = samples.values.copy()
     values[:, 4:7] = samples.columns(4, 7) @ R.T
     values[:, 7:10] = samples.columns(7, 10) @ R.T
     values[:, 0:4] = _times_inverse(samples.columns(0, 4), R)
+    if mount is None:
+        return replace(samples, values=values, axes=f"{frame_id}: x right, y down, z forward")
     return replace(samples, values=values, axes=f"turned from {frame_id} into {mount.body} by /tf_static")
 
 
