@@ -5,14 +5,17 @@ flights and the shared pictures of real corridors, each picture by itself. Then 
 it half a pixel, mirrors it, scales it and darkens it, and prints how much heading and offset change and how many
 pictures are accepted only before or only after. Pictures without a calibration are measured as ``corridor measure``
 does: with a camera found from them.
+
+So are rendered pictures as a fisheye lens takes them: simulated corridors of 120 degrees, and office and clutter bent
+as by the middle of such a lens. What was found of the lens is printed beside the truth.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from math import degrees, nan
+from dataclasses import dataclass, replace
+from math import ceil, degrees, nan, radians
 from pathlib import Path
 from typing import Annotated
 
@@ -23,12 +26,14 @@ import typer
 from fusion.pictures.assumed_camera import assume_views
 from fusion.pictures.attitude_file import AttitudeFile
 from fusion.pictures.measure import find_images
+from fusion.simulate import random_views
 from support.cases import (
     SHARED_FLIGHTS,
     STRETCHES,
     Case,
     Result,
     Size,
+    case_of_view,
     constant_rad,
     flight_cases,
     flight_named,
@@ -39,6 +44,8 @@ from support.cases import (
 from support.harmless import HARMLESS
 from support.scores import heading_score, number, percent, table
 from vision import Camera
+from vision.axis.field_of_view import estimate_field_of_view
+from vision.cameras.camera import Distortion
 from vision.images import read_image
 
 SIZE: Size = (640, 480)
@@ -47,6 +54,9 @@ PICTURE_SETS = ("handheld_corridor", "tello_corridor", "crazyflie_grey")
 CALIBRATED = "calibrated pictures"
 CHANGE_P90_DEG = {True: 0.10, False: 0.20}  # aims, of rendered and of real pictures
 FLIPS = 0.02
+FISHEYE_FOV_RAD = radians(120.0)
+BENT_SIZE = (520, 390)  # as far as a picture of 640x480 and focal length 466 reaches
+SIMULATED = 120
 IMAGES, CASES = (SHARED_FLIGHTS.parent / name for name in ("images", "cases"))
 
 
@@ -103,6 +113,52 @@ def sets_of_pictures(every: int) -> Iterator[tuple[str, list[Case] | str]]:
         yield name, uncalibrated_cases(folder, every) if folder.is_dir() else "not beside this checkout"
     folder = CASES / "pictures"
     yield CALIBRATED, calibrated_cases(folder) if folder.is_dir() else "not beside this checkout"
+
+
+def fisheye(width_px: int, height_px: int, focal_px: float) -> Camera:
+    """Return an equidistant camera that looks straight ahead."""
+    centre = (0.5 * (width_px - 1), 0.5 * (height_px - 1))
+    return Camera(
+        width_px, height_px, focal_px, focal_px, *centre, Distortion.EQUIDISTANT, (0.0, 0.0, 0.0, 0.0)
+    )
+
+
+def bent(case: Case) -> Case:
+    """Show a picture as a fisheye lens of the same scale takes it: its middle, as far as the picture reaches."""
+    camera = fisheye(*BENT_SIZE, case.camera.fx_px)
+    y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px].astype(float)
+    points = case.camera.project(camera.rays(np.column_stack([x.ravel(), y.ravel()])))
+    u, v = points.T.reshape(2, camera.height_px, camera.width_px).astype(np.float32)
+    return replace(
+        case, image=np.asarray(cv2.remap(case.image, u, v, cv2.INTER_CUBIC), np.uint8), camera=camera
+    )
+
+
+def fisheye_cases(every: int) -> Iterator[tuple[str, list[Case]]]:
+    """Yield sets of fisheye pictures with their true camera."""
+    camera = fisheye(*SIZE, 0.5 * SIZE[0] / (0.5 * FISHEYE_FOV_RAD))
+    views = random_views(camera, ceil(SIMULATED / every), seed=5, views_per_scene=4)
+    yield "simulated fisheye", [case_of_view(v, "simulated fisheye", i, camera) for i, v in enumerate(views)]
+    for name in ("office", "clutter"):
+        folder = flight_named(name)
+        if folder is not None:
+            for cases in flight_cases(folder, SIZE, every=every):
+                yield f"{name} bent", [bent(case) for case in cases]
+
+
+def without_calibration(cases: Sequence[Case]) -> tuple[list[Case], str]:
+    """Measure the camera from the pictures in place of the true one; say how far it is off.
+
+    Single pictures' sigmas do not know what the camera may be off by, so that none is held against them.
+    """
+    true, found = cases[0].camera, estimate_field_of_view(case.image for case in cases)
+    camera = found.camera(true.width_px, true.height_px)
+    edge = np.array([[-0.5, true.cy_px], [true.width_px - 0.5, true.cy_px]])
+    true_deg, found_deg = (
+        degrees(float(np.arccos(np.prod(c.rays(edge), axis=0).sum()))) for c in (true, camera)
+    )
+    text = f"{found_deg:.1f} +- {degrees(found.std_rad):.1f} degrees found for {true_deg:.1f}"
+    return [replace(case, camera=camera, attitude=None, exact=False) for case in cases], text
 
 
 def uncalibrated_cases(folder: Path, every: int) -> list[Case]:
@@ -189,6 +245,10 @@ def main(
     """Measure every set of pictures, and again after changes that should not matter."""
     cv2.setNumThreads(1)
     rows: list[tuple[str, ...]] = []
+    for name, true_cases in fisheye_cases(10 * every if quick else every):
+        guessed, text = without_calibration(true_cases)
+        print(f"{name}: field of view {text}")
+        rows += rows_of(name, guessed)
     for name, cases in sets_of_pictures(10 * every if quick else every):
         if isinstance(cases, str):
             print(f"{name}: {cases}, skipped")
