@@ -385,7 +385,9 @@ def row(out: str, name: str) -> list[str]:
     return line[2 + len(name) :].split()
 
 
-@pytest.mark.parametrize("name", ["accuracy.py", "perturbations.py", "pictures.py", "frame.py"])
+@pytest.mark.parametrize(
+    "name", ["accuracy.py", "perturbations.py", "pictures.py", "rolling_shutter.py", "frame.py"]
+)
 def test_help(name: str) -> None:
     assert "--every" in run(name, "--help")
 
@@ -457,3 +459,11 @@ def test_pictures_print_every_set_and_every_change() -> None:
         assert "hallway 62-90" in out
     else:
         assert "mononav_hallway: not beside this checkout, skipped" in out
+
+
+def test_rolling_shutter_prints_a_row_per_readout_and_rate() -> None:
+    out = run("rolling_shutter.py", "--every", "30")
+    rows = [line.split() for line in out.splitlines() if line.startswith(("  20 ms", "  33 ms"))]
+    assert [(cells[0], cells[2]) for cells in rows[:2]] == [("20", "0"), ("20", "15")]
+    assert len(rows) == 10
+    assert rows[-1][3] == "3.96"  # degrees turned in 33 ms at 120 degrees/s

@@ -25,7 +25,8 @@ from vision.images import to_grey
 from vision.lateral.learned import corner_lines, corner_scores, mixture_of
 from vision.lateral.offset import SAME_ANSWER, LateralFit, OffsetAnswer, answer_of, fit_lateral
 from vision.lateral.polar import corridor_frame, polar_picture
-from vision.lines.segments import LineSet, extract_lines, is_distorted
+from vision.lines.rolling_shutter import lines_at_one_moment, to_picture
+from vision.lines.segments import LineSet, extract_lines
 from vision.measurement import (
     Attitude,
     FrameMeasurement,
@@ -128,6 +129,8 @@ def measure_lines(
         attitude = UNKNOWN_ATTITUDE
     elif not isinstance(attitude, Attitude):
         attitude = Attitude.from_quaternion(attitude)
+    if camera.line_delay_s != 0.0 and prior.body_rates_rad_s is not None:
+        lines = lines_at_one_moment(lines, camera, prior.body_rates_rad_s)
     # Brings an axis of the elevation that the filter expects down to the horizon.
     R_horizon_level = rotation_from_angles(0.0, -prior.elevation_rad, 0.0)
     level = level_from_verticals(
@@ -281,14 +284,4 @@ def _classify(fit: AxisFit, lines: LineSet, R_level_camera: FloatArray) -> npt.N
 
 def _in_picture(ends_px: FloatArray, camera: Camera) -> npt.NDArray[np.float32]:
     """Bring line ends (n, 4) from rectified pixels back to where they are in the original picture."""
-    if not is_distorted(camera):
-        return ends_px.astype(np.float32)
-    points = ends_px.reshape(-1, 2)
-    rays = np.column_stack(
-        [
-            (points[:, 0] - camera.cx_px) / camera.fx_px,
-            (points[:, 1] - camera.cy_px) / camera.fy_px,
-            np.ones(len(points)),
-        ]
-    )
-    return camera.project(rays).reshape(-1, 4).astype(np.float32)
+    return to_picture(ends_px.reshape(-1, 2), camera).reshape(-1, 4).astype(np.float32)

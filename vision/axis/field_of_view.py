@@ -330,20 +330,9 @@ def lines_of(lines: LineSet, camera: Camera, other: Camera) -> LineSet:
         return np.asarray(np.hypot(normal[:, 0], normal[:, 1]) / (depth * of.fx_px), np.float64)
 
     p0, p1 = rays(other)
-    centre = p0 + p1
-    centre /= np.linalg.norm(centre, axis=1, keepdims=True)
-    normal = np.cross(p0, p1)
-    sine = np.linalg.norm(normal, axis=1)
-    normal /= sine[:, None]
+    spanned = lines.with_ends(p0, p1)
     sigma_px = lines.sigma_rad / off_plane(lines.normal, *rays(camera), camera)
-    return replace(
-        lines,
-        centre=centre,
-        direction=np.cross(normal, centre),
-        normal=normal,
-        sigma_rad=sigma_px * off_plane(normal, p0, p1, other),
-        arc_rad=np.arctan2(sine, (p0 * p1).sum(axis=1)),
-    )
+    return replace(spanned, sigma_rad=sigma_px * off_plane(spanned.normal, p0, p1, other))
 
 
 def _combined(pictures: Sequence[_PictureLikelihood]) -> FieldOfView:

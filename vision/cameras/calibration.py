@@ -10,7 +10,8 @@ OpenCV YAML or JSON    ``camera_matrix`` and other names in use       none: take
 =====================  =============================================  ==================================
 
 Extrinsics run in opposite directions: ``T_BS`` and ``T_imu_cam`` (OpenVINS) take points from the camera to the
-body, ``T_cam_imu`` takes them from the IMU to the camera. Any of the files may hold any of the three.
+body, ``T_cam_imu`` takes them from the IMU to the camera. Any of the files may hold any of the three, and
+``line_delay``, the seconds from row to row of a rolling shutter as Kalibr calibrates it.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from vision.cameras.fields import (
     check_pinhole,
     check_size,
     exposure_s,
+    line_delay_s,
     numbers,
     parts_of_transform,
     require,
@@ -166,6 +168,7 @@ def _read_matrix_file(content: Mapping[str, Any], body_frame: BodyFrame) -> Came
         distortion=lens.distortion,
         coefficients=lens.coefficients,
         exposure_s=exposure_s(content, ""),
+        line_delay_s=line_delay_s(content, ""),
         mount_assumed=pose is None,
     )
     return camera if pose is None else replace(camera, R_body_camera=pose[0], p_body_camera_m=pose[1])
@@ -206,7 +209,15 @@ def _make_camera(content: Mapping[str, Any], prefix: str, coefficient_key: str, 
     check_pinhole(size, (fx_px, fy_px, cx_px, cy_px), f"{prefix}intrinsics")
     coefficients = _coefficients(content, prefix, coefficient_key, known)
     lens = (fx_px, fy_px, cx_px, cy_px, known, coefficients)
-    return Camera(size[0], size[1], *lens, pose[0], exposure_s(content, prefix), pose[1])
+    return Camera(
+        size[0],
+        size[1],
+        *lens,
+        pose[0],
+        exposure_s(content, prefix),
+        pose[1],
+        line_delay_s=line_delay_s(content, prefix),
+    )
 
 
 def _coefficients(

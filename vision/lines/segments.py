@@ -125,6 +125,21 @@ class LineSet:
     def __len__(self) -> int:
         return len(self.length_px)
 
+    def with_ends(self, start: FloatArray, end: FloatArray) -> LineSet:
+        """Return the same lines with their planes spanned by other rays (n, 3) to their ends, z = 1 or about."""
+        centre = start + end
+        centre /= np.linalg.norm(centre, axis=1, keepdims=True)
+        normal = np.cross(start, end)
+        sine = np.linalg.norm(normal, axis=1)
+        normal /= sine[:, None]
+        return replace(
+            self,
+            centre=centre,
+            direction=np.cross(normal, centre),
+            normal=normal,
+            arc_rad=np.arctan2(sine, (start * end).sum(axis=1)),
+        )
+
     def geometry(self, R: FloatArray | None = None) -> LineGeometry:
         """Return the lines' planes, turned by a rotation (3, 3) from the optical frame where one is given."""
         normal, centre, direction = self.normal, self.centre, self.direction
