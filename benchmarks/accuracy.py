@@ -1,8 +1,9 @@
 """How exact a single frame is, and whether its sigma can be believed.
 
-``python benchmarks/accuracy.py`` measures every frame by itself, roll and pitch from the log, no prior: the flights
-``data/office`` and, where it lies beside the repository, ``mononav_hallway``, and random simulated corridors with
-exact truth. Beside each row stand the targets and the true error of the article's method on the same frames.
+``python benchmarks/accuracy.py`` measures every frame by itself, roll and pitch from the log, no prior: the flight
+``data/office``, where they lie beside the repository ``clutter``, ``night`` and ``mononav_hallway``, and random
+simulated corridors with exact truth. Beside each row stand the targets and the true error of the article's method on
+the same frames.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from support.scores import (
 )
 
 OFFICE_SIZES: tuple[Size, ...] = ((640, 480), (320, 240), (160, 120), (80, 60))
+RENDERED = ("clutter", "night")
 HALLWAY_SIZES: tuple[Size, ...] = ((640, 480), (320, 240))
 SIMULATED = {(320, 240): 300, (640, 480): 100}
 SEED = 3
@@ -58,13 +60,16 @@ class Target:
 
 
 TARGETS = {
-    "office 640x480": Target(0.08, 0.5, 0.99, honest=True),
+    "office 640x480": Target(0.075, 0.5, 0.99, honest=True),
+    "clutter 640x480": Target(0.075, accepted=0.99, honest=True),
+    "night 640x480": Target(0.14, accepted=0.97, honest=True),
     "office 320x240": Target(0.15, 1.0, 0.99, honest=True),
     "office 160x120": Target(0.40, 2.0, 0.95, honest=True),
     "office 80x60": Target(1.2, 4.0, 0.80, honest=True),
     "office 640x480, no attitude": Target(0.15),
     "hallway 0-41 640x480": Target(0.40, accepted=0.97),
     "hallway 0-41 320x240": Target(0.45, accepted=0.97),
+    "hallway 62-90 640x480": Target(0.40, accepted=0.90),
     "simulated 320x240": Target(honest=True),
     "simulated 640x480": Target(honest=True),
 }
@@ -89,6 +94,12 @@ def sets_of_cases(every: int) -> Iterator[tuple[str, list[Case]]]:
             yield f"office {size_name(size)}", cases
             if size == OFFICE_SIZES[0]:
                 yield f"office {size_name(size)}, no attitude", [replace(c, attitude=None) for c in cases]
+    for name in RENDERED:
+        folder = flight_named(name)
+        if folder is not None:
+            size = OFFICE_SIZES[0]
+            cases = [c for stretch in flight_cases(folder, size, every=every) for c in stretch]
+            yield f"{name} {size_name(size)}", cases
     if hallway is not None:
         for size in HALLWAY_SIZES:
             for cases in flight_cases(hallway, size, every=every):
@@ -238,7 +249,7 @@ def main(
 ) -> None:
     """Measure single frames of flights and of simulated corridors against the truth, beside the targets."""
     cv2.setNumThreads(1)
-    for name in ("office", *STRETCHES):
+    for name in ("office", *RENDERED, *STRETCHES):
         if flight_named(name) is None:
             print(f"flight {name}: not in this checkout, skipped")
     rows = []

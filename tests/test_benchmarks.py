@@ -12,11 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pictures
 import pytest
 
-from support import cases, perturb, ransac, scenes, scores
+from support import cases, harmless, perturb, ransac, scenes, scores
 from tests.files import HALLWAY, OFFICE, ROOT
 from vision import Attitude, Camera, FrameMeasurement, Reason
+from vision.cameras.camera import Distortion
+from vision.rotations import rotation_from_angles
 
 RNG = np.random.default_rng
 CAMERA = Camera.from_fov(160, 120, math.radians(70))
@@ -53,6 +56,19 @@ def result_of(
         vision_ms=1.0,
         exact=True,
     )
+
+
+def mounted(yaw_rad: float, pitch_rad: float) -> np.ndarray:
+    """Rotation from the optical frame of a camera that looks aside and down."""
+    return rotation_from_angles(yaw_rad, pitch_rad, 0.0).T @ Camera.from_fov(8, 8, 1.0).R_body_camera
+
+
+@pytest.fixture(scope="module")
+def corridor_view() -> cases.Case:
+    """Return a simulated view that shows heading and offset plainly."""
+    views = list(cases.simulated_cases((320, 240), 4, 3))
+    results = [cases.measure(case)[0] for case in views]
+    return next(c for c, r in zip(views, results, strict=True) if r.accepted and math.isfinite(r.answer_norm))
 
 
 # --- what is done to pictures ---
@@ -193,6 +209,52 @@ def test_every_perturbation_keeps_size_and_truth_and_is_repeatable(name: str) ->
     np.testing.assert_array_equal(case.image, image)
 
 
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera(160, 120, 110.0, 112.0, 70.0, 63.0, Distortion.RADTAN, (-0.2, 0.05, 0.003, -0.004)),
+        Camera(
+            160,
+            120,
+            80.0,
+            80.0,
+            84.0,
+            55.0,
+            Distortion.EQUIDISTANT,
+            (0.01, 0.0, 0.0, 0.0),
+            mounted(0.1, -0.2),
+        ),
+    ],
+)
+def test_the_mirrored_camera_sees_the_mirrored_world(camera: Camera) -> None:
+    body = np.array([[1.0, 0.3, 0.2], [1.0, -0.4, -0.1], [1.0, 0.0, 0.0]])  # FRD
+    there = camera.project(body @ camera.R_body_camera)
+    other = harmless.mirrored_camera(camera)
+    back = other.project(body * (1.0, -1.0, 1.0) @ other.R_body_camera)
+    np.testing.assert_allclose(back, np.column_stack([159.0 - there[:, 0], there[:, 1]]), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", harmless.HARMLESS)
+def test_harmless_changes_leave_heading_and_offset_as_they_were(name: str, corridor_view: cases.Case) -> None:
+    change, sign = harmless.HARMLESS[name]
+    changed = change(corridor_view)
+    assert changed.headings_rad[0] == sign * corridor_view.headings_rad[0]
+    before, after = (cases.measure(case)[0] for case in (corridor_view, changed))
+    assert before.accepted
+    assert after.accepted
+    assert abs(math.degrees(sign * after.heading_rad - before.heading_rad)) < 0.5
+    assert abs(sign * after.answer_norm - before.answer_norm) < 0.1
+
+
+def test_a_change_is_counted_with_its_sign() -> None:
+    before = [replace(result_of(e), answer_norm=0.2) for e in (1.0, -2.0)] + [result_of(0.0, accepted=False)]
+    after = [replace(result_of(-e), answer_norm=-0.21) for e in (1.5, -2.0)] + [result_of(0.0)]
+    found = pictures.repeat_of(before, after, -1.0)
+    assert found.heading_worst_deg == pytest.approx(0.5)
+    assert found.flips == pytest.approx(1 / 3)
+    assert found.offset_p90_percent == pytest.approx(0.5)
+
+
 # --- what is right ---
 
 
@@ -323,7 +385,9 @@ def row(out: str, name: str) -> list[str]:
     return line[2 + len(name) :].split()
 
 
-@pytest.mark.parametrize("name", ["accuracy.py", "perturbations.py", "frame.py"])
+@pytest.mark.parametrize(
+    "name", ["accuracy.py", "perturbations.py", "pictures.py", "rolling_shutter.py", "frame.py"]
+)
 def test_help(name: str) -> None:
     assert "--every" in run(name, "--help")
 
@@ -383,3 +447,23 @@ def test_frame_prints_times_beside_errors() -> None:
         assert float(row(part, "measure_frame")[-1]) < 5.0
     assert "lu-vp-detect==1.0.4: skipped" in out
     assert "resident:" in out
+
+
+def test_pictures_print_every_set_and_every_change() -> None:
+    out = run("pictures.py", "--every", "150")
+    assert row(out, "office")[0] == "2"
+    assert row(out, "office")[1:3] == ["100.0", "%"]
+    for name in harmless.HARMLESS:
+        assert f"    {name}  " in out
+    if HALLWAY.is_dir():
+        assert "hallway 62-90" in out
+    else:
+        assert "mononav_hallway: not beside this checkout, skipped" in out
+
+
+def test_rolling_shutter_prints_a_row_per_readout_and_rate() -> None:
+    out = run("rolling_shutter.py", "--every", "30")
+    rows = [line.split() for line in out.splitlines() if line.startswith(("  20 ms", "  33 ms"))]
+    assert [(cells[0], cells[2]) for cells in rows[:2]] == [("20", "0"), ("20", "15")]
+    assert len(rows) == 10
+    assert rows[-1][3] == "3.96"  # degrees turned in 33 ms at 120 degrees/s

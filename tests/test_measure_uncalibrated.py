@@ -20,6 +20,7 @@ from fusion.pictures.measure import measure_images
 from fusion.simulate import office_views
 from tests.command import Corridor
 from vision import Camera, FrameMeasurement, InputError, Reason
+from vision.cameras.camera import Distortion
 from vision.images import read_image
 
 FOV_DEG = 50.0
@@ -75,6 +76,26 @@ def save_jpeg(
 
 
 class TestMeasure:
+    def test_a_fisheye_is_found_and_said(self, measure: Measure, tmp_path: Path) -> None:
+        focal = 200 / radians(55)
+        lens = Camera(400, 300, focal, focal, 199.5, 149.5, Distortion.EQUIDISTANT, (0.0,) * 4)
+        headings = []
+        for i, view in enumerate(office_views(lens, 6, seed=22, views_per_scene=3, tilt_std_rad=radians(4))):
+            cv2.imwrite(str(tmp_path / f"{i}.png"), view.image)
+            headings.append(view.heading_rad)
+        run = measure(tmp_path)
+        (note,) = (line for line in run.notes if "field of view" in line)
+        assert "distortion F atan(r / F) with F = " in note
+        assert float(note.split("field of view of ")[1].split()[0]) == pytest.approx(110.0, rel=0.05)
+        assert float(note.split("F = ")[1].split()[0]) == pytest.approx(focal, rel=0.05)
+        right = [
+            abs(float(row["heading_rad"]) - true) < radians(2.0)
+            for row, true in zip(run.rows, headings, strict=True)
+            if row["accepted"] == "true"
+        ]
+        assert len(right) >= 5
+        assert all(right)
+
     def test_the_field_of_view_is_found_and_said(
         self, measure: Measure, walk: tuple[Path, list[float]]
     ) -> None:

@@ -23,9 +23,10 @@ from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.images import to_grey
 from vision.lateral.learned import corner_lines, corner_scores, mixture_of
-from vision.lateral.offset import fit_lateral
+from vision.lateral.offset import SAME_ANSWER, LateralFit, OffsetAnswer, answer_of, fit_lateral
 from vision.lateral.polar import corridor_frame, polar_picture
-from vision.lines.segments import LineSet, extract_lines, is_distorted
+from vision.lines.rolling_shutter import lines_at_one_moment, to_picture
+from vision.lines.segments import LineSet, extract_lines
 from vision.measurement import (
     Attitude,
     FrameMeasurement,
@@ -128,6 +129,8 @@ def measure_lines(
         attitude = UNKNOWN_ATTITUDE
     elif not isinstance(attitude, Attitude):
         attitude = Attitude.from_quaternion(attitude)
+    if camera.line_delay_s != 0.0 and prior.body_rates_rad_s is not None:
+        lines = lines_at_one_moment(lines, camera, prior.body_rates_rad_s)
     # Brings an axis of the elevation that the filter expects down to the horizon.
     R_horizon_level = rotation_from_angles(0.0, -prior.elevation_rad, 0.0)
     level = level_from_verticals(
@@ -204,24 +207,22 @@ def _with_lateral(
     found: FrameMeasurement, fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
 ) -> FrameMeasurement:
     """Add what lines and, where the axis is to be relied on, regions say about the lateral offset."""
-    answer, mixture = fit_lateral(
-        lines,
-        fit,
-        level.R_level_camera,
-        level.roll_std_rad,
-        prior.lateral_offset_norm,
-        prior.lateral_offset_norm_std,
-        prior.width_per_height,
-    )
+    known = (prior.lateral_offset_norm, prior.lateral_offset_norm_std, prior.width_per_height)
+    by_lines, mixture = fit_lateral(lines, fit, level.R_level_camera, level.roll_std_rad, *known)
+    answer: LateralFit | OffsetAnswer | None = by_lines
     evidence = [mixture]
+    walls = None if by_lines is None else _in_picture(lines.ends_px[by_lines.wall_lines], camera)
     if found.accepted and lines.grey is not None:
         R_corridor_camera = corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad)
         scores = corner_scores(polar_picture(lines.grey, camera, R_corridor_camera))
-        evidence.append(mixture_of(scores))
-        if answer is None and evidence[-1].cannot_tell < MAX_DRAWN_DOUBT:
-            walls = corner_lines(scores, camera, R_corridor_camera).astype(np.float32)
-            found = replace(found, wall_lines_px=walls)
-    found = replace(found, offset_evidence=tuple(evidence))
+        regions = mixture_of(scores)
+        evidence.append(regions)
+        answer = answer_of(mixture, regions, *known)
+        agree = by_lines and answer and abs(by_lines.offset_norm - answer.offset_norm) < SAME_ANSWER
+        if not agree:
+            told = regions.cannot_tell < MAX_DRAWN_DOUBT
+            walls = corner_lines(scores, camera, R_corridor_camera).astype(np.float32) if told else None
+    found = replace(found, offset_evidence=tuple(evidence), wall_lines_px=walls)
     if answer is None:
         return found
     return replace(
@@ -230,7 +231,6 @@ def _with_lateral(
         lateral_offset_norm_std=answer.offset_norm_std,
         width_per_height=answer.width_per_height,
         position=position_from_offset(answer.offset_norm),
-        wall_lines_px=_in_picture(lines.ends_px[answer.wall_lines], camera),
     )
 
 
@@ -284,14 +284,4 @@ def _classify(fit: AxisFit, lines: LineSet, R_level_camera: FloatArray) -> npt.N
 
 def _in_picture(ends_px: FloatArray, camera: Camera) -> npt.NDArray[np.float32]:
     """Bring line ends (n, 4) from rectified pixels back to where they are in the original picture."""
-    if not is_distorted(camera):
-        return ends_px.astype(np.float32)
-    points = ends_px.reshape(-1, 2)
-    rays = np.column_stack(
-        [
-            (points[:, 0] - camera.cx_px) / camera.fx_px,
-            (points[:, 1] - camera.cy_px) / camera.fy_px,
-            np.ones(len(points)),
-        ]
-    )
-    return camera.project(rays).reshape(-1, 4).astype(np.float32)
+    return to_picture(ends_px.reshape(-1, 2), camera).reshape(-1, 4).astype(np.float32)

@@ -119,6 +119,8 @@ class Prior:
         mounting pitch error with its sign turned; zero where the mount is exact.
     body_rate_rad_s
         Magnitude of the body's angular rate during the exposure; NaN where unknown.
+    body_rates_rad_s
+        Angular rate (3,) of the body, FRD, while a rolling shutter reads the picture; None where unknown.
     """
 
     heading_rad: float = nan
@@ -129,6 +131,7 @@ class Prior:
     elevation_rad: float = 0.0
     elevation_std_rad: float = radians(3.0)
     body_rate_rad_s: float = nan
+    body_rates_rad_s: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -71,7 +71,10 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What came of a case; angles in radians, offsets over half the width, NaN where there is none."""
+    """What came of a case; angles in radians, offsets over half the width, NaN where there is none.
+
+    ``offset_norm`` is the true one, ``answer_norm`` what was measured.
+    """
 
     source: str
     index: int
@@ -90,6 +93,7 @@ class Result:
     offset_std_norm: float
     vision_ms: float
     exact: bool
+    answer_norm: float = nan
     perturbation: str = "none"
 
 
@@ -132,6 +136,7 @@ def score(case: Case, found: FrameMeasurement) -> Result:
         offset_std_norm=found.lateral_offset_norm_std,
         vision_ms=found.vision_ms,
         exact=case.exact,
+        answer_norm=found.lateral_offset_norm,
     )
 
 

@@ -63,17 +63,14 @@ def scene_cases(kind: str, size: Size, n: int, seed: int) -> Iterator[Case]:
     index = 0
     for number, ((yaw, roll, rate), share) in enumerate(zip(variants, shares, strict=True)):
         askew = replace(straight, R_body_camera=rotation(yaw, 0.0, roll) @ straight.R_body_camera)
-        turning: dict[str, Any] = (
-            {"yaw_rate_rad_s": rate, "line_delay_s": READOUT_S / size[1]} if rate else {}
-        )
         made = office_views(
-            askew,
+            replace(askew, line_delay_s=READOUT_S / size[1] if rate else 0.0),
             MAX_TRIES * share,
             seed * 31 + number,
             scene=views.scene,
             views_per_scene=VIEWS_PER_SCENE,
+            yaw_rate_rad_s=rate,
             **views.options,
-            **turning,
         )
         for view in islice(filter(views.keep, made), share):
             case = case_of_view(view, f"simulated {size_name(size)}", index, straight)

@@ -194,6 +194,7 @@ class Engine:
             elevation_rad=s.elevation.mean_rad,
             elevation_std_rad=s.elevation.std_rad,
             body_rate_rad_s=sqrt(p * p + q * q + r * r) if d.mode is Mode.GYRO else nan,
+            body_rates_rad_s=(p, q, r) if d.mode is Mode.GYRO else None,
         )
 
     def _imu(self, s: State, sample: ImuSample) -> State:

@@ -13,12 +13,16 @@ from enum import StrEnum
 from itertools import chain
 from math import cos, degrees, hypot, isfinite, radians, sin
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fusion.logs.samples import counted
 from fusion.pictures.exif import PictureHeader, read_header
 from fusion.progress import Progress
 from vision import Camera, FrameMeasurement, InputError, Reason
 from vision.images import GreyImage, read_image
+
+if TYPE_CHECKING:
+    from vision.lines.straightness import Bend
 
 FILM_STD_OF_FOCAL = 0.03  # whole millimetres, diagonal or width, stabilisation: makers differ
 FOV_RANGE_RAD = (radians(1.0), radians(170.0))
@@ -36,7 +40,7 @@ class Source(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class AssumedView:
-    """What is assumed of the camera that took some pictures; no distortion, looking straight ahead.
+    """What is assumed of the camera that took some pictures; it looks straight ahead.
 
     Parameters
     ----------
@@ -50,6 +54,8 @@ class AssumedView:
         Pictures that it holds for.
     n_used
         Pictures that told it, where the source is the pictures.
+    bend
+        How much its lens bends straight lines, by the pictures; None: not at all.
     """
 
     width_px: int
@@ -59,10 +65,16 @@ class AssumedView:
     source: Source
     n_pictures: int = 1
     n_used: int = 0
+    bend: Bend | None = None
 
     def camera(self) -> Camera:
         """Return the camera with this field of view."""
-        return Camera.from_fov(self.width_px, self.height_px, self.horizontal_rad)
+        if self.bend is None:
+            return Camera.from_fov(self.width_px, self.height_px, self.horizontal_rad)
+        from vision.axis.field_of_view import FieldOfView
+
+        view = FieldOfView(self.horizontal_rad, self.std_rad, measured=True, bend=self.bend)
+        return view.camera(self.width_px, self.height_px)
 
     def widened(self, measurement: FrameMeasurement) -> FrameMeasurement:
         """Let a measurement's sigma include what the assumption may be off by; too wide, it is not accepted.
@@ -91,7 +103,7 @@ class AssumedView:
         """Say what is assumed and why, in one sentence."""
         fov = f"a horizontal field of view of {degrees(self.horizontal_rad):.0f}"
         sure = f"{fov} +- {max(degrees(self.std_rad), 1.0):.0f} degrees"
-        lens = "no distortion, looking straight ahead"
+        lens = f"{self._lens_text()}, looking straight ahead"
         if self.source is Source.GIVEN:
             return f"{fov} degrees as given, {lens}"
         if self.source is Source.FILM:
@@ -100,6 +112,13 @@ class AssumedView:
             found = f"found from {counted(self.n_used, 'picture')}"
             return f"{sure}, {found}, {lens}; give --camera for a calibrated one"
         return f"{sure} like ordinary cameras, as the pictures do not tell, {lens}; give --fov or --camera"
+
+    def _lens_text(self) -> str:
+        if self.bend is None:
+            return "no distortion"
+        radius_px = self.bend.radius_px(self.width_px, self.height_px)
+        std_px = max(radius_px * self.bend.std_rad / self.bend.rad, 1.0)
+        return f"distortion F atan(r / F) with F = {radius_px:.0f} +- {std_px:.0f} pixels"
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,14 +219,16 @@ def _view(
     if first is None:
         return ordinary
     found = estimate_field_of_view(chain([first], images))
+    bend = found.bend if found.bend.rad > 0.0 else None
     if not found.measured:
-        return ordinary
+        return replace(ordinary, bend=bend)
     return replace(
         ordinary,
         horizontal_rad=found.horizontal_rad,
         std_rad=found.std_rad,
         source=Source.PICTURES,
         n_used=found.n_used,
+        bend=bend,
     )
 
 

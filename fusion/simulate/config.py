@@ -97,6 +97,7 @@ class CameraConfig(Section):
             R_body_camera=mount @ forward,
             exposure_s=self.exposure_s,
             p_body_camera_m=np.array(self.position_m),
+            line_delay_s=self.line_delay_s,
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -59,7 +59,8 @@ class FlyingCamera:
         path[:, 2] += np.tan(config.scene.slope_rad) * path[:, 0]  # as if the floor were level
         scene = build_scene(config.scene, config.seed, config.light_cell_m, path)
         view = View.of(camera)
-        small = View.of(camera.resized(max(16, camera.width_px // 4), max(16, camera.height_px // 4)))
+        global_shutter = replace(camera, line_delay_s=0.0)
+        small = View.of(global_shutter.resized(max(16, camera.width_px // 4), max(16, camera.height_px // 4)))
         times = np.linspace(0.0, trajectory.duration_s, METERED_FRAMES)
         level = np.mean(
             [
@@ -92,9 +93,7 @@ class FlyingCamera:
         speed = float(np.linalg.norm(truth.v_world_m_s[1]))
         moved_rad = (rate + 0.5 * speed / NEAR_M) * exposure_s
         moments, grid = exposure_moments(self.view, exposure_s, moved_rad, self.config.edge_samples)
-        return _exposed(
-            self.scene, self.view, self.trajectory, t_s + moments, grid, self.config.camera.line_delay_s
-        )
+        return _exposed(self.scene, self.view, self.trajectory, t_s + moments, grid)
 
     def picture(self, t_s: float, number: int) -> Picture:
         """Picture of a moment; ``number`` seeds its noise."""
@@ -112,18 +111,17 @@ def _exposed(
     trajectory: Trajectory,
     moments_s: FloatArray,
     grid: int,
-    line_delay_s: float = 0.0,
 ) -> Image:
     """Mean light of the moments of an exposure; with a rolling shutter, those of the middle row."""
-    height = view.camera.height_px
+    height, line_delay_s = view.camera.height_px, view.camera.line_delay_s
     rows = (np.arange(height) - (height - 1) / 2) * line_delay_s
     origins, rotations = [], []
     for moment in moments_s.tolist():
-        R = trajectory.rotations(moment + rows if line_delay_s > 0 else moment)
-        p = trajectory.position(moment + rows if line_delay_s > 0 else np.array([moment]))
+        R = trajectory.rotations(moment + rows if line_delay_s != 0.0 else moment)
+        p = trajectory.position(moment + rows if line_delay_s != 0.0 else np.array([moment]))
         p = p + R @ view.camera.p_body_camera_m
-        origins.append(p if line_delay_s > 0 else p[0])
-        rotations.append(R if line_delay_s > 0 else R[0])
+        origins.append(p if line_delay_s != 0.0 else p[0])
+        rotations.append(R if line_delay_s != 0.0 else R[0])
     return render_linear(scene.mesh, view, origins, rotations, grid)
 
 

@@ -218,6 +218,8 @@ def _write_camera(
     exposure = (
         "" if np.isnan(c.exposure_s) else f"exposure_s: {c.exposure_s:.9g}   # stamps are at mid-exposure\n"
     )
+    if c.line_delay_s != 0.0:
+        exposure += f"line_delay: {c.line_delay_s:.9g}   # s from row to row; stamps are the middle row's\n"
     intrinsics = ", ".join(f"{v:.12g}" for v in (c.fx_px, c.fy_px, c.cx_px, c.cy_px))
     (folder / "sensor.yaml").write_text(
         "sensor_type: camera\ncomment: rendered; optical frame x right, y down, z forward\n"

@@ -69,7 +69,6 @@ class _Limits:
     tilt_std_rad: float
     ahead_m: float
     rate_rad_s: float
-    line_delay_s: float
 
 
 def random_views(
@@ -84,7 +83,6 @@ def random_views(
     tilt_std_rad: float = radians(3.0),
     min_ahead_m: float = 4.0,
     yaw_rate_rad_s: float = 0.0,
-    line_delay_s: float = 0.0,
     views_per_scene: int = 10,
     light_cell_m: float = 0.2,
 ) -> Iterator[RandomView]:
@@ -104,19 +102,15 @@ def random_views(
     min_ahead_m
         Nearest that the end of the corridor may be.
     yaw_rate_rad_s
-        Turning while the picture is taken: blurs it over ``camera.exposure_s``, skews it over ``line_delay_s``.
-        The truth is that of the middle.
-    line_delay_s
-        Rolling shutter, from row to row.
+        Turning while the picture is taken: blurs it over the camera's ``exposure_s``, skews it by its
+        ``line_delay_s``. The truth is that of the middle.
     views_per_scene
         Pictures taken in one corridor before the next is built (building takes longer than a picture).
     light_cell_m
         Grain of the lighting.
     """
     view = View.of(camera)
-    limits = _Limits(
-        max_heading_rad, max_offset_norm, tilt_std_rad, min_ahead_m, yaw_rate_rad_s, line_delay_s
-    )
+    limits = _Limits(max_heading_rad, max_offset_norm, tilt_std_rad, min_ahead_m, yaw_rate_rad_s)
     for start in range(0, n, views_per_scene):
         scene_seed = seed * 100003 + start // views_per_scene
         built = build_scene(scene(scene_seed) if callable(scene) else scene, scene_seed, light_cell_m)
@@ -190,12 +184,10 @@ def _exposed(scene: Scene, view: View, origin: FloatArray, R: FloatArray, limits
     if rate == 0.0:
         return render_linear(scene.mesh, view, [origin], [R])
     moments, grid = exposure_moments(view, float(exposure_s), abs(rate) * float(exposure_s), 4)
-    height = view.camera.height_px
-    rows = (np.arange(height) - (height - 1) / 2) * limits.line_delay_s
+    height, line_delay_s = view.camera.height_px, view.camera.line_delay_s
+    rows = (np.arange(height) - (height - 1) / 2) * line_delay_s
     rotations = []
     for moment in moments.tolist():
         turned = [rotation(rate * (moment + row), 0.0, 0.0) @ R for row in rows.tolist()]
-        rotations.append(
-            np.array(turned) if limits.line_delay_s > 0 else rotation(rate * moment, 0.0, 0.0) @ R
-        )
+        rotations.append(np.array(turned) if line_delay_s != 0.0 else rotation(rate * moment, 0.0, 0.0) @ R)
     return render_linear(scene.mesh, view, [origin] * len(moments), rotations, grid)

@@ -61,8 +61,10 @@ def test_a_level_corridor_is_expected_and_a_slope_is_possible() -> None:
 
 @given(std=st.floats(radians(0.1), radians(20)))
 def test_the_elevations_to_try_are_symmetric_and_reach_slopes(std: float) -> None:
-    found = elevations_to_try(std)
+    found, each_std = elevations_to_try(std)
     assert len(found) <= 23
+    # Each stands for what lies half-way to its neighbours, at most for all that is likely.
+    np.testing.assert_allclose(each_std, np.minimum(std, 0.4 * np.gradient(found)))
     assert found == pytest.approx(-found[::-1])
     assert found[-1] >= radians(4.0)
     assert np.diff(found).max() <= radians(1.0) + 1e-12

@@ -112,12 +112,14 @@ def test_the_body_frame_is_read_beside_the_sensor_folder(
 
 
 def test_euroc_fields(tmp_path: Path) -> None:
-    camera = Camera.from_yaml(written(tmp_path / "sensor.yaml", euroc(R_FLU_CAMERA) + "exposure_s: 4e-3\n"))
+    times = "exposure_s: 4e-3\nline_delay: 6.5e-5\n"
+    camera = Camera.from_yaml(written(tmp_path / "sensor.yaml", euroc(R_FLU_CAMERA) + times))
     assert (camera.width_px, camera.height_px) == (752, 480)
     assert (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px) == (458.654, 457.296, 367.215, 248.375)
     assert camera.distortion is Distortion.RADTAN
     assert camera.coefficients == (-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05)
     assert camera.exposure_s == 0.004
+    assert camera.line_delay_s == 6.5e-5
     assert isnan(Camera.from_yaml(written(tmp_path / "sensor.yaml", euroc(R_FLU_CAMERA))).exposure_s)
 
 
@@ -222,6 +224,8 @@ def test_opencv_matrix_and_nested_rows(tmp_path: Path) -> None:
         ("rate_hz: 20", "exposure_s: true", "exposure_s is True"),
         ("rate_hz: 20", "exposure_s: fast", "exposure_s is 'fast'"),
         ("rate_hz: 20", "exposure_s: -1.0", "exposure_s is -1.0"),
+        ("rate_hz: 20", "line_delay: no", "line_delay is 'no' .*give seconds from row to row"),
+        ("rate_hz: 20", "line_delay: 33", r"line_delay 33 would take 1.58e\+04 s to read 480 rows"),
         ("T_BS:", "T_SB:", r"T_BS is missing \(add T_BS, body from camera; straight ahead"),
         ("  data: [", "  data: [1.0, ", "T_BS does not hold 16 numbers"),
         ("  data: [", "  dat: [", "T_BS.data is missing"),

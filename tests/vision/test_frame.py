@@ -98,11 +98,12 @@ def test_heading_without_any_attitude() -> None:
 def test_lateral_offset_and_honest_sigmas_on_the_sample_flight(size: tuple[int, int]) -> None:
     found = office(*size)
     width_share = found.offset_norm / 2  # of the corridor's width
-    assert len(width_share) >= 0.9 * 150
-    assert np.sqrt(np.mean(width_share**2)) < 0.012
+    assert len(width_share) >= 0.99 * 150
+    assert np.sqrt(np.mean(width_share**2)) < 0.01
     assert np.abs(width_share).max() < 0.05
     assert 1.0 < np.percentile(found.ratio, 90) < 2.0
-    assert 1.0 < np.percentile(found.offset_ratio, 90) < 2.0
+    # The offset's sigma is right on corridors drawn at random, where corners are often hidden; here they are plain.
+    assert 0.6 < np.percentile(found.offset_ratio, 90) < 2.0
 
 
 @pytest.mark.parametrize("stretch", [slice(0, 42), slice(62, 91)])

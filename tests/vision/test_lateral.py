@@ -106,14 +106,14 @@ def test_a_known_width_settles_which_pair_of_the_floor_it_is() -> None:
     pairs["width"] = 1.6, 2.4
     rows = hypotheses((0.3, 60.0), (-0.3, 60.0))
     for known, chosen in ((1.6, 0), (2.4, 1)):
-        odds = width_log_odds(pairs, known, WEIGHTS)
+        odds = width_log_odds(pairs["width"], known, WEIGHTS)
         assert odds[chosen] > 1.0 > -1.0 > odds[1 - chosen]
         found = most_probable_offset(rows, odds, nan, nan)
         assert found.floor == chosen
         assert found.probability > 0.95
-    np.testing.assert_array_equal(width_log_odds(pairs, nan, WEIGHTS), [0.0, 0.0])
+    np.testing.assert_array_equal(width_log_odds(pairs["width"], nan, WEIGHTS), [0.0, 0.0])
     # A width that no pair has leaves strong evidence its say.
-    against = most_probable_offset(rows, width_log_odds(pairs, 5.0, WEIGHTS), nan, nan)
+    against = most_probable_offset(rows, width_log_odds(pairs["width"], 5.0, WEIGHTS), nan, nan)
     assert 0.3 < against.probability < 0.6
 
 

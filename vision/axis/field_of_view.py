@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import chain, pairwise
+from itertools import chain, islice, pairwise
 from math import atan, exp, hypot, inf, radians, sin, sqrt, tan
 from typing import Any
 
@@ -29,6 +29,10 @@ from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.images import to_grey
 from vision.lines.segments import LineSet, extract_lines
+from vision.lines.straightness import (
+    MAX_PICTURES as MAX_BEND_PICTURES,
+)
+from vision.lines.straightness import NO_BEND, Bend, camera_of_bend, estimate_bend, straightening_camera
 from vision.measurement import Attitude
 from vision.types import FloatArray
 
@@ -46,6 +50,8 @@ EDGE_RAD, EDGE_SHARE = (
 )  # a larger share of the probability so near to the range's ends is refused
 OUTLIER_SHARE = 0.1  # of pictures whose lines form right angles that are none
 MEDIAN_CHI2 = 0.455  # of one degree of freedom
+MIN_TELLING_BEND_RAD = 0.8  # from here on the bend alone tells the focal length,
+FOCAL_STD_OF_BEND = 0.15  # to this share: F of stereographic lenses is 1.15 of it, of equisolid ones 0.94
 
 NOMINAL_RAD = radians(65.0)
 SEED_FIELDS_RAD = tuple(radians(fov) for fov in (38.0, 50.0, 65.0, 85.0))
@@ -74,6 +80,8 @@ class FieldOfView:
         Pictures that it was measured from.
     n_tried
         Pictures that were examined.
+    bend
+        How much the lens bends straight lines.
     """
 
     horizontal_rad: float
@@ -81,6 +89,20 @@ class FieldOfView:
     measured: bool
     n_used: int = 0
     n_tried: int = 0
+    bend: Bend = NO_BEND
+
+    @property
+    def focal_std_share(self) -> float:
+        """Standard deviation of the focal length over the focal length."""
+        return self.std_rad / sin(self.horizontal_rad)
+
+    def camera(self, width_px: int, height_px: int) -> Camera:
+        """Return a camera with this field of view and lens that looks straight ahead."""
+        if self.bend.rad == 0.0:
+            return Camera.from_fov(width_px, height_px, self.horizontal_rad)
+        radius_px = self.bend.radius_px(width_px, height_px)
+        focal_px = radius_px * tan(0.5 * width_px / radius_px) / tan(0.5 * self.horizontal_rad)
+        return camera_of_bend(width_px, height_px, focal_px, self.bend)
 
 
 def ordinary_field_of_view(width_px: int, height_px: int) -> FieldOfView:
@@ -95,7 +117,8 @@ def estimate_field_of_view(images: Iterable[npt.NDArray[Any]]) -> FieldOfView:
     ----------
     images
         Pictures of one size, grey (h, w), BGR or BGRA, uint8 or uint16, at least one. They are taken one by one
-        until `MAX_PICTURES` were of use or `MAX_TRIED` were examined: let the first few be unlike each other.
+        until `MAX_PICTURES` were of use or `MAX_TRIED` were examined: let the first few be unlike each other. How
+        much the lens bends straight lines is found from these, the focal length from all.
 
     Returns
     -------
@@ -109,13 +132,41 @@ def estimate_field_of_view(images: Iterable[npt.NDArray[Any]]) -> FieldOfView:
         Where there is no picture, an array is not one, or their sizes differ.
     """
     rest = iter(images)
-    first = next(rest, None)
-    if first is None:
+    first = [to_grey(image) for image in islice(rest, MAX_BEND_PICTURES)]
+    if not first:
         raise InputError("there are no pictures to find the field of view from", remedy="give at least one")
-    first = to_grey(first)
-    camera = _nominal_camera(first.shape[1], first.shape[0])
-    return field_of_view_of_lines(
-        (extract_lines(image, camera, keep_picture=False) for image in chain([first], rest)), camera
+    height_px, width_px = first[0].shape
+    camera = straightening_camera(width_px, height_px, 0.0)
+    for image in first:
+        camera.require_size(image.shape[1], image.shape[0])
+    bend = estimate_bend(first)
+    camera = straightening_camera(width_px, height_px, bend.rad)
+    lines = (extract_lines(image, camera, keep_picture=False) for image in chain(first, rest))
+    found = field_of_view_of_lines(lines, camera)
+    return found if bend.rad == 0.0 else _of_bent_picture(found, bend, camera)
+
+
+def _of_bent_picture(straight: FieldOfView, bend: Bend, camera: Camera) -> FieldOfView:
+    """Turn the field of view that straightened pictures have as if they were of a lens that bends no lines.
+
+    Where they do not tell it, the bend does: lenses that bend lines much are near to equidistant ones.
+    """
+    width_px = camera.width_px
+    focal_px, share = bend.radius_px(width_px, camera.height_px), FOCAL_STD_OF_BEND
+    if straight.measured:
+        share = hypot(straight.focal_std_share, bend.std_rad / bend.rad)
+        focal_px = 0.5 * width_px / tan(0.5 * straight.horizontal_rad)
+    elif bend.rad < MIN_TELLING_BEND_RAD:
+        return replace(straight, bend=bend)
+    radius_px = bend.radius_px(width_px, camera.height_px)
+    horizontal_rad = 2.0 * atan(radius_px * tan(0.5 * width_px / radius_px) / focal_px)
+    return replace(
+        straight,
+        horizontal_rad=horizontal_rad,
+        std_rad=share * sin(horizontal_rad),
+        measured=True,
+        n_used=straight.n_used or min(straight.n_tried, MAX_BEND_PICTURES),
+        bend=bend,
     )
 
 
@@ -127,7 +178,8 @@ def field_of_view_of_lines(line_sets: Iterable[LineSet], camera: Camera) -> Fiel
     line_sets
         Lines of each picture.
     camera
-        What they were found with: no distortion, optical axis at the centre, any focal length.
+        What they were found with: optical axis at the centre, any focal length. Lines are straight as it has them,
+        and the field of view is that of a lens without distortion.
     """
     nominal = _nominal_camera(camera.width_px, camera.height_px)
     pictures: list[_PictureLikelihood] = []
@@ -278,20 +330,9 @@ def lines_of(lines: LineSet, camera: Camera, other: Camera) -> LineSet:
         return np.asarray(np.hypot(normal[:, 0], normal[:, 1]) / (depth * of.fx_px), np.float64)
 
     p0, p1 = rays(other)
-    centre = p0 + p1
-    centre /= np.linalg.norm(centre, axis=1, keepdims=True)
-    normal = np.cross(p0, p1)
-    sine = np.linalg.norm(normal, axis=1)
-    normal /= sine[:, None]
+    spanned = lines.with_ends(p0, p1)
     sigma_px = lines.sigma_rad / off_plane(lines.normal, *rays(camera), camera)
-    return replace(
-        lines,
-        centre=centre,
-        direction=np.cross(normal, centre),
-        normal=normal,
-        sigma_rad=sigma_px * off_plane(normal, p0, p1, other),
-        arc_rad=np.arctan2(sine, (p0 * p1).sum(axis=1)),
-    )
+    return replace(spanned, sigma_rad=sigma_px * off_plane(spanned.normal, p0, p1, other))
 
 
 def _combined(pictures: Sequence[_PictureLikelihood]) -> FieldOfView:

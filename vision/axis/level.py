@@ -13,6 +13,7 @@ from math import atan, nan, radians, sqrt
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from vision.compiled import compiled
 from vision.lines.segments import LineGeometry, LineSet
@@ -82,38 +83,57 @@ class _Down(NamedTuple):
 def _search_down(lines: LineGeometry, std: float) -> tuple[float, float]:
     """Find by exhaustive vote, coarsely first, where the vertical lines meet: a and b of `_Down`."""
     normal, direction, arc = lines.normal, lines.direction, lines.arc_rad
-    out = np.empty(2)
-    upright = np.empty((len(arc), 4))
+    upright = np.empty((len(arc), 4), np.float32)
     n = 0
     for k in range(len(arc)):
         if abs(direction[k, 2]) >= VERTICAL_COSINE:
-            upright[n, :3] = normal[k]
-            upright[n, 3] = min(arc[k], MAX_VOTE_ARC_RAD) / MAX_VOTE_ARC_RAD
+            for i in range(3):
+                upright[n, i] = normal[k, i]
+            upright[n, 3] = VOTE_WEIGHT * min(arc[k], MAX_VOTE_ARC_RAD) / MAX_VOTE_ARC_RAD
             n += 1
-    out[0] = 0.0
-    out[1] = 0.0
+    middle_a = middle_b = 0.0
     step = COARSE_STEP_RAD
     reach = int(np.ceil(GRID_REACH_SIGMA * std / step))
     for _ in range(2):
-        middle_a = out[0]
-        middle_b = out[1]
-        spread = 1.4 * step
-        best = -np.inf
-        for i in range(-reach, reach + 1):
-            for j in range(-reach, reach + 1):
-                a = middle_a + i * step
-                b = middle_b + j * step
-                score = -0.5 * (a * a + b * b) / (std * std)
-                for k in range(n):
-                    z = (upright[k, 0] * a + upright[k, 1] * b + upright[k, 2]) / spread
-                    score += VOTE_WEIGHT * max(0.0, 1.0 - z * z) * upright[k, 3]
-                if score > best:
-                    best = score
-                    out[0] = a
-                    out[1] = b
+        size = 2 * reach + 1
+        scores = np.empty((size, size), np.float32)
+        for i in range(size):
+            for j in range(size):
+                a, b = middle_a + (i - reach) * step, middle_b + (j - reach) * step
+                scores[i, j] = -0.5 * (a * a + b * b) / (std * std)
+        _add_votes(upright[:n], np.float32(1.4 * step), middle_a, middle_b, step, scores)
+        best = np.argmax(scores)
+        middle_a += (best // size - reach) * step
+        middle_b += (best % size - reach) * step
         step = 0.5 * COARSE_STEP_RAD
         reach = 2
-    return out[0], out[1]
+    return middle_a, middle_b
+
+
+@compiled
+def _add_votes(
+    upright: npt.NDArray[np.float32],
+    spread: np.float32,
+    middle_a: float,
+    middle_b: float,
+    step: float,
+    scores: npt.NDArray[np.float32],
+) -> None:
+    """Add each line's parabola, cut off at zero, to a grid about a down vector; a row is done many at a time."""
+    size = len(scores)
+    inverse, one, zero = np.float32(1.0) / spread, np.float32(1.0), np.float32(0.0)
+    first_a, first_b = np.float32(middle_a - (size // 2) * step), np.float32(middle_b - (size // 2) * step)
+    step32 = np.float32(step)
+    for k in range(len(upright)):
+        nx, ny, weight = upright[k, 0] * inverse, upright[k, 1] * inverse, upright[k, 3]
+        z0 = upright[k, 2] * inverse + nx * first_a + ny * first_b
+        along_a, along_b = nx * step32, ny * step32
+        for i in range(size):
+            start = z0 + np.float32(i) * along_a
+            row = scores[i]
+            for j in range(size):
+                z = start + np.float32(j) * along_b
+                row[j] += weight * max(zero, one - z * z)
 
 
 @compiled

@@ -11,7 +11,7 @@ frame; the residual of a line with plane normal n is ``n . d``, zero for a corri
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, cos, isnan, nan, pi, radians, sin, sqrt
+from math import atan2, cos, isfinite, isnan, nan, pi, radians, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -172,23 +172,116 @@ def _count_distinct(normal: FloatArray, inlier: BoolArray, psi: float, e: float)
     return count
 
 
-def _covariance(fit: _Refined, excess_variance: float, n_distinct: int) -> FloatArray | None:
-    """Return the covariance (2, 2) of heading and elevation; None: it is infinite.
+class _Found(NamedTuple):
+    """The axis as compiled code finds it; NaN as heading: there is none.
+
+    Parameters
+    ----------
+    heading, elevation
+        Of the fit, radians.
+    covariance
+        Of both (2, 2), rad^2.
+    score
+        Of the best vote.
+    second_heading, second_score
+        Of the best vote at least 8 degrees away.
+    residual, inlier
+        Each line's residual over its standard deviation, and whether it runs along the axis, (n,).
+    inlier_share
+        Share of the inliers in the length of all lines that are not vertical.
+    n_distinct
+        In how many directions about the axis they lie.
+    """
+
+    heading: float
+    elevation: float
+    covariance: FloatArray
+    score: float
+    second_heading: float
+    second_score: float
+    residual: FloatArray
+    inlier: BoolArray
+    inlier_share: float
+    n_distinct: int
+
+
+@compiled
+def _covariance(fit: _Refined, excess_variance: float, n_distinct: int) -> FloatArray:
+    """Return the covariance (2, 2) of heading and elevation; infinite where the lines leave it open.
 
     It is that of the fit, with the vote's excess variance added to the heading's. Its scale comes from the lines' own
     residuals, so that errors follow Student's t distribution: the fewer distinct lines, the larger its variance.
     """
     h00, h01, h11 = fit.information_heading, fit.information_both, fit.information_elevation
-    determinant = h00 * h11 - h01**2
+    covariance = np.empty((2, 2))
+    determinant = h00 * h11 - h01 * h01
     if not determinant > 0.0:
-        return None
-    misfit = fit.chi2 / max(fit.weight - 2.0, 1.0)
-    covariance = np.array([[h11, -h01], [-h01, h00]])
-    covariance *= max(MIN_SCALE, CORRELATION * misfit) / determinant
-    wider = np.array([sqrt(1.0 + excess_variance / covariance[0, 0]), 1.0])
-    covariance *= np.outer(wider, wider)
+        covariance[:] = np.inf
+        return covariance
     freedom = max(n_distinct - 2, MIN_FREEDOM)
-    return covariance * (freedom / (freedom - 2.0))
+    misfit = fit.chi2 / max(fit.weight - 2.0, 1.0)
+    scale = max(MIN_SCALE, CORRELATION * misfit) / determinant
+    wider = sqrt(1.0 + excess_variance / (h11 * scale))
+    scale *= freedom / (freedom - 2.0)
+    covariance[0, 0], covariance[1, 1] = h11 * scale * wider * wider, h00 * scale
+    covariance[0, 1] = covariance[1, 0] = -h01 * scale * wider
+    return covariance
+
+
+@compiled
+def _find(
+    lines: LineGeometry,
+    length: FloatArray,
+    elevation: float,
+    elevation_std: float,
+    prior_heading: float,
+    prior_heading_std: float,
+) -> _Found:
+    """Go all the way from lines to the axis in compiled code: handing arrays over costs more than some steps.
+
+    Parameters
+    ----------
+    lines, length
+        In the level frame; lengths (n,) in pixels.
+    elevation, elevation_std, prior_heading, prior_heading_std
+        As in `fit_axis`.
+    """
+    n = len(length)
+    residual, inlier = np.zeros(n), np.zeros(n, np.bool_)
+    none = _Found(np.nan, np.nan, np.empty((2, 2)), 0.0, np.nan, 0.0, residual, inlier, 0.0, 0)
+    steps, step_std = elevations_to_try(elevation_std)
+    max_heading = 0.5 * pi if prior_heading == prior_heading else MAX_HEADING_RAD + RIVAL_DISTANCE_RAD
+    scores = vote(lines, elevation + steps, step_std, max_heading)
+    voted = find_best_heading(scores, steps, elevation_std, prior_heading, prior_heading_std)
+    if not voted.best_score > 0.0:
+        return none
+    start = bin_heading(voted.best_bin)
+    fit = _refine(lines, start, elevation + steps[voted.best_elevation], elevation, elevation_std)
+    if abs(fit.heading - start) > MAX_REFINEMENT_RAD:
+        return none  # the fit left the peak it started from: there was no axis, only many stray lines
+    rival = find_rival(voted, fit.heading, fit.elevation - elevation)
+    along = leaning = 0.0
+    for i in range(n):
+        if abs(lines.normal[i, 2]) < VERTICAL_SINE:
+            continue
+        leaning += length[i]
+        if abs(fit.residual[i]) < INLIER_SIGMA:
+            inlier[i] = True
+            along += length[i]
+    n_distinct = _count_distinct(lines.normal, inlier, fit.heading, fit.elevation)
+    covariance = _covariance(fit, rival.excess_variance, n_distinct)
+    return _Found(
+        fit.heading,
+        fit.elevation,
+        covariance,
+        voted.best_score,
+        bin_heading(rival.bin),
+        rival.score,
+        fit.residual,
+        inlier,
+        along / max(leaning, 1.0),
+        n_distinct,
+    )
 
 
 def axis_direction(heading_rad: float, elevation_rad: float) -> FloatArray:
@@ -220,35 +313,25 @@ def fit_axis(
     """
     if len(lines) == 0:
         return None
-    geometry = lines.geometry(R_level_camera)
-    steps = elevations_to_try(elevation_std_rad)
-    step_std = np.minimum(elevation_std_rad, 0.4 * np.gradient(steps))
-    max_heading = MAX_HEADING_RAD + RIVAL_DISTANCE_RAD if isnan(prior_heading_rad) else 0.5 * pi
-    scores = vote(geometry, elevation_rad + steps, step_std, max_heading)
-    voted = find_best_heading(scores, steps, elevation_std_rad, prior_heading_rad, prior_heading_std_rad)
-    if not voted.best_score > 0.0:
-        return None
-    start_rad = bin_heading(voted.best_bin)
-    start_elevation_rad = elevation_rad + float(steps[voted.best_elevation])
-    fit = _refine(geometry, start_rad, start_elevation_rad, elevation_rad, elevation_std_rad)
-    if abs(fit.heading - start_rad) > MAX_REFINEMENT_RAD:
-        return None  # the fit left the peak it started from: there was no axis, only many stray lines
-    rival = find_rival(voted, fit.heading, fit.elevation - elevation_rad)
-    leaning = np.abs(geometry.normal[:, 2]) >= VERTICAL_SINE
-    inlier = leaning & (np.abs(fit.residual) < INLIER_SIGMA)
-    n_distinct = _count_distinct(geometry.normal, inlier, fit.heading, fit.elevation)
-    covariance = _covariance(fit, rival.excess_variance, n_distinct)
-    if covariance is None:
+    found = _find(
+        lines.geometry(R_level_camera),
+        lines.length_px,
+        elevation_rad,
+        elevation_std_rad,
+        prior_heading_rad,
+        prior_heading_std_rad,
+    )
+    if not isfinite(found.covariance[0, 0]) or isnan(found.heading):
         return None
     return AxisFit(
-        heading_rad=fit.heading,
-        elevation_rad=fit.elevation,
-        covariance=covariance,
-        score=voted.best_score,
-        second_heading_rad=bin_heading(rival.bin),
-        second_score=rival.score,
-        residual=fit.residual,
-        inlier=inlier,
-        n_distinct=n_distinct,
-        inlier_share=float(lines.length_px[inlier].sum() / max(lines.length_px[leaning].sum(), 1.0)),
+        heading_rad=found.heading,
+        elevation_rad=found.elevation,
+        covariance=found.covariance,
+        score=found.score,
+        second_heading_rad=found.second_heading,
+        second_score=found.second_score,
+        residual=found.residual,
+        inlier=found.inlier,
+        inlier_share=found.inlier_share,
+        n_distinct=found.n_distinct,
     )

@@ -40,6 +40,7 @@ MAX_HEADING_RAD = radians(60.0)  # without a prediction, what is farther off is 
 SLOPE_STD_RAD = radians(2.5)  # of the elevation of ramps and of floors that are not level
 SLOPE_SHARE = 0.02  # of corridors
 FINE_STEP_RAD, COARSE_STEP_RAD = radians(0.5), radians(1.0)  # between elevations to try
+STD_OF_SPACING = 0.4
 FINE_REACH_RAD, MAX_REACH_RAD = radians(1.0), radians(10.0)
 PRIOR_FLOOR_STD_RAD = radians(1.0)
 PRIOR_DOUBT = 0.01  # a filter can be wrong: strong evidence wins against it
@@ -193,12 +194,34 @@ def _log_prior(heading: float, prior_heading: float, prior_std: float) -> float:
     return log(PRIOR_DOUBT + exp(-0.5 * z * z))
 
 
-def elevations_to_try(std: float) -> FloatArray:
-    """Return elevations (m,) about the expected one, closer together where corridors are level (``std`` given)."""
+@compiled
+def elevations_to_try(std: float) -> tuple[FloatArray, FloatArray]:
+    """Return elevations (m,) about the expected one, closer together where corridors are level, and their stds.
+
+    Parameters
+    ----------
+    std
+        Standard deviation of the elevation.
+
+    Returns
+    -------
+    elevation, elevation_std
+        Relative to the expected one, and the standard deviation of those that each stands for.
+    """
     reach = min(2.0 * hypot(std, SLOPE_STD_RAD), MAX_REACH_RAD)
-    fine = np.arange(0.0, FINE_REACH_RAD, FINE_STEP_RAD)
-    up = np.concatenate([fine, np.arange(FINE_REACH_RAD, reach, COARSE_STEP_RAD)])
-    return np.concatenate([-up[:0:-1], up])
+    n_fine = int(np.ceil(FINE_REACH_RAD / FINE_STEP_RAD))
+    n = n_fine + max(int(np.ceil((reach - FINE_REACH_RAD) / COARSE_STEP_RAD)), 0)
+    elevation, elevation_std = np.empty(2 * n - 1), np.empty(2 * n - 1)
+    for k in range(n):
+        up = k * FINE_STEP_RAD if k < n_fine else FINE_REACH_RAD + (k - n_fine) * COARSE_STEP_RAD
+        elevation[n - 1 + k], elevation[n - 1 - k] = up, -up
+    last = 2 * n - 2
+    for k in range(2 * n - 1):
+        # half the distance between its neighbours, or to its only one
+        low, high = max(k - 1, 0), min(k + 1, last)
+        spacing = (elevation[high] - elevation[low]) / max(high - low, 1)
+        elevation_std[k] = min(std, STD_OF_SPACING * spacing) if last > 0 else std
+    return elevation, elevation_std
 
 
 @compiled

@@ -11,7 +11,8 @@ SLAM systems           see `vision.cameras.slam_files`                of the cam
 =====================  =============================================  ==================================
 
 Extrinsics run in opposite directions: ``T_BS`` and ``T_imu_cam`` (OpenVINS) take points from the camera to the
-body, ``T_cam_imu`` takes them from the IMU to the camera. Any of the files may hold any of the three.
+body, ``T_cam_imu`` takes them from the IMU to the camera. Any of the files may hold any of the three, and
+``line_delay``, the seconds from row to row of a rolling shutter as Kalibr calibrates it.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from vision.cameras.fields import (
     check_pinhole,
     check_size,
     exposure_s,
+    line_delay_s,
     numbers,
     parts_of_transform,
     require,
@@ -177,6 +179,7 @@ def _read_matrix_file(content: Mapping[str, Any], body_frame: BodyFrame) -> Came
         distortion=lens.distortion,
         coefficients=lens.coefficients,
         exposure_s=exposure_s(content, ""),
+        line_delay_s=line_delay_s(content, ""),
         mount_assumed=pose is None,
     )
     return camera if pose is None else replace(camera, R_body_camera=pose[0], p_body_camera_m=pose[1])
@@ -222,6 +225,7 @@ def _make_camera(content: Mapping[str, Any], prefix: str, coefficient_key: str, 
         distortion=known,
         coefficients=coefficients,
         exposure_s=exposure_s(content, prefix),
+        line_delay_s=line_delay_s(content, prefix),
         mount_assumed=pose is None,
     )
     return camera if pose is None else replace(camera, R_body_camera=pose[0], p_body_camera_m=pose[1])

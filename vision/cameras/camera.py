@@ -22,6 +22,7 @@ BodyFrame = Literal["flu", "frd"]
 
 ROTATION_TOLERANCE = 1e-3  # files print rotations to a few digits; beyond this it is not one
 MAX_AXIS_ANGLE_RAD = pi / 3
+MAX_READOUT_S = 0.5  # from the first row to the last
 
 _FORWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
@@ -86,6 +87,9 @@ class Camera:
         Position (3,) in the body FRD: a camera ahead of the vehicle's centre swings sideways as it turns.
     mount_assumed
         Whether ``R_body_camera`` is only taken for granted, since the calibration says nothing of it.
+    line_delay_s
+        Time from one row's exposure to that of the row below, negative where the lowest comes first; 0 for a global
+        shutter. A picture's time is its middle row's.
 
     Raises
     ------
@@ -105,6 +109,7 @@ class Camera:
     exposure_s: float = nan
     p_body_camera_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     mount_assumed: bool = False
+    line_delay_s: float = 0.0
     _lens: RadialTangential | Equidistant | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
@@ -142,6 +147,12 @@ class Camera:
             value = getattr(self, name)
             if not isfinite(value):
                 raise InputError(f"principal point {name} is {value:g}", remedy="give a number of pixels")
+        if not abs(self.line_delay_s) * self.height_px <= MAX_READOUT_S:  # NaN fails too
+            raise InputError(
+                f"line_delay {self.line_delay_s:g} would take {abs(self.line_delay_s) * self.height_px:.3g} s to"
+                f" read {self.height_px} rows",
+                remedy=f"give seconds from row to row: 20 ms for all are {0.02 / self.height_px:.2g}",
+            )
         counts = COEFFICIENT_COUNTS[Distortion(self.distortion)]
         if len(self.coefficients) not in counts:
             wanted = " or ".join(str(c) for c in counts)
@@ -201,6 +212,7 @@ class Camera:
             fy_px=self.fy_px * scale_y,
             cx_px=(self.cx_px + 0.5) * scale_x - 0.5,
             cy_px=(self.cy_px + 0.5) * scale_y - 0.5,
+            line_delay_s=self.line_delay_s / scale_y,
         )
 
     def require_size(self, width_px: int, height_px: int, file: str | Path | None = None) -> None:

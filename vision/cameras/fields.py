@@ -166,6 +166,17 @@ def exposure_s(content: Mapping[str, Any], prefix: str) -> float:
     return nan if value is None else value
 
 
+def line_delay_s(content: Mapping[str, Any], prefix: str) -> float:
+    """Return the time in seconds from row to row of a rolling shutter (``line_delay``), 0 where there is none."""
+    value = content.get("line_delay")
+    if value is None:
+        return 0.0
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        remedy = "give seconds from row to row, or leave it out for a global shutter"
+        raise InputError(f"{prefix}line_delay is {value!r}", remedy=remedy)
+    return float(value)
+
+
 def parts_of_transform(value: object, name: str) -> tuple[FloatArray, FloatArray]:
     """Rotation (3, 3) and translation (3,) of a 4x4 transform, given flat, nested, or as a mapping with ``data``."""
     if isinstance(value, Mapping):

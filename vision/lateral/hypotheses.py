@@ -201,24 +201,44 @@ def offset_hypotheses(picture: PictureCorners, weights: OffsetWeights) -> Record
 
 
 @compiled
-def width_log_odds(floor: RecordArray, prior_width: float, weights: OffsetWeights) -> FloatArray:
-    """Return what a known width adds to the log odds of hypotheses with each of the floor's pairs (n,).
+def width_log_odds(width: FloatArray, prior_width: float, weights: OffsetWeights) -> FloatArray:
+    """Return what a known width adds to the log odds of hypotheses that each have a width of their own.
 
-    It is the density of the pair's width where the corridor's is known, over the density that `EVIDENCE` has of
+    It is the density of the hypothesis' width where the corridor's is known, over the density that `EVIDENCE` has of
     corridors in general. Zero where none is known.
+
+    Parameters
+    ----------
+    width
+        Corridor width over the camera's height (n,) that each hypothesis gives; NaN: it does not tell.
+    prior_width
+        The same as known beforehand; NaN: unknown.
+    weights
+        Of the evidence.
     """
-    out = np.zeros(len(floor))
+    out = np.zeros(len(width))
     if not prior_width > 0.0:  # NaN fails too
         return out
     curvature, slope = -2.0 * weights.floor[LOG_WIDTH_SQUARED], weights.floor[LOG_WIDTH]
     usual, usual_std = slope / curvature, 1.0 / sqrt(curvature)
-    for f in range(len(floor)):
-        z = log(floor[f].width / prior_width) / WIDTH_STD
+    for f in range(len(width)):
+        if not width[f] > 0.0:
+            continue
+        z = log(width[f] / prior_width) / WIDTH_STD
         known = (1.0 - PRIOR_FLOOR) * exp(-0.5 * z * z) / WIDTH_STD
-        y = (log(floor[f].width / TYPICAL_WIDTH[0]) - usual) / usual_std
+        y = (log(width[f] / TYPICAL_WIDTH[0]) - usual) / usual_std
         unknown = exp(-0.5 * y * y) / usual_std
         out[f] = log(known / unknown + PRIOR_FLOOR)
     return out
+
+
+@compiled
+def prediction_factor(offset: float, prior: float, prior_std: float) -> float:
+    """Return the factor by which a filter's prediction of the offset changes a hypothesis' odds; 1 without any."""
+    if not isfinite(prior):
+        return 1.0
+    z = (offset - prior) / hypot(prior_std, PRIOR_SLACK)
+    return PRIOR_FLOOR + (1.0 - PRIOR_FLOOR) * exp(-0.5 * z * z)
 
 
 @compiled
@@ -250,9 +270,7 @@ def most_probable_offset(
         row = hypotheses[k]
         evidence[k] = exp(min(row.log_odds, MAX_LOG_ODDS))
         likely[k] = evidence[k] * exp(floor_log_odds[row.floor]) if row.floor >= 0 else evidence[k]
-        if isfinite(prior):
-            z = (hypotheses[k].offset - prior) / hypot(prior_std, PRIOR_SLACK)
-            likely[k] *= PRIOR_FLOOR + (1.0 - PRIOR_FLOOR) * exp(-0.5 * z * z)
+        likely[k] *= prediction_factor(row.offset, prior, prior_std)
         total += likely[k]
         if likely[k] > most:
             best, most = k, likely[k]

@@ -7,14 +7,15 @@ t_L)``.
 
 Which two lines are the corners is the question: skirting boards, wainscots, furniture and joints of the floor run
 along the corridor too. `vision.lateral.corner_pairs` collects the evidence for every pair of candidates,
-`vision.lateral.hypotheses` turns it into probabilities. The offset is answered where one has nearly all of the
-probability.
+`vision.lateral.hypotheses` turns it into probabilities. From lines alone the offset is answered where one has nearly
+all of the probability (`fit_lateral`). Where the picture's regions tell as well, both kinds of evidence are
+multiplied, and what they say together is answered, as exactly as it is known (`answer_of`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import nan, sqrt
+from math import exp, log, nan, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -30,10 +31,11 @@ from vision.lateral.hypotheses import (
     OffsetWeights,
     most_probable_offset,
     offset_hypotheses,
+    prediction_factor,
     width_log_odds,
 )
 from vision.lateral.line_directions import PictureLines
-from vision.lateral.mixture import OffsetMixture
+from vision.lateral.mixture import OffsetMixture, combine
 from vision.lines.segments import LineSet
 from vision.types import FloatArray
 
@@ -43,6 +45,31 @@ MIN_WIDTH_SHARE = 0.3  # of the answer, for the floor's pair to give the width
 MIN_STD = 0.004
 SCATTER_SHARE = 0.64  # of the hypotheses' variance: they err together only in part
 DOUBT = 0.02  # variance for what probability is left to others
+# Of what lines and regions say together. On random simulated corridors (300 single pictures of scenes drawn anew)
+# an error is within 1.95 of these standard deviations in nine of ten answers.
+SAME_ANSWER = 0.12  # components nearer than this to their mean are one answer
+MIN_JOINT_PROBABILITY = 0.8
+JOINT_DOUBT = 0.03
+SAME_WIDTH = (
+    0.1  # in the logarithm: where lines and regions differ by more, one of them took a stripe for a corner
+)
+
+
+@dataclass(frozen=True, slots=True)
+class OffsetAnswer:
+    """The lateral offset that one picture tells.
+
+    Parameters
+    ----------
+    offset_norm, offset_norm_std
+        Offset right of the centre line over half the width.
+    width_per_height
+        Corridor width over camera height above the floor; NaN where the picture does not tell.
+    """
+
+    offset_norm: float
+    offset_norm_std: float
+    width_per_height: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +116,7 @@ def _estimate_offset(
     if wide.candidates.n_candidates.max() > MAX_CORNERS:
         picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, MAX_CORNERS)
     hypotheses = offset_hypotheses(picture, weights)
-    known = width_log_odds(picture.floor.pair, prior_width, weights)
+    known = width_log_odds(picture.floor.pair["width"], prior_width, weights)
     found = most_probable_offset(hypotheses, known, prior, prior_std)
     corners = picture.candidates.corners
     width = nan
@@ -155,3 +182,99 @@ def fit_lateral(
         + DOUBT * (1.0 - found.probability)
     )
     return LateralFit(found.offset, sqrt(variance), width_per_height, wall_lines), mixture
+
+
+@compiled
+def _most_probable_group(
+    weight: FloatArray, offset: FloatArray, std: FloatArray, factor: FloatArray, blind: float
+) -> tuple[float, float, float]:
+    """Find the offset that most of a mixture's probability is for.
+
+    Parameters
+    ----------
+    weight, offset, std
+        The mixture's components (n,), at least one.
+    factor
+        What is known beforehand of each (n,): it chooses and does not move the answer.
+    blind
+        Weight of what cannot tell.
+
+    Returns
+    -------
+    tuple
+        Probability, mean and variance of the components about the offset.
+    """
+    n = len(weight)
+    best, most, total = 0, -1.0, blind
+    for k in range(n):
+        total += weight[k] * factor[k]
+        density = 0.0
+        for j in range(n):
+            z = (offset[k] - offset[j]) / std[j]
+            density += weight[j] * factor[j] / std[j] * exp(-0.5 * z * z)
+        if density > most:
+            best, most = k, density
+    mean = offset[best]
+    for _ in range(3):
+        moment = share = 0.0
+        for k in range(n):
+            if abs(offset[k] - mean) < SAME_ANSWER:
+                moment += weight[k] * offset[k]
+                share += weight[k]
+        mean = moment / share
+    probability = share = variance = 0.0
+    for k in range(n):
+        if abs(offset[k] - mean) < SAME_ANSWER:
+            probability += weight[k] * factor[k] / total
+            share += weight[k]
+            variance += weight[k] * (std[k] ** 2 + (offset[k] - mean) ** 2)
+    return probability, mean, variance / share
+
+
+def _width_about(mixture: OffsetMixture, offset_norm: float) -> float:
+    """Return the mean width per height of a mixture's components about an offset; NaN where none tells it."""
+    told = np.isfinite(mixture.width_per_height)
+    told &= np.abs(mixture.offset_norm - offset_norm) < SAME_ANSWER
+    if not told.any():
+        return nan
+    return float(np.average(mixture.width_per_height[told], weights=mixture.weight[told]))
+
+
+def answer_of(
+    lines: OffsetMixture,
+    regions: OffsetMixture,
+    prior_offset_norm: float = nan,
+    prior_offset_norm_std: float = nan,
+    prior_width_per_height: float = nan,
+) -> OffsetAnswer | None:
+    """Answer with the offset that lines and regions together are most sure of; None where none is probable enough.
+
+    The width is answered only where both see the same: an offset survives a pair of carpet stripes taken for the
+    corners, as they are symmetric, but the width does not.
+
+    Parameters
+    ----------
+    lines, regions
+        What either kind of evidence says.
+    prior_offset_norm, prior_offset_norm_std, prior_width_per_height
+        As in `fit_lateral`.
+    """
+    both = combine(lines, regions)
+    if not len(both.weight):
+        return None
+    factor = np.exp(width_log_odds(both.width_per_height, prior_width_per_height, WEIGHTS))
+    factor *= [
+        prediction_factor(y, prior_offset_norm, prior_offset_norm_std) for y in both.offset_norm.tolist()
+    ]
+    probability, mean, variance = _most_probable_group(
+        both.weight, both.offset_norm, both.std_norm, factor, both.cannot_tell
+    )
+    if not probability >= MIN_JOINT_PROBABILITY:
+        return None
+    width, other = _width_about(lines, mean), _width_about(regions, mean)
+    agree = width > 0.0 and other > 0.0 and abs(log(width / other)) < SAME_WIDTH
+    return OffsetAnswer(
+        offset_norm=mean,
+        offset_norm_std=sqrt(variance + MIN_STD**2 + JOINT_DOUBT * (1.0 - min(probability, 1.0))),
+        width_per_height=width if agree else nan,
+    )

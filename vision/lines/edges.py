@@ -147,16 +147,17 @@ def _mark_ridge(
 ) -> None:
     """Mark the pixels of a row that exceed the threshold and their neighbours across the edge.
 
-    Nothing here branches, so that the compiler works on many pixels at a time.
+    Nothing here branches, not even whether to load a neighbour, so that the compiler works on many pixels at a time.
     """
     for x in range(len(middle)):
         m = middle[x]
         a = np.int32(gx[x])
         b = np.int32(gy[x])
+        at_left, at_right, at_up, at_down = left[x], right[x], up[x], down[x]
         steep = a * a >= b * b
-        m0 = left[x] if steep else up[x]
-        m1 = right[x] if steep else down[x]
-        mark[x] = np.uint8(1) if (m >= threshold) & (m > m0) & (m >= m1) else np.uint8(0)
+        m0 = at_left if steep else at_up
+        m1 = at_right if steep else at_down
+        mark[x] = np.uint8((m >= threshold) & (m > m0) & (m >= m1))
 
 
 @compiled

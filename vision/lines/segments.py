@@ -125,6 +125,21 @@ class LineSet:
     def __len__(self) -> int:
         return len(self.length_px)
 
+    def with_ends(self, start: FloatArray, end: FloatArray) -> LineSet:
+        """Return the same lines with their planes spanned by other rays (n, 3) to their ends, z = 1 or about."""
+        centre = start + end
+        centre /= np.linalg.norm(centre, axis=1, keepdims=True)
+        normal = np.cross(start, end)
+        sine = np.linalg.norm(normal, axis=1)
+        normal /= sine[:, None]
+        return replace(
+            self,
+            centre=centre,
+            direction=np.cross(normal, centre),
+            normal=normal,
+            arc_rad=np.arctan2(sine, (start * end).sum(axis=1)),
+        )
+
     def geometry(self, R: FloatArray | None = None) -> LineGeometry:
         """Return the lines' planes, turned by a rotation (3, 3) from the optical frame where one is given."""
         normal, centre, direction = self.normal, self.centre, self.direction
@@ -206,9 +221,24 @@ class _Traced(NamedTuple):
     blurred: bool
 
 
+class _Connected(NamedTuple):
+    """Edge pixels joined to components, in the buffers of this thread: of use until the next picture."""
+
+    work: _Workspace
+    n_labels: int
+    threshold: float
+    blurred: bool
+
+
 def _trace(grey: GreyImage, camera: Camera) -> _Traced:
-    height, width = grey.shape
-    work = _workspace(height, width)
+    found = _connected(grey, camera)
+    min_length = max(MIN_LENGTH_PX, MIN_LENGTH_OF_DIAGONAL * hypot(*grey.shape))
+    n = fit(found.work.components, found.n_labels, min_length, found.work.lines)
+    return _Traced(found.work.lines[:n].copy(), found.threshold, found.blurred)
+
+
+def _connected(grey: GreyImage, camera: Camera) -> _Connected:
+    work = _workspace(*grey.shape)
     smooth, expected_sharpness = _smoothed(grey, work)
     gradient = work.gradient
     cv2.spatialGradient(smooth, gradient.gx, gradient.gy)
@@ -216,10 +246,19 @@ def _trace(grey: GreyImage, camera: Camera) -> _Traced:
     median, mean = median_and_mean(gradient.magnitude, work.magnitude_counts)
     threshold = max(MIN_THRESHOLD, NOISE_TO_THRESHOLD * median, STRUCTURE_TO_THRESHOLD * mean)
     n_labels, *sharpness = connect(gradient, np.float32(threshold), _rectified(camera), work.components)
-    min_length = max(MIN_LENGTH_PX, MIN_LENGTH_OF_DIAGONAL * hypot(width, height))
-    n = fit(work.components, n_labels, min_length, work.lines)
-    blurred = min(sharpness) < BLURRED_SHARPNESS * expected_sharpness
-    return _Traced(work.lines[:n].copy(), threshold, blurred)
+    return _Connected(work, n_labels, threshold, min(sharpness) < BLURRED_SHARPNESS * expected_sharpness)
+
+
+def edge_components(grey: GreyImage, camera: Camera) -> RecordArray:
+    """Return what a picture's connected edges (n,) sum up to, of `vision.lines.edges.COMPONENT`.
+
+    Which pixels make a component does not depend on the lens; their rectified coordinates do.
+    """
+    working = _working_camera(camera)
+    found = _connected(_scaled(grey, working), working)
+    parent = found.work.components.parent[: found.n_labels]
+    sums: RecordArray = found.work.components.sums[: found.n_labels][parent == np.arange(found.n_labels)]
+    return sums
 
 
 def _scaled(grey: GreyImage, camera: Camera) -> GreyImage:
