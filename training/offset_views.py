@@ -23,6 +23,7 @@ from vision.lateral.polar import (
 FloatArray = npt.NDArray[np.float64]
 
 LIGHT_CELL_M = 0.3
+NEAREST_END_M = 0.6  # a door or wall ahead then fills most of the picture
 VIEWS_PER_CAMERA, VIEWS_PER_SCENE = 24, 6
 
 
@@ -125,7 +126,7 @@ def render_views(n: int, seed: int, first_camera: int = 0) -> Iterator[TrainingV
             max_heading_rad=radians(40.0 if hard else 25.0),
             max_offset_norm=0.8 if hard else 0.7,
             tilt_std_rad=radians(4.0),
-            min_ahead_m=1.0 if hard else 3.0,
+            min_ahead_m=NEAREST_END_M if hard else 3.0,
             yaw_rate_rad_s=float(rng.choice([0.0, 0.0, 0.0, rng.uniform(0.2, 1.5)])),
             views_per_scene=VIEWS_PER_SCENE,
             light_cell_m=LIGHT_CELL_M,

@@ -22,7 +22,8 @@ from vision.axis.vote import VERTICAL_SINE
 from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.images import to_grey
-from vision.lateral.learned import corner_lines, corner_scores, mixture_of
+from vision.lateral.learned import corner_lines, corner_scores, learned_mixture, mixture_of
+from vision.lateral.mixture import OffsetMixture
 from vision.lateral.offset import SAME_ANSWER, LateralFit, OffsetAnswer, answer_of, fit_lateral
 from vision.lateral.polar import corridor_frame, polar_picture
 from vision.lines.rolling_shutter import lines_at_one_moment, to_picture
@@ -51,6 +52,8 @@ MAX_ELEVATION_RAD = radians(5.5)  # ramps are at most 1:12 steep: an axis that r
 MAX_ELEVATION_SIGMA = 2.5
 MAX_BLUR_PX = 20.0
 MAX_DRAWN_DOUBT = 0.5  # of the network: less sure, its corners are not drawn
+MAX_EXPECTED_STD_RAD = radians(1.0)  # of the prior's axis, to stand in for the picture's
+MAX_EXPECTED_TURN_RAD = radians(35.0)
 SLOPE_STD_RAD = radians(0.2)  # floors and ceilings are level to about this
 CALIBRATION_STD_RAD = radians(0.03)  # what focal length and principal point leave, the same in every frame
 UNKNOWN_ATTITUDE = Attitude(0.0, 0.0, std_rad=radians(12.0))
@@ -154,6 +157,8 @@ def measure_lines(
         found = replace(found, accepted=reason is Reason.OK, reason=reason)
         if lateral:
             found = _with_lateral(found, fit, lines, camera, level, prior)
+    if lateral and not found.accepted:
+        found = replace(found, offset_evidence=_evidence_about_expected_axis(lines, camera, level, prior))
     return replace(found, vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started))
 
 
@@ -231,6 +236,21 @@ def _with_lateral(
         lateral_offset_norm_std=answer.offset_norm_std,
         width_per_height=answer.width_per_height,
         position=position_from_offset(answer.offset_norm),
+    )
+
+
+def _evidence_about_expected_axis(
+    lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
+) -> tuple[OffsetMixture, ...]:
+    """Return what regions say about the lateral offset where the axis is the prior's: in the dark lines are too few.
+
+    Empty where the prior does not know the axis well enough.
+    """
+    expected = prior.heading_std_rad < MAX_EXPECTED_STD_RAD and abs(prior.heading_rad) < MAX_EXPECTED_TURN_RAD
+    if lines.grey is None or not expected:  # nor where the prior is NaN
+        return ()
+    return (
+        learned_mixture(lines.grey, camera, corridor_frame(level.R_level_camera, prior.heading_rad, 0.0)),
     )
 
 

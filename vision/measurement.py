@@ -170,7 +170,7 @@ class FrameMeasurement:
         Lines (k, 4) where walls meet floor or ceiling, as used for the lateral offset; None like `lines_px`.
     offset_evidence
         All that the picture says about the lateral offset, by each kind of evidence, for a filter to accumulate. It
-        does not know of any prediction.
+        does not know of any predicted offset. Where the heading is not accepted, the axis is the prior's.
     roll_correction_rad, roll_correction_std_rad
         What the picture's vertical lines alone add to the attitude's roll; NaN where no line tells.
     """

@@ -274,6 +274,9 @@ class Engine:
             m = measure_with_prior(sample.measure, attitude, prior, psi_rad, self.config)
         reason = reason_to_reject(m, self.config)
         if reason is not Reason.OK:
+            if s.axis.acquired and not m.accepted and m.offset_evidence:  # about the axis that was expected
+                half_m = s.width.half_m(self.config)
+                s = s._replace(lateral=self._lateral.fused(s.lateral, self.ekf.x, sample.t_ns, m, half_m))
             return s, FrameResult(sample.stamp_ns, m, False, reason)
         installed = s.checks.installation
         if s.reckoning.mode is Mode.GYRO:

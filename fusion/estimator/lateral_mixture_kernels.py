@@ -19,6 +19,29 @@ MIN_BELIEF = 0.01  # of a hypothesis in any component, for an update to be worth
 EXPLAINED_SIGMA = 3.0
 MERGE_SIGMA2 = 1.0
 MERGE_VELOCITY_SIGMA2 = 2.0
+NEIGHBOURHOOD_STD = 0.2  # half widths about a hypothesis within which a frame's other places are near it
+
+
+@compiled
+def variance_left_open(evidence: FloatArray, blind: float, expected: float) -> float:
+    """Variance of the offset that a frame alone leaves in the neighbourhood of a hypothesis.
+
+    It is that of the frame's likelihood times a Gaussian about ``expected``.
+    """
+    near = NEIGHBOURHOOD_STD**2
+    weight, mean, square = 0.5 * blind, 0.0, 0.5 * blind * near
+    for j in range(len(evidence)):
+        apart, variance = evidence[j, 1] - expected, evidence[j, 2]
+        total = near + variance
+        w = evidence[j, 0] * exp(-0.5 * apart * apart / total) / sqrt(2.0 * pi * total)
+        m = apart * near / total
+        weight += w
+        mean += w * m
+        square += w * (m * m + variance * near / total)
+    if not weight > 0.0:
+        return near
+    mean /= weight
+    return max(square / weight - mean * mean, 0.0)
 
 
 @compiled
@@ -32,7 +55,7 @@ def associate(
     temper: float,
     inflation: float,
 ) -> tuple[float, float]:
-    """Update hypotheses and weights by a frame, in place; return the likeliest's belief in it, and its residual.
+    """Update hypotheses and weights by a frame, in place; return the likeliest's belief and `variance_left_open`.
 
     ``slack`` is a variance that every component has besides. Weights come out multiplied by the likelihood to the
     power of ``temper`` and normalised.
@@ -43,7 +66,7 @@ def associate(
         blind -= evidence[j, 0]
     blind = max(blind, 0.0)
     share = np.empty(m)
-    best, best_belief, best_residual = -1, 0.0, 0.0
+    best, best_belief, best_open = -1, 0.0, NEIGHBOURHOOD_STD**2
     for h in range(k):
         if best < 0 or weight[h] > weight[best]:
             best = h
@@ -65,7 +88,7 @@ def associate(
         total += weight[h]
         belief = told / likelihood
         if h == best:
-            best_belief = belief
+            best_belief, best_open = belief, variance_left_open(evidence, blind, expected)
         if belief < MIN_BELIEF:
             continue
         mean = square = variance = 0.0
@@ -74,15 +97,13 @@ def associate(
             mean += b * evidence[j, 1]
             square += b * evidence[j, 1] ** 2
             variance += b * evidence[j, 2]
-        if h == best:
-            best_residual = mean - expected
         variance += slack + max(square - mean * mean, 0.0)
         corrected(x[h], P[h], H, mean - expected, variance * inflation / belief)
     weight[k] *= 0.5**temper
     total += weight[k]
     for h in range(k + 1):
         weight[h] /= total
-    return best_belief, best_residual
+    return best_belief, best_open
 
 
 @compiled
@@ -266,7 +287,7 @@ def take_frame(
     Returns
     -------
     tuple
-        Hypotheses, covariances, weights; the likeliest's belief in the frame and its residual.
+        Hypotheses, covariances, weights; the likeliest's belief in the frame and `variance_left_open` about it.
     """
     k, m = len(x), len(evidence)
     all_x, all_P = np.empty((k + m, N_LATERAL)), np.empty((k + m, N_LATERAL, N_LATERAL))
@@ -274,7 +295,7 @@ def take_frame(
     all_x[:k], all_P[:k], old[:] = x, P, weight
     H = np.zeros(N_LATERAL)
     H[Y], H[S] = side, aside_m
-    belief, residual = associate(all_x[:k], all_P[:k], old, evidence, H, slack, shares[0], 1.0 / shares[1])
+    belief, left_open = associate(all_x[:k], all_P[:k], old, evidence, H, slack, shares[0], 1.0 / shares[1])
     for h in range(k):
         old[k] += shares[2] * old[h]
         old[h] *= 1.0 - shares[2]
@@ -285,14 +306,16 @@ def take_frame(
     all_weight = np.empty(k + n + 1)
     all_weight[:k], all_weight[k : k + n], all_weight[k + n] = old[:k], new_weight[:n], old[k]
     x_out, P_out, weight_out = reduce(all_x[: k + n], all_P[: k + n], all_weight, near, *limits)
-    return x_out, P_out, weight_out, belief, residual
+    return x_out, P_out, weight_out, belief, left_open
 
 
 @compiled
 def summarised(
-    mean: FloatArray, cov: FloatArray, weight: FloatArray, tolerance: float
+    mean: FloatArray, cov: FloatArray, weight: FloatArray, tolerance: float, lasting: float, scale: float
 ) -> tuple[float, float, float, float, float]:
     """Offset and rate of the hypotheses within ``tolerance`` of the likeliest; at least one.
+
+    Each offset has the variance ``lasting`` besides, and the standard deviation ``scale`` times itself.
 
     Returns
     -------
@@ -315,10 +338,10 @@ def summarised(
     y_variance = v_variance = probability = 0.0
     for h in range(k):
         apart = mean[h, Y] - y
-        square = cov[h, Y, Y] + apart * apart
+        variance = cov[h, Y, Y] + lasting + (scale * mean[h, Y]) ** 2
         if abs(mean[h, Y] - mean[best, Y]) < tolerance:
-            y_variance += weight[h] / total * square
+            y_variance += weight[h] / total * (variance + apart * apart)
             v_variance += weight[h] / total * (cov[h, V, V] + (mean[h, V] - v) ** 2)
-        scale = sqrt(2.0 * cov[h, Y, Y])
-        probability += 0.5 * weight[h] * (erf((tolerance - apart) / scale) + erf((tolerance + apart) / scale))
+        wide = sqrt(2.0 * variance)
+        probability += 0.5 * weight[h] * (erf((tolerance - apart) / wide) + erf((tolerance + apart) / wide))
     return y, sqrt(y_variance), v, sqrt(v_variance), probability

@@ -30,15 +30,18 @@ measurement of v: ``0 = v - w s``, with its variance inflated where it is far fr
 **Evidence.** A frame's likelihood of the offset is ``p(y) = e / 2 + sum_j w_j N(o_j; y, sigma_j^2)``, with e the
 probability that it cannot tell. Errors of successive frames resemble each other, so a frame that follows the last one
 after dt counts as a part ``1 - exp(-dt / tau)`` of one: the hypotheses' weights are multiplied by that power of the
-likelihood, and the variances of the update are divided by it (with a longer tau, as what is shared by frames of one
-hypothesis, a line taken for the corner that lies beside it, lasts longer). Within a hypothesis, components are
+likelihood, and the variances of the update are divided by it. Within a hypothesis, components are
 weighed by probabilistic data association (Y. Bar-Shalom, E. Tse, "Tracking in a cluttered environment with
 probabilistic data association", Automatica 11(5), 1975). The unknown offset is uniform over (-1, 1), hence its
 likelihood is 1/2; what it holds moves to new hypotheses at the components that none explains. A little is always
 forgotten: weight leaks from all hypotheses to the unknown.
 
 **Reported** is the sum of those about the likeliest; it is known where it holds most of the probability and is
-narrow.
+narrow. A line beside the corner that is taken for it stays there for seconds, and no average over frames makes that
+error less. So what is reported has two variances besides those of the hypotheses, which the filter itself does not
+feed back: ``(s_y y)^2``, as lines inside or outside both corners make the corridor narrower or wider, and one that
+grows with what a frame alone leaves open about the likeliest hypothesis, ``(s_l u^2 / u_0^2)^2``, where u^2 is the
+variance of a frame's likelihood there, averaged over seconds. On simulated corridors the error grows with u so.
 """
 
 from __future__ import annotations
@@ -64,12 +67,12 @@ from vision.types import FloatArray
 
 MAX_HYPOTHESES = 15
 MIN_WEIGHT = 1e-4
-MAX_SCATTER = 0.1
 MAX_OFFSET = 1.2  # beyond the walls
 MIN_CANNOT_TELL = 0.15  # of each kind of evidence, as no frame tells what it does not know
 FIRST_FRAME_S = (
     0.3  # as if that long after another: one frame alone, whenever it comes, is not to be relied on
 )
+OPEN_NORM = 0.1
 SUPPORTED = 0.5  # belief in a frame from which on it confirms the likeliest hypothesis
 MAX_SILENCE_S = 0.1  # of the accelerometer, until which its last sample is held
 ROUGHNESS_SAMPLES = 100
@@ -82,25 +85,28 @@ class OffsetModel(NamedTuple):
     """What the filter assumes; lengths in metres unless they are said to be in half widths (``norm``)."""
 
     accel_noise: float = (
-        0.08  # m/s/sqrt(s), besides what the accelerometer itself shows: tilt that comes and goes
+        0.09  # m/s/sqrt(s), besides what the accelerometer itself shows: tilt that comes and goes
     )
-    accel_bias_std: float = 0.12  # m/s^2
-    accel_bias_walk: float = 0.07  # m/s^2/sqrt(s): the attitude's slow errors
+    accel_bias_std: float = 0.15  # m/s^2
+    accel_bias_walk: float = 0.03  # m/s^2/sqrt(s): the attitude's slow errors
     rough_limit: float = 0.17  # m/s/sqrt(s) of noise from which on an accelerometer is worth nothing
     velocity_std_m_s: float = 0.3  # without accelerometer
     velocity_time_s: float = 1.0
     start_velocity_std_m_s: float = 0.4
     inverse_half_width: tuple[float, float] = (
         0.95,
-        0.2,
+        0.25,
     )  # 1/m, mean and standard deviation in an unknown corridor
-    weight_time_s: float = 0.4
-    state_time_s: float = 0.25
-    forgotten: float = 0.12  # share of all weights that a frame which is all new gives to the unknown
+    weight_time_s: float = 0.26
+    state_time_s: float = 0.05
+    forgotten: float = 0.08  # share of all weights that a frame which is all new gives to the unknown
     forget_1_s: float = 0.3  # the same while no frame comes
-    slack_norm: float = 0.02
-    scatter_time_s: float = 0.7
-    least_scatter: float = 0.008
+    slack_norm: float = 0.01
+    open_time_s: float = 1.5  # over which what frames leave open is averaged
+    lasting_std_norm: float = (
+        0.03  # of an error that lasts, where frames leave `OPEN_NORM` open; grows as its square
+    )
+    scale_std: float = 0.05  # of the corridor's width as the taken lines have it, over the true one
     near_norm: float = 0.03  # hypotheses nearer than this are one
     tolerance_norm: float = 0.1
     known_probability: float = 0.9
@@ -152,7 +158,7 @@ class OffsetState(NamedTuple):
     path: Path = Path()
     accel: Acceleration = Acceleration()
     roll: RollCorrection = RollCorrection()
-    scatter2: float = 0.02**2
+    open2: float = OPEN_NORM**2  # variance that a frame alone leaves about the likeliest hypothesis, averaged
     evidence_age_s: float = nan  # since a frame supported the likeliest hypothesis
 
 
@@ -343,26 +349,22 @@ def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) 
     forgotten = 1.0 - (1.0 - model.forgotten * new) * exp(-model.forget_1_s * gap_s)
     s, s_std = model.inverse_half_width
     v_std, c_std = model.start_velocity_std_m_s * s, model.accel_bias_std * s
-    x, P, weight, belief, residual = take_frame(
+    x, P, weight, belief, left_open = take_frame(
         state.x,
         state.P,
         state.weight,
         components,
         side,
         aside_m,
-        state.scatter2,
+        model.slack_norm**2,
         (new, new_of_state, forgotten),
         (model.slack_norm**2, v_std**2, c_std**2, s, s_std**2),
         model.near_norm,
         (model.lost_std_norm**2, MAX_OFFSET, MAX_HYPOTHESES, MIN_WEIGHT),
     )
     age_s = 0.0 if belief > SUPPORTED or not len(state.x) else state.evidence_age_s
-    scatter2 = state.scatter2
-    if belief > SUPPORTED:
-        gain = -expm1(-dt_s / model.scatter_time_s)
-        scatter2 += gain * (min(residual**2, MAX_SCATTER**2) - scatter2)
-        scatter2 = max(scatter2, model.least_scatter**2)
-    return state._replace(x=x, P=P, weight=weight, evidence_age_s=age_s, scatter2=scatter2)
+    open2 = state.open2 - expm1(-dt_s / model.open_time_s) * (left_open - state.open2)
+    return state._replace(x=x, P=P, weight=weight, evidence_age_s=age_s, open2=open2)
 
 
 def update(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> OffsetState:
@@ -373,11 +375,16 @@ def update(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> Offs
 def readout(state: OffsetState, model: OffsetModel) -> OffsetReadout:
     """Report the offset at the state's time."""
     now = along_path(state, state.path, model)
-    return summary(now.x, now.P, now.weight[:-1], now.evidence_age_s, model)
+    return summary(now.x, now.P, now.weight[:-1], now, model)
+
+
+def lasting_variance(state: OffsetState, model: OffsetModel) -> float:
+    """Variance of an error that successive frames have in common, half widths squared, see the module's text."""
+    return (model.lasting_std_norm * state.open2 / OPEN_NORM**2) ** 2
 
 
 def summary(
-    mean: FloatArray, cov: FloatArray, weight: FloatArray, evidence_age_s: float, model: OffsetModel
+    mean: FloatArray, cov: FloatArray, weight: FloatArray, state: OffsetState, model: OffsetModel
 ) -> OffsetReadout:
     """Report the sum of the hypotheses about the likeliest.
 
@@ -387,16 +394,19 @@ def summary(
         Of y and v, and what may follow: (k, 2 or more) and (k, 2 or more, 2 or more).
     weight
         (k,), with what is unknown left out.
-    evidence_age_s
-        Reported as it is.
+    state
+        Has the age of its evidence, reported as it is, and what its frames leave open.
     model
         Says what is near, and when an offset is known.
     """
     if not len(mean):
         return OffsetReadout(nan, nan, nan, nan, 0.0, False, nan)
-    y, y_std, v, v_std, probability = summarised(mean, cov, weight, model.tolerance_norm)
+    lasting = lasting_variance(state, model)
+    y, y_std, v, v_std, probability = summarised(
+        mean, cov, weight, model.tolerance_norm, lasting, model.scale_std
+    )
     known = probability > model.known_probability and y_std < model.known_std_norm
-    return OffsetReadout(y, y_std, v, v_std, probability, known, evidence_age_s)
+    return OffsetReadout(y, y_std, v, v_std, probability, known, state.evidence_age_s)
 
 
 def moments(state: OffsetState, model: OffsetModel) -> tuple[FloatArray, FloatArray]:
@@ -407,6 +417,8 @@ def moments(state: OffsetState, model: OffsetModel) -> tuple[FloatArray, FloatAr
     mean = share @ state.x[near]
     apart = state.x[near] - mean
     cov = np.einsum("k,kij->ij", share, state.P[near]) + np.einsum("k,ki,kj->ij", share, apart, apart)
+    lasting, offsets = lasting_variance(state, model), state.x[near, Y]
+    cov[Y, Y] += lasting + model.scale_std**2 * float(share @ offsets**2)
     return mean, cov
 
 

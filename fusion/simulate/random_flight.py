@@ -12,7 +12,7 @@ from fusion.simulate.scene.config import SceneConfig
 from fusion.simulate.scene.random_scene import is_night
 
 NIGHT_EXPOSURE_S = 0.02
-WALL_CLEARANCE_M = 0.3
+WALL_CLEARANCE_M, PILLAR_CLEARANCE_M = 0.3, 0.1
 NEAREST_START_M = 0.6
 BARREL_REACH = 0.4  # r (1 + k r^2 + 0.3 k^2 r^4), of a barrel, reaches 0.41 / sqrt(-k) and no further
 CORNER_OVER_EDGE = 1.27  # of a picture of 4:3
@@ -65,7 +65,8 @@ def draw_camera(seed: int) -> dict[str, Any]:
 def _motion(seed: int, scene: SceneConfig, given: dict[str, Any]) -> dict[str, Any]:
     """Draw how the vehicle flies within the room that the corridor leaves; some of the flights reach its end."""
     rng = np.random.default_rng((seed, 17))
-    free = max(0.0, least_half_width_m(scene) - WALL_CLEARANCE_M)
+    pillar_m = scene.pilaster_m[1] if scene.pilaster_spacing_m else 0.0
+    free = max(0.0, least_half_width_m(scene) - max(WALL_CLEARANCE_M, pillar_m + PILLAR_CLEARANCE_M))
     route: tuple[int, ...] = ()
     if scene.junctions and rng.random() < 0.4:
         route = (2,)

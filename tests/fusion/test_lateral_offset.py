@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.estimator.lateral_kernels import S, V, Y
+from fusion.estimator.lateral_mixture_kernels import NEIGHBOURHOOD_STD, variance_left_open
 from fusion.estimator.lateral_offset import (
     MAX_HYPOTHESES,
     Acceleration,
@@ -22,7 +23,9 @@ from fusion.estimator.lateral_offset import (
     along_path,
     frame_evidence,
     in_new_corridor,
+    lasting_variance,
     levelled,
+    moments,
     nothing_known,
     propagate,
     readout,
@@ -265,6 +268,38 @@ def test_a_velocity_that_cannot_be_does_not_tell_the_width(speed_m_s: float) -> 
     again = with_speed(after, 0.0, 0.1**2)  # and nothing is locked: true ones count as before
     assert again.P[0, V, V] < after.P[0, V, V]
     assert readout(again, MODEL).offset_norm == pytest.approx(0.2, abs=0.02)
+
+
+def test_frames_that_each_leave_much_open_are_not_averaged_to_certainty() -> None:
+    """An error that lasts stays however many frames agree, and is the larger the more each of them leaves open."""
+    std = []
+    for spread in (0.02, 0.06, 0.12):
+        state = nothing_known()
+        for _ in range(400):
+            state = seen(moved_on(state, FRAME_S), (0.9, 0.0, spread))
+        std.append(readout(state, MODEL).std_norm)
+        assert std[-1] ** 2 == pytest.approx(state.P[0, Y, Y] + lasting_variance(state, MODEL), rel=0.05)
+        assert readout(state, MODEL).std_norm == pytest.approx(moments(state, MODEL)[1][Y, Y] ** 0.5)
+    assert std[0] < 0.02 < std[1] < std[2]
+
+
+def test_an_error_of_the_scale_grows_with_the_offset() -> None:
+    centre, aside = nothing_known(), nothing_known()
+    for _ in range(100):
+        centre = seen(moved_on(centre, FRAME_S), (0.9, 0.0, 0.01))
+        aside = seen(moved_on(aside, FRAME_S), (0.9, 0.6, 0.01))
+    more = readout(aside, MODEL).std_norm ** 2 - readout(centre, MODEL).std_norm ** 2
+    assert more == pytest.approx((MODEL.scale_std * 0.6) ** 2, rel=0.05)
+
+
+@pytest.mark.parametrize("std", [0.01, 0.1])
+def test_variance_left_open_of_known_likelihoods(std: float) -> None:
+    near = NEIGHBOURHOOD_STD**2
+    evidence = np.array([[1.0, 0.1, std**2]])
+    assert variance_left_open(evidence, 0.0, 0.1) == pytest.approx(near * std**2 / (near + std**2))
+    assert variance_left_open(evidence[:0], 1.0, 0.1) == pytest.approx(near)
+    both = np.array([[0.5, 0.05, std**2], [0.5, -0.05, std**2]])  # two narrow places: their distance too
+    assert variance_left_open(both, 0.0, 0.0) > variance_left_open(evidence, 0.0, 0.1)
 
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.2, 0.0), (-0.1, 0.15), (0.0, -0.3)])

@@ -377,6 +377,8 @@ def test_every_feature_is_in_a_sensible_share_of_random_corridors() -> None:
         "coving": [s.floor_coving_m > 0 for s in scenes],
         "beams": [s.beam_spacing_m > 0 for s in scenes],
         "pilasters": [s.pilaster_spacing_m > 0 for s in scenes],
+        "deep pillars": [s.pilaster_spacing_m > 0 and s.pilaster_m[1] > 0.2 for s in scenes],
+        "deep beams": [s.beam_spacing_m > 0 and s.beam_m[1] > 0.3 for s in scenes],
         "along a wall": [bool(strips(s, "left", "right")) for s in scenes],
         "along the floor": [bool(strips(s, "floor")) for s in scenes],
         "along the ceiling": [bool(strips(s, "ceiling")) for s in scenes],

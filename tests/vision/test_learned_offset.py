@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from importlib.resources import files
-from math import pi, radians
+from math import hypot, pi, radians
 
 import cv2
 import numpy as np
@@ -18,7 +18,8 @@ from scipy.special import ndtr
 from training.offset_views import Box, TrainingView, render_views
 from training.scores import OffsetScores
 from training.variations import corner_angles
-from vision import Camera
+from vision import Attitude, Camera, Prior, extract_lines, measure_lines
+from vision.axis.level import level_from_verticals
 from vision.cameras.camera import Distortion
 from vision.lateral.learned import (
     N_QUARTER,
@@ -98,6 +99,27 @@ def test_an_axis_that_is_none_is_not_answered_for() -> None:
         R = corridor_frame(view.R_true, radians(25.0), radians(5.0))
         sure.append(OffsetScores.of([learned_mixture(view.image, view.camera, R)], [0.0]).sure)
     assert np.mean(sure) < 0.1
+
+
+def test_too_few_lines_leave_what_the_picture_says_about_the_expected_axis() -> None:
+    view = next(v for v in rendered() if v.R_measured is not None and not v.is_hall)
+    lines = extract_lines(view.image, view.camera)
+    per_line = {f.name for f in fields(lines)} - {"width_px", "height_px", "threshold", "extract_ms", "grey"}
+    few = replace(lines, **{name: getattr(lines, name)[:3] for name in per_line})
+    attitude, expected = Attitude(0.0, 0.0), Prior(heading_rad=0.1, heading_std_rad=radians(0.5))
+    found = measure_lines(few, view.camera, attitude, expected)
+    tilt_std = hypot(attitude.std_rad, expected.elevation_std_rad)
+    level = level_from_verticals(few, attitude.R_level_body() @ view.camera.R_body_camera, tilt_std)
+    about = learned_mixture(view.image, view.camera, corridor_frame(level.R_level_camera, 0.1, 0.0))
+    (evidence,) = found.offset_evidence
+    assert not found.accepted
+    assert evidence.likelihood([-0.5, 0.0, 0.5]) == pytest.approx(about.likelihood([-0.5, 0.0, 0.5]))
+    for unknown in (
+        Prior(),
+        replace(expected, heading_std_rad=radians(2.0)),
+        replace(expected, heading_rad=0.8),
+    ):
+        assert measure_lines(few, view.camera, attitude, unknown).offset_evidence == ()
 
 
 def test_equal_input_gives_equal_bits() -> None:

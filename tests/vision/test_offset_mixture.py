@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from vision import Attitude, Camera, measure_lines
+from vision.lateral.geometric import MIN_CANNOT_TELL
 from vision.lateral.mixture import N_BINS, OffsetMixture, cannot_tell, combine, mixture_of_components
 from vision.lateral.offset import answer_of
 
@@ -108,11 +109,17 @@ def test_less_sure_keeps_the_shares() -> None:
     assert m.less_sure(0.1) is m
 
 
+def test_a_wider_mixture_has_the_variances_added() -> None:
+    m = mixture((0.6, 0.4, 0.03), (0.2, -0.3, 0.04))
+    assert m.wider(0.04).std_norm == pytest.approx([0.05, 0.04 * 2**0.5])
+    assert (m.wider(0.04).weight == m.weight).all()
+
+
 def test_a_frame_carries_the_mixture_and_it_holds_the_answer(corridor: Any, seen: Any) -> None:
     lines = seen(corridor(offset_norm=0.2, heading_rad=0.05), CAMERA)
     m = measure_lines(lines, CAMERA, LEVEL)
     (evidence,) = m.offset_evidence
-    assert evidence.cannot_tell == pytest.approx(0.3)  # lines alone are never surer
+    assert evidence.cannot_tell == pytest.approx(MIN_CANNOT_TELL)  # lines alone are never surer
     near = mass(evidence, m.lateral_offset_norm - 0.05, m.lateral_offset_norm + 0.05)
     assert near > 0.95 * (1.0 - evidence.cannot_tell)
     widths = evidence.width_per_height[np.abs(evidence.offset_norm - 0.2) < 0.03]

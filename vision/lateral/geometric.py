@@ -29,9 +29,9 @@ from vision.lateral.mixture import N_BINS, OffsetMixture, merge_by_bins, mixture
 from vision.types import FloatArray, IntArray
 
 MIN_CANNOT_TELL = (
-    0.3  # what runs along a corridor need not be its corner: on random corridors a tenth are wrong
+    0.85  # what runs along a corridor need not be its corner, and stays where it is from frame to frame
 )
-MIN_STD = 0.004
+PLACE_STD = 0.015  # of the corner beside the line that is taken for it
 MIN_VARIANCE = 1e-8
 
 # columns of components, see `vision.lateral.mixture`
@@ -129,4 +129,4 @@ def merged_corner_components(picture: PictureCorners, weights: OffsetWeights, ro
 
 def mixture_of_corners(components: FloatArray) -> OffsetMixture:
     """Make a mixture of the components of `merged_corner_components`."""
-    return mixture_of_bins(components, 1.0, MIN_STD**2).less_sure(MIN_CANNOT_TELL)
+    return mixture_of_bins(components, 1.0, 0.0).wider(PLACE_STD).less_sure(MIN_CANNOT_TELL)

@@ -60,6 +60,11 @@ class OffsetMixture:
         density = self.weight / self.std_norm * np.exp(-0.5 * z * z) / _SQRT_TWO_PI
         return np.asarray(0.5 * self.cannot_tell + density.sum(axis=-1))
 
+    def wider(self, std_norm: float) -> OffsetMixture:
+        """Return the mixture with an independent error of this standard deviation added to every component."""
+        std = np.hypot(self.std_norm, std_norm)
+        return OffsetMixture(self.weight, self.offset_norm, std, self.width_per_height)
+
     def less_sure(self, cannot_tell: float) -> OffsetMixture:
         """Return the mixture with at least this probability that the frame cannot tell."""
         told = float(self.weight.sum())

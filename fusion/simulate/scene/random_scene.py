@@ -65,8 +65,8 @@ def draw_office(seed: int) -> dict[str, object]:
 class _Draw:
     """Random numbers under short names."""
 
-    def __init__(self, seed: int) -> None:
-        self.rng = np.random.default_rng((seed, 10))
+    def __init__(self, seed: int, stream: int = 10) -> None:
+        self.rng = np.random.default_rng((seed, stream))
 
     def chance(self, share: float) -> bool:
         return bool(self.rng.random() < share)
@@ -112,7 +112,7 @@ def draw_building(seed: int, fixed: Mapping[str, Any]) -> dict[str, Any]:
     values |= _contents(draw)
     values |= _light(draw, values["width_m"], night)
     values["strips"] = _strips(draw, values["width_m"], values["height_m"])
-    return values
+    return values | _structure(seed, values)
 
 
 def _plan(draw: _Draw, size: Mapping[str, Any], fixed: Mapping[str, Any]) -> dict[str, Any]:
@@ -218,6 +218,35 @@ def _surfaces(draw: _Draw) -> dict[str, Any]:
         "pilaster_albedo": draw.between(0.2, 0.8),
         "parallel_std_rad": draw.scale(0.0005, 0.004),
     }
+
+
+def _structure(seed: int, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Draw, now and then, a building's frame that shows: deep pillars, deep beams, or soffits along both walls.
+
+    It has random numbers of its own, so that all else of a corridor is the same with and without.
+    """
+    draw = _Draw(seed, stream=12)
+    width, height = values["width_m"], values["height_m"]
+    kind = draw.one_of(None, "pillars", "beams", "portals", "soffits", p=(0.72, 0.07, 0.07, 0.07, 0.07))
+    spacing, albedo = draw.between(1.8, 6.0), draw.between(0.2, 0.85)
+    found: dict[str, Any] = {}
+    if kind in ("pillars", "portals"):
+        deep = draw.between(0.08, 0.16) * width
+        found |= {
+            "pilaster_spacing_m": spacing,
+            "pilaster_m": (draw.between(0.2, 0.7), deep),
+            "pilaster_albedo": albedo,
+        }
+    if kind in ("beams", "portals"):
+        deep = draw.between(0.08, 0.2) * height
+        found |= {"beam_spacing_m": spacing, "beam_m": (draw.between(0.15, 0.6), deep), "beam_albedo": albedo}
+    if kind == "soffits":
+        wide, deep = draw.between(0.08, 0.25) * width, draw.between(0.1, 0.4)
+        sides = draw.one_of((-1, 1), (-1,), (1,), p=(0.6, 0.2, 0.2))
+        soffit = {"on": Surface.CEILING, "width_m": wide, "depth_m": deep, "albedo": albedo}
+        soffits = ({"at_m": side * (width - wide) / 2, **soffit} for side in sides)
+        found["strips"] = (*values["strips"], *soffits)
+    return found
 
 
 def _openings(draw: _Draw, values: Mapping[str, Any], night: bool) -> dict[str, Any]:
