@@ -275,7 +275,7 @@ class Engine:
         if reason is not Reason.OK:
             return s, FrameResult(sample.stamp_ns, m, False, reason)
         installed = s.checks.installation
-        if s.reckoning.mode is Mode.GYRO:
+        if s.reckoning.mode is Mode.GYRO and s.axis.diagnosis.found is not Hypothesis.SPIKE:
             installed = installed.with_frame(
                 sample.t_ns, m.heading_rad, s.reckoning.raw_theta_rad, m.heading_std_rad
             )
