@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from math import exp, isnan, nan, sqrt
+from math import exp, isnan, nan, pi, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +26,7 @@ from fusion.estimator.hypotheses import (
     Verdict,
     judge,
     slopes,
+    unseen_leap,
     with_sight,
 )
 from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, heading_model
@@ -64,8 +65,14 @@ def weigh(
     refused_share = kept * before.refused_share + (0.0 if axis.was_accepted else 1.0 - kept)
     sights = with_sight(before.sights, new, round(0.9 * VOTE_SPACING_S * 1e9))
     now = before._replace(
-        refused_share=refused_share, innovations=innovations, sights=sights, verdict=Verdict()
+        refused_share=refused_share,
+        innovations=innovations,
+        sights=sights,
+        verdict=Verdict(),
+        leap_rad=unseen_leap(before.sights, new, float(ekf.x[BIAS])),
     )
+    if now.leap_rad:
+        now = now._replace(told=Told(Hypothesis.SPIKE, new.t_ns))
     due = now.judged_ns is None or new.t_ns - now.judged_ns >= SHORT_S * 1e9
     if not (innovations.systematic or due) or sights[-1] is not new:
         return axis._replace(diagnosis=now), None
@@ -112,6 +119,10 @@ def follow_verdict(
         The newest frame, and what frames minus gyroscope showed.
     """
     d = axis.diagnosis
+    if d.leap_rad:
+        psi_rad = float(ekf.x[PSI])
+        found = Recovery(psi_rad - pi * round(d.leap_rad / pi), new.std_rad)
+        return recover(axis, ekf, found, new.t_ns, theta_rad, coupled)
     likeliest = d.verdict.likeliest
     followed = not isnan(d.straight_bias_rad_s) and not d.innovations.systematic
     if likeliest in (Hypothesis.GYRO, Hypothesis.BEND) and drift is not None and not followed:

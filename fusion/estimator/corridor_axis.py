@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.frame_noise import FrameNoise
 from fusion.estimator.hypotheses import Diagnosis, Hypothesis
 from fusion.estimator.models import N_STATES, PSI, YAW_OFFSET, Gate, heading_model
 from fusion.estimator.noise_adaptation import SourceNoise
@@ -117,8 +118,9 @@ class CorridorAxis(NamedTuple):
         Axis in the dead-reckoned frame when a frame last confirmed it.
     facing_rad
         pi where the vehicle then faced against the axis.
-    noise, gate
-        Of the frames' headings; outcome of the last innovation.
+    noise, frame_noise, gate
+        Of the frames' headings, by their innovations and by how they scatter about the gyroscope; outcome of the last
+        innovation.
     votes
         Rejected headings, as axes in the dead-reckoned frame.
     recent
@@ -144,6 +146,7 @@ class CorridorAxis(NamedTuple):
     anchor_rad: float = nan
     facing_rad: float = 0.0
     noise: SourceNoise = SourceNoise()
+    frame_noise: FrameNoise = FrameNoise()
     gate: Gate | None = None
     votes: tuple[Vote, ...] = ()
     recent: tuple[FrameAxis, ...] = ()
@@ -163,7 +166,12 @@ class CorridorAxis(NamedTuple):
 
     def lost(self) -> CorridorAxis:
         """Let the next headings start anew."""
-        return self._replace(acquired=False, votes=(), diagnosis=self.diagnosis.started_anew())
+        return self._replace(
+            acquired=False,
+            votes=(),
+            diagnosis=self.diagnosis.started_anew(),
+            frame_noise=self.frame_noise.interrupted(),
+        )
 
     def clock_set_back(self) -> CorridorAxis:
         """Start anew; corridors and counts stay."""
@@ -246,6 +254,7 @@ class CorridorAxis(NamedTuple):
             reset_count=self.reset_count + 1,
             reset_heading_rad=step_rad,
             diagnosis=self.diagnosis.stepped(),
+            frame_noise=self.frame_noise.interrupted(),
         )
 
 

@@ -37,7 +37,7 @@ from fusion.estimator.gyro_checks import (
     rate_that_bridges,
     with_sample,
 )
-from fusion.estimator.hypotheses import Sight
+from fusion.estimator.hypotheses import Hypothesis, Sight
 from fusion.estimator.imu_yaw import (
     UNKNOWN_YAW_OFFSET_STD_RAD,
     AttitudeSample,
@@ -279,8 +279,10 @@ class Engine:
                 s = s._replace(lateral=self._lateral.fused(s.lateral, self.ekf.x, sample.t_ns, m, half_m))
             return s, FrameResult(sample.stamp_ns, m, False, reason)
         installed = s.checks.installation
-        if s.reckoning.mode is Mode.GYRO:
-            installed = installed.with_frame(sample.t_ns, m.heading_rad, s.reckoning.raw_theta_rad)
+        if s.reckoning.mode is Mode.GYRO and s.axis.diagnosis.found is not Hypothesis.SPIKE:
+            installed = installed.with_frame(
+                sample.t_ns, m.heading_rad, s.reckoning.raw_theta_rad, m.heading_std_rad
+            )
         else:
             installed = installed.interrupted()
         s = s._replace(checks=s.checks._replace(installation=installed))
@@ -316,7 +318,9 @@ class Engine:
         if axis.acquired and float(ekf.P[PSI, PSI]) > c.lost_heading_std_rad**2:
             axis = axis.lost()
         if d.mode is not Mode.GYRO:  # without it, nothing says who is wrong
-            axis = axis._replace(diagnosis=axis.diagnosis.started_anew())
+            axis = axis._replace(
+                diagnosis=axis.diagnosis.started_anew(), frame_noise=axis.frame_noise.interrupted()
+            )
         variance = max(m.heading_std_rad, c.heading_std_floor_rad) ** 2
         variance += self._propagation.held_rate_variance(d, t_ns)
         heading = m.heading_rad + turned_since_exposure(s.delay, float(ekf.x[BIAS]), t_ns, d.raw_theta_rad)
@@ -329,30 +333,39 @@ class Engine:
                 lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
                 s = s._replace(lateral=lateral, width=width, elevation=elevation, x=ekf.x, P=ekf.P)
             return s, FrameResult(sample.stamp_ns, m, True, Reason.OK)
-        rho = correlation(t_ns, axis.t_vision_ns, c.heading_correlation_s)
+        scale, correlation_s = axis.noise.inflation, c.heading_correlation_s
+        if d.mode is Mode.GYRO and axis.frame_noise.fitted_ns is not None:
+            scale, correlation_s = axis.frame_noise.scale, axis.frame_noise.correlation_s
+        rho = correlation(t_ns, axis.t_vision_ns, correlation_s)
         measurement = heading_model(ekf.x, heading, variance)
         delay, by_delay = s.delay, DelayedInnovation(0.0, 0.0)
         if delay is not None:
             delay = with_axis(delay, ekf, t_ns, d.raw_theta_rad, axis.reset_count)
             by_delay = innovation_of(delay, ekf, t_ns, d.raw_theta_rad)
-        innovation_std = sqrt(float(ekf.P[PSI, PSI]) + by_delay.variance + variance * axis.noise.inflation)
+        innovation_std = sqrt(float(ekf.P[PSI, PSI]) + by_delay.variance + variance * scale)
         doubt = Doubt(
             axis.gate_sigma(c),
             rho,
             OUTLIER_DENSITY,
-            by_delay.variance,
-            axis.diagnosis.innovations.short * innovation_std,
-            axis.diagnosis.refused_share,
+            more_variance=by_delay.variance,
+            scale=scale,
+            refused_share=axis.diagnosis.refused_share,
         )
         gate, noise = update_with_doubt(ekf, measurement, axis.noise, doubt)
         axis = axis._replace(noise=noise, gate=gate)
         axis = axis.followed(t_ns, heading, sqrt(variance), d, gate.accepted, interval_s)
         result = (gate.residual, gate.test_ratio)
         if d.mode is Mode.GYRO:
-            spread = sqrt(variance * axis.noise.inflation * (1.0 + rho) / (1.0 - rho))
+            spread = sqrt(variance * scale * (1.0 + rho) / (1.0 - rho))
             sight = Sight(t_ns, heading, spread, d.raw_theta_rad, yaw_at(d, t_ns), axis.recent[-1].linked)
             axis, drift = weigh(axis, ekf, sight, gate.residual / innovation_std, rho, c)
             followed = follow_verdict(axis, ekf, sight, drift, d.theta_rad, s.imu_yaw.coupled)
+            if gate.accepted and axis.diagnosis.found is Hypothesis.WELL:
+                difference = heading - d.theta_rad
+                seen_noise = axis.frame_noise.with_heading(
+                    t_ns, difference, variance, c.gyro_noise, c.heading_correlation_s
+                )
+                axis = axis._replace(frame_noise=seen_noise)
             if followed is not None:
                 s = s._replace(axis=followed, delay=delay, x=ekf.x, P=ekf.P)
                 return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
@@ -361,7 +374,7 @@ class Engine:
             s = self._follow_votes(s._replace(axis=axis, delay=delay), t_ns)
             return s, FrameResult(sample.stamp_ns, m, False, Reason.GATE, *result)
         if delay is not None and d.mode is Mode.GYRO:
-            seen = FrameHeading(t_ns, m.heading_rad, variance * noise.inflation, axis.reset_count)
+            seen = FrameHeading(t_ns, m.heading_rad, variance * scale, axis.reset_count)
             delay = learn_delay(delay, ekf, seen, by_delay.per_s, c)
         axis = axis.confirmed(ekf, t_ns, d.theta_rad)
         lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)

@@ -22,7 +22,7 @@ does not. Frames that drift away by themselves look like a bend.
 from __future__ import annotations
 
 from enum import StrEnum
-from math import exp, log, nan, pi, radians, sqrt
+from math import exp, isfinite, log, nan, pi, radians, remainder, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +32,7 @@ from vision.rotations import wrap_axis
 
 SHORT_S, LONG_S = 0.25, 1.5  # time constants of means over about 0.5 and 3 s
 CLIPPED_SIGMA = 4.0  # a gross error must not make a mean
-SYSTEMATIC_SIGMA = 4.0  # of a mean: worth a look at the slopes, which decide
+SYSTEMATIC_SIGMA = 4.5  # of a mean: worth a look at the slopes, which decide
 SPANS_S = (0.5, 1.0, 3.0)  # over which slopes are fitted: the shorter the sooner, the longer the finer
 SPAN_NS = round(SPANS_S[-1] * 1e9)
 MIN_POINTS = 6
@@ -182,6 +182,8 @@ class Diagnosis(NamedTuple):
         When it was asked last who is wrong, what was found, and the probabilities if that was with the last frame.
     told
         Who was found wrong last, and when.
+    leap_rad
+        By how much the gyroscope leapt while no frame came; 0 where it did not.
     straight_bias_rad_s
         The gyroscope's bias from before frames began to drift from gyroscope and attitude; the filter's own takes up
         the bend's rate meanwhile. NaN while there is no bend.
@@ -194,6 +196,7 @@ class Diagnosis(NamedTuple):
     found: Hypothesis = Hypothesis.WELL
     verdict: Verdict = Verdict()
     told: Told | None = None
+    leap_rad: float = 0.0
     straight_bias_rad_s: float = nan
 
     def stepped(self) -> Diagnosis:
@@ -211,6 +214,24 @@ def with_sight(sights: tuple[Sight, ...], new: Sight, spacing_ns: int) -> tuple[
         return sights
     first = next((i for i, s in enumerate(sights) if new.t_ns - s.t_ns <= SPAN_NS), len(sights))
     return (*sights[first:], new)
+
+
+def unseen_leap(sights: tuple[Sight, ...], new: Sight, bias_rad_s: float) -> float:
+    """Return by how much the gyroscope leapt since the last frame, rad; 0 where it did not, or nothing shows it.
+
+    A frame cannot tell one end of the corridor from the other. An IMU yaw may jump where the gyroscope does not
+    (steel, a reset), but not stand still while the vehicle turns: of the two, the one that turned less is right.
+    """
+    if not sights or new.t_ns - sights[-1].t_ns < SPANS_S[0] * 1e9:
+        return 0.0
+    last = sights[-1]
+    gyro = new.raw_theta_rad - last.raw_theta_rad - bias_rad_s * (new.t_ns - last.t_ns) * 1e-9
+    apart = new.yaw_rad - last.yaw_rad
+    if not isfinite(apart):
+        return 0.0
+    yaw = remainder(apart, 2.0 * pi)
+    leap = remainder(gyro - yaw, 2.0 * pi)
+    return leap if abs(leap) > 0.5 * pi and abs(gyro) > abs(yaw) + 0.5 * pi else 0.0
 
 
 def slope_of(t_s: FloatArray, difference_rad: FloatArray, std_rad: FloatArray, walk: float) -> Slope | None:

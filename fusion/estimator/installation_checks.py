@@ -8,17 +8,19 @@ unit, another one a wrong focal length, and the intercept is the gyroscope's bia
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import degrees, hypot, radians, sqrt
+from math import degrees, hypot, pi, radians, sqrt
+from statistics import median
 from typing import NamedTuple
 
 from fusion.estimator.faults import Fault, Notice
 from fusion.estimator.models import Vector
 from vision.rotations import wrap_axis
 
-SPAN_NS = 250_000_000  # of a turn that is compared
+SPAN_NS = 250_000_000  # over which frames are averaged; turns are from one span to the next
 MAX_TURN_RAD = 0.35  # in that time; more is another axis
 MEMORY = 1.0 - 1 / 40  # of each turn, when the next comes
-MIN_TURNS, SURE_SIGMA = 5.0, 6.0
+MIN_TURNS, SURE_SIGMA = 3.0, 6.0
+PRIOR_TURNS = 4.0  # that the stated noise counts as, beside the scatter that is found
 FOCAL_SLOPES = (0.85, 1.18)
 FAST_RAD_S = 3.0  # rms that no flight along a corridor has
 MAX_BIAS_RAD_S = 0.1
@@ -26,43 +28,85 @@ ACCEL_STEP_NS, ACCEL_MEMORY_S, ACCEL_MIN_S = 50_000_000, 3.0, 0.5
 MAX_TILT_ERROR_RAD = radians(20)
 
 
+class Span(NamedTuple):
+    """Frames of a quarter second: start, mean time since then and gyroscope's angle, the frames' stated variance.
+
+    ``differences_rad`` are the headings less the gyroscope's angle; their median is none of the gross frames'.
+    """
+
+    since_ns: int
+    time_s: float
+    gyro_rad: float
+    variance: float
+    differences_rad: tuple[float, ...]
+
+    @property
+    def heading_rad(self) -> float:
+        """Heading at the mean time."""
+        return self.gyro_rad + median(self.differences_rad)
+
+    @property
+    def heading_variance(self) -> float:
+        """Its variance; that of a median is pi / 2 times a mean's."""
+        return 0.5 * pi * self.variance / len(self.differences_rad)
+
+    def with_frame(self, t_ns: int, heading_rad: float, gyro_rad: float, variance: float) -> Span:
+        """Take in a frame."""
+        share, first = 1.0 / (len(self.differences_rad) + 1), self.differences_rad[0]
+        difference = first + wrap_axis(heading_rad - gyro_rad - first)
+        return Span(
+            self.since_ns,
+            self.time_s + share * ((t_ns - self.since_ns) * 1e-9 - self.time_s),
+            self.gyro_rad + share * (gyro_rad - self.gyro_rad),
+            self.variance + share * (variance - self.variance),
+            (*self.differences_rad, difference),
+        )
+
+
 class Installation(NamedTuple):
     """What has been compared so far.
 
     Parameters
     ----------
-    since
-        Time, heading and gyroscope's angle at which the turn being compared began.
+    span, last_span
+        The frames of the present span, and of the one before.
     sums
-        Weight, x, y, xx, xy, yy of the turns; x is the gyroscope's, y the frames', rad/s.
+        Weight, x, y, xx, xy, yy, stated variance of the turns; x is the gyroscope's, y the frames', rad/s.
     accel_m_s2, accel_s, accel_ns
         Mean specific force, over how long, and when it was last taken in.
     """
 
-    since: tuple[int, float, float] | None = None
-    sums: tuple[float, float, float, float, float, float] = (0.0,) * 6
+    span: Span | None = None
+    last_span: Span | None = None
+    sums: tuple[float, float, float, float, float, float, float] = (0.0,) * 7
     accel_m_s2: Vector = (0.0, 0.0, 0.0)
     accel_s: float = 0.0
     accel_ns: int | None = None
 
     def interrupted(self) -> Installation:
         """Start another turn and another mean: time has moved, or something else carries the heading."""
-        return self._replace(since=None, accel_ns=None)
+        return self._replace(span=None, last_span=None, accel_ns=None)
 
-    def with_frame(self, t_ns: int, heading_rad: float, gyro_rad: float) -> Installation:
-        """Take a frame's heading, and the angle that the gyroscope has turned by then."""
-        if self.since is None:
-            return self._replace(since=(t_ns, heading_rad, gyro_rad))
-        then_ns, then_heading, then_gyro = self.since
-        if t_ns - then_ns < SPAN_NS:
-            return self
-        turn, span_s = wrap_axis(heading_rad - then_heading), (t_ns - then_ns) * 1e-9
-        new = self._replace(since=(t_ns, heading_rad, gyro_rad))
-        if abs(turn) > MAX_TURN_RAD or t_ns - then_ns > 2 * SPAN_NS:
-            return new
-        x, y = (gyro_rad - then_gyro) / span_s, turn / span_s
-        n, sx, sy, sxx, sxy, syy = (MEMORY * value for value in self.sums)
-        return new._replace(sums=(n + 1.0, sx + x, sy + y, sxx + x * x, sxy + x * y, syy + y * y))
+    def with_frame(self, t_ns: int, heading_rad: float, gyro_rad: float, std_rad: float) -> Installation:
+        """Take a frame's heading and its sigma, and the angle that the gyroscope has turned by then."""
+        span, variance = self.span, std_rad * std_rad
+        if span is not None and t_ns - span.since_ns < SPAN_NS:
+            return self._replace(span=span.with_frame(t_ns, heading_rad, gyro_rad, variance))
+        new = Span(t_ns, 0.0, gyro_rad, variance, (heading_rad - gyro_rad,))
+        if span is None or t_ns - span.since_ns > 2 * SPAN_NS:
+            return self._replace(span=new, last_span=None)
+        then, done = self.last_span, self._replace(span=new, last_span=span)
+        if then is None:
+            return done
+        turn = wrap_axis(span.heading_rad - then.heading_rad)
+        if abs(turn) > MAX_TURN_RAD:
+            return done
+        apart_s = (span.since_ns - then.since_ns) * 1e-9 + span.time_s - then.time_s
+        x, y = (span.gyro_rad - then.gyro_rad) / apart_s, turn / apart_s
+        stated = (span.heading_variance + then.heading_variance) / apart_s**2
+        n, sx, sy, sxx, sxy, syy, noise = (MEMORY * value for value in self.sums)
+        sums = (n + 1.0, sx + x, sy + y, sxx + x * x, sxy + x * y, syy + y * y, noise + stated)
+        return done._replace(sums=sums)
 
     def with_accel(self, t_ns: int, accel_m_s2: Vector) -> Installation:
         """Take an accelerometer sample, where it is time for one."""
@@ -101,14 +145,15 @@ class Installation(NamedTuple):
         return None
 
     def _of_turns(self) -> Iterator[Notice]:
-        n, sx, sy, sxx, sxy, syy = self.sums
+        n, sx, sy, sxx, sxy, syy, stated = self.sums
         if n < MIN_TURNS:
             return
         vxx, vxy, vyy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
         if vxx <= 1e-6 * sxx or vxx <= 0.0:
             return
         slope = vxy / vxx
-        noise = max(vyy - slope * vxy, 0.0) / (n - 2.0) + 1e-8
+        scatter = max(vyy - slope * vxy, 0.0) + PRIOR_TURNS * stated / n
+        noise = scatter / (n - 2.0 + PRIOR_TURNS)
         std = sqrt(noise / vxx)
         if sxx > FAST_RAD_S**2 * n and abs(slope) + std < 0.1:
             yield Notice(Fault.GYRO_SCALE, "gyroscope turns far more than the camera: convert deg/s to rad/s")

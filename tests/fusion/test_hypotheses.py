@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import nan, radians
+from math import nan, pi, radians
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from fusion.estimator.hypotheses import (
     Slope,
     judge,
     slopes,
+    unseen_leap,
     with_sight,
 )
 
@@ -136,3 +137,23 @@ def test_one_sided_innovations_are_systematic_and_white_ones_are_not(rho: float)
 
 def test_a_gross_error_is_not_systematic() -> None:
     assert not Innovations().with_innovation(1000.0, 1 / 30, 0.0).with_innovation(0.0, 1 / 30, 0.0).systematic
+
+
+@pytest.mark.parametrize(
+    ("gyro", "yaw", "gap_s", "leap"),
+    [
+        (pi, 0.0, 5.0, pi),  # the gyroscope spun, the IMU's yaw did not
+        (-pi, 0.1, 5.0, -pi - 0.1 + 2 * pi),
+        (pi, pi - 0.2, 5.0, 0.0),  # a turn, seen by both
+        (0.0, pi, 5.0, 0.0),  # the IMU's yaw was reset
+        (pi, 0.0, 0.1, 0.0),  # between two frames: the frames show it
+        (pi, nan, 5.0, 0.0),
+    ],
+)
+def test_a_half_turn_that_no_frame_saw_is_the_gyroscope_s_where_the_imu_yaw_stood_still(
+    gyro: float, yaw: float, gap_s: float, leap: float
+) -> None:
+    last = Sight(0, 0.1, 0.01, 2.0, 0.7, True)
+    new = Sight(round(gap_s * 1e9), 0.1, 0.01, 2.0 + gyro, 0.7 + yaw, True)
+    assert unseen_leap((last,), new, 0.0) == pytest.approx(leap)
+    assert unseen_leap((), new, 0.0) == 0.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import radians
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ def told(slope: float, bias: float, seconds: float = 6.0, seed: int = 0) -> Faul
     for t in np.arange(0.0, seconds, 1 / 30).tolist():
         turned = 0.4 * float(np.sin(1.5 * t))
         heading = slope * turned + float(rng.normal(0.0, 0.009))
-        installation = installation.with_frame(round(t * 1e9), heading, turned + bias * t)
+        installation = installation.with_frame(round(t * 1e9), heading, turned + bias * t, radians(0.5))
         for notice in installation.notices(DOWN):
             said |= notice.fault
     return said
@@ -65,7 +67,7 @@ def test_a_wrong_tilt_is_named_and_not_the_gyroscope_whose_turns_it_reverses() -
     for t in np.arange(0.0, 6.0, 1 / 30).tolist():
         turned = 0.4 * float(np.sin(1.5 * t))
         heading = -turned + float(rng.normal(0.0, 0.009))
-        installation = installation.with_frame(round(t * 1e9), heading, turned)
+        installation = installation.with_frame(round(t * 1e9), heading, turned, radians(0.5))
         installation = installation.with_accel(round(t * 1e9), (0.0, 0.0, -9.8))
     assert [notice.fault for notice in installation.notices(DOWN)] == [Fault.GYRO_SIGN]
     assert [notice.fault for notice in installation.notices((0.0, 0.0, -1.0))] == [Fault.TILT_WRONG]

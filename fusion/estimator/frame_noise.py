@@ -1,0 +1,160 @@
+"""How noisy the frames' headings are, by how they scatter about the gyroscope's: takes headings, returns noise.
+
+The variance of the difference of two headings, less what the vehicle turned between them, grows with the time l
+between them as s (R1 + R2) (1 - exp(-l / tau)) + q^2 l: s is the variance of the frames' errors over what the frames
+state, tau the time over which errors resemble each other, q the gyroscope's noise: a structure function, kin to the
+Allan variance. Innovations of successive frames show only the product of s and 1 - exp(-l / tau): frames whose errors
+last would pass for better ones than they say.
+
+A gyroscope that is wrong turns by little from one frame to the next, so that its fault is not taken for noise.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from math import exp, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+LAGS_S = (0.033, 0.1, 0.3, 1.0)  # between headings that are compared
+SPACING_NS = 27_000_000  # of the headings that are kept
+SPAN_NS = 1_050_000_000
+LAG_TOLERANCE = 0.35  # of a lag, either way
+MEMORY_S = 15.0
+MAX_TERM = 9.0  # of a squared difference over its expectation: beyond is a gross error
+FIT_NS = 250_000_000
+PRIOR_LOG_SCALE, PRIOR_LOG_TIME = 0.35, 2.0  # standard deviations about what is stated
+SCALES = np.exp(np.linspace(np.log(0.04), np.log(25.0), 25))
+TIMES_S = np.exp(np.linspace(np.log(0.004), np.log(15.0), 25))
+
+
+class Heading(NamedTuple):
+    """A frame's heading less the dead-reckoned one, and its stated variance."""
+
+    t_ns: int
+    difference_rad: float
+    variance: float
+
+
+class Differences(NamedTuple):
+    """Sums over the differences at one lag, the older the less.
+
+    Weight, lag, differences over the stated sigma, their squares, and the gyroscope's share of those.
+    """
+
+    weight: float = 0.0
+    lag_s: float = 0.0
+    sum: float = 0.0
+    squares: float = 0.0
+    turned: float = 0.0
+
+
+class FrameNoise(NamedTuple):
+    """What is known of the noise of frames' headings.
+
+    Parameters
+    ----------
+    scale
+        Variance of their errors over what they state.
+    correlation_s
+        Time over which errors resemble each other; NaN: as the settings say.
+    headings, lags
+        The last second's headings, and what they differed by.
+    fitted_ns
+        When scale and time were found last.
+    """
+
+    scale: float = 1.0
+    correlation_s: float = float("nan")
+    headings: tuple[Heading, ...] = ()
+    lags: tuple[Differences, ...] = (Differences(),) * len(LAGS_S)
+    fitted_ns: int | None = None
+
+    def interrupted(self) -> FrameNoise:
+        """Compare no heading to come with those before."""
+        return self._replace(headings=())
+
+    def with_heading(
+        self, t_ns: int, difference_rad: float, variance: float, gyro_noise: float, stated_time_s: float
+    ) -> FrameNoise:
+        """Take in a frame that was used.
+
+        Parameters
+        ----------
+        t_ns, difference_rad, variance
+            As in `Heading`.
+        gyro_noise
+            Of what carries the heading, rad/s/sqrt(Hz).
+        stated_time_s
+            Correlation time that the settings say.
+        """
+        kept = self.headings
+        if kept and t_ns - kept[-1].t_ns < SPACING_NS:
+            return self
+        dt_s = min((t_ns - kept[-1].t_ns) * 1e-9, 1.0) if kept else 0.0
+        kept = kept[bisect_left(kept, t_ns - SPAN_NS, key=_time) :]
+        new = Heading(t_ns, difference_rad, variance)
+        fade = exp(-dt_s / MEMORY_S)
+        density = gyro_noise * gyro_noise
+        lags = tuple(
+            _with_difference(d, fade, _at_lag(kept, t_ns, lag), new, density, self.scale)
+            for d, lag in zip(self.lags, LAGS_S, strict=True)
+        )
+        noise = self._replace(headings=(*kept, new), lags=lags)
+        if noise.fitted_ns is None:
+            return noise._replace(fitted_ns=t_ns, correlation_s=stated_time_s)
+        if t_ns - noise.fitted_ns < FIT_NS:
+            return noise
+        scale, time_s = fit(lags, stated_time_s)
+        return noise._replace(scale=scale, correlation_s=time_s, fitted_ns=t_ns)
+
+
+def _time(heading: Heading) -> int:
+    return heading.t_ns
+
+
+def _at_lag(kept: tuple[Heading, ...], t_ns: int, lag_s: float) -> Heading | None:
+    """Return the heading nearest to a time before; None where none is near enough."""
+    wanted = t_ns - round(lag_s * 1e9)
+    after = bisect_left(kept, wanted, key=_time)
+    near = kept[max(after - 1, 0) : after + 1]
+    best = min(near, key=lambda h: abs(h.t_ns - wanted), default=None)
+    return None if best is None or abs(best.t_ns - wanted) > LAG_TOLERANCE * lag_s * 1e9 else best
+
+
+def _with_difference(
+    d: Differences, fade: float, then: Heading | None, now: Heading, density: float, scale: float
+) -> Differences:
+    weight, lag, total, squares, turned = (fade * value for value in d)
+    if then is None:
+        return Differences(weight, lag, total, squares, turned)
+    lag_s = (now.t_ns - then.t_ns) * 1e-9
+    stated = now.variance + then.variance
+    step = (now.difference_rad - then.difference_rad + 0.5 * pi) % pi - 0.5 * pi
+    share = density * lag_s / stated
+    most = sqrt(MAX_TERM * (max(scale, 1.0) + share))
+    z = min(max(step / sqrt(stated), -most), most)
+    return Differences(weight + 1.0, lag + lag_s, total + z, squares + z * z, turned + share)
+
+
+def fit(lags: tuple[Differences, ...], stated_time_s: float) -> tuple[float, float]:
+    """Scale and correlation time that explain the differences best, with what is stated as the prior.
+
+    A mean of squares of variance v has standard deviation v sqrt(2 / n); n is less where spans overlap.
+    """
+    used = [d for d in lags if d.weight > 1.0]
+    prior = 0.5 * (np.log(SCALES) / PRIOR_LOG_SCALE) ** 2
+    stated = max(stated_time_s, float(TIMES_S[0]))
+    cost = prior[:, None] + 0.5 * (np.log(TIMES_S / stated) / PRIOR_LOG_TIME)[None, :] ** 2
+    for d in used:
+        lag_s, share = d.lag_s / d.weight, d.turned / d.weight
+        mean = max(d.squares / d.weight - (d.sum / d.weight) ** 2, 1e-6)  # a steady drift is no scatter
+        n = d.weight * min(1.0, 2.0 * LAGS_S[0] / lag_s)
+        expected = SCALES[:, None] * (1.0 - np.exp(-lag_s / TIMES_S))[None, :] + share
+        cost = cost + 0.5 * n * (mean / expected - 1.0 + np.log(expected / mean))
+    w = np.exp(-(cost - cost.min()))
+    w /= w.sum()
+    return float(np.exp((w.sum(axis=1) * np.log(SCALES)).sum())), float(
+        np.exp((w.sum(axis=0) * np.log(TIMES_S)).sum())
+    )
