@@ -13,6 +13,7 @@ import numpy as np
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import VOTE_SPACING_S, CorridorAxis, Recovery, recover
 from fusion.estimator.hypotheses import (
+    CONTESTED_SIGMA,
     MIN_POINTS,
     SHORT_S,
     SPANS_S,
@@ -79,7 +80,7 @@ def weigh(
     verdict, drift = _judge_spans(now, ekf, config)
     found = verdict.likeliest
     now = now._replace(judged_ns=new.t_ns, found=found, verdict=verdict)
-    if innovations.systematic or found is not Hypothesis.WELL:
+    if innovations.one_sided_sigmas > CONTESTED_SIGMA or found is not Hypothesis.WELL:
         now = now._replace(told=Told(found, new.t_ns))
     if found in (Hypothesis.WELL, Hypothesis.GYRO) and not isnan(now.straight_bias_rad_s):
         now = straight_again(now, ekf)
