@@ -15,8 +15,9 @@ from math import sqrt
 from fusion.estimator.camera_delay import spread_by_delay
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import status_of
+from fusion.estimator.lateral import offset_model
 from fusion.estimator.models import PSI
-from fusion.estimator.resets import heading_step
+from fusion.estimator.resets import Resets
 from fusion.estimator.state import Entry, State
 
 LOGGER = logging.getLogger("fusion.estimator")
@@ -66,6 +67,7 @@ class EventFinder:
         self._config = config
         self._before: State | None = None  # behind the last instant that is closed
         self._status: str | None = None
+        self._resets = Resets()
         self._open: Entry | None = None
 
     def take(self, entry: Entry) -> list[Event]:
@@ -101,11 +103,7 @@ class EventFinder:
                         "corridor_turn_rad": new.axis.corridor_turn_rad,
                     },
                 )
-            if new.axis.reset_count != old.axis.reset_count:
-                yield Event(t_ns, EventKind.HEADING_RESET, {"step_rad": heading_step(old, new)})
-            if new.lateral.reset_count != old.lateral.reset_count:
-                steps = {"step_norm": new.lateral.reset_norm, "step_m": new.lateral.reset_m}
-                yield Event(t_ns, EventKind.LATERAL_RESET, steps)
+            yield from self._resets_since(old, new, t_ns)
         heading_std = spread_by_delay(sqrt(float(new.P[PSI, PSI])), new.delay, t_ns)
         status, notices = status_of(new, self._config, t_ns, heading_std)
         if status != self._status:
@@ -113,6 +111,16 @@ class EventFinder:
             values["reason"] = "; ".join(notice.text for notice in notices)
             self._status = str(status)
             yield Event(t_ns, EventKind.STATUS_CHANGED, values)
+
+    def _resets_since(self, old: State, new: State, t_ns: int) -> Iterator[Event]:
+        model = new.lateral.model or offset_model(self._config)
+        before = self._resets
+        self._resets = after = before.after(old, new, model, new.width.half_m(self._config))
+        if after.heading_count != before.heading_count:
+            yield Event(t_ns, EventKind.HEADING_RESET, {"step_rad": after.heading_rad})
+        if after.lateral_count != before.lateral_count:
+            steps = {"step_norm": after.lateral_norm, "step_m": after.lateral_m}
+            yield Event(t_ns, EventKind.LATERAL_RESET, steps)
 
 
 class EventLog:

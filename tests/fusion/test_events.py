@@ -46,7 +46,7 @@ def test_what_happens_is_logged_with_times_and_numbers(caplog: pytest.LogCapture
     estimator = CorridorEstimator(FusionConfig(corridor_width_m=2.0))
     fly(estimator, 0, 2000, 0.1)
     fly(estimator, 2000, 8000, None)
-    fly(estimator, 8000, 10_000, 0.35)  # another heading: rejected, then believed
+    fly(estimator, 8000, 12_000, 0.35)  # another heading: rejected, then believed
     estimator.finish()
     events = logged(caplog)
     assert [event.timestamp_ns for event in events] == sorted(event.timestamp_ns for event in events)
@@ -66,6 +66,12 @@ def test_what_happens_is_logged_with_times_and_numbers(caplog: pytest.LogCapture
     (step,) = [e for e in events if e.kind is EventKind.HEADING_RESET]
     assert float(step.values["step_rad"]) == pytest.approx(0.25, abs=0.05)
     assert estimator.estimate().reset_count == 1
+    fly(estimator, 12_000, 30_000, None)
+    fly(estimator, 30_000, 32_000, 0.45)  # the first frame after a gap is a step, too
+    estimator.finish()
+    steps = [e for e in logged(caplog) if e.kind is EventKind.HEADING_RESET]
+    assert len(steps) == estimator.estimate().reset_count == 2
+    assert steps[-1].values["step_rad"] == pytest.approx(estimator.estimate().reset_heading_rad)
     assert caplog.messages[0].startswith("t_ns=0 status_changed before= status=initialising reason=")
 
 
