@@ -450,8 +450,8 @@ def telemetry(gyro: np.ndarray, accel: np.ndarray) -> bytes:
 def test_a_gopros_imu_is_read_from_its_video(pictures: list[GreyImage], tmp_path: Path) -> None:
     office = load_flight(OFFICE).imu
     assert office is not None
-    # The sensor's axes: up, right, back.
-    R = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    # The sensor's axes: up, right, forward.
+    R = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     gyro, accel = office.gyro_rad_s[:400] @ R.T, office.accel_m_s2[:400] @ R.T
     path = tmp_path / "GX010001.MP4"
     with av.open(str(path), "w", format="mp4") as file:
@@ -480,10 +480,10 @@ def test_a_gopros_imu_is_read_from_its_video(pictures: list[GreyImage], tmp_path
     np.testing.assert_allclose(imu.gyro_rad_s, gyro, atol=0.0006)
     np.testing.assert_allclose(imu.accel_m_s2, accel, atol=0.0013)
     assert difference(frames_of(log).read(7), pictures[7]) < 8
-    # Told that the camera looks against its third axis, it is along the vehicle's.
+    # Told that the camera looks along its third axis, it is along the vehicle's.
     camera = "image_width: 160\nimage_height: 120\nK: [116.5, 0, 79.5, 0, 116.5, 59.5, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\n"
     (tmp_path / "camera.yaml").write_text(camera)
-    table = 'log = "GX010001.MP4"\n[camera]\ncalibration = "camera.yaml"\n[imu]\ncamera_axis = "-z"\n'
+    table = 'log = "GX010001.MP4"\n[camera]\ncalibration = "camera.yaml"\n[imu]\ncamera_axis = "z"\n'
     (tmp_path / "flight.toml").write_text(table)
     flight = load_flight(tmp_path / "flight.toml")
     assert flight.imu is not None
