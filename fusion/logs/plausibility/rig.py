@@ -12,10 +12,11 @@ from math import asin, atan2, cos, degrees, radians, sin, sqrt
 
 import numpy as np
 
-from fusion.flight import AttitudeStream, FloatArray, VectorStream
+from fusion.flight import AttitudeStream, FloatArray, ImuStream, VectorStream
 from fusion.logs.plausibility.flight import down_in_body
 from fusion.logs.plausibility.imu import UPRIGHT, Gravity
-from fusion.logs.plausibility.mounting import MountRad, rotation
+from fusion.logs.plausibility.mounting import MountRad, mounted_attitude, rotation
+from fusion.logs.plausibility.turn_rates import compare_turns
 from vision import Camera
 from vision.cameras.camera import MAX_AXIS_ANGLE_RAD
 
@@ -132,6 +133,29 @@ def is_along_imu(attitude: AttitudeStream, gravity: Gravity | None) -> bool:
         return False
     down = np.median(down_in_body(attitude.q_world_body), axis=0)
     return float(-gravity.direction @ down / np.linalg.norm(down)) > cos(SAME_AXES_RAD)
+
+
+def turned_attitude(
+    attitude: AttitudeStream, imu: ImuStream | None, gravity: Gravity | None, mount_rad: MountRad
+) -> AttitudeStream:
+    """Return an attitude along the vehicle's axes: turned where it is of the IMU's own.
+
+    Parameters
+    ----------
+    attitude
+        As read.
+    imu
+        Along the vehicle's axes already: the attitude has to turn as it does.
+    gravity
+        As the IMU measures it along the axes it is read in.
+    mount_rad
+        Of the IMU on the vehicle.
+    """
+    turned = mounted_attitude(attitude, mount_rad)
+    as_read, as_turned = (None if imu is None else compare_turns(imu, a) for a in (attitude, turned))
+    if as_read is None or as_turned is None:  # too little motion to tell
+        return turned if is_along_imu(attitude, gravity) else attitude
+    return turned if as_turned.as_taken.correlation > as_read.as_taken.correlation else attitude
 
 
 def turned_velocity(velocity: VectorStream, mount_rad: MountRad) -> VectorStream:
