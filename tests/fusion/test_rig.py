@@ -156,6 +156,13 @@ def test_a_phone_needs_to_be_told_only_where_its_camera_looks(
     assert np.rad2deg(np.arcsin(-flight.camera.R_body_camera[2, 2])) == pytest.approx(pitch_deg, abs=2.0)
     assert not flight.camera.mount_assumed
     assert any("axes of IMU and camera are not the vehicle's" in text for text in flight.problems)
+    # A calibration with a pose is on the vehicle, as `corridor align` writes it.
+    given = np.eye(4)
+    given[:3, :3] = FLU @ flight.camera.R_body_camera
+    pose = f"T_BS: [{', '.join(f'{v:.12g}' for v in given.ravel())}]\n"
+    written(tmp_path / "camera.yaml", (tmp_path / "camera.yaml").read_text() + pose)
+    posed = load_flight(tmp_path / "flight.toml").camera
+    np.testing.assert_allclose(posed.R_body_camera, flight.camera.R_body_camera, atol=1e-9)
     written(tmp_path / "flight.toml", table.replace('"-z"', '"x"'))  # it looks up
     with pytest.raises(InputError, match="the IMU's axes are not the body's"):
         load_flight(tmp_path / "flight.toml")

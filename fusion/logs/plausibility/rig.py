@@ -117,14 +117,19 @@ def _angles(R: FloatArray) -> MountRad:
 
 
 def turned_camera(camera: Camera, rig: Rig) -> Camera:
-    """Return a camera that was calibrated to the IMU's axes, along the vehicle's; one that is assumed looks ahead."""
-    if camera.mount_assumed:
-        if rig.looks_up_rad is None:
-            return camera
-        R_up = rotation((0.0, rig.looks_up_rad, 0.0))
-        return replace(camera, R_body_camera=R_up @ camera.R_body_camera, mount_assumed=False)
-    R = rotation(rig.mount_rad)
-    return replace(camera, R_body_camera=R @ camera.R_body_camera, p_body_camera_m=R @ camera.p_body_camera_m)
+    """Return the camera on the vehicle: as it was calibrated to the IMU's axes, or upright along one of them.
+
+    Where the camera's axis on the IMU was told, a calibration with a pose is on the vehicle already.
+    """
+    if rig.looks_up_rad is None and not camera.mount_assumed:
+        R = rotation(rig.mount_rad)
+        return replace(
+            camera, R_body_camera=R @ camera.R_body_camera, p_body_camera_m=R @ camera.p_body_camera_m
+        )
+    if rig.looks_up_rad is None or not camera.mount_assumed:
+        return camera
+    R_up = rotation((0.0, rig.looks_up_rad, 0.0))
+    return replace(camera, R_body_camera=R_up @ camera.R_body_camera, mount_assumed=False)
 
 
 def is_along_imu(attitude: AttitudeStream, gravity: Gravity | None) -> bool:
