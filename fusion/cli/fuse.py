@@ -58,6 +58,7 @@ flight.toml, for streams in several files; paths count from its folder, flight t
   [imu]
   file = "imu.csv"               # or a log; topic = "/imu/data" chooses one of several
   frame = "flu"                  # x ahead, y left, z up; frd is x ahead, y right, z down
+  camera_axis = "-z"             # a phone: the IMU's axis that the camera looks along; gravity tells the rest
   columns = { time = "t", time_unit = "ms", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s" }
   [attitude]
   file = "state.csv"

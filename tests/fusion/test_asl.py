@@ -621,3 +621,14 @@ def test_the_real_flight_loads_whole() -> None:
     yaw = Rotation.from_quat(flight.attitude.q_world_body, scalar_first=True).as_euler("ZYX")[:, 0]
     assert degrees(np.unwrap(yaw)[75] - yaw[10]) == pytest.approx(-65.0, abs=15.0)
     assert (flight.position.xyz[:, 2] < 0.0).all()
+
+
+def test_pictures_that_are_numbered_are_not_named_by_their_times(folder: Folder) -> None:
+    data = folder.path / "mav0" / "cam0" / "data"
+    (folder.path / "mav0" / "cam0" / "data.csv").unlink()
+    for number, path in enumerate(sorted(data.iterdir())):
+        path.rename(data / f"{number}.png")
+    with pytest.raises(
+        InputError, match=r"the pictures in data/ are numbered \(0\.png \.\.\.\), not named by"
+    ):
+        load_flight(folder.path)

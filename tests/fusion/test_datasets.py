@@ -72,6 +72,8 @@ def test_uzh_fpv(office: Flight, tmp_path: Path) -> None:
     imu = log.imu("imu").value
     assert office.imu is not None
     np.testing.assert_allclose(imu.gyro_rad_s, office.imu.gyro_rad_s[:200], atol=1e-12)
+    alone = open_log(tmp_path / "img")  # the folder of the pictures finds the list beside it
+    np.testing.assert_array_equal(alone.frames("pictures").value.t_ns, log.frames("images").value.t_ns)
 
 
 def date(t_ns: int) -> str:

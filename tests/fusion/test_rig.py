@@ -156,6 +156,34 @@ def test_a_phone_needs_to_be_told_only_where_its_camera_looks(
     assert np.rad2deg(np.arcsin(-flight.camera.R_body_camera[2, 2])) == pytest.approx(pitch_deg, abs=2.0)
     assert not flight.camera.mount_assumed
     assert any("axes of IMU and camera are not the vehicle's" in text for text in flight.problems)
+    # A calibration with a pose is on the vehicle, as `corridor align` writes it.
+    given = np.eye(4)
+    given[:3, :3] = FLU @ flight.camera.R_body_camera
+    pose = f"T_BS: [{', '.join(f'{v:.12g}' for v in given.ravel())}]\n"
+    written(tmp_path / "camera.yaml", (tmp_path / "camera.yaml").read_text() + pose)
+    posed = load_flight(tmp_path / "flight.toml").camera
+    np.testing.assert_allclose(posed.R_body_camera, flight.camera.R_body_camera, atol=1e-9)
     written(tmp_path / "flight.toml", table.replace('"-z"', '"x"'))  # it looks up
     with pytest.raises(InputError, match="the IMU's axes are not the body's"):
         load_flight(tmp_path / "flight.toml")
+
+
+@pytest.mark.parametrize("of_imu", [True, False], ids=["of the IMU", "of the vehicle"])
+@pytest.mark.parametrize("R_imu_flu", [EUROC, LEFT], ids=["euroc", "sideways"])
+def test_an_attitude_is_turned_where_it_is_of_the_imus_axes(
+    tmp_path: Path, R_imu_flu: FloatArray, of_imu: bool
+) -> None:
+    folder = turned_office(tmp_path / "flight", R_imu_flu, None)
+    office = load_flight(OFFICE).attitude
+    assert office is not None
+    world_body = Rotation.from_quat(np.roll(office.q_world_body, -1, axis=1))
+    flu = Rotation.from_matrix(FLU)
+    q = flu * world_body * flu  # to a world with z up
+    q = q * Rotation.from_matrix(R_imu_flu).inv() if of_imu else q
+    rows = zip(office.t_ns.tolist(), np.roll(q.as_quat(), 1, axis=1).tolist(), strict=True)
+    text = "".join(f"{t}," + ",".join(map(repr, row)) + "\n" for t, row in rows)
+    written(folder / "mav0" / "attitude0" / "data.csv", text)
+    flight = load_flight(folder)
+    assert flight.attitude is not None
+    off = Rotation.from_quat(np.roll(flight.attitude.q_world_body, -1, axis=1)).inv() * world_body
+    assert off.magnitude().max() < 1e-4

@@ -15,6 +15,7 @@ import pytest
 
 from fusion.flight import FrameStream
 from fusion.logs import load_flight, open_log
+from fusion.logs.pictures.gpmf import samples_of
 from fusion.logs.pictures.video import VideoLog, open_video, recognises
 from tests.files import OFFICE
 from tests.fusion.reading import Told
@@ -418,3 +419,78 @@ def test_without_pyav_it_says_what_to_install(mp4: Path, monkeypatch: pytest.Mon
         InputError, match=r"needs PyAV \(install it: pip install 'corridor-fusion\[video\]'\)"
     ):
         open_log(mp4)
+
+
+# ------------------------------------------------------------------------------------------- telemetry
+
+
+def record(key: bytes, form: bytes, size: int, data: bytes) -> bytes:
+    padding = bytes(-len(data) % 4)
+    return key + form + bytes([size]) + (len(data) // size).to_bytes(2, "big") + data + padding
+
+
+def nested(key: bytes, *records: bytes) -> bytes:
+    content = b"".join(records)
+    return key + b"\0\x01" + len(content).to_bytes(2, "big") + content
+
+
+def telemetry(gyro: np.ndarray, accel: np.ndarray) -> bytes:
+    """A packet as the published format has it: counts, and what they are divided by."""
+
+    def sensor(key: bytes, values: np.ndarray, scale: int) -> bytes:
+        counts = np.rint(values * scale).astype(">i2").tobytes()
+        scaled = record(b"SCAL", b"s", 2, scale.to_bytes(2, "big"))
+        return nested(b"STRM", record(b"STNM", b"c", 1, b"Sensor"), scaled, record(key, b"s", 6, counts))
+
+    return nested(
+        b"DEVC", record(b"DVNM", b"c", 1, b"Hero"), sensor(b"ACCL", accel, 417), sensor(b"GYRO", gyro, 939)
+    )
+
+
+def test_a_gopros_imu_is_read_from_its_video(pictures: list[GreyImage], tmp_path: Path) -> None:
+    office = load_flight(OFFICE).imu
+    assert office is not None
+    # The sensor's axes: up, right, forward.
+    R = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    gyro, accel = office.gyro_rad_s[:400] @ R.T, office.accel_m_s2[:400] @ R.T
+    path = tmp_path / "GX010001.MP4"
+    with av.open(str(path), "w", format="mp4") as file:
+        video = file.add_stream("mpeg4", rate=20)
+        video.width, video.height, video.pix_fmt = (*SIZE, "yuv420p")
+        data = file.add_data_stream("bin_data")
+        data.time_base = Fraction(1, 1000)
+        packets = []
+        for i, picture in enumerate(pictures):
+            frame = av.VideoFrame.from_ndarray(picture, format="gray").reformat(format="yuv420p")
+            frame.pts, frame.time_base = i, Fraction(1, 20)
+            packets += video.encode(frame)
+        for packet in [*packets, *video.encode(None)]:
+            file.mux(packet)
+        for k in range(4):  # half a second each
+            part = slice(100 * k, 100 * (k + 1))
+            packet = av.Packet(telemetry(gyro[part], accel[part]))
+            packet.stream, packet.time_base = data, Fraction(1, 1000)
+            packet.pts = packet.dts = 500 * k
+            packet.duration = 500
+            file.mux(packet)
+    log = open_log(path)
+    assert [(topic.kind, topic.name) for topic in log.topics] == [("frames", "video"), ("imu", "gopro")]
+    imu = log.imu("gopro").value
+    np.testing.assert_array_equal(imu.t_ns, np.arange(400) * 5_000_000)
+    np.testing.assert_allclose(imu.gyro_rad_s, gyro, atol=0.0006)
+    np.testing.assert_allclose(imu.accel_m_s2, accel, atol=0.0013)
+    assert difference(frames_of(log).read(7), pictures[7]) < 8
+    # Told that the camera looks along its third axis, it is along the vehicle's.
+    camera = "image_width: 160\nimage_height: 120\nK: [116.5, 0, 79.5, 0, 116.5, 59.5, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\n"
+    (tmp_path / "camera.yaml").write_text(camera)
+    table = 'log = "GX010001.MP4"\n[camera]\ncalibration = "camera.yaml"\n[imu]\ncamera_axis = "z"\n'
+    (tmp_path / "flight.toml").write_text(table)
+    flight = load_flight(tmp_path / "flight.toml")
+    assert flight.imu is not None
+    for axis in range(3):  # level is the usual attitude of these two seconds, not quite the office's
+        turns = flight.imu.gyro_rad_s[:, axis], office.gyro_rad_s[:400, axis]
+        assert np.corrcoef(*turns)[0, 1] > 0.97, axis
+    # What is torn is left out.
+    torn = list(samples_of(telemetry(gyro[:9], accel[:9])[:-20]))
+    assert [key for key, _ in torn] == []
+    assert list(samples_of(b"DEVC" + bytes(40))) == []

@@ -57,7 +57,8 @@ def split_fields(line: str, separator: str, *, quoted: bool = True) -> list[str]
 
 def encoding_of(head: bytes) -> str:
     """Return how a text is encoded by its first bytes: UTF-16 as Excel's Unicode text is, else UTF-8."""
-    return "utf-16" if head.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+    little, big = head.startswith(b"\xff\xfe") and head[3:4] == b"\0", head.startswith(b"\xfe\xff\0")
+    return "utf-16" if little or big else "utf-8-sig"
 
 
 def read_head(path: Path) -> list[str]:

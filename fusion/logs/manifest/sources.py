@@ -28,12 +28,12 @@ from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.csv.columns import SI, CsvLog
 from fusion.logs.manifest.manifest import CameraSource, Manifest, StreamSource, corrected_camera
 from fusion.logs.plausibility.imu import Gravity, gravity_of
-from fusion.logs.plausibility.mounting import mounted, mounted_attitude, mounted_imu
+from fusion.logs.plausibility.mounting import mounted, mounted_imu
 from fusion.logs.plausibility.rig import (
     Rig,
     body_from_camera_axis,
     find_body_from_imu,
-    is_along_imu,
+    turned_attitude,
     turned_camera,
     turned_velocity,
 )
@@ -233,6 +233,13 @@ class ManifestLog(LogContents):
         except InputError:  # told where the IMU is read
             return None
 
+    def _chosen_imu(self) -> ImuStream | None:
+        try:
+            topic = self.choose(Kind.IMU).value
+            return None if topic is None else self.imu(topic).value
+        except InputError:  # told where the IMU is read
+            return None
+
     def _imu_as_read(self, topic: str) -> WithProblems[ImuStream]:
         return self._read(Kind.IMU, lambda log: log.imu, topic)
 
@@ -277,8 +284,9 @@ class ManifestLog(LogContents):
     def attitude(self, topic: str) -> WithProblems[AttitudeStream]:
         """Attitude, on the flight's clock."""
         attitude, problems = self._read(Kind.ATTITUDE, lambda log: log.attitude, topic)
-        if self.rig.value is not None and is_along_imu(attitude, self._gravity_or_none()):
-            attitude = mounted_attitude(attitude, self.rig.value.mount_rad)
+        if self.rig.value is not None:
+            gravity, imu = self._gravity_or_none(), self._chosen_imu()
+            attitude = turned_attitude(attitude, imu, gravity, self.rig.value.mount_rad)
         return WithProblems(attitude, problems)
 
     def position(self, topic: str) -> WithProblems[VectorStream]:

@@ -26,6 +26,7 @@ from fusion.logs.samples import Problems, WithProblems, counted, in_order
 from fusion.logs.series import SeriesLog, no_such_topic
 from vision import InputError
 
+_LISTS_BESIDE = ("timestamps.txt", "images.txt", "left_images.txt", "right_images.txt", "rgb.txt")
 _TIME_FILES = frozenset({".csv", ".txt", ".tsv"})
 _REMEDY = (
     "give a CSV of time and file name, times under [camera] in flight.toml or in the folder, or the pictures' rate: "
@@ -120,11 +121,11 @@ def _numbers(names: list[str]) -> npt.NDArray[np.int64]:
 def _times_inside(path: Path) -> Path | None:
     """Find the one text file of a folder that gives times; None where there is none or no single one.
 
-    KITTI has it beside the folder, as ``timestamps.txt``.
+    Public data sets have it beside the folder, under names of their own.
     """
     texts = [path / name for name in sorted(os.listdir(path)) if Path(name).suffix.lower() in _TIME_FILES]
-    beside = path.parent / "timestamps.txt"
-    texts += [beside] if not texts and beside.is_file() else []
+    if not texts:
+        texts = [path.parent / name for name in _LISTS_BESIDE if (path.parent / name).is_file()]
     found = []
     for text in texts:
         try:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,9 +20,10 @@ import numpy.typing as npt
 from fusion.flight import ChosenFrames, FrameStream, TimeArray
 from fusion.logs.contents import Kind, Topic
 from fusion.logs.csv.column_map import ColumnMap
+from fusion.logs.pictures.gpmf import Telemetry, read_telemetry
 from fusion.logs.pictures.video_frames import VideoFrames
 from fusion.logs.samples import Problems, WithProblems, counted, in_order
-from fusion.logs.series import SeriesLog, no_such_topic
+from fusion.logs.series import Series, SeriesLog, Where, no_such_topic
 from vision import InputError
 from vision.limits import check_pixels
 
@@ -33,6 +35,7 @@ SUFFIXES = frozenset(
     {".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts", ".mpg", ".mpeg", ".wmv", ".flv"}
     | {".3gp", ".ogv", ".mjpg", ".mjpeg", ".h264", ".264", ".h265", ".265", ".hevc"}
 )
+GPMF_TOPIC = "gopro"
 # A playlist in a file that is named like a video would make FFmpeg open what it lists, also over the network.
 _LOCAL_VIDEO = {
     "protocol_whitelist": "file",
@@ -126,6 +129,10 @@ def open_video(
         told = None if rate_hz is None else Fraction(rate_hz).limit_denominator(10**6)
         nominal = told or _nominal_rate(container, streams[0])
         note = _note(container)
+        first = indices[streams[0].index]
+        telemetry = None
+        if times is None and len(first.pts) and container.streams.data:
+            telemetry = read_telemetry(container, float(first.pts[0] * first.time_base), start_ns)
         problems += tuple(_cut_ends(path, container, streams, packets, indices))
     videos: dict[str, _Video] = {}
     for number, index in indices.items():
@@ -146,7 +153,7 @@ def open_video(
         videos[name] = _Video(t_ns, rows, index, number)
     if not videos:
         raise InputError("holds no frames", file=path, remedy="it was not written whole; copy it again")
-    return VideoLog(path, videos, note, problems)
+    return VideoLog(path, videos, note, problems, telemetry)
 
 
 def open_container(path: Path) -> InputContainer:
@@ -330,11 +337,24 @@ class _Video:
 
 
 class VideoLog(SeriesLog):
-    """A video as `fusion.logs.contents.LogContents`: pictures and nothing else."""
+    """A video as `fusion.logs.contents.LogContents`: pictures, and an IMU that is recorded beside them."""
 
-    def __init__(self, path: Path, videos: dict[str, _Video], note: str, problems: Problems) -> None:
-        super().__init__(path, "video", (), problems)
-        self.topics = tuple(Topic(name, Kind.FRAMES, video.t_ns, note) for name, video in videos.items())
+    def __init__(
+        self,
+        path: Path,
+        videos: dict[str, _Video],
+        note: str,
+        problems: Problems,
+        telemetry: Telemetry | None = None,
+    ) -> None:
+        series = []
+        if telemetry is not None:
+            topic = Topic(GPMF_TOPIC, Kind.IMU, telemetry.t_ns, "GoPro's telemetry; axes of the sensor")
+            series.append(Series(topic, partial(telemetry.imu, Where(path, f"{path.name} ({GPMF_TOPIC})"))))
+            self.body_frame = "frd"  # as they are: nothing was turned
+        super().__init__(path, "video", series, problems)
+        frames = (Topic(name, Kind.FRAMES, video.t_ns, note) for name, video in videos.items())
+        self.topics = (*frames, *self.topics)
         self._videos = videos
 
     def frames(self, topic: str) -> WithProblems[FrameStream]:

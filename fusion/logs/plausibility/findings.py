@@ -75,7 +75,8 @@ class Advice:
         pitch = _rounded(asin(max(-1.0, min(1.0, up[0]))))
         return (
             f"if it is mounted so, set mount_rad = [{roll:.4g}, {pitch:.4g}, YAW] for [{stream}] in flight.toml; "
-            "YAW, positive right, is not to be seen from gravity"
+            "YAW, positive right, is not to be seen from gravity; where the camera looks along one of its axes, "
+            'camera_axis = "-z" or another for [imu] is enough'
         )
 
     def unit(self, stream: str, key: str, unit: str, factor: str) -> str:

@@ -12,10 +12,11 @@ from math import asin, atan2, cos, degrees, radians, sin, sqrt
 
 import numpy as np
 
-from fusion.flight import AttitudeStream, FloatArray, VectorStream
+from fusion.flight import AttitudeStream, FloatArray, ImuStream, VectorStream
 from fusion.logs.plausibility.flight import down_in_body
 from fusion.logs.plausibility.imu import UPRIGHT, Gravity
-from fusion.logs.plausibility.mounting import MountRad, rotation
+from fusion.logs.plausibility.mounting import MountRad, mounted_attitude, rotation
+from fusion.logs.plausibility.turn_rates import compare_turns
 from vision import Camera
 from vision.cameras.camera import MAX_AXIS_ANGLE_RAD
 
@@ -116,14 +117,19 @@ def _angles(R: FloatArray) -> MountRad:
 
 
 def turned_camera(camera: Camera, rig: Rig) -> Camera:
-    """Return a camera that was calibrated to the IMU's axes, along the vehicle's; one that is assumed looks ahead."""
-    if camera.mount_assumed:
-        if rig.looks_up_rad is None:
-            return camera
-        R_up = rotation((0.0, rig.looks_up_rad, 0.0))
-        return replace(camera, R_body_camera=R_up @ camera.R_body_camera, mount_assumed=False)
-    R = rotation(rig.mount_rad)
-    return replace(camera, R_body_camera=R @ camera.R_body_camera, p_body_camera_m=R @ camera.p_body_camera_m)
+    """Return the camera on the vehicle: as it was calibrated to the IMU's axes, or upright along one of them.
+
+    Where the camera's axis on the IMU was told, a calibration with a pose is on the vehicle already.
+    """
+    if rig.looks_up_rad is None and not camera.mount_assumed:
+        R = rotation(rig.mount_rad)
+        return replace(
+            camera, R_body_camera=R @ camera.R_body_camera, p_body_camera_m=R @ camera.p_body_camera_m
+        )
+    if rig.looks_up_rad is None or not camera.mount_assumed:
+        return camera
+    R_up = rotation((0.0, rig.looks_up_rad, 0.0))
+    return replace(camera, R_body_camera=R_up @ camera.R_body_camera, mount_assumed=False)
 
 
 def is_along_imu(attitude: AttitudeStream, gravity: Gravity | None) -> bool:
@@ -132,6 +138,29 @@ def is_along_imu(attitude: AttitudeStream, gravity: Gravity | None) -> bool:
         return False
     down = np.median(down_in_body(attitude.q_world_body), axis=0)
     return float(-gravity.direction @ down / np.linalg.norm(down)) > cos(SAME_AXES_RAD)
+
+
+def turned_attitude(
+    attitude: AttitudeStream, imu: ImuStream | None, gravity: Gravity | None, mount_rad: MountRad
+) -> AttitudeStream:
+    """Return an attitude along the vehicle's axes: turned where it is of the IMU's own.
+
+    Parameters
+    ----------
+    attitude
+        As read.
+    imu
+        Along the vehicle's axes already: the attitude has to turn as it does.
+    gravity
+        As the IMU measures it along the axes it is read in.
+    mount_rad
+        Of the IMU on the vehicle.
+    """
+    turned = mounted_attitude(attitude, mount_rad)
+    as_read, as_turned = (None if imu is None else compare_turns(imu, a) for a in (attitude, turned))
+    if as_read is None or as_turned is None:  # too little motion to tell
+        return turned if is_along_imu(attitude, gravity) else attitude
+    return turned if as_turned.as_taken.correlation > as_read.as_taken.correlation else attitude
 
 
 def turned_velocity(velocity: VectorStream, mount_rad: MountRad) -> VectorStream:
