@@ -7,7 +7,8 @@ orders the parts:
 - one per thing that is estimated: `propagation` and `tilt` (what carries the heading), `imu_yaw`, `corridor_axis`
   and `junctions`, `lateral`, `range_width`, `velocity`, `camera_delay`, `camera_elevation`; each takes samples and
   returns its own immutable share of `state.State`; some correct the filter that the engine hands them;
-- what they share: the filter (`ekf`, `models`, `kernels`), `noise_adaptation`, `votes`, `sample_times`;
+- what they share: the filter (`ekf`, `models`, `kernels`), who is wrong where sources part (`hypotheses`),
+  `noise_adaptation`, `votes`, `sample_times`;
 - around the engine: `timeline` (samples in any order), `estimate` (what is reported), `smoother`, `fixed_lag`,
   `smoothed_table` and `tables`.
 """

@@ -149,7 +149,7 @@ class FusionConfig(BaseModel):
         default=10.0,
         ge=0,
         le=60,
-        description="How long a far-off direction must last that no turn of the vehicle explains.",
+        description="How long another direction must last that no turn of the vehicle explains.",
     )
     junction_min_turn_rad: float = Field(
         default=radians(20), gt=0, le=radians(60), description="Corridors that meet differ by more than this."

@@ -6,15 +6,18 @@ corridor stays where it is however the vehicle turns; `fusion.estimator.junction
 
 from __future__ import annotations
 
-from math import isfinite, nan, radians
+from collections.abc import Sequence
+from math import isfinite, isnan, nan, radians, sqrt
+from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.hypotheses import Diagnosis, Hypothesis
 from fusion.estimator.models import N_STATES, PSI, YAW_OFFSET, Gate, heading_model
 from fusion.estimator.noise_adaptation import SourceNoise
-from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD
+from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, DeadReckoning, Mode
 from fusion.estimator.votes import AGREEING_SHARE, Vote, add_vote, agreement
 from vision.rotations import wrap_axis
 
@@ -24,7 +27,9 @@ if TYPE_CHECKING:
 VOTE_AGE_S = 3.0
 VOTE_AGE_FRAMES = 15
 VOTE_SPACING_S = 0.03
-GRADUAL_RAD = radians(6)
+GRADUAL_RAD = radians(6)  # what a vehicle turns between frames, if the gyroscope may be wrong
+LINK_SIGMA = 3.0
+MAX_ACCELERATION_RAD_S2 = radians(150)  # of the yaw of a vehicle that flies with a camera
 
 
 class PreviousAxis(NamedTuple):
@@ -38,11 +43,16 @@ class PreviousAxis(NamedTuple):
 
 
 class FrameAxis(NamedTuple):
-    """A heading that a picture showed, and whether no jump lies between it and one that the filter accepted."""
+    """A heading that a picture showed, its sigma, and what the gyroscope had turned by then.
+
+    ``linked``: no jump lies between it and one that the filter accepted.
+    """
 
     t_ns: int
     heading_rad: float
+    std_rad: float
     linked: bool
+    raw_theta_rad: float
 
 
 class Rival(NamedTuple):
@@ -51,6 +61,41 @@ class Rival(NamedTuple):
     axis_rad: float
     since_ns: int
     last_ns: int
+
+
+def goes_on(seen: Sequence[FrameAxis], t_ns: int, heading_rad: float, std_rad: float) -> bool:
+    """Whether a frame's heading goes on at the rate of those before, by noise and by what a vehicle accelerates.
+
+    Parameters
+    ----------
+    seen
+        Frames before, oldest first.
+    t_ns, heading_rad, std_rad
+        The frame's time, heading and standard deviation.
+    """
+    first, last = seen[0], seen[-1]
+    span_s, dt_s = (last.t_ns - first.t_ns) * 1e-9, (t_ns - last.t_ns) * 1e-9
+    if not 0.0 < dt_s < span_s:
+        return False
+    ahead = dt_s / span_s
+    step = wrap_axis(heading_rad - last.heading_rad)
+    expected = ahead * wrap_axis(last.heading_rad - first.heading_rad)
+    variance = std_rad**2 + ((1.0 + ahead) * last.std_rad) ** 2 + (ahead * first.std_rad) ** 2
+    reach = LINK_SIGMA * sqrt(variance) + 0.5 * MAX_ACCELERATION_RAD_S2 * dt_s * (dt_s + span_s)
+    return abs(step - expected) < min(reach, GRADUAL_RAD)
+
+
+def _is_linked(near: Sequence[FrameAxis], new: FrameAxis) -> bool:
+    """Whether a frame's heading follows those before by no jump: by noise, and by a turn up to the gyroscope's."""
+    last = near[-1].heading_rad
+    step = wrap_axis(new.heading_rad - last - median(wrap_axis(r.heading_rad - last) for r in near))
+    turned = new.raw_theta_rad - median(r.raw_theta_rad for r in near)
+    noise = LINK_SIGMA * sqrt(new.std_rad**2 + sum(r.std_rad**2 for r in near) / len(near) ** 2)
+    low, high = max(min(turned, 0.0), -GRADUAL_RAD), min(max(turned, 0.0), GRADUAL_RAD)
+    if low - noise < step < high + noise or abs(step - turned) < noise:
+        return True
+    leapt = abs(new.raw_theta_rad - near[-1].raw_theta_rad) > GRADUAL_RAD
+    return leapt and goes_on(near, new.t_ns, new.heading_rad, new.std_rad)  # whatever the gyroscope says
 
 
 class CorridorAxis(NamedTuple):
@@ -82,6 +127,8 @@ class CorridorAxis(NamedTuple):
         Axis that rejected frames agree on.
     previous
         The corridor left last.
+    diagnosis
+        Who is wrong where frames and prediction part.
     """
 
     acquired: bool = False
@@ -102,15 +149,21 @@ class CorridorAxis(NamedTuple):
     recent: tuple[FrameAxis, ...] = ()
     rival: Rival | None = None
     previous: PreviousAxis | None = None
+    diagnosis: Diagnosis = Diagnosis()
 
     @property
     def test_ratio(self) -> float:
         """Of the last innovation: squared over gate squared."""
         return nan if self.gate is None else self.gate.test_ratio
 
+    @property
+    def was_accepted(self) -> bool:
+        """Whether the gate took the last innovation."""
+        return self.gate is not None and self.gate.accepted
+
     def lost(self) -> CorridorAxis:
         """Let the next headings start anew."""
-        return self._replace(acquired=False, votes=())
+        return self._replace(acquired=False, votes=(), diagnosis=self.diagnosis.started_anew())
 
     def clock_set_back(self) -> CorridorAxis:
         """Start anew; corridors and counts stay."""
@@ -126,28 +179,44 @@ class CorridorAxis(NamedTuple):
             support_s=support_s,
             t_vision_ns=t_ns,
             n_accepted=self.n_accepted + 1,
-            anchor_rad=theta_rad - psi,
+            anchor_rad=theta_rad - psi if isnan(self.diagnosis.straight_bias_rad_s) else self.anchor_rad,
             facing_rad=psi - wrap_axis(psi),
         )
 
+    def gate_sigma(self, config: FusionConfig) -> float:
+        """Gate of the frames' heading; halved while another axis is seen, as what lies between may be either."""
+        return config.heading_gate_sigma * (0.5 if self.diagnosis.found is Hypothesis.AXIS else 1.0)
+
     def followed(
-        self, t_ns: int, heading_rad: float, accepted: bool, frame_interval_s: float
-    ) -> tuple[FrameAxis, ...]:
-        """Follow the axis through the pictures alone; return ``recent`` with a frame's heading.
+        self,
+        t_ns: int,
+        heading_rad: float,
+        std_rad: float,
+        reckoning: DeadReckoning,
+        accepted: bool,
+        frame_interval_s: float,
+    ) -> CorridorAxis:
+        """Follow the axis through the pictures alone: keep a frame's heading, and whether it jumped.
 
         Parameters
         ----------
-        t_ns, heading_rad, accepted
+        t_ns, heading_rad, std_rad, accepted
             Of the frame, and whether the filter took it.
+        reckoning
+            What carries the heading.
         frame_interval_s
             Mean time between frames; NaN where unknown.
         """
         reach_ns = round(max(0.4, 2.5 * frame_interval_s if isfinite(frame_interval_s) else 0.0) * 1e9)
-        linked = accepted or any(
-            known and t_ns - t <= reach_ns and abs(wrap_axis(heading_rad - heading)) < GRADUAL_RAD
-            for t, heading, known in self.recent
-        )
-        return (*self.recent[-3:], FrameAxis(t_ns, heading_rad, linked))
+        near = [r for r in self.recent if r.linked and t_ns - r.t_ns <= reach_ns]
+        raw_theta_rad = reckoning.raw_theta_rad
+        new = FrameAxis(t_ns, heading_rad, std_rad, False, raw_theta_rad)
+        if reckoning.mode is Mode.NONE:
+            linked = accepted or any(abs(wrap_axis(heading_rad - r.heading_rad)) < GRADUAL_RAD for r in near)
+        else:
+            linked = accepted and self.diagnosis.refused_share < 0.5
+            linked = linked or (bool(near) and _is_linked(near, new))
+        return self._replace(recent=(*self.recent[-5:], new._replace(linked=linked)))
 
     def voted(
         self, t_ns: int, axis_rad: float, std_rad: float, linked: bool, frame_interval_s: float
@@ -173,7 +242,11 @@ class CorridorAxis(NamedTuple):
     def stepped(self, ekf: CorridorEKF, before_rad: float) -> CorridorAxis:
         """Count a jump of the heading from ``before_rad`` to what it is now."""
         step_rad = float(ekf.x[PSI]) - before_rad
-        return self._replace(reset_count=self.reset_count + 1, reset_heading_rad=step_rad)
+        return self._replace(
+            reset_count=self.reset_count + 1,
+            reset_heading_rad=step_rad,
+            diagnosis=self.diagnosis.stepped(),
+        )
 
 
 class Recovery(NamedTuple):

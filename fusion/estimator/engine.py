@@ -15,6 +15,7 @@ import numpy as np
 
 from fusion.estimator import junctions
 from fusion.estimator import tilt as tilts
+from fusion.estimator.axis_drift import follow_verdict, weigh
 from fusion.estimator.camera_delay import (
     Delay,
     DelayedInnovation,
@@ -36,11 +37,13 @@ from fusion.estimator.gyro_checks import (
     rate_that_bridges,
     with_sample,
 )
+from fusion.estimator.hypotheses import Sight
 from fusion.estimator.imu_yaw import (
     UNKNOWN_YAW_OFFSET_STD_RAD,
     AttitudeSample,
     compare_by_frame,
     fuse_imu_yaw,
+    yaw_at,
 )
 from fusion.estimator.lateral import Lateral, LateralOffset, MotionStep, offset_model
 from fusion.estimator.lateral_offset import OffsetModel
@@ -309,6 +312,8 @@ class Engine:
         interval_s = s.frames.interval_s
         if axis.acquired and float(ekf.P[PSI, PSI]) > c.lost_heading_std_rad**2:
             axis = axis.lost()
+        if d.mode is not Mode.GYRO:  # without it, nothing says who is wrong
+            axis = axis._replace(diagnosis=axis.diagnosis.started_anew())
         variance = max(m.heading_std_rad, c.heading_std_floor_rad) ** 2
         variance += self._propagation.held_rate_variance(d, t_ns)
         heading = m.heading_rad + turned_since_exposure(s.delay, float(ekf.x[BIAS]), t_ns, d.raw_theta_rad)
@@ -316,7 +321,7 @@ class Engine:
         if not axis.acquired:
             axis = axis.voted(*vote, False, interval_s)
             axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.coupled, c)
-            s = s._replace(axis=axis._replace(recent=axis.followed(t_ns, heading, axis.acquired, interval_s)))
+            s = s._replace(axis=axis.followed(t_ns, heading, sqrt(variance), d, axis.acquired, interval_s))
             if axis.acquired:
                 lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
                 s = s._replace(lateral=lateral, width=width, elevation=elevation, x=ekf.x, P=ekf.P)
@@ -327,13 +332,29 @@ class Engine:
         if delay is not None:
             delay = with_axis(delay, ekf, t_ns, d.raw_theta_rad, axis.reset_count)
             by_delay = innovation_of(delay, ekf, t_ns, d.raw_theta_rad)
-        doubt = Doubt(c.heading_gate_sigma, rho, OUTLIER_DENSITY, by_delay.variance)
+        innovation_std = sqrt(float(ekf.P[PSI, PSI]) + by_delay.variance + variance * axis.noise.inflation)
+        doubt = Doubt(
+            axis.gate_sigma(c),
+            rho,
+            OUTLIER_DENSITY,
+            by_delay.variance,
+            axis.diagnosis.innovations.short * innovation_std,
+            axis.diagnosis.refused_share,
+        )
         gate, noise = update_with_doubt(ekf, measurement, axis.noise, doubt)
-        recent = axis.followed(t_ns, heading, gate.accepted, interval_s)
-        axis = axis._replace(noise=noise, gate=gate, recent=recent)
+        axis = axis._replace(noise=noise, gate=gate)
+        axis = axis.followed(t_ns, heading, sqrt(variance), d, gate.accepted, interval_s)
         result = (gate.residual, gate.test_ratio)
+        if d.mode is Mode.GYRO:
+            spread = sqrt(variance * axis.noise.inflation * (1.0 + rho) / (1.0 - rho))
+            sight = Sight(t_ns, heading, spread, d.raw_theta_rad, yaw_at(d, t_ns), axis.recent[-1].linked)
+            axis, drift = weigh(axis, ekf, sight, gate.residual / innovation_std, rho, c)
+            followed = follow_verdict(axis, ekf, sight, drift, d.theta_rad, s.imu_yaw.coupled)
+            if followed is not None:
+                s = s._replace(axis=followed, delay=delay, x=ekf.x, P=ekf.P)
+                return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
         if not gate.accepted:
-            axis = axis.voted(*vote, recent[-1].linked, interval_s)
+            axis = axis.voted(*vote, axis.recent[-1].linked, interval_s)
             s = self._follow_votes(s._replace(axis=axis, delay=delay), t_ns)
             return s, FrameResult(sample.stamp_ns, m, False, Reason.GATE, *result)
         if delay is not None and d.mode is Mode.GYRO:
@@ -359,7 +380,9 @@ class Engine:
     def _follow_votes(self, s: State, t_ns: int) -> State:
         """Do what the votes against the present axis mean, if enough of them agree."""
         c, ekf, theta_rad, coupled = self.config, self.ekf, s.reckoning.theta_rad, s.imu_yaw.coupled
-        axis, found = junctions.decide(s.axis, float(ekf.x[PSI]), t_ns, theta_rad, s.frames.interval_s, c)
+        axis, found = junctions.decide(
+            s.axis, float(ekf.x[PSI]), sqrt(float(ekf.P[PSI, PSI])), t_ns, theta_rad, s.frames.interval_s, c
+        )
         if found is None:
             return s._replace(axis=axis)  # the gate has left the filter as it was
         imu_yaw = s.imu_yaw.axis_changed()

@@ -17,6 +17,7 @@ from fusion.estimator.camera_delay import camera_delay, spread_by_delay
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.faults import Fault, Notice
 from fusion.estimator.frame_update import FrameSample
+from fusion.estimator.hypotheses import Hypothesis
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.lateral import LateralStatus, offset_model, readout
 from fusion.estimator.models import PSI
@@ -30,6 +31,16 @@ from vision.rotations import wrap, wrap_axis
 
 if TYPE_CHECKING:
     from fusion.estimator.state import Sample, State
+
+
+CONTESTED_S = 1.0  # from the last frame that contested
+CONTESTED = {
+    Hypothesis.WELL: "contested: frames lie to one side of the prediction",
+    Hypothesis.GYRO: "contested: frames drift from the gyroscope",
+    Hypothesis.SPIKE: "contested: the gyroscope leapt",
+    Hypothesis.BEND: "contested: frames drift from gyroscope and attitude",
+    Hypothesis.AXIS: "contested: frames show another axis",
+}
 
 
 class Status(StrEnum):
@@ -196,8 +207,14 @@ def status_of(
             notices.append(Notice(Fault.FRAMES_SILENT, "no frames arrive"))
         else:
             notices.append(Notice(Fault.FRAMES_REJECTED, "frames are rejected"))
+    elif axis.diagnosis.refused_share > 0.5:
+        status = Status.COASTING
+        notices.append(Notice(Fault.FRAMES_REJECTED, "frames are rejected"))
     else:
         status = Status.TRACKING
+        contested = axis.diagnosis.told
+        if contested is not None and seconds_since(t_ns, contested.t_ns) < CONTESTED_S:
+            notices.append(Notice(Fault.HEADING_CONTESTED, CONTESTED[contested.hypothesis]))
         if state.lateral.n_used and seconds_since(seen_ns, state.lateral.t_ns) > limit:
             notices.append(Notice(Fault.NO_LATERAL_OFFSET, "frames show no lateral offset"))
     if (frozen := state.checks.repeats.notice()) is not None:

@@ -36,6 +36,7 @@ class Fault(IntFlag):
     GYRO_BIAS = 1 << 20  # far from zero at rest
     FOCAL_LENGTH = 1 << 21  # the camera sees more, or less, of each turn than the gyroscope
     TILT_WRONG = 1 << 22  # attitude or accelerometer do not point where gravity does
+    HEADING_CONTESTED = 1 << 23  # frames and prediction part, and it is not settled who is wrong
 
 
 class Notice(NamedTuple):

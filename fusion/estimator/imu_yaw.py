@@ -6,7 +6,7 @@ Its offset to the corridor is followed while a gyroscope carries the heading; it
 
 from __future__ import annotations
 
-from math import nan
+from math import isnan, nan
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -159,11 +159,17 @@ def compare_by_frame(
     reckoning
         What carries the heading.
     """
-    if reckoning.mode is not Mode.GYRO or not reckoning.attitude.age_s(t_ns) <= MAX_YAW_AGE_S:
+    yaw_now = yaw_at(reckoning, t_ns)
+    if reckoning.mode is not Mode.GYRO or isnan(yaw_now):
         return part
-    yaw_now = reckoning.yaw_rad + reckoning.yaw_done_rad
     seen = watch(part.watch, t_ns, heading_rad - reckoning.theta_rad, heading_rad - yaw_now, variance)
     return part._replace(watch=seen)
+
+
+def yaw_at(reckoning: DeadReckoning, t_ns: int) -> float:
+    """Return the IMU's yaw as carried on from its last sample, rad; NaN where that is too old to compare with."""
+    fresh = reckoning.attitude.age_s(t_ns) <= MAX_YAW_AGE_S
+    return reckoning.yaw_rad + reckoning.yaw_done_rad if fresh else nan
 
 
 def _is_useful(part: ImuYaw, config: FusionConfig) -> bool:

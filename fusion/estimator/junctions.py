@@ -2,8 +2,8 @@
 
 Once enough votes agree, they mean one of three things:
 
-- The filter has gone wrong: the axis is near the expected one, or it is where the axis was when frames last confirmed
-  it, or the picture has changed only gradually since then. The covariance is widened in the direction of the
+- The filter has gone wrong: the axis is where it was when frames last confirmed it, or the picture has changed no
+  more since then than noise and the gyroscope's turn explain. The covariance is widened in the direction of the
   disagreement, so that the votes' median can be taken in (`fusion.estimator.corridor_axis.recover`).
 - Another corridor: the vehicle itself has turned away from the old axis, and looks along the new one
   (`enter_corridor`, which changes the filter and returns the axis's part of the state).
@@ -34,6 +34,7 @@ OBLIQUE_WAIT_S = 1.5
 WEAK_SUPPORT_S = 1.5
 REAL_CORRIDOR_OFFSETS = 10
 GLANCE_S = 3.0
+DRIFTED_SIGMA = 3.0
 
 
 class NewCorridor(NamedTuple):
@@ -48,6 +49,7 @@ class NewCorridor(NamedTuple):
 def decide(
     axis: CorridorAxis,
     psi_rad: float,
+    psi_std: float,
     t_ns: int,
     theta_rad: float,
     frame_interval_s: float,
@@ -59,8 +61,8 @@ def decide(
     ----------
     axis
         Part of the state, with the newest frame's vote.
-    psi_rad
-        The filter's heading.
+    psi_rad, psi_std
+        The filter's heading and its standard deviation.
     t_ns, theta_rad
         Now, and the dead-reckoned heading.
     frame_interval_s
@@ -78,11 +80,11 @@ def decide(
         return axis._replace(rival=None), None  # other frames still see the present axis
     axis = axis._replace(rival=rival)
     heading = wrap_axis(theta_rad - found.value)
-    distance = abs(wrap_axis(heading - psi_rad))
     linked = found.linked_share > 0.5
-    at_anchor = abs(wrap_axis(found.value - axis.anchor_rad)) < KNOWN_AXIS_RAD
+    reach = max(c.recovery_spread_rad, DRIFTED_SIGMA * psi_std)  # by which the heading may have drifted since
+    at_anchor = abs(wrap_axis(found.value - axis.anchor_rad)) < reach
     enough = found.n_votes >= c.recovery_frames
-    if distance < c.junction_min_turn_rad or linked or at_anchor:
+    if linked or at_anchor:
         if not enough:
             return axis, None
         expected = psi_rad
@@ -91,7 +93,8 @@ def decide(
         elif linked:
             expected = heading + axis.facing_rad
         return axis, Recovery(_facing(heading, expected), found.std)
-    if _has_turned_into(axis, theta_rad, heading, found, lasting_s, c):
+    differs = abs(wrap_axis(heading - psi_rad)) >= c.junction_min_turn_rad
+    if differs and _has_turned_into(axis, theta_rad, heading, found, lasting_s, c):
         return axis, NewCorridor(heading, found.value, found.std, same_corridor=False)
     if enough and lasting_s >= min(c.axis_jump_hold_s, 0.3 + axis.support_s):
         # No turn explains it: the axis taken up before was the wrong one.

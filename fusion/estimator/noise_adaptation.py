@@ -26,6 +26,7 @@ SCALE_MEMORY = 1 / 60
 SCALE_SLACK = 0.3  # about two standard deviations of the learned scale where sigmas are right
 MAX_SCALE = 25.0
 MAX_TERM = 9.0
+MIN_INLIER_SHARE = 0.01
 
 
 class SourceNoise(NamedTuple):
@@ -124,12 +125,28 @@ class Doubt(NamedTuple):
         Probability density of outliers.
     more_variance
         What the innovation has besides, of which neither state nor measurement knows.
+    mean_residual
+        What the innovations have been on average: a prediction that is wrong, and no noise of the measurement.
+    refused_share
+        Share of the last half second's measurements that were not used.
     """
 
     gate_sigma: float
     rho: float
     outlier_density: float
     more_variance: float = 0.0
+    mean_residual: float = 0.0
+    refused_share: float = 0.0
+
+
+def outlier_share_now(noise: SourceNoise, refused_share: float, gate_rad: float, density: float) -> float:
+    """Share of outliers among the measurements of the last half second, not less than what is known in the long run.
+
+    Some outliers fall into the gate (a half width ``gate_rad``) by chance and are no sign of inliers.
+    """
+    by_chance = min(2.0 * gate_rad * density, 0.99)
+    inliers = max(1.0 - refused_share - by_chance, 0.0) / (1.0 - by_chance)
+    return min(max(noise.outlier_share, 1.0 - inliers), 1.0 - MIN_INLIER_SHARE)
 
 
 def update_with_doubt(
@@ -153,9 +170,10 @@ def update_with_doubt(
     """
     predicted = predicted_variance(ekf.P, m.H) + doubt.more_variance
     stated, believed = m.R, m.R * noise.inflation
-    probability = inlier_probability(
-        m.residual, predicted + believed, noise.outlier_share, doubt.outlier_density
-    )
+    reach = doubt.gate_sigma * sqrt(predicted + believed)
+    outliers = outlier_share_now(noise, doubt.refused_share, reach, doubt.outlier_density)
+    probability = inlier_probability(m.residual, predicted + believed, outliers, doubt.outlier_density)
     variance = weakened(as_if_independent(believed, predicted, doubt.rho), predicted, probability)
     gate = ekf.update(m._replace(R=believed + doubt.more_variance), doubt.gate_sigma, variance)
-    return gate, learn(noise, m.residual, predicted, stated, probability if gate.accepted else 0.0)
+    probability = probability if gate.accepted else 0.0
+    return gate, learn(noise, m.residual - doubt.mean_residual, predicted, stated, probability)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import radians
+from math import radians, tan
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,8 @@ from fusion.simulate.scene.random_scene import is_night
 NIGHT_EXPOSURE_S = 0.02
 WALL_CLEARANCE_M = 0.3
 NEAREST_START_M = 0.6
+BARREL_REACH = 0.4  # r (1 + k r^2 + 0.3 k^2 r^4), of a barrel, reaches 0.41 / sqrt(-k) and no further
+CORNER_OVER_EDGE = 1.27  # of a picture of 4:3
 
 
 def draw_flight(seed: int, fixed: dict[str, Any]) -> dict[str, Any]:
@@ -40,18 +42,18 @@ def draw_camera(seed: int) -> dict[str, Any]:
     rng = np.random.default_rng((seed, 16))
     kind = str(rng.choice(["none", "radtan", "equidistant"], p=[0.45, 0.3, 0.25]))
     barrel, fish = float(rng.uniform(-0.28, 0.02)), rng.normal(0.0, 0.01, 4).tolist()
-    lens = {
-        "none": ((), radians(rng.uniform(55, 95))),
-        "radtan": (
-            (barrel, 0.3 * barrel**2, *rng.normal(0.0, 5e-4, 2).tolist()),
-            radians(rng.uniform(55, 80)),
-        ),
-        "equidistant": (tuple(fish), radians(rng.uniform(80, 140))),
+    plain_fov, skew = radians(rng.uniform(55, 95)), rng.normal(0.0, 5e-4, 2).tolist()
+    barrel_fov, fish_fov = radians(rng.uniform(55, 80)), radians(rng.uniform(80, 140))
+    barrel = max(barrel, -((BARREL_REACH / (CORNER_OVER_EDGE * tan(barrel_fov / 2))) ** 2))
+    coefficients, fov_rad = {
+        "none": ((), plain_fov),
+        "radtan": ((barrel, 0.3 * barrel**2, *skew), barrel_fov),
+        "equidistant": (tuple(fish), fish_fov),
     }[kind]
     return {
         "distortion": kind,
-        "coefficients": lens[0],
-        "horizontal_fov_rad": float(lens[1]),
+        "coefficients": coefficients,
+        "horizontal_fov_rad": fov_rad,
         "mount_pitch_rad": float(rng.choice([0.0, rng.uniform(-1, 1)], p=[0.3, 0.7])) * radians(6),
         "mount_roll_rad": radians(float(rng.normal(0.0, 0.7))),
         "mount_yaw_rad": radians(float(rng.normal(0.0, 1.0))),

@@ -226,7 +226,7 @@ def test_wrong_start_is_recovered() -> None:
 
 
 def test_nine_agreeing_rejected_frames_change_nothing() -> None:
-    estimator, t = steady(5.0)
+    estimator, t = steady(5.0, axis_jump_hold_s=0.3)
     for _ in range(9):
         t += 40 * MS
         estimator.add_imu(t, (0, 0, 0))

@@ -127,9 +127,13 @@ plausible = st.builds(Stream, flights, st.lists(strewn(small), max_size=12))
 anything = st.builds(Stream, flights, st.lists(strewn(wild), max_size=12))
 
 
-def run(stream: Iterable[TimedSample], on_final: Callable[[Entry], None] | None = None) -> list[Estimate]:
+def run(
+    stream: Iterable[TimedSample],
+    on_final: Callable[[Entry], None] | None = None,
+    config: FusionConfig = CONFIG,
+) -> list[Estimate]:
     """Give the samples in this order; the estimate after each."""
-    estimator = CorridorEstimator(CONFIG, on_final=on_final)
+    estimator = CorridorEstimator(config, on_final=on_final)
     estimates = []
     with np.errstate(all="ignore"):
         for s in stream:
@@ -264,7 +268,8 @@ def test_a_recovery_that_is_taken_back_is_two_steps() -> None:
     samples += [sample("frame", ms, frame(0.0)) for ms in range(3, 2000, 30)]
     samples += [sample("frame", ms, frame(0.2)) for ms in range(2003, 2390, 35)]
     late = [sample("frame", ms, frame(0.0)) for ms in range(2008, 2390, 35)]
-    estimates = run([*Stream(samples), *late])
+    believing = FusionConfig(corridor_width_m=2.2, axis_jump_hold_s=0.3)
+    estimates = run([*Stream(samples), *late], config=believing)
     counts = [e.reset_count for e in estimates]
     assert counts == sorted(counts)
     assert counts[-1] == 2

@@ -167,7 +167,9 @@ def votes(axis_rad: float, n: int, *, n_accepted: int = 40, linked: bool = False
 
 def decided(axis: CorridorAxis, theta_rad: float, n: int) -> Recovery | NewCorridor | None:
     now_ns = (n - 1) * 100 * MS
-    return junctions.decide(axis, theta_rad - axis.anchor_rad, now_ns, theta_rad, 0.1, FusionConfig())[1]
+    return junctions.decide(
+        axis, theta_rad - axis.anchor_rad, radians(0.3), now_ns, theta_rad, 0.1, FusionConfig()
+    )[1]
 
 
 def known_axis(**changes: Any) -> CorridorAxis:
@@ -194,8 +196,9 @@ def test_few_votes_or_contested_ones_mean_nothing() -> None:
     assert decided(known_axis(votes=votes(0.2, 12), n_accepted=60), 0.0, 12) is None
 
 
-def test_an_axis_nearby_is_a_recovery() -> None:
-    found = decided(known_axis(votes=votes(radians(10), 10)), 0.0, 10)
+def test_an_axis_nearby_is_waited_out_if_frames_jumped_there_and_a_recovery_if_they_did_not() -> None:
+    assert decided(known_axis(votes=votes(radians(10), 10)), 0.0, 10) is None
+    found = decided(known_axis(votes=votes(radians(10), 10, linked=True)), 0.0, 10)
     assert isinstance(found, Recovery)
     assert found.heading_rad == pytest.approx(radians(-10))
 

@@ -1,0 +1,172 @@
+"""What follows where frames drift from the prediction: asks who is wrong, and lets heading, bias or axis follow.
+
+`fusion.estimator.hypotheses` decides; this module gathers its evidence frame by frame and acts on the verdict.
+"""
+
+from __future__ import annotations
+
+from math import exp, isnan, nan, sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.corridor_axis import VOTE_SPACING_S, CorridorAxis, Recovery, recover
+from fusion.estimator.hypotheses import (
+    MIN_POINTS,
+    SHORT_S,
+    SPANS_S,
+    Diagnosis,
+    Evidence,
+    Hypothesis,
+    Innovations,
+    Sight,
+    Slope,
+    Told,
+    Verdict,
+    judge,
+    slopes,
+    with_sight,
+)
+from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, heading_model
+
+if TYPE_CHECKING:
+    from fusion.estimator.ekf import CorridorEKF
+
+
+REFUSED_SHARE = 0.25  # one gross frame of ten is none of the gyroscope's
+
+
+def weigh(
+    axis: CorridorAxis, ekf: CorridorEKF, new: Sight, normalised: float, rho: float, config: FusionConfig
+) -> tuple[CorridorAxis, Slope | None]:
+    """Ask who is wrong, and return what frames minus gyroscope showed.
+
+    Parameters
+    ----------
+    axis, ekf
+        As in `start`; the axis with the outcome of the newest frame's gate.
+    new
+        The newest frame beside what gyroscope and IMU yaw say.
+    normalised
+        Its innovation, over its standard deviation.
+    rho
+        Correlation of its error with that of the frame before.
+    """
+    before = axis.diagnosis
+    interval_s = 0.5
+    if before.sights:
+        interval_s = min((new.t_ns - before.sights[-1].t_ns) * 1e-9, interval_s)
+    innovations = before.innovations.with_innovation(normalised, interval_s, rho)
+    if not isnan(before.straight_bias_rad_s):  # dead reckoning turns with the bend, the anchor does not
+        axis = axis._replace(anchor_rad=axis.anchor_rad + bend_rate(before, ekf) * interval_s)
+    kept = exp(-interval_s / SHORT_S)
+    refused_share = kept * before.refused_share + (0.0 if axis.was_accepted else 1.0 - kept)
+    sights = with_sight(before.sights, new, round(0.9 * VOTE_SPACING_S * 1e9))
+    now = before._replace(
+        refused_share=refused_share, innovations=innovations, sights=sights, verdict=Verdict()
+    )
+    due = now.judged_ns is None or new.t_ns - now.judged_ns >= SHORT_S * 1e9
+    if not (innovations.systematic or due) or sights[-1] is not new:
+        return axis._replace(diagnosis=now), None
+    verdict, drift = _judge_spans(now, ekf, config)
+    found = verdict.likeliest
+    now = now._replace(judged_ns=new.t_ns, found=found, verdict=verdict)
+    if innovations.systematic or found is not Hypothesis.WELL:
+        now = now._replace(told=Told(found, new.t_ns))
+    if found in (Hypothesis.WELL, Hypothesis.GYRO) and not isnan(now.straight_bias_rad_s):
+        now = straight_again(now, ekf)
+    if found is Hypothesis.SPIKE:
+        now = now._replace(sights=(new,))
+    return axis._replace(diagnosis=now), drift
+
+
+def _judge_spans(d: Diagnosis, ekf: CorridorEKF, config: FusionConfig) -> tuple[Verdict, Slope | None]:
+    """Judge over each span, and keep the verdict that finds most amiss."""
+    systematic = d.innovations.systematic
+    last = d.sights[-MIN_POINTS:]
+    jumped = systematic and 2 * sum(not s.linked for s in last) > MIN_POINTS
+    walks = (config.gyro_noise, config.offset_walk)
+    psi_rad, bias = float(ekf.x[PSI]), float(ekf.x[BIAS]) + bend_rate(d, ekf)
+    verdict, slope = Verdict(), None
+    for span_s in SPANS_S if systematic else SPANS_S[-1:]:
+        drift, yaw = slopes(d.sights, span_s, psi_rad, bias, walks)
+        # Wander of gyroscope and IMU yaw, and the yaw's own noise; of a line fitted to it, the ends count for most.
+        apart = (1.2 * (walks[0] ** 2 + walks[1] ** 2) + 2.0 * config.imu_yaw_std_rad**2 / span_s) / span_s
+        found = judge(Evidence(drift, yaw, sqrt(apart), jumped, d.refused_share > REFUSED_SHARE), d.found)
+        if slope is None or found.of(Hypothesis.WELL) < verdict.of(Hypothesis.WELL):
+            verdict, slope = found, drift
+    return verdict, slope
+
+
+def follow_verdict(
+    axis: CorridorAxis, ekf: CorridorEKF, new: Sight, drift: Slope | None, theta_rad: float, coupled: bool
+) -> CorridorAxis | None:
+    """Let the filter follow frames that are right where something else is wrong; None: nothing more to do.
+
+    Parameters
+    ----------
+    axis, ekf, theta_rad, coupled
+        As in `start`.
+    new, drift
+        The newest frame, and what frames minus gyroscope showed.
+    """
+    d = axis.diagnosis
+    likeliest = d.verdict.likeliest
+    followed = not isnan(d.straight_bias_rad_s) and not d.innovations.systematic
+    if likeliest in (Hypothesis.GYRO, Hypothesis.BEND) and drift is not None and not followed:
+        return follow_drift(axis, ekf, drift, new.t_ns, theta_rad, coupled)
+    leapt = likeliest is Hypothesis.SPIKE and d.refused_share > 0.5
+    if leapt and new.linked and not axis.was_accepted:
+        found = Recovery(new.heading_rad + axis.facing_rad, new.std_rad)
+        return recover(axis, ekf, found, new.t_ns, theta_rad, coupled)
+    return None
+
+
+def bend_rate(d: Diagnosis, ekf: CorridorEKF) -> float:
+    """Rate, rad/s, at which the axis is taken to turn; zero where it is straight."""
+    straight = d.straight_bias_rad_s
+    return 0.0 if isnan(straight) else straight - float(ekf.x[BIAS])
+
+
+def straight_again(d: Diagnosis, ekf: CorridorEKF) -> Diagnosis:
+    """Take the rate of a bend that has ended off the bias again."""
+    x = ekf.x.copy()
+    x[BIAS] = d.straight_bias_rad_s
+    ekf.predict(x, np.eye(N_STATES), np.zeros((N_STATES, N_STATES)))
+    return d._replace(straight_bias_rad_s=nan)
+
+
+def follow_drift(
+    axis: CorridorAxis, ekf: CorridorEKF, found: Slope, t_ns: int, theta_rad: float, coupled: bool
+) -> CorridorAxis:
+    """Let heading and, where the gyroscope is wrong, bias follow frames that drift away from the gyroscope.
+
+    The covariance is widened along the drift, heading and bias together, so that the heading on the fitted line
+    corrects both.
+
+    Parameters
+    ----------
+    axis, ekf, t_ns, theta_rad, coupled
+        As in `start`.
+    found
+        The drift.
+    """
+    now = axis.diagnosis
+    along = np.zeros(N_STATES)
+    along[PSI] = found.now_rad
+    along[BIAS] = -(found.rate_rad_s - bend_rate(now, ekf))
+    if coupled:
+        along[YAW_OFFSET] = -found.now_rad
+    before = float(ekf.x[PSI])
+    Q = np.multiply.outer(along, along)
+    if not coupled:
+        Q[YAW_OFFSET, YAW_OFFSET] += found.now_rad**2
+    ekf.predict(ekf.x, np.eye(N_STATES), Q)
+    if now.verdict.likeliest is Hypothesis.BEND and isnan(now.straight_bias_rad_s):
+        now = now._replace(straight_bias_rad_s=float(ekf.x[BIAS]))
+    m = heading_model(ekf.x, before + found.now_rad, found.now_std**2)
+    ekf.update(m._replace(residual=found.now_rad))
+    axis = axis.stepped(ekf, before)
+    axis = axis._replace(votes=(), rival=None, diagnosis=now._replace(innovations=Innovations()))
+    return axis.confirmed(ekf, t_ns, theta_rad)
