@@ -70,6 +70,16 @@ class Corridor:
 Seen = Callable[[Corridor, Camera], LineSet]
 
 
+def lines_between(px: FloatArray, camera: Camera) -> LineSet:
+    """Lines between points (n, 4) of a picture, as if found in one; those up to 10 pixels long are left out."""
+    rows = np.zeros(len(px), FITTED_LINE)
+    rows["x0"], rows["y0"], rows["x1"], rows["y1"] = px.T
+    rows["length"] = np.hypot(px[:, 2] - px[:, 0], px[:, 3] - px[:, 1])
+    rows["rms"], rows["n_pixels"], rows["contrast"] = 0.2, np.maximum(rows["length"], 5.0), 100.0
+    long = rows[rows["length"] > 10.0]
+    return _line_set(_Traced(long, 20.0, False), camera, camera, time.perf_counter())
+
+
 @pytest.fixture(scope="session")
 def corridor() -> type[Corridor]:
     """Give the description of a corridor of lines."""
@@ -91,11 +101,6 @@ def seen() -> Seen:
         px = px[((px > -0.2 * size) & (px < 1.2 * size)).all(axis=1)]
         random = rng.uniform(0, 1, (corridor.n_random, 4)) * size
         px = np.vstack([px, random]) + rng.normal(0.0, corridor.noise_px, (len(px) + len(random), 4))
-        rows = np.zeros(len(px), FITTED_LINE)
-        rows["x0"], rows["y0"], rows["x1"], rows["y1"] = px.T
-        rows["length"] = np.hypot(px[:, 2] - px[:, 0], px[:, 3] - px[:, 1])
-        rows["rms"], rows["n_pixels"], rows["contrast"] = 0.2, np.maximum(rows["length"], 5.0), 100.0
-        long = rows[rows["length"] > 10.0]
-        return _line_set(_Traced(long, 20.0, False), camera, camera, time.perf_counter())
+        return lines_between(px, camera)
 
     return look

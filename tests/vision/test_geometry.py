@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import degrees, pi, radians
 from typing import Any
@@ -12,9 +13,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.vision.conftest import lines_between
 from vision import Attitude, Camera, InputError, Position, Prior, Reason, measure_lines
 from vision.axis.level import level_from_verticals
 from vision.axis.vanishing_point import axis_direction, fit_axis
+from vision.lines.segments import LineSet
+from vision.rotations import wrap_axis
 
 CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)
 PER_LINE = [
@@ -284,3 +288,31 @@ def test_heading_stays_in_its_range(corridor: Any, seen: Any) -> None:
         m = measure_lines(seen(corridor(heading_rad=heading), CAMERA), CAMERA, Attitude(0, 0))
         if m.accepted:
             assert abs(m.heading_rad) <= pi / 2
+
+
+def of_world(segments: Sequence[tuple[float, ...]]) -> LineSet:
+    """Lines that a level camera sees of segments ahead of it, two points each: x forward, y right, z down."""
+    ends = np.array(segments).reshape(-1, 3)
+    return lines_between((466.0 * ends[:, 1:] / ends[:, :1] + (319.5, 239.5)).reshape(-1, 4), CAMERA)
+
+
+def test_before_a_side_wall_two_directions_are_as_good() -> None:
+    """What sticks out of the wall looks like a corridor, and what runs along it like lines across."""
+    sticking_out = [(1.8, y, z, 1.3, y, z) for y in (-0.9, -0.5, 0.5, 0.8) for z in (-0.6, -0.3, 0.4)]
+    along_the_wall = [
+        (1.8, a, z, 1.8, b, z) for a, b in ((-1.2, -0.6), (0.6, 1.2)) for z in np.linspace(-0.8, 0.8, 14)
+    ]
+    alone = measure_lines(of_world(sticking_out), CAMERA, Attitude(0, 0))
+    assert alone.accepted
+    lines = of_world(sticking_out + along_the_wall)
+    m = measure_lines(lines, CAMERA, Attitude(0, 0))
+    assert m.reason is Reason.AMBIGUOUS
+    assert m.second_score == 1.0
+    assert abs(wrap_axis(m.second_heading_rad - m.heading_rad)) == pytest.approx(np.pi / 2)
+    # A filter that knows its heading is told, and chooses.
+    assert measure_lines(
+        lines, CAMERA, Attitude(0, 0), Prior(heading_rad=0.02, heading_std_rad=0.05)
+    ).accepted
+    # Ahead, between the walls, lines across are those of the corridor's end.
+    ahead = [(6.0, -0.9, z, 6.0, 0.9, z) for z in np.linspace(-1.0, 1.0, 14)]
+    assert measure_lines(of_world(sticking_out + ahead), CAMERA, Attitude(0, 0)).accepted
