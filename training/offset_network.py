@@ -353,8 +353,10 @@ def train_and_write(
     file = Path(learned.__file__).with_name(learned.WEIGHTS_FILE)
     export(network, file)
     git = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True)
+    begun = "" if start is None else " --start EARLIER"
+    command = f"python -m training.offset_network train FOLDER --chunks {chunks} --steps {steps} --seed {seed}{begun}"
     made = {
-        "made_by": f"python -m training.offset_network train FOLDER --chunks {chunks} --steps {steps} --seed {seed}",
+        "made_by": command,
         "commit": git.stdout.strip(),
         "parameters": sum(parameter.numel() for parameter in network.parameters()),
         "views": chunks * CHUNK_VIEWS,
