@@ -28,7 +28,7 @@ test: $(STAMP)  ## run all tests
 
 lowest:  ## run the tests of what other libraries do with the lowest versions that pyproject.toml allows
 	@$(MAKE) --no-print-directory setup VENV=.venv-lowest EXTRA=test CONSTRAINTS=.ci/lowest.py
-	@NUMBA_CACHE_DIR=.venv-lowest/numba .venv-lowest/bin/python -m pytest $(PYTEST_FLAGS) $(LOWEST_TESTS)
+	@NUMBA_CACHE_DIR=$(CURDIR)/.venv-lowest/numba .venv-lowest/bin/python -m pytest $(PYTEST_FLAGS) $(LOWEST_TESTS)
 
 lint: $(STAMP)  ## ruff: rules and format; import-linter: who may import whom
 	@$(BIN)/ruff check .
