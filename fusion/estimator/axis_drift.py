@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from math import exp, isnan, nan, pi, sqrt
+from math import exp, hypot, isnan, nan, pi, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -95,10 +95,11 @@ def _judge_spans(d: Diagnosis, ekf: CorridorEKF, config: FusionConfig) -> tuple[
     last = d.sights[-MIN_POINTS:]
     jumped = systematic and 2 * sum(not s.linked for s in last) > MIN_POINTS
     walks = (config.gyro_noise, config.offset_walk)
+    seen_walks = (hypot(walks[0], last[-1].walk), hypot(walks[1], last[-1].walk))
     psi_rad, bias = float(ekf.x[PSI]), float(ekf.x[BIAS]) + bend_rate(d, ekf)
     verdict, slope = Verdict(), None
     for span_s in SPANS_S if systematic else SPANS_S[-1:]:
-        drift, yaw = slopes(d.sights, span_s, psi_rad, bias, walks)
+        drift, yaw = slopes(d.sights, span_s, psi_rad, bias, seen_walks)
         # Wander of gyroscope and IMU yaw, and the yaw's own noise; of a line fitted to it, the ends count for most.
         apart = (1.2 * (walks[0] ** 2 + walks[1] ** 2) + 2.0 * config.imu_yaw_std_rad**2 / span_s) / span_s
         found = judge(Evidence(drift, yaw, sqrt(apart), jumped, d.refused_share > REFUSED_SHARE), d.found)

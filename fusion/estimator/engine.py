@@ -30,6 +30,7 @@ from fusion.estimator.camera_delay import (
 from fusion.estimator.camera_elevation import Elevation
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import CorridorAxis, Recovery, recover, start
+from fusion.estimator.frame_noise import white_and_walk
 from fusion.estimator.frame_update import FrameResult, FrameSample, measure_with_prior, reason_to_reject
 from fusion.estimator.gyro_checks import (
     GyroVerdict,
@@ -342,7 +343,7 @@ class Engine:
         if delay is not None:
             delay = with_axis(delay, ekf, t_ns, d.raw_theta_rad, axis.reset_count)
             by_delay = innovation_of(delay, ekf, t_ns, d.raw_theta_rad)
-        innovation_std = sqrt(float(ekf.P[PSI, PSI]) + by_delay.variance + variance * scale)
+        innovation_std = sqrt(float(ekf.P[PSI, PSI]) + by_delay.variance + variance * max(scale, 1.0))
         doubt = Doubt(
             axis.gate_sigma(c),
             rho,
@@ -356,8 +357,9 @@ class Engine:
         axis = axis.followed(t_ns, heading, sqrt(variance), d, gate.accepted, interval_s)
         result = (gate.residual, gate.test_ratio)
         if d.mode is Mode.GYRO:
-            spread = sqrt(variance * scale * (1.0 + rho) / (1.0 - rho))
-            sight = Sight(t_ns, heading, spread, d.raw_theta_rad, yaw_at(d, t_ns), axis.recent[-1].linked)
+            std, walk = white_and_walk(variance * scale, correlation_s, interval_s)
+            linked = axis.recent[-1].linked
+            sight = Sight(t_ns, heading, std, d.raw_theta_rad, yaw_at(d, t_ns), linked, walk)
             axis, drift = weigh(axis, ekf, sight, gate.residual / innovation_std, rho, c)
             followed = follow_verdict(axis, ekf, sight, drift, d.theta_rad, s.imu_yaw.coupled)
             if gate.accepted and axis.diagnosis.found is Hypothesis.WELL:

@@ -24,6 +24,7 @@ LAG_TOLERANCE = 0.35  # of a lag, either way
 MEMORY_S = 15.0
 MAX_TERM = 9.0  # of a squared difference over its expectation: beyond is a gross error
 FIT_NS = 250_000_000
+LASTING_S = 0.1
 PRIOR_LOG_SCALE, PRIOR_LOG_TIME = 0.35, 2.0  # standard deviations about what is stated
 SCALES = np.exp(np.linspace(np.log(0.04), np.log(25.0), 25))
 TIMES_S = np.exp(np.linspace(np.log(0.004), np.log(15.0), 25))
@@ -108,6 +109,17 @@ class FrameNoise(NamedTuple):
             return noise
         scale, time_s = fit(lags, stated_time_s)
         return noise._replace(scale=scale, correlation_s=time_s, fitted_ns=t_ns)
+
+
+def white_and_walk(variance: float, time_s: float, interval_s: float) -> tuple[float, float]:
+    """Return the sigma of white errors and the density of a random walk, rad/sqrt(s), that act alike over a second.
+
+    Errors of a first-order process of correlation time ``time_s`` are white to whoever looks for longer, and a random
+    walk of density ``sqrt(2 variance / time_s)`` to whoever looks for less.
+    """
+    rho = exp(-max(1e-3, interval_s) / min(time_s, LASTING_S)) if time_s > 0.0 else 0.0
+    walk = sqrt(2.0 * variance / time_s) if time_s > LASTING_S else 0.0
+    return sqrt(variance * (1.0 + rho) / (1.0 - rho)), walk
 
 
 def _time(heading: Heading) -> int:

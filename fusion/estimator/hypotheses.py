@@ -105,7 +105,8 @@ class Innovations(NamedTuple):
 class Sight(NamedTuple):
     """A frame's heading and its sigma beside what gyroscope (bias not taken off) and IMU yaw (or NaN) then said.
 
-    ``linked``: no jump of the picture lies between it and the frames that the filter used.
+    ``linked``: no jump of the picture lies between it and the frames that the filter used. ``walk``: how its errors
+    wander, rad/sqrt(s), where they last for longer than a frame.
     """
 
     t_ns: int
@@ -114,6 +115,7 @@ class Sight(NamedTuple):
     raw_theta_rad: float
     yaw_rad: float
     linked: bool
+    walk: float = 0.0
 
 
 class Slope(NamedTuple):

@@ -168,5 +168,5 @@ class Installation(NamedTuple):
             yield Notice(Fault.FOCAL_LENGTH, text)
         bias = (sx - sy / slope) / n if 0.5 < slope < 2.0 else (sx - sy) / n
         if abs(bias) > MAX_BIAS_RAD_S and abs(bias) > SURE_SIGMA * sqrt(noise / n):
-            text = f"gyroscope is off by {degrees(bias):.0f} deg/s: calibrate it at rest"
+            text = f"gyroscope is off by {degrees(abs(bias)):.0f} deg/s: calibrate it at rest"
             yield Notice(Fault.GYRO_BIAS, text)

@@ -172,11 +172,13 @@ def update_with_doubt(
         How far it may be off.
     """
     predicted = predicted_variance(ekf.P, m.H) + doubt.more_variance
-    stated, believed = m.R, m.R * (noise.inflation if doubt.scale is None else doubt.scale)
-    reach = doubt.gate_sigma * sqrt(predicted + believed)
+    stated = m.R
+    believed = stated * (noise.inflation if doubt.scale is None else doubt.scale)
+    gated = max(believed, stated)  # what has been better than it says so far may yet be as bad as it says
+    reach = doubt.gate_sigma * sqrt(predicted + gated)
     outliers = outlier_share_now(noise, doubt.refused_share, reach, doubt.outlier_density)
-    probability = inlier_probability(m.residual, predicted + believed, outliers, doubt.outlier_density)
+    probability = inlier_probability(m.residual, predicted + gated, outliers, doubt.outlier_density)
     variance = weakened(as_if_independent(believed, predicted, doubt.rho), predicted, probability)
-    gate = ekf.update(m._replace(R=believed + doubt.more_variance), doubt.gate_sigma, variance)
+    gate = ekf.update(m._replace(R=gated + doubt.more_variance), doubt.gate_sigma, variance)
     probability = probability if gate.accepted else 0.0
     return gate, learn(noise, m.residual, predicted, stated, probability)

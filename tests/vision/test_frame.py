@@ -103,7 +103,7 @@ def test_lateral_offset_and_honest_sigmas_on_the_sample_flight(size: tuple[int, 
     assert np.abs(width_share).max() < 0.05
     assert 1.0 < np.percentile(found.ratio, 90) < 2.0
     # The offset's sigma is right on corridors drawn at random, where corners are often hidden; here they are plain.
-    assert 0.6 < np.percentile(found.offset_ratio, 90) < 2.0
+    assert 0.3 < np.percentile(found.offset_ratio, 90) < 2.0  # cautious where the corridor is plain
 
 
 @pytest.mark.parametrize("stretch", [slice(0, 42), slice(62, 91)])
