@@ -48,7 +48,7 @@ DOUBT = 0.02  # variance for what probability is left to others
 # Of what lines and regions say together. On random simulated corridors (300 single pictures of scenes drawn anew)
 # an error is within 1.95 of these standard deviations in nine of ten answers.
 SAME_ANSWER = 0.12  # components nearer than this to their mean are one answer
-MIN_JOINT_PROBABILITY = 0.8
+MIN_JOINT_PROBABILITY = 0.7
 JOINT_DOUBT = 0.03
 SAME_WIDTH = (
     0.1  # in the logarithm: where lines and regions differ by more, one of them took a stripe for a corner
