@@ -40,7 +40,7 @@ REFUSED_SHARE = 0.25  # one gross frame of ten is none of the gyroscope's
 
 
 def weigh(
-    axis: CorridorAxis, ekf: CorridorEKF, new: Sight, normalised: float, rho: float, config: FusionConfig
+    axis: CorridorAxis, ekf: CorridorEKF, new: Sight, rho: float, config: FusionConfig
 ) -> tuple[CorridorAxis, Slope | None]:
     """Ask who is wrong, and return what frames minus gyroscope showed.
 
@@ -50,12 +50,11 @@ def weigh(
         As in `start`; the axis with the outcome of the newest frame's gate.
     new
         The newest frame beside what gyroscope and IMU yaw say.
-    normalised
-        Its innovation, over its standard deviation.
     rho
         Correlation of its error with that of the frame before.
     """
     before = axis.diagnosis
+    normalised = 0.0 if axis.gate is None else axis.gate.residual / sqrt(axis.gate.variance)
     interval_s = 0.5
     if before.sights:
         interval_s = min((new.t_ns - before.sights[-1].t_ns) * 1e-9, interval_s)

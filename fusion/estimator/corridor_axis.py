@@ -195,6 +195,12 @@ class CorridorAxis(NamedTuple):
         """Gate of the frames' heading; halved while another axis is seen, as what lies between may be either."""
         return config.heading_gate_sigma * (0.5 if self.diagnosis.found is Hypothesis.AXIS else 1.0)
 
+    def scale_and_correlation(self, mode: Mode, config: FusionConfig) -> tuple[float, float]:
+        """Return the variance of the frames' errors over what they state, and how long errors last, s."""
+        if mode is Mode.GYRO and self.frame_noise.fitted_ns is not None:
+            return self.frame_noise.scale, self.frame_noise.correlation_s
+        return self.noise.inflation, config.heading_correlation_s
+
     def followed(
         self,
         t_ns: int,

@@ -334,16 +334,13 @@ class Engine:
                 lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
                 s = s._replace(lateral=lateral, width=width, elevation=elevation, x=ekf.x, P=ekf.P)
             return s, FrameResult(sample.stamp_ns, m, True, Reason.OK)
-        scale, correlation_s = axis.noise.inflation, c.heading_correlation_s
-        if d.mode is Mode.GYRO and axis.frame_noise.fitted_ns is not None:
-            scale, correlation_s = axis.frame_noise.scale, axis.frame_noise.correlation_s
+        scale, correlation_s = axis.scale_and_correlation(d.mode, c)
         rho = correlation(t_ns, axis.t_vision_ns, correlation_s)
         measurement = heading_model(ekf.x, heading, variance)
         delay, by_delay = s.delay, DelayedInnovation(0.0, 0.0)
         if delay is not None:
             delay = with_axis(delay, ekf, t_ns, d.raw_theta_rad, axis.reset_count)
             by_delay = innovation_of(delay, ekf, t_ns, d.raw_theta_rad)
-        innovation_std = sqrt(float(ekf.P[PSI, PSI]) + by_delay.variance + variance * max(scale, 1.0))
         doubt = Doubt(
             axis.gate_sigma(c),
             rho,
@@ -357,17 +354,7 @@ class Engine:
         axis = axis.followed(t_ns, heading, sqrt(variance), d, gate.accepted, interval_s)
         result = (gate.residual, gate.test_ratio)
         if d.mode is Mode.GYRO:
-            std, walk = white_and_walk(variance * scale, correlation_s, interval_s)
-            linked = axis.recent[-1].linked
-            sight = Sight(t_ns, heading, std, d.raw_theta_rad, yaw_at(d, t_ns), linked, walk)
-            axis, drift = weigh(axis, ekf, sight, gate.residual / innovation_std, rho, c)
-            followed = follow_verdict(axis, ekf, sight, drift, d.theta_rad, s.imu_yaw.coupled)
-            if gate.accepted and axis.diagnosis.found is Hypothesis.WELL:
-                difference = heading - d.theta_rad
-                seen_noise = axis.frame_noise.with_heading(
-                    t_ns, difference, variance, c.gyro_noise, c.heading_correlation_s
-                )
-                axis = axis._replace(frame_noise=seen_noise)
+            axis, followed = self._diagnosed(s._replace(axis=axis), t_ns, heading, variance, rho)
             if followed is not None:
                 s = s._replace(axis=followed, delay=delay, x=ekf.x, P=ekf.P)
                 return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
@@ -386,6 +373,23 @@ class Engine:
             ekf.x, ekf.P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks
         )
         return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
+
+    def _diagnosed(
+        self, s: State, t_ns: int, heading_rad: float, variance: float, rho: float
+    ) -> tuple[CorridorAxis, CorridorAxis | None]:
+        """Ask who is wrong, after the gate; return the axis, and as it is where the filter follows what was found."""
+        c, ekf, d, axis = self.config, self.ekf, s.reckoning, s.axis
+        scale, correlation_s = axis.scale_and_correlation(d.mode, c)
+        std, walk = white_and_walk(variance * scale, correlation_s, s.frames.interval_s)
+        sight = Sight(t_ns, heading_rad, std, d.raw_theta_rad, yaw_at(d, t_ns), axis.recent[-1].linked, walk)
+        axis, drift = weigh(axis, ekf, sight, rho, c)
+        followed = follow_verdict(axis, ekf, sight, drift, d.theta_rad, s.imu_yaw.coupled)
+        if axis.was_accepted and axis.diagnosis.found is Hypothesis.WELL:
+            seen = axis.frame_noise.with_heading(
+                t_ns, heading_rad - d.theta_rad, variance, c.gyro_noise, c.heading_correlation_s
+            )
+            axis = axis._replace(frame_noise=seen)
+        return axis, followed
 
     def _fuse_rest(
         self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None
