@@ -457,7 +457,10 @@ def test_a_gopros_imu_is_read_from_its_video(pictures: list[GreyImage], tmp_path
     with av.open(str(path), "w", format="mp4") as file:
         video = file.add_stream("mpeg4", rate=20)
         video.width, video.height, video.pix_fmt = (*SIZE, "yuv420p")
-        data = file.add_data_stream("bin_data")
+        try:
+            data = file.add_data_stream("bin_data")
+        except ValueError:
+            pytest.skip("this version of PyAV reads streams of data, but writes none")
         data.time_base = Fraction(1, 1000)
         packets = []
         for i, picture in enumerate(pictures):
