@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 from math import exp, hypot, isnan, nan, pi, sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import VOTE_SPACING_S, CorridorAxis, Recovery, recover
+from fusion.estimator.frame_noise import white_and_walk
 from fusion.estimator.hypotheses import (
     CONTESTED_SIGMA,
     MIN_POINTS,
@@ -30,13 +31,61 @@ from fusion.estimator.hypotheses import (
     unseen_leap,
     with_sight,
 )
+from fusion.estimator.imu_yaw import yaw_at
 from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, heading_model
+from fusion.estimator.propagation import DeadReckoning
 
 if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF
 
 
+MAX_INTERVAL_S = 0.5  # between frames: after a longer one the last counts for no more
 REFUSED_SHARE = 0.25  # one gross frame of ten is none of the gyroscope's
+
+
+class SeenHeading(NamedTuple):
+    """A frame's heading and its stated variance, the correlation with the one before, and the frames' interval."""
+
+    t_ns: int
+    heading_rad: float
+    variance: float
+    rho: float
+    interval_s: float
+
+
+def diagnosed(
+    axis: CorridorAxis,
+    ekf: CorridorEKF,
+    reckoning: DeadReckoning,
+    seen: SeenHeading,
+    coupled: bool,
+    config: FusionConfig,
+) -> tuple[CorridorAxis, CorridorAxis | None]:
+    """Ask who is wrong, after the gate; return the axis, and as it is where the filter follows what was found.
+
+    Parameters
+    ----------
+    axis, ekf, coupled, config
+        As in `start`; the axis with the outcome of the newest frame's gate.
+    reckoning
+        What carries the heading: the gyroscope.
+    seen
+        The newest frame.
+    """
+    t_ns, heading_rad, variance, rho, interval_s = seen
+    scale, correlation_s = axis.scale_and_correlation(reckoning.mode, config)
+    std, walk = white_and_walk(variance * scale, correlation_s, interval_s)
+    linked, yaw_rad = axis.recent[-1].linked, yaw_at(reckoning, t_ns)
+    sight = Sight(t_ns, heading_rad, std, reckoning.raw_theta_rad, yaw_rad, linked, walk)
+    axis, drift = weigh(axis, ekf, sight, rho, config)
+    followed = follow_verdict(axis, ekf, sight, drift, reckoning.theta_rad, coupled)
+    if axis.was_accepted and axis.diagnosis.found is Hypothesis.WELL:
+        difference = heading_rad - reckoning.theta_rad
+        noise = axis.frame_noise.with_heading(
+            t_ns, difference, variance, config.gyro_noise, config.heading_correlation_s
+        )
+        axis = axis._replace(frame_noise=noise)
+    return axis, followed
 
 
 def weigh(
@@ -55,12 +104,11 @@ def weigh(
     """
     before = axis.diagnosis
     normalised = 0.0 if axis.gate is None else axis.gate.residual / sqrt(axis.gate.variance)
-    interval_s = 0.5
-    if before.sights:
-        interval_s = min((new.t_ns - before.sights[-1].t_ns) * 1e-9, interval_s)
+    elapsed_s = (new.t_ns - axis.recent[-2].t_ns) * 1e-9 if len(axis.recent) > 1 else 0.0
+    interval_s = min(elapsed_s, MAX_INTERVAL_S)
     innovations = before.innovations.with_innovation(normalised, interval_s, rho)
     if not isnan(before.straight_bias_rad_s):  # dead reckoning turns with the bend, the anchor does not
-        axis = axis._replace(anchor_rad=axis.anchor_rad + bend_rate(before, ekf) * interval_s)
+        axis = axis._replace(anchor_rad=axis.anchor_rad + bend_rate(before, ekf) * elapsed_s)
     kept = exp(-interval_s / SHORT_S)
     refused_share = kept * before.refused_share + (0.0 if axis.was_accepted else 1.0 - kept)
     sights = with_sight(before.sights, new, round(0.9 * VOTE_SPACING_S * 1e9))

@@ -112,7 +112,8 @@ class FusionConfig(BaseModel):
         default=0.03,
         ge=0,
         le=10,
-        description="Time over which errors of successive headings resemble each other.",
+        description="Time over which errors of successive headings resemble each other; with a gyroscope, what is "
+        "learned in flight starts from it.",
     )
     min_lines: int = Field(
         default=4, ge=2, le=1000, description="Lines that must meet for a frame to be used."

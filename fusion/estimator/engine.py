@@ -15,7 +15,7 @@ import numpy as np
 
 from fusion.estimator import junctions
 from fusion.estimator import tilt as tilts
-from fusion.estimator.axis_drift import follow_verdict, weigh
+from fusion.estimator.axis_drift import SeenHeading, diagnosed
 from fusion.estimator.camera_delay import (
     Delay,
     DelayedInnovation,
@@ -30,7 +30,6 @@ from fusion.estimator.camera_delay import (
 from fusion.estimator.camera_elevation import Elevation
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import CorridorAxis, Recovery, recover, start
-from fusion.estimator.frame_noise import white_and_walk
 from fusion.estimator.frame_update import FrameResult, FrameSample, measure_with_prior, reason_to_reject
 from fusion.estimator.gyro_checks import (
     GyroVerdict,
@@ -38,13 +37,12 @@ from fusion.estimator.gyro_checks import (
     rate_that_bridges,
     with_sample,
 )
-from fusion.estimator.hypotheses import Hypothesis, Sight
+from fusion.estimator.hypotheses import Hypothesis
 from fusion.estimator.imu_yaw import (
     UNKNOWN_YAW_OFFSET_STD_RAD,
     AttitudeSample,
     compare_by_frame,
     fuse_imu_yaw,
-    yaw_at,
 )
 from fusion.estimator.lateral import Lateral, LateralOffset, MotionStep, offset_model
 from fusion.estimator.lateral_offset import OffsetModel
@@ -354,7 +352,8 @@ class Engine:
         axis = axis.followed(t_ns, heading, sqrt(variance), d, gate.accepted, interval_s)
         result = (gate.residual, gate.test_ratio)
         if d.mode is Mode.GYRO:
-            axis, followed = self._diagnosed(s._replace(axis=axis), t_ns, heading, variance, rho)
+            seen = SeenHeading(t_ns, heading, variance, rho, interval_s)
+            axis, followed = diagnosed(axis, ekf, d, seen, s.imu_yaw.coupled, c)
             if followed is not None:
                 s = s._replace(axis=followed, delay=delay, x=ekf.x, P=ekf.P)
                 return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
@@ -363,8 +362,8 @@ class Engine:
             s = self._follow_votes(s._replace(axis=axis, delay=delay), t_ns)
             return s, FrameResult(sample.stamp_ns, m, False, Reason.GATE, *result)
         if delay is not None and d.mode is Mode.GYRO:
-            seen = FrameHeading(t_ns, m.heading_rad, variance * scale, axis.reset_count)
-            delay = learn_delay(delay, ekf, seen, by_delay.per_s, c)
+            at_delay = FrameHeading(t_ns, m.heading_rad, variance * scale, axis.reset_count)
+            delay = learn_delay(delay, ekf, at_delay, by_delay.per_s, c)
         axis = axis.confirmed(ekf, t_ns, d.theta_rad)
         lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
         imu_yaw = compare_by_frame(s.imu_yaw, t_ns, heading, variance, d)
@@ -373,23 +372,6 @@ class Engine:
             ekf.x, ekf.P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks
         )
         return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
-
-    def _diagnosed(
-        self, s: State, t_ns: int, heading_rad: float, variance: float, rho: float
-    ) -> tuple[CorridorAxis, CorridorAxis | None]:
-        """Ask who is wrong, after the gate; return the axis, and as it is where the filter follows what was found."""
-        c, ekf, d, axis = self.config, self.ekf, s.reckoning, s.axis
-        scale, correlation_s = axis.scale_and_correlation(d.mode, c)
-        std, walk = white_and_walk(variance * scale, correlation_s, s.frames.interval_s)
-        sight = Sight(t_ns, heading_rad, std, d.raw_theta_rad, yaw_at(d, t_ns), axis.recent[-1].linked, walk)
-        axis, drift = weigh(axis, ekf, sight, rho, c)
-        followed = follow_verdict(axis, ekf, sight, drift, d.theta_rad, s.imu_yaw.coupled)
-        if axis.was_accepted and axis.diagnosis.found is Hypothesis.WELL:
-            seen = axis.frame_noise.with_heading(
-                t_ns, heading_rad - d.theta_rad, variance, c.gyro_noise, c.heading_correlation_s
-            )
-            axis = axis._replace(frame_noise=seen)
-        return axis, followed
 
     def _fuse_rest(
         self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None

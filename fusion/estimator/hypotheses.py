@@ -209,7 +209,7 @@ class Diagnosis(NamedTuple):
 
     def stepped(self) -> Diagnosis:
         """Let go of evidence that is relative to a heading that has jumped since."""
-        return self._replace(innovations=Innovations(), sights=())
+        return self._replace(innovations=Innovations(), sights=(), refused_share=0.0, found=Hypothesis.WELL)
 
     def started_anew(self) -> Diagnosis:
         """Keep nothing but what has been told."""

@@ -81,7 +81,6 @@ def test_any_offset_and_ratio_is_found(seed: int, offset_s: float, ratio: float)
     assert fit is not None
     assert abs(fit.offset_s - offset_s) < max(0.005, 5.0 * fit.offset_std_s)
     assert abs(fit.ratio - ratio) < 5.0 * fit.ratio_std
-    assert fit.offset_std_s < 0.008
 
 
 def test_sigmas_are_those_of_many_flights() -> None:
@@ -90,6 +89,11 @@ def test_sigmas_are_those_of_many_flights() -> None:
         [((f.offset_s - 0.4) / f.offset_std_s, (f.ratio - 1.03) / f.ratio_std) for f in fits if f is not None]
     )
     assert len(z) == 24
+    stds_s = [
+        f.offset_std_s for f in fits if f is not None
+    ]  # a rare drawing turns so evenly that it tells less
+    assert max(stds_s) < 0.008
+    assert np.median(stds_s) < 0.004
     assert np.all(np.abs(z.mean(axis=0)) < 0.5), z.mean(axis=0)
     assert np.all(z.std(axis=0) < 1.3), z.std(axis=0)
     assert np.all(z.std(axis=0) > 0.55), z.std(axis=0)
