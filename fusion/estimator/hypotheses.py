@@ -33,7 +33,7 @@ from vision.rotations import wrap_axis
 SHORT_S, LONG_S = 0.25, 1.5  # time constants of means over about 0.5 and 3 s
 CLIPPED_SIGMA = 4.0  # a gross error must not make a mean
 SYSTEMATIC_SIGMA = 4.0  # of a mean: worth a look at the slopes, which decide
-CONTESTED_SIGMA = 5.5  # of a mean: worth a word, whatever the slopes say
+CONTESTED_SIGMA = 5.0  # of a mean: worth a word, whatever the slopes say
 SPANS_S = (0.5, 1.0, 3.0)  # over which slopes are fitted: the shorter the sooner, the longer the finer
 SPAN_NS = round(SPANS_S[-1] * 1e9)
 MIN_POINTS = 6
@@ -106,7 +106,8 @@ class Sight(NamedTuple):
     """A frame's heading and its sigma beside what gyroscope (bias not taken off) and IMU yaw (or NaN) then said.
 
     ``linked``: no jump of the picture lies between it and the frames that the filter used. ``walk``: how its errors
-    wander, rad/sqrt(s), where they last for longer than a frame.
+    wander, rad/sqrt(s), where they last for longer than a frame. ``bias_rad_s``: the gyroscope's bias as the filter
+    then had it.
     """
 
     t_ns: int
@@ -116,6 +117,7 @@ class Sight(NamedTuple):
     yaw_rad: float
     linked: bool
     walk: float = 0.0
+    bias_rad_s: float = 0.0
 
 
 class Slope(NamedTuple):
