@@ -130,7 +130,9 @@ def _band(band: PolyCollection) -> dict[str, Any]:
             parts.append((lower[:1, 0] - GAP_S, np.array([np.nan]), np.array([np.nan])))
         parts.append((lower[:, 0], lower[:, 1], upper[:, 1]))
     x, low, high = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    found = _series("band", str(band.get_label()), to_hex(np.asarray(band.get_facecolor())[0].tolist()), x, low)
+    found = _series(
+        "band", str(band.get_label()), to_hex(np.asarray(band.get_facecolor())[0].tolist()), x, low
+    )
     return found | {"high": _numbers(high, 4)}
 
 
