@@ -21,8 +21,14 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 #: Whose coverage guides: all but compiled loops, since numba refuses code that has been instrumented.
-READERS = """fusion.logs fusion.settings fusion.inspection fusion.pictures fusion.evaluation.truth_file
-fusion.result.tables_csv vision.cameras vision.limits pyulog""".split()
+READERS = [
+    "fusion.logs",
+    "fusion.settings",
+    "fusion.inspection",
+    "fusion.pictures",
+    "fusion.result.tables_csv",
+]
+READERS += ["fusion.evaluation.truth_file", "vision.cameras", "vision.limits", "pyulog"]
 COMPILED = ["fusion.logs.autopilot.dataflash_parse", "fusion.logs.autopilot.tlog_parse"]
 
 
