@@ -128,7 +128,7 @@ def _calibrations() -> list[bytes]:
 
 def _manifests() -> list[bytes]:
     return [
-        *(path.read_bytes() for path in sorted(CORPUS.glob("*manifest*"))),
+        *(path.read_bytes() for path in sorted(CORPUS.glob("*manifest*.toml"))),
         b'name = "hall"\nlog = "x"\ncorridor_width_m = 2.2\n[camera]\nclock_offset_s = 12.5\nfocal_scale = 1.1\n'
         b'[imu]\ncolumns = "tello"\nmount_rad = [0, 0.1, 0]\n',
     ]
