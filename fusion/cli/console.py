@@ -38,7 +38,7 @@ class OneLineErrors(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run the command, and turn what goes wrong into a line and an exit code."""
         try:
-            with interrupts.raised():
+            with interrupts.Raised():
                 return super().invoke(ctx)
         except InputError as error:
             say(f"error: {error}")
