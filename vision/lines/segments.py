@@ -20,7 +20,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vision.cameras.camera import Camera, Distortion
+from vision.cameras.camera import Camera
+from vision.cameras.projection import is_distorted
 from vision.compiled import compiled
 from vision.images import to_grey
 from vision.lines.edges import (
@@ -69,6 +70,22 @@ class LineGeometry(NamedTuple):
     direction: FloatArray
     sigma_rad: FloatArray  # (n,)
     arc_rad: FloatArray
+
+
+@compiled
+def turned(lines: LineGeometry, R: FloatArray) -> LineGeometry:
+    """Return lines turned by a rotation (3, 3)."""
+    n = len(lines.sigma_rad)
+    normal, centre, direction = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
+    for i in range(n):
+        for j in range(3):
+            a, b, c = R[j, 0], R[j, 1], R[j, 2]
+            normal[i, j] = a * lines.normal[i, 0] + b * lines.normal[i, 1] + c * lines.normal[i, 2]
+            centre[i, j] = a * lines.centre[i, 0] + b * lines.centre[i, 1] + c * lines.centre[i, 2]
+            direction[i, j] = (
+                a * lines.direction[i, 0] + b * lines.direction[i, 1] + c * lines.direction[i, 2]
+            )
+    return LineGeometry(normal, centre, direction, lines.sigma_rad, lines.arc_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,12 +156,9 @@ class LineSet:
             arc_rad=np.arctan2(sine, (start * end).sum(axis=1)),
         )
 
-    def geometry(self, R: FloatArray | None = None) -> LineGeometry:
-        """Return the lines' planes, turned by a rotation (3, 3) from the optical frame where one is given."""
-        normal, centre, direction = self.normal, self.centre, self.direction
-        if R is not None:
-            normal, centre, direction = normal @ R.T, centre @ R.T, direction @ R.T
-        return LineGeometry(normal, centre, direction, self.sigma_rad, self.arc_rad)
+    def geometry(self) -> LineGeometry:
+        """Return the lines' planes in the optical frame, as compiled code takes them."""
+        return LineGeometry(self.normal, self.centre, self.direction, self.sigma_rad, self.arc_rad)
 
 
 class _Workspace:
@@ -215,24 +229,7 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera, *, keep_picture: bool
         n_labels, threshold, blurred = _connected(_scaled(grey, working), view.rectified)
     work = _workspace(working.height_px, working.width_px)
     found = _fit_lines(work.components, n_labels, view, blurred, work.lines)
-    planes = found.planes
-    return LineSet(
-        width_px=camera.width_px,
-        height_px=camera.height_px,
-        ends_px=found.ends_px,
-        length_px=found.length_px,
-        rms_px=found.rms_px,
-        n_pixels=found.n_pixels,
-        contrast=found.contrast,
-        centre=planes.centre,
-        direction=planes.direction,
-        normal=planes.normal,
-        sigma_rad=planes.sigma_rad,
-        arc_rad=planes.arc_rad,
-        threshold=threshold,
-        extract_ms=1e3 * (time.perf_counter() - started),
-        grey=grey if keep_picture else None,
-    )
+    return _line_set(found, camera, threshold, started, grey if keep_picture else None)
 
 
 class _FoundLines(NamedTuple):
@@ -307,17 +304,45 @@ def _fit_lines(
     components: Components, n_labels: int, view: _View, blurred: bool, lines: RecordArray
 ) -> _FoundLines:
     """Fit lines to components; ``lines`` is working memory."""
-    found = lines[: fit(components, n_labels, view.min_length_px, lines)]
+    return _describe_lines(lines[: fit(components, n_labels, view.min_length_px, lines)], view, blurred)
+
+
+@compiled
+def _describe_lines(lines: RecordArray, view: _View, blurred: bool) -> _FoundLines:
+    """Bring fitted lines (n,) of `vision.lines.edges.FITTED_LINE` from working pixels into the camera's frame."""
     scale = view.original[0].fx / view.working[0].fx
     floor_px = POSITION_FLOOR_PX * max(scale, 1.0) * (SOFT if blurred else 1.0)
-    ends_px, planes = _span_planes(found, view.working, view.original, floor_px)
+    ends_px, planes = _span_planes(lines, view.working, view.original, floor_px)
     return _FoundLines(
         ends_px,
-        found["length"] * scale,
-        found["rms"].copy(),
-        found["n_pixels"].copy(),
-        found["contrast"].copy(),
+        lines["length"] * scale,
+        lines["rms"].copy(),
+        lines["n_pixels"].copy(),
+        lines["contrast"].copy(),
         planes,
+    )
+
+
+def _line_set(
+    found: _FoundLines, camera: Camera, threshold: float, started: float, grey: GreyImage | None
+) -> LineSet:
+    planes = found.planes
+    return LineSet(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        ends_px=found.ends_px,
+        length_px=found.length_px,
+        rms_px=found.rms_px,
+        n_pixels=found.n_pixels,
+        contrast=found.contrast,
+        centre=planes.centre,
+        direction=planes.direction,
+        normal=planes.normal,
+        sigma_rad=planes.sigma_rad,
+        arc_rad=planes.arc_rad,
+        threshold=threshold,
+        extract_ms=1e3 * (time.perf_counter() - started),
+        grey=grey,
     )
 
 
@@ -340,11 +365,6 @@ def _scaled(grey: GreyImage, camera: Camera) -> GreyImage:
         return grey
     interpolation = cv2.INTER_AREA if size[0] < grey.shape[1] else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(grey, size, interpolation=interpolation), np.uint8)
-
-
-def is_distorted(camera: Camera) -> bool:
-    """Return whether straight lines are curved in this camera's pictures."""
-    return any(camera.coefficients) or camera.distortion is Distortion.EQUIDISTANT
 
 
 @lru_cache(maxsize=8)
