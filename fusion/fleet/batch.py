@@ -118,8 +118,10 @@ def fuse_fleet(
     with _workers(settings, len(tasks), tell) as workers:
         table = _Table(folder, kept, len(flights), against, Journal(folder, earlier.values()))
         try:
-            for task, future in _finished(tasks, workers):
-                table.add(replace(_row(task, future), lost_workers=workers.lost(task)))
+            if progress is not None:
+                progress(len(kept), len(flights))
+            for finished in _finished(tasks, workers):
+                table.add([_row(task, future, workers) for task, future in finished])
                 if progress is not None:
                     progress(len(table.rows), len(flights))
         finally:
@@ -212,8 +214,8 @@ def usable_memory_bytes() -> int:
     return min(machine, int(container)) if container.isdigit() else machine
 
 
-def _finished(tasks: Sequence[Task], workers: Workers) -> Iterator[tuple[Task, Future[FleetRow]]]:
-    """Hand out tasks, a few ahead of what is being fused, and yield each as it ends."""
+def _finished(tasks: Sequence[Task], workers: Workers) -> Iterator[list[tuple[Task, Future[FleetRow]]]]:
+    """Hand out tasks, a few ahead of what is being fused, and yield those that have ended since the last time."""
     waiting = iter(tasks)
     running: dict[Future[FleetRow], Task] = {}
     while True:
@@ -222,13 +224,13 @@ def _finished(tasks: Sequence[Task], workers: Workers) -> Iterator[tuple[Task, F
         if not running:
             return
         done, _ = wait(running, return_when=FIRST_COMPLETED)
-        for future in done:
-            yield running.pop(future), future
+        yield [(running.pop(future), future) for future in done]
 
 
-def _row(task: Task, future: Future[FleetRow]) -> FleetRow:
+def _row(task: Task, future: Future[FleetRow], workers: Workers) -> FleetRow:
+    lost = workers.lost(task)
     try:
-        return future.result()
+        return replace(future.result(), lost_workers=lost)
     except CancelledError as error:
         raise InputError(
             "the cluster has gone", remedy="run the same again: the flights that are done are kept"
@@ -244,6 +246,7 @@ def _row(task: Task, future: Future[FleetRow]) -> FleetRow:
             log_stamp=task.stamp,
             config_hash=task.config_hash,
             version=program_version(),
+            lost_workers=lost,
             **failure(error),
         )
 
@@ -263,10 +266,11 @@ class _Table:
         self._folder, self._total, self._against, self._journal = folder, total, against, journal
         self._next_s = 0.0
 
-    def add(self, row: FleetRow) -> None:
-        """Add a flight's row."""
-        self.rows[row.flight] = row
-        self._journal.add(row)
+    def add(self, rows: Sequence[FleetRow]) -> None:
+        """Add flights' rows."""
+        for row in rows:
+            self.rows[row.flight] = row
+            self._journal.add(row)
         if time.monotonic() >= self._next_s:
             self._write()
 

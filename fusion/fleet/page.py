@@ -93,7 +93,7 @@ def render_page(rows: Sequence[FleetRow], folder: Path, total: int, against: Seq
         "total": total,
         "verdicts": _verdicts(rows),
         "facts": _facts(rows, done),
-        "columns": [quantity.title for quantity in columns],
+        "columns": [quantity.short for quantity in columns],
         "flights": [_listed(row, folder, columns) for row in ordered[:LISTED]],
         "comparison": _comparison_context(compare_fleets(against, rows)) if against else None,
         "checks": _check_counts(done),

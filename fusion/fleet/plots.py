@@ -45,8 +45,8 @@ def plot_distribution(ax: Axes, quantity: Quantity, values: FloatArray) -> None:
     counts, _ = np.histogram(np.clip(values, low, high), bins)
     ax.bar(bins[:-1], counts, np.diff(bins), align="edge", color=FILTER, edgecolor="none", alpha=0.75)
     ax.axvline(float(np.median(values)), color=REJECTED, lw=1.6, label="median")
-    ax.set_xlabel(f"{quantity.title}, {quantity.unit}" if quantity.unit else quantity.title)
-    ax.set_ylabel("flights")
+    ax.set_xlabel(quantity.unit_word, color=INK)
+    ax.set_ylabel("flights", color=INK)
     _plain(ax)
     ax.yaxis.set_major_locator(MaxNLocator(4, integer=True))
 
@@ -79,7 +79,7 @@ def plot_drift(ax: Axes, quantity: Quantity, rows: Sequence[FleetRow], vehicles:
         medians = [(day, float(np.median([v for _, v in same]))) for day, same in _by_day(points)]
         if len(medians) > 1:
             ax.plot(*np.array(medians).T, color=colour, lw=1.4)
-    ax.set_ylabel(f"{quantity.unit}" if quantity.unit else "")
+    ax.set_ylabel(quantity.unit_word, color=INK)
     locator = _dates.AutoDateLocator(minticks=3, maxticks=7)
     ax.xaxis.set_major_locator(locator)
     ax.xaxis.set_major_formatter(_dates.ConciseDateFormatter(locator))
