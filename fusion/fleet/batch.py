@@ -24,6 +24,7 @@ from fusion.progress import Progress
 from vision.errors import InputError
 
 _WRITING_SHARE = 0.02  # of the time that the tables may take while flights are fused
+_LEAST_PAUSE_S = 5.0  # between two writings
 _QUEUED = 4  # flights handed out for each that is being fused
 
 
@@ -272,7 +273,7 @@ class _Table:
             self.rows[row.flight] = row
             self._journal.add(row)
         if time.monotonic() >= self._next_s:
-            self._write()
+            self._write(with_page=self._next_s > 0.0)  # not at once: the first page loads what draws it
 
     def sorted(self) -> tuple[FleetRow, ...]:
         """Return the rows by name."""
@@ -281,14 +282,15 @@ class _Table:
     def close(self) -> None:
         """Write the tables for the last time."""
         self._journal.close()
-        self._write()
+        self._write(with_page=True)
 
-    def _write(self) -> None:
-        from fusion.fleet.page import write_page
-
+    def _write(self, *, with_page: bool) -> None:
         started = time.monotonic()
         rows = self.sorted()
         write_tables(rows, self._folder)
-        write_page(rows, self._folder, self._total, self._against)
+        if with_page:
+            from fusion.fleet.page import write_page
+
+            write_page(rows, self._folder, self._total, self._against)
         ended = time.monotonic()
-        self._next_s = ended + (ended - started) / _WRITING_SHARE
+        self._next_s = ended + max((ended - started) / _WRITING_SHARE, _LEAST_PAUSE_S)

@@ -28,8 +28,10 @@ _FILES = frozenset(
         "fusion.logs.pictures.video",
     }
 )
-_FOLDERS = frozenset({"fusion.logs.asl", "fusion.logs.rosbag.bag", "fusion.logs.datasets"})
-_PICTURES = "fusion.logs.pictures.picture_folder"
+_FOLDERS = frozenset({"fusion.logs.rosbag.bag", "fusion.logs.datasets"})
+_ASL = "fusion.logs.asl"
+#: Formats by which a folder of flights may look like one: by a vehicle called mav0, by a stray picture.
+_FOLDERS_WITHOUT_FLIGHTS = frozenset({_ASL, "fusion.logs.pictures.picture_folder"})
 _DATE = re.compile(r"(?<!\d)(20\d\d)[-_]?(\d\d)[-_]?(\d\d)(?!\d)")
 
 
@@ -194,14 +196,15 @@ def _search(folder: Path, seen: set[Path]) -> Iterator[Path]:
     except (OSError, InputError):
         yield folder  # cannot be read: the flight's row says so
         return
-    if (folder / MANIFEST_NAME).is_file() or kind in _FOLDERS:
+    has_camera = any((folder / inside).is_dir() for inside in ("cam0", "mav0/cam0"))
+    if (folder / MANIFEST_NAME).is_file() or kind in _FOLDERS or (kind == _ASL and has_camera):
         yield folder
         return
     empty = True
     for path in _flights_among(entries, seen):
         empty = False
         yield path
-    if empty and kind == _PICTURES:
+    if empty and kind in _FOLDERS_WITHOUT_FLIGHTS:
         yield folder
 
 

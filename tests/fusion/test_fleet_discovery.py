@@ -62,9 +62,15 @@ def test_a_flight_a_pattern_and_a_folder_name_it_once(tree: Path) -> None:
     assert names(str(tree / "*.bag")) == []
 
 
+def test_a_vehicle_called_mav0_is_no_flight(tmp_path: Path) -> None:
+    (tmp_path / "mav0" / "hall" / "mav0" / "cam0").mkdir(parents=True)
+    (tmp_path / "mav1" / "without_camera" / "mav0" / "imu0").mkdir(parents=True)
+    assert names(tmp_path) == ["mav0/hall", "mav1/without_camera"]
+
+
 def test_names_that_are_alike_get_what_tells_them_apart(tmp_path: Path) -> None:
     for day in ("monday", "tuesday"):
-        (tmp_path / day / "hall" / "mav0").mkdir(parents=True)
+        (tmp_path / day / "hall" / "mav0" / "cam0").mkdir(parents=True)
     assert names(tmp_path / "monday", tmp_path / "tuesday" / "hall") == ["monday/hall", "tuesday/hall"]
 
 
