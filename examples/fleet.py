@@ -3,8 +3,8 @@
 ``python examples/fleet.py [--flights 6] [--seconds 4] [--jobs 2] [--out fleet]``
 
 Two vehicles fly down corridors of their own; the second one's gyroscope is three times as noisy as its log declares,
-and one log is torn. The fleet is fused twice: as it is, and with the second vehicle's settings telling the truth about
-its gyroscope. What is printed is read off the rows; ``fleet.html`` in both folders shows it.
+and one log is torn. The fleet is fused twice: as it is, and with settings that tell the truth about the second
+vehicle's gyroscope. What is printed is read off the rows; ``fleet.html`` in both folders shows it.
 
 Processes of Python start by loading this file again, so that what starts them stands under the last line's condition.
 """
@@ -61,7 +61,8 @@ def declare_less_noise(sensor: Path) -> None:
 def write_list(file: Path, noise: float) -> Path:
     """Write a list that gives the second vehicle settings of its own."""
     file.with_name("mav2.toml").write_text(f"gyro_noise_density = {noise!r}\n", encoding="utf-8")
-    text = '[[flight]]\npath = "mav1"\nvehicle = "mav1"\n[[flight]]\npath = "mav2"\nvehicle = "mav2"\nconfig = "mav2.toml"\n'
+    text = '[[flight]]\npath = "mav1"\nvehicle = "mav1"\n'
+    text += '[[flight]]\npath = "mav2"\nvehicle = "mav2"\nconfig = "mav2.toml"\n'
     file.write_text(text, encoding="utf-8")
     return file
 
