@@ -33,7 +33,7 @@ from vision.rotations import wrap_axis
 SHORT_S, LONG_S = 0.25, 1.5  # time constants of means over about 0.5 and 3 s
 CLIPPED_SIGMA = 4.0  # a gross error must not make a mean
 SYSTEMATIC_SIGMA = 4.0  # of a mean: worth a look at the slopes, which decide
-CONTESTED_SIGMA = 5.0  # of a mean: worth a word, whatever the slopes say
+CONTESTED_SIGMA = 5.5  # of a mean: worth a word, whatever the slopes say
 SPANS_S = (0.5, 1.0, 3.0)  # over which slopes are fitted: the shorter the sooner, the longer the finer
 SPAN_NS = round(SPANS_S[-1] * 1e9)
 MIN_POINTS = 6

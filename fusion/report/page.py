@@ -9,8 +9,6 @@ from math import degrees, isfinite
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup, escape
 
 from fusion.evaluation.checks import run_checks
 from fusion.evaluation.checks_frames import REASON_WORDS
@@ -23,6 +21,7 @@ from fusion.report import plots
 from fusion.report.interactive import page_data, script
 from fusion.report.strip import DrawnFrame, choose_frames, show_frames
 from fusion.report.svg import Drawing, Panel, draw
+from fusion.report.template import render
 from fusion.result.result import FusionResult
 from fusion.result.summary import CorridorErrors, Level, TableErrors
 
@@ -93,27 +92,7 @@ def render_report(result: FusionResult, flight: Flight) -> str:
         "problems": all_problems(result, flight),
         "timings": timings(result),
     }
-    return _environment().get_template("page.html.j2").render(context)
-
-
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("fusion.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["code"] = _with_code
-    return environment
-
-
-def _with_code(text: str) -> Markup:
-    """Set what stands between back quotes as code; everything is escaped."""
-    parts = [escape(part) for part in text.split("`")]
-    return Markup("").join(
-        Markup("<code>{}</code>").format(part) if k % 2 else part for k, part in enumerate(parts)
-    )
+    return render("fusion.report", "page.html.j2", context)
 
 
 def replace_text(path: str | Path, text: str) -> None:
