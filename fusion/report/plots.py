@@ -37,8 +37,7 @@ STATUS_COLOUR = {"initialising": "#b4bac1", "tracking": "#7cc4e8", "coasting": "
 
 def time_origin_ns(result: FusionResult) -> int:
     """First time of the flight's tables, the zero of every plot."""
-    firsts = [int(t["timestamp_ns"][0]) for t in (result.estimates, result.frames) if len(t)]
-    return min(firsts, default=0)
+    return result.origin_ns
 
 
 def seconds(t_ns: TimeArray, origin_ns: int) -> FloatArray:
