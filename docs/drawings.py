@@ -1,4 +1,4 @@
-"""Draw the figures of the documentation into ``docs/img``.
+"""Draw the figures of README and documentation into ``docs/img``.
 
 Run it in the repository's folder: ``.venv/bin/python docs/drawings.py``. The same drawings come out every time.
 """
@@ -17,7 +17,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, FancyBboxPatch, Polygon
 
-IMG = Path(__file__).resolve().parent / "img"
+from fusion import FusionConfig, fuse_flight, load_flight
+from fusion.flight import Flight
+from vision import LineClass, measure_frame
+
+ROOT = Path(__file__).resolve().parent.parent
+IMG = ROOT / "docs" / "img"
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8a929a"
 mpl.rcParams.update(
     {"svg.fonttype": "none", "svg.hashsalt": "corridor", "font.size": 11, "font.family": "sans-serif"}
@@ -219,10 +224,61 @@ def flow() -> None:
     save(figure, "flow.svg")
 
 
+def office() -> None:
+    """Draw what one frame of the sample flight shows, and what comes of all of them."""
+    flight = load_flight(ROOT / "data" / "office")
+    result = fuse_flight(flight, FusionConfig(corridor_width_m=2.2))
+    if flight.truth is None or flight.imu is None:
+        raise RuntimeError("the sample flight has a truth and an IMU")
+    figure = plt.figure(figsize=(11, 4.2), layout="constrained")
+    halves = figure.add_gridspec(1, 2, width_ratios=(1, 1.15))
+    picture = figure.add_subplot(halves[0])
+    curves = halves[1].subgridspec(2, 1)
+    top, bottom = figure.add_subplot(curves[0]), figure.add_subplot(curves[1])
+    _draw_frame(picture, flight, 120)
+
+    estimates, truth = result.estimates[result.estimates["status"] != "initialising"], flight.truth
+    t = (estimates["timestamp_ns"] - result.origin_ns) / 1e9
+    true_heading = np.interp(estimates["timestamp_ns"], truth.t_ns, truth.heading_rad)
+    top.plot(t, np.degrees(estimates["heading_rad"]), color=BLUE, lw=3, label="filter")
+    top.plot(t, np.degrees(true_heading), color="black", lw=1, ls="--", label="truth")
+    top.set(ylabel="heading,\ndegrees right", ylim=(-30, 42))
+    top.legend(frameon=False, ncols=2, loc="upper left")
+    imu = flight.imu
+    turned = np.concatenate([[0.0], np.cumsum(imu.gyro_rad_s[:-1, 2] * np.diff(imu.t_ns) / 1e9)])
+    gyro = turned - np.interp(imu.t_ns, truth.t_ns, truth.heading_rad - truth.heading_rad[0])
+    bottom.plot((imu.t_ns - result.origin_ns) / 1e9, np.degrees(gyro), color=ORANGE, label="gyroscope alone")
+    error = np.degrees(estimates["heading_rad"] - true_heading)
+    bottom.plot(t, error, color=BLUE, lw=2, label="filter")
+    bottom.set(xlabel="time, s", ylabel="heading error,\ndegrees", ylim=(-16, 4))
+    bottom.legend(frameon=False, loc="lower left")
+    for ax in (top, bottom):
+        ax.spines[["top", "right"]].set_visible(False)
+    figure.savefig(IMG / "office.png", dpi=100, pil_kwargs={"optimize": True})
+    plt.close(figure)
+
+
+def _draw_frame(ax: Axes, flight: Flight, k: int) -> None:
+    """Draw a frame with its lines along the corridor and the vanishing point."""
+    image = flight.frames.read(k)
+    found = measure_frame(image, flight.camera)
+    ax.imshow(image, cmap="gray", alpha=0.75)
+    if found.lines_px is not None:
+        for x0, y0, x1, y1 in found.lines_px[found.line_class == LineClass.CORRIDOR]:
+            ax.plot([x0, x1], [y0, y1], color="#56b4e9", lw=2)
+    for line in () if found.wall_lines_px is None else found.wall_lines_px:
+        ax.plot(line[[0, 2]], line[[1, 3]], color="#f0e442", lw=3)
+    ax.plot(*found.vp_px, "o", mec=ORANGE, mfc="none", mew=3, ms=14)
+    side = "right" if found.heading_rad > 0 else "left"
+    ax.set_title(f"turned {side} by {abs(np.degrees(found.heading_rad)):.1f} degrees", loc="left")
+    ax.set(xlim=(0, image.shape[1]), ylim=(image.shape[0], 0))
+    ax.axis("off")
+
+
 def main() -> None:
     """Draw everything."""
     IMG.mkdir(exist_ok=True)
-    for draw in (signs, axes, status, hypotheses, flow):
+    for draw in (signs, axes, status, hypotheses, flow, office):
         draw()
 
 

@@ -51,8 +51,9 @@ def _placed(name: str) -> str:
 
 
 def _mathml(match: re.Match[str]) -> str:
-    alone = match[1] is not None
-    return str(convert((match[1] or match[2]).strip(), display="block" if alone else "inline"))
+    if match[1] is not None:
+        return f"\n\n{convert(match[1].strip(), display='block')}\n\n"
+    return f"<span>{convert(match[2])}</span>"  # a line must not begin with <math>: Markdown takes it for a block
 
 
 def _pages_of(path: Path) -> dict[str, str | bytes]:
