@@ -18,7 +18,7 @@ LOWEST_TESTS := tests/test_cli.py tests/fusion/test_log_ulog.py tests/fusion/tes
 	tests/vision/test_calibration.py tests/vision/test_images.py tests/test_imports.py
 
 help:  ## show this list
-	@sed -n 's/^\([a-z]*\):.*## */\1 /p' $(MAKEFILE_LIST) | while read -r name what; do printf '  make %-6s %s\n' "$$name" "$$what"; done
+	@sed -n 's/^\([a-z]*\):.*## */\1 /p' $(MAKEFILE_LIST) | while read -r name what; do printf '  make %-8s %s\n' "$$name" "$$what"; done
 
 run: $(STAMP)  ## fuse the sample flight in data/office and print how well it went
 	@$(BIN)/corridor fuse data/office --config data/office.toml -o out/office
@@ -37,6 +37,19 @@ lint: $(STAMP)  ## ruff: rules and format; import-linter: who may import whom
 
 types: $(STAMP)  ## mypy, strict
 	@$(BIN)/mypy
+
+docs: $(STAMP)  ## build the documentation into out/site; warnings are errors
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "open out/site/index.html"
+
+notebook: $(STAMP)  ## open the notebooks in JupyterLab
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[notebook]' >&2
+	@$(BIN)/jupyter lab notebooks
+
+release: $(STAMP)  ## build wheel and sdist into dist and check them
+	@rm -rf dist
+	@$(BIN)/python -m build --outdir dist >/dev/null
+	@$(BIN)/twine check --strict dist/*
 
 bench: $(STAMP)  ## print the benchmarks' tables
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script"; done
@@ -72,4 +85,4 @@ $(STAMP): pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check $$constraint --editable '.[$(EXTRA)]' >&2; \
 	touch $(STAMP)
 
-.PHONY: help run test lowest lint types bench hooks setup clean
+.PHONY: help run test lowest lint types docs notebook release bench hooks setup clean

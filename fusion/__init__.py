@@ -42,6 +42,7 @@ __all__ = [
     "load_flight",
     "write_outputs",
 ]
+__version__ = "0.1.0"  # the only place: pyproject.toml, the command and what is exported take it from here
 
 _MODULES = {
     "CorridorEstimator": "fusion.estimator.estimator",

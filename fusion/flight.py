@@ -138,7 +138,7 @@ class FlightSource(Protocol):
         """What the flight is to be called; None where the source does not say."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Flight:
     """One flight: a camera, its frames, and whatever else the log carried (None: it did not).
 
@@ -160,3 +160,18 @@ class Flight:
     corridor_width_m: float | None = None
     manifest: FlightSource | None = None
     range: RangeStream | None = None
+
+    def __repr__(self) -> str:
+        streams = {
+            "frames": self.frames,
+            "IMU samples": self.imu,
+            "attitudes": self.attitude,
+            "positions": self.position,
+            "velocities": self.velocity,
+            "ranges": self.range,
+            "rows of truth": self.truth,
+        }
+        held = [f"{len(stream.t_ns)} {name}" for name, stream in streams.items() if stream is not None]
+        if self.problems:
+            held.append(f"{len(self.problems)} problems")
+        return f"Flight({self.name}: {', '.join(held)})"

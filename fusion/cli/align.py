@@ -13,26 +13,13 @@ from vision.errors import InputError
 SHORT_HELP = "Put camera and clock right by the flight itself: time offset, focal length, mounting."
 HELP = """Find time offset, focal length and mounting of a flight's camera by the flight itself.
 
-Turns that vision sees along the corridor are compared with those of the gyroscope (of the attitude, where there is
-no gyroscope). That takes some turning left and right; the mounting yaw takes some rolling and pitching too. Each
-quantity comes with its sigma and a sentence; `corrects` stands beside those that differ by more than three sigma
-from how the flight was read. The gyroscope's scale is taken to be right.
-
-FLIGHT is what `corridor fuse` takes. Where there is no calibration of the camera, the focal length is found by the
-flight, too, with no distortion and the principal point in the middle.
-
-\b
-Nothing is written unless asked for:
-  --write      into the flight's own manifest: FLIGHT, or flight.toml in its folder, or LOG.toml beside a log file
-  -o FILE      into a manifest of your own that names the flight's files
-Corrections go under [camera]: clock_offset_s, focal_scale, mount_yaw_rad, mount_pitch_rad; on top of those that
-are there. A camera that nothing was known of also gets a calibration file beside the manifest.
+It compares turns that vision sees with those of the gyroscope, so the flight must turn left and right. Each quantity
+comes with its sigma. Nothing is written without --write or -o. More: docs/commands.md.
 
 \b
 Examples:
-  corridor align flights/hall
+  corridor align data/office
   corridor align flights/hall --write
-  corridor align flights/hall -o hall.toml --max-offset 10
 
 Exit code 2 where the flight does not tell the time offset, as one without turns; nothing is then written.
 Next: corridor fuse with that manifest.

@@ -15,6 +15,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from fusion import __version__
 from fusion.cli import align, batch, config, evaluate, fuse, inspect, measure, simulate
 from fusion.cli.console import OneLineErrors
 
@@ -37,7 +38,7 @@ offset is positive right of the centre line. Files hold radians, metres and nano
 Results go to stdout, notes and progress to stderr. Exit code 0: done; 2: input that cannot be used, one line
 says why; 130: interrupted.
 
-`corridor COMMAND --help` says more about each command.
+`corridor COMMAND --help` shows its options; the manual is docs/commands.md.
 """
 
 app = typer.Typer(
@@ -52,9 +53,7 @@ app = typer.Typer(
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
-
-        typer.echo(f"corridor-fusion {version('corridor-fusion')}")
+        typer.echo(f"corridor-fusion {__version__}")
         raise typer.Exit
 
 

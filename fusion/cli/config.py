@@ -10,13 +10,12 @@ import typer
 SHORT_HELP = "Print all settings with their meaning, as TOML."
 HELP = """Print every setting with its value, unit, bounds and meaning, as TOML to edit and give back.
 
-Without a file these are the defaults; with one, the settings as that file makes them, so that it can be seen what
-they come to. A name that does not exist, a wrong unit or a value out of bounds is refused with the nearest right one.
+Without a file these are the defaults; with one, the settings as that file makes them. A name that does not exist, a
+wrong unit or a value out of bounds is refused with the nearest right one.
 
 \b
 Examples:
   corridor config > my.toml
-  corridor config my.toml
   corridor config --simulate > hall.toml
 
 Next: edit what you want to change, delete the rest, then `corridor fuse FLIGHT --config my.toml`.

@@ -13,25 +13,12 @@ from fusion.result.conventions import Frame
 SHORT_HELP = "Compare fused flights with what the vehicle really did."
 HELP = """Compare fused flights with what the vehicle really did, several outputs side by side.
 
-RMSE and MAE (the article's equations 9 and 10), the largest error, percentiles, NEES and the share of time in each
-status; for heading and lateral offset, for the causal filter and the smoother, in all and per corridor. Judged are
-rows that are tracking, outside junctions and within the truth's time; all others are counted.
-
-\b
-FILE is one of
-  corridor_truth.csv               or the flight's folder that holds it
-  CSV with names in its first line: a time (timestamp_ns, timestamp_us, timestamp_ms or timestamp_s) and one of
-      heading_rad, heading_deg     from the axis of the corridor being flown, positive right
-      yaw_rad, yaw_deg             from one fixed axis; give --truth-frame
-      qw,qx,qy,qz                  the same as a quaternion, body to world
-    and as known lateral_offset_m (or _norm), corridor_width_m, corridor_id, in_junction
-  estimates.csv or smoothed.csv    of another output
-  a TUM trajectory                 timestamp_s x y z qx qy qz qw: yaw from x, y as the offset; give --truth-frame
+It prints RMSE and MAE, the largest error, percentiles and NEES of heading and offset, for filter and smoother.
+Rows count while tracking, outside junctions. What a truth may look like: docs/commands.md.
 
 \b
 Examples:
   corridor evaluate office_fused --truth data/office
-  corridor evaluate geometric paper --truth data/office/corridor_truth.csv --json
   corridor evaluate hall_fused --truth mocap.tum --truth-frame ros --align
 
 Next: `corridor fuse --config` with other settings into another OUT, and compare the two.

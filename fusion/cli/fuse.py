@@ -12,61 +12,25 @@ from fusion.cli.options import CameraOption, Method, MethodOption
 from fusion.result.conventions import Frame
 
 SHORT_HELP = "Fuse a logged flight: heading and offset, tables and a report."
-HELP = """Fuse a logged flight into a smooth heading and lateral offset.
+HELP = """Fuse a logged flight into a smooth heading and lateral offset, with tables and a report.
 
-\b
-FLIGHT is one of
-  a folder in ASL / EuRoC layout, the truth beside it if known: mav0/cam0/{sensor.yaml,data.csv,data/*}, and as
-    there are mav0/imu0, mav0/attitude0, mav0/velocity0, mav0/position0, mav0/range0; corridor_truth.csv
-  a ROS 1 or 2 bag or MCAP with pictures; a folder of TUM RGB-D, UZH-FPV or KITTI
-  a flight.toml, or the folder that holds it: where each stream comes from, see below
-  a PX4 ULog, ArduPilot DataFlash log, MAVLink tlog or CSV, together with --video
-Without FLIGHT: --imu and --video name the files; their clocks may differ by --clock-offset.
-
-\b
-OUT gets these, whole or not at all; an earlier output there is replaced:
-  estimates.csv   the causal filter, a row per IMU sample: heading, offset, sigmas, bias, status
-  smoothed.csv    the same after the backward pass: the best answer once the flight is over
-  frames.csv      a row per camera frame: what vision saw, used or not, and why
-  summary.json    verdict, counts, timings, errors against the truth
-  report.html     all of it to look at, in one file
-  flight.toml     where every stream came from, to fuse again or for `corridor align`
-
-\b
-With --export, also:
-  parquet   estimates, smoothed, frames .parquet: the tables with units and frames in their metadata
-  tum       estimates.tum, smoothed.tum: trajectories for evo
-  mcap      flight.mcap: pictures with what was seen in them, estimates and events, for Foxglove
+FLIGHT is a flight's folder, a bag, a flight.toml, or an autopilot's log together with --video. OUT is written whole
+or not at all. All about inputs, outputs and exports: docs/commands.md.
 
 \b
 Examples:
   corridor fuse data/office
-  corridor fuse data/office --export parquet,mcap --frame ros
-  corridor fuse flights/hall -o out/hall --config hall.toml
-  corridor fuse flights/hall --camera camchain.yaml --method paper
-  corridor fuse log.ulg --video hall.mp4 --camera cam.yaml --clock-offset 12.85
-  corridor fuse --imu imu.csv --video pictures/ --camera cam.yaml
+  corridor fuse log.ulg --video hall.mp4 --camera cam.yaml -o out/hall --export parquet,mcap
 
 \b
-flight.toml, for streams in several files; paths count from its folder, flight time = file time + clock_offset_s:
+A flight.toml names streams that lie in several files:
   corridor_width_m = 2.2
   [camera]
-  file = "hall.mp4"              # or a folder of pictures; times = "times.csv" where a CSV has the frames' times,
-                                 # rate_hz = 20 where they are numbered
+  file = "hall.mp4"
   calibration = "camera.yaml"
-  clock_offset_s = 12.85
   [imu]
-  file = "imu.csv"               # or a log; topic = "/imu/data" chooses one of several
-  frame = "flu"                  # x ahead, y left, z up; frd is x ahead, y right, z down
-  camera_axis = "-z"             # a phone: the IMU's axis that the camera looks along; gravity tells the rest
-  columns = { time = "t", time_unit = "ms", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s" }
-  [attitude]
-  file = "state.csv"
-  columns = "tello"              # ready maps: tello, crazyflie, ardrone, ardrone_ros
-
-\b
-hall.toml, for offsets in metres where the log has no range sensor:
-  corridor_width_m = 2.2
+  file = "imu.csv"
+  frame = "flu"
 
 Next: open OUT/report.html, or read the tables: pandas.read_csv("OUT/estimates.csv").
 """

@@ -12,23 +12,13 @@ from fusion.cli.console import echo, say
 SHORT_HELP = "Say what a log holds, and what can be made of it."
 HELP = """Say what a log holds, and what can be made of it: streams, rates, gaps, clocks, noise, the first picture.
 
-Any format that `corridor fuse` takes. It looks at a handful of pictures only, and at the rest of a log where a part
-cannot be read.
-
-\b
-Told for each stream:
-  rate, jitter   one over the usual (median) step, and how far 95 of 100 steps are from it
-  gaps           stretches of more than three usual steps; also repeated times and jumps of the clock
-  frames covered the share of the frames that lie within the stream
-  IMU            still periods, and in them white noise (Allan deviation at 0.1 s), bias and gravity
-
-What the data contradict is said too: degrees for radians, g for m/s^2, reversed axes, clocks that do not overlap.
+Any format that `corridor fuse` takes. What is missing, or contradicts itself, comes with the setting that puts it
+right. What each line means: docs/commands.md.
 
 \b
 Examples:
   corridor inspect data/office
   corridor inspect log.ulg --json > log.json
-  corridor inspect flight.bag --picture first.png
 
 Next: supply what it says is missing, then corridor fuse.
 """

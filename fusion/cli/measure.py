@@ -16,28 +16,13 @@ from vision.errors import InputError
 SHORT_HELP = "Measure single pictures: heading, offset, vanishing point."
 HELP = """Measure single pictures of a corridor: heading, lateral offset, vanishing point. No filter.
 
-Folders are taken with all the pictures in them. The table goes to stdout as CSV, or to a file with -o; its
-columns are those of frames.csv, with the picture first. A picture that does not decode is a row with the
-reason `unreadable`. A picture's name that is an integer is taken for its time in nanoseconds.
-
-\b
-What is assumed unless given:
-  --camera      a lens without distortion that looks straight ahead; its horizontal field of view from, in this order,
-                --fov, the focal length in the picture's EXIF, the right angles in all pictures of one size, or
-                65 +- 20 degrees. It is said which, and the headings' sigma includes it.
-  --attitude    level, within about 12 degrees
-
-\b
---attitude CSV is one of
-  timestamp_ns,qw,qx,qy,qz     body to world as in attitude0/data.csv (FLU, z up), matched by nearest time
-  image,roll_rad,pitch_rad     with these names in the first line; roll right side down, pitch nose up
+Folders are taken with all their pictures. The table goes to stdout as CSV, or to a file with -o. Without --camera and
+--attitude it says what it assumes. Columns and assumptions: docs/commands.md.
 
 \b
 Examples:
   corridor measure picture.jpg
-  corridor measure hall/mav0/cam0/data --camera hall/mav0/cam0/sensor.yaml -o frames.csv --overlay drawn
-  corridor measure *.jpg --fov 54 -o frames.csv
-  corridor measure *.png --attitude tilt.csv > frames.csv
+  corridor measure pictures --camera camera.yaml -o frames.csv --overlay drawn
 
 Next: look at the drawings in --overlay DIR; with an IMU log, `corridor fuse` makes it smooth.
 """

@@ -14,20 +14,12 @@ SHORT_HELP = "Make a flight to try things on, truth included."
 HELP = """Make a flight through a furnished, lit corridor: pictures, IMU, attitude and the exact truth.
 
 The same settings give the same files, byte for byte. OUT is a flight folder as `corridor fuse` takes it; it must not
-exist yet.
+exist yet. All settings: corridor config --simulate.
 
 \b
 Examples:
   corridor simulate flight
   corridor simulate turn --turn -65 --duration 30 --seed 7
-  corridor simulate dark --config dark.toml --size 640x480
-
-\b
-dark.toml, a table per part (scene, camera, imaging, motion, imu, attitude, range), names with their units:
-  [imaging]
-  brightness = 0.02
-  [camera]
-  exposure_s = 0.02
 
 Next: corridor fuse OUT, which then reports its errors against the truth.
 """

@@ -53,8 +53,7 @@ def thinned_to(bins: int) -> Iterator[None]:
 
 def time_origin_ns(result: FusionResult) -> int:
     """First time of the flight's tables, the zero of every plot."""
-    firsts = [int(t["timestamp_ns"][0]) for t in (result.estimates, result.frames) if len(t)]
-    return min(firsts, default=0)
+    return result.origin_ns
 
 
 def seconds(t_ns: TimeArray, origin_ns: int) -> FloatArray:
