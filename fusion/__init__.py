@@ -12,6 +12,8 @@ Each subpackage is a room with one job, and imports only rooms below it; ``make 
 
 from __future__ import annotations
 
+from fusion.version import __version__
+
 # `typing.TYPE_CHECKING` without `typing`: until the command line has its handler of interrupts, every import is time
 # in which Ctrl-C ends in a traceback.
 TYPE_CHECKING = False
@@ -37,12 +39,12 @@ __all__ = [
     "FusionConfig",
     "FusionResult",
     "Status",
+    "__version__",
     "evaluate",
     "fuse_flight",
     "load_flight",
     "write_outputs",
 ]
-__version__ = "0.1.0"  # the only place: pyproject.toml, the command and what is exported take it from here
 
 _MODULES = {
     "CorridorEstimator": "fusion.estimator.estimator",

@@ -15,9 +15,9 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from fusion import __version__
 from fusion.cli import align, batch, config, evaluate, fuse, inspect, measure, simulate
 from fusion.cli.console import OneLineErrors
+from fusion.version import __version__
 
 HELP = """Heading and lateral offset in indoor corridors, from camera frames fused with an IMU.
 

@@ -12,8 +12,8 @@ from copy import deepcopy
 from enum import StrEnum
 from typing import Any
 
-from fusion import __version__
 from fusion.estimator.tables import ESTIMATE_COLUMNS, FRAME_COLUMNS, Column, Table
+from fusion.version import __version__
 
 
 class Frame(StrEnum):

@@ -18,7 +18,9 @@ def run(script: str, *arguments: str | Path) -> str:
 
 
 def test_the_example_finds_the_noisy_gyroscope(tmp_path: Path) -> None:
-    out = run("examples/fleet.py", "--flights", "4", "--seconds", "3", "--out", tmp_path / "fleet")
+    out = run(
+        "examples/compare_configurations.py", "--flights", "4", "--seconds", "3", "--out", tmp_path / "fleet"
+    )
     over_sigma = [float(number) for number in re.findall(r"^mav2: .* over sigma ([\d.]+)", out, re.MULTILINE)]
     assert len(over_sigma) == 2
     assert over_sigma[1] < 0.7 * over_sigma[0]

@@ -1,6 +1,6 @@
 """Fuse a fleet of simulated flights, change a setting, and see what that did.
 
-``python examples/fleet.py [--flights 6] [--seconds 4] [--jobs 2] [--out fleet]``
+``python examples/compare_configurations.py [--flights 6] [--seconds 4] [--jobs 2] [--out fleet]``
 
 Two vehicles fly down corridors of their own; the second one's gyroscope is three times as noisy as its log declares,
 and one log is torn. The fleet is fused twice: as it is, and with settings that tell the truth about the second
