@@ -12,7 +12,7 @@ Each subpackage is a room with one job, and imports only rooms below it; ``make 
 
 from __future__ import annotations
 
-from fusion.version import __version__
+from fusion.version import __version__ as __version__
 
 # `typing.TYPE_CHECKING` without `typing`: until the command line has its handler of interrupts, every import is time
 # in which Ctrl-C ends in a traceback.
@@ -39,7 +39,6 @@ __all__ = [
     "FusionConfig",
     "FusionResult",
     "Status",
-    "__version__",
     "evaluate",
     "fuse_flight",
     "load_flight",
