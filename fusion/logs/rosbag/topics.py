@@ -189,7 +189,7 @@ def _on_one_clock(topics: list[Samples]) -> tuple[Samples, ...]:
             clocks.append([s])
     if len(clocks) < 2:
         return tuple(topics)
-    moved = {}
+    moved: dict[int, Samples] = {}
     for clock in clocks:
         if min(abs(late_ns[s.name]) for s in clock) > OTHER_CLOCK_NS:
             by_ns = min(int(np.percentile(s.received_ns - s.t_ns, 1.0)) for s in clock)
