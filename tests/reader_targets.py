@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from fractions import Fraction
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -227,7 +228,14 @@ def _videos() -> list[bytes]:
     with TemporaryDirectory() as folder:
         times = np.arange(6) * 0.05
         return [
-            encode(Path(folder) / name, pictures, codec="mpeg4", times_s=times, b_frames=0).read_bytes()
+            encode(
+                Path(folder) / name,
+                pictures,
+                codec="mpeg4",
+                times_s=times,
+                clock=Fraction(1, 1000),
+                b_frames=0,
+            ).read_bytes()
             for name in ("a.mp4", "a.mkv")
         ]
 

@@ -225,6 +225,23 @@ def test_gyroflows_log_is_in_its_scales(office: ImuStream, tmp_path: Path) -> No
     assert np.isnan(open_log(path).imu("imu").value.accel_m_s2).all()
 
 
+@pytest.mark.parametrize("burst", [3, 10])
+def test_inspect_tells_the_rate_that_bursts_are_spread_to(
+    office: ImuStream, tmp_path: Path, burst: int
+) -> None:
+    n = len(office.t_ns) // burst * burst
+    with Bag(tmp_path / "bag", "sqlite3") as bag:
+        for k, (t_ns, gyro, accel) in enumerate(rows(office)):
+            if k < n:
+                stamp_ns = int(office.t_ns[k // burst * burst + burst - 1]) + k % burst * 60_000
+                bag.write("/imu", bag.imu(stamp_ns, gyro, accel), t_ns)
+    found = inspect_path(tmp_path / "bag")
+    (stream,) = found.streams
+    assert stream.timing.rate_hz == pytest.approx(200.0, rel=0.01)
+    assert stream.timing.gap_count == 0
+    assert any("/imu, 200 Hz" in sentence.text for sentence in found.advice)
+
+
 # --- clocks ------------------------------------------------------------------------------------------------------
 
 
