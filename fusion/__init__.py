@@ -13,9 +13,11 @@ flights.
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from fusion.estimator.config import FusionConfig
     from fusion.estimator.estimate import Estimate, Status
     from fusion.estimator.estimator import CorridorEstimator
@@ -40,7 +42,6 @@ __all__ = [
     "load_flight",
     "write_outputs",
 ]
-__version__ = "0.1.0"  # the only place: pyproject.toml, the command and what is exported take it from here
 
 _MODULES = {
     "CorridorEstimator": "fusion.estimator.estimator",
@@ -60,6 +61,8 @@ _MODULES = {
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return getattr(import_module(_MODULES[name]), name)
+    if name == "__version__":
+        return version("corridor-fusion")  # pyproject.toml is the only place that says it
     raise AttributeError(f"module 'fusion' has no attribute {name!r}")
 
 

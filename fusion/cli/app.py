@@ -15,7 +15,6 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from fusion import __version__
 from fusion.cli import align, config, evaluate, fuse, inspect, measure, simulate
 from fusion.cli.console import OneLineErrors
 
@@ -52,7 +51,9 @@ app = typer.Typer(
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"corridor-fusion {__version__}")
+        from importlib.metadata import version
+
+        typer.echo(f"corridor-fusion {version('corridor-fusion')}")
         raise typer.Exit
 
 
