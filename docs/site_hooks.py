@@ -28,9 +28,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
         for name, content in _pages_of(path).items():
             files.append(File.generated(config, f"notebooks/{name}", content=content))
-    linked = {name for page in (ROOT / "docs").glob("*.md") for name, _ in LINK.findall(page.read_text())}
+    pages = [*(ROOT / "docs").glob("*.md"), *(ROOT / "notebooks").glob("*.ipynb")]
+    linked = {name for page in pages for name, _ in LINK.findall(page.read_text(encoding="utf-8"))}
     for name in sorted(linked | set(PAGES)):
-        if (ROOT / name).is_file() and not name.endswith(".ipynb"):
+        if (ROOT / name).is_file() and not name.startswith(("docs/", "notebooks/")):
             files.append(File.generated(config, name, abs_src_path=str(ROOT / name)))
     return files
 

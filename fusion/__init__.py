@@ -12,14 +12,13 @@ Each subpackage is a room with one job, and imports only rooms below it; ``make 
 
 from __future__ import annotations
 
-from fusion.version import __version__ as __version__
-
 # `typing.TYPE_CHECKING` without `typing`: until the command line has its handler of interrupts, every import is time
 # in which Ctrl-C ends in a traceback.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
+    __version__: str
     from fusion.estimator.config import FusionConfig
     from fusion.estimator.estimate import Estimate, Status
     from fusion.estimator.estimator import CorridorEstimator
@@ -65,6 +64,10 @@ def __getattr__(name: str) -> Any:
         from importlib import import_module
 
         return getattr(import_module(_MODULES[name]), name)
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("corridor-fusion")  # pyproject.toml is the only place that says it
     raise AttributeError(f"module 'fusion' has no attribute {name!r}")
 
 

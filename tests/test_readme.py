@@ -30,15 +30,8 @@ TEXTS = {name: path.read_text(encoding="utf-8") for name, path in PAGES.items()}
 FRAMES = 120  # of the sample flight, in the copy that the pages' code runs on
 # Files that stand for a user's own in examples; with them only the options are looked at.
 NOT_AT_HAND = {
-    "log.ulg",
-    "hall.mp4",
-    "cam.yaml",
-    "imu.csv",
-    "mocap.tum",
-    "hall_fused",
-    "flights/hall",
-    "geometric",
-    "paper",
+    *("log.ulg", "hall.mp4", "cam.yaml", "imu.csv", "mocap.tum"),
+    *("hall_fused", "flights/hall", "geometric", "paper"),
 }
 
 

@@ -17,7 +17,6 @@ import typer
 
 from fusion.cli import align, batch, config, evaluate, fuse, inspect, measure, simulate
 from fusion.cli.console import OneLineErrors
-from fusion.version import __version__
 
 HELP = """Heading and lateral offset in indoor corridors, from camera frames fused with an IMU.
 
@@ -53,7 +52,9 @@ app = typer.Typer(
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"corridor-fusion {__version__}")
+        from importlib.metadata import version
+
+        typer.echo(f"corridor-fusion {version('corridor-fusion')}")
         raise typer.Exit
 
 

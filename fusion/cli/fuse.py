@@ -37,7 +37,9 @@ Next: open OUT/report.html, or read the tables: pandas.read_csv("OUT/estimates.c
 
 ExportOption = Annotated[
     list[str] | None,
-    typer.Option("--export", metavar="parquet,tum,mcap", help="Write these besides CSV; may be repeated."),
+    typer.Option(
+        "--export", metavar="parquet,tum,mcap,video", help="Write these besides CSV; may be repeated."
+    ),
 ]
 FrameOption = Annotated[
     Frame,

@@ -1,4 +1,4 @@
-"""Other forms of a fused flight's tables: Parquet, TUM trajectories for evo, MCAP for Foxglove.
+"""Other forms of a fused flight: Parquet, TUM trajectories for evo, MCAP for Foxglove, a video to look at.
 
 They are written beside the CSV files by `fusion.outputs.folder.write_outputs`. Each format's library loads when it is
 used.
@@ -24,14 +24,16 @@ class Format(StrEnum):
     PARQUET = "parquet"
     TUM = "tum"
     MCAP = "mcap"
+    VIDEO = "video"
 
 
 EXPORT_FILES = {
     Format.PARQUET: ("estimates.parquet", "smoothed.parquet", "frames.parquet"),
     Format.TUM: ("estimates.tum", "smoothed.tum"),
     Format.MCAP: ("flight.mcap",),
+    Format.VIDEO: ("flight.mp4",),
 }
-_LIBRARY = {Format.PARQUET: "pyarrow", Format.MCAP: "mcap"}
+_LIBRARY = {Format.PARQUET: "pyarrow", Format.MCAP: "mcap", Format.VIDEO: "av"}
 
 
 def check_formats(words: Iterable[str]) -> tuple[Format, ...]:
@@ -79,7 +81,7 @@ def write_exports(
     Parameters
     ----------
     result, flight
-        What `fusion.fuse_flight` returned, and what it was given (MCAP shows its pictures, TUM uses its velocity).
+        What `fusion.fuse_flight` returned and what it was given (MCAP and video show its pictures, TUM its velocity).
     folder
         Where to.
     formats
@@ -112,3 +114,7 @@ def write_exports(
         from fusion.outputs.mcap import write_mcap
 
         write_mcap(result, flight, folder / "flight.mcap", frame, facts, progress)
+    if Format.VIDEO in wanted:
+        from fusion.outputs.video import write_video
+
+        write_video(result, flight, folder / "flight.mp4", progress)

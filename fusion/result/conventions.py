@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import deepcopy
 from enum import StrEnum
+from importlib.metadata import version
 from typing import Any
 
 from fusion.estimator.tables import ESTIMATE_COLUMNS, FRAME_COLUMNS, Column, Table
@@ -51,7 +52,7 @@ def file_facts(summary: Mapping[str, Any], frame: Frame) -> dict[str, str]:
         "conventions": _CONVENTIONS[frame] + " SI units and radians; integer nanoseconds of the log's clock. "
         "Unknown numbers are missing values.",
         "software": "corridor-fusion",
-        "software_version": __version__,
+        "software_version": version("corridor-fusion"),
         "flight": str(summary.get("flight", "")),
         "method": str(summary.get("method", "")),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections import defaultdict
+from dataclasses import replace
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -410,7 +411,7 @@ class TestChoice:
 
     def test_an_unknown_word_names_the_known(self) -> None:
         with pytest.raises(
-            InputError, match=r"--export csv: no such format \(known are parquet, tum, mcap\)"
+            InputError, match=r"--export csv: no such format \(known are parquet, tum, mcap, video\)"
         ):
             check_formats(["csv"])
 
@@ -433,3 +434,42 @@ class TestChoice:
         write_outputs(result, flight, out, report=False)
         assert {path.name for path in out.iterdir()} == tables
         assert json.loads((out / "summary.json").read_text())["frame"] == "frd"
+
+
+class TestVideo:
+    def test_every_picture_that_decodes_is_there_at_its_time(
+        self, result: FusionResult, flight: Flight, tmp_path: Path
+    ) -> None:
+        av = pytest.importorskip("av")
+        done: list[tuple[int, int]] = []
+        write_exports(result, flight, tmp_path, [Format.VIDEO], progress=lambda k, n: done.append((k, n)))
+        assert done == [(k + 1, 5) for k in range(5)]
+        with av.open(str(tmp_path / "flight.mp4")) as video:
+            found = [(frame.time, frame.to_ndarray(format="bgr24")) for frame in video.decode(video=0)]
+        assert [time for time, _ in found] == pytest.approx([0.0, 0.1, 0.3, 0.4], abs=1e-3)
+        heights = {picture.shape for _, picture in found}
+        assert heights == {(480 + 112 + 30, 640, 3)}
+
+    def test_the_strip_below_says_what_the_filter_says(self, result: FusionResult) -> None:
+        pytest.importorskip("av")
+        from fusion.outputs.video import _words
+
+        table = result.estimates.copy()
+        table["lateral_offset_std_m"] = 0.02
+        assert _words(table[20]) == "10.0 deg right +- 0.6, 0.30 m right +- 0.02"
+        assert _words(table[0]) == "no heading yet"
+        table["lateral_offset_m"] = np.nan
+        table["heading_rad"], table["lateral_offset_norm"], table["lateral_offset_norm_std"] = (
+            -0.1,
+            -0.25,
+            0.1,
+        )
+        assert _words(table[20]) == "5.7 deg left +- 0.6, 0.25 half widths left +- 0.10"
+
+    def test_a_flight_without_a_picture_is_refused(
+        self, result: FusionResult, flight: Flight, tmp_path: Path
+    ) -> None:
+        pytest.importorskip("av")
+        unreadable = replace(result, frames=result.frames[2:3])
+        with pytest.raises(InputError, match="no picture of the flight can be read"):
+            write_exports(unreadable, flight, tmp_path, [Format.VIDEO])
