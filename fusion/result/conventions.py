@@ -14,7 +14,6 @@ from importlib.metadata import version
 from typing import Any
 
 from fusion.estimator.tables import ESTIMATE_COLUMNS, FRAME_COLUMNS, Column, Table
-from fusion.version import __version__
 
 
 class Frame(StrEnum):
