@@ -62,7 +62,7 @@ flight.toml, for streams in several files; paths count from its folder, flight t
   columns = { time = "t", time_unit = "ms", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s" }
   [attitude]
   file = "state.csv"
-  columns = "tello"              # ready maps: tello, crazyflie, ardrone, ardrone_ros
+  columns = "tello"              # ready maps: tello, crazyflie, betaflight, ardrone, ardrone_ros
 
 \b
 hall.toml, for offsets in metres where the log has no range sensor:
