@@ -218,7 +218,7 @@ class TestRules:
         self, swing: Fused, number: float, level: Level, meaning: str, action: str
     ) -> None:
         check = self.rule(Finding("n", number)).apply(*swing, Limits(coast_s=(2.0, 10.0)))
-        assert check == Check("Speed", level, "n", "pass to 2", meaning, action)
+        assert check == Check("Speed", level, "n", "pass to 2", meaning, action, number)
 
     def test_a_finding_may_say_more_than_its_rule(self, swing: Fused) -> None:
         finding = Finding("n", level=Level.WARN, limit="other", meaning="Because.", action="Do.")
