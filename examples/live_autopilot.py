@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from math import atan2, nan, pi, sqrt
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from fusion import Estimate
@@ -101,12 +102,12 @@ class Autopilot:
 
     def send_imu(self, t_ns: int, gyro_rad_s: npt.ArrayLike, accel_m_s2: npt.ArrayLike) -> None:
         """Send an IMU sample, body FRD."""
-        values = [float(v) for v in (*accel_m_s2, *gyro_rad_s)]  # type: ignore[misc]
+        values = [*np.asarray(accel_m_s2, float).tolist(), *np.asarray(gyro_rad_s, float).tolist()]
         self._send.highres_imu_send(self.boot_ns(t_ns) // 1000, *values, 0, 0, 0, 0, 0, 0, 0, 0x3F)
 
     def send_attitude(self, t_ns: int, q_world_body: npt.ArrayLike) -> None:
         """Send an attitude, w x y z, body FRD to NED."""
-        q = [float(v) for v in q_world_body]  # type: ignore[union-attr]
+        q = np.asarray(q_world_body, float).tolist()
         self._send.attitude_quaternion_send(self.boot_ns(t_ns) // 1_000_000, *q, 0, 0, 0)
 
     def send_distance(self, t_ns: int, distance_m: float) -> None:

@@ -44,7 +44,7 @@ START_NS = 1_700_000_000_000_000_000  # counted from 1970, as a computer's clock
 
 
 class SharedClock:
-    """The vehicle's time, for the session's threads too; it can stand still for all of them at once, and does at first.
+    """The vehicle's time, for the session's threads too; it can stand still for all at once, and does at first.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Outcome:
     statistics: LiveStatistics
     t_s: list[float] = field(default_factory=list)
     clearance_m: list[float] = field(default_factory=list)
-    heading_error_rad: list[float] = field(default_factory=list)
+    yaw_error_rad: list[float] = field(default_factory=list)
     offset_error_m: list[float] = field(default_factory=list)
     offset_m: list[float] = field(default_factory=list)
     status: list[str] = field(default_factory=list)
@@ -96,10 +96,11 @@ class Outcome:
         """Compare what was said with the truth."""
         vehicle = world.vehicle
         _, offset_m, _ = vehicle.in_room(self.room)
-        _, held_offset_m, held_heading_rad = vehicle.in_room(min(e.corridor_index, len(vehicle.rooms) - 1))
+        _, held_offset_m, _ = vehicle.in_room(min(e.corridor_index, len(vehicle.rooms) - 1))
+        yaw_error_rad = e.heading_rad + e.corridor_turn_rad - vehicle.in_room(0)[2]
         self.t_s.append(t_s)
         self.clearance_m.append(vehicle.clearance_m())
-        self.heading_error_rad.append((e.heading_rad - held_heading_rad + pi) % (2 * pi) - pi)
+        self.yaw_error_rad.append((yaw_error_rad + pi) % (2 * pi) - pi)
         self.offset_error_m.append(e.lateral_offset_m - held_offset_m)
         self.offset_m.append(offset_m)
         self.status.append(str(e.status))
@@ -201,11 +202,11 @@ def _put(folder: Path, taken_ns: int, image: Image) -> None:
 def table(outcome: Outcome) -> str:
     """Say how it went."""
     heard, s = outcome.heard, outcome.statistics
-    errors = np.abs(outcome.heading_error_rad)
+    errors = np.abs(outcome.yaw_error_rad)
     flown = [
         f"flown {outcome.t_s[-1]:.1f} s, into corridor {outcome.corridor[-1] + 1}, "
         f"nearest to a wall {min(outcome.clearance_m):.2f} m",
-        f"heading error {degrees(float(np.sqrt(np.nanmean(errors**2)))):.2f} deg RMS, "
+        f"yaw error {degrees(float(np.sqrt(np.nanmean(errors**2)))):.2f} deg RMS, "
         f"offset error {float(np.sqrt(np.nanmean(np.square(outcome.offset_error_m)))):.3f} m RMS",
         f"frames {s.frames}, used {s.frames_used}, dropped {s.frames_dropped}; estimates {s.estimates}",
         f"latency from shutter to message p50 {s.latency_ms(50):.0f} ms, p99 {s.latency_ms(99):.0f} ms",

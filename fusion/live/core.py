@@ -251,7 +251,8 @@ class LiveCore:
             return None
         restarts, was = self.clock.restarts, self.clock.state
         if UNIX_NS < sample.stamp_ns < LONGEST_NS:
-            return sample.stamp_ns + self._unix_clock.offset_ns(sample.stamp_ns, received_ns)
+            stamp_ns: int = sample.stamp_ns
+            return stamp_ns + self._unix_clock.offset_ns(stamp_ns, received_ns)
         t_ns = self.clock.host_ns(sample.stamp_ns, received_ns) if sample.stamp_ns < LONGEST_NS else None
         self._note_restart(restarts)
         if t_ns is None:

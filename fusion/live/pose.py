@@ -80,7 +80,7 @@ class PoseTracker:
         )
 
     def _count_yaw_steps(self, e: Estimate) -> None:
-        """Count jumps of the yaw: a new corridor steps the heading, and the turn by as much the other way, which is none."""
+        """Count jumps of the yaw: a new corridor steps heading and turn alike, in opposite ways."""
         if e.reset_count == self._reset_count and self._steps_rad is not None:
             return
         steps = e.reset_heading_total_rad + e.corridor_turn_rad

@@ -287,9 +287,8 @@ def camera_yaml(camera: Camera) -> str:
         "T_BS": {"rows": 4, "cols": 4, "data": transform.ravel().tolist()},
         "line_delay": camera.line_delay_s,
     }
-    if camera.coefficients:
-        model = {"radtan": "radial-tangential"}.get(str(camera.distortion), str(camera.distortion))
-        values |= {"distortion_model": model, "distortion_coefficients": list(camera.coefficients)}
+    model = {"radtan": "radial-tangential"}.get(str(camera.distortion), str(camera.distortion))
+    values |= {"distortion_model": model, "distortion_coefficients": list(camera.coefficients)}
     if camera.exposure_s == camera.exposure_s:
         values["exposure_s"] = camera.exposure_s
     return "".join(f"{name}: {_yaml(value)}\n" for name, value in values.items())

@@ -102,5 +102,5 @@ class FoxgloveViewer:
 def _channel(topic: str, schema: dict[str, Any]) -> Any:
     import foxglove
 
-    described = foxglove.Schema(schema["title"], "jsonschema", json.dumps(schema).encode())
+    described = foxglove.Schema(name=schema["title"], encoding="jsonschema", data=json.dumps(schema).encode())
     return foxglove.Channel(topic, schema=described, message_encoding="json")
