@@ -15,7 +15,20 @@ import pytest
 
 from tests.files import ROOT
 
-SOURCE_SUFFIXES = {".py", ".typed", ".html", ".j2", ".css", ".js", ".json", ".toml", ".svg", ".csv", ".onnx"}
+SOURCE_SUFFIXES = {
+    ".py",
+    ".typed",
+    ".html",
+    ".j2",
+    ".css",
+    ".js",
+    ".json",
+    ".toml",
+    ".svg",
+    ".csv",
+    ".onnx",
+    ".LICENSE",
+}
 
 
 @pytest.fixture(scope="module")
