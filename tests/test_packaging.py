@@ -15,20 +15,7 @@ import pytest
 
 from tests.files import ROOT
 
-SOURCE_SUFFIXES = {
-    ".py",
-    ".typed",
-    ".html",
-    ".j2",
-    ".css",
-    ".js",
-    ".json",
-    ".toml",
-    ".svg",
-    ".csv",
-    ".onnx",
-    ".LICENSE",
-}
+SOURCE_SUFFIXES = {".py", ".typed", ".html", ".j2", ".css", ".js", ".json", ".toml", ".svg", ".csv", ".onnx"}
 
 
 @pytest.fixture(scope="module")

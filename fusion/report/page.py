@@ -21,7 +21,6 @@ from fusion.evaluation.verdict import overall, worst_first
 from fusion.files import replacing
 from fusion.flight import Flight
 from fusion.report import plots
-from fusion.report.explore import explore_data, script
 from fusion.report.strip import DrawnFrame, choose_frames, show_frames
 from fusion.report.svg import Drawing, draw
 from fusion.result.result import FusionResult
@@ -87,8 +86,6 @@ def render_report(result: FusionResult, flight: Flight) -> str:
         "settings": settings(result),
         "problems": all_problems(result, flight),
         "timings": timings(result),
-        "explore": explore_data(result, flight),
-        "inlined": script,
     }
     return _environment().get_template("page.html.j2").render(context)
 

@@ -62,9 +62,8 @@ def test_the_page_states_the_verdict_and_every_check(swing: Fused, page: str) ->
 
 
 def test_the_page_stands_alone(page: str) -> None:
-    page, scripts = re.sub(r"<script[^>]*>.*?</script>", "", page, flags=re.DOTALL), page.count("<script")
-    assert scripts == 3
     assert "http" not in page
+    assert "<script" not in page
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
     assert not re.search(r"url\((?!#)", page)
     ids = re.findall(r'\sid="([^"]+)"', page)
