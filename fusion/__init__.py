@@ -1,22 +1,23 @@
 """Fuse corridor vision with an IMU: a streaming estimator, and the same over logged flights.
 
 Frames, signs and units are those of `vision.measurement`: body FRD, heading and lateral offset positive to the right,
-SI and radians, time in integer nanoseconds. Importing the package is light; each name loads at its first use.
+SI and radians, time in integer nanoseconds. Importing the package loads nothing; each name loads at its first use.
 
 Each subpackage is a room with one job, and imports only rooms below it; ``make lint`` checks that. From the bottom:
 `fusion.settings`, `fusion.flight`; `fusion.estimator`, `fusion.logs`, `fusion.simulate`; `fusion.result`,
 `fusion.alignment`, `fusion.inspection`, `fusion.pictures`; `fusion.evaluation`; `fusion.offline`; `fusion.report`;
-`fusion.outputs`; `fusion.cli`. Begin reading at `fusion.estimator.estimator`, or at `fusion.offline.fuse` for whole
-flights.
+`fusion.outputs`; `fusion.fleet`; `fusion.cli`. Begin reading at `fusion.estimator.estimator`, or at
+`fusion.offline.fuse` for whole flights.
 """
 
 from __future__ import annotations
 
-from importlib import import_module
-from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
-
+# `typing.TYPE_CHECKING` without `typing`: until the command line has its handler of interrupts, every import is time
+# in which Ctrl-C ends in a traceback.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     __version__: str
     from fusion.estimator.config import FusionConfig
     from fusion.estimator.estimate import Estimate, Status
@@ -60,8 +61,12 @@ _MODULES = {
 
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
+        from importlib import import_module
+
         return getattr(import_module(_MODULES[name]), name)
     if name == "__version__":
+        from importlib.metadata import version
+
         return version("corridor-fusion")  # pyproject.toml is the only place that says it
     raise AttributeError(f"module 'fusion' has no attribute {name!r}")
 

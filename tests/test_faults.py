@@ -231,6 +231,13 @@ def test_what_is_held_or_told_stays_so(name: str) -> None:
     assert outcome.failures == (), faults.row(fault, outcome)
 
 
+def test_an_axis_that_turns_off_slowly_is_told_as_long_as_it_is_followed() -> None:
+    # Had the bias taken up the bend's rate, the frames would seem to be well again: silent for 6 s.
+    fault = fault_table.BY_NAME["axis turns off 1 deg/s for 10 s"]
+    outcome = faults.on_simulated(replace(fault, flights=1))
+    assert outcome.silent_s < 1.0, faults.row(fault, outcome)
+
+
 def test_it_runs_and_prints_what_is_asked_beside_what_is_measured() -> None:
     command = [
         sys.executable,

@@ -39,6 +39,17 @@ def test_help_comes_without_the_heavy_ones(arguments: list[str]) -> None:
     assert loaded & HEAVY == set()
 
 
+def test_nothing_is_loaded_before_interrupts_are_handled() -> None:
+    """Each import before that is time in which Ctrl-C ends in a traceback."""
+    code = (
+        "import json, signal, sys; before = set(sys.modules); from fusion.__main__ import main; "
+        "print(json.dumps(sorted(set(sys.modules) - before)))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    ours = {"fusion", "fusion.__main__", "fusion.cli", "fusion.cli.interrupts"}
+    assert set(json.loads(run.stdout)) - {"__future__"} == ours
+
+
 def test_filterpy_and_scipy_load_with_the_first_estimator() -> None:
     the_class = (
         "import sys; from fusion import CorridorEstimator, FusionConfig; "

@@ -14,11 +14,8 @@ from fusion.simulate.config import CameraConfig
 from fusion.simulate.random_flight import draw_camera
 from vision import Attitude, Camera, Prior, extract_lines, measure_lines
 from vision.axis.level import level_from_verticals
-from vision.axis.vanishing_point import fit_axis
+from vision.axis.vanishing_point import corridor_frame, fit_axis
 from vision.frame import SLOPE_STD_RAD, UNKNOWN_ATTITUDE
-from vision.lateral.polar import (
-    corridor_frame,
-)
 
 FloatArray = npt.NDArray[np.float64]
 

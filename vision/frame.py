@@ -8,37 +8,39 @@ repeated when late samples change either.
 from __future__ import annotations
 
 import time
-from dataclasses import replace
-from math import copysign, hypot, isfinite, pi, radians, sin, sqrt
-from typing import Any, Literal, get_args
+from math import atan2, copysign, cos, hypot, isfinite, nan, pi, radians, sin, sqrt
+from typing import Any, Literal, NamedTuple, get_args
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from vision.axis.level import LevelFrame, level_from_verticals
-from vision.axis.vanishing_point import AxisFit, axis_direction, fit_axis
+from vision.axis.vanishing_point import AxisFit, axis_direction, corridor_frame, fit_axis
 from vision.axis.vote import VERTICAL_SINE
 from vision.cameras.camera import Camera
+from vision.cameras.projection import project_directions
+from vision.compiled import compiled
 from vision.errors import InputError
 from vision.images import to_grey
 from vision.lateral.learned import corner_lines, corner_scores, learned_mixture, mixture_of
 from vision.lateral.mixture import OffsetMixture
 from vision.lateral.offset import SAME_ANSWER, LateralFit, OffsetAnswer, answer_of, fit_lateral
-from vision.lateral.polar import corridor_frame, polar_picture
+from vision.lateral.polar import polar_picture
 from vision.lines.rolling_shutter import lines_at_one_moment, to_picture
 from vision.lines.segments import LineSet, extract_lines
 from vision.measurement import (
     Attitude,
     FrameMeasurement,
     LineClass,
+    Position,
     Prior,
     Reason,
     position_from_offset,
 )
-from vision.paper.measure import FIRST_PIXEL, equation_8, measure_paper
+from vision.paper.measure import FIRST_PIXEL, measure_paper, paper_yaw
 from vision.rotations import rotation_from_angles
-from vision.types import FloatArray
+from vision.types import BoolArray, FloatArray
 
 Method = Literal["geometric", "paper"]
 
@@ -62,6 +64,7 @@ SLOPE_STD_RAD = radians(0.2)  # floors and ceilings are level to about this
 CALIBRATION_STD_RAD = radians(0.03)  # what focal length and principal point leave, the same in every frame
 UNKNOWN_ATTITUDE = Attitude(0.0, 0.0, std_rad=radians(12.0))
 TRANSVERSE_SINE = sin(radians(1.5))
+REJECTED, CORRIDOR, TRANSVERSE, VERTICAL = (int(kind) for kind in LineClass)
 
 __all__ = ["LineSet", "Method", "extract_lines", "measure_frame", "measure_lines", "warm_up"]
 
@@ -138,12 +141,10 @@ def measure_lines(
         attitude = Attitude.from_quaternion(attitude)
     if camera.line_delay_s != 0.0 and prior.body_rates_rad_s is not None:
         lines = lines_at_one_moment(lines, camera, prior.body_rates_rad_s)
-    # Brings an axis of the elevation that the filter expects down to the horizon.
-    R_horizon_level = rotation_from_angles(0.0, -prior.elevation_rad, 0.0)
+    # An axis of the elevation that the filter expects is brought down to the horizon.
+    R_level_body = rotation_from_angles(0.0, attitude.pitch_rad - prior.elevation_rad, attitude.roll_rad)
     level = level_from_verticals(
-        lines,
-        R_horizon_level @ attitude.R_level_body() @ camera.R_body_camera,
-        hypot(attitude.std_rad, prior.elevation_std_rad),
+        lines, R_level_body @ camera.R_body_camera, hypot(attitude.std_rad, prior.elevation_std_rad)
     )
     elevation_std_rad = hypot(level.pitch_std_rad, SLOPE_STD_RAD)
     fit = fit_axis(
@@ -154,20 +155,18 @@ def measure_lines(
         prior_heading_std_rad=prior.heading_std_rad,
     )
     if fit is None:
-        found = FrameMeasurement(False, Reason.TOO_FEW_LINES, n_lines=len(lines))
-    else:
-        found = _describe(fit, lines, camera, level, prior)
-        reason = _judge(found, fit, camera, prior, elevation_std_rad)
-        if reason is Reason.OK and _faces_a_wall(found, lines, level, prior):
-            square_rad = found.heading_rad - copysign(0.5 * pi, found.heading_rad)
-            found = replace(found, second_heading_rad=square_rad, second_score=1.0)
-            reason = Reason.AMBIGUOUS
-        found = replace(found, accepted=reason is Reason.OK, reason=reason)
-        if lateral:
-            found = _with_lateral(found, fit, lines, camera, level, prior)
-    if lateral and not found.accepted:
-        found = replace(found, offset_evidence=_evidence_about_expected_axis(lines, camera, level, prior))
-    return replace(found, vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started))
+        return FrameMeasurement(
+            accepted=False,
+            reason=Reason.TOO_FEW_LINES,
+            n_lines=len(lines),
+            offset_evidence=_evidence_about_expected_axis(lines, camera, level, prior) if lateral else (),
+            vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started),
+        )
+    heading = _judged(fit, lines, camera, level, prior, elevation_std_rad)
+    offset = _OffsetFound()
+    if lateral:
+        offset = _offset(heading.reason is Reason.OK, fit, lines, camera, level, prior)
+    return _described(heading, offset, fit, lines, camera, level, prior, started)
 
 
 def warm_up(camera: Camera) -> None:
@@ -188,62 +187,119 @@ def warm_up(camera: Camera) -> None:
         measure_frame(picture, camera, attitude)
 
 
-def _describe(
-    fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
-) -> FrameMeasurement:
-    """Turn an axis into a measurement that has not been accepted yet."""
-    vp, vp_cov = _vanishing_point(fit, camera, level.R_level_camera)
-    return FrameMeasurement(
-        accepted=False,
-        reason=Reason.UNCERTAIN,
-        n_lines=len(lines),
-        n_inliers=int(fit.inlier.sum()),
-        vp_px=(float(vp[0]), float(vp[1])),
-        vp_cov_px2=((float(vp_cov[0, 0]), float(vp_cov[0, 1])), (float(vp_cov[1, 0]), float(vp_cov[1, 1]))),
-        heading_rad=fit.heading_rad,
+class _Judged(NamedTuple):
+    """What is said of the heading; fields as in `FrameMeasurement`."""
+
+    reason: Reason
+    n_inliers: int
+    heading_std_rad: float
+    second_heading_rad: float
+    second_score: float
+    line_class: npt.NDArray[np.int8]
+
+
+def _judged(
+    fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior, elevation_std_rad: float
+) -> _Judged:
+    """Say which lines are which, and whether the heading may be used."""
+    line_class, across_px, along_px = _classify(
+        lines.normal, lines.centre, lines.length_px, level.R_level_camera, fit.heading_rad, fit.inlier
+    )
+    found = _Judged(
+        reason=Reason.OK,
+        n_inliers=int(np.count_nonzero(fit.inlier)),
         heading_std_rad=hypot(sqrt(fit.covariance[0, 0]), CALIBRATION_STD_RAD),
-        elevation_rad=prior.elevation_rad + level.pitch_correction_rad + fit.elevation_rad,
-        elevation_std_rad=sqrt(fit.covariance[1, 1]),
         second_heading_rad=fit.second_heading_rad,
         second_score=max(fit.second_score, 0.0) / fit.score,
-        paper_yaw_rad=float(
-            equation_8(vp[0] + FIRST_PIXEL, vp[1] + FIRST_PIXEL, camera.width_px, camera.height_px)
+        line_class=line_class,
+    )
+    reason = _reason(found, fit, camera, prior, elevation_std_rad)
+    # Along a corridor what runs across lies ahead, between the walls. Before a side wall it spans the view: it is
+    # what runs along the corridor, and what sticks out of the wall is taken for the corridor. A prediction tells.
+    if reason is Reason.OK and not isfinite(prior.heading_rad) and across_px > MAX_ACROSS * along_px:
+        square_rad = fit.heading_rad - copysign(0.5 * pi, fit.heading_rad)
+        return found._replace(reason=Reason.AMBIGUOUS, second_heading_rad=square_rad, second_score=1.0)
+    return found._replace(reason=reason)
+
+
+class _OffsetFound(NamedTuple):
+    """What is said of the lateral offset; fields as in `FrameMeasurement`."""
+
+    lateral_offset_norm: float = nan
+    lateral_offset_norm_std: float = nan
+    width_per_height: float = nan
+    position: Position | None = None
+    wall_lines_px: npt.NDArray[np.float32] | None = None
+    offset_evidence: tuple[OffsetMixture, ...] = ()
+
+
+def _described(
+    heading: _Judged,
+    offset: _OffsetFound,
+    fit: AxisFit,
+    lines: LineSet,
+    camera: Camera,
+    level: LevelFrame,
+    prior: Prior,
+    started: float,
+) -> FrameMeasurement:
+    """Put together the measurement; ``started`` is when it was begun with, seconds."""
+    vp_px, vp_cov_px2 = _vanishing_point(fit, camera, level.R_level_camera)
+    return FrameMeasurement(
+        accepted=heading.reason is Reason.OK,
+        reason=heading.reason,
+        n_lines=len(lines),
+        n_inliers=heading.n_inliers,
+        vp_px=vp_px,
+        vp_cov_px2=vp_cov_px2,
+        heading_rad=fit.heading_rad,
+        heading_std_rad=heading.heading_std_rad,
+        elevation_rad=prior.elevation_rad + level.pitch_correction_rad + fit.elevation_rad,
+        elevation_std_rad=sqrt(fit.covariance[1, 1]),
+        second_heading_rad=heading.second_heading_rad,
+        second_score=heading.second_score,
+        paper_yaw_rad=paper_yaw(
+            vp_px[0] + FIRST_PIXEL, vp_px[1] + FIRST_PIXEL, camera.width_px, camera.height_px
         ),
         lines_px=_in_picture(lines.ends_px, camera),
-        line_class=_classify(fit, lines, level.R_level_camera),
+        line_class=heading.line_class,
         roll_correction_rad=level.roll_correction_rad,
         roll_correction_std_rad=level.roll_correction_std_rad,
+        **offset._asdict(),
+        vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started),
     )
 
 
-def _with_lateral(
-    found: FrameMeasurement, fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
-) -> FrameMeasurement:
-    """Add what lines and, where the axis is to be relied on, regions say about the lateral offset."""
+def _offset(
+    accepted: bool, fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
+) -> _OffsetFound:
+    """Return what lines and, where the axis is to be relied on, regions say about the lateral offset."""
     known = (prior.lateral_offset_norm, prior.lateral_offset_norm_std, prior.width_per_height)
     by_lines, mixture = fit_lateral(lines, fit, level.R_level_camera, level.roll_std_rad, *known)
     answer: LateralFit | OffsetAnswer | None = by_lines
-    evidence = [mixture]
+    evidence: tuple[OffsetMixture, ...] = (mixture,)
     walls = None if by_lines is None else _in_picture(lines.ends_px[by_lines.wall_lines], camera)
-    if found.accepted and lines.grey is not None:
+    if not accepted:
+        evidence = _evidence_about_expected_axis(lines, camera, level, prior)
+    elif lines.grey is not None:
         R_corridor_camera = corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad)
         scores = corner_scores(polar_picture(lines.grey, camera, R_corridor_camera))
         regions = mixture_of(scores)
-        evidence.append(regions)
+        evidence = (mixture, regions)
         answer = answer_of(mixture, regions, *known)
         agree = by_lines and answer and abs(by_lines.offset_norm - answer.offset_norm) < SAME_ANSWER
         if not agree:
             told = regions.cannot_tell < MAX_DRAWN_DOUBT
             walls = corner_lines(scores, camera, R_corridor_camera).astype(np.float32) if told else None
-    found = replace(found, offset_evidence=tuple(evidence), wall_lines_px=walls)
     if answer is None:
-        return found
-    return replace(
-        found,
+        return _OffsetFound(wall_lines_px=walls, offset_evidence=evidence)
+    return _OffsetFound(
         lateral_offset_norm=answer.offset_norm,
         lateral_offset_norm_std=answer.offset_norm_std,
         width_per_height=answer.width_per_height,
         position=position_from_offset(answer.offset_norm),
+        wall_lines_px=walls,
+        offset_evidence=evidence,
     )
 
 
@@ -262,9 +318,7 @@ def _evidence_about_expected_axis(
     )
 
 
-def _judge(
-    found: FrameMeasurement, fit: AxisFit, camera: Camera, prior: Prior, elevation_std_rad: float
-) -> Reason:
+def _reason(found: _Judged, fit: AxisFit, camera: Camera, prior: Prior, elevation_std_rad: float) -> Reason:
     """Decide whether the heading may be used; the limits were set where gross errors in degraded pictures end."""
     if found.n_inliers < MIN_LINES or fit.score < MIN_SCORE:
         return Reason.TOO_FEW_LINES
@@ -276,31 +330,16 @@ def _judge(
         return Reason.AMBIGUOUS
     if fit.inlier_share < MIN_SHARE:
         return Reason.AMBIGUOUS
-    if not found.heading_std_rad < MAX_STD_RAD or abs(found.heading_rad) > 0.5 * pi:
+    if not found.heading_std_rad < MAX_STD_RAD or abs(fit.heading_rad) > 0.5 * pi:
         return Reason.UNCERTAIN
     if abs(fit.elevation_rad) > max(MAX_ELEVATION_RAD, MAX_ELEVATION_SIGMA * elevation_std_rad):
         return Reason.UNCERTAIN
     return Reason.OK
 
 
-def _faces_a_wall(found: FrameMeasurement, lines: LineSet, level: LevelFrame, prior: Prior) -> bool:
-    """Tell whether lines square to the axis, well aside of it, outdo those along: then the two may be the other way.
-
-    Along a corridor what runs across lies ahead, between the walls. Before a side wall it spans the view: it is what
-    runs along the corridor, and what sticks out of the wall is taken for the corridor. Only a prediction tells which
-    is which.
-    """
-    if found.line_class is None or isfinite(prior.heading_rad):
-        return False
-    middle = lines.centre @ level.R_level_camera.T
-    aside = np.abs(np.arctan2(middle[:, 1], middle[:, 0]) + found.heading_rad) > ASIDE_RAD
-    across = float(lines.length_px[(found.line_class == LineClass.TRANSVERSE) & aside].sum())
-    return across > MAX_ACROSS * float(lines.length_px[found.line_class == LineClass.CORRIDOR].sum())
-
-
 def _vanishing_point(
     fit: AxisFit, camera: Camera, R_level_camera: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[tuple[float, float], tuple[tuple[float, float], tuple[float, float]]]:
     """Vanishing point (2,) and covariance (2, 2) in the original picture."""
     step = 1e-4
     axes = np.array(
@@ -310,19 +349,56 @@ def _vanishing_point(
             axis_direction(fit.heading_rad, fit.elevation_rad + step),
         ]
     )
-    points = camera.project(axes @ R_level_camera)
-    jacobian = ((points[1:] - points[0]) / step).T
-    return points[0], jacobian @ fit.covariance @ jacobian.T
+    (x, y), (x_turned, y_turned), (x_lifted, y_lifted) = project_directions(
+        axes, R_level_camera, camera
+    ).tolist()
+    (hh, he), (_, ee) = fit.covariance.tolist()
+    xh, yh, xe, ye = (
+        (x_turned - x) / step,
+        (y_turned - y) / step,
+        (x_lifted - x) / step,
+        (y_lifted - y) / step,
+    )
+    xx = xh * xh * hh + 2.0 * xh * xe * he + xe * xe * ee
+    xy = xh * yh * hh + (xh * ye + xe * yh) * he + xe * ye * ee
+    yy = yh * yh * hh + 2.0 * yh * ye * he + ye * ye * ee
+    return (x, y), ((xx, xy), (xy, yy))
 
 
-def _classify(fit: AxisFit, lines: LineSet, R_level_camera: FloatArray) -> npt.NDArray[np.int8]:
-    normal = lines.normal @ R_level_camera.T
-    line_class = np.full(len(lines), LineClass.REJECTED, np.int8)
-    transverse = np.abs(normal @ axis_direction(fit.heading_rad + 0.5 * pi, 0.0))
-    line_class[transverse < TRANSVERSE_SINE] = LineClass.TRANSVERSE
-    line_class[np.abs(normal[:, 2]) < VERTICAL_SINE] = LineClass.VERTICAL
-    line_class[fit.inlier] = LineClass.CORRIDOR
-    return line_class
+@compiled
+def _classify(
+    normal: FloatArray,
+    centre: FloatArray,
+    length: FloatArray,
+    R: FloatArray,
+    heading: float,
+    inlier: BoolArray,
+) -> tuple[npt.NDArray[np.int8], float, float]:
+    """Return each line's `LineClass` (n,), and two lengths: of those across well aside of the axis, and along it.
+
+    ``R`` is the rotation (3, 3) from the lines' frame to the level frame.
+    """
+    line_class = np.empty(len(length), np.int8)
+    across = along = 0.0
+    cp, sp = cos(heading), sin(heading)
+    for i in range(len(length)):
+        x = R[0, 0] * normal[i, 0] + R[0, 1] * normal[i, 1] + R[0, 2] * normal[i, 2]
+        y = R[1, 0] * normal[i, 0] + R[1, 1] * normal[i, 1] + R[1, 2] * normal[i, 2]
+        z = R[2, 0] * normal[i, 0] + R[2, 1] * normal[i, 1] + R[2, 2] * normal[i, 2]
+        if inlier[i]:
+            line_class[i] = CORRIDOR
+            along += length[i]
+        elif abs(z) < VERTICAL_SINE:
+            line_class[i] = VERTICAL
+        elif abs(x * sp + y * cp) < TRANSVERSE_SINE:
+            line_class[i] = TRANSVERSE
+            ahead = R[0, 0] * centre[i, 0] + R[0, 1] * centre[i, 1] + R[0, 2] * centre[i, 2]
+            right = R[1, 0] * centre[i, 0] + R[1, 1] * centre[i, 1] + R[1, 2] * centre[i, 2]
+            if abs(atan2(right, ahead) + heading) > ASIDE_RAD:
+                across += length[i]
+        else:
+            line_class[i] = REJECTED
+    return line_class, across, along
 
 
 def _in_picture(ends_px: FloatArray, camera: Camera) -> npt.NDArray[np.float32]:

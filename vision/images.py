@@ -45,6 +45,17 @@ def decode_image(data: npt.NDArray[np.uint8]) -> GreyImage:
     InputError
         Where they do not decode.
     """
+    return to_grey(decode_grey(data))
+
+
+def decode_grey(data: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
+    """Decode a picture file's bytes (n,) as grey (h, w), of as many bits as it has.
+
+    Raises
+    ------
+    InputError
+        Where they do not decode, or are a picture too large to be unpacked.
+    """
     import cv2
 
     image = None
@@ -57,7 +68,7 @@ def decode_image(data: npt.NDArray[np.uint8]) -> GreyImage:
         raise InputError(
             f"picture does not decode ({data.size} bytes)", remedy="give a whole JPEG, PNG or similar"
         )
-    return to_grey(image)
+    return np.asarray(image)
 
 
 def _has_size(data: bytes) -> bool:

@@ -14,9 +14,10 @@ from fusion.progress import Progress
 from vision.axis.field_of_view import lines_of
 from vision.axis.level import level_from_verticals
 from vision.cameras.camera import Camera
+from vision.cameras.projection import is_distorted
 from vision.errors import InputError
 from vision.frame import UNKNOWN_ATTITUDE, measure_lines
-from vision.lines.segments import LineSet, extract_lines, is_distorted
+from vision.lines.segments import LineSet, extract_lines
 from vision.measurement import Attitude, Prior
 
 FloatArray = npt.NDArray[np.float64]

@@ -15,7 +15,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from fusion.cli import align, config, evaluate, fuse, inspect, measure, simulate
+from fusion.cli import align, batch, config, evaluate, fuse, inspect, measure, simulate
 from fusion.cli.console import OneLineErrors
 
 HELP = """Heading and lateral offset in indoor corridors, from camera frames fused with an IMU.
@@ -23,6 +23,7 @@ HELP = """Heading and lateral offset in indoor corridors, from camera frames fus
 \b
 First steps:
   corridor fuse data/office           fuse the sample flight; then open office_fused/report.html
+  corridor batch flights -o out       many flights, one table, the worst first; then open out/fleet.html
   corridor inspect log.ulg            what a log holds, what is missing, how to supply it
   corridor align data/office          is the camera in time with the IMU, does its focal length fit?
   corridor config > my.toml           all settings with their meaning, to edit and give to fuse
@@ -69,6 +70,7 @@ def corridor(
 #: In the order of the help.
 for _name, _help, _short_help, _command in (
     ("fuse", fuse.HELP, fuse.SHORT_HELP, fuse.fuse),
+    ("batch", batch.HELP, batch.SHORT_HELP, batch.batch),
     ("inspect", inspect.HELP, inspect.SHORT_HELP, inspect.inspect),
     ("measure", measure.HELP, measure.SHORT_HELP, measure.measure),
     ("align", align.HELP, align.SHORT_HELP, align.align),

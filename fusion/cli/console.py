@@ -38,7 +38,7 @@ class OneLineErrors(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run the command, and turn what goes wrong into a line and an exit code."""
         try:
-            with interrupts.raised():
+            with interrupts.Raised():
                 return super().invoke(ctx)
         except InputError as error:
             say(f"error: {error}")
@@ -66,7 +66,8 @@ def progress_bar(label: str) -> Iterator[Progress]:
     from rich.progress import Progress as Bar
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+    console, period_s = Console(stderr=True), 600.0  # a step may take minutes
+    with Bar(*columns, console=console, transient=True, speed_estimate_period=period_s) as bar:
         task = bar.add_task(label, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 

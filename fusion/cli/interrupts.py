@@ -1,16 +1,17 @@
 """What an interrupt (Ctrl-C) does: while modules load and at the end it ends the program at once, else it is raised.
 
 A library that is interrupted while it loads may swallow that, or fail in ways of its own; nothing is half written
-then.
+then. Imports as little as it can, since Ctrl-C before `leave_at_once` ends in Python's own traceback.
 """
 
 from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
-from types import FrameType
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from types import FrameType
 
 EXIT_CODE = 130
 _WORDS = b"corridor: interrupted\n"
@@ -27,16 +28,16 @@ def _leave(number: int, frame: FrameType | None) -> None:
     os._exit(EXIT_CODE)
 
 
-@contextmanager
-def raised() -> Iterator[None]:
-    """Let an interrupt raise `KeyboardInterrupt` within the block, so that what is being written is cleared."""
-    ends_at_once = signal.getsignal(signal.SIGINT) is _leave
-    if ends_at_once:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        if ends_at_once:
+class Raised:
+    """Lets an interrupt raise `KeyboardInterrupt` within its block, so that what is being written is cleared."""
+
+    def __enter__(self) -> None:
+        self._ends_at_once = signal.getsignal(signal.SIGINT) is _leave
+        if self._ends_at_once:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def __exit__(self, *error: object) -> None:
+        if self._ends_at_once:
             signal.signal(signal.SIGINT, _leave)
 
 

@@ -76,7 +76,8 @@ def diagnosed(
     scale, correlation_s = axis.scale_and_correlation(reckoning.mode, config)
     std, walk = white_and_walk(variance * scale, correlation_s, interval_s)
     linked, yaw_rad = axis.recent[-1].linked, yaw_at(reckoning, t_ns)
-    sight = Sight(t_ns, heading_rad, std, reckoning.raw_theta_rad, yaw_rad, linked, walk)
+    bias_rad_s = float(ekf.x[BIAS])
+    sight = Sight(t_ns, heading_rad, std, reckoning.raw_theta_rad, yaw_rad, linked, walk, bias_rad_s)
     axis, drift = weigh(axis, ekf, sight, rho, config)
     followed = follow_verdict(axis, ekf, sight, drift, reckoning.theta_rad, coupled)
     if axis.was_accepted and axis.diagnosis.found is Hypothesis.WELL:
@@ -194,7 +195,12 @@ def straight_again(d: Diagnosis, ekf: CorridorEKF) -> Diagnosis:
     x = ekf.x.copy()
     x[BIAS] = d.straight_bias_rad_s
     ekf.predict(x, np.eye(N_STATES), np.zeros((N_STATES, N_STATES)))
-    return d._replace(straight_bias_rad_s=nan)
+    return _with_bias(d, d.straight_bias_rad_s)._replace(straight_bias_rad_s=nan)
+
+
+def _with_bias(d: Diagnosis, bias_rad_s: float) -> Diagnosis:
+    """Let the evidence hold no bias from before the filter's own stepped."""
+    return d._replace(sights=tuple(s._replace(bias_rad_s=bias_rad_s) for s in d.sights))
 
 
 def follow_drift(
@@ -224,9 +230,12 @@ def follow_drift(
         Q[YAW_OFFSET, YAW_OFFSET] += found.now_rad**2
     ekf.predict(ekf.x, np.eye(N_STATES), Q)
     if now.verdict.likeliest is Hypothesis.BEND and isnan(now.straight_bias_rad_s):
-        now = now._replace(straight_bias_rad_s=float(ekf.x[BIAS]))
+        # Before the bend was found, the bias has taken up some of its rate.
+        now = now._replace(straight_bias_rad_s=now.sights[0].bias_rad_s)
     m = heading_model(ekf.x, before + found.now_rad, found.now_std**2)
     ekf.update(m._replace(residual=found.now_rad))
+    if now.verdict.likeliest is Hypothesis.GYRO:
+        now = _with_bias(now, float(ekf.x[BIAS]))
     axis = axis.stepped(ekf, before)
     axis = axis._replace(votes=(), rival=None, diagnosis=now._replace(innovations=Innovations()))
     return axis.confirmed(ekf, t_ns, theta_rad)

@@ -106,7 +106,8 @@ class Sight(NamedTuple):
     """A frame's heading and its sigma beside what gyroscope (bias not taken off) and IMU yaw (or NaN) then said.
 
     ``linked``: no jump of the picture lies between it and the frames that the filter used. ``walk``: how its errors
-    wander, rad/sqrt(s), where they last for longer than a frame.
+    wander, rad/sqrt(s), where they last for longer than a frame. ``bias_rad_s``: the gyroscope's bias as the filter
+    then had it.
     """
 
     t_ns: int
@@ -116,6 +117,7 @@ class Sight(NamedTuple):
     yaw_rad: float
     linked: bool
     walk: float = 0.0
+    bias_rad_s: float = 0.0
 
 
 class Slope(NamedTuple):

@@ -57,7 +57,7 @@ def _longest_coast(result: FusionResult, flight: Flight, limits: Limits) -> Find
     if lost > 0:
         text += f"; lost for {lost:.1f} s"
         level = worst_of(level, Level.WARN)
-    return Finding(text, level=level)
+    return Finding(text, longest, level=level)
 
 
 def _seconds_in(table: Table, status: str) -> float:
@@ -86,8 +86,9 @@ def _across_the_corridor(result: FusionResult, flight: Flight, limits: Limits) -
     spans = [(float(t[min(b, len(t) - 1)] - t[a]) / 1e9, a) for a, b in runs(across)]
     longest, start = max(spans, default=(0.0, 0))
     if longest < limits.across_s:
-        return Finding(f"Across it for {longest:.1f} s at most", level=Level.PASS)
-    return Finding(f"Across it for {longest:.1f} s from {(t[start] - t[0]) / 1e9:.1f} s", level=Level.WARN)
+        return Finding(f"Across it for {longest:.1f} s at most", longest, level=Level.PASS)
+    text = f"Across it for {longest:.1f} s from {(t[start] - t[0]) / 1e9:.1f} s"
+    return Finding(text, longest, level=Level.WARN)
 
 
 ALONG_THE_CORRIDOR = CheckRule(
@@ -110,7 +111,7 @@ def _share_with_offset(result: FusionResult, flight: Flight, limits: Limits) -> 
     known = np.nan_to_num(table["lateral_offset_norm_std"][tracking], nan=np.inf) < limits.offset_known_norm
     share = float(np.mean(known))
     level = Level.PASS if share >= limits.offset_known_share else Level.WARN
-    return Finding(f"{share:.0%} of the time", level=level)
+    return Finding(f"{share:.0%} of the time", share, level=level)
 
 
 OFFSET_KNOWN = CheckRule(

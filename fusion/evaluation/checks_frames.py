@@ -73,7 +73,7 @@ def _rejections_by_reason(result: FusionResult, flight: Flight, limits: Limits) 
         return nothing_to_judge("The flight has no frames.")
     words, counts = np.unique(frames["reason"][~frames["accepted"]], return_counts=True)
     if not len(words):
-        return Finding("None", level=Level.PASS, meaning="Every frame was used.")
+        return Finding("None", 0.0, level=Level.PASS, meaning="Every frame was used.")
     levels = {}
     for word, count in zip(words.tolist(), counts.tolist(), strict=True):
         level = level_of(count / len(frames), limits.one_reason_share)
@@ -81,12 +81,12 @@ def _rejections_by_reason(result: FusionResult, flight: Flight, limits: Limits) 
     order = [str(words[k]) for k in np.argsort(-counts, kind="stable")]
     share = dict(zip(words.tolist(), (counts / len(frames)).tolist(), strict=True))
     text = ", ".join(f"{word.replace('_', ' ')} {share[word]:.1%}" for word in order)
-    level = worst_of(*levels.values())
+    level, largest = worst_of(*levels.values()), max(share.values())
     if level is Level.PASS:
-        return Finding(text, level=level)
+        return Finding(text, largest, level=level)
     word = next(word for word in order if levels[word] is level)
     meaning = f"“{word.replace('_', ' ').capitalize()}” means: {REASON_WORDS.get(word, word)}."
-    return Finding(text, level=level, meaning=meaning, action=REASON_ACTION.get(word, ""))
+    return Finding(text, largest, level=level, meaning=meaning, action=REASON_ACTION.get(word, ""))
 
 
 REJECTIONS = CheckRule(
@@ -119,11 +119,11 @@ def _camera_time(result: FusionResult, flight: Flight, limits: Limits) -> Findin
         f"Frames stamped {abs(1e3 * late_s):.0f} ± {1e3 * std_s:.0f} ms {'late' if late_s >= 0 else 'early'}"
     )
     if abs(late_s) < 3 * std_s:
-        return Finding(text, level=Level.PASS)
+        return Finding(text, late_s, level=Level.PASS)
     now = f", on top of camera_delay_s = {delay_s:g}" if delay_s else ""
     action = f"Run `corridor align --write` on the flight: it measures this offset and puts it right{now}."
     level = level_of(abs(late_s), limits.late_s)
-    return Finding(text, level=level, action="" if level is Level.PASS else action)
+    return Finding(text, late_s, level=level, action="" if level is Level.PASS else action)
 
 
 def _camera_time_limit(limits: Limits) -> str:

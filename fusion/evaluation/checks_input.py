@@ -49,10 +49,11 @@ def _imu_yaw_steps(result: FusionResult, flight: Flight, limits: Limits) -> Find
     steps = yaw_steps(table, limits.yaw_step_rad)
     if not steps:
         drift = _spread(table["imu_yaw_offset_rad"])
-        return Finding(f"None; drift {degrees(drift):.1f}°", level=Level.PASS)
+        return Finding(f"None; drift {degrees(drift):.1f}°", 0.0, level=Level.PASS)
     largest = max(abs(step) for _, step in steps)
     times = ", ".join(f"{t:.0f}" for t, _ in steps[:6]) + (" ..." if len(steps) > 6 else "")
-    return Finding(f"{len(steps)}, the largest {degrees(largest):.1f}°, at {times} s", level=Level.WARN)
+    text = f"{len(steps)}, the largest {degrees(largest):.1f}°, at {times} s"
+    return Finding(text, largest, level=Level.WARN)
 
 
 def yaw_steps(table: Table, least_rad: float) -> list[tuple[float, float]]:
@@ -103,15 +104,19 @@ def _stream_rates(result: FusionResult, flight: Flight, limits: Limits) -> Findi
     levels.append(level_of(max(inertial), limits.inertial_rate_hz) if inertial else Level.WARN)
     level = worst_of(*levels)
     if level is Level.PASS:
-        return Finding(text, level=level)
+        return Finding(text, rates["frames"], level=level)
     if not inertial:
         meaning = "Nothing inertial was logged: between frames the heading is guesswork."
         return Finding(
-            text, level=level, meaning=meaning, action="Log the gyroscope, or at least the attitude."
+            text,
+            rates["frames"],
+            level=level,
+            meaning=meaning,
+            action="Log the gyroscope, or at least the attitude.",
         )
     slow = "Frames" if levels[0] is level else "Inertial samples"
     meaning = f"{slow} come so seldom that a turn between two of them is known only roughly."
-    return Finding(text, level=level, meaning=meaning)
+    return Finding(text, rates["frames"], level=level, meaning=meaning)
 
 
 def _streams(flight: Flight) -> list[tuple[str, TimeArray]]:
@@ -171,8 +176,8 @@ GAPS = CheckRule(
 def _problems(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
     count = sum(not isinstance(problem, Remark) for problem in all_problems(result, flight))
     if not count:
-        return Finding("No problems", level=Level.PASS)
-    return Finding(f"{count} problem{'s' if count != 1 else ''}", level=Level.WARN)
+        return Finding("No problems", 0.0, level=Level.PASS)
+    return Finding(f"{count} problem{'s' if count != 1 else ''}", float(count), level=Level.WARN)
 
 
 def all_problems(result: FusionResult, flight: Flight) -> tuple[str, ...]:

@@ -52,6 +52,7 @@ def _offset_rmse(result: FusionResult, flight: Flight, limits: Limits) -> Findin
     good, bad = limits.offset_rmse_norm
     return Finding(
         f"{norm:.1%} of half the width, RMSE",
+        norm,
         level=level_of(norm, limits.offset_rmse_norm),
         limit=f"pass to {good:.0%}, fail above {bad:.0%}",
     )
@@ -82,7 +83,7 @@ def _errors_over_sigma(result: FusionResult, flight: Flight, limits: Limits) -> 
         return nothing_to_judge(_NOTHING_COMPARED)
     # A few gross errors leave the percentile as it is, but not the mean.
     level = worst_of(level_of(p90, limits.truth_sigma_p90), level_of(nees, limits.truth_nees))
-    return Finding(f"{p90:.2f} sigma, mean NEES {nees:.2f}", level=level)
+    return Finding(f"{p90:.2f} sigma, mean NEES {nees:.2f}", p90, level=level)
 
 
 ERRORS_OVER_SIGMA = CheckRule(

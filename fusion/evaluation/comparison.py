@@ -23,6 +23,8 @@ from vision.rotations import wrap
 
 Errors = TypeVar("Errors", TableErrors, CorridorErrors)
 
+SENSE_NS = 500_000_000  # over which turns are compared in their sense
+MIN_TURNS, MIN_TURN_RAD = 6, 0.02
 TABLES = {"causal": "estimates.csv", "smoothed": "smoothed.csv"}
 
 
@@ -168,6 +170,13 @@ def compare(outputs: Sequence[Output], truth: Truth, *, align: bool = False) -> 
         Where an output and the truth have no time in common.
     """
     t = truth.corridor.t_ns
+    compared = tuple(_compare_output(output, truth, align) for output in outputs)
+    problems = truth.problems
+    if any(_turn_oppositely(output.causal, truth) for output in outputs):
+        problems += (
+            "the truth turns the other way than the estimates: its angles count the other way than was taken; "
+            f"add --truth-frame {'frd' if truth.frame is Frame.ROS else 'ros'}",
+        )
     facts = TruthFacts(
         source=truth.source,
         rows=len(t),
@@ -175,9 +184,22 @@ def compare(outputs: Sequence[Output], truth: Truth, *, align: bool = False) -> 
         last_ns=int(t[-1]),
         fixed_axis=truth.fixed_axis,
         aligned=align,
-        problems=truth.problems,
+        problems=problems,
     )
-    return Comparison(facts, tuple(_compare_output(output, truth, align) for output in outputs))
+    return Comparison(facts, compared)
+
+
+def _turn_oppositely(table: Table, truth: Truth) -> bool:
+    """Whether truth and estimates turn at the same times, but in opposite senses."""
+    rows = _to_first_axis(table) if truth.fixed_axis else table
+    sampled = interpolate_truth(truth.corridor, rows["timestamp_ns"])
+    own, true = rows["heading_rad"], sampled.heading_rad
+    step = max(len(rows) // max(int((rows["timestamp_ns"][-1] - rows["timestamp_ns"][0]) // SENSE_NS), 1), 1)
+    turned, truly = (np.asarray(wrap(angle[step::step] - angle[:-step:step])) for angle in (own, true))
+    known = np.isfinite(turned) & np.isfinite(truly)
+    if np.count_nonzero(known) < MIN_TURNS or min(turned[known].std(), truly[known].std()) < MIN_TURN_RAD:
+        return False
+    return bool(np.corrcoef(turned[known], truly[known])[0, 1] < -0.7)
 
 
 def _compare_output(output: Output, truth: Truth, align: bool) -> ComparedOutput:

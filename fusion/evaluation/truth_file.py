@@ -72,6 +72,8 @@ class Truth:
         ``m``, ``norm`` or ``both``: what its offsets can be compared with; None where it has none.
     source
         The file, in words.
+    frame
+        Convention of signs that it was read by.
     problems
         What was dropped on reading.
     """
@@ -80,6 +82,7 @@ class Truth:
     fixed_axis: bool
     offset: str | None
     source: str
+    frame: Frame
     problems: tuple[str, ...] = ()
 
 
@@ -140,7 +143,7 @@ def _from_tum(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     rows, problems = _read(path, " ", 0, tuple(range(1, _TUM_WIDTH)), names)
     t_ns = _times(path, rows.first.tolist(), "s")
     values = rows.values
-    heading = yaw_of(values[:, [6, 3, 4, 5]])  # x y z w in the file
+    heading = _yaw_of_body(values[:, [6, 3, 4, 5]], path, "x, y, z, w")
     offset = values[:, 1] if said.get("offset_unit") != "none" else np.full(len(t_ns), np.nan)
     unit = "norm" if said.get("offset_unit") == "half" else "m"
     kind = (
@@ -191,7 +194,7 @@ def _from_csv(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     return _truth(
         path,
         _times(path, rows.first.tolist(), unit),
-        heading.of([values[name] for name in heading.names]),
+        heading.of([values[name] for name in heading.names], path),
         offset,
         offset_unit,
         frame or Frame.FRD,
@@ -274,11 +277,50 @@ class _Heading:
     fixed_axis: bool
     kind: str
 
-    def of(self, values: Sequence[FloatArray]) -> FloatArray:
-        """Return the angles (n,), radians, of the columns' values (n,)."""
+    def of(self, values: Sequence[FloatArray], path: Path) -> FloatArray:
+        """Return the angles (n,), radians, of the columns' values (n,); ``path`` for a complaint."""
         if len(values) == 1:
             return self.unit_rad * values[0]
-        return yaw_of(np.column_stack(values))
+        return _yaw_of_body(np.column_stack(values), path, "w, x, y, z")
+
+
+def _yaw_of_body(q: FloatArray, path: Path, order: str) -> FloatArray:
+    """Return the yaw (n,) of quaternions (n, 4), w x y z, of a vehicle that flies level, either side up.
+
+    Raises
+    ------
+    InputError
+        Where it lies on its side, or would be level if the quaternions were not read in ``order`` but in another.
+    """
+    is_upright, off_deg = _off_level(q)
+    # In the wrong order, a level vehicle that has turned by an angle is upside down but for that angle.
+    suspicious_deg = 20.0 if is_upright else 5.0
+    other, shift = ("w, x, y, z", -1) if order == "x, y, z, w" else ("x, y, z, w", 1)
+    if off_deg > suspicious_deg and _off_level(np.roll(q, shift, axis=1))[1] < 0.5 * off_deg:
+        raise InputError(
+            f"its quaternions, read in the order {order}, are {off_deg:.0f} degrees off level; in the order {other} "
+            "they are level",
+            file=path,
+            remedy=f"write them in the order {order}",
+        )
+    if off_deg > 45.0:
+        raise InputError(
+            f"its quaternions are {off_deg:.0f} degrees off level: not of the vehicle's body, perhaps of a camera's "
+            "axes, z ahead",
+            file=path,
+            remedy="give those of the body, x ahead",
+        )
+    return yaw_of(q)
+
+
+def _off_level(q: FloatArray) -> tuple[bool, float]:
+    """Whether quaternions (n, 4) are usually upright, and by how many degrees they are usually off level."""
+    tilt_deg = np.degrees(np.arccos(np.clip(1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), -1.0, 1.0)))
+    tilt_deg = tilt_deg[np.isfinite(tilt_deg)]
+    if not len(tilt_deg):
+        return True, 0.0
+    off_deg = np.minimum(tilt_deg, 180.0 - tilt_deg)
+    return bool(np.median(tilt_deg) < 90.0), float(np.median(off_deg))
 
 
 def _find_heading(path: Path, column: Mapping[str, int]) -> _Heading:
@@ -369,7 +411,7 @@ def _truth(
     side = "left" if frame is Frame.ROS else "right"
     has_offset = bool(np.isfinite(offset[rows]).any())
     source = f"{path}: {kind}, positive {side}" + ("" if has_offset else "; no offsets")
-    return Truth(corridor, fixed_axis, kinds if has_offset else None, source, problems + disorder)
+    return Truth(corridor, fixed_axis, kinds if has_offset else None, source, frame, problems + disorder)
 
 
 def _whole(values: FloatArray | None, count: int) -> npt.NDArray[np.int64]:

@@ -77,7 +77,8 @@ class Finding:
     text
         What was found, in units for people.
     number
-        What is compared with the rule's ``pass_fail``; None where ``level`` says how it came out.
+        What was found as one number, SI units and radians; compared with the rule's ``pass_fail`` unless ``level``
+        says how it came out.
     level
         Set where there is more to the outcome than one number.
     limit, meaning, action
@@ -141,6 +142,7 @@ class CheckRule:
             self.limit(limits) if found.limit is None else found.limit,
             meaning if found.meaning is None else found.meaning,
             action if found.action is None else found.action,
+            found.number if found.number is not None and isfinite(found.number) else None,
         )
 
     def _level(self, found: Finding, limits: Limits) -> Level:

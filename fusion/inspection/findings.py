@@ -56,7 +56,7 @@ class StreamFindings:
     chosen
         Whether `corridor fuse` would take it, without being told.
     timing
-        Of the times as the log has them.
+        Of the times as the log has them, or as they were spread where a driver stamped bursts.
     frames_covered
         Share of the chosen camera's frames between its first and its last sample; None without pictures.
     problems

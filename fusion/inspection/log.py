@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from fusion.flight import GreyImage
+from fusion.flight import AttitudeStream, FrameStream, GreyImage, ImuStream, RangeStream, VectorStream
 from fusion.inspection.advice import Sentence, advise
 from fusion.inspection.findings import CameraFindings, StreamFindings
 from fusion.inspection.imu import inspect_imu
@@ -26,6 +26,9 @@ from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.topic_choice import choose_topic
 from vision import InputError
 from vision.cameras.lens_check import lens_problem
+
+#: What a manifest, and `Streams`, call a stream of each kind.
+_NAMES = {kind: "camera" if kind is Kind.FRAMES else kind.value for kind in Kind}
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,14 +103,18 @@ def inspect_log(
 
 
 def _as_fused(found: list[StreamFindings], alive: Streams) -> list[StreamFindings]:
-    """Return the streams without what fusing leaves out: those that never change, and a dead accelerometer."""
-    there = {
-        Kind.IMU: alive.imu,
-        Kind.ATTITUDE: alive.attitude,
-        Kind.VELOCITY: alive.velocity,
-        Kind.RANGE: alive.range,
-    }
-    kept = [stream for stream in found if not stream.chosen or there.get(stream.kind, stream) is not None]
+    """Return the streams as they are fused.
+
+    Without those that never change and a dead accelerometer, and with the times that reading leaves.
+    """
+    times = alive.times()
+    kept = []
+    for stream in found:
+        if stream.chosen:
+            if _NAMES[stream.kind] not in times:
+                continue
+            stream = replace(stream, timing=time_stream(times[_NAMES[stream.kind]]))
+        kept.append(stream)
     if alive.imu is None or np.isfinite(alive.imu.accel_m_s2).any():
         return kept
     return [
@@ -154,16 +161,17 @@ class _Reading:
         is_chosen = topic.name in self._chosen[topic.kind]
         found = StreamFindings(topic.name, topic.kind, topic.note, is_chosen, time_stream(topic.t_ns))
         try:
-            looked_at, problems = self._looked_at(topic.name, found)
+            looked_at, problems = self._looked_at(topic, found)
         except InputError as error:
             return replace(found, error=str(error))
         return replace(looked_at, problems=problems)
 
-    def _looked_at(self, name: str, found: StreamFindings) -> WithProblems[StreamFindings]:
-        kept = self.streams
+    def _looked_at(self, topic: Topic, found: StreamFindings) -> WithProblems[StreamFindings]:
+        kept, name = self.streams, topic.name
+        stream: FrameStream | ImuStream | AttitudeStream | VectorStream | RangeStream
         match found.kind:
             case Kind.FRAMES:
-                frames, problems = self.log.frames(name)
+                stream, problems = frames, _ = self.log.frames(name)
                 pictures, first = inspect_pictures(frames)
                 dark = darkness_problem(frames) if found.chosen else None
                 problems += () if dark is None else (dark,)
@@ -171,30 +179,33 @@ class _Reading:
                     self.first_picture = first
                     self.streams = replace(kept, frames_t_ns=frames.t_ns)
                 camera, more = self._camera(name)
-                return WithProblems(replace(found, pictures=pictures, camera=camera), problems + more)
+                problems += more
+                found = replace(found, pictures=pictures, camera=camera)
             case Kind.IMU:
-                imu, problems = self.log.imu(name)
+                stream, problems = imu, _ = self.log.imu(name)
                 if found.chosen:
                     self.streams = replace(kept, imu=imu)
-                return WithProblems(replace(found, imu=inspect_imu(imu)), problems)
+                found = replace(found, imu=inspect_imu(imu))
             case Kind.ATTITUDE:
-                attitude, problems = self.log.attitude(name)
+                stream, problems = attitude, _ = self.log.attitude(name)
                 if found.chosen:
                     self.streams = replace(kept, attitude=attitude)
             case Kind.POSITION:
-                position, problems = self.log.position(name)
+                stream, problems = position, _ = self.log.position(name)
                 if found.chosen:
                     self.streams = replace(kept, position=position)
             case Kind.VELOCITY:
-                velocity, problems = self.log.velocity(name)
+                stream, problems = velocity, _ = self.log.velocity(name)
                 if found.chosen:
                     self.streams = replace(kept, velocity=velocity)
             case Kind.RANGE:
-                distance, problems = self.log.range(name)
+                stream, problems = distance, _ = self.log.range(name)
                 least, usual, most = np.percentile(distance.distance_m, [0, 50, 100]).tolist()
                 found = replace(found, distances_m=(least, usual, most))
                 if found.chosen:
                     self.streams = replace(kept, range=distance)
+        if len(stream.t_ns) == len(topic.t_ns) and not np.isin(stream.t_ns, topic.t_ns).all():
+            found = replace(found, timing=time_stream(stream.t_ns))  # reading gave it other times
         return WithProblems(found, problems)
 
     def _camera(self, name: str) -> WithProblems[CameraFindings | None]:

@@ -60,6 +60,21 @@ def open_log(path: str | Path) -> LogContents:
     if not path.exists():
         raise InputError("there is no such file or folder", file=path, remedy="check the path")
     refuse_placeholder(path)
+    module = format_of(path)
+    if module is None:
+        remedy = "give a flight.toml, " + ", ".join(FORMATS)
+        raise InputError("is not a flight of a known format", file=path, remedy=remedy)
+    return cast(LogFormat, import_module(module)).open_log(path)
+
+
+def format_of(path: Path) -> str | None:
+    """Return the module of `FORMATS` that reads an existing file or folder; None where none does.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be read.
+    """
     for module in FORMATS.values():
         if find_spec(module) is None:
             continue
@@ -71,9 +86,8 @@ def open_log(path: str | Path) -> LogContents:
                 f"cannot be read: {error.strerror}", file=path, remedy="check the file"
             ) from error
         if known:
-            return log_format.open_log(path)
-    remedy = "give a flight.toml, " + ", ".join(FORMATS)
-    raise InputError("is not a flight of a known format", file=path, remedy=remedy)
+            return module
+    return None
 
 
 def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> Flight:

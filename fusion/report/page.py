@@ -7,11 +7,8 @@ from datetime import UTC, datetime
 from functools import partial
 from math import degrees, isfinite
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup, escape
 
 from fusion.evaluation.checks import run_checks
 from fusion.evaluation.checks_frames import REASON_WORDS
@@ -21,8 +18,10 @@ from fusion.evaluation.verdict import overall, worst_first
 from fusion.files import replacing
 from fusion.flight import Flight
 from fusion.report import plots
+from fusion.report.interactive import page_data, script
 from fusion.report.strip import DrawnFrame, choose_frames, show_frames
-from fusion.report.svg import Drawing, draw
+from fusion.report.svg import Drawing, Panel, draw
+from fusion.report.template import render
 from fusion.result.result import FusionResult
 from fusion.result.summary import CorridorErrors, Level, TableErrors
 
@@ -49,6 +48,7 @@ class Figure:
     title: str
     text: str
     drawing: Drawing
+    panels: tuple[Panel, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +68,8 @@ def render_report(result: FusionResult, flight: Flight) -> str:
     """Return the page as text; see `fusion.report.write_report`."""
     checks = run_checks(result, flight)
     level = overall(checks)
+    drawn = figures(result, flight)
+    code, style = script()
     context = {
         "name": result.flight_name,
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -76,7 +78,10 @@ def render_report(result: FusionResult, flight: Flight) -> str:
         "checks": worst_first(checks),
         "concerns": [check.name for check in worst_first(checks) if check.level in (Level.FAIL, Level.WARN)],
         "facts": facts(result, flight),
-        "figures": figures(result, flight),
+        "figures": drawn,
+        "data": page_data(result, flight, {figure.name: figure.panels for figure in drawn}),
+        "script": code,
+        "script_style": style,
         "statuses": status_shares(result),
         "errors": error_rows(result, flight),
         "strip": [
@@ -87,27 +92,7 @@ def render_report(result: FusionResult, flight: Flight) -> str:
         "problems": all_problems(result, flight),
         "timings": timings(result),
     }
-    return _environment().get_template("page.html.j2").render(context)
-
-
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("fusion.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["code"] = _with_code
-    return environment
-
-
-def _with_code(text: str) -> Markup:
-    """Set what stands between back quotes as code; everything is escaped."""
-    parts = [escape(part) for part in text.split("`")]
-    return Markup("").join(
-        Markup("<code>{}</code>").format(part) if k % 2 else part for k, part in enumerate(parts)
-    )
+    return render("fusion.report", "page.html.j2", context)
 
 
 def replace_text(path: str | Path, text: str) -> None:
@@ -150,8 +135,8 @@ def figures(result: FusionResult, flight: Flight) -> list[Figure]:
     """Draw every plot that the flight has something for."""
     found: list[Figure] = []
 
-    def add(name: str, title: str, text: str, *panels: Any) -> None:
-        found.append(Figure(name, title, text, draw(name, title, panels)))
+    def add(name: str, title: str, text: str, *panels: Panel) -> None:
+        found.append(Figure(name, title, text, draw(name, title, panels), panels))
 
     if not len(result.estimates):
         return found

@@ -6,6 +6,10 @@ their extremes, so that a long flight draws as fast as a short one. No global st
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import PathPatch
@@ -33,6 +37,18 @@ IMU_YAW = "#e69f00"
 RAW_YAW = "#cc79a7"
 _RATIO_SHOWN = (2.2e-4, 6e1)  # beyond it, at the edge of the axis
 STATUS_COLOUR = {"initialising": "#b4bac1", "tracking": "#7cc4e8", "coasting": "#e8b33a", "lost": "#d1495b"}
+
+_BINS = ContextVar("bins", default=700)
+
+
+@contextmanager
+def thinned_to(bins: int) -> Iterator[None]:
+    """Thin series to the extremes in so many intervals of time, as long as this context lasts (default: 700)."""
+    before = _BINS.set(bins)
+    try:
+        yield
+    finally:
+        _BINS.reset(before)
 
 
 def time_origin_ns(result: FusionResult) -> int:
@@ -297,7 +313,7 @@ def _line(
     style: str | tuple[int, tuple[int, ...]] = "-",
 ) -> None:
     if np.isfinite(y).any():
-        x, values = envelope(*broken(t, y, cuts))
+        x, values = envelope(*broken(t, y, cuts), _BINS.get())
         ax.plot(x, values, color=colour, lw=width, ls=style, label=label, zorder=3)
 
 
@@ -308,7 +324,7 @@ def _band(
         return
     x, low = broken(t, middle - half, cuts)
     _, high = broken(t, middle + half, cuts)
-    x, low, high = band_envelope(x, low, high)
+    x, low, high = band_envelope(x, low, high, _BINS.get())
     ax.fill_between(x, low, high, color=colour, alpha=0.22, lw=0, label=label, zorder=1)
 
 

@@ -16,8 +16,8 @@ from fusion.result.result import FusionResult
 from fusion.result.table_rows import row_before, runs
 from vision.rotations import wrap
 
-JPEG_QUALITY = 78
-MAX_WIDTH_PX = 640
+MAX_WIDTH_PX, JPEG_QUALITY = 640, 78
+SMALL_WIDTH_PX, SMALL_QUALITY = 320, 55  # of the many that the time cursor shows
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +75,19 @@ def show_frames(result: FusionResult, flight: Flight, chosen: list[ChosenFrame])
             row=item.row,
             why=item.why,
             t_s=(t_ns - int(frames["timestamp_ns"][0])) / 1e9,
-            picture=_picture(result, flight, item.row),
+            picture=_picture(result, flight, item.row, MAX_WIDTH_PX, JPEG_QUALITY),
             filter_heading_rad=float(table["heading_rad"][k]),
             filter_offset_norm=float(table["lateral_offset_norm"][k]),
         )
+
+
+def small_pictures(result: FusionResult, flight: Flight, count: int) -> Iterator[tuple[int, str]]:
+    """Draw frames at even distances: row of the frames table and picture, without those that do not decode."""
+    rows = np.linspace(0, len(result.frames) - 1, min(count, len(result.frames))).round()
+    for row in rows.astype(int).tolist():
+        picture = _picture(result, flight, row, SMALL_WIDTH_PX, SMALL_QUALITY)
+        if picture is not None:
+            yield row, picture
 
 
 def _offers(result: FusionResult, flight: Flight) -> list[list[tuple[int, str]]]:
@@ -122,7 +131,9 @@ def _largest(values: FloatArray, why: str, count: int) -> list[tuple[int, str]]:
     return [(int(k), why) for k in order[: 40 * count]]
 
 
-def _picture(result: FusionResult, flight: Flight, row: int) -> str | None:
+def _picture(
+    result: FusionResult, flight: Flight, row: int, max_width_px: int, jpeg_quality: int
+) -> str | None:
     import cv2
 
     from vision.overlay import draw_overlay
@@ -131,8 +142,8 @@ def _picture(result: FusionResult, flight: Flight, row: int) -> str | None:
     if seen is None or seen.measurement is None:
         return None
     picture = draw_overlay(seen.image, flight.camera, seen.measurement, footer=False)
-    if picture.shape[1] > MAX_WIDTH_PX:
-        size = (MAX_WIDTH_PX, round(picture.shape[0] * MAX_WIDTH_PX / picture.shape[1]))
+    if picture.shape[1] > max_width_px:
+        size = (max_width_px, round(picture.shape[0] * max_width_px / picture.shape[1]))
         picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    ok, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    ok, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode() if ok else None

@@ -37,7 +37,12 @@ class Check(Record):
         One sentence: what this says about the flight.
     action
         One sentence: what to do; empty where nothing needs doing.
+    number
+        What ``value`` says in words, in SI units and radians: what many flights are compared by; None where no one
+        number says it.
     """
+
+    optional = frozenset({"number"})
 
     name: str
     level: Level
@@ -45,6 +50,7 @@ class Check(Record):
     limit: str
     meaning: str
     action: str = ""
+    number: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

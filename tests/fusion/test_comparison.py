@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from fusion.cli.evaluate_text import comparison_text
 from fusion.estimator.tables import ESTIMATE_DTYPE
@@ -123,6 +124,43 @@ class TestTruth:
         np.testing.assert_allclose(truth.corridor.heading_rad, radians(10))
         np.testing.assert_allclose(truth.corridor.lateral_offset_m, 0.2)
         assert truth.fixed_axis
+
+    @pytest.mark.parametrize("upright", [True, False])
+    @pytest.mark.parametrize("written", ["x, y, z, w", "w, x, y, z"])
+    @pytest.mark.parametrize("form", ["tum", "csv"])
+    def test_quaternions_in_the_wrong_order_are_named(
+        self, tmp_path: Path, form: str, written: str, upright: bool
+    ) -> None:
+        yaw = np.radians(60 * np.sin(np.arange(41) / 5))
+        body = Rotation.from_euler("ZYX", np.column_stack([yaw, 0 * yaw + 0.03, 0 * yaw - 0.05]))
+        q = (body if upright else body * Rotation.from_euler("x", np.pi)).as_quat()
+        q = q if written == "x, y, z, w" else np.roll(q, 1, axis=1)
+        rows = [",".join(f"{x:.6f}" for x in row) for row in q.tolist()]
+        if form == "tum":
+            path = tmp_path / "mocap.txt"
+            lines = [f"{1600000000 + k / 10} 0 0 0 {row.replace(',', ' ')}" for k, row in enumerate(rows)]
+            path.write_text("\n".join(lines) + "\n")
+            order = "x, y, z, w"
+        else:  # the names say which is which, and the logger took w for the first
+            path = tmp_path / "mocap.csv"
+            lines = [f"{T0_NS + k * 10**8},{row}" for k, row in enumerate(rows)]
+            path.write_text("\n".join(["timestamp_ns,qw,qx,qy,qz", *lines]) + "\n")
+            order = "w, x, y, z"
+        if written == order:
+            np.testing.assert_allclose(read_truth(path, Frame.FRD).corridor.heading_rad, yaw, atol=0.02)
+            return
+        with pytest.raises(
+            InputError, match=rf"in the order {written} they are level \(write them in the order {order}"
+        ):
+            read_truth(path, Frame.FRD)
+
+    def test_quaternions_of_a_cameras_axes_are_named(self, tmp_path: Path) -> None:
+        optical = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]]).as_quat()
+        path = tmp_path / "slam.txt"
+        row = " ".join(f"{x:.6f}" for x in optical)
+        path.write_text("".join(f"{1600000000 + k / 10} 0 0 0 {row}\n" for k in range(9)))
+        with pytest.raises(InputError, match="90 degrees off level: not of the vehicle's body"):
+            read_truth(path, Frame.ROS)
 
     @pytest.mark.parametrize("frame", list(Frame))
     def test_an_output_of_ours_is_a_truth_in_either_form(self, tmp_path: Path, frame: Frame) -> None:
@@ -367,3 +405,19 @@ class TestCommand:
         code, text, err = corridor("config", "--simulate", tmp_path / "my.toml")
         assert (code, text) == (2, "")
         assert "unknown setting" in err
+
+
+@pytest.mark.parametrize("told", list(Frame))
+def test_a_truth_that_turns_the_other_way_is_named(tmp_path: Path, told: Frame) -> None:
+    """Yaw positive left: right when told so, and otherwise the remedy says so."""
+    table = estimates()
+    yaw = 0.3 * np.sin(np.arange(N) * 0.02)
+    table["heading_rad"] = yaw
+    rows = [
+        f"{t},{-angle:.6f}" for t, angle in zip(table["timestamp_ns"].tolist(), yaw.tolist(), strict=True)
+    ]
+    path = tmp_path / "mocap.csv"
+    path.write_text("\n".join(["timestamp_ns,yaw_rad", *rows]) + "\n")
+    found = compare(read_outputs([write_output(tmp_path / "out", table)]), read_truth(path, told))
+    named = [text for text in found.truth.problems if "--truth-frame ros" in text]
+    assert len(named) == (told is Frame.FRD)

@@ -223,3 +223,53 @@ def test_gyroflows_log_is_in_its_scales(office: ImuStream, tmp_path: Path) -> No
     without = "\n".join(",".join(line.split(",")[:4]) for line in lines)
     written(path, head.replace(",ax,ay,az", "") + without + "\n")
     assert np.isnan(open_log(path).imu("imu").value.accel_m_s2).all()
+
+
+@pytest.mark.parametrize("burst", [3, 10])
+def test_inspect_tells_the_rate_that_bursts_are_spread_to(
+    office: ImuStream, tmp_path: Path, burst: int
+) -> None:
+    n = len(office.t_ns) // burst * burst
+    with Bag(tmp_path / "bag", "sqlite3") as bag:
+        for k, (t_ns, gyro, accel) in enumerate(rows(office)):
+            if k < n:
+                stamp_ns = int(office.t_ns[k // burst * burst + burst - 1]) + k % burst * 60_000
+                bag.write("/imu", bag.imu(stamp_ns, gyro, accel), t_ns)
+    found = inspect_path(tmp_path / "bag")
+    (stream,) = found.streams
+    assert stream.timing.rate_hz == pytest.approx(200.0, rel=0.01)
+    assert stream.timing.gap_count == 0
+    assert any("/imu, 200 Hz" in sentence.text for sentence in found.advice)
+
+
+# --- clocks ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("of_boot", ["/imu", "/cam", "both", "each its own"])
+def test_headers_of_different_clocks_are_put_on_that_of_the_receipt(
+    office: ImuStream, tmp_path: Path, of_boot: str
+) -> None:
+    """The IMU's driver counts from boot, the camera's in Unix time, or the other way about."""
+    boot_ns = int(office.t_ns[0]) - 12_345_000_000_000
+    imu_by = boot_ns if of_boot in ("/imu", "both", "each its own") else 0
+    cam_by = {"/cam": boot_ns, "both": boot_ns, "each its own": boot_ns // 2}.get(of_boot, 0)
+    with Bag(tmp_path / "bag", "sqlite3") as bag:
+        for k, (t_ns, gyro, accel) in enumerate(rows(office)):
+            late_ns = 2_000_000 + 50_000 * (k % 7)
+            bag.write("/imu", bag.imu(t_ns - imu_by, gyro, accel), t_ns + late_ns)
+            if k % 10 == 0:
+                picture = bag.image(t_ns - cam_by, np.full((4, 6), k % 250, np.uint8))
+                bag.write("/cam", picture, t_ns + 30_000_000)
+    log = open_log(tmp_path / "bag")
+    imu, imu_problems = log.imu("/imu")
+    frames, _ = log.frames("/cam")
+    if of_boot == "both":  # one clock: nothing has to be done, least of all by guessing at delays
+        np.testing.assert_array_equal(imu.t_ns, office.t_ns - boot_ns)
+        np.testing.assert_array_equal(frames.t_ns, office.t_ns[::10] - boot_ns)
+        return
+    delay_ns = 2_000_000 if imu_by else 0
+    assert np.abs(imu.t_ns - office.t_ns - delay_ns).max() < 1_000
+    delay_ns = 30_000_000 if cam_by else 0
+    assert np.abs(frames.t_ns - office.t_ns[::10] - delay_ns).max() < 1_000
+    assert any("of another clock" in text for text in imu_problems) == bool(imu_by)
+    assert not [f for f in inspect_path(tmp_path / "bag").findings if f.kind == "overlap"]

@@ -58,7 +58,7 @@ def times_us() -> list[int]:
     return [START_US + k * STEP_US for k in range(N)]
 
 
-def new_log(tmp_path: Path, extra: bytes = b"") -> Path:
+def new_log(tmp_path: Path, extra: bytes = b"", n: int = N) -> Path:
     """Two IMUs and filters, numbered by a column; flying east at 3 m/s, nose to the east, right wing down."""
     writer = Writer()
     writer.define(1, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
@@ -67,14 +67,14 @@ def new_log(tmp_path: Path, extra: bytes = b"") -> Path:
     writer.define(4, "ATT", "QccC", "TimeUS,Roll,Pitch,Yaw")
     writer.define(5, "MSG", "QZ", "TimeUS,Message")
     writer.define(6, "RFND", "QBC", "TimeUS,Instance,Dist")
-    for k, t_us in enumerate(times_us()):
+    for k, t_us in enumerate(times_us()[:n]):
         for core in (0, 1):
             writer.write("IMU", t_us, core, 0.1, 0.2, 0.3 + core, 0.0, 9.8, 0.01 * k)
             writer.write("XKQ", t_us + 5, core, 0.5, 0.5, 0.5, 0.5 if core == 0 else -0.5)
             speed = (0.0, 3.0, 0.5, 1.0, 0.06 * k, -1.5)
             writer.write("XKF1", t_us + 10, core, 9000, 0, 9000, *speed)
         writer.write("ATT", t_us + 15, -4500, 1000, 35900)
-        if k == N // 2:
+        if k == n // 2:
             writer.data += extra
         if k % 50 == 0:
             writer.write("MSG", t_us, b"hello \xa3\x95\x01")

@@ -72,14 +72,14 @@ def times_us(n: int = N) -> list[int]:
     return [START_US + k * STEP_US for k in range(n)]
 
 
-def flying_right(tmp_path: Path, *, damaged_time: bool = False) -> Path:
+def flying_right(tmp_path: Path, *, damaged_time: bool = False, n: int = N) -> Path:
     """North-going at 2 m/s, nose to the east: the body moves to its left; turning at 0.25 rad/s about z."""
     writer = Writer()
     writer.formats(COMBINED, ATTITUDE, POSITION)
     for message_id, name in enumerate(("sensor_combined", "vehicle_attitude", "vehicle_local_position")):
         writer.subscribe(message_id, name)
     east = Rotation.from_euler("ZYX", [90.0, 0.0, 0.0], degrees=True).as_quat(scalar_first=True)
-    for k, t_us in enumerate(times_us()):
+    for k, t_us in enumerate(times_us(n)):
         accel_age = 0x7FFFFFFF if k == 3 else -100
         logged = 2**63 if damaged_time and k == 200 else t_us
         writer.sample(0, "Q3fIi3fI", logged, 0.01, 0.02, 0.25, 4000, accel_age, 0.1, 0.2, -9.8, 4000)

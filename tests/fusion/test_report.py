@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import json
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from math import radians
 from pathlib import Path
@@ -15,7 +18,7 @@ from fusion.evaluation.checks_input import yaw_steps
 from fusion.evaluation.verdict import overall
 from fusion.flight import AttitudeStream, Flight, FrameStream, ImuStream
 from fusion.logs.pictures.camera_folder import PictureFiles
-from fusion.report import write_report
+from fusion.report import interactive, write_report
 from fusion.report.plots import aligned_imu_yaw, plot_offset
 from fusion.report.remeasure import interpolated_attitude
 from fusion.report.series import band_envelope, broken, envelope, thin_points
@@ -26,6 +29,8 @@ from fusion.result.table_rows import runs
 from tests.fusion.fused import T0_NS, Fused, make_flight, table_with
 from tests.pictures import picture_paths
 from vision import InputError
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 def by_name(result: FusionResult, flight: Flight) -> dict[str, Check]:
@@ -62,9 +67,15 @@ def test_the_page_states_the_verdict_and_every_check(swing: Fused, page: str) ->
 
 
 def test_the_page_stands_alone(page: str) -> None:
-    assert "http" not in page
-    assert "<script" not in page
-    assert not re.search(r'(?:src|href)="(?!data:|#)', page)
+    assert "Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src" in page
+    assert re.findall(r"<script[^>]*>", page) == [
+        '<script type="application/json" id="flight-data">',
+        "<script>",
+    ]
+    without_script = re.sub(r"(?s)<script>.*?</script>", "", page)
+    assert "http:" not in without_script
+    assert "https:" not in without_script
+    assert not re.search(r'(?:src|href)="(?!data:|#)', without_script)
     assert not re.search(r"url\((?!#)", page)
     ids = re.findall(r'\sid="([^"]+)"', page)
     assert len(ids) == len(set(ids))
@@ -89,6 +100,57 @@ def test_every_plot_comes_wide_and_narrow_with_readable_text(page: str) -> None:
         assert min(sizes) * across_px / width > least_px
         assert "Time, s" in svg
         assert "Heading, degrees right" in svg
+
+
+def test_what_scripts_draw_is_what_the_plots_show(swing: Fused, page: str) -> None:
+    result, _ = swing
+    data = json.loads(first_group(r'(?s)id="flight-data">(.*?)</script>', page))
+    assert set(data["charts"]) == {"heading", "offset", "innovations", "states", "errors"}
+    heading = data["charts"]["heading"][0]
+    assert heading["label"] == "Heading, degrees right"
+    series = {s["label"]: s for s in heading["series"]}
+    assert next(iter(series)) == "filter, two sigma"
+    assert {"filter", "frame used", "truth", "IMU yaw less its offset"} <= set(series)
+    table = result.estimates
+    t_s = (table["timestamp_ns"] - table["timestamp_ns"][0]) / 1e9
+    for name, low, high in (("filter", 0.0, 0.0), ("filter, two sigma", -2.0, 2.0)):
+        for key, sigmas in (("y", low), ("high", high)):
+            values = np.array(series[name].get(key, series[name]["y"]), dtype=float)
+            expected = np.degrees(table["heading_rad"] + sigmas * table["heading_std_rad"])
+            x = np.array(series[name]["x"])
+            known = np.isfinite(values)
+            assert np.allclose(values[known], np.interp(x[known], t_s, expected), atol=0.02)
+    for charts in data["charts"].values():
+        assert all((np.diff(s["x"]) > 0).all() for chart in charts for s in chart["series"])
+    assert data["status"][0][2] == "initialising"
+    times = [picture["t"] for picture in data["pictures"]]
+    assert times == sorted(times)
+    assert len(times) > 10
+
+
+def test_a_band_in_pieces_keeps_its_hole() -> None:
+    ax = Figure().subplots()
+    y = np.array([0.0, 1.0, np.nan, 2.0, 3.0, 4.0])
+    ax.fill_between(np.arange(6.0), y - 1.0, y + 1.0, color="#0072b2", label="band")
+    (band,) = interactive._chart(ax)["series"]
+    assert band["x"] == pytest.approx([0.0, 1.0, 3.0 - interactive.GAP_S, 3.0, 4.0, 5.0], abs=2e-4)
+    assert band["y"] == [-1.0, 0.0, None, 1.0, 2.0, 3.0]
+    assert band["high"] == [1.0, 2.0, None, 3.0, 4.0, 5.0]
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open the page in")
+@pytest.mark.parametrize("width_px", [400, 1280])
+def test_a_browser_draws_every_chart_and_the_cursor(swing: Fused, tmp_path: Path, width_px: int) -> None:
+    write_report(*swing, tmp_path / "report.html")
+    assert CHROMIUM is not None
+    options = ["--headless=new", "--no-sandbox", "--disable-gpu", f"--window-size={width_px},900"]
+    command = [CHROMIUM, *options, f"--user-data-dir={tmp_path}", "--virtual-time-budget=5000", "--dump-dom"]
+    done = subprocess.run(
+        [*command, (tmp_path / "report.html").as_uri()], capture_output=True, text=True, timeout=120
+    )
+    assert done.stdout.count("<canvas") == 8
+    assert re.search(r'<html lang="en" class="scripted">', done.stdout)
+    assert re.search(r"<output>0\.00 s, initialising; picture of 0\.00 s: ok</output>", done.stdout)
 
 
 def test_colours_of_the_plots_follow_the_scheme(page: str) -> None:

@@ -13,7 +13,7 @@ from fusion.estimator.tables import FRAME_DTYPE
 from fusion.evaluation.checks import CHECKS, run_checks
 from fusion.evaluation.verdict import CheckRule, Finding, Limits, nothing_to_judge, worst_first, worst_of
 from fusion.flight import Flight, FloatArray, FrameStream, ImuStream
-from fusion.report.page import _with_code
+from fusion.report.template import with_code
 from fusion.result.result import FusionResult
 from fusion.result.summary import Check, Level
 from tests.fusion.fused import T0_NS, Fused, make_flight, table_with
@@ -187,7 +187,7 @@ def test_the_worst_comes_first_and_else_the_order_stays() -> None:
 
 
 def test_commands_in_a_sentence_are_set_as_code_and_escaped() -> None:
-    assert _with_code("Run `a <b>` & go.") == "Run <code>a &lt;b&gt;</code> &amp; go."
+    assert with_code("Run `a <b>` & go.") == "Run <code>a &lt;b&gt;</code> &amp; go."
 
 
 class TestRules:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from vision import Camera
 from vision.lines.edges import FITTED_LINE
-from vision.lines.segments import LineSet, _line_set, _Traced
+from vision.lines.segments import LineSet, _describe_lines, _line_set, _view
 from vision.types import FloatArray
 
 
@@ -77,7 +77,8 @@ def lines_between(px: FloatArray, camera: Camera) -> LineSet:
     rows["length"] = np.hypot(px[:, 2] - px[:, 0], px[:, 3] - px[:, 1])
     rows["rms"], rows["n_pixels"], rows["contrast"] = 0.2, np.maximum(rows["length"], 5.0), 100.0
     long = rows[rows["length"] > 10.0]
-    return _line_set(_Traced(long, 20.0, False), camera, camera, time.perf_counter())
+    found = _describe_lines(long, _view(camera, camera), False)
+    return _line_set(found, camera, 20.0, time.perf_counter(), None)
 
 
 @pytest.fixture(scope="session")

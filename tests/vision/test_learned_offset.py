@@ -20,6 +20,7 @@ from training.scores import OffsetScores
 from training.variations import corner_angles
 from vision import Attitude, Camera, Prior, extract_lines, measure_lines
 from vision.axis.level import level_from_verticals
+from vision.axis.vanishing_point import corridor_frame
 from vision.cameras.camera import Distortion
 from vision.lateral.learned import (
     N_QUARTER,
@@ -30,7 +31,7 @@ from vision.lateral.learned import (
     mixture_of,
 )
 from vision.lateral.mixture import OffsetMixture
-from vision.lateral.polar import ANGLES, DIRECTIONS, N_ANGLES, N_RADII, corridor_frame, polar_picture
+from vision.lateral.polar import ANGLES, DIRECTIONS, N_ANGLES, N_RADII, polar_picture
 
 CAMERA = Camera.from_fov(320, 240, radians(80))
 R_LEVEL_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # looks ahead

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.compiled import compiled
-from vision.lines.segments import LineGeometry, LineSet
+from vision.lines.segments import LineGeometry, LineSet, turned
 from vision.types import FloatArray
 
 COARSE_STEP_RAD = radians(2.0)
@@ -137,8 +137,9 @@ def _add_votes(
 
 
 @compiled
-def _fit_down(lines: LineGeometry, std: float) -> _Down:
+def _fit_down(in_camera: LineGeometry, R_level_camera: FloatArray, std: float) -> _Down:
     """Find the down vector that the vertical lines agree on; its a and b have the prior N(0, std)."""
+    lines = turned(in_camera, R_level_camera)
     normal, centre, direction = lines.normal, lines.centre, lines.direction
     sigma, arc = lines.sigma_rad, lines.arc_rad
     n = len(sigma)
@@ -190,7 +191,7 @@ def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: fl
     std_rad
         Standard deviation of its roll and pitch.
     """
-    a, b, h_pitch, h_both, h_roll = _fit_down(lines.geometry(R_level_camera), std_rad)
+    a, b, h_pitch, h_both, h_roll = _fit_down(lines.geometry(), R_level_camera, std_rad)
     determinant = h_pitch * h_roll - h_both * h_both
     # The shortest rotation that brings the found down (a, b, 1) to (0, 0, 1): heading is left alone.
     size = sqrt(1.0 + a * a + b * b)

@@ -29,7 +29,7 @@ from vision.axis.vote import (
     vote,
 )
 from vision.compiled import compiled
-from vision.lines.segments import LineGeometry, LineSet
+from vision.lines.segments import LineGeometry, LineSet, turned
 from vision.types import BoolArray, FloatArray
 
 MAX_REFINEMENT_RAD = radians(4.0)
@@ -230,8 +230,9 @@ def _covariance(fit: _Refined, excess_variance: float, n_distinct: int) -> Float
 
 @compiled
 def _find(
-    lines: LineGeometry,
+    in_camera: LineGeometry,
     length: FloatArray,
+    R_level_camera: FloatArray,
     elevation: float,
     elevation_std: float,
     prior_heading: float,
@@ -241,11 +242,12 @@ def _find(
 
     Parameters
     ----------
-    lines, length
-        In the level frame; lengths (n,) in pixels.
-    elevation, elevation_std, prior_heading, prior_heading_std
+    in_camera, length
+        The picture's lines, optical frame; lengths (n,) in pixels.
+    R_level_camera, elevation, elevation_std, prior_heading, prior_heading_std
         As in `fit_axis`.
     """
+    lines = turned(in_camera, R_level_camera)
     n = len(length)
     residual, inlier = np.zeros(n), np.zeros(n, np.bool_)
     none = _Found(np.nan, np.nan, np.empty((2, 2)), 0.0, np.nan, 0.0, residual, inlier, 0.0, 0)
@@ -290,6 +292,13 @@ def axis_direction(heading_rad: float, elevation_rad: float) -> FloatArray:
     return np.array([level * cos(heading_rad), -level * sin(heading_rad), -sin(elevation_rad)])
 
 
+def corridor_frame(R_level_camera: FloatArray, heading_rad: float, elevation_rad: float) -> FloatArray:
+    """Return the rotation (3, 3) from the optical frame to axes along the corridor, to its right, and down."""
+    ce, se, cp, sp = cos(elevation_rad), sin(elevation_rad), cos(heading_rad), sin(heading_rad)
+    R_corridor_level = np.array([[ce * cp, -ce * sp, -se], [sp, cp, 0.0], [se * cp, -se * sp, ce]])
+    return np.asarray(R_corridor_level @ R_level_camera, dtype=float)
+
+
 def fit_axis(
     lines: LineSet,
     R_level_camera: FloatArray,
@@ -314,8 +323,9 @@ def fit_axis(
     if len(lines) == 0:
         return None
     found = _find(
-        lines.geometry(R_level_camera),
+        lines.geometry(),
         lines.length_px,
+        R_level_camera,
         elevation_rad,
         elevation_std_rad,
         prior_heading_rad,

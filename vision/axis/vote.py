@@ -26,6 +26,7 @@ BIN_RAD = pi / N_BINS
 PEAK_BINS = 4  # a peak exceeds everything within a degree
 ALIGN_STD_RAD = radians(0.10)  # lines along a real corridor are parallel to about this
 INLIER_ODDS = 0.25  # share of lines expected to run along the corridor
+MAX_VARIANCE = (INLIER_ODDS * pi) ** 2 / (2.0 * pi)  # of a line's heading, rad^2, to tell more than chance
 VERTICAL_SINE = (
     0.10  # a plane this close to vertical may be a door post's, which has no information on the axis
 )
@@ -147,21 +148,20 @@ def vote(
             continue
         trust = min(abs(nz) / STEEP_SINE, 1.0)
         a = max(hypot(nx, ny), 1e-9)
-        cg, sg = (
-            nx / a,
-            -ny / a,
-        )  # cosine and sine of the normal's own heading; the axis is to either side of it
+        # cosine and sine of the normal's own heading; the axis is to either side of it
+        cg, sg = nx / a, -ny / a
         for k in range(len(elevation)):
             cosine = nz * tangent[k] / a
             if abs(cosine) >= 1.0:
                 continue
             sine = sqrt(1.0 - cosine * cosine)
             ce, se = cosine_e[k], tangent[k] * cosine_e[k]
+            row = scores[k]
             for side in (1.0, -1.0):
                 cp = cg * cosine - side * sg * sine
-                sp = sg * cosine + side * cg * sine
                 if cp < least_cosine:
                     continue
+                sp = sg * cosine + side * cg * sine
                 dx = ce * cp
                 dy = -ce * sp
                 dz = -se
@@ -170,17 +170,17 @@ def vote(
                 slope = max(abs(nx * sp + ny * cp) * ce, 1e-6)
                 blurred = line_variance(alpha, beta, sigma[i], arc[i]) + (nz * elevation_std[k]) ** 2
                 variance = blurred / (slope * slope) + BIN_RAD * BIN_RAD / 3.0
-                top = 0.5 * log((INLIER_ODDS * pi) ** 2 / (2.0 * pi * variance))
-                if top <= 0.0:
+                if variance >= MAX_VARIANCE:
                     continue
+                top = 0.5 * log(MAX_VARIANCE / variance)
                 psi = atan2(sp, cp)
                 reach = sqrt(2.0 * top * variance)
-                first = int(np.ceil((psi - reach + 0.5 * pi) / BIN_RAD - 0.5))
-                last = int(np.floor((psi + reach + 0.5 * pi) / BIN_RAD - 0.5))
-                bend = 0.5 * trust / variance
-                for b in range(max(first, 0), min(last, N_BINS - 1) + 1):
-                    offset = bin_heading(b) - psi
-                    scores[k, b] += trust * top - bend * offset * offset
+                first = max(int(np.ceil((psi - reach + 0.5 * pi) / BIN_RAD - 0.5)), 0)
+                last = min(int(np.floor((psi + reach + 0.5 * pi) / BIN_RAD - 0.5)), N_BINS - 1)
+                bend, start = 0.5 * trust / variance, bin_heading(first) - psi
+                for b in range(last - first + 1):  # from zero: then it vectorises
+                    offset = start + b * BIN_RAD
+                    row[first + b] += trust * top - bend * offset * offset
     return scores
 
 
@@ -269,18 +269,19 @@ def find_best_heading(
     """
     marginal, ranked = np.empty(N_BINS), np.empty(N_BINS)
     prior = np.array([elevation_log_prior(e, elevation_std) for e in elevation])
-    for b in range(N_BINS):
-        top = -np.inf
-        for k in range(len(elevation)):
-            top = max(top, scores[k, b] + prior[k])
-        marginal[b] = top
+    marginal[:] = -np.inf
+    for k in range(len(elevation)):
+        row, log_prior = scores[k], prior[k]
+        for b in range(N_BINS):
+            score = row[b] + log_prior
+            marginal[b] = score if score > marginal[b] else marginal[b]
     best_bin, best_elevation, best_score = 0, 0, -np.inf
     for b in range(N_BINS):
         ranked[b] = -np.inf
-        peak = True
-        for c in range(max(b - PEAK_BINS, 0), min(b + PEAK_BINS, N_BINS - 1) + 1):
-            peak &= marginal[c] <= marginal[b]
-        if not peak:
+        c, last = max(b - PEAK_BINS, 0), min(b + PEAK_BINS, N_BINS - 1)
+        while c <= last and marginal[c] <= marginal[b]:
+            c += 1
+        if c <= last:
             continue
         ranked[b] = marginal[b] + _log_prior(bin_heading(b), prior_heading, prior_std)
         if ranked[b] > best_score:
@@ -346,8 +347,10 @@ def find_rival(voted: HeadingVote, heading: float, elevation: float) -> RivalPea
     second_score = -np.inf
     std = hypot(voted.elevation_std, 0.5 * FINE_STEP_RAD)
     for b in range(N_BINS):
+        if voted.ranked[b] == -np.inf:
+            continue
         offset = (bin_heading(b) - heading + 0.5 * pi) % pi - 0.5 * pi
-        if abs(offset) <= RIVAL_DISTANCE_RAD or voted.ranked[b] == -np.inf:
+        if abs(offset) <= RIVAL_DISTANCE_RAD:
             continue
         lifted = elevation * cos(bin_heading(b)) / max(cos(heading), MIN_COSINE)
         score = -np.inf

@@ -202,7 +202,15 @@ class Camera:
         return cls(width_px, height_px, focal_px, focal_px, (width_px - 1) / 2.0, (height_px - 1) / 2.0)
 
     def resized(self, width_px: int, height_px: int) -> Camera:
-        """Return the camera of the same pictures scaled to another size, exact to the pixel centres."""
+        """Return the camera of the same pictures scaled to another size, exact to the pixel centres.
+
+        Raises
+        ------
+        InputError
+            Where the new size has no pixels.
+        """
+        if min(width_px, height_px) < 1:
+            raise InputError(f"size is {width_px}x{height_px}", remedy="give a size of at least one pixel")
         scale_x, scale_y = width_px / self.width_px, height_px / self.height_px
         return replace(
             self,

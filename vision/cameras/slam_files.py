@@ -91,6 +91,8 @@ def _values(
     content: Fields, names: Sequence[str], prefix: str = "", default: float | None = None
 ) -> list[float]:
     """Numbers of fields, of which each may be missing where there is a default."""
+    if not isinstance(content, Mapping):
+        raise InputError(f"has {content!r} where {', '.join(names)} should be", remedy="give the whole file")
     found = []
     for name in names:
         value = content.get(f"{prefix}{name}", default)
@@ -202,10 +204,11 @@ def _basalt(content: Fields, number: int) -> dict[str, Any]:
     sizes, poses = content.get("resolution"), content.get("T_imu_cam")
     if not isinstance(sizes, list) or number >= len(sizes):
         raise InputError("resolution is missing", remedy="give the whole file")
+    size = numbers({"resolution": sizes[number]}, "resolution", "", (2,), "give the whole file")
     pose = None
     if isinstance(poses, list) and number < len(poses):
         pose = _transform(poses[number]).tolist()
-    return _euroc(sizes[number], _values(values, _PINHOLE), *_BASALT[kind](values), pose)
+    return _euroc(size, _values(values, _PINHOLE), *_BASALT[kind](values), pose)
 
 
 def _transform(pose: Fields) -> FloatArray:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.axis.vanishing_point import AxisFit, axis_direction
+from vision.axis.vanishing_point import AxisFit, corridor_frame
 from vision.compiled import compiled
 from vision.lateral.corner_candidates import (
     MAX_CORNERS,
@@ -233,9 +233,7 @@ def arrays_of(
     lines: LineSet, axis: AxisFit, R_level_camera: FloatArray
 ) -> tuple[PictureLines, FloatArray, FloatArray, float]:
     """Return the first arguments of `corners_of_arrays`; parameters as of `find_corner_pairs`."""
-    ahead = axis_direction(axis.heading_rad, axis.elevation_rad)
-    rightward = axis_direction(axis.heading_rad - 0.5 * np.pi, 0.0)
-    R_axis_camera = np.array([ahead, rightward, np.cross(ahead, rightward)]) @ R_level_camera
+    R_axis_camera = corridor_frame(R_level_camera, axis.heading_rad, axis.elevation_rad)
     arrays = PictureLines(
         normal=lines.normal,
         centre=lines.centre,

@@ -31,6 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.cameras.camera import Camera
+from vision.cameras.projection import project_directions
 from vision.compiled import compiled
 from vision.images import GreyImage
 from vision.lateral.mixture import OffsetMixture
@@ -236,8 +237,8 @@ def learned_mixture(grey: GreyImage, camera: Camera, R_corridor_camera: FloatArr
     camera
         Its calibration; any lens model.
     R_corridor_camera
-        Rotation (3, 3) from the optical frame to the corridor's axes, by `vision.lateral.polar.corridor_frame` from
-        the level frame and the axis that vision found.
+        Rotation (3, 3) from the optical frame to the corridor's axes, by
+        `vision.axis.vanishing_point.corridor_frame` from the level frame and the axis that vision found.
 
     Returns
     -------
@@ -271,7 +272,7 @@ def corner_lines(found: CornerScores, camera: Camera, R_corridor_camera: FloatAr
         rays = np.stack(
             [np.ones_like(DRAWN_TAN), DRAWN_TAN * np.cos(angle), DRAWN_TAN * np.sin(angle)], axis=1
         )
-        points = camera.project(rays @ R_corridor_camera)
+        points = project_directions(rays, R_corridor_camera, camera)
         inside = np.isfinite(points).all(axis=1)
         inside &= (points > -0.5).all(axis=1) & (points < [camera.width_px, camera.height_px]).all(axis=1)
         points = points[inside]

@@ -8,7 +8,7 @@ Angles are counted from the corridor's right, clockwise as seen along it: right 
 from __future__ import annotations
 
 from itertools import pairwise
-from math import cos, pi, sin
+from math import pi
 from threading import local
 
 import cv2
@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.cameras.camera import Camera
+from vision.cameras.projection import project_directions
 from vision.compiled import compiled
 from vision.images import GreyImage
 
@@ -41,13 +42,6 @@ DIRECTIONS: FloatArray = np.stack(
     ],
     axis=-1,
 )
-
-
-def corridor_frame(R_level_camera: FloatArray, heading_rad: float, elevation_rad: float) -> FloatArray:
-    """Return the rotation (3, 3) from the optical frame to axes along the corridor, to its right, and down."""
-    ce, se, cp, sp = cos(elevation_rad), sin(elevation_rad), cos(heading_rad), sin(heading_rad)
-    along, right = np.array([ce * cp, -ce * sp, -se]), np.array([sp, cp, 0.0])
-    return np.asarray(np.stack([along, right, np.cross(along, right)]) @ R_level_camera, dtype=float)
 
 
 @compiled
@@ -153,14 +147,14 @@ def polar_picture(grey: GreyImage, camera: Camera, R_corridor_camera: FloatArray
     grey
         Picture (h, w) of the camera, as it was taken; the lens model takes the directions into it.
     R_corridor_camera
-        Rotation (3, 3) by `corridor_frame`.
+        Rotation (3, 3) by `vision.axis.vanishing_point.corridor_frame`.
 
     Returns
     -------
     Polar
         Standardised brightness and validity (2, N_RADII, N_ANGLES).
     """
-    points = camera.project(DIRECTIONS.reshape(-1, 3) @ R_corridor_camera)
+    points = project_directions(DIRECTIONS.reshape(-1, 3), R_corridor_camera, camera)
     polar = sample_points(grey, points.reshape(N_RADII, N_ANGLES, 2))
     standardise(polar)
     return polar

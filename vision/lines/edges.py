@@ -1,7 +1,9 @@
 """Edge pixels, maxima of the gradient, joined to straight components in one raster pass; lines fitted to them.
 
-Everything is compiled and works on buffers that the caller keeps from frame to frame. Of a component only running
-sums are kept: to join two is to add their sums, and a line is fitted without looking at the pixels again.
+Everything is compiled and works on buffers that the caller keeps from frame to frame. What is done to every pixel is
+done to the picture as one long row: loops without branches, which the compiler turns into vector instructions. Of a
+component only running sums are kept: to join two is to add their sums, and a line is fitted without looking at the
+pixels again.
 """
 
 from __future__ import annotations
@@ -13,13 +15,17 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.compiled import compiled
-from vision.types import IntArray, Record, RecordArray
+from vision.types import Float32Array, GreyImage, IntArray, Record, RecordArray
 
 DIRECTION_COS2 = cos(radians(22.5)) ** 2
 MAX_RMS_PX = 0.8  # scatter across the line beyond which it is not one
 MIN_PIXELS = 5
 ROW_STEP = 8
 MAX_BLOCK_STEP = 20  # larger ones are the picture's own edges
+SECOND_DIFFERENCE_MEDIAN = 0.6745 * sqrt(6.0)  # median of |a - 2b + c| for noise of one grey level
+
+GreyPixels = npt.NDArray[np.uint8]
+Int16Array = npt.NDArray[np.int16]
 
 COMPONENT = np.dtype(
     [(name, np.float64) for name in ("n", "x", "y", "xx", "xy", "yy", "gx", "gy")], align=True
@@ -43,11 +49,23 @@ FITTED_LINE = np.dtype(
 
 
 class Gradient(NamedTuple):
-    """A picture's gradient (Sobel 3x3) and its length, each (h, w)."""
+    """A picture's gradient (Sobel 3x3), its length, and where that is an edge pixel's, each (h * w,).
+
+    Parameters
+    ----------
+    gx, gy, magnitude
+        Of use but for the pixels at the picture's border.
+    mark
+        One for edge pixels, filled up to a multiple of 8.
+    words
+        The same memory as ``mark``, eight pixels at a time.
+    """
 
     gx: npt.NDArray[np.int16]
     gy: npt.NDArray[np.int16]
     magnitude: npt.NDArray[np.float32]
+    mark: npt.NDArray[np.uint8]
+    words: npt.NDArray[np.uint64]
 
 
 class Components(NamedTuple):
@@ -55,109 +73,177 @@ class Components(NamedTuple):
 
     Parameters
     ----------
+    edges
+        Indices (h * w,) of the edge pixels.
     parent
         Parent (m,) of each label; a label that is its own is a component.
     sums
         Array (m,) of `COMPONENT`, of use for labels that are their own parent.
     rows
-        Working memory (3, w).
-    mark
-        Working memory: the edge pixels of a row, filled up to a multiple of 8.
-    words
-        The same memory as ``mark``, eight pixels at a time.
+        Working memory (2, w).
     """
 
+    edges: npt.NDArray[np.int32]
     parent: npt.NDArray[np.int32]
     sums: RecordArray
     rows: npt.NDArray[np.int32]
-    mark: npt.NDArray[np.uint8]
-    words: npt.NDArray[np.uint64]
 
 
 @compiled
-def fill_magnitude(gradient: Gradient) -> None:
-    """Fill in the length of the gradient."""
-    gx, gy, magnitude = gradient.gx, gradient.gy, gradient.magnitude
-    height, width = gx.shape
-    for y in range(height):
-        for x in range(width):
-            a = np.float32(gx[y, x])
-            b = np.float32(gy[y, x])
-            magnitude[y, x] = np.sqrt(a * a + b * b)
+def noise_and_blockiness(grey: GreyImage, counts: IntArray) -> tuple[float, float]:
+    """Estimate a picture's noise, standard deviation in grey levels, and how visible JPEG's blocks are.
 
+    The noise follows from the median of |a - 2b + c| along every eighth row, which edges hardly touch. Blockiness is
+    the mean step between columns 8k - 1 and 8k, where JPEG's blocks meet, over the mean step elsewhere: about 1 for
+    pictures never compressed, 1.5 for good quality, 2 and more where the blocks can be seen.
 
-@compiled
-def difference_statistics(grey: npt.NDArray[np.uint8], counts: IntArray) -> float:
-    """Fill ``counts`` (1024,) with the histogram of |a - 2b + c| along every eighth row; return the blockiness.
-
-    Blockiness is the mean step between columns 8k - 1 and 8k, where JPEG's blocks meet, over the mean step elsewhere:
-    about 1 for pictures never compressed, 1.5 for good quality, 2 and more where the blocks can be seen.
+    Parameters
+    ----------
+    grey
+        Picture (h, w).
+    counts
+        Working memory (1024,).
     """
     height, width = grey.shape
     counts[:] = 0
-    at_joint = 0
-    elsewhere = 0
+    n = at_joint = elsewhere = 0
     for y in range(0, height, ROW_STEP):
         for x in range(1, width - 1):
             a = np.int64(grey[y, x - 1])
             b = np.int64(grey[y, x])
             counts[abs(a - 2 * b + np.int64(grey[y, x + 1]))] += 1
-            step = int(abs(b - a))
-            if step > MAX_BLOCK_STEP:
-                step = MAX_BLOCK_STEP
+            n += 1
+            step = min(int(abs(b - a)), MAX_BLOCK_STEP)
             if x % 8 == 0:
                 at_joint += step
             else:
                 elsewhere += step
-    return 7.0 * at_joint / max(elsewhere, 1)
+    below, level = _median_bin(counts, n)
+    median = level - 0.5 + (0.5 * n - below) / max(counts[level], 1)
+    return max(median, 0.0) / SECOND_DIFFERENCE_MEDIAN, 7.0 * at_joint / max(elsewhere, 1)
 
 
 @compiled
-def median_and_mean(magnitude: npt.NDArray[np.float32], counts: IntArray) -> tuple[float, float]:
-    """Return the median, to half a level, and the mean of every fourth magnitude of every fourth row."""
-    height, width = magnitude.shape
-    counts[:] = 0
-    total = 0.0
-    n = 0
-    for y in range(2, height - 2, 4):
-        for x in range(2, width - 2, 4):
-            m = magnitude[y, x]
-            total += m
-            n += 1
-            counts[min(int(2.0 * m), len(counts) - 1)] += 1
-    below = 0
-    level = 0
+def _median_bin(counts: IntArray, n: int) -> tuple[int, int]:
+    """Return how many of a histogram's n entries lie below the bin of their median, and that bin."""
+    below = level = 0
     while below + counts[level] < 0.5 * n:
         below += counts[level]
         level += 1
-    return 0.5 * level, total / max(n, 1)
+    return below, level
+
+
+@compiled
+def median_and_mean(magnitude: Float32Array, width: int, counts: IntArray) -> tuple[float, float]:
+    """Return the median, to half a level, and the mean of every fourth magnitude of every fourth row.
+
+    ``counts`` is working memory, longer than any doubled magnitude.
+    """
+    counts[:] = 0
+    total = 0.0
+    n = 0
+    for y in range(2, len(magnitude) // width - 2, 4):
+        row = magnitude[y * width : (y + 1) * width]
+        for x in range(2, width - 2, 4):
+            m = row[x]
+            total += m
+            n += 1
+            counts[min(int(2.0 * m), len(counts) - 1)] += 1
+    return 0.5 * _median_bin(counts, n)[1], total / max(n, 1)
+
+
+@compiled
+def _fill_gradient(
+    above: GreyPixels,
+    middle: GreyPixels,
+    below: GreyPixels,
+    gx: Int16Array,
+    gy: Int16Array,
+    magnitude: Float32Array,
+) -> None:
+    """Fill in the gradient (Sobel 3x3) of pixels in a row but the first and the last."""
+    two = np.int16(2)
+    last = len(gx) - 1
+    for x in range(1, last):
+        outer = (
+            np.int16(above[x + 1]) - np.int16(above[x - 1]) + np.int16(below[x + 1]) - np.int16(below[x - 1])
+        )
+        gx[x] = outer + two * (np.int16(middle[x + 1]) - np.int16(middle[x - 1]))
+    for x in range(1, last):
+        outer = (
+            np.int16(below[x - 1]) - np.int16(above[x - 1]) + np.int16(below[x + 1]) - np.int16(above[x + 1])
+        )
+        gy[x] = outer + two * (np.int16(below[x]) - np.int16(above[x]))
+    for x in range(1, last):
+        a, b = np.float32(gx[x]), np.float32(gy[x])
+        magnitude[x] = np.sqrt(a * a + b * b)
+
+
+@compiled
+def fill_gradient(picture: GreyImage, gradient: Gradient) -> None:
+    """Fill in the gradient of a picture (h, w) and its length, all but ``mark``."""
+    pixels, w = picture.ravel(), picture.shape[1]
+    inner = slice(w, len(pixels) - w)
+    _fill_gradient(
+        pixels[: len(pixels) - 2 * w],
+        pixels[inner],
+        pixels[2 * w :],
+        gradient.gx[inner],
+        gradient.gy[inner],
+        gradient.magnitude[inner],
+    )
 
 
 @compiled
 def _mark_ridge(
-    middle: npt.NDArray[np.float32],
-    left: npt.NDArray[np.float32],
-    right: npt.NDArray[np.float32],
-    up: npt.NDArray[np.float32],
-    down: npt.NDArray[np.float32],
-    gx: npt.NDArray[np.int16],
-    gy: npt.NDArray[np.int16],
+    middle: Float32Array,
+    left: Float32Array,
+    right: Float32Array,
+    up: Float32Array,
+    down: Float32Array,
+    gx: Int16Array,
+    gy: Int16Array,
     threshold: np.float32,
     mark: npt.NDArray[np.uint8],
 ) -> None:
-    """Mark the pixels of a row that exceed the threshold and their neighbours across the edge.
+    """Mark the pixels that reach the threshold and exceed their neighbours across the edge.
 
     Nothing here branches, not even whether to load a neighbour, so that the compiler works on many pixels at a time.
     """
     for x in range(len(middle)):
         m = middle[x]
-        a = np.int32(gx[x])
-        b = np.int32(gy[x])
         at_left, at_right, at_up, at_down = left[x], right[x], up[x], down[x]
-        steep = a * a >= b * b
+        steep = abs(np.int32(gx[x])) >= abs(np.int32(gy[x]))
         m0 = at_left if steep else at_up
         m1 = at_right if steep else at_down
         mark[x] = np.uint8((m >= threshold) & (m > m0) & (m >= m1))
+
+
+@compiled
+def _find_edge_pixels(
+    gradient: Gradient, width: int, threshold: np.float32, edges: npt.NDArray[np.int32]
+) -> int:
+    """Fill in the indices of the edge pixels, also of those too near to the picture's sides; return how many."""
+    magnitude, mark, words = gradient.magnitude, gradient.mark, gradient.words
+    first, last = 2 * width, len(magnitude) - 2 * width
+    _mark_ridge(
+        magnitude[first:last],
+        magnitude[first - 1 : last - 1],
+        magnitude[first + 1 : last + 1],
+        magnitude[first - width : last - width],
+        magnitude[first + width : last + width],
+        gradient.gx[first:last],
+        gradient.gy[first:last],
+        threshold,
+        mark[first:last],
+    )
+    n = 0
+    for word in range(len(words)):
+        if words[word] != 0:
+            for i in range(8 * word, 8 * word + 8):
+                edges[n] = i
+                n += mark[i]
+    return n
 
 
 @compiled
@@ -225,16 +311,18 @@ def _clear(sums: Record) -> None:
 
 @compiled
 def connect(
-    gradient: Gradient, threshold: np.float32, rectified: npt.NDArray[np.float32], components: Components
+    gradient: Gradient, width: int, threshold: np.float32, rectified: Float32Array, components: Components
 ) -> tuple[int, float, float]:
     """Join edge pixels to components of one gradient direction, in one raster pass.
 
     Parameters
     ----------
     gradient
-        The picture's gradient.
+        Of a picture, by `fill_gradient`.
+    width
+        Of the picture.
     threshold
-        Magnitude from which a maximum across the edge is an edge pixel.
+        Length of the gradient from which a maximum across the edge is an edge pixel.
     rectified
         Rectified coordinates (h, w, 2) of the pixels, or (1, 1, 2) where they are the pixels' own.
     components
@@ -248,48 +336,34 @@ def connect(
         1 / s^2 for edges blurred over s pixels. Motion blurs only the edges across its direction.
     """
     gx, gy, magnitude = gradient.gx, gradient.gy, gradient.magnitude
-    parent, sums, rows = components.parent, components.sums, components.rows
-    mark, words = components.mark, components.words
-    height, width = magnitude.shape
+    edges, parent, sums, rows = components.edges, components.parent, components.sums, components.rows
     distorted = rectified.shape[0] > 1
     n_labels = 0
     bend = np.full(2, 1e-9)
     ridge = np.full(2, 1e-9)
     above = rows[0]
     here = rows[1]
-    edges = rows[2]
     above[:] = -1
-    mark[:] = 0
-    for y in range(2, height - 2):
-        row = magnitude[y]
-        _mark_ridge(
-            row[2:-2],
-            row[1:-3],
-            row[3:-1],
-            magnitude[y - 1, 2:-2],
-            magnitude[y + 1, 2:-2],
-            gx[y, 2:-2],
-            gy[y, 2:-2],
-            threshold,
-            mark[2 : width - 2],
-        )
-        n_edges = 0
-        for word in range(len(words)):
-            if words[word] != 0:
-                for x in range(8 * word, 8 * word + 8):
-                    edges[n_edges] = x
-                    n_edges += mark[x]
+    n_edges = _find_edge_pixels(gradient, width, threshold, edges)
+    k = 0
+    for y in range(2, len(magnitude) // width - 2):
         here[:] = -1
-        for k in range(n_edges):
-            x = edges[k]
-            m = row[x]
-            a = float(gx[y, x])
-            b = float(gy[y, x])
+        row = y * width
+        first = k
+        while k < n_edges and edges[k] < row + width:
+            k += 1
+        for i in edges[first:k]:
+            x = i - row
+            if x < 2 or x >= width - 2:
+                continue
+            m = magnitude[i]
+            a = float(gx[i])
+            b = float(gy[i])
             # A parabola along the axis nearest to the gradient peaks on the edge whatever its direction.
             dx = 1 if abs(a) >= abs(b) else 0
             dy = 1 - dx
-            m0 = row[x - 1] if dx else magnitude[y - 1, x]
-            m1 = row[x + 1] if dx else magnitude[y + 1, x]
+            step = 1 if dx else width
+            m0, m1 = magnitude[i - step], magnitude[i + step]
             curvature = 2.0 * m - m0 - m1
             bend[dx] += curvature
             ridge[dx] += m
@@ -320,7 +394,7 @@ def connect(
                     label = _join_around(x, a, b, here, above, parent, sums)
             if label < 0:
                 if n_labels == parent.shape[0]:
-                    break
+                    continue
                 label = n_labels
                 n_labels += 1
                 parent[label] = label

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.cameras.camera import Camera
-from vision.lines.segments import LineSet, is_distorted
+from vision.cameras.projection import is_distorted
+from vision.lines.segments import LineSet
 from vision.types import FloatArray
 
 

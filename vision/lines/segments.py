@@ -20,7 +20,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vision.cameras.camera import Camera, Distortion
+from vision.cameras.camera import Camera
+from vision.cameras.projection import is_distorted
 from vision.compiled import compiled
 from vision.images import to_grey
 from vision.lines.edges import (
@@ -29,12 +30,12 @@ from vision.lines.edges import (
     Components,
     Gradient,
     connect,
-    difference_statistics,
-    fill_magnitude,
+    fill_gradient,
     fit,
     median_and_mean,
+    noise_and_blockiness,
 )
-from vision.types import FloatArray, GreyImage, IntArray, RecordArray
+from vision.types import Float32Array, FloatArray, GreyImage, IntArray, RecordArray
 
 PINHOLE = np.dtype([(name, np.float64) for name in ("fx", "fy", "cx", "cy")], align=True)
 """Focal lengths and principal point, pixels."""
@@ -53,7 +54,6 @@ FINE_DIAGONAL_PX = 600.0
 SMALL_DIAGONAL_PX = 300.0
 MAX_DIAGONAL_PX = 1000.0
 MIN_DIAGONAL_PX = 100.0
-SECOND_DIFFERENCE_MEDIAN = 0.6745 * sqrt(6.0)  # median of |a - 2b + c| for noise of one grey level
 MIN_LENGTH_OF_DIAGONAL = 0.015
 MIN_LENGTH_PX = 7.0
 MAX_HALF_FIELD_RAD = radians(75.0)  # rectified coordinates stretch without bound towards 90 degrees
@@ -70,6 +70,22 @@ class LineGeometry(NamedTuple):
     direction: FloatArray
     sigma_rad: FloatArray  # (n,)
     arc_rad: FloatArray
+
+
+@compiled
+def turned(lines: LineGeometry, R: FloatArray) -> LineGeometry:
+    """Return lines turned by a rotation (3, 3)."""
+    n = len(lines.sigma_rad)
+    normal, centre, direction = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
+    for i in range(n):
+        for j in range(3):
+            a, b, c = R[j, 0], R[j, 1], R[j, 2]
+            normal[i, j] = a * lines.normal[i, 0] + b * lines.normal[i, 1] + c * lines.normal[i, 2]
+            centre[i, j] = a * lines.centre[i, 0] + b * lines.centre[i, 1] + c * lines.centre[i, 2]
+            direction[i, j] = (
+                a * lines.direction[i, 0] + b * lines.direction[i, 1] + c * lines.direction[i, 2]
+            )
+    return LineGeometry(normal, centre, direction, lines.sigma_rad, lines.arc_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,12 +156,9 @@ class LineSet:
             arc_rad=np.arctan2(sine, (start * end).sum(axis=1)),
         )
 
-    def geometry(self, R: FloatArray | None = None) -> LineGeometry:
-        """Return the lines' planes, turned by a rotation (3, 3) from the optical frame where one is given."""
-        normal, centre, direction = self.normal, self.centre, self.direction
-        if R is not None:
-            normal, centre, direction = normal @ R.T, centre @ R.T, direction @ R.T
-        return LineGeometry(normal, centre, direction, self.sigma_rad, self.arc_rad)
+    def geometry(self) -> LineGeometry:
+        """Return the lines' planes in the optical frame, as compiled code takes them."""
+        return LineGeometry(self.normal, self.centre, self.direction, self.sigma_rad, self.arc_rad)
 
 
 class _Workspace:
@@ -153,22 +166,23 @@ class _Workspace:
 
     def __init__(self, height_px: int, width_px: int) -> None:
         self.smooth = np.empty((height_px, width_px), np.uint8)
+        pixels = height_px * width_px
+        mark = np.zeros((pixels + 7) // 8 * 8, np.uint8)
         self.gradient = Gradient(
-            gx=np.empty((height_px, width_px), np.int16),
-            gy=np.empty((height_px, width_px), np.int16),
-            magnitude=np.empty((height_px, width_px), np.float32),
-        )
-        mark = np.empty((width_px + 7) // 8 * 8, np.uint8)
-        self.components = Components(
-            parent=np.empty(MAX_COMPONENTS, np.int32),
-            sums=np.empty(MAX_COMPONENTS, COMPONENT),
-            rows=np.empty((3, width_px), np.int32),
+            gx=np.zeros(pixels, np.int16),
+            gy=np.zeros(pixels, np.int16),
+            magnitude=np.zeros(pixels, np.float32),
             mark=mark,
             words=mark.view(np.uint64),
         )
+        self.components = Components(
+            edges=np.empty(len(mark), np.int32),
+            parent=np.empty(MAX_COMPONENTS, np.int32),
+            sums=np.empty(MAX_COMPONENTS, COMPONENT),
+            rows=np.empty((2, width_px), np.int32),
+        )
         self.lines = np.empty(MAX_LINES, FITTED_LINE)
-        self.counts = np.empty(1024, np.int64)
-        self.magnitude_counts = np.empty(3072, np.int64)
+        self.counts = np.empty(3072, np.int64)  # of levels of noise, or of gradients
 
 
 _per_thread = threading.local()
@@ -206,47 +220,130 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera, *, keep_picture: bool
     grey = to_grey(image)
     camera.require_size(grey.shape[1], grey.shape[0])
     working = _working_camera(camera)
-    found = _trace(_scaled(grey, working), working)
+    view = _view(camera, working)
+    n_labels, threshold, blurred = _connected(_scaled(grey, working), view.rectified)
     # Edges blurred over several pixels have their maximum anywhere on a plateau: look from farther away.
-    while found.blurred and hypot(working.width_px, working.height_px) > 2.0 * MIN_DIAGONAL_PX:
+    while blurred and hypot(working.width_px, working.height_px) > 2.0 * MIN_DIAGONAL_PX:
         working = _halved(working)
-        found = _trace(_scaled(grey, working), working)
-    lines = _line_set(found, camera, working, started)
-    return replace(lines, grey=grey) if keep_picture else lines
+        view = _view(camera, working)
+        n_labels, threshold, blurred = _connected(_scaled(grey, working), view.rectified)
+    work = _workspace(working.height_px, working.width_px)
+    found = _fit_lines(work.components, n_labels, view, blurred, work.lines)
+    return _line_set(found, camera, threshold, started, grey if keep_picture else None)
 
 
-class _Traced(NamedTuple):
-    lines: RecordArray  # (n,) of `vision.lines.edges.FITTED_LINE`
-    threshold: float
-    blurred: bool
+class _FoundLines(NamedTuple):
+    """Lines as compiled code finds them; fields as in `LineSet`."""
+
+    ends_px: FloatArray
+    length_px: FloatArray
+    rms_px: FloatArray
+    n_pixels: FloatArray
+    contrast: FloatArray
+    planes: LineGeometry
 
 
-class _Connected(NamedTuple):
-    """Edge pixels joined to components, in the buffers of this thread: of use until the next picture."""
+class _View(NamedTuple):
+    """What compiled code needs to know of a camera and of the size at which it looks for lines.
 
-    work: _Workspace
-    n_labels: int
-    threshold: float
-    blurred: bool
+    Parameters
+    ----------
+    rectified
+        Rectified coordinates (h, w, 2) of every pixel, see `_rectified`.
+    working, original
+        Arrays (1,) of `PINHOLE`.
+    min_length_px
+        Of a line, working pixels.
+    """
+
+    rectified: Float32Array
+    working: RecordArray
+    original: RecordArray
+    min_length_px: float
 
 
-def _trace(grey: GreyImage, camera: Camera) -> _Traced:
-    found = _connected(grey, camera)
-    min_length = max(MIN_LENGTH_PX, MIN_LENGTH_OF_DIAGONAL * hypot(*grey.shape))
-    n = fit(found.work.components, found.n_labels, min_length, found.work.lines)
-    return _Traced(found.work.lines[:n].copy(), found.threshold, found.blurred)
+@lru_cache(maxsize=8)
+def _view(camera: Camera, working: Camera) -> _View:
+    diagonal = hypot(working.width_px, working.height_px)
+    min_length_px = max(MIN_LENGTH_PX, MIN_LENGTH_OF_DIAGONAL * diagonal)
+    return _View(_rectified(working), _pinhole(working), _pinhole(camera), min_length_px)
 
 
-def _connected(grey: GreyImage, camera: Camera) -> _Connected:
+def _connected(grey: GreyImage, rectified: Float32Array) -> tuple[int, float, bool]:
+    """Join a picture's edge pixels in the buffers of this thread, of use until the next picture.
+
+    Returns
+    -------
+    tuple
+        How many labels were given out, the gradient's length from which pixels counted as edges, and whether edges
+        are blurred over several pixels.
+    """
     work = _workspace(*grey.shape)
     smooth, expected_sharpness = _smoothed(grey, work)
-    gradient = work.gradient
-    cv2.spatialGradient(smooth, gradient.gx, gradient.gy)
-    fill_magnitude(gradient)
-    median, mean = median_and_mean(gradient.magnitude, work.magnitude_counts)
+    n_labels, threshold, sharpness = _find_components(
+        smooth, rectified, work.gradient, work.components, work.counts
+    )
+    return n_labels, threshold, sharpness < BLURRED_SHARPNESS * expected_sharpness
+
+
+@compiled
+def _find_components(
+    smooth: GreyImage, rectified: Float32Array, gradient: Gradient, components: Components, counts: IntArray
+) -> tuple[int, float, float]:
+    """Return the number of labels, the threshold and the sharpness of the blurrier edges, see `connect`."""
+    fill_gradient(smooth, gradient)
+    width = smooth.shape[1]
+    median, mean = median_and_mean(gradient.magnitude, width, counts)
     threshold = max(MIN_THRESHOLD, NOISE_TO_THRESHOLD * median, STRUCTURE_TO_THRESHOLD * mean)
-    n_labels, *sharpness = connect(gradient, np.float32(threshold), _rectified(camera), work.components)
-    return _Connected(work, n_labels, threshold, min(sharpness) < BLURRED_SHARPNESS * expected_sharpness)
+    n_labels, upright, level = connect(gradient, width, np.float32(threshold), rectified, components)
+    return n_labels, threshold, min(upright, level)
+
+
+@compiled
+def _fit_lines(
+    components: Components, n_labels: int, view: _View, blurred: bool, lines: RecordArray
+) -> _FoundLines:
+    """Fit lines to components; ``lines`` is working memory."""
+    return _describe_lines(lines[: fit(components, n_labels, view.min_length_px, lines)], view, blurred)
+
+
+@compiled
+def _describe_lines(lines: RecordArray, view: _View, blurred: bool) -> _FoundLines:
+    """Bring fitted lines (n,) of `vision.lines.edges.FITTED_LINE` from working pixels into the camera's frame."""
+    scale = view.original[0].fx / view.working[0].fx
+    floor_px = POSITION_FLOOR_PX * max(scale, 1.0) * (SOFT if blurred else 1.0)
+    ends_px, planes = _span_planes(lines, view.working, view.original, floor_px)
+    return _FoundLines(
+        ends_px,
+        lines["length"] * scale,
+        lines["rms"].copy(),
+        lines["n_pixels"].copy(),
+        lines["contrast"].copy(),
+        planes,
+    )
+
+
+def _line_set(
+    found: _FoundLines, camera: Camera, threshold: float, started: float, grey: GreyImage | None
+) -> LineSet:
+    planes = found.planes
+    return LineSet(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        ends_px=found.ends_px,
+        length_px=found.length_px,
+        rms_px=found.rms_px,
+        n_pixels=found.n_pixels,
+        contrast=found.contrast,
+        centre=planes.centre,
+        direction=planes.direction,
+        normal=planes.normal,
+        sigma_rad=planes.sigma_rad,
+        arc_rad=planes.arc_rad,
+        threshold=threshold,
+        extract_ms=1e3 * (time.perf_counter() - started),
+        grey=grey,
+    )
 
 
 def edge_components(grey: GreyImage, camera: Camera) -> RecordArray:
@@ -255,9 +352,10 @@ def edge_components(grey: GreyImage, camera: Camera) -> RecordArray:
     Which pixels make a component does not depend on the lens; their rectified coordinates do.
     """
     working = _working_camera(camera)
-    found = _connected(_scaled(grey, working), working)
-    parent = found.work.components.parent[: found.n_labels]
-    sums: RecordArray = found.work.components.sums[: found.n_labels][parent == np.arange(found.n_labels)]
+    n_labels, _, _ = _connected(_scaled(grey, working), _rectified(working))
+    work = _workspace(working.height_px, working.width_px)
+    parent = work.components.parent[:n_labels]
+    sums: RecordArray = work.components.sums[:n_labels][parent == np.arange(n_labels)]
     return sums
 
 
@@ -267,26 +365,6 @@ def _scaled(grey: GreyImage, camera: Camera) -> GreyImage:
         return grey
     interpolation = cv2.INTER_AREA if size[0] < grey.shape[1] else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(grey, size, interpolation=interpolation), np.uint8)
-
-
-def is_distorted(camera: Camera) -> bool:
-    """Return whether straight lines are curved in this camera's pictures."""
-    return any(camera.coefficients) or camera.distortion is Distortion.EQUIDISTANT
-
-
-def noise_and_blockiness(grey: GreyImage, counts: IntArray | None = None) -> tuple[float, float]:
-    """Estimate a picture's noise, standard deviation in grey levels, and how visible JPEG's blocks are.
-
-    The noise follows from the median second difference, which edges hardly touch.
-    """
-    counts = np.empty(1024, np.int64) if counts is None else counts
-    blockiness = difference_statistics(grey, counts)
-    cumulative = np.cumsum(counts)
-    half = 0.5 * cumulative[-1]
-    level = int(np.searchsorted(cumulative, half))
-    below = cumulative[level - 1] if level else 0
-    median = level - 0.5 + (half - below) / max(counts[level], 1)
-    return max(float(median), 0.0) / SECOND_DIFFERENCE_MEDIAN, blockiness
 
 
 @lru_cache(maxsize=8)
@@ -312,7 +390,7 @@ def _halved(camera: Camera) -> Camera:
 
 
 @lru_cache(maxsize=8)
-def _rectified(camera: Camera) -> npt.NDArray[np.float32]:
+def _rectified(camera: Camera) -> Float32Array:
     """Return rectified coordinates (h, w, 2) of every pixel, NaN outside the usable field.
 
     For a lens without distortion they would be the pixels' own: (1, 1, 2) then.
@@ -394,28 +472,6 @@ def _span_planes(
         sigma_px = hypot(line.rms * sqrt(PIXELS_PER_INDEPENDENT / line.n_pixels), floor_px)
         sigma_rad[i] = sigma_px * hypot(normal[i, 0], normal[i, 1]) / (depth * w.fx)
     return ends_px, LineGeometry(normal, centre, direction, sigma_rad, arc_rad)
-
-
-def _line_set(found: _Traced, camera: Camera, working: Camera, started: float) -> LineSet:
-    lines = found.lines
-    floor_px = POSITION_FLOOR_PX * max(camera.fx_px / working.fx_px, 1.0) * (SOFT if found.blurred else 1.0)
-    ends_px, planes = _span_planes(lines, _pinhole(working), _pinhole(camera), floor_px)
-    return LineSet(
-        width_px=camera.width_px,
-        height_px=camera.height_px,
-        ends_px=ends_px,
-        length_px=lines["length"] * (camera.fx_px / working.fx_px),
-        rms_px=lines["rms"],
-        n_pixels=lines["n_pixels"],
-        contrast=lines["contrast"],
-        centre=planes.centre,
-        direction=planes.direction,
-        normal=planes.normal,
-        sigma_rad=planes.sigma_rad,
-        arc_rad=planes.arc_rad,
-        threshold=found.threshold,
-        extract_ms=1e3 * (time.perf_counter() - started),
-    )
 
 
 def _pinhole(camera: Camera) -> RecordArray:

@@ -24,7 +24,7 @@ compare equation (8) with an "actual" yaw frame by frame, to 0.3 degrees RMSE; t
 
 from __future__ import annotations
 
-from math import copysign, radians
+from math import atan, copysign, hypot, radians
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -141,6 +141,11 @@ def equation_8(
         np.asarray(vp_x_px, dtype=float) - half_width, np.asarray(vp_y_px, dtype=float) - half_height
     )
     return np.asarray(np.arctan(d / half_height), dtype=float)
+
+
+def paper_yaw(vp_x_px: float, vp_y_px: float, width_px: int, height_px: int) -> float:
+    """`equation_8` of one vanishing point and a picture whose size is known to be one, without numpy: in flight."""
+    return atan(hypot(vp_x_px - 0.5 * width_px, vp_y_px - 0.5 * height_px) / (0.5 * height_px))
 
 
 def position_of(vp_x_px: float, width_px: float) -> Position:

@@ -199,6 +199,9 @@ class Manifest(BaseModel):
     model_config = _STRICT
 
     name: str | None = Field(default=None, min_length=1, description="Of the flight.")
+    vehicle: str | None = Field(
+        default=None, min_length=1, description="Which vehicle flew: `corridor batch` compares them."
+    )
     log: Path | None = Field(
         default=None, description="Log or flight folder from which everything comes that is not named below."
     )

@@ -13,12 +13,13 @@ import numpy.typing as npt
 
 from fusion.logs.rosbag.encoded import codec_of, refusal_of
 from fusion.logs.rosbag.file import Bag, Message, one_line
-from fusion.logs.rosbag.messages import RosType
+from fusion.logs.rosbag.messages import PICTURES, RosType
 from vision import InputError
-from vision.images import GreyImage, decode_image, to_grey
+from vision.images import GreyImage, decode_grey, decode_image, to_grey
 
 DEPTHS = (10, 12, 14)  # of sensors whose pictures are stored in 16 bits, the lowest of them used
 DEPTH_SAMPLES = 5
+_PICTURE_TYPES = frozenset(kind.value for kind in PICTURES)
 MAX_SIDE_PX = 1 << 15
 FORWARD_NS = 2_000_000_000  # farther ahead it is cheaper to look the time up than to read on
 
@@ -120,6 +121,8 @@ class BagPictures:
             raise self._unreadable("picture is no longer there", wanted[0])
         connection, _, raw = message
         assert self._bag is not None
+        if connection.msgtype not in _PICTURE_TYPES:
+            raise self._unreadable(f"is a {connection.msgtype}, no picture", wanted[0])
         try:
             return self._bag.decode(connection.msgtype, raw)
         except InputError as error:
@@ -204,15 +207,12 @@ def grey(message: Any, depth_bits: int = 16) -> GreyImage:
 
 
 def _words(message: Any) -> npt.NDArray[np.uint16] | None:
-    """Pixels (h, w) of a grey picture of 16 bits; None for any other, and one that does not decode."""
+    """Pixels (h, w) of a grey picture of 16 bits; None for any other."""
     if hasattr(message, "format"):
         if not str(message.format).startswith(GREY_16):
             return None
-        import cv2
-
-        image = cv2.imdecode(np.asarray(message.data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-        is_grey = image is not None and image.dtype == np.uint16 and image.ndim == 2
-        return np.asarray(image, dtype=np.uint16) if is_grey else None
+        image = decode_grey(np.asarray(message.data, dtype=np.uint8))
+        return image if image.dtype == np.uint16 else None
     if message.encoding not in GREY_16:
         return None
     width, height = int(message.width), int(message.height)

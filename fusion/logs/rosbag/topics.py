@@ -28,7 +28,8 @@ WANTED = frozenset(kind.value for kind in RosType)
 LOOKS_DOWN, LOOKS_ELSEWHERE = "looks down by /tf_static", "does not look down by /tf_static"
 MIN_DOWN = 0.94  # of the beam along the body's z: within 20 degrees
 T = TypeVar("T")
-LATE_NS = 1_000_000_000  # between a header and its receipt; more means another clock
+LATE_NS = 1_000_000_000  # between a header and its receipt; more is told
+OTHER_CLOCK_NS = 60_000_000_000  # no message is that late: its header is of another clock
 
 
 @dataclass(slots=True, eq=False)
@@ -138,7 +139,7 @@ def gather(bag: Bag, wire: Wire) -> WithProblems[Gathered]:
     samples = [_turned_into_body(_put_right(bag, topic), wire, frames) for topic in gathered]
     elsewhere = [s for s in samples if s.kind is RosType.RANGE and s.axes == LOOKS_ELSEWHERE]
     problems += tuple(f"{s.name}: {LOOKS_ELSEWHERE}, left out" for s in elsewhere)
-    kept = tuple(s for s in samples if s not in elsewhere)
+    kept = _on_one_clock([s for s in samples if s not in elsewhere])
     return WithProblems(Gathered(kept, infos, frames), problems)
 
 
@@ -170,6 +171,43 @@ def _put_right(bag: Bag, found: _Messages) -> Samples:
     width = WIDTH.get(found.kind, 0)
     values = np.array(found.values, dtype=float).reshape(len(t_ns), width)
     return Samples(bag.path, found.name, found.kind, t_ns, received_ns, values, found.first, clock, remarks)
+
+
+def _on_one_clock(topics: list[Samples]) -> tuple[Samples, ...]:
+    """Put headers of different clocks, from boot and from 1970 as it may be, onto the clock of the receipt.
+
+    Headers that are all of one clock stay as they are, also where that is not the receipt's: a bag played again.
+    Topics that share a clock are moved together, by the shortest delay of their messages, one in a hundred left out.
+    """
+    late_ns = {s.name: int(np.median(s.received_ns - s.t_ns)) for s in topics}
+    ordered = sorted(topics, key=lambda s: late_ns[s.name])
+    clocks: list[list[Samples]] = []
+    for s in ordered:
+        if clocks and late_ns[s.name] - late_ns[clocks[-1][-1].name] <= OTHER_CLOCK_NS:
+            clocks[-1].append(s)
+        else:
+            clocks.append([s])
+    if len(clocks) < 2:
+        return tuple(topics)
+    moved: dict[int, Samples] = {}
+    for clock in clocks:
+        if min(abs(late_ns[s.name]) for s in clock) > OTHER_CLOCK_NS:
+            by_ns = min(int(np.percentile(s.received_ns - s.t_ns, 1.0)) for s in clock)
+            moved |= {id(s): _moved(s, by_ns) for s in clock}
+    return tuple(moved.get(id(s), s) for s in topics)
+
+
+def _moved(samples: Samples, by_ns: int) -> Samples:
+    remark = (
+        f"{samples.name}: its headers are of another clock than those of other topics; {by_ns * 1e-9:.3f} s added, "
+        "by the message received soonest; `corridor align` finds the delay that is left"
+    )
+    return replace(
+        samples,
+        t_ns=samples.t_ns + by_ns,
+        clock=f"times of the headers, put on the clock of the receipt by {by_ns * 1e-9:.3f} s",
+        remarks=(*samples.remarks, remark),
+    )
 
 
 def of_use(connection: Connection) -> bool:

@@ -1,0 +1,208 @@
+"""What `corridor batch` costs over fusing flights one by one, and what more workers bring.
+
+    python benchmarks/fleet.py [--flights 200] [--distinct 10] [--seconds 10] [--reports] [--rows 20000]
+
+Simulates some distinct flights (320x240, 20 Hz, IMU 200 Hz) and makes a fleet of manifests that name them in turn.
+The fleet is fused three times into empty folders: plainly in this process (`load_flight`, `fuse_flight`,
+`write_outputs`, one after another), by one worker, by two. Then it is run again with nothing to do. Besides wall
+clock it tells processor time, on which other programs of the machine weigh less: the overhead is told in both.
+Targets: two workers at least 1.8 times as fast as one, at most 50 ms of overhead per flight.
+
+The last lines are what a model of the cost needs: seconds to start a worker, and to find, stamp, journal and tabulate
+a flight, from a table of ``--rows`` made-up rows; and what workers and this process hold.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fusion import fuse_flight, load_flight, write_outputs
+from fusion.fleet.batch import BatchSettings, Fleet, fuse_fleet
+from fusion.fleet.discovery import find_flights
+from fusion.fleet.fingerprint import stamp_of
+from fusion.fleet.journal import Journal, read_journal
+from fusion.fleet.page import write_page
+from fusion.fleet.row import FleetRow
+from fusion.fleet.tables import write_tables
+from fusion.fleet.worker import limit_threads, process_id
+from fusion.fleet.workers import local_workers
+from fusion.simulate import SimulationConfig, simulate_flight
+
+SPEEDUP_TARGET, OVERHEAD_TARGET_MS = 1.8, 50.0
+
+
+class Cost(NamedTuple):
+    """Seconds of wall clock, and of processors in this process and those that it has ended."""
+
+    wall_s: float
+    cpu_s: float
+
+
+def cost_of(work: Callable[[], object]) -> Cost:
+    wall, cpu = time.perf_counter(), cpu_s()
+    work()
+    return Cost(time.perf_counter() - wall, cpu_s() - cpu)
+
+
+def cpu_s() -> float:
+    own = resource.getrusage(resource.RUSAGE_SELF)
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
+
+
+def simulate(folder: Path, distinct: int, seconds: float) -> list[Path]:
+    found = []
+    for seed in range(1, distinct + 1):
+        config = SimulationConfig.random_office(seed, motion={"duration_s": seconds})
+        simulate_flight(config, folder / f"log{seed}")
+        found.append(folder / f"log{seed}")
+    return found
+
+
+def make_fleet(folder: Path, logs: list[Path], count: int) -> Path:
+    for k in range(count):
+        flight = folder / f"mav{k % 3}" / f"{k:06d}"
+        flight.mkdir(parents=True)
+        (flight / "flight.toml").write_text(f'log = "{logs[k % len(logs)]}"\n', encoding="utf-8")
+    return folder
+
+
+def fuse_plainly(source: Path, out: Path, reports: bool) -> None:
+    for flight in find_flights([source]):
+        loaded = load_flight(flight.path)
+        write_outputs(fuse_flight(loaded), loaded, out / flight.name, report=reports)
+
+
+def print_costs(source: Path, work: Path, count: int, reports: bool) -> Fleet:
+    limit_threads()
+    warm = find_flights([source])[0].path
+    loaded = load_flight(warm)
+    write_outputs(fuse_flight(loaded), loaded, work / "warm", report=reports)
+    costs = {"plainly": cost_of(lambda: fuse_plainly(source, work / "plain", reports))}
+    fleets: dict[int, Fleet] = {}
+    for jobs in (1, 2):
+
+        def run(jobs: int = jobs) -> None:
+            fleets[jobs] = fuse_fleet(
+                [source], work / f"out{jobs}", BatchSettings(jobs=jobs, reports=reports)
+            )
+
+        costs[f"{jobs} worker{'s' if jobs > 1 else ''}"] = cost_of(run)
+    again = cost_of(lambda: fuse_fleet([source], work / "out2", BatchSettings(jobs=2, reports=reports)))
+    print(f"{'':<12}{'wall s':>10}{'flights/s':>12}{'processor s':>14}{'ms a flight':>14}")
+    for name, cost in costs.items():
+        each_ms = 1000 * cost.cpu_s / count
+        print(
+            f"{name:<12}{cost.wall_s:>10.1f}{count / cost.wall_s:>12.2f}{cost.cpu_s:>14.1f}{each_ms:>14.1f}"
+        )
+    plain, one, two = costs.values()
+    speedup = one.wall_s / two.wall_s
+    start = start_of_a_worker()
+    print(f"two workers are {speedup:.2f} times as fast as one (target {SPEEDUP_TARGET})")
+    for what, extra, of_start in (
+        ("wall clock", one.wall_s - plain.wall_s, start.wall_s),
+        ("processor", one.cpu_s - plain.cpu_s, start.cpu_s),
+    ):
+        each = 1000 * (extra - of_start) / count
+        print(
+            f"overhead, {what}: {each:.1f} ms a flight (target {OVERHEAD_TARGET_MS:.0f}), once {of_start:.1f} s"
+        )
+    print(f"again, nothing to do: {again.wall_s:.1f} s, {1000 * again.wall_s / count:.1f} ms a flight")
+    same = [a.heading_rmse_rad for a in fleets[1].rows] == [b.heading_rmse_rad for b in fleets[2].rows]
+    print(f"rows of one and two workers: {'the same' if same else 'DIFFERENT'}")
+    return fleets[1]
+
+
+def start_of_a_worker() -> Cost:
+    """Return what it costs to start a process and to load all that fusing needs."""
+
+    def start() -> None:
+        with local_workers(1, None, print) as workers:
+            worker = workers._worker()
+            assert worker._pool.submit(limit_threads).result() is None
+            assert worker._pool.submit(process_id).result() != os.getpid()
+
+    return cost_of(start)
+
+
+def print_model(fleet: Fleet, source: Path, work: Path, rows: int) -> None:
+    """Print the constants of the model of the cost."""
+    found = cost_of(lambda: find_flights([source]))
+    count = len(fleet.rows)
+    flights = find_flights([source])
+    stamped = cost_of(lambda: [stamp_of(flight.path) for flight in flights])
+    many = many_rows(fleet.rows, rows)
+    folder = work / "many"
+    folder.mkdir()
+    journal = Journal(folder, [])
+
+    def journal_some() -> None:
+        for row in many[:1000]:
+            journal.add(row)
+
+    journalled = cost_of(journal_some)
+    journal.close()
+    Journal(folder, many).close()
+    read = cost_of(lambda: read_journal(folder))
+    tables = cost_of(lambda: write_tables(many, folder))
+    page = cost_of(lambda: write_page(many, folder, rows))
+    size = {
+        name: (folder / name).stat().st_size
+        for name in ("fleet.jsonl", "fleet.csv", "fleet.parquet", "fleet.html")
+    }
+    outputs = sum(file.stat().st_size for file in (work / "out1" / "flights").rglob("*") if file.is_file())
+    peaks = [row.peak_memory_mb for row in fleet.rows if row.peak_memory_mb is not None]
+    own_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
+    print(f"find a flight        {1000 * found.wall_s / count:8.2f} ms")
+    print(f"stamp a flight       {1000 * stamped.wall_s / count:8.2f} ms")
+    print(f"journal a row        {1000 * journalled.wall_s / min(rows, 1000):8.2f} ms")
+    print(f"read a row back      {1000 * read.wall_s / rows:8.2f} ms")
+    print(f"tables, per row      {1000 * tables.wall_s / rows:8.2f} ms")
+    print(f"page of {rows} rows  {page.wall_s:8.2f} s")
+    print("bytes per row        " + ", ".join(f"{name} {bytes_ / rows:.0f}" for name, bytes_ in size.items()))
+    print(f"outputs per flight   {outputs / count / 1e6:8.2f} MB")
+    first, last = (np.median(part) for part in (peaks[: len(peaks) // 4 or 1], peaks[-len(peaks) // 4 :]))
+    print(f"a worker holds       {first:8.0f} MB after its first flights, {last:.0f} MB after its last")
+    print(f"this process holds   {own_mb:8.0f} MB with {rows} rows")
+
+
+def many_rows(rows: tuple[FleetRow, ...], count: int) -> list[FleetRow]:
+    return [replace(rows[k % len(rows)], flight=f"{k:06d}") for k in range(count)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--flights", type=int, default=200)
+    parser.add_argument("--distinct", type=int, default=10, help="simulated logs that the flights share")
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--reports", action="store_true", help="with a report.html per flight")
+    parser.add_argument("--rows", type=int, default=20_000)
+    parser.add_argument("--logs", type=Path, help="folder of flights to use instead of simulated ones")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        work = Path(name)
+        if options.logs is None:
+            logs = simulate(work / "logs", options.distinct, options.seconds)
+        else:
+            logs = [flight.path for flight in find_flights([options.logs])]
+        source = make_fleet(work / "fleet", logs, options.flights)
+        load = os.getloadavg()[0]
+        print(
+            f"{options.flights} flights of {len(logs)} logs, {os.cpu_count()} cores, load before {load:.1f}"
+        )
+        fleet = print_costs(source, work, options.flights, options.reports)
+        print_model(fleet, source, work, options.rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""The command ``corridor batch``: many logged flights into one table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fusion.cli.console import echo, progress_bar, say
+from fusion.cli.options import CameraOption, Method, MethodOption
+
+SHORT_HELP = "Fuse many flights: a folder each, one table and one page of all."
+HELP = """Fuse many logged flights, each as `corridor fuse` would, into one table: the worst first.
+
+\b
+FLIGHTS are, one or several,
+  a folder: all flights below it that `corridor fuse` takes (folders, flight.toml, logs with pictures)
+  a pattern in quotes: "logs/2026-*/*.bag"
+  a list, a TOML file; paths count from its folder, all but path may be left out:
+    [[flight]]
+    path = "hall/0301"        # a flight, a folder of flights or a pattern
+    vehicle = "mav2"          # else what the flight's flight.toml says, or the folder below the one that is searched
+    date = "2026-03-01"       # else the log's clock, or a date in the path
+    name = "hall one way"
+    config = "mav2.toml"
+
+\b
+OUT gets
+  flights/NAME/    an output of `corridor fuse` per flight
+  fleet.parquet    a row per flight: verdict, checks, errors, status, bias, delay, noise, speed, versions, hashes
+  fleet.csv        the same
+  fleet.html       the worst flights with links, which checks fail, distributions, drifts over date and vehicle
+  fleet.jsonl      the rows as they come: what the next run goes on from
+
+A flight that cannot be fused is a row with its reason. The same command again goes on where the last one ended, by
+whatever: a flight whose log, settings and version have not changed is kept. The tables are whole at every moment.
+
+\b
+Flights are fused by processes of this machine, a core each. Past one machine, by a Dask cluster whose machines see
+the same paths:
+  dask scheduler                                      on one, which prints its address
+  dask worker tcp://HOST:8786 --nthreads 1 --nworkers -1    on each
+  corridor batch flights -o out --scheduler tcp://HOST:8786
+
+\b
+Examples:
+  corridor batch flights -o out
+  corridor batch march.toml -o out --config hall.toml --jobs 8
+  corridor batch flights -o new --config other.toml --against out/fleet.parquet
+
+Next: open OUT/fleet.html, or pandas.read_parquet("OUT/fleet.parquet").
+"""
+
+
+def batch(
+    flights: Annotated[
+        list[str],
+        typer.Argument(metavar="FLIGHTS...", help="Folders, patterns, lists, flights.", show_default=False),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Output folder.")],
+    config: Annotated[
+        Path | None, typer.Option("--config", metavar="F.toml", help="Settings; the rest keep defaults.")
+    ] = None,
+    camera: CameraOption = None,
+    method: MethodOption = Method.GEOMETRIC,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", metavar="N", min=1, help="Worker processes; else one per core.")
+    ] = None,
+    memory: Annotated[
+        str | None,
+        typer.Option(
+            "--memory", metavar="SIZE", help="What a worker may take, 2GB; else its share of the machine's."
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="A Dask cluster that fuses instead."),
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option("--against", metavar="OLD/fleet.parquet", help="Say what changed since that batch."),
+    ] = None,
+    reports: Annotated[bool, typer.Option(help="Write a report.html per flight, half of the time.")] = True,
+    redo: Annotated[bool, typer.Option("--redo", help="Fuse again what is done.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, not text.")] = False,
+) -> None:
+    """Fuse many flights."""
+    from fusion.cli.batch_text import batch_text, batch_values, memory_bytes
+    from fusion.estimator.config import FusionConfig
+    from fusion.fleet.batch import BatchSettings, fuse_fleet
+    from fusion.fleet.comparison import compare_fleets
+    from fusion.fleet.tables import NEEDS_PARQUET, has_parquet, read_fleet
+    from fusion.result.summary_json import summary_json
+    from vision.errors import InputError
+
+    if camera is not None and not camera.is_file():
+        raise InputError("there is no such file", file=camera, remedy="check --camera")
+    before = () if against is None else read_fleet(against)
+    settings = BatchSettings(
+        config=FusionConfig() if config is None else FusionConfig.from_toml(config),
+        camera=None if camera is None else camera.resolve(),
+        method=method.value,
+        reports=reports,
+        jobs=jobs,
+        memory_bytes=None if memory is None else memory_bytes(memory),
+        scheduler=scheduler,
+        redo=redo,
+    )
+    if not has_parquet():
+        say(f"fleet.csv alone, no fleet.parquet: that needs pyarrow ({NEEDS_PARQUET})")
+    with progress_bar("fusing flights") as progress:
+        fleet = fuse_fleet(flights, out, settings, against=before, progress=progress, tell=say)
+    comparison = compare_fleets(before, fleet.rows) if before else None
+    echo(
+        summary_json(batch_values(fleet, comparison)).rstrip("\n")
+        if as_json
+        else batch_text(fleet, out, comparison)
+    )

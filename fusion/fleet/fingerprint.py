@@ -1,0 +1,100 @@
+"""What a flight's result depends on, as short hashes: the log's files, the settings, the program."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from functools import cache
+from importlib import import_module
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from platform import python_version
+from typing import Any
+
+from fusion.logs.manifest.manifest import files_of, find_manifest, read_manifest
+from vision.errors import InputError
+
+_BLOCK = 1 << 20
+_LENGTH = 16  # hexadecimal digits: 64 bits tell a million flights apart
+
+
+def flight_files(path: Path) -> list[Path]:
+    """Return all files that a flight consists of, sorted: its folder's, or those that its manifest names too."""
+    manifest = find_manifest(path)
+    named = {path} if manifest is None else {manifest, path}
+    if manifest is not None:
+        with suppress(InputError):  # else the manifest itself is what is wrong with the flight
+            named |= {file for _, file in files_of(read_manifest(manifest))}
+    return sorted({file for place in named for file in _files_below(place)})
+
+
+def _files_below(path: Path) -> Iterator[Path]:
+    if path.is_file():
+        yield path
+        return
+    for folder, folders, names in os.walk(path):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        yield from (Path(folder, name) for name in names if not name.startswith("."))
+
+
+def stamp_of(path: Path) -> tuple[str, int]:
+    """Return a hash of names, sizes and times of change of a flight's files, and their bytes in all; quick."""
+    digest, size = hashlib.sha256(), 0
+    for file in flight_files(path):
+        try:
+            found = file.stat()
+        except OSError:
+            continue
+        size += found.st_size
+        digest.update(f"{file}\0{found.st_size}\0{found.st_mtime_ns}\0".encode(errors="surrogateescape"))
+    return digest.hexdigest()[:_LENGTH], size
+
+
+def content_of(path: Path) -> str:
+    """Return a hash of what is in a flight's files, and of their names as seen from the flight.
+
+    Raises
+    ------
+    OSError
+        Where a file cannot be read.
+    """
+    digest = hashlib.sha256()
+    for file in flight_files(path):
+        digest.update(os.path.relpath(file, path).encode(errors="surrogateescape") + b"\0")
+        with file.open("rb") as data:
+            while block := data.read(_BLOCK):
+                digest.update(block)
+    return digest.hexdigest()[:_LENGTH]
+
+
+def settings_hash(settings: Mapping[str, Any], *files: Path | None) -> str:
+    """Return a hash of settings as plain values, and of the content of the files that go with them."""
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode())
+    for file in files:
+        digest.update(b"\0" if file is None else file.read_bytes())
+    return digest.hexdigest()[:_LENGTH]
+
+
+@cache
+def program_version() -> str:
+    """Return the version with a hash of the source, so that a checkout that is being worked on is told apart."""
+    digest = hashlib.sha256()
+    for package in ("fusion", "vision"):
+        spec = find_spec(package)
+        for root in (spec.submodule_search_locations or ()) if spec is not None else ():
+            for file in sorted(Path(root).rglob("*")):
+                if file.suffix in (".py", ".onnx", ".npz", ".json"):
+                    digest.update(file.relative_to(root).as_posix().encode() + file.read_bytes())
+    return f"{version('corridor-fusion')}+{digest.hexdigest()[:8]}"
+
+
+@cache
+def library_versions() -> str:
+    """Return the versions of Python and of the libraries that touch the numbers."""
+    modules = {name: import_module(name).__version__ for name in ("numpy", "scipy", "cv2", "numba")}
+    versions = {"python": python_version()} | modules
+    return ", ".join(f"{name} {number}" for name, number in versions.items())

@@ -1,0 +1,142 @@
+"""What runs in a worker process: limits on what it takes of the machine, and the fusing of one flight."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+import traceback
+from dataclasses import replace
+from functools import cache
+from multiprocessing import parent_process
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fusion.fleet.row import FleetRow
+    from fusion.fleet.task import Task
+
+_MAX_REASON = 600  # characters
+
+
+def prepare_process(memory_bytes: int | None) -> None:
+    """Set up a worker process of this machine, before anything heavy loads in it.
+
+    It keeps to ``memory_bytes`` of its own data, leaves interrupts to its parent, and ends when that has gone.
+    """
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ[name] = "1"
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    if memory_bytes is not None and sys.platform == "linux":  # elsewhere the system does not enforce it
+        from resource import RLIMIT_DATA, getrlimit, setrlimit
+
+        hard = getrlimit(RLIMIT_DATA)[1]
+        setrlimit(RLIMIT_DATA, (memory_bytes if hard < 0 else min(memory_bytes, hard), hard))
+
+
+def _leave_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def process_id() -> int:
+    """Return the number of the process that this runs in."""
+    return os.getpid()
+
+
+@cache
+def limit_threads() -> None:
+    """Keep OpenCV, BLAS, OpenMP and numba to one thread in this process: there is a process per core already."""
+    import cv2
+    import numba
+    import numpy  # noqa: F401  # its BLAS has to be there to be limited
+    import scipy.linalg  # noqa: F401
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(1)
+    cv2.setNumThreads(1)
+    numba.set_num_threads(1)
+
+
+def fuse_task(task: Task) -> FleetRow:
+    """Fuse a flight as ``corridor fuse`` does; whatever goes wrong with it becomes its row's reason."""
+    from fusion.fleet.fingerprint import content_of, library_versions, program_version
+    from fusion.fleet.row import FleetRow
+
+    started = time.perf_counter()
+    limit_threads()
+    log_hash, found = "", {}
+    try:
+        log_hash = content_of(task.flight.path)
+        if task.earlier is not None and task.earlier.log_hash == log_hash:
+            return replace(task.earlier, log_stamp=task.stamp, path=str(task.flight.path))
+        found = _fused(task)
+    except Exception as error:
+        found = failure(error)
+    known = {"date": task.flight.date} | found
+    return FleetRow(
+        **known,
+        flight=task.flight.name,
+        vehicle=task.flight.vehicle,
+        path=str(task.flight.path),
+        total_s=time.perf_counter() - started,
+        peak_memory_mb=_peak_memory_mb(),
+        worker=f"{socket.gethostname()}:{os.getpid()}",
+        log_bytes=task.log_bytes,
+        log_hash=log_hash,
+        log_stamp=task.stamp,
+        config_hash=task.config_hash,
+        version=program_version(),
+        libraries=library_versions(),
+    )
+
+
+def _fused(task: Task) -> dict[str, Any]:
+    """Fuse a flight and write its output; return what its row says of it."""
+    from fusion.fleet.measure import measures, started
+    from fusion.logs import load_flight
+    from fusion.offline.fuse import fuse_flight
+    from fusion.outputs.folder import check_out_dir, write_outputs
+    from vision.errors import InputError
+
+    try:
+        flight = load_flight(task.flight.path, camera=task.camera)
+        result = fuse_flight(flight, task.config, method=task.method)
+    except InputError as error:
+        # What an installation would mend is no fault of the log: that flight is tried again next time.
+        is_mended_here = (error.remedy or "").startswith("pip install")
+        return failure(error, "error" if is_mended_here else "unusable")
+    folder = check_out_dir(task.out / task.folder)
+    write_outputs(result, flight, folder, report=task.reports)
+    found = measures(result, flight) | {"output": task.folder}
+    return found | {"date": started(flight) or task.flight.date}
+
+
+def failure(error: BaseException, verdict: str = "error") -> dict[str, Any]:
+    """Return what the row of a flight without a result says, in one line; a mistake of ours with its place."""
+    from fusion.fleet.row import WorkerLostError
+    from vision.errors import InputError
+
+    text = " ".join(str(error).split())
+    if isinstance(error, MemoryError):
+        text = "needs more memory than its worker may take (allow more by --memory, or fewer --jobs)"
+    elif not isinstance(error, InputError | OSError | WorkerLostError):
+        places = traceback.extract_tb(error.__traceback__)
+        place = f", {Path(places[-1].filename).name} line {places[-1].lineno}" if places else ""
+        text = f"unexpected {type(error).__name__}: {text}{place}"
+    return {"verdict": verdict, "reason": text if len(text) <= _MAX_REASON else text[:_MAX_REASON] + " ..."}
+
+
+def _peak_memory_mb() -> float | None:
+    try:
+        from resource import RUSAGE_SELF, getrusage
+    except ImportError:  # Windows
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024  # macOS counts bytes
+    return getrusage(RUSAGE_SELF).ru_maxrss * unit / 1e6

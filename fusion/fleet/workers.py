@@ -1,0 +1,231 @@
+"""Executors that fuse flights: processes of this machine, or a Dask cluster; both take a task and promise a row.
+
+A worker that dies costs no flight: the flight is fused again elsewhere, `ATTEMPTS` times at most, and that is told.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
+from multiprocessing import get_context
+from typing import Any, Protocol
+
+from fusion.fleet.fingerprint import program_version
+from fusion.fleet.row import FleetRow, WorkerLostError
+from fusion.fleet.task import Task
+from fusion.fleet.worker import fuse_task, prepare_process, process_id
+from vision.errors import InputError
+
+ATTEMPTS = 3  # workers that a flight may outlive
+Tell = Callable[[str], None]
+"""Called with a sentence for the user."""
+
+
+class Workers(Protocol):
+    """Where flights are fused."""
+
+    def submit(self, task: Task) -> Future[FleetRow]:
+        """Begin with a flight when a worker is free."""
+
+    def capacity(self) -> int:
+        """Return how many flights are fused at once."""
+
+    def lost(self, task: Task) -> int:
+        """Return how many workers died while they held a flight."""
+
+
+class _Worker:
+    """A process that fuses one flight after another, and is replaced when it dies."""
+
+    def __init__(self, memory_bytes: int | None) -> None:
+        # "spawn": a copy of this process would hold its threads' locks, and all that it has loaded.
+        context = get_context("spawn")
+        self._pool = ProcessPoolExecutor(1, context, initializer=prepare_process, initargs=(memory_bytes,))
+        self.pid = self._pool.submit(process_id).result()
+
+    def fuse(self, task: Task) -> FleetRow:
+        return self._pool.submit(fuse_task, task).result()
+
+    def end(self) -> None:
+        with suppress(ProcessLookupError):
+            os.kill(self.pid, signal.SIGTERM)
+        self._pool.shutdown(cancel_futures=True)
+
+
+class LocalWorkers:
+    """Processes of this machine, each watched by a thread, so that one that dies takes no other's flight with it."""
+
+    def __init__(self, jobs: int, memory_bytes: int | None, tell: Tell) -> None:
+        self._jobs, self._memory_bytes, self._tell = jobs, memory_bytes, tell
+        self._own = threading.local()
+        self._lost: dict[str, int] = {}
+        self._all: set[_Worker] = set()
+        self._ending = False
+        self._threads = ThreadPoolExecutor(jobs, "fleet")
+
+    def capacity(self) -> int:
+        """Return the number of processes."""
+        return self._jobs
+
+    def lost(self, task: Task) -> int:
+        """Return how many processes died while they fused a flight."""
+        return self._lost.get(task.flight.name, 0)
+
+    def submit(self, task: Task) -> Future[FleetRow]:
+        """Begin with a flight when a process is free."""
+        return self._threads.submit(self._fuse, task)
+
+    def _fuse(self, task: Task) -> FleetRow:
+        for attempt in range(1, ATTEMPTS + 1):
+            worker = None
+            try:
+                worker = self._worker()
+                return worker.fuse(task)
+            except BrokenProcessPool:
+                if self._ending:
+                    break
+                self._drop(worker)
+                self._lost[task.flight.name] = attempt
+                again = "it is fused again" if attempt < ATTEMPTS else "given up"
+                pid = "" if worker is None else f" {worker.pid}"
+                self._tell(f"worker{pid} died while it fused {task.flight.name}: {again}")
+        raise WorkerLostError(f"its worker process died {ATTEMPTS} times, killed or out of memory")
+
+    def _worker(self) -> _Worker:
+        """Return this thread's process, a new one where there is none."""
+        if getattr(self._own, "worker", None) is None:
+            self._own.worker = _Worker(self._memory_bytes)
+            self._all.add(self._own.worker)
+            if self._ending:
+                self._own.worker.end()
+        worker: _Worker = self._own.worker
+        return worker
+
+    def _drop(self, worker: _Worker | None) -> None:
+        self._own.worker = None
+        if worker is not None:
+            worker.end()
+            self._all.discard(worker)
+
+    def end(self) -> None:
+        """End all processes, whatever they are at."""
+        self._ending = True
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        for worker in list(self._all):
+            worker.end()
+        self._threads.shutdown()
+
+
+@contextmanager
+def local_workers(jobs: int, memory_bytes: int | None, tell: Tell) -> Iterator[LocalWorkers]:
+    """Give processes of this machine, ended with the block.
+
+    Parameters
+    ----------
+    jobs
+        How many.
+    memory_bytes
+        What each may take; None: no limit.
+    tell
+        Called when one has died.
+    """
+    workers = LocalWorkers(jobs, memory_bytes, tell)
+    try:
+        yield workers
+    finally:
+        workers.end()
+
+
+class ClusterWorkers:
+    """Workers of a Dask cluster; its scheduler gives a lost worker's flights to others."""
+
+    def __init__(self, client: Any, tell: Tell) -> None:
+        self._client, self._tell = client, tell
+        self._executor = client.get_executor(pure=False)
+        self._lost: dict[str, int] = {}
+        client.subscribe_topic("all", self._on_event)
+
+    def capacity(self) -> int:
+        """Return the number of threads of all workers there are at present."""
+        threads: dict[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
+
+    def submit(self, task: Task) -> Future[FleetRow]:
+        """Begin with a flight when a worker is free."""
+        future: Future[FleetRow] = self._executor.submit(fuse_task, task, key=self._key(task))
+        return future
+
+    def _key(self, task: Task) -> str:
+        return f"fuse {task.flight.name} ({self._client.id})"
+
+    def lost(self, task: Task) -> int:
+        """Return how many workers died while they held a flight."""
+        return self._lost.get(self._key(task), 0)
+
+    def _on_event(self, event: tuple[float, Any]) -> None:
+        message = event[1]
+        if (
+            not isinstance(message, dict)
+            or message.get("action") != "remove-worker"
+            or message.get("expected")
+        ):
+            return
+        for key in message.get("processing-tasks", ()):
+            if str(key).endswith(f"({self._client.id})"):
+                self._lost[key] = self._lost.get(key, 0) + 1
+                name = str(key).removeprefix("fuse ").rpartition(" (")[0]
+                self._tell(f"worker {message.get('worker')} died while it fused {name}: it is fused again")
+
+
+@contextmanager
+def cluster_workers(address: str, tell: Tell) -> Iterator[ClusterWorkers]:
+    """Give the workers of a Dask cluster, which goes on after the block.
+
+    Parameters
+    ----------
+    address
+        Of its scheduler, such as ``tcp://10.0.0.5:8786``.
+    tell
+        Called when a worker has died.
+
+    Raises
+    ------
+    InputError
+        Where Dask is not installed, no scheduler answers there, or a worker has another version of this program.
+    """
+    if find_spec("distributed") is None:
+        raise InputError("--scheduler needs Dask distributed", remedy='pip install "corridor-fusion[fleet]"')
+    from distributed import Client
+
+    try:
+        connect: Any = Client
+        client = connect(address, timeout=10, set_as_default=False)
+    except (OSError, ValueError) as error:
+        problem = f"--scheduler {address}: no scheduler answers there ({error})"
+        raise InputError(
+            problem, remedy="start one with `dask scheduler`, and give the address it prints"
+        ) from error
+    try:
+        _check_versions(client, address)
+        yield ClusterWorkers(client, tell)
+    finally:
+        client.close()
+
+
+def _check_versions(client: Any, address: str) -> None:
+    try:
+        versions: dict[str, str] = client.run(program_version)
+    except Exception as error:
+        problem = f"--scheduler {address}: its workers cannot run corridor-fusion ({error})"
+        raise InputError(problem, remedy="install it on every machine of the cluster") from error
+    mine = program_version()
+    for worker, theirs in versions.items():
+        if theirs != mine:
+            problem = f"--scheduler {address}: worker {worker} has corridor-fusion {theirs}, not {mine}"
+            raise InputError(problem, remedy="install the same version everywhere")
