@@ -23,6 +23,14 @@ CODE = re.compile(r"(^```.*?^```|`[^`\n]+`)", flags=re.DOTALL | re.MULTILINE)
 EQUATION = re.compile(r"\$\$(.+?)\$\$|(?<![\w$])\$([^$\n]+?)\$(?!\w)", flags=re.DOTALL)
 
 
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Give pages that the menu in ``mkdocs.yml`` does not name a place in it."""
+    listed = str(config.nav)
+    (use,) = (part["Use"] for part in config.nav or [] if "Use" in part)
+    use += [page.name for page in sorted((ROOT / "docs").glob("*.md")) if page.name not in listed]
+    return config
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add notebooks as pages with their pictures, and every file of the repository that a page links to."""
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
