@@ -63,6 +63,10 @@ def __getattr__(name: str) -> Any:
         from importlib import import_module
 
         return getattr(import_module(_MODULES[name]), name)
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("corridor-fusion")
     raise AttributeError(f"module 'fusion' has no attribute {name!r}")
 
 
