@@ -88,8 +88,17 @@ def print_costs(source: Path, work: Path, count: int, reports: bool) -> Fleet:
     warm = find_flights([source])[0].path
     loaded = load_flight(warm)
     write_outputs(fuse_flight(loaded), loaded, work / "warm", report=reports)
-    costs = {"plainly": cost_of(lambda: fuse_plainly(source, work / "plain", reports))}
+    costs: dict[str, Cost] = {}
     fleets: dict[int, Fleet] = {}
+
+    def measure(name: str, run: Callable[[], object]) -> None:
+        cost = costs[name] = cost_of(run)
+        each_ms = 1000 * cost.cpu_s / count
+        numbers = f"{cost.wall_s:>10.1f}{count / cost.wall_s:>12.2f}{cost.cpu_s:>14.1f}{each_ms:>14.1f}"
+        print(f"{name:<12}{numbers}", flush=True)
+
+    print(f"{'':<12}{'wall s':>10}{'flights/s':>12}{'processor s':>14}{'ms a flight':>14}")
+    measure("plainly", lambda: fuse_plainly(source, work / "plain", reports))
     for jobs in (1, 2):
 
         def run(jobs: int = jobs) -> None:
@@ -97,14 +106,8 @@ def print_costs(source: Path, work: Path, count: int, reports: bool) -> Fleet:
                 [source], work / f"out{jobs}", BatchSettings(jobs=jobs, reports=reports)
             )
 
-        costs[f"{jobs} worker{'s' if jobs > 1 else ''}"] = cost_of(run)
+        measure(f"{jobs} worker{'s' if jobs > 1 else ''}", run)
     again = cost_of(lambda: fuse_fleet([source], work / "out2", BatchSettings(jobs=2, reports=reports)))
-    print(f"{'':<12}{'wall s':>10}{'flights/s':>12}{'processor s':>14}{'ms a flight':>14}")
-    for name, cost in costs.items():
-        each_ms = 1000 * cost.cpu_s / count
-        print(
-            f"{name:<12}{cost.wall_s:>10.1f}{count / cost.wall_s:>12.2f}{cost.cpu_s:>14.1f}{each_ms:>14.1f}"
-        )
     plain, one, two = costs.values()
     speedup = one.wall_s / two.wall_s
     start = start_of_a_worker()
@@ -141,6 +144,7 @@ def print_model(fleet: Fleet, source: Path, work: Path, rows: int) -> None:
     count = len(fleet.rows)
     flights = find_flights([source])
     stamped = cost_of(lambda: [stamp_of(flight.path) for flight in flights])
+    before_mb = held_mb()
     many = many_rows(fleet.rows, rows)
     folder = work / "many"
     folder.mkdir()
@@ -162,7 +166,6 @@ def print_model(fleet: Fleet, source: Path, work: Path, rows: int) -> None:
     }
     outputs = sum(file.stat().st_size for file in (work / "out1" / "flights").rglob("*") if file.is_file())
     peaks = [row.peak_memory_mb for row in fleet.rows if row.peak_memory_mb is not None]
-    own_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
     print(f"find a flight        {1000 * found.wall_s / count:8.2f} ms")
     print(f"stamp a flight       {1000 * stamped.wall_s / count:8.2f} ms")
     print(f"journal a row        {1000 * journalled.wall_s / min(rows, 1000):8.2f} ms")
@@ -173,7 +176,12 @@ def print_model(fleet: Fleet, source: Path, work: Path, rows: int) -> None:
     print(f"outputs per flight   {outputs / count / 1e6:8.2f} MB")
     first, last = (np.median(part) for part in (peaks[: len(peaks) // 4 or 1], peaks[-len(peaks) // 4 :]))
     print(f"a worker holds       {first:8.0f} MB after its first flights, {last:.0f} MB after its last")
-    print(f"this process holds   {own_mb:8.0f} MB with {rows} rows")
+    print(f"{rows} rows take at most {held_mb() - before_mb:.0f} MB more, tables and page being written")
+
+
+def held_mb() -> float:
+    """Return the most that this process has held."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
 
 
 def many_rows(rows: tuple[FleetRow, ...], count: int) -> list[FleetRow]:
@@ -196,10 +204,8 @@ def main() -> None:
         else:
             logs = [flight.path for flight in find_flights([options.logs])]
         source = make_fleet(work / "fleet", logs, options.flights)
-        load = os.getloadavg()[0]
-        print(
-            f"{options.flights} flights of {len(logs)} logs, {os.cpu_count()} cores, load before {load:.1f}"
-        )
+        flights, load = f"{options.flights} flights of {len(logs)} logs", os.getloadavg()[0]
+        print(f"{flights}, {os.cpu_count()} cores, load before {load:.1f}", flush=True)
         fleet = print_costs(source, work, options.flights, options.reports)
         print_model(fleet, source, work, options.rows)
 

@@ -23,10 +23,11 @@ from math import pi, radians
 from typing import Any
 
 from flight_record import CALLS, Flight, Row, judge, table
-from pilot import HOVER, Command, Image, Pilot, VisionThread, make_ready
+from pilot import HOVER, Command, Image, Pilot, make_ready
 from simulated_vehicle import Samples, World, junction_config
 
 from fusion import CorridorEstimator, FusionConfig
+from fusion.live.vision_thread import VisionThread
 from fusion.simulate import SimulationConfig
 from vision import Camera, InputError, extract_lines
 from vision.lines.segments import LineSet

@@ -1,7 +1,8 @@
 """What a flight controller has to write to steer by the estimate: copy this file, and put your own gains in it.
 
-`VisionThread` measures pictures beside the control loop; `Pilot` takes samples as they come, and turns the estimate
-into a command once per control period. Neither knows of the simulation that `control_loop.py` flies them in.
+`Steering` turns an estimate into a command. `Pilot` takes samples as they come, and steers by an estimator once per
+control period, while a `fusion.live.vision_thread.VisionThread` measures pictures beside it. Neither knows of the
+simulation that `control_loop.py` flies them in.
 
 What runs where: the control thread owns the estimator and is the only one to call it. Finding the lines of a picture
 takes most of vision's time and needs nothing but the picture, so it happens in the vision thread (the compiled loops
@@ -12,11 +13,7 @@ state back to when the picture was taken, and carries it forward again. The cont
 from __future__ import annotations
 
 import gc
-import logging
-import queue
 import sys
-import threading
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import atan2, isnan, pi, radians
 
@@ -25,8 +22,8 @@ import numpy.typing as npt
 
 from fusion import CorridorEstimator, Estimate
 from fusion.estimator.estimate import Status
-from vision import Camera, InputError, extract_lines, warm_up
-from vision.lines.segments import LineSet
+from fusion.live.vision_thread import VisionThread
+from vision import Camera, warm_up
 
 Image = npt.NDArray[np.uint8]
 
@@ -43,74 +40,6 @@ def make_ready(camera: Camera) -> None:
     sys.setswitchinterval(0.0005)
     gc.collect()
     gc.freeze()
-
-
-class VisionThread:
-    """Finds the lines of pictures in a thread of its own. Of pictures that wait, only the newest is kept.
-
-    Parameters
-    ----------
-    camera
-        That the pictures come from.
-    extract
-        What is done to a picture.
-    """
-
-    def __init__(self, camera: Camera, extract: Callable[[Image, Camera], LineSet] = extract_lines) -> None:
-        self.dropped = 0
-        self._camera, self._extract = camera, extract
-        self._waiting: queue.Queue[tuple[int, Image] | None] = queue.Queue(maxsize=1)
-        self._finished: queue.SimpleQueue[tuple[int, LineSet | None]] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._run, name="vision", daemon=True)
-        self._thread.start()
-
-    def offer(self, t_ns: int, image: Image) -> None:
-        """Hand over a picture, never waiting: one that has waited till now gives way to it."""
-        self._put((t_ns, image))
-
-    def finished(self) -> Iterator[tuple[int, LineSet | None]]:
-        """Time stamps and lines of the pictures measured since the last call; None where one could not be read."""
-        while True:
-            try:
-                yield self._finished.get_nowait()
-            except queue.Empty:
-                return
-
-    def wait(self) -> None:
-        """Wait until all that was offered is measured. For tests and simulations; a control loop must not."""
-        self._waiting.join()
-
-    def close(self) -> None:
-        """End the thread, once it is through with the picture in hand."""
-        self._put(None)
-        self._thread.join()
-
-    def _put(self, item: tuple[int, Image] | None) -> None:
-        while True:
-            try:
-                self._waiting.put_nowait(item)
-            except queue.Full:
-                try:
-                    self._waiting.get_nowait()
-                except queue.Empty:
-                    continue  # the thread has just taken it
-                self._waiting.task_done()
-                self.dropped += 1
-            else:
-                return
-
-    def _run(self) -> None:
-        while (item := self._waiting.get()) is not None:
-            t_ns, image = item
-            try:
-                lines = self._extract(image, self._camera)
-            except InputError:
-                lines = None
-            except Exception:  # whatever is wrong with one picture must not end vision
-                logging.getLogger(__name__).exception("picture of %d ns could not be measured", t_ns)
-                lines = None
-            self._finished.put((t_ns, lines))
-            self._waiting.task_done()
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,41 +95,15 @@ class Gains:
     offset_std_m: tuple[float, float] = (0.1, 0.4)
 
 
-class Pilot:
-    """Flies down the middle of a corridor, and into another one when told to turn.
+class Steering:
+    """Flies down the middle of a corridor by estimates, and into another one when told to turn."""
 
-    Parameters
-    ----------
-    estimator
-        With a camera.
-    vision
-        Measures the pictures.
-    """
-
-    def __init__(
-        self, estimator: CorridorEstimator, vision: VisionThread, gains: Gains | None = None
-    ) -> None:
-        self.estimator, self.vision, self.gains = estimator, vision, gains or Gains()
-        self.estimate: Estimate = estimator.estimate()
+    def __init__(self, gains: Gains | None = None) -> None:
+        self.gains = gains or Gains()
+        self.estimate = Estimate(0)
         self.is_turning = False
         self._axis_rad = 0.0  # of the corridor flown, or turned into, seen from the first one
         self._left_index = 0  # corridor that the turn leaves
-
-    def on_imu(self, t_ns: int, gyro_rad_s: npt.ArrayLike, accel_m_s2: npt.ArrayLike) -> None:
-        """Take an IMU sample, body FRD."""
-        self.estimator.add_imu(t_ns, gyro_rad_s, accel_m_s2)
-
-    def on_attitude(self, t_ns: int, q_world_body: npt.ArrayLike) -> None:
-        """Take the attitude filter's quaternion, w x y z, body FRD to a world whose z points down."""
-        self.estimator.add_attitude(t_ns, q_world_body)
-
-    def on_velocity(self, t_ns: int, v_body_m_s: npt.ArrayLike) -> None:
-        """Take a velocity, body FRD, where the vehicle has one."""
-        self.estimator.add_velocity(t_ns, v_body_m_s)
-
-    def on_picture(self, t_ns: int, image: Image) -> None:
-        """Take a picture; ``t_ns`` is when it was exposed, however late it comes."""
-        self.vision.offer(t_ns, image)
 
     def turn(self, angle_rad: float) -> None:
         """Turn into the corridor that opens here, positive right."""
@@ -208,14 +111,9 @@ class Pilot:
         self._left_index = self.estimate.corridor_index
         self._axis_rad = self.estimate.corridor_turn_rad + angle_rad
 
-    def control(self, now_ns: int) -> Command:
-        """Return the command for this control period."""
-        for t_ns, lines in self.vision.finished():
-            if lines is None:
-                self.estimator.add_unreadable_frame(t_ns)
-            else:
-                self.estimator.add_lines(t_ns, lines)
-        e = self.estimate = self.estimator.estimate(now_ns)
+    def steer(self, e: Estimate) -> Command:
+        """Return the command that an estimate calls for."""
+        self.estimate = e
         if e.status in (Status.INITIALISING, Status.LOST):
             return HOVER  # and let the camera look: only frames can help
         is_meant = abs(_wrap(e.corridor_turn_rad - self._axis_rad)) < SAME_CORRIDOR_RAD
@@ -246,6 +144,50 @@ class Pilot:
         if e.status != Status.TRACKING:
             speed = min(speed, g.coasting_share * g.cruise_m_s)
         return Command(yaw_rate, speed)
+
+
+class Pilot(Steering):
+    """Steers by an estimator of its own.
+
+    Parameters
+    ----------
+    estimator
+        With a camera.
+    vision
+        Measures the pictures.
+    """
+
+    def __init__(
+        self, estimator: CorridorEstimator, vision: VisionThread, gains: Gains | None = None
+    ) -> None:
+        super().__init__(gains)
+        self.estimator, self.vision = estimator, vision
+        self.estimate = estimator.estimate()
+
+    def on_imu(self, t_ns: int, gyro_rad_s: npt.ArrayLike, accel_m_s2: npt.ArrayLike) -> None:
+        """Take an IMU sample, body FRD."""
+        self.estimator.add_imu(t_ns, gyro_rad_s, accel_m_s2)
+
+    def on_attitude(self, t_ns: int, q_world_body: npt.ArrayLike) -> None:
+        """Take the attitude filter's quaternion, w x y z, body FRD to a world whose z points down."""
+        self.estimator.add_attitude(t_ns, q_world_body)
+
+    def on_velocity(self, t_ns: int, v_body_m_s: npt.ArrayLike) -> None:
+        """Take a velocity, body FRD, where the vehicle has one."""
+        self.estimator.add_velocity(t_ns, v_body_m_s)
+
+    def on_picture(self, t_ns: int, image: Image) -> None:
+        """Take a picture; ``t_ns`` is when it was exposed, however late it comes."""
+        self.vision.offer(t_ns, image)
+
+    def control(self, now_ns: int) -> Command:
+        """Return the command for this control period."""
+        for t_ns, lines, _ in self.vision.finished():
+            if lines is None:
+                self.estimator.add_unreadable_frame(t_ns)
+            else:
+                self.estimator.add_lines(t_ns, lines)
+        return self.steer(self.estimator.estimate(now_ns))
 
 
 def _share(std: float, limits: tuple[float, float]) -> float:

@@ -6,7 +6,7 @@ SI and radians, time in integer nanoseconds. Importing the package loads nothing
 Each subpackage is a room with one job, and imports only rooms below it; ``make lint`` checks that. From the bottom:
 `fusion.settings`, `fusion.flight`; `fusion.estimator`, `fusion.logs`, `fusion.simulate`; `fusion.result`,
 `fusion.alignment`, `fusion.inspection`, `fusion.pictures`; `fusion.evaluation`; `fusion.offline`; `fusion.report`;
-`fusion.outputs`; `fusion.fleet`; `fusion.cli`. Begin reading at `fusion.estimator.estimator`, or at
+`fusion.outputs`; `fusion.fleet`, `fusion.live`; `fusion.cli`. Begin reading at `fusion.estimator.estimator`, or at
 `fusion.offline.fuse` for whole flights.
 """
 

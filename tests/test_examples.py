@@ -19,11 +19,12 @@ import numpy as np
 import pytest
 from control_loop import TRANSFER_S, VISION_S, Clock, fly
 from flight_record import BODY_RADIUS_M, Flight, Row, judge, table
-from pilot import HOVER, Gains, Pilot, VisionThread
+from pilot import HOVER, Gains, Pilot
 from scipy.spatial.transform import Rotation
 from simulated_vehicle import Body, Vehicle, World, flown, junction_config
 
 from fusion import Estimate
+from fusion.live.vision_thread import VisionThread
 from fusion.simulate import SimulationConfig
 from fusion.simulate.motion import GRAVITY_M_S2
 from vision import Camera
@@ -182,7 +183,7 @@ def test_the_vision_thread_never_keeps_its_caller_waiting() -> None:
     assert list(vision.finished()) == []  # and asking does not wait either
     go_on.set()
     vision.wait()
-    answers: list[tuple[int, object]] = list(vision.finished())
+    answers: list[tuple[int, object]] = [(m.t_ns, m.lines) for m in vision.finished()]
     assert answers == [(0, "lines of 0"), (4, "lines of 4")]
     assert measured == [0, 4]
     assert vision.dropped == 3
@@ -194,7 +195,7 @@ def test_a_picture_of_no_use_is_told_as_such() -> None:
     vision.offer(5, np.zeros((10, 10), np.uint8))  # another size than the camera's
     vision.offer(6, np.zeros((48, 64), np.uint8))
     vision.wait()
-    found = dict(vision.finished())
+    found = {m.t_ns: m.lines for m in vision.finished()}
     assert found.get(5) is None
     assert found[6] is not None
     vision.close()
@@ -208,7 +209,8 @@ def test_a_mistake_in_one_picture_is_logged_and_does_not_end_vision(caplog: pyte
     for k in range(2):
         vision.offer(k, np.full((2, 2), k, np.uint8))
         vision.wait()
-    assert list(vision.finished()) == [(0, None), (1, 1.0)]
+    answers: list[tuple[int, object]] = [(m.t_ns, m.lines) for m in vision.finished()]
+    assert answers == [(0, None), (1, 1.0)]
     assert "picture of 0 ns" in caplog.text
     vision.close()
 

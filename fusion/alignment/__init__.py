@@ -7,7 +7,7 @@ it. Begin reading at `fusion.alignment.align`, then `fusion.alignment.clock` and
 
 from __future__ import annotations
 
-from fusion.alignment.align import align_flight, apply_alignment, clock_of_frames
+from fusion.alignment.align import align_flight, apply_alignment, clock_of_frames, turns_of_frames
 from fusion.alignment.result import Alignment, Quantity
 
-__all__ = ["Alignment", "Quantity", "align_flight", "apply_alignment", "clock_of_frames"]
+__all__ = ["Alignment", "Quantity", "align_flight", "apply_alignment", "clock_of_frames", "turns_of_frames"]

@@ -7,13 +7,13 @@ from math import inf, nan, radians
 
 import numpy as np
 
-from fusion.alignment.clock import find_clock
+from fusion.alignment.clock import ClockSearch, find_clock
 from fusion.alignment.mount import mount_rotation
 from fusion.alignment.result import Alignment, Quantity
 from fusion.alignment.search import Found, search
 from fusion.alignment.sentences import clock_quantity, focal_quantity, mount_quantities
 from fusion.alignment.track import fit_track
-from fusion.alignment.turning import seconds, turning_of
+from fusion.alignment.turning import Turning, seconds, turning_of
 from fusion.alignment.views import MAX_FRAMES, Sightings, Views, choose_frames, collect, scaled_focal
 from fusion.estimator.tilt import LEVEL_STD_RAD
 from fusion.flight import Flight, FloatArray, TimeArray
@@ -112,6 +112,29 @@ def clock_of_frames(
 
     Parameters
     ----------
+    flight, t_ns, heading_rad, heading_std_rad, max_offset_s
+        As `turns_of_frames`.
+
+    Raises
+    ------
+    InputError
+        Where the flight has nothing inertial, or there are no frames.
+    """
+    turning, found = turns_of_frames(flight, t_ns, heading_rad, heading_std_rad, max_offset_s)
+    return clock_quantity(Found(found, 1.0), turning, max_offset_s)
+
+
+def turns_of_frames(
+    flight: Flight,
+    t_ns: TimeArray,
+    heading_rad: FloatArray,
+    heading_std_rad: FloatArray,
+    max_offset_s: float = MAX_OFFSET_S,
+) -> tuple[Turning, ClockSearch]:
+    """Compare the turns of headings that were measured already with those of the inertial sensors.
+
+    Parameters
+    ----------
     flight
         With a gyroscope or an attitude stream.
     t_ns, heading_rad, heading_std_rad
@@ -131,7 +154,7 @@ def clock_of_frames(
     t_s = seconds(t_ns, origin_ns)
     chosen = choose_frames(t_s, turning)
     sightings = Sightings.of_headings(t_s[chosen], heading_rad[chosen], heading_std_rad[chosen])
-    return clock_quantity(Found(find_clock(sightings, turning, max_offset_s), 1.0), turning, max_offset_s)
+    return turning, find_clock(sightings, turning, max_offset_s)
 
 
 def apply_alignment(flight: Flight, alignment: Alignment) -> Flight:

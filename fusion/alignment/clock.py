@@ -61,12 +61,13 @@ MAX_STEP_S = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coarse:
-    """A candidate of the coarse search."""
+    """A candidate of the coarse search; ``lead`` is its evidence over turns that have nothing in common."""
 
     offset_s: float
     ratio: float
     drift_rad_s: float
     evidence: float
+    lead: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,6 +121,8 @@ class ClockSearch:
         Whether vision and inertial sensors turn in opposite directions.
     at_edge
         Whether the best offset lies at the end of the range that was searched.
+    compared
+        Whether there were enough frames to compare.
     """
 
     fit: ClockFit | None
@@ -127,6 +130,7 @@ class ClockSearch:
     rival_s: float | None = None
     reversed: bool = False
     at_edge: bool = False
+    compared: bool = False
 
 
 def find_clock(sightings: Sightings, turning: Turning, reach_s: float) -> ClockSearch:
@@ -137,15 +141,15 @@ def find_clock(sightings: Sightings, turning: Turning, reach_s: float) -> ClockS
     level = [one for one in coarse if one.evidence > coarse[0].evidence - MIN_LEAD]
     best = next((one for one in level if one.ratio > 0.0), None)
     if best is None:
-        return ClockSearch(None, False, reversed=True)
+        return ClockSearch(None, False, reversed=coarse[0].lead > MIN_LEAD, compared=True)
     rival = next((one.offset_s for one in level if one is not best), None)
     fit = fine_fit(sightings, turning, best)
     if fit is None:
-        return ClockSearch(None, False, rival)
+        return ClockSearch(None, False, rival, compared=True)
     at_edge = abs(fit.offset_s) > reach_s - EDGE_S
     moved = fit.ratio > MIN_RATIO_SIGMA * fit.ratio_std and RATIO_RANGE[0] < fit.ratio < RATIO_RANGE[1]
     told = rival is None and not at_edge and moved and fit.offset_std_s < USABLE_STD_S
-    return ClockSearch(fit, told, rival, at_edge=at_edge)
+    return ClockSearch(fit, told, rival, at_edge=at_edge, compared=True)
 
 
 def coarse_offsets(sightings: Sightings, turning: Turning, reach_s: float) -> tuple[Coarse, ...]:
@@ -183,13 +187,18 @@ def coarse_offsets(sightings: Sightings, turning: Turning, reach_s: float) -> tu
     # Pairs overlap: so many of them are one.
     independent = n_covered * np.minimum(1.0, np.median(np.diff(t)) / np.median(span))
     evidence = np.where(enough, -_loss(z, covered) * independent[best], -np.inf)
+    none = turned[None, :] / sigma
+    unrelated = -float(_loss(none, covered[best : best + 1])[0] * independent[best])
     found: list[Coarse] = []
     free = np.ones(len(offsets), bool)
     while len(found) < N_RIVALS and np.isfinite(evidence[free]).any():
         k = int(np.flatnonzero(free)[np.argmax(evidence[free])])
         inner = 0 < k < len(offsets) - 1
         if not found or (inner and evidence[k] >= max(evidence[k - 1], evidence[k + 1])):
-            found.append(Coarse(float(offsets[k]), float(ratio[k]), float(drift[k]), float(evidence[k])))
+            lead = float(evidence[k] - unrelated)
+            found.append(
+                Coarse(float(offsets[k]), float(ratio[k]), float(drift[k]), float(evidence[k]), lead)
+            )
         free &= np.abs(offsets - offsets[k]) > (RIVAL_APART_S if len(found) == 1 else COARSE_STEP_S)
     return tuple(found)
 

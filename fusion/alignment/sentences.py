@@ -48,6 +48,11 @@ def _why_not(search: ClockSearch, turning: Turning, reach_s: float) -> str:
             f"Vision and the {source} turn opposite ways: the axes of the IMU or of the camera's mounting are not "
             "those that were taken, often forward-left-up for forward-right-down."
         )
+    if fit is None and search.compared:
+        return (
+            f"What vision and the {source} turn by has nothing in common: the vehicle hardly turns, or one is "
+            "not of this flight."
+        )
     if fit is None:
         return "Too few frames show the corridor to compare their turns with the inertial sensors'."
     if search.at_edge:

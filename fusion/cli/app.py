@@ -15,7 +15,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from fusion.cli import align, batch, config, evaluate, fuse, inspect, measure, simulate
+from fusion.cli import align, batch, config, evaluate, fuse, inspect, live, measure, simulate
 from fusion.cli.console import OneLineErrors
 
 HELP = """Heading and lateral offset in indoor corridors, from camera frames fused with an IMU.
@@ -29,6 +29,7 @@ First steps:
   corridor config > my.toml           all settings with their meaning, to edit and give to fuse
   corridor evaluate office_fused --truth data/office    errors against the truth, outputs side by side
   corridor measure picture.jpg        one picture: no IMU, no calibration needed
+  corridor live /dev/video0 ...       on the vehicle: camera and MAVLink in, estimates out
   corridor simulate flight            make a flight of your own to try it on, truth included
 
 Heading is the angle from the corridor's axis to the vehicle's nose, positive when turned right; lateral
@@ -75,6 +76,7 @@ for _name, _help, _short_help, _command in (
     ("measure", measure.HELP, measure.SHORT_HELP, measure.measure),
     ("align", align.HELP, align.SHORT_HELP, align.align),
     ("simulate", simulate.HELP, simulate.SHORT_HELP, simulate.simulate),
+    ("live", live.HELP, live.SHORT_HELP, live.live),
     ("evaluate", evaluate.HELP, evaluate.SHORT_HELP, evaluate.evaluate),
     ("config", config.HELP, config.SHORT_HELP, config.print_config),
 ):

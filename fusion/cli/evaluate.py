@@ -20,6 +20,7 @@ Rows count while tracking, outside junctions. What a truth may look like: docs/c
 Examples:
   corridor evaluate office_fused --truth data/office
   corridor evaluate hall_fused --truth mocap.tum --truth-frame ros --align
+  corridor evaluate geometric paper --truth data/office --plot errors.svg --table errors.tex
 
 Next: `corridor fuse --config` with other settings into another OUT, and compare the two.
 """
@@ -37,6 +38,13 @@ def evaluate(
     align: Annotated[
         bool, typer.Option("--align", help="Take out the constant between truth and estimate, and tell it.")
     ] = False,
+    plot: Annotated[
+        Path | None,
+        typer.Option("--plot", metavar="FILE", help="Draw the errors over time: .png, .svg or .pdf."),
+    ] = None,
+    table: Annotated[
+        Path | None, typer.Option("--table", metavar="FILE", help="Write the errors: .csv, .md or .tex.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, not tables.")] = False,
 ) -> None:
     """Compare outputs with a truth."""
@@ -45,5 +53,14 @@ def evaluate(
     from fusion.evaluation.truth_file import read_truth
     from fusion.result.summary_json import summary_json
 
-    found = compare(read_outputs(outs), read_truth(truth, truth_frame), align=align)
+    outputs, true = read_outputs(outs), read_truth(truth, truth_frame)
+    found = compare(outputs, true, align=align)
+    if table is not None:
+        from fusion.evaluation.comparison_table import write_comparison_table
+
+        write_comparison_table(found, table)
+    if plot is not None:
+        from fusion.report.comparison import write_comparison_figure
+
+        write_comparison_figure(outputs, true, plot, align=align)
     echo(summary_json(found).rstrip("\n") if as_json else comparison_text(found))

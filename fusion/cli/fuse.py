@@ -89,6 +89,8 @@ def fuse(
     from fusion import FusionConfig, fuse_flight
     from fusion.cli.fuse_options import flight_from_options, outside_text
     from fusion.cli.fuse_text import fusion_text
+    from fusion.live.replay import recorded_config, replay
+    from fusion.logs.rosbag.attachments import is_recording
     from fusion.outputs.exports import check_formats, remarks
     from fusion.outputs.folder import check_out_dir, write_outputs
 
@@ -96,6 +98,10 @@ def fuse(
         check_out_dir(out)  # before the work, not after it
     exports = check_formats(export or ())
     settings = None if config is None else FusionConfig.from_toml(config)
+    again = None
+    if flight is not None and is_recording(flight):
+        settings = settings or recorded_config(flight)
+        again = replay(flight)
     log = flight_from_options(
         flight, imu=imu, video=video, attitude=attitude, camera=camera, clock_offset_s=clock_offset_s
     )
@@ -106,5 +112,15 @@ def fuse(
     with compile_notice("the line finder"), progress_bar("fusing") as progress:
         result = fuse_flight(log, settings, method=method.value, progress=progress)
     with progress_bar("writing") as progress:
-        write_outputs(result, log, folder, exports=exports, frame=frame, progress=progress)
+        write_outputs(
+            result,
+            log,
+            folder,
+            exports=exports,
+            frame=frame,
+            progress=progress,
+            sent=None if again is None else again.estimates,
+        )
     echo(fusion_text(result.overview, folder, remarks(exports, frame)))
+    if again is not None:
+        echo(again.text())

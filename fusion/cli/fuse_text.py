@@ -10,6 +10,7 @@ from math import degrees, isnan, nan
 from pathlib import Path
 from textwrap import wrap
 
+from fusion.evaluation import checks_cause
 from fusion.logs.samples import counted
 from fusion.printable import printable
 from fusion.result.summary import CorridorStretch, ErrorStatistics, FlightErrors, Level, SpeedSummary, Summary
@@ -51,7 +52,8 @@ def fusion_text(summary: Summary, folder: Path, remarks: Sequence[str] = ()) -> 
     for level in (Level.FAIL, Level.WARN):
         for check in summary.checks:
             if check.level == level:
-                text = f"{level}: {check.name}: {check.value}. {check.meaning}"
+                remedy = f" {check.action}" if check.name == checks_cause.NAME else ""
+                text = f"{level}: {check.name}: {check.value}. {check.meaning}{remedy}"
                 lines += wrap(text, 100, initial_indent="  ", subsequent_indent="        ")
     return "\n".join(printable(line.rstrip()) for line in lines)
 

@@ -6,6 +6,7 @@ To add a check, write its rule beside its like in a ``checks_*`` module, name it
 
 from __future__ import annotations
 
+from fusion.evaluation.checks_cause import likely_cause
 from fusion.evaluation.checks_filter import (
     ALONG_THE_CORRIDOR,
     INNOVATIONS_OVER_GATE,
@@ -43,7 +44,7 @@ CHECKS: tuple[CheckRule, ...] = (
 
 
 def run_checks(result: FusionResult, flight: Flight, limits: Limits | None = None) -> tuple[Check, ...]:
-    """Run every check on a fused flight, in the order of `CHECKS`.
+    """Run every check on a fused flight, in the order of `CHECKS`; before them the likely cause of what is wrong.
 
     Parameters
     ----------
@@ -52,4 +53,6 @@ def run_checks(result: FusionResult, flight: Flight, limits: Limits | None = Non
     limits
         Thresholds; None for the defaults.
     """
-    return tuple(rule.apply(result, flight, limits or Limits()) for rule in CHECKS)
+    checks = tuple(rule.apply(result, flight, limits or Limits()) for rule in CHECKS)
+    cause = likely_cause(result, flight, checks)
+    return checks if cause is None else (cause, *checks)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table
 from fusion.evaluation.errors import evaluate, interpolate_truth
 from fusion.evaluation.truth_file import Truth
-from fusion.flight import CorridorTruth
+from fusion.flight import CorridorTruth, FloatArray, TimeArray
 from fusion.result.conventions import Frame, table_in_frame
 from fusion.result.record import Record
 from fusion.result.summary import CorridorErrors, TableErrors
@@ -76,6 +76,15 @@ class ComparedOutput(Record):
     duration_s: float
     causal: ComparedTable
     smoothed: ComparedTable
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorsOverTime:
+    """Estimate less truth at a table's times (n,), NaN where it is not judged; the offset in the unit asked for."""
+
+    t_ns: TimeArray
+    heading_rad: FloatArray
+    lateral_offset: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,6 +196,32 @@ def compare(outputs: Sequence[Output], truth: Truth, *, align: bool = False) -> 
         problems=problems,
     )
     return Comparison(facts, compared)
+
+
+def errors_over_time(
+    table: Table, truth: Truth, unit: Literal["m", "norm"], *, align: bool = False
+) -> ErrorsOverTime:
+    """Return what `compare` judges of one table, row by row.
+
+    Parameters
+    ----------
+    table
+        ``causal`` or ``smoothed`` of an `Output`.
+    truth, align
+        As for `compare`.
+    unit
+        Of the offset: metres or half widths.
+    """
+    rows = _to_first_axis(table) if truth.fixed_axis else table
+    corridor = _aligned(truth.corridor, rows)[0] if align else truth.corridor
+    at = interpolate_truth(corridor, rows["timestamp_ns"])
+    judged = at.known & ~at.in_junction & (rows["status"] == "tracking")
+    offset = rows[f"lateral_offset_{unit}"] - (at.lateral_offset_m if unit == "m" else at.lateral_offset_norm)
+    return ErrorsOverTime(
+        rows["timestamp_ns"],
+        np.where(judged, wrap(rows["heading_rad"] - at.heading_rad), np.nan),
+        np.where(judged & (truth.offset in (unit, "both")), offset, np.nan),
+    )
 
 
 def _turn_oppositely(table: Table, truth: Truth) -> bool:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 
+from fusion.estimator.tables import Table
 from fusion.files import (
     draft_name,
     error_text,
@@ -29,7 +30,8 @@ from fusion.result.tables_csv import write_table
 from vision.errors import InputError
 
 OUTPUT_FILES = ("estimates.csv", "smoothed.csv", "frames.csv", "summary.json", "report.html", "flight.toml")
-_OURS = (*OUTPUT_FILES, *chain.from_iterable(EXPORT_FILES.values()))
+SENT_FILE = "sent.csv"
+_OURS = (*OUTPUT_FILES, SENT_FILE, *chain.from_iterable(EXPORT_FILES.values()))
 MARK = "summary.json"  # a folder that holds it is ours; it lists the files written with it
 _LEFT_BY_FILE_BROWSERS = frozenset({".DS_Store", "Thumbs.db"})
 
@@ -43,6 +45,7 @@ def write_outputs(
     exports: Iterable[Format] = (),
     frame: Frame = Frame.FRD,
     progress: Progress | None = None,
+    sent: Table | None = None,
 ) -> Path:
     """Write a fused flight's files, and what else is asked for, into ``out_dir``, all of them or none.
 
@@ -67,6 +70,8 @@ def write_outputs(
         Convention of signs in the tables and in the summary, which names it; the report's words need none.
     progress
         Called with pictures exported and in all, where ``exports`` holds any.
+    sent
+        Estimates as they were sent in flight, where the flight is a recording of `corridor live`.
 
     Returns
     -------
@@ -82,6 +87,8 @@ def write_outputs(
         write_table(table_in_frame(result.estimates, frame), folder / "estimates.csv")
         write_table(table_in_frame(result.smoothed, frame), folder / "smoothed.csv")
         write_table(table_in_frame(result.frames, frame), folder / "frames.csv")
+        if sent is not None:
+            write_table(table_in_frame(sent, frame), folder / SENT_FILE)
         _write_manifest(flight, folder / "flight.toml", Path(out_dir).resolve())
         write_exports(result, flight, folder, exports, frame, progress)
         if report:

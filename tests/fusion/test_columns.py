@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fusion.flight import AttitudeStream, ImuStream, VectorStream
+from fusion.inspection.sources import inspect_path
 from fusion.logs import open_log
 from fusion.logs.contents import Kind
 from fusion.logs.csv.column_map import ColumnMap, Frame
@@ -678,3 +680,37 @@ def test_crazyflie(tmp_path: Path) -> None:
     np.testing.assert_allclose(imu.accel_m_s2[0], [0, 0, -G])
     np.testing.assert_allclose(log.velocity("velocity").value.xyz[0], [0.5, 0, 0], atol=1e-12)
     np.testing.assert_allclose(log.range("range").value.distance_m, 1.2)
+
+
+# ------------------------------------------------------------------------------------------- Betaflight
+
+
+@pytest.mark.parametrize("of", ["blackbox_decode", "Explorer"])
+def test_betaflights_blackbox(tmp_path: Path, of: str) -> None:
+    """As the two tools write it: microseconds, degrees/s, counts of 2048 to a g; z up at rest."""
+    names = ["loopIteration", "time", "axisP[0]", "gyroADC[0]", "gyroADC[1]", "gyroADC[2]"]
+    names += ["accSmooth[0]", "accSmooth[1]", "accSmooth[2]", "motor[0]"]
+    if of == "Explorer":  # begins with the settings of the vehicle
+        head = '"Product","Blackbox flight data recorder by Nicholas Sherlock"\n"gyro_scale","0x3f800000"\n'
+        head += '"rates","70,70,70"\n"acc_1G","2048"\n' + ",".join(f'"{name}"' for name in names) + "\n"
+    else:
+        head = ", ".join("time (us)" if name == "time" else name for name in names) + "\n"
+    lines = rows(lambda i: f"{i * 4},{71_000_000 + 2000 * i},3,0,-10,90,0,205,2048,1400")
+    log = open_log(written(tmp_path / "LOG00001.01.csv", head + lines))
+    (topic,) = log.topics
+    imu = log.imu(topic.name).value
+    assert imu.t_ns[0] == 71_000_000_000
+    np.testing.assert_allclose(imu.gyro_rad_s[0], np.radians([0, 10, -90]))  # pitch up, to the left
+    np.testing.assert_allclose(imu.accel_m_s2[0], np.array([0, -0.1, -1.0]) * 9.80665, rtol=2e-3)
+    (said,) = (text for text in log.problems if "not read" in text)
+    assert said.endswith("columns that are not read: loopIteration, axisP[0], motor[0]")
+
+
+def test_counts_of_an_accelerometer_are_put_right_as_the_finding_says(tmp_path: Path) -> None:
+    lines = rows(lambda i: f"{5_000_000 * i},0.01,0,{0.1 * (i % 7)},{i % 5},3,{-4096 + i % 3}", 400)
+    path = written(tmp_path / "imu.csv", "timestamp_ns,gx,gy,gz,ax,ay,az\n" + lines)
+    (finding,) = (f for f in inspect_path(path).findings if f.kind == "accel_unit")
+    setting = re.search(r'set (accel_unit = "g/4096") in \[imu\.columns\]', finding.remedy)
+    assert setting is not None
+    manifest = written(tmp_path / "flight.toml", f'log = "imu.csv"\n[imu.columns]\n{setting[1]}\n')
+    assert not [f for f in inspect_path(manifest).findings if f.kind == "accel_unit"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from math import radians
 from pathlib import Path
@@ -15,9 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from fusion.cli.evaluate_text import comparison_text
 from fusion.estimator.tables import ESTIMATE_DTYPE
-from fusion.evaluation.comparison import compare, read_outputs
+from fusion.evaluation.comparison import compare, errors_over_time, read_outputs
+from fusion.evaluation.comparison_table import HEAD, write_comparison_table
 from fusion.evaluation.truth_file import _times, read_truth
 from fusion.outputs.tum import write_tum
+from fusion.report.comparison import comparison_figure, write_comparison_figure
 from fusion.result.conventions import Frame, file_facts, summary_in_frame, table_in_frame
 from fusion.result.summary_json import write_summary
 from fusion.result.tables_csv import write_table
@@ -421,3 +424,70 @@ def test_a_truth_that_turns_the_other_way_is_named(tmp_path: Path, told: Frame) 
     found = compare(read_outputs([write_output(tmp_path / "out", table)]), read_truth(path, told))
     named = [text for text in found.truth.problems if "--truth-frame ros" in text]
     assert len(named) == (told is Frame.FRD)
+
+
+# --- as a figure and as a table ---
+
+
+def two_outputs(tmp_path: Path) -> tuple[Any, Any]:
+    write_output(tmp_path / "good & new", estimates(radians(1)))
+    write_output(tmp_path / "bad_old", estimates(radians(3), offset_m=0.32))
+    truth = write_csv(
+        tmp_path / "truth.csv",
+        "timestamp_ns,heading_deg,lateral_offset_m",
+        lambda t_ns: f"{t_ns},10,0.22",
+    )
+    return read_outputs([tmp_path / "good & new", tmp_path / "bad_old"]), read_truth(truth)
+
+
+def test_the_figure_draws_the_errors_that_the_table_states(tmp_path: Path) -> None:
+    outputs, truth = two_outputs(tmp_path)
+    series = errors_over_time(outputs[1].causal, truth, "m")
+    judged = np.isfinite(series.heading_rad)
+    assert judged.sum() == 360  # not while it initialises
+    assert np.allclose(series.heading_rad[judged], radians(3))
+    assert np.allclose(series.lateral_offset[judged], 0.1)
+    figure = comparison_figure(outputs, truth)
+    heading, shares, offset, _ = figure.axes
+    assert [line.get_label() for line in heading.lines[:2]] == ["good & new", "bad_old"]
+    assert np.nanmax(np.asarray(heading.lines[1].get_ydata(), dtype=float)) == pytest.approx(3.0)
+    assert np.nanmax(np.asarray(offset.lines[1].get_ydata(), dtype=float)) == pytest.approx(10.0)
+    assert np.max(np.asarray(shares.lines[0].get_ydata(), dtype=float)) == pytest.approx(100.0)
+    assert offset.get_ylabel() == "Offset error, cm"
+
+
+@pytest.mark.parametrize("ending", [".png", ".svg", ".pdf"])
+def test_a_figure_is_written_in_each_format(tmp_path: Path, ending: str) -> None:
+    write_comparison_figure(*two_outputs(tmp_path), tmp_path / f"errors{ending}")
+    head = (tmp_path / f"errors{ending}").read_bytes()[:100]
+    assert {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[ending] in head
+
+
+def test_a_table_is_written_in_each_format(tmp_path: Path) -> None:
+    outputs, truth = two_outputs(tmp_path)
+    found = compare(outputs, truth)
+    for ending in (".csv", ".md", ".tex"):
+        write_comparison_table(found, tmp_path / f"errors{ending}")
+    rows = list(csv.DictReader((tmp_path / "errors.csv").open()))
+    assert [(row["output"], row["estimate"]) for row in rows] == [
+        (name, kind) for name in ("good & new", "bad_old") for kind in ("filter", "smoother")
+    ]
+    assert rows[2]["heading RMSE, deg"] == "3.000"
+    assert rows[2]["offset max, cm"] == "10.00"
+    latex = (tmp_path / "errors.tex").read_text()
+    assert r"good \& new & filter & 1.000" in latex
+    assert r"bad\_old & smoother & 3.000" in latex
+    markdown = (tmp_path / "errors.md").read_text().splitlines()
+    assert all(line.count("|") == len(HEAD) + 1 for line in markdown)
+
+
+@pytest.mark.parametrize("option", ["--plot", "--table"])
+def test_an_unknown_format_is_refused_in_one_line(tmp_path: Path, corridor: Corridor, option: str) -> None:
+    two_outputs(tmp_path)
+    done = corridor(
+        "evaluate", tmp_path / "bad_old", "--truth", tmp_path / "truth.csv", option, tmp_path / "e.doc"
+    )
+    assert done.code == 2
+    assert "e.doc: is no format of a" in done.err
+    assert done.err.count("\n") == 1
+    assert not (tmp_path / "e.doc").exists()

@@ -84,7 +84,10 @@ SINCE_ZERO = T - T[0]
             imu(accel_m_s2=ACCEL / 9.80665e-3),
             r"gravity reads 10\d\d instead of 9.81 m/s\^2: the accelerometer is in thousandths of g \(set accel_unit",
         ),
-        (imu(accel_m_s2=ACCEL * 1670.0), "gravity reads .* the accelerometer is in another unit"),
+        (
+            imu(accel_m_s2=ACCEL * 660.0),
+            r"the accelerometer is in another unit \(multiply its columns by 0.0015",
+        ),
         (
             imu(gyro_rad_s=GYRO @ FLU, accel_m_s2=ACCEL @ FLU),
             r"imu: gravity reads \+9\.\d along z and the gyroscope's y and z turn against the attitude: its axes "

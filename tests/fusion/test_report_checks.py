@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from math import radians
 
@@ -10,6 +11,7 @@ import pytest
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.tables import FRAME_DTYPE
+from fusion.evaluation import checks_cause
 from fusion.evaluation.checks import CHECKS, run_checks
 from fusion.evaluation.verdict import CheckRule, Finding, Limits, nothing_to_judge, worst_first, worst_of
 from fusion.flight import Flight, FloatArray, FrameStream, ImuStream
@@ -216,7 +218,7 @@ class TestRules:
         self, swing: Fused, number: float, level: Level, meaning: str, action: str
     ) -> None:
         check = self.rule(Finding("n", number)).apply(*swing, Limits(coast_s=(2.0, 10.0)))
-        assert check == Check("Speed", level, "n", "pass to 2", meaning, action)
+        assert check == Check("Speed", level, "n", "pass to 2", meaning, action, number)
 
     def test_a_finding_may_say_more_than_its_rule(self, swing: Fused) -> None:
         finding = Finding("n", level=Level.WARN, limit="other", meaning="Because.", action="Do.")
@@ -235,3 +237,55 @@ class TestRules:
         names = [check.name for check in run_checks(*swing)]
         assert names == [rule.name for rule in CHECKS]
         assert len(set(names)) == len(names)
+
+
+class TestLikelyCause:
+    """Half of the frames are rejected; the cause is told before that, with the setting to change."""
+
+    def cause(self, fused: Fused, gyro: float = 1.0, *, accel: bool = True) -> list[Check]:
+        result, flight = fused
+        assert flight.imu is not None
+        imu = replace(flight.imu, gyro_rad_s=gyro * flight.imu.gyro_rad_s)
+        if not accel:
+            imu = replace(imu, accel_m_s2=np.full_like(imu.accel_m_s2, np.nan))
+        frames = table_with(result.frames, accepted=(slice(0, 700), False), reason=(slice(0, 700), "gate"))
+        checks = run_checks(replace(result, frames=frames), replace(flight, imu=imu))
+        assert checks[-len(CHECKS)].name == CHECKS[0].name
+        return list(checks[: len(checks) - len(CHECKS)])
+
+    @pytest.mark.parametrize("late_s", [0.3, -0.08])
+    def test_another_clock(self, swing: Fused, late_s: float) -> None:
+        (check,) = self.cause(turning(swing, late_s))
+        assert (check.name, check.level) == (checks_cause.NAME, Level.FAIL)
+        setting = re.search(r"Add (\S+) to clock_offset_s for \[camera\]", check.action)
+        assert setting is not None
+        assert float(setting[1]) == pytest.approx(-late_s, abs=0.005)
+
+    def test_a_delay_that_is_not_there(self, swing: Fused) -> None:
+        """The setting says 0.3 s, the frames are stamped rightly."""
+        (check,) = self.cause(turning(swing, -0.3, delay_s=0.3))
+        setting = re.search(r"Set camera_delay_s = (\S+) instead of 0.3", check.action)
+        assert setting is not None
+        assert float(setting[1]) == pytest.approx(0.0, abs=0.005)
+
+    @pytest.mark.parametrize("accel", [True, False])
+    def test_turns_the_other_way(self, swing: Fused, accel: bool) -> None:
+        (check,) = self.cause(turning(swing), gyro=-1.0, accel=accel)
+        assert "opposite" in check.value
+        said = "By gravity the IMU is as told" if accel else 'frame = "flu" for [imu]'
+        assert said in check.action
+
+    @pytest.mark.parametrize(
+        ("gyro", "said"), [(1 / 1.3, "focal_scale"), (2.5, "gyro_unit in [imu.columns]")]
+    )
+    def test_turns_of_another_size(self, swing: Fused, gyro: float, said: str) -> None:
+        (check,) = self.cause(turning(swing), gyro=gyro)
+        assert said in check.action
+        assert f"{1 / gyro:.1f}" in check.value
+
+    def test_nothing_is_accused_where_all_fits_or_nothing_is_wrong(self, swing: Fused) -> None:
+        assert self.cause(turning(swing)) == []
+        assert checks_cause.likely_cause(*turning(swing, 0.3), ()) is None
+
+    def test_a_gyroscope_of_zeros_does_not_turn_the_other_way(self, swing: Fused) -> None:
+        assert self.cause(turning(swing), gyro=0.0) == []

@@ -16,7 +16,8 @@ Vector = tuple[Column, Column, Column]
 TimeUnit = Literal["ns", "us", "ms", "s", "iso"]
 AngleUnit = Literal["rad", "deg", "mdeg"]
 RateUnit = Literal["rad/s", "deg/s", "mrad/s"]
-AccelUnit = Literal["m/s2", "g", "mg", "cm/s2"]
+#: A fraction of g is one count of a sensor of 16 bits.
+AccelUnit = Literal["m/s2", "g", "mg", "cm/s2", "g/512", "g/2048", "g/4096", "g/8192", "g/16384"]
 SpeedUnit = Literal["m/s", "dm/s", "cm/s", "mm/s"]
 LengthUnit = Literal["m", "dm", "cm", "mm"]
 Separator = Literal[",", ";", "\t", " ", "|"]
@@ -162,7 +163,25 @@ _CRAZYFLIE = ColumnMap(
     range_limits=(20.0, 4000.0),
 )
 
-READY_MAPS = {"tello": _TELLO, "crazyflie": _CRAZYFLIE, "ardrone": _ARDRONE, "ardrone_ros": _ARDRONE_ROS}
+# Betaflight's blackbox as blackbox_decode and the Blackbox Explorer write it: microseconds since boot, degrees/s, and
+# counts of the accelerometer, 2048 to a g on most boards. At rest it reads +1 g along z, with x ahead: FLU.
+_BETAFLIGHT = ColumnMap(
+    frame="flu",
+    time="time",
+    time_unit="us",
+    gyro=("gyroADC[0]", "gyroADC[1]", "gyroADC[2]"),
+    gyro_unit="deg/s",
+    accel=("accSmooth[0]", "accSmooth[1]", "accSmooth[2]"),
+    accel_unit="g/2048",
+)
+
+READY_MAPS = {
+    "betaflight": _BETAFLIGHT,
+    "tello": _TELLO,
+    "crazyflie": _CRAZYFLIE,
+    "ardrone": _ARDRONE,
+    "ardrone_ros": _ARDRONE_ROS,
+}
 
 #: Names that time stamps go by, most telling first; a unit may follow, as in ``time_ms``.
 TIME_NAMES = (

@@ -34,6 +34,7 @@ _UNITS = {
 _SENSORS = {"gyro": "gyro", "accel": "accel", "magnet": "", "gravity": "", "orientation": ""}
 _TUM = ColumnMap(time=1, position=(2, 3, 4), quaternion=(8, 5, 6, 7))
 _SIGNS = {
+    "betaflight": {"gyroadc[0]", "gyroadc[1]", "gyroadc[2]"},
     "tello": {"pitch", "roll", "yaw", "vgx", "vgy", "vgz"},
     "crazyflie": {"gyro.x", "gyro.y", "gyro.z"},
     "ardrone_ros": {"rotx", "roty", "rotz", "altd"},

@@ -26,9 +26,10 @@ from fusion.logs.contents import Kind, LogContents, Topic, UndecidedError
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
 from fusion.logs.csv.column_names import has_asl_names, map_of_names, names_the_world, ready_map_of
 from fusion.logs.csv.table import Layout, read_layout
+from fusion.logs.csv.time_units import is_time_name
 from fusion.logs.csv.times import ROLES, read_timed
 from fusion.logs.imu_series import imu_stream
-from fusion.logs.samples import WithProblems
+from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.series import (
     MAX_POSITION,
     MAX_VELOCITY,
@@ -53,6 +54,7 @@ _G_M_S2, _DEG = 9.80665, np.pi / 180.0
 SI = (
     {"rad/s": 1.0, "deg/s": _DEG, "mrad/s": 1e-3, "rad": 1.0, "deg": _DEG, "mdeg": _DEG * 1e-3}
     | {"m/s2": 1.0, "g": _G_M_S2, "mg": _G_M_S2 * 1e-3, "cm/s2": 1e-2}
+    | {f"g/{counts}": _G_M_S2 / counts for counts in (512, 2048, 4096, 8192, 16384)}
     | {"m/s": 1.0, "dm/s": 0.1, "cm/s": 0.01, "mm/s": 1e-3, "m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3}
 )
 _FLIP = np.array([1.0, -1.0, -1.0])  # FLU to FRD, and a world with z up to one with z down
@@ -60,6 +62,7 @@ _Q_FLIP = np.array([1.0, 1.0, -1.0, -1.0])  # the same on both sides of a quater
 _Q_NED_ENU = (0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0)
 _Q_FLU_FRD = (0.0, 1.0, 0.0, 0.0)
 _UPRIGHT_M_S2 = 5.0
+MAX_LISTED = 12  # names of columns
 _NOTHING_TELLS = "nothing tells"
 
 _EXAMPLE = (
@@ -114,13 +117,30 @@ def open_columns(
     for kind, roles, read in _READERS:
         if any(role in table.parts for role in roles):
             series.append(Series(Topic(kind.value, kind, table.t_ns, table.note(kind)), partial(read, table)))
-    log = CsvLog(path, what, series, assumed + problems)
+    log = CsvLog(path, what, series, assumed + problems + _left_out(layout, found))
     log.body_frame = "flu" if table.body_frame().value in ("flu", "enu") else "frd"
     return log
 
 
 class CsvLog(SeriesLog):
     """`LogContents` of a CSV; ``body_frame`` is what its axes are taken for."""
+
+
+def _left_out(layout: Layout, columns: ColumnMap) -> Problems:
+    """Name the columns that are not read."""
+    named = {layout.find(name, role) for role in ROLES for name in columns.columns_of(role)}
+    if columns.time is not None:
+        named.add(layout.find(columns.time, "columns.time"))
+    unread = [
+        name
+        for index, name in enumerate(layout.names)
+        if name and index not in named and not (columns.time is None and is_time_name(name) is not None)
+    ]
+    if not unread:
+        return ()
+    more = f" and {len(unread) - MAX_LISTED} more" if len(unread) > MAX_LISTED else ""
+    listed = ", ".join(unread[:MAX_LISTED])
+    return (Remark(f"{layout.path.name}: columns that are not read: {listed}{more}"),)
 
 
 def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[ColumnMap, str]]:

@@ -110,7 +110,9 @@ def _plain(name: str) -> tuple[str, str]:
     if len(name) > _MAX_NAME:
         return name.strip(), ""
     match = re.fullmatch(r"\s*(.*?)\s*[\[(]\s*(.*?)\s*[\])]\s*", name)
-    return (match[1], match[2]) if match and match[1] else (name.strip(), "")
+    if match is None or not match[1] or match[2].isdigit():  # a number is which of several, as in gyroADC[0]
+        return name.strip(), ""
+    return match[1], match[2]
 
 
 def read_layout(path: Path, separator: str | None = None, header: bool | None = None) -> Layout:
@@ -138,6 +140,7 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
     if keyed:
         return _keyed_layout(path, rows[0])
     separator = separator or _separator(rows[-20:])
+    rows = _without_preamble(rows, separator)
     first = split_fields(rows[0], separator)
     named = not any(_is_number(f, separator) or is_date(f) for f in first) if header is None else header
     comment = next((line for line in reversed(lines[: lines.index(rows[0])]) if separator in line), None)
@@ -166,6 +169,17 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
 def _dates_joined(text: str) -> str:
     """Write a T between date and time of day, which may stand among columns that blanks part."""
     return _DATE_AND_TIME.sub(r"\1T\2", text)
+
+
+def _without_preamble(rows: list[str], separator: str) -> list[str]:
+    """Leave out lines of another width that stand before the table, such as settings with their values."""
+    widths = [len(split_fields(row, separator)) for row in rows]
+    if widths[-1] == 1:
+        return rows
+    start = next((k for k in range(len(rows) - 1, -1, -1) if widths[k] != widths[-1]), -1) + 1
+    # Damaged rows among the others are no preamble.
+    numbers = sum(_is_number(split_fields(row, separator)[0], separator) for row in rows[:start])
+    return rows if numbers or start >= len(rows) - 1 else rows[start:]
 
 
 def _keyed_layout(path: Path, row: str) -> Layout:

@@ -150,6 +150,10 @@ def _accel_unit(gravity: Gravity, advice: Advice) -> Iterator[Finding]:
     for unit, name, one_g, factor in (
         ("g", "g", 1.0, "9.80665"),
         ("mg", "thousandths of g", 1000.0, "0.00980665"),
+        *(
+            (f"g/{count:.0f}", f"counts, {count:.0f} to a g", count, f"{GRAVITY_M_S2 / count:.4g}")
+            for count in (512.0, 2048.0, 4096.0, 8192.0, 16384.0)
+        ),
     ):
         if 0.8 < length / one_g < 1.2:
             yield Finding(
@@ -167,7 +171,7 @@ def _accel_unit(gravity: Gravity, advice: Advice) -> Iterator[Finding]:
         "accel_unit",
         f"gravity reads {length:.4g} instead of 9.81 m/s^2"
         + (": the accelerometer is in another unit" if far else ": the accelerometer's scale is off"),
-        advice.unit("imu", "accel_unit", "...", f"{GRAVITY_M_S2 / length:.4g}"),
+        f"multiply its columns by {GRAVITY_M_S2 / length:.4g}",
     )
 
 

@@ -28,6 +28,7 @@ from fusion.flight import (
 )
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.imu_series import imu_stream, is_measured, joined_imu
+from fusion.logs.rosbag.attachments import attached_camera
 from fusion.logs.rosbag.encoded import EncodedPictures, codec_of, is_key_frame
 from fusion.logs.rosbag.file import Bag, recognises
 from fusion.logs.rosbag.frames import StaticFrames
@@ -118,7 +119,7 @@ class RosLog(SeriesLog):
         """Calibration from the CameraInfo beside these pictures; it looks straight ahead unless transforms tell."""
         name = _info_of(topic, list(self._infos), list(self._pictures))
         if name is None:
-            return None
+            return attached_camera(self.path)
         try:
             info = self._bag.decode(RosType.CAMERA_INFO, self._infos[name])
             mount = self._mounts.mount(info.header.frame_id)

@@ -1,0 +1,158 @@
+"""The command ``corridor live``: the estimator on the vehicle."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fusion.cli.console import compile_notice, echo, say
+
+SHORT_HELP = "On the vehicle: camera and MAVLink in, estimates out."
+HELP = """Estimate heading and lateral offset in flight, from a camera and an autopilot's MAVLink, and send them.
+
+\b
+PICTURES is one of
+  /dev/video0                       a camera's device (V4L2)
+  rtsp://... or udp://...           a network stream
+  hall.mp4, or a flight's folder    played at its own pace, to try things on the ground
+  an empty folder                   in which pictures will appear, named by their time in ns since 1970
+
+\b
+--link is as pymavlink names it
+  udpin:0.0.0.0:14540               listen; udpout:HOST:PORT calls
+  tcp:HOST:PORT, tcpin:HOST:PORT
+  /dev/ttyACM0,921600               serial, with its baud rate
+
+\b
+It listens to HIGHRES_IMU (or SCALED_IMU, ArduPilot's RAW_IMU), ATTITUDE_QUATERNION (or ATTITUDE) and
+DISTANCE_SENSOR, asks the autopilot for them, keeps its clock by TIMESYNC, and sends
+  ODOMETRY            yaw from the first corridor's axis, with variance, quality and reset counter
+  DEBUG_VECT          corridor_m: lateral offset and its sigma in metres, heading in rad; corridor_n: half widths
+  NAMED_VALUE_FLOAT   cf_psi, cf_y, cf_yn, each with _sd; cf_status (0 initialising, 1 tracking, 2 coasting, 3 lost)
+  STATUSTEXT          when the status or the corridor changes
+
+Ctrl-C ends it. With --record, all that goes in and out is in one MCAP file, and `corridor fuse` of that file
+computes again, to the bit, what was sent.
+
+\b
+Examples:
+  corridor live /dev/video0 --camera cam.yaml --link /dev/ttyACM0,921600 --config hall.toml --record flight.mcap
+  corridor live rtsp://10.0.0.2/front --camera cam.yaml --link udpin:0.0.0.0:14540 --view
+  corridor live hall.mp4 --camera cam.yaml --link udpin:127.0.0.1:14540
+
+Wiring, parameters of PX4 and ArduPilot, and what to check before a flight: docs/live.md.
+"""
+
+
+def live(
+    pictures: Annotated[str, typer.Argument(metavar="PICTURES", help="A camera, see above.")],
+    camera: Annotated[
+        Path, typer.Option("--camera", metavar="CAM.yaml", help="Calibration, as for corridor fuse.")
+    ],
+    link: Annotated[
+        str, typer.Option("--link", metavar="ADDRESS", help="The autopilot.")
+    ] = "udpin:0.0.0.0:14540",
+    config: Annotated[
+        Path | None, typer.Option("--config", metavar="F.toml", help="Settings; the rest keep defaults.")
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option("--record", metavar="FILE.mcap", help="Write a recording.")
+    ] = None,
+    view: Annotated[bool, typer.Option("--view", help="Serve pictures and estimates to Foxglove.")] = False,
+    view_host: Annotated[str, typer.Option("--view-host", help="Address to serve them at.")] = "127.0.0.1",
+    view_port: Annotated[int, typer.Option("--view-port", help="Port to serve them at.")] = 8765,
+    rate_hz: Annotated[float, typer.Option("--rate", help="Estimates a second.")] = 50.0,
+    plot_rate_hz: Annotated[
+        float, typer.Option("--plot-rate", help="NAMED_VALUE_FLOAT of each name a second; 0: none.")
+    ] = 10.0,
+    imu_rate_hz: Annotated[
+        float, typer.Option("--imu-rate", help="IMU messages to ask for a second; 0: ask for none.")
+    ] = 100.0,
+    position: Annotated[
+        str, typer.Option("--position", help="In ODOMETRY: auto (to ArduPilot), always or never.")
+    ] = "auto",
+    use_velocity: Annotated[
+        bool, typer.Option("--use-velocity", help="Take the speed from the autopilot's LOCAL_POSITION_NED.")
+    ] = False,
+    duration_s: Annotated[
+        float | None, typer.Option("--duration", metavar="SECONDS", help="End after so long.")
+    ] = None,
+) -> None:
+    """Run until interrupted, and print how it went."""
+    from fusion import FusionConfig
+    from fusion.live.cameras import camera_source
+    from fusion.live.clock import HostClock
+    from fusion.live.recording import Recorder
+    from fusion.live.session import LiveSession, live_config, status_line
+    from fusion.live.settings import LiveSettings
+    from fusion.settings.toml import build
+    from vision import Camera
+
+    settings = build(
+        LiveSettings,
+        {
+            "rate_hz": rate_hz,
+            "plot_rate_hz": plot_rate_hz,
+            "imu_rate_hz": imu_rate_hz,
+            "send_position": position,
+            "use_velocity": use_velocity,
+        },
+    )
+    calibration = Camera.from_yaml(camera)
+    fusion_config = live_config(None if config is None else FusionConfig.from_toml(config))
+    clock = HostClock()
+    source = camera_source(pictures, calibration, clock)
+    viewer = None
+    if view:
+        from fusion.live.view import FoxgloveViewer
+
+        viewer = FoxgloveViewer(view_host, view_port)
+        say(f"watch in Foxglove or Lichtblick: open connection ws://{view_host}:{view_port}")
+    recorder = None if record is None else Recorder(record, fusion_config, calibration, settings)
+    session = LiveSession(
+        link,
+        source,
+        calibration,
+        fusion_config,
+        settings,
+        recorder=recorder,
+        viewer=viewer,
+        clock=clock,
+    )
+    before = [signal.signal(number, lambda *_: session.stop()) for number in (signal.SIGINT, signal.SIGTERM)]
+    try:
+        with compile_notice("the line finder"):
+            session.run(duration_s, lambda s: say(status_line(s)))
+    finally:
+        for number, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
+            signal.signal(number, handler)
+    echo(_summary(session, record))
+
+
+def _summary(session: Any, record: Path | None) -> str:
+    s, core = session.statistics, session.core
+    shares = ", ".join(f"{name} {n / max(s.estimates, 1):.0%}" for name, n in s.statuses.items())
+    delay = core.estimate.camera_delay_s
+    lines = [
+        f"estimates     {s.estimates}: {shares or 'none'}; {s.packets_sent} packets sent",
+        f"frames        {s.frames} measured, {s.frames_used} used, {s.frames_dropped} dropped",
+        f"latency       p50 {s.latency_ms(50):.1f} ms, p99 {s.latency_ms(99):.1f} ms from shutter to message",
+        f"camera delay  {1e3 * delay:.1f} ms +- {1e3 * core.estimate.camera_delay_std_s:.1f}",
+        f"autopilot     {_autopilot(core)}, booted again {core.counters['autopilot_restarts']} times",
+        f"reopened      camera {s.camera_reopened}, link {s.link_reopened} times",
+    ]
+    if record is not None:
+        lost = f"; {s.not_recorded} messages were too many for the disk" if s.not_recorded else ""
+        lines.append(f"recording     {record}{lost}; next: corridor fuse {record}")
+    return "\n".join(lines)
+
+
+def _autopilot(core: Any) -> str:
+    if core.vehicle is None:
+        return "none heard"
+    trip_ns = core.clock.round_trip_ns
+    trip = "" if trip_ns is None else f", round trip {1e-6 * trip_ns:.1f} ms"
+    return f"system {core.vehicle.system_id}, clock {core.clock.state}{trip}"

@@ -1,0 +1,126 @@
+"""What is wrong with the set-up where frames and inertial sensors do not fit, and the setting that puts it right.
+
+The other checks tell that they do not. This one compares the turns that frames saw, whether the filter used them or
+not, with those of the gyroscope: in their sense, in time, and in their size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fusion.alignment import turns_of_frames
+from fusion.alignment.clock import ClockFit
+from fusion.evaluation.checks_filter import INNOVATIONS_OVER_GATE, INNOVATIONS_OVER_SIGMA
+from fusion.evaluation.checks_frames import CAMERA_TIME, FRAMES_USED, REJECTIONS
+from fusion.evaluation.checks_truth import HEADING_ERROR
+from fusion.evaluation.verdict import worst_of
+from fusion.flight import Flight
+from fusion.logs.plausibility.findings import Advice
+from fusion.result.result import FusionResult
+from fusion.result.summary import Check, Level
+from vision import InputError
+
+NAME = "Likely cause"
+SYMPTOMS = frozenset(
+    rule.name
+    for rule in (
+        HEADING_ERROR,
+        FRAMES_USED,
+        REJECTIONS,
+        INNOVATIONS_OVER_GATE,
+        INNOVATIONS_OVER_SIGMA,
+        CAMERA_TIME,
+    )
+)
+LIMIT = "looked for where frames and inertial sensors do not fit"
+MIN_OFFSET_S = 0.02
+SCALE_DIFFERS = 0.1
+LENS_SCALES = (0.6, 1.6)  # by which a focal length may be off; beyond it the gyroscope is
+SURE_SIGMA = 5.0
+_MEASURED = ("ok", "gate")  # reasons of frames that have a heading of their own
+
+
+def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) -> Check | None:
+    """Return the cause of what other checks found, as a check; None where nothing is wrong or nothing is seen.
+
+    Parameters
+    ----------
+    result, flight
+        What `fusion.fuse_flight` returned, and what it was given.
+    checks
+        The others.
+    """
+    levels = [check.level for check in checks if check.name in SYMPTOMS]
+    level = worst_of(Level.NOT_JUDGED, *levels)
+    if level not in (Level.WARN, Level.FAIL):
+        return None
+    frames, delay_s = result.frames, result.config.camera_delay_s
+    measured = np.isin(frames["reason"], _MEASURED)
+    try:
+        _, found = turns_of_frames(
+            flight,
+            frames["timestamp_ns"] - round(delay_s * 1e9),
+            np.where(measured, frames["heading_rad"], np.nan),
+            frames["heading_std_rad"],
+        )
+    except InputError:
+        return None
+    said: tuple[str, str, str] | None = None
+    if found.reversed:
+        said = _opposite(flight)
+    elif found.fit is not None and found.rival_s is None and not found.at_edge:
+        said = _late(found.fit, delay_s) or _scaled(found.fit)
+    if said is None:
+        return None
+    value, meaning, action = said
+    return Check(NAME, level, value, LIMIT, meaning, action)
+
+
+def _opposite(flight: Flight) -> tuple[str, str, str]:
+    value, source = "turns are opposite", "gyroscope" if flight.imu is not None else "attitude"
+    meaning = f"Vision and the {source} turn opposite ways."
+    imu = flight.imu
+    if imu is not None and np.isfinite(imu.accel_m_s2).any():  # whose gravity was found to be right
+        action = (
+            "By gravity the IMU is as told, so the camera is not: if it hangs upside down, say so in its calibration "
+            "(T_BS, or the rotation of the format); if its pictures are mirrored, mirror them back."
+        )
+    else:
+        stream = "imu" if imu is not None else "attitude"
+        action = f"Axes are likely forward, left, up: {Advice().frame(stream, 'flu')}."
+    return value, meaning, action
+
+
+def _late(fit: ClockFit, delay_s: float) -> tuple[str, str, str] | None:
+    offset_s, std_s = fit.offset_s, fit.offset_std_s
+    if abs(offset_s) < max(MIN_OFFSET_S, SURE_SIGMA * std_s):
+        return None
+    way = "early" if offset_s > 0 else "late"
+    value = f"frames {1e3 * abs(offset_s):.0f} ± {1e3 * std_s:.0f} ms too {way}"
+    meaning = "The pictures turn at other times than the vehicle."
+    if delay_s:
+        right_s = round(delay_s - offset_s, 3) + 0.0
+        return value, meaning, f"Set camera_delay_s = {right_s:g} instead of {delay_s:g}."
+    action = (
+        f"Add {offset_s:.3f} to clock_offset_s for [camera] in flight.toml, or run `corridor align --write`."
+    )
+    return value, meaning, action
+
+
+def _scaled(fit: ClockFit) -> tuple[str, str, str] | None:
+    if abs(fit.ratio - 1.0) < max(SCALE_DIFFERS, SURE_SIGMA * fit.ratio_std):
+        return None
+    value = f"pictures turn {fit.ratio:.2f} times as far as the gyroscope"
+    if LENS_SCALES[0] < fit.ratio < LENS_SCALES[1]:
+        return (
+            value,
+            "The camera's focal length is not that of these pictures.",
+            "Run `corridor align --write` on the flight: it finds focal_scale for [camera].",
+        )
+    return (
+        value,
+        "The gyroscope is in another unit than was taken, or its axes are others.",
+        "Check the unit that it was logged in: gyro_unit in [imu.columns] of flight.toml.",
+    )

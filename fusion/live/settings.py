@@ -1,0 +1,37 @@
+"""What can be set of `corridor live` besides the estimator; recorded with the flight, for the replay needs it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class SendPosition(StrEnum):
+    """Whether ``ODOMETRY`` carries a position."""
+
+    AUTO = "auto"  # to ArduPilot, which uses no yaw without one
+    NEVER = "never"
+    ALWAYS = "always"
+
+
+class LiveSettings(BaseModel):
+    """How estimates are sent, and what is asked of the autopilot."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    rate_hz: float = Field(default=50.0, ge=1, le=200, description="Estimates a second.")
+    plot_rate_hz: float = Field(
+        default=10.0, ge=0, le=200, description="NAMED_VALUE_FLOAT messages of each name a second; 0: none."
+    )
+    imu_rate_hz: float = Field(
+        default=100.0, ge=0, le=1000, description="IMU messages to ask for a second; 0: ask for nothing."
+    )
+    send_position: SendPosition = Field(
+        default=SendPosition.AUTO, description="Whether ODOMETRY carries a position, see docs/live.md."
+    )
+    use_velocity: bool = Field(
+        default=False,
+        description="Whether the autopilot's LOCAL_POSITION_NED tells the speed; only where its own filter has "
+        "optical flow or the like, not where it lives on these estimates.",
+    )
