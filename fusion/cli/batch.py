@@ -13,35 +13,8 @@ from fusion.cli.options import CameraOption, Method, MethodOption
 SHORT_HELP = "Fuse many flights: a folder each, one table and one page of all."
 HELP = """Fuse many logged flights, each as `corridor fuse` would, into one table: the worst first.
 
-\b
-FLIGHTS are, one or several,
-  a folder: all flights below it that `corridor fuse` takes (folders, flight.toml, logs with pictures)
-  a pattern in quotes: "logs/2026-*/*.bag"
-  a list, a TOML file; paths count from its folder, all but path may be left out:
-    [[flight]]
-    path = "hall/0301"        # a flight, a folder of flights or a pattern
-    vehicle = "mav2"          # else what the flight's flight.toml says, or the folder below the one that is searched
-    date = "2026-03-01"       # else the log's clock, or a date in the path
-    name = "hall one way"
-    config = "mav2.toml"
-
-\b
-OUT gets
-  flights/NAME/    an output of `corridor fuse` per flight
-  fleet.parquet    a row per flight: verdict, checks, errors, status, bias, delay, noise, speed, versions, hashes
-  fleet.csv        the same
-  fleet.html       the worst flights with links, which checks fail, distributions, drifts over date and vehicle
-  fleet.jsonl      the rows as they come: what the next run goes on from
-
-A flight that cannot be fused is a row with its reason. The same command again goes on where the last one ended, by
-whatever: a flight whose log, settings and version have not changed is kept. The tables are whole at every moment.
-
-\b
-Flights are fused by processes of this machine, a core each. Past one machine, by a Dask cluster whose machines see
-the same paths:
-  dask scheduler                                      on one, which prints its address
-  dask worker tcp://HOST:8786 --nthreads 1 --nworkers -1    on each
-  corridor batch flights -o out --scheduler tcp://HOST:8786
+FLIGHTS are folders that are searched, patterns in quotes, or a list in TOML. The same command again goes on where the
+last one ended. Lists, outputs, clusters and comparisons: docs/fleet.md.
 
 \b
 Examples:
