@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -140,5 +142,6 @@ def fuse(
     with compile_notice("the line finder"), progress_bar("fusing") as progress:
         result = fuse_flight(log, settings, method=method.value, progress=progress)
     with progress_bar("writing") as progress:
-        write_outputs(result, log, folder, exports=exports, frame=frame, progress=progress)
+        command = shlex.join(["corridor", *sys.argv[1:]])
+        write_outputs(result, log, folder, exports=exports, frame=frame, command=command, progress=progress)
     echo(fusion_text(result.overview, folder, remarks(exports, frame)))
