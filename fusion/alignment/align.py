@@ -11,7 +11,7 @@ from fusion.alignment.clock import ClockSearch, find_clock
 from fusion.alignment.mount import mount_rotation
 from fusion.alignment.result import Alignment, Quantity
 from fusion.alignment.search import Found, search
-from fusion.alignment.sentences import clock_quantity, focal_quantity, mount_quantities
+from fusion.alignment.sentences import Known, clock_quantity, focal_quantity, mount_quantities
 from fusion.alignment.track import fit_track
 from fusion.alignment.turning import Turning, seconds, turning_of
 from fusion.alignment.views import MAX_FRAMES, Sightings, Views, choose_frames, collect, scaled_focal
@@ -76,14 +76,14 @@ def align_flight(
             f"{len(chosen)} of {len(flight.frames.t_ns)} frames were looked at, where most turning is."
         )
     found = search(views, turning, max_offset_s, (1.0,) if camera_known else UNKNOWN_SCALES)
-    focal = focal_quantity(found, turning, None if camera_known else camera)
+    focal = focal_quantity(found, turning, camera, camera_known)
     if not camera_known and not focal.usable:
         focal = _focal_of_pictures(views)
     tilt_known = float(np.median(turning.tilt_std_rad)) < LEVEL_STD_RAD
     track = None
     if found.clock is not None and found.sightings is not None:
         track = fit_track(flight, found.sightings, turning, found.clock, origin_ns, found.turned_yaw_rad)
-    yaw, pitch, roll = mount_quantities(found.mount, track, tilt_known)
+    yaw, pitch, roll = mount_quantities(found.mount, track, tilt_known, Known.of(flight, camera_known))
     return Alignment(
         clock_offset=clock_quantity(found, turning, max_offset_s),
         focal_scale=focal,

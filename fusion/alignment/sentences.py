@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import atan, degrees, hypot, inf, nan, radians
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from fusion.alignment.result import SIGNIFICANT_SIGMA, Quantity
 from fusion.alignment.search import Found
 from fusion.alignment.track import TrackFit
 from fusion.alignment.turning import Turning
+from fusion.flight import Flight
 from vision.cameras.camera import Camera
 
 USABLE_FOCAL = 0.03
@@ -65,8 +67,8 @@ def _why_not(search: ClockSearch, turning: Turning, reach_s: float) -> str:
     return "The vehicle hardly turns, which hides the time offset: turn left and right by 10 degrees or more."
 
 
-def focal_quantity(found: Found, turning: Turning, assumed: Camera | None) -> Quantity:
-    """Factor on the focal length, from the ratio of turns; ``assumed`` is the camera where none was known."""
+def focal_quantity(found: Found, turning: Turning, camera: Camera, camera_known: bool) -> Quantity:
+    """Factor on the focal length of a camera that is known or assumed, from the ratio of turns."""
     name, fit = "focal_scale", found.search.fit
     if found.clock is None or fit is None:
         return Quantity(
@@ -78,38 +80,54 @@ def focal_quantity(found: Found, turning: Turning, assumed: Camera | None) -> Qu
         said = f"The turns tell the focal length no better than within {100.0 * sigma / value:.0f} %."
         return Quantity(name, value, sigma, False, said, 1.0)
     trust = f"the {source}'s scale is taken to be right"
-    if assumed is not None:
-        focal_px = assumed.fx_px * value
-        across = degrees(2.0 * atan(0.5 * assumed.width_px / focal_px))
+    focal_px = camera.fx_px * value
+    if not camera_known:
+        across = degrees(2.0 * atan(0.5 * camera.width_px / focal_px))
         said = (
-            f"By the flight's own turns the focal length is {focal_px:.1f} +- {assumed.fx_px * sigma:.1f} px, "
+            f"By the flight's own turns the focal length is {focal_px:.1f} +- {camera.fx_px * sigma:.1f} px, "
             f"{across:.0f} degrees across, no distortion assumed; {trust}."
         )
     elif abs(value - 1.0) <= SIGNIFICANT_SIGMA * sigma:
         said = f"The focal length fits: pictures and {source} turn by the same angles; {trust}."
     else:
         way = "long" if value > 1.0 else "short"
-        said = f"By the turns the focal length should be {100.0 * abs(value - 1.0):.1f} % {way}er; {trust}."
+        said = (
+            f"By the turns the focal length should be {100.0 * abs(value - 1.0):.1f} % {way}er, {focal_px:.1f} px "
+            f"instead of {camera.fx_px:.1f} px; {trust}."
+        )
     return Quantity(name, value, sigma, True, said, 1.0)
 
 
+class Known(NamedTuple):
+    """What the mounting is compared with, in words: where level comes from, and who says how the camera sits."""
+
+    level: str
+    mounted: str  # "calibrated" or "taken"
+
+    @classmethod
+    def of(cls, flight: Flight, camera_known: bool) -> Known:
+        """Return the words for a flight."""
+        level = "gyroscope and accelerometer" if flight.attitude is None else "the flight's attitude"
+        return cls(level, "calibrated" if camera_known and not flight.camera.mount_assumed else "taken")
+
+
 def mount_quantities(
-    mount: MountFit | None, track: TrackFit | None, tilt_known: bool
+    mount: MountFit | None, track: TrackFit | None, tilt_known: bool, known: Known
 ) -> tuple[Quantity, Quantity, Quantity]:
     """Yaw, pitch and roll of the mounting."""
     names = ("mount_yaw_rad", "mount_pitch_rad", "mount_roll_rad")
     if mount is None:
         said = "Too few frames show the corridor while the attitude is known."
         yaw, pitch, roll = (Quantity(name, nan, inf, False, said) for name in names)
-        return yaw if track is None else _yaw(names[0], None, track), pitch, roll
+        return yaw if track is None else _yaw(names[0], None, track, known), pitch, roll
     return (
-        _yaw(names[0], mount if tilt_known else None, track),
-        _tilt(names[1], mount, PITCH, tilt_known),
-        _tilt(names[2], mount, ROLL, tilt_known),
+        _yaw(names[0], mount if tilt_known else None, track, known),
+        _tilt(names[1], mount, PITCH, tilt_known, known),
+        _tilt(names[2], mount, ROLL, tilt_known, known),
     )
 
 
-def _yaw(name: str, mount: MountFit | None, track: TrackFit | None) -> Quantity:
+def _yaw(name: str, mount: MountFit | None, track: TrackFit | None, known: Known) -> Quantity:
     """Yaw by tilting, by the track, or both, weighted by their variances."""
     ways: list[tuple[float, float, str]] = []
     tilted = 0.0
@@ -138,21 +156,21 @@ def _yaw(name: str, mount: MountFit | None, track: TrackFit | None) -> Quantity:
         return Quantity(name, value, sigma, False, said)
     by = " and ".join(way[2] for way in ways)
     if abs(value) <= SIGNIFICANT_SIGMA * sigma:
-        return Quantity(name, value, sigma, True, f"The camera looks straight ahead as calibrated, {by}.")
+        return Quantity(name, value, sigma, True, f"As {known.mounted}, {by}.")
     side = "right" if value > 0 else "left"
-    said = f"The camera looks {degrees(abs(value)):.1f} degrees further {side} than calibrated, {by}."
+    said = f"The camera looks {degrees(abs(value)):.1f} degrees further {side} than {known.mounted}, {by}."
     return Quantity(name, value, sigma, True, said)
 
 
-def _tilt(name: str, mount: MountFit, axis: int, tilt_known: bool) -> Quantity:
+def _tilt(name: str, mount: MountFit, axis: int, tilt_known: bool, known: Known) -> Quantity:
     value, sigma = float(mount.angle_rad[axis]), float(mount.std_rad[axis])
     if not tilt_known:
         said = "Nothing in the log says where level is."
         return Quantity(name, value, inf, False, said)
     usable = sigma < USABLE_TILT_RAD
-    against = "against the level of the flight's attitude, whose own error is in sigma"
+    against = f"against the level by {known.level}, whose own error is in sigma"
     if abs(value) <= SIGNIFICANT_SIGMA * sigma:
-        return Quantity(name, value, sigma, usable, f"As calibrated, {against}.")
+        return Quantity(name, value, sigma, usable, f"As {known.mounted}, {against}.")
     ways = ("up", "down") if axis == PITCH else ("over to the right", "over to the left")
     way = ways[0] if value > 0 else ways[1]
     said = f"The camera {'looks' if axis == PITCH else 'leans'} {degrees(abs(value)):.1f} degrees {way}, {against}."

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -118,6 +120,7 @@ def fuse(
             folder,
             exports=exports,
             frame=frame,
+            command=shlex.join(["corridor", *sys.argv[1:]]),
             progress=progress,
             sent=None if again is None else again.estimates,
         )

@@ -22,6 +22,7 @@ from fusion.files import (
 )
 from fusion.flight import Flight
 from fusion.outputs.exports import EXPORT_FILES, Format, write_exports
+from fusion.outputs.provenance import provenance
 from fusion.progress import Progress
 from fusion.result.conventions import Frame, summary_in_frame, table_in_frame
 from fusion.result.result import FusionResult
@@ -44,6 +45,7 @@ def write_outputs(
     report: bool = True,
     exports: Iterable[Format] = (),
     frame: Frame = Frame.FRD,
+    command: str | None = None,
     progress: Progress | None = None,
     sent: Table | None = None,
 ) -> Path:
@@ -68,6 +70,8 @@ def write_outputs(
         Other forms of the tables, from `fusion.outputs.exports.check_formats`.
     frame
         Convention of signs in the tables and in the summary, which names it; the report's words need none.
+    command
+        The command line that made it, for ``provenance`` in ``summary.json``.
     progress
         Called with pictures exported and in all, where ``exports`` holds any.
     sent
@@ -96,7 +100,8 @@ def write_outputs(
 
             write_report(result, flight, folder / "report.html")
         files = sorted([MARK, *(entry.name for entry in folder.iterdir())])
-        write_summary(summary_in_frame(result.summary, frame) | {"files": files}, folder / MARK)
+        told = {"files": files, "provenance": provenance(flight, command)}
+        write_summary(summary_in_frame(result.summary, frame) | told, folder / MARK)
     return Path(out_dir).resolve()
 
 

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from fusion import fuse_flight, load_flight
 from fusion.alignment import Quantity, align_flight, apply_alignment, clock_of_frames
 from fusion.alignment.mount import mount_rotation
+from fusion.alignment.sentences import Known
 from fusion.alignment.views import scaled_focal
 from fusion.flight import AttitudeStream, Flight, FrameStream, VectorStream
 from fusion.logs.asl import read_ground_truth
@@ -301,3 +302,12 @@ def test_corrections_are_applied_to_a_flight(office: Flight) -> None:
     mended = apply_alignment(bad, align_flight(bad))
     assert abs(mended.frames.t_ns[0] - office.frames.t_ns[0]) < 5_000_000
     assert mended.camera.fx_px == pytest.approx(office.camera.fx_px, rel=0.02)
+
+
+def test_the_words_are_of_what_the_flight_has() -> None:
+    """No attitude stream, no calibration: neither is spoken of."""
+    flight = load_flight(OFFICE)
+    assert Known.of(replace(flight, attitude=None), False) == ("gyroscope and accelerometer", "taken")
+    assumed = replace(flight, camera=replace(flight.camera, mount_assumed=True))
+    assert Known.of(assumed, True).mounted == "taken"
+    assert Known.of(flight, True) == ("the flight's attitude", "calibrated")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,14 +16,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import fusion
 import fusion.report
+from fusion import load_flight
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from fusion.flight import Flight, FrameStream
+from fusion.logs.manifest.manifest import read_manifest
 from fusion.logs.pictures.camera_folder import PictureFiles
 from fusion.outputs.folder import OUTPUT_FILES, check_out_dir, write_outputs
+from fusion.outputs.provenance import provenance
 from fusion.result import tables_csv
 from fusion.result.summary_json import write_summary
 from fusion.result.tables_csv import read_table, write_table
+from tests.files import OFFICE
 from vision import Camera, InputError
 
 # Made by hand: it has no manifest.
@@ -250,3 +258,18 @@ class TestFolder:
         write_outputs(result, FLIGHT, tmp_path / "out")
         assert (tmp_path / "out").is_symlink()
         assert names_in(tmp_path / "disk") == set(OUTPUT_FILES) - {"flight.toml"}
+
+
+def test_the_summary_tells_where_the_flight_came_from(tmp_path: Path) -> None:
+    shutil.copytree(OFFICE, tmp_path / "office", ignore=shutil.ignore_patterns("*.jpg"))
+    (tmp_path / "flight.toml").write_text('log = "office"\n[camera]\nfile = "office"\n')
+    flight = load_flight(OFFICE)
+    manifest = read_manifest(tmp_path / "flight.toml")
+    told = provenance(replace(flight, manifest=manifest), "corridor fuse office")
+    assert (told["version"], told["command"]) == (fusion.__version__, "corridor fuse office")
+    assert told["camera"]["focal_px"] == [flight.camera.fx_px, flight.camera.fy_px]
+    by_path = {Path(entry["path"]).relative_to(tmp_path).as_posix(): entry for entry in told["inputs"]}
+    imu = by_path["office/mav0/imu0/data.csv"]
+    data = (OFFICE / "mav0" / "imu0" / "data.csv").read_bytes()
+    assert (imu["bytes"], imu["sha256"]) == (len(data), hashlib.sha256(data).hexdigest())
+    assert provenance(replace(flight, manifest=None))["inputs"] == []

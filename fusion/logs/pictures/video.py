@@ -171,6 +171,8 @@ def open_container(path: Path) -> InputContainer:
     try:
         container = av.open(str(path.absolute()), "r", options=_LOCAL_VIDEO)
         for stream in container.streams.video:
+            if stream.codec_context is None:  # its properties are missing then, too
+                raise InputError("holds a video that nothing here decodes", remedy="convert it to H.264")
             check_pixels(stream.width or 0, stream.height or 0)
         return container
     except InputError as error:
