@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
+from functools import cache
 from typing import Any, TypeVar, cast
 
 import numba
@@ -13,10 +15,20 @@ F = TypeVar("F", bound=Callable[..., Any])
 def compiled(function: F) -> F:
     """Compile ``function`` at its first call; keep the machine code on disk if any place is writable.
 
-    A read-only installation without a writable cache folder makes numba refuse to cache: compile in memory then.
+    A read-only installation without a writable cache folder makes numba refuse to cache: compile in memory then, and
+    log once how to mend it.
     """
     fastmath = {"contract", "arcp", "nsz"}  # but NaN and infinity keep their meaning
     try:
         return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function))
     except RuntimeError:
+        _say_that_nothing_is_kept()
         return cast(F, numba.njit(nogil=True, error_model="numpy", fastmath=fastmath)(function))
+
+
+@cache
+def _say_that_nothing_is_kept() -> None:
+    logging.getLogger("vision").warning(
+        "every start compiles anew, for half a minute: no folder for compiled code is writable; "
+        "set the environment variable NUMBA_CACHE_DIR to one that is"
+    )

@@ -101,7 +101,7 @@ def compile_notice(what: str) -> Iterator[None]:
         def on_start(self, event: Any) -> None:
             if not self.told:
                 self.told = True
-                say(f"compiling {what} (once, some seconds) ...")
+                say(f"compiling {what} (once, half a minute) ...")
 
         def on_end(self, event: Any) -> None:
             pass

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from heapq import merge
@@ -26,6 +25,7 @@ from fusion.estimator.smoother import Steps
 from fusion.estimator.state import Entry
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table, estimate_row
 from fusion.flight import Flight
+from fusion.offline.stopwatch import Stopwatch, stopwatch
 from fusion.offline.summary import summarise
 from fusion.progress import Progress
 from fusion.result.result import FusionResult, Timings
@@ -62,20 +62,23 @@ def fuse_flight(
     InputError
         Where the method is unknown, the flight has no frames, or the times of a stream go back.
     """
-    started = time.perf_counter()
     if not len(flight.frames.t_ns):
         raise InputError("the flight has no camera frames", remedy="check mav0/cam0/data.csv of the log")
     check_times(flight)
     settings = _with_declared_values(config or FusionConfig(), flight)
     recorder = Recorder(settings, _row_kinds(flight))
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
-    vision_s = _feed(estimator, flight, progress)
-    estimator.finish()
-    recorder.finish()
-    filtered = time.perf_counter()
-    smoothed = recorder.smoothed()
-    ended = time.perf_counter()
-    timings = Timings(vision_s, filtered - started - vision_s, ended - filtered, ended - started)
+    with stopwatch() as clock:
+        started = clock.seconds()
+        vision_s = _feed(estimator, flight, progress, clock)
+        estimator.finish()
+        recorder.finish()
+        filtered = clock.seconds()
+        smoothed = recorder.smoothed()
+        ended = clock.seconds()
+    timings = Timings(
+        vision_s, filtered - started - vision_s, ended - filtered, ended - started, clock.compile_s
+    )
     result = FusionResult(
         flight_name=flight.name,
         config=settings,
@@ -148,7 +151,7 @@ def _row_kinds(flight: Flight) -> tuple[type[object], ...]:
     return tuple(found)
 
 
-def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | None) -> float:
+def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | None, clock: Stopwatch) -> float:
     """Give the estimator all samples, in order of measurement time; return the seconds spent on pictures."""
     vision_s = 0.0
     delay_ns = round(estimator.config.camera_delay_s * 1e9)
@@ -156,12 +159,12 @@ def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | Non
 
     def add_frame(t_ns: int, i: int) -> None:
         nonlocal vision_s
-        before = time.perf_counter()
+        before = clock.seconds()
         try:
             estimator.add_frame(t_ns + delay_ns, flight.frames.read(i))
         except InputError:
             estimator.add_unreadable_frame(t_ns + delay_ns)
-        vision_s += time.perf_counter() - before
+        vision_s += clock.seconds() - before
         if progress is not None:
             progress(i + 1, total)
 

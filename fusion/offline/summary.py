@@ -139,6 +139,7 @@ def _timings(frames: Table, timings: Timings, duration_s: float) -> SpeedSummary
         smoother_s=timings.smoother_s,
         total_s=timings.total_s,
         times_real_time=duration_s / timings.total_s if timings.total_s > 0 else None,
+        compile_s=timings.compile_s,
     )
 
 

@@ -31,6 +31,7 @@ TIMING_WORDS = {
     "smoother_s": ("Smoother", "s"),
     "total_s": ("Fusing in all", "s"),
     "times_real_time": ("Against real time", "times as fast"),
+    "compile_s": ("Compiling, once", "s"),
 }
 VERDICT_WORDS = {
     Level.PASS: "Pass: heading and offset can be used",

@@ -24,17 +24,13 @@ def envelope_indices(t_s: FloatArray, y: FloatArray, bins: int = 700) -> IndexAr
     if n <= 4 * bins:
         return np.arange(n)
     edges = np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], bins + 1)[1:-1])
-    keep: list[IndexArray] = [np.array([0, n - 1])]
-    for start, stop in zip(np.r_[0, edges], np.r_[edges, n], strict=True):
-        if start == stop:
-            continue
-        part = y[start:stop]
-        hole = np.isnan(part)
-        if hole.any():
-            keep.append(np.array([start + np.argmax(hole)]))
-        if not hole.all():
-            keep.append(np.array([start, start + np.nanargmin(part), start + np.nanargmax(part)]))
-    return np.asarray(np.unique(np.concatenate(keep)), dtype=np.int64)
+    interval = np.searchsorted(edges, np.arange(n), side="right")
+    starts = np.flatnonzero(np.diff(interval, prepend=-1))
+    # Sorted by interval, then value: an interval's first is its extreme. NaN sorts last.
+    lowest, highest = (np.lexsort((values, interval))[starts] for values in (y, -y))
+    holes = np.flatnonzero(np.isnan(y))
+    first_holes = holes[np.unique(interval[holes], return_index=True)[1]]
+    return np.unique(np.concatenate([[0, n - 1], starts, lowest, highest, first_holes])).astype(np.int64)
 
 
 def envelope(t_s: FloatArray, y: FloatArray, bins: int = 700) -> tuple[FloatArray, FloatArray]:

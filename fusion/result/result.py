@@ -21,12 +21,13 @@ TABLES = ("estimates", "smoothed", "frames")
 
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """Seconds of wall clock: pictures (reading and measuring), filter, smoother, all."""
+    """Seconds of wall clock: pictures (reading and measuring), filter, smoother, all; and, apart, compilation."""
 
     vision_s: float = 0.0
     filter_s: float = 0.0
     smoother_s: float = 0.0
     total_s: float = 0.0
+    compile_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

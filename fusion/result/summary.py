@@ -186,7 +186,10 @@ class Rates(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeedSummary(Record):
-    """What the run cost: milliseconds per picture, and seconds of wall clock."""
+    """What the run cost: milliseconds per picture, and seconds of wall clock.
+
+    ``compile_s`` is the time of compiling pixel loops, once on a machine; the other seconds are without it.
+    """
 
     vision_ms_median: float | None = None
     vision_ms_p95: float | None = None
@@ -195,6 +198,7 @@ class SpeedSummary(Record):
     smoother_s: float = 0.0
     total_s: float = 0.0
     times_real_time: float | None = None
+    compile_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,7 @@ from fusion.logs.pictures.camera_folder import PictureFiles
 from fusion.report import interactive, write_report
 from fusion.report.plots import aligned_imu_yaw, plot_offset
 from fusion.report.remeasure import interpolated_attitude
-from fusion.report.series import band_envelope, broken, envelope, thin_points
+from fusion.report.series import band_envelope, broken, envelope, envelope_indices, thin_points
 from fusion.report.strip import choose_frames, show_frames
 from fusion.result.result import FusionResult
 from fusion.result.summary import Check, Level
@@ -416,6 +416,24 @@ def test_short_series_are_left_as_they_are() -> None:
     assert np.isnan(cut[2])
     assert runs(np.array([True, True, False, True])) == [(0, 2), (3, 4)]
     assert runs(np.zeros(3, dtype=bool)) == []
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_an_envelope_keeps_start_extremes_and_first_hole_of_every_interval(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, bins = int(rng.integers(100, 400)), int(rng.integers(2, 20))
+    t = np.sort(rng.integers(0, 60, n).astype(float))
+    y = rng.normal(size=n).round(1)
+    y[rng.uniform(size=n) < rng.choice([0.0, 0.2, 0.9])] = np.nan
+    edges = np.searchsorted(t, np.linspace(t[0], t[-1], bins + 1)[1:-1])
+    expected = {0, n - 1}
+    for start, stop in zip([0, *edges.tolist()], [*edges.tolist(), n], strict=True):
+        seen = [k for k in range(start, stop) if not np.isnan(y[k])]
+        holes = [k for k in range(start, stop) if np.isnan(y[k])]
+        expected |= {*range(start, stop)[:1], *holes[:1]}
+        if seen:
+            expected |= {min(seen, key=lambda k: y[k]), max(seen, key=lambda k: y[k])}
+    assert envelope_indices(t, y, bins).tolist() == (sorted(expected) if n > 4 * bins else list(range(n)))
 
 
 def test_frames_are_drawn_in_the_metres_of_their_own_corridor(swing: Fused) -> None:

@@ -107,6 +107,14 @@ def test_without_truth_no_error_is_claimed(summary: Summary) -> None:
     assert "RMSE" not in text
 
 
+def test_the_time_of_compiling_is_told_apart_from_the_speed(summary: Summary) -> None:
+    assert summary.timings is not None
+    lines = lines_of(replace(summary, timings=replace(summary.timings, compile_s=17.2)))
+    assert lines["speed"] == (
+        "8.0 times real time: 1.9 s, 3.4 ms a frame (median); before that, once, 17 s of compiling"
+    )
+
+
 def test_what_could_not_be_judged_is_a_dash(summary: Summary) -> None:
     assert summary.errors is not None
     errors = replace(summary.errors, vision=errors_of(None, None, None))

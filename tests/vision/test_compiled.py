@@ -10,10 +10,12 @@ from typing import Any
 import numba
 import pytest
 
-from vision.compiled import compiled
+from vision.compiled import _say_that_nothing_is_kept, compiled
 
 
-def test_without_any_place_for_a_cache_it_compiles_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_any_place_for_a_cache_it_compiles_in_memory_and_says_once_how_to_mend_it(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     real, asked = numba.njit, []
 
     def nowhere_to_write(*args: Any, cache: bool = False, **options: Any) -> Any:
@@ -24,11 +26,20 @@ def test_without_any_place_for_a_cache_it_compiles_in_memory(monkeypatch: pytest
 
     monkeypatch.setattr(numba, "njit", nowhere_to_write)
 
+    _say_that_nothing_is_kept.cache_clear()
+
     @compiled
     def double(x: float) -> float:
         return 2.0 * x
 
+    @compiled
+    def triple(x: float) -> float:
+        return 3.0 * x
+
     assert double(21.0) == 42.0
+    assert triple(21.0) == 63.0
+    (told,) = caplog.messages
+    assert "set the environment variable NUMBA_CACHE_DIR" in told
     assert asked[:2] == [True, False]  # numba compiles helpers of its own with it later
 
 
