@@ -6,8 +6,8 @@ SI and radians, time in integer nanoseconds. Importing the package is light; eac
 Each subpackage is a room with one job, and imports only rooms below it; ``make lint`` checks that. From the bottom:
 `fusion.settings`, `fusion.flight`; `fusion.estimator`, `fusion.logs`, `fusion.simulate`; `fusion.result`,
 `fusion.alignment`, `fusion.inspection`, `fusion.pictures`; `fusion.evaluation`; `fusion.offline`; `fusion.report`;
-`fusion.outputs`; `fusion.live`; `fusion.cli`. Begin reading at `fusion.estimator.estimator`, or at `fusion.offline.fuse` for whole
-flights.
+`fusion.outputs`; `fusion.live`; `fusion.cli`. Begin reading at `fusion.estimator.estimator`, or at
+`fusion.offline.fuse` for whole flights.
 """
 
 from __future__ import annotations

@@ -310,7 +310,12 @@ def test_a_tcp_link_is_opened_again_when_the_other_side_returns() -> None:
     port = _free_port(socket.SOCK_STREAM)
     received: list[bytes] = []
     arrived = threading.Event()
-    link = Link(f"tcp:127.0.0.1:{port}", lambda data: (received.append(data), arrived.set()))
+
+    def take(data: bytes) -> None:
+        received.append(data)
+        arrived.set()
+
+    link = Link(f"tcp:127.0.0.1:{port}", take)
 
     def call_once(text: bytes) -> bytes:
         arrived.clear()
@@ -339,7 +344,12 @@ def test_a_serial_link_carries_bytes_both_ways() -> None:
     ours, theirs = pty.openpty()
     arrived = threading.Event()
     received: list[bytes] = []
-    link = Link(f"{os.ttyname(theirs)},115200", lambda data: (received.append(data), arrived.set()))
+
+    def take(data: bytes) -> None:
+        received.append(data)
+        arrived.set()
+
+    link = Link(f"{os.ttyname(theirs)},115200", take)
     os.write(ours, b"hello")
     assert arrived.wait(WAIT_S)
     link.send(b"there")
