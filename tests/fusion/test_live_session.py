@@ -458,6 +458,16 @@ def test_what_cannot_be_is_refused_in_one_line(tmp_path: Path, arguments: tuple[
     assert len(done.stderr.strip().splitlines()) == 1
 
 
+def test_a_link_that_is_refused_leaves_no_recording(tmp_path: Path) -> None:
+    calibration, record = tmp_path / "cam.yaml", tmp_path / "flight.mcap"
+    calibration.write_text(camera_yaml(CAMERA))
+    (tmp_path / "camera").mkdir()
+    folder = str(tmp_path / "camera")
+    done = run("live", folder, "--camera", str(calibration), "--link", "what", "--record", str(record))
+    assert done.returncode == 2
+    assert not record.exists()
+
+
 def test_settings_survive_json() -> None:
     settings = LiveSettings(rate_hz=30.0, use_velocity=True)
     assert LiveSettings(**json.loads(settings.model_dump_json())) == settings
