@@ -317,7 +317,7 @@ def test_a_turn_lasts_until_the_corridor_that_is_meant_is_held() -> None:
 
 def test_the_pilot_hands_frames_on_with_their_own_time() -> None:
     pilot, told = pilot_and_estimator()
-    pilot.vision.finished = lambda: iter([(7, SimpleNamespace()), (9, None)])  # type: ignore[method-assign,list-item]
+    pilot.vision.finished = lambda: iter([(7, SimpleNamespace(), None), (9, None, None)])  # type: ignore[method-assign,list-item]
     pilot.control(100)
     assert told.given == [("lines", 7), ("unreadable", 9)]
 

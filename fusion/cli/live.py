@@ -89,7 +89,7 @@ def live(
     from fusion.live.session import LiveSession, live_config, status_line
     from fusion.live.settings import LiveSettings
     from fusion.settings.toml import build
-    from vision import Camera
+    from vision import Camera, InputError
 
     settings = build(
         LiveSettings,
@@ -112,16 +112,22 @@ def live(
         viewer = FoxgloveViewer(view_host, view_port)
         say(f"watch in Foxglove or Lichtblick: open connection ws://{view_host}:{view_port}")
     recorder = None if record is None else Recorder(record, fusion_config, calibration, settings)
-    session = LiveSession(
-        link,
-        source,
-        calibration,
-        fusion_config,
-        settings,
-        recorder=recorder,
-        viewer=viewer,
-        clock=clock,
-    )
+    try:
+        session = LiveSession(
+            link,
+            source,
+            calibration,
+            fusion_config,
+            settings,
+            recorder=recorder,
+            viewer=viewer,
+            clock=clock,
+        )
+    except InputError:
+        if recorder is not None and record is not None:  # nothing is in it
+            recorder.close()
+            record.unlink()
+        raise
     before = [signal.signal(number, lambda *_: session.stop()) for number in (signal.SIGINT, signal.SIGTERM)]
     try:
         with compile_notice("the line finder"):

@@ -331,7 +331,7 @@ def test_the_pilot_is_told_of_changes_and_not_too_often(vehicle: Vehicle) -> Non
     for k in range(200):
         status = ("tracking", "coasting")[k // 10 % 2]
         told = _estimate(status=status, reason="frames are rejected" if status == "coasting" else "")
-        vehicle.core.estimator.estimate = lambda *_, told=told, **__: told  # type: ignore[method-assign,assignment,misc]
+        vehicle.core.estimator.estimate = lambda *_, told=told, **__: told  # type: ignore[method-assign]
         texts += [m for m in vehicle.tick() if m.get_type() == "STATUSTEXT"]
     assert e.status == "initialising"
     assert 3 <= len(texts) <= 5  # in four seconds
@@ -408,7 +408,13 @@ SHORTS = st.integers(-(2**15), 2**15 - 1)
 @st.composite
 def messages(draw: st.DrawFn) -> Any:
     """Any message that is listened to, with anything in it."""
-    f, short = (lambda: draw(FLOATS)), (lambda: draw(SHORTS))
+
+    def f() -> float:
+        return draw(FLOATS)
+
+    def short() -> int:
+        return draw(SHORTS)
+
     ms, us = draw(st.integers(0, 2**32 - 1)), draw(WORDS | st.integers(0, 2**45))
     kind = draw(st.integers(0, 8))
     if kind == 0:

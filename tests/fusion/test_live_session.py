@@ -310,7 +310,12 @@ def test_a_tcp_link_is_opened_again_when_the_other_side_returns() -> None:
     port = _free_port(socket.SOCK_STREAM)
     received: list[bytes] = []
     arrived = threading.Event()
-    link = Link(f"tcp:127.0.0.1:{port}", lambda data: (received.append(data), arrived.set()))
+
+    def take(data: bytes) -> None:
+        received.append(data)
+        arrived.set()
+
+    link = Link(f"tcp:127.0.0.1:{port}", take)
 
     def call_once(text: bytes) -> bytes:
         arrived.clear()
@@ -339,7 +344,12 @@ def test_a_serial_link_carries_bytes_both_ways() -> None:
     ours, theirs = pty.openpty()
     arrived = threading.Event()
     received: list[bytes] = []
-    link = Link(f"{os.ttyname(theirs)},115200", lambda data: (received.append(data), arrived.set()))
+
+    def take(data: bytes) -> None:
+        received.append(data)
+        arrived.set()
+
+    link = Link(f"{os.ttyname(theirs)},115200", take)
     os.write(ours, b"hello")
     assert arrived.wait(WAIT_S)
     link.send(b"there")
@@ -446,6 +456,16 @@ def test_what_cannot_be_is_refused_in_one_line(tmp_path: Path, arguments: tuple[
     assert done.returncode == 2
     assert what in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_link_that_is_refused_leaves_no_recording(tmp_path: Path) -> None:
+    calibration, record = tmp_path / "cam.yaml", tmp_path / "flight.mcap"
+    calibration.write_text(camera_yaml(CAMERA))
+    (tmp_path / "camera").mkdir()
+    folder = str(tmp_path / "camera")
+    done = run("live", folder, "--camera", str(calibration), "--link", "what", "--record", str(record))
+    assert done.returncode == 2
+    assert not record.exists()
 
 
 def test_settings_survive_json() -> None:
