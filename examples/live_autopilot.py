@@ -89,8 +89,8 @@ class Autopilot:
         self._heartbeat_ns = 0
 
     def reboot(self) -> None:
-        """Begin to count the time anew."""
-        self._booted_ns = self._now_ns()
+        """Begin to count the time anew, a second ago."""
+        self._booted_ns = self._now_ns() - 1_000_000_000
 
     def close(self) -> None:
         """End the link."""
@@ -98,7 +98,7 @@ class Autopilot:
 
     def boot_ns(self, t_ns: int) -> int:
         """Return a time by its own clock."""
-        return t_ns - self._booted_ns
+        return max(t_ns - self._booted_ns, 0)
 
     def send_imu(self, t_ns: int, gyro_rad_s: npt.ArrayLike, accel_m_s2: npt.ArrayLike) -> None:
         """Send an IMU sample, body FRD."""

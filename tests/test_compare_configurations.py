@@ -33,8 +33,8 @@ def test_the_example_finds_the_noisy_gyroscope(tmp_path: Path) -> None:
 
 def test_the_benchmark_prints_its_numbers() -> None:
     out = run("benchmarks/fleet.py", "--flights", "4", "--distinct", "1", "--seconds", "2", "--rows", "50")
-    assert [line.split()[0] for line in out.splitlines()[2:5]] == ["plainly", "1", "2"]
+    assert [line.split()[0] for line in out.splitlines()[2:6]] == ["plainly", "as", "1", "2"]
     assert re.search(r"two workers are \d\.\d\d times as fast as one", out)
-    assert re.search(r"overhead, processor: -?[\d.]+ ms a flight", out)
+    assert re.search(r"overhead in the worker, processor: -?[\d.]+ ms a flight", out)
     assert "rows of one and two workers: the same" in out
     assert "tables, per row" in out

@@ -9,6 +9,8 @@ import sys
 
 import pytest
 
+from tests.files import ROOT
+
 HEAVY = {"numba", "cv2", "scipy", "filterpy", "matplotlib", "pandas", "jinja2", "ruamel", "IPython"}
 
 
@@ -37,6 +39,13 @@ def test_help_comes_without_the_heavy_ones(arguments: list[str]) -> None:
     loaded = loaded_by(code + "0")
     assert "typer" in loaded
     assert loaded & HEAVY == set()
+
+
+def test_the_version_is_in_one_place() -> None:
+    import fusion
+
+    text = (ROOT / "pyproject.toml").read_text()
+    assert f'version = "{fusion.__version__}"' in text
 
 
 def test_nothing_is_loaded_before_interrupts_are_handled() -> None:

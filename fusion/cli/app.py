@@ -53,16 +53,17 @@ app = typer.Typer(
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
+        from fusion import __version__
 
-        typer.echo(f"corridor-fusion {version('corridor-fusion')}")
+        typer.echo(f"corridor-fusion {__version__}")
         raise typer.Exit
 
 
 @app.callback(help=HELP)
 def corridor(
     version: Annotated[
-        bool, typer.Option("--version", help="Print the version.", is_eager=True, callback=_print_version)
+        bool,
+        typer.Option("--version", "-V", help="Print the version.", is_eager=True, callback=_print_version),
     ] = False,
 ) -> None:
     """Offer the commands."""

@@ -16,6 +16,8 @@ from fusion.printable import printable
 from fusion.progress import Progress
 from vision.errors import InputError
 
+#: click's `UsageError`, of which newer versions of typer have a copy of their own.
+USAGE_ERROR: Any = typer.BadParameter.__base__
 MAX_LINE = 2000  # characters: a line that quotes a file's value may be as long as the file
 
 
@@ -33,7 +35,20 @@ def echo(text: str) -> None:
 
 
 class OneLineErrors(TyperGroup):
-    """Commands whose input errors are one line on stderr and exit code 2, never a traceback."""
+    """Commands whose errors, of input and of usage, are one line on stderr and exit code 2, never a traceback."""
+
+    def main(self, *args: Any, **settings: Any) -> Any:
+        """Run the command line; mistakes in its words are told as those in files are."""
+        try:
+            code = super().main(*args, **settings | {"standalone_mode": False})
+        except USAGE_ERROR as error:
+            code = error.exit_code
+            if type(error).__name__ == "NoArgsIsHelpError":
+                error.show()
+            else:
+                command = "corridor" if error.ctx is None else error.ctx.command_path
+                say(f"error: {error.format_message().rstrip('.')} (see {command} --help)")
+        raise SystemExit(code if isinstance(code, int) else 0)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command, and turn what goes wrong into a line and an exit code."""

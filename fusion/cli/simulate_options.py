@@ -54,6 +54,10 @@ def simulation_config(
     if duration_s is not None:
         scene["length_m"] = max(scene["length_m"], motion["start_m"] + way_m + 5.0)
     if turn_deg is not None:
+        if not 30.0 <= abs(turn_deg) <= 150.0:
+            raise InputError(
+                f"--turn {turn_deg:g} is no turn", remedy="give 30 to 150 degrees, to the left negative"
+            )
         junction = {
             "at_m": motion["start_m"] + way_m / 2,
             "angle_rad": radians(turn_deg),

@@ -24,7 +24,7 @@ PRIOR_TURNS = 4.0  # that the stated noise counts as, beside the scatter that is
 FOCAL_SLOPES = (0.85, 1.18)
 FAST_RAD_S = 3.0  # rms that no flight along a corridor has
 MAX_BIAS_RAD_S = 0.1
-ACCEL_STEP_NS, ACCEL_MEMORY_S, ACCEL_MIN_S = 50_000_000, 3.0, 0.5
+IMU_STEP_NS, IMU_MEMORY_S, ACCEL_MIN_S, FAST_MIN_S = 50_000_000, 3.0, 0.5, 2.0
 MAX_TILT_ERROR_RAD = radians(20)
 
 
@@ -72,20 +72,21 @@ class Installation(NamedTuple):
         The frames of the present span, and of the one before.
     sums
         Weight, x, y, xx, xy, yy, stated variance of the turns; x is the gyroscope's, y the frames', rad/s.
-    accel_m_s2, accel_s, accel_ns
-        Mean specific force, over how long, and when it was last taken in.
+    accel_m_s2, turning_rad2_s2, imu_s, imu_ns
+        Mean specific force and mean square of the gyroscope's rate, over how long, and when they were last taken in.
     """
 
     span: Span | None = None
     last_span: Span | None = None
     sums: tuple[float, float, float, float, float, float, float] = (0.0,) * 7
     accel_m_s2: Vector = (0.0, 0.0, 0.0)
-    accel_s: float = 0.0
-    accel_ns: int | None = None
+    turning_rad2_s2: float = 0.0
+    imu_s: float = 0.0
+    imu_ns: int | None = None
 
     def interrupted(self) -> Installation:
         """Start another turn and another mean: time has moved, or something else carries the heading."""
-        return self._replace(span=None, last_span=None, accel_ns=None)
+        return self._replace(span=None, last_span=None, imu_ns=None)
 
     def with_frame(self, t_ns: int, heading_rad: float, gyro_rad: float, std_rad: float) -> Installation:
         """Take a frame's heading and its sigma, and the angle that the gyroscope has turned by then."""
@@ -108,22 +109,36 @@ class Installation(NamedTuple):
         sums = (n + 1.0, sx + x, sy + y, sxx + x * x, sxy + x * y, syy + y * y, noise + stated)
         return done._replace(sums=sums)
 
-    def with_accel(self, t_ns: int, accel_m_s2: Vector) -> Installation:
-        """Take an accelerometer sample, where it is time for one."""
-        if self.accel_ns is None:
-            return self._replace(accel_ns=t_ns, accel_m_s2=accel_m_s2, accel_s=0.0)
-        step_s = (t_ns - self.accel_ns) * 1e-9
-        if t_ns - self.accel_ns < ACCEL_STEP_NS:
+    def with_imu(self, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | None) -> Installation:
+        """Take an IMU sample, where it is time for one; the specific force stays zero where there is none."""
+        if self.imu_ns is not None and t_ns - self.imu_ns < IMU_STEP_NS:
             return self
-        gain = step_s / (min(self.accel_s, ACCEL_MEMORY_S) + step_s)
-        x, y, z = (m + gain * (a - m) for m, a in zip(self.accel_m_s2, accel_m_s2, strict=True))
-        return self._replace(accel_ns=t_ns, accel_s=self.accel_s + step_s, accel_m_s2=(x, y, z))
+        p, q, r = gyro_rad_s
+        turning = p * p + q * q + r * r
+        if self.imu_ns is None:
+            accel = self.accel_m_s2 if accel_m_s2 is None else accel_m_s2
+            return self._replace(imu_ns=t_ns, accel_m_s2=accel, turning_rad2_s2=turning, imu_s=0.0)
+        step_s = (t_ns - self.imu_ns) * 1e-9
+        gain = step_s / (min(self.imu_s, IMU_MEMORY_S) + step_s)
+        mean, mx, my, mz = self.turning_rad2_s2, *self.accel_m_s2
+        ax, ay, az = self.accel_m_s2 if accel_m_s2 is None else accel_m_s2
+        return self._replace(
+            imu_ns=t_ns,
+            imu_s=self.imu_s + step_s,
+            accel_m_s2=(mx + gain * (ax - mx), my + gain * (ay - my), mz + gain * (az - mz)),
+            turning_rad2_s2=mean + gain * (turning - mean),
+        )
 
     def notices(self, down: Vector) -> Iterator[Notice]:
         """Say what is installed otherwise than told; ``down`` is that of the attitude in use, body FRD.
 
-        A wrong tilt reverses the level yaw rate: then the turns tell nothing of the gyroscope.
+        A gyroscope in degrees spoils the tilt, and a wrong tilt reverses the level yaw rate: then the turns tell
+        nothing of the gyroscope.
         """
+        if self.imu_s > FAST_MIN_S and self.turning_rad2_s2 > FAST_RAD_S**2:
+            text = f"gyroscope turns at {sqrt(self.turning_rad2_s2):.0f} rad/s: convert deg/s to rad/s"
+            yield Notice(Fault.GYRO_SCALE, text)
+            return
         tilt = self._of_gravity(down)
         if tilt is None:
             yield from self._of_turns()
@@ -132,7 +147,7 @@ class Installation(NamedTuple):
 
     def _of_gravity(self, down: Vector) -> str | None:
         ax, ay, az = self.accel_m_s2
-        if self.accel_s < ACCEL_MIN_S:
+        if self.imu_s < ACCEL_MIN_S:
             return None
         if az > 5.0:
             return "accelerometer is upside down: give FRD, (0, 0, -9.8) m/s^2 at rest"

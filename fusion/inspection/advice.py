@@ -125,15 +125,17 @@ def _better(usable: Mapping[Kind, StreamFindings], unclear: Mapping[Kind, str]) 
             "the attitude's yaw carries" if Kind.ATTITUDE in usable else "nothing but a steady turn carries"
         )
         yield f"no gyroscope: {carried} the heading between pictures; --imu LOG names one, or [imu] in a flight.toml"
-    if imu is not None and imu.imu is not None:
-        if imu.imu.usual_accel_m_s2 is None:
-            yield "no accelerometer: roll and pitch come from the attitude alone"
+    no_accel = imu is not None and imu.imu is not None and imu.imu.usual_accel_m_s2 is None
+    if no_accel and Kind.ATTITUDE in usable:
+        yield "no accelerometer: roll and pitch come from the attitude alone"
+    if imu is not None:
         yield from _noise(imu)
     if Kind.ATTITUDE in unclear and Kind.ATTITUDE not in usable:
         yield unclear[Kind.ATTITUDE]
     elif Kind.ATTITUDE not in usable:
-        tilt = "from gyroscope and accelerometer" if imu is not None else "as level"
-        yield f"no attitude of the vehicle's own: roll and pitch are taken {tilt}"
+        lacks = "neither accelerometer nor attitude" if no_accel else "no attitude of the vehicle's own"
+        tilt = "as level" if imu is None else "from gyroscope and accelerometer"
+        yield f"{lacks}: roll and pitch are taken {'by the gyroscope alone, from level' if no_accel else tilt}"
     if Kind.VELOCITY in unclear and Kind.VELOCITY not in usable:
         yield unclear[Kind.VELOCITY]
     if Kind.RANGE in unclear and Kind.RANGE not in usable:

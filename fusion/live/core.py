@@ -263,6 +263,7 @@ class LiveCore:
         if self.clock.restarts != before:
             self.counters["autopilot_restarts"] += 1
             self._due_ns["streams"] = self._due_ns["time"] = 0
+            self._imu_since_asked = 0
 
     # Out
 

@@ -40,6 +40,15 @@ def texts(found: Inspection, matter: Matter) -> list[str]:
     return [sentence.text for sentence in found.advice if sentence.matter is matter]
 
 
+def test_a_gyroscope_alone_is_said_to_be_that(tmp_path: Path) -> None:
+    rows = "".join(f"{T0 + k * 5_000_000},0.1,0,{0.01 * (k % 5)}\n" for k in range(100))
+    (tmp_path / "imu.csv").write_text("timestamp_ns,gx,gy,gz\n" + rows)
+    better = " ".join(texts(inspect_path(tmp_path / "imu.csv"), Matter.BETTER))
+    assert "neither accelerometer nor attitude: roll and pitch are taken by the gyroscope alone" in better
+    assert "accelerometer and attitude" not in better
+    assert "attitude alone" not in better
+
+
 # --- times --------------------------------------------------------------------------------------------------------
 
 

@@ -56,7 +56,7 @@ def test_gravity_tells(
 ) -> None:
     installation = Installation()
     for k in range(200):
-        installation = installation.with_accel(k * 5_000_000, accel)
+        installation = installation.with_imu(k * 5_000_000, (0.0, 0.0, 0.0), accel)
     text = "; ".join(notice.text for notice in installation.notices(down))
     assert words in text
     assert bool(words) == bool(text)
@@ -68,6 +68,25 @@ def test_a_wrong_tilt_is_named_and_not_the_gyroscope_whose_turns_it_reverses() -
         turned = 0.4 * float(np.sin(1.5 * t))
         heading = -turned + float(rng.normal(0.0, 0.009))
         installation = installation.with_frame(round(t * 1e9), heading, turned, radians(0.5))
-        installation = installation.with_accel(round(t * 1e9), (0.0, 0.0, -9.8))
+        installation = installation.with_imu(round(t * 1e9), (0.0, 0.0, 0.0), (0.0, 0.0, -9.8))
     assert [notice.fault for notice in installation.notices(DOWN)] == [Fault.GYRO_SIGN]
     assert [notice.fault for notice in installation.notices((0.0, 0.0, -1.0))] == [Fault.TILT_WRONG]
+
+
+@pytest.mark.parametrize("accel", [(0.0, 0.0, -9.8), None])
+@pytest.mark.parametrize(("rate", "told"), [(20.0, True), (2.0, False)])
+def test_a_gyroscope_in_degrees_is_named_before_what_it_does_to_the_tilt(
+    rate: float, told: bool, accel: tuple[float, float, float] | None
+) -> None:
+    """No frame is of use then: nothing but the rates themselves can tell."""
+    installation = Installation()
+    for t in np.arange(0.0, 4.0, 0.005).tolist():
+        turning = (0.0, 0.0, rate * float(np.sin(1.5 * t)))
+        installation = installation.with_imu(round(t * 1e9), turning, accel)
+    down = (0.0, 0.0, -1.0)  # what such turns made of it
+    (notice,) = installation.notices(down) if told else (None,)
+    if notice is not None:
+        assert notice.fault is Fault.GYRO_SCALE
+        assert "convert deg/s to rad/s" in notice.text
+    else:
+        assert all(n.fault is Fault.TILT_WRONG for n in installation.notices(down))

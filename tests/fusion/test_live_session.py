@@ -1,0 +1,453 @@
+"""`corridor live` with its threads: cameras, links, a recording, a viewer, and a whole flight over loopback."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import radians
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from fusion import FusionConfig, fuse_flight, load_flight
+from fusion.live.cameras import CameraThread, Picture, PlayedFrames, WatchedFolder, camera_source
+from fusion.live.clock import HostClock
+from fusion.live.link import Link
+from fusion.live.recording import Recorder, camera_yaml
+from fusion.live.replay import recorded_config, replay
+from fusion.live.session import LiveSession, live_config
+from fusion.live.settings import LiveSettings
+from fusion.logs.rosbag.attachments import attached_camera
+from vision import Camera, InputError
+
+pytest.importorskip("pymavlink")
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the command."""
+    return subprocess.run(
+        [sys.executable, "-m", "fusion", *arguments], capture_output=True, text=True, timeout=300
+    )
+
+
+CAMERA = Camera.from_fov(160, 120, radians(70))
+WAIT_S = 20.0
+
+
+# The whole flight
+
+
+@dataclass
+class Flown:
+    """A flight round a corner, and its recording."""
+
+    outcome: Any
+    path: Path
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
+    """Down a corridor, left into another and along it, by the messages alone; the autopilot boots on the way."""
+    import live_loopback
+    from simulated_vehicle import junction_config
+
+    path = tmp_path_factory.mktemp("live") / "flight.mcap"
+    config = junction_config(size_px=(160, 120), frame_hz=15.0, start_m=7.5)
+    return Flown(live_loopback.fly(config, 19.0, record=path, reboot_at_s=15.0), path)
+
+
+def test_it_is_steered_round_the_corner_by_the_messages_alone(flown: Flown) -> None:
+    o = flown.outcome
+    assert min(o.clearance_m) > 0.2  # a body's radius
+    assert o.corridor[0] == 0
+    assert o.corridor[-1] == 1
+    assert o.room == 1
+    assert np.sqrt(np.nanmean(np.square(o.yaw_error_rad))) < radians(1.5)
+    assert np.sqrt(np.nanmean(np.square(o.offset_error_m))) < 0.1
+    assert o.status[-1] == "tracking"
+
+
+def test_what_was_sent_is_what_was_asked_for(flown: Flown) -> None:
+    heard, s = flown.outcome.heard, flown.outcome.statistics
+    assert heard.intervals[105] == pytest.approx(100.0)
+    assert heard.counts["ODOMETRY"] > 0.8 * s.estimates
+    assert heard.counts["HEARTBEAT"] >= 15
+    assert heard.texts[0] == "corridor 1: tracking"
+    assert any(text.startswith("corridor 2") for text in heard.texts)
+    assert s.frames_used > 0.6 * s.frames
+    assert 5.0 < s.latency_ms(50) <= s.latency_ms(99)
+    assert s.not_recorded == 0
+
+
+def test_another_boot_of_the_autopilot_is_survived(flown: Flown) -> None:
+    o = flown.outcome
+    late = [status for t_s, status in zip(o.t_s, o.status, strict=True) if t_s > 17.0]
+    assert set(late) <= {"tracking", "coasting"}
+    assert "tracking" in late
+
+
+def test_a_recording_gives_to_the_bit_what_was_sent(flown: Flown) -> None:
+    again = replay(flown.path)
+    assert again.is_exact
+    assert again.packets_sent == flown.outcome.statistics.packets_sent
+    assert len(again.estimates) == flown.outcome.statistics.estimates
+    assert again.problems == []
+
+
+def test_a_change_of_one_bit_is_noticed(flown: Flown, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fusion.live.core import LiveCore
+
+    on_bytes = LiveCore.on_bytes
+    monkeypatch.setattr(LiveCore, "on_bytes", lambda self, t_ns, data: on_bytes(self, t_ns + 1000, data))
+    assert not replay(flown.path).is_exact
+
+
+def test_corridor_fuse_reads_a_recording_and_says_that_it_is_exact(flown: Flown, tmp_path: Path) -> None:
+    done = run("fuse", str(flown.path), "-o", str(tmp_path / "out"))
+    assert done.returncode == 0, done.stderr
+    assert "computed again: the same to the bit" in done.stdout
+    assert (tmp_path / "out" / "sent.csv").read_text().startswith("timestamp_ns,heading_rad,")
+    again = run("fuse", str(flown.path), "-o", str(tmp_path / "out"))  # an output of ours may be replaced
+    assert again.returncode == 0, again.stderr
+
+
+def test_a_recording_is_a_flight_with_all_its_streams(flown: Flown) -> None:
+    flight, s = load_flight(flown.path), flown.outcome.statistics
+    assert len(flight.frames.t_ns) == s.frames
+    assert flight.imu is not None
+    assert flight.attitude is not None
+    assert flight.imu.accel_m_s2[:, 2].mean() == pytest.approx(-9.8, abs=0.4)  # its bias included
+    config = recorded_config(flown.path)
+    assert config is not None
+    assert config.corridor_width_m == 2.2
+    assert config.camera_delay_std_s > 0
+    result = fuse_flight(flight, config)
+    assert result.estimates["corridor_index"][-1] == 1
+
+
+def test_a_recording_cut_in_flight_is_read_up_to_there(flown: Flown, tmp_path: Path) -> None:
+    data = flown.path.read_bytes()
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(data[: len(data) * 2 // 3])
+    again = replay(torn)
+    assert 50 < len(again.estimates) < flown.outcome.statistics.estimates
+    assert again.estimates_equal == len(again.estimates)
+    assert "ends early" in again.problems[0]
+
+
+# The recording
+
+
+def test_a_calibration_is_recorded_to_the_last_digit(tmp_path: Path) -> None:
+    camera = Camera(
+        640, 480, 411.123456789012345, 410.9, 319.1, 241.7, "equidistant", (0.1, -0.02, 1 / 3, 0.004),  # type: ignore[arg-type]
+        exposure_s=1 / 120, p_body_camera_m=np.array([0.1, -1 / 7, 0.02]), line_delay_s=3e-5,
+    )  # fmt: skip
+    path = tmp_path / "flight.mcap"
+    Recorder(path, FusionConfig(), camera, LiveSettings()).close()
+    read = attached_camera(path)
+    assert read is not None
+    assert camera_yaml(read) == camera_yaml(camera)
+    assert (read.R_body_camera == camera.R_body_camera).all()
+
+
+def test_a_recording_that_is_there_is_not_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    path.write_bytes(b"dear")
+    with pytest.raises(InputError, match="choose another --record"):
+        Recorder(path, FusionConfig(), CAMERA, LiveSettings())
+    assert path.read_bytes() == b"dear"
+
+
+def test_another_mcap_file_is_no_recording(tmp_path: Path) -> None:
+    path = tmp_path / "other.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n")
+    with pytest.raises(InputError, match="no recording of corridor live"):
+        replay(path)
+
+
+def test_the_cameras_delay_is_estimated_unless_its_sigma_is_set() -> None:
+    assert live_config(None).camera_delay_std_s > 0
+    assert live_config(FusionConfig(camera_delay_std_s=0.0)).camera_delay_std_s == 0
+
+
+# Cameras
+
+
+class Taken:
+    """Pictures of a camera, and its thread."""
+
+    def __init__(self, source: Any) -> None:
+        self.pictures: list[Picture] = []
+        self.thread = CameraThread(source, self.pictures.append)
+
+    def wait_for(self, n: int) -> None:
+        end = time.monotonic() + WAIT_S
+        while len(self.pictures) < n and time.monotonic() < end:
+            time.sleep(0.01)
+        assert len(self.pictures) >= n
+
+
+def _save(path: Path, grey: int) -> None:
+    cv2.imwrite(str(path), np.full((120, 160), grey, np.uint8))
+
+
+def test_an_empty_folder_is_watched(tmp_path: Path) -> None:
+    clock = HostClock()
+    source = camera_source(str(tmp_path), CAMERA, clock)
+    assert isinstance(source, WatchedFolder)
+    taken = Taken(source)
+    stamp_ns = clock.now_ns()
+    _save(tmp_path / f"{stamp_ns}.png", 7)
+    taken.wait_for(1)
+    (tmp_path / f"{stamp_ns + 5}.png").write_bytes(b"no picture")
+    _save(tmp_path / "named.png", 9)
+    taken.wait_for(3)
+    taken.thread.close()
+    assert taken.pictures[0].t_ns == stamp_ns
+    assert [p.image is None for p in taken.pictures].count(True) == 1
+    images = [p.image for p in taken.pictures if p.image is not None]
+    assert [int(image[0, 0]) for image in images] == [7, 9]
+    assert abs(taken.pictures[1].t_ns - clock.now_ns()) < WAIT_S * 1e9
+
+
+def test_a_folder_with_pictures_is_played_at_its_own_pace_and_ends(tmp_path: Path) -> None:
+    for k in range(4):
+        _save(tmp_path / f"{10**18 + k * 100_000_000}.png", k)
+    source = camera_source(str(tmp_path), CAMERA, HostClock())
+    assert isinstance(source, PlayedFrames)
+    started = time.monotonic()
+    taken = Taken(source)
+    assert taken.thread.ended.wait(WAIT_S)
+    assert time.monotonic() - started >= 0.29
+    assert np.diff([p.t_ns for p in taken.pictures]).tolist() == [100_000_000] * 3
+    assert taken.thread.reopened == 0
+
+
+def test_a_folder_that_vanishes_is_tried_again(tmp_path: Path) -> None:
+    folder = tmp_path / "camera"
+    folder.mkdir()
+    taken = Taken(camera_source(str(folder), CAMERA, HostClock()))
+    shutil.rmtree(folder)
+    end = time.monotonic() + WAIT_S
+    while not taken.thread.reopened and time.monotonic() < end:
+        time.sleep(0.02)
+    folder.mkdir()
+    _save(folder / "back.png", 5)
+    taken.wait_for(1)
+    taken.thread.close()
+    assert taken.thread.reopened >= 1
+
+
+def _stream(port: int, pictures: int) -> None:
+    """Send a short MPEG-TS stream over UDP."""
+    import av
+
+    with av.open(f"udp://127.0.0.1:{port}?pkt_size=1316", "w", format="mpegts") as out:
+        stream: Any = out.add_stream("mpeg2video", rate=25)
+        stream.width, stream.height, stream.pix_fmt, stream.gop_size = 160, 120, "yuv420p", 5
+        for k in range(pictures):
+            frame = av.VideoFrame.from_ndarray(
+                np.full((120, 160), 8 * (k % 20) + 40, np.uint8), format="gray"
+            )
+            out.mux(stream.encode(frame.reformat(format="yuv420p")))
+            time.sleep(0.01)
+
+
+def test_a_stream_that_dies_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("av")
+    monkeypatch.setattr("fusion.live.cameras.READ_S", 0.5)
+    port = _free_port(socket.SOCK_DGRAM)
+    clock = HostClock()
+    taken = Taken(camera_source(f"udp://127.0.0.1:{port}", CAMERA, clock))
+    time.sleep(0.3)
+    _stream(port, 40)
+    taken.wait_for(3)
+    end = time.monotonic() + WAIT_S
+    while not taken.thread.reopened and time.monotonic() < end:
+        time.sleep(0.02)
+    n = len(taken.pictures)
+    time.sleep(0.5)
+    for _ in range(4):
+        _stream(port, 40)
+        if len(taken.pictures) > n:
+            break
+    taken.wait_for(n + 1)
+    taken.thread.close()
+    assert taken.thread.reopened >= 1
+    assert (np.diff([p.t_ns for p in taken.pictures]) > 0).all()
+    assert all(p.t_ns <= clock.now_ns() for p in taken.pictures)
+
+
+def test_what_holds_no_pictures_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "notes.md").write_text("none")
+    with pytest.raises(InputError):
+        camera_source(str(tmp_path), CAMERA, HostClock())
+    with pytest.raises(InputError, match="there is no such file"):
+        camera_source(str(tmp_path / "missing.mp4"), CAMERA, HostClock())
+
+
+# Links
+
+
+def _free_port(kind: int) -> int:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def test_a_tcp_link_is_opened_again_when_the_other_side_returns() -> None:
+    port = _free_port(socket.SOCK_STREAM)
+    received: list[bytes] = []
+    arrived = threading.Event()
+    link = Link(f"tcp:127.0.0.1:{port}", lambda data: (received.append(data), arrived.set()))
+
+    def call_once(text: bytes) -> bytes:
+        arrived.clear()
+        with socket.create_server(("127.0.0.1", port)) as server:
+            server.settimeout(WAIT_S)
+            connection, _ = server.accept()
+            with connection:
+                connection.settimeout(WAIT_S)
+                connection.sendall(text)
+                assert arrived.wait(WAIT_S)
+                link.send(b"answer")
+                return connection.recv(100)
+
+    assert call_once(b"first") == b"answer"
+    assert call_once(b"second") == b"answer"
+    link.close()
+    assert received == [b"first", b"second"]
+    assert link.reopened == 1
+
+
+def test_a_serial_link_carries_bytes_both_ways() -> None:
+    pytest.importorskip("serial")
+    import os
+    import pty
+
+    ours, theirs = pty.openpty()
+    arrived = threading.Event()
+    received: list[bytes] = []
+    link = Link(f"{os.ttyname(theirs)},115200", lambda data: (received.append(data), arrived.set()))
+    os.write(ours, b"hello")
+    assert arrived.wait(WAIT_S)
+    link.send(b"there")
+    assert os.read(ours, 100) == b"there"
+    link.close()
+    assert b"".join(received) == b"hello"
+
+
+@pytest.mark.parametrize("address", ["udpin:nowhere", "tcp:127.0.0.1", "/dev/not-there,57600", "what"])
+def test_an_address_that_cannot_be_is_refused(address: str) -> None:
+    with pytest.raises(InputError, match=r"cannot be opened.*give udpin"):
+        Link(address, lambda data: None)
+
+
+# The session and the command
+
+
+def _session(source: Any, **values: Any) -> LiveSession:
+    port = _free_port(socket.SOCK_DGRAM)
+    return LiveSession(f"udpin:127.0.0.1:{port}", source, CAMERA, live_config(None), **values)
+
+
+class Shown:
+    """A camera that shows the same few pictures as fast as they are taken."""
+
+    is_live = False
+
+    def __init__(self, n: int, size: tuple[int, int] = (120, 160)) -> None:
+        self._n, self._size = n, size
+
+    def pictures(self, stop: threading.Event) -> Iterator[Picture]:
+        for k in range(self._n):
+            image = np.random.default_rng(k).integers(0, 255, self._size).astype(np.uint8)
+            yield Picture(time.time_ns(), None if k == 3 else image)
+
+
+def test_too_many_pictures_are_dropped_and_counted() -> None:
+    session = _session(Shown(300))
+    session.run()
+    s = session.statistics
+    assert s.frames + s.frames_dropped == 300
+    assert s.frames_dropped > 0
+    assert session.core.estimator.counters["frame"] == s.frames
+
+
+def test_pictures_of_another_size_than_calibrated_are_refused() -> None:
+    with pytest.raises(InputError, match="160x120"):
+        _session(Shown(5, (100, 100))).run()
+
+
+def test_it_ends_when_told_to() -> None:
+    session = _session(Shown(0))
+    threading.Timer(0.3, session.stop).start()
+    session.run(duration_s=WAIT_S)
+    assert session.statistics.estimates < WAIT_S * 50
+
+
+def test_it_is_shown_to_foxglove(tmp_path: Path) -> None:
+    pytest.importorskip("foxglove")
+    from fusion.live.view import FoxgloveViewer
+
+    viewer = FoxgloveViewer(port=0)
+    assert viewer.port > 0
+    session = _session(Shown(20), viewer=viewer)
+    session.run()
+    assert session.statistics.frames > 0
+
+
+def test_the_command_runs_and_says_how_it_went(tmp_path: Path) -> None:
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    for k in range(8):
+        _save(pictures / f"{10**18 + k * 50_000_000}.png", 100)
+    calibration = tmp_path / "cam.yaml"
+    calibration.write_text(camera_yaml(CAMERA))
+    port = _free_port(socket.SOCK_DGRAM)
+    record = tmp_path / "flight.mcap"
+    done = run(
+        "live", str(pictures), "--camera", str(calibration), "--link", f"udpin:127.0.0.1:{port}",
+        "--record", str(record),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "none heard" in done.stdout
+    assert "latency" in done.stdout
+    assert replay(record).is_exact
+    again = run("live", str(pictures), "--camera", str(calibration), "--record", str(record))
+    assert again.returncode == 2
+    assert "choose another --record" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (("--rate", "0"), "rate_hz"),
+        (("--position", "perhaps"), "send_position"),
+        (("--link", "nowhere"), "cannot be opened"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(tmp_path: Path, arguments: tuple[str, ...], what: str) -> None:
+    calibration = tmp_path / "cam.yaml"
+    calibration.write_text(camera_yaml(CAMERA))
+    (tmp_path / "camera").mkdir()
+    done = run("live", str(tmp_path / "camera"), "--camera", str(calibration), *arguments)
+    assert done.returncode == 2
+    assert what in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_settings_survive_json() -> None:
+    settings = LiveSettings(rate_hz=30.0, use_velocity=True)
+    assert LiveSettings(**json.loads(settings.model_dump_json())) == settings
