@@ -82,7 +82,7 @@ def _speed(timings: SpeedSummary) -> str:
     times, vision_ms = timings.times_real_time, timings.vision_ms_median
     per_frame = "" if vision_ms is None else f", {vision_ms:.1f} ms a frame (median)"
     compiled = (
-        "" if timings.compile_s < 0.05 else f"; before that, once, {timings.compile_s:.0f} s of compiling"
+        "" if timings.compile_s < 0.5 else f"; before that, once, {timings.compile_s:.0f} s of compiling"
     )
     total = f"{timings.total_s:.1f} s{per_frame}{compiled}"
     return total if times is None else f"{times:.1f} times real time: {total}"

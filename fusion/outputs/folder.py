@@ -95,12 +95,13 @@ def write_outputs(
             write_table(table_in_frame(sent, frame), folder / SENT_FILE)
         _write_manifest(flight, folder / "flight.toml", Path(out_dir).resolve())
         write_exports(result, flight, folder, exports, frame, progress)
+        origin = provenance(flight, command)
         if report:
             from fusion.report import write_report
 
-            write_report(result, flight, folder / "report.html")
+            write_report(result, flight, folder / "report.html", origin)
         files = sorted([MARK, *(entry.name for entry in folder.iterdir())])
-        told = {"files": files, "provenance": provenance(flight, command)}
+        told = {"files": files, "provenance": origin}
         write_summary(summary_in_frame(result.summary, frame) | told, folder / MARK)
     return Path(out_dir).resolve()
 

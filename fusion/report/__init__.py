@@ -6,8 +6,9 @@ plots in `fusion.report.plots` are usable alone, as in notebooks.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fusion.flight import Flight
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
 __all__ = ["write_report"]
 
 
-def write_report(result: FusionResult, flight: Flight, path: str | Path) -> None:
+def write_report(
+    result: FusionResult, flight: Flight, path: str | Path, provenance: Mapping[str, Any] | None = None
+) -> None:
     """Write the report on a fused flight: one self-contained HTML file that opens without a network.
 
     Parameters
@@ -25,6 +28,8 @@ def write_report(result: FusionResult, flight: Flight, path: str | Path) -> None
         What `fusion.fuse_flight` returned, and what it was given; some of its pictures are measured again.
     path
         The file to write. It appears whole: an error leaves an earlier one as it was.
+    provenance
+        Version, command, inputs and camera as `fusion.outputs.provenance.provenance` tells them; None: not shown.
 
     Raises
     ------
@@ -33,4 +38,4 @@ def write_report(result: FusionResult, flight: Flight, path: str | Path) -> None
     """
     from fusion.report.page import render_report, replace_text
 
-    replace_text(path, render_report(result, flight))
+    replace_text(path, render_report(result, flight, provenance))

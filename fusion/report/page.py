@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from math import degrees, isfinite
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -65,7 +67,7 @@ class Caption:
     offset_norm: float | None
 
 
-def render_report(result: FusionResult, flight: Flight) -> str:
+def render_report(result: FusionResult, flight: Flight, provenance: Mapping[str, Any] | None = None) -> str:
     """Return the page as text; see `fusion.report.write_report`."""
     checks = run_checks(result, flight)
     level = overall(checks)
@@ -92,6 +94,8 @@ def render_report(result: FusionResult, flight: Flight) -> str:
         "settings": settings(result),
         "problems": all_problems(result, flight),
         "timings": timings(result),
+        "provenance": provenance_rows(provenance or {}),
+        "inputs": (provenance or {}).get("inputs", []),
     }
     return render("fusion.report", "page.html.j2", context)
 
@@ -237,6 +241,21 @@ def settings(result: FusionResult) -> list[tuple[str, str, str, bool]]:
             text += f" ({degrees(value):.4g}°{'/s' if name.endswith('_s') else ''})"
         found.append((name, text, field.description or "", value != field.default))
     return found
+
+
+def provenance_rows(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return (what, value) of what made the output, without its inputs."""
+    if not provenance:
+        return []
+    rows = [("Version", f"{provenance['version']}, Python {provenance['python']}")]
+    if provenance["command"]:
+        rows.append(("Command", provenance["command"]))
+    camera = provenance["camera"]
+    width, height = camera["size_px"]
+    fx, fy, cx, cy = (f"{value:.2f}" for value in (*camera["focal_px"], *camera["centre_px"]))
+    lens = f"{camera['distortion']} ({', '.join(f'{value:.4g}' for value in camera['coefficients'])})"
+    rows.append(("Camera", f"{width}x{height} px, focal length {fx}, {fy} px, centre {cx}, {cy} px, {lens}"))
+    return rows
 
 
 def timings(result: FusionResult) -> list[tuple[str, str]]:

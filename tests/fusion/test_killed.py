@@ -38,7 +38,7 @@ NEW = OLD - {"report.html"}
 def write(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Write an output whose tables have so many rows; the first of them has a report, too."""
 
-    def write_report(result: Any, flight: Any, path: Path) -> None:
+    def write_report(result: Any, flight: Any, path: Path, provenance: Any) -> None:
         path.write_text("<html></html>")
 
     monkeypatch.setattr(fusion.report, "write_report", write_report)

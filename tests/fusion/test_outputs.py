@@ -37,7 +37,7 @@ FLIGHT = Flight("bare", Camera.from_fov(64, 48, 1.2), FrameStream(np.zeros(0, np
 
 @pytest.fixture
 def result(monkeypatch: pytest.MonkeyPatch) -> Any:
-    def write_report(result: Any, flight: Any, path: Path) -> None:
+    def write_report(result: Any, flight: Any, path: Path, provenance: Any) -> None:
         path.write_text("<html></html>")
 
     monkeypatch.setattr(fusion.report, "write_report", write_report)

@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
+from importlib.metadata import version
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from fusion.evaluation.checks_input import yaw_steps
 from fusion.evaluation.verdict import overall
 from fusion.flight import AttitudeStream, Flight, FrameStream, ImuStream
 from fusion.logs.pictures.camera_folder import PictureFiles
+from fusion.outputs.provenance import provenance
 from fusion.report import interactive, write_report
 from fusion.report.plots import aligned_imu_yaw, plot_offset
 from fusion.report.remeasure import interpolated_attitude
@@ -455,3 +457,18 @@ def test_frames_are_drawn_in_the_metres_of_their_own_corridor(swing: Fused) -> N
         1.0,
         1.5,
     ]
+
+
+def test_the_page_says_what_made_it(swing: Fused, tmp_path: Path) -> None:
+    result, flight = swing
+    write_report(result, flight, tmp_path / "report.html", provenance(flight, "corridor fuse <hall> -o out"))
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    rows = first_group(r"(?s)<h2>Provenance</h2>(.*?)</table>", page)
+    assert "corridor fuse &lt;hall&gt; -o out" in rows
+    assert f"{flight.camera.width_px}x{flight.camera.height_px} px" in rows
+    assert version("corridor-fusion") in rows
+
+
+def test_every_heading_cell_of_a_table_has_words(page: str) -> None:
+    assert not re.search(r"<th[^>]*>\s*</th>", page)
+    assert page.count("<main>") == page.count("</main>") == 1
