@@ -428,7 +428,7 @@ class TestSimulate:
         ("arguments", "words"),
         [
             (["--size", "big"], ["--size", "big", "640x480"]),
-            (["--turn", "10"], ["angle_rad", "30 to 150 degrees"]),
+            (["--turn", "10"], ["--turn 10", "30 to 150 degrees"]),
             (["--duration", "-1"], ["duration_s", "-1"]),
             (["--config", "none.toml"], ["none.toml"]),
             (["--camera", "none.yaml"], ["none.yaml"]),

@@ -17,13 +17,15 @@ def compiled(function: F) -> F:
 
     A read-only installation without a writable cache folder makes numba refuse to cache: compile in memory then, and
     log once how to mend it.
+
+    IEEE arithmetic, no fast maths: code that has just been compiled is inlined otherwise than code from the cache,
+    and with contractions the two would differ in the last bits.
     """
-    fastmath = {"contract", "arcp", "nsz"}  # but NaN and infinity keep their meaning
     try:
-        return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function))
+        return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
     except RuntimeError:
         _say_that_nothing_is_kept()
-        return cast(F, numba.njit(nogil=True, error_model="numpy", fastmath=fastmath)(function))
+        return cast(F, numba.njit(nogil=True, error_model="numpy")(function))
 
 
 @cache

@@ -197,7 +197,7 @@ def test_nothing_half_written(tmp_path: Path) -> None:
     [
         ("log = ", r"flight\.toml: is not TOML: .*\(write lines like"),
         ("", r"neither log nor \[camera\] file says where the pictures are"),
-        ('log = "a"\ncolour = 1', r"unknown key colour = 1 \(known here: name, log"),
+        ('log = "a"\ncolour = 1', r"unknown key colour = 1 \(known here: name, vehicle, log"),
         (
             'log = "a"\ncorridor_width = 2',
             r"unknown key corridor_width = 2 \(did you mean corridor_width_m\?\)",
