@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fusion.evaluation.comparison import ErrorsOverTime, Output, errors_over_time
 from fusion.evaluation.truth_file import Truth
 from fusion.files import replacing
 from fusion.flight import FloatArray
-from fusion.report.plots import FAINT, FILTER, GRID, IMU_YAW, INK, RAW_YAW, REJECTED, SMOOTHED, VISION
+from fusion.report.plots import FAINT, FILTER, IMU_YAW, RAW_YAW, REJECTED, SMOOTHED, VISION, plain_axes
 from vision.errors import InputError
 
 FORMATS = (".png", ".svg", ".pdf")
@@ -59,9 +58,9 @@ def comparison_figure(outputs: Sequence[Output], truth: Truth, *, align: bool = 
     for (over_time, shares), what in zip(
         axes, ("Heading error, degrees", f"Offset error, {offset_unit}"), strict=False
     ):
-        _decorate(over_time, "Time, s", what)
+        plain_axes(over_time, "Time, s", what)
         over_time.axhline(0.0, color=FAINT, lw=0.6)
-        _decorate(shares, f"|{what[0].lower()}{what[1:].replace(', ', '|, ', 1)}", "Rows up to it, %")
+        plain_axes(shares, f"|{what[0].lower()}{what[1:].replace(', ', '|, ', 1)}", "Rows up to it, %")
         shares.axhline(90.0, color=FAINT, lw=0.8, ls=":")
         shares.set_xlim(left=0.0)
         shares.set_ylim(0.0, 101.0)
@@ -90,13 +89,3 @@ def write_comparison_figure(
 
 def _values(errors: ErrorsOverTime) -> tuple[FloatArray, FloatArray]:
     return np.degrees(errors.heading_rad), 100.0 * errors.lateral_offset
-
-
-def _decorate(ax: Axes, x: str, y: str) -> None:
-    ax.set_xlabel(x, color=INK)
-    ax.set_ylabel(y, color=INK)
-    ax.grid(color=GRID, lw=0.6)
-    ax.set_axisbelow(True)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
-    ax.tick_params(colors=INK, length=3, width=0.6)

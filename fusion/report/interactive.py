@@ -46,7 +46,7 @@ def page_data(result: FusionResult, flight: Flight, panels: dict[str, Sequence[P
         By the name of the figure, the functions that draw its panels.
     """
     table = result.estimates
-    origin_ns = plots.time_origin_ns(result)
+    origin_ns = result.origin_ns
     t = plots.seconds(table["timestamp_ns"], origin_ns)
     status = [
         [round(float(t[a]), 3), round(float(t[min(b, len(t) - 1)]), 3), word]

@@ -1,6 +1,6 @@
 """Plots of a fused flight, each drawn into an ``Axes`` of the caller; the report and notebooks share them.
 
-Time is seconds since `time_origin_ns`; angles are drawn in degrees, positive right. Series are thinned to
+Time is seconds since `FusionResult.origin_ns`; angles are drawn in degrees, positive right. Series are thinned to
 their extremes, so that a long flight draws as fast as a short one. No global state of matplotlib is touched.
 """
 
@@ -51,11 +51,6 @@ def thinned_to(bins: int) -> Iterator[None]:
         _BINS.reset(before)
 
 
-def time_origin_ns(result: FusionResult) -> int:
-    """First time of the flight's tables, the zero of every plot."""
-    return result.origin_ns
-
-
 def seconds(t_ns: TimeArray, origin_ns: int) -> FloatArray:
     """Seconds (n,) since the origin, exact to the nanosecond."""
     return np.asarray((np.asarray(t_ns, dtype=np.int64) - origin_ns) / 1e9, dtype=np.float64)
@@ -63,7 +58,7 @@ def seconds(t_ns: TimeArray, origin_ns: int) -> FloatArray:
 
 def plot_heading(ax: Axes, result: FusionResult, flight: Flight) -> None:
     """Draw the heading with its two-sigma band, over what the frames and the IMU's yaw say."""
-    origin, table = time_origin_ns(result), result.estimates
+    origin, table = result.origin_ns, result.estimates
     t, heading = seconds(table["timestamp_ns"], origin), np.degrees(table["heading_rad"])
     cuts = _cuts(table, heading)
     _band(ax, t, heading, 2 * np.degrees(table["heading_std_rad"]), cuts, FILTER, "filter, two sigma")
@@ -82,7 +77,7 @@ def plot_heading(ax: Axes, result: FusionResult, flight: Flight) -> None:
 
 def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
     """Draw the lateral offset with its two-sigma band, in metres where the corridor's width is known."""
-    origin, table, frames = time_origin_ns(result), result.estimates, result.frames
+    origin, table, frames = result.origin_ns, result.estimates, result.frames
     metres = bool(np.isfinite(table["lateral_offset_m"]).any())
     unit = "m" if metres else "norm"
     std = table["lateral_offset_std_m" if metres else "lateral_offset_norm_std"]
@@ -112,7 +107,7 @@ def plot_innovations(ax: Axes, result: FusionResult) -> None:
     """Draw what each frame said beyond the filter's prediction, with the gate it had to pass."""
     frames = result.frames
     t, innovation = (
-        seconds(frames["timestamp_ns"], time_origin_ns(result)),
+        seconds(frames["timestamp_ns"], result.origin_ns),
         np.degrees(frames["innovation_rad"]),
     )
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -131,7 +126,7 @@ def plot_innovations(ax: Axes, result: FusionResult) -> None:
 def plot_test_ratio(ax: Axes, result: FusionResult) -> None:
     """Draw each frame's test ratio, innovation squared over gate squared; above one the frame is refused."""
     frames = result.frames
-    t = seconds(frames["timestamp_ns"], time_origin_ns(result))
+    t = seconds(frames["timestamp_ns"], result.origin_ns)
     ax.set_yscale("log")
     ax.set_ylim(1e-4, 1e2)
     ax.yaxis.set_minor_locator(NullLocator())
@@ -191,7 +186,7 @@ def aligned_imu_yaw(attitude: AttitudeStream, table: Table) -> tuple[FloatArray,
 def mark_status(ax: Axes, result: FusionResult) -> None:
     """Colour the foot of the axes by status, and draw a vertical line where a new corridor begins."""
     table = result.estimates
-    t = seconds(table["timestamp_ns"], time_origin_ns(result))
+    t = seconds(table["timestamp_ns"], result.origin_ns)
     for status, colour in STATUS_COLOUR.items():
         spans = [(t[a], t[min(b, len(t) - 1)] - t[a]) for a, b in runs(table["status"] == status)]
         if spans:
@@ -220,7 +215,7 @@ def _plot_state(ax: Axes, result: FusionResult, name: str, label: str) -> None:
         (result.estimates, FILTER, 1.5, "filter"),
     ):
         values = np.degrees(table[name])
-        t = seconds(table["timestamp_ns"], time_origin_ns(result))
+        t = seconds(table["timestamp_ns"], result.origin_ns)
         _line(ax, t, values, _wraps(values), colour, width, word)
     _decorate(ax, result, label)
 
@@ -229,7 +224,7 @@ def _plot_error(
     ax: Axes, result: FusionResult, truth: CorridorTruth, name: str, std_name: str, label: str
 ) -> None:
     scale = 180 / np.pi if name == "heading_rad" else 100.0
-    origin, everything = time_origin_ns(result), []
+    origin, everything = result.origin_ns, []
     for table, colour, width, word in (
         (result.smoothed, SMOOTHED, 1.1, "smoother"),
         (result.estimates, FILTER, 1.3, "filter"),
@@ -380,12 +375,17 @@ def _widen(ax: Axes, values: FloatArray) -> None:
 
 def _decorate(ax: Axes, result: FusionResult, label: str) -> None:
     mark_status(ax, result)
-    ax.set_xlabel("Time, s", color=INK)
-    ax.set_ylabel(label, color=INK)
+    plain_axes(ax, "Time, s", label)
     table = result.estimates
     if len(table) > 1:
-        end = seconds(table["timestamp_ns"][-1:], time_origin_ns(result))[0]
+        end = seconds(table["timestamp_ns"][-1:], result.origin_ns)[0]
         ax.set_xlim(-0.005 * end, 1.005 * end)
+
+
+def plain_axes(ax: Axes, x_label: str, y_label: str) -> None:
+    """Label axes, and leave of their frame what is needed: two thin edges and a grid behind the lines."""
+    ax.set_xlabel(x_label, color=INK)
+    ax.set_ylabel(y_label, color=INK)
     ax.grid(axis="y", color=GRID, lw=0.6)
     ax.set_axisbelow(True)
     for side in ("top", "right"):
