@@ -9,6 +9,7 @@ from enum import StrEnum
 from fusion.inspection.findings import StreamFindings
 from fusion.logs.contents import Kind
 from fusion.logs.plausibility.findings import Finding, Severity
+from vision import InputError
 
 
 class Matter(StrEnum):
@@ -42,6 +43,7 @@ def advise(
     streams: Sequence[StreamFindings],
     findings: Sequence[Finding],
     unclear: Mapping[Kind, str],
+    refusal: InputError | None = None,
 ) -> Iterator[Sentence]:
     """Yield what can be fused, what has to be supplied first, and what would make it better.
 
@@ -55,9 +57,13 @@ def advise(
         What is implausible about the chosen streams.
     unclear
         Why no topic of a kind was chosen, where there is one.
+    refusal
+        Why the flight would be refused.
     """
     usable = {stream.kind: stream for stream in streams if stream.chosen and _is_usable(stream)}
     missing = list(_missing(name, usable, findings, unclear))
+    if refusal is not None and not missing:
+        missing.append(refusal.problem if refusal.remedy is None else f"{refusal.problem} ({refusal.remedy})")
     yield Sentence(Matter.FUSE, _fusable(name, usable, possible=not missing))
     for text in missing:
         yield Sentence(Matter.MISSING, text)

@@ -22,7 +22,7 @@ from fusion.flight import (
     TimeArray,
     VectorStream,
 )
-from fusion.logs.contents import Kind, LogContents, Topic, UndecidedError
+from fusion.logs.contents import Kind, LogContents, Medium, Topic, UndecidedError
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
 from fusion.logs.csv.column_names import has_asl_names, map_of_names, names_the_world, ready_map_of
 from fusion.logs.csv.table import Layout, read_layout
@@ -124,6 +124,8 @@ def open_columns(
 
 class CsvLog(SeriesLog):
     """`LogContents` of a CSV; ``body_frame`` is what its axes are taken for."""
+
+    medium = Medium.TABLE
 
 
 def _left_out(layout: Layout, columns: ColumnMap) -> Problems:

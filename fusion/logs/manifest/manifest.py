@@ -241,6 +241,11 @@ class Manifest(BaseModel):
             raise ValueError("[camera] use is false: a flight needs its pictures")
         return self
 
+    def with_calibration(self, path: Path) -> Self:
+        """Return the manifest with another calibration of the camera."""
+        camera = self.camera.model_copy(update={"calibration": path.absolute()})
+        return self.model_copy(update={"camera": camera})
+
     def streams(self) -> dict[str, StreamSource]:
         """Return the source of each of `STREAMS`, by name."""
         return {

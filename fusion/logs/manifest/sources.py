@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -23,10 +24,11 @@ from fusion.flight import (
     VectorStream,
 )
 from fusion.logs import open_log
-from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.contents import Kind, LogContents, Medium, Topic
 from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.csv.columns import SI, CsvLog
 from fusion.logs.manifest.manifest import CameraSource, Manifest, StreamSource, corrected_camera
+from fusion.logs.plausibility.findings import Advice
 from fusion.logs.plausibility.imu import Gravity, gravity_of
 from fusion.logs.plausibility.mounting import mounted, mounted_imu
 from fusion.logs.plausibility.rig import (
@@ -98,6 +100,15 @@ class ManifestLog(LogContents):
         if isinstance(opened, InputError):
             raise opened
         return opened
+
+    def advice(self) -> Advice:
+        """Return how to put streams right, by what each of them is read from."""
+        media: dict[str, Medium] = {}
+        for kind in Kind:
+            with suppress(InputError):
+                if (log := self.log(kind)) is not None:
+                    media[TABLES[kind]] = log.medium
+        return Advice(media)
 
     def whole_log(self) -> LogContents | None:
         """Return the log that the manifest names for everything, if it was opened."""

@@ -13,6 +13,7 @@ from math import degrees, radians
 import numpy as np
 
 from fusion.flight import AttitudeStream, FloatArray, ImuStream
+from fusion.logs.contents import Medium
 from fusion.logs.plausibility.findings import Advice, Finding, Severity
 from fusion.logs.plausibility.turn_rates import FLU, Reading, compare_turns
 
@@ -60,7 +61,7 @@ def examine_imu(imu: ImuStream, attitude: AttitudeStream | None, advice: Advice)
     gravity = gravity_of(imu)
     if gravity is not None:
         yield from _accel_unit(gravity, advice)
-    if attitude is not None and (order := examine_order(imu, attitude)) is not None:
+    if attitude is not None and (order := examine_order(imu, attitude, advice)) is not None:
         yield order
         yield from _gravity_sign(gravity, advice, gyro_confirmed=False)
         return
@@ -77,7 +78,7 @@ def examine_imu(imu: ImuStream, attitude: AttitudeStream | None, advice: Advice)
     yield from _gravity_sign(gravity, advice, gyro_confirmed=False)
 
 
-def examine_order(imu: ImuStream, attitude: AttitudeStream) -> Finding | None:
+def examine_order(imu: ImuStream, attitude: AttitudeStream, advice: Advice) -> Finding | None:
     """Tell whether quaternions are in another order than taken: w first where it should be last, or the reverse.
 
     In the other order, and only in it, they turn as the gyroscope does, and the vehicle stands upright.
@@ -99,8 +100,7 @@ def examine_order(imu: ImuStream, attitude: AttitudeStream) -> Finding | None:
                 "quaternion_order",
                 f"its quaternions are written in the order {text}: in the other order they turn as the gyroscope, "
                 f"correlation {other.as_taken.correlation:+.2f}, as taken {taken.as_taken.correlation:+.2f}",
-                "name the columns of a CSV in the order w, x, y, z: quaternion in [attitude.columns] of flight.toml; "
-                "else set use = false for [attitude]",
+                advice.quaternion_order(),
             )
     return None
 
@@ -219,7 +219,7 @@ def _axes_by_attitude(
             "attitude_conjugated",
             "its quaternions turn against the gyroscope and agree with it conjugated: they take the world to the "
             f"body, {evidence}",
-            "negate x, y, z of the quaternion: it must take the body to the world",
+            advice.conjugated(),
         )
     elif np.array_equal(likeliest.axes, FLU) and up:
         yield Finding(
@@ -269,8 +269,11 @@ def _gravity_sign(gravity: Gravity | None, advice: Advice, *, gyro_confirmed: bo
             return
         text = f"gravity reads {_signed(gravity)} along z instead of -9.8: axes look like FLU, not FRD"
         remedy = advice.frame("imu", "flu")
-        if not advice.is_folder:
-            remedy += "; where only the accelerometer's sign is reversed, accel_sign = -1 in [imu.columns]"
+        if advice.medium("imu") is not Medium.FOLDER:
+            remedy += (
+                "; if vision then turns the other way, only the accelerometer's sign is reversed: instead set "
+                "accel_sign = -1 in [imu.columns]"
+            )
         yield Finding(Severity.ERROR, "imu", "imu_axes", text, remedy)
     elif abs(direction[axis]) > UPRIGHT:
         yield Finding(
