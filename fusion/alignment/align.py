@@ -95,6 +95,7 @@ def align_flight(
         n_frames=len(views.lines),
         n_used=found.search.fit.n_frames if found.search.fit is not None else 0,
         notes=tuple(notes),
+        turns_opposite=found.search.reversed,
     )
 
 

@@ -65,6 +65,8 @@ class Alignment:
         Frames looked at, and those that told the time offset.
     notes
         What else should be known, a sentence each.
+    turns_opposite
+        Whether vision and the inertial sensors turn opposite ways.
     """
 
     clock_offset: Quantity
@@ -77,6 +79,7 @@ class Alignment:
     n_frames: int
     n_used: int
     notes: tuple[str, ...] = ()
+    turns_opposite: bool = False
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:

@@ -48,7 +48,7 @@ def _why_not(search: ClockSearch, turning: Turning, reach_s: float) -> str:
     if search.reversed:
         return (
             f"Vision and the {source} turn opposite ways: the axes of the IMU or of the camera's mounting are not "
-            "those that were taken, often forward-left-up for forward-right-down."
+            "those that were taken."
         )
     if fit is None and search.compared:
         return (

@@ -12,12 +12,12 @@ import numpy as np
 
 from fusion.alignment import turns_of_frames
 from fusion.alignment.clock import ClockFit
+from fusion.alignment.opposite import opposite_remedy
 from fusion.evaluation.checks_filter import INNOVATIONS_OVER_GATE, INNOVATIONS_OVER_SIGMA
 from fusion.evaluation.checks_frames import CAMERA_TIME, FRAMES_USED, REJECTIONS
 from fusion.evaluation.checks_truth import HEADING_ERROR
 from fusion.evaluation.verdict import worst_of
 from fusion.flight import Flight
-from fusion.logs.plausibility.findings import Advice
 from fusion.result.result import FusionResult
 from fusion.result.summary import Check, Level
 from vision import InputError
@@ -79,18 +79,8 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
 
 
 def _opposite(flight: Flight) -> tuple[str, str, str]:
-    value, source = "turns are opposite", "gyroscope" if flight.imu is not None else "attitude"
-    meaning = f"Vision and the {source} turn opposite ways."
-    imu = flight.imu
-    if imu is not None and np.isfinite(imu.accel_m_s2).any():  # whose gravity was found to be right
-        action = (
-            "By gravity the IMU is as told, so the camera is not: if it hangs upside down, say so in its calibration "
-            "(T_BS, or the rotation of the format); if its pictures are mirrored, mirror them back."
-        )
-    else:
-        stream = "imu" if imu is not None else "attitude"
-        action = f"Axes are likely forward, left, up: {Advice().frame(stream, 'flu')}."
-    return value, meaning, action
+    source = "gyroscope" if flight.imu is not None else "attitude"
+    return "turns are opposite", f"Vision and the {source} turn opposite ways.", opposite_remedy(flight)
 
 
 def _late(fit: ClockFit, delay_s: float) -> tuple[str, str, str] | None:

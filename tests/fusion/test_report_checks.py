@@ -272,7 +272,7 @@ class TestLikelyCause:
     def test_turns_the_other_way(self, swing: Fused, accel: bool) -> None:
         (check,) = self.cause(turning(swing), gyro=-1.0, accel=accel)
         assert "opposite" in check.value
-        said = "By gravity the IMU is as told" if accel else 'frame = "flu" for [imu]'
+        said = "By gravity the IMU is as told" if accel else "mount_rad = [3.1416, 0, 0] for [imu]"
         assert said in check.action
 
     @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ from fusion.logs.contents import Kind, LogContents, Medium, Topic
 from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.csv.columns import SI, CsvLog
 from fusion.logs.manifest.manifest import CameraSource, Manifest, StreamSource, corrected_camera
+from fusion.logs.pictures.camera_folder import size_of_pictures
 from fusion.logs.plausibility.findings import Advice
 from fusion.logs.plausibility.imu import Gravity, gravity_of
 from fusion.logs.plausibility.mounting import mounted, mounted_imu
@@ -265,7 +266,22 @@ class ManifestLog(LogContents):
             return None
         if rig is not None and self._given_camera is None:
             camera = turned_camera(camera, rig)
+        if self.manifest.camera.rescale_calibration:
+            camera = self._rescaled(camera, topic)
         return corrected_camera(camera, self.manifest.camera)
+
+    def _rescaled(self, camera: Camera, topic: str) -> Camera:
+        size = size_of_pictures(self.frames(topic).value)
+        if size is None or size == (camera.width_px, camera.height_px):
+            return camera
+        if not camera.is_scaled_to(*size):
+            raise InputError(
+                f"rescale_calibration = true, but pictures of {size[0]}x{size[1]} are none of {camera.width_px}x"
+                f"{camera.height_px} that were scaled: they were cut, or stretched",
+                file=self.path,
+                remedy="give the calibration of these pictures",
+            )
+        return camera.resized(*size)
 
     def _camera_as_calibrated(self, topic: str) -> Camera | None:
         if self._shift_error is not None:
