@@ -152,6 +152,7 @@ def corrected(manifest: Manifest, alignment: Alignment) -> tuple[Manifest, dict[
         if quantity.usable:
             notes[f"camera.{quantity.name}"] = note_of(quantity)
 
+    put(alignment.clock_rate, source.clock_rate * alignment.clock_rate.value, 6)
     put(alignment.clock_offset, source.clock_offset_s + alignment.clock_offset.value, 6)
     if alignment.camera_known:
         put(alignment.focal_scale, source.focal_scale * alignment.focal_scale.value, 5)

@@ -13,6 +13,7 @@ import numpy as np
 from fusion.alignment import turns_of_frames
 from fusion.alignment.clock import ClockFit
 from fusion.alignment.opposite import opposite_remedy
+from fusion.alignment.skew import SkewedClock
 from fusion.evaluation.checks_filter import INNOVATIONS_OVER_GATE, INNOVATIONS_OVER_SIGMA
 from fusion.evaluation.checks_frames import CAMERA_TIME, FRAMES_USED, REJECTIONS
 from fusion.evaluation.checks_truth import HEADING_ERROR
@@ -59,7 +60,7 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
     frames, delay_s = result.frames, result.config.camera_delay_s
     measured = np.isin(frames["reason"], _MEASURED)
     try:
-        _, found = turns_of_frames(
+        _, clock = turns_of_frames(
             flight,
             frames["timestamp_ns"] - round(delay_s * 1e9),
             np.where(measured, frames["heading_rad"], np.nan),
@@ -68,10 +69,11 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
     except InputError:
         return None
     said: tuple[str, str, str] | None = None
+    found = clock.search
     if found.reversed:
         said = _opposite(flight)
     elif found.fit is not None and found.rival_s is None and not found.at_edge:
-        said = _late(found.fit, delay_s) or _scaled(found.fit)
+        said = _skewed(clock) or _late(found.fit, delay_s) or _scaled(found.fit)
     if said is None:
         return None
     value, meaning, action = said
@@ -81,6 +83,19 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
 def _opposite(flight: Flight) -> tuple[str, str, str]:
     source = "gyroscope" if flight.imu is not None else "attitude"
     return "turns are opposite", f"Vision and the {source} turn opposite ways.", opposite_remedy(flight)
+
+
+def _skewed(clock: SkewedClock) -> tuple[str, str, str] | None:
+    if not clock.skew or clock.search.fit is None:
+        return None
+    way, percent = "slower" if clock.skew > 0.0 else "faster", 100.0 * abs(clock.skew)
+    offset_s = clock.search.fit.offset_s
+    return (
+        f"frames' clock {percent:.2f} ± {100.0 * clock.skew_std:.2f} % {way}",
+        "The clocks of camera and inertial sensors run at different rates: no offset puts them right.",
+        f"Set clock_rate = {1.0 + clock.skew:.5f} for [camera] in flight.toml and add {offset_s:.3f} to its "
+        "clock_offset_s, or run `corridor align --write`.",
+    )
 
 
 def _late(fit: ClockFit, delay_s: float) -> tuple[str, str, str] | None:

@@ -81,6 +81,13 @@ class StreamSource(BaseModel):
         le=1e11,
         description="Added to the file's times to give the flight's.",
     )
+    clock_rate: float = Field(
+        default=1.0,
+        strict=True,
+        ge=0.5,
+        le=2.0,
+        description="Seconds of the flight in a second of the file's clock, counted from the stream's first sample.",
+    )
     use: bool = Field(default=True, description="false leaves the stream out.")
 
     def units(self) -> ColumnMap | None:

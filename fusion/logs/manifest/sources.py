@@ -21,6 +21,7 @@ from fusion.flight import (
     ImuStream,
     RangeStream,
     Remark,
+    TimeArray,
     VectorStream,
 )
 from fusion.logs import open_log
@@ -41,7 +42,7 @@ from fusion.logs.plausibility.rig import (
     turned_velocity,
 )
 from fusion.logs.plausibility.rig import sentence as rig_sentence
-from fusion.logs.samples import Problems, WithProblems, refuse_placeholder
+from fusion.logs.samples import Problems, WithProblems, at_rate, refuse_placeholder
 from fusion.logs.topic_choice import RANKED_FORMATS, TABLES, choose_topic
 from vision import Camera, InputError
 from vision.cameras.calibration import to_frd
@@ -170,13 +171,13 @@ class ManifestLog(LogContents):
         if log is None:
             return []
         own = "" if source.file is None or source.file == self.manifest.log else source.file.name
-        shift_ns = round(source.clock_offset_s * 1e9)
-        shift = f"{source.clock_offset_s:+.3f} s" if shift_ns else ""
+        shift = f"{source.clock_offset_s:+.3f} s" if source.clock_offset_s else ""
+        rate = f"clock x {source.clock_rate:g}" if source.clock_rate != 1.0 else ""
         return [
             replace(
                 topic,
-                t_ns=topic.t_ns + shift_ns,
-                note="; ".join(part for part in (own, topic.note, shift) if part),
+                t_ns=on_flights_clock(topic.t_ns, source),
+                note="; ".join(part for part in (own, topic.note, rate, shift) if part),
             )
             for topic in log.topics
             if topic.kind is kind and source.topic in (None, topic.name)
@@ -191,8 +192,8 @@ class ManifestLog(LogContents):
             if log is None:
                 raise InputError(f"names no {TABLES[kind]}", file=self.path, remedy="name it, or give a log")
             stream, problems = read(log)(topic)
-            shift_ns = round(source.clock_offset_s * 1e9)
-            shifted: Any = replace(stream, t_ns=stream.t_ns + shift_ns) if shift_ns else stream
+            t_ns = on_flights_clock(stream.t_ns, source)
+            shifted: Any = stream if t_ns is stream.t_ns else replace(stream, t_ns=t_ns)
             if isinstance(source.columns, ColumnMap) and not isinstance(log, CsvLog):
                 shifted = in_si(shifted, kind, source.columns)
             self._streams[kind, topic] = WithProblems(mounted(shifted, source), problems)
@@ -396,6 +397,14 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
             _refuse(told, ("columns", "frame"), path, "a log with columns and axes of its own")
         return columns.open_columns(path, source.columns, source.frame)
     return open_log(path)
+
+
+def on_flights_clock(t_ns: TimeArray, source: StreamSource) -> TimeArray:
+    """Return times (n,) of a file on the flight's clock; the same array where they are on it already."""
+    shift_ns = round(source.clock_offset_s * 1e9)
+    if source.clock_rate != 1.0:
+        t_ns = at_rate(t_ns, source.clock_rate)
+    return t_ns + shift_ns if shift_ns else t_ns
 
 
 def in_si(stream: AnyStream, kind: Kind, columns: ColumnMap) -> AnyStream:

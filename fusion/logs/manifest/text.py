@@ -31,6 +31,7 @@ _MEANING = {
     "camera.focal_scale": "factor on the calibration's focal lengths",
     "range.above_camera_m": "the sensor sits this much higher than the camera",
     "mount_rad": "roll, pitch, yaw of the sensor on the body",
+    "clock_rate": "seconds of the flight in a second of this file's clock, counted from its first sample",
     "use": "false: left out",
     "clock_offset_s": "added to this file's times",
 }
