@@ -19,6 +19,9 @@ from fusion.evaluation.checks_frames import CAMERA_TIME, FRAMES_USED, REJECTIONS
 from fusion.evaluation.checks_truth import HEADING_ERROR
 from fusion.evaluation.verdict import worst_of
 from fusion.flight import Flight
+from fusion.logs.csv.column_map import unit_of_size
+from fusion.logs.manifest.manifest import Manifest
+from fusion.logs.manifest.sources import ManifestLog
 from fusion.result.result import FusionResult
 from fusion.result.summary import Check, Level
 from vision import InputError
@@ -73,7 +76,7 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
     if found.reversed:
         said = _opposite(flight)
     elif found.fit is not None and found.rival_s is None and not found.at_edge:
-        said = _skewed(clock) or _late(found.fit, delay_s) or _scaled(found.fit)
+        said = _skewed(clock) or _late(found.fit, delay_s) or _scaled(found.fit, flight)
     if said is None:
         return None
     value, meaning, action = said
@@ -114,7 +117,7 @@ def _late(fit: ClockFit, delay_s: float) -> tuple[str, str, str] | None:
     return value, meaning, action
 
 
-def _scaled(fit: ClockFit) -> tuple[str, str, str] | None:
+def _scaled(fit: ClockFit, flight: Flight) -> tuple[str, str, str] | None:
     if abs(fit.ratio - 1.0) < max(SCALE_DIFFERS, SURE_SIGMA * fit.ratio_std):
         return None
     value = f"pictures turn {fit.ratio:.2f} times as far as the gyroscope"
@@ -127,5 +130,15 @@ def _scaled(fit: ClockFit) -> tuple[str, str, str] | None:
     return (
         value,
         "The gyroscope is in another unit than was taken, or its axes are others.",
-        "Check the unit that it was logged in: gyro_unit in [imu.columns] of flight.toml.",
+        _unit_remedy(fit.ratio, flight),
     )
+
+
+def _unit_remedy(ratio: float, flight: Flight) -> str:
+    """Name the unit that makes a gyroscope turn as the pictures do."""
+    if not isinstance(flight.manifest, Manifest):
+        return f"Multiply the gyroscope by {ratio:.4g}."
+    advice = ManifestLog(flight.manifest).advice()
+    unit, _ = unit_of_size(ratio * advice.taken.get("gyro_unit", 1.0), "deg/s")
+    remedy = advice.unit("imu", "gyro_unit", unit, f"{ratio:.4g}")
+    return remedy[0].upper() + remedy[1:] + "."

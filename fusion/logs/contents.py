@@ -108,6 +108,10 @@ class LogContents(Protocol):
     def range(self, topic: str) -> WithProblems[RangeStream]:
         """Distance to the floor along the body's z."""
 
+    def unit_taken(self, role: str) -> float:
+        """Return what one of the file's unit of ``gyro`` or ``accel`` was taken for in SI."""
+        return 1.0
+
     def calibration_file(self, topic: str) -> Path | None:
         """Return where the format expects the calibration of a camera; None: nowhere."""
         return None

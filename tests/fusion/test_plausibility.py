@@ -75,7 +75,7 @@ SINCE_ZERO = T - T[0]
         (imu(gyro_rad_s=1000.0 * GYRO), r'it is in mrad/s, not rad/s \(set gyro_unit = "mrad/s"'),
         (
             imu(gyro_rad_s=20.0 * GYRO),
-            "the gyroscope turns 20.* times as fast as the attitude: it is not in rad/s",
+            "the gyroscope turns 20.* times as fast as the attitude: it is in another unit",
         ),
         (
             imu(accel_m_s2=ACCEL / 9.80665),
@@ -87,7 +87,7 @@ SINCE_ZERO = T - T[0]
         ),
         (
             imu(accel_m_s2=ACCEL * 660.0),
-            r"the accelerometer is in another unit \(multiply its columns by 0.0015",
+            r"the accelerometer is in another unit \(set accel_unit = \"g/6[56]\d\d\" in \[imu.columns\]",
         ),
         (
             imu(gyro_rad_s=GYRO @ FLU, accel_m_s2=ACCEL @ FLU),

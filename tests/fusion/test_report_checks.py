@@ -276,7 +276,7 @@ class TestLikelyCause:
         assert said in check.action
 
     @pytest.mark.parametrize(
-        ("gyro", "said"), [(1 / 1.3, "focal_scale"), (2.5, "gyro_unit in [imu.columns]")]
+        ("gyro", "said"), [(1 / 1.3, "focal_scale"), (2.5, "Multiply the gyroscope by 0.399")]
     )
     def test_turns_of_another_size(self, swing: Fused, gyro: float, said: str) -> None:
         (check,) = self.cause(turning(swing), gyro=gyro)

@@ -215,6 +215,6 @@ class _Assembly:
         raise InputError(
             f"covers {span(t_ns)}, the frames {span(frame_t_ns)}{zero}",
             file=file,
-            remedy="put both on one clock: with [camera] clock_offset_s in flight.toml, or --clock-offset; "
-            f"if both began together it is {lag_s:.3f}; or leave the {table} out",
+            remedy=f"if both began together, set clock_offset_s = {lag_s:.3f} for [camera] in flight.toml, or give "
+            f"--clock-offset {lag_s:.3f}; `corridor align` finds the rest; or leave the {table} out",
         )

@@ -26,8 +26,8 @@ from fusion.flight import (
 )
 from fusion.logs import open_log
 from fusion.logs.contents import Kind, LogContents, Medium, Topic
-from fusion.logs.csv.column_map import ColumnMap
-from fusion.logs.csv.columns import SI, CsvLog
+from fusion.logs.csv.column_map import ColumnMap, in_si
+from fusion.logs.csv.columns import CsvLog
 from fusion.logs.manifest.manifest import CameraSource, Manifest, StreamSource, corrected_camera
 from fusion.logs.pictures.camera_folder import size_of_pictures
 from fusion.logs.plausibility.findings import Advice
@@ -110,7 +110,17 @@ class ManifestLog(LogContents):
             with suppress(InputError):
                 if (log := self.log(kind)) is not None:
                     media[TABLES[kind]] = log.medium
-        return Advice(media)
+        return Advice(media, {f"{role}_unit": self._unit_taken(role) for role in ("gyro", "accel")})
+
+    def _unit_taken(self, role: str) -> float:
+        """Return what one of the IMU file's unit was taken for in SI."""
+        try:
+            log, told = self.log(Kind.IMU), self.manifest.imu.columns
+        except InputError:
+            return 1.0
+        if isinstance(told, ColumnMap) and not isinstance(log, CsvLog):
+            return in_si(str(told.unit_of(role)))
+        return 1.0 if log is None else log.unit_taken(role)
 
     def whole_log(self) -> LogContents | None:
         """Return the log that the manifest names for everything, if it was opened."""
@@ -195,7 +205,7 @@ class ManifestLog(LogContents):
             t_ns = on_flights_clock(stream.t_ns, source)
             shifted: Any = stream if t_ns is stream.t_ns else replace(stream, t_ns=t_ns)
             if isinstance(source.columns, ColumnMap) and not isinstance(log, CsvLog):
-                shifted = in_si(shifted, kind, source.columns)
+                shifted = converted(shifted, kind, source.columns)
             self._streams[kind, topic] = WithProblems(mounted(shifted, source), problems)
         found: WithProblems[AnyStream] = self._streams[kind, topic]
         return found
@@ -407,21 +417,21 @@ def on_flights_clock(t_ns: TimeArray, source: StreamSource) -> TimeArray:
     return t_ns + shift_ns if shift_ns else t_ns
 
 
-def in_si(stream: AnyStream, kind: Kind, columns: ColumnMap) -> AnyStream:
+def converted(stream: AnyStream, kind: Kind, columns: ColumnMap) -> AnyStream:
     """Return a stream of a log whose format has units of its own, where its numbers are in others."""
     scaled: Any = stream
     if isinstance(stream, ImuStream):
-        accel_unit = SI[columns.accel_unit] * columns.accel_sign
+        accel_unit = in_si(columns.accel_unit) * columns.accel_sign
         scaled = replace(
             stream,
-            gyro_rad_s=stream.gyro_rad_s * SI[columns.gyro_unit],
+            gyro_rad_s=stream.gyro_rad_s * in_si(columns.gyro_unit),
             accel_m_s2=stream.accel_m_s2 * accel_unit,
         )
     elif isinstance(stream, VectorStream):
         unit = columns.velocity_unit if kind is Kind.VELOCITY else columns.position_unit
-        scaled = replace(stream, xyz=stream.xyz * SI[unit])
+        scaled = replace(stream, xyz=stream.xyz * in_si(unit))
     elif isinstance(stream, RangeStream):
-        scaled = replace(stream, distance_m=stream.distance_m * SI[columns.range_unit])
+        scaled = replace(stream, distance_m=stream.distance_m * in_si(columns.range_unit))
     result: AnyStream = scaled
     return result
 

@@ -58,9 +58,12 @@ class Advice:
     ----------
     media
         Of streams by their names in a manifest; those that it lacks are of a log.
+    taken
+        What one of a unit is in SI, ``gyro_unit`` or ``accel_unit``, as the file was read; 1 where it lacks one.
     """
 
     media: Mapping[str, Medium] = field(default_factory=dict)
+    taken: Mapping[str, float] = field(default_factory=dict)
 
     def medium(self, stream: str) -> Medium:
         """Return what a stream is read from."""
