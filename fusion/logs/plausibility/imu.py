@@ -291,8 +291,7 @@ def _gyro_degrees(imu: ImuStream, gravity: Gravity | None, advice: Advice) -> It
     """Without an attitude: rates beyond any gyroscope's range, or tilts that gravity does not follow."""
     speed = np.linalg.norm(imu.gyro_rad_s, axis=1)
     fastest, usual = float(np.percentile(speed, 99.0)), float(np.median(speed))
-    text = None
-    severity = Severity.ERROR
+    text, severity, taken = None, Severity.ERROR, advice.taken.get("gyro_unit", 1.0)
     if fastest > GYRO_RANGE_RAD_S:
         text = f"one gyroscope sample in a hundred is beyond {fastest:.0f} rad/s, more than any measures"
     else:
@@ -303,11 +302,11 @@ def _gyro_degrees(imu: ImuStream, gravity: Gravity | None, advice: Advice) -> It
                 f"gravity {degrees(tilts[1]):.1f}"
             )
         elif usual > LIKELY_DEGREES:
-            severity = Severity.WARNING
+            # As told, it is sure to be wrong; as logged, something may have spun.
+            severity = Severity.WARNING if taken == 1.0 else Severity.ERROR
             text = f"the gyroscope reads {usual:.0f} rad/s half of the time"
     if text is None:
         return
-    taken = advice.taken.get("gyro_unit", 1.0)
     unit = "deg/s" if taken == 1.0 and fastest < MAX_DEGREES else "deg/s/16.4"
     words = {"deg/s": "degrees/s, not rad/s"}.get(unit, "counts of its sensor")
     remedy = advice.unit("imu", "gyro_unit", unit, f"{in_si(unit) / taken:.6g}")
