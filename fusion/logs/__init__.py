@@ -141,9 +141,10 @@ def load_manifest(
     InputError
         As `load_flight`.
     """
-    from fusion.logs.manifest.assembly import assemble_flight
-    from fusion.logs.plausibility.flight import check_flight
+    from fusion.logs.manifest.assembly import checked_flight
+    from fusion.logs.manifest.sources import ManifestLog
 
-    flight = assemble_flight(manifest, camera)
-    files = {name: s.file for name, s in manifest.streams().items() if s.file is not None}
-    return check_flight(flight, path or manifest.log or manifest.camera.file or Path(flight.name), files)
+    if isinstance(camera, Path):
+        manifest, camera = manifest.with_calibration(camera), None
+    sources = ManifestLog(manifest, camera=camera)
+    return checked_flight(sources, path or sources.path)
