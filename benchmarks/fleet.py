@@ -144,7 +144,7 @@ def start_of_a_worker() -> Cost:
     """Return what it costs to start a process and to load all that fusing needs."""
 
     def start() -> None:
-        with local_workers(1, None, print) as workers:
+        with local_workers(1, None, None, print) as workers:
             worker = workers._worker()
             assert worker._pool.submit(limit_threads).result() is None
             assert worker._pool.submit(process_id).result() != os.getpid()
