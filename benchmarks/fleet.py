@@ -24,7 +24,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -209,7 +209,8 @@ def print_cluster(work: Path, count: int) -> None:
     flights = work / "missing.toml"
     flights.write_text("".join(f'[[flight]]\npath = "{k:06d}"\n' for k in range(count)), encoding="utf-8")
     local = BatchSettings(jobs=2)
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+    local_cluster: Any = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+    with local_cluster as cluster:
         dask = replace(local, scheduler=cluster.scheduler_address)
         for name, settings in (("2 processes", local), ("Dask", dask)):
             fuse_fleet([flights], work / "warm", replace(settings, redo=True))  # workers start, modules load
