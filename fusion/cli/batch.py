@@ -29,7 +29,7 @@ Next: open OUT/fleet.html, or pandas.read_parquet("OUT/fleet.parquet").
 def batch(
     flights: Annotated[
         list[str],
-        typer.Argument(metavar="FLIGHTS...", help="Folders, patterns, lists, flights.", show_default=False),
+        typer.Argument(metavar="FLIGHTS", help="Folders, patterns, lists, flights.", show_default=False),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Output folder.")],
     config: Annotated[

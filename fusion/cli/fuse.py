@@ -54,7 +54,7 @@ def fuse(
     flight: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[FLIGHT]", help="A flight's folder, a flight.toml or a log.", show_default=False
+            metavar="FLIGHT", help="A flight's folder, a flight.toml or a log.", show_default=False
         ),
     ] = None,
     out: Annotated[
