@@ -19,7 +19,7 @@ from vision.rotations import wrap_axis
 SPAN_NS = 250_000_000  # over which frames are averaged; turns are from one span to the next
 MAX_TURN_RAD = 0.35  # in that time; more is another axis
 MEMORY = 1.0 - 1 / 40  # of each turn, when the next comes
-MIN_TURNS, SURE_SIGMA = 3.0, 6.0
+MIN_TURNS, SURE_SIGMA = 3.0, 5.0
 PRIOR_TURNS = 4.0  # that the stated noise counts as, beside the scatter that is found
 FOCAL_SLOPES = (0.85, 1.18)
 FAST_RAD_S = 3.0  # rms that no flight along a corridor has
