@@ -149,7 +149,7 @@ def read_timed(
 
 
 def _seconds_and_nanoseconds(layout: Layout) -> tuple[int, int] | None:
-    """Find two columns that make a time, as ROS 2 has ``sec`` and ``nanosec``, or ``stamp_secs`` and ``stamp_nsecs``."""
+    """Find two columns that make a time, as ROS 2 has ``sec`` and ``nanosec``."""
     places: dict[str, dict[str, int]] = {}
     for index, name in enumerate(layout.names):
         found = re.fullmatch(r"(.*?)(n|nano)?(?:sec|secs|seconds)", name.strip().lower())
