@@ -19,7 +19,7 @@ from fusion.evaluation.checks_frames import CAMERA_TIME, FRAMES_USED, REJECTIONS
 from fusion.evaluation.checks_truth import HEADING_ERROR
 from fusion.evaluation.verdict import worst_of
 from fusion.flight import Flight
-from fusion.logs.csv.column_map import unit_of_size
+from fusion.logs.csv.column_map import ColumnMap, is_counts, unit_of_size
 from fusion.logs.manifest.manifest import Manifest
 from fusion.logs.manifest.sources import ManifestLog
 from fusion.result.result import FusionResult
@@ -121,7 +121,11 @@ def _scaled(fit: ClockFit, flight: Flight) -> tuple[str, str, str] | None:
     if abs(fit.ratio - 1.0) < max(SCALE_DIFFERS, SURE_SIGMA * fit.ratio_std):
         return None
     value = f"pictures turn {fit.ratio:.2f} times as far as the gyroscope"
-    if LENS_SCALES[0] < fit.ratio < LENS_SCALES[1]:
+    columns = flight.manifest.imu.columns if isinstance(flight.manifest, Manifest) else None
+    in_counts = isinstance(columns, ColumnMap) and is_counts(
+        columns.gyro_unit
+    )  # whose size was guessed, not the lens
+    if LENS_SCALES[0] < fit.ratio < LENS_SCALES[1] and not in_counts:
         return (
             value,
             "The camera's focal length is not that of these pictures.",

@@ -38,6 +38,19 @@ FORMATS = {
 }
 
 
+_PACKED, _WRITTEN = (
+    "unpack it first, and give what is in it",
+    "write its samples as CSV with a column of times",
+)
+#: What to do with files that are no logs of ours, but hold one.
+_OTHER_FILES = dict.fromkeys(
+    (".gz", ".bz2", ".xz", ".zst", ".zip", ".tar", ".7z", ".rar"), _PACKED
+) | dict.fromkeys(
+    (".xlsx", ".xls", ".ods", ".npy", ".npz", ".mat", ".parquet", ".h5", ".hdf5", ".json", ".jsonl", ".pkl"),
+    _WRITTEN,
+)
+
+
 class LogFormat(Protocol):
     """What a module in `FORMATS` provides."""
 
@@ -62,7 +75,7 @@ def open_log(path: str | Path) -> LogContents:
     refuse_placeholder(path)
     module = format_of(path)
     if module is None:
-        remedy = "give a flight.toml, " + ", ".join(FORMATS)
+        remedy = _OTHER_FILES.get(path.suffix.lower()) or "give a flight.toml, " + ", ".join(FORMATS)
         raise InputError("is not a flight of a known format", file=path, remedy=remedy)
     return cast(LogFormat, import_module(module)).open_log(path)
 

@@ -27,7 +27,7 @@ SECONDS = 8.0
 FLU = np.array([1.0, -1.0, -1.0])
 SENSOR_YAML = OFFICE / "mav0" / "cam0" / "sensor.yaml"
 MAX_TURN_RAD = 0.06  # between sums of the gyroscope's samples; a tenth of what the vehicle turns
-MAX_STEPS = 4  # remedies followed one after another
+MAX_STEPS = 6  # remedies followed one after another
 
 Table = dict[str, Any]
 Build = Callable[["Part", Path], Path]

@@ -15,13 +15,14 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 Column = Annotated[int, Field(ge=1, strict=True)] | Annotated[str, Field(min_length=1, strict=True)]
 Vector = tuple[Column, Column, Column]
 
-TimeUnit = Literal["ns", "us", "ms", "s", "iso"]
+TimeUnit = Literal["ns", "us", "100us", "ms", "s", "days", "iso"]
 AngleUnit = Literal["rad", "deg", "mdeg"]
 
 _G_M_S2, _DEG = 9.80665, pi / 180.0
 #: What one of each unit is in SI.
 _SI = (
     {"rad/s": 1.0, "deg/s": _DEG, "mrad/s": 1e-3, "rad": 1.0, "deg": _DEG, "mdeg": _DEG * 1e-3}
+    | {"mdeg/s": _DEG * 1e-3}
     | {"m/s2": 1.0, "g": _G_M_S2, "mg": _G_M_S2 * 1e-3, "cm/s2": 1e-2}
     | {"m/s": 1.0, "dm/s": 0.1, "cm/s": 0.01, "mm/s": 1e-3, "m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3}
 )
@@ -60,6 +61,11 @@ def unit_of_size(size: float, base: str) -> tuple[str, bool]:
     return f"{base}/{number:.0f}" if number >= 1000.0 else f"{base}/{number:.4g}", False
 
 
+def is_counts(unit: str) -> bool:
+    """Whether a unit is one count of a sensor."""
+    return _COUNTS.fullmatch(unit) is not None
+
+
 def unit_in_words(unit: str) -> str:
     """Return a unit for a sentence: ``degrees/s``, ``counts, 2048 to a g``."""
     counts = _COUNTS.fullmatch(unit)
@@ -82,7 +88,7 @@ def _unit_or_counts(*units: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-RateUnit = Annotated[str, _unit_or_counts("rad/s", "deg/s", "mrad/s")]
+RateUnit = Annotated[str, _unit_or_counts("rad/s", "deg/s", "mrad/s", "mdeg/s")]
 AccelUnit = Annotated[str, _unit_or_counts("m/s2", "g", "mg", "cm/s2")]
 SpeedUnit = Literal["m/s", "dm/s", "cm/s", "mm/s"]
 LengthUnit = Literal["m", "dm", "cm", "mm"]
@@ -106,7 +112,7 @@ class ColumnMap(BaseModel):
         default=None, description="Column of the time stamps; else the usual names are tried."
     )
     time_unit: TimeUnit | None = Field(
-        default=None, description="ns, us, ms, s, or iso for dates; else found from the values."
+        default=None, description="ns, us, 100us, ms, s, days, or iso for dates; else found from the values."
     )
     separator: Separator | None = Field(default=None, description="Between columns; else found.")
     header: bool | None = Field(
@@ -261,4 +267,14 @@ TIME_NAMES = (
     "elapsed_time",
     "datetime",
     "date",
+    "__time",
+    "ts",
+    "epoch",
+    "unix_time",
+    "gps_time",
+    "tow",
+    "datenum",
+    "sampletimefine",
+    "seconds_elapsed",
+    "zeit",
 )

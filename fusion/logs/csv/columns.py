@@ -27,7 +27,7 @@ from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame, in_si
 from fusion.logs.csv.column_names import has_asl_names, map_of_names, names_the_world, ready_map_of
 from fusion.logs.csv.table import Layout, read_layout
 from fusion.logs.csv.time_units import is_time_name
-from fusion.logs.csv.times import ROLES, read_timed
+from fusion.logs.csv.times import ROLES, read_timed, time_columns
 from fusion.logs.imu_series import imu_stream
 from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.series import (
@@ -129,8 +129,7 @@ class CsvLog(SeriesLog):
 def _left_out(layout: Layout, columns: ColumnMap) -> Problems:
     """Name the columns that are not read."""
     named = {layout.find(name, role) for role in ROLES for name in columns.columns_of(role)}
-    if columns.time is not None:
-        named.add(layout.find(columns.time, "columns.time"))
+    named |= set(time_columns(layout, columns))
     unread = [
         name
         for index, name in enumerate(layout.names)
@@ -203,6 +202,9 @@ class _Table:
             start += len(indices)
         if "accel" in parts:
             parts["accel"] = parts["accel"] * columns.accel_sign
+        if "quaternion" in parts and not parts["quaternion"].any():
+            del parts["quaternion"]
+            problems += (Remark(f"{layout.path.name}: its quaternions are zero in every row, left out"),)
         return WithProblems(cls(layout.path, columns, frame, timed.t_ns, parts), problems)
 
     def note(self, kind: Kind) -> str:

@@ -307,7 +307,8 @@ def _gyro_degrees(imu: ImuStream, gravity: Gravity | None, advice: Advice) -> It
             text = f"the gyroscope reads {usual:.0f} rad/s half of the time"
     if text is None:
         return
-    unit = "deg/s" if taken == 1.0 and fastest < MAX_DEGREES else "deg/s/16.4"
+    as_degrees = fastest < MAX_DEGREES and radians(usual) < LIKELY_DEGREES
+    unit = "deg/s" if taken == 1.0 and as_degrees else "deg/s/16.4"
     words = {"deg/s": "degrees/s, not rad/s"}.get(unit, "counts of its sensor")
     remedy = advice.unit("imu", "gyro_unit", unit, f"{in_si(unit) / taken:.6g}")
     if unit != "deg/s":
