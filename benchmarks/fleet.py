@@ -203,14 +203,14 @@ def print_cluster(work: Path, count: int) -> None:
 
     The flights are not there, so that their workers have next to nothing to do.
     """
-    from distributed import LocalCluster
+    import distributed
 
     work.mkdir()
     flights = work / "missing.toml"
     flights.write_text("".join(f'[[flight]]\npath = "{k:06d}"\n' for k in range(count)), encoding="utf-8")
     local = BatchSettings(jobs=2)
-    local_cluster: Any = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
-    with local_cluster as cluster:
+    local_cluster: Any = distributed.LocalCluster
+    with local_cluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         dask = replace(local, scheduler=cluster.scheduler_address)
         for name, settings in (("2 processes", local), ("Dask", dask)):
             fuse_fleet([flights], work / "warm", replace(settings, redo=True))  # workers start, modules load
