@@ -68,6 +68,12 @@ class FusionConfig(Settings):
     gyro_bias_std_rad_s: float = Field(
         default=0.02, gt=0, le=1, description="Bias of the yaw rate at the start."
     )
+    gyro_scale_std: float = Field(
+        default=0.01,
+        ge=0,
+        le=0.2,
+        description="Relative error of the gyroscope's scale; data sheets say .5 to 3 %.",
+    )
     gyro_gap_s: float = Field(
         default=0.1, gt=0, le=5, description="Silence after which the gyroscope counts as gone."
     )

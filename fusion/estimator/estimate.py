@@ -215,7 +215,9 @@ def status_of(
         contested = axis.diagnosis.told
         if contested is not None and seconds_since(t_ns, contested.t_ns) < CONTESTED_S:
             notices.append(Notice(Fault.HEADING_CONTESTED, CONTESTED[contested.hypothesis]))
-        if state.lateral.n_used and seconds_since(seen_ns, state.lateral.t_ns) > limit:
+        if state.lateral.contradicted:
+            notices.append(Notice(Fault.NO_LATERAL_OFFSET, "lateral offset jumped further than the motion"))
+        elif state.lateral.n_used and seconds_since(seen_ns, state.lateral.t_ns) > limit:
             notices.append(Notice(Fault.NO_LATERAL_OFFSET, "frames show no lateral offset"))
     if (frozen := state.checks.repeats.notice()) is not None:
         notices = [n for n in notices if n.fault is not Fault.FRAMES_REJECTED] + [frozen]

@@ -50,6 +50,10 @@ MAX_FORCE_M_S2 = 300.0  # beyond these no vehicle flies: damaged samples
 MAX_SPEED_M_S = 100.0
 MAX_ANSWER_NORM = 10.0  # half widths, of an offset or its sigma: what is beyond says nothing
 JUMP_NORM = 0.1  # change in one frame from which on another hypothesis has won
+CONTRADICTED_S = (
+    4.0  # for which an offset is not relied on that motion does not lead to: one of the two is wrong
+)
+DRIFT_NORM_S = 0.05  # by which the rate may be off, half widths per second
 
 
 class LateralStatus(StrEnum):
@@ -79,6 +83,25 @@ class MotionStep(NamedTuple):
     accel_m_s2: Vector | None
 
 
+class Confirmed(NamedTuple):
+    """The offset when it was relied on last, half widths, carried on to the last frame; and when both were."""
+
+    offset_norm: float
+    t_ns: int
+    t_frame_ns: int
+
+    def carried(self, rate_norm_s: float, t_ns: int) -> Confirmed:
+        """Go on to a frame by the rate there: the vehicle's motion, wherever it is."""
+        moved = rate_norm_s * seconds_since(t_ns, self.t_frame_ns) if isfinite(rate_norm_s) else 0.0
+        return Confirmed(self.offset_norm + moved, self.t_ns, t_ns)
+
+    def contradicts(self, offset_norm: float) -> bool:
+        """Tell whether motion does not lead to this offset; after some time nobody can say so."""
+        dt_s = seconds_since(self.t_frame_ns, self.t_ns)
+        far = abs(offset_norm - self.offset_norm) > JUMP_NORM + DRIFT_NORM_S * dt_s
+        return far and dt_s < CONTRADICTED_S
+
+
 class Lateral(NamedTuple):
     """What is known of the lateral offset.
 
@@ -98,6 +121,10 @@ class Lateral(NamedTuple):
         Whether the last frame left it known.
     last_known
         Offset when it was last known, half widths and metres.
+    confirmed
+        Where it was relied on last in this corridor.
+    contradicted
+        Whether motion does not lead from there to where the last frame left it.
     reset_count, reset_norm, reset_m
         How often it jumped, and its last step.
     model
@@ -113,6 +140,8 @@ class Lateral(NamedTuple):
     speed_gate: Gate | None = None
     known: bool = False
     last_known: tuple[float, float] = (nan, nan)
+    confirmed: Confirmed | None = None
+    contradicted: bool = False
     reset_count: int = 0
     reset_norm: float = 0.0
     reset_m: float = 0.0
@@ -127,7 +156,15 @@ class Lateral(NamedTuple):
         """Go on in another corridor, or at another time, with nothing known but what the offset was last."""
         offset = in_new_corridor(self.offset)
         step = OffsetStep(Path(), offset, starts_anew=True)
-        return self._replace(offset=offset, step=step, t_frame_ns=None, t_ns=None, known=False)
+        return self._replace(
+            offset=offset,
+            step=step,
+            t_frame_ns=None,
+            t_ns=None,
+            known=False,
+            confirmed=None,
+            contradicted=False,
+        )
 
 
 class LateralOffset:
@@ -239,7 +276,7 @@ class LateralOffset:
         )
         if after.evidence_age_s == 0.0 and len(offset.x):
             lateral = lateral._replace(t_ns=t_ns, n_used=lateral.n_used + 1)
-        return _with_jump(lateral, before, after, half_m)
+        return _with_contradiction(_with_jump(lateral, before, after, half_m), t_ns, after)
 
     def expected(self, lateral: Lateral, psi_rad: float, half_m: float) -> tuple[float, float]:
         """Offset and sigma, half widths, that a frame should show; NaN while it is not known.
@@ -254,7 +291,7 @@ class LateralOffset:
             Half the corridor's width; NaN where unknown.
         """
         found = readout_of(lateral.offset, self.model_of(lateral))
-        if not found.known:
+        if not found.known or lateral.contradicted:
             return nan, nan
         side = 1 if cos(psi_rad) >= 0 else -1
         offset = side * found.offset_norm + self._camera_aside(wrap_axis(psi_rad), half_m)
@@ -316,7 +353,7 @@ def readout(
     if velocity.is_known(t_ns):
         along = velocity.forward_m_s * cos(psi_rad) - velocity.sideways_m_s * sin(psi_rad)
     found = readout_of(lateral.offset, model)
-    if not found.known:
+    if not found.known or lateral.contradicted:
         return LateralReadout(nan, nan, nan, nan, LateralStatus.UNKNOWN, found.probability, along)
     recent = seconds_since(t_ns, lateral.t_ns) <= age_limit_s
     status = LateralStatus.KNOWN if recent else LateralStatus.COASTING
@@ -400,6 +437,16 @@ def _with_jump(lateral: Lateral, before: OffsetReadout, after: OffsetReadout, ha
         count = lateral.reset_count + 1
         lateral = lateral._replace(reset_count=count, reset_norm=new - old, reset_m=new_m - old_m)
     return lateral._replace(known=True, last_known=(new, new_m))
+
+
+def _with_contradiction(lateral: Lateral, t_ns: int, after: OffsetReadout) -> Lateral:
+    """Say whether motion leads from where the offset was relied on last to where it is now."""
+    confirmed = None if lateral.confirmed is None else lateral.confirmed.carried(after.velocity_norm_s, t_ns)
+    if not after.known:
+        return lateral._replace(confirmed=confirmed)
+    if confirmed is not None and confirmed.contradicts(after.offset_norm):
+        return lateral._replace(confirmed=confirmed, contradicted=True)
+    return lateral._replace(confirmed=Confirmed(after.offset_norm, t_ns, t_ns), contradicted=False)
 
 
 __all__ = [

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 UNKNOWN_HEADING_STD_RAD = pi / 2
 ATTITUDE_DRIFT_STD_RAD_S = 0.003  # an attitude filter has removed most of the gyroscope's bias
 HELD_RATE_STD_RAD_S = 0.2
+SCALE_TIME_S = 0.5  # of turning one way, in which an error of the gyroscope's scale adds up
 
 
 class ImuSample(NamedTuple):
@@ -115,6 +116,7 @@ class Propagation:
         self.config = config
         self._grace_ns = round(config.gyro_gap_s * 1e9)
         self._noise = {mode: _noise(mode, config) for mode in Mode}
+        self._scale_variance_s = config.gyro_scale_std**2 * SCALE_TIME_S
 
     def mean_gyro(self, d: DeadReckoning, sample: ImuSample) -> Vector:
         """Mean rate since the last sample; that of the newest where the last one is too old."""
@@ -275,6 +277,8 @@ class Propagation:
             if mode is Mode.GYRO:
                 variance = self._silence_variance(d, ekf, t_ns)
         bias_turn = float(ekf.x[BIAS]) * dt_s
+        if mode is Mode.GYRO and dt_s > 0.0:
+            variance += self._scale_variance_s * (turned_rad - bias_turn) ** 2 / dt_s
         ekf.advance(dt_s, turned_rad, self._noise[mode], variance)
         return turned_rad, turned_rad - bias_turn
 

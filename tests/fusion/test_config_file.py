@@ -90,7 +90,7 @@ class TestPrinted:
 
 
 def test_every_number_with_a_dimension_has_a_unit() -> None:
-    plain = ("gate_sigma", "start_frames")
+    plain = ("gate_sigma", "start_frames", "gyro_scale_std")
     for model in (FusionConfig, *(section_of(f) for f in SimulationConfig.model_fields.values())):
         for name, field in model.model_fields.items() if model else ():
             if field.annotation in (float, float | None) and name.endswith(("density", "walk")):

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.faults import Fault
 from fusion.estimator.hypotheses import SHORT_S
 from tests.fusion.simulated import (
     Run,
@@ -31,6 +32,7 @@ from vision.errors import InputError
 from vision.measurement import FrameMeasurement, Reason
 
 MS = 1_000_000
+S = 1_000_000_000
 QUICK: dict[str, Any] = {"gyro_hz": 100.0, "frame_hz": 20.0, "delay_s": 0.08}
 
 
@@ -631,16 +633,65 @@ def test_wrong_corners_are_rejected_and_lasting_ones_believed() -> None:
         wrong = -0.4 if i % 2 else 0.3
         estimator.add_measurement(t, frame(0.2, lateral=wrong, lateral_std=0.02))
         assert estimator.estimate().lateral_offset_norm == pytest.approx(0.3, abs=0.03)
-    for _ in range(25):
+    first, known = t, []
+    while t < first + 6 * S:
         t += 30 * MS
         estimator.add_imu(t, (0, 0, 0), AT_REST)
         estimator.add_measurement(t, frame(0.2, lateral=-0.1, lateral_std=0.02))
-        found = estimator.estimate()  # one of the two or unknown, never between them
-        assert (
-            isnan(found.lateral_offset_norm)
-            or min(abs(found.lateral_offset_norm - place) for place in (0.3, -0.1)) < 0.03
-        )
-    assert estimator.estimate().lateral_offset_norm == pytest.approx(-0.1, abs=0.03)
+        found = estimator.estimate()
+        known.append(((t - first) / S, found.lateral_offset_norm))
+        if 2.0 < known[-1][0] < 3.5:
+            assert "jumped" in found.reason
+            assert found.faults & Fault.NO_LATERAL_OFFSET
+    # the first place, then none while either may be wrong, then the second; never between them
+    assert all(isnan(y) or abs(y - 0.3) < 0.03 for t_s, y in known if t_s < 0.5)
+    assert all(isnan(y) for t_s, y in known if 0.5 < t_s < 3.5)
+    assert all(abs(y + 0.1) < 0.03 for t_s, y in known if t_s > 4.5)
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.floats(0.25, 0.6), st.sampled_from([-1.0, 1.0]), st.floats(0.4, 3.0))
+def test_an_offset_that_jumps_without_motion_is_unknown_until_it_returns(
+    jump: float, side: float, seconds: float
+) -> None:
+    estimator, t = steady(3.0)
+    for place, length_s in ((0.3 - side * jump, seconds), (0.3, 2.5)):
+        end = t + round(length_s * S)
+        while t < end:
+            t += 30 * MS
+            estimator.add_imu(t, (0, 0, 0), AT_REST)
+            estimator.add_measurement(t, frame(0.2, lateral=place, lateral_std=0.02))
+            found = estimator.estimate()
+            assert isnan(found.lateral_offset_norm) or abs(found.lateral_offset_norm - 0.3) < 0.05
+    assert estimator.estimate().lateral_offset_norm == pytest.approx(0.3, abs=0.05)
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.sampled_from([1.5, 3.0, 6.0]), st.floats(-0.03, 0.03))
+def test_sigma_covers_what_the_gyroscopes_scale_adds_up_in_a_turn(rate: float, scale: float) -> None:
+    """A turn that frames do not see, by a gyroscope whose scale is off by up to three of its sigmas."""
+    estimator, t = steady(3.0)
+    before = estimator.estimate()
+    for _ in range(50):
+        t += 10 * MS
+        estimator.add_imu(t, (0.0, 0.0, rate * (1.0 + scale)), AT_REST)
+    found = estimator.estimate()
+    error = (found.heading_rad - before.heading_rad - 0.5 * rate + np.pi) % (2 * np.pi) - np.pi
+    assert found.heading_std_rad > 0.9 * FusionConfig().gyro_scale_std * rate * 0.5
+    assert abs(error) < 4.0 * found.heading_std_rad
+
+
+def test_a_slow_turn_costs_no_certainty() -> None:
+    sigma = []
+    for share in (0.0, 0.01):
+        estimator, t = steady(3.0, gyro_scale_std=share)
+        for i in range(100):
+            t += 10 * MS
+            estimator.add_imu(t, (0.0, 0.0, 0.1), AT_REST)
+            if i % 5 == 0:
+                estimator.add_measurement(t, frame(0.2 + 0.1 * (i + 1) * 0.01))
+        sigma.append(estimator.estimate().heading_std_rad)
+    assert sigma[0] <= sigma[1] < 1.01 * sigma[0]
 
 
 def set_off(
