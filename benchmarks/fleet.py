@@ -23,7 +23,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -204,14 +203,14 @@ def print_cluster(work: Path, count: int) -> None:
 
     The flights are not there, so that their workers have next to nothing to do.
     """
-    distributed: Any = import_module("distributed")
+    import distributed
 
     work.mkdir()
     flights = work / "missing.toml"
     flights.write_text("".join(f'[[flight]]\npath = "{k:06d}"\n' for k in range(count)), encoding="utf-8")
     local = BatchSettings(jobs=2)
-    local_cluster: Any = distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
-    with local_cluster as cluster:
+    local_cluster: Any = distributed.LocalCluster
+    with local_cluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         dask = replace(local, scheduler=cluster.scheduler_address)
         for name, settings in (("2 processes", local), ("Dask", dask)):
             fuse_fleet([flights], work / "warm", replace(settings, redo=True))  # workers start, modules load

@@ -282,7 +282,7 @@ class _Table:
         for row in rows:
             self.rows[row.flight] = row
             self._journal.add(row)
-        if time.monotonic() >= self._next_s:
+        if time.monotonic() >= self._next_s and len(self.rows) < self._total:  # then `close` writes them
             self._write(with_page=self._next_s > 0.0)  # not at once: the first page loads what draws it
 
     def sorted(self) -> tuple[FleetRow, ...]:

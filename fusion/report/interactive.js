@@ -24,7 +24,9 @@
       const edge = { ...common, width: 0, points: { show: false } };
       return [{ ...edge, label: `${s.label}, above` }, { ...edge, label: `${s.label}, below` }];
     }
-    return [{ ...common, width: s.shape === "edge" ? 5 : 1.6, dash: s.shape === "dash" ? [6, 4] : undefined, points: { show: false } }];
+    // A hole shorter than the stroke is wide would not show: a line that jumps from one corridor to the next.
+    const gaps = (_, k, from, to, holes) => holes.map(([a, b]) => [a - 2 * devicePixelRatio, b + 2 * devicePixelRatio]);
+    return [{ ...common, gaps, width: s.shape === "edge" ? 5 : 1.6, dash: s.shape === "dash" ? [6, 4] : undefined, points: { show: false } }];
   };
 
   const drawStatus = (u) => {
