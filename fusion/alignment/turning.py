@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import asin, atan2, sqrt
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +19,7 @@ from vision.rotations import yaw_of
 
 FloatArray = npt.NDArray[np.float64]
 
+BLOCK_ROWS = 4096
 GYRO_GAP_S = 0.1
 ATTITUDE_GAP_S = 0.5
 GAP_STEPS = 3.0  # of the stream's own step
@@ -112,25 +115,33 @@ def turning_of(flight: Flight, origin_ns: int, attitude_std_rad: float) -> Turni
     )
 
 
+def _rows(values: npt.NDArray[Any]) -> Iterator[Any]:
+    """Rows as Python's numbers and lists, few at a time: those of a whole flight would take much memory."""
+    for start in range(0, len(values), BLOCK_ROWS):
+        yield from values[start : start + BLOCK_ROWS].tolist()
+
+
 def _of_gyro(
     imu: ImuStream, attitude: AttitudeStream | None, origin_ns: int, attitude_std_rad: float
 ) -> Turning:
-    t_ns, gyro = imu.t_ns.tolist(), imu.gyro_rad_s.tolist()
-    accel = [(x, y, z) for x, y, z in imu.accel_m_s2.tolist()]  # tuples, as compiled code takes them
-    has_accel: list[bool] = np.asarray(np.isfinite(imu.accel_m_s2).all(axis=1)).tolist()
-    q_t_ns = [] if attitude is None else attitude.t_ns.tolist()
-    q_world_body = [] if attitude is None else attitude.q_world_body.tolist()
-    tilt, last = tilts.Tilt(), gyro[0]
-    n, at = len(t_ns), 0
+    attitudes: Iterator[Any] = iter(())
+    if attitude is not None:
+        attitudes = zip(_rows(attitude.t_ns), _rows(attitude.q_world_body), strict=True)
+    next_attitude = next(attitudes, None)
+    has_accel = np.asarray(np.isfinite(imu.accel_m_s2).all(axis=1))
+    samples = zip(
+        _rows(imu.t_ns), _rows(imu.gyro_rad_s), _rows(imu.accel_m_s2), _rows(has_accel), strict=True
+    )
+    tilt, last = tilts.Tilt(), imu.gyro_rad_s[0].tolist()
+    n = len(imu.t_ns)
     down, std, rate = np.empty((n, 3)), np.empty(n), np.empty(n)
-    for k in range(n):
-        while at < len(q_t_ns) and q_t_ns[at] < t_ns[k]:
-            tilt = tilts.from_quaternion(tilt, q_t_ns[at], q_world_body[at])
-            at += 1
-        now = gyro[k]
+    for k, (t_ns, now, (ax, ay, az), is_known) in enumerate(samples):
+        while next_attitude is not None and next_attitude[0] < t_ns:
+            tilt = tilts.from_quaternion(tilt, *next_attitude)
+            next_attitude = next(attitudes, None)
         mean = (0.5 * (last[0] + now[0]), 0.5 * (last[1] + now[1]), 0.5 * (last[2] + now[2]))
-        tilt = tilts.with_imu(tilt, t_ns[k], mean, accel[k] if has_accel[k] else None)
-        known = tilts.attitude_at(tilt, t_ns[k], attitude_std_rad)
+        tilt = tilts.with_imu(tilt, t_ns, mean, (ax, ay, az) if is_known else None)
+        known = tilts.attitude_at(tilt, t_ns, attitude_std_rad)
         down[k], rate[k], last = tilt.down, level_yaw_rate(now, tilt.down), now
         std[k] = tilts.LEVEL_STD_RAD if known is None else known.std_rad
     t_s = seconds(imu.t_ns, origin_ns)

@@ -12,10 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from math import sqrt
 
 import numpy as np
 
 from fusion.estimator.models import N_STATES, FloatArray
+from vision.compiled import compiled
 
 _BLOCK = 4096
 
@@ -85,8 +87,18 @@ class Steps:
         if not self._blocks:
             empty, square = np.zeros((0, N_STATES)), np.zeros((0, N_STATES, N_STATES))
             return square, empty, square, empty, square
-        F, x_prior, P_prior, x, P = (np.concatenate(parts) for parts in zip(*self._blocks, strict=True))
-        return F, x_prior, P_prior, x, P
+        if len(self._blocks) > 1:
+            parts, self._blocks = [list(part) for part in zip(*self._blocks, strict=True)], []
+            F, x_prior, P_prior, x, P = (_joined(part) for part in parts)
+            self._blocks = [(F, x_prior, P_prior, x, P)]
+        return self._blocks[0]
+
+
+def _joined(parts: list[FloatArray]) -> FloatArray:
+    """Concatenate arrays and let go of them: a long flight's need not be held twice."""
+    whole = np.concatenate(parts)
+    parts.clear()
+    return whole
 
 
 def rts(
@@ -109,18 +121,67 @@ def rts(
         (n, m) and (n, m, m).
     """
     x_smoothed, P_smoothed = x.copy(), P.copy()
-    if len(x) < 2:
-        return x_smoothed, P_smoothed
-    # Gain P F' / P_prior for all steps at once; scaled to unit diagonal first, for the units differ widely.
-    scale = np.sqrt(np.diagonal(P_prior[1:], axis1=1, axis2=2))
-    scaled = P_prior[1:] / (scale[:, :, None] * scale[:, None, :])
-    right = F[1:] @ P[:-1] / scale[:, :, None]
-    gain = np.swapaxes(np.linalg.solve(scaled, right) / scale[:, :, None], 1, 2)
-    still = (F[1:] == np.eye(F.shape[1])).all(axis=(1, 2)) & (P_prior[1:] == P[:-1]).all(axis=(1, 2))
-    gain[still] = np.eye(F.shape[1])
-    for k in range(len(x) - 2, -1, -1):
-        C = gain[k]
-        x_smoothed[k] += C @ (x_smoothed[k + 1] - x_prior[k + 1])
-        S = P[k] + C @ (P_smoothed[k + 1] - P_prior[k + 1]) @ C.T
-        P_smoothed[k] = 0.5 * (S + S.T)
+    _pass_backward(F, x_prior, P_prior, x_smoothed, P_smoothed)
     return x_smoothed, P_smoothed
+
+
+@compiled
+def _pass_backward(
+    F: FloatArray, x_prior: FloatArray, P_prior: FloatArray, x: FloatArray, P: FloatArray
+) -> None:
+    """Smooth ``x`` and ``P`` in place."""
+    n, m = x.shape
+    scale, A, C = np.empty(m), np.empty((m, m)), np.empty((m, m))
+    dx, D, CD = np.empty(m), np.empty((m, m)), np.empty((m, m))
+    for k in range(n - 2, -1, -1):
+        _fill_gain(F[k + 1], P_prior[k + 1], P[k], scale, A, C)
+        for i in range(m):
+            dx[i] = x[k + 1, i] - x_prior[k + 1, i]
+            for j in range(m):
+                D[i, j] = P[k + 1, i, j] - P_prior[k + 1, i, j]
+        for i in range(m):
+            for j in range(m):
+                x[k, i] += C[i, j] * dx[j]
+                CD[i, j] = 0.0
+                for h in range(m):
+                    CD[i, j] += C[i, h] * D[h, j]
+        for i in range(m):
+            for j in range(i + 1):
+                total = 0.5 * (P[k, i, j] + P[k, j, i])
+                for h in range(m):
+                    total += 0.5 * (CD[i, h] * C[j, h] + CD[j, h] * C[i, h])
+                P[k, i, j] = P[k, j, i] = total
+
+
+@compiled
+def _fill_gain(
+    F: FloatArray, P_prior: FloatArray, P: FloatArray, scale: FloatArray, A: FloatArray, C: FloatArray
+) -> None:
+    """Smoother's gain (m, m), P F' / P_prior, into ``C``: by elimination, scaled to unit diagonal as units differ."""
+    m = len(scale)
+    still = True
+    for i in range(m):
+        scale[i] = sqrt(P_prior[i, i])
+        for j in range(m):
+            still = still and P_prior[i, j] == P[i, j] and F[i, j] == (1.0 if i == j else 0.0)
+    for i in range(m):
+        for j in range(m):
+            A[i, j] = P_prior[i, j] / (scale[i] * scale[j])
+            C[j, i] = 0.0
+            for h in range(m):
+                C[j, i] += F[i, h] * P[h, j] / scale[i]  # C holds the transposed right side
+    for pivot in range(m):  # symmetric and positive: no pivoting
+        for i in range(pivot + 1, m):
+            factor = A[i, pivot] / A[pivot, pivot]
+            for j in range(pivot, m):
+                A[i, j] -= factor * A[pivot, j]
+            for j in range(m):
+                C[j, i] -= factor * C[j, pivot]
+    for i in range(m - 1, -1, -1):
+        for j in range(m):
+            for h in range(i + 1, m):
+                C[j, i] -= A[i, h] * C[j, h]
+            C[j, i] /= A[i, i]
+    for i in range(m):
+        for j in range(m):
+            C[j, i] = (1.0 if i == j else 0.0) if still else C[j, i] / scale[i]

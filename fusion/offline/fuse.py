@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from heapq import merge
@@ -230,7 +231,7 @@ class Recorder:
         self._packed: list[
             Table
         ] = []  # rows of a long flight, in blocks: a tuple takes four times the memory
-        self._row_steps: list[int] = []  # index of the last step of each row's instant
+        self._row_steps = array("q")  # index of the last step of each row's instant
         self._pending: Entry | None = None
         self._pending_is_row = False
 
@@ -277,7 +278,9 @@ class Recorder:
     def estimates(self) -> Table:
         """Return the filter's table."""
         self._pack()
-        return np.concatenate(self._packed)
+        if len(self._packed) > 1:
+            self._packed = [np.concatenate(self._packed)]
+        return self._packed[0]
 
     def smoothed(self) -> Table:
         """Return the smoother's table: the same rows, with every number from the whole flight."""
