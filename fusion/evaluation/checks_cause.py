@@ -76,7 +76,7 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
     if found.reversed:
         said = _opposite(flight)
     elif found.fit is not None and found.rival_s is None and not found.at_edge:
-        said = _skewed(clock) or _late(found.fit, delay_s) or _scaled(found.fit, flight)
+        said = _skewed(clock, flight) or _late(found.fit, delay_s) or _scaled(found.fit, flight)
     if said is None:
         return None
     value, meaning, action = said
@@ -88,16 +88,17 @@ def _opposite(flight: Flight) -> tuple[str, str, str]:
     return "turns are opposite", f"Vision and the {source} turn opposite ways.", opposite_remedy(flight)
 
 
-def _skewed(clock: SkewedClock) -> tuple[str, str, str] | None:
+def _skewed(clock: SkewedClock, flight: Flight) -> tuple[str, str, str] | None:
     if not clock.skew or clock.search.fit is None:
         return None
     way, percent = "slower" if clock.skew > 0.0 else "faster", 100.0 * abs(clock.skew)
     offset_s = clock.search.fit.offset_s
+    before = flight.manifest.camera.clock_rate if isinstance(flight.manifest, Manifest) else 1.0
     return (
         f"frames' clock {percent:.2f} ± {100.0 * clock.skew_std:.2f} % {way}",
         "The clocks of camera and inertial sensors run at different rates: no offset puts them right.",
-        f"Set clock_rate = {1.0 + clock.skew:.5f} for [camera] in flight.toml and add {offset_s:.3f} to its "
-        "clock_offset_s, or run `corridor align --write`.",
+        f"Set clock_rate = {before * (1.0 + clock.skew):.5f} for [camera] in flight.toml and add {offset_s:.3f} to "
+        "its clock_offset_s, or run `corridor align --write`.",
     )
 
 
@@ -122,9 +123,8 @@ def _scaled(fit: ClockFit, flight: Flight) -> tuple[str, str, str] | None:
         return None
     value = f"pictures turn {fit.ratio:.2f} times as far as the gyroscope"
     columns = flight.manifest.imu.columns if isinstance(flight.manifest, Manifest) else None
-    in_counts = isinstance(columns, ColumnMap) and is_counts(
-        columns.gyro_unit
-    )  # whose size was guessed, not the lens
+    # The size of counts was guessed, the lens was calibrated.
+    in_counts = isinstance(columns, ColumnMap) and is_counts(columns.gyro_unit)
     if LENS_SCALES[0] < fit.ratio < LENS_SCALES[1] and not in_counts:
         return (
             value,

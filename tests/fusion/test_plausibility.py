@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 
 from fusion.flight import AttitudeStream, Flight, ImuStream, VectorStream
 from fusion.logs import load_flight
-from fusion.logs.contents import Medium
 from fusion.logs.plausibility.clocks import examine_clocks
-from fusion.logs.plausibility.findings import Advice, Severity
+from fusion.logs.plausibility.findings import Advice, Medium, Severity
 from fusion.logs.plausibility.flight import check_flight, examine_attitude, examine_flight
 from fusion.logs.plausibility.imu import examine_imu
 from fusion.logs.plausibility.mounting import rotation

@@ -164,6 +164,11 @@ class ColumnMap(BaseModel):
         """Return the unit of a role's columns; None where it has none."""
         return self._roles()[role][1]
 
+    @property
+    def units_taken(self) -> dict[str, float]:
+        """What one of the units of an IMU is in SI, by its key."""
+        return {"gyro_unit": in_si(self.gyro_unit), "accel_unit": in_si(self.accel_unit)}
+
     def _roles(self) -> dict[str, tuple[tuple[Column, ...] | Column | None, str | None]]:
         return {
             "gyro": (self.gyro, self.gyro_unit),

@@ -6,7 +6,7 @@ gravity decides between FRD and FLU, and a problem reports the choice.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from fusion.flight import (
     TimeArray,
     VectorStream,
 )
-from fusion.logs.contents import Kind, LogContents, Medium, Topic, UndecidedError
+from fusion.logs.contents import Kind, LogContents, Topic, UndecidedError
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame, in_si
 from fusion.logs.csv.column_names import has_asl_names, map_of_names, names_the_world, ready_map_of
 from fusion.logs.csv.table import Layout, read_layout
@@ -110,20 +110,15 @@ def open_columns(
         if any(role in table.parts for role in roles):
             series.append(Series(Topic(kind.value, kind, table.t_ns, table.note(kind)), partial(read, table)))
     log = CsvLog(path, what, series, assumed + problems + _left_out(layout, found))
-    log.columns = found
+    log.units_taken = found.units_taken
     log.body_frame = "flu" if table.body_frame().value in ("flu", "enu") else "frd"
     return log
 
 
 class CsvLog(SeriesLog):
-    """`LogContents` of a CSV; ``body_frame`` is what its axes are taken for."""
+    """`LogContents` of a CSV; ``body_frame`` is what its axes are taken for, `ColumnMap.units_taken` its units."""
 
-    medium = Medium.TABLE
-    columns = ColumnMap()
-
-    def unit_taken(self, role: str) -> float:
-        """Return what one of the file's unit of ``gyro`` or ``accel`` was taken for in SI."""
-        return in_si(self.columns.unit_of(role) or "m")
+    units_taken: Mapping[str, float]
 
 
 def _left_out(layout: Layout, columns: ColumnMap) -> Problems:

@@ -24,13 +24,13 @@ from fusion.flight import (
     TimeArray,
     VectorStream,
 )
-from fusion.logs import open_log
-from fusion.logs.contents import Kind, LogContents, Medium, Topic
+from fusion.logs import format_of, open_log
+from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.csv.column_map import ColumnMap, in_si
 from fusion.logs.csv.columns import CsvLog
 from fusion.logs.manifest.manifest import CameraSource, Manifest, StreamSource, corrected_camera
 from fusion.logs.pictures.camera_folder import size_of_pictures
-from fusion.logs.plausibility.findings import Advice
+from fusion.logs.plausibility.findings import Advice, Medium
 from fusion.logs.plausibility.imu import Gravity, gravity_of
 from fusion.logs.plausibility.mounting import mounted, mounted_imu
 from fusion.logs.plausibility.rig import (
@@ -104,23 +104,22 @@ class ManifestLog(LogContents):
         return opened
 
     def advice(self) -> Advice:
-        """Return how to put streams right, by what each of them is read from."""
+        """Return how to put streams right, by what each of them is read from; opens nothing but an IMU's table."""
         media: dict[str, Medium] = {}
         for kind in Kind:
+            source = self.source(kind)
+            path = source.file or self.manifest.log
+            if path is not None and path.exists():
+                media[TABLES[kind]] = _medium_of(path, source)
+        taken: Mapping[str, float] = {}
+        columns = self.manifest.imu.columns
+        if media.get("imu") is Medium.TABLE:
             with suppress(InputError):
-                if (log := self.log(kind)) is not None:
-                    media[TABLES[kind]] = log.medium
-        return Advice(media, {f"{role}_unit": self._unit_taken(role) for role in ("gyro", "accel")})
-
-    def _unit_taken(self, role: str) -> float:
-        """Return what one of the IMU file's unit was taken for in SI."""
-        try:
-            log, told = self.log(Kind.IMU), self.manifest.imu.columns
-        except InputError:
-            return 1.0
-        if isinstance(told, ColumnMap) and not isinstance(log, CsvLog):
-            return in_si(str(told.unit_of(role)))
-        return 1.0 if log is None else log.unit_taken(role)
+                log = self.log(Kind.IMU)
+                taken = log.units_taken if isinstance(log, CsvLog) else {}
+        elif isinstance(columns, ColumnMap):
+            taken = columns.units_taken
+        return Advice(media, taken)
 
     def whole_log(self) -> LogContents | None:
         """Return the log that the manifest names for everything, if it was opened."""
@@ -407,6 +406,19 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
             _refuse(told, ("columns", "frame"), path, "a log with columns and axes of its own")
         return columns.open_columns(path, source.columns, source.frame)
     return open_log(path)
+
+
+def _medium_of(path: Path, source: StreamSource) -> Medium:
+    """Tell what a stream is read from, by a look at its file's beginning."""
+    if source.frame is not None or (source.columns is not None and source.units() is None):
+        return Medium.TABLE
+    try:
+        module = format_of(path)
+    except InputError:
+        return Medium.LOG
+    return {"fusion.logs.asl": Medium.FOLDER, "fusion.logs.csv.columns": Medium.TABLE}.get(
+        module or "", Medium.LOG
+    )
 
 
 def on_flights_clock(t_ns: TimeArray, source: StreamSource) -> TimeArray:

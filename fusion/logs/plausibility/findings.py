@@ -10,8 +10,6 @@ from math import asin, atan2, pi, radians
 import numpy as np
 import numpy.typing as npt
 
-from fusion.logs.contents import Medium
-
 
 class Severity(StrEnum):
     """How sure it is, and what follows."""
@@ -48,6 +46,14 @@ class Finding:
     def sentence(self) -> str:
         """Stream, text and remedy in one line, for a flight's ``problems``."""
         return f"{self.stream}: {self.text} ({self.remedy})"
+
+
+class Medium(StrEnum):
+    """What a stream is read from, for who has to put its axes or units right."""
+
+    FOLDER = "folder"  # a flight folder in the ASL layout, whose files state their axes; its units are fixed
+    TABLE = "table"  # a CSV, of which the manifest says axes, columns and units
+    LOG = "log"  # any other format: its axes are known, a sensor's mounting or unit may differ from them
 
 
 @dataclass(frozen=True, slots=True)
