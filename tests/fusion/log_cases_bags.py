@@ -233,6 +233,7 @@ CASES = {
             ]
         ),
         gyro=False,
+        dense=True,
     ),
     "degrees per second": Case(
         bag(lambda p, b: imu_rows(p, b, gyro=degrees(1.0))), refused="it is in degrees/s, not rad/s"

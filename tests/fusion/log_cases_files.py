@@ -357,7 +357,7 @@ def kitti(part: Part, folder: Path) -> Path:
 
 
 DATASETS = {
-    name: Case(build, refused=refused, gyro=gyro, rmse_deg=rmse_deg)
+    name: Case(build, refused=refused, gyro=gyro, rmse_deg=rmse_deg, dense=not gyro)
     for name, build, refused, gyro, rmse_deg in (
         ("UZH-FPV", uzh_fpv, "holds no calibration of the camera", True, 0.5),
         ("TUM RGB-D", tum_rgbd, "holds no calibration of the camera", False, 0.5),
