@@ -9,7 +9,8 @@ time, on which other programs of the machine weigh less. Targets: two workers at
 most 50 ms of overhead per flight, in the worker and in the process that hands the flights out.
 
 The last lines are what a model of the cost needs: seconds to start a worker, and to find, stamp, journal and tabulate
-a flight, from a table of ``--rows`` made-up rows; and what workers and this process hold.
+a flight, from a table of ``--rows`` made-up rows; what workers and this process hold; and what Dask's scheduler takes
+of a processor for each flight beside the local processes.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -144,7 +145,7 @@ def start_of_a_worker() -> Cost:
     """Return what it costs to start a process and to load all that fusing needs."""
 
     def start() -> None:
-        with local_workers(1, None, print) as workers:
+        with local_workers(1, None, None, print) as workers:
             worker = workers._worker()
             assert worker._pool.submit(limit_threads).result() is None
             assert worker._pool.submit(process_id).result() != os.getpid()
@@ -197,6 +198,31 @@ def print_model(fleet: Fleet, source: Path, work: Path, rows: int) -> None:
     print(f"{rows} rows take at most {held_mb() - before_mb:.0f} MB more, tables and page being written")
 
 
+def print_cluster(work: Path, count: int) -> None:
+    """Tell what handing a flight out costs with processes of this machine and with Dask, whose scheduler runs here.
+
+    The flights are not there, so that their workers have next to nothing to do.
+    """
+    import distributed
+
+    work.mkdir()
+    flights = work / "missing.toml"
+    flights.write_text("".join(f'[[flight]]\npath = "{k:06d}"\n' for k in range(count)), encoding="utf-8")
+    local = BatchSettings(jobs=2)
+    local_cluster: Any = distributed.LocalCluster
+    with local_cluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        dask = replace(local, scheduler=cluster.scheduler_address)
+        for name, settings in (("2 processes", local), ("Dask", dask)):
+            fuse_fleet([flights], work / "warm", replace(settings, redo=True))  # workers start, modules load
+            wall, own = time.perf_counter(), time.process_time()
+            fuse_fleet([flights], work / name, settings)
+            own, wall = time.process_time() - own, time.perf_counter() - wall
+            print(
+                f"handing out by {name:<12}{1000 * own / count:6.2f} ms of this process, "
+                f"{1000 * wall / count:.2f} ms of wall clock a flight"
+            )
+
+
 def held_mb() -> float:
     """Return the most that this process has held."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
@@ -226,6 +252,7 @@ def main() -> None:
         print(f"{flights}, {os.cpu_count()} cores, load before {load:.1f}", flush=True)
         fleet = print_costs(source, work, options.flights, options.reports)
         print_model(fleet, source, work, options.rows)
+        print_cluster(work / "cluster", 1000)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from errno import ENOTDIR
+from hashlib import file_digest
 from pathlib import Path
 
 from vision.errors import InputError
@@ -24,6 +25,18 @@ except ImportError:  # no such locks on Windows: there nothing is taken for left
     flock = None  # type: ignore[assignment]
 
 _POSIX = os.name == "posix"
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file's content, hexadecimal.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be read.
+    """
+    with path.open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager

@@ -457,13 +457,24 @@ class TestHelp:
         for word in ("fuse", "measure", "simulate", "report.html", "--version"):
             assert word in run.out
 
-    @pytest.mark.parametrize("command", ["fuse", "measure", "simulate"])
+    @pytest.mark.parametrize("command", ["fuse", "measure", "simulate", "batch", "live"])
     def test_each_command_shows_examples_and_the_next_step(self, corridor: Corridor, command: str) -> None:
         run = corridor(command, "--help")
         assert run.code == 0
         assert "Examples:" in run.out
         assert "Next:" in run.out
         assert f"  corridor {command} " in run.out
+        assert (
+            run.out.index("Examples:") < run.out.index("Options:") < 2500
+        )  # the manual is in the documentation
+
+    def test_the_shell_completes_commands_and_options(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        for typed, expected in (("corridor ba", "batch"), ("corridor batch --ti", "--timeout")):
+            monkeypatch.setenv("_CORRIDOR_COMPLETE", "complete_bash")
+            monkeypatch.setenv("COMP_WORDS", typed)
+            monkeypatch.setenv("COMP_CWORD", str(len(typed.split()) - 1))
+            run = subprocess.run([sys.executable, "-m", "fusion"], capture_output=True, text=True)
+            assert run.stdout.split() == [expected]
 
     def test_no_arguments_show_the_help(self, corridor: Corridor) -> None:
         run = corridor()

@@ -106,6 +106,16 @@ def test_too_little_is_named(corridor: Corridor, files: Path) -> None:
     refused(corridor("fuse", *named), "covers 20.0 to", "--clock-offset", "20.000")
 
 
+def test_the_file_at_fault_is_named(corridor: Corridor, files: Path, tmp_path: Path) -> None:
+    imu = np.loadtxt(files / "imu.csv", delimiter=",", skiprows=1)
+    imu[:, 0] -= 20.0
+    imu[:, 1:4] *= 1000.0  # no IMU turns so fast
+    header = (files / "imu.csv").read_text().splitlines()[0]
+    np.savetxt(tmp_path / "fast.csv", imu, "%.9f", ",", header=header, comments="")
+    beside = ("--video", files / "hall.mp4", "--camera", files / "camera.yaml")
+    refused(corridor("fuse", "--imu", tmp_path / "fast.csv", *beside), "fast.csv: imu: one gyroscope sample")
+
+
 def test_a_manifest_with_a_slip(corridor: Corridor, files: Path) -> None:
     (files / "slip.toml").write_text('[camera]\nfile = "hall.mp4"\ncalibratoin = "camera.yaml"\n')
     refused(

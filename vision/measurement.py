@@ -169,7 +169,8 @@ class FrameMeasurement:
         The segments (n, 4) as x0, y0, x1, y1 in the original image, and their `LineClass` (n,); None where
         they were dropped to save memory.
     wall_lines_px
-        Lines (k, 4) where walls meet floor or ceiling, as used for the lateral offset; None like `lines_px`.
+        Lines (k, 4) that the lateral offset follows from, in pairs at one height on both walls: corners with floor or
+        ceiling, skirting boards, tops of doors; None like `lines_px`.
     offset_evidence
         All that the picture says about the lateral offset, by each kind of evidence, for a filter to accumulate. It
         does not know of any predicted offset. Where the heading is not accepted, the axis is the prior's.

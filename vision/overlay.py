@@ -261,7 +261,7 @@ def _legend(footer: ColourImage, m: FrameMeasurement, x: float, y: float, unit: 
             ("other", CLASS_COLOUR[LineClass.REJECTED]),
         ]
     if m.wall_lines_px is not None and len(m.wall_lines_px):
-        keys.append(("wall edge", WALL))
+        keys.append(("both walls", WALL))
     for word, colour in keys:
         _stroke(footer, np.array([(x, y - 4 * unit), (x + 14 * unit, y - 4 * unit)]), colour, 3 * unit)
         x = _text(footer, word, x + 19 * unit, y, 13 * unit, FAINT, footer.shape[1] - x) + 13 * unit

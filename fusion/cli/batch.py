@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fusion.cli.console import echo, progress_bar, say
+from fusion.cli.console import command_line, echo, progress_bar, say
 from fusion.cli.options import CameraOption, Method, MethodOption
 
 SHORT_HELP = "Fuse many flights: a folder each, one table and one page of all."
@@ -29,7 +29,7 @@ Next: open OUT/fleet.html, or pandas.read_parquet("OUT/fleet.parquet").
 def batch(
     flights: Annotated[
         list[str],
-        typer.Argument(metavar="FLIGHTS...", help="Folders, patterns, lists, flights.", show_default=False),
+        typer.Argument(metavar="FLIGHTS", help="Folders, patterns, lists, flights.", show_default=False),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Output folder.")],
     config: Annotated[
@@ -46,6 +46,16 @@ def batch(
             "--memory", metavar="SIZE", help="What a worker may take, 2GB; else its share of the machine's."
         ),
     ] = None,
+    timeout_s: Annotated[
+        int,
+        typer.Option(
+            "--timeout",
+            metavar="SECONDS",
+            min=0,
+            max=10_000_000,
+            help="A flight that takes longer is given up; 0: never.",
+        ),
+    ] = 3600,
     scheduler: Annotated[
         str | None,
         typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="A Dask cluster that fuses instead."),
@@ -79,6 +89,8 @@ def batch(
         memory_bytes=None if memory is None else memory_bytes(memory),
         scheduler=scheduler,
         redo=redo,
+        timeout_s=timeout_s or None,
+        command=command_line(),
     )
     if not has_parquet():
         say(f"fleet.csv alone, no fleet.parquet: that needs pyarrow ({NEEDS_PARQUET})")

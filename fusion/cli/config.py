@@ -24,7 +24,7 @@ Next: edit what you want to change, delete the rest, then `corridor fuse FLIGHT 
 
 def print_config(
     file: Annotated[
-        Path | None, typer.Argument(metavar="[FILE.toml]", help="Settings that differ; else the defaults.")
+        Path | None, typer.Argument(metavar="FILE.toml", help="Settings that differ; else the defaults.")
     ] = None,
     simulate: Annotated[
         bool, typer.Option("--simulate", help="Those of `corridor simulate`, not of `corridor fuse`.")

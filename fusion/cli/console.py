@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,6 +28,11 @@ def say(text: str) -> None:
     if len(line) > MAX_LINE:
         line = f"{line[: MAX_LINE // 2]} ... {line[-MAX_LINE // 2 :]}"
     print(f"corridor: {line}", file=sys.stderr, flush=True)
+
+
+def command_line() -> str:
+    """Return what the user typed, as a shell would take it again."""
+    return shlex.join(["corridor", *sys.argv[1:]])
 
 
 def echo(text: str) -> None:

@@ -27,7 +27,7 @@ Next: `corridor fuse --config` with other settings into another OUT, and compare
 
 
 def evaluate(
-    outs: Annotated[list[Path], typer.Argument(metavar="OUT...", help="Folders that `corridor fuse` wrote.")],
+    outs: Annotated[list[Path], typer.Argument(metavar="OUT", help="Folders that `corridor fuse` wrote.")],
     truth: Annotated[
         Path, typer.Option("--truth", metavar="FILE", help="CSV or TUM trajectory, or a flight's folder.")
     ],

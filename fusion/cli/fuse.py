@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from fusion.cli.console import compile_notice, echo, progress_bar, say
+from fusion.cli.console import command_line, compile_notice, echo, progress_bar, say
 from fusion.cli.options import CameraOption, Method, MethodOption
 from fusion.result.conventions import Frame
 
@@ -56,7 +54,7 @@ def fuse(
     flight: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[FLIGHT]", help="A flight's folder, a flight.toml or a log.", show_default=False
+            metavar="FLIGHT", help="A flight's folder, a flight.toml or a log.", show_default=False
         ),
     ] = None,
     out: Annotated[
@@ -120,7 +118,7 @@ def fuse(
             folder,
             exports=exports,
             frame=frame,
-            command=shlex.join(["corridor", *sys.argv[1:]]),
+            command=command_line(),
             progress=progress,
             sent=None if again is None else again.estimates,
         )

@@ -74,7 +74,7 @@ def flight_from_options(
     else:
         _put(values, "imu", {"file": imu})
     _put(values, "attitude", {"file": attitude})
-    return load_manifest(make_manifest(values), path=flight or video)
+    return load_manifest(make_manifest(values), path=flight or imu or video)
 
 
 def outside_text(flight: Path | None) -> str | None:

@@ -13,29 +13,8 @@ from fusion.cli.console import compile_notice, echo, say
 SHORT_HELP = "On the vehicle: camera and MAVLink in, estimates out."
 HELP = """Estimate heading and lateral offset in flight, from a camera and an autopilot's MAVLink, and send them.
 
-\b
-PICTURES is one of
-  /dev/video0                       a camera's device (V4L2)
-  rtsp://... or udp://...           a network stream
-  hall.mp4, or a flight's folder    played at its own pace, to try things on the ground
-  an empty folder                   in which pictures will appear, named by their time in ns since 1970
-
-\b
---link is as pymavlink names it
-  udpin:0.0.0.0:14540               listen; udpout:HOST:PORT calls
-  tcp:HOST:PORT, tcpin:HOST:PORT
-  /dev/ttyACM0,921600               serial, with its baud rate
-
-\b
-It listens to HIGHRES_IMU (or SCALED_IMU, ArduPilot's RAW_IMU), ATTITUDE_QUATERNION (or ATTITUDE) and
-DISTANCE_SENSOR, asks the autopilot for them, keeps its clock by TIMESYNC, and sends
-  ODOMETRY            yaw from the first corridor's axis, with variance, quality and reset counter
-  DEBUG_VECT          corridor_m: lateral offset and its sigma in metres, heading in rad; corridor_n: half widths
-  NAMED_VALUE_FLOAT   cf_psi, cf_y, cf_yn, each with _sd; cf_status (0 initialising, 1 tracking, 2 coasting, 3 lost)
-  STATUSTEXT          when the status or the corridor changes
-
-Ctrl-C ends it. With --record, all that goes in and out is in one MCAP file, and `corridor fuse` of that file
-computes again, to the bit, what was sent.
+PICTURES is a camera's device, a network stream, a video or a folder. With --record, all that goes in and out is in
+one file. Ctrl-C ends it. Addresses, messages, wiring and what to check before a flight: docs/live.md.
 
 \b
 Examples:
@@ -43,17 +22,19 @@ Examples:
   corridor live rtsp://10.0.0.2/front --camera cam.yaml --link udpin:0.0.0.0:14540 --view
   corridor live hall.mp4 --camera cam.yaml --link udpin:127.0.0.1:14540
 
-Wiring, parameters of PX4 and ArduPilot, and what to check before a flight: docs/live.md.
+Next: corridor fuse flight.mcap computes again, to the bit, what was sent, and writes a report.
 """
 
 
 def live(
-    pictures: Annotated[str, typer.Argument(metavar="PICTURES", help="A camera, see above.")],
+    pictures: Annotated[
+        str, typer.Argument(metavar="PICTURES", help="A camera: /dev/video0, rtsp://..., hall.mp4, a folder.")
+    ],
     camera: Annotated[
         Path, typer.Option("--camera", metavar="CAM.yaml", help="Calibration, as for corridor fuse.")
     ],
     link: Annotated[
-        str, typer.Option("--link", metavar="ADDRESS", help="The autopilot.")
+        str, typer.Option("--link", metavar="ADDRESS", help="The autopilot, as pymavlink names it.")
     ] = "udpin:0.0.0.0:14540",
     config: Annotated[
         Path | None, typer.Option("--config", metavar="F.toml", help="Settings; the rest keep defaults.")

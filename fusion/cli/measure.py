@@ -31,7 +31,7 @@ Next: look at the drawings in --overlay DIR; with an IMU log, `corridor fuse` ma
 def measure(
     pictures: Annotated[
         list[Path],
-        typer.Argument(metavar="IMAGE|FOLDER...", help="Pictures, or folders of them."),
+        typer.Argument(metavar="IMAGE|FOLDER", help="Pictures, or folders of them."),
     ],
     camera: CameraOption = None,
     fov_deg: Annotated[

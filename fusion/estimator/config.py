@@ -9,8 +9,9 @@ from math import radians
 from pathlib import Path
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from fusion.settings.model import Settings
 from fusion.settings.toml import build, read_toml
 
 DEFAULT_GYRO_NOISE_DENSITY = 0.0075  # rad/s/sqrt(Hz): a consumer MEMS gyroscope on a vibrating frame
@@ -18,13 +19,11 @@ DEFAULT_GYRO_BIAS_WALK = 1e-4  # rad/s^2/sqrt(Hz)
 IMU_YAW_WALK_OVER_GYRO = 1.2
 
 
-class FusionConfig(BaseModel):
+class FusionConfig(Settings):
     """Settings of the estimator; frozen, unknown names refused.
 
     Densities are one-sided square roots of power spectral densities, as sensor files declare them.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     corridor_width_m: float | None = Field(
         default=None,

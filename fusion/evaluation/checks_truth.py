@@ -70,7 +70,7 @@ OFFSET_ERROR = CheckRule(
     limit=_offset_limit,
     good="Good enough to keep clear of the walls.",
     bad="The place between the walls is not known well enough to keep clear of them.",
-    remedy="See whether the wall edges in the pictures below are the right ones.",
+    remedy="See whether the yellow lines in the pictures below lie on both walls, at one height.",
 )
 
 

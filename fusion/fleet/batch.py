@@ -26,6 +26,7 @@ from vision.errors import InputError
 _WRITING_SHARE = 0.02  # of the time that the tables may take while flights are fused
 _LEAST_PAUSE_S = 5.0  # between two writings
 _QUEUED = 4  # flights handed out for each that is being fused
+TIMEOUT_S = 3600.0  # a flight of some hours, where the program is well
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,11 @@ class BatchSettings:
         Address of a Dask cluster that fuses instead of this machine.
     redo
         Fuse again what is done.
+    timeout_s
+        How long a flight may take before its worker is ended and the flight becomes a row with that reason; None: as
+        long as it likes.
+    command
+        The command line that asks for the batch, for each flight's ``provenance``.
     """
 
     config: FusionConfig = field(default_factory=FusionConfig)
@@ -60,6 +66,8 @@ class BatchSettings:
     memory_bytes: int | None = None
     scheduler: str | None = None
     redo: bool = False
+    timeout_s: float | None = TIMEOUT_S
+    command: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +184,7 @@ def _divide(
                 settings.reports,
                 stamp,
                 log_bytes,
+                settings.command,
                 row,
             )
         )
@@ -192,9 +201,10 @@ def _holds(row: FleetRow, config_hash: str, folder: Path, reports: bool) -> bool
 
 def _workers(settings: BatchSettings, flights: int, tell: Tell) -> AbstractContextManager[Workers]:
     if settings.scheduler is not None:
-        return cluster_workers(settings.scheduler, tell)
+        return cluster_workers(settings.scheduler, settings.timeout_s, tell)
     jobs = max(1, min(settings.jobs or usable_cores(), flights))
-    return local_workers(jobs, settings.memory_bytes or usable_memory_bytes() // jobs, tell)
+    memory_bytes = settings.memory_bytes or usable_memory_bytes() // jobs
+    return local_workers(jobs, memory_bytes, settings.timeout_s, tell)
 
 
 def usable_cores() -> int:
@@ -272,7 +282,7 @@ class _Table:
         for row in rows:
             self.rows[row.flight] = row
             self._journal.add(row)
-        if time.monotonic() >= self._next_s:
+        if time.monotonic() >= self._next_s and len(self.rows) < self._total:  # then `close` writes them
             self._write(with_page=self._next_s > 0.0)  # not at once: the first page loads what draws it
 
     def sorted(self) -> tuple[FleetRow, ...]:

@@ -15,10 +15,10 @@ from pathlib import Path
 from platform import python_version
 from typing import Any
 
+from fusion.files import sha256_of
 from fusion.logs.manifest.manifest import files_of, find_manifest, read_manifest
 from vision.errors import InputError
 
-_BLOCK = 1 << 20
 _LENGTH = 16  # hexadecimal digits: 64 bits tell a million flights apart
 
 
@@ -54,20 +54,22 @@ def stamp_of(path: Path) -> tuple[str, int]:
     return digest.hexdigest()[:_LENGTH], size
 
 
-def content_of(path: Path) -> str:
-    """Return a hash of what is in a flight's files, and of their names as seen from the flight.
+def hashes_of(path: Path) -> dict[Path, str]:
+    """Return the SHA-256 of each file that a flight consists of; a pipe, which could be read for ever, is none.
 
     Raises
     ------
     OSError
         Where a file cannot be read.
     """
+    return {file: sha256_of(file) for file in flight_files(path) if file.is_file()}
+
+
+def content_of(path: Path, hashes: Mapping[Path, str]) -> str:
+    """Return a hash of what is in a flight's files, from `hashes_of`, and of their names as seen from the flight."""
     digest = hashlib.sha256()
-    for file in flight_files(path):
-        digest.update(os.path.relpath(file, path).encode(errors="surrogateescape") + b"\0")
-        with file.open("rb") as data:
-            while block := data.read(_BLOCK):
-                digest.update(block)
+    for file, content in hashes.items():
+        digest.update(os.path.relpath(file, path).encode(errors="surrogateescape") + b"\0" + content.encode())
     return digest.hexdigest()[:_LENGTH]
 
 

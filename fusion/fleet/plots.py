@@ -48,6 +48,7 @@ def plot_distribution(ax: Axes, quantity: Quantity, values: FloatArray) -> None:
     ax.set_xlabel(quantity.unit_word, color=INK)
     ax.set_ylabel("flights", color=INK)
     _plain(ax)
+    ax.xaxis.set_major_locator(MaxNLocator(5))
     ax.yaxis.set_major_locator(MaxNLocator(4, integer=True))
 
 

@@ -14,7 +14,7 @@ Value = str | float | int | None
 
 
 class WorkerLostError(Exception):
-    """A flight whose worker died at every attempt."""
+    """A flight whose worker died at every attempt, or was ended because the flight took too long."""
 
 
 def slug(name: str) -> str:

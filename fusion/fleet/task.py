@@ -32,6 +32,8 @@ class Task:
         Whether to write ``report.html``.
     stamp, log_bytes
         From `fusion.fleet.fingerprint.stamp_of`.
+    command
+        The command line that asked for it, where there was one.
     earlier
         The flight's row of an earlier batch with the same settings and version; it holds if the content is the same.
     """
@@ -45,6 +47,7 @@ class Task:
     reports: bool
     stamp: str
     log_bytes: int
+    command: str | None = None
     earlier: FleetRow | None = None
 
     @property

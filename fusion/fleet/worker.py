@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from multiprocessing import parent_process
@@ -66,17 +67,18 @@ def limit_threads() -> None:
 
 def fuse_task(task: Task) -> FleetRow:
     """Fuse a flight as ``corridor fuse`` does; whatever goes wrong with it becomes its row's reason."""
-    from fusion.fleet.fingerprint import content_of, library_versions, program_version
+    from fusion.fleet.fingerprint import content_of, hashes_of, library_versions, program_version
     from fusion.fleet.row import FleetRow
 
     started = time.perf_counter()
     limit_threads()
     log_hash, found = "", {}
     try:
-        log_hash = content_of(task.flight.path)
+        hashes = hashes_of(task.flight.path)
+        log_hash = content_of(task.flight.path, hashes)
         if task.earlier is not None and task.earlier.log_hash == log_hash:
             return replace(task.earlier, log_stamp=task.stamp, path=str(task.flight.path))
-        found = _fused(task)
+        found = _fused(task, hashes)
     except Exception as error:
         found = failure(error)
     known = {"date": task.flight.date} | found
@@ -97,7 +99,7 @@ def fuse_task(task: Task) -> FleetRow:
     )
 
 
-def _fused(task: Task) -> dict[str, Any]:
+def _fused(task: Task, hashes: Mapping[Path, str]) -> dict[str, Any]:
     """Fuse a flight and write its output; return what its row says of it."""
     from fusion.fleet.measure import measures, started
     from fusion.logs import load_flight
@@ -113,7 +115,7 @@ def _fused(task: Task) -> dict[str, Any]:
         is_mended_here = (error.remedy or "").startswith("pip install")
         return failure(error, "error" if is_mended_here else "unusable")
     folder = check_out_dir(task.out / task.folder)
-    write_outputs(result, flight, folder, report=task.reports)
+    write_outputs(result, flight, folder, report=task.reports, command=task.command, hashes=hashes)
     found = measures(result, flight) | {"output": task.folder}
     return found | {"date": started(flight) or task.flight.date}
 

@@ -1,6 +1,7 @@
 """Executors that fuse flights: processes of this machine, or a Dask cluster; both take a task and promise a row.
 
 A worker that dies costs no flight: the flight is fused again elsewhere, `ATTEMPTS` times at most, and that is told.
+One that takes too long over a flight is ended, and the flight given up.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from fusion.fleet.worker import fuse_task, prepare_process, process_id
 from vision.errors import InputError
 
 ATTEMPTS = 3  # workers that a flight may outlive
+_KILL = getattr(signal, "SIGKILL", signal.SIGTERM)  # it ends what hangs, too; Windows has but one way
+_OVERDUE = "corridor-fusion: flights that take too long"  # a topic of Dask's events
 Tell = Callable[[str], None]
 """Called with a sentence for the user."""
 
@@ -49,20 +52,20 @@ class _Worker:
         self._pool = ProcessPoolExecutor(1, context, initializer=prepare_process, initargs=(memory_bytes,))
         self.pid = self._pool.submit(process_id).result()
 
-    def fuse(self, task: Task) -> FleetRow:
-        return self._pool.submit(fuse_task, task).result()
+    def fuse(self, task: Task, timeout_s: float | None) -> FleetRow:
+        return self._pool.submit(fuse_task, task).result(timeout_s)
 
     def end(self) -> None:
         with suppress(ProcessLookupError):
-            os.kill(self.pid, signal.SIGTERM)
+            os.kill(self.pid, _KILL)
         self._pool.shutdown(cancel_futures=True)
 
 
 class LocalWorkers:
     """Processes of this machine, each watched by a thread, so that one that dies takes no other's flight with it."""
 
-    def __init__(self, jobs: int, memory_bytes: int | None, tell: Tell) -> None:
-        self._jobs, self._memory_bytes, self._tell = jobs, memory_bytes, tell
+    def __init__(self, jobs: int, memory_bytes: int | None, timeout_s: float | None, tell: Tell) -> None:
+        self._jobs, self._memory_bytes, self._timeout_s, self._tell = jobs, memory_bytes, timeout_s, tell
         self._own = threading.local()
         self._lost: dict[str, int] = {}
         self._all: set[_Worker] = set()
@@ -86,7 +89,10 @@ class LocalWorkers:
             worker = None
             try:
                 worker = self._worker()
-                return worker.fuse(task)
+                return worker.fuse(task, self._timeout_s)
+            except TimeoutError:
+                self._drop(worker)
+                raise _too_slow(task, self._timeout_s, self._tell) from None
             except BrokenProcessPool:
                 if self._ending:
                     break
@@ -122,8 +128,18 @@ class LocalWorkers:
         self._threads.shutdown()
 
 
+def _too_slow(task: Task, timeout_s: float | None, tell: Tell) -> WorkerLostError:
+    """Tell that a flight is given up, and return what its row will say."""
+    tell(f"{task.flight.name} took more than {timeout_s:g} s: given up, its worker ended")
+    return WorkerLostError(
+        f"took more than {timeout_s:g} s (allow more by --timeout; 0: as long as it likes)"
+    )
+
+
 @contextmanager
-def local_workers(jobs: int, memory_bytes: int | None, tell: Tell) -> Iterator[LocalWorkers]:
+def local_workers(
+    jobs: int, memory_bytes: int | None, timeout_s: float | None, tell: Tell
+) -> Iterator[LocalWorkers]:
     """Give processes of this machine, ended with the block.
 
     Parameters
@@ -132,10 +148,12 @@ def local_workers(jobs: int, memory_bytes: int | None, tell: Tell) -> Iterator[L
         How many.
     memory_bytes
         What each may take; None: no limit.
+    timeout_s
+        How long a flight may take; None: as long as it likes.
     tell
         Called when one has died.
     """
-    workers = LocalWorkers(jobs, memory_bytes, tell)
+    workers = LocalWorkers(jobs, memory_bytes, timeout_s, tell)
     try:
         yield workers
     finally:
@@ -145,11 +163,13 @@ def local_workers(jobs: int, memory_bytes: int | None, tell: Tell) -> Iterator[L
 class ClusterWorkers:
     """Workers of a Dask cluster; its scheduler gives a lost worker's flights to others."""
 
-    def __init__(self, client: Any, tell: Tell) -> None:
-        self._client, self._tell = client, tell
-        self._executor = client.get_executor(pure=False)
+    def __init__(self, client: Any, timeout_s: float | None, tell: Tell) -> None:
+        self._client, self._timeout_s, self._tell = client, timeout_s, tell
+        self._running: dict[str, Any] = {}  # Dask gives up what nobody holds
+        self._overdue: set[str] = set()
         self._lost: dict[str, int] = {}
         client.subscribe_topic("all", self._on_event)
+        client.subscribe_topic(_OVERDUE, self._on_overdue)
 
     def capacity(self) -> int:
         """Return the number of threads of all workers there are at present."""
@@ -158,8 +178,23 @@ class ClusterWorkers:
 
     def submit(self, task: Task) -> Future[FleetRow]:
         """Begin with a flight when a worker is free."""
-        future: Future[FleetRow] = self._executor.submit(fuse_task, task, key=self._key(task))
-        return future
+        row: Future[FleetRow] = Future()
+        key = self._key(task)
+        self._running[key] = self._client.submit(
+            _fuse_in_time, task, key, self._timeout_s, key=key, pure=False
+        )
+        self._running[key].add_done_callback(lambda fused: self._pass_on(task, fused, row))
+        return row
+
+    def _pass_on(self, task: Task, fused: Any, row: Future[FleetRow]) -> None:
+        """Give the outcome of Dask's future to ours."""
+        del self._running[fused.key]
+        try:
+            if fused.key in self._overdue:
+                raise _too_slow(task, self._timeout_s, self._tell)
+            row.set_result(fused.result())
+        except Exception as error:  # whatever it is: who waits for the row has to hear of it
+            row.set_exception(error)
 
     def _key(self, task: Task) -> str:
         return f"fuse {task.flight.name} ({self._client.id})"
@@ -182,15 +217,40 @@ class ClusterWorkers:
                 name = str(key).removeprefix("fuse ").rpartition(" (")[0]
                 self._tell(f"worker {message.get('worker')} died while it fused {name}: it is fused again")
 
+    async def _on_overdue(self, event: tuple[float, Any]) -> None:
+        """Give a flight up, and have the worker that is still at it restarted."""
+        key, worker = event[1]
+        if key in self._running:
+            self._overdue.add(key)
+            await self._client.cancel([self._running[key]])  # else it would be given to another worker
+            await self._client.restart_workers([worker], raise_for_error=False)
+
+
+def _fuse_in_time(task: Task, key: str, timeout_s: float | None) -> FleetRow:
+    """Fuse a flight in a worker of Dask, and say so where it takes too long."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    seconds = threading.TIMEOUT_MAX if timeout_s is None else timeout_s
+    timer = threading.Timer(seconds, worker.log_event, (_OVERDUE, (key, worker.address)))
+    timer.daemon = True
+    timer.start()
+    try:
+        return fuse_task(task)
+    finally:
+        timer.cancel()
+
 
 @contextmanager
-def cluster_workers(address: str, tell: Tell) -> Iterator[ClusterWorkers]:
+def cluster_workers(address: str, timeout_s: float | None, tell: Tell) -> Iterator[ClusterWorkers]:
     """Give the workers of a Dask cluster, which goes on after the block.
 
     Parameters
     ----------
     address
         Of its scheduler, such as ``tcp://10.0.0.5:8786``.
+    timeout_s
+        How long a flight may take; None: as long as it likes.
     tell
         Called when a worker has died.
 
@@ -213,7 +273,7 @@ def cluster_workers(address: str, tell: Tell) -> Iterator[ClusterWorkers]:
         ) from error
     try:
         _check_versions(client, address)
-        yield ClusterWorkers(client, tell)
+        yield ClusterWorkers(client, timeout_s, tell)
     finally:
         client.close()
 

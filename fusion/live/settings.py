@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from fusion.settings.model import Settings
 
 
 class SendPosition(StrEnum):
@@ -15,10 +17,8 @@ class SendPosition(StrEnum):
     ALWAYS = "always"
 
 
-class LiveSettings(BaseModel):
+class LiveSettings(Settings):
     """How estimates are sent, and what is asked of the autopilot."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     rate_hz: float = Field(default=50.0, ge=1, le=200, description="Estimates a second.")
     plot_rate_hz: float = Field(

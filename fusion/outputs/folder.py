@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -46,6 +46,7 @@ def write_outputs(
     exports: Iterable[Format] = (),
     frame: Frame = Frame.FRD,
     command: str | None = None,
+    hashes: Mapping[Path, str] | None = None,
     progress: Progress | None = None,
     sent: Table | None = None,
 ) -> Path:
@@ -72,6 +73,8 @@ def write_outputs(
         Convention of signs in the tables and in the summary, which names it; the report's words need none.
     command
         The command line that made it, for ``provenance`` in ``summary.json``.
+    hashes
+        SHA-256 of the flight's files where it is known, for the same.
     progress
         Called with pictures exported and in all, where ``exports`` holds any.
     sent
@@ -95,7 +98,7 @@ def write_outputs(
             write_table(table_in_frame(sent, frame), folder / SENT_FILE)
         _write_manifest(flight, folder / "flight.toml", Path(out_dir).resolve())
         write_exports(result, flight, folder, exports, frame, progress)
-        origin = provenance(flight, command)
+        origin = provenance(flight, command, hashes)
         if report:
             from fusion.report import write_report
 

@@ -173,7 +173,7 @@ def log_message(t_ns: int, text: str, level: int = INFO) -> Message:
 
 
 def overlay_message(t_ns: int, measurement: FrameMeasurement, width_px: int) -> Message:
-    """Return what was seen in a picture: its lines by class, the wall edges, the vanishing point, the verdict.
+    """Return what was seen in a picture: its lines by class, those on both walls, the vanishing point, the verdict.
 
     Coordinates are those of the picture as it is in the file; pixel (0, 0) ends at (0, 0) there, ours is its centre.
     """

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterator
-from hashlib import sha256
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from fusion.files import sha256_of
 from fusion.flight import Flight
 
 MAX_FILES = 200  # of one folder; pictures are not hashed one by one
 TEXTS = frozenset({".csv", ".toml", ".txt", ".yaml", ".yml"})
-_PIECE = 1 << 20
 
 
-def provenance(flight: Flight, command: str | None = None) -> dict[str, Any]:
+def provenance(
+    flight: Flight, command: str | None = None, hashes: Mapping[Path, str] | None = None
+) -> dict[str, Any]:
     """Return what ``summary.json`` tells of where a flight came from.
 
     Parameters
@@ -24,6 +25,8 @@ def provenance(flight: Flight, command: str | None = None) -> dict[str, Any]:
         Whose ``manifest`` names its files; one made by hand has none.
     command
         The command line, where there was one.
+    hashes
+        SHA-256 of files where it is known; the others are read.
 
     Returns
     -------
@@ -38,7 +41,7 @@ def provenance(flight: Flight, command: str | None = None) -> dict[str, Any]:
         "version": fusion.__version__,
         "python": platform.python_version(),
         "command": command,
-        "inputs": [_described(path) for path in _files(flight)],
+        "inputs": [_described(path, hashes or {}) for path in _files(flight)],
         "camera": {
             "size_px": [camera.width_px, camera.height_px],
             "focal_px": [camera.fx_px, camera.fy_px],
@@ -70,12 +73,9 @@ def _of(path: Path) -> Iterator[Path]:
         yield path
 
 
-def _described(path: Path) -> dict[str, Any]:
-    digest = sha256()
+def _described(path: Path, hashes: Mapping[Path, str]) -> dict[str, Any]:
     try:
-        with path.open("rb") as file:
-            while piece := file.read(_PIECE):
-                digest.update(piece)
-        return {"path": str(path), "bytes": path.stat().st_size, "sha256": digest.hexdigest()}
+        content = hashes.get(path) or sha256_of(path)
+        return {"path": str(path), "bytes": path.stat().st_size, "sha256": content}
     except OSError as error:  # it was there when the flight was read
         return {"path": str(path), "error": error.strerror}

@@ -8,6 +8,8 @@
   const picture = data.pictures.length ? document.createElement("img") : null;
   if (picture) bar.prepend(picture);
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+  const seconds = (v) => v.toFixed(2).replace(/^-(?=0\.00$)/, "");
+  const power = (v) => (Math.abs(Math.log10(v) - Math.round(Math.log10(v))) < 1e-9 ? String(v) : ""); // of ten
   const charts = [];
   let zoom = null; // the part of the time that is shown, seconds; null: the whole flight
 
@@ -22,7 +24,9 @@
       const edge = { ...common, width: 0, points: { show: false } };
       return [{ ...edge, label: `${s.label}, above` }, { ...edge, label: `${s.label}, below` }];
     }
-    return [{ ...common, width: 1.6, dash: s.shape === "dash" ? [6, 4] : undefined, points: { show: false } }];
+    // A hole shorter than the stroke is wide would not show: a line that jumps from one corridor to the next.
+    const gaps = (_, k, from, to, holes) => holes.map(([a, b]) => [a - 2 * devicePixelRatio, b + 2 * devicePixelRatio]);
+    return [{ ...common, gaps, width: s.shape === "edge" ? 5 : 1.6, dash: s.shape === "dash" ? [6, 4] : undefined, points: { show: false } }];
   };
 
   const drawStatus = (u) => {
@@ -79,7 +83,7 @@
 
   const build = (place, panel) => {
     const joined = uPlot.join(panel.series.map((s) => (s.shape === "band" ? [s.x, s.high, s.y] : [s.x, s.y])));
-    const series = [{ label: "Time", value: (_, v) => (v == null ? "–" : `${v.toFixed(2)} s`) }];
+    const series = [{ label: "Time", value: (_, v) => (v == null ? "–" : `${seconds(v)} s`) }];
     const bands = [];
     for (const s of panel.series) {
       if (s.shape === "band") bands.push({ series: [series.length, series.length + 1], fill: () => `${css(s.colour)}38` });
@@ -89,7 +93,7 @@
     const u = new uPlot({
       width: place.clientWidth, height: 260, series, bands,
       scales: { x: { time: false, range: (_, a, b) => (zoom ? [a, b] : panel.x) }, y: { distr: panel.log ? 3 : 1, range: fit } },
-      axes: [{ ...axis("Time, s"), size: 30 }, { ...axis(panel.label), size: 56 }],
+      axes: [{ ...axis("Time, s"), size: 30 }, { ...axis(panel.label), size: 56, ...(panel.log ? { values: (_, ticks) => ticks.map(power) } : {}) }],
       cursor: { drag: { x: true, y: false, setScale: false }, points: { size: 6 }, y: false },
       legend: { live: true },
       hooks: {

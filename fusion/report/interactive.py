@@ -115,7 +115,9 @@ def _line(line: Line2D, ax: Axes) -> dict[str, Any]:
     x, y = np.asarray(line.get_xdata(), dtype=float), np.asarray(line.get_ydata(), dtype=float)
     if line.get_transform() == ax.get_yaxis_transform():  # level, from edge to edge
         x = np.array(ax.get_xlim())
+    is_thick = line.get_linewidth() >= plots.EDGE_WIDTH
     shape = "cross" if line.get_marker() == "x" else "dash" if line.is_dashed() else "line"
+    shape = "edge" if is_thick else shape
     return _series(shape, str(line.get_label()), to_hex(line.get_color()), x, y)
 
 

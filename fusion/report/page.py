@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from fusion.estimator.smoothed_table import half_widths_m
 from fusion.evaluation.checks import run_checks
 from fusion.evaluation.checks_frames import REASON_WORDS
 from fusion.evaluation.checks_input import all_problems
@@ -122,9 +123,14 @@ def facts(result: FusionResult, flight: Flight) -> list[tuple[str, str, str]]:
     elif tracking.any():
         sigma = float(np.median(table["heading_std_rad"][tracking]))
         found.append(("Heading sigma", _degrees(sigma), "median while tracking; there is no truth"))
-        offset = np.median(table["lateral_offset_norm_std"][tracking])
-        if isfinite(offset):
-            found.append(("Offset sigma", f"{offset:.1%}", "of half the corridor's width"))
+        sigma_m, sigma_norm = (
+            float(np.median(table[name][tracking]))
+            for name in ("lateral_offset_std_m", "lateral_offset_norm_std")
+        )
+        if isfinite(sigma_m):
+            found.append(("Offset sigma", _centimetres(sigma_m), "median while tracking"))
+        elif isfinite(sigma_norm):
+            found.append(("Offset sigma", _percent(sigma_norm), "of half the corridor's width"))
     if len(frames):
         used = int(np.count_nonzero(frames["accepted"]))
         found.append(("Frames used", f"{used / len(frames):.1%}", f"{used} of {len(frames)}"))
@@ -145,7 +151,10 @@ def figures(result: FusionResult, flight: Flight) -> list[Figure]:
 
     if not len(result.estimates):
         return found
-    text = "Angle from the corridor's axis, positive right. Frames outside the scale are not drawn."
+    text = (
+        "Angle from the corridor's axis, positive right. Frames outside the scale are not drawn; "
+        "a thick line at the edge: the filter is beyond the scale."
+    )
     add("heading", "Heading", text, partial(plots.plot_heading, result=result, flight=flight))
     text = "Place between the walls, right of the centre line positive."
     add("offset", "Lateral offset", text, partial(plots.plot_offset, result=result, flight=flight))
@@ -171,8 +180,8 @@ def figures(result: FusionResult, flight: Flight) -> list[Figure]:
         errors = (plots.plot_heading_error, plots.plot_offset_error)
         text = (
             "Estimate less truth, outside junctions; the table while tracking only. NEES is the mean square of "
-            "error over sigma, 1 for an honest sigma, and the band should hold 95 % of the line. Offsets of "
-            "frames alone are in percent of half the corridor's width."
+            "error over sigma, 1 for an honest sigma, and the band should hold 95 % of the line. Offsets in "
+            "percent are of half the corridor's width. A thick line at the edge: the filter is beyond the scale."
         )
         add(
             "errors",
@@ -196,19 +205,22 @@ def error_rows(result: FusionResult, flight: Flight) -> list[tuple[str, list[str
     if flight.truth is None:
         return []
     rows = []
+    half = half_widths_m(result.estimates, result.config)
+    half_m = float(half[0]) if np.ptp(half) == 0.0 else None  # of all corridors; NaN: of none
     for name, table in (
         ("Filter", result.estimates),
         ("Smoother", result.smoothed),
         ("Frames alone", result.frames),
     ):
         found = evaluate(table, flight.truth)
-        rows.append((name, _error_cells(found)))
+        rows.append((name, _error_cells(found, half_m)))
         if len(found.corridors) > 1:
-            rows += [(f"{name}, corridor {k}", _error_cells(c)) for k, c in found.corridors.items()]
+            rows += [(f"{name}, corridor {k}", _error_cells(c, half_m)) for k, c in found.corridors.items()]
     return rows
 
 
-def _error_cells(found: TableErrors | CorridorErrors) -> list[str]:
+def _error_cells(found: TableErrors | CorridorErrors, half_m: float | None) -> list[str]:
+    """Write errors in degrees and, where the width is known, in centimetres; a frame alone knows no metres."""
     heading, metres, norm = found.heading, found.lateral_offset_m, found.lateral_offset_norm
     cells = [_degrees(value) for value in (heading.rmse, heading.mae, heading.p95, heading.max)]
     cells.append("" if heading.nees_mean is None else f"{heading.nees_mean:.2f}")
@@ -216,6 +228,11 @@ def _error_cells(found: TableErrors | CorridorErrors) -> list[str]:
         return cells + [_centimetres(value) for value in (metres.rmse, metres.mae, metres.max)]
     if norm is None:
         return [*cells, "", "", ""]
+    if half_m is not None:
+        return cells + [
+            _centimetres(None if value is None else half_m * value)
+            for value in (norm.rmse, norm.mae, norm.max)
+        ]
     return cells + [_percent(value) for value in (norm.rmse, norm.mae, norm.max)]
 
 
@@ -290,7 +307,9 @@ def _caption(shown: DrawnFrame, result: FusionResult) -> Caption:
         _sided(degrees(shown.filter_heading_rad), "°") if isfinite(shown.filter_heading_rad) else "unknown"
     )
     if isfinite(offset):
-        filtered += f", {abs(offset):.0%} {'right' if offset >= 0 else 'left'} of centre"
+        metres = shown.filter_offset_m
+        place = _centimetres(abs(metres)) if isfinite(metres) else f"{abs(offset):.0%} of half the width"
+        filtered += f", {place} {'right' if offset >= 0 else 'left'} of the centre line"
     return Caption(
         shown=shown,
         accepted=bool(record["accepted"]),

@@ -35,6 +35,7 @@ REJECTED = "#d55e00"
 HYPOTHESIS = "#b8a3c9"
 IMU_YAW = "#e69f00"
 RAW_YAW = "#cc79a7"
+EDGE_WIDTH = 4.0  # of a line along the edge of an axis, where the values are beyond it
 _RATIO_SHOWN = (2.2e-4, 6e1)  # beyond it, at the edge of the axis
 STATUS_COLOUR = {"initialising": "#b4bac1", "tracking": "#7cc4e8", "coasting": "#e8b33a", "lost": "#d1495b"}
 
@@ -73,6 +74,7 @@ def plot_heading(ax: Axes, result: FusionResult, flight: Flight) -> None:
     _limit(ax, table, heading, 2 * np.degrees(table["heading_std_rad"]), least=2.0)
     if flight.attitude is not None:
         _widen(ax, np.degrees(aligned_imu_yaw(flight.attitude, table)[1]))
+    _mark_beyond(ax, t, heading)
 
 
 def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
@@ -101,6 +103,7 @@ def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
     _decorate(ax, result, "Offset, m right" if metres else "Offset, half widths right")
     _limit(ax, table, offset, 2 * std, least=0.1)
     _walls(ax, t, half)
+    _mark_beyond(ax, t, offset)
 
 
 def plot_innovations(ax: Axes, result: FusionResult) -> None:
@@ -239,13 +242,20 @@ def _plot_error(
             cuts = np.array([], dtype=np.int64)
             _band(ax, t, np.zeros_like(t), band, cuts, FILTER, "filter, two sigma")
         _line(ax, t, error, np.array([], dtype=np.int64), colour, width, word)
-        everything.append(np.abs(error[table["status"] == "tracking"]))
+        tracked = table["status"] == "tracking"
+        everything.append(np.abs(error[tracked]))
     ax.axhline(0.0, color=FAINT, lw=0.6, zorder=1)
     worst = np.concatenate(everything)
     worst = worst[np.isfinite(worst)]
     if worst.size:
         top = 1.25 * float(worst.max())
+        usual = band[
+            tracked & np.isfinite(band)
+        ]  # its edges are to be seen, unless they would flatten the lines
+        if usual.size:
+            top = max(top, min(1.25 * float(np.median(usual)), 5.0 * top))
         ax.set_ylim(-top, top)
+        _mark_beyond(ax, t, error)
     _decorate(ax, result, label)
 
 
@@ -341,6 +351,15 @@ def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, leas
     high = max(np.percentile(values[rows] + half[rows], 99.5), values[rows].max())
     margin = 0.12 * max(high - low, least)
     ax.set_ylim(low - 1.3 * margin, high + margin)
+
+
+def _mark_beyond(ax: Axes, t: FloatArray, values: FloatArray) -> None:
+    """Draw a thick line along the edge of the axis where the filter is beyond it."""
+    low, high = ax.get_ylim()
+    inset = 0.02 * (high - low)
+    edge = np.where(values > high, high - inset, np.where(values < low, low + inset, np.nan))
+    edge[1:] = np.where(np.isnan(edge[1:]), edge[:-1], edge[1:])  # a lone sample would draw nothing
+    _line(ax, t, edge, np.array([], dtype=np.int64), FILTER, EDGE_WIDTH, "filter beyond the scale")
 
 
 def _walls(ax: Axes, t: FloatArray, half: FloatArray) -> None:

@@ -38,6 +38,7 @@ class DrawnFrame:
     picture: str | None
     filter_heading_rad: float
     filter_offset_norm: float
+    filter_offset_m: float
 
 
 def choose_frames(result: FusionResult, flight: Flight, limit: int = 12) -> list[ChosenFrame]:
@@ -78,6 +79,7 @@ def show_frames(result: FusionResult, flight: Flight, chosen: list[ChosenFrame])
             picture=_picture(result, flight, item.row, MAX_WIDTH_PX, JPEG_QUALITY),
             filter_heading_rad=float(table["heading_rad"][k]),
             filter_offset_norm=float(table["lateral_offset_norm"][k]),
+            filter_offset_m=float(table["lateral_offset_m"][k]),
         )
 
 

@@ -59,7 +59,7 @@ def build(model: type[Config], values: dict[str, Any], file: str | Path | None =
     if found is not None:
         raise InputError(f"{found}: input should be a number", file=file)
     try:
-        return model(**values)
+        return model.model_validate(values)
     except ValidationError as error:
         problem, remedy = _explain(complaints(error, model)[0])
         raise InputError(problem, file=file, remedy=remedy) from error

@@ -13,8 +13,9 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from fusion.settings.model import Settings
 from fusion.settings.toml import build, read_toml
-from fusion.simulate.scene.config import NotNegative, Positive, SceneConfig, Section, Share, Sides
+from fusion.simulate.scene.config import NotNegative, Positive, SceneConfig, Share, Sides
 from fusion.simulate.scene.random_scene import is_night
 from vision import Camera
 from vision.cameras.camera import COEFFICIENT_COUNTS, Distortion
@@ -22,7 +23,7 @@ from vision.cameras.camera import COEFFICIENT_COUNTS, Distortion
 Angle = Annotated[float, Field(ge=-pi, le=pi)]
 
 
-class CameraConfig(Section):
+class CameraConfig(Settings):
     """Lens, mount, shutter and clock of the camera."""
 
     width_px: int = Field(default=320, ge=16, le=4096)
@@ -69,7 +70,7 @@ class CameraConfig(Section):
         """Draw a lens, its field of view, the mount and the shutter; keyword arguments stay as given."""
         from fusion.simulate.random_flight import draw_camera
 
-        return cls.model_validate(draw_camera(seed) | fixed)
+        return build(cls, draw_camera(seed) | fixed)
 
     def camera(self) -> Camera:
         """Return the calibrated camera."""
@@ -101,7 +102,7 @@ class CameraConfig(Section):
         )
 
 
-class ImagingConfig(Section):
+class ImagingConfig(Settings):
     """The camera's picture chain."""
 
     brightness: Positive = Field(
@@ -140,7 +141,7 @@ class ImagingConfig(Section):
                 "row_noise_electrons": float(rng.uniform(0.0, 1.5)),
                 "defocus_px": float(rng.uniform(0.5, 1.1)),
             }
-        return cls.model_validate(drawn | fixed)
+        return build(cls, drawn | fixed)
 
     @classmethod
     def random_office(cls, seed: int, **fixed: object) -> ImagingConfig:
@@ -155,10 +156,10 @@ class ImagingConfig(Section):
             "bloom": float(rng.uniform(0.0, 0.10)),
             "jpeg_quality": int(rng.integers(70, 96)),
         }
-        return cls.model_validate(drawn | fixed)
+        return build(cls, drawn | fixed)
 
 
-class MotionConfig(Section):
+class MotionConfig(Settings):
     """How the vehicle flies."""
 
     duration_s: float = Field(default=15.0, gt=0.2, le=3600)
@@ -182,7 +183,7 @@ class MotionConfig(Section):
     )
 
 
-class ImuConfig(Section):
+class ImuConfig(Settings):
     """Gyroscope and accelerometer; densities as sensor files declare them."""
 
     rate_hz: float = Field(default=200.0, ge=25, le=2000)
@@ -207,10 +208,10 @@ class ImuConfig(Section):
         """Draw sensors between good and poor, most shaken by the rotors; keyword arguments stay as given."""
         from fusion.simulate.random_flight import draw_imu
 
-        return cls.model_validate(draw_imu(seed) | fixed)
+        return build(cls, draw_imu(seed) | fixed)
 
 
-class AttitudeConfig(Section):
+class AttitudeConfig(Settings):
     """The vehicle's own attitude filter; its yaw is off by a constant, drift and magnetic disturbance."""
 
     rate_hz: float = Field(default=50.0, gt=0, le=1000)
@@ -228,14 +229,14 @@ class AttitudeConfig(Section):
     disturbance_s: NotNegative = Field(default=0.0, description="How long it lasts; 0: there is none.")
 
 
-class RangeConfig(Section):
+class RangeConfig(Settings):
     """A range sensor beside the camera that looks down along the body's z."""
 
     rate_hz: float = Field(default=20.0, gt=0, le=1000)
     noise_std_m: NotNegative = 0.01
 
 
-class SimulationConfig(Section):
+class SimulationConfig(Settings):
     """A simulated flight: the same configuration gives the same files, byte for byte."""
 
     seed: int = Field(default=1, ge=0)
@@ -287,13 +288,13 @@ class SimulationConfig(Section):
         """
         from fusion.simulate.random_flight import draw_flight
 
-        return cls.model_validate(draw_flight(seed, fixed))
+        return build(cls, draw_flight(seed, fixed))
 
     @classmethod
     def random_office(cls, seed: int, **fixed: object) -> SimulationConfig:
         """Draw a plain office corridor and the camera's quality; keyword arguments stay as given."""
         scene, imaging = SceneConfig.random_office(seed), ImagingConfig.random_office(seed)
-        return cls.model_validate({"seed": seed, "scene": scene, "imaging": imaging} | fixed)
+        return build(cls, {"seed": seed, "scene": scene, "imaging": imaging} | fixed)
 
     @classmethod
     def from_toml(cls, path: str | Path) -> SimulationConfig:

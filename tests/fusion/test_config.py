@@ -1,11 +1,16 @@
 from __future__ import annotations
 
+import copy
+import pickle
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pydantic import ValidationError
 
 from fusion.estimator.config import FusionConfig
+from fusion.live.settings import LiveSettings
+from fusion.simulate import SimulationConfig
 from tests.files import written
 from vision.errors import InputError
 
@@ -62,6 +67,43 @@ def test_frozen_and_described() -> None:
     with pytest.raises(ValidationError):
         FusionConfig().min_lines = 5
     assert all(field.description for field in FusionConfig.model_fields.values())
+
+
+@pytest.mark.parametrize(
+    ("model", "values", "message"),
+    [
+        (
+            FusionConfig,
+            {"corridor_width_m": 220},
+            "corridor_width_m = 220: input should be less than or equal to 100",
+        ),
+        (FusionConfig, {"corridor_widht_m": 2.2}, "did you mean corridor_width_m = 2.2?"),
+        (FusionConfig, {"min_lines": True}, "min_lines = true: input should be a number"),
+        (
+            SimulationConfig,
+            {"motion": {"duration_s": -2}},
+            "motion.duration_s = -2: input should be greater than",
+        ),
+        (
+            SimulationConfig.random_office,
+            {"seed": 1, "camera": {"width": 8}},
+            "unknown setting camera.width = 8",
+        ),
+        (LiveSettings, {"rate_hz": 0.0}, "rate_hz = 0.0: input should be greater than or equal to 1"),
+    ],
+)
+def test_a_wrong_setting_is_one_line_from_python_too(
+    model: Any, values: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError) as error:
+        model(**values)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_settings_can_be_sent_to_another_process() -> None:
+    config = FusionConfig(corridor_width_m=2.2)
+    assert pickle.loads(pickle.dumps(config)) == config == copy.deepcopy(config)
 
 
 def test_noise_left_open_has_defaults() -> None:

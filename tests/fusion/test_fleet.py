@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import hashlib
+import json
 import os
 import signal
 import subprocess
@@ -24,6 +26,7 @@ from fusion.fleet.tables import read_fleet
 from fusion.fleet.task import Task
 from fusion.fleet.worker import fuse_task
 from fusion.fleet.workers import local_workers
+from fusion.outputs import provenance
 from tests.command import Corridor, refused
 from tests.files import written
 from tests.fusion.fleet import first_worker_killed, make_fleet, simulate
@@ -175,6 +178,47 @@ def kill_or_fuse(task: Task) -> FleetRow:
     return fuse_task(task)
 
 
+def test_a_flight_that_hangs_is_given_up(
+    flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "fuse_task", stop_or_fuse)
+    source, out = make_fleet(tmp_path / "flights", flight, 3), tmp_path / "out"
+    (source / "2026-03-02").rename(source / "hanging")
+    told: list[str] = []
+    rows = by_name(fuse_fleet([source], out, replace(TWO, timeout_s=12.0), tell=told.append).rows)
+    assert rows["hanging"].verdict == "error"
+    assert rows["hanging"].reason.startswith("took more than 12 s (allow more by --timeout")
+    assert rows["hanging"].lost_workers == 0
+    assert told == ["hanging took more than 12 s: given up, its worker ended"]
+    assert rows["2026-03-01"].has_result
+    assert rows["2026-03-03"].has_result
+    assert not is_running(int((tmp_path / "stopped").read_text()))
+
+
+def stop_or_fuse(task: Task) -> FleetRow:
+    if task.flight.name == "hanging":  # as if it waited for a dead file server: no signal but SIGKILL ends it
+        (task.out.parent / "stopped").write_text(str(os.getpid()))
+        os.kill(os.getpid(), signal.SIGSTOP)
+    return FleetRow(flight=task.flight.name, verdict="pass")  # at once, however busy the machine is
+
+
+def test_each_output_tells_the_command_and_the_files_that_were_hashed_once(
+    flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = FoundFlight("hall", flight)
+    task = Task(found, tmp_path, FusionConfig(), "", None, "geometric", False, "", 0, "corridor batch hall")
+
+    def hash_again(path: Path) -> str:
+        raise AssertionError(f"{path} was hashed for the fingerprint")
+
+    monkeypatch.setattr(provenance, "sha256_of", hash_again)
+    assert fuse_task(task).reason == ""
+    told = json.loads((tmp_path / task.folder / "summary.json").read_text())["provenance"]
+    assert told["command"] == "corridor batch hall"
+    imu = next(entry for entry in told["inputs"] if entry["path"].endswith("imu0/data.csv"))
+    assert imu["sha256"] == hashlib.sha256((flight / "mav0" / "imu0" / "data.csv").read_bytes()).hexdigest()
+
+
 def test_a_killed_run_goes_on_and_leaves_no_worker(flight: Path, tmp_path: Path) -> None:
     source, out = make_fleet(tmp_path / "flights", flight, 6), tmp_path / "out"
     command = [
@@ -231,7 +275,7 @@ def test_an_interrupt_ends_the_workers_and_keeps_the_rows(flight: Path, tmp_path
 
 def test_a_worker_keeps_to_its_memory_and_threads(flight: Path, tmp_path: Path) -> None:
     task = Task(FoundFlight("hall", flight), tmp_path, FusionConfig(), "", None, "geometric", False, "", 0)
-    with local_workers(1, 3 * 10**9, print) as one:
+    with local_workers(1, 3 * 10**9, None, print) as one:
         assert one.submit(task).result().has_result
         (worker,) = one._all
         pool = worker._pool
@@ -271,6 +315,46 @@ def test_two_workers_of_a_cluster_one_of_them_killed(flight: Path, tmp_path: Pat
     assert told
     local = fuse_fleet([source], tmp_path / "local", TWO)
     assert [row.heading_rmse_rad for row in local.rows] == [row.heading_rmse_rad for row in fleet.rows]
+
+
+def test_a_flight_that_hangs_on_a_cluster_is_given_up(
+    flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(workers, "_fuse_in_time", hang_in_time)
+    source, out = make_fleet(tmp_path / "flights", flight, 3), tmp_path / "out"
+    (source / "2026-03-02").rename(source / "hanging")
+    told: list[str] = []
+    cluster = distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, local_directory=str(tmp_path / "dask")
+    )
+    with cluster:
+        settings = replace(TWO, scheduler=cluster.scheduler_address, timeout_s=12.0)
+        rows = by_name(fuse_fleet([source], out, settings, tell=told.append).rows)
+        ends = time.monotonic() + 30
+        hanging = int((tmp_path / "hanging").read_text())
+        while is_running(hanging) and time.monotonic() < ends:
+            time.sleep(0.05)
+        assert not is_running(hanging)
+    assert rows["hanging"].reason.startswith("took more than 12 s")
+    assert rows["hanging"].lost_workers == 0
+    assert told == ["hanging took more than 12 s: given up, its worker ended"]
+    assert rows["2026-03-01"].has_result
+    assert rows["2026-03-03"].has_result
+
+
+def hang_in_time(task: Task, key: str, timeout_s: float | None) -> FleetRow:
+    from fusion.fleet import workers  # the worker's own, not patched yet
+
+    setattr(workers, "fuse_task", hang_or_fuse)  # noqa: B010  # mypy: it is no name that workers exports
+    return workers._fuse_in_time(task, key, timeout_s)
+
+
+def hang_or_fuse(task: Task) -> FleetRow:
+    if task.flight.name == "hanging":
+        (task.out.parent / "hanging").write_text(str(os.getpid()))
+        time.sleep(600)
+    return FleetRow(flight=task.flight.name, verdict="pass")
 
 
 # The command

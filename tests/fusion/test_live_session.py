@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
+import base64
 import json
 import shutil
 import socket
+import struct
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from math import radians
 from pathlib import Path
@@ -28,7 +32,9 @@ from fusion.live.replay import recorded_config, replay
 from fusion.live.session import LiveSession, live_config
 from fusion.live.settings import LiveSettings
 from fusion.logs.rosbag.attachments import attached_camera
+from fusion.simulate import office_views
 from vision import Camera, InputError
+from vision.images import to_grey
 
 pytest.importorskip("pymavlink")
 
@@ -251,9 +257,13 @@ def test_a_folder_that_vanishes_is_tried_again(tmp_path: Path) -> None:
 
 def _stream(port: int, pictures: int) -> None:
     """Send a short MPEG-TS stream over UDP."""
+    _encode(f"udp://127.0.0.1:{port}?pkt_size=1316", pictures)
+
+
+def _encode(to: Any, pictures: int) -> None:
     import av
 
-    with av.open(f"udp://127.0.0.1:{port}?pkt_size=1316", "w", format="mpegts") as out:
+    with av.open(to, "w", format="mpegts") as out:
         stream: Any = out.add_stream("mpeg2video", rate=25)
         stream.width, stream.height, stream.pix_fmt, stream.gop_size = 160, 120, "yuv420p", 5
         for k in range(pictures):
@@ -285,6 +295,86 @@ def test_a_stream_that_dies_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> 
     taken.wait_for(n + 1)
     taken.thread.close()
     assert taken.thread.reopened >= 1
+    assert (np.diff([p.t_ns for p in taken.pictures]) > 0).all()
+    assert all(p.t_ns <= clock.now_ns() for p in taken.pictures)
+
+
+class RtspServer:
+    """The part of RTSP (RFC 2326) that a player needs, with MPEG-TS in RTP over UDP (RFC 2250), for one player."""
+
+    def __init__(self, pictures: int) -> None:
+        self._pictures = pictures
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.url = f"rtsp://127.0.0.1:{self._listening.getsockname()[1]}/front"
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        connection, _ = self._listening.accept()
+        rtp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        rtp.bind(("127.0.0.1", 0))
+        with connection, rtp, connection.makefile("rb") as lines:
+            while request := self._request(lines):
+                method, fields = request
+                answer = {"CSeq": fields["cseq"], "Session": "1"}
+                body = ""
+                if method == "OPTIONS":
+                    answer["Public"] = "DESCRIBE, SETUP, PLAY, TEARDOWN"
+                elif method == "DESCRIBE":
+                    body = "\r\n".join(
+                        ["v=0", "o=- 0 0 IN IP4 127.0.0.1", "s=front", "t=0 0", "m=video 0 RTP/AVP 33", ""]
+                    )
+                    answer |= {"Content-Type": "application/sdp", "Content-Length": str(len(body))}
+                elif method == "SETUP":
+                    asked = fields["transport"].partition("client_port=")[2]
+                    rtp.connect(("127.0.0.1", int(asked.partition("-")[0])))
+                    port = rtp.getsockname()[1]
+                    answer["Transport"] = f"RTP/AVP;unicast;client_port={asked};server_port={port}-{port + 1}"
+                head = "".join(f"{name}: {value}\r\n" for name, value in answer.items())
+                connection.sendall(f"RTSP/1.0 200 OK\r\n{head}\r\n{body}".encode())
+                if method == "PLAY":
+                    _encode(_RtpWriter(rtp), self._pictures)
+                    return  # the camera dies
+
+    @staticmethod
+    def _request(lines: Any) -> tuple[str, dict[str, str]] | None:
+        first = lines.readline().decode()
+        fields = {}
+        while line := lines.readline().decode().strip():
+            name, _, value = line.partition(":")
+            fields[name.lower()] = value.strip()
+        return (first.split()[0], fields) if first else None
+
+
+class _RtpWriter:
+    """A file that sends what is written to it as RTP packets of seven transport packets."""
+
+    def __init__(self, rtp: socket.socket) -> None:
+        self._rtp, self._number, self._rest = rtp, 0, b""
+
+    def write(self, data: bytes) -> int:
+        self._rest += data
+        while len(self._rest) >= 7 * 188:
+            payload, self._rest = self._rest[: 7 * 188], self._rest[7 * 188 :]
+            stamp = int(time.monotonic() * 90_000) & 0xFFFFFFFF
+            with suppress(ConnectionRefusedError):
+                self._rtp.send(struct.pack("!BBHII", 0x80, 33, self._number & 0xFFFF, stamp, 7) + payload)
+            self._number += 1
+        return len(data)
+
+
+def test_a_camera_is_played_by_rtsp() -> None:
+    pytest.importorskip("av")
+    server = RtspServer(pictures=100)
+    clock = HostClock()
+    taken = Taken(camera_source(server.url, CAMERA, clock))
+    taken.wait_for(5)
+    end = time.monotonic() + WAIT_S
+    while not taken.thread.reopened and time.monotonic() < end:  # the server has gone
+        time.sleep(0.02)
+    taken.thread.close()
+    assert taken.thread.reopened >= 1
+    assert all(p.image is not None and p.image.shape == (120, 160) for p in taken.pictures)
     assert (np.diff([p.t_ns for p in taken.pictures]) > 0).all()
     assert all(p.t_ns <= clock.now_ns() for p in taken.pictures)
 
@@ -358,6 +448,54 @@ def test_a_serial_link_carries_bytes_both_ways() -> None:
     assert b"".join(received) == b"hello"
 
 
+def test_a_serial_cable_may_be_pulled_and_put_back(tmp_path: Path) -> None:
+    pytest.importorskip("serial")
+    import os
+    import pty
+
+    device = tmp_path / "ttyACM0"
+    received: list[bytes] = []
+    arrived = threading.Event()
+
+    def take(data: bytes) -> None:
+        received.append(data)
+        arrived.set()
+
+    def plug() -> tuple[int, int]:
+        ours, theirs = pty.openpty()
+        device.symlink_to(os.ttyname(theirs))
+        return ours, theirs
+
+    def pull(ours: int, theirs: int) -> None:
+        device.unlink()
+        os.close(ours)
+        os.close(theirs)
+
+    def hear(ours: int, text: bytes) -> bool:
+        arrived.clear()
+        os.write(ours, text)
+        return arrived.wait(WAIT_S)
+
+    cable = plug()
+    link = Link(f"{device},115200", take)
+    assert hear(cable[0], b"before")
+    pull(*cable)
+    for _ in range(40):  # an estimate every 20 ms, whether there is a cable or not
+        link.send(b"lost")
+        time.sleep(0.02)
+    cable = plug()
+    end = time.monotonic() + WAIT_S
+    while not link.reopened and time.monotonic() < end:
+        time.sleep(0.02)
+    assert hear(cable[0], b"after")
+    link.send(b"there")
+    assert os.read(cable[0], 100) == b"there"
+    link.close()
+    pull(*cable)
+    assert b"".join(received) == b"beforeafter"
+    assert link.reopened == 1
+
+
 @pytest.mark.parametrize("address", ["udpin:nowhere", "tcp:127.0.0.1", "/dev/not-there,57600", "what"])
 def test_an_address_that_cannot_be_is_refused(address: str) -> None:
     with pytest.raises(InputError, match=r"cannot be opened.*give udpin"):
@@ -386,6 +524,22 @@ class Shown:
             yield Picture(time.time_ns(), None if k == 3 else image)
 
 
+class Hovering:
+    """A camera that sees the same all the time, with some noise."""
+
+    is_live = False
+
+    def __init__(self, image: Any, n: int) -> None:
+        self._image, self._n = image, n
+
+    def pictures(self, stop: threading.Event) -> Iterator[Picture]:
+        rng = np.random.default_rng(1)
+        for _ in range(self._n):
+            stop.wait(0.05)
+            noisy = self._image + rng.normal(0.0, 2.0, self._image.shape)
+            yield Picture(time.time_ns(), np.clip(noisy, 0, 255).astype(np.uint8))
+
+
 def test_too_many_pictures_are_dropped_and_counted() -> None:
     session = _session(Shown(300))
     session.run()
@@ -407,15 +561,49 @@ def test_it_ends_when_told_to() -> None:
     assert session.statistics.estimates < WAIT_S * 50
 
 
-def test_it_is_shown_to_foxglove(tmp_path: Path) -> None:
+def test_a_client_of_foxglove_is_shown_pictures_lines_and_estimates() -> None:
     pytest.importorskip("foxglove")
+    pytest.importorskip("tornado")
     from fusion.live.view import FoxgloveViewer
 
+    corridor = to_grey(next(office_views(CAMERA, 1, seed=2)).image)
     viewer = FoxgloveViewer(port=0)
-    assert viewer.port > 0
-    session = _session(Shown(20), viewer=viewer)
+    shown: dict[str, list[dict[str, Any]]] = {}
+    client = threading.Thread(target=asyncio.run, args=(_watch(viewer.port, shown),))
+    client.start()
+    session = _session(Hovering(corridor, 40), viewer=viewer)
     session.run()
-    assert session.statistics.frames > 0
+    client.join(WAIT_S)
+    assert session.statistics.frames == 40
+    picture = shown["/camera/image"][-1]
+    jpeg = np.frombuffer(base64.b64decode(picture["data"]), np.uint8)
+    seen = cv2.imdecode(jpeg, cv2.IMREAD_GRAYSCALE)
+    assert seen is not None
+    assert np.abs(seen.astype(float) - corridor).mean() < 10.0
+    assert shown["/camera/overlay"][-1]["points"]
+    assert shown["/corridor/estimate"][-1]["status"] == "initialising"  # no autopilot, no IMU
+
+
+async def _watch(port: int, shown: dict[str, list[dict[str, Any]]]) -> None:
+    """Do as Foxglove does: subscribe to all channels, and take their messages until the server ends."""
+    from tornado.websocket import websocket_connect
+
+    url = f"ws://127.0.0.1:{port}"
+    socket_ = await websocket_connect(url, subprotocols=["foxglove.sdk.v1", "foxglove.websocket.v1"])
+    topics: dict[int, str] = {}
+    while (message := await socket_.read_message()) is not None:
+        if isinstance(message, bytes):
+            if message[0] == 1:  # opcode, subscription, time, content
+                shown.setdefault(topics[struct.unpack_from("<I", message, 1)[0]], []).append(
+                    json.loads(message[13:])
+                )
+            continue
+        told = json.loads(message)
+        if told["op"] == "advertise":
+            new = {channel["id"]: channel["topic"] for channel in told["channels"]}
+            topics |= new
+            wanted = [{"id": number, "channelId": number} for number in new]
+            await socket_.write_message(json.dumps({"op": "subscribe", "subscriptions": wanted}))
 
 
 def test_the_command_runs_and_says_how_it_went(tmp_path: Path) -> None:

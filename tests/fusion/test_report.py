@@ -21,7 +21,8 @@ from fusion.flight import AttitudeStream, Flight, FrameStream, ImuStream
 from fusion.logs.pictures.camera_folder import PictureFiles
 from fusion.outputs.provenance import provenance
 from fusion.report import interactive, write_report
-from fusion.report.plots import aligned_imu_yaw, plot_offset
+from fusion.report.page import error_rows
+from fusion.report.plots import aligned_imu_yaw, plot_heading, plot_offset
 from fusion.report.remeasure import interpolated_attitude
 from fusion.report.series import band_envelope, broken, envelope, envelope_indices, thin_points
 from fusion.report.strip import choose_frames, show_frames
@@ -457,6 +458,42 @@ def test_frames_are_drawn_in_the_metres_of_their_own_corridor(swing: Fused) -> N
         1.0,
         1.5,
     ]
+
+
+def test_a_filter_that_leaves_the_axis_is_marked_at_its_edge(swing: Fused) -> None:
+    result, flight = swing
+    table = result.estimates.copy()
+    wild = slice(100, 120)  # 2.0 to 2.4 s
+    table["status"][wild] = "lost"
+    table["heading_rad"][wild] = radians(80)
+    ax = Figure().subplots()
+    plot_heading(ax, replace(result, estimates=table), flight)
+    (edge,) = (line for line in ax.lines if line.get_label() == "filter beyond the scale")
+    x, y = np.asarray(edge.get_xdata()), np.asarray(edge.get_ydata())
+    low, high = ax.get_ylim()
+    assert high < 80
+    assert (x[y == y].min(), x[y == y].max()) == pytest.approx((2.0, 2.4))
+    assert (y[y == y] > low + 0.9 * (high - low)).all()
+    ax = Figure().subplots()
+    plot_heading(ax, result, flight)
+    assert all(line.get_label() != "filter beyond the scale" for line in ax.lines)
+
+
+def test_offsets_are_in_one_unit_where_the_width_is_known(swing: Fused, page: str) -> None:
+    result, flight = swing
+    table = first_group(r"(?s)<h2>Errors against truth</h2>(.*?)</table>", page)
+    assert table.count(" cm") == 9
+    assert "%</td>" not in table
+    captions = re.findall(r"Filter [^<]*", page)
+    assert captions
+    assert all(re.search(r"\d cm (right|left) of the centre line", caption) for caption in captions)
+    estimates = result.estimates.copy()
+    for name in ("lateral_offset_m", "lateral_offset_std_m"):
+        estimates[name] = np.nan
+    config = result.config.model_copy(update={"corridor_width_m": None})
+    told = replace(result, estimates=estimates, smoothed=estimates, config=config)
+    rows = dict(error_rows(told, flight))
+    assert all(cell.endswith("%") for cells in rows.values() for cell in cells[5:])
 
 
 def test_the_page_says_what_made_it(swing: Fused, tmp_path: Path) -> None:

@@ -6,17 +6,14 @@ from enum import StrEnum
 from math import pi, radians
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from fusion.settings.model import Settings
+from fusion.settings.toml import build
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
-
-
-class Section(BaseModel):
-    """Base of every part of a configuration: frozen, unknown names refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class End(StrEnum):
@@ -81,7 +78,7 @@ class Surface(StrEnum):
     RIGHT = "right"
 
 
-class JunctionConfig(Section):
+class JunctionConfig(Settings):
     """A corridor that leaves another one."""
 
     from_corridor: int = Field(
@@ -106,7 +103,7 @@ class JunctionConfig(Section):
         return self
 
 
-class StripConfig(Section):
+class StripConfig(Settings):
     """Something that runs along the first corridor.
 
     A painted line or a stripe of carpet (depth 0); a rail, ledge or cable duct (a depth, with a gap where it stands
@@ -133,7 +130,7 @@ class StripConfig(Section):
     )
 
 
-class WallConfig(Section):
+class WallConfig(Settings):
     """What one wall looks like."""
 
     finish: WallFinish = WallFinish.PLASTER
@@ -155,7 +152,7 @@ class WallConfig(Section):
     skirting_albedo: Share = 0.12
 
 
-class WidthStepConfig(Section):
+class WidthStepConfig(Settings):
     """The first corridor goes on narrower or wider from a place on."""
 
     at_m: Positive = Field(description="Along the first corridor.")
@@ -166,7 +163,7 @@ class WidthStepConfig(Section):
     )
 
 
-class WindowsConfig(Section):
+class WindowsConfig(Settings):
     """A row of windows along one wall of the first corridor, and the sun through them."""
 
     side: Side = Side.LEFT
@@ -185,7 +182,7 @@ class WindowsConfig(Section):
     sun_elevation_rad: float = Field(default=0.7, ge=0.1, le=1.4)
 
 
-class SceneConfig(Section):
+class SceneConfig(Settings):
     """A corridor and what stands in it. Shares are 0 to 1; a spacing is a mean distance on one wall, 0 for none."""
 
     length_m: float = Field(default=40.0, gt=4, le=1000, description="Of the first corridor.")
@@ -336,11 +333,11 @@ class SceneConfig(Section):
         """Draw a corridor of any kind of building; keyword arguments stay as given."""
         from fusion.simulate.scene.random_scene import draw_building
 
-        return cls.model_validate(draw_building(seed, fixed) | fixed)
+        return build(cls, draw_building(seed, fixed) | fixed)
 
     @classmethod
     def random_office(cls, seed: int, **fixed: object) -> SceneConfig:
         """Draw a plain, well-lit office corridor; keyword arguments stay as given."""
         from fusion.simulate.scene.random_scene import draw_office
 
-        return cls.model_validate(draw_office(seed) | fixed)
+        return build(cls, draw_office(seed) | fixed)

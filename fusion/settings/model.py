@@ -1,0 +1,29 @@
+"""Settings as models of pydantic that explain what is wrong in one line, in Python as in files."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, ConfigDict
+
+from fusion.settings.toml import build
+
+if TYPE_CHECKING:  # a type checker is to know the constructors as pydantic declares them
+    from pydantic._internal._model_construction import ModelMetaclass as _Explained
+else:
+
+    class _Explained(type(BaseModel)):
+        def __call__(cls, **values: Any) -> Any:
+            return build(cls, values)
+
+
+class Settings(BaseModel, metaclass=_Explained):
+    """Base of all settings: frozen, unknown names refused, no infinite numbers.
+
+    Raises
+    ------
+    InputError
+        From the constructor: a `ValueError` of one line that names the setting, its value and what would do.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
