@@ -201,6 +201,9 @@ CASES = {
     "depth of 10 bits as PNG": Case(
         bag(pictures=packed(lambda p: encoded(".png", p.astype(np.uint16) << 2), "mono16; png compressed"))
     ),
+    "a colour mosaic of 12 bits": Case(
+        bag(pictures=changed(lambda p, k: mosaic(p).astype("<u2") << 4, "bayer_rggb16"))
+    ),
     "a colour mosaic as JPEG": Case(
         bag(pictures=packed(lambda p: encoded(".jpg", mosaic(p)), "bayer_rggb8; jpeg compressed bayer_rggb8"))
     ),

@@ -53,12 +53,15 @@ _FLIP = np.array([1.0, -1.0, -1.0])  # FLU to FRD, and a world with z up to one 
 _Q_FLIP = np.array([1.0, 1.0, -1.0, -1.0])  # the same on both sides of a quaternion
 _Q_NED_ENU = (0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0)
 _Q_FLU_FRD = (0.0, 1.0, 0.0, 0.0)
+_HALF_TURN = 3.3  # rad; in degrees, a tilt that every flight reaches
+_NOT_DAMAGED = 0.01  # share of the rows
 _UPRIGHT_M_S2 = 5.0
 MAX_LISTED = 12  # names of columns
 _NOTHING_TELLS = "nothing tells"
 
 _EXAMPLE = (
-    'name them in flight.toml, as in [imu.columns] time = "t", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s"'
+    'name them in flight.toml, as in [imu.columns] time = "t", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s", or '
+    '[attitude.columns] quaternion = ["w", "x", "y", "z"]'
 )
 
 
@@ -197,6 +200,15 @@ class _Table:
             start += len(indices)
         if "accel" in parts:
             parts["accel"] = parts["accel"] * columns.accel_sign
+        if "euler" in parts and columns.euler_unit == "rad" and _are_degrees(parts["euler"]):
+            if "euler_unit" in columns.model_fields_set:
+                raise InputError(
+                    "roll and pitch go beyond half a turn: they are in degrees, not radians",
+                    file=layout.path,
+                    remedy='set euler_unit = "deg" in [attitude.columns] of flight.toml',
+                )
+            parts["euler"] = parts["euler"] * in_si("deg")
+            problems += (Remark(f"{layout.path.name}: roll and pitch go beyond half a turn: degrees taken"),)
         if "quaternion" in parts and not parts["quaternion"].any():
             del parts["quaternion"]
             problems += (Remark(f"{layout.path.name}: its quaternions are zero in every row, left out"),)
@@ -356,6 +368,12 @@ _READERS: tuple[tuple[Kind, tuple[str, ...], Callable[[_Table], WithProblems[Str
     (Kind.VELOCITY, ("velocity",), _Table.velocity),
     (Kind.RANGE, ("range",), _Table.range),
 )
+
+
+def _are_degrees(euler: FloatArray) -> bool:
+    """Whether roll, pitch and yaw (n, 3) cannot be radians; a damaged row does not count."""
+    tilt = np.abs(euler[:, :2])
+    return bool(np.mean(np.any(tilt > _HALF_TURN, axis=1)) > _NOT_DAMAGED)
 
 
 def _world(xyz: FloatArray, frame: Frame) -> FloatArray:
