@@ -250,11 +250,11 @@ CASES = {
         bag(lambda p, b: imu_rows(p, b, accel=1 / 0.3048)), refused="the accelerometer is in another unit"
     ),
     "axes forward, right, down": Case(
-        bag(lambda p, b: plain(p, p.gyro, p.accel)(p, b)), refused="axes look like FLU"
+        bag(lambda p, b: plain(p, p.gyro, p.accel)(p, b)), refused="y and z of its axes point the other way"
     ),
     "gravity's pull": Case(
         bag(lambda p, b: imu_rows(p, b, accel=-1.0)),
-        refused="axes look like FLU",
+        refused="y and z of its axes point the other way",
         caused="turns are opposite",
         dense=True,
     ),

@@ -153,6 +153,9 @@ TABLES = {
     "axes told wrongly": Case(
         with_pictures(table(axes=FLU), '[imu]\nframe = "frd"\n'), refused="axes look like FLU"
     ),
+    "axes told wrongly the other way": Case(
+        with_pictures(table(), '[imu]\nframe = "flu"\n'), refused="axes look like FRD, not FLU"
+    ),
     "twentieths of degrees": Case(
         with_pictures(table(gyro=degrees(1.0) / 20)), caused="times as far as the gyroscope", dense=True
     ),

@@ -106,8 +106,13 @@ class ManifestLog(LogContents):
     def advice(self) -> Advice:
         """Return how to put streams right, by what each of them is read from; opens nothing but an IMU's table."""
         media: dict[str, Medium] = {}
+        frames: dict[str, str] = {}
         for kind in Kind:
             source = self.source(kind)
+            columns = source.columns
+            frame = source.frame or (columns.frame if isinstance(columns, ColumnMap) else None)
+            if frame is not None:
+                frames[TABLES[kind]] = frame
             path = source.file or self.manifest.log
             if path is not None and path.exists():
                 media[TABLES[kind]] = _medium_of(path, source)
@@ -119,7 +124,7 @@ class ManifestLog(LogContents):
                 taken = log.units_taken if isinstance(log, CsvLog) else {}
         elif isinstance(columns, ColumnMap):
             taken = columns.units_taken
-        return Advice(media, taken)
+        return Advice(media, taken, frames)
 
     def whole_log(self) -> LogContents | None:
         """Return the log that the manifest names for everything, if it was opened."""

@@ -217,8 +217,8 @@ def _axes_by_attitude(
             severity,
             "imu",
             "imu_axes",
-            f"gravity reads {_signed(gravity)} along z and the gyroscope's y and z turn against the attitude: its "
-            f"axes look like FLU, {evidence}",
+            f"gravity reads {_signed(gravity)} along z and the gyroscope's y and z turn against the attitude: "
+            f"{advice.reversed_axes('imu')}, {evidence}",
             advice.frame("imu", "flu"),
         )
     elif np.array_equal(likeliest.axes, FLU) and down:
@@ -226,8 +226,8 @@ def _axes_by_attitude(
             severity,
             "attitude",
             "attitude_axes",
-            f"its pitch and yaw turn against the gyroscope, whose gravity is right: it looks like FLU to a world "
-            f"with z up, as in ROS, {evidence}",
+            "its pitch and yaw turn against the gyroscope, whose gravity is right: "
+            f"{advice.reversed_axes('attitude')}, {evidence}",
             advice.frame("attitude", "enu"),
         )
     else:
@@ -258,7 +258,7 @@ def _gravity_sign(gravity: Gravity | None, advice: Advice, *, gyro_confirmed: bo
                 "set accel_sign = -1 in [imu.columns] of flight.toml, or negate the accelerometer",
             )
             return
-        text = f"gravity reads {_signed(gravity)} along z instead of -9.8: axes look like FLU, not FRD"
+        text = f"gravity reads {_signed(gravity)} along z instead of -9.8: {advice.reversed_axes('imu')}"
         remedy = advice.frame("imu", "flu")
         if advice.medium("imu") is not Medium.FOLDER:
             remedy += (
