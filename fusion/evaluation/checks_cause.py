@@ -19,9 +19,10 @@ from fusion.evaluation.checks_frames import CAMERA_TIME, FRAMES_USED, REJECTIONS
 from fusion.evaluation.checks_truth import HEADING_ERROR
 from fusion.evaluation.verdict import worst_of
 from fusion.flight import Flight
-from fusion.logs.csv.column_map import ColumnMap, is_counts, unit_of_size
+from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.manifest.manifest import Manifest
 from fusion.logs.manifest.sources import ManifestLog
+from fusion.logs.units import is_counts, unit_of_size
 from fusion.result.result import FusionResult
 from fusion.result.summary import Check, Level
 from vision import InputError

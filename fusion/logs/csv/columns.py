@@ -23,7 +23,7 @@ from fusion.flight import (
     VectorStream,
 )
 from fusion.logs.contents import Kind, LogContents, Topic, UndecidedError
-from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame, in_si
+from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
 from fusion.logs.csv.column_names import has_asl_names, map_of_names, names_the_world, ready_map_of
 from fusion.logs.csv.table import Layout, read_layout
 from fusion.logs.csv.time_units import is_time_name
@@ -43,6 +43,7 @@ from fusion.logs.series import (
     vector_stream,
     velocity_stream,
 )
+from fusion.logs.units import in_si
 from fusion.logs.velocity_axes import Axes, axes_of_velocity
 from vision import InputError
 

@@ -13,9 +13,9 @@ from math import degrees, radians
 import numpy as np
 
 from fusion.flight import AttitudeStream, FloatArray, ImuStream
-from fusion.logs.csv.column_map import in_si, unit_in_words, unit_of_size
 from fusion.logs.plausibility.findings import Advice, Finding, Medium, Severity
 from fusion.logs.plausibility.turn_rates import FLU, Reading, compare_turns
+from fusion.logs.units import in_si, unit_in_words, unit_of_size
 
 GRAVITY_M_S2 = 9.80665
 MIN_SAMPLES = 20
