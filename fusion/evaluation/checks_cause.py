@@ -64,7 +64,7 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
     frames, delay_s = result.frames, result.config.camera_delay_s
     measured = np.isin(frames["reason"], _MEASURED)
     try:
-        _, clock = turns_of_frames(
+        clock = turns_of_frames(
             flight,
             frames["timestamp_ns"] - round(delay_s * 1e9),
             np.where(measured, frames["heading_rad"], np.nan),
