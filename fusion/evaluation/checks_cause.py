@@ -16,6 +16,7 @@ from fusion.alignment.opposite import opposite_remedy
 from fusion.alignment.skew import SkewedClock
 from fusion.evaluation.checks_filter import INNOVATIONS_OVER_GATE, INNOVATIONS_OVER_SIGMA
 from fusion.evaluation.checks_frames import CAMERA_TIME, FRAMES_USED, REJECTIONS
+from fusion.evaluation.checks_input import GYRO_BIAS
 from fusion.evaluation.checks_truth import HEADING_ERROR
 from fusion.evaluation.verdict import worst_of
 from fusion.flight import Flight
@@ -58,9 +59,10 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
         The others.
     """
     levels = [check.level for check in checks if check.name in SYMPTOMS]
-    level = worst_of(Level.NOT_JUDGED, *levels)
-    if level not in (Level.WARN, Level.FAIL):
+    if worst_of(Level.NOT_JUDGED, *levels) not in (Level.WARN, Level.FAIL):
         return None
+    # A bias takes up what does not fit, and must not stand before its cause.
+    level = worst_of(*levels, *(check.level for check in checks if check.name == GYRO_BIAS.name))
     frames, delay_s = result.frames, result.config.camera_delay_s
     measured = np.isin(frames["reason"], _MEASURED)
     try:
