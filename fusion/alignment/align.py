@@ -7,6 +7,7 @@ from math import inf, nan, radians
 
 import numpy as np
 
+from fusion.alignment.clock import find_clock
 from fusion.alignment.mount import mount_rotation
 from fusion.alignment.result import Alignment, Quantity
 from fusion.alignment.search import Found, search
@@ -129,8 +130,8 @@ def clock_of_frames(
     InputError
         Where the flight has nothing inertial, or there are no frames.
     """
-    turning, found = turns_of_frames(flight, t_ns, heading_rad, heading_std_rad, max_offset_s)
-    return clock_quantity(Found(found.search, 1.0), turning, max_offset_s)
+    turning, sightings = _turns(flight, t_ns, heading_rad, heading_std_rad)
+    return clock_quantity(Found(find_clock(sightings, turning, max_offset_s), 1.0), turning, max_offset_s)
 
 
 def turns_of_frames(
@@ -139,8 +140,8 @@ def turns_of_frames(
     heading_rad: FloatArray,
     heading_std_rad: FloatArray,
     max_offset_s: float = MAX_OFFSET_S,
-) -> tuple[Turning, SkewedClock]:
-    """Compare the turns of headings that were measured already with those of the inertial sensors.
+) -> SkewedClock:
+    """Compare the turns of headings that were measured already with those of the inertial sensors: offset and skew.
 
     Parameters
     ----------
@@ -156,14 +157,21 @@ def turns_of_frames(
     InputError
         Where the flight has nothing inertial, or there are no frames.
     """
+    turning, sightings = _turns(flight, t_ns, heading_rad, heading_std_rad)
+    return find_skewed_clock(sightings, turning, max_offset_s, thorough=False)
+
+
+def _turns(
+    flight: Flight, t_ns: TimeArray, heading_rad: FloatArray, heading_std_rad: FloatArray
+) -> tuple[Turning, Sightings]:
+    """Yaw by the inertial sensors, and the frames to compare with it; times count from the first frame."""
     if not len(t_ns):
         raise InputError(f"flight {flight.name} has no camera frames", remedy="align a flight with pictures")
     origin_ns = int(t_ns[0])
     turning = turning_of(flight, origin_ns, ATTITUDE_STD_RAD)
     t_s = seconds(t_ns, origin_ns)
     chosen = choose_frames(t_s, turning)
-    sightings = Sightings.of_headings(t_s[chosen], heading_rad[chosen], heading_std_rad[chosen])
-    return turning, find_skewed_clock(sightings, turning, max_offset_s, thorough=False)
+    return turning, Sightings.of_headings(t_s[chosen], heading_rad[chosen], heading_std_rad[chosen])
 
 
 def apply_alignment(flight: Flight, alignment: Alignment) -> Flight:

@@ -164,7 +164,7 @@ def corrected(manifest: Manifest, alignment: Alignment) -> tuple[Manifest, dict[
 
 def _body_frame(manifest: Manifest, calibration: Path) -> BodyFrame:
     """Return the axes in which a calibration at this place will be read."""
-    from fusion.logs.manifest.sources import open_as_told
+    from fusion.logs.manifest.opening import open_as_told
     from vision.cameras.calibration import check_body_frame, read_body_frame
 
     source = manifest.camera

@@ -7,10 +7,10 @@ from math import cos
 import numpy as np
 
 from fusion.flight import Flight
-from fusion.logs.contents import Kind, Medium
+from fusion.logs.contents import Kind
 from fusion.logs.manifest.manifest import ImuSource, Manifest
 from fusion.logs.manifest.sources import ManifestLog
-from fusion.logs.plausibility.findings import Advice
+from fusion.logs.plausibility.findings import Advice, Medium
 
 
 def opposite_remedy(flight: Flight) -> str:
@@ -31,17 +31,13 @@ def opposite_remedy(flight: Flight) -> str:
             "Take mount_rad of [imu] away and set accel_sign = -1 in [imu.columns] of flight.toml: the accelerometer "
             "gives gravity's pull, the axes are as they should be."
         )
-    if (
-        advice.medium("imu") is Medium.TABLE
-        and sources is not None
-        and (log := sources.log(Kind.IMU)) is not None
-    ):
-        other = "frd" if log.body_frame == "flu" else "flu"
-        return (
-            f'Set frame = "{other}" for [imu] and accel_sign = -1 in [imu.columns] of flight.toml, if the file gives '
-            "gravity's pull; if the camera hangs upside down, mount_roll_rad = 3.1416 for [camera]."
-        )
-    return (
-        "By gravity the IMU is as told, so the camera is not: if it hangs upside down, set mount_roll_rad = 3.1416 "
-        "for [camera] in flight.toml; if its pictures are mirrored, mirror them back."
+    upside_down = (
+        "if the camera hangs upside down, set mount_roll_rad = 3.1416 for [camera] in flight.toml; if its pictures "
+        "are mirrored, mirror them back"
     )
+    log = sources.log(Kind.IMU) if sources is not None and advice.medium("imu") is Medium.TABLE else None
+    if log is not None:
+        other = "frd" if log.body_frame == "flu" else "flu"
+        told_so = f'set frame = "{other}" for [imu] and accel_sign = -1 in [imu.columns] of flight.toml'
+        return f"If the file gives gravity's pull, {told_so}; {upside_down}."
+    return f"By gravity the IMU is as told, so the camera is not: {upside_down}."

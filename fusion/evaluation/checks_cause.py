@@ -16,12 +16,14 @@ from fusion.alignment.opposite import opposite_remedy
 from fusion.alignment.skew import SkewedClock
 from fusion.evaluation.checks_filter import INNOVATIONS_OVER_GATE, INNOVATIONS_OVER_SIGMA
 from fusion.evaluation.checks_frames import CAMERA_TIME, FRAMES_USED, REJECTIONS
+from fusion.evaluation.checks_input import GYRO_BIAS
 from fusion.evaluation.checks_truth import HEADING_ERROR
 from fusion.evaluation.verdict import worst_of
 from fusion.flight import Flight
-from fusion.logs.csv.column_map import ColumnMap, is_counts, unit_of_size
+from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.manifest.manifest import Manifest
 from fusion.logs.manifest.sources import ManifestLog
+from fusion.logs.units import is_counts, unit_of_size
 from fusion.result.result import FusionResult
 from fusion.result.summary import Check, Level
 from vision import InputError
@@ -57,13 +59,14 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
         The others.
     """
     levels = [check.level for check in checks if check.name in SYMPTOMS]
-    level = worst_of(Level.NOT_JUDGED, *levels)
-    if level not in (Level.WARN, Level.FAIL):
+    if worst_of(Level.NOT_JUDGED, *levels) not in (Level.WARN, Level.FAIL):
         return None
+    # A bias takes up what does not fit, and must not stand before its cause.
+    level = worst_of(*levels, *(check.level for check in checks if check.name == GYRO_BIAS.name))
     frames, delay_s = result.frames, result.config.camera_delay_s
     measured = np.isin(frames["reason"], _MEASURED)
     try:
-        _, clock = turns_of_frames(
+        clock = turns_of_frames(
             flight,
             frames["timestamp_ns"] - round(delay_s * 1e9),
             np.where(measured, frames["heading_rad"], np.nan),
@@ -76,7 +79,7 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
     if found.reversed:
         said = _opposite(flight)
     elif found.fit is not None and found.rival_s is None and not found.at_edge:
-        said = _skewed(clock) or _late(found.fit, delay_s) or _scaled(found.fit, flight)
+        said = _skewed(clock, flight) or _late(found.fit, delay_s) or _scaled(found.fit, flight)
     if said is None:
         return None
     value, meaning, action = said
@@ -88,16 +91,17 @@ def _opposite(flight: Flight) -> tuple[str, str, str]:
     return "turns are opposite", f"Vision and the {source} turn opposite ways.", opposite_remedy(flight)
 
 
-def _skewed(clock: SkewedClock) -> tuple[str, str, str] | None:
+def _skewed(clock: SkewedClock, flight: Flight) -> tuple[str, str, str] | None:
     if not clock.skew or clock.search.fit is None:
         return None
     way, percent = "slower" if clock.skew > 0.0 else "faster", 100.0 * abs(clock.skew)
     offset_s = clock.search.fit.offset_s
+    before = flight.manifest.camera.clock_rate if isinstance(flight.manifest, Manifest) else 1.0
     return (
         f"frames' clock {percent:.2f} ± {100.0 * clock.skew_std:.2f} % {way}",
         "The clocks of camera and inertial sensors run at different rates: no offset puts them right.",
-        f"Set clock_rate = {1.0 + clock.skew:.5f} for [camera] in flight.toml and add {offset_s:.3f} to its "
-        "clock_offset_s, or run `corridor align --write`.",
+        f"Set clock_rate = {before * (1.0 + clock.skew):.5f} for [camera] in flight.toml and add {offset_s:.3f} to "
+        "its clock_offset_s, or run `corridor align --write`.",
     )
 
 
@@ -122,9 +126,8 @@ def _scaled(fit: ClockFit, flight: Flight) -> tuple[str, str, str] | None:
         return None
     value = f"pictures turn {fit.ratio:.2f} times as far as the gyroscope"
     columns = flight.manifest.imu.columns if isinstance(flight.manifest, Manifest) else None
-    in_counts = isinstance(columns, ColumnMap) and is_counts(
-        columns.gyro_unit
-    )  # whose size was guessed, not the lens
+    # The size of counts was guessed, the lens was calibrated.
+    in_counts = isinstance(columns, ColumnMap) and is_counts(columns.gyro_unit)
     if LENS_SCALES[0] < fit.ratio < LENS_SCALES[1] and not in_counts:
         return (
             value,

@@ -201,6 +201,9 @@ CASES = {
     "depth of 10 bits as PNG": Case(
         bag(pictures=packed(lambda p: encoded(".png", p.astype(np.uint16) << 2), "mono16; png compressed"))
     ),
+    "a colour mosaic of 12 bits": Case(
+        bag(pictures=changed(lambda p, k: mosaic(p).astype("<u2") << 4, "bayer_rggb16"))
+    ),
     "a colour mosaic as JPEG": Case(
         bag(pictures=packed(lambda p: encoded(".jpg", mosaic(p)), "bayer_rggb8; jpeg compressed bayer_rggb8"))
     ),
@@ -233,6 +236,7 @@ CASES = {
             ]
         ),
         gyro=False,
+        dense=True,
     ),
     "degrees per second": Case(
         bag(lambda p, b: imu_rows(p, b, gyro=degrees(1.0))), refused="it is in degrees/s, not rad/s"
@@ -246,11 +250,11 @@ CASES = {
         bag(lambda p, b: imu_rows(p, b, accel=1 / 0.3048)), refused="the accelerometer is in another unit"
     ),
     "axes forward, right, down": Case(
-        bag(lambda p, b: plain(p, p.gyro, p.accel)(p, b)), refused="axes look like FLU"
+        bag(lambda p, b: plain(p, p.gyro, p.accel)(p, b)), refused="y and z of its axes point the other way"
     ),
     "gravity's pull": Case(
         bag(lambda p, b: imu_rows(p, b, accel=-1.0)),
-        refused="axes look like FLU",
+        refused="y and z of its axes point the other way",
         caused="turns are opposite",
         dense=True,
     ),

@@ -153,6 +153,9 @@ TABLES = {
     "axes told wrongly": Case(
         with_pictures(table(axes=FLU), '[imu]\nframe = "frd"\n'), refused="axes look like FLU"
     ),
+    "axes told wrongly the other way": Case(
+        with_pictures(table(), '[imu]\nframe = "flu"\n'), refused="axes look like FRD, not FLU"
+    ),
     "twentieths of degrees": Case(
         with_pictures(table(gyro=degrees(1.0) / 20)), caused="times as far as the gyroscope", dense=True
     ),
@@ -357,7 +360,7 @@ def kitti(part: Part, folder: Path) -> Path:
 
 
 DATASETS = {
-    name: Case(build, refused=refused, gyro=gyro, rmse_deg=rmse_deg)
+    name: Case(build, refused=refused, gyro=gyro, rmse_deg=rmse_deg, dense=not gyro)
     for name, build, refused, gyro, rmse_deg in (
         ("UZH-FPV", uzh_fpv, "holds no calibration of the camera", True, 0.5),
         ("TUM RGB-D", tum_rgbd, "holds no calibration of the camera", False, 0.5),

@@ -11,10 +11,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fusion.flight import Flight, ImuStream
 from fusion.logs import open_log
 from fusion.logs.contents import Kind
+from fusion.logs.csv.column_map import ColumnMap
+from fusion.logs.csv.columns import open_columns
+from fusion.logs.csv.times import read_times
 from tests.files import written
 from tests.fusion.log_cases import FLU, Part
 from tests.fusion.log_cases_files import NAMES, G, rows_of
@@ -145,6 +149,43 @@ def test_an_orientation_of_zeros_is_none(part: Part, tmp_path: Path) -> None:
     log = open_log(written(tmp_path / "imu.csv", text + "\n"))
     assert [topic.kind for topic in log.topics] == [Kind.IMU]
     assert any("quaternions are zero" in problem for problem in log.problems)
+
+
+@pytest.mark.parametrize("names", ["roll,pitch,yaw", "roll,pitch,heading"])
+def test_angles_that_cannot_be_radians_are_degrees(names: str, part: Part, tmp_path: Path) -> None:
+    angles = Rotation.from_quat(part.q, scalar_first=True).as_euler("ZYX", degrees=True)[:, ::-1] % [
+        360,
+        360,
+        360,
+    ]
+    angles[:, :2] = (angles[:, :2] + 180) % 360 - 180
+    rows = (
+        f"{t},{r:.6f},{p:.6f},{y:.6f}\n"
+        for t, (r, p, y) in zip(part.attitude_ns.tolist(), angles, strict=True)
+    )
+    path = written(tmp_path / "attitude.csv", f"timestamp_ns,{names}\n" + "".join(rows))
+    q = open_log(path).attitude("attitude").value.q_world_body
+    np.testing.assert_allclose(np.abs(np.sum(q * part.q, axis=1)), 1.0, atol=1e-6)
+    with pytest.raises(
+        InputError, match=r'degrees, not radians \(set euler_unit = "deg" in \[attitude.columns\]'
+    ):
+        open_columns(path, ColumnMap(euler=tuple(names.split(",")), euler_unit="rad"))  # type: ignore[arg-type]
+
+
+def test_a_quaternion_whose_parts_are_numbered(part: Part, tmp_path: Path) -> None:
+    rows = (
+        f"{t}," + ",".join(f"{v:.8f}" for v in q) + "\n"
+        for t, q in zip(part.attitude_ns.tolist(), part.q, strict=True)
+    )
+    path = written(tmp_path / "attitude.csv", "timestamp_ns,q0,q1,q2,q3\n" + "".join(rows))
+    q = open_columns(path, frame="frd").attitude("attitude").value.q_world_body
+    np.testing.assert_allclose(q, part.q, atol=1e-7)
+
+
+def test_times_behind_the_numbers_of_frames(part: Part, tmp_path: Path) -> None:
+    text = "".join(f"{k} {t / 1e9:.6f}\n" for k, t in enumerate(part.frames_ns.tolist()))
+    listed = read_times(written(tmp_path / "times.txt", text), None).value
+    np.testing.assert_allclose(listed.t_ns, part.frames_ns, atol=1000)
 
 
 @pytest.mark.parametrize(

@@ -360,7 +360,7 @@ def test_a_log_is_described_without_reading_its_pictures() -> None:
         (
             MadeUp(cameras={"cam0": FRAMES}, imus={"imu0": replace(IMU, accel_m_s2=-IMU.accel_m_s2)}),
             Matter.MISSING,
-            r"imu: gravity reads \+9.8 along z instead of -9.8: axes look like FLU, not FRD",
+            r"imu: gravity reads \+9.8 along z instead of -9.8: y and z of its axes point the other way",
         ),
     ],
 )

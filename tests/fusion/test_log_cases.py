@@ -37,7 +37,7 @@ CASES = BAGS | TABLES | AUTOPILOTS | DATASETS | VIDEOS
 @pytest.fixture(scope="module")
 def parts(office: Flight) -> dict[bool, Part]:
     """The part of the flight, with few frames and with all of them."""
-    return {False: Part.of(office, 2), True: Part.of(office, 1)}
+    return {False: Part.of(office, 4), True: Part.of(office, 1)}
 
 
 def fusable(found: Inspection) -> bool:

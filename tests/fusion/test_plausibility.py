@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 
 from fusion.flight import AttitudeStream, Flight, ImuStream, VectorStream
 from fusion.logs import load_flight
-from fusion.logs.contents import Medium
 from fusion.logs.plausibility.clocks import examine_clocks
-from fusion.logs.plausibility.findings import Advice, Severity
+from fusion.logs.plausibility.findings import Advice, Medium, Severity
 from fusion.logs.plausibility.flight import check_flight, examine_attitude, examine_flight
 from fusion.logs.plausibility.imu import examine_imu
 from fusion.logs.plausibility.mounting import rotation
@@ -91,12 +90,14 @@ SINCE_ZERO = T - T[0]
         ),
         (
             imu(gyro_rad_s=GYRO @ FLU, accel_m_s2=ACCEL @ FLU),
-            r"imu: gravity reads \+9\.\d along z and the gyroscope's y and z turn against the attitude: its axes "
-            r"look like FLU, correlation -0\.9\d as taken, \+0\.9\d so \(set mount_rad = \[3.1416, 0, 0\] for ",
+            r"imu: gravity reads \+9\.\d along z and the gyroscope's y and z turn against the attitude: y and z "
+            r"of its axes point the other way than this format has them, "
+            r"correlation -0\.9\d as taken, \+0\.9\d so \(set mount_rad = \[3.1416, 0, 0\] for ",
         ),
         (
             imu(NO_ATTITUDE, gyro_rad_s=GYRO @ FLU, accel_m_s2=ACCEL @ FLU),
-            r"imu: gravity reads \+9\.\d along z instead of -9.8: axes look like FLU, not FRD \(set mount_rad = "
+            r"imu: gravity reads \+9\.\d along z instead of -9.8: y and z of its axes point the other way than "
+            r"this format has them \(set mount_rad = "
             r"\[3.1416, 0, 0\] for \[imu\] in flight.toml; if vision then turns the other way, only the "
             r"accelerometer's sign is reversed: instead set accel_sign = -1 in \[imu.columns\]",
         ),
@@ -115,8 +116,8 @@ SINCE_ZERO = T - T[0]
         ),
         (
             attitude(ENU),
-            r"attitude: its pitch and yaw turn against the gyroscope, whose gravity is right: it looks like FLU to a "
-            r"world with z up, as in ROS.*\(set use = false for \[attitude\] in flight",
+            r"attitude: its pitch and yaw turn against the gyroscope, whose gravity is right: y and z of its "
+            r"axes point the other way.*\(set use = false for \[attitude\] in flight",
         ),
         (
             imu(gyro_rad_s=GYRO * [1.0, 1.0, 0.0]),

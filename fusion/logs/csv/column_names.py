@@ -22,6 +22,7 @@ _VECTORS = {
     "position": "p_rs_r_{} position_{} pos_{} p_{} p{} t{} t_{} pose_position_{} {}",
 }
 _QUATERNIONS = ("q_rs_{}", "q_{}", "q{}", "quat_{}", "quaternion_{}", "orientation_{}", "pose_orientation_{}")
+_NUMBERED_QUATERNION = ["q0", "q1", "q2", "q3"]  # w first; an attitude that then turns otherwise is refused
 _RANGES = ("range", "rangefinder", "tof", "distance_to_floor", "distance_to_ground")
 _UNITS = {
     "gyro": {
@@ -90,9 +91,11 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
         told += ["{}"] if role == sensor else []
         axes = [[pattern.format(axis) for axis in "xyz"] for pattern in told]
         take(role, axes, ColumnMap.model_fields[f"{role}_unit"].default, role)
-    take("quaternion", [[p.format(part) for part in "wxyz"] for p in _QUATERNIONS], "")
+    take(
+        "quaternion", [*([p.format(part) for part in "wxyz"] for p in _QUATERNIONS), _NUMBERED_QUATERNION], ""
+    )
     if "quaternion" not in found:
-        take("euler", [["roll", "pitch", "yaw"]], "rad", "roll, pitch and yaw")
+        take("euler", [["roll", "pitch", "yaw"], ["roll", "pitch", "heading"]], "rad", "roll, pitch and yaw")
     take("range", [[name] for name in _RANGES], "m")
     return WithProblems(ColumnMap(**found) if found else None, problems)
 

@@ -6,7 +6,7 @@ gravity decides between FRD and FLU, and a problem reports the choice.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,8 +22,8 @@ from fusion.flight import (
     TimeArray,
     VectorStream,
 )
-from fusion.logs.contents import Kind, LogContents, Medium, Topic, UndecidedError
-from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame, in_si
+from fusion.logs.contents import Kind, LogContents, Topic, UndecidedError
+from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
 from fusion.logs.csv.column_names import has_asl_names, map_of_names, names_the_world, ready_map_of
 from fusion.logs.csv.table import Layout, read_layout
 from fusion.logs.csv.time_units import is_time_name
@@ -43,6 +43,7 @@ from fusion.logs.series import (
     vector_stream,
     velocity_stream,
 )
+from fusion.logs.units import in_si
 from fusion.logs.velocity_axes import Axes, axes_of_velocity
 from vision import InputError
 
@@ -53,12 +54,15 @@ _FLIP = np.array([1.0, -1.0, -1.0])  # FLU to FRD, and a world with z up to one 
 _Q_FLIP = np.array([1.0, 1.0, -1.0, -1.0])  # the same on both sides of a quaternion
 _Q_NED_ENU = (0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0)
 _Q_FLU_FRD = (0.0, 1.0, 0.0, 0.0)
+_HALF_TURN = 3.3  # rad; in degrees, a tilt that every flight reaches
+_NOT_DAMAGED = 0.01  # share of the rows
 _UPRIGHT_M_S2 = 5.0
 MAX_LISTED = 12  # names of columns
 _NOTHING_TELLS = "nothing tells"
 
 _EXAMPLE = (
-    'name them in flight.toml, as in [imu.columns] time = "t", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s"'
+    'name them in flight.toml, as in [imu.columns] time = "t", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s", or '
+    '[attitude.columns] quaternion = ["w", "x", "y", "z"]'
 )
 
 
@@ -110,20 +114,15 @@ def open_columns(
         if any(role in table.parts for role in roles):
             series.append(Series(Topic(kind.value, kind, table.t_ns, table.note(kind)), partial(read, table)))
     log = CsvLog(path, what, series, assumed + problems + _left_out(layout, found))
-    log.columns = found
+    log.units_taken = found.units_taken
     log.body_frame = "flu" if table.body_frame().value in ("flu", "enu") else "frd"
     return log
 
 
 class CsvLog(SeriesLog):
-    """`LogContents` of a CSV; ``body_frame`` is what its axes are taken for."""
+    """`LogContents` of a CSV; ``body_frame`` is what its axes are taken for, `ColumnMap.units_taken` its units."""
 
-    medium = Medium.TABLE
-    columns = ColumnMap()
-
-    def unit_taken(self, role: str) -> float:
-        """Return what one of the file's unit of ``gyro`` or ``accel`` was taken for in SI."""
-        return in_si(self.columns.unit_of(role) or "m")
+    units_taken: Mapping[str, float]
 
 
 def _left_out(layout: Layout, columns: ColumnMap) -> Problems:
@@ -202,6 +201,15 @@ class _Table:
             start += len(indices)
         if "accel" in parts:
             parts["accel"] = parts["accel"] * columns.accel_sign
+        if "euler" in parts and columns.euler_unit == "rad" and _are_degrees(parts["euler"]):
+            if "euler_unit" in columns.model_fields_set:
+                raise InputError(
+                    "roll and pitch go beyond half a turn: they are in degrees, not radians",
+                    file=layout.path,
+                    remedy='set euler_unit = "deg" in [attitude.columns] of flight.toml',
+                )
+            parts["euler"] = parts["euler"] * in_si("deg")
+            problems += (Remark(f"{layout.path.name}: roll and pitch go beyond half a turn: degrees taken"),)
         if "quaternion" in parts and not parts["quaternion"].any():
             del parts["quaternion"]
             problems += (Remark(f"{layout.path.name}: its quaternions are zero in every row, left out"),)
@@ -361,6 +369,12 @@ _READERS: tuple[tuple[Kind, tuple[str, ...], Callable[[_Table], WithProblems[Str
     (Kind.VELOCITY, ("velocity",), _Table.velocity),
     (Kind.RANGE, ("range",), _Table.range),
 )
+
+
+def _are_degrees(euler: FloatArray) -> bool:
+    """Whether roll, pitch and yaw (n, 3) cannot be radians; a damaged row does not count."""
+    tilt = np.abs(euler[:, :2])
+    return bool(np.mean(np.any(tilt > _HALF_TURN, axis=1)) > _NOT_DAMAGED)
 
 
 def _world(xyz: FloatArray, frame: Frame) -> FloatArray:

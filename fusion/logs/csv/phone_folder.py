@@ -12,13 +12,14 @@ import numpy as np
 
 from fusion.flight import FloatArray, ImuStream, Remark, TimeArray, VectorStream
 from fusion.logs.contents import Kind, LogContents, Topic
-from fusion.logs.csv.column_map import ColumnMap, in_si
+from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.csv.column_names import map_of_names
 from fusion.logs.csv.table import read_layout
 from fusion.logs.csv.times import read_timed
 from fusion.logs.imu_series import joined_imu
 from fusion.logs.samples import WithProblems
 from fusion.logs.series import Series, SeriesLog, Where
+from fusion.logs.units import in_si
 from vision import InputError
 
 GYRO = "gyroscope"

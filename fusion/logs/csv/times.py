@@ -222,9 +222,9 @@ def _time_column(layout: Layout, columns: ColumnMap, avoid: int | None) -> int:
     ranked = [(rank, i) for i, name in enumerate(layout.names) if (rank := is_time_name(name)) is not None]
     if ranked:
         return min(ranked)[1]
-    if not layout.has_names and not any(columns.columns_of(role) for role in ROLES):
-        return next(i for i in range(len(layout.names) + 1) if i != avoid)
     rising = [i for i in range(len(layout.names)) if i != avoid and _is_rising(layout, i)]
+    if not layout.has_names and not any(columns.columns_of(role) for role in ROLES):
+        return (rising or [i for i in range(len(layout.names) + 1) if i != avoid])[0]
     if len(rising) == 1:
         return rising[0]
     listed = ", ".join(layout.names[:20]) if layout.has_names else f"{len(layout.names)} without names"

@@ -21,16 +21,15 @@ from fusion.flight import (
     ImuStream,
     RangeStream,
     Remark,
-    TimeArray,
     VectorStream,
 )
-from fusion.logs import open_log
-from fusion.logs.contents import Kind, LogContents, Medium, Topic
-from fusion.logs.csv.column_map import ColumnMap, in_si
+from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.csv.columns import CsvLog
-from fusion.logs.manifest.manifest import CameraSource, Manifest, StreamSource, corrected_camera
+from fusion.logs.manifest.manifest import Manifest, StreamSource, corrected_camera
+from fusion.logs.manifest.opening import converted, medium_of, on_flights_clock, open_as_told, with_time_shift
 from fusion.logs.pictures.camera_folder import size_of_pictures
-from fusion.logs.plausibility.findings import Advice
+from fusion.logs.plausibility.findings import Advice, Medium
 from fusion.logs.plausibility.imu import Gravity, gravity_of
 from fusion.logs.plausibility.mounting import mounted, mounted_imu
 from fusion.logs.plausibility.rig import (
@@ -42,7 +41,7 @@ from fusion.logs.plausibility.rig import (
     turned_velocity,
 )
 from fusion.logs.plausibility.rig import sentence as rig_sentence
-from fusion.logs.samples import Problems, WithProblems, at_rate, refuse_placeholder
+from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.topic_choice import RANKED_FORMATS, TABLES, choose_topic
 from vision import Camera, InputError
 from vision.cameras.calibration import to_frd
@@ -69,7 +68,7 @@ class ManifestLog(LogContents):
         self.path = path or manifest.log or manifest.camera.file or Path()
         self._shift_error: InputError | None = None
         try:
-            self.manifest = _with_time_shift(manifest)
+            self.manifest = with_time_shift(manifest)
         except InputError as error:  # raised where the calibration is read
             self.manifest, self._shift_error = manifest, error
         self._given_camera = camera
@@ -104,23 +103,27 @@ class ManifestLog(LogContents):
         return opened
 
     def advice(self) -> Advice:
-        """Return how to put streams right, by what each of them is read from."""
+        """Return how to put streams right, by what each of them is read from; opens nothing but an IMU's table."""
         media: dict[str, Medium] = {}
+        frames: dict[str, str] = {}
         for kind in Kind:
+            source = self.source(kind)
+            columns = source.columns
+            frame = source.frame or (columns.frame if isinstance(columns, ColumnMap) else None)
+            if frame is not None:
+                frames[TABLES[kind]] = frame
+            path = source.file or self.manifest.log
+            if path is not None and path.exists():
+                media[TABLES[kind]] = medium_of(path, source)
+        taken: Mapping[str, float] = {}
+        columns = self.manifest.imu.columns
+        if media.get("imu") is Medium.TABLE:
             with suppress(InputError):
-                if (log := self.log(kind)) is not None:
-                    media[TABLES[kind]] = log.medium
-        return Advice(media, {f"{role}_unit": self._unit_taken(role) for role in ("gyro", "accel")})
-
-    def _unit_taken(self, role: str) -> float:
-        """Return what one of the IMU file's unit was taken for in SI."""
-        try:
-            log, told = self.log(Kind.IMU), self.manifest.imu.columns
-        except InputError:
-            return 1.0
-        if isinstance(told, ColumnMap) and not isinstance(log, CsvLog):
-            return in_si(str(told.unit_of(role)))
-        return 1.0 if log is None else log.unit_taken(role)
+                log = self.log(Kind.IMU)
+                taken = log.units_taken if isinstance(log, CsvLog) else {}
+        elif isinstance(columns, ColumnMap):
+            taken = columns.units_taken
+        return Advice(media, taken, frames)
 
     def whole_log(self) -> LogContents | None:
         """Return the log that the manifest names for everything, if it was opened."""
@@ -350,93 +353,3 @@ class ManifestLog(LogContents):
             return read_corridor_truth(self.manifest.truth)
         log = self.whole_log()
         return WithProblems(None) if log is None else log.truth()
-
-
-def _with_time_shift(manifest: Manifest) -> Manifest:
-    """Take the camera's clock offset from a Kalibr chain, where the manifest leaves it open."""
-    from vision.cameras.calibration import read_time_shift_s
-
-    source = manifest.camera
-    if source.calibration is None or "clock_offset_s" in source.model_fields_set:
-        return manifest
-    shift_s = read_time_shift_s(source.calibration)
-    if shift_s is None:
-        return manifest
-    return manifest.model_copy(update={"camera": source.model_copy(update={"clock_offset_s": shift_s})})
-
-
-def open_as_told(path: Path, source: StreamSource) -> LogContents:
-    """Open a file as a manifest's table says: with its column map and axes, its frame times, its start.
-
-    Raises
-    ------
-    InputError
-        Where it does not open, or a key does not go with this kind of file.
-    """
-    from fusion.logs.csv import columns
-    from fusion.logs.pictures import picture_folder as folder
-    from fusion.logs.pictures import video
-
-    told = source.how_to_open()
-    refuse_placeholder(path)
-    if isinstance(source, CameraSource):
-        if video.recognises(path):
-            _refuse(told, ("frame",), path, "a video")
-            return video.open_video(
-                path,
-                start_ns=source.start_ns or 0,
-                times=source.times,
-                columns=source.columns,
-                rate_hz=source.rate_hz,
-            )
-        if folder.recognises(path) and any(told[key] is not None for key in ("times", "columns", "rate_hz")):
-            _refuse(told, ("frame",), path, "a folder of pictures")
-            return folder.open_folder(
-                path,
-                times=source.times,
-                columns=source.columns,
-                rate_hz=source.rate_hz,
-                start_ns=source.start_ns or 0,
-            )
-        own = ("times", "start_ns", "rate_hz", "columns", "frame")
-        _refuse(told, own, path, "a log with pictures of its own")
-        return open_log(path)
-    is_table = columns.recognises(path)
-    if (source.columns is not None and (is_table or source.units() is None)) or source.frame is not None:
-        if not path.is_file() or (source.columns is None and not is_table):
-            _refuse(told, ("columns", "frame"), path, "a log with columns and axes of its own")
-        return columns.open_columns(path, source.columns, source.frame)
-    return open_log(path)
-
-
-def on_flights_clock(t_ns: TimeArray, source: StreamSource) -> TimeArray:
-    """Return times (n,) of a file on the flight's clock; the same array where they are on it already."""
-    shift_ns = round(source.clock_offset_s * 1e9)
-    if source.clock_rate != 1.0:
-        t_ns = at_rate(t_ns, source.clock_rate)
-    return t_ns + shift_ns if shift_ns else t_ns
-
-
-def converted(stream: AnyStream, kind: Kind, columns: ColumnMap) -> AnyStream:
-    """Return a stream of a log whose format has units of its own, where its numbers are in others."""
-    scaled: Any = stream
-    if isinstance(stream, ImuStream):
-        accel_unit = in_si(columns.accel_unit) * columns.accel_sign
-        scaled = replace(
-            stream,
-            gyro_rad_s=stream.gyro_rad_s * in_si(columns.gyro_unit),
-            accel_m_s2=stream.accel_m_s2 * accel_unit,
-        )
-    elif isinstance(stream, VectorStream):
-        unit = columns.velocity_unit if kind is Kind.VELOCITY else columns.position_unit
-        scaled = replace(stream, xyz=stream.xyz * in_si(unit))
-    elif isinstance(stream, RangeStream):
-        scaled = replace(stream, distance_m=stream.distance_m * in_si(columns.range_unit))
-    result: AnyStream = scaled
-    return result
-
-
-def _refuse(told: Mapping[str, object], keys: tuple[str, ...], path: Path, what: str) -> None:
-    for key in keys:
-        if told[key] is not None:
-            raise InputError(f"is {what}: {key} does not go with it", file=path, remedy=f"take {key} away")

@@ -10,8 +10,6 @@ from math import asin, atan2, pi, radians
 import numpy as np
 import numpy.typing as npt
 
-from fusion.logs.contents import Medium
-
 
 class Severity(StrEnum):
     """How sure it is, and what follows."""
@@ -50,6 +48,14 @@ class Finding:
         return f"{self.stream}: {self.text} ({self.remedy})"
 
 
+class Medium(StrEnum):
+    """What a stream is read from, for who has to put its axes or units right."""
+
+    FOLDER = "folder"  # a flight folder in the ASL layout, whose files state their axes; its units are fixed
+    TABLE = "table"  # a CSV, of which the manifest says axes, columns and units
+    LOG = "log"  # any other format: its axes are known, a sensor's mounting or unit may differ from them
+
+
 @dataclass(frozen=True, slots=True)
 class Advice:
     """What to change, worded for what each stream is read from.
@@ -60,10 +66,13 @@ class Advice:
         Of streams by their names in a manifest; those that it lacks are of a log.
     taken
         What one of a unit is in SI, ``gyro_unit`` or ``accel_unit``, as the file was read; 1 where it lacks one.
+    frames
+        Axes that the manifest says of streams.
     """
 
     media: Mapping[str, Medium] = field(default_factory=dict)
     taken: Mapping[str, float] = field(default_factory=dict)
+    frames: Mapping[str, str] = field(default_factory=dict)
 
     def medium(self, stream: str) -> Medium:
         """Return what a stream is read from."""
@@ -75,10 +84,20 @@ class Advice:
             case Medium.FOLDER:
                 return f"correct body_frame in mav0/body.yaml, or T_BS in mav0/{stream}0/sensor.yaml"
             case Medium.TABLE:
-                return f'set frame = "{frame}" for [{stream}] in flight.toml'
+                other = "frd" if self._is_told_up(stream) else frame
+                return f'set frame = "{other}" for [{stream}] in flight.toml'
             case Medium.LOG if stream == "imu":
                 return "set mount_rad = [3.1416, 0, 0] for [imu] in flight.toml"
         return self.leave_out(stream)
+
+    def reversed_axes(self, stream: str) -> str:
+        """Say that a stream's y and z point the other way than taken."""
+        if self.medium(stream) is Medium.LOG:
+            return "y and z of its axes point the other way than this format has them"
+        return "axes look like FRD, not FLU" if self._is_told_up(stream) else "axes look like FLU, not FRD"
+
+    def _is_told_up(self, stream: str) -> bool:
+        return self.frames.get(stream) in ("flu", "enu")
 
     def mounting(self, stream: str, up: npt.NDArray[np.float64]) -> str:
         """Return how to say that a sensor's axes are not the body's, of which it sees this direction (3,) as up."""

@@ -13,10 +13,9 @@ from math import degrees, radians
 import numpy as np
 
 from fusion.flight import AttitudeStream, FloatArray, ImuStream
-from fusion.logs.contents import Medium
-from fusion.logs.csv.column_map import in_si, unit_in_words, unit_of_size
-from fusion.logs.plausibility.findings import Advice, Finding, Severity
+from fusion.logs.plausibility.findings import Advice, Finding, Medium, Severity
 from fusion.logs.plausibility.turn_rates import FLU, Reading, compare_turns
+from fusion.logs.units import in_si, unit_in_words, unit_of_size
 
 GRAVITY_M_S2 = 9.80665
 MIN_SAMPLES = 20
@@ -218,8 +217,8 @@ def _axes_by_attitude(
             severity,
             "imu",
             "imu_axes",
-            f"gravity reads {_signed(gravity)} along z and the gyroscope's y and z turn against the attitude: its "
-            f"axes look like FLU, {evidence}",
+            f"gravity reads {_signed(gravity)} along z and the gyroscope's y and z turn against the attitude: "
+            f"{advice.reversed_axes('imu')}, {evidence}",
             advice.frame("imu", "flu"),
         )
     elif np.array_equal(likeliest.axes, FLU) and down:
@@ -227,8 +226,8 @@ def _axes_by_attitude(
             severity,
             "attitude",
             "attitude_axes",
-            f"its pitch and yaw turn against the gyroscope, whose gravity is right: it looks like FLU to a world "
-            f"with z up, as in ROS, {evidence}",
+            "its pitch and yaw turn against the gyroscope, whose gravity is right: "
+            f"{advice.reversed_axes('attitude')}, {evidence}",
             advice.frame("attitude", "enu"),
         )
     else:
@@ -259,7 +258,7 @@ def _gravity_sign(gravity: Gravity | None, advice: Advice, *, gyro_confirmed: bo
                 "set accel_sign = -1 in [imu.columns] of flight.toml, or negate the accelerometer",
             )
             return
-        text = f"gravity reads {_signed(gravity)} along z instead of -9.8: axes look like FLU, not FRD"
+        text = f"gravity reads {_signed(gravity)} along z instead of -9.8: {advice.reversed_axes('imu')}"
         remedy = advice.frame("imu", "flu")
         if advice.medium("imu") is not Medium.FOLDER:
             remedy += (

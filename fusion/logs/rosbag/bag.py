@@ -88,6 +88,7 @@ class RosLog(SeriesLog):
         infos: dict[str, bytes],
         mounts: StaticFrames,
         problems: Problems,
+        refused: Problems,
     ) -> None:
         super().__init__(bag.path, bag.format, series, problems)
         self._bag = bag
@@ -97,6 +98,10 @@ class RosLog(SeriesLog):
         self._mounts = mounts
         topics = [Topic(p.name, Kind.FRAMES, p.t_ns, notes[p.name]) for p in pictures.values()]
         self.topics = (*topics, *self.topics)
+        if refused and not topics:
+            self.pictures_remedy = (
+                f"{refused[0]}: republish them as mono8, bgr8 or JPEG, or give the video with --video"
+            )
 
     def frames(self, topic: str) -> WithProblems[FrameStream]:
         """Pictures, decoded one at a time when asked for."""
@@ -177,7 +182,7 @@ def _opened(bag: Bag) -> RosLog:
             file=bag.path,
             remedy="record sensor_msgs/Imu, and Image or CompressedImage with CameraInfo",
         )
-    return RosLog(bag, series, pictures, notes, formats, gathered.infos, gathered.frames, problems)
+    return RosLog(bag, series, pictures, notes, formats, gathered.infos, gathered.frames, problems, refused)
 
 
 def _pictures(

@@ -42,9 +42,10 @@ _YUV422 = {
     "yuyv": 0,
     "YUYV": 0,
 }  # where brightness stands
-GREY_16 = ("mono16", "16UC1")
+_BAYER_16 = {name.replace("8", "16"): code for name, code in _BAYER.items()}
+GREY_16 = ("mono16", "16UC1", *_BAYER_16)
 _PLANAR = ("nv12", "nv21", "nv24")  # brightness first
-ENCODINGS = (*_PLAIN, *_BAYER, *_YUV422, *_PLANAR)
+ENCODINGS = (*_PLAIN, *_BAYER, *_BAYER_16, *_YUV422, *_PLANAR)
 
 
 class BagPictures:
@@ -179,7 +180,8 @@ def grey(message: Any, depth_bits: int = 16) -> GreyImage:
     """
     words = _words(message)
     if words is not None:
-        return np.asarray(np.minimum(words >> (depth_bits - 8), 255), dtype=np.uint8)
+        pixels = np.asarray(np.minimum(words >> (depth_bits - 8), 255), dtype=np.uint8)
+        return _without_colours(pixels, str(getattr(message, "encoding", "")).replace("16", "8"))
     if hasattr(message, "format"):
         return decode_image(np.asarray(message.data, dtype=np.uint8))
     width, height, encoding = int(message.width), int(message.height), str(message.encoding)
@@ -194,9 +196,7 @@ def grey(message: Any, depth_bits: int = 16) -> GreyImage:
     if encoding in _YUV422:
         return to_grey(pixels[:, _YUV422[encoding] :: 2])
     if encoding in _BAYER:
-        import cv2
-
-        return to_grey(cv2.cvtColor(pixels, getattr(cv2, f"COLOR_Bayer{_BAYER[encoding]}2GRAY")))
+        return _without_colours(pixels, encoding)
     if depth == 2:  # in colours
         words = np.ascontiguousarray(pixels).view(">u2" if message.is_bigendian else "<u2")
         pixels = (words >> 8).astype(np.uint8)
@@ -204,6 +204,15 @@ def grey(message: Any, depth_bits: int = 16) -> GreyImage:
     if encoding.startswith("rgb"):
         shaped = shaped[:, :, [2, 1, 0, 3][:channels]]
     return to_grey(shaped)
+
+
+def _without_colours(pixels: GreyImage, encoding: str) -> GreyImage:
+    """Brightness (h, w) behind a mosaic of colour filters; other pictures as they are."""
+    if encoding not in _BAYER:
+        return pixels
+    import cv2
+
+    return to_grey(cv2.cvtColor(pixels, getattr(cv2, f"COLOR_Bayer{_BAYER[encoding]}2GRAY")))
 
 
 def _words(message: Any) -> npt.NDArray[np.uint16] | None:
