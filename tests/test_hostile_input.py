@@ -64,6 +64,28 @@ def refused(corridor: Corridor) -> Iterator[Callable[..., str]]:
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak_kib < MAX_KIB
 
 
+def sixteen_bits(side_px: int) -> bytes:
+    """A grey PNG of 16 bits, all black: packed a thousandfold."""
+    header = struct.pack(">IIBBBBB", side_px, side_px, 16, 0, 0, 0, 0)
+    packer, row = zlib.compressobj(9), bytes(1 + 2 * side_px)
+    packed = b"".join(packer.compress(row) for _ in range(min(side_px, 6_000))) + packer.flush()
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in ((b"IHDR", header), (b"IDAT", packed), (b"IEND", b""))
+    )
+
+
+def bag_of_pictures(path: Path, files: list[bytes]) -> Path:
+    """A bag of pictures as files, ten a second."""
+    from tests.fusion.test_log_rosbag import Bag
+
+    with Bag(path, "mcap") as bag:
+        for k, data in enumerate(files):
+            t_ns = 1_600_000_000_000_000_000 + k * 100_000_000
+            bag.write("/cam/compressed", bag.compressed(t_ns, data, "mono16; png compressed"), t_ns)
+    return path
+
+
 def calibration(folder: Path, **changes: str) -> Path:
     """Write the sample's calibration with fields changed."""
     text = (OFFICE / "mav0" / "cam0" / "sensor.yaml").read_text()
@@ -121,6 +143,19 @@ class TestBombs:
         assert "9000x9000 pixels" in refused(
             "measure", tmp_path / "bomb.jpg", "--camera", calibration(tmp_path)
         )
+
+    @pytest.mark.parametrize("side_px", [6_000, 30_000])
+    def test_pictures_in_a_bag(self, side_px: int, tmp_path: Path, corridor: Corridor) -> None:
+        """Tiny files of 16 bits whose headers claim a thousand times the camera's pixels: counted, never unpacked."""
+        bomb = sixteen_bits(side_px)
+        assert len(bomb) < MIB
+        bag = bag_of_pictures(tmp_path / "bag", [PICTURE.read_bytes(), bomb, bomb, PICTURE.read_bytes()])
+        peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        run = corridor("fuse", bag, "--camera", calibration(tmp_path), "-o", tmp_path / "out")
+        assert run.code == 0, run.err
+        assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak_kib < MAX_KIB // 4
+        rows = (tmp_path / "out" / "frames.csv").read_text().splitlines()[1:]
+        assert [row.split(",")[2] == "unreadable" for row in rows] == [False, True, True, False]
 
     def test_a_text_of_two_gigabytes(self, tmp_path: Path, refused: Callable[..., str]) -> None:
         line = f"has {2 << 30} bytes, too many"

@@ -7,16 +7,23 @@ from math import inf, nan, radians
 
 import numpy as np
 
-from fusion.alignment.clock import ClockSearch, find_clock
 from fusion.alignment.mount import mount_rotation
 from fusion.alignment.result import Alignment, Quantity
 from fusion.alignment.search import Found, search
-from fusion.alignment.sentences import Known, clock_quantity, focal_quantity, mount_quantities
+from fusion.alignment.sentences import (
+    Known,
+    clock_quantity,
+    focal_quantity,
+    mount_quantities,
+    rate_quantity,
+)
+from fusion.alignment.skew import SkewedClock, find_skewed_clock
 from fusion.alignment.track import fit_track
 from fusion.alignment.turning import Turning, seconds, turning_of
 from fusion.alignment.views import MAX_FRAMES, Sightings, Views, choose_frames, collect, scaled_focal
 from fusion.estimator.tilt import LEVEL_STD_RAD
 from fusion.flight import Flight, FloatArray, TimeArray
+from fusion.logs.samples import at_rate
 from fusion.progress import Progress
 from vision.cameras.camera import Camera
 from vision.errors import InputError
@@ -86,6 +93,7 @@ def align_flight(
     yaw, pitch, roll = mount_quantities(found.mount, track, tilt_known, Known.of(flight, camera_known))
     return Alignment(
         clock_offset=clock_quantity(found, turning, max_offset_s),
+        clock_rate=rate_quantity(found, turning),
         focal_scale=focal,
         mount_yaw=yaw,
         mount_pitch=pitch,
@@ -95,6 +103,7 @@ def align_flight(
         n_frames=len(views.lines),
         n_used=found.search.fit.n_frames if found.search.fit is not None else 0,
         notes=tuple(notes),
+        turns_opposite=found.search.reversed,
     )
 
 
@@ -121,7 +130,7 @@ def clock_of_frames(
         Where the flight has nothing inertial, or there are no frames.
     """
     turning, found = turns_of_frames(flight, t_ns, heading_rad, heading_std_rad, max_offset_s)
-    return clock_quantity(Found(found, 1.0), turning, max_offset_s)
+    return clock_quantity(Found(found.search, 1.0), turning, max_offset_s)
 
 
 def turns_of_frames(
@@ -130,7 +139,7 @@ def turns_of_frames(
     heading_rad: FloatArray,
     heading_std_rad: FloatArray,
     max_offset_s: float = MAX_OFFSET_S,
-) -> tuple[Turning, ClockSearch]:
+) -> tuple[Turning, SkewedClock]:
     """Compare the turns of headings that were measured already with those of the inertial sensors.
 
     Parameters
@@ -154,12 +163,14 @@ def turns_of_frames(
     t_s = seconds(t_ns, origin_ns)
     chosen = choose_frames(t_s, turning)
     sightings = Sightings.of_headings(t_s[chosen], heading_rad[chosen], heading_std_rad[chosen])
-    return turning, find_clock(sightings, turning, max_offset_s)
+    return turning, find_skewed_clock(sightings, turning, max_offset_s, thorough=False)
 
 
 def apply_alignment(flight: Flight, alignment: Alignment) -> Flight:
     """Return the flight with the corrections of its alignment: what reading it with the manifest would give."""
     frames = flight.frames
+    if alignment.clock_rate.changes:
+        frames = replace(frames, t_ns=at_rate(frames.t_ns, alignment.clock_rate.value))
     if alignment.clock_offset.changes:
         frames = replace(frames, t_ns=frames.t_ns + round(alignment.clock_offset.value * 1e9))
     return replace(flight, frames=frames, camera=alignment.camera)

@@ -37,7 +37,8 @@ RIVAL_APART_S = 0.3
 N_RIVALS = 4
 MIN_LEAD = 8.0  # in log-likelihood, of the best offset over its rivals
 MIN_OVERLAP = 0.5  # share of the pairs that the inertial stream must cover at an offset
-RATIO_RANGE = (0.3, 3.0)
+RATIO_RANGE = (0.3, 3.0)  # of lenses and gyroscopes whose offset is believed
+FIT_RATIO_RANGE = (0.001, 1000.0)  # of gyroscopes in any unit
 MIN_RATIO_SIGMA = 8.0  # else what was seen is no turning
 USABLE_STD_S = 0.02
 EDGE_S = 0.05
@@ -338,7 +339,7 @@ def _gauss_newton(samples: _Samples, turning: Turning, start: Coarse) -> ClockFi
         values, covariance = solve(design, target, noise, instrument)
         residual = target - design @ values
         offset += float(np.clip(values[OFFSET], -MAX_STEP_S, MAX_STEP_S))
-        ratio = float(np.clip(values[RATIO], *RATIO_RANGE))
+        ratio = float(np.clip(values[RATIO], *FIT_RATIO_RANGE))
         if abs(offset - start.offset_s) > REACH_S - HALF_SLOPE_S:
             return None
         if step < ROUNDS - 1 and step % NOISE_EVERY == NOISE_EVERY - 1:

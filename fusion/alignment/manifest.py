@@ -62,6 +62,7 @@ def _size_of_uncalibrated(manifest: Manifest) -> tuple[int, int] | None:
     """Width and height of the pictures where neither manifest nor log has a calibration; None: there is one."""
     from fusion.logs.contents import Kind
     from fusion.logs.manifest.sources import ManifestLog
+    from fusion.logs.pictures.camera_folder import size_of_pictures
 
     path = manifest.camera.file or manifest.log
     if manifest.camera.calibration is not None or path is None or not path.exists():
@@ -70,14 +71,7 @@ def _size_of_uncalibrated(manifest: Manifest) -> tuple[int, int] | None:
     topic = log.choose(Kind.FRAMES).value
     if topic is None or log.camera(topic) is not None:
         return None
-    frames = log.frames(topic).value
-    for index in range(len(frames.t_ns)):
-        try:
-            height_px, width_px = frames.read(index).shape
-        except InputError:
-            continue
-        return width_px, height_px
-    return None
+    return size_of_pictures(log.frames(topic).value)
 
 
 def place_of(flight: Path) -> Path:
@@ -158,11 +152,13 @@ def corrected(manifest: Manifest, alignment: Alignment) -> tuple[Manifest, dict[
         if quantity.usable:
             notes[f"camera.{quantity.name}"] = note_of(quantity)
 
+    put(alignment.clock_rate, source.clock_rate * alignment.clock_rate.value, 6)
     put(alignment.clock_offset, source.clock_offset_s + alignment.clock_offset.value, 6)
     if alignment.camera_known:
         put(alignment.focal_scale, source.focal_scale * alignment.focal_scale.value, 5)
         put(alignment.mount_yaw, source.mount_yaw_rad + alignment.mount_yaw.value, 5)
         put(alignment.mount_pitch, source.mount_pitch_rad + alignment.mount_pitch.value, 5)
+        put(alignment.mount_roll, source.mount_roll_rad + alignment.mount_roll.value, 5)
     return manifest.model_copy(update={"camera": source.model_copy(update=changes)}), notes
 
 

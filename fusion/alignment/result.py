@@ -51,6 +51,8 @@ class Alignment:
     ----------
     clock_offset
         To be added to the frames' times.
+    clock_rate
+        Factor on the frames' times counted from the first, before the offset is added.
     focal_scale
         Factor on the camera's focal lengths; on an ordinary camera's, where nothing was known of the camera.
     mount_yaw, mount_pitch, mount_roll
@@ -65,6 +67,8 @@ class Alignment:
         Frames looked at, and those that told the time offset.
     notes
         What else should be known, a sentence each.
+    turns_opposite
+        Whether vision and the inertial sensors turn opposite ways.
     """
 
     clock_offset: Quantity
@@ -72,13 +76,16 @@ class Alignment:
     mount_yaw: Quantity
     mount_pitch: Quantity
     mount_roll: Quantity
+    clock_rate: Quantity
     camera: Camera
     camera_known: bool
     n_frames: int
     n_used: int
     notes: tuple[str, ...] = ()
+    turns_opposite: bool = False
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """All of them, in the order to be shown."""
-        return (self.clock_offset, self.focal_scale, self.mount_yaw, self.mount_pitch, self.mount_roll)
+        clock = (self.clock_offset, self.clock_rate)
+        return (*clock, self.focal_scale, self.mount_yaw, self.mount_pitch, self.mount_roll)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import radians
+from math import inf, radians
 
 import numpy as np
 import numpy.typing as npt
 
 from fusion.alignment.clock import ClockFit, ClockSearch, find_clock
 from fusion.alignment.mount import YAW, MountFit, fit_mount, mount_angles, mount_rotation
+from fusion.alignment.skew import at_skew, find_skewed_clock
 from fusion.alignment.turning import Turning
 from fusion.alignment.views import Sightings, Views
 
@@ -40,6 +41,8 @@ class Found:
         None where no frame has an attitude.
     sightings
         The last measurements, by a camera that was turned right on the body by ``turned_yaw_rad`` already.
+    skew, skew_std
+        Of the clocks, see `fusion.alignment.skew`: the times of search and sightings are corrected by it.
     """
 
     search: ClockSearch
@@ -49,6 +52,8 @@ class Found:
     unrest: float = 0.0
     sightings: Sightings | None = None
     turned_yaw_rad: float = 0.0
+    skew: float = 0.0
+    skew_std: float = inf
 
     @property
     def clock(self) -> ClockFit | None:
@@ -76,13 +81,20 @@ def search(views: Views, turning: Turning, reach_s: float, start_scales: tuple[f
     """
     for scale in start_scales:
         sightings = views.with_focal_scale(scale).measure()
-        first = find_clock(sightings, turning, reach_s)
+        clock = find_skewed_clock(sightings, turning, reach_s)
+        first = clock.search
         if first.told:
             break
     if not first.told or first.fit is None:
         return Found(first, 1.0, fit_mount(views.measure(turning, 0.0, 0.0, FAR_STD_RAD)))
-    elevation_rad = _elevation(sightings, turning, first.fit.offset_s)
     start = Found(first, float(np.clip(scale * first.fit.ratio, *SCALE_RANGE)))
+    elevation_rad = _elevation(at_skew(sightings, clock.skew), turning, first.fit.offset_s)
+    found = _improved(views.at_skew(clock.skew), turning, reach_s, start, elevation_rad)
+    return replace(found, skew=clock.skew, skew_std=clock.skew_std)
+
+
+def _improved(views: Views, turning: Turning, reach_s: float, start: Found, elevation_rad: float) -> Found:
+    """Improve first estimates of offset, focal length and the axis's elevation."""
     found, sightings = _settle(views, turning, reach_s, start, elevation_rad)
     mount = fit_mount(sightings)
     if found.clock is None or mount is None or np.abs(mount.angle_rad).max() < LARGE_MOUNT_RAD:

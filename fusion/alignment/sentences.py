@@ -17,6 +17,7 @@ from fusion.flight import Flight
 from vision.cameras.camera import Camera
 
 USABLE_FOCAL = 0.03
+USABLE_SKEW = 0.005
 USABLE_YAW_RAD = radians(1.5)
 CONTRADICTION_SIGMA = 4.0
 USABLE_TILT_RAD = radians(2.0)
@@ -28,7 +29,9 @@ def clock_quantity(found: Found, turning: Turning, reach_s: float) -> Quantity:
     name = "clock_offset_s"
     if found.clock is None or fit is None:
         return Quantity(name, nan, inf, False, _why_not(search, turning, reach_s))
-    sigma = hypot(fit.offset_std_s, found.unrest_s)
+    # The offset is that of the first frame: a skew turns about the middle.
+    by_skew_s = found.skew_std * float(np.mean(fit.samples.t_s)) if found.skew else 0.0
+    sigma = hypot(fit.offset_std_s, found.unrest_s, by_skew_s)
     value, source = fit.offset_s, _source(turning)
     seen = f"{fit.n_frames} frames, turned by {degrees(fit.turned_rad):.0f} degrees rms"
     if abs(value) <= SIGNIFICANT_SIGMA * sigma:
@@ -37,6 +40,29 @@ def clock_quantity(found: Found, turning: Turning, reach_s: float) -> Quantity:
         way = "early" if value > 0 else "late"
         said = f"The frames are stamped {1e3 * abs(value):.1f} ms too {way} for the {source} ({seen})."
     return Quantity(name, value, sigma, True, said)
+
+
+def rate_quantity(found: Found, turning: Turning) -> Quantity:
+    """Rate of the frames' clock against that of the inertial sensors."""
+    name, source = "clock_rate", _source(turning)
+    if found.clock is None:
+        return Quantity(
+            name, nan, inf, False, "Without turns to compare the clocks are taken to run alike.", 1.0
+        )
+    if not found.skew:
+        is_told = found.skew_std < USABLE_SKEW
+        said = (
+            f"Camera and {source} run alike."
+            if is_told
+            else "Too short a flight to tell; taken to run alike."
+        )
+        return Quantity(name, 1.0, found.skew_std, is_told, said, 1.0)
+    way = "slower" if found.skew > 0.0 else "faster"
+    said = (
+        f"The frames' clock runs {100.0 * abs(found.skew):.2f} % {way} than the {source}'s: no offset alone puts it "
+        "right."
+    )
+    return Quantity(name, 1.0 + found.skew, found.skew_std, True, said, 1.0)
 
 
 def _source(turning: Turning) -> str:
@@ -48,7 +74,7 @@ def _why_not(search: ClockSearch, turning: Turning, reach_s: float) -> str:
     if search.reversed:
         return (
             f"Vision and the {source} turn opposite ways: the axes of the IMU or of the camera's mounting are not "
-            "those that were taken, often forward-left-up for forward-right-down."
+            "those that were taken."
         )
     if fit is None and search.compared:
         return (

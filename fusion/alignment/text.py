@@ -11,6 +11,7 @@ from fusion.printable import printable
 WIDTH = 110
 _LABELS = {
     "clock_offset_s": "time offset",
+    "clock_rate": "clock rate",
     "focal_scale": "focal length",
     "mount_yaw_rad": "mounting yaw",
     "mount_pitch_rad": "mounting pitch",
@@ -48,6 +49,8 @@ def _numbers(quantity: Quantity) -> tuple[str, str]:
     value, sigma = quantity.value, quantity.sigma
     if quantity.name == "clock_offset_s":
         texts = f"{1e3 * value:.1f} ms", f"{1e3 * sigma:.1f} ms"
+    elif quantity.name == "clock_rate":
+        texts = f"x {value:.5f}", f"{sigma:.5f}"
     elif quantity.name == "focal_scale":
         texts = f"x {value:.4f}", f"{sigma:.4f}"
     else:

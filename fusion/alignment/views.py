@@ -94,6 +94,10 @@ class Views:
         move = _undistorted_anew if is_distorted(self.camera) else lines_of
         return replace(self, lines=tuple(move(one, self.camera, camera) for one in self.lines), camera=camera)
 
+    def at_skew(self, skew: float) -> Views:
+        """Return the same views with stamps that are corrected by a skew of the clocks."""
+        return replace(self, t_s=self.t_s * (1.0 + skew)) if skew else self
+
     def turned(self, R: FloatArray) -> Views:
         """Return the same views of a camera turned on the body by a rotation (3, 3)."""
         return replace(self, camera=replace(self.camera, R_body_camera=R @ self.camera.R_body_camera))

@@ -43,6 +43,7 @@ def align(
     """Align a flight, and write its manifest where asked to."""
     from fusion.alignment import align_flight
     from fusion.alignment.manifest import check_place, load_to_align, place_of, write_alignment
+    from fusion.alignment.opposite import opposite_remedy
     from fusion.alignment.text import alignment_text
 
     if write and out is not None:
@@ -60,7 +61,8 @@ def align(
             loaded.flight, camera_known=loaded.camera_known, max_offset_s=max_offset_s, progress=progress
         )
     if not alignment.clock_offset.usable:
-        raise InputError(alignment.clock_offset.sentence, file=flight)
+        remedy = opposite_remedy(loaded.flight).rstrip(".") if alignment.turns_opposite else None
+        raise InputError(alignment.clock_offset.sentence.rstrip("."), file=flight, remedy=remedy)
     echo(alignment_text(alignment))
     if place is None:
         say("nothing written: add --write, or -o FILE.toml")

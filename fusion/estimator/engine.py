@@ -199,7 +199,7 @@ class Engine:
     def _imu(self, s: State, sample: ImuSample) -> State:
         t_ns = sample.t_ns
         before, repeats, installed = s.checks
-        installed = installed.with_imu(t_ns, sample.gyro_rad_s, sample.accel_m_s2)
+        installed = installed.with_imu(t_ns, sample.gyro_rad_s, sample.accel_m_s2, s.tilt.down)
         checks = Checks(with_sample(before, sample, self.config), repeats, installed)
         if not checks.gyro.is_used:
             return self._held(s, t_ns, s.frames)._replace(checks=checks)

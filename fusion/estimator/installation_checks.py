@@ -19,13 +19,15 @@ from vision.rotations import wrap_axis
 SPAN_NS = 250_000_000  # over which frames are averaged; turns are from one span to the next
 MAX_TURN_RAD = 0.35  # in that time; more is another axis
 MEMORY = 1.0 - 1 / 40  # of each turn, when the next comes
-MIN_TURNS, SURE_SIGMA = 3.0, 6.0
+MIN_TURNS, SURE_SIGMA = 3.0, 5.0
 PRIOR_TURNS = 4.0  # that the stated noise counts as, beside the scatter that is found
 FOCAL_SLOPES = (0.85, 1.18)
 FAST_RAD_S = 3.0  # rms that no flight along a corridor has
 MAX_BIAS_RAD_S = 0.1
 IMU_STEP_NS, IMU_MEMORY_S, ACCEL_MIN_S, FAST_MIN_S = 50_000_000, 3.0, 0.5, 2.0
 MAX_TILT_ERROR_RAD = radians(20)
+LEAN_MEMORY_S, LEAN_MIN_S = 10.0, 4.0  # no vehicle speeds up one way for so long
+MAX_LEAN_RAD = radians(7)
 
 
 class Span(NamedTuple):
@@ -72,14 +74,16 @@ class Installation(NamedTuple):
         The frames of the present span, and of the one before.
     sums
         Weight, x, y, xx, xy, yy, stated variance of the turns; x is the gyroscope's, y the frames', rad/s.
-    accel_m_s2, turning_rad2_s2, imu_s, imu_ns
-        Mean specific force and mean square of the gyroscope's rate, over how long, and when they were last taken in.
+    accel_m_s2, lean, turning_rad2_s2, imu_s, imu_ns
+        Mean specific force, mean angle (3,) between it and the attitude's up about each axis, and mean square of the
+        gyroscope's rate, over how long, and when they were last taken in.
     """
 
     span: Span | None = None
     last_span: Span | None = None
     sums: tuple[float, float, float, float, float, float, float] = (0.0,) * 7
     accel_m_s2: Vector = (0.0, 0.0, 0.0)
+    lean: Vector = (0.0, 0.0, 0.0)
     turning_rad2_s2: float = 0.0
     imu_s: float = 0.0
     imu_ns: int | None = None
@@ -109,8 +113,13 @@ class Installation(NamedTuple):
         sums = (n + 1.0, sx + x, sy + y, sxx + x * x, sxy + x * y, syy + y * y, noise + stated)
         return done._replace(sums=sums)
 
-    def with_imu(self, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | None) -> Installation:
-        """Take an IMU sample, where it is time for one; the specific force stays zero where there is none."""
+    def with_imu(
+        self, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | None, down: Vector
+    ) -> Installation:
+        """Take an IMU sample, where it is time for one; the specific force stays zero where there is none.
+
+        ``down`` is that of the attitude in use, body FRD.
+        """
         if self.imu_ns is not None and t_ns - self.imu_ns < IMU_STEP_NS:
             return self
         p, q, r = gyro_rad_s
@@ -122,9 +131,14 @@ class Installation(NamedTuple):
         gain = step_s / (min(self.imu_s, IMU_MEMORY_S) + step_s)
         mean, mx, my, mz = self.turning_rad2_s2, *self.accel_m_s2
         ax, ay, az = self.accel_m_s2 if accel_m_s2 is None else accel_m_s2
+        slow, lean = step_s / (min(self.imu_s, LEAN_MEMORY_S) + step_s), self.lean
+        if accel_m_s2 is not None:
+            (lx, ly, lz), (nx, ny, nz) = lean, _lean(accel_m_s2, down)
+            lean = (lx + slow * (nx - lx), ly + slow * (ny - ly), lz + slow * (nz - lz))
         return self._replace(
             imu_ns=t_ns,
             imu_s=self.imu_s + step_s,
+            lean=lean,
             accel_m_s2=(mx + gain * (ax - mx), my + gain * (ay - my), mz + gain * (az - mz)),
             turning_rad2_s2=mean + gain * (turning - mean),
         )
@@ -155,7 +169,8 @@ class Installation(NamedTuple):
         cross = hypot(ay * down[2] - az * down[1], az * down[0] - ax * down[2], ax * down[1] - ay * down[0])
         if dot < 0.0:
             return "attitude is upside down: give it from FRD to a world with z down"
-        if cross > MAX_TILT_ERROR_RAD * dot:
+        leans = self.imu_s > LEAN_MIN_S and hypot(*self.lean) > MAX_LEAN_RAD
+        if leans or cross > MAX_TILT_ERROR_RAD * dot:
             return "attitude and accelerometer disagree: check how each is mounted"
         return None
 
@@ -185,3 +200,10 @@ class Installation(NamedTuple):
         if abs(bias) > MAX_BIAS_RAD_S and abs(bias) > SURE_SIGMA * sqrt(noise / n):
             text = f"gyroscope is off by {degrees(abs(bias)):.0f} deg/s: calibrate it at rest"
             yield Notice(Fault.GYRO_BIAS, text)
+
+
+def _lean(force: Vector, down: Vector) -> Vector:
+    """Angle (3,) from the attitude's up to the specific force, rad about the body's axes; small ones are exact."""
+    (fx, fy, fz), (dx, dy, dz) = force, down
+    norm = max(hypot(fx, fy, fz), 1.0)
+    return (fy * dz - fz * dy) / norm, (fz * dx - fx * dz) / norm, (fx * dy - fy * dx) / norm

@@ -12,12 +12,16 @@ import numpy as np
 
 from fusion.alignment import turns_of_frames
 from fusion.alignment.clock import ClockFit
+from fusion.alignment.opposite import opposite_remedy
+from fusion.alignment.skew import SkewedClock
 from fusion.evaluation.checks_filter import INNOVATIONS_OVER_GATE, INNOVATIONS_OVER_SIGMA
 from fusion.evaluation.checks_frames import CAMERA_TIME, FRAMES_USED, REJECTIONS
 from fusion.evaluation.checks_truth import HEADING_ERROR
 from fusion.evaluation.verdict import worst_of
 from fusion.flight import Flight
-from fusion.logs.plausibility.findings import Advice
+from fusion.logs.csv.column_map import ColumnMap, is_counts, unit_of_size
+from fusion.logs.manifest.manifest import Manifest
+from fusion.logs.manifest.sources import ManifestLog
 from fusion.result.result import FusionResult
 from fusion.result.summary import Check, Level
 from vision import InputError
@@ -59,7 +63,7 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
     frames, delay_s = result.frames, result.config.camera_delay_s
     measured = np.isin(frames["reason"], _MEASURED)
     try:
-        _, found = turns_of_frames(
+        _, clock = turns_of_frames(
             flight,
             frames["timestamp_ns"] - round(delay_s * 1e9),
             np.where(measured, frames["heading_rad"], np.nan),
@@ -68,10 +72,11 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
     except InputError:
         return None
     said: tuple[str, str, str] | None = None
+    found = clock.search
     if found.reversed:
         said = _opposite(flight)
     elif found.fit is not None and found.rival_s is None and not found.at_edge:
-        said = _late(found.fit, delay_s) or _scaled(found.fit)
+        said = _skewed(clock) or _late(found.fit, delay_s) or _scaled(found.fit, flight)
     if said is None:
         return None
     value, meaning, action = said
@@ -79,18 +84,21 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
 
 
 def _opposite(flight: Flight) -> tuple[str, str, str]:
-    value, source = "turns are opposite", "gyroscope" if flight.imu is not None else "attitude"
-    meaning = f"Vision and the {source} turn opposite ways."
-    imu = flight.imu
-    if imu is not None and np.isfinite(imu.accel_m_s2).any():  # whose gravity was found to be right
-        action = (
-            "By gravity the IMU is as told, so the camera is not: if it hangs upside down, say so in its calibration "
-            "(T_BS, or the rotation of the format); if its pictures are mirrored, mirror them back."
-        )
-    else:
-        stream = "imu" if imu is not None else "attitude"
-        action = f"Axes are likely forward, left, up: {Advice().frame(stream, 'flu')}."
-    return value, meaning, action
+    source = "gyroscope" if flight.imu is not None else "attitude"
+    return "turns are opposite", f"Vision and the {source} turn opposite ways.", opposite_remedy(flight)
+
+
+def _skewed(clock: SkewedClock) -> tuple[str, str, str] | None:
+    if not clock.skew or clock.search.fit is None:
+        return None
+    way, percent = "slower" if clock.skew > 0.0 else "faster", 100.0 * abs(clock.skew)
+    offset_s = clock.search.fit.offset_s
+    return (
+        f"frames' clock {percent:.2f} ± {100.0 * clock.skew_std:.2f} % {way}",
+        "The clocks of camera and inertial sensors run at different rates: no offset puts them right.",
+        f"Set clock_rate = {1.0 + clock.skew:.5f} for [camera] in flight.toml and add {offset_s:.3f} to its "
+        "clock_offset_s, or run `corridor align --write`.",
+    )
 
 
 def _late(fit: ClockFit, delay_s: float) -> tuple[str, str, str] | None:
@@ -109,11 +117,15 @@ def _late(fit: ClockFit, delay_s: float) -> tuple[str, str, str] | None:
     return value, meaning, action
 
 
-def _scaled(fit: ClockFit) -> tuple[str, str, str] | None:
+def _scaled(fit: ClockFit, flight: Flight) -> tuple[str, str, str] | None:
     if abs(fit.ratio - 1.0) < max(SCALE_DIFFERS, SURE_SIGMA * fit.ratio_std):
         return None
     value = f"pictures turn {fit.ratio:.2f} times as far as the gyroscope"
-    if LENS_SCALES[0] < fit.ratio < LENS_SCALES[1]:
+    columns = flight.manifest.imu.columns if isinstance(flight.manifest, Manifest) else None
+    in_counts = isinstance(columns, ColumnMap) and is_counts(
+        columns.gyro_unit
+    )  # whose size was guessed, not the lens
+    if LENS_SCALES[0] < fit.ratio < LENS_SCALES[1] and not in_counts:
         return (
             value,
             "The camera's focal length is not that of these pictures.",
@@ -122,5 +134,15 @@ def _scaled(fit: ClockFit) -> tuple[str, str, str] | None:
     return (
         value,
         "The gyroscope is in another unit than was taken, or its axes are others.",
-        "Check the unit that it was logged in: gyro_unit in [imu.columns] of flight.toml.",
+        _unit_remedy(fit.ratio, flight),
     )
+
+
+def _unit_remedy(ratio: float, flight: Flight) -> str:
+    """Name the unit that makes a gyroscope turn as the pictures do."""
+    if not isinstance(flight.manifest, Manifest):
+        return f"Multiply the gyroscope by {ratio:.4g}."
+    advice = ManifestLog(flight.manifest).advice()
+    unit, _ = unit_of_size(ratio * advice.taken.get("gyro_unit", 1.0), "deg/s")
+    remedy = advice.unit("imu", "gyro_unit", unit, f"{ratio:.4g}")
+    return remedy[0].upper() + remedy[1:] + "."

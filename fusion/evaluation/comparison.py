@@ -245,7 +245,8 @@ def _compare_output(output: Output, truth: Truth, align: bool) -> ComparedOutput
         raise InputError(
             f"estimates and truth have no time in common: {spans}",
             file=output.folder,
-            remedy="is it the same flight, and the same clock?",
+            remedy=f"if both began together, add {(int(own[0]) - int(t[0])) / 1e9:.3f} s to the truth's times; 37 s "
+            "lie between TAI and UTC",
         )
     return ComparedOutput(
         name=output.name,

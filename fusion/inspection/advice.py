@@ -9,6 +9,7 @@ from enum import StrEnum
 from fusion.inspection.findings import StreamFindings
 from fusion.logs.contents import Kind
 from fusion.logs.plausibility.findings import Finding, Severity
+from vision import InputError
 
 
 class Matter(StrEnum):
@@ -42,6 +43,7 @@ def advise(
     streams: Sequence[StreamFindings],
     findings: Sequence[Finding],
     unclear: Mapping[Kind, str],
+    refusal: InputError | None = None,
 ) -> Iterator[Sentence]:
     """Yield what can be fused, what has to be supplied first, and what would make it better.
 
@@ -55,9 +57,18 @@ def advise(
         What is implausible about the chosen streams.
     unclear
         Why no topic of a kind was chosen, where there is one.
+    refusal
+        Why the flight would be refused.
     """
     usable = {stream.kind: stream for stream in streams if stream.chosen and _is_usable(stream)}
     missing = list(_missing(name, usable, findings, unclear))
+    camera = usable.get(Kind.FRAMES)
+    is_calibrated = camera is not None and camera.camera is not None
+    is_told = any(refusal is not None and refusal.problem in text for text in missing)
+    if refusal is not None and not is_told and (is_calibrated or not missing):
+        missing.insert(
+            0, refusal.problem if refusal.remedy is None else f"{refusal.problem} ({refusal.remedy})"
+        )
     yield Sentence(Matter.FUSE, _fusable(name, usable, possible=not missing))
     for text in missing:
         yield Sentence(Matter.MISSING, text)
@@ -103,14 +114,6 @@ def _missing(
             "the camera's calibration: --camera CAM.yaml (EuRoC, Kalibr, ROS camera_info or OpenCV), or [camera] "
             "calibration in a flight.toml"
         )
-    elif camera.pictures is not None:
-        size = (camera.camera.width_px, camera.camera.height_px)
-        other = [sides for sides in camera.pictures.sizes if sides != size]
-        if other:
-            yield (
-                f"a calibration of these pictures: they are {other[0][0]}x{other[0][1]}, the calibration is for "
-                f"{size[0]}x{size[1]}"
-            )
     if Kind.IMU not in usable and Kind.IMU in unclear:
         yield unclear[Kind.IMU]
     for finding in findings:
@@ -119,6 +122,12 @@ def _missing(
 
 
 def _better(usable: Mapping[Kind, StreamFindings], unclear: Mapping[Kind, str]) -> Iterator[str]:
+    camera = usable.get(Kind.FRAMES)
+    if camera is not None and camera.camera is not None and camera.pictures is not None:
+        size = (camera.camera.width_px, camera.camera.height_px)
+        for other in camera.pictures.sizes if size in camera.pictures.sizes else ():
+            if other != size:
+                yield f"pictures of {other[0]}x{other[1]} are left out, the calibration is for {size[0]}x{size[1]}"
     imu = usable.get(Kind.IMU)
     if imu is None and Kind.IMU not in unclear:
         carried = (

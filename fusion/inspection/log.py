@@ -63,9 +63,10 @@ class Inspection:
 def inspect_log(
     log: LogContents,
     *,
-    is_folder: bool = False,
     name: str | None = None,
     choose: Callable[[Kind], WithProblems[str | None]] | None = None,
+    advice: Advice = Advice(),  # noqa: B008  # frozen
+    refusal: InputError | None = None,
 ) -> Inspection:
     """Describe an opened log.
 
@@ -73,12 +74,14 @@ def inspect_log(
     ----------
     log
         Any format's, see `fusion.logs.contents`.
-    is_folder
-        Whether it is a flight folder in the ASL layout, for the wording of what to change.
     name
         What to call it; else its path.
     choose
         Names the topic of each kind that would be fused; else `fusion.logs.topic_choice.choose_topic`.
+    advice
+        Words what to change.
+    refusal
+        Why `corridor fuse` would refuse it, if it does.
     """
     name = str(log.path) if name is None else name
     chosen, unclear = _chosen(log, choose or partial(choose_topic, log))
@@ -90,14 +93,14 @@ def inspect_log(
         if pictures and topic.kind is not Kind.FRAMES:
             found = replace(found, frames_covered=share_covered(pictures[0], topic.t_ns))
         streams.append(found)
-    alive, findings = examine_streams(reading.streams, Advice(is_folder=is_folder))
+    alive, findings = examine_streams(reading.streams, advice)
     return Inspection(
         name,
         log.format,
         tuple(streams),
         tuple(log.problems),
         tuple(findings),
-        tuple(advise(name, _as_fused(streams, alive), findings, unclear)),
+        tuple(advise(name, _as_fused(streams, alive), findings, unclear, refusal)),
         reading.first_picture,
     )
 
@@ -131,11 +134,8 @@ def _chosen(
     """Return the topic of each kind that would be fused, and why there is none where it is not clear."""
     chosen: dict[Kind, set[str]] = {}
     unclear: dict[Kind, str] = {}
-    there = {topic.kind for topic in log.topics}
     for kind in Kind:
         chosen[kind] = set()
-        if kind not in there:
-            continue
         try:
             name, problems = choose(kind)
         except InputError as error:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from fusion.inspection.log import Inspection, inspect_log
 from fusion.logs.contents import Kind
+from fusion.logs.manifest.assembly import checked_flight
 from fusion.logs.manifest.manifest import Manifest, find_manifest, read_manifest
 from fusion.logs.manifest.sources import ManifestLog
-from fusion.logs.plausibility.flight import is_asl
 from vision import InputError
 
 
@@ -25,7 +25,12 @@ def inspect_path(path: Path) -> Inspection:
     described = find_manifest(path)
     if described is not None:
         log = ManifestLog(read_manifest(described), described)
-        return inspect_log(log, name=str(path), choose=log.choose)
-    log = ManifestLog(Manifest(log=path.resolve()))
-    log.log(Kind.IMU)  # raises where it does not open: there is nothing else to describe
-    return inspect_log(log, is_folder=is_asl(path), name=str(path), choose=log.choose)
+    else:
+        log = ManifestLog(Manifest(log=path.resolve()))
+        log.log(Kind.IMU)  # raises where it does not open: there is nothing else to describe
+    refusal = None
+    try:
+        checked_flight(log, described or path)
+    except InputError as error:
+        refusal = error
+    return inspect_log(log, name=str(path), choose=log.choose, advice=log.advice(), refusal=refusal)

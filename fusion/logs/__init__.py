@@ -38,6 +38,19 @@ FORMATS = {
 }
 
 
+_PACKED, _WRITTEN = (
+    "unpack it first, and give what is in it",
+    "write its samples as CSV with a column of times",
+)
+#: What to do with files that are no logs of ours, but hold one.
+_OTHER_FILES = dict.fromkeys(
+    (".gz", ".bz2", ".xz", ".zst", ".zip", ".tar", ".7z", ".rar"), _PACKED
+) | dict.fromkeys(
+    (".xlsx", ".xls", ".ods", ".npy", ".npz", ".mat", ".parquet", ".h5", ".hdf5", ".json", ".jsonl", ".pkl"),
+    _WRITTEN,
+)
+
+
 class LogFormat(Protocol):
     """What a module in `FORMATS` provides."""
 
@@ -62,7 +75,7 @@ def open_log(path: str | Path) -> LogContents:
     refuse_placeholder(path)
     module = format_of(path)
     if module is None:
-        remedy = "give a flight.toml, " + ", ".join(FORMATS)
+        remedy = _OTHER_FILES.get(path.suffix.lower()) or "give a flight.toml, " + ", ".join(FORMATS)
         raise InputError("is not a flight of a known format", file=path, remedy=remedy)
     return cast(LogFormat, import_module(module)).open_log(path)
 
@@ -141,9 +154,10 @@ def load_manifest(
     InputError
         As `load_flight`.
     """
-    from fusion.logs.manifest.assembly import assemble_flight
-    from fusion.logs.plausibility.flight import check_flight
+    from fusion.logs.manifest.assembly import checked_flight
+    from fusion.logs.manifest.sources import ManifestLog
 
-    flight = assemble_flight(manifest, camera)
-    files = {name: s.file for name, s in manifest.streams().items() if s.file is not None}
-    return check_flight(flight, path or manifest.log or manifest.camera.file or Path(flight.name), files)
+    if isinstance(camera, Path):
+        manifest, camera = manifest.with_calibration(camera), None
+    sources = ManifestLog(manifest, camera=camera)
+    return checked_flight(sources, path or sources.path)

@@ -34,7 +34,7 @@ from fusion.flight import (
     TimeArray,
     VectorStream,
 )
-from fusion.logs.contents import Kind, Topic
+from fusion.logs.contents import Kind, Medium, Topic
 from fusion.logs.csv.rows import parse_time
 from fusion.logs.csv.stamped_table import CsvTable, read_table
 from fusion.logs.pictures.camera_folder import read_frames
@@ -150,6 +150,7 @@ def open_log(path: Path) -> AslLog:
 class AslLog(SeriesLog):
     """A flight folder as `fusion.logs.contents.LogContents`; topics are the folders of its sensors."""
 
+    medium = Medium.FOLDER
     pictures_remedy = "a flight needs cam0/data.csv and cam0/data/ in its mav0"
 
     def __init__(self, mav0: Path, root: Path) -> None:

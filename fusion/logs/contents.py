@@ -30,6 +30,14 @@ class UndecidedError(InputError):
     """A stream whose meaning the log leaves open: the user is asked where it was named, else it is left out."""
 
 
+class Medium(StrEnum):
+    """What a log is to who has to put its axes or units right."""
+
+    FOLDER = "folder"  # a flight folder in the ASL layout, whose files state their axes; its units are fixed
+    TABLE = "table"  # a CSV, of which the manifest says axes, columns and units
+    LOG = "log"  # any other format: its axes are known, a sensor's mounting or unit may differ from them
+
+
 class Kind(StrEnum):
     """What a topic can be read as."""
 
@@ -76,6 +84,7 @@ class LogContents(Protocol):
     topics: tuple[Topic, ...]
     problems: Problems  # of the file as a whole: torn end, corrupt blocks
     body_frame: BodyFrame | None = None  # axes that extrinsics refer to, where the log states them
+    medium: Medium = Medium.LOG
     pictures_remedy: str | None = None  # how to supply pictures, where the format has a place for them
 
     def frames(self, topic: str) -> WithProblems[FrameStream]:
@@ -98,6 +107,10 @@ class LogContents(Protocol):
 
     def range(self, topic: str) -> WithProblems[RangeStream]:
         """Distance to the floor along the body's z."""
+
+    def unit_taken(self, role: str) -> float:
+        """Return what one of the file's unit of ``gyro`` or ``accel`` was taken for in SI."""
+        return 1.0
 
     def calibration_file(self, topic: str) -> Path | None:
         """Return where the format expects the calibration of a camera; None: nowhere."""

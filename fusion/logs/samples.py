@@ -216,3 +216,11 @@ def report_dropped(
         return ()
     first = int(t_ns[~good][0])
     return (f"{label}: {counted(bad, 'row')} with {what} dropped (first at {first})",)
+
+
+def at_rate(t_ns: TimeArray, rate: float) -> TimeArray:
+    """Return times (n,) of a clock that runs at another rate, counted from the earliest of them."""
+    if not len(t_ns):
+        return t_ns
+    first_ns = int(np.min(t_ns))
+    return np.asarray(first_ns + np.rint((t_ns - first_ns) * rate), dtype=np.int64)

@@ -56,7 +56,7 @@ def rotation(stream: AttitudeStream) -> np.ndarray:
 @pytest.mark.parametrize(("unit", "one"), [("rad/s", 1.0), ("deg/s", radians(1)), ("mrad/s", 1e-3)])
 def test_units_of_the_gyroscope(tmp_path: Path, unit: str, one: float) -> None:
     path = written(tmp_path / "a.csv", "t,x,y,z\n" + rows(lambda i: f"{i * 10},1,2,-3"))
-    columns = ColumnMap(time="t", time_unit="ms", gyro=("x", "y", "z"), gyro_unit=unit)  # type: ignore[arg-type]
+    columns = ColumnMap(time="t", time_unit="ms", gyro=("x", "y", "z"), gyro_unit=unit)
     imu = imu_of(path, columns, "frd")
     np.testing.assert_allclose(imu.gyro_rad_s[0], [one, 2 * one, -3 * one])
     assert imu.t_ns[:2].tolist() == [0, 10_000_000]
@@ -66,7 +66,7 @@ def test_units_of_the_gyroscope(tmp_path: Path, unit: str, one: float) -> None:
 @pytest.mark.parametrize(("unit", "one"), [("m/s2", 1.0), ("g", G), ("mg", G * 1e-3), ("cm/s2", 0.01)])
 def test_units_of_the_accelerometer(tmp_path: Path, unit: str, one: float) -> None:
     path = written(tmp_path / "a.csv", "t,gx,gy,gz,x,y,z\n" + rows(lambda i: f"{i * 10},0,0,0,1,2,-3"))
-    columns = ColumnMap(gyro=("gx", "gy", "gz"), accel=("x", "y", "z"), accel_unit=unit)  # type: ignore[arg-type]
+    columns = ColumnMap(gyro=("gx", "gy", "gz"), accel=("x", "y", "z"), accel_unit=unit)
     np.testing.assert_allclose(imu_of(path, columns, "frd").accel_m_s2[0], [one, 2 * one, -3 * one])
     np.testing.assert_allclose(
         imu_of(path, columns.model_copy(update={"accel_sign": -1}), "frd").accel_m_s2[0],

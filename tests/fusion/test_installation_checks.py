@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from math import radians
+from math import cos, hypot, pi, radians, sin
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from fusion.estimator.faults import Fault
 from fusion.estimator.installation_checks import Installation
@@ -56,10 +58,27 @@ def test_gravity_tells(
 ) -> None:
     installation = Installation()
     for k in range(200):
-        installation = installation.with_imu(k * 5_000_000, (0.0, 0.0, 0.0), accel)
+        installation = installation.with_imu(k * 5_000_000, (0.0, 0.0, 0.0), accel, down)
     text = "; ".join(notice.text for notice in installation.notices(down))
     assert words in text
     assert bool(words) == bool(text)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(0.0, 1.5), st.floats(3.0, 8.0))
+def test_an_attitude_that_leans_is_told_within_five_seconds(
+    roll: float, pitch: float, acceleration: float, period_s: float
+) -> None:
+    """Weaving across the corridor is no lean; 9 degrees are, 3 are not."""
+    leaning = hypot(roll, pitch)
+    assume(leaning > radians(9) or (leaning < radians(3) and acceleration < 0.7))
+    down = (-sin(pitch), sin(roll) * cos(pitch), cos(roll) * cos(pitch))
+    installation = Installation()
+    for t in np.arange(0.0, 5.0, 0.01).tolist():
+        across = acceleration * sin(2.0 * pi * t / period_s) if leaning < radians(3) else 0.0
+        installation = installation.with_imu(round(t * 1e9), (0.0, 0.0, 0.0), (0.0, across, -9.8), down)
+    told = [notice.fault for notice in installation.notices(down)]
+    assert told == ([Fault.TILT_WRONG] if leaning > radians(9) else [])
 
 
 def test_a_wrong_tilt_is_named_and_not_the_gyroscope_whose_turns_it_reverses() -> None:
@@ -68,7 +87,7 @@ def test_a_wrong_tilt_is_named_and_not_the_gyroscope_whose_turns_it_reverses() -
         turned = 0.4 * float(np.sin(1.5 * t))
         heading = -turned + float(rng.normal(0.0, 0.009))
         installation = installation.with_frame(round(t * 1e9), heading, turned, radians(0.5))
-        installation = installation.with_imu(round(t * 1e9), (0.0, 0.0, 0.0), (0.0, 0.0, -9.8))
+        installation = installation.with_imu(round(t * 1e9), (0.0, 0.0, 0.0), (0.0, 0.0, -9.8), DOWN)
     assert [notice.fault for notice in installation.notices(DOWN)] == [Fault.GYRO_SIGN]
     assert [notice.fault for notice in installation.notices((0.0, 0.0, -1.0))] == [Fault.TILT_WRONG]
 
@@ -82,7 +101,7 @@ def test_a_gyroscope_in_degrees_is_named_before_what_it_does_to_the_tilt(
     installation = Installation()
     for t in np.arange(0.0, 4.0, 0.005).tolist():
         turning = (0.0, 0.0, rate * float(np.sin(1.5 * t)))
-        installation = installation.with_imu(round(t * 1e9), turning, accel)
+        installation = installation.with_imu(round(t * 1e9), turning, accel, (0.0, 0.0, -1.0))
     down = (0.0, 0.0, -1.0)  # what such turns made of it
     (notice,) = installation.notices(down) if told else (None,)
     if notice is not None:

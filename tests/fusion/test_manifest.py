@@ -211,7 +211,7 @@ def test_nothing_half_written(tmp_path: Path) -> None:
         ('log = "a"\n[imu.columns]\ngiro = 1', r"unknown key imu\.columns\.giro = 1 \(did you mean gyro\?\)"),
         (
             'log = "a"\n[imu.columns]\ngyro_unit = "deg"',
-            r"gyro_unit = 'deg': input should be 'rad/s', 'deg/s' or",
+            r"\[imu\] 'deg' is no known unit \(give rad/s, deg/s, mrad/s, mdeg/s, or deg/s/N",
         ),
         ('log = "a"\n[imu.columns]\ngyro = ["a", "b"]', r"imu\.columns\.gyro.*required"),
         (

@@ -271,7 +271,9 @@ def test_offsets_that_agree_become_known_and_a_lone_other_one_does_not_move_it()
 
 def test_another_offset_that_lasts_is_one_counted_step() -> None:
     part = LateralOffset(FusionConfig(), (0.0, 0.0))
-    changed = frames_of(part, [0.4] * 10 + [-0.2] * 25, half_m=1.5)
+    contradicted = frames_of(part, [0.4] * 10 + [-0.2] * 25, half_m=1.5)
+    assert told(part, contradicted).status is LateralStatus.UNKNOWN
+    changed = frames_of(part, [0.4] * 10 + [-0.2] * 150, half_m=1.5)
     assert told(part, changed).offset == pytest.approx(-0.2, abs=0.02)
     assert changed.reset_count == 1
     assert changed.reset_norm == pytest.approx(-0.6, abs=0.03)

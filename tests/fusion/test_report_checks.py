@@ -272,11 +272,11 @@ class TestLikelyCause:
     def test_turns_the_other_way(self, swing: Fused, accel: bool) -> None:
         (check,) = self.cause(turning(swing), gyro=-1.0, accel=accel)
         assert "opposite" in check.value
-        said = "By gravity the IMU is as told" if accel else 'frame = "flu" for [imu]'
+        said = "By gravity the IMU is as told" if accel else "mount_rad = [3.1416, 0, 0] for [imu]"
         assert said in check.action
 
     @pytest.mark.parametrize(
-        ("gyro", "said"), [(1 / 1.3, "focal_scale"), (2.5, "gyro_unit in [imu.columns]")]
+        ("gyro", "said"), [(1 / 1.3, "focal_scale"), (2.5, "Multiply the gyroscope by 0.399")]
     )
     def test_turns_of_another_size(self, swing: Fused, gyro: float, said: str) -> None:
         (check,) = self.cause(turning(swing), gyro=gyro)

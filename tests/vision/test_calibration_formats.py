@@ -364,6 +364,20 @@ def test_the_time_shift_of_a_chain(tmp_path: Path) -> None:
         read_time_shift_s(written(tmp_path / "camera.yaml", KALIBR.replace("-0.0123", "soon")))
 
 
+@pytest.mark.parametrize(
+    ("text", "shift_s"),
+    [
+        ('cam0_calib: "cam0.yaml"\ntd: 0.021\n', 0.021),  # VINS-Fusion: image clock + td = IMU clock
+        ("cameras: []\nimageDelay: 0.03\n", -0.03),  # OKVIS
+        ('{"value0": {"cam_time_offset_ns": 5000000}}', 0.005),  # Basalt
+        ("td: 0.021\n", None),
+    ],
+)
+def test_the_time_shift_of_slam_systems(tmp_path: Path, text: str, shift_s: float | None) -> None:
+    found = read_time_shift_s(written(tmp_path / "camera.yaml", text))
+    assert found == (None if shift_s is None else pytest.approx(shift_s))
+
+
 NOISE = """accelerometer_noise_density: 0.02
 accelerometer_random_walk: 1e-3
 gyroscope_noise_density: 5e-3

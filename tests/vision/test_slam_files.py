@@ -195,6 +195,7 @@ def test_vins_fusions_configuration_names_the_file_of_each_camera(tmp_path: Path
             r"model_type is 'MEI', a lens model that is not known here \(calibrate",
         ),
         (STELLA.replace("perspective", "equirectangular"), "Camera.model is 'equirectangular', a lens model"),
+        ("Camera:\n  model: equirectangular\n  cols: 1920\n  rows: 960\n", "'equirectangular', a lens model"),
         (ORB_SLAM3.replace("KannalaBrandt8", "Ocam"), "Camera.type is 'Ocam', a lens model"),
         (OKVIS.replace("radialtangential", "eucm"), "distortion_type is 'eucm', a lens model"),
         (BASALT.replace("kb4", "ds"), "camera_type is 'ds', a lens model"),

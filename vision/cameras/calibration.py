@@ -41,7 +41,7 @@ from vision.cameras.imu_noise import ImuNoise as ImuNoise
 from vision.cameras.imu_noise import read_imu_noise as read_imu_noise
 from vision.cameras.lens_check import refuse_fisheye_numbers
 from vision.cameras.matrix_files import is_matrix_file, read_lens
-from vision.cameras.slam_files import as_euroc
+from vision.cameras.slam_files import as_euroc, told_time_shift
 from vision.errors import InputError
 from vision.types import FloatArray
 
@@ -128,7 +128,7 @@ def _read_content(content: Mapping[str, Any], folder: Path, body_frame: BodyFram
 
 
 def read_time_shift_s(path: Path, cam: str = "cam0") -> float | None:
-    """Read ``timeshift_cam_imu`` of a Kalibr chain: seconds to add to the camera's times to get the IMU's.
+    """Read how many seconds to add to the camera's times to get the IMU's: of a Kalibr chain or a SLAM system's file.
 
     Returns
     -------
@@ -137,13 +137,15 @@ def read_time_shift_s(path: Path, cam: str = "cam0") -> float | None:
     """
     content = read_yaml(path)
     chain = content.get(cam)
-    if not _is_chain(content) or not isinstance(chain, Mapping):
+    if _is_chain(content) and isinstance(chain, Mapping):
+        told: tuple[str, object] | None = f"{cam}.timeshift_cam_imu", chain.get("timeshift_cam_imu")
+    else:
+        told = told_time_shift(content)
+    if told is None or told[1] is None:
         return None
-    shift_s = chain.get("timeshift_cam_imu")
-    if shift_s is None:
-        return None
+    key, shift_s = told
     if isinstance(shift_s, bool) or not isinstance(shift_s, int | float) or not abs(shift_s) < 1e10:
-        raise InputError(f"{cam}.timeshift_cam_imu is {shift_s!r}", file=path, remedy="give seconds")
+        raise InputError(f"{key} is {shift_s!r}", file=path, remedy="give seconds")
     return float(shift_s)
 
 

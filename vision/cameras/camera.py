@@ -229,8 +229,26 @@ class Camera:
             raise InputError(
                 f"picture is {width_px}x{height_px}, the camera's {self.width_px}x{self.height_px}",
                 file=file,
-                remedy="give the calibration of these pictures, or scale them to its resolution",
+                remedy=self._remedy_for(width_px, height_px),
             )
+
+    def is_scaled_to(self, width_px: int, height_px: int) -> bool:
+        """Whether pictures of this size have the calibration's proportions, to the rounding of a side."""
+        across, down = width_px / self.width_px, height_px / self.height_px
+        return min(width_px, height_px) > 0 and abs(across / down - 1.0) < 1.0 / min(width_px, height_px)
+
+    def _remedy_for(self, width_px: int, height_px: int) -> str:
+        """Say what the calibration of pictures of another size would be."""
+        if not self.is_scaled_to(width_px, height_px):
+            return (
+                "give the calibration of these pictures; where they were cut out of the larger ones, subtract the "
+                "first column and row from cx and cy, and write their resolution"
+            )
+        scaled = self.resized(width_px, height_px)
+        numbers = ", ".join(
+            f"{name} {getattr(scaled, f'{name}_px'):.6g}" for name in ("fx", "fy", "cx", "cy")
+        )
+        return f"give the calibration of these pictures; where they were scaled it is {numbers}, distortion as it is"
 
     def mount_problem(self) -> str | None:
         """One sentence where the optical axis is assumed, or over 60 degrees from the body's x axis, else None."""

@@ -143,6 +143,24 @@ def _vins_fusion(content: Fields, folder: Path, number: int) -> dict[str, Any]:
     return found if pose is None else found | {"T_BS": pose}
 
 
+def told_time_shift(content: Fields) -> tuple[str, object] | None:
+    """Return where such a file says how much later than stamped its pictures are by the IMU's clock, and what.
+
+    VINS-Fusion's ``td`` and Basalt's ``cam_time_offset_ns`` are added to the pictures' times, OKVIS's ``imageDelay``
+    is taken from them.
+    """
+    inner = content.get("value0")
+    if isinstance(inner, Mapping) and "cam_time_offset_ns" in inner:
+        told = inner["cam_time_offset_ns"]
+        return "value0.cam_time_offset_ns", told * 1e-9 if isinstance(told, int | float) else told
+    if any(key.endswith("_calib") for key in map(str, content)) and "td" in content:
+        return "td", content["td"]
+    if "cameras" in content and "imageDelay" in content:
+        delay = content["imageDelay"]
+        return "imageDelay", -delay if isinstance(delay, int | float) else delay
+    return None
+
+
 def _orb_slam(content: Fields) -> dict[str, Any]:
     prefix = "Camera1." if "Camera1.fx" in content else "Camera."
     size = _values(content, ("width", "height") if "Camera.width" in content else ("cols", "rows"), "Camera.")
@@ -154,8 +172,8 @@ def _orb_slam(content: Fields) -> dict[str, Any]:
 
 
 def _stella(camera: Fields) -> dict[str, Any]:
-    size = _values(camera, ("cols", "rows"), "")
-    return _euroc(size, _values(camera, _PINHOLE), *_lens(camera, "", str(camera["model"]), "Camera.model"))
+    lens = _lens(camera, "", str(camera["model"]), "Camera.model")
+    return _euroc(_values(camera, ("cols", "rows"), ""), _values(camera, _PINHOLE), *lens)
 
 
 def _lens(content: Fields, prefix: str, model: str, key: str) -> tuple[str, list[float]]:

@@ -6,18 +6,90 @@ quaternion. What is not named is not read.
 
 from __future__ import annotations
 
+import re
+from math import log, pi
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 Column = Annotated[int, Field(ge=1, strict=True)] | Annotated[str, Field(min_length=1, strict=True)]
 Vector = tuple[Column, Column, Column]
 
-TimeUnit = Literal["ns", "us", "ms", "s", "iso"]
+TimeUnit = Literal["ns", "us", "100us", "ms", "s", "days", "iso"]
 AngleUnit = Literal["rad", "deg", "mdeg"]
-RateUnit = Literal["rad/s", "deg/s", "mrad/s"]
-#: A fraction of g is one count of a sensor of 16 bits.
-AccelUnit = Literal["m/s2", "g", "mg", "cm/s2", "g/512", "g/2048", "g/4096", "g/8192", "g/16384"]
+
+_G_M_S2, _DEG = 9.80665, pi / 180.0
+#: What one of each unit is in SI.
+_SI = (
+    {"rad/s": 1.0, "deg/s": _DEG, "mrad/s": 1e-3, "rad": 1.0, "deg": _DEG, "mdeg": _DEG * 1e-3}
+    | {"mdeg/s": _DEG * 1e-3}
+    | {"m/s2": 1.0, "g": _G_M_S2, "mg": _G_M_S2 * 1e-3, "cm/s2": 1e-2}
+    | {"m/s": 1.0, "dm/s": 0.1, "cm/s": 0.01, "mm/s": 1e-3, "m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3}
+)
+_COUNTS = re.compile(r"(deg/s|g)/(\d{1,9}(?:\.\d{1,6})?)")
+
+
+def in_si(unit: str) -> float:
+    """Return what one of a unit is in SI; of ``g/2048`` or ``deg/s/16.4``, one count of a sensor."""
+    counts = _COUNTS.fullmatch(unit)
+    return _SI[unit] if counts is None else _SI[counts[1]] / float(counts[2])
+
+
+#: Counts of one degree per second in the usual ranges of 250 to 2000, of one g in those of 2 to 64.
+_GYRO_COUNTS = (131.0, 114.3, 65.5, 57.14, 32.8, 28.57, 16.4, 14.29)
+_ACCEL_COUNTS = (16384.0, 8192.0, 4096.0, 2048.0, 1024.0, 512.0, 256.0)
+_WITHIN = {"deg/s": 1.06, "g": 1.2}  # half the distance between the nearest two
+_NAMES = {"deg/s": ("rad/s", "deg/s", "mrad/s"), "g": ("m/s2", "g", "mg")}
+
+
+def unit_of_size(size: float, base: str) -> tuple[str, bool]:
+    """Return the unit of a gyroscope or accelerometer whose size in SI was measured, and whether it is one in use.
+
+    Parameters
+    ----------
+    size
+        What one of it is in SI.
+    base
+        ``deg/s`` or ``g``: of which counts are a part where it is none of the units with a name.
+    """
+    counts = _GYRO_COUNTS if base == "deg/s" else _ACCEL_COUNTS
+    known = (*_NAMES[base], *(f"{base}/{count:g}" for count in counts))
+    nearest = min(known, key=lambda unit: abs(log(in_si(unit) / size)))
+    if abs(log(in_si(nearest) / size)) < log(_WITHIN[base]):
+        return nearest, True
+    number = in_si(base) / size
+    return f"{base}/{number:.0f}" if number >= 1000.0 else f"{base}/{number:.4g}", False
+
+
+def is_counts(unit: str) -> bool:
+    """Whether a unit is one count of a sensor."""
+    return _COUNTS.fullmatch(unit) is not None
+
+
+def unit_in_words(unit: str) -> str:
+    """Return a unit for a sentence: ``degrees/s``, ``counts, 2048 to a g``."""
+    counts = _COUNTS.fullmatch(unit)
+    words = {"deg/s": "degrees/s", "mg": "thousandths of g", "m/s2": "m/s^2"}
+    if counts is None:
+        return words.get(unit, unit)
+    return f"counts, {counts[2]} to a {'g' if counts[1] == 'g' else 'degree/s'}"
+
+
+def _unit_or_counts(*units: str) -> AfterValidator:
+    """Accept these units, and counts of the second of them as data sheets give a sensor's sensitivity."""
+
+    def check(unit: str) -> str:
+        counts = _COUNTS.fullmatch(unit)
+        if unit in units or (counts is not None and counts[1] in units and float(counts[2]) > 0.0):
+            return unit
+        listed = ", ".join(units)
+        raise ValueError(f"{unit!r} is no known unit: give {listed}, or {units[1]}/N where N counts are one")
+
+    return AfterValidator(check)
+
+
+RateUnit = Annotated[str, _unit_or_counts("rad/s", "deg/s", "mrad/s", "mdeg/s")]
+AccelUnit = Annotated[str, _unit_or_counts("m/s2", "g", "mg", "cm/s2")]
 SpeedUnit = Literal["m/s", "dm/s", "cm/s", "mm/s"]
 LengthUnit = Literal["m", "dm", "cm", "mm"]
 Separator = Literal[",", ";", "\t", " ", "|"]
@@ -40,7 +112,7 @@ class ColumnMap(BaseModel):
         default=None, description="Column of the time stamps; else the usual names are tried."
     )
     time_unit: TimeUnit | None = Field(
-        default=None, description="ns, us, ms, s, or iso for dates; else found from the values."
+        default=None, description="ns, us, 100us, ms, s, days, or iso for dates; else found from the values."
     )
     separator: Separator | None = Field(default=None, description="Between columns; else found.")
     header: bool | None = Field(
@@ -195,4 +267,14 @@ TIME_NAMES = (
     "elapsed_time",
     "datetime",
     "date",
+    "__time",
+    "ts",
+    "epoch",
+    "unix_time",
+    "gps_time",
+    "tow",
+    "datenum",
+    "sampletimefine",
+    "seconds_elapsed",
+    "zeit",
 )

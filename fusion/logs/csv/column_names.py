@@ -15,16 +15,23 @@ from fusion.logs.samples import Problems, WithProblems
 # {} stands for the axis. Names are compared in lower case, dots and blanks as underscores, without units.
 _VECTORS = {
     "gyro": "w_rs_s_{} gyro_{} gyr_{} gyroscope_{} angular_velocity_{} ang_vel_{} omega_{} w_{} g{} w{} gyro{} "
-    "{}gyro",
+    "{}gyro angularvelocity_{} angvel_{} angular_rate_{} rotation_rate_{} rate_{}",
     "accel": "a_rs_s_{} accel_{} acc_{} accelerometer_{} linear_acceleration_{} lin_acc_{} a_{} a{} acc{} accel{} "
-    "{}acc",
+    "{}acc acceleration_{} specific_force_{}",
     "velocity": "v_rs_r_{} velocity_{} vel_{} v_{} v{} twist_linear_{}",
     "position": "p_rs_r_{} position_{} pos_{} p_{} p{} t{} t_{} pose_position_{} {}",
 }
 _QUATERNIONS = ("q_rs_{}", "q_{}", "q{}", "quat_{}", "quaternion_{}", "orientation_{}", "pose_orientation_{}")
 _RANGES = ("range", "rangefinder", "tof", "distance_to_floor", "distance_to_ground")
 _UNITS = {
-    "gyro": {"rad_s": "rad/s", "deg_s": "deg/s", "dps": "deg/s", "mrad_s": "mrad/s"},
+    "gyro": {
+        "rad_s": "rad/s",
+        "deg_s": "deg/s",
+        "dps": "deg/s",
+        "mrad_s": "mrad/s",
+        "mdps": "mdeg/s",
+        "mdeg_s": "mdeg/s",
+    },
     "accel": {"m_s2": "m/s2", "g": "g", "mg": "mg", "cm_s2": "cm/s2"},
     "velocity": {"m_s": "m/s", "dm_s": "dm/s", "cm_s": "cm/s", "mm_s": "mm/s"},
     "position": {"m": "m", "dm": "dm", "cm": "cm", "mm": "mm"},
@@ -121,6 +128,20 @@ def has_asl_names(columns: ColumnMap) -> bool:
 
 def _find(known: list[tuple[str, str]], patterns: list[list[str]], role: str) -> tuple[list[int], str]:
     """Return the columns of the first pattern that a file has, and their unit, if any; none where it has none."""
+    return (
+        _find_spelled(known, patterns, role)
+        or _find_spelled(
+            [(name.replace("_", ""), unit) for name, unit in known],
+            [[name.replace("_", "") for name in names] for names in patterns if names[0] not in "xyz"],
+            role,
+        )
+        or ([], "")
+    )
+
+
+def _find_spelled(
+    known: list[tuple[str, str]], patterns: list[list[str]], role: str
+) -> tuple[list[int], str] | None:
     units = _UNITS.get(role, {})
     for names in patterns:
         for ending in ("", *units):
@@ -129,7 +150,7 @@ def _find(known: list[tuple[str, str]], patterns: list[list[str]], role: str) ->
             columns = [i for i in places if i is not None]
             if len(columns) == len(wanted):
                 return columns, units.get(ending) or units.get(known[columns[0]][1], "")
-    return [], ""
+    return None
 
 
 def _normal(name: str, unit: str) -> tuple[str, str]:

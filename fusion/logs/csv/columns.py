@@ -22,12 +22,12 @@ from fusion.flight import (
     TimeArray,
     VectorStream,
 )
-from fusion.logs.contents import Kind, LogContents, Topic, UndecidedError
-from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
+from fusion.logs.contents import Kind, LogContents, Medium, Topic, UndecidedError
+from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame, in_si
 from fusion.logs.csv.column_names import has_asl_names, map_of_names, names_the_world, ready_map_of
 from fusion.logs.csv.table import Layout, read_layout
 from fusion.logs.csv.time_units import is_time_name
-from fusion.logs.csv.times import ROLES, read_timed
+from fusion.logs.csv.times import ROLES, read_timed, time_columns
 from fusion.logs.imu_series import imu_stream
 from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.series import (
@@ -49,14 +49,6 @@ from vision import InputError
 SUFFIXES = frozenset({".csv", ".tsv"})
 TEXT_SUFFIXES = frozenset({".txt", ".log"})
 
-_G_M_S2, _DEG = 9.80665, np.pi / 180.0
-#: What one of each unit is in SI.
-SI = (
-    {"rad/s": 1.0, "deg/s": _DEG, "mrad/s": 1e-3, "rad": 1.0, "deg": _DEG, "mdeg": _DEG * 1e-3}
-    | {"m/s2": 1.0, "g": _G_M_S2, "mg": _G_M_S2 * 1e-3, "cm/s2": 1e-2}
-    | {f"g/{counts}": _G_M_S2 / counts for counts in (512, 2048, 4096, 8192, 16384)}
-    | {"m/s": 1.0, "dm/s": 0.1, "cm/s": 0.01, "mm/s": 1e-3, "m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3}
-)
 _FLIP = np.array([1.0, -1.0, -1.0])  # FLU to FRD, and a world with z up to one with z down
 _Q_FLIP = np.array([1.0, 1.0, -1.0, -1.0])  # the same on both sides of a quaternion
 _Q_NED_ENU = (0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0)
@@ -118,6 +110,7 @@ def open_columns(
         if any(role in table.parts for role in roles):
             series.append(Series(Topic(kind.value, kind, table.t_ns, table.note(kind)), partial(read, table)))
     log = CsvLog(path, what, series, assumed + problems + _left_out(layout, found))
+    log.columns = found
     log.body_frame = "flu" if table.body_frame().value in ("flu", "enu") else "frd"
     return log
 
@@ -125,12 +118,18 @@ def open_columns(
 class CsvLog(SeriesLog):
     """`LogContents` of a CSV; ``body_frame`` is what its axes are taken for."""
 
+    medium = Medium.TABLE
+    columns = ColumnMap()
+
+    def unit_taken(self, role: str) -> float:
+        """Return what one of the file's unit of ``gyro`` or ``accel`` was taken for in SI."""
+        return in_si(self.columns.unit_of(role) or "m")
+
 
 def _left_out(layout: Layout, columns: ColumnMap) -> Problems:
     """Name the columns that are not read."""
     named = {layout.find(name, role) for role in ROLES for name in columns.columns_of(role)}
-    if columns.time is not None:
-        named.add(layout.find(columns.time, "columns.time"))
+    named |= set(time_columns(layout, columns))
     unread = [
         name
         for index, name in enumerate(layout.names)
@@ -199,10 +198,13 @@ class _Table:
         for role, indices in wanted.items():
             unit = columns.unit_of(role)
             values = timed.rows.values[:, start : start + len(indices)]
-            parts[role] = values * SI[unit] if unit is not None else values
+            parts[role] = values * in_si(unit) if unit is not None else values
             start += len(indices)
         if "accel" in parts:
             parts["accel"] = parts["accel"] * columns.accel_sign
+        if "quaternion" in parts and not parts["quaternion"].any():
+            del parts["quaternion"]
+            problems += (Remark(f"{layout.path.name}: its quaternions are zero in every row, left out"),)
         return WithProblems(cls(layout.path, columns, frame, timed.t_ns, parts), problems)
 
     def note(self, kind: Kind) -> str:
@@ -348,7 +350,7 @@ class _Table:
         told, where = self.columns.range_limits, self.where(Kind.RANGE)
         if told is None:
             return range_stream(self.t_ns, self.parts["range"][:, 0], where)
-        low, high = (limit * SI[self.columns.range_unit] for limit in told)
+        low, high = (limit * in_si(self.columns.range_unit) for limit in told)
         return range_stream(self.t_ns, self.parts["range"][:, 0], where, limits_m=(low, high))
 
 

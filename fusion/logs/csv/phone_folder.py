@@ -12,9 +12,8 @@ import numpy as np
 
 from fusion.flight import FloatArray, ImuStream, Remark, TimeArray, VectorStream
 from fusion.logs.contents import Kind, LogContents, Topic
-from fusion.logs.csv.column_map import ColumnMap
+from fusion.logs.csv.column_map import ColumnMap, in_si
 from fusion.logs.csv.column_names import map_of_names
-from fusion.logs.csv.columns import SI
 from fusion.logs.csv.table import read_layout
 from fusion.logs.csv.times import read_timed
 from fusion.logs.imu_series import joined_imu
@@ -78,6 +77,6 @@ def _read(file: Path, role: str) -> WithProblems[tuple[TimeArray, FloatArray]]:
     places = [layout.find(name, f"columns.{role}") for name in names]
     timed, problems = read_timed(layout, ColumnMap(), places)
     unit = columns.unit_of(role) or ColumnMap.model_fields[f"{role}_unit"].default
-    values = np.asarray(timed.rows.values * SI[unit])
+    values = np.asarray(timed.rows.values * in_si(unit))
     own = tuple(text for text in (*assumed, *problems) if not isinstance(text, Remark))
     return WithProblems((timed.t_ns, values), own)

@@ -23,6 +23,8 @@ from vision import InputError
 from vision.limits import check_is_file
 
 _HEAD_BYTES = 1 << 16
+_LONGEST_SIGN = 3  # bytes of UTF-8 that a cut may take from one
+_SIGNS_1252 = (b"\xb0", b"\xb2", b"\xb5")  # of degrees, squares and micro, by which units are known
 _BLOCK_CHARACTERS = 1 << 23
 _MAX_LINE = 1 << 20
 _PIECE_ROWS = 2048
@@ -56,9 +58,16 @@ def split_fields(line: str, separator: str, *, quoted: bool = True) -> list[str]
 
 
 def encoding_of(head: bytes) -> str:
-    """Return how a text is encoded by its first bytes: UTF-16 as Excel's Unicode text is, else UTF-8."""
+    """Return how a text is encoded by its first bytes: UTF-16 as Excel's Unicode text is, UTF-8, else as of old."""
     little, big = head.startswith(b"\xff\xfe") and head[3:4] == b"\0", head.startswith(b"\xfe\xff\0")
-    return "utf-16" if little or big else "utf-8-sig"
+    if little or big:
+        return "utf-16"
+    try:
+        # A sign may be cut at the end; zeros and the like are left to who reads the rows.
+        head[: -_LONGEST_SIGN or None].decode("utf-8")
+    except UnicodeDecodeError:
+        return "cp1252" if any(head.count(sign) for sign in _SIGNS_1252) else "utf-8-sig"
+    return "utf-8-sig"
 
 
 def read_head(path: Path) -> list[str]:
@@ -134,7 +143,7 @@ def read_blocks(
     rest, before = "", ""
     try:
         with path.open("rb") as raw:
-            encoding = encoding_of(raw.read(4))
+            encoding = encoding_of(raw.read(_HEAD_BYTES))
         with path.open(encoding=encoding, errors="replace", newline=None) as file:
             for _ in range(skip_lines):
                 file.readline()

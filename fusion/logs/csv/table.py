@@ -26,6 +26,12 @@ _DATE_AND_TIME = re.compile(
     r"\b(\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}\.\d{1,2}\.\d{4}) (\d{1,2}:\d{2}:\d{2})"
 )
 _MAX_NAME = 200  # of a column
+_UNIT_WORDS = (
+    "s|sec|seconds|ms|us|µs|ns|rad|radians|mrad|deg|degrees?|°|dps|m|dm|cm|mm|km|g|mg|°?c|pa|hpa|mbar|ut|µt|gauss|"
+    "v|mv|a|hz|%"
+)
+_UNIT_PART = rf"(?:{_UNIT_WORDS})(?:[\^*]*-?\d|[²³])?"
+_UNIT = re.compile(rf"(?:{_UNIT_PART}(?:[\s/*·]+{_UNIT_PART})*|-|1|none|utc|unix)?", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE)
 
 
@@ -149,21 +155,32 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
         told = split_fields(comment.lstrip("# "), separator)
         told += [""] * (len(first) - len(told) if not any(first[len(told) :]) else 0)  # a comma ends each row
         titles = told if len(told) == len(first) else titles
-    sample = [tuple(split_fields(row, separator)) for row in rows[int(named) :][:50]]
+    units = split_fields(rows[1], separator) if named and len(rows) > 2 else []
+    has_units = len(units) == len(titles) and all(is_unit(field) for field in units)
+    has_units &= any(sign.isalpha() or sign in "°%" for field in units for sign in field)
+    skipped = int(named) + int(has_units)
+    sample = [tuple(split_fields(row, separator)) for row in rows[skipped:][:50]]
     if not sample:
         raise InputError("has a header but no rows", file=path, remedy="the log is empty; leave it out")
     plain = [_plain(title) for title in titles]
+    if has_units:
+        plain = [(name, unit.strip("[]() ")) for (name, _), unit in zip(plain, units, strict=True)]
     return Layout(
         path,
         separator,
         tuple(name for name, _ in plain),
         tuple(unit for _, unit in plain),
-        header_lines=lines.index(rows[0]) + int(named),
+        header_lines=lines.index(rows[0]) + skipped,
         keyed=False,
         decimal_comma=separator != ","
         and any(re.fullmatch(r"[+-]?\d+,\d+", f) for row in sample for f in row),
         sample=tuple(sample),
     )
+
+
+def is_unit(field: str) -> bool:
+    """Whether a field is a unit, as in a second line of titles: ``rad/s``, ``[m/s^2]``, or nothing."""
+    return _UNIT.fullmatch(field.strip().strip("[]()").strip()) is not None
 
 
 def _dates_joined(text: str) -> str:

@@ -12,7 +12,18 @@ from fusion.flight import TimeArray
 from fusion.logs.csv.column_map import TIME_NAMES, TimeUnit
 
 NS: dict[TimeUnit, int] = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
-_IN_WORDS = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds", "s": "seconds", "iso": "dates"}
+_TOLD_NS = NS | {"100us": 100_000, "days": 86_400 * 10**9}  # those that are not guessed by their steps
+_IN_WORDS = {
+    "ns": "nanoseconds",
+    "us": "microseconds",
+    "ms": "milliseconds",
+    "s": "seconds",
+    "iso": "dates",
+} | {
+    "100us": "tenths of milliseconds",
+    "days": "days",
+}
+_UNIT_OF_NAMES: dict[str, TimeUnit] = {"sampletimefine": "100us", "datenum": "days"}
 _SPELLINGS: dict[str, TimeUnit] = {unit: unit for unit in NS} | {
     "nsec": "ns",
     "nanoseconds": "ns",
@@ -28,11 +39,16 @@ _SPELLINGS: dict[str, TimeUnit] = {unit: unit for unit in NS} | {
 }
 _YEAR_2001_S, _YEAR_2100_S = 978_307_200, 4_102_444_800
 _TYPICAL_STEP_S, _LONGEST_STEP_S = 0.02, 100.0
+#: Days from a calendar's zero to 1970, and between which of its days a log is: Excel's and MATLAB's.
+_CALENDARS = ((25_569, (36_526, 73_051)), (719_529, (730_486, 767_011)))
+_LONGEST_STEP_DAYS = 1e-4
 MISSING = np.iinfo(np.int64).min
 
 
 def unit_named(name: str, bracket: str) -> TimeUnit | None:
     """Return the unit that a column's name ends in, as in ``time_ms``, or that follows it in brackets."""
+    if name.strip().lower() in _UNIT_OF_NAMES:
+        return _UNIT_OF_NAMES[name.strip().lower()]
     for word in (bracket, name.rsplit("_", 1)[-1] if "_" in name else ""):
         unit = _SPELLINGS.get(word.strip().lower())
         if unit is not None:
@@ -54,6 +70,8 @@ def guess_unit(values: npt.NDArray[np.generic]) -> TimeUnit:
     middle = float(np.median(numbers))
     steps = np.abs(np.diff(numbers))
     step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 1.0
+    if step < _LONGEST_STEP_DAYS and any(low < middle < high for _, (low, high) in _CALENDARS):
+        return "days"
     for unit, ns in NS.items():
         if _YEAR_2001_S <= middle * ns / 1e9 <= _YEAR_2100_S and step * ns / 1e9 < _LONGEST_STEP_S:
             return unit
@@ -69,20 +87,24 @@ def to_ns(values: npt.NDArray[np.generic], unit: TimeUnit) -> TimeArray:
     """Turn time stamps (n,) into nanoseconds; `MISSING` where the text is no time."""
     if unit == "iso":
         return dates_to_ns(values)
+    if unit == "days":
+        numbers = values.astype(np.float64)
+        epoch = next((zero for zero, (low, high) in _CALENDARS if low < np.median(numbers) < high), 0)
+        return to_ns((numbers - epoch) * 86_400.0, "s")
     if values.dtype.kind == "i":
-        ok = np.abs(values) < 2**62 // NS[unit]
-        return np.where(ok, np.where(ok, values, 0) * NS[unit], MISSING)
+        ok = np.abs(values) < 2**62 // _TOLD_NS[unit]
+        return np.where(ok, np.where(ok, values, 0) * _TOLD_NS[unit], MISSING)
     numbers = values.astype(np.float64)
     # Whole and broken part apart: the fraction of a large number keeps its digits.
-    ok = np.isfinite(numbers) & (np.abs(numbers) < 2**62 / NS[unit])
+    ok = np.isfinite(numbers) & (np.abs(numbers) < 2**62 / _TOLD_NS[unit])
     numbers = np.where(ok, numbers, 0.0)
     whole = np.floor(numbers)
     # Seconds since 1970 have room for 240 ns: what a float adds below its own resolution is no measurement.
     quantum = 10 ** max(
-        0, int(np.ceil(np.log10(float(np.spacing(np.abs(numbers).max(initial=1.0))) * NS[unit])))
+        0, int(np.ceil(np.log10(float(np.spacing(np.abs(numbers).max(initial=1.0))) * _TOLD_NS[unit])))
     )
-    part = np.rint((numbers - whole) * NS[unit] / quantum).astype(np.int64) * quantum
-    t_ns = whole.astype(np.int64) * NS[unit] + part
+    part = np.rint((numbers - whole) * _TOLD_NS[unit] / quantum).astype(np.int64) * quantum
+    t_ns = whole.astype(np.int64) * _TOLD_NS[unit] + part
     return np.where(ok, t_ns, MISSING)
 
 
@@ -104,23 +126,24 @@ def decimal_to_ns(text: str, unit: TimeUnit) -> int:
     return -t_ns if match[1] == "-" else t_ns
 
 
-_CLOCK = r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d+))?"
-_DATE = re.compile(
-    rf"(?:(\d{{4}})[-/.](\d{{1,2}})[-/.](\d{{1,2}})|(\d{{1,2}})\.(\d{{1,2}})\.(\d{{4}}))[T ]\s*{_CLOCK}\s*(\S.*)?"
-)
+_CLOCK = r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d+))?\s*([AaPp]\.?[Mm]\.?)?"
+_DAY = r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})[./-](\d{1,2})[./-](\d{4})"
+_DATE = re.compile(rf"(?:{_DAY})[T ,]\s*{_CLOCK}\s*(\S.*)?")
 _TIME_OF_DAY = re.compile(_CLOCK)
 DAY_NS = 86_400_000_000_000
+MONTHS, HOURS = 12, 12
 
 
 def is_date(text: str) -> bool:
-    """Whether a text is a date with a time of day, in an order that is not ambiguous, or the latter alone."""
-    return _date_ns(text) != MISSING
+    """Whether a text is a date with a time of day, or the latter alone."""
+    return _date_ns(text, month_first=False) != MISSING or _date_ns(text, month_first=True) != MISSING
 
 
 def dates_to_ns(values: npt.NDArray[np.generic]) -> TimeArray:
     """Turn dates or times of day (n,) into nanoseconds; the latter from midnight on, past the next one too."""
     texts = [str(text).strip() for text in values.tolist()]
-    t_ns = np.array([_date_ns(text) for text in texts], dtype=np.int64)
+    month_first = _is_month_first(texts)
+    t_ns = np.array([_date_ns(text, month_first) for text in texts], dtype=np.int64)
     known = np.flatnonzero(t_ns != MISSING)
     if len(known) and _TIME_OF_DAY.fullmatch(texts[known[0]]):
         midnights = np.cumsum(np.diff(t_ns[known], prepend=t_ns[known[0]]) < -DAY_NS // 2)
@@ -128,7 +151,25 @@ def dates_to_ns(values: npt.NDArray[np.generic]) -> TimeArray:
     return t_ns
 
 
-def _date_ns(text: str) -> int:
+def _is_month_first(texts: list[str]) -> bool | None:
+    """Tell the order of dates whose year stands last, over all rows; None where both would do.
+
+    With dots the day comes first, with AM and PM the month; else a number beyond 12 is the day.
+    """
+    for text in texts:
+        found = _DATE.fullmatch(text.strip().strip('"'))
+        if found is None or found[1]:
+            continue
+        if "." in text[: found.end(6)]:
+            return False
+        if found[11] or int(found[5]) > MONTHS:
+            return True
+        if int(found[4]) > MONTHS:
+            return False
+    return None
+
+
+def _date_ns(text: str, month_first: bool | None) -> int:
     """Nanoseconds since 1970, or since midnight for a time of day; `MISSING` where the text is neither."""
     text = text.strip().strip('"')
     alone, dated = _TIME_OF_DAY.fullmatch(text), _DATE.fullmatch(text)
@@ -136,15 +177,20 @@ def _date_ns(text: str) -> int:
     if found is None:
         return MISSING
     groups = found.groups()
-    hour, minute, second, fraction = groups[:4] if alone else groups[6:10]
+    hour, minute, second, fraction, half = groups[:5] if alone else groups[6:11]
     part_ns = int((fraction or "")[:9].ljust(9, "0"))
-    day_ns = ((int(hour) * 60 + int(minute)) * 60 + int(second)) * 10**9 + part_ns
+    hours = int(hour) if half is None else int(hour) % HOURS + (HOURS if half[0] in "Pp" else 0)
+    day_ns = ((hours * 60 + int(minute)) * 60 + int(second)) * 10**9 + part_ns
     if alone:
         return day_ns
-    year, month, day = groups[:3] if groups[0] else (groups[5], groups[4], groups[3])
+    year, month, day = groups[:3]
+    if not year:
+        if month_first is None:
+            return MISSING
+        year, month, day = groups[5], *(groups[3:5] if month_first else groups[4:2:-1])
     try:
         # fromisoformat reads the zone behind the time; fractions of any length are added by hand
-        zone = datetime.fromisoformat(f"{year}-{int(month):02}-{int(day):02}T00:00:00{groups[10] or ''}")
+        zone = datetime.fromisoformat(f"{year}-{int(month):02}-{int(day):02}T00:00:00{groups[11] or ''}")
     except ValueError:
         return MISSING
     zone = zone if zone.tzinfo is not None else zone.replace(tzinfo=UTC)

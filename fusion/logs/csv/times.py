@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from fusion.logs.csv.rows import Rows, is_number
 from fusion.logs.csv.table import Layout, read_columns, read_layout
 from fusion.logs.csv.time_units import (
     MISSING,
+    NS,
+    dates_to_ns,
     guess_unit,
     in_words,
     is_date,
@@ -108,7 +111,9 @@ def read_timed(
     InputError
         Where no column holds times, or they are too coarse.
     """
-    index = _time_column(layout, columns, avoid)
+    index, *nanoseconds = time_columns(layout, columns, avoid)
+    if nanoseconds:
+        return _read_pair(layout, index, nanoseconds[0], others)
     unit = columns.time_unit or unit_named(_title(layout, index), layout.units[index])
     fields = [row[index] for row in layout.sample if index < len(row)]
     time_type = _time_type(fields, unit)
@@ -143,12 +148,29 @@ def read_timed(
     return WithProblems(TimedRows(t_ns[good], kept), problems)
 
 
+def _seconds_and_nanoseconds(layout: Layout) -> tuple[int, int] | None:
+    """Find two columns that make a time, as ROS 2 has ``sec`` and ``nanosec``."""
+    places: dict[str, dict[str, int]] = {}
+    for index, name in enumerate(layout.names):
+        found = re.fullmatch(r"(.*?)(n|nano)?(?:sec|secs|seconds)", name.strip().lower())
+        if found is not None:
+            places.setdefault(found[1], {}).setdefault("ns" if found[2] else "s", index)
+    pairs = [(both["s"], both["ns"]) for both in places.values() if len(both) > 1]
+    return pairs[0] if pairs else None
+
+
+def _read_pair(layout: Layout, seconds: int, nanoseconds: int, others: list[int]) -> WithProblems[TimedRows]:
+    data, problems = read_columns(layout, seconds, [*others, nanoseconds], "i8")
+    t_ns = data.first.astype(np.int64) * NS["s"] + np.rint(data.values[:, -1]).astype(np.int64)
+    return WithProblems(TimedRows(t_ns, replace(data, values=data.values[:, :-1])), problems)
+
+
 def _no_times(layout: Layout, index: int, example: str) -> InputError:
     return InputError(
         f"column {_title(layout, index)!r} holds no times, such as {example!r}",
         file=layout.path,
         remedy="name the column of the time stamps, time under columns, and its time_unit; dates are written "
-        "2020-09-13 12:43:20.5, 2020/09/13 ..., 13.09.2020 ..., or without the day",
+        "2020-09-13 12:43:20.5, 2020/09/13 ..., 13.09.2020 ..., 09/13/2020 12:43:20 PM, or without the day",
     )
 
 
@@ -163,8 +185,35 @@ def _time_type(fields: list[str], unit: TimeUnit | None) -> str:
     return "O" if 2 * dates > len(fields) else "f8"
 
 
+def _is_rising(layout: Layout, index: int) -> bool:
+    """Whether a column rises from row to row, as times do, and is no counter of rows."""
+    fields = np.array([row[index] if index < len(row) else "" for row in layout.sample], dtype=object)
+    if layout.decimal_comma:
+        fields = np.array([field.replace(",", ".") for field in fields], dtype=object)
+    if sum(is_date(field) for field in fields) == len(fields):
+        values = dates_to_ns(fields).astype(np.float64)
+    elif all(is_number(field) for field in fields):
+        values = fields.astype(np.float64)
+    else:
+        return False
+    steps = np.diff(values)
+    return len(steps) > 1 and bool((steps > 0.0).all()) and not bool((steps == 1.0).all())
+
+
 def _title(layout: Layout, index: int) -> str:
     return layout.names[index] or str(index + 1)
+
+
+def time_columns(layout: Layout, columns: ColumnMap, avoid: int | None = None) -> tuple[int, ...]:
+    """Return the column of the time stamps, or those of its seconds and nanoseconds.
+
+    Raises
+    ------
+    InputError
+        Where none is named, known by its name, or the only one that rises.
+    """
+    pair = None if columns.time is not None else _seconds_and_nanoseconds(layout)
+    return pair if pair is not None else (_time_column(layout, columns, avoid),)
 
 
 def _time_column(layout: Layout, columns: ColumnMap, avoid: int | None) -> int:
@@ -175,6 +224,9 @@ def _time_column(layout: Layout, columns: ColumnMap, avoid: int | None) -> int:
         return min(ranked)[1]
     if not layout.has_names and not any(columns.columns_of(role) for role in ROLES):
         return next(i for i in range(len(layout.names) + 1) if i != avoid)
+    rising = [i for i in range(len(layout.names)) if i != avoid and _is_rising(layout, i)]
+    if len(rising) == 1:
+        return rising[0]
     listed = ", ".join(layout.names[:20]) if layout.has_names else f"{len(layout.names)} without names"
     raise InputError(
         f"has no column of time stamps: {listed}",

@@ -12,6 +12,7 @@ from fusion.logs.manifest.manifest import Manifest, StreamSource, files_of
 from fusion.logs.manifest.sources import ManifestLog
 from fusion.logs.pictures.camera_folder import check_size, darkness_problem
 from fusion.logs.plausibility.clocks import is_unix, span
+from fusion.logs.plausibility.flight import check_flight
 from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.topic_choice import TABLES, WORDS, holdings
 from vision import Camera, InputError
@@ -44,13 +45,43 @@ def assemble_flight(manifest: Manifest, camera: Camera | Path | None = None) -> 
     InputError
         One line naming file, field, value and remedy.
     """
-    for key, path in files_of(manifest):
+    if isinstance(camera, Path):
+        manifest, camera = manifest.with_calibration(camera), None
+    return flight_of(ManifestLog(manifest, camera=camera))
+
+
+def flight_of(sources: ManifestLog) -> Flight:
+    """Read the streams that are to be fused of what a manifest names.
+
+    Raises
+    ------
+    InputError
+        One line naming file, field, value and remedy.
+    """
+    for key, path in files_of(sources.manifest):
         if not path.exists():
             raise InputError(f"there is no such file or folder ({key})", file=path, remedy="check the path")
-    if isinstance(camera, Path):
-        chosen = manifest.camera.model_copy(update={"calibration": camera.absolute()})
-        manifest, camera = manifest.model_copy(update={"camera": chosen}), None
-    return _Assembly(ManifestLog(manifest, camera=camera)).flight()
+    return _Assembly(sources).flight()
+
+
+def checked_flight(sources: ManifestLog, path: Path) -> Flight:
+    """Read a flight, and refuse it where its streams contradict each other: all that decides whether it is fused.
+
+    Parameters
+    ----------
+    sources
+        What is to be fused.
+    path
+        What the user named, for messages.
+
+    Raises
+    ------
+    InputError
+        One line naming file, field, value and remedy.
+    """
+    flight = flight_of(sources)
+    files = {name: s.file for name, s in sources.manifest.streams().items() if s.file is not None}
+    return check_flight(flight, path, files, sources.advice())
 
 
 class _Assembly:
@@ -184,6 +215,6 @@ class _Assembly:
         raise InputError(
             f"covers {span(t_ns)}, the frames {span(frame_t_ns)}{zero}",
             file=file,
-            remedy="put both on one clock: with [camera] clock_offset_s in flight.toml, or --clock-offset; "
-            f"if both began together it is {lag_s:.3f}; or leave the {table} out",
+            remedy=f"if both began together, set clock_offset_s = {lag_s:.3f} for [camera] in flight.toml, or give "
+            f"--clock-offset {lag_s:.3f}; `corridor align` finds the rest; or leave the {table} out",
         )

@@ -15,11 +15,10 @@ Signs, once for all readers and writers of a manifest:
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from math import cos, radians, sin
+from math import radians
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -36,6 +35,7 @@ from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
 from fusion.settings.sentences import OWN_CHECK, UNKNOWN_NAME, Complaint, complaints, did_you_mean
 from fusion.settings.toml import read_toml
 from vision import Camera, InputError
+from vision.rotations import rotation_from_angles
 
 MANIFEST_NAME = "flight.toml"
 STREAMS = ("camera", "imu", "attitude", "velocity", "position", "range")
@@ -80,6 +80,13 @@ class StreamSource(BaseModel):
         ge=-1e11,
         le=1e11,
         description="Added to the file's times to give the flight's.",
+    )
+    clock_rate: float = Field(
+        default=1.0,
+        strict=True,
+        ge=0.5,
+        le=2.0,
+        description="Seconds of the flight in a second of the file's clock, counted from the stream's first sample.",
     )
     use: bool = Field(default=True, description="false leaves the stream out.")
 
@@ -172,6 +179,16 @@ class CameraSource(StreamSource):
         le=radians(90),
         description="How much further up the camera looks.",
     )
+    mount_roll_rad: float = Field(
+        default=0.0,
+        strict=True,
+        ge=-radians(180.1),
+        le=radians(180.1),
+        description="How much further its right side hangs down; 3.1416 where it is mounted upside down.",
+    )
+    rescale_calibration: bool = Field(
+        default=False, description="true where the pictures are the calibration's, scaled to another size."
+    )
     focal_scale: float = Field(
         default=1.0, strict=True, ge=0.2, le=5.0, description="Factor on the focal lengths."
     )
@@ -241,6 +258,11 @@ class Manifest(BaseModel):
             raise ValueError("[camera] use is false: a flight needs its pictures")
         return self
 
+    def with_calibration(self, path: Path) -> Self:
+        """Return the manifest with another calibration of the camera."""
+        camera = self.camera.model_copy(update={"calibration": path.absolute()})
+        return self.model_copy(update={"camera": camera})
+
     def streams(self) -> dict[str, StreamSource]:
         """Return the source of each of `STREAMS`, by name."""
         return {
@@ -258,19 +280,17 @@ class Manifest(BaseModel):
 
 
 def corrected_camera(camera: Camera, source: CameraSource) -> Camera:
-    """Apply a manifest's corrections to a calibration: mounting yaw, then pitch, in the body; focal lengths."""
+    """Apply a manifest's corrections to a calibration: mounting yaw, pitch, then roll, in the body; focal lengths."""
     from dataclasses import replace
 
-    if source.mount_yaw_rad == source.mount_pitch_rad == 0.0 and source.focal_scale == 1.0:
+    angles_rad = (source.mount_yaw_rad, source.mount_pitch_rad, source.mount_roll_rad)
+    if not any(angles_rad) and source.focal_scale == 1.0:
         return camera
-    yaw, pitch = source.mount_yaw_rad, source.mount_pitch_rad
-    R_yaw = np.array([[cos(yaw), -sin(yaw), 0.0], [sin(yaw), cos(yaw), 0.0], [0.0, 0.0, 1.0]])
-    R_pitch = np.array([[cos(pitch), 0.0, sin(pitch)], [0.0, 1.0, 0.0], [-sin(pitch), 0.0, cos(pitch)]])
     return replace(
         camera,
         fx_px=camera.fx_px * source.focal_scale,
         fy_px=camera.fy_px * source.focal_scale,
-        R_body_camera=R_yaw @ R_pitch @ camera.R_body_camera,
+        R_body_camera=rotation_from_angles(*angles_rad) @ camera.R_body_camera,
     )
 
 

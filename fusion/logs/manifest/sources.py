@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -20,13 +21,16 @@ from fusion.flight import (
     ImuStream,
     RangeStream,
     Remark,
+    TimeArray,
     VectorStream,
 )
 from fusion.logs import open_log
-from fusion.logs.contents import Kind, LogContents, Topic
-from fusion.logs.csv.column_map import ColumnMap
-from fusion.logs.csv.columns import SI, CsvLog
+from fusion.logs.contents import Kind, LogContents, Medium, Topic
+from fusion.logs.csv.column_map import ColumnMap, in_si
+from fusion.logs.csv.columns import CsvLog
 from fusion.logs.manifest.manifest import CameraSource, Manifest, StreamSource, corrected_camera
+from fusion.logs.pictures.camera_folder import size_of_pictures
+from fusion.logs.plausibility.findings import Advice
 from fusion.logs.plausibility.imu import Gravity, gravity_of
 from fusion.logs.plausibility.mounting import mounted, mounted_imu
 from fusion.logs.plausibility.rig import (
@@ -38,7 +42,7 @@ from fusion.logs.plausibility.rig import (
     turned_velocity,
 )
 from fusion.logs.plausibility.rig import sentence as rig_sentence
-from fusion.logs.samples import Problems, WithProblems, refuse_placeholder
+from fusion.logs.samples import Problems, WithProblems, at_rate, refuse_placeholder
 from fusion.logs.topic_choice import RANKED_FORMATS, TABLES, choose_topic
 from vision import Camera, InputError
 from vision.cameras.calibration import to_frd
@@ -99,6 +103,25 @@ class ManifestLog(LogContents):
             raise opened
         return opened
 
+    def advice(self) -> Advice:
+        """Return how to put streams right, by what each of them is read from."""
+        media: dict[str, Medium] = {}
+        for kind in Kind:
+            with suppress(InputError):
+                if (log := self.log(kind)) is not None:
+                    media[TABLES[kind]] = log.medium
+        return Advice(media, {f"{role}_unit": self._unit_taken(role) for role in ("gyro", "accel")})
+
+    def _unit_taken(self, role: str) -> float:
+        """Return what one of the IMU file's unit was taken for in SI."""
+        try:
+            log, told = self.log(Kind.IMU), self.manifest.imu.columns
+        except InputError:
+            return 1.0
+        if isinstance(told, ColumnMap) and not isinstance(log, CsvLog):
+            return in_si(str(told.unit_of(role)))
+        return 1.0 if log is None else log.unit_taken(role)
+
     def whole_log(self) -> LogContents | None:
         """Return the log that the manifest names for everything, if it was opened."""
         for (path, _), log in self._opened.items():
@@ -158,13 +181,13 @@ class ManifestLog(LogContents):
         if log is None:
             return []
         own = "" if source.file is None or source.file == self.manifest.log else source.file.name
-        shift_ns = round(source.clock_offset_s * 1e9)
-        shift = f"{source.clock_offset_s:+.3f} s" if shift_ns else ""
+        shift = f"{source.clock_offset_s:+.3f} s" if source.clock_offset_s else ""
+        rate = f"clock x {source.clock_rate:g}" if source.clock_rate != 1.0 else ""
         return [
             replace(
                 topic,
-                t_ns=topic.t_ns + shift_ns,
-                note="; ".join(part for part in (own, topic.note, shift) if part),
+                t_ns=on_flights_clock(topic.t_ns, source),
+                note="; ".join(part for part in (own, topic.note, rate, shift) if part),
             )
             for topic in log.topics
             if topic.kind is kind and source.topic in (None, topic.name)
@@ -179,10 +202,10 @@ class ManifestLog(LogContents):
             if log is None:
                 raise InputError(f"names no {TABLES[kind]}", file=self.path, remedy="name it, or give a log")
             stream, problems = read(log)(topic)
-            shift_ns = round(source.clock_offset_s * 1e9)
-            shifted: Any = replace(stream, t_ns=stream.t_ns + shift_ns) if shift_ns else stream
+            t_ns = on_flights_clock(stream.t_ns, source)
+            shifted: Any = stream if t_ns is stream.t_ns else replace(stream, t_ns=t_ns)
             if isinstance(source.columns, ColumnMap) and not isinstance(log, CsvLog):
-                shifted = in_si(shifted, kind, source.columns)
+                shifted = converted(shifted, kind, source.columns)
             self._streams[kind, topic] = WithProblems(mounted(shifted, source), problems)
         found: WithProblems[AnyStream] = self._streams[kind, topic]
         return found
@@ -254,7 +277,22 @@ class ManifestLog(LogContents):
             return None
         if rig is not None and self._given_camera is None:
             camera = turned_camera(camera, rig)
+        if self.manifest.camera.rescale_calibration:
+            camera = self._rescaled(camera, topic)
         return corrected_camera(camera, self.manifest.camera)
+
+    def _rescaled(self, camera: Camera, topic: str) -> Camera:
+        size = size_of_pictures(self.frames(topic).value)
+        if size is None or size == (camera.width_px, camera.height_px):
+            return camera
+        if not camera.is_scaled_to(*size):
+            raise InputError(
+                f"rescale_calibration = true, but pictures of {size[0]}x{size[1]} are none of {camera.width_px}x"
+                f"{camera.height_px} that were scaled: they were cut, or stretched",
+                file=self.path,
+                remedy="give the calibration of these pictures",
+            )
+        return camera.resized(*size)
 
     def _camera_as_calibrated(self, topic: str) -> Camera | None:
         if self._shift_error is not None:
@@ -371,21 +409,29 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
     return open_log(path)
 
 
-def in_si(stream: AnyStream, kind: Kind, columns: ColumnMap) -> AnyStream:
+def on_flights_clock(t_ns: TimeArray, source: StreamSource) -> TimeArray:
+    """Return times (n,) of a file on the flight's clock; the same array where they are on it already."""
+    shift_ns = round(source.clock_offset_s * 1e9)
+    if source.clock_rate != 1.0:
+        t_ns = at_rate(t_ns, source.clock_rate)
+    return t_ns + shift_ns if shift_ns else t_ns
+
+
+def converted(stream: AnyStream, kind: Kind, columns: ColumnMap) -> AnyStream:
     """Return a stream of a log whose format has units of its own, where its numbers are in others."""
     scaled: Any = stream
     if isinstance(stream, ImuStream):
-        accel_unit = SI[columns.accel_unit] * columns.accel_sign
+        accel_unit = in_si(columns.accel_unit) * columns.accel_sign
         scaled = replace(
             stream,
-            gyro_rad_s=stream.gyro_rad_s * SI[columns.gyro_unit],
+            gyro_rad_s=stream.gyro_rad_s * in_si(columns.gyro_unit),
             accel_m_s2=stream.accel_m_s2 * accel_unit,
         )
     elif isinstance(stream, VectorStream):
         unit = columns.velocity_unit if kind is Kind.VELOCITY else columns.position_unit
-        scaled = replace(stream, xyz=stream.xyz * SI[unit])
+        scaled = replace(stream, xyz=stream.xyz * in_si(unit))
     elif isinstance(stream, RangeStream):
-        scaled = replace(stream, distance_m=stream.distance_m * SI[columns.range_unit])
+        scaled = replace(stream, distance_m=stream.distance_m * in_si(columns.range_unit))
     result: AnyStream = scaled
     return result
 

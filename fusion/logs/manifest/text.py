@@ -26,9 +26,12 @@ _MEANING = {
     "camera.times": "time of each frame, a row per frame",
     "camera.mount_yaw_rad": "the camera looks this much further right than its calibration says",
     "camera.mount_pitch_rad": "the camera looks this much further up than its calibration says",
+    "camera.mount_roll_rad": "its right side hangs this much further down than its calibration says",
+    "camera.rescale_calibration": "the pictures are the calibration's, scaled to another size",
     "camera.focal_scale": "factor on the calibration's focal lengths",
     "range.above_camera_m": "the sensor sits this much higher than the camera",
     "mount_rad": "roll, pitch, yaw of the sensor on the body",
+    "clock_rate": "seconds of the flight in a second of this file's clock, counted from its first sample",
     "use": "false: left out",
     "clock_offset_s": "added to this file's times",
 }

@@ -172,19 +172,35 @@ def are_numbers_of_frames(numbers: npt.NDArray[np.generic]) -> bool:
 
 def check_size(frames: FrameStream, camera: Camera, file: Path | None = None) -> None:
     """Raise `InputError` where the first picture that decodes is not of the camera's resolution."""
+    paths = frames.source.paths if isinstance(frames.source, PictureFiles) else ()
+    first = next((path for path in paths if path.exists()), file)
+    if first is not None and first.exists():
+        refuse_placeholder(first)
+    size = size_of_pictures(frames)
+    if size is None:
+        return
+    try:
+        camera.require_size(*size, file=first)
+    except InputError as error:
+        if not camera.is_scaled_to(*size):
+            raise
+        remedy = f"{error.remedy}; rescale_calibration = true for [camera] in flight.toml does that"
+        raise InputError(error.problem, file=first, remedy=remedy) from error
+
+
+def size_of_pictures(frames: FrameStream) -> tuple[int, int] | None:
+    """Return width and height of the first picture that decodes; None where none of a few does."""
     tries = 0
     for index in range(len(frames.t_ns)):
-        path = frames.source.paths[index] if isinstance(frames.source, PictureFiles) else file
-        if path is not None and not path.exists():  # a missing picture is found at once: any number of them
+        source = frames.source
+        if isinstance(source, PictureFiles) and not source.paths[index].exists():  # any number may be missing
             continue
-        if path is not None and not tries:
-            refuse_placeholder(path)
         try:
             height_px, width_px = frames.read(index).shape
         except InputError:
             tries += 1
             if tries == _TRIES:
-                return
+                break
             continue
-        camera.require_size(width_px, height_px, file=path)
-        return
+        return width_px, height_px
+    return None

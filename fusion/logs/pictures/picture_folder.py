@@ -19,7 +19,7 @@ from fusion.files import stays_inside
 from fusion.flight import FrameStream, Remark, TimeArray
 from fusion.logs.contents import Kind, Topic
 from fusion.logs.csv.column_map import ColumnMap
-from fusion.logs.csv.time_units import MISSING, guess_unit, in_words, to_ns
+from fusion.logs.csv.time_units import MISSING, dates_to_ns, guess_unit, in_words, to_ns
 from fusion.logs.csv.times import read_times
 from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES, PictureFiles, are_numbers_of_frames
 from fusion.logs.samples import Problems, WithProblems, counted, in_order
@@ -33,6 +33,8 @@ _REMEDY = (
     "rate_hz = 20"
 )
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
+_DAY, _TIME = r"((?:19|20)\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)", r"([0-2]\d)[-_.:h]?([0-5]\d)[-_.:m]?([0-6]\d)"
+_DATE = re.compile(rf"(?<!\d){_DAY}[-_T ]+{_TIME}(?:[-_.,s]+(\d{{1,9}}))?(?!\d)")
 TOPIC = "pictures"
 
 
@@ -180,10 +182,25 @@ def _beside(path: Path, file: Path, name: str) -> Path:
     return path / name
 
 
+def _date_ns(stem: str) -> int:
+    """Time that a picture's name gives as a date, as in ``IMG_20200913_124320_123``; `MISSING` where it does not."""
+    found = _DATE.search(stem)
+    if found is None:
+        return MISSING
+    year, month, day, hour, minute, second, fraction = found.groups()
+    date = f"{year}-{month}-{day} {hour}:{minute}:{second}" + (f".{fraction}" if fraction else "")
+    return int(dates_to_ns(np.array([date], dtype=object))[0])
+
+
 def _times_from_names(
     path: Path, names: list[str], columns: ColumnMap | str | None
 ) -> WithProblems[_TimesAndNames]:
     """Take times from the pictures' names: the last number in each, if it is long enough to be a time."""
+    dated = np.array([_date_ns(Path(name).stem) for name in names], dtype=np.int64)
+    if (dated != MISSING).all() and 2 * len(np.unique(dated)) > len(dated):
+        return WithProblems(
+            (dated, names), (Remark(f"{path.name}: times taken from the dates in the pictures' names"),)
+        )
     found = [_NUMBER.findall(Path(name).stem) for name in names]
     texts = [numbers[-1] if numbers else "" for numbers in found]
     timed = [(name, text) for name, text in zip(names, texts, strict=True) if len(text.replace(".", "")) >= 8]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from math import asin, atan2, pi, radians
 
 import numpy as np
 import numpy.typing as npt
+
+from fusion.logs.contents import Medium
 
 
 class Severity(StrEnum):
@@ -49,33 +52,43 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """What to change, worded for the kind of log that a flight came from.
+    """What to change, worded for what each stream is read from.
 
     Parameters
     ----------
-    is_folder
-        Whether it is a flight folder in the ASL layout, whose files state their axes in ``mav0/body.yaml`` and whose
-        units are fixed; else the manifest says so.
+    media
+        Of streams by their names in a manifest; those that it lacks are of a log.
+    taken
+        What one of a unit is in SI, ``gyro_unit`` or ``accel_unit``, as the file was read; 1 where it lacks one.
     """
 
-    is_folder: bool = False
+    media: Mapping[str, Medium] = field(default_factory=dict)
+    taken: Mapping[str, float] = field(default_factory=dict)
+
+    def medium(self, stream: str) -> Medium:
+        """Return what a stream is read from."""
+        return self.media.get(stream, Medium.LOG)
 
     def frame(self, stream: str, frame: str) -> str:
         """Return how to name a stream's axes."""
-        if self.is_folder:
-            return f"correct body_frame in mav0/body.yaml, or T_BS in mav0/{stream}0/sensor.yaml"
-        other = "mount_rad = [3.1416, 0, 0]" if stream == "imu" else "use = false"
-        return f'set frame = "{frame}" for [{stream}] in flight.toml if it is a CSV, else {other}'
+        match self.medium(stream):
+            case Medium.FOLDER:
+                return f"correct body_frame in mav0/body.yaml, or T_BS in mav0/{stream}0/sensor.yaml"
+            case Medium.TABLE:
+                return f'set frame = "{frame}" for [{stream}] in flight.toml'
+            case Medium.LOG if stream == "imu":
+                return "set mount_rad = [3.1416, 0, 0] for [imu] in flight.toml"
+        return self.leave_out(stream)
 
     def mounting(self, stream: str, up: npt.NDArray[np.float64]) -> str:
         """Return how to say that a sensor's axes are not the body's, of which it sees this direction (3,) as up."""
-        if self.is_folder:
+        if self.medium(stream) is Medium.FOLDER:
             return f"give its mounting as T_BS in mav0/{stream}0/sensor.yaml"
         roll = _rounded(atan2(-up[1], -up[2]))
         pitch = _rounded(asin(max(-1.0, min(1.0, up[0]))))
         return (
-            f"if it is mounted so, set mount_rad = [{roll:.4g}, {pitch:.4g}, YAW] for [{stream}] in flight.toml; "
-            "YAW, positive right, is not to be seen from gravity; where the camera looks along one of its axes, "
+            f"if it is mounted so, set mount_rad = [{roll:.4g}, {pitch:.4g}, 0] for [{stream}] in flight.toml, the "
+            "third its yaw to the right, which gravity does not show; where the camera looks along one of its axes, "
             'camera_axis = "-z" or another for [imu] is enough'
         )
 
@@ -89,15 +102,33 @@ class Advice:
         key, unit
             What to write into its column map.
         factor
-            What to multiply the numbers by where there is no column map.
+            What to multiply the numbers by where they are in a flight folder.
         """
-        if self.is_folder:
+        if self.medium(stream) is Medium.FOLDER:
             return f"multiply its columns in mav0/{stream}0/data.csv by {factor}"
         return f'set {key} = "{unit}" in [{stream}.columns] of flight.toml, or correct the logger'
 
+    def quaternion_order(self) -> str:
+        """Return how to name the order of quaternions that are not w, x, y, z."""
+        match self.medium("attitude"):
+            case Medium.FOLDER:
+                return "write w, x, y, z into mav0/attitude0/data.csv"
+            case Medium.TABLE:
+                return "name the columns in the order w, x, y, z: quaternion in [attitude.columns] of flight.toml"
+        return self.leave_out("attitude")
+
+    def conjugated(self) -> str:
+        """Return what to do with quaternions that take the world to the body."""
+        match self.medium("attitude"):
+            case Medium.FOLDER:
+                return "negate x, y, z in mav0/attitude0/data.csv"
+            case Medium.TABLE:
+                return f"negate x, y, z in the file, or {self.leave_out('attitude')}"
+        return self.leave_out("attitude")
+
     def leave_out(self, stream: str) -> str:
         """Return how to do without a stream."""
-        if self.is_folder:
+        if self.medium(stream) is Medium.FOLDER:
             return f"take mav0/{stream}0 away to fuse without it"
         return f"set use = false for [{stream}] in flight.toml to fuse without it"
 

@@ -49,7 +49,12 @@ class Streams:
         return found | {name: stream.t_ns for name, stream in streams.items() if stream is not None}
 
 
-def check_flight(flight: Flight, path: Path | None = None, files: Mapping[str, Path] | None = None) -> Flight:
+def check_flight(
+    flight: Flight,
+    path: Path | None = None,
+    files: Mapping[str, Path] | None = None,
+    advice: Advice = Advice(),  # noqa: B008  # frozen
+) -> Flight:
     """Return the flight without dead streams and with what is implausible among its problems.
 
     Parameters
@@ -57,16 +62,18 @@ def check_flight(flight: Flight, path: Path | None = None, files: Mapping[str, P
     flight
         As a reader made it.
     path
-        What the user named, for messages; a folder in the ASL layout gets other advice than a log.
+        What the user named, for messages.
     files
         Files that streams have of their own, by the stream's name in a manifest.
+    advice
+        What to change, by what each stream was read from.
 
     Raises
     ------
     InputError
         Where fusing would give a wrong answer: units, axes or clocks that are certainly not as taken.
     """
-    alive, findings = examine_streams(_streams(flight), Advice(is_folder=path is not None and is_asl(path)))
+    alive, findings = examine_streams(_streams(flight), advice)
     for finding in findings:
         if finding.severity is Severity.ERROR:
             raise InputError(
@@ -185,11 +192,6 @@ def _streams(flight: Flight) -> Streams:
     return Streams(
         flight.frames.t_ns, flight.imu, flight.attitude, flight.velocity, flight.position, flight.range
     )
-
-
-def is_asl(path: Path) -> bool:
-    """Whether a path is a flight folder in the ASL layout."""
-    return path.is_dir() and ((path / "mav0").is_dir() or (path / "cam0").is_dir())
 
 
 def _vector(values: FloatArray) -> str:

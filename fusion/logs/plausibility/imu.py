@@ -13,12 +13,15 @@ from math import degrees, radians
 import numpy as np
 
 from fusion.flight import AttitudeStream, FloatArray, ImuStream
+from fusion.logs.contents import Medium
+from fusion.logs.csv.column_map import in_si, unit_in_words, unit_of_size
 from fusion.logs.plausibility.findings import Advice, Finding, Severity
 from fusion.logs.plausibility.turn_rates import FLU, Reading, compare_turns
 
 GRAVITY_M_S2 = 9.80665
 MIN_SAMPLES = 20
 GYRO_RANGE_RAD_S = radians(2000.0)  # the widest range of small gyroscopes
+MAX_DEGREES = 2000.0  # per second: beyond it the numbers are no degrees either
 LIKELY_DEGREES = 4.0  # median of |gyro|: 230 degrees/s all the time
 UPRIGHT = 0.8  # share of gravity along z: within 37 degrees
 MIN_CORRELATION = 0.7  # with the attitude, before its scale or axes are believed
@@ -60,7 +63,7 @@ def examine_imu(imu: ImuStream, attitude: AttitudeStream | None, advice: Advice)
     gravity = gravity_of(imu)
     if gravity is not None:
         yield from _accel_unit(gravity, advice)
-    if attitude is not None and (order := examine_order(imu, attitude)) is not None:
+    if attitude is not None and (order := examine_order(imu, attitude, advice)) is not None:
         yield order
         yield from _gravity_sign(gravity, advice, gyro_confirmed=False)
         return
@@ -77,7 +80,7 @@ def examine_imu(imu: ImuStream, attitude: AttitudeStream | None, advice: Advice)
     yield from _gravity_sign(gravity, advice, gyro_confirmed=False)
 
 
-def examine_order(imu: ImuStream, attitude: AttitudeStream) -> Finding | None:
+def examine_order(imu: ImuStream, attitude: AttitudeStream, advice: Advice) -> Finding | None:
     """Tell whether quaternions are in another order than taken: w first where it should be last, or the reverse.
 
     In the other order, and only in it, they turn as the gyroscope does, and the vehicle stands upright.
@@ -99,8 +102,7 @@ def examine_order(imu: ImuStream, attitude: AttitudeStream) -> Finding | None:
                 "quaternion_order",
                 f"its quaternions are written in the order {text}: in the other order they turn as the gyroscope, "
                 f"correlation {other.as_taken.correlation:+.2f}, as taken {taken.as_taken.correlation:+.2f}",
-                "name the columns of a CSV in the order w, x, y, z: quaternion in [attitude.columns] of flight.toml; "
-                "else set use = false for [attitude]",
+                advice.quaternion_order(),
             )
     return None
 
@@ -147,31 +149,20 @@ def _accel_unit(gravity: Gravity, advice: Advice) -> Iterator[Finding]:
     length = float(np.linalg.norm(gravity.mean))
     if 0.6 * GRAVITY_M_S2 < length < 1.4 * GRAVITY_M_S2:
         return
-    for unit, name, one_g, factor in (
-        ("g", "g", 1.0, "9.80665"),
-        ("mg", "thousandths of g", 1000.0, "0.00980665"),
-        *(
-            (f"g/{count:.0f}", f"counts, {count:.0f} to a g", count, f"{GRAVITY_M_S2 / count:.4g}")
-            for count in (512.0, 2048.0, 4096.0, 8192.0, 16384.0)
-        ),
-    ):
-        if 0.8 < length / one_g < 1.2:
-            yield Finding(
-                Severity.ERROR,
-                "imu",
-                "accel_unit",
-                f"gravity reads {length:.4g} instead of 9.81 m/s^2: the accelerometer is in {name}",
-                advice.unit("imu", "accel_unit", unit, factor),
-            )
-            return
+    size = advice.taken.get("accel_unit", 1.0) * GRAVITY_M_S2 / length
+    unit, is_known = unit_of_size(size, "g")
+    remedy = advice.unit("imu", "accel_unit", unit, f"{GRAVITY_M_S2 / length:.4g}")
+    text = f"gravity reads {length:.4g} instead of 9.81 m/s^2: the accelerometer"
+    if is_known:
+        yield Finding(Severity.ERROR, "imu", "accel_unit", f"{text} is in {unit_in_words(unit)}", remedy)
+        return
     far = not 0.3 < length / GRAVITY_M_S2 < 3.0
     yield Finding(
         Severity.ERROR if far else Severity.WARNING,
         "imu",
         "accel_unit",
-        f"gravity reads {length:.4g} instead of 9.81 m/s^2"
-        + (": the accelerometer is in another unit" if far else ": the accelerometer's scale is off"),
-        f"multiply its columns by {GRAVITY_M_S2 / length:.4g}",
+        f"{text} is in another unit" if far else f"{text}'s scale is off",
+        remedy,
     )
 
 
@@ -180,24 +171,25 @@ def _scale(reading: Reading, advice: Advice) -> Iterator[Finding]:
     ratio = 1.0 / reading.scale
     if 0.6 < ratio < 1.6:
         return
-    named = [
-        (unit, name, factor)
-        for unit, name, size, factor in (
-            ("deg/s", "in degrees/s, not rad/s", degrees(1.0), "0.0174533"),
-            ("mrad/s", "in mrad/s, not rad/s", 1000.0, "0.001"),
-        )
-        if 0.7 < ratio / size < 1.3
-    ]
-    unit, name, factor = named[0] if named else ("...", "not in rad/s", f"{reading.scale:.4g}")
-    certain = bool(named) or not 0.2 < ratio < 5.0
+    taken = advice.taken.get("gyro_unit", 1.0)
+    unit, is_known = unit_of_size(taken / ratio, "deg/s")
+    if not is_known:  # an attitude that lags or leads shows a rate's size roughly
+        near = [name for name in ("deg/s", "mrad/s") if 0.7 < ratio * in_si(name) / taken < 1.3]
+        unit, is_known = (near[0], True) if near else (unit, False)
+    certain = is_known or not 0.2 < ratio < 5.0
+    words = (
+        f"in {unit_in_words(unit)}, not rad/s"
+        if is_known and taken == 1.0
+        else (f"in {unit_in_words(unit)}" if is_known else "in another unit")
+    )
     yield Finding(
         Severity.ERROR if certain else Severity.WARNING,
         "imu",
         "gyro_unit",
-        f"the gyroscope turns {ratio:.3g} times as fast as the attitude: it is {name}"
+        f"the gyroscope turns {ratio:.3g} times as fast as the attitude: it is {words}"
         if certain
         else f"the gyroscope turns {ratio:.3g} times as fast as the attitude",
-        advice.unit("imu", "gyro_unit", unit, factor)
+        advice.unit("imu", "gyro_unit", unit, f"{in_si(unit) / taken:.6g}")
         if certain
         else "check the gyroscope's unit and scale, and the clocks of both",
     )
@@ -219,7 +211,7 @@ def _axes_by_attitude(
             "attitude_conjugated",
             "its quaternions turn against the gyroscope and agree with it conjugated: they take the world to the "
             f"body, {evidence}",
-            "negate x, y, z of the quaternion: it must take the body to the world",
+            advice.conjugated(),
         )
     elif np.array_equal(likeliest.axes, FLU) and up:
         yield Finding(
@@ -269,8 +261,11 @@ def _gravity_sign(gravity: Gravity | None, advice: Advice, *, gyro_confirmed: bo
             return
         text = f"gravity reads {_signed(gravity)} along z instead of -9.8: axes look like FLU, not FRD"
         remedy = advice.frame("imu", "flu")
-        if not advice.is_folder:
-            remedy += "; where only the accelerometer's sign is reversed, accel_sign = -1 in [imu.columns]"
+        if advice.medium("imu") is not Medium.FOLDER:
+            remedy += (
+                "; if vision then turns the other way, only the accelerometer's sign is reversed: instead set "
+                "accel_sign = -1 in [imu.columns]"
+            )
         yield Finding(Severity.ERROR, "imu", "imu_axes", text, remedy)
     elif abs(direction[axis]) > UPRIGHT:
         yield Finding(
@@ -296,8 +291,7 @@ def _gyro_degrees(imu: ImuStream, gravity: Gravity | None, advice: Advice) -> It
     """Without an attitude: rates beyond any gyroscope's range, or tilts that gravity does not follow."""
     speed = np.linalg.norm(imu.gyro_rad_s, axis=1)
     fastest, usual = float(np.percentile(speed, 99.0)), float(np.median(speed))
-    text = None
-    severity = Severity.ERROR
+    text, severity, taken = None, Severity.ERROR, advice.taken.get("gyro_unit", 1.0)
     if fastest > GYRO_RANGE_RAD_S:
         text = f"one gyroscope sample in a hundred is beyond {fastest:.0f} rad/s, more than any measures"
     else:
@@ -308,16 +302,24 @@ def _gyro_degrees(imu: ImuStream, gravity: Gravity | None, advice: Advice) -> It
                 f"gravity {degrees(tilts[1]):.1f}"
             )
         elif usual > LIKELY_DEGREES:
-            severity = Severity.WARNING
+            # As told, it is sure to be wrong; as logged, something may have spun.
+            severity = Severity.WARNING if taken == 1.0 else Severity.ERROR
             text = f"the gyroscope reads {usual:.0f} rad/s half of the time"
-    if text is not None:
-        yield Finding(
-            severity,
-            "imu",
-            "gyro_unit",
-            f"{text}: it {'is' if severity is Severity.ERROR else 'may be'} in degrees/s, not rad/s",
-            advice.unit("imu", "gyro_unit", "deg/s", "0.0174533"),
-        )
+    if text is None:
+        return
+    as_degrees = fastest < MAX_DEGREES and radians(usual) < LIKELY_DEGREES
+    unit = "deg/s" if taken == 1.0 and as_degrees else "deg/s/16.4"
+    words = {"deg/s": "degrees/s, not rad/s"}.get(unit, "counts of its sensor")
+    remedy = advice.unit("imu", "gyro_unit", unit, f"{in_si(unit) / taken:.6g}")
+    if unit != "deg/s":
+        remedy += "; its data sheet gives the counts of one degree/s, 16.4 for a range of 2000"
+    yield Finding(
+        severity,
+        "imu",
+        "gyro_unit",
+        f"{text}: it {'is' if severity is Severity.ERROR else 'may be'} in {words}",
+        remedy,
+    )
 
 
 def _tilts(imu: ImuStream) -> tuple[float, float] | None:

@@ -33,6 +33,7 @@ from fusion.logs.rosbag.encoded import EncodedPictures, codec_of, is_key_frame
 from fusion.logs.rosbag.file import Bag, recognises
 from fusion.logs.rosbag.frames import StaticFrames
 from fusion.logs.rosbag.messages import (
+    IMUS,
     PICTURES,
     POSES,
     TWISTS,
@@ -228,7 +229,7 @@ def _video(
 
 def _series(wire: Wire, topics: list[Samples]) -> WithProblems[list[Series]]:
     """Topics of numbers by kind, the one to prefer first."""
-    imus = [s for s in topics if s.kind is RosType.IMU]
+    imus = [s for s in topics if s.kind in IMUS]
     inertial, problems = _inertial(imus)
     oriented = [s for s in imus if _any_quaternion(s.columns(0, 4))]
     poses = sorted((s for s in topics if s.kind in POSES), key=lambda s: POSES.index(s.kind))
@@ -236,6 +237,11 @@ def _series(wire: Wire, topics: list[Samples]) -> WithProblems[list[Series]]:
     attitudes = [
         _one(s, Kind.ATTITUDE, f"orientation of the IMU, {s.axes}", partial(_read_attitude, 0))
         for s in oriented
+    ]
+    attitudes += [
+        _one(s, Kind.ATTITUDE, "body FRD to NED", partial(_read_attitude, 0))
+        for s in topics
+        if s.kind is RosType.PX4_ATTITUDE
     ]
     attitudes += [_one(s, Kind.ATTITUDE, _frame(wire, s), partial(_read_attitude, 3)) for s in poses]
     found = [*inertial, *attitudes]

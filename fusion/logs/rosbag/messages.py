@@ -37,11 +37,15 @@ class RosType(StrEnum):
     TWIST = "geometry_msgs/msg/TwistStamped"
     TWIST_COVARIANCE = "geometry_msgs/msg/TwistWithCovarianceStamped"
     RANGE = "sensor_msgs/msg/Range"
+    PX4_COMBINED = "px4_msgs/msg/SensorCombined"
+    PX4_ATTITUDE = "px4_msgs/msg/VehicleAttitude"
     TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
 PICTURES = (RosType.IMAGE, RosType.COMPRESSED)
 POSES = (RosType.POSE, RosType.POSE_COVARIANCE, RosType.ODOMETRY)
+IMUS = (RosType.IMU, RosType.PX4_COMBINED)
+PX4 = (RosType.PX4_COMBINED, RosType.PX4_ATTITUDE)  # microseconds and no header; FRD and NED
 TWISTS = (RosType.ODOMETRY, RosType.TWIST, RosType.TWIST_COVARIANCE)
 
 # How many strings stand between the stamp and the numbers, and how many numbers follow.
@@ -60,6 +64,8 @@ WIDTH = {
     RosType.POSE_COVARIANCE: 7,
     RosType.TWIST: 3,
     RosType.TWIST_COVARIANCE: 3,
+    RosType.PX4_COMBINED: 10,
+    RosType.PX4_ATTITUDE: 4,
     RosType.RANGE: 3,  # distance, least and greatest that can be measured
 }
 
@@ -81,8 +87,11 @@ class Wire:
         """Byte order, as `struct` names it."""
         return ">" if self.ros2 and raw[1] == 0 else "<"
 
-    def stamp_ns(self, raw: bytes) -> int:
+    def stamp_ns(self, raw: bytes, kind: RosType) -> int:
         """Time of a message's header; `struct.error` where it has none, -1 where it is damaged."""
+        if kind in PX4:
+            logged_us, sampled_us = struct.unpack_from(self.order(raw) + "2Q", raw, 4)
+            return int(sampled_us if kind is RosType.PX4_ATTITUDE and sampled_us else logged_us) * 1000
         seconds, nanoseconds = struct.unpack_from(self.order(raw) + "II", raw, 4)
         return int(seconds) * 1_000_000_000 + int(nanoseconds) if nanoseconds < 1_000_000_000 else -1
 
@@ -105,6 +114,10 @@ class Wire:
         """Read the numbers of a message of fixed layout, of double precision but for distances."""
         if kind is RosType.RANGE:
             return self._range(raw)
+        if kind is RosType.PX4_COMBINED:
+            return struct.unpack_from(self.order(raw) + "3f8x3f", raw, 12)
+        if kind is RosType.PX4_ATTITUDE:
+            return struct.unpack_from(self.order(raw) + "4f", raw, 20)
         strings, count = _LAYOUT[kind]
         _, at = self.strings(raw, strings)
         return struct.unpack_from(f"{self.order(raw)}{count}d", raw, at)
@@ -136,6 +149,8 @@ def row(kind: RosType, v: Sequence[float]) -> tuple[float, ...]:
         return (*_turned(v[0:3]), *_quaternion(v[3:7]))
     if kind is RosType.RANGE:
         return v[3], v[1], v[2]
+    if kind in PX4:
+        return (*_NAN4, *v) if kind is RosType.PX4_COMBINED else tuple(v)
     return _turned(v[0:3])
 
 

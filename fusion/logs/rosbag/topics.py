@@ -16,7 +16,7 @@ from fusion.flight import FloatArray, TimeArray
 from fusion.logs.rosbag.file import Bag, SkippingMessages
 from fusion.logs.rosbag.frames import OPTICAL_AS_FLU, Mount, StaticFrames, is_optical
 from fusion.logs.rosbag.frames import TOPICS as TRANSFORM_TOPICS
-from fusion.logs.rosbag.messages import WIDTH, RosType, Wire, row
+from fusion.logs.rosbag.messages import PX4, WIDTH, RosType, Wire, row
 from fusion.logs.samples import Problems, WithProblems, counted
 from fusion.logs.series import LATEST_NS, Where
 from vision import InputError
@@ -47,7 +47,7 @@ class _Messages:
     def take(self, wire: Wire, received_ns: int, raw: bytes) -> None:
         """Note a message; one that is damaged is counted."""
         try:
-            stamp_ns = wire.stamp_ns(raw)
+            stamp_ns = wire.stamp_ns(raw, self.kind)
             values = row(self.kind, wire.numbers(raw, self.kind)) if self.kind in WIDTH else ()
         except (struct.error, IndexError):
             self.broken += 1
@@ -219,6 +219,8 @@ def of_use(connection: Connection) -> bool:
 
 def _turned_into_body(samples: Samples, wire: Wire, frames: StaticFrames) -> Samples:
     """Turn inertial samples into the body, where transforms tell the mount; tell of a range sensor where it looks."""
+    if samples.kind in PX4:
+        return replace(samples, axes="x forward, y right, z down")
     if samples.kind not in (RosType.IMU, RosType.RANGE):
         return samples
     frame_id = wire.frame_id(samples.first)

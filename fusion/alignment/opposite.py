@@ -1,0 +1,47 @@
+"""What to change where vision and the inertial sensors turn opposite ways."""
+
+from __future__ import annotations
+
+from math import cos
+
+import numpy as np
+
+from fusion.flight import Flight
+from fusion.logs.contents import Kind, Medium
+from fusion.logs.manifest.manifest import ImuSource, Manifest
+from fusion.logs.manifest.sources import ManifestLog
+from fusion.logs.plausibility.findings import Advice
+
+
+def opposite_remedy(flight: Flight) -> str:
+    """Name the setting that is likely wrong: whose axes, by gravity and by what the flight's manifest says.
+
+    Gravity alone cannot tell an IMU with x forward, left, up from one that gives gravity's pull along x forward,
+    right, down: turns seen by the camera do.
+    """
+    imu, manifest = flight.imu, flight.manifest
+    sources = ManifestLog(manifest) if isinstance(manifest, Manifest) else None
+    advice = Advice() if sources is None else sources.advice()
+    if imu is None or not np.isfinite(imu.accel_m_s2).any():
+        stream = "attitude" if imu is None else "imu"
+        return f"Axes are likely forward, left, up: {advice.frame(stream, 'flu')}."
+    told = sources.manifest.imu if sources is not None else ImuSource()
+    if told.mount_rad is not None and cos(told.mount_rad[0]) < 0.0:
+        return (
+            "Take mount_rad of [imu] away and set accel_sign = -1 in [imu.columns] of flight.toml: the accelerometer "
+            "gives gravity's pull, the axes are as they should be."
+        )
+    if (
+        advice.medium("imu") is Medium.TABLE
+        and sources is not None
+        and (log := sources.log(Kind.IMU)) is not None
+    ):
+        other = "frd" if log.body_frame == "flu" else "flu"
+        return (
+            f'Set frame = "{other}" for [imu] and accel_sign = -1 in [imu.columns] of flight.toml, if the file gives '
+            "gravity's pull; if the camera hangs upside down, mount_roll_rad = 3.1416 for [camera]."
+        )
+    return (
+        "By gravity the IMU is as told, so the camera is not: if it hangs upside down, set mount_roll_rad = 3.1416 "
+        "for [camera] in flight.toml; if its pictures are mirrored, mirror them back."
+    )
