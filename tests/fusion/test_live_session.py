@@ -379,6 +379,20 @@ def test_a_camera_is_played_by_rtsp() -> None:
     assert all(p.t_ns <= clock.now_ns() for p in taken.pictures)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="V4L2 is Linux's")
+def test_a_device_that_is_no_camera_is_told_once_and_tried_again(caplog: pytest.LogCaptureFixture) -> None:
+    pytest.importorskip("av")
+    taken = Taken(camera_source("/dev/null", CAMERA, HostClock()))
+    end = time.monotonic() + WAIT_S
+    while taken.thread.reopened < 2 and time.monotonic() < end:
+        time.sleep(0.02)
+    taken.thread.close()
+    assert taken.thread.reopened >= 2
+    (told,) = (record.getMessage() for record in caplog.records)
+    assert told.startswith("camera /dev/null: ")
+    assert "check the camera" in told
+
+
 def test_what_holds_no_pictures_is_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.md").write_text("none")
     with pytest.raises(InputError):
