@@ -376,7 +376,8 @@ def test_clocks_that_never_meet(folder: Folder, stream: str) -> None:
     )
     with pytest.raises(
         InputError,
-        match=rf"{stream}/data\.csv: covers 0.0 to .* s, the frames 2020-.*Unix time.*if both began together, set clock_offset_s",
+        match=rf"{stream}/data\.csv: covers 0.0 to .* s, the frames 2020-.*Unix time.*"
+        "if both began together, set clock_offset_s",
     ):
         load_flight(folder.path)
 
