@@ -3,11 +3,11 @@
     python benchmarks/fleet.py [--flights 200] [--distinct 10] [--seconds 10] [--reports] [--rows 20000]
 
 Simulates some distinct flights (320x240, 20 Hz, IMU 200 Hz) and makes a fleet of manifests that name them in turn.
-Each flight is fused plainly in this process (`load_flight`, `fuse_flight`, `write_outputs`) and, turn by turn, as a
-worker does; then the fleet by one worker, by two, and again with nothing to do. Besides wall clock it tells processor
-time, on which other programs of the machine weigh less. Targets: two workers at least 1.8 times as fast as one (beside
-it stands what two processes gain that only calculate, the most that the machine allows), at most 50 ms of overhead per
-flight, in the worker and in the process that hands the flights out.
+Each flight is fused plainly in this process (`load_flight`, `fuse_flight`, `write_outputs`) and, turn by turn, as
+a worker does; then the fleet by one worker, by two, and again with nothing to do. Besides wall clock it tells
+processor time, on which other programs of the machine weigh less. Targets: two workers at least 1.8 times as fast
+as one (beside it stands what two processes gain that only calculate, the most that the machine allows), at most 50
+ms of overhead per flight, in the worker and in the process that hands the flights out.
 
 The last lines are what a model of the cost needs: seconds to start a worker, and to find, stamp, journal and tabulate
 a flight, from a table of ``--rows`` made-up rows; what workers and this process hold; and what Dask's scheduler takes
