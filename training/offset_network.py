@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import onnx
 import torch
 import typer
 from torch import Tensor, nn
@@ -35,8 +36,9 @@ from vision.lateral import learned
 from vision.lateral.learned import N_BINS, N_ODDS, N_QUARTER, PAIR_OFFSET, learned_mixture
 from vision.lateral.polar import ANGLES, N_ANGLES, N_RADII
 
-CHANNELS = (8, 16, 28, 40)
-DILATIONS = (1, 2, 4, 8)
+MIN_HALVED = 64  # numbers of a tensor that is kept at half precision
+CHANNELS = (12, 24, 40, 64)
+DILATIONS = (1, 2, 4, 8, 16)
 BATCH = 48
 LEARNING_RATE = 2.5e-3
 WARM_UP_STEPS, CORNER_STEPS = 60, 300
@@ -44,8 +46,8 @@ WITHOUT_CORRIDOR = 0.05
 CORNER_WEIGHT, CLASS_WEIGHT = 0.25, 0.3
 N_CLASSES = 3
 CHUNK_VIEWS = 10 * VIEWS_PER_CAMERA
-CHUNKS, STEPS, SEED = 10, 3000, 11
-FIRST_CHUNKS, STEPS_PER_CHUNK = 2, 150
+CHUNKS, STEPS, SEED = 53, 16000, 11
+FIRST_CHUNKS, STEPS_PER_CHUNK = 36, 900
 HELD_OUT, HELD_OUT_SEED, VARIATIONS = 240, 900, 4
 TEST_VIEWS, TEST_SEED = 48, 950
 TEMPERATURES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8, 2.1)  # never surer than trained
@@ -297,6 +299,27 @@ def export(network: OffsetNetwork, file: Path) -> None:
         opset_version=13,
         dynamo=False,
     )
+    _halve(file)
+
+
+def _halve(file: Path) -> None:
+    """Keep the weights of an exported network as half-precision numbers, which are cast when it is loaded."""
+    model = onnx.load(file)
+    graph = model.graph
+    weights, casts = [], []
+    for tensor in graph.initializer:
+        values = onnx.numpy_helper.to_array(tensor)
+        if values.dtype == np.float32 and values.size >= MIN_HALVED:
+            name = f"{tensor.name}_half"
+            casts.append(onnx.helper.make_node("Cast", [name], [tensor.name], to=onnx.TensorProto.FLOAT))
+            tensor = onnx.numpy_helper.from_array(values.astype(np.float16), name)
+        weights.append(tensor)
+    nodes = [*casts, *graph.node]
+    del graph.initializer[:], graph.node[:]
+    graph.initializer.extend(weights)
+    graph.node.extend(nodes)
+    onnx.checker.check_model(model)
+    onnx.save(model, file)
 
 
 def scores(views: list[TrainingView]) -> dict[str, float]:

@@ -98,6 +98,7 @@ class CorridorEstimator:
         self._resets = Resets()
         self._delay_ns = round(self.config.camera_delay_s * 1e9)
         self._late_in_a_row = 0
+        self._lateral_ns: int | None = None  # of the last frame that was searched for the offset
 
     @property
     def ekf(self) -> CorridorEKF:
@@ -234,10 +235,10 @@ class CorridorEstimator:
         """Add a picture whose lines were extracted elsewhere, for instance in another thread."""
         from vision import measure_lines
 
-        camera = self._camera()
+        camera, lateral = self._camera(), self._lateral_is_due(whole_nanoseconds(t_ns))
 
         def measure(attitude: Attitude | None, prior: Prior) -> FrameMeasurement:
-            return measure_lines(lines, camera, attitude, prior)
+            return measure_lines(lines, camera, attitude, prior, lateral=lateral)
 
         return self._add_frame(t_ns, measure, lines.ends_px.tobytes())
 
@@ -414,6 +415,13 @@ class CorridorEstimator:
                 "the estimator has no camera", remedy="give one: CorridorEstimator(config, camera)"
             )
         return self.camera
+
+    def _lateral_is_due(self, t_ns: int) -> bool:
+        rate_hz, last_ns = self.config.lateral_rate_hz, self._lateral_ns
+        if rate_hz is not None and last_ns is not None and abs(t_ns - last_ns) < 0.9e9 / rate_hz:
+            return False  # less than the period by a tenth, as frames come a little early
+        self._lateral_ns = t_ns
+        return True
 
     def _add_frame(
         self, t_ns: int, measure: Measure | FrameMeasurement | None, picture: bytes = b""

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import vision
 from fusion import CorridorEstimator, Flight, FusionConfig, load_flight
 from tests.files import OFFICE
-from vision import FrameMeasurement, extract_lines, measure_frame
+from vision import FrameMeasurement, extract_lines, measure_frame, measure_lines
 from vision.images import GreyImage
 
 N_FRAMES = 24
@@ -46,10 +47,10 @@ def test_pictures_measured_at_once_give_what_one_by_one_gives(
             assert at_once == one_by_one
 
 
-def fly(office: Flight, lines_of: Any) -> CorridorEstimator:
+def fly(office: Flight, lines_of: Any, **config: Any) -> CorridorEstimator:
     """Give the estimator the flight's beginning; ``lines_of`` says what was seen in a picture."""
     assert office.imu is not None
-    estimator = CorridorEstimator(FusionConfig(corridor_width_m=2.0), office.camera)
+    estimator = CorridorEstimator(FusionConfig(corridor_width_m=2.0, **config), office.camera)
     next_frame = 0
     for t_ns, gyro, accel in zip(office.imu.t_ns, office.imu.gyro_rad_s, office.imu.accel_m_s2, strict=True):
         estimator.add_imu(int(t_ns), gyro, accel)
@@ -79,6 +80,26 @@ def test_lines_found_in_another_thread_while_samples_arrive(
         camera_thread.join()
         assert list(map(repr, astuple(together.estimate()))) == list(map(repr, astuple(alone.estimate())))
         assert together.counters == alone.counters
+
+
+def test_the_offset_is_known_from_every_second_picture_too(
+    office: Flight, pictures: list[GreyImage], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched: list[bool] = []
+
+    def counted(*args: Any, lateral: bool, **options: Any) -> FrameMeasurement:
+        searched.append(lateral)
+        return measure_lines(*args, lateral=lateral, **options)
+
+    monkeypatch.setattr(vision, "measure_lines", counted)
+    lines = [extract_lines(picture, office.camera) for picture in pictures]
+    every = fly(office, lines.__getitem__).estimate()
+    assert all(searched)
+    searched.clear()
+    second = fly(office, lines.__getitem__, lateral_rate_hz=10.0).estimate()
+    assert sum(searched) == pytest.approx(len(searched) / 2, abs=1)
+    assert second.lateral_offset_norm == pytest.approx(every.lateral_offset_norm, abs=0.03)
+    assert second.heading_rad == pytest.approx(every.heading_rad, abs=1e-3)
 
 
 def test_estimators_in_threads_of_their_own_do_not_meet(office: Flight, pictures: list[GreyImage]) -> None:

@@ -29,9 +29,9 @@ from vision.lateral.mixture import N_BINS, OffsetMixture, merge_by_bins, mixture
 from vision.types import FloatArray, IntArray
 
 MIN_CANNOT_TELL = (
-    0.85  # what runs along a corridor need not be its corner, and stays where it is from frame to frame
+    0.75  # what runs along a corridor need not be its corner, and stays where it is from frame to frame
 )
-PLACE_STD = 0.015  # of the corner beside the line that is taken for it
+PLACE_STD = 0.02  # of the corner beside the line that is taken for it
 MIN_VARIANCE = 1e-8
 
 # columns of components, see `vision.lateral.mixture`
