@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from errno import EACCES, ENOTDIR
 from itertools import chain
 from pathlib import Path
 
@@ -128,11 +129,13 @@ def check_out_dir(out_dir: str | Path) -> Path:
     Raises
     ------
     InputError
-        Where it is a file, or a folder that holds files that are not ours.
+        Where it is a file, or a folder that holds files that are not ours, or it cannot be written.
     """
     try:
         folder = Path(out_dir).resolve()
         _put_in_order(folder)
+        if not folder.is_file():
+            _check_writable(folder)
         if not folder.exists():
             return folder
         if not folder.is_dir():
@@ -160,6 +163,21 @@ def check_out_dir(out_dir: str | Path) -> Path:
             remedy="choose another with -o",
         )
     return folder
+
+
+def _check_writable(folder: Path) -> None:
+    """See that the outputs can be put where their folder, or its first parent, lies.
+
+    Raises
+    ------
+    OSError
+        Where they cannot.
+    """
+    place = folder if _stays(folder) else next(parent for parent in folder.parents if parent.exists())
+    if not place.is_dir():
+        raise NotADirectoryError(ENOTDIR, os.strerror(ENOTDIR), str(place))
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise PermissionError(EACCES, os.strerror(EACCES), str(place))
 
 
 def _written_by_us(folder: Path) -> set[str]:

@@ -343,12 +343,13 @@ def _wraps(degrees: FloatArray) -> IndexArray:
 
 
 def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, least: float) -> None:
-    """Fit the y axis to what was tracked, so that a wide start or one wild frame does not flatten it."""
+    """Fit the y axis to what was tracked and coasted, so that a wide start or one wild frame does not flatten it."""
     rows = (table["status"] == "tracking") & np.isfinite(values + half)
     if not rows.any():
         return
-    low = min(np.percentile(values[rows] - half[rows], 0.5), values[rows].min())
-    high = max(np.percentile(values[rows] + half[rows], 99.5), values[rows].max())
+    line = values[rows | ((table["status"] == "coasting") & np.isfinite(values))]
+    low = min(np.percentile(values[rows] - half[rows], 0.5), line.min())
+    high = max(np.percentile(values[rows] + half[rows], 99.5), line.max())
     margin = 0.12 * max(high - low, least)
     ax.set_ylim(low - 1.3 * margin, high + margin)
 
@@ -356,8 +357,8 @@ def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, leas
 def _mark_beyond(ax: Axes, t: FloatArray, values: FloatArray) -> None:
     """Draw a thick line along the edge of the axis where the filter is beyond it."""
     low, high = ax.get_ylim()
-    inset = 0.02 * (high - low)
-    edge = np.where(values > high, high - inset, np.where(values < low, low + inset, np.nan))
+    inset = 0.02 * (high - low)  # below lies the colour of the status
+    edge = np.where(values > high, high - inset, np.where(values < low, low + 3 * inset, np.nan))
     edge[1:] = np.where(np.isnan(edge[1:]), edge[:-1], edge[1:])  # a lone sample would draw nothing
     _line(ax, t, edge, np.array([], dtype=np.int64), FILTER, EDGE_WIDTH, "filter beyond the scale")
 

@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +31,7 @@ from fusion.outputs import provenance
 from tests.command import Corridor, refused
 from tests.files import written
 from tests.fusion.fleet import first_worker_killed, make_fleet, simulate
+from vision.errors import InputError
 
 TWO = BatchSettings(jobs=2, reports=False)
 
@@ -341,6 +343,27 @@ def test_a_flight_that_hangs_on_a_cluster_is_given_up(
     assert told == ["hanging took more than 12 s: given up, its worker ended"]
     assert rows["2026-03-01"].has_result
     assert rows["2026-03-03"].has_result
+
+
+def test_a_cluster_that_goes_is_told(flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(workers, "_fuse_in_time", hang_in_time)
+    source, out = make_fleet(tmp_path / "flights", flight, 2), tmp_path / "out"
+    (source / "2026-03-02").rename(source / "hanging")
+    cluster = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, dashboard_address=None, local_directory=str(tmp_path / "dask")
+    )
+
+    def progress(done: int, total: int) -> None:
+        if done == 1:
+            closing.start()
+
+    closing = threading.Thread(target=cluster.close)
+    settings = replace(TWO, scheduler=cluster.scheduler_address)
+    with pytest.raises(InputError, match="the cluster has gone"):
+        fuse_fleet([source], out, settings, progress=progress)
+    closing.join()
+    assert list(read_journal(out)) == ["2026-03-01"]
 
 
 def hang_in_time(task: Task, key: str, timeout_s: float | None) -> FleetRow:

@@ -237,10 +237,18 @@ class TestFolder:
         with pytest.raises(InputError, match="is an existing file"):
             check_out_dir(tmp_path / "out")
 
-    def test_a_file_where_a_parent_should_be(self, result: Any, tmp_path: Path) -> None:
+    def test_what_cannot_be_written_is_found_before_the_work(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         (tmp_path / "file").write_text("")
-        with pytest.raises(InputError, match="cannot write the outputs: Not a directory"):
-            write_outputs(result, FLIGHT, tmp_path / "file" / "out")
+        with pytest.raises(InputError, match="the output folder cannot be used: Not a directory"):
+            check_out_dir(tmp_path / "file" / "out")
+        check_out_dir(tmp_path / "new" / "out")
+        (tmp_path / "old").mkdir()
+        check_out_dir(tmp_path / "old")
+        monkeypatch.setattr(os, "access", lambda place, mode: place != tmp_path)
+        with pytest.raises(InputError, match="the output folder cannot be used: Permission denied"):
+            check_out_dir(tmp_path / "new" / "out")
 
     def test_the_current_folder_keeps_its_identity(
         self, result: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
