@@ -277,8 +277,8 @@ class Propagation:
             if mode is Mode.GYRO:
                 variance = self._silence_variance(d, ekf, t_ns)
         bias_turn = float(ekf.x[BIAS]) * dt_s
-        if mode is Mode.GYRO and dt_s > 0.0:
-            variance += self._scale_variance_s * (turned_rad - bias_turn) ** 2 / dt_s
+        if mode is Mode.GYRO:
+            variance += self._scale_variance(turned_rad - bias_turn, dt_s)
         ekf.advance(dt_s, turned_rad, self._noise[mode], variance)
         return turned_rad, turned_rad - bias_turn
 
@@ -305,13 +305,20 @@ class Propagation:
         """Predict to a time later than the last sample, as if the mode went on: for a look, not to go on from."""
         dt_s = 0.0 if d.t_ns is None else (t_ns - d.t_ns) * 1e-9
         turned = 0.0 if d.mode is Mode.NONE else d.rate_rad_s * dt_s
-        ekf.advance(dt_s, turned, self._noise[d.mode], self.held_rate_variance(d, t_ns))
+        variance = self.held_rate_variance(d, t_ns)
+        if d.mode is Mode.GYRO:
+            variance += self._scale_variance(turned - float(ekf.x[BIAS]) * dt_s, dt_s)
+        ekf.advance(dt_s, turned, self._noise[d.mode], variance)
         return d._replace(t_ns=t_ns)
 
     def clock_set_back(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
         """Go on at an earlier time with neither gyroscope nor attitude known."""
         attitude = d.attitude.clock_set_back()
         return self._with_mode(d._replace(t_ns=t_ns, t_gyro_ns=None, attitude=attitude), ekf, Mode.NONE)
+
+    def _scale_variance(self, turned_rad: float, dt_s: float) -> float:
+        """Heading variance gained by a turn through the error of the gyroscope's scale."""
+        return self._scale_variance_s * turned_rad * turned_rad / dt_s if dt_s > 0.0 else 0.0
 
     def _silence_variance(self, d: DeadReckoning, ekf: CorridorEKF, end_ns: int) -> float:
         """Heading variance gained up to a time in which the gyroscope should have spoken and did not."""
