@@ -277,7 +277,8 @@ class Recorder:
 
     def estimates(self) -> Table:
         """Return the filter's table."""
-        self._pack()
+        if self._rows or not self._packed:
+            self._pack()
         if len(self._packed) > 1:
             self._packed = [np.concatenate(self._packed)]
         return self._packed[0]
