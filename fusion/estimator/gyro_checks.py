@@ -21,6 +21,7 @@ from fusion.estimator.models import Vector
 from fusion.estimator.propagation import ImuSample
 
 MAX_ANGULAR_ACCELERATION_RAD_S2 = 300.0  # about what small racing multirotors reach
+MAX_ACCELERATED_S = 0.03  # however long ago the last sample that was used: no vehicle does so for longer
 MIN_LEAP_RAD_S = 3.0  # from sample to sample; vibration makes smaller ones
 LEAP_SIGMA = 8.0  # of the gyroscope's noise
 CONFIRMED_SAMPLES, CONFIRMED_NS = 3, 20_000_000  # that agree, before a leap is believed
@@ -196,7 +197,7 @@ def rate_that_bridges(before: GyroCheck, sample: ImuSample) -> Vector:
 
 def _leaps(gyro: Vector, last: Vector, dt_ns: int, config: FusionConfig) -> bool:
     """Whether neither a vehicle nor noise gets from one rate to the other in that time."""
-    dt_s = max(dt_ns * 1e-9, 1e-4)
+    dt_s = min(max(dt_ns * 1e-9, 1e-4), MAX_ACCELERATED_S)
     reach = max(
         MAX_ANGULAR_ACCELERATION_RAD_S2 * dt_s, MIN_LEAP_RAD_S
     ) + LEAP_SIGMA * config.gyro_noise / sqrt(dt_s)

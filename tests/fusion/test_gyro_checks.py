@@ -42,6 +42,14 @@ def test_a_spike_is_held_back_and_the_next_sample_is_not() -> None:
     assert verdicts([0.0, 8.0, 8.0, 0.1]) == ["good", "spike", "spike", "good"]
 
 
+@pytest.mark.parametrize("frozen", [40, 200])
+def test_a_spike_after_a_frozen_stretch_is_held_back_too(frozen: int) -> None:
+    rates = noise(100)
+    found = verdicts([*rates, *[rates[-1]] * frozen, 30.0, 0.02, *noise(5, seed=1)])
+    assert found[100 + frozen - 1] == "frozen"
+    assert found[100 + frozen :] == ["spike", *["good"] * 6]
+
+
 def test_a_leap_that_lasts_is_believed_and_loses_no_angle() -> None:
     rates = [0.0, *[8.0] * 5]
     found = verdicts(rates)
