@@ -67,7 +67,7 @@ def test_it_is_found_while_the_vehicle_turns(error_s: float) -> None:
 def test_without_turning_it_stays_open() -> None:
     for seed in range(2):
         end = flown(flight(seed, TOLD_S + 0.03, 30.0, degrees=0.2))[-1]
-        assert 0.95 * STD_S < end.camera_delay_std_s <= STD_S
+        assert 0.95 * STD_S < end.camera_delay_std_s <= STD_S * (1.0 + 1e-12)  # but for rounding
         assert abs(end.camera_delay_s - TOLD_S) < 0.4 * STD_S
 
 
