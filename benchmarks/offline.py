@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion import Flight, fuse_flight, load_flight
-from fusion.flight import AttitudeStream, ImuStream
+from fusion.flight import AttitudeStream, ChosenFrames, FrameStream, ImuStream
 
 OFFICE = Path(__file__).parents[1] / "data" / "office"
 HOUR_AIM_S, HOUR_AIM_MIB = 40.0, 1024.0
@@ -63,15 +63,10 @@ def long_flight(hours: float) -> Flight:
     attitudes = to_and_fro(len(attitude.t_ns), times)
     pictures = to_and_fro(len(frames.t_ns), times)
     every = round(FRAME_STEP_S * 1e9 / float(np.median(np.diff(frames.t_ns))))
-    chosen = frames.chosen(np.arange(len(frames.t_ns)))
-    chosen = replace(
-        chosen,
-        t_ns=stamps(frames.t_ns, pictures)[::every],
-        source=replace(chosen.source, index=pictures[::every]),  # type: ignore[type-var]
-    )
+    played = pictures[::every]
     return replace(
         office,
-        frames=chosen,
+        frames=FrameStream(stamps(frames.t_ns, pictures)[::every], ChosenFrames(frames.source, played)),
         imu=ImuStream(
             stamps(imu.t_ns, samples),
             imu.gyro_rad_s[samples] * sign[:, None],

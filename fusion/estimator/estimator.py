@@ -333,6 +333,7 @@ class CorridorEstimator:
             self._lag.clear()
         self.last_frame = None
         self._late_in_a_row = 0
+        self._lateral_ns = None
         self.counters["reset"] += 1
         self._count_steps(before)
         self._resets = self._resets.with_heading_step(0.0)

@@ -14,7 +14,7 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import Estimate, estimate_of
 from fusion.estimator.lateral_smoother import OffsetSteps
 from fusion.estimator.smoothed_table import smoothed_table
-from fusion.estimator.smoother import Node, Steps
+from fusion.estimator.smoother import Node, Steps, compile_smoother
 from fusion.estimator.state import SOURCES, Entry, State
 from fusion.estimator.tables import ESTIMATE_DTYPE, estimate_row
 
@@ -33,6 +33,7 @@ class FixedLag:
     def __init__(self, lag_ns: int, config: FusionConfig) -> None:
         self.lag_ns = lag_ns
         self.config = config
+        compile_smoother()
         self._passed: deque[Entry] = deque()
         self._dropped: Entry | None = None  # last one dropped with a step of the lateral offset
 

@@ -50,9 +50,7 @@ MAX_FORCE_M_S2 = 300.0  # beyond these no vehicle flies: damaged samples
 MAX_SPEED_M_S = 100.0
 MAX_ANSWER_NORM = 10.0  # half widths, of an offset or its sigma: what is beyond says nothing
 JUMP_NORM = 0.1  # change in one frame from which on another hypothesis has won
-CONTRADICTED_S = (
-    4.0  # for which an offset is not relied on that motion does not lead to: one of the two is wrong
-)
+CONTRADICTED_S = 4.0  # for which no offset is relied on that motion does not lead to: one of the two is wrong
 DRIFT_NORM_S = 0.05  # by which the rate may be off, half widths per second
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cache
 from math import sqrt
 
 import numpy as np
@@ -125,6 +126,13 @@ def rts(
     return x_smoothed, P_smoothed
 
 
+@cache
+def compile_smoother() -> None:
+    """Compile, or load what was compiled, when an estimator that smooths in flight is made: not in flight."""
+    x, P = np.zeros((2, N_STATES)), np.tile(np.eye(N_STATES), (2, 1, 1))
+    rts(P, x, P, x, P)
+
+
 @compiled
 def _pass_backward(
     F: FloatArray, x_prior: FloatArray, P_prior: FloatArray, x: FloatArray, P: FloatArray
@@ -163,7 +171,10 @@ def _fill_gain(
     for i in range(m):
         scale[i] = sqrt(P_prior[i, i])
         for j in range(m):
-            still = still and P_prior[i, j] == P[i, j] and F[i, j] == (1.0 if i == j else 0.0)
+            C[i, j] = 1.0 if i == j else 0.0
+            still = still and P_prior[i, j] == P[i, j] and F[i, j] == C[i, j]
+    if still:
+        return
     for i in range(m):
         for j in range(m):
             A[i, j] = P_prior[i, j] / (scale[i] * scale[j])
@@ -184,4 +195,4 @@ def _fill_gain(
             C[j, i] /= A[i, i]
     for i in range(m):
         for j in range(m):
-            C[j, i] = (1.0 if i == j else 0.0) if still else C[j, i] / scale[i]
+            C[j, i] /= scale[i]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import fields
 from math import degrees, isnan, radians
 from typing import Any
@@ -160,3 +162,14 @@ def test_it_has_to_be_asked_for() -> None:
     for lag_s in (0.2, 2.1):
         with pytest.raises(InputError, match="fixed_lag_s = "):
             FusionConfig(fixed_lag_s=lag_s)
+
+
+def test_nothing_is_compiled_in_flight() -> None:
+    """In a process of its own: in this one the smoother may have been compiled long ago."""
+    program = (
+        "from fusion import CorridorEstimator, FusionConfig\n"
+        "from fusion.estimator.smoother import _pass_backward\n"
+        "CorridorEstimator(FusionConfig(fixed_lag_s=0.5))\n"
+        "assert _pass_backward.signatures"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

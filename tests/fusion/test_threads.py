@@ -96,10 +96,15 @@ def test_the_offset_is_known_from_every_second_picture_too(
     every = fly(office, lines.__getitem__).estimate()
     assert all(searched)
     searched.clear()
-    second = fly(office, lines.__getitem__, lateral_rate_hz=10.0).estimate()
+    estimator = fly(office, lines.__getitem__, lateral_rate_hz=10.0)
+    second = estimator.estimate()
     assert sum(searched) == pytest.approx(len(searched) / 2, abs=1)
     assert second.lateral_offset_norm == pytest.approx(every.lateral_offset_norm, abs=0.03)
     assert second.heading_rad == pytest.approx(every.heading_rad, abs=1e-3)
+    estimator.reset()
+    searched.clear()
+    estimator.add_lines(int(office.frames.t_ns[N_FRAMES]), lines[-1])
+    assert searched == [True]
 
 
 def test_estimators_in_threads_of_their_own_do_not_meet(office: Flight, pictures: list[GreyImage]) -> None:

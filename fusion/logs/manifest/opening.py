@@ -21,7 +21,7 @@ AnyStream = TypeVar("AnyStream", bound=Any)
 
 
 def with_time_shift(manifest: Manifest) -> Manifest:
-    """Take the camera's clock offset from a Kalibr chain, where the manifest leaves it open."""
+    """Take the camera's clock offset from its calibration, where the manifest leaves it open."""
     from vision.cameras.calibration import read_time_shift_s
 
     source = manifest.camera
