@@ -19,7 +19,7 @@ from fusion.estimator.faults import Fault, Notice
 from fusion.estimator.frame_update import FrameSample
 from fusion.estimator.hypotheses import Hypothesis
 from fusion.estimator.imu_yaw import AttitudeSample
-from fusion.estimator.lateral import LateralStatus, offset_model, readout
+from fusion.estimator.lateral import LateralReadout, LateralStatus, offset_model, readout
 from fusion.estimator.models import PSI
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, Mode
 from fusion.estimator.range_width import RangeSample
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from fusion.estimator.state import Sample, State
 
 
+MAX_REFUSED_SHARE = 0.5  # of the last frames, beyond which they are rejected
 CONTESTED_S = 1.0  # from the last frame that contested
 CONTESTED = {
     Hypothesis.WELL: "contested: frames lie to one side of the prediction",
@@ -150,6 +151,12 @@ class Estimate:
     reset_lateral_total_norm: float = 0.0
 
 
+_Columns = tuple[
+    int, float, float, float, float, float, float, str, float, float, float, int, float, str, float
+]
+"""Fields of an `Estimate` up to ``vision_age_s``."""
+
+
 class ArrivalTimes(Protocol):
     """How samples arrive, where they do: `fusion.estimator.arrivals.Arrivals`. In a log they are simply there."""
 
@@ -166,8 +173,8 @@ def status_of(
     t_ns: int,
     heading_std_rad: float,
     arrivals: ArrivalTimes | None = None,
-) -> tuple[Status, list[Notice]]:
-    """Status at a time, and why; sources that have fallen silent are told of whatever the status.
+) -> Status:
+    """Status at a time.
 
     A source is silent, and frames are rejected, for as long as is known by now: samples that always come 0.3 s late
     cannot be missed before.
@@ -185,33 +192,37 @@ def status_of(
     arrivals
         How samples arrive; None for those of a log.
     """
-    axis, clocks = state.axis, [] if arrivals is None else list(arrivals.notices())
+    axis = state.axis
     if not axis.ever_acquired:
+        return Status.INITIALISING
+    if heading_std_rad > config.lost_heading_std_rad:
+        return Status.LOST
+    age = seconds_since(_seen_ns(state, t_ns, arrivals), axis.t_vision_ns)
+    if age > config.lost_after_s:
+        return Status.LOST
+    if age > state.frames.age_limit_s(config) or axis.diagnosis.refused_share > MAX_REFUSED_SHARE:
+        return Status.COASTING
+    return Status.TRACKING
+
+
+def notices_of(
+    state: State,
+    config: FusionConfig,
+    t_ns: int,
+    heading_std_rad: float,
+    arrivals: ArrivalTimes | None = None,
+) -> list[Notice]:
+    """Say why the status is what it is; of sources that have fallen silent whatever it is. As for `status_of`."""
+    axis, clocks = state.axis, [] if arrivals is None else list(arrivals.notices())
+    status = status_of(state, config, t_ns, heading_std_rad, arrivals)
+    if status is Status.INITIALISING:
         clocks = [*clocks, *state.checks.installation.notices(state.tilt.down)]
         text = "waiting for frames that agree" if axis.votes else "no usable frame yet"
-        return Status.INITIALISING, clocks or [Notice(Fault.NOT_STARTED, text)]
-    latency_ns = 0 if arrivals is None else arrivals.latency_ns(FrameSample)
-    seen_ns = t_ns if not latency_ns else max(t_ns - latency_ns, state.frames.last_ns or 0)
+        return clocks or [Notice(Fault.NOT_STARTED, text)]
+    seen_ns = _seen_ns(state, t_ns, arrivals)
     age, limit = seconds_since(seen_ns, axis.t_vision_ns), state.frames.age_limit_s(config)
     notices = []
-    if heading_std_rad > config.lost_heading_std_rad:
-        status = Status.LOST
-        notices.append(Notice(Fault.HEADING_UNCERTAIN, "heading is too uncertain"))
-    elif age > config.lost_after_s:
-        status, told = Status.LOST, f"no usable frame for {age:.0f} s"
-        silent = state.frames.is_silent(seen_ns, config)
-        notices.append(Notice(Fault.FRAMES_SILENT if silent else Fault.FRAMES_REJECTED, told))
-    elif age > limit:
-        status = Status.COASTING
-        if state.frames.is_silent(seen_ns, config):
-            notices.append(Notice(Fault.FRAMES_SILENT, "no frames arrive"))
-        else:
-            notices.append(Notice(Fault.FRAMES_REJECTED, "frames are rejected"))
-    elif axis.diagnosis.refused_share > 0.5:
-        status = Status.COASTING
-        notices.append(Notice(Fault.FRAMES_REJECTED, "frames are rejected"))
-    else:
-        status = Status.TRACKING
+    if status is Status.TRACKING:
         contested = axis.diagnosis.told
         if contested is not None and seconds_since(t_ns, contested.t_ns) < CONTESTED_S:
             notices.append(Notice(Fault.HEADING_CONTESTED, CONTESTED[contested.hypothesis]))
@@ -219,11 +230,25 @@ def status_of(
             notices.append(Notice(Fault.NO_LATERAL_OFFSET, "lateral offset jumped further than the motion"))
         elif state.lateral.n_used and seconds_since(seen_ns, state.lateral.t_ns) > limit:
             notices.append(Notice(Fault.NO_LATERAL_OFFSET, "frames show no lateral offset"))
+    elif heading_std_rad > config.lost_heading_std_rad:
+        notices.append(Notice(Fault.HEADING_UNCERTAIN, "heading is too uncertain"))
+    else:
+        silent = age > limit and state.frames.is_silent(seen_ns, config)
+        told = "no frames arrive" if silent else "frames are rejected"
+        if status is Status.LOST:
+            told = f"no usable frame for {age:.0f} s"
+        notices.append(Notice(Fault.FRAMES_SILENT if silent else Fault.FRAMES_REJECTED, told))
     if (frozen := state.checks.repeats.notice()) is not None:
         notices = [n for n in notices if n.fault is not Fault.FRAMES_REJECTED] + [frozen]
     if clocks:  # frames do arrive, with stamps of no use
         notices = [n for n in notices if n.text != "no frames arrive"] + clocks
-    return status, [*notices, *_of_sensors(state, config, t_ns, arrivals)]
+    return [*notices, *_of_sensors(state, config, t_ns, arrivals)]
+
+
+def _seen_ns(state: State, t_ns: int, arrivals: ArrivalTimes | None) -> int:
+    """Time up to which frames are known to have come or not."""
+    latency_ns = 0 if arrivals is None else arrivals.latency_ns(FrameSample)
+    return t_ns if not latency_ns else max(t_ns - latency_ns, state.frames.last_ns or 0)
 
 
 def _of_sensors(
@@ -268,41 +293,18 @@ def estimate_of(
             **_steps(resets),
         )
     t = state.t_ns if t_ns is None else t_ns
-    reckoning, axis, lateral = state.reckoning, state.axis, state.lateral
-    psi, bias, yaw_offset = state.x.tolist()
-    heading, heading_std = psi, spread_by_delay(sqrt(float(state.P[PSI, PSI])), state.delay, state.t_ns)
+    columns, found = _columns(state, config, t, arrivals)
+    notices = notices_of(state, config, t, _heading(state)[1], arrivals)
     delay_s, delay_std_s = camera_delay(state.delay, config)
-    if not axis.ever_acquired:
-        heading, heading_std = _provisional_heading(state)
-    status, notices = status_of(state, config, t, heading_std, arrivals)
-    half = state.width.half_m(config)
-    limit = state.frames.age_limit_s(config)
-    if arrivals is not None:
-        limit += arrivals.latency_ns(FrameSample) * 1e-9
-    found = readout(lateral, lateral.model or offset_model(config), psi, state.velocity, t, limit)
-    position = position_from_offset(found.offset, config.position_dead_band_norm)
+    reckoning, lateral, half = state.reckoning, state.lateral, state.width.half_m(config)
     gx, gy, gz = state.tilt.down
     return Estimate(
-        timestamp_ns=t,
-        heading_rad=wrap(heading),
-        heading_std_rad=heading_std,
-        lateral_offset_m=found.offset * half,
-        lateral_offset_std_m=found.offset_std * half,
-        lateral_offset_norm=found.offset,
-        lateral_offset_norm_std=found.offset_std,
-        position="" if position is None else str(position),
-        yaw_rate_rad_s=reckoning.yaw_rate(bias),
-        gyro_bias_rad_s=bias if reckoning.mode is Mode.GYRO else nan,
-        imu_yaw_offset_rad=wrap(yaw_offset) if state.imu_yaw.known else nan,
-        corridor_index=axis.corridor_index,
-        corridor_turn_rad=axis.corridor_turn_rad,
-        status=str(status),
-        vision_age_s=seconds_since(t, axis.t_vision_ns),
+        *columns,
         reason="; ".join(notice.text for notice in notices),
         gyro_age_s=seconds_since(t, reckoning.t_gyro_ns),
         attitude_age_s=reckoning.attitude.age_s(t),
         lateral_age_s=seconds_since(t, lateral.t_ns),
-        heading_test_ratio=axis.test_ratio,
+        heading_test_ratio=state.axis.test_ratio,
         lateral_test_ratio=lateral.test_ratio,
         imu_yaw_test_ratio=state.imu_yaw.test_ratio,
         lateral_velocity_norm_s=found.rate,
@@ -319,6 +321,64 @@ def estimate_of(
         faults=reduce(or_, (notice.fault for notice in notices), Fault.NONE),
         **_steps(resets),
     )
+
+
+def row_of(state: State, config: FusionConfig) -> tuple[Any, ...]:
+    """Report a state as a row of `fusion.estimator.tables.ESTIMATE_DTYPE`, of a log whose samples are all there.
+
+    The same numbers as in `estimate_of`, without what the table does not hold: a flight has millions of rows.
+
+    Raises
+    ------
+    ValueError
+        Where no sample has been taken.
+    """
+    t_ns = state.t_ns
+    if t_ns is None:
+        raise ValueError("there is no row before the first sample")
+    columns, found = _columns(state, config, t_ns, None)
+    return (*columns, str(found.status), seconds_since(t_ns, state.lateral.t_ns))
+
+
+def _columns(
+    state: State, config: FusionConfig, t_ns: int, arrivals: ArrivalTimes | None
+) -> tuple[_Columns, LateralReadout]:
+    """Report what the tables hold, and what is known of the lateral offset."""
+    reckoning, axis, lateral = state.reckoning, state.axis, state.lateral
+    psi, bias, yaw_offset = state.x.tolist()
+    heading, heading_std = _heading(state)
+    half, limit = state.width.half_m(config), state.frames.age_limit_s(config)
+    if arrivals is not None:
+        limit += arrivals.latency_ns(FrameSample) * 1e-9
+    found = readout(lateral, lateral.model or offset_model(config), psi, state.velocity, t_ns, limit)
+    offset, offset_std = found.offset, found.offset_std
+    position = position_from_offset(offset, config.position_dead_band_norm)
+    columns = (
+        t_ns,
+        wrap(heading),
+        heading_std,
+        offset * half,
+        offset_std * half,
+        offset,
+        offset_std,
+        "" if position is None else str(position),
+        reckoning.yaw_rate(bias),
+        bias if reckoning.mode is Mode.GYRO else nan,
+        wrap(yaw_offset) if state.imu_yaw.known else nan,
+        axis.corridor_index,
+        axis.corridor_turn_rad,
+        str(status_of(state, config, t_ns, heading_std, arrivals)),
+        seconds_since(t_ns, axis.t_vision_ns),
+    )
+    return columns, found
+
+
+def _heading(state: State) -> tuple[float, float]:
+    """Heading and its standard deviation."""
+    if not state.axis.ever_acquired:
+        return _provisional_heading(state)
+    std = sqrt(float(state.P[PSI, PSI]))
+    return float(state.x[PSI]), std if state.t_ns is None else spread_by_delay(std, state.delay, state.t_ns)
 
 
 def _steps(resets: Resets) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from math import sqrt
 
 from fusion.estimator.camera_delay import spread_by_delay
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.estimate import status_of
+from fusion.estimator.estimate import notices_of, status_of
 from fusion.estimator.lateral import offset_model
 from fusion.estimator.models import PSI
 from fusion.estimator.resets import Resets
@@ -105,9 +105,10 @@ class EventFinder:
                 )
             yield from self._resets_since(old, new, t_ns)
         heading_std = spread_by_delay(sqrt(float(new.P[PSI, PSI])), new.delay, t_ns)
-        status, notices = status_of(new, self._config, t_ns, heading_std)
+        status = status_of(new, self._config, t_ns, heading_std)
         if status != self._status:
             values = {"before": self._status or "", "status": str(status)}
+            notices = notices_of(new, self._config, t_ns, heading_std)
             values["reason"] = "; ".join(notice.text for notice in notices)
             self._status = str(status)
             yield Event(t_ns, EventKind.STATUS_CHANGED, values)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.estimate import estimate_of
+from fusion.estimator.estimate import row_of
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.events import Event, EventFinder
 from fusion.estimator.frame_update import FrameResult, FrameSample
@@ -24,7 +24,7 @@ from fusion.estimator.sample_times import SampleTimes
 from fusion.estimator.smoothed_table import hypotheses_table, smoothed_table
 from fusion.estimator.smoother import Steps
 from fusion.estimator.state import Entry
-from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table, estimate_row
+from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table
 from fusion.flight import Flight
 from fusion.offline.stopwatch import Stopwatch, stopwatch
 from fusion.offline.summary import summarise
@@ -265,7 +265,7 @@ class Recorder:
         # A row stands for its instant after all samples of that time, whatever their order of arrival.
         state = None if self._pending is None else self._pending.after
         if self._pending_is_row and state is not None:
-            self._rows.append(estimate_row(estimate_of(state, self.config)))
+            self._rows.append(row_of(state, self.config))
             self._row_steps.append(self.steps.count - 1)
             if len(self._rows) >= BLOCK_ROWS:
                 self._pack()

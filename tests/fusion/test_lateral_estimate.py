@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.estimate import Estimate
+from fusion.estimator.estimate import Estimate, estimate_of, row_of
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.smoothed_table import hypotheses_table
@@ -221,6 +221,18 @@ def test_late_samples_give_the_bits_of_the_flight_in_order(in_order: Flown, seed
     assert late.states == in_order.states
     for here, there in zip(in_order.tables(), late.tables(), strict=True):
         assert here.tobytes() == there.tobytes()
+
+
+def test_a_row_is_what_the_table_holds_of_the_estimate() -> None:
+    config, states = config_for(SCENE), []
+    estimator = CorridorEstimator(config, on_final=lambda entry: states.append(entry.after))
+    for sample in SAMPLES:
+        give(estimator, sample)
+    estimator.finish()
+    rows = [row_of(state, config) for state in states]
+    assert repr(rows) == repr([estimate_row(estimate_of(state, config)) for state in states])
+    assert {row[13] for row in rows} == {"initialising", "tracking", "coasting"}
+    assert {row[15] for row in rows} == {"unknown", "known", "coasting"}
 
 
 def test_the_mirrored_flight_has_the_mirrored_offset(in_order: Flown) -> None:
