@@ -45,8 +45,14 @@ def yaw_of_quaternion(q_world_body: tuple[float, float, float, float]) -> float:
     return atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
+def down_of(q: npt.ArrayLike) -> FloatArray:
+    """Return the direction (..., 3) of the world's z axis in the body of unit quaternions (..., 4), w x y z."""
+    w, x, y, z = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+
+
 def down_of_quaternion(q_world_body: tuple[float, float, float, float]) -> tuple[float, float, float]:
-    """Return the direction of the world's z axis in the body: third row of the rotation matrix."""
+    """Return that direction for one unit quaternion: `down_of` without numpy, for every sample in flight."""
     w, x, y, z = q_world_body
     return 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 

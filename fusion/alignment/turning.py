@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from math import asin, atan2, sqrt
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from fusion.estimator import tilt as tilts
-from fusion.estimator.models import level_yaw_rate
+from fusion.estimator.models import level_yaw_rates
+from fusion.estimator.tilt import tilt_along
 from fusion.flight import AttitudeStream, Flight, ImuStream, TimeArray
 from vision.errors import InputError
 from vision.measurement import Attitude
-from vision.rotations import yaw_of
+from vision.rotations import down_of, yaw_of
 
 FloatArray = npt.NDArray[np.float64]
 
-BLOCK_ROWS = 4096
 GYRO_GAP_S = 0.1
 ATTITUDE_GAP_S = 0.5
 GAP_STEPS = 3.0  # of the stream's own step
@@ -115,35 +112,14 @@ def turning_of(flight: Flight, origin_ns: int, attitude_std_rad: float) -> Turni
     )
 
 
-def _rows(values: npt.NDArray[Any]) -> Iterator[Any]:
-    """Rows as Python's numbers and lists, few at a time: those of a whole flight would take much memory."""
-    for start in range(0, len(values), BLOCK_ROWS):
-        yield from values[start : start + BLOCK_ROWS].tolist()
-
-
 def _of_gyro(
     imu: ImuStream, attitude: AttitudeStream | None, origin_ns: int, attitude_std_rad: float
 ) -> Turning:
-    attitudes: Iterator[Any] = iter(())
-    if attitude is not None:
-        attitudes = zip(_rows(attitude.t_ns), _rows(attitude.q_world_body), strict=True)
-    next_attitude = next(attitudes, None)
-    has_accel = np.asarray(np.isfinite(imu.accel_m_s2).all(axis=1))
-    samples = zip(
-        _rows(imu.t_ns), _rows(imu.gyro_rad_s), _rows(imu.accel_m_s2), _rows(has_accel), strict=True
+    attitude = attitude or AttitudeStream(np.empty(0, np.int64), np.empty((0, 4)))
+    down, std = tilt_along(
+        imu.t_ns, imu.gyro_rad_s, imu.accel_m_s2, attitude.t_ns, attitude.q_world_body, attitude_std_rad
     )
-    tilt, last = tilts.Tilt(), imu.gyro_rad_s[0].tolist()
-    n = len(imu.t_ns)
-    down, std, rate = np.empty((n, 3)), np.empty(n), np.empty(n)
-    for k, (t_ns, now, (ax, ay, az), is_known) in enumerate(samples):
-        while next_attitude is not None and next_attitude[0] < t_ns:
-            tilt = tilts.from_quaternion(tilt, *next_attitude)
-            next_attitude = next(attitudes, None)
-        mean = (0.5 * (last[0] + now[0]), 0.5 * (last[1] + now[1]), 0.5 * (last[2] + now[2]))
-        tilt = tilts.with_imu(tilt, t_ns, mean, (ax, ay, az) if is_known else None)
-        known = tilts.attitude_at(tilt, t_ns, attitude_std_rad)
-        down[k], rate[k], last = tilt.down, level_yaw_rate(now, tilt.down), now
-        std[k] = tilts.LEVEL_STD_RAD if known is None else known.std_rad
+    rate = level_yaw_rates(imu.gyro_rad_s, down)
     t_s = seconds(imu.t_ns, origin_ns)
     step_s = np.diff(t_s)
     yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step_s)])
@@ -160,9 +136,7 @@ def _noise_density(rate_rad_s: FloatArray, step_s: float) -> float:
 
 
 def _of_attitude(attitude: AttitudeStream, origin_ns: int, attitude_std_rad: float) -> Turning:
-    w, x, y, z = attitude.q_world_body.T
-    yaw = np.unwrap(yaw_of(attitude.q_world_body))
-    down = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
+    yaw, down = np.unwrap(yaw_of(attitude.q_world_body)), down_of(attitude.q_world_body)
     t_s = seconds(attitude.t_ns, origin_ns)
     gap_s = max(ATTITUDE_GAP_S, GAP_STEPS * float(np.median(np.diff(t_s))))
     return Turning(t_s, yaw, down, np.full(len(t_s), attitude_std_rad), gap_s, False, 0.0)

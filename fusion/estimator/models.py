@@ -31,6 +31,9 @@ from fusion.estimator.kernels import Quaternion as Quaternion
 from fusion.estimator.kernels import Vector as Vector
 from vision.rotations import wrap, wrap_axis
 
+# Nose straight up or down yaw has no meaning; this floor (85 degrees) keeps the number finite.
+LEAST_LEVEL = 0.0076
+
 
 class ProcessNoise(NamedTuple):
     """Continuous noise of the process model.
@@ -80,8 +83,14 @@ def level_yaw_rate(gyro_rad_s: tuple[float, float, float], down: tuple[float, fl
     """
     _, q, r = gyro_rad_s
     _, dy, dz = down
-    # Nose straight up or down yaw has no meaning; the floor (85 degrees) keeps the number finite.
-    return (q * dy + r * dz) / max(dy * dy + dz * dz, 0.0076)
+    return (q * dy + r * dz) / max(dy * dy + dz * dz, LEAST_LEVEL)
+
+
+def level_yaw_rates(gyro_rad_s: FloatArray, down: FloatArray) -> FloatArray:
+    """Return `level_yaw_rate` (n,) of many samples: rates (n, 3), directions (n, 3)."""
+    _, q, r = gyro_rad_s.T
+    _, dy, dz = down.T
+    return np.asarray((q * dy + r * dz) / np.maximum(dy * dy + dz * dz, LEAST_LEVEL))
 
 
 _H_HEADING = np.array([1.0, 0.0, 0.0])

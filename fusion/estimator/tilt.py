@@ -9,12 +9,16 @@ leaks towards level, with a large standard deviation.
 
 from __future__ import annotations
 
-from math import asin, atan2, hypot, radians, sqrt
+from math import asin, atan2, hypot, inf, nan, radians, sqrt
 from typing import NamedTuple
 
-from fusion.estimator.kernels import Quaternion, Vector, corrected_down, turned_down
+import numpy as np
+
+from fusion.estimator.kernels import FloatArray, Quaternion, Vector, corrected_down, turned_down
+from fusion.flight import TimeArray
+from vision.compiled import compiled
 from vision.measurement import Attitude
-from vision.rotations import down_of_quaternion
+from vision.rotations import down_of, down_of_quaternion
 
 GRAVITY_M_S2 = 9.80665
 ATTITUDE_GAP_S = 0.5  # an attitude stream silent for longer no longer sets the tilt
@@ -26,6 +30,8 @@ ACCEL_BIAS_GAIN_1_S2 = 0.04
 START_GAIN_1_S = 5.0  # settles within a second on the first accelerometer samples
 START_S = 1.0
 LEVEL_LEAK_1_S = 0.2
+MAX_STEP_S = 0.2  # over which one rate is held
+NO_FORCE = (nan, nan, nan)
 ACCEL_TOLERANCE = 0.15  # |accel| / g - 1 at which the accelerometer no longer shows gravity
 
 
@@ -71,27 +77,123 @@ def with_imu(tilt: Tilt, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | Non
     (0, 0, -9.81) at rest and level, or None.
     """
     down, last_ns, t_attitude, _, t_accel, settled, bias = tilt
-    dt = 0.0 if last_ns is None else min(max((t_ns - last_ns) * 1e-9, 0.0), 0.2)
-    if t_attitude is not None and (t_ns - t_attitude) * 1e-9 <= ATTITUDE_GAP_S:
-        return Tilt(turned_down(down, gyro_rad_s, dt), t_ns, t_attitude, t_ns, t_accel, settled, bias)
-    if accel_m_s2 is not None:
-        ax, ay, az = accel_m_s2
-        length = sqrt(ax * ax + ay * ay + az * az)
-        trust = 1.0 - abs(length / GRAVITY_M_S2 - 1.0) / ACCEL_TOLERANCE
-        if trust > 0.0:
-            if t_accel is None and t_attitude is None:
-                down = (-ax / length, -ay / length, -az / length)
-            gains = (ACCEL_GAIN_1_S, ACCEL_BIAS_GAIN_1_S2) if settled >= START_S else (START_GAIN_1_S, 0.0)
-            down, bias = corrected_down(
-                down, bias, gyro_rad_s, dt, accel_m_s2, trust * gains[0], trust * gains[1]
-            )
-            return Tilt(down, t_ns, t_attitude, t_ns, t_ns, settled + dt, bias)
-    p, q, r = gyro_rad_s
+    dt = 0.0 if last_ns is None else min(max((t_ns - last_ns) * 1e-9, 0.0), MAX_STEP_S)
+    ages = (
+        inf if t_attitude is None else (t_ns - t_attitude) * 1e-9,
+        inf if t_accel is None else (t_ns - t_accel) * 1e-9,
+    )
+    down, bias, settled, used = _carried(down, bias, settled, dt, gyro_rad_s, accel_m_s2 or NO_FORCE, ages)
+    return Tilt(down, t_ns, t_attitude, t_ns, t_ns if used else t_accel, settled, bias)
+
+
+@compiled
+def _carried(
+    down: Vector,
+    bias: Vector,
+    settled_s: float,
+    dt: float,
+    rate: Vector,
+    force: Vector,
+    ages_s: tuple[float, float],
+) -> tuple[Vector, Vector, float, bool]:
+    """Step of `with_imu`: gravity's direction, gyroscope's bias, time settled, and whether the force was used.
+
+    ``force`` is NaN where there is none; ``ages_s`` are those of the last attitude and the last force used, infinite
+    before the first.
+    """
+    attitude_age_s, force_age_s = ages_s
+    if attitude_age_s <= ATTITUDE_GAP_S:
+        return turned_down(down, rate, dt), bias, settled_s, False
+    ax, ay, az = force
+    length = sqrt(ax * ax + ay * ay + az * az)
+    trust = 1.0 - abs(length / GRAVITY_M_S2 - 1.0) / ACCEL_TOLERANCE
+    if trust > 0.0:
+        if force_age_s == inf and attitude_age_s == inf:
+            down = (-ax / length, -ay / length, -az / length)
+        gain, bias_gain = START_GAIN_1_S, 0.0
+        if settled_s >= START_S:
+            gain, bias_gain = ACCEL_GAIN_1_S, ACCEL_BIAS_GAIN_1_S2
+        down, bias = corrected_down(down, bias, rate, dt, force, trust * gain, trust * bias_gain)
+        return down, bias, settled_s + dt, True
+    p, q, r = rate
     bx, by, bz = bias
     p, q, r = p - bx, q - by, r - bz
-    if accel_m_s2 is None and (t_accel is None or (t_ns - t_accel) * 1e-9 > ATTITUDE_GAP_S):
+    if length != length and force_age_s > ATTITUDE_GAP_S:  # NaN: there is none
         p, q = p - LEVEL_LEAK_1_S * down[1], q + LEVEL_LEAK_1_S * down[0]  # estimate x (0, 0, 1)
-    return Tilt(turned_down(down, (p, q, r), dt), t_ns, t_attitude, t_ns, t_accel, settled, bias)
+    return turned_down(down, (p, q, r), dt), bias, settled_s, False
+
+
+def tilt_along(
+    t_ns: TimeArray,
+    gyro_rad_s: FloatArray,
+    accel_m_s2: FloatArray,
+    attitude_t_ns: TimeArray,
+    q_world_body: FloatArray,
+    attitude_std_rad: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Tilt at every sample of a log, as `with_imu` and `from_quaternion` carry it.
+
+    Parameters
+    ----------
+    t_ns, gyro_rad_s, accel_m_s2
+        Times (n,), rates (n, 3) and specific forces (n, 3); NaN rows where there is no force.
+    attitude_t_ns, q_world_body
+        Times (m,) and unit quaternions (m, 4) of the attitude stream; an attitude counts from the first IMU sample
+        after it.
+    attitude_std_rad
+        Standard deviation of its roll and pitch.
+
+    Returns
+    -------
+    down, std_rad
+        Direction of gravity in the body (n, 3), and the standard deviation of roll and pitch (n,).
+    """
+    down, std_rad = np.empty((len(t_ns), 3)), np.empty(len(t_ns))
+    attitude_down = down_of(q_world_body)
+    attitude_down /= np.sqrt((attitude_down**2).sum(axis=1, keepdims=True))
+    _fill_along(t_ns, gyro_rad_s, accel_m_s2, attitude_t_ns, attitude_down, attitude_std_rad, down, std_rad)
+    return down, std_rad
+
+
+@compiled
+def _fill_along(
+    t_ns: TimeArray,
+    gyro: FloatArray,
+    accel: FloatArray,
+    attitude_t_ns: TimeArray,
+    attitude_down: FloatArray,
+    attitude_std_rad: float,
+    down_out: FloatArray,
+    std_out: FloatArray,
+) -> None:
+    down, bias, settled_s = (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0
+    attitude, last_ns, force_ns = -1, t_ns[0], t_ns[0]
+    has_force = False
+    last = (gyro[0, 0], gyro[0, 1], gyro[0, 2])
+    for k in range(len(t_ns)):
+        now_ns = t_ns[k]
+        while attitude + 1 < len(attitude_t_ns) and attitude_t_ns[attitude + 1] < now_ns:
+            attitude += 1
+            last_ns = attitude_t_ns[attitude]
+            down = (attitude_down[attitude, 0], attitude_down[attitude, 1], attitude_down[attitude, 2])
+        dt = min(max((now_ns - last_ns) * 1e-9, 0.0), MAX_STEP_S)
+        attitude_age_s = inf if attitude < 0 else (now_ns - attitude_t_ns[attitude]) * 1e-9
+        force_age_s = (now_ns - force_ns) * 1e-9 if has_force else inf
+        now = (gyro[k, 0], gyro[k, 1], gyro[k, 2])
+        rate = (0.5 * (last[0] + now[0]), 0.5 * (last[1] + now[1]), 0.5 * (last[2] + now[2]))
+        force = (accel[k, 0], accel[k, 1], accel[k, 2])
+        down, bias, settled_s, used = _carried(
+            down, bias, settled_s, dt, rate, force, (attitude_age_s, force_age_s)
+        )
+        if used:
+            force_ns, has_force, force_age_s = now_ns, True, 0.0
+        last_ns, last = now_ns, now
+        for i in range(3):
+            down_out[k, i] = down[i]
+        if attitude_age_s <= ATTITUDE_GAP_S:
+            std_out[k] = min(attitude_std_rad, LEVEL_STD_RAD)
+        else:
+            std_out[k] = COMPLEMENTARY_STD_RAD if force_age_s <= ATTITUDE_GAP_S else LEVEL_STD_RAD
 
 
 def attitude_at(tilt: Tilt, t_ns: int, attitude_std_rad: float) -> Attitude | None:

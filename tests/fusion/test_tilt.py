@@ -13,6 +13,7 @@ from fusion.estimator.tilt import (
     Tilt,
     attitude_at,
     from_quaternion,
+    tilt_along,
     with_imu,
 )
 from tests.fusion.simulated import quaternion, weaving
@@ -100,6 +101,36 @@ def test_a_silent_attitude_stream_gives_way_to_the_accelerometer() -> None:
     assert found is not None
     assert abs(found.roll_rad) < radians(1)
     assert found.std_rad == COMPLEMENTARY_STD_RAD
+
+
+@pytest.mark.parametrize("attitude_hz", [0, 20])
+@pytest.mark.parametrize("accel", [True, False])
+def test_a_log_at_once_has_the_tilt_of_its_samples_one_by_one(attitude_hz: int, accel: bool) -> None:
+    rng = np.random.default_rng(7)
+    t_ns = np.cumsum(rng.integers(4_000_000, 6_000_000, 2000))
+    gyro, force = rng.normal(0.0, 0.2, (2000, 3)), rng.normal((0.0, 0.0, -9.8), 0.5, (2000, 3))
+    force[:, :] += np.where(accel & (np.arange(2000) % 400 < 300), 0.0, np.nan)[:, None]
+    # The attitude falls silent for two seconds, and comes back.
+    attitude_ns = np.arange(S // 10, t_ns[-1], S // 20)[:: 1 if attitude_hz else 10**9][1:]
+    attitude_ns = attitude_ns[(attitude_ns < 3 * S) | (attitude_ns > 5 * S)]
+    q = np.array([quaternion(*rng.normal(0.0, 0.1, 3)) for _ in attitude_ns]).reshape(-1, 4)
+    down, std_rad = tilt_along(t_ns, gyro, force, attitude_ns, q, 0.01)
+
+    tilt, last, seen = Tilt(), gyro[0].tolist(), 0
+    for k, (now_ns, now) in enumerate(zip(t_ns.tolist(), gyro.tolist(), strict=True)):
+        while seen < len(attitude_ns) and attitude_ns[seen] < now_ns:
+            tilt = from_quaternion(tilt, int(attitude_ns[seen]), tuple(q[seen].tolist()))
+            seen += 1
+        mean = (0.5 * (last[0] + now[0]), 0.5 * (last[1] + now[1]), 0.5 * (last[2] + now[2]))
+        ax, ay, az = force[k].tolist()
+        tilt, last = with_imu(tilt, now_ns, mean, (ax, ay, az) if ax == ax else None), now
+        found = attitude_at(tilt, now_ns, 0.01)
+        assert found is not None
+        assert down[k] == pytest.approx(tilt.down, abs=1e-12)
+        assert std_rad[k] == found.std_rad
+    expected = {0.01} if attitude_hz else set()
+    expected |= {COMPLEMENTARY_STD_RAD, LEVEL_STD_RAD} if accel else {LEVEL_STD_RAD}
+    assert set(std_rad.tolist()) == expected
 
 
 def test_acceleration_that_is_not_gravity_is_not_followed() -> None:
