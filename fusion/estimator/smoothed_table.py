@@ -12,7 +12,7 @@ from fusion.estimator.lateral import LateralStatus, offset_model
 from fusion.estimator.lateral_kernels import Y
 from fusion.estimator.lateral_smoother import OffsetSteps, at_times, smoothed_offsets
 from fusion.estimator.models import BIAS, PSI, YAW_OFFSET, FloatArray
-from fusion.estimator.smoother import Steps, rts
+from fusion.estimator.smoother import SmoothedSteps, Steps
 from fusion.estimator.tables import HYPOTHESIS_DTYPE, Table
 from vision.measurement import position_from_offset
 from vision.rotations import wrap, wrap_axis
@@ -39,22 +39,21 @@ def smoothed_table(
     row_steps
         Index (n,) of the step that each row stands behind.
     steps
-        Of the engine.
+        Of the engine; they are handed over, and gone afterwards.
     offset_steps
         Of the lateral offset.
     config
         Settings.
     """
-    out = table.copy()
     if (row_steps < 0).all():  # no rows, or none behind a step
-        return out
-    F, x_prior, P_prior, x, P = steps.arrays()
-    x_s, P_s = rts(F, x_prior, P_prior, x, P)
-    variance = np.maximum(np.diagonal(P_s, axis1=1, axis2=2), 0.0)
-    at = x_s[row_steps]
+        return table.copy()
+    found = steps.smoothed()
+    out = table.copy()
+    variance = np.maximum(np.diagonal(found.P, axis1=1, axis2=2), 0.0)
+    at = found.x[row_steps]
     std = np.sqrt(variance[row_steps])
     if config.camera_delay_std_s > 0.0:  # the steps do not know of it, and learn nothing more of it
-        of_delay = np.maximum(table["heading_std_rad"] ** 2 - P[row_steps, PSI, PSI], 0.0)
+        of_delay = np.maximum(table["heading_std_rad"] ** 2 - found.filter_variance[row_steps], 0.0)
         of_delay[table["status"] == "initialising"] = 0.0
         std[:, PSI] = np.sqrt(std[:, PSI] ** 2 + of_delay)
     started = bool((table["status"] != "initialising").any())
@@ -62,12 +61,12 @@ def smoothed_table(
     out["heading_rad"] = wrap(heading)
     out["heading_std_rad"] = std[:, PSI] if started else nan
     # The raw rate is the filter's, corrected rate plus bias; only the bias is known better now.
-    out["yaw_rate_rad_s"] = table["yaw_rate_rad_s"] + x[row_steps, BIAS] - at[:, BIAS]
+    out["yaw_rate_rad_s"] = table["yaw_rate_rad_s"] + found.filter_bias[row_steps] - at[:, BIAS]
     out["gyro_bias_rad_s"] = np.where(np.isfinite(table["gyro_bias_rad_s"]), at[:, BIAS], nan)
     known = (std[:, YAW_OFFSET] < KNOWN_IMU_YAW_STD_RAD) & np.isfinite(table["imu_yaw_offset_rad"]).any()
     out["imu_yaw_offset_rad"] = np.where(known, wrap(at[:, YAW_OFFSET]), nan)
     _smooth_offset(out, offset_steps, config)
-    _move_corridor_changes(out, row_steps, F, x_s, variance, config)
+    _move_corridor_changes(out, row_steps, found, config)
     half_m = half_widths_m(table, config)
     out["lateral_offset_m"] = out["lateral_offset_norm"] * half_m
     out["lateral_offset_std_m"] = out["lateral_offset_norm_std"] * half_m
@@ -99,31 +98,31 @@ def _smooth_offset(out: Table, steps: OffsetSteps, config: FusionConfig) -> None
 def _move_corridor_changes(
     out: Table,
     row_steps: npt.NDArray[np.int64],
-    F: FloatArray,
-    x_s: FloatArray,
-    variance: FloatArray,
+    steps: SmoothedSteps,
     config: FusionConfig,
 ) -> None:
     """Let each corridor begin where the vehicle came nearer to its axis than to the last one's."""
     index = out["corridor_index"]
     for row in np.flatnonzero(np.diff(index)) + 1:
         step = int(row_steps[row])
-        while step > int(row_steps[row - 1]) and F[step, PSI, PSI] != 0.0:
+        while step > int(row_steps[row - 1]) and not steps.forgets_heading[step]:
             step -= 1
-        if F[step, PSI, PSI] != 0.0:
+        if not steps.forgets_heading[step]:
             continue
-        turn = float(x_s[step - 1, PSI] - x_s[step, PSI])
+        turn = float(steps.x[step - 1, PSI] - steps.x[step, PSI])
         # Frames that the old axis explained end its stretch.
         age_s = float(out["vision_age_s"][row - 1])
         last_ns = int(out["timestamp_ns"][row - 1]) - (round(age_s * 1e9) if age_s == age_s else 0)
         back = row - 1
         while back >= 0 and out["timestamp_ns"][back] > last_ns:
-            old = float(x_s[row_steps[back], PSI])
+            old = float(steps.x[row_steps[back], PSI])
             if abs(wrap_axis(old - turn)) >= abs(wrap_axis(old)):
                 break
             elapsed_s = (int(out["timestamp_ns"][row]) - int(out["timestamp_ns"][back])) * 1e-9
             out["heading_rad"][back] = wrap(old - turn)
-            out["heading_std_rad"][back] = (variance[step, PSI] + config.gyro_noise**2 * elapsed_s) ** 0.5
+            out["heading_std_rad"][back] = (
+                max(steps.P[step, PSI, PSI], 0.0) + config.gyro_noise**2 * elapsed_s
+            ) ** 0.5
             out["lateral_offset_norm"][back] = out["lateral_offset_norm_std"][back] = nan
             out["lateral_status"][back] = LateralStatus.UNKNOWN
             out["corridor_index"][back] = out["corridor_index"][row]

@@ -14,11 +14,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cache
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
-from fusion.estimator.models import N_STATES, FloatArray
+from fusion.estimator.models import BIAS, N_STATES, PSI, FloatArray
 from vision.compiled import compiled
+from vision.types import BoolArray
 
 _BLOCK = 4096
 
@@ -44,16 +46,45 @@ class Node:
     P: FloatArray
 
 
-Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-"""F (n, 3, 3), prior state (n, 3) and covariance (n, 3, 3), state and covariance after the measurements."""
+class Block(NamedTuple):
+    """Steps in a row: F (n, 3, 3), state (n, 3) and covariance (n, 3, 3) before the measurements and after them."""
+
+    F: FloatArray
+    x_prior: FloatArray
+    P_prior: FloatArray
+    x: FloatArray
+    P: FloatArray
+
+
+class SmoothedSteps(NamedTuple):
+    """All steps of a run as known from the whole of it.
+
+    Parameters
+    ----------
+    x, P
+        State (n, 3) and covariance (n, 3, 3).
+    filter_bias, filter_variance
+        The filter's own bias (n,) and variance of the heading (n,).
+    forgets_heading
+        Whether a step (n,) forgot the heading before it.
+    """
+
+    x: FloatArray
+    P: FloatArray
+    filter_bias: FloatArray
+    filter_variance: FloatArray
+    forgets_heading: BoolArray
 
 
 @dataclass(slots=True, eq=False)
 class Steps:
-    """The engine's steps, gathered in blocks so that a long flight does not become millions of small objects."""
+    """The engine's steps, gathered in blocks so that a long flight does not become millions of small objects.
+
+    The last step of a block is the first of the next one, so that each can be smoothed by itself.
+    """
 
     _nodes: list[Node] = field(default_factory=list)
-    _blocks: list[Arrays] = field(default_factory=list)
+    _blocks: list[Block] = field(default_factory=list)
     count: int = 0
 
     def add(self, nodes: Iterable[Node]) -> None:
@@ -61,51 +92,54 @@ class Steps:
         for node in nodes:
             self._nodes.append(node)
             self.count += 1
-            if len(self._nodes) >= _BLOCK:
-                self._pack()
+            if len(self._nodes) > _BLOCK:
+                self._blocks.append(_block_of(self._nodes))
+                self._nodes = [node]
 
-    def _pack(self) -> None:
-        if not self._nodes:
-            return
-        parts = ((n.F, n.x_prior, n.P_prior, n.x, n.P) for n in self._nodes)
-        F, x_prior, P_prior, x, P = zip(*parts, strict=True)
-        identity = np.eye(N_STATES)
-        vectors, squares = (-1, N_STATES), (-1, N_STATES, N_STATES)
-        self._blocks.append(
-            (
-                np.concatenate([identity if f is None else f for f in F]).reshape(squares),
-                np.concatenate(x_prior).reshape(vectors),
-                np.concatenate(P_prior).reshape(squares),
-                np.concatenate(x).reshape(vectors),
-                np.concatenate(P).reshape(squares),
-            )
+    def smoothed(self) -> SmoothedSteps:
+        """Smooth the run. The steps are let go of one block after another: a long flight is not held twice."""
+        n, self.count = self.count, 0
+        blocks, self._blocks = self._blocks, []
+        if self._nodes:
+            blocks.append(_block_of(self._nodes))
+            self._nodes = []
+        out = SmoothedSteps(
+            np.empty((n, N_STATES)),
+            np.empty((n, N_STATES, N_STATES)),
+            np.empty(n),
+            np.empty(n),
+            np.empty(n, np.bool_),
         )
-        self._nodes = []
-
-    def arrays(self) -> Arrays:
-        """Return all steps, in the order in which `rts` takes them."""
-        self._pack()
-        if not self._blocks:
-            empty, square = np.zeros((0, N_STATES)), np.zeros((0, N_STATES, N_STATES))
-            return square, empty, square, empty, square
-        if len(self._blocks) > 1:
-            parts, self._blocks = [list(part) for part in zip(*self._blocks, strict=True)], []
-            F, x_prior, P_prior, x, P = (_joined(part) for part in parts)
-            self._blocks = [(F, x_prior, P_prior, x, P)]
-        return self._blocks[0]
-
-
-def _joined(parts: list[FloatArray]) -> FloatArray:
-    """Concatenate arrays and let go of them: a long flight's need not be held twice."""
-    whole = np.concatenate(parts)
-    parts.clear()
-    return whole
+        end = n
+        while blocks:
+            block = blocks.pop()
+            rows = slice(end - len(block.x), end)
+            out.filter_bias[rows], out.filter_variance[rows] = block.x[:, BIAS], block.P[:, PSI, PSI]
+            out.forgets_heading[rows] = block.F[:, PSI, PSI] == 0.0
+            if end < n:
+                block.x[-1], block.P[-1] = out.x[end - 1], out.P[end - 1]
+            rts(*block)
+            out.x[rows], out.P[rows] = block.x, block.P
+            end = rows.start + 1
+        return out
 
 
-def rts(
-    F: FloatArray, x_prior: FloatArray, P_prior: FloatArray, x: FloatArray, P: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Smooth a filter's run.
+def _block_of(nodes: list[Node]) -> Block:
+    F, x_prior, P_prior, x, P = zip(*((n.F, n.x_prior, n.P_prior, n.x, n.P) for n in nodes), strict=True)
+    identity = np.eye(N_STATES)
+    vectors, squares = (-1, N_STATES), (-1, N_STATES, N_STATES)
+    return Block(
+        np.concatenate([identity if f is None else f for f in F]).reshape(squares),
+        np.concatenate(x_prior).reshape(vectors),
+        np.concatenate(P_prior).reshape(squares),
+        np.concatenate(x).reshape(vectors),
+        np.concatenate(P).reshape(squares),
+    )
+
+
+@compiled
+def rts(F: FloatArray, x_prior: FloatArray, P_prior: FloatArray, x: FloatArray, P: FloatArray) -> None:
+    """Smooth a filter's run of n steps in place.
 
     Parameters
     ----------
@@ -114,30 +148,8 @@ def rts(
     x_prior, P_prior
         State (n, m) and covariance (n, m, m) right behind the transition.
     x, P
-        The same after the step's measurements.
-
-    Returns
-    -------
-    x_smoothed, P_smoothed
-        (n, m) and (n, m, m).
+        The same after the step's measurements; smoothed on return.
     """
-    x_smoothed, P_smoothed = x.copy(), P.copy()
-    _pass_backward(F, x_prior, P_prior, x_smoothed, P_smoothed)
-    return x_smoothed, P_smoothed
-
-
-@cache
-def compile_smoother() -> None:
-    """Compile, or load what was compiled, when an estimator that smooths in flight is made: not in flight."""
-    x, P = np.zeros((2, N_STATES)), np.tile(np.eye(N_STATES), (2, 1, 1))
-    rts(P, x, P, x, P)
-
-
-@compiled
-def _pass_backward(
-    F: FloatArray, x_prior: FloatArray, P_prior: FloatArray, x: FloatArray, P: FloatArray
-) -> None:
-    """Smooth ``x`` and ``P`` in place."""
     n, m = x.shape
     scale, A, C = np.empty(m), np.empty((m, m)), np.empty((m, m))
     dx, D, CD = np.empty(m), np.empty((m, m)), np.empty((m, m))
@@ -159,6 +171,13 @@ def _pass_backward(
                 for h in range(m):
                     total += 0.5 * (CD[i, h] * C[j, h] + CD[j, h] * C[i, h])
                 P[k, i, j] = P[k, j, i] = total
+
+
+@cache
+def compile_smoother() -> None:
+    """Compile, or load what was compiled, when an estimator that smooths in flight is made: not in flight."""
+    x, P = np.zeros((2, N_STATES)), np.tile(np.eye(N_STATES), (2, 1, 1))
+    rts(P.copy(), x.copy(), P.copy(), x, P)
 
 
 @compiled

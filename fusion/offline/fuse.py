@@ -228,9 +228,8 @@ class Recorder:
         self.events: list[Event] = []
         self._finder = EventFinder(config)
         self._rows: list[tuple[Any, ...]] = []
-        self._packed: list[
-            Table
-        ] = []  # rows of a long flight, in blocks: a tuple takes four times the memory
+        self._table = np.empty(0, ESTIMATE_DTYPE)  # of the rows before: a tuple takes four times the memory
+        self._smoothed: Table | None = None
         self._row_steps = array("q")  # index of the last step of each row's instant
         self._pending: Entry | None = None
         self._pending_is_row = False
@@ -271,22 +270,26 @@ class Recorder:
                 self._pack()
         self._pending, self._pending_is_row = None, False
 
-    def _pack(self) -> None:
-        self._packed.append(np.array(self._rows, dtype=ESTIMATE_DTYPE))
-        self._rows = []
-
     def estimates(self) -> Table:
         """Return the filter's table."""
-        if self._rows or not self._packed:
-            self._pack()
-        if len(self._packed) > 1:
-            self._packed = [np.concatenate(self._packed)]
-        return self._packed[0]
+        self._pack()
+        return self._table
 
     def smoothed(self) -> Table:
         """Return the smoother's table: the same rows, with every number from the whole flight."""
-        row_steps = np.array(self._row_steps, dtype=np.int64)
-        return smoothed_table(self.estimates(), row_steps, self.steps, self.offset_steps, self.config)
+        if self._smoothed is None:
+            row_steps = np.array(self._row_steps, dtype=np.int64)
+            self._smoothed = smoothed_table(
+                self.estimates(), row_steps, self.steps, self.offset_steps, self.config
+            )
+        return self._smoothed
+
+    def _pack(self) -> None:
+        if not self._rows:
+            return
+        n = len(self._table)
+        self._table.resize(n + len(self._rows), refcheck=False)  # in place: nobody has seen it yet
+        self._table[n:], self._rows = np.array(self._rows, dtype=ESTIMATE_DTYPE), []
 
 
 def frame_row(result: FrameResult, config: FusionConfig) -> tuple[Any, ...]:

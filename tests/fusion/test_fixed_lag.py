@@ -168,8 +168,8 @@ def test_nothing_is_compiled_in_flight() -> None:
     """In a process of its own: in this one the smoother may have been compiled long ago."""
     program = (
         "from fusion import CorridorEstimator, FusionConfig\n"
-        "from fusion.estimator.smoother import _pass_backward\n"
+        "from fusion.estimator.smoother import rts\n"
         "CorridorEstimator(FusionConfig(fixed_lag_s=0.5))\n"
-        "assert _pass_backward.signatures"
+        "assert rts.signatures"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -83,7 +84,7 @@ def test_equals_the_batch_solution(seed: int) -> None:
     problem, nodes = linear_problem(seed)
     steps = Steps()
     steps.add(nodes)
-    x, P = rts(*steps.arrays())
+    x, P, *_ = steps.smoothed()
     expected_x, expected_P = batch(problem)
     np.testing.assert_allclose(x, expected_x, rtol=0, atol=1e-9 * max(1.0, np.abs(expected_x).max()))
     np.testing.assert_allclose(P, expected_P, rtol=0, atol=1e-9 * max(1.0, np.abs(expected_P).max()))
@@ -115,22 +116,33 @@ def test_states_of_very_different_size_keep_the_precision() -> None:
     ]
     steps = Steps()
     steps.add(scaled)
-    x, _ = rts(*steps.arrays())
+    x, *_ = steps.smoothed()
     expected, _ = batch(Problem(x0, P0, Fs, Qs, offsets, measurements))
     np.testing.assert_allclose(x / scale, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
-def test_steps_in_blocks_are_the_steps() -> None:
-    _, nodes = linear_problem(2)
-    many = nodes * 700  # more than one block
+@pytest.mark.parametrize("n", [4096, 4097, 4098, 8193, 9000])
+def test_a_run_in_blocks_is_smoothed_as_a_whole(n: int) -> None:
+    many: list[Node] = []
+    while len(many) < n:  # runs that have nothing to do with each other, and forget the one before
+        _, nodes = linear_problem(len(many))
+        first = replace(nodes[0], F=np.diag([0.0, 1.0, 1.0]))
+        many += [first, *nodes[1:]]
+    many = many[:n]
     steps = Steps()
-    steps.add(many[:5000])
-    assert len(steps.arrays()[0]) == 5000
-    steps.add(many[5000:])
-    F, _, _, x, _ = steps.arrays()
-    assert steps.count == len(many) == len(F)
-    np.testing.assert_array_equal(x[-1], nodes[-1].x)
-    np.testing.assert_array_equal(F[0], np.eye(3))
+    steps.add(many[: n // 2])
+    steps.add(many[n // 2 :])
+    assert steps.count == n
+    found = steps.smoothed()
+    assert steps.count == 0
+    F = np.stack([np.eye(3) if node.F is None else node.F for node in many])
+    whole = [np.stack([getattr(node, name) for node in many]) for name in ("x_prior", "P_prior", "x", "P")]
+    np.testing.assert_array_equal(found.filter_bias, whole[2][:, 1])
+    np.testing.assert_array_equal(found.filter_variance, whole[3][:, 0, 0])
+    np.testing.assert_array_equal(found.forgets_heading, F[:, 0, 0] == 0.0)
+    rts(F, *whole)
+    np.testing.assert_array_equal(found.x, whole[2])
+    np.testing.assert_array_equal(found.P, whole[3])
 
 
 @pytest.mark.parametrize("n", [0, 1])
@@ -138,6 +150,6 @@ def test_short_runs(n: int) -> None:
     _, nodes = linear_problem(3)
     steps = Steps()
     steps.add(nodes[:n])
-    x, P = rts(*steps.arrays())
+    x, P, *_ = steps.smoothed()
     assert x.shape == (n, 3)
     assert P.shape == (n, 3, 3)
