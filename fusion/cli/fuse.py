@@ -84,6 +84,10 @@ def fuse(
     method: MethodOption = Method.GEOMETRIC,
     export: ExportOption = None,
     frame: FrameOption = Frame.FRD,
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", metavar="N", min=1, help="Threads, for the same result; else one per core."),
+    ] = None,
 ) -> None:
     """Fuse a flight and write its files."""
     from fusion import FusionConfig, fuse_flight
@@ -110,7 +114,7 @@ def fuse(
     folder = out if out is not None else Path(f"{log.name}_fused")
     check_out_dir(folder)
     with compile_notice("the line finder"), progress_bar("fusing") as progress:
-        result = fuse_flight(log, settings, method=method.value, progress=progress)
+        result = fuse_flight(log, settings, method=method.value, progress=progress, jobs=jobs)
     with progress_bar("writing") as progress:
         write_outputs(
             result,

@@ -17,7 +17,7 @@ from fusion.estimator.engine import Engine
 from fusion.estimator.estimate import Estimate, Status, estimate_of
 from fusion.estimator.events import EventLog
 from fusion.estimator.fixed_lag import FixedLag
-from fusion.estimator.frame_update import FrameResult, FrameSample, Measure
+from fusion.estimator.frame_update import FrameResult, FrameSample, Measure, look_at
 from fusion.estimator.gyro_checks import GyroVerdict
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.input_checks import finite_or_not, number, vector, whole_nanoseconds, within_bounds
@@ -34,6 +34,7 @@ from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 
 if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF
+    from fusion.estimator.frame_update import Seen
     from vision import Camera
     from vision.lines.segments import LineSet
 
@@ -219,17 +220,18 @@ class CorridorEstimator:
         InputError
             Where the estimator has no camera.
         """
-        from vision import extract_lines, measure_frame
-        from vision.images import to_grey
-
         camera = self._camera()
         try:
-            if self.method == "paper":
-                return self.add_measurement(t_ns, measure_frame(image, camera, method="paper"))
-            lines = extract_lines(to_grey(image), camera)
+            seen = look_at(image, camera, self.method)
         except InputError:
             return self.add_unreadable_frame(t_ns)
-        return self.add_lines(t_ns, lines)
+        return self.add_seen(t_ns, seen)
+
+    def add_seen(self, t_ns: int, seen: Seen) -> FrameResult:
+        """Add what `fusion.estimator.frame_update.look_at` found in a picture, for instance in another thread."""
+        if isinstance(seen, FrameMeasurement):
+            return self.add_measurement(t_ns, seen)
+        return self.add_lines(t_ns, seen)
 
     def add_lines(self, t_ns: int, lines: LineSet) -> FrameResult:
         """Add a picture whose lines were extracted elsewhere, for instance in another thread."""

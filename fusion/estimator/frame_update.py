@@ -8,11 +8,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import isfinite, nan, pi
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 from vision.rotations import wrap_axis
+
+if TYPE_CHECKING:
+    from vision import Camera
+    from vision.lines.segments import LineSet
+
+    Seen = LineSet | FrameMeasurement
 
 Measure = Callable[[Attitude | None, Prior], FrameMeasurement]
 """What turns attitude and prediction into a frame's measurement."""
@@ -65,6 +73,22 @@ class FrameResult:
     reason: Reason
     innovation_rad: float = nan
     test_ratio: float = nan
+
+
+def look_at(image: npt.NDArray[Any], camera: Camera, method: str) -> Seen:
+    """Find in a picture what depends on nothing but the picture: its lines, or all that the article measures.
+
+    Raises
+    ------
+    InputError
+        Where the array is no picture or has another size than the camera's.
+    """
+    from vision import extract_lines, measure_frame
+    from vision.images import to_grey
+
+    if method == "paper":
+        return measure_frame(image, camera, method="paper")
+    return extract_lines(to_grey(image), camera)
 
 
 def measure_with_prior(

@@ -20,6 +20,7 @@ from fusion.fleet.tables import write_tables
 from fusion.fleet.task import Task
 from fusion.fleet.worker import failure
 from fusion.fleet.workers import Tell, Workers, cluster_workers, local_workers
+from fusion.offline.pictures_ahead import usable_cores
 from fusion.progress import Progress
 from vision.errors import InputError
 
@@ -205,11 +206,6 @@ def _workers(settings: BatchSettings, flights: int, tell: Tell) -> AbstractConte
     jobs = max(1, min(settings.jobs or usable_cores(), flights))
     memory_bytes = settings.memory_bytes or usable_memory_bytes() // jobs
     return local_workers(jobs, memory_bytes, settings.timeout_s, tell)
-
-
-def usable_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def usable_memory_bytes() -> int:

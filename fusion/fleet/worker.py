@@ -109,7 +109,7 @@ def _fused(task: Task, hashes: Mapping[Path, str]) -> dict[str, Any]:
 
     try:
         flight = load_flight(task.flight.path, camera=task.camera)
-        result = fuse_flight(flight, task.config, method=task.method)
+        result = fuse_flight(flight, task.config, method=task.method, jobs=1)
     except InputError as error:
         # What an installation would mend is no fault of the log: that flight is tried again next time.
         is_mended_here = (error.remedy or "").startswith("pip install")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from heapq import merge
 from itertools import takewhile
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +18,7 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import row_of
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.events import Event, EventFinder
-from fusion.estimator.frame_update import FrameResult, FrameSample
+from fusion.estimator.frame_update import FrameResult, FrameSample, look_at
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.lateral_smoother import OffsetSteps
 from fusion.estimator.propagation import ImuSample
@@ -26,12 +28,16 @@ from fusion.estimator.smoother import Steps
 from fusion.estimator.state import Entry
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table
 from fusion.flight import Flight
+from fusion.offline.pictures_ahead import pictures_ahead, usable_cores
 from fusion.offline.stopwatch import Stopwatch, stopwatch
 from fusion.offline.summary import summarise
 from fusion.progress import Progress
 from fusion.result.result import FusionResult, Timings
 from vision.errors import InputError
 from vision.measurement import FrameMeasurement, position_from_offset
+
+if TYPE_CHECKING:
+    from fusion.estimator.frame_update import Seen
 
 BLOCK_ROWS = 4096
 
@@ -42,6 +48,7 @@ def fuse_flight(
     *,
     method: str = "geometric",
     progress: Progress | None = None,
+    jobs: int | None = None,
 ) -> FusionResult:
     """Fuse a logged flight: the causal filter, the smoother, and how good they are.
 
@@ -57,12 +64,17 @@ def fuse_flight(
         ``geometric``, or ``paper`` for the article's measurement.
     progress
         Called with frames done and in all.
+    jobs
+        Threads, this one included: the others decode pictures and find their lines ahead of the filter. The result is
+        the same to the bit for any number. None: one per core that the process may use.
 
     Raises
     ------
     InputError
-        Where the method is unknown, the flight has no frames, or the times of a stream go back.
+        Where the method is unknown, the flight has no frames, the times of a stream go back, or ``jobs`` is below 1.
     """
+    if jobs is not None and jobs < 1:
+        raise InputError(f"jobs = {jobs}", remedy="give 1 or more, or None for one per core")
     if not len(flight.frames.t_ns):
         raise InputError("the flight has no camera frames", remedy="check mav0/cam0/data.csv of the log")
     check_times(flight)
@@ -71,7 +83,10 @@ def fuse_flight(
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
     with stopwatch() as clock:
         started = clock.seconds()
-        vision_s = _feed(estimator, flight, progress, clock)
+        look = partial(look_at, camera=flight.camera, method=method)
+        threads = (jobs or usable_cores()) - 1
+        with closing(pictures_ahead(flight.frames, look, threads)) as pictures:
+            vision_s = _feed(estimator, flight, pictures, progress, clock)
         estimator.finish()
         recorder.finish()
         filtered = clock.seconds()
@@ -152,7 +167,13 @@ def _row_kinds(flight: Flight) -> tuple[type[object], ...]:
     return tuple(found)
 
 
-def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | None, clock: Stopwatch) -> float:
+def _feed(
+    estimator: CorridorEstimator,
+    flight: Flight,
+    pictures: Iterator[Seen | None],
+    progress: Progress | None,
+    clock: Stopwatch,
+) -> float:
     """Give the estimator all samples, in order of measurement time; return the seconds spent on pictures."""
     vision_s = 0.0
     delay_ns = round(estimator.config.camera_delay_s * 1e9)
@@ -161,10 +182,10 @@ def _feed(estimator: CorridorEstimator, flight: Flight, progress: Progress | Non
     def add_frame(t_ns: int, i: int) -> None:
         nonlocal vision_s
         before = clock.seconds()
-        try:
-            estimator.add_frame(t_ns + delay_ns, flight.frames.read(i))
-        except InputError:
+        if (seen := next(pictures)) is None:
             estimator.add_unreadable_frame(t_ns + delay_ns)
+        else:
+            estimator.add_seen(t_ns + delay_ns, seen)
         vision_s += clock.seconds() - before
         if progress is not None:
             progress(i + 1, total)

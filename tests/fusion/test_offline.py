@@ -117,6 +117,28 @@ def test_same_bits_every_time(office: Flight) -> None:
     assert first.smoothed.tobytes() == second.smoothed.tobytes()
 
 
+@pytest.mark.parametrize("method", ["geometric", "paper"])
+def test_any_number_of_threads_gives_the_same_bits(office: Flight, tmp_path: Path, method: str) -> None:
+    flight = short(office, 12)
+    paths = list(picture_paths(flight))
+    (broken := tmp_path / "broken.jpg").write_bytes(b"no picture")
+    paths[7] = broken
+    flight = replace(flight, frames=replace(flight.frames, source=PictureFiles(tuple(paths))))
+    one, two, five = (fuse_flight(flight, CONFIG, method=method, jobs=jobs) for jobs in (1, 2, 5))
+    assert one.frames["reason"][7] == "unreadable"
+    assert np.isfinite(one.frames["heading_rad"]).sum() >= 8
+    for other in (two, five):
+        assert other.estimates.tobytes() == one.estimates.tobytes()
+        assert other.smoothed.tobytes() == one.smoothed.tobytes()
+        for name in set(FRAME_DTYPE.names or ()) - {"vision_ms"}:
+            np.testing.assert_array_equal(other.frames[name], one.frames[name])
+
+
+def test_fewer_threads_than_one_are_refused(office: Flight) -> None:
+    with pytest.raises(InputError, match=r"jobs = 0.*give 1 or more"):
+        fuse_flight(office, jobs=0)
+
+
 def test_progress_counts_frames(office: Flight) -> None:
     seen: list[tuple[int, int]] = []
     fuse_flight(short(office, 6), CONFIG, progress=lambda done, total: seen.append((done, total)))
@@ -262,14 +284,8 @@ def test_a_corridor_begins_in_the_smoothed_table_where_the_vehicle_turned(
             scene.gyro_bias_walk,
         ),
     )
-    from fusion.estimator.estimator import CorridorEstimator
-
     monkeypatch.setattr("fusion.logs.pictures.camera_folder.read_image", lambda path: path)
-    monkeypatch.setattr(
-        CorridorEstimator,
-        "add_frame",
-        lambda self, t, image: self.add_measurement(t, frames[int(image.name)]),
-    )
+    monkeypatch.setattr("fusion.offline.fuse.look_at", lambda image, camera, method: frames[int(image.name)])
     result = fuse_flight(flight, FusionConfig(corridor_width_m=2.2, heading_correlation_s=0.0))
     t = result.estimates["timestamp_ns"] * 1e-9
     causal = t[np.argmax(result.estimates["corridor_index"])]

@@ -1,0 +1,78 @@
+"""Pictures decoded and looked at in threads ahead of the filter, handed out in order.
+
+What is found in a picture depends on nothing but the picture, so the number of threads changes no result. Decoders
+and compiled loops let go of Python's lock: threads are as fast as processes here, and begin at once.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Generator
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import count
+from threading import Lock
+from typing import TypeVar
+
+from fusion.flight import FrameStream, GreyImage
+from vision.errors import InputError
+
+AHEAD = 3  # pictures per thread: each is held in memory until the filter takes it
+
+Found = TypeVar("Found")
+
+
+def usable_cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def pictures_ahead(
+    frames: FrameStream, look: Callable[[GreyImage], Found], threads: int
+) -> Generator[Found | None]:
+    """Yield what is found in each picture, in order; None for one that cannot be read or used.
+
+    Parameters
+    ----------
+    frames
+        The pictures.
+    look
+        Finds it; called in several threads at once. An `InputError` says that the picture is of no use.
+    threads
+        How many look ahead; 0: none, each picture is looked at when it is asked for.
+    """
+    numbers, reading, total = count(), Lock(), len(frames.t_ns)
+
+    def look_at_next() -> tuple[int, Found | None]:
+        with reading:  # in order, one at a time: most sources are a file that is read on from where it stands
+            number = next(numbers)
+            try:
+                picture = frames.read(number)
+            except InputError:
+                return number, None
+        try:
+            return number, look(picture)
+        except InputError:
+            return number, None
+
+    if threads == 0:
+        for _ in range(total):
+            yield look_at_next()[1]
+        return
+    pool = ThreadPoolExecutor(threads, "pictures")
+    try:
+        begun = min(threads * AHEAD, total)
+        waiting: deque[Future[tuple[int, Found | None]]] = deque(
+            pool.submit(look_at_next) for _ in range(begun)
+        )
+        found: dict[int, Found | None] = {}
+        for number in range(total):
+            while number not in found:
+                at, what = waiting.popleft().result()
+                found[at] = what
+            if begun < total:
+                waiting.append(pool.submit(look_at_next))
+                begun += 1
+            yield found.pop(number)
+    finally:
+        pool.shutdown(cancel_futures=True)
