@@ -26,6 +26,8 @@ except ImportError:  # no such locks on Windows: there nothing is taken for left
 
 _POSIX = os.name == "posix"
 
+_at_work: dict[Path, Path] = {}  # this process's drafts and what each becomes
+
 
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file's content, hexadecimal.
@@ -57,7 +59,7 @@ def replacing(path: Path) -> Iterator[Path]:
         target = path.resolve()
         _make_folder(target.parent)
         restore(target)
-        with _draft(target) as draft:
+        with draft_of(target, f".{target.name}") as draft:
             draft.touch(exist_ok=False)
             with locked(draft):
                 yield draft
@@ -81,7 +83,7 @@ def replacing_folder(folder: Path) -> Iterator[Path]:
     """
     _make_folder(folder.parent)
     restore(folder)
-    with _draft(folder) as draft:
+    with draft_of(folder, f".{folder.name}") as draft:
         draft.mkdir()
         with locked(draft):
             yield draft
@@ -124,11 +126,6 @@ def left_behind(folder: Path, prefix: str = "") -> list[Path]:
     return [path for path in sorted(folder.iterdir()) if ours.fullmatch(path.name) and not _is_held(path)]
 
 
-def draft_name(prefix: str = "") -> str:
-    """Return a hidden name that nothing else uses, for `left_behind` to find."""
-    return f"{prefix}.corridor-{secrets.token_hex(4)}.partial"
-
-
 def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -137,12 +134,35 @@ def _make_folder(folder: Path) -> None:
 
 
 @contextmanager
-def _draft(target: Path) -> Iterator[Path]:
-    draft = target.with_name(draft_name(f".{target.name}"))
+def draft_of(target: Path, prefix: str = "") -> Iterator[Path]:
+    """Give the path of a draft, removed at the end where it is still there.
+
+    Parameters
+    ----------
+    target
+        What the draft becomes: it lies beside it.
+    prefix
+        What the draft's name begins with, for `left_behind` to find.
+    """
+    draft = target.with_name(f"{prefix}.corridor-{secrets.token_hex(4)}.partial")
+    _at_work[draft] = target
     try:
         yield draft
     finally:
         remove(draft)
+        del _at_work[draft]
+
+
+def abandon_drafts() -> None:
+    """Remove all drafts of this process, and put back what was set aside for them: for one about to end at once."""
+    for draft, target in list(_at_work.items()):
+        remove(draft)
+        aside = draft.with_suffix(".old")
+        if not target.exists() and aside.exists():
+            with suppress(OSError):
+                aside.rename(target)
+        else:
+            remove(aside)
 
 
 def remove(path: Path) -> None:

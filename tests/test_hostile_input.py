@@ -11,8 +11,6 @@ import resource
 import shutil
 import signal
 import struct
-import subprocess
-import sys
 import time
 import zlib
 from collections.abc import Callable, Iterator
@@ -398,19 +396,3 @@ class TestTerminal:
             "measure", PICTURE, "--camera", written(tmp_path / "x.yaml", f"{text}\nT_BS: 1\nintrinsics: 1\n")
         )
         assert len(line) < 2_500
-
-
-@pytest.mark.parametrize("after_s", [0.15, 0.3, 0.6, 1.0])
-def test_an_interrupt_while_loading_is_one_line(after_s: float, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "fusion", "fuse", str(OFFICE), "-o", "out"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=environment) as run:
-        time.sleep(after_s)
-        run.send_signal(signal.SIGINT)
-        assert run.stderr is not None
-        said = run.stderr.read()
-    # Python ends itself by the signal where code that a library had generated was interrupted: a shell says 130, too.
-    assert run.returncode in (130, -signal.SIGINT)
-    assert said.endswith("corridor: interrupted\n")
-    assert "Traceback" not in said
-    assert os.listdir(tmp_path) == []

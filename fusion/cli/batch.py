@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from fusion.cli import interrupts
 from fusion.cli.console import command_line, echo, progress_bar, say
 from fusion.cli.options import CameraOption, Method, MethodOption
 
@@ -94,7 +95,7 @@ def batch(
     )
     if not has_parquet():
         say(f"fleet.csv alone, no fleet.parquet: that needs pyarrow ({NEEDS_PARQUET})")
-    with progress_bar("fusing flights") as progress:
+    with interrupts.Raised(), progress_bar("fusing flights") as progress:
         fleet = fuse_fleet(flights, out, settings, against=before, progress=progress, tell=say)
     comparison = compare_fleets(before, fleet.rows) if before else None
     echo(

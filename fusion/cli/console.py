@@ -59,8 +59,7 @@ class OneLineErrors(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run the command, and turn what goes wrong into a line and an exit code."""
         try:
-            with interrupts.Raised():
-                return super().invoke(ctx)
+            return super().invoke(ctx)
         except InputError as error:
             say(f"error: {error}")
         except OSError as error:

@@ -1,13 +1,15 @@
-"""What an interrupt (Ctrl-C) does: while modules load and at the end it ends the program at once, else it is raised.
+"""What an interrupt (Ctrl-C) does: it ends the program at once, with nothing half written.
 
-A library that is interrupted while it loads may swallow that, or fail in ways of its own; nothing is half written
-then. Imports as little as it can, since Ctrl-C before `leave_at_once` ends in Python's own traceback.
+Raising `KeyboardInterrupt`, as Python does, is not safe: libraries swallow it in callbacks and destructors, and
+a callback from compiled code that raises can crash the process. Imports as little as it can, since Ctrl-C before
+`leave_at_once` ends in Python's own traceback.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+import sys
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
 
 EXIT_CODE = 130
 _WORDS = b"corridor: interrupted\n"
+_CLEAR_LINE_AND_SHOW_CURSOR = b"\r\x1b[2K\x1b[?25h"  # a progress bar hides the cursor
 
 
 def leave_at_once() -> None:
@@ -24,12 +27,18 @@ def leave_at_once() -> None:
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    abandon_drafts = getattr(sys.modules.get("fusion.files"), "abandon_drafts", None)
+    if abandon_drafts is not None:
+        abandon_drafts()
+    if os.isatty(2):
+        os.write(2, _CLEAR_LINE_AND_SHOW_CURSOR)
     os.write(2, _WORDS)
     os._exit(EXIT_CODE)
 
 
 class Raised:
-    """Lets an interrupt raise `KeyboardInterrupt` within its block, so that what is being written is cleared."""
+    """Lets an interrupt raise `KeyboardInterrupt` within its block: for one that has other processes to end."""
 
     def __enter__(self) -> None:
         self._ends_at_once = signal.getsignal(signal.SIGINT) is _leave

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fusion.estimator.tables import Table
 from fusion.files import (
-    draft_name,
+    draft_of,
     error_text,
     left_behind,
     locked,
@@ -232,8 +232,7 @@ def _moved_into(folder: Path) -> Iterator[Path]:
 
     From the renaming to ``.complete`` on, a run that is killed is finished by the next one.
     """
-    draft = folder / draft_name()
-    try:
+    with draft_of(folder / MARK) as draft:
         draft.mkdir()
         with locked(draft):
             yield draft
@@ -241,8 +240,6 @@ def _moved_into(folder: Path) -> Iterator[Path]:
             complete = draft.rename(draft.with_suffix(".complete"))
             to_disk(folder)
             _move_files(complete, folder)
-    finally:
-        remove(draft)
 
 
 def _move_files(complete: Path, folder: Path) -> None:
