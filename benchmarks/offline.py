@@ -44,7 +44,7 @@ def to_and_fro(n: int, times: int) -> np.ndarray:
     return np.concatenate(runs)
 
 
-def long_flight(hours: float) -> Flight:
+def long_flight(hours: float, frame_step_s: float = FRAME_STEP_S) -> Flight:
     """Return the sample flight played to and fro; where it runs back, the gyroscope reads the opposite."""
     office = load_flight(OFFICE)
     imu, attitude, frames = office.imu, office.attitude, office.frames
@@ -62,7 +62,7 @@ def long_flight(hours: float) -> Flight:
     sign = np.repeat([1.0 if k % 2 == 0 else -1.0 for k in range(times)], len(imu.t_ns))
     attitudes = to_and_fro(len(attitude.t_ns), times)
     pictures = to_and_fro(len(frames.t_ns), times)
-    every = round(FRAME_STEP_S * 1e9 / float(np.median(np.diff(frames.t_ns))))
+    every = round(frame_step_s * 1e9 / float(np.median(np.diff(frames.t_ns))))
     played = pictures[::every]
     return replace(
         office,

@@ -35,12 +35,13 @@ def make_ready(camera: Camera) -> None:
     """Get slow things over with before take-off: load or compile machine code, and make Python prompt.
 
     A thread that computes keeps others off the interpreter for up to 5 ms by default, two control periods; and the
-    garbage collector's full passes take longer the more objects there are, most of which will never go.
+    garbage collector stops everything for milliseconds. The estimator leaves it nothing to do: its objects hold no
+    cycles.
     """
     warm_up(camera)
     sys.setswitchinterval(0.0005)
     gc.collect()
-    gc.freeze()
+    gc.disable()
 
 
 @dataclass(frozen=True, slots=True)

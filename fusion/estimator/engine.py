@@ -93,6 +93,7 @@ class Engine:
         self.ekf, self._ahead = CorridorEKF(initial.x, initial.P), CorridorEKF(initial.x, initial.P)
         self._propagation = Propagation(config)
         self._lateral = LateralOffset(config, camera_arm_m)
+        tilts.compile_tilt()
 
     def initial_state(self) -> State:
         """Return the state before any sample."""

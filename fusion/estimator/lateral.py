@@ -205,8 +205,10 @@ class LateralOffset:
         if step.dt_s <= 0.0 and step.accel_m_s2 is None:
             return lateral if lateral.step is None else lateral._replace(step=None)
         force = step.accel_m_s2
-        if force is not None and not max(map(abs, force)) < MAX_FORCE_M_S2:
-            force = None
+        if force is not None:
+            (x, y, z), most = force, MAX_FORCE_M_S2
+            if not (-most < x < most and -most < y < most and -most < z < most):
+                force = None
         offset = propagate(lateral.offset, step.dt_s, step.heading_rad, force, step.down)
         return Lateral(offset, None, *lateral[2:])  # half the time that _replace takes
 

@@ -239,11 +239,8 @@ def propagate(
         noise += density2 * dt_s
     else:
         a2 += a1 * dt_s
-    return state._replace(
-        path=Path(t_s + dt_s, accel_s, a1, a2, noise),
-        accel=Acceleration(last, silent_s, density2, n),
-        evidence_age_s=age_s,
-    )
+    path, accel = Path(t_s + dt_s, accel_s, a1, a2, noise), Acceleration(last, silent_s, density2, n)
+    return OffsetState(state.x, state.P, state.weight, path, accel, state.roll, state.open2, age_s)
 
 
 def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tuple[FloatArray, FloatArray]:
@@ -266,11 +263,17 @@ def _noise(m: OffsetModel) -> tuple[float, float, float, float, float, float]:
 
 def along_path(state: OffsetState, path: Path, model: OffsetModel, *, backward: bool = False) -> OffsetState:
     """Carry the hypotheses along a path, or back along it."""
+    x, P = _moved_along(state, path, model, backward)
+    return state if x is state.x else state._replace(x=x, P=P)
+
+
+def _moved_along(
+    state: OffsetState, path: Path, model: OffsetModel, backward: bool = False
+) -> tuple[FloatArray, FloatArray]:
     if not path.t_s > 0.0 or not len(state.x):
-        return state
+        return state.x, state.P
     t_s, accel_s, a1, a2, noise = path
-    x, P = moved_along(state.x, state.P, (t_s, accel_s, a1, a2, noise), _noise(model), backward)
-    return state._replace(x=x, P=P)
+    return moved_along(state.x, state.P, (t_s, accel_s, a1, a2, noise), _noise(model), backward)
 
 
 def at_path_end(state: OffsetState, model: OffsetModel) -> OffsetState:
@@ -374,8 +377,8 @@ def update(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> Offs
 
 def readout(state: OffsetState, model: OffsetModel) -> OffsetReadout:
     """Report the offset at the state's time."""
-    now = along_path(state, state.path, model)
-    return summary(now.x, now.P, now.weight[:-1], now, model)
+    x, P = _moved_along(state, state.path, model)
+    return summary(x, P, state.weight[:-1], state, model)
 
 
 def lasting_variance(state: OffsetState, model: OffsetModel) -> float:

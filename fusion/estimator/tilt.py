@@ -9,6 +9,7 @@ leaks towards level, with a large standard deviation.
 
 from __future__ import annotations
 
+from functools import cache
 from math import asin, atan2, hypot, inf, nan, radians, sqrt
 from typing import NamedTuple
 
@@ -121,6 +122,12 @@ def _carried(
     if length != length and force_age_s > ATTITUDE_GAP_S:  # NaN: there is none
         p, q = p - LEVEL_LEAK_1_S * down[1], q + LEVEL_LEAK_1_S * down[0]  # estimate x (0, 0, 1)
     return turned_down(down, (p, q, r), dt), bias, settled_s, False
+
+
+@cache
+def compile_tilt() -> None:
+    """Compile, or load what was compiled, when an estimator is made: not at its first sample, in flight."""
+    with_imu(Tilt(), 0, (0.0, 0.0, 0.0), None)
 
 
 def tilt_along(
