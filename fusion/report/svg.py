@@ -6,12 +6,13 @@ import io
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from fusion.report import plots
 
@@ -47,11 +48,22 @@ class Key:
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """A figure drawn twice, for a page of about 1000 pixels and for a telephone, with its legend."""
+    """A figure for a page of about 1000 pixels and for a telephone, with its legend."""
 
     wide: str
     narrow: str
     keys: tuple[Key, ...]
+
+
+class _Page(NamedTuple):
+    """Width and height of a panel, inches, and size of the letters."""
+
+    suffix: str
+    size_in: tuple[float, float]
+    font_pt: float
+
+
+_WIDE, _NARROW = _Page("w", (10.0, 2.75), 9.2), _Page("n", (5.0, 2.9), 10.5)
 
 
 def draw(name: str, title: str, panels: Sequence[Panel]) -> Drawing:
@@ -64,17 +76,9 @@ def draw(name: str, title: str, panels: Sequence[Panel]) -> Drawing:
     title
         What a screen reader says of the picture.
     """
-    wide, keys = _svg(f"{name}-w", title, panels, size_in=(10.0, 2.75), font_pt=9.2)
-    narrow, _ = _svg(f"{name}-n", title, panels, size_in=(5.0, 2.9), font_pt=10.5)
-    return Drawing(wide, narrow, keys)
-
-
-def _svg(
-    name: str, title: str, panels: Sequence[Panel], *, size_in: tuple[float, float], font_pt: float
-) -> tuple[str, tuple[Key, ...]]:
-    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "font.size": font_pt}
-    with mpl.rc_context(settings):
-        figure, axes = _axes(len(panels), size_in, font_pt)
+    figure = Figure()
+    with mpl.rc_context({"font.size": _WIDE.font_pt}):
+        axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         keys: dict[str, Key] = {}
         for ax, panel in zip(axes, panels, strict=True):
             panel(ax)
@@ -83,18 +87,27 @@ def _svg(
             for handle, word in zip(*ax.get_legend_handles_labels(), strict=True):
                 keys.setdefault(word, _key(handle, word))
         figure.patch.set_visible(False)
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     ordered = sorted(keys.values(), key=lambda key: (KEY_ORDER.index(key.shape), key.word != "filter"))
-    return _inline(text.getvalue(), name, title), tuple(ordered)
+    # Drawn once: the narrow one only has another size.
+    wide, narrow = (_svg(figure, f"{name}-{page.suffix}", title, page) for page in (_WIDE, _NARROW))
+    return Drawing(wide, narrow, tuple(ordered))
 
 
-def _axes(count: int, size_in: tuple[float, float], font_pt: float) -> tuple[Figure, Sequence[Axes]]:
-    """Lay out panels with margins of fixed width: the time axes of all figures on the page then line up."""
-    width, height = size_in[0], size_in[1] * count
-    em = font_pt / 72
-    figure = Figure(figsize=(width, height))
-    axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+def _svg(figure: Figure, name: str, title: str, page: _Page) -> str:
+    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "font.size": page.font_pt}
+    _lay_out(figure, page)
+    text = io.StringIO()
+    with mpl.rc_context(settings):
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    return _inline(text.getvalue(), name, title)
+
+
+def _lay_out(figure: Figure, page: _Page) -> None:
+    """Give margins of fixed width: the time axes of all figures on the page then line up."""
+    count = len(figure.axes)
+    width, height = page.size_in[0], page.size_in[1] * count
+    em = page.font_pt / 72
+    figure.set_size_inches(width, height)
     figure.subplots_adjust(
         left=5.4 * em / width,
         right=1 - 1.2 * em / width,
@@ -102,9 +115,11 @@ def _axes(count: int, size_in: tuple[float, float], font_pt: float) -> tuple[Fig
         top=1 - 0.9 * em / height,
         hspace=1.6 * em / (height / count),
     )
-    for ax in axes:
+    for ax in figure.axes:
         ax.yaxis.set_label_coords(-4.4 * em / (width - 6.6 * em), 0.5)
-    return figure, list(axes)
+        ax.tick_params(which="both", labelsize=page.font_pt)
+    for text in figure.findobj(Text):
+        text.set_fontsize(page.font_pt)
 
 
 def _key(handle: object, word: str) -> Key:
