@@ -146,11 +146,10 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
 def _compile() -> None:
     """Compile, or load what was compiled, when a filter is made: not at its first sample, in flight."""
     x, P = np.zeros(N_STATES), np.eye(N_STATES)
-    constant = x.copy()
-    constant.setflags(write=False)  # to the compiler another type
-    for H in (x, constant):
-        predicted_variance(P, H)
-        updated(x, P, H, 0.0, 1.0, x.copy(), P.copy(), np.zeros((N_STATES, 1)))
+    H = x.copy()
+    H.setflags(write=False)  # as those of the models are: to the compiler another type
+    predicted_variance(P, H)
+    updated(x, P, H, 0.0, 1.0, x.copy(), P.copy(), np.zeros((N_STATES, 1)))
     predicted(P, P, P, P.copy())
     noise = ProcessNoise(1.0, 1.0, 1.0)
     stepped(x, P, x.copy(), P.copy(), P.copy(), P.copy(), 1.0, 0.0, *noise, 0.0)

@@ -87,7 +87,8 @@ def stepped(
     The bias is still in ``turned``; what follows is as in `discretised`.
     """
     discretised(F_out, Q_out, dt, heading, bias, offset, heading_variance)
-    x_out[:] = x
+    for i in range(x.shape[0]):
+        x_out[i] = x[i]
     x_out[PSI] += turned - x[BIAS] * dt
     predicted(P, F_out, Q_out, P_out)
 

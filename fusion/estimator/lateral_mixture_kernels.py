@@ -214,6 +214,27 @@ def merge(
 
 
 @compiled
+def copy_hypothesis(x: FloatArray, P: FloatArray, x_out: FloatArray, P_out: FloatArray) -> None:
+    """Copy one: a loop compiles in a tenth of the time that an assignment of arrays takes, for its error message."""
+    for i in range(N_LATERAL):
+        x_out[i] = x[i]
+        for j in range(N_LATERAL):
+            P_out[i, j] = P[i, j]
+
+
+@compiled
+def falling(values: FloatArray, which: IntArray) -> None:
+    """Sort indices (n,), a few dozen at most, in place so that their values fall; those alike stay in order."""
+    for a in range(1, len(which)):
+        index = which[a]
+        b = a
+        while b > 0 and values[which[b - 1]] < values[index]:
+            which[b] = which[b - 1]
+            b -= 1
+        which[b] = index
+
+
+@compiled
 def reduce(
     x: FloatArray,
     P: FloatArray,
@@ -238,20 +259,23 @@ def reduce(
         So many are kept, the likeliest, if they weigh more than this.
     """
     k = len(x)
+    order, keep = np.empty(k, np.int64), np.empty(k, np.int64)
     for h in range(k):
+        order[h] = h
         if P[h, Y, Y] > lost_variance or abs(x[h, Y]) > max_offset:
             weight[h] = 0.0
-    keep = np.empty(k, np.int64)
-    n = merge(x, P, weight, np.argsort(-weight[:k], kind="mergesort"), near, keep)
-    keep = keep[:n]
-    keep = keep[np.argsort(-weight[keep], kind="mergesort")][:max_count]
-    keep = keep[weight[keep] > min_weight]
-    n = len(keep)
+    falling(weight, order)
+    n = merge(x, P, weight, order, near, keep)
+    falling(weight, keep[:n])
+    n = min(n, max_count)
+    while n > 0 and not weight[keep[n - 1]] > min_weight:
+        n -= 1
     x_out, P_out = np.empty((n, N_LATERAL)), np.empty((n, N_LATERAL, N_LATERAL))
     weight_out = np.empty(n + 1)
     left = 1.0
     for i in range(n):
-        x_out[i], P_out[i], weight_out[i] = x[keep[i]], P[keep[i]], weight[keep[i]]
+        copy_hypothesis(x[keep[i]], P[keep[i]], x_out[i], P_out[i])
+        weight_out[i] = weight[keep[i]]
         left -= weight_out[i]
     weight_out[n] = max(left, 0.0)
     return x_out, P_out, weight_out
@@ -292,7 +316,10 @@ def take_frame(
     k, m = len(x), len(evidence)
     all_x, all_P = np.empty((k + m, N_LATERAL)), np.empty((k + m, N_LATERAL, N_LATERAL))
     old, new_weight = np.empty(k + 1), np.empty(m)
-    all_x[:k], all_P[:k], old[:] = x, P, weight
+    for h in range(k + 1):
+        old[h] = weight[h]
+        if h < k:
+            copy_hypothesis(x[h], P[h], all_x[h], all_P[h])
     H = np.zeros(N_LATERAL)
     H[Y], H[S] = side, aside_m
     belief, left_open = associate(all_x[:k], all_P[:k], old, evidence, H, slack, shares[0], 1.0 / shares[1])
@@ -304,7 +331,9 @@ def take_frame(
         known_x, known_P, old, evidence, side, aside_m, start, shares[0], near, new_x, new_P, new_weight
     )
     all_weight = np.empty(k + n + 1)
-    all_weight[:k], all_weight[k : k + n], all_weight[k + n] = old[:k], new_weight[:n], old[k]
+    for h in range(k + n):
+        all_weight[h] = old[h] if h < k else new_weight[h - k]
+    all_weight[k + n] = old[k]
     x_out, P_out, weight_out = reduce(all_x[: k + n], all_P[: k + n], all_weight, near, *limits)
     return x_out, P_out, weight_out, belief, left_open
 

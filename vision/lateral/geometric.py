@@ -85,8 +85,11 @@ def corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std:
     n, m = len(pairs), len(picture.ceiling.pair)
     evidence = picture.floor.evidence.view(np.float64).reshape(n, N_EVIDENCE)
     rows = np.zeros((2 * n + m, 4))
-    order = np.argsort(picture.ceiling.pair["offset"])
-    offsets = picture.ceiling.pair["offset"][order]
+    offsets = picture.ceiling.pair[
+        "offset"
+    ].copy()  # one after another, as others to be sorted: compiled once
+    order = np.argsort(offsets)
+    offsets = offsets[order]
     sums = _ceiling_components(picture, weights, roll_std, order, rows)
     for f in range(n):
         pair = pairs[f]

@@ -146,13 +146,11 @@ def _products(
         blind_second -= second[j, WEIGHT]
     blind_first, blind_second = max(blind_first, 0.0), max(blind_second, 0.0)
     count = 0
-    for i in range(n):
-        rows[count] = first[i]
-        rows[count, WEIGHT] *= 0.5 * blind_second
-        count += 1
-    for j in range(m):
-        rows[count] = second[j]
-        rows[count, WEIGHT] *= 0.5 * blind_first
+    for i in range(n + m):
+        row = first[i] if i < n else second[i - n]
+        for column in range(row.shape[0]):
+            rows[count, column] = row[column]
+        rows[count, WEIGHT] *= 0.5 * (blind_second if i < n else blind_first)
         count += 1
     for i in range(n):
         a = first[i, VARIANCE] + slack

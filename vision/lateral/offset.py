@@ -103,6 +103,7 @@ def _estimate_offset(
     prior_std: float,
     prior_width: float,
     roll_std: float,
+    max_corners: tuple[int, int],
 ) -> tuple[OffsetEstimate, float, npt.NDArray[np.intp], FloatArray]:
     """Go all the way from lines to the offset in compiled code: handing arrays over costs more than some steps.
 
@@ -112,11 +113,14 @@ def _estimate_offset(
         The estimate, the corridor's width over the camera's height (NaN where the floor's pair does not tell), and
         the lines (k,) that stand for the corners; and the components (n, 4) of the mixture.
     """
-    wide = picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, MAX_MIXTURE_CORNERS)
-    if wide.candidates.n_candidates.max() > MAX_CORNERS:
-        picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, MAX_CORNERS)
+    many, few = max_corners  # as arguments they are of one type: as constants all would be compiled for each
+    wide = picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, many)
+    for count in wide.candidates.n_candidates:
+        if count > few:
+            picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, few)
+            break
     hypotheses = offset_hypotheses(picture, weights)
-    known = width_log_odds(picture.floor.pair["width"], prior_width, weights)
+    known = width_log_odds(picture.floor.pair["width"].copy(), prior_width, weights)
     found = most_probable_offset(hypotheses, known, prior, prior_std)
     corners = picture.candidates.corners
     width = nan
@@ -170,6 +174,7 @@ def fit_lateral(
         prior_offset_norm_std,
         prior_width_per_height,
         roll_std_rad,
+        (MAX_MIXTURE_CORNERS, MAX_CORNERS),
     )
     mixture = mixture_of_corners(components)
     if not found.probability >= MIN_PROBABILITY:  # NaN fails too
