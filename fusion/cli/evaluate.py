@@ -35,6 +35,12 @@ def evaluate(
         Frame | None,
         typer.Option("--truth-frame", help="Signs of the truth: frd positive right, ros positive left."),
     ] = None,
+    truth_shift_s: Annotated[
+        float,
+        typer.Option(
+            "--truth-shift", metavar="SECONDS", help="Add to the truth's times: its clock is another."
+        ),
+    ] = 0.0,
     align: Annotated[
         bool, typer.Option("--align", help="Take out the constant between truth and estimate, and tell it.")
     ] = False,
@@ -53,7 +59,7 @@ def evaluate(
     from fusion.evaluation.truth_file import read_truth
     from fusion.result.summary_json import summary_json
 
-    outputs, true = read_outputs(outs), read_truth(truth, truth_frame)
+    outputs, true = read_outputs(outs), read_truth(truth, truth_frame).shifted(truth_shift_s)
     found = compare(outputs, true, align=align)
     if table is not None:
         from fusion.evaluation.comparison_table import write_comparison_table

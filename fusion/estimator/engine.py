@@ -44,8 +44,9 @@ from fusion.estimator.imu_yaw import (
     compare_by_frame,
     fuse_imu_yaw,
 )
-from fusion.estimator.lateral import Lateral, LateralOffset, MotionStep, offset_model
+from fusion.estimator.lateral import LateralOffset, MotionStep, offset_model
 from fusion.estimator.lateral_offset import OffsetModel
+from fusion.estimator.lateral_status import Lateral
 from fusion.estimator.models import (
     BIAS,
     N_STATES,

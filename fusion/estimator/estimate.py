@@ -19,7 +19,8 @@ from fusion.estimator.faults import Fault, Notice
 from fusion.estimator.frame_update import FrameSample
 from fusion.estimator.hypotheses import Hypothesis
 from fusion.estimator.imu_yaw import AttitudeSample
-from fusion.estimator.lateral import LateralReadout, LateralStatus, offset_model, readout
+from fusion.estimator.lateral import offset_model
+from fusion.estimator.lateral_status import LateralReadout, LateralStatus, readout
 from fusion.estimator.models import PSI
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, Mode
 from fusion.estimator.range_width import RangeSample

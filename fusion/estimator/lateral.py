@@ -1,14 +1,13 @@
 """The lateral offset: takes propagation steps, velocities and frames, returns its part of the state, changes nothing.
 
 The engine calls `propagated` in each propagation step, with a `MotionStep`, `with_velocity` for each velocity and
-`fused` for each accepted frame; the estimate asks for `readout`, a frame's prediction for `expected`. The estimation
-itself is the Gaussian sum of `fusion.estimator.lateral_offset`; this part hands it what the estimator knows, and
-tells when the offset is known and when it jumps.
+`fused` for each accepted frame, which asks for `expected` before. The estimation itself is the Gaussian sum of
+`fusion.estimator.lateral_offset`; this part hands it what the estimator knows. What is known of the offset, and what
+is reported of it, is `fusion.estimator.lateral_status`.
 """
 
 from __future__ import annotations
 
-from enum import StrEnum
 from math import cos, hypot, inf, isfinite, nan, sin
 from typing import NamedTuple
 
@@ -23,12 +22,9 @@ from fusion.estimator.lateral_offset import (
     OffsetModel,
     OffsetReadout,
     OffsetState,
-    Path,
     at_path_end,
     compile_filter,
     frame_evidence,
-    in_new_corridor,
-    nothing_known,
     propagate,
     with_evidence,
     with_roll,
@@ -36,6 +32,7 @@ from fusion.estimator.lateral_offset import (
 )
 from fusion.estimator.lateral_offset import readout as readout_of
 from fusion.estimator.lateral_smoother import OffsetStep
+from fusion.estimator.lateral_status import Lateral, judged_by_motion, with_jump
 from fusion.estimator.models import PSI, FloatArray, Gate, Vector
 from fusion.estimator.sample_times import seconds_since
 from fusion.estimator.velocity import Velocity
@@ -49,17 +46,6 @@ ANSWER_PROBABILITY = 0.97  # that a single frame's answer is right, where that i
 MAX_FORCE_M_S2 = 300.0  # beyond these no vehicle flies: damaged samples
 MAX_SPEED_M_S = 100.0
 MAX_ANSWER_NORM = 10.0  # half widths, of an offset or its sigma: what is beyond says nothing
-JUMP_NORM = 0.1  # change in one frame from which on another hypothesis has won
-CONTRADICTED_S = 4.0  # for which no offset is relied on that motion does not lead to: one of the two is wrong
-DRIFT_NORM_S = 0.05  # by which the rate may be off, half widths per second
-
-
-class LateralStatus(StrEnum):
-    """How far the lateral offset can be relied on; the words of the ``lateral_status`` column."""
-
-    UNKNOWN = "unknown"  # never told, or no hypothesis is probable and narrow enough
-    KNOWN = "known"  # recent frames confirm it
-    COASTING = "coasting"  # carried on by the accelerometer or velocity; its sigma grows
 
 
 class MotionStep(NamedTuple):
@@ -79,90 +65,6 @@ class MotionStep(NamedTuple):
     heading_rad: float
     down: Vector
     accel_m_s2: Vector | None
-
-
-class Confirmed(NamedTuple):
-    """The offset when it was relied on last, half widths, carried on to the last frame; and when both were."""
-
-    offset_norm: float
-    t_ns: int
-    t_frame_ns: int
-
-    def carried(self, rate_norm_s: float, t_ns: int) -> Confirmed:
-        """Go on to a frame by the rate there: the vehicle's motion, wherever it is."""
-        moved = rate_norm_s * seconds_since(t_ns, self.t_frame_ns) if isfinite(rate_norm_s) else 0.0
-        return Confirmed(self.offset_norm + moved, self.t_ns, t_ns)
-
-    def contradicts(self, offset_norm: float) -> bool:
-        """Tell whether motion does not lead to this offset; after some time nobody can say so."""
-        dt_s = seconds_since(self.t_frame_ns, self.t_ns)
-        far = abs(offset_norm - self.offset_norm) > JUMP_NORM + DRIFT_NORM_S * dt_s
-        return far and dt_s < CONTRADICTED_S
-
-
-class Lateral(NamedTuple):
-    """What is known of the lateral offset.
-
-    Parameters
-    ----------
-    offset
-        The Gaussian sum.
-    step
-        Its last step, for the smoother; None where the last sample made none.
-    t_frame_ns, t_ns
-        When the last frame came that told anything, and the last one that confirmed the offset.
-    n_used
-        How many confirmed it.
-    gate, speed_gate
-        Outcome of the last frame's likeliest offset, half widths, and of the last velocity, m/s.
-    known
-        Whether the last frame left it known.
-    last_known
-        Offset when it was last known, half widths and metres.
-    confirmed
-        Where it was relied on last in this corridor.
-    contradicted
-        Whether motion does not lead from there to where the last frame left it.
-    reset_count, reset_norm, reset_m
-        How often it jumped, and its last step.
-    model
-        What the filter assumes, with the width as it was told last; None: what the configuration says.
-    """
-
-    offset: OffsetState = nothing_known()
-    step: OffsetStep | None = None
-    t_frame_ns: int | None = None
-    t_ns: int | None = None
-    n_used: int = 0
-    gate: Gate | None = None
-    speed_gate: Gate | None = None
-    known: bool = False
-    last_known: tuple[float, float] = (nan, nan)
-    confirmed: Confirmed | None = None
-    contradicted: bool = False
-    reset_count: int = 0
-    reset_norm: float = 0.0
-    reset_m: float = 0.0
-    model: OffsetModel | None = None
-
-    @property
-    def test_ratio(self) -> float:
-        """Of the last innovation: squared over gate squared."""
-        return nan if self.gate is None else self.gate.test_ratio
-
-    def unknown_again(self) -> Lateral:
-        """Go on in another corridor, or at another time, with nothing known but what the offset was last."""
-        offset = in_new_corridor(self.offset)
-        step = OffsetStep(Path(), offset, starts_anew=True)
-        return self._replace(
-            offset=offset,
-            step=step,
-            t_frame_ns=None,
-            t_ns=None,
-            known=False,
-            confirmed=None,
-            contradicted=False,
-        )
 
 
 class LateralOffset:
@@ -276,7 +178,7 @@ class LateralOffset:
         )
         if after.evidence_age_s == 0.0 and len(offset.x):
             lateral = lateral._replace(t_ns=t_ns, n_used=lateral.n_used + 1)
-        return _with_contradiction(_with_jump(lateral, before, after, half_m), t_ns, after)
+        return judged_by_motion(with_jump(lateral, before, after, half_m), t_ns, after)
 
     def expected(self, lateral: Lateral, psi_rad: float, half_m: float) -> tuple[float, float]:
         """Offset and sigma, half widths, that a frame should show; NaN while it is not known.
@@ -313,59 +215,6 @@ def offset_model(config: FusionConfig) -> OffsetModel:
         return model
     inverse = 2.0 / config.corridor_width_m
     return model._replace(inverse_half_width=(inverse, WIDTH_STD_SHARE * inverse))
-
-
-class LateralReadout(NamedTuple):
-    """The lateral offset as reported.
-
-    Offset and sigma in half widths, its rate and sigma in half widths per second, NaN where unknown; status; the
-    probability of the hypothesis; speed along the axis, m/s.
-    """
-
-    offset: float
-    offset_std: float
-    rate: float
-    rate_std: float
-    status: LateralStatus
-    probability: float
-    along_m_s: float
-
-
-def readout(
-    lateral: Lateral, model: OffsetModel, psi_rad: float, velocity: Velocity, t_ns: int, age_limit_s: float
-) -> LateralReadout:
-    """Report the offset.
-
-    Parameters
-    ----------
-    lateral, model
-        Part of the state, and what its filter assumes.
-    psi_rad
-        Heading.
-    velocity
-        Level speeds of the velocity stream.
-    t_ns
-        When.
-    age_limit_s
-        Age of the last confirming frame from which on the offset counts as carried on.
-    """
-    along = nan
-    if velocity.is_known(t_ns):
-        along = velocity.forward_m_s * cos(psi_rad) - velocity.sideways_m_s * sin(psi_rad)
-    found = readout_of(lateral.offset, model)
-    if not found.known or lateral.contradicted:
-        return LateralReadout(nan, nan, nan, nan, LateralStatus.UNKNOWN, found.probability, along)
-    recent = seconds_since(t_ns, lateral.t_ns) <= age_limit_s
-    status = LateralStatus.KNOWN if recent else LateralStatus.COASTING
-    return LateralReadout(
-        found.offset_norm,
-        found.std_norm,
-        found.velocity_norm_s,
-        found.velocity_std_norm_s,
-        status,
-        found.probability,
-        along,
-    )
 
 
 def _mixtures_of(m: FrameMeasurement, config: FusionConfig) -> tuple[OffsetMixture, ...]:
@@ -421,41 +270,3 @@ def _judged_speed(offset: OffsetState, across_m_s: float, variance: float) -> Ga
 def _gate(innovation: float, variance: float, gate_sigma: float) -> Gate:
     ratio = innovation * innovation / (gate_sigma * gate_sigma * variance)
     return Gate(ratio <= 1.0, innovation, ratio, variance)
-
-
-def _with_jump(lateral: Lateral, before: OffsetReadout, after: OffsetReadout, half_m: float) -> Lateral:
-    """Count a step: another hypothesis has won, or the offset is known again after a frame left it unknown.
-
-    That it is too uncertain between two frames is none: the hypothesis stays the same.
-    """
-    latest = (before.offset_norm, before.offset_norm * half_m) if before.known else lateral.last_known
-    if not after.known:
-        return lateral._replace(known=False, last_known=latest)
-    old, old_m = latest if lateral.known else lateral.last_known
-    new, new_m = after.offset_norm, after.offset_norm * half_m
-    if abs(new - old) > JUMP_NORM or (isfinite(old) and not lateral.known):
-        count = lateral.reset_count + 1
-        lateral = lateral._replace(reset_count=count, reset_norm=new - old, reset_m=new_m - old_m)
-    return lateral._replace(known=True, last_known=(new, new_m))
-
-
-def _with_contradiction(lateral: Lateral, t_ns: int, after: OffsetReadout) -> Lateral:
-    """Say whether motion leads from where the offset was relied on last to where it is now."""
-    confirmed = None if lateral.confirmed is None else lateral.confirmed.carried(after.velocity_norm_s, t_ns)
-    if not after.known:
-        return lateral._replace(confirmed=confirmed)
-    if confirmed is not None and confirmed.contradicts(after.offset_norm):
-        return lateral._replace(confirmed=confirmed, contradicted=True)
-    return lateral._replace(confirmed=Confirmed(after.offset_norm, t_ns, t_ns), contradicted=False)
-
-
-__all__ = [
-    "Lateral",
-    "LateralOffset",
-    "LateralReadout",
-    "LateralStatus",
-    "MotionStep",
-    "OffsetStep",
-    "offset_model",
-    "readout",
-]

@@ -11,9 +11,9 @@ from __future__ import annotations
 from math import isfinite, radians
 from typing import TYPE_CHECKING, NamedTuple
 
-from fusion.estimator.lateral import JUMP_NORM, Lateral
 from fusion.estimator.lateral_offset import OffsetModel
 from fusion.estimator.lateral_offset import readout as readout_of
+from fusion.estimator.lateral_status import JUMP_NORM, Lateral
 from fusion.estimator.models import BIAS, PSI
 from vision.rotations import wrap
 

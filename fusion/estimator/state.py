@@ -12,7 +12,7 @@ from fusion.estimator.frame_update import FrameResult, FrameSample
 from fusion.estimator.gyro_checks import GyroCheck
 from fusion.estimator.imu_yaw import AttitudeSample, ImuYaw
 from fusion.estimator.installation_checks import Installation
-from fusion.estimator.lateral import Lateral
+from fusion.estimator.lateral_status import Lateral
 from fusion.estimator.models import FloatArray
 from fusion.estimator.propagation import DeadReckoning, ImuSample
 from fusion.estimator.range_width import RangeSample, Width

@@ -242,11 +242,11 @@ def _compare_output(output: Output, truth: Truth, align: bool) -> ComparedOutput
     overlap_s = (min(int(t[-1]), int(own[-1])) - max(int(t[0]), int(own[0]))) / 1e9
     if overlap_s <= 0:
         spans = " and ".join(f"{s[0] / 1e9:.3f} to {s[-1] / 1e9:.3f} s" for s in (own, t))
+        apart_s = (int(own[0]) - int(t[0])) / 1e9
         raise InputError(
             f"estimates and truth have no time in common: {spans}",
             file=output.folder,
-            remedy=f"if both began together, add {(int(own[0]) - int(t[0])) / 1e9:.3f} s to the truth's times; 37 s "
-            "lie between TAI and UTC",
+            remedy=f"if both began together, add --truth-shift {apart_s:.3f}; 37 s lie between TAI and UTC",
         )
     return ComparedOutput(
         name=output.name,

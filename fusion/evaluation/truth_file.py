@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
 
@@ -84,6 +84,22 @@ class Truth:
     source: str
     frame: Frame
     problems: tuple[str, ...] = ()
+
+    def shifted(self, seconds: float) -> Truth:
+        """Add seconds to its times: for a truth by another clock.
+
+        Raises
+        ------
+        InputError
+            Where that is no number, or so large that the times leave the years 1678 to 2262.
+        """
+        if not seconds:
+            return self
+        reach_ns = int(np.abs(self.corridor.t_ns).max())
+        if not abs(seconds) * 1e9 + reach_ns < 2**63:  # NaN fails too
+            raise InputError(f"--truth-shift {seconds:g}: no time of a truth can be shifted by that")
+        corridor = replace(self.corridor, t_ns=self.corridor.t_ns + round(seconds * 1e9))
+        return replace(self, corridor=corridor, source=f"{self.source}; {seconds:+g} s to its times")
 
 
 def read_truth(path: str | Path, frame: Frame | None = None) -> Truth:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -326,6 +327,24 @@ class TestCompare:
         table["timestamp_ns"] -= T0_NS
         with pytest.raises(InputError, match=r"no time in common: 0\.000 to 3\.990 s and 1600000000\.000 to"):
             compare(read_outputs([write_output(tmp_path / "out", table)]), read_truth(truth))
+
+    def test_a_truth_by_another_clock_is_compared_once_shifted(self, tmp_path: Path, truth: Path) -> None:
+        table = estimates()
+        here = compare(read_outputs([write_output(tmp_path / "here", table)]), read_truth(truth))
+        table["timestamp_ns"] -= T0_NS
+        outputs, true = read_outputs([write_output(tmp_path / "out", table)]), read_truth(truth)
+        with pytest.raises(InputError) as refused:
+            compare(outputs, true)
+        told = re.search(r"--truth-shift (-?[0-9.]+)", refused.value.remedy or "")
+        assert told is not None
+        found = compare(outputs, true.shifted(float(told[1])))
+        assert found["outputs"][0]["causal"] == here["outputs"][0]["causal"]
+        assert "s to its times" in comparison_text(found)
+
+    @pytest.mark.parametrize("seconds", [np.nan, np.inf, 1e10, -1e12])
+    def test_no_truth_is_shifted_out_of_all_times(self, truth: Path, seconds: float) -> None:
+        with pytest.raises(InputError, match="truth-shift"):
+            read_truth(truth).shifted(seconds)
 
     def test_half_an_overlap_is_told(self, tmp_path: Path, truth: Path) -> None:
         table = estimates()
