@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 from array import array
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
 from heapq import merge
@@ -81,7 +82,7 @@ def fuse_flight(
     settings = _with_declared_values(config or FusionConfig(), flight)
     recorder = Recorder(settings, _row_kinds(flight))
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
-    with stopwatch() as clock:
+    with stopwatch() as clock, _long_lived_objects_left_alone():
         started = clock.seconds()
         look = partial(look_at, camera=flight.camera, method=method)
         threads = (jobs or usable_cores()) - 1
@@ -107,6 +108,19 @@ def fuse_flight(
     return replace(
         result, overview=summarise(result, flight, method, estimator.counters, timings, recorder.events)
     )
+
+
+@contextmanager
+def _long_lived_objects_left_alone() -> Iterator[None]:
+    """Keep what exists already out of the garbage collector's full passes: most of it are modules, which stay."""
+    if gc.get_freeze_count():  # the program has seen to it, and knows what may be let go of
+        yield
+        return
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 def check_times(flight: Flight) -> None:
