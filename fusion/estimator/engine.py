@@ -131,15 +131,19 @@ class Engine:
         reckoning = self._propagation.ahead(s.reckoning, ekf, t_ns)
         return s._replace(x=ekf.x, P=ekf.P, reckoning=reckoning, lateral=lateral)
 
-    def process(self, state: State, sample: Sample) -> Entry:
-        """Take the next sample."""
+    def process(self, state: State, sample: Sample, earlier: tuple[State, State] | None = None) -> Entry:
+        """Take the next sample.
+
+        ``earlier`` are the states before and behind it when it was taken before: what no late sample has changed
+        since, a frame's heading changes neither tilt nor gyroscope, is not computed again.
+        """
         ekf, frame = self.ekf, None
         ekf.load(state.x, state.P)
         match sample:
             case ImuSample():
-                state = self._imu(state, sample)
+                state = self._imu(state, sample, earlier)
             case AttitudeSample():
-                state = self._attitude(state, sample)
+                state = self._attitude(state, sample, earlier)
             case VelocitySample():
                 state = self._velocity(state, sample)
             case RangeSample():
@@ -198,17 +202,24 @@ class Engine:
             body_rates_rad_s=(p, q, r) if d.mode is Mode.GYRO else None,
         )
 
-    def _imu(self, s: State, sample: ImuSample) -> State:
+    def _imu(self, s: State, sample: ImuSample, earlier: tuple[State, State] | None = None) -> State:
         t_ns = sample.t_ns
         before, repeats, installed = s.checks
         installed = installed.with_imu(t_ns, sample.gyro_rad_s, sample.accel_m_s2, s.tilt.down)
-        checks = Checks(with_sample(before, sample, self.config), repeats, installed)
+        known = None
+        if earlier is not None and earlier[0].tilt is s.tilt and earlier[0].checks.gyro is before:
+            known = earlier[1]
+        judged = with_sample(before, sample, self.config) if known is None else known.checks.gyro
+        checks = Checks(judged, repeats, installed)
         if not checks.gyro.is_used:
             return self._held(s, t_ns, s.frames)._replace(checks=checks)
         if checks.gyro.verdict is GyroVerdict.CONFIRMED:
             s = self._with_rate_since(s, rate_that_bridges(before, sample))
-        gyro = self._propagation.mean_gyro(s.reckoning, sample)
-        tilt = tilts.with_imu(s.tilt, t_ns, gyro, sample.accel_m_s2)
+        if known is None:
+            gyro = self._propagation.mean_gyro(s.reckoning, sample)
+            tilt = tilts.with_imu(s.tilt, t_ns, gyro, sample.accel_m_s2)
+        else:
+            tilt = known.tilt
         rate = level_yaw_rate(sample.gyro_rad_s, tilt.down)
         lateral = self._moved(s, t_ns, tilt.down, sample.accel_m_s2)
         d = self._propagation.with_gyro(s.reckoning, self.ekf, sample, rate)
@@ -227,12 +238,17 @@ class Engine:
         rate = level_yaw_rate(gyro_rad_s, s.tilt.down)
         return s._replace(reckoning=s.reckoning._replace(gyro_rad_s=gyro_rad_s, rate_rad_s=rate))
 
-    def _attitude(self, s: State, sample: AttitudeSample) -> State:
+    def _attitude(
+        self, s: State, sample: AttitudeSample, earlier: tuple[State, State] | None = None
+    ) -> State:
         q = sample.unit()
         yaw_rad = yaw_of_quaternion(q)
         lateral = self._moved(s, sample.t_ns, s.tilt.down)
         d = self._propagation.with_attitude_yaw(s.reckoning, self.ekf, sample.t_ns, yaw_rad)
-        tilt = tilts.from_quaternion(s.tilt, sample.t_ns, q)
+        if earlier is not None and earlier[0].tilt is s.tilt:
+            tilt = earlier[1].tilt
+        else:
+            tilt = tilts.from_quaternion(s.tilt, sample.t_ns, q)
         imu_yaw = fuse_imu_yaw(s.imu_yaw, self.ekf, yaw_rad, d, s.axis, self.config)
         delay = self._delay_in_mode(s, d)
         _, _, _, _, velocity, width, _, axis, _, frames, elevation, _, checks = s

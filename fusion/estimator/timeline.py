@@ -81,19 +81,21 @@ class Timeline:
             self.state = entry.after
             self._trim()
         else:
-            self._replay(at, key, entry)
+            self._replay(at, key, entry, before)
         return entry
 
-    def _replay(self, at: int, key: tuple[int, int], entry: Entry) -> None:
-        """Put an entry in its place, and process anew what lies behind it."""
+    def _replay(self, at: int, key: tuple[int, int], entry: Entry, before: State) -> None:
+        """Put an entry in its place, behind a state, and process anew what lies behind it."""
         new_keys, replayed = [key], [entry]
         for later_key, later in zip(self._keys[at:], self.entries[at:], strict=True):
             try:
-                replayed.append(self.engine.process(replayed[-1].after, later.sample))
+                earlier = (before, later.after)
+                replayed.append(self.engine.process(replayed[-1].after, later.sample, earlier))
                 new_keys.append(later_key)
             except Exception:
                 self.counters[f"{SOURCES[type(later.sample)].name}_failed"] += 1
                 self.engine.ekf.load(replayed[-1].after.x, replayed[-1].after.P)
+            before = later.after
         self._keys[at:], self.entries[at:] = new_keys, replayed
         self.state = replayed[-1].after
 
