@@ -86,7 +86,9 @@ def fuse(
     frame: FrameOption = Frame.FRD,
     jobs: Annotated[
         int | None,
-        typer.Option("--jobs", metavar="N", min=1, help="Threads, for the same result; else one per core."),
+        typer.Option(
+            "--jobs", metavar="N", min=1, help="Threads, that of the filter included; else one per core."
+        ),
     ] = None,
 ) -> None:
     """Fuse a flight and write its files."""

@@ -206,8 +206,8 @@ def _feed(
 
     streams: list[tuple[npt.NDArray[np.int64], Callable[[int, int], object]]] = []
     if (imu := flight.imu) is not None:
-        gyro, accel = imu.gyro_rad_s, imu.accel_m_s2
-        streams.append((imu.t_ns, lambda t_ns, i: estimator.add_imu(t_ns, gyro[i], accel[i])))
+        samples = zip(_rows(imu.gyro_rad_s), _rows(imu.accel_m_s2), strict=True)
+        streams.append((imu.t_ns, lambda t_ns, i: estimator.add_imu(t_ns, *next(samples))))
     if (attitude := flight.attitude) is not None:
         q = attitude.q_world_body
         streams.append((attitude.t_ns, lambda t_ns, i: estimator.add_attitude(t_ns, q[i])))
@@ -223,8 +223,14 @@ def _feed(
     return vision_s
 
 
+def _rows(values: npt.NDArray[Any]) -> Iterator[Any]:
+    """Rows as Python's lists, which the estimator takes faster, few at a time: a whole flight's take much memory."""
+    for start in range(0, len(values), BLOCK_ROWS):
+        yield from values[start : start + BLOCK_ROWS].tolist()
+
+
 def _times(t_ns: npt.NDArray[np.int64], stream: int) -> Iterator[tuple[int, int, int]]:
-    return ((int(t), stream, i) for i, t in enumerate(t_ns))
+    return ((t, stream, i) for i, t in enumerate(_rows(t_ns)))
 
 
 def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
