@@ -3,7 +3,7 @@
     python benchmarks/offline.py [--hours 0.33 1 3]
 
 The sample flight is also fused as a video of 640x480, once kept to one core and once to two, where pictures are
-decoded and looked at ahead of the filter. A long log is the sample flight played to and fro, with one picture a
+decoded and lines found ahead of the filter. A long log is the sample flight played to and fro, with one picture a
 second. Each is fused by one thread in a process of its own, whose peak of memory is the flight's.
 """
 

@@ -87,7 +87,7 @@ def fuse(
     jobs: Annotated[
         int | None,
         typer.Option(
-            "--jobs", metavar="N", min=1, help="Threads, that of the filter included; else one per core."
+            "--jobs", metavar="N", min=1, help="Threads, the filter's included; else one per core, up to 8."
         ),
     ] = None,
 ) -> None:

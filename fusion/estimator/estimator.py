@@ -17,7 +17,7 @@ from fusion.estimator.engine import Engine
 from fusion.estimator.estimate import Estimate, Status, estimate_of
 from fusion.estimator.events import EventLog
 from fusion.estimator.fixed_lag import FixedLag
-from fusion.estimator.frame_update import FrameResult, FrameSample, Measure, look_at
+from fusion.estimator.frame_update import FrameResult, FrameSample, Measure, extract_features
 from fusion.estimator.gyro_checks import GyroVerdict
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.input_checks import finite_or_not, number, vector, whole_nanoseconds, within_bounds
@@ -34,7 +34,7 @@ from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 
 if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF
-    from fusion.estimator.frame_update import Seen
+    from fusion.estimator.frame_update import Features
     from vision import Camera
     from vision.lines.segments import LineSet
 
@@ -222,16 +222,16 @@ class CorridorEstimator:
         """
         camera = self._camera()
         try:
-            seen = look_at(image, camera, self.method)
+            features = extract_features(image, camera, self.method)
         except InputError:
             return self.add_unreadable_frame(t_ns)
-        return self.add_seen(t_ns, seen)
+        return self.add_features(t_ns, features)
 
-    def add_seen(self, t_ns: int, seen: Seen) -> FrameResult:
-        """Add what `fusion.estimator.frame_update.look_at` found in a picture, for instance in another thread."""
-        if isinstance(seen, FrameMeasurement):
-            return self.add_measurement(t_ns, seen)
-        return self.add_lines(t_ns, seen)
+    def add_features(self, t_ns: int, features: Features) -> FrameResult:
+        """Add what `fusion.estimator.frame_update.extract_features` returned, for instance in another thread."""
+        if isinstance(features, FrameMeasurement):
+            return self.add_measurement(t_ns, features)
+        return self.add_lines(t_ns, features)
 
     def add_lines(self, t_ns: int, lines: LineSet) -> FrameResult:
         """Add a picture whose lines were extracted elsewhere, for instance in another thread."""

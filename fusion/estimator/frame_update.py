@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from vision import Camera
     from vision.lines.segments import LineSet
 
-    Seen = LineSet | FrameMeasurement
+    Features = LineSet | FrameMeasurement
 
 Measure = Callable[[Attitude | None, Prior], FrameMeasurement]
 """What turns attitude and prediction into a frame's measurement."""
@@ -75,8 +75,8 @@ class FrameResult:
     test_ratio: float = nan
 
 
-def look_at(image: npt.NDArray[Any], camera: Camera, method: str) -> Seen:
-    """Find in a picture what depends on nothing but the picture: its lines, or all that the article measures.
+def extract_features(image: npt.NDArray[Any], camera: Camera, method: str) -> Features:
+    """Extract what depends on nothing but the picture: its lines, or all that the article's method measures.
 
     Raises
     ------

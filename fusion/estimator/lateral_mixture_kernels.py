@@ -223,7 +223,7 @@ def copy_hypothesis(x: FloatArray, P: FloatArray, x_out: FloatArray, P_out: Floa
 
 
 @compiled
-def falling(values: FloatArray, which: IntArray) -> None:
+def sort_falling(values: FloatArray, which: IntArray) -> None:
     """Sort indices (n,), a few dozen at most, in place so that their values fall; those alike stay in order."""
     for a in range(1, len(which)):
         index = which[a]
@@ -264,9 +264,9 @@ def reduce(
         order[h] = h
         if P[h, Y, Y] > lost_variance or abs(x[h, Y]) > max_offset:
             weight[h] = 0.0
-    falling(weight, order)
+    sort_falling(weight, order)
     n = merge(x, P, weight, order, near, keep)
-    falling(weight, keep[:n])
+    sort_falling(weight, keep[:n])
     n = min(n, max_count)
     while n > 0 and not weight[keep[n - 1]] > min_weight:
         n -= 1

@@ -83,12 +83,12 @@ def with_imu(tilt: Tilt, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | Non
         inf if t_attitude is None else (t_ns - t_attitude) * 1e-9,
         inf if t_accel is None else (t_ns - t_accel) * 1e-9,
     )
-    down, bias, settled, used = _carried(down, bias, settled, dt, gyro_rad_s, accel_m_s2 or NO_FORCE, ages)
+    down, bias, settled, used = _tilt_step(down, bias, settled, dt, gyro_rad_s, accel_m_s2 or NO_FORCE, ages)
     return Tilt(down, t_ns, t_attitude, t_ns, t_ns if used else t_accel, settled, bias)
 
 
 @compiled
-def _carried(
+def _tilt_step(
     down: Vector,
     bias: Vector,
     settled_s: float,
@@ -158,12 +158,12 @@ def tilt_along(
     down, std_rad = np.empty((len(t_ns), 3)), np.empty(len(t_ns))
     attitude_down = down_of(q_world_body)
     attitude_down /= np.sqrt((attitude_down**2).sum(axis=1, keepdims=True))
-    _fill_along(t_ns, gyro_rad_s, accel_m_s2, attitude_t_ns, attitude_down, attitude_std_rad, down, std_rad)
+    _fill_tilts(t_ns, gyro_rad_s, accel_m_s2, attitude_t_ns, attitude_down, attitude_std_rad, down, std_rad)
     return down, std_rad
 
 
 @compiled
-def _fill_along(
+def _fill_tilts(
     t_ns: TimeArray,
     gyro: FloatArray,
     accel: FloatArray,
@@ -189,7 +189,7 @@ def _fill_along(
         now = (gyro[k, 0], gyro[k, 1], gyro[k, 2])
         rate = (0.5 * (last[0] + now[0]), 0.5 * (last[1] + now[1]), 0.5 * (last[2] + now[2]))
         force = (accel[k, 0], accel[k, 1], accel[k, 2])
-        down, bias, settled_s, used = _carried(
+        down, bias, settled_s, used = _tilt_step(
             down, bias, settled_s, dt, rate, force, (attitude_age_s, force_age_s)
         )
         if used:

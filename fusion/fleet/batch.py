@@ -20,7 +20,7 @@ from fusion.fleet.tables import write_tables
 from fusion.fleet.task import Task
 from fusion.fleet.worker import failure
 from fusion.fleet.workers import Tell, Workers, cluster_workers, local_workers
-from fusion.offline.pictures_ahead import usable_cores
+from fusion.offline.prefetch import usable_cores
 from fusion.progress import Progress
 from vision.errors import InputError
 

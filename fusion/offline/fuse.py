@@ -19,7 +19,7 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import row_of
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.events import Event, EventFinder
-from fusion.estimator.frame_update import FrameResult, FrameSample, look_at
+from fusion.estimator.frame_update import FrameResult, FrameSample, extract_features
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.lateral_smoother import OffsetSteps
 from fusion.estimator.propagation import ImuSample
@@ -29,7 +29,7 @@ from fusion.estimator.smoother import Steps
 from fusion.estimator.state import Entry
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table
 from fusion.flight import Flight
-from fusion.offline.pictures_ahead import pictures_ahead, usable_cores
+from fusion.offline.prefetch import prefetch_features, usable_cores
 from fusion.offline.stopwatch import Stopwatch, stopwatch
 from fusion.offline.summary import summarise
 from fusion.progress import Progress
@@ -38,9 +38,10 @@ from vision.errors import InputError
 from vision.measurement import FrameMeasurement, position_from_offset
 
 if TYPE_CHECKING:
-    from fusion.estimator.frame_update import Seen
+    from fusion.estimator.frame_update import Features
 
 BLOCK_ROWS = 4096
+MAX_JOBS = 8  # unless more are asked for: the filter needs longer for a picture than two threads do
 
 
 def fuse_flight(
@@ -67,7 +68,7 @@ def fuse_flight(
         Called with frames done and in all.
     jobs
         Threads, this one included: the others decode pictures and find their lines ahead of the filter. The result is
-        the same to the bit for any number. None: one per core that the process may use.
+        the same to the bit for any number. None: one per core that the process may use, at most `MAX_JOBS`.
 
     Raises
     ------
@@ -82,11 +83,11 @@ def fuse_flight(
     settings = _with_declared_values(config or FusionConfig(), flight)
     recorder = Recorder(settings, _row_kinds(flight))
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
-    with stopwatch() as clock, _long_lived_objects_left_alone():
+    with stopwatch() as clock, _existing_objects_frozen():
         started = clock.seconds()
-        look = partial(look_at, camera=flight.camera, method=method)
-        threads = (jobs or usable_cores()) - 1
-        with closing(pictures_ahead(flight.frames, look, threads)) as pictures:
+        extract = partial(extract_features, camera=flight.camera, method=method)
+        threads = (jobs or min(usable_cores(), MAX_JOBS)) - 1
+        with closing(prefetch_features(flight.frames, extract, threads)) as pictures:
             vision_s = _feed(estimator, flight, pictures, progress, clock)
         estimator.finish()
         recorder.finish()
@@ -111,7 +112,7 @@ def fuse_flight(
 
 
 @contextmanager
-def _long_lived_objects_left_alone() -> Iterator[None]:
+def _existing_objects_frozen() -> Iterator[None]:
     """Keep what exists already out of the garbage collector's full passes: most of it are modules, which stay."""
     if gc.get_freeze_count():  # the program has seen to it, and knows what may be let go of
         yield
@@ -184,7 +185,7 @@ def _row_kinds(flight: Flight) -> tuple[type[object], ...]:
 def _feed(
     estimator: CorridorEstimator,
     flight: Flight,
-    pictures: Iterator[Seen | None],
+    pictures: Iterator[Features | None],
     progress: Progress | None,
     clock: Stopwatch,
 ) -> float:
@@ -196,10 +197,10 @@ def _feed(
     def add_frame(t_ns: int, i: int) -> None:
         nonlocal vision_s
         before = clock.seconds()
-        if (seen := next(pictures)) is None:
+        if (features := next(pictures)) is None:
             estimator.add_unreadable_frame(t_ns + delay_ns)
         else:
-            estimator.add_seen(t_ns + delay_ns, seen)
+            estimator.add_features(t_ns + delay_ns, features)
         vision_s += clock.seconds() - before
         if progress is not None:
             progress(i + 1, total)

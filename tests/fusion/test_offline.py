@@ -285,7 +285,9 @@ def test_a_corridor_begins_in_the_smoothed_table_where_the_vehicle_turned(
         ),
     )
     monkeypatch.setattr("fusion.logs.pictures.camera_folder.read_image", lambda path: path)
-    monkeypatch.setattr("fusion.offline.fuse.look_at", lambda image, camera, method: frames[int(image.name)])
+    monkeypatch.setattr(
+        "fusion.offline.fuse.extract_features", lambda image, camera, method: frames[int(image.name)]
+    )
     result = fuse_flight(flight, FusionConfig(corridor_width_m=2.2, heading_correlation_s=0.0))
     t = result.estimates["timestamp_ns"] * 1e-9
     causal = t[np.argmax(result.estimates["corridor_index"])]

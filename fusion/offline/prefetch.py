@@ -1,7 +1,7 @@
-"""Pictures decoded and looked at in threads ahead of the filter, handed out in order.
+"""Pictures decoded and their features extracted in threads ahead of the filter, handed out in order.
 
 What is found in a picture depends on nothing but the picture, so the number of threads changes no result. Decoders
-and compiled loops let go of Python's lock: threads are as fast as processes here, and begin at once.
+and compiled loops release the interpreter's lock: threads do, and begin at once.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def pictures_ahead(
-    frames: FrameStream, look: Callable[[GreyImage], Found], threads: int
+def prefetch_features(
+    frames: FrameStream, extract: Callable[[GreyImage], Found], threads: int
 ) -> Generator[Found | None]:
     """Yield what is found in each picture, in order; None for one that cannot be read or used.
 
@@ -36,14 +36,14 @@ def pictures_ahead(
     ----------
     frames
         The pictures.
-    look
+    extract
         Finds it; called in several threads at once. An `InputError` says that the picture is of no use.
     threads
-        How many look ahead; 0: none, each picture is looked at when it is asked for.
+        How many work ahead; 0: none, each picture is read when it is asked for.
     """
     numbers, reading, total = count(), Lock(), len(frames.t_ns)
 
-    def look_at_next() -> tuple[int, Found | None]:
+    def extract_next() -> tuple[int, Found | None]:
         with reading:  # in order, one at a time: most sources are a file that is read on from where it stands
             number = next(numbers)
             try:
@@ -51,19 +51,19 @@ def pictures_ahead(
             except InputError:
                 return number, None
         try:
-            return number, look(picture)
+            return number, extract(picture)
         except InputError:
             return number, None
 
     if threads == 0:
         for _ in range(total):
-            yield look_at_next()[1]
+            yield extract_next()[1]
         return
     pool = ThreadPoolExecutor(threads, "pictures")
     try:
         begun = min(threads * AHEAD, total)
         waiting: deque[Future[tuple[int, Found | None]]] = deque(
-            pool.submit(look_at_next) for _ in range(begun)
+            pool.submit(extract_next) for _ in range(begun)
         )
         found: dict[int, Found | None] = {}
         for number in range(total):
@@ -71,7 +71,7 @@ def pictures_ahead(
                 at, what = waiting.popleft().result()
                 found[at] = what
             if begun < total:
-                waiting.append(pool.submit(look_at_next))
+                waiting.append(pool.submit(extract_next))
                 begun += 1
             yield found.pop(number)
     finally:

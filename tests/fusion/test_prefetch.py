@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fusion.flight import FrameStream, GreyImage
-from fusion.offline.pictures_ahead import AHEAD, pictures_ahead
+from fusion.offline.prefetch import AHEAD, prefetch_features
 from vision.errors import InputError
 
 N = 40
@@ -50,7 +50,7 @@ def number_of(picture: GreyImage) -> int:
 @pytest.mark.parametrize("threads", [0, 1, 2, 5, 100])
 def test_what_is_found_comes_in_order_whatever_the_threads(threads: int) -> None:
     source = Source(unreadable=(0, 23))
-    found = list(pictures_ahead(frames(source), number_of, threads))
+    found = list(prefetch_features(frames(source), number_of, threads))
     assert found == [None if k in (0, 11, 23) else k for k in range(N)]
     assert source.read_so_far == list(range(N))
     assert (source.readers == {threading.get_ident()}) == (threads == 0)
@@ -58,7 +58,7 @@ def test_what_is_found_comes_in_order_whatever_the_threads(threads: int) -> None
 
 def test_no_more_pictures_are_held_than_said() -> None:
     source = Source()
-    pictures = pictures_ahead(frames(source), number_of, 2)
+    pictures = prefetch_features(frames(source), number_of, 2)
     for taken in range(1, 11):
         next(pictures)
         time.sleep(0.01)
@@ -68,7 +68,7 @@ def test_no_more_pictures_are_held_than_said() -> None:
 
 def test_threads_end_with_who_asks() -> None:
     source = Source()
-    pictures = pictures_ahead(frames(source), number_of, 3)
+    pictures = prefetch_features(frames(source), number_of, 3)
     next(pictures)
     pictures.close()
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("pictures")]
@@ -80,4 +80,4 @@ def test_an_error_of_the_program_is_not_taken_for_a_broken_picture() -> None:
         return 1 // (int(picture[0, 0]) - 5)
 
     with pytest.raises(ZeroDivisionError):
-        list(pictures_ahead(frames(Source()), look, 2))
+        list(prefetch_features(frames(Source()), look, 2))
