@@ -94,7 +94,8 @@ def flown(calls: list[Call], flight: Flight) -> Run:
     gc.disable()
     names = ("add_imu", "add_attitude", "add_lines")
     methods = {name: getattr(estimator, name) for name in names}
-    spent_s = {name: np.zeros(len(calls)) for name in (*names, "estimate")}  # no list that grows
+    # Written once now: a list would grow, and pages of zeros are only given when they are written.
+    spent_s = {name: np.full(len(calls), np.nan) for name in (*names, "estimate")}
     made = dict.fromkeys(spent_s, 0)
 
     def note(name: str, before: float) -> None:
