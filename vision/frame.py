@@ -24,9 +24,10 @@ from vision.compiled import compiled
 from vision.errors import InputError
 from vision.images import to_grey
 from vision.lateral.learned import corner_lines, corner_scores, learned_mixture, mixture_of
-from vision.lateral.mixture import OffsetMixture
+from vision.lateral.mixture import CHANCE, OffsetMixture
 from vision.lateral.offset import SAME_ANSWER, LateralFit, OffsetAnswer, answer_of, fit_lateral
 from vision.lateral.polar import polar_picture
+from vision.lateral.walls import wall_is_missing
 from vision.lines.rolling_shutter import lines_at_one_moment, to_picture
 from vision.lines.segments import LineSet, extract_lines
 from vision.measurement import (
@@ -165,7 +166,7 @@ def measure_lines(
     heading = _judged(fit, lines, camera, level, prior, elevation_std_rad)
     offset = _OffsetFound()
     if lateral:
-        offset = _offset(heading.reason is Reason.OK, fit, lines, camera, level, prior)
+        offset = _offset(heading, fit, lines, camera, level, prior)
     return _described(heading, offset, fit, lines, camera, level, prior, started)
 
 
@@ -271,15 +272,18 @@ def _described(
 
 
 def _offset(
-    accepted: bool, fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
+    heading: _Judged, fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
 ) -> _OffsetFound:
-    """Return what lines and, where the axis is to be relied on, regions say about the lateral offset."""
+    """Return what lines and, where the axis is to be relied on, regions say about the lateral offset.
+
+    Where a wall is missing there is no answer unless the corridor's width is known from before. The evidence remains.
+    """
     known = (prior.lateral_offset_norm, prior.lateral_offset_norm_std, prior.width_per_height)
     by_lines, mixture = fit_lateral(lines, fit, level.R_level_camera, level.roll_std_rad, *known)
     answer: LateralFit | OffsetAnswer | None = by_lines
     evidence: tuple[OffsetMixture, ...] = (mixture,)
     walls = None if by_lines is None else _in_picture(lines.ends_px[by_lines.wall_lines], camera)
-    if not accepted:
+    if heading.reason is not Reason.OK:
         evidence = _evidence_about_expected_axis(lines, camera, level, prior)
     elif lines.grey is not None:
         R_corridor_camera = corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad)
@@ -287,6 +291,12 @@ def _offset(
         regions = mixture_of(scores)
         evidence = (mixture, regions)
         answer = answer_of(mixture, regions, *known)
+        if answer is not None and not isfinite(prior.width_per_height):
+            by_lines_alone = float(mixture.likelihood(answer.offset_norm)) / CHANCE
+            if wall_is_missing(
+                lines.geometry(), heading.line_class, R_corridor_camera, scores, by_lines_alone
+            ):
+                answer = None
         agree = by_lines and answer and abs(by_lines.offset_norm - answer.offset_norm) < SAME_ANSWER
         if not agree:
             told = regions.cannot_tell < MAX_DRAWN_DOUBT

@@ -137,7 +137,7 @@ def test_a_turned_mount_is_like_a_turned_body(
     # Equal to a fraction of sigma: the vote's bins lie elsewhere among the lines.
     assert by_mount.accepted == by_body.accepted
     std = by_body.heading_std_rad
-    assert by_mount.heading_rad - heading == pytest.approx(by_body.heading_rad - yaw, abs=0.3 * std)
+    assert by_mount.heading_rad - heading == pytest.approx(by_body.heading_rad - yaw, abs=0.5 * std)
     # Where the vote's edge falls on a line's cut-off, what it has beside its peak changes by up to a third.
     assert by_mount.heading_std_rad == pytest.approx(std, rel=0.35)
     assert by_mount.elevation_rad == pytest.approx(by_body.elevation_rad, abs=0.3 * by_body.elevation_std_rad)

@@ -151,3 +151,18 @@ def test_blockiness_tells_compression_from_structure() -> None:
         cv2.imencode(".jpg", clean, [cv2.IMWRITE_JPEG_QUALITY, 10])[1], cv2.IMREAD_GRAYSCALE
     )
     assert noise_and_blockiness(np.asarray(packed, np.uint8), COUNTS)[1] > 1.7
+
+
+@pytest.mark.parametrize(("noise", "share"), [(0.5, 1.0), (7.0, 0.5)])
+def test_a_noisy_picture_is_searched_at_half_its_size(noise: float, share: float) -> None:
+    rng = np.random.default_rng(3)
+    image = np.full((480, 640), 60.0)
+    image[:, 100:106] = 90.0  # two edges so near to each other that blur would let one pull at the other
+    image[:, 106:] = 120.0
+    noisy = np.clip(image + rng.normal(0.0, noise, image.shape), 0, 255).astype(np.uint8)
+    lines = extract_lines(noisy, CAMERA)
+    long = lines.length_px > 60.0
+    assert lines.length_px[long].sum() > 700.0
+    assert (lines.n_pixels[long] / lines.length_px[long]).max() == pytest.approx(share, abs=0.1)
+    off_px = lines.ends_px[long][:, 0] - 99.5
+    assert np.abs(off_px - 6.0 * np.round(off_px / 6.0)).max() < 0.5

@@ -248,9 +248,22 @@ def learned_mixture(grey: GreyImage, camera: Camera, R_corridor_camera: FloatArr
     return mixture_of(corner_scores(polar_picture(grey, camera, R_corridor_camera)))
 
 
+def corners_from_level(found: CornerScores) -> FloatArray:
+    """Angles (4,) of the likeliest corners from the horizontal, all positive; order of `CornerScores`."""
+    return np.asarray(ANGLES[found.corner.argmax(axis=1)])
+
+
+def corner_sureness(found: CornerScores) -> FloatArray:
+    """Probability (4,) within two angles of each likeliest corner."""
+    best = found.corner.argmax(axis=1)
+    return np.array(
+        [p[max(0, b - 2) : b + 3].sum() for p, b in zip(found.corner, best.tolist(), strict=True)]
+    )
+
+
 def likeliest_corners(found: CornerScores) -> FloatArray:
     """Angles (4,) about the axis, as `ANGLES` counts them, of the likeliest corners; order of `CornerScores`."""
-    from_level = ANGLES[found.corner.argmax(axis=1)]
+    from_level = corners_from_level(found)
     return np.array([pi - from_level[0], from_level[1], pi + from_level[2], 2.0 * pi - from_level[3]])
 
 
@@ -265,9 +278,8 @@ def corner_lines(found: CornerScores, camera: Camera, R_corridor_camera: FloatAr
         As in `learned_mixture`.
     """
     pieces = []
-    for angle, p in zip(likeliest_corners(found), found.corner, strict=True):
-        best = int(p.argmax())
-        if p[max(0, best - 2) : best + 3].sum() < SURE_CORNER:
+    for angle, sure in zip(likeliest_corners(found), corner_sureness(found), strict=True):
+        if sure < SURE_CORNER:
             continue
         rays = np.stack(
             [np.ones_like(DRAWN_TAN), DRAWN_TAN * np.cos(angle), DRAWN_TAN * np.sin(angle)], axis=1

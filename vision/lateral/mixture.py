@@ -20,6 +20,7 @@ N_BINS = 64
 
 BOTH_BLIND = 0.05  # probability that a picture leads both kinds of evidence astray
 MIN_WEIGHT = 1e-4  # of a component; less is left to "cannot tell"
+CHANCE = 0.5  # density of an offset in (-1, 1) of which nothing is known
 _SQRT_TWO_PI = sqrt(2.0 * pi)
 
 # columns of components
@@ -58,7 +59,7 @@ class OffsetMixture:
         y = np.asarray(offset_norm, dtype=float)[..., None]
         z = (y - self.offset_norm) / self.std_norm
         density = self.weight / self.std_norm * np.exp(-0.5 * z * z) / _SQRT_TWO_PI
-        return np.asarray(0.5 * self.cannot_tell + density.sum(axis=-1))
+        return np.asarray(CHANCE * self.cannot_tell + density.sum(axis=-1))
 
     def wider(self, std_norm: float) -> OffsetMixture:
         """Return the mixture with an independent error of this standard deviation added to every component."""

@@ -50,6 +50,7 @@ DOUBT = 0.02  # variance for what probability is left to others
 SAME_ANSWER = 0.12  # components nearer than this to their mean are one answer
 MIN_JOINT_PROBABILITY = 0.7
 JOINT_DOUBT = 0.03
+MAX_STD_NORM = 0.12  # of an answer: a wider one is none
 SAME_WIDTH = (
     0.1  # in the logarithm: where lines and regions differ by more, one of them took a stripe for a corner
 )
@@ -274,12 +275,13 @@ def answer_of(
     probability, mean, variance = _most_probable_group(
         both.weight, both.offset_norm, both.std_norm, factor, both.cannot_tell
     )
-    if not probability >= MIN_JOINT_PROBABILITY:
+    std = sqrt(variance + MIN_STD**2 + JOINT_DOUBT * (1.0 - min(probability, 1.0)))
+    if not probability >= MIN_JOINT_PROBABILITY or std > MAX_STD_NORM:
         return None
     width, other = _width_about(lines, mean), _width_about(regions, mean)
     agree = width > 0.0 and other > 0.0 and abs(log(width / other)) < SAME_WIDTH
     return OffsetAnswer(
         offset_norm=mean,
-        offset_norm_std=sqrt(variance + MIN_STD**2 + JOINT_DOUBT * (1.0 - min(probability, 1.0))),
+        offset_norm_std=std,
         width_per_height=width if agree else nan,
     )

@@ -1,0 +1,51 @@
+"""A side wall that is missing: no answer, unless the corridor's width is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import isfinite, radians
+from typing import Any
+
+import numpy as np
+
+from fusion.simulate import SceneConfig, office_views
+from vision import Attitude, Camera, FrameMeasurement, Prior, measure_frame
+
+CAMERA = replace(Camera.from_fov(320, 240, radians(70.0)), exposure_s=0.008)
+SEED = 555
+
+
+def measured(prior: Prior | None = None, **fixed: Any) -> list[tuple[FrameMeasurement, float]]:
+    """Measure views of random corridors; with the true offset of each that is accepted."""
+
+    def scene(seed: int) -> SceneConfig:
+        hall = fixed.get("hall", False)
+        length_m = SceneConfig.random_office(seed).length_m
+        side = {"open_hall_m": (0.2, length_m - 0.2), "open_hall_right": seed % 2 == 0} if hall else {}
+        return SceneConfig.random_office(seed, **side)
+
+    found = []
+    for view in office_views(CAMERA, 40, SEED, scene=scene, views_per_scene=4):
+        attitude = Attitude(view.roll_rad, view.pitch_rad)
+        m = measure_frame(view.image, CAMERA, attitude, prior)
+        if m.accepted:
+            found.append((m, view.lateral_offset_norm))
+    return found
+
+
+def test_beside_an_open_hall_the_offset_is_seldom_answered_and_else_nearly_always() -> None:
+    beside_hall, between_walls = measured(hall=True), measured()
+    answered = [isfinite(m.lateral_offset_norm) for m, _ in beside_hall]
+    wrong = [abs(m.lateral_offset_norm - y) > 0.1 for m, y in beside_hall]  # NaN is not
+    assert np.mean(answered) < 0.35
+    assert np.mean(wrong) < 0.15
+    assert np.mean([isfinite(m.lateral_offset_norm) for m, _ in between_walls]) > 0.85
+
+
+def test_what_is_known_of_the_width_stands_in_for_the_wall() -> None:
+    alone = measured(hall=True)
+    known = measured(Prior(width_per_height=1.6), hall=True)
+    answered = [np.mean([isfinite(m.lateral_offset_norm) for m, _ in found]) for found in (alone, known)]
+    assert answered[1] > answered[0]
+    for (m, _), (other, _) in zip(alone, known, strict=True):
+        assert m.heading_rad == other.heading_rad

@@ -1,0 +1,109 @@
+"""Whether a picture shows a wall on either side: without one there is no corner, however sure the network is of it.
+
+Between its two corners a wall has door posts, which are vertical. Where it is missing, as towards an open hall, one
+sees edges square to the corridor, which no side wall has. Besides, the network spreads a corner that it only guesses
+over many angles, guesses another offset by the ceiling than by the floor, or takes a far wall for the near one, and
+lines seldom confirm it.
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, hypot, log, radians
+
+import numpy as np
+import numpy.typing as npt
+
+from vision.compiled import compiled
+from vision.lateral.learned import CornerScores, corner_sureness, corners_from_level
+from vision.lines.segments import LineGeometry
+from vision.measurement import LineClass
+from vision.types import FloatArray
+
+OFF_CORNER_RAD = radians(3.0)  # about the axis
+ASIDE_COSINE = cos(radians(8.0))  # nearer to the axis is the end of the corridor
+FEW_RAD = 0.1  # a line shorter than this tells little
+# Logistic regression on simulated corridors with and without an open hall beside them. Of those without, 5 % of the
+# answers have positive log-odds.
+BIAS = 2.5
+SURENESS = -1.39  # per probability, of the corners of floor and ceiling on the side where they are less sure
+BY_LINES = -1.17  # the others: per logarithm
+ACROSS = 1.69
+VERTICAL_LENGTH = 1.03
+DISAGREEMENT = 0.53
+WIDTH = 2.09
+LEAST_DISAGREEMENT, LEAST_VERTICAL_RAD, LEAST_RATIO = 0.05, 0.05, 0.1
+USUAL_WIDTH_PER_HEIGHT = 2.718  # up to here it tells nothing
+
+TRANSVERSE, VERTICAL = int(LineClass.TRANSVERSE), int(LineClass.VERTICAL)
+
+
+def wall_is_missing(
+    lines: LineGeometry,
+    line_class: npt.NDArray[np.int8],
+    R_corridor_camera: FloatArray,
+    scores: CornerScores,
+    likelihood_ratio: float,
+) -> bool:
+    """Tell whether one of the side walls is likelier to be missing than an answer can bear.
+
+    Parameters
+    ----------
+    lines, line_class
+        The picture's n lines, optical frame, and their `vision.measurement.LineClass` (n,).
+    R_corridor_camera
+        Rotation (3, 3) from the optical frame to axes along the corridor, to its right, and down.
+    scores
+        What the network says about the corners.
+    likelihood_ratio
+        Likelihood of the offset to answer, by lines alone, over that of any other.
+    """
+    sure = corner_sureness(scores)
+    corners_rad = corners_from_level(scores)
+    across, vertical_rad = _across_and_vertical(lines, line_class, R_corridor_camera, corners_rad)
+    left, right = (
+        1.0 / np.tan(corners_rad).reshape(2, 2).T
+    )  # distances of the walls, by the floor and by the ceiling
+    by_floor, by_ceiling = (left - right) / (left + right)
+    log_odds = (
+        BIAS
+        + SURENESS * min(sure[0] + sure[2], sure[1] + sure[3])
+        + BY_LINES * log(max(likelihood_ratio, LEAST_RATIO))
+        + ACROSS * log(across)
+        + VERTICAL_LENGTH * log(vertical_rad + LEAST_VERTICAL_RAD)
+        + DISAGREEMENT * log(abs(by_floor - by_ceiling) + LEAST_DISAGREEMENT)
+        + WIDTH * log(max(left[0] + right[0], USUAL_WIDTH_PER_HEIGHT))
+    )
+    return bool(log_odds > 0.0)
+
+
+@compiled
+def _across_and_vertical(
+    lines: LineGeometry, line_class: npt.NDArray[np.int8], R: FloatArray, corners_rad: FloatArray
+) -> tuple[float, float]:
+    """Compare lines between a wall's corners; ``corners_rad`` (4,) as by `corners_from_level`.
+
+    Returns
+    -------
+    tuple
+        The length of lines square to the corridor over that of vertical ones, where it is larger, and the length of
+        vertical lines where it is less, as angles that they subtend.
+    """
+    across, vertical = np.zeros(2), np.zeros(2)
+    for i in range(len(line_class)):
+        if line_class[i] != TRANSVERSE and line_class[i] != VERTICAL:
+            continue
+        a, b, c = lines.centre[i, 0], lines.centre[i, 1], lines.centre[i, 2]
+        ahead = R[0, 0] * a + R[0, 1] * b + R[0, 2] * c
+        right = R[1, 0] * a + R[1, 1] * b + R[1, 2] * c
+        down = R[2, 0] * a + R[2, 1] * b + R[2, 2] * c
+        side = 1 if right > 0.0 else 0
+        angle = atan2(down, abs(right))
+        lowest, highest = corners_rad[side] - OFF_CORNER_RAD, OFF_CORNER_RAD - corners_rad[2 + side]
+        if ahead > ASIDE_COSINE * hypot(hypot(ahead, right), down) or not highest < angle < lowest:
+            continue
+        if line_class[i] == TRANSVERSE:
+            across[side] += lines.arc_rad[i]
+        else:
+            vertical[side] += lines.arc_rad[i]
+    ratio = (across + FEW_RAD) / (vertical + FEW_RAD)
+    return ratio.max(), vertical.min()
