@@ -17,7 +17,7 @@ from fusion import CorridorEstimator, FusionConfig
 from fusion.estimator.lateral import offset_model
 from fusion.estimator.lateral_smoother import OffsetSteps, at_times, smoothed_offsets
 from fusion.estimator.models import PSI
-from fusion.estimator.smoother import Steps, rts
+from fusion.estimator.smoother import Steps
 from fusion.estimator.state import Entry
 from tests.fusion.simulated import Scene, Simulated, config_for, drifting, give, simulate, weaving, wrap
 
@@ -131,9 +131,9 @@ def fly(simulated: Simulated, config: FusionConfig, smooth: bool = True) -> Flow
     offset = np.interp(t, simulated.t_s, simulated.lateral)
     smoothed = smoothed_std = lateral_smoothed = np.full(len(t), np.nan)
     if smooth:
-        x, P = rts(*steps.arrays())
+        states = steps.smoothed()
         at = np.searchsorted(np.array(stamps) * 1e-9, t, side="right") - 1
-        smoothed, smoothed_std = wrap(x[at, PSI] - truth), np.sqrt(P[at, PSI, PSI])
+        smoothed, smoothed_std = wrap(states.x[at, PSI] - truth), np.sqrt(states.P[at, PSI, PSI])
         offsets = smoothed_offsets(offset_steps.steps, offset_model(config))
         found, _, known = at_times(np.array(offset_steps.t_ns) * 1e-9, offsets, t)
         lateral_smoothed = np.where(known, found, np.nan) - offset
