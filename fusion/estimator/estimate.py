@@ -40,7 +40,7 @@ CONTESTED = {
     Hypothesis.WELL: "contested: frames lie to one side of the prediction",
     Hypothesis.GYRO: "contested: frames drift from the gyroscope",
     Hypothesis.SPIKE: "contested: the gyroscope leapt",
-    Hypothesis.BEND: "contested: frames drift from gyroscope and attitude",
+    Hypothesis.BEND: "contested: frames drift from the inertial sensors",
     Hypothesis.AXIS: "contested: frames show another axis",
 }
 

