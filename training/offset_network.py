@@ -40,18 +40,45 @@ MIN_HALVED = 64  # numbers of a tensor that is kept at half precision
 CHANNELS = (12, 24, 40, 64)
 DILATIONS = (1, 2, 4, 8, 16)
 BATCH = 48
-LEARNING_RATE = 2.5e-3
+LEARNING_RATE, LATER_RATE = 4e-3, 1.5e-3
+ODDS_RATE = 0.02  # of that for the log-odds: faster, they run off to where the sigmoid has no gradient
 WARM_UP_STEPS, CORNER_STEPS = 60, 300
 WITHOUT_CORRIDOR = 0.05
 CORNER_WEIGHT, CLASS_WEIGHT = 0.25, 0.3
 N_CLASSES = 3
 CHUNK_VIEWS = 10 * VIEWS_PER_CAMERA
-CHUNKS, STEPS, SEED = 53, 16000, 11
-FIRST_CHUNKS, STEPS_PER_CHUNK = 36, 900
+CHUNKS, STEPS, LATER_STEPS, SEED = 53, 11000, 2400, 11
 HELD_OUT, HELD_OUT_SEED, VARIATIONS = 240, 900, 4
 TEST_VIEWS, TEST_SEED = 48, 950
 TEMPERATURES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8, 2.1)  # never surer than trained
 SHIFTS = (1.0, 1.5, 2.0)  # never less: all the pictures that it is fitted on show a corridor, others do not
+
+
+class _CircularLayer(nn.Module):
+    """Convolution that goes on around the angle, batch normalisation, ReLU; export folds the first two into one."""
+
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        kernel: tuple[int, int],
+        *,
+        stride: tuple[int, int] = (1, 1),
+        dilation: int = 1,
+        radius_padding: int = 0,
+    ) -> None:
+        super().__init__()
+        self.convolution = nn.Conv2d(inputs, outputs, kernel, stride, dilation=(1, dilation), bias=False)
+        self.norm = nn.BatchNorm2d(outputs)
+        self.before, self.after = (kernel[1] - 1) // 2 * dilation, kernel[1] // 2 * dilation
+        self.radius_padding = radius_padding
+
+    def forward(self, x: Tensor) -> Tensor:
+        if self.after:
+            x = torch.cat([x[..., -self.before :], x, x[..., : self.after]], dim=-1)
+        if self.radius_padding:
+            x = functional.pad(x, (0, 0, self.radius_padding, self.radius_padding))
+        return functional.relu(self.norm(self.convolution(x)))
 
 
 class OffsetNetwork(nn.Module):
@@ -60,19 +87,17 @@ class OffsetNetwork(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         a, b, c, d = CHANNELS
-        self.radial = nn.ModuleList(
-            [
-                nn.Conv2d(2, a, (3, 5), stride=(2, 1)),
-                nn.Conv2d(a, b, (3, 4), stride=(2, 2)),
-                nn.Conv2d(b, c, (3, 3), stride=(2, 1)),
-                nn.Conv2d(c, d, (3, 1)),
-            ]
+        self.radial = nn.Sequential(
+            _CircularLayer(2, a, (3, 5), stride=(2, 1), radius_padding=1),
+            _CircularLayer(a, b, (3, 4), stride=(2, 2), radius_padding=1),
+            _CircularLayer(b, c, (3, 3), stride=(2, 1), radius_padding=1),
+            _CircularLayer(c, d, (3, 1)),
         )
         self.place = nn.Parameter(torch.zeros(d, 6))
-        self.around = nn.ModuleList([nn.Conv2d(d, d, (1, 5), dilation=(1, k)) for k in DILATIONS])
+        self.around = nn.ModuleList([_CircularLayer(d, d, (1, 5), dilation=k) for k in DILATIONS])
         self.scores = nn.Conv2d(d, 2 * (2 + N_CLASSES), 1)  # two angles for each place
         self.odds = nn.Linear(2 * d, N_ODDS)
-        nn.init.constant_(self.odds.bias, -2.0)
+        self.reset_odds()
         angle = ANGLES.reshape(-1, 2).mean(axis=1)
         even, odd = (
             [np.cos(k * angle) for k in (0, 2, 4)],
@@ -80,18 +105,16 @@ class OffsetNetwork(nn.Module):
         )  # by mirroring
         self.register_buffer("position", torch.tensor(np.stack(even + odd), dtype=torch.float32))
 
+    def reset_odds(self) -> None:
+        """Begin anew with what cannot be told: a little of everything."""
+        nn.init.zeros_(self.odds.weight)
+        nn.init.constant_(self.odds.bias, -2.0)
+
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Evaluate the network."""
-        for k, layer in enumerate(self.radial):
-            before, after = (layer.kernel_size[1] - 1) // 2, layer.kernel_size[1] // 2
-            if after:
-                x = torch.cat([x[..., -before:], x, x[..., :after]], dim=-1)
-            x = layer(functional.pad(x, (0, 0, 1, 1)) if k < 3 else x)
-            x = functional.relu(x)
-        x = x + (self.place @ self.position)[None, :, None]
+        x = self.radial(x) + (self.place @ self.position)[None, :, None]
         for layer in self.around:
-            side = 2 * layer.dilation[1]
-            x = x + functional.relu(layer(torch.cat([x[..., -side:], x, x[..., :side]], dim=-1)))
+            x = x + layer(x)
         pooled = torch.cat([x.mean(dim=(2, 3)), x.amax(dim=(2, 3))], dim=-1)
         scores = self.scores(x).reshape(len(x), 2 + N_CLASSES, 2, N_ANGLES // 2)
         return scores.transpose(2, 3).flatten(2), self.odds(pooled)
@@ -202,28 +225,34 @@ def chunk_file(folder: Path, seed: int, number: int) -> Path:
     return folder / f"views_{seed}_{number}.pkl"
 
 
-def train(folder: Path, chunks: int, steps: int, seed: int, start: Path | None = None) -> OffsetNetwork:
-    """Train a network, or train on from ``start``, on endless variations of the views in a folder.
+def train(
+    folder: Path,
+    chunks: int,
+    steps: int,
+    seed: int,
+    rate: float = LEARNING_RATE,
+    earlier: OffsetNetwork | None = None,
+) -> OffsetNetwork:
+    """Train a network on endless variations of the views in a folder.
 
-    It begins with `FIRST_CHUNKS` chunks and takes one more in every `STEPS_PER_CHUNK` steps, waiting for it where it
-    is still being rendered.
+    It goes on from an ``earlier`` one, whose log-odds begin anew: only where the corners are right can it be learned
+    when they are not to be relied on.
     """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     network = OffsetNetwork()
-    if start is not None:
-        network.load_state_dict(torch.load(start))
-    optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=1e-3)
+    if earlier is not None:
+        network.load_state_dict(earlier.state_dict())
+        network.reset_odds()
+    odds = list(network.odds.parameters())
+    rest = [p for name, p in network.named_parameters() if not name.startswith("odds.")]
+    groups = [{"params": rest, "share": 1.0}, {"params": odds, "share": ODDS_RATE}]
+    optimiser = torch.optim.AdamW(groups, lr=rate, weight_decay=1e-3)
     views: list[TrainingView] = []
-    started, taken, order, losses = time.monotonic(), 0, list[int](), list[tuple[float, ...]]()
+    for number in range(chunks):
+        views += pickle.loads(chunk_file(folder, seed, number).read_bytes())
+    started, order, losses = time.monotonic(), list[int](), list[tuple[float, ...]]()
     for step in range(steps):
-        while taken < min(chunks, FIRST_CHUNKS + step // STEPS_PER_CHUNK):
-            file = chunk_file(folder, seed, taken)
-            while not file.exists():
-                time.sleep(1.0)
-            views += pickle.loads(file.read_bytes())
-            taken += 1
-            order = []
         if len(order) < BATCH:
             order += rng.permutation(len(views)).tolist()
         batch = Batch.of(
@@ -233,14 +262,15 @@ def train(folder: Path, chunks: int, steps: int, seed: int, start: Path | None =
             ]
         )
         warm, cool = min(1.0, (step + 1) / WARM_UP_STEPS), 0.5 * (1.0 + cos(pi * step / steps))
-        optimiser.param_groups[0]["lr"] = LEARNING_RATE * warm * cool
+        for group in optimiser.param_groups:
+            group["lr"] = rate * group["share"] * warm * cool
         scores, odds = network(batch.polar)
         nll = -torch.log(at_offset(offset_density(scores, odds), batch.offset) + 1e-6).mean()
         corners = corner_loss(scores, batch.corners)
         classes = functional.cross_entropy(scores[:, 2:], batch.classes, ignore_index=UNKNOWN)
         optimiser.zero_grad()
         # The corners first: while they are at random, "cannot tell" is right, and it would never be unlearned.
-        share = 1.0 if start is not None else min(1.0, max(0.0, step / CORNER_STEPS - 0.5))
+        share = 1.0 if earlier is not None else min(1.0, max(0.0, step / CORNER_STEPS - 0.5))
         (share * nll + CORNER_WEIGHT * corners + CLASS_WEIGHT * classes).backward()
         nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimiser.step()
@@ -288,8 +318,8 @@ class _Exported(nn.Module):
 
 
 def export(network: OffsetNetwork, file: Path) -> None:
-    """Write the network for `cv2.dnn`, for a picture and its mirror image."""
-    example = torch.zeros(2, 2, N_RADII, N_ANGLES)
+    """Write the network for `cv2.dnn`, for one picture."""
+    example = torch.zeros(1, 2, N_RADII, N_ANGLES)
     torch.onnx.export(
         _Exported(network).eval(),
         (example,),
@@ -360,12 +390,15 @@ def train_and_write(
     folder: Path,
     chunks: int = CHUNKS,
     steps: int = STEPS,
+    later_steps: Annotated[
+        int, typer.Option(help="With what cannot be told begun anew, at a lower rate.")
+    ] = LATER_STEPS,
     seed: int = SEED,
-    start: Annotated[Path | None, typer.Option(help="Go on from an earlier training's `network.pt`.")] = None,
 ) -> None:
-    """Train, calibrate and write the weights; a folder that is still being filled will do."""
+    """Train, calibrate and write the weights."""
     torch.set_num_threads(1)
-    network = train(folder, chunks, steps, seed, start)
+    network = train(folder, chunks, steps, seed)
+    network = train(folder, chunks, later_steps, seed, LATER_RATE, network)
     torch.save(network.state_dict(), folder / "network.pt")
     held_out = list(render_views(HELD_OUT, HELD_OUT_SEED))
     rng = np.random.default_rng(HELD_OUT_SEED)
@@ -376,8 +409,10 @@ def train_and_write(
     file = Path(learned.__file__).with_name(learned.WEIGHTS_FILE)
     export(network, file)
     git = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True)
-    begun = "" if start is None else " --start EARLIER"
-    command = f"python -m training.offset_network train FOLDER --chunks {chunks} --steps {steps} --seed {seed}{begun}"
+    command = (
+        f"python -m training.offset_network train FOLDER --chunks {chunks} --steps {steps} "
+        f"--later-steps {later_steps} --seed {seed}"
+    )
     made = {
         "made_by": command,
         "commit": git.stdout.strip(),

@@ -265,7 +265,7 @@ def varied(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> S
 
 
 def without_corridor(rng: np.random.Generator) -> Sample:
-    """Draw a sample that shows no corridor: nothing at all, noise, blots or stripes at random angles."""
+    """Draw a sample that shows no corridor: nothing at all, noise, a ramp of light, blots or stripes at angles."""
     polar: Polar = np.ones((2, *DIRECTIONS.shape[:2]), np.float32)
     polar[1] = DIRECTIONS[..., 0] * np.hypot(DIRECTIONS[..., 1], DIRECTIONS[..., 2]) < tan(
         rng.uniform(0.4, 1.0)
@@ -276,6 +276,9 @@ def without_corridor(rng: np.random.Generator) -> Sample:
     if grain:
         noise = cv2.GaussianBlur(noise, (0, 0), grain, sigmaY=grain * float(rng.uniform(0.2, 2.0)))
     polar[0] = noise / (noise.std() + 1e-9) * float(rng.choice([0.3, 3.0, 40.0]))
+    if rng.random() < 0.4:
+        across, down = rng.normal(0.0, 40.0, 2)
+        polar[0] += across * DIRECTIONS[..., 1] + down * DIRECTIONS[..., 2]
     for _ in range(int(rng.integers(0, 6))):
         a, n = int(rng.integers(N_ANGLES)), int(rng.integers(1, 50))
         r = int(rng.integers(0, shape[0]))

@@ -14,7 +14,8 @@ Where floor and ceiling agree it is sharp; where they disagree it keeps a peak f
 They do err together: the training maximises this joint likelihood, not those of the corners alone, so that their
 probabilities come out as wide as the product needs.
 
-The picture and its mirror image are both evaluated and averaged: a mirrored picture gives the mirrored answer.
+The network sees the picture with its darker side on the left, mirrored where need be: a mirrored picture gives the
+mirrored answer, at half the cost of evaluating both.
 """
 
 from __future__ import annotations
@@ -60,6 +61,7 @@ RISE = 1.2  # or rises so far above its lowest
 MIN_STD = 0.005
 
 _MIRRORED = (N_ANGLES // 2 - 1 - np.arange(N_ANGLES)) % N_ANGLES
+_IS_RIGHT = np.cos(ANGLES) > 0.0
 _PER_THREAD = local()  # cv2.dnn keeps its input within the network
 
 
@@ -120,13 +122,16 @@ def _softmax_quarters(scores: npt.NDArray[np.float32], corner: FloatArray) -> No
 
 
 def corner_scores(polar: Polar) -> CornerScores:
-    """Run the network on a polar picture (2, N_RADII, N_ANGLES) and on its mirror image."""
-    raw = _forward(np.ascontiguousarray(np.stack([polar, polar[:, :, _MIRRORED]])))
-    scores = raw[:, : 2 * N_ANGLES].reshape(2, 2, N_ANGLES)
+    """Run the network on a polar picture (2, N_RADII, N_ANGLES), mirrored where its left side is the brighter one."""
+    is_mirrored = polar[0][:, _IS_RIGHT].sum() < polar[0][:, ~_IS_RIGHT].sum()
+    seen = polar[:, :, _MIRRORED] if is_mirrored else polar
+    raw = _forward(np.ascontiguousarray(seen[None]))[0]
+    scores = raw[: 2 * N_ANGLES].reshape(2, N_ANGLES)
+    if is_mirrored:
+        scores = np.ascontiguousarray(scores[:, _MIRRORED])
     corner = np.empty((4, N_QUARTER))
-    _softmax_quarters(0.5 * (scores[0] + scores[1][:, _MIRRORED]), corner)
-    odds = raw[:, -N_ODDS:].astype(float).mean(axis=0)
-    return CornerScores(corner, 1.0 / (1.0 + np.exp(-odds)))
+    _softmax_quarters(scores, corner)
+    return CornerScores(corner, 1.0 / (1.0 + np.exp(-raw[-N_ODDS:].astype(float))))
 
 
 @compiled
