@@ -31,23 +31,23 @@ def handheld(name: str) -> FrameMeasurement:
 
 
 @pytest.mark.parametrize(
-    ("name", "heading_deg", "offset_norm"),
+    ("name", "heading_deg", "offset_norm", "within"),
     [
-        ("corridor_0120.jpg", -1.88, 0.007),
-        ("corridor_0135.jpg", -1.53, 0.004),
-        ("corridor_0148.jpg", None, -0.011),
-        ("corridor_0224.jpg", None, -0.019),  # a bench hides the right corner
+        ("corridor_0120.jpg", -1.88, 0.007, 0.05),
+        ("corridor_0135.jpg", -1.53, 0.004, 0.05),
+        ("corridor_0148.jpg", None, -0.011, 0.05),
+        ("corridor_0224.jpg", None, -0.019, 0.12),  # a bench hides the right corner
     ],
 )
-def test_depth_camera_agrees(name: str, heading_deg: float | None, offset_norm: float) -> None:
+def test_depth_camera_agrees(name: str, heading_deg: float | None, offset_norm: float, within: float) -> None:
     found = calibrated(name)
     assert found.accepted
     if heading_deg is not None:
         assert degrees(found.heading_rad) == pytest.approx(heading_deg, abs=0.2)
         assert degrees(found.heading_std_rad) < 0.2
     error = abs(found.lateral_offset_norm - offset_norm)
-    assert error < 0.08
-    assert error < 2.5 * found.lateral_offset_norm_std
+    assert error < within
+    assert error < 1.5 * found.lateral_offset_norm_std
 
 
 @pytest.mark.parametrize(("name", "offset_norm"), [("handheld_33.jpg", -0.03), ("handheld_73.jpg", -0.06)])
