@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,14 @@ from tests.files import OFFICE, ROOT
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 FUSE = ("fuse", str(OFFICE), "-o", "out")
 SIMULATE = ("simulate", "out", "--duration", "600", "--size", "160x120")
+
+
+@pytest.fixture(autouse=True)
+def interrupts_are_not_ignored() -> Iterator[None]:
+    """A shell without a terminal has its background jobs ignore interrupts, and theirs do, too."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.parametrize(
