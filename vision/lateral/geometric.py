@@ -85,9 +85,8 @@ def corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std:
     n, m = len(pairs), len(picture.ceiling.pair)
     evidence = picture.floor.evidence.view(np.float64).reshape(n, N_EVIDENCE)
     rows = np.zeros((2 * n + m, 4))
-    offsets = picture.ceiling.pair[
-        "offset"
-    ].copy()  # one after another, as others to be sorted: compiled once
+    # Contiguous as the other arrays that are sorted: the sort is compiled once.
+    offsets = picture.ceiling.pair["offset"].copy()
     order = np.argsort(offsets)
     offsets = offsets[order]
     sums = _ceiling_components(picture, weights, roll_std, order, rows)

@@ -60,9 +60,8 @@ def wall_is_missing(
     sure = corner_sureness(scores)
     corners_rad = corners_from_level(scores)
     across, vertical_rad = _across_and_vertical(lines, line_class, R_corridor_camera, corners_rad)
-    left, right = (
-        1.0 / np.tan(corners_rad).reshape(2, 2).T
-    )  # distances of the walls, by the floor and by the ceiling
+    # Distances (2,) of the walls: by the floor, over the camera's height, and by the ceiling.
+    left, right = 1.0 / np.tan(corners_rad).reshape(2, 2).T
     by_floor, by_ceiling = (left - right) / (left + right)
     log_odds = (
         BIAS
