@@ -299,7 +299,9 @@ def test_spread_of_known_likelihoods(std: float) -> None:
     assert spread_about(evidence, 0.2) == pytest.approx(0.1**2 + std**2)
     assert spread_about(evidence, 0.9) == pytest.approx(MAX_SPREAD_NORM**2)
     assert spread_about(evidence[:0], 0.1) < 0.0
-    both = np.array([[0.3, 0.05, std**2], [0.3, -0.04, std**2], [0.35, 0.8, std**2]])  # the place of both is likelier
+    both = np.array(
+        [[0.3, 0.05, std**2], [0.3, -0.04, std**2], [0.35, 0.8, std**2]]
+    )  # the place of both is likelier
     assert spread_about(both, 0.0) == pytest.approx((0.05**2 + 0.04**2) / 2 + std**2)
 
 
