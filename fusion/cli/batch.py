@@ -9,7 +9,7 @@ import typer
 
 from fusion.cli import interrupts
 from fusion.cli.console import command_line, echo, progress_bar, say
-from fusion.cli.options import CameraOption, Method, MethodOption
+from fusion.cli.options import CameraOption, ConfigOption, Method, MethodOption
 
 SHORT_HELP = "Fuse many flights: a folder each, one table and one page of all."
 HELP = """Fuse many logged flights, each as `corridor fuse` would, into one table: the worst first.
@@ -27,44 +27,51 @@ Next: open OUT/fleet.html, or pandas.read_parquet("OUT/fleet.parquet").
 """
 
 
+FlightsArgument = Annotated[
+    list[str],
+    typer.Argument(metavar="FLIGHTS", help="Folders, patterns, lists, flights.", show_default=False),
+]
+OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Output folder.")]
+JobsOption = Annotated[
+    int | None, typer.Option("--jobs", metavar="N", min=1, help="Worker processes; else one per core.")
+]
+MemoryOption = Annotated[
+    str | None,
+    typer.Option(
+        "--memory", metavar="SIZE", help="What a worker may take, 2GB; else its share of the machine's."
+    ),
+]
+TimeoutOption = Annotated[
+    int,
+    typer.Option(
+        "--timeout",
+        metavar="SECONDS",
+        min=0,
+        max=10_000_000,
+        help="A flight that takes longer is given up; 0: never.",
+    ),
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="A Dask cluster that fuses instead."),
+]
+AgainstOption = Annotated[
+    Path | None,
+    typer.Option("--against", metavar="OLD/fleet.parquet", help="Say what changed since that batch."),
+]
+
+
 def batch(
-    flights: Annotated[
-        list[str],
-        typer.Argument(metavar="FLIGHTS", help="Folders, patterns, lists, flights.", show_default=False),
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Output folder.")],
-    config: Annotated[
-        Path | None, typer.Option("--config", metavar="F.toml", help="Settings; the rest keep defaults.")
-    ] = None,
+    flights: FlightsArgument,
+    out: OutOption,
+    config: ConfigOption = None,
     camera: CameraOption = None,
     method: MethodOption = Method.GEOMETRIC,
-    jobs: Annotated[
-        int | None, typer.Option("--jobs", metavar="N", min=1, help="Worker processes; else one per core.")
-    ] = None,
-    memory: Annotated[
-        str | None,
-        typer.Option(
-            "--memory", metavar="SIZE", help="What a worker may take, 2GB; else its share of the machine's."
-        ),
-    ] = None,
-    timeout_s: Annotated[
-        int,
-        typer.Option(
-            "--timeout",
-            metavar="SECONDS",
-            min=0,
-            max=10_000_000,
-            help="A flight that takes longer is given up; 0: never.",
-        ),
-    ] = 3600,
-    scheduler: Annotated[
-        str | None,
-        typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="A Dask cluster that fuses instead."),
-    ] = None,
-    against: Annotated[
-        Path | None,
-        typer.Option("--against", metavar="OLD/fleet.parquet", help="Say what changed since that batch."),
-    ] = None,
+    jobs: JobsOption = None,
+    memory: MemoryOption = None,
+    timeout_s: TimeoutOption = 3600,
+    scheduler: SchedulerOption = None,
+    against: AgainstOption = None,
     reports: Annotated[bool, typer.Option(help="Write a report.html per flight, half of the time.")] = True,
     redo: Annotated[bool, typer.Option("--redo", help="Fuse again what is done.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, not text.")] = False,

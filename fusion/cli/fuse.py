@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fusion.cli.console import command_line, compile_notice, echo, progress_bar, say
-from fusion.cli.options import CameraOption, Method, MethodOption
+from fusion.cli.options import CameraOption, ConfigOption, Method, MethodOption
 from fusion.result.conventions import Frame
 
 SHORT_HELP = "Fuse a logged flight: heading and offset, tables and a report."
@@ -35,6 +35,26 @@ A flight.toml names streams that lie in several files:
 Next: open OUT/report.html, or read the tables: pandas.read_csv("OUT/estimates.csv").
 """
 
+FlightArgument = Annotated[
+    Path | None,
+    typer.Argument(metavar="FLIGHT", help="A flight's folder, a flight.toml or a log.", show_default=False),
+]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", "-o", metavar="OUT", help="Output folder; else FLIGHT-name_fused.")
+]
+ImuOption = Annotated[
+    Path | None, typer.Option("--imu", metavar="LOG", help="Log or CSV of the IMU, and what else it holds.")
+]
+VideoOption = Annotated[
+    Path | None, typer.Option("--video", metavar="VIDEO", help="Video, or folder of pictures with times.")
+]
+AttitudeOption = Annotated[
+    Path | None, typer.Option("--attitude", metavar="LOG", help="Log or CSV of the attitude alone.")
+]
+ClockOffsetOption = Annotated[
+    float | None,
+    typer.Option("--clock-offset", metavar="SECONDS", help="Add to the pictures' times to give the IMU's."),
+]
 ExportOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -48,48 +68,27 @@ FrameOption = Annotated[
         help="Signs in the files: frd, positive right; ros (FLU, ENU), positive left. summary.json names it.",
     ),
 ]
+JobsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs", metavar="N", min=1, help="Threads, the filter's included; else one per core, up to 8."
+    ),
+]
 
 
 def fuse(
-    flight: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="FLIGHT", help="A flight's folder, a flight.toml or a log.", show_default=False
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="OUT", help="Output folder; else FLIGHT-name_fused.")
-    ] = None,
-    imu: Annotated[
-        Path | None,
-        typer.Option("--imu", metavar="LOG", help="Log or CSV of the IMU, and what else it holds."),
-    ] = None,
-    video: Annotated[
-        Path | None, typer.Option("--video", metavar="VIDEO", help="Video, or folder of pictures with times.")
-    ] = None,
-    attitude: Annotated[
-        Path | None, typer.Option("--attitude", metavar="LOG", help="Log or CSV of the attitude alone.")
-    ] = None,
-    clock_offset_s: Annotated[
-        float | None,
-        typer.Option(
-            "--clock-offset", metavar="SECONDS", help="Add to the pictures' times to give the IMU's."
-        ),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option("--config", metavar="F.toml", help="Settings; the rest keep defaults."),
-    ] = None,
+    flight: FlightArgument = None,
+    out: OutOption = None,
+    imu: ImuOption = None,
+    video: VideoOption = None,
+    attitude: AttitudeOption = None,
+    clock_offset_s: ClockOffsetOption = None,
+    config: ConfigOption = None,
     camera: CameraOption = None,
     method: MethodOption = Method.GEOMETRIC,
     export: ExportOption = None,
     frame: FrameOption = Frame.FRD,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            "--jobs", metavar="N", min=1, help="Threads, the filter's included; else one per core, up to 8."
-        ),
-    ] = None,
+    jobs: JobsOption = None,
 ) -> None:
     """Fuse a flight and write its files."""
     from fusion import FusionConfig, fuse_flight

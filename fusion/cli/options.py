@@ -24,6 +24,9 @@ CameraOption = Annotated[
         help="Calibration: EuRoC, Kalibr, ROS camera_info or OpenCV, YAML or JSON, pinhole or fisheye.",
     ),
 ]
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", metavar="F.toml", help="Settings; the rest keep defaults.")
+]
 MethodOption = Annotated[
     Method,
     typer.Option(
