@@ -43,7 +43,7 @@ def flight_from_options(
         Where too little is named, or it cannot be read.
     """
     from fusion.logs import load_flight, load_manifest
-    from fusion.logs.manifest.manifest import make_manifest
+    from fusion.logs.manifest.file import make_manifest
 
     _check_exist(
         {"--imu": imu, "--video": video, "--attitude": attitude, "--camera": camera, "FLIGHT": flight}
@@ -79,7 +79,7 @@ def _check_exist(named: dict[str, Path | None]) -> None:
 
 def _values_of_flight(flight: Path | None) -> dict[str, Any]:
     """Return the manifest's values to start from: the flight's own, or one that names its log; none without it."""
-    from fusion.logs.manifest.manifest import find_manifest, read_manifest
+    from fusion.logs.manifest.file import find_manifest, read_manifest
 
     if flight is None:
         return {}
@@ -93,7 +93,8 @@ def _values_of_flight(flight: Path | None) -> dict[str, Any]:
 
 def outside_text(flight: Path | None) -> str | None:
     """Say which files a flight's manifest takes from outside its folder; None where it does not."""
-    from fusion.logs.manifest.manifest import files_outside, find_manifest, read_manifest
+    from fusion.logs.manifest.file import find_manifest, read_manifest
+    from fusion.logs.manifest.manifest import files_outside
 
     described = None if flight is None else find_manifest(flight)
     if described is None:

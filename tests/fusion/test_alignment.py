@@ -19,7 +19,7 @@ from fusion.alignment.sentences import Known
 from fusion.alignment.views import scaled_focal
 from fusion.flight import AttitudeStream, Flight, FrameStream, VectorStream
 from fusion.logs.asl import read_ground_truth
-from fusion.logs.manifest.manifest import read_manifest
+from fusion.logs.manifest.file import read_manifest
 from fusion.simulate import SimulationConfig, simulate_flight
 from tests.command import Corridor
 from tests.files import OFFICE
