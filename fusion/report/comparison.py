@@ -13,7 +13,7 @@ from fusion.evaluation.comparison import ErrorsOverTime, Output, errors_over_tim
 from fusion.evaluation.truth import Truth
 from fusion.files import replacing
 from fusion.flight import FloatArray
-from fusion.report.plots import FAINT, FILTER, IMU_YAW, RAW_YAW, REJECTED, SMOOTHED, VISION, plain_axes
+from fusion.report.drawing import FAINT, FILTER, IMU_YAW, RAW_YAW, REJECTED, SMOOTHED, VISION, plain_axes
 from vision.errors import InputError
 
 FORMATS = (".png", ".svg", ".pdf")

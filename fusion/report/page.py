@@ -20,7 +20,7 @@ from fusion.evaluation.errors import evaluate
 from fusion.evaluation.verdict import overall, worst_first
 from fusion.files import replacing
 from fusion.flight import Flight
-from fusion.report import plots
+from fusion.report import drawing, plots
 from fusion.report.interactive import page_data, script
 from fusion.report.strip import DrawnFrame, choose_frames, show_frames
 from fusion.report.svg import Drawing, Panel, draw
@@ -197,7 +197,9 @@ def status_shares(result: FusionResult) -> list[tuple[str, float]]:
     status = result.estimates["status"]
     if not len(status):
         return []
-    return [(word, float(np.mean(status == word))) for word in plots.STATUS_COLOUR if np.any(status == word)]
+    return [
+        (word, float(np.mean(status == word))) for word in drawing.STATUS_COLOUR if np.any(status == word)
+    ]
 
 
 def error_rows(result: FusionResult, flight: Flight) -> list[tuple[str, list[str]]]:
