@@ -112,7 +112,7 @@ def _notes_on_frames(n_unreadable: int, n_chosen: int, n_all: int) -> Iterator[s
     if n_unreadable:
         yield f"{n_unreadable} of {n_chosen} frames cannot be read."
     if n_chosen < n_all:
-        yield f"{n_chosen} of {n_all} frames were looked at, where most turning is."
+        yield f"{n_chosen} of {n_all} frames were used, from where the vehicle turns most."
 
 
 def clock_of_frames(
@@ -210,11 +210,9 @@ def _focal_of_pictures(views: Views) -> Quantity:
     # d(f)/f = -d(fov) / sin(fov)
     sigma = scale * view.std_rad / float(np.sin(view.horizontal_rad))
     if not view.measured:
-        said = "Neither turns nor pictures tell the focal length: an ordinary camera's is taken."
+        said = "Neither turns nor pictures give the focal length: that of an ordinary camera is assumed."
         return Quantity("focal_scale", nan, inf, False, said, 1.0)
-    said = (
-        f"Focal length found by the right angles in {view.n_used} pictures, as there was too little turning."
-    )
+    said = f"From the right angles in {view.n_used} pictures, as the vehicle turns too little."
     return Quantity("focal_scale", scale, sigma, True, said, 1.0)
 
 

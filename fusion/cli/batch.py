@@ -1,4 +1,4 @@
-"""The command ``corridor batch``: many logged flights into one table."""
+"""The command ``corridor batch``: fuse many logged flights into one table."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from fusion.cli import interrupts
 from fusion.cli.console import command_line, echo, progress_bar, say
 from fusion.cli.options import CameraOption, ConfigOption, Method, MethodOption
 
-SHORT_HELP = "Fuse many flights: a folder each, one table and one page of all."
-HELP = """Fuse many logged flights, each as `corridor fuse` would, into one table: the worst first.
+SHORT_HELP = "Fuse many flights: an output folder each, and one table and page of all."
+HELP = """Fuse many logged flights, each as `corridor fuse` does, into one table, the worst first.
 
-FLIGHTS are folders that are searched, patterns in quotes, or a list in TOML. The same command again goes on where the
-last one ended. Lists, outputs, clusters and comparisons: docs/fleet.md.
+FLIGHTS are folders to search, patterns in quotes, or a list in TOML. Repeat the command to resume a batch that was
+interrupted. Lists, outputs, clusters and comparisons: docs/fleet.md.
 
 \b
 Examples:
@@ -33,12 +33,14 @@ FlightsArgument = Annotated[
 ]
 OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Output folder.")]
 JobsOption = Annotated[
-    int | None, typer.Option("--jobs", metavar="N", min=1, help="Worker processes; else one per core.")
+    int | None, typer.Option("--jobs", metavar="N", min=1, help="Worker processes; default one per core.")
 ]
 MemoryOption = Annotated[
     str | None,
     typer.Option(
-        "--memory", metavar="SIZE", help="What a worker may take, 2GB; else its share of the machine's."
+        "--memory",
+        metavar="SIZE",
+        help="Memory limit of a worker, such as 2GB; default its share of the machine's.",
     ),
 ]
 TimeoutOption = Annotated[
@@ -48,16 +50,16 @@ TimeoutOption = Annotated[
         metavar="SECONDS",
         min=0,
         max=10_000_000,
-        help="A flight that takes longer is given up; 0: never.",
+        help="Give up a flight that takes longer; 0: never.",
     ),
 ]
 SchedulerOption = Annotated[
     str | None,
-    typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="A Dask cluster that fuses instead."),
+    typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="Fuse on a Dask cluster."),
 ]
 AgainstOption = Annotated[
     Path | None,
-    typer.Option("--against", metavar="OLD/fleet.parquet", help="Say what changed since that batch."),
+    typer.Option("--against", metavar="OLD/fleet.parquet", help="Compare with an earlier batch."),
 ]
 
 
@@ -72,8 +74,10 @@ def batch(
     timeout_s: TimeoutOption = 3600,
     scheduler: SchedulerOption = None,
     against: AgainstOption = None,
-    reports: Annotated[bool, typer.Option(help="Write a report.html per flight, half of the time.")] = True,
-    redo: Annotated[bool, typer.Option("--redo", help="Fuse again what is done.")] = False,
+    reports: Annotated[
+        bool, typer.Option(help="Write a report.html per flight; takes half of the time.")
+    ] = True,
+    redo: Annotated[bool, typer.Option("--redo", help="Fuse finished flights again.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, not text.")] = False,
 ) -> None:
     """Fuse many flights."""

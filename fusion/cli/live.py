@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 SHORT_HELP = "On the vehicle: camera and MAVLink in, estimates out."
 HELP = """Estimate heading and lateral offset in flight, from a camera and an autopilot's MAVLink, and send them.
 
-PICTURES is a camera's device, a network stream, a video or a folder. With --record, all that goes in and out is in
-one file. Ctrl-C ends it. Addresses, messages, wiring and what to check before a flight: docs/live.md.
+PICTURES is a camera's device, a network stream, a video or a folder. --record writes all inputs and outputs to one
+file. Ctrl-C ends it. Addresses, messages, wiring and what to check before a flight: docs/live.md.
 
 \b
 Examples:
@@ -30,7 +30,7 @@ Examples:
   corridor live rtsp://10.0.0.2/front --camera cam.yaml --link udpin:0.0.0.0:14540 --view
   corridor live hall.mp4 --camera cam.yaml --link udpin:127.0.0.1:14540
 
-Next: corridor fuse flight.mcap computes again, to the bit, what was sent, and writes a report.
+Next: corridor fuse flight.mcap reproduces the estimates that were sent, bit for bit, and writes a report.
 """
 
 
@@ -41,25 +41,25 @@ CalibrationOption = Annotated[
     Path, typer.Option("--camera", metavar="CAM.yaml", help="Calibration, as for corridor fuse.")
 ]
 LinkOption = Annotated[
-    str, typer.Option("--link", metavar="ADDRESS", help="The autopilot, as pymavlink names it.")
+    str, typer.Option("--link", metavar="ADDRESS", help="The autopilot's address, as for pymavlink.")
 ]
 RecordOption = Annotated[
     Path | None, typer.Option("--record", metavar="FILE.mcap", help="Write a recording.")
 ]
 PlotRateOption = Annotated[
-    float, typer.Option("--plot-rate", help="NAMED_VALUE_FLOAT of each name a second; 0: none.")
+    float, typer.Option("--plot-rate", help="NAMED_VALUE_FLOAT per second, for each name; 0: none.")
 ]
 ImuRateOption = Annotated[
-    float, typer.Option("--imu-rate", help="IMU messages to ask for a second; 0: ask for none.")
+    float, typer.Option("--imu-rate", help="IMU messages per second to request; 0: request none.")
 ]
 PositionOption = Annotated[
-    str, typer.Option("--position", help="In ODOMETRY: auto (to ArduPilot), always or never.")
+    str, typer.Option("--position", help="Send a position in ODOMETRY: auto (to ArduPilot), always or never.")
 ]
 VelocityOption = Annotated[
-    bool, typer.Option("--use-velocity", help="Take the speed from the autopilot's LOCAL_POSITION_NED.")
+    bool, typer.Option("--use-velocity", help="Use the speed in the autopilot's LOCAL_POSITION_NED.")
 ]
 DurationOption = Annotated[
-    float | None, typer.Option("--duration", metavar="SECONDS", help="End after so long.")
+    float | None, typer.Option("--duration", metavar="SECONDS", help="End after this time.")
 ]
 
 
@@ -70,9 +70,9 @@ def live(
     config: ConfigOption = None,
     record: RecordOption = None,
     view: Annotated[bool, typer.Option("--view", help="Serve pictures and estimates to Foxglove.")] = False,
-    view_host: Annotated[str, typer.Option("--view-host", help="Address to serve them at.")] = "127.0.0.1",
-    view_port: Annotated[int, typer.Option("--view-port", help="Port to serve them at.")] = 8765,
-    rate_hz: Annotated[float, typer.Option("--rate", help="Estimates a second.")] = 50.0,
+    view_host: Annotated[str, typer.Option("--view-host", help="Address to serve at.")] = "127.0.0.1",
+    view_port: Annotated[int, typer.Option("--view-port", help="Port to serve at.")] = 8765,
+    rate_hz: Annotated[float, typer.Option("--rate", help="Estimates per second.")] = 50.0,
     plot_rate_hz: PlotRateOption = 10.0,
     imu_rate_hz: ImuRateOption = 100.0,
     position: PositionOption = "auto",

@@ -10,7 +10,7 @@ import typer
 
 
 class Method(StrEnum):
-    """How a frame's vanishing point is found."""
+    """How the vanishing point of a frame is found."""
 
     GEOMETRIC = "geometric"
     PAPER = "paper"
@@ -25,12 +25,12 @@ CameraOption = Annotated[
     ),
 ]
 ConfigOption = Annotated[
-    Path | None, typer.Option("--config", metavar="F.toml", help="Settings; the rest keep defaults.")
+    Path | None, typer.Option("--config", metavar="F.toml", help="Settings; others keep their defaults.")
 ]
 MethodOption = Annotated[
     Method,
     typer.Option(
         "--method",
-        help="geometric: sub-pixel lines, gravity-aided; paper: the article's k-means chain, for comparison.",
+        help="geometric: sub-pixel lines and gravity; paper: the article's k-means method, for comparison.",
     ),
 ]
