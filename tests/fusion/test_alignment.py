@@ -307,7 +307,7 @@ def test_corrections_are_applied_to_a_flight(office: Flight) -> None:
 def test_the_words_are_of_what_the_flight_has() -> None:
     """No attitude stream, no calibration: neither is spoken of."""
     flight = load_flight(OFFICE)
-    assert Known.of(replace(flight, attitude=None), False) == ("gyroscope and accelerometer", "taken")
+    assert Known.of(replace(flight, attitude=None), False) == ("gyroscope and accelerometer", "assumed")
     assumed = replace(flight, camera=replace(flight.camera, mount_assumed=True))
     assert Known.of(assumed, True).mounted == "taken"
     assert Known.of(flight, True) == ("the flight's attitude", "calibrated")
