@@ -35,7 +35,7 @@ class FusionConfig(Settings):
         default=None,
         gt=0.01,
         le=100,
-        description="Height of the camera above the floor. Gives the width if that is not set; precedes a range sensor.",
+        description="Height of the camera above the floor. Gives an unset width, before a range sensor does.",
     )
     camera_delay_s: float = Field(
         default=0.0, ge=0, le=5, description="Time stamps of the frames less mid-exposure."
@@ -56,7 +56,7 @@ class FusionConfig(Settings):
         default=None,
         ge=0.25,
         le=2,
-        description="Lag of the smoothed estimate in flight behind the newest sample; None: no smoothing.",
+        description="Lag of the smoothed estimate in flight behind the newest sample. None: no smoothing.",
     )
 
     gyro_noise_density: float | None = Field(

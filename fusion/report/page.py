@@ -180,8 +180,9 @@ def figures(result: FusionResult, flight: Flight) -> list[Figure]:
         errors = (plots.plot_heading_error, plots.plot_offset_error)
         text = (
             "Estimate less truth, outside junctions; the table is for rows that are tracking. NEES is the mean of "
-            "(error / sigma) squared, 1 for a consistent filter; the band should contain 95 % of the line. Percentages "
-            "are of half the corridor's width. A thick line at the edge means that the filter is outside the scale."
+            "(error / sigma) squared, 1 for a consistent filter; the band should contain 95 % of the line. "
+            "Percentages are of half the corridor's width. A thick line at the edge means that the filter is outside "
+            "the scale."
         )
         add(
             "errors",

@@ -309,5 +309,5 @@ def test_the_words_are_of_what_the_flight_has() -> None:
     flight = load_flight(OFFICE)
     assert Known.of(replace(flight, attitude=None), False) == ("gyroscope and accelerometer", "assumed")
     assumed = replace(flight, camera=replace(flight.camera, mount_assumed=True))
-    assert Known.of(assumed, True).mounted == "taken"
+    assert Known.of(assumed, True).mounted == "assumed"
     assert Known.of(flight, True) == ("the flight's attitude", "calibrated")
