@@ -27,8 +27,8 @@ MAX_SPREAD_NORM = 0.2  # further off is another place, no matter how far
 def spread_about(evidence: FloatArray, expected: float) -> float:
     """Second moment of a frame's likelihood about an offset, within its likeliest place.
 
-    The likeliest place are the components within `PLACE_NORM` of the one about which the most weight lies. Returned is
-    at most `MAX_SPREAD_NORM` squared; negative where the frame has no component.
+    The likeliest place are the components within `PLACE_NORM` of the one about which the most weight lies. At most
+    `MAX_SPREAD_NORM` squared; negative where the frame has no component.
     """
     most, spread2 = 0.0, -1.0
     for i in range(len(evidence)):
