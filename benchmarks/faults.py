@@ -78,7 +78,7 @@ def on_simulated(fault: Fault) -> Outcome:
 
 
 def on_random(seed: int, seconds: float = 20.0) -> tuple[str, float, int, int]:
-    """Fly a random flight: its faults, seconds silent, exceptions, estimates that are no numbers."""
+    """Fly a random flight: its faults, seconds silent, exceptions, estimates that are not numbers."""
     rng = np.random.default_rng((seed, 78))
     heading = weaving(seed, np.radians(rng.uniform(3, 40)), rng.uniform(3, 8))
     attitude_hz = float(rng.choice([0.0, 50.0, 50.0]))

@@ -1,8 +1,8 @@
-"""Steer by the estimate of the time at which the actuators will act, through a seed, a new width, a jump and a reset.
+"""Control by the estimate for the time at which the actuators act, through a seed, a new width, a jump and a reset.
 
 ``python examples/actuator_time.py``
 
-Needs no camera: frames are made up. The vehicle weaves in a corridor of 2 m, which becomes 3 m wide.
+Needs no camera: the frames are synthetic. The vehicle weaves in a corridor that is 2 m wide, later 3 m.
 """
 
 from __future__ import annotations

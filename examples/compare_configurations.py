@@ -1,12 +1,12 @@
-"""Fuse a fleet of simulated flights, change a setting, and see what that did.
+"""Fuse a fleet of simulated flights, change a setting, and compare the two results.
 
 ``python examples/compare_configurations.py [--flights 6] [--seconds 4] [--jobs 2] [--out fleet]``
 
-Two vehicles fly down corridors of their own; the second one's gyroscope is three times as noisy as its log declares,
-and one log is torn. The fleet is fused twice: as it is, and with settings that tell the truth about the second
-vehicle's gyroscope. What is printed is read off the rows; ``fleet.html`` in both folders shows it.
+Two vehicles fly down different corridors. The gyroscope of the second is three times as noisy as its log declares,
+and one log is truncated. The fleet is fused twice: as it is, and with the correct noise for the second vehicle. The
+printed numbers are from the rows of the two tables; ``fleet.html`` in both folders shows them.
 
-Processes of Python start by loading this file again, so that what starts them stands under the last line's condition.
+Worker processes import this file again, so the code that starts them is under ``if __name__ == "__main__"``.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""Steer a simulated vehicle down a corridor and round a corner by the estimate, in a loop with its own period.
+"""Control a simulated vehicle down a corridor and round a corner by the estimate, in a loop with a fixed period.
 
 ``python examples/control_loop.py [--seconds 28] [--rate 400] [--no-wall-clock]``
 
-The loop is a flight controller's: every period it takes the IMU's sample and what other sensors have ready, and asks
-`pilot.Pilot` for a command. What a flight controller has to write for that stands in `pilot.py`, and nothing else
-does; the vehicle and its rendered surroundings are in `simulated_vehicle.py`.
+The loop is that of a flight controller: in every period it reads the IMU and the other sensors, and asks
+`pilot.Pilot` for a command. `pilot.py` contains the code that a flight controller needs, and nothing else; the
+vehicle and its rendered surroundings are in `simulated_vehicle.py`.
 
-The vehicle's clock goes with the wall clock while the pilot and the vision thread work, and stands still while the
-world is computed, which no vehicle has to do. A slow call or slow vision thus does what it would do in flight. With
-``--no-wall-clock`` the flight goes as fast as the machine can, vision takes a fixed time, and every run is the same.
+The simulated time follows the wall clock while the pilot and the vision thread work, and stops while the world is
+rendered. A slow call therefore has the same effect as in flight. With ``--no-wall-clock`` the simulation runs as fast
+as it can, vision takes a fixed time, and every run gives the same result.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""An autopilot's side of a MAVLink link, by pymavlink: what `corridor live` hears and answers to on a vehicle.
+"""The autopilot's side of a MAVLink link to `corridor live`, with pymavlink.
 
-`Autopilot` speaks as PX4 or ArduPilot do: a heartbeat, IMU and attitude by its own clock that begins at its boot,
-answers to TIMESYNC. `Heard` keeps what came from the other side, and makes of it the estimate that a pilot steers by.
+`Autopilot` sends what PX4 or ArduPilot send: a heartbeat, and IMU and attitude with times since boot; and it replies
+to TIMESYNC. `Heard` stores the messages from `corridor live`, and makes of them the estimate for the pilot.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Fly a simulated vehicle down a corridor and round a corner by what `corridor live` says over MAVLink, and no more.
+"""Fly a simulated vehicle down a corridor and round a corner by the MAVLink messages of `corridor live` alone.
 
 ``python examples/live_loopback.py [--seconds 20] [--record flight.mcap]``
 
 The vehicle of `simulated_vehicle.py` sends IMU and attitude over UDP on this machine, as an autopilot does
-(`live_autopilot.py`), and puts its pictures into a folder that stands for a camera. A `fusion.live` session, in a
-thread of its own as it would be in a process of its own, measures them and answers with ODOMETRY, DEBUG_VECT and
-NAMED_VALUE_FLOAT; the laws of `pilot.Steering` turn these into yaw rate and speed.
+(`live_autopilot.py`), and writes its pictures into a folder in place of a camera. A `fusion.live` session in another
+thread measures them and answers with ODOMETRY, DEBUG_VECT and NAMED_VALUE_FLOAT. The control laws of `pilot.Steering`
+turn these into yaw rate and speed.
 
-Time stands still while the world is rendered, which no vehicle has to do.
+The simulated time stops while the world is rendered.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""What a flight controller has to write to steer by the estimate: copy this file, and put your own gains in it.
+"""A template for a flight controller that uses the estimate: copy this file, and insert your own gains.
 
-`Steering` turns an estimate into a command. `Pilot` takes samples as they come, and steers by an estimator once per
-control period, while a `fusion.live.vision_thread.VisionThread` measures pictures beside it. Neither knows of the
-simulation that `control_loop.py` flies them in.
+`Steering` turns an estimate into a command. `Pilot` receives samples as they arrive and computes a command from the
+estimate once per control period, while a `fusion.live.vision_thread.VisionThread` measures pictures. Both are
+independent of the simulation in `control_loop.py`.
 
-What runs where: the control thread owns the estimator and is the only one to call it. Finding the lines of a picture
-takes most of vision's time and needs nothing but the picture, so it happens in the vision thread (the compiled loops
-let other threads run meanwhile); what is left, `CorridorEstimator.add_lines`, takes some two milliseconds at
-640x480, brings the state back to when the picture was taken, and carries it forward again. The control thread never
-waits for a picture.
+Threads: only the control thread calls the estimator. Finding the lines of a picture takes most of the time of a
+measurement and needs nothing but the picture, so it runs in the vision thread (the compiled loops release the
+interpreter's lock). The rest, `CorridorEstimator.add_lines`, takes some two milliseconds at 640x480: it goes back to
+the time of the picture, updates the state, and replays the samples since. The control thread never waits for a
+picture.
 """
 
 from __future__ import annotations
@@ -32,11 +32,10 @@ SAME_CORRIDOR_RAD = radians(30)  # axes nearer than this are those of one corrid
 
 
 def make_ready(camera: Camera) -> None:
-    """Get slow things over with before take-off: load or compile machine code, and make Python prompt.
+    """Prepare for take-off: load or compile machine code, and reduce the latency of Python.
 
-    A thread that computes keeps others off the interpreter for up to 5 ms by default, two control periods; and the
-    garbage collector stops everything for milliseconds. The estimator leaves it nothing to do: its objects hold no
-    cycles.
+    By default, a thread that computes blocks others for up to 5 ms, two control periods, and the garbage collector
+    stops everything for milliseconds. The estimator does not need it: its objects have no reference cycles.
     """
     warm_up(camera)
     sys.setswitchinterval(0.0005)
@@ -46,14 +45,14 @@ def make_ready(camera: Camera) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the vehicle is asked to do.
+    """A command to the vehicle.
 
     Parameters
     ----------
     yaw_rate_rad_s
         Positive turns right.
     speed_m_s
-        Forward; 0 is to hover.
+        Forward; 0 to hover.
     """
 
     yaw_rate_rad_s: float
@@ -65,24 +64,24 @@ HOVER = Command(0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """How the pilot flies. The heading is the offset's derivative: the two loops make a PD controller of the offset.
+    """Gains and limits. The heading is the offset's derivative: the two loops are a PD controller of the offset.
 
     Parameters
     ----------
     cruise_m_s, turn_m_s
-        Speed along a corridor, and from the call for a turn until the new corridor is held.
+        Speed along a corridor, and from the start of a turn until the new corridor is tracked.
     coasting_share
-        Of the cruising speed, while no frame confirms the heading.
+        Share of the cruising speed while no frame confirms the heading.
     look_ahead_m
         The nose points at the centre line this far ahead.
     heading_per_s
         Yaw rate per heading error.
     max_approach_rad
-        Greatest heading towards the centre line.
+        Largest heading towards the centre line.
     max_yaw_rate_rad_s, turn_rate_rad_s
-        Greatest yaw rate in a corridor, and in a turn.
+        Largest yaw rate in a corridor, and in a turn.
     heading_std_rad, offset_std_m
-        Sigmas up to which it flies at full speed, and beyond which it hovers, or leaves the offset alone.
+        Sigmas up to which it flies at full speed, and above which it hovers, or ignores the offset.
     """
 
     cruise_m_s: float = 0.9
@@ -98,7 +97,7 @@ class Gains:
 
 
 class Steering:
-    """Flies down the middle of a corridor by estimates, and into another one when told to turn."""
+    """Control laws: along the centre line of a corridor, and into another one on command."""
 
     def __init__(self, gains: Gains | None = None) -> None:
         self.gains = gains or Gains()
@@ -108,16 +107,16 @@ class Steering:
         self._left_index = 0  # corridor that the turn leaves
 
     def turn(self, angle_rad: float) -> None:
-        """Turn into the corridor that opens here, positive right."""
+        """Start a turn into another corridor at this junction, positive right."""
         self.is_turning = True
         self._left_index = self.estimate.corridor_index
         self._axis_rad = self.estimate.corridor_turn_rad + angle_rad
 
     def steer(self, e: Estimate) -> Command:
-        """Return the command that an estimate calls for."""
+        """Return the command for an estimate."""
         self.estimate = e
         if e.status in (Status.INITIALISING, Status.LOST):
-            return HOVER  # and let the camera look: only frames can help
+            return HOVER  # until frames give a heading
         is_meant = abs(_wrap(e.corridor_turn_rad - self._axis_rad)) < SAME_CORRIDOR_RAD
         if is_meant and e.corridor_index != self._left_index and e.status == Status.TRACKING:
             self.is_turning = False
@@ -127,14 +126,14 @@ class Steering:
         return self._follow(e)
 
     def _swing(self, e: Estimate) -> Command:
-        """Bring the nose along the corridor that is meant, vision or not; how far off its middle is not known yet."""
-        # Heading plus turn goes on smoothly where what the heading is measured from changes.
+        """Turn the nose along the intended corridor, also without vision; its lateral offset is not known yet."""
+        # Heading plus turn is continuous where the reference of the heading changes.
         error = _wrap(e.heading_rad + e.corridor_turn_rad - self._axis_rad)
         g = self.gains
         return Command(_limit(-g.heading_per_s * error, g.turn_rate_rad_s), g.turn_m_s)
 
     def _follow(self, e: Estimate) -> Command:
-        """Point the nose at the centre line some way ahead; the less is known, the slower."""
+        """Point the nose at the centre line some distance ahead; fly slower the larger the sigmas."""
         g = self.gains
         is_sure = _share(e.heading_std_rad, g.heading_std_rad)
         is_placed = _share(e.lateral_offset_std_m, g.offset_std_m)
@@ -149,7 +148,7 @@ class Steering:
 
 
 class Pilot(Steering):
-    """Steers by an estimator of its own.
+    """Control laws together with an estimator.
 
     Parameters
     ----------
@@ -175,11 +174,11 @@ class Pilot(Steering):
         self.estimator.add_attitude(t_ns, q_world_body)
 
     def on_velocity(self, t_ns: int, v_body_m_s: npt.ArrayLike) -> None:
-        """Take a velocity, body FRD, where the vehicle has one."""
+        """Take a velocity, body FRD, if the vehicle has one."""
         self.estimator.add_velocity(t_ns, v_body_m_s)
 
     def on_picture(self, t_ns: int, image: Image) -> None:
-        """Take a picture; ``t_ns`` is when it was exposed, however late it comes."""
+        """Take a picture; ``t_ns`` is the middle of its exposure, however late it arrives."""
         self.vision.offer(t_ns, image)
 
     def control(self, now_ns: int) -> Command:
@@ -193,7 +192,7 @@ class Pilot(Steering):
 
 
 def _share(std: float, limits: tuple[float, float]) -> float:
-    """Return 1 up to the first limit, 0 beyond the second and where unknown."""
+    """Return 1 up to the first limit, 0 above the second and if unknown, and in between linearly."""
     good, bad = limits
     return 0.0 if isnan(std) else min(max((bad - std) / (bad - good), 0.0), 1.0)
 

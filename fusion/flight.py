@@ -140,12 +140,12 @@ class FlightSource(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Flight:
-    """One flight: a camera, its frames, and whatever else the log carried (None: it did not).
+    """One flight: a camera, its frames, and the other streams of the log, each None if the log does not have it.
 
-    ``problems`` names, one sentence each, what was dropped or mended on reading (duplicated times, rows of NaN,
-    zero quaternions, missing pictures ...), so that nothing is lost silently; those that are a `Remark` tell what was
-    found instead. ``corridor_width_m`` is what the
-    manifest says; ``manifest`` is where everything came from, each choice named, None for a flight made by hand.
+    ``problems`` lists in one sentence each what was dropped or repaired on reading (duplicate times, rows of NaN,
+    zero quaternions, missing pictures ...); a `Remark` among them states what was found or assumed.
+    ``corridor_width_m`` is from the manifest. ``manifest`` says where every stream came from; None for a flight
+    constructed by the caller.
     """
 
     name: str

@@ -101,7 +101,7 @@ def test_too_little_is_named(corridor: Corridor, files: Path) -> None:
     refused(corridor("fuse", "--imu", files / "imu.csv"), "no pictures are named")
     refused(corridor("fuse", "--imu", files / "none.csv", "--video", files / "hall.mp4"), "none.csv", "--imu")
     refused(corridor("fuse", files / "imu.csv"), "without pictures", "--video VIDEO --camera CAM.yaml")
-    refused(corridor("fuse", files / "hall.mp4"), "holds no calibration of the camera", "--camera")
+    refused(corridor("fuse", files / "hall.mp4"), "contains no calibration of the camera", "--camera")
     named = ("--imu", files / "imu.csv", "--video", files / "hall.mp4", "--camera", files / "camera.yaml")
     refused(corridor("fuse", *named), "covers 20.0 to", "--clock-offset", "20.000")
 
@@ -128,7 +128,7 @@ def test_a_manifest_of_the_users_is_not_overwritten(corridor: Corridor, files: P
     hall.mkdir()
     (hall / "flight.toml").write_text(f'log = "{OFFICE.as_posix()}"\n')
     run = corridor("fuse", hall, "-o", hall)
-    refused(run, "holds 'flight.toml', which corridor did not write")
+    refused(run, "contains 'flight.toml', which corridor did not write")
     assert (hall / "flight.toml").read_text() == f'log = "{OFFICE.as_posix()}"\n'
 
 

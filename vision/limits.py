@@ -40,7 +40,7 @@ def check_is_file(path: Path) -> None:
     try:
         mode = path.stat().st_mode
     except ValueError as error:  # a null byte
-        raise InputError(f"is no path: {error}", file=repr(str(path)), remedy="correct it") from error
+        raise InputError(f"is not a path: {error}", file=repr(str(path)), remedy="correct it") from error
     if S_ISDIR(mode):
         raise IsADirectoryError(EISDIR, strerror(EISDIR), str(path))
     if not S_ISREG(mode):

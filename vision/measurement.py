@@ -204,7 +204,7 @@ class FrameMeasurement:
     roll_correction_std_rad: float = nan
 
     def without_lines(self) -> FrameMeasurement:
-        """Return a copy that holds no arrays, for keeping a long flight in memory."""
+        """Return a copy that contains no arrays, for keeping a long flight in memory."""
         return replace(self, lines_px=None, line_class=None, wall_lines_px=None, offset_evidence=())
 
 

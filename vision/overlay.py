@@ -71,7 +71,7 @@ def draw_overlay(
     camera
         The camera that the measurement was made with; a picture of another size is drawn to scale.
     measurement
-        Its ``lines_px`` and ``wall_lines_px`` are drawn where it holds them.
+        Its ``lines_px`` and ``wall_lines_px`` are drawn where it contains them.
     footer
         Whether to add the corridor from above and the verdict in words below the picture.
 
@@ -123,9 +123,11 @@ class _Mapping:
         self.scale = np.array([sx, sy])
 
     def points(self, points_px: npt.ArrayLike) -> FloatArray:
+        """Map points (..., 2)."""
         return np.asarray((np.asarray(points_px, dtype=np.float64) + 0.5) * self.scale - 0.5)
 
     def lines(self, lines_px: npt.NDArray[np.float32]) -> FloatArray:
+        """Map lines (n, 4), x0, y0, x1, y1, to (n, 2, 2)."""
         return self.points(np.asarray(lines_px, dtype=np.float64).reshape(-1, 2, 2))
 
 

@@ -39,7 +39,7 @@ MIN_LEAD = 8.0  # in log-likelihood, of the best offset over its rivals
 MIN_OVERLAP = 0.5  # share of the pairs that the inertial stream must cover at an offset
 RATIO_RANGE = (0.3, 3.0)  # of lenses and gyroscopes whose offset is believed
 FIT_RATIO_RANGE = (0.001, 1000.0)  # of gyroscopes in any unit
-MIN_RATIO_SIGMA = 8.0  # else what was seen is no turning
+MIN_RATIO_SIGMA = 8.0  # else the frames did not show a turn
 USABLE_STD_S = 0.02
 EDGE_S = 0.05
 
@@ -306,6 +306,7 @@ class _Samples:
     corridor: IntArray
 
     def only(self, keep: BoolArray) -> _Samples:
+        """Return the frames for which ``keep`` (n,) is true."""
         return _Samples(self.t_s[keep], self.heading_rad[keep], self.white[keep], self.corridor[keep])
 
     def centred(self, values: FloatArray) -> FloatArray:
@@ -314,6 +315,7 @@ class _Samples:
         return np.asarray(values - (np.bincount(number, values) / np.bincount(number))[number])
 
     def walk(self, density: float) -> Process:
+        """Return a random walk of this density in each corridor, rad/sqrt(s)."""
         return Process.walk(self.t_s, self.corridor, density)
 
 

@@ -100,7 +100,7 @@ def check_place(place: Path) -> None:
             read_manifest(place)
         except InputError as error:
             raise InputError(
-                "is there already, and is no manifest", file=place, remedy="name another"
+                "is there already, and is not a manifest", file=place, remedy="name another"
             ) from error
     if not os.access(folder, os.W_OK):
         raise InputError("cannot be written to", file=folder, remedy="choose another place with -o")

@@ -58,7 +58,7 @@ def fit_mount(sightings: Sightings) -> MountFit | None:
     if seen.sum() < MIN_MOUNT_FRAMES:
         return None
     R = sightings.level_body
-    # Where the picture's verticals were level already, the elevation holds no roll.
+    # Where the picture's verticals were level already, the elevation contains no roll.
     level = np.isfinite(sightings.roll_rad)[:, None]
     psi = sightings.heading_rad
     toward = np.stack([np.sin(psi), np.cos(psi)], axis=1)
@@ -105,6 +105,7 @@ class _Part:
     std: FloatArray
 
     def known(self) -> _Part:
+        """Return the residuals whose target is known."""
         keep = np.isfinite(self.target)
         return _Part(self.t_s[keep], self.design[keep], self.target[keep], self.std[keep])
 

@@ -30,7 +30,7 @@ def memory_bytes(text: str) -> int:
     """
     match = _SIZE.fullmatch(text.strip())
     if match is None:
-        raise InputError(f"--memory {text}: is no size", remedy="write it as 2GB")
+        raise InputError(f"--memory {text}: is not a size", remedy="write it as 2GB")
     size = float(match[1]) * (1024 if match[3] else 1000) ** _POWERS[match[2].lower()]
     if size < 500e6:
         raise InputError(f"--memory {text}: less than a worker needs to start", remedy="give at least 500MB")

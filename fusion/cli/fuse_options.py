@@ -27,7 +27,7 @@ def flight_from_options(
     flight
         A flight's folder, a manifest or a log; what the others name takes the place of what it says.
     imu
-        A log from which the IMU's samples come; without ``flight`` all that it holds but the pictures.
+        A log from which the IMU's samples come; without ``flight`` all that it contains but the pictures.
     video
         A video or a folder of pictures.
     attitude

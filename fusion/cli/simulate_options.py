@@ -56,7 +56,7 @@ def simulation_config(
     if turn_deg is not None:
         if not 30.0 <= abs(turn_deg) <= 150.0:
             raise InputError(
-                f"--turn {turn_deg:g} is no turn", remedy="give 30 to 150 degrees, to the left negative"
+                f"--turn {turn_deg:g} is not a turn", remedy="give 30 to 150 degrees, to the left negative"
             )
         junction = {
             "at_m": motion["start_m"] + way_m / 2,

@@ -56,7 +56,7 @@ class FusionConfig(Settings):
         default=None,
         ge=0.25,
         le=2,
-        description="Lag of the smoothed estimate in flight behind the newest sample. None: no smoothing.",
+        description="Lag of the smoothed estimate in flight behind the newest sample. None: no such estimate.",
     )
 
     gyro_noise_density: float | None = Field(

@@ -80,33 +80,33 @@ class Estimate:
     status, vision_age_s
         A `Status`; time since the last frame that was used, or the heading that was seeded.
     reason
-        Why the status is what it is, or what is amiss though tracking; empty where all is well.
+        Reason for the status, or a fault while tracking; empty if there is none.
     gyro_age_s, attitude_age_s, lateral_age_s
         Time since the last sample of each, and since the last lateral offset used.
     heading_test_ratio, lateral_test_ratio, imu_yaw_test_ratio
         Of the last innovation of each: squared over gate squared; above 1 rejected.
     lateral_velocity_norm_s, lateral_velocity_norm_s_std, lateral_velocity_m_s, lateral_velocity_std_m_s
-        How fast the lateral offset grows, by all that moves it: heading and speed, where a velocity stream tells it,
-        and drift. In half widths per second, and in metres per second where the width is known.
+        Rate of the lateral offset: from heading and speed, if there is a velocity stream, and from drift. In half
+        widths per second, and in metres per second where the width is known.
     along_velocity_m_s
         Speed along the corridor in the sense of its axis, from the velocity stream; NaN without.
     reset_count, reset_heading_rad, reset_heading_total_rad
-        How often the heading jumped (another corridor, a recovery, found again after loss or a gap, a late sample
-        that changed what had been published, a seed, a reset), by how much at the last time, new minus old, and the
-        sum of all steps. A controller that needs continuity takes off the step whenever the count goes up; or, as
-        several may lie between two calls, the growth of the sum: heading less sum is continuous, modulo a turn.
-        The count never goes down. Corrections below 2 degrees are no steps.
+        How often the heading jumped (into another corridor, by a recovery, after loss or a gap, by a late sample that
+        changed a published estimate, by a seed or a reset), the last jump (new minus old), and the sum of all jumps.
+        A controller that needs continuity subtracts the jump when the count increases or, since several may lie
+        between two calls, the sum: heading less sum is continuous, modulo a turn. The count never decreases.
+        Corrections below 2 degrees do not count.
     lateral_reset_count, reset_lateral_norm, reset_lateral_m, reset_lateral_total_norm
-        The same for the lateral offset; its step is counted from the last one known to the first one known again.
+        The same for the lateral offset; its jump is from the last known one to the first one known again.
     roll_rad, pitch_rad
         The tilt in use.
     camera_delay_s, camera_delay_std_s
-        How late the frames are stamped, as configured or as estimated; NaN sigma where it is not estimated.
+        Delay of the frames' time stamps, as configured or as estimated; sigma is NaN where it is not estimated.
     lateral_status, lateral_probability
         A `LateralStatus`; the probability that the offset is within 0.1 half widths of the likeliest hypothesis,
         whether it is reported or not.
     faults
-        What ``reason`` says, as bits for programs.
+        The faults in ``reason`` as a bit field, see `fusion.estimator.faults.Fault`.
     """
 
     timestamp_ns: int
@@ -327,7 +327,7 @@ def estimate_of(
 def row_of(state: State, config: FusionConfig) -> tuple[Any, ...]:
     """Report a state as a row of `fusion.estimator.tables.ESTIMATE_DTYPE`, of a log whose samples are all there.
 
-    The same numbers as in `estimate_of`, without what the table does not hold: a flight has millions of rows.
+    The same numbers as in `estimate_of`, without what the table does not contain: a flight has millions of rows.
 
     Raises
     ------

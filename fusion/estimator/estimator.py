@@ -47,14 +47,13 @@ __all__ = ["CorridorEstimator", "Estimate", "FrameResult", "Status"]
 class CorridorEstimator:
     """Heading and lateral offset from gyroscope, attitude and camera, sample by sample.
 
-    Samples may come late and out of order by up to ``config.buffer_s`` behind the newest one; the result is bit for
-    bit that of samples in order. What comes later than that, twice, or is no number is counted in `counters` and
-    otherwise ignored; so is a stamp far ahead of the IMU's clock, until the next one confirms it. Status and reason
-    also tell how samples arrive: of clocks that are off, and later of silence where frames always come late.
-    The logger ``fusion.estimator`` is told of rejections, steps and changes, see `fusion.estimator.events`.
+    Samples may arrive out of order and up to ``config.buffer_s`` late; the result is bit for bit that of samples in
+    order. Samples that are later than that, repeated or not finite are counted in `counters` and otherwise ignored. A
+    stamp far ahead of the IMU's clock is ignored until the next one confirms it. Status and reason take the delay of
+    the sources into account: they report wrong clocks, and allow more time before a source that is always late counts
+    as silent. Rejected frames, resets and changes of status are logged, see `fusion.estimator.events`.
 
-    Not thread-safe: measure frames elsewhere if you like (`vision.extract_lines`), but call the estimator from one
-    thread.
+    Not thread-safe: call it from one thread. Lines can be extracted in another one (`vision.extract_lines`).
 
     Parameters
     ----------
@@ -65,7 +64,7 @@ class CorridorEstimator:
     method
         ``geometric``, or ``paper`` for the article's measurement.
     on_final
-        Called with each `fusion.estimator.state.Entry` that nothing can change any more, in order of time.
+        Called with each `fusion.estimator.state.Entry` that no late sample can change any more, in order of time.
     """
 
     def __init__(
@@ -103,7 +102,7 @@ class CorridorEstimator:
 
     @property
     def ekf(self) -> CorridorEKF:
-        """The filter behind the newest sample: filterpy's ``ExtendedKalmanFilter``, to look at.
+        """The filter at the newest sample, an ``ExtendedKalmanFilter`` of filterpy, for inspection.
 
         Its ``x``, ``P``, ``F``, ``Q``, ``K``, ``y``, ``S`` and ``likelihood`` are those of the last prediction and
         the last update; the state is that of `fusion.estimator.models`. What is written into it has no effect.
@@ -111,9 +110,9 @@ class CorridorEstimator:
         return self._engine.ekf
 
     def add(self, sample: Sample) -> Entry | None:
-        """Add a sample of any kind; return what became of it for now, or None where it is ignored and counted.
+        """Add a sample of any kind; return its outcome so far, or None where it is ignored and counted.
 
-        An error raised by what measures a frame goes to the caller, and leaves no trace of that frame.
+        If measuring a frame raises an error, the caller gets it and the frame has no effect.
         """
         if fault := sample.fault():
             self.counters[fault] += 1
@@ -180,8 +179,8 @@ class CorridorEstimator:
     def add_imu(self, t_ns: int, gyro: npt.ArrayLike, accel: npt.ArrayLike | None = None) -> None:
         """Add a gyroscope sample (3,) rad/s and, where there is one, accelerometer (3,) m/s^2, body FRD.
 
-        This and the methods below raise `InputError` where a time is no whole number of nanoseconds, or a value has
-        another shape. Values that are no numbers, or that no vehicle can reach, are counted and ignored.
+        This and the methods below raise `InputError` where a time is not an integer of nanoseconds, or a value has
+        another shape. Values that are not numbers, or that no vehicle can reach, are counted and ignored.
         """
         force = None
         if accel is not None:
@@ -265,11 +264,11 @@ class CorridorEstimator:
         heading_std_rad: float,
         corridor_width_m: float | None = None,
     ) -> None:
-        """Tell the heading at a time, from a source of the program's own; before the first frame or in flight.
+        """Set the heading at a time, from another source; before the first frame or in flight.
 
-        It replaces the heading that was estimated by then, and is tracked from; where one was, that is a counted
-        step. Unlike a frame's, it also says which way along the corridor the vehicle faces. Frames correct it as they
-        would any heading.
+        It replaces the estimated heading and starts tracking; replacing one counts as a reset. Unlike a frame's
+        heading, it also decides which direction along the corridor the vehicle faces. Frames then correct it as
+        usual.
 
         Parameters
         ----------
@@ -291,10 +290,10 @@ class CorridorEstimator:
         self._tell(samples)
 
     def set_corridor_width(self, t_ns: int, width_m: float | None) -> None:
-        """Tell the corridor's width from a time on, in place of ``config.corridor_width_m``.
+        """Set the corridor's width from a time on, in place of ``config.corridor_width_m``.
 
-        The offset stays what it is in half widths. None: the width is not known any more, and is measured again by
-        the camera's height or the range sensor, where there is one.
+        The offset in half widths does not change. None: the width is no longer known, and is estimated again from the
+        camera's height or the range sensor, if there is one.
 
         Parameters
         ----------
@@ -320,13 +319,13 @@ class CorridorEstimator:
             )
         for sample in samples:
             if self._insert(sample) is None:
-                raise InputError(f"t_ns = {t_ns} has been told another value", remedy="tell it 1 ns later")
+                raise InputError(f"t_ns = {t_ns} already has another value", remedy="use a time 1 ns later")
 
     def reset(self) -> None:
-        """Forget all samples and all that was learned or told in flight; configuration and `counters` stay.
+        """Discard all samples, and all that was estimated or set in flight; keep configuration and `counters`.
 
-        It is counted as a reset at once, with a step of zero, as the heading is unknown then; and again when a
-        heading is known, with the step from the last one known to the first one known again.
+        It counts as a reset at once, with a jump of zero, since the heading is then unknown. It counts again when the
+        heading is known, with the jump from the last known heading.
         """
         before = self._timeline.state
         self._timeline.start_anew(self._engine.forgotten(before))
@@ -341,7 +340,7 @@ class CorridorEstimator:
         self._resets = self._resets.with_heading_step(0.0)
 
     def estimate(self, now_ns: int | None = None, *, at_ns: int | None = None) -> Estimate:
-        """Newest estimate, predicted to the newest sample, or ahead of it.
+        """Return the newest estimate, predicted to the newest sample or to a later time.
 
         Parameters
         ----------
@@ -383,10 +382,10 @@ class CorridorEstimator:
         return innovations_of(self._timeline.state)
 
     def smoothed(self) -> Estimate:
-        """Estimate of ``config.fixed_lag_s`` ago, with all that has been measured since then.
+        """Return the estimate of ``config.fixed_lag_s`` ago, smoothed with everything measured since.
 
-        It is that of the last sample at or before the newest sample's time less the lag; of the first one while the
-        flight is shorter. Status and ages are those of that time.
+        It is for the last sample at or before the newest sample's time less the lag, or for the first sample while
+        the flight is shorter. Status and ages are those of that time.
 
         Raises
         ------

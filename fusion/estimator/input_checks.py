@@ -34,14 +34,14 @@ def whole_nanoseconds(t_ns: object) -> int:
     Raises
     ------
     InputError
-        Where it is no whole number (seconds as a float, say) or does not fit.
+        Where it is not an integer (seconds as a float, say) or does not fit.
     """
     if type(t_ns) is not int:
         try:
             t_ns = index(t_ns)  # type: ignore[arg-type]  # numpy's integers have one, floats do not
         except TypeError:
             raise InputError(
-                f"t_ns = {t_ns!r} is no whole number",
+                f"t_ns = {t_ns!r} is not an integer",
                 remedy="give nanoseconds as an int: round(seconds * 1e9)",
             ) from None
     if not -MAX_TIME_NS < t_ns < MAX_TIME_NS:
@@ -55,7 +55,7 @@ def finite_or_not(values: npt.ArrayLike, count: int, name: str) -> list[float]:
     Raises
     ------
     InputError
-        Where there are more, or fewer, or they are no numbers.
+        Where there are more, or fewer, or they are not numbers.
     """
     try:
         found = np.asarray(values, dtype=float)
@@ -85,12 +85,12 @@ def number(value: object, name: str) -> float:
     Raises
     ------
     InputError
-        Where it is no number.
+        Where it is not a number.
     """
     try:
         return float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name} = {value!r} is no number") from None
+        raise InputError(f"{name} = {value!r} is not a number") from None
 
 
 class _Bound(NamedTuple):

@@ -33,10 +33,10 @@ after dt counts as a part ``1 - exp(-dt / tau)`` of one: the hypotheses' weights
 likelihood, and the variances of the update are divided by it. Within a hypothesis, components are
 weighed by probabilistic data association (Y. Bar-Shalom, E. Tse, "Tracking in a cluttered environment with
 probabilistic data association", Automatica 11(5), 1975). The unknown offset is uniform over (-1, 1), hence its
-likelihood is 1/2; what it holds moves to new hypotheses at the components that none explains. A little is always
+likelihood is 1/2; what it contains moves to new hypotheses at the components that none explains. A little is always
 forgotten: weight leaks from all hypotheses to the unknown.
 
-**Reported** is the sum of those about the likeliest; it is known where it holds most of the probability and is
+**Reported** is the sum of those about the likeliest; it is known where it contains most of the probability and is
 narrow. A line beside the corner that is taken for it stays there for seconds, and no average over frames makes that
 error less. So what is reported has two variances besides those of the hypotheses, which the filter itself does not
 feed back: ``(s_y y)^2``, as lines inside or outside both corners make the corridor narrower or wider, and

@@ -137,7 +137,7 @@ def _read_output(folder: Path, name: str) -> Output:
         raise InputError(problem, file=folder, remedy=remedy)
     missing = [file for file in (*TABLES.values(), "summary.json") if not (folder / file).exists()]
     if missing:
-        raise InputError(f"holds no {missing[0]}", file=folder, remedy=remedy)
+        raise InputError(f"contains no {missing[0]}", file=folder, remedy=remedy)
     try:
         summary = read_summary(folder / "summary.json")
         frame = Frame(summary.get("frame", Frame.FRD))
@@ -148,7 +148,7 @@ def _read_output(folder: Path, name: str) -> Output:
     for kind, file in TABLES.items():
         table = read_table(folder / file, ESTIMATE_DTYPE)
         if not len(table):
-            raise InputError("holds no rows", file=folder / file, remedy="the flight had nothing to fuse")
+            raise InputError("contains no rows", file=folder / file, remedy="the flight had nothing to fuse")
         tables[kind] = table_in_frame(table, frame)  # turning twice leaves what was
     return Output(
         folder, name, tables["causal"], tables["smoothed"], summary.get("flight"), summary.get("method")

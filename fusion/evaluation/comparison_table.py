@@ -39,7 +39,7 @@ def write_comparison_table(found: Comparison, path: Path) -> None:
     ending = path.suffix.lower()
     if ending not in FORMATS:
         remedy = f"end it in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
-        raise InputError("is no format of a table", file=path, remedy=remedy)
+        raise InputError("is not a table format", file=path, remedy=remedy)
     rows = list(_rows(found))
     text = {".csv": _as_csv, ".md": _as_markdown, ".tex": _as_latex}[ending](rows)
     with replacing(path) as draft:

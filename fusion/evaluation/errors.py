@@ -83,7 +83,7 @@ def interpolate_truth(truth: CorridorTruth, t_ns: TimeArray, max_gap_s: float = 
     Parameters
     ----------
     truth
-        What the flight really did.
+        The ground truth.
     t_ns
         Times (n,), in any order.
     max_gap_s
@@ -121,24 +121,25 @@ def interpolate_truth(truth: CorridorTruth, t_ns: TimeArray, max_gap_s: float = 
 
 
 def evaluate(table: Table, truth: CorridorTruth, *, max_gap_s: float = 0.5) -> TableErrors:
-    """Compare estimates or single frames with the truth.
+    """Compare estimates or single frames with ground truth.
 
-    Judged are the rows that are tracking (estimates) or accepted (frames), outside junctions and within the
-    truth's span; every other row is counted under the first cause that applies.
+    Errors are evaluated over rows that are tracking (estimates) or accepted (frames), outside junctions and within
+    the time of the truth. Every other row is counted under the first cause that applies.
 
     Parameters
     ----------
     table
         Rows of `fusion.estimator.tables.ESTIMATE_DTYPE` or `fusion.estimator.tables.FRAME_DTYPE`.
     truth
-        What the flight really did.
+        The ground truth.
     max_gap_s
         As for `interpolate_truth`.
 
     Returns
     -------
     TableErrors
-        Errors of heading and lateral offset, in all and per corridor; ``to_dict()`` gives plain values for JSON.
+        Errors of heading and lateral offset, for the flight and per corridor; ``to_dict()`` gives plain values for
+        JSON.
     """
     names = table.dtype.names or ()
     estimates = "status" in names

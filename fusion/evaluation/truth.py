@@ -51,7 +51,7 @@ class Truth:
         Raises
         ------
         InputError
-            Where that is no number, or so large that the times leave the years 1678 to 2262.
+            Where that is not a number, or so large that the times leave the years 1678 to 2262.
         """
         if not seconds:
             return self
@@ -118,7 +118,7 @@ def truth_of(
     heading_rad = columns.heading_rad
     rows = np.flatnonzero(np.isfinite(heading_rad))
     if not rows.size:
-        raise InputError("holds no row with a heading", file=path)
+        raise InputError("contains no row with a heading", file=path)
     order, disorder = order_times(columns.t_ns[rows], path.name)
     rows = rows[order]
     if np.abs(heading_rad[rows]).max() > 4 * pi:

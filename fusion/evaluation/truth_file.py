@@ -77,19 +77,19 @@ def read_truth(path: str | Path, frame: Frame | None = None) -> Truth:
     path = Path(path)
     if path.is_dir():
         if not (path / TRUTH_NAME).exists():
-            raise InputError(f"the folder holds no {TRUTH_NAME}", file=path, remedy="give the file itself")
+            raise InputError(f"the folder contains no {TRUTH_NAME}", file=path, remedy="give the file itself")
         path = path / TRUTH_NAME
     try:
         lines = read_head(path)
     except InputError as error:
         if error.problem == "is empty":
-            raise InputError("holds no rows", file=path) from error
+            raise InputError("contains no rows", file=path) from error
         raise
     if any(sign in line for line in lines for sign in ("\0", "\N{REPLACEMENT CHARACTER}")):
         raise InputError("is not a text file", file=path, remedy=f"supported: {SUPPORTED}")
     first = next((line for line in lines if line.strip() and not line.startswith("#")), None)
     if first is None:
-        raise InputError("holds no rows", file=path)
+        raise InputError("contains no rows", file=path)
     if "," not in first and len(first.split()) == _TUM_WIDTH:
         return _from_tum(path, lines, frame)
     return _from_csv(path, lines, frame or _frame_beside(path))
@@ -189,7 +189,7 @@ def _offset_of(values: Mapping[str, FloatArray], count: int) -> tuple[FloatArray
 def _read(
     path: Path, separator: str, first: int, others: tuple[int, ...], names: Sequence[str]
 ) -> WithProblems[Rows]:
-    """Read the times, as texts, and columns of numbers; a field that is no number becomes NaN."""
+    """Read the times, as texts, and columns of numbers; a field that is not a number becomes NaN."""
     fmt = RowFormat(separator, first, others, "O", width=len(names), keep_bad_fields=True)
     # A last line is not taken for cut because its number is shorter: truths are written by hand too.
     blocks = read_blocks(path, separator, leave_out_cut=False)
@@ -203,7 +203,7 @@ def _read(
         if 2 * len(texts) > len(rows.first):
             raise InputError(f"{names[column]} is {texts[0]!r}, no number", file=path)
         problems += (
-            f"{path.name}: {counted(len(texts), 'value')} that are no numbers in {names[column]}, the first "
+            f"{path.name}: {counted(len(texts), 'value')} that are not numbers in {names[column]}, the first "
             f"{texts[0]!r}",
         )
     return WithProblems(rows, problems)
@@ -332,7 +332,7 @@ def _times(path: Path, cells: Sequence[str], unit: TimeUnit) -> TimeArray:
             found.append(decimal_to_ns(cell.strip(), unit))
         except (ValueError, OverflowError) as error:
             raise InputError(
-                f"time {cell!r} is no number", file=path, remedy=f"times are in {unit}"
+                f"time {cell!r} is not a number", file=path, remedy=f"times are in {unit}"
             ) from error
     try:
         return np.array(found, dtype=np.int64)

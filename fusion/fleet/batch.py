@@ -120,7 +120,7 @@ def fuse_fleet(
     flights = find_flights(sources)
     if not flights:
         raise InputError(
-            "no flight was found", remedy="name a folder that holds flights, or list them in a TOML file"
+            "no flight was found", remedy="name a folder that contains flights, or list them in a TOML file"
         )
     earlier = {} if settings.redo else read_journal(folder)
     tasks, kept = _divide(flights, folder, settings, earlier)
@@ -149,7 +149,7 @@ def _check_folder(out: Path) -> Path:
         problem = f"the output folder cannot be used: {error_text(error)}"
         raise InputError(problem, file=out, remedy="choose another with -o") from error
     if foreign and JOURNAL not in foreign:
-        problem = f"the output folder holds {foreign[0]!r}, and no batch of corridor's"
+        problem = f"the output folder contains {foreign[0]!r}, and no batch of corridor's"
         raise InputError(problem, file=out, remedy="choose another with -o")
     return folder
 

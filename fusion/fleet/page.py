@@ -212,7 +212,7 @@ def _drifts(rows: Sequence[FleetRow]) -> list[Figure]:
 
 
 def _trend(quantity: Quantity, rows: Sequence[FleetRow]) -> str:
-    """Say what changed from the first half of the flights to the second, if more than chance explains."""
+    """Report a significant difference between the first and the second half of the flights."""
     from scipy.stats import mannwhitneyu
 
     dated = sorted(
@@ -226,7 +226,7 @@ def _trend(quantity: Quantity, rows: Sequence[FleetRow]) -> str:
     medians = (
         f"{quantity.text(float(np.median(early)))} before, {quantity.text(float(np.median(late)))} after"
     )
-    return f"Drifts: median of the earlier half {medians} (p = {chance:.2g})." if chance < 0.01 else ""
+    return f"Trend: median of the earlier half {medians} (p = {chance:.2g})." if chance < 0.01 else ""
 
 
 def _comparison_context(found: FleetComparison) -> dict[str, object]:

@@ -93,7 +93,7 @@ def read_fleet(path: str | Path) -> list[FleetRow]:
         ) from error
     if not rows or not all(row.flight for row in rows):
         raise InputError(
-            "is no fleet's table", file=path, remedy="give the fleet.parquet of an earlier batch"
+            "is not a fleet table", file=path, remedy="give the fleet.parquet of an earlier batch"
         )
     return rows
 

@@ -35,7 +35,7 @@ class Task:
     command
         The command line that asked for it, where there was one.
     earlier
-        The flight's row of an earlier batch with the same settings and version; it holds if the content is the same.
+        The flight's row of an earlier batch with the same settings and version; kept if the content is the same.
     """
 
     flight: FoundFlight

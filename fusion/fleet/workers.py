@@ -53,9 +53,11 @@ class _Worker:
         self.pid = self._pool.submit(process_id).result()
 
     def fuse(self, task: Task, timeout_s: float | None) -> FleetRow:
+        """Fuse a flight in the process, and wait for its row."""
         return self._pool.submit(fuse_task, task).result(timeout_s)
 
     def end(self) -> None:
+        """Kill the process."""
         with suppress(ProcessLookupError):
             os.kill(self.pid, _KILL)
         self._pool.shutdown(cancel_futures=True)

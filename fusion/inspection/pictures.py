@@ -88,7 +88,7 @@ def _size(picture: GreyImage) -> tuple[int, int]:
 def check_picture_file(path: Path) -> None:
     """Raise `InputError` where a picture cannot be written to this file."""
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError("is no name of a picture", file=path, remedy=f"end it in {' or '.join(SUFFIXES)}")
+        raise InputError("is not a picture name", file=path, remedy=f"end it in {' or '.join(SUFFIXES)}")
     if path.is_dir() or not path.absolute().parent.is_dir():
         raise InputError("cannot be written", file=path, remedy="give a file in a folder that exists")
 

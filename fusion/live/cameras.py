@@ -79,7 +79,7 @@ def camera_source(text: str, camera: Camera, clock: Clock) -> CameraSource:
     Raises
     ------
     InputError
-        Where there is no such file, or it holds no pictures.
+        Where there is no such file, or it contains no pictures.
     """
     if text.startswith(STREAMS):
         return VideoStream(text, None, {}, clock)
@@ -92,7 +92,7 @@ def camera_source(text: str, camera: Camera, clock: Clock) -> CameraSource:
     log = open_log(path)
     topic = next((t.name for t in log.topics if t.kind is Kind.FRAMES), None)
     if topic is None:
-        raise InputError("holds no pictures", file=path, remedy="give a video, or a folder of pictures")
+        raise InputError("contains no pictures", file=path, remedy="give a video, or a folder of pictures")
     return PlayedFrames(log.frames(topic).value, clock)
 
 

@@ -84,7 +84,7 @@ def replay(path: Path) -> Replay:
     attached = attachments(path)
     config, camera = recorded_config(path), attached_camera(path)
     if config is None or camera is None:
-        raise InputError("is no recording of corridor live", file=path, remedy="give its .mcap file")
+        raise InputError("is not a recording of corridor live", file=path, remedy="give its .mcap file")
     settings = build(LiveSettings, json.loads(attached[SETTINGS]), path)
     core = LiveCore(config, camera, settings)
     result = Replay(np.empty(0, ESTIMATE_DTYPE))

@@ -109,11 +109,10 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
     Parameters
     ----------
     path
-        A ``flight.toml`` or the folder that holds one, an ASL / EuRoC flight folder or the ``mav0`` in it, or a log
-        file that carries pictures.
+        A ``flight.toml`` or its folder, an ASL / EuRoC flight folder or the ``mav0`` in it, or a log file that
+        contains pictures.
     camera
-        Calibration to use instead of the log's own: a `Camera`, or a file whose extrinsic then refers to the log's
-        body axes.
+        Calibration in place of the log's own: a `Camera`, or a file whose extrinsics refer to the log's body axes.
 
     Returns
     -------

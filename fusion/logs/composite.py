@@ -96,7 +96,7 @@ class CompositeLog(LogContents):
 
     def range(self, topic: str) -> WithProblems[RangeStream]:
         """Distance to the floor along the body's z."""
-        raise InputError("holds no distances", file=self.path, remedy="leave [range] out")
+        raise InputError("contains no distances", file=self.path, remedy="leave [range] out")
 
     def file_of(self, topic: str) -> Path:
         """Return the file that a topic's times are from."""

@@ -127,7 +127,7 @@ def _open_oxts(path: Path) -> SeriesLog:
         t_ns.append(time_ns)
         rows.append(numbers)
     if not rows:
-        raise InputError("holds no sample that can be read", file=path, remedy="take the folder away")
+        raise InputError("contains no sample that can be read", file=path, remedy="take the folder away")
     problems = (f"oxts: {counted(bad, 'sample')} that cannot be read left out",) if bad else ()
     times, values, where = np.array(t_ns, dtype=np.int64), np.array(rows), Where(path, OXTS)
     note = "axes flu, of the inertial navigation"

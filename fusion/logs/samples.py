@@ -40,7 +40,7 @@ def refuse_placeholder(path: Path) -> None:
     Raises
     ------
     InputError
-        Where it holds nothing, or is a pointer of Git LFS; a folder is neither.
+        Where it contains nothing, or is a pointer of Git LFS; a folder is neither.
     """
     if not path.is_file():
         return

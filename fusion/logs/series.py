@@ -204,7 +204,7 @@ def range_stream(
     where
         What to call the stream.
     limits_m
-        Between which the sensor measures, one or (n,) each; one that is no number, or a greatest of zero, limits
+        Between which the sensor measures, one or (n,) each; one that is not a number, or a greatest of zero, limits
         nothing.
     trusted
         Rows (n,) that the sensor itself does not call wrong.

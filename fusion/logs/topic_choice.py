@@ -126,7 +126,7 @@ def _wanted(log: LogContents, kind: Kind, wanted: str) -> str:
     raise InputError(
         f"has no {WORDS[kind]} under {wanted!r}",
         file=log.path,
-        remedy=f"choose one of {_listed(there)}" if there else f"it holds {holdings(log)}",
+        remedy=f"choose one of {_listed(there)}" if there else f"it contains {holdings(log)}",
     )
 
 

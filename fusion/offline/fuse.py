@@ -52,28 +52,30 @@ def fuse_flight(
     progress: Progress | None = None,
     jobs: int | None = None,
 ) -> FusionResult:
-    """Fuse a logged flight: the causal filter, the smoother, and how good they are.
+    """Fuse a logged flight with the causal filter and the smoother, and evaluate the result.
 
-    Pictures are read one by one; one that cannot be decoded is a row with reason ``unreadable``.
+    Pictures are read one by one. One that cannot be decoded becomes a row with the reason ``unreadable``.
 
     Parameters
     ----------
     flight
-        From `fusion.load_flight`, or made by hand.
+        From `fusion.load_flight`, or constructed by the caller.
     config
-        Settings; None for the defaults. Gyroscope noise that it leaves open is taken from the log.
+        Settings; None for the defaults. Gyroscope noise that is not set is taken from the log.
     method
         ``geometric``, or ``paper`` for the article's measurement.
     progress
         Called with frames done and in all.
     jobs
-        Threads, this one included: the others decode pictures and find their lines ahead of the filter. The result is
-        the same to the bit for any number. None: one per core that the process may use, at most `MAX_JOBS`.
+        Number of threads, including this one; the others decode pictures and find their lines ahead of the filter.
+        The result is bit for bit the same for any number. None: one per core that the process may use, at most
+        `MAX_JOBS`.
 
     Raises
     ------
     InputError
-        Where the method is unknown, the flight has no frames, the times of a stream go back, or ``jobs`` is below 1.
+        Where the method is unknown, the flight has no frames, a stream is not in order of time, or ``jobs`` is below
+        1.
     """
     if jobs is not None and jobs < 1:
         raise InputError(f"jobs = {jobs}", remedy="give 1 or more, or None for one per core")
@@ -248,13 +250,13 @@ def _times(t_ns: npt.NDArray[np.int64], stream: int) -> Iterator[tuple[int, int,
 
 def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
     what = {
-        "imu_not_finite": "gyroscope samples that are no numbers were skipped",
+        "imu_not_finite": "gyroscope samples that are not numbers were skipped",
         "imu_out_of_range": "gyroscope samples beyond its range were skipped",
         "imu_spike": "gyroscope samples that jumped as no vehicle can were held back",
         "imu_clipped": "gyroscope samples were clipped at the end of its range",
         "imu_frozen": "gyroscope samples that repeated the ones before were skipped",
-        "attitude_not_unit": "attitudes that are no unit quaternions were skipped",
-        "velocity_not_finite": "velocities that are no numbers were skipped",
+        "attitude_not_unit": "attitudes that are not unit quaternions were skipped",
+        "velocity_not_finite": "velocities that are not numbers were skipped",
         "velocity_out_of_range": "velocities that no vehicle indoors reaches were skipped",
         "range_not_positive": "distances to the floor that can be none were skipped",
         "imu_ahead": "IMU samples stamped far ahead of all others were skipped",

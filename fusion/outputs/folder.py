@@ -52,30 +52,30 @@ def write_outputs(
     progress: Progress | None = None,
     sent: Table | None = None,
 ) -> Path:
-    """Write a fused flight's files, and what else is asked for, into ``out_dir``, all of them or none.
+    """Write the files of a fused flight into ``out_dir``, all of them or none.
 
-    They are written beside ``out_dir`` under a temporary name and renamed once complete and on the disk. An earlier
-    output is replaced, known by the list of files in its ``summary.json``; a folder that holds anything else is left
-    alone. What a run killed before left behind is cleared, or finished.
+    They are written beside ``out_dir`` under a temporary name, and renamed once they are complete and on the disk. An
+    earlier output is replaced; it is recognised by the list of files in its ``summary.json``. A folder with any other
+    file is left unchanged. What an interrupted run has left behind is cleared, or completed.
 
     Parameters
     ----------
     result, flight
         What `fusion.fuse_flight` returned, and what it was given (the report shows its pictures).
     out_dir
-        The folder to make; its parents are made as needed.
+        The folder to create, with its parents as needed.
     report
-        Whether to write ``report.html`` too, the slowest of them.
+        Whether to write ``report.html``, which takes the longest.
     exports
-        Other forms of the tables, from `fusion.outputs.exports.check_formats`.
+        Further formats, from `fusion.outputs.exports.check_formats`.
     frame
-        Convention of signs in the tables and in the summary, which names it; the report's words need none.
+        Sign convention of the tables and the summary, which names it.
     command
-        The command line that made it, for ``provenance`` in ``summary.json``.
+        The command line, for ``provenance`` in ``summary.json``.
     hashes
-        SHA-256 of the flight's files where it is known, for the same.
+        SHA-256 of the flight's files where already known, for ``provenance``.
     progress
-        Called with pictures exported and in all, where ``exports`` holds any.
+        Called with pictures exported and in all, if ``exports`` include pictures.
     sent
         Estimates as they were sent in flight, where the flight is a recording of `corridor live`.
 
@@ -87,7 +87,7 @@ def write_outputs(
     Raises
     ------
     InputError
-        Where ``out_dir`` is a file, holds files that are not ours, or cannot be written.
+        Where ``out_dir`` is a file, contains other files, or cannot be written.
     """
     with _appearing_whole(out_dir) as folder:
         _write_tables(result, sent, folder, frame)
@@ -168,7 +168,7 @@ def check_out_dir(out_dir: str | Path) -> Path:
     if foreign:
         more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
         raise InputError(
-            f"the output folder holds {foreign[0]!r}{more}, which corridor did not write",
+            f"the output folder contains {foreign[0]!r}{more}, which corridor did not write",
             file=out_dir,
             remedy="choose another with -o",
         )

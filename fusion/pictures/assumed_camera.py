@@ -51,7 +51,7 @@ class AssumedView:
     source
         Where it comes from.
     n_pictures
-        Pictures that it holds for.
+        Number of pictures that it applies to.
     n_used
         Pictures that told it, where the source is the pictures.
     bend

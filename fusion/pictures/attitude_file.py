@@ -96,7 +96,7 @@ def _read_by_name(path: Path, names: tuple[str, ...], rows: Iterable[list[str]])
             ) from None
         if not (isfinite(roll_rad) and abs(roll_rad) <= pi and abs(pitch_rad) <= pi / 2):
             raise InputError(
-                f"line {line}: roll_rad {roll_rad:g}, pitch_rad {pitch_rad:g} is no attitude",
+                f"line {line}: roll_rad {roll_rad:g}, pitch_rad {pitch_rad:g} is not an attitude",
                 file=path,
                 remedy="give radians: roll within pi, pitch within pi/2",
             )

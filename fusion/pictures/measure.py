@@ -32,7 +32,7 @@ def find_images(sources: Sequence[Path]) -> list[Path]:
     Raises
     ------
     InputError
-        Where a source does not exist or a folder holds no picture.
+        Where a source does not exist or a folder contains no picture.
     """
     found: list[Path] = []
     for source in sources:
@@ -41,11 +41,11 @@ def find_images(sources: Sequence[Path]) -> list[Path]:
             if not inside:
                 flight = (source / "mav0").is_dir()
                 raise InputError(
-                    "the folder holds no pictures",
+                    "the folder contains no pictures",
                     file=source,
                     remedy=f"this is a flight: corridor fuse {source}"
                     if flight
-                    else "give pictures (jpg, png, bmp, tif, pgm, webp) or a folder that holds them",
+                    else "give pictures (jpg, png, bmp, tif, pgm, webp) or a folder that contains them",
                 )
             found += sorted(inside, key=_natural_order)
         elif source.exists():
@@ -237,6 +237,7 @@ class _Overlays:
         self.used: set[str] = set()
 
     def draw(self, path: Path, image: GreyImage, camera: Camera, measurement: FrameMeasurement) -> None:
+        """Write the drawing of a measured picture."""
         import cv2
 
         from vision.overlay import draw_overlay

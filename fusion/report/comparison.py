@@ -81,7 +81,7 @@ def write_comparison_figure(
     """
     if path.suffix.lower() not in FORMATS:
         remedy = f"end it in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
-        raise InputError("is no format of a figure", file=path, remedy=remedy)
+        raise InputError("is not a figure format", file=path, remedy=remedy)
     figure = comparison_figure(outputs, truth, align=align)
     with replacing(path) as draft:
         figure.savefig(draft, format=path.suffix.lower()[1:], dpi=DPI)

@@ -48,9 +48,9 @@ class FusionResult:
     overview
         Verdict, counts, rates, timings and errors against the truth, typed; `summary` has them as plain values.
     problems
-        What was wrong with the log and with its samples, a sentence each.
+        Problems of the log and of its samples, a sentence each.
     offset_hypotheses
-        What the filter held possible of the lateral offset after each frame, a row of
+        Hypotheses of the lateral offset after each frame, a row of
         `fusion.estimator.tables.HYPOTHESIS_DTYPE` per hypothesis.
     """
 

@@ -274,7 +274,7 @@ CASES = {
         bag(info=lambda p, b: info_rows(p, b, "rational_polynomial", (0.001, 0, 0, 0, 0)))
     ),
     "a calibration of zeros": Case(
-        bag(info=lambda p, b: info_rows(p, b, "", (), 0.0)), refused="holds no calibration of the camera"
+        bag(info=lambda p, b: info_rows(p, b, "", (), 0.0)), refused="contains no calibration of the camera"
     ),
     "pictures of half the size": Case(bag(pictures=changed(half, "mono8")), refused="picture is 320x240"),
     "stamps that repeat": Case(

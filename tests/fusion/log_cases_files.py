@@ -362,10 +362,10 @@ def kitti(part: Part, folder: Path) -> Path:
 DATASETS = {
     name: Case(build, refused=refused, gyro=gyro, rmse_deg=rmse_deg, dense=not gyro)
     for name, build, refused, gyro, rmse_deg in (
-        ("UZH-FPV", uzh_fpv, "holds no calibration of the camera", True, 0.5),
-        ("TUM RGB-D", tum_rgbd, "holds no calibration of the camera", False, 0.5),
+        ("UZH-FPV", uzh_fpv, "contains no calibration of the camera", True, 0.5),
+        ("TUM RGB-D", tum_rgbd, "contains no calibration of the camera", False, 0.5),
         ("TUM-VI", tum_vi, "there is no such file", True, 0.5),
-        ("KITTI", kitti, "holds no calibration of the camera", True, 1.0),
+        ("KITTI", kitti, "contains no calibration of the camera", True, 1.0),
     )
 }
 

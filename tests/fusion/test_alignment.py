@@ -268,7 +268,7 @@ class TestCommand:
         config.write_text("gyro_gap_s = 0.2\n")
         told = corridor("align", OFFICE, "-o", config)
         assert told.code == 2
-        assert "is no manifest" in told.err
+        assert "is not a manifest" in told.err
         assert config.read_text() == "gyro_gap_s = 0.2\n"
 
     def test_a_flight_that_is_not_there(self, corridor: Corridor) -> None:

@@ -122,7 +122,7 @@ def test_missing_parts(folder: Folder) -> None:
     assert load_flight(folder.path, camera).camera is camera
     shutil.rmtree(folder.path / "mav0/cam0")
     with pytest.raises(
-        InputError, match=r"without pictures; it holds .*imu0.*\(a flight needs cam0/data\.csv"
+        InputError, match=r"without pictures; it contains .*imu0.*\(a flight needs cam0/data\.csv"
     ):
         load_flight(folder.path)
 

@@ -286,14 +286,14 @@ def test_the_time_shift_of_a_kalibr_chain_is_taken_unless_the_manifest_says(part
             '"none.yaml"',
             r"none\.yaml: there is no such file or folder \(camera\.calibration\)",
         ),
-        ('calibration = "camera.yaml"', "", r"hall\.mp4: holds no calibration of the camera \(.*--camera"),
+        ('calibration = "camera.yaml"', "", r"hall\.mp4: contains no calibration of the camera \(.*--camera"),
         ("-100.0", "0.0", r"imu\.csv: covers 100\.0 to 10.* the frames 0\.0 to .*--clock-offset.* 100\.000"),
         (
             '"gx", "gy", "gz"',
             '"gx", "gy", "hz"',
             r"imu\.csv: has no column 'hz' \(columns\.gyro\) \(did you mean",
         ),
-        ('[imu]\nfile = "imu.csv"', '[imu]\nfile = "hall.mp4"', r"hall\.mp4: is no text file"),
+        ('[imu]\nfile = "imu.csv"', '[imu]\nfile = "hall.mp4"', r"hall\.mp4: is not a text file"),
         (
             '[imu]\nfile = "imu.csv"',
             '[imu]\ntopic = "gyro"\nfile = "imu.csv"',
@@ -313,7 +313,7 @@ def test_the_time_shift_of_a_kalibr_chain_is_taken_unless_the_manifest_says(part
         (
             'file = "hall.mp4"',
             'file = "attitude.csv"',
-            r"CSV without pictures; it holds attitude \(attitude\)",
+            r"CSV without pictures; it contains attitude \(attitude\)",
         ),
     ],
 )
@@ -327,7 +327,9 @@ def test_what_does_not_fit_is_named(parts: Parts, old: str, new: str, message: s
 
 def test_a_named_file_must_hold_its_stream(parts: Parts) -> None:
     text = MANIFEST + '[velocity]\nfile = "attitude.csv"\n'
-    with pytest.raises(InputError, match=r"attitude\.csv: holds no velocity, only attitude .*\[velocity\]"):
+    with pytest.raises(
+        InputError, match=r"attitude\.csv: contains no velocity, only attitude .*\[velocity\]"
+    ):
         load_flight(at(parts, text))
 
 

@@ -428,10 +428,10 @@ def test_any_bytes_read_or_say_why(tmp_path_factory: pytest.TempPathFactory, dat
         (
             "t,gx,gy,gz\na,b,c,d\ne,f,g,h\n",
             ColumnMap(gyro=("gx", "gy", "gz")),
-            r"column 't' holds no times, such as 'a'",
+            r"column 't' contains no times, such as 'a'",
         ),
         ("t,x\n1,2\n", ColumnMap(time="t"), r"the column map names no data"),
-        ("t,gx,gy,gz\n\0", None, r"is no text file"),
+        ("t,gx,gy,gz\n\0", None, r"is not a text file"),
     ],
 )
 def test_what_cannot_be_read_says_what_to_do(
@@ -592,7 +592,7 @@ def test_a_time_of_day_goes_on_past_midnight(tmp_path: Path) -> None:
 
 def test_an_ambiguous_date_is_named_with_its_column(tmp_path: Path) -> None:
     text = "when,time,gx,gy,gz\n" + rows(lambda i: f"x,9/3/2020 12:43:{i:02},0,0,{i}")
-    with pytest.raises(InputError, match=r"column 'time' holds no times, such as '9/3/2020 12:43:00'"):
+    with pytest.raises(InputError, match=r"column 'time' contains no times, such as '9/3/2020 12:43:00'"):
         imu_of(written(tmp_path / "a.csv", text))
 
 

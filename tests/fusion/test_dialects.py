@@ -133,7 +133,7 @@ def test_xsens_counts_tenths_of_milliseconds(part: Part, tmp_path: Path) -> None
 def test_dates_whose_order_is_open_are_refused(part: Part, tmp_path: Path) -> None:
     rows = [f"05/06/2020 12:00:{k // 10:02d}.{k % 10},0,0,{k}" for k in range(300)]
     path = written(tmp_path / "imu.csv", "time,gyro_x,gyro_y,gyro_z\n" + "\n".join(rows) + "\n")
-    with pytest.raises(InputError, match=r"holds no times, such as '05/06/2020"):
+    with pytest.raises(InputError, match=r"contains no times, such as '05/06/2020"):
         open_log(path)
 
 

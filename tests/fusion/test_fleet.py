@@ -405,10 +405,10 @@ def test_what_cannot_be_done_is_refused_at_once(corridor: Corridor, tmp_path: Pa
     refused(corridor("batch", "nowhere", "-o", "../out"), "nowhere: there is no such file or folder")
     refused(corridor("batch", tmp_path / "*.bag", "-o", tmp_path / "out"), "no flight was found")
     foreign = written(tmp_path / "mine" / "thesis.txt", "all of it").parent
-    refused(corridor("batch", flight, "-o", foreign), "holds 'thesis.txt'", "another with -o")
+    refused(corridor("batch", flight, "-o", foreign), "contains 'thesis.txt'", "another with -o")
     refused(corridor("batch", flight, "-o", tmp_path / "o", "--memory", "lots"), "--memory lots", "2GB")
     table = written(tmp_path / "old.csv", "a,b\n1,2\n")
-    refused(corridor("batch", flight, "-o", tmp_path / "o", "--against", table), "is no fleet's table")
+    refused(corridor("batch", flight, "-o", tmp_path / "o", "--against", table), "is not a fleet table")
     scheduler = "tcp://127.0.0.1:9"
     run = corridor("batch", flight, "-o", tmp_path / "o", "--scheduler", scheduler)
     refused(run, f"--scheduler {scheduler}: no scheduler answers", "dask scheduler")

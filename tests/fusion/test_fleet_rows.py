@@ -216,10 +216,15 @@ def test_the_page_shows_what_matters(tmp_path: Path) -> None:
     assert "copy &lt;it&gt; again" in text
     assert "&lt;b&gt;" in text
     assert "<b>" not in text
-    for title in ("Against the earlier batch", "By vehicle", "Distributions", "Drifts over date and vehicle"):
+    for title in (
+        "Comparison with the earlier batch",
+        "By vehicle",
+        "Distributions",
+        "Trends over date and vehicle",
+    ):
         assert title in text
     assert "30 better" in text
-    assert "Drifts: median of the earlier half" in text
+    assert "Trend: median of the earlier half" in text
     assert text.count("<svg role") >= 8
     assert all(quantity.title in text for quantity in QUANTITIES if len(quantity.values(rows)))
 

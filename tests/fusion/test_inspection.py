@@ -552,7 +552,7 @@ def test_the_command_prints_and_writes_the_first_picture(
         ((OFFICE / "README.md",), r"error: .*README.md: "),
         (
             (OFFICE, "--picture", "first.tiff"),
-            r"error: first.tiff: is no name of a picture \(end it in .png or .jpg\)",
+            r"error: first.tiff: is not a picture name \(end it in .png or .jpg\)",
         ),
         (
             (OFFICE, "--picture", "nowhere/first.png"),

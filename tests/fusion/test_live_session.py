@@ -178,7 +178,7 @@ def test_a_recording_that_is_there_is_not_overwritten(tmp_path: Path) -> None:
 def test_another_mcap_file_is_no_recording(tmp_path: Path) -> None:
     path = tmp_path / "other.mcap"
     path.write_bytes(b"\x89MCAP0\r\n")
-    with pytest.raises(InputError, match="no recording of corridor live"):
+    with pytest.raises(InputError, match="not a recording of corridor live"):
         replay(path)
 
 

@@ -165,7 +165,9 @@ def test_it_is_known_by_its_first_bytes_not_its_name(tmp_path: Path) -> None:
 
 def test_refusals_name_the_file_and_the_remedy(tmp_path: Path) -> None:
     writer = Writer()
-    with pytest.raises(InputError, match=r"empty\.BIN: holds no IMU, attitude or filter messages \(set LOG_"):
+    with pytest.raises(
+        InputError, match=r"empty\.BIN: contains no IMU, attitude or filter messages \(set LOG_"
+    ):
         dataflash.open_log(writer.save(tmp_path / "empty.BIN"))
     (tmp_path / "nothing.BIN").touch()
     with pytest.raises(InputError, match="cannot be read"):

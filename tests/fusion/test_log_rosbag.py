@@ -682,11 +682,11 @@ def test_refusals_name_the_file_and_the_remedy(tmp_path: Path) -> None:
         text = bag.types["std_msgs/msg/String"](data="hello")
         bag.write("/chatter", text, START_NS)
     with pytest.raises(
-        InputError, match=r"a\.bag: holds none of the message types .* but std_msgs/msg/String"
+        InputError, match=r"a\.bag: contains none of the message types .* but std_msgs/msg/String"
     ):
         rosbag.open_log(tmp_path / "a.bag")
     (tmp_path / "b.bag").write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
-    with pytest.raises(InputError, match="holds no whole message"):
+    with pytest.raises(InputError, match="contains no whole message"):
         rosbag.open_log(tmp_path / "b.bag")
     header = b"\x04\0\0\0json" + b"\0\0\0\0"
     record = b"\x01" + len(header).to_bytes(8, "little") + header

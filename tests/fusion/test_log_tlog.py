@@ -142,7 +142,7 @@ def test_a_sensors_own_counts_are_refused(tmp_path: Path) -> None:
         message = mavlink2.MAVLink_raw_imu_message(k * 20_000, 0, 0, -16384, 0, 0, 100, 0, 0, 0)
         writer.send(message, UNIX_US + k * 20_000)
     log = tlog.open_log(writer.save(tmp_path / "raw.tlog"))
-    with pytest.raises(InputError, match=r"RAW_IMU holds a sensor's own counts: at rest 16\.4 g"):
+    with pytest.raises(InputError, match=r"RAW_IMU contains a sensor's raw counts: at rest 16\.4 g"):
         log.imu("RAW_IMU")
 
 
@@ -197,7 +197,7 @@ def test_it_is_known_by_its_first_bytes_not_its_name(path: Path, tmp_path: Path)
 def test_refusals_name_the_file_and_the_remedy(tmp_path: Path) -> None:
     writer = Writer()
     writer.send(mavlink2.MAVLink_heartbeat_message(2, 3, 0, 0, 0, 3), UNIX_US)
-    with pytest.raises(InputError, match=r"none\.tlog: holds no IMU, attitude or position messages \(ask"):
+    with pytest.raises(InputError, match=r"none\.tlog: contains no IMU, attitude or position messages \(ask"):
         tlog.open_log(writer.save(tmp_path / "none.tlog"))
 
 

@@ -195,7 +195,7 @@ def test_it_is_known_by_its_first_bytes_not_its_name(tmp_path: Path) -> None:
 def test_refusals_name_the_file_and_the_remedy(tmp_path: Path) -> None:
     writer = Writer()
     writer.formats(ATTITUDE)
-    with pytest.raises(InputError, match=r"empty\.ulg: holds no IMU, attitude or position \(log at least"):
+    with pytest.raises(InputError, match=r"empty\.ulg: contains no IMU, attitude or position \(log at least"):
         ulog.open_log(writer.save(tmp_path / "empty.ulg"))
     (tmp_path / "stub.ulg").write_bytes(ulog.MAGIC + b"\x01")
     with pytest.raises(InputError, match="damaged in its definitions"):

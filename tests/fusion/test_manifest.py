@@ -204,7 +204,7 @@ def test_nothing_half_written(tmp_path: Path) -> None:
         ('log = "a"\n[imu.columns]\ngiro = 1', r"unknown key imu\.columns\.giro = 1 \(did you mean gyro\?\)"),
         (
             'log = "a"\n[imu.columns]\ngyro_unit = "deg"',
-            r"\[imu\] 'deg' is no known unit \(give rad/s, deg/s, mrad/s, mdeg/s, or deg/s/N",
+            r"\[imu\] 'deg' is not a known unit \(give rad/s, deg/s, mrad/s, mdeg/s, or deg/s/N",
         ),
         ('log = "a"\n[imu.columns]\ngyro = ["a", "b"]', r"imu\.columns\.gyro.*required"),
         (
@@ -213,7 +213,7 @@ def test_nothing_half_written(tmp_path: Path) -> None:
         ),
         (
             'log = "a"\n[imu]\ncolumns = "telo"',
-            r"\[imu\] columns = 'telo' is no known map \(did you mean tello\?\)",
+            r"\[imu\] columns = 'telo' is not a known map \(did you mean tello\?\)",
         ),
         ('log = "a"\n[imu]\ncolumns = 3', r"imu\.columns = 3: it should be a table"),
         (

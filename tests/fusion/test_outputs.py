@@ -183,7 +183,7 @@ class TestFolder:
     def test_a_foreign_folder_is_refused_and_kept(self, result: Any, tmp_path: Path) -> None:
         (tmp_path / "out").mkdir()
         (tmp_path / "out" / "thesis.tex").write_text("years of work")
-        with pytest.raises(InputError, match=r"holds 'thesis.tex', which corridor did not write"):
+        with pytest.raises(InputError, match=r"contains 'thesis.tex', which corridor did not write"):
             write_outputs(result, FLIGHT, tmp_path / "out")
         assert names_in(tmp_path / "out") == {"thesis.tex"}
         assert names_in(tmp_path) == {"out"}
@@ -191,17 +191,17 @@ class TestFolder:
     def test_a_table_of_the_users_own_is_not_taken_for_ours(self, result: Any, tmp_path: Path) -> None:
         (tmp_path / "out").mkdir()
         (tmp_path / "out" / "estimates.csv").write_text("t,x\n1,2\n")
-        with pytest.raises(InputError, match=r"holds 'estimates.csv', which corridor did not write"):
+        with pytest.raises(InputError, match=r"contains 'estimates.csv', which corridor did not write"):
             write_outputs(result, FLIGHT, tmp_path / "out")
         (tmp_path / "out" / "summary.json").write_text('{"files": ["estimates.csv"]}')  # no summary of ours
-        with pytest.raises(InputError, match=r"holds 'estimates.csv' and 1 more"):
+        with pytest.raises(InputError, match=r"contains 'estimates.csv' and 1 more"):
             write_outputs(result, FLIGHT, tmp_path / "out")
         assert (tmp_path / "out" / "estimates.csv").read_text() == "t,x\n1,2\n"
 
     def test_a_file_added_to_an_output_is_the_users(self, result: Any, tmp_path: Path) -> None:
         write_outputs(result, FLIGHT, tmp_path / "out", report=False)
         (tmp_path / "out" / "report.html").write_text("mine")
-        with pytest.raises(InputError, match=r"holds 'report.html', which corridor did not write"):
+        with pytest.raises(InputError, match=r"contains 'report.html', which corridor did not write"):
             write_outputs(result, FLIGHT, tmp_path / "out")
 
     def test_a_summary_cannot_name_files_elsewhere(

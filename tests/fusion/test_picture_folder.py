@@ -144,7 +144,7 @@ def test_a_list_of_other_pictures(folder: Path) -> None:
 
 def test_folders_that_hold_none(tmp_path: Path) -> None:
     assert not recognises(tmp_path)
-    with pytest.raises(InputError, match="holds no pictures"):
+    with pytest.raises(InputError, match="contains no pictures"):
         open_folder(tmp_path)
 
 

@@ -370,7 +370,11 @@ def test_flipped_bytes_cost_frames_and_never_pass_for_pictures(mp4: Path, tmp_pa
             b"version https://git-lfs.github.com/spec/v1\noid sha256:ff\n",
             r"pointer of Git LFS.*git lfs pull",
         ),
-        ("b.mp4", b"rubbish", r"does not open as a video: .*\(it is no video or was not written to its end"),
+        (
+            "b.mp4",
+            b"rubbish",
+            r"does not open as a video: .*\(it is not a video, or was not written to its end",
+        ),
         ("a.mp4", b"\0\0\0\x20ftypisom" + bytes(20), r"does not open as a video"),
         ("a.mkv", b"\x1a\x45\xdf\xa3", r"does not open as a video"),
         ("a.mp4", b"<html>not found</html>", r"does not open as a video"),
@@ -389,7 +393,7 @@ def test_sound_alone_is_no_video(tmp_path: Path) -> None:
         frame.sample_rate = 8000
         for packet in [*stream.encode(frame), *stream.encode(None)]:
             file.mux(packet)
-    with pytest.raises(InputError, match=r"a\.mp4: holds no video stream \(give a video with pictures\)"):
+    with pytest.raises(InputError, match=r"a\.mp4: contains no video stream \(give a video with pictures\)"):
         open_log(tmp_path / "a.mp4")
 
 

@@ -227,7 +227,7 @@ def test_opencv_matrix_and_nested_rows(tmp_path: Path) -> None:
         ("rate_hz: 20", "line_delay: no", "line_delay is 'no' .*give seconds from row to row"),
         ("rate_hz: 20", "line_delay: 33", r"line_delay 33 would take 1.58e\+04 s to read 480 rows"),
         ("T_BS:", "T_SB:", r"T_BS is missing \(add T_BS, body from camera; straight ahead"),
-        ("  data: [", "  data: [1.0, ", "T_BS does not hold 16 numbers"),
+        ("  data: [", "  data: [1.0, ", "T_BS does not contain 16 numbers"),
         ("  data: [", "  dat: [", "T_BS.data is missing"),
         ("  cols: 4\n", "  cols: 4\n cols: [", "is not valid YAML in line"),
     ],
@@ -253,7 +253,7 @@ def test_what_is_wrong_in_a_sensor_file_is_named(tmp_path: Path, old: str, new: 
         ),
         ("camera_model: pinhole", "camera_model: omni", "cam0.camera_model is 'omni'"),
         ("resolution: [512, 512]", "resolution: here", "cam0.resolution is 'here', not a list of numbers"),
-        ("  - [0.0, 0.0, 0.0, 1.0]\n", "", "cam0.T_cam_imu does not hold 16 numbers"),
+        ("  - [0.0, 0.0, 0.0, 1.0]\n", "", "cam0.T_cam_imu does not contain 16 numbers"),
         ("  - [0.0, 0.0, 0.0, 1.0]", "  - [0.0, 0.0, 0.5, 1.0]", "cam0.T_cam_imu has the last row"),
     ],
 )
@@ -319,9 +319,9 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     binary.write_bytes(b"\xff\xd8\xff\xe0")
     with pytest.raises(InputError, match="cannot be read as text"):
         Camera.from_yaml(binary)
-    with pytest.raises(InputError, match="does not hold a YAML mapping"):
+    with pytest.raises(InputError, match="does not contain a YAML mapping"):
         read_yaml(written(tmp_path / "sensor.yaml", "- 1\n- 2\n"))
-    with pytest.raises(InputError, match="does not hold a YAML mapping"):
+    with pytest.raises(InputError, match="does not contain a YAML mapping"):
         read_yaml(written(tmp_path / "sensor.yaml", ""))
 
 

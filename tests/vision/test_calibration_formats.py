@@ -307,7 +307,7 @@ def test_a_matrix_alone_is_not_enough(tmp_path: Path) -> None:
 def test_files_of_another_kind(tmp_path: Path) -> None:
     imu = written(tmp_path / "imu.yaml", "gyroscope_noise_density: 1.0e-3\nupdate_rate: 200\n")
     with pytest.raises(
-        InputError, match=r"is no camera calibration, it holds gyroscope_noise_density, update_rate"
+        InputError, match=r"is not a camera calibration: it contains gyroscope_noise_density, update_rate"
     ):
         Camera.from_yaml(imu)
     with pytest.raises(
@@ -317,7 +317,7 @@ def test_files_of_another_kind(tmp_path: Path) -> None:
         Camera.from_yaml(written(tmp_path / "basalt.json", '{"value0": 1}'))
     with pytest.raises(InputError, match=r"is not valid JSON in line 2: Expecting"):
         Camera.from_yaml(written(tmp_path / "cut.json", '{"K": [1, 2],\n"D": [}'))
-    with pytest.raises(InputError, match="does not hold a JSON object"):
+    with pytest.raises(InputError, match="does not contain a JSON object"):
         Camera.from_yaml(written(tmp_path / "list.json", "[1, 2]"))
 
 
@@ -402,7 +402,7 @@ def test_imu_noise_of_kalibr_and_of_the_sample_flight(tmp_path: Path) -> None:
         (NOISE.replace("200.0", "fast"), r"update_rate is 'fast' \(give samples a second\)"),
         (
             "type: IMU\nGyr: {unit: rad/s}\n",
-            r"declares no IMU noise, it holds type, Gyr \(give Kalibr's imu.yaml",
+            r"declares no IMU noise: it contains type, Gyr \(give Kalibr's imu.yaml",
         ),
         ("imu0:\n  gyroscope_noise_density: .nan\n", "imu0.gyroscope_noise_density is nan"),
     ],

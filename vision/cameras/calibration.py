@@ -123,7 +123,7 @@ def _read_content(content: Mapping[str, Any], folder: Path, body_frame: BodyFram
         return _read_matrix_file(content, body_frame)
     if not any(key in content for key in ("resolution", "intrinsics", "camera_model", "T_BS")):
         found = ", ".join(str(key) for key in list(content)[:8]) or "nothing"
-        raise InputError(f"is no camera calibration, it holds {found}", remedy=f"give {FORMATS}")
+        raise InputError(f"is not a camera calibration: it contains {found}", remedy=f"give {FORMATS}")
     return _read_euroc(content, body_frame)
 
 

@@ -43,7 +43,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         kind = "JSON object" if is_json else "YAML mapping"
         raise InputError(
-            f"does not hold a {kind}", file=path, remedy="give lines such as `resolution: [640, 480]`"
+            f"does not contain a {kind}", file=path, remedy="give lines such as `resolution: [640, 480]`"
         )
     return content
 
@@ -186,12 +186,12 @@ def parts_of_transform(value: object, name: str) -> tuple[FloatArray, FloatArray
     except (TypeError, ValueError):
         matrix = np.empty(0)
     if matrix.size != 16:
-        raise InputError(f"{name} does not hold 16 numbers", remedy="give a 4x4 transform, row by row")
+        raise InputError(f"{name} does not contain 16 numbers", remedy="give a 4x4 transform, row by row")
     matrix = matrix.reshape(4, 4)
     if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0]):
         raise InputError(f"{name} has the last row {matrix[3].tolist()}", remedy="it must be [0, 0, 0, 1]")
     if not np.isfinite(matrix).all():
-        raise InputError(f"{name} holds numbers that are not finite", remedy="give a 4x4 transform")
+        raise InputError(f"{name} contains numbers that are not finite", remedy="give a 4x4 transform")
     return nearest_rotation(matrix[:3, :3], f"{name}'s rotation"), matrix[:3, 3].copy()
 
 

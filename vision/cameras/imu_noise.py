@@ -59,7 +59,7 @@ def read_imu_noise(path: str | Path) -> ImuNoise:
     if not any(key in content for key in _DENSITIES):
         found = ", ".join(str(key) for key in list(content)[:8]) or "nothing"
         raise InputError(
-            f"declares no IMU noise, it holds {found}",
+            f"declares no IMU noise: it contains {found}",
             file=path,
             remedy="give Kalibr's imu.yaml or EuRoC's sensor.yaml, with gyroscope_noise_density in rad/s/sqrt(Hz)",
         )

@@ -85,6 +85,7 @@ class _Fields:
         return None
 
     def value(self, names: tuple[str, ...]) -> Any:
+        """Return the value of the first of these names that the file has; None without any."""
         key = self.find(names)
         return None if key is None else self.content[key]
 

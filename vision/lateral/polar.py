@@ -114,6 +114,7 @@ class _Pyramid:
         self._levels = [part.reshape(size) for part, size in zip(parts, sizes, strict=True)]
 
     def fill(self, grey: GreyImage) -> None:
+        """Fill all levels from a picture (h, w)."""
         np.copyto(self._levels[0], grey)
         for large, small in pairwise(self._levels):
             cv2.resize(large, small.shape[::-1], dst=small, interpolation=cv2.INTER_AREA)

@@ -99,7 +99,7 @@ def open_log(path: Path) -> LogContents:
     Raises
     ------
     InputError
-        Where it holds none of them.
+        Where it contains none of them.
     """
     tables, problems = _tables(path)
     series = [
@@ -111,7 +111,7 @@ def open_log(path: Path) -> LogContents:
     ]
     if not series:
         raise InputError(
-            "holds no IMU, attitude or filter messages",
+            "contains no IMU, attitude or filter messages",
             file=path,
             remedy="set LOG_BITMASK to log IMU and attitude, or copy the whole file",
         )

@@ -153,7 +153,7 @@ def open_log(path: Path) -> LogContents:
     series = _series(tables)
     if not series:
         raise InputError(
-            "holds no IMU, attitude or position messages",
+            "contains no IMU, attitude or position messages",
             file=path,
             remedy="ask the vehicle for RAW_IMU and ATTITUDE at a high rate, or copy the whole file",
         )
@@ -346,7 +346,7 @@ def _read_imu(table: _Table) -> WithProblems[ImuStream]:
     weight_m_s2 = float(np.median(np.linalg.norm(np.nan_to_num(accel_m_s2), axis=1)))
     if table.name == "RAW_IMU" and weight_m_s2 > 0.0 and not ONE_G_M_S2[0] < weight_m_s2 < ONE_G_M_S2[1]:
         raise InputError(
-            f"{table.label} holds a sensor's own counts: at rest {weight_m_s2 / 9.80665:.3g} g if they were mG",
+            f"{table.label} contains a sensor's raw counts: at rest {weight_m_s2 / 9.80665:.3g} g if they were mG",
             file=table.file,
             remedy="choose another IMU message, or ask the vehicle for SCALED_IMU",
         )

@@ -113,6 +113,7 @@ class _BoundedReader(io.BufferedReader):
         self.torn = False  # a message began and did not end
 
     def read(self, size: int | None = -1, /) -> bytes:
+        """Read bytes, and note whether a message was cut off; nothing once too much was read."""
         data = super().read(size)
         self.left -= len(data) + 1
         if size is not None and len(data) < size and (data or size != HEADER_BYTES):
@@ -146,7 +147,7 @@ def open_log(path: Path) -> LogContents:
     series = [*_imus(tables), *_attitudes(tables), *local, *_ranges(tables)]
     if not series:
         raise InputError(
-            "holds no IMU, attitude or position",
+            "contains no IMU, attitude or position",
             file=path,
             remedy=f"log at least sensor_combined and {ATTITUDE} (SDLOG_PROFILE), or copy the whole file",
         )

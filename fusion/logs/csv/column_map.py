@@ -26,7 +26,9 @@ def _unit_or_counts(*units: str) -> AfterValidator:
         if unit in units or (is_counts(unit) and unit.rpartition("/")[0] in units):
             return unit
         listed = ", ".join(units)
-        raise ValueError(f"{unit!r} is no known unit: give {listed}, or {units[1]}/N where N counts are one")
+        raise ValueError(
+            f"{unit!r} is not a known unit: give {listed}, or {units[1]}/N where N counts are one"
+        )
 
     return AfterValidator(check)
 

@@ -28,7 +28,7 @@ TOPIC = "imu"
 
 
 def recognises(path: Path) -> bool:
-    """Whether a folder holds the file of a gyroscope."""
+    """Whether a folder contains the file of a gyroscope."""
     return path.is_dir() and GYRO in _tables(path)
 
 

@@ -192,7 +192,7 @@ class RowFormat:
     quoted
         Whether a field may stand in double quotes.
     keep_bad_fields
-        Where a field is no number: whether it becomes NaN and is noted, and ``true``, ``false``, ``null`` and
+        Where a field is not a number: whether it becomes NaN and is noted, and ``true``, ``false``, ``null`` and
         ``none`` are understood; otherwise its whole row is dropped.
     """
 

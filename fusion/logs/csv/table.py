@@ -138,7 +138,7 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
     """
     lines = [_dates_joined(line) for line in read_head(path)]
     if any("\0" in line for line in lines):
-        raise InputError("is no text file", file=path, remedy="give a CSV file")
+        raise InputError("is not a text file", file=path, remedy="give a CSV file")
     rows = [line for line in lines if is_row(line)]
     if not rows:
         raise InputError("is empty", file=path, remedy="the file was not written whole; copy it again")

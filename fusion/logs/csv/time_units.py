@@ -114,7 +114,7 @@ def decimal_to_ns(text: str, unit: TimeUnit) -> int:
     Raises
     ------
     ValueError, OverflowError
-        Where the text is no number, or no finite one.
+        Where the text is not a number, or no finite one.
     """
     scale = NS[unit]
     digits = len(str(scale)) - 1

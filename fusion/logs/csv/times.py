@@ -167,7 +167,7 @@ def _read_pair(layout: Layout, seconds: int, nanoseconds: int, others: list[int]
 
 def _no_times(layout: Layout, index: int, example: str) -> InputError:
     return InputError(
-        f"column {_title(layout, index)!r} holds no times, such as {example!r}",
+        f"column {_title(layout, index)!r} contains no times, such as {example!r}",
         file=layout.path,
         remedy="name the column of the time stamps, time under columns, and its time_unit; dates are written "
         "2020-09-13 12:43:20.5, 2020/09/13 ..., 13.09.2020 ..., 09/13/2020 12:43:20 PM, or without the day",

@@ -142,7 +142,7 @@ class _Assembly:
             path = source.file or self.sources.manifest.log or log.path
             remedy = log.pictures_remedy or VIDEO_HINT.format(log=path.name)
             raise InputError(
-                f"{log.format} without pictures; it holds {holdings(log)}", file=path, remedy=remedy
+                f"{log.format} without pictures; it contains {holdings(log)}", file=path, remedy=remedy
             )
         self._changes["camera"] = source.model_copy(update={"topic": topic})
         return log, topic
@@ -153,7 +153,7 @@ class _Assembly:
         if camera is None:
             missing = log.calibration_file(topic)
             raise InputError(
-                "holds no calibration of the camera" if missing is None else "there is no such file",
+                "contains no calibration of the camera" if missing is None else "there is no such file",
                 file=missing or log.path,
                 remedy="add the calibration: name it with --camera, or under [camera] in flight.toml; where there is "
                 "none, `corridor align` finds the focal length from the flight",
@@ -172,7 +172,7 @@ class _Assembly:
         if topic is None:
             if source.file is not None:
                 raise InputError(
-                    f"holds no {WORDS[kind]}, only {holdings(log)}",
+                    f"contains no {WORDS[kind]}, only {holdings(log)}",
                     file=source.file,
                     remedy=f"name another file under [{TABLES[kind]}], or the columns of this one",
                 )

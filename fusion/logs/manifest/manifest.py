@@ -107,7 +107,7 @@ class StreamSource(BaseModel):
         if isinstance(self.columns, str) and self.columns not in READY_MAPS:
             near = did_you_mean(self.columns, READY_MAPS, cutoff=0.3)
             remedy = near or f"did you mean {' or '.join(READY_MAPS)}?"
-            raise ValueError(f"columns = {self.columns!r} is no known map: {remedy}")
+            raise ValueError(f"columns = {self.columns!r} is not a known map: {remedy}")
         return self
 
 

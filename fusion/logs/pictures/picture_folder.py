@@ -39,7 +39,7 @@ TOPIC = "pictures"
 
 
 def recognises(path: Path) -> bool:
-    """Whether a folder holds pictures."""
+    """Whether a folder contains pictures."""
     return path.is_dir() and any(_is_picture(name) for name in os.listdir(path))
 
 
@@ -74,7 +74,7 @@ def open_folder(
     """
     names = sorted((name for name in os.listdir(path) if _is_picture(name)), key=_natural)
     if not names:
-        raise InputError("holds no pictures", file=path, remedy="give the folder that the pictures lie in")
+        raise InputError("contains no pictures", file=path, remedy="give the folder that the pictures lie in")
     if rate_hz is not None:
         t_ns = start_ns + np.rint((_numbers(names)) * (1e9 / rate_hz)).astype(np.int64)
         return PictureFolder(path, t_ns, tuple(names), ())

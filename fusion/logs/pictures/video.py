@@ -123,7 +123,7 @@ def open_video(
     with open_container(path) as container:
         streams = [stream for stream in container.streams.video if not _is_cover(stream)]
         if not streams:
-            raise InputError("holds no video stream", file=path, remedy="give a video with pictures")
+            raise InputError("contains no video stream", file=path, remedy="give a video with pictures")
         packets, problems = _read_packets(path, container, streams)
         indices = {stream.index: _index(container, stream, packets[stream.index]) for stream in streams}
         told = None if rate_hz is None else Fraction(rate_hz).limit_denominator(10**6)
@@ -152,7 +152,7 @@ def open_video(
         problems += more
         videos[name] = _Video(t_ns, rows, index, number)
     if not videos:
-        raise InputError("holds no frames", file=path, remedy="it was not written whole; copy it again")
+        raise InputError("contains no frames", file=path, remedy="it was not written whole; copy it again")
     return VideoLog(path, videos, note, problems, telemetry)
 
 
@@ -172,7 +172,7 @@ def open_container(path: Path) -> InputContainer:
         container = av.open(str(path.absolute()), "r", options=_LOCAL_VIDEO)
         for stream in container.streams.video:
             if stream.codec_context is None:  # its properties are missing then, too
-                raise InputError("holds a video that nothing here decodes", remedy="convert it to H.264")
+                raise InputError("contains a video that cannot be decoded", remedy="convert it to H.264")
             check_pixels(stream.width or 0, stream.height or 0)
         return container
     except InputError as error:
@@ -182,7 +182,7 @@ def open_container(path: Path) -> InputContainer:
         raise InputError(
             f"does not open as a video: {cause}",
             file=path,
-            remedy="it is no video or was not written to its end: give the original, or repair it",
+            remedy="it is not a video, or was not written to its end: give the original, or repair it",
         ) from error
 
 

@@ -53,7 +53,7 @@ def _unit(name: str, t_ns: TimeArray) -> Iterator[Finding]:
     shortest, longest = STEPS_S[name]
     if step_s < shortest:
         unit = next((unit for factor, unit in _UNITS if shortest <= step_s * factor <= longest), None)
-        guess = f"these look like {unit}" if unit else "these are no nanoseconds"
+        guess = f"these look like {unit}" if unit else "these are not nanoseconds"
         yield Finding(
             Severity.ERROR,
             name,

@@ -2,7 +2,7 @@
 
 Readers convert what a log says it holds; this looks at whether the numbers agree. What would make the answer wrong
 without a sign of it is refused; what is likely, or does little harm, is listed in the flight's ``problems``. A stream
-that never changes is left out: it holds nothing, whatever it claims.
+that never changes is left out: it has no information, whatever it claims.
 """
 
 from __future__ import annotations

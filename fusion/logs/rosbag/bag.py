@@ -145,7 +145,7 @@ def open_log(path: Path) -> LogContents:
     Raises
     ------
     InputError
-        Where rosbags is not installed, the bag cannot be read, or holds no topic that is of use.
+        Where rosbags is not installed, the bag cannot be read, or contains no topic that is of use.
     """
     bag = Bag(path)
     try:
@@ -172,13 +172,13 @@ def _opened(bag: Bag) -> RosLog:
             )
         if told:
             raise InputError(
-                f"none of its messages can be read ({'; '.join(problems) or 'it holds none'})",
+                f"none of its messages can be read ({'; '.join(problems) or 'it contains none'})",
                 file=bag.path,
                 remedy="copy the bag again",
             )
         kinds = sorted({connection.msgtype for connection in bag.connections})
         raise InputError(
-            f"holds none of the message types that are read, but {', '.join(kinds[:6]) or 'nothing'}",
+            f"contains none of the message types that are read, but {', '.join(kinds[:6]) or 'nothing'}",
             file=bag.path,
             remedy="record sensor_msgs/Imu, and Image or CompressedImage with CameraInfo",
         )

@@ -32,7 +32,7 @@ def codec_of(form: str) -> str | None:
 
 
 def is_key_frame(packet: bytes, codec: str) -> bool:
-    """Whether a packet (Annex B) decodes without others: it holds an IDR picture, or parameter sets before one."""
+    """Whether a packet (Annex B) decodes without others: it contains an IDR picture, or parameter sets before one."""
     at = packet.find(b"\x00\x00\x01")
     while 0 <= at < len(packet) - 3:
         kind = packet[at + 3] & 0x1F if codec == "h264" else packet[at + 3] >> 1 & 0x3F
@@ -82,7 +82,7 @@ class EncodedPictures:
     def _read(self, index: int) -> GreyImage:
         before = self.keys[self.keys <= index]
         if not len(before):
-            raise InputError("picture is predicted from a key frame that the bag does not hold")
+            raise InputError("picture is predicted from a key frame that the bag does not contain")
         key = int(before[-1])
         if self._context is None or not (key <= self._fed and (index >= self._fed or index in self._ready)):
             self._begin(key)

@@ -64,7 +64,7 @@ def storages_in(folder: Path) -> list[Path]:
 
 
 def recognises(path: Path) -> bool:
-    """Whether a file begins as a bag does, or a folder holds one of ROS 2."""
+    """Whether a file begins as a bag does, or a folder contains one of ROS 2."""
     if path.is_file():
         return magic_of(path).startswith((ROS1_MAGIC, MCAP_MAGIC, SQLITE_MAGIC))
     if not path.is_dir():
@@ -174,7 +174,7 @@ class Bag:
         recovered.open()
         if recovered.start_time == 0:
             raise InputError(
-                f"holds no whole message ({reason})", file=path, remedy="the recording was cut too early"
+                f"contains no whole message ({reason})", file=path, remedy="the recording was cut too early"
             )
         self.problems += (f"the bag has no sound index ({reason}); it was rebuilt", *recovered.problems)
         return recovered

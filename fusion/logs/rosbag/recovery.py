@@ -221,7 +221,9 @@ def index_mcap(reader: Any) -> str:
     reader.meta_scan()
     counts = reader.statistics.channel_message_counts
     if not counts:
-        raise InputError("holds no whole message", file=reader.path, remedy="the recording was cut too early")
+        raise InputError(
+            "contains no whole message", file=reader.path, remedy="the recording was cut too early"
+        )
     reader.connections = [c._replace(msgcount=counts.get(c.id, 0)) for c in reader.connections]
     for chunk in chunks:
         chunk.channel_count.update(counts)

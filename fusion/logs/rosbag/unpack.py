@@ -119,6 +119,13 @@ class _BoundedFile:
         self._file.close()
 
     def read(self, size: int = -1) -> bytes:
+        """Read unpacked bytes, one piece where no size is given.
+
+        Raises
+        ------
+        InputError
+            Where there are more than the bound.
+        """
         part = bytes(self._file.read(size if size > 0 else _PIECE))
         self._left -= len(part)
         if self._left < 0:
