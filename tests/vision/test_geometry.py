@@ -134,13 +134,19 @@ def test_a_turned_mount_is_like_a_turned_body(
     by_body = measure_lines(
         lines, CAMERA, Attitude(view_roll, view_pitch), Prior(heading_rad=yaw, heading_std_rad=0.1)
     )
-    # Equal to a fraction of sigma: the vote's bins lie elsewhere among the lines.
+    # The vote's bins lie elsewhere among the lines; the fit that starts from them ends at the same axis.
     assert by_mount.accepted == by_body.accepted
     std = by_body.heading_std_rad
-    assert by_mount.heading_rad - heading == pytest.approx(by_body.heading_rad - yaw, abs=0.5 * std)
-    # Where the vote's edge falls on a line's cut-off, what it has beside its peak changes by up to a third.
-    assert by_mount.heading_std_rad == pytest.approx(std, rel=0.35)
-    assert by_mount.elevation_rad == pytest.approx(by_body.elevation_rad, abs=0.3 * by_body.elevation_std_rad)
+    assert by_mount.heading_rad - heading == pytest.approx(by_body.heading_rad - yaw, abs=0.02 * std)
+    # Where the vote's edge falls on a line's cut-off, what it has beside its peak changes: in one of a hundred such
+    # corridors the sigma does by more than a fifth.
+    assert 0.5 < by_mount.heading_std_rad / std < 2.0
+    # The level frame is corrected about the body's own axes: what is roll to one body is pitch in part to the other.
+    turned_rad = abs(yaw - heading)
+    corrections = (by_body.elevation_rad, by_body.roll_correction_rad, by_mount.roll_correction_rad)
+    other_axis_rad = turned_rad * float(np.abs(corrections).max())
+    elevation_bound = 0.02 * by_body.elevation_std_rad + other_axis_rad
+    assert by_mount.elevation_rad == pytest.approx(by_body.elevation_rad, abs=elevation_bound)
     offset_std = by_body.lateral_offset_norm_std
     assert by_mount.lateral_offset_norm == pytest.approx(by_body.lateral_offset_norm, abs=0.3 * offset_std)
 
