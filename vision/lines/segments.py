@@ -358,9 +358,10 @@ def _line_set(
 def edge_components(grey: GreyImage, camera: Camera) -> RecordArray:
     """Return what a picture's connected edges (n,) sum up to, of `vision.lines.edges.COMPONENT`.
 
-    Which pixels make a component does not depend on the lens; their rectified coordinates do.
+    Which pixels make a component does not depend on the lens; their rectified coordinates do. How straight they are
+    shows best at full size.
     """
-    working, picture, is_clean = _size_to_search(grey, camera)
+    working, picture, is_clean = _size_to_search(grey, camera, fine_scale=1.0)
     n_labels, _, _ = _connected(picture, _rectified(working), is_clean)
     work = _workspace(working.height_px, working.width_px)
     parent = work.components.parent[:n_labels]
@@ -413,7 +414,9 @@ def _rectified(camera: Camera) -> Float32Array:
     return points.reshape(camera.height_px, camera.width_px, 2).astype(np.float32)
 
 
-def _size_to_search(grey: GreyImage, camera: Camera) -> tuple[Camera, GreyImage, bool]:
+def _size_to_search(
+    grey: GreyImage, camera: Camera, fine_scale: float = FINE_SCALE
+) -> tuple[Camera, GreyImage, bool]:
     """Choose the size at which lines are searched; return camera and picture of that size, and whether it is clean.
 
     Half the size averages the noise of four pixels, where blur would let neighbouring edges pull at each other over
@@ -427,7 +430,7 @@ def _size_to_search(grey: GreyImage, camera: Camera) -> tuple[Camera, GreyImage,
     if noise > MAX_FINE_NOISE or blockiness > MAX_FINE_BLOCKINESS:
         working = _resized(working, 0.5)
         return working, _scaled(picture, working), False
-    working = _resized(working, FINE_SCALE)
+    working = _resized(working, fine_scale)
     size = (working.width_px, working.height_px)
     return working, np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR), np.uint8), True
 
