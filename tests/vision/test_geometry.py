@@ -322,3 +322,25 @@ def test_before_a_side_wall_two_directions_are_as_good() -> None:
     # Ahead, between the walls, lines across are those of the corridor's end.
     ahead = [(6.0, -0.9, z, 6.0, 0.9, z) for z in np.linspace(-1.0, 1.0, 14)]
     assert measure_lines(of_world(sticking_out + ahead), CAMERA, Attitude(0, 0)).accepted
+
+
+def test_at_the_corner_of_a_building_either_facade_may_be_chosen() -> None:
+    """Seen from outside, both run away from the corner, and one picture cannot tell which is meant."""
+    facades = [
+        (4.0 + a * 0.7, side * a * 0.7, z, 4.0 + b * 0.7, side * b * 0.7, z)
+        for side in (-1, 1)
+        for a, b in ((0.2, 1.4), (1.6, 2.8), (3.0, 4.2))
+        for z in (-1.5, -1.1, -0.4, 0.3, 0.8)
+    ]
+    lines = of_world(facades)
+    m = measure_lines(lines, CAMERA, Attitude(0, 0))
+    assert m.reason is Reason.AMBIGUOUS
+    assert sorted(degrees(h) for h in (m.heading_rad, m.second_heading_rad)) == pytest.approx(
+        [-45, 45], abs=1.0
+    )
+    assert m.second_score > 0.9
+    for heading_rad in (m.heading_rad, m.second_heading_rad):
+        prior = Prior(heading_rad=heading_rad, heading_std_rad=radians(3.0))
+        chosen = measure_lines(lines, CAMERA, Attitude(0, 0), prior)
+        assert chosen.heading_rad == pytest.approx(heading_rad, abs=radians(1.0))
+        assert chosen.heading_std_rad < radians(1.0)
