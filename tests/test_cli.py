@@ -265,7 +265,8 @@ class TestMeasure:
         rows = rows_of(run.out)
         assert [Path(row["image"]).name for row in rows] == ["2.jpg", "10.jpg", "left, then right.jpg"]
         assert [row["timestamp_ns"] for row in rows] == ["2", "10", ""]
-        assert list(rows[0]) == ["image", *(FRAME_DTYPE.names or ())]
+        rival = ["second_heading_rad", "second_score"]
+        assert list(rows[0]) == ["image", *(FRAME_DTYPE.names or ()), *rival]
         assert all(row["reason"] == "ok" and abs(float(row["heading_rad"])) < 0.2 for row in rows)
         assert all(row["innovation_rad"] == row["test_ratio"] == "" for row in rows)
         assert "assuming a horizontal field of view of" in run.err

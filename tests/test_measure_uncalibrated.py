@@ -19,7 +19,7 @@ from fusion.pictures.exif import PictureHeader, read_header
 from fusion.pictures.measure import measure_images
 from fusion.simulate import office_views
 from tests.command import Corridor
-from vision import Camera, FrameMeasurement, InputError, Reason
+from vision import Camera, FrameMeasurement, InputError, Reason, measure_frame
 from vision.cameras.camera import Distortion
 from vision.images import read_image
 
@@ -297,3 +297,12 @@ class TestAssumeViews:
         told: list[tuple[int, int]] = []
         assume_views(sorted(walk[0].iterdir()), progress=lambda done, total: told.append((done, total)))
         assert told == [(i, 6) for i in range(6)]
+
+
+def test_the_table_ends_with_the_next_best_heading(walk: tuple[Path, list[float]], measure: Measure) -> None:
+    picture = walk[0] / "0.png"
+    (row,) = measure(picture, "--fov", str(FOV_DEG)).rows
+    m = measure_frame(read_image(picture), Camera.from_fov(*SIZE, radians(FOV_DEG)))
+    assert list(row)[-2:] == ["second_heading_rad", "second_score"]
+    assert float(row["second_heading_rad"]) == pytest.approx(m.second_heading_rad, abs=1e-6)
+    assert float(row["second_score"]) == pytest.approx(m.second_score, abs=1e-6)

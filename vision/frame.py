@@ -27,7 +27,7 @@ from vision.lateral.learned import corner_lines, corner_scores, learned_mixture,
 from vision.lateral.mixture import CHANCE, OffsetMixture
 from vision.lateral.offset import SAME_ANSWER, LateralFit, OffsetAnswer, answer_of, fit_lateral
 from vision.lateral.polar import polar_picture
-from vision.lateral.walls import wall_is_missing
+from vision.lateral.walls import missing_wall_evidence, wall_is_missing
 from vision.lines.rolling_shutter import lines_at_one_moment, to_picture
 from vision.lines.segments import LineSet, extract_lines
 from vision.measurement import (
@@ -293,9 +293,10 @@ def _offset(
         answer = answer_of(mixture, regions, *known)
         if answer is not None and not isfinite(prior.width_per_height):
             by_lines_alone = float(mixture.likelihood(answer.offset_norm)) / CHANCE
-            if wall_is_missing(
+            walls_seen = missing_wall_evidence(
                 lines.geometry(), heading.line_class, R_corridor_camera, scores, by_lines_alone
-            ):
+            )
+            if wall_is_missing(walls_seen):
                 answer = None
         agree = by_lines and answer and abs(by_lines.offset_norm - answer.offset_norm) < SAME_ANSWER
         if not agree:

@@ -22,8 +22,16 @@ from vision.images import GreyImage, read_image
 
 ASPECT_TOLERANCE = 0.01
 
-#: As `FRAME_DTYPE`, with the picture first; a time only where the file's name is one.
-IMAGE_DTYPE = np.dtype([("image", "O"), ("timestamp_ns", "O"), *FRAME_DTYPE.descr[1:]])
+#: As `FRAME_DTYPE`, with the picture first and the next best heading last; a time only where the file's name is one.
+IMAGE_DTYPE = np.dtype(
+    [
+        ("image", "O"),
+        ("timestamp_ns", "O"),
+        *FRAME_DTYPE.descr[1:],
+        ("second_heading_rad", "f8"),
+        ("second_score", "f8"),
+    ]
+)
 
 
 def find_images(sources: Sequence[Path]) -> list[Path]:
@@ -217,6 +225,8 @@ def _fill(table: Table, row: int, path: Path, t_ns: int | None, measurement: Fra
     table["lateral_offset_norm_std"][row] = measurement.lateral_offset_norm_std
     table["paper_yaw_rad"][row] = measurement.paper_yaw_rad
     table["vision_ms"][row] = measurement.vision_ms
+    table["second_heading_rad"][row] = measurement.second_heading_rad
+    table["second_score"][row] = measurement.second_score
 
 
 class _Overlays:

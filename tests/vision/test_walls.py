@@ -7,8 +7,10 @@ from math import isfinite, radians
 from typing import Any
 
 import numpy as np
+import pytest
 
 from fusion.simulate import SceneConfig, office_views
+from training.missing_wall import LEFT_OUT, fit
 from vision import Attitude, Camera, FrameMeasurement, Prior, measure_frame
 
 CAMERA = replace(Camera.from_fov(320, 240, radians(70.0)), exposure_s=0.008)
@@ -49,3 +51,17 @@ def test_what_is_known_of_the_width_stands_in_for_the_wall() -> None:
     assert answered[1] > answered[0]
     for (m, _), (other, _) in zip(alone, known, strict=True):
         assert m.heading_rad == other.heading_rad
+
+
+def test_the_fit_loses_as_many_ordinary_answers_as_it_may_and_finds_what_tells() -> None:
+    rng = np.random.default_rng(1)
+    is_missing = np.arange(6000) % 3 == 0
+    telling, chance = rng.normal(2.0 * is_missing, 1.0), rng.normal(size=6000)
+    evidence = np.column_stack([np.ones(6000), telling, chance])
+    weights = fit(evidence, is_missing)
+    lost = evidence @ weights > 0.0
+    assert np.mean(lost[~is_missing]) == pytest.approx(LEFT_OUT, abs=0.001)
+    # Two Gaussians of unit variance, 2 apart: their log-odds rise by 2 per unit.
+    assert weights[1] == pytest.approx(2.0, abs=0.2)
+    assert abs(weights[2]) < 0.1
+    assert np.mean(lost[is_missing]) > 0.5

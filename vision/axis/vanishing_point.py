@@ -34,10 +34,14 @@ from vision.types import BoolArray, FloatArray
 
 MAX_REFINEMENT_RAD = radians(4.0)
 INLIER_SIGMA = 3.0
-MIN_SCALE = 0.65  # of the covariance, however well the lines agree
+ROBUST_SIGMA, FIRST_ROBUST_SIGMA = (
+    2.0,
+    4.0,
+)  # scale of the Geman-McClure weights, in the end and to begin with
+NEGLIGIBLE = 5.0  # times that scale, from where a line has no weight
+MIN_SCALE = 0.3  # of the covariance, however well the lines agree
 MIN_FREEDOM = 3  # degrees of freedom: with two, Student's t has no variance
 DIRECTIONS = 45  # in half a turn about the axis
-CORRELATION = 1.2  # edges of one door or skirting board have a common error: so many lines count as one
 
 
 class _Refined(NamedTuple):
@@ -103,14 +107,17 @@ class AxisFit:
 
 @compiled
 def _refine(lines: LineGeometry, psi: float, e: float, prior_e: float, prior_e_std: float) -> _Refined:
-    """Fit the axis by robust Gauss-Newton, from heading psi and elevation e."""
+    """Fit the axis by Gauss-Newton with Geman-McClure's weights, from heading psi and elevation e.
+
+    They fall off smoothly, so that a line that is found a little elsewhere does not enter or leave the fit at once.
+    """
     normal, centre, direction = lines.normal, lines.centre, lines.direction
     sigma, arc = lines.sigma_rad, lines.arc_rad
     n = len(sigma)
     residual = np.empty(n)
     h00 = h01 = h11 = chi2 = total = 0.0
     for iteration in range(12):
-        cut = max(INLIER_SIGMA, 6.0 - iteration)
+        scale = max(ROBUST_SIGMA, FIRST_ROBUST_SIGMA - 0.5 * iteration)
         h00 = h01 = h11 = g0 = g1 = 0.0
         chi2 = total = 0.0
         cp = cos(psi)
@@ -127,10 +134,9 @@ def _refine(lines: LineGeometry, psi: float, e: float, prior_e: float, prior_e_s
             std = sqrt(line_variance(alpha, beta, sigma[i], arc[i]))
             z = r / std
             residual[i] = z
-            if abs(nz) < VERTICAL_SINE or abs(z) >= cut:
+            if abs(nz) < VERTICAL_SINE or abs(z) >= NEGLIGIBLE * scale:
                 continue
-            w = 1.0 - (z / cut) ** 2
-            w = w * w
+            w = 1.0 / (1.0 + (z / scale) ** 2) ** 2
             j0 = -ce * (nx * sp + ny * cp) / std
             j1 = (-se * (nx * cp - ny * sp) - nz * ce) / std
             h00 += w * j0 * j0
@@ -220,7 +226,7 @@ def _covariance(fit: _Refined, excess_variance: float, n_distinct: int) -> Float
         return covariance
     freedom = max(n_distinct - 2, MIN_FREEDOM)
     misfit = fit.chi2 / max(fit.weight - 2.0, 1.0)
-    scale = max(MIN_SCALE, CORRELATION * misfit) / determinant
+    scale = max(MIN_SCALE, misfit) / determinant
     wider = sqrt(1.0 + excess_variance / (h11 * scale))
     scale *= freedom / (freedom - 2.0)
     covariance[0, 0], covariance[1, 1] = h11 * scale * wider * wider, h00 * scale

@@ -24,7 +24,7 @@ from vision.types import FloatArray
 N_BINS = 720
 BIN_RAD = pi / N_BINS
 PEAK_BINS = 4  # a peak exceeds everything within a degree
-ALIGN_STD_RAD = radians(0.10)  # lines along a real corridor are parallel to about this
+ALIGN_STD_RAD = radians(0.07)  # lines along a real corridor are parallel to about this
 INLIER_ODDS = 0.25  # share of lines expected to run along the corridor
 MAX_VARIANCE = (INLIER_ODDS * pi) ** 2 / (2.0 * pi)  # of a line's heading, rad^2, to tell more than chance
 VERTICAL_SINE = (

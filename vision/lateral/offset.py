@@ -52,7 +52,7 @@ MIN_JOINT_PROBABILITY = 0.7
 JOINT_DOUBT = 0.03
 MAX_STD_NORM = 0.12  # of an answer: a wider one is none
 SAME_WIDTH = (
-    0.1  # in the logarithm: where lines and regions differ by more, one of them took a stripe for a corner
+    0.06  # in the logarithm: where lines and regions differ by more, one of them took a stripe for a corner
 )
 
 
