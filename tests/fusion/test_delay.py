@@ -17,7 +17,7 @@ from fusion.estimator.camera_delay import (
     TurnPoint,
     turned_at,
     unknown_delay,
-    with_turn,
+    with_turns,
 )
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import Estimate
@@ -152,7 +152,7 @@ def test_it_stays_within_its_bounds() -> None:
 def test_dead_reckoning_is_kept_thinned_and_read_between_its_points() -> None:
     delay = Delay(0.03)
     for k in range(600):
-        delay = with_turn(delay, k * 5 * MS, 0.1 * k)
+        delay = with_turns(delay, [k * 5 * MS], [0.1 * k])
     t = np.array([p.t_ns for p in delay.turns])
     assert len(t) < 60
     assert (t[2:-1] - t[:-3]).min() >= 20 * MS
