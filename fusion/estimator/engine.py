@@ -160,30 +160,33 @@ class Engine:
                 assert_never(sample)
         return Entry(sample.t_ns, sample, state, tuple(ekf.nodes), frame)
 
-    def carry_on(self, s: State, entries: Sequence[Entry], before: Sensed) -> list[Entry]:
-        """Take good gyroscope samples again behind another state, as many of the next ones as there are; or none.
+    def carry_on(self, s: State, entries: Sequence[Entry], before: Sensed) -> int:
+        """Put good gyroscope samples behind another state: as many of the first entries as are; return how many.
 
         ``before`` is what was sensed in front of them when they were taken before.
         """
         d, checks = s.reckoning, s.checks
         same = s.tilt is before.tilt and checks.gyro is before.gyro
         if not (same and d.mode is Mode.GYRO and checks.installation.agrees_on_imu(before.installation)):
-            return []
+            return 0
         samples: list[ImuSample] = []
         sensed: list[Sensed] = []
         for entry in entries:
-            if type(entry.sample) is not ImuSample or entry.sensed.step is None:
+            sample, found = entry.sample, entry.sensed
+            if found.step is None or type(sample) is not ImuSample:
                 break
-            samples.append(entry.sample)
-            sensed.append(entry.sensed)
+            samples.append(sample)
+            sensed.append(found)
         if not samples:
-            return []
+            return 0
         run = GyroRun(s, samples, sensed, before, self._propagation)
+        for place in range(run.count):
+            entries[place].follow(run, place)
         if run.count:
             last = run.count - 1
             self.ekf.load(s.x, s.P)
             self.ekf.move_to(run.x[last], run.F[last], run.Q, run.P[last])
-        return run.entries()
+        return run.count
 
     def clock_set_back(self, s: State, t_ns: int) -> State:
         """Go on after the samples' clock was set back: what was known is kept, how long ago it was is not."""

@@ -23,7 +23,7 @@ from fusion.estimator.lateral_status import Lateral
 from fusion.estimator.models import FloatArray
 from fusion.estimator.propagation import DeadReckoning, ImuSample, Mode, Propagation
 from fusion.estimator.smoother import Node
-from fusion.estimator.state import Checks, Entry, Sensed, State
+from fusion.estimator.state import Checks, Sensed, State
 from fusion.flight import TimeArray
 from vision.compiled import compiled
 
@@ -78,13 +78,6 @@ class GyroRun:
             (self.x, self.F, self.P, self.Q, self.carried),
         )
         self._delay, self._delay_at = start.delay, 0  # behind so many samples
-
-    def entries(self) -> list[Entry]:
-        """Return the samples that were processed, with the states behind them."""
-        return [
-            Entry.of_run(self, i, sample, sensed)
-            for i, (sample, sensed) in enumerate(zip(self.samples[: self.count], self.sensed, strict=False))
-        ]
 
     def nodes(self, i: int) -> tuple[Node, ...]:
         """Return a sample's step for the smoother."""

@@ -122,22 +122,20 @@ class Entry:
         self,
         t_ns: int,
         sample: Sample,
-        after: State | None,
+        after: State,
         nodes: tuple[Node, ...],
-        frame: FrameResult | None = None,
+        frame: FrameResult | None,
     ) -> None:
         self.t_ns, self.sample, self.frame = t_ns, sample, frame
-        self._after, self._nodes = after, nodes
+        self._after: State | None = after
+        self._nodes = nodes
         self._sensed: Sensed | None = None
         self._run: GyroRun | None = None
         self._place = 0
 
-    @classmethod
-    def of_run(cls, run: GyroRun, place: int, sample: ImuSample, sensed: Sensed) -> Entry:
-        """Take a sample of a run, whose state is put together when it is asked for."""
-        entry = cls(sample.t_ns, sample, None, ())
-        entry._run, entry._place, entry._sensed = run, place, sensed
-        return entry
+    def follow(self, run: GyroRun, place: int) -> None:
+        """Lie behind another state now: a run's, which puts the state together when it is asked for."""
+        self._run, self._place, self._after = run, place, None
 
     @property
     def after(self) -> State:

@@ -91,12 +91,12 @@ class Timeline:
         sensed = self.entries[at - 1].sensed if at > 0 else sensed_behind(before)
         place = 0
         while place < len(entries):
-            run = self.engine.carry_on(replayed[-1].after, entries[place:], sensed)
-            if run:
-                replayed += run
-                new_keys += keys[place : place + len(run)]
-                place += len(run)
-                sensed = run[-1].sensed
+            count = self.engine.carry_on(replayed[-1].after, entries[place:], sensed)
+            if count > 0:
+                replayed += entries[place : place + count]
+                new_keys += keys[place : place + count]
+                place += count
+                sensed = entries[place - 1].sensed
                 continue
             later = entries[place]
             try:
