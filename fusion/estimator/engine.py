@@ -38,7 +38,7 @@ from fusion.estimator.gyro_checks import (
     rate_that_bridges,
     with_sample,
 )
-from fusion.estimator.gyro_run import GyroRun
+from fusion.estimator.gyro_run import GoodSamples, GyroRun
 from fusion.estimator.hypotheses import Hypothesis
 from fusion.estimator.imu_yaw import (
     UNKNOWN_YAW_OFFSET_STD_RAD,
@@ -169,17 +169,10 @@ class Engine:
         same = s.tilt is before.tilt and checks.gyro is before.gyro
         if not (same and d.mode is Mode.GYRO and checks.installation.agrees_on_imu(before.installation)):
             return 0
-        samples: list[ImuSample] = []
-        sensed: list[Sensed] = []
-        for entry in entries:
-            sample, found = entry.sample, entry.sensed
-            if found.step is None or type(sample) is not ImuSample:
-                break
-            samples.append(sample)
-            sensed.append(found)
-        if not samples:
+        good = GoodSamples.first_of(entries)
+        if good is None:
             return 0
-        run = GyroRun(s, samples, sensed, before, self._propagation)
+        run = GyroRun(s, good, before, self._propagation)
         for place in range(run.count):
             entries[place].follow(run, place)
         if run.count:

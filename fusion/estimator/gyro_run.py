@@ -11,6 +11,8 @@ The result is that of `fusion.estimator.engine.Engine.process`, to the bit.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import takewhile
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,12 +25,44 @@ from fusion.estimator.lateral_status import Lateral
 from fusion.estimator.models import FloatArray
 from fusion.estimator.propagation import DeadReckoning, ImuSample, Mode, Propagation
 from fusion.estimator.smoother import Node
-from fusion.estimator.state import Checks, Sensed, State
+from fusion.estimator.state import Checks, Entry, Sample, Sensed, State
 from fusion.flight import TimeArray
 from vision.compiled import compiled
 
 N_CARRIED = 13
 RAW_THETA = 1  # of what is carried, see `_carry_on`
+
+
+class GoodSamples(NamedTuple):
+    """Gyroscope samples in a row that were good when they were processed first, and what was found of each then.
+
+    ``t_ns`` (n,) and ``steps`` (n, 7) are the same for compiled code, rows as in `fusion.estimator.state.Sensed`.
+    """
+
+    samples: Sequence[Sample]
+    sensed: Sequence[Sensed]
+    t_ns: TimeArray
+    steps: FloatArray
+
+    @classmethod
+    def first_of(cls, entries: Sequence[Entry]) -> GoodSamples | None:
+        """Take as many of the first entries as are good ones; None: there is none."""
+        if not entries:
+            return None
+        run, place = entries[0].run, entries[0].place
+        if run is not None:  # the numbers are at hand where the rest of the run follows
+            count = run.count - place
+            last = entries[count - 1] if count <= len(entries) else None
+            if last is not None and last.run is run and last.place == run.count - 1:
+                samples, sensed, t_ns, steps = run.good
+                rest = slice(place, run.count)
+                return cls(samples[rest], sensed[rest], t_ns[rest], steps[rest])
+        good = list(takewhile(lambda entry: entry.sensed.step is not None, entries))
+        if not good:
+            return None
+        t_ns = np.array([entry.t_ns for entry in good])
+        steps = np.array([entry.sensed.step for entry in good])
+        return cls([entry.sample for entry in good], [entry.sensed for entry in good], t_ns, steps)
 
 
 class GyroRun:
@@ -38,12 +72,10 @@ class GyroRun:
     ----------
     start
         The state; a gyroscope carries its heading.
-    samples
-        At least one, each of which was good when it was processed first.
-    sensed
-        What was found of each of them then.
+    good
+        The samples.
     before
-        The same of the state in front of them.
+        What was found in front of them when they were processed first.
     propagation
         Says how noisy a gyroscope is.
     """
@@ -51,24 +83,23 @@ class GyroRun:
     def __init__(
         self,
         start: State,
-        samples: Sequence[ImuSample],
-        sensed: Sequence[Sensed],
+        good: GoodSamples,
         before: Sensed,
         propagation: Propagation,
     ) -> None:
-        self.start, self.samples, self.sensed, self.before = start, samples, sensed, before
-        n = len(samples)
-        t_ns = np.array([sample.t_ns for sample in samples])
-        steps = np.array([s.step for s in sensed])
+        self.start, self.good, self.before = start, good, before
+        n = len(good.samples)
         self.x, self.F = np.empty((n, N_STATES)), np.empty((n, N_STATES, N_STATES))
         self.P, self.Q = np.empty_like(self.F), np.empty((N_STATES, N_STATES))
         self.carried = np.empty((n, N_CARRIED))
         d, offset = start.reckoning, start.lateral.offset
         path, accel = offset.path, offset.accel
         first = np.array((d.theta_rad, d.raw_theta_rad, d.yaw_done_rad, *path, *accel, offset.evidence_age_s))
+        assert d.t_ns is not None
+        assert d.t_gyro_ns is not None
         self.count: int = _carry_on(
-            t_ns,
-            steps,
+            good.t_ns,
+            good.steps,
             start.x,
             start.P,
             first,
@@ -86,7 +117,8 @@ class GyroRun:
 
     def state(self, i: int) -> State:
         """Return the state behind a sample."""
-        sample, sensed = self.samples[i], self.sensed[i]
+        sample, sensed = self.good.samples[i], self.good.sensed[i]
+        assert isinstance(sample, ImuSample)
         theta, raw, yaw_done, t_s, accel_s, a1, a2, path_noise, *accel, age_s = self.carried[i].tolist()
         last, silent_s, density2, n = accel
         _, _, d, _, velocity, width, imu_yaw, axis, lateral, frames, elevation, _, checks = self.start
@@ -104,7 +136,7 @@ class GyroRun:
         reckoning = DeadReckoning(
             sample.t_ns,
             Mode.GYRO,
-            sensed.step[0],
+            float(self.good.steps[i, 0]),
             theta,
             raw,
             sample.t_ns,
@@ -132,7 +164,7 @@ class GyroRun:
         )
 
     def _installation_behind(self, i: int) -> Installation:
-        found, start = self.sensed[i].installation, self.start.checks.installation
+        found, start = self.good.sensed[i].installation, self.start.checks.installation
         return start if found is self.before.installation else found.with_frames_of(start)
 
     def _delay_behind(self, i: int) -> Delay | None:
@@ -142,7 +174,7 @@ class GyroRun:
             self._delay, self._delay_at = self.start.delay, 0
         assert self._delay is not None
         rows = slice(self._delay_at, i + 1)
-        times = [sample.t_ns for sample in self.samples[rows]]
+        times = [sample.t_ns for sample in self.good.samples[rows]]
         self._delay = with_turns(self._delay, times, self.carried[rows, RAW_THETA].tolist())
         self._delay_at = i + 1
         return self._delay

@@ -149,7 +149,7 @@ class Installation(NamedTuple):
 
     def with_frames_of(self, other: Installation) -> Installation:
         """Take over what comes from frames; what comes from the IMU stays."""
-        return Installation(*other[:3], *self[3:])
+        return self._replace(span=other.span, last_span=other.last_span, sums=other.sums)
 
     def notices(self, down: Vector) -> Iterator[Notice]:
         """Say what is installed otherwise than told; ``down`` is that of the attitude in use, body FRD.

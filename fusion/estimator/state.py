@@ -114,9 +114,14 @@ class Entry:
         Its steps for the smoother.
     frame
         What became of it, where it is a frame.
+
+    Attributes
+    ----------
+    run, place
+        Where a late sample has put it behind another state together with others, its place among them.
     """
 
-    __slots__ = ("_after", "_nodes", "_place", "_run", "_sensed", "frame", "sample", "t_ns")
+    __slots__ = ("_after", "_nodes", "_sensed", "frame", "place", "run", "sample", "t_ns")
 
     def __init__(
         self,
@@ -128,28 +133,29 @@ class Entry:
     ) -> None:
         self.t_ns, self.sample, self.frame = t_ns, sample, frame
         self._after: State | None = after
-        self._nodes = nodes
+        self._nodes: tuple[Node, ...] | None = nodes
         self._sensed: Sensed | None = None
-        self._run: GyroRun | None = None
-        self._place = 0
+        self.run: GyroRun | None = None
+        self.place = 0
 
     def follow(self, run: GyroRun, place: int) -> None:
         """Lie behind another state now: a run's, which puts the state together when it is asked for."""
-        self._run, self._place, self._after = run, place, None
+        self.run, self.place, self._after, self._nodes = run, place, None, None
 
     @property
     def after(self) -> State:
         """The engine's state behind the sample."""
         if self._after is None:
-            self._resolve()
-        assert self._after is not None
+            assert self.run is not None
+            self._after = self.run.state(self.place)
         return self._after
 
     @property
     def nodes(self) -> tuple[Node, ...]:
         """The sample's steps for the smoother."""
-        if self._run is not None:
-            self._resolve()
+        if self._nodes is None:
+            assert self.run is not None
+            self._nodes = self.run.nodes(self.place)
         return self._nodes
 
     @property
@@ -158,11 +164,6 @@ class Entry:
         if self._sensed is None:
             self._sensed = sensed_behind(self.after, self.sample)
         return self._sensed
-
-    def _resolve(self) -> None:
-        run, self._run = self._run, None
-        assert run is not None
-        self._after, self._nodes = run.state(self._place), run.nodes(self._place)
 
 
 def sensed_behind(state: State, sample: Sample | None = None) -> Sensed:
