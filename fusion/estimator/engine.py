@@ -38,7 +38,7 @@ from fusion.estimator.gyro_checks import (
     rate_that_bridges,
     with_sample,
 )
-from fusion.estimator.gyro_run import GoodSamples, GyroRun
+from fusion.estimator.gyro_run import GoodSamples, GyroRun, compile_gyro_run
 from fusion.estimator.hypotheses import Hypothesis
 from fusion.estimator.imu_yaw import (
     UNKNOWN_YAW_OFFSET_STD_RAD,
@@ -97,6 +97,7 @@ class Engine:
         self._propagation = Propagation(config)
         self._lateral = LateralOffset(config, camera_arm_m)
         tilts.compile_tilt()
+        compile_gyro_run()
 
     def initial_state(self) -> State:
         """Return the state before any sample."""

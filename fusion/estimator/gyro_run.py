@@ -11,6 +11,7 @@ The result is that of `fusion.estimator.engine.Engine.process`, to the bit.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from itertools import takewhile
 from typing import NamedTuple
 
@@ -46,7 +47,7 @@ class GoodSamples(NamedTuple):
 
     @classmethod
     def first_of(cls, entries: Sequence[Entry]) -> GoodSamples | None:
-        """Take as many of the first entries as are good ones; None: there is none."""
+        """Take as many of the first entries as are good; None where the first is not."""
         if not entries:
             return None
         run, place = entries[0].run, entries[0].place
@@ -130,7 +131,7 @@ class GyroRun:
             Path(t_s, accel_s, a1, a2, path_noise),
             Acceleration(last, silent_s, density2, int(n)),
             offset.roll,
-            offset.open2,
+            offset.spread2,
             age_s,
         )
         reckoning = DeadReckoning(
@@ -178,6 +179,23 @@ class GyroRun:
         self._delay = with_turns(self._delay, times, self.carried[rows, RAW_THETA].tolist())
         self._delay_at = i + 1
         return self._delay
+
+
+@cache
+def compile_gyro_run() -> None:
+    """Compile, or load what was compiled, when an estimator is made: not at its first late frame, in flight."""
+    n = N_STATES
+    out = (
+        np.empty((1, n)),
+        np.empty((1, n, n)),
+        np.empty((1, n, n)),
+        np.empty((n, n)),
+        np.empty((1, N_CARRIED)),
+    )
+    times = (0, 0, 1_000_000_000)
+    t_ns, steps = np.array([1_000_000]), np.array([(0.0,) * 7])
+    noise, x, P, carried = (1.0,) * 3, np.zeros(n), np.eye(n), np.zeros(N_CARRIED)
+    _carry_on(t_ns, steps, x, P, carried, times, (0.0,) * 4, noise, out)
 
 
 @compiled
