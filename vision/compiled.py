@@ -21,11 +21,13 @@ def compiled(function: F) -> F:
     IEEE arithmetic, no fast maths: code that has just been compiled is inlined otherwise than code from the cache,
     and with contractions the two would differ in the last bits.
     """
+    # Nobody calls it from C: without a wrapper for that it is compiled in less time.
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     try:
-        return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+        return cast(F, numba.njit(cache=True, **options)(function))
     except RuntimeError:
         _say_that_nothing_is_kept()
-        return cast(F, numba.njit(nogil=True, error_model="numpy")(function))
+        return cast(F, numba.njit(**options)(function))
 
 
 @cache

@@ -30,6 +30,7 @@ brought to the right time; the roll and pitch that it was measured with stay tho
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import hypot, nan, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -215,13 +216,16 @@ def spread_by_delay(heading_std_rad: float, delay: Delay | None, t_ns: int) -> f
     return hypot(heading_std_rad, delay.heading_per_s(t_ns) * sqrt(delay.variance))
 
 
-def with_turn(delay: Delay, t_ns: int, theta_rad: float) -> Delay:
-    """Add the newest of the dead reckoning; of three points within 20 ms the middle one makes way, as do old ones."""
-    turns = delay.turns
-    if len(turns) > 1 and t_ns - turns[-2].t_ns < STEP_NS:
-        turns = turns[:-1]
-    first = 1 if turns and t_ns - turns[0].t_ns > KEPT_NS else 0
-    return delay._replace(turns=(*turns[first:], TurnPoint(t_ns, theta_rad)))
+def with_turns(delay: Delay, t_ns: Sequence[int], theta_rad: Sequence[float]) -> Delay:
+    """Add dead reckoning, in order of time; of three points within 20 ms the middle one makes way, as do old ones."""
+    turns, first = list(delay.turns), 0
+    for t, theta in zip(t_ns, theta_rad, strict=True):
+        if len(turns) - first > 1 and t - turns[-2].t_ns < STEP_NS:
+            turns.pop()
+        if len(turns) > first and t - turns[first].t_ns > KEPT_NS:
+            first += 1
+        turns.append(TurnPoint(t, theta))
+    return delay._replace(turns=tuple(turns[first:]))
 
 
 def turned_at(turns: tuple[TurnPoint, ...], t_ns: int) -> float:

@@ -61,7 +61,7 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         """Move to ``x_next`` (3,), with ``F`` its derivative and ``Q`` the noise gained."""
         P = np.empty_like(self.P)
         predicted(self.P, F, Q, P)
-        self._moved(x_next, F, Q, P)
+        self.move_to(x_next, F, Q, P)
 
     def widen(self, index: int, variance: float) -> None:
         """Add to the variance of one state."""
@@ -85,7 +85,7 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         """
         x, F, P, Q = np.empty(N_STATES), np.empty(_SQUARE), np.empty(_SQUARE), self._Q
         stepped(self.x, self.P, x, F, Q, P, dt_s, turned_rad, *noise, heading_variance)
-        self._moved(x, F, Q, P)
+        self.move_to(x, F, Q, P)
 
     def update(
         self, measurement: ScalarMeasurement | None, gate_sigma: float = float("inf"), R: float | None = None
@@ -129,7 +129,8 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         """Take a state (3,) that a measurement implies beside its update; the covariance stays."""
         self._measured(x, self.P)
 
-    def _moved(self, x: FloatArray, F: FloatArray, Q: FloatArray, P: FloatArray) -> None:
+    def move_to(self, x: FloatArray, F: FloatArray, Q: FloatArray, P: FloatArray) -> None:
+        """Take over a prediction: state (3,) and covariance (3, 3) after it, its transition and noise (3, 3)."""
         self.F, self.Q = F, Q
         self.x = self.x_prior = x
         self.P = self.P_prior = P

@@ -8,6 +8,7 @@ order.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import nan, pi, sqrt
 from typing import assert_never
 
@@ -25,7 +26,7 @@ from fusion.estimator.camera_delay import (
     turned_since_exposure,
     unknown_delay,
     with_axis,
-    with_turn,
+    with_turns,
 )
 from fusion.estimator.camera_elevation import Elevation
 from fusion.estimator.config import FusionConfig
@@ -37,6 +38,7 @@ from fusion.estimator.gyro_checks import (
     rate_that_bridges,
     with_sample,
 )
+from fusion.estimator.gyro_run import GoodSamples, GyroRun, compile_gyro_run
 from fusion.estimator.hypotheses import Hypothesis
 from fusion.estimator.imu_yaw import (
     UNKNOWN_YAW_OFFSET_STD_RAD,
@@ -67,7 +69,7 @@ from fusion.estimator.propagation import (
 from fusion.estimator.range_width import RangeSample, Width
 from fusion.estimator.sample_times import SampleTimes, seconds_since
 from fusion.estimator.seed import HeadingSeed, WidthChange, seed_heading
-from fusion.estimator.state import Checks, Entry, Sample, State
+from fusion.estimator.state import Checks, Entry, Sample, Sensed, State
 from fusion.estimator.velocity import VelocitySample, with_velocity
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 from vision.rotations import wrap_axis, yaw_of_quaternion
@@ -95,6 +97,7 @@ class Engine:
         self._propagation = Propagation(config)
         self._lateral = LateralOffset(config, camera_arm_m)
         tilts.compile_tilt()
+        compile_gyro_run()
 
     def initial_state(self) -> State:
         """Return the state before any sample."""
@@ -131,10 +134,10 @@ class Engine:
         reckoning = self._propagation.ahead(s.reckoning, ekf, t_ns)
         return s._replace(x=ekf.x, P=ekf.P, reckoning=reckoning, lateral=lateral)
 
-    def process(self, state: State, sample: Sample, earlier: tuple[State, State] | None = None) -> Entry:
+    def process(self, state: State, sample: Sample, earlier: tuple[Sensed, Sensed] | None = None) -> Entry:
         """Take the next sample.
 
-        ``earlier`` are the states before and behind it when it was taken before: what no late sample has changed
+        ``earlier`` is what was sensed before and behind it when it was taken before: what no late sample has changed
         since, a frame's heading changes neither tilt nor gyroscope, is not computed again.
         """
         ekf, frame = self.ekf, None
@@ -157,6 +160,27 @@ class Engine:
             case _:
                 assert_never(sample)
         return Entry(sample.t_ns, sample, state, tuple(ekf.nodes), frame)
+
+    def carry_on(self, s: State, entries: Sequence[Entry], before: Sensed) -> int:
+        """Put good gyroscope samples behind another state: as many of the first entries as are; return how many.
+
+        ``before`` is what was sensed in front of them when they were taken before.
+        """
+        d, checks = s.reckoning, s.checks
+        same = s.tilt is before.tilt and checks.gyro is before.gyro
+        if not (same and d.mode is Mode.GYRO and checks.installation.agrees_on_imu(before.installation)):
+            return 0
+        good = GoodSamples.first_of(entries)
+        if good is None:
+            return 0
+        run = GyroRun(s, good, before, self._propagation)
+        for place in range(run.count):
+            entries[place].follow(run, place)
+        if run.count:
+            last = run.count - 1
+            self.ekf.load(s.x, s.P)
+            self.ekf.move_to(run.x[last], run.F[last], run.Q, run.P[last])
+        return run.count
 
     def clock_set_back(self, s: State, t_ns: int) -> State:
         """Go on after the samples' clock was set back: what was known is kept, how long ago it was is not."""
@@ -202,14 +226,14 @@ class Engine:
             body_rates_rad_s=(p, q, r) if d.mode is Mode.GYRO else None,
         )
 
-    def _imu(self, s: State, sample: ImuSample, earlier: tuple[State, State] | None = None) -> State:
+    def _imu(self, s: State, sample: ImuSample, earlier: tuple[Sensed, Sensed] | None = None) -> State:
         t_ns = sample.t_ns
         before, repeats, installed = s.checks
         installed = installed.with_imu(t_ns, sample.gyro_rad_s, sample.accel_m_s2, s.tilt.down)
         known = None
-        if earlier is not None and earlier[0].tilt is s.tilt and earlier[0].checks.gyro is before:
+        if earlier is not None and earlier[0].tilt is s.tilt and earlier[0].gyro is before:
             known = earlier[1]
-        judged = with_sample(before, sample, self.config) if known is None else known.checks.gyro
+        judged = with_sample(before, sample, self.config) if known is None else known.gyro
         checks = Checks(judged, repeats, installed)
         if not checks.gyro.is_used:
             return self._held(s, t_ns, s.frames)._replace(checks=checks)
@@ -228,7 +252,7 @@ class Engine:
         delay = s.delay
         if delay is not None:
             delay = delay if d.mode is s.reckoning.mode else delay.interrupted()
-            delay = with_turn(delay, t_ns, d.raw_theta_rad)
+            delay = with_turns(delay, (t_ns,), (d.raw_theta_rad,))
         _, _, _, _, velocity, width, imu_yaw, axis, _, frames, elevation, _, _ = s
         x, P = self.ekf.x, self.ekf.P
         return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
@@ -239,7 +263,7 @@ class Engine:
         return s._replace(reckoning=s.reckoning._replace(gyro_rad_s=gyro_rad_s, rate_rad_s=rate))
 
     def _attitude(
-        self, s: State, sample: AttitudeSample, earlier: tuple[State, State] | None = None
+        self, s: State, sample: AttitudeSample, earlier: tuple[Sensed, Sensed] | None = None
     ) -> State:
         q = sample.unit()
         yaw_rad = yaw_of_quaternion(q)

@@ -143,6 +143,14 @@ class Installation(NamedTuple):
             turning_rad2_s2=mean + gain * (turning - mean),
         )
 
+    def agrees_on_imu(self, other: Installation) -> bool:
+        """Whether the IMU's samples have left the same; what comes from frames may differ."""
+        return self is other or self[3:] == other[3:]
+
+    def with_frames_of(self, other: Installation) -> Installation:
+        """Take over what comes from frames; what comes from the IMU stays."""
+        return self._replace(span=other.span, last_span=other.last_span, sums=other.sums)
+
     def notices(self, down: Vector) -> Iterator[Notice]:
         """Say what is installed otherwise than told; ``down`` is that of the attitude in use, body FRD.
 

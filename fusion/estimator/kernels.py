@@ -7,7 +7,7 @@ more than filling one of the caller's. What the numbers mean is said in `fusion.
 
 from __future__ import annotations
 
-from math import sqrt
+from math import nan, sqrt
 
 import numpy as np
 
@@ -19,6 +19,7 @@ Quaternion = tuple[float, float, float, float]
 
 PSI, BIAS, YAW_OFFSET = range(3)
 N_STATES = 3
+NO_FORCE = (nan, nan, nan)  # where an accelerometer has no sample
 STATE_NAMES = ("heading_rad", "gyro_bias_rad_s", "imu_yaw_offset_rad")
 
 

@@ -106,11 +106,7 @@ class LateralOffset:
         """Take a propagation step."""
         if step.dt_s <= 0.0 and step.accel_m_s2 is None:
             return lateral if lateral.step is None else lateral._replace(step=None)
-        force = step.accel_m_s2
-        if force is not None:
-            (x, y, z), most = force, MAX_FORCE_M_S2
-            if not (-most < x < most and -most < y < most and -most < z < most):
-                force = None
+        force = usable_force(step.accel_m_s2)
         offset = propagate(lateral.offset, step.dt_s, step.heading_rad, force, step.down)
         return Lateral(offset, None, *lateral[2:])  # half the time that _replace takes
 
@@ -206,6 +202,14 @@ class LateralOffset:
             return 0.0
         ahead_m, right_m = self.camera_arm_m
         return (ahead_m * sin(heading_rad) + right_m * cos(heading_rad)) / half_m
+
+
+def usable_force(force: Vector | None) -> Vector | None:
+    """Return a specific force (3,), m/s^2; None where there is none, or one that no vehicle flies with."""
+    if force is None:
+        return None
+    (x, y, z), most = force, MAX_FORCE_M_S2
+    return force if -most < x < most and -most < y < most and -most < z < most else None
 
 
 def offset_model(config: FusionConfig) -> OffsetModel:

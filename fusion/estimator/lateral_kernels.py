@@ -7,16 +7,84 @@ to the hypotheses follows in `fusion.estimator.lateral_mixture_kernels`.
 
 from __future__ import annotations
 
-from math import exp, expm1
+from math import cos, exp, expm1, sin, sqrt
 
 import numpy as np
 
+from fusion.estimator.kernels import Vector
 from vision.compiled import compiled
 from vision.types import FloatArray
 
 Y, V, C, S = range(4)
 N_LATERAL = 4
 ACCEL_SHARE = 0.9  # of a path over which the accelerometer must have spoken
+MAX_SILENCE_S = 0.1  # of the accelerometer, until which its last sample is held
+ROUGHNESS_SAMPLES = 100
+
+PathNumbers = tuple[float, float, float, float, float]
+AccelerationNumbers = tuple[float, float, float, int]
+
+
+@compiled
+def levelled(force: Vector, down: Vector, roll_rad: float) -> tuple[float, float]:
+    """Specific force forward and right in the level frame, m/s^2.
+
+    Parameters
+    ----------
+    force
+        Body FRD.
+    down
+        Unit vector of gravity's direction in the body.
+    roll_rad
+        Further roll of the level frame by which the frames' verticals correct it.
+    """
+    dx, dy, dz = down
+    fx, fy, fz = force
+    horizontal = max(sqrt(dy * dy + dz * dz), 0.09)
+    right = (dz * fy - dy * fz) / horizontal
+    along = dx * fx + dy * fy + dz * fz
+    forward = (fx - dx * along) / horizontal
+    return forward, right - roll_rad * along
+
+
+@compiled
+def lengthened(
+    path: PathNumbers,
+    accel: AccelerationNumbers,
+    dt_s: float,
+    heading_rad: float,
+    force: Vector,
+    down: Vector,
+    roll_rad: float,
+) -> tuple[PathNumbers, AccelerationNumbers]:
+    """Carry a path on by ``dt_s`` with the accelerometer's sample at its end, NaN where there is none.
+
+    ``path`` and ``accel`` are the numbers of a `fusion.estimator.lateral_offset.Path` and ``Acceleration``; the
+    other arguments are as in `levelled`.
+    """
+    t_s, accel_s, a1, a2, noise = path
+    last, silent_s, density2, n = accel
+    if force[0] == force[0]:
+        forward, right = levelled(force, down, roll_rad)
+        a = sin(heading_rad) * forward + cos(heading_rad) * right
+        mean = 0.5 * (a + last) if n else a
+        if n:
+            n = min(n + 1, ROUGHNESS_SAMPLES)
+            density2 += (0.5 * (a - last) ** 2 * (silent_s + dt_s) - density2) / n
+        else:
+            n = 1
+        last, silent_s = a, 0.0
+    else:
+        mean = last
+        silent_s += dt_s
+    if n and silent_s <= MAX_SILENCE_S:
+        accel_s += dt_s
+        a2 += (a1 + 0.5 * mean * dt_s) * dt_s
+        a1 += mean * dt_s
+        noise += density2 * dt_s
+    else:
+        a2 += a1 * dt_s
+    return (t_s + dt_s, accel_s, a1, a2, noise), (last, silent_s, density2, n)
 
 
 @compiled

@@ -50,17 +50,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache, reduce
-from math import cos, exp, expm1, isfinite, nan, sin, sqrt
+from math import cos, exp, expm1, isfinite, nan, sin
 from typing import NamedTuple
 
 import numpy as np
 
+from fusion.estimator.kernels import NO_FORCE
 from fusion.estimator.lateral_kernels import (
     N_LATERAL,
     S,
     Y,
     correct_all,
     fill_transition,
+    lengthened,
     moved_along,
 )
 from fusion.estimator.lateral_mixture_kernels import summarised, take_frame
@@ -76,8 +78,6 @@ FIRST_FRAME_S = (
 )
 START_SPREAD_NORM = 0.05  # u before the first frame
 SUPPORTED = 0.5  # belief in a frame from which on it confirms the likeliest hypothesis
-MAX_SILENCE_S = 0.1  # of the accelerometer, until which its last sample is held
-ROUGHNESS_SAMPLES = 100
 ROLL_WALK = 0.006  # rad/sqrt(s) that the attitude's roll strays
 SPEED_SIGMA = 3.0  # from which on a velocity is doubted
 ROLL_TIME_S = 0.3  # over which errors of the frames' verticals resemble each other
@@ -185,29 +185,6 @@ def in_new_corridor(state: OffsetState) -> OffsetState:
     return nothing_known()._replace(accel=state.accel, roll=state.roll)
 
 
-def levelled(
-    force: tuple[float, float, float], down: tuple[float, float, float], roll_rad: float
-) -> tuple[float, float]:
-    """Specific force forward and right in the level frame, m/s^2.
-
-    Parameters
-    ----------
-    force
-        Body FRD.
-    down
-        Unit vector of gravity's direction in the body.
-    roll_rad
-        Further roll of the level frame by which the frames' verticals correct it.
-    """
-    dx, dy, dz = down
-    fx, fy, fz = force
-    horizontal = max(sqrt(dy * dy + dz * dz), 0.09)
-    right = (dz * fy - dy * fz) / horizontal
-    along = dx * fx + dy * fy + dz * fz
-    forward = (fx - dx * along) / horizontal
-    return forward, right - roll_rad * along
-
-
 def propagate(
     state: OffsetState,
     dt_s: float,
@@ -216,31 +193,13 @@ def propagate(
     down: tuple[float, float, float],
 ) -> OffsetState:
     """Carry the state on by ``dt_s`` with the accelerometer's sample at its end; None: there is none there."""
-    t_s, accel_s, a1, a2, noise = state.path
-    last, silent_s, density2, n = state.accel
+    path, accel = lengthened(
+        (*state.path,), (*state.accel,), dt_s, heading_rad, force or NO_FORCE, down, state.roll.mean
+    )
     age_s = state.evidence_age_s + dt_s
-    if force is not None:
-        forward, right = levelled(force, down, state.roll.mean)
-        a = sin(heading_rad) * forward + cos(heading_rad) * right
-        mean = 0.5 * (a + last) if n else a
-        if n:
-            n = min(n + 1, ROUGHNESS_SAMPLES)
-            density2 += (0.5 * (a - last) ** 2 * (silent_s + dt_s) - density2) / n
-        else:
-            n = 1
-        last, silent_s = a, 0.0
-    else:
-        mean = last
-        silent_s += dt_s
-    if n and silent_s <= MAX_SILENCE_S:
-        accel_s += dt_s
-        a2 += (a1 + 0.5 * mean * dt_s) * dt_s
-        a1 += mean * dt_s
-        noise += density2 * dt_s
-    else:
-        a2 += a1 * dt_s
-    path, accel = Path(t_s + dt_s, accel_s, a1, a2, noise), Acceleration(last, silent_s, density2, n)
-    return OffsetState(state.x, state.P, state.weight, path, accel, state.roll, state.spread2, age_s)
+    return OffsetState(
+        state.x, state.P, state.weight, Path(*path), Acceleration(*accel), state.roll, state.spread2, age_s
+    )
 
 
 def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tuple[FloatArray, FloatArray]:

@@ -114,13 +114,13 @@ class Propagation:
 
     def __init__(self, config: FusionConfig) -> None:
         self.config = config
-        self._grace_ns = round(config.gyro_gap_s * 1e9)
-        self._noise = {mode: _noise(mode, config) for mode in Mode}
-        self._scale_variance_s = config.gyro_scale_std**2 * SCALE_TIME_S
+        self.grace_ns = round(config.gyro_gap_s * 1e9)
+        self.noise = {mode: _noise(mode, config) for mode in Mode}
+        self.scale_variance_s = config.gyro_scale_std**2 * SCALE_TIME_S
 
     def mean_gyro(self, d: DeadReckoning, sample: ImuSample) -> Vector:
         """Mean rate since the last sample; that of the newest where the last one is too old."""
-        if d.t_gyro_ns is None or sample.t_ns - d.t_gyro_ns > self._grace_ns:
+        if d.t_gyro_ns is None or sample.t_ns - d.t_gyro_ns > self.grace_ns:
             return sample.gyro_rad_s
         p, q, r = d.gyro_rad_s
         new_p, new_q, new_r = sample.gyro_rad_s
@@ -279,12 +279,12 @@ class Propagation:
         bias_turn = float(ekf.x[BIAS]) * dt_s
         if mode is Mode.GYRO:
             variance += self._scale_variance(turned_rad - bias_turn, dt_s)
-        ekf.advance(dt_s, turned_rad, self._noise[mode], variance)
+        ekf.advance(dt_s, turned_rad, self.noise[mode], variance)
         return turned_rad, turned_rad - bias_turn
 
     def _leave_silent_gyro(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
         """Go over to the attitude's yaw, or to a constant rate, where the gyroscope has fallen silent."""
-        silent = d.t_gyro_ns is not None and t_ns - d.t_gyro_ns > self._grace_ns
+        silent = d.t_gyro_ns is not None and t_ns - d.t_gyro_ns > self.grace_ns
         if d.mode is Mode.GYRO and silent:
             return self._with_mode(d, ekf, Mode.ATTITUDE if self._attitude_lives(d, t_ns) else Mode.NONE)
         return d
@@ -308,7 +308,7 @@ class Propagation:
         variance = self.held_rate_variance(d, t_ns)
         if d.mode is Mode.GYRO:
             variance += self._scale_variance(turned - float(ekf.x[BIAS]) * dt_s, dt_s)
-        ekf.advance(dt_s, turned, self._noise[d.mode], variance)
+        ekf.advance(dt_s, turned, self.noise[d.mode], variance)
         return d._replace(t_ns=t_ns)
 
     def clock_set_back(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
@@ -318,11 +318,11 @@ class Propagation:
 
     def _scale_variance(self, turned_rad: float, dt_s: float) -> float:
         """Heading variance gained by a turn through the error of the gyroscope's scale."""
-        return self._scale_variance_s * turned_rad * turned_rad / dt_s if dt_s > 0.0 else 0.0
+        return self.scale_variance_s * turned_rad * turned_rad / dt_s if dt_s > 0.0 else 0.0
 
     def _silence_variance(self, d: DeadReckoning, ekf: CorridorEKF, end_ns: int) -> float:
         """Heading variance gained up to a time in which the gyroscope should have spoken and did not."""
-        if d.t_gyro_ns is None or d.t_ns is None or end_ns - d.t_gyro_ns <= self._grace_ns:
+        if d.t_gyro_ns is None or d.t_ns is None or end_ns - d.t_gyro_ns <= self.grace_ns:
             return 0.0
         grace = self.config.gyro_gap_s
         first = max((d.t_ns - d.t_gyro_ns) * 1e-9 - grace, 0.0)

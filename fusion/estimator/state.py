@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from fusion.estimator.camera_delay import Delay
 from fusion.estimator.camera_elevation import Elevation
 from fusion.estimator.camera_repeats import Repeats
 from fusion.estimator.corridor_axis import CorridorAxis
 from fusion.estimator.frame_update import FrameResult, FrameSample
-from fusion.estimator.gyro_checks import GyroCheck
+from fusion.estimator.gyro_checks import GyroCheck, GyroVerdict
 from fusion.estimator.imu_yaw import AttitudeSample, ImuYaw
 from fusion.estimator.installation_checks import Installation
+from fusion.estimator.kernels import NO_FORCE
+from fusion.estimator.lateral import usable_force
 from fusion.estimator.lateral_status import Lateral
-from fusion.estimator.models import FloatArray
+from fusion.estimator.models import FloatArray, level_yaw_rate
 from fusion.estimator.propagation import DeadReckoning, ImuSample
 from fusion.estimator.range_width import RangeSample, Width
 from fusion.estimator.sample_times import SampleTimes
@@ -21,6 +23,9 @@ from fusion.estimator.seed import HeadingSeed, WidthChange
 from fusion.estimator.smoother import Node
 from fusion.estimator.tilt import Tilt
 from fusion.estimator.velocity import Velocity, VelocitySample
+
+if TYPE_CHECKING:
+    from fusion.estimator.gyro_run import GyroRun
 
 Sample = ImuSample | AttitudeSample | VelocitySample | RangeSample | FrameSample | HeadingSeed | WidthChange
 
@@ -79,7 +84,24 @@ class State(NamedTuple):
         return self.reckoning.t_ns
 
 
-class Entry(NamedTuple):
+class Sensed(NamedTuple):
+    """What no late frame changes of the state behind a sample: `fusion.estimator.gyro_run` does not find it again.
+
+    Parameters
+    ----------
+    tilt, gyro, installation
+        Parts of the state; of the installation only what comes from the IMU.
+    step
+        Of a good gyroscope sample: level yaw rate, force (3,) or NaN, direction of gravity (3,); None of others.
+    """
+
+    tilt: Tilt
+    gyro: GyroCheck
+    installation: Installation
+    step: tuple[float, ...] | None = None
+
+
+class Entry:
     """A sample, and what the engine made of it.
 
     Parameters
@@ -92,10 +114,62 @@ class Entry(NamedTuple):
         Its steps for the smoother.
     frame
         What became of it, where it is a frame.
+
+    Attributes
+    ----------
+    run, place
+        Where a late sample has put it behind another state together with others, its place among them.
     """
 
-    t_ns: int
-    sample: Sample
-    after: State
-    nodes: tuple[Node, ...]
-    frame: FrameResult | None
+    __slots__ = ("_after", "_nodes", "_sensed", "frame", "place", "run", "sample", "t_ns")
+
+    def __init__(
+        self,
+        t_ns: int,
+        sample: Sample,
+        after: State,
+        nodes: tuple[Node, ...],
+        frame: FrameResult | None,
+    ) -> None:
+        self.t_ns, self.sample, self.frame = t_ns, sample, frame
+        self._after: State | None = after
+        self._nodes: tuple[Node, ...] | None = nodes
+        self._sensed: Sensed | None = None
+        self.run: GyroRun | None = None
+        self.place = 0
+
+    def follow(self, run: GyroRun, place: int) -> None:
+        """Lie behind another state now: a run's, which puts the state together when it is asked for."""
+        self.run, self.place, self._after, self._nodes = run, place, None, None
+
+    @property
+    def after(self) -> State:
+        """The engine's state behind the sample."""
+        if self._after is None:
+            assert self.run is not None
+            self._after = self.run.state(self.place)
+        return self._after
+
+    @property
+    def nodes(self) -> tuple[Node, ...]:
+        """The sample's steps for the smoother."""
+        if self._nodes is None:
+            assert self.run is not None
+            self._nodes = self.run.nodes(self.place)
+        return self._nodes
+
+    @property
+    def sensed(self) -> Sensed:
+        """What no late frame changes."""
+        if self._sensed is None:
+            self._sensed = sensed_behind(self.after, self.sample)
+        return self._sensed
+
+
+def sensed_behind(state: State, sample: Sample | None = None) -> Sensed:
+    """Return what no late frame changes of the state behind a sample, or of the first one."""
+    tilt, gyro, step = state.tilt, state.checks.gyro, None
+    if isinstance(sample, ImuSample) and gyro.verdict is GyroVerdict.GOOD and gyro.clipped_from_ns is None:
+        force = usable_force(sample.accel_m_s2) or NO_FORCE
+        step = (level_yaw_rate(sample.gyro_rad_s, tilt.down), *force, *tilt.down)
+    return Sensed(tilt, gyro, state.checks.installation, step)

@@ -10,12 +10,12 @@ leaks towards level, with a large standard deviation.
 from __future__ import annotations
 
 from functools import cache
-from math import asin, atan2, hypot, inf, nan, radians, sqrt
+from math import asin, atan2, hypot, inf, radians, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from fusion.estimator.kernels import FloatArray, Quaternion, Vector, corrected_down, turned_down
+from fusion.estimator.kernels import NO_FORCE, FloatArray, Quaternion, Vector, corrected_down, turned_down
 from fusion.flight import TimeArray
 from vision.compiled import compiled
 from vision.measurement import Attitude
@@ -32,7 +32,6 @@ START_GAIN_1_S = 5.0  # settles within a second on the first accelerometer sampl
 START_S = 1.0
 LEVEL_LEAK_1_S = 0.2
 MAX_STEP_S = 0.2  # over which one rate is held
-NO_FORCE = (nan, nan, nan)
 ACCEL_TOLERANCE = 0.15  # |accel| / g - 1 at which the accelerometer no longer shows gravity
 
 

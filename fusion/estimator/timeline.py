@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from fusion.estimator.engine import Engine
-from fusion.estimator.state import SOURCES, Entry, Sample, State
+from fusion.estimator.state import SOURCES, Entry, Sample, State, sensed_behind
 
 
 class Timeline:
@@ -86,16 +86,28 @@ class Timeline:
 
     def _replay(self, at: int, key: tuple[int, int], entry: Entry, before: State) -> None:
         """Put an entry in its place, behind a state, and process anew what lies behind it."""
+        keys, entries = self._keys[at:], self.entries[at:]
         new_keys, replayed = [key], [entry]
-        for later_key, later in zip(self._keys[at:], self.entries[at:], strict=True):
+        sensed = self.entries[at - 1].sensed if at > 0 else sensed_behind(before)
+        place = 0
+        while place < len(entries):
+            count = self.engine.carry_on(replayed[-1].after, entries[place:], sensed)
+            if count > 0:
+                replayed += entries[place : place + count]
+                new_keys += keys[place : place + count]
+                place += count
+                sensed = entries[place - 1].sensed
+                continue
+            later = entries[place]
             try:
-                earlier = (before, later.after)
+                earlier = (sensed, later.sensed)
                 replayed.append(self.engine.process(replayed[-1].after, later.sample, earlier))
-                new_keys.append(later_key)
+                new_keys.append(keys[place])
             except Exception:
                 self.counters[f"{SOURCES[type(later.sample)].name}_failed"] += 1
                 self.engine.ekf.load(replayed[-1].after.x, replayed[-1].after.P)
-            before = later.after
+            sensed = later.sensed
+            place += 1
         self._keys[at:], self.entries[at:] = new_keys, replayed
         self.state = replayed[-1].after
 

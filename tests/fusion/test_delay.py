@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fusion.estimator.camera_delay import (
     AxisFilter,
@@ -17,7 +19,7 @@ from fusion.estimator.camera_delay import (
     TurnPoint,
     turned_at,
     unknown_delay,
-    with_turn,
+    with_turns,
 )
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import Estimate
@@ -152,7 +154,7 @@ def test_it_stays_within_its_bounds() -> None:
 def test_dead_reckoning_is_kept_thinned_and_read_between_its_points() -> None:
     delay = Delay(0.03)
     for k in range(600):
-        delay = with_turn(delay, k * 5 * MS, 0.1 * k)
+        delay = with_turns(delay, [k * 5 * MS], [0.1 * k])
     t = np.array([p.t_ns for p in delay.turns])
     assert len(t) < 60
     assert (t[2:-1] - t[:-3]).min() >= 20 * MS
@@ -177,3 +179,19 @@ def test_the_axis_filter_is_a_kalman_filter_of_axis_and_bias() -> None:
     assert (found.angle_rad, found.bias_rad_s) == pytest.approx(tuple(x + K * 0.05))
     assert (found.P[0], found.P[1], found.P[2]) == pytest.approx((P[0, 0], P[0, 1], P[1, 1]))
     assert found.per_s == pytest.approx(tuple(D + K * -0.7))
+
+
+@given(st.lists(st.integers(1, 120), min_size=1, max_size=80), st.integers(0, 80))
+def test_turns_at_once_are_those_one_by_one(steps_ms: list[int], first: int) -> None:
+    times = np.cumsum(steps_ms).tolist()
+    times = [t * MS for t in times]
+    angles = [0.01 * k for k in range(len(times))]
+    one_by_one = Delay(0.02)
+    for t_ns, angle in zip(times, angles, strict=True):
+        one_by_one = with_turns(one_by_one, [t_ns], [angle])
+    begun = with_turns(Delay(0.02), times[:first], angles[:first])
+    assert with_turns(begun, times[first:], angles[first:]) == one_by_one
+    assert one_by_one.turns[-1] == (times[-1], angles[-1])
+    assert all(
+        c.t_ns - a.t_ns >= 20 * MS for a, c in zip(one_by_one.turns, one_by_one.turns[2:], strict=False)
+    )

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.estimator.lateral_kernels import S, V, Y
+from fusion.estimator.lateral_kernels import S, V, Y, levelled
 from fusion.estimator.lateral_mixture_kernels import MAX_SPREAD_NORM, spread_about
 from fusion.estimator.lateral_offset import (
     MAX_HYPOTHESES,
@@ -24,7 +24,6 @@ from fusion.estimator.lateral_offset import (
     frame_evidence,
     in_new_corridor,
     lasting_variance,
-    levelled,
     moments,
     nothing_known,
     propagate,

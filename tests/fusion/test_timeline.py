@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import random
-from dataclasses import asdict
+from dataclasses import asdict, fields, is_dataclass
 from math import radians
 from typing import Any
 
@@ -36,6 +36,17 @@ SAMPLES.insert(200, Sample("velocity", 1_503 * MS, 0, ((0.8, 0.1, 0.0),)))
 SAMPLES.sort(key=lambda s: s.t_ns)
 
 
+def bits(value: Any) -> Any:
+    """All numbers of a state, such that only those of the same bits are equal, NaN with NaN."""
+    if isinstance(value, np.ndarray):
+        return value.tobytes()
+    if isinstance(value, tuple | list):
+        return [bits(v) for v in value]
+    if is_dataclass(value):
+        return [bits(getattr(value, f.name)) for f in fields(value)]
+    return value.hex() if isinstance(value, float) else value
+
+
 class Recorder:
     """Keeps what leaves the buffer, to the last bit."""
 
@@ -43,19 +54,13 @@ class Recorder:
         self.seen: list[tuple[Any, ...]] = []
 
     def __call__(self, entry: Entry) -> None:
-        state = entry.after
         result = entry.frame
         self.seen.append(
             (
                 entry.t_ns,
                 type(entry.sample).__name__,
-                state.x.tobytes(),
-                state.P.tobytes(),
-                state.reckoning.theta_rad,
-                state.axis.corridor_index,
-                state.axis.corridor_turn_rad,
-                state.elevation,
-                state.tilt,
+                bits(entry.after),
+                [bits((n.F, n.x_prior, n.P_prior, n.x, n.P)) for n in entry.nodes],
                 None if result is None else (result.accepted, result.reason, repr(result.test_ratio)),
             )
         )

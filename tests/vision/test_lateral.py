@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fusion.simulate.single_views import office_views
 from vision import Attitude, Camera, FrameMeasurement, Prior, measure_frame, measure_lines
 from vision.lateral.corner_candidates import CORNER, MAX_CORNERS, CornerCandidates
-from vision.lateral.corner_pairs import N_EVIDENCE, PAIR, PictureCorners, pair_corners
+from vision.lateral.corner_pairs import N_EVIDENCE, PAIR, PictureCorners, pair_corners, rising_order
 from vision.lateral.hypotheses import (
     HYPOTHESIS,
     POSITION_TERMS,
@@ -196,3 +196,10 @@ def test_simulated_corridors_have_hardly_a_wrong_corner() -> None:
     assert len(error) >= 0.35 * accepted
     assert wrong.sum() <= 1
     assert np.percentile(np.abs(error) / np.array(sigma), 90) < 2.6
+
+
+@given(st.lists(st.floats(-5.0, 5.0), max_size=300))
+def test_order_of_offsets_is_a_permutation_that_sorts(values: list[float]) -> None:
+    order = rising_order(np.array(values, dtype=float)).tolist()
+    assert sorted(order) == list(range(len(values)))
+    assert [values[i] for i in order] == sorted(values)

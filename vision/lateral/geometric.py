@@ -16,7 +16,7 @@ from math import exp, log
 import numpy as np
 
 from vision.compiled import compiled
-from vision.lateral.corner_pairs import N_EVIDENCE, PictureCorners
+from vision.lateral.corner_pairs import N_EVIDENCE, PictureCorners, rising_order
 from vision.lateral.hypotheses import (
     JOINT_WINDOW,
     MAX_LOG_ODDS,
@@ -85,9 +85,9 @@ def corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std:
     n, m = len(pairs), len(picture.ceiling.pair)
     evidence = picture.floor.evidence.view(np.float64).reshape(n, N_EVIDENCE)
     rows = np.zeros((2 * n + m, 4))
-    # Contiguous as the other arrays that are sorted: the sort is compiled once.
+    # Contiguous as the other array that is sorted: the sort is compiled once.
     offsets = picture.ceiling.pair["offset"].copy()
-    order = np.argsort(offsets)
+    order = rising_order(offsets)
     offsets = offsets[order]
     sums = _ceiling_components(picture, weights, roll_std, order, rows)
     for f in range(n):

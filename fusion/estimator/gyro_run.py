@@ -1,0 +1,274 @@
+"""A run of gyroscope samples that only carry the state on, processed again in one compiled call.
+
+A late frame changes what was known when the samples behind it were taken: heading, its covariance, and the lateral
+offset. It changes neither the tilt nor what was found of the gyroscope. So most samples are replayed by a few numbers
+of arithmetic each. The state behind one of them is put together when something asks for it: before the sample has
+left the buffer that is seldom the case.
+
+The result is that of `fusion.estimator.engine.Engine.process`, to the bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from itertools import takewhile
+from typing import NamedTuple
+
+import numpy as np
+
+from fusion.estimator.camera_delay import Delay, with_turns
+from fusion.estimator.installation_checks import Installation
+from fusion.estimator.kernels import BIAS, N_STATES, PSI, stepped
+from fusion.estimator.lateral_kernels import lengthened
+from fusion.estimator.lateral_offset import Acceleration, OffsetState, Path
+from fusion.estimator.lateral_status import Lateral
+from fusion.estimator.models import FloatArray
+from fusion.estimator.propagation import DeadReckoning, ImuSample, Mode, Propagation
+from fusion.estimator.smoother import Node
+from fusion.estimator.state import Checks, Entry, Sample, Sensed, State
+from fusion.flight import TimeArray
+from vision.compiled import compiled
+
+N_CARRIED = 13
+RAW_THETA = 1  # of what is carried, see `_carry_on`
+
+
+class GoodSamples(NamedTuple):
+    """Gyroscope samples in a row that were good when they were processed first, and what was found of each then.
+
+    ``t_ns`` (n,) and ``steps`` (n, 7) are the same for compiled code, rows as in `fusion.estimator.state.Sensed`.
+    """
+
+    samples: Sequence[Sample]
+    sensed: Sequence[Sensed]
+    t_ns: TimeArray
+    steps: FloatArray
+
+    @classmethod
+    def first_of(cls, entries: Sequence[Entry]) -> GoodSamples | None:
+        """Take as many of the first entries as are good; None where the first is not."""
+        if not entries:
+            return None
+        run, place = entries[0].run, entries[0].place
+        if run is not None:  # the numbers are at hand where the rest of the run follows
+            count = run.count - place
+            last = entries[count - 1] if count <= len(entries) else None
+            if last is not None and last.run is run and last.place == run.count - 1:
+                samples, sensed, t_ns, steps = run.good
+                rest = slice(place, run.count)
+                return cls(samples[rest], sensed[rest], t_ns[rest], steps[rest])
+        good = list(takewhile(lambda entry: entry.sensed.step is not None, entries))
+        if not good:
+            return None
+        t_ns = np.array([entry.t_ns for entry in good])
+        steps = np.array([entry.sensed.step for entry in good])
+        return cls([entry.sample for entry in good], [entry.sensed for entry in good], t_ns, steps)
+
+
+class GyroRun:
+    """Samples in a row behind a state.
+
+    Parameters
+    ----------
+    start
+        The state; a gyroscope carries its heading.
+    good
+        The samples.
+    before
+        What was found in front of them when they were processed first.
+    propagation
+        Says how noisy a gyroscope is.
+    """
+
+    def __init__(
+        self,
+        start: State,
+        good: GoodSamples,
+        before: Sensed,
+        propagation: Propagation,
+    ) -> None:
+        self.start, self.good, self.before = start, good, before
+        n = len(good.samples)
+        self.x, self.F = np.empty((n, N_STATES)), np.empty((n, N_STATES, N_STATES))
+        self.P, self.Q = np.empty_like(self.F), np.empty((N_STATES, N_STATES))
+        self.carried = np.empty((n, N_CARRIED))
+        d, offset = start.reckoning, start.lateral.offset
+        path, accel = offset.path, offset.accel
+        first = np.array((d.theta_rad, d.raw_theta_rad, d.yaw_done_rad, *path, *accel, offset.evidence_age_s))
+        assert d.t_ns is not None
+        assert d.t_gyro_ns is not None
+        self.count: int = _carry_on(
+            good.t_ns,
+            good.steps,
+            start.x,
+            start.P,
+            first,
+            (d.t_ns, d.t_gyro_ns, propagation.grace_ns),
+            (d.rate_rad_s, d.gyro_done_rad, offset.roll.mean, propagation.scale_variance_s),
+            (*propagation.noise[Mode.GYRO],),
+            (self.x, self.F, self.P, self.Q, self.carried),
+        )
+        self._delay, self._delay_at = start.delay, 0  # behind so many samples
+
+    def nodes(self, i: int) -> tuple[Node, ...]:
+        """Return a sample's step for the smoother."""
+        x, P = self.x[i], self.P[i]
+        return (Node(self.F[i], x, P, x, P),)
+
+    def state(self, i: int) -> State:
+        """Return the state behind a sample."""
+        sample, sensed = self.good.samples[i], self.good.sensed[i]
+        assert isinstance(sample, ImuSample)
+        theta, raw, yaw_done, t_s, accel_s, a1, a2, path_noise, *accel, age_s = self.carried[i].tolist()
+        last, silent_s, density2, n = accel
+        _, _, d, _, velocity, width, imu_yaw, axis, lateral, frames, elevation, _, checks = self.start
+        offset = lateral.offset
+        offset = OffsetState(
+            offset.x,
+            offset.P,
+            offset.weight,
+            Path(t_s, accel_s, a1, a2, path_noise),
+            Acceleration(last, silent_s, density2, int(n)),
+            offset.roll,
+            offset.spread2,
+            age_s,
+        )
+        reckoning = DeadReckoning(
+            sample.t_ns,
+            Mode.GYRO,
+            float(self.good.steps[i, 0]),
+            theta,
+            raw,
+            sample.t_ns,
+            sample.gyro_rad_s,
+            0.0,
+            d.yaw_rad,
+            yaw_done,
+            d.attitude,
+            d.stored_gyro_bias,
+        )
+        return State(
+            self.x[i],
+            self.P[i],
+            reckoning,
+            sensed.tilt,
+            velocity,
+            width,
+            imu_yaw,
+            axis,
+            Lateral(offset, None, *lateral[2:]),
+            frames,
+            elevation,
+            self._delay_behind(i),
+            Checks(sensed.gyro, checks.repeats, self._installation_behind(i)),
+        )
+
+    def _installation_behind(self, i: int) -> Installation:
+        found, start = self.good.sensed[i].installation, self.start.checks.installation
+        return start if found is self.before.installation else found.with_frames_of(start)
+
+    def _delay_behind(self, i: int) -> Delay | None:
+        if self._delay is None:
+            return None
+        if self._delay_at > i + 1:
+            self._delay, self._delay_at = self.start.delay, 0
+        assert self._delay is not None
+        rows = slice(self._delay_at, i + 1)
+        times = [sample.t_ns for sample in self.good.samples[rows]]
+        self._delay = with_turns(self._delay, times, self.carried[rows, RAW_THETA].tolist())
+        self._delay_at = i + 1
+        return self._delay
+
+
+@cache
+def compile_gyro_run() -> None:
+    """Compile, or load what was compiled, when an estimator is made: not at its first late frame, in flight."""
+    n = N_STATES
+    out = (
+        np.empty((1, n)),
+        np.empty((1, n, n)),
+        np.empty((1, n, n)),
+        np.empty((n, n)),
+        np.empty((1, N_CARRIED)),
+    )
+    times = (0, 0, 1_000_000_000)
+    t_ns, steps = np.array([1_000_000]), np.array([(0.0,) * 7])
+    noise, x, P, carried = (1.0,) * 3, np.zeros(n), np.eye(n), np.zeros(N_CARRIED)
+    _carry_on(t_ns, steps, x, P, carried, times, (0.0,) * 4, noise, out)
+
+
+@compiled
+def _carry_on(
+    t_ns: TimeArray,
+    steps: FloatArray,
+    x: FloatArray,
+    P: FloatArray,
+    carried: FloatArray,
+    times_ns: tuple[int, int, int],
+    numbers: tuple[float, float, float, float],
+    noise: tuple[float, float, float],
+    out: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
+) -> int:
+    """Process samples as the engine does where a gyroscope carries the heading; return how many could be.
+
+    It ends before a gap in the gyroscope's samples.
+
+    Parameters
+    ----------
+    t_ns, steps
+        Times (n,), and rows (n, 7) as in `fusion.estimator.state.Sensed`.
+    x, P
+        State (3,) and covariance (3, 3) of the filter.
+    carried
+        What else is carried on (13,): dead-reckoned heading, the same with the bias, yaw since the last attitude;
+        the path's five and the acceleration's four numbers; age of the evidence.
+    times_ns
+        Of the state, of the last gyroscope sample, and the longest gap.
+    numbers
+        Last level yaw rate, angle propagated since then, roll correction, and variance of the scale, s.
+    noise
+        Of the process.
+    out
+        Filled: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3) of the last step, carried (n, 13).
+    """
+    last_ns, gyro_ns, grace_ns = times_ns
+    last_rate, done, roll, scale_variance_s = numbers
+    heading_noise, bias_noise, offset_noise = noise
+    x_out, F_out, P_out, Q, carried_out = out
+    theta, raw_theta, yaw_done = carried[0], carried[1], carried[2]
+    path = (carried[3], carried[4], carried[5], carried[6], carried[7])
+    accel = (carried[8], carried[9], carried[10], int(carried[11]))
+    age_s = carried[12]
+    for k in range(len(t_ns)):
+        dt_s = (t_ns[k] - last_ns) * 1e-9
+        if t_ns[k] - gyro_ns > grace_ns or not dt_s > 0.0:
+            return k
+        rate = steps[k, 0]
+        force, down = (steps[k, 1], steps[k, 2], steps[k, 3]), (steps[k, 4], steps[k, 5], steps[k, 6])
+        path, accel = lengthened(path, accel, dt_s, x[PSI], force, down, roll)
+        age_s += dt_s
+        turned = 0.5 * (last_rate + rate) * (t_ns[k] - gyro_ns) * 1e-9 - done
+        corrected = turned - x[BIAS] * dt_s
+        variance = scale_variance_s * corrected * corrected / dt_s
+        stepped(
+            x,
+            P,
+            x_out[k],
+            F_out[k],
+            Q,
+            P_out[k],
+            dt_s,
+            turned,
+            heading_noise,
+            bias_noise,
+            offset_noise,
+            variance,
+        )
+        theta, raw_theta, yaw_done = theta + corrected, raw_theta + turned, yaw_done + corrected
+        x, P, last_ns, gyro_ns, last_rate, done = x_out[k], P_out[k], t_ns[k], t_ns[k], rate, 0.0
+        row = carried_out[k]
+        row[0], row[1], row[2], row[12] = theta, raw_theta, yaw_done, age_s
+        row[3], row[4], row[5], row[6], row[7] = path
+        row[8], row[9], row[10], row[11] = accel
+    return len(t_ns)
