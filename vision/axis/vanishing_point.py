@@ -34,11 +34,9 @@ from vision.types import BoolArray, FloatArray
 
 MAX_REFINEMENT_RAD = radians(4.0)
 INLIER_SIGMA = 3.0
-ROBUST_SIGMA, FIRST_ROBUST_SIGMA = (
-    2.0,
-    4.0,
-)  # scale of the Geman-McClure weights, in the end and to begin with
-NEGLIGIBLE = 5.0  # times that scale, from where a line has no weight
+# Scale of the Geman-McClure weights, to begin with and in the end, and times that scale from where a line has none.
+FIRST_ROBUST_SIGMA, ROBUST_SIGMA = 4.0, 2.0
+NEGLIGIBLE = 5.0
 MIN_SCALE = 0.3  # of the covariance, however well the lines agree
 MIN_FREEDOM = 3  # degrees of freedom: with two, Student's t has no variance
 DIRECTIONS = 45  # in half a turn about the axis
