@@ -14,23 +14,25 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import VOTE_SPACING_S, CorridorAxis, Recovery, recover
 from fusion.estimator.frame_noise import white_and_walk
 from fusion.estimator.hypotheses import (
+    LOOK_S,
     MIN_POINTS,
     SHORT_S,
     SPANS_S,
     Diagnosis,
+    Drift,
+    Evidence,
     Hypothesis,
-    InertialNoise,
     Innovations,
     Sight,
     Slope,
     Told,
     Verdict,
-    evidence_over,
     judge,
     unseen_leap,
     with_sight,
 )
 from fusion.estimator.imu_yaw import yaw_at
+from fusion.estimator.imu_yaw_check import InertialNoise, TurnBeside
 from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, heading_model
 from fusion.estimator.propagation import DeadReckoning
 
@@ -112,6 +114,7 @@ def weigh(
         axis = axis._replace(anchor_rad=axis.anchor_rad + bend_rate(before, ekf) * elapsed_s)
     kept = exp(-interval_s / SHORT_S)
     refused_share = kept * before.refused_share + (0.0 if axis.was_accepted else 1.0 - kept)
+    beside = TurnBeside(new.t_ns, new.raw_theta_rad, new.yaw_rad, new.bias_rad_s, new.bias_variance)
     sights = with_sight(before.sights, new, round(0.9 * VOTE_SPACING_S * 1e9))
     now = before._replace(
         refused_share=refused_share,
@@ -119,10 +122,11 @@ def weigh(
         sights=sights,
         verdict=Verdict(),
         leap_rad=unseen_leap(before.sights, new, float(ekf.x[BIAS])),
+        yaw_doubt=before.yaw_doubt.compared(beside, _inertial_noise(config)),
     )
     if now.leap_rad:
         now = now._replace(told=Told(Hypothesis.SPIKE, new.t_ns))
-    due = now.judged_ns is None or new.t_ns - now.judged_ns >= SHORT_S * 1e9
+    due = now.judged_ns is None or new.t_ns - now.judged_ns >= LOOK_S * 1e9
     if not (innovations.systematic or due) or sights[-1] is not new:
         return axis._replace(diagnosis=now), None
     verdict, drift = _judge_spans(now, ekf, config)
@@ -136,24 +140,30 @@ def weigh(
 
 
 def _judge_spans(d: Diagnosis, ekf: CorridorEKF, config: FusionConfig) -> tuple[Verdict, Slope | None]:
-    """Judge over each span; keep the verdict that finds most amiss, and how far the filter is off the drift."""
+    """Judge over each span: the shortest that shows something wrong tells most of now, else the one most in doubt.
+
+    Returned besides is the drift of the frames from what the filter predicts.
+    """
     last = d.sights[-MIN_POINTS:]
     jumped = d.innovations.systematic and 2 * sum(not s.linked for s in last) > MIN_POINTS
-    refused, psi_rad = d.refused_share > REFUSED_SHARE, float(ekf.x[PSI])
-    noise = InertialNoise(
-        config.gyro_noise, config.offset_walk, config.imu_yaw_std_rad, config.gyro_scale_std
-    )
-    verdict, slope = Verdict(), None
+    refused = d.refused_share > REFUSED_SHARE
+    drift = Drift(d.sights, float(ekf.x[PSI]), _inertial_noise(config))
+    verdict, evidence = Verdict(), Evidence()
     for span_s in SPANS_S:
-        evidence = evidence_over(span_s, d.sights, psi_rad, noise)
-        evidence = evidence._replace(jumped=jumped, refused=refused, yaw_astray=d.yaw_astray)
-        found = judge(evidence, d.found)
-        if slope is None or found.of(Hypothesis.WELL) < verdict.of(Hypothesis.WELL):
-            verdict, slope = found, evidence.gyro
-            if slope is not None:
-                by_filter = slope.rate_rad_s + float(ekf.x[BIAS]) - evidence.bias_rad_s
-                slope = slope._replace(rate_rad_s=by_filter)
-    return verdict, slope
+        shown = drift.over(span_s)._replace(jumped=jumped, refused=refused, yaw_doubt=d.yaw_doubt)
+        found = judge(shown, d.found)
+        if evidence.gyro is None or found.of(Hypothesis.WELL) < verdict.of(Hypothesis.WELL):
+            verdict, evidence = found, shown
+        if verdict.likeliest is not Hypothesis.WELL:
+            break
+    if evidence.gyro is None:
+        return verdict, None
+    by_filter = evidence.gyro.rate_rad_s + float(ekf.x[BIAS]) - evidence.bias_rad_s
+    return verdict, evidence.gyro._replace(rate_rad_s=by_filter)
+
+
+def _inertial_noise(c: FusionConfig) -> InertialNoise:
+    return InertialNoise(c.gyro_noise, c.offset_walk, c.imu_yaw_std_rad, c.gyro_scale_std)
 
 
 def follow_verdict(

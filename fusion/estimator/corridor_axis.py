@@ -114,8 +114,9 @@ class CorridorAxis(NamedTuple):
         When a frame was last used, and how many have been.
     support_s
         Time over which frames have confirmed the present axis.
-    anchor_rad
-        Axis in the dead-reckoned frame when a frame last confirmed it.
+    anchor_rad, anchor_ns
+        Axis in the dead-reckoned frame when a frame last confirmed it, and when that was; while frames drift off, as
+        it was before.
     facing_rad
         pi where the vehicle then faced against the axis.
     noise, frame_noise, gate
@@ -144,6 +145,7 @@ class CorridorAxis(NamedTuple):
     n_accepted: int = 0
     support_s: float = 0.0
     anchor_rad: float = nan
+    anchor_ns: int = 0
     facing_rad: float = 0.0
     noise: SourceNoise = SourceNoise()
     frame_noise: FrameNoise = FrameNoise()
@@ -183,11 +185,13 @@ class CorridorAxis(NamedTuple):
         if self.t_vision_ns is not None:
             support_s += min((t_ns - self.t_vision_ns) * 1e-9, 0.5)
         psi = float(ekf.x[PSI])
+        straight = isnan(self.diagnosis.straight_bias_rad_s)
         return self._replace(
             support_s=support_s,
             t_vision_ns=t_ns,
             n_accepted=self.n_accepted + 1,
-            anchor_rad=theta_rad - psi if isnan(self.diagnosis.straight_bias_rad_s) else self.anchor_rad,
+            anchor_rad=theta_rad - psi if straight else self.anchor_rad,
+            anchor_ns=t_ns if straight else self.anchor_ns,
             facing_rad=psi - wrap_axis(psi),
         )
 
