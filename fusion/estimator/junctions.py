@@ -81,7 +81,9 @@ def decide(
     axis = axis._replace(rival=rival)
     heading = wrap_axis(theta_rad - found.value)
     linked = found.linked_share > 0.5
-    drifted = c.gyro_noise * sqrt(max(t_ns - axis.anchor_ns, 0) * 1e-9)  # of the anchor, since it was confirmed
+    drifted = c.gyro_noise * sqrt(
+        max(t_ns - axis.anchor_ns, 0) * 1e-9
+    )  # of the anchor, since it was confirmed
     reach = max(c.recovery_spread_rad, DRIFTED_SIGMA * max(psi_std, drifted))
     at_anchor = abs(wrap_axis(found.value - axis.anchor_rad)) < reach
     enough = found.n_votes >= c.recovery_frames
