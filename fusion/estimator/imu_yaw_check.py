@@ -29,8 +29,8 @@ TRACE_NS = 3_000_000_000  # how far back yaw and gyroscope are compared
 TRACE_STEP_NS = 100_000_000
 CALM_NS = 2_000_000_000
 DISTURBED_SIGMA = 4.5  # less, and the many comparisons would find chance
-ASTRAY_MEMORY = 1 / 40  # of a look: ten seconds
-LEAST_DOUBT, MOST_DOUBT = 0.01, 0.9  # of the IMU's yaw: what it is may change
+ASTRAY_MEMORY = 1 / 20  # of a look: five seconds
+LEAST_DOUBT, MOST_DOUBT = 0.005, 0.9  # of the IMU's yaw: what it is may change
 MOST_NATS = 6.0  # that one block tells
 
 
@@ -230,7 +230,7 @@ class YawDoubt(NamedTuple):
     Attitude filters differ, and so do buildings: from the start's guess on, both are learned in flight.
     """
 
-    astray: float = 0.1
+    astray: float = 0.05
     repeating: float = 0.2
     mean: YawMean | None = None
 

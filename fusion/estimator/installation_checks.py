@@ -30,7 +30,7 @@ IMU_STEP_NS, IMU_MEMORY_S, ACCEL_MIN_S, FAST_MIN_S = 50_000_000, 3.0, 0.5, 2.0
 MAX_TILT_ERROR_RAD = radians(20)
 LEAN_MEMORY_S, LEAN_MIN_S = 10.0, 4.0  # no vehicle speeds up one way for so long
 MAX_LEAN_RAD = radians(7)
-ELEVATION_MEMORY = 1.0 - 1 / 600  # of each frame's elevation, when the next comes
+ELEVATION_MEMORY = 1.0 - 1 / 3600  # of each frame's elevation, when the next comes
 ALIKE_FRAMES = 10.0  # whose elevations have about the same error, that of the attitude
 MAX_ELEVATION_RAD = 0.3  # more is no axis of a corridor
 MIN_ROLL_STD = 0.02  # rad; with less, elevations tell nothing
@@ -125,7 +125,10 @@ class Installation(NamedTuple):
         return done._replace(sums=sums)
 
     def with_elevation(self, elevation_rad: float, std_rad: float, roll_rad: float) -> Installation:
-        """Take the elevation of a frame's axis above the IMU's horizon, its sigma, and the vehicle's roll."""
+        """Take the elevation of a frame's axis above the IMU's horizon, its sigma, and the vehicle's roll.
+
+        The sigma is that of both, frame and attitude: an attitude's errors go along with the motion for seconds.
+        """
         if (
             not abs(elevation_rad) < MAX_ELEVATION_RAD or not 1e-4 < std_rad < MAX_ELEVATION_RAD
         ):  # NaN fails too
