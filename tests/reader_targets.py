@@ -20,7 +20,7 @@ from fusion import FusionConfig
 from fusion.evaluation.truth_file import read_truth
 from fusion.inspection.sources import inspect_path
 from fusion.inspection.text import inspection_text
-from fusion.logs.manifest.manifest import read_manifest
+from fusion.logs.manifest.file import read_manifest
 from fusion.logs.pictures.camera_folder import read_frames
 from fusion.logs.pictures.gpmf import samples_of
 from fusion.pictures.attitude_file import AttitudeFile

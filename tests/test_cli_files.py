@@ -12,7 +12,7 @@ import pytest
 
 from fusion import load_flight
 from fusion.estimator.tables import ESTIMATE_DTYPE
-from fusion.logs.manifest.manifest import read_manifest
+from fusion.logs.manifest.file import read_manifest
 from fusion.outputs.folder import OUTPUT_FILES
 from fusion.result.tables_csv import read_table
 from tests.command import Corridor, refused

@@ -9,7 +9,7 @@ import pytest
 
 from fusion.logs import FORMATS
 from fusion.logs.csv.column_map import READY_MAPS
-from fusion.logs.manifest.manifest import make_manifest
+from fusion.logs.manifest.file import make_manifest
 from fusion.logs.rosbag.messages import RosType
 from tests.files import ROOT
 

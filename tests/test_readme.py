@@ -18,7 +18,7 @@ from fusion.cli import app as cli
 from fusion.estimator.faults import Fault
 from fusion.estimator.tables import ESTIMATE_COLUMNS, FRAME_COLUMNS
 from fusion.fleet.discovery import _FlightList
-from fusion.logs.manifest.manifest import make_manifest
+from fusion.logs.manifest.file import make_manifest
 from fusion.simulate import SimulationConfig
 from tests.files import OFFICE, ROOT, written
 from vision.errors import InputError

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from fusion.simulate.config import rotation
 from training.offset_views import Box, FloatArray, TrainingView
+from vision.lateral.learned import MIRRORED, is_left_brighter
 from vision.lateral.polar import ANGLES, DIRECTIONS, N_ANGLES, Polar, sample_points, standardise
 
 # Further off the axis is another one, or that of a slope taken as level.
@@ -199,14 +200,15 @@ def classes_of(corners_rad: FloatArray) -> npt.NDArray[np.int64]:
     return classes
 
 
-def mirrored(sample: Sample) -> Sample:
-    """Exchange left and right: the angle a becomes pi - a."""
-    order = (N_ANGLES // 2 - 1 - np.arange(N_ANGLES)) % N_ANGLES
+def darker_side_left(sample: Sample) -> Sample:
+    """Exchange left and right where the left is the brighter side, as in flight: the angle a becomes pi - a."""
+    if not is_left_brighter(sample.polar):
+        return sample
     return Sample(
-        np.ascontiguousarray(sample.polar[:, :, order]),
+        np.ascontiguousarray(sample.polar[:, :, MIRRORED]),
         -sample.offset_norm,
         ((pi - sample.corners_rad) % (2.0 * pi))[[1, 0, 3, 2]],
-        sample.classes[order],
+        sample.classes[MIRRORED],
     )
 
 
@@ -244,9 +246,9 @@ def varied(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> S
         place = np.stack([hit[..., 0], np.where(surface < 2, v, u)], axis=-1)
         if rng.random() < 0.4:
             _shade(grey, place, surface, rng)
-        if rng.random() < 0.5:
+        if rng.random() < 0.6:
             _paint(grey, place, surface, rng)
-        if rng.random() < 0.45 and not view.is_hall:
+        if rng.random() < 0.55 and not view.is_hall:
             _put_up_boxes(grey, direction, reach, target, rng)
         if rng.random() < 0.5:
             gap = np.hypot(*np.moveaxis(points - np.roll(points, 1, axis=1), -1, 0))
@@ -260,8 +262,7 @@ def varied(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> S
     classes = classes_of(corners)
     if view.is_hall or turned > radians(5.0):
         corners, classes = np.full(4, np.nan), np.full(N_ANGLES, UNKNOWN)
-    sample = Sample(polar, target.offset_norm, corners, classes)
-    return mirrored(sample) if vary and rng.random() < 0.5 else sample
+    return darker_side_left(Sample(polar, target.offset_norm, corners, classes))
 
 
 def without_corridor(rng: np.random.Generator) -> Sample:
@@ -286,9 +287,11 @@ def without_corridor(rng: np.random.Generator) -> Sample:
         polar[0][rows, np.arange(a, a + n) % N_ANGLES] += rng.normal(0.0, 30.0)
     polar[0] *= polar[1]
     standardise(polar)
-    return Sample(
-        polar,
-        float(rng.uniform(-MAX_OFFSET_NORM, MAX_OFFSET_NORM)),
-        np.full(4, np.nan),
-        np.full(N_ANGLES, UNKNOWN),
+    return darker_side_left(
+        Sample(
+            polar,
+            float(rng.uniform(-MAX_OFFSET_NORM, MAX_OFFSET_NORM)),
+            np.full(4, np.nan),
+            np.full(N_ANGLES, UNKNOWN),
+        )
     )

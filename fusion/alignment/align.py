@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from math import inf, nan, radians
 
@@ -47,7 +48,7 @@ def align_flight(
     Parameters
     ----------
     flight
-        With a gyroscope or an attitude stream. Of a long flight the stretches with most turning are looked at.
+        With a gyroscope or an attitude stream. Of a long flight, the stretches with most turning are used.
     camera_known
         Whether the flight's camera is a calibrated one. Otherwise only its picture size counts: no distortion, the
         principal point in the middle, and the focal length is looked for.
@@ -73,25 +74,12 @@ def align_flight(
     camera = flight.camera if camera_known else ordinary_camera(flight.camera)
     views = collect(flight, camera, chosen, origin_ns, progress)
     if not views.lines:
-        raise InputError(
-            f"none of the {len(chosen)} frames looked at can be read", remedy="check the pictures"
-        )
-    notes: list[str] = []
-    if views.n_unreadable:
-        notes.append(f"{views.n_unreadable} of {len(chosen)} frames cannot be read.")
-    if len(chosen) < len(flight.frames.t_ns):
-        notes.append(
-            f"{len(chosen)} of {len(flight.frames.t_ns)} frames were looked at, where most turning is."
-        )
+        raise InputError(f"none of {len(chosen)} frames can be read", remedy="check the pictures")
     found = search(views, turning, max_offset_s, (1.0,) if camera_known else UNKNOWN_SCALES)
     focal = focal_quantity(found, turning, camera, camera_known)
     if not camera_known and not focal.usable:
         focal = _focal_of_pictures(views)
-    tilt_known = float(np.median(turning.tilt_std_rad)) < LEVEL_STD_RAD
-    track = None
-    if found.clock is not None and found.sightings is not None:
-        track = fit_track(flight, found.sightings, turning, found.clock, origin_ns, found.turned_yaw_rad)
-    yaw, pitch, roll = mount_quantities(found.mount, track, tilt_known, Known.of(flight, camera_known))
+    yaw, pitch, roll = _mounting(flight, found, turning, origin_ns, camera_known)
     return Alignment(
         clock_offset=clock_quantity(found, turning, max_offset_s),
         clock_rate=rate_quantity(found, turning),
@@ -103,9 +91,28 @@ def align_flight(
         camera_known=camera_known,
         n_frames=len(views.lines),
         n_used=found.search.fit.n_frames if found.search.fit is not None else 0,
-        notes=tuple(notes),
+        notes=tuple(_notes_on_frames(views.n_unreadable, len(chosen), len(flight.frames.t_ns))),
         turns_opposite=found.search.reversed,
     )
+
+
+def _mounting(
+    flight: Flight, found: Found, turning: Turning, origin_ns: int, camera_known: bool
+) -> tuple[Quantity, Quantity, Quantity]:
+    """Mounting yaw, pitch and roll; yaw from the vehicle's track, where the flight has one."""
+    tilt_known = float(np.median(turning.tilt_std_rad)) < LEVEL_STD_RAD
+    track = None
+    if found.clock is not None and found.sightings is not None:
+        track = fit_track(flight, found.sightings, turning, found.clock, origin_ns, found.turned_yaw_rad)
+    return mount_quantities(found.mount, track, tilt_known, Known.of(flight, camera_known))
+
+
+def _notes_on_frames(n_unreadable: int, n_chosen: int, n_all: int) -> Iterator[str]:
+    """Say which of the flight's frames the alignment could not use, or did not look at."""
+    if n_unreadable:
+        yield f"{n_unreadable} of {n_chosen} frames cannot be read."
+    if n_chosen < n_all:
+        yield f"{n_chosen} of {n_all} frames were used, from where the vehicle turns most."
 
 
 def clock_of_frames(
@@ -203,11 +210,9 @@ def _focal_of_pictures(views: Views) -> Quantity:
     # d(f)/f = -d(fov) / sin(fov)
     sigma = scale * view.std_rad / float(np.sin(view.horizontal_rad))
     if not view.measured:
-        said = "Neither turns nor pictures tell the focal length: an ordinary camera's is taken."
+        said = "Neither turns nor pictures give the focal length: that of an ordinary camera is assumed."
         return Quantity("focal_scale", nan, inf, False, said, 1.0)
-    said = (
-        f"Focal length found by the right angles in {view.n_used} pictures, as there was too little turning."
-    )
+    said = f"From the right angles in {view.n_used} pictures, as the vehicle turns too little."
     return Quantity("focal_scale", scale, sigma, True, said, 1.0)
 
 

@@ -12,13 +12,8 @@ from fusion.alignment.result import Alignment, Quantity
 from fusion.alignment.text import note_of
 from fusion.files import replacing
 from fusion.flight import Flight
-from fusion.logs.manifest.manifest import (
-    MANIFEST_NAME,
-    Manifest,
-    find_manifest,
-    read_manifest,
-    write_manifest,
-)
+from fusion.logs.manifest.file import MANIFEST_NAME, find_manifest, read_manifest, write_manifest
+from fusion.logs.manifest.manifest import Manifest
 from vision.cameras.camera import BodyFrame, Camera
 from vision.errors import InputError
 

@@ -35,10 +35,12 @@ def clock_quantity(found: Found, turning: Turning, reach_s: float) -> Quantity:
     value, source = fit.offset_s, _source(turning)
     seen = f"{fit.n_frames} frames, turned by {degrees(fit.turned_rad):.0f} degrees rms"
     if abs(value) <= SIGNIFICANT_SIGMA * sigma:
-        said = f"Camera and {source} agree in time ({seen})."
+        said = f"There is no time offset between camera and {source} ({seen})."
     else:
         way = "early" if value > 0 else "late"
-        said = f"The frames are stamped {1e3 * abs(value):.1f} ms too {way} for the {source} ({seen})."
+        said = (
+            f"The frames are stamped {1e3 * abs(value):.1f} ms too {way} relative to the {source} ({seen})."
+        )
     return Quantity(name, value, sigma, True, said)
 
 
@@ -47,20 +49,20 @@ def rate_quantity(found: Found, turning: Turning) -> Quantity:
     name, source = "clock_rate", _source(turning)
     if found.clock is None:
         return Quantity(
-            name, nan, inf, False, "Without turns to compare the clocks are taken to run alike.", 1.0
+            name, nan, inf, False, "There are no turns to compare: equal clock rates are assumed.", 1.0
         )
     if not found.skew:
         is_told = found.skew_std < USABLE_SKEW
         said = (
-            f"Camera and {source} run alike."
+            f"The clocks of camera and {source} run at the same rate."
             if is_told
-            else "Too short a flight to tell; taken to run alike."
+            else "The flight is too short to tell: equal clock rates are assumed."
         )
         return Quantity(name, 1.0, found.skew_std, is_told, said, 1.0)
     way = "slower" if found.skew > 0.0 else "faster"
     said = (
-        f"The frames' clock runs {100.0 * abs(found.skew):.2f} % {way} than the {source}'s: no offset alone puts it "
-        "right."
+        f"The frames' clock runs {100.0 * abs(found.skew):.2f} % {way} than the {source}'s, which an offset alone "
+        "does not correct."
     )
     return Quantity(name, 1.0 + found.skew, found.skew_std, True, said, 1.0)
 
@@ -73,24 +75,24 @@ def _why_not(search: ClockSearch, turning: Turning, reach_s: float) -> str:
     source, fit = _source(turning), search.fit
     if search.reversed:
         return (
-            f"Vision and the {source} turn opposite ways: the axes of the IMU or of the camera's mounting are not "
-            "those that were taken."
+            f"Vision and the {source} show turns in opposite directions: the axes of the IMU, or the mounting of the "
+            "camera, are not as assumed."
         )
     if fit is None and search.compared:
         return (
-            f"What vision and the {source} turn by has nothing in common: the vehicle hardly turns, or one is "
-            "not of this flight."
+            f"The turns seen by vision and by the {source} have nothing in common: the vehicle hardly turns, or one "
+            "of the two is not of this flight."
         )
     if fit is None:
-        return "Too few frames show the corridor to compare their turns with the inertial sensors'."
+        return "Too few frames show the corridor to compare their turns with those of the inertial sensors."
     if search.at_edge:
-        return f"No offset within {reach_s:g} s explains the turns: the clocks are farther apart."
+        return f"No time offset within {reach_s:g} s explains the turns: the clocks are further apart."
     if search.rival_s is not None and fit.ratio > 8.0 * fit.ratio_std:
         return (
-            f"{fit.offset_s:.2f} s and {search.rival_s:.2f} s explain the turns alike: the motion repeats itself, or "
-            "too few frames show the corridor."
+            f"{fit.offset_s:.2f} s and {search.rival_s:.2f} s explain the turns equally well: the motion repeats "
+            "itself, or too few frames show the corridor."
         )
-    return "The vehicle hardly turns, which hides the time offset: turn left and right by 10 degrees or more."
+    return "The time offset cannot be estimated without turns: turn left and right by 10 degrees or more."
 
 
 def focal_quantity(found: Found, turning: Turning, camera: Camera, camera_known: bool) -> Quantity:
@@ -98,43 +100,43 @@ def focal_quantity(found: Found, turning: Turning, camera: Camera, camera_known:
     name, fit = "focal_scale", found.search.fit
     if found.clock is None or fit is None:
         return Quantity(
-            name, nan, inf, False, "Without turns to compare the focal length stays as it is.", 1.0
+            name, nan, inf, False, "There are no turns to compare: the focal length is left as it is.", 1.0
         )
     value, source = found.scale, _source(turning)
     sigma = hypot(value * fit.ratio_std / fit.ratio, found.unrest)
     if sigma > USABLE_FOCAL:
-        said = f"The turns tell the focal length no better than within {100.0 * sigma / value:.0f} %."
+        said = f"The turns give the focal length only within {100.0 * sigma / value:.0f} %."
         return Quantity(name, value, sigma, False, said, 1.0)
-    trust = f"the {source}'s scale is taken to be right"
+    trust = f"this assumes a correct scale of the {source}"
     focal_px = camera.fx_px * value
     if not camera_known:
         across = degrees(2.0 * atan(0.5 * camera.width_px / focal_px))
         said = (
-            f"By the flight's own turns the focal length is {focal_px:.1f} +- {camera.fx_px * sigma:.1f} px, "
-            f"{across:.0f} degrees across, no distortion assumed; {trust}."
+            f"From the turns, the focal length is {focal_px:.1f} +- {camera.fx_px * sigma:.1f} px, a field of "
+            f"view of {across:.0f} degrees, for a lens without distortion; {trust}."
         )
     elif abs(value - 1.0) <= SIGNIFICANT_SIGMA * sigma:
-        said = f"The focal length fits: pictures and {source} turn by the same angles; {trust}."
+        said = f"The focal length is correct: pictures and {source} show the same turns; {trust}."
     else:
         way = "long" if value > 1.0 else "short"
         said = (
-            f"By the turns the focal length should be {100.0 * abs(value - 1.0):.1f} % {way}er, {focal_px:.1f} px "
+            f"From the turns, the focal length should be {100.0 * abs(value - 1.0):.1f} % {way}er, {focal_px:.1f} px "
             f"instead of {camera.fx_px:.1f} px; {trust}."
         )
     return Quantity(name, value, sigma, True, said, 1.0)
 
 
 class Known(NamedTuple):
-    """What the mounting is compared with, in words: where level comes from, and who says how the camera sits."""
+    """What the mounting is compared with, in words: the source of level, and of the mounting assumed so far."""
 
     level: str
-    mounted: str  # "calibrated" or "taken"
+    mounted: str  # "calibrated" or "assumed"
 
     @classmethod
     def of(cls, flight: Flight, camera_known: bool) -> Known:
         """Return the words for a flight."""
         level = "gyroscope and accelerometer" if flight.attitude is None else "the flight's attitude"
-        return cls(level, "calibrated" if camera_known and not flight.camera.mount_assumed else "taken")
+        return cls(level, "calibrated" if camera_known and not flight.camera.mount_assumed else "assumed")
 
 
 def mount_quantities(
@@ -143,7 +145,7 @@ def mount_quantities(
     """Yaw, pitch and roll of the mounting."""
     names = ("mount_yaw_rad", "mount_pitch_rad", "mount_roll_rad")
     if mount is None:
-        said = "Too few frames show the corridor while the attitude is known."
+        said = "Too few frames show the corridor at a known attitude."
         yaw, pitch, roll = (Quantity(name, nan, inf, False, said) for name in names)
         return yaw if track is None else _yaw(names[0], None, track, known), pitch, roll
     return (
@@ -159,25 +161,25 @@ def _yaw(name: str, mount: MountFit | None, track: TrackFit | None, known: Known
     tilted = 0.0
     if mount is not None:
         tilted = degrees(float(np.hypot(*mount.tilted_rad)))
-        by = f"by how rolling and pitching of {tilted:.1f} degrees rms look in the pictures"
+        by = f"from rolling and pitching by {tilted:.1f} degrees rms, as seen in the pictures"
         ways.append((float(mount.angle_rad[YAW]), float(mount.std_rad[YAW]), by))
     if track is not None:
-        by = f"by the drift seen over {track.distance_m:.0f} m against the velocity"
+        by = f"from the lateral drift over {track.distance_m:.0f} m, compared with the velocity"
         ways.append((track.yaw_rad, track.std_rad, by))
     if not ways:
-        said = "Cannot be told from the vehicle's own heading without attitude or velocity."
+        said = "Cannot be separated from the vehicle's heading without attitude or velocity."
         return Quantity(name, nan, inf, False, said)
     values, sigmas = np.array([way[0] for way in ways]), np.array([way[1] for way in ways])
     sigma = float(1.0 / np.sqrt((1.0 / sigmas**2).sum()))
     value = float((values / sigmas**2).sum() * sigma**2)
     if len(ways) > 1 and abs(values[0] - values[1]) > CONTRADICTION_SIGMA * float(np.hypot(*sigmas)):
         first, second = (f"{degrees(v):.1f}" for v in values)
-        said = f"Two ways contradict each other: {first} degrees {ways[0][2]}, {second} degrees {ways[1][2]}."
+        said = f"Two estimates disagree: {first} degrees {ways[0][2]}, {second} degrees {ways[1][2]}."
         return Quantity(name, value, float(0.5 * abs(values[0] - values[1])), False, said)
     if sigma > USABLE_YAW_RAD:
         said = (
-            "Cannot be told from the vehicle's own heading: only rolling and pitching shows it, and of that there "
-            f"is too little, {tilted:.1f} degrees rms; or a velocity in the log, over some metres."
+            "Cannot be separated from the vehicle's heading: this needs more rolling and pitching than "
+            f"{tilted:.1f} degrees rms, or a velocity in the log, over some metres."
         )
         return Quantity(name, value, sigma, False, said)
     by = " and ".join(way[2] for way in ways)
@@ -191,10 +193,10 @@ def _yaw(name: str, mount: MountFit | None, track: TrackFit | None, known: Known
 def _tilt(name: str, mount: MountFit, axis: int, tilt_known: bool, known: Known) -> Quantity:
     value, sigma = float(mount.angle_rad[axis]), float(mount.std_rad[axis])
     if not tilt_known:
-        said = "Nothing in the log says where level is."
+        said = "The log does not show which way is down."
         return Quantity(name, value, inf, False, said)
     usable = sigma < USABLE_TILT_RAD
-    against = f"against the level by {known.level}, whose own error is in sigma"
+    against = f"relative to level by {known.level}, whose error is included in sigma"
     if abs(value) <= SIGNIFICANT_SIGMA * sigma:
         return Quantity(name, value, sigma, usable, f"As {known.mounted}, {against}.")
     ways = ("up", "down") if axis == PITCH else ("over to the right", "over to the left")

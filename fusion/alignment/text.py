@@ -26,7 +26,9 @@ def alignment_text(alignment: Alignment) -> str:
         value, sigma = _numbers(quantity)
         lines.append(f"{_LABELS[quantity.name]:15} {value:>12}  {sigma:>10}  {_verdict(quantity)}".rstrip())
         lines += wrap(quantity.sentence, WIDTH, initial_indent="  ", subsequent_indent="  ")
-    frames = f"{alignment.n_frames} frames looked at, {alignment.n_used} of them tell time and focal length."
+    frames = (
+        f"{alignment.n_frames} frames read, {alignment.n_used} of them used for time offset and focal length."
+    )
     return "\n".join(printable(line) for line in [*lines, *alignment.notes, frames])
 
 

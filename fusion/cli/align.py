@@ -1,4 +1,4 @@
-"""The command ``corridor align``: put camera and clock right by the flight itself."""
+"""The command ``corridor align``: calibrate the camera's clock, focal length and mounting from a flight."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ import typer
 from fusion.cli.console import compile_notice, echo, progress_bar, say
 from vision.errors import InputError
 
-SHORT_HELP = "Put camera and clock right by the flight itself: time offset, focal length, mounting."
-HELP = """Find time offset, focal length and mounting of a flight's camera by the flight itself.
+SHORT_HELP = "Calibrate the camera from the flight: time offset, focal length, mounting."
+HELP = """Estimate time offset, focal length and mounting angles of the camera from the flight.
 
-It compares turns that vision sees with those of the gyroscope, so the flight must turn left and right. Each quantity
-comes with its sigma. Nothing is written without --write or -o. More: docs/commands.md.
+It compares turns seen by vision with those of the gyroscope, so the flight must turn left and right. Each quantity is
+printed with its sigma. Nothing is written without --write or -o. More: docs/commands.md.
 
 \b
 Examples:
   corridor align data/office
   corridor align flights/hall --write
 
-Exit code 2 where the flight does not tell the time offset, as one without turns; nothing is then written.
+If the time offset cannot be estimated, as without turns, the exit code is 2 and nothing is written.
 Next: corridor fuse with that manifest.
 """
 
 
 def align(
-    flight: Annotated[Path, typer.Argument(metavar="FLIGHT", help="A flight as `corridor fuse` takes it.")],
+    flight: Annotated[Path, typer.Argument(metavar="FLIGHT", help="A flight, as for `corridor fuse`.")],
     camera: Annotated[
         Path | None,
-        typer.Option("--camera", metavar="CAM.yaml", help="Calibration to use instead of the flight's."),
+        typer.Option("--camera", metavar="CAM.yaml", help="Calibration in place of the flight's."),
     ] = None,
     max_offset_s: Annotated[
-        float, typer.Option("--max-offset", metavar="SECONDS", help="How far apart the clocks may be.")
+        float, typer.Option("--max-offset", metavar="SECONDS", help="Largest time offset to search.")
     ] = 3.0,
-    write: Annotated[bool, typer.Option("--write", help="Write into the flight's own manifest.")] = False,
+    write: Annotated[bool, typer.Option("--write", help="Write to the flight's own manifest.")] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE.toml", help="Write into this manifest.")
+        Path | None, typer.Option("--out", "-o", metavar="FILE.toml", help="Write to this manifest.")
     ] = None,
 ) -> None:
     """Align a flight, and write its manifest where asked to."""
@@ -47,7 +47,7 @@ def align(
     from fusion.alignment.text import alignment_text
 
     if write and out is not None:
-        raise InputError("--write and -o say two places", remedy="give one of them")
+        raise InputError("--write and -o name two places", remedy="give one of them")
     place = out
     if place is None and write and flight.exists():
         place = place_of(flight)
@@ -55,7 +55,7 @@ def align(
         check_place(place)  # before the work, not after it
     loaded = load_to_align(flight, camera)
     if not loaded.camera_known:
-        say("no calibration: the focal length is looked for, too")
+        say("no calibration: the focal length is estimated, too")
     with compile_notice("the line finder"), progress_bar("finding lines") as progress:
         alignment = align_flight(
             loaded.flight, camera_known=loaded.camera_known, max_offset_s=max_offset_s, progress=progress

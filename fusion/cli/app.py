@@ -1,8 +1,8 @@
-"""The command ``corridor``: thin, so that all it does can be done from Python as well.
+"""The command ``corridor``: a thin layer, so that everything it does can also be done from Python.
 
 Each command is a module of this package with its help; this one only assembles them. Results go to stdout, all else
-to stderr. Exit codes: 0 done; 2 input or usage that cannot be used; 130 interrupted. Heavy modules load inside the
-commands, so that ``--help`` is quick.
+to stderr. Exit codes: 0 success; 2 input or options that cannot be used; 130 interrupted. Commands import heavy
+modules themselves, so that ``--help`` is quick.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ HELP = """Heading and lateral offset in indoor corridors, from camera frames fus
 \b
 First steps:
   corridor fuse data/office           fuse the sample flight; then open office_fused/report.html
-  corridor batch flights -o out       many flights, one table, the worst first; then open out/fleet.html
-  corridor inspect log.ulg            what a log holds, what is missing, how to supply it
-  corridor align data/office          is the camera in time with the IMU, does its focal length fit?
-  corridor config > my.toml           all settings with their meaning, to edit and give to fuse
-  corridor evaluate office_fused --truth data/office    errors against the truth, outputs side by side
-  corridor measure picture.jpg        one picture: no IMU, no calibration needed
+  corridor batch flights -o out       many flights into one table; then open out/fleet.html
+  corridor inspect log.ulg            what a log contains, what is missing, how to supply it
+  corridor align data/office          calibrate time offset, focal length and mounting from the flight
+  corridor config > my.toml           all settings, explained; edit them and pass them to fuse
+  corridor evaluate office_fused --truth data/office    errors against ground truth
+  corridor measure picture.jpg        single pictures; needs no IMU and no calibration
   corridor live /dev/video0 ...       on the vehicle: camera and MAVLink in, estimates out
-  corridor simulate flight            make a flight of your own to try it on, truth included
+  corridor simulate flight            a simulated flight with ground truth
 
-Heading is the angle from the corridor's axis to the vehicle's nose, positive when turned right; lateral
-offset is positive right of the centre line. Files hold radians, metres and nanoseconds.
+Heading is the angle from the corridor's axis to the vehicle's nose, positive when turned right. Lateral
+offset is positive right of the centre line. Files are in radians, metres and nanoseconds.
 
-Results go to stdout, notes and progress to stderr. Exit code 0: done; 2: input that cannot be used, one line
-says why; 130: interrupted.
+Results go to stdout, notes and progress to stderr. The exit code is 0 on success, 2 for input that cannot be
+used (one line says why), and 130 after an interrupt.
 
-`corridor COMMAND --help` shows its options; the manual is docs/commands.md.
+`corridor COMMAND --help` lists the options of a command; the manual is docs/commands.md.
 """
 
 app = typer.Typer(
@@ -86,11 +86,9 @@ for _name, _help, _short_help, _command in (
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit; the entry point of the script ``corridor``."""
-    if isinstance(
-        sys.stdout, TextIOWrapper
-    ):  # a terminal that cannot write a degree sign gets a question mark
+    if isinstance(sys.stdout, TextIOWrapper):  # a terminal without a degree sign shows a question mark
         sys.stdout.reconfigure(errors="replace")
-    if not sys.warnoptions:  # a library's warning says nothing to who has no program to mend
+    if not sys.warnoptions:  # warnings of libraries are for programmers
         warnings.simplefilter("ignore")
     app(arguments, prog_name="corridor")
     raise SystemExit(0)

@@ -1,4 +1,4 @@
-"""The command ``corridor batch``: many logged flights into one table."""
+"""The command ``corridor batch``: fuse many logged flights into one table."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import typer
 
 from fusion.cli import interrupts
 from fusion.cli.console import command_line, echo, progress_bar, say
-from fusion.cli.options import CameraOption, Method, MethodOption
+from fusion.cli.options import CameraOption, ConfigOption, Method, MethodOption
 
-SHORT_HELP = "Fuse many flights: a folder each, one table and one page of all."
-HELP = """Fuse many logged flights, each as `corridor fuse` would, into one table: the worst first.
+SHORT_HELP = "Fuse many flights: an output folder each, and one table and page of all."
+HELP = """Fuse many logged flights, each as `corridor fuse` does, into one table, the worst first.
 
-FLIGHTS are folders that are searched, patterns in quotes, or a list in TOML. The same command again goes on where the
-last one ended. Lists, outputs, clusters and comparisons: docs/fleet.md.
+FLIGHTS are folders to search, patterns in quotes, or a list in TOML. Repeat the command to resume a batch that was
+interrupted. Lists, outputs, clusters and comparisons: docs/fleet.md.
 
 \b
 Examples:
@@ -27,46 +27,57 @@ Next: open OUT/fleet.html, or pandas.read_parquet("OUT/fleet.parquet").
 """
 
 
+FlightsArgument = Annotated[
+    list[str],
+    typer.Argument(metavar="FLIGHTS", help="Folders, patterns, lists, flights.", show_default=False),
+]
+OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Output folder.")]
+JobsOption = Annotated[
+    int | None, typer.Option("--jobs", metavar="N", min=1, help="Worker processes; default one per core.")
+]
+MemoryOption = Annotated[
+    str | None,
+    typer.Option(
+        "--memory",
+        metavar="SIZE",
+        help="Memory limit of a worker, such as 2GB; default its share of the machine's.",
+    ),
+]
+TimeoutOption = Annotated[
+    int,
+    typer.Option(
+        "--timeout",
+        metavar="SECONDS",
+        min=0,
+        max=10_000_000,
+        help="Give up a flight that takes longer; 0: never.",
+    ),
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="Fuse on a Dask cluster."),
+]
+AgainstOption = Annotated[
+    Path | None,
+    typer.Option("--against", metavar="OLD/fleet.parquet", help="Compare with an earlier batch."),
+]
+
+
 def batch(
-    flights: Annotated[
-        list[str],
-        typer.Argument(metavar="FLIGHTS", help="Folders, patterns, lists, flights.", show_default=False),
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Output folder.")],
-    config: Annotated[
-        Path | None, typer.Option("--config", metavar="F.toml", help="Settings; the rest keep defaults.")
-    ] = None,
+    flights: FlightsArgument,
+    out: OutOption,
+    config: ConfigOption = None,
     camera: CameraOption = None,
     method: MethodOption = Method.GEOMETRIC,
-    jobs: Annotated[
-        int | None, typer.Option("--jobs", metavar="N", min=1, help="Worker processes; else one per core.")
-    ] = None,
-    memory: Annotated[
-        str | None,
-        typer.Option(
-            "--memory", metavar="SIZE", help="What a worker may take, 2GB; else its share of the machine's."
-        ),
-    ] = None,
-    timeout_s: Annotated[
-        int,
-        typer.Option(
-            "--timeout",
-            metavar="SECONDS",
-            min=0,
-            max=10_000_000,
-            help="A flight that takes longer is given up; 0: never.",
-        ),
-    ] = 3600,
-    scheduler: Annotated[
-        str | None,
-        typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="A Dask cluster that fuses instead."),
-    ] = None,
-    against: Annotated[
-        Path | None,
-        typer.Option("--against", metavar="OLD/fleet.parquet", help="Say what changed since that batch."),
-    ] = None,
-    reports: Annotated[bool, typer.Option(help="Write a report.html per flight, half of the time.")] = True,
-    redo: Annotated[bool, typer.Option("--redo", help="Fuse again what is done.")] = False,
+    jobs: JobsOption = None,
+    memory: MemoryOption = None,
+    timeout_s: TimeoutOption = 3600,
+    scheduler: SchedulerOption = None,
+    against: AgainstOption = None,
+    reports: Annotated[
+        bool, typer.Option(help="Write a report.html per flight; takes half of the time.")
+    ] = True,
+    redo: Annotated[bool, typer.Option("--redo", help="Fuse finished flights again.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, not text.")] = False,
 ) -> None:
     """Fuse many flights."""

@@ -8,29 +8,27 @@ from typing import Annotated
 import typer
 
 SHORT_HELP = "Print all settings with their meaning, as TOML."
-HELP = """Print every setting with its value, unit, bounds and meaning, as TOML to edit and give back.
+HELP = """Print every setting with its value, unit, bounds and meaning, as TOML to edit and pass to --config.
 
-Without a file these are the defaults; with one, the settings as that file makes them. A name that does not exist, a
-wrong unit or a value out of bounds is refused with the nearest right one.
+Without a file it prints the defaults, with one the settings of that file. An unknown name, a wrong unit or a value
+out of bounds is rejected, with a suggestion.
 
 \b
 Examples:
   corridor config > my.toml
   corridor config --simulate > hall.toml
 
-Next: edit what you want to change, delete the rest, then `corridor fuse FLIGHT --config my.toml`.
+Next: edit what you want to change, delete the rest, then run `corridor fuse FLIGHT --config my.toml`.
 """
 
 
 def print_config(
     file: Annotated[
-        Path | None, typer.Argument(metavar="FILE.toml", help="Settings that differ; else the defaults.")
+        Path | None, typer.Argument(metavar="FILE.toml", help="Settings that differ from the defaults.")
     ] = None,
-    simulate: Annotated[
-        bool, typer.Option("--simulate", help="Those of `corridor simulate`, not of `corridor fuse`.")
-    ] = False,
+    simulate: Annotated[bool, typer.Option("--simulate", help="Settings of `corridor simulate`.")] = False,
 ) -> None:
-    """Print a configuration whole."""
+    """Print a complete configuration."""
     from fusion.settings.toml import settings_text
 
     if simulate:

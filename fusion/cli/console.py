@@ -1,4 +1,4 @@
-"""How the command line speaks: notes, progress and errors on stderr, one line each; results go to stdout."""
+"""Output of the command line: notes, progress and errors to stderr, one line each; results to stdout."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_LINE = 2000  # characters: a line that quotes a file's value may be as long 
 
 
 def say(text: str) -> None:
-    """Tell the user something that is not a result, one line."""
+    """Print a note or an error to stderr, in one line."""
     line = printable(" ".join(text.split()))
     if len(line) > MAX_LINE:
         line = f"{line[: MAX_LINE // 2]} ... {line[-MAX_LINE // 2 :]}"
@@ -31,12 +31,12 @@ def say(text: str) -> None:
 
 
 def command_line() -> str:
-    """Return what the user typed, as a shell would take it again."""
+    """Return the command line as typed, quoted for a shell."""
     return shlex.join(["corridor", *sys.argv[1:]])
 
 
 def echo(text: str) -> None:
-    """Print a result for people to stdout."""
+    """Print a result to stdout."""
     typer.echo(printable(text, keep="\n"))
 
 
@@ -44,7 +44,7 @@ class OneLineErrors(TyperGroup):
     """Commands whose errors, of input and of usage, are one line on stderr and exit code 2, never a traceback."""
 
     def main(self, *args: Any, **settings: Any) -> Any:
-        """Run the command line; mistakes in its words are told as those in files are."""
+        """Run the command line; report usage errors like errors in files."""
         try:
             code = super().main(*args, **settings | {"standalone_mode": False})
         except USAGE_ERROR as error:
@@ -57,13 +57,13 @@ class OneLineErrors(TyperGroup):
         raise SystemExit(code if isinstance(code, int) else 0)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command, and turn what goes wrong into a line and an exit code."""
+        """Run the command, and turn errors into a line and an exit code."""
         try:
             return super().invoke(ctx)
         except InputError as error:
             say(f"error: {error}")
         except OSError as error:
-            if error.errno == errno.EPIPE:  # whoever read our output has gone: end as pipes do
+            if error.errno == errno.EPIPE:  # the reader of our output has closed it: end as pipes do
                 raise
             where = f"{error.filename}: " if error.filename else ""
             say(f"error: {where}{error.strerror or error}")
@@ -77,7 +77,7 @@ class OneLineErrors(TyperGroup):
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Progress]:
-    """Show a bar while the block calls what it is given with (done, total); silent without a terminal."""
+    """Give the block a function to call with (done, total), which updates a bar; silent without a terminal."""
     if not sys.stderr.isatty():
         yield lambda done, total: None
         return
@@ -94,7 +94,7 @@ def progress_bar(label: str) -> Iterator[Progress]:
 
 @contextmanager
 def compile_notice(what: str) -> Iterator[None]:
-    """Say so, once, if the block has to compile the pixel loops, which takes far longer than running them.
+    """Tell the user, once, if the block compiles the pixel loops, which takes far longer than running them.
 
     numba announces each compilation; code taken from its cache on disk is not announced.
     """
@@ -106,7 +106,7 @@ def compile_notice(what: str) -> Iterator[None]:
         def on_start(self, event: Any) -> None:
             if not self.told:
                 self.told = True
-                say(f"compiling {what} (once, half a minute) ...")
+                say(f"compiling {what} (once, about half a minute) ...")
 
         def on_end(self, event: Any) -> None:
             pass

@@ -1,4 +1,4 @@
-"""The command ``corridor evaluate``: fused flights against a truth, side by side."""
+"""The command ``corridor evaluate``: fused flights against ground truth."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import typer
 from fusion.cli.console import echo
 from fusion.result.conventions import Frame
 
-SHORT_HELP = "Compare fused flights with what the vehicle really did."
-HELP = """Compare fused flights with what the vehicle really did, several outputs side by side.
+SHORT_HELP = "Compare fused flights with ground truth."
+HELP = """Compare fused flights with ground truth, several outputs side by side.
 
-It prints RMSE and MAE, the largest error, percentiles and NEES of heading and offset, for filter and smoother.
-Rows count while tracking, outside junctions. What a truth may look like: docs/commands.md.
+It prints RMSE, MAE, maximum, percentiles and NEES of heading and offset, for filter and smoother. Rows are evaluated
+while tracking, outside junctions. Formats of the truth: docs/commands.md.
 
 \b
 Examples:
@@ -22,27 +22,30 @@ Examples:
   corridor evaluate hall_fused --truth mocap.tum --truth-frame ros --align
   corridor evaluate geometric paper --truth data/office --plot errors.svg --table errors.tex
 
-Next: `corridor fuse --config` with other settings into another OUT, and compare the two.
+Next: run `corridor fuse --config` with other settings and another OUT, and compare the two.
 """
 
 
 def evaluate(
-    outs: Annotated[list[Path], typer.Argument(metavar="OUT", help="Folders that `corridor fuse` wrote.")],
+    outs: Annotated[list[Path], typer.Argument(metavar="OUT", help="Output folders of `corridor fuse`.")],
     truth: Annotated[
         Path, typer.Option("--truth", metavar="FILE", help="CSV or TUM trajectory, or a flight's folder.")
     ],
     truth_frame: Annotated[
         Frame | None,
-        typer.Option("--truth-frame", help="Signs of the truth: frd positive right, ros positive left."),
+        typer.Option("--truth-frame", help="Signs of the truth: frd is positive right, ros positive left."),
     ] = None,
     truth_shift_s: Annotated[
         float,
         typer.Option(
-            "--truth-shift", metavar="SECONDS", help="Add to the truth's times: its clock is another."
+            "--truth-shift", metavar="SECONDS", help="Added to the truth's times, if it has another clock."
         ),
     ] = 0.0,
     align: Annotated[
-        bool, typer.Option("--align", help="Take out the constant between truth and estimate, and tell it.")
+        bool,
+        typer.Option(
+            "--align", help="Remove the constant difference between truth and estimate, and print it."
+        ),
     ] = False,
     plot: Annotated[
         Path | None,
@@ -53,7 +56,7 @@ def evaluate(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, not tables.")] = False,
 ) -> None:
-    """Compare outputs with a truth."""
+    """Compare outputs with ground truth."""
     from fusion.cli.evaluate_text import comparison_text
     from fusion.evaluation.comparison import compare, read_outputs
     from fusion.evaluation.truth_file import read_truth

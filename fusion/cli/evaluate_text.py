@@ -1,4 +1,4 @@
-"""A comparison with a truth in words: what ``corridor evaluate`` prints, tables that fit 100 columns."""
+"""A comparison with ground truth as text: what ``corridor evaluate`` prints, in tables of up to 100 columns."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ STATUSES = ("initialising", "tracking", "coasting", "lost")
 EXCLUDED = {
     "outside_truth": "outside the truth's time",
     "junction": "in a junction",
-    "no_truth": "in a hole of the truth or between corridors",
+    "no_truth": "in a gap of the truth or between corridors",
     "not_tracking": "not tracking",
 }
 
 
 def comparison_text(found: Comparison) -> str:
-    """Lay out a comparison with a truth."""
+    """Format a comparison with ground truth."""
     truth, outputs = found.truth, found.outputs
     span_s = (truth.last_ns - truth.first_ns) / 1e9
     lines = [f"truth   {truth.source}", f"        {counted(truth.rows, 'row')}, {span_s:.1f} s"]
@@ -121,15 +121,15 @@ def _remarks(found: Comparison) -> Iterator[str]:
         rest = f"; left out: {', '.join(left)}" if left else ""
         yield f"{output.name}: {errors.judged} of {counted(errors.rows, 'row')} judged{rest}"
         if output.overlap_s < 0.98 * output.duration_s:
-            yield f"  the truth covers {output.overlap_s:.1f} s of its {output.duration_s:.1f} s"
+            yield f"  the truth covers {output.overlap_s:.1f} of its {output.duration_s:.1f} s"
         for number, constants in (output.causal.removed or {}).items():
             offset = ""
             if constants.lateral_offset_m is not None:
                 offset = f", {constants.lateral_offset_m * 100:.1f} cm"
             if constants.lateral_offset_norm is not None:
                 offset += f", {constants.lateral_offset_norm:.1%} of half width"
-            yield f"  taken out in corridor {number}: {degrees(constants.heading_rad):+.2f} degrees{offset}"
+            yield f"  removed in corridor {number}: {degrees(constants.heading_rad):+.2f} degrees{offset}"
     yield "RMSE, MAE: the article's equations (9) and (10); p50 to p99: percentiles of the absolute error;"
-    yield "NEES: mean of (error / sigma) squared, 1 for an honest sigma."
+    yield "NEES: mean of (error / sigma) squared, 1 for a consistent filter."
     if found.truth.fixed_axis:
         yield "Headings are compared from the first corridor's axis, offsets only within the first corridor."

@@ -8,14 +8,14 @@ from typing import Annotated
 import typer
 
 from fusion.cli.console import command_line, compile_notice, echo, progress_bar, say
-from fusion.cli.options import CameraOption, Method, MethodOption
+from fusion.cli.options import CameraOption, ConfigOption, Method, MethodOption
 from fusion.result.conventions import Frame
 
 SHORT_HELP = "Fuse a logged flight: heading and offset, tables and a report."
 HELP = """Fuse a logged flight into a smooth heading and lateral offset, with tables and a report.
 
-FLIGHT is a flight's folder, a bag, a flight.toml, or an autopilot's log together with --video. OUT is written whole
-or not at all. All about inputs, outputs and exports: docs/commands.md.
+FLIGHT is a flight's folder, a bag, a flight.toml, or an autopilot's log together with --video. OUT is written
+completely or not at all. Inputs, outputs and exports: docs/commands.md.
 
 \b
 Examples:
@@ -23,7 +23,7 @@ Examples:
   corridor fuse log.ulg --video hall.mp4 --camera cam.yaml -o out/hall --export parquet,mcap
 
 \b
-A flight.toml names streams that lie in several files:
+A flight.toml lists streams that are in several files:
   corridor_width_m = 2.2
   [camera]
   file = "hall.mp4"
@@ -35,61 +35,60 @@ A flight.toml names streams that lie in several files:
 Next: open OUT/report.html, or read the tables: pandas.read_csv("OUT/estimates.csv").
 """
 
+FlightArgument = Annotated[
+    Path | None,
+    typer.Argument(metavar="FLIGHT", help="A flight's folder, a flight.toml or a log.", show_default=False),
+]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", "-o", metavar="OUT", help="Output folder; default FLIGHT-name_fused.")
+]
+ImuOption = Annotated[
+    Path | None, typer.Option("--imu", metavar="LOG", help="Log or CSV of the IMU and other sensors.")
+]
+VideoOption = Annotated[
+    Path | None, typer.Option("--video", metavar="VIDEO", help="Video, or folder of pictures with times.")
+]
+AttitudeOption = Annotated[
+    Path | None, typer.Option("--attitude", metavar="LOG", help="Log or CSV of the attitude only.")
+]
+ClockOffsetOption = Annotated[
+    float | None,
+    typer.Option("--clock-offset", metavar="SECONDS", help="Added to the pictures' times to give the IMU's."),
+]
 ExportOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--export", metavar="parquet,tum,mcap,video", help="Write these besides CSV; may be repeated."
+        "--export", metavar="parquet,tum,mcap,video", help="Also write these formats; may be repeated."
     ),
 ]
 FrameOption = Annotated[
     Frame,
     typer.Option(
         "--frame",
-        help="Signs in the files: frd, positive right; ros (FLU, ENU), positive left. summary.json names it.",
+        help="Signs in the files: frd is positive right, ros (FLU, ENU) positive left; noted in summary.json.",
+    ),
+]
+JobsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs", metavar="N", min=1, help="Threads, including the filter's; default one per core, up to 8."
     ),
 ]
 
 
 def fuse(
-    flight: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="FLIGHT", help="A flight's folder, a flight.toml or a log.", show_default=False
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="OUT", help="Output folder; else FLIGHT-name_fused.")
-    ] = None,
-    imu: Annotated[
-        Path | None,
-        typer.Option("--imu", metavar="LOG", help="Log or CSV of the IMU, and what else it holds."),
-    ] = None,
-    video: Annotated[
-        Path | None, typer.Option("--video", metavar="VIDEO", help="Video, or folder of pictures with times.")
-    ] = None,
-    attitude: Annotated[
-        Path | None, typer.Option("--attitude", metavar="LOG", help="Log or CSV of the attitude alone.")
-    ] = None,
-    clock_offset_s: Annotated[
-        float | None,
-        typer.Option(
-            "--clock-offset", metavar="SECONDS", help="Add to the pictures' times to give the IMU's."
-        ),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option("--config", metavar="F.toml", help="Settings; the rest keep defaults."),
-    ] = None,
+    flight: FlightArgument = None,
+    out: OutOption = None,
+    imu: ImuOption = None,
+    video: VideoOption = None,
+    attitude: AttitudeOption = None,
+    clock_offset_s: ClockOffsetOption = None,
+    config: ConfigOption = None,
     camera: CameraOption = None,
     method: MethodOption = Method.GEOMETRIC,
     export: ExportOption = None,
     frame: FrameOption = Frame.FRD,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            "--jobs", metavar="N", min=1, help="Threads, the filter's included; else one per core, up to 8."
-        ),
-    ] = None,
+    jobs: JobsOption = None,
 ) -> None:
     """Fuse a flight and write its files."""
     from fusion import FusionConfig, fuse_flight

@@ -43,28 +43,19 @@ def flight_from_options(
         Where too little is named, or it cannot be read.
     """
     from fusion.logs import load_flight, load_manifest
-    from fusion.logs.manifest.manifest import find_manifest, make_manifest, read_manifest
+    from fusion.logs.manifest.file import make_manifest
 
-    named = {"--imu": imu, "--video": video, "--attitude": attitude, "--camera": camera, "FLIGHT": flight}
-    for option, path in named.items():
-        if path is not None and not path.exists():
-            raise InputError(
-                f"there is no such file or folder ({option})", file=path, remedy="check the path"
-            )
+    _check_exist(
+        {"--imu": imu, "--video": video, "--attitude": attitude, "--camera": camera, "FLIGHT": flight}
+    )
     if imu is None and video is None and attitude is None and clock_offset_s is None:
         if flight is None:
             raise InputError("no flight is named", remedy=_EXAMPLES)
         return load_flight(flight, camera=camera)
     if flight is None and video is None:
         raise InputError("no pictures are named", remedy=_EXAMPLES)
-    described = None if flight is None else find_manifest(flight)
-    values: dict[str, Any] = {}
-    if described is not None:
-        values = read_manifest(described).model_dump(exclude_defaults=True)
-        values.setdefault("name", described.absolute().parent.name)
-    elif flight is not None:
-        values["log"] = flight
-    elif video is not None:
+    values = _values_of_flight(flight)
+    if flight is None and video is not None:
         values["name"] = video.name if video.is_dir() else video.stem
     _put(values, "camera", {"file": video, "calibration": camera})
     if clock_offset_s is not None:
@@ -77,9 +68,33 @@ def flight_from_options(
     return load_manifest(make_manifest(values), path=flight or imu or video)
 
 
+def _check_exist(named: dict[str, Path | None]) -> None:
+    """Raise `InputError` for the first option whose path does not exist."""
+    for option, path in named.items():
+        if path is not None and not path.exists():
+            raise InputError(
+                f"there is no such file or folder ({option})", file=path, remedy="check the path"
+            )
+
+
+def _values_of_flight(flight: Path | None) -> dict[str, Any]:
+    """Return the manifest's values to start from: the flight's own, or one that names its log; none without it."""
+    from fusion.logs.manifest.file import find_manifest, read_manifest
+
+    if flight is None:
+        return {}
+    described = find_manifest(flight)
+    if described is None:
+        return {"log": flight}
+    values = read_manifest(described).model_dump(exclude_defaults=True)
+    values.setdefault("name", described.absolute().parent.name)
+    return values
+
+
 def outside_text(flight: Path | None) -> str | None:
     """Say which files a flight's manifest takes from outside its folder; None where it does not."""
-    from fusion.logs.manifest.manifest import files_outside, find_manifest, read_manifest
+    from fusion.logs.manifest.file import find_manifest, read_manifest
+    from fusion.logs.manifest.manifest import files_outside
 
     described = None if flight is None else find_manifest(flight)
     if described is None:

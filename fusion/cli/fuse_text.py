@@ -81,9 +81,7 @@ def _corridor_lines(corridors: Sequence[CorridorStretch]) -> list[str]:
 def _speed(timings: SpeedSummary) -> str:
     times, vision_ms = timings.times_real_time, timings.vision_ms_median
     per_frame = "" if vision_ms is None else f", {vision_ms:.1f} ms a frame (median)"
-    compiled = (
-        "" if timings.compile_s < 0.5 else f"; before that, once, {timings.compile_s:.0f} s of compiling"
-    )
+    compiled = "" if timings.compile_s < 0.5 else f"; plus {timings.compile_s:.0f} s of compiling, once"
     total = f"{timings.total_s:.1f} s{per_frame}{compiled}"
     return total if times is None else f"{times:.1f} times real time: {total}"
 

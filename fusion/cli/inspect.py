@@ -1,4 +1,4 @@
-"""The command ``corridor inspect``: what a log holds, and what can be made of it."""
+"""The command ``corridor inspect``: what a log contains, and what can be fused."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import typer
 
 from fusion.cli.console import echo, say
 
-SHORT_HELP = "Say what a log holds, and what can be made of it."
-HELP = """Say what a log holds, and what can be made of it: streams, rates, gaps, clocks, noise, the first picture.
+SHORT_HELP = "List what a log contains, and what can be fused."
+HELP = """List what a log contains and what can be fused: streams, rates, gaps, clocks, noise, the first picture.
 
-Any format that `corridor fuse` takes. What is missing, or contradicts itself, comes with the setting that puts it
-right. What each line means: docs/commands.md.
+It reads every format that `corridor fuse` does. For what is missing or inconsistent it names the setting that
+corrects it. The meaning of each line: docs/commands.md.
 
 \b
 Examples:
   corridor inspect data/office
   corridor inspect log.ulg --json > log.json
 
-Next: supply what it says is missing, then corridor fuse.
+Next: supply what is missing, then run corridor fuse.
 """
 
 
@@ -30,7 +30,8 @@ def inspect(
         typer.Argument(metavar="LOG", help="A log file, a flight's folder or a flight.toml."),
     ],
     picture: Annotated[
-        Path | None, typer.Option("--picture", metavar="FILE.png", help="Write the first picture here.")
+        Path | None,
+        typer.Option("--picture", metavar="FILE.png", help="Write the first picture to this file."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, not text.")] = False,
 ) -> None:

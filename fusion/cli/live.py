@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fusion.cli.console import compile_notice, echo, say
+from fusion.cli.options import ConfigOption
+
+if TYPE_CHECKING:
+    from fusion.live.core import LiveCore
+    from fusion.live.session import LiveSession
+    from fusion.live.view import FoxgloveViewer
 
 SHORT_HELP = "On the vehicle: camera and MAVLink in, estimates out."
 HELP = """Estimate heading and lateral offset in flight, from a camera and an autopilot's MAVLink, and send them.
 
-PICTURES is a camera's device, a network stream, a video or a folder. With --record, all that goes in and out is in
-one file. Ctrl-C ends it. Addresses, messages, wiring and what to check before a flight: docs/live.md.
+PICTURES is a camera's device, a network stream, a video or a folder. --record writes all inputs and outputs to one
+file. Ctrl-C ends it. Addresses, messages, wiring and what to check before a flight: docs/live.md.
 
 \b
 Examples:
@@ -22,45 +30,54 @@ Examples:
   corridor live rtsp://10.0.0.2/front --camera cam.yaml --link udpin:0.0.0.0:14540 --view
   corridor live hall.mp4 --camera cam.yaml --link udpin:127.0.0.1:14540
 
-Next: corridor fuse flight.mcap computes again, to the bit, what was sent, and writes a report.
+Next: corridor fuse flight.mcap reproduces the estimates that were sent, bit for bit, and writes a report.
 """
 
 
+PicturesArgument = Annotated[
+    str, typer.Argument(metavar="PICTURES", help="A camera: /dev/video0, rtsp://..., hall.mp4, a folder.")
+]
+CalibrationOption = Annotated[
+    Path, typer.Option("--camera", metavar="CAM.yaml", help="Calibration, as for corridor fuse.")
+]
+LinkOption = Annotated[
+    str, typer.Option("--link", metavar="ADDRESS", help="The autopilot's address, as for pymavlink.")
+]
+RecordOption = Annotated[
+    Path | None, typer.Option("--record", metavar="FILE.mcap", help="Write a recording.")
+]
+PlotRateOption = Annotated[
+    float, typer.Option("--plot-rate", help="NAMED_VALUE_FLOAT per second, for each name; 0: none.")
+]
+ImuRateOption = Annotated[
+    float, typer.Option("--imu-rate", help="IMU messages per second to request; 0: request none.")
+]
+PositionOption = Annotated[
+    str, typer.Option("--position", help="Send a position in ODOMETRY: auto (to ArduPilot), always or never.")
+]
+VelocityOption = Annotated[
+    bool, typer.Option("--use-velocity", help="Use the speed in the autopilot's LOCAL_POSITION_NED.")
+]
+DurationOption = Annotated[
+    float | None, typer.Option("--duration", metavar="SECONDS", help="End after this time.")
+]
+
+
 def live(
-    pictures: Annotated[
-        str, typer.Argument(metavar="PICTURES", help="A camera: /dev/video0, rtsp://..., hall.mp4, a folder.")
-    ],
-    camera: Annotated[
-        Path, typer.Option("--camera", metavar="CAM.yaml", help="Calibration, as for corridor fuse.")
-    ],
-    link: Annotated[
-        str, typer.Option("--link", metavar="ADDRESS", help="The autopilot, as pymavlink names it.")
-    ] = "udpin:0.0.0.0:14540",
-    config: Annotated[
-        Path | None, typer.Option("--config", metavar="F.toml", help="Settings; the rest keep defaults.")
-    ] = None,
-    record: Annotated[
-        Path | None, typer.Option("--record", metavar="FILE.mcap", help="Write a recording.")
-    ] = None,
+    pictures: PicturesArgument,
+    camera: CalibrationOption,
+    link: LinkOption = "udpin:0.0.0.0:14540",
+    config: ConfigOption = None,
+    record: RecordOption = None,
     view: Annotated[bool, typer.Option("--view", help="Serve pictures and estimates to Foxglove.")] = False,
-    view_host: Annotated[str, typer.Option("--view-host", help="Address to serve them at.")] = "127.0.0.1",
-    view_port: Annotated[int, typer.Option("--view-port", help="Port to serve them at.")] = 8765,
-    rate_hz: Annotated[float, typer.Option("--rate", help="Estimates a second.")] = 50.0,
-    plot_rate_hz: Annotated[
-        float, typer.Option("--plot-rate", help="NAMED_VALUE_FLOAT of each name a second; 0: none.")
-    ] = 10.0,
-    imu_rate_hz: Annotated[
-        float, typer.Option("--imu-rate", help="IMU messages to ask for a second; 0: ask for none.")
-    ] = 100.0,
-    position: Annotated[
-        str, typer.Option("--position", help="In ODOMETRY: auto (to ArduPilot), always or never.")
-    ] = "auto",
-    use_velocity: Annotated[
-        bool, typer.Option("--use-velocity", help="Take the speed from the autopilot's LOCAL_POSITION_NED.")
-    ] = False,
-    duration_s: Annotated[
-        float | None, typer.Option("--duration", metavar="SECONDS", help="End after so long.")
-    ] = None,
+    view_host: Annotated[str, typer.Option("--view-host", help="Address to serve at.")] = "127.0.0.1",
+    view_port: Annotated[int, typer.Option("--view-port", help="Port to serve at.")] = 8765,
+    rate_hz: Annotated[float, typer.Option("--rate", help="Estimates per second.")] = 50.0,
+    plot_rate_hz: PlotRateOption = 10.0,
+    imu_rate_hz: ImuRateOption = 100.0,
+    position: PositionOption = "auto",
+    use_velocity: VelocityOption = False,
+    duration_s: DurationOption = None,
 ) -> None:
     """Run until interrupted, and print how it went."""
     from fusion import FusionConfig
@@ -86,40 +103,43 @@ def live(
     fusion_config = live_config(None if config is None else FusionConfig.from_toml(config))
     clock = HostClock()
     source = camera_source(pictures, calibration, clock)
-    viewer = None
-    if view:
-        from fusion.live.view import FoxgloveViewer
-
-        viewer = FoxgloveViewer(view_host, view_port)
-        say(f"watch in Foxglove or Lichtblick: open connection ws://{view_host}:{view_port}")
+    viewer = _served_viewer(view_host, view_port) if view else None
     recorder = None if record is None else Recorder(record, fusion_config, calibration, settings)
     try:
         session = LiveSession(
-            link,
-            source,
-            calibration,
-            fusion_config,
-            settings,
-            recorder=recorder,
-            viewer=viewer,
-            clock=clock,
+            link, source, calibration, fusion_config, settings, recorder=recorder, viewer=viewer, clock=clock
         )
     except InputError:
-        if recorder is not None and record is not None:  # nothing is in it
-            recorder.close()
-            record.unlink()
+        if recorder is not None:
+            recorder.discard()
         raise
-    before = [signal.signal(number, lambda *_: session.stop()) for number in (signal.SIGINT, signal.SIGTERM)]
-    try:
-        with compile_notice("the line finder"):
-            session.run(duration_s, lambda s: say(status_line(s)))
-    finally:
-        for number, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
-            signal.signal(number, handler)
+    with _signals_stop(session), compile_notice("the line finder"):
+        session.run(duration_s, lambda s: say(status_line(s)))
     echo(_summary(session, record))
 
 
-def _summary(session: Any, record: Path | None) -> str:
+def _served_viewer(host: str, port: int) -> FoxgloveViewer:
+    """Start serving pictures and estimates, and tell the user where."""
+    from fusion.live.view import FoxgloveViewer
+
+    viewer = FoxgloveViewer(host, port)
+    say(f"watch in Foxglove or Lichtblick: open connection ws://{host}:{port}")
+    return viewer
+
+
+@contextmanager
+def _signals_stop(session: LiveSession) -> Iterator[None]:
+    """Let SIGINT and SIGTERM end the session's run in good order within the block."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, lambda *_: session.stop()) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
+def _summary(session: LiveSession, record: Path | None) -> str:
     s, core = session.statistics, session.core
     shares = ", ".join(f"{name} {n / max(s.estimates, 1):.0%}" for name, n in s.statuses.items())
     delay = core.estimate.camera_delay_s
@@ -137,7 +157,7 @@ def _summary(session: Any, record: Path | None) -> str:
     return "\n".join(lines)
 
 
-def _autopilot(core: Any) -> str:
+def _autopilot(core: LiveCore) -> str:
     if core.vehicle is None:
         return "none heard"
     trip_ns = core.clock.round_trip_ns

@@ -1,4 +1,4 @@
-"""The command ``corridor measure``: single pictures, without a filter."""
+"""The command ``corridor measure``: single pictures, without the filter."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from vision.errors import InputError
 SHORT_HELP = "Measure single pictures: heading, offset, vanishing point."
 HELP = """Measure single pictures of a corridor: heading, lateral offset, vanishing point. No filter.
 
-Folders are taken with all their pictures. The table goes to stdout as CSV, or to a file with -o. Without --camera and
---attitude it says what it assumes. Columns and assumptions: docs/commands.md.
+Of a folder, all pictures are measured. The table goes to stdout as CSV, or to a file with -o. Without --camera or
+--attitude it prints what it assumes. Columns and assumptions: docs/commands.md.
 
 \b
 Examples:
   corridor measure picture.jpg
   corridor measure pictures --camera camera.yaml -o frames.csv --overlay drawn
 
-Next: look at the drawings in --overlay DIR; with an IMU log, `corridor fuse` makes it smooth.
+Next: look at the pictures in --overlay DIR. With an IMU log, `corridor fuse` gives smooth estimates.
 """
 
 
@@ -36,20 +36,20 @@ def measure(
     camera: CameraOption = None,
     fov_deg: Annotated[
         float | None,
-        typer.Option(
-            "--fov", metavar="DEGREES", help="Horizontal field of view, where there is no --camera."
-        ),
+        typer.Option("--fov", metavar="DEGREES", help="Horizontal field of view, in place of --camera."),
     ] = None,
     attitude: Annotated[
-        Path | None, typer.Option("--attitude", metavar="CSV", help="Roll and pitch of the body, see above.")
+        Path | None,
+        typer.Option("--attitude", metavar="CSV", help="Roll and pitch of the body: docs/commands.md."),
     ] = None,
     method: MethodOption = Method.GEOMETRIC,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="frames.csv", help="Write the table to a file."),
+        typer.Option("--out", "-o", metavar="frames.csv", help="Write the table to this file."),
     ] = None,
     overlay: Annotated[
-        Path | None, typer.Option("--overlay", metavar="DIR", help="Draw what was seen into pictures here.")
+        Path | None,
+        typer.Option("--overlay", metavar="DIR", help="Write pictures with their lines to this folder."),
     ] = None,
 ) -> None:
     """Measure pictures one by one."""

@@ -1,4 +1,4 @@
-"""What ``corridor measure`` says beside its table: what it assumed, and what came of it."""
+"""What ``corridor measure`` prints besides its table: what it assumes, and the result."""
 
 from __future__ import annotations
 

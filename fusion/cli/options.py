@@ -10,7 +10,7 @@ import typer
 
 
 class Method(StrEnum):
-    """How a frame's vanishing point is found."""
+    """How the vanishing point of a frame is found."""
 
     GEOMETRIC = "geometric"
     PAPER = "paper"
@@ -24,10 +24,13 @@ CameraOption = Annotated[
         help="Calibration: EuRoC, Kalibr, ROS camera_info or OpenCV, YAML or JSON, pinhole or fisheye.",
     ),
 ]
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", metavar="F.toml", help="Settings; others keep their defaults.")
+]
 MethodOption = Annotated[
     Method,
     typer.Option(
         "--method",
-        help="geometric: sub-pixel lines, gravity-aided; paper: the article's k-means chain, for comparison.",
+        help="geometric: sub-pixel lines and gravity; paper: the article's k-means method, for comparison.",
     ),
 ]

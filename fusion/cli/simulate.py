@@ -1,4 +1,4 @@
-"""The command ``corridor simulate``: a flight to try things on, truth included."""
+"""The command ``corridor simulate``: a simulated flight with ground truth."""
 
 from __future__ import annotations
 
@@ -10,27 +10,30 @@ import typer
 from fusion.cli.console import compile_notice, echo, progress_bar
 from fusion.cli.options import CameraOption
 
-SHORT_HELP = "Make a flight to try things on, truth included."
-HELP = """Make a flight through a furnished, lit corridor: pictures, IMU, attitude and the exact truth.
+SHORT_HELP = "Simulate a flight, with ground truth."
+HELP = """Simulate a flight through a furnished, lit corridor: pictures, IMU, attitude and exact ground truth.
 
-The same settings give the same files, byte for byte. OUT is a flight folder as `corridor fuse` takes it; it must not
-exist yet. All settings: corridor config --simulate.
+The same settings give the same files, byte for byte. OUT is a flight folder for `corridor fuse`; it must not exist
+yet. All settings: corridor config --simulate.
 
 \b
 Examples:
   corridor simulate flight
   corridor simulate turn --turn -65 --duration 30 --seed 7
 
-Next: corridor fuse OUT, which then reports its errors against the truth.
+Next: corridor fuse OUT, which reports the errors against the ground truth.
 """
 
 
 def simulate(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="The flight's folder, to be made.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The flight's folder, to be created.")],
     config: Annotated[
-        Path | None, typer.Option("--config", metavar="F.toml", help="Settings; the options below go on top.")
+        Path | None,
+        typer.Option("--config", metavar="F.toml", help="Settings; the options below override them."),
     ] = None,
-    seed: Annotated[int | None, typer.Option("--seed", help="Another corridor, motion and noise.")] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", help="Random seed of corridor, motion and noise.")
+    ] = None,
     duration_s: Annotated[
         float | None, typer.Option("--duration", metavar="SECONDS", help="Length of the flight.")
     ] = None,
@@ -38,12 +41,14 @@ def simulate(
         float | None, typer.Option("--width", metavar="METRES", help="Width of the corridor.")
     ] = None,
     size: Annotated[
-        str | None, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Of the pictures, in pixels.")
+        str | None, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Size of the pictures, in pixels.")
     ] = None,
     turn_deg: Annotated[
         float | None,
         typer.Option(
-            "--turn", metavar="DEGREES", help="Turn into a side corridor half way, positive right, 30 to 150."
+            "--turn",
+            metavar="DEGREES",
+            help="Turn into another corridor half way: 30 to 150, positive right.",
         ),
     ] = None,
     camera: CameraOption = None,

@@ -29,16 +29,16 @@ class FusionConfig(Settings):
         default=None,
         gt=0.2,
         le=100,
-        description="Width between the walls; where nothing tells it, offsets stay scale-free.",
+        description="Width between the walls. Without it, a camera height or a range, offsets stay in half widths.",
     )
     camera_height_m: float | None = Field(
         default=None,
         gt=0.01,
         le=100,
-        description="Camera above the floor; gives the width where that is not given, before a range sensor.",
+        description="Height of the camera above the floor. Gives an unset width, before a range sensor does.",
     )
     camera_delay_s: float = Field(
-        default=0.0, ge=0, le=5, description="How much later than mid-exposure the frames are stamped."
+        default=0.0, ge=0, le=5, description="Time stamps of the frames less mid-exposure."
     )
     camera_delay_std_s: float = Field(
         default=0.0,
@@ -50,145 +50,188 @@ class FusionConfig(Settings):
         default=0.5,
         ge=0.01,
         le=30,
-        description="How late a sample may arrive, behind the newest, and still count.",
+        description="How far a late sample may be behind the newest and still be used.",
     )
     fixed_lag_s: float | None = Field(
         default=None,
         ge=0.25,
         le=2,
-        description="How far behind the newest sample a smoothed estimate is given in flight; None: not at all.",
+        description="Lag of the smoothed estimate in flight behind the newest sample. None: no smoothing.",
     )
 
     gyro_noise_density: float | None = Field(
-        default=None, gt=0, le=1, description="rad/s/sqrt(Hz); None: as the log declares, else 0.0075."
+        default=None,
+        gt=0,
+        le=1,
+        description="rad/s/sqrt(Hz); noise density of the gyroscope. None: as declared in the log, else 0.0075.",
     )
     gyro_bias_walk: float | None = Field(
-        default=None, gt=0, le=1, description="rad/s^2/sqrt(Hz); None: as the log declares, else 1e-4."
+        default=None,
+        gt=0,
+        le=1,
+        description="rad/s^2/sqrt(Hz); random walk of the gyroscope's bias. None: as declared in the log, else 1e-4.",
     )
     gyro_bias_std_rad_s: float = Field(
-        default=0.02, gt=0, le=1, description="Bias of the yaw rate at the start."
+        default=0.02, gt=0, le=1, description="Initial standard deviation of the yaw rate's bias."
     )
     gyro_scale_std: float = Field(
         default=0.01,
         ge=0,
         le=0.2,
-        description="Relative error of the gyroscope's scale; data sheets say .5 to 3 %.",
+        description="Standard deviation of the gyroscope's relative scale error; 0.5 to 3 % in data sheets.",
     )
     gyro_gap_s: float = Field(
-        default=0.1, gt=0, le=5, description="Silence after which the gyroscope counts as gone."
+        default=0.1,
+        gt=0,
+        le=5,
+        description="Time without samples after which the gyroscope is taken to be lost.",
     )
     gyro_range_rad_s: float = Field(
         default=35.0,
         gt=0,
         le=200,
-        description="Largest rate of any axis that the gyroscope can measure; 35 rad/s is 2000 degrees/s.",
+        description="Measuring range of the gyroscope, on each axis; 35 rad/s is 2000 degrees/s.",
     )
     yaw_acceleration_density: float = Field(
         default=1.0,
         gt=0,
         le=100,
-        description="rad/s^2/sqrt(Hz); how the yaw rate wanders while nothing measures it.",
+        description="rad/s^2/sqrt(Hz); random walk of the yaw rate while no sensor measures it.",
     )
 
     imu_yaw_use: Literal["auto", "always", "never"] = Field(
         default="auto",
-        description="Whether the IMU's yaw corrects the heading. auto: once frames have shown that it does not "
-        "stray together with the gyroscope; till then its offset is followed and changes nothing else.",
+        description="Whether the IMU's yaw corrects the heading. auto: only after the frames have shown that it does "
+        "not drift with the gyroscope; until then only its offset is estimated.",
     )
     imu_yaw_std_rad: float = Field(
-        default=radians(0.5), gt=0, le=1, description="White noise of the IMU's yaw."
+        default=radians(0.5), gt=0, le=1, description="Standard deviation of the IMU yaw's white noise."
     )
     imu_yaw_walk: float | None = Field(
         default=None,
         gt=0,
         le=10,
-        description="rad/sqrt(s); wander of the IMU's yaw against the corridor. None: 1.2 times the gyroscope's.",
+        description="rad/sqrt(s); random walk of the IMU yaw's offset. None: 1.2 times the gyroscope's noise.",
     )
-    imu_yaw_gate_sigma: float = Field(default=5.0, ge=1, le=100, description="Gate of the IMU's yaw.")
+    imu_yaw_gate_sigma: float = Field(
+        default=5.0,
+        ge=1,
+        le=100,
+        description="Gate of the IMU's yaw, in standard deviations of the innovation.",
+    )
     attitude_std_rad: float = Field(
-        default=radians(0.5), gt=0, le=1, description="Roll and pitch of the attitude stream."
+        default=radians(0.5),
+        gt=0,
+        le=1,
+        description="Standard deviation of roll and pitch in the attitude stream.",
     )
 
-    heading_gate_sigma: float = Field(default=4.0, ge=1, le=100, description="Gate of the frames' heading.")
+    heading_gate_sigma: float = Field(
+        default=4.0,
+        ge=1,
+        le=100,
+        description="Gate of the frames' heading, in standard deviations of the innovation.",
+    )
     heading_std_floor_rad: float = Field(
-        default=radians(0.05), gt=0, le=1, description="No frame's heading is believed better than this."
+        default=radians(0.05), gt=0, le=1, description="Lower bound of a frame's heading standard deviation."
     )
     heading_correlation_s: float = Field(
         default=0.03,
         ge=0,
         le=10,
-        description="Time over which errors of successive headings resemble each other; with a gyroscope, what is "
-        "learned in flight starts from it.",
+        description="Correlation time of the errors of successive frames; with a gyroscope, the initial value of the "
+        "one estimated in flight.",
     )
     min_lines: int = Field(
-        default=4, ge=2, le=1000, description="Lines that must meet for a frame to be used."
+        default=4, ge=2, le=1000, description="Number of lines that must meet for a frame to be used."
     )
 
     velocity_std_m_s: float = Field(
         default=0.1,
         gt=0,
         le=50,
-        description="Sideways velocity left unexplained where a velocity stream is given.",
+        description="Standard deviation of the lateral velocity that the velocity stream does not explain.",
     )
-    lateral_velocity_time_s: float = Field(default=1.0, gt=0, le=100, description="Its correlation time.")
+    lateral_velocity_time_s: float = Field(
+        default=1.0, gt=0, le=100, description="Correlation time of that lateral velocity."
+    )
     lateral_rate_hz: float | None = Field(
         default=None,
         gt=0,
         le=1000,
-        description="How often at most a frame is searched for the lateral offset; None: every frame. Errors of "
-        "frames near to each other are alike, so at 30 frames/s 15 Hz costs half and tells nearly as much.",
+        description="Highest rate at which frames are searched for the lateral offset; None: every frame. Errors of "
+        "successive frames are correlated: at 30 frames/s, 15 Hz costs half and is nearly as accurate.",
     )
-    lateral_gate_sigma: float = Field(default=4.0, ge=1, le=100, description="Gate of the lateral offset.")
+    lateral_gate_sigma: float = Field(
+        default=4.0,
+        ge=1,
+        le=100,
+        description="Gate of the lateral offset, in standard deviations of the innovation.",
+    )
     lateral_std_floor_norm: float = Field(
         default=0.005,
         gt=0,
         le=1,
-        description="No frame's offset is believed better than this, in half widths.",
+        description="Lower bound of a frame's offset standard deviation, in half widths.",
     )
     position_dead_band_norm: float = Field(
-        default=0.1, ge=0, lt=1, description="Offsets up to this, in half widths, are called centre."
+        default=0.1,
+        ge=0,
+        lt=1,
+        description="Largest offset, in half widths, for which the position is centre.",
     )
 
     start_frames: int = Field(
-        default=5, ge=1, le=100, description="Agreeing frames whose median is the first heading."
+        default=5, ge=1, le=100, description="Number of agreeing frames whose median is the initial heading."
     )
     recovery_frames: int = Field(
-        default=10, ge=3, le=40, description="Rejected frames that, agreeing, are believed."
+        default=10,
+        ge=3,
+        le=40,
+        description="Number of agreeing rejected frames after which they are accepted.",
     )
     recovery_spread_rad: float = Field(
-        default=radians(1.5), gt=0, le=0.5, description="How well they must agree."
+        default=radians(1.5), gt=0, le=0.5, description="Largest spread of frames that agree."
     )
     axis_jump_hold_s: float = Field(
         default=10.0,
         ge=0,
         le=60,
-        description="How long another direction must last that no turn of the vehicle explains.",
+        description="Time for which a new direction without a turn of the vehicle must last to be accepted.",
     )
     junction_min_turn_rad: float = Field(
-        default=radians(20), gt=0, le=radians(60), description="Corridors that meet differ by more than this."
+        default=radians(20),
+        gt=0,
+        le=radians(60),
+        description="Smallest angle between two corridors at a junction.",
     )
     junction_frames: int = Field(
-        default=5, ge=3, le=40, description="Agreeing frames that make a new corridor."
+        default=5, ge=3, le=40, description="Number of agreeing frames that start a new corridor."
     )
-    junction_time_s: float = Field(default=0.7, ge=0, le=60, description="Time over which they must agree.")
+    junction_time_s: float = Field(
+        default=0.7, ge=0, le=60, description="Time over which these frames must agree."
+    )
     junction_revert_s: float = Field(
-        default=8.0, ge=0, le=60, description="Time in which a return to the old axis undoes a new corridor."
+        default=8.0,
+        ge=0,
+        le=60,
+        description="Time within which a return to the old axis cancels a new corridor.",
     )
 
     coasting_after_s: float = Field(
         default=0.2,
         gt=0,
         le=60,
-        description="Age of vision at which status is coasting (or 2.5 frame intervals).",
+        description="Time without a used frame after which the status is coasting (at least 2.5 frame intervals).",
     )
     lost_after_s: float = Field(
-        default=10.0, gt=0, le=3600, description="Age of vision at which status is lost."
+        default=10.0, gt=0, le=3600, description="Time without a used frame after which the status is lost."
     )
     lost_heading_std_rad: float = Field(
         default=radians(10),
         gt=0,
         le=3,
-        description="Heading sigma beyond which status is lost and frames start anew.",
+        description="Heading sigma beyond which the status is lost and the filter starts again.",
     )
 
     @model_validator(mode="after")

@@ -19,29 +19,42 @@ MIN_BELIEF = 0.01  # of a hypothesis in any component, for an update to be worth
 EXPLAINED_SIGMA = 3.0
 MERGE_SIGMA2 = 1.0
 MERGE_VELOCITY_SIGMA2 = 2.0
-NEIGHBOURHOOD_STD = 0.2  # half widths about a hypothesis within which a frame's other places are near it
+PLACE_NORM = 0.1  # half widths within which components are one place
+MAX_SPREAD_NORM = 0.2  # further off is another place, no matter how far
 
 
 @compiled
-def variance_left_open(evidence: FloatArray, blind: float, expected: float) -> float:
-    """Variance of the offset that a frame alone leaves in the neighbourhood of a hypothesis.
+def spread_about(evidence: FloatArray, expected: float) -> float:
+    """Second moment of a frame's likelihood about an offset, within its likeliest place.
 
-    It is that of the frame's likelihood times a Gaussian about ``expected``.
+    The likeliest place are the components within `PLACE_NORM` of the one about which the most weight lies. At most
+    `MAX_SPREAD_NORM` squared; negative where the frame has no component.
     """
-    near = NEIGHBOURHOOD_STD**2
-    weight, mean, square = 0.5 * blind, 0.0, 0.5 * blind * near
-    for j in range(len(evidence)):
-        apart, variance = evidence[j, 1] - expected, evidence[j, 2]
-        total = near + variance
-        w = evidence[j, 0] * exp(-0.5 * apart * apart / total) / sqrt(2.0 * pi * total)
-        m = apart * near / total
-        weight += w
-        mean += w * m
-        square += w * (m * m + variance * near / total)
-    if not weight > 0.0:
-        return near
-    mean /= weight
-    return max(square / weight - mean * mean, 0.0)
+    most, spread2 = 0.0, -1.0
+    for i in range(len(evidence)):
+        weight = square = 0.0
+        for j in range(len(evidence)):
+            if abs(evidence[j, 1] - evidence[i, 1]) < PLACE_NORM:
+                weight += evidence[j, 0]
+                square += evidence[j, 0] * ((evidence[j, 1] - expected) ** 2 + evidence[j, 2])
+        if weight > most:
+            most, spread2 = weight, min(square / weight, MAX_SPREAD_NORM**2)
+    return spread2
+
+
+@compiled
+def expected_offset(x: FloatArray, weight: FloatArray, H: FloatArray) -> float:
+    """Offset H x of the likeliest hypothesis; NaN where there is none."""
+    best = -1
+    for h in range(len(x)):
+        if best < 0 or weight[h] > weight[best]:
+            best = h
+    if best < 0:
+        return np.nan
+    expected = 0.0
+    for i in range(N_LATERAL):
+        expected += H[i] * x[best, i]
+    return expected
 
 
 @compiled
@@ -55,7 +68,10 @@ def associate(
     temper: float,
     inflation: float,
 ) -> tuple[float, float]:
-    """Update hypotheses and weights by a frame, in place; return the likeliest's belief and `variance_left_open`.
+    """Update hypotheses and weights by a frame, in place.
+
+    Returned are the belief of the hypothesis that was the likeliest before, and the `spread_about` the one
+    that is the likeliest now.
 
     ``slack`` is a variance that every component has besides. Weights come out multiplied by the likelihood to the
     power of ``temper`` and normalised.
@@ -66,7 +82,7 @@ def associate(
         blind -= evidence[j, 0]
     blind = max(blind, 0.0)
     share = np.empty(m)
-    best, best_belief, best_open = -1, 0.0, NEIGHBOURHOOD_STD**2
+    best, best_belief = -1, 0.0
     for h in range(k):
         if best < 0 or weight[h] > weight[best]:
             best = h
@@ -88,7 +104,7 @@ def associate(
         total += weight[h]
         belief = told / likelihood
         if h == best:
-            best_belief, best_open = belief, variance_left_open(evidence, blind, expected)
+            best_belief = belief
         if belief < MIN_BELIEF:
             continue
         mean = square = variance = 0.0
@@ -103,7 +119,7 @@ def associate(
     total += weight[k]
     for h in range(k + 1):
         weight[h] /= total
-    return best_belief, best_open
+    return best_belief, spread_about(evidence, expected_offset(x, weight, H))
 
 
 @compiled
@@ -311,7 +327,7 @@ def take_frame(
     Returns
     -------
     tuple
-        Hypotheses, covariances, weights; the likeliest's belief in the frame and `variance_left_open` about it.
+        Hypotheses, covariances, weights; belief and second moment as of `associate`.
     """
     k, m = len(x), len(evidence)
     all_x, all_P = np.empty((k + m, N_LATERAL)), np.empty((k + m, N_LATERAL, N_LATERAL))
@@ -322,7 +338,7 @@ def take_frame(
             copy_hypothesis(x[h], P[h], all_x[h], all_P[h])
     H = np.zeros(N_LATERAL)
     H[Y], H[S] = side, aside_m
-    belief, left_open = associate(all_x[:k], all_P[:k], old, evidence, H, slack, shares[0], 1.0 / shares[1])
+    belief, spread2 = associate(all_x[:k], all_P[:k], old, evidence, H, slack, shares[0], 1.0 / shares[1])
     for h in range(k):
         old[k] += shares[2] * old[h]
         old[h] *= 1.0 - shares[2]
@@ -335,7 +351,7 @@ def take_frame(
         all_weight[h] = old[h] if h < k else new_weight[h - k]
     all_weight[k + n] = old[k]
     x_out, P_out, weight_out = reduce(all_x[: k + n], all_P[: k + n], all_weight, near, *limits)
-    return x_out, P_out, weight_out, belief, left_open
+    return x_out, P_out, weight_out, belief, spread2
 
 
 @compiled

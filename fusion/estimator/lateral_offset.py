@@ -39,9 +39,11 @@ forgotten: weight leaks from all hypotheses to the unknown.
 **Reported** is the sum of those about the likeliest; it is known where it holds most of the probability and is
 narrow. A line beside the corner that is taken for it stays there for seconds, and no average over frames makes that
 error less. So what is reported has two variances besides those of the hypotheses, which the filter itself does not
-feed back: ``(s_y y)^2``, as lines inside or outside both corners make the corridor narrower or wider, and one that
-grows with what a frame alone leaves open about the likeliest hypothesis, ``(s_l u^2 / u_0^2)^2``, where u^2 is the
-variance of a frame's likelihood there, averaged over seconds. On simulated corridors the error grows with u so.
+feed back: ``(s_y y)^2``, as lines inside or outside both corners make the corridor narrower or wider, and
+``s_l^2 u^2``, with u^2 the second moment of the frames' likelihoods about the likeliest hypothesis, averaged over
+seconds: where each frame leaves much open, or says something else than all of them together do, that is off as well.
+On simulated corridors the error grows in proportion to u, and u tells a wrong offset from a right one better than
+the variance of the hypotheses, or the distance between what floor and ceiling say.
 """
 
 from __future__ import annotations
@@ -72,7 +74,7 @@ MIN_CANNOT_TELL = 0.15  # of each kind of evidence, as no frame tells what it do
 FIRST_FRAME_S = (
     0.3  # as if that long after another: one frame alone, whenever it comes, is not to be relied on
 )
-OPEN_NORM = 0.1
+START_SPREAD_NORM = 0.05  # u before the first frame
 SUPPORTED = 0.5  # belief in a frame from which on it confirms the likeliest hypothesis
 MAX_SILENCE_S = 0.1  # of the accelerometer, until which its last sample is held
 ROUGHNESS_SAMPLES = 100
@@ -102,10 +104,8 @@ class OffsetModel(NamedTuple):
     forgotten: float = 0.08  # share of all weights that a frame which is all new gives to the unknown
     forget_1_s: float = 0.3  # the same while no frame comes
     slack_norm: float = 0.01
-    open_time_s: float = 1.5  # over which what frames leave open is averaged
-    lasting_std_norm: float = (
-        0.03  # of an error that lasts, where frames leave `OPEN_NORM` open; grows as its square
-    )
+    spread_time_s: float = 1.5  # over which the second moment of the frames' likelihoods is averaged
+    lasting_share: float = 0.4  # standard deviation of an error that lasts, over the root of that moment
     scale_std: float = 0.05  # of the corridor's width as the taken lines have it, over the true one
     near_norm: float = 0.03  # hypotheses nearer than this are one
     tolerance_norm: float = 0.1
@@ -158,7 +158,7 @@ class OffsetState(NamedTuple):
     path: Path = Path()
     accel: Acceleration = Acceleration()
     roll: RollCorrection = RollCorrection()
-    open2: float = OPEN_NORM**2  # variance that a frame alone leaves about the likeliest hypothesis, averaged
+    spread2: float = START_SPREAD_NORM**2  # second moment of the frames' likelihoods, half widths squared
     evidence_age_s: float = nan  # since a frame supported the likeliest hypothesis
 
 
@@ -240,7 +240,7 @@ def propagate(
     else:
         a2 += a1 * dt_s
     path, accel = Path(t_s + dt_s, accel_s, a1, a2, noise), Acceleration(last, silent_s, density2, n)
-    return OffsetState(state.x, state.P, state.weight, path, accel, state.roll, state.open2, age_s)
+    return OffsetState(state.x, state.P, state.weight, path, accel, state.roll, state.spread2, age_s)
 
 
 def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tuple[FloatArray, FloatArray]:
@@ -352,7 +352,7 @@ def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) 
     forgotten = 1.0 - (1.0 - model.forgotten * new) * exp(-model.forget_1_s * gap_s)
     s, s_std = model.inverse_half_width
     v_std, c_std = model.start_velocity_std_m_s * s, model.accel_bias_std * s
-    x, P, weight, belief, left_open = take_frame(
+    x, P, weight, belief, moment = take_frame(
         state.x,
         state.P,
         state.weight,
@@ -366,8 +366,10 @@ def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) 
         (model.lost_std_norm**2, MAX_OFFSET, MAX_HYPOTHESES, MIN_WEIGHT),
     )
     age_s = 0.0 if belief > SUPPORTED or not len(state.x) else state.evidence_age_s
-    open2 = state.open2 - expm1(-dt_s / model.open_time_s) * (left_open - state.open2)
-    return state._replace(x=x, P=P, weight=weight, evidence_age_s=age_s, open2=open2)
+    spread2 = state.spread2
+    if moment >= 0.0:
+        spread2 -= expm1(-dt_s / model.spread_time_s) * (moment - spread2)
+    return state._replace(x=x, P=P, weight=weight, evidence_age_s=age_s, spread2=spread2)
 
 
 def update(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> OffsetState:
@@ -383,7 +385,7 @@ def readout(state: OffsetState, model: OffsetModel) -> OffsetReadout:
 
 def lasting_variance(state: OffsetState, model: OffsetModel) -> float:
     """Variance of an error that successive frames have in common, half widths squared, see the module's text."""
-    return (model.lasting_std_norm * state.open2 / OPEN_NORM**2) ** 2
+    return model.lasting_share**2 * state.spread2
 
 
 def summary(
@@ -398,7 +400,7 @@ def summary(
     weight
         (k,), with what is unknown left out.
     state
-        Has the age of its evidence, reported as it is, and what its frames leave open.
+        Has the age of its evidence, reported as it is, and the spread of its frames.
     model
         Says what is near, and when an offset is known.
     """

@@ -124,7 +124,7 @@ def _met(before: OffsetState, after: OffsetState, model: OffsetModel) -> OffsetR
         prior = np.maximum(prior, 0.5 * np.exp(-4.5) / (sqrt(2.0 * pi) * v_std))
         weight[: n * k] = (w_f[:-1, None] * w_b[None, :-1] * density / prior).ravel()
     whole = weight.sum() + w_f[-1] * w_b[-1]
-    both_see = before._replace(open2=min(before.open2, after.open2))
+    both_see = before._replace(spread2=min(before.spread2, after.spread2))
     return summary(mean, cov, weight / whole, both_see, model)
 
 

@@ -88,7 +88,11 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
 
 def _opposite(flight: Flight) -> tuple[str, str, str]:
     source = "gyroscope" if flight.imu is not None else "attitude"
-    return "turns are opposite", f"Vision and the {source} turn opposite ways.", opposite_remedy(flight)
+    return (
+        "turns are opposite",
+        f"Vision and the {source} show turns in opposite directions.",
+        opposite_remedy(flight),
+    )
 
 
 def _skewed(clock: SkewedClock, flight: Flight) -> tuple[str, str, str] | None:
@@ -99,7 +103,7 @@ def _skewed(clock: SkewedClock, flight: Flight) -> tuple[str, str, str] | None:
     before = flight.manifest.camera.clock_rate if isinstance(flight.manifest, Manifest) else 1.0
     return (
         f"frames' clock {percent:.2f} ± {100.0 * clock.skew_std:.2f} % {way}",
-        "The clocks of camera and inertial sensors run at different rates: no offset puts them right.",
+        "The clocks of camera and inertial sensors run at different rates, which no offset corrects.",
         f"Set clock_rate = {before * (1.0 + clock.skew):.5f} for [camera] in flight.toml and add {offset_s:.3f} to "
         "its clock_offset_s, or run `corridor align --write`.",
     )
@@ -111,7 +115,7 @@ def _late(fit: ClockFit, delay_s: float) -> tuple[str, str, str] | None:
         return None
     way = "early" if offset_s > 0 else "late"
     value = f"frames {1e3 * abs(offset_s):.0f} ± {1e3 * std_s:.0f} ms too {way}"
-    meaning = "The pictures turn at other times than the vehicle."
+    meaning = "The pictures show turns at other times than the inertial sensors."
     if delay_s:
         right_s = round(delay_s - offset_s, 3) + 0.0
         return value, meaning, f"Set camera_delay_s = {right_s:g} instead of {delay_s:g}."
@@ -124,19 +128,19 @@ def _late(fit: ClockFit, delay_s: float) -> tuple[str, str, str] | None:
 def _scaled(fit: ClockFit, flight: Flight) -> tuple[str, str, str] | None:
     if abs(fit.ratio - 1.0) < max(SCALE_DIFFERS, SURE_SIGMA * fit.ratio_std):
         return None
-    value = f"pictures turn {fit.ratio:.2f} times as far as the gyroscope"
+    value = f"pictures turn {fit.ratio:.2f} times as much as the gyroscope"
     columns = flight.manifest.imu.columns if isinstance(flight.manifest, Manifest) else None
     # The size of counts was guessed, the lens was calibrated.
     in_counts = isinstance(columns, ColumnMap) and is_counts(columns.gyro_unit)
     if LENS_SCALES[0] < fit.ratio < LENS_SCALES[1] and not in_counts:
         return (
             value,
-            "The camera's focal length is not that of these pictures.",
-            "Run `corridor align --write` on the flight: it finds focal_scale for [camera].",
+            "The calibration's focal length does not fit these pictures.",
+            "Run `corridor align --write` on the flight: it estimates focal_scale for [camera].",
         )
     return (
         value,
-        "The gyroscope is in another unit than was taken, or its axes are others.",
+        "The gyroscope has another unit than assumed, or other axes.",
         _unit_remedy(fit.ratio, flight),
     )
 

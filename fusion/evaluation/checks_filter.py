@@ -32,9 +32,9 @@ INNOVATIONS_OVER_GATE = CheckRule(
     limit=lambda limits: (
         f"pass to {limits.over_gate_share[0]:.0%}, fail above {limits.over_gate_share[1]:.0%}"
     ),
-    good="Frames and prediction tell the same story.",
-    bad="Frames often contradict the prediction, so one of the two is wrong.",
-    remedy="Check focal length, camera mounting and time offset; then the gyro noise in the configuration.",
+    good="Frames and prediction agree.",
+    bad="Frames often disagree with the prediction: one of the two is wrong.",
+    remedy="Check the focal length, the camera mounting and the time offset, then gyro_noise_density.",
 )
 
 
@@ -45,7 +45,7 @@ def _longest_coast(result: FusionResult, flight: Flight, limits: Limits) -> Find
         return Finding(
             "Never tracking",
             level=Level.FAIL,
-            meaning="The filter never started.",
+            meaning="The filter was never initialised.",
             action="Look at the rejected frames below for the cause.",
         )
     age = table["vision_age_s"][tracking[0] :]
@@ -70,9 +70,9 @@ LONGEST_COAST = CheckRule(
     name="Longest time without a used frame",
     measure=_longest_coast,
     limit=lambda limits: f"pass to {limits.coast_s[0]:g} s, fail above {limits.coast_s[1]:g} s",
-    good="Vision was never away for long.",
-    bad="Meanwhile the heading rests on inertial sensors alone and its sigma grows.",
-    remedy="See the frames at that time; fly slower or add light there.",
+    good="There was no long time without a used frame.",
+    bad="During this time the heading comes from the inertial sensors alone, and its sigma grows.",
+    remedy="Look at the frames at that time. Fly slower there, or add light.",
 )
 
 
@@ -86,7 +86,7 @@ def _across_the_corridor(result: FusionResult, flight: Flight, limits: Limits) -
     spans = [(float(t[min(b, len(t) - 1)] - t[a]) / 1e9, a) for a, b in runs(across)]
     longest, start = max(spans, default=(0.0, 0))
     if longest < limits.across_s:
-        return Finding(f"Across it for {longest:.1f} s at most", longest, level=Level.PASS)
+        return Finding(f"Across it for at most {longest:.1f} s", longest, level=Level.PASS)
     text = f"Across it for {longest:.1f} s from {(t[start] - t[0]) / 1e9:.1f} s"
     return Finding(text, longest, level=Level.WARN)
 
@@ -97,9 +97,9 @@ ALONG_THE_CORRIDOR = CheckRule(
     limit=lambda limits: (
         f"warn from {limits.across_s:g} s turned by more than {degrees(limits.across_rad):g}°"
     ),
-    good="The axis is the right one.",
-    bad="The vehicle may have entered another corridor unnoticed, and steers by the old one's axis.",
-    remedy="Look at the frames of that time: which way do their lines run?",
+    good="The vehicle flies along the estimated axis.",
+    bad="The vehicle may have entered another corridor without the filter noticing it.",
+    remedy="Look at the frames at that time: in which direction do their lines run?",
 )
 
 
@@ -121,9 +121,9 @@ OFFSET_KNOWN = CheckRule(
         f"pass from {limits.offset_known_share:.0%} of the time, "
         f"sigma under {limits.offset_known_norm:.0%} of half the width"
     ),
-    good="The edges of the walls were seen often enough.",
-    bad="The edges of the walls were seen too seldom to hold the offset; the heading does not need them.",
-    remedy="Do not steer by the offset where its band is wide; a lower view shows more of the floor's edges.",
+    good="The edges of the walls were visible often enough.",
+    bad="The edges of the walls were visible too rarely to track the offset. The heading does not need them.",
+    remedy="Do not control by the offset where its band is wide. A lower view shows more of the floor's edges.",
 )
 
 
@@ -135,7 +135,7 @@ def _innovations_over_sigma(result: FusionResult, flight: Flight, limits: Limits
 
 
 def innovation_ratio(result: FusionResult) -> float:
-    """Robust ratio of innovations to the sigma that the filter expected of them; 1 where it is honest.
+    """Robust ratio of innovations to the sigma that the filter expected of them; 1 if it is consistent.
 
     The test ratio is the innovation's square over the gate's; the median of the normalised innovation, unlike
     its root mean square, does not depend on where the gate cuts.
@@ -155,7 +155,7 @@ INNOVATIONS_OVER_SIGMA = CheckRule(
         f"pass to {limits.innovation_ratio[0]:g} times, fail above {limits.innovation_ratio[1]:g}"
     ),
     # Well below one is as it should be: a frame's sigma is widened for what it shares with the last one.
-    good="Frames differ from the prediction by no more than expected.",
-    bad="The filter is surer of itself than its frames warrant: its two-sigma band is too narrow.",
-    remedy="Check the camera's time offset, then raise the gyro noise in the configuration.",
+    good="Frames differ from the prediction by no more than expected from their sigma.",
+    bad="The filter is overconfident: its two-sigma band is too narrow.",
+    remedy="Check the camera's time offset, then increase gyro_noise_density.",
 )

@@ -19,16 +19,16 @@ REASON_WORDS = {
     "blur": "turning too fast for the exposure",
     "gate": "disagrees with the filter",
     "unreadable": "picture does not decode",
-    "late": "came too late",
+    "late": "arrived too late",
 }
 REASON_ACTION = {
-    "too_few_lines": "Look for dark, blank or blurred stretches: light or a wider lens help.",
-    "ambiguous": "Log the attitude too if it is missing: doors and shelves then no longer compete.",
-    "uncertain": "Few long lines run along the corridor in these views: aim the camera along it.",
+    "too_few_lines": "Look for dark, blank or blurred views: more light or a wider lens helps.",
+    "ambiguous": "Log the attitude too, if it is missing: it rules out the lines of doors and shelves.",
+    "uncertain": "These views show few long lines along the corridor: point the camera along it.",
     "blur": "Shorten the exposure or turn more slowly.",
-    "gate": "Check the camera's focal length, mounting and time offset first: all three look like this.",
+    "gate": "Check the camera's focal length, mounting and time offset first: each of them can cause this.",
     "unreadable": "Pictures are damaged: copy the flight again from the vehicle.",
-    "late": "Frames came later than the estimator waits for: set a longer buffer_s in the configuration.",
+    "late": "Frames arrived later than the buffer allows: increase buffer_s.",
 }
 _DAMAGE = ("unreadable", "late")  # no picture of a good log is either
 
@@ -39,7 +39,7 @@ def _share_used(result: FusionResult, flight: Flight, limits: Limits) -> Finding
         return Finding(
             "No frames",
             level=Level.FAIL,
-            meaning="Vision had nothing to say.",
+            meaning="There was nothing to measure.",
             action="Check the camera folder.",
         )
     share = float(np.mean(frames["accepted"]))
@@ -62,7 +62,7 @@ FRAMES_USED = CheckRule(
     limit=lambda limits: (
         f"pass from {limits.accepted_share[0]:.0%}, fail below {limits.accepted_share[1]:.0%}"
     ),
-    good="Enough frames show the corridor to hold heading and offset.",
+    good="Enough frames show the corridor to track heading and offset.",
 )
 
 
@@ -94,9 +94,9 @@ REJECTIONS = CheckRule(
     measure=_rejections_by_reason,
     limit=lambda limits: (
         f"pass to {limits.one_reason_share[0]:.0%}, fail above {limits.one_reason_share[1]:.0%} for one reason; "
-        "damaged or late: pass without any"
+        "damaged or late: pass if there are none"
     ),
-    good="No single cause cost many frames.",
+    good="No single reason accounts for many frames.",
 )
 
 
@@ -111,7 +111,7 @@ def _camera_time(result: FusionResult, flight: Flight, limits: Limits) -> Findin
             frames["heading_std_rad"],
         )
     except InputError:
-        return nothing_to_judge("There is nothing to compare: no frames, or no gyroscope and attitude.")
+        return nothing_to_judge("There is nothing to compare: no frames, or neither gyroscope nor attitude.")
     late_s, std_s = -found.value, found.sigma
     if not found.usable or not std_s <= max(limits.late_std_s, abs(late_s) / 5):
         return nothing_to_judge(found.sentence)
@@ -121,7 +121,7 @@ def _camera_time(result: FusionResult, flight: Flight, limits: Limits) -> Findin
     if abs(late_s) < 3 * std_s:
         return Finding(text, late_s, level=Level.PASS)
     now = f", on top of camera_delay_s = {delay_s:g}" if delay_s else ""
-    action = f"Run `corridor align --write` on the flight: it measures this offset and puts it right{now}."
+    action = f"Run `corridor align --write` on the flight: it estimates this offset and corrects it{now}."
     level = level_of(abs(late_s), limits.late_s)
     return Finding(text, late_s, level=level, action="" if level is Level.PASS else action)
 
@@ -135,6 +135,6 @@ CAMERA_TIME = CheckRule(
     name="Time offset of the camera",
     measure=_camera_time,
     limit=_camera_time_limit,
-    good="Pictures and inertial sensors turn at the same time: they share a clock.",
-    bad="The pictures turn later or earlier than the vehicle does: their clocks are not the same.",
+    good="Pictures and inertial sensors show turns at the same time: their clocks agree.",
+    bad="The pictures show turns later or earlier than the inertial sensors: their clocks differ.",
 )

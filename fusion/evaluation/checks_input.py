@@ -9,6 +9,7 @@ import numpy as np
 from fusion.estimator.tables import Table
 from fusion.evaluation.verdict import CheckRule, Finding, Limits, level_of, nothing_to_judge, worst_of
 from fusion.flight import Flight, FloatArray, Remark, TimeArray
+from fusion.logs.samples import counted
 from fusion.result.result import FusionResult
 from fusion.result.summary import Level
 from fusion.result.table_rows import runs
@@ -36,9 +37,9 @@ GYRO_BIAS = CheckRule(
     measure=_gyro_bias,
     pass_fail=lambda limits: limits.gyro_bias_rad_s,
     limit=_gyro_bias_limit,
-    good="The gyroscope's zero is where a calibrated one has it.",
-    bad="The gyroscope turns while the vehicle does not, more than a calibrated one should.",
-    remedy="Calibrate it at rest; a scale or unit error of the log looks the same when the flight turns much.",
+    good="The bias is that of a calibrated gyroscope.",
+    bad="The bias is larger than that of a calibrated gyroscope.",
+    remedy="Calibrate the gyroscope at rest. In a flight with many turns, a wrong scale or unit has the same effect.",
 )
 
 
@@ -88,16 +89,16 @@ IMU_YAW_STEPS = CheckRule(
     name="Steps of the IMU's yaw",
     measure=_imu_yaw_steps,
     limit=lambda limits: f"warn from {degrees(limits.yaw_step_rad):g}° within 1 s",
-    good="The vehicle's own yaw agrees with the corridor but for a slow drift.",
-    bad="The vehicle's own yaw jumped against the corridor, as it does near steel; vision held the heading.",
-    remedy="Do not steer by the vehicle's own yaw in this corridor.",
+    good="The vehicle's own yaw agrees with the corridor, except for a slow drift.",
+    bad="The vehicle's yaw jumped relative to the corridor, as it does near steel; the estimated heading did not.",
+    remedy="Do not control by the vehicle's own yaw in this corridor.",
 )
 
 
 def _stream_rates(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
     rates = {word: _rate_hz(t_ns) for word, t_ns in _streams(flight)}
     if rates.get("frames") is None:
-        return nothing_to_judge("There are not two frames.")
+        return nothing_to_judge("There are fewer than two frames.")
     text = ", ".join(f"{word} {rate:.3g} Hz" for word, rate in rates.items() if rate is not None)
     inertial = [rate for word, rate in rates.items() if word != "frames" and rate is not None]
     levels = [level_of(rates["frames"] or 0.0, limits.frame_rate_hz)]
@@ -106,7 +107,7 @@ def _stream_rates(result: FusionResult, flight: Flight, limits: Limits) -> Findi
     if level is Level.PASS:
         return Finding(text, rates["frames"], level=level)
     if not inertial:
-        meaning = "Nothing inertial was logged: between frames the heading is guesswork."
+        meaning = "The log has no inertial sensor: the heading between frames is extrapolated."
         return Finding(
             text,
             rates["frames"],
@@ -115,7 +116,7 @@ def _stream_rates(result: FusionResult, flight: Flight, limits: Limits) -> Findi
             action="Log the gyroscope, or at least the attitude.",
         )
     slow = "Frames" if levels[0] is level else "Inertial samples"
-    meaning = f"{slow} come so seldom that a turn between two of them is known only roughly."
+    meaning = f"{slow} are so rare that a turn between two of them is known only roughly."
     return Finding(text, rates["frames"], level=level, meaning=meaning)
 
 
@@ -138,8 +139,8 @@ RATES = CheckRule(
         f"frames: pass from {limits.frame_rate_hz[0]:g} Hz, fail below {limits.frame_rate_hz[1]:g}; "
         f"IMU: {limits.inertial_rate_hz[0]:g}, {limits.inertial_rate_hz[1]:g}"
     ),
-    good="Often enough for the motion of a small vehicle.",
-    remedy="Raise the logging rate; the IMU needs no more than 200 Hz.",
+    good="The rates suit the motion of a small vehicle.",
+    remedy="Increase the logging rate. The IMU needs no more than 200 Hz.",
 )
 
 
@@ -148,9 +149,7 @@ def _longest_gap(result: FusionResult, flight: Flight, limits: Limits) -> Findin
     worst, where, count = 0.0, "", 0
     last_ns = max(int(t_ns[-1]) for _, t_ns in _streams(flight) if len(t_ns))
     for word, t_ns in _streams(flight):
-        step = (
-            np.diff(np.append(t_ns, last_ns)) / 1e9
-        )  # a stream that dies leaves a hole up to the flight's end
+        step = np.diff(np.append(t_ns, last_ns)) / 1e9  # a stream that ends early leaves a gap up to the end
         if not step.size:
             continue
         count += int(np.count_nonzero(step > max(good, 3.0 * float(np.median(step)))))
@@ -159,7 +158,7 @@ def _longest_gap(result: FusionResult, flight: Flight, limits: Limits) -> Findin
             worst, where = float(step.max()), f"{word}, at {(t_ns[k] - flight.frames.t_ns[0]) / 1e9:.1f} s"
     if level_of(worst, limits.frame_gap_s) is Level.PASS:
         return Finding(f"Longest {worst:.2f} s", worst)
-    meaning = f"{count} hole{'s' if count != 1 else ''} in the log left the filter without input."
+    meaning = f"{counted(count, 'gap')} in the log left the filter without input."
     return Finding(f"{worst:.2f} s ({where})", worst, meaning=meaning)
 
 
@@ -168,8 +167,8 @@ GAPS = CheckRule(
     measure=_longest_gap,
     pass_fail=lambda limits: limits.frame_gap_s,
     limit=lambda limits: f"pass to {limits.frame_gap_s[0]:g} s, fail above {limits.frame_gap_s[1]:g} s",
-    good="Every stream runs through without a hole.",
-    remedy="Look for dropped messages: a full card, a slow link or a camera that restarts.",
+    good="No stream has a gap.",
+    remedy="Look for dropped messages: a full memory card, a slow link or a camera that restarts.",
 )
 
 
@@ -177,11 +176,11 @@ def _problems(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
     count = sum(not isinstance(problem, Remark) for problem in all_problems(result, flight))
     if not count:
         return Finding("No problems", 0.0, level=Level.PASS)
-    return Finding(f"{count} problem{'s' if count != 1 else ''}", float(count), level=Level.WARN)
+    return Finding(counted(count, "problem"), float(count), level=Level.WARN)
 
 
 def all_problems(result: FusionResult, flight: Flight) -> tuple[str, ...]:
-    """Every problem of reading and fusing, once each, in order."""
+    """Return every problem of reading and fusing, once each, in order."""
     return tuple(dict.fromkeys((*flight.problems, *result.problems)))
 
 
@@ -190,6 +189,6 @@ PROBLEMS = CheckRule(
     measure=_problems,
     limit=lambda limits: "pass without problems",
     good="Every row and picture of the log could be used.",
-    bad="Parts of the log were dropped or mended on reading.",
-    remedy="Read the list below and judge whether they matter.",
+    bad="Parts of the log were dropped or repaired on reading.",
+    remedy="Check in the list below whether they matter.",
 )

@@ -1,4 +1,4 @@
-"""Checks against what the flight really did, where that is known."""
+"""Checks against ground truth, where there is one."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ HEADING_ERROR = CheckRule(
     measure=_heading_rmse,
     pass_fail=lambda limits: limits.heading_rmse_rad,
     limit=_heading_limit,
-    good="Good enough to steer by.",
-    bad="The heading is further off than steering in a corridor allows.",
-    remedy="See the error plot for when it goes wrong.",
+    good="Accurate enough for control.",
+    bad="The heading error is too large for control in a corridor.",
+    remedy="See in the error plot when it occurs.",
 )
 
 
@@ -68,9 +68,9 @@ OFFSET_ERROR = CheckRule(
     measure=_offset_rmse,
     pass_fail=lambda limits: limits.offset_rmse_m,
     limit=_offset_limit,
-    good="Good enough to keep clear of the walls.",
-    bad="The place between the walls is not known well enough to keep clear of them.",
-    remedy="See whether the yellow lines in the pictures below lie on both walls, at one height.",
+    good="Accurate enough to keep clear of the walls.",
+    bad="The offset is not accurate enough to keep clear of the walls.",
+    remedy="Check whether the yellow lines in the pictures below are on both walls, at the same height.",
 )
 
 
@@ -93,7 +93,7 @@ ERRORS_OVER_SIGMA = CheckRule(
         f"90th percentile: pass to {limits.truth_sigma_p90[0]:g}, fail above {limits.truth_sigma_p90[1]:g}, "
         f"ideal 1.64; mean NEES: {limits.truth_nees[0]:g}, {limits.truth_nees[1]:g}, ideal 1"
     ),
-    good="The two-sigma band can be believed.",
-    bad="The true heading lies outside the band more often than it should.",
-    remedy="Widen the band when using it, or raise the noises it comes from.",
+    good="The filter is consistent: the two-sigma band holds.",
+    bad="The true heading is outside the two-sigma band more often than it should be.",
+    remedy="Use a wider band, or increase the noise densities in the configuration.",
 )

@@ -11,7 +11,7 @@ import numpy as np
 
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table
 from fusion.evaluation.errors import evaluate, interpolate_truth
-from fusion.evaluation.truth_file import Truth
+from fusion.evaluation.truth import Truth
 from fusion.flight import CorridorTruth, FloatArray, TimeArray
 from fusion.result.conventions import Frame, table_in_frame
 from fusion.result.record import Record

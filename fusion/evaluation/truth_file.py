@@ -10,14 +10,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from fusion.flight import CorridorTruth, FloatArray, TimeArray
+from fusion.evaluation.truth import OffsetUnit, Truth, TruthColumns, truth_of
+from fusion.flight import FloatArray, TimeArray
 from fusion.logs.csv.column_map import TimeUnit
 from fusion.logs.csv.rows import (
     Block,
@@ -31,7 +31,7 @@ from fusion.logs.csv.rows import (
     split_fields,
 )
 from fusion.logs.csv.time_units import NS, decimal_to_ns
-from fusion.logs.samples import Problems, WithProblems, counted, order_times
+from fusion.logs.samples import Problems, WithProblems, counted
 from fusion.result.conventions import Frame
 from fusion.result.summary_json import read_summary
 from vision.errors import InputError
@@ -49,57 +49,14 @@ _QUATERNIONS = (
     ("q_w", "q_x", "q_y", "q_z"),
     ("q_rs_w", "q_rs_x", "q_rs_y", "q_rs_z"),
 )
-_OFFSETS = {
+_OFFSETS: Mapping[str, tuple[float, OffsetUnit]] = {
     "lateral_offset_m": (1.0, "m"),
     "lateral_offset_cm": (0.01, "m"),
     "lateral_offset_norm": (1.0, "norm"),
 }
 _IDS = ("corridor_id", "corridor_index")
 _TUM_WIDTH = 8
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Truth:
-    """A truth and how to compare with it.
-
-    Parameters
-    ----------
-    corridor
-        In FRD; NaN where an offset is not known.
-    fixed_axis
-        Headings are from one axis through the whole flight, not from the corridor being flown.
-    offset
-        ``m``, ``norm`` or ``both``: what its offsets can be compared with; None where it has none.
-    source
-        The file, in words.
-    frame
-        Convention of signs that it was read by.
-    problems
-        What was dropped on reading.
-    """
-
-    corridor: CorridorTruth
-    fixed_axis: bool
-    offset: str | None
-    source: str
-    frame: Frame
-    problems: tuple[str, ...] = ()
-
-    def shifted(self, seconds: float) -> Truth:
-        """Add seconds to its times: for a truth by another clock.
-
-        Raises
-        ------
-        InputError
-            Where that is no number, or so large that the times leave the years 1678 to 2262.
-        """
-        if not seconds:
-            return self
-        reach_ns = int(np.abs(self.corridor.t_ns).max())
-        if not abs(seconds) * 1e9 + reach_ns < 2**63:  # NaN fails too
-            raise InputError(f"--truth-shift {seconds:g}: no time of a truth can be shifted by that")
-        corridor = replace(self.corridor, t_ns=self.corridor.t_ns + round(seconds * 1e9))
-        return replace(self, corridor=corridor, source=f"{self.source}; {seconds:+g} s to its times")
+_MAX_NAME = 200
 
 
 def read_truth(path: str | Path, frame: Frame | None = None) -> Truth:
@@ -161,11 +118,12 @@ def _from_tum(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     values = rows.values
     heading = _yaw_of_body(values[:, [6, 3, 4, 5]], path, "x, y, z, w")
     offset = values[:, 1] if said.get("offset_unit") != "none" else np.full(len(t_ns), np.nan)
-    unit = "norm" if said.get("offset_unit") == "half" else "m"
+    unit: OffsetUnit = "norm" if said.get("offset_unit") == "half" else "m"
     kind = (
         "a corridor-fusion trajectory" if ours else "a TUM trajectory: yaw from one fixed axis, y as offset"
     )
-    return _truth(path, t_ns, heading, offset, unit, frame, problems, fixed_axis=not ours, kind=kind)
+    columns = TruthColumns(t_ns, heading, offset, unit)
+    return truth_of(columns, path, frame, problems, fixed_axis=not ours, kind=kind)
 
 
 def _which_way(path: Path, what: str) -> InputError:
@@ -203,24 +161,29 @@ def _from_csv(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     wanted = (*heading.names, *(name for name in optional if name is not None))
     rows, problems = _read(path, ",", column[time_name], tuple(column[name] for name in wanted), names)
     values = dict(zip(wanted, rows.values.T, strict=True))
-    offset, offset_unit = np.full(len(rows.first), np.nan), "m"
-    for name, (scale, its) in _OFFSETS.items():
-        if name in values and not (its == "norm" and np.isfinite(offset).any()):
-            offset, offset_unit = scale * values[name], its
-    return _truth(
-        path,
+    offset, offset_unit = _offset_of(values, len(rows.first))
+    columns = TruthColumns(
         _times(path, rows.first.tolist(), unit),
         heading.of([values[name] for name in heading.names], path),
         offset,
         offset_unit,
-        frame or Frame.FRD,
-        problems,
-        fixed_axis=heading.fixed_axis,
-        kind=heading.kind,
         width_m=values.get("corridor_width_m"),
-        ids=None if id_name is None else values[id_name],
+        corridor_id=None if id_name is None else values[id_name],
         in_junction=values.get("in_junction"),
     )
+    return truth_of(
+        columns, path, frame or Frame.FRD, problems, fixed_axis=heading.fixed_axis, kind=heading.kind
+    )
+
+
+def _offset_of(values: Mapping[str, FloatArray], count: int) -> tuple[FloatArray, OffsetUnit]:
+    """Return offsets (n,) and their unit: metres where any is known, else half widths; NaN where there are none."""
+    offset = np.full(count, np.nan)
+    unit: OffsetUnit = "m"
+    for name, (scale, its_unit) in _OFFSETS.items():
+        if name in values and not (its_unit == "norm" and np.isfinite(offset).any()):
+            offset, unit = scale * values[name], its_unit
+    return offset, unit
 
 
 def _read(
@@ -255,9 +218,6 @@ def _without_names(blocks: Iterable[Block], separator: str) -> Iterator[Block]:
             begun = is_number(rows[start].partition(separator)[0])
             start += not begun
         yield Block(rows[start:], cut)
-
-
-_MAX_NAME = 200
 
 
 def _plain_name(cell: str) -> str:
@@ -378,59 +338,3 @@ def _times(path: Path, cells: Sequence[str], unit: TimeUnit) -> TimeArray:
         return np.array(found, dtype=np.int64)
     except OverflowError as error:
         raise InputError(f"times are too large for {unit}", file=path, remedy="name their unit") from error
-
-
-def _truth(
-    path: Path,
-    t_ns: TimeArray,
-    heading: FloatArray,
-    offset: FloatArray,
-    offset_unit: str,
-    frame: Frame,
-    problems: Problems,
-    *,
-    fixed_axis: bool,
-    kind: str,
-    width_m: FloatArray | None = None,
-    ids: FloatArray | None = None,
-    in_junction: FloatArray | None = None,
-) -> Truth:
-    sign = -1.0 if frame is Frame.ROS else 1.0
-    rows = np.flatnonzero(np.isfinite(heading))
-    if not rows.size:
-        raise InputError("holds no row with a heading", file=path)
-    order, disorder = order_times(t_ns[rows], path.name)
-    rows = rows[order]
-    if np.abs(heading[rows]).max() > 4 * pi:
-        raise InputError(
-            f"headings reach {np.abs(heading[rows]).max():.4g} rad",
-            file=path,
-            remedy="are they degrees? name them heading_deg",
-        )
-    kinds = "m" if offset_unit == "m" else "norm"
-    width = np.full(len(t_ns), np.nan) if width_m is None else width_m
-    if offset_unit == "norm":  # with a width of two metres half of it is one
-        known_width = np.isfinite(width)
-        offset = np.where(known_width, offset * width / 2, offset)
-        kinds = "both" if known_width.any() else "norm"
-        width = np.where(known_width, width, 2.0)
-    elif np.isfinite(width).any():
-        kinds = "both"
-    corridor = CorridorTruth(
-        t_ns=t_ns[rows],
-        heading_rad=sign * heading[rows],
-        lateral_offset_m=sign * offset[rows],
-        corridor_width_m=width[rows],
-        corridor_id=_whole(ids, len(t_ns))[rows],
-        in_junction=_whole(in_junction, len(t_ns))[rows] != 0,
-    )
-    side = "left" if frame is Frame.ROS else "right"
-    has_offset = bool(np.isfinite(offset[rows]).any())
-    source = f"{path}: {kind}, positive {side}" + ("" if has_offset else "; no offsets")
-    return Truth(corridor, fixed_axis, kinds if has_offset else None, source, frame, problems + disorder)
-
-
-def _whole(values: FloatArray | None, count: int) -> npt.NDArray[np.int64]:
-    if values is None:
-        return np.zeros(count, dtype=np.int64)
-    return np.nan_to_num(values, nan=0.0).astype(np.int64)

@@ -14,7 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from fusion.files import stays_inside
 from fusion.logs import format_of
-from fusion.logs.manifest.manifest import MANIFEST_NAME, files_of, find_manifest, read_manifest
+from fusion.logs.manifest.file import MANIFEST_NAME, find_manifest, read_manifest
+from fusion.logs.manifest.manifest import files_of
 from fusion.settings.toml import build, read_toml
 from vision.errors import InputError
 

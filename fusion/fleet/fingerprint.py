@@ -16,7 +16,8 @@ from platform import python_version
 from typing import Any
 
 from fusion.files import sha256_of
-from fusion.logs.manifest.manifest import files_of, find_manifest, read_manifest
+from fusion.logs.manifest.file import find_manifest, read_manifest
+from fusion.logs.manifest.manifest import files_of
 from vision.errors import InputError
 
 _LENGTH = 16  # hexadecimal digits: 64 bits tell a million flights apart

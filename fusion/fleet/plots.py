@@ -15,8 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from fusion.fleet.quantities import Quantity
 from fusion.fleet.row import FleetRow
 from fusion.flight import FloatArray
-from fusion.report import plots
-from fusion.report.plots import FAINT, FILTER, GRID, IMU_YAW, INK, RAW_YAW, REJECTED, SMOOTHED
+from fusion.report.drawing import FAINT, FILTER, GRID, IMU_YAW, INK, RAW_YAW, REJECTED, SMOOTHED
 
 VEHICLE_COLOURS = (FILTER, REJECTED, SMOOTHED, IMU_YAW, RAW_YAW)
 _dates: Any = matplotlib.dates  # not typed
@@ -108,4 +107,4 @@ def _plain(ax: Axes) -> None:
     ax.tick_params(colors=FAINT, labelcolor=INK, length=0)
     for side in ("top", "right", "left"):
         ax.spines[side].set_visible(False)
-    ax.spines["bottom"].set_color(plots.GRID)
+    ax.spines["bottom"].set_color(GRID)

@@ -88,8 +88,8 @@ def _fusable(name: str, usable: Mapping[Kind, StreamFindings], *, possible: bool
         held = f"; it has {_listed(parts)}" if parts else ""
         return f"nothing yet: a heading in a corridor needs pictures{held}"
     if possible:
-        return f"corridor fuse {name} takes {_listed(parts)}"
-    return f"{_listed(parts)}, once the following is settled"
+        return f"corridor fuse {name} uses {_listed(parts)}"
+    return f"{_listed(parts)}, once the following is resolved"
 
 
 def _what(stream: StreamFindings) -> str:
@@ -127,11 +127,13 @@ def _better(usable: Mapping[Kind, StreamFindings], unclear: Mapping[Kind, str]) 
         size = (camera.camera.width_px, camera.camera.height_px)
         for other in camera.pictures.sizes if size in camera.pictures.sizes else ():
             if other != size:
-                yield f"pictures of {other[0]}x{other[1]} are left out, the calibration is for {size[0]}x{size[1]}"
+                yield f"pictures of {other[0]}x{other[1]} are left out: the calibration is for {size[0]}x{size[1]}"
     imu = usable.get(Kind.IMU)
     if imu is None and Kind.IMU not in unclear:
         carried = (
-            "the attitude's yaw carries" if Kind.ATTITUDE in usable else "nothing but a steady turn carries"
+            "the attitude's yaw propagates"
+            if Kind.ATTITUDE in usable
+            else "only a constant-rate model propagates"
         )
         yield f"no gyroscope: {carried} the heading between pictures; --imu LOG names one, or [imu] in a flight.toml"
     no_accel = imu is not None and imu.imu is not None and imu.imu.usual_accel_m_s2 is None
@@ -142,9 +144,9 @@ def _better(usable: Mapping[Kind, StreamFindings], unclear: Mapping[Kind, str]) 
     if Kind.ATTITUDE in unclear and Kind.ATTITUDE not in usable:
         yield unclear[Kind.ATTITUDE]
     elif Kind.ATTITUDE not in usable:
-        lacks = "neither accelerometer nor attitude" if no_accel else "no attitude of the vehicle's own"
-        tilt = "as level" if imu is None else "from gyroscope and accelerometer"
-        yield f"{lacks}: roll and pitch are taken {'by the gyroscope alone, from level' if no_accel else tilt}"
+        lacks = "neither accelerometer nor attitude" if no_accel else "no attitude stream"
+        tilt = "are assumed to be zero" if imu is None else "come from gyroscope and accelerometer"
+        yield f"{lacks}: roll and pitch {'come from the gyroscope alone, starting level' if no_accel else tilt}"
     if Kind.VELOCITY in unclear and Kind.VELOCITY not in usable:
         yield unclear[Kind.VELOCITY]
     if Kind.RANGE in unclear and Kind.RANGE not in usable:
@@ -159,8 +161,8 @@ def _noise(imu: StreamFindings) -> Iterator[str]:
     told = "" if measured is None else f"; at rest it is {measured:.2g} rad/s/sqrt(Hz)"
     if found.declared_gyro_noise is None:
         yield (
-            f"the gyroscope's noise is not declared, a default is taken{told}; [imu] noise in a flight.toml names "
-            "Kalibr's imu.yaml"
+            f"the gyroscope's noise is not declared, so a default is used{told}; name Kalibr's imu.yaml with "
+            "[imu] noise in a flight.toml"
         )
     elif measured is not None and not 1 / 3 < measured / found.declared_gyro_noise < 3:
         yield (

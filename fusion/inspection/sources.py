@@ -7,7 +7,8 @@ from pathlib import Path
 from fusion.inspection.log import Inspection, inspect_log
 from fusion.logs.contents import Kind
 from fusion.logs.manifest.assembly import checked_flight
-from fusion.logs.manifest.manifest import Manifest, find_manifest, read_manifest
+from fusion.logs.manifest.file import find_manifest, read_manifest
+from fusion.logs.manifest.manifest import Manifest
 from fusion.logs.manifest.sources import ManifestLog
 from vision import InputError
 

@@ -27,7 +27,7 @@ LISTED = 3
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 _TITLES = {
     Matter.FUSE: "can be fused",
-    Matter.MISSING: "missing, or to be put right first",
+    Matter.MISSING: "missing, or to be corrected first",
     Matter.BETTER: "would help",
 }
 
@@ -101,7 +101,7 @@ def _start(streams: Sequence[StreamFindings]) -> int | None:
 def _when(streams: Sequence[StreamFindings]) -> list[str]:
     times = _times(streams)
     if not times:
-        return ["it holds no samples"]
+        return ["it contains no samples"]
     if _start(streams) is None:
         return ["its streams are on different clocks"]
     first, last = min(t[0] for t in times), max(t[1] for t in times)
@@ -111,7 +111,7 @@ def _when(streams: Sequence[StreamFindings]) -> list[str]:
 
 def _table(streams: Sequence[StreamFindings], start_ns: int | None) -> list[str]:
     if not streams:
-        return ["no stream that a flight is made of"]
+        return ["it contains no stream that can be fused"]
     has_frames = any(stream.frames_covered is not None for stream in streams)
     titles = ["", "kind", "samples", "rate", "jitter", "gaps", "longest", "from", "to"]
     rows = [[*titles, *(["frames covered"] if has_frames else [])]]
@@ -139,7 +139,7 @@ def _table(streams: Sequence[StreamFindings], start_ns: int | None) -> list[str]
         )
         for row in rows
     ]
-    return [*lines, "(* is what would be fused)"] if any(not stream.chosen for stream in streams) else lines
+    return [*lines, "(* would be fused)"] if any(not stream.chosen for stream in streams) else lines
 
 
 def _relative(t_ns: int | None, start_ns: int | None) -> str:
@@ -158,8 +158,8 @@ def _described(stream: StreamFindings, start_ns: int | None) -> Iterator[str]:
     if stream.distances_m is not None:
         least_m, usual_m, most_m = stream.distances_m
         yield (
-            f"{least_m:.2f} to {most_m:.2f} m above the floor, usually {usual_m:.2f} m: offsets become metres by it "
-            "where neither corridor_width_m nor camera_height_m is given"
+            f"{least_m:.2f} to {most_m:.2f} m above the floor, median {usual_m:.2f} m: used for offsets in metres if "
+            "neither corridor_width_m nor camera_height_m is given"
         )
 
 
@@ -181,7 +181,7 @@ def _pictures(found: PictureFindings, timing: Timing) -> str:
         "the first" if found.first_index == 0 else f"number {found.first_index + 1}, the first that decodes,"
     )
     return (
-        f"pictures of {sizes} pixels, by {found.sampled} of {timing.samples}{bad}; {which} has a brightness of "
+        f"pictures of {sizes} pixels ({found.sampled} of {timing.samples} read{bad}); {which} has a brightness of "
         f"{found.brightness:.0f} and a contrast of {found.contrast:.0f}, of 255"
     )
 
@@ -197,10 +197,10 @@ def _camera(camera: CameraFindings) -> str:
     ]
     looks = "looks " + (" and ".join(directions) if directions else "straight ahead")
     if camera.mount_assumed:
-        looks = "its mounting is not known"
+        looks = "mounting unknown"
     return (
         f"calibration for {camera.width_px}x{camera.height_px}: focal length {camera.fx_px:.1f} px, "
-        f"{camera.horizontal_fov_deg:.0f} degrees wide, distortion {camera.distortion}, {looks}"
+        f"field of view {camera.horizontal_fov_deg:.0f} degrees, distortion {camera.distortion}, {looks}"
     )
 
 
@@ -211,9 +211,9 @@ def _imu(imu: ImuFindings, start_ns: int | None, *, is_judged: bool) -> Iterator
             for p in imu.still[:LISTED]
         )
         more = f" and {len(imu.still) - LISTED} more" if len(imu.still) > LISTED else ""
-        yield f"still for {imu.still_total_s:.1f} s: {periods}{more}"
+        yield f"at rest for {imu.still_total_s:.1f} s: {periods}{more}"
     elif is_judged:
-        yield "never still for two seconds"
+        yield "never at rest for two seconds"
     noise, when, bound = (
         (imu.in_flight, "in motion", "at most ") if imu.at_rest is None else (imu.at_rest, "at rest", "")
     )
@@ -232,7 +232,7 @@ def _imu(imu: ImuFindings, start_ns: int | None, *, is_judged: bool) -> Iterator
         gravity = f"gravity at rest {imu.gravity_m_s2:.2f} m/s^2; "
     if imu.usual_accel_m_s2 is not None:
         axes = ", ".join(f"{round(axis, 1) + 0.0:+.1f}" for axis in imu.usual_accel_m_s2)
-        gravity += f"usual specific force ({axes}) m/s^2 forward, right, down; "
+        gravity += f"median specific force ({axes}) m/s^2 forward, right, down; "
     yield f"{gravity}turns up to {turn:.{0 if turn >= 10 else 1}f} degrees/s"
 
 
@@ -271,7 +271,7 @@ def _timing_problems(stream: StreamFindings, start_ns: int | None) -> Iterator[s
         yield f"{stream.name}: {total} ({_gaps(t.gaps, start_ns)})"
     read = " ".join(stream.problems)
     if t.repeated and "repeated" not in read:
-        yield f"{stream.name}: {counted(t.repeated, 'sample')} with a time that stood there before"
+        yield f"{stream.name}: {counted(t.repeated, 'sample')} with a repeated time"
     if t.backwards and "backwards" not in read:
         yield f"{stream.name}: the times go backwards in {counted(t.backwards, 'place')}"
 

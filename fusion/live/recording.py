@@ -238,6 +238,11 @@ class Recorder:
         self._pending.put(None)
         self._thread.join()
 
+    def discard(self) -> None:
+        """Close and delete the file: for a run that never began."""
+        self.close()
+        self._path.unlink()
+
     def _put(self, topic: str, now_ns: int, make: Write, t_ns: int | None = None) -> None:
         try:
             self._pending.put_nowait((topic, now_ns, now_ns if t_ns is None else t_ns, make))

@@ -125,7 +125,8 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
     InputError
         Where the log cannot be used: one line naming file, field, value and remedy.
     """
-    from fusion.logs.manifest.manifest import MANIFEST_NAME, Manifest, find_manifest, read_manifest
+    from fusion.logs.manifest.file import MANIFEST_NAME, find_manifest, read_manifest
+    from fusion.logs.manifest.manifest import Manifest
 
     path = Path(path)
     if not path.exists():

@@ -83,20 +83,8 @@ def fuse_flight(
     settings = _with_declared_values(config or FusionConfig(), flight)
     recorder = Recorder(settings, _row_kinds(flight))
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
-    with stopwatch() as clock, _existing_objects_frozen():
-        started = clock.seconds()
-        extract = partial(extract_features, camera=flight.camera, method=method)
-        threads = (jobs or min(usable_cores(), MAX_JOBS)) - 1
-        with closing(prefetch_features(flight.frames, extract, threads)) as pictures:
-            vision_s = _feed(estimator, flight, pictures, progress, clock)
-        estimator.finish()
-        recorder.finish()
-        filtered = clock.seconds()
-        smoothed = recorder.smoothed()
-        ended = clock.seconds()
-    timings = Timings(
-        vision_s, filtered - started - vision_s, ended - filtered, ended - started, clock.compile_s
-    )
+    threads = (jobs or min(usable_cores(), MAX_JOBS)) - 1
+    smoothed, timings = _filter_and_smooth(estimator, recorder, flight, threads, progress)
     result = FusionResult(
         flight_name=flight.name,
         config=settings,
@@ -109,6 +97,30 @@ def fuse_flight(
     return replace(
         result, overview=summarise(result, flight, method, estimator.counters, timings, recorder.events)
     )
+
+
+def _filter_and_smooth(
+    estimator: CorridorEstimator,
+    recorder: Recorder,
+    flight: Flight,
+    threads: int,
+    progress: Progress | None,
+) -> tuple[Table, Timings]:
+    """Run the filter over the whole flight into the recorder, then the smoother; return its table and the times."""
+    with stopwatch() as clock, _existing_objects_frozen():
+        started = clock.seconds()
+        extract = partial(extract_features, camera=flight.camera, method=estimator.method)
+        with closing(prefetch_features(flight.frames, extract, threads)) as pictures:
+            vision_s = _feed(estimator, flight, pictures, progress, clock)
+        estimator.finish()
+        recorder.finish()
+        filtered = clock.seconds()
+        smoothed = recorder.smoothed()
+        ended = clock.seconds()
+    timings = Timings(
+        vision_s, filtered - started - vision_s, ended - filtered, ended - started, clock.compile_s
+    )
+    return smoothed, timings
 
 
 @contextmanager

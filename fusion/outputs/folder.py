@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from errno import EACCES, ENOTDIR
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from fusion.estimator.tables import Table
 from fusion.files import (
@@ -53,9 +54,6 @@ def write_outputs(
 ) -> Path:
     """Write a fused flight's files, and what else is asked for, into ``out_dir``, all of them or none.
 
-    ``flight.toml`` names where the flight came from, for `corridor fuse` and `corridor align` to take up again; a
-    flight made by hand has none.
-
     They are written beside ``out_dir`` under a temporary name and renamed once complete and on the disk. An earlier
     output is replaced, known by the list of files in its ``summary.json``; a folder that holds anything else is left
     alone. What a run killed before left behind is cleared, or finished.
@@ -92,11 +90,7 @@ def write_outputs(
         Where ``out_dir`` is a file, holds files that are not ours, or cannot be written.
     """
     with _appearing_whole(out_dir) as folder:
-        write_table(table_in_frame(result.estimates, frame), folder / "estimates.csv")
-        write_table(table_in_frame(result.smoothed, frame), folder / "smoothed.csv")
-        write_table(table_in_frame(result.frames, frame), folder / "frames.csv")
-        if sent is not None:
-            write_table(table_in_frame(sent, frame), folder / SENT_FILE)
+        _write_tables(result, sent, folder, frame)
         _write_manifest(flight, folder / "flight.toml", Path(out_dir).resolve())
         write_exports(result, flight, folder, exports, frame, progress)
         origin = provenance(flight, command, hashes)
@@ -104,14 +98,23 @@ def write_outputs(
             from fusion.report import write_report
 
             write_report(result, flight, folder / "report.html", origin)
-        files = sorted([MARK, *(entry.name for entry in folder.iterdir())])
-        told = {"files": files, "provenance": origin}
-        write_summary(summary_in_frame(result.summary, frame) | told, folder / MARK)
+        _write_summary(result, origin, folder, frame)
     return Path(out_dir).resolve()
 
 
+def _write_tables(result: FusionResult, sent: Table | None, folder: Path, frame: Frame) -> None:
+    tables = {"estimates.csv": result.estimates, "smoothed.csv": result.smoothed, "frames.csv": result.frames}
+    if sent is not None:
+        tables[SENT_FILE] = sent
+    for name, table in tables.items():
+        write_table(table_in_frame(table, frame), folder / name)
+
+
 def _write_manifest(flight: Flight, path: Path, folder: Path) -> None:
-    """Write where the flight came from, seen from the folder that the file will lie in."""
+    """Write where the flight came from, for `corridor fuse` and `corridor align` to take up again.
+
+    Its paths are relative to the folder that the file will lie in. A flight made by hand has no manifest.
+    """
     from fusion.logs.manifest.manifest import Manifest
     from fusion.logs.manifest.text import manifest_text
 
@@ -119,6 +122,13 @@ def _write_manifest(flight: Flight, path: Path, folder: Path) -> None:
         return
     manifest = flight.manifest.model_copy(update={"name": flight.name})
     path.write_text(manifest_text(manifest, folder, {}), encoding="utf-8")
+
+
+def _write_summary(result: FusionResult, origin: Mapping[str, Any], folder: Path, frame: Frame) -> None:
+    """Write the summary, the last file of a folder: it lists all that were written with it."""
+    files = sorted([MARK, *(entry.name for entry in folder.iterdir())])
+    told = {"files": files, "provenance": origin}
+    write_summary(summary_in_frame(result.summary, frame) | told, folder / MARK)
 
 
 def check_out_dir(out_dir: str | Path) -> Path:

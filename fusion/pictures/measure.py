@@ -16,7 +16,7 @@ from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES
 from fusion.pictures.assumed_camera import AssumedView, AssumedViews, assume_views
 from fusion.pictures.attitude_file import AttitudeFile
 from fusion.progress import Progress
-from vision import Camera, FrameMeasurement, InputError, Reason
+from vision import Camera, FrameMeasurement, InputError, Reason, measure_frame
 from vision.frame import Method
 from vision.images import GreyImage, read_image
 
@@ -142,44 +142,62 @@ def measure_images(
     InputError
         Where no picture decodes, or the calibration is of pictures of another shape.
     """
-    from vision import measure_frame
-
     if camera is None and views is None:
         views = assume_views(paths) if method == "geometric" else AssumedViews()
+    measurer = _Measurer(camera, views or AssumedViews(), attitudes, method)
     table = np.zeros(len(paths), IMAGE_DTYPE)
     overlays = None if overlay_dir is None else _Overlays(overlay_dir, paths)
-    first_problem, warm = None, False
+    problems: list[InputError] = []
     for row, path in enumerate(paths):
         t_ns = parse_time(path.stem)  # EuRoC names pictures by their time
         try:
             image = read_image(path)
         except InputError as error:
-            first_problem = first_problem or error
+            problems.append(error)
             measurement = FrameMeasurement(accepted=False, reason=Reason.UNREADABLE)
         else:
-            if camera is not None:
-                view, own_camera = None, camera_for(camera, image, path)
-            else:
-                view = (views or AssumedViews()).of(path, image)
-                own_camera = _assumed_camera(view)
-            attitude = None if attitudes is None else attitudes.of(path, t_ns)
-            if not warm:  # the first call loads or compiles machine code: keep that out of `vision_ms`
-                measure_frame(image, own_camera, attitude, method=method)
-                warm = True
-            measurement = measure_frame(image, own_camera, attitude, method=method)
-            if view is not None and method == "geometric":
-                measurement = view.widened(measurement)
+            own_camera, measurement = measurer.measure(path, t_ns, image)
             if overlays is not None:
                 overlays.draw(path, image, own_camera, measurement)
         _fill(table, row, path, t_ns, measurement)
         progress(row + 1, len(paths))
-    if first_problem is not None and (table["reason"] == Reason.UNREADABLE.value).all():
-        raise (
-            first_problem
-            if len(paths) == 1
-            else InputError(f"none of the {len(paths)} pictures can be read; the first: {first_problem}")
-        )
+    if problems and len(problems) == len(paths):
+        raise _none_readable(problems)
     return table
+
+
+def _none_readable(problems: Sequence[InputError]) -> InputError:
+    """Return the error to raise where no picture can be read, from those of the pictures."""
+    if len(problems) == 1:
+        return problems[0]
+    return InputError(f"none of the {len(problems)} pictures can be read; the first: {problems[0]}")
+
+
+class _Measurer:
+    """Measures pictures by their calibration, or by what is assumed of their camera where they have none."""
+
+    def __init__(
+        self, camera: Camera | None, views: AssumedViews, attitudes: AttitudeFile | None, method: Method
+    ) -> None:
+        self._camera, self._views, self._attitudes, self._method = camera, views, attitudes, method
+        self._warm = False
+
+    def measure(self, path: Path, t_ns: int | None, image: GreyImage) -> tuple[Camera, FrameMeasurement]:
+        """Measure a picture; return the camera that it was taken to come from, too."""
+        view: AssumedView | None = None
+        if self._camera is not None:
+            camera = camera_for(self._camera, image, path)
+        else:
+            view = self._views.of(path, image)
+            camera = _assumed_camera(view)
+        attitude = None if self._attitudes is None else self._attitudes.of(path, t_ns)
+        if not self._warm:  # the first call loads or compiles machine code: keep that out of `vision_ms`
+            measure_frame(image, camera, attitude, method=self._method)
+            self._warm = True
+        measurement = measure_frame(image, camera, attitude, method=self._method)
+        if view is not None and self._method == "geometric":
+            measurement = view.widened(measurement)
+        return camera, measurement
 
 
 def _fill(table: Table, row: int, path: Path, t_ns: int | None, measurement: FrameMeasurement) -> None:
@@ -188,9 +206,8 @@ def _fill(table: Table, row: int, path: Path, t_ns: int | None, measurement: Fra
     table["vp_x_px"][row], table["vp_y_px"][row] = measurement.vp_px
     table["reason"][row] = measurement.reason.value
     table["position"][row] = "" if measurement.position is None else measurement.position.value
-    table["innovation_rad"][row] = table["test_ratio"][row] = (
-        np.nan
-    )  # of a filter, which there is none of here
+    for of_a_filter in ("innovation_rad", "test_ratio"):  # there is none here
+        table[of_a_filter][row] = np.nan
     table["accepted"][row] = measurement.accepted
     table["n_lines"][row] = measurement.n_lines
     table["n_inliers"][row] = measurement.n_inliers
@@ -203,7 +220,7 @@ def _fill(table: Table, row: int, path: Path, t_ns: int | None, measurement: Fra
 
 
 class _Overlays:
-    """A folder of drawings whose names never meet each other nor a picture that was given."""
+    """A folder of drawings whose names clash neither with each other nor with a given picture."""
 
     def __init__(self, folder: Path, paths: Sequence[Path]) -> None:
         if any(path.resolve().parent == folder.resolve() for path in paths):

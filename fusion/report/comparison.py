@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fusion.evaluation.comparison import ErrorsOverTime, Output, errors_over_time
-from fusion.evaluation.truth_file import Truth
+from fusion.evaluation.truth import Truth
 from fusion.files import replacing
 from fusion.flight import FloatArray
-from fusion.report.plots import FAINT, FILTER, IMU_YAW, RAW_YAW, REJECTED, SMOOTHED, VISION, plain_axes
+from fusion.report.drawing import FAINT, FILTER, IMU_YAW, RAW_YAW, REJECTED, SMOOTHED, VISION, plain_axes
 from vision.errors import InputError
 
 FORMATS = (".png", ".svg", ".pdf")

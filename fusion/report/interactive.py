@@ -22,7 +22,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 
 from fusion.flight import Flight, FloatArray
-from fusion.report import plots
+from fusion.report import drawing, plots
 from fusion.report.strip import small_pictures
 from fusion.report.svg import CSS_NAME
 from fusion.result.result import FusionResult
@@ -50,7 +50,7 @@ def page_data(result: FusionResult, flight: Flight, panels: dict[str, Sequence[P
     t = plots.seconds(table["timestamp_ns"], origin_ns)
     status = [
         [round(float(t[a]), 3), round(float(t[min(b, len(t) - 1)]), 3), word]
-        for word in plots.STATUS_COLOUR
+        for word in drawing.STATUS_COLOUR
         for a, b in runs(table["status"] == word)
     ]
     count = min(MAX_PICTURES, round(PICTURES_PER_S * float(t[-1] - t[0])) + 1) if len(t) else 0
@@ -81,7 +81,7 @@ def script() -> tuple[Markup, Markup]:
 
 def _charts(panels: Sequence[Panel]) -> list[dict[str, Any]]:
     axes = Figure().subplots(len(panels), 1, squeeze=False)[:, 0]
-    with plots.thinned_to(BINS):
+    with drawing.thinned_to(BINS):
         for ax, panel in zip(axes, panels, strict=True):
             panel(ax)
     return [_chart(ax) for ax in axes]
@@ -115,7 +115,7 @@ def _line(line: Line2D, ax: Axes) -> dict[str, Any]:
     x, y = np.asarray(line.get_xdata(), dtype=float), np.asarray(line.get_ydata(), dtype=float)
     if line.get_transform() == ax.get_yaxis_transform():  # level, from edge to edge
         x = np.array(ax.get_xlim())
-    is_thick = line.get_linewidth() >= plots.EDGE_WIDTH
+    is_thick = line.get_linewidth() >= drawing.EDGE_WIDTH
     shape = "cross" if line.get_marker() == "x" else "dash" if line.is_dashed() else "line"
     shape = "edge" if is_thick else shape
     return _series(shape, str(line.get_label()), to_hex(line.get_color()), x, y)

@@ -20,7 +20,7 @@ from fusion.evaluation.errors import evaluate
 from fusion.evaluation.verdict import overall, worst_first
 from fusion.files import replacing
 from fusion.flight import Flight
-from fusion.report import plots
+from fusion.report import drawing, plots
 from fusion.report.interactive import page_data, script
 from fusion.report.strip import DrawnFrame, choose_frames, show_frames
 from fusion.report.svg import Drawing, Panel, draw
@@ -57,7 +57,7 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Caption:
-    """What stands beside a frame of the strip."""
+    """The caption of a frame."""
 
     shown: DrawnFrame
     accepted: bool
@@ -102,7 +102,7 @@ def render_report(result: FusionResult, flight: Flight, provenance: Mapping[str,
 
 
 def replace_text(path: str | Path, text: str) -> None:
-    """Write the report so that it is whole, or the earlier one is left."""
+    """Write the report completely, or leave an earlier one unchanged."""
     with replacing(Path(path)) as draft:
         draft.write_text(text, encoding="utf-8")
 
@@ -122,7 +122,7 @@ def facts(result: FusionResult, flight: Flight) -> list[tuple[str, str, str]]:
             found.append(("Offset error", _centimetres(metres.rmse), remark))
     elif tracking.any():
         sigma = float(np.median(table["heading_std_rad"][tracking]))
-        found.append(("Heading sigma", _degrees(sigma), "median while tracking; there is no truth"))
+        found.append(("Heading sigma", _degrees(sigma), "median while tracking; no ground truth"))
         sigma_m, sigma_norm = (
             float(np.median(table[name][tracking]))
             for name in ("lateral_offset_std_m", "lateral_offset_norm_std")
@@ -143,7 +143,7 @@ def facts(result: FusionResult, flight: Flight) -> list[tuple[str, str, str]]:
 
 
 def figures(result: FusionResult, flight: Flight) -> list[Figure]:
-    """Draw every plot that the flight has something for."""
+    """Draw every plot for which the flight has data."""
     found: list[Figure] = []
 
     def add(name: str, title: str, text: str, *panels: Panel) -> None:
@@ -152,16 +152,16 @@ def figures(result: FusionResult, flight: Flight) -> list[Figure]:
     if not len(result.estimates):
         return found
     text = (
-        "Angle from the corridor's axis, positive right. Frames outside the scale are not drawn; "
-        "a thick line at the edge: the filter is beyond the scale."
+        "Angle from the corridor's axis, positive right. Frames outside the scale are not drawn. "
+        "A thick line at the edge means that the filter is outside the scale."
     )
     add("heading", "Heading", text, partial(plots.plot_heading, result=result, flight=flight))
-    text = "Place between the walls, right of the centre line positive."
+    text = "Distance from the centre line, positive right."
     add("offset", "Lateral offset", text, partial(plots.plot_offset, result=result, flight=flight))
     if np.isfinite(result.frames["test_ratio"]).any():
         text = (
-            "What each frame said beyond the prediction, and its square over that of the gate: "
-            "a frame above one is refused. Values beyond the scale stand at its edge."
+            "Heading of each frame less its prediction, and the test ratio: innovation squared over gate squared. "
+            "Frames above 1 are rejected. Values outside the scale are drawn at its edge."
         )
         panels = (
             partial(plots.plot_innovations, result=result),
@@ -174,14 +174,15 @@ def figures(result: FusionResult, flight: Flight) -> list[Figure]:
     if flight.attitude is not None and np.isfinite(result.estimates["imu_yaw_offset_rad"]).any():
         states.append(partial(plots.plot_imu_yaw_offset, result=result))
     if states:
-        text = "What the filter learned about the gyroscope and about the vehicle's own yaw."
+        text = "The gyroscope's bias and the offset of the vehicle's own yaw, as estimated by the filter."
         add("states", "Bias and offset", text, *states)
     if flight.truth is not None:
         errors = (plots.plot_heading_error, plots.plot_offset_error)
         text = (
-            "Estimate less truth, outside junctions; the table while tracking only. NEES is the mean square of "
-            "error over sigma, 1 for an honest sigma, and the band should hold 95 % of the line. Offsets in "
-            "percent are of half the corridor's width. A thick line at the edge: the filter is beyond the scale."
+            "Estimate less truth, outside junctions; the table is for rows that are tracking. NEES is the mean of "
+            "(error / sigma) squared, 1 for a consistent filter; the band should contain 95 % of the line. "
+            "Percentages are of half the corridor's width. A thick line at the edge means that the filter is outside "
+            "the scale."
         )
         add(
             "errors",
@@ -197,7 +198,9 @@ def status_shares(result: FusionResult) -> list[tuple[str, float]]:
     status = result.estimates["status"]
     if not len(status):
         return []
-    return [(word, float(np.mean(status == word))) for word in plots.STATUS_COLOUR if np.any(status == word)]
+    return [
+        (word, float(np.mean(status == word))) for word in drawing.STATUS_COLOUR if np.any(status == word)
+    ]
 
 
 def error_rows(result: FusionResult, flight: Flight) -> list[tuple[str, list[str]]]:
@@ -220,7 +223,7 @@ def error_rows(result: FusionResult, flight: Flight) -> list[tuple[str, list[str
 
 
 def _error_cells(found: TableErrors | CorridorErrors, half_m: float | None) -> list[str]:
-    """Write errors in degrees and, where the width is known, in centimetres; a frame alone knows no metres."""
+    """Format errors in degrees and, where the width is known, in centimetres; single frames have no metres."""
     heading, metres, norm = found.heading, found.lateral_offset_m, found.lateral_offset_norm
     cells = [_degrees(value) for value in (heading.rmse, heading.mae, heading.p95, heading.max)]
     cells.append("" if heading.nees_mean is None else f"{heading.nees_mean:.2f}")
@@ -261,7 +264,7 @@ def settings(result: FusionResult) -> list[tuple[str, str, str, bool]]:
 
 
 def provenance_rows(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return (what, value) of what made the output, without its inputs."""
+    """Return (name, value) of the program, command and camera that made the output."""
     if not provenance:
         return []
     rows = [("Version", f"{provenance['version']}, Python {provenance['python']}")]
@@ -276,7 +279,7 @@ def provenance_rows(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def timings(result: FusionResult) -> list[tuple[str, str]]:
-    """Return what the run cost, as far as the summary tells, and the frames' own times."""
+    """Return the times in the summary, and those of measuring a picture."""
     found = []
     told = {} if result.overview.timings is None else result.overview.timings.to_dict()
     for name, (words, unit) in TIMING_WORDS.items():

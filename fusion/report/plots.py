@@ -6,50 +6,39 @@ their extremes, so that a long flight draws as fast as a short one. No global st
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
-
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import PathPatch
-from matplotlib.path import Path
 from matplotlib.ticker import NullLocator
 
 from fusion.estimator.smoothed_table import half_widths_m
 from fusion.estimator.tables import Table
 from fusion.evaluation.errors import TruthAt, interpolate_truth
 from fusion.flight import AttitudeStream, CorridorTruth, Flight, FloatArray, TimeArray
-from fusion.report.series import IndexArray, band_envelope, broken, envelope, thin_points
+from fusion.report.drawing import (
+    FAINT,
+    FILTER,
+    HYPOTHESIS,
+    IMU_YAW,
+    INK,
+    NO_CUTS,
+    RAW_YAW,
+    REJECTED,
+    SMOOTHED,
+    STATUS_COLOUR,
+    VISION,
+    draw_band,
+    draw_dots,
+    draw_line,
+    mark_beyond,
+    plain_axes,
+    widen_y_axis,
+)
+from fusion.report.series import IndexArray, thin_points
 from fusion.result.result import FusionResult
 from fusion.result.table_rows import runs
 from vision.rotations import wrap, yaw_of
 
-INK = "#1b1f24"
-FAINT = "#7a828b"
-GRID = "#dfe2e6"
-FILTER = "#0072b2"
-SMOOTHED = "#009e73"
-VISION = "#59616b"
-REJECTED = "#d55e00"
-HYPOTHESIS = "#b8a3c9"
-IMU_YAW = "#e69f00"
-RAW_YAW = "#cc79a7"
-EDGE_WIDTH = 4.0  # of a line along the edge of an axis, where the values are beyond it
 _RATIO_SHOWN = (2.2e-4, 6e1)  # beyond it, at the edge of the axis
-STATUS_COLOUR = {"initialising": "#b4bac1", "tracking": "#7cc4e8", "coasting": "#e8b33a", "lost": "#d1495b"}
-
-_BINS = ContextVar("bins", default=700)
-
-
-@contextmanager
-def thinned_to(bins: int) -> Iterator[None]:
-    """Thin series to the extremes in so many intervals of time, as long as this context lasts (default: 700)."""
-    before = _BINS.set(bins)
-    try:
-        yield
-    finally:
-        _BINS.reset(before)
 
 
 def seconds(t_ns: TimeArray, origin_ns: int) -> FloatArray:
@@ -62,19 +51,19 @@ def plot_heading(ax: Axes, result: FusionResult, flight: Flight) -> None:
     origin, table = result.origin_ns, result.estimates
     t, heading = seconds(table["timestamp_ns"], origin), np.degrees(table["heading_rad"])
     cuts = _cuts(table, heading)
-    _band(ax, t, heading, 2 * np.degrees(table["heading_std_rad"]), cuts, FILTER, "filter, two sigma")
+    draw_band(ax, t, heading, 2 * np.degrees(table["heading_std_rad"]), cuts, FILTER, "filter, two sigma")
     if flight.attitude is not None:
         _plot_imu_yaw(ax, flight.attitude, table, origin)
     frames = result.frames
     _plot_frames(ax, seconds(frames["timestamp_ns"], origin), np.degrees(frames["heading_rad"]), frames)
     if flight.truth is not None:
         _plot_truth(ax, flight.truth, np.degrees(flight.truth.heading_rad), origin)
-    _line(ax, t, heading, cuts, FILTER, 1.5, "filter")
+    draw_line(ax, t, heading, cuts, FILTER, 1.5, "filter")
     _decorate(ax, result, "Heading, degrees right")
     _limit(ax, table, heading, 2 * np.degrees(table["heading_std_rad"]), least=2.0)
     if flight.attitude is not None:
-        _widen(ax, np.degrees(aligned_imu_yaw(flight.attitude, table)[1]))
-    _mark_beyond(ax, t, heading)
+        widen_y_axis(ax, np.degrees(aligned_imu_yaw(flight.attitude, table)[1]))
+    mark_beyond(ax, t, heading)
 
 
 def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
@@ -85,7 +74,7 @@ def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
     std = table["lateral_offset_std_m" if metres else "lateral_offset_norm_std"]
     t, offset = seconds(table["timestamp_ns"], origin), table[f"lateral_offset_{unit}"]
     cuts = _cuts(table, np.zeros_like(offset))
-    _band(ax, t, offset, 2 * std, cuts, FILTER, "filter, two sigma")
+    draw_band(ax, t, offset, 2 * std, cuts, FILTER, "filter, two sigma")
     half = half_widths_m(table, result.config) if metres else np.ones(len(table))
     _plot_hypotheses(ax, result.offset_hypotheses, table, half, origin)
     row = np.clip(np.searchsorted(table["timestamp_ns"], frames["timestamp_ns"], side="right") - 1, 0, None)
@@ -98,12 +87,12 @@ def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
     smooth = result.smoothed
     t_smooth = seconds(smooth["timestamp_ns"], origin)
     smooth_offset = smooth[f"lateral_offset_{unit}"]
-    _line(ax, t_smooth, smooth_offset, _cuts(smooth, np.zeros(len(smooth))), SMOOTHED, 1.1, "smoother")
-    _line(ax, t, offset, cuts, FILTER, 1.5, "filter")
+    draw_line(ax, t_smooth, smooth_offset, _cuts(smooth, np.zeros(len(smooth))), SMOOTHED, 1.1, "smoother")
+    draw_line(ax, t, offset, cuts, FILTER, 1.5, "filter")
     _decorate(ax, result, "Offset, m right" if metres else "Offset, half widths right")
     _limit(ax, table, offset, 2 * std, least=0.1)
     _walls(ax, t, half)
-    _mark_beyond(ax, t, offset)
+    mark_beyond(ax, t, offset)
 
 
 def plot_innovations(ax: Axes, result: FusionResult) -> None:
@@ -118,7 +107,7 @@ def plot_innovations(ax: Axes, result: FusionResult) -> None:
     gate[~np.isfinite(gate)] = np.nan
     known = np.isfinite(gate)
     top = 1.6 * float(np.percentile(gate[known], 95)) if known.any() else np.inf
-    _band(ax, t[known], np.zeros(known.sum()), gate[known], np.array([], dtype=np.int64), FAINT, "gate")
+    draw_band(ax, t[known], np.zeros(known.sum()), gate[known], NO_CUTS, FAINT, "gate")
     ax.axhline(0.0, color=FAINT, lw=0.6, zorder=1)
     if known.any():
         ax.set_ylim(-top, top)
@@ -209,7 +198,7 @@ def _plot_imu_yaw(ax: Axes, attitude: AttitudeStream, table: Table, origin_ns: i
         (aligned, IMU_YAW, "IMU yaw less its offset"),
     ):
         degrees = np.degrees(yaw)
-        _line(ax, t, degrees, np.union1d(switches, _wraps(degrees)), colour, 1.0, label)
+        draw_line(ax, t, degrees, np.union1d(switches, _wraps(degrees)), colour, 1.0, label)
 
 
 def _plot_state(ax: Axes, result: FusionResult, name: str, label: str) -> None:
@@ -219,7 +208,7 @@ def _plot_state(ax: Axes, result: FusionResult, name: str, label: str) -> None:
     ):
         values = np.degrees(table[name])
         t = seconds(table["timestamp_ns"], result.origin_ns)
-        _line(ax, t, values, _wraps(values), colour, width, word)
+        draw_line(ax, t, values, _wraps(values), colour, width, word)
     _decorate(ax, result, label)
 
 
@@ -239,9 +228,8 @@ def _plot_error(
         t = seconds(table["timestamp_ns"], origin)
         if word == "filter":
             band = 2 * scale * table[std_name]
-            cuts = np.array([], dtype=np.int64)
-            _band(ax, t, np.zeros_like(t), band, cuts, FILTER, "filter, two sigma")
-        _line(ax, t, error, np.array([], dtype=np.int64), colour, width, word)
+            draw_band(ax, t, np.zeros_like(t), band, NO_CUTS, FILTER, "filter, two sigma")
+        draw_line(ax, t, error, NO_CUTS, colour, width, word)
         tracked = table["status"] == "tracking"
         everything.append(np.abs(error[tracked]))
     ax.axhline(0.0, color=FAINT, lw=0.6, zorder=1)
@@ -249,13 +237,11 @@ def _plot_error(
     worst = worst[np.isfinite(worst)]
     if worst.size:
         top = 1.25 * float(worst.max())
-        usual = band[
-            tracked & np.isfinite(band)
-        ]  # its edges are to be seen, unless they would flatten the lines
-        if usual.size:
+        usual = band[tracked & np.isfinite(band)]
+        if usual.size:  # its edges are to be seen, unless they would flatten the lines
             top = max(top, min(1.25 * float(np.median(usual)), 5.0 * top))
         ax.set_ylim(-top, top)
-        _mark_beyond(ax, t, error)
+        mark_beyond(ax, t, error)
     _decorate(ax, result, label)
 
 
@@ -272,7 +258,7 @@ def _truth_of(at: TruthAt, name: str) -> FloatArray:
 def _plot_truth(ax: Axes, truth: CorridorTruth, values: FloatArray, origin_ns: int) -> None:
     t = seconds(truth.t_ns, origin_ns)
     cuts = np.flatnonzero(np.diff(truth.corridor_id)) + 1
-    _line(ax, t, values, np.union1d(cuts, _wraps(values)), INK, 0.9, "truth", style=(0, (4, 2)))
+    draw_line(ax, t, values, np.union1d(cuts, _wraps(values)), INK, 0.9, "truth", style=(0, (4, 2)))
 
 
 def _plot_hypotheses(ax: Axes, hypotheses: Table, table: Table, half: FloatArray, origin_ns: int) -> None:
@@ -281,56 +267,16 @@ def _plot_hypotheses(ax: Axes, hypotheses: Table, table: Table, half: FloatArray
     row = np.clip(np.searchsorted(table["timestamp_ns"], some["timestamp_ns"], side="right") - 1, 0, None)
     y = some["lateral_offset_norm"] * half[row]
     x, y = thin_points(seconds(some["timestamp_ns"], origin_ns), y, limit=1500)
-    _dots(ax, x, y, HYPOTHESIS, "other hypotheses")
+    draw_dots(ax, x, y, HYPOTHESIS, "other hypotheses")
 
 
 def _plot_frames(ax: Axes, t: FloatArray, values: FloatArray, frames: Table) -> None:
     """Draw accepted frames as dots and rejected ones as crosses."""
     used = frames["accepted"]
-    _dots(ax, *thin_points(t[used], values[used]), VISION, "frame used")
+    draw_dots(ax, *thin_points(t[used], values[used]), VISION, "frame used")
     x, y = thin_points(t[~used], values[~used], limit=800)
     if len(x):
         ax.plot(x, y, "x", color=REJECTED, ms=4.2, mew=0.9, ls="none", label="frame rejected", zorder=3)
-
-
-def _dots(ax: Axes, x: FloatArray, y: FloatArray, colour: str, label: str) -> None:
-    if not len(x):
-        return
-    # One path of zero-length strokes with round caps: a quarter of the bytes of as many markers in SVG.
-    vertices = np.repeat(np.column_stack([x, y]), 2, axis=0)
-    path = Path(vertices, np.tile(np.array([Path.MOVETO, Path.LINETO], dtype=np.uint8), len(x)))
-    path.should_simplify = False
-    patch = PathPatch(path, fill=False, edgecolor=colour, lw=2.4, capstyle="round", zorder=2.5)
-    ax.add_patch(patch)
-    ax.plot([], [], ".", color=colour, label=label)  # what a legend shows of them
-    ax.update_datalim(vertices)
-    ax.autoscale_view()
-
-
-def _line(
-    ax: Axes,
-    t: FloatArray,
-    y: FloatArray,
-    cuts: IndexArray,
-    colour: str,
-    width: float,
-    label: str,
-    style: str | tuple[int, tuple[int, ...]] = "-",
-) -> None:
-    if np.isfinite(y).any():
-        x, values = envelope(*broken(t, y, cuts), _BINS.get())
-        ax.plot(x, values, color=colour, lw=width, ls=style, label=label, zorder=3)
-
-
-def _band(
-    ax: Axes, t: FloatArray, middle: FloatArray, half: FloatArray, cuts: IndexArray, colour: str, label: str
-) -> None:
-    if not np.isfinite(middle + half).any():
-        return
-    x, low = broken(t, middle - half, cuts)
-    _, high = broken(t, middle + half, cuts)
-    x, low, high = band_envelope(x, low, high, _BINS.get())
-    ax.fill_between(x, low, high, color=colour, alpha=0.22, lw=0, label=label, zorder=1)
 
 
 def _cuts(table: Table, degrees: FloatArray) -> IndexArray:
@@ -354,15 +300,6 @@ def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, leas
     ax.set_ylim(low - 1.3 * margin, high + margin)
 
 
-def _mark_beyond(ax: Axes, t: FloatArray, values: FloatArray) -> None:
-    """Draw a thick line along the edge of the axis where the filter is beyond it."""
-    low, high = ax.get_ylim()
-    inset = 0.02 * (high - low)  # below lies the colour of the status
-    edge = np.where(values > high, high - inset, np.where(values < low, low + 3 * inset, np.nan))
-    edge[1:] = np.where(np.isnan(edge[1:]), edge[:-1], edge[1:])  # a lone sample would draw nothing
-    _line(ax, t, edge, np.array([], dtype=np.int64), FILTER, EDGE_WIDTH, "filter beyond the scale")
-
-
 def _walls(ax: Axes, t: FloatArray, half: FloatArray) -> None:
     """End the axis a little behind the widest corridor's walls, and draw each corridor's where it reaches them."""
     low, high = ax.get_ylim()
@@ -376,21 +313,9 @@ def _walls(ax: Axes, t: FloatArray, half: FloatArray) -> None:
     for side in (-1.0, 1.0):
         if several:
             cuts = np.flatnonzero(np.abs(np.diff(half)) > 1e-6) + 1
-            _line(ax, t, side * half, cuts, INK, 1.8, "wall")
+            draw_line(ax, t, side * half, cuts, INK, 1.8, "wall")
         elif low < side * widest < high:
             ax.axhline(side * widest, color=INK, lw=1.8, zorder=2, label="wall")
-
-
-def _widen(ax: Axes, values: FloatArray) -> None:
-    """Make room for another series, unless it would squeeze the first."""
-    values = values[np.isfinite(values)]
-    if not values.size:
-        return
-    low, high = ax.get_ylim()
-    margin = 0.05 * (high - low)
-    wide = min(low, values.min() - margin), max(high, values.max() + margin)
-    if wide[1] - wide[0] <= 2.0 * (high - low):
-        ax.set_ylim(*wide)
 
 
 def _decorate(ax: Axes, result: FusionResult, label: str) -> None:
@@ -400,17 +325,3 @@ def _decorate(ax: Axes, result: FusionResult, label: str) -> None:
     if len(table) > 1:
         end = seconds(table["timestamp_ns"][-1:], result.origin_ns)[0]
         ax.set_xlim(-0.005 * end, 1.005 * end)
-
-
-def plain_axes(ax: Axes, x_label: str, y_label: str) -> None:
-    """Label axes, and leave of their frame what is needed: two thin edges and a grid behind the lines."""
-    ax.set_xlabel(x_label, color=INK)
-    ax.set_ylabel(y_label, color=INK)
-    ax.grid(axis="y", color=GRID, lw=0.6)
-    ax.set_axisbelow(True)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        ax.spines[side].set_color(FAINT)
-        ax.spines[side].set_linewidth(0.6)
-    ax.tick_params(colors=INK, length=3, width=0.6, color=FAINT)

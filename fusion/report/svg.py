@@ -14,23 +14,23 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from fusion.report import plots
+from fusion.report import drawing
 
 Panel = Callable[[Axes], None]
 
 # Each colour of the plots is a CSS variable of the page, which gives it a second value for dark screens.
 CSS_NAME = {
-    plots.INK: "ink",
-    plots.FAINT: "faint",
-    plots.GRID: "grid",
-    plots.FILTER: "filter",
-    plots.SMOOTHED: "smoothed",
-    plots.VISION: "vision",
-    plots.REJECTED: "rejected",
-    plots.IMU_YAW: "imu-yaw",
-    plots.RAW_YAW: "raw-yaw",
-    plots.HYPOTHESIS: "hypothesis",
-    **{colour: f"status-{status}" for status, colour in plots.STATUS_COLOUR.items()},
+    drawing.INK: "ink",
+    drawing.FAINT: "faint",
+    drawing.GRID: "grid",
+    drawing.FILTER: "filter",
+    drawing.SMOOTHED: "smoothed",
+    drawing.VISION: "vision",
+    drawing.REJECTED: "rejected",
+    drawing.IMU_YAW: "imu-yaw",
+    drawing.RAW_YAW: "raw-yaw",
+    drawing.HYPOTHESIS: "hypothesis",
+    **{colour: f"status-{status}" for status, colour in drawing.STATUS_COLOUR.items()},
 }
 
 

@@ -139,7 +139,8 @@ def settings_text(model: type[Config], command: str, file: str | Path | None = N
     whose = "the defaults" if file is None else f"as {Path(file).name} makes them"
     return config_toml(
         config,
-        f"Settings of `{command} --config`: {whose}. What is deleted or stays a comment keeps its default.",
+        f"Settings of `{command} --config`: {whose}. "
+        "Settings that are deleted or left as comments keep their defaults.",
     )
 
 

@@ -157,7 +157,7 @@ TABLES = {
         with_pictures(table(), '[imu]\nframe = "flu"\n'), refused="axes look like FRD, not FLU"
     ),
     "twentieths of degrees": Case(
-        with_pictures(table(gyro=degrees(1.0) / 20)), caused="times as far as the gyroscope", dense=True
+        with_pictures(table(gyro=degrees(1.0) / 20)), caused="times as much as the gyroscope", dense=True
     ),
 }
 

@@ -19,7 +19,7 @@ from fusion.alignment.sentences import Known
 from fusion.alignment.views import scaled_focal
 from fusion.flight import AttitudeStream, Flight, FrameStream, VectorStream
 from fusion.logs.asl import read_ground_truth
-from fusion.logs.manifest.manifest import read_manifest
+from fusion.logs.manifest.file import read_manifest
 from fusion.simulate import SimulationConfig, simulate_flight
 from tests.command import Corridor
 from tests.files import OFFICE
@@ -222,7 +222,7 @@ class TestCommand:
         assert (late / "flight.toml").exists()
         told = corridor("align", late)  # with the manifest in force
         assert told.code == 0
-        assert "agree in time" in told.out
+        assert "no time offset between camera" in told.out
         assert read_manifest(late / "flight.toml").camera.clock_offset_s == pytest.approx(1.7, abs=0.005)
 
     def test_without_calibration_one_is_written(self, late: Path, tmp_path: Path, corridor: Corridor) -> None:
@@ -307,7 +307,7 @@ def test_corrections_are_applied_to_a_flight(office: Flight) -> None:
 def test_the_words_are_of_what_the_flight_has() -> None:
     """No attitude stream, no calibration: neither is spoken of."""
     flight = load_flight(OFFICE)
-    assert Known.of(replace(flight, attitude=None), False) == ("gyroscope and accelerometer", "taken")
+    assert Known.of(replace(flight, attitude=None), False) == ("gyroscope and accelerometer", "assumed")
     assumed = replace(flight, camera=replace(flight.camera, mount_assumed=True))
-    assert Known.of(assumed, True).mounted == "taken"
+    assert Known.of(assumed, True).mounted == "assumed"
     assert Known.of(flight, True) == ("the flight's attitude", "calibrated")

@@ -20,7 +20,8 @@ from fusion.inspection.sources import inspect_path
 from fusion.logs import load_manifest, open_log
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.manifest.assembly import assemble_flight
-from fusion.logs.manifest.manifest import Manifest, make_manifest, read_manifest, write_manifest
+from fusion.logs.manifest.file import make_manifest, read_manifest, write_manifest
+from fusion.logs.manifest.manifest import Manifest
 from fusion.logs.topic_choice import RANKED_FORMATS, TABLES, choose_topic
 from tests.files import OFFICE
 from tests.fusion.test_log_dataflash import new_log

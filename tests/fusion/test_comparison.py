@@ -320,7 +320,7 @@ class TestCompare:
         assert causal["lateral_offset_m"]["max_m"] == pytest.approx(0.0, abs=1e-9)
         assert causal["removed"]["0"]["heading_rad"] == pytest.approx(radians(-178))
         assert causal["removed"]["0"]["lateral_offset_m"] == pytest.approx(0.22 - 1.5)
-        assert "taken out in corridor 0: -178.00 degrees, -128.0 cm" in comparison_text(found)
+        assert "removed in corridor 0: -178.00 degrees, -128.0 cm" in comparison_text(found)
 
     def test_no_common_time_is_refused_with_both_spans(self, tmp_path: Path, truth: Path) -> None:
         table = estimates()
@@ -352,7 +352,7 @@ class TestCompare:
         text = comparison_text(
             compare(read_outputs([write_output(tmp_path / "out", table)]), read_truth(truth))
         )
-        assert "the truth covers 2.0 s of its 4.0 s" in text
+        assert "the truth covers 2.0 of its 4.0 s" in text
         assert "outside the truth's time" in text
 
     def test_outputs_are_named_by_what_tells_them_apart(self, tmp_path: Path) -> None:

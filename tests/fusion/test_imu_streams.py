@@ -16,7 +16,7 @@ from fusion.inspection.sources import inspect_path
 from fusion.logs import load_flight, open_log
 from fusion.logs.contents import Kind
 from fusion.logs.imu_series import imu_stream
-from fusion.logs.manifest.manifest import read_manifest
+from fusion.logs.manifest.file import read_manifest
 from fusion.logs.manifest.sources import ManifestLog
 from fusion.logs.samples import Problems
 from fusion.logs.series import Where

@@ -44,7 +44,7 @@ def test_a_gyroscope_alone_is_said_to_be_that(tmp_path: Path) -> None:
     rows = "".join(f"{T0 + k * 5_000_000},0.1,0,{0.01 * (k % 5)}\n" for k in range(100))
     (tmp_path / "imu.csv").write_text("timestamp_ns,gx,gy,gz\n" + rows)
     better = " ".join(texts(inspect_path(tmp_path / "imu.csv"), Matter.BETTER))
-    assert "neither accelerometer nor attitude: roll and pitch are taken by the gyroscope alone" in better
+    assert "neither accelerometer nor attitude: roll and pitch come from the gyroscope alone" in better
     assert "accelerometer and attitude" not in better
     assert "attitude alone" not in better
 
@@ -293,14 +293,14 @@ def test_a_log_is_described_without_reading_its_pictures() -> None:
     assert imu.problems == ("imu0: 1 row of NaN dropped",)
     text = inspection_text(found)
     assert (
-        "pictures of 64x48 and 32x24 pixels, by 6 of 900, 2 of which do not decode; number 2, the first that"
+        "pictures of 64x48 and 32x24 pixels (6 of 900 read, 2 of which do not decode); number 2, the first that"
         in text
     )
     assert re.search(
-        r"still for 30.0 s: 0.00 s to 20.00 s, 40.00 s to (50.00|49.99) s", " ".join(text.split())
+        r"at rest for 30.0 s: 0.00 s to 20.00 s, 40.00 s to (50.00|49.99) s", " ".join(text.split())
     )
     assert texts(found, Matter.MISSING) == []
-    assert texts(found, Matter.BETTER)[0] == "pictures of 32x24 are left out, the calibration is for 64x48"
+    assert texts(found, Matter.BETTER)[0] == "pictures of 32x24 are left out: the calibration is for 64x48"
 
 
 @pytest.mark.parametrize(
@@ -320,7 +320,7 @@ def test_a_log_is_described_without_reading_its_pictures() -> None:
         (
             MadeUp(imus={"imu0": IMU}, cameras={"cam0": FRAMES}),
             Matter.FUSE,
-            r"corridor fuse x.log takes pictures \(cam0, 20 Hz\) and gyroscope and accelerometer \(imu0, 200 Hz\)",
+            r"corridor fuse x.log uses pictures \(cam0, 20 Hz\) and gyroscope and accelerometer \(imu0, 200 Hz\)",
         ),
         (
             MadeUp(cameras={"cam0": FRAMES}, calibration=None),
@@ -340,12 +340,12 @@ def test_a_log_is_described_without_reading_its_pictures() -> None:
         (
             MadeUp(cameras={"cam0": FRAMES}),
             Matter.BETTER,
-            "no gyroscope: nothing but a steady turn carries the heading",
+            "no gyroscope: only a constant-rate model propagates the heading",
         ),
         (
             MadeUp(cameras={"cam0": FRAMES}, imus={"imu0": IMU}),
             Matter.BETTER,
-            r"noise is not declared, a default is taken; at rest it is 0.0031 rad/s/sqrt\(Hz\)",
+            r"noise is not declared, so a default is used; at rest it is 0.0031 rad/s/sqrt\(Hz\)",
         ),
         (
             MadeUp(cameras={"cam0": FRAMES}, imus={"imu0": replace(IMU, gyro_noise_density=1e-4)}),
@@ -386,7 +386,7 @@ def test_a_stream_that_cannot_be_read_does_not_hide_the_others() -> None:
     text = inspection_text(found)
     assert "  - the file ends in the middle of a block\n" in text
     assert "  - imu0 cannot be read: made_up.log: imu0 is torn (copy it again)\n" in text
-    assert texts(found, Matter.FUSE)[0].startswith("corridor fuse made_up.log takes pictures (cam0, 20 Hz)")
+    assert texts(found, Matter.FUSE)[0].startswith("corridor fuse made_up.log uses pictures (cam0, 20 Hz)")
 
 
 def test_streams_on_different_clocks_are_listed_on_their_own() -> None:
@@ -404,7 +404,7 @@ def test_gaps_jumps_and_repeats_are_said() -> None:
     text = " ".join(inspection_text(inspect_log(MadeUp(cameras={"cam0": frames}))).split())
     assert "cam0: the clock jumps 1 time (+3600.1 s at 41.95 s)" in text or "+3600.0 s at" in text
     assert "cam0: 1 gap, 2.05 s in all (the longest 2.05 s at 24.95 s)" in text
-    assert "cam0: 1 sample with a time that stood there before" in text
+    assert "cam0: 1 sample with a repeated time" in text
 
 
 def test_the_values_are_json_and_say_what_the_text_says() -> None:
@@ -426,7 +426,7 @@ def test_the_sample_flight() -> None:
     assert "15.0 s, 2020-09-13 12:43:20 to 12:43:35 UTC" in text
     assert re.search(r"\* imu0 +imu +3001 +200 Hz +0.0 ms +- +- +0.00 s +15.00 s +100%", text)
     assert (
-        "calibration for 640x480: focal length 466.0 px, 69 degrees wide, distortion radtan, looks straight"
+        "calibration for 640x480: focal length 466.0 px, field of view 69 degrees, distortion radtan, looks straight"
         in text
     )
     assert "problems" not in text
@@ -466,7 +466,7 @@ def test_a_range_sensor_and_what_it_gives(tmp_path: Path) -> None:
     assert [(stream.kind, stream.chosen) for stream in found.streams] == [(Kind.RANGE, True)]
     assert found.streams[0].distances_m == pytest.approx((1.4, 1.5, 1.6))
     text = " ".join(inspection_text(found).split())
-    assert "1.40 to 1.60 m above the floor, usually 1.50 m: offsets become metres by it where neither" in text
+    assert "1.40 to 1.60 m above the floor, median 1.50 m: used for offsets in metres if neither" in text
     (tmp_path / "flight.toml").write_text('log = "range.csv"\n[range]\nabove_camera_m = 0.25\n')
     lowered = inspect_path(tmp_path / "flight.toml").streams[0]
     assert lowered.distances_m == pytest.approx((1.15, 1.25, 1.35))

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.estimator.lateral_kernels import S, V, Y
-from fusion.estimator.lateral_mixture_kernels import NEIGHBOURHOOD_STD, variance_left_open
+from fusion.estimator.lateral_mixture_kernels import MAX_SPREAD_NORM, spread_about
 from fusion.estimator.lateral_offset import (
     MAX_HYPOTHESES,
     Acceleration,
@@ -293,13 +293,27 @@ def test_an_error_of_the_scale_grows_with_the_offset() -> None:
 
 
 @pytest.mark.parametrize("std", [0.01, 0.1])
-def test_variance_left_open_of_known_likelihoods(std: float) -> None:
-    near = NEIGHBOURHOOD_STD**2
-    evidence = np.array([[1.0, 0.1, std**2]])
-    assert variance_left_open(evidence, 0.0, 0.1) == pytest.approx(near * std**2 / (near + std**2))
-    assert variance_left_open(evidence[:0], 1.0, 0.1) == pytest.approx(near)
-    both = np.array([[0.5, 0.05, std**2], [0.5, -0.05, std**2]])  # two narrow places: their distance too
-    assert variance_left_open(both, 0.0, 0.0) > variance_left_open(evidence, 0.0, 0.1)
+def test_spread_of_known_likelihoods(std: float) -> None:
+    evidence = np.array([[0.5, 0.1, std**2]])
+    assert spread_about(evidence, 0.1) == pytest.approx(std**2)
+    assert spread_about(evidence, 0.2) == pytest.approx(0.1**2 + std**2)
+    assert spread_about(evidence, 0.9) == pytest.approx(MAX_SPREAD_NORM**2)
+    assert spread_about(evidence[:0], 0.1) < 0.0
+    both = np.array(
+        [[0.3, 0.05, std**2], [0.3, -0.04, std**2], [0.35, 0.8, std**2]]
+    )  # the place of both is likelier
+    assert spread_about(both, 0.0) == pytest.approx((0.05**2 + 0.04**2) / 2 + std**2)
+
+
+def test_frames_that_scatter_are_not_averaged_to_certainty() -> None:
+    std = []
+    for scatter in (0.0, 0.04, 0.08):
+        state = nothing_known()
+        for k in range(400):
+            state = seen(moved_on(state, FRAME_S), (0.9, scatter * (-1) ** (k // 10), 0.02))
+        std.append(readout(state, MODEL).std_norm)
+    assert std[0] < std[1] < std[2]
+    assert std[2] > 0.3 * 0.08
 
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.2, 0.0), (-0.1, 0.15), (0.0, -0.3)])

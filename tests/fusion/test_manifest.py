@@ -11,15 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.logs.csv.column_map import READY_MAPS
-from fusion.logs.manifest.manifest import (
-    CameraSource,
-    Manifest,
-    corrected_camera,
-    find_manifest,
-    make_manifest,
-    read_manifest,
-    write_manifest,
-)
+from fusion.logs.manifest.file import find_manifest, make_manifest, read_manifest, write_manifest
+from fusion.logs.manifest.manifest import CameraSource, Manifest, corrected_camera
 from vision import Camera, InputError
 
 FULL = """

@@ -21,7 +21,7 @@ import fusion.report
 from fusion import load_flight
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from fusion.flight import Flight, FrameStream
-from fusion.logs.manifest.manifest import read_manifest
+from fusion.logs.manifest.file import read_manifest
 from fusion.logs.pictures.camera_folder import PictureFiles
 from fusion.outputs.folder import OUTPUT_FILES, check_out_dir, write_outputs
 from fusion.outputs.provenance import provenance

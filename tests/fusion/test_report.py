@@ -339,7 +339,7 @@ def test_holes_and_problems_of_the_log_are_told(swing: Fused) -> None:
     check = by_name(result, hole)["Gaps in the log"]
     assert check.level is Level.WARN
     assert "IMU, at 6.0 s" in check.value
-    assert "1 hole in" in check.meaning
+    assert "1 gap in" in check.meaning
     torn = replace(flight, problems=("imu0/data.csv: 3 rows of NaN dropped",))
     check = by_name(replace(result, problems=("imu0/data.csv: 3 rows of NaN dropped", "other")), torn)[
         "Input"

@@ -111,7 +111,7 @@ def test_the_time_of_compiling_is_told_apart_from_the_speed(summary: Summary) ->
     assert summary.timings is not None
     lines = lines_of(replace(summary, timings=replace(summary.timings, compile_s=17.2)))
     assert lines["speed"] == (
-        "8.0 times real time: 1.9 s, 3.4 ms a frame (median); before that, once, 17 s of compiling"
+        "8.0 times real time: 1.9 s, 3.4 ms a frame (median); plus 17 s of compiling, once"
     )
 
 

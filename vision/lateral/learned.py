@@ -37,8 +37,7 @@ from vision.compiled import compiled
 from vision.images import GreyImage
 from vision.lateral.mixture import OffsetMixture
 from vision.lateral.polar import ANGLES, N_ANGLES, Polar, polar_picture
-
-FloatArray = npt.NDArray[np.float64]
+from vision.types import FloatArray, IntArray
 
 WEIGHTS_FILE = "offset_network.onnx"
 N_QUARTER = N_ANGLES // 4
@@ -60,7 +59,7 @@ FOOT = 0.02  # a peak ends where the density has fallen to this share of it,
 RISE = 1.2  # or rises so far above its lowest
 MIN_STD = 0.005
 
-_MIRRORED = (N_ANGLES // 2 - 1 - np.arange(N_ANGLES)) % N_ANGLES
+MIRRORED: IntArray = (N_ANGLES // 2 - 1 - np.arange(N_ANGLES)) % N_ANGLES  # angles, left and right exchanged
 _IS_RIGHT = np.cos(ANGLES) > 0.0
 _PER_THREAD = local()  # cv2.dnn keeps its input within the network
 
@@ -121,14 +120,19 @@ def _softmax_quarters(scores: npt.NDArray[np.float32], corner: FloatArray) -> No
             corner[k, a] /= total
 
 
+def is_left_brighter(polar: Polar) -> bool:
+    """Tell whether a polar picture (2, N_RADII, N_ANGLES) is brighter on its left: the network sees it mirrored."""
+    return bool(polar[0][:, _IS_RIGHT].sum() < polar[0][:, ~_IS_RIGHT].sum())
+
+
 def corner_scores(polar: Polar) -> CornerScores:
     """Run the network on a polar picture (2, N_RADII, N_ANGLES), mirrored where its left side is the brighter one."""
-    is_mirrored = polar[0][:, _IS_RIGHT].sum() < polar[0][:, ~_IS_RIGHT].sum()
-    seen = polar[:, :, _MIRRORED] if is_mirrored else polar
+    is_mirrored = is_left_brighter(polar)
+    seen = polar[:, :, MIRRORED] if is_mirrored else polar
     raw = _forward(np.ascontiguousarray(seen[None]))[0]
     scores = raw[: 2 * N_ANGLES].reshape(2, N_ANGLES)
     if is_mirrored:
-        scores = np.ascontiguousarray(scores[:, _MIRRORED])
+        scores = np.ascontiguousarray(scores[:, MIRRORED])
     corner = np.empty((4, N_QUARTER))
     _softmax_quarters(scores, corner)
     return CornerScores(corner, 1.0 / (1.0 + np.exp(-raw[-N_ODDS:].astype(float))))

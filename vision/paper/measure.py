@@ -24,6 +24,7 @@ compare equation (8) with an "actual" yaw frame by frame, to 0.3 degrees RMSE; t
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import atan, copysign, hypot, radians
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -203,31 +204,32 @@ def measure_paper(
     start = perf_counter()
     lines = find_lines(image_grey, kernel_feeds_canny)
     height, width = image_grey.shape[:2]
+    measurement = _measure_lines(lines, width, height, seed)
+    return replace(measurement, vision_ms=1e3 * (perf_counter() - start))
+
+
+def _measure_lines(lines: FloatArray, width: int, height: int, seed: int) -> FrameMeasurement:
+    """Take steps 8 to 10 with the lines (n, 4) of a picture of this size."""
+    found = FrameMeasurement(
+        accepted=False,
+        reason=Reason.TOO_FEW_LINES,
+        n_lines=len(lines),
+        lines_px=lines.astype(np.float32),
+        line_class=np.full(len(lines), LineClass.CORRIDOR, dtype=np.int8),
+    )
     vp = vanishing_point(lines, seed)
-    lines_px = lines.astype(np.float32)
-    line_class = np.full(len(lines), LineClass.CORRIDOR, dtype=np.int8)
     if vp is None:
-        return FrameMeasurement(
-            accepted=False,
-            reason=Reason.TOO_FEW_LINES,
-            n_lines=len(lines),
-            lines_px=lines_px,
-            line_class=line_class,
-            vision_ms=1e3 * (perf_counter() - start),
-        )
+        return found
     x, y = vp[0] + FIRST_PIXEL, vp[1] + FIRST_PIXEL
     yaw_rad = float(equation_8(x, y, width, height))
-    return FrameMeasurement(
+    return replace(
+        found,
         accepted=True,
         reason=Reason.OK,
-        n_lines=len(lines),
         n_inliers=len(lines),  # every line votes; the article rejects none
         vp_px=vp,
         heading_rad=copysign(yaw_rad, width / 2 - x),
         heading_std_rad=HEADING_ERROR_RMS_RAD,
         position=position_of(x, width),
         paper_yaw_rad=yaw_rad,
-        lines_px=lines_px,
-        line_class=line_class,
-        vision_ms=1e3 * (perf_counter() - start),
     )

@@ -31,7 +31,7 @@ def assemble_flight(manifest: Manifest, camera: Camera | Path | None = None) -> 
     Parameters
     ----------
     manifest
-        With absolute paths, as `fusion.logs.manifest.manifest.read_manifest` returns it.
+        With absolute paths, as `fusion.logs.manifest.file.read_manifest` returns it.
     camera
         Calibration to use instead of the manifest's; the manifest's corrections apply to either.
 

@@ -13,8 +13,8 @@ from fusion.logs.manifest.manifest import Manifest, StreamSource
 from fusion.settings.toml import toml_value
 
 _HEAD = """\
-# Where each stream of this flight comes from. `corridor fuse` takes this file, `corridor align` writes into it.
-# Paths count from this file's folder. Times: flight = file + clock_offset_s.
+# Where each stream of this flight comes from. `corridor fuse` reads this file, `corridor align` writes to it.
+# Paths are relative to this file's folder. Times: flight = file + clock_offset_s.
 """
 
 _MEANING = {

@@ -281,7 +281,7 @@ def render_rows(
     """Fill diffuse light, mirror share and mirrored light (h, w) each.
 
     Row y is seen from ``origins[y]`` (h, 3) with ``rotations[y]`` (h, 3, 3), body to world; ``rays``
-    (h + 1, w + 1, 3) go through the pixel corners; Of several exposures that are averaged,
+    (h + 1, w + 1, 3) go through the pixel corners. Of several exposures that are averaged,
     each mirrors its share of the pixels: ``turn`` of ``turns``.
     """
     height, width = direct.shape
@@ -319,19 +319,6 @@ def render_rows(
                     share[py, px] = 0.25 * (hit[a, 1] + hit[b, 1] + hit[c, 1] + hit[e, 1])
                 else:
                     direct[py, px], share[py, px] = _edge_pixel(
-                        table,
-                        nodes,
-                        lightmap,
-                        textures,
-                        sun,
-                        d,
-                        (a, b, c, e),
-                        origin,
-                        angle,
-                        seen,
-                        near,
-                        count,
-                        ids,
-                        hit,
-                        grid,
-                    )
+                        table, nodes, lightmap, textures, sun, d, (a, b, c, e), origin, angle,
+                        seen, near, count, ids, hit, grid,
+                    )  # fmt: skip

@@ -1,0 +1,161 @@
+"""The true course of a flight, and how a file's columns become one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import pi
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion.flight import CorridorTruth, FloatArray, TimeArray
+from fusion.logs.samples import Problems, order_times
+from fusion.result.conventions import Frame
+from vision.errors import InputError
+
+OffsetUnit = Literal["m", "norm"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """A truth and how to compare with it.
+
+    Parameters
+    ----------
+    corridor
+        In FRD; NaN where an offset is not known.
+    fixed_axis
+        Headings are from one axis through the whole flight, not from the corridor being flown.
+    offset
+        ``m``, ``norm`` or ``both``: what its offsets can be compared with; None where it has none.
+    source
+        The file, in words.
+    frame
+        Convention of signs that it was read by.
+    problems
+        What was dropped on reading.
+    """
+
+    corridor: CorridorTruth
+    fixed_axis: bool
+    offset: str | None
+    source: str
+    frame: Frame
+    problems: tuple[str, ...] = ()
+
+    def shifted(self, seconds: float) -> Truth:
+        """Add seconds to its times: for a truth by another clock.
+
+        Raises
+        ------
+        InputError
+            Where that is no number, or so large that the times leave the years 1678 to 2262.
+        """
+        if not seconds:
+            return self
+        reach_ns = int(np.abs(self.corridor.t_ns).max())
+        if not abs(seconds) * 1e9 + reach_ns < 2**63:  # NaN fails too
+            raise InputError(f"--truth-shift {seconds:g}: no time of a truth can be shifted by that")
+        corridor = replace(self.corridor, t_ns=self.corridor.t_ns + round(seconds * 1e9))
+        return replace(self, corridor=corridor, source=f"{self.source}; {seconds:+g} s to its times")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TruthColumns:
+    """What a file says of the true course, row by row, in the file's own convention of signs.
+
+    Parameters
+    ----------
+    t_ns
+        Times (n,) in nanoseconds, in any order.
+    heading_rad
+        Headings (n,); NaN where a row has none.
+    offset
+        Lateral offsets (n,) in ``offset_unit``; NaN where unknown.
+    offset_unit
+        ``m``, or ``norm`` for half widths.
+    width_m
+        Corridor widths (n,), NaN where unknown; None where the file has none.
+    corridor_id, in_junction
+        Numbers (n,), NaN taken as 0; None where the file has none.
+    """
+
+    t_ns: TimeArray
+    heading_rad: FloatArray
+    offset: FloatArray
+    offset_unit: OffsetUnit
+    width_m: FloatArray | None = None
+    corridor_id: FloatArray | None = None
+    in_junction: FloatArray | None = None
+
+
+def truth_of(
+    columns: TruthColumns, path: Path, frame: Frame, problems: Problems, *, fixed_axis: bool, kind: str
+) -> Truth:
+    """Make a truth of a file's columns: rows with a heading, in order of time, in FRD.
+
+    Parameters
+    ----------
+    columns
+        As read.
+    path, kind
+        The file, and what kind of truth it holds, for `Truth.source`.
+    frame
+        Convention of its signs.
+    problems
+        What was dropped on reading.
+    fixed_axis
+        See `Truth`.
+
+    Raises
+    ------
+    InputError
+        Where no row has a heading, or headings are too large for radians.
+    """
+    sign = -1.0 if frame is Frame.ROS else 1.0
+    heading_rad = columns.heading_rad
+    rows = np.flatnonzero(np.isfinite(heading_rad))
+    if not rows.size:
+        raise InputError("holds no row with a heading", file=path)
+    order, disorder = order_times(columns.t_ns[rows], path.name)
+    rows = rows[order]
+    if np.abs(heading_rad[rows]).max() > 4 * pi:
+        raise InputError(
+            f"headings reach {np.abs(heading_rad[rows]).max():.4g} rad",
+            file=path,
+            remedy="are they degrees? name them heading_deg",
+        )
+    offset_m, width_m, known_as = _offset_in_metres(columns)
+    count = len(columns.t_ns)
+    corridor = CorridorTruth(
+        t_ns=columns.t_ns[rows],
+        heading_rad=sign * heading_rad[rows],
+        lateral_offset_m=sign * offset_m[rows],
+        corridor_width_m=width_m[rows],
+        corridor_id=_whole(columns.corridor_id, count)[rows],
+        in_junction=_whole(columns.in_junction, count)[rows] != 0,
+    )
+    side = "left" if frame is Frame.ROS else "right"
+    has_offset = bool(np.isfinite(offset_m[rows]).any())
+    source = f"{path}: {kind}, positive {side}" + ("" if has_offset else "; no offsets")
+    return Truth(corridor, fixed_axis, known_as if has_offset else None, source, frame, problems + disorder)
+
+
+def _offset_in_metres(columns: TruthColumns) -> tuple[FloatArray, FloatArray, str]:
+    """Return offsets and widths (n,) in metres, and what the offsets can be compared with; see `Truth.offset`."""
+    offset = columns.offset
+    width_m = np.full(len(offset), np.nan) if columns.width_m is None else columns.width_m
+    known = np.isfinite(width_m)
+    if columns.offset_unit == "m":
+        return offset, width_m, "both" if known.any() else "m"
+    # Where no width is known, one of two metres makes an offset in half widths one in metres of the same value.
+    offset_m = np.where(known, offset * width_m / 2, offset)
+    return offset_m, np.where(known, width_m, 2.0), "both" if known.any() else "norm"
+
+
+def _whole(values: FloatArray | None, count: int) -> npt.NDArray[np.int64]:
+    if values is None:
+        return np.zeros(count, dtype=np.int64)
+    return np.nan_to_num(values, nan=0.0).astype(np.int64)
