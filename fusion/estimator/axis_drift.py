@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from math import exp, hypot, isnan, nan, pi, sqrt
+from math import exp, isnan, nan, pi, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -14,11 +14,12 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import VOTE_SPACING_S, CorridorAxis, Recovery, recover
 from fusion.estimator.frame_noise import white_and_walk
 from fusion.estimator.hypotheses import (
-    CONTESTED_SIGMA,
+    LOOK_S,
     MIN_POINTS,
     SHORT_S,
     SPANS_S,
     Diagnosis,
+    Drift,
     Evidence,
     Hypothesis,
     Innovations,
@@ -27,11 +28,11 @@ from fusion.estimator.hypotheses import (
     Told,
     Verdict,
     judge,
-    slopes,
     unseen_leap,
     with_sight,
 )
 from fusion.estimator.imu_yaw import yaw_at
+from fusion.estimator.imu_yaw_check import InertialNoise, TurnBeside
 from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, heading_model
 from fusion.estimator.propagation import DeadReckoning
 
@@ -76,8 +77,9 @@ def diagnosed(
     scale, correlation_s = axis.scale_and_correlation(reckoning.mode, config)
     std, walk = white_and_walk(variance * scale, correlation_s, interval_s)
     linked, yaw_rad = axis.recent[-1].linked, yaw_at(reckoning, t_ns)
-    bias_rad_s = float(ekf.x[BIAS])
-    sight = Sight(t_ns, heading_rad, std, reckoning.raw_theta_rad, yaw_rad, linked, walk, bias_rad_s)
+    bias_rad_s, bias_variance = float(ekf.x[BIAS]) + bend_rate(axis.diagnosis, ekf), float(ekf.P[BIAS, BIAS])
+    raw_rad = reckoning.raw_theta_rad
+    sight = Sight(t_ns, heading_rad, std, raw_rad, yaw_rad, linked, walk, bias_rad_s, bias_variance)
     axis, drift = weigh(axis, ekf, sight, rho, config)
     followed = follow_verdict(axis, ekf, sight, drift, reckoning.theta_rad, coupled)
     if axis.was_accepted and axis.diagnosis.found is Hypothesis.WELL:
@@ -112,6 +114,7 @@ def weigh(
         axis = axis._replace(anchor_rad=axis.anchor_rad + bend_rate(before, ekf) * elapsed_s)
     kept = exp(-interval_s / SHORT_S)
     refused_share = kept * before.refused_share + (0.0 if axis.was_accepted else 1.0 - kept)
+    beside = TurnBeside(new.t_ns, new.raw_theta_rad, new.yaw_rad, new.bias_rad_s, new.bias_variance)
     sights = with_sight(before.sights, new, round(0.9 * VOTE_SPACING_S * 1e9))
     now = before._replace(
         refused_share=refused_share,
@@ -119,17 +122,16 @@ def weigh(
         sights=sights,
         verdict=Verdict(),
         leap_rad=unseen_leap(before.sights, new, float(ekf.x[BIAS])),
+        yaw_doubt=before.yaw_doubt.compared(beside, _inertial_noise(config)),
     )
     if now.leap_rad:
         now = now._replace(told=Told(Hypothesis.SPIKE, new.t_ns))
-    due = now.judged_ns is None or new.t_ns - now.judged_ns >= SHORT_S * 1e9
+    due = now.judged_ns is None or new.t_ns - now.judged_ns >= LOOK_S * 1e9
     if not (innovations.systematic or due) or sights[-1] is not new:
         return axis._replace(diagnosis=now), None
     verdict, drift = _judge_spans(now, ekf, config)
-    found = verdict.likeliest
-    now = now._replace(judged_ns=new.t_ns, found=found, verdict=verdict)
-    if innovations.one_sided_sigmas > CONTESTED_SIGMA or found is not Hypothesis.WELL:
-        now = now._replace(told=Told(found, new.t_ns))
+    now = now.with_verdict(new.t_ns, verdict, due)
+    found = now.found
     if found in (Hypothesis.WELL, Hypothesis.GYRO) and not isnan(now.straight_bias_rad_s):
         now = straight_again(now, ekf)
     if found is Hypothesis.SPIKE:
@@ -138,22 +140,30 @@ def weigh(
 
 
 def _judge_spans(d: Diagnosis, ekf: CorridorEKF, config: FusionConfig) -> tuple[Verdict, Slope | None]:
-    """Judge over each span, and keep the verdict that finds most amiss."""
-    systematic = d.innovations.systematic
+    """Judge over each span: the shortest that shows something wrong tells most of now, else the one most in doubt.
+
+    Returned besides is the drift of the frames from what the filter predicts.
+    """
     last = d.sights[-MIN_POINTS:]
-    jumped = systematic and 2 * sum(not s.linked for s in last) > MIN_POINTS
-    walks = (config.gyro_noise, config.offset_walk)
-    seen_walks = (hypot(walks[0], last[-1].walk), hypot(walks[1], last[-1].walk))
-    psi_rad, bias = float(ekf.x[PSI]), float(ekf.x[BIAS]) + bend_rate(d, ekf)
-    verdict, slope = Verdict(), None
-    for span_s in SPANS_S if systematic else SPANS_S[-1:]:
-        drift, yaw = slopes(d.sights, span_s, psi_rad, bias, seen_walks)
-        # Wander of gyroscope and IMU yaw, and the yaw's own noise; of a line fitted to it, the ends count for most.
-        apart = (1.2 * (walks[0] ** 2 + walks[1] ** 2) + 2.0 * config.imu_yaw_std_rad**2 / span_s) / span_s
-        found = judge(Evidence(drift, yaw, sqrt(apart), jumped, d.refused_share > REFUSED_SHARE), d.found)
-        if slope is None or found.of(Hypothesis.WELL) < verdict.of(Hypothesis.WELL):
-            verdict, slope = found, drift
-    return verdict, slope
+    jumped = d.innovations.systematic and 2 * sum(not s.linked for s in last) > MIN_POINTS
+    refused = d.refused_share > REFUSED_SHARE
+    drift = Drift(d.sights, float(ekf.x[PSI]), _inertial_noise(config))
+    verdict, evidence = Verdict(), Evidence()
+    for span_s in SPANS_S:
+        shown = drift.over(span_s)._replace(jumped=jumped, refused=refused, yaw_doubt=d.yaw_doubt)
+        found = judge(shown, d.found)
+        if evidence.gyro is None or found.of(Hypothesis.WELL) < verdict.of(Hypothesis.WELL):
+            verdict, evidence = found, shown
+        if verdict.likeliest is not Hypothesis.WELL:
+            break
+    if evidence.gyro is None:
+        return verdict, None
+    by_filter = evidence.gyro.rate_rad_s + float(ekf.x[BIAS]) - evidence.bias_rad_s
+    return verdict, evidence.gyro._replace(rate_rad_s=by_filter)
+
+
+def _inertial_noise(c: FusionConfig) -> InertialNoise:
+    return InertialNoise(c.gyro_noise, c.offset_walk, c.imu_yaw_std_rad, c.gyro_scale_std)
 
 
 def follow_verdict(
@@ -195,12 +205,13 @@ def straight_again(d: Diagnosis, ekf: CorridorEKF) -> Diagnosis:
     x = ekf.x.copy()
     x[BIAS] = d.straight_bias_rad_s
     ekf.predict(x, np.eye(N_STATES), np.zeros((N_STATES, N_STATES)))
-    return _with_bias(d, d.straight_bias_rad_s)._replace(straight_bias_rad_s=nan)
+    return d._replace(straight_bias_rad_s=nan)
 
 
-def _with_bias(d: Diagnosis, bias_rad_s: float) -> Diagnosis:
-    """Let the evidence hold no bias from before the filter's own stepped."""
-    return d._replace(sights=tuple(s._replace(bias_rad_s=bias_rad_s) for s in d.sights))
+def _with_bias(d: Diagnosis, bias_rad_s: float, variance: float) -> Diagnosis:
+    """Let the evidence hold no bias from before the filter's own stepped, or followed a bend."""
+    sights = tuple(s._replace(bias_rad_s=bias_rad_s, bias_variance=variance) for s in d.sights)
+    return d._replace(sights=sights)
 
 
 def follow_drift(
@@ -221,7 +232,7 @@ def follow_drift(
     now = axis.diagnosis
     along = np.zeros(N_STATES)
     along[PSI] = found.now_rad
-    along[BIAS] = -(found.rate_rad_s - bend_rate(now, ekf))
+    along[BIAS] = -found.rate_rad_s
     if coupled:
         along[YAW_OFFSET] = -found.now_rad
     before = float(ekf.x[PSI])
@@ -231,11 +242,12 @@ def follow_drift(
     ekf.predict(ekf.x, np.eye(N_STATES), Q)
     if now.verdict.likeliest is Hypothesis.BEND and isnan(now.straight_bias_rad_s):
         # Before the bend was found, the bias has taken up some of its rate.
+        now = _with_bias(now, now.sights[0].bias_rad_s, now.sights[0].bias_variance)
         now = now._replace(straight_bias_rad_s=now.sights[0].bias_rad_s)
     m = heading_model(ekf.x, before + found.now_rad, found.now_std**2)
     ekf.update(m._replace(residual=found.now_rad))
     if now.verdict.likeliest is Hypothesis.GYRO:
-        now = _with_bias(now, float(ekf.x[BIAS]))
+        now = _with_bias(now, float(ekf.x[BIAS]), float(ekf.P[BIAS, BIAS]))
     axis = axis.stepped(ekf, before)
     axis = axis._replace(votes=(), rival=None, diagnosis=now._replace(innovations=Innovations()))
     return axis.confirmed(ekf, t_ns, theta_rad)

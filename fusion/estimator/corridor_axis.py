@@ -16,11 +16,12 @@ import numpy as np
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.frame_noise import FrameNoise
 from fusion.estimator.hypotheses import Diagnosis, Hypothesis
+from fusion.estimator.imu_yaw import yaw_at
 from fusion.estimator.models import N_STATES, PSI, YAW_OFFSET, Gate, heading_model
 from fusion.estimator.noise_adaptation import SourceNoise
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, DeadReckoning, Mode
 from fusion.estimator.votes import AGREEING_SHARE, Vote, add_vote, agreement
-from vision.rotations import wrap_axis
+from vision.rotations import wrap, wrap_axis
 
 if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF
@@ -30,6 +31,7 @@ VOTE_AGE_FRAMES = 15
 VOTE_SPACING_S = 0.03
 GRADUAL_RAD = radians(6)  # what a vehicle turns between frames, if the gyroscope may be wrong
 LINK_SIGMA = 3.0
+REPEATING = 0.1  # probability from which on the IMU's yaw may repeat a leap of the gyroscope
 MAX_ACCELERATION_RAD_S2 = radians(150)  # of the yaw of a vehicle that flies with a camera
 
 
@@ -46,7 +48,8 @@ class PreviousAxis(NamedTuple):
 class FrameAxis(NamedTuple):
     """A heading that a picture showed, its sigma, and what the gyroscope had turned by then.
 
-    ``linked``: no jump lies between it and one that the filter accepted.
+    ``linked``: no jump lies between it and one that the filter accepted. ``yaw_rad``: the IMU's yaw then; NaN where
+    there is none, or one that may repeat the gyroscope's errors.
     """
 
     t_ns: int
@@ -54,6 +57,7 @@ class FrameAxis(NamedTuple):
     std_rad: float
     linked: bool
     raw_theta_rad: float
+    yaw_rad: float = nan
 
 
 class Rival(NamedTuple):
@@ -87,13 +91,21 @@ def goes_on(seen: Sequence[FrameAxis], t_ns: int, heading_rad: float, std_rad: f
 
 
 def _is_linked(near: Sequence[FrameAxis], new: FrameAxis) -> bool:
-    """Whether a frame's heading follows those before by no jump: by noise, and by a turn up to the gyroscope's."""
+    """Whether a frame's heading follows those before by no jump: by noise, and by a turn up to the gyroscope's.
+
+    A gyroscope may leap. Where the IMU's yaw has turned as far, it has not, and the frames must have turned with it.
+    """
     last = near[-1].heading_rad
     step = wrap_axis(new.heading_rad - last - median(wrap_axis(r.heading_rad - last) for r in near))
     turned = new.raw_theta_rad - median(r.raw_theta_rad for r in near)
     noise = LINK_SIGMA * sqrt(new.std_rad**2 + sum(r.std_rad**2 for r in near) / len(near) ** 2)
+    yawed = median(wrap(new.yaw_rad - r.yaw_rad) for r in near)
+    if abs(step - turned) < noise:
+        return True
+    if abs(yawed - turned) < noise:  # NaN is not
+        return False
     low, high = max(min(turned, 0.0), -GRADUAL_RAD), min(max(turned, 0.0), GRADUAL_RAD)
-    if low - noise < step < high + noise or abs(step - turned) < noise:
+    if low - noise < step < high + noise:
         return True
     leapt = abs(new.raw_theta_rad - near[-1].raw_theta_rad) > GRADUAL_RAD
     return leapt and goes_on(near, new.t_ns, new.heading_rad, new.std_rad)  # whatever the gyroscope says
@@ -114,8 +126,9 @@ class CorridorAxis(NamedTuple):
         When a frame was last used, and how many have been.
     support_s
         Time over which frames have confirmed the present axis.
-    anchor_rad
-        Axis in the dead-reckoned frame when a frame last confirmed it.
+    anchor_rad, anchor_ns
+        Axis in the dead-reckoned frame when a frame last confirmed it, and when that was; while frames drift off, as
+        it was before.
     facing_rad
         pi where the vehicle then faced against the axis.
     noise, frame_noise, gate
@@ -144,6 +157,7 @@ class CorridorAxis(NamedTuple):
     n_accepted: int = 0
     support_s: float = 0.0
     anchor_rad: float = nan
+    anchor_ns: int = 0
     facing_rad: float = 0.0
     noise: SourceNoise = SourceNoise()
     frame_noise: FrameNoise = FrameNoise()
@@ -183,11 +197,13 @@ class CorridorAxis(NamedTuple):
         if self.t_vision_ns is not None:
             support_s += min((t_ns - self.t_vision_ns) * 1e-9, 0.5)
         psi = float(ekf.x[PSI])
+        straight = isnan(self.diagnosis.straight_bias_rad_s)
         return self._replace(
             support_s=support_s,
             t_vision_ns=t_ns,
             n_accepted=self.n_accepted + 1,
-            anchor_rad=theta_rad - psi if isnan(self.diagnosis.straight_bias_rad_s) else self.anchor_rad,
+            anchor_rad=theta_rad - psi if straight else self.anchor_rad,
+            anchor_ns=t_ns if straight else self.anchor_ns,
             facing_rad=psi - wrap_axis(psi),
         )
 
@@ -224,7 +240,8 @@ class CorridorAxis(NamedTuple):
         reach_ns = round(max(0.4, 2.5 * frame_interval_s if isfinite(frame_interval_s) else 0.0) * 1e9)
         near = [r for r in self.recent if r.linked and t_ns - r.t_ns <= reach_ns]
         raw_theta_rad = reckoning.raw_theta_rad
-        new = FrameAxis(t_ns, heading_rad, std_rad, False, raw_theta_rad)
+        yaw_rad = yaw_at(reckoning, t_ns) if self.diagnosis.yaw_doubt.repeating < REPEATING else nan
+        new = FrameAxis(t_ns, heading_rad, std_rad, False, raw_theta_rad, yaw_rad)
         if reckoning.mode is Mode.NONE:
             linked = accepted or any(abs(wrap_axis(heading_rad - r.heading_rad)) < GRADUAL_RAD for r in near)
         else:

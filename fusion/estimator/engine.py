@@ -9,7 +9,7 @@ order.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import nan, pi, sqrt
+from math import hypot, nan, pi, sqrt
 from typing import assert_never
 
 import numpy as np
@@ -409,6 +409,10 @@ class Engine:
         lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
         imu_yaw = compare_by_frame(s.imu_yaw, t_ns, heading, variance, d)
         _, _, _, tilt, velocity, _, _, _, _, frames, _, _, checks = s
+        if attitude is not None:
+            std_rad = hypot(m.elevation_std_rad, attitude.std_rad)
+            installation = checks.installation.with_elevation(m.elevation_rad, std_rad, attitude.roll_rad)
+            checks = checks._replace(installation=installation)
         s = State(
             ekf.x, ekf.P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks
         )

@@ -17,7 +17,7 @@ from fusion.estimator.camera_delay import camera_delay, spread_by_delay
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.faults import Fault, Notice
 from fusion.estimator.frame_update import FrameSample
-from fusion.estimator.hypotheses import Hypothesis
+from fusion.estimator.hypotheses import CONTESTED_S, Hypothesis
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.lateral import offset_model
 from fusion.estimator.lateral_status import LateralReadout, LateralStatus, readout
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 
 MAX_REFUSED_SHARE = 0.5  # of the last frames, beyond which they are rejected
-CONTESTED_S = 1.0  # from the last frame that contested
 CONTESTED = {
     Hypothesis.WELL: "contested: frames lie to one side of the prediction",
     Hypothesis.GYRO: "contested: frames drift from the gyroscope",

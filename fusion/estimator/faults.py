@@ -37,6 +37,9 @@ class Fault(IntFlag):
     FOCAL_LENGTH = 1 << 21  # the camera sees more, or less, of each turn than the gyroscope
     TILT_WRONG = 1 << 22  # attitude or accelerometer do not point where gravity does
     HEADING_CONTESTED = 1 << 23  # frames and prediction part, and it is not settled who is wrong
+    CAMERA_YAW = (
+        1 << 24
+    )  # rolling moves what the camera sees up and down: it points to one side of what is told
 
 
 class Notice(NamedTuple):

@@ -15,18 +15,22 @@ corridor bends     drifts                 drifts likewise        follow the bend
 another axis       jumps                  jumps                  jump
 =================  =====================  =====================  ==================
 
-An IMU yaw made from the same gyroscope repeats its errors, so that it agrees with it is weaker evidence than that it
-does not. Frames that drift away by themselves look like a bend.
+Three sources, two differences: each hypothesis says which source drifts, and with it how the two rates vary and
+correlate. The frames' own errors are in both. An IMU yaw made from the same gyroscope repeats its errors, so that it
+agrees with it is weaker evidence than that it does not. Frames that drift away by themselves look like a bend.
+
+What is less likely than not is not followed, but told all the same: a word costs less than a wrong turn.
 """
 
 from __future__ import annotations
 
 from enum import StrEnum
-from math import exp, isfinite, log, nan, pi, radians, remainder, sqrt
+from math import exp, hypot, isfinite, log, nan, pi, radians, remainder, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
+from fusion.estimator.imu_yaw_check import InertialNoise, YawDoubt, log_normal
 from fusion.estimator.kernels import FloatArray
 from vision.rotations import wrap_axis
 
@@ -34,17 +38,26 @@ SHORT_S, LONG_S = 0.25, 1.5  # time constants of means over about 0.5 and 3 s
 CLIPPED_SIGMA = 4.0  # a gross error must not make a mean
 SYSTEMATIC_SIGMA = 4.0  # of a mean: worth a look at the slopes, which decide
 CONTESTED_SIGMA = 5.5  # of a mean: worth a word, whatever the slopes say
-SPANS_S = (0.5, 1.0, 3.0)  # over which slopes are fitted: the shorter the sooner, the longer the finer
+DOUBTED, STILL_DOUBTED = (
+    0.1,
+    0.02,
+)  # probability that something is wrong, from which on it is told, and still is
+CONTESTED_S = 1.0  # from the last frame that contested
+SPANS_S = (
+    0.5,
+    1.0,
+    1.7,
+    3.0,
+    6.0,
+)  # over which slopes are fitted: the shorter the sooner, the longer the finer
 SPAN_NS = round(SPANS_S[-1] * 1e9)
 MIN_POINTS = 6
 MIN_LINKED = 0.75  # share of the frames; fewer, and nobody can say what they follow
-DRIFT_STD_RAD_S = radians(10.0)  # of a gyroscope that is wrong, and of a corridor that bends
+DRIFT_STD_RAD_S = radians(5.0)  # of a gyroscope that is wrong, and of a corridor that bends
 MAX_RATE_RAD_S = 35.0  # that a gyroscope reports: a spike may be any
-WRONG_YAW = 0.1  # prior probability that steel or current pulls the IMU's yaw away
-SHARED_YAW = 0.2  # prior probability that the IMU's yaw repeats a fault of the gyroscope
-PRIOR_WRONG = (
-    1e-3  # of each fault: looked at four times a second, and the slopes are sure to four sigmas or more
-)
+LOOK_S = 0.25  # between looks that no innovation asks for
+TIME_STD_S = 0.01  # of the frames' stamps against the gyroscope's, where a flight has not shown it
+PRIOR_WRONG = 1e-3  # of each fault, at each look
 PERSISTS = 0.5  # prior probability that what was found goes on
 MAX_MISFIT = 9.0  # of one frame
 MAX_INDEPENDENT = 15  # frames; more in a span do not make their stated sigmas surer
@@ -106,8 +119,8 @@ class Sight(NamedTuple):
     """A frame's heading and its sigma beside what gyroscope (bias not taken off) and IMU yaw (or NaN) then said.
 
     ``linked``: no jump of the picture lies between it and the frames that the filter used. ``walk``: how its errors
-    wander, rad/sqrt(s), where they last for longer than a frame. ``bias_rad_s``: the gyroscope's bias as the filter
-    then had it.
+    wander, rad/sqrt(s), where they last for longer than a frame. ``bias_rad_s``: the gyroscope's bias as it was then
+    known, and its variance.
     """
 
     t_ns: int
@@ -118,11 +131,13 @@ class Sight(NamedTuple):
     linked: bool
     walk: float = 0.0
     bias_rad_s: float = 0.0
+    bias_variance: float = 0.0
 
 
 class Slope(NamedTuple):
     """A difference of two headings: how fast it grows, rad/s, its sigma, its value now and that value's sigma.
 
+    The sigmas are those by the frames' errors alone.
     ``misfit`` is the mean of the ``n`` squared residuals over their variances: 1 where it grows steadily.
     """
 
@@ -135,37 +150,55 @@ class Slope(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What the sources say over one span.
+    """What the sources say over one span; variances are of rates, (rad/s)^2.
 
     Parameters
     ----------
     gyro, yaw
         Slope of the frames' heading minus the dead-reckoned one (bias taken off), and minus the IMU's yaw; yaw is
         None where there is none.
-    apart_std
-        Sigma of the difference of the two rates, in which the frames' errors cancel.
+    gyro_variance, bias_variance, yaw_variance
+        By the noise and scale of the gyroscope, by its bias, and by the errors of the IMU's yaw.
+    bias_rad_s
+        The bias that was taken off.
     jumped
         Whether the frames themselves jumped, by more than the gyroscope turned meanwhile.
     refused
         Whether frames were refused lately: a gyroscope that leapt by less has done no harm.
+    yaw_doubt
+        Prior probabilities of what ails the IMU's yaw.
     """
 
-    gyro: Slope | None
-    yaw: Slope | None
-    apart_std: float
-    jumped: bool
+    gyro: Slope | None = None
+    yaw: Slope | None = None
+    gyro_variance: float = 0.0
+    bias_variance: float = 0.0
+    yaw_variance: float = 0.0
+    bias_rad_s: float = 0.0
+    jumped: bool = False
     refused: bool = True
+    yaw_doubt: YawDoubt = YawDoubt()
 
 
 class Verdict(NamedTuple):
-    """Probabilities of the hypotheses, in the order of `Hypothesis`; they add up to one."""
+    """Probabilities of the hypotheses, in the order of `Hypothesis`; they add up to one.
+
+    ``yaw_astray`` is the probability that the IMU's yaw is, whoever else is wrong; NaN where there is none.
+    """
 
     probabilities: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 0.0)
+    yaw_astray: float = nan
 
     @property
     def likeliest(self) -> Hypothesis:
         """The most probable one."""
         return tuple(Hypothesis)[int(np.argmax(self.probabilities))]
+
+    def doubt(self, told: bool) -> Hypothesis:
+        """Return what is most probably wrong, where that is to be told, or still is; else `Hypothesis.WELL`."""
+        if self.of(Hypothesis.WELL) > 1.0 - (STILL_DOUBTED if told else DOUBTED):
+            return Hypothesis.WELL
+        return tuple(Hypothesis)[1 + int(np.argmax(self.probabilities[1:]))]
 
     def of(self, hypothesis: Hypothesis) -> float:
         """Return the probability of one."""
@@ -197,6 +230,8 @@ class Diagnosis(NamedTuple):
     straight_bias_rad_s
         The gyroscope's bias from before frames began to drift from gyroscope and attitude; the filter's own takes up
         the bend's rate meanwhile. NaN while there is no bend.
+    yaw_doubt
+        What ails the IMU's yaw.
     """
 
     innovations: Innovations = Innovations()
@@ -208,6 +243,7 @@ class Diagnosis(NamedTuple):
     told: Told | None = None
     leap_rad: float = 0.0
     straight_bias_rad_s: float = nan
+    yaw_doubt: YawDoubt = YawDoubt()
 
     def stepped(self) -> Diagnosis:
         """Let go of evidence that is relative to a heading that has jumped since."""
@@ -215,7 +251,19 @@ class Diagnosis(NamedTuple):
 
     def started_anew(self) -> Diagnosis:
         """Keep nothing but what has been told."""
-        return Diagnosis(told=self.told)
+        return Diagnosis(told=self.told, yaw_doubt=self.yaw_doubt)
+
+    def with_verdict(self, t_ns: int, verdict: Verdict, look_due: bool) -> Diagnosis:
+        """Take in who is wrong; ``look_due`` where the question was not asked for its answer."""
+        yaw_doubt = self.yaw_doubt
+        if look_due and isfinite(verdict.yaw_astray):
+            yaw_doubt = yaw_doubt.with_look(verdict.yaw_astray)
+        told = self.told
+        doubt = verdict.doubt(told is not None and t_ns - told.t_ns < CONTESTED_S * 1e9)
+        if doubt is not Hypothesis.WELL or self.innovations.one_sided_sigmas > CONTESTED_SIGMA:
+            told = Told(doubt, t_ns)
+        found = verdict.likeliest
+        return self._replace(judged_ns=t_ns, found=found, verdict=verdict, told=told, yaw_doubt=yaw_doubt)
 
 
 def with_sight(sights: tuple[Sight, ...], new: Sight, spacing_ns: int) -> tuple[Sight, ...]:
@@ -254,66 +302,96 @@ def slope_of(t_s: FloatArray, difference_rad: FloatArray, std_rad: FloatArray, w
     difference_rad, std_rad
         Differences and the frames' sigmas (n,).
     walk
-        How the difference may wander, rad/sqrt(s).
+        How the frames' errors wander, rad/sqrt(s).
     """
-    keep = np.ones(len(t_s), bool)
+    keep, weights = np.ones(len(t_s), bool), std_rad**-2
     a = b = 0.0
     rate_variance = now_variance = nan
     for _ in range(3):
-        if keep.sum() < MIN_POINTS:
+        if int(keep.sum()) < MIN_POINTS:
             return None
-        w = keep / std_rad**2
-        s0, s1, s2 = w.sum(), (w * t_s).sum(), (w * t_s * t_s).sum()
-        d0, d1 = (w * difference_rad).sum(), (w * t_s * difference_rad).sum()
+        w = keep * weights
+        wt, wd = w * t_s, w * difference_rad
+        s0, s1, s2 = float(w.sum()), float(wt.sum()), float(wt @ t_s)
+        d0, d1 = float(wd.sum()), float(wd @ t_s)
         det = s0 * s2 - s1 * s1
         if not det > 0.0:
             return None
-        a, b = float((s2 * d0 - s1 * d1) / det), float((s0 * d1 - s1 * d0) / det)
-        rate_variance, now_variance = float(s0 / det), float(s2 / det)
+        a, b = (s2 * d0 - s1 * d1) / det, (s0 * d1 - s1 * d0) / det
+        rate_variance, now_variance = s0 / det, s2 / det
         off = np.abs(difference_rad - a - b * t_s)
-        scatter = max(float(np.median(off)) / 0.67, 1e-9)
-        keep = off <= 3.0 * np.maximum(std_rad, scatter)
-    span_s = float(-t_s[0])
-    # A random walk's mean slope over a span T, fitted by a line, has variance 1.2 walk^2 / T.
-    misfit = float(np.minimum((off / std_rad) ** 2, MAX_MISFIT).mean())
+        scatter = max(float(np.sort(off)[len(off) // 2]) / 0.67, 1e-9)  # by the median
+        before, keep = keep, off <= 3.0 * np.maximum(std_rad, scatter)
+        if (keep == before).all():
+            break
+    squares = (off / std_rad) ** 2
+    misfit = float(np.minimum(squares, MAX_MISFIT).mean())
     # Where the differences are not on a line, nothing constant is wrong.
-    rate_variance *= max(1.0, float(np.mean((off / np.maximum(std_rad, 1e-9)) ** 2 * keep)))
-    return Slope(b, sqrt(rate_variance + 1.2 * walk * walk / span_s), a, sqrt(now_variance), misfit, len(t_s))
+    rate_variance *= max(1.0, float(squares @ keep) / len(t_s))
+    rate_std = sqrt(rate_variance + walked_rate_variance(walk, float(-t_s[0])))
+    return Slope(b, rate_std, a, sqrt(now_variance), misfit, len(t_s))
 
 
-def slopes(
-    sights: tuple[Sight, ...], span_s: float, psi_rad: float, bias_rad_s: float, walks: tuple[float, float]
-) -> tuple[Slope | None, Slope | None]:
-    """Slopes of frames minus gyroscope and frames minus IMU yaw over the last ``span_s``.
+def walked_rate_variance(walk: float, span_s: float) -> float:
+    """Variance, (rad/s)^2, of the slope of a line that is fitted to a random walk of this density over a span."""
+    return 1.2 * walk * walk / span_s
+
+
+class Drift:
+    """How frames have drifted from gyroscope and IMU yaw, over any span up to now.
 
     Parameters
     ----------
     sights
         Frames, the newest of which is at the filter's time.
-    psi_rad, bias_rad_s
-        The filter's heading and bias now: differences are to its heading, carried back by the gyroscope.
-    walks
-        How gyroscope and IMU yaw wander, rad/sqrt(s).
+    psi_rad
+        The filter's heading now: differences are to it, carried back by the gyroscope.
+    noise
+        Of the inertial sensors.
     """
-    if len(sights) < MIN_POINTS:
-        return None, None
-    last = sights[-1]
-    within = [s for s in sights if last.t_ns - s.t_ns <= span_s * 1e9]
-    seen = [s for s in within if s.linked]
-    if len(seen) < max(MIN_POINTS, MIN_LINKED * len(within)):
-        return None, None
-    t = np.array([(s.t_ns - last.t_ns) * 1e-9 for s in seen])
-    std = np.array([s.std_rad for s in seen])
-    raw = np.array([s.raw_theta_rad for s in seen])
-    heading = np.array([s.heading_rad for s in seen])
-    if t[0] == 0.0:
-        return None, None
-    expected = psi_rad + (raw - last.raw_theta_rad) - bias_rad_s * t
-    gyro = slope_of(t, _unwrapped(heading - expected), std, walks[0])
-    yaw = np.array([s.yaw_rad for s in seen])
-    if gyro is None or not np.isfinite(yaw).all():
-        return gyro, None
-    return gyro, slope_of(t, _unwrapped(heading - yaw), std, walks[1])
+
+    def __init__(self, sights: tuple[Sight, ...], psi_rad: float, noise: InertialNoise) -> None:
+        last = sights[-1]
+        self._walk, self._noise = last.walk, noise
+        t_ns, self._heading, self._std, raw, self._yaw, linked, _, self._bias, self._bias_variance = np.array(
+            [(s.t_ns - last.t_ns, *s[1:]) for s in sights], dtype=np.float64
+        ).T
+        self._t, self._linked = t_ns * 1e-9, linked > 0.0
+        self._raw = raw - last.raw_theta_rad
+        self._to_gyro, self._to_yaw = self._heading - psi_rad - self._raw, self._heading - self._yaw
+
+    def over(self, span_s: float) -> Evidence:
+        """Return what they showed over the last ``span_s``.
+
+        The bias is that from the start of the span: the filter's own has since taken up some of what is looked for.
+        """
+        noise, within = self._noise, self._t >= -span_s
+        seen = np.flatnonzero(within & self._linked)
+        if len(seen) < max(MIN_POINTS, MIN_LINKED * int(within.sum())) or self._t[seen[0]] == 0.0:
+            return Evidence()
+        t, std, raw = self._t[seen], self._std[seen], self._raw[seen]
+        bias, bias_variance = float(self._bias[seen[0]]), float(self._bias_variance[seen[0]])
+        gyro = slope_of(t, _unwrapped(self._to_gyro[seen] + bias * t), std, self._walk)
+        if gyro is None:
+            return Evidence()
+        span_s, quarter = float(-t[0]), max(len(t) // 4, 1)  # stamps that are off show where the rate changes
+        began, ended = (
+            float((raw[b] - raw[a]) / (t[b] - t[a])) for a, b in ((0, quarter), (-1 - quarter, -1))
+        )
+        gyro = gyro._replace(rate_std=hypot(gyro.rate_std, TIME_STD_S * (ended - began) / span_s))
+        by_scale = noise.gyro_scale_std * float(raw[0]) / span_s
+        gyro_variance = walked_rate_variance(noise.gyro_walk, span_s) + by_scale**2
+        known = Evidence(gyro, None, gyro_variance, bias_variance, bias_rad_s=bias)
+        if not np.isfinite(self._yaw[seen]).all():
+            return known
+        yaw = slope_of(t, _unwrapped(self._to_yaw[seen]), std, self._walk)
+        if yaw is None:
+            return known
+        # The slope of a line that is fitted to n white errors over a span T has variance 12 sigma^2 / (n T^2).
+        white = 12.0 * noise.yaw_std**2 / (len(seen) * span_s**2)
+        leaping = max(yaw.rate_std**2 - gyro.rate_std**2, 0.0)  # a yaw that leaps drifts at no constant rate
+        yaw_variance = walked_rate_variance(noise.yaw_walk, span_s) + white + leaping
+        return known._replace(yaw=yaw, yaw_variance=yaw_variance)
 
 
 def _unwrapped(difference: FloatArray) -> FloatArray:
@@ -322,14 +400,39 @@ def _unwrapped(difference: FloatArray) -> FloatArray:
     return last + (difference - last + 0.5 * pi) % pi - 0.5 * pi
 
 
-def _log_normal(x: float, variance: float) -> float:
-    return -0.5 * (x * x / variance + log(2.0 * pi * variance))
+class _Drifts(NamedTuple):
+    """Variances of the rates at which the sources drift; whether the IMU's yaw repeats the gyroscope's errors."""
+
+    frames: float = 0.0
+    gyro: float = 0.0
+    yaw: float = 0.0
+    repeats: bool = False
 
 
-def _mixture(first: float, second: float, share: float) -> float:
-    """Log likelihood where the second holds with a probability."""
-    top = max(first, second)
-    return top + log((1.0 - share) * exp(max(first - top, -700.0)) + share * exp(max(second - top, -700.0)))
+def _log_density(evidence: Evidence, drifts: _Drifts) -> float:
+    """Log density of the two rates; what the frames do is in both."""
+    if evidence.gyro is None:
+        return 0.0
+    g, frames = evidence.gyro.rate_rad_s, evidence.gyro.rate_std**2 + drifts.frames
+    by_gyro = evidence.gyro_variance + drifts.gyro
+    var_g = frames + by_gyro + evidence.bias_variance
+    if evidence.yaw is None:
+        return log_normal(g, var_g)
+    y, common = evidence.yaw.rate_rad_s, frames + by_gyro * drifts.repeats
+    var_y = common + evidence.yaw_variance + drifts.yaw
+    given_y = common / var_y
+    return log_normal(y, var_y) + log_normal(g - given_y * y, var_g - given_y * common)
+
+
+def _log_density_of_leap(evidence: Evidence, drifts: _Drifts) -> float:
+    """Return the same where the gyroscope's rate may be any."""
+    leap = -log(2.0 * MAX_RATE_RAD_S)
+    if evidence.gyro is None or evidence.yaw is None:
+        return leap
+    variance = evidence.yaw_variance + drifts.yaw
+    if drifts.repeats:
+        return leap + log_normal(evidence.yaw.rate_rad_s - evidence.gyro.rate_rad_s, variance)
+    return leap + log_normal(evidence.yaw.rate_rad_s, variance + evidence.gyro.rate_std**2)
 
 
 def judge(evidence: Evidence, before: Hypothesis = Hypothesis.WELL) -> Verdict:
@@ -341,29 +444,32 @@ def judge(evidence: Evidence, before: Hypothesis = Hypothesis.WELL) -> Verdict:
         return Verdict((0.0, 0.0, 0.0, 0.0, 1.0))
     if evidence.gyro is None:
         return Verdict()
-    drift, yaw = evidence.gyro.rate_rad_s, evidence.yaw
-    noise, wide = evidence.gyro.rate_std**2, evidence.gyro.rate_std**2 + DRIFT_STD_RAD_S**2
-    n = min(evidence.gyro.n, MAX_INDEPENDENT)
+    wide, n = DRIFT_STD_RAD_S**2, min(evidence.gyro.n, MAX_INDEPENDENT)
     steady = -0.5 * n * max(evidence.gyro.misfit - 1.0, 0.0)  # what leaps lies on no line
-    well, drifts = _log_normal(drift, noise), _log_normal(drift, wide)
-    agrees = repeats = gyro = 0.0  # log likelihoods of the yaw's slope
-    if yaw is not None:
-        astray = _log_normal(yaw.rate_rad_s, yaw.rate_std**2 + DRIFT_STD_RAD_S**2)
-        agrees = _mixture(_log_normal(yaw.rate_rad_s, yaw.rate_std**2), astray, WRONG_YAW)
-        # Both differences have the frames' errors in common: yaw minus gyroscope has only their own.
-        repeats = _log_normal(yaw.rate_rad_s - drift, evidence.apart_std**2)
-        gyro = _mixture(agrees, repeats, SHARED_YAW)
     priors = dict.fromkeys((Hypothesis.GYRO, Hypothesis.SPIKE, Hypothesis.BEND), PRIOR_WRONG)
     if before in priors:
         priors[before] = PERSISTS
-    logs = (
-        log(1.0 - sum(priors.values())) + well + agrees + steady,
-        log(priors[Hypothesis.GYRO]) + drifts + gyro + steady,
-        log(priors[Hypothesis.SPIKE]) - log(2.0 * MAX_RATE_RAD_S) + gyro if evidence.refused else -1e9,
-        log(priors[Hypothesis.BEND]) + drifts + repeats + steady if yaw is not None else -1e9,
-        -1e9,
-    )
-    highest = max(logs)
-    weights = [exp(max(value - highest, -700.0)) for value in logs]
-    total = sum(weights)
-    return Verdict(tuple(w / total for w in weights))
+    priors[Hypothesis.WELL] = 1.0 - sum(priors.values())
+    astray, repeating = evidence.yaw_doubt[:2]
+    cases = []  # hypothesis, what ails the IMU's yaw, log of prior times density
+    for ails, share, yaw in (
+        ("nothing", (1.0 - astray) * (1.0 - repeating), _Drifts()),
+        ("astray", astray, _Drifts(yaw=wide)),
+        ("repeating", (1.0 - astray) * repeating, _Drifts(repeats=True)),
+    ):
+        logs = {
+            Hypothesis.WELL: steady + _log_density(evidence, yaw),
+            Hypothesis.GYRO: steady + _log_density(evidence, yaw._replace(gyro=wide)),
+        }
+        if evidence.refused:
+            logs[Hypothesis.SPIKE] = _log_density_of_leap(evidence, yaw)
+        if evidence.yaw is not None and ails != "astray":
+            logs[Hypothesis.BEND] = steady + _log_density(evidence, yaw._replace(frames=wide))
+        cases += [(who, ails, log(share * priors[who]) + value) for who, value in logs.items()]
+    highest = max(value for *_, value in cases)
+    weights = [(who, ails, exp(max(value - highest, -700.0))) for who, ails, value in cases]
+    total = sum(w for *_, w in weights)
+    probabilities = tuple(sum(w for who, _, w in weights if who is each) / total for each in Hypothesis)
+    if evidence.yaw is None:
+        return Verdict(probabilities)
+    return Verdict(probabilities, sum(w for _, ails, w in weights if ails == "astray") / total)

@@ -12,7 +12,7 @@ it is left alone until the two agree again.
 
 from __future__ import annotations
 
-from math import radians, sqrt
+from math import exp, isfinite, log, nan, pi, radians, remainder, sqrt
 from typing import NamedTuple
 
 from vision.rotations import wrap, wrap_axis
@@ -29,6 +29,9 @@ TRACE_NS = 3_000_000_000  # how far back yaw and gyroscope are compared
 TRACE_STEP_NS = 100_000_000
 CALM_NS = 2_000_000_000
 DISTURBED_SIGMA = 4.5  # less, and the many comparisons would find chance
+ASTRAY_MEMORY = 1 / 20  # of a look: five seconds
+LEAST_DOUBT, MOST_DOUBT = 0.005, 0.9  # of the IMU's yaw: what it is may change
+MOST_NATS = 6.0  # that one block tells
 
 
 class Block(NamedTuple):
@@ -189,3 +192,88 @@ def stepped_by(step_rad: float, traces: tuple[Trace, ...]) -> tuple[Trace, ...]:
 def is_calm(traces: tuple[Trace, ...]) -> bool:
     """Whether yaw and gyroscope have agreed for a while."""
     return bool(traces) and traces[-1].t_ns - traces[0].t_ns >= CALM_NS
+
+
+class InertialNoise(NamedTuple):
+    """How gyroscope and IMU yaw wander, rad/sqrt(s), the yaw's white noise, rad, and the gyroscope's scale error."""
+
+    gyro_walk: float
+    yaw_walk: float
+    yaw_std: float
+    gyro_scale_std: float = 0.0
+
+
+class TurnBeside(NamedTuple):
+    """What gyroscope (bias not taken off) and IMU yaw say at one time, and what bias the filter takes off."""
+
+    t_ns: int
+    raw_theta_rad: float
+    yaw_rad: float
+    bias_rad_s: float
+    bias_variance: float
+
+
+class YawMean(NamedTuple):
+    """Mean of ``n`` differences of IMU yaw and gyroscope since ``began_ns``, and the mean of those before."""
+
+    reference: TurnBeside
+    began_ns: int
+    n: int = 0
+    mean_rad: float = 0.0
+    n_before: int = 0
+    before_rad: float = nan
+
+
+class YawDoubt(NamedTuple):
+    """Probabilities that steel pulls the IMU's yaw away now, and that it always repeats the gyroscope's errors.
+
+    Attitude filters differ, and so do buildings: from the start's guess on, both are learned in flight.
+    """
+
+    astray: float = 0.05
+    repeating: float = 0.2
+    mean: YawMean | None = None
+
+    def with_look(self, astray: float) -> YawDoubt:
+        """Learn from the probability that it was astray at a look: a share of the time."""
+        share = self.astray + ASTRAY_MEMORY * (astray - self.astray)
+        return self._replace(astray=max(share, LEAST_DOUBT))
+
+    def compared(self, now: TurnBeside, noise: InertialNoise) -> YawDoubt:
+        """Compare IMU yaw and gyroscope, without frames: an error that both make is not in their difference."""
+        mean = self.mean
+        if not isfinite(now.yaw_rad):
+            return self._replace(mean=None)
+        if mean is None or now.t_ns - mean.began_ns > 2 * BLOCK_NS:
+            return self._replace(mean=YawMean(now, now.t_ns, 1))
+        turned = now.raw_theta_rad - mean.reference.raw_theta_rad
+        apart = remainder(now.yaw_rad - mean.reference.yaw_rad - turned, 2.0 * pi)
+        if now.t_ns - mean.began_ns < BLOCK_NS:
+            n = mean.n + 1
+            return self._replace(
+                mean=mean._replace(n=n, mean_rad=mean.mean_rad + (apart - mean.mean_rad) / n)
+            )
+        repeating = _repeats(self.repeating, mean, now, noise) if mean.n_before else self.repeating
+        mean = YawMean(mean.reference, now.t_ns, 1, apart, mean.n, mean.mean_rad)
+        return self._replace(repeating=repeating, mean=mean)
+
+
+def _repeats(prior: float, mean: YawMean, now: TurnBeside, noise: InertialNoise) -> float:
+    """Probability that the IMU's yaw repeats the gyroscope's errors, by means over two adjoining blocks.
+
+    Of a random walk of density q, the means over adjoining spans T differ by a variance of 2/3 q^2 T.
+    """
+    span_s = BLOCK_NS * 1e-9
+    step = remainder(mean.mean_rad - mean.before_rad + now.bias_rad_s * span_s, 2.0 * pi)
+    white = noise.yaw_std**2 * (1.0 / mean.n + 1.0 / mean.n_before)
+    alike = white + now.bias_variance * span_s**2 + 2.0 / 3.0 * noise.yaw_walk**2 * span_s
+    by_gyro = 2.0 / 3.0 * noise.gyro_walk**2 * span_s
+    nats = log_normal(step, alike) - log_normal(step, alike + by_gyro)
+    ratio = exp(max(nats, -MOST_NATS))
+    repeating = prior * ratio / (prior * ratio + 1.0 - prior)
+    return min(max(repeating, LEAST_DOUBT), MOST_DOUBT)
+
+
+def log_normal(x: float, variance: float) -> float:
+    """Log density of a normal distribution of mean zero."""
+    return -0.5 * (x * x / variance + log(2.0 * pi * variance))

@@ -13,7 +13,7 @@ Once enough votes agree, they mean one of three things:
 
 from __future__ import annotations
 
-from math import pi, radians
+from math import pi, radians, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -81,7 +81,10 @@ def decide(
     axis = axis._replace(rival=rival)
     heading = wrap_axis(theta_rad - found.value)
     linked = found.linked_share > 0.5
-    reach = max(c.recovery_spread_rad, DRIFTED_SIGMA * psi_std)  # by which the heading may have drifted since
+    drifted = c.gyro_noise * sqrt(
+        max(t_ns - axis.anchor_ns, 0) * 1e-9
+    )  # of the anchor, since it was confirmed
+    reach = max(c.recovery_spread_rad, DRIFTED_SIGMA * max(psi_std, drifted))
     at_anchor = abs(wrap_axis(found.value - axis.anchor_rad)) < reach
     enough = found.n_votes >= c.recovery_frames
     if linked or at_anchor:

@@ -9,18 +9,22 @@ import pytest
 
 from fusion.estimator.hypotheses import (
     MIN_POINTS,
+    Diagnosis,
+    Drift,
     Evidence,
     Hypothesis,
     Innovations,
     Sight,
     Slope,
+    Verdict,
     judge,
-    slopes,
     unseen_leap,
     with_sight,
 )
+from fusion.estimator.imu_yaw_check import InertialNoise, TurnBeside, YawDoubt
 
-QUIET = (0.003, 0.003)  # rad/sqrt(s), gyroscope and IMU yaw
+QUIET = InertialNoise(gyro_walk=0.003, yaw_walk=0.003, yaw_std=0.001)
+OWN_VARIANCE = radians(0.2) ** 2  # of a rate, by gyroscope or IMU yaw
 
 
 def slope(deg_per_s: float, std_deg_per_s: float = 0.3, misfit: float = 1.0) -> Slope:
@@ -28,7 +32,7 @@ def slope(deg_per_s: float, std_deg_per_s: float = 0.3, misfit: float = 1.0) -> 
 
 
 def verdict_of(gyro: Slope, yaw: Slope | None, before: Hypothesis = Hypothesis.WELL) -> Hypothesis:
-    return judge(Evidence(gyro, yaw, radians(0.3), False), before).likeliest
+    return judge(Evidence(gyro, yaw, OWN_VARIANCE, 0.0, OWN_VARIANCE), before).likeliest
 
 
 def sights(
@@ -66,14 +70,14 @@ def test_known_answers(gyro: Slope, yaw: Slope | None, who: Hypothesis) -> None:
 
 def test_probabilities_add_up_to_one() -> None:
     for rate in (0.0, 0.5, 1.0, 3.0, 300.0, 1e4):
-        verdict = judge(Evidence(slope(rate), slope(0.5 * rate), 0.01, False))
+        verdict = judge(Evidence(slope(rate), slope(0.5 * rate), OWN_VARIANCE, 0.0, OWN_VARIANCE))
         assert sum(verdict.probabilities) == pytest.approx(1.0)
         assert all(0.0 <= p <= 1.0 for p in verdict.probabilities)
 
 
 def test_frames_that_jump_show_another_axis_and_too_few_show_nothing() -> None:
-    assert judge(Evidence(None, None, 0.01, True)).of(Hypothesis.AXIS) == 1.0
-    assert judge(Evidence(None, None, 0.01, False)).of(Hypothesis.WELL) == 1.0
+    assert judge(Evidence(jumped=True)).of(Hypothesis.AXIS) == 1.0
+    assert judge(Evidence()).of(Hypothesis.WELL) == 1.0
 
 
 def test_what_was_found_goes_on_by_weaker_evidence_and_ends_without() -> None:
@@ -87,7 +91,7 @@ def test_the_slope_is_the_drift_whatever_the_vehicle_turns() -> None:
     drift = radians(4.0)
     for turn in (0.0, radians(30.0)):
         seen = sights(1.0, drift, turn)
-        gyro, yaw = slopes(seen, 1.0, turn, 0.0, QUIET)
+        gyro, yaw = Drift(seen, turn, QUIET).over(1.0)[:2]
         assert gyro is not None
         assert yaw is not None
         assert gyro.rate_rad_s == pytest.approx(-drift, abs=3 * gyro.rate_std)
@@ -96,24 +100,83 @@ def test_the_slope_is_the_drift_whatever_the_vehicle_turns() -> None:
 
 
 def test_a_known_bias_is_no_slope() -> None:
-    gyro, _ = slopes(sights(1.0, radians(4.0)), 1.0, 0.0, radians(4.0), QUIET)
+    drift = radians(4.0)
+    known = tuple(s._replace(bias_rad_s=drift) for s in sights(1.0, drift))
+    gyro = Drift(known, 0.0, QUIET).over(1.0).gyro
     assert gyro is not None
     assert gyro.rate_rad_s == pytest.approx(0.0, abs=3 * gyro.rate_std)
 
 
 def test_no_slope_without_frames_that_follow_each_other() -> None:
     seen = sights(1.0)
-    assert slopes(seen[: MIN_POINTS - 1], 1.0, 0.0, 0.0, QUIET) == (None, None)
+    assert Drift(seen[: MIN_POINTS - 1], 0.0, QUIET).over(1.0) == Evidence()
     half = tuple(s._replace(linked=k % 2 == 0) for k, s in enumerate(seen))
-    assert slopes(half, 1.0, 0.0, 0.0, QUIET) == (None, None)
-    assert slopes(tuple(s._replace(yaw_rad=nan) for s in seen), 1.0, 0.0, 0.0, QUIET)[1] is None
+    assert Drift(half, 0.0, QUIET).over(1.0) == Evidence()
+    assert Drift(tuple(s._replace(yaw_rad=nan) for s in seen), 0.0, QUIET).over(1.0).yaw is None
+
+
+def test_the_bias_from_before_a_drift_shows_it_though_the_filter_has_taken_it_up_since() -> None:
+    drift = radians(2.0)
+    seen = tuple(s._replace(bias_rad_s=drift * min(k / 45, 1.0)) for k, s in enumerate(sights(3.0, drift)))
+    found = Drift(seen, 0.0, QUIET).over(3.0)
+    assert found.gyro is not None
+    assert found.bias_rad_s == 0.0
+    assert found.gyro.rate_rad_s == pytest.approx(-drift, abs=3 * found.gyro.rate_std)
+
+
+def test_an_uncertain_bias_and_a_fast_turn_make_a_slope_less_sure() -> None:
+    still, bias = sights(1.0), tuple(s._replace(bias_variance=0.01) for s in sights(1.0))
+    known = Drift(still, 0.0, QUIET).over(1.0)
+    assert Drift(bias, 0.0, QUIET).over(1.0).bias_variance - known.bias_variance == pytest.approx(0.01)
+    scale = QUIET._replace(gyro_scale_std=0.02)
+    turned = Drift(sights(1.0, turn=radians(100.0)), radians(100.0), scale).over(1.0)
+    assert turned.gyro_variance - known.gyro_variance == pytest.approx(radians(2.0) ** 2, rel=0.01)
+
+
+def test_a_yaw_that_repeats_the_gyroscope_is_no_second_witness_against_the_frames() -> None:
+    """The gyroscope is 2.5 sigma off; a yaw that agrees with it says nothing more, or all."""
+    gyro, yaw, noisy = slope(1.0, 0.1), slope(1.0, 0.1), radians(0.4) ** 2
+    evidence = Evidence(gyro, yaw, noisy, 0.0, radians(0.05) ** 2)
+    of_its_own = evidence._replace(yaw_doubt=YawDoubt(astray=0.01, repeating=0.01))
+    repeating = evidence._replace(yaw_doubt=YawDoubt(astray=0.01, repeating=0.9))
+    assert judge(repeating).of(Hypothesis.WELL) > 0.95
+    assert judge(of_its_own).of(Hypothesis.BEND) > 10.0 * judge(repeating).of(Hypothesis.BEND)
+
+
+def test_whether_the_yaw_repeats_the_gyroscope_is_learned_in_seconds() -> None:
+    noise = InertialNoise(gyro_walk=0.0075, yaw_walk=0.002, yaw_std=radians(0.2))
+    step_s = 1 / 30
+    for repeats in (False, True):
+        rng = np.random.default_rng(4)
+        doubt, raw, own = YawDoubt(), 0.0, 0.0
+        for k in range(300):
+            raw += rng.normal(0.0, noise.gyro_walk * np.sqrt(step_s))
+            own += rng.normal(0.0, noise.yaw_walk * np.sqrt(step_s))
+            yaw = 0.7 + own + repeats * raw + rng.normal(0.0, noise.yaw_std)
+            doubt = doubt.compared(TurnBeside(round(k * step_s * 1e9), raw, yaw, 0.0, 0.0), noise)
+        assert (doubt.repeating > 0.5) is repeats
+
+
+def test_a_doubt_is_told_before_it_is_followed_and_for_longer() -> None:
+    def told_after(well: float, told: Diagnosis) -> Diagnosis:
+        return told.with_verdict(0, Verdict((well, 1.0 - well, 0.0, 0.0, 0.0)), look_due=True)
+
+    quiet = Diagnosis()
+    assert told_after(0.95, quiet).told is None
+    doubted = told_after(0.8, quiet)
+    assert doubted.found is Hypothesis.WELL
+    assert doubted.told is not None
+    assert doubted.told.hypothesis is Hypothesis.GYRO
+    later = doubted.with_verdict(900_000_000, Verdict((0.95, 0.05, 0.0, 0.0, 0.0)), look_due=True)
+    assert later.told is not None
+    assert later.told.t_ns == 900_000_000
 
 
 def test_sights_are_spaced_and_let_go() -> None:
     kept: tuple[Sight, ...] = ()
-    for s in sights(5.0):
+    for s in sights(8.0):
         kept = with_sight(kept, s, 30_000_000)
-    assert kept[-1].t_ns - kept[0].t_ns <= 3_000_000_000
+    assert kept[-1].t_ns - kept[0].t_ns <= 6_000_000_000
     assert with_sight(kept, kept[-1]._replace(t_ns=kept[-1].t_ns + 1000), 30_000_000) == kept
 
 

@@ -44,6 +44,29 @@ def test_what_is_installed_as_told_is_not_accused(seed: int) -> None:
     assert told(1.05, 0.02, 20.0, seed) == Fault.NONE
 
 
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    ("yaw_deg", "roll_deg", "fault"),
+    [
+        (6.0, 8.0, Fault.CAMERA_YAW),
+        (-6.0, 8.0, Fault.CAMERA_YAW),
+        (2.0, 8.0, Fault.NONE),
+        (6.0, 0.5, Fault.NONE),  # it hardly rolls: nothing can be told
+    ],
+)
+def test_rolling_tells_where_the_camera_points(
+    yaw_deg: float, roll_deg: float, fault: Fault, seed: int
+) -> None:
+    installation, rng, said = Installation(), np.random.default_rng(seed), Fault.NONE
+    for t in np.arange(0.0, 8.0, 1 / 30).tolist():
+        roll = radians(roll_deg) * sin(2.0 * t)
+        elevation = radians(3.0) + radians(yaw_deg) * sin(roll) + float(rng.normal(0.0, radians(0.2)))
+        installation = installation.with_elevation(elevation, radians(0.2), roll)
+        for notice in installation.notices(DOWN):
+            said |= notice.fault
+    assert said == fault
+
+
 @pytest.mark.parametrize(
     ("accel", "down", "words"),
     [
