@@ -2,8 +2,7 @@
 
 A late frame changes what was known when the samples behind it were taken: heading, its covariance, and the lateral
 offset. It changes neither the tilt nor what was found of the gyroscope. So most samples are replayed by a few numbers
-of arithmetic each. The state behind one of them is put together when something asks for it: before the sample has
-left the buffer that is seldom the case.
+of arithmetic each. The state behind one of them is put together only when something asks for it.
 
 The result is that of `fusion.estimator.engine.Engine.process`, to the bit.
 """

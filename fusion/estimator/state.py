@@ -1,4 +1,7 @@
-"""What the estimator knows between two samples, and the samples that change it: immutable, without behaviour."""
+"""What the estimator knows between two samples, and the samples that change it.
+
+All is immutable and without behaviour, but for an `Entry`: a late sample puts it behind another state.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +88,7 @@ class State(NamedTuple):
 
 
 class Sensed(NamedTuple):
-    """What no late frame changes of the state behind a sample: `fusion.estimator.gyro_run` does not find it again.
+    """What no late frame changes of the state behind a sample, and `fusion.estimator.gyro_run` takes as it was.
 
     Parameters
     ----------
@@ -139,7 +142,7 @@ class Entry:
         self.place = 0
 
     def follow(self, run: GyroRun, place: int) -> None:
-        """Lie behind another state now: a run's, which puts the state together when it is asked for."""
+        """Take another state: that of a place in a run, put together when it is asked for."""
         self.run, self.place, self._after, self._nodes = run, place, None, None
 
     @property

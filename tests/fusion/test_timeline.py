@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.engine import Engine
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.frame_update import FrameSample
 from fusion.estimator.state import Entry
@@ -121,6 +122,19 @@ def test_asking_in_between_changes_nothing() -> None:
 def test_buffers_of_other_lengths_give_the_same_bits() -> None:
     assert fuse(SAMPLES, buffer_s=0.05)[0] == EXPECTED
     assert fuse(SAMPLES, buffer_s=5.0)[0] == EXPECTED
+
+
+def test_late_frame_replays_gyroscope_samples_in_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    late = [s for s in SAMPLES if s.kind == "frame"][40]
+    before = [s for s in SAMPLES if s.t_ns < late.t_ns + 300 * MS and s is not late]
+    estimator = CorridorEstimator(FusionConfig(corridor_width_m=2.0))
+    for sample in before:
+        give(estimator, sample)
+    with monkeypatch.context() as patch:
+        patch.delattr(Engine, "_imu")  # which processes a sample by itself
+        give(estimator, late)
+    assert not any(name.endswith("_failed") for name in estimator.counters)
+    assert sum(s.kind == "imu" and s.t_ns > late.t_ns for s in before) >= 29
 
 
 def test_duplicates_are_counted_and_change_nothing() -> None:
