@@ -40,13 +40,8 @@ SYSTEMATIC_SIGMA = 4.0  # of a mean: worth a look at the slopes, which decide
 CONTESTED_SIGMA = 5.5  # of a mean: worth a word, whatever the slopes say
 DOUBTED, STILL_DOUBTED = 0.05, 0.02  # probability of a fault from which on it is told, and goes on to be
 CONTESTED_S = 1.0  # from the last frame that contested
-SPANS_S = (
-    0.5,
-    1.0,
-    1.7,
-    3.0,
-    6.0,
-)  # over which slopes are fitted: the shorter the sooner, the longer the finer
+# Over which slopes are fitted: the shorter the sooner, the longer the finer.
+SPANS_S = (0.5, 1.0, 1.7, 3.0, 6.0)
 SPAN_NS = round(SPANS_S[-1] * 1e9)
 MIN_POINTS = 6
 MIN_LINKED = 0.75  # share of the frames; fewer, and nobody can say what they follow
