@@ -38,25 +38,17 @@ SHORT_S, LONG_S = 0.25, 1.5  # time constants of means over about 0.5 and 3 s
 CLIPPED_SIGMA = 4.0  # a gross error must not make a mean
 SYSTEMATIC_SIGMA = 4.0  # of a mean: worth a look at the slopes, which decide
 CONTESTED_SIGMA = 5.5  # of a mean: worth a word, whatever the slopes say
-DOUBTED, STILL_DOUBTED = (
-    0.1,
-    0.02,
-)  # probability that something is wrong, from which on it is told, and still is
+DOUBTED, STILL_DOUBTED = 0.05, 0.02  # probability of a fault from which on it is told, and goes on to be
 CONTESTED_S = 1.0  # from the last frame that contested
-SPANS_S = (
-    0.5,
-    1.0,
-    1.7,
-    3.0,
-    6.0,
-)  # over which slopes are fitted: the shorter the sooner, the longer the finer
+# Over which slopes are fitted: the shorter the sooner, the longer the finer.
+SPANS_S = (0.5, 1.0, 1.7, 3.0, 6.0)
 SPAN_NS = round(SPANS_S[-1] * 1e9)
 MIN_POINTS = 6
 MIN_LINKED = 0.75  # share of the frames; fewer, and nobody can say what they follow
-DRIFT_STD_RAD_S = radians(5.0)  # of a gyroscope that is wrong, and of a corridor that bends
+DRIFT_STD_RAD_S = radians(10.0)  # of a gyroscope that is wrong, and of a corridor that bends
 MAX_RATE_RAD_S = 35.0  # that a gyroscope reports: a spike may be any
 LOOK_S = 0.25  # between looks that no innovation asks for
-TIME_STD_S = 0.01  # of the frames' stamps against the gyroscope's, where a flight has not shown it
+TIME_STD_S = 0.03  # of the frames' stamps against the gyroscope's, where a flight has not shown it
 PRIOR_WRONG = 1e-3  # of each fault, at each look
 PERSISTS = 0.5  # prior probability that what was found goes on
 MAX_MISFIT = 9.0  # of one frame

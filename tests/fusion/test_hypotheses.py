@@ -162,12 +162,12 @@ def test_a_doubt_is_told_before_it_is_followed_and_for_longer() -> None:
         return told.with_verdict(0, Verdict((well, 1.0 - well, 0.0, 0.0, 0.0)), look_due=True)
 
     quiet = Diagnosis()
-    assert told_after(0.95, quiet).told is None
+    assert told_after(0.97, quiet).told is None
     doubted = told_after(0.8, quiet)
     assert doubted.found is Hypothesis.WELL
     assert doubted.told is not None
     assert doubted.told.hypothesis is Hypothesis.GYRO
-    later = doubted.with_verdict(900_000_000, Verdict((0.95, 0.05, 0.0, 0.0, 0.0)), look_due=True)
+    later = doubted.with_verdict(900_000_000, Verdict((0.97, 0.03, 0.0, 0.0, 0.0)), look_due=True)
     assert later.told is not None
     assert later.told.t_ns == 900_000_000
 
