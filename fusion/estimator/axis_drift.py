@@ -31,10 +31,9 @@ from fusion.estimator.hypotheses import (
     unseen_leap,
     with_sight,
 )
-from fusion.estimator.imu_yaw import yaw_at
 from fusion.estimator.imu_yaw_check import InertialNoise, TurnBeside
 from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, heading_model
-from fusion.estimator.propagation import DeadReckoning
+from fusion.estimator.propagation import DeadReckoning, yaw_at
 
 if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF

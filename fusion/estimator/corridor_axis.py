@@ -16,10 +16,9 @@ import numpy as np
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.frame_noise import FrameNoise
 from fusion.estimator.hypotheses import Diagnosis, Hypothesis
-from fusion.estimator.imu_yaw import yaw_at
 from fusion.estimator.models import N_STATES, PSI, YAW_OFFSET, Gate, heading_model
 from fusion.estimator.noise_adaptation import SourceNoise
-from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, DeadReckoning, Mode
+from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, DeadReckoning, Mode, yaw_at
 from fusion.estimator.votes import AGREEING_SHARE, Vote, add_vote, agreement
 from vision.rotations import wrap, wrap_axis
 

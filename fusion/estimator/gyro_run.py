@@ -50,7 +50,7 @@ class GoodSamples(NamedTuple):
         if not entries:
             return None
         run, place = entries[0].run, entries[0].place
-        if run is not None:  # the numbers are at hand where the rest of the run follows
+        if isinstance(run, GyroRun):  # the numbers are at hand where the rest of the run follows
             count = run.count - place
             last = entries[count - 1] if count <= len(entries) else None
             if last is not None and last.run is run and last.place == run.count - 1:

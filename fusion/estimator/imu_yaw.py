@@ -34,7 +34,7 @@ from fusion.estimator.models import (
     imu_yaw_model,
     imu_yaw_offset_model,
 )
-from fusion.estimator.propagation import DeadReckoning, Mode
+from fusion.estimator.propagation import DeadReckoning, Mode, yaw_at
 
 if TYPE_CHECKING:
     from fusion.estimator.corridor_axis import CorridorAxis
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
 UNKNOWN_YAW_OFFSET_STD_RAD = 10.0
 STEP_SAMPLES = 3  # rejected in a row
-MAX_YAW_AGE_S = 0.1  # of the attitude that a frame is compared with
 
 
 class AttitudeSample(NamedTuple):
@@ -164,12 +163,6 @@ def compare_by_frame(
         return part
     seen = watch(part.watch, t_ns, heading_rad - reckoning.theta_rad, heading_rad - yaw_now, variance)
     return part._replace(watch=seen)
-
-
-def yaw_at(reckoning: DeadReckoning, t_ns: int) -> float:
-    """Return the IMU's yaw as carried on from its last sample, rad; NaN where that is too old to compare with."""
-    fresh = reckoning.attitude.age_s(t_ns) <= MAX_YAW_AGE_S
-    return reckoning.yaw_rad + reckoning.yaw_done_rad if fresh else nan
 
 
 def _is_useful(part: ImuYaw, config: FusionConfig) -> bool:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 UNKNOWN_HEADING_STD_RAD = pi / 2
 ATTITUDE_DRIFT_STD_RAD_S = 0.003  # an attitude filter has removed most of the gyroscope's bias
 HELD_RATE_STD_RAD_S = 0.2
+MAX_YAW_AGE_S = 0.1  # of the attitude that a frame is compared with
 SCALE_TIME_S = 0.5  # of turning one way, in which an error of the gyroscope's scale adds up
 
 
@@ -101,6 +102,12 @@ class DeadReckoning(NamedTuple):
     def attitude_silence(self, t_ns: int, config: FusionConfig) -> str:
         """Say so if the attitude stream has fallen silent."""
         return "attitude is silent" if self.attitude.is_silent(t_ns, config) else ""
+
+
+def yaw_at(reckoning: DeadReckoning, t_ns: int) -> float:
+    """Return the IMU's yaw as carried on from its last sample, rad; NaN where that is too old to compare with."""
+    fresh = reckoning.attitude.age_s(t_ns) <= MAX_YAW_AGE_S
+    return reckoning.yaw_rad + reckoning.yaw_done_rad if fresh else nan
 
 
 class Propagation:

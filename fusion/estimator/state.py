@@ -5,7 +5,7 @@ All is immutable and without behaviour, but for an `Entry`: a late sample puts i
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 from fusion.estimator.camera_delay import Delay
 from fusion.estimator.camera_elevation import Elevation
@@ -26,9 +26,6 @@ from fusion.estimator.seed import HeadingSeed, WidthChange
 from fusion.estimator.smoother import Node
 from fusion.estimator.tilt import Tilt
 from fusion.estimator.velocity import Velocity, VelocitySample
-
-if TYPE_CHECKING:
-    from fusion.estimator.gyro_run import GyroRun
 
 Sample = ImuSample | AttitudeSample | VelocitySample | RangeSample | FrameSample | HeadingSeed | WidthChange
 
@@ -104,6 +101,16 @@ class Sensed(NamedTuple):
     step: tuple[float, ...] | None = None
 
 
+class Replay(Protocol):
+    """Samples that were put behind another state together, such as a `fusion.estimator.gyro_run.GyroRun`."""
+
+    def state(self, i: int) -> State:
+        """Return the state behind a sample."""
+
+    def nodes(self, i: int) -> tuple[Node, ...]:
+        """Return a sample's steps for the smoother."""
+
+
 class Entry:
     """A sample, and what the engine made of it.
 
@@ -138,10 +145,10 @@ class Entry:
         self._after: State | None = after
         self._nodes: tuple[Node, ...] | None = nodes
         self._sensed: Sensed | None = None
-        self.run: GyroRun | None = None
+        self.run: Replay | None = None
         self.place = 0
 
-    def follow(self, run: GyroRun, place: int) -> None:
+    def follow(self, run: Replay, place: int) -> None:
         """Take another state: that of a place in a run, put together when it is asked for."""
         self.run, self.place, self._after, self._nodes = run, place, None, None
 
