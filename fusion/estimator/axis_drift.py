@@ -12,24 +12,26 @@ import numpy as np
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import VOTE_SPACING_S, CorridorAxis, Recovery, recover
+from fusion.estimator.frame_drift import (
+    MIN_POINTS,
+    SPANS_S,
+    Drift,
+    Evidence,
+    Sight,
+    Slope,
+    unseen_leap,
+    with_sight,
+)
 from fusion.estimator.frame_noise import white_and_walk
 from fusion.estimator.hypotheses import (
     LOOK_S,
-    MIN_POINTS,
     SHORT_S,
-    SPANS_S,
     Diagnosis,
-    Drift,
-    Evidence,
     Hypothesis,
     Innovations,
-    Sight,
-    Slope,
     Told,
     Verdict,
     judge,
-    unseen_leap,
-    with_sight,
 )
 from fusion.estimator.imu_yaw_check import InertialNoise, TurnBeside
 from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, heading_model

@@ -7,20 +7,8 @@ from math import nan, pi, radians
 import numpy as np
 import pytest
 
-from fusion.estimator.hypotheses import (
-    MIN_POINTS,
-    Diagnosis,
-    Drift,
-    Evidence,
-    Hypothesis,
-    Innovations,
-    Sight,
-    Slope,
-    Verdict,
-    judge,
-    unseen_leap,
-    with_sight,
-)
+from fusion.estimator.frame_drift import MIN_POINTS, Drift, Evidence, Sight, Slope, unseen_leap, with_sight
+from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations, Verdict, judge
 from fusion.estimator.imu_yaw_check import InertialNoise, TurnBeside, YawDoubt
 
 QUIET = InertialNoise(gyro_walk=0.003, yaw_walk=0.003, yaw_std=0.001)

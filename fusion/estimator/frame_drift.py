@@ -1,0 +1,222 @@
+"""How frames have drifted from gyroscope and IMU yaw: lines fitted to the differences over spans up to now.
+
+`fusion.estimator.hypotheses` judges by them who is wrong.
+"""
+
+from __future__ import annotations
+
+from math import hypot, isfinite, nan, pi, remainder, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from fusion.estimator.imu_yaw_check import InertialNoise, YawDoubt
+from fusion.estimator.kernels import FloatArray
+from vision.rotations import wrap_axis
+
+# Over which slopes are fitted: the shorter the sooner, the longer the finer.
+SPANS_S = (0.5, 1.0, 1.7, 3.0, 6.0)
+SPAN_NS = round(SPANS_S[-1] * 1e9)
+MIN_POINTS = 6
+MIN_LINKED = 0.75  # share of the frames; fewer, and nobody can say what they follow
+TIME_STD_S = 0.03  # of the frames' stamps against the gyroscope's, where a flight has not shown it
+MAX_MISFIT = 9.0  # of one frame
+
+
+class Sight(NamedTuple):
+    """A frame's heading and its sigma beside what gyroscope (bias not taken off) and IMU yaw (or NaN) then said.
+
+    ``linked``: no jump of the picture lies between it and the frames that the filter used. ``walk``: how its errors
+    wander, rad/sqrt(s), where they last for longer than a frame. ``bias_rad_s``: the gyroscope's bias as it was then
+    known, and its variance.
+    """
+
+    t_ns: int
+    heading_rad: float
+    std_rad: float
+    raw_theta_rad: float
+    yaw_rad: float
+    linked: bool
+    walk: float = 0.0
+    bias_rad_s: float = 0.0
+    bias_variance: float = 0.0
+
+
+class Slope(NamedTuple):
+    """A difference of two headings: how fast it grows, rad/s, its sigma, its value now and that value's sigma.
+
+    The sigmas are those by the frames' errors alone.
+    ``misfit`` is the mean of the ``n`` squared residuals over their variances: 1 where it grows steadily.
+    """
+
+    rate_rad_s: float
+    rate_std: float
+    now_rad: float
+    now_std: float
+    misfit: float = 1.0
+    n: int = 0
+
+
+class Evidence(NamedTuple):
+    """What the sources say over one span; variances are of rates, (rad/s)^2.
+
+    Parameters
+    ----------
+    gyro, yaw
+        Slope of the frames' heading minus the dead-reckoned one (bias taken off), and minus the IMU's yaw; yaw is
+        None where there is none.
+    gyro_variance, bias_variance, yaw_variance
+        By the noise and scale of the gyroscope, by its bias, and by the errors of the IMU's yaw.
+    bias_rad_s
+        The bias that was taken off.
+    jumped
+        Whether the frames themselves jumped, by more than the gyroscope turned meanwhile.
+    refused
+        Whether frames were refused lately: a gyroscope that leapt by less has done no harm.
+    yaw_doubt
+        Prior probabilities of what ails the IMU's yaw.
+    """
+
+    gyro: Slope | None = None
+    yaw: Slope | None = None
+    gyro_variance: float = 0.0
+    bias_variance: float = 0.0
+    yaw_variance: float = 0.0
+    bias_rad_s: float = 0.0
+    jumped: bool = False
+    refused: bool = True
+    yaw_doubt: YawDoubt = YawDoubt()
+
+
+def with_sight(sights: tuple[Sight, ...], new: Sight, spacing_ns: int) -> tuple[Sight, ...]:
+    """Append a frame unless it follows the last too closely; let go of what is older than the span."""
+    if sights and new.t_ns - sights[-1].t_ns < spacing_ns:
+        return sights
+    first = next((i for i, s in enumerate(sights) if new.t_ns - s.t_ns <= SPAN_NS), len(sights))
+    return (*sights[first:], new)
+
+
+def unseen_leap(sights: tuple[Sight, ...], new: Sight, bias_rad_s: float) -> float:
+    """Return by how much the gyroscope leapt since the last frame, rad; 0 where it did not, or nothing shows it.
+
+    A frame cannot tell one end of the corridor from the other. An IMU yaw may jump where the gyroscope does not
+    (steel, a reset), but not stand still while the vehicle turns: of the two, the one that turned less is right.
+    """
+    if not sights or new.t_ns - sights[-1].t_ns < SPANS_S[0] * 1e9:
+        return 0.0
+    last = sights[-1]
+    gyro = new.raw_theta_rad - last.raw_theta_rad - bias_rad_s * (new.t_ns - last.t_ns) * 1e-9
+    apart = new.yaw_rad - last.yaw_rad
+    if not isfinite(apart):
+        return 0.0
+    yaw = remainder(apart, 2.0 * pi)
+    leap = remainder(gyro - yaw, 2.0 * pi)
+    return leap if abs(leap) > 0.5 * pi and abs(gyro) > abs(yaw) + 0.5 * pi else 0.0
+
+
+def slope_of(t_s: FloatArray, difference_rad: FloatArray, std_rad: FloatArray, walk: float) -> Slope | None:
+    """Fit a line to differences, less those that lie off it by more than three sigmas; None: too few.
+
+    Parameters
+    ----------
+    t_s
+        Times before now (n,), the last 0.
+    difference_rad, std_rad
+        Differences and the frames' sigmas (n,).
+    walk
+        How the frames' errors wander, rad/sqrt(s).
+    """
+    keep, weights = np.ones(len(t_s), bool), std_rad**-2
+    a = b = 0.0
+    rate_variance = now_variance = nan
+    for _ in range(3):
+        if int(keep.sum()) < MIN_POINTS:
+            return None
+        w = keep * weights
+        wt, wd = w * t_s, w * difference_rad
+        s0, s1, s2 = float(w.sum()), float(wt.sum()), float(wt @ t_s)
+        d0, d1 = float(wd.sum()), float(wd @ t_s)
+        det = s0 * s2 - s1 * s1
+        if not det > 0.0:
+            return None
+        a, b = (s2 * d0 - s1 * d1) / det, (s0 * d1 - s1 * d0) / det
+        rate_variance, now_variance = s0 / det, s2 / det
+        off = np.abs(difference_rad - a - b * t_s)
+        scatter = max(float(np.sort(off)[len(off) // 2]) / 0.67, 1e-9)  # by the median
+        before, keep = keep, off <= 3.0 * np.maximum(std_rad, scatter)
+        if (keep == before).all():
+            break
+    squares = (off / std_rad) ** 2
+    misfit = float(np.minimum(squares, MAX_MISFIT).mean())
+    # Where the differences are not on a line, nothing constant is wrong.
+    rate_variance *= max(1.0, float(squares @ keep) / len(t_s))
+    rate_std = sqrt(rate_variance + walked_rate_variance(walk, float(-t_s[0])))
+    return Slope(b, rate_std, a, sqrt(now_variance), misfit, len(t_s))
+
+
+def walked_rate_variance(walk: float, span_s: float) -> float:
+    """Variance, (rad/s)^2, of the slope of a line that is fitted to a random walk of this density over a span."""
+    return 1.2 * walk * walk / span_s
+
+
+class Drift:
+    """How frames have drifted from gyroscope and IMU yaw, over any span up to now.
+
+    Parameters
+    ----------
+    sights
+        Frames, the newest of which is at the filter's time.
+    psi_rad
+        The filter's heading now: differences are to it, carried back by the gyroscope.
+    noise
+        Of the inertial sensors.
+    """
+
+    def __init__(self, sights: tuple[Sight, ...], psi_rad: float, noise: InertialNoise) -> None:
+        last = sights[-1]
+        self._walk, self._noise = last.walk, noise
+        t_ns, self._heading, self._std, raw, self._yaw, linked, _, self._bias, self._bias_variance = np.array(
+            [(s.t_ns - last.t_ns, *s[1:]) for s in sights], dtype=np.float64
+        ).T
+        self._t, self._linked = t_ns * 1e-9, linked > 0.0
+        self._raw = raw - last.raw_theta_rad
+        self._to_gyro, self._to_yaw = self._heading - psi_rad - self._raw, self._heading - self._yaw
+
+    def over(self, span_s: float) -> Evidence:
+        """Return what they showed over the last ``span_s``.
+
+        The bias is that from the start of the span: the filter's own has since taken up some of what is looked for.
+        """
+        noise, within = self._noise, self._t >= -span_s
+        seen = np.flatnonzero(within & self._linked)
+        if len(seen) < max(MIN_POINTS, MIN_LINKED * int(within.sum())) or self._t[seen[0]] == 0.0:
+            return Evidence()
+        t, std, raw = self._t[seen], self._std[seen], self._raw[seen]
+        bias, bias_variance = float(self._bias[seen[0]]), float(self._bias_variance[seen[0]])
+        gyro = slope_of(t, _unwrapped(self._to_gyro[seen] + bias * t), std, self._walk)
+        if gyro is None:
+            return Evidence()
+        span_s, quarter = float(-t[0]), max(len(t) // 4, 1)  # stamps that are off show where the rate changes
+        began, ended = (
+            float((raw[b] - raw[a]) / (t[b] - t[a])) for a, b in ((0, quarter), (-1 - quarter, -1))
+        )
+        gyro = gyro._replace(rate_std=hypot(gyro.rate_std, TIME_STD_S * (ended - began) / span_s))
+        by_scale = noise.gyro_scale_std * float(raw[0]) / span_s
+        gyro_variance = walked_rate_variance(noise.gyro_walk, span_s) + by_scale**2
+        known = Evidence(gyro, None, gyro_variance, bias_variance, bias_rad_s=bias)
+        if not np.isfinite(self._yaw[seen]).all():
+            return known
+        yaw = slope_of(t, _unwrapped(self._to_yaw[seen]), std, self._walk)
+        if yaw is None:
+            return known
+        # The slope of a line that is fitted to n white errors over a span T has variance 12 sigma^2 / (n T^2).
+        white = 12.0 * noise.yaw_std**2 / (len(seen) * span_s**2)
+        leaping = max(yaw.rate_std**2 - gyro.rate_std**2, 0.0)  # a yaw that leaps drifts at no constant rate
+        yaw_variance = walked_rate_variance(noise.yaw_walk, span_s) + white + leaping
+        return known._replace(yaw=yaw, yaw_variance=yaw_variance)
+
+
+def _unwrapped(difference: FloatArray) -> FloatArray:
+    """Differences of axes, the last within a quarter turn, the others within one of the last."""
+    last = wrap_axis(float(difference[-1]))
+    return last + (difference - last + 0.5 * pi) % pi - 0.5 * pi
