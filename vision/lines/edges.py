@@ -20,9 +20,6 @@ from vision.types import Float32Array, GreyImage, IntArray, Record, RecordArray
 DIRECTION_COS2 = cos(radians(22.5)) ** 2
 MAX_RMS_PX = 0.8  # scatter across the line beyond which it is not one
 MIN_PIXELS = 5
-ROW_STEP = 8
-MAX_BLOCK_STEP = 20  # larger ones are the picture's own edges
-SECOND_DIFFERENCE_MEDIAN = 0.6745 * sqrt(6.0)  # median of |a - 2b + c| for noise of one grey level
 
 GreyPixels = npt.NDArray[np.uint8]
 Int16Array = npt.NDArray[np.int16]
@@ -90,41 +87,7 @@ class Components(NamedTuple):
 
 
 @compiled
-def noise_and_blockiness(grey: GreyImage, counts: IntArray) -> tuple[float, float]:
-    """Estimate a picture's noise, standard deviation in grey levels, and how visible JPEG's blocks are.
-
-    The noise follows from the median of |a - 2b + c| along every eighth row, which edges hardly touch. Blockiness is
-    the mean step between columns 8k - 1 and 8k, where JPEG's blocks meet, over the mean step elsewhere: about 1 for
-    pictures never compressed, 1.5 for good quality, 2 and more where the blocks can be seen.
-
-    Parameters
-    ----------
-    grey
-        Picture (h, w).
-    counts
-        Working memory (1024,).
-    """
-    height, width = grey.shape
-    counts[:] = 0
-    n = at_joint = elsewhere = 0
-    for y in range(0, height, ROW_STEP):
-        for x in range(1, width - 1):
-            a = np.int64(grey[y, x - 1])
-            b = np.int64(grey[y, x])
-            counts[abs(a - 2 * b + np.int64(grey[y, x + 1]))] += 1
-            n += 1
-            step = min(int(abs(b - a)), MAX_BLOCK_STEP)
-            if x % 8 == 0:
-                at_joint += step
-            else:
-                elsewhere += step
-    below, level = _median_bin(counts, n)
-    median = level - 0.5 + (0.5 * n - below) / max(counts[level], 1)
-    return max(median, 0.0) / SECOND_DIFFERENCE_MEDIAN, 7.0 * at_joint / max(elsewhere, 1)
-
-
-@compiled
-def _median_bin(counts: IntArray, n: int) -> tuple[int, int]:
+def median_bin(counts: IntArray, n: int) -> tuple[int, int]:
     """Return how many of a histogram's n entries lie below the bin of their median, and that bin."""
     below = level = 0
     while below + counts[level] < 0.5 * n:
@@ -149,7 +112,7 @@ def median_and_mean(magnitude: Float32Array, width: int, counts: IntArray) -> tu
             total += m
             n += 1
             counts[min(int(2.0 * m), len(counts) - 1)] += 1
-    return 0.5 * _median_bin(counts, n)[1], total / max(n, 1)
+    return 0.5 * median_bin(counts, n)[1], total / max(n, 1)
 
 
 @compiled

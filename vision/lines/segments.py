@@ -13,10 +13,9 @@ import threading
 import time
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import atan2, ceil, hypot, radians, sqrt, tan
+from math import atan2, hypot, radians, sqrt, tan
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -33,8 +32,8 @@ from vision.lines.edges import (
     fill_gradient,
     fit,
     median_and_mean,
-    noise_and_blockiness,
 )
+from vision.lines.preparation import SHARPNESS, resized, scaled, size_to_search, smoothed
 from vision.types import Float32Array, FloatArray, GreyImage, IntArray, RecordArray
 
 PINHOLE = np.dtype([(name, np.float64) for name in ("fx", "fy", "cx", "cy")], align=True)
@@ -45,19 +44,7 @@ MAX_LINES = 1 << 12
 NOISE_TO_THRESHOLD = 3.0  # threshold over the median gradient magnitude
 STRUCTURE_TO_THRESHOLD = 1.0  # threshold over the mean gradient magnitude
 MIN_THRESHOLD = 6.0  # gradient (Sobel 3x3) that quantisation to whole grey levels can make
-FINE_DIAGONAL_PX = 600.0
-# Three quarters of a fine picture's size hide what sensor, compression and resampling do to single pixels: of
-# simulated corridors 93 % are accepted instead of 88 %.
-FINE_SCALE = 0.75
-# Noise, grey levels, and blockiness from which a fine picture shows more at half its size: of simulated corridors
-# with noise and JPEG the heading's RMSE falls by a third, and 2 % more are accepted.
-MAX_FINE_NOISE, MAX_FINE_BLOCKINESS = 1.5, 1.6
-SMOOTH_FROM_NOISE = (5.0, 14.0)  # noise above which blur of 3, 5 pixels pays
-SMOOTH_FROM_BLOCKINESS = (1.7, 1.7, 2.6)  # and blockiness above which blur of 3, 5, 7 pixels does
-SHARPNESS = (0.80, 0.58, 0.42, 0.34)  # of a sharp edge after blur of 1, 3, 5, 7 pixels; see `connect`
 BLURRED_SHARPNESS = 0.5
-SMALL_DIAGONAL_PX = 300.0
-MAX_DIAGONAL_PX = 1000.0
 MIN_DIAGONAL_PX = 100.0
 MIN_LENGTH_OF_DIAGONAL = 0.015
 MIN_LENGTH_PX = 7.0
@@ -187,7 +174,7 @@ class _Workspace:
             rows=np.empty((2, width_px), np.int32),
         )
         self.lines = np.empty(MAX_LINES, FITTED_LINE)
-        self.counts = np.empty(3072, np.int64)  # of levels of noise, or of gradients
+        self.counts = np.empty(3072, np.int64)  # of gradients
 
 
 _per_thread = threading.local()
@@ -224,14 +211,14 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera, *, keep_picture: bool
     started = time.perf_counter()
     grey = to_grey(image)
     camera.require_size(grey.shape[1], grey.shape[0])
-    chosen, picture, is_clean = _size_to_search(grey, camera)
+    chosen, picture, is_clean = size_to_search(grey, camera)
     working, view = chosen, _view(camera, chosen)
     n_labels, threshold, blurred = _connected(picture, view.rectified, is_clean)
     # Edges blurred over several pixels have their maximum anywhere on a plateau: look from farther away.
     while blurred and hypot(working.width_px, working.height_px) > 2.0 * MIN_DIAGONAL_PX:
-        working = _resized(working, 0.5)
+        working = resized(working, 0.5)
         view = _view(camera, working)
-        n_labels, threshold, blurred = _connected(_scaled(grey, working), view.rectified)
+        n_labels, threshold, blurred = _connected(scaled(grey, working), view.rectified)
     work = _workspace(working.height_px, working.width_px)
     floor_px = POSITION_FLOOR_PX * (chosen.fx_px / working.fx_px) * (SOFT if blurred else 1.0)
     found = _fit_lines(work.components, n_labels, view, floor_px, work.lines)
@@ -289,7 +276,7 @@ def _connected(
         are blurred over several pixels.
     """
     work = _workspace(*picture.shape)
-    smooth, expected_sharpness = (picture, SHARPNESS[0]) if is_clean else _smoothed(picture, work)
+    smooth, expected_sharpness = (picture, SHARPNESS[0]) if is_clean else smoothed(picture, work.smooth)
     n_labels, threshold, sharpness = _find_components(
         smooth, rectified, work.gradient, work.components, work.counts
     )
@@ -361,42 +348,12 @@ def edge_components(grey: GreyImage, camera: Camera) -> RecordArray:
     Which pixels make a component does not depend on the lens; their rectified coordinates do. How straight they are
     shows best at full size.
     """
-    working, picture, is_clean = _size_to_search(grey, camera, fine_scale=1.0)
+    working, picture, is_clean = size_to_search(grey, camera, fine_scale=1.0)
     n_labels, _, _ = _connected(picture, _rectified(working), is_clean)
     work = _workspace(working.height_px, working.width_px)
     parent = work.components.parent[:n_labels]
     sums: RecordArray = work.components.sums[:n_labels][parent == np.arange(n_labels)]
     return sums
-
-
-def _scaled(grey: GreyImage, camera: Camera) -> GreyImage:
-    size = (camera.width_px, camera.height_px)
-    if size == grey.shape[::-1]:
-        return grey
-    interpolation = cv2.INTER_AREA if size[0] < grey.shape[1] else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(grey, size, interpolation=interpolation), np.uint8)
-
-
-@lru_cache(maxsize=8)
-def _working_camera(camera: Camera) -> Camera:
-    """Return the camera scaled to the size at which lines are searched.
-
-    Large pictures gain nothing but time; small ones hide neighbouring edges from each other, which interpolation
-    undoes in part.
-    """
-    diagonal = hypot(camera.width_px, camera.height_px)
-    if diagonal > MAX_DIAGONAL_PX:
-        scale = 1.0 / ceil(diagonal / MAX_DIAGONAL_PX)
-    elif diagonal < SMALL_DIAGONAL_PX:
-        scale = 2.0
-    else:
-        return camera
-    return _resized(camera, scale)
-
-
-@lru_cache(maxsize=8)
-def _resized(camera: Camera, scale: float) -> Camera:
-    return camera.resized(round(camera.width_px * scale), round(camera.height_px * scale))
 
 
 @lru_cache(maxsize=8)
@@ -412,44 +369,6 @@ def _rectified(camera: Camera) -> Float32Array:
     points[np.hypot(points[:, 0], points[:, 1]) > tan(MAX_HALF_FIELD_RAD)] = np.nan
     points = points * (camera.fx_px, camera.fy_px) + (camera.cx_px, camera.cy_px)
     return points.reshape(camera.height_px, camera.width_px, 2).astype(np.float32)
-
-
-def _size_to_search(
-    grey: GreyImage, camera: Camera, fine_scale: float = FINE_SCALE
-) -> tuple[Camera, GreyImage, bool]:
-    """Choose the size at which lines are searched; return camera and picture of that size, and whether it is clean.
-
-    Half the size averages the noise of four pixels, where blur would let neighbouring edges pull at each other over
-    as many more.
-    """
-    working = _working_camera(camera)
-    picture = _scaled(grey, working)
-    if hypot(*picture.shape) <= FINE_DIAGONAL_PX:
-        return working, picture, False
-    noise, blockiness = noise_and_blockiness(picture, _workspace(*picture.shape).counts)
-    if noise > MAX_FINE_NOISE or blockiness > MAX_FINE_BLOCKINESS:
-        working = _resized(working, 0.5)
-        return working, _scaled(picture, working), False
-    working = _resized(working, fine_scale)
-    size = (working.width_px, working.height_px)
-    return working, np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR), np.uint8), True
-
-
-def _smoothed(picture: GreyImage, work: _Workspace) -> tuple[GreyImage, float]:
-    """Blur as little as the noise allows; return the picture and how sharp a sharp edge still is in it.
-
-    Blur lets neighbouring edges pull at each other.
-    """
-    noise, blockiness = noise_and_blockiness(picture, work.counts)
-    level = max(
-        sum(noise > limit for limit in SMOOTH_FROM_NOISE),
-        sum(blockiness > limit for limit in SMOOTH_FROM_BLOCKINESS),
-    )
-    if level == 0:
-        return picture, SHARPNESS[0]
-    size = 1 + 2 * level
-    cv2.GaussianBlur(picture, (size, size), 0, dst=work.smooth)
-    return work.smooth, SHARPNESS[level]
 
 
 @compiled
