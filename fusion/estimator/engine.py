@@ -364,14 +364,8 @@ class Engine:
         variance = max(m.heading_std_rad, c.heading_std_floor_rad) ** 2
         variance += self._propagation.held_rate_variance(d, t_ns)
         heading = m.heading_rad + turned_since_exposure(s.delay, float(ekf.x[BIAS]), t_ns, d.raw_theta_rad)
-        vote = (t_ns, d.theta_rad - heading, sqrt(variance))
         if not axis.acquired:
-            axis = axis.voted(*vote, False, interval_s)
-            axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.coupled, c)
-            s = s._replace(axis=axis.followed(t_ns, heading, sqrt(variance), d, axis.acquired, interval_s))
-            if axis.acquired:
-                lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
-                s = s._replace(lateral=lateral, width=width, elevation=elevation, x=ekf.x, P=ekf.P)
+            s = self._acquire(s._replace(axis=axis), t_ns, m, attitude, heading, sqrt(variance))
             return s, FrameResult(sample.stamp_ns, m, True, Reason.OK)
         scale, correlation_s = axis.scale_and_correlation(d.mode, c)
         rho = correlation(t_ns, axis.t_vision_ns, correlation_s)
@@ -399,6 +393,7 @@ class Engine:
                 s = s._replace(axis=followed, delay=delay, x=ekf.x, P=ekf.P)
                 return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
         if not gate.accepted:
+            vote = (t_ns, d.theta_rad - heading, sqrt(variance))
             axis = axis.voted(*vote, axis.recent[-1].linked, interval_s)
             s = self._follow_votes(s._replace(axis=axis, delay=delay), t_ns)
             return s, FrameResult(sample.stamp_ns, m, False, Reason.GATE, *result)
@@ -417,6 +412,25 @@ class Engine:
             ekf.x, ekf.P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks
         )
         return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
+
+    def _acquire(
+        self,
+        s: State,
+        t_ns: int,
+        m: FrameMeasurement,
+        attitude: Attitude | None,
+        heading_rad: float,
+        std_rad: float,
+    ) -> State:
+        """Take a frame for the axis that is looked for; where it is found with it, use the rest of the frame too."""
+        ekf, d, interval_s = self.ekf, s.reckoning, s.frames.interval_s
+        axis = s.axis.voted(t_ns, d.theta_rad - heading_rad, std_rad, False, interval_s)
+        axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.coupled, self.config)
+        s = s._replace(axis=axis.followed(t_ns, heading_rad, std_rad, d, axis.acquired, interval_s))
+        if not axis.acquired:
+            return s
+        lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
+        return s._replace(lateral=lateral, width=width, elevation=elevation, x=ekf.x, P=ekf.P)
 
     def _fuse_rest(
         self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None
