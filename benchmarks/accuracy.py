@@ -109,6 +109,7 @@ def sets_of_cases(every: int) -> Iterator[tuple[str, list[Case]]]:
 
 
 def row_of(name: str, cases: Sequence[Case]) -> Row:
+    """Measure cases by both methods, as a row of the table."""
     geometric = [measure(case)[0] for case in cases]
     paper = [measure(case, "paper")[0] for case in cases]
     return Row(name, _without_constant(cases, geometric), _without_constant(cases, paper))
@@ -140,6 +141,7 @@ def misses(score: HeadingScore, target: Target) -> str:
 
 
 def print_headings(rows: Sequence[Row]) -> None:
+    """Print the headings' errors by both methods, and what each aim misses."""
     print("Heading of single frames against the truth, degrees, accepted frames; roll and pitch from the log")
     heads = (
         "",
@@ -191,6 +193,7 @@ def print_headings(rows: Sequence[Row]) -> None:
 
 
 def print_offsets(rows: Sequence[Row]) -> None:
+    """Print the lateral offsets' errors."""
     print(
         "\nLateral offset of the camera, single frames, % of the corridor's width; the article measures none"
     )
@@ -220,6 +223,7 @@ def print_offsets(rows: Sequence[Row]) -> None:
 
 
 def offset_misses(name: str, score: OffsetScore) -> str:
+    """Name what a set of offsets misses; empty where nothing."""
     checks = [("sigma", SIGMA_P90[0] <= score.sigma_p90 <= SIGMA_P90[1])]
     if name == "office 640x480":
         checks = [

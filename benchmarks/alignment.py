@@ -64,6 +64,7 @@ CASES = (
 
 
 def flights(folder: Path, seconds: float, only: str | None) -> Iterator[Flight]:
+    """Yield the sample flight and simulated ones, or only the one named."""
     if only in (None, "office"):
         yield load_flight(OFFICE)
     straight = SimulationConfig.model_validate({"seed": 3, "motion": {"duration_s": seconds}})
@@ -89,6 +90,7 @@ def simulation(seconds: float) -> SimulationConfig:
 
 
 def heading_rmse_deg(flight: Flight) -> float:
+    """Fuse a flight and return the heading's RMSE, degrees; NaN without one."""
     errors = fuse_flight(flight).summary["errors"]["filter"]["heading"]
     return degrees(errors["rmse_rad"]) if errors["rmse_rad"] is not None else nan
 
@@ -104,6 +106,7 @@ def cell(quantity: Quantity, injected: float) -> str:
 
 
 def print_found(flight: Flight, cases: tuple[Spoilt, ...]) -> None:
+    """Print what `align_flight` finds of errors put into a flight."""
     head = f"{'injected':>9} {'found':>9} {'sigma':>9} {'z':>5}"
     print(f"\n{flight.name}: {len(flight.frames.t_ns)} frames")
     print(f"{'time offset, ms':^35} | {'focal length, factor':^35} | {'mounting yaw, degrees':^35}")
@@ -126,6 +129,7 @@ def print_found(flight: Flight, cases: tuple[Spoilt, ...]) -> None:
 
 
 def print_fused(flight: Flight) -> None:
+    """Print the heading's RMSE with errors put in, before and after the alignment."""
     print(f"\n{flight.name}: heading RMSE of the causal filter, degrees")
     print(f"{'offset ms':>10} {'focal':>6} {'yaw deg':>8} | {'unspoilt':>9} {'spoilt':>9} {'aligned':>9}")
     good = heading_rmse_deg(flight)
@@ -139,6 +143,7 @@ def print_fused(flight: Flight) -> None:
 
 
 def pieces(flight: Flight) -> Iterator[Alignment]:
+    """Yield the alignment of each piece of a flight."""
     t_s = (flight.frames.t_ns - flight.frames.t_ns[0]) * 1e-9
     for k in range(int((t_s[-1] + 0.5) // PIECE_S)):
         index = np.flatnonzero((t_s >= k * PIECE_S) & (t_s < (k + 1) * PIECE_S))
@@ -147,6 +152,7 @@ def pieces(flight: Flight) -> Iterator[Alignment]:
 
 
 def print_honesty(alignments: list[Alignment]) -> None:
+    """Print how errors over sigma are distributed."""
     told = [found for found in alignments if found.clock_offset.usable]
     print(
         f"\nerror over sigma in {len(alignments)} pieces of {PIECE_S:g} s, {len(told)} of which tell the offset"
@@ -163,6 +169,7 @@ def print_honesty(alignments: list[Alignment]) -> None:
 
 
 def main() -> None:
+    """Print the tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -74,6 +74,7 @@ def overall_errors(tables: Rows, column: str) -> tuple[float, float, float]:
 
 
 def print_article() -> None:
+    """Print how the printed yaws compare with equation 8."""
     rows, tables = load_rows("frames.csv"), load_rows("tables.csv")
     computed, wrong = computed_yaw_deg(rows), misprinted(rows)
     print(f"Equation 8 at the {len(rows)} printed vanishing points")
@@ -110,6 +111,7 @@ def print_article() -> None:
 
 
 def print_table_2() -> None:
+    """Print table 2 beside what is computed anew."""
     table = load_rows("table_2.csv")
     print("\nTable 2, degrees")
     for method, printed in TABLE_2_PRINTED.items():
@@ -221,6 +223,7 @@ def slope(measured: FloatArray, known: FloatArray) -> float:
 
 
 def print_flights(folders: Sequence[Path]) -> None:
+    """Print the article's method on flights."""
     print("The article's method on flights: signed heading against the truth, degrees.")
     print("  slope: degrees it moves per true degree    seeds: RMS change from one k-means seed to another")
     print("  no kernel: RMSE of the article read the other way, Canny seeing the contrast-enhanced picture")
@@ -236,6 +239,8 @@ def print_flights(folders: Sequence[Path]) -> None:
 
 
 def print_flight(name: str, reference: Reference) -> None:
+    """Print one flight's row."""
+
     def rms_deg(x: FloatArray) -> float:
         return math.degrees(math.sqrt(np.nanmean(x**2)))
 
@@ -274,6 +279,7 @@ def default_flights() -> list[Path]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the article's figures, or its method on flights."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--flights", nargs="*", type=Path, metavar="FLIGHT", help="measure on flight folders")
     options = parser.parse_args(arguments)

@@ -55,18 +55,21 @@ class Cost(NamedTuple):
 
 
 def cost_of(work: Callable[[], object]) -> Cost:
+    """Return the wall time and processor time of some work."""
     wall, cpu = time.perf_counter(), cpu_s()
     work()
     return Cost(time.perf_counter() - wall, cpu_s() - cpu)
 
 
 def cpu_s() -> float:
+    """Processor time of this process and of its children, seconds."""
     own = resource.getrusage(resource.RUSAGE_SELF)
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
 
 
 def simulate(folder: Path, distinct: int, seconds: float) -> list[Path]:
+    """Simulate distinct logs into a folder and return their folders."""
     found = []
     for seed in range(1, distinct + 1):
         config = SimulationConfig.random_office(seed, motion={"duration_s": seconds})
@@ -76,6 +79,7 @@ def simulate(folder: Path, distinct: int, seconds: float) -> list[Path]:
 
 
 def make_fleet(folder: Path, logs: list[Path], count: int) -> Path:
+    """Make a fleet of so many flights that share the logs; return its folder."""
     for k in range(count):
         flight = folder / f"mav{k % 3}" / f"{k:06d}"
         flight.mkdir(parents=True)
@@ -100,6 +104,7 @@ def turn_by_turn(source: Path, work: Path, reports: bool) -> tuple[list[Cost], l
 
 
 def print_costs(source: Path, work: Path, count: int, reports: bool) -> Fleet:
+    """Print what fusing a fleet costs with one worker and with two; return it."""
     limit_threads()
     warm = find_flights([source])[0].path
     loaded = load_flight(warm)
@@ -140,6 +145,7 @@ def print_costs(source: Path, work: Path, count: int, reports: bool) -> Fleet:
 
 
 def count_up(steps: int) -> int:
+    """Work that needs a processor and no memory."""
     return sum(k * k for k in range(steps))
 
 
@@ -154,6 +160,7 @@ def speed_of_two_processes() -> float:
 
 
 def print_cost(name: str, cost: Cost, count: int) -> None:
+    """Print a row of the table."""
     each_ms = 1000 * cost.cpu_s / count
     numbers = f"{cost.wall_s:>10.1f}{count / cost.wall_s:>12.2f}{cost.cpu_s:>14.1f}{each_ms:>14.1f}"
     print(f"{name:<12}{numbers}", flush=True)
@@ -247,10 +254,12 @@ def held_mb() -> float:
 
 
 def many_rows(rows: tuple[FleetRow, ...], count: int) -> list[FleetRow]:
+    """Repeat rows under new names up to a count."""
     return [replace(rows[k % len(rows)], flight=f"{k:06d}") for k in range(count)]
 
 
 def main() -> None:
+    """Make a fleet and print what it costs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--flights", type=int, default=200)
     parser.add_argument("--distinct", type=int, default=10, help="simulated logs that the flights share")

@@ -69,11 +69,13 @@ class Contender:
 
 
 def unit(case: Case) -> float:
+    """Blur and find edges as OpenCV does: the unit of the table."""
     cv2.Canny(cv2.GaussianBlur(case.image, (5, 5), 0), 50, 150)
     return nan
 
 
 def lines(case: Case) -> float:
+    """Find the lines only."""
     extract_lines(case.image, case.camera)
     return nan
 
@@ -83,6 +85,7 @@ def _answer(found: FrameMeasurement) -> float:
 
 
 def heading(case: Case) -> float:
+    """Measure the heading alone."""
     return _answer(measure_frame(case.image, case.camera, lateral=False))
 
 
@@ -93,27 +96,33 @@ def heading_and_geometric_offset(case: Case) -> float:
 
 
 def whole(case: Case) -> float:
+    """Measure a frame as a user calls it."""
     return _answer(measure_frame(case.image, case.camera))
 
 
 def whole_with_attitude(case: Case) -> float:
+    """Measure a frame whose attitude is known."""
     return _answer(measure_frame(case.image, case.camera, case.attitude))
 
 
 def paper(case: Case) -> float:
+    """Measure by the article's method."""
     return _answer(measure_frame(case.image, case.camera, method="paper"))
 
 
 def lsd(case: Case) -> float:
+    """Find line segments by OpenCV's LSD."""
     segments(case.image)
     return nan
 
 
 def ransac(case: Case) -> float:
+    """Measure the heading by RANSAC on LSD's segments."""
     return heading_by_ransac(case.image, case.camera, case.attitude or Attitude(0.0, 0.0))
 
 
 def contenders() -> dict[str, Contender]:
+    """Return what is timed, by name."""
     return {
         UNIT: Contender(unit, answers=False),
         LINES: Contender(lines, answers=False),
@@ -128,6 +137,7 @@ def contenders() -> dict[str, Contender]:
 
 
 def timed(run: Callable[[Case], float], case: Case) -> tuple[float, float]:
+    """Run a contender on a case; return its answer and the milliseconds."""
     started = clock()
     answer = run(case)
     return answer, clock() - started
@@ -161,6 +171,7 @@ def race(cases: Sequence[Case], python: Path | None) -> dict[str, Contender]:
 
 
 def print_race(size: Size, field_: dict[str, Contender], frames: int) -> None:
+    """Print times and errors of all at one size."""
     print(f"\noffice at {size_name(size)}, {frames} frames, one thread; heading errors in degrees")
     heads = ("", "ms", "ms p90", "units", "aim", "answers", "RMSE", "median", "worst")
     rows = []
@@ -266,6 +277,7 @@ def print_growth(cases: Sequence[Case], frames: int) -> None:
 
 
 def peer_python(wanted: bool) -> Path | None:
+    """Return the interpreter of the peer's environment, made if need be; None without one."""
     if not wanted:
         print(f"{PEER}: skipped, not asked for (--with-peer makes an environment for it)")
         return None

@@ -128,6 +128,7 @@ def errors_of(rows: npt.NDArray[Any], frames: npt.NDArray[Any], truth: CorridorT
 
 
 def score(errors: Errors) -> Score:
+    """Score the offsets of one flight or of several."""
     k = errors.known
     return Score(
         rmse_cm=100.0 * rms(errors.error_m[k]),
@@ -193,6 +194,7 @@ def flights(n_random: int) -> Iterator[tuple[str, str, Flight]]:
 
 
 def cells(name: str, scores: Sequence[Score]) -> list[str]:
+    """Format a row of scores."""
     row = [name]
     for s in scores:
         row += [number(s.rmse_cm, 1), percent(s.known), percent(s.wrong), number(s.sigma_p90)]
@@ -224,22 +226,27 @@ def aim_row(what: str, found: float, low: float, high: float, form: Form) -> lis
 
 
 def plain(value: float) -> str:
+    """Format a number."""
     return number(value)
 
 
 def share(value: float) -> str:
+    """Format a share as per cent."""
     return percent(value)
 
 
 def centimetres(value: float) -> str:
+    """Format a length."""
     return f"{number(value, 1)} cm"
 
 
 def seconds(value: float) -> str:
+    """Format a time."""
     return f"{number(value, 1)} s"
 
 
 def milliseconds(value: float) -> str:
+    """Format a short time."""
     return f"{number(value)} ms"
 
 

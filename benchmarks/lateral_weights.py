@@ -90,6 +90,7 @@ def picture_of(
 
 
 def open_hall(seed: int) -> SceneConfig:
+    """Draw an office corridor with an open hall along all of it."""
     length_m = SceneConfig.random_office(seed).length_m
     return SceneConfig.random_office(seed, open_hall_m=(0.0, length_m), open_hall_right=bool(seed % 2))
 
@@ -115,6 +116,7 @@ def simulated(views: int, seed: int) -> list[Picture]:
 
 
 def office(size: tuple[int, int]) -> list[Picture]:
+    """Measure pictures of the sample flight at one size."""
     folder = flight_named("office")
     cases = flight_cases(folder, size)[0] if folder is not None else []
     found = [
@@ -147,6 +149,7 @@ def likelihood(
 
 
 def fitted(pictures: Sequence[Picture], start: FloatArray) -> FloatArray:
+    """Fit the weights that are not held, by maximum likelihood."""
     free = start != 0.0
     free[FIXED] = False
     answer = minimize(

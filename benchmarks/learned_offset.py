@@ -40,6 +40,7 @@ COLOURS = (
 
 
 def line_of_flight(cases: list[Case]) -> str:
+    """Score the network on a flight's frames, as a line."""
     known = [case for case in cases if case.offset_norm == case.offset_norm]
     axes = [measured_frame(case.image, case.camera, case.attitude) for case in known]
     pairs = [(case, axis[0]) for case, axis in zip(known, axes, strict=True) if axis is not None]
@@ -49,6 +50,7 @@ def line_of_flight(cases: list[Case]) -> str:
 
 
 def line_of_views(views: list[TrainingView]) -> str:
+    """Score the network on simulated views, as a line."""
     pairs = [(view, view.R_measured) for view in views if view.R_measured is not None]
     mixtures = [learned_mixture(view.image, view.camera, R) for view, R in pairs]
     scores = OffsetScores.of(mixtures, [view.box.offset_norm for view, _ in pairs])
@@ -100,6 +102,7 @@ def drawn(image: GreyImage, camera: Camera, attitude: Attitude | None) -> GreyIm
 
 
 def draw_flight(folder: Path, out: Path, every: int) -> None:
+    """Draw the corners it is sure of into pictures of a flight."""
     flight = load_flight(folder)
     attitudes = attitudes_at(flight.attitude, flight.frames.t_ns)
     for i in range(0, len(flight.frames.t_ns), every):
@@ -112,6 +115,7 @@ def main(
     drawings: Annotated[Path | None, typer.Option(help="Folder for pictures with corners.")] = None,
     every: Annotated[int, typer.Option(help="Of the drawings: one in so many frames.")] = 20,
 ) -> None:
+    """Print the scores, and draw pictures where asked."""
     cv2.setNumThreads(1)
     for folder in flight_folders():
         for cases in flight_cases(folder, SIZE):

@@ -162,6 +162,7 @@ def print_cores() -> None:
 
 
 def main() -> None:
+    """Print the tables, or run as the process that one row measures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hours", type=float, nargs="+", default=[0.33, 1.0, 3.0])
     parser.add_argument("--cost-of", type=float, help=argparse.SUPPRESS)

@@ -153,10 +153,12 @@ def _measured(cases: Iterator[Case] | Sequence[Case], name: str, task: Task) -> 
 
 
 def is_gross(result: Result) -> bool:
+    """Whether an accepted heading is beyond the limit of gross errors."""
     return result.accepted and degrees(abs(result.error_rad)) > GROSS_DEG
 
 
 def print_table(title: str, names: Sequence[str], results: Sequence[Result]) -> None:
+    """Print a row of scores for each kind of picture."""
     heads = (
         "",
         "frames",

@@ -185,6 +185,7 @@ def calibrated_cases(folder: Path) -> list[Case]:
 
 
 def measured(cases: Sequence[Case]) -> list[Result]:
+    """Measure cases by the default method."""
     return [measure(case)[0] for case in cases]
 
 

@@ -246,6 +246,7 @@ def frames_a_second(size: tuple[int, int]) -> str:
 
 
 def main() -> None:
+    """Print the comparison."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -73,6 +73,7 @@ def stamps(
 def imu(
     rng: np.random.Generator, start_s: float, seconds: float, jitter_ns: int = JITTER_NS
 ) -> Iterator[Sample]:
+    """Yield IMU samples with noise and jitter of their stamps."""
     noise = rng.normal(0.0, 1.0, (round(seconds * IMU_HZ), 6))
     noise *= np.repeat([GYRO_NOISE * sqrt(IMU_HZ), ACCEL_NOISE * sqrt(IMU_HZ)], 3)
     for t_ns, row in zip(stamps(rng, start_s, seconds, IMU_HZ, jitter_ns), noise, strict=True):
@@ -82,6 +83,7 @@ def imu(
 
 
 def frames(rng: np.random.Generator, start_s: float, seconds: float, late_ns: int = 0) -> Iterator[Sample]:
+    """Yield frames' measurements, ``late_ns`` after their stamps."""
     noise = rng.normal(0.0, 1.0, (round(seconds * FRAME_HZ), 2))
     for t_ns, (a, b) in zip(stamps(rng, start_s, seconds, FRAME_HZ), noise.tolist(), strict=True):
         heading, _, offset = truth(t_ns * 1e-9)
@@ -99,12 +101,14 @@ def frames(rng: np.random.Generator, start_s: float, seconds: float, late_ns: in
 
 
 def attitudes(rng: np.random.Generator, start_s: float, seconds: float) -> Iterator[Sample]:
+    """Yield attitude samples."""
     for t_ns in stamps(rng, start_s, seconds, ATTITUDE_HZ):
         half = 0.5 * (truth(t_ns * 1e-9)[0] + 0.7 + rng.normal(0.0, radians(0.2)))
         yield Sample(t_ns, "add_attitude", t_ns, ((cos(half), 0.0, 0.0, sin(half)),))
 
 
 def flows(rng: np.random.Generator, start_s: float, seconds: float) -> Iterator[Sample]:
+    """Yield velocities of an optical flow sensor."""
     for t_ns in stamps(rng, start_s, seconds, FLOW_HZ):
         yield Sample(t_ns, "add_velocity", t_ns, (np.array([0.8, 0.0, 0.0]) + rng.normal(0.0, 0.05, 3),))
 
@@ -130,6 +134,7 @@ def call_times(samples: list[Sample], config: FusionConfig) -> dict[str, np.ndar
 
 
 def print_calls(seconds: float) -> None:
+    """Print what each call costs."""
     rng, config = np.random.default_rng(1), FusionConfig(corridor_width_m=2.2)
     common = [*imu(rng, 0.0, seconds), *attitudes(rng, 0.0, seconds)]
     on_time = [*common, *frames(rng, 0.0, seconds)]
@@ -189,6 +194,7 @@ class PlainEkf(ExtendedKalmanFilter):  # type: ignore[misc]
 
 
 def print_hour(minutes: int) -> None:
+    """Print what an hour of flight costs, beside a plain filter."""
     ours, plain = CorridorEstimator(FusionConfig(corridor_width_m=2.2)), PlainEkf()
     rng, seconds = np.random.default_rng(2), []
     for minute in range(minutes):
@@ -267,6 +273,7 @@ def worn(steps: int, seed: int = 3) -> tuple[CorridorEKF, Health]:
 
 
 def print_covariance(steps: int) -> None:
+    """Print whether the covariance stays sound over so many steps."""
     before = clock()
     ekf, health = worn(steps)
     std = ", ".join(f"{value:.2g}" for value in np.sqrt(np.diagonal(ekf.P)))

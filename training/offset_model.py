@@ -43,6 +43,7 @@ class _CircularLayer(nn.Module):
         self.radius_padding = radius_padding
 
     def forward(self, x: Tensor) -> Tensor:
+        """Evaluate the layer."""
         if self.after:
             x = torch.cat([x[..., -self.before :], x, x[..., : self.after]], dim=-1)
         if self.radius_padding:

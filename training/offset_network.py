@@ -160,6 +160,7 @@ class _Exported(nn.Module):
         self.network = network
 
     def forward(self, polar: Tensor) -> Tensor:
+        """Evaluate the network."""
         scores, odds = self.network(polar)
         return torch.cat([scores[:, :2].flatten(1), odds], dim=1)
 

@@ -103,6 +103,7 @@ def half_turn(angle_rad: float) -> float:
 
 
 def size_name(size: Size) -> str:
+    """Write a size as width x height."""
     return f"{size[0]}x{size[1]}"
 
 

@@ -83,6 +83,7 @@ def darkened(case: Case) -> Case:
 
 
 def dark_picture(image: GreyImage, seed: int) -> GreyImage:
+    """Darken a picture as with little light, noise and all."""
     return exposed_picture(image, LIGHT, np.random.default_rng((seed, 92)))
 
 

@@ -19,6 +19,7 @@ clock = time.thread_time if fine else time.perf_counter
 
 
 def main() -> None:
+    """Time the peer's line finder on the frames whose numbers come by standard input."""
     cv2.setNumThreads(1)
     frames, settings = np.load(sys.argv[1]), json.loads(sys.argv[2])
     for line in sys.stdin:

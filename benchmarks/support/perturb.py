@@ -31,6 +31,7 @@ TURN_RATE_RAD_S = radians(60.0)
 
 
 def unchanged(case: Case, rng: np.random.Generator) -> Case:
+    """Leave a case as it is."""
     return case
 
 
@@ -45,6 +46,7 @@ def with_light(share: float) -> Perturbation:
 
 
 def exposed_picture(image: GreyImage, share: float, rng: np.random.Generator) -> GreyImage:
+    """Expose a picture anew with a share of the light, with a sensor's noise."""
     light = np.minimum((image / 255.0) ** GAMMA * share, 1.0)
     electrons = light * FULL_WELL_ELECTRONS
     if share < 1.0:  # with more light the picture's own noise outdoes what would be added
@@ -87,6 +89,8 @@ def motion_kernel(length_px: float, angle_rad: float) -> npt.NDArray[np.float32]
 
 
 def with_jpeg(quality: int) -> Perturbation:
+    """Return a perturbation that compresses pictures at a JPEG quality."""
+
     def compress(image: GreyImage, _: np.random.Generator) -> GreyImage:
         data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
         return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE), np.uint8)

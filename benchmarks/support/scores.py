@@ -49,6 +49,7 @@ class HeadingScore:
 
 
 def heading_score(results: Sequence[Result]) -> HeadingScore:
+    """Score the headings of results."""
     accepted = [r for r in results if r.accepted]
     rejected = [r for r in results if not r.accepted]
     error = np.array([degrees(abs(r.error_rad)) for r in accepted])
@@ -89,6 +90,7 @@ class OffsetScore:
 
 
 def offset_score(results: Sequence[Result]) -> OffsetScore:
+    """Score the lateral offsets of results."""
     answered = [r for r in results if r.accepted and r.offset_error_norm == r.offset_error_norm]
     error = np.array(
         [50.0 * abs(r.offset_error_norm) for r in answered]
@@ -123,6 +125,7 @@ def number(value: float, digits: int = 2) -> str:
 
 
 def percent(share: float, digits: int = 1) -> str:
+    """Format a share as per cent; - for NaN."""
     return "-" if share != share else f"{100 * share:.{digits}f} %"
 
 
