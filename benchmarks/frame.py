@@ -137,7 +137,7 @@ def contenders() -> dict[str, Contender]:
 
 
 def timed(run: Callable[[Case], float], case: Case) -> tuple[float, float]:
-    """Run a contender on a case; return its answer and the milliseconds."""
+    """Run a contender on a case; return its answer and the seconds it took."""
     started = clock()
     answer = run(case)
     return answer, clock() - started
