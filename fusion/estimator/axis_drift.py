@@ -46,13 +46,17 @@ REFUSED_SHARE = 0.25  # one gross frame of ten is none of the gyroscope's
 
 
 class SeenHeading(NamedTuple):
-    """A frame's heading and its stated variance, the correlation with the one before, and the frames' interval."""
+    """A frame's heading and its stated variance, the correlation with the one before, and the frames' interval.
+
+    ``stamp_std_s`` is as of a `fusion.estimator.frame_update.FrameSample`.
+    """
 
     t_ns: int
     heading_rad: float
     variance: float
     rho: float
     interval_s: float
+    stamp_std_s: float = 0.0
 
 
 def diagnosed(
@@ -74,13 +78,15 @@ def diagnosed(
     seen
         The newest frame.
     """
-    t_ns, heading_rad, variance, rho, interval_s = seen
+    t_ns, heading_rad, variance, rho, interval_s, stamp_std_s = seen
     scale, correlation_s = axis.scale_and_correlation(reckoning.mode, config)
     std, walk = white_and_walk(variance * scale, correlation_s, interval_s)
     linked, yaw_rad = axis.recent[-1].linked, yaw_at(reckoning, t_ns)
     bias_rad_s, bias_variance = float(ekf.x[BIAS]) + bend_rate(axis.diagnosis, ekf), float(ekf.P[BIAS, BIAS])
     raw_rad = reckoning.raw_theta_rad
-    sight = Sight(t_ns, heading_rad, std, raw_rad, yaw_rad, linked, walk, bias_rad_s, bias_variance)
+    sight = Sight(
+        t_ns, heading_rad, std, raw_rad, yaw_rad, linked, walk, bias_rad_s, bias_variance, stamp_std_s
+    )
     axis, drift = weigh(axis, ekf, sight, rho, config)
     followed = follow_verdict(axis, ekf, sight, drift, reckoning.theta_rad, coupled)
     if axis.was_accepted and axis.diagnosis.found is Hypothesis.WELL:

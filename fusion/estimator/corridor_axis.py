@@ -30,6 +30,7 @@ VOTE_AGE_FRAMES = 15
 VOTE_SPACING_S = 0.03
 GRADUAL_RAD = radians(6)  # what a vehicle turns between frames, if the gyroscope may be wrong
 LINK_SIGMA = 3.0
+SIDING_NATS = 4.0  # log-likelihood ratio from which on the IMU's yaw sides with the gyroscope against the frames
 REPEATING = 0.1  # probability from which on the IMU's yaw may repeat a leap of the gyroscope
 MAX_ACCELERATION_RAD_S2 = radians(150)  # of the yaw of a vehicle that flies with a camera
 
@@ -89,7 +90,7 @@ def goes_on(seen: Sequence[FrameAxis], t_ns: int, heading_rad: float, std_rad: f
     return abs(step - expected) < min(reach, GRADUAL_RAD)
 
 
-def _is_linked(near: Sequence[FrameAxis], new: FrameAxis) -> bool:
+def _is_linked(near: Sequence[FrameAxis], new: FrameAxis, yaw_std_rad: float) -> bool:
     """Whether a frame's heading follows those before by no jump: by noise, and by a turn up to the gyroscope's.
 
     A gyroscope may leap. Where the IMU's yaw has turned as far, it has not, and the frames must have turned with it.
@@ -97,11 +98,13 @@ def _is_linked(near: Sequence[FrameAxis], new: FrameAxis) -> bool:
     last = near[-1].heading_rad
     step = wrap_axis(new.heading_rad - last - median(wrap_axis(r.heading_rad - last) for r in near))
     turned = new.raw_theta_rad - median(r.raw_theta_rad for r in near)
-    noise = LINK_SIGMA * sqrt(new.std_rad**2 + sum(r.std_rad**2 for r in near) / len(near) ** 2)
-    yawed = median(wrap(new.yaw_rad - r.yaw_rad) for r in near)
+    variance = new.std_rad**2 + sum(r.std_rad**2 for r in near) / len(near) ** 2
+    noise = LINK_SIGMA * sqrt(variance)
     if abs(step - turned) < noise:
         return True
-    if abs(yawed - turned) < noise:  # NaN is not
+    yawed = median(wrap(new.yaw_rad - r.yaw_rad) for r in near)
+    variance += yaw_std_rad**2 * (1.0 + 1.0 / len(near))
+    if (yawed - step) ** 2 - (yawed - turned) ** 2 > 2.0 * variance * SIDING_NATS:  # NaN is not
         return False
     low, high = max(min(turned, 0.0), -GRADUAL_RAD), min(max(turned, 0.0), GRADUAL_RAD)
     if low - noise < step < high + noise:
@@ -224,6 +227,7 @@ class CorridorAxis(NamedTuple):
         reckoning: DeadReckoning,
         accepted: bool,
         frame_interval_s: float,
+        yaw_std_rad: float,
     ) -> CorridorAxis:
         """Follow the axis through the pictures alone: keep a frame's heading, and whether it jumped.
 
@@ -235,6 +239,8 @@ class CorridorAxis(NamedTuple):
             What carries the heading.
         frame_interval_s
             Mean time between frames; NaN where unknown.
+        yaw_std_rad
+            White noise of the IMU's yaw.
         """
         reach_ns = round(max(0.4, 2.5 * frame_interval_s if isfinite(frame_interval_s) else 0.0) * 1e9)
         near = [r for r in self.recent if r.linked and t_ns - r.t_ns <= reach_ns]
@@ -245,7 +251,7 @@ class CorridorAxis(NamedTuple):
             linked = accepted or any(abs(wrap_axis(heading_rad - r.heading_rad)) < GRADUAL_RAD for r in near)
         else:
             linked = accepted and self.diagnosis.refused_share < 0.5
-            linked = linked or (bool(near) and _is_linked(near, new))
+            linked = linked or (bool(near) and _is_linked(near, new, yaw_std_rad))
         return self._replace(recent=(*self.recent[-5:], new._replace(linked=linked)))
 
     def voted(

@@ -363,6 +363,7 @@ class Engine:
             )
         variance = max(m.heading_std_rad, c.heading_std_floor_rad) ** 2
         variance += self._propagation.held_rate_variance(d, t_ns)
+        variance += (sample.stamp_std_s * (d.rate_rad_s - float(ekf.x[BIAS]))) ** 2
         heading = m.heading_rad + turned_since_exposure(s.delay, float(ekf.x[BIAS]), t_ns, d.raw_theta_rad)
         if not axis.acquired:
             s = self._acquire(s._replace(axis=axis), t_ns, m, attitude, heading, sqrt(variance))
@@ -384,10 +385,10 @@ class Engine:
         )
         gate, noise = update_with_doubt(ekf, measurement, axis.noise, doubt)
         axis = axis._replace(noise=noise, gate=gate)
-        axis = axis.followed(t_ns, heading, sqrt(variance), d, gate.accepted, interval_s)
+        axis = axis.followed(t_ns, heading, sqrt(variance), d, gate.accepted, interval_s, c.imu_yaw_std_rad)
         result = (gate.residual, gate.test_ratio)
         if d.mode is Mode.GYRO:
-            seen = SeenHeading(t_ns, heading, variance, rho, interval_s)
+            seen = SeenHeading(t_ns, heading, variance, rho, interval_s, sample.stamp_std_s)
             axis, followed = diagnosed(axis, ekf, d, seen, s.imu_yaw.coupled, c)
             if followed is not None:
                 s = s._replace(axis=followed, delay=delay, x=ekf.x, P=ekf.P)
@@ -426,7 +427,10 @@ class Engine:
         ekf, d, interval_s = self.ekf, s.reckoning, s.frames.interval_s
         axis = s.axis.voted(t_ns, d.theta_rad - heading_rad, std_rad, False, interval_s)
         axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.coupled, self.config)
-        s = s._replace(axis=axis.followed(t_ns, heading_rad, std_rad, d, axis.acquired, interval_s))
+        axis = axis.followed(
+            t_ns, heading_rad, std_rad, d, axis.acquired, interval_s, self.config.imu_yaw_std_rad
+        )
+        s = s._replace(axis=axis)
         if not axis.acquired:
             return s
         lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)

@@ -429,7 +429,9 @@ class CorridorEstimator:
         self, t_ns: int, measure: Measure | FrameMeasurement | None, picture: bytes = b""
     ) -> FrameResult:
         t_ns = whole_nanoseconds(t_ns)
-        sample = FrameSample(t_ns - self._delay_ns - self._arrivals.frames.moved_ns, t_ns, measure, picture)
+        stamps = self._arrivals.frames
+        taken_ns = t_ns - self._delay_ns - stamps.moved_ns
+        sample = FrameSample(taken_ns, t_ns, measure, picture, abs(stamps.shift_s))
         newest_ns = self._timeline.newest_ns
         entry = self.add(sample)
         if entry is None or entry.frame is None:

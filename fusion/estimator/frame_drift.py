@@ -28,7 +28,7 @@ class Sight(NamedTuple):
 
     ``linked``: no jump of the picture lies between it and the frames that the filter used. ``walk``: how its errors
     wander, rad/sqrt(s), where they last for longer than a frame. ``bias_rad_s``: the gyroscope's bias as it was then
-    known, and its variance.
+    known, and its variance. ``stamp_std_s``: by how much the frame's stamp may be off besides.
     """
 
     t_ns: int
@@ -40,6 +40,7 @@ class Sight(NamedTuple):
     walk: float = 0.0
     bias_rad_s: float = 0.0
     bias_variance: float = 0.0
+    stamp_std_s: float = 0.0
 
 
 class Slope(NamedTuple):
@@ -175,9 +176,9 @@ class Drift:
     def __init__(self, sights: tuple[Sight, ...], psi_rad: float, noise: InertialNoise) -> None:
         last = sights[-1]
         self._walk, self._noise = last.walk, noise
-        t_ns, self._heading, self._std, raw, self._yaw, linked, _, self._bias, self._bias_variance = np.array(
-            [(s.t_ns - last.t_ns, *s[1:]) for s in sights], dtype=np.float64
-        ).T
+        columns = np.array([(s.t_ns - last.t_ns, *s[1:]) for s in sights], dtype=np.float64).T
+        t_ns, self._heading, self._std, raw, self._yaw, linked, _ = columns[:7]
+        self._bias, self._bias_variance, self._stamp_std = columns[7:]
         self._t, self._linked = t_ns * 1e-9, linked > 0.0
         self._raw = raw - last.raw_theta_rad
         self._to_gyro, self._to_yaw = self._heading - psi_rad - self._raw, self._heading - self._yaw
@@ -200,7 +201,10 @@ class Drift:
         began, ended = (
             float((raw[b] - raw[a]) / (t[b] - t[a])) for a, b in ((0, quarter), (-1 - quarter, -1))
         )
-        gyro = gyro._replace(rate_std=hypot(gyro.rate_std, TIME_STD_S * (ended - began) / span_s))
+        by_time = TIME_STD_S * (ended - began) / span_s
+        # A step of the clock may lie between any two frames: then a constant rate shows it too.
+        by_step = float(self._stamp_std[seen].max()) * (abs(began) + abs(ended)) / span_s
+        gyro = gyro._replace(rate_std=hypot(gyro.rate_std, by_time, by_step))
         by_scale = noise.gyro_scale_std * float(raw[0]) / span_s
         gyro_variance = walked_rate_variance(noise.gyro_walk, span_s) + by_scale**2
         known = Evidence(gyro, None, gyro_variance, bias_variance, bias_rad_s=bias)

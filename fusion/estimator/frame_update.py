@@ -39,12 +39,15 @@ class FrameSample(NamedTuple):
         What measures it; or its measurement, made elsewhere; None where there is no picture.
     picture
         What the picture shows, to be compared with the one before; empty where that is not known.
+    stamp_std_s
+        By how much the stamp may be off: a step of the camera's clock that is suspected, but not decided.
     """
 
     t_ns: int
     stamp_ns: int
     measure: Measure | FrameMeasurement | None
     picture: bytes = b""
+    stamp_std_s: float = 0.0
 
     def fault(self) -> str:
         """Why it cannot be used: a frame without a picture counts too, so nothing."""

@@ -7,6 +7,7 @@ from math import nan, pi, radians
 import numpy as np
 import pytest
 
+from fusion.estimator.corridor_axis import FrameAxis, _is_linked
 from fusion.estimator.frame_drift import MIN_POINTS, Drift, Evidence, Sight, Slope, unseen_leap, with_sight
 from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations, Verdict, judge
 from fusion.estimator.imu_yaw_check import InertialNoise, TurnBeside, YawDoubt
@@ -208,3 +209,40 @@ def test_a_half_turn_that_no_frame_saw_is_the_gyroscope_s_where_the_imu_yaw_stoo
     new = Sight(round(gap_s * 1e9), 0.1, 0.01, 2.0 + gyro, 0.7 + yaw, True)
     assert unseen_leap((last,), new, 0.0) == pytest.approx(leap)
     assert unseen_leap((), new, 0.0) == 0.0
+
+
+@pytest.mark.parametrize("stamp_std_s", [0.0, 0.1])
+def test_a_suspected_step_of_the_camera_s_clock_is_no_drift(stamp_std_s: float) -> None:
+    """A step of 0.1 s in the middle of a turn looks like a drift of all frames, for as long as nobody suspects it."""
+    turn, late_s = radians(20.0), 0.1
+    stepped = tuple(
+        s._replace(heading_rad=s.heading_rad - turn * late_s * (k > 45), stamp_std_s=stamp_std_s * (k > 45))
+        for k, s in enumerate(sights(3.0, turn=turn))
+    )
+    evidence = Drift(stepped, stepped[-1].heading_rad, InertialNoise(0.003, 0.003, radians(0.5))).over(3.0)
+    assert evidence.gyro is not None
+    assert abs(evidence.gyro.rate_rad_s) > radians(0.5)
+    seen_sigmas = abs(evidence.gyro.rate_rad_s) / evidence.gyro.rate_std
+    assert seen_sigmas < 2.0 if stamp_std_s else seen_sigmas > 3.0
+
+
+@pytest.mark.parametrize("frame_std", [radians(0.02), radians(0.5)])
+@pytest.mark.parametrize(
+    ("frames", "gyro", "yaw", "linked"),
+    [
+        (0.0, 0.0, 0.3, True),
+        (5.0, 0.0, 0.3, False),  # IMU yaw and gyroscope stood still: another axis
+        (5.0, 5.0, 5.3, True),  # a turn, seen by all
+        (0.0, 5.0, 0.3, True),  # the gyroscope leapt
+        (5.0, 0.0, nan, False),
+        (1.0, 6.0, 6.3, False),  # the frames fall behind a turn that both others saw
+        (1.0, 6.0, nan, True),  # or the gyroscope leapt
+    ],
+)
+def test_frames_that_part_from_a_turn_that_the_imu_yaw_confirms_jump(
+    frames: float, gyro: float, yaw: float, linked: bool, frame_std: float
+) -> None:
+    """However sure the frames are of themselves: what the IMU's yaw confirms is by its own noise."""
+    near = [FrameAxis(k * 33_000_000, 0.0, frame_std, True, 0.0, 0.0) for k in range(3)]
+    new = FrameAxis(99_000_000, radians(frames), frame_std, False, radians(gyro), radians(yaw))
+    assert _is_linked(near, new, radians(0.5)) is linked
