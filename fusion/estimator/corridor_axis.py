@@ -30,7 +30,7 @@ VOTE_AGE_FRAMES = 15
 VOTE_SPACING_S = 0.03
 GRADUAL_RAD = radians(6)  # what a vehicle turns between frames, if the gyroscope may be wrong
 LINK_SIGMA = 3.0
-SIDING_NATS = 4.0  # log-likelihood ratio from which on the IMU's yaw sides with the gyroscope against the frames
+SIDING_NATS = 4.0  # log-likelihood ratio from which the IMU's yaw sides with the gyroscope against frames
 REPEATING = 0.1  # probability from which on the IMU's yaw may repeat a leap of the gyroscope
 MAX_ACCELERATION_RAD_S2 = radians(150)  # of the yaw of a vehicle that flies with a camera
 
