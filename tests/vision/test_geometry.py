@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.vision.conftest import lines_between
+from tests.vision.corridor_lines import lines_between
 from vision import Attitude, Camera, InputError, Position, Prior, Reason, measure_lines
 from vision.axis.level import level_from_verticals
 from vision.axis.vanishing_point import axis_direction, fit_axis
