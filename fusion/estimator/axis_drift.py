@@ -48,7 +48,8 @@ REFUSED_SHARE = 0.25  # one gross frame of ten is none of the gyroscope's
 class SeenHeading(NamedTuple):
     """A frame's heading and its stated variance, the correlation with the one before, and the frames' interval.
 
-    ``stamp_std_s`` is as of a `fusion.estimator.frame_update.FrameSample`.
+    ``stamp_std_s`` is as of a `fusion.estimator.frame_update.FrameSample`; ``unmeasured_ns`` is when the gyroscope
+    was clipped last, so that it did not measure the angle turned.
     """
 
     t_ns: int
@@ -57,6 +58,7 @@ class SeenHeading(NamedTuple):
     rho: float
     interval_s: float
     stamp_std_s: float = 0.0
+    unmeasured_ns: int | None = None
 
 
 def diagnosed(
@@ -78,7 +80,8 @@ def diagnosed(
     seen
         The newest frame.
     """
-    t_ns, heading_rad, variance, rho, interval_s, stamp_std_s = seen
+    t_ns, heading_rad, variance, rho, interval_s, stamp_std_s, unmeasured_ns = seen
+    axis = axis.with_turns_since(unmeasured_ns)
     scale, correlation_s = axis.scale_and_correlation(reckoning.mode, config)
     std, walk = white_and_walk(variance * scale, correlation_s, interval_s)
     linked, yaw_rad = axis.recent[-1].linked, yaw_at(reckoning, t_ns)

@@ -15,7 +15,7 @@ import numpy as np
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.frame_noise import FrameNoise
-from fusion.estimator.hypotheses import Diagnosis, Hypothesis
+from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations
 from fusion.estimator.models import N_STATES, PSI, YAW_OFFSET, Gate, heading_model
 from fusion.estimator.noise_adaptation import SourceNoise
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, DeadReckoning, Mode, yaw_at
@@ -192,6 +192,15 @@ class CorridorAxis(NamedTuple):
     def clock_set_back(self) -> CorridorAxis:
         """Start anew; corridors and counts stay."""
         return self.lost()._replace(t_vision_ns=None, recent=(), previous=None)
+
+    def with_turns_since(self, unmeasured_ns: int | None) -> CorridorAxis:
+        """Let go of headings from before a turn that was not measured: what they differ by tells nothing."""
+        sights = self.diagnosis.sights
+        if unmeasured_ns is None or not sights or sights[0].t_ns > unmeasured_ns:
+            return self
+        kept = tuple(sight for sight in sights if sight.t_ns > unmeasured_ns)
+        diagnosis = self.diagnosis._replace(innovations=Innovations(), sights=kept)
+        return self._replace(diagnosis=diagnosis, frame_noise=self.frame_noise.interrupted())
 
     def confirmed(self, ekf: CorridorEKF, t_ns: int, theta_rad: float) -> CorridorAxis:
         """Note that the present axis was seen at a time and a dead-reckoned heading."""

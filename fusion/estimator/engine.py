@@ -388,7 +388,8 @@ class Engine:
         axis = axis.followed(t_ns, heading, sqrt(variance), d, gate.accepted, interval_s, c.imu_yaw_std_rad)
         result = (gate.residual, gate.test_ratio)
         if d.mode is Mode.GYRO:
-            seen = SeenHeading(t_ns, heading, variance, rho, interval_s, sample.stamp_std_s)
+            clipped_ns = s.checks.gyro.clipped_ns
+            seen = SeenHeading(t_ns, heading, variance, rho, interval_s, sample.stamp_std_s, clipped_ns)
             axis, followed = diagnosed(axis, ekf, d, seen, s.imu_yaw.coupled, c)
             if followed is not None:
                 s = s._replace(axis=followed, delay=delay, x=ekf.x, P=ekf.P)

@@ -41,6 +41,7 @@ CONTESTED = {
     Hypothesis.SPIKE: "contested: the gyroscope leapt",
     Hypothesis.BEND: "contested: frames drift from the inertial sensors",
     Hypothesis.AXIS: "contested: frames show another axis",
+    Hypothesis.STAMPS: "contested: frames show turns sooner or later than the gyroscope",
 }
 
 

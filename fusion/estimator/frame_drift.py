@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from math import hypot, isfinite, nan, pi, remainder, sqrt
+from math import hypot, inf, isfinite, pi, remainder, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ MIN_POINTS = 6
 MIN_LINKED = 0.75  # share of the frames; fewer, and nobody can say what they follow
 TIME_STD_S = 0.03  # of the frames' stamps against the gyroscope's, where a flight has not shown it
 MAX_MISFIT = 9.0  # of one frame
+WANDER_LIKE_TURN = 1 / 15  # mean square about its line of a random walk over unit time, of unit density
 
 
 class Sight(NamedTuple):
@@ -48,6 +49,7 @@ class Slope(NamedTuple):
 
     The sigmas are those by the frames' errors alone.
     ``misfit`` is the mean of the ``n`` squared residuals over their variances: 1 where it grows steadily.
+    ``stamp_s``, ``stamp_variance``: by how much the frames are stamped early, as the differences alone show it, s.
     """
 
     rate_rad_s: float
@@ -56,6 +58,8 @@ class Slope(NamedTuple):
     now_std: float
     misfit: float = 1.0
     n: int = 0
+    stamp_s: float = 0.0
+    stamp_variance: float = inf
 
 
 class Evidence(NamedTuple):
@@ -115,8 +119,18 @@ def unseen_leap(sights: tuple[Sight, ...], new: Sight, bias_rad_s: float) -> flo
     return leap if abs(leap) > 0.5 * pi and abs(gyro) > abs(yaw) + 0.5 * pi else 0.0
 
 
-def slope_of(t_s: FloatArray, difference_rad: FloatArray, std_rad: FloatArray, walk: float) -> Slope | None:
+def slope_of(
+    t_s: FloatArray,
+    difference_rad: FloatArray,
+    std_rad: FloatArray,
+    turn_rad_s: FloatArray,
+    walk: float,
+    gyro_walk: float,
+) -> Slope | None:
     """Fit a line to differences, less those that lie off it by more than three sigmas; None: too few.
+
+    Frames whose stamps are off by c differ by c times the rate of turning besides: c is fitted too, of which nothing
+    is known but that it is `TIME_STD_S` or less.
 
     Parameters
     ----------
@@ -124,25 +138,32 @@ def slope_of(t_s: FloatArray, difference_rad: FloatArray, std_rad: FloatArray, w
         Times before now (n,), the last 0.
     difference_rad, std_rad
         Differences and the frames' sigmas (n,).
-    walk
-        How the frames' errors wander, rad/sqrt(s).
+    turn_rad_s
+        Rate of turning (n,).
+    walk, gyro_walk
+        How the frames' errors and the gyroscope wander, rad/sqrt(s).
     """
-    keep, weights = np.ones(len(t_s), bool), std_rad**-2
-    a = b = 0.0
-    rate_variance = now_variance = nan
+    columns = np.stack((np.ones(len(t_s)), t_s, turn_rad_s, difference_rad))
+    weighted, keep = columns * std_rad**-2, np.ones(len(t_s), bool)
+    span_s = float(-t_s[0])
     for _ in range(3):
-        if int(keep.sum()) < MIN_POINTS:
+        if int(np.count_nonzero(keep)) < MIN_POINTS:
             return None
-        w = keep * weights
-        wt, wd = w * t_s, w * difference_rad
-        s0, s1, s2 = float(w.sum()), float(wt.sum()), float(wt @ t_s)
-        d0, d1 = float(wd.sum()), float(wd @ t_s)
+        (s0, s1, r0, d0), (_, s2, r1, d1), (_, _, r2, dr), _ = ((weighted * keep) @ columns.T).tolist()
+        det = s0 * s2 - s1 * s1
+        if not det > 0.0:
+            return None
+        # What the differences alone show of c, once the line is eliminated, and of the line once c is.
+        known = r2 - (s2 * r0 * r0 - 2.0 * s1 * r0 * r1 + s0 * r1 * r1) / det
+        shown = dr - (r0 * (s2 * d0 - s1 * d1) + r1 * (s0 * d1 - s1 * d0)) / det
+        weight, r2 = s0, r2 + TIME_STD_S**-2
+        s0, s1, s2 = s0 - r0 * r0 / r2, s1 - r0 * r1 / r2, s2 - r1 * r1 / r2
+        d0, d1 = d0 - r0 * dr / r2, d1 - r1 * dr / r2
         det = s0 * s2 - s1 * s1
         if not det > 0.0:
             return None
         a, b = (s2 * d0 - s1 * d1) / det, (s0 * d1 - s1 * d0) / det
-        rate_variance, now_variance = s0 / det, s2 / det
-        off = np.abs(difference_rad - a - b * t_s)
+        off = np.abs(np.array((-a, -b, (r0 * a + r1 * b - dr) / r2, 1.0)) @ columns)
         scatter = max(float(np.sort(off)[len(off) // 2]) / 0.67, 1e-9)  # by the median
         before, keep = keep, off <= 3.0 * np.maximum(std_rad, scatter)
         if (keep == before).all():
@@ -150,9 +171,13 @@ def slope_of(t_s: FloatArray, difference_rad: FloatArray, std_rad: FloatArray, w
     squares = (off / std_rad) ** 2
     misfit = float(np.minimum(squares, MAX_MISFIT).mean())
     # Where the differences are not on a line, nothing constant is wrong.
-    rate_variance *= max(1.0, float(squares @ keep) / len(t_s))
-    rate_std = sqrt(rate_variance + walked_rate_variance(walk, float(-t_s[0])))
-    return Slope(b, rate_std, a, sqrt(now_variance), misfit, len(t_s))
+    spread = max(1.0, float(squares @ keep) / len(t_s))
+    rate_std = sqrt(s0 / det * spread + walked_rate_variance(walk, span_s))
+    found = Slope(b, rate_std, a, sqrt(s2 / det), misfit, len(t_s))
+    if not known > 0.0:
+        return found
+    wander = WANDER_LIKE_TURN * (walk**2 + gyro_walk**2) * span_s  # it looks in part like a turn seen late
+    return found._replace(stamp_s=shown / known, stamp_variance=(spread + wander * weight) / known)
 
 
 def walked_rate_variance(walk: float, span_s: float) -> float:
@@ -182,39 +207,41 @@ class Drift:
         self._t, self._linked = t_ns * 1e-9, linked > 0.0
         self._raw = raw - last.raw_theta_rad
         self._to_gyro, self._to_yaw = self._heading - psi_rad - self._raw, self._heading - self._yaw
+        rate = np.diff(self._raw) / np.diff(self._t)  # np.gradient takes as long as all else together
+        self._turn = np.concatenate((rate[:1], 0.5 * (rate[1:] + rate[:-1]), rate[-1:]))
 
     def over(self, span_s: float) -> Evidence:
         """Return what they showed over the last ``span_s``.
 
         The bias is that from the start of the span: the filter's own has since taken up some of what is looked for.
         """
-        noise, within = self._noise, self._t >= -span_s
-        seen = np.flatnonzero(within & self._linked)
-        if len(seen) < max(MIN_POINTS, MIN_LINKED * int(within.sum())) or self._t[seen[0]] == 0.0:
+        noise, first = self._noise, int(np.searchsorted(self._t, -span_s))
+        linked = self._linked[first:]
+        n = int(np.count_nonzero(linked))
+        if n < max(MIN_POINTS, MIN_LINKED * len(linked)):
             return Evidence()
-        t, std, raw = self._t[seen], self._std[seen], self._raw[seen]
-        bias, bias_variance = float(self._bias[seen[0]]), float(self._bias_variance[seen[0]])
-        gyro = slope_of(t, _unwrapped(self._to_gyro[seen] + bias * t), std, self._walk)
+        seen = slice(first, None) if n == len(linked) else first + np.flatnonzero(linked)
+        t, std, turn = self._t[seen], self._std[seen], self._turn[seen]
+        if t[0] == 0.0:
+            return Evidence()
+        bias, bias_variance = float(self._bias[seen][0]), float(self._bias_variance[seen][0])
+        gyro = slope_of(t, _unwrapped(self._to_gyro[seen] + bias * t), std, turn, self._walk, noise.gyro_walk)
         if gyro is None:
             return Evidence()
-        span_s, quarter = float(-t[0]), max(len(t) // 4, 1)  # stamps that are off show where the rate changes
-        began, ended = (
-            float((raw[b] - raw[a]) / (t[b] - t[a])) for a, b in ((0, quarter), (-1 - quarter, -1))
-        )
-        by_time = TIME_STD_S * (ended - began) / span_s
-        # A step of the clock may lie between any two frames: then a constant rate shows it too.
-        by_step = float(self._stamp_std[seen].max()) * (abs(began) + abs(ended)) / span_s
-        gyro = gyro._replace(rate_std=hypot(gyro.rate_std, by_time, by_step))
-        by_scale = noise.gyro_scale_std * float(raw[0]) / span_s
+        span_s = float(-t[0])
+        # A step of the camera's clock that is suspected may lie between any two frames.
+        by_step = float(self._stamp_std[seen].max() * (abs(turn[0]) + abs(turn[-1]))) / span_s
+        gyro = gyro._replace(rate_std=hypot(gyro.rate_std, by_step))
+        by_scale = noise.gyro_scale_std * float(self._raw[seen][0]) / span_s
         gyro_variance = walked_rate_variance(noise.gyro_walk, span_s) + by_scale**2
         known = Evidence(gyro, None, gyro_variance, bias_variance, bias_rad_s=bias)
         if not np.isfinite(self._yaw[seen]).all():
             return known
-        yaw = slope_of(t, _unwrapped(self._to_yaw[seen]), std, self._walk)
+        yaw = slope_of(t, _unwrapped(self._to_yaw[seen]), std, turn, self._walk, noise.gyro_walk)
         if yaw is None:
             return known
         # The slope of a line that is fitted to n white errors over a span T has variance 12 sigma^2 / (n T^2).
-        white = 12.0 * noise.yaw_std**2 / (len(seen) * span_s**2)
+        white = 12.0 * noise.yaw_std**2 / (n * span_s**2)
         leaping = max(yaw.rate_std**2 - gyro.rate_std**2, 0.0)  # a yaw that leaps drifts at no constant rate
         yaw_variance = walked_rate_variance(noise.yaw_walk, span_s) + white + leaping
         return known._replace(yaw=yaw, yaw_variance=yaw_variance)

@@ -109,6 +109,11 @@ class GyroCheck(NamedTuple):
         """Whether the samples have noise, as those of a real gyroscope."""
         return self.noisy >= NOISY
 
+    @property
+    def clipped_ns(self) -> int | None:
+        """When a sample was clipped last, and the angle turned was not measured; None: not lately."""
+        return self.told_ns if self.told is GyroVerdict.CLIPPED else None
+
     def clock_set_back(self) -> GyroCheck:
         """Start anew, but for what is known of the noise."""
         return GyroCheck(noisy=self.noisy)

@@ -13,6 +13,7 @@ gyroscope wrong    drifts                 none                   follow the turn
 gyroscope spikes   leaps                  none                   follow the turn
 corridor bends     drifts                 drifts likewise        follow the bend
 another axis       jumps                  jumps                  jump
+stamps wrong       like the turn's rate   likewise               follow the turn
 =================  =====================  =====================  ==================
 
 Three sources, two differences: each hypothesis says which source drifts, and with it how the two rates vary and
@@ -30,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.estimator.frame_drift import Evidence, Sight
+from fusion.estimator.frame_drift import Evidence, Sight, Slope
 from fusion.estimator.imu_yaw_check import YawDoubt, log_normal
 
 SHORT_S, LONG_S = 0.25, 1.5  # time constants of means over about 0.5 and 3 s
@@ -40,6 +41,7 @@ CONTESTED_SIGMA = 5.5  # of a mean: worth a word, whatever the slopes say
 DOUBTED, STILL_DOUBTED = 0.05, 0.02  # probability of a fault from which on it is told, and goes on to be
 CONTESTED_S = 1.0  # from the last frame that contested
 DRIFT_STD_RAD_S = radians(10.0)  # of a gyroscope that is wrong, and of a corridor that bends
+STAMP_STD_S, WRONG_STAMP_STD_S = 0.005, 0.05  # of stamps that are well, and of wrong ones
 MAX_RATE_RAD_S = 35.0  # that a gyroscope reports: a spike may be any
 LOOK_S = 0.25  # between looks that no innovation asks for
 PRIOR_WRONG = 1e-3  # of each fault, at each look
@@ -55,6 +57,7 @@ class Hypothesis(StrEnum):
     SPIKE = "gyroscope for a moment"
     BEND = "bend"
     AXIS = "axis"
+    STAMPS = "stamps"
 
 
 class Innovations(NamedTuple):
@@ -105,7 +108,7 @@ class Verdict(NamedTuple):
     ``yaw_astray`` is the probability that the IMU's yaw is, whoever else is wrong; NaN where there is none.
     """
 
-    probabilities: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 0.0)
+    probabilities: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     yaw_astray: float = nan
 
     @property
@@ -220,22 +223,33 @@ def _log_density_of_leap(evidence: Evidence, drifts: _Drifts) -> float:
     return leap + log_normal(evidence.yaw.rate_rad_s, variance + evidence.gyro.rate_std**2)
 
 
+def _log_ratio_of_stamps(gyro: Slope) -> float:
+    """Log likelihood that the frames are stamped wrongly over that they are stamped well."""
+    off_s, variance = gyro.stamp_s, gyro.stamp_variance
+    if not isfinite(variance):
+        return 0.0
+    wrong = log_normal(off_s, variance + WRONG_STAMP_STD_S**2)
+    return wrong - log_normal(off_s, variance + STAMP_STD_S**2)
+
+
 def judge(evidence: Evidence, before: Hypothesis = Hypothesis.WELL) -> Verdict:
     """Weigh the hypotheses by Bayes's rule; what was found the last time is likely to go on.
 
     The spans of successive looks overlap, so the whole distribution is not carried on: one frame would count often.
     """
     if evidence.jumped:
-        return Verdict((0.0, 0.0, 0.0, 0.0, 1.0))
+        return Verdict((0.0, 0.0, 0.0, 0.0, 1.0, 0.0))
     if evidence.gyro is None:
         return Verdict()
     wide, n = DRIFT_STD_RAD_S**2, min(evidence.gyro.n, MAX_INDEPENDENT)
     steady = -0.5 * n * max(evidence.gyro.misfit - 1.0, 0.0)  # what leaps lies on no line
-    priors = dict.fromkeys((Hypothesis.GYRO, Hypothesis.SPIKE, Hypothesis.BEND), PRIOR_WRONG)
+    faults = (Hypothesis.GYRO, Hypothesis.SPIKE, Hypothesis.BEND, Hypothesis.STAMPS)
+    priors = dict.fromkeys(faults, PRIOR_WRONG)
     if before in priors:
         priors[before] = PERSISTS
     priors[Hypothesis.WELL] = 1.0 - sum(priors.values())
     astray, repeating = evidence.yaw_doubt[:2]
+    wrong_stamps = _log_ratio_of_stamps(evidence.gyro)
     cases = []  # hypothesis, what ails the IMU's yaw, log of prior times density
     for ails, share, yaw in (
         ("nothing", (1.0 - astray) * (1.0 - repeating), _Drifts()),
@@ -246,6 +260,7 @@ def judge(evidence: Evidence, before: Hypothesis = Hypothesis.WELL) -> Verdict:
             Hypothesis.WELL: steady + _log_density(evidence, yaw),
             Hypothesis.GYRO: steady + _log_density(evidence, yaw._replace(gyro=wide)),
         }
+        logs[Hypothesis.STAMPS] = logs[Hypothesis.WELL] + wrong_stamps
         if evidence.refused:
             logs[Hypothesis.SPIKE] = _log_density_of_leap(evidence, yaw)
         if evidence.yaw is not None and ails != "astray":

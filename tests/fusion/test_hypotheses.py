@@ -7,7 +7,7 @@ from math import nan, pi, radians
 import numpy as np
 import pytest
 
-from fusion.estimator.corridor_axis import FrameAxis, _is_linked
+from fusion.estimator.corridor_axis import CorridorAxis, FrameAxis, _is_linked
 from fusion.estimator.frame_drift import MIN_POINTS, Drift, Evidence, Sight, Slope, unseen_leap, with_sight
 from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations, Verdict, judge
 from fusion.estimator.imu_yaw_check import InertialNoise, TurnBeside, YawDoubt
@@ -88,6 +88,49 @@ def test_the_slope_is_the_drift_whatever_the_vehicle_turns() -> None:
         assert gyro.rate_std < radians(0.6)
 
 
+def weaving_sights(late_s: float, drift: float = 0.0) -> tuple[Sight, ...]:
+    """Three seconds of frames that show the heading of a little before their stamps, while the vehicle weaves."""
+    rng = np.random.default_rng(2)
+
+    def heading(t_s: float) -> float:
+        return radians(20.0) * float(np.sin(2.0 * t_s))
+
+    made = []
+    for t_s in np.arange(0.0, 3.0, 1 / 30).tolist():
+        seen = heading(t_s - late_s) + drift * t_s + rng.normal(0.0, radians(0.5))
+        made.append(Sight(round(t_s * 1e9), seen, radians(0.5), heading(t_s), 0.7 + heading(t_s), True))
+    return tuple(made)
+
+
+@pytest.mark.parametrize("late_s", [-0.04, 0.0, 0.04])
+def test_frames_stamped_wrongly_are_found_and_their_slope_is_none(late_s: float) -> None:
+    seen = weaving_sights(late_s)
+    evidence = Drift(seen, seen[-1].raw_theta_rad, QUIET).over(3.0)
+    gyro = evidence.gyro
+    assert gyro is not None
+    assert gyro.stamp_s == pytest.approx(-late_s, abs=3 * gyro.stamp_variance**0.5)
+    assert gyro.stamp_variance**0.5 < 0.006
+    assert gyro.rate_rad_s == pytest.approx(0.0, abs=3 * gyro.rate_std)
+    assert judge(evidence).likeliest is (Hypothesis.STAMPS if late_s else Hypothesis.WELL)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.02])
+def test_a_slow_drift_shows_while_the_vehicle_turns_to_and_fro(late_s: float) -> None:
+    drift = radians(1.0)
+    seen = weaving_sights(late_s, drift)
+    gyro = Drift(seen, seen[-1].raw_theta_rad, QUIET).over(3.0).gyro
+    assert gyro is not None
+    assert gyro.rate_rad_s == pytest.approx(drift, abs=3 * gyro.rate_std)
+    assert gyro.rate_std < radians(0.15)
+
+
+def test_without_a_turn_nothing_shows_whether_stamps_are_right() -> None:
+    gyro = Drift(sights(3.0), 0.0, QUIET).over(3.0).gyro
+    assert gyro is not None
+    assert gyro.stamp_variance > 1.0
+    assert judge(Evidence(gyro, None, OWN_VARIANCE)).of(Hypothesis.STAMPS) < 0.01
+
+
 def test_a_known_bias_is_no_slope() -> None:
     drift = radians(4.0)
     known = tuple(s._replace(bias_rad_s=drift) for s in sights(1.0, drift))
@@ -111,6 +154,16 @@ def test_the_bias_from_before_a_drift_shows_it_though_the_filter_has_taken_it_up
     assert found.gyro is not None
     assert found.bias_rad_s == 0.0
     assert found.gyro.rate_rad_s == pytest.approx(-drift, abs=3 * found.gyro.rate_std)
+
+
+def test_headings_from_before_a_turn_that_was_not_measured_are_let_go() -> None:
+    seen = sights(1.0)
+    axis = CorridorAxis(diagnosis=Diagnosis(Innovations(3.0, 3.0, 1.0, 1.0), seen))
+    assert axis.with_turns_since(None) is axis
+    assert axis.with_turns_since(seen[0].t_ns - 1) is axis
+    later = axis.with_turns_since(seen[10].t_ns).diagnosis
+    assert later.sights == seen[11:]
+    assert later.innovations == Innovations()
 
 
 def test_an_uncertain_bias_and_a_fast_turn_make_a_slope_less_sure() -> None:
