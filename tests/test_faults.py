@@ -134,7 +134,21 @@ def test_every_fault_changes_something_and_has_a_name_of_its_own() -> None:
         assert fault.bound != Bound(), fault.name
 
 
-@pytest.mark.parametrize("name", ["180 deg/s for 1 s", "camera clock jumps 0.1 s ahead", "velocities NaN"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "180 deg/s for 1 s",
+        "camera clock jumps 0.1 s ahead",
+        "velocities NaN",
+        "gyro z stuck for 3 s",
+        "gyro lags by 60 ms",
+        "gyro samples held for 25 ms",
+        "frame stamps twice as far apart",
+        "frames show what was 0.17 s ago",
+        "frames mirrored from 8 s on",
+        "yaw frozen",
+    ],
+)
 def test_a_fault_begins_when_it_says(name: str) -> None:
     before = recording.simulated_recording(recording.base_scene(0, 12.0))
     fault = fault_table.BY_NAME[name]
@@ -210,6 +224,7 @@ def test_a_seed_is_a_flight() -> None:
         "frame stamps jitter by 15 ms",
         "no axis found for 10 s, gyro bias steps 3 deg/s",
         "gyro NaN for 2 s",
+        "gyro clipped at 250 deg/s, turns of 320 deg/s",
         "IMU dies at 5 of 15 s",
         "IMU dies at 5 of 15 s, no attitude",
         "attitude drops out for 5 s",
@@ -221,6 +236,12 @@ def test_a_seed_is_a_flight() -> None:
         "attitude upside down",
         "gyro bias of 20 deg/s, no attitude",
         "IMU yaw jumps 180 deg",
+        "exposure moves stamps by 0 to 40 ms",
+        "frames show what was 0.17 s ago",
+        "gyro y and z exchanged",
+        "gyro z turns the wrong way",
+        "frames mirrored from 8 s on",
+        "axis 90 deg off for 3 s around a corner",
         "IMU drops out for 3 s + axis 10 deg off for 2 s",
         "IMU drops out for 3 s + frames drop out for 5 s",
     ],

@@ -8,6 +8,7 @@ from dataclasses import replace
 from .fault_score import Bound, Fault
 from .faults_in_flight import BIAS, CLOCK, FROZEN, HALF_TURN, IMPOSSIBLE, QUIET, REFUSED, WRONG_AXIS
 from .faults_of_input import DEAD, DELAY, HANDED_OVER, LATERAL, STATISTICS, VALUES, YAW
+from .faults_of_vehicle import VEHICLE
 from .injections import Injection, together
 
 SINGLE: list[Fault] = [
@@ -26,6 +27,7 @@ SINGLE: list[Fault] = [
     *HANDED_OVER,
     *VALUES,
     *YAW,
+    *VEHICLE,
 ]
 BY_NAME = {fault.name: fault for fault in SINGLE}
 

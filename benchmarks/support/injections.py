@@ -15,8 +15,9 @@ import numpy as np
 
 from tests.fusion.simulated import wrap_half
 from vision import Attitude, Reason
+from vision.rotations import yaw_of_quaternion
 
-from .recording import Event, Kind, Recording
+from .recording import Event, FloatArray, Kind, Recording
 
 Injection = Callable[[Recording, np.random.Generator], Recording]
 Change = Callable[[Event, np.random.Generator], Iterable[Event]]
@@ -143,7 +144,84 @@ def gyro_axes(signs: tuple[float, float, float], start_s: float = 0.0) -> Inject
     return each("imu", change, start_s)
 
 
+def gyro_mounted(R_read_body: FloatArray, start_s: float = 0.0) -> Injection:
+    """Read the gyroscope along other axes: a rotation (3, 3), or one that exchanges or reverses axes."""
+
+    def change(event: Event, _: np.random.Generator) -> list[Event]:
+        p, q, r = (R_read_body @ event.values[0]).tolist()
+        return [_with_gyro(event, (p, q, r))]
+
+    return each("imu", change, start_s)
+
+
+def gyro_z_stuck(start_s: float, end_s: float) -> Injection:
+    """Repeat the z of the first sample; the other axes live."""
+
+    def inject(recording: Recording, rng: np.random.Generator) -> Recording:
+        stuck = next(e.values[0][2] for e in recording.events if e.kind == "imu" and e.t_s >= start_s)
+        held = each("imu", lambda e, _: [_with_gyro(e, (*e.values[0][:2], stuck))], start_s, end_s)
+        return held(recording, rng)
+
+    return inject
+
+
+def gyro_lagging(time_s: float, start_s: float) -> Injection:
+    """Pass the gyroscope through a low-pass filter of first order with this time constant."""
+
+    def inject(recording: Recording, rng: np.random.Generator) -> Recording:
+        last_s, smooth = -inf, np.zeros(3)
+
+        def change(event: Event, _: np.random.Generator) -> list[Event]:
+            nonlocal last_s, smooth
+            smooth = smooth - np.expm1((last_s - event.t_s) / time_s) * (event.values[0] - smooth)
+            last_s = event.t_s
+            p, q, r = smooth.tolist()
+            return [_with_gyro(event, (p, q, r))]
+
+        return each("imu", change, start_s)(recording, rng)
+
+    return inject
+
+
 # --- any source ---
+
+
+def held(kind: Kind, samples: int, start_s: float) -> Injection:
+    """Repeat each value for so many samples: a sensor that is read more often than it measures."""
+
+    def inject(recording: Recording, rng: np.random.Generator) -> Recording:
+        count, values = 0, ()
+
+        def change(event: Event, _: np.random.Generator) -> list[Event]:
+            nonlocal count, values
+            values = event.values if count % samples == 0 else values
+            count += 1
+            return [replace(event, values=values)]
+
+        return each(kind, change, start_s)(recording, rng)
+
+    return inject
+
+
+def stamped(kind: Kind, stamp_s: Profile, start_s: float) -> Injection:
+    """Stamp samples by a function of the time at which they were taken, both in s."""
+    return each(kind, lambda e, _: [replace(e, stamp_ns=round(stamp_s(e.t_s) * 1e9))], start_s)
+
+
+def thinned(kind: Kind, every: int, start_s: float) -> Injection:
+    """Lose all but one of so many samples."""
+
+    def inject(recording: Recording, rng: np.random.Generator) -> Recording:
+        count = 0
+
+        def change(event: Event, _: np.random.Generator) -> list[Event]:
+            nonlocal count
+            count += 1
+            return [event] if count % every == 1 else []
+
+        return each(kind, change, start_s)(recording, rng)
+
+    return inject
 
 
 def dropped(kind: Kind, start_s: float, end_s: float = inf) -> Injection:
@@ -226,6 +304,33 @@ def axis_random(start_s: float, end_s: float) -> Injection:
     return each("frame", change, start_s, end_s)
 
 
+def axis_off_at_times(angle_rad: float, share: float, start_s: float, end_s: float) -> Injection:
+    """See an axis that is off by an angle in a share of the frames."""
+
+    def change(event: Event, rng: np.random.Generator) -> list[Event]:
+        seen = event.values[0].heading_rad + (angle_rad if rng.uniform() < share else 0.0)
+        return [_with_frame(event, heading_rad=float(wrap_half(seen)))]
+
+    return each("frame", change, start_s, end_s)
+
+
+def frames_mirrored(start_s: float = 0.0) -> Injection:
+    """See left and right exchanged."""
+    return each("frame", lambda e, _: [_with_frame(e, heading_rad=-e.values[0].heading_rad)], start_s)
+
+
+def frames_old(frames: int, start_s: float) -> Injection:
+    """Show what was seen some frames ago: a queue that nobody empties."""
+
+    def inject(recording: Recording, rng: np.random.Generator) -> Recording:
+        queue = [e.values for e in recording.events if e.kind == "frame"]
+        first = sum(e.kind == "frame" and e.t_s < start_s for e in recording.events)
+        old = iter(queue[max(first - frames, 0) :])
+        return each("frame", lambda e, _: [replace(e, values=next(old))], start_s)(recording, rng)
+
+    return inject
+
+
 def frames_refused(start_s: float, end_s: float = inf) -> Injection:
     """Let vision find no single axis."""
     return frames_with(start_s, end_s, accepted=False, reason=Reason.AMBIGUOUS)
@@ -294,10 +399,28 @@ def _product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, floa
     )
 
 
+def _turned(event: Event, angle_rad: float) -> Event:
+    turn = (cos(angle_rad / 2), 0.0, 0.0, sin(angle_rad / 2))
+    return replace(event, values=(_product(turn, event.values[0]),))
+
+
 def yaw_off(angle_rad: float, start_s: float, end_s: float = inf) -> Injection:
     """Turn the attitude about the vertical: steel or a motor's current."""
-    turn = (cos(angle_rad / 2), 0.0, 0.0, sin(angle_rad / 2))
-    return each("attitude", lambda e, _: [replace(e, values=(_product(turn, e.values[0]),))], start_s, end_s)
+    return yaw_pulled(lambda _: angle_rad, start_s, end_s)
+
+
+def yaw_pulled(angle_rad: Profile, start_s: float, end_s: float = inf) -> Injection:
+    """Turn it by an angle that is a function of the time since the start."""
+    return each("attitude", lambda e, _: [_turned(e, angle_rad(e.t_s - start_s))], start_s, end_s)
+
+
+def yaw_mapped(factor: float, start_s: float) -> Injection:
+    """Multiply the yaw: -1 turns it the wrong way, 0 freezes it."""
+
+    def change(event: Event, _: np.random.Generator) -> list[Event]:
+        return [_turned(event, (factor - 1.0) * yaw_of_quaternion(event.values[0]))]
+
+    return each("attitude", change, start_s)
 
 
 def attitude_upside_down(start_s: float = 0.0) -> Injection:
