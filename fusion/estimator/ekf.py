@@ -1,19 +1,18 @@
-"""The filter: filterpy's ``ExtendedKalmanFilter`` with compiled arithmetic; takes predictions and updates.
+"""The filter: takes predictions and scalar updates, with compiled arithmetic.
 
-An object to inspect has the attributes of `filterpy.kalman.ExtendedKalmanFilter` with their meaning: ``x``, ``P``,
-``F``, ``Q``, ``x_prior``, ``P_prior``, ``x_post``, ``P_post``, ``K``, ``y``, ``S``, ``SI``, ``R``, ``likelihood``,
-``log_likelihood``, ``mahalanobis``. Replaced is the arithmetic of ``predict`` and ``update``: the same to rounding
-(tests hold it to filterpy's own, to 1e-12), because in filterpy 2.0
+It has the attributes of `filterpy.kalman.ExtendedKalmanFilter` with their meaning: ``x``, ``P``, ``F``, ``Q``,
+``x_prior``, ``P_prior``, ``x_post``, ``P_post``, ``K``, ``y``, ``S``, ``SI``, ``R``. The arithmetic is the same to
+rounding (tests hold it to filterpy's own, to 1e-12). It is not filterpy's because in filterpy 2.0
 
 - ``update`` with None keeps the innovation of the measurement before, so a gate that reads it judges the wrong one;
 - a NaN measurement turns state and covariance into NaN for good;
 - each update makes a deep copy of the measurement and calls a general matrix inverse, for a scalar; each
   prediction copies what nobody writes into;
-- rounding lets the covariance lose its symmetry over millions of steps.
+- rounding lets the covariance lose its symmetry over millions of steps;
+- importing it imports ``scipy.stats``, which takes half a second and a third of an estimator's memory.
 
-State and covariance are replaced, never written into, so that a snapshot of the filter is two references. Importing
-this module imports all of filterpy, and with it ``scipy.stats`` and ``scipy.ndimage``: it is loaded when the first
-estimator is made, not with the package.
+`fusion.estimator.filterpy_ekf` makes a filter of filterpy's class of it, to inspect. State and covariance are
+replaced, never written into, so that a snapshot of the filter is two references.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from functools import cache
 from math import isfinite
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
 from fusion.estimator.kernels import N_STATES, FloatArray, predicted, predicted_variance, stepped, updated
 from fusion.estimator.models import Gate, ProcessNoise, ScalarMeasurement
@@ -31,7 +29,7 @@ from fusion.estimator.smoother import Node
 _SQUARE = (N_STATES, N_STATES)
 
 
-class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
+class CorridorEKF:
     """Filter over the state of `fusion.estimator.models`, for scalar measurements.
 
     Every change of the state goes through its methods, which note it for the smoother in ``nodes``.
@@ -47,9 +45,12 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
     nodes: list[Node]
 
     def __init__(self, x: FloatArray, P: FloatArray) -> None:
-        super().__init__(dim_x=N_STATES, dim_z=1)
         self.load(np.array(x, dtype=float), np.array(P, dtype=float))
-        self.K, self.y, self.S, self.SI = np.zeros((N_STATES, 1)), np.zeros(1), np.eye(1), np.eye(1)
+        self.x_prior = self.x_post = self.x
+        self.P_prior = self.P_post = self.P
+        self.F, self.Q = np.eye(N_STATES), np.eye(N_STATES)
+        self.K, self.y = np.zeros((N_STATES, 1)), np.zeros(1)
+        self.S, self.SI, self.R = np.eye(1), np.eye(1), np.eye(1)
         self._Q = np.empty(_SQUARE)  # of the process model; written anew in each step, for nobody keeps it
         _compile()
 
@@ -116,7 +117,6 @@ class CorridorEKF(ExtendedKalmanFilter):  # type: ignore[misc]
         variance = gate_variance if R is None else R
         S = expected + variance
         self.y[0], self.S[0, 0], self.SI[0, 0], self.R[0, 0] = residual, S, 1.0 / S, variance
-        self._log_likelihood = self._likelihood = self._mahalanobis = None
         if ratio > 1.0:
             return Gate(False, residual, ratio, expected + gate_variance)
         x, P, K = np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty((N_STATES, 1))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import hypot, nan, pi, sqrt
-from typing import assert_never
+from typing import TYPE_CHECKING, assert_never
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from fusion.estimator.camera_delay import (
 from fusion.estimator.camera_elevation import Elevation
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import CorridorAxis, Recovery, recover, start
+from fusion.estimator.ekf import CorridorEKF
 from fusion.estimator.frame_update import FrameResult, FrameSample, measure_with_prior, reason_to_reject
 from fusion.estimator.gyro_checks import (
     GyroVerdict,
@@ -74,6 +75,9 @@ from fusion.estimator.velocity import VelocitySample, with_velocity
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 from vision.rotations import wrap_axis, yaw_of_quaternion
 
+if TYPE_CHECKING:
+    from fusion.estimator.filterpy_ekf import FilterpyEKF
+
 OUTLIER_DENSITY = 1 / pi  # an outlying heading may be any
 
 
@@ -89,11 +93,10 @@ class Engine:
     """
 
     def __init__(self, config: FusionConfig, camera_arm_m: tuple[float, float] = (0.0, 0.0)) -> None:
-        from fusion.estimator.ekf import CorridorEKF  # with it filterpy, which takes half a second to load
-
         self.config = config
         initial = self.initial_state()
-        self.ekf, self._ahead = CorridorEKF(initial.x, initial.P), CorridorEKF(initial.x, initial.P)
+        self.ekf: CorridorEKF = CorridorEKF(initial.x, initial.P)
+        self._ahead = CorridorEKF(initial.x, initial.P)
         self._propagation = Propagation(config)
         self._lateral = LateralOffset(config, camera_arm_m)
         tilts.compile_tilt()
@@ -106,6 +109,14 @@ class Engine:
         P = np.diag([s**2 for s in std])
         lateral = Lateral(model=offset_model(self.config))
         return State(np.zeros(N_STATES), P, reckoning, lateral=lateral, delay=unknown_delay(self.config))
+
+    def filterpy_ekf(self) -> FilterpyEKF:
+        """Return the filter to look at, which is worked with from the first call on."""
+        from fusion.estimator.filterpy_ekf import FilterpyEKF  # slow and large: only who looks pays
+
+        if not isinstance(self.ekf, FilterpyEKF):
+            self.ekf = FilterpyEKF(self.ekf)
+        return self.ekf
 
     def offset_model(self, state: State) -> OffsetModel:
         """Return what the lateral offset's filter assumes."""

@@ -33,7 +33,7 @@ from vision.errors import InputError
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 
 if TYPE_CHECKING:
-    from fusion.estimator.ekf import CorridorEKF
+    from fusion.estimator.filterpy_ekf import FilterpyEKF
     from fusion.estimator.frame_update import Features
     from vision import Camera
     from vision.lines.segments import LineSet
@@ -101,13 +101,14 @@ class CorridorEstimator:
         self._lateral_ns: int | None = None  # of the last frame that was searched for the offset
 
     @property
-    def ekf(self) -> CorridorEKF:
+    def ekf(self) -> FilterpyEKF:
         """The filter at the newest sample, an ``ExtendedKalmanFilter`` of filterpy, for inspection.
 
         Its ``x``, ``P``, ``F``, ``Q``, ``K``, ``y``, ``S`` and ``likelihood`` are those of the last prediction and
-        the last update; the state is that of `fusion.estimator.models`. What is written into it has no effect.
+        the last update; the state is that of `fusion.estimator.models`. What is written into it has no effect. The
+        first call loads filterpy and scipy, which take half a second and 40 MiB: make it before take-off.
         """
-        return self._engine.ekf
+        return self._engine.filterpy_ekf()
 
     def add(self, sample: Sample) -> Entry | None:
         """Add a sample of any kind; return its outcome so far, or None where it is ignored and counted.

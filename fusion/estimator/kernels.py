@@ -11,7 +11,7 @@ from math import nan, sqrt
 
 import numpy as np
 
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.types import FloatArray as FloatArray
 
 Vector = tuple[float, float, float]
@@ -147,7 +147,7 @@ def updated(
             P_out[i, j] = P_out[j, i] = 0.5 * (P_out[i, j] + P_out[j, i])
 
 
-@compiled
+@compiled_inner
 def turned_down(down: Vector, rate: Vector, dt: float) -> Vector:
     """Direction of gravity (3,) in a body that turns: down' = down x rate, to second order in the angle."""
     gx, gy, gz = down
@@ -161,7 +161,7 @@ def turned_down(down: Vector, rate: Vector, dt: float) -> Vector:
     return gx / length, gy / length, gz / length
 
 
-@compiled
+@compiled_inner
 def corrected_down(
     down: Vector, bias: Vector, rate: Vector, dt: float, force: Vector, gain: float, bias_gain: float
 ) -> tuple[Vector, Vector]:

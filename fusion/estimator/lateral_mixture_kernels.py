@@ -11,7 +11,7 @@ from math import erf, exp, pi, sqrt
 import numpy as np
 
 from fusion.estimator.lateral_kernels import N_LATERAL, C, S, V, Y, corrected
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.types import FloatArray, IntArray
 
 MIN_LIKELIHOOD = 1e-12
@@ -42,7 +42,7 @@ def spread_about(evidence: FloatArray, expected: float) -> float:
     return spread2
 
 
-@compiled
+@compiled_inner
 def expected_offset(x: FloatArray, weight: FloatArray, H: FloatArray) -> float:
     """Offset H x of the likeliest hypothesis; NaN where there is none."""
     best = -1
@@ -57,7 +57,7 @@ def expected_offset(x: FloatArray, weight: FloatArray, H: FloatArray) -> float:
     return expected
 
 
-@compiled
+@compiled_inner
 def associate(
     x: FloatArray,
     P: FloatArray,
@@ -122,7 +122,7 @@ def associate(
     return best_belief, spread_about(evidence, expected_offset(x, weight, H))
 
 
-@compiled
+@compiled_inner
 def spawn(
     x: FloatArray,
     P: FloatArray,
@@ -229,7 +229,7 @@ def merge(
     return count
 
 
-@compiled
+@compiled_inner
 def copy_hypothesis(x: FloatArray, P: FloatArray, x_out: FloatArray, P_out: FloatArray) -> None:
     """Copy one: a loop compiles in a tenth of the time that an assignment of arrays takes, for its error message."""
     for i in range(N_LATERAL):
@@ -238,7 +238,7 @@ def copy_hypothesis(x: FloatArray, P: FloatArray, x_out: FloatArray, P_out: Floa
             P_out[i, j] = P[i, j]
 
 
-@compiled
+@compiled_inner
 def sort_falling(values: FloatArray, which: IntArray) -> None:
     """Sort indices (n,), a few dozen at most, in place so that their values fall; those alike stay in order."""
     for a in range(1, len(which)):

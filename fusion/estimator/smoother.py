@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.estimator.models import BIAS, N_STATES, PSI, FloatArray
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.types import BoolArray
 
 _BLOCK = 4096
@@ -180,7 +180,7 @@ def compile_smoother() -> None:
     rts(P.copy(), x.copy(), P.copy(), x, P)
 
 
-@compiled
+@compiled_inner
 def _fill_gain(
     F: FloatArray, P_prior: FloatArray, P: FloatArray, scale: FloatArray, A: FloatArray, C: FloatArray
 ) -> None:

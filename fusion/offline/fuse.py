@@ -9,7 +9,6 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
 from heapq import merge
-from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
     from fusion.estimator.frame_update import Features
 
 BLOCK_ROWS = 4096
+NEW_OBJECTS = 20_000  # from which on the garbage collector looks
 MAX_JOBS = 8  # unless more are asked for: the filter needs longer for a picture than two threads do
 
 
@@ -109,7 +109,7 @@ def _filter_and_smooth(
     progress: Progress | None,
 ) -> tuple[Table, Timings]:
     """Run the filter over the whole flight into the recorder, then the smoother; return its table and the times."""
-    with stopwatch() as clock, _existing_objects_frozen():
+    with stopwatch() as clock, _collector_spared():
         started = clock.seconds()
         extract = partial(extract_features, camera=flight.camera, method=estimator.method)
         with closing(prefetch_features(flight.frames, extract, threads)) as pictures:
@@ -126,16 +126,24 @@ def _filter_and_smooth(
 
 
 @contextmanager
-def _existing_objects_frozen() -> Iterator[None]:
-    """Keep what exists already out of the garbage collector's full passes: most of it are modules, which stay."""
-    if gc.get_freeze_count():  # the program has seen to it, and knows what may be let go of
-        yield
-        return
-    gc.freeze()
+def _collector_spared() -> Iterator[None]:
+    """Let the garbage collector look at few objects, and seldom: samples and states do not need it.
+
+    Some thousand of their parts are alive at a time, which it would look at again and again. Of what exists already
+    most are modules, which stay.
+    """
+    first, *others = gc.get_threshold()
+    frozen = gc.get_freeze_count() > 0  # the program has seen to it, and knows what may be let go of
+    if first:  # 0: it is off
+        gc.set_threshold(max(first, NEW_OBJECTS), *others)
+    if not frozen:
+        gc.freeze()
     try:
         yield
     finally:
-        gc.unfreeze()
+        gc.set_threshold(first, *others)
+        if not frozen:
+            gc.unfreeze()
 
 
 def check_times(flight: Flight) -> None:
@@ -307,8 +315,12 @@ class Recorder:
         if kind not in times:
             return False
         times[kind] = times[kind].with_sample(t_ns)
-        better = takewhile(lambda k: k is not kind, times)
-        return all(times[k].is_silent(t_ns, self.config) for k in better)
+        for better in times:
+            if better is kind:
+                break
+            if not times[better].is_silent(t_ns, self.config):
+                return False
+        return True
 
     def finish(self) -> None:
         """Close the last instant."""

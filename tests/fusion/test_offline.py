@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import json
 import time
 from dataclasses import replace
@@ -15,6 +16,7 @@ from fusion import FusionConfig, FusionResult, fuse_flight, load_flight
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from fusion.flight import AttitudeStream, Flight, FrameStream, ImuStream
 from fusion.logs.pictures.camera_folder import PictureFiles
+from fusion.offline.fuse import NEW_OBJECTS
 from fusion.offline.stopwatch import stopwatch
 from tests.files import HALLWAY
 from tests.pictures import picture_paths
@@ -137,6 +139,22 @@ def test_any_number_of_threads_gives_the_same_bits(office: Flight, tmp_path: Pat
 def test_fewer_threads_than_one_are_refused(office: Flight) -> None:
     with pytest.raises(InputError, match=r"jobs = 0.*give 1 or more"):
         fuse_flight(office, jobs=0)
+
+
+@pytest.mark.parametrize("threshold", [(700, 10, 10), (0, 10, 10), (100_000, 5, 5)])
+def test_the_garbage_collector_looks_seldom_and_then_as_before(
+    office: Flight, threshold: tuple[int, int, int]
+) -> None:
+    seen: set[int] = set()
+    before = gc.get_threshold()
+    try:
+        gc.set_threshold(*threshold)
+        fuse_flight(short(office), CONFIG, progress=lambda *_: seen.add(gc.get_threshold()[0]))
+        assert gc.get_threshold() == threshold
+    finally:
+        gc.set_threshold(*before)
+    assert seen == {threshold[0] and max(threshold[0], NEW_OBJECTS)}
+    assert gc.get_freeze_count() == 0
 
 
 def test_progress_counts_frames(office: Flight) -> None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numba
 import pytest
+from numba.core import event
 
-from vision.compiled import _say_that_nothing_is_kept, compiled
+from vision.compiled import _say_that_nothing_is_kept, compiled, compiled_inner
 
 
 def test_without_any_place_for_a_cache_it_compiles_in_memory_and_says_once_how_to_mend_it(
@@ -41,6 +43,45 @@ def test_without_any_place_for_a_cache_it_compiles_in_memory_and_says_once_how_t
     (told,) = caplog.messages
     assert "set the environment variable NUMBA_CACHE_DIR" in told
     assert asked[:2] == [True, False]  # numba compiles helpers of its own with it later
+
+
+def test_an_inner_function_is_kept_within_its_callers_and_refuses_python() -> None:
+    @compiled_inner
+    def half(x: float) -> float:
+        return 0.5 * x
+
+    @compiled
+    def quarter(x: float) -> float:
+        return half(half(x))
+
+    for _ in range(2):  # before it is compiled, and after
+        with pytest.raises(TypeError, match="half is called by compiled functions only"):
+            half(10.0)
+        assert quarter(10.0) == 2.5
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_the_garbage_collector_is_still_while_numba_compiles_and_then_as_before(enabled: bool) -> None:
+    during = []
+
+    class Look(event.Listener):
+        def on_start(self, event: event.Event) -> None:
+            during.append(gc.isenabled())
+
+        def on_end(self, event: event.Event) -> None:
+            pass
+
+    was = gc.isenabled()
+    try:
+        gc.enable() if enabled else gc.disable()
+        with cast(Any, event).install_listener("numba:run_pass", Look()):
+            assert numba.njit(lambda x: x + 1.0)(1.0) == 2.0
+            with pytest.raises(numba.TypingError):
+                numba.njit(lambda x: x.no_such_thing)(1.0)
+        assert gc.isenabled() is enabled
+        assert set(during) == {False}
+    finally:
+        gc.enable() if was else gc.disable()
 
 
 WARM = """

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.lines.segments import LineGeometry, LineSet, turned
 from vision.types import FloatArray
 
@@ -55,7 +55,7 @@ class LevelFrame:
     roll_correction_std_rad: float
 
 
-@compiled
+@compiled_inner
 def _vertical_std(down: float, along: float, sigma: float, arc: float) -> float:
     rotation = 3.4641 * sigma / arc
     return sqrt((sigma * down) ** 2 + (rotation * along) ** 2 + PLUMB_STD_RAD * PLUMB_STD_RAD)
@@ -79,7 +79,7 @@ class _Down(NamedTuple):
     information_b: float
 
 
-@compiled
+@compiled_inner
 def _search_down(lines: LineGeometry, std: float) -> tuple[float, float]:
     """Find by exhaustive vote, coarsely first, where the vertical lines meet: a and b of `_Down`."""
     normal, direction, arc = lines.normal, lines.direction, lines.arc_rad
@@ -110,7 +110,7 @@ def _search_down(lines: LineGeometry, std: float) -> tuple[float, float]:
     return middle_a, middle_b
 
 
-@compiled
+@compiled_inner
 def _add_votes(
     upright: npt.NDArray[np.float32],
     spread: np.float32,

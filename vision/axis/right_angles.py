@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.lines.segments import LineGeometry
 from vision.types import FloatArray
 
@@ -196,7 +196,7 @@ def _solve(H: FloatArray, g: FloatArray, x: FloatArray) -> None:
         x[i] = t / H[i, i]
 
 
-@compiled
+@compiled_inner
 def _turn(rotation: FloatArray, x: float, y: float, z: float) -> None:
     """Turn the columns of a rotation by a rotation vector (Rodrigues)."""
     angle = sqrt(x * x + y * y + z * z)

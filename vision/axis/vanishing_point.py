@@ -28,7 +28,7 @@ from vision.axis.vote import (
     line_variance,
     vote,
 )
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.lines.segments import LineGeometry, LineSet, turned
 from vision.types import BoolArray, FloatArray
 
@@ -103,7 +103,7 @@ class AxisFit:
     n_distinct: int
 
 
-@compiled
+@compiled_inner
 def _refine(lines: LineGeometry, psi: float, e: float, prior_e: float, prior_e_std: float) -> _Refined:
     """Fit the axis by Gauss-Newton with Geman-McClure's weights, from heading psi and elevation e.
 
@@ -159,7 +159,7 @@ def _refine(lines: LineGeometry, psi: float, e: float, prior_e: float, prior_e_s
     return _Refined(psi, e, h00, h01, h11, chi2, total, residual)
 
 
-@compiled
+@compiled_inner
 def _count_distinct(normal: FloatArray, inlier: BoolArray, psi: float, e: float) -> int:
     """Count the directions, about the axis, in which lines lie: pieces of one edge and its two sides are one."""
     cp, sp, ce, se = cos(psi), sin(psi), cos(e), sin(e)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.lines.segments import LineGeometry
 from vision.types import FloatArray
 
@@ -90,7 +90,7 @@ class RivalPeak(NamedTuple):
     excess_variance: float
 
 
-@compiled
+@compiled_inner
 def line_variance(alpha: float, beta: float, sigma: float, arc: float) -> float:
     """Return the variance of a corridor line's residual ``n . d``.
 
@@ -184,7 +184,7 @@ def vote(
     return scores
 
 
-@compiled
+@compiled_inner
 def _log_prior(heading: float, prior_heading: float, prior_std: float) -> float:
     if prior_heading != prior_heading:
         if abs(heading) > MAX_HEADING_RAD:
@@ -252,7 +252,7 @@ def elevation_information(elevation: float, std: float) -> float:
     return (level / (std * std) + sloping / (wide * wide)) / (level + sloping)
 
 
-@compiled
+@compiled_inner
 def find_best_heading(
     scores: FloatArray, elevation: FloatArray, elevation_std: float, prior_heading: float, prior_std: float
 ) -> HeadingVote:
@@ -295,7 +295,7 @@ def find_best_heading(
     )
 
 
-@compiled
+@compiled_inner
 def _excess_variance(marginal: FloatArray, heading: float) -> float:
     """Return by how much (rad^2) the variance about a heading exceeds that of the peak there.
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.compiled import compiled
+from vision.compiled import compiled_inner
 from vision.lateral.line_directions import ANGLE_FLOOR_RAD, SortedLines
 from vision.types import IntArray, Record, RecordArray
 
@@ -69,7 +69,7 @@ class CornerCandidates(NamedTuple):
     n_candidates: IntArray
 
 
-@compiled
+@compiled_inner
 def _depth_bins(nearest: float, farthest: float) -> int:
     """Return the bins of depth that a line covers, one bit each."""
     first = int(log(max(farthest, FIRST_BIN) / FIRST_BIN) / BIN_WIDTH)
@@ -78,7 +78,7 @@ def _depth_bins(nearest: float, farthest: float) -> int:
     return (1 << (last + 1)) - (1 << first)
 
 
-@compiled
+@compiled_inner
 def count_bits(bits: int) -> int:
     """Return how many bits are set."""
     count = 0
@@ -88,7 +88,7 @@ def count_bits(bits: int) -> int:
     return count
 
 
-@compiled
+@compiled_inner
 def group_by_angle(lines: RecordArray, quadrant: int, corners: RecordArray) -> int:
     """Group the corridor lines of a quadrant by angle, longest first.
 
@@ -145,7 +145,7 @@ def group_by_angle(lines: RecordArray, quadrant: int, corners: RecordArray) -> i
     return count
 
 
-@compiled
+@compiled_inner
 def _count_vertical_lines(corner: Record, quadrant: int, lines: RecordArray) -> None:
     """Add up the vertical lines of the corner's wall that end at it, and those that cross it."""
     side, floor = quadrant % 2, quadrant < 2
@@ -166,7 +166,7 @@ def _count_vertical_lines(corner: Record, quadrant: int, lines: RecordArray) -> 
             corner.vertical_crossings += line.length
 
 
-@compiled
+@compiled_inner
 def _count_transverse_lines(corner: Record, quadrant: int, lines: RecordArray) -> None:
     """Mark the transverse lines that end at the corner, and add up those that cross it."""
     side, floor = quadrant % 2, quadrant < 2
@@ -183,7 +183,7 @@ def _count_transverse_lines(corner: Record, quadrant: int, lines: RecordArray) -
             corner.transverse_crossings += line.length
 
 
-@compiled
+@compiled_inner
 def gather_evidence(corners: RecordArray, quadrant: int, lines: SortedLines) -> None:
     """Fill in what ends at each candidate of a quadrant, crosses it and lies beyond it.
 
@@ -210,7 +210,7 @@ def gather_evidence(corners: RecordArray, quadrant: int, lines: SortedLines) -> 
                 corner.skirting_ratio, corner.skirting_length = ratio, corners[j].length
 
 
-@compiled
+@compiled_inner
 def find_corner_candidates(lines: SortedLines, max_corners: int) -> CornerCandidates:
     """Find the candidates for the four corners among a picture's lines, at most ``max_corners`` in a quadrant."""
     corners = np.zeros((4, max_corners), CORNER)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.axis.vanishing_point import AxisFit, corridor_frame
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.lateral.corner_candidates import (
     MAX_CORNERS,
     CornerCandidates,
@@ -103,19 +103,19 @@ class PictureCorners(NamedTuple):
     ceiling: CornerPairs
 
 
-@compiled
+@compiled_inner
 def _log_sum(a: float, b: float) -> tuple[float, float]:
     """Sum and absolute difference of the logarithms of two lengths."""
     la, lb = log(1.0 + a / SMALL), log(1.0 + b / SMALL)
     return la + lb, abs(la - lb)
 
 
-@compiled
+@compiled_inner
 def _log_ratio(a: float, b: float) -> float:
     return abs(log((SMALL + a) / (SMALL + b)))
 
 
-@compiled
+@compiled_inner
 def _fill_evidence(row: Record, left: Record, right: Record) -> None:
     """Fill in what two corners by themselves say of their pair."""
     row.lengths, row.length_gap = _log_sum(left.length, right.length)
@@ -134,7 +134,7 @@ def _fill_evidence(row: Record, left: Record, right: Record) -> None:
     row.skirtings = log(1.0 + skirting / SMALL) if same else 0.0
 
 
-@compiled
+@compiled_inner
 def _pair_up(left: RecordArray, right: RecordArray, max_width: float, typical_width: float) -> CornerPairs:
     """Pair every left with every right candidate, as far as the corridor's width is possible."""
     size = len(left) * len(right)
@@ -186,7 +186,7 @@ def rising_order(values: FloatArray) -> IntArray:
     return order
 
 
-@compiled
+@compiled_inner
 def _fill_symmetry(floor: CornerPairs, ceiling: CornerPairs, corners: RecordArray) -> None:
     """Count for each pair the length of the other pairs of the same offset: what is symmetric on the walls."""
     n = len(floor.pair)

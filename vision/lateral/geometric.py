@@ -15,7 +15,7 @@ from math import exp, log
 
 import numpy as np
 
-from vision.compiled import compiled
+from vision.compiled import compiled_inner
 from vision.lateral.corner_pairs import N_EVIDENCE, PictureCorners, rising_order
 from vision.lateral.hypotheses import (
     JOINT_WINDOW,
@@ -40,12 +40,12 @@ WEIGHT, OFFSET, VARIANCE, WIDTH = range(4)
 ODDS, MOMENT, SQUARE, ROLL_SLOPE = range(4)
 
 
-@compiled
+@compiled_inner
 def _odds(log_odds: float) -> float:
     return exp(min(log_odds, MAX_LOG_ODDS))
 
 
-@compiled
+@compiled_inner
 def _ceiling_components(
     picture: PictureCorners, weights: OffsetWeights, roll_std: float, order: IntArray, rows: FloatArray
 ) -> FloatArray:
@@ -74,7 +74,7 @@ def _ceiling_components(
     return sums
 
 
-@compiled
+@compiled_inner
 def corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std: float) -> FloatArray:
     """Return every pair of corners as a component (k, 4) of a mixture, see `vision.lateral.mixture`.
 
@@ -112,7 +112,7 @@ def corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std:
     return rows
 
 
-@compiled
+@compiled_inner
 def merged_corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std: float) -> FloatArray:
     """Return what pairs of corners say about the lateral offset, as components (n, 4) merged by bins.
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.lateral.corner_pairs import EVIDENCE, N_EVIDENCE, TYPICAL_WIDTH, PictureCorners
 from vision.types import FloatArray, Record, RecordArray
 
@@ -130,7 +130,7 @@ class OffsetEstimate(NamedTuple):
     floor_share: float
 
 
-@compiled
+@compiled_inner
 def roll_slope_of(pair: Record, left: Record, right: Record, floor: bool) -> float:
     """Return the derivative of a pair's offset with respect to roll, per radian."""
     tl, tr = left[pair.left].slope, right[pair.right].slope
@@ -138,7 +138,7 @@ def roll_slope_of(pair: Record, left: Record, right: Record, floor: bool) -> flo
     return -slope if floor else slope
 
 
-@compiled
+@compiled_inner
 def add_weighted(start: float, weights: FloatArray, evidence: FloatArray) -> float:
     """Return ``start`` plus the weighted sum of a pair's evidence."""
     for k in range(N_EVIDENCE):

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.axis.vote import VERTICAL_SINE
-from vision.compiled import compiled
+from vision.compiled import compiled_inner
 from vision.types import BoolArray, FloatArray, Record, RecordArray
 
 MIN_DEPTH = 0.05  # cosine of the angle from the axis; rays farther off it are drawn in to here
@@ -109,7 +109,7 @@ class SortedLines(NamedTuple):
     transverse: RecordArray
 
 
-@compiled
+@compiled_inner
 def _end_std(y: float, z: float, angle: float, pixel_rad: float) -> float:
     """Return the standard deviation (rad) of a vertical line's end at (y, z) of the plane at unit depth."""
     radius = hypot(y, z)
@@ -117,7 +117,7 @@ def _end_std(y: float, z: float, angle: float, pixel_rad: float) -> float:
     return min(hypot(END_STD_RAD, blur), MAX_END_STD_RAD)
 
 
-@compiled
+@compiled_inner
 def _fill_corridor_line(
     row: Record, normal: FloatArray, centre: FloatArray, a: FloatArray, b: FloatArray, sigma_rad: float
 ) -> bool:
@@ -138,7 +138,7 @@ def _fill_corridor_line(
     return True
 
 
-@compiled
+@compiled_inner
 def _fill_vertical_line(row: Record, a: FloatArray, b: FloatArray, pixel_rad: float) -> bool:
     """Describe a vertical line by its ends; False where it crosses from one side to the other."""
     if a[1] * b[1] <= 0.0:
@@ -153,7 +153,7 @@ def _fill_vertical_line(row: Record, a: FloatArray, b: FloatArray, pixel_rad: fl
     return True
 
 
-@compiled
+@compiled_inner
 def sort_by_direction(
     lines: PictureLines, R_axis_camera: FloatArray, down: FloatArray, diagonal_px: float
 ) -> SortedLines:
@@ -215,7 +215,7 @@ def sort_by_direction(
     return SortedLines(corridor[:n_corridor], vertical[:n_vertical], transverse[:n_transverse])
 
 
-@compiled
+@compiled_inner
 def merge_transverse_lines(lines: RecordArray) -> int:
     """Merge the pieces of each `TRANSVERSE_LINE` in place; return how many lines there are, at most 60."""
     count = 0

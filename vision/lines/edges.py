@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.types import Float32Array, GreyImage, IntArray, Record, RecordArray
 
 DIRECTION_COS2 = cos(radians(22.5)) ** 2
@@ -86,7 +86,7 @@ class Components(NamedTuple):
     rows: npt.NDArray[np.int32]
 
 
-@compiled
+@compiled_inner
 def median_bin(counts: IntArray, n: int) -> tuple[int, int]:
     """Return how many of a histogram's n entries lie below the bin of their median, and that bin."""
     below = level = 0
@@ -96,7 +96,7 @@ def median_bin(counts: IntArray, n: int) -> tuple[int, int]:
     return below, level
 
 
-@compiled
+@compiled_inner
 def median_and_mean(magnitude: Float32Array, width: int, counts: IntArray) -> tuple[float, float]:
     """Return the median, to half a level, and the mean of every fourth magnitude of every fourth row.
 
@@ -115,7 +115,7 @@ def median_and_mean(magnitude: Float32Array, width: int, counts: IntArray) -> tu
     return 0.5 * median_bin(counts, n)[1], total / max(n, 1)
 
 
-@compiled
+@compiled_inner
 def _fill_gradient(
     above: GreyPixels,
     middle: GreyPixels,
@@ -142,7 +142,7 @@ def _fill_gradient(
         magnitude[x] = np.sqrt(a * a + b * b)
 
 
-@compiled
+@compiled_inner
 def fill_gradient(picture: GreyImage, gradient: Gradient) -> None:
     """Fill in the gradient of a picture (h, w) and its length, all but ``mark``."""
     pixels, w = picture.ravel(), picture.shape[1]
@@ -157,7 +157,7 @@ def fill_gradient(picture: GreyImage, gradient: Gradient) -> None:
     )
 
 
-@compiled
+@compiled_inner
 def _mark_ridge(
     middle: Float32Array,
     left: Float32Array,
@@ -182,7 +182,7 @@ def _mark_ridge(
         mark[x] = np.uint8((m >= threshold) & (m > m0) & (m >= m1))
 
 
-@compiled
+@compiled_inner
 def _find_edge_pixels(
     gradient: Gradient, width: int, threshold: np.float32, edges: npt.NDArray[np.int32]
 ) -> int:
@@ -209,7 +209,7 @@ def _find_edge_pixels(
     return n
 
 
-@compiled
+@compiled_inner
 def _root(parent: npt.NDArray[np.int32], label: int) -> int:
     while parent[label] != label:
         parent[label] = parent[parent[label]]
@@ -217,14 +217,14 @@ def _root(parent: npt.NDArray[np.int32], label: int) -> int:
     return label
 
 
-@compiled
+@compiled_inner
 def _agree(ax: float, ay: float, bx: float, by: float) -> bool:
     """Tell whether two directions differ by less than 22.5 degrees; edges of opposite sign never agree."""
     dot = ax * bx + ay * by
     return dot > 0.0 and dot * dot > DIRECTION_COS2 * (ax * ax + ay * ay) * (bx * bx + by * by)
 
 
-@compiled
+@compiled_inner
 def _add(total: Record, part: Record) -> None:
     total.n += part.n
     total.x += part.x
@@ -236,7 +236,7 @@ def _add(total: Record, part: Record) -> None:
     total.gy += part.gy
 
 
-@compiled
+@compiled_inner
 def _join_around(
     x: int,
     a: float,
@@ -267,7 +267,7 @@ def _join_around(
     return label
 
 
-@compiled
+@compiled_inner
 def _clear(sums: Record) -> None:
     sums.n = sums.x = sums.y = sums.xx = sums.xy = sums.yy = sums.gx = sums.gy = 0.0
 

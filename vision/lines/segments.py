@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from vision.cameras.camera import Camera
 from vision.cameras.projection import is_distorted
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.images import to_grey
 from vision.lines.edges import (
     COMPONENT,
@@ -371,7 +371,7 @@ def _rectified(camera: Camera) -> Float32Array:
     return points.reshape(camera.height_px, camera.width_px, 2).astype(np.float32)
 
 
-@compiled
+@compiled_inner
 def _span_planes(
     lines: RecordArray, working: RecordArray, original: RecordArray, floor_px: float
 ) -> tuple[FloatArray, LineGeometry]:

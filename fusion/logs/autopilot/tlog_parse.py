@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 
 ByteArray = npt.NDArray[np.uint8]
 IndexArray = npt.NDArray[np.int64]
@@ -70,7 +70,7 @@ def find_packets(data: ByteArray, seeds: dict[int, int], wanted: Iterable[int]) 
     return Packets(kinds, payloads_at, sizes, senders, records, damaged, unknown, lost)
 
 
-@compiled
+@compiled_inner
 def _checksum(data: ByteArray, start: int, end: int, seed: int) -> int:
     """CRC-16/MCRF4XX of some bytes and of the message's own seed."""
     crc = 0xFFFF
