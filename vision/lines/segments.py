@@ -23,16 +23,8 @@ from vision.cameras.camera import Camera
 from vision.cameras.projection import is_distorted
 from vision.compiled import compiled
 from vision.images import to_grey
-from vision.lines.edges import (
-    COMPONENT,
-    FITTED_LINE,
-    Components,
-    Gradient,
-    connect,
-    fill_gradient,
-    fit,
-    median_and_mean,
-)
+from vision.lines.edges import COMPONENT, Components, Gradient, connect, fill_gradient, median_and_mean
+from vision.lines.fitting import FITTED_LINE, fit, join, variance_across
 from vision.lines.preparation import SHARPNESS, resized, scaled, size_to_search, smoothed
 from vision.types import Float32Array, FloatArray, GreyImage, IntArray, RecordArray
 
@@ -49,7 +41,6 @@ MIN_DIAGONAL_PX = 100.0
 MIN_LENGTH_OF_DIAGONAL = 0.015
 MIN_LENGTH_PX = 7.0
 MAX_HALF_FIELD_RAD = radians(75.0)  # rectified coordinates stretch without bound towards 90 degrees
-PIXELS_PER_INDEPENDENT = 12.0  # neighbouring edge pixels share blur, noise and aliasing
 POSITION_FLOOR_PX = 0.055  # bias of the parabola, compression, edges not quite straight: does not average out
 SOFT = 3.0  # times that, where edges are blurred even as seen from as far away as can be
 
@@ -174,6 +165,7 @@ class _Workspace:
             rows=np.empty((2, width_px), np.int32),
         )
         self.lines = np.empty(MAX_LINES, FITTED_LINE)
+        self.following = np.empty(MAX_LINES, np.int64)
         self.counts = np.empty(3072, np.int64)  # of gradients
 
 
@@ -221,7 +213,7 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera, *, keep_picture: bool
         n_labels, threshold, blurred = _connected(scaled(grey, working), view.rectified)
     work = _workspace(working.height_px, working.width_px)
     floor_px = POSITION_FLOOR_PX * (chosen.fx_px / working.fx_px) * (SOFT if blurred else 1.0)
-    found = _fit_lines(work.components, n_labels, view, floor_px, work.lines)
+    found = _fit_lines(work.components, n_labels, view, floor_px, work.lines, work.following)
     return _line_set(found, camera, threshold, started, grey if keep_picture else None)
 
 
@@ -298,15 +290,22 @@ def _find_components(
 
 @compiled
 def _fit_lines(
-    components: Components, n_labels: int, view: _View, floor_px: float, lines: RecordArray
+    components: Components,
+    n_labels: int,
+    view: _View,
+    floor_px: float,
+    lines: RecordArray,
+    following: IntArray,
 ) -> _FoundLines:
-    """Fit lines to components; ``lines`` is working memory, ``floor_px`` as in `_span_planes`."""
-    return _describe_lines(lines[: fit(components, n_labels, view.min_length_px, lines)], view, floor_px)
+    """Fit lines to components; ``lines`` and ``following`` are working memory, ``floor_px`` as in `join`."""
+    n_lines = fit(components, n_labels, view.min_length_px, lines)
+    n_lines = join(components, lines, n_lines, floor_px, following)
+    return _describe_lines(lines[:n_lines], view, floor_px)
 
 
 @compiled
 def _describe_lines(lines: RecordArray, view: _View, floor_px: float) -> _FoundLines:
-    """Bring fitted lines (n,) of `vision.lines.edges.FITTED_LINE` from working pixels into the camera's frame."""
+    """Bring fitted lines (n,) of `vision.lines.fitting.FITTED_LINE` from working pixels into the camera's frame."""
     scale = view.original[0].fx / view.working[0].fx
     ends_px, planes = _span_planes(lines, view.working, view.original, floor_px)
     return _FoundLines(
@@ -380,7 +379,7 @@ def _span_planes(
     Parameters
     ----------
     lines
-        Array (n,) of `vision.lines.edges.FITTED_LINE`, in the working camera's pixels.
+        Array (n,) of `vision.lines.fitting.FITTED_LINE`, in the working camera's pixels.
     working, original
         Arrays (1,) of `PINHOLE`.
     floor_px
@@ -419,7 +418,7 @@ def _span_planes(
         direction[i, 0] = normal[i, 1] * centre[i, 2] - normal[i, 2] * centre[i, 1]
         direction[i, 1] = normal[i, 2] * centre[i, 0] - normal[i, 0] * centre[i, 2]
         direction[i, 2] = normal[i, 0] * centre[i, 1] - normal[i, 1] * centre[i, 0]
-        sigma_px = hypot(line.rms * sqrt(PIXELS_PER_INDEPENDENT / line.n_pixels), floor_px)
+        sigma_px = sqrt(variance_across(line, floor_px))
         sigma_rad[i] = sigma_px * hypot(normal[i, 0], normal[i, 1]) / (depth * w.fx)
     return ends_px, LineGeometry(normal, centre, direction, sigma_rad, arc_rad)
 
