@@ -26,6 +26,7 @@ COMPONENT = np.dtype(
 )
 """Running sums of a component's pixels: number, coordinates and their products, gradient. One cache line."""
 
+
 class Gradient(NamedTuple):
     """A picture's gradient (Sobel 3x3), its length, and where that is an edge pixel's, each (h * w,).
 
@@ -207,6 +208,7 @@ def _agree(ax: float, ay: float, bx: float, by: float) -> bool:
 
 @compiled
 def add(total: Record, part: Record) -> None:
+    """Add a component's sums to another's."""
     total.n += part.n
     total.x += part.x
     total.y += part.y

@@ -1,8 +1,8 @@
 """Lines fitted to components of edge pixels, and the fragments of one edge joined to one line.
 
 Noise, a door handle or a shadow breaks an edge into fragments, and where it breaks changes from picture to picture.
-Each fragment alone says little about the edge's direction; together they say as much as an edge that was never broken.
-So two fragments are joined if each has the direction of the line through both their middles.
+Each fragment alone says little about the edge's direction; together they say as much as an edge that was never
+broken. So two fragments are joined if each has the direction of the line through both their middles.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ PIXELS_PER_INDEPENDENT = 12.0  # neighbouring edge pixels share blur, noise and 
 JOIN_CHI2 = 4.0  # of each fragment's direction against the line through both middles
 MAX_GAP = 1.0  # between fragments, over the length of the longer one
 MAX_OVERLAP = 0.5  # of the shorter one's length
-MAX_EXTRAPOLATED_PX = 1.0  # standard deviation of the surer one's line at the other: beyond, agreeing is chance
+MAX_EXTRAPOLATED_PX = (
+    1.0  # standard deviation of the surer one's line at the other: beyond, agreeing is chance
+)
 SECTORS = 60  # of directions; fragments of one edge are in the same or in neighbouring ones
 
 FITTED_LINE = np.dtype(

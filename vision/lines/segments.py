@@ -25,7 +25,7 @@ from vision.compiled import compiled
 from vision.images import to_grey
 from vision.lines.edges import COMPONENT, Components, Gradient, connect, fill_gradient, median_and_mean
 from vision.lines.fitting import FITTED_LINE, fit, join, variance_across
-from vision.lines.preparation import SHARPNESS, resized, scaled, size_to_search, smoothed
+from vision.lines.preparation import SHARPNESS, prepared, resized, scaled, smoothed, working_camera
 from vision.types import Float32Array, FloatArray, GreyImage, IntArray, RecordArray
 
 PINHOLE = np.dtype([(name, np.float64) for name in ("fx", "fy", "cx", "cy")], align=True)
@@ -203,9 +203,9 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera, *, keep_picture: bool
     started = time.perf_counter()
     grey = to_grey(image)
     camera.require_size(grey.shape[1], grey.shape[0])
-    chosen, picture, is_clean = size_to_search(grey, camera)
+    chosen, picture, sharpness = prepared(grey, camera)
     working, view = chosen, _view(camera, chosen)
-    n_labels, threshold, blurred = _connected(picture, view.rectified, is_clean)
+    n_labels, threshold, blurred = _connected(picture, view.rectified, sharpness)
     # Edges blurred over several pixels have their maximum anywhere on a plateau: look from farther away.
     while blurred and hypot(working.width_px, working.height_px) > 2.0 * MIN_DIAGONAL_PX:
         working = resized(working, 0.5)
@@ -255,11 +255,11 @@ def _view(camera: Camera, working: Camera) -> _View:
 
 
 def _connected(
-    picture: GreyImage, rectified: Float32Array, is_clean: bool = False
+    picture: GreyImage, rectified: Float32Array, sharpness: float = SHARPNESS[0]
 ) -> tuple[int, float, bool]:
     """Join a picture's edge pixels in the buffers of this thread, of use until the next picture.
 
-    One that is not known to be clean is blurred first as far as its noise asks for.
+    It is blurred first as far as its noise asks for. ``sharpness`` is that of its sharp edges, see `connect`.
 
     Returns
     -------
@@ -268,11 +268,11 @@ def _connected(
         are blurred over several pixels.
     """
     work = _workspace(*picture.shape)
-    smooth, expected_sharpness = (picture, SHARPNESS[0]) if is_clean else smoothed(picture, work.smooth)
-    n_labels, threshold, sharpness = _find_components(
+    smooth, share_left = smoothed(picture, work.smooth)
+    n_labels, threshold, found = _find_components(
         smooth, rectified, work.gradient, work.components, work.counts
     )
-    return n_labels, threshold, sharpness < BLURRED_SHARPNESS * expected_sharpness
+    return n_labels, threshold, found < BLURRED_SHARPNESS * share_left * sharpness
 
 
 @compiled
@@ -347,8 +347,8 @@ def edge_components(grey: GreyImage, camera: Camera) -> RecordArray:
     Which pixels make a component does not depend on the lens; their rectified coordinates do. How straight they are
     shows best at full size.
     """
-    working, picture, is_clean = size_to_search(grey, camera, fine_scale=1.0)
-    n_labels, _, _ = _connected(picture, _rectified(working), is_clean)
+    working = working_camera(camera)
+    n_labels, _, _ = _connected(scaled(grey, working), _rectified(working))
     work = _workspace(working.height_px, working.width_px)
     parent = work.components.parent[:n_labels]
     sums: RecordArray = work.components.sums[:n_labels][parent == np.arange(n_labels)]
