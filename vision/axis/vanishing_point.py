@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.axis.vote import (
+    FINEST_STD_RAD,
     MAX_HEADING_RAD,
     RIVAL_DISTANCE_RAD,
     VERTICAL_SINE,
@@ -270,7 +271,9 @@ def _find(
     fit = _refine(lines, start, elevation + steps[voted.best_elevation], elevation, elevation_std)
     if abs(fit.heading - start) > MAX_REFINEMENT_RAD:
         return none  # the fit left the peak it started from: there was no axis, only many stray lines
-    rival = find_rival(voted, fit.heading, fit.elevation - elevation)
+    # The elevations tried may all miss the axis's own, and then the vote has several peaks where there is one axis.
+    at_axis = vote(lines, np.array([fit.elevation]), np.array([FINEST_STD_RAD]), max_heading)[0]
+    rival = find_rival(voted, at_axis, fit.heading, fit.elevation - elevation)
     along = leaning = 0.0
     for i in range(n):
         if abs(lines.normal[i, 2]) < VERTICAL_SINE:
