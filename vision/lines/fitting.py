@@ -114,29 +114,27 @@ def variance_across(line: Record, floor_px: float) -> float:
 
 @compiled
 def _are_of_one_edge(a: Record, b: Record, floor_px: float) -> bool:
-    ax, ay = (a.x1 - a.x0) / a.length, (a.y1 - a.y0) / a.length
-    bx, by = (b.x1 - b.x0) / b.length, (b.y1 - b.y0) / b.length
+    ax, ay, bx, by = a.x1 - a.x0, a.y1 - a.y0, b.x1 - b.x0, b.y1 - b.y0
     apart_x = 0.5 * (b.x0 + b.x1 - a.x0 - a.x1)
     apart_y = 0.5 * (b.y0 + b.y1 - a.y0 - a.y1)
-    along, across = ax * apart_x + ay * apart_y, ax * apart_y - ay * apart_x
-    longer, shorter = max(a.length, b.length), min(a.length, b.length)
-    gap = abs(along) - 0.5 * (a.length + b.length)
+    # Products with the length of a: most pairs are told apart before anything is divided.
+    along, across = abs(ax * apart_x + ay * apart_y), ax * apart_y - ay * apart_x
+    middle, longer, shorter = 0.5 * (a.length + b.length), max(a.length, b.length), min(a.length, b.length)
     # Fragments that lie beside each other, not one behind the other, are edges of their own.
-    if gap > MAX_GAP * longer or gap < -MAX_OVERLAP * shorter or abs(across) > abs(along):
+    if along > a.length * (middle + MAX_GAP * longer) or along < a.length * (middle - MAX_OVERLAP * shorter):
+        return False
+    if abs(across) > along or ax * bx + ay * by <= 0.0:
         return False
     a_middle, b_middle = variance_across(a, floor_px), variance_across(b, floor_px)
-    a_turn, b_turn = 12.0 * a_middle / (a.length * a.length), 12.0 * b_middle / (b.length * b.length)
     squared = apart_x * apart_x + apart_y * apart_y
-    if min(a_middle + a_turn * squared, b_middle + b_turn * squared) > MAX_EXTRAPOLATED_PX**2:
+    a_turn = 12.0 * a_middle / (a.length * a.length) * squared
+    b_turn = 12.0 * b_middle / (b.length * b.length) * squared
+    if min(a_middle + a_turn, b_middle + b_turn) > MAX_EXTRAPOLATED_PX**2:
         return False
     # sines of the directions against the line through both middles, times the distance
-    a_off, b_off = across, bx * apart_y - by * apart_x
+    a_off, b_off = across / a.length, (bx * apart_y - by * apart_x) / b.length
     middles = a_middle + b_middle
-    return (
-        ax * bx + ay * by > 0.0
-        and a_off * a_off < JOIN_CHI2 * (middles + a_turn * squared)
-        and b_off * b_off < JOIN_CHI2 * (middles + b_turn * squared)
-    )
+    return a_off * a_off < JOIN_CHI2 * (middles + a_turn) and b_off * b_off < JOIN_CHI2 * (middles + b_turn)
 
 
 @compiled
