@@ -109,7 +109,7 @@ def fit(components: Components, n_labels: int, min_length_px: float, lines: Reco
 @compiled
 def variance_across(line: Record, floor_px: float) -> float:
     """Return the variance (px^2) of where a line's middle lies across it; ``floor_px`` as in `join`."""
-    return line.rms * line.rms * PIXELS_PER_INDEPENDENT / line.n_pixels + floor_px * floor_px
+    return float(line.rms * line.rms * PIXELS_PER_INDEPENDENT / line.n_pixels + floor_px * floor_px)
 
 
 @compiled
@@ -134,7 +134,9 @@ def _are_of_one_edge(a: Record, b: Record, floor_px: float) -> bool:
     # sines of the directions against the line through both middles, times the distance
     a_off, b_off = across / a.length, (bx * apart_y - by * apart_x) / b.length
     middles = a_middle + b_middle
-    return a_off * a_off < JOIN_CHI2 * (middles + a_turn) and b_off * b_off < JOIN_CHI2 * (middles + b_turn)
+    return bool(
+        a_off * a_off < JOIN_CHI2 * (middles + a_turn) and b_off * b_off < JOIN_CHI2 * (middles + b_turn)
+    )
 
 
 @compiled
