@@ -8,7 +8,7 @@ repeated when late samples change either.
 from __future__ import annotations
 
 import time
-from math import atan2, copysign, cos, hypot, isfinite, nan, pi, radians, sin, sqrt
+from math import atan2, copysign, cos, hypot, isfinite, log, nan, pi, radians, sin, sqrt
 from typing import Any, Literal, NamedTuple, get_args
 
 import cv2
@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from vision.axis.level import LevelFrame, level_from_verticals
 from vision.axis.vanishing_point import AxisFit, axis_direction, corridor_frame, fit_axis
-from vision.axis.vote import VERTICAL_SINE
+from vision.axis.vote import PRIOR_DOUBT, PRIOR_FLOOR_STD_RAD, VERTICAL_SINE
 from vision.cameras.camera import Camera
 from vision.cameras.projection import project_directions
 from vision.compiled import compiled
@@ -40,7 +40,7 @@ from vision.measurement import (
     position_from_offset,
 )
 from vision.paper.measure import FIRST_PIXEL, measure_paper, paper_yaw
-from vision.rotations import rotation_from_angles
+from vision.rotations import rotation_from_angles, wrap_axis
 from vision.types import BoolArray, FloatArray
 
 Method = Literal["geometric", "paper"]
@@ -49,6 +49,8 @@ MIN_LINES = 4
 MIN_SCORE = 8.0  # log-likelihood over chance
 MIN_MARGIN = 6.5  # log-likelihood over the second-best heading, by lines that are not pieces of one edge
 MAX_RIVAL = 0.80  # score of the second-best heading over the best
+CHOOSING_SIGMA = 3.0  # of a prediction: it is near one direction and not near the other
+MIN_CHOSEN = 0.9  # score of the direction that a prediction chooses over the other's
 MIN_SHARE = 0.07  # of the length of all lines that are not vertical
 ASIDE_RAD = radians(16.0)
 MAX_ACROSS = (
@@ -337,7 +339,8 @@ def _reason(found: _Judged, fit: AxisFit, camera: Camera, prior: Prior, elevatio
     if isfinite(blur_px) and blur_px > MAX_BLUR_PX:
         return Reason.BLUR
     distinct = min(fit.n_distinct / found.n_inliers, 1.0)
-    if distinct * (fit.score - fit.second_score) < MIN_MARGIN or found.second_score > MAX_RIVAL:
+    tied = distinct * (fit.score - fit.second_score) < MIN_MARGIN or found.second_score > MAX_RIVAL
+    if tied and not _is_chosen(fit, prior):
         return Reason.AMBIGUOUS
     if fit.inlier_share < MIN_SHARE:
         return Reason.AMBIGUOUS
@@ -346,6 +349,20 @@ def _reason(found: _Judged, fit: AxisFit, camera: Camera, prior: Prior, elevatio
     if abs(fit.elevation_rad) > max(MAX_ELEVATION_RAD, MAX_ELEVATION_SIGMA * elevation_std_rad):
         return Reason.UNCERTAIN
     return Reason.OK
+
+
+def _is_chosen(fit: AxisFit, prior: Prior) -> bool:
+    """Tell whether a prediction decides for this direction, where another explains the lines about as well.
+
+    A prediction can be wrong by the angle between the two, where a filter follows the axis across: a picture that is
+    for the other direction by more than a tenth is not overruled.
+    """
+    if not isfinite(prior.heading_rad):
+        return False
+    reach_rad = CHOOSING_SIGMA * hypot(prior.heading_std_rad, PRIOR_FLOOR_STD_RAD)
+    own, other = (abs(wrap_axis(h - prior.heading_rad)) for h in (fit.heading_rad, fit.second_heading_rad))
+    without_prior = fit.second_score - log(PRIOR_DOUBT)
+    return own < reach_rad < other and fit.score > MIN_CHOSEN * without_prior
 
 
 def _vanishing_point(

@@ -153,8 +153,9 @@ class FrameMeasurement:
         Elevation of the corridor's axis in the level frame, positive up. Not zero: tilt or mount are off.
     second_heading_rad, second_score
         The next best hypothesis and its score relative to the best one (0: no rival, 1: a tie).
-        A caller who knows better may choose it where the reason is ambiguous: with it as ``Prior(heading_rad=...)``
-        it comes first, with its own sigma. Before a wall it is square to the first.
+        A caller who knows better may choose where the reason is ambiguous: the direction near
+        ``Prior(heading_rad=..., heading_std_rad=...)`` comes first, with its own sigma, and is accepted if it
+        explains the lines about as well as the other. Before a wall the second is square to the first.
     lateral_offset_norm, lateral_offset_norm_std
         Offset from the centre line over half the corridor's width.
     width_per_height

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vision import Camera
-from vision.lines.edges import FITTED_LINE
+from vision.lines.fitting import FITTED_LINE
 from vision.lines.segments import LineSet, _describe_lines, _line_set, _view
 from vision.types import FloatArray
 

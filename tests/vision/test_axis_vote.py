@@ -75,7 +75,7 @@ def test_one_peak_has_no_excess_wherever_the_bins_lie(shift: float, sigma_bins: 
     heading = bin_heading(400) + shift * BIN_RAD
     sigma = sigma_bins * BIN_RAD
     peak = np.asarray(-0.5 * ((HEADINGS - heading) / sigma) ** 2, dtype=np.float64)
-    found = find_rival(vote_of(peak), heading, 0.0)
+    found = find_rival(vote_of(peak), peak, heading, 0.0)
     assert found.excess_variance < (0.1 * sigma) ** 2
 
 
@@ -88,12 +88,25 @@ def test_two_peaks_add_the_variance_of_the_choice(apart: float, behind: float, s
         -behind - 0.5 * ((HEADINGS - heading - apart) / sigma) ** 2,
     )
     odds = np.exp(-behind / VOTE_TEMPERATURE)
-    excess = find_rival(vote_of(peaks), heading, 0.0).excess_variance
+    excess = find_rival(vote_of(peaks), peaks, heading, 0.0).excess_variance
     assert excess == pytest.approx(odds / (1 + odds) * apart**2, rel=0.15)
 
 
+@given(shift=st.floats(0.0, 1.0), apart=st.floats(radians(1), radians(3)))
+def test_elevations_that_miss_the_axis_do_not_split_its_peak(shift: float, apart: float) -> None:
+    """Left and right lines meet at the axis's elevation; beside it each side has a peak of its own."""
+    sigma, heading = 1.5 * BIN_RAD, bin_heading(300) + shift * BIN_RAD
+    left, right = (-0.5 * ((HEADINGS - heading - d) / sigma) ** 2 for d in (-0.5 * apart, 0.5 * apart))
+    missed = np.maximum(np.maximum(left, right), -30.0)
+    met = np.asarray(20.0 - 0.5 * ((HEADINGS - heading) / sigma) ** 2, dtype=np.float64)
+    split = find_rival(vote_of(missed), missed, heading, 0.0).excess_variance
+    whole = find_rival(vote_of(missed), met, heading, 0.0).excess_variance
+    assert split > (0.3 * apart) ** 2
+    assert whole < (0.1 * sigma) ** 2
+
+
 def test_a_flat_vote_does_not_tell_at_all() -> None:
-    found = find_rival(vote_of(np.zeros(N_BINS)), 0.3, 0.0)
+    found = find_rival(vote_of(np.zeros(N_BINS)), np.zeros(N_BINS), 0.3, 0.0)
     assert found.excess_variance == RIVAL_DISTANCE_RAD**2
 
 
@@ -107,10 +120,10 @@ def test_a_rival_is_judged_at_the_elevation_of_the_axis() -> None:
     ranked = np.full(N_BINS, -np.inf)
     ranked[[first, second]] = marginal[[first, second]]
     voted = HeadingVote(scores, elevation, radians(0.3), marginal, ranked, first, 2, 30.0)
-    own = find_rival(voted, bin_heading(first), radians(2))
+    own = find_rival(voted, marginal, bin_heading(first), radians(2))
     assert own.bin == second
     assert own.score < 1.0
-    assert find_rival(voted, bin_heading(first), radians(-2)).score == pytest.approx(25.0, abs=0.1)
+    assert find_rival(voted, marginal, bin_heading(first), radians(-2)).score == pytest.approx(25.0, abs=0.1)
 
 
 @pytest.mark.parametrize("slope_rad", [-0.08, 0.03, 0.08])

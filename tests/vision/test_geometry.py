@@ -344,3 +344,33 @@ def test_at_the_corner_of_a_building_either_facade_may_be_chosen() -> None:
         chosen = measure_lines(lines, CAMERA, Attitude(0, 0), prior)
         assert chosen.heading_rad == pytest.approx(heading_rad, abs=radians(1.0))
         assert chosen.heading_std_rad < radians(1.0)
+        assert chosen.accepted
+        # Near neither of them, or with no idea of the heading, there is nothing to choose by.
+        for unsure in (Prior(0.0, radians(3.0)), Prior(heading_rad, radians(40.0))):
+            assert not measure_lines(lines, CAMERA, Attitude(0, 0), unsure).accepted
+
+
+@pytest.mark.parametrize("n_across", [0, 6, 12, 24])
+def test_a_prediction_that_is_a_right_angle_off_does_not_overrule_the_picture(n_across: int) -> None:
+    """A filter that follows the axis across must not be confirmed by pictures that show the corridor as well."""
+    heading_rad = radians(35.0)
+    forward, right = (
+        np.array([np.cos(heading_rad), -np.sin(heading_rad)]),
+        np.array([np.sin(heading_rad), np.cos(heading_rad)]),
+    )
+
+    def between(a: Any, b: Any, z: float) -> tuple[float, ...]:
+        (ax, ay), (bx, by) = (p[0] * forward + p[1] * right for p in (a, b))
+        return (ax, ay, z, bx, by, z)
+
+    along = [
+        between((x, side), (x + 1.5, side), z)
+        for side in (-0.9, 1.1)
+        for x in (2.0, 4.0, 6.5)
+        for z in (-1.2, -0.7, 0.4, 1.2)
+    ]
+    across = [between((8.0, -0.9), (8.0, 1.1), z) for z in np.linspace(-1.1, 1.1, n_across)]
+    lines = of_world(along + across)
+    wrong = Prior(heading_rad - pi / 2, radians(2.0))
+    m = measure_lines(lines, CAMERA, Attitude(0, 0), wrong)
+    assert not m.accepted or abs(wrap_axis(m.heading_rad - heading_rad)) < radians(1.0)

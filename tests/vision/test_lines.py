@@ -152,8 +152,9 @@ def test_blockiness_tells_compression_from_structure() -> None:
     assert noise_and_blockiness(np.asarray(packed, np.uint8))[1] > 1.7
 
 
-@pytest.mark.parametrize(("noise", "share"), [(0.5, 0.75), (7.0, 0.5)])
-def test_the_noisier_a_fine_picture_the_smaller_it_is_searched(noise: float, share: float) -> None:
+@pytest.mark.parametrize("noise", [0.5, 3.0, 7.0])
+def test_a_fine_picture_is_searched_at_three_quarters_of_its_size(noise: float) -> None:
+    """Whatever its noise: what is seen must not change at some level of it."""
     rng = np.random.default_rng(3)
     image = np.full((480, 640), 60.0)
     image[:, 100:106] = 90.0  # two edges so near to each other that blur would let one pull at the other
@@ -162,6 +163,39 @@ def test_the_noisier_a_fine_picture_the_smaller_it_is_searched(noise: float, sha
     lines = extract_lines(noisy, CAMERA)
     long = lines.length_px > 60.0
     assert lines.length_px[long].sum() > 700.0
-    assert (lines.n_pixels[long] / lines.length_px[long]).max() == pytest.approx(share, abs=0.1)
+    assert (lines.n_pixels[long] / lines.length_px[long]).max() == pytest.approx(0.75, abs=0.1)
     off_px = lines.ends_px[long][:, 0] - 99.5
     assert np.abs(off_px - 6.0 * np.round(off_px / 6.0)).max() < 0.5
+
+
+@pytest.mark.parametrize("angle_rad", [0.3, 1.2, -0.8, 2.6])
+@pytest.mark.parametrize("width", [320, 640])
+def test_an_edge_with_gaps_is_one_line(angle_rad: float, width: int) -> None:
+    """What covers parts of an edge does not make it tell less of where it points."""
+    image = half_plane(angle_rad, 3.0, width, width * 3 // 4)
+    for x, y in ((0.35, 0.4), (0.5, 0.5), (0.62, 0.58), (0.35, 0.6), (0.62, 0.42)):
+        cv2.circle(image, (round(x * width), round(0.75 * y * width)), width // 40, 120, -1)
+    lines = extract_lines(image, CAMERA.resized(width, width * 3 // 4))
+    long = np.flatnonzero(lines.length_px > 0.3 * width)
+    assert len(long) == 1
+    x0, y0, x1, y1 = lines.ends_px[long[0]]
+    assert atan2(y1 - y0, x1 - x0) == pytest.approx(angle_rad, abs=radians(0.1))
+    inner = extract_lines(
+        half_plane(angle_rad, 3.0, width, width * 3 // 4), CAMERA.resized(width, width * 3 // 4)
+    )
+    assert lines.length_px[long[0]] > 0.8 * inner.length_px.max()
+
+
+def test_parallel_edges_and_edges_at_an_angle_are_not_joined() -> None:
+    """Two edges one behind the other are one line only if they are in line with each other."""
+    image = np.full((480, 640), 60, np.uint8)
+    image[100:, 60:300] = 180
+    image[103:, 330:560] = 180  # three pixels lower
+    cv2.fillPoly(image, [np.array([[60, 300], [300, 300], [560, 312], [560, 340], [60, 340]])], 20)
+    lines = extract_lines(image, CAMERA)
+    level = np.abs(lines.ends_px[:, 1] - lines.ends_px[:, 3]) < 0.02 * lines.length_px
+    upper = level & (lines.ends_px[:, 1] < 150) & (lines.length_px > 100)
+    assert np.sort(lines.ends_px[upper][:, 1]) == pytest.approx([99.5, 102.5], abs=0.3)
+    assert lines.length_px[upper].max() < 250
+    bent = (lines.ends_px[:, 1] > 290) & (lines.ends_px[:, 1] < 315) & (lines.length_px > 100)
+    assert bent.sum() == 2

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.axis.vote import (
+    FINEST_STD_RAD,
     MAX_HEADING_RAD,
     RIVAL_DISTANCE_RAD,
     VERTICAL_SINE,
@@ -37,6 +38,9 @@ INLIER_SIGMA = 3.0
 # Scale of the Geman-McClure weights, to begin with and in the end, and times that scale from where a line has none.
 FIRST_ROBUST_SIGMA, ROBUST_SIGMA = 4.0, 2.0
 NEGLIGIBLE = 5.0
+GAUSSIAN_CHI2 = 0.58  # weighted mean of the squared residuals of lines that scatter as their sigmas say
+# Where lines scatter more, so do the weights reach, but not much: else the few that are right tell nothing.
+MAX_SCATTER = 1.5
 MIN_SCALE = 0.3  # of the covariance, however well the lines agree
 MIN_FREEDOM = 3  # degrees of freedom: with two, Student's t has no variance
 DIRECTIONS = 45  # in half a turn about the axis
@@ -115,7 +119,9 @@ def _refine(lines: LineGeometry, psi: float, e: float, prior_e: float, prior_e_s
     residual = np.empty(n)
     h00 = h01 = h11 = chi2 = total = 0.0
     for iteration in range(12):
-        scale = max(ROBUST_SIGMA, FIRST_ROBUST_SIGMA - 0.5 * iteration)
+        scatter = sqrt(chi2 / (GAUSSIAN_CHI2 * total)) if total > 0.0 else 1.0
+        robust_sigma = ROBUST_SIGMA * min(max(scatter, 1.0), MAX_SCATTER)
+        scale = max(robust_sigma, FIRST_ROBUST_SIGMA - 0.5 * iteration)
         h00 = h01 = h11 = g0 = g1 = 0.0
         chi2 = total = 0.0
         cp = cos(psi)
@@ -265,7 +271,9 @@ def _find(
     fit = _refine(lines, start, elevation + steps[voted.best_elevation], elevation, elevation_std)
     if abs(fit.heading - start) > MAX_REFINEMENT_RAD:
         return none  # the fit left the peak it started from: there was no axis, only many stray lines
-    rival = find_rival(voted, fit.heading, fit.elevation - elevation)
+    # The elevations tried may all miss the axis's own, and then the vote has several peaks where there is one axis.
+    at_axis = vote(lines, np.array([fit.elevation]), np.array([FINEST_STD_RAD]), max_heading)[0]
+    rival = find_rival(voted, at_axis, fit.heading, fit.elevation - elevation)
     along = leaning = 0.0
     for i in range(n):
         if abs(lines.normal[i, 2]) < VERTICAL_SINE:

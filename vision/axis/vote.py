@@ -42,6 +42,7 @@ SLOPE_STD_RAD = radians(2.5)  # of the elevation of ramps and of floors that are
 SLOPE_SHARE = 0.02  # of corridors
 FINE_STEP_RAD, COARSE_STEP_RAD = radians(0.5), radians(1.0)  # between elevations to try
 STD_OF_SPACING = 0.4
+FINEST_STD_RAD = STD_OF_SPACING * FINE_STEP_RAD
 FINE_REACH_RAD, MAX_REACH_RAD = radians(1.0), radians(10.0)
 PRIOR_FLOOR_STD_RAD = radians(1.0)
 PRIOR_DOUBT = 0.01  # a filter can be wrong: strong evidence wins against it
@@ -329,7 +330,7 @@ def _excess_variance(marginal: FloatArray, heading: float) -> float:
 
 
 @compiled
-def find_rival(voted: HeadingVote, heading: float, elevation: float) -> RivalPeak:
+def find_rival(voted: HeadingVote, at_axis: FloatArray, heading: float, elevation: float) -> RivalPeak:
     """Find the second-best peak, at least 8 degrees from the axis, and what the vote has nearer beside its peak.
 
     Where the vote is split between headings nearer than that, the heading is uncertain, whatever the fit to one of
@@ -340,6 +341,8 @@ def find_rival(voted: HeadingVote, heading: float, elevation: float) -> RivalPea
     ----------
     voted
         Result of `find_best_heading`.
+    at_axis
+        The vote (N_BINS,) at the axis's own elevation.
     heading, elevation
         The axis after its refinement, radians; the elevation relative to the expected one.
     """
@@ -361,4 +364,5 @@ def find_rival(voted: HeadingVote, heading: float, elevation: float) -> RivalPea
         if score > second_score:
             second_score = score
             second = b
-    return RivalPeak(second, second_score, _excess_variance(voted.marginal, heading))
+    marginal = np.maximum(voted.marginal, at_axis + elevation_log_prior(elevation, voted.elevation_std))
+    return RivalPeak(second, second_score, _excess_variance(marginal, heading))

@@ -1,14 +1,13 @@
-"""Edge pixels, maxima of the gradient, joined to straight components in one raster pass; lines fitted to them.
+"""Edge pixels, maxima of the gradient, joined to straight components in one raster pass.
 
 Everything is compiled and works on buffers that the caller keeps from frame to frame. What is done to every pixel is
 done to the picture as one long row: loops without branches, which the compiler turns into vector instructions. Of a
-component only running sums are kept: to join two is to add their sums, and a line is fitted without looking at the
-pixels again.
+component only running sums are kept: to join two is to add their sums.
 """
 
 from __future__ import annotations
 
-from math import cos, radians, sqrt
+from math import cos, radians
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +17,6 @@ from vision.compiled import compiled, compiled_inner
 from vision.types import Float32Array, GreyImage, IntArray, Record, RecordArray
 
 DIRECTION_COS2 = cos(radians(22.5)) ** 2
-MAX_RMS_PX = 0.8  # scatter across the line beyond which it is not one
-MIN_PIXELS = 5
 
 GreyPixels = npt.NDArray[np.uint8]
 Int16Array = npt.NDArray[np.int16]
@@ -28,21 +25,6 @@ COMPONENT = np.dtype(
     [(name, np.float64) for name in ("n", "x", "y", "xx", "xy", "yy", "gx", "gy")], align=True
 )
 """Running sums of a component's pixels: number, coordinates and their products, gradient. One cache line."""
-
-FITTED_LINE = np.dtype(
-    [
-        ("x0", np.float64),  # ends, pixels
-        ("y0", np.float64),
-        ("x1", np.float64),
-        ("y1", np.float64),
-        ("length", np.float64),  # pixels
-        ("rms", np.float64),  # scatter of the edge pixels across the line
-        ("n_pixels", np.float64),
-        ("contrast", np.float64),  # mean gradient magnitude
-    ],
-    align=True,
-)
-"""A line fitted to a component. Walking from the first end to the second, the bright side is on the right."""
 
 
 class Gradient(NamedTuple):
@@ -225,7 +207,8 @@ def _agree(ax: float, ay: float, bx: float, by: float) -> bool:
 
 
 @compiled_inner
-def _add(total: Record, part: Record) -> None:
+def add(total: Record, part: Record) -> None:
+    """Add a component's sums to another's."""
     total.n += part.n
     total.x += part.x
     total.y += part.y
@@ -263,7 +246,7 @@ def _join_around(
             if other < label:
                 label, other = other, label
             parent[other] = label
-            _add(sums[label], sums[other])
+            add(sums[label], sums[other])
     return label
 
 
@@ -374,60 +357,3 @@ def connect(
             here[x] = label
         above, here = here, above
     return n_labels, bend[1] / ridge[1], bend[0] / ridge[0]
-
-
-@compiled
-def fit(components: Components, n_labels: int, min_length_px: float, lines: RecordArray) -> int:
-    """Fit a line to each component, by the article's equations 1 to 4.
-
-    Parameters
-    ----------
-    components, n_labels
-        As `connect` left them.
-    min_length_px
-        Shorter lines are left out.
-    lines
-        Array (m,) of `FITTED_LINE`, filled.
-
-    Returns
-    -------
-    int
-        How many lines are long and straight enough.
-    """
-    parent, sums = components.parent, components.sums
-    n_lines = 0
-    for label in range(n_labels):
-        s = sums[label]
-        n = s.n
-        if parent[label] != label or n < 0.7 * min_length_px or n < MIN_PIXELS:
-            continue
-        x = s.x / n
-        y = s.y / n
-        sxx = s.xx / n - x * x
-        sxy = s.xy / n - x * y
-        syy = s.yy / n - y * y
-        mean = 0.5 * (sxx + syy)
-        half = sqrt(0.25 * (sxx - syy) ** 2 + sxy * sxy)
-        rms = sqrt(max(mean - half, 0.0))
-        length = sqrt(12.0 * (mean + half))  # of evenly spread pixels
-        if length < min_length_px or rms > MAX_RMS_PX:
-            continue
-        angle = 0.5 * np.arctan2(2.0 * sxy, sxx - syy)
-        dx = 0.5 * length * np.cos(angle)
-        dy = 0.5 * length * np.sin(angle)
-        if dx * s.gy - dy * s.gx < 0.0:  # the gradient points to bright; right of (dx, dy) is (-dy, dx)
-            dx = -dx
-            dy = -dy
-        line = lines[n_lines]
-        line.x0 = x - dx
-        line.y0 = y - dy
-        line.x1 = x + dx
-        line.y1 = y + dy
-        line.length = length
-        line.rms = rms
-        line.n_pixels = n
-        line.contrast = sqrt(s.gx * s.gx + s.gy * s.gy) / n
-        n_lines += 1
-        if n_lines == len(lines):
-            break
-    return n_lines

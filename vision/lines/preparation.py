@@ -13,13 +13,11 @@ from vision.compiled import compiled
 from vision.lines.edges import median_bin
 from vision.types import GreyImage
 
+# Fine pictures are searched at three quarters of their size, which hides what sensor, compression and resampling do
+# to single pixels. The blur before it makes all pixels of the smaller picture about equally sharp, wherever they fall
+# between those of the larger one: a picture that is moved by half a pixel shows the same lines.
 FINE_DIAGONAL_PX = 600.0
-# Three quarters of a fine picture's size hide what sensor, compression and resampling do to single pixels: of
-# simulated corridors 93 % are accepted instead of 88 %.
-FINE_SCALE = 0.75
-# Noise, grey levels, and blockiness from which a fine picture shows more at half its size: of simulated corridors
-# with noise and JPEG the heading's RMSE falls by a third, and 2 % more are accepted.
-MAX_FINE_NOISE, MAX_FINE_BLOCKINESS = 1.5, 1.6
+FINE_SCALE, FINE_BLUR_PX, FINE_SHARPNESS = 0.75, 0.65, 0.67
 SMOOTH_FROM_NOISE = (5.0, 14.0)  # noise above which blur of 3, 5 pixels pays
 SMOOTH_FROM_BLOCKINESS = (1.7, 1.7, 2.6)  # and blockiness above which blur of 3, 5, 7 pixels does
 SHARPNESS = (0.80, 0.58, 0.42, 0.34)  # of a sharp edge after blur of 1, 3, 5, 7 pixels; see `connect`
@@ -63,29 +61,30 @@ def noise_and_blockiness(grey: GreyImage) -> tuple[float, float]:
     return max(median, 0.0) / SECOND_DIFFERENCE_MEDIAN, 7.0 * at_joint / max(elsewhere, 1)
 
 
-def size_to_search(
-    grey: GreyImage, camera: Camera, fine_scale: float = FINE_SCALE
-) -> tuple[Camera, GreyImage, bool]:
-    """Choose the size at which lines are searched; return camera and picture of that size, and whether it is clean.
+def prepared(grey: GreyImage, camera: Camera) -> tuple[Camera, GreyImage, float]:
+    """Choose the size at which lines are searched.
 
-    Half the size averages the noise of four pixels, where blur would let neighbouring edges pull at each other over
-    as many more.
+    Returns
+    -------
+    tuple
+        Camera and picture of that size, and how sharp a sharp edge is in it.
     """
-    working = _working_camera(camera)
+    working = working_camera(camera)
     picture = scaled(grey, working)
     if hypot(*picture.shape) <= FINE_DIAGONAL_PX:
-        return working, picture, False
-    noise, blockiness = noise_and_blockiness(picture)
-    if noise > MAX_FINE_NOISE or blockiness > MAX_FINE_BLOCKINESS:
-        working = resized(working, 0.5)
-        return working, scaled(picture, working), False
-    working = resized(working, fine_scale)
+        return working, picture, SHARPNESS[0]
+    working = resized(working, FINE_SCALE)
     size = (working.width_px, working.height_px)
-    return working, np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR), np.uint8), True
+    even = cv2.GaussianBlur(picture, (3, 3), FINE_BLUR_PX)
+    return (
+        working,
+        np.asarray(cv2.resize(even, size, interpolation=cv2.INTER_LINEAR), np.uint8),
+        FINE_SHARPNESS,
+    )
 
 
 @lru_cache(maxsize=8)
-def _working_camera(camera: Camera) -> Camera:
+def working_camera(camera: Camera) -> Camera:
     """Return the camera scaled to the size at which lines are searched.
 
     Large pictures gain nothing but time; small ones hide neighbouring edges from each other, which interpolation
@@ -117,7 +116,7 @@ def scaled(grey: GreyImage, camera: Camera) -> GreyImage:
 
 
 def smoothed(picture: GreyImage, out: GreyImage) -> tuple[GreyImage, float]:
-    """Blur as little as the noise allows; return the picture and how sharp a sharp edge still is in it.
+    """Blur as little as the noise allows; return the picture, and how sharp it leaves a sharp edge, a share.
 
     Blur lets neighbouring edges pull at each other.
     """
@@ -127,7 +126,7 @@ def smoothed(picture: GreyImage, out: GreyImage) -> tuple[GreyImage, float]:
         sum(blockiness > limit for limit in SMOOTH_FROM_BLOCKINESS),
     )
     if level == 0:
-        return picture, SHARPNESS[0]
+        return picture, 1.0
     size = 1 + 2 * level
     cv2.GaussianBlur(picture, (size, size), 0, dst=out)
-    return out, SHARPNESS[level]
+    return out, SHARPNESS[level] / SHARPNESS[0]

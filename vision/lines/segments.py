@@ -23,17 +23,9 @@ from vision.cameras.camera import Camera
 from vision.cameras.projection import is_distorted
 from vision.compiled import compiled, compiled_inner
 from vision.images import to_grey
-from vision.lines.edges import (
-    COMPONENT,
-    FITTED_LINE,
-    Components,
-    Gradient,
-    connect,
-    fill_gradient,
-    fit,
-    median_and_mean,
-)
-from vision.lines.preparation import SHARPNESS, resized, scaled, size_to_search, smoothed
+from vision.lines.edges import COMPONENT, Components, Gradient, connect, fill_gradient, median_and_mean
+from vision.lines.fitting import FITTED_LINE, fit, join, variance_across
+from vision.lines.preparation import SHARPNESS, prepared, resized, scaled, smoothed, working_camera
 from vision.types import Float32Array, FloatArray, GreyImage, IntArray, RecordArray
 
 PINHOLE = np.dtype([(name, np.float64) for name in ("fx", "fy", "cx", "cy")], align=True)
@@ -49,7 +41,6 @@ MIN_DIAGONAL_PX = 100.0
 MIN_LENGTH_OF_DIAGONAL = 0.015
 MIN_LENGTH_PX = 7.0
 MAX_HALF_FIELD_RAD = radians(75.0)  # rectified coordinates stretch without bound towards 90 degrees
-PIXELS_PER_INDEPENDENT = 12.0  # neighbouring edge pixels share blur, noise and aliasing
 POSITION_FLOOR_PX = 0.055  # bias of the parabola, compression, edges not quite straight: does not average out
 SOFT = 3.0  # times that, where edges are blurred even as seen from as far away as can be
 
@@ -174,6 +165,7 @@ class _Workspace:
             rows=np.empty((2, width_px), np.int32),
         )
         self.lines = np.empty(MAX_LINES, FITTED_LINE)
+        self.following = np.empty(MAX_LINES, np.int64)
         self.counts = np.empty(3072, np.int64)  # of gradients
 
 
@@ -211,9 +203,9 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera, *, keep_picture: bool
     started = time.perf_counter()
     grey = to_grey(image)
     camera.require_size(grey.shape[1], grey.shape[0])
-    chosen, picture, is_clean = size_to_search(grey, camera)
+    chosen, picture, sharpness = prepared(grey, camera)
     working, view = chosen, _view(camera, chosen)
-    n_labels, threshold, blurred = _connected(picture, view.rectified, is_clean)
+    n_labels, threshold, blurred = _connected(picture, view.rectified, sharpness)
     # Edges blurred over several pixels have their maximum anywhere on a plateau: look from farther away.
     while blurred and hypot(working.width_px, working.height_px) > 2.0 * MIN_DIAGONAL_PX:
         working = resized(working, 0.5)
@@ -221,7 +213,7 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera, *, keep_picture: bool
         n_labels, threshold, blurred = _connected(scaled(grey, working), view.rectified)
     work = _workspace(working.height_px, working.width_px)
     floor_px = POSITION_FLOOR_PX * (chosen.fx_px / working.fx_px) * (SOFT if blurred else 1.0)
-    found = _fit_lines(work.components, n_labels, view, floor_px, work.lines)
+    found = _fit_lines(work.components, n_labels, view, floor_px, work.lines, work.following)
     return _line_set(found, camera, threshold, started, grey if keep_picture else None)
 
 
@@ -263,11 +255,11 @@ def _view(camera: Camera, working: Camera) -> _View:
 
 
 def _connected(
-    picture: GreyImage, rectified: Float32Array, is_clean: bool = False
+    picture: GreyImage, rectified: Float32Array, sharpness: float = SHARPNESS[0]
 ) -> tuple[int, float, bool]:
     """Join a picture's edge pixels in the buffers of this thread, of use until the next picture.
 
-    One that is not known to be clean is blurred first as far as its noise asks for.
+    It is blurred first as far as its noise asks for. ``sharpness`` is that of its sharp edges, see `connect`.
 
     Returns
     -------
@@ -276,11 +268,11 @@ def _connected(
         are blurred over several pixels.
     """
     work = _workspace(*picture.shape)
-    smooth, expected_sharpness = (picture, SHARPNESS[0]) if is_clean else smoothed(picture, work.smooth)
-    n_labels, threshold, sharpness = _find_components(
+    smooth, share_left = smoothed(picture, work.smooth)
+    n_labels, threshold, found = _find_components(
         smooth, rectified, work.gradient, work.components, work.counts
     )
-    return n_labels, threshold, sharpness < BLURRED_SHARPNESS * expected_sharpness
+    return n_labels, threshold, found < BLURRED_SHARPNESS * share_left * sharpness
 
 
 @compiled
@@ -298,15 +290,22 @@ def _find_components(
 
 @compiled
 def _fit_lines(
-    components: Components, n_labels: int, view: _View, floor_px: float, lines: RecordArray
+    components: Components,
+    n_labels: int,
+    view: _View,
+    floor_px: float,
+    lines: RecordArray,
+    following: IntArray,
 ) -> _FoundLines:
-    """Fit lines to components; ``lines`` is working memory, ``floor_px`` as in `_span_planes`."""
-    return _describe_lines(lines[: fit(components, n_labels, view.min_length_px, lines)], view, floor_px)
+    """Fit lines to components; ``lines`` and ``following`` are working memory, ``floor_px`` as in `join`."""
+    n_lines = fit(components, n_labels, view.min_length_px, lines)
+    n_lines = join(components, lines, n_lines, floor_px, following)
+    return _describe_lines(lines[:n_lines], view, floor_px)
 
 
 @compiled
 def _describe_lines(lines: RecordArray, view: _View, floor_px: float) -> _FoundLines:
-    """Bring fitted lines (n,) of `vision.lines.edges.FITTED_LINE` from working pixels into the camera's frame."""
+    """Bring fitted lines (n,) of `vision.lines.fitting.FITTED_LINE` from working pixels into the camera's frame."""
     scale = view.original[0].fx / view.working[0].fx
     ends_px, planes = _span_planes(lines, view.working, view.original, floor_px)
     return _FoundLines(
@@ -348,8 +347,8 @@ def edge_components(grey: GreyImage, camera: Camera) -> RecordArray:
     Which pixels make a component does not depend on the lens; their rectified coordinates do. How straight they are
     shows best at full size.
     """
-    working, picture, is_clean = size_to_search(grey, camera, fine_scale=1.0)
-    n_labels, _, _ = _connected(picture, _rectified(working), is_clean)
+    working = working_camera(camera)
+    n_labels, _, _ = _connected(scaled(grey, working), _rectified(working))
     work = _workspace(working.height_px, working.width_px)
     parent = work.components.parent[:n_labels]
     sums: RecordArray = work.components.sums[:n_labels][parent == np.arange(n_labels)]
@@ -380,7 +379,7 @@ def _span_planes(
     Parameters
     ----------
     lines
-        Array (n,) of `vision.lines.edges.FITTED_LINE`, in the working camera's pixels.
+        Array (n,) of `vision.lines.fitting.FITTED_LINE`, in the working camera's pixels.
     working, original
         Arrays (1,) of `PINHOLE`.
     floor_px
@@ -419,7 +418,7 @@ def _span_planes(
         direction[i, 0] = normal[i, 1] * centre[i, 2] - normal[i, 2] * centre[i, 1]
         direction[i, 1] = normal[i, 2] * centre[i, 0] - normal[i, 0] * centre[i, 2]
         direction[i, 2] = normal[i, 0] * centre[i, 1] - normal[i, 1] * centre[i, 0]
-        sigma_px = hypot(line.rms * sqrt(PIXELS_PER_INDEPENDENT / line.n_pixels), floor_px)
+        sigma_px = sqrt(variance_across(line, floor_px))
         sigma_rad[i] = sigma_px * hypot(normal[i, 0], normal[i, 1]) / (depth * w.fx)
     return ends_px, LineGeometry(normal, centre, direction, sigma_rad, arc_rad)
 
