@@ -23,7 +23,7 @@ from fusion import CorridorEstimator, Flight, FusionConfig
 from fusion.flight import ChosenFrames
 from support.clock import clock
 from vision import extract_lines, warm_up
-from vision.lines.segments import LineSet
+from vision.lines.line_set import LineSet
 
 IMU_HZ, LATE_NS = 1000.0, 300_000_000
 AIMS_MS = {"add_imu": 0.150, "add_lines": 3.0}  # 99th percentiles

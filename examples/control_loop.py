@@ -30,7 +30,7 @@ from fusion import CorridorEstimator, FusionConfig
 from fusion.live.vision_thread import VisionThread
 from fusion.simulate import SimulationConfig
 from vision import Camera, InputError, extract_lines
-from vision.lines.segments import LineSet
+from vision.lines.line_set import LineSet
 
 START_NS = 1_000_000_000
 TRANSFER_S = 0.020  # from mid-exposure until the picture is in memory: shutter, read-out, cable

@@ -28,8 +28,9 @@ from vision.lateral.mixture import CHANCE, OffsetMixture
 from vision.lateral.offset import SAME_ANSWER, LateralFit, OffsetAnswer, answer_of, fit_lateral
 from vision.lateral.polar import polar_picture
 from vision.lateral.walls import missing_wall_evidence, wall_is_missing
+from vision.lines.line_set import LineSet
 from vision.lines.rolling_shutter import lines_at_one_moment, to_picture
-from vision.lines.segments import LineSet, extract_lines
+from vision.lines.segments import extract_lines
 from vision.measurement import (
     Attitude,
     FrameMeasurement,
@@ -150,13 +151,12 @@ def measure_lines(
         lines, R_level_body @ camera.R_body_camera, hypot(attitude.std_rad, prior.elevation_std_rad)
     )
     elevation_std_rad = hypot(level.pitch_std_rad, SLOPE_STD_RAD)
-    fit = fit_axis(
-        lines,
-        level.R_level_camera,
-        elevation_std_rad=elevation_std_rad,
-        prior_heading_rad=prior.heading_rad,
-        prior_heading_std_rad=prior.heading_std_rad,
-    )
+    known = (elevation_std_rad, prior.heading_rad, prior.heading_std_rad)
+    fit = fit_axis(lines, level.R_level_camera, 0.0, *known)
+    if fit is not None and fit.crossing.any():
+        axis = corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad)[0]
+        lines = lines.cut(fit.crossing, axis)
+        fit = fit_axis(lines, level.R_level_camera, 0.0, *known)
     if fit is None:
         return FrameMeasurement(
             accepted=False,

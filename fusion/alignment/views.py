@@ -17,7 +17,8 @@ from vision.cameras.camera import Camera
 from vision.cameras.projection import is_distorted
 from vision.errors import InputError
 from vision.frame import UNKNOWN_ATTITUDE, measure_lines
-from vision.lines.segments import LineSet, extract_lines
+from vision.lines.line_set import LineSet
+from vision.lines.segments import extract_lines
 from vision.measurement import Attitude, Prior
 
 FloatArray = npt.NDArray[np.float64]

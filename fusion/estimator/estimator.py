@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from fusion.estimator.filterpy_ekf import FilterpyEKF
     from fusion.estimator.frame_update import Features
     from vision import Camera
-    from vision.lines.segments import LineSet
+    from vision.lines.line_set import LineSet
 
 CLOCK_RESET_SAMPLES = 50
 MAX_AHEAD_NS = 500_000_000  # that a state may be predicted: beyond, the last rate says little

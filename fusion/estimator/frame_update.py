@@ -18,7 +18,7 @@ from vision.rotations import wrap_axis
 
 if TYPE_CHECKING:
     from vision import Camera
-    from vision.lines.segments import LineSet
+    from vision.lines.line_set import LineSet
 
     Features = LineSet | FrameMeasurement
 

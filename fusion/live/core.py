@@ -35,7 +35,7 @@ from fusion.logs.autopilot.tlog import ATTITUDES, IMUS, POSITION, RANGE
 if TYPE_CHECKING:
     from fusion.estimator.frame_update import FrameResult
     from vision import Camera
-    from vision.lines.segments import LineSet
+    from vision.lines.line_set import LineSet
 
 GROUND_STATION, NO_AUTOPILOT = 6, 8  # type and autopilot in HEARTBEAT of what flies no vehicle
 AUTOPILOT_COMPONENT = 1

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from vision import Camera, InputError, extract_lines
 
 if TYPE_CHECKING:
-    from vision.lines.segments import LineSet
+    from vision.lines.line_set import LineSet
 
 
 class Measured(NamedTuple):

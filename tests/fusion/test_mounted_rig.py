@@ -21,7 +21,7 @@ from fusion.logs.plausibility.mounting import mounted_attitude, mounted_imu, rot
 from tests.fusion.simulated import weaving
 from tests.vision.corridor_lines import Corridor, lines_seen
 from vision import Camera
-from vision.lines.segments import LineSet
+from vision.lines.line_set import LineSet
 
 CAMERA = replace(Camera(640, 480, 466.0, 466.0, 319.5, 239.5), p_body_camera_m=np.array([0.1, 0.05, 0.0]))
 LENGTH_S, IMU_HZ, FRAME_HZ = 2.4, 100, 20

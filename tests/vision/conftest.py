@@ -8,7 +8,7 @@ import pytest
 
 from tests.vision.corridor_lines import Corridor, lines_seen
 from vision import Camera
-from vision.lines.segments import LineSet
+from vision.lines.line_set import LineSet
 
 Seen = Callable[[Corridor, Camera], LineSet]
 

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from vision import Camera
 from vision.lines.fitting import FITTED_LINE
-from vision.lines.segments import LineSet, _describe_lines, _line_set, _view
+from vision.lines.line_set import LineSet
+from vision.lines.segments import POSITION_FLOOR_PX, _describe_lines, _line_set, _view
 from vision.types import FloatArray
 
 
@@ -72,7 +73,7 @@ def lines_between(px: FloatArray, camera: Camera) -> LineSet:
     rows["length"] = np.hypot(px[:, 2] - px[:, 0], px[:, 3] - px[:, 1])
     rows["rms"], rows["n_pixels"], rows["contrast"] = 0.2, np.maximum(rows["length"], 5.0), 100.0
     long = rows[rows["length"] > 10.0]
-    found = _describe_lines(long, _view(camera, camera), False)
+    found = _describe_lines(long, _view(camera, camera), POSITION_FLOOR_PX)
     return _line_set(found, camera, 20.0, time.perf_counter(), None)
 
 

@@ -92,7 +92,7 @@ def test_two_peaks_add_the_variance_of_the_choice(apart: float, behind: float, s
     assert excess == pytest.approx(odds / (1 + odds) * apart**2, rel=0.15)
 
 
-@given(shift=st.floats(0.0, 1.0), apart=st.floats(radians(1), radians(3)))
+@given(shift=st.floats(0.0, 1.0), apart=st.floats(radians(1.5), radians(3)))
 def test_elevations_that_miss_the_axis_do_not_split_its_peak(shift: float, apart: float) -> None:
     """Left and right lines meet at the axis's elevation; beside it each side has a peak of its own."""
     sigma, heading = 1.5 * BIN_RAD, bin_heading(300) + shift * BIN_RAD

@@ -32,7 +32,8 @@ from vision.axis.right_angles import (
     fit_right_angles,
     slack_std,
 )
-from vision.lines.segments import LineSet, extract_lines
+from vision.lines.line_set import LineSet
+from vision.lines.segments import extract_lines
 
 IMAGES = SHARED / "images"
 OFFICE_PICTURES = OFFICE / "mav0" / "cam0" / "data"

@@ -206,3 +206,26 @@ def test_strokes_at_random_are_seldom_a_corridor() -> None:
             cv2.line(picture, (x0, y0), (x1, y1), int(rng.integers(0, 256)), int(rng.integers(1, 6)))
         accepted += measure_frame(picture, camera, Attitude(0.0, 0.0)).accepted
     assert accepted < 0.25 * 120  # nearly half of them, when pieces of a stroke counted as lines of their own
+
+
+@pytest.mark.parametrize("size", [(320, 240), (640, 480), (1280, 960)])
+def test_edges_of_opposite_corners_are_not_one(size: tuple[int, int]) -> None:
+    """Half way between walls, floor and ceiling they lie on one line through the vanishing point, bright above."""
+    width, height = size
+    picture = np.full((height, width), 225, np.uint8)  # ceiling
+    middle = (0.5 * (width - 1), 0.5 * (height - 1))
+    slope = 0.9
+    corners = [(0.0, middle[1] - slope * middle[0]), (0.0, middle[1] + slope * middle[0])]
+    left = np.array([*corners, middle])
+    right = np.array([[width - 1 - x, y] for x, y in left])
+    floor = np.array([left[1], middle, right[1]])
+    for face, grey in ((left, 160), (right, 160), (floor, 90)):
+        cv2.fillPoly(picture, [np.round(16 * face).astype(np.int32)], grey, cv2.LINE_AA, 4)
+    picture = cv2.GaussianBlur(picture, (0, 0), 0.7)
+    camera = Camera.from_fov(width, height, radians(70))
+    found = measure_frame(picture, camera, Attitude(0.0, 0.0))
+    assert found.accepted
+    assert found.n_inliers >= 4
+    assert abs(found.heading_rad) < radians(0.2)
+    by_lines = found.offset_evidence[0]
+    assert abs(by_lines.offset_norm[by_lines.weight.argmax()]) < 0.05

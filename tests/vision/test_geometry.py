@@ -17,7 +17,7 @@ from tests.vision.corridor_lines import lines_between
 from vision import Attitude, Camera, InputError, Position, Prior, Reason, measure_lines
 from vision.axis.level import level_from_verticals
 from vision.axis.vanishing_point import axis_direction, fit_axis
-from vision.lines.segments import LineSet
+from vision.lines.line_set import LineSet
 from vision.rotations import wrap_axis
 
 CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.vision.corridor_lines import lines_between
 from vision import Camera, InputError
 from vision.cameras.camera import Distortion
 from vision.lines.preparation import noise_and_blockiness
@@ -199,3 +200,33 @@ def test_parallel_edges_and_edges_at_an_angle_are_not_joined() -> None:
     assert lines.length_px[upper].max() < 250
     bent = (lines.ends_px[:, 1] > 290) & (lines.ends_px[:, 1] < 315) & (lines.length_px > 100)
     assert bent.sum() == 2
+
+
+@pytest.mark.parametrize("at", [0.2, 0.5, 0.9])
+def test_a_line_cut_in_two_lies_where_it_lay(at: float) -> None:
+    lines = lines_between(np.array([[100.0, 50.0, 300.0, 350.0], [20.0, 400.0, 600.0, 420.0]]), CAMERA)
+    x, y = lines.ends_px[0, :2] + at * (lines.ends_px[0, 2:] - lines.ends_px[0, :2])
+
+    def ray_of(x: float, y: float) -> npt.NDArray[np.float64]:
+        ray = np.array([(x - CAMERA.cx_px) / CAMERA.fx_px, (y - CAMERA.cy_px) / CAMERA.fy_px, 1.0])
+        return ray / np.linalg.norm(ray)
+
+    cut = lines.cut(np.array([True, False]), ray_of(x, y))
+    assert cut.ends_px[0] == pytest.approx(lines.ends_px[1])
+    assert cut.ends_px[1, :2] == pytest.approx(lines.ends_px[0, :2])
+    assert cut.ends_px[2, 2:] == pytest.approx(lines.ends_px[0, 2:])
+    assert cut.ends_px[1, 2:] == pytest.approx(cut.ends_px[2, :2])
+    assert cut.ends_px[1, 2:] == pytest.approx([x, y], abs=5.0)  # by angles, not by pixels
+    assert cut.length_px[1:].sum() == pytest.approx(lines.length_px[0])
+    assert cut.arc_rad[1:].sum() == pytest.approx(lines.arc_rad[0])
+    np.testing.assert_allclose(cut.normal[1:], lines.normal[[0, 0]])
+    np.testing.assert_allclose(np.cross(cut.centre, cut.direction), cut.normal, atol=1e-9)
+    # each part's plane spans from end to end
+    for part in (1, 2):
+        angles = [
+            np.arctan2(cut.direction[part] @ end, cut.centre[part] @ end)
+            for end in (ray_of(*cut.ends_px[part, :2]), ray_of(*cut.ends_px[part, 2:]))
+        ]
+        assert angles == pytest.approx(
+            [-0.5 * cut.arc_rad[part], 0.5 * cut.arc_rad[part]], abs=0.03
+        )  # middles are those of the pixels

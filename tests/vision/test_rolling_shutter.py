@@ -16,8 +16,9 @@ from fusion.logs import load_flight
 from fusion.simulate import SimulationConfig, office_views, simulate_flight
 from vision import Attitude, Camera, InputError, Prior, measure_frame
 from vision.cameras.camera import Distortion
+from vision.lines.line_set import LineSet
 from vision.lines.rolling_shutter import lines_at_one_moment
-from vision.lines.segments import LineSet, extract_lines
+from vision.lines.segments import extract_lines
 
 FORWARD = Camera.from_fov(8, 8, 1.0).R_body_camera
 RATES = (0.3, -0.5, 1.2)

@@ -28,7 +28,8 @@ from vision.axis.vanishing_point import axis_direction, fit_axis
 from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.images import to_grey
-from vision.lines.segments import LineSet, extract_lines
+from vision.lines.line_set import LineSet
+from vision.lines.segments import extract_lines
 from vision.lines.straightness import (
     MAX_PICTURES as MAX_BEND_PICTURES,
 )

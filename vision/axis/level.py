@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.compiled import compiled, compiled_inner
-from vision.lines.segments import LineGeometry, LineSet, turned
+from vision.lines.line_set import LineGeometry, LineSet, turned
 from vision.types import FloatArray
 
 COARSE_STEP_RAD = radians(2.0)

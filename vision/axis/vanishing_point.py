@@ -30,7 +30,8 @@ from vision.axis.vote import (
     vote,
 )
 from vision.compiled import compiled, compiled_inner
-from vision.lines.segments import LineGeometry, LineSet, turned
+from vision.lines.line_set import LineGeometry, LineSet, turned
+from vision.lines.segments import MIN_LENGTH_PX
 from vision.types import BoolArray, FloatArray
 
 MAX_REFINEMENT_RAD = radians(4.0)
@@ -43,6 +44,7 @@ GAUSSIAN_CHI2 = 0.58  # weighted mean of the squared residuals of lines that sca
 MAX_SCATTER = 1.5
 MIN_SCALE = 0.3  # of the covariance, however well the lines agree
 MIN_FREEDOM = 3  # degrees of freedom: with two, Student's t has no variance
+LEVEL_COSINE = cos(radians(15.0))  # of a line's normal with the vertical
 DIRECTIONS = 45  # in half a turn about the axis
 
 
@@ -89,6 +91,9 @@ class AxisFit:
         Each line's residual over its standard deviation (n,).
     inlier
         Lines (n,) that run along the axis.
+    crossing
+        Lines (n,) among them that reach past the vanishing point on both sides. No edge along the corridor does:
+        they are two edges, as of the floor on the left and of the ceiling on the right.
     inlier_share
         Their share of the length of all lines that are not vertical.
     n_distinct
@@ -103,6 +108,7 @@ class AxisFit:
     second_score: float
     residual: FloatArray
     inlier: BoolArray
+    crossing: BoolArray
     inlier_share: float
     n_distinct: int
 
@@ -182,6 +188,16 @@ def _count_distinct(normal: FloatArray, inlier: BoolArray, psi: float, e: float)
     return count
 
 
+@compiled_inner
+def _angle_ahead(lines: LineGeometry, i: int, psi: float, e: float) -> float:
+    """Return how far along line i, from its middle, the vanishing point is."""
+    c, d = lines.centre, lines.direction
+    ce, se, cp, sp = cos(e), sin(e), cos(psi), sin(psi)
+    along = ce * (d[i, 0] * cp - d[i, 1] * sp) - d[i, 2] * se
+    ahead = ce * (c[i, 0] * cp - c[i, 1] * sp) - c[i, 2] * se
+    return atan2(along, ahead)
+
+
 class _Found(NamedTuple):
     """The axis as compiled code finds it; NaN as heading: there is none.
 
@@ -195,8 +211,9 @@ class _Found(NamedTuple):
         Of the best vote.
     second_heading, second_score
         Of the best vote at least 8 degrees away.
-    residual, inlier
-        Each line's residual over its standard deviation, and whether it runs along the axis, (n,).
+    residual, inlier, crossing
+        Each line's residual over its standard deviation, whether it runs along the axis, and whether it then reaches
+        past the vanishing point on both sides, (n,).
     inlier_share
         Share of the inliers in the length of all lines that are not vertical.
     n_distinct
@@ -211,6 +228,7 @@ class _Found(NamedTuple):
     second_score: float
     residual: FloatArray
     inlier: BoolArray
+    crossing: BoolArray
     inlier_share: float
     n_distinct: int
 
@@ -259,8 +277,8 @@ def _find(
     """
     lines = turned(in_camera, R_level_camera)
     n = len(length)
-    residual, inlier = np.zeros(n), np.zeros(n, np.bool_)
-    none = _Found(np.nan, np.nan, np.empty((2, 2)), 0.0, np.nan, 0.0, residual, inlier, 0.0, 0)
+    residual, inlier, crossing = np.zeros(n), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    none = _Found(np.nan, np.nan, np.empty((2, 2)), 0.0, np.nan, 0.0, residual, inlier, crossing, 0.0, 0)
     steps, step_std = elevations_to_try(elevation_std)
     max_heading = 0.5 * pi if prior_heading == prior_heading else MAX_HEADING_RAD + RIVAL_DISTANCE_RAD
     scores = vote(lines, elevation + steps, step_std, max_heading)
@@ -282,6 +300,10 @@ def _find(
         if abs(fit.residual[i]) < INLIER_SIGMA:
             inlier[i] = True
             along += length[i]
+            # A level one rather runs across, at the camera's height. Each part is long enough to be found by itself.
+            if abs(lines.normal[i, 2]) < LEVEL_COSINE:
+                ahead = abs(_angle_ahead(lines, i, fit.heading, fit.elevation))
+                crossing[i] = (0.5 - ahead / lines.arc_rad[i]) * length[i] > MIN_LENGTH_PX
     n_distinct = _count_distinct(lines.normal, inlier, fit.heading, fit.elevation)
     covariance = _covariance(fit, rival.excess_variance, n_distinct)
     return _Found(
@@ -293,6 +315,7 @@ def _find(
         rival.score,
         fit.residual,
         inlier,
+        crossing,
         along / max(leaning, 1.0),
         n_distinct,
     )
@@ -354,6 +377,7 @@ def fit_axis(
         second_score=found.second_score,
         residual=found.residual,
         inlier=found.inlier,
+        crossing=found.crossing,
         inlier_share=found.inlier_share,
         n_distinct=found.n_distinct,
     )

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.compiled import compiled, compiled_inner
-from vision.lines.segments import LineGeometry
+from vision.lines.line_set import LineGeometry
 from vision.types import FloatArray
 
 N_BINS = 720

@@ -22,7 +22,7 @@ from vision.lateral.corner_candidates import (
     find_corner_candidates,
 )
 from vision.lateral.line_directions import PictureLines, sort_by_direction
-from vision.lines.segments import LineSet
+from vision.lines.line_set import LineSet
 from vision.types import FloatArray, IntArray, Record, RecordArray
 
 # For the floor's pairs, and for the ceiling's

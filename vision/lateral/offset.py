@@ -36,7 +36,7 @@ from vision.lateral.hypotheses import (
 )
 from vision.lateral.line_directions import PictureLines
 from vision.lateral.mixture import OffsetMixture, combine
-from vision.lines.segments import LineSet
+from vision.lines.line_set import LineSet
 from vision.types import FloatArray
 
 MAX_MIXTURE_CORNERS = 24  # in a quadrant: among bricks and tiles the corners are not among the longest lines

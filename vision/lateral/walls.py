@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from vision.compiled import compiled
 from vision.lateral.learned import CornerScores, corner_sureness, corners_from_level
-from vision.lines.segments import LineGeometry
+from vision.lines.line_set import LineGeometry
 from vision.measurement import LineClass
 from vision.types import FloatArray
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from vision.cameras.camera import Camera
 from vision.cameras.projection import is_distorted
-from vision.lines.segments import LineSet
+from vision.lines.line_set import LineSet
 from vision.types import FloatArray
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import atan2, hypot, radians, sqrt, tan
 from typing import Any, NamedTuple
@@ -25,6 +24,7 @@ from vision.compiled import compiled, compiled_inner
 from vision.images import to_grey
 from vision.lines.edges import COMPONENT, Components, Gradient, connect, fill_gradient, median_and_mean
 from vision.lines.fitting import FITTED_LINE, fit, join, variance_across
+from vision.lines.line_set import LineGeometry, LineSet
 from vision.lines.preparation import SHARPNESS, prepared, resized, scaled, smoothed, working_camera
 from vision.types import Float32Array, FloatArray, GreyImage, IntArray, RecordArray
 
@@ -43,105 +43,6 @@ MIN_LENGTH_PX = 7.0
 MAX_HALF_FIELD_RAD = radians(75.0)  # rectified coordinates stretch without bound towards 90 degrees
 POSITION_FLOOR_PX = 0.055  # bias of the parabola, compression, edges not quite straight: does not average out
 SOFT = 3.0  # times that, where edges are blurred even as seen from as far away as can be
-
-
-class LineGeometry(NamedTuple):
-    """The planes of n lines as compiled code takes them; fields as in `LineSet`, in any one frame."""
-
-    normal: FloatArray  # (n, 3), as the next two
-    centre: FloatArray
-    direction: FloatArray
-    sigma_rad: FloatArray  # (n,)
-    arc_rad: FloatArray
-
-
-@compiled
-def turned(lines: LineGeometry, R: FloatArray) -> LineGeometry:
-    """Return lines turned by a rotation (3, 3)."""
-    n = len(lines.sigma_rad)
-    normal, centre, direction = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
-    for i in range(n):
-        for j in range(3):
-            a, b, c = R[j, 0], R[j, 1], R[j, 2]
-            normal[i, j] = a * lines.normal[i, 0] + b * lines.normal[i, 1] + c * lines.normal[i, 2]
-            centre[i, j] = a * lines.centre[i, 0] + b * lines.centre[i, 1] + c * lines.centre[i, 2]
-            direction[i, j] = (
-                a * lines.direction[i, 0] + b * lines.direction[i, 1] + c * lines.direction[i, 2]
-            )
-    return LineGeometry(normal, centre, direction, lines.sigma_rad, lines.arc_rad)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LineSet:
-    """Line segments of one picture; n lines.
-
-    Parameters
-    ----------
-    width_px, height_px
-        Size of the picture.
-    ends_px
-        End points (n, 4) x0, y0, x1, y1 in rectified pixels (those of a distortion-free lens with the same
-        focal length and principal point); bright is on the right when walking from 0 to 1.
-    length_px
-        Lengths (n,), rectified pixels.
-    rms_px
-        Scatter (n,) of the edge pixels across their line.
-    n_pixels
-        Edge pixels (n,) in the line.
-    contrast
-        Mean gradient magnitude (n,), in grey levels per pixel times 8 (Sobel 3x3).
-    centre, direction, normal
-        Unit vectors (n, 3) in the optical frame: towards the middle of the segment, along it, and normal to the
-        plane it spans with the camera's centre, on the bright side; ``normal = centre x direction``.
-    sigma_rad
-        Standard deviation (n,) of the angle by which the middle is off its plane.
-    arc_rad
-        Angle (n,) the segment subtends.
-    threshold
-        Gradient magnitude above which pixels counted as edges.
-    extract_ms
-        Time it took to find them, milliseconds.
-    grey
-        The picture (h, w), uint8, for what lines do not tell; None for lines without one.
-    """
-
-    width_px: int
-    height_px: int
-    ends_px: FloatArray
-    length_px: FloatArray
-    rms_px: FloatArray
-    n_pixels: FloatArray
-    contrast: FloatArray
-    centre: FloatArray
-    direction: FloatArray
-    normal: FloatArray
-    sigma_rad: FloatArray
-    arc_rad: FloatArray
-    threshold: float
-    extract_ms: float
-    grey: GreyImage | None = None
-
-    def __len__(self) -> int:
-        return len(self.length_px)
-
-    def with_ends(self, start: FloatArray, end: FloatArray) -> LineSet:
-        """Return the same lines with their planes spanned by other rays (n, 3) to their ends, z = 1 or about."""
-        centre = start + end
-        centre /= np.linalg.norm(centre, axis=1, keepdims=True)
-        normal = np.cross(start, end)
-        sine = np.linalg.norm(normal, axis=1)
-        normal /= sine[:, None]
-        return replace(
-            self,
-            centre=centre,
-            direction=np.cross(normal, centre),
-            normal=normal,
-            arc_rad=np.arctan2(sine, (start * end).sum(axis=1)),
-        )
-
-    def geometry(self) -> LineGeometry:
-        """Return the lines' planes in the optical frame, as compiled code takes them."""
-        return LineGeometry(self.normal, self.centre, self.direction, self.sigma_rad, self.arc_rad)
 
 
 class _Workspace:
