@@ -63,7 +63,8 @@ clean:  ## remove .venv, caches and outputs
 	rm -rf $(VENV) .venv-lowest out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# One shell script on purpose: find a Python, make the environment, install, and only then stamp it.
+# One shell script on purpose: find a Python, make the environment, install, and only then stamp it. Byte code is
+# left to the first import: most of what the libraries bring is never imported.
 $(STAMP): pyproject.toml
 	@set -eu; python=""; \
 	for candidate in $(or $(PYTHON),python3.14 python3.13 python3.12 python3.11 python3 python); do \
@@ -82,7 +83,7 @@ $(STAMP): pyproject.toml
 	if [ -n "$(CONSTRAINTS)" ]; then \
 	  $(BIN)/python $(CONSTRAINTS) >$(VENV)/constraints.txt; constraint="-c $(VENV)/constraints.txt"; \
 	fi; \
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check $$constraint --editable '.[$(EXTRA)]' >&2; \
+	$(BIN)/python -m pip install --no-compile --quiet --disable-pip-version-check $$constraint --editable '.[$(EXTRA)]' >&2; \
 	touch $(STAMP)
 
 .PHONY: help run test lowest lint types docs notebook release bench hooks setup clean

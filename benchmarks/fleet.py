@@ -128,7 +128,9 @@ def print_costs(source: Path, work: Path, count: int, reports: bool) -> Fleet:
     print(
         f"two workers are {costs[1].wall_s / costs[2].wall_s:.2f} times as fast as one (target {SPEEDUP_TARGET})"
     )
-    print(f"two processes that only calculate are {speed_of_two_processes():.2f} times as fast as one")
+    print(
+        f"two processes that only calculate are {speed_of_two_processes(100_000 * count):.2f} times as fast as one"
+    )
     busy = [costs[jobs].cpu_s / (jobs * costs[jobs].wall_s) for jobs in (1, 2)]
     print(
         f"processors had for one worker {busy[0]:.0%}, for two {busy[1]:.0%} of the time each: less, others had them"
@@ -149,9 +151,8 @@ def count_up(steps: int) -> int:
     return sum(k * k for k in range(steps))
 
 
-def speed_of_two_processes() -> float:
+def speed_of_two_processes(steps: int) -> float:
     """Return how many times as fast as one two processes are that only calculate: what the machine allows."""
-    steps = 20_000_000
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
         list(pool.map(count_up, (1000, 1000)))  # both are there
         one = cost_of(lambda: pool.submit(count_up, steps).result())
@@ -279,7 +280,7 @@ def main() -> None:
         print(f"{flights}, {os.cpu_count()} cores, load before {load:.1f}", flush=True)
         fleet = print_costs(source, work, options.flights, options.reports)
         print_model(fleet, source, work, options.rows)
-        print_cluster(work / "cluster", 1000)
+        print_cluster(work / "cluster", 5 * options.flights)
 
 
 if __name__ == "__main__":

@@ -87,6 +87,12 @@ def test_an_estimator_in_flight_needs_neither_filterpy_nor_what_it_loads() -> No
     assert "filterpy" in loaded_by(LOOKED_AT)
 
 
+def test_loading_what_fuses_a_flight_does_not_load_what_aligns_sensors() -> None:
+    """Each worker of a fleet would load it: half a second of its processor."""
+    code = "from fusion import fuse_flight, load_flight, write_outputs; import sys"
+    loaded_by(f"{code}; assert not {{'scipy.optimize', 'scipy.interpolate'}} & sys.modules.keys()")
+
+
 @pytest.mark.parametrize("name", ["measure_frame", "measure_lines", "extract_lines"])
 def test_the_compiled_line_finder_loads_at_its_first_use(name: str) -> None:
     assert "numba" in loaded_by(f"import vision; vision.{name}")

@@ -21,7 +21,6 @@ from math import exp, pi
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
-from scipy.optimize import minimize
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -257,6 +256,8 @@ def find_noise(
     scale, size
         Where the search starts.
     """
+    from scipy.optimize import minimize  # slow to import: only who looks for the noise pays
+
     typical = float(np.median(white))
 
     def cost(logs: FloatArray) -> float:

@@ -147,6 +147,7 @@ def test_the_garbage_collector_looks_seldom_and_then_as_before(
 ) -> None:
     seen: set[int] = set()
     before = gc.get_threshold()
+    gc.unfreeze()  # a live session of another test froze what there was
     try:
         gc.set_threshold(*threshold)
         fuse_flight(short(office), CONFIG, progress=lambda *_: seen.add(gc.get_threshold()[0]))

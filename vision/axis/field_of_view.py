@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import Akima1DInterpolator
 
 from vision.axis.level import level_from_verticals
 from vision.axis.right_angles import CENTRE_STD_OF_SIDE, N_SLACK, RightAngles, fit_right_angles, slack_std
@@ -250,6 +249,8 @@ class _PictureLikelihood:
 
     def curve(self, u: FloatArray) -> FloatArray:
         """Interpolate the scores to focal lengths (n,)."""
+        from scipy.interpolate import Akima1DInterpolator  # slow to import: only who asks for it pays
+
         nodes = sorted(self._fits)
         scores = [self._fits[node].score for node in nodes]
         return np.asarray(Akima1DInterpolator(nodes, scores, method="makima")(u), np.float64)
