@@ -8,19 +8,18 @@ repeated when late samples change either.
 from __future__ import annotations
 
 import time
-from math import atan2, copysign, cos, hypot, isfinite, log, nan, pi, radians, sin, sqrt
+from math import hypot, isfinite, nan, radians, sqrt
 from typing import Any, Literal, NamedTuple, get_args
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from vision.axis.acceptance import HeadingJudgement, judge_heading
 from vision.axis.level import LevelFrame, level_from_verticals
 from vision.axis.vanishing_point import AxisFit, axis_direction, corridor_frame, fit_axis
-from vision.axis.vote import PRIOR_DOUBT, PRIOR_FLOOR_STD_RAD, VERTICAL_SINE
 from vision.cameras.camera import Camera
 from vision.cameras.projection import project_directions
-from vision.compiled import compiled
 from vision.errors import InputError
 from vision.images import to_grey
 from vision.lateral.learned import corner_lines, corner_scores, learned_mixture, mixture_of
@@ -34,41 +33,22 @@ from vision.lines.segments import extract_lines
 from vision.measurement import (
     Attitude,
     FrameMeasurement,
-    LineClass,
     Position,
     Prior,
     Reason,
     position_from_offset,
 )
 from vision.paper.measure import FIRST_PIXEL, measure_paper, paper_yaw
-from vision.rotations import rotation_from_angles, wrap_axis
-from vision.types import BoolArray, FloatArray
+from vision.rotations import rotation_from_angles
+from vision.types import FloatArray
 
 Method = Literal["geometric", "paper"]
 
-MIN_LINES = 4
-MIN_SCORE = 8.0  # log-likelihood over chance
-MIN_MARGIN = 6.5  # log-likelihood over the second-best heading, by lines that are not pieces of one edge
-MAX_RIVAL = 0.80  # score of the second-best heading over the best
-CHOOSING_SIGMA = 3.0  # of a prediction: it is near one direction and not near the other
-MIN_CHOSEN = 0.9  # score of the direction that a prediction chooses over the other's
-MIN_SHARE = 0.07  # of the length of all lines that are not vertical
-ASIDE_RAD = radians(16.0)
-MAX_ACROSS = (
-    1.5  # of the corridor lines' length; of views along corridors 1 % has more than 1.1, walls before one 1.9
-)
-MAX_STD_RAD = radians(1.5)
-MAX_ELEVATION_RAD = radians(5.5)  # ramps are at most 1:12 steep: an axis that rises more was none
-MAX_ELEVATION_SIGMA = 2.5
-MAX_BLUR_PX = 20.0
 MAX_DRAWN_DOUBT = 0.5  # of the network: less sure, its corners are not drawn
 MAX_EXPECTED_STD_RAD = radians(1.0)  # of the prior's axis, to stand in for the picture's
 MAX_EXPECTED_TURN_RAD = radians(35.0)
 SLOPE_STD_RAD = radians(0.2)  # floors and ceilings are level to about this
-CALIBRATION_STD_RAD = radians(0.03)  # what focal length and principal point leave, the same in every frame
 UNKNOWN_ATTITUDE = Attitude(0.0, 0.0, std_rad=radians(12.0))
-TRANSVERSE_SINE = sin(radians(1.5))
-REJECTED, CORRIDOR, TRANSVERSE, VERTICAL = (int(kind) for kind in LineClass)
 
 __all__ = ["LineSet", "Method", "extract_lines", "measure_frame", "measure_lines", "warm_up"]
 
@@ -165,7 +145,7 @@ def measure_lines(
             offset_evidence=_evidence_about_expected_axis(lines, camera, level, prior) if lateral else (),
             vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started),
         )
-    heading = _judged(fit, lines, camera, level, prior, elevation_std_rad)
+    heading = judge_heading(fit, lines, camera, level, prior, elevation_std_rad)
     offset = _OffsetFound()
     if lateral:
         offset = _offset(heading, fit, lines, camera, level, prior)
@@ -190,41 +170,6 @@ def warm_up(camera: Camera) -> None:
         measure_frame(picture, camera, attitude)
 
 
-class _Judged(NamedTuple):
-    """What is said of the heading; fields as in `FrameMeasurement`."""
-
-    reason: Reason
-    n_inliers: int
-    heading_std_rad: float
-    second_heading_rad: float
-    second_score: float
-    line_class: npt.NDArray[np.int8]
-
-
-def _judged(
-    fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior, elevation_std_rad: float
-) -> _Judged:
-    """Say which lines are which, and whether the heading may be used."""
-    line_class, across_px, along_px = _classify(
-        lines.normal, lines.centre, lines.length_px, level.R_level_camera, fit.heading_rad, fit.inlier
-    )
-    found = _Judged(
-        reason=Reason.OK,
-        n_inliers=int(np.count_nonzero(fit.inlier)),
-        heading_std_rad=hypot(sqrt(fit.covariance[0, 0]), CALIBRATION_STD_RAD),
-        second_heading_rad=fit.second_heading_rad,
-        second_score=max(fit.second_score, 0.0) / fit.score,
-        line_class=line_class,
-    )
-    reason = _reason(found, fit, camera, prior, elevation_std_rad)
-    # Along a corridor what runs across lies ahead, between the walls. Before a side wall it spans the view: it is
-    # what runs along the corridor, and what sticks out of the wall is taken for the corridor. A prediction tells.
-    if reason is Reason.OK and not isfinite(prior.heading_rad) and across_px > MAX_ACROSS * along_px:
-        square_rad = fit.heading_rad - copysign(0.5 * pi, fit.heading_rad)
-        return found._replace(reason=Reason.AMBIGUOUS, second_heading_rad=square_rad, second_score=1.0)
-    return found._replace(reason=reason)
-
-
 class _OffsetFound(NamedTuple):
     """What is said of the lateral offset; fields as in `FrameMeasurement`."""
 
@@ -237,7 +182,7 @@ class _OffsetFound(NamedTuple):
 
 
 def _described(
-    heading: _Judged,
+    heading: HeadingJudgement,
     offset: _OffsetFound,
     fit: AxisFit,
     lines: LineSet,
@@ -274,7 +219,7 @@ def _described(
 
 
 def _offset(
-    heading: _Judged, fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
+    heading: HeadingJudgement, fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
 ) -> _OffsetFound:
     """Return what lines and, where the axis is to be relied on, regions say about the lateral offset.
 
@@ -331,40 +276,6 @@ def _evidence_about_expected_axis(
     )
 
 
-def _reason(found: _Judged, fit: AxisFit, camera: Camera, prior: Prior, elevation_std_rad: float) -> Reason:
-    """Decide whether the heading may be used; the limits were set where gross errors in degraded pictures end."""
-    if found.n_inliers < MIN_LINES or fit.score < MIN_SCORE:
-        return Reason.TOO_FEW_LINES
-    blur_px = prior.body_rate_rad_s * camera.exposure_s * camera.fx_px
-    if isfinite(blur_px) and blur_px > MAX_BLUR_PX:
-        return Reason.BLUR
-    distinct = min(fit.n_distinct / found.n_inliers, 1.0)
-    tied = distinct * (fit.score - fit.second_score) < MIN_MARGIN or found.second_score > MAX_RIVAL
-    if tied and not _is_chosen(fit, prior):
-        return Reason.AMBIGUOUS
-    if fit.inlier_share < MIN_SHARE:
-        return Reason.AMBIGUOUS
-    if not found.heading_std_rad < MAX_STD_RAD or abs(fit.heading_rad) > 0.5 * pi:
-        return Reason.UNCERTAIN
-    if abs(fit.elevation_rad) > max(MAX_ELEVATION_RAD, MAX_ELEVATION_SIGMA * elevation_std_rad):
-        return Reason.UNCERTAIN
-    return Reason.OK
-
-
-def _is_chosen(fit: AxisFit, prior: Prior) -> bool:
-    """Tell whether a prediction decides for this direction, where another explains the lines about as well.
-
-    A prediction can be wrong by the angle between the two, where a filter follows the axis across: a picture that is
-    for the other direction by more than a tenth is not overruled.
-    """
-    if not isfinite(prior.heading_rad):
-        return False
-    reach_rad = CHOOSING_SIGMA * hypot(prior.heading_std_rad, PRIOR_FLOOR_STD_RAD)
-    own, other = (abs(wrap_axis(h - prior.heading_rad)) for h in (fit.heading_rad, fit.second_heading_rad))
-    without_prior = fit.second_score - log(PRIOR_DOUBT)
-    return own < reach_rad < other and fit.score > MIN_CHOSEN * without_prior
-
-
 def _vanishing_point(
     fit: AxisFit, camera: Camera, R_level_camera: FloatArray
 ) -> tuple[tuple[float, float], tuple[tuple[float, float], tuple[float, float]]]:
@@ -391,42 +302,6 @@ def _vanishing_point(
     xy = xh * yh * hh + (xh * ye + xe * yh) * he + xe * ye * ee
     yy = yh * yh * hh + 2.0 * yh * ye * he + ye * ye * ee
     return (x, y), ((xx, xy), (xy, yy))
-
-
-@compiled
-def _classify(
-    normal: FloatArray,
-    centre: FloatArray,
-    length: FloatArray,
-    R: FloatArray,
-    heading: float,
-    inlier: BoolArray,
-) -> tuple[npt.NDArray[np.int8], float, float]:
-    """Return each line's `LineClass` (n,), and two lengths: of those across well aside of the axis, and along it.
-
-    ``R`` is the rotation (3, 3) from the lines' frame to the level frame.
-    """
-    line_class = np.empty(len(length), np.int8)
-    across = along = 0.0
-    cp, sp = cos(heading), sin(heading)
-    for i in range(len(length)):
-        x = R[0, 0] * normal[i, 0] + R[0, 1] * normal[i, 1] + R[0, 2] * normal[i, 2]
-        y = R[1, 0] * normal[i, 0] + R[1, 1] * normal[i, 1] + R[1, 2] * normal[i, 2]
-        z = R[2, 0] * normal[i, 0] + R[2, 1] * normal[i, 1] + R[2, 2] * normal[i, 2]
-        if inlier[i]:
-            line_class[i] = CORRIDOR
-            along += length[i]
-        elif abs(z) < VERTICAL_SINE:
-            line_class[i] = VERTICAL
-        elif abs(x * sp + y * cp) < TRANSVERSE_SINE:
-            line_class[i] = TRANSVERSE
-            ahead = R[0, 0] * centre[i, 0] + R[0, 1] * centre[i, 1] + R[0, 2] * centre[i, 2]
-            right = R[1, 0] * centre[i, 0] + R[1, 1] * centre[i, 1] + R[1, 2] * centre[i, 2]
-            if abs(atan2(right, ahead) + heading) > ASIDE_RAD:
-                across += length[i]
-        else:
-            line_class[i] = REJECTED
-    return line_class, across, along
 
 
 def _in_picture(ends_px: FloatArray, camera: Camera) -> npt.NDArray[np.float32]:

@@ -83,7 +83,7 @@ class AssumedView:
         axis that does not meet the picture's centre turns all of them.
         """
         from vision.axis.right_angles import CENTRE_STD_OF_SIDE
-        from vision.frame import MAX_STD_RAD
+        from vision.axis.acceptance import MAX_STD_RAD
 
         heading_rad = measurement.heading_rad
         if not (isfinite(heading_rad) and isfinite(measurement.heading_std_rad)):
