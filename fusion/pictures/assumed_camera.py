@@ -82,8 +82,8 @@ class AssumedView:
         A focal length wrong by a share turns a heading by that share of ``sin(heading) cos(heading)``; an optical
         axis that does not meet the picture's centre turns all of them.
         """
-        from vision.axis.right_angles import CENTRE_STD_OF_SIDE
         from vision.axis.acceptance import MAX_STD_RAD
+        from vision.axis.right_angles import CENTRE_STD_OF_SIDE
 
         heading_rad = measurement.heading_rad
         if not (isfinite(heading_rad) and isfinite(measurement.heading_std_rad)):
