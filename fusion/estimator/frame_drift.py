@@ -22,6 +22,7 @@ MIN_LINKED = 0.75  # share of the frames; fewer, and nobody can say what they fo
 TIME_STD_S = 0.03  # of the frames' stamps against the gyroscope's, where a flight has not shown it
 MAX_MISFIT = 9.0  # of one frame
 WANDER_LIKE_TURN = 1 / 15  # mean square about its line of a random walk over unit time, of unit density
+WALKED_END = 2 / 15  # variance of the end of a line fitted to such a walk
 
 
 class Sight(NamedTuple):
@@ -47,7 +48,8 @@ class Sight(NamedTuple):
 class Slope(NamedTuple):
     """A difference of two headings: how fast it grows, rad/s, its sigma, its value now and that value's sigma.
 
-    The sigmas are those by the frames' errors alone.
+    The rate's sigma is that by the frames' errors alone; that of the value now counts how the gyroscope wanders, too.
+    The value is to frames as they are stamped, early or late.
     ``misfit`` is the mean of the ``n`` squared residuals over their variances: 1 where it grows steadily.
     ``stamp_s``, ``stamp_variance``: by how much the frames are stamped early, as the differences alone show it, s.
     """
@@ -145,7 +147,7 @@ def slope_of(
     """
     columns = np.stack((np.ones(len(t_s)), t_s, turn_rad_s, difference_rad))
     weighted, keep = columns * std_rad**-2, np.ones(len(t_s), bool)
-    span_s = float(-t_s[0])
+    span_s, turn_now = float(-t_s[0]), float(turn_rad_s[-1])
     for _ in range(3):
         if int(np.count_nonzero(keep)) < MIN_POINTS:
             return None
@@ -163,7 +165,8 @@ def slope_of(
         if not det > 0.0:
             return None
         a, b = (s2 * d0 - s1 * d1) / det, (s0 * d1 - s1 * d0) / det
-        off = np.abs(np.array((-a, -b, (r0 * a + r1 * b - dr) / r2, 1.0)) @ columns)
+        c = (dr - r0 * a - r1 * b) / r2
+        off = np.abs(np.array((-a, -b, -c, 1.0)) @ columns)
         scatter = max(float(np.sort(off)[len(off) // 2]) / 0.67, 1e-9)  # by the median
         before, keep = keep, off <= 3.0 * np.maximum(std_rad, scatter)
         if (keep == before).all():
@@ -173,7 +176,11 @@ def slope_of(
     # Where the differences are not on a line, nothing constant is wrong.
     spread = max(1.0, float(squares @ keep) / len(t_s))
     rate_std = sqrt(s0 / det * spread + walked_rate_variance(walk, span_s))
-    found = Slope(b, rate_std, a, sqrt(s2 / det), misfit, len(t_s))
+    # The filter takes frames at their stamps: its difference now is that of the frames, the turn's share included.
+    by_a, by_b = 1.0 - turn_now * r0 / r2, -turn_now * r1 / r2
+    now_variance = (s2 * by_a**2 - 2.0 * s1 * by_a * by_b + s0 * by_b**2) / det + turn_now**2 / r2
+    now_variance += WALKED_END * (walk**2 + gyro_walk**2) * span_s
+    found = Slope(b, rate_std, a + c * turn_now, sqrt(now_variance), misfit, len(t_s))
     if not known > 0.0:
         return found
     wander = WANDER_LIKE_TURN * (walk**2 + gyro_walk**2) * span_s  # it looks in part like a turn seen late

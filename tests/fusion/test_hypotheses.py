@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 
 from fusion.estimator.corridor_axis import CorridorAxis, FrameAxis, _is_linked
-from fusion.estimator.frame_drift import MIN_POINTS, Drift, Evidence, Sight, Slope, unseen_leap, with_sight
+from fusion.estimator.frame_drift import (
+    MIN_POINTS,
+    Drift,
+    Evidence,
+    Sight,
+    Slope,
+    slope_of,
+    unseen_leap,
+    walked_rate_variance,
+    with_sight,
+)
 from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations, Verdict, judge
 from fusion.estimator.imu_yaw_check import InertialNoise, TurnBeside, YawDoubt
 
@@ -122,6 +132,41 @@ def test_a_slow_drift_shows_while_the_vehicle_turns_to_and_fro(late_s: float) ->
     assert gyro is not None
     assert gyro.rate_rad_s == pytest.approx(drift, abs=3 * gyro.rate_std)
     assert gyro.rate_std < radians(0.15)
+
+
+@pytest.mark.parametrize("hz", [5, 10, 30])
+@pytest.mark.parametrize("seconds", [1.7, 6.0])
+@pytest.mark.parametrize("turn_rad_s", [0.0, 0.3, 1.0])
+def test_slopes_and_their_ends_are_as_sure_as_they_say(hz: int, seconds: float, turn_rad_s: float) -> None:
+    """The gyroscope wanders by far more than frames of a twentieth of a degree err, whatever the vehicle turns."""
+    std, walk, flights = radians(0.05), 0.0075, 200
+    rng = np.random.default_rng(3)
+    t = np.arange(-round(seconds * hz), 1) / hz
+    ratios = []
+    for _ in range(flights):
+        rates, phases = rng.uniform(1.0, 4.0, 3), rng.uniform(0.0, 2 * pi, 3)
+        turn = turn_rad_s / 1.2 * np.sin(np.outer(t, rates) + phases).sum(axis=1)
+        wander = np.cumsum(rng.normal(0.0, walk / np.sqrt(hz), len(t)))
+        found = slope_of(
+            t, wander - wander[-1] + rng.normal(0.0, std, len(t)), np.full(len(t), std), turn, 0.0, walk
+        )
+        assert found is not None
+        rate_std = np.hypot(found.rate_std, np.sqrt(walked_rate_variance(walk, seconds)))
+        ratios.append((found.rate_rad_s / rate_std, found.now_rad / found.now_std))
+    rate, now = np.sqrt(np.mean(np.square(ratios), axis=0))
+    assert 0.8 < rate < 1.2
+    assert 0.5 < now < 1.1  # what frames and stamps add is counted as if apart
+
+
+def test_the_heading_now_is_that_of_the_frames_as_they_are_stamped() -> None:
+    """Though they are late: the filter takes the next frames at their stamps too."""
+    seen = weaving_sights(0.04)
+    gyro = Drift(seen, seen[-1].raw_theta_rad, QUIET).over(3.0).gyro
+    assert gyro is not None
+    late = seen[-1].heading_rad - seen[-1].raw_theta_rad
+    assert abs(late) > radians(1.0)
+    assert gyro.now_rad == pytest.approx(late, abs=3 * radians(0.5))
+    assert gyro.now_rad == pytest.approx(-0.04 * radians(40.0) * np.cos(2.0 * 2.97), abs=4 * gyro.now_std)
 
 
 def test_without_a_turn_nothing_shows_whether_stamps_are_right() -> None:
