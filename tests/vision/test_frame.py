@@ -221,7 +221,7 @@ def test_edges_of_opposite_corners_are_not_one(size: tuple[int, int]) -> None:
     floor = np.array([left[1], middle, right[1]])
     for face, grey in ((left, 160), (right, 160), (floor, 90)):
         cv2.fillPoly(picture, [np.round(16 * face).astype(np.int32)], grey, cv2.LINE_AA, 4)
-    picture = cv2.GaussianBlur(picture, (0, 0), 0.7)
+    picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7), np.uint8)
     camera = Camera.from_fov(width, height, radians(70))
     found = measure_frame(picture, camera, Attitude(0.0, 0.0))
     assert found.accepted

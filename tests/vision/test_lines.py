@@ -209,7 +209,7 @@ def test_a_line_cut_in_two_lies_where_it_lay(at: float) -> None:
 
     def ray_of(x: float, y: float) -> npt.NDArray[np.float64]:
         ray = np.array([(x - CAMERA.cx_px) / CAMERA.fx_px, (y - CAMERA.cy_px) / CAMERA.fy_px, 1.0])
-        return ray / np.linalg.norm(ray)
+        return np.asarray(ray / np.linalg.norm(ray))
 
     cut = lines.cut(np.array([True, False]), ray_of(x, y))
     assert cut.ends_px[0] == pytest.approx(lines.ends_px[1])
