@@ -124,6 +124,7 @@ def weigh(
         axis = axis._replace(anchor_rad=axis.anchor_rad + bend_rate(before, ekf) * elapsed_s)
     kept = exp(-interval_s / SHORT_S)
     refused_share = kept * before.refused_share + (0.0 if axis.was_accepted else 1.0 - kept)
+    noise = _inertial_noise(config, axis.frame_noise.gyro_scale)
     beside = TurnBeside(new.t_ns, new.raw_theta_rad, new.yaw_rad, new.bias_rad_s, new.bias_variance)
     sights = with_sight(before.sights, new, round(0.9 * VOTE_SPACING_S * 1e9))
     now = before._replace(
@@ -132,14 +133,14 @@ def weigh(
         sights=sights,
         verdict=Verdict(),
         leap_rad=unseen_leap(before.sights, new, float(ekf.x[BIAS])),
-        yaw_doubt=before.yaw_doubt.compared(beside, _inertial_noise(config)),
+        yaw_doubt=before.yaw_doubt.compared(beside, noise),
     )
     if now.leap_rad:
         now = now._replace(told=Told(Hypothesis.SPIKE, new.t_ns))
     due = now.judged_ns is None or new.t_ns - now.judged_ns >= LOOK_S * 1e9
     if not (innovations.systematic or due) or sights[-1] is not new:
         return axis._replace(diagnosis=now), None
-    verdict, drift = _judge_spans(now, ekf, config)
+    verdict, drift = _judge_spans(now, ekf, noise)
     now = now.with_verdict(new.t_ns, verdict, due)
     found = now.found
     if found in (Hypothesis.WELL, Hypothesis.GYRO) and not isnan(now.straight_bias_rad_s):
@@ -149,7 +150,7 @@ def weigh(
     return axis._replace(diagnosis=now), drift
 
 
-def _judge_spans(d: Diagnosis, ekf: CorridorEKF, config: FusionConfig) -> tuple[Verdict, Slope | None]:
+def _judge_spans(d: Diagnosis, ekf: CorridorEKF, noise: InertialNoise) -> tuple[Verdict, Slope | None]:
     """Judge over each span: the shortest that shows something wrong tells most of now, else the one most in doubt.
 
     Returned besides is the drift of the frames from what the filter predicts.
@@ -157,7 +158,7 @@ def _judge_spans(d: Diagnosis, ekf: CorridorEKF, config: FusionConfig) -> tuple[
     last = d.sights[-MIN_POINTS:]
     jumped = d.innovations.systematic and 2 * sum(not s.linked for s in last) > MIN_POINTS
     refused = d.refused_share > REFUSED_SHARE
-    drift = Drift(d.sights, float(ekf.x[PSI]), _inertial_noise(config))
+    drift = Drift(d.sights, float(ekf.x[PSI]), noise)
     verdict, evidence = Verdict(), Evidence()
     for span_s in SPANS_S:
         shown = drift.over(span_s)._replace(jumped=jumped, refused=refused, yaw_doubt=d.yaw_doubt)
@@ -172,8 +173,8 @@ def _judge_spans(d: Diagnosis, ekf: CorridorEKF, config: FusionConfig) -> tuple[
     return verdict, evidence.gyro._replace(rate_rad_s=by_filter)
 
 
-def _inertial_noise(c: FusionConfig) -> InertialNoise:
-    return InertialNoise(c.gyro_noise, c.offset_walk, c.imu_yaw_std_rad, c.gyro_scale_std)
+def _inertial_noise(c: FusionConfig, gyro_scale: float) -> InertialNoise:
+    return InertialNoise(sqrt(gyro_scale) * c.gyro_noise, c.offset_walk, c.imu_yaw_std_rad, c.gyro_scale_std)
 
 
 def follow_verdict(

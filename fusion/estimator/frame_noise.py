@@ -6,16 +6,21 @@ state, tau the time over which errors resemble each other, q the gyroscope's noi
 Allan variance. Innovations of successive frames show only the product of s and 1 - exp(-l / tau): frames whose errors
 last would pass for better ones than they say.
 
+How differences grow with l also tells a gyroscope that is noisier than the settings say (vibration, a log with one in
+so many of its samples) from frames that are worse than they say.
+
 A gyroscope that is wrong turns by little from one frame to the next, so that its fault is not taken for noise.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
-from math import exp, pi, sqrt
+from math import exp, log, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
+
+from fusion.estimator.kernels import FloatArray
 
 LAGS_S = (0.033, 0.1, 0.3, 1.0)  # between headings that are compared
 SPACING_NS = 27_000_000  # of the headings that are kept
@@ -26,6 +31,9 @@ MAX_TERM = 9.0  # of a squared difference over its expectation: beyond is a gros
 FIT_NS = 250_000_000
 LASTING_S = 0.1
 PRIOR_LOG_SCALE, PRIOR_LOG_TIME = 0.35, 2.0  # standard deviations about what is stated
+PRIOR_LOG_GYRO = 0.5
+POOR_FIT = 3.0  # log-likelihood and prior less than the best possible: from there on the gyroscope is doubted
+GYRO_SCALES = np.exp(np.linspace(np.log(1.5), np.log(100.0), 12))
 SCALES = np.exp(np.linspace(np.log(0.04), np.log(25.0), 25))
 TIMES_S = np.exp(np.linspace(np.log(0.004), np.log(15.0), 25))
 
@@ -60,6 +68,8 @@ class FrameNoise(NamedTuple):
         Variance of their errors over what they state.
     correlation_s
         Time over which errors resemble each other; NaN: as the settings say.
+    gyro_scale
+        Variance of the gyroscope's noise over what the settings say; 1 unless frames show that it is larger.
     headings, lags
         The last second's headings, and what they differed by.
     fitted_ns
@@ -68,6 +78,7 @@ class FrameNoise(NamedTuple):
 
     scale: float = 1.0
     correlation_s: float = float("nan")
+    gyro_scale: float = 1.0
     headings: tuple[Heading, ...] = ()
     lags: tuple[Differences, ...] = (Differences(),) * len(LAGS_S)
     fitted_ns: int | None = None
@@ -99,7 +110,7 @@ class FrameNoise(NamedTuple):
         fade = exp(-dt_s / MEMORY_S)
         density = gyro_noise * gyro_noise
         lags = tuple(
-            _with_difference(d, fade, _at_lag(kept, t_ns, lag), new, density, self.scale)
+            _with_difference(d, fade, _at_lag(kept, t_ns, lag), new, density, self.scale, self.gyro_scale)
             for d, lag in zip(self.lags, LAGS_S, strict=True)
         )
         noise = self._replace(headings=(*kept, new), lags=lags)
@@ -107,8 +118,9 @@ class FrameNoise(NamedTuple):
             return noise._replace(fitted_ns=t_ns, correlation_s=stated_time_s)
         if t_ns - noise.fitted_ns < FIT_NS:
             return noise
-        scale, time_s = fit(lags, stated_time_s)
-        return noise._replace(scale=scale, correlation_s=time_s, fitted_ns=t_ns)
+        interval_s = (t_ns - kept[0].t_ns) * 1e-9 / len(kept) if kept else LAGS_S[-1]
+        scale, time_s, gyro_scale = fit(lags, stated_time_s, interval_s)
+        return noise._replace(scale=scale, correlation_s=time_s, gyro_scale=gyro_scale, fitted_ns=t_ns)
 
 
 def white_and_walk(variance: float, time_s: float, interval_s: float) -> tuple[float, float]:
@@ -136,7 +148,13 @@ def _at_lag(kept: tuple[Heading, ...], t_ns: int, lag_s: float) -> Heading | Non
 
 
 def _with_difference(
-    d: Differences, fade: float, then: Heading | None, now: Heading, density: float, scale: float
+    d: Differences,
+    fade: float,
+    then: Heading | None,
+    now: Heading,
+    density: float,
+    scale: float,
+    gyro_scale: float,
 ) -> Differences:
     weight, lag, total, squares, turned = (fade * value for value in d)
     if then is None:
@@ -145,28 +163,42 @@ def _with_difference(
     stated = now.variance + then.variance
     step = (now.difference_rad - then.difference_rad + 0.5 * pi) % pi - 0.5 * pi
     share = density * lag_s / stated
-    most = sqrt(MAX_TERM * (max(scale, 1.0) + share))
+    most = sqrt(MAX_TERM * (max(scale, 1.0) + gyro_scale * share))
     z = min(max(step / sqrt(stated), -most), most)
     return Differences(weight + 1.0, lag + lag_s, total + z, squares + z * z, turned + share)
 
 
-def fit(lags: tuple[Differences, ...], stated_time_s: float) -> tuple[float, float]:
-    """Scale and correlation time that explain the differences best, with what is stated as the prior.
+def fit(lags: tuple[Differences, ...], stated_time_s: float, interval_s: float) -> tuple[float, float, float]:
+    """Scale and correlation time of the frames' errors, and scale of the gyroscope's noise, that explain differences.
 
-    A mean of squares of variance v has standard deviation v sqrt(2 / n); n is less where spans overlap.
+    What is stated is the prior; the gyroscope is as stated unless no scale and time explain them.
+    ``interval_s`` is the time between headings. A mean of n squares of variance v has standard deviation
+    v sqrt(2 / n); n is less where spans overlap.
     """
-    used = [d for d in lags if d.weight > 1.0]
-    prior = 0.5 * (np.log(SCALES) / PRIOR_LOG_SCALE) ** 2
     stated = max(stated_time_s, float(TIMES_S[0]))
-    cost = prior[:, None] + 0.5 * (np.log(TIMES_S / stated) / PRIOR_LOG_TIME)[None, :] ** 2
-    for d in used:
-        lag_s, share = d.lag_s / d.weight, d.turned / d.weight
-        mean = max(d.squares / d.weight - (d.sum / d.weight) ** 2, 1e-6)  # a steady drift is no scatter
-        n = d.weight * min(1.0, 2.0 * LAGS_S[0] / lag_s)
-        expected = SCALES[:, None] * (1.0 - np.exp(-lag_s / TIMES_S))[None, :] + share
-        cost = cost + 0.5 * n * (mean / expected - 1.0 + np.log(expected / mean))
+    prior = 0.5 * (np.log(SCALES) / PRIOR_LOG_SCALE) ** 2
+    prior = prior[:, None] + 0.5 * (np.log(TIMES_S / stated) / PRIOR_LOG_TIME)[None, :] ** 2
+    used = [d for d in lags if d.weight > 1.0]
+
+    def costs(gyro_scale: float) -> tuple[FloatArray, float]:
+        """Return those of frames' scale and time, and the least with spans as often as headings come."""
+        cost, spaced = prior, prior + 0.5 * (log(gyro_scale) / PRIOR_LOG_GYRO) ** 2
+        for d in used:
+            lag_s, share = d.lag_s / d.weight, gyro_scale * d.turned / d.weight
+            mean = max(d.squares / d.weight - (d.sum / d.weight) ** 2, 1e-6)  # a steady drift is no scatter
+            n, n_spaced = (d.weight * min(1.0, 2.0 * s / lag_s) for s in (LAGS_S[0], interval_s))
+            expected = SCALES[:, None] * (1.0 - np.exp(-lag_s / TIMES_S))[None, :] + share
+            misfit = mean / expected - 1.0 + np.log(expected / mean)
+            cost, spaced = cost + 0.5 * n * misfit, spaced + 0.5 * n_spaced * misfit
+        return cost, float(spaced.min())
+
+    gyro_scale, (cost, least) = 1.0, costs(1.0)
+    if least > POOR_FIT:
+        for other in GYRO_SCALES.tolist():
+            other_cost, other_least = costs(other)
+            if other_least < least:
+                gyro_scale, cost, least = other, other_cost, other_least
     w = np.exp(-(cost - cost.min()))
     w /= w.sum()
-    return float(np.exp((w.sum(axis=1) * np.log(SCALES)).sum())), float(
-        np.exp((w.sum(axis=0) * np.log(TIMES_S)).sum())
-    )
+    scale = float(np.exp((w.sum(axis=1) * np.log(SCALES)).sum()))
+    return scale, float(np.exp((w.sum(axis=0) * np.log(TIMES_S)).sum())), gyro_scale

@@ -104,7 +104,13 @@ class GyroRun:
             start.P,
             first,
             (d.t_ns, d.t_gyro_ns, propagation.grace_ns),
-            (d.rate_rad_s, d.gyro_done_rad, offset.roll.mean, propagation.scale_variance_s),
+            (
+                d.rate_rad_s,
+                d.gyro_done_rad,
+                offset.roll.mean,
+                propagation.scale_variance_s,
+                d.more_gyro_noise,
+            ),
             (*propagation.noise[Mode.GYRO],),
             (self.x, self.F, self.P, self.Q, self.carried),
         )
@@ -146,6 +152,7 @@ class GyroRun:
             yaw_done,
             d.attitude,
             d.stored_gyro_bias,
+            d.more_gyro_noise,
         )
         return State(
             self.x[i],
@@ -194,7 +201,7 @@ def compile_gyro_run() -> None:
     times = (0, 0, 1_000_000_000)
     t_ns, steps = np.array([1_000_000]), np.array([(0.0,) * 7])
     noise, x, P, carried = (1.0,) * 3, np.zeros(n), np.eye(n), np.zeros(N_CARRIED)
-    _carry_on(t_ns, steps, x, P, carried, times, (0.0,) * 4, noise, out)
+    _carry_on(t_ns, steps, x, P, carried, times, (0.0,) * 5, noise, out)
 
 
 @compiled
@@ -205,7 +212,7 @@ def _carry_on(
     P: FloatArray,
     carried: FloatArray,
     times_ns: tuple[int, int, int],
-    numbers: tuple[float, float, float, float],
+    numbers: tuple[float, float, float, float, float],
     noise: tuple[float, float, float],
     out: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
 ) -> int:
@@ -225,14 +232,15 @@ def _carry_on(
     times_ns
         Of the state, of the last gyroscope sample, and the longest gap.
     numbers
-        Last level yaw rate, angle propagated since then, roll correction, and variance of the scale, s.
+        Last level yaw rate, angle propagated since then, roll correction, variance of the scale, s, and density of
+        the noise beyond that of the settings, rad^2/s.
     noise
         Of the process.
     out
         Filled: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3) of the last step, carried (n, 13).
     """
     last_ns, gyro_ns, grace_ns = times_ns
-    last_rate, done, roll, scale_variance_s = numbers
+    last_rate, done, roll, scale_variance_s, more_noise = numbers
     heading_noise, bias_noise, offset_noise = noise
     x_out, F_out, P_out, Q, carried_out = out
     theta, raw_theta, yaw_done = carried[0], carried[1], carried[2]
@@ -249,7 +257,7 @@ def _carry_on(
         age_s += dt_s
         turned = 0.5 * (last_rate + rate) * (t_ns[k] - gyro_ns) * 1e-9 - done
         corrected = turned - x[BIAS] * dt_s
-        variance = scale_variance_s * corrected * corrected / dt_s
+        variance = scale_variance_s * corrected * corrected / dt_s + more_noise * dt_s
         stepped(
             x,
             P,

@@ -76,6 +76,8 @@ class DeadReckoning(NamedTuple):
         When attitude samples came.
     stored_gyro_bias
         Mean and variance of the gyroscope's bias, kept while another mode runs.
+    more_gyro_noise
+        Density of the gyroscope's noise beyond that of the settings, rad^2/s, as frames have shown it.
     """
 
     t_ns: int | None = None
@@ -90,6 +92,7 @@ class DeadReckoning(NamedTuple):
     yaw_done_rad: float = 0.0
     attitude: SampleTimes = SampleTimes()
     stored_gyro_bias: tuple[float, float] = (0.0, 0.02**2)
+    more_gyro_noise: float = 0.0
 
     def yaw_rate(self, bias_rad_s: float) -> float:
         """Level yaw rate with the filter's bias taken off, rad/s."""
@@ -156,7 +159,7 @@ class Propagation:
         else:
             d = self._with_mode(self.advance(d, ekf, sample.t_ns), ekf, Mode.GYRO)
             t_ns = d.t_ns
-        _, mode, _, theta, raw_theta, _, _, _, yaw, yaw_done, attitude, stored = d
+        _, mode, _, theta, raw_theta, _, _, _, yaw, yaw_done, attitude, stored, more_noise = d
         return DeadReckoning(
             t_ns,
             mode,
@@ -170,6 +173,7 @@ class Propagation:
             yaw_done + corrected,
             attitude,
             stored,
+            more_noise,
         )
 
     def with_attitude_yaw(
@@ -196,7 +200,7 @@ class Propagation:
                 rate = increment / span_s
         else:
             d = self.advance(d, ekf, t_ns)
-        end_ns, mode, _, theta, raw_theta, t_gyro, gyro, gyro_done, _, _, attitude, stored = d
+        end_ns, mode, _, theta, raw_theta, t_gyro, gyro, gyro_done, _, _, attitude, stored, more_noise = d
         d = DeadReckoning(
             end_ns,
             mode,
@@ -210,6 +214,7 @@ class Propagation:
             0.0,
             attitude.with_sample(t_ns),
             stored,
+            more_noise,
         )
         return self._with_mode(d, ekf, Mode.ATTITUDE) if d.mode is Mode.NONE else d
 
@@ -242,7 +247,21 @@ class Propagation:
         if t_ns <= d.t_ns and turned_rad is None:
             return d
         turned, corrected = self._move(d, ekf, t_ns, None, turned_rad)
-        _, mode, rate, theta, raw_theta, t_gyro, gyro, gyro_done, yaw, yaw_done, attitude, stored = d
+        (
+            _,
+            mode,
+            rate,
+            theta,
+            raw_theta,
+            t_gyro,
+            gyro,
+            gyro_done,
+            yaw,
+            yaw_done,
+            attitude,
+            stored,
+            more_noise,
+        ) = d
         return DeadReckoning(
             t_ns,
             mode,
@@ -256,6 +275,7 @@ class Propagation:
             yaw_done + (turned if mode is Mode.ATTITUDE else corrected),
             attitude,
             stored,
+            more_noise,
         )
 
     def _move(
@@ -285,7 +305,7 @@ class Propagation:
                 variance = self._silence_variance(d, ekf, t_ns)
         bias_turn = float(ekf.x[BIAS]) * dt_s
         if mode is Mode.GYRO:
-            variance += self._scale_variance(turned_rad - bias_turn, dt_s)
+            variance += self._scale_variance(turned_rad - bias_turn, dt_s) + d.more_gyro_noise * dt_s
         ekf.advance(dt_s, turned_rad, self.noise[mode], variance)
         return turned_rad, turned_rad - bias_turn
 
@@ -314,7 +334,9 @@ class Propagation:
         turned = 0.0 if d.mode is Mode.NONE else d.rate_rad_s * dt_s
         variance = self.held_rate_variance(d, t_ns)
         if d.mode is Mode.GYRO:
-            variance += self._scale_variance(turned - float(ekf.x[BIAS]) * dt_s, dt_s)
+            variance += (
+                self._scale_variance(turned - float(ekf.x[BIAS]) * dt_s, dt_s) + d.more_gyro_noise * dt_s
+            )
         ekf.advance(dt_s, turned, self.noise[d.mode], variance)
         return d._replace(t_ns=t_ns)
 
