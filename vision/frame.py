@@ -121,7 +121,8 @@ def measure_lines(
     """
     started = time.perf_counter()
     prior = prior or Prior()
-    if not prior.heading_std_rad < HEADING_PRIOR_STD_RAD:  # that the camera looks along the corridor says more
+    # A vaguer one says less than that the camera looks along the corridor.
+    if not prior.heading_std_rad < HEADING_PRIOR_STD_RAD:
         prior = replace(prior, heading_rad=nan, heading_std_rad=nan)
     if attitude is None:
         attitude = UNKNOWN_ATTITUDE
