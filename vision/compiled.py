@@ -6,9 +6,12 @@ import gc
 import logging
 from collections.abc import Callable
 from functools import cache
+from hashlib import sha256
+from types import CodeType
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 from numba.core import event
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -18,19 +21,55 @@ F = TypeVar("F", bound=Callable[..., Any])
 # is compiled in less time.
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 _INNER_OPTIONS = _OPTIONS | {"no_cpython_wrapper": True}
+_CONSTANTS = (int, float, str, np.generic, np.ndarray, np.dtype)
 
 
 def compiled(function: F) -> F:
     """Compile ``function`` at its first call; keep the machine code on disk if any place is writable.
 
+    What is kept is used only as long as the function, and all that it calls, are the same.
+
     A read-only installation without a writable cache folder makes numba refuse to cache: compile in memory then, and
     log once how to mend it.
     """
     try:
-        return cast(F, numba.njit(cache=True, **_OPTIONS)(function))
+        dispatcher: Any = numba.njit(cache=True, **_OPTIONS)(function)
     except RuntimeError:
         _say_that_nothing_is_kept()
         return cast(F, numba.njit(**_OPTIONS)(function))
+    # Numba looks only whether the function's own file is the same; what it calls and is inlined may be in another.
+    kept = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+    if kept is not None:  # it is not where numba is told to compile nothing
+        kept._source_stamp = (kept._source_stamp, _source_of(function))
+    return cast(F, dispatcher)
+
+
+def _source_of(function: Callable[..., Any]) -> str:
+    """Return a digest of a function's code, and of all compiled functions and constants that it uses."""
+    digest = sha256()
+    waiting: list[tuple[CodeType, dict[str, Any]]] = [(function.__code__, function.__globals__)]
+    seen = set()
+    while waiting:
+        code, names = waiting.pop()
+        if code in seen:
+            continue
+        seen.add(code)
+        digest.update(code.co_code + repr((code.co_names, code.co_varnames)).encode())
+        for constant in code.co_consts:
+            if isinstance(constant, CodeType):
+                waiting.append((constant, names))
+            else:
+                digest.update(repr(constant).encode())
+        for name in code.co_names:
+            value = names.get(name)
+            callee = getattr(getattr(value, "_dispatcher", value), "py_func", None)
+            if callee is not None:
+                waiting.append((callee.__code__, callee.__globals__))
+            elif isinstance(value, _CONSTANTS):
+                digest.update(f"{name}={value!r}".encode())
+            elif isinstance(value, type):
+                digest.update(repr(getattr(value, "_fields", ())).encode())
+    return digest.hexdigest()
 
 
 def compiled_inner(function: F) -> F:

@@ -8,6 +8,7 @@ repeated when late samples change either.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from math import hypot, isfinite, nan, radians, sqrt
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -18,6 +19,7 @@ import numpy.typing as npt
 from vision.axis.acceptance import HeadingJudgement, judge_heading
 from vision.axis.level import LevelFrame, level_from_verticals
 from vision.axis.vanishing_point import AxisFit, axis_direction, corridor_frame, fit_axis
+from vision.axis.vote import HEADING_PRIOR_STD_RAD
 from vision.cameras.camera import Camera
 from vision.cameras.projection import project_directions
 from vision.errors import InputError
@@ -119,6 +121,9 @@ def measure_lines(
     """
     started = time.perf_counter()
     prior = prior or Prior()
+    # A vaguer one says less than that the camera looks along the corridor.
+    if not prior.heading_std_rad < HEADING_PRIOR_STD_RAD:
+        prior = replace(prior, heading_rad=nan, heading_std_rad=nan)
     if attitude is None:
         attitude = UNKNOWN_ATTITUDE
     elif not isinstance(attitude, Attitude):

@@ -109,7 +109,7 @@ class Prior:
     Parameters
     ----------
     heading_rad, heading_std_rad
-        Predicted heading and its standard deviation.
+        Predicted heading and its standard deviation; from 30 degrees on it counts as not predicted.
     lateral_offset_norm, lateral_offset_norm_std
         Predicted scale-free lateral offset; NaN where unknown.
     width_per_height

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -58,6 +59,48 @@ def test_an_inner_function_is_kept_within_its_callers_and_refuses_python() -> No
         with pytest.raises(TypeError, match="half is called by compiled functions only"):
             half(10.0)
         assert quarter(10.0) == 2.5
+
+
+CALLEE = """
+from vision.compiled import compiled, compiled_inner
+SIZE = {size}
+@compiled_inner
+def part(x):
+    return {factor} * x
+@compiled
+def whole(x):
+    return part(x)
+"""
+CALLER = """
+from callee import SIZE, part, whole
+from vision.compiled import compiled
+@compiled
+def total(x):
+    return part(x) + whole(x) + SIZE
+print(total(1.0), sum(total.stats.cache_hits.values()))
+"""
+
+
+def test_what_is_kept_is_not_used_after_a_change_in_another_file(tmp_path: Path) -> None:
+    """The caller's file stays the same, as after an update of the package; what it calls and uses does not."""
+    (tmp_path / "caller.py").write_text(CALLER)
+
+    def run(factor: float, size: float) -> list[str]:
+        (tmp_path / "callee.py").write_text(CALLEE.format(factor=factor, size=size))
+        environment = os.environ | {
+            "NUMBA_CACHE_DIR": str(tmp_path / "kept"),
+            "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
+        command = [sys.executable, "-c", "import caller"]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+        return done.stdout.split()
+
+    assert run(2.0, 10.0) == ["14.0", "0"]
+    assert run(2.0, 10.0) == ["14.0", "1"]  # kept
+    assert run(3.0, 10.0) == ["16.0", "0"]
+    assert run(3.0, 20.0) == ["26.0", "0"]
+    assert run(3.0, 20.0) == ["26.0", "1"]
 
 
 @pytest.mark.parametrize("enabled", [True, False])

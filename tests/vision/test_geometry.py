@@ -247,6 +247,26 @@ def test_a_prior_chooses_between_two_corridors(corridor: Any, seen: Any) -> None
         assert degrees(m.heading_rad) == pytest.approx(side, abs=0.5)
 
 
+@pytest.mark.parametrize("std_deg", [0.3, 1.0, 3.0, 30.0, 90.0, float("nan")])
+def test_a_prediction_elsewhere_opens_no_direction_across_the_view(std_deg: float) -> None:
+    """Lines 65 degrees off the view run across the corridor, unless the vehicle is known to be turned that far."""
+    ahead, right = np.cos(radians(65)), np.sin(radians(65))
+    lines = of_world(
+        [
+            (4.0 + a * ahead, a * right, z, 4.0 + b * ahead, b * right, z)
+            for a, b in ((-1.8, -0.9), (-0.7, 0.6), (0.8, 1.9))
+            for z in (-1.0, -0.7, -0.3, 0.4, 0.8, 1.1)
+        ]
+    )
+    assert not measure_lines(lines, CAMERA, Attitude(0, 0)).accepted
+    for heading_deg in (25.0, 5.0):
+        prior = Prior(heading_rad=radians(heading_deg), heading_std_rad=radians(std_deg))
+        assert not measure_lines(lines, CAMERA, Attitude(0, 0), prior).accepted
+    turned = measure_lines(lines, CAMERA, Attitude(0, 0), Prior(radians(-63), radians(2)))
+    assert turned.accepted
+    assert degrees(turned.heading_rad) == pytest.approx(-65.0, abs=0.1)
+
+
 def test_blur_is_refused_when_the_exposure_is_known(corridor: Any, seen: Any) -> None:
     camera = replace(CAMERA, exposure_s=0.03)
     lines = seen(corridor(), camera)

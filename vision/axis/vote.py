@@ -187,12 +187,12 @@ def vote(
 
 @compiled_inner
 def _log_prior(heading: float, prior_heading: float, prior_std: float) -> float:
+    by_view = -0.5 * (heading / HEADING_PRIOR_STD_RAD) ** 2 if abs(heading) <= MAX_HEADING_RAD else -np.inf
     if prior_heading != prior_heading:
-        if abs(heading) > MAX_HEADING_RAD:
-            return -np.inf
-        return -0.5 * (heading / HEADING_PRIOR_STD_RAD) ** 2
+        return by_view
     z = ((heading - prior_heading + 0.5 * pi) % pi - 0.5 * pi) / hypot(prior_std, PRIOR_FLOOR_STD_RAD)
-    return log(PRIOR_DOUBT + exp(-0.5 * z * z))
+    # Where the prediction is wrong, a heading is as likely as without one: else it would be across the view.
+    return log(PRIOR_DOUBT * exp(by_view) + exp(-0.5 * z * z))
 
 
 @compiled
