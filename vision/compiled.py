@@ -40,7 +40,7 @@ def compiled(function: F) -> F:
     # Numba looks only whether the function's own file is the same; what it calls and is inlined may be in another.
     kept = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
     if kept is not None:  # it is not where numba is told to compile nothing
-        kept._source_stamp = (kept._source_stamp, _source_of(function))
+        kept._source_stamp = (getattr(kept, "_source_stamp", None), _source_of(function))
     return cast(F, dispatcher)
 
 
