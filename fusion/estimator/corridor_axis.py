@@ -16,7 +16,7 @@ import numpy as np
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.frame_noise import FrameNoise
 from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations
-from fusion.estimator.models import N_STATES, PSI, YAW_OFFSET, Gate, heading_model
+from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, Gate, heading_model
 from fusion.estimator.noise_adaptation import SourceNoise
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, DeadReckoning, Mode, yaw_at
 from fusion.estimator.votes import AGREEING_SHARE, Vote, add_vote, agreement
@@ -329,7 +329,10 @@ def start(
         _widen_heading(ekf, wrap_axis(heading - before), coupled)
     elif float(ekf.P[PSI, PSI]) < UNKNOWN_HEADING_STD_RAD**2:
         ekf.widen(PSI, UNKNOWN_HEADING_STD_RAD**2)
-    ekf.update(heading_model(ekf.x, heading, found.std**2))
+    # The frames are carried on to now by a gyroscope of unknown bias.
+    age_s = 0.5 * found.span_s
+    carried = float(ekf.P[BIAS, BIAS]) * age_s**2 + config.gyro_noise**2 * age_s
+    ekf.update(heading_model(ekf.x, heading, found.std**2 + carried))
     if axis.ever_acquired:
         axis = axis.stepped(ekf, before)
     return axis._replace(acquired=True, ever_acquired=True, votes=()).confirmed(ekf, t_ns, theta_rad)
