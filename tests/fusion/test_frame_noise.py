@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import exp, pi, radians, sqrt
+from typing import Any
 
 import numpy as np
 import pytest
@@ -87,7 +88,7 @@ def test_a_gyroscope_noisier_than_told_is_found_by_precise_frames(hz: float, gyr
     "wrong", [{}, {"scale": 6.0}, {"scale": 0.25}, {"time_s": 0.5}, {"time_s": 2.0}, {"gross": 0.1}]
 )
 def test_the_gyroscope_is_as_told_where_frames_explain_what_is_seen(
-    hz: float, wrong: dict[str, float]
+    hz: float, wrong: dict[str, Any]
 ) -> None:
     assert learned(hz=hz, **wrong)[2] < 1.5
 
