@@ -303,7 +303,13 @@ class Recovery(NamedTuple):
 
 
 def start(
-    axis: CorridorAxis, ekf: CorridorEKF, t_ns: int, theta_rad: float, coupled: bool, config: FusionConfig
+    axis: CorridorAxis,
+    ekf: CorridorEKF,
+    t_ns: int,
+    theta_rad: float,
+    coupled: bool,
+    config: FusionConfig,
+    mode: Mode = Mode.GYRO,
 ) -> CorridorAxis:
     """Find the first heading, or the first after loss: the median of frames that agree.
 
@@ -319,6 +325,8 @@ def start(
         Whether the IMU's yaw offset is correlated with the heading.
     config
         Settings.
+    mode
+        What carries the heading.
     """
     found = agreement(axis.votes, config.recovery_spread_rad, wrap_axis)
     if found is None or found.n_votes < config.start_frames or found.share < AGREEING_SHARE:
@@ -329,8 +337,8 @@ def start(
         _widen_heading(ekf, wrap_axis(heading - before), coupled)
     elif float(ekf.P[PSI, PSI]) < UNKNOWN_HEADING_STD_RAD**2:
         ekf.widen(PSI, UNKNOWN_HEADING_STD_RAD**2)
-    # The frames are carried on to now by a gyroscope of unknown bias.
-    age_s = 0.5 * found.span_s
+    # Frames that a gyroscope of unknown bias has carried on to now.
+    age_s = 0.5 * found.span_s if mode is Mode.GYRO else 0.0
     carried = float(ekf.P[BIAS, BIAS]) * age_s**2 + config.gyro_noise**2 * age_s
     ekf.update(heading_model(ekf.x, heading, found.std**2 + carried))
     if axis.ever_acquired:

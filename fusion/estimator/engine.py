@@ -440,7 +440,7 @@ class Engine:
         """Take a frame for the axis that is looked for; where it is found with it, use the rest of the frame too."""
         ekf, d, interval_s = self.ekf, s.reckoning, s.frames.interval_s
         axis = s.axis.voted(t_ns, d.theta_rad - heading_rad, std_rad, False, interval_s)
-        axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.coupled, self.config)
+        axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.coupled, self.config, d.mode)
         axis = axis.followed(
             t_ns, heading_rad, std_rad, d, axis.acquired, interval_s, self.config.imu_yaw_std_rad
         )

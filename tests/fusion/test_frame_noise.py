@@ -87,9 +87,7 @@ def test_a_gyroscope_noisier_than_told_is_found_by_precise_frames(hz: float, gyr
 @pytest.mark.parametrize(
     "wrong", [{}, {"scale": 6.0}, {"scale": 0.25}, {"time_s": 0.5}, {"time_s": 2.0}, {"gross": 0.1}]
 )
-def test_the_gyroscope_is_as_told_where_frames_explain_what_is_seen(
-    hz: float, wrong: dict[str, Any]
-) -> None:
+def test_the_gyroscope_is_as_told_where_frames_explain_what_is_seen(hz: float, wrong: dict[str, Any]) -> None:
     assert learned(hz=hz, **wrong)[2] < 1.5
 
 

@@ -185,6 +185,18 @@ def test_start_takes_the_median_of_frames_that_agree() -> None:
     assert float(ekf.x[PSI]) == pytest.approx(0.2, abs=0.01)
 
 
+def test_a_gyroscope_of_unknown_bias_makes_the_first_heading_less_sure_and_no_gyroscope_does_not() -> None:
+    config, sigma = FusionConfig(start_frames=3), {}
+    for mode in (Mode.GYRO, Mode.ATTITUDE, Mode.NONE):
+        ekf = ekf_at(std=2.0)
+        assert corridor_axis.start(
+            CorridorAxis(votes=votes(-0.2, 3)), ekf, 300 * MS, 0.0, False, config, mode
+        ).acquired
+        sigma[mode] = float(ekf.P[PSI, PSI]) ** 0.5
+    assert sigma[Mode.GYRO] > 2.0 * sigma[Mode.NONE]
+    assert sigma[Mode.NONE] == sigma[Mode.ATTITUDE]
+
+
 def test_few_votes_or_contested_ones_mean_nothing() -> None:
     assert decided(known_axis(votes=votes(0.2, 9)), 0.0, 9) is None
     assert decided(known_axis(votes=votes(0.2, 12), n_accepted=60), 0.0, 12) is None
