@@ -309,7 +309,7 @@ def start(
     theta_rad: float,
     coupled: bool,
     config: FusionConfig,
-    mode: Mode = Mode.GYRO,
+    mode: Mode,
 ) -> CorridorAxis:
     """Find the first heading, or the first after loss: the median of frames that agree.
 

@@ -372,8 +372,10 @@ class Engine:
             axis = axis._replace(
                 diagnosis=axis.diagnosis.started_anew(), frame_noise=axis.frame_noise.interrupted()
             )
-        d = d._replace(more_gyro_noise=(axis.frame_noise.gyro_scale - 1.0) * c.gyro_noise**2)
-        s = s._replace(reckoning=d)
+        more_gyro_noise = (axis.frame_noise.gyro_scale - 1.0) * c.gyro_noise**2
+        if more_gyro_noise != d.more_gyro_noise:
+            d = d._replace(more_gyro_noise=more_gyro_noise)
+            s = s._replace(reckoning=d)
         variance = max(m.heading_std_rad, c.heading_std_floor_rad) ** 2
         variance += self._propagation.held_rate_variance(d, t_ns)
         variance += (sample.stamp_std_s * (d.rate_rad_s - float(ekf.x[BIAS]))) ** 2

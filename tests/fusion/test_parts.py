@@ -175,8 +175,10 @@ def known_axis(**changes: Any) -> CorridorAxis:
 def test_start_takes_the_median_of_frames_that_agree() -> None:
     ekf, config = ekf_at(std=2.0), FusionConfig(start_frames=3)
     axis = CorridorAxis(votes=votes(-0.2, 2))
-    assert corridor_axis.start(axis, ekf, 0, 0.0, False, config) is axis
-    axis = corridor_axis.start(CorridorAxis(votes=votes(-0.2, 3)), ekf, 300 * MS, 0.0, False, config)
+    assert corridor_axis.start(axis, ekf, 0, 0.0, False, config, Mode.GYRO) is axis
+    axis = corridor_axis.start(
+        CorridorAxis(votes=votes(-0.2, 3)), ekf, 300 * MS, 0.0, False, config, Mode.GYRO
+    )
     assert axis.acquired
     assert axis.ever_acquired
     assert axis.votes == ()
