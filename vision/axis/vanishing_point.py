@@ -198,6 +198,31 @@ def _angle_ahead(lines: LineGeometry, i: int, psi: float, e: float) -> float:
     return atan2(along, ahead)
 
 
+@compiled_inner
+def _lines_along(
+    lines: LineGeometry, length: FloatArray, fit: _Refined
+) -> tuple[BoolArray, BoolArray, float]:
+    """Return which lines run along the axis, which of them reach past the vanishing point on both sides, (n,).
+
+    Last is the share of those along the axis in the length of all lines that are not vertical.
+    """
+    n = len(length)
+    inlier, crossing = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    along = leaning = 0.0
+    for i in range(n):
+        if abs(lines.normal[i, 2]) < VERTICAL_SINE:
+            continue
+        leaning += length[i]
+        if abs(fit.residual[i]) < INLIER_SIGMA:
+            inlier[i] = True
+            along += length[i]
+            # A level one rather runs across, at the camera's height. Each part is long enough to be found by itself.
+            if abs(lines.normal[i, 2]) < LEVEL_COSINE:
+                ahead = abs(_angle_ahead(lines, i, fit.heading, fit.elevation))
+                crossing[i] = (0.5 - ahead / lines.arc_rad[i]) * length[i] > MIN_LENGTH_PX
+    return inlier, crossing, along / max(leaning, 1.0)
+
+
 class _Found(NamedTuple):
     """The axis as compiled code finds it; NaN as heading: there is none.
 
@@ -277,8 +302,8 @@ def _find(
     """
     lines = turned(in_camera, R_level_camera)
     n = len(length)
-    residual, inlier, crossing = np.zeros(n), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
-    none = _Found(np.nan, np.nan, np.empty((2, 2)), 0.0, np.nan, 0.0, residual, inlier, crossing, 0.0, 0)
+    no_line = np.zeros(n, np.bool_)
+    none = _Found(np.nan, np.nan, np.empty((2, 2)), 0.0, np.nan, 0.0, np.zeros(n), no_line, no_line, 0.0, 0)
     steps, step_std = elevations_to_try(elevation_std)
     max_heading = 0.5 * pi if prior_heading == prior_heading else MAX_HEADING_RAD + RIVAL_DISTANCE_RAD
     scores = vote(lines, elevation + steps, step_std, max_heading)
@@ -292,18 +317,7 @@ def _find(
     # The elevations tried may all miss the axis's own, and then the vote has several peaks where there is one axis.
     at_axis = vote(lines, np.array([fit.elevation]), np.array([FINEST_STD_RAD]), max_heading)[0]
     rival = find_rival(voted, at_axis, fit.heading, fit.elevation - elevation)
-    along = leaning = 0.0
-    for i in range(n):
-        if abs(lines.normal[i, 2]) < VERTICAL_SINE:
-            continue
-        leaning += length[i]
-        if abs(fit.residual[i]) < INLIER_SIGMA:
-            inlier[i] = True
-            along += length[i]
-            # A level one rather runs across, at the camera's height. Each part is long enough to be found by itself.
-            if abs(lines.normal[i, 2]) < LEVEL_COSINE:
-                ahead = abs(_angle_ahead(lines, i, fit.heading, fit.elevation))
-                crossing[i] = (0.5 - ahead / lines.arc_rad[i]) * length[i] > MIN_LENGTH_PX
+    inlier, crossing, share = _lines_along(lines, length, fit)
     n_distinct = _count_distinct(lines.normal, inlier, fit.heading, fit.elevation)
     covariance = _covariance(fit, rival.excess_variance, n_distinct)
     return _Found(
@@ -316,7 +330,7 @@ def _find(
         fit.residual,
         inlier,
         crossing,
-        along / max(leaning, 1.0),
+        share,
         n_distinct,
     )
 
