@@ -1,4 +1,6 @@
-"""Input made to take all memory or time, to crash or to fool a reader: one line, exit code 2, within 15 s and 1 GiB.
+"""Input made to take all memory or time, to crash or to fool a reader: one line, exit code 2, within 5 s and 1 GiB.
+
+The seconds are processor time, which other programs on the machine change little.
 
 Files that failed once lie in ``tests/corpus``; the others are made here.
 """
@@ -11,7 +13,6 @@ import resource
 import shutil
 import signal
 import struct
-import time
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,8 +28,8 @@ from vision import InputError
 
 CORPUS = ROOT / "tests" / "corpus"
 PICTURE = sorted((OFFICE / "mav0" / "cam0" / "data").iterdir())[0]
-MAX_S = 15.0
-LIMIT_S = 60
+MAX_S = 5.0
+LIMIT_S = 300  # of wall clock, against a wait that never ends
 MAX_KIB = 1 << 20
 MIB = 1 << 20
 
@@ -44,11 +45,11 @@ def refused(corridor: Corridor) -> Iterator[Callable[..., str]]:
     peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
     def run(*arguments: str | Path) -> str:
-        start = time.monotonic()
+        spent_s = processor_s()
         signal.alarm(LIMIT_S)
         found: Run = corridor(*arguments)
         signal.alarm(0)
-        assert time.monotonic() - start < MAX_S
+        assert processor_s() - spent_s < MAX_S
         *notes, line = found.err.splitlines()
         assert (found.code, found.out) == (2, ""), found
         assert line.startswith("corridor: error: "), found
@@ -60,6 +61,11 @@ def refused(corridor: Corridor) -> Iterator[Callable[..., str]]:
     yield run
     signal.alarm(0)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak_kib < MAX_KIB
+
+
+def processor_s() -> float:
+    """Processor time of this process and of its children that have ended, seconds."""
+    return sum(os.times()[:4])
 
 
 def sixteen_bits(side_px: int) -> bytes:

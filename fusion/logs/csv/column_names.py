@@ -146,10 +146,11 @@ def _find_spelled(
     known: list[tuple[str, str]], patterns: list[list[str]], role: str
 ) -> tuple[list[int], str] | None:
     units = _UNITS.get(role, {})
+    place_of = {name: i for i, (name, _) in reversed(list(enumerate(known)))}  # the first of a name counts
     for names in patterns:
         for ending in ("", *units):
             wanted = [f"{name}_{ending}" if ending else name for name in names]
-            places = [next((i for i, (name, _) in enumerate(known) if name == w), None) for w in wanted]
+            places = [place_of.get(name) for name in wanted]
             columns = [i for i in places if i is not None]
             if len(columns) == len(wanted):
                 return columns, units.get(ending) or units.get(known[columns[0]][1], "")
