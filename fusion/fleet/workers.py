@@ -24,6 +24,7 @@ from fusion.fleet.worker import fuse_task, prepare_process, process_id
 from vision.errors import InputError
 
 ATTEMPTS = 3  # workers that a flight may outlive
+CONNECT_S = 10.0  # how long a scheduler may take to answer
 _KILL = getattr(signal, "SIGKILL", signal.SIGTERM)  # it ends what hangs, too; Windows has but one way
 _OVERDUE = "corridor-fusion: flights that take too long"  # a topic of Dask's events
 Tell = Callable[[str], None]
@@ -267,7 +268,7 @@ def cluster_workers(address: str, timeout_s: float | None, tell: Tell) -> Iterat
 
     try:
         connect: Any = Client
-        client = connect(address, timeout=10, set_as_default=False)
+        client = connect(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         problem = f"--scheduler {address}: no scheduler answers there ({error})"
         raise InputError(
