@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from math import radians
 from typing import Any
 
@@ -113,11 +114,18 @@ def random_views(
     limits = _Limits(max_heading_rad, max_offset_norm, tilt_std_rad, min_ahead_m, yaw_rate_rad_s)
     for start in range(0, n, views_per_scene):
         scene_seed = seed * 100003 + start // views_per_scene
-        built = build_scene(scene(scene_seed) if callable(scene) else scene, scene_seed, light_cell_m)
+        built = _built(scene(scene_seed) if callable(scene) else scene, scene_seed, light_cell_m)
         quality = imaging(scene_seed) if callable(imaging) else imaging
         for k in range(start, min(start + views_per_scene, n)):
             rng = np.random.default_rng((scene_seed, k, 4))
             yield _take(built, view, quality, rng, limits, scene_seed)
+
+
+@lru_cache(
+    maxsize=64
+)  # building takes longer than a picture; a scene holds a megabyte, all share the textures
+def _built(config: SceneConfig, seed: int, light_cell_m: float) -> Scene:
+    return build_scene(config, seed, light_cell_m)
 
 
 def office_views(camera: Camera, n: int, seed: int = 0, **options: Any) -> Iterator[RandomView]:
