@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import random
 from dataclasses import asdict, fields, is_dataclass
+from functools import cache
 from math import radians
 from typing import Any
 
@@ -21,7 +22,7 @@ from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 MS = 1_000_000
 
 SCENE = Scene(
-    duration_s=6.0,
+    duration_s=4.5,
     seed=3,
     heading=plus(weaving(3, radians(10)), turning((2.5, 1.0, radians(70)))),
     axis=lambda t: np.where(np.asarray(t) < 3.0, 0.0, radians(70)),
@@ -78,7 +79,10 @@ def fuse(samples: list[Sample], **config: Any) -> tuple[list[object], CorridorEs
     return [*recorder.seen, repr(last)], estimator
 
 
-EXPECTED, _ = fuse(SAMPLES)
+@cache
+def expected() -> list[object]:
+    """What comes out where every sample arrives in the order of time."""
+    return fuse(SAMPLES)[0]
 
 
 def shuffled(seed: int, jitter_s: float, share: float = 1.0) -> list[Sample]:
@@ -96,15 +100,15 @@ def shuffled(seed: int, jitter_s: float, share: float = 1.0) -> list[Sample]:
 @pytest.mark.parametrize(("seed", "jitter_s"), [(0, 0.03), (1, 0.1), (2, 0.45)])
 def test_any_order_within_the_buffer_gives_the_same_bits(seed: int, jitter_s: float) -> None:
     found, estimator = fuse(shuffled(seed, jitter_s, share=0.3))
-    assert found == EXPECTED
+    assert found == expected()
     assert not any(name.endswith(("_late", "_duplicate")) for name in estimator.counters)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.integers(0, 10_000))
 def test_any_order_at_random(seed: int) -> None:
     found, _ = fuse(shuffled(seed, 0.06))
-    assert found == EXPECTED
+    assert found == expected()
 
 
 def test_asking_in_between_changes_nothing() -> None:
@@ -116,12 +120,12 @@ def test_asking_in_between_changes_nothing() -> None:
     last = asdict(estimator.estimate())
     last = {name: value for name, value in last.items() if "reset" not in name}  # those that were published
     estimator.finish()
-    assert [*recorder.seen, repr(last)] == EXPECTED
+    assert [*recorder.seen, repr(last)] == expected()
 
 
 def test_buffers_of_other_lengths_give_the_same_bits() -> None:
-    assert fuse(SAMPLES, buffer_s=0.05)[0] == EXPECTED
-    assert fuse(SAMPLES, buffer_s=5.0)[0] == EXPECTED
+    assert fuse(SAMPLES, buffer_s=0.05)[0] == expected()
+    assert fuse(SAMPLES, buffer_s=5.0)[0] == expected()
 
 
 def test_late_frame_replays_gyroscope_samples_in_runs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,7 +144,7 @@ def test_late_frame_replays_gyroscope_samples_in_runs(monkeypatch: pytest.Monkey
 def test_duplicates_are_counted_and_change_nothing() -> None:
     twice = [s for sample in SAMPLES for s in (sample, sample)]
     found, estimator = fuse(twice)
-    assert found == EXPECTED
+    assert found == expected()
     assert estimator.counters["imu_duplicate"] == sum(s.kind == "imu" for s in SAMPLES)
 
 
