@@ -7,7 +7,7 @@ The vehicle of `simulated_vehicle.py` sends IMU and attitude over UDP on this ma
 thread measures them and answers with ODOMETRY, DEBUG_VECT and NAMED_VALUE_FLOAT. The control laws of `pilot.Steering`
 turn these into yaw rate and speed.
 
-The simulated time stops while the world is rendered.
+The simulated time stops while the world is rendered, and while the vehicle's loop is late on a busy machine.
 """
 
 from __future__ import annotations
@@ -57,14 +57,18 @@ class SharedClock:
     def __init__(self, start_ns: int) -> None:
         self._behind_ns = 0
         self._stopped_at_ns: int | None = start_ns
+        self._end_ns = start_ns
 
     def now_ns(self) -> int:
         """Return the time."""
         stopped_at_ns = self._stopped_at_ns
-        return time.perf_counter_ns() - self._behind_ns if stopped_at_ns is None else stopped_at_ns
+        if stopped_at_ns is not None:
+            return stopped_at_ns
+        return min(time.perf_counter_ns() - self._behind_ns, self._end_ns)
 
-    def wait_until(self, t_ns: int) -> None:
-        """Sleep until then, if it is not past."""
+    def run_until(self, t_ns: int) -> None:
+        """Sleep until then; the time goes on no further before the next call."""
+        self._end_ns = t_ns
         while (left_ns := t_ns - self.now_ns()) > 0:
             time.sleep(left_ns * 1e-9)
 
@@ -172,7 +176,7 @@ def _loop(
     for period in range(periods):
         with clock.stopped():
             samples = world.advance(command.yaw_rate_rad_s, command.speed_m_s)
-        clock.wait_until(world.now_ns)
+        clock.run_until(world.now_ns)
         if period == round(reboot_at_s * 1e9 / world.period_ns):
             autopilot.reboot()
         autopilot.send_imu(world.now_ns, *samples.imu)

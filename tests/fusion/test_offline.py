@@ -342,11 +342,14 @@ def test_the_real_flight_without_a_gyroscope() -> None:
 def test_the_clock_stands_still_while_loops_are_compiled() -> None:
     double: Any = numba.njit(lambda x: 2.0 * x)
     with stopwatch() as clock:
-        before, started = clock.seconds(), time.perf_counter()
+        outer_s, before_s, inner_s = time.perf_counter(), clock.seconds(), time.perf_counter()
         assert double(21.0) == 42.0
-        passed_s, without_s = time.perf_counter() - started, clock.seconds() - before
+        inner_s = time.perf_counter() - inner_s
+        without_s = clock.seconds() - before_s
+        outer_s = time.perf_counter() - outer_s
         assert clock.compile_s > 0.0
-        assert without_s == pytest.approx(passed_s - clock.compile_s, abs=1e-3)
+        assert inner_s <= without_s + clock.compile_s + 1e-9
+        assert without_s + clock.compile_s <= outer_s + 1e-9
         compiled_s = clock.compile_s
         double(2.0)
         assert clock.compile_s == compiled_s

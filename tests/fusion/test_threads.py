@@ -76,7 +76,7 @@ def test_lines_found_in_another_thread_while_samples_arrive(
     for _ in range(2):
         camera_thread = threading.Thread(target=find_lines)
         camera_thread.start()
-        together = fly(office, lambda index: waiting.get(timeout=60))
+        together = fly(office, lambda index: waiting.get(timeout=300))
         camera_thread.join()
         assert list(map(repr, astuple(together.estimate()))) == list(map(repr, astuple(alone.estimate())))
         assert together.counters == alone.counters
