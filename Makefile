@@ -8,7 +8,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTHON ?=
-PYTEST_FLAGS ?= -n 2
+# A worker runs whole files, whose fixtures are then made once; one that is done takes tests from the other.
+PYTEST_FLAGS ?= -n 2 --dist worksteal
 EXTRA ?= dev
 CONSTRAINTS ?=
 # Where a reader, a writer or the command line leans on another library; the filter's own arithmetic does not.
