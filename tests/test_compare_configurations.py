@@ -19,7 +19,15 @@ def run(script: str, *arguments: str | Path) -> str:
 
 def test_the_example_finds_the_noisy_gyroscope(tmp_path: Path) -> None:
     out = run(
-        "examples/compare_configurations.py", "--flights", "4", "--seconds", "3", "--out", tmp_path / "fleet"
+        "examples/compare_configurations.py",
+        "--flights",
+        "4",
+        "--seconds",
+        "2",
+        "--jobs",
+        "1",
+        "--out",
+        tmp_path / "fleet",
     )
     over_sigma = [float(number) for number in re.findall(r"^mav2: .* over sigma ([\d.]+)", out, re.MULTILINE)]
     assert len(over_sigma) == 2
@@ -32,7 +40,7 @@ def test_the_example_finds_the_noisy_gyroscope(tmp_path: Path) -> None:
 
 
 def test_the_benchmark_prints_its_numbers() -> None:
-    out = run("benchmarks/fleet.py", "--flights", "4", "--distinct", "1", "--seconds", "2", "--rows", "50")
+    out = run("benchmarks/fleet.py", "--flights", "2", "--distinct", "1", "--seconds", "1", "--rows", "50")
     assert [line.split()[0] for line in out.splitlines()[2:6]] == ["plainly", "as", "1", "2"]
     assert re.search(r"two workers are \d\.\d\d times as fast as one", out)
     assert re.search(r"overhead in the worker, processor: -?[\d.]+ ms a flight", out)
