@@ -126,7 +126,9 @@ def fields_of_corners(picture: PictureCorners, weights: OffsetWeights, roll_std:
         Standard deviation of the level frame's roll, radians: it tilts left against right.
     """
     fields = fields_of_components(corner_components(picture, weights, roll_std), 1.0, 0.0)
-    told = fields[0].sum()
+    told = 0.0
+    for k in range(fields.shape[1]):
+        told += fields[0, k]
     scale = (1.0 - MIN_CANNOT_TELL) / told if told > 1.0 - MIN_CANNOT_TELL else 1.0
     for k in range(fields.shape[1]):
         fields[0, k] *= scale

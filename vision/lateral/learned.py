@@ -108,10 +108,11 @@ def is_left_brighter(polar: Polar) -> bool:
 @compiled
 def _mirrored(polar: Polar) -> Polar:
     """Return a polar picture with left and right exchanged."""
-    half = N_ANGLES // 2
     out = np.empty_like(polar)
-    out[:, :, :half] = polar[:, :, :half][:, :, ::-1]
-    out[:, :, half:] = polar[:, :, half:][:, :, ::-1]
+    for channel in range(polar.shape[0]):
+        for r in range(polar.shape[1]):
+            for a in range(N_ANGLES):
+                out[channel, r, a] = polar[channel, r, (N_ANGLES // 2 - 1 - a) % N_ANGLES]
     return out
 
 
@@ -126,11 +127,17 @@ def _read_scores(raw: npt.NDArray[np.float32], is_mirrored: bool) -> tuple[Float
     for k in range(4):
         ceiling, seen_right = k // 2, (k % 2 == 1) != is_mirrored
         quarter = 3 * ceiling if seen_right else 1 + ceiling
-        scores = raw[ceiling * N_ANGLES + quarter * n :][:n]
         # From the horizontal: in every second quarter that is against the way in which angles are counted.
-        corner[k] = scores if quarter % 2 == 0 else scores[::-1]
-        corner[k] = np.exp(corner[k] - corner[k].max())
-        corner[k] /= corner[k].sum()
+        first, step = (quarter * n, 1) if quarter % 2 == 0 else (quarter * n + n - 1, -1)
+        largest, total = -np.inf, 0.0
+        for a in range(n):
+            corner[k, a] = raw[ceiling * N_ANGLES + first + step * a]
+            largest = max(largest, corner[k, a])
+        for a in range(n):
+            corner[k, a] = exp(corner[k, a] - largest)
+            total += corner[k, a]
+        for a in range(n):
+            corner[k, a] /= total
     for k in range(N_ODDS):
         blind[k] = 1.0 / (1.0 + exp(-np.float64(raw[len(raw) - N_ODDS + k])))
     return corner, blind
@@ -224,19 +231,26 @@ def _offset_density(corner: FloatArray, blind: FloatArray) -> tuple[FloatArray, 
         density[b] = blind[2] + (1.0 - blind[2]) * ((blind[0] + floor) * (blind[1] + ceiling))
         width[b] = pairs[0, 1, b] / pairs[0, 0, b] if floor > blind[0] else nan
     level = blind[2] + (1.0 - blind[2]) * blind[0] * blind[1]
-    scale = density.sum() / N_BINS
-    return density / scale, level / scale, width
+    scale = 0.0
+    for b in range(N_BINS):
+        scale += density[b] / N_BINS
+    for b in range(N_BINS):
+        density[b] /= scale
+    return density, level / scale, width
 
 
 @compiled
 def _fields(corner: FloatArray, blind: FloatArray) -> FloatArray:
     """Return the fields (4, k) of the mixture that `mixture_of` makes of the fields of `CornerScores`."""
     density, level, width = _offset_density(corner, blind)
+    above = np.empty(N_BINS)
+    for b in range(N_BINS):
+        above[b] = max(density[b] - level, 0.0) / N_BINS
     rows = np.empty((MAX_COMPONENTS, 5))
-    rows = rows[: _components(np.maximum(density - level, 0.0) / N_BINS, rows)]
-    fields = np.full((4, len(rows)), nan)
-    fields[:3] = rows[:, :3].T
-    for k in range(len(rows)):
+    count = _components(above, rows)
+    fields = np.empty((4, count))
+    for k in range(count):
+        fields[0, k], fields[1, k], fields[2, k], fields[3, k] = rows[k, 0], rows[k, 1], rows[k, 2], nan
         whole = told = moment = 0.0
         for b in range(int(rows[k, 3]), int(rows[k, 4])):
             whole += density[b]

@@ -121,13 +121,19 @@ def merge_by_bins(rows: FloatArray, bins: FloatArray) -> int:
 def fields_of_components(components: FloatArray, cannot_tell_odds: float, min_variance: float) -> FloatArray:
     """Return the fields (4, k) of a mixture; parameters as of `mixture_of_components`."""
     bins = np.empty((N_BINS, 4))
-    bins = bins[: merge_by_bins(components, bins)]
-    total = bins[:, WEIGHT].sum() + cannot_tell_odds
-    kept = bins[bins[:, WEIGHT] / total > MIN_WEIGHT]
-    fields = np.empty((4, len(kept)))
-    for k in range(len(kept)):
-        fields[0, k], fields[1, k] = kept[k, WEIGHT] / total, kept[k, OFFSET]
-        fields[2, k], fields[3, k] = sqrt(max(kept[k, VARIANCE], min_variance)), kept[k, WIDTH]
+    n, total, count = merge_by_bins(components, bins), cannot_tell_odds, 0
+    for k in range(n):
+        total += bins[k, WEIGHT]
+    for k in range(n):
+        count += bins[k, WEIGHT] / total > MIN_WEIGHT
+    fields = np.empty((4, count))
+    count = 0
+    for k in range(n):
+        weight = bins[k, WEIGHT] / total
+        if weight > MIN_WEIGHT:
+            fields[0, count], fields[1, count] = weight, bins[k, OFFSET]
+            fields[2, count], fields[3, count] = sqrt(max(bins[k, VARIANCE], min_variance)), bins[k, WIDTH]
+            count += 1
     return fields
 
 
@@ -187,8 +193,10 @@ def _products(
 @compiled_inner
 def _components(fields: FloatArray) -> FloatArray:
     """Return the components (k, 4) of a mixture's fields (4, k), as `merge_by_bins` takes them."""
-    components = fields.T.copy()
-    components[:, VARIANCE] *= components[:, VARIANCE]
+    components = np.empty((fields.shape[1], 4))
+    for k in range(len(components)):
+        components[k, WEIGHT], components[k, OFFSET] = fields[0, k], fields[1, k]
+        components[k, VARIANCE], components[k, WIDTH] = fields[2, k] ** 2, fields[3, k]
     return components
 
 

@@ -208,8 +208,9 @@ def _most_probable_group(both: FloatArray, factor: FloatArray) -> tuple[float, f
     """
     weight, offset, std = both[0], both[1], both[2]
     n = len(weight)
-    best, most, total = 0, -1.0, max(1.0 - weight.sum(), 0.0)
+    best, most, blind, total = 0, -1.0, 1.0, 0.0
     for k in range(n):
+        blind -= weight[k]
         total += weight[k] * factor[k]
         density = 0.0
         for j in range(n):
@@ -217,6 +218,7 @@ def _most_probable_group(both: FloatArray, factor: FloatArray) -> tuple[float, f
             density += weight[j] * factor[j] / std[j] * exp(-0.5 * z * z)
         if density > most:
             best, most = k, density
+    total += max(blind, 0.0)
     mean = offset[best]
     for _ in range(3):
         moment = share = 0.0
@@ -266,9 +268,9 @@ def _answer(
     both = fields_of_both(lines, regions)
     if both.shape[1] == 0:
         return 0.0, nan, nan, nan, nan
-    factor = np.exp(width_log_odds(both[3], prior_width, weights))
+    factor = width_log_odds(both[3], prior_width, weights)
     for k in range(len(factor)):
-        factor[k] *= prediction_factor(both[1, k], prior, prior_std)
+        factor[k] = exp(factor[k]) * prediction_factor(both[1, k], prior, prior_std)
     probability, mean, variance = _most_probable_group(both, factor)
     return probability, mean, variance, _width_about(lines, mean), _width_about(regions, mean)
 

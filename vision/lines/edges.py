@@ -171,9 +171,7 @@ def _mark_ridge(
 
 
 @compiled_inner
-def _find_edge_pixels(
-    gradient: Gradient, width: int, threshold: np.float32, edges: UintArray
-) -> int:
+def _find_edge_pixels(gradient: Gradient, width: int, threshold: np.float32, edges: UintArray) -> int:
     """Fill in the indices of the edge pixels, also of those too near to the picture's sides; return how many."""
     magnitude, mark, words = gradient.magnitude, gradient.mark, gradient.words
     first, last = 2 * width, len(magnitude) - 2 * width
@@ -313,7 +311,10 @@ def _locate(
         if distorted:
             ahead, part = 1 if shift > 0.0 else -1, abs(shift)
             near, far = rectified[y, x], rectified[y, x + ahead] if upright else rectified[y + ahead, x]
-            place[0], place[1] = near[0] * (1.0 - part) + far[0] * part, near[1] * (1.0 - part) + far[1] * part
+            place[0], place[1] = (
+                near[0] * (1.0 - part) + far[0] * part,
+                near[1] * (1.0 - part) + far[1] * part,
+            )
             if place[0] != place[0] or place[1] != place[1]:  # outside the usable field
                 continue
         edges[n] = i

@@ -154,9 +154,7 @@ def _note_middle(line: Record, floor_px: float, middle: FloatArray) -> None:
 
 
 @compiled_inner
-def _next_in_line(
-    line: Record, own: FloatArray, middles: FloatArray, following: IntArray, other: int
-) -> int:
+def _next_in_line(line: Record, own: FloatArray, middles: FloatArray, following: IntArray, other: int) -> int:
     """Return the first of a list of lines whose middle lies where `_are_of_one_edge` can be true; -1: none does.
 
     Nearly all pairs are told apart by that, without a division and in little memory. ``own`` is the line's own row of
