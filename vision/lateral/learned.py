@@ -325,6 +325,7 @@ def corner_lines(found: CornerScores, camera: Camera, R_corridor_camera: FloatAr
     rays[..., 2] = DRAWN_TAN * np.sin(angles)[:, None]
     points = project_directions(rays.reshape(-1, 3), R_corridor_camera, camera).reshape(*rays.shape[:2], 2)
     # NaN is not inside either.
-    inside = ((points > -0.5) & (points < np.array([camera.width_px, camera.height_px]))).all(axis=-1)
+    x, y = points[..., 0], points[..., 1]
+    inside = (x > -0.5) & (x < camera.width_px) & (y > -0.5) & (y < camera.height_px)
     pieces = np.concatenate([points[:, :-1], points[:, 1:]], axis=-1)
     return pieces[inside[:, :-1] & inside[:, 1:]]

@@ -256,7 +256,7 @@ def _join_around(
 
 @compiled_inner
 def _is_or_none(label: np.uint32, one: np.uint32) -> bool:
-    return (label == one) | (label == NO_LABEL)
+    return bool((label == one) | (label == NO_LABEL))
 
 
 @compiled_inner
@@ -319,7 +319,7 @@ def _locate(
                 continue
         edges[n] = i
         n += np.uintp(1)
-    return np.intp(n), bend[1] / ridge[1], bend[0] / ridge[0]
+    return int(np.intp(n)), bend[1] / ridge[1], bend[0] / ridge[0]
 
 
 @compiled
@@ -394,4 +394,4 @@ def _label(gradient: Gradient, width: int, n_edges: int, components: Components)
             _clear(sums[label])
         _add_pixel(sums[label], places[k, 0], places[k, 1], a, b)
         here[x] = label
-    return np.intp(n_labels)
+    return int(np.intp(n_labels))
