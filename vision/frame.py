@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from math import hypot, isfinite, nan, radians, sqrt
+from math import hypot, isfinite, isnan, nan, radians, sqrt
 from typing import Any, Literal, NamedTuple, get_args
 
 import cv2
@@ -122,7 +122,7 @@ def measure_lines(
     started = time.perf_counter()
     prior = prior or Prior()
     # A vaguer one says less than that the camera looks along the corridor.
-    if not prior.heading_std_rad < HEADING_PRIOR_STD_RAD:
+    if not isnan(prior.heading_rad) and not prior.heading_std_rad < HEADING_PRIOR_STD_RAD:
         prior = replace(prior, heading_rad=nan, heading_std_rad=nan)
     if attitude is None:
         attitude = UNKNOWN_ATTITUDE

@@ -14,8 +14,18 @@ from hypothesis import strategies as st
 from tests.vision.corridor_lines import lines_between
 from vision import Camera, InputError
 from vision.cameras.camera import Distortion
+from vision.compiled import compiled
+from vision.lines.fitting import (
+    FITTED_LINE,
+    MAX_RMS_PX,
+    MIN_PIXELS,
+    _are_of_one_edge,
+    _next_in_line,
+    _note_middle,
+)
 from vision.lines.preparation import noise_and_blockiness
 from vision.lines.segments import extract_lines
+from vision.types import RecordArray
 
 CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)
 
@@ -200,6 +210,37 @@ def test_parallel_edges_and_edges_at_an_angle_are_not_joined() -> None:
     assert lines.length_px[upper].max() < 250
     bent = (lines.ends_px[:, 1] > 290) & (lines.ends_px[:, 1] < 315) & (lines.length_px > 100)
     assert bent.sum() == 2
+
+
+@compiled
+def joined_pairs(lines: RecordArray, floor_px: float) -> tuple[int, int]:
+    """Count the pairs that are of one edge, and those among them that a list of the second line alone comes to."""
+    pairs = found = 0
+    following, middles = np.full(len(lines), -1), np.empty((len(lines), 3))
+    for i in range(len(lines)):
+        _note_middle(lines[i], floor_px, middles[i])
+    for i in range(len(lines)):
+        for j in range(len(lines)):
+            if i != j and _are_of_one_edge(lines[i], lines[j], floor_px):
+                pairs += 1
+                found += _next_in_line(lines[i], middles[i], middles, following, j) == j
+    return pairs, found
+
+
+def test_what_tells_lines_apart_at_once_passes_no_fragment_over() -> None:
+    """Of the pairs that are of one edge, it leaves none out, however uncertain the lines are."""
+    rng = np.random.default_rng(7)
+    lines = np.zeros(400, FITTED_LINE)
+    length, angle = rng.uniform(7.0, 60.0, len(lines)), rng.normal(0.5, 0.05, len(lines))
+    x, y = rng.uniform(0.0, 300.0, len(lines)), rng.normal(0.0, 3.0, len(lines))
+    x, y = x * cos(0.5) - y * sin(0.5), x * sin(0.5) + y * cos(0.5)
+    lines["x0"], lines["y0"] = x - 0.5 * length * np.cos(angle), y - 0.5 * length * np.sin(angle)
+    lines["x1"], lines["y1"] = x + 0.5 * length * np.cos(angle), y + 0.5 * length * np.sin(angle)
+    lines["length"], lines["n_pixels"] = length, np.maximum(length, MIN_PIXELS)
+    lines["rms"] = rng.uniform(0.0, MAX_RMS_PX, len(lines))
+    pairs, found = joined_pairs(lines, 0.055)
+    assert pairs > 500
+    assert found == pairs
 
 
 @pytest.mark.parametrize("at", [0.2, 0.5, 0.9])

@@ -11,7 +11,7 @@ more than the pairs themselves, however many agree.
 
 from __future__ import annotations
 
-from math import exp, log
+from math import exp, hypot, log
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from vision.lateral.hypotheses import (
     add_weighted,
     roll_slope_of,
 )
-from vision.lateral.mixture import N_BINS, OffsetMixture, merge_by_bins, mixture_of_bins
+from vision.lateral.mixture import fields_of_components
 from vision.types import FloatArray, IntArray
 
 MIN_CANNOT_TELL = (
@@ -113,8 +113,8 @@ def corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std:
 
 
 @compiled_inner
-def merged_corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std: float) -> FloatArray:
-    """Return what pairs of corners say about the lateral offset, as components (n, 4) merged by bins.
+def fields_of_corners(picture: PictureCorners, weights: OffsetWeights, roll_std: float) -> FloatArray:
+    """Return what pairs of corners say about the lateral offset, as a mixture's fields (4, k).
 
     Parameters
     ----------
@@ -125,10 +125,12 @@ def merged_corner_components(picture: PictureCorners, weights: OffsetWeights, ro
     roll_std
         Standard deviation of the level frame's roll, radians: it tilts left against right.
     """
-    bins = np.empty((N_BINS, 4))
-    return bins[: merge_by_bins(corner_components(picture, weights, roll_std), bins)]
-
-
-def mixture_of_corners(components: FloatArray) -> OffsetMixture:
-    """Make a mixture of the components of `merged_corner_components`."""
-    return mixture_of_bins(components, 1.0, 0.0).wider(PLACE_STD).less_sure(MIN_CANNOT_TELL)
+    fields = fields_of_components(corner_components(picture, weights, roll_std), 1.0, 0.0)
+    told = 0.0
+    for k in range(fields.shape[1]):
+        told += fields[0, k]
+    scale = (1.0 - MIN_CANNOT_TELL) / told if told > 1.0 - MIN_CANNOT_TELL else 1.0
+    for k in range(fields.shape[1]):
+        fields[0, k] *= scale
+        fields[2, k] = hypot(fields[2, k], PLACE_STD)
+    return fields

@@ -23,7 +23,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from math import exp, nan, pi, sqrt
+from math import exp, isfinite, nan, pi, sqrt
 from threading import local
 from typing import Any
 
@@ -33,7 +33,7 @@ import numpy.typing as npt
 
 from vision.cameras.camera import Camera
 from vision.cameras.projection import project_directions
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.images import GreyImage
 from vision.lateral.mixture import OffsetMixture
 from vision.lateral.polar import ANGLES, N_ANGLES, Polar, polar_picture
@@ -60,7 +60,6 @@ RISE = 1.2  # or rises so far above its lowest
 MIN_STD = 0.005
 
 MIRRORED: IntArray = (N_ANGLES // 2 - 1 - np.arange(N_ANGLES)) % N_ANGLES  # angles, left and right exchanged
-_IS_RIGHT = np.cos(ANGLES) > 0.0
 _PER_THREAD = local()  # cv2.dnn keeps its input within the network
 
 
@@ -96,49 +95,62 @@ def _forward(batch: Polar) -> npt.NDArray[np.float32]:
 
 
 @compiled
-def _softmax_quarters(scores: npt.NDArray[np.float32], corner: FloatArray) -> None:
-    """Probabilities (4, n) of the corners from scores (2, 4 n) of the floor's and the ceiling's at every angle."""
-    n = corner.shape[1]
+def is_left_brighter(polar: Polar) -> bool:
+    """Tell whether a polar picture (2, N_RADII, N_ANGLES) is brighter on its left: the network sees it mirrored."""
+    left = right = 0.0
+    for r in range(polar.shape[1]):
+        for a in range(2 * N_QUARTER):
+            left += polar[0, r, N_QUARTER + a]
+            right += polar[0, r, (3 * N_QUARTER + a) % N_ANGLES]
+    return right < left
+
+
+@compiled
+def _mirrored(polar: Polar) -> Polar:
+    """Return a polar picture with left and right exchanged."""
+    out = np.empty_like(polar)
+    for channel in range(polar.shape[0]):
+        for r in range(polar.shape[1]):
+            for a in range(N_ANGLES):
+                out[channel, r, a] = polar[channel, r, (N_ANGLES // 2 - 1 - a) % N_ANGLES]
+    return out
+
+
+@compiled
+def _read_scores(raw: npt.NDArray[np.float32], is_mirrored: bool) -> tuple[FloatArray, FloatArray]:
+    """Return the fields of `CornerScores` of what the network says, mirrored back where it saw the mirrored picture.
+
+    ``raw`` holds scores of the floor's and of the ceiling's corner at every angle, and the log-odds.
+    """
+    n = N_QUARTER
+    corner, blind = np.empty((4, n)), np.empty(N_ODDS)
     for k in range(4):
-        largest = -np.inf
+        ceiling, seen_right = k // 2, (k % 2 == 1) != is_mirrored
+        quarter = 3 * ceiling if seen_right else 1 + ceiling
+        # From the horizontal: in every second quarter that is against the way in which angles are counted.
+        first, step = (quarter * n, 1) if quarter % 2 == 0 else (quarter * n + n - 1, -1)
+        largest, total = -np.inf, 0.0
         for a in range(n):
-            if k == 0:
-                value = scores[0, 2 * n - 1 - a]
-            elif k == 1:
-                value = scores[0, a]
-            elif k == 2:
-                value = scores[1, 2 * n + a]
-            else:
-                value = scores[1, 4 * n - 1 - a]
-            corner[k, a] = value
-            largest = max(largest, value)
-        total = 0.0
+            corner[k, a] = raw[ceiling * N_ANGLES + first + step * a]
+            largest = max(largest, corner[k, a])
         for a in range(n):
             corner[k, a] = exp(corner[k, a] - largest)
             total += corner[k, a]
         for a in range(n):
             corner[k, a] /= total
-
-
-def is_left_brighter(polar: Polar) -> bool:
-    """Tell whether a polar picture (2, N_RADII, N_ANGLES) is brighter on its left: the network sees it mirrored."""
-    return bool(polar[0][:, _IS_RIGHT].sum() < polar[0][:, ~_IS_RIGHT].sum())
+    for k in range(N_ODDS):
+        blind[k] = 1.0 / (1.0 + exp(-np.float64(raw[len(raw) - N_ODDS + k])))
+    return corner, blind
 
 
 def corner_scores(polar: Polar) -> CornerScores:
     """Run the network on a polar picture (2, N_RADII, N_ANGLES), mirrored where its left side is the brighter one."""
     is_mirrored = is_left_brighter(polar)
-    seen = polar[:, :, MIRRORED] if is_mirrored else polar
-    raw = _forward(np.ascontiguousarray(seen[None]))[0]
-    scores = raw[: 2 * N_ANGLES].reshape(2, N_ANGLES)
-    if is_mirrored:
-        scores = np.ascontiguousarray(scores[:, MIRRORED])
-    corner = np.empty((4, N_QUARTER))
-    _softmax_quarters(scores, corner)
-    return CornerScores(corner, 1.0 / (1.0 + np.exp(-raw[-N_ODDS:].astype(float))))
+    raw = _forward((_mirrored(polar) if is_mirrored else polar)[None])[0]
+    return CornerScores(*_read_scores(raw, is_mirrored))
 
 
-@compiled
+@compiled_inner
 def _add_pairs(
     left: FloatArray, right: FloatArray, offsets: FloatArray, cot: FloatArray, out: FloatArray
 ) -> None:
@@ -161,8 +173,8 @@ def _add_pairs(
             out[1, low + 1] += p * share * width
 
 
-@compiled
-def _components(density: FloatArray, centres: FloatArray, rows: FloatArray) -> int:
+@compiled_inner
+def _components(density: FloatArray, rows: FloatArray) -> int:
     """Take peak after peak out of a density, each down to where it rises again or ends.
 
     Fills rows (k, 5) with weight, mean, standard deviation, first bin and the one after the last, and returns how
@@ -187,8 +199,8 @@ def _components(density: FloatArray, centres: FloatArray, rows: FloatArray) -> i
         weight = mean = square = 0.0
         for k in range(first, last + 1):
             weight += density[k]
-            mean += density[k] * centres[k]
-            square += density[k] * centres[k] ** 2
+            mean += density[k] * BIN_CENTRES[k]
+            square += density[k] * BIN_CENTRES[k] ** 2
             density[k] = 0.0
         if weight < MIN_WEIGHT * total:
             break
@@ -200,8 +212,9 @@ def _components(density: FloatArray, centres: FloatArray, rows: FloatArray) -> i
     return count
 
 
-def offset_density(found: CornerScores) -> tuple[FloatArray, float, FloatArray]:
-    """Combine floor and ceiling.
+@compiled_inner
+def _offset_density(corner: FloatArray, blind: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+    """Combine floor and ceiling; arguments are the fields of `CornerScores`.
 
     Returns
     -------
@@ -211,29 +224,47 @@ def offset_density(found: CornerScores) -> tuple[FloatArray, float, FloatArray]:
     """
     pairs = np.zeros((2, 2, N_BINS))
     for k in range(2):
-        _add_pairs(found.corner[2 * k], found.corner[2 * k + 1], PAIR_OFFSET, COTANGENT, pairs[k])
-    blind = found.blind
-    told = (1.0 - blind[:2, None]) * pairs[:, 0]
-    joint = (blind[0] + told[0]) * (blind[1] + told[1])
-    density = blind[2] + (1.0 - blind[2]) * joint
+        _add_pairs(corner[2 * k], corner[2 * k + 1], PAIR_OFFSET, COTANGENT, pairs[k])
+    density, width = np.empty(N_BINS), np.empty(N_BINS)
+    for b in range(N_BINS):
+        floor, ceiling = (1.0 - blind[0]) * pairs[0, 0, b], (1.0 - blind[1]) * pairs[1, 0, b]
+        density[b] = blind[2] + (1.0 - blind[2]) * ((blind[0] + floor) * (blind[1] + ceiling))
+        width[b] = pairs[0, 1, b] / pairs[0, 0, b] if floor > blind[0] else nan
     level = blind[2] + (1.0 - blind[2]) * blind[0] * blind[1]
-    scale = density.mean()
-    with np.errstate(invalid="ignore", divide="ignore"):
-        width = np.where(told[0] > blind[0], pairs[0, 1] / pairs[0, 0], nan)
-    return density / scale, float(level / scale), width
+    scale = 0.0
+    for b in range(N_BINS):
+        scale += density[b] / N_BINS
+    for b in range(N_BINS):
+        density[b] /= scale
+    return density, level / scale, width
+
+
+@compiled
+def _fields(corner: FloatArray, blind: FloatArray) -> FloatArray:
+    """Return the fields (4, k) of the mixture that `mixture_of` makes of the fields of `CornerScores`."""
+    density, level, width = _offset_density(corner, blind)
+    above = np.empty(N_BINS)
+    for b in range(N_BINS):
+        above[b] = max(density[b] - level, 0.0) / N_BINS
+    rows = np.empty((MAX_COMPONENTS, 5))
+    count = _components(above, rows)
+    fields = np.empty((4, count))
+    for k in range(count):
+        fields[0, k], fields[1, k], fields[2, k], fields[3, k] = rows[k, 0], rows[k, 1], rows[k, 2], nan
+        whole = told = moment = 0.0
+        for b in range(int(rows[k, 3]), int(rows[k, 4])):
+            whole += density[b]
+            if isfinite(width[b]):
+                told += density[b]
+                moment += density[b] * width[b]
+        if told > 0.5 * whole:
+            fields[3, k] = moment / told
+    return fields
 
 
 def mixture_of(found: CornerScores) -> OffsetMixture:
     """Sum up the corners' probabilities as a mixture."""
-    density, level, width = offset_density(found)
-    rows = np.empty((MAX_COMPONENTS, 5))
-    rows = rows[: _components(np.maximum(density - level, 0.0) / N_BINS, BIN_CENTRES, rows)]
-    widths = np.full(len(rows), nan)
-    for k, (first, last) in enumerate(rows[:, 3:].astype(int)):
-        weight = np.where(np.isnan(width[first:last]), 0.0, density[first:last])
-        if weight.sum() > 0.5 * density[first:last].sum():
-            widths[k] = float(weight @ np.nan_to_num(width[first:last]) / weight.sum())
-    return OffsetMixture(rows[:, 0].copy(), rows[:, 1].copy(), rows[:, 2].copy(), widths)
+    return OffsetMixture(*_fields(found.corner, found.blind))
 
 
 def learned_mixture(grey: GreyImage, camera: Camera, R_corridor_camera: FloatArray) -> OffsetMixture:
@@ -257,22 +288,24 @@ def learned_mixture(grey: GreyImage, camera: Camera, R_corridor_camera: FloatArr
     return mixture_of(corner_scores(polar_picture(grey, camera, R_corridor_camera)))
 
 
-def corners_from_level(found: CornerScores) -> FloatArray:
-    """Angles (4,) of the likeliest corners from the horizontal, all positive; order of `CornerScores`."""
-    return np.asarray(ANGLES[found.corner.argmax(axis=1)])
+@compiled
+def corners_from_level(corner: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the likeliest corners' angles (4,) from the horizontal, all positive, and how sure they are (4,).
 
-
-def corner_sureness(found: CornerScores) -> FloatArray:
-    """Probability (4,) within two angles of each likeliest corner."""
-    best = found.corner.argmax(axis=1)
-    return np.array(
-        [p[max(0, b - 2) : b + 3].sum() for p, b in zip(found.corner, best.tolist(), strict=True)]
-    )
+    That is the probability within two angles of each. ``corner`` (4, N_QUARTER) is that of `CornerScores`.
+    """
+    angle, sureness = np.empty(4), np.zeros(4)
+    for k in range(4):
+        best = int(np.argmax(corner[k]))
+        angle[k] = ANGLES[best]
+        for a in range(max(best - 2, 0), min(best + 3, N_QUARTER)):
+            sureness[k] += corner[k, a]
+    return angle, sureness
 
 
 def likeliest_corners(found: CornerScores) -> FloatArray:
     """Angles (4,) about the axis, as `ANGLES` counts them, of the likeliest corners; order of `CornerScores`."""
-    from_level = corners_from_level(found)
+    from_level, _ = corners_from_level(found.corner)
     return np.array([pi - from_level[0], from_level[1], pi + from_level[2], 2.0 * pi - from_level[3]])
 
 
@@ -286,16 +319,13 @@ def corner_lines(found: CornerScores, camera: Camera, R_corridor_camera: FloatAr
     camera, R_corridor_camera
         As in `learned_mixture`.
     """
-    pieces = []
-    for angle, sure in zip(likeliest_corners(found), corner_sureness(found), strict=True):
-        if sure < SURE_CORNER:
-            continue
-        rays = np.stack(
-            [np.ones_like(DRAWN_TAN), DRAWN_TAN * np.cos(angle), DRAWN_TAN * np.sin(angle)], axis=1
-        )
-        points = project_directions(rays, R_corridor_camera, camera)
-        inside = np.isfinite(points).all(axis=1)
-        inside &= (points > -0.5).all(axis=1) & (points < [camera.width_px, camera.height_px]).all(axis=1)
-        points = points[inside]
-        pieces.append(np.hstack([points[:-1], points[1:]]))
-    return np.concatenate(pieces) if pieces else np.zeros((0, 4))
+    angles = likeliest_corners(found)[corners_from_level(found.corner)[1] >= SURE_CORNER]
+    rays = np.ones((len(angles), len(DRAWN_TAN), 3))
+    rays[..., 1] = DRAWN_TAN * np.cos(angles)[:, None]
+    rays[..., 2] = DRAWN_TAN * np.sin(angles)[:, None]
+    points = project_directions(rays.reshape(-1, 3), R_corridor_camera, camera).reshape(*rays.shape[:2], 2)
+    # NaN is not inside either.
+    x, y = points[..., 0], points[..., 1]
+    inside = (x > -0.5) & (x < camera.width_px) & (y > -0.5) & (y < camera.height_px)
+    pieces = np.concatenate([points[:, :-1], points[:, 1:]], axis=-1)
+    return pieces[inside[:, :-1] & inside[:, 1:]]

@@ -12,7 +12,7 @@ from math import exp, isfinite, pi, sqrt
 import numpy as np
 import numpy.typing as npt
 
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.types import FloatArray
 
 N_BINS = 64
@@ -49,6 +49,10 @@ class OffsetMixture:
     std_norm: FloatArray
     width_per_height: FloatArray
 
+    def fields(self) -> FloatArray:
+        """Return weight, offset, standard deviation and width as rows (4, k), as compiled code takes them."""
+        return np.array([self.weight, self.offset_norm, self.std_norm, self.width_per_height])
+
     @property
     def cannot_tell(self) -> float:
         """Probability that the frame cannot tell."""
@@ -81,7 +85,7 @@ def cannot_tell() -> OffsetMixture:
     return OffsetMixture(none, none, none, none)
 
 
-@compiled
+@compiled_inner
 def merge_by_bins(rows: FloatArray, bins: FloatArray) -> int:
     """Merge components (n, 4) of weight, offset, variance and width, bin by bin, keeping mean and variance.
 
@@ -113,24 +117,37 @@ def merge_by_bins(rows: FloatArray, bins: FloatArray) -> int:
     return count
 
 
-def mixture_of_components(rows: FloatArray, cannot_tell_odds: float, min_variance: float) -> OffsetMixture:
+@compiled
+def fields_of_components(components: FloatArray, cannot_tell_odds: float, min_variance: float) -> FloatArray:
+    """Return the fields (4, k) of a mixture; parameters as of `mixture_of_components`."""
+    bins = np.empty((N_BINS, 4))
+    n, total, count = merge_by_bins(components, bins), cannot_tell_odds, 0
+    for k in range(n):
+        total += bins[k, WEIGHT]
+    for k in range(n):
+        count += bins[k, WEIGHT] / total > MIN_WEIGHT
+    fields = np.empty((4, count))
+    count = 0
+    for k in range(n):
+        weight = bins[k, WEIGHT] / total
+        if weight > MIN_WEIGHT:
+            fields[0, count], fields[1, count] = weight, bins[k, OFFSET]
+            fields[2, count], fields[3, count] = sqrt(max(bins[k, VARIANCE], min_variance)), bins[k, WIDTH]
+            count += 1
+    return fields
+
+
+def mixture_of_components(
+    components: FloatArray, cannot_tell_odds: float, min_variance: float
+) -> OffsetMixture:
     """Make a mixture of components (n, 4) as `merge_by_bins` takes them.
 
     Their weights are odds, as ``cannot_tell_odds`` are those of a frame that cannot tell.
     """
-    bins = np.empty((N_BINS, 4))
-    return mixture_of_bins(bins[: merge_by_bins(rows, bins)], cannot_tell_odds, min_variance)
+    return OffsetMixture(*fields_of_components(components, cannot_tell_odds, min_variance))
 
 
-def mixture_of_bins(bins: FloatArray, cannot_tell_odds: float, min_variance: float) -> OffsetMixture:
-    """Make a mixture of components (n, 4) that have been merged; parameters as of `mixture_of_components`."""
-    weight = bins[:, WEIGHT] / (float(bins[:, WEIGHT].sum()) + cannot_tell_odds)
-    kept = weight > MIN_WEIGHT
-    _, offset, variance, width = bins[kept].T.copy()
-    return OffsetMixture(weight[kept], offset, np.sqrt(np.maximum(variance, min_variance)), width)
-
-
-@compiled
+@compiled_inner
 def _products(
     first: FloatArray, second: FloatArray, slack: float, both_blind: float, rows: FloatArray
 ) -> float:
@@ -173,14 +190,27 @@ def _products(
     return 0.5 * (both_blind + (1.0 - both_blind) * blind_first * blind_second)
 
 
-def _rows(mixture: OffsetMixture) -> FloatArray:
-    return np.column_stack(
-        [mixture.weight, mixture.offset_norm, mixture.std_norm**2, mixture.width_per_height]
-    )
+@compiled_inner
+def _components(fields: FloatArray) -> FloatArray:
+    """Return the components (k, 4) of a mixture's fields (4, k), as `merge_by_bins` takes them."""
+    components = np.empty((fields.shape[1], 4))
+    for k in range(len(components)):
+        components[k, WEIGHT], components[k, OFFSET] = fields[0, k], fields[1, k]
+        components[k, VARIANCE], components[k, WIDTH] = fields[2, k] ** 2, fields[3, k]
+    return components
 
 
 SLACK = 0.005
 """Standard deviation by which two kinds of evidence may differ that see the same corner."""
+
+
+@compiled
+def fields_of_both(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the fields (4, k) of the mixture that two mixtures' fields (4, n), (4, m) make, see `combine`."""
+    a, b = _components(first), _components(second)
+    rows = np.empty((len(a) + len(b) + len(a) * len(b), 4))
+    blind = _products(a, b, SLACK**2, BOTH_BLIND, rows)
+    return fields_of_components(rows, blind, 0.0)
 
 
 def combine(first: OffsetMixture, second: OffsetMixture) -> OffsetMixture:
@@ -189,10 +219,7 @@ def combine(first: OffsetMixture, second: OffsetMixture) -> OffsetMixture:
     Where both are sure of one place, so is the product. Where they are sure of different places, each place is held
     up only by the other's "cannot tell", and the probability that both are wrong counts for more: the answer is wide.
     """
-    a, b = _rows(first), _rows(second)
-    rows = np.empty((len(a) + len(b) + len(a) * len(b), 4))
-    blind = _products(a, b, SLACK**2, BOTH_BLIND, rows)
-    return mixture_of_components(rows, blind, 0.0)
+    return OffsetMixture(*fields_of_both(first.fields(), second.fields()))
 
 
 __all__ = [
@@ -200,6 +227,5 @@ __all__ = [
     "cannot_tell",
     "combine",
     "merge_by_bins",
-    "mixture_of_bins",
     "mixture_of_components",
 ]

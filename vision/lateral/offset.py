@@ -15,16 +15,16 @@ multiplied, and what they say together is answered, as exactly as it is known (`
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, log, nan, sqrt
+from math import exp, isfinite, log, nan, sqrt
 
 import numpy as np
 import numpy.typing as npt
 
 from vision.axis.vanishing_point import AxisFit
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.lateral.corner_candidates import MAX_CORNERS
 from vision.lateral.corner_pairs import arrays_of, corners_of_arrays
-from vision.lateral.geometric import merged_corner_components, mixture_of_corners
+from vision.lateral.geometric import fields_of_corners
 from vision.lateral.hypotheses import (
     WEIGHTS,
     OffsetEstimate,
@@ -35,7 +35,7 @@ from vision.lateral.hypotheses import (
     width_log_odds,
 )
 from vision.lateral.line_directions import PictureLines
-from vision.lateral.mixture import OffsetMixture, combine
+from vision.lateral.mixture import OffsetMixture, fields_of_both
 from vision.lines.line_set import LineSet
 from vision.types import FloatArray
 
@@ -112,7 +112,7 @@ def _estimate_offset(
     -------
     tuple
         The estimate, the corridor's width over the camera's height (NaN where the floor's pair does not tell), and
-        the lines (k,) that stand for the corners; and the components (n, 4) of the mixture.
+        the lines (k,) that stand for the corners; and the fields (4, n) of the mixture.
     """
     many, few = max_corners  # as arguments they are of one type: as constants all would be compiled for each
     wide = picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, many)
@@ -136,7 +136,7 @@ def _estimate_offset(
         pair = picture.ceiling.pair[found.ceiling]
         wall_lines[count], wall_lines[count + 1] = corners[2, pair.left].line, corners[3, pair.right].line
         count += 2
-    return found, width, wall_lines[:count], merged_corner_components(wide, weights, roll_std)
+    return found, width, wall_lines[:count], fields_of_corners(wide, weights, roll_std)
 
 
 def fit_lateral(
@@ -168,7 +168,7 @@ def fit_lateral(
     fit, mixture
         The answer, None where one picture does not tell, and the mixture of all hypotheses.
     """
-    found, width_per_height, wall_lines, components = _estimate_offset(
+    found, width_per_height, wall_lines, fields = _estimate_offset(
         *arrays_of(lines, axis, R_level_camera),
         WEIGHTS,
         prior_offset_norm,
@@ -177,7 +177,7 @@ def fit_lateral(
         roll_std_rad,
         (MAX_MIXTURE_CORNERS, MAX_CORNERS),
     )
-    mixture = mixture_of_corners(components)
+    mixture = OffsetMixture(*fields)
     if not found.probability >= MIN_PROBABILITY:  # NaN fails too
         return None, mixture
     variance = (
@@ -190,29 +190,27 @@ def fit_lateral(
     return LateralFit(found.offset, sqrt(variance), width_per_height, wall_lines), mixture
 
 
-@compiled
-def _most_probable_group(
-    weight: FloatArray, offset: FloatArray, std: FloatArray, factor: FloatArray, blind: float
-) -> tuple[float, float, float]:
+@compiled_inner
+def _most_probable_group(both: FloatArray, factor: FloatArray) -> tuple[float, float, float]:
     """Find the offset that most of a mixture's probability is for.
 
     Parameters
     ----------
-    weight, offset, std
-        The mixture's components (n,), at least one.
+    both
+        The mixture's fields (4, n), at least one.
     factor
-        What is known beforehand of each (n,): it chooses and does not move the answer.
-    blind
-        Weight of what cannot tell.
+        What is known beforehand of each component (n,): it chooses and does not move the answer.
 
     Returns
     -------
     tuple
         Probability, mean and variance of the components about the offset.
     """
+    weight, offset, std = both[0], both[1], both[2]
     n = len(weight)
-    best, most, total = 0, -1.0, blind
+    best, most, blind, total = 0, -1.0, 1.0, 0.0
     for k in range(n):
+        blind -= weight[k]
         total += weight[k] * factor[k]
         density = 0.0
         for j in range(n):
@@ -220,6 +218,7 @@ def _most_probable_group(
             density += weight[j] * factor[j] / std[j] * exp(-0.5 * z * z)
         if density > most:
             best, most = k, density
+    total += max(blind, 0.0)
     mean = offset[best]
     for _ in range(3):
         moment = share = 0.0
@@ -237,13 +236,43 @@ def _most_probable_group(
     return probability, mean, variance / share
 
 
-def _width_about(mixture: OffsetMixture, offset_norm: float) -> float:
+@compiled_inner
+def _width_about(fields: FloatArray, offset_norm: float) -> float:
     """Return the mean width per height of a mixture's components about an offset; NaN where none tells it."""
-    told = np.isfinite(mixture.width_per_height)
-    told &= np.abs(mixture.offset_norm - offset_norm) < SAME_ANSWER
-    if not told.any():
-        return nan
-    return float(np.average(mixture.width_per_height[told], weights=mixture.weight[told]))
+    weight, offset, width = fields[0], fields[1], fields[3]
+    moment = share = 0.0
+    for k in range(len(weight)):
+        if isfinite(width[k]) and abs(offset[k] - offset_norm) < SAME_ANSWER:
+            moment += weight[k] * width[k]
+            share += weight[k]
+    return moment / share if share > 0.0 else nan
+
+
+@compiled
+def _answer(
+    lines: FloatArray,
+    regions: FloatArray,
+    prior: float,
+    prior_std: float,
+    prior_width: float,
+    weights: OffsetWeights,
+) -> tuple[float, float, float, float, float]:
+    """Return what `answer_of` answers with, of mixtures' fields.
+
+    Returns
+    -------
+    tuple
+        Probability, mean and variance of the likeliest offset, and the width about it by lines and by regions; a
+        probability of zero where neither tells anything.
+    """
+    both = fields_of_both(lines, regions)
+    if both.shape[1] == 0:
+        return 0.0, nan, nan, nan, nan
+    factor = width_log_odds(both[3], prior_width, weights)
+    for k in range(len(factor)):
+        factor[k] = exp(factor[k]) * prediction_factor(both[1, k], prior, prior_std)
+    probability, mean, variance = _most_probable_group(both, factor)
+    return probability, mean, variance, _width_about(lines, mean), _width_about(regions, mean)
 
 
 def answer_of(
@@ -265,20 +294,13 @@ def answer_of(
     prior_offset_norm, prior_offset_norm_std, prior_width_per_height
         As in `fit_lateral`.
     """
-    both = combine(lines, regions)
-    if not len(both.weight):
+    known = (prior_offset_norm, prior_offset_norm_std, prior_width_per_height)
+    probability, mean, variance, width, other = _answer(lines.fields(), regions.fields(), *known, WEIGHTS)
+    if not probability >= MIN_JOINT_PROBABILITY:
         return None
-    factor = np.exp(width_log_odds(both.width_per_height, prior_width_per_height, WEIGHTS))
-    factor *= [
-        prediction_factor(y, prior_offset_norm, prior_offset_norm_std) for y in both.offset_norm.tolist()
-    ]
-    probability, mean, variance = _most_probable_group(
-        both.weight, both.offset_norm, both.std_norm, factor, both.cannot_tell
-    )
     std = sqrt(variance + MIN_STD**2 + JOINT_DOUBT * (1.0 - min(probability, 1.0)))
-    if not probability >= MIN_JOINT_PROBABILITY or std > MAX_STD_NORM:
+    if std > MAX_STD_NORM:
         return None
-    width, other = _width_about(lines, mean), _width_about(regions, mean)
     agree = width > 0.0 and other > 0.0 and abs(log(width / other)) < SAME_WIDTH
     return OffsetAnswer(
         offset_norm=mean,

@@ -8,14 +8,14 @@ lines seldom confirm it.
 
 from __future__ import annotations
 
-from math import atan2, cos, hypot, log, radians
+from math import atan2, cos, hypot, log, radians, tan
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from vision.compiled import compiled
-from vision.lateral.learned import CornerScores, corner_sureness, corners_from_level
+from vision.lateral.learned import CornerScores, corners_from_level
 from vision.lines.line_set import LineGeometry
 from vision.measurement import LineClass
 from vision.types import FloatArray
@@ -92,12 +92,12 @@ def missing_wall_evidence(
     likelihood_ratio
         Likelihood of the offset to answer, by lines alone, over that of any other.
     """
-    sure = corner_sureness(scores)
-    corners_rad = corners_from_level(scores)
+    corners_rad, sure = corners_from_level(scores.corner)
     across, vertical_rad = _across_and_vertical(lines, line_class, R_corridor_camera, corners_rad)
-    # Distances (2,) of the walls: by the floor, over the camera's height, and by the ceiling.
-    left, right = 1.0 / np.tan(corners_rad).reshape(2, 2).T
-    by_floor, by_ceiling = (left - right) / (left + right)
+    # Distances of the walls over the camera's height above the floor, and below the ceiling.
+    left, right, left_by_ceiling, right_by_ceiling = (1.0 / tan(angle) for angle in corners_rad.tolist())
+    by_floor = (left - right) / (left + right)
+    by_ceiling = (left_by_ceiling - right_by_ceiling) / (left_by_ceiling + right_by_ceiling)
     return MissingWallEvidence(
         bias=1.0,
         sureness=min(sure[0] + sure[2], sure[1] + sure[3]),
@@ -105,13 +105,13 @@ def missing_wall_evidence(
         across=log(across),
         vertical=log(vertical_rad + LEAST_VERTICAL_RAD),
         disagreement=log(abs(by_floor - by_ceiling) + LEAST_DISAGREEMENT),
-        width=log(max(left[0] + right[0], USUAL_WIDTH_PER_HEIGHT)),
+        width=log(max(left + right, USUAL_WIDTH_PER_HEIGHT)),
     )
 
 
 def wall_is_missing(evidence: MissingWallEvidence) -> bool:
     """Tell whether one of the side walls is likelier to be missing than an answer can bear."""
-    return bool(np.dot(WEIGHTS, evidence) > 0.0)
+    return sum(weight * found for weight, found in zip(WEIGHTS, evidence, strict=True)) > 0.0
 
 
 @compiled

@@ -14,12 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.compiled import compiled, compiled_inner
-from vision.types import Float32Array, GreyImage, IntArray, Record, RecordArray
+from vision.types import Float32Array, FloatArray, GreyImage, IntArray, Record, RecordArray
 
 DIRECTION_COS2 = cos(radians(22.5)) ** 2
 
 GreyPixels = npt.NDArray[np.uint8]
 Int16Array = npt.NDArray[np.int16]
+UintArray = npt.NDArray[np.uint32]
+
+NO_LABEL = np.uint32(0xFFFFFFFF)
 
 COMPONENT = np.dtype(
     [(name, np.float64) for name in ("n", "x", "y", "xx", "xy", "yy", "gx", "gy")], align=True
@@ -54,6 +57,8 @@ class Components(NamedTuple):
     ----------
     edges
         Indices (h * w,) of the edge pixels.
+    places
+        Their rectified coordinates (h * w, 2).
     parent
         Parent (m,) of each label; a label that is its own is a component.
     sums
@@ -62,10 +67,11 @@ class Components(NamedTuple):
         Working memory (2, w).
     """
 
-    edges: npt.NDArray[np.int32]
-    parent: npt.NDArray[np.int32]
+    edges: UintArray
+    places: FloatArray
+    parent: UintArray
     sums: RecordArray
-    rows: npt.NDArray[np.int32]
+    rows: UintArray
 
 
 @compiled_inner
@@ -165,9 +171,7 @@ def _mark_ridge(
 
 
 @compiled_inner
-def _find_edge_pixels(
-    gradient: Gradient, width: int, threshold: np.float32, edges: npt.NDArray[np.int32]
-) -> int:
+def _find_edge_pixels(gradient: Gradient, width: int, threshold: np.float32, edges: UintArray) -> int:
     """Fill in the indices of the edge pixels, also of those too near to the picture's sides; return how many."""
     magnitude, mark, words = gradient.magnitude, gradient.mark, gradient.words
     first, last = 2 * width, len(magnitude) - 2 * width
@@ -192,7 +196,7 @@ def _find_edge_pixels(
 
 
 @compiled_inner
-def _root(parent: npt.NDArray[np.int32], label: int) -> int:
+def _root(parent: UintArray, label: np.uint32) -> np.uint32:
     while parent[label] != label:
         parent[label] = parent[parent[label]]
         label = parent[label]
@@ -221,25 +225,25 @@ def add(total: Record, part: Record) -> None:
 
 @compiled_inner
 def _join_around(
-    x: int,
     a: float,
     b: float,
-    here: npt.NDArray[np.int32],
-    above: npt.NDArray[np.int32],
-    parent: npt.NDArray[np.int32],
+    around: tuple[np.uint32, np.uint32, np.uint32, np.uint32],
+    parent: UintArray,
     sums: RecordArray,
-) -> int:
-    """Find the component of an edge pixel, joining those that it connects; -1: it agrees with none around it."""
-    label = -1
-    for k in range(4):
-        other = here[x - 1] if k == 0 else above[x - 2 + k]
-        if other < 0:
+) -> np.uint32:
+    """Return the component of an edge pixel of gradient (a, b), joining those around it that it connects.
+
+    `NO_LABEL` where it agrees with none of them.
+    """
+    label = NO_LABEL
+    for other in around:
+        if other == NO_LABEL:
             continue
         other = _root(parent, other)
         if other == label:
             continue
         s = sums[other]
-        if label < 0:
+        if label == NO_LABEL:
             if _agree(s.gx, s.gy, a, b):
                 label = other
         elif _agree(s.gx, s.gy, sums[label].gx, sums[label].gy):
@@ -251,8 +255,71 @@ def _join_around(
 
 
 @compiled_inner
+def _is_or_none(label: np.uint32, one: np.uint32) -> bool:
+    return bool((label == one) | (label == NO_LABEL))
+
+
+@compiled_inner
 def _clear(sums: Record) -> None:
     sums.n = sums.x = sums.y = sums.xx = sums.xy = sums.yy = sums.gx = sums.gy = 0.0
+
+
+@compiled_inner
+def _add_pixel(s: Record, x: float, y: float, a: float, b: float) -> None:
+    s.n += 1.0
+    s.x += x
+    s.y += y
+    s.xx += x * x
+    s.xy += x * y
+    s.yy += y * y
+    s.gx += a
+    s.gy += b
+
+
+@compiled_inner
+def _locate(
+    gradient: Gradient, width: int, n_edges: int, rectified: Float32Array, components: Components
+) -> tuple[int, float, float]:
+    """Find where edge pixels are to a fraction of a pixel, and leave out those at the sides or without a place.
+
+    Fills in the first rows of ``components.edges`` and ``components.places``; returns how many, and the sharpness of
+    upright and of level edges, see `connect`.
+    """
+    gx, gy, magnitude = gradient.gx, gradient.gy, gradient.magnitude
+    edges, places, distorted = components.edges, components.places, rectified.shape[0] > 1
+    bend, ridge = np.full(2, 1e-9), np.full(2, 1e-9)
+    w, n, y, row = np.uintp(width), np.uintp(0), 0, np.uintp(0)
+    for k in range(n_edges):
+        i = np.uintp(edges[k])
+        while i >= row + w:
+            row += w
+            y += 1
+        x = np.intp(i - row)
+        if x < 2 or x >= width - 2:
+            continue
+        # A parabola along the axis nearest to the gradient peaks on the edge whatever its direction.
+        upright = abs(np.int32(gx[i])) >= abs(np.int32(gy[i]))
+        step, axis = np.uintp(1) if upright else w, np.uintp(upright)
+        m, m0, m1 = magnitude[i], magnitude[i - step], magnitude[i + step]
+        curvature = 2.0 * m - m0 - m1
+        bend[axis] += curvature
+        ridge[axis] += m
+        shift = 0.5 * (m1 - m0) / curvature
+        across, down = (shift, 0.0) if upright else (0.0, shift)
+        place = places[n]
+        place[0], place[1] = x + across, y + down
+        if distorted:
+            ahead, part = 1 if shift > 0.0 else -1, abs(shift)
+            near, far = rectified[y, x], rectified[y, x + ahead] if upright else rectified[y + ahead, x]
+            place[0], place[1] = (
+                near[0] * (1.0 - part) + far[0] * part,
+                near[1] * (1.0 - part) + far[1] * part,
+            )
+            if place[0] != place[0] or place[1] != place[1]:  # outside the usable field
+                continue
+        edges[n] = i
+        n += np.uintp(1)
+    return int(np.intp(n)), bend[1] / ridge[1], bend[0] / ridge[0]
 
 
 @compiled
@@ -281,79 +348,50 @@ def connect(
         gradient's ridge over its height, strong edges counting most. It is about 1 for edges as sharp as the pixels,
         1 / s^2 for edges blurred over s pixels. Motion blurs only the edges across its direction.
     """
-    gx, gy, magnitude = gradient.gx, gradient.gy, gradient.magnitude
-    edges, parent, sums, rows = components.edges, components.parent, components.sums, components.rows
-    distorted = rectified.shape[0] > 1
-    n_labels = 0
-    bend = np.full(2, 1e-9)
-    ridge = np.full(2, 1e-9)
-    above = rows[0]
-    here = rows[1]
-    above[:] = -1
-    n_edges = _find_edge_pixels(gradient, width, threshold, edges)
-    k = 0
-    for y in range(2, len(magnitude) // width - 2):
-        here[:] = -1
-        row = y * width
-        first = k
-        while k < n_edges and edges[k] < row + width:
-            k += 1
-        for i in edges[first:k]:
-            x = i - row
-            if x < 2 or x >= width - 2:
+    n_edges = _find_edge_pixels(gradient, width, threshold, components.edges)
+    n_edges, upright, level = _locate(gradient, width, n_edges, rectified, components)
+    return _label(gradient, width, n_edges, components), upright, level
+
+
+@compiled_inner
+def _label(gradient: Gradient, width: int, n_edges: int, components: Components) -> int:
+    """Give each edge pixel, row by row, the label of a component; return how many labels there are.
+
+    Indices are unsigned, which spares asking at each whether it counts from the end.
+    """
+    gx, gy = gradient.gx, gradient.gy
+    edges, places, parent, sums = components.edges, components.places, components.parent, components.sums
+    above, here = components.rows[0], components.rows[1]
+    above[:] = NO_LABEL
+    here[:] = NO_LABEL
+    w, one, row, n_labels = np.uintp(width), np.uintp(1), np.uintp(0), np.uintp(0)
+    for k in range(n_edges):
+        i = np.uintp(edges[k])
+        while i >= row + w:
+            row += w
+            above, here = here, above
+            here[:] = NO_LABEL
+        x = i - row
+        a, b = float(gx[i]), float(gy[i])
+        around = (here[x - one], above[x - one], above[x], above[x + one])
+        label = min(min(around[0], around[1]), min(around[2], around[3]))
+        if label != NO_LABEL:
+            # The common case, one component around, stays in line.
+            w_, nw, n, ne = around
+            alone = _is_or_none(w_, label) & _is_or_none(nw, label) & _is_or_none(n, label)
+            if alone & _is_or_none(ne, label):
+                label = _root(parent, label)
+                if not _agree(sums[label].gx, sums[label].gy, a, b):
+                    label = NO_LABEL
+            else:
+                label = _join_around(a, b, around, parent, sums)
+        if label == NO_LABEL:
+            if n_labels == np.uintp(len(parent)):
                 continue
-            m = magnitude[i]
-            a = float(gx[i])
-            b = float(gy[i])
-            # A parabola along the axis nearest to the gradient peaks on the edge whatever its direction.
-            dx = 1 if abs(a) >= abs(b) else 0
-            dy = 1 - dx
-            step = 1 if dx else width
-            m0, m1 = magnitude[i - step], magnitude[i + step]
-            curvature = 2.0 * m - m0 - m1
-            bend[dx] += curvature
-            ridge[dx] += m
-            shift = 0.5 * (m1 - m0) / curvature
-            px = x + shift * dx
-            py = y + shift * dy
-            if distorted:
-                step = 1 if shift > 0.0 else -1
-                part = abs(shift)
-                ahead = rectified[y + step * dy, x + step * dx]
-                px = rectified[y, x, 0] * (1.0 - part) + ahead[0] * part
-                py = rectified[y, x, 1] * (1.0 - part) + ahead[1] * part
-                if px != px or py != py:  # outside the usable field
-                    continue
-            # The common case, one component around, stays in line: a call would count references on its arrays.
-            w = here[x - 1]
-            nw = above[x - 1]
-            n = above[x]
-            ne = above[x + 1]
-            label = max(max(w, nw), max(n, ne))
-            if label >= 0:
-                one = ((w < 0) | (w == label)) & ((nw < 0) | (nw == label)) & ((n < 0) | (n == label))
-                if one & ((ne < 0) | (ne == label)):
-                    label = _root(parent, label)
-                    if not _agree(sums[label].gx, sums[label].gy, a, b):
-                        label = -1
-                else:
-                    label = _join_around(x, a, b, here, above, parent, sums)
-            if label < 0:
-                if n_labels == parent.shape[0]:
-                    continue
-                label = n_labels
-                n_labels += 1
-                parent[label] = label
-                _clear(sums[label])
-            s = sums[label]
-            s.n += 1.0
-            s.x += px
-            s.y += py
-            s.xx += px * px
-            s.xy += px * py
-            s.yy += py * py
-            s.gx += a
-            s.gy += b
-            here[x] = label
-        above, here = here, above
-    return n_labels, bend[1] / ridge[1], bend[0] / ridge[0]
+            label = np.uint32(n_labels)
+            n_labels += one
+            parent[label] = label
+            _clear(sums[label])
+        _add_pixel(sums[label], places[k, 0], places[k, 1], a, b)
+        here[x] = label
+    return int(np.intp(n_labels))

@@ -13,7 +13,7 @@ import numpy as np
 
 from vision.compiled import compiled_inner
 from vision.lines.edges import Components, add
-from vision.types import IntArray, Record, RecordArray
+from vision.types import FloatArray, IntArray, Record, RecordArray
 
 MAX_RMS_PX = 0.8  # scatter across the line beyond which it is not one
 MIN_PIXELS = 5
@@ -25,6 +25,8 @@ MAX_EXTRAPOLATED_PX = (
     1.0  # standard deviation of the surer one's line at the other: beyond, agreeing is chance
 )
 SECTORS = 60  # of directions; fragments of one edge are in the same or in neighbouring ones
+
+ROUNDING = 1.0001  # room for it where a limit is computed in another order
 
 FITTED_LINE = np.dtype(
     [
@@ -145,6 +147,34 @@ def _sector(line: Record) -> int:
 
 
 @compiled_inner
+def _note_middle(line: Record, floor_px: float, middle: FloatArray) -> None:
+    """Fill in twice the place (x, y) of a line's middle, and its variance across the line."""
+    middle[0], middle[1] = line.x0 + line.x1, line.y0 + line.y1
+    middle[2] = variance_across(line, floor_px)
+
+
+@compiled_inner
+def _next_in_line(line: Record, own: FloatArray, middles: FloatArray, following: IntArray, other: int) -> int:
+    """Return the first of a list of lines whose middle lies where `_are_of_one_edge` can be true; -1: none does.
+
+    Nearly all pairs are told apart by that, without a division and in little memory. ``own`` is the line's own row of
+    the ``middles`` (m, 3), see `_note_middle`; the list starts at ``other`` and goes on by ``following``.
+    """
+    ax, ay, x, y = line.x1 - line.x0, line.y1 - line.y0, own[0], own[1]
+    # The limit of a_off there, all multiplied by the squared length, and by 4 as middles are doubled.
+    per_variance = 4.0 * ROUNDING * JOIN_CHI2 * line.length * line.length
+    constant, per_distance = per_variance * own[2], 12.0 * ROUNDING * JOIN_CHI2 * own[2]
+    while other >= 0:
+        apart_x, apart_y = middles[other, 0] - x, middles[other, 1] - y
+        across = ax * apart_y - ay * apart_x
+        limit = constant + per_variance * middles[other, 2]
+        if across * across <= limit + per_distance * (apart_x * apart_x + apart_y * apart_y):
+            break
+        other = following[other]
+    return other
+
+
+@compiled_inner
 def join(
     components: Components, lines: RecordArray, n_lines: int, floor_px: float, following: IntArray
 ) -> int:
@@ -161,29 +191,28 @@ def join(
     following
         Working memory (m,), as long as ``lines``.
     """
-    first = np.full(SECTORS, -1)
+    first, sector, middles = np.full(SECTORS, -1), np.empty(n_lines, np.int64), np.empty((n_lines, 3))
     for i in range(n_lines - 1, -1, -1):
-        sector = _sector(lines[i])
-        following[i] = first[sector]
-        first[sector] = i
+        sector[i] = _sector(lines[i])
+        following[i] = first[sector[i]]
+        first[sector[i]] = i
+        _note_middle(lines[i], floor_px, middles[i])
     for i in range(n_lines):
         line = lines[i]
-        if line.label < 0:
-            continue
-        own = _sector(line)
-        grown = True
+        grown = line.label >= 0
         while grown:
             grown = False
             for turn in range(-1, 2):
-                j = first[(own + turn) % SECTORS]
+                j = _next_in_line(line, middles[i], middles, following, first[(sector[i] + turn) % SECTORS])
                 while j >= 0:
                     other = lines[j]
                     if j != i and other.label >= 0 and _are_of_one_edge(line, other, floor_px):
                         add(components.sums[line.label], components.sums[other.label])
                         _fit(components.sums[line.label], line)
+                        _note_middle(line, floor_px, middles[i])
                         other.label = -1
                         grown = True
-                    j = following[j]
+                    j = _next_in_line(line, middles[i], middles, following, following[j])
     n_left = 0
     for i in range(n_lines):
         if lines[i].label >= 0:

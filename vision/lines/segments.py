@@ -60,10 +60,11 @@ class _Workspace:
             words=mark.view(np.uint64),
         )
         self.components = Components(
-            edges=np.empty(len(mark), np.int32),
-            parent=np.empty(MAX_COMPONENTS, np.int32),
+            edges=np.empty(len(mark), np.uint32),
+            places=np.empty((len(mark), 2)),
+            parent=np.empty(MAX_COMPONENTS, np.uint32),
             sums=np.empty(MAX_COMPONENTS, COMPONENT),
-            rows=np.empty((2, width_px), np.int32),
+            rows=np.empty((2, width_px), np.uint32),
         )
         self.lines = np.empty(MAX_LINES, FITTED_LINE)
         self.following = np.empty(MAX_LINES, np.int64)
