@@ -394,3 +394,43 @@ def test_a_prediction_that_is_a_right_angle_off_does_not_overrule_the_picture(n_
     wrong = Prior(heading_rad - pi / 2, radians(2.0))
     m = measure_lines(lines, CAMERA, Attitude(0, 0), wrong)
     assert not m.accepted or abs(wrap_axis(m.heading_rad - heading_rad)) < radians(1.0)
+
+
+EDGES = [(1.5, y, z, x, y, z) for x in (4.0, 9.0) for y in (-1.1, 1.1) for z in (1.4, -1.2)]
+ON_FLOOR = [edge for edge in EDGES if edge[2] > 0.0]
+
+
+def joints(angle_rad: float, spacing_m: float = 0.15) -> list[tuple[float, ...]]:
+    """Joints of planks on a floor, between the walls and from 1.5 to 9 m ahead, at an angle to the corridor."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    found: list[tuple[float, ...]] = []
+    for across in np.arange(-10.0, 10.0, spacing_m):
+        on_line = np.linspace(-12.0, 12.0, 4801)
+        x, y = c * on_line - s * across, s * on_line + c * across
+        inside = (x > 1.5) & (x < 9.0) & (np.abs(y) < 1.1)
+        if inside.sum() > 50:
+            first, last = np.flatnonzero(inside)[[0, -1]]
+            found.append((x[first], y[first], 1.4, x[last], y[last], 1.4))
+    return found
+
+
+@pytest.mark.parametrize("angle_deg", [-65, -40, -20, 12, 30, 45, 70])
+@pytest.mark.parametrize("tiles", [False, True])
+def test_joints_of_a_floor_laid_at_an_angle_are_no_corridor(angle_deg: float, tiles: bool) -> None:
+    floor = joints(radians(angle_deg)) + (joints(radians(angle_deg) + pi / 2) if tiles else [])
+    assert len(floor) > 2 * len(EDGES)
+    m = measure_lines(of_world(EDGES + floor), CAMERA, Attitude(0, 0))
+    assert degrees(m.heading_rad) == pytest.approx(0.0, abs=1.0)
+    # Where nothing is seen above the horizon either direction may be the corridor's.
+    m = measure_lines(of_world(ON_FLOOR + floor), CAMERA, Attitude(0, 0))
+    assert not m.accepted or degrees(m.heading_rad) == pytest.approx(0.0, abs=1.0)
+    # Alone, they are all that tells of a corridor; a prediction near another direction is not confirmed.
+    m = measure_lines(of_world(ON_FLOOR + floor), CAMERA, Attitude(0, 0), Prior(0.0, radians(2.0)))
+    assert degrees(m.heading_rad) == pytest.approx(0.0, abs=1.0)
+
+
+def test_joints_along_a_corridor_are_no_objection() -> None:
+    for seen in (ON_FLOOR, ON_FLOOR + joints(0.0), EDGES + joints(0.0) + joints(pi / 2)):
+        m = measure_lines(of_world(seen), CAMERA, Attitude(0, 0))
+        assert m.accepted
+        assert degrees(m.heading_rad) == pytest.approx(0.0, abs=0.3)
