@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import degrees, pi, radians
+from math import degrees, isnan, pi, radians
 from typing import Any
 
 import numpy as np
@@ -201,7 +201,7 @@ def test_level_is_found_without_any_attitude(corridor: Any, seen: Any, roll: int
     truth = corridor(heading_rad=0.15, roll_rad=radians(roll), pitch_rad=radians(pitch))
     m = measure_lines(seen(truth, CAMERA), CAMERA)
     assert degrees(m.heading_rad - 0.15) == pytest.approx(0.0, abs=0.05)
-    found = level_from_verticals(seen(truth, CAMERA), CAMERA.R_body_camera, radians(12))
+    found = level_from_verticals(seen(truth, CAMERA), CAMERA.R_body_camera, radians(12), radians(12))
     true_level = Attitude(radians(roll), radians(pitch)).R_level_body() @ CAMERA.R_body_camera
     assert (found.R_level_camera @ true_level.T)[2, 2] > np.cos(radians(0.1))
 
@@ -422,11 +422,24 @@ def test_joints_of_a_floor_laid_at_an_angle_are_no_corridor(angle_deg: float, ti
     m = measure_lines(of_world(EDGES + floor), CAMERA, Attitude(0, 0))
     assert degrees(m.heading_rad) == pytest.approx(0.0, abs=1.0)
     # Where nothing is seen above the horizon either direction may be the corridor's.
-    m = measure_lines(of_world(ON_FLOOR + floor), CAMERA, Attitude(0, 0))
-    assert not m.accepted or degrees(m.heading_rad) == pytest.approx(0.0, abs=1.0)
-    # Alone, they are all that tells of a corridor; a prediction near another direction is not confirmed.
-    m = measure_lines(of_world(ON_FLOOR + floor), CAMERA, Attitude(0, 0), Prior(0.0, radians(2.0)))
-    assert degrees(m.heading_rad) == pytest.approx(0.0, abs=1.0)
+    for prior in (None, Prior(0.0, radians(2.0))):
+        m = measure_lines(of_world(ON_FLOOR + floor), CAMERA, Attitude(0, 0), prior)
+        assert not m.accepted or degrees(m.heading_rad) == pytest.approx(0.0, abs=1.0)
+
+
+@pytest.mark.parametrize("aside_m", [-0.2, 0.1, 0.15, 0.25])
+@pytest.mark.parametrize("roll_error_rad", [0.0, radians(0.4)])
+def test_a_dashed_line_below_the_camera_is_not_upright(aside_m: float, roll_error_rad: float) -> None:
+    """Seen from above it looks as a door post does to a camera that is rolled."""
+    dashes = [
+        (x, aside_m + w, 1.4, x + 0.5, aside_m + w, 1.4) for x in np.arange(2.5, 9.0) for w in (0.0, 0.05)
+    ]
+    m = measure_lines(of_world(EDGES + dashes), CAMERA, Attitude(roll_error_rad, 0.0))
+    assert abs(roll_error_rad - m.roll_correction_rad) < 3.0 * m.roll_correction_std_rad or isnan(
+        m.roll_correction_rad
+    )
+    assert m.accepted
+    assert isnan(m.lateral_offset_norm) or abs(m.lateral_offset_norm) < 3.0 * m.lateral_offset_norm_std
 
 
 def test_joints_along_a_corridor_are_no_objection() -> None:
