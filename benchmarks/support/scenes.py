@@ -137,6 +137,26 @@ _FITTINGS = (
 )
 BARE: dict[str, Any] = dict.fromkeys(_FITTINGS, 0) | {"wall": "plaster", "ceiling": "plaster"}
 
+
+def _with_stripes(seed: int) -> SceneConfig:
+    """Draw a corridor with one to six lines along its floor, whole or dashed; every other one has bare walls."""
+    rng = np.random.default_rng((seed, 23))
+    half_m = SceneConfig.random_office(seed).width_m / 2
+    strip: dict[str, Any] = {
+        "on": "floor",
+        "width_m": float(rng.uniform(0.04, 0.15)),
+        "albedo": float(rng.uniform(0.6, 0.9)),
+        "dash_m": float(rng.choice([0.0, rng.uniform(0.2, 0.8)])),
+    }
+    places = rng.uniform(-0.9, 0.9, int(rng.integers(1, 7))) * half_m
+    starts = rng.uniform(0.0, 1.0, len(places))
+    strips = tuple(
+        {**strip, "at_m": at, "from_m": start}
+        for at, start in zip(places.tolist(), starts.tolist(), strict=True)
+    )
+    return SceneConfig.random_office(seed, strips=strips, floor_albedo=0.25, **(BARE if seed % 2 else {}))
+
+
 #: Kinds of views by name.
 SCENES: dict[str, Views] = {
     # Looking at a side wall from 75 degrees on, the corridor's lines meet far outside the picture.
@@ -164,6 +184,7 @@ SCENES: dict[str, Views] = {
     "floor tiles": Views(_of(floor="tiles", floor_albedo=0.5, floor_gloss=0.08, skirting_height_m=0.0)),
     "floor at an angle": Views(_with_turned_floor),
     "floor at an angle, bare walls": Views(partial(_with_turned_floor, **BARE)),
+    "stripes along the floor": Views(_with_stripes),
     "staircase ahead": Views(_of(length_m=8.5, end="stairs"), {"min_ahead_m": 3.5}),
     "dead end": Views(_of(length_m=7.0, end="wall"), {"min_ahead_m": 1.5}),
 }

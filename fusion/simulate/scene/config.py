@@ -125,6 +125,9 @@ class StripConfig(Settings):
     texture: Literal["plaster", "wood", "metal", "carpet", "vinyl"] | None = None
     gloss: Share = 0.0
     slot_spacing_m: NotNegative = Field(default=0.0, description="Between the slots across it; 0: none.")
+    dash_m: NotNegative = Field(
+        default=0.0, description="Length of the dashes that it consists of, and of the gaps; 0: one piece."
+    )
     from_m: NotNegative = Field(default=0.0, description="Where it begins along the corridor.")
     to_m: Positive | None = Field(
         default=None, description="Where it ends; the corridor's end where not given."
