@@ -15,7 +15,7 @@ from fusion.simulate.random_flight import draw_camera
 from vision import Attitude, Camera, Prior, extract_lines, measure_lines
 from vision.axis.level import level_from_verticals
 from vision.axis.vanishing_point import corridor_frame, fit_axis
-from vision.frame import SLOPE_STD_RAD, UNKNOWN_ATTITUDE
+from vision.frame import SLOPE_STD_RAD, UNKNOWN_ATTITUDE, level_std_rad
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -89,8 +89,8 @@ def measured_frame(
     """Find the corridor's axes by vision: R_corridor_camera and the heading; None where the frame is not accepted."""
     lines = extract_lines(image, camera)
     known = attitude or UNKNOWN_ATTITUDE
-    std = float(np.hypot(known.std_rad, Prior().elevation_std_rad))
-    level = level_from_verticals(lines, known.R_level_body() @ camera.R_body_camera, std)
+    std_rad = level_std_rad(known, Prior().elevation_std_rad)
+    level = level_from_verticals(lines, known.R_level_body() @ camera.R_body_camera, *std_rad)
     fit = fit_axis(
         lines, level.R_level_camera, elevation_std_rad=float(np.hypot(level.pitch_std_rad, SLOPE_STD_RAD))
     )

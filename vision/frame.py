@@ -49,6 +49,7 @@ Method = Literal["geometric", "paper"]
 MAX_DRAWN_DOUBT = 0.5  # of the network: less sure, its corners are not drawn
 MAX_EXPECTED_STD_RAD = radians(1.0)  # of the prior's axis, to stand in for the picture's
 MAX_EXPECTED_TURN_RAD = radians(35.0)
+MOUNT_ROLL_STD_RAD = radians(1.0)  # of a camera whose mounting pitch is not known either
 SLOPE_STD_RAD = radians(0.2)  # floors and ceilings are level to about this
 UNKNOWN_ATTITUDE = Attitude(0.0, 0.0, std_rad=radians(12.0))
 
@@ -133,7 +134,7 @@ def measure_lines(
     # An axis of the elevation that the filter expects is brought down to the horizon.
     R_level_body = rotation_from_angles(0.0, attitude.pitch_rad - prior.elevation_rad, attitude.roll_rad)
     level = level_from_verticals(
-        lines, R_level_body @ camera.R_body_camera, hypot(attitude.std_rad, prior.elevation_std_rad)
+        lines, R_level_body @ camera.R_body_camera, *level_std_rad(attitude, prior.elevation_std_rad)
     )
     elevation_std_rad = hypot(level.pitch_std_rad, SLOPE_STD_RAD)
     known = (elevation_std_rad, prior.heading_rad, prior.heading_std_rad)
@@ -173,6 +174,15 @@ def warm_up(camera: Camera) -> None:
             cv2.line(picture, (x + side * part // 5, y // 2), (x + side * part // 5, y + y // 2), 90, thick)
     for attitude in (Attitude(0.0, 0.0), None):
         measure_frame(picture, camera, attitude)
+
+
+def level_std_rad(attitude: Attitude, mount_std_rad: float) -> tuple[float, float]:
+    """Return the standard deviations of the level frame's pitch and roll, radians.
+
+    ``mount_std_rad`` is that of the camera's mounting pitch. Cameras are tilted by choice, but hardly rolled.
+    """
+    roll_std_rad = min(mount_std_rad, MOUNT_ROLL_STD_RAD)
+    return hypot(attitude.std_rad, mount_std_rad), hypot(attitude.std_rad, roll_std_rad)
 
 
 class _OffsetFound(NamedTuple):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice, product
 from math import pi, radians, tan
 from typing import Any
@@ -115,6 +116,47 @@ def _with_open_hall(seed: int) -> SceneConfig:
     return SceneConfig.random_office(seed, open_hall_m=(0.2, length_m - 0.2), open_hall_right=seed % 2 == 0)
 
 
+def _with_turned_floor(seed: int, **fixed: Any) -> SceneConfig:
+    """Draw a corridor whose tiles, planks or stripes are laid at 8 to 82 degrees to its walls."""
+    rng = np.random.default_rng((seed, 22))
+    floor = str(rng.choice(["tiles", "planks", "stripes"]))
+    size = float(rng.uniform(0.1, 0.3) if floor == "planks" else rng.uniform(0.25, 0.8))
+    fixed |= {
+        "floor": "tiles" if floor == "tiles" else "planks",
+        "floor_albedo": float(rng.uniform(0.3, 0.6)),
+        "floor_tile_m": size,
+        "floor_joint_m": size / 2 if floor == "stripes" else float(rng.uniform(0.006, 0.02)),
+        "floor_turn_rad": float(rng.choice([-1.0, 1.0]) * radians(rng.uniform(8.0, 82.0))),
+    }
+    return SceneConfig.random_office(seed, **fixed)
+
+
+_FITTINGS = (
+    *("door_spacing_m", "poster_spacing_m", "sign_spacing_m", "furniture_spacing_m", "radiator_spacing_m"),
+    *("lockers_share", "people", "pipes", "cable_tray", "handrail", "skirting_height_m"),
+)
+BARE: dict[str, Any] = dict.fromkeys(_FITTINGS, 0) | {"wall": "plaster", "ceiling": "plaster"}
+
+
+def _with_stripes(seed: int) -> SceneConfig:
+    """Draw a corridor with one to six lines along its floor, whole or dashed; every other one has bare walls."""
+    rng = np.random.default_rng((seed, 23))
+    half_m = SceneConfig.random_office(seed).width_m / 2
+    strip: dict[str, Any] = {
+        "on": "floor",
+        "width_m": float(rng.uniform(0.04, 0.15)),
+        "albedo": float(rng.uniform(0.6, 0.9)),
+        "dash_m": float(rng.choice([0.0, rng.uniform(0.2, 0.8)])),
+    }
+    places = rng.uniform(-0.9, 0.9, int(rng.integers(1, 7))) * half_m
+    starts = rng.uniform(0.0, 1.0, len(places))
+    strips = tuple(
+        {**strip, "at_m": at, "from_m": start}
+        for at, start in zip(places.tolist(), starts.tolist(), strict=True)
+    )
+    return SceneConfig.random_office(seed, strips=strips, floor_albedo=0.25, **(BARE if seed % 2 else {}))
+
+
 #: Kinds of views by name.
 SCENES: dict[str, Views] = {
     # Looking at a side wall from 75 degrees on, the corridor's lines meet far outside the picture.
@@ -140,6 +182,9 @@ SCENES: dict[str, Views] = {
     "one side wall missing": Views(_with_open_hall),
     "lockers": Views(_of(lockers_share=0.95, door_spacing_m=12.0)),
     "floor tiles": Views(_of(floor="tiles", floor_albedo=0.5, floor_gloss=0.08, skirting_height_m=0.0)),
+    "floor at an angle": Views(_with_turned_floor),
+    "floor at an angle, bare walls": Views(partial(_with_turned_floor, **BARE)),
+    "stripes along the floor": Views(_with_stripes),
     "staircase ahead": Views(_of(length_m=8.5, end="stairs"), {"min_ahead_m": 3.5}),
     "dead end": Views(_of(length_m=7.0, end="wall"), {"min_ahead_m": 1.5}),
 }

@@ -130,9 +130,36 @@ def test_a_strip_ends_where_it_ends_and_a_grate_has_slots() -> None:
     scene = bare(strips=(strip | {"slot_spacing_m": 0.05},))
     heights = [distance(scene, (s, 0, -1), (0, 0, 1)) for s in (3.9, 4.1, 8.9, 9.1)]
     assert heights == pytest.approx([1.0, 0.9, 0.9, 1.0])
+    dashed = bare(strips=(strip | {"dash_m": 1.0},))
+    heights = [distance(dashed, (s, 0, -1), (0, 0, 1)) for s in (3.9, 4.5, 5.5, 6.5, 7.5, 8.5, 9.1)]
+    assert heights == pytest.approx([1.0, 0.9, 1.0, 0.9, 1.0, 0.9, 1.0])
     slotted = scene.mesh.table[scene.mesh.table[:, JOINT_U] == 0.05]
     assert len(slotted) > 0
     assert slotted[:, JOINT_ALBEDO] == pytest.approx(0.125)
+
+
+@pytest.mark.parametrize("turn_rad", [-1.2, -0.4, 0.0, 0.7])
+def test_planks_lie_at_their_angle_to_the_corridor(turn_rad: float) -> None:
+    scene = bare(
+        floor="planks",
+        floor_tile_m=0.8,
+        floor_joint_m=0.4,
+        floor_joint_ratio=0.1,
+        floor_turn_rad=turn_rad,
+        floor_gloss=0.0,
+        ambient=1.0,
+        parallel_std_rad=0.0,
+    )
+    picture = seen(scene)
+    s, y = (v.ravel() for v in np.meshgrid(np.linspace(2.5, 6.0, 40), np.linspace(-0.9, 0.9, 40)))
+    px = pixels_of(np.stack([s, y, np.zeros(len(s))], axis=1)).round()
+    inside = (px > 1).all(axis=1) & (px[:, 0] < 318) & (px[:, 1] < 238)
+    # Across the planks, from the left wall, where the first joint begins.
+    across = (np.cos(turn_rad) * (y + BARE["width_m"] / 2) - np.sin(turn_rad) * s)[inside] % 0.8
+    light = picture[px[inside, 1].astype(int), px[inside, 0].astype(int)]
+    joint, plank = (across > 0.1) & (across < 0.3), (across > 0.5) & (across < 0.7)
+    assert min(joint.sum(), plank.sum()) > 50
+    assert np.percentile(light[joint], 95) < 0.5 * np.percentile(light[plank], 5)
 
 
 def test_each_wall_has_its_own_skirting_and_lower_part() -> None:

@@ -16,11 +16,13 @@ from tests.pictures import read_grey
 from vision import Attitude, Camera, measure_frame
 from vision.axis.vote import (
     BIN_RAD,
+    MAX_ONE_SIDED,
     N_BINS,
     RIVAL_DISTANCE_RAD,
     VOTE_TEMPERATURE,
     HeadingVote,
     bin_heading,
+    corridor_score,
     elevation_information,
     elevation_log_prior,
     elevations_to_try,
@@ -34,10 +36,10 @@ HEADINGS = -0.5 * pi + (np.arange(N_BINS) + 0.5) * BIN_RAD
 
 def vote_of(log_likelihood: FloatArray) -> HeadingVote:
     """A vote at one elevation, every heading of it a peak."""
-    scores = log_likelihood[None, :]
+    scores = np.stack([log_likelihood, np.zeros(N_BINS)])[:, None, :]
     best = int(np.argmax(log_likelihood))
     return HeadingVote(
-        scores, np.zeros(1), radians(0.5), log_likelihood, log_likelihood, best, 0, log_likelihood[best]
+        scores, np.zeros(1), radians(0.5), log_likelihood, np.zeros(N_BINS), best, 0, log_likelihood[best]
     )
 
 
@@ -110,16 +112,27 @@ def test_a_flat_vote_does_not_tell_at_all() -> None:
     assert found.excess_variance == RIVAL_DISTANCE_RAD**2
 
 
+@given(below=st.floats(0.0, 200.0), above=st.floats(0.0, 200.0), more=st.floats(0.0, 200.0))
+def test_lines_in_one_plane_tell_no_more_than_that_it_has_a_pattern(
+    below: float, above: float, more: float
+) -> None:
+    score = corridor_score(below, above)
+    assert score == corridor_score(above, below)
+    assert score <= corridor_score(below + more, above) <= score + more + 1e-9
+    assert corridor_score(below, 0.0) == min(below, MAX_ONE_SIDED)
+    assert below + above >= score >= min(below + above, MAX_ONE_SIDED + min(below, above)) - 1e-9
+
+
 def test_a_rival_is_judged_at_the_elevation_of_the_axis() -> None:
     """Two headings at elevations of their own: one tilt error explains only one of them."""
     elevation = np.array([radians(-2), 0.0, radians(2)])
-    scores = np.zeros((3, N_BINS))
+    scores = np.zeros((2, 3, N_BINS))
     first, second = 360, 400
-    scores[2, first], scores[0, second] = 30.0, 25.0
-    marginal = scores.max(axis=0)
-    ranked = np.full(N_BINS, -np.inf)
-    ranked[[first, second]] = marginal[[first, second]]
-    voted = HeadingVote(scores, elevation, radians(0.3), marginal, ranked, first, 2, 30.0)
+    scores[:, 2, first], scores[:, 0, second] = 15.0, 12.5
+    marginal = scores.sum(axis=0).max(axis=0)
+    log_prior = np.full(N_BINS, -np.inf)
+    log_prior[[first, second]] = 0.0
+    voted = HeadingVote(scores, elevation, radians(0.3), marginal, log_prior, first, 2, 30.0)
     own = find_rival(voted, marginal, bin_heading(first), radians(2))
     assert own.bin == second
     assert own.score < 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import degrees, pi, radians
+from math import degrees, isnan, pi, radians
 from typing import Any
 
 import numpy as np
@@ -201,7 +201,7 @@ def test_level_is_found_without_any_attitude(corridor: Any, seen: Any, roll: int
     truth = corridor(heading_rad=0.15, roll_rad=radians(roll), pitch_rad=radians(pitch))
     m = measure_lines(seen(truth, CAMERA), CAMERA)
     assert degrees(m.heading_rad - 0.15) == pytest.approx(0.0, abs=0.05)
-    found = level_from_verticals(seen(truth, CAMERA), CAMERA.R_body_camera, radians(12))
+    found = level_from_verticals(seen(truth, CAMERA), CAMERA.R_body_camera, radians(12), radians(12))
     true_level = Attitude(radians(roll), radians(pitch)).R_level_body() @ CAMERA.R_body_camera
     assert (found.R_level_camera @ true_level.T)[2, 2] > np.cos(radians(0.1))
 
@@ -394,3 +394,56 @@ def test_a_prediction_that_is_a_right_angle_off_does_not_overrule_the_picture(n_
     wrong = Prior(heading_rad - pi / 2, radians(2.0))
     m = measure_lines(lines, CAMERA, Attitude(0, 0), wrong)
     assert not m.accepted or abs(wrap_axis(m.heading_rad - heading_rad)) < radians(1.0)
+
+
+EDGES = [(1.5, y, z, x, y, z) for x in (4.0, 9.0) for y in (-1.1, 1.1) for z in (1.4, -1.2)]
+ON_FLOOR = [edge for edge in EDGES if edge[2] > 0.0]
+
+
+def joints(angle_rad: float, spacing_m: float = 0.15) -> list[tuple[float, ...]]:
+    """Joints of planks on a floor, between the walls and from 1.5 to 9 m ahead, at an angle to the corridor."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    found: list[tuple[float, ...]] = []
+    for across in np.arange(-10.0, 10.0, spacing_m):
+        on_line = np.linspace(-12.0, 12.0, 4801)
+        x, y = c * on_line - s * across, s * on_line + c * across
+        inside = (x > 1.5) & (x < 9.0) & (np.abs(y) < 1.1)
+        if inside.sum() > 50:
+            first, last = np.flatnonzero(inside)[[0, -1]]
+            found.append((x[first], y[first], 1.4, x[last], y[last], 1.4))
+    return found
+
+
+@pytest.mark.parametrize("angle_deg", [-65, -40, -20, 12, 30, 45, 70])
+@pytest.mark.parametrize("tiles", [False, True])
+def test_joints_of_a_floor_laid_at_an_angle_are_no_corridor(angle_deg: float, tiles: bool) -> None:
+    floor = joints(radians(angle_deg)) + (joints(radians(angle_deg) + pi / 2) if tiles else [])
+    assert len(floor) > 2 * len(EDGES)
+    m = measure_lines(of_world(EDGES + floor), CAMERA, Attitude(0, 0))
+    assert degrees(m.heading_rad) == pytest.approx(0.0, abs=1.0)
+    # Where nothing is seen above the horizon either direction may be the corridor's.
+    for prior in (None, Prior(0.0, radians(2.0))):
+        m = measure_lines(of_world(ON_FLOOR + floor), CAMERA, Attitude(0, 0), prior)
+        assert not m.accepted or degrees(m.heading_rad) == pytest.approx(0.0, abs=1.0)
+
+
+@pytest.mark.parametrize("aside_m", [-0.2, 0.1, 0.15, 0.25])
+@pytest.mark.parametrize("roll_error_rad", [0.0, radians(0.4)])
+def test_a_dashed_line_below_the_camera_is_not_upright(aside_m: float, roll_error_rad: float) -> None:
+    """Seen from above it looks as a door post does to a camera that is rolled."""
+    dashes = [
+        (x, aside_m + w, 1.4, x + 0.5, aside_m + w, 1.4) for x in np.arange(2.5, 9.0) for w in (0.0, 0.05)
+    ]
+    m = measure_lines(of_world(EDGES + dashes), CAMERA, Attitude(roll_error_rad, 0.0))
+    assert abs(roll_error_rad - m.roll_correction_rad) < 3.0 * m.roll_correction_std_rad or isnan(
+        m.roll_correction_rad
+    )
+    assert m.accepted
+    assert isnan(m.lateral_offset_norm) or abs(m.lateral_offset_norm) < 3.0 * m.lateral_offset_norm_std
+
+
+def test_joints_along_a_corridor_are_no_objection() -> None:
+    for seen in (ON_FLOOR, ON_FLOOR + joints(0.0), EDGES + joints(0.0) + joints(pi / 2)):
+        m = measure_lines(of_world(seen), CAMERA, Attitude(0, 0))
+        assert m.accepted
+        assert degrees(m.heading_rad) == pytest.approx(0.0, abs=0.3)

@@ -6,7 +6,7 @@ import json
 from dataclasses import fields, replace
 from functools import cache
 from importlib.resources import files
-from math import hypot, pi, radians
+from math import pi, radians
 
 import cv2
 import numpy as np
@@ -22,6 +22,7 @@ from vision import Attitude, Camera, Prior, extract_lines, measure_lines
 from vision.axis.level import level_from_verticals
 from vision.axis.vanishing_point import corridor_frame
 from vision.cameras.camera import Distortion
+from vision.frame import level_std_rad
 from vision.lateral.learned import (
     N_QUARTER,
     WEIGHTS_FILE,
@@ -122,8 +123,8 @@ def test_too_few_lines_leave_what_the_picture_says_about_the_expected_axis() -> 
     few = replace(lines, **{name: getattr(lines, name)[:3] for name in per_line})
     attitude, expected = Attitude(0.0, 0.0), Prior(heading_rad=0.1, heading_std_rad=radians(0.5))
     found = measure_lines(few, view.camera, attitude, expected)
-    tilt_std = hypot(attitude.std_rad, expected.elevation_std_rad)
-    level = level_from_verticals(few, attitude.R_level_body() @ view.camera.R_body_camera, tilt_std)
+    tilt_std = level_std_rad(attitude, expected.elevation_std_rad)
+    level = level_from_verticals(few, attitude.R_level_body() @ view.camera.R_body_camera, *tilt_std)
     about = learned_mixture(view.image, view.camera, corridor_frame(level.R_level_camera, 0.1, 0.0))
     (evidence,) = found.offset_evidence
     assert not found.accepted

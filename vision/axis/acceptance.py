@@ -95,7 +95,7 @@ def _reason(
     blur_px = prior.body_rate_rad_s * camera.exposure_s * camera.fx_px
     if isfinite(blur_px) and blur_px > MAX_BLUR_PX:
         return Reason.BLUR
-    distinct = min(fit.n_distinct / found.n_inliers, 1.0)
+    distinct = min(fit.n_distinct / found.n_inliers * fit.score_of_all / fit.score, 1.0)
     tied = distinct * (fit.score - fit.second_score) < MIN_MARGIN or found.second_score > MAX_RIVAL
     if tied and not _is_chosen(fit, prior):
         return Reason.AMBIGUOUS

@@ -80,7 +80,7 @@ class _Down(NamedTuple):
 
 
 @compiled_inner
-def _search_down(lines: LineGeometry, std: float) -> tuple[float, float]:
+def _search_down(lines: LineGeometry, pitch_std: float, roll_std: float) -> tuple[float, float]:
     """Find by exhaustive vote, coarsely first, where the vertical lines meet: a and b of `_Down`."""
     normal, direction, arc = lines.normal, lines.direction, lines.arc_rad
     upright = np.empty((len(arc), 4), np.float32)
@@ -93,14 +93,14 @@ def _search_down(lines: LineGeometry, std: float) -> tuple[float, float]:
             n += 1
     middle_a = middle_b = 0.0
     step = COARSE_STEP_RAD
-    reach = int(np.ceil(GRID_REACH_SIGMA * std / step))
+    reach = int(np.ceil(GRID_REACH_SIGMA * max(pitch_std, roll_std) / step))
     for _ in range(2):
         size = 2 * reach + 1
         scores = np.empty((size, size), np.float32)
         for i in range(size):
             for j in range(size):
                 a, b = middle_a + (i - reach) * step, middle_b + (j - reach) * step
-                scores[i, j] = -0.5 * (a * a + b * b) / (std * std)
+                scores[i, j] = -0.5 * ((a / pitch_std) ** 2 + (b / roll_std) ** 2)
         _add_votes(upright[:n], np.float32(1.4 * step), middle_a, middle_b, step, scores)
         best = np.argmax(scores)
         middle_a += (best // size - reach) * step
@@ -138,24 +138,25 @@ def _add_votes(
 
 
 @compiled
-def _fit_down(in_camera: LineGeometry, R_level_camera: FloatArray, std: float) -> _Down:
-    """Find the down vector that the vertical lines agree on; its a and b have the prior N(0, std)."""
+def _fit_down(
+    in_camera: LineGeometry, R_level_camera: FloatArray, pitch_std: float, roll_std: float
+) -> _Down:
+    """Find the down vector that the vertical lines agree on; its a and b have Gaussian priors about zero."""
     lines = turned(in_camera, R_level_camera)
     normal, centre, direction = lines.normal, lines.centre, lines.direction
     sigma, arc = lines.sigma_rad, lines.arc_rad
     n = len(sigma)
     a = 0.0
     b = 0.0
-    start = std
-    if std > GRID_FROM_STD_RAD:
-        a, b = _search_down(lines, std)
+    start = max(pitch_std, roll_std)
+    if start > GRID_FROM_STD_RAD:
+        a, b = _search_down(lines, pitch_std, roll_std)
         start = 0.5 * COARSE_STEP_RAD
     h00 = h01 = h11 = 0.0
     for iteration in range(8):
-        h00 = h11 = 1.0 / (std * std)
+        h00, h11 = 1.0 / pitch_std**2, 1.0 / roll_std**2
         h01 = 0.0
-        g0 = a / (std * std)
-        g1 = b / (std * std)
+        g0, g1 = a * h00, b * h11
         for k in range(n):
             if abs(direction[k, 2]) < VERTICAL_COSINE:
                 continue
@@ -180,7 +181,9 @@ def _fit_down(in_camera: LineGeometry, R_level_camera: FloatArray, std: float) -
     return _Down(a, b, h00, h01, h11)
 
 
-def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: float) -> LevelFrame:
+def level_from_verticals(
+    lines: LineSet, R_level_camera: FloatArray, pitch_std_rad: float, roll_std_rad: float
+) -> LevelFrame:
     """Correct a level frame by the picture's vertical lines.
 
     Parameters
@@ -189,10 +192,11 @@ def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: fl
         Segments of the picture.
     R_level_camera
         Rotation (3, 3) from the optical frame to level as the attitude and the mount have it.
-    std_rad
-        Standard deviation of its roll and pitch.
+    pitch_std_rad, roll_std_rad
+        Standard deviations of its pitch and roll. A stripe on the floor below the camera looks vertical: the roll
+        that it shows is only as wrong as this admits.
     """
-    a, b, h_pitch, h_both, h_roll = _fit_down(lines.geometry(), R_level_camera, std_rad)
+    a, b, h_pitch, h_both, h_roll = _fit_down(lines.geometry(), R_level_camera, pitch_std_rad, roll_std_rad)
     determinant = h_pitch * h_roll - h_both * h_both
     # The shortest rotation that brings the found down (a, b, 1) to (0, 0, 1): heading is left alone.
     size = sqrt(1.0 + a * a + b * b)
@@ -202,7 +206,7 @@ def level_from_verticals(lines: LineSet, R_level_camera: FloatArray, std_rad: fl
     R_new_old = np.array(
         [[fx, fy, fz], [dy * fz - dz * fy, dz * fx - dx * fz, dx * fy - dy * fx], [dx, dy, dz]]
     )
-    roll_variance, given = h_pitch / determinant, std_rad * std_rad
+    roll_variance, given = h_pitch / determinant, roll_std_rad * roll_std_rad
     alone_rad = alone_variance = nan
     if roll_variance < MAX_ROLL_VARIANCE_SHARE * given:
         alone_variance = roll_variance * given / (given - roll_variance)

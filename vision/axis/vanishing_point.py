@@ -83,8 +83,9 @@ class AxisFit:
         The fit, in the level frame.
     covariance
         Of heading and elevation (2, 2), rad^2.
-    score
-        Log-likelihood of the best vote over lines at random.
+    score, score_of_all
+        Log-likelihood of the best vote over lines at random, and what it would be if all lines told something new,
+        however many lie in one plane.
     second_heading_rad, second_score
         The best vote at least 8 degrees away.
     residual
@@ -104,6 +105,7 @@ class AxisFit:
     elevation_rad: float
     covariance: FloatArray
     score: float
+    score_of_all: float
     second_heading_rad: float
     second_score: float
     residual: FloatArray
@@ -181,7 +183,7 @@ def _count_distinct(normal: FloatArray, inlier: BoolArray, psi: float, e: float)
         if not inlier[i]:
             continue
         across = normal[i, 0] * sp + normal[i, 1] * cp
-        down = normal[i, 2] * ce - (normal[i, 0] * cp - normal[i, 1] * sp) * se
+        down = normal[i, 2] * ce + (normal[i, 0] * cp - normal[i, 1] * sp) * se
         b = int((atan2(down, across) / pi + 1.0) * DIRECTIONS) % DIRECTIONS
         count += not seen[b]
         seen[b] = True
@@ -232,8 +234,8 @@ class _Found(NamedTuple):
         Of the fit, radians.
     covariance
         Of both (2, 2), rad^2.
-    score
-        Of the best vote.
+    score, score_of_all
+        Of the best vote, and without a limit to what the lines of one plane tell.
     second_heading, second_score
         Of the best vote at least 8 degrees away.
     residual, inlier, crossing
@@ -249,6 +251,7 @@ class _Found(NamedTuple):
     elevation: float
     covariance: FloatArray
     score: float
+    score_of_all: float
     second_heading: float
     second_score: float
     residual: FloatArray
@@ -303,7 +306,9 @@ def _find(
     lines = turned(in_camera, R_level_camera)
     n = len(length)
     no_line = np.zeros(n, np.bool_)
-    none = _Found(np.nan, np.nan, np.empty((2, 2)), 0.0, np.nan, 0.0, np.zeros(n), no_line, no_line, 0.0, 0)
+    none = _Found(
+        np.nan, np.nan, np.empty((2, 2)), 0.0, 0.0, np.nan, 0.0, np.zeros(n), no_line, no_line, 0.0, 0
+    )
     steps, step_std = elevations_to_try(elevation_std)
     max_heading = 0.5 * pi if prior_heading == prior_heading else MAX_HEADING_RAD + RIVAL_DISTANCE_RAD
     scores = vote(lines, elevation + steps, step_std, max_heading)
@@ -315,7 +320,7 @@ def _find(
     if abs(fit.heading - start) > MAX_REFINEMENT_RAD:
         return none  # the fit left the peak it started from: there was no axis, only many stray lines
     # The elevations tried may all miss the axis's own, and then the vote has several peaks where there is one axis.
-    at_axis = vote(lines, np.array([fit.elevation]), np.array([FINEST_STD_RAD]), max_heading)[0]
+    at_axis = vote(lines, np.array([fit.elevation]), np.array([FINEST_STD_RAD]), max_heading).sum(axis=0)[0]
     rival = find_rival(voted, at_axis, fit.heading, fit.elevation - elevation)
     inlier, crossing, share = _lines_along(lines, length, fit)
     n_distinct = _count_distinct(lines.normal, inlier, fit.heading, fit.elevation)
@@ -325,6 +330,7 @@ def _find(
         fit.elevation,
         covariance,
         voted.best_score,
+        voted.marginal[voted.best_bin] + voted.log_prior[voted.best_bin],
         bin_heading(rival.bin),
         rival.score,
         fit.residual,
@@ -387,6 +393,7 @@ def fit_axis(
         elevation_rad=found.elevation,
         covariance=found.covariance,
         score=found.score,
+        score_of_all=found.score_of_all,
         second_heading_rad=found.second_heading,
         second_score=found.second_score,
         residual=found.residual,

@@ -6,6 +6,7 @@ The arrays are `Mesh`'s, and its columns are described there.
 
 from __future__ import annotations
 
+from math import cos, hypot, sin
 from typing import Any
 
 import numpy as np
@@ -173,12 +174,14 @@ def reflectance(
         value *= max(0.0, 1.0 + table[i, CONTRAST] * (sample - 1.0))
     width = table[i, JOINT_WIDTH]
     if width > 0.0:
-        clear, turn = 1.0, table[i, JOINT_TURN]
+        clear, c, s = 1.0, cos(table[i, JOINT_TURN]), sin(table[i, JOINT_TURN])
         u, v = u + table[i, ORIGIN_U], v + table[i, ORIGIN_V]
         if table[i, JOINT_U] > 0.0:
-            clear *= 1.0 - joint_share(u + turn * v, max(foot_u, 1e-5), table[i, JOINT_U], width)
+            foot = hypot(c * foot_u, s * foot_v)
+            clear *= 1.0 - joint_share(c * u + s * v, max(foot, 1e-5), table[i, JOINT_U], width)
         if table[i, JOINT_V] > 0.0:
-            clear *= 1.0 - joint_share(v - turn * u, max(foot_v, 1e-5), table[i, JOINT_V], width)
+            foot = hypot(c * foot_v, s * foot_u)
+            clear *= 1.0 - joint_share(c * v - s * u, max(foot, 1e-5), table[i, JOINT_V], width)
         value = value * clear + table[i, JOINT_ALBEDO] * (1.0 - clear)
     return float(value)
 

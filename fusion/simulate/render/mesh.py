@@ -40,7 +40,7 @@ class Material:
     roughness_rad
         Spread of the normals of a glossy surface: how blurred its reflections are.
     joint_turn_rad
-        Small angle by which the joints are turned against the edges.
+        Angle by which the joints are turned against the edges.
     origin_m
         Where along its two edges the surface begins in a pattern that runs on from its neighbours: bricks and
         tiles. None: joints begin at the corner, textures anywhere.

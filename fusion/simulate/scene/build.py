@@ -110,7 +110,8 @@ def _build_strips(builder: Builder, parts: list[Room], config: SceneConfig) -> N
 def _build_floors(builder: Builder, rooms: list[Room], config: SceneConfig) -> None:
     for number, room in enumerate(rooms):
         turns = builder.rng.normal(0, config.parallel_std_rad, 2).tolist()
-        floor = floor_material(config).but(joint_turn_rad=turns[0])
+        floor = floor_material(config)
+        floor = floor.but(joint_turn_rad=floor.joint_turn_rad + turns[0])
         ceiling = ceiling_material(config).but(joint_turn_rad=turns[1])
         corner = np.array([*room.to_world(0, -room.width_m / 2), LAYER_M * number])
         along = np.array([*(room.direction * room.length_m), 0.0])

@@ -33,6 +33,7 @@ class Floor(StrEnum):
     CARPET_TILES = "carpet_tiles"
     VINYL = "vinyl"
     TERRAZZO = "terrazzo"
+    PLANKS = "planks"
 
 
 class WallFinish(StrEnum):
@@ -124,6 +125,9 @@ class StripConfig(Settings):
     texture: Literal["plaster", "wood", "metal", "carpet", "vinyl"] | None = None
     gloss: Share = 0.0
     slot_spacing_m: NotNegative = Field(default=0.0, description="Between the slots across it; 0: none.")
+    dash_m: NotNegative = Field(
+        default=0.0, description="Length of the dashes that it consists of, and of the gaps; 0: one piece."
+    )
     from_m: NotNegative = Field(default=0.0, description="Where it begins along the corridor.")
     to_m: Positive | None = Field(
         default=None, description="Where it ends; the corridor's end where not given."
@@ -215,7 +219,13 @@ class SceneConfig(Settings):
     floor_gloss: Share = Field(default=0.06, description="Mirror reflection of the floor seen from above.")
     floor_roughness_rad: NotNegative = Field(default=0.015, description="Blurs the floor's reflections.")
     floor_tile_m: Positive | None = Field(
-        default=None, description="Side of a tile; by the kind where not given."
+        default=None, description="Side of a tile, or width of a plank; by the kind where not given."
+    )
+    floor_joint_m: Positive | None = Field(
+        default=None, description="Width of a joint; by the kind where not given. Half a plank: stripes."
+    )
+    floor_turn_rad: float = Field(
+        default=0.0, description="Tiles or planks are laid at this angle to the corridor, positive right."
     )
     floor_tile_start_m: tuple[NotNegative, NotNegative] = Field(
         default=(0.0, 0.0), description="How much of the first tile is cut off, along and across."

@@ -6,7 +6,7 @@ from fusion.simulate.render.mesh import Material
 from fusion.simulate.scene.config import Ceiling, Floor, SceneConfig, WallConfig, WallFinish
 
 TEXTURE_BRICKS = 4, 8  # bricks along and courses up in one repetition of the texture
-TILE_M = {Floor.TILES: 0.6, Floor.TERRAZZO: 1.2, Floor.CARPET_TILES: 0.5}
+TILE_M = {Floor.TILES: 0.6, Floor.TERRAZZO: 1.2, Floor.CARPET_TILES: 0.5, Floor.PLANKS: 0.15}
 
 
 def wall_material(
@@ -32,6 +32,11 @@ def wall_material(
 
 def floor_material(config: SceneConfig) -> Material:
     """Return the floor's material."""
+    material = _floor_covering(config).but(joint_turn_rad=config.floor_turn_rad)
+    return material if config.floor_joint_m is None else material.but(joint_width_m=config.floor_joint_m)
+
+
+def _floor_covering(config: SceneConfig) -> Material:
     albedo, gloss, rough = config.floor_albedo, config.floor_gloss, config.floor_roughness_rad
     kind, start = config.floor, config.floor_tile_start_m
     origin = start if any(start) else None
@@ -51,6 +56,10 @@ def floor_material(config: SceneConfig) -> Material:
     if kind is Floor.CARPET_TILES:
         return Material(
             albedo * 0.6, "carpet", (0.7, 0.7), 1.0, (side, side), 0.004, albedo * 0.4, origin_m=origin
+        )
+    if kind is Floor.PLANKS:
+        return Material(
+            albedo, "vinyl", (2.1, 2.1), 0.8, (0.0, side), 0.004, joint, 0.0, gloss, rough, 0.0, origin
         )
     return Material(albedo, "vinyl", (2.3, 2.3), 1.0, (0.0, 2.0), 0.004, albedo * 0.6, 0.0, gloss, rough)
 

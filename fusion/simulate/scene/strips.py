@@ -40,9 +40,14 @@ def build_strip(
 
     ``height_m`` is that of the ceiling; ``layer`` keeps strips apart that are painted over one another.
     """
-    count = max(1, int(np.ceil((s[1] - s[0]) / PIECE_M)))
-    places = np.linspace(s[0], s[1], count + 1).tolist()
-    for piece in pairwise(places):
+    if strip.dash_m > 0.0:
+        pieces = [
+            (x, min(x + strip.dash_m, s[1])) for x in np.arange(s[0], s[1], 2.0 * strip.dash_m).tolist()
+        ]
+    else:
+        count = max(1, int(np.ceil((s[1] - s[0]) / PIECE_M)))
+        pieces = list(pairwise(np.linspace(s[0], s[1], count + 1).tolist()))
+    for piece in pieces:
         if strip.round:
             _build_pipe(builder, frame, piece, strip, height_m)
         elif strip.depth_m > 0:
