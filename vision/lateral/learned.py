@@ -106,8 +106,10 @@ def is_left_brighter(polar: Polar) -> bool:
 
 
 @compiled
-def _mirrored(polar: Polar) -> Polar:
-    """Return a polar picture with left and right exchanged."""
+def _darker_side_left(polar: Polar, is_left_brighter: bool) -> Polar:
+    """Return a polar picture with left and right exchanged where its left is the brighter side."""
+    if not is_left_brighter:  # a branch of its own would be compiled only in flight
+        return polar
     out = np.empty_like(polar)
     for channel in range(polar.shape[0]):
         for r in range(polar.shape[1]):
@@ -146,7 +148,7 @@ def _read_scores(raw: npt.NDArray[np.float32], is_mirrored: bool) -> tuple[Float
 def corner_scores(polar: Polar) -> CornerScores:
     """Run the network on a polar picture (2, N_RADII, N_ANGLES), mirrored where its left side is the brighter one."""
     is_mirrored = is_left_brighter(polar)
-    raw = _forward((_mirrored(polar) if is_mirrored else polar)[None])[0]
+    raw = _forward(_darker_side_left(polar, is_mirrored)[None])[0]
     return CornerScores(*_read_scores(raw, is_mirrored))
 
 
