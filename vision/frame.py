@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from vision.axis.acceptance import HeadingJudgement, judge_heading
 from vision.axis.level import LevelFrame, level_from_verticals
+from vision.axis.peaks import HEADING_PRIOR_STD_RAD
 from vision.axis.vanishing_point import AxisFit, axis_direction, corridor_frame, fit_axis
-from vision.axis.vote import HEADING_PRIOR_STD_RAD
 from vision.cameras.camera import Camera
 from vision.cameras.projection import project_directions
 from vision.errors import InputError

@@ -121,9 +121,8 @@ def random_views(
             yield _take(built, view, quality, rng, limits, scene_seed)
 
 
-@lru_cache(
-    maxsize=64
-)  # building takes longer than a picture; a scene holds a megabyte, all share the textures
+# Building takes longer than a picture; a scene holds a megabyte, and all share the textures.
+@lru_cache(maxsize=64)
 def _built(config: SceneConfig, seed: int, light_cell_m: float) -> Scene:
     return build_scene(config, seed, light_cell_m)
 

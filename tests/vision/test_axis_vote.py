@@ -14,20 +14,16 @@ from fusion.simulate import SceneConfig, random_views
 from tests.files import SHARED
 from tests.pictures import read_grey
 from vision import Attitude, Camera, measure_frame
-from vision.axis.vote import (
-    BIN_RAD,
+from vision.axis.elevation import elevation_information, elevation_log_prior, elevations_to_try
+from vision.axis.peaks import (
     MAX_ONE_SIDED,
-    N_BINS,
     RIVAL_DISTANCE_RAD,
     VOTE_TEMPERATURE,
     HeadingVote,
-    bin_heading,
     corridor_score,
-    elevation_information,
-    elevation_log_prior,
-    elevations_to_try,
     find_rival,
 )
+from vision.axis.vote import BIN_RAD, N_BINS, bin_heading
 from vision.types import FloatArray
 
 PICTURES = SHARED / "cases" / "pictures"

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.axis.level import LevelFrame
+from vision.axis.peaks import PRIOR_DOUBT, PRIOR_FLOOR_STD_RAD
 from vision.axis.vanishing_point import AxisFit
-from vision.axis.vote import PRIOR_DOUBT, PRIOR_FLOOR_STD_RAD, VERTICAL_SINE
+from vision.axis.vote import VERTICAL_SINE
 from vision.cameras.camera import Camera
 from vision.compiled import compiled
 from vision.lines.line_set import LineSet

@@ -16,19 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.axis.vote import (
-    FINEST_STD_RAD,
-    MAX_HEADING_RAD,
-    RIVAL_DISTANCE_RAD,
-    VERTICAL_SINE,
-    bin_heading,
-    elevation_information,
-    elevations_to_try,
-    find_best_heading,
-    find_rival,
-    line_variance,
-    vote,
-)
+from vision.axis.elevation import FINEST_STD_RAD, elevation_information, elevations_to_try
+from vision.axis.peaks import RIVAL_DISTANCE_RAD, find_best_heading, find_rival
+from vision.axis.vote import MAX_HEADING_RAD, VERTICAL_SINE, bin_heading, line_variance, vote
 from vision.compiled import compiled, compiled_inner
 from vision.lines.line_set import LineGeometry, LineSet, turned
 from vision.lines.segments import MIN_LENGTH_PX

@@ -377,9 +377,9 @@ def _label(gradient: Gradient, width: int, n_edges: int, components: Components)
         label = min(min(around[0], around[1]), min(around[2], around[3]))
         if label != NO_LABEL:
             # The common case, one component around, stays in line.
-            w_, nw, n, ne = around
-            alone = _is_or_none(w_, label) & _is_or_none(nw, label) & _is_or_none(n, label)
-            if alone & _is_or_none(ne, label):
+            first, second, third, fourth = around
+            alone = _is_or_none(first, label) & _is_or_none(second, label) & _is_or_none(third, label)
+            if alone & _is_or_none(fourth, label):
                 label = _root(parent, label)
                 if not _agree(sums[label].gx, sums[label].gy, a, b):
                     label = NO_LABEL

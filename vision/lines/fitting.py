@@ -21,11 +21,9 @@ PIXELS_PER_INDEPENDENT = 12.0  # neighbouring edge pixels share blur, noise and 
 JOIN_CHI2 = 4.0  # of each fragment's direction against the line through both middles
 MAX_GAP = 1.0  # between fragments, over the length of the longer one
 MAX_OVERLAP = 0.5  # of the shorter one's length
-MAX_EXTRAPOLATED_PX = (
-    1.0  # standard deviation of the surer one's line at the other: beyond, agreeing is chance
-)
+# Standard deviation of the surer one's line at the other: beyond, agreeing is chance.
+MAX_EXTRAPOLATED_PX = 1.0
 SECTORS = 60  # of directions; fragments of one edge are in the same or in neighbouring ones
-
 ROUNDING = 1.0001  # room for it where a limit is computed in another order
 
 FITTED_LINE = np.dtype(
