@@ -310,8 +310,8 @@ def _find(
     if abs(fit.heading - start) > MAX_REFINEMENT_RAD:
         return none  # the fit left the peak it started from: there was no axis, only many stray lines
     # The elevations tried may all miss the axis's own, and then the vote has several peaks where there is one axis.
-    at_axis = vote(lines, np.array([fit.elevation]), np.array([FINEST_STD_RAD]), max_heading).sum(axis=0)[0]
-    rival = find_rival(voted, at_axis, fit.heading, fit.elevation - elevation)
+    at_axis = vote(lines, np.array([fit.elevation]), np.array([FINEST_STD_RAD]), max_heading)
+    rival = find_rival(voted, at_axis[0, 0] + at_axis[1, 0], fit.heading, fit.elevation - elevation)
     inlier, crossing, share = _lines_along(lines, length, fit)
     n_distinct = _count_distinct(lines.normal, inlier, fit.heading, fit.elevation)
     covariance = _covariance(fit, rival.excess_variance, n_distinct)
