@@ -96,7 +96,7 @@ class _Inner:
 @cache
 def _say_that_nothing_is_kept() -> None:
     logging.getLogger("vision").warning(
-        "every start compiles anew, for half a minute: no folder for compiled code is writable; "
+        "every start compiles anew, for about a minute: no folder for compiled code is writable; "
         "set the environment variable NUMBA_CACHE_DIR to one that is"
     )
 

@@ -161,8 +161,8 @@ def measure_lines(
 def warm_up(camera: Camera) -> None:
     """Load the compiled code, or compile it, so that the first frame takes no longer than any other.
 
-    A controller calls it before take-off, with the camera it flies with: half a minute the first time on a machine, a
-    fraction of a second from then on.
+    A controller calls it before take-off, with the camera it flies with: about a minute the first time on a machine,
+    a fraction of a second from then on.
     """
     picture = np.full((camera.height_px, camera.width_px), 160, np.uint8)
     x, y = camera.width_px // 2, camera.height_px // 2
