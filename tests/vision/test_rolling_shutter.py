@@ -19,6 +19,7 @@ from vision.cameras.camera import Distortion
 from vision.lines.line_set import LineSet
 from vision.lines.rolling_shutter import lines_at_one_moment
 from vision.lines.segments import extract_lines
+from vision.rotations import rotation_from_angles
 
 FORWARD = Camera.from_fov(8, 8, 1.0).R_body_camera
 RATES = (0.3, -0.5, 1.2)
@@ -92,17 +93,22 @@ def test_without_rates_or_delay_nothing_changes() -> None:
 
 
 def test_headings_while_turning_fast_are_those_of_the_middle_row() -> None:
-    camera = replace(Camera.from_fov(320, 240, radians(70)), line_delay_s=0.033 / 240)
+    # Looking down, it sees all lines below the axis, and at other times than the axis.
+    ahead = Camera.from_fov(320, 240, radians(70))
+    R_body_camera = rotation_from_angles(0.0, radians(-15.0), 0.0) @ ahead.R_body_camera
+    camera = replace(ahead, line_delay_s=0.033 / 240, R_body_camera=R_body_camera)
     errors: dict[bool, list[float]] = {False: [], True: []}
     for rate in (radians(120.0), radians(-120.0)):
         for view in office_views(camera, 8, seed=6, yaw_rate_rad_s=rate, views_per_scene=4):
             for corrected, found in errors.items():
                 prior = Prior(body_rates_rad_s=(0.0, 0.0, rate) if corrected else None)
                 m = measure_frame(view.image, camera, Attitude(view.roll_rad, view.pitch_rad), prior)
-                assert m.accepted
-                found.append(abs(degrees(m.heading_rad - view.heading_rad)))
+                if m.accepted:
+                    found.append(abs(degrees(m.heading_rad - view.heading_rad)))
+    assert len(errors[True]) >= 14
+    assert len(errors[False]) >= 8
     assert np.median(errors[True]) < 0.12
-    assert np.median(errors[True]) < 0.75 * np.median(errors[False])
+    assert np.median(errors[True]) < 0.2 * np.median(errors[False])
 
 
 def test_scaled_pictures_are_read_in_the_same_time() -> None:
