@@ -12,6 +12,8 @@ PYTHON ?=
 PYTEST_FLAGS ?= -n 2 --dist worksteal
 EXTRA ?= dev
 CONSTRAINTS ?=
+# Some containers forbid byte code. Each of the many processes that the tests start would compile all libraries then.
+unexport PYTHONDONTWRITEBYTECODE
 # Where a reader, a writer or the command line leans on another library; the filter's own arithmetic does not.
 LOWEST_TESTS := tests/test_cli.py tests/fusion/test_log_ulog.py tests/fusion/test_log_tlog.py \
 	tests/fusion/test_log_dataflash.py tests/fusion/test_log_rosbag.py tests/fusion/test_video.py \
