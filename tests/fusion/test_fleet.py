@@ -6,7 +6,6 @@ import csv
 import hashlib
 import json
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -19,19 +18,20 @@ from typing import Any
 import pytest
 
 from fusion import FusionConfig, fuse_flight, load_flight
-from fusion.fleet import workers
+from fusion.fleet import page, workers
 from fusion.fleet.batch import BatchSettings, Fleet, fuse_fleet
 from fusion.fleet.discovery import FoundFlight
 from fusion.fleet.journal import read_journal
 from fusion.fleet.row import FleetRow
 from fusion.fleet.tables import read_fleet
 from fusion.fleet.task import Task
-from fusion.fleet.worker import fuse_task, prepare_process
+from fusion.fleet.worker import fuse_task
 from fusion.fleet.workers import local_workers
 from fusion.outputs import provenance
 from tests.command import Corridor, refused
 from tests.files import written
 from tests.fusion.fleet import first_worker_killed, make_fleet, simulate
+from tests.fusion.fleet_tasks import hang_in_time, kill_or_fuse, prepare_with_this_module, stop_or_fuse
 from vision.errors import InputError
 
 TWO = BatchSettings(jobs=2, reports=False)
@@ -55,6 +55,12 @@ def fused(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
         '[[flight]]\npath = "flights"\n[[flight]]\npath = "flown_away"\nvehicle = "mav9"\n',
     )
     return folder, folder / "out", fuse_fleet([folder / "march.toml"], folder / "out", TWO)
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the page's figures where a test looks at the rows alone: to draw 26 takes longer than to fuse."""
+    monkeypatch.setattr(page, "MIN_DRAWN", 10**6)
 
 
 def by_name(rows: Any) -> dict[str, FleetRow]:
@@ -194,12 +200,6 @@ def test_a_flight_that_kills_its_workers_is_given_up(
     assert by_name(again.rows)["deadly"].has_result
 
 
-def kill_or_fuse(task: Task) -> FleetRow:
-    if task.flight.name == "deadly":
-        os.kill(os.getpid(), signal.SIGKILL)
-    return fuse_task(task)
-
-
 def test_a_flight_that_hangs_is_given_up(
     flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -216,18 +216,6 @@ def test_a_flight_that_hangs_is_given_up(
     assert rows["2026-03-01"].has_result
     assert rows["2026-03-03"].has_result
     assert not is_running(int((tmp_path / "stopped").read_text()))
-
-
-def prepare_with_this_module(memory_bytes: int | None) -> None:
-    """Prepare a worker; to run this function it has loaded this module, so no flight's time goes by with that."""
-    prepare_process(memory_bytes)
-
-
-def stop_or_fuse(task: Task) -> FleetRow:
-    if task.flight.name == "hanging":  # as if it waited for a dead file server: no signal but SIGKILL ends it
-        (task.out.parent / "stopped").write_text(str(os.getpid()))
-        os.kill(os.getpid(), signal.SIGSTOP)
-    return FleetRow(flight=task.flight.name, verdict="pass")  # at once, however busy the machine is
 
 
 def test_each_output_tells_the_command_and_the_files_that_were_hashed_once(
@@ -247,6 +235,7 @@ def test_each_output_tells_the_command_and_the_files_that_were_hashed_once(
     assert imu["sha256"] == hashlib.sha256((flight / "mav0" / "imu0" / "data.csv").read_bytes()).hexdigest()
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_killed_run_goes_on_and_leaves_no_worker(flight: Path, tmp_path: Path) -> None:
     source, out = make_fleet(tmp_path / "flights", flight, 6), tmp_path / "out"
     command = [
@@ -293,6 +282,7 @@ def is_running(pid: int) -> bool:
     return True
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_an_interrupt_ends_the_workers_and_keeps_the_rows(flight: Path, tmp_path: Path) -> None:
     source, out = make_fleet(tmp_path / "flights", flight, 6), tmp_path / "out"
 
@@ -341,6 +331,7 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield cluster.scheduler_address
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_two_workers_of_a_cluster_one_of_them_killed(
     scheduler: str, flight: Path, fused: tuple[Path, Path, Fleet], tmp_path: Path
 ) -> None:
@@ -394,21 +385,6 @@ def test_a_cluster_that_goes_is_told(flight: Path, tmp_path: Path, monkeypatch: 
         fuse_fleet([source], out, settings, progress=progress)
     closing.join()
     assert list(read_journal(out)) == ["2026-03-01"]
-
-
-def hang_in_time(task: Task, key: str, timeout_s: float | None) -> FleetRow:
-    from fusion.fleet import workers  # the worker's own, not patched yet
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(workers, "fuse_task", hang_or_fuse)
-        return workers._fuse_in_time(task, key, timeout_s)
-
-
-def hang_or_fuse(task: Task) -> FleetRow:
-    if task.flight.name == "hanging":
-        (task.out.parent / "hanging").write_text(str(os.getpid()))
-        time.sleep(600)
-    return FleetRow(flight=task.flight.name, verdict="pass")
 
 
 # The command
