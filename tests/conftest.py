@@ -14,6 +14,14 @@ from tests.command import Corridor, Run
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
 
+# Files whose single tests take longest.
+BEGIN_WITH = ("test_notebooks.py", "test_compare_configurations.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest tests: at the end, a worker that has nothing left would wait for the other's."""
+    items.sort(key=lambda item: item.path.name not in BEGIN_WITH)
+
 
 @pytest.fixture
 def corridor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Corridor:
