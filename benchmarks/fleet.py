@@ -42,7 +42,6 @@ from fusion.fleet.tables import write_tables
 from fusion.fleet.task import Task
 from fusion.fleet.worker import fuse_task, limit_threads, process_id
 from fusion.fleet.workers import local_workers
-from fusion.simulate import SimulationConfig, simulate_flight
 
 SPEEDUP_TARGET, OVERHEAD_TARGET_MS = 1.8, 50.0
 
@@ -70,6 +69,8 @@ def cpu_s() -> float:
 
 def simulate(folder: Path, distinct: int, seconds: float) -> list[Path]:
     """Simulate distinct logs into a folder and return their folders."""
+    from fusion.simulate import SimulationConfig, simulate_flight  # each worker would load it with this file
+
     found = []
     for seed in range(1, distinct + 1):
         config = SimulationConfig.random_office(seed, motion={"duration_s": seconds})
