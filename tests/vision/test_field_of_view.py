@@ -128,7 +128,9 @@ class TestCorridorsOfLines:
 class TestPictures:
     @pytest.mark.parametrize("fov_deg", [45.0, 70.0, 90.0])
     def test_simulated_folders(self, fov_deg: float) -> None:
-        views = office_views(camera_of(fov_deg, 400, 300), 6, seed=round(fov_deg), views_per_scene=6)
+        views = office_views(
+            camera_of(fov_deg, 400, 300), 6, seed=round(fov_deg), views_per_scene=6, light_cell_m=0.5
+        )
         found = estimate_field_of_view(view.image for view in views)
         assert found.measured
         assert found.n_used >= 4
@@ -142,7 +144,7 @@ class TestPictures:
 
     def test_upright_pictures(self) -> None:
         """Cut out of the middle: the same focal length, another shape."""
-        views = office_views(camera_of(75, 480, 360), 5, seed=8, views_per_scene=5)
+        views = office_views(camera_of(75, 480, 360), 5, seed=8, views_per_scene=5, light_cell_m=0.5)
         found = estimate_field_of_view(view.image[:, 120:360] for view in views)
         true_deg = degrees(2 * np.arctan(0.5 * tan(radians(75 / 2))))
         assert found.measured

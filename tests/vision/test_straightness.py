@@ -35,7 +35,7 @@ def fisheye(fov_deg: float, k: tuple[float, ...] = (0.0,) * 4) -> Camera:
 @cache
 def pictures(kind: str) -> tuple[GreyImage, ...]:
     camera = {"fisheye": fisheye(120.0), "straight": Camera.from_fov(WIDTH, HEIGHT, radians(85.0))}[kind]
-    return tuple(view.image for view in random_views(camera, 8, seed=31, views_per_scene=2))
+    return tuple(view.image for view in random_views(camera, 8, seed=31, views_per_scene=2, light_cell_m=0.5))
 
 
 def test_an_equidistant_lens_is_found() -> None:

@@ -27,7 +27,7 @@ def views(hall: bool) -> tuple[RandomView, ...]:
         side = {"open_hall_m": (0.2, length_m - 0.2), "open_hall_right": seed % 2 == 0} if hall else {}
         return SceneConfig.random_office(seed, **side)
 
-    return tuple(office_views(CAMERA, 40, SEED, scene=scene, views_per_scene=4))
+    return tuple(office_views(CAMERA, 40, SEED, scene=scene, views_per_scene=4, light_cell_m=0.4))
 
 
 def measured(hall: bool, prior: Prior | None = None) -> list[tuple[FrameMeasurement, float]]:
