@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fusion import fuse_flight, load_flight
+from fusion import FusionResult, fuse_flight, load_flight
 from fusion.alignment import Quantity, align_flight, apply_alignment, clock_of_frames
 from fusion.alignment.mount import mount_rotation
 from fusion.alignment.sentences import Known
@@ -45,6 +45,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = SimulationConfig.model_validate(
         {
             "seed": 9,
+            "light_cell_m": 0.5,
             "motion": {"duration_s": 8.0},
             "camera": {
                 "width_px": 256,
@@ -66,11 +67,18 @@ def straight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = SimulationConfig.model_validate(
         {
             "seed": 5,
+            "light_cell_m": 0.5,
             "motion": {"duration_s": 5.0, "heading_amplitude_rad": 0.0, "lateral_amplitude_m": 0.0},
             "camera": {"width_px": 240, "height_px": 180, "rate_hz": 12.0},
         }
     )
     return simulate_flight(config, tmp_path_factory.mktemp("straight") / "straight")
+
+
+@pytest.fixture(scope="module")
+def fused(office: Flight) -> FusionResult:
+    """The sample flight, fused as it is."""
+    return fuse_flight(office)
 
 
 def within(quantity: Quantity, value: float, limit: float, sigmas: float = 4.0) -> None:
@@ -196,7 +204,9 @@ class TestCommand:
         table.write_text("\n".join([head, *shifted, ""]))
         return folder
 
-    def test_writing_brings_the_errors_back(self, late: Path, corridor: Corridor) -> None:
+    def test_writing_brings_the_errors_back(
+        self, late: Path, fused: FusionResult, corridor: Corridor
+    ) -> None:
         before = sorted(os.listdir(late))
         told = corridor("align", late)
         assert told.code == 0
@@ -210,10 +220,9 @@ class TestCommand:
         assert manifest.camera.clock_offset_s == pytest.approx(1.7, abs=0.005)
         assert manifest.camera.focal_scale == 1.0
         assert manifest.camera.mount_yaw_rad == 0.0
-        good = fuse_flight(load_flight(OFFICE))
         mended = fuse_flight(load_flight(out))
         for which in ("filter", "smoothed"):
-            a, b = (result.summary["errors"][which]["heading"]["rmse_rad"] for result in (good, mended))
+            a, b = (result.summary["errors"][which]["heading"]["rmse_rad"] for result in (fused, mended))
             assert b < 1.1 * a, (which, a, b)
         assert np.mean(mended.frames["accepted"]) > 0.98
 
@@ -277,10 +286,9 @@ class TestCommand:
         assert "no such file" in told.err
 
 
-def test_the_clock_by_headings_that_were_measured_already(office: Flight) -> None:
-    for offset_s in (0.0, 0.06):
-        bad = spoilt(office, offset_s)
-        frames = fuse_flight(bad).frames
+def test_the_clock_by_headings_that_were_measured_already(office: Flight, fused: FusionResult) -> None:
+    late = spoilt(office, 0.06)
+    for offset_s, bad, frames in ((0.0, office, fused.frames), (0.06, late, fuse_flight(late).frames)):
         found = clock_of_frames(bad, frames["timestamp_ns"], frames["heading_rad"], frames["heading_std_rad"])
         within(found, offset_s, 0.005)
         assert found.changes == (offset_s != 0.0)
