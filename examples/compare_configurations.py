@@ -35,6 +35,7 @@ def make_flights(folder: Path, count: int, seconds: float) -> None:
             start_ns=1_770_000_000 * 10**9 + k * DAY_NS,
             motion={"duration_s": seconds},
             camera={"width_px": 320, "height_px": 240, "rate_hz": 10.0},
+            light_cell_m=0.5,
         )
         if k % 2 and config.imu is not None:
             noise = NOISY * config.imu.gyro_noise_density

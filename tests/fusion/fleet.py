@@ -15,6 +15,7 @@ from fusion.simulate import SimulationConfig, simulate_flight
 from tests.files import written
 
 SMALL = {
+    "light_cell_m": 0.5,
     "camera": {"width_px": 240, "height_px": 180, "rate_hz": 10.0},
     "motion": {"duration_s": 2.0},
     "imu": {"rate_hz": 100.0},
