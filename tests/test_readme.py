@@ -29,6 +29,7 @@ PAGES = {"README.md": ROOT / "README.md"} | {
 }
 TEXTS = {name: path.read_text(encoding="utf-8") for name, path in PAGES.items()}
 FRAMES = 80  # of the sample flight, in the copy that the pages' code runs on
+FUSE_OFFICE = "corridor fuse data/office -o out/office"
 # Files that stand for a user's own in examples; with them only the options are looked at.
 NOT_AT_HAND = {
     *(
@@ -127,21 +128,36 @@ def run(line: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
     return int(end.value.code or 0), out
 
 
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where `fuse_office` keeps its output."""
+    return tmp_path_factory.mktemp("kept") / "office"
+
+
+def fuse_office(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Put ``out/office`` there for code that reads it; it is made once."""
+    if kept.exists():
+        shutil.copytree(kept, "out/office")
+        return
+    assert run(FUSE_OFFICE, capsys)[0] == 0
+    shutil.copytree("out/office", kept)
+
+
 def test_there_is_something_to_run() -> None:
     assert sum(block.page == "README.md" for block in blocks("python")) >= 3
     assert len(shell_lines("corridor ")) > 20
 
 
 @pytest.mark.parametrize("block", blocks("python"), ids=named)
-def test_python_runs(block: Block, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_python_runs(block: Block, here: Path, kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
     if "out/office" in block.code:
-        assert run("corridor fuse data/office -o out/office", capsys)[0] == 0
+        fuse_office(kept, capsys)
     code = block.code.split("if __name__ ==")[0]  # what starts worker processes has tests of its own
     exec(compile(code, block.page, "exec"), {"__name__": "__main__"})
 
 
 @pytest.mark.parametrize("block", shell_lines("corridor "), ids=named)
-def test_commands_run(block: Block, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_run(block: Block, here: Path, kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = shlex.split(block.code.split("|")[0])
     if NOT_AT_HAND & {word.rstrip("/") for word in words}:
         code, text = run(f"corridor {words[1]} --help", capsys)
@@ -150,13 +166,16 @@ def test_commands_run(block: Block, here: Path, capsys: pytest.CaptureFixture[st
             assert not word.startswith("-") or re.search(rf"(^|\s){re.escape(word)}\b", text), word
         return
     for needed, made_by in {
-        "out/office": "corridor fuse data/office -o out/office",
+        "out/office": FUSE_OFFICE,
         "my.toml": "corridor config > my.toml",
         "dark.toml": "corridor config --simulate > dark.toml",
         "flight": "corridor simulate flight --duration 1",
     }.items():
         if needed in words[2:] and not {"simulate", ">", "-o"} & set(words[: words.index(needed)]):
-            assert run(made_by, capsys)[0] == 0
+            if made_by == FUSE_OFFICE:
+                fuse_office(kept, capsys)
+            else:
+                assert run(made_by, capsys)[0] == 0
     if words[1] == "simulate" and "dark.toml" not in words:  # as long as it takes, and no longer
         block = block._replace(
             code=re.sub(r" --duration \S+", "", block.code) + " --duration 1 --size 160x120"
