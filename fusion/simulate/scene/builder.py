@@ -213,7 +213,8 @@ class Builder:
                 material.joint_turn_rad,
                 *(material.origin_m or (0.0, 0.0)),
             ]
-            nu, nv = (min(max(ceil(length / self.light_cell_m), 1), 400) for length in (la, lb))
+            # Lengths are often whole numbers of cells, to a last bit that differs between kinds of processor.
+            nu, nv = (min(max(ceil(length / self.light_cell_m - 1e-6), 1), 400) for length in (la, lb))
             row[LIGHT_START:POINTS] = cells, nu, nv
             row[POINTS:] = np.concatenate([corner, corner + a, corner + a + b, corner + b])
             cells += nu * nv
