@@ -27,6 +27,7 @@ from vision.images import to_grey
 from vision.lateral.learned import corner_lines, corner_scores, learned_mixture, mixture_of
 from vision.lateral.mixture import CHANCE, OffsetMixture
 from vision.lateral.offset import SAME_ANSWER, LateralFit, OffsetAnswer, answer_of, fit_lateral
+from vision.lateral.parallax import Profiles, wall_profiles
 from vision.lateral.polar import polar_picture
 from vision.lateral.walls import missing_wall_evidence, wall_is_missing
 from vision.lines.line_set import LineSet
@@ -49,6 +50,7 @@ Method = Literal["geometric", "paper"]
 MAX_DRAWN_DOUBT = 0.5  # of the network: less sure, its corners are not drawn
 MAX_EXPECTED_STD_RAD = radians(1.0)  # of the prior's axis, to stand in for the picture's
 MAX_EXPECTED_TURN_RAD = radians(35.0)
+MAX_STEADY_RAD = radians(1.5)
 MOUNT_ROLL_STD_RAD = radians(1.0)  # of a camera whose mounting pitch is not known either
 SLOPE_STD_RAD = radians(0.2)  # floors and ceilings are level to about this
 UNKNOWN_ATTITUDE = Attitude(0.0, 0.0, std_rad=radians(12.0))
@@ -194,6 +196,7 @@ class _OffsetFound(NamedTuple):
     position: Position | None = None
     wall_lines_px: npt.NDArray[np.float32] | None = None
     offset_evidence: tuple[OffsetMixture, ...] = ()
+    wall_profiles: Profiles | None = None
 
 
 def _described(
@@ -244,11 +247,13 @@ def _offset(
     by_lines, mixture = fit_lateral(lines, fit, level.R_level_camera, level.roll_std_rad, *known)
     answer: LateralFit | OffsetAnswer | None = by_lines
     evidence: tuple[OffsetMixture, ...] = (mixture,)
+    profiles = None
     walls = None if by_lines is None else _in_picture(lines.ends_px[by_lines.wall_lines], camera)
     if heading.reason is not Reason.OK:
         evidence = _evidence_about_expected_axis(lines, camera, level, prior)
     elif lines.grey is not None:
         R_corridor_camera = corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad)
+        profiles = wall_profiles(lines.grey, camera, _steady_axes(fit, level, prior))
         scores = corner_scores(polar_picture(lines.grey, camera, R_corridor_camera))
         regions = mixture_of(scores)
         evidence = (mixture, regions)
@@ -265,7 +270,7 @@ def _offset(
             told = regions.cannot_tell < MAX_DRAWN_DOUBT
             walls = corner_lines(scores, camera, R_corridor_camera).astype(np.float32) if told else None
     if answer is None:
-        return _OffsetFound(wall_lines_px=walls, offset_evidence=evidence)
+        return _OffsetFound(wall_lines_px=walls, offset_evidence=evidence, wall_profiles=profiles)
     return _OffsetFound(
         lateral_offset_norm=answer.offset_norm,
         lateral_offset_norm_std=answer.offset_norm_std,
@@ -273,7 +278,21 @@ def _offset(
         position=position_from_offset(answer.offset_norm),
         wall_lines_px=walls,
         offset_evidence=evidence,
+        wall_profiles=profiles,
     )
+
+
+def _steady_axes(fit: AxisFit, level: LevelFrame, prior: Prior) -> FloatArray:
+    """Return R_corridor_camera with the prior's heading, where that is well known.
+
+    Frames that are compared should err alike: the prior turns with the gyro, while the frame's own heading is noise
+    of each frame, of which a tenth of a degree is as much as .01 half widths of way aside.
+    """
+    known = prior.heading_std_rad < MAX_EXPECTED_STD_RAD and abs(prior.heading_rad - fit.heading_rad) < (
+        MAX_STEADY_RAD
+    )
+    heading_rad = prior.heading_rad if known else fit.heading_rad
+    return corridor_frame(level.R_level_camera, heading_rad, fit.elevation_rad)
 
 
 def _evidence_about_expected_axis(

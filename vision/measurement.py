@@ -175,6 +175,9 @@ class FrameMeasurement:
     offset_evidence
         All that the picture says about the lateral offset, by each kind of evidence, for a filter to accumulate. It
         does not know of any predicted offset. Where the heading is not accepted, the axis is the prior's.
+    wall_profiles
+        Brightness along both walls, see `vision.lateral.parallax.wall_profiles`: a filter compares it with that of an
+        earlier frame. None where the heading is not accepted.
     roll_correction_rad, roll_correction_std_rad
         What the picture's vertical lines alone add to the attitude's roll; NaN where no line tells.
     """
@@ -201,12 +204,20 @@ class FrameMeasurement:
     line_class: npt.NDArray[np.int8] | None = field(default=None, repr=False)
     wall_lines_px: npt.NDArray[np.float32] | None = field(default=None, repr=False)
     offset_evidence: tuple[OffsetMixture, ...] = field(default=(), repr=False)
+    wall_profiles: npt.NDArray[np.float32] | None = field(default=None, repr=False)
     roll_correction_rad: float = nan
     roll_correction_std_rad: float = nan
 
     def without_lines(self) -> FrameMeasurement:
         """Return a copy that contains no arrays, for keeping a long flight in memory."""
-        return replace(self, lines_px=None, line_class=None, wall_lines_px=None, offset_evidence=())
+        return replace(
+            self,
+            lines_px=None,
+            line_class=None,
+            wall_lines_px=None,
+            offset_evidence=(),
+            wall_profiles=None,
+        )
 
 
 def position_from_offset(lateral_offset_norm: float, dead_band_norm: float = 0.1) -> Position | None:

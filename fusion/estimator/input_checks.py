@@ -17,6 +17,7 @@ import numpy.typing as npt
 from fusion.estimator.models import Vector
 from vision.errors import InputError
 from vision.lateral.mixture import OffsetMixture
+from vision.lateral.parallax import are_profiles
 from vision.measurement import FrameMeasurement, Reason
 
 MAX_TIME_NS = 2**62  # 146 years; sums of such times fit into 64 bits
@@ -133,6 +134,9 @@ def within_bounds(m: FrameMeasurement) -> tuple[FrameMeasurement, tuple[str, ...
     if not all(map(_is_sound, m.offset_evidence)):
         changes["offset_evidence"] = tuple(filter(_is_sound, m.offset_evidence))
         counted.append("frame_offset")
+    if m.wall_profiles is not None and not are_profiles(m.wall_profiles):
+        changes["wall_profiles"] = None
+        counted.append("frame_walls")
     if m.accepted and abs(m.heading_rad) > pi:  # not so for NaN, which is refused as unmeasured
         changes |= {"accepted": False, "reason": Reason.UNCERTAIN, "heading_rad": nan}
         counted.append("frame_heading")

@@ -22,15 +22,16 @@ from fusion.estimator.lateral_offset import (
     OffsetModel,
     OffsetReadout,
     OffsetState,
-    at_path_end,
     compile_filter,
     frame_evidence,
     propagate,
     with_evidence,
     with_roll,
     with_speed,
+    with_wall_motion,
 )
 from fusion.estimator.lateral_offset import readout as readout_of
+from fusion.estimator.lateral_parallax import walls_passed
 from fusion.estimator.lateral_smoother import OffsetStep
 from fusion.estimator.lateral_status import Lateral, judged_by_motion, with_jump
 from fusion.estimator.models import PSI, FloatArray, Gate, Vector
@@ -91,14 +92,15 @@ class LateralOffset:
     def with_told_width(self, lateral: Lateral, width_m: float | None) -> Lateral:
         """Take the corridor's width, metres; None: it is not known. The offset in half widths stays as it is."""
         model = offset_model(self.config.model_copy(update={"corridor_width_m": width_m}))
-        offset = at_path_end(lateral.offset, self.model_of(lateral))
+        path = lateral.offset.path
+        lateral = lateral.at_path_end(self.model_of(lateral))
+        offset = lateral.offset
         x, P = offset.x.copy(), offset.P.copy()
         inverse, std = model.inverse_half_width
         if width_m is not None:
             x[:, S] = inverse
         P[:, S], P[:, :, S] = 0.0, 0.0
         P[:, S, S] = std**2
-        path = lateral.offset.path
         offset = offset._replace(x=x, P=P)
         return lateral._replace(offset=offset, step=OffsetStep(path, offset, starts_anew=True), model=model)
 
@@ -131,7 +133,8 @@ class LateralOffset:
         interval_s = velocity.times.interval_s  # NaN before the second
         variance *= max(self.config.lateral_velocity_time_s / interval_s, 1.0) if interval_s > 0.0 else 1.0
         path = lateral.offset.path
-        before = at_path_end(lateral.offset, self.model_of(lateral))
+        lateral = lateral.at_path_end(self.model_of(lateral))
+        before = lateral.offset
         offset = with_speed(before, across, variance)
         step = OffsetStep(path, offset, speed=(across, variance))
         gate = _judged_speed(before, across, variance)
@@ -154,21 +157,26 @@ class LateralOffset:
             Half the corridor's width; NaN where unknown.
         """
         dt_s = FIRST_FRAME_S if lateral.t_frame_ns is None else seconds_since(t_ns, lateral.t_frame_ns)
-        offset, path = lateral.offset, lateral.offset.path
+        path, model = lateral.offset.path, self.model_of(lateral)
+        offset = lateral.offset
         if isfinite(m.roll_correction_rad) and m.roll_correction_std_rad > 0.0:
             offset = with_roll(offset, m.roll_correction_rad, m.roll_correction_std_rad, dt_s)
         mixtures = _mixtures_of(m, self.config)
         if not mixtures:
             return lateral._replace(offset=offset)
         evidence = frame_evidence(mixtures, dt_s, float(x[PSI]), self.camera_arm_m)
-        model = self.model_of(lateral)
-        offset = _with_width(at_path_end(offset, model), half_m)
+        lateral = lateral._replace(offset=offset).at_path_end(model)
+        offset = _with_width(lateral.offset, half_m)
         before = readout_of(offset, model)
+        views, motion = walls_passed(lateral.views, m.wall_profiles, evidence)
+        if motion is not None:
+            offset = with_wall_motion(offset, motion, model)
         offset = with_evidence(offset, evidence, model)
         after = readout_of(offset, model)
         lateral = lateral._replace(
             offset=offset,
-            step=OffsetStep(path, offset, evidence),
+            views=views,
+            step=OffsetStep(path, offset, evidence, motion=motion),
             t_frame_ns=t_ns,
             gate=_judged(before, evidence, half_m, self.config),
         )

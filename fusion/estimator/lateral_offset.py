@@ -67,6 +67,7 @@ from fusion.estimator.lateral_kernels import (
 )
 from fusion.estimator.lateral_mixture_kernels import summarised, take_frame
 from vision.lateral.mixture import OffsetMixture, combine
+from vision.lateral.parallax import PROFILES_SHAPE, compare
 from vision.types import FloatArray
 
 MAX_HYPOTHESES = 15
@@ -80,6 +81,7 @@ START_SPREAD_NORM = 0.05  # u before the first frame
 SUPPORTED = 0.5  # belief in a frame from which on it confirms the likeliest hypothesis
 ROLL_WALK = 0.006  # rad/sqrt(s) that the attitude's roll strays
 SPEED_SIGMA = 3.0  # from which on a velocity is doubted
+MOVED_SIGMA = 3.0  # likewise the way aside by parallax
 ROLL_TIME_S = 0.3  # over which errors of the frames' verticals resemble each other
 
 
@@ -101,6 +103,7 @@ class OffsetModel(NamedTuple):
     )  # 1/m, mean and standard deviation in an unknown corridor
     weight_time_s: float = 0.26
     state_time_s: float = 0.05
+    moved_time_s: float = 2.0  # likewise for ways aside by parallax: the axis errs for long
     forgotten: float = 0.08  # share of all weights that a frame which is all new gives to the unknown
     forget_1_s: float = 0.3  # the same while no frame comes
     slack_norm: float = 0.01
@@ -125,6 +128,16 @@ class Path(NamedTuple):
     a1: float = 0.0
     a2: float = 0.0
     noise: float = 0.0
+
+    def then(self, on: Path) -> Path:
+        """Return this path with another one at its end."""
+        return Path(
+            self.t_s + on.t_s,
+            self.accel_s + on.accel_s,
+            self.a1 + on.a1,
+            self.a2 + self.a1 * on.t_s + on.a2,
+            self.noise + on.noise,
+        )
 
 
 class Acceleration(NamedTuple):
@@ -293,6 +306,59 @@ def frame_evidence(
     return FrameEvidence(components, dt_s if isfinite(dt_s) else FIRST_FRAME_S, side, aside_m)
 
 
+class WallMotion(NamedTuple):
+    """What the passing of both walls says, between an earlier frame and one at the hypotheses' time.
+
+    Parameters
+    ----------
+    components, side, aside_m
+        As in `FrameEvidence`, of the later frame.
+    path
+        Motion between the two frames.
+    dt_s
+        As in `FrameEvidence`: time since the comparison before.
+    moved_norm, moved_per_offset, moved_variance
+        How far the camera moved to its right: at its offset o that is ``moved_norm + moved_per_offset o``, half
+        widths, with that variance; NaN where it does not show.
+    swung_m
+        How far the camera swung to its right about the body's centre.
+    """
+
+    components: FloatArray
+    side: float
+    aside_m: float
+    path: Path
+    dt_s: float
+    moved_norm: float
+    moved_per_offset: float
+    moved_variance: float
+    swung_m: float
+
+
+def with_wall_motion(state: OffsetState, motion: WallMotion, model: OffsetModel) -> OffsetState:
+    """Take in what the passing of both walls says.
+
+    The way moved is a measurement of ``y - y'``, with y' what the transition back along the path makes of the state.
+    """
+    if isfinite(motion.moved_norm) and len(state.x):
+        x, P = state.x.copy(), state.P.copy()
+        F, Q = transition(motion.path, model, backward=True)
+        lasting = -1.0 / expm1(-motion.dt_s / model.moved_time_s)
+        H = -motion.side * F[Y]
+        H[Y] += motion.side
+        H[S] += motion.swung_m
+        for h in range(len(x)):
+            offset = motion.side * x[h, Y] + motion.aside_m * x[h, S]
+            moved = motion.moved_norm + motion.moved_per_offset * offset
+            doubt = motion.moved_per_offset**2 * P[h, Y, Y]
+            variance = lasting * motion.moved_variance + doubt + float(Q[Y, Y])
+            correct_all(x[h : h + 1], P[h : h + 1], H, moved, variance, MOVED_SIGMA)
+        state = state._replace(x=x, P=P)
+    evidence = FrameEvidence(motion.components, motion.dt_s, motion.side, motion.aside_m)
+    x, P, weight, _, _ = _frame_taken(state, evidence, model, motion.dt_s, 0.0)
+    return state._replace(x=x, P=P, weight=weight)
+
+
 def with_speed(state: OffsetState, across_m_s: float, variance: float) -> OffsetState:
     """Take in a speed across the corridor, positive right, with its variance, (m/s)^2."""
     if not len(state.x):
@@ -305,30 +371,36 @@ def with_speed(state: OffsetState, across_m_s: float, variance: float) -> Offset
 
 def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> OffsetState:
     """Take in what a frame says, at the hypotheses' time."""
-    components, dt_s, side, aside_m = frame
-    gap_s, dt_s = max(dt_s - FIRST_FRAME_S, 0.0), min(dt_s, FIRST_FRAME_S)
-    new, new_of_state = -expm1(-dt_s / model.weight_time_s), -expm1(-dt_s / model.state_time_s)
+    gap_s, dt_s = max(frame.dt_s - FIRST_FRAME_S, 0.0), min(frame.dt_s, FIRST_FRAME_S)
+    new = -expm1(-dt_s / model.weight_time_s)
     forgotten = 1.0 - (1.0 - model.forgotten * new) * exp(-model.forget_1_s * gap_s)
-    s, s_std = model.inverse_half_width
-    v_std, c_std = model.start_velocity_std_m_s * s, model.accel_bias_std * s
-    x, P, weight, belief, moment = take_frame(
-        state.x,
-        state.P,
-        state.weight,
-        components,
-        side,
-        aside_m,
-        model.slack_norm**2,
-        (new, new_of_state, forgotten),
-        (model.slack_norm**2, v_std**2, c_std**2, s, s_std**2),
-        model.near_norm,
-        (model.lost_std_norm**2, MAX_OFFSET, MAX_HYPOTHESES, MIN_WEIGHT),
-    )
+    x, P, weight, belief, moment = _frame_taken(state, frame, model, dt_s, forgotten)
     age_s = 0.0 if belief > SUPPORTED or not len(state.x) else state.evidence_age_s
     spread2 = state.spread2
     if moment >= 0.0:
         spread2 -= expm1(-dt_s / model.spread_time_s) * (moment - spread2)
     return state._replace(x=x, P=P, weight=weight, evidence_age_s=age_s, spread2=spread2)
+
+
+def _frame_taken(
+    state: OffsetState, frame: FrameEvidence, model: OffsetModel, dt_s: float, forgotten: float
+) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
+    """Return what `take_frame` does, for a frame of which ``dt_s`` is new and that makes a share be forgotten."""
+    s, s_std = model.inverse_half_width
+    v_std, c_std = model.start_velocity_std_m_s * s, model.accel_bias_std * s
+    return take_frame(
+        state.x,
+        state.P,
+        state.weight,
+        frame.components,
+        frame.side,
+        frame.aside_m,
+        model.slack_norm**2,
+        (-expm1(-dt_s / model.weight_time_s), -expm1(-dt_s / model.state_time_s), forgotten),
+        (model.slack_norm**2, v_std**2, c_std**2, s, s_std**2),
+        model.near_norm,
+        (model.lost_std_norm**2, MAX_OFFSET, MAX_HYPOTHESES, MIN_WEIGHT),
+    )
 
 
 def update(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> OffsetState:
@@ -396,3 +468,7 @@ def compile_filter() -> None:
     for _ in range(2):
         state = update(propagate(state, 0.01, 0.0, None, (0.0, 0.0, 1.0)), frame, model)
     readout(with_speed(state, 0.0, 1.0), model)
+    nothing = np.zeros(PROFILES_SHAPE, np.float32)
+    compare(nothing, nothing)
+    walls = WallMotion(frame.components, 1.0, 0.0, Path(0.3, 0.3), 0.2, 0.0, 0.0, 1e-4, 0.0)
+    with_wall_motion(state, walls, model)

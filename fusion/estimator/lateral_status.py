@@ -15,10 +15,12 @@ from fusion.estimator.lateral_offset import (
     OffsetReadout,
     OffsetState,
     Path,
+    at_path_end,
     in_new_corridor,
     nothing_known,
 )
 from fusion.estimator.lateral_offset import readout as readout_of
+from fusion.estimator.lateral_parallax import WallView
 from fusion.estimator.lateral_smoother import OffsetStep
 from fusion.estimator.models import Gate
 from fusion.estimator.sample_times import seconds_since
@@ -83,6 +85,8 @@ class Lateral(NamedTuple):
         How often it jumped, and its last step.
     model
         What the filter assumes, with the width as it was told last; None: what the configuration says.
+    views
+        Frames with which the walls of later ones are compared, the oldest first.
     """
 
     offset: OffsetState = nothing_known()
@@ -100,6 +104,7 @@ class Lateral(NamedTuple):
     reset_norm: float = 0.0
     reset_m: float = 0.0
     model: OffsetModel | None = None
+    views: tuple[WallView, ...] = ()
 
     @property
     def test_ratio(self) -> float:
@@ -118,7 +123,13 @@ class Lateral(NamedTuple):
             known=False,
             confirmed=None,
             contradicted=False,
+            views=(),
         )
+
+    def at_path_end(self, model: OffsetModel) -> Lateral:
+        """Carry the hypotheses to the state's time."""
+        views = tuple(view.moved_on(self.offset.path) for view in self.views)
+        return self._replace(offset=at_path_end(self.offset, model), views=views)
 
 
 class LateralReadout(NamedTuple):

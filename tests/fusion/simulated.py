@@ -280,7 +280,8 @@ def mirrored(s: Sample) -> Sample:
     m = s.values[0]
     evidence = tuple(replace(e, offset_norm=-e.offset_norm) for e in m.offset_evidence)
     sides = {"heading_rad": -m.heading_rad, "lateral_offset_norm": -m.lateral_offset_norm}
-    return replace(s, values=(replace(m, offset_evidence=evidence, **sides),))
+    walls = None if m.wall_profiles is None else m.wall_profiles[::-1].copy()
+    return replace(s, values=(replace(m, offset_evidence=evidence, wall_profiles=walls, **sides),))
 
 
 def two_places(offset: float, other: float, weight: float = 0.7, std: float = 0.02) -> OffsetMixture:

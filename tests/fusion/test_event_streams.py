@@ -24,6 +24,7 @@ from fusion.estimator.state import Entry
 from tests.fusion.simulated import Sample as TimedSample
 from tests.fusion.simulated import frame, give, mirrored, quaternion, two_places
 from vision import FrameMeasurement
+from vision.lateral.parallax import PROFILES_SHAPE
 from vision.rotations import wrap_axis
 
 MS = 1_000_000
@@ -105,8 +106,14 @@ def _measurement(
 
 
 def flight(amplitude_rad: float, rate_rad_s: float, with_attitude: bool, ambiguous: bool = False) -> Stream:
-    """Weave in a corridor: samples of all kinds, exact, in order; ambiguous frames show two lateral offsets."""
+    """Weave in a corridor: samples of all kinds, exact, in order; ambiguous frames show two lateral offsets.
+
+    They also show both walls, at rest.
+    """
     evidence = (two_places(0.2, -0.5),) if ambiguous else ()
+    walls = (
+        np.random.default_rng(0).normal(0.0, 0.1, PROFILES_SHAPE).astype(np.float32) if ambiguous else None
+    )
     t = np.arange(0, LENGTH_MS, 10)
     rate = amplitude_rad * rate_rad_s * np.cos(rate_rad_s * t * 1e-3)
     stream = [
@@ -115,7 +122,8 @@ def flight(amplitude_rad: float, rate_rad_s: float, with_attitude: bool, ambiguo
     ]
     for ms in range(3, LENGTH_MS, 50):
         heading = amplitude_rad * float(np.sin(rate_rad_s * ms * 1e-3))
-        stream.append(sample("frame", ms, frame(heading, 0.01, 0.2, 0.02, offset_evidence=evidence)))
+        seen = frame(heading, 0.01, 0.2, 0.02, offset_evidence=evidence, wall_profiles=walls)
+        stream.append(sample("frame", ms, seen))
     for ms in range(6, LENGTH_MS if with_attitude else 0, 40):
         yaw = 0.7 + amplitude_rad * float(np.sin(rate_rad_s * ms * 1e-3))
         stream.append(sample("attitude", ms, quaternion(0.02, -0.03, yaw)))

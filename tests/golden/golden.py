@@ -49,7 +49,7 @@ Give = tuple[int, Kind, tuple[Any, ...]]  # when, to what, with which values
 SCALARS = tuple(
     f.name
     for f in fields(FrameMeasurement)
-    if f.name not in ("lines_px", "line_class", "wall_lines_px", "offset_evidence")
+    if f.name not in ("lines_px", "line_class", "wall_lines_px", "offset_evidence", "wall_profiles")
 )
 PAIRS = {"vp_px": 2, "vp_cov_px2": 4}
 

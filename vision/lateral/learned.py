@@ -23,7 +23,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from math import exp, isfinite, nan, pi, sqrt
+from math import exp, isfinite, nan, pi
 from threading import local
 from typing import Any
 
@@ -35,7 +35,7 @@ from vision.cameras.camera import Camera
 from vision.cameras.projection import project_directions
 from vision.compiled import compiled, compiled_inner
 from vision.images import GreyImage
-from vision.lateral.mixture import OffsetMixture
+from vision.lateral.mixture import MAX_PEAKS, OffsetMixture, peaks_of_density
 from vision.lateral.polar import ANGLES, N_ANGLES, Polar, polar_picture
 from vision.types import FloatArray, IntArray
 
@@ -53,11 +53,6 @@ MIN_PROBABILITY = 1e-4  # of a corner at an angle: below, it is left out of the 
 
 SURE_CORNER = 0.5  # probability within two angles of the likeliest, from which on a corner is drawn
 DRAWN_TAN: FloatArray = np.geomspace(0.05, 4.0, 16)
-MAX_COMPONENTS = 5
-MIN_WEIGHT = 0.01  # of a component; less is left to "cannot tell"
-FOOT = 0.02  # a peak ends where the density has fallen to this share of it,
-RISE = 1.2  # or rises so far above its lowest
-MIN_STD = 0.005
 
 MIRRORED: IntArray = (N_ANGLES // 2 - 1 - np.arange(N_ANGLES)) % N_ANGLES  # angles, left and right exchanged
 _PER_THREAD = local()  # cv2.dnn keeps its input within the network
@@ -176,45 +171,6 @@ def _add_pairs(
 
 
 @compiled_inner
-def _components(density: FloatArray, rows: FloatArray) -> int:
-    """Take peak after peak out of a density, each down to where it rises again or ends.
-
-    Fills rows (k, 5) with weight, mean, standard deviation, first bin and the one after the last, and returns how
-    many; ``density`` is used up.
-    """
-    total, bins = density.sum(), len(density)
-    count = 0
-    while count < len(rows):
-        peak = int(np.argmax(density))
-        top = density[peak]
-        if not top > 0.0:
-            break
-        first = last = peak
-        low = top
-        while first > 0 and FOOT * top < density[first - 1] <= RISE * low:
-            first -= 1
-            low = min(low, density[first])
-        low = top
-        while last + 1 < bins and FOOT * top < density[last + 1] <= RISE * low:
-            last += 1
-            low = min(low, density[last])
-        weight = mean = square = 0.0
-        for k in range(first, last + 1):
-            weight += density[k]
-            mean += density[k] * BIN_CENTRES[k]
-            square += density[k] * BIN_CENTRES[k] ** 2
-            density[k] = 0.0
-        if weight < MIN_WEIGHT * total:
-            break
-        mean /= weight
-        rows[count, 0], rows[count, 1] = weight, mean
-        rows[count, 2] = sqrt(max(square / weight - mean * mean, MIN_STD**2))
-        rows[count, 3], rows[count, 4] = first, last + 1
-        count += 1
-    return count
-
-
-@compiled_inner
 def _offset_density(corner: FloatArray, blind: FloatArray) -> tuple[FloatArray, float, FloatArray]:
     """Combine floor and ceiling; arguments are the fields of `CornerScores`.
 
@@ -248,8 +204,8 @@ def _fields(corner: FloatArray, blind: FloatArray) -> FloatArray:
     above = np.empty(N_BINS)
     for b in range(N_BINS):
         above[b] = max(density[b] - level, 0.0) / N_BINS
-    rows = np.empty((MAX_COMPONENTS, 5))
-    count = _components(above, rows)
+    rows = np.empty((MAX_PEAKS, 5))
+    count = peaks_of_density(above, BIN_CENTRES, rows)
     fields = np.empty((4, count))
     for k in range(count):
         fields[0, k], fields[1, k], fields[2, k], fields[3, k] = rows[k, 0], rows[k, 1], rows[k, 2], nan

@@ -21,6 +21,11 @@ N_BINS = 64
 BOTH_BLIND = 0.05  # probability that a picture leads both kinds of evidence astray
 MIN_WEIGHT = 1e-4  # of a component; less is left to "cannot tell"
 CHANCE = 0.5  # density of an offset in (-1, 1) of which nothing is known
+MAX_PEAKS = 5
+MIN_PEAK = 0.01  # weight of a peak of a density; less is left to "cannot tell"
+FOOT = 0.02  # a peak ends where the density has fallen to this share of it,
+RISE = 1.2  # or rises so far above its lowest
+MIN_STD = 0.005
 _SQRT_TWO_PI = sqrt(2.0 * pi)
 
 # columns of components
@@ -200,6 +205,45 @@ def _components(fields: FloatArray) -> FloatArray:
     return components
 
 
+@compiled_inner
+def peaks_of_density(density: FloatArray, centres: FloatArray, rows: FloatArray) -> int:
+    """Take peak after peak out of a density, each down to where it rises again or ends.
+
+    Fills rows (k, 5) with weight, mean, standard deviation, first bin and the one after the last, and returns how
+    many; ``density``, at offsets ``centres``, is used up.
+    """
+    total, bins = density.sum(), len(density)
+    count = 0
+    while count < len(rows):
+        peak = int(np.argmax(density))
+        top = density[peak]
+        if not top > 0.0:
+            break
+        first = last = peak
+        low = top
+        while first > 0 and FOOT * top < density[first - 1] <= RISE * low:
+            first -= 1
+            low = min(low, density[first])
+        low = top
+        while last + 1 < bins and FOOT * top < density[last + 1] <= RISE * low:
+            last += 1
+            low = min(low, density[last])
+        weight = mean = square = 0.0
+        for k in range(first, last + 1):
+            weight += density[k]
+            mean += density[k] * centres[k]
+            square += density[k] * centres[k] ** 2
+            density[k] = 0.0
+        if weight < MIN_PEAK * total:
+            break
+        mean /= weight
+        rows[count, 0], rows[count, 1] = weight, mean
+        rows[count, 2] = sqrt(max(square / weight - mean * mean, MIN_STD**2))
+        rows[count, 3], rows[count, 4] = first, last + 1
+        count += 1
+    return count
+
+
 SLACK = 0.005
 """Standard deviation by which two kinds of evidence may differ that see the same corner."""
 
@@ -228,4 +272,5 @@ __all__ = [
     "combine",
     "merge_by_bins",
     "mixture_of_components",
+    "peaks_of_density",
 ]

@@ -1,0 +1,272 @@
+r"""The lateral offset and the way aside from how both walls pass by between two pictures.
+
+A point of a wall at the distance w beside the camera and z ahead lies, seen along the corridor's axis, at the
+cotangent ``u = z / w``. When the camera has moved ahead by f and aside, towards that wall, by d, it lies at
+
+    u' = k u - a,    k = w / (w - d),    a = f / (w - d),
+
+whatever its height: it stays on nearly the same ray about the axis. So brightness along rays, sampled uniformly in u,
+is stretched by k and shifted by a. With distances in half widths and the camera at y from the centre line in the
+later picture, the right wall is at ``w - d = 1 - y`` and the left one at ``1 + y``, so
+
+    a_right = f / (1 - y),    k_right = 1 + d / (1 - y),
+    a_left  = f / (1 + y),    k_left  = 1 - d / (1 + y),
+
+and y follows from the ratio of the shifts, d from the stretches; f need not be known. Corners need not be seen: any
+texture tells, and lines along the corridor, which mislead where corners are sought, are the same at every u.
+
+The likelihood of k and a for one wall is that of the differences which they leave, their variance unknown::
+
+    L = max(0, -n / 2 log(mean squared difference / variance of the brightness))
+
+with n the number of independent samples, and both with a floor for noise. That of y and d follows by summing over
+f, and for y over d.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, log, nan, sqrt
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vision.cameras.camera import Camera
+from vision.cameras.projection import project_directions
+from vision.compiled import compiled, compiled_inner
+from vision.images import GreyImage
+from vision.lateral.mixture import MAX_PEAKS, MIN_STD, OffsetMixture, peaks_of_density
+from vision.lateral.polar import sample_points
+from vision.types import FloatArray
+
+Profiles = npt.NDArray[np.float32]
+
+N_BANDS, RAYS_PER_BAND = 4, 6
+MAX_SLOPE = 0.5  # of a ray: height over distance to the wall
+FIRST_COTANGENT, COTANGENT_STEP, N_ALONG = 0.8, 0.05, 65
+PROFILES_SHAPE = (2, N_ALONG, N_BANDS)
+MAX_RELATIVE = 256.0  # of brightness to its mean
+SMOOTH_SAMPLES = 25  # half the window whose mean is taken off: light changes slowly along a wall
+PIVOT = 2.0  # cotangent at which the shift is counted while searching: there it hardly depends on the stretch
+SHIFTS: FloatArray = np.arange(-0.2, 1.425, 0.05)
+STRETCHES: FloatArray = np.arange(-0.28, 0.3, 0.04)
+AHEAD_NORM: FloatArray = np.arange(-0.1, 1.025, 0.05)
+ASIDE_NORM: FloatArray = np.arange(-0.21, 0.215, 0.014)
+N_OFFSETS = 24
+OFFSETS: FloatArray = np.linspace(-1.0 + 1.0 / N_OFFSETS, 1.0 - 1.0 / N_OFFSETS, N_OFFSETS)
+INDEPENDENT = 0.05  # share of the samples
+NOISE_FLOOR = 1e-4  # mean square, of a picture of brightness 1
+MIN_OVERLAP = 60  # samples
+MIN_ASIDE_STD, MAX_ASIDE_STD = 0.006, 0.05  # half widths; wider, the way aside does not show
+LEAST_OFFSET_STD = 0.04  # half widths: the offsets compared lie .083 apart, and the axis errs
+NEGLIGIBLE = 12.0  # log-likelihood below the best
+
+_RIGHT_LEFT = (1.0, -1.0)
+_SLOPES: npt.NDArray[Any] = np.linspace(-MAX_SLOPE, MAX_SLOPE, N_BANDS * RAYS_PER_BAND + 1)
+_COTANGENTS: npt.NDArray[Any] = FIRST_COTANGENT + COTANGENT_STEP * np.arange(N_ALONG)
+# Directions (2 N_ALONG, rays, 3): the right wall and then the left; one ray more than is used, see `sample_points`
+DIRECTIONS: npt.NDArray[Any] = np.concatenate(
+    [
+        np.stack(
+            np.broadcast_arrays(_COTANGENTS[:, None], np.full((N_ALONG, 1), side), _SLOPES[None]), axis=-1
+        )
+        for side in _RIGHT_LEFT
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parallax:
+    """What two pictures say together.
+
+    Parameters
+    ----------
+    offset
+        Offset at the later one.
+    aside_norm, aside_per_offset, aside_std_norm
+        Way to the right between them: at the offset y it is ``aside_norm + aside_per_offset y``, half widths, with
+        that standard deviation; NaN where it does not show.
+    """
+
+    offset: OffsetMixture
+    aside_norm: float
+    aside_per_offset: float
+    aside_std_norm: float
+
+
+@compiled
+def _banded(samples: Profiles) -> Profiles:
+    """Average rays (2, 2 N_ALONG, rays) into bands (2, N_ALONG, N_BANDS), take off what changes slowly along."""
+    out = np.full((2, N_ALONG, N_BANDS), np.nan, np.float32)
+    total, n_total = 0.0, 0
+    for side in range(2):
+        for band in range(N_BANDS):
+            for i in range(N_ALONG):
+                value, n = 0.0, 0
+                for ray in range(band * RAYS_PER_BAND, (band + 1) * RAYS_PER_BAND):
+                    if samples[1, side * N_ALONG + i, ray] > 0.0:
+                        value += samples[0, side * N_ALONG + i, ray]
+                        n += 1
+                if n == RAYS_PER_BAND:
+                    out[side, i, band] = value / n
+                    total += value / n
+                    n_total += 1
+    scale = n_total / max(total, 1.0 * n_total) if n_total else 0.0
+    for side in range(2):
+        for band in range(N_BANDS):
+            row = out[side, :, band].copy()
+            for i in range(N_ALONG):
+                value, n = 0.0, 0
+                for j in range(max(i - SMOOTH_SAMPLES, 0), min(i + SMOOTH_SAMPLES + 1, N_ALONG)):
+                    if row[j] == row[j]:
+                        value += row[j]
+                        n += 1
+                if n:
+                    out[side, i, band] = (row[i] - value / n) * scale
+    return out
+
+
+def wall_profiles(grey: GreyImage, camera: Camera, R_corridor_camera: FloatArray) -> Profiles:
+    """Sample the brightness along both walls.
+
+    Parameters
+    ----------
+    grey, camera, R_corridor_camera
+        As in `vision.lateral.polar.polar_picture`.
+
+    Returns
+    -------
+    Profiles
+        Brightness (2, N_ALONG, N_BANDS) of the right wall and of the left, from rays below the horizontal to such
+        above, at cotangents in steps of `COTANGENT_STEP`, over the picture's mean there, less its mean nearby; NaN
+        outside the picture.
+    """
+    points = project_directions(DIRECTIONS.reshape(-1, 3), R_corridor_camera, camera)
+    return _banded(sample_points(grey, points.reshape(*DIRECTIONS.shape[:2], 2)))
+
+
+def are_profiles(values: object) -> bool:
+    """Whether an array may be compared: shape and type of `wall_profiles`, no number beyond what a picture holds."""
+    if not isinstance(values, np.ndarray) or values.shape != PROFILES_SHAPE or values.dtype != np.float32:
+        return False
+    return not bool((np.abs(values) > MAX_RELATIVE).any())  # NaN is not
+
+
+@compiled_inner
+def _differences(before: Profiles, now: Profiles, shifts: FloatArray, stretches: FloatArray) -> FloatArray:
+    """Log-likelihood (shifts, stretches) of how one wall's profiles (N_ALONG, N_BANDS) have moved.
+
+    It is 0 where they are not alike, as where nothing can be compared.
+    """
+    out = np.zeros((len(shifts), len(stretches)))
+    for m in range(len(stretches)):
+        k = 1.0 + stretches[m]
+        for a in range(len(shifts)):
+            shift = shifts[a] + stretches[m] * PIVOT
+            squares, power, n = np.float32(0.0), np.float32(0.0), 0
+            for i in range(N_ALONG):
+                u = FIRST_COTANGENT + COTANGENT_STEP * i
+                place = ((u + shift) / k - FIRST_COTANGENT) / COTANGENT_STEP
+                if not 0.0 <= place < N_ALONG - 1:
+                    continue
+                j = int(place)
+                share = np.float32(place - j)
+                for band in range(N_BANDS):
+                    first = before[j, band] + share * (before[j + 1, band] - before[j, band])
+                    second = now[i, band]
+                    if first == first and second == second:
+                        squares += (second - first) * (second - first)
+                        power += first * first + second * second
+                        n += 1
+            if n >= MIN_OVERLAP:
+                relative = (squares + n * NOISE_FLOOR) / (0.5 * power + n * NOISE_FLOOR)
+                out[a, m] = max(-0.5 * INDEPENDENT * N_BANDS * N_ALONG * log(relative), 0.0)
+    return out
+
+
+@compiled_inner
+def _add_along(table: FloatArray, stretch: float, distance: float, out: FloatArray) -> None:
+    """Add one wall's log-likelihood, linear between the table's places, to that (AHEAD_NORM,) of the ways ahead."""
+    y = (stretch - STRETCHES[0]) / (STRETCHES[1] - STRETCHES[0])
+    if not 0.0 <= y <= len(STRETCHES) - 1:
+        return
+    j = min(max(int(y), 0), len(STRETCHES) - 2)
+    y -= j
+    column = np.empty(len(SHIFTS))
+    for k in range(len(SHIFTS)):
+        column[k] = table[k, j] + y * (table[k, j + 1] - table[k, j])
+    for f in range(len(out)):
+        x = (AHEAD_NORM[f] / distance - stretch * PIVOT - SHIFTS[0]) / (SHIFTS[1] - SHIFTS[0])
+        if 0.0 <= x < len(SHIFTS) - 1:
+            k = int(x)
+            out[f] += column[k] + (x - k) * (column[k + 1] - column[k])
+
+
+@compiled
+def likelihood_of_motion(before: Profiles, now: Profiles) -> FloatArray:
+    """Likelihood (offsets, ways aside) of two frames' profiles (2, N_ALONG, N_BANDS), summed over ways ahead."""
+    right = _differences(before[0], now[0], SHIFTS, STRETCHES)
+    left = _differences(before[1], now[1], SHIFTS, STRETCHES)
+    most = right.max() + left.max()
+    out = np.zeros((N_OFFSETS, len(ASIDE_NORM)))
+    both = np.empty(len(AHEAD_NORM))
+    for b in range(N_OFFSETS):
+        to_right, to_left = 1.0 - OFFSETS[b], 1.0 + OFFSETS[b]
+        for c in range(len(ASIDE_NORM)):
+            both[:] = -most
+            _add_along(right, ASIDE_NORM[c] / to_right, to_right, both)
+            _add_along(left, -ASIDE_NORM[c] / to_left, to_left, both)
+            for f in range(len(both)):
+                if both[f] > -NEGLIGIBLE:
+                    out[b, c] += exp(both[f])
+    return out
+
+
+@compiled
+def _summary(likelihood: FloatArray) -> tuple[FloatArray, float, float, float]:
+    """Return the fields (4, k) of the offset's mixture, and the numbers of a `Parallax`."""
+    of_offset = np.zeros(N_OFFSETS)
+    total = y = d = yy = yd = dd = 0.0
+    for b in range(N_OFFSETS):
+        for c in range(len(ASIDE_NORM)):
+            p = likelihood[b, c]
+            of_offset[b] += p
+            total += p
+            y += p * OFFSETS[b]
+            d += p * ASIDE_NORM[c]
+            yy += p * OFFSETS[b] ** 2
+            yd += p * OFFSETS[b] * ASIDE_NORM[c]
+            dd += p * ASIDE_NORM[c] ** 2
+    y /= total
+    d /= total
+    yy, yd, dd = yy / total - y * y, yd / total - y * d, dd / total - d * d
+    slope = yd / max(yy, MIN_STD**2)
+    level = of_offset.min()
+    for b in range(N_OFFSETS):
+        of_offset[b] -= level  # what is the same everywhere tells nothing
+    rows = np.empty((MAX_PEAKS, 5))
+    count = peaks_of_density(of_offset, OFFSETS, rows)
+    fields = np.empty((4, count))
+    for k in range(count):
+        fields[0, k], fields[1, k], fields[2, k], fields[3, k] = (
+            rows[k, 0] / total,
+            rows[k, 1],
+            rows[k, 2],
+            nan,
+        )
+    return fields, d - slope * y, slope, sqrt(max(dd - slope * yd, MIN_ASIDE_STD**2))
+
+
+def compare(before: Profiles, now: Profiles) -> Parallax:
+    """Compare the walls' profiles of two frames.
+
+    Parameters
+    ----------
+    before, now
+        Of `wall_profiles`, some tenths of a second apart.
+    """
+    fields, aside, slope, std = _summary(likelihood_of_motion(before, now))
+    if not std < MAX_ASIDE_STD:
+        aside = std = nan
+    return Parallax(OffsetMixture(*fields), aside, slope, std)
