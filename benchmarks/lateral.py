@@ -50,6 +50,7 @@ KNOWN_STD_NORM = 0.12  # a wider offset is as good as none
 WRONG_NORM = 0.1
 VIBRATION_M_S2 = 3.0
 MIN_CLEAR_S = 3.0  # of flight left after a start time
+STEP_AHEAD_S = 5.0  # before a step in the width, for which the walls in view are those ahead
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,8 @@ IMU_PER_FRAME, FRAME_S = 10, 0.05
 class Errors:
     """Offsets at the times of a flight's frames: error and half width, metres; error over sigma; whether known.
 
-    ``coasted`` is error over sigma where each stretch ends over which the filter has carried the offset on.
+    ``coasted`` is error over sigma where each stretch ends over which the filter has carried the offset on,
+    ``before_step`` says where the corridor gets narrower or wider within `STEP_AHEAD_S`.
     """
 
     error_m: FloatArray
@@ -89,6 +91,7 @@ class Errors:
     known: npt.NDArray[np.bool_]
     first_s: float
     coasted: FloatArray
+    before_step: npt.NDArray[np.bool_]
 
     @property
     def is_wrong(self) -> npt.NDArray[np.bool_]:
@@ -124,7 +127,10 @@ def errors_of(rows: npt.NDArray[Any], frames: npt.NDArray[Any], truth: CorridorT
     first_s = nan
     if known.any() and len(accepted):
         first_s = max(0.0, float(t[known][0] - accepted[0]) * 1e-9)
-    return Errors(error_m, 0.5 * width_m, ratio, known, first_s, ratio[:-1][coasting[:-1] & ~coasting[1:]])
+    coasted = ratio[:-1][coasting[:-1] & ~coasting[1:]]
+    ahead = np.searchsorted(t, t + int(STEP_AHEAD_S * 1e9), side="right")
+    before_step = np.array([np.ptp(width_m[k:end]) > 0.0 for k, end in enumerate(ahead)], dtype=bool)
+    return Errors(error_m, 0.5 * width_m, ratio, known, first_s, coasted, before_step)
 
 
 def score(errors: Errors) -> Score:
@@ -256,12 +262,18 @@ def aims_of_kind(kind: str, rows: Sequence[Sequence[Score]], errors: Sequence[Er
     cm, smoothed_cm = (float(np.nanmedian([s[k].rmse_cm for s in rows])) for k in range(2))
     known = np.concatenate([e.known for e in errors])
     wrong = float(np.concatenate([e.is_wrong for e in errors]).sum() / max(known.sum(), 1))
+    steady = np.concatenate([~e.before_step for e in errors])
+    wrong_where_steady = np.concatenate([e.is_wrong for e in errors])[steady].sum()
+    known_where_steady = np.concatenate([e.known for e in errors])[steady].sum()
     found = [
         aim_row(name + ": filter, median flight", cm, 0.0, aim.rmse_cm, centimetres),
         aim_row(name + ": known", float(known.mean()), aim.known, 1.0, share),
         aim_row(name + ": wrong, of known", wrong, 0.0, aim.wrong, share),
         aim_row(name + ": |error| / sigma, p90", _sigma_p90(errors), *SIGMA_P90, plain),
     ]
+    if not steady.all():
+        share_wrong = float(wrong_where_steady / max(known_where_steady, 1))
+        found.append(aim_row(name + ": wrong, no step ahead", share_wrong, 0.0, aim.wrong, share))
     if isfinite(aim.smoothed_cm):
         found.append(aim_row(name + ": smoother", smoothed_cm, 0.0, aim.smoothed_cm, centimetres))
     return found
