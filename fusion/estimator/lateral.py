@@ -26,12 +26,12 @@ from fusion.estimator.lateral_offset import (
     frame_evidence,
     propagate,
     with_evidence,
+    with_parallax,
     with_roll,
     with_speed,
-    with_wall_motion,
 )
 from fusion.estimator.lateral_offset import readout as readout_of
-from fusion.estimator.lateral_parallax import walls_passed
+from fusion.estimator.lateral_parallax import compare_walls
 from fusion.estimator.lateral_smoother import OffsetStep
 from fusion.estimator.lateral_status import Lateral, judged_by_motion, with_jump
 from fusion.estimator.models import PSI, FloatArray, Gate, Vector
@@ -168,15 +168,15 @@ class LateralOffset:
         lateral = lateral._replace(offset=offset).at_path_end(model)
         offset = _with_width(lateral.offset, half_m)
         before = readout_of(offset, model)
-        views, motion = walls_passed(lateral.views, m.wall_profiles, evidence)
-        if motion is not None:
-            offset = with_wall_motion(offset, motion, model)
+        views, parallax = compare_walls(lateral.views, m.wall_profiles, evidence)
+        if parallax is not None:
+            offset = with_parallax(offset, parallax, model)
         offset = with_evidence(offset, evidence, model)
         after = readout_of(offset, model)
         lateral = lateral._replace(
             offset=offset,
             views=views,
-            step=OffsetStep(path, offset, evidence, motion=motion),
+            step=OffsetStep(path, offset, evidence, parallax=parallax),
             t_frame_ns=t_ns,
             gate=_judged(before, evidence, half_m, self.config),
         )

@@ -81,7 +81,7 @@ START_SPREAD_NORM = 0.05  # u before the first frame
 SUPPORTED = 0.5  # belief in a frame from which on it confirms the likeliest hypothesis
 ROLL_WALK = 0.006  # rad/sqrt(s) that the attitude's roll strays
 SPEED_SIGMA = 3.0  # from which on a velocity is doubted
-MOVED_SIGMA = 3.0  # likewise the way aside by parallax
+DISPLACEMENT_SIGMA = 3.0  # likewise a displacement by parallax
 ROLL_TIME_S = 0.3  # over which errors of the frames' verticals resemble each other
 
 
@@ -103,7 +103,7 @@ class OffsetModel(NamedTuple):
     )  # 1/m, mean and standard deviation in an unknown corridor
     weight_time_s: float = 0.26
     state_time_s: float = 0.05
-    moved_time_s: float = 2.0  # likewise for ways aside by parallax: the axis errs for long
+    displacement_time_s: float = 2.0  # likewise for displacements by parallax: the axis errs for seconds
     forgotten: float = 0.08  # share of all weights that a frame which is all new gives to the unknown
     forget_1_s: float = 0.3  # the same while no frame comes
     slack_norm: float = 0.01
@@ -306,8 +306,8 @@ def frame_evidence(
     return FrameEvidence(components, dt_s if isfinite(dt_s) else FIRST_FRAME_S, side, aside_m)
 
 
-class WallMotion(NamedTuple):
-    """What the passing of both walls says, between an earlier frame and one at the hypotheses' time.
+class WallParallax(NamedTuple):
+    """What the parallax of both walls says, between an earlier frame and one at the hypotheses' time.
 
     Parameters
     ----------
@@ -317,11 +317,11 @@ class WallMotion(NamedTuple):
         Motion between the two frames.
     dt_s
         As in `FrameEvidence`: time since the comparison before.
-    moved_norm, moved_per_offset, moved_variance
-        How far the camera moved to its right: at its offset o that is ``moved_norm + moved_per_offset o``, half
-        widths, with that variance; NaN where it does not show.
-    swung_m
-        How far the camera swung to its right about the body's centre.
+    displacement_norm, displacement_per_offset, displacement_variance
+        Lateral displacement of the camera, half widths, positive right: at its offset o it is
+        ``displacement_norm + displacement_per_offset o`` with that variance; NaN where it was not measured.
+    swing_m
+        What of it is the camera's swing about the body's centre, metres.
     """
 
     components: FloatArray
@@ -329,30 +329,31 @@ class WallMotion(NamedTuple):
     aside_m: float
     path: Path
     dt_s: float
-    moved_norm: float
-    moved_per_offset: float
-    moved_variance: float
-    swung_m: float
+    displacement_norm: float
+    displacement_per_offset: float
+    displacement_variance: float
+    swing_m: float
 
 
-def with_wall_motion(state: OffsetState, motion: WallMotion, model: OffsetModel) -> OffsetState:
-    """Take in what the passing of both walls says.
+def with_parallax(state: OffsetState, motion: WallParallax, model: OffsetModel) -> OffsetState:
+    """Take in what the parallax of both walls says.
 
-    The way moved is a measurement of ``y - y'``, with y' what the transition back along the path makes of the state.
+    The displacement is a measurement of ``y - y'``, with y' what the transition back along the path makes of the
+    state.
     """
-    if isfinite(motion.moved_norm) and len(state.x):
+    if isfinite(motion.displacement_norm) and len(state.x):
         x, P = state.x.copy(), state.P.copy()
         F, Q = transition(motion.path, model, backward=True)
-        lasting = -1.0 / expm1(-motion.dt_s / model.moved_time_s)
+        lasting = -1.0 / expm1(-motion.dt_s / model.displacement_time_s)
         H = -motion.side * F[Y]
         H[Y] += motion.side
-        H[S] += motion.swung_m
+        H[S] += motion.swing_m
         for h in range(len(x)):
             offset = motion.side * x[h, Y] + motion.aside_m * x[h, S]
-            moved = motion.moved_norm + motion.moved_per_offset * offset
-            doubt = motion.moved_per_offset**2 * P[h, Y, Y]
-            variance = lasting * motion.moved_variance + doubt + float(Q[Y, Y])
-            correct_all(x[h : h + 1], P[h : h + 1], H, moved, variance, MOVED_SIGMA)
+            moved = motion.displacement_norm + motion.displacement_per_offset * offset
+            doubt = motion.displacement_per_offset**2 * P[h, Y, Y]
+            variance = lasting * motion.displacement_variance + doubt + float(Q[Y, Y])
+            correct_all(x[h : h + 1], P[h : h + 1], H, moved, variance, DISPLACEMENT_SIGMA)
         state = state._replace(x=x, P=P)
     evidence = FrameEvidence(motion.components, motion.dt_s, motion.side, motion.aside_m)
     x, P, weight, _, _ = _frame_taken(state, evidence, model, motion.dt_s, 0.0)
@@ -470,5 +471,5 @@ def compile_filter() -> None:
     readout(with_speed(state, 0.0, 1.0), model)
     nothing = np.zeros(PROFILES_SHAPE, np.float32)
     compare(nothing, nothing)
-    walls = WallMotion(frame.components, 1.0, 0.0, Path(0.3, 0.3), 0.2, 0.0, 0.0, 1e-4, 0.0)
-    with_wall_motion(state, walls, model)
+    walls = WallParallax(frame.components, 1.0, 0.0, Path(0.3, 0.3), 0.2, 0.0, 0.0, 1e-4, 0.0)
+    with_parallax(state, walls, model)

@@ -1,7 +1,7 @@
-"""The walls' passing between two frames, as evidence for the lateral offset and its rate.
+"""Motion parallax of the walls between two frames, as evidence for the lateral offset and its rate.
 
-`vision.lateral.parallax` compares a frame with one some tenths of a second earlier. What they say together is new: it
-rests on any texture of the walls, not on where their corners are.
+`vision.lateral.parallax` compares a frame with one some tenths of a second earlier. This evidence is independent
+of the other kinds: it rests on any texture of the walls, not on where their corners are.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.estimator.lateral_offset import MIN_CANNOT_TELL, FrameEvidence, Path, WallMotion
+from fusion.estimator.lateral_offset import MIN_CANNOT_TELL, FrameEvidence, Path, WallParallax
 from vision.lateral.parallax import Profiles, compare
 
 BASELINE_S = 0.29  # between two frames that are compared; more, where frames are rarer
@@ -40,7 +40,7 @@ class WallView(NamedTuple):
         """Return the view after some more motion."""
         return self._replace(path=self.path.then(path))
 
-    def compared(self, now: WallView, dt_s: float) -> WallMotion | None:
+    def compared(self, now: WallView, dt_s: float) -> WallParallax | None:
         """Compare with a later view; None where they have nothing in common.
 
         ``dt_s`` is the time since the last comparison.
@@ -50,22 +50,22 @@ class WallView(NamedTuple):
         found = compare(self.profiles, now.profiles)
         offset = found.offset.less_sure(MIN_CANNOT_TELL)
         components = np.column_stack([offset.weight, offset.offset_norm, offset.std_norm**2])
-        return WallMotion(
+        return WallParallax(
             components,
             now.side,
             now.aside_m,
             self.path,
             dt_s,
-            found.aside_norm,
-            found.aside_per_offset,
-            found.aside_std_norm**2,
+            found.displacement_norm,
+            found.displacement_per_offset,
+            found.displacement_std_norm**2,
             now.aside_m - self.aside_m,
         )
 
 
-def walls_passed(
+def compare_walls(
     views: tuple[WallView, ...], profiles: Profiles | None, evidence: FrameEvidence
-) -> tuple[tuple[WallView, ...], WallMotion | None]:
+) -> tuple[tuple[WallView, ...], WallParallax | None]:
     """Return the views that later frames are compared with, and what a frame says compared with one before.
 
     Parameters

@@ -30,13 +30,13 @@ from fusion.estimator.lateral_offset import (
     OffsetReadout,
     OffsetState,
     Path,
-    WallMotion,
+    WallParallax,
     along_path,
     nothing_known,
     summary,
     with_evidence,
+    with_parallax,
     with_speed,
-    with_wall_motion,
 )
 from vision.types import FloatArray
 
@@ -58,8 +58,8 @@ class OffsetStep(NamedTuple):
         Of a frame; None without.
     speed
         Speed across the corridor, m/s, and its variance; None without.
-    motion
-        By the walls' passing since an earlier frame, taken in before this one's evidence; None without.
+    parallax
+        Parallax of the walls since an earlier frame, taken in before this one's evidence; None without.
     starts_anew
         Whether another corridor begins here.
     """
@@ -68,7 +68,7 @@ class OffsetStep(NamedTuple):
     after: OffsetState
     evidence: FrameEvidence | None = None
     speed: tuple[float, float] | None = None
-    motion: WallMotion | None = None
+    parallax: WallParallax | None = None
     starts_anew: bool = False
 
 
@@ -97,8 +97,8 @@ def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[Of
             later = with_evidence(later, step.evidence, model)
         if step.speed is not None:
             later = with_speed(later, *step.speed)
-        if step.motion is not None:
-            later = with_wall_motion(later, step.motion, model)
+        if step.parallax is not None:
+            later = with_parallax(later, step.parallax, model)
         later = nothing_known() if step.starts_anew else along_path(later, step.path, model, backward=True)
     return out[::-1]
 

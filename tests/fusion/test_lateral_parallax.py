@@ -1,4 +1,4 @@
-"""The walls' passing between two frames, as the filter of the lateral offset takes it in."""
+"""Motion parallax of the walls, as the filter of the lateral offset takes it in."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from fusion.estimator.lateral_offset import (
     OffsetModel,
     OffsetState,
     Path,
-    WallMotion,
+    WallParallax,
     frame_evidence,
     nothing_known,
     transition,
     update,
-    with_wall_motion,
+    with_parallax,
 )
-from fusion.estimator.lateral_parallax import BASELINE_S, INTERVAL_S, MAX_VIEW_S, WallView, walls_passed
+from fusion.estimator.lateral_parallax import BASELINE_S, INTERVAL_S, MAX_VIEW_S, WallView, compare_walls
 from tests.fusion.simulated import frame
 from vision.lateral.mixture import OffsetMixture
 from vision.lateral.parallax import PROFILES_SHAPE, Profiles
@@ -50,10 +50,14 @@ def at(offset_norm: float, frames: int = 10) -> OffsetState:
     return state
 
 
-def moved(aside_norm: float, side: float = 1.0, swung_m: float = 0.0, per_offset: float = 0.0) -> WallMotion:
+def moved(
+    displacement_norm: float, side: float = 1.0, swing_m: float = 0.0, per_offset: float = 0.0
+) -> WallParallax:
     """Tell how far the camera moved in .3 s, and nothing else."""
     path = Path(0.3, 0.3, 0.0, 0.0, 0.0)
-    return WallMotion(NO_COMPONENTS, side, 0.0, path, 10.0, aside_norm, per_offset, 0.006**2, swung_m)
+    return WallParallax(
+        NO_COMPONENTS, side, 0.0, path, 10.0, displacement_norm, per_offset, 0.006**2, swing_m
+    )
 
 
 @given(PATHS, PATHS)
@@ -70,45 +74,45 @@ def test_paths_lead_nowhere_from_nowhere() -> None:
 
 @settings(max_examples=40)
 @given(st.floats(-0.1, 0.1))
-def test_the_way_moved_tells_the_rate(aside_norm: float) -> None:
-    state = with_wall_motion(at(0.1), moved(aside_norm), MODEL)
+def test_a_displacement_tells_the_rate(displacement_norm: float) -> None:
+    state = with_parallax(at(0.1), moved(displacement_norm), MODEL)
     best = int(np.argmax(state.weight[:-1]))
-    assert state.x[best, V] == pytest.approx(aside_norm / 0.3, abs=0.06)
+    assert state.x[best, V] == pytest.approx(displacement_norm / 0.3, abs=0.06)
     assert state.x[best, Y] == pytest.approx(0.1, abs=0.05)
     assert state.P[best, V, V] < at(0.1).P[best, V, V]
 
 
 def test_flying_back_the_camera_moves_the_other_way() -> None:
-    ahead, back = (with_wall_motion(at(0.1), moved(0.06, side), MODEL) for side in (1.0, -1.0))
+    ahead, back = (with_parallax(at(0.1), moved(0.06, side), MODEL) for side in (1.0, -1.0))
     assert ahead.x[0, V] == pytest.approx(0.2, abs=0.05)
     assert back.x[0, V] == pytest.approx(-0.2, abs=0.05)
 
 
 def test_a_camera_that_swings_has_not_moved_the_body() -> None:
     s = at(0.1).x[0, S]
-    state = with_wall_motion(at(0.1), moved(0.05 * s, swung_m=0.05), MODEL)
+    state = with_parallax(at(0.1), moved(0.05 * s, swing_m=0.05), MODEL)
     assert state.x[0, V] == pytest.approx(0.0, abs=0.03)
 
 
-def test_the_way_moved_is_read_at_the_offset() -> None:
-    state = with_wall_motion(at(0.4), moved(0.1, per_offset=-0.25), MODEL)
+def test_the_displacement_is_read_at_the_offset() -> None:
+    state = with_parallax(at(0.4), moved(0.1, per_offset=-0.25), MODEL)
     assert state.x[0, V] == pytest.approx(0.0, abs=0.03)
 
 
-def test_an_absurd_way_hardly_counts() -> None:
+def test_an_absurd_displacement_hardly_counts() -> None:
     before = at(0.1)
-    after = with_wall_motion(before, moved(5.0), MODEL)
+    after = with_parallax(before, moved(5.0), MODEL)
     assert abs(after.x[0, Y] - before.x[0, Y]) < 3.5 * np.sqrt(before.P[0, Y, Y])
 
 
-@pytest.mark.parametrize("aside_norm", [nan, 0.05])
-def test_walls_that_pass_move_weights_and_forget_nothing(aside_norm: float) -> None:
+@pytest.mark.parametrize("displacement_norm", [nan, 0.05])
+def test_parallax_moves_weights_and_forgets_nothing(displacement_norm: float) -> None:
     two = nothing_known()
     both = OffsetMixture(*(np.array(v) for v in ([0.45, 0.45], [0.3, -0.3], [0.02, 0.02], [nan, nan])))
     for _ in range(10):
         two = update(two, frame_evidence([both], 0.3, 0.0, (0.0, 0.0)), MODEL)
-    said = moved(aside_norm)._replace(components=np.array([[0.85, 0.28, 0.1**2]]), dt_s=0.3)
-    after = with_wall_motion(two, said, MODEL)
+    said = moved(displacement_norm)._replace(components=np.array([[0.85, 0.28, 0.1**2]]), dt_s=0.3)
+    after = with_parallax(two, said, MODEL)
     right = after.weight[:-1][after.x[:, Y] > 0.0].sum()
     assert right > 0.6 > two.weight[:-1][two.x[:, Y] > 0.0].sum()
     assert after.weight[-1] < two.weight[-1] + 1e-3
@@ -118,7 +122,7 @@ def test_walls_that_pass_move_weights_and_forget_nothing(aside_norm: float) -> N
 
 def test_before_any_frame_the_walls_alone_make_hypotheses_but_no_rate() -> None:
     said = moved(0.05)._replace(components=np.array([[0.85, 0.28, 0.1**2]]), dt_s=0.3)
-    state = with_wall_motion(nothing_known(), said, MODEL)
+    state = with_parallax(nothing_known(), said, MODEL)
     assert len(state.x) == 1
     assert state.x[0, V] == 0.0
 
@@ -136,7 +140,7 @@ def test_frames_are_compared_with_one_long_enough_ago() -> None:
     views: tuple[WallView, ...] = ()
     compared, most = [], 0
     for k in range(60):  # frames every .05 s
-        views, motion = walls_passed(views, profiles(), evidence)
+        views, motion = compare_walls(views, profiles(), evidence)
         most = max(most, len(views))
         if motion is not None:
             compared.append((k, motion.path.t_s, motion.dt_s))
@@ -150,24 +154,24 @@ def test_frames_are_compared_with_one_long_enough_ago() -> None:
 
 def test_rare_frames_are_compared_until_other_walls_are_in_view() -> None:
     evidence = FrameEvidence(NO_COMPONENTS, 1.0)
-    views, motion = walls_passed((), profiles(), evidence)
+    views, motion = compare_walls((), profiles(), evidence)
     assert motion is None
     for wait_s, is_compared in ((1.0, True), (2.0 * MAX_VIEW_S, False)):
         later = tuple(view.moved_on(Path(wait_s, 0.0, 0.0, 0.0, 0.0)) for view in views)
-        assert (walls_passed(later, profiles(), evidence)[1] is not None) == is_compared
+        assert (compare_walls(later, profiles(), evidence)[1] is not None) == is_compared
 
 
 def test_a_vehicle_that_has_turned_round_sees_other_walls() -> None:
-    views, _ = walls_passed((), profiles(), FrameEvidence(NO_COMPONENTS, 0.3))
+    views, _ = compare_walls((), profiles(), FrameEvidence(NO_COMPONENTS, 0.3))
     later = tuple(view.moved_on(Path(0.4, 0.0, 0.0, 0.0, 0.0)) for view in views)
-    views, motion = walls_passed(later, profiles(), FrameEvidence(NO_COMPONENTS, 0.3, side=-1.0))
+    views, motion = compare_walls(later, profiles(), FrameEvidence(NO_COMPONENTS, 0.3, side=-1.0))
     assert motion is None
     assert views[-1].side == -1.0
 
 
 def test_frames_without_profiles_leave_the_views_as_they_are() -> None:
-    views, _ = walls_passed((), profiles(), FrameEvidence(NO_COMPONENTS, 0.3))
-    assert walls_passed(views, None, FrameEvidence(NO_COMPONENTS, 0.3)) == (views, None)
+    views, _ = compare_walls((), profiles(), FrameEvidence(NO_COMPONENTS, 0.3))
+    assert compare_walls(views, None, FrameEvidence(NO_COMPONENTS, 0.3)) == (views, None)
 
 
 def test_still_walls_say_that_the_vehicle_does_not_move_aside() -> None:

@@ -1,4 +1,4 @@
-"""The lateral offset and the way aside from how both walls pass by."""
+"""Lateral offset and displacement from the motion parallax of both walls."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from vision.lateral.parallax import (
     Profiles,
     are_profiles,
     compare,
-    likelihood_of_motion,
+    motion_likelihood,
     wall_profiles,
 )
 
@@ -64,9 +64,9 @@ def turned(profiles: Profiles) -> Profiles:
 def test_motion_is_found(seed: int, offset: float, ahead: float, aside: float) -> None:
     walls = Walls(seed)
     found = compare(walls.profiles(offset - aside, 0.0), walls.profiles(offset, ahead))
-    moved = found.aside_norm + found.aside_per_offset * offset
-    assert abs(moved - aside) < max(3.0 * found.aside_std_norm, 0.01)
-    assert found.aside_std_norm < 0.04
+    moved = found.displacement_norm + found.displacement_per_offset * offset
+    assert abs(moved - aside) < max(3.0 * found.displacement_std_norm, 0.01)
+    assert found.displacement_std_norm < 0.04
     assert float(found.offset.likelihood(offset)) > 0.5  # better than chance
 
 
@@ -75,7 +75,7 @@ def test_motion_is_found(seed: int, offset: float, ahead: float, aside: float) -
 def test_a_mirrored_corridor_gives_the_mirrored_answer(seed: int, offset: float, aside: float) -> None:
     walls = Walls(seed)
     before, now = walls.profiles(offset - aside, 0.0), walls.profiles(offset, 0.3)
-    found, mirrored = likelihood_of_motion(before, now), likelihood_of_motion(turned(before), turned(now))
+    found, mirrored = motion_likelihood(before, now), motion_likelihood(turned(before), turned(now))
     np.testing.assert_allclose(found, mirrored[::-1, ::-1], rtol=1e-6, atol=1e-9)
 
 
@@ -109,7 +109,7 @@ def test_walls_that_show_nothing_tell_nothing(seen: Callable[[np.random.Generato
     rng = np.random.default_rng(2)
     for _ in range(10):
         found = compare(seen(rng), seen(rng))
-        assert np.isnan(found.aside_norm)
+        assert np.isnan(found.displacement_norm)
         assert found.offset.likelihood(np.linspace(-0.8, 0.8, 9)) == pytest.approx(0.5, abs=0.35)
 
 

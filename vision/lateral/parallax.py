@@ -1,18 +1,18 @@
-r"""The lateral offset and the way aside from how both walls pass by between two pictures.
+r"""Lateral offset and lateral displacement from the motion parallax of both walls between two pictures.
 
 A point of a wall at the distance w beside the camera and z ahead lies, seen along the corridor's axis, at the
-cotangent ``u = z / w``. When the camera has moved ahead by f and aside, towards that wall, by d, it lies at
+cotangent ``u = z / w``. When the camera has moved forward by f and sideways, towards that wall, by d, it lies at
 
     u' = k u - a,    k = w / (w - d),    a = f / (w - d),
 
 whatever its height: it stays on nearly the same ray about the axis. So brightness along rays, sampled uniformly in u,
-is stretched by k and shifted by a. With distances in half widths and the camera at y from the centre line in the
+is scaled by k and shifted by a. With distances in half widths and the camera at y from the centre line in the
 later picture, the right wall is at ``w - d = 1 - y`` and the left one at ``1 + y``, so
 
     a_right = f / (1 - y),    k_right = 1 + d / (1 - y),
     a_left  = f / (1 + y),    k_left  = 1 - d / (1 + y),
 
-and y follows from the ratio of the shifts, d from the stretches; f need not be known. Corners need not be seen: any
+and y follows from the ratio of the shifts, d from the scales; f need not be known. Corners need not be seen: any
 texture tells, and lines along the corridor, which mislead where corners are sought, are the same at every u.
 
 The likelihood of k and a for one wall is that of the differences which they leave, their variance unknown::
@@ -47,19 +47,21 @@ MAX_SLOPE = 0.5  # of a ray: height over distance to the wall
 FIRST_COTANGENT, COTANGENT_STEP, N_ALONG = 0.8, 0.05, 65
 PROFILES_SHAPE = (2, N_ALONG, N_BANDS)
 MAX_RELATIVE = 256.0  # of brightness to its mean
-SMOOTH_SAMPLES = 25  # half the window whose mean is taken off: light changes slowly along a wall
-PIVOT = 2.0  # cotangent at which the shift is counted while searching: there it hardly depends on the stretch
+SMOOTH_SAMPLES = 25  # half the window whose mean is subtracted: light changes slowly along a wall
+PIVOT = (
+    2.0  # cotangent at which the shift is counted in the search: there it is least correlated with the scale
+)
 SHIFTS: FloatArray = np.arange(-0.2, 1.425, 0.05)
-STRETCHES: FloatArray = np.arange(-0.28, 0.3, 0.04)
-AHEAD_NORM: FloatArray = np.arange(-0.1, 1.025, 0.05)
-ASIDE_NORM: FloatArray = np.arange(-0.21, 0.215, 0.014)
+SCALES: FloatArray = np.arange(-0.28, 0.3, 0.04)
+FORWARD_NORM: FloatArray = np.arange(-0.1, 1.025, 0.05)
+DISPLACEMENT_NORM: FloatArray = np.arange(-0.21, 0.215, 0.014)
 N_OFFSETS = 24
 OFFSETS: FloatArray = np.linspace(-1.0 + 1.0 / N_OFFSETS, 1.0 - 1.0 / N_OFFSETS, N_OFFSETS)
 INDEPENDENT = 0.05  # share of the samples
 NOISE_FLOOR = 1e-4  # mean square, of a picture of brightness 1
 MIN_OVERLAP = 60  # samples
-MIN_ASIDE_STD, MAX_ASIDE_STD = 0.006, 0.05  # half widths; wider, the way aside does not show
-LEAST_OFFSET_STD = 0.04  # half widths: the offsets compared lie .083 apart, and the axis errs
+MIN_DISPLACEMENT_STD, MAX_DISPLACEMENT_STD = 0.006, 0.05  # half widths; with a larger one it is not measured
+MIN_OFFSET_STD = 0.04  # half widths: the offsets compared lie .083 apart, and the axis errs
 NEGLIGIBLE = 12.0  # log-likelihood below the best
 
 _RIGHT_LEFT = (1.0, -1.0)
@@ -84,20 +86,20 @@ class Parallax:
     ----------
     offset
         Offset at the later one.
-    aside_norm, aside_per_offset, aside_std_norm
-        Way to the right between them: at the offset y it is ``aside_norm + aside_per_offset y``, half widths, with
-        that standard deviation; NaN where it does not show.
+    displacement_norm, displacement_per_offset, displacement_std_norm
+        Lateral displacement between them, half widths, positive right: at the offset y it is
+        ``displacement_norm + displacement_per_offset y`` with that standard deviation; NaN where it was not measured.
     """
 
     offset: OffsetMixture
-    aside_norm: float
-    aside_per_offset: float
-    aside_std_norm: float
+    displacement_norm: float
+    displacement_per_offset: float
+    displacement_std_norm: float
 
 
 @compiled
 def _banded(samples: Profiles) -> Profiles:
-    """Average rays (2, 2 N_ALONG, rays) into bands (2, N_ALONG, N_BANDS), take off what changes slowly along."""
+    """Average rays (2, 2 N_ALONG, rays) into bands (2, N_ALONG, N_BANDS), and subtract the mean nearby."""
     out = np.full((2, N_ALONG, N_BANDS), np.nan, np.float32)
     total, n_total = 0.0, 0
     for side in range(2):
@@ -154,16 +156,16 @@ def are_profiles(values: object) -> bool:
 
 
 @compiled_inner
-def _differences(before: Profiles, now: Profiles, shifts: FloatArray, stretches: FloatArray) -> FloatArray:
-    """Log-likelihood (shifts, stretches) of how one wall's profiles (N_ALONG, N_BANDS) have moved.
+def _differences(before: Profiles, now: Profiles, shifts: FloatArray, scales: FloatArray) -> FloatArray:
+    """Log-likelihood (shifts, scales) of how one wall's profiles (N_ALONG, N_BANDS) have moved.
 
     It is 0 where they are not alike, as where nothing can be compared.
     """
-    out = np.zeros((len(shifts), len(stretches)))
-    for m in range(len(stretches)):
-        k = 1.0 + stretches[m]
+    out = np.zeros((len(shifts), len(scales)))
+    for m in range(len(scales)):
+        k = 1.0 + scales[m]
         for a in range(len(shifts)):
-            shift = shifts[a] + stretches[m] * PIVOT
+            shift = shifts[a] + scales[m] * PIVOT
             squares, power, n = np.float32(0.0), np.float32(0.0), 0
             for i in range(N_ALONG):
                 u = FIRST_COTANGENT + COTANGENT_STEP * i
@@ -186,37 +188,37 @@ def _differences(before: Profiles, now: Profiles, shifts: FloatArray, stretches:
 
 
 @compiled_inner
-def _add_along(table: FloatArray, stretch: float, distance: float, out: FloatArray) -> None:
-    """Add one wall's log-likelihood, linear between the table's places, to that (AHEAD_NORM,) of the ways ahead."""
-    y = (stretch - STRETCHES[0]) / (STRETCHES[1] - STRETCHES[0])
-    if not 0.0 <= y <= len(STRETCHES) - 1:
+def _add_along(table: FloatArray, scale: float, distance: float, out: FloatArray) -> None:
+    """Add one wall's log-likelihood, linear between the table's places, to that (FORWARD_NORM,) of all advances."""
+    y = (scale - SCALES[0]) / (SCALES[1] - SCALES[0])
+    if not 0.0 <= y <= len(SCALES) - 1:
         return
-    j = min(max(int(y), 0), len(STRETCHES) - 2)
+    j = min(max(int(y), 0), len(SCALES) - 2)
     y -= j
     column = np.empty(len(SHIFTS))
     for k in range(len(SHIFTS)):
         column[k] = table[k, j] + y * (table[k, j + 1] - table[k, j])
     for f in range(len(out)):
-        x = (AHEAD_NORM[f] / distance - stretch * PIVOT - SHIFTS[0]) / (SHIFTS[1] - SHIFTS[0])
+        x = (FORWARD_NORM[f] / distance - scale * PIVOT - SHIFTS[0]) / (SHIFTS[1] - SHIFTS[0])
         if 0.0 <= x < len(SHIFTS) - 1:
             k = int(x)
             out[f] += column[k] + (x - k) * (column[k + 1] - column[k])
 
 
 @compiled
-def likelihood_of_motion(before: Profiles, now: Profiles) -> FloatArray:
-    """Likelihood (offsets, ways aside) of two frames' profiles (2, N_ALONG, N_BANDS), summed over ways ahead."""
-    right = _differences(before[0], now[0], SHIFTS, STRETCHES)
-    left = _differences(before[1], now[1], SHIFTS, STRETCHES)
+def motion_likelihood(before: Profiles, now: Profiles) -> FloatArray:
+    """Likelihood (offsets, displacements) of two frames' profiles (2, N_ALONG, N_BANDS), summed over advances."""
+    right = _differences(before[0], now[0], SHIFTS, SCALES)
+    left = _differences(before[1], now[1], SHIFTS, SCALES)
     most = right.max() + left.max()
-    out = np.zeros((N_OFFSETS, len(ASIDE_NORM)))
-    both = np.empty(len(AHEAD_NORM))
+    out = np.zeros((N_OFFSETS, len(DISPLACEMENT_NORM)))
+    both = np.empty(len(FORWARD_NORM))
     for b in range(N_OFFSETS):
         to_right, to_left = 1.0 - OFFSETS[b], 1.0 + OFFSETS[b]
-        for c in range(len(ASIDE_NORM)):
+        for c in range(len(DISPLACEMENT_NORM)):
             both[:] = -most
-            _add_along(right, ASIDE_NORM[c] / to_right, to_right, both)
-            _add_along(left, -ASIDE_NORM[c] / to_left, to_left, both)
+            _add_along(right, DISPLACEMENT_NORM[c] / to_right, to_right, both)
+            _add_along(left, -DISPLACEMENT_NORM[c] / to_left, to_left, both)
             for f in range(len(both)):
                 if both[f] > -NEGLIGIBLE:
                     out[b, c] += exp(both[f])
@@ -229,15 +231,15 @@ def _summary(likelihood: FloatArray) -> tuple[FloatArray, float, float, float]:
     of_offset = np.zeros(N_OFFSETS)
     total = y = d = yy = yd = dd = 0.0
     for b in range(N_OFFSETS):
-        for c in range(len(ASIDE_NORM)):
+        for c in range(len(DISPLACEMENT_NORM)):
             p = likelihood[b, c]
             of_offset[b] += p
             total += p
             y += p * OFFSETS[b]
-            d += p * ASIDE_NORM[c]
+            d += p * DISPLACEMENT_NORM[c]
             yy += p * OFFSETS[b] ** 2
-            yd += p * OFFSETS[b] * ASIDE_NORM[c]
-            dd += p * ASIDE_NORM[c] ** 2
+            yd += p * OFFSETS[b] * DISPLACEMENT_NORM[c]
+            dd += p * DISPLACEMENT_NORM[c] ** 2
     y /= total
     d /= total
     yy, yd, dd = yy / total - y * y, yd / total - y * d, dd / total - d * d
@@ -255,7 +257,7 @@ def _summary(likelihood: FloatArray) -> tuple[FloatArray, float, float, float]:
             rows[k, 2],
             nan,
         )
-    return fields, d - slope * y, slope, sqrt(max(dd - slope * yd, MIN_ASIDE_STD**2))
+    return fields, d - slope * y, slope, sqrt(max(dd - slope * yd, MIN_DISPLACEMENT_STD**2))
 
 
 def compare(before: Profiles, now: Profiles) -> Parallax:
@@ -266,7 +268,7 @@ def compare(before: Profiles, now: Profiles) -> Parallax:
     before, now
         Of `wall_profiles`, some tenths of a second apart.
     """
-    fields, aside, slope, std = _summary(likelihood_of_motion(before, now))
-    if not std < MAX_ASIDE_STD:
-        aside = std = nan
-    return Parallax(OffsetMixture(*fields), aside, slope, std)
+    fields, displacement, slope, std = _summary(motion_likelihood(before, now))
+    if not std < MAX_DISPLACEMENT_STD:
+        displacement = std = nan
+    return Parallax(OffsetMixture(*fields), displacement, slope, std)
