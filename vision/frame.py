@@ -28,7 +28,7 @@ from vision.lateral.learned import corner_lines, corner_scores, learned_mixture,
 from vision.lateral.mixture import CHANCE, OffsetMixture
 from vision.lateral.offset import SAME_ANSWER, LateralFit, OffsetAnswer, answer_of, fit_lateral
 from vision.lateral.parallax import Profiles, wall_profiles
-from vision.lateral.polar import polar_picture
+from vision.lateral.polar import polar_picture, pyramid_of
 from vision.lateral.walls import missing_wall_evidence, wall_is_missing
 from vision.lines.line_set import LineSet
 from vision.lines.rolling_shutter import lines_at_one_moment, to_picture
@@ -253,8 +253,9 @@ def _offset(
         evidence = _evidence_about_expected_axis(lines, camera, level, prior)
     elif lines.grey is not None:
         R_corridor_camera = corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad)
-        profiles = wall_profiles(lines.grey, camera, _steady_axes(fit, level, prior))
-        scores = corner_scores(polar_picture(lines.grey, camera, R_corridor_camera))
+        picture = pyramid_of(lines.grey)
+        profiles = wall_profiles(picture, camera, _steady_axes(fit, level, prior))
+        scores = corner_scores(polar_picture(picture, camera, R_corridor_camera))
         regions = mixture_of(scores)
         evidence = (mixture, regions)
         answer = answer_of(mixture, regions, *known)

@@ -37,7 +37,7 @@ from vision.cameras.projection import project_directions
 from vision.compiled import compiled, compiled_inner
 from vision.images import GreyImage
 from vision.lateral.mixture import MAX_PEAKS, MIN_STD, OffsetMixture, peaks_of_density
-from vision.lateral.polar import sample_points
+from vision.lateral.polar import Pyramid, sample_points
 from vision.types import FloatArray
 
 Profiles = npt.NDArray[np.float32]
@@ -129,12 +129,12 @@ def _banded(samples: Profiles) -> Profiles:
     return out
 
 
-def wall_profiles(grey: GreyImage, camera: Camera, R_corridor_camera: FloatArray) -> Profiles:
+def wall_profiles(picture: GreyImage | Pyramid, camera: Camera, R_corridor_camera: FloatArray) -> Profiles:
     """Sample the brightness along both walls.
 
     Parameters
     ----------
-    grey, camera, R_corridor_camera
+    picture, camera, R_corridor_camera
         As in `vision.lateral.polar.polar_picture`.
 
     Returns
@@ -145,7 +145,7 @@ def wall_profiles(grey: GreyImage, camera: Camera, R_corridor_camera: FloatArray
         outside the picture.
     """
     points = project_directions(DIRECTIONS.reshape(-1, 3), R_corridor_camera, camera)
-    return _banded(sample_points(grey, points.reshape(*DIRECTIONS.shape[:2], 2)))
+    return _banded(sample_points(picture, points.reshape(*DIRECTIONS.shape[:2], 2)))
 
 
 def are_profiles(values: object) -> bool:

@@ -97,10 +97,11 @@ def standardise(polar: Polar) -> None:
             polar[0, r, a] = min(max(z, -MAX_SIGMA), MAX_SIGMA) * polar[1, r, a]
 
 
-class _Pyramid:
+class Pyramid:
     """A picture at halved sizes, in one piece of memory that serves picture after picture.
 
     Fresh memory of this size would be mapped and cleared for every frame, which takes longer than all the rest.
+    See `pyramid_of`.
     """
 
     def __init__(self, height: int, width: int) -> None:
@@ -120,33 +121,36 @@ class _Pyramid:
             cv2.resize(large, small.shape[::-1], dst=small, interpolation=cv2.INTER_AREA)
 
 
-def _pyramid(grey: GreyImage) -> _Pyramid:
-    pyramid: _Pyramid | None = getattr(_PER_THREAD, "pyramid", None)
-    if pyramid is None or tuple(pyramid.sizes[0]) != grey.shape:
-        pyramid = _PER_THREAD.pyramid = _Pyramid(*grey.shape)
-    pyramid.fill(grey)
+def pyramid_of(picture: GreyImage | Pyramid) -> Pyramid:
+    """Return a picture (h, w) at halved sizes; it holds until this thread asks for that of another picture."""
+    if isinstance(picture, Pyramid):
+        return picture
+    pyramid: Pyramid | None = getattr(_PER_THREAD, "pyramid", None)
+    if pyramid is None or tuple(pyramid.sizes[0]) != picture.shape:
+        pyramid = _PER_THREAD.pyramid = Pyramid(*picture.shape)
+    pyramid.fill(picture)
     return pyramid
 
 
-def sample_points(grey: GreyImage, points_px: FloatArray) -> Polar:
+def sample_points(picture: GreyImage | Pyramid, points_px: FloatArray) -> Polar:
     """Brightness and validity (2, rows, columns) of a picture at points (rows, columns, 2), in grey levels.
 
     Each sample is an average over about the distance to the next column, so that noise and fine grain even out;
     points outside the picture, or NaN, are 0 and not valid.
     """
-    pyramid = _pyramid(grey)
+    pyramid = pyramid_of(picture)
     out: Polar = np.empty((2, *points_px.shape[:2]), np.float32)
     _sample(points_px, pyramid.pixels, pyramid.sizes, out)
     return out
 
 
-def polar_picture(grey: GreyImage, camera: Camera, R_corridor_camera: FloatArray) -> Polar:
+def polar_picture(picture: GreyImage | Pyramid, camera: Camera, R_corridor_camera: FloatArray) -> Polar:
     """Resample a picture about the corridor's axis.
 
     Parameters
     ----------
-    grey
-        Picture (h, w) of the camera, as it was taken; the lens model takes the directions into it.
+    picture
+        Of the camera (h, w), as it was taken; the lens model takes the directions into it.
     R_corridor_camera
         Rotation (3, 3) by `vision.axis.vanishing_point.corridor_frame`.
 
@@ -156,6 +160,6 @@ def polar_picture(grey: GreyImage, camera: Camera, R_corridor_camera: FloatArray
         Standardised brightness and validity (2, N_RADII, N_ANGLES).
     """
     points = project_directions(DIRECTIONS.reshape(-1, 3), R_corridor_camera, camera)
-    polar = sample_points(grey, points.reshape(N_RADII, N_ANGLES, 2))
+    polar = sample_points(picture, points.reshape(N_RADII, N_ANGLES, 2))
     standardise(polar)
     return polar
