@@ -26,12 +26,11 @@ from fusion.estimator.lateral_offset import (
     frame_evidence,
     propagate,
     with_evidence,
-    with_parallax,
     with_roll,
     with_speed,
 )
 from fusion.estimator.lateral_offset import readout as readout_of
-from fusion.estimator.lateral_parallax import compare_walls
+from fusion.estimator.lateral_parallax import compare_walls, compile_parallax, with_parallax
 from fusion.estimator.lateral_smoother import OffsetStep
 from fusion.estimator.lateral_status import Lateral, judged_by_motion, with_jump
 from fusion.estimator.models import PSI, FloatArray, Gate, Vector
@@ -84,6 +83,7 @@ class LateralOffset:
         self.camera_arm_m = camera_arm_m
         self.model = offset_model(config)
         compile_filter()
+        compile_parallax()
 
     def model_of(self, lateral: Lateral) -> OffsetModel:
         """Return what the filter assumes."""

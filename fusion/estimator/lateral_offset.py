@@ -67,7 +67,6 @@ from fusion.estimator.lateral_kernels import (
 )
 from fusion.estimator.lateral_mixture_kernels import summarised, take_frame
 from vision.lateral.mixture import OffsetMixture, combine
-from vision.lateral.parallax import PROFILES_SHAPE, compare
 from vision.types import FloatArray
 
 MAX_HYPOTHESES = 15
@@ -81,7 +80,6 @@ START_SPREAD_NORM = 0.05  # u before the first frame
 SUPPORTED = 0.5  # belief in a frame from which on it confirms the likeliest hypothesis
 ROLL_WALK = 0.006  # rad/sqrt(s) that the attitude's roll strays
 SPEED_SIGMA = 3.0  # from which on a velocity is doubted
-DISPLACEMENT_SIGMA = 3.0  # likewise a displacement by parallax
 ROLL_TIME_S = 0.3  # over which errors of the frames' verticals resemble each other
 
 
@@ -306,60 +304,6 @@ def frame_evidence(
     return FrameEvidence(components, dt_s if isfinite(dt_s) else FIRST_FRAME_S, side, aside_m)
 
 
-class WallParallax(NamedTuple):
-    """What the parallax of both walls says, between an earlier frame and one at the hypotheses' time.
-
-    Parameters
-    ----------
-    components, side, aside_m
-        As in `FrameEvidence`, of the later frame.
-    path
-        Motion between the two frames.
-    dt_s
-        As in `FrameEvidence`: time since the comparison before.
-    displacement_norm, displacement_per_offset, displacement_variance
-        Lateral displacement of the camera, half widths, positive right: at its offset o it is
-        ``displacement_norm + displacement_per_offset o`` with that variance; NaN where it was not measured.
-    swing_m
-        What of it is the camera's swing about the body's centre, metres.
-    """
-
-    components: FloatArray
-    side: float
-    aside_m: float
-    path: Path
-    dt_s: float
-    displacement_norm: float
-    displacement_per_offset: float
-    displacement_variance: float
-    swing_m: float
-
-
-def with_parallax(state: OffsetState, motion: WallParallax, model: OffsetModel) -> OffsetState:
-    """Take in what the parallax of both walls says.
-
-    The displacement is a measurement of ``y - y'``, with y' what the transition back along the path makes of the
-    state.
-    """
-    if isfinite(motion.displacement_norm) and len(state.x):
-        x, P = state.x.copy(), state.P.copy()
-        F, Q = transition(motion.path, model, backward=True)
-        lasting = -1.0 / expm1(-motion.dt_s / model.displacement_time_s)
-        H = -motion.side * F[Y]
-        H[Y] += motion.side
-        H[S] += motion.swing_m
-        for h in range(len(x)):
-            offset = motion.side * x[h, Y] + motion.aside_m * x[h, S]
-            moved = motion.displacement_norm + motion.displacement_per_offset * offset
-            doubt = motion.displacement_per_offset**2 * P[h, Y, Y]
-            variance = lasting * motion.displacement_variance + doubt + float(Q[Y, Y])
-            correct_all(x[h : h + 1], P[h : h + 1], H, moved, variance, DISPLACEMENT_SIGMA)
-        state = state._replace(x=x, P=P)
-    evidence = FrameEvidence(motion.components, motion.dt_s, motion.side, motion.aside_m)
-    x, P, weight, _, _ = _frame_taken(state, evidence, model, motion.dt_s, 0.0)
-    return state._replace(x=x, P=P, weight=weight)
-
-
 def with_speed(state: OffsetState, across_m_s: float, variance: float) -> OffsetState:
     """Take in a speed across the corridor, positive right, with its variance, (m/s)^2."""
     if not len(state.x):
@@ -375,7 +319,7 @@ def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) 
     gap_s, dt_s = max(frame.dt_s - FIRST_FRAME_S, 0.0), min(frame.dt_s, FIRST_FRAME_S)
     new = -expm1(-dt_s / model.weight_time_s)
     forgotten = 1.0 - (1.0 - model.forgotten * new) * exp(-model.forget_1_s * gap_s)
-    x, P, weight, belief, moment = _frame_taken(state, frame, model, dt_s, forgotten)
+    x, P, weight, belief, moment = frame_taken(state, frame, model, dt_s, forgotten)
     age_s = 0.0 if belief > SUPPORTED or not len(state.x) else state.evidence_age_s
     spread2 = state.spread2
     if moment >= 0.0:
@@ -383,7 +327,7 @@ def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) 
     return state._replace(x=x, P=P, weight=weight, evidence_age_s=age_s, spread2=spread2)
 
 
-def _frame_taken(
+def frame_taken(
     state: OffsetState, frame: FrameEvidence, model: OffsetModel, dt_s: float, forgotten: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
     """Return what `take_frame` does, for a frame of which ``dt_s`` is new and that makes a share be forgotten."""
@@ -469,7 +413,3 @@ def compile_filter() -> None:
     for _ in range(2):
         state = update(propagate(state, 0.01, 0.0, None, (0.0, 0.0, 1.0)), frame, model)
     readout(with_speed(state, 0.0, 1.0), model)
-    nothing = np.zeros(PROFILES_SHAPE, np.float32)
-    compare(nothing, nothing)
-    walls = WallParallax(frame.components, 1.0, 0.0, Path(0.3, 0.3), 0.2, 0.0, 0.0, 1e-4, 0.0)
-    with_parallax(state, walls, model)

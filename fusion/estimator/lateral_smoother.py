@@ -30,14 +30,13 @@ from fusion.estimator.lateral_offset import (
     OffsetReadout,
     OffsetState,
     Path,
-    WallParallax,
     along_path,
     nothing_known,
     summary,
     with_evidence,
-    with_parallax,
     with_speed,
 )
+from fusion.estimator.lateral_parallax import WallParallax, with_parallax
 from vision.types import FloatArray
 
 YV = slice(Y, V + 1)

@@ -18,14 +18,20 @@ from fusion.estimator.lateral_offset import (
     OffsetModel,
     OffsetState,
     Path,
-    WallParallax,
     frame_evidence,
     nothing_known,
     transition,
     update,
+)
+from fusion.estimator.lateral_parallax import (
+    BASELINE_S,
+    INTERVAL_S,
+    MAX_VIEW_S,
+    WallParallax,
+    WallView,
+    compare_walls,
     with_parallax,
 )
-from fusion.estimator.lateral_parallax import BASELINE_S, INTERVAL_S, MAX_VIEW_S, WallView, compare_walls
 from tests.fusion.simulated import frame
 from vision.lateral.mixture import OffsetMixture
 from vision.lateral.parallax import PROFILES_SHAPE, Profiles
