@@ -75,6 +75,10 @@ class OffsetNetwork(nn.Module):
         )  # by mirroring
         self.register_buffer("position", torch.tensor(np.stack(even + odd), dtype=torch.float32))
 
+    def layers(self) -> list[_CircularLayer]:
+        """Return the convolutions in order."""
+        return [layer for layer in (*self.radial, *self.around) if isinstance(layer, _CircularLayer)]
+
     def reset_odds(self) -> None:
         """Begin anew with what cannot be told: a little of everything."""
         nn.init.zeros_(self.odds.weight)

@@ -2,7 +2,8 @@
 
 ``python -m training.offset_network render FOLDER`` renders the pictures, ``... train FOLDER`` (extra ``training``)
 trains on them, calibrates on corridors that the training has not seen, and writes
-``vision/lateral/offset_network.onnx`` and, as JSON beside it, how it was made and how good it is. Seeds are fixed.
+``vision/lateral/offset_network.onnx`` and, as JSON beside it, how it was made and how good it is. ``... refine
+FOLDER`` does the same with the weights in the package to begin with. Seeds are fixed.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ import pickle
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from math import cos, pi
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import onnx
@@ -34,9 +36,10 @@ from vision.lateral.polar import N_ANGLES, N_RADII
 
 MIN_HALVED = 64  # numbers of a tensor that is kept at half precision
 BATCH = 48
-LEARNING_RATE, LATER_RATE = 4e-3, 3e-3
+LEARNING_RATE, LATER_RATE, REFINING_RATE = 4e-3, 3e-3, 1.5e-3
 ODDS_RATE = 0.02  # of that for the log-odds: faster, they run off to where the sigmoid has no gradient
 WARM_UP_STEPS, CORNER_STEPS = 60, 300
+FIRST_NORMALISED = 96  # views by which the folded normalisations of exported weights are unfolded
 WITHOUT_CORRIDOR = 0.05
 CORNER_WEIGHT, CLASS_WEIGHT = 0.25, 0.3
 CHUNK_VIEWS = 10 * VIEWS_PER_CAMERA
@@ -82,15 +85,13 @@ def train(
 ) -> OffsetNetwork:
     """Train a network on endless variations of the views in a folder.
 
-    It goes on from an ``earlier`` one, whose log-odds begin anew: only where the corners are right can it be learned
-    when they are not to be relied on.
+    It goes on from an ``earlier`` one. Its log-odds had better begin anew where its corners were not right yet: only
+    then can it be learned when they are not to be relied on.
     """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
-    network = OffsetNetwork()
-    if earlier is not None:
-        network.load_state_dict(earlier.state_dict())
-        network.reset_odds()
+    network = earlier or OffsetNetwork()
+    network.train()
     odds = list(network.odds.parameters())
     rest = [p for name, p in network.named_parameters() if not name.startswith("odds.")]
     groups = [{"params": rest, "share": 1.0}, {"params": odds, "share": ODDS_RATE}]
@@ -200,6 +201,55 @@ def _halve(file: Path) -> None:
     onnx.save(model, file)
 
 
+def packaged_network(views: list[TrainingView], cannot_tell_shift: float) -> OffsetNetwork:
+    """Load the weights in the package to train on; ``cannot_tell_shift`` is what calibration had added.
+
+    Export has folded the normalisations into the convolutions. They are unfolded by the mean and the variance that
+    samples of the views have there.
+    """
+    model = onnx.load(Path(learned.__file__).with_name(learned.WEIGHTS_FILE))
+    tensors = {t.name.removesuffix("_half"): onnx.numpy_helper.to_array(t) for t in model.graph.initializer}
+    network = OffsetNetwork()
+    own = {
+        name.removeprefix("network."): torch.from_numpy(values.astype(np.float32))
+        for name, values in tensors.items()
+        if name.startswith("network.")
+    }
+    network.load_state_dict(own, strict=False)
+    convolutions = [
+        n for n in model.graph.node if n.op_type == "Conv" and not n.input[1].startswith("network.")
+    ]
+    rng = np.random.default_rng(0)
+    samples = Batch.of([varied(view, rng) for view in views])
+
+    def unfolded(layer: nn.Module, weight: str, bias: str) -> Callable[..., None]:
+        folded = torch.from_numpy(tensors[bias].astype(np.float32))
+
+        def before(_: nn.Module, inputs: tuple[Tensor]) -> None:
+            x = inputs[0]
+            variance, mean = torch.var_mean(x, dim=(0, 2, 3))
+            norm.running_mean.copy_(mean)
+            norm.running_var.copy_(variance)
+            norm.weight.copy_(torch.sqrt(variance + norm.eps))
+            norm.bias.copy_(mean + folded)
+
+        norm = layer.norm
+        layer.convolution.weight.copy_(torch.from_numpy(tensors[weight].astype(np.float32)))
+        return norm.register_forward_pre_hook(before).remove
+
+    network.eval()
+    with torch.no_grad():
+        network.odds.bias[2] -= cannot_tell_shift
+        remove = [
+            unfolded(layer, node.input[1], node.input[2])
+            for layer, node in zip(network.layers(), convolutions, strict=True)
+        ]
+        network(samples.polar)
+    for hook in remove:
+        hook()
+    return network.train()
+
+
 def scores(views: list[TrainingView]) -> dict[str, float]:
     """Score the weights in the package on views about the axes that vision finds."""
     known = [view for view in views if view.R_measured is not None]
@@ -246,7 +296,35 @@ def train_and_write(
     """Train, calibrate and write the weights."""
     torch.set_num_threads(1)
     network = train(folder, chunks, steps, seed)
+    network.reset_odds()
     network = train(folder, chunks, later_steps, seed, LATER_RATE, network)
+    command = (
+        f"python -m training.offset_network train FOLDER --chunks {chunks} --steps {steps} "
+        f"--later-steps {later_steps} --seed {seed}"
+    )
+    write(network, folder, {"made_by": command, "views": chunks * CHUNK_VIEWS})
+
+
+@app.command()
+def refine(folder: Path, chunks: int, steps: int, seed: int, rate: float = REFINING_RATE) -> None:
+    """Go on training the weights in the package on other pictures, calibrate and write them."""
+    torch.set_num_threads(1)
+    made = json.loads(described_weights().read_text(encoding="utf-8"))
+    views = list(render_views(FIRST_NORMALISED, seed))
+    network = packaged_network(views, made["cannot_tell_shift"])
+    network = train(folder, chunks, steps, seed, rate, network)
+    command = f"python -m training.offset_network refine FOLDER {chunks} {steps} {seed} --rate {rate:g}"
+    before = [*made.get("before", ()), {k: made[k] for k in ("made_by", "commit", "views")}]
+    write(network, folder, {"made_by": command, "views": chunks * CHUNK_VIEWS, "before": before})
+
+
+def described_weights() -> Path:
+    """File that says how the weights in the package were made."""
+    return Path(learned.__file__).with_name(learned.WEIGHTS_FILE).with_suffix(".json")
+
+
+def write(network: OffsetNetwork, folder: Path, made: dict[str, Any]) -> None:
+    """Calibrate a trained network, write it into the package with how it was made and how good it is."""
     torch.save(network.state_dict(), folder / "network.pt")
     held_out = list(render_views(HELD_OUT, HELD_OUT_SEED))
     rng = np.random.default_rng(HELD_OUT_SEED)
@@ -257,21 +335,16 @@ def train_and_write(
     file = Path(learned.__file__).with_name(learned.WEIGHTS_FILE)
     export(network, file)
     git = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True)
-    command = (
-        f"python -m training.offset_network train FOLDER --chunks {chunks} --steps {steps} "
-        f"--later-steps {later_steps} --seed {seed}"
-    )
     made = {
-        "made_by": command,
+        **made,
         "commit": git.stdout.strip(),
         "parameters": sum(parameter.numel() for parameter in network.parameters()),
-        "views": chunks * CHUNK_VIEWS,
         "temperature": temperature,
         "cannot_tell_shift": shift,
         # In a process of its own: this one holds the weights that it found when it began.
         **json.loads(subprocess.check_output([sys.executable, "-m", "training.offset_network", "score"])),
     }
-    file.with_suffix(".json").write_text(json.dumps(made, indent=2) + "\n", encoding="utf-8")
+    described_weights().write_text(json.dumps(made, indent=2) + "\n", encoding="utf-8")
     print(json.dumps(made, indent=2))
 
 

@@ -2,13 +2,13 @@
 
 Its truth makes the corridor a box, so every ray of the polar form is followed to the box's surface and from there,
 the box deformed, back into the picture (*box warp*): one picture shows the corridor from any offset and height, in
-any width. On the way other boxes are put up along the walls, stripes are painted along the corridor, surfaces change
-their brightness, and the axis is off as in flight.
+any width. On the way the corridor goes on narrower or wider, other boxes are put up along the walls, stripes are
+painted along the corridor, surfaces change their brightness, and the axis is off as in flight.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi, radians, tan
 
 import cv2
@@ -24,6 +24,7 @@ from vision.lateral.polar import ANGLES, DIRECTIONS, N_ANGLES, Polar, sample_poi
 MAX_MEASURED_ERROR_RAD = radians(3.0)
 MAX_OFFSET_NORM = 0.85
 UNKNOWN, FLOOR, CEILING, WALL = -1, 0, 1, 2  # classes of an angle
+WITH_STEP = 0.25  # share of the box warps in which the width steps ahead
 
 
 def axis_error(view: TrainingView, rng: np.random.Generator) -> FloatArray:
@@ -58,6 +59,28 @@ def other_box(box: Box, rng: np.random.Generator) -> Box:
     return Box(half * (1.0 + offset), half * (1.0 - offset), high * level, high * (1.0 - level), ahead)
 
 
+@dataclass(frozen=True, slots=True)
+class WidthStep:
+    """Where the corridor goes on with other walls: ``at`` metres ahead of the camera, ``beyond`` it another box."""
+
+    at: float
+    beyond: Box
+
+
+def draw_step(box: Box, rng: np.random.Generator) -> WidthStep:
+    """Draw a step in the width ahead, of one wall or of both; floor and ceiling go on."""
+    left, right = box.left, box.right
+    factor = float(rng.uniform(0.55, 0.85) if rng.random() < 0.65 else rng.uniform(1.15, 1.6))
+    change = (factor - 1.0) * (left + right)
+    share_left = float(rng.choice([0.0, 0.5, 1.0]))
+    at = min(0.5 * (left + right), box.floor + box.ceiling) * float(np.exp(rng.uniform(-0.7, 1.9)))
+    # The vehicle flies on between the walls.
+    beyond = replace(
+        box, left=max(left + share_left * change, 0.15), right=max(right + (1.0 - share_left) * change, 0.15)
+    )
+    return WidthStep(min(at, 0.8 * box.ahead), beyond)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
     """What the network is given, and what it should say.
@@ -87,6 +110,40 @@ def _hits(direction: FloatArray, box: Box) -> FloatArray:
         down = np.where(direction[..., 2] > 0, box.floor, -box.ceiling) / direction[..., 2]
         along = np.where(direction[..., 0] > 1e-6, box.ahead / direction[..., 0], np.inf)
     return np.minimum(np.minimum(across, down), along)
+
+
+def _hits_beyond(
+    direction: FloatArray, reach: FloatArray, step: WidthStep
+) -> tuple[FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Follow rays past a step in the width.
+
+    Returns
+    -------
+    reach, is_beyond, is_face
+        Distance factors (...,), which of the rays end beyond the step, and which on a wall that steps in.
+    """
+    passes = direction[..., 0] * reach > step.at
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at_step = step.at / direction[..., 0]
+    y = np.where(passes, at_step * direction[..., 1], 0.0)
+    is_face = passes & ((y > step.beyond.right) | (y < -step.beyond.left))
+    is_beyond = passes & ~is_face
+    reach = np.where(is_face, at_step, np.where(is_beyond, _hits(direction, step.beyond), reach))
+    return reach, is_beyond, is_face
+
+
+def _plaster_faces(
+    grey: npt.NDArray[np.float32],
+    direction: FloatArray,
+    is_face: npt.NDArray[np.bool_],
+    rng: np.random.Generator,
+) -> None:
+    """Give the walls that step in a brightness each, in place."""
+    spread = float(grey.std()) + 1.0
+    for side in (direction[..., 1] > 0, direction[..., 1] <= 0):
+        here = is_face & side
+        shade = float(grey.mean()) + spread * rng.normal(0.0, 1.0)
+        grey[here] = shade + rng.uniform(0.0, 0.2) * spread * rng.standard_normal(int(here.sum()))
 
 
 def _put_up_boxes(
@@ -223,9 +280,15 @@ def varied(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> S
     warp = vary and not view.is_hall and rng.random() < 0.75
     target = other_box(box, rng) if warp else box
     reach = _hits(direction, target)
+    left, right = np.full(reach.shape, target.left), np.full(reach.shape, target.right)
+    is_face = np.zeros(reach.shape, np.bool_)
+    if warp and rng.random() < WITH_STEP:
+        step = draw_step(target, rng)
+        reach, is_beyond, is_face = _hits_beyond(direction, reach, step)
+        left[is_beyond], right[is_beyond] = step.beyond.left, step.beyond.right
     hit = direction * reach[..., None]
-    width, height = target.left + target.right, target.floor + target.ceiling
-    u, v = (hit[..., 1] + target.left) / width, (hit[..., 2] + target.ceiling) / height
+    height = target.floor + target.ceiling
+    u, v = (hit[..., 1] + left) / (left + right), (hit[..., 2] + target.ceiling) / height
     source = hit
     if warp:
         source = np.stack(
@@ -240,6 +303,7 @@ def varied(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> S
     image = _spoil(view.image, rng) if vary else view.image
     polar = sample_points(image, points)
     grey = polar[0]
+    _plaster_faces(grey, direction, is_face, rng)
     if vary:
         edge = np.stack([1.0 - u, u, 1.0 - v, v], axis=-1)
         surface = np.where(hit[..., 0] > 0.999 * target.ahead, 4, edge.argmin(axis=-1))
