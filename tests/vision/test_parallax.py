@@ -16,6 +16,7 @@ from vision.lateral.parallax import (
     COTANGENT_STEP,
     FIRST_COTANGENT,
     MAX_RELATIVE,
+    MIN_OFFSET_STD,
     N_ALONG,
     N_BANDS,
     PROFILES_SHAPE,
@@ -68,6 +69,7 @@ def test_motion_is_found(seed: int, offset: float, ahead: float, aside: float) -
     assert abs(moved - aside) < max(3.0 * found.displacement_std_norm, 0.01)
     assert found.displacement_std_norm < 0.04
     assert float(found.offset.likelihood(offset)) > 0.5  # better than chance
+    assert found.offset.std_norm.min() >= MIN_OFFSET_STD  # no finer than the offsets that are compared
 
 
 @settings(max_examples=20, deadline=None)

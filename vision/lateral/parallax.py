@@ -48,11 +48,9 @@ FIRST_COTANGENT, COTANGENT_STEP, N_ALONG = 0.8, 0.05, 65
 PROFILES_SHAPE = (2, N_ALONG, N_BANDS)
 MAX_RELATIVE = 256.0  # of brightness to its mean
 SMOOTH_SAMPLES = 25  # half the window whose mean is subtracted: light changes slowly along a wall
-PIVOT = (
-    2.0  # cotangent at which the shift is counted in the search: there it is least correlated with the scale
-)
+PIVOT = 2.0  # cotangent at which shifts are counted in the search: there they hardly depend on the scale
 SHIFTS: FloatArray = np.arange(-0.2, 1.425, 0.05)
-SCALES: FloatArray = np.arange(-0.28, 0.3, 0.04)
+SCALES: FloatArray = np.arange(-0.28, 0.3, 0.04)  # k - 1
 FORWARD_NORM: FloatArray = np.arange(-0.1, 1.025, 0.05)
 DISPLACEMENT_NORM: FloatArray = np.arange(-0.21, 0.215, 0.014)
 N_OFFSETS = 24
@@ -156,16 +154,16 @@ def are_profiles(values: object) -> bool:
 
 
 @compiled_inner
-def _differences(before: Profiles, now: Profiles, shifts: FloatArray, scales: FloatArray) -> FloatArray:
-    """Log-likelihood (shifts, scales) of how one wall's profiles (N_ALONG, N_BANDS) have moved.
+def _wall_likelihood(before: Profiles, now: Profiles) -> FloatArray:
+    """Log-likelihood (SHIFTS, SCALES) of how one wall's profiles (N_ALONG, N_BANDS) have moved.
 
     It is 0 where they are not alike, as where nothing can be compared.
     """
-    out = np.zeros((len(shifts), len(scales)))
-    for m in range(len(scales)):
-        k = 1.0 + scales[m]
-        for a in range(len(shifts)):
-            shift = shifts[a] + scales[m] * PIVOT
+    out = np.zeros((len(SHIFTS), len(SCALES)))
+    for m in range(len(SCALES)):
+        k = 1.0 + SCALES[m]
+        for a in range(len(SHIFTS)):
+            shift = SHIFTS[a] + SCALES[m] * PIVOT
             squares, power, n = np.float32(0.0), np.float32(0.0), 0
             for i in range(N_ALONG):
                 u = FIRST_COTANGENT + COTANGENT_STEP * i
@@ -208,8 +206,8 @@ def _add_along(table: FloatArray, scale: float, distance: float, out: FloatArray
 @compiled
 def motion_likelihood(before: Profiles, now: Profiles) -> FloatArray:
     """Likelihood (offsets, displacements) of two frames' profiles (2, N_ALONG, N_BANDS), summed over advances."""
-    right = _differences(before[0], now[0], SHIFTS, SCALES)
-    left = _differences(before[1], now[1], SHIFTS, SCALES)
+    right = _wall_likelihood(before[0], now[0])
+    left = _wall_likelihood(before[1], now[1])
     most = right.max() + left.max()
     out = np.zeros((N_OFFSETS, len(DISPLACEMENT_NORM)))
     both = np.empty(len(FORWARD_NORM))
@@ -251,12 +249,8 @@ def _summary(likelihood: FloatArray) -> tuple[FloatArray, float, float, float]:
     count = peaks_of_density(of_offset, OFFSETS, rows)
     fields = np.empty((4, count))
     for k in range(count):
-        fields[0, k], fields[1, k], fields[2, k], fields[3, k] = (
-            rows[k, 0] / total,
-            rows[k, 1],
-            rows[k, 2],
-            nan,
-        )
+        fields[0, k], fields[1, k], fields[3, k] = rows[k, 0] / total, rows[k, 1], nan
+        fields[2, k] = sqrt(rows[k, 2] ** 2 + MIN_OFFSET_STD**2)
     return fields, d - slope * y, slope, sqrt(max(dd - slope * yd, MIN_DISPLACEMENT_STD**2))
 
 
