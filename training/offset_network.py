@@ -85,8 +85,8 @@ def train(
 ) -> OffsetNetwork:
     """Train a network on endless variations of the views in a folder.
 
-    It goes on from an ``earlier`` one. Its log-odds had better begin anew where its corners were not right yet: only
-    then can it be learned when they are not to be relied on.
+    It goes on with an ``earlier`` one, which is changed. Its log-odds had better begin anew where its corners were
+    not right yet: only then can it be learned when they are not to be relied on.
     """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
@@ -307,7 +307,7 @@ def train_and_write(
 
 @app.command()
 def refine(folder: Path, chunks: int, steps: int, seed: int, rate: float = REFINING_RATE) -> None:
-    """Go on training the weights in the package on other pictures, calibrate and write them."""
+    """Go on training the weights in the package, calibrate and write them; render the pictures with another seed."""
     torch.set_num_threads(1)
     made = json.loads(described_weights().read_text(encoding="utf-8"))
     views = list(render_views(FIRST_NORMALISED, seed))

@@ -50,7 +50,9 @@ Method = Literal["geometric", "paper"]
 MAX_DRAWN_DOUBT = 0.5  # of the network: less sure, its corners are not drawn
 MAX_EXPECTED_STD_RAD = radians(1.0)  # of the prior's axis, to stand in for the picture's
 MAX_EXPECTED_TURN_RAD = radians(35.0)
-MAX_STEADY_RAD = radians(1.5)
+MAX_STEADY_RAD = radians(
+    1.5
+)  # between the prior's heading and the picture's, for walls to be compared about it
 MOUNT_ROLL_STD_RAD = radians(1.0)  # of a camera whose mounting pitch is not known either
 SLOPE_STD_RAD = radians(0.2)  # floors and ceilings are level to about this
 UNKNOWN_ATTITUDE = Attitude(0.0, 0.0, std_rad=radians(12.0))
@@ -287,11 +289,10 @@ def _steady_axes(fit: AxisFit, level: LevelFrame, prior: Prior) -> FloatArray:
     """Return R_corridor_camera with the prior's heading, where that is well known.
 
     Frames that are compared should err alike: the prior turns with the gyro, while the frame's own heading is noise
-    of each frame, of which a tenth of a degree is as much as .01 half widths of way aside.
+    of each frame, of which a tenth of a degree is as much as .01 half widths of displacement.
     """
-    known = prior.heading_std_rad < MAX_EXPECTED_STD_RAD and abs(prior.heading_rad - fit.heading_rad) < (
-        MAX_STEADY_RAD
-    )
+    apart_rad = abs(prior.heading_rad - fit.heading_rad)  # NaN without a prediction
+    known = prior.heading_std_rad < MAX_EXPECTED_STD_RAD and apart_rad < MAX_STEADY_RAD
     heading_rad = prior.heading_rad if known else fit.heading_rad
     return corridor_frame(level.R_level_camera, heading_rad, fit.elevation_rad)
 
