@@ -151,7 +151,7 @@ def test_a_rendered_slope_gives_no_gross_error(slope_rad: float) -> None:
         if found.accepted:
             accepted += 1
             assert abs(degrees(found.heading_rad - view.heading_rad)) < 1.5
-    assert accepted >= 10
+    assert accepted >= 11  # 12, 14 and 13 were
 
 
 @pytest.mark.parametrize(
