@@ -136,7 +136,7 @@ class LateralOffset:
         lateral = lateral.at_path_end(self.model_of(lateral))
         before = lateral.offset
         offset = with_speed(before, across, variance)
-        step = OffsetStep(path, offset, speed=(across, variance))
+        step = OffsetStep(path, offset, speed=(across, variance), contradicted=lateral.contradicted)
         gate = _judged_speed(before, across, variance)
         return lateral._replace(offset=offset, step=step, speed_gate=gate)
 

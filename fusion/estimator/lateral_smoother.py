@@ -61,6 +61,8 @@ class OffsetStep(NamedTuple):
         Parallax of the walls since an earlier frame, taken in before this one's evidence; None without.
     starts_anew
         Whether another corridor begins here.
+    contradicted
+        Whether motion does not lead here from where the offset was relied on: the smoother does not rely on it either.
     """
 
     path: Path
@@ -69,6 +71,7 @@ class OffsetStep(NamedTuple):
     speed: tuple[float, float] | None = None
     parallax: WallParallax | None = None
     starts_anew: bool = False
+    contradicted: bool = False
 
 
 @dataclass(slots=True)
@@ -91,7 +94,8 @@ def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[Of
     out: list[OffsetReadout] = []
     later = nothing_known()
     for step in reversed(steps):
-        out.append(_met(step.after, later, model))
+        found = _met(step.after, later, model)
+        out.append(found._replace(known=found.known and not step.contradicted))
         if step.evidence is not None:
             later = with_evidence(later, step.evidence, model)
         if step.speed is not None:

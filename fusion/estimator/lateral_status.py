@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from math import cos, isfinite, nan, sin
+from statistics import median
 from typing import NamedTuple
 
 from fusion.estimator.lateral_offset import (
@@ -28,7 +29,10 @@ from fusion.estimator.velocity import Velocity
 
 JUMP_NORM = 0.1  # change in one frame from which on another hypothesis has won
 CONTRADICTED_S = 4.0  # for which no offset is relied on that motion does not lead to: one of the two is wrong
-DRIFT_NORM_S = 0.05  # by which the rate may be off, half widths per second
+DRIFT_NORM = 0.07  # half widths that the offset and the way drift apart in that time, besides
+DRIFT_S = 0.5  # times the standard deviation of the rate
+MIN_RELIED_ON = 5  # offsets that contradict one: fewer may be a first guess
+RELIED_ON_EVERY_S = 0.1
 
 
 class LateralStatus(StrEnum):
@@ -39,23 +43,49 @@ class LateralStatus(StrEnum):
     COASTING = "coasting"  # carried on by the accelerometer or velocity; its sigma grows
 
 
-class Confirmed(NamedTuple):
-    """The offset when it was relied on last, half widths, carried on to the last frame; and when both were."""
+class ReliedOn(NamedTuple):
+    """Offsets that were relied on in the last seconds, as the vehicle's motion carries them on.
 
-    offset_norm: float
-    t_ns: int
-    t_frame_ns: int
+    Where the corridor gets narrower or wider ahead, what a frame shows are more and more the walls ahead, and the
+    offset drifts or jumps to theirs: motion does not lead there. Each offset is kept less the vehicle's way until
+    then, so that those of one corridor, at whatever time, are alike.
 
-    def carried(self, rate_norm_s: float, t_ns: int) -> Confirmed:
-        """Go on to a frame by the rate there: the vehicle's motion, wherever it is."""
-        moved = rate_norm_s * seconds_since(t_ns, self.t_frame_ns) if isfinite(rate_norm_s) else 0.0
-        return Confirmed(self.offset_norm + moved, self.t_ns, t_ns)
+    Parameters
+    ----------
+    way_norm
+        How far the vehicle has moved right since the first frame, half widths.
+    t_frame_ns
+        Last frame; None before the first.
+    t_ns, origin_norm
+        When an offset was relied on, and that offset less the way until then; the oldest first.
+    """
 
-    def contradicts(self, offset_norm: float) -> bool:
-        """Tell whether motion does not lead to this offset; after some time nobody can say so."""
-        dt_s = seconds_since(self.t_frame_ns, self.t_ns)
-        far = abs(offset_norm - self.offset_norm) > JUMP_NORM + DRIFT_NORM_S * dt_s
-        return far and dt_s < CONTRADICTED_S
+    way_norm: float = 0.0
+    t_frame_ns: int | None = None
+    t_ns: tuple[int, ...] = ()
+    origin_norm: tuple[float, ...] = ()
+
+    def moved_on(self, rate_norm_s: float, t_ns: int) -> ReliedOn:
+        """Go on to a frame by the rate there, and forget what is too old."""
+        way = self.way_norm
+        if self.t_frame_ns is not None and isfinite(rate_norm_s):
+            way += rate_norm_s * seconds_since(t_ns, self.t_frame_ns)
+        old = sum(seconds_since(t_ns, t) >= CONTRADICTED_S for t in self.t_ns)
+        return ReliedOn(way, t_ns, self.t_ns[old:], self.origin_norm[old:])
+
+    def contradict(self, offset_norm: float, rate_std_norm_s: float) -> bool:
+        """Tell whether motion, of which the rate is as sure as this, does not lead from them to an offset."""
+        if len(self.t_ns) < MIN_RELIED_ON:
+            return False
+        reach = DRIFT_NORM + DRIFT_S * rate_std_norm_s
+        return abs(offset_norm - self.way_norm - median(self.origin_norm)) > reach
+
+    def with_offset(self, offset_norm: float, t_ns: int) -> ReliedOn:
+        """Add one, unless the last is recent."""
+        if self.t_ns and seconds_since(t_ns, self.t_ns[-1]) < RELIED_ON_EVERY_S:
+            return self
+        origins = (*self.origin_norm, offset_norm - self.way_norm)
+        return self._replace(t_ns=(*self.t_ns, t_ns), origin_norm=origins)
 
 
 class Lateral(NamedTuple):
@@ -77,10 +107,10 @@ class Lateral(NamedTuple):
         Whether the last frame left it known.
     last_known
         Offset when it was last known, half widths and metres.
-    confirmed
-        Where it was relied on last in this corridor.
+    relied_on
+        Offsets in this corridor that were relied on in the last seconds.
     contradicted
-        Whether motion does not lead from there to where the last frame left it.
+        Whether motion does not lead from them to where the last frame left it.
     reset_count, reset_norm, reset_m
         How often it jumped, and its last step.
     model
@@ -98,7 +128,7 @@ class Lateral(NamedTuple):
     speed_gate: Gate | None = None
     known: bool = False
     last_known: tuple[float, float] = (nan, nan)
-    confirmed: Confirmed | None = None
+    relied_on: ReliedOn = ReliedOn()
     contradicted: bool = False
     reset_count: int = 0
     reset_norm: float = 0.0
@@ -121,7 +151,7 @@ class Lateral(NamedTuple):
             t_frame_ns=None,
             t_ns=None,
             known=False,
-            confirmed=None,
+            relied_on=ReliedOn(),
             contradicted=False,
             views=(),
         )
@@ -202,10 +232,11 @@ def with_jump(lateral: Lateral, before: OffsetReadout, after: OffsetReadout, hal
 
 
 def judged_by_motion(lateral: Lateral, t_ns: int, after: OffsetReadout) -> Lateral:
-    """Say whether motion leads from where the offset was relied on last to where it is now."""
-    confirmed = None if lateral.confirmed is None else lateral.confirmed.carried(after.velocity_norm_s, t_ns)
+    """Say whether motion leads from where the offset was relied on in the last seconds to where it is now."""
+    relied_on = lateral.relied_on.moved_on(after.velocity_norm_s, t_ns)
     if not after.known:
-        return lateral._replace(confirmed=confirmed)
-    if confirmed is not None and confirmed.contradicts(after.offset_norm):
-        return lateral._replace(confirmed=confirmed, contradicted=True)
-    return lateral._replace(confirmed=Confirmed(after.offset_norm, t_ns, t_ns), contradicted=False)
+        return lateral._replace(relied_on=relied_on)
+    if relied_on.contradict(after.offset_norm, after.velocity_std_norm_s):
+        step = None if lateral.step is None else lateral.step._replace(contradicted=True)
+        return lateral._replace(relied_on=relied_on, contradicted=True, step=step)
+    return lateral._replace(relied_on=relied_on.with_offset(after.offset_norm, t_ns), contradicted=False)
