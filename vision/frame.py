@@ -32,7 +32,7 @@ from vision.lateral.polar import polar_picture, pyramid_of
 from vision.lateral.walls import missing_wall_evidence, wall_is_missing
 from vision.lines.line_set import LineSet
 from vision.lines.rolling_shutter import lines_at_one_moment, to_picture
-from vision.lines.segments import extract_lines
+from vision.lines.segments import extract_coarse_lines, extract_lines
 from vision.measurement import (
     Attitude,
     FrameMeasurement,
@@ -133,6 +133,42 @@ def measure_lines(
         attitude = UNKNOWN_ATTITUDE
     elif not isinstance(attitude, Attitude):
         attitude = Attitude.from_quaternion(attitude)
+    axis = _find_axis(lines, camera, attitude, prior)
+    if not axis.is_accepted and lines.grey is not None:
+        coarse = _find_axis(extract_coarse_lines(lines.grey, camera), camera, attitude, prior)
+        if coarse.is_accepted:
+            axis = coarse
+    lines, level, fit, heading = axis
+    if fit is None or heading is None:
+        return FrameMeasurement(
+            accepted=False,
+            reason=Reason.TOO_FEW_LINES,
+            n_lines=len(lines),
+            offset_evidence=_evidence_about_expected_axis(lines, camera, level, prior) if lateral else (),
+            vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started),
+        )
+    offset = _OffsetFound()
+    if lateral:
+        offset = _offset(heading, fit, lines, camera, level, prior)
+    return _described(heading, offset, fit, lines, camera, level, prior, started)
+
+
+class _Axis(NamedTuple):
+    """The corridor's axis as the lines of a picture show it; without a fit and a judgement where they are too few."""
+
+    lines: LineSet
+    level: LevelFrame
+    fit: AxisFit | None = None
+    heading: HeadingJudgement | None = None
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the heading may be used."""
+        return self.heading is not None and self.heading.reason is Reason.OK
+
+
+def _find_axis(lines: LineSet, camera: Camera, attitude: Attitude, prior: Prior) -> _Axis:
+    """Fit the corridor's axis to lines, and judge it; lines that cross the axis are cut in two."""
     if camera.line_delay_s != 0.0 and prior.body_rates_rad_s is not None:
         lines = lines_at_one_moment(lines, camera, prior.body_rates_rad_s)
     # An axis of the elevation that the filter expects is brought down to the horizon.
@@ -148,18 +184,8 @@ def measure_lines(
         lines = lines.cut(fit.crossing, axis)
         fit = fit_axis(lines, level.R_level_camera, 0.0, *known)
     if fit is None:
-        return FrameMeasurement(
-            accepted=False,
-            reason=Reason.TOO_FEW_LINES,
-            n_lines=len(lines),
-            offset_evidence=_evidence_about_expected_axis(lines, camera, level, prior) if lateral else (),
-            vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started),
-        )
-    heading = judge_heading(fit, lines, camera, level, prior, elevation_std_rad)
-    offset = _OffsetFound()
-    if lateral:
-        offset = _offset(heading, fit, lines, camera, level, prior)
-    return _described(heading, offset, fit, lines, camera, level, prior, started)
+        return _Axis(lines, level)
+    return _Axis(lines, level, fit, judge_heading(fit, lines, camera, level, prior, elevation_std_rad))
 
 
 def warm_up(camera: Camera) -> None:

@@ -11,11 +11,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+import vision.frame
 from fusion.flight import Flight
 from fusion.logs import load_flight
 from tests.files import HALLWAY, OFFICE, SHARED
 from tests.pictures import picture_paths, read_colour, read_grey
-from vision import Attitude, Camera, FrameMeasurement, InputError, Prior, Reason, measure_frame
+from vision import Attitude, Camera, FrameMeasurement, InputError, Prior, Reason, extract_lines, measure_frame
 
 HANDHELD = SHARED / "images" / "handheld_corridor"
 
@@ -161,6 +162,35 @@ def test_blank_dark_and_noisy_pictures_are_refused_with_a_reason() -> None:
         assert not m.accepted
         assert m.reason is Reason.TOO_FEW_LINES
         assert np.isnan(m.lateral_offset_norm)
+
+
+def test_in_the_dark_lines_are_searched_in_a_smaller_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    flight = load_flight(OFFICE)
+    truth = flight.truth
+    assert truth is not None
+    tilt, rng = attitudes(flight), np.random.default_rng(0)
+    size = (flight.camera.height_px, flight.camera.width_px)
+    chosen = range(0, len(flight.frames.t_ns), 15)
+    dark = {
+        i: np.clip(0.3 * flight.frames.read(i) + rng.normal(8.0, 10.0, size), 0, 255).astype(np.uint8)
+        for i in chosen
+    }
+
+    def accepted() -> dict[int, FrameMeasurement]:
+        found = {i: measure_frame(dark[i], flight.camera, tilt[i], lateral=False) for i in chosen}
+        return {i: m for i, m in found.items() if m.accepted}
+
+    found = accepted()
+    monkeypatch.setattr(
+        vision.frame, "extract_coarse_lines", lambda grey, camera: extract_lines(0 * grey, camera)
+    )
+    at_full_size = accepted()
+    assert len(at_full_size) < 0.4 * len(chosen)
+    assert len(found) > 0.65 * len(chosen)
+    heading = np.interp(flight.frames.t_ns[list(found)], truth.t_ns, truth.heading_rad)
+    error = np.array([m.heading_rad for m in found.values()]) - heading
+    assert np.degrees(np.sqrt(np.mean(error**2))) < 0.6
+    assert (np.abs(error) < 3.0 * np.array([m.heading_std_rad for m in found.values()])).all()
 
 
 def test_the_prior_is_not_averaged_in() -> None:
