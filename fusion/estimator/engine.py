@@ -73,7 +73,7 @@ from fusion.estimator.seed import HeadingSeed, WidthChange, seed_heading
 from fusion.estimator.state import Checks, Entry, Sample, Sensed, State
 from fusion.estimator.velocity import VelocitySample, with_velocity
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
-from vision.rotations import wrap_axis, yaw_of_quaternion
+from vision.rotations import wrap, wrap_axis, yaw_of_quaternion
 
 if TYPE_CHECKING:
     from fusion.estimator.filterpy_ekf import FilterpyEKF
@@ -300,6 +300,9 @@ class Engine:
 
     def _seeded(self, s: State, seed: HeadingSeed) -> State:
         s = self._held(s, seed.t_ns, s.frames)
+        turn_rad = abs(wrap(seed.heading_rad - float(self.ekf.x[PSI])))
+        if turn_rad > self.config.junction_min_turn_rad:  # the other way round, or along another corridor
+            s = s._replace(lateral=s.lateral.unknown_again())
         axis = seed_heading(s.axis, self.ekf, seed, s.reckoning.theta_rad, s.imu_yaw.coupled)
         return s._replace(axis=axis, imu_yaw=s.imu_yaw.axis_changed(), x=self.ekf.x, P=self.ekf.P)
 
@@ -309,6 +312,7 @@ class Engine:
         return s._replace(width=s.width.told(sample.width_m), lateral=lateral)
 
     def _frame(self, s: State, sample: FrameSample) -> tuple[State, FrameResult]:
+        lateral = s.frames.begins_period(sample.t_ns, self.config.lateral_rate_hz)
         s = self._held(s, sample.t_ns, s.frames.with_sample(sample.t_ns))
         if sample.measure is None:
             return s, FrameResult(sample.stamp_ns, None, False, Reason.UNREADABLE)
@@ -322,7 +326,7 @@ class Engine:
             m = sample.measure
         else:
             prior, psi_rad = self.expected_frame(s, sample.t_ns), float(self.ekf.x[PSI])
-            m = measure_with_prior(sample.measure, attitude, prior, psi_rad, self.config)
+            m = measure_with_prior(sample.measure, attitude, prior, psi_rad, lateral, self.config)
         reason = reason_to_reject(m, self.config)
         if reason is not Reason.OK:
             if s.axis.acquired and not m.accepted and m.offset_evidence:  # about the axis that was expected

@@ -21,7 +21,7 @@ from fusion.estimator.frame_update import FrameResult, FrameSample, Measure, ext
 from fusion.estimator.gyro_checks import GyroVerdict
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.input_checks import finite_or_not, number, vector, whole_nanoseconds, within_bounds
-from fusion.estimator.lateral_offset import readout as readout_of
+from fusion.estimator.lateral_status import reliable
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.range_width import RangeSample
 from fusion.estimator.resets import Resets
@@ -98,7 +98,6 @@ class CorridorEstimator:
         self._resets = Resets()
         self._delay_ns = round(self.config.camera_delay_s * 1e9)
         self._late_in_a_row = 0
-        self._lateral_ns: int | None = None  # of the last frame that was searched for the offset
 
     @property
     def ekf(self) -> FilterpyEKF:
@@ -237,9 +236,9 @@ class CorridorEstimator:
         """Add a picture whose lines were extracted elsewhere, for instance in another thread."""
         from vision import measure_lines
 
-        camera, lateral = self._camera(), self._lateral_is_due(whole_nanoseconds(t_ns))
+        camera = self._camera()
 
-        def measure(attitude: Attitude | None, prior: Prior) -> FrameMeasurement:
+        def measure(attitude: Attitude | None, prior: Prior, lateral: bool) -> FrameMeasurement:
             return measure_lines(lines, camera, attitude, prior, lateral=lateral)
 
         return self._add_frame(t_ns, measure, lines.ends_px.tobytes())
@@ -335,7 +334,6 @@ class CorridorEstimator:
             self._lag.clear()
         self.last_frame = None
         self._late_in_a_row = 0
-        self._lateral_ns = None
         self.counters["reset"] += 1
         self._count_steps(before)
         self._resets = self._resets.with_heading_step(0.0)
@@ -376,7 +374,7 @@ class CorridorEstimator:
         """Mean and covariance of all states with their names, at the newest sample."""
         state = self._timeline.state
         model = self._engine.offset_model(state)
-        return covariance_of(state, model, readout_of(state.lateral.offset, model).known)
+        return covariance_of(state, model, reliable(state.lateral, model).known)
 
     def innovations(self) -> Innovations:
         """Return the last innovation of each source with its variance and test ratio, as PX4's EKF2 logs them."""
@@ -418,13 +416,6 @@ class CorridorEstimator:
                 "the estimator has no camera", remedy="give one: CorridorEstimator(config, camera)"
             )
         return self.camera
-
-    def _lateral_is_due(self, t_ns: int) -> bool:
-        rate_hz, last_ns = self.config.lateral_rate_hz, self._lateral_ns
-        if rate_hz is not None and last_ns is not None and abs(t_ns - last_ns) < 0.9e9 / rate_hz:
-            return False  # less than the period by a tenth, as frames come a little early
-        self._lateral_ns = t_ns
-        return True
 
     def _add_frame(
         self, t_ns: int, measure: Measure | FrameMeasurement | None, picture: bytes = b""

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     Features = LineSet | FrameMeasurement
 
-Measure = Callable[[Attitude | None, Prior], FrameMeasurement]
-"""What turns attitude and prediction into a frame's measurement."""
+Measure = Callable[[Attitude | None, Prior, bool], FrameMeasurement]
+"""What turns attitude and prediction into a frame's measurement, with the lateral offset or without."""
 
 
 class FrameSample(NamedTuple):
@@ -95,7 +95,12 @@ def extract_features(image: npt.NDArray[Any], camera: Camera, method: str) -> Fe
 
 
 def measure_with_prior(
-    measure: Measure, attitude: Attitude | None, prior: Prior, psi_rad: float, config: FusionConfig
+    measure: Measure,
+    attitude: Attitude | None,
+    prior: Prior,
+    psi_rad: float,
+    lateral: bool,
+    config: FusionConfig,
 ) -> FrameMeasurement:
     """Measure a frame with the prediction, and, where that does not settle it, without.
 
@@ -113,16 +118,18 @@ def measure_with_prior(
         What the filter expects; its heading is NaN where it has none.
     psi_rad
         The filter's heading.
+    lateral
+        Whether to look for the lateral offset.
     config
         Settings.
     """
-    expected = measure(attitude, prior)
+    expected = measure(attitude, prior, lateral)
     if not isfinite(prior.heading_rad):
         return expected
     turned = abs(prior.heading_rad) > config.junction_min_turn_rad
     if not turned and _is_near(expected, psi_rad, config):
         return expected
-    free = measure(attitude, replace(prior, heading_rad=nan, heading_std_rad=nan))
+    free = measure(attitude, replace(prior, heading_rad=nan, heading_std_rad=nan), lateral)
     if reason_to_reject(free, config) is not Reason.OK:
         return expected
     both_near = _is_near(expected, psi_rad, config) and _is_near(free, psi_rad, config)

@@ -32,7 +32,7 @@ from fusion.estimator.lateral_offset import (
 from fusion.estimator.lateral_offset import readout as readout_of
 from fusion.estimator.lateral_parallax import compare_walls, compile_parallax, with_parallax
 from fusion.estimator.lateral_smoother import OffsetStep
-from fusion.estimator.lateral_status import Lateral, judged_by_motion, with_jump
+from fusion.estimator.lateral_status import Lateral, judged, reliable
 from fusion.estimator.models import PSI, FloatArray, Gate, Vector
 from fusion.estimator.sample_times import seconds_since
 from fusion.estimator.velocity import Velocity
@@ -136,7 +136,7 @@ class LateralOffset:
         lateral = lateral.at_path_end(self.model_of(lateral))
         before = lateral.offset
         offset = with_speed(before, across, variance)
-        step = OffsetStep(path, offset, speed=(across, variance), contradicted=lateral.contradicted)
+        step = OffsetStep(path, offset, speed=(across, variance))
         gate = _judged_speed(before, across, variance)
         return lateral._replace(offset=offset, step=step, speed_gate=gate)
 
@@ -182,7 +182,7 @@ class LateralOffset:
         )
         if after.evidence_age_s == 0.0 and len(offset.x):
             lateral = lateral._replace(t_ns=t_ns, n_used=lateral.n_used + 1)
-        return judged_by_motion(with_jump(lateral, before, after, half_m), t_ns, after)
+        return judged(lateral, before, after, t_ns, half_m)
 
     def expected(self, lateral: Lateral, psi_rad: float, half_m: float) -> tuple[float, float]:
         """Offset and sigma, half widths, that a frame should show; NaN while it is not known.
@@ -196,8 +196,8 @@ class LateralOffset:
         half_m
             Half the corridor's width; NaN where unknown.
         """
-        found = readout_of(lateral.offset, self.model_of(lateral))
-        if not found.known or lateral.contradicted:
+        found = reliable(lateral, self.model_of(lateral))
+        if not found.known:
             return nan, nan
         side = 1 if cos(psi_rad) >= 0 else -1
         offset = side * found.offset_norm + self._camera_aside(wrap_axis(psi_rad), half_m)

@@ -7,7 +7,7 @@ that the motion since does not lead to is not relied on for some seconds.
 from __future__ import annotations
 
 from enum import StrEnum
-from math import cos, isfinite, nan, sin
+from math import cos, isfinite, isnan, nan, sin
 from statistics import median
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ from fusion.estimator.lateral_offset import (
 )
 from fusion.estimator.lateral_offset import readout as readout_of
 from fusion.estimator.lateral_parallax import WallView
-from fusion.estimator.lateral_smoother import OffsetStep
+from fusion.estimator.lateral_smoother import MotionBound, OffsetStep
 from fusion.estimator.models import Gate
 from fusion.estimator.sample_times import seconds_since
 from fusion.estimator.velocity import Velocity
@@ -73,12 +73,10 @@ class ReliedOn(NamedTuple):
         old = sum(seconds_since(t_ns, t) >= CONTRADICTED_S for t in self.t_ns)
         return ReliedOn(way, t_ns, self.t_ns[old:], self.origin_norm[old:])
 
-    def contradict(self, offset_norm: float, rate_std_norm_s: float) -> bool:
-        """Tell whether motion, of which the rate is as sure as this, does not lead from them to an offset."""
-        if len(self.t_ns) < MIN_RELIED_ON:
-            return False
-        reach = DRIFT_NORM + DRIFT_S * rate_std_norm_s
-        return abs(offset_norm - self.way_norm - median(self.origin_norm)) > reach
+    @property
+    def leads_to_norm(self) -> float:
+        """Offset to which motion leads from them; NaN where they are too few."""
+        return self.way_norm + median(self.origin_norm) if len(self.t_ns) >= MIN_RELIED_ON else nan
 
     def with_offset(self, offset_norm: float, t_ns: int) -> ReliedOn:
         """Add one, unless the last is recent."""
@@ -104,7 +102,7 @@ class Lateral(NamedTuple):
     gate, speed_gate
         Outcome of the last frame's likeliest offset, half widths, and of the last velocity, m/s.
     known
-        Whether the last frame left it known.
+        Whether the last frame left an offset that may be relied on.
     last_known
         Offset when it was last known, half widths and metres.
     relied_on
@@ -178,6 +176,12 @@ class LateralReadout(NamedTuple):
     along_m_s: float
 
 
+def reliable(lateral: Lateral, model: OffsetModel) -> OffsetReadout:
+    """Report the offset at the state's time; it is known only where motion does not contradict it."""
+    found = readout_of(lateral.offset, model)
+    return found._replace(known=found.known and not lateral.contradicted)
+
+
 def readout(
     lateral: Lateral, model: OffsetModel, psi_rad: float, velocity: Velocity, t_ns: int, age_limit_s: float
 ) -> LateralReadout:
@@ -199,8 +203,8 @@ def readout(
     along = nan
     if velocity.is_known(t_ns):
         along = velocity.forward_m_s * cos(psi_rad) - velocity.sideways_m_s * sin(psi_rad)
-    found = readout_of(lateral.offset, model)
-    if not found.known or lateral.contradicted:
+    found = reliable(lateral, model)
+    if not found.known:
         return LateralReadout(nan, nan, nan, nan, LateralStatus.UNKNOWN, found.probability, along)
     recent = seconds_since(t_ns, lateral.t_ns) <= age_limit_s
     status = LateralStatus.KNOWN if recent else LateralStatus.COASTING
@@ -215,28 +219,41 @@ def readout(
     )
 
 
-def with_jump(lateral: Lateral, before: OffsetReadout, after: OffsetReadout, half_m: float) -> Lateral:
-    """Count a step: another hypothesis has won, or the offset is known again after a frame left it unknown.
+def judged(
+    lateral: Lateral, before: OffsetReadout, after: OffsetReadout, t_ns: int, half_m: float
+) -> Lateral:
+    """Say whether the offset that a frame has left may be relied on, and count it if it jumped.
 
-    That it is too uncertain between two frames is none: the hypothesis stays the same.
+    Parameters
+    ----------
+    lateral
+        After the frame.
+    before, after
+        The offset just before the frame and after it.
+    t_ns
+        Time of the frame.
+    half_m
+        Half the corridor's width; NaN where unknown.
     """
-    latest = (before.offset_norm, before.offset_norm * half_m) if before.known else lateral.last_known
-    if not after.known:
-        return lateral._replace(known=False, last_known=latest)
-    old, old_m = latest if lateral.known else lateral.last_known
-    new, new_m = after.offset_norm, after.offset_norm * half_m
-    if abs(new - old) > JUMP_NORM or (isfinite(old) and not lateral.known):
+    relied_on = lateral.relied_on.moved_on(after.velocity_norm_s, t_ns)
+    led_to = MotionBound(relied_on.leads_to_norm, DRIFT_NORM + DRIFT_S * after.velocity_std_norm_s)
+    contradicted = led_to.excludes(after.offset_norm) if after.known else lateral.contradicted
+    if after.known and not contradicted:
+        if lateral.contradicted and isnan(
+            led_to.offset_norm
+        ):  # what contradicted it is forgotten, all but a rest
+            relied_on = relied_on._replace(t_ns=(), origin_norm=())
+        relied_on = relied_on.with_offset(after.offset_norm, t_ns)
+    step = None if lateral.step is None else lateral.step._replace(led_to=led_to)
+    was_known = lateral.known
+    lateral = lateral._replace(relied_on=relied_on, contradicted=contradicted, step=step, known=False)
+    latest = lateral.last_known
+    if was_known and before.known:
+        latest = (before.offset_norm, before.offset_norm * half_m)
+    if not after.known or contradicted:
+        return lateral._replace(last_known=latest)
+    (old, old_m), (new, new_m) = latest, (after.offset_norm, after.offset_norm * half_m)
+    if abs(new - old) > JUMP_NORM or (isfinite(old) and not was_known):
         count = lateral.reset_count + 1
         lateral = lateral._replace(reset_count=count, reset_norm=new - old, reset_m=new_m - old_m)
     return lateral._replace(known=True, last_known=(new, new_m))
-
-
-def judged_by_motion(lateral: Lateral, t_ns: int, after: OffsetReadout) -> Lateral:
-    """Say whether motion leads from where the offset was relied on in the last seconds to where it is now."""
-    relied_on = lateral.relied_on.moved_on(after.velocity_norm_s, t_ns)
-    if not after.known:
-        return lateral._replace(relied_on=relied_on)
-    if relied_on.contradict(after.offset_norm, after.velocity_std_norm_s):
-        step = None if lateral.step is None else lateral.step._replace(contradicted=True)
-        return lateral._replace(relied_on=relied_on, contradicted=True, step=step)
-    return lateral._replace(relied_on=relied_on.with_offset(after.offset_norm, t_ns), contradicted=False)

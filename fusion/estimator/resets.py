@@ -12,8 +12,7 @@ from math import isfinite, radians
 from typing import TYPE_CHECKING, NamedTuple
 
 from fusion.estimator.lateral_offset import OffsetModel
-from fusion.estimator.lateral_offset import readout as readout_of
-from fusion.estimator.lateral_status import JUMP_NORM, Lateral
+from fusion.estimator.lateral_status import JUMP_NORM, Lateral, reliable
 from fusion.estimator.models import BIAS, PSI
 from vision.rotations import wrap
 
@@ -96,7 +95,7 @@ class Resets(NamedTuple):
         if not rolled_back:
             counted = new.reset_count != old.reset_count
             return self.with_lateral_step(new.reset_norm, new.reset_m) if counted else self
-        before, after = readout_of(old.offset, model), readout_of(new.offset, model)
+        before, after = reliable(old, model), reliable(new, model)
         step = after.offset_norm - before.offset_norm
         if before.known and after.known:
             if abs(step) > JUMP_NORM or new.reset_count != old.reset_count:

@@ -28,6 +28,13 @@ class SampleTimes(NamedTuple):
             interval_s = 0.8 * old_s + 0.2 * min(interval_s, 3 * old_s)
         return SampleTimes(t_ns, interval_s)
 
+    def begins_period(self, t_ns: int, rate_hz: float | None) -> bool:
+        """Whether the next sample is the first in its period of a rate; None: every sample is."""
+        if self.last_ns is None or rate_hz is None:
+            return True
+        period_ns = round(1e9 / rate_hz)
+        return t_ns // period_ns != self.last_ns // period_ns
+
     def clock_set_back(self) -> SampleTimes:
         """Forget when the last sample came; the interval stays."""
         return SampleTimes(None, self.interval_s)

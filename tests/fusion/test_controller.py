@@ -125,11 +125,11 @@ def test_a_seed_leaves_the_yaw_that_the_imu_should_show() -> None:
 
 def test_a_late_seed_is_put_in_its_place() -> None:
     on_time, t = flown()
-    on_time.seed(t, 0.9, 0.02)
+    on_time.seed(t, 0.4, 0.02)
     on_time.add_imu(t + 20 * MS, (0.0, 0.0, 0.3), DOWN)
     late, t = flown()
     late.add_imu(t + 20 * MS, (0.0, 0.0, 0.3), DOWN)
-    late.seed(t, 0.9, 0.02)
+    late.seed(t, 0.4, 0.02)
     for name in ("heading_rad", "heading_std_rad", "lateral_offset_norm", "reset_count"):
         assert getattr(late.estimate(), name) == getattr(on_time.estimate(), name), name
 

@@ -451,13 +451,13 @@ def test_what_is_turned_down_before_the_filter_looks() -> None:
 def measured(near: float, free: float, prior_rad: float) -> tuple[float, int]:
     calls = []
 
-    def measure(attitude: Attitude | None, prior: Prior) -> FrameMeasurement:
+    def measure(attitude: Attitude | None, prior: Prior, lateral: bool) -> FrameMeasurement:
         calls.append(prior)
         return frame(free if isnan(prior.heading_rad) else near)
 
     prior = Prior(heading_rad=prior_rad, heading_std_rad=0.01)
     psi = 0.0 if isnan(prior_rad) else prior_rad
-    return measure_with_prior(measure, None, prior, psi, FusionConfig()).heading_rad, len(calls)
+    return measure_with_prior(measure, None, prior, psi, True, FusionConfig()).heading_rad, len(calls)
 
 
 def test_a_frame_is_measured_again_without_prediction_where_that_does_not_settle_it() -> None:

@@ -185,7 +185,7 @@ def test_replay_measures_again_with_what_came_late() -> None:
     """A frame's tilt and prediction are those of its time, also when the samples come after it."""
     seen: list[tuple[Attitude | None, Prior]] = []
 
-    def measure(attitude: Attitude | None, prior: Prior) -> FrameMeasurement:
+    def measure(attitude: Attitude | None, prior: Prior, lateral: bool) -> FrameMeasurement:
         seen.append((attitude, prior))
         return frame(0.1)
 
