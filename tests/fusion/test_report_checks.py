@@ -66,6 +66,43 @@ class TestFrames:
             start += count
         return check_of("Rejected frames by reason", replace(result, frames=frames), flight)
 
+    def at_a_junction(self, swing: Fused, *corridors: int) -> Fused:
+        """A flight whose frames 40 to 59 saw another corridor, 65 degrees to the left."""
+        result, flight = swing
+        held, turn = slice(40, 60), -radians(65)
+        frames = table_with(
+            result.frames,
+            accepted=(held, False),
+            reason=(held, "gate"),
+            innovation_rad=(held, -turn + radians(1)),
+            test_ratio=(held, 900.0),
+        )
+        estimates = result.estimates.copy()
+        for row, corridor in zip((299, 400), corridors, strict=False):
+            estimates["corridor_index"][row:] = corridor
+            estimates["corridor_turn_rad"][row:] = turn * corridor
+        return replace(result, frames=frames, estimates=estimates), flight
+
+    def test_frames_held_back_until_a_junction_was_confirmed_contradict_nothing(self, swing: Fused) -> None:
+        result, flight = self.at_a_junction(swing, 1)
+        rejections = check_of("Rejected frames by reason", result, flight)
+        assert (rejections.level, rejections.number) == (Level.PASS, 0.0)
+        assert rejections.value == "held back at a junction 16.7%"
+        over = check_of("Innovations over the gate", result, flight)
+        assert (over.level, over.value) == (Level.PASS, "0.0% of 100")
+
+    @pytest.mark.parametrize("corridors", [(), (1, 0)])
+    def test_without_a_confirmed_junction_they_do(self, swing: Fused, corridors: tuple[int, ...]) -> None:
+        result, flight = self.at_a_junction(swing, *corridors)
+        assert check_of("Rejected frames by reason", result, flight).value == "gate 16.7%"
+        assert check_of("Innovations over the gate", result, flight).level is Level.WARN
+
+    def test_frames_of_a_third_direction_do_too(self, swing: Fused) -> None:
+        result, flight = self.at_a_junction(swing, 1)
+        result = replace(result, frames=table_with(result.frames, innovation_rad=(slice(40, 50), 0.5)))
+        assert "gate 8.3%" in check_of("Rejected frames by reason", result, flight).value
+        assert check_of("Innovations over the gate", result, flight).value == "9.1% of 110"
+
     def test_the_worst_reason_sets_level_and_advice(self, swing: Fused) -> None:
         assert self.rejected(swing).value == "None"
         check = self.rejected(swing, gate=6, blur=5)
