@@ -324,5 +324,28 @@ class TestLikelyCause:
         assert self.cause(turning(swing)) == []
         assert checks_cause.likely_cause(*turning(swing, 0.3), ()) is None
 
+    @pytest.mark.parametrize("contradicted", [True, False])
+    def test_without_a_gyroscope_the_heading_follows_the_vehicles_yaw(
+        self, swing: Fused, contradicted: bool
+    ) -> None:
+        result, flight = swing
+        rows = slice(0, 60)
+        frames = table_with(result.frames, accepted=(rows, False), reason=(rows, "too_few_lines"))
+        if contradicted:
+            frames = table_with(frames, reason=(rows, "gate"), test_ratio=(rows, 9.0))
+        result = replace(result, frames=frames)
+        first, *_ = run_checks(result, replace(flight, imu=None))
+        assert (first.value == "no gyroscope") is contradicted
+        assert (first.action == "Log the gyroscope.") is contradicted
+
+    @pytest.mark.parametrize("gyroscope", [True, False])
+    def test_the_heading_is_not_said_to_ignore_a_yaw_it_follows(self, swing: Fused, gyroscope: bool) -> None:
+        result, flight = swing
+        flight = flight if gyroscope else replace(flight, imu=None)
+        steps = check_of("Steps of the IMU's yaw", result, flight)
+        assert steps.level is Level.WARN
+        assert ("the estimated heading did not" in steps.meaning) is gyroscope
+        assert ("follows it" in steps.meaning) is not gyroscope
+
     def test_a_gyroscope_of_zeros_does_not_turn_the_other_way(self, swing: Fused) -> None:
         assert self.cause(turning(swing), gyro=0.0) == []
