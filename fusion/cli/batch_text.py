@@ -6,6 +6,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fusion.fleet.batch import Fleet
 from fusion.fleet.comparison import Change, FleetComparison, FlightChange
 from fusion.fleet.quantities import QUANTITIES, rank, worst_first_key
@@ -48,10 +50,10 @@ def batch_text(fleet: Fleet, out: Path, comparison: FleetComparison | None = Non
     kept = f", {fleet.kept} kept" if fleet.kept else ""
     lines = [f"{counted(len(rows), 'flight')}: {told} ({done} fused in {fleet.wall_s:.1f} s{kept})", ""]
     for quantity in QUANTITIES:
-        values = sorted(quantity.values(rows))
-        if values and quantity.sign:
-            worst = values[-1] if quantity.sign < 0 else values[0]
-            middle = quantity.text(float(values[len(values) // 2]))
+        values = quantity.values(rows)
+        if len(values) and quantity.sign:
+            worst = values.max() if quantity.sign < 0 else values.min()
+            middle = quantity.text(float(np.median(values)))
             lines.append(f"{quantity.title:<44}{'median ' + middle:<22}worst {quantity.text(float(worst))}")
     worst_rows = [
         row for row in sorted(rows, key=worst_first_key) if row.verdict not in ("pass", "not_judged")

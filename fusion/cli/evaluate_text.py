@@ -114,11 +114,16 @@ def _shares(shares: Mapping[str, float] | None) -> str:
     return "".join(f"{100 * (shares or {}).get(word, 0.0):>13.1f}" for word in STATUSES)
 
 
+def excluded_text(errors: TableErrors) -> str:
+    """Say how many rows of estimates were not judged, and why; empty where all were."""
+    return ", ".join(f"{count} {EXCLUDED[cause]}" for cause, count in errors.excluded.items() if count)
+
+
 def _remarks(found: Comparison) -> Iterator[str]:
     for output in found.outputs:
         errors = output.causal.errors
-        left = [f"{count} {EXCLUDED[cause]}" for cause, count in errors.excluded.items() if count]
-        rest = f"; left out: {', '.join(left)}" if left else ""
+        left_out = excluded_text(errors)
+        rest = f"; not judged: {left_out}" if left_out else ""
         yield f"{output.name}: {errors.judged} of {counted(errors.rows, 'row')} judged{rest}"
         if output.overlap_s < 0.98 * output.duration_s:
             yield f"  the truth covers {output.overlap_s:.1f} of its {output.duration_s:.1f} s"

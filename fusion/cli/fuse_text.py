@@ -10,6 +10,7 @@ from math import degrees, isnan, nan
 from pathlib import Path
 from textwrap import wrap
 
+from fusion.cli.evaluate_text import excluded_text
 from fusion.evaluation import checks_cause
 from fusion.logs.samples import counted
 from fusion.printable import printable
@@ -107,7 +108,8 @@ def _error_lines(errors: FlightErrors | None, width_m: float | None) -> list[str
         lines.append(
             f"{name:<14}{numbers[0]:>8}{numbers[1]:>8}{numbers[2]:>8}{offsets[0]:>16}{offsets[1]:>8}{judged:>16}"
         )
-    return lines
+    left_out = excluded_text(errors.filter)
+    return [*lines, _line("not judged", f"{left_out} (rows of the filter)")] if left_out else lines
 
 
 def _offset_cells(found: ErrorStatistics | None, factor: float) -> tuple[str, str]:

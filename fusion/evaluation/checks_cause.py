@@ -46,6 +46,11 @@ SCALE_DIFFERS = 0.1
 LENS_SCALES = (0.6, 1.6)  # by which a focal length may be off; beyond it the gyroscope is
 SURE_SIGMA = 5.0
 _MEASURED = ("ok", "gate")  # reasons of frames that have a heading of their own
+_NO_GYROSCOPE = (
+    "no gyroscope",
+    "Between pictures, the heading comes from the IMU's yaw, with all of its jumps.",
+    "Log the gyroscope.",
+)
 
 
 def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) -> Check | None:
@@ -80,10 +85,16 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
         said = _opposite(flight)
     elif found.fit is not None and found.rival_s is None and not found.at_edge:
         said = _skewed(clock, flight) or _late(found.fit, delay_s) or _scaled(found.fit, flight)
+    if said is None and flight.imu is None and _contradicted(checks):
+        said = _NO_GYROSCOPE
     if said is None:
         return None
     value, meaning, action = said
     return Check(NAME, level, value, LIMIT, meaning, action)
+
+
+def _contradicted(checks: Sequence[Check]) -> bool:
+    return any(check.name == INNOVATIONS_OVER_GATE.name and check.level is not Level.PASS for check in checks)
 
 
 def _opposite(flight: Flight) -> tuple[str, str, str]:

@@ -8,21 +8,27 @@ import numpy as np
 
 from fusion.estimator.tables import Table
 from fusion.evaluation.verdict import CheckRule, Finding, Limits, level_of, nothing_to_judge, worst_of
-from fusion.flight import Flight
+from fusion.flight import Flight, FloatArray
 from fusion.result.result import FusionResult
 from fusion.result.summary import Level
-from fusion.result.table_rows import runs
+from fusion.result.table_rows import held_back_at_junctions, runs
 
 MIN_COMPARED_FRAMES = 10  # of which a median says something
 
 
 def _share_over_gate(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
-    ratio = result.frames["test_ratio"]
-    ratio = ratio[np.isfinite(ratio)]
+    ratio = _test_ratios(result)
     if not ratio.size:
         return nothing_to_judge("No frame was compared with the filter.")
     share = float(np.mean(ratio > 1.0))
     return Finding(f"{share:.1%} of {ratio.size}", share)
+
+
+def _test_ratios(result: FusionResult) -> FloatArray:
+    """Return the test ratios of the frames that were compared with the axis of their own corridor."""
+    ratio = result.frames["test_ratio"]
+    own: FloatArray = ratio[np.isfinite(ratio) & ~held_back_at_junctions(result.estimates, result.frames)]
+    return own
 
 
 INNOVATIONS_OVER_GATE = CheckRule(
@@ -140,8 +146,7 @@ def innovation_ratio(result: FusionResult) -> float:
     The test ratio is the innovation's square over the gate's; the median of the normalised innovation, unlike
     its root mean square, does not depend on where the gate cuts.
     """
-    ratio = result.frames["test_ratio"]
-    ratio = ratio[np.isfinite(ratio)]
+    ratio = _test_ratios(result)
     if ratio.size < MIN_COMPARED_FRAMES:
         return float("nan")
     return float(np.median(np.sqrt(ratio)) * result.config.heading_gate_sigma / 0.6745)

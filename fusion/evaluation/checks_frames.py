@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from fusion.alignment import clock_of_frames
 from fusion.evaluation.verdict import CheckRule, Finding, Limits, level_of, nothing_to_judge, worst_of
 from fusion.flight import Flight
 from fusion.result.result import FusionResult
 from fusion.result.summary import Level
+from fusion.result.table_rows import held_back_at_junctions
 from vision import InputError
 
 REASON_WORDS = {
@@ -30,6 +32,7 @@ REASON_ACTION = {
     "unreadable": "Pictures are damaged: copy the flight again from the vehicle.",
     "late": "Frames arrived later than the buffer allows: increase buffer_s.",
 }
+_HELD_BACK = "held back at a junction"  # said in place of gate
 _DAMAGE = ("unreadable", "late")  # no picture of a good log is either
 
 
@@ -46,13 +49,21 @@ def _share_used(result: FusionResult, flight: Flight, limits: Limits) -> Finding
     text = f"{share:.1%} of {len(frames)}"
     if level_of(share, limits.accepted_share) is Level.PASS:
         return Finding(text, share)
-    rejected = frames["reason"][~frames["accepted"]]
+    rejected = _reasons_to_reject(result)
     words, counts = np.unique(rejected, return_counts=True)
     worst = str(words[np.argmax(counts)])
     meaning = (
         f"Most of the rejected frames are “{worst.replace('_', ' ')}”: {counts.max()} of {len(rejected)}."
     )
     return Finding(text, share, meaning=meaning, action=REASON_ACTION.get(worst, ""))
+
+
+def _reasons_to_reject(result: FusionResult) -> npt.NDArray[np.str_]:
+    """Return the reason of each rejected frame; one held back until a junction was confirmed is no contradiction."""
+    frames = result.frames
+    held = held_back_at_junctions(result.estimates, frames)
+    reasons: npt.NDArray[np.str_] = np.where(held, _HELD_BACK, frames["reason"])[~frames["accepted"]]
+    return reasons
 
 
 FRAMES_USED = CheckRule(
@@ -71,20 +82,23 @@ def _rejections_by_reason(result: FusionResult, flight: Flight, limits: Limits) 
     frames = result.frames
     if not len(frames):
         return nothing_to_judge("The flight has no frames.")
-    words, counts = np.unique(frames["reason"][~frames["accepted"]], return_counts=True)
+    words, counts = np.unique(_reasons_to_reject(result), return_counts=True)
     if not len(words):
         return Finding("None", 0.0, level=Level.PASS, meaning="Every frame was used.")
     levels = {}
     for word, count in zip(words.tolist(), counts.tolist(), strict=True):
+        if word == _HELD_BACK:  # as a working filter does
+            continue
         level = level_of(count / len(frames), limits.one_reason_share)
         levels[word] = worst_of(level, Level.WARN) if word in _DAMAGE else level
     order = [str(words[k]) for k in np.argsort(-counts, kind="stable")]
     share = dict(zip(words.tolist(), (counts / len(frames)).tolist(), strict=True))
     text = ", ".join(f"{word.replace('_', ' ')} {share[word]:.1%}" for word in order)
-    level, largest = worst_of(*levels.values()), max(share.values())
+    level = worst_of(Level.PASS, *levels.values())
+    largest = max((share[word] for word in levels), default=0.0)
     if level is Level.PASS:
         return Finding(text, largest, level=level)
-    word = next(word for word in order if levels[word] is level)
+    word = next(word for word in order if levels.get(word) is level)
     meaning = f"“{word.replace('_', ' ').capitalize()}” means: {REASON_WORDS.get(word, word)}."
     return Finding(text, largest, level=level, meaning=meaning, action=REASON_ACTION.get(word, ""))
 

@@ -43,6 +43,12 @@ GYRO_BIAS = CheckRule(
 )
 
 
+_FOLLOWS_YAW = (
+    "The vehicle's yaw jumped relative to the corridor, as it does near steel. Without a gyroscope, the estimated "
+    "heading follows it until pictures correct it."
+)
+
+
 def _imu_yaw_steps(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
     table = result.smoothed
     if flight.attitude is None or not np.isfinite(table["imu_yaw_offset_rad"]).any():
@@ -54,7 +60,7 @@ def _imu_yaw_steps(result: FusionResult, flight: Flight, limits: Limits) -> Find
     largest = max(abs(step) for _, step in steps)
     times = ", ".join(f"{t:.0f}" for t, _ in steps[:6]) + (" ..." if len(steps) > 6 else "")
     text = f"{len(steps)}, the largest {degrees(largest):.1f}°, at {times} s"
-    return Finding(text, largest, level=Level.WARN)
+    return Finding(text, largest, level=Level.WARN, meaning=None if flight.imu is not None else _FOLLOWS_YAW)
 
 
 def yaw_steps(table: Table, least_rad: float) -> list[tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""Errors against the truth: the article's RMSE and MAE, and whether the stated sigmas are honest.
+"""Errors against the truth: the article's RMSE and MAE, and whether the filter is consistent.
 
 Sign of every error: estimate minus truth. Angles in radians, offsets in metres and over half the corridor's
 width (positive right), times in nanoseconds. Headings are relative to the corridor being flown, so truth is

@@ -114,8 +114,7 @@ def _verdicts(rows: Sequence[FleetRow]) -> list[tuple[str, str, int]]:
 
 def _facts(rows: Sequence[FleetRow], done: Sequence[FleetRow]) -> list[tuple[str, str, str]]:
     """Return the headline numbers: what, number, remark."""
-    hours = sum(row.duration_s or 0.0 for row in done) / 3600
-    flown = f"{60 * hours:.0f} min" if hours < 2 else f"{hours:.1f} h"
+    flown = _duration(sum(row.duration_s or 0.0 for row in done))
     found = [("Flights", str(len(rows)), f"{len(done)} with a result, {flown} of flight")]
     for quantity in QUANTITIES[:5]:
         values = quantity.values(done)
@@ -124,6 +123,13 @@ def _facts(rows: Sequence[FleetRow], done: Sequence[FleetRow]) -> list[tuple[str
             remark = f"median of {len(values)}; worst {quantity.text(float(worst))}"
             found.append((quantity.title, quantity.text(float(np.median(values))), remark))
     return found
+
+
+def _duration(seconds: float) -> str:
+    """Return a time in the unit that gives it two digits or more."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def _listed_quantities(rows: Sequence[FleetRow]) -> list[Quantity]:

@@ -80,7 +80,7 @@ class FleetRow:
     heading_p95_rad: float | None = _column("rad", "95th percentile of the heading's absolute error")
     heading_max_rad: float | None = _column("rad", "Largest error of the heading")
     heading_bias_rad: float | None = _column("rad", "Mean error of the heading")
-    heading_nees: float | None = _column("1", "Mean of heading error squared over variance; 1: honest sigma")
+    heading_nees: float | None = _column("1", "Mean heading error squared over variance; 1 if consistent")
     heading_error_over_sigma_p90: float | None = _column("1", "90th percentile of heading error over sigma")
     smoothed_heading_rmse_rad: float | None = _column("rad", "RMSE of the smoother's heading")
     vision_heading_rmse_rad: float | None = _column("rad", "RMSE of single frames' headings")
@@ -107,14 +107,16 @@ class FleetRow:
     accel_noise_m_s2_sqrt_hz: float | None = _column(
         "m/s^2/sqrt(Hz)", "White noise of the accelerometer in flight"
     )
-    gyro_noise_used_rad_s_sqrt_hz: float | None = _column("rad/s/sqrt(Hz)", "The same as the filter took it")
+    gyro_noise_used_rad_s_sqrt_hz: float | None = _column(
+        "rad/s/sqrt(Hz)", "Gyroscope noise that the filter assumed"
+    )
 
     vision_ms_median: float | None = _column("ms", "Median time to measure a frame")
     vision_ms_p95: float | None = _column("ms", "95th percentile of the time to measure a frame")
     fuse_s: float | None = _column("s", "Wall clock of fusing")
     times_real_time: float | None = _column("1", "Length of the flight over the wall clock of fusing")
     total_s: float | None = _column("s", "Wall clock of all: hashing, reading, fusing, writing")
-    peak_memory_mb: float | None = _column("MB", "Most memory that the worker had held until then")
+    peak_memory_mb: float | None = _column("MB", "Peak memory of the worker up to the end of this flight")
     worker: str = _column("", "Machine and process that fused it", "")
     lost_workers: int = _column("1", "Worker processes that died while they fused it", 0)
 
@@ -123,7 +125,7 @@ class FleetRow:
     log_stamp: str = _column("", "The same of their names, sizes and times of change", "")
     config_hash: str = _column("", "SHA-256 of settings, method and calibration file, first 16 digits", "")
     version: str = _column("", "Version of corridor-fusion with a hash of its source", "")
-    libraries: str = _column("", "Versions of Python and of the libraries that touch the numbers", "")
+    libraries: str = _column("", "Versions of Python and of the libraries that affect the numbers", "")
 
     checks: Mapping[str, CheckOutcome] = field(default_factory=dict)
 

@@ -22,7 +22,7 @@
     }
     if (s.shape === "band") {
       const edge = { ...common, width: 0, points: { show: false } };
-      return [{ ...edge, label: `${s.label}, above` }, { ...edge, label: `${s.label}, below` }];
+      return [{ ...edge, label: `${s.label} +` }, { ...edge, label: `${s.label} −` }];
     }
     // A hole shorter than the stroke is wide would not show: a line that jumps from one corridor to the next.
     const gaps = (_, k, from, to, holes) => holes.map(([a, b]) => [a - 2 * devicePixelRatio, b + 2 * devicePixelRatio]);

@@ -37,10 +37,10 @@ TIMING_WORDS = {
     "compile_s": ("Compiling, once", "s"),
 }
 VERDICT_WORDS = {
-    Level.PASS: "Pass: heading and offset can be used",
-    Level.WARN: "Pass with care: read the warnings",
-    Level.FAIL: "Fail: do not rely on this flight",
-    Level.NOT_JUDGED: "Not judged",
+    Level.PASS: "Verdict: pass. Heading and offset can be used",
+    Level.WARN: "Verdict: warn. Read the warnings before use",
+    Level.FAIL: "Verdict: fail. Do not rely on this flight",
+    Level.NOT_JUDGED: "Verdict: not judged",
 }
 
 
@@ -259,7 +259,9 @@ def settings(result: FusionResult) -> list[tuple[str, str, str, bool]]:
         text = "not set" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
         if name.endswith(("_rad", "_rad_s")) and isinstance(value, float):
             text += f" ({degrees(value):.4g}°{'/s' if name.endswith('_s') else ''})"
-        found.append((name, text, field.description or "", value != field.default))
+        # As `corridor config` words it: a file of settings has no None.
+        meaning = (field.description or "").replace(". None:", ". Not set:").replace("None:", "not set:")
+        found.append((name, text, meaning, value != field.default))
     return found
 
 

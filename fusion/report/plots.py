@@ -51,7 +51,7 @@ def plot_heading(ax: Axes, result: FusionResult, flight: Flight) -> None:
     origin, table = result.origin_ns, result.estimates
     t, heading = seconds(table["timestamp_ns"], origin), np.degrees(table["heading_rad"])
     cuts = _cuts(table, heading)
-    draw_band(ax, t, heading, 2 * np.degrees(table["heading_std_rad"]), cuts, FILTER, "filter, two sigma")
+    draw_band(ax, t, heading, 2 * np.degrees(table["heading_std_rad"]), cuts, FILTER, "two sigma")
     if flight.attitude is not None:
         _plot_imu_yaw(ax, flight.attitude, table, origin)
     frames = result.frames
@@ -74,7 +74,7 @@ def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
     std = table["lateral_offset_std_m" if metres else "lateral_offset_norm_std"]
     t, offset = seconds(table["timestamp_ns"], origin), table[f"lateral_offset_{unit}"]
     cuts = _cuts(table, np.zeros_like(offset))
-    draw_band(ax, t, offset, 2 * std, cuts, FILTER, "filter, two sigma")
+    draw_band(ax, t, offset, 2 * std, cuts, FILTER, "two sigma")
     half = half_widths_m(table, result.config) if metres else np.ones(len(table))
     _plot_hypotheses(ax, result.offset_hypotheses, table, half, origin)
     row = np.clip(np.searchsorted(table["timestamp_ns"], frames["timestamp_ns"], side="right") - 1, 0, None)
@@ -228,7 +228,7 @@ def _plot_error(
         t = seconds(table["timestamp_ns"], origin)
         if word == "filter":
             band = 2 * scale * table[std_name]
-            draw_band(ax, t, np.zeros_like(t), band, NO_CUTS, FILTER, "filter, two sigma")
+            draw_band(ax, t, np.zeros_like(t), band, NO_CUTS, FILTER, "two sigma")
         draw_line(ax, t, error, NO_CUTS, colour, width, word)
         tracked = table["status"] == "tracking"
         everything.append(np.abs(error[tracked]))

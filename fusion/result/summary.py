@@ -68,9 +68,9 @@ class ErrorStatistics(Record):
     bias
         Mean error.
     nees_mean
-        Mean of (error / sigma) squared; 1 for an honest sigma.
+        Mean of (error / sigma) squared; 1 for a consistent filter.
     error_over_sigma_p90
-        90th percentile of abs(error) / sigma; 1.64 for an honest Gaussian one.
+        90th percentile of abs(error) / sigma; 1.64 for a consistent filter with Gaussian errors.
     """
 
     unit: str

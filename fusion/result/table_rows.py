@@ -1,11 +1,16 @@
-"""Rows of a result's tables: the stretches in which a flag is set, and the row that holds at a time."""
+"""Rows of a result's tables: stretches in which a flag is set, the row that holds at a time, frames at a junction."""
 
 from __future__ import annotations
+
+from math import radians
 
 import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.tables import Table
+from vision.rotations import wrap_axis
+
+SAME_AXIS_RAD = radians(5)
 
 
 def runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -18,3 +23,29 @@ def runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
 def row_before(table: Table, t_ns: int) -> int:
     """Row of a table that is not empty which holds at a time: the last not after it, else the first."""
     return max(int(np.searchsorted(table["timestamp_ns"], t_ns, side="right")) - 1, 0)
+
+
+def held_back_at_junctions(estimates: Table, frames: Table) -> npt.NDArray[np.bool_]:
+    """Flag the frames (n,) of a new corridor that the filter held back until it had confirmed the junction.
+
+    They follow the last frame used in the old corridor, and their innovation is the turn between the two axes. A
+    junction is not confirmed where the filter returned to the old corridor later.
+
+    Parameters
+    ----------
+    estimates
+        The causal filter's table.
+    frames
+        The frames' table.
+    """
+    held = np.zeros(len(frames), dtype=bool)
+    if not len(estimates):
+        return held
+    rows = [row_before(estimates, t_ns) for t_ns in frames["timestamp_ns"].tolist()] + [-1]
+    index, turn_rad = estimates["corridor_index"], estimates["corridor_turn_rad"]
+    for first, end in runs(~frames["accepted"]):
+        old, new = rows[max(first - 1, 0)], rows[end]
+        if index[old] < index[new] <= index[new:].min():
+            turned = frames["innovation_rad"][first:end] + (turn_rad[new] - turn_rad[old])
+            held[first:end] = np.abs(wrap_axis(turned)) < SAME_AXIS_RAD  # NaN is not
+    return held

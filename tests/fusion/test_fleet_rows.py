@@ -11,7 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fusion.cli.batch_text import batch_text
 from fusion.evaluation.checks import CHECKS
+from fusion.fleet.batch import Fleet
 from fusion.fleet.comparison import Change, compare_fleets
 from fusion.fleet.journal import JOURNAL, Journal, read_journal
 from fusion.fleet.page import LISTED, render_page
@@ -227,6 +229,20 @@ def test_the_page_shows_what_matters(tmp_path: Path) -> None:
     assert "Trend: median of the earlier half" in text
     assert text.count("<svg role") >= 8
     assert all(quantity.title in text for quantity in QUANTITIES if len(quantity.values(rows)))
+
+
+def test_terminal_and_page_tell_the_same_medians(tmp_path: Path) -> None:
+    errors = (0.001, 0.002, 0.004, 0.009)  # an even number: the median is between the middle two
+    rows = [replace(GOOD, flight=f"f{k}", heading_rmse_rad=error) for k, error in enumerate(errors)]
+    told = batch_text(Fleet(tuple(rows), 0, 1.0), tmp_path)
+    assert "median 0.17°" in told
+    assert "worst 0.52°" in told
+    assert "<dd>0.17°" in render_page(rows, tmp_path, 4)
+
+
+@pytest.mark.parametrize(("duration_s", "text"), [(12.0, "12 s"), (240.0, "4 min"), (9000.0, "2.5 h")])
+def test_the_time_flown_has_a_unit_of_its_size(tmp_path: Path, duration_s: float, text: str) -> None:
+    assert f"{text} of flight" in render_page([replace(GOOD, duration_s=duration_s)], tmp_path, 1)
 
 
 def test_a_page_of_few_or_bad_flights_is_one_too(tmp_path: Path) -> None:

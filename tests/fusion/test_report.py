@@ -63,10 +63,15 @@ def test_the_page_states_the_verdict_and_every_check(swing: Fused, page: str) ->
     checks = by_name(*swing)
     assert checks["Steps of the IMU's yaw"].level is Level.WARN  # the step that was built in
     assert overall(tuple(checks.values())) is Level.WARN
-    assert re.search(r'class="verdict warn" id="verdict">Pass with care', page)
+    assert re.search(r'class="verdict warn" id="verdict">Verdict: warn', page)
     for name in checks:
         assert name.replace("'", "&#39;") in page
     assert page.count('class="badge ') == len(checks)
+
+
+def test_settings_are_worded_as_in_a_file_of_settings(page: str) -> None:
+    assert "noise density of the gyroscope. Not set: as declared in the log" in page
+    assert "None:" not in page
 
 
 def test_the_page_stands_alone(page: str) -> None:
@@ -112,11 +117,11 @@ def test_what_scripts_draw_is_what_the_plots_show(swing: Fused, page: str) -> No
     heading = data["charts"]["heading"][0]
     assert heading["label"] == "Heading, degrees right"
     series = {s["label"]: s for s in heading["series"]}
-    assert next(iter(series)) == "filter, two sigma"
+    assert next(iter(series)) == "two sigma"
     assert {"filter", "frame used", "truth", "IMU yaw less its offset"} <= set(series)
     table = result.estimates
     t_s = (table["timestamp_ns"] - table["timestamp_ns"][0]) / 1e9
-    for name, low, high in (("filter", 0.0, 0.0), ("filter, two sigma", -2.0, 2.0)):
+    for name, low, high in (("filter", 0.0, 0.0), ("two sigma", -2.0, 2.0)):
         for key, sigmas in (("y", low), ("high", high)):
             values = np.array(series[name].get(key, series[name]["y"]), dtype=float)
             expected = np.degrees(table["heading_rad"] + sigmas * table["heading_std_rad"])

@@ -66,6 +66,43 @@ class TestFrames:
             start += count
         return check_of("Rejected frames by reason", replace(result, frames=frames), flight)
 
+    def at_a_junction(self, swing: Fused, *corridors: int) -> Fused:
+        """A flight whose frames 40 to 59 saw another corridor, 65 degrees to the left."""
+        result, flight = swing
+        held, turn = slice(40, 60), -radians(65)
+        frames = table_with(
+            result.frames,
+            accepted=(held, False),
+            reason=(held, "gate"),
+            innovation_rad=(held, -turn + radians(1)),
+            test_ratio=(held, 900.0),
+        )
+        estimates = result.estimates.copy()
+        for row, corridor in zip((299, 400), corridors, strict=False):
+            estimates["corridor_index"][row:] = corridor
+            estimates["corridor_turn_rad"][row:] = turn * corridor
+        return replace(result, frames=frames, estimates=estimates), flight
+
+    def test_frames_held_back_until_a_junction_was_confirmed_contradict_nothing(self, swing: Fused) -> None:
+        result, flight = self.at_a_junction(swing, 1)
+        rejections = check_of("Rejected frames by reason", result, flight)
+        assert (rejections.level, rejections.number) == (Level.PASS, 0.0)
+        assert rejections.value == "held back at a junction 16.7%"
+        over = check_of("Innovations over the gate", result, flight)
+        assert (over.level, over.value) == (Level.PASS, "0.0% of 100")
+
+    @pytest.mark.parametrize("corridors", [(), (1, 0)])
+    def test_without_a_confirmed_junction_they_do(self, swing: Fused, corridors: tuple[int, ...]) -> None:
+        result, flight = self.at_a_junction(swing, *corridors)
+        assert check_of("Rejected frames by reason", result, flight).value == "gate 16.7%"
+        assert check_of("Innovations over the gate", result, flight).level is Level.WARN
+
+    def test_frames_of_a_third_direction_do_too(self, swing: Fused) -> None:
+        result, flight = self.at_a_junction(swing, 1)
+        result = replace(result, frames=table_with(result.frames, innovation_rad=(slice(40, 50), 0.5)))
+        assert "gate 8.3%" in check_of("Rejected frames by reason", result, flight).value
+        assert check_of("Innovations over the gate", result, flight).value == "9.1% of 110"
+
     def test_the_worst_reason_sets_level_and_advice(self, swing: Fused) -> None:
         assert self.rejected(swing).value == "None"
         check = self.rejected(swing, gate=6, blur=5)
@@ -286,6 +323,29 @@ class TestLikelyCause:
     def test_nothing_is_accused_where_all_fits_or_nothing_is_wrong(self, swing: Fused) -> None:
         assert self.cause(turning(swing)) == []
         assert checks_cause.likely_cause(*turning(swing, 0.3), ()) is None
+
+    @pytest.mark.parametrize("contradicted", [True, False])
+    def test_without_a_gyroscope_the_heading_follows_the_vehicles_yaw(
+        self, swing: Fused, contradicted: bool
+    ) -> None:
+        result, flight = swing
+        rows = slice(0, 60)
+        frames = table_with(result.frames, accepted=(rows, False), reason=(rows, "too_few_lines"))
+        if contradicted:
+            frames = table_with(frames, reason=(rows, "gate"), test_ratio=(rows, 9.0))
+        result = replace(result, frames=frames)
+        first, *_ = run_checks(result, replace(flight, imu=None))
+        assert (first.value == "no gyroscope") is contradicted
+        assert (first.action == "Log the gyroscope.") is contradicted
+
+    @pytest.mark.parametrize("gyroscope", [True, False])
+    def test_the_heading_is_not_said_to_ignore_a_yaw_it_follows(self, swing: Fused, gyroscope: bool) -> None:
+        result, flight = swing
+        flight = flight if gyroscope else replace(flight, imu=None)
+        steps = check_of("Steps of the IMU's yaw", result, flight)
+        assert steps.level is Level.WARN
+        assert ("the estimated heading did not" in steps.meaning) is gyroscope
+        assert ("follows it" in steps.meaning) is not gyroscope
 
     def test_a_gyroscope_of_zeros_does_not_turn_the_other_way(self, swing: Fused) -> None:
         assert self.cause(turning(swing), gyro=0.0) == []

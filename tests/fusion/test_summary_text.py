@@ -82,6 +82,15 @@ def test_the_table_holds_every_number(summary: Summary) -> None:
     assert "cut short" in lines["problem"]
 
 
+def test_rows_that_were_not_judged_have_a_reason(summary: Summary) -> None:
+    assert summary.errors is not None
+    errors = replace(
+        summary.errors.filter, excluded={"outside_truth": 0, "junction": 1005, "not_tracking": 40}
+    )
+    lines = lines_of(replace(summary, errors=replace(summary.errors, filter=errors)))
+    assert lines["not judged"] == "1005 in a junction, 40 not tracking (rows of the filter)"
+
+
 def test_what_is_wrong_stands_under_the_verdict_worst_first(summary: Summary) -> None:
     text = fusion_text(summary, Path("out"))
     assert (

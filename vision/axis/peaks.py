@@ -83,9 +83,9 @@ class RivalPeak(NamedTuple):
 def corridor_score(below: float, above: float) -> float:
     """Return the evidence that a direction is a corridor's, from that of the lines below and above the axis.
 
-    Lines of one direction in one plane need no corridor: a floor may be laid at any angle to the walls, and its
-    joints are as many as one likes. That they are there is a coincidence of limited improbability, which is all that
-    they say. A corridor has lines in other planes, too.
+    Lines of one direction in one plane need no corridor: a floor may be laid at any angle to the walls, and has many
+    parallel joints. However many there are, they count as one coincidence, which has a limited improbability. A
+    corridor has lines in other planes, too.
     """
     return min(below, above) + min(max(below, above), MAX_ONE_SIDED)
 
