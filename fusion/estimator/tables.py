@@ -85,7 +85,7 @@ ESTIMATE_COLUMNS = (
         "lateral_offset_m",
         "f8",
         "m",
-        "Place of the vehicle from the centre line, positive {side}",
+        "Distance from the centre line, positive {side}",
         _SECTION,
         True,
     ),

@@ -60,7 +60,7 @@ def test_at_rest_without_noise_equal_frames_are_true() -> None:
     ("mode", "turned_rad", "found"), [(Mode.GYRO, 1e-6, 1), (Mode.GYRO, 0.0, 0), (Mode.NONE, 0.0, 1)]
 )
 def test_equal_pictures_repeat_unless_nothing_moved(mode: Mode, turned_rad: float, found: int) -> None:
-    sample = FrameSample(0, 0, lambda attitude, prior: frame(0.0), b"lines")
+    sample = FrameSample(0, 0, lambda attitude, prior, lateral: frame(0.0), b"lines")
     before = Repeats().with_frame(sample, DeadReckoning(mode=mode), GyroCheck())
     after = before.with_frame(sample, DeadReckoning(mode=mode, raw_theta_rad=turned_rad), GyroCheck())
     assert after.found == found
