@@ -172,7 +172,7 @@ class _Assembly:
         if topic is None:
             if source.file is not None:
                 raise InputError(
-                    f"contains no {WORDS[kind]}, only {holdings(log)}",
+                    f"contains no {WORDS[kind]}; it contains {holdings(log)}",
                     file=source.file,
                     remedy=f"name another file under [{TABLES[kind]}], or the columns of this one",
                 )
