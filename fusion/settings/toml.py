@@ -105,6 +105,11 @@ def _unknown(complaint: Complaint) -> tuple[str, str]:
         problem = f"unknown setting {complaint.dotted} = {{...}}, a section"
         if inside:
             return problem, f"write {inside[0]} without a section, at the top of the file"
+        if not sections:
+            remedy = (
+                "this file has none; those of a flight, such as [imu] and [camera], belong in its flight.toml"
+            )
+            return problem, remedy
         near = suggestion(name, None, dict.fromkeys(sections, ""))
         return problem, near or _listing(sections)
     plain = {known: field for known, field in fields.items() if section_of(field) is None}
