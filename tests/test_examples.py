@@ -494,3 +494,14 @@ def test_the_example_of_the_actuators_time_runs() -> None:
     assert lines[1] == "offset 0.20 half widths, 0.30 m in the wider corridor"
     assert "after 1 step the setpoint is 0.40 rad; faults <Fault.NONE: 0>" in lines
     assert lines[-1] == "after a reset: initialising, 2 steps, <Fault.NOT_STARTED: 256>"
+
+
+def test_an_example_without_the_library_of_its_link_names_the_extra() -> None:
+    code = (
+        "import sys, runpy; sys.modules['pymavlink'] = None; runpy.run_path(sys.argv[1], run_name='__main__')"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code, "live_loopback.py"], capture_output=True, text=True, cwd=EXAMPLES
+    )
+    assert ran.returncode == 2
+    assert ran.stderr == "error: pymavlink is not installed (pip install 'corridor-fusion[live]')\n"
