@@ -324,9 +324,10 @@ class CorridorEstimator:
                 f"t_ns = {t_ns} is {(t_ns - newest_ns) * 1e-9:+.2f} s from the newest sample",
                 remedy=f"seed within buffer_s = {buffer_ns * 1e-9:g} s of it, or after reset()",
             )
+        if any(map(self._timeline.holds, samples)):  # before any is taken: all of them, or none
+            raise InputError(f"t_ns = {t_ns} already has another value", remedy="use a time 1 ns later")
         for sample in samples:
-            if self._insert(sample) is None:
-                raise InputError(f"t_ns = {t_ns} already has another value", remedy="use a time 1 ns later")
+            self._insert(sample)
 
     def reset(self) -> None:
         """Discard all samples, and all that was estimated or set in flight; keep configuration and `counters`.
