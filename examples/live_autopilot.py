@@ -7,6 +7,7 @@ to TIMESYNC. `Heard` stores the messages from `corridor live`, and makes of them
 from __future__ import annotations
 
 import os
+import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -20,8 +21,12 @@ from fusion import Estimate
 from fusion.estimator.estimate import Status
 
 os.environ["MAVLINK20"] = "1"  # ODOMETRY is a message of MAVLink 2
-from pymavlink import mavutil
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
+try:
+    from pymavlink import mavutil
+    from pymavlink.dialects.v20 import ardupilotmega as mavlink
+except ModuleNotFoundError:
+    print("error: pymavlink is not installed (pip install 'corridor-fusion[live]')", file=sys.stderr)
+    raise SystemExit(2) from None
 
 HEARTBEAT_NS = 1_000_000_000
 STATUSES = (Status.INITIALISING, Status.TRACKING, Status.COASTING, Status.LOST)

@@ -183,9 +183,9 @@ class Pilot(Steering):
 
     def control(self, now_ns: int) -> Command:
         """Return the command for this control period."""
-        for t_ns, lines, _ in self.vision.finished():
+        for t_ns, lines, _, cause in self.vision.finished():
             if lines is None:
-                self.estimator.add_unreadable_frame(t_ns)
+                self.estimator.add_unreadable_frame(t_ns, cause)
             else:
                 self.estimator.add_lines(t_ns, lines)
         return self.steer(self.estimator.estimate(now_ns))

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from fusion.estimator.config import FusionConfig
     from fusion.estimator.estimate import Estimate, Status
     from fusion.estimator.estimator import CorridorEstimator
+    from fusion.estimator.faults import Fault
     from fusion.estimator.frame_update import FrameResult
     from fusion.evaluation.errors import evaluate
     from fusion.flight import Flight
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CorridorEstimator",
     "Estimate",
+    "Fault",
     "Flight",
     "FrameResult",
     "FusionConfig",
@@ -47,6 +49,7 @@ __all__ = [
 _MODULES = {
     "CorridorEstimator": "fusion.estimator.estimator",
     "Estimate": "fusion.estimator.estimate",
+    "Fault": "fusion.estimator.faults",
     "Flight": "fusion.flight",
     "FrameResult": "fusion.estimator.frame_update",
     "FusionConfig": "fusion.estimator.config",

@@ -362,6 +362,10 @@ class TestMeasure:
     def test_nothing_to_measure(self, corridor: Corridor, tmp_path: Path, flight: Path) -> None:
         refused(corridor("measure", "nowhere.jpg"), "nowhere.jpg", "no such")
         refused(corridor("measure", tmp_path), "no pictures")
+        for name, what in (("flight.mp4", "video"), ("data.csv", "CSV")):
+            (tmp_path / name).write_text("t,gx,gy,gz\n1,2,3,4\n")
+            run = corridor("measure", tmp_path / name)
+            refused(run, f"{name}: is of the format {what}, no picture", "`corridor inspect ")
         refused(corridor("measure", flight), "corridor fuse")
         assert corridor("measure").code == 2
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from fusion import load_flight
+from fusion.alignment.manifest import load_to_align
 from fusion.estimator.tables import ESTIMATE_DTYPE
 from fusion.logs.manifest.file import read_manifest
 from fusion.outputs.folder import OUTPUT_FILES
@@ -104,6 +105,21 @@ def test_too_little_is_named(corridor: Corridor, files: Path) -> None:
     refused(corridor("fuse", files / "hall.mp4"), "contains no calibration of the camera", "--camera")
     named = ("--imu", files / "imu.csv", "--video", files / "hall.mp4", "--camera", files / "camera.yaml")
     refused(corridor("fuse", *named), "covers 20.0 to", "--clock-offset", "20.000")
+
+
+def test_without_a_calibration_the_lines_to_align_work(
+    corridor: Corridor, files: Path, tmp_path: Path
+) -> None:
+    named = ("--imu", files / "imu.csv", "--video", files / "hall.mp4", "--clock-offset", "20")
+    run = corridor("fuse", *named)
+    refused(run, "contains no calibration", "`corridor align flight.toml --write`")
+    lines = run.err.strip().removesuffix(")").split("lines in flight.toml: ")[1].split(", ")
+    described = tmp_path / "flight.toml"
+    described.write_text("\n".join(lines) + "\n")
+    loaded = load_to_align(described, None)
+    assert not loaded.camera_known
+    assert loaded.flight.imu is not None
+    assert loaded.flight.frames.t_ns[0] == pytest.approx(20_000_000_000)
 
 
 def test_the_file_at_fault_is_named(corridor: Corridor, files: Path, tmp_path: Path) -> None:

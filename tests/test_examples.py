@@ -193,11 +193,12 @@ def test_the_vision_thread_never_keeps_its_caller_waiting() -> None:
 def test_a_picture_of_no_use_is_told_as_such() -> None:
     vision = VisionThread(CAMERA)
     vision.offer(5, np.zeros((10, 10), np.uint8))  # another size than the camera's
+    vision.wait()
     vision.offer(6, np.zeros((48, 64), np.uint8))
     vision.wait()
-    found = {m.t_ns: m.lines for m in vision.finished()}
-    assert found.get(5) is None
-    assert found[6] is not None
+    found = {m.t_ns: m for m in vision.finished()}
+    assert (found[5].lines, found[5].cause) == (None, "picture is 10x10, the camera's 64x48")
+    assert found[6].lines is not None
     vision.close()
 
 
@@ -239,8 +240,8 @@ class Told:
     def add_lines(self, t_ns: int, lines: Any) -> None:
         self.given.append(("lines", t_ns))
 
-    def add_unreadable_frame(self, t_ns: int) -> None:
-        self.given.append(("unreadable", t_ns))
+    def add_unreadable_frame(self, t_ns: int, cause: str) -> None:
+        self.given.append((f"unreadable: {cause}", t_ns))
 
 
 def pilot_and_estimator(**known: Any) -> tuple[Pilot, Told]:
@@ -317,9 +318,9 @@ def test_a_turn_lasts_until_the_corridor_that_is_meant_is_held() -> None:
 
 def test_the_pilot_hands_frames_on_with_their_own_time() -> None:
     pilot, told = pilot_and_estimator()
-    pilot.vision.finished = lambda: iter([(7, SimpleNamespace(), None), (9, None, None)])  # type: ignore[method-assign,list-item]
+    pilot.vision.finished = lambda: iter([(7, SimpleNamespace(), None, ""), (9, None, None, "dark")])  # type: ignore[method-assign,list-item]
     pilot.control(100)
-    assert told.given == [("lines", 7), ("unreadable", 9)]
+    assert told.given == [("lines", 7), ("unreadable: dark", 9)]
 
 
 # The clock
@@ -494,3 +495,14 @@ def test_the_example_of_the_actuators_time_runs() -> None:
     assert lines[1] == "offset 0.20 half widths, 0.30 m in the wider corridor"
     assert "after 1 step the setpoint is 0.40 rad; faults <Fault.NONE: 0>" in lines
     assert lines[-1] == "after a reset: initialising, 2 steps, <Fault.NOT_STARTED: 256>"
+
+
+def test_an_example_without_the_library_of_its_link_names_the_extra() -> None:
+    code = (
+        "import sys, runpy; sys.modules['pymavlink'] = None; runpy.run_path(sys.argv[1], run_name='__main__')"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code, "live_loopback.py"], capture_output=True, text=True, cwd=EXAMPLES
+    )
+    assert ran.returncode == 2
+    assert ran.stderr == "error: pymavlink is not installed (pip install 'corridor-fusion[live]')\n"

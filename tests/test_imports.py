@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
 import subprocess
 import sys
 
@@ -109,6 +110,14 @@ def test_every_name_that_a_package_offers_is_there(package: str) -> None:
     module = importlib.import_module(package)
     for name in module.__all__:
         assert getattr(module, name).__name__ == name
+
+
+@pytest.mark.parametrize("package", ["vision", "fusion"])
+def test_a_package_offers_what_the_reference_lists(package: str) -> None:
+    section = (ROOT / "docs" / "api.md").read_text().split(f"\n## {package}\n")[1].split("\n## ")[0]
+    listed = re.findall(r"^::: .*\.(\w+)$", section, re.MULTILINE)
+    assert listed
+    assert set(listed) <= set(importlib.import_module(package).__all__)
 
 
 def test_the_command_runs_as_a_module() -> None:

@@ -29,6 +29,8 @@ LATENCY_MEMORY = 1 / 8
 RECENT_FRAMES = 6
 MIN_STEP_S = 0.04
 STEP_SPREADS = 3.0  # a step is this many times the recent stamps' spread
+MIN_INTERVAL_NS = 25_000  # on average; IMUs sample at up to 32 kHz
+MIN_COUNTED = 50  # samples of the clock, before they are called too close
 OFF_SAMPLES = 2  # in a row that a source is off before it is told
 MAX_TERM = 2.0  # of one frame's evidence on what has stepped
 COMPARED_NS = 400_000_000  # from frame to frame; the rate must change in that time
@@ -118,6 +120,7 @@ class Arrivals:
         self._sources = {kind: _Source(kind) for kind in SOURCES}
         self._clock: _Source | None = None
         self._tick = 0
+        self._first = (0, 0)  # stamp and tick of the clock's first sample
         self._waiting: list[Sample] = []
         self._released: list[Sample] = []
         self.frames = FrameStamps()
@@ -134,7 +137,7 @@ class Arrivals:
         """
         source, t_ns, clock = self._sources[type(sample)], sample.t_ns, self._clock
         if newest_ns is None or clock is None:
-            self._clock = source
+            self._follow(source, t_ns)
             return self._take(source, t_ns)
         orders = source is clock or source.rank < clock.rank or self._outlives(source, t_ns, clock)
         if t_ns < newest_ns - self.buffer_ns:
@@ -146,7 +149,7 @@ class Arrivals:
         latest_ns = clock.last_ns if source is clock else newest_ns
         if t_ns > latest_ns + self._reach_ns(source):
             return self._ahead_of_its_own(source, sample)
-        self._clock = source
+        self._follow(source, t_ns)
         return self._take(source, t_ns)
 
     def released(self) -> list[Sample]:
@@ -168,6 +171,13 @@ class Arrivals:
             elif source.off <= -OFF_SAMPLES:
                 yield Notice(fault, f"{samples} come too late, or their clock is {source.off_s:.2f} s behind")
         yield from self.frames.notice(clock)
+        first_ns, first_tick = self._first
+        if self._clock is not None and (count := self._tick - first_tick - 1) >= MIN_COUNTED:
+            apart_ns = (self._clock.last_ns - first_ns) / count
+            if apart_ns < MIN_INTERVAL_NS:
+                fault, samples = _FAULTS.get(self._clock.name, Fault.OTHER_CLOCK), _WORDS[self._clock.name][1]
+                apart = f"{samples} are {1e-3 * apart_ns:.3g} microseconds apart"
+                yield Notice(fault, f"{apart}: times must be nanoseconds")
 
     def finish(self) -> None:
         """Drop what nothing has confirmed."""
@@ -175,6 +185,11 @@ class Arrivals:
         self._waiting = []
         for source in self._sources.values():
             self._forget_suspect(source)
+
+    def _follow(self, source: _Source, t_ns: int) -> None:
+        """Let a source order time, from this stamp on where it has not done so."""
+        if source is not self._clock:
+            self._clock, self._first = source, (t_ns, self._tick)
 
     def _reach_ns(self, source: _Source) -> float:
         """How far a stamp may leap."""
@@ -236,7 +251,8 @@ class Arrivals:
             source.suspect = sample
             return Admission.WAIT
         self.restart()
-        self._clock = source = self._sources[type(sample)]
+        source = self._sources[type(sample)]
+        self._follow(source, suspect.t_ns)
         self._release([suspect, sample])
         return Admission.SET_BACK
 
@@ -254,7 +270,7 @@ class Arrivals:
         near = [s for s in self._waiting if abs(s.t_ns - t_ns) <= self.buffer_ns]
         self._drop(s for s in self._waiting if abs(s.t_ns - t_ns) > self.buffer_ns)
         self._waiting = []
-        self._clock = source
+        self._follow(source, t_ns)
         self._release([*near, suspect, sample])
         return Admission.JUMPED
 

@@ -77,6 +77,8 @@ class CorridorEstimator:
     ) -> None:
         if method not in ("geometric", "paper"):
             raise InputError(f"method {method!r} is unknown", remedy="use geometric or paper")
+        if camera is not None:
+            _check_camera(camera)
         self.config = config or FusionConfig()
         self.camera = camera
         self.method = method
@@ -209,6 +211,9 @@ class CorridorEstimator:
     def add_frame(self, t_ns: int, image: npt.NDArray[Any]) -> FrameResult:
         """Add a picture: grey (h, w), BGR or BGRA, uint8 or uint16. A picture of no use is counted as unreadable.
 
+        Why it is of no use (another size than the camera's, floats) is the result's ``cause``, and stands in the
+        estimate's ``reason`` until a frame can be read again.
+
         Returns
         -------
         FrameResult
@@ -222,8 +227,8 @@ class CorridorEstimator:
         camera = self._camera()
         try:
             features = extract_features(image, camera, self.method)
-        except InputError:
-            return self.add_unreadable_frame(t_ns)
+        except InputError as error:
+            return self.add_unreadable_frame(t_ns, error.problem)
         return self.add_features(t_ns, features)
 
     def add_features(self, t_ns: int, features: Features) -> FrameResult:
@@ -253,9 +258,10 @@ class CorridorEstimator:
         self.counters.update(refused)
         return self._add_frame(t_ns, measurement)
 
-    def add_unreadable_frame(self, t_ns: int) -> FrameResult:
-        """Add a frame of which there is no picture, so that it is counted and its age is known."""
-        return self._add_frame(t_ns, None)
+    def add_unreadable_frame(self, t_ns: int, cause: str = "") -> FrameResult:
+        """Add a frame of which there is no picture, and why, so that it is counted and its age is known."""
+        self.last_frame = replace(self._add_frame(t_ns, None), cause=cause)
+        return self.last_frame
 
     def seed(
         self,
@@ -317,9 +323,10 @@ class CorridorEstimator:
                 f"t_ns = {t_ns} is {(t_ns - newest_ns) * 1e-9:+.2f} s from the newest sample",
                 remedy=f"seed within buffer_s = {buffer_ns * 1e-9:g} s of it, or after reset()",
             )
+        if any(map(self._timeline.holds, samples)):  # before any is taken: all of them, or none
+            raise InputError(f"t_ns = {t_ns} already has another value", remedy="use a time 1 ns later")
         for sample in samples:
-            if self._insert(sample) is None:
-                raise InputError(f"t_ns = {t_ns} already has another value", remedy="use a time 1 ns later")
+            self._insert(sample)
 
     def reset(self) -> None:
         """Discard all samples, and all that was estimated or set in flight; keep configuration and `counters`.
@@ -355,6 +362,8 @@ class CorridorEstimator:
         if now_ns is not None and state.t_ns is not None:
             now_ns = max(now_ns, state.t_ns)
         newest = estimate_of(state, self.config, now_ns, self._arrivals, self._resets)
+        if newest.reason and self.last_frame is not None and self.last_frame.cause:
+            newest = replace(newest, reason=f"{newest.reason}; {self.last_frame.cause}")
         if at_ns is None or state.t_ns is None:
             return newest
         ahead_ns = whole_nanoseconds(at_ns) - state.t_ns
@@ -449,3 +458,13 @@ class CorridorEstimator:
         moved_ns = stamps.moved_ns
         stamps.weigh(entry.t_ns, m.heading_rad, m.heading_std_rad, turned)
         self.counters["camera_clock_moved"] += stamps.moved_ns != moved_ns
+
+
+def _check_camera(camera: object) -> None:
+    """Raise `InputError` for what is no camera, such as the path of its calibration."""
+    from vision import Camera
+
+    if not isinstance(camera, Camera):
+        raise InputError(
+            f"camera = {camera!r} is no Camera", remedy='load it: vision.Camera.from_yaml("sensor.yaml")'
+        )

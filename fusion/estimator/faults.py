@@ -24,7 +24,7 @@ class Fault(IntFlag):
     NOT_STARTED = 1 << 8  # no heading yet
     CAMERA_CLOCK = 1 << 9  # frames are stamped ahead of, behind, or otherwise than before against the IMU
     ATTITUDE_CLOCK = 1 << 10  # attitudes are stamped ahead of the IMU, or too far behind
-    IMU_CLOCK = 1 << 11  # IMU samples come too far behind the other sources
+    IMU_CLOCK = 1 << 11  # IMU samples come too far behind the other sources, or not in nanoseconds
     OTHER_CLOCK = 1 << 12  # velocities or ranges are stamped ahead of the IMU, or too far behind
     GYRO_OUT_OF_RANGE = 1 << 13  # beyond gyro_range_rad_s: refused
     GYRO_SPIKES = 1 << 14  # jumps that no vehicle makes: held back

@@ -68,6 +68,8 @@ class FrameResult:
         Whether the filter used its heading.
     innovation_rad, test_ratio
         Heading minus prediction, and its square over gate squared; NaN where it was not judged.
+    cause
+        Why a picture is unreadable, where that is known; else empty.
     """
 
     timestamp_ns: int
@@ -76,6 +78,7 @@ class FrameResult:
     reason: Reason
     innovation_rad: float = nan
     test_ratio: float = nan
+    cause: str = ""
 
 
 def extract_features(image: npt.NDArray[Any], camera: Camera, method: str) -> Features:

@@ -5,7 +5,6 @@ Also the bounds of a frame's measurement: a field beyond them is taken out befor
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from math import inf, isfinite, nan, pi
 from operator import index
@@ -123,7 +122,8 @@ def within_bounds(m: FrameMeasurement) -> tuple[FrameMeasurement, tuple[str, ...
     """Return a measurement without what no camera in a corridor can see, and the names that count it.
 
     A heading beyond half a turn takes the frame with it; other fields are only taken out themselves. NaN is no fault:
-    it says that a field was not measured.
+    it says that a field was not measured. Arrays are copied, so that the caller may use its own again,
+    and contiguous, so that no code is compiled for another layout in flight.
     """
     changes: dict[str, Any] = {}
     counted = []
@@ -131,16 +131,20 @@ def within_bounds(m: FrameMeasurement) -> tuple[FrameMeasurement, tuple[str, ...
         if _is_beyond(m, bound):
             changes |= dict.fromkeys((bound.value, bound.std) if bound.std else (bound.value,), nan)
             counted.append(bound.counted)
-    if not all(map(_is_sound, m.offset_evidence)):
-        changes["offset_evidence"] = tuple(filter(_is_sound, m.offset_evidence))
-        counted.append("frame_offset")
-    if m.wall_profiles is not None and not are_profiles(m.wall_profiles):
-        changes["wall_profiles"] = None
-        counted.append("frame_walls")
+    if len(m.offset_evidence):
+        sound = [mixture for mixture in map(_sound, m.offset_evidence) if mixture is not None]
+        changes["offset_evidence"] = tuple(sound)
+        if len(sound) < len(m.offset_evidence):
+            counted.append("frame_offset")
+    if m.wall_profiles is not None:
+        is_usable = are_profiles(m.wall_profiles)
+        changes["wall_profiles"] = np.array(m.wall_profiles, order="C") if is_usable else None
+        if not is_usable:
+            counted.append("frame_walls")
     if m.accepted and abs(m.heading_rad) > pi:  # not so for NaN, which is refused as unmeasured
         changes |= {"accepted": False, "reason": Reason.UNCERTAIN, "heading_rad": nan}
         counted.append("frame_heading")
-    if not counted:
+    if not changes:
         return m, ()
     return replace(m, **changes), tuple(f"{name}_out_of_range" for name in dict.fromkeys(counted))
 
@@ -151,10 +155,16 @@ def _is_beyond(m: FrameMeasurement, bound: _Bound) -> bool:
     return beyond
 
 
-def _is_sound(mixture: OffsetMixture) -> bool:
-    """Whether a mixture's numbers may be used: widths may be NaN, nothing else."""
-    weight, offset, std = mixture.weight, mixture.offset_norm, mixture.std_norm
-    arrays: Iterator[Any] = iter(
-        (weight >= 0.0, abs(offset) <= MAX_OFFSET_NORM, (std > 0.0) & (std <= MAX_OFFSET_STD))
-    )
-    return all(bool(np.all(a)) for a in arrays) and isfinite(float(weight.sum()))
+def _sound(mixture: OffsetMixture) -> OffsetMixture | None:
+    """Return a mixture with arrays of its own, float64 (k,); None where it cannot be used: widths may be NaN."""
+    try:
+        fields = np.array(
+            [mixture.weight, mixture.offset_norm, mixture.std_norm, mixture.width_per_height], order="C"
+        )
+    except (AttributeError, TypeError, ValueError):  # no mixture, or fields of several lengths
+        return None
+    if fields.ndim != 2 or fields.dtype.kind not in "fiu":
+        return None
+    weight, offset, std, width = fields.astype(np.float64)
+    within = (weight >= 0.0) & (abs(offset) <= MAX_OFFSET_NORM) & (std > 0.0) & (std <= MAX_OFFSET_STD)
+    return OffsetMixture(weight, offset, std, width) if within.all() and isfinite(weight.sum()) else None

@@ -59,6 +59,12 @@ class Timeline:
         place = bisect_right(self.entries, t_ns, key=lambda entry: entry.t_ns)
         return self.entries[place - 1].after if place > 0 else None
 
+    def holds(self, sample: Sample) -> bool:
+        """Whether a sample of this time and kind is in the buffer."""
+        key = (sample.t_ns, SOURCES[type(sample)].order)
+        at = bisect_left(self._keys, key)
+        return at < len(self._keys) and self._keys[at] == key
+
     def insert(self, sample: Sample) -> Entry | None:
         """Take a sample and bring the engine up to date; None where one of its time and kind is there already.
 

@@ -229,7 +229,7 @@ class LiveSession:
         self._send(received_ns, self.core.on_bytes(received_ns, data))
 
     def _frame(self, measured: Measured) -> None:
-        t_ns, lines, image = measured
+        t_ns, lines, image, _ = measured
         if self._recorder is not None:
             self._recorder.picture(self._clock.now_ns(), t_ns, None if lines is None else image)
         result = self.core.on_frame(t_ns, lines)

@@ -17,11 +17,12 @@ if TYPE_CHECKING:
 
 
 class Measured(NamedTuple):
-    """A picture, when it was taken, and its lines; None where it could not be read."""
+    """A picture, when it was taken, and its lines; None where it could not be read, and why, where that is known."""
 
     t_ns: int
     lines: LineSet | None
     image: npt.NDArray[Any]
+    cause: str = ""
 
 
 def _nobody() -> None:
@@ -91,14 +92,14 @@ class VisionThread:
 
     def _run(self) -> None:
         while (item := self._waiting.get()) is not None:
-            t_ns, image = item
+            (t_ns, image), cause = item, ""
             try:
                 lines = self._extract(image, self._camera)
-            except InputError:
-                lines = None
+            except InputError as error:
+                lines, cause = None, error.problem
             except Exception:  # whatever is wrong with one picture must not end vision
                 logging.getLogger(__name__).exception("picture of %d ns could not be measured", t_ns)
                 lines = None
-            self._finished.put(Measured(t_ns, lines, image))
+            self._finished.put(Measured(t_ns, lines, image, cause))
             self._waiting.task_done()
             self._on_finished()

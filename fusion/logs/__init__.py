@@ -9,6 +9,7 @@ module and naming it in `FORMATS`. A module is imported only when a log is opene
 
 from __future__ import annotations
 
+from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -37,6 +38,15 @@ FORMATS = {
     "CSV": "fusion.logs.csv.columns",
 }
 
+
+#: What holds pictures or samples only, and makes a flight together with other files.
+_PARTS = (
+    "fusion.logs.pictures.video",
+    "fusion.logs.pictures.picture_folder",
+    "fusion.logs.csv.phone_folder",
+    "fusion.logs.csv.gyroflow",
+    "fusion.logs.csv.columns",
+)
 
 _PACKED, _WRITTEN = (
     "unpack it first, and give what is in it",
@@ -76,8 +86,22 @@ def open_log(path: str | Path) -> LogContents:
     module = format_of(path)
     if module is None:
         remedy = _OTHER_FILES.get(path.suffix.lower()) or "give a flight.toml, " + ", ".join(FORMATS)
+        within = _flight_within(path)
+        if within is not None:
+            remedy = f"give a flight within it, such as {within}; `corridor batch {path}` fuses all of them"
         raise InputError("is not a flight of a known format", file=path, remedy=remedy)
     return cast(LogFormat, import_module(module)).open_log(path)
+
+
+def _flight_within(path: Path) -> Path | None:
+    """Return the first flight in a folder; pictures or samples alone are none."""
+    from fusion.logs.manifest.file import find_manifest
+
+    for inside in sorted(path.iterdir()) if path.is_dir() else ():
+        with suppress(InputError):  # what cannot be read is no example
+            if find_manifest(inside) is not None or format_of(inside) not in (None, *_PARTS):
+                return inside
+    return None
 
 
 def format_of(path: Path) -> str | None:

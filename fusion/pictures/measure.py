@@ -11,6 +11,7 @@ import numpy as np
 
 from fusion.estimator.tables import FRAME_DTYPE, Table
 from fusion.files import replacing
+from fusion.logs import FORMATS, format_of
 from fusion.logs.csv.rows import parse_time
 from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES
 from fusion.pictures.assumed_camera import AssumedView, AssumedViews, assume_views
@@ -57,6 +58,13 @@ def find_images(sources: Sequence[Path]) -> list[Path]:
                 )
             found += sorted(inside, key=_natural_order)
         elif source.exists():
+            if source.suffix.lower() not in PICTURE_SUFFIXES and (module := format_of(source)) is not None:
+                name = next(name for name, known in FORMATS.items() if known == module)
+                raise InputError(
+                    f"is of the format {name}, no picture",
+                    file=source,
+                    remedy=f"give pictures; `corridor inspect {source}` says what this holds",
+                )
             found.append(source)
         else:
             raise InputError("there is no such picture or folder", file=source, remedy="check the path")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from enum import Enum
@@ -20,6 +21,7 @@ from vision.errors import InputError
 from vision.limits import check_toml, check_values, read_text
 
 WIDTH = 100
+_DECIMAL_COMMA = re.compile(r"^[ \t]*(\w+[ \t]*=[ \t]*[+-]?\d+),(\d+)[ \t]*(?:#.*)?$", re.MULTILINE)
 Config = TypeVar("Config", bound=BaseModel)
 
 
@@ -44,7 +46,9 @@ def read_toml(path: str | Path, example: str = "name = 1.5") -> dict[str, Any]:
     except InputError:
         raise
     except (ValueError, RecursionError) as error:  # also a number of thousands of digits, or tables too deep
-        raise InputError(f"is not TOML: {error}", file=path, remedy=f"write lines like {example}") from error
+        comma = _DECIMAL_COMMA.search(text)
+        remedy = f"write a decimal point: {comma[1]}.{comma[2]}" if comma else f"write lines like {example}"
+        raise InputError(f"is not TOML: {error}", file=path, remedy=remedy) from error
 
 
 def build(model: type[Config], values: dict[str, Any], file: str | Path | None = None) -> Config:
@@ -105,6 +109,11 @@ def _unknown(complaint: Complaint) -> tuple[str, str]:
         problem = f"unknown setting {complaint.dotted} = {{...}}, a section"
         if inside:
             return problem, f"write {inside[0]} without a section, at the top of the file"
+        if not sections:
+            remedy = (
+                "this file has none; those of a flight, such as [imu] and [camera], belong in its flight.toml"
+            )
+            return problem, remedy
         near = suggestion(name, None, dict.fromkeys(sections, ""))
         return problem, near or _listing(sections)
     plain = {known: field for known, field in fields.items() if section_of(field) is None}

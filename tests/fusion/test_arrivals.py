@@ -185,3 +185,31 @@ def test_without_a_turn_the_two_cannot_be_told_apart() -> None:
     straight = simulate(replace(SCENE, heading=lambda t: 0.1 * cos(0.0) + 0.0 * np.asarray(t, float)))
     _, said = fly(straight.samples, shifted("frame", 100, 8.0))
     assert "or latency has changed" in said[-1]
+
+
+@pytest.mark.parametrize(
+    ("tick_ns", "rate_hz", "told"),
+    [
+        (1000, 200, "IMU samples are 5 microseconds apart: times must be nanoseconds"),
+        (1000, 50, "IMU samples are 20 microseconds apart: times must be nanoseconds"),
+        (1_000_000, 200, "IMU samples are 0.005 microseconds apart: times must be nanoseconds"),
+        (1, 8000, "no usable frame yet"),
+        (1, 32000, "no usable frame yet"),
+        (1, 50, "no usable frame yet"),
+    ],
+)
+def test_times_in_another_unit_are_told(tick_ns: int, rate_hz: int, told: str) -> None:
+    estimator = CorridorEstimator()
+    for k in range(200):
+        estimator.add_imu(round((10**15 + k * 1e9 / rate_hz) / tick_ns), (0.0, 0.0, 0.0))
+    e = estimator.estimate()
+    assert e.reason == told
+    assert (Fault.IMU_CLOCK in e.faults) == ("nanoseconds" in told)
+
+
+def test_samples_stamped_in_bursts_are_not_taken_for_microseconds() -> None:
+    """A driver that stamps what it finds in the sensor's buffer as it reads it."""
+    estimator = CorridorEstimator()
+    for k in range(200):
+        estimator.add_imu(k // 20 * 20 * MS + k % 20 * 1000, (0.0, 0.0, 0.0))
+    assert estimator.estimate().reason == "no usable frame yet"

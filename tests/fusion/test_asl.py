@@ -113,6 +113,12 @@ def test_what_is_no_flight(tmp_path: Path) -> None:
         load_flight(tmp_path / "log.bin")
 
 
+def test_a_folder_of_flights_names_one_of_them(folder: Folder) -> None:
+    (folder.path.parent / "a.csv").write_text("t,gx,gy,gz\n1,2,3,4\n")
+    with pytest.raises(InputError, match=rf"such as {folder.path}; `corridor batch {folder.path.parent}`"):
+        load_flight(folder.path.parent)
+
+
 def test_missing_parts(folder: Folder) -> None:
     sensor = folder.path / "mav0/cam0/sensor.yaml"
     sensor.unlink()

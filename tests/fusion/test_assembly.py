@@ -328,7 +328,7 @@ def test_what_does_not_fit_is_named(parts: Parts, old: str, new: str, message: s
 def test_a_named_file_must_hold_its_stream(parts: Parts) -> None:
     text = MANIFEST + '[velocity]\nfile = "attitude.csv"\n'
     with pytest.raises(
-        InputError, match=r"attitude\.csv: contains no velocity, only attitude .*\[velocity\]"
+        InputError, match=r"attitude\.csv: contains no velocity; it contains attitude .*\[velocity\]"
     ):
         load_flight(at(parts, text))
 

@@ -407,6 +407,21 @@ def test_any_bytes_read_or_say_why(tmp_path_factory: pytest.TempPathFactory, dat
             None,
             r"its columns are not known by name: a, b, c \(name them in flight\.toml, as in",
         ),
+        (
+            "t,foo_x [rad/s],w_RS_S_y [rad/s],w_RS_S_z [rad/s],ax,ay,az\n1,2,3,4,5,6,7\n",
+            None,
+            r"has w_RS_S_y and w_RS_S_z of the gyroscope, but no column w_rs_s_x \(rename the column",
+        ),
+        (
+            "t,gyro_x,gyro_y,gyro_z,acc_x_g,acc_y_g,foo_z\n1,2,3,4,5,6,7\n",
+            None,
+            r"has acc_x_g and acc_y_g of the accelerometer, but no column acc_z_g ",
+        ),
+        (
+            "t,foo_x,foo_y,foo_z,ax,ay,az\n1,2,3,4,5,6,7\n",
+            None,
+            r"an accelerometer, but no known gyroscope: t, foo_x, .*\(name them in flight\.toml",
+        ),
         ("1,2,3\n2,3,4\n", None, r"not known by name: 3 without names"),
         ("a,gx,gy,gz\n1,2,3,4\n", None, r"has no column of time stamps: a, gx, gy, gz \(name it"),
         ("t,gx,gy,gz\n1,2,3,4\n", ColumnMap(gyro=("gx", "gy", "hz")), r"no column 'hz' .*did you mean gz\?"),

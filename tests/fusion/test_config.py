@@ -49,6 +49,7 @@ def test_section_is_refused(tmp_path: Path) -> None:
         ("camera_delay_s = 0.6", "less than buffer_s = 0.5"),
         ("lost_after_s = 0.1", "less than coasting_after_s"),
         ("corridor_width_m =", "is not TOML"),
+        ("min_lines = 4\ncorridor_width_m = 2,2  # wide", "(write a decimal point: corridor_width_m = 2.2)"),
     ],
 )
 def test_bad_value_is_named(tmp_path: Path, line: str, message: str) -> None:

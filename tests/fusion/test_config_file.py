@@ -149,6 +149,11 @@ class TestRefused:
                 "unknown setting fuse = {...}, a section "
                 "(write min_lines without a section, at the top of the file)",
             ),
+            (
+                '[imu]\nframe = "flu"',
+                "unknown setting imu = {...}, a section (this file has none; "
+                "those of a flight, such as [imu] and [camera], belong in its flight.toml)",
+            ),
             ("corridor_width_m = true", "corridor_width_m = true: input should be a number"),
             (
                 "corridor_width_m = 220",

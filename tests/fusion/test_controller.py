@@ -166,6 +166,15 @@ def test_two_seeds_of_one_time_are_refused() -> None:
         estimator.seed(t, 0.6, 0.1)
 
 
+def test_a_seed_whose_width_is_refused_leaves_the_heading() -> None:
+    estimator, t = flown()
+    estimator.set_corridor_width(t, 2.0)
+    before = plain(estimator.estimate())
+    with pytest.raises(InputError, match="1 ns later"):
+        estimator.seed(t, 1.0, 0.05, 2.5)
+    assert plain(estimator.estimate()) == before
+
+
 # Width
 
 

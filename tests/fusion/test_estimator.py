@@ -310,6 +310,29 @@ def test_frames_are_turned_down_for_their_reason() -> None:
     assert estimator.counters["frame_unreadable"] == 1
 
 
+@pytest.mark.parametrize(
+    ("image", "cause"),
+    [
+        (np.zeros((240, 320), np.uint8), "picture is 320x240, the camera's 640x480"),
+        (np.zeros((480, 640), np.float32), "image is of type float32"),
+    ],
+)
+def test_a_picture_of_no_use_says_why(image: np.ndarray, cause: str) -> None:
+    estimator = CorridorEstimator(None, Camera.from_fov(640, 480, 1.2))
+    estimator.add_imu(0, (0, 0, 0))
+    result = estimator.add_frame(0, image)
+    assert (result.reason, result.cause) == (Reason.UNREADABLE, cause)
+    assert estimator.last_frame == result
+    assert estimator.estimate().reason == f"no usable frame yet; {cause}"
+    estimator.add_measurement(50_000_000, frame(0.0))
+    assert cause not in estimator.estimate().reason
+
+
+def test_the_path_of_a_calibration_is_no_camera() -> None:
+    with pytest.raises(InputError, match=r"camera = 'cam\.yaml' is no Camera .*from_yaml"):
+        CorridorEstimator(FusionConfig(), "cam.yaml")  # type: ignore[arg-type]
+
+
 def test_bad_samples_are_counted_and_poison_nothing() -> None:
     estimator, t = steady()
     estimator.add_imu(t + 1, (nan, 0, 0))

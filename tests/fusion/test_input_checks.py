@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import astuple, replace
 from math import inf, isnan, nan, pi
 from typing import Any
 
@@ -18,6 +18,7 @@ from fusion.flight import FrameStream, ImuStream
 from tests.fusion.simulated import frame
 from vision import Camera, FrameMeasurement, InputError, Reason
 from vision.lateral.mixture import OffsetMixture
+from vision.lateral.parallax import PROFILES_SHAPE
 
 MS = 1_000_000
 
@@ -120,8 +121,51 @@ def test_a_field_out_of_bounds_is_taken_out_alone(field: str, value: float, coun
 def test_evidence_out_of_bounds_is_taken_out(bad: OffsetMixture) -> None:
     good = mixture()
     found, names = within_bounds(frame(0.1, offset_evidence=(bad, good)))
-    assert found.offset_evidence == (good,)
+    (kept,) = found.offset_evidence
+    assert repr(kept.fields()) == repr(good.fields())
     assert names == ("frame_offset_out_of_range",)
+
+
+ONE, TWO, COLUMN = np.array([0.5]), np.array([0.2, 0.3]), np.array([[0.5], [0.4]])
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        OffsetMixture(TWO, ONE, TWO, TWO),
+        OffsetMixture(0.5, 0.2, 0.1, 1.5),  # type: ignore[arg-type]
+        OffsetMixture(COLUMN, COLUMN, COLUMN, COLUMN),
+        OffsetMixture(ONE + 0j, ONE, ONE, ONE),  # type: ignore[arg-type]
+        OffsetMixture(ONE, ONE, ONE, None),  # type: ignore[arg-type]
+        OffsetMixture(["a"], ["b"], ["c"], ["d"]),  # type: ignore[arg-type]
+        (0.5, 0.2, 0.1, 1.5),
+    ],
+)
+def test_evidence_of_another_shape_is_counted_and_left_out(bad: Any) -> None:
+    good, lists = mixture(), OffsetMixture([0.5], [0.2], [0.1], [nan])  # type: ignore[arg-type]
+    estimator = CorridorEstimator()
+    for k in range(20):
+        estimator.add_imu(k * 50 * MS, (0.0, 0.0, 0.0))
+        estimator.add_measurement(k * 50 * MS, frame(0.1, offset_evidence=(good, bad, lists)))
+    assert estimator.counters["frame_offset_out_of_range"] == 20
+    assert estimator.last_frame is not None
+    assert estimator.last_frame.measurement is not None
+    assert len(estimator.last_frame.measurement.offset_evidence) == 2
+
+
+def test_arrays_are_copied_contiguous_and_of_the_type_that_is_compiled() -> None:
+    table = np.full((4, 6), 0.2, np.float32)
+    given = OffsetMixture(*(row[::2] for row in table))  # type: ignore[arg-type]
+    profiles = np.zeros(PROFILES_SHAPE, np.float32, order="F")
+    found, names = within_bounds(frame(0.1, offset_evidence=(given,), wall_profiles=profiles))
+    table[:], profiles[:] = nan, nan
+    assert names == ()
+    assert found.wall_profiles is not None
+    assert found.wall_profiles.flags.c_contiguous
+    assert not found.wall_profiles.any()
+    for array in astuple(found.offset_evidence[0]):
+        assert (array.dtype, array.flags.c_contiguous) == (np.float64, True)
+        assert array == pytest.approx(0.2)
 
 
 def test_a_heading_that_is_none_takes_the_frame_with_it() -> None:

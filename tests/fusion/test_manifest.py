@@ -200,6 +200,14 @@ def test_nothing_half_written(tmp_path: Path) -> None:
             'log = "a"\n[imu]\nstart_ns = 3',
             r"unknown key imu\.start_ns = 3 \(start_ns belongs in \[camera\]\)",
         ),
+        (
+            'log = "a"\ncamera_height_m = 1.2',
+            r"unknown key camera_height_m = 1\.2 \(.* of the filter belong in the file for --config\)",
+        ),
+        (
+            'log = "a"\n[imu]\ngyro_noise_density = 1e-3',
+            r"\(known here: file, .*noise\. Settings of the filter belong in the file for --config\)",
+        ),
         ('log = "a"\n[imu]\ngyro = ["a"]', r"imu\.gyro = .* \(gyro belongs in a stream's columns\)"),
         ('log = "a"\n[imu.columns]\ngiro = 1', r"unknown key imu\.columns\.giro = 1 \(did you mean gyro\?\)"),
         (

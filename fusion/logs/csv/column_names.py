@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from fusion.flight import Remark
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap
 from fusion.logs.csv.table import Layout
 from fusion.logs.samples import Problems, WithProblems
+from vision import InputError
 
 # {} stands for the axis. Names are compared in lower case, dots and blanks as underscores, without units.
 _VECTORS = {
@@ -66,7 +68,7 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
             f"{layout.path.name}: taken for a TUM trajectory: time, position, quaternion x, y, z, w"
         )
         return WithProblems(_TUM, (said,))
-    known = [_normal(name, unit) for name, unit in zip(layout.names, layout.units, strict=True)]
+    known = _known(layout)
     found: dict[str, Any] = {}
     problems: Problems = ()
 
@@ -84,13 +86,8 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
                 Remark(f"{layout.path.name}: no unit is given for {what or names[0]}, {assumed} taken"),
             )
 
-    sensor = _sensor_of(layout)
-    for role, patterns in _VECTORS.items():
-        # Phones write a file for each sensor, whose columns are called x, y, z.
-        told = patterns.split() if sensor is None else [p for p in patterns.split() if p != "{}"]
-        told += ["{}"] if role == sensor else []
-        axes = [[pattern.format(axis) for axis in "xyz"] for pattern in told]
-        take(role, axes, ColumnMap.model_fields[f"{role}_unit"].default, role)
+    for role in _VECTORS:
+        take(role, _axes(layout, role), ColumnMap.model_fields[f"{role}_unit"].default, role)
     take(
         "quaternion", [*([p.format(part) for part in "wxyz"] for p in _QUATERNIONS), _NUMBERED_QUATERNION], ""
     )
@@ -98,6 +95,25 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
         take("euler", [["roll", "pitch", "yaw"], ["roll", "pitch", "heading"]], "rad", "roll, pitch and yaw")
     take("range", [[name] for name in _RANGES], "m")
     return WithProblems(ColumnMap(**found) if found else None, problems)
+
+
+def check_axes(layout: Layout) -> None:
+    """Raise `InputError` where two axes of gyroscope or accelerometer go by known names and the third does not."""
+    known = _known(layout)
+    for role, sensor in (("gyro", "gyroscope"), ("accel", "accelerometer")):
+        patterns = _axes(layout, role)
+        if _find(known, patterns, role)[0]:
+            continue
+        for wanted, places, _ in _spellings(known, patterns, role):
+            there = [layout.names[i] for i in places if i is not None]
+            if len(there) == 2:
+                missing = wanted[places.index(None)]
+                raise InputError(
+                    f"has {there[0]} and {there[1]} of the {sensor}, but no column {missing}",
+                    file=layout.path,
+                    remedy=f"rename the column of the third axis to {missing}, or name all columns to read under "
+                    "[imu.columns] in flight.toml",
+                )
 
 
 def is_tum(layout: Layout) -> bool:
@@ -109,6 +125,19 @@ def is_tum(layout: Layout) -> bool:
     if q.ndim != 2 or q.shape[1] != 4:
         return False
     return bool((np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.01).all())
+
+
+def _known(layout: Layout) -> list[tuple[str, str]]:
+    return [_normal(name, unit) for name, unit in zip(layout.names, layout.units, strict=True)]
+
+
+def _axes(layout: Layout, role: str) -> list[list[str]]:
+    """Return the names that a vector's three columns may have."""
+    # Phones write a file for each sensor, whose columns are called x, y, z.
+    sensor = _sensor_of(layout)
+    patterns = [p for p in _VECTORS[role].split() if sensor is None or p != "{}"]
+    patterns += ["{}"] if role == sensor else []
+    return [[pattern.format(axis) for axis in "xyz"] for pattern in patterns]
 
 
 def _sensor_of(layout: Layout) -> str | None:
@@ -131,30 +160,25 @@ def has_asl_names(columns: ColumnMap) -> bool:
 
 def _find(known: list[tuple[str, str]], patterns: list[list[str]], role: str) -> tuple[list[int], str]:
     """Return the columns of the first pattern that a file has, and their unit, if any; none where it has none."""
-    return (
-        _find_spelled(known, patterns, role)
-        or _find_spelled(
-            [(name.replace("_", ""), unit) for name, unit in known],
-            [[name.replace("_", "") for name in names] for names in patterns if names[0] not in "xyz"],
-            role,
-        )
-        or ([], "")
-    )
+    for _, places, unit in _spellings(known, patterns, role):
+        columns = [i for i in places if i is not None]
+        if len(columns) == len(places):
+            return columns, unit or _UNITS.get(role, {}).get(known[columns[0]][1], "")
+    return [], ""
 
 
-def _find_spelled(
+def _spellings(
     known: list[tuple[str, str]], patterns: list[list[str]], role: str
-) -> tuple[list[int], str] | None:
+) -> Iterator[tuple[list[str], list[int | None], str]]:
+    """Yield each way to write the names, the columns that are called so, and the unit that the names end in."""
     units = _UNITS.get(role, {})
-    place_of = {name: i for i, (name, _) in reversed(list(enumerate(known)))}  # the first of a name counts
-    for names in patterns:
-        for ending in ("", *units):
-            wanted = [f"{name}_{ending}" if ending else name for name in names]
-            places = [place_of.get(name) for name in wanted]
-            columns = [i for i in places if i is not None]
-            if len(columns) == len(wanted):
-                return columns, units.get(ending) or units.get(known[columns[0]][1], "")
-    return None
+    joined = [[name.replace("_", "") for name in names] for names in patterns if names[0] not in "xyz"]
+    for sought, there in ((patterns, known), (joined, [(name.replace("_", ""), "") for name, _ in known])):
+        place_of = {name: i for i, (name, _) in reversed(list(enumerate(there)))}  # the first counts
+        for names in sought:
+            for ending in ("", *units):
+                wanted = [f"{name}_{ending}" if ending else name for name in names]
+                yield wanted, [place_of.get(name) for name in wanted], units.get(ending, "")
 
 
 def _normal(name: str, unit: str) -> tuple[str, str]:

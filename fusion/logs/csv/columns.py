@@ -24,7 +24,13 @@ from fusion.flight import (
 )
 from fusion.logs.contents import Kind, LogContents, Topic, UndecidedError
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
-from fusion.logs.csv.column_names import has_asl_names, map_of_names, names_the_world, ready_map_of
+from fusion.logs.csv.column_names import (
+    check_axes,
+    has_asl_names,
+    map_of_names,
+    names_the_world,
+    ready_map_of,
+)
 from fusion.logs.csv.table import Layout, read_layout
 from fusion.logs.csv.time_units import is_time_name
 from fusion.logs.csv.times import ROLES, read_timed, time_columns
@@ -113,6 +119,11 @@ def open_columns(
     for kind, roles, read in _READERS:
         if any(role in table.parts for role in roles):
             series.append(Series(Topic(kind.value, kind, table.t_ns, table.note(kind)), partial(read, table)))
+    if not series and "accel" in table.parts:
+        listed = ", ".join(layout.names[:20]) if layout.has_names else f"{len(layout.names)} without names"
+        raise InputError(
+            f"has an accelerometer, but no known gyroscope: {listed}", file=path, remedy=_EXAMPLE
+        )
     log = CsvLog(path, what, series, assumed + problems + _left_out(layout, found))
     log.units_taken = found.units_taken
     log.body_frame = "flu" if table.body_frame().value in ("flu", "enu") else "frd"
@@ -145,6 +156,7 @@ def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[
     """Return the map to use, and what to call the file."""
     if isinstance(columns, ColumnMap):
         if not any(columns.columns_of(role) for role in ROLES):
+            check_axes(layout)
             guessed, problems = map_of_names(layout)
             if guessed is None:
                 raise InputError("the column map names no data", file=layout.path, remedy=_EXAMPLE)
@@ -154,6 +166,7 @@ def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[
     ready = columns or ready_map_of(layout)
     if ready is not None:
         return WithProblems((_present(READY_MAPS[ready], layout), f"CSV ({ready})"))
+    check_axes(layout)
     guessed, problems = map_of_names(layout)
     if guessed is None:
         listed = ", ".join(layout.names[:20]) if layout.has_names else f"{len(layout.names)} without names"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,6 +15,7 @@ from fusion.logs.plausibility.clocks import is_unix, span
 from fusion.logs.plausibility.flight import check_flight
 from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.topic_choice import TABLES, WORDS, holdings
+from fusion.settings.toml import toml_value
 from vision import Camera, InputError
 from vision.cameras.lens_check import lens_problem
 
@@ -155,11 +156,25 @@ class _Assembly:
             raise InputError(
                 "contains no calibration of the camera" if missing is None else "there is no such file",
                 file=missing or log.path,
-                remedy="add the calibration: name it with --camera, or under [camera] in flight.toml; where there is "
-                "none, `corridor align` finds the focal length from the flight",
+                remedy="add the calibration: name it with --camera, or under [camera] in flight.toml"
+                + self._how_to_align(),
             )
         self._note(tuple(text for text in (camera.mount_problem(), lens_problem(camera)) if text is not None))
         return camera
+
+    def _how_to_align(self) -> str:
+        """Say how to find the focal length; `corridor align` takes a log or a manifest, not files one by one."""
+        manifest, imu = self.sources.manifest, self.sources.log(Kind.IMU)
+        if imu is None or not any(topic.kind is Kind.IMU for topic in imu.topics):
+            return ""
+        told = manifest.model_dump(mode="json", exclude_defaults=True)
+        if told.keys() == {"log"}:
+            return f"; where there is none, `corridor align {manifest.log} --write` finds the focal length"
+        lines = ", ".join(_lines(told))
+        return (
+            "; where there is none, `corridor align flight.toml --write` finds the focal length, with these lines in "
+            f"flight.toml: {lines}"
+        )
 
     def _stream(
         self, kind: Kind, read: Callable[[str], WithProblems[AnyStream]], frame_t_ns: TimeArray
@@ -172,7 +187,7 @@ class _Assembly:
         if topic is None:
             if source.file is not None:
                 raise InputError(
-                    f"contains no {WORDS[kind]}, only {holdings(log)}",
+                    f"contains no {WORDS[kind]}; it contains {holdings(log)}",
                     file=source.file,
                     remedy=f"name another file under [{TABLES[kind]}], or the columns of this one",
                 )
@@ -218,3 +233,12 @@ class _Assembly:
             remedy=f"if both began together, set clock_offset_s = {lag_s:.3f} for [camera] in flight.toml, or give "
             f"--clock-offset {lag_s:.3f}; `corridor align` finds the rest; or leave the {table} out",
         )
+
+
+def _lines(values: Mapping[str, Any], table: str = "") -> Iterator[str]:
+    """Yield the lines of a manifest with these values, each with its table's name before the key."""
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _lines(value, f"{table}{key}.")
+        else:
+            yield f"{table}{key} = {toml_value(value)}"

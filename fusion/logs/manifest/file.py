@@ -89,7 +89,7 @@ def _explain(complaint: Complaint) -> tuple[str, str | None]:
 def _place_of(complaint: Complaint) -> str:
     """Say what an unknown key may mean, or where it belongs."""
     key, model = complaint.name, complaint.model
-    near = did_you_mean(key, model.model_fields)
+    near = did_you_mean(key, model.model_fields, cutoff=0.72)
     if near:
         return near
     places: dict[str, type[BaseModel]] = {
@@ -103,7 +103,8 @@ def _place_of(complaint: Complaint) -> str:
     for place, other in places.items():
         if other is not model and key in other.model_fields:
             return f"{key} belongs {place}"
-    return "known here: " + ", ".join(model.model_fields)
+    near = did_you_mean(key, model.model_fields) or f"known here: {', '.join(model.model_fields)}."
+    return f"{near} Settings of the filter belong in the file for --config"
 
 
 def write_manifest(manifest: Manifest, path: str | Path, notes: Mapping[str, str] | None = None) -> None:
