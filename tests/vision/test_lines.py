@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.vision.corridor_lines import lines_between
-from vision import Camera, InputError
+from vision import Camera, InputError, Reason, measure_frame
 from vision.cameras.camera import Distortion
 from vision.compiled import compiled
 from vision.lines.fitting import (
@@ -270,3 +270,13 @@ def test_a_line_cut_in_two_lies_where_it_lay(at: float) -> None:
             for end in (ray_of(*cut.ends_px[part, :2]), ray_of(*cut.ends_px[part, 2:]))
         ]
         assert angles == pytest.approx([-0.5 * cut.arc_rad[part], 0.5 * cut.arc_rad[part]], abs=0.03)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 2000), (2000, 1), (3, 1200)])
+def test_a_picture_too_thin_for_lines_has_none(width: int, height: int) -> None:
+    camera = Camera(
+        width_px=width, height_px=height, fx_px=500.0, fy_px=500.0, cx_px=0.5 * width, cy_px=0.5 * height
+    )
+    noise = np.random.default_rng(0).integers(0, 255, (height, width)).astype(np.uint8)
+    assert len(extract_lines(noise, camera)) == 0
+    assert measure_frame(noise, camera).reason is Reason.TOO_FEW_LINES

@@ -103,7 +103,7 @@ def working_camera(camera: Camera) -> Camera:
 @lru_cache(maxsize=8)
 def resized(camera: Camera, scale: float) -> Camera:
     """Return the camera as of its pictures at ``scale`` times their size."""
-    return camera.resized(round(camera.width_px * scale), round(camera.height_px * scale))
+    return camera.resized(max(round(camera.width_px * scale), 1), max(round(camera.height_px * scale), 1))
 
 
 def scaled(grey: GreyImage, camera: Camera) -> GreyImage:
