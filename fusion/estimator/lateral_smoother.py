@@ -44,15 +44,15 @@ BOTH_INFLATION = 1.5  # of the variance, as errors of what comes before and afte
 KNOWN_PROBABILITY = 0.95  # likewise higher than the filter's
 
 
-class MotionBound(NamedTuple):
+class MotionPrediction(NamedTuple):
     """Where motion leads, and how far from there an offset may be, half widths; NaN where nothing is known of it."""
 
     offset_norm: float = nan
-    reach_norm: float = nan
+    tolerance_norm: float = nan
 
     def excludes(self, offset_norm: float) -> bool:
         """Tell whether an offset is too far from there."""
-        return abs(offset_norm - self.offset_norm) > self.reach_norm
+        return abs(offset_norm - self.offset_norm) > self.tolerance_norm
 
 
 class OffsetStep(NamedTuple):
@@ -72,7 +72,7 @@ class OffsetStep(NamedTuple):
         Parallax of the walls since an earlier frame, taken in before this one's evidence; None without.
     starts_anew
         Whether another corridor begins here.
-    led_to
+    predicted
         Where motion leads from the offsets that the filter relied on before: no other is relied on.
     """
 
@@ -82,7 +82,7 @@ class OffsetStep(NamedTuple):
     speed: tuple[float, float] | None = None
     parallax: WallParallax | None = None
     starts_anew: bool = False
-    led_to: MotionBound = MotionBound()
+    predicted: MotionPrediction = MotionPrediction()
 
 
 @dataclass(slots=True)
@@ -106,7 +106,7 @@ def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[Of
     later = nothing_known()
     for step in reversed(steps):
         found = _met(step.after, later, model)
-        out.append(found._replace(known=found.known and not step.led_to.excludes(found.offset_norm)))
+        out.append(found._replace(known=found.known and not step.predicted.excludes(found.offset_norm)))
         if step.evidence is not None:
             later = with_evidence(later, step.evidence, model)
         if step.speed is not None:

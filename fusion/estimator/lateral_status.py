@@ -22,17 +22,17 @@ from fusion.estimator.lateral_offset import (
 )
 from fusion.estimator.lateral_offset import readout as readout_of
 from fusion.estimator.lateral_parallax import WallView
-from fusion.estimator.lateral_smoother import MotionBound, OffsetStep
+from fusion.estimator.lateral_smoother import MotionPrediction, OffsetStep
 from fusion.estimator.models import Gate
 from fusion.estimator.sample_times import seconds_since
 from fusion.estimator.velocity import Velocity
 
 JUMP_NORM = 0.1  # change in one frame from which on another hypothesis has won
-CONTRADICTED_S = 4.0  # for which no offset is relied on that motion does not lead to: one of the two is wrong
-DRIFT_NORM = 0.07  # half widths that the offset and the way drift apart in that time, besides
+CONTRADICTED_S = 4.0  # for which no offset is reported that motion does not lead to: one of the two is wrong
+DRIFT_NORM = 0.07  # half widths by which offset and displacement drift apart in that time, besides
 DRIFT_S = 0.5  # times the standard deviation of the rate
-MIN_RELIED_ON = 5  # offsets that contradict one: fewer may be a first guess
-RELIED_ON_EVERY_S = 0.1
+MIN_RECENT = 5  # offsets that contradict one: fewer may be a first guess
+RECENT_EVERY_S = 0.1
 
 
 class LateralStatus(StrEnum):
@@ -43,46 +43,45 @@ class LateralStatus(StrEnum):
     COASTING = "coasting"  # carried on by the accelerometer or velocity; its sigma grows
 
 
-class ReliedOn(NamedTuple):
-    """Offsets that were relied on in the last seconds, as the vehicle's motion carries them on.
+class RecentOffsets(NamedTuple):
+    """Offsets that were known in the last seconds, each less the displacement until then.
 
-    Where the corridor gets narrower or wider ahead, what a frame shows are more and more the walls ahead, and the
-    offset drifts or jumps to theirs: motion does not lead there. Each offset is kept less the vehicle's way until
-    then, so that those of one corridor, at whatever time, are alike.
+    Ahead of a place where the corridor gets narrower or wider, frames show more and more the walls beyond it: the
+    offset drifts or jumps to theirs, to where the displacement does not lead.
 
     Parameters
     ----------
-    way_norm
+    displacement_norm
         How far the vehicle has moved right since the first frame, half widths.
     t_frame_ns
         Last frame; None before the first.
     t_ns, origin_norm
-        When an offset was relied on, and that offset less the way until then; the oldest first.
+        When an offset was known, and that offset less the displacement until then; the oldest first.
     """
 
-    way_norm: float = 0.0
+    displacement_norm: float = 0.0
     t_frame_ns: int | None = None
     t_ns: tuple[int, ...] = ()
     origin_norm: tuple[float, ...] = ()
 
-    def moved_on(self, rate_norm_s: float, t_ns: int) -> ReliedOn:
+    def moved_on(self, rate_norm_s: float, t_ns: int) -> RecentOffsets:
         """Go on to a frame by the rate there, and forget what is too old."""
-        way = self.way_norm
+        moved = self.displacement_norm
         if self.t_frame_ns is not None and isfinite(rate_norm_s):
-            way += rate_norm_s * seconds_since(t_ns, self.t_frame_ns)
+            moved += rate_norm_s * seconds_since(t_ns, self.t_frame_ns)
         old = sum(seconds_since(t_ns, t) >= CONTRADICTED_S for t in self.t_ns)
-        return ReliedOn(way, t_ns, self.t_ns[old:], self.origin_norm[old:])
+        return RecentOffsets(moved, t_ns, self.t_ns[old:], self.origin_norm[old:])
 
     @property
-    def leads_to_norm(self) -> float:
-        """Offset to which motion leads from them; NaN where they are too few."""
-        return self.way_norm + median(self.origin_norm) if len(self.t_ns) >= MIN_RELIED_ON else nan
+    def predicted_norm(self) -> float:
+        """Offset that follows from them and the displacement; NaN where they are too few."""
+        return self.displacement_norm + median(self.origin_norm) if len(self.t_ns) >= MIN_RECENT else nan
 
-    def with_offset(self, offset_norm: float, t_ns: int) -> ReliedOn:
+    def with_offset(self, offset_norm: float, t_ns: int) -> RecentOffsets:
         """Add one, unless the last is recent."""
-        if self.t_ns and seconds_since(t_ns, self.t_ns[-1]) < RELIED_ON_EVERY_S:
+        if self.t_ns and seconds_since(t_ns, self.t_ns[-1]) < RECENT_EVERY_S:
             return self
-        origins = (*self.origin_norm, offset_norm - self.way_norm)
+        origins = (*self.origin_norm, offset_norm - self.displacement_norm)
         return self._replace(t_ns=(*self.t_ns, t_ns), origin_norm=origins)
 
 
@@ -105,8 +104,8 @@ class Lateral(NamedTuple):
         Whether the last frame left an offset that may be relied on.
     last_known
         Offset when it was last known, half widths and metres.
-    relied_on
-        Offsets in this corridor that were relied on in the last seconds.
+    recent
+        Offsets in this corridor that were known in the last seconds.
     contradicted
         Whether motion does not lead from them to where the last frame left it.
     reset_count, reset_norm, reset_m
@@ -126,7 +125,7 @@ class Lateral(NamedTuple):
     speed_gate: Gate | None = None
     known: bool = False
     last_known: tuple[float, float] = (nan, nan)
-    relied_on: ReliedOn = ReliedOn()
+    recent: RecentOffsets = RecentOffsets()
     contradicted: bool = False
     reset_count: int = 0
     reset_norm: float = 0.0
@@ -149,7 +148,7 @@ class Lateral(NamedTuple):
             t_frame_ns=None,
             t_ns=None,
             known=False,
-            relied_on=ReliedOn(),
+            recent=RecentOffsets(),
             contradicted=False,
             views=(),
         )
@@ -235,23 +234,37 @@ def judged(
     half_m
         Half the corridor's width; NaN where unknown.
     """
-    relied_on = lateral.relied_on.moved_on(after.velocity_norm_s, t_ns)
-    led_to = MotionBound(relied_on.leads_to_norm, DRIFT_NORM + DRIFT_S * after.velocity_std_norm_s)
-    contradicted = led_to.excludes(after.offset_norm) if after.known else lateral.contradicted
+    return _counted(_compared(lateral, after, t_ns), lateral.known, before, after, half_m)
+
+
+def _compared(lateral: Lateral, after: OffsetReadout, t_ns: int) -> Lateral:
+    """Compare the offset after a frame with those of the last seconds."""
+    recent = lateral.recent.moved_on(after.velocity_norm_s, t_ns)
+    tolerance = DRIFT_NORM + DRIFT_S * after.velocity_std_norm_s
+    predicted = MotionPrediction(recent.predicted_norm, tolerance)
+    contradicted = predicted.excludes(after.offset_norm) if after.known else lateral.contradicted
     if after.known and not contradicted:
-        if lateral.contradicted and isnan(
-            led_to.offset_norm
-        ):  # what contradicted it is forgotten, all but a rest
-            relied_on = relied_on._replace(t_ns=(), origin_norm=())
-        relied_on = relied_on.with_offset(after.offset_norm, t_ns)
-    step = None if lateral.step is None else lateral.step._replace(led_to=led_to)
-    was_known = lateral.known
-    lateral = lateral._replace(relied_on=relied_on, contradicted=contradicted, step=step, known=False)
+        if lateral.contradicted and isnan(recent.predicted_norm):
+            recent = recent._replace(
+                t_ns=(), origin_norm=()
+            )  # those few would contradict the next frame again
+        recent = recent.with_offset(after.offset_norm, t_ns)
+    step = None if lateral.step is None else lateral.step._replace(predicted=predicted)
+    return lateral._replace(recent=recent, contradicted=contradicted, step=step)
+
+
+def _counted(
+    lateral: Lateral, was_known: bool, before: OffsetReadout, after: OffsetReadout, half_m: float
+) -> Lateral:
+    """Count a jump: another hypothesis has won, or the offset is known again after a frame left it unknown.
+
+    That it is too uncertain between two frames is none: the hypothesis stays the same.
+    """
     latest = lateral.last_known
     if was_known and before.known:
         latest = (before.offset_norm, before.offset_norm * half_m)
-    if not after.known or contradicted:
-        return lateral._replace(last_known=latest)
+    if not after.known or lateral.contradicted:
+        return lateral._replace(known=False, last_known=latest)
     (old, old_m), (new, new_m) = latest, (after.offset_norm, after.offset_norm * half_m)
     if abs(new - old) > JUMP_NORM or (isfinite(old) and not was_known):
         count = lateral.reset_count + 1

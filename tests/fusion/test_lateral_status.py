@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.lateral_offset import OffsetReadout
-from fusion.estimator.lateral_status import CONTRADICTED_S, Lateral, ReliedOn, judged
+from fusion.estimator.lateral_status import CONTRADICTED_S, Lateral, RecentOffsets, judged
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.tables import Table
 from fusion.offline.fuse import Recorder
@@ -79,12 +79,12 @@ def test_the_mirrored_flight_is_doubted_where_this_one_is(offsets: list[float], 
 
 @given(st.lists(st.floats(0.001, 3.0), max_size=200))
 def test_what_is_remembered_is_bounded(intervals_s: list[float]) -> None:
-    relied_on, t_ns = ReliedOn(), 0
+    recent, t_ns = RecentOffsets(), 0
     for dt_s in intervals_s:
         t_ns += round(dt_s * 1e9)
-        relied_on = relied_on.moved_on(0.1, t_ns).with_offset(0.0, t_ns)
-        assert len(relied_on.t_ns) == len(relied_on.origin_norm) <= 41
-        assert all(0 <= t_ns - t < CONTRADICTED_S * 1e9 for t in relied_on.t_ns)
+        recent = recent.moved_on(0.1, t_ns).with_offset(0.0, t_ns)
+        assert len(recent.t_ns) == len(recent.origin_norm) <= 41
+        assert all(0 <= t_ns - t < CONTRADICTED_S * 1e9 for t in recent.t_ns)
 
 
 @pytest.fixture(scope="module")
