@@ -68,7 +68,7 @@ def corridor_view() -> cases.Case:
     """Return a simulated view that shows heading and offset plainly."""
     views = list(cases.simulated_cases((320, 240), 4, 3))
     results = [cases.measure(case)[0] for case in views]
-    plain = [r.accepted and r.second_score < 0.3 and math.isfinite(r.answer_norm) for r in results]
+    plain = [r.n_inliers > 12 and r.second_score < 0.3 and math.isfinite(r.answer_norm) for r in results]
     return views[plain.index(True)]
 
 

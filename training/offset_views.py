@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import radians
 
 import numpy as np
@@ -94,7 +94,8 @@ def measured_frame(
     fit = fit_axis(
         lines, level.R_level_camera, elevation_std_rad=float(np.hypot(level.pitch_std_rad, SLOPE_STD_RAD))
     )
-    if fit is None or not measure_lines(lines, camera, attitude).accepted:
+    # Without its picture the axis is that of these lines, too: none is searched at another size.
+    if fit is None or not measure_lines(replace(lines, grey=None), camera, attitude).accepted:
         return None
     return corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad), fit.heading_rad
 

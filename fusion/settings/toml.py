@@ -33,6 +33,7 @@ def read_toml(path: str | Path, example: str = "name = 1.5") -> dict[str, Any]:
     InputError
         Where the file is missing or torn.
     """
+    text = ""
     try:
         text = read_text(Path(path), "settings")
         check_toml(text)

@@ -127,6 +127,8 @@ def test_a_recovery_steps() -> None:
 def test_offsets_that_win_by_agreeing_are_a_step_of_the_offset_alone() -> None:
     watched, t = started()
     fly(watched, t, 1.5, 0.2, lateral=-0.2)
+    assert (watched.last.lateral_status, watched.last.lateral_reset_count) == ("unknown", 0)
+    fly(watched, t + 1500 * MS, 4.0, 0.2, lateral=-0.2)
     now = watched.last
     assert (now.reset_count, now.lateral_reset_count) == (0, 1)
     assert now.reset_lateral_norm == pytest.approx(-0.5, abs=0.03)
