@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import lru_cache
 from math import hypot, isfinite, isnan, nan, radians, sqrt
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -135,7 +136,7 @@ def measure_lines(
         attitude = Attitude.from_quaternion(attitude)
     axis = _find_axis(lines, camera, attitude, prior)
     if not axis.is_accepted and lines.grey is not None:
-        coarse = _find_axis(extract_coarse_lines(lines.grey, camera), camera, attitude, prior)
+        coarse = _find_axis(_coarse_lines(lines, camera), camera, attitude, prior)
         if coarse.is_accepted:
             axis = coarse
     lines, level, fit, heading = axis
@@ -151,6 +152,13 @@ def measure_lines(
     if lateral:
         offset = _offset(heading, fit, lines, camera, level, prior)
     return _described(heading, offset, fit, lines, camera, level, prior, started)
+
+
+@lru_cache(maxsize=8)
+def _coarse_lines(lines: LineSet, camera: Camera) -> LineSet:
+    """Return the lines of the same picture at half its size; it may be measured again with another prediction."""
+    assert lines.grey is not None
+    return extract_coarse_lines(lines.grey, camera)
 
 
 class _Axis(NamedTuple):
