@@ -137,8 +137,8 @@ def measure_lines(
     axis = _find_axis(lines, camera, attitude, prior)
     if not axis.is_accepted and lines.grey is not None:
         coarse = _find_axis(_coarse_lines(lines, camera), camera, attitude, prior)
-        if coarse.is_accepted:
-            axis = coarse
+        if coarse.is_accepted:  # the time to find its lines is counted from `started` on
+            axis = coarse._replace(lines=replace(coarse.lines, extract_ms=lines.extract_ms))
     lines, level, fit, heading = axis
     if fit is None or heading is None:
         return FrameMeasurement(

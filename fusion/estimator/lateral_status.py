@@ -245,9 +245,8 @@ def _compared(lateral: Lateral, after: OffsetReadout, t_ns: int) -> Lateral:
     contradicted = predicted.excludes(after.offset_norm) if after.known else lateral.contradicted
     if after.known and not contradicted:
         if lateral.contradicted and isnan(recent.predicted_norm):
-            recent = recent._replace(
-                t_ns=(), origin_norm=()
-            )  # those few would contradict the next frame again
+            # The few that are left would contradict the next frame again.
+            recent = recent._replace(t_ns=(), origin_norm=())
         recent = recent.with_offset(after.offset_norm, t_ns)
     step = None if lateral.step is None else lateral.step._replace(predicted=predicted)
     return lateral._replace(recent=recent, contradicted=contradicted, step=step)
