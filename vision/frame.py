@@ -2,7 +2,8 @@
 
 `measure_frame` takes all steps. A filter calls the two halves: `extract_lines` needs only the picture and takes most
 of the time; `measure_lines` needs the attitude and the prediction at the frame's time, and is cheap enough to be
-repeated when late samples change either.
+repeated when late samples change either. Where the lines show no axis, it searches the picture once more at half its
+size.
 """
 
 from __future__ import annotations

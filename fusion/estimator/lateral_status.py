@@ -244,7 +244,7 @@ def _compared(lateral: Lateral, after: OffsetReadout, t_ns: int) -> Lateral:
     predicted = MotionPrediction(recent.predicted_norm, tolerance)
     contradicted = predicted.excludes(after.offset_norm) if after.known else lateral.contradicted
     if after.known and not contradicted:
-        if lateral.contradicted and isnan(recent.predicted_norm):
+        if lateral.contradicted and isnan(predicted.offset_norm):
             # The few that are left would contradict the next frame again.
             recent = recent._replace(t_ns=(), origin_norm=())
         recent = recent.with_offset(after.offset_norm, t_ns)

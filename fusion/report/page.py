@@ -27,6 +27,7 @@ from fusion.report.svg import Drawing, Panel, draw
 from fusion.report.template import render
 from fusion.result.result import FusionResult
 from fusion.result.summary import CorridorErrors, Level, TableErrors
+from fusion.settings.toml import description_of
 
 TIMING_WORDS = {
     "vision_s": ("Reading and measuring all pictures", "s"),
@@ -259,9 +260,7 @@ def settings(result: FusionResult) -> list[tuple[str, str, str, bool]]:
         text = "not set" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
         if name.endswith(("_rad", "_rad_s")) and isinstance(value, float):
             text += f" ({degrees(value):.4g}°{'/s' if name.endswith('_s') else ''})"
-        # As `corridor config` words it: a file of settings has no None.
-        meaning = (field.description or "").replace(". None:", ". Not set:").replace("None:", "not set:")
-        found.append((name, text, meaning, value != field.default))
+        found.append((name, text, description_of(field), value != field.default))
     return found
 
 

@@ -41,7 +41,9 @@ def held_back_at_junctions(estimates: Table, frames: Table) -> npt.NDArray[np.bo
     held = np.zeros(len(frames), dtype=bool)
     if not len(estimates):
         return held
-    rows = [row_before(estimates, t_ns) for t_ns in frames["timestamp_ns"].tolist()] + [-1]
+    t_ns = estimates["timestamp_ns"]
+    rows = np.append(np.searchsorted(t_ns, frames["timestamp_ns"], side="right") - 1, -1)
+    rows[:-1] = np.maximum(rows[:-1], 0)  # before the first estimate: the first, as of `row_before`
     index, turn_rad = estimates["corridor_index"], estimates["corridor_turn_rad"]
     for first, end in runs(~frames["accepted"]):
         old, new = rows[max(first - 1, 0)], rows[end]

@@ -204,9 +204,14 @@ def _setting_line(name: str, field: FieldInfo, value: Any) -> str:
     return f"{name} = {toml_value(value)}{_remark(name, field, value)}"
 
 
+def description_of(field: FieldInfo) -> str:
+    """Return what a setting means, in the words of a file of settings, which has no None."""
+    return (field.description or "").replace(". None:", ". Not set:").replace("None:", "not set:")
+
+
 def _meaning(name: str, field: FieldInfo) -> str:
     """Return the description without the unit that it may begin with, which stands beside the value."""
-    text = (field.description or "").replace(". None:", ". Not set:").replace("None:", "not set:")
+    text = description_of(field)
     rest = text.removeprefix(unit_of(name, text)).lstrip(";. ") if unit_of(name, text) else text
     return rest[:1].upper() + rest[1:]
 

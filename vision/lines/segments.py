@@ -95,7 +95,8 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera, *, keep_picture: bool
     camera
         Calibration for this picture size.
     keep_picture
-        Whether to keep a reference to the grey picture: `measure_lines` reads the lateral offset from it too.
+        Whether to keep a reference to the grey picture: `measure_lines` reads the lateral offset from it too, and
+        searches it again where these lines show no axis.
 
     Raises
     ------
