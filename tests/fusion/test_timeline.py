@@ -197,3 +197,21 @@ def test_replay_measures_again_with_what_came_late() -> None:
     assert attitude is not None
     assert attitude.roll_rad == pytest.approx(0.2)
     assert len(seen) == 2
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2, 3, 4, 5), (0, 2, 1, 3, 5, 4), (0, 3, 1, 2, 4, 5)])
+def test_which_frames_are_searched_for_the_offset_does_not_depend_on_their_order(
+    order: tuple[int, ...],
+) -> None:
+    searched: dict[int, bool] = {}
+    estimator = CorridorEstimator(FusionConfig(lateral_rate_hz=10.0))
+    for k in order:
+
+        def measure(
+            attitude: Attitude | None, prior: Prior, lateral: bool, place: int = k
+        ) -> FrameMeasurement:
+            searched[place] = lateral
+            return frame(0.1)
+
+        estimator.add(FrameSample((100 + 50 * k) * MS, (100 + 50 * k) * MS, measure))
+    assert [searched[k] for k in range(6)] == [True, False, True, False, True, False]
