@@ -328,7 +328,9 @@ def start(
     mode
         What carries the heading.
     """
-    found = agreement(axis.votes, config.recovery_spread_rad, wrap_axis)
+    # A slow camera's frames are seconds apart, in which a gyroscope of unknown bias drifts.
+    drift_rad_s = sqrt(float(ekf.P[BIAS, BIAS])) if mode is Mode.GYRO else 0.0
+    found = agreement(axis.votes, config.recovery_spread_rad, wrap_axis, drift_rad_s)
     if found is None or found.n_votes < config.start_frames or found.share < AGREEING_SHARE:
         return axis
     heading = wrap_axis(theta_rad - found.value)

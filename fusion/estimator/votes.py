@@ -57,7 +57,10 @@ class Agreement(NamedTuple):
 
 
 def agreement(
-    votes: tuple[Vote, ...], spread: float, difference: Callable[[float], float] = lambda d: d
+    votes: tuple[Vote, ...],
+    spread: float,
+    difference: Callable[[float], float] = lambda d: d,
+    drift_std_per_s: float = 0.0,
 ) -> Agreement | None:
     """Find the votes that agree with the newest one.
 
@@ -69,22 +72,27 @@ def agreement(
         How far apart two votes may lie and still agree; widened to 2.5 of their standard deviations.
     difference
         Wraps a difference where the values are angles.
+    drift_std_per_s
+        Standard deviation of the rate at which a constant truth may drift. The spread is widened to 2.5 times what
+        that amounts to in the time between two votes.
     """
     if not votes:
         return None
     newest = votes[-1]
 
-    def offsets_from(centre: float) -> list[tuple[float, Vote]]:
-        return [
-            (d, v)
-            for v in votes
-            if abs(d := difference(v.value - centre)) <= max(spread, 2.5 * max(v.std, newest.std))
-        ]
+    def offsets_from(centre: float, centre_ns: float) -> list[tuple[float, Vote]]:
+        found = []
+        for v in votes:
+            drift_std = drift_std_per_s * abs(v.t_ns - centre_ns) * 1e-9
+            d = difference(v.value - centre)
+            if abs(d) <= max(spread, 2.5 * max(v.std, newest.std, drift_std)):
+                found.append((d, v))
+        return found
 
     # Around the newest vote, then around what agrees with it: the newest may lie at the edge of the cluster.
-    members = offsets_from(newest.value)
+    members = offsets_from(newest.value, newest.t_ns)
     centre = newest.value + median(d for d, _ in members)
-    members = offsets_from(centre)
+    members = offsets_from(centre, median(v.t_ns for _, v in members))
     if not members:
         return None
     # A gross error of long ago that points the same way by chance is no part of it.

@@ -36,6 +36,18 @@ def test_axes_agree_across_the_half_turn() -> None:
     assert abs(wrap_axis(found.value - pi / 2)) < 0.011
 
 
+def test_votes_that_drift_as_they_may_agree() -> None:
+    """A gyroscope whose bias has a sigma of 0.02 rad/s may drift by 0.04 rad a second, not by 0.06."""
+    for rate, n in ((0.04, 5), (-0.04, 5), (0.06, 1)):
+        slow = tuple(Vote(k * S, rate * k, 0.002, 0) for k in range(5))
+        found = agreement(slow, 0.01, drift_std_per_s=0.02)
+        assert found is not None
+        assert found.n_votes == n
+        alone = agreement(slow, 0.01)
+        assert alone is not None
+        assert alone.n_votes == 1
+
+
 def test_old_vote_that_agrees_by_chance_does_not_make_the_others_contested() -> None:
     """Forty frames of the present axis were accepted since the gross error of three seconds ago."""
     old = votes(0.5, accepted=100)

@@ -195,6 +195,20 @@ def test_start_is_carried_on_by_the_gyroscope() -> None:
     assert estimate.heading_rad == pytest.approx(0.1 + 0.5 * 0.59, abs=0.02)
 
 
+@pytest.mark.parametrize("frame_hz", [0.5, 1.0, 2.0, 5.0])
+@pytest.mark.parametrize("bias_deg_s", [-1.5, 0.0, 1.5])
+def test_start_with_a_slow_camera(frame_hz: float, bias_deg_s: float) -> None:
+    """The gyroscope's bias drifts by degrees between two frames, and is not known before they agree."""
+    settings = QUICK | {"frame_hz": frame_hz}
+    scene = Scene(seed=2, duration_s=20, heading=weaving(2), gyro_bias=radians(bias_deg_s), **settings)
+    simulated = simulate(scene)
+    result = run(simulated)
+    started = result.status != "initialising"
+    assert result.t_s[started][0] < 5.5 / frame_hz + 0.5
+    error = heading_error(result, simulated)[started]
+    assert (np.abs(error) < 4.0 * result.std[started]).all()
+
+
 def test_nothing_is_said_before_anything_is_known() -> None:
     estimator = CorridorEstimator()
     assert isnan(estimator.estimate().heading_rad)
