@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.estimate import row_of
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.events import Event, EventFinder
+from fusion.estimator.filter_table import filter_table
 from fusion.estimator.frame_update import FrameResult, FrameSample, extract_features
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.lateral_smoother import OffsetSteps
@@ -25,7 +25,7 @@ from fusion.estimator.propagation import ImuSample
 from fusion.estimator.sample_times import SampleTimes
 from fusion.estimator.smoothed_table import hypotheses_table, smoothed_table
 from fusion.estimator.smoother import Steps
-from fusion.estimator.state import Entry
+from fusion.estimator.state import Entry, State
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table
 from fusion.flight import Flight
 from fusion.offline.prefetch import prefetch_features, usable_cores
@@ -291,8 +291,9 @@ class Recorder:
         self.offset_steps = OffsetSteps()
         self.events: list[Event] = []
         self._finder = EventFinder(config)
-        self._rows: list[tuple[Any, ...]] = []
-        self._table = np.empty(0, ESTIMATE_DTYPE)  # of the rows before: a tuple takes four times the memory
+        self._rows: list[State] = []
+        self._statuses: list[str] = []
+        self._table = np.empty(0, ESTIMATE_DTYPE)  # of the rows before
         self._smoothed: Table | None = None
         self._row_steps = array("q")  # index of the last step of each row's instant
         self._pending: Entry | None = None
@@ -300,11 +301,11 @@ class Recorder:
 
     def take(self, entry: Entry) -> None:
         """Take the next entry in order of time."""
+        self.events += self._finder.take(entry)
         if self._pending is not None and entry.t_ns > self._pending.t_ns:
             self._close_instant()
         self.steps.add(entry.nodes)
         self.offset_steps.add(entry.t_ns, entry.after.lateral.step)
-        self.events += self._finder.take(entry)
         if entry.frame is not None:
             self.frames.append(frame_row(entry.frame, self.config))
         self._pending = entry
@@ -324,15 +325,15 @@ class Recorder:
 
     def finish(self) -> None:
         """Close the last instant."""
+        self.events += self._finder.finish()
         if self._pending is not None:
             self._close_instant()
-        self.events += self._finder.finish()
 
     def _close_instant(self) -> None:
         # A row stands for its instant after all samples of that time, whatever their order of arrival.
-        state = None if self._pending is None else self._pending.after
-        if self._pending_is_row and state is not None:
-            self._rows.append(row_of(state, self.config))
+        if self._pending_is_row and self._pending is not None:
+            self._rows.append(self._pending.after)
+            self._statuses.append(self._finder.status)
             self._row_steps.append(self.steps.count - 1)
             if len(self._rows) >= BLOCK_ROWS:
                 self._pack()
@@ -357,7 +358,8 @@ class Recorder:
             return
         n = len(self._table)
         self._table.resize(n + len(self._rows), refcheck=False)  # in place: nobody has seen it yet
-        self._table[n:], self._rows = np.array(self._rows, dtype=ESTIMATE_DTYPE), []
+        self._table[n:] = filter_table(self._rows, self._statuses, self.config)
+        self._rows, self._statuses = [], []
 
 
 def frame_row(result: FrameResult, config: FusionConfig) -> tuple[Any, ...]:
