@@ -66,6 +66,7 @@ from fusion.estimator.lateral_kernels import (
     moved_along,
 )
 from fusion.estimator.lateral_mixture_kernels import summarised, take_frame
+from fusion.estimator.records import made
 from vision.lateral.mixture import OffsetMixture, combine
 from vision.types import FloatArray
 
@@ -208,8 +209,9 @@ def propagate(
         (*state.path,), (*state.accel,), dt_s, heading_rad, force or NO_FORCE, down, state.roll.mean
     )
     age_s = state.evidence_age_s + dt_s
-    return OffsetState(
-        state.x, state.P, state.weight, Path(*path), Acceleration(*accel), state.roll, state.spread2, age_s
+    x, P, weight, _, _, roll, spread2, _ = state
+    return made(
+        OffsetState, (x, P, weight, made(Path, path), made(Acceleration, accel), roll, spread2, age_s)
     )
 
 

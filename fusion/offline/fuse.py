@@ -39,7 +39,7 @@ from vision.measurement import FrameMeasurement, position_from_offset
 if TYPE_CHECKING:
     from fusion.estimator.frame_update import Features
 
-BLOCK_ROWS = 4096
+BLOCK_ROWS = 512  # few, so that what is waiting stays in the processor's cache
 NEW_OBJECTS = 20_000  # from which on the garbage collector looks
 MAX_JOBS = 8  # unless more are asked for: the filter needs longer for a picture than two threads do
 
