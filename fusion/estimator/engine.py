@@ -350,7 +350,8 @@ class Engine:
         """Tell the lateral offset of a propagation step."""
         last_ns = s.reckoning.t_ns
         dt_s = 0.0 if last_ns is None else (t_ns - last_ns) * 1e-9
-        return self._lateral.propagated(s.lateral, MotionStep(dt_s, float(self.ekf.x[PSI]), down, accel_m_s2))
+        step = made(MotionStep, (dt_s, self.ekf.x.item(PSI), down, accel_m_s2))
+        return self._lateral.propagated(s.lateral, step)
 
     def _held(self, s: State, t_ns: int, frames: SampleTimes) -> State:
         """Propagate to a sample that tells nothing of the heading's rate; ``frames`` came by then."""

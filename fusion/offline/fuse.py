@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
-from heapq import merge
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -241,8 +240,14 @@ def _feed(
         distance_m = ranges.distance_m
         streams.append((ranges.t_ns, lambda t_ns, i: estimator.add_range(t_ns, float(distance_m[i]))))
     streams.append((flight.frames.t_ns - delay_ns, add_frame))
-    for t_ns, k, i in merge(*(_times(times, k) for k, (times, _) in enumerate(streams))):
-        streams[k][1](t_ns, i)
+    counts = [len(times) for times, _ in streams]
+    t_ns = np.concatenate([np.asarray(times, np.int64) for times, _ in streams])
+    order = np.argsort(t_ns, kind="stable")  # samples of one time in the order of the streams
+    t_ns, stream = t_ns[order], np.repeat(np.arange(len(streams), dtype=np.int8), counts)[order]
+    order -= np.cumsum([0, *counts])[stream]  # now the number within its stream
+    give = [add for _, add in streams]
+    for t, k, i in zip(_rows(t_ns), _rows(stream), _rows(order), strict=True):
+        give[k](t, i)
     return vision_s
 
 
@@ -250,10 +255,6 @@ def _rows(values: npt.NDArray[Any]) -> Iterator[Any]:
     """Rows as Python's lists, which the estimator takes faster, few at a time: a whole flight's take much memory."""
     for start in range(0, len(values), BLOCK_ROWS):
         yield from values[start : start + BLOCK_ROWS].tolist()
-
-
-def _times(t_ns: npt.NDArray[np.int64], stream: int) -> Iterator[tuple[int, int, int]]:
-    return ((t, stream, i) for i, t in enumerate(_rows(t_ns)))
 
 
 def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
