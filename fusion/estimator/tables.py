@@ -170,6 +170,7 @@ def estimate_row(estimate: Estimate) -> tuple[Any, ...]:
 
 def position_names(offset_norm: npt.NDArray[np.float64], config: FusionConfig) -> npt.NDArray[np.str_]:
     """Name the side of the centre line of offsets (n,), half widths; empty where they are NaN."""
-    side = np.where(offset_norm > 0.0, Position.RIGHT, Position.LEFT)
-    names = np.where(np.abs(offset_norm) <= config.position_dead_band_norm, Position.CENTRE, side)
-    return np.where(np.isnan(offset_norm), "", names)
+    names = np.full(len(offset_norm), "", "U6")  # filled in place: a flight's are many
+    names[offset_norm > 0.0], names[offset_norm < 0.0] = Position.RIGHT, Position.LEFT
+    names[np.abs(offset_norm) <= config.position_dead_band_norm] = Position.CENTRE
+    return names
