@@ -139,6 +139,8 @@ class Arrivals:
         if newest_ns is None or clock is None:
             self._follow(source, t_ns)
             return self._take(source, t_ns)
+        if source is clock and newest_ns - self.buffer_ns <= t_ns <= clock.last_ns + self.buffer_ns:
+            return self._take(source, t_ns)  # as nearly always
         orders = source is clock or source.rank < clock.rank or self._outlives(source, t_ns, clock)
         if t_ns < newest_ns - self.buffer_ns:
             return self._late(source, sample, newest_ns, orders)
@@ -193,7 +195,7 @@ class Arrivals:
 
     def _reach_ns(self, source: _Source) -> float:
         """How far a stamp may leap."""
-        return max(self.buffer_ns, 2.5 * source.interval_ns) if source.spoken else self.buffer_ns
+        return max(self.buffer_ns, 2.5 * source.interval_ns)  # of NaN, too, the buffer
 
     def _outlives(self, source: _Source, t_ns: int, clock: _Source) -> bool:
         """Whether the clock is dead: this source has gone on for long since its last sample."""
@@ -226,11 +228,10 @@ class Arrivals:
         return Admission.TAKE
 
     def _note(self, source: _Source, t_ns: int) -> None:
-        if not source.spoken:
+        known, step_ns = source.interval_ns, t_ns - source.last_ns
+        if known != known:  # NaN: the first
             source.last_ns, source.interval_ns = t_ns, 0.0
-        elif t_ns > source.last_ns:
-            step_ns = t_ns - source.last_ns
-            known = source.interval_ns
+        elif step_ns > 0:
             source.interval_ns = known + 0.125 * (min(step_ns, 3 * known) - known) if known else step_ns
             source.last_ns = t_ns
 

@@ -68,6 +68,7 @@ from fusion.estimator.propagation import (
     Propagation,
 )
 from fusion.estimator.range_width import RangeSample, Width
+from fusion.estimator.records import made
 from fusion.estimator.sample_times import SampleTimes, seconds_since
 from fusion.estimator.seed import HeadingSeed, WidthChange, seed_heading
 from fusion.estimator.state import Checks, Entry, Sample, Sensed, State
@@ -245,10 +246,10 @@ class Engine:
         if earlier is not None and earlier[0].tilt is s.tilt and earlier[0].gyro is before:
             known = earlier[1]
         judged = with_sample(before, sample, self.config) if known is None else known.gyro
-        checks = Checks(judged, repeats, installed)
-        if not checks.gyro.is_used:
+        checks = made(Checks, (judged, repeats, installed))
+        if not judged.is_used:
             return self._held(s, t_ns, s.frames)._replace(checks=checks)
-        if checks.gyro.verdict is GyroVerdict.CONFIRMED:
+        if judged.verdict is GyroVerdict.CONFIRMED:
             s = self._with_rate_since(s, rate_that_bridges(before, sample))
         if known is None:
             gyro = self._propagation.mean_gyro(s.reckoning, sample)
@@ -258,15 +259,16 @@ class Engine:
         rate = level_yaw_rate(sample.gyro_rad_s, tilt.down)
         lateral = self._moved(s, t_ns, tilt.down, sample.accel_m_s2)
         d = self._propagation.with_gyro(s.reckoning, self.ekf, sample, rate)
-        if checks.gyro.clipped_from_ns is not None:
-            self.ekf.widen(PSI, clipped_variance(before, checks.gyro))
+        if judged.clipped_from_ns is not None:
+            self.ekf.widen(PSI, clipped_variance(before, judged))
         delay = s.delay
         if delay is not None:
             delay = delay if d.mode is s.reckoning.mode else delay.interrupted()
             delay = with_turns(delay, (t_ns,), (d.raw_theta_rad,))
         _, _, _, _, velocity, width, imu_yaw, axis, _, frames, elevation, _, _ = s
         x, P = self.ekf.x, self.ekf.P
-        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
+        parts = (x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
+        return made(State, parts)
 
     def _with_rate_since(self, s: State, gyro_rad_s: Vector) -> State:
         """Take this for the rate at the last gyroscope sample."""
@@ -288,7 +290,8 @@ class Engine:
         delay = self._delay_in_mode(s, d)
         _, _, _, _, velocity, width, _, axis, _, frames, elevation, _, checks = s
         x, P = self.ekf.x, self.ekf.P
-        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
+        parts = (x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
+        return made(State, parts)
 
     def _velocity(self, s: State, sample: VelocitySample) -> State:
         s = self._held(s, sample.t_ns, s.frames)
@@ -347,7 +350,8 @@ class Engine:
         """Tell the lateral offset of a propagation step."""
         last_ns = s.reckoning.t_ns
         dt_s = 0.0 if last_ns is None else (t_ns - last_ns) * 1e-9
-        return self._lateral.propagated(s.lateral, MotionStep(dt_s, float(self.ekf.x[PSI]), down, accel_m_s2))
+        step = made(MotionStep, (dt_s, self.ekf.x.item(PSI), down, accel_m_s2))
+        return self._lateral.propagated(s.lateral, step)
 
     def _held(self, s: State, t_ns: int, frames: SampleTimes) -> State:
         """Propagate to a sample that tells nothing of the heading's rate; ``frames`` came by then."""
@@ -356,7 +360,8 @@ class Engine:
         delay = self._delay_in_mode(s, d)
         _, _, _, tilt, velocity, width, imu_yaw, axis, _, _, elevation, _, checks = s
         x, P = self.ekf.x, self.ekf.P
-        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
+        parts = (x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
+        return made(State, parts)
 
     def _delay_in_mode(self, s: State, d: DeadReckoning) -> Delay | None:
         """Start the delay's dead reckoning anew where something else carries the heading now."""

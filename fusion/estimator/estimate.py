@@ -20,7 +20,7 @@ from fusion.estimator.frame_update import FrameSample
 from fusion.estimator.hypotheses import CONTESTED_S, Hypothesis
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.lateral import offset_model
-from fusion.estimator.lateral_status import LateralReadout, LateralStatus, readout
+from fusion.estimator.lateral_status import LateralStatus, readout
 from fusion.estimator.models import PSI
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, Mode
 from fusion.estimator.range_width import RangeSample
@@ -150,12 +150,6 @@ class Estimate:
     faults: Fault = Fault.NONE
     reset_heading_total_rad: float = 0.0
     reset_lateral_total_norm: float = 0.0
-
-
-_Columns = tuple[
-    int, float, float, float, float, float, float, str, float, float, float, int, float, str, float
-]
-"""Fields of an `Estimate` up to ``vision_age_s``."""
 
 
 class ArrivalTimes(Protocol):
@@ -294,18 +288,38 @@ def estimate_of(
             **_steps(resets),
         )
     t = state.t_ns if t_ns is None else t_ns
-    columns, found = _columns(state, config, t, arrivals)
-    notices = notices_of(state, config, t, _heading(state)[1], arrivals)
+    reckoning, axis, lateral, half = state.reckoning, state.axis, state.lateral, state.width.half_m(config)
+    psi, bias, yaw_offset = state.x.tolist()
+    heading, heading_std = heading_of(state)
+    limit = state.frames.age_limit_s(config)
+    if arrivals is not None:
+        limit += arrivals.latency_ns(FrameSample) * 1e-9
+    found = readout(lateral, lateral.model or offset_model(config), psi, state.velocity, t, limit)
+    position = position_from_offset(found.offset, config.position_dead_band_norm)
+    notices = notices_of(state, config, t, heading_std, arrivals)
     delay_s, delay_std_s = camera_delay(state.delay, config)
-    reckoning, lateral, half = state.reckoning, state.lateral, state.width.half_m(config)
     gx, gy, gz = state.tilt.down
     return Estimate(
-        *columns,
+        t,
+        wrap(heading),
+        heading_std,
+        found.offset * half,
+        found.offset_std * half,
+        found.offset,
+        found.offset_std,
+        "" if position is None else str(position),
+        reckoning.yaw_rate(bias),
+        bias if reckoning.mode is Mode.GYRO else nan,
+        wrap(yaw_offset) if state.imu_yaw.known else nan,
+        axis.corridor_index,
+        axis.corridor_turn_rad,
+        str(status_of(state, config, t, heading_std, arrivals)),
+        seconds_since(t, axis.t_vision_ns),
         reason="; ".join(notice.text for notice in notices),
         gyro_age_s=seconds_since(t, reckoning.t_gyro_ns),
         attitude_age_s=reckoning.attitude.age_s(t),
         lateral_age_s=seconds_since(t, lateral.t_ns),
-        heading_test_ratio=state.axis.test_ratio,
+        heading_test_ratio=axis.test_ratio,
         lateral_test_ratio=lateral.test_ratio,
         imu_yaw_test_ratio=state.imu_yaw.test_ratio,
         lateral_velocity_norm_s=found.rate,
@@ -324,57 +338,7 @@ def estimate_of(
     )
 
 
-def row_of(state: State, config: FusionConfig) -> tuple[Any, ...]:
-    """Report a state as a row of `fusion.estimator.tables.ESTIMATE_DTYPE`, of a log whose samples are all there.
-
-    The same numbers as in `estimate_of`, without what the table does not contain: a flight has millions of rows.
-
-    Raises
-    ------
-    ValueError
-        Where no sample has been taken.
-    """
-    t_ns = state.t_ns
-    if t_ns is None:
-        raise ValueError("there is no row before the first sample")
-    columns, found = _columns(state, config, t_ns, None)
-    return (*columns, str(found.status), seconds_since(t_ns, state.lateral.t_ns))
-
-
-def _columns(
-    state: State, config: FusionConfig, t_ns: int, arrivals: ArrivalTimes | None
-) -> tuple[_Columns, LateralReadout]:
-    """Report what the tables hold, and what is known of the lateral offset."""
-    reckoning, axis, lateral = state.reckoning, state.axis, state.lateral
-    psi, bias, yaw_offset = state.x.tolist()
-    heading, heading_std = _heading(state)
-    half, limit = state.width.half_m(config), state.frames.age_limit_s(config)
-    if arrivals is not None:
-        limit += arrivals.latency_ns(FrameSample) * 1e-9
-    found = readout(lateral, lateral.model or offset_model(config), psi, state.velocity, t_ns, limit)
-    offset, offset_std = found.offset, found.offset_std
-    position = position_from_offset(offset, config.position_dead_band_norm)
-    columns = (
-        t_ns,
-        wrap(heading),
-        heading_std,
-        offset * half,
-        offset_std * half,
-        offset,
-        offset_std,
-        "" if position is None else str(position),
-        reckoning.yaw_rate(bias),
-        bias if reckoning.mode is Mode.GYRO else nan,
-        wrap(yaw_offset) if state.imu_yaw.known else nan,
-        axis.corridor_index,
-        axis.corridor_turn_rad,
-        str(status_of(state, config, t_ns, heading_std, arrivals)),
-        seconds_since(t_ns, axis.t_vision_ns),
-    )
-    return columns, found
-
-
-def _heading(state: State) -> tuple[float, float]:
+def heading_of(state: State) -> tuple[float, float]:
     """Heading and its standard deviation."""
     if not state.axis.ever_acquired:
         return _provisional_heading(state)

@@ -17,7 +17,7 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import notices_of, status_of
 from fusion.estimator.lateral import offset_model
 from fusion.estimator.models import PSI
-from fusion.estimator.resets import Resets
+from fusion.estimator.resets import Resets, only_turned
 from fusion.estimator.state import Entry, State
 
 LOGGER = logging.getLogger("fusion.estimator")
@@ -66,15 +66,14 @@ class EventFinder:
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
         self._before: State | None = None  # behind the last instant that is closed
-        self._status: str | None = None
+        self.status = ""  # at the last instant that is closed
         self._resets = Resets()
         self._open: Entry | None = None
 
     def take(self, entry: Entry) -> list[Event]:
         """Take the next entry; return what it shows to have happened."""
-        found: list[Event] = []
-        if self._open is not None and entry.t_ns != self._open.t_ns:
-            found += self._close(self._open)
+        last = self._open
+        found = [] if last is None or entry.t_ns == last.t_ns else self._close(last)
         self._open = entry
         frame = entry.frame
         if frame is not None and not frame.accepted:
@@ -87,31 +86,29 @@ class EventFinder:
     def finish(self) -> list[Event]:
         """Return what the last instant shows."""
         last, self._open = self._open, None
-        return [] if last is None else list(self._close(last))
+        return [] if last is None else self._close(last)
 
-    def _close(self, entry: Entry) -> Iterator[Event]:
+    def _close(self, entry: Entry) -> list[Event]:
         """Compare the state after all samples of an instant with that of the one before."""
         old, new, t_ns = self._before, entry.after, entry.t_ns
         self._before = new
+        found: list[Event] = []
         if old is not None:
             if new.axis.corridor_index != old.axis.corridor_index:
-                yield Event(
-                    t_ns,
-                    EventKind.CORRIDOR_CHANGED,
-                    {
-                        "corridor_index": new.axis.corridor_index,
-                        "corridor_turn_rad": new.axis.corridor_turn_rad,
-                    },
-                )
-            yield from self._resets_since(old, new, t_ns)
-        heading_std = spread_by_delay(sqrt(float(new.P[PSI, PSI])), new.delay, t_ns)
+                index, turn_rad = new.axis.corridor_index, new.axis.corridor_turn_rad
+                values: dict[str, float | str] = {"corridor_index": index, "corridor_turn_rad": turn_rad}
+                found.append(Event(t_ns, EventKind.CORRIDOR_CHANGED, values))
+            if not only_turned(old, new, entry.sample):
+                found += self._resets_since(old, new, t_ns)
+        heading_std = spread_by_delay(sqrt(new.P.item(PSI, PSI)), new.delay, t_ns)
         status = status_of(new, self._config, t_ns, heading_std)
-        if status != self._status:
-            values = {"before": self._status or "", "status": str(status)}
+        if status != self.status:
             notices = notices_of(new, self._config, t_ns, heading_std)
-            values["reason"] = "; ".join(notice.text for notice in notices)
-            self._status = str(status)
-            yield Event(t_ns, EventKind.STATUS_CHANGED, values)
+            reason = "; ".join(notice.text for notice in notices)
+            values = {"before": self.status, "status": str(status), "reason": reason}
+            found.append(Event(t_ns, EventKind.STATUS_CHANGED, values))
+            self.status = str(status)
+        return found
 
     def _resets_since(self, old: State, new: State, t_ns: int) -> Iterator[Event]:
         model = new.lateral.model or offset_model(self._config)

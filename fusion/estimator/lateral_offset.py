@@ -66,6 +66,7 @@ from fusion.estimator.lateral_kernels import (
     moved_along,
 )
 from fusion.estimator.lateral_mixture_kernels import summarised, take_frame
+from fusion.estimator.records import made
 from vision.lateral.mixture import OffsetMixture, combine
 from vision.types import FloatArray
 
@@ -208,8 +209,9 @@ def propagate(
         (*state.path,), (*state.accel,), dt_s, heading_rad, force or NO_FORCE, down, state.roll.mean
     )
     age_s = state.evidence_age_s + dt_s
-    return OffsetState(
-        state.x, state.P, state.weight, Path(*path), Acceleration(*accel), state.roll, state.spread2, age_s
+    x, P, weight, _, _, roll, spread2, _ = state
+    return made(
+        OffsetState, (x, P, weight, made(Path, path), made(Acceleration, accel), roll, spread2, age_s)
     )
 
 
@@ -221,11 +223,11 @@ def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tup
     """
     F, Q = np.empty((N_LATERAL, N_LATERAL)), np.empty((N_LATERAL, N_LATERAL))
     t_s, accel_s, a1, a2, noise = path
-    fill_transition((t_s, accel_s, a1, a2, noise), _noise(model), backward, F, Q)
+    fill_transition((t_s, accel_s, a1, a2, noise), motion_noise(model), backward, F, Q)
     return F, Q
 
 
-def _noise(m: OffsetModel) -> tuple[float, float, float, float, float, float]:
+def motion_noise(m: OffsetModel) -> tuple[float, float, float, float, float, float]:
     """Return what `fill_transition` takes of a model."""
     inverse, _ = m.inverse_half_width
     return inverse, m.accel_noise, m.accel_bias_walk, m.rough_limit, m.velocity_std_m_s, m.velocity_time_s
@@ -243,7 +245,7 @@ def _moved_along(
     if not path.t_s > 0.0 or not len(state.x):
         return state.x, state.P
     t_s, accel_s, a1, a2, noise = path
-    return moved_along(state.x, state.P, (t_s, accel_s, a1, a2, noise), _noise(model), backward)
+    return moved_along(state.x, state.P, (t_s, accel_s, a1, a2, noise), motion_noise(model), backward)
 
 
 def at_path_end(state: OffsetState, model: OffsetModel) -> OffsetState:

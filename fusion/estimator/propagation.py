@@ -14,6 +14,7 @@ import numpy as np
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.models import BIAS, N_STATES, PSI, ProcessNoise, Vector
+from fusion.estimator.records import made
 from fusion.estimator.sample_times import SampleTimes, seconds_since
 from fusion.estimator.tilt import ATTITUDE_GAP_S
 from vision.rotations import wrap
@@ -160,21 +161,11 @@ class Propagation:
             d = self._with_mode(self.advance(d, ekf, sample.t_ns), ekf, Mode.GYRO)
             t_ns = d.t_ns
         _, mode, _, theta, raw_theta, _, _, _, yaw, yaw_done, attitude, stored, more_noise = d
-        return DeadReckoning(
-            t_ns,
-            mode,
-            rate_rad_s,
-            theta + corrected,
-            raw_theta + turned,
-            sample.t_ns,
-            sample.gyro_rad_s,
-            0.0,
-            yaw,
-            yaw_done + corrected,
-            attitude,
-            stored,
-            more_noise,
-        )
+        theta, raw_theta, yaw_done = theta + corrected, raw_theta + turned, yaw_done + corrected
+        gyro_ns, gyro, _ = sample
+        kept = (attitude, stored, more_noise)
+        new = (t_ns, mode, rate_rad_s, theta, raw_theta, gyro_ns, gyro, 0.0, yaw, yaw_done, *kept)
+        return made(DeadReckoning, new)
 
     def with_attitude_yaw(
         self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, yaw_rad: float

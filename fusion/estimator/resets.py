@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, NamedTuple
 from fusion.estimator.lateral_offset import OffsetModel
 from fusion.estimator.lateral_status import JUMP_NORM, Lateral, reliable
 from fusion.estimator.models import BIAS, PSI
+from fusion.estimator.propagation import ImuSample
 from vision.rotations import wrap
 
 if TYPE_CHECKING:
-    from fusion.estimator.state import State
+    from fusion.estimator.state import Sample, State
 
 STEP_RAD = radians(2)  # a single correction beyond this is a step: the first frame after a gap makes some
 
@@ -103,6 +104,17 @@ class Resets(NamedTuple):
         elif after.known and new.reset_count != old.reset_count and isfinite(new.reset_norm):
             return self.with_lateral_step(new.reset_norm, new.reset_m)
         return self
+
+
+def only_turned(old: State, new: State, sample: Sample) -> bool:
+    """Whether nothing but dead reckoning lies between two states, of which the later is behind a sample."""
+    return (
+        type(sample) is ImuSample
+        and new.axis is old.axis
+        and old.reckoning.gyro_done_rad == 0.0
+        and old.t_ns is not None
+        and old.t_ns < sample.t_ns
+    )
 
 
 def heading_step(old: State, new: State) -> float:

@@ -14,8 +14,7 @@ from fusion.estimator.lateral_smoother import OffsetSteps, at_times, smoothed_of
 from fusion.estimator.lateral_status import LateralStatus
 from fusion.estimator.models import BIAS, PSI, YAW_OFFSET, FloatArray
 from fusion.estimator.smoother import SmoothedSteps, Steps
-from fusion.estimator.tables import HYPOTHESIS_DTYPE, Table
-from vision.measurement import position_from_offset
+from fusion.estimator.tables import HYPOTHESIS_DTYPE, Table, position_names
 from vision.rotations import wrap, wrap_axis
 
 KNOWN_IMU_YAW_STD_RAD = 0.5
@@ -71,10 +70,7 @@ def smoothed_table(
     half_m = half_widths_m(table, config)
     out["lateral_offset_m"] = out["lateral_offset_norm"] * half_m
     out["lateral_offset_std_m"] = out["lateral_offset_norm_std"] * half_m
-    names = (
-        position_from_offset(v, config.position_dead_band_norm) for v in out["lateral_offset_norm"].tolist()
-    )
-    out["position"] = ["" if name is None else str(name) for name in names]
+    out["position"] = position_names(out["lateral_offset_norm"], config)
     return out
 
 

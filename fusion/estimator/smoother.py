@@ -22,7 +22,7 @@ from fusion.estimator.models import BIAS, N_STATES, PSI, FloatArray
 from vision.compiled import compiled, compiled_inner
 from vision.types import BoolArray
 
-_BLOCK = 4096
+_BLOCK = 512
 
 
 @dataclass(slots=True, eq=False)

@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from vision.measurement import Position
+
 if TYPE_CHECKING:
+    from fusion.estimator.config import FusionConfig
     from fusion.estimator.estimate import Estimate
 
 Table = npt.NDArray[np.void]
@@ -163,3 +166,11 @@ def estimate_row(estimate: Estimate) -> tuple[Any, ...]:
     """Make a row of `ESTIMATE_DTYPE` of an estimate."""
     row: tuple[Any, ...] = _estimate_row(estimate)
     return row
+
+
+def position_names(offset_norm: npt.NDArray[np.float64], config: FusionConfig) -> npt.NDArray[np.str_]:
+    """Name the side of the centre line of offsets (n,), half widths; empty where they are NaN."""
+    names = np.full(len(offset_norm), "", "U6")  # filled in place: a flight's are many
+    names[offset_norm > 0.0], names[offset_norm < 0.0] = Position.RIGHT, Position.LEFT
+    names[np.abs(offset_norm) <= config.position_dead_band_norm] = Position.CENTRE
+    return names

@@ -72,16 +72,17 @@ class Timeline:
         """
         key = (sample.t_ns, SOURCES[type(sample)].order)
         keys, entries = self._keys, self.entries
-        at = len(keys) if not keys or key > keys[-1] else bisect_left(keys, key)
-        if at < len(keys) and keys[at] == key:
+        newest = not keys or key > keys[-1]
+        at = len(keys) if newest else bisect_left(keys, key)
+        if not newest and keys[at] == key:
             return None
-        before = self.state if at == len(keys) else entries[at - 1].after if at > 0 else self._base
+        before = self.state if newest else entries[at - 1].after if at > 0 else self._base
         try:
             entry = self.engine.process(before, sample)
         except Exception:
             self.engine.ekf.load(self.state.x, self.state.P)
             raise
-        if at == len(keys):
+        if newest:
             keys.append(key)
             entries.append(entry)
             self.state = entry.after
@@ -145,12 +146,11 @@ class Timeline:
         self._let_go(len(self.entries))
 
     def _trim(self) -> None:
-        horizon = self._keys[-1][0] - self.buffer_ns
-        # In lumps: cutting the front of a list costs its length.
-        if self._keys[0][0] < horizon:
-            passed = bisect_left(self._keys, (horizon, -1))
-            if passed >= 16 or passed * 2 >= len(self._keys):
-                self._let_go(passed)
+        keys = self._keys
+        horizon = keys[-1][0] - self.buffer_ns
+        # In lumps, of 16 or of half of them: cutting the front of a list costs its length.
+        if keys[min(15, (len(keys) - 1) // 2)][0] < horizon:
+            self._let_go(bisect_left(keys, (horizon, -1)))
 
     def _let_go(self, count: int) -> None:
         if count == 0:

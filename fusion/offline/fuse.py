@@ -8,16 +8,15 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
-from heapq import merge
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.estimate import row_of
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.events import Event, EventFinder
+from fusion.estimator.filter_table import filter_table
 from fusion.estimator.frame_update import FrameResult, FrameSample, extract_features
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.lateral_smoother import OffsetSteps
@@ -25,7 +24,7 @@ from fusion.estimator.propagation import ImuSample
 from fusion.estimator.sample_times import SampleTimes
 from fusion.estimator.smoothed_table import hypotheses_table, smoothed_table
 from fusion.estimator.smoother import Steps
-from fusion.estimator.state import Entry
+from fusion.estimator.state import Entry, State
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table
 from fusion.flight import Flight
 from fusion.offline.prefetch import prefetch_features, usable_cores
@@ -39,7 +38,7 @@ from vision.measurement import FrameMeasurement, position_from_offset
 if TYPE_CHECKING:
     from fusion.estimator.frame_update import Features
 
-BLOCK_ROWS = 4096
+BLOCK_ROWS = 512  # few, so that what is waiting stays in the processor's cache
 NEW_OBJECTS = 20_000  # from which on the garbage collector looks
 MAX_JOBS = 8  # unless more are asked for: the filter needs longer for a picture than two threads do
 
@@ -241,8 +240,14 @@ def _feed(
         distance_m = ranges.distance_m
         streams.append((ranges.t_ns, lambda t_ns, i: estimator.add_range(t_ns, float(distance_m[i]))))
     streams.append((flight.frames.t_ns - delay_ns, add_frame))
-    for t_ns, k, i in merge(*(_times(times, k) for k, (times, _) in enumerate(streams))):
-        streams[k][1](t_ns, i)
+    counts = [len(times) for times, _ in streams]
+    t_ns = np.concatenate([np.asarray(times, np.int64) for times, _ in streams])
+    order = np.argsort(t_ns, kind="stable")  # samples of one time in the order of the streams
+    t_ns, stream = t_ns[order], np.repeat(np.arange(len(streams), dtype=np.int8), counts)[order]
+    order -= np.cumsum([0, *counts])[stream]  # now the number within its stream
+    give = [add for _, add in streams]
+    for t, k, i in zip(_rows(t_ns), _rows(stream), _rows(order), strict=True):
+        give[k](t, i)
     return vision_s
 
 
@@ -250,10 +255,6 @@ def _rows(values: npt.NDArray[Any]) -> Iterator[Any]:
     """Rows as Python's lists, which the estimator takes faster, few at a time: a whole flight's take much memory."""
     for start in range(0, len(values), BLOCK_ROWS):
         yield from values[start : start + BLOCK_ROWS].tolist()
-
-
-def _times(t_ns: npt.NDArray[np.int64], stream: int) -> Iterator[tuple[int, int, int]]:
-    return ((t, stream, i) for i, t in enumerate(_rows(t_ns)))
 
 
 def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
@@ -291,8 +292,9 @@ class Recorder:
         self.offset_steps = OffsetSteps()
         self.events: list[Event] = []
         self._finder = EventFinder(config)
-        self._rows: list[tuple[Any, ...]] = []
-        self._table = np.empty(0, ESTIMATE_DTYPE)  # of the rows before: a tuple takes four times the memory
+        self._rows: list[State] = []
+        self._statuses: list[str] = []
+        self._table = np.empty(0, ESTIMATE_DTYPE)  # of the rows before
         self._smoothed: Table | None = None
         self._row_steps = array("q")  # index of the last step of each row's instant
         self._pending: Entry | None = None
@@ -300,11 +302,11 @@ class Recorder:
 
     def take(self, entry: Entry) -> None:
         """Take the next entry in order of time."""
+        self.events += self._finder.take(entry)
         if self._pending is not None and entry.t_ns > self._pending.t_ns:
             self._close_instant()
         self.steps.add(entry.nodes)
         self.offset_steps.add(entry.t_ns, entry.after.lateral.step)
-        self.events += self._finder.take(entry)
         if entry.frame is not None:
             self.frames.append(frame_row(entry.frame, self.config))
         self._pending = entry
@@ -324,15 +326,15 @@ class Recorder:
 
     def finish(self) -> None:
         """Close the last instant."""
+        self.events += self._finder.finish()
         if self._pending is not None:
             self._close_instant()
-        self.events += self._finder.finish()
 
     def _close_instant(self) -> None:
         # A row stands for its instant after all samples of that time, whatever their order of arrival.
-        state = None if self._pending is None else self._pending.after
-        if self._pending_is_row and state is not None:
-            self._rows.append(row_of(state, self.config))
+        if self._pending_is_row and self._pending is not None:
+            self._rows.append(self._pending.after)
+            self._statuses.append(self._finder.status)
             self._row_steps.append(self.steps.count - 1)
             if len(self._rows) >= BLOCK_ROWS:
                 self._pack()
@@ -357,7 +359,8 @@ class Recorder:
             return
         n = len(self._table)
         self._table.resize(n + len(self._rows), refcheck=False)  # in place: nobody has seen it yet
-        self._table[n:], self._rows = np.array(self._rows, dtype=ESTIMATE_DTYPE), []
+        self._table[n:] = filter_table(self._rows, self._statuses, self.config)
+        self._rows, self._statuses = [], []
 
 
 def frame_row(result: FrameResult, config: FusionConfig) -> tuple[Any, ...]:

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.estimate import Estimate, estimate_of, row_of
+from fusion.estimator.estimate import Estimate, estimate_of
 from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.filter_table import filter_table
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.smoothed_table import hypotheses_table
 from fusion.estimator.state import Entry
@@ -229,10 +230,12 @@ def test_a_row_is_what_the_table_holds_of_the_estimate() -> None:
     for sample in SAMPLES:
         give(estimator, sample)
     estimator.finish()
-    rows = [row_of(state, config) for state in states]
-    assert repr(rows) == repr([estimate_row(estimate_of(state, config)) for state in states])
-    assert {row[13] for row in rows} == {"initialising", "tracking", "coasting"}
-    assert {row[15] for row in rows} == {"unknown", "known", "coasting"}
+    estimates = [estimate_of(state, config) for state in states]
+    table = filter_table(states, [e.status for e in estimates], config)
+    expected = np.array([estimate_row(e) for e in estimates], dtype=ESTIMATE_DTYPE)
+    assert table.tobytes() == expected.tobytes()
+    assert set(table["status"]) == {"initialising", "tracking", "coasting"}
+    assert set(table["lateral_status"]) == {"unknown", "known", "coasting"}
 
 
 def test_the_mirrored_flight_has_the_mirrored_offset(in_order: Flown) -> None:

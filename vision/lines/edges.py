@@ -277,16 +277,27 @@ def _add_pixel(s: Record, x: float, y: float, a: float, b: float) -> None:
 
 
 @compiled_inner
-def _locate(
-    gradient: Gradient, width: int, n_edges: int, rectified: Float32Array, components: Components
-) -> tuple[int, float, float]:
-    """Find where edge pixels are to a fraction of a pixel, and leave out those at the sides or without a place.
+def _is_upright(gradient: Gradient, i: np.uintp) -> bool:
+    return bool(abs(np.int32(gradient.gx[i])) >= abs(np.int32(gradient.gy[i])))
+
+
+@compiled_inner
+def _peak(gradient: Gradient, i: np.uintp, step: np.uintp) -> tuple[float, float]:
+    """Return the curvature of a parabola across the edge, and how far from pixel i it peaks."""
+    m, m0, m1 = gradient.magnitude[i], gradient.magnitude[i - step], gradient.magnitude[i + step]
+    curvature = 2.0 * m - m0 - m1
+    return curvature, 0.5 * (m1 - m0) / curvature
+
+
+@compiled_inner
+def _locate(gradient: Gradient, width: int, n_edges: int, components: Components) -> tuple[int, float, float]:
+    """Find where edge pixels are to a fraction of a pixel, and leave out those at the sides.
 
     Fills in the first rows of ``components.edges`` and ``components.places``; returns how many, and the sharpness of
-    upright and of level edges, see `connect`.
+    upright and of level edges, see `connect`. What depends on the lens is left to `_rectify`: in this loop nothing
+    may branch on the direction of an edge, which no processor can predict.
     """
-    gx, gy, magnitude = gradient.gx, gradient.gy, gradient.magnitude
-    edges, places, distorted = components.edges, components.places, rectified.shape[0] > 1
+    edges, places = components.edges, components.places
     bend, ridge = np.full(2, 1e-9), np.full(2, 1e-9)
     w, n, y, row = np.uintp(width), np.uintp(0), 0, np.uintp(0)
     for k in range(n_edges):
@@ -298,28 +309,37 @@ def _locate(
         if x < 2 or x >= width - 2:
             continue
         # A parabola along the axis nearest to the gradient peaks on the edge whatever its direction.
-        upright = abs(np.int32(gx[i])) >= abs(np.int32(gy[i]))
+        upright = _is_upright(gradient, i)
         step, axis = np.uintp(1) if upright else w, np.uintp(upright)
-        m, m0, m1 = magnitude[i], magnitude[i - step], magnitude[i + step]
-        curvature = 2.0 * m - m0 - m1
+        curvature, shift = _peak(gradient, i, step)
         bend[axis] += curvature
-        ridge[axis] += m
-        shift = 0.5 * (m1 - m0) / curvature
+        ridge[axis] += gradient.magnitude[i]
         across, down = (shift, 0.0) if upright else (0.0, shift)
-        place = places[n]
-        place[0], place[1] = x + across, y + down
-        if distorted:
-            ahead, part = 1 if shift > 0.0 else -1, abs(shift)
-            near, far = rectified[y, x], rectified[y, x + ahead] if upright else rectified[y + ahead, x]
-            place[0], place[1] = (
-                near[0] * (1.0 - part) + far[0] * part,
-                near[1] * (1.0 - part) + far[1] * part,
-            )
-            if place[0] != place[0] or place[1] != place[1]:  # outside the usable field
-                continue
+        places[n, 0], places[n, 1] = x + across, y + down
         edges[n] = i
         n += np.uintp(1)
     return int(np.intp(n)), bend[1] / ridge[1], bend[0] / ridge[0]
+
+
+@compiled_inner
+def _rectify(
+    gradient: Gradient, width: int, n_edges: int, rectified: Float32Array, components: Components
+) -> int:
+    """Bring located edge pixels to rectified coordinates, and leave out those without; return how many remain."""
+    edges, places = components.edges, components.places
+    n = 0
+    for k in range(n_edges):
+        i = np.uintp(edges[k])
+        y, x = np.intp(i) // width, np.intp(i) % width
+        upright = _is_upright(gradient, i)
+        _, shift = _peak(gradient, i, np.uintp(1) if upright else np.uintp(width))
+        ahead, part = 1 if shift > 0.0 else -1, abs(shift)
+        v, u = (y, x + ahead) if upright else (y + ahead, x)
+        for c in range(2):
+            places[n, c] = rectified[y, x, c] * (1.0 - part) + rectified[v, u, c] * part
+        edges[n] = i
+        n += places[n, 0] == places[n, 0] and places[n, 1] == places[n, 1]  # not NaN: within the usable field
+    return n
 
 
 @compiled
@@ -349,7 +369,9 @@ def connect(
         1 / s^2 for edges blurred over s pixels. Motion blurs only the edges across its direction.
     """
     n_edges = _find_edge_pixels(gradient, width, threshold, components.edges)
-    n_edges, upright, level = _locate(gradient, width, n_edges, rectified, components)
+    n_edges, upright, level = _locate(gradient, width, n_edges, components)
+    if rectified.shape[0] > 1:
+        n_edges = _rectify(gradient, width, n_edges, rectified, components)
     return _label(gradient, width, n_edges, components), upright, level
 
 

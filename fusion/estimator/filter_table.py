@@ -1,0 +1,142 @@
+"""The filter's table: takes states in order of time, returns the rows that report them.
+
+The numbers are those of `fusion.estimator.estimate.estimate_of`. A flight has millions of rows, so they are computed
+many at a time, those between two frames together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+from math import nan
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimate import heading_of
+from fusion.estimator.lateral import offset_model
+from fusion.estimator.lateral_kernels import N_LATERAL, fill_transition, moved
+from fusion.estimator.lateral_mixture_kernels import summarised
+from fusion.estimator.lateral_offset import OffsetModel, OffsetState, lasting_variance, motion_noise
+from fusion.estimator.lateral_status import LateralStatus
+from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, FloatArray
+from fusion.estimator.propagation import Mode
+from fusion.estimator.tables import ESTIMATE_DTYPE, Table, position_names
+from vision.compiled import compiled
+from vision.rotations import wrap
+from vision.types import BoolArray
+
+if TYPE_CHECKING:
+    from fusion.estimator.state import State
+
+
+def filter_table(states: Sequence[State], statuses: Sequence[str], config: FusionConfig) -> Table:
+    """Report states of a log, whose samples are all there, as rows of `fusion.estimator.tables.ESTIMATE_DTYPE`.
+
+    Parameters
+    ----------
+    states
+        At least one; none of before the first sample.
+    statuses
+        The `fusion.estimator.estimate.Status` of each.
+    config
+        Settings.
+    """
+    n, reckoned = len(states), [s.reckoning for s in states]
+    table = np.empty(n, dtype=ESTIMATE_DTYPE)
+    x = np.concatenate([s.x for s in states]).reshape(n, N_STATES)
+    P = np.concatenate([s.P for s in states]).reshape(n, N_STATES, N_STATES)
+    heading, std, bias = x[:, PSI].copy(), np.sqrt(P[:, PSI, PSI]), x[:, BIAS]
+    for k, s in enumerate(states):
+        if s.delay is not None or not s.axis.ever_acquired:
+            heading[k], std[k] = heading_of(s)
+    table["timestamp_ns"] = [d.t_ns for d in reckoned]
+    table["heading_rad"], table["heading_std_rad"] = wrap(heading), std
+    rate = np.array([d.rate_rad_s for d in reckoned]) - bias
+    table["yaw_rate_rad_s"] = np.where([d.mode is Mode.NONE for d in reckoned], -bias, rate)
+    table["gyro_bias_rad_s"] = np.where([d.mode is Mode.GYRO for d in reckoned], bias, nan)
+    known = [s.imu_yaw.known for s in states]
+    table["imu_yaw_offset_rad"] = np.where(known, wrap(x[:, YAW_OFFSET]), nan)
+    table["status"] = statuses
+    first = 0
+    for _, group in groupby(states, _between_frames):
+        like = list(group)
+        _fill_by_frame(table[first : first + len(like)], like, config)
+        first += len(like)
+    table["position"] = position_names(table["lateral_offset_norm"], config)
+    return table
+
+
+def _between_frames(s: State) -> tuple[object, ...]:
+    """Return what rows that are computed together have in common."""
+    lateral, offset = s.lateral, s.lateral.offset
+    kept = (s.axis, s.width, s.frames, offset.x, offset.P, offset.weight, lateral.model)
+    return (*map(id, kept), offset.spread2, lateral.t_ns, lateral.contradicted)
+
+
+def _fill_by_frame(rows: Table, states: Sequence[State], config: FusionConfig) -> None:
+    """Fill in what depends on frames, for states between two of them."""
+    s = states[0]
+    axis, lateral, half_m = s.axis, s.lateral, s.width.half_m(config)
+    rows["corridor_index"], rows["corridor_turn_rad"] = axis.corridor_index, axis.corridor_turn_rad
+    rows["vision_age_s"] = _ages_s(rows, axis.t_vision_ns)
+    rows["lateral_age_s"] = ages_s = _ages_s(rows, lateral.t_ns)
+    offsets = [state.lateral.offset for state in states]
+    offset, std, known = _offsets_along(offsets, lateral.model or offset_model(config))
+    known &= not lateral.contradicted
+    offset, std = np.where(known, offset, nan), np.where(known, std, nan)
+    rows["lateral_offset_m"], rows["lateral_offset_std_m"] = offset * half_m, std * half_m
+    rows["lateral_offset_norm"], rows["lateral_offset_norm_std"] = offset, std
+    recent = np.where(ages_s <= s.frames.age_limit_s(config), LateralStatus.KNOWN, LateralStatus.COASTING)
+    rows["lateral_status"] = np.where(known, recent, LateralStatus.UNKNOWN)
+
+
+def _ages_s(rows: Table, then_ns: int | None) -> FloatArray:
+    """Age (n,) at each row; NaN where it never was."""
+    if then_ns is None:
+        return np.full(len(rows), nan)
+    return (rows["timestamp_ns"] - then_ns) * 1e-9
+
+
+def _offsets_along(
+    states: Sequence[OffsetState], model: OffsetModel
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return offset (n,), standard deviation (n,) and whether it is known (n,) of states that differ by paths."""
+    state, n = states[0], len(states)
+    if not len(state.x):
+        return np.full(n, nan), np.full(n, nan), np.zeros(n, np.bool_)
+    paths, found = np.array([s.path for s in states]), np.empty((n, 3))
+    hypotheses, noise = (state.x, state.P, state.weight[:-1]), motion_noise(model)
+    shared = (model.tolerance_norm, lasting_variance(state, model), model.scale_std)
+    _summarise_along(hypotheses, paths, noise, shared, found)
+    offset, std, probability = found.T
+    return offset, std, (probability > model.known_probability) & (std < model.known_std_norm)
+
+
+@compiled
+def _summarise_along(
+    hypotheses: tuple[FloatArray, FloatArray, FloatArray],
+    paths: FloatArray,
+    noise: tuple[float, float, float, float, float, float],
+    shared: tuple[float, float, float],
+    out: FloatArray,
+) -> None:
+    """Fill in offset, standard deviation and probability (n, 3) at the ends of paths (n, 5) of the same hypotheses.
+
+    ``hypotheses`` are x (k, 4), P (k, 4, 4) and weight (k,), ``noise`` is that of
+    `fusion.estimator.lateral_kernels.fill_transition`, ``shared`` what `summarised` takes last.
+    """
+    x, P, weight = hypotheses
+    tolerance, lasting, scale = shared
+    F, Q = np.empty((N_LATERAL, N_LATERAL)), np.empty((N_LATERAL, N_LATERAL))
+    x_end, P_end = np.empty_like(x), np.empty_like(P)
+    for k in range(len(paths)):
+        x_there, P_there = x, P
+        if paths[k, 0] > 0.0:
+            path = (paths[k, 0], paths[k, 1], paths[k, 2], paths[k, 3], paths[k, 4])
+            fill_transition(path, noise, False, F, Q)
+            moved(x, P, F, Q, x_end, P_end)
+            x_there, P_there = x_end, P_end
+        offset, std, _, _, probability = summarised(x_there, P_there, weight, tolerance, lasting, scale)
+        out[k, 0], out[k, 1], out[k, 2] = offset, std, probability
