@@ -23,8 +23,8 @@ from vision.images import GreyImage
 FloatArray = npt.NDArray[np.float64]
 Polar = npt.NDArray[np.float32]
 
-N_ANGLES, N_RADII = 192, 24
-NEAREST_TAN, WIDEST_TAN = 0.06, 1.5  # of the angle off the axis, first row and last
+N_ANGLES, N_RADII = 192, 20
+NEAREST_TAN, WIDEST_TAN = 0.14, 2.0  # of the angle off the axis, first row and last
 N_LEVELS = 6  # of the picture at halved sizes
 MIN_SIDE_PX = 8
 MAX_SIGMA = 3.0  # brighter and darker is cut off
