@@ -427,7 +427,9 @@ class Engine:
         _, _, _, tilt, velocity, _, _, _, _, frames, _, _, checks = s
         if attitude is not None:
             std_rad = hypot(m.elevation_std_rad, attitude.std_rad)
-            installation = checks.installation.with_elevation(m.elevation_rad, std_rad, attitude.roll_rad)
+            installation = checks.installation.with_elevation(
+                t_ns, m.elevation_rad, std_rad, attitude.roll_rad
+            )
             checks = checks._replace(installation=installation)
         s = State(
             ekf.x, ekf.P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks
