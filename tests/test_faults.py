@@ -244,6 +244,7 @@ def test_a_seed_is_a_flight() -> None:
         "axis 90 deg off for 3 s around a corner",
         "IMU drops out for 3 s + axis 10 deg off for 2 s",
         "IMU drops out for 3 s + frames drop out for 5 s",
+        "camera clock jumps 0.1 s back + axis 5 deg off for 2 s",
     ],
 )
 def test_what_is_held_or_told_stays_so(name: str) -> None:

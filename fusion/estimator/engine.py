@@ -372,6 +372,8 @@ class Engine:
         interval_s = s.frames.interval_s
         if axis.acquired and float(ekf.P[PSI, PSI]) > c.lost_heading_std_rad**2:
             axis = axis.lost()
+        if axis.stamps_doubted != (sample.stamp_std_s > 0.0):
+            axis = axis._replace(stamps_doubted=sample.stamp_std_s > 0.0)
         if d.mode is not Mode.GYRO:  # without it, nothing says who is wrong
             axis = axis._replace(
                 diagnosis=axis.diagnosis.started_anew(), frame_noise=axis.frame_noise.interrupted()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fusion.estimator.corridor_axis import CorridorAxis, FrameAxis, _is_linked
+from fusion.estimator.ekf import CorridorEKF
 from fusion.estimator.frame_drift import (
     MIN_POINTS,
     Drift,
@@ -344,3 +345,15 @@ def test_frames_that_part_from_a_turn_that_the_imu_yaw_confirms_jump(
     near = [FrameAxis(k * 33_000_000, 0.0, frame_std, True, 0.0, 0.0) for k in range(3)]
     new = FrameAxis(99_000_000, radians(frames), frame_std, False, radians(gyro), radians(yaw))
     assert _is_linked(near, new, radians(0.5)) is linked
+
+
+def test_frames_whose_stamps_are_in_doubt_move_no_anchor() -> None:
+    """A turn seen late may be another axis: where frames agree with the anchor again, the filter goes back to it."""
+    ekf = CorridorEKF(np.array([0.1, 0.0, 0.0]), np.eye(3))
+    axis = CorridorAxis().confirmed(ekf, 1_000_000_000, 0.3)
+    doubted = axis._replace(stamps_doubted=True).confirmed(ekf, 2_000_000_000, 0.5)
+    assert (doubted.anchor_rad, doubted.anchor_ns) == (axis.anchor_rad, axis.anchor_ns)
+    assert doubted.t_vision_ns == 2_000_000_000
+    sure = doubted._replace(stamps_doubted=False).confirmed(ekf, 3_000_000_000, 0.5)
+    assert sure.anchor_rad == pytest.approx(0.4)
+    assert sure.anchor_ns == 3_000_000_000

@@ -73,9 +73,10 @@ def camera_yaw_told_s(
 ) -> float:
     """When a camera is said to point to one side, by elevations of which some errors last; infinite: never."""
     rng, error = np.random.default_rng(seed), 0.0
-    keep = exp(-1 / (30.0 * lasting_s))
-    phases, seen = rng.uniform(0.0, 2 * pi, 2), CameraYaw()
-    for t in np.arange(0.0, seconds, 1 / 30).tolist():
+    keep, seen = exp(-1 / (30.0 * lasting_s)), CameraYaw()
+    phases = rng.uniform(0.0, 2 * pi, 2).tolist()
+    for k in range(round(30 * seconds)):
+        t = k / 30
         error = keep * error + float(rng.normal(0.0, lasting_deg * sqrt(1.0 - keep * keep)))
         roll = radians(6.0) * sin(2.0 * t + phases[0]) + radians(4.0) * sin(3.3 * t + phases[1])
         white = float(rng.normal(0.0, 0.3))
