@@ -129,8 +129,10 @@ class CorridorAxis(NamedTuple):
     support_s
         Time over which frames have confirmed the present axis.
     anchor_rad, anchor_ns
-        Axis in the dead-reckoned frame when a frame last confirmed it, and when that was; while frames drift off, as
-        it was before.
+        Axis in the dead-reckoned frame when a frame last confirmed it, and when that was; while frames drift off or
+        their stamps are in doubt, as it was before.
+    stamps_doubted
+        Whether a step of the camera's clock is suspected, so that another axis may pass for a turn seen late.
     facing_rad
         pi where the vehicle then faced against the axis.
     noise, frame_noise, gate
@@ -160,6 +162,7 @@ class CorridorAxis(NamedTuple):
     support_s: float = 0.0
     anchor_rad: float = nan
     anchor_ns: int = 0
+    stamps_doubted: bool = False
     facing_rad: float = 0.0
     noise: SourceNoise = SourceNoise()
     frame_noise: FrameNoise = FrameNoise()
@@ -208,13 +211,13 @@ class CorridorAxis(NamedTuple):
         if self.t_vision_ns is not None:
             support_s += min((t_ns - self.t_vision_ns) * 1e-9, 0.5)
         psi = float(ekf.x[PSI])
-        straight = isnan(self.diagnosis.straight_bias_rad_s)
+        sure = isnan(self.diagnosis.straight_bias_rad_s) and not self.stamps_doubted
         return self._replace(
             support_s=support_s,
             t_vision_ns=t_ns,
             n_accepted=self.n_accepted + 1,
-            anchor_rad=theta_rad - psi if straight else self.anchor_rad,
-            anchor_ns=t_ns if straight else self.anchor_ns,
+            anchor_rad=theta_rad - psi if sure else self.anchor_rad,
+            anchor_ns=t_ns if sure else self.anchor_ns,
             facing_rad=psi - wrap_axis(psi),
         )
 
@@ -345,7 +348,8 @@ def start(
     ekf.update(heading_model(ekf.x, heading, found.std**2 + carried))
     if axis.ever_acquired:
         axis = axis.stepped(ekf, before)
-    return axis._replace(acquired=True, ever_acquired=True, votes=()).confirmed(ekf, t_ns, theta_rad)
+    axis = axis._replace(acquired=True, ever_acquired=True, votes=(), stamps_doubted=False)
+    return axis.confirmed(ekf, t_ns, theta_rad)
 
 
 def recover(

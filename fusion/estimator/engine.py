@@ -377,6 +377,8 @@ class Engine:
         interval_s = s.frames.interval_s
         if axis.acquired and float(ekf.P[PSI, PSI]) > c.lost_heading_std_rad**2:
             axis = axis.lost()
+        if axis.stamps_doubted != (sample.stamp_std_s > 0.0):
+            axis = axis._replace(stamps_doubted=sample.stamp_std_s > 0.0)
         if d.mode is not Mode.GYRO:  # without it, nothing says who is wrong
             axis = axis._replace(
                 diagnosis=axis.diagnosis.started_anew(), frame_noise=axis.frame_noise.interrupted()
@@ -432,7 +434,9 @@ class Engine:
         _, _, _, tilt, velocity, _, _, _, _, frames, _, _, checks = s
         if attitude is not None:
             std_rad = hypot(m.elevation_std_rad, attitude.std_rad)
-            installation = checks.installation.with_elevation(m.elevation_rad, std_rad, attitude.roll_rad)
+            installation = checks.installation.with_elevation(
+                t_ns, m.elevation_rad, std_rad, attitude.roll_rad
+            )
             checks = checks._replace(installation=installation)
         s = State(
             ekf.x, ekf.P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks

@@ -2,18 +2,18 @@
 
 The turns that frames see are regressed on those of the gyroscope: a slope of -1 is a wrong sign, one near 0 a wrong
 unit, another one a wrong focal length, and the intercept is the gyroscope's bias. At rest the accelerometer reads
-(0, 0, -9.8) m/s^2 in FRD, and its mean points where the attitude has up. A camera that points to one side of what is
-told, by its mounting or its principal point, makes every heading wrong by that angle, and no turn shows it; but when
-the vehicle rolls, the axis seems to rise or sink by the angle times the roll's sine.
+(0, 0, -9.8) m/s^2 in FRD, and its mean points where the attitude has up. Where the camera points, the vehicle's
+rolling shows (`fusion.estimator.camera_yaw`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import degrees, hypot, pi, radians, sin, sqrt
+from math import degrees, hypot, pi, radians, sqrt
 from statistics import median
 from typing import NamedTuple
 
+from fusion.estimator.camera_yaw import CameraYaw
 from fusion.estimator.faults import Fault, Notice
 from fusion.estimator.models import Vector
 from vision.rotations import wrap_axis
@@ -30,11 +30,6 @@ IMU_STEP_NS, IMU_MEMORY_S, ACCEL_MIN_S, FAST_MIN_S = 50_000_000, 3.0, 0.5, 2.0
 MAX_TILT_ERROR_RAD = radians(20)
 LEAN_MEMORY_S, LEAN_MIN_S = 10.0, 4.0  # no vehicle speeds up one way for so long
 MAX_LEAN_RAD = radians(7)
-ELEVATION_MEMORY = 1.0 - 1 / 3600  # of each frame's elevation, when the next comes
-ALIKE_FRAMES = 10.0  # whose elevations have about the same error, that of the attitude
-MAX_ELEVATION_RAD = 0.3  # more is no axis of a corridor
-MIN_ROLL_STD = 0.02  # rad; with less, elevations tell nothing
-MAX_CAMERA_YAW_RAD = radians(3)
 FROM_FRAMES = 4  # so many fields of an `Installation` come from frames, the others from the IMU's samples
 
 
@@ -82,9 +77,8 @@ class Installation(NamedTuple):
         The frames of the present span, and of the one before.
     sums
         Weight, x, y, xx, xy, yy, stated variance of the turns; x is the gyroscope's, y the frames', rad/s.
-    elevations
-        Weighted number, and sums of x, y, xx, xy, yy and of the weights themselves; x is the roll's sine, y a frame's
-        elevation, the weight one over its variance.
+    camera_yaw
+        Whether the camera points to one side.
     accel_m_s2, lean, turning_rad2_s2, imu_s, imu_ns
         Mean specific force, mean angle (3,) between it and the attitude's up about each axis, and mean square of the
         gyroscope's rate, over how long, and when they were last taken in.
@@ -93,7 +87,7 @@ class Installation(NamedTuple):
     span: Span | None = None
     last_span: Span | None = None
     sums: tuple[float, float, float, float, float, float, float] = (0.0,) * 7
-    elevations: tuple[float, float, float, float, float, float, float] = (0.0,) * 7
+    camera_yaw: CameraYaw = CameraYaw()
     accel_m_s2: Vector = (0.0, 0.0, 0.0)
     lean: Vector = (0.0, 0.0, 0.0)
     turning_rad2_s2: float = 0.0
@@ -125,28 +119,12 @@ class Installation(NamedTuple):
         sums = (n + 1.0, sx + x, sy + y, sxx + x * x, sxy + x * y, syy + y * y, noise + stated)
         return done._replace(sums=sums)
 
-    def with_elevation(self, elevation_rad: float, std_rad: float, roll_rad: float) -> Installation:
-        """Take the elevation of a frame's axis above the IMU's horizon, its sigma, and the vehicle's roll.
-
-        The sigma is that of both, frame and attitude: an attitude's errors go along with the motion for seconds.
-        """
-        if (
-            not abs(elevation_rad) < MAX_ELEVATION_RAD or not 1e-4 < std_rad < MAX_ELEVATION_RAD
-        ):  # NaN fails too
-            return self
-        x, y, weight = sin(roll_rad), elevation_rad, std_rad**-2
-        n, sx, sy, sxx, sxy, syy, sw = (ELEVATION_MEMORY * value for value in self.elevations)
-        return self._replace(
-            elevations=(
-                n + 1.0,
-                sx + weight * x,
-                sy + weight * y,
-                sxx + weight * x * x,
-                sxy + weight * x * y,
-                syy + weight * y * y,
-                sw + weight,
-            )
-        )
+    def with_elevation(
+        self, t_ns: int, elevation_rad: float, std_rad: float, roll_rad: float
+    ) -> Installation:
+        """Take what `fusion.estimator.camera_yaw.CameraYaw.with_elevation` takes."""
+        seen = self.camera_yaw.with_elevation(t_ns, elevation_rad, std_rad, roll_rad)
+        return self if seen is self.camera_yaw else self._replace(camera_yaw=seen)
 
     def with_imu(
         self, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | None, down: Vector
@@ -185,7 +163,7 @@ class Installation(NamedTuple):
     def with_frames_of(self, other: Installation) -> Installation:
         """Take over what comes from frames; what comes from the IMU stays."""
         return self._replace(
-            span=other.span, last_span=other.last_span, sums=other.sums, elevations=other.elevations
+            span=other.span, last_span=other.last_span, sums=other.sums, camera_yaw=other.camera_yaw
         )
 
     def notices(self, down: Vector) -> Iterator[Notice]:
@@ -201,7 +179,10 @@ class Installation(NamedTuple):
         tilt = self._of_gravity(down)
         if tilt is None:
             yield from self._of_turns()
-            yield from self._of_elevations()
+            if self.camera_yaw.is_off:
+                angle = degrees(abs(self.camera_yaw.angle_rad))
+                text = f"camera points {angle:.0f} deg to one side: check principal point and mounting"
+                yield Notice(Fault.CAMERA_YAW, text)
         else:
             yield Notice(Fault.TILT_WRONG, tilt)
 
@@ -246,23 +227,6 @@ class Installation(NamedTuple):
         if abs(bias) > MAX_BIAS_RAD_S and abs(bias) > SURE_SIGMA * sqrt(noise / n):
             text = f"gyroscope is off by {degrees(abs(bias)):.0f} deg/s: calibrate it at rest"
             yield Notice(Fault.GYRO_BIAS, text)
-
-    def _of_elevations(self) -> Iterator[Notice]:
-        n, sx, sy, sxx, sxy, syy, sw = self.elevations
-        if n < 3.0 * ALIKE_FRAMES:
-            return
-        x, y = sx / sw, sy / sw
-        vxx, vxy, vyy = sxx / sw - x * x, sxy / sw - x * y, syy / sw - y * y
-        if vxx < MIN_ROLL_STD**2:
-            return
-        slope = vxy / vxx
-        scatter = max(vyy - slope * vxy, n / sw)
-        std = sqrt(scatter * ALIKE_FRAMES / (n * vxx))
-        if abs(slope) - std > MAX_CAMERA_YAW_RAD and abs(slope) > SURE_SIGMA * std:
-            text = (
-                f"camera points {degrees(abs(slope)):.0f} deg to one side: check principal point and mounting"
-            )
-            yield Notice(Fault.CAMERA_YAW, text)
 
 
 def _lean(force: Vector, down: Vector) -> Vector:

@@ -175,6 +175,7 @@ def enter_corridor(
         votes=(),
         rival=None,
         support_s=0.0,
+        stamps_doubted=False,
     )
     return axis.confirmed(ekf, t_ns, theta_rad)
 

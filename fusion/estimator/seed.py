@@ -103,5 +103,7 @@ def seed_heading(
     ekf.predict(np.array([psi + step, bias, offset - step]), F, Q)
     if axis.ever_acquired:
         axis = axis.stepped(ekf, psi)
-    axis = axis._replace(acquired=True, ever_acquired=True, votes=(), recent=(), rival=None)
+    axis = axis._replace(
+        acquired=True, ever_acquired=True, votes=(), recent=(), rival=None, stamps_doubted=False
+    )
     return axis.confirmed(ekf, seed.t_ns, theta_rad)

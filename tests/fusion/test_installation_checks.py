@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, pi, radians, sin
+from math import cos, exp, hypot, inf, pi, radians, sin, sqrt
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from fusion.estimator.camera_yaw import MEMORY, CameraYaw
 from fusion.estimator.faults import Fault
 from fusion.estimator.installation_checks import Installation
 
@@ -61,10 +62,56 @@ def test_rolling_tells_where_the_camera_points(
     for t in np.arange(0.0, 8.0, 1 / 30).tolist():
         roll = radians(roll_deg) * sin(2.0 * t)
         elevation = radians(3.0) + radians(yaw_deg) * sin(roll) + float(rng.normal(0.0, radians(0.2)))
-        installation = installation.with_elevation(elevation, radians(0.2), roll)
+        installation = installation.with_elevation(round(t * 1e9), elevation, radians(0.2), roll)
         for notice in installation.notices(DOWN):
             said |= notice.fault
     assert said == fault
+
+
+def camera_yaw_told_s(
+    yaw_deg: float, lasting_s: float, lasting_deg: float, seed: int, seconds: float
+) -> float:
+    """When a camera is said to point to one side, by elevations of which some errors last; infinite: never."""
+    rng, error = np.random.default_rng(seed), 0.0
+    keep, seen = exp(-1 / (30.0 * lasting_s)), CameraYaw()
+    phases = rng.uniform(0.0, 2 * pi, 2).tolist()
+    for k in range(round(30 * seconds)):
+        t = k / 30
+        error = keep * error + float(rng.normal(0.0, lasting_deg * sqrt(1.0 - keep * keep)))
+        roll = radians(6.0) * sin(2.0 * t + phases[0]) + radians(4.0) * sin(3.3 * t + phases[1])
+        white = float(rng.normal(0.0, 0.3))
+        elevation = radians(3.0 + error + white) + radians(yaw_deg) * sin(roll)
+        seen = seen.with_elevation(round(t * 1e9), elevation, radians(0.54), roll)
+        if seen.is_off:
+            return t
+    return inf
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_elevations_better_than_they_say_tell_sooner_where_the_camera_points(seed: int) -> None:
+    """What is stated would take twice as long: 10 frames that have one error of 0.54 degrees."""
+    assert camera_yaw_told_s(6.0, 0.05, 0.0, seed, 20.0) < 10.0
+    assert camera_yaw_told_s(-12.0, 0.05, 0.0, seed, 20.0) < 6.0
+
+
+@pytest.mark.parametrize("lasting_s", [0.3, 1.0, 3.0, 10.0])
+def test_errors_of_the_attitude_that_last_accuse_no_camera(lasting_s: float) -> None:
+    assert all(camera_yaw_told_s(0.0, lasting_s, 0.5, seed, 60.0) == inf for seed in range(6))
+
+
+def test_the_angle_is_that_of_a_line_through_all_elevations() -> None:
+    """Without fading it is the weighted least squares of numpy."""
+    rng, seen = np.random.default_rng(1), CameraYaw()
+    rolls = rng.normal(0.0, 0.1, 45)
+    stds = rng.uniform(0.002, 0.006, 45)
+    elevations = 0.05 + 0.1 * np.sin(rolls) + rng.normal(0.0, stds)
+    for k in range(46):
+        at = min(k, 44)  # the last one only ends the third block
+        seen = seen.with_elevation(round(k * 1e9 / 30), elevations[at], stds[at], rolls[at])
+    weights = np.concatenate([np.full(15, memory) for memory in (MEMORY**2, MEMORY, 1.0)])
+    slope, _ = np.polyfit(np.sin(rolls), elevations, 1, w=np.sqrt(weights) / stds)
+    assert seen.angle_rad == pytest.approx(slope, rel=1e-9)
+    assert 0.0 < seen.std_rad < 0.1
 
 
 @pytest.mark.parametrize(
