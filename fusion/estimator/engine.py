@@ -369,13 +369,10 @@ class Engine:
             return s.delay
         return s.delay.interrupted()
 
-    def _fuse_heading(
-        self, s: State, sample: FrameSample, m: FrameMeasurement, attitude: Attitude | None
-    ) -> tuple[State, FrameResult]:
-        """Gate a frame's heading and take it in, or keep it as a vote for another axis."""
-        c, ekf, t_ns, d, axis = self.config, self.ekf, sample.t_ns, s.reckoning, s.axis
-        interval_s = s.frames.interval_s
-        if axis.acquired and float(ekf.P[PSI, PSI]) > c.lost_heading_std_rad**2:
+    def _before_heading(self, s: State, sample: FrameSample) -> State:
+        """Let go of an axis that is lost, and of what the gyroscope or the frame's stamp no longer bears out."""
+        axis, d = s.axis, s.reckoning
+        if axis.acquired and float(self.ekf.P[PSI, PSI]) > self.config.lost_heading_std_rad**2:
             axis = axis.lost()
         if axis.stamps_doubted != (sample.stamp_std_s > 0.0):
             axis = axis._replace(stamps_doubted=sample.stamp_std_s > 0.0)
@@ -383,16 +380,24 @@ class Engine:
             axis = axis._replace(
                 diagnosis=axis.diagnosis.started_anew(), frame_noise=axis.frame_noise.interrupted()
             )
-        more_gyro_noise = (axis.frame_noise.gyro_scale - 1.0) * c.gyro_noise**2
+        more_gyro_noise = (axis.frame_noise.gyro_scale - 1.0) * self.config.gyro_noise**2
         if more_gyro_noise != d.more_gyro_noise:
             d = d._replace(more_gyro_noise=more_gyro_noise)
-            s = s._replace(reckoning=d)
+        return s if axis is s.axis and d is s.reckoning else s._replace(axis=axis, reckoning=d)
+
+    def _fuse_heading(
+        self, s: State, sample: FrameSample, m: FrameMeasurement, attitude: Attitude | None
+    ) -> tuple[State, FrameResult]:
+        """Gate a frame's heading and take it in, or keep it as a vote for another axis."""
+        s = self._before_heading(s, sample)
+        c, ekf, t_ns, d, axis = self.config, self.ekf, sample.t_ns, s.reckoning, s.axis
+        interval_s = s.frames.interval_s
         variance = max(m.heading_std_rad, c.heading_std_floor_rad) ** 2
         variance += self._propagation.held_rate_variance(d, t_ns)
         variance += (sample.stamp_std_s * (d.rate_rad_s - float(ekf.x[BIAS]))) ** 2
         heading = m.heading_rad + turned_since_exposure(s.delay, float(ekf.x[BIAS]), t_ns, d.raw_theta_rad)
         if not axis.acquired:
-            s = self._acquire(s._replace(axis=axis), t_ns, m, attitude, heading, sqrt(variance))
+            s = self._acquire(s, t_ns, m, attitude, heading, sqrt(variance))
             return s, FrameResult(sample.stamp_ns, m, True, Reason.OK)
         scale, correlation_s = axis.scale_and_correlation(d.mode, c)
         rho = correlation(t_ns, axis.t_vision_ns, correlation_s)
@@ -428,20 +433,31 @@ class Engine:
         if delay is not None and d.mode is Mode.GYRO:
             at_delay = FrameHeading(t_ns, m.heading_rad, variance * scale, axis.reset_count)
             delay = learn_delay(delay, ekf, at_delay, by_delay.per_s, c)
-        axis = axis.confirmed(ekf, t_ns, d.theta_rad)
+        s = s._replace(axis=axis.confirmed(ekf, t_ns, d.theta_rad), delay=delay)
+        s = self._with_accepted(s, t_ns, m, attitude, heading, variance)
+        return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
+
+    def _with_accepted(
+        self,
+        s: State,
+        t_ns: int,
+        m: FrameMeasurement,
+        attitude: Attitude | None,
+        heading_rad: float,
+        variance: float,
+    ) -> State:
+        """Use the rest of a frame whose heading has corrected the filter, and the filter's new state."""
         lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
-        imu_yaw = compare_by_frame(s.imu_yaw, t_ns, heading, variance, d)
-        _, _, _, tilt, velocity, _, _, _, _, frames, _, _, checks = s
+        _, _, d, tilt, velocity, _, imu_yaw, axis, _, frames, _, delay, checks = s
+        imu_yaw = compare_by_frame(imu_yaw, t_ns, heading_rad, variance, d)
         if attitude is not None:
             std_rad = hypot(m.elevation_std_rad, attitude.std_rad)
             installation = checks.installation.with_elevation(
                 t_ns, m.elevation_rad, std_rad, attitude.roll_rad
             )
             checks = checks._replace(installation=installation)
-        s = State(
-            ekf.x, ekf.P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks
-        )
-        return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
+        x, P = self.ekf.x, self.ekf.P
+        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
 
     def _acquire(
         self,

@@ -181,6 +181,16 @@ def test_lines_and_regions_that_agree_answer_though_neither_does_alone() -> None
     assert 0.005 < answer.offset_norm_std < 0.06
 
 
+def test_a_wide_distribution_with_peaks_at_either_side_is_one_answer() -> None:
+    """A bench hides one corner: nothing tells where between the peaks the middle is, but that it is there."""
+    answer = answer_of(cannot_tell(), mixture((0.67, -0.08, 0.06), (0.31, 0.08, 0.05)))
+    assert answer is not None
+    assert answer.offset_norm == pytest.approx(-0.03, abs=0.01)
+    assert 0.09 < answer.offset_norm_std < 0.12
+    apart = mixture((0.67, -0.18, 0.06), (0.31, 0.18, 0.05))
+    assert answer_of(cannot_tell(), apart) is None
+
+
 def test_where_lines_and_regions_disagree_the_answer_is_wide_or_none() -> None:
     lines = mixture((0.7, 0.6, 0.005))
     assert answer_of(lines, mixture((0.7, -0.3, 0.05))) is None

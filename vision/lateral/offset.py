@@ -208,32 +208,45 @@ def _most_probable_group(both: FloatArray, factor: FloatArray) -> tuple[float, f
     """
     weight, offset, std = both[0], both[1], both[2]
     n = len(weight)
-    best, most, blind, total = 0, -1.0, 1.0, 0.0
+    mode, most, blind, total, moment = 0, -1.0, 1.0, 0.0, 0.0
     for k in range(n):
         blind -= weight[k]
         total += weight[k] * factor[k]
+        moment += weight[k] * factor[k] * offset[k]
         density = 0.0
         for j in range(n):
             z = (offset[k] - offset[j]) / std[j]
             density += weight[j] * factor[j] / std[j] * exp(-0.5 * z * z)
         if density > most:
-            best, most = k, density
-    total += max(blind, 0.0)
-    mean = offset[best]
+            mode, most = k, density
+    best = (0.0, offset[mode], 0.0)
+    # From the mode, and from the mean: a wide distribution may have peaks at either side.
+    for start in (offset[mode], moment / max(total, 1e-12)):
+        found = _group_about(start, both, factor)
+        if found[0] > best[0]:
+            best = found
+    return best[0] / (total + max(blind, 0.0)), best[1], best[2]
+
+
+@compiled_inner
+def _group_about(start: float, both: FloatArray, factor: FloatArray) -> tuple[float, float, float]:
+    """Return weight, mean and variance of the components of one answer, sought from an offset on."""
+    weight, offset, std = both[0], both[1], both[2]
+    mean = start
     for _ in range(3):
         moment = share = 0.0
-        for k in range(n):
+        for k in range(len(weight)):
             if abs(offset[k] - mean) < SAME_ANSWER:
                 moment += weight[k] * offset[k]
                 share += weight[k]
-        mean = moment / share
-    probability = share = variance = 0.0
-    for k in range(n):
+        mean = moment / max(share, 1e-12)
+    total = share = variance = 0.0
+    for k in range(len(weight)):
         if abs(offset[k] - mean) < SAME_ANSWER:
-            probability += weight[k] * factor[k] / total
+            total += weight[k] * factor[k]
             share += weight[k]
             variance += weight[k] * (std[k] ** 2 + (offset[k] - mean) ** 2)
-    return probability, mean, variance / share
+    return total, mean, variance / max(share, 1e-12)
 
 
 @compiled_inner
