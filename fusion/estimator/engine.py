@@ -68,7 +68,7 @@ from fusion.estimator.propagation import (
     Propagation,
 )
 from fusion.estimator.range_width import RangeSample, Width
-from fusion.estimator.records import made
+from fusion.estimator.records import new_record
 from fusion.estimator.sample_times import SampleTimes, seconds_since
 from fusion.estimator.seed import HeadingSeed, WidthChange, seed_heading
 from fusion.estimator.state import Checks, Entry, Sample, Sensed, State
@@ -246,7 +246,7 @@ class Engine:
         if earlier is not None and earlier[0].tilt is s.tilt and earlier[0].gyro is before:
             known = earlier[1]
         judged = with_sample(before, sample, self.config) if known is None else known.gyro
-        checks = made(Checks, (judged, repeats, installed))
+        checks = new_record(Checks, (judged, repeats, installed))
         if not judged.is_used:
             return self._held(s, t_ns, s.frames)._replace(checks=checks)
         if judged.verdict is GyroVerdict.CONFIRMED:
@@ -268,7 +268,7 @@ class Engine:
         _, _, _, _, velocity, width, imu_yaw, axis, _, frames, elevation, _, _ = s
         x, P = self.ekf.x, self.ekf.P
         parts = (x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
-        return made(State, parts)
+        return new_record(State, parts)
 
     def _with_rate_since(self, s: State, gyro_rad_s: Vector) -> State:
         """Take this for the rate at the last gyroscope sample."""
@@ -291,7 +291,7 @@ class Engine:
         _, _, _, _, velocity, width, _, axis, _, frames, elevation, _, checks = s
         x, P = self.ekf.x, self.ekf.P
         parts = (x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
-        return made(State, parts)
+        return new_record(State, parts)
 
     def _velocity(self, s: State, sample: VelocitySample) -> State:
         s = self._held(s, sample.t_ns, s.frames)
@@ -350,7 +350,7 @@ class Engine:
         """Tell the lateral offset of a propagation step."""
         last_ns = s.reckoning.t_ns
         dt_s = 0.0 if last_ns is None else (t_ns - last_ns) * 1e-9
-        step = made(MotionStep, (dt_s, self.ekf.x.item(PSI), down, accel_m_s2))
+        step = new_record(MotionStep, (dt_s, self.ekf.x.item(PSI), down, accel_m_s2))
         return self._lateral.propagated(s.lateral, step)
 
     def _held(self, s: State, t_ns: int, frames: SampleTimes) -> State:
@@ -361,7 +361,7 @@ class Engine:
         _, _, _, tilt, velocity, width, imu_yaw, axis, _, _, elevation, _, checks = s
         x, P = self.ekf.x, self.ekf.P
         parts = (x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
-        return made(State, parts)
+        return new_record(State, parts)
 
     def _delay_in_mode(self, s: State, d: DeadReckoning) -> Delay | None:
         """Start the delay's dead reckoning anew where something else carries the heading now."""

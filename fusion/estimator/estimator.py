@@ -24,7 +24,7 @@ from fusion.estimator.input_checks import finite_or_not, number, vector, whole_n
 from fusion.estimator.lateral_status import reliable
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.range_width import RangeSample
-from fusion.estimator.records import made
+from fusion.estimator.records import new_record
 from fusion.estimator.resets import Resets
 from fusion.estimator.seed import HeadingSeed, WidthChange
 from fusion.estimator.state import SOURCES, Entry, Sample, State
@@ -190,7 +190,7 @@ class CorridorEstimator:
             ax, ay, az = vector(accel, "accel")
             if isfinite(ax) and isfinite(ay) and isfinite(az):
                 force = (ax, ay, az)
-        self.add(made(ImuSample, (whole_nanoseconds(t_ns), vector(gyro, "gyro"), force)))
+        self.add(new_record(ImuSample, (whole_nanoseconds(t_ns), vector(gyro, "gyro"), force)))
 
     def add_attitude(self, t_ns: int, q_world_body: npt.ArrayLike) -> None:
         """Add an attitude (4,), unit quaternion w, x, y, z, body FRD to a world whose z points down."""

@@ -19,7 +19,7 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.faults import Fault, Notice
 from fusion.estimator.models import Vector
 from fusion.estimator.propagation import ImuSample
-from fusion.estimator.records import made
+from fusion.estimator.records import new_record
 
 MAX_ANGULAR_ACCELERATION_RAD_S2 = 300.0  # about what small racing multirotors reach
 MAX_ACCELERATED_S = 0.03  # however long ago the last sample that was used: no vehicle does so for longer
@@ -173,7 +173,7 @@ def with_sample(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> Gy
     else:
         clipped_ns = None
     found = (verdict, t_ns, gyro, (), change, noisy, repeats, stuck, changed_ns, clipped_ns, told, told_ns)
-    return made(GyroCheck, found)
+    return new_record(GyroCheck, found)
 
 
 def clipped_variance(before: GyroCheck, check: GyroCheck) -> float:

@@ -34,7 +34,7 @@ from fusion.estimator.lateral_parallax import compare_walls, compile_parallax, w
 from fusion.estimator.lateral_smoother import OffsetStep
 from fusion.estimator.lateral_status import Lateral, judged, reliable
 from fusion.estimator.models import PSI, FloatArray, Gate, Vector
-from fusion.estimator.records import made
+from fusion.estimator.records import new_record
 from fusion.estimator.sample_times import seconds_since
 from fusion.estimator.velocity import Velocity
 from vision.lateral.mixture import OffsetMixture
@@ -111,7 +111,7 @@ class LateralOffset:
             return lateral if lateral.step is None else lateral._replace(step=None)
         force = usable_force(step.accel_m_s2)
         offset = propagate(lateral.offset, step.dt_s, step.heading_rad, force, step.down)
-        return made(Lateral, (offset, None, *lateral[2:]))
+        return new_record(Lateral, (offset, None, *lateral[2:]))
 
     def with_velocity(self, lateral: Lateral, x: FloatArray, P: FloatArray, velocity: Velocity) -> Lateral:
         """Take a level velocity as a measurement of the offset's rate, unless it is absurd.

@@ -66,7 +66,7 @@ from fusion.estimator.lateral_kernels import (
     moved_along,
 )
 from fusion.estimator.lateral_mixture_kernels import summarised, take_frame
-from fusion.estimator.records import made
+from fusion.estimator.records import new_record
 from vision.lateral.mixture import OffsetMixture, combine
 from vision.types import FloatArray
 
@@ -210,8 +210,9 @@ def propagate(
     )
     age_s = state.evidence_age_s + dt_s
     x, P, weight, _, _, roll, spread2, _ = state
-    return made(
-        OffsetState, (x, P, weight, made(Path, path), made(Acceleration, accel), roll, spread2, age_s)
+    return new_record(
+        OffsetState,
+        (x, P, weight, new_record(Path, path), new_record(Acceleration, accel), roll, spread2, age_s),
     )
 
 

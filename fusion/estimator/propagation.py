@@ -14,7 +14,7 @@ import numpy as np
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.models import BIAS, N_STATES, PSI, ProcessNoise, Vector
-from fusion.estimator.records import made
+from fusion.estimator.records import new_record
 from fusion.estimator.sample_times import SampleTimes, seconds_since
 from fusion.estimator.tilt import ATTITUDE_GAP_S
 from vision.rotations import wrap
@@ -165,7 +165,7 @@ class Propagation:
         gyro_ns, gyro, _ = sample
         kept = (attitude, stored, more_noise)
         new = (t_ns, mode, rate_rad_s, theta, raw_theta, gyro_ns, gyro, 0.0, yaw, yaw_done, *kept)
-        return made(DeadReckoning, new)
+        return new_record(DeadReckoning, new)
 
     def with_attitude_yaw(
         self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, yaw_rad: float

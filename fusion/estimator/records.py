@@ -1,6 +1,7 @@
-"""How what is made anew with every sample is made: the parts of the state."""
+"""A fast way to make the named tuples that are made anew with every sample."""
 
 from __future__ import annotations
 
-made = tuple.__new__
-"""Makes a ``NamedTuple`` of its class and all its fields, in order: its own constructor takes twice as long."""
+new_record = tuple.__new__
+"""``new_record(Class, (a, b, ...))`` is ``Class(a, b, ...)`` of a ``NamedTuple``, all fields in order, in half the
+time."""

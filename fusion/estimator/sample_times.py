@@ -6,7 +6,7 @@ from math import isfinite, nan
 from typing import NamedTuple
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.records import made
+from fusion.estimator.records import new_record
 
 
 def seconds_since(t_ns: int, then_ns: int | None) -> float:
@@ -27,7 +27,7 @@ class SampleTimes(NamedTuple):
         old_s, interval_s = self.interval_s, (t_ns - self.last_ns) * 1e-9
         if isfinite(old_s):
             interval_s = 0.8 * old_s + 0.2 * min(interval_s, 3 * old_s)
-        return made(SampleTimes, (t_ns, interval_s))
+        return new_record(SampleTimes, (t_ns, interval_s))
 
     def begins_period(self, t_ns: int, rate_hz: float | None) -> bool:
         """Whether the next sample is the first in its period of a rate; None: every sample is."""

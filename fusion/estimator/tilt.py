@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.estimator.kernels import NO_FORCE, FloatArray, Quaternion, Vector, corrected_down, turned_down
-from fusion.estimator.records import made
+from fusion.estimator.records import new_record
 from fusion.flight import TimeArray
 from vision.compiled import compiled
 from vision.measurement import Attitude
@@ -84,7 +84,7 @@ def with_imu(tilt: Tilt, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | Non
         inf if t_accel is None else (t_ns - t_accel) * 1e-9,
     )
     down, bias, settled, used = _tilt_step(down, bias, settled, dt, gyro_rad_s, accel_m_s2 or NO_FORCE, ages)
-    return made(Tilt, (down, t_ns, t_attitude, t_ns, t_ns if used else t_accel, settled, bias))
+    return new_record(Tilt, (down, t_ns, t_attitude, t_ns, t_ns if used else t_accel, settled, bias))
 
 
 @compiled
