@@ -17,7 +17,6 @@ from support import fault_score, fault_table, injections, recording
 from support.fault_score import Bound, Fault, Trace
 from support.random_faults import DRAWS, random_faults
 from tests.files import ROOT
-from tests.fusion.simulated import weaving
 from vision.types import FloatArray
 
 
@@ -259,21 +258,6 @@ def test_an_axis_that_turns_off_slowly_is_told_as_long_as_it_is_followed() -> No
     fault = fault_table.BY_NAME["axis turns off 1 deg/s for 10 s"]
     outcome = faults.on_simulated(replace(fault, flights=1))
     assert outcome.silent_s < 1.0, faults.row(fault, outcome)
-
-
-@pytest.mark.parametrize("seed", [4, 6, 7])
-def test_an_axis_that_begins_to_turn_off_is_told_within_a_second(seed: int) -> None:
-    """Where it began is known from before: by the last half second alone, seed 6 took 1.15 s."""
-    rng = np.random.default_rng((seed, 5))
-    start_s, sign = rng.uniform(6.0, 11.0), rng.choice([-1, 1])
-    heading = weaving(seed, radians(rng.uniform(3.0, 40.0)), rng.uniform(3.0, 8.0))
-    scene = recording.base_scene(seed + 300, start_s + 3.5, heading=heading, gyro_hz=100.0, yaw_walk=0.002)
-    off = injections.axis_off(injections.ramp(sign * 4.0), start_s, start_s + 2.5)
-    trace = fault_score.fly(off(recording.simulated_recording(scene), rng))
-    told_s = trace.t_s[trace.told]
-    assert not np.any(told_s < start_s)
-    assert told_s.min() - start_s < 0.75
-    assert fault_score.silent_s(trace) < 0.3
 
 
 def test_it_runs_and_prints_what_is_asked_beside_what_is_measured() -> None:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from math import exp, isfinite, isnan, nan, pi, sqrt
+from math import exp, isnan, nan, pi, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -24,10 +24,8 @@ from fusion.estimator.frame_drift import (
 )
 from fusion.estimator.frame_noise import white_and_walk
 from fusion.estimator.hypotheses import (
-    DOUBTED,
     LOOK_S,
     SHORT_S,
-    SUSPECT_SIGMA,
     Diagnosis,
     Hypothesis,
     Innovations,
@@ -44,7 +42,6 @@ if TYPE_CHECKING:
 
 
 MAX_INTERVAL_S = 0.5  # between frames: after a longer one the last counts for no more
-BEGUN_S = SPANS_S[:3]  # over which frames are asked whether a drift has begun
 REFUSED_SHARE = 0.25  # one gross frame of ten is none of the gyroscope's
 
 
@@ -140,12 +137,6 @@ def weigh(
     )
     if now.leap_rad:
         now = now._replace(told=Told(Hypothesis.SPIKE, new.t_ns))
-    if (
-        now.innovations.one_sided_sigmas > SUSPECT_SIGMA
-        and sights[-1] is new
-        and _is_parting(now, ekf, noise)
-    ):
-        now = now._replace(told=Told(Hypothesis.BEND, new.t_ns))
     due = now.judged_ns is None or new.t_ns - now.judged_ns >= LOOK_S * 1e9
     if not (innovations.systematic or due) or sights[-1] is not new:
         return axis._replace(diagnosis=now), None
@@ -180,15 +171,6 @@ def _judge_spans(d: Diagnosis, ekf: CorridorEKF, noise: InertialNoise) -> tuple[
         return verdict, None
     by_filter = evidence.gyro.rate_rad_s + float(ekf.x[BIAS]) - evidence.bias_rad_s
     return verdict, evidence.gyro._replace(rate_rad_s=by_filter)
-
-
-def _is_parting(d: Diagnosis, ekf: CorridorEKF, noise: InertialNoise) -> bool:
-    """Whether frames have begun to drift from gyroscope and IMU yaw alike: worth a word, if not yet followed."""
-    if not isfinite(d.sights[-1].yaw_rad):
-        return False
-    drift = Drift(d.sights, float(ekf.x[PSI]), noise)
-    shown = (drift.over(span_s, begun=True)._replace(yaw_doubt=d.yaw_doubt) for span_s in BEGUN_S)
-    return any(judge(evidence, d.found).of(Hypothesis.BEND) > DOUBTED for evidence in shown)
 
 
 def _inertial_noise(c: FusionConfig, gyro_scale: float) -> InertialNoise:

@@ -9,13 +9,10 @@ from math import hypot, inf, isfinite, pi, remainder, sqrt
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fusion.estimator.imu_yaw_check import InertialNoise, YawDoubt
 from fusion.estimator.kernels import FloatArray
 from vision.rotations import wrap_axis
-
-IndexArray = npt.NDArray[np.intp]
 
 # Over which slopes are fitted: the shorter the sooner, the longer the finer.
 SPANS_S = (0.5, 1.0, 1.7, 3.0, 6.0)
@@ -23,9 +20,6 @@ SPAN_NS = round(SPANS_S[-1] * 1e9)
 MIN_POINTS = 6
 MIN_LINKED = 0.75  # share of the frames; fewer, and nobody can say what they follow
 TIME_STD_S = 0.03  # of the frames' stamps against the gyroscope's, where a flight has not shown it
-TIME_WANDER_S = 0.003  # by which that differs between a span and the seconds before it
-MIN_BEFORE_S = 1.0  # of frames before a span, to tell how their stamps are off
-NEAR = 15  # frames before a span, whose median tells which are gross
 MAX_MISFIT = 9.0  # of one frame
 WANDER_LIKE_TURN = 1 / 15  # mean square about its line of a random walk over unit time, of unit density
 WALKED_END = 2 / 15  # variance of the end of a line fitted to such a walk
@@ -134,12 +128,11 @@ def slope_of(
     turn_rad_s: FloatArray,
     walk: float,
     gyro_walk: float,
-    time_std_s: float = TIME_STD_S,
 ) -> Slope | None:
     """Fit a line to differences, less those that lie off it by more than three sigmas; None: too few.
 
     Frames whose stamps are off by c differ by c times the rate of turning besides: c is fitted too, of which nothing
-    is known but that it is ``time_std_s`` or less.
+    is known but that it is `TIME_STD_S` or less.
 
     Parameters
     ----------
@@ -151,8 +144,6 @@ def slope_of(
         Rate of turning (n,).
     walk, gyro_walk
         How the frames' errors and the gyroscope wander, rad/sqrt(s).
-    time_std_s
-        Standard deviation of the stamps' offset c.
     """
     columns = np.stack((np.ones(len(t_s)), t_s, turn_rad_s, difference_rad))
     weighted, keep = columns * std_rad**-2, np.ones(len(t_s), bool)
@@ -167,7 +158,7 @@ def slope_of(
         # What the differences alone show of c, once the line is eliminated, and of the line once c is.
         known = r2 - (s2 * r0 * r0 - 2.0 * s1 * r0 * r1 + s0 * r1 * r1) / det
         shown = dr - (r0 * (s2 * d0 - s1 * d1) + r1 * (s0 * d1 - s1 * d0)) / det
-        weight, r2 = s0, r2 + time_std_s**-2
+        weight, r2 = s0, r2 + TIME_STD_S**-2
         s0, s1, s2 = s0 - r0 * r0 / r2, s1 - r0 * r1 / r2, s2 - r1 * r1 / r2
         d0, d1 = d0 - r0 * dr / r2, d1 - r1 * dr / r2
         det = s0 * s2 - s1 * s1
@@ -226,12 +217,10 @@ class Drift:
         rate = np.diff(self._raw) / np.diff(self._t)  # np.gradient takes as long as all else together
         self._turn = np.concatenate((rate[:1], 0.5 * (rate[1:] + rate[:-1]), rate[-1:]))
 
-    def over(self, span_s: float, *, begun: bool = False) -> Evidence:
-        """Return what they showed over the last ``span_s``; ``begun``: as if a drift had begun with the span.
+    def over(self, span_s: float) -> Evidence:
+        """Return what they showed over the last ``span_s``.
 
         The bias is that from the start of the span: the filter's own has since taken up some of what is looked for.
-        Where a drift began with the span, the frames before it show from where, and how their stamps are off: much of
-        what a line through a short span leaves open.
         """
         noise, first = self._noise, int(np.searchsorted(self._t, -span_s))
         linked = self._linked[first:]
@@ -243,19 +232,7 @@ class Drift:
         if t[0] == 0.0:
             return Evidence()
         bias, bias_variance = float(self._bias[seen][0]), float(self._bias_variance[seen][0])
-        to_gyro, before = self._to_gyro + bias * self._t, np.flatnonzero(self._linked[: first * begun])
-        stamp_s, stamp_std_s = self._stamps(to_gyro, before) if begun else (0.0, TIME_STD_S)
-
-        def fitted(difference: FloatArray, walk: float) -> Slope | None:
-            if not begun:
-                return slope_of(t, _unwrapped(difference[seen]), std, turn, self._walk, noise.gyro_walk)
-            difference = _unwrapped(difference) - stamp_s * self._turn
-            level = self._level(difference, before, float(t[0]), hypot(self._walk, walk))
-            rows = np.concatenate((level, np.stack((t, difference[seen], std, turn), axis=1)))
-            at, values, stds, turns = rows.T
-            return slope_of(at, values, stds, turns, self._walk, walk, stamp_std_s)
-
-        gyro = fitted(to_gyro, noise.gyro_walk)
+        gyro = slope_of(t, _unwrapped(self._to_gyro[seen] + bias * t), std, turn, self._walk, noise.gyro_walk)
         if gyro is None:
             return Evidence()
         span_s = float(-t[0])
@@ -265,50 +242,16 @@ class Drift:
         by_scale = noise.gyro_scale_std * float(self._raw[seen][0]) / span_s
         gyro_variance = walked_rate_variance(noise.gyro_walk, span_s) + by_scale**2
         known = Evidence(gyro, None, gyro_variance, bias_variance, bias_rad_s=bias)
-        if not np.isfinite(self._yaw[seen]).all() or not np.isfinite(self._yaw[before]).all():
+        if not np.isfinite(self._yaw[seen]).all():
             return known
-        yaw = fitted(self._to_yaw, noise.yaw_walk)
+        yaw = slope_of(t, _unwrapped(self._to_yaw[seen]), std, turn, self._walk, noise.gyro_walk)
         if yaw is None:
             return known
         # The slope of a line that is fitted to n white errors over a span T has variance 12 sigma^2 / (n T^2).
         white = 12.0 * noise.yaw_std**2 / (n * span_s**2)
         leaping = max(yaw.rate_std**2 - gyro.rate_std**2, 0.0)  # a yaw that leaps drifts at no constant rate
         yaw_variance = walked_rate_variance(noise.yaw_walk, span_s) + white + leaping
-        if begun:  # the level from before is known to gyroscope and yaw to a different degree
-            by_level = max(gyro.rate_std**2 - yaw.rate_std**2, 0.0)
-            gyro = gyro._replace(rate_std=sqrt(gyro.rate_std**2 - by_level))
-            known = known._replace(gyro=gyro, gyro_variance=gyro_variance + by_level)
         return known._replace(yaw=yaw, yaw_variance=yaw_variance)
-
-    def _level(self, difference: FloatArray, before: IndexArray, end_s: float, walk: float) -> FloatArray:
-        """Return what frames before a span show of a difference at its start; (0, 4) where they are too few.
-
-        Time, difference, its sigma and the rate of turning, (1, 4): the mean that a Kalman filter of a random walk of
-        density ``walk`` ends with, less what is gross.
-        """
-        if len(before) < MIN_POINTS:
-            return np.empty((0, 4))
-        t, values, std = self._t[before], difference[before], self._std[before]
-        time_s = float(std[-1]) * sqrt((t[-1] - t[0]) / (len(t) - 1)) / walk
-        middle = float(np.median(values[-NEAR:]))
-        weights = np.exp((t - end_s) / time_s) * (np.abs(values - middle) <= 3.0 * std)
-        total = float(weights.sum())
-        if not total > 0.0:
-            return np.empty((0, 4))
-        weights /= total
-        variance = float((weights**2) @ (std**2)) + 0.5 * walk**2 * time_s
-        return np.array([[end_s, weights @ values, sqrt(variance), weights @ self._turn[before]]])
-
-    def _stamps(self, to_gyro: FloatArray, before: IndexArray) -> tuple[float, float]:
-        """Return by how much frames before a span were stamped early, s, and by how much that may be wrong in it."""
-        if len(before) < MIN_POINTS or self._t[before[-1]] - self._t[before[0]] < MIN_BEFORE_S:
-            return 0.0, TIME_STD_S
-        t, std, turn = self._t[before] - self._t[before[-1]], self._std[before], self._turn[before]
-        found = slope_of(t, _unwrapped(to_gyro[before]), std, turn, self._walk, self._noise.gyro_walk)
-        if found is None or not isfinite(found.stamp_variance):
-            return 0.0, TIME_STD_S
-        share = TIME_STD_S**2 / (TIME_STD_S**2 + found.stamp_variance)
-        return share * found.stamp_s, sqrt(share * found.stamp_variance + TIME_WANDER_S**2)
 
 
 def _unwrapped(difference: FloatArray) -> FloatArray:

@@ -37,8 +37,7 @@ from fusion.estimator.imu_yaw_check import YawDoubt, log_normal
 SHORT_S, LONG_S = 0.25, 1.5  # time constants of means over about 0.5 and 3 s
 CLIPPED_SIGMA = 4.0  # a gross error must not make a mean
 SYSTEMATIC_SIGMA = 4.0  # of a mean: worth a look at the slopes, which decide
-CONTESTED_SHORT_SIGMA, CONTESTED_LONG_SIGMA = 5.5, 4.5  # of a mean: worth a word, whatever the slopes say
-SUSPECT_SIGMA = 2.0  # of a mean: worth a look whether a drift has just begun
+CONTESTED_SIGMA = 5.5  # of a mean: worth a word, whatever the slopes say
 DOUBTED, STILL_DOUBTED = 0.05, 0.02  # probability of a fault from which on it is told, and goes on to be
 CONTESTED_S = 1.0  # from the last frame that contested
 DRIFT_STD_RAD_S = radians(10.0)  # of a gyroscope that is wrong, and of a corridor that bends
@@ -101,12 +100,6 @@ class Innovations(NamedTuple):
     def systematic(self) -> bool:
         """Whether they are one-sided beyond chance."""
         return self.one_sided_sigmas > SYSTEMATIC_SIGMA
-
-    @property
-    def contested(self) -> bool:
-        """Whether they are one-sided beyond what chance does in hours; the longer mean is tried less often."""
-        short, long = abs(self.short_sigmas), abs(self.long_sigmas)
-        return short > CONTESTED_SHORT_SIGMA or long > CONTESTED_LONG_SIGMA
 
 
 class Verdict(NamedTuple):
@@ -189,7 +182,7 @@ class Diagnosis(NamedTuple):
             yaw_doubt = yaw_doubt.with_look(verdict.yaw_astray)
         told = self.told
         doubt = verdict.doubt(told is not None and t_ns - told.t_ns < CONTESTED_S * 1e9)
-        if doubt is not Hypothesis.WELL or self.innovations.contested:
+        if doubt is not Hypothesis.WELL or self.innovations.one_sided_sigmas > CONTESTED_SIGMA:
             told = Told(doubt, t_ns)
         found = verdict.likeliest
         return self._replace(judged_ns=t_ns, found=found, verdict=verdict, told=told, yaw_doubt=yaw_doubt)

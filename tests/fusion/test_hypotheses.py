@@ -20,7 +20,7 @@ from fusion.estimator.frame_drift import (
     walked_rate_variance,
     with_sight,
 )
-from fusion.estimator.hypotheses import DOUBTED, Diagnosis, Hypothesis, Innovations, Verdict, judge
+from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations, Verdict, judge
 from fusion.estimator.imu_yaw_check import InertialNoise, TurnBeside, YawDoubt
 
 QUIET = InertialNoise(gyro_walk=0.003, yaw_walk=0.003, yaw_std=0.001)
@@ -170,49 +170,6 @@ def test_the_heading_now_is_that_of_the_frames_as_they_are_stamped() -> None:
     assert gyro.now_rad == pytest.approx(-0.04 * radians(40.0) * np.cos(2.0 * 2.97), abs=4 * gyro.now_std)
 
 
-def parting_sights(rng: np.random.Generator, rate: float, began_s: float, late_s: float) -> tuple[Sight, ...]:
-    """Six seconds of weaving, frames stamped late, that drift from gyroscope and IMU yaw from a time on."""
-    made, strayed = [], 0.0
-    for k in range(181):
-        t = k / 30
-        turn, seen_turn = (0.5 * np.sin(2.0 * at) for at in (t, t - late_s))
-        strayed += float(rng.normal(0.0, QUIET.gyro_walk / np.sqrt(30)))
-        heading = seen_turn + rate * max(t - began_s, 0.0) + rng.normal(0.0, radians(0.5))
-        made.append(Sight(round(t * 1e9), heading, radians(0.5), turn + strayed, 0.7 + turn, True))
-    return tuple(made)
-
-
-@pytest.mark.parametrize("late_s", [0.0, 0.01])
-def test_a_drift_that_began_with_the_span_is_as_sure_as_it_says_and_surer_than_a_line(late_s: float) -> None:
-    """Where it begins and how frames are stamped is known from before: half the sigma of the span alone."""
-    rate, errors, alone = radians(3.0), [], []
-    for seed in range(200):
-        rng = np.random.default_rng(seed)
-        made = parting_sights(rng, rate, 5.5, late_s)
-        drift = Drift(made, made[-1].raw_theta_rad, QUIET)
-        shown, line = drift.over(0.5, begun=True), drift.over(0.5)
-        assert shown.gyro is not None
-        assert shown.yaw is not None
-        assert line.yaw is not None
-        by_yaw = np.sqrt(shown.yaw.rate_std**2 + shown.yaw_variance)
-        by_gyro = np.sqrt(shown.gyro.rate_std**2 + shown.gyro_variance)
-        errors.append([(shown.yaw.rate_rad_s - rate) / by_yaw, (shown.gyro.rate_rad_s - rate) / by_gyro])
-        alone.append(shown.yaw.rate_std / line.yaw.rate_std)
-    assert np.median(alone) < 0.65
-    assert np.all(np.abs(np.mean(errors, axis=0)) < 0.3)
-    assert np.all((np.std(errors, axis=0) > 0.6) & (np.std(errors, axis=0) < 1.15))
-
-
-def test_frames_that_have_not_begun_to_drift_do_not_part() -> None:
-    parted = 0
-    for seed in range(100):
-        made = parting_sights(np.random.default_rng(seed), 0.0, 5.5, 0.005)
-        drift = Drift(made, made[-1].raw_theta_rad, QUIET)
-        found = [judge(drift.over(span_s, begun=True)).of(Hypothesis.BEND) for span_s in (0.5, 1.0, 1.7)]
-        parted += max(found) > DOUBTED
-    assert parted <= 1
-
-
 def test_without_a_turn_nothing_shows_whether_stamps_are_right() -> None:
     gyro = Drift(sights(3.0), 0.0, QUIET).over(3.0).gyro
     assert gyro is not None
@@ -327,15 +284,6 @@ def test_one_sided_innovations_are_systematic_and_white_ones_are_not(rho: float)
         one_sided = one_sided.with_innovation(2.0, 1 / 30, rho)
         assert not (one_sided.systematic and k < 2)
     assert one_sided.systematic
-
-
-def test_a_mean_over_longer_needs_less_to_contest_than_a_short_one() -> None:
-    """Both as rare: the short one is another four times a second, the long one not twice in three seconds."""
-    sure = Innovations(short_variance=1.0, long_variance=1.0)
-    assert sure._replace(long=4.6).contested
-    assert not sure._replace(short=4.6).contested
-    assert sure._replace(short=-5.6).contested
-    assert not sure._replace(short=5.4, long=-4.4).contested
 
 
 def test_a_gross_error_is_not_systematic() -> None:
