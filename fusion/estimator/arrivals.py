@@ -33,6 +33,7 @@ MIN_INTERVAL_NS = 25_000  # on average; IMUs sample at up to 32 kHz
 MIN_COUNTED = 50  # samples of the clock, before they are called too close
 OFF_SAMPLES = 2  # in a row that a source is off before it is told
 MAX_TERM = 2.0  # of one frame's evidence on what has stepped
+MIN_STD_RAD = 1e-6  # of a heading: a smaller one, squared, may be 0
 COMPARED_NS = 400_000_000  # from frame to frame; the rate must change in that time
 DEPENDENT_FRAMES = 4.0  # each comparison is so many times less evidence than an independent one
 TOLD_NS = 1_000_000_000  # how long a clock that was found is told of: the filter has to recover
@@ -364,7 +365,8 @@ class FrameStamps:
         while t_ns - seen[0][0] > COMPARED_NS:
             then = seen.popleft()
             as_stamped, as_shifted = wrap_axis(now[1] - then[1]), wrap_axis(now[2] - then[2])
-            term = (as_shifted * as_shifted - as_stamped * as_stamped) / (4.0 * std_rad * std_rad)
+            std = max(std_rad, MIN_STD_RAD)
+            term = (as_shifted * as_shifted - as_stamped * as_stamped) / (4.0 * std * std)
             self._log_odds += min(max(term, -MAX_TERM), MAX_TERM) / DEPENDENT_FRAMES
         if self._log_odds > DECIDED:  # the stamps are right: frames take longer now, or no longer so long
             self._usual_s, self.shift_s = median(self._recent), 0.0

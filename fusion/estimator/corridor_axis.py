@@ -343,7 +343,7 @@ def start(
     elif float(ekf.P[PSI, PSI]) < UNKNOWN_HEADING_STD_RAD**2:
         ekf.widen(PSI, UNKNOWN_HEADING_STD_RAD**2)
     # Frames that a gyroscope of unknown bias has carried on to now.
-    age_s = 0.5 * found.span_s if mode is Mode.GYRO else 0.0
+    age_s = found.age_s if mode is Mode.GYRO else 0.0
     carried = float(ekf.P[BIAS, BIAS]) * age_s**2 + config.gyro_noise**2 * age_s
     ekf.update(heading_model(ekf.x, heading, found.std**2 + carried))
     if axis.ever_acquired:

@@ -42,15 +42,15 @@ class Vote(NamedTuple):
 class Agreement(NamedTuple):
     """Votes that agree: how many, their median, one's standard deviation, since when, and of what kind.
 
-    ``share`` is their part of all votes since the first of them; ``n_accepted`` and ``linked_share`` are the count
-    at the first vote and the part of linked ones.
+    ``age_s`` is the time from their median one to the newest. ``share`` is their part of all votes since the first of
+    them; ``n_accepted`` and ``linked_share`` are the count at the first vote and the part of linked ones.
     """
 
     n_votes: int
     value: float
     std: float
     first_ns: int
-    span_s: float
+    age_s: float
     share: float
     n_accepted: int
     linked_share: float
@@ -112,7 +112,7 @@ def agreement(
         value=centre + median(d for d, _ in members),
         std=median(v.std for _, v in members),
         first_ns=first.t_ns,
-        span_s=(newest.t_ns - first.t_ns) * 1e-9,
+        age_s=(newest.t_ns - median(v.t_ns for _, v in members)) * 1e-9,
         share=len(members) / since,
         n_accepted=first.n_accepted,
         linked_share=sum(v.linked for _, v in members) / len(members),

@@ -26,7 +26,7 @@ def test_the_cluster_of_the_newest_counts() -> None:
     assert found.n_votes == 4
     assert found.value == pytest.approx(0.115)
     assert found.share == pytest.approx(4 / 6)  # of all since the first of them
-    assert found.span_s == pytest.approx(0.2)
+    assert found.age_s == pytest.approx(0.1)
 
 
 def test_axes_agree_across_the_half_turn() -> None:

@@ -209,6 +209,21 @@ def test_start_with_a_slow_camera(frame_hz: float, bias_deg_s: float) -> None:
     assert (np.abs(error) < 4.0 * result.std[started]).all()
 
 
+@pytest.mark.parametrize("bias_deg_s", [-2.5, 1.0, 2.5])
+def test_start_across_a_gap(bias_deg_s: float) -> None:
+    """Of the frames that agree most are old: what the gyroscope may have drifted since then is in the sigma."""
+    estimator = CorridorEstimator()
+    frames = {round(1e9 * t) for t in (0.5, 0.54, 0.58, 0.62, 3.4)}
+    for k in range(341):
+        t = k * 10 * MS
+        estimator.add_imu(t, (0.0, 0.0, radians(bias_deg_s)), AT_REST)
+        if t in frames:
+            estimator.add_measurement(t, frame(0.1 + 1e-6 * (k % 7)))
+    found = estimator.estimate()
+    assert found.status == "tracking"
+    assert abs(found.heading_rad - 0.1) < 3.0 * found.heading_std_rad
+
+
 def test_nothing_is_said_before_anything_is_known() -> None:
     estimator = CorridorEstimator()
     assert isnan(estimator.estimate().heading_rad)

@@ -204,6 +204,14 @@ def test_the_polar_picture_undoes_lens_and_attitude(camera: Camera) -> None:
     assert np.corrcoef(polar[0, outer][seen_there], expected)[0, 1] > 0.99
 
 
+@pytest.mark.parametrize("fov_deg", [15.0, 20.0, 30.0, 45.0, 55.0])
+def test_a_narrow_lens_fills_as_much_of_the_polar_picture_as_any_trained_on(fov_deg: float) -> None:
+    camera = Camera.from_fov(320, 240, np.radians(fov_deg))
+    R = corridor_frame(R_LEVEL_CAMERA, 0.0, 0.0)
+    seen = polar_picture(np.full((240, 320), 128, np.uint8), camera, R)[1].mean()
+    assert 0.25 < seen < 0.5
+
+
 def test_the_corridor_frame_is_a_rotation_along_the_axis() -> None:
     R = corridor_frame(np.eye(3), 0.3, 0.1)
     assert pytest.approx(np.eye(3), abs=1e-12) == R @ R.T

@@ -8,7 +8,7 @@ Angles are counted from the corridor's right, clockwise as seen along it: right 
 from __future__ import annotations
 
 from itertools import pairwise
-from math import pi
+from math import hypot, pi
 from threading import local
 
 import cv2
@@ -25,6 +25,9 @@ Polar = npt.NDArray[np.float32]
 
 N_ANGLES, N_RADII = 192, 20
 NEAREST_TAN, WIDEST_TAN = 0.14, 2.0  # of the angle off the axis, first row and last
+NARROWEST_TAN = (
+    0.65  # from the middle to a corner of the picture, of the narrowest lens that the network is trained on
+)
 N_LEVELS = 6  # of the picture at halved sizes
 MIN_SIDE_PX = 8
 MAX_SIGMA = 3.0  # brighter and darker is cut off
@@ -144,6 +147,18 @@ def sample_points(picture: GreyImage | Pyramid, points_px: FloatArray) -> Polar:
     return out
 
 
+def _directions_for(camera: Camera) -> FloatArray:
+    """Return `DIRECTIONS` for a camera: nearer to the axis where its lens is narrower than any trained on.
+
+    A corridor looks the same from farther back, but smaller: so to a narrow lens as to a wide one nearer by.
+    """
+    corner_tan = 0.5 * hypot(camera.width_px / camera.fx_px, camera.height_px / camera.fy_px)
+    if corner_tan >= NARROWEST_TAN:
+        return DIRECTIONS
+    scale = corner_tan / NARROWEST_TAN
+    return np.asarray(DIRECTIONS * np.array([1.0, scale, scale]), dtype=float)
+
+
 def polar_picture(picture: GreyImage | Pyramid, camera: Camera, R_corridor_camera: FloatArray) -> Polar:
     """Resample a picture about the corridor's axis.
 
@@ -159,7 +174,8 @@ def polar_picture(picture: GreyImage | Pyramid, camera: Camera, R_corridor_camer
     Polar
         Standardised brightness and validity (2, N_RADII, N_ANGLES).
     """
-    points = project_directions(DIRECTIONS.reshape(-1, 3), R_corridor_camera, camera)
+    directions = _directions_for(camera).reshape(-1, 3)
+    points = project_directions(directions, R_corridor_camera, camera)
     polar = sample_points(picture, points.reshape(N_RADII, N_ANGLES, 2))
     standardise(polar)
     return polar
