@@ -2,7 +2,9 @@
 
 A camera that points to one side of what is told, by its mounting or its principal point, makes every heading wrong by
 that angle, and no turn shows it; but when the vehicle rolls, the axis seems to rise or sink by the angle times the
-roll's sine. The angle is the slope of a line through elevations over the roll's sine.
+roll's sine. The angle is the slope of a line through elevations over the roll's sine, both less their means over the
+last `LEVEL_S`: a ramp, or an attitude that is off for long, changes the elevations too, and a slow roll by chance in
+the same way.
 
 How sure the slope is depends on how long errors last, which nobody tells: those of an attitude may go along with the
 motion for seconds, those of frames hardly from one to the next. So it is taken from the residuals, summed over
@@ -13,9 +15,10 @@ What is stated counts as some windows besides, and as few windows say little, th
 
 from __future__ import annotations
 
-from math import inf, radians, sin, sqrt
+from math import expm1, inf, radians, sin, sqrt
 from typing import NamedTuple
 
+LEVEL_S = 2.0  # time constant of those means
 BLOCK_NS = 500_000_000
 WINDOW = 3  # blocks: errors that last for longer pass for the level or the slope
 MEMORY = 1.0 - 1 / 240  # of each block, when the next ends: two minutes
@@ -37,6 +40,8 @@ class CameraYaw(NamedTuple):
 
     Parameters
     ----------
+    level
+        Time of the last frame, and means of the roll's sine and the elevation until then; None before the first.
     since_ns, block
         The block that is being filled: its first frame, and its sums.
     n_blocks, sums
@@ -49,6 +54,7 @@ class CameraYaw(NamedTuple):
         By how much the camera points to the right of what is told, and its sigma; infinite while nothing is known.
     """
 
+    level: tuple[int, float, float] | None = None
     since_ns: int | None = None
     block: Sums = NO_SUMS
     n_blocks: float = 0.0
@@ -77,11 +83,14 @@ class CameraYaw(NamedTuple):
         ):  # NaN fails too
             return self
         x, y, w = sin(roll_rad), elevation_rad, std_rad**-2
-        full = self
-        if self.since_ns is None:
-            full = self._replace(since_ns=t_ns)
-        elif not 0 <= t_ns - self.since_ns < BLOCK_NS:
-            full = self._with_block()._replace(since_ns=t_ns, block=NO_SUMS)
+        then_ns, mean_x, mean_y = self.level or (t_ns, x, y)
+        share = -expm1(-max(t_ns - then_ns, 0) * 1e-9 / LEVEL_S)
+        x, y = x - mean_x, y - mean_y
+        full = self._replace(level=(t_ns, mean_x + share * x, mean_y + share * y))
+        if full.since_ns is None:
+            full = full._replace(since_ns=t_ns)
+        elif not 0 <= t_ns - full.since_ns < BLOCK_NS:
+            full = full._with_block()._replace(since_ns=t_ns, block=NO_SUMS)
         sw, sx, sy, sxx, sxy = full.block
         return full._replace(block=(sw + w, sx + w * x, sy + w * y, sxx + w * x * x, sxy + w * x * y))
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fusion.estimator.camera_yaw import MEMORY, CameraYaw
+from fusion.estimator.camera_yaw import LEVEL_S, MEMORY, CameraYaw
 from fusion.estimator.faults import Fault
 from fusion.estimator.installation_checks import Installation
 
@@ -99,6 +99,22 @@ def test_errors_of_the_attitude_that_last_accuse_no_camera(lasting_s: float) -> 
     assert all(camera_yaw_told_s(0.0, lasting_s, 0.5, seed, 60.0) == inf for seed in range(6))
 
 
+@pytest.mark.parametrize("lasting_s", [5.0, 20.0, 60.0])
+@pytest.mark.parametrize("ramp_deg", [0.0, 5.0])
+def test_what_lasts_as_long_as_the_roll_accuses_no_camera(lasting_s: float, ramp_deg: float) -> None:
+    """A vehicle that leans into the wind for a while, an attitude that is off as long, and a ramp in the floor."""
+    keep = exp(-1 / (30.0 * lasting_s))
+    drive = sqrt(1.0 - keep * keep)
+    for seed in range(4):
+        rng, error, lean, seen = np.random.default_rng(seed), 0.0, 0.0, CameraYaw()
+        for k in range(30 * 120):
+            error, lean = keep * np.array([error, lean]) + drive * rng.normal(0.0, [0.5, 5.0])
+            ramp = ramp_deg if 1200 < k < 2000 else 0.0
+            elevation = radians(3.0 + ramp + error + float(rng.normal(0.0, 0.3)))
+            seen = seen.with_elevation(round(k * 1e9 / 30), elevation, radians(0.54), radians(float(lean)))
+            assert not seen.is_off
+
+
 def test_the_angle_is_that_of_a_line_through_all_elevations() -> None:
     """Without fading it is the weighted least squares of numpy."""
     rng, seen = np.random.default_rng(1), CameraYaw()
@@ -109,7 +125,13 @@ def test_the_angle_is_that_of_a_line_through_all_elevations() -> None:
         at = min(k, 44)  # the last one only ends the third block
         seen = seen.with_elevation(round(k * 1e9 / 30), elevations[at], stds[at], rolls[at])
     weights = np.concatenate([np.full(15, memory) for memory in (MEMORY**2, MEMORY, 1.0)])
-    slope, _ = np.polyfit(np.sin(rolls), elevations, 1, w=np.sqrt(weights) / stds)
+    points = np.column_stack([np.sin(rolls), elevations])
+    mean, fast = points[0], []
+    for point in points:
+        fast.append(point - mean)
+        mean = mean + (1.0 - exp(-1.0 / 30.0 / LEVEL_S)) * (point - mean)
+    x, y = np.transpose(fast)
+    slope, _ = np.polyfit(x, y, 1, w=np.sqrt(weights) / stds)
     assert seen.angle_rad == pytest.approx(slope, rel=1e-9)
     assert 0.0 < seen.std_rad < 0.1
 
