@@ -193,12 +193,17 @@ def _with_declared_values(config: FusionConfig, flight: Flight) -> FusionConfig:
     return config.model_copy(update=declared)
 
 
+def _any_finite(rows: npt.NDArray[np.float64]) -> bool:
+    """Whether any row (n, k) can be used."""
+    return bool(np.isfinite(rows).all(axis=1).any())
+
+
 def _row_kinds(flight: Flight) -> tuple[type[object], ...]:
     """Kinds of sample that make rows, since they propagate: the best first, the others where that has died."""
     found: list[type[object]] = [FrameSample]
-    if flight.attitude is not None and len(flight.attitude.t_ns):
+    if flight.attitude is not None and _any_finite(flight.attitude.q_world_body):
         found.insert(0, AttitudeSample)
-    if flight.imu is not None and len(flight.imu.t_ns):
+    if flight.imu is not None and _any_finite(flight.imu.gyro_rad_s):
         found.insert(0, ImuSample)
     return tuple(found)
 

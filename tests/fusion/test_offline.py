@@ -208,6 +208,20 @@ def test_rows_go_on_where_the_gyroscope_dies_and_the_verdict_says_so(office: Fli
         assert result.overview.verdict == "fail"
 
 
+@pytest.mark.parametrize("with_attitude", [True, False])
+def test_a_gyroscope_without_one_number_makes_no_rows_and_keeps_none_back(
+    office: Flight, with_attitude: bool
+) -> None:
+    assert office.imu is not None
+    assert office.attitude is not None
+    imu = replace(office.imu, gyro_rad_s=np.full_like(office.imu.gyro_rad_s, np.nan))
+    frames = office.frames.chosen(np.arange(40))
+    attitude = office.attitude if with_attitude else None
+    found = fuse_flight(replace(office, imu=imu, attitude=attitude, frames=frames))
+    assert len(found.estimates) == (len(office.attitude.t_ns) if with_attitude else 40)
+    assert found.problems
+
+
 def test_vision_alone_makes_a_row_per_frame(office: Flight) -> None:
     part = replace(short(office), imu=None, attitude=None)
     result = fuse_flight(part, CONFIG)
