@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import degrees, exp, isnan, nan, pi, radians
+from math import degrees, exp, isfinite, isnan, nan, pi, radians
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from tests.fusion.simulated import (
 from vision.cameras.camera import Camera
 from vision.errors import InputError
 from vision.measurement import FrameMeasurement, Reason
+from vision.rotations import wrap_axis
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -222,6 +223,20 @@ def test_start_across_a_gap(bias_deg_s: float) -> None:
     found = estimator.estimate()
     assert found.status == "tracking"
     assert abs(found.heading_rad - 0.1) < 3.0 * found.heading_std_rad
+
+
+def test_a_sigma_near_zero_does_no_harm_while_the_clock_is_weighed() -> None:
+    """Its square is 0: the frames are late by 0.15 s from some time on, and it is judged whether they are."""
+    estimator = CorridorEstimator()
+    for k in range(800):
+        t, rate = k * 10 * MS, 0.3
+        estimator.add_imu(t, (0.0, 0.0, rate), AT_REST)
+        if k % 4 == 0:
+            late = 150 * MS if k > 600 else 0
+            seen = frame(float(wrap_axis(rate * (t - late) * 1e-9)))
+            std = 1e-170 if k > 620 and k % 8 == 0 else 0.01
+            estimator.add_measurement(t - late, replace(seen, heading_std_rad=std))
+    assert isfinite(estimator.estimate().heading_rad)
 
 
 def test_nothing_is_said_before_anything_is_known() -> None:
