@@ -78,9 +78,8 @@ class CameraYaw(NamedTuple):
 
         The sigma is that of both, frame and attitude.
         """
-        if (
-            not abs(elevation_rad) < MAX_ELEVATION_RAD or not 1e-4 < std_rad < MAX_ELEVATION_RAD
-        ):  # NaN fails too
+        # NaN fails too.
+        if not (abs(elevation_rad) < MAX_ELEVATION_RAD and 1e-4 < std_rad < MAX_ELEVATION_RAD):
             return self
         x, y, w = sin(roll_rad), elevation_rad, std_rad**-2
         then_ns, mean_x, mean_y = self.level or (t_ns, x, y)

@@ -433,23 +433,15 @@ class Engine:
         if delay is not None and d.mode is Mode.GYRO:
             at_delay = FrameHeading(t_ns, m.heading_rad, variance * scale, axis.reset_count)
             delay = learn_delay(delay, ekf, at_delay, by_delay.per_s, c)
-        s = s._replace(axis=axis.confirmed(ekf, t_ns, d.theta_rad), delay=delay)
-        s = self._with_accepted(s, t_ns, m, attitude, heading, variance)
+        imu_yaw = compare_by_frame(s.imu_yaw, t_ns, heading, variance, d)
+        s = s._replace(axis=axis.confirmed(ekf, t_ns, d.theta_rad), delay=delay, imu_yaw=imu_yaw)
+        s = self._with_accepted(s, t_ns, m, attitude)
         return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
 
-    def _with_accepted(
-        self,
-        s: State,
-        t_ns: int,
-        m: FrameMeasurement,
-        attitude: Attitude | None,
-        heading_rad: float,
-        variance: float,
-    ) -> State:
+    def _with_accepted(self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None) -> State:
         """Use the rest of a frame whose heading has corrected the filter, and the filter's new state."""
         lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
         _, _, d, tilt, velocity, _, imu_yaw, axis, _, frames, _, delay, checks = s
-        imu_yaw = compare_by_frame(imu_yaw, t_ns, heading_rad, variance, d)
         if attitude is not None:
             std_rad = hypot(m.elevation_std_rad, attitude.std_rad)
             installation = checks.installation.with_elevation(

@@ -81,13 +81,11 @@ def agreement(
     newest = votes[-1]
 
     def offsets_from(centre: float, centre_ns: float) -> list[tuple[float, Vote]]:
-        found = []
-        for v in votes:
+        def reach(v: Vote) -> float:
             drift_std = drift_std_per_s * abs(v.t_ns - centre_ns) * 1e-9
-            d = difference(v.value - centre)
-            if abs(d) <= max(spread, 2.5 * max(v.std, newest.std, drift_std)):
-                found.append((d, v))
-        return found
+            return max(spread, 2.5 * max(v.std, newest.std, drift_std))
+
+        return [(d, v) for v in votes if abs(d := difference(v.value - centre)) <= reach(v)]
 
     # Around the newest vote, then around what agrees with it: the newest may lie at the edge of the cluster.
     members = offsets_from(newest.value, newest.t_ns)

@@ -25,9 +25,7 @@ Polar = npt.NDArray[np.float32]
 
 N_ANGLES, N_RADII = 192, 20
 NEAREST_TAN, WIDEST_TAN = 0.14, 2.0  # of the angle off the axis, first row and last
-NARROWEST_TAN = (
-    0.65  # from the middle to a corner of the picture, of the narrowest lens that the network is trained on
-)
+NARROWEST_TAN = 0.65  # from the middle to a corner of the picture, of the narrowest lens trained on
 N_LEVELS = 6  # of the picture at halved sizes
 MIN_SIDE_PX = 8
 MAX_SIGMA = 3.0  # brighter and darker is cut off
