@@ -112,7 +112,7 @@ def fly(simulated: Simulated, config: FusionConfig, smooth: bool = True) -> Flow
 
     def keep(entry: Entry) -> None:
         steps.add(entry.nodes)
-        offset_steps.add(entry.t_ns, entry.after.lateral.step)
+        offset_steps.add(entry.t_ns, entry.after.lateral.step, entry.after.lateral.offset)
         stamps.extend([entry.t_ns] * len(entry.nodes))
 
     estimator = CorridorEstimator(config, on_final=keep if smooth else None)

@@ -12,7 +12,7 @@ import numpy as np
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import Estimate, estimate_of
-from fusion.estimator.lateral_smoother import OffsetSteps
+from fusion.estimator.lateral_smoother import OffsetSteps, ends_step
 from fusion.estimator.smoothed_table import smoothed_table
 from fusion.estimator.smoother import Node, Steps, compile_smoother
 from fusion.estimator.state import SOURCES, Entry, State
@@ -43,7 +43,10 @@ class FixedLag:
         passed.append(entry)
         while passed[0].t_ns < entry.t_ns - self.lag_ns and passed[1].t_ns <= entry.t_ns - self.lag_ns:
             gone = passed.popleft()
-            if gone.after.lateral.step is not None:
+            lateral, last = gone.after.lateral, self._dropped
+            if lateral.step is not None or (
+                last is not None and ends_step(lateral.offset.path, last.after.lateral.offset.path)
+            ):
                 self._dropped = gone
 
     def clear(self) -> None:
@@ -74,10 +77,11 @@ class FixedLag:
         ends = np.cumsum([0, *(len(entry.nodes) for entry in window[1:])])
         offset_steps = OffsetSteps()
         # The offset is interpolated between its steps: the last one before the window is needed too.
-        before = [self._dropped] if self._dropped is not None else []
-        before += [entry for entry in entries[:first] if entry.after.lateral.step is not None]
-        for entry in [*before[-1:], *window]:
-            offset_steps.add(entry.t_ns, entry.after.lateral.step)
+        if self._dropped is not None:
+            offset_steps.begin(self._dropped.t_ns, self._dropped.after.lateral.offset)
+        for entry in entries:
+            lateral = entry.after.lateral
+            offset_steps.add(entry.t_ns, lateral.step, lateral.offset)
         row = smoothed_table(table, ends[instants], steps, offset_steps, self.config)[0]
         found = replace(rows[0], **dict(zip(ESTIMATE_DTYPE.names or (), row.item(), strict=True)))
         if target.width.told_m is None:

@@ -138,6 +138,17 @@ class Path(NamedTuple):
             self.noise + on.noise,
         )
 
+    def since(self, start: Path) -> Path:
+        """Return what follows a path that this one begins with."""
+        t_s = self.t_s - start.t_s
+        return Path(
+            t_s,
+            self.accel_s - start.accel_s,
+            self.a1 - start.a1,
+            self.a2 - start.a2 - start.a1 * t_s,
+            self.noise - start.noise,
+        )
+
 
 class Acceleration(NamedTuple):
     """The acceleration across the corridor: last sample, m/s^2, its age, and how much successive samples differ.

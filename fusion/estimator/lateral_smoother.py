@@ -31,6 +31,7 @@ from fusion.estimator.lateral_offset import (
     OffsetState,
     Path,
     along_path,
+    at_path_end,
     nothing_known,
     summary,
     with_evidence,
@@ -42,6 +43,9 @@ from vision.types import FloatArray
 YV = slice(Y, V + 1)
 BOTH_INFLATION = 1.5  # of the variance, as errors of what comes before and after resemble each other
 KNOWN_PROBABILITY = 0.95  # likewise higher than the filter's
+LONGEST_STEP_S = (
+    0.5  # a vehicle may turn round in a longer one, which offsets and rates at its ends do not show
+)
 
 
 class MotionPrediction(NamedTuple):
@@ -63,7 +67,7 @@ class OffsetStep(NamedTuple):
     path
         Motion since the step before.
     after
-        The filter's state after the step.
+        The filter's state after the step, carried on by its own path where motion alone made it.
     evidence
         Of a frame; None without.
     speed
@@ -85,18 +89,42 @@ class OffsetStep(NamedTuple):
     predicted: MotionPrediction = MotionPrediction()
 
 
+def ends_step(path: Path, moved: Path) -> bool:
+    """Whether a path, of which ``moved`` is in steps already, makes a step of its own."""
+    return int(path.t_s / LONGEST_STEP_S) > int(moved.t_s / LONGEST_STEP_S)
+
+
 @dataclass(slots=True)
 class OffsetSteps:
-    """Steps of the lateral offset with their times, in order."""
+    """Steps of the lateral offset with their times, in order.
+
+    While nothing is taken in for long, the motion alone makes steps, so that the offset between is not interpolated
+    over seconds. They count once another step follows: behind the last one the filter's offset is the smoother's.
+    """
 
     t_ns: list[int] = field(default_factory=list)
     steps: list[OffsetStep] = field(default_factory=list)
+    _moved: Path = field(default_factory=Path)  # of the filter's path, what is in steps already
+    _waiting: list[tuple[int, OffsetStep]] = field(default_factory=list)
 
-    def add(self, t_ns: int, step: OffsetStep | None) -> None:
-        """Append a step; None: there was none."""
-        if step is not None:
-            self.t_ns.append(t_ns)
-            self.steps.append(step)
+    def add(self, t_ns: int, step: OffsetStep | None, offset: OffsetState) -> None:
+        """Append the step that led to the filter's state ``offset``; None: nothing but motion did."""
+        if step is None:
+            if self.steps and ends_step(offset.path, self._moved):
+                self._waiting.append((t_ns, OffsetStep(offset.path.since(self._moved), offset)))
+                self._moved = offset.path
+            return
+        if not step.starts_anew:
+            step = step._replace(path=step.path.since(self._moved))
+        for time_ns, waiting in (*self._waiting, (t_ns, step)):
+            self.t_ns.append(time_ns)
+            self.steps.append(waiting)
+        self._moved, self._waiting = Path(), []
+
+    def begin(self, t_ns: int, offset: OffsetState) -> None:
+        """Begin with the filter's state after a step, of which nothing before matters."""
+        self.t_ns, self.steps = [t_ns], [OffsetStep(Path(), offset)]
+        self._moved, self._waiting = offset.path, []
 
 
 def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[OffsetReadout]:
@@ -105,7 +133,7 @@ def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[Of
     out: list[OffsetReadout] = []
     later = nothing_known()
     for step in reversed(steps):
-        found = _met(step.after, later, model)
+        found = _met(at_path_end(step.after, model), later, model)
         out.append(found._replace(known=found.known and not step.predicted.excludes(found.offset_norm)))
         if step.evidence is not None:
             later = with_evidence(later, step.evidence, model)

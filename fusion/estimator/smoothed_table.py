@@ -132,6 +132,8 @@ def hypotheses_table(steps: OffsetSteps, least_probability: float = 0.02) -> Tab
     rows = []
     for t_ns, step in zip(steps.t_ns, steps.steps, strict=True):
         after = step.after
+        if after.path.t_s > 0.0:  # motion alone made it
+            continue
         for x, P, weight in zip(after.x, after.P, after.weight[:-1].tolist(), strict=True):
             if weight >= least_probability:
                 rows.append((t_ns, float(x[Y]), sqrt(float(P[Y, Y])), weight))

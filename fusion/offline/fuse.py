@@ -311,7 +311,8 @@ class Recorder:
         if self._pending is not None and entry.t_ns > self._pending.t_ns:
             self._close_instant()
         self.steps.add(entry.nodes)
-        self.offset_steps.add(entry.t_ns, entry.after.lateral.step)
+        lateral = entry.after.lateral
+        self.offset_steps.add(entry.t_ns, lateral.step, lateral.offset)
         if entry.frame is not None:
             self.frames.append(frame_row(entry.frame, self.config))
         self._pending = entry

@@ -33,7 +33,13 @@ from fusion.estimator.lateral_offset import (
     with_roll,
     with_speed,
 )
-from fusion.estimator.lateral_smoother import OffsetStep, at_times, smoothed_offsets
+from fusion.estimator.lateral_smoother import (
+    LONGEST_STEP_S,
+    OffsetStep,
+    OffsetSteps,
+    at_times,
+    smoothed_offsets,
+)
 from vision.lateral.mixture import OffsetMixture, cannot_tell
 
 G = 9.80665
@@ -404,6 +410,56 @@ def test_smoothed_is_better_knows_the_start_and_mirrors() -> None:
     assert known.all()
     assert np.sqrt(np.mean((y - np.array([weave(t) for t in between])) ** 2)) < 0.03
     assert (std > 0.0).all()
+
+
+@pytest.mark.parametrize("accel", [True, False])
+@pytest.mark.parametrize("gap_s", [1.0, 2.0, 4.0])
+def test_where_no_frame_comes_for_seconds_the_smoothed_offset_follows_the_motion(
+    accel: bool, gap_s: float
+) -> None:
+    """Interpolated over the gap, it would be beyond nine of its sigmas."""
+    flight = Flight(3, lambda t: 0.3 * sin(2.0 * t), roughness=0.1)
+    start_s, seconds = 4.0, 8.0 + gap_s
+    state, steps, seen_s = nothing_known(), OffsetSteps(), 0.0
+    for k in range(1, round(seconds / IMU_S) + 1):
+        t = k * IMU_S
+        force = (0.0, flight.accel(t), -G) if accel else None
+        state, step = propagate(state, IMU_S, 0.0, force, LEVEL), None
+        if k % 10 == 0 and not start_s < t < start_s + gap_s:
+            seen = mixture((0.9, flight.y(t) + 0.01 * flight.rng.normal(), 0.01))
+            frame = frame_evidence([seen], t - seen_s if seen_s else nan, 0.0, (0.0, 0.0))
+            path, seen_s = state.path, t
+            state = update(state, frame, MODEL)
+            step = OffsetStep(path, state, frame)
+        steps.add(round(t * 1e9), step, state)
+    times = np.array(steps.t_ns) * 1e-9
+    assert np.diff(times).max() < LONGEST_STEP_S + 0.1
+    at = np.arange(2.0, seconds - 1.0, 0.02)
+    y, std, known = at_times(times, smoothed_offsets(steps.steps, MODEL), at)
+    error = np.abs(y - np.array([flight.y(t) for t in at]))
+    assert (error / std)[known].max() < 4.0
+    inside = (at > start_s + 0.1) & (at < start_s + gap_s - 0.1)
+    assert known[~inside].mean() > 0.9
+    if accel and gap_s <= 2.0:
+        assert known[inside].all()
+
+
+def test_behind_the_last_frame_motion_makes_no_steps() -> None:
+    """There the filter's offset is the smoother's."""
+    state, steps = moved_on(nothing_known(), FRAME_S), OffsetSteps()
+    path, frame = state.path, frame_evidence([mixture((0.9, 0.2, 0.01))], nan, 0.0, (0.0, 0.0))
+    state = update(state, frame, MODEL)
+    steps.add(0, OffsetStep(path, state, frame), state)
+    for k in range(1, 200):
+        state = moved_on(state, FRAME_S)
+        steps.add(round(k * FRAME_S * 1e9), None, state)
+    assert len(steps.steps) == 1
+
+
+@given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(0.1, 2.0), st.floats(0.1, 2.0))
+def test_a_path_less_its_beginning_is_its_end(right: float, later: float, t_s: float, later_s: float) -> None:
+    start, end = moved_on(nothing_known(), t_s, right).path, moved_on(nothing_known(), later_s, later).path
+    np.testing.assert_allclose(start.then(end).since(start), end, atol=1e-9)
 
 
 def test_the_smoother_does_not_look_into_another_corridor() -> None:
