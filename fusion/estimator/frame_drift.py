@@ -9,6 +9,7 @@ from math import hypot, inf, isfinite, pi, remainder, sqrt
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from fusion.estimator.imu_yaw_check import InertialNoise, YawDoubt
 from fusion.estimator.kernels import FloatArray
@@ -21,6 +22,7 @@ MIN_POINTS = 6
 MIN_LINKED = 0.75  # share of the frames; fewer, and nobody can say what they follow
 TIME_STD_S = 0.03  # of the frames' stamps against the gyroscope's, where a flight has not shown it
 MAX_MISFIT = 9.0  # of one frame
+MAX_FITS = 4
 WANDER_LIKE_TURN = 1 / 15  # mean square about its line of a random walk over unit time, of unit density
 WALKED_END = 2 / 15  # variance of the end of a line fitted to such a walk
 
@@ -145,46 +147,69 @@ def slope_of(
     walk, gyro_walk
         How the frames' errors and the gyroscope wander, rad/sqrt(s).
     """
-    columns = np.stack((np.ones(len(t_s)), t_s, turn_rad_s, difference_rad))
-    weighted, keep = columns * std_rad**-2, np.ones(len(t_s), bool)
+    terms = np.stack((np.ones(len(t_s)), t_s, turn_rad_s))
+    line = _robust_line(terms, difference_rad, std_rad)
+    if line is None:
+        return None
+    fitted, cov, off, keep = line
     span_s, turn_now = float(-t_s[0]), float(turn_rad_s[-1])
-    for _ in range(3):
-        if int(np.count_nonzero(keep)) < MIN_POINTS:
-            return None
-        (s0, s1, r0, d0), (_, s2, r1, d1), (_, _, r2, dr), _ = ((weighted * keep) @ columns.T).tolist()
-        det = s0 * s2 - s1 * s1
-        if not det > 0.0:
-            return None
-        # What the differences alone show of c, once the line is eliminated, and of the line once c is.
-        known = r2 - (s2 * r0 * r0 - 2.0 * s1 * r0 * r1 + s0 * r1 * r1) / det
-        shown = dr - (r0 * (s2 * d0 - s1 * d1) + r1 * (s0 * d1 - s1 * d0)) / det
-        weight, r2 = s0, r2 + TIME_STD_S**-2
-        s0, s1, s2 = s0 - r0 * r0 / r2, s1 - r0 * r1 / r2, s2 - r1 * r1 / r2
-        d0, d1 = d0 - r0 * dr / r2, d1 - r1 * dr / r2
-        det = s0 * s2 - s1 * s1
-        if not det > 0.0:
-            return None
-        a, b = (s2 * d0 - s1 * d1) / det, (s0 * d1 - s1 * d0) / det
-        c = (dr - r0 * a - r1 * b) / r2
-        off = np.abs(np.array((-a, -b, -c, 1.0)) @ columns)
-        scatter = max(float(np.sort(off)[len(off) // 2]) / 0.67, 1e-9)  # by the median
-        before, keep = keep, off <= 3.0 * np.maximum(std_rad, scatter)
-        if (keep == before).all():
-            break
     squares = (off / std_rad) ** 2
     misfit = float(np.minimum(squares, MAX_MISFIT).mean())
     # Where the differences are not on a line, nothing constant is wrong.
     spread = max(1.0, float(squares @ keep) / len(t_s))
-    rate_std = sqrt(s0 / det * spread + walked_rate_variance(walk, span_s))
+    rate_variance, c_variance = float(cov[1, 1]), float(cov[2, 2])
+    rate_std = sqrt(rate_variance * spread + walked_rate_variance(walk, span_s))
+    now, rate, stamp_s = fitted.tolist()
     # The filter takes frames at their stamps: its difference now is that of the frames, the turn's share included.
-    by_a, by_b = 1.0 - turn_now * r0 / r2, -turn_now * r1 / r2
-    now_variance = (s2 * by_a**2 - 2.0 * s1 * by_a * by_b + s0 * by_b**2) / det + turn_now**2 / r2
-    now_variance += WALKED_END * (walk**2 + gyro_walk**2) * span_s
-    found = Slope(b, rate_std, a + c * turn_now, sqrt(now_variance), misfit, len(t_s))
+    at_now = np.array((1.0, 0.0, turn_now))
+    now_variance = float(at_now @ cov @ at_now) + WALKED_END * (walk**2 + gyro_walk**2) * span_s
+    found = Slope(rate, rate_std, now + stamp_s * turn_now, sqrt(now_variance), misfit, len(t_s))
+    known = 1.0 / c_variance - TIME_STD_S**-2  # what the differences alone tell of it
     if not known > 0.0:
         return found
     wander = WANDER_LIKE_TURN * (walk**2 + gyro_walk**2) * span_s  # it looks in part like a turn seen late
-    return found._replace(stamp_s=shown / known, stamp_variance=(spread + wander * weight) / known)
+    stamp_variance = (spread + wander * float(keep @ std_rad**-2)) / known
+    return found._replace(stamp_s=stamp_s / (c_variance * known), stamp_variance=stamp_variance)
+
+
+def _robust_line(
+    terms: FloatArray, difference_rad: FloatArray, std_rad: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]] | None:
+    """Fit differences (n,) by terms (3, n), the last with a prior; those more than three sigmas off are left out.
+
+    Returns
+    -------
+    fitted, cov, off, keep
+        Coefficients (3,), their covariance (3, 3), absolute residuals (n,), and which frames were kept (n,); None
+        where they are too few.
+    """
+    n = len(std_rad)
+    weighted = terms * std_rad**-2
+    keep: npt.NDArray[np.bool_] = np.ones(n, np.bool_)
+    for attempt in range(MAX_FITS):
+        if int(np.count_nonzero(keep)) < MIN_POINTS:
+            return None
+        kept = weighted * keep
+        information = kept @ terms.T
+        information[2, 2] += TIME_STD_S**-2
+        try:
+            cov: FloatArray = np.asarray(np.linalg.inv(information), dtype=float)
+        except np.linalg.LinAlgError:
+            return None
+        fitted = cov @ (kept @ difference_rad)
+        off: FloatArray = np.abs(difference_rad - fitted @ terms)
+        # A frame at an end draws the line to itself: the variance of its residual is less by its leverage.
+        leverage = np.add.reduce(weighted * (cov @ terms))
+        squares = off**2 / np.maximum(1.0 + np.where(keep, -leverage, leverage), 1e-9)
+        before, worst = keep, int(np.argmax(squares / std_rad**2))
+        if attempt == 0 and squares[worst] > 9.0 * std_rad[worst] ** 2:
+            keep = np.arange(n) != worst  # it would hide behind the scatter that it makes
+            continue
+        scatter2 = max(float(np.sort(squares)[n // 2]) / 0.67**2, 1e-18)  # by the median
+        keep = squares <= 9.0 * np.maximum(std_rad**2, scatter2)
+        if (keep == before).all():
+            break
+    return fitted, cov, off, keep
 
 
 def walked_rate_variance(walk: float, span_s: float) -> float:

@@ -6,6 +6,8 @@ from math import nan, pi, radians
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from fusion.estimator.corridor_axis import CorridorAxis, FrameAxis, _is_linked
 from fusion.estimator.ekf import CorridorEKF
@@ -157,6 +159,26 @@ def test_slopes_and_their_ends_are_as_sure_as_they_say(hz: int, seconds: float, 
     rate, now = np.sqrt(np.mean(np.square(ratios), axis=0))
     assert 0.8 < rate < 1.2
     assert 0.5 < now < 1.1  # what frames and stamps add is counted as if apart
+
+
+@given(
+    st.integers(0, 14),
+    st.floats(5.0, 30.0),
+    st.floats(0.0, 200.0),
+    st.sampled_from(["steady", "growing", "shrinking"]),
+    st.floats(0.0, 0.2),
+)
+@example(14, 10.0, 25.0, "steady", 0.17)  # behind a gap, in a turn, it drew the line to itself
+def test_one_gross_frame_is_no_drift(
+    at: int, off_deg: float, turn_deg_s: float, turn: str, gap_s: float
+) -> None:
+    t, std = np.append(np.linspace(-0.5, -0.03 - gap_s, 14), 0.0), np.full(15, radians(0.5))
+    rate = {"steady": np.ones(15), "growing": t + 0.7, "shrinking": 0.2 - t}[turn] * radians(turn_deg_s)
+    difference = np.zeros(15)
+    difference[at] = radians(off_deg)
+    found = slope_of(t, difference, std, rate, 0.0, 0.003)
+    assert found is not None
+    assert abs(found.rate_rad_s) < radians(0.1)
 
 
 def test_the_heading_now_is_that_of_the_frames_as_they_are_stamped() -> None:
