@@ -20,6 +20,7 @@ from vision.lateral.mixture import OffsetMixture
 from vision.measurement import FrameMeasurement, Reason
 
 Function = Callable[[np.ndarray], np.ndarray]
+FREE_NORM = 0.7  # how far from the centre line a vehicle strays, half widths
 
 
 def wrap(angle: Any) -> Any:
@@ -41,7 +42,7 @@ def weaving(seed: int, amplitude_rad: float = radians(15), period_s: float = 6.0
 
 
 def drifting(seed: int, std: float, time_s: float, duration_s: float) -> Function:
-    """Position whose velocity is a stationary first-order process of this standard deviation and correlation time."""
+    """Position between the walls; its velocity is near to a first-order process of this deviation and time."""
     rng, dt = np.random.default_rng(seed), 0.002
     n = int(duration_s / dt) + 2
     keep = np.exp(-dt / time_s)
@@ -51,7 +52,10 @@ def drifting(seed: int, std: float, time_s: float, duration_s: float) -> Functio
     for i in range(1, n):
         velocity[i] = keep * velocity[i - 1] + kicks[i]
     position, times = np.cumsum(velocity) * dt, np.arange(n) * dt
-    return lambda t: np.interp(t, times, position - position.mean())
+    between = FREE_NORM * np.sin(
+        (position - position.mean()) / FREE_NORM
+    )  # alone, it would stray through a wall
+    return lambda t: np.interp(t, times, between)
 
 
 def turning(*turns: tuple[float, float, float]) -> Function:
