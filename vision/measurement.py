@@ -43,6 +43,21 @@ class Reason(StrEnum):
     AHEAD = "ahead"  # stamped far ahead of the other sensors' clock
 
 
+REASON_MEANING: dict[Reason, str] = {
+    Reason.OK: "used",
+    Reason.TOO_FEW_LINES: "fewer than four lines meet",
+    Reason.AMBIGUOUS: "two directions fit equally well",
+    Reason.UNCERTAIN: "heading too uncertain to use",
+    Reason.BLUR: "turning too fast for the exposure",
+    Reason.GATE: "disagrees with the filter",
+    Reason.UNREADABLE: "picture could not be decoded",
+    Reason.LATE: "arrived too late",
+    Reason.REPEATED: "same picture as the previous frame",
+    Reason.AHEAD: "stamped ahead of the other sensors",
+}
+"""What people read for each reason."""
+
+
 class Position(StrEnum):
     """Side of the corridor's centre line that the vehicle is on."""
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from vision.cameras.camera import Camera
 from vision.errors import InputError
-from vision.measurement import FrameMeasurement, LineClass, Position, Reason
+from vision.measurement import REASON_MEANING, FrameMeasurement, LineClass, Position, Reason
 from vision.types import ColourImage, FloatArray
 
 Colour = tuple[int, int, int]
@@ -33,18 +33,6 @@ CLASS_COLOUR: dict[LineClass, Colour] = {
     LineClass.CORRIDOR: (233, 180, 86),
     LineClass.TRANSVERSE: (0, 159, 230),
     LineClass.VERTICAL: (190, 130, 225),
-}
-REASON_WORDS: dict[Reason, str] = {
-    Reason.OK: "used",
-    Reason.TOO_FEW_LINES: "fewer than four lines meet",
-    Reason.AMBIGUOUS: "two directions fit equally well",
-    Reason.UNCERTAIN: "heading too uncertain to use",
-    Reason.BLUR: "turning too fast for the exposure",
-    Reason.GATE: "disagrees with the filter",
-    Reason.UNREADABLE: "picture could not be decoded",
-    Reason.LATE: "came too late",
-    Reason.REPEATED: "the picture before once more",
-    Reason.AHEAD: "stamped ahead of the other sensors",
 }
 
 _SHIFT = 4  # cv2 draws in sixteenths of a pixel
@@ -227,7 +215,7 @@ def _footer(width_px: int, measurement: FrameMeasurement) -> ColourImage:
     _draw_from_above(footer, measurement, left=10 * unit, side=92 * unit, top=10 * unit, unit=unit)
     x, room = 122 * unit, width_px - 132 * unit
     used = measurement.accepted
-    words = REASON_WORDS[measurement.reason]
+    words = REASON_MEANING[measurement.reason]
     verdict = "accepted" if used and measurement.reason is Reason.OK else f"rejected: {words}"
     _text(footer, verdict, x, 29 * unit, 19 * unit, YES if used else NO, room)
     _text(footer, _heading_words(measurement), x, 53 * unit, 15.5 * unit, INK, room)

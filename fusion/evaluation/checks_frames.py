@@ -12,17 +12,8 @@ from fusion.result.result import FusionResult
 from fusion.result.summary import Level
 from fusion.result.table_rows import held_back_at_junctions
 from vision import InputError
+from vision.measurement import REASON_MEANING, Reason
 
-REASON_WORDS = {
-    "ok": "used",
-    "too_few_lines": "fewer than four lines meet",
-    "ambiguous": "two directions fit equally well",
-    "uncertain": "heading too uncertain to use",
-    "blur": "turning too fast for the exposure",
-    "gate": "disagrees with the filter",
-    "unreadable": "picture does not decode",
-    "late": "arrived too late",
-}
 REASON_ACTION = {
     "too_few_lines": "Look for dark, blank or blurred views: more light or a wider lens helps.",
     "ambiguous": "Log the attitude too, if it is missing: it rules out the lines of doors and shelves.",
@@ -31,6 +22,8 @@ REASON_ACTION = {
     "gate": "Check the camera's focal length, mounting and time offset first: each of them can cause this.",
     "unreadable": "Pictures are damaged: copy the flight again from the vehicle.",
     "late": "Frames arrived later than the buffer allows: increase buffer_s.",
+    "repeated": "The camera sends the same picture again: check its driver and its connection.",
+    "ahead": "Check the camera's clock: some frames are stamped far ahead of the other sensors.",
 }
 _HELD_BACK = "held back at a junction"  # said in place of gate
 _DAMAGE = ("unreadable", "late")  # no picture of a good log is either
@@ -99,7 +92,7 @@ def _rejections_by_reason(result: FusionResult, flight: Flight, limits: Limits) 
     if level is Level.PASS:
         return Finding(text, largest, level=level)
     word = next(word for word in order if levels.get(word) is level)
-    meaning = f"“{word.replace('_', ' ').capitalize()}” means: {REASON_WORDS.get(word, word)}."
+    meaning = f"“{word.replace('_', ' ').capitalize()}” means: {REASON_MEANING[Reason(word)]}."
     return Finding(text, largest, level=level, meaning=meaning, action=REASON_ACTION.get(word, ""))
 
 

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.result.conventions import Frame, column_metadata
-from vision.measurement import FrameMeasurement, LineClass
-from vision.overlay import CLASS_COLOUR, REASON_WORDS, VANISHING_POINT, WALL, Colour
+from vision.measurement import REASON_MEANING, FrameMeasurement, LineClass
+from vision.overlay import CLASS_COLOUR, VANISHING_POINT, WALL, Colour
 
 Schema = dict[str, Any]
 Message = dict[str, Any]
@@ -211,7 +211,7 @@ def overlay_message(t_ns: int, measurement: FrameMeasurement, width_px: int) -> 
 
 
 def _verdict(time: Mapping[str, int], measurement: FrameMeasurement, unit: float) -> Message:
-    words = REASON_WORDS[measurement.reason]
+    words = REASON_MEANING[measurement.reason]
     return {
         "timestamp": time,
         "position": {"x": 8 * unit, "y": 24 * unit},

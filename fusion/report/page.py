@@ -14,7 +14,6 @@ import numpy as np
 
 from fusion.estimator.smoothed_table import half_widths_m
 from fusion.evaluation.checks import run_checks
-from fusion.evaluation.checks_frames import REASON_WORDS
 from fusion.evaluation.checks_input import all_problems
 from fusion.evaluation.errors import evaluate
 from fusion.evaluation.verdict import overall, worst_first
@@ -28,6 +27,7 @@ from fusion.report.template import render
 from fusion.result.result import FusionResult
 from fusion.result.summary import CorridorErrors, Level, TableErrors
 from fusion.settings.toml import description_of
+from vision.measurement import REASON_MEANING, Reason
 
 TIMING_WORDS = {
     "vision_s": ("Reading and measuring all pictures", "s"),
@@ -246,7 +246,7 @@ def reason_counts(result: FusionResult) -> list[tuple[str, str, int, float]]:
     order = np.argsort(-counts, kind="stable")
     total = max(len(result.frames), 1)
     return [
-        (str(words[k]), REASON_WORDS.get(str(words[k]), ""), int(counts[k]), float(counts[k] / total))
+        (str(words[k]), REASON_MEANING[Reason(words[k])], int(counts[k]), float(counts[k] / total))
         for k in order
     ]
 
@@ -317,7 +317,7 @@ def _caption(shown: DrawnFrame, result: FusionResult) -> Caption:
     return Caption(
         shown=shown,
         accepted=bool(record["accepted"]),
-        verdict="used" if record["accepted"] else REASON_WORDS.get(reason, reason),
+        verdict="used" if record["accepted"] else REASON_MEANING[Reason(reason)],
         vision=vision,
         filtered=filtered,
         heading_deg=degrees(shown.filter_heading_rad) if isfinite(shown.filter_heading_rad) else None,

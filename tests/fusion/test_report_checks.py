@@ -13,12 +13,14 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.tables import FRAME_DTYPE
 from fusion.evaluation import checks_cause
 from fusion.evaluation.checks import CHECKS, run_checks
+from fusion.evaluation.checks_frames import REASON_ACTION
 from fusion.evaluation.verdict import CheckRule, Finding, Limits, nothing_to_judge, worst_first, worst_of
 from fusion.flight import Flight, FloatArray, FrameStream, ImuStream
 from fusion.report.template import with_code
 from fusion.result.result import FusionResult
 from fusion.result.summary import Check, Level
 from tests.fusion.fused import T0_NS, Fused, make_flight, table_with
+from vision.measurement import REASON_MEANING, Reason
 
 
 def turning(
@@ -116,7 +118,7 @@ class TestFrames:
     def test_a_single_damaged_picture_is_a_warning(self, swing: Fused) -> None:
         check = self.rejected(swing, unreadable=1, gate=4)
         assert check.level is Level.WARN
-        assert "does not decode" in check.meaning
+        assert "could not be decoded" in check.meaning
         assert "copy the flight again" in check.action
         assert "buffer_s" in self.rejected(swing, late=2).action
 
@@ -349,3 +351,8 @@ class TestLikelyCause:
 
     def test_a_gyroscope_of_zeros_does_not_turn_the_other_way(self, swing: Fused) -> None:
         assert self.cause(turning(swing), gyro=0.0) == []
+
+
+def test_every_reason_has_a_meaning_and_every_rejection_a_remedy() -> None:
+    assert set(REASON_MEANING) == set(Reason)
+    assert set(REASON_ACTION) == set(Reason) - {Reason.OK}
