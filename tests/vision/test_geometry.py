@@ -206,6 +206,21 @@ def test_level_is_found_without_any_attitude(corridor: Any, seen: Any, roll: int
     assert (found.R_level_camera @ true_level.T)[2, 2] > np.cos(radians(0.1))
 
 
+@pytest.mark.parametrize("roll_error_deg", [-7.0, -4.0, -3.0, 2.0, 5.0])
+@pytest.mark.parametrize("elevation_std_deg", [0.2, 1.0, 3.0])
+def test_door_posts_correct_a_roll_that_is_off_by_more_than_it_says(
+    corridor: Any, seen: Any, roll_error_deg: float, elevation_std_deg: float
+) -> None:
+    """However well the camera's elevation is known: that says nothing of the roll."""
+    lines = seen(corridor(heading_rad=0.1, offset_norm=0.3, noise_px=0.2), CAMERA)
+    prior = Prior(elevation_rad=0.0, elevation_std_rad=radians(elevation_std_deg))
+    m = measure_lines(lines, CAMERA, Attitude(radians(roll_error_deg), 0.0), prior)
+    assert m.accepted
+    assert degrees(m.heading_rad - 0.1) == pytest.approx(0.0, abs=0.1)
+    assert degrees(m.roll_correction_rad) == pytest.approx(-roll_error_deg, abs=0.3)
+    assert m.lateral_offset_norm == pytest.approx(0.3, abs=0.02)
+
+
 @QUICK
 @given(seed=st.integers(0, 10_000), heading=angle)
 def test_random_lines_do_not_move_the_answer(corridor: Any, seen: Any, seed: int, heading: float) -> None:

@@ -21,10 +21,11 @@ from vision.types import FloatArray
 
 COARSE_STEP_RAD = radians(2.0)
 GRID_REACH_SIGMA = 2.5
+MIN_REACH_RAD = radians(8.0)  # of the roll: an attitude may be off by more than it says
+MAX_PENALTY = 24.0  # of a down vector that it does not expect: the votes of four long lines
 MAX_VOTE_ARC_RAD = 0.3  # longer lines have no more weight
 VOTE_WEIGHT = 6.0
 VERTICAL_COSINE = 0.7  # least component of a vertical line's direction along the given vertical
-GRID_FROM_STD_RAD = radians(2.0)  # below this the prior is good enough to start from
 PLUMB_STD_RAD = radians(0.15)  # door posts are vertical to about this
 CUT_SIGMA = 3.0
 MAX_ROLL_VARIANCE_SHARE = 0.8  # left of the given variance, for the vertical lines to tell anything
@@ -70,6 +71,8 @@ class _Down(NamedTuple):
         Components along the given level frame's x and y.
     information_a, information_both, information_b
         Elements of their information matrix.
+    given_roll_std
+        Standard deviation of the given roll as it was counted, radians.
     """
 
     a: float
@@ -77,6 +80,7 @@ class _Down(NamedTuple):
     information_a: float
     information_both: float
     information_b: float
+    given_roll_std: float
 
 
 @compiled_inner
@@ -93,20 +97,21 @@ def _search_down(lines: LineGeometry, pitch_std: float, roll_std: float) -> tupl
             n += 1
     middle_a = middle_b = 0.0
     step = COARSE_STEP_RAD
-    reach = int(np.ceil(GRID_REACH_SIGMA * max(pitch_std, roll_std) / step))
+    reach_a = int(np.ceil(GRID_REACH_SIGMA * pitch_std / step))
+    reach_b = int(np.ceil(max(GRID_REACH_SIGMA * roll_std, MIN_REACH_RAD) / step))
     for _ in range(2):
-        size = 2 * reach + 1
-        scores = np.empty((size, size), np.float32)
-        for i in range(size):
-            for j in range(size):
-                a, b = middle_a + (i - reach) * step, middle_b + (j - reach) * step
-                scores[i, j] = -0.5 * ((a / pitch_std) ** 2 + (b / roll_std) ** 2)
-        _add_votes(upright[:n], np.float32(1.4 * step), middle_a, middle_b, step, scores)
+        first_a, first_b = middle_a - reach_a * step, middle_b - reach_b * step
+        scores = np.empty((2 * reach_a + 1, 2 * reach_b + 1), np.float32)
+        for i in range(scores.shape[0]):
+            for j in range(scores.shape[1]):
+                a, b = first_a + i * step, first_b + j * step
+                scores[i, j] = -min(0.5 * ((a / pitch_std) ** 2 + (b / roll_std) ** 2), MAX_PENALTY)
+        _add_votes(upright[:n], np.float32(1.4 * step), first_a, first_b, step, scores)
         best = np.argmax(scores)
-        middle_a += (best // size - reach) * step
-        middle_b += (best % size - reach) * step
+        middle_a = first_a + (best // scores.shape[1]) * step
+        middle_b = first_b + (best % scores.shape[1]) * step
         step = 0.5 * COARSE_STEP_RAD
-        reach = 2
+        reach_a = reach_b = 2
     return middle_a, middle_b
 
 
@@ -114,25 +119,24 @@ def _search_down(lines: LineGeometry, pitch_std: float, roll_std: float) -> tupl
 def _add_votes(
     upright: npt.NDArray[np.float32],
     spread: np.float32,
-    middle_a: float,
-    middle_b: float,
+    first_a: float,
+    first_b: float,
     step: float,
     scores: npt.NDArray[np.float32],
 ) -> None:
-    """Add each line's parabola, cut off at zero, to a grid about a down vector; a row is done many at a time."""
-    size = len(scores)
+    """Add each line's parabola, cut off at zero, to a grid of down vectors; a row is done many at a time."""
+    n_rows, n_columns = scores.shape
     inverse, one, zero = np.float32(1.0) / spread, np.float32(1.0), np.float32(0.0)
-    first_a, first_b = np.float32(middle_a - (size // 2) * step), np.float32(middle_b - (size // 2) * step)
-    step32 = np.float32(step)
-    columns = np.arange(size).astype(np.float32)  # at once: no vector instruction converts int64
+    a0, b0, step32 = np.float32(first_a), np.float32(first_b), np.float32(step)
+    columns = np.arange(n_columns).astype(np.float32)  # at once: no vector instruction converts int64
     for k in range(len(upright)):
         nx, ny, weight = upright[k, 0] * inverse, upright[k, 1] * inverse, upright[k, 3]
-        z0 = upright[k, 2] * inverse + nx * first_a + ny * first_b
+        z0 = upright[k, 2] * inverse + nx * a0 + ny * b0
         along_a, along_b = nx * step32, ny * step32
-        for i in range(size):
+        for i in range(n_rows):
             start = z0 + np.float32(i) * along_a
             row = scores[i]
-            for j in range(size):
+            for j in range(n_columns):
                 z = start + columns[j] * along_b
                 row[j] += weight * max(zero, one - z * z)
 
@@ -146,12 +150,10 @@ def _fit_down(
     normal, centre, direction = lines.normal, lines.centre, lines.direction
     sigma, arc = lines.sigma_rad, lines.arc_rad
     n = len(sigma)
-    a = 0.0
-    b = 0.0
-    start = max(pitch_std, roll_std)
-    if start > GRID_FROM_STD_RAD:
-        a, b = _search_down(lines, pitch_std, roll_std)
-        start = 0.5 * COARSE_STEP_RAD
+    a, b = _search_down(lines, pitch_std, roll_std)
+    start = 0.5 * COARSE_STEP_RAD
+    # An attitude that the lines have refuted holds them back no more.
+    pitch_std, roll_std = max(pitch_std, abs(a) / CUT_SIGMA), max(roll_std, abs(b) / CUT_SIGMA)
     h00 = h01 = h11 = 0.0
     for iteration in range(8):
         h00, h11 = 1.0 / pitch_std**2, 1.0 / roll_std**2
@@ -178,7 +180,7 @@ def _fit_down(
         determinant = h00 * h11 - h01 * h01
         a -= (h11 * g0 - h01 * g1) / determinant
         b -= (h00 * g1 - h01 * g0) / determinant
-    return _Down(a, b, h00, h01, h11)
+    return _Down(a, b, h00, h01, h11, roll_std)
 
 
 def level_from_verticals(
@@ -196,7 +198,8 @@ def level_from_verticals(
         Standard deviations of its pitch and roll. A stripe on the floor below the camera looks vertical: the roll
         that it shows is only as wrong as this admits.
     """
-    a, b, h_pitch, h_both, h_roll = _fit_down(lines.geometry(), R_level_camera, pitch_std_rad, roll_std_rad)
+    down = _fit_down(lines.geometry(), R_level_camera, pitch_std_rad, roll_std_rad)
+    a, b, h_pitch, h_both, h_roll, given_roll_std = down
     determinant = h_pitch * h_roll - h_both * h_both
     # The shortest rotation that brings the found down (a, b, 1) to (0, 0, 1): heading is left alone.
     size = sqrt(1.0 + a * a + b * b)
@@ -206,7 +209,7 @@ def level_from_verticals(
     R_new_old = np.array(
         [[fx, fy, fz], [dy * fz - dz * fy, dz * fx - dx * fz, dx * fy - dy * fx], [dx, dy, dz]]
     )
-    roll_variance, given = h_pitch / determinant, roll_std_rad * roll_std_rad
+    roll_variance, given = h_pitch / determinant, given_roll_std * given_roll_std
     alone_rad = alone_variance = nan
     if roll_variance < MAX_ROLL_VARIANCE_SHARE * given:
         alone_variance = roll_variance * given / (given - roll_variance)
