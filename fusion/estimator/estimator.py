@@ -16,6 +16,7 @@ from fusion.estimator.diagnostics import Covariance, Innovations, covariance_of,
 from fusion.estimator.engine import Engine
 from fusion.estimator.estimate import Estimate, Status, estimate_of
 from fusion.estimator.events import EventLog
+from fusion.estimator.faults import Fault
 from fusion.estimator.fixed_lag import FixedLag
 from fusion.estimator.frame_update import FrameResult, FrameSample, Measure, extract_features
 from fusion.estimator.gyro_checks import GyroVerdict
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from vision.lines.line_set import LineSet
 
 CLOCK_RESET_SAMPLES = 50
+MAX_BEHIND_S = 1.0  # of the caller's clock behind the newest sample
 MAX_AHEAD_NS = 500_000_000  # that a state may be predicted: beyond, the last rate says little
 
 __all__ = ["CorridorEstimator", "Estimate", "FrameResult", "Status"]
@@ -352,17 +354,34 @@ class CorridorEstimator:
         Parameters
         ----------
         now_ns
-            The caller's clock, where status and ages should tell of sources that have fallen silent since.
+            The caller's clock, ns: status and ages are those of this time, so that a source that has fallen silent
+            since the newest sample shows. ``timestamp_ns`` stays the newest sample's, or that of ``at_ns``. One that
+            lies more than 1 s before the newest sample is of another clock or unit: ``reason`` says so.
         at_ns
             Time to predict to, for instance when the actuators will act: the heading turns on with the last rate, the
             lateral offset moves on with its own, and sigmas grow by the process noise and by what the rate may have
             changed since it was measured. A time before the newest sample gives that sample's estimate. At most 0.5 s
             ahead: beyond, ``timestamp_ns`` and ``reason`` say so. Status and ages stay those of ``now_ns``.
+
+        Raises
+        ------
+        InputError
+            Where a time is not a whole number of nanoseconds.
         """
         state = self._timeline.state
-        if now_ns is not None and state.t_ns is not None:
-            now_ns = max(now_ns, state.t_ns)
-        newest = estimate_of(state, self.config, now_ns, self._arrivals, self._resets)
+        judged_ns = None if now_ns is None else whole_nanoseconds(now_ns)
+        behind_s = 0.0
+        if judged_ns is not None and state.t_ns is not None:
+            behind_s, judged_ns = (state.t_ns - judged_ns) * 1e-9, max(judged_ns, state.t_ns)
+        newest = estimate_of(state, self.config, judged_ns, self._arrivals, self._resets)
+        if state.t_ns is not None:
+            newest = replace(newest, timestamp_ns=state.t_ns)
+        if behind_s > MAX_BEHIND_S:
+            told = (
+                f"now_ns is {behind_s:.0f} s before the newest sample: give nanoseconds of the samples' clock"
+            )
+            reason = f"{newest.reason}; {told}" if newest.reason else told
+            newest = replace(newest, reason=reason, faults=newest.faults | Fault.IMU_CLOCK)
         if newest.reason and self.last_frame is not None and self.last_frame.cause:
             newest = replace(newest, reason=f"{newest.reason}; {self.last_frame.cause}")
         if at_ns is None or state.t_ns is None:
@@ -372,7 +391,7 @@ class CorridorEstimator:
             return newest
         end_ns = state.t_ns + min(ahead_ns, MAX_AHEAD_NS)
         moved = self._engine.predicted(state, end_ns)
-        e = estimate_of(moved, self.config, newest.timestamp_ns, self._arrivals, self._resets)
+        e = estimate_of(moved, self.config, judged_ns or state.t_ns, self._arrivals, self._resets)
         reason = newest.reason
         if end_ns < at_ns:
             told = f"predicted {MAX_AHEAD_NS * 1e-9:g} s ahead, not the {ahead_ns * 1e-9:.2f} s asked for"

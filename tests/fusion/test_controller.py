@@ -364,3 +364,31 @@ def test_every_fault_is_documented() -> None:
     rows = re.findall(r"^\| (\d+) \| `(\w+)` \| [^|]+ \| [^|]+ \|$", text, re.MULTILINE)
     assert {name: 1 << int(bit) for bit, name in rows} == {f.name: f.value for f in Fault}
     assert len(rows) == len(Fault)
+
+
+def test_an_estimate_is_stamped_with_the_time_it_is_predicted_to() -> None:
+    """Not with the caller's clock, to which it was not."""
+    estimator, t = flown()
+    newest = estimator.estimate()
+    late = estimator.estimate(now_ns=t + 80 * MS)
+    assert late.timestamp_ns == newest.timestamp_ns
+    assert late.heading_rad == newest.heading_rad
+    assert late.gyro_age_s == pytest.approx(newest.gyro_age_s + 0.08)
+    both = estimator.estimate(now_ns=t + 80 * MS, at_ns=t + 80 * MS)
+    assert both.timestamp_ns == t + 80 * MS
+
+
+@pytest.mark.parametrize("now_ns", [1.7e9, float("nan"), "1700000000", 2**70])
+def test_a_clock_that_gives_no_nanoseconds_is_refused(now_ns: Any) -> None:
+    estimator, _ = flown()
+    with pytest.raises(InputError, match="t_ns"):
+        estimator.estimate(now_ns=now_ns)
+
+
+def test_a_clock_far_behind_the_samples_is_reported() -> None:
+    """Whole seconds, say: no silent sensor would ever show."""
+    estimator, t = flown()
+    found = estimator.estimate(now_ns=t - 5_000 * MS)
+    assert "now_ns is 5 s before the newest sample" in found.reason
+    assert Fault.IMU_CLOCK in found.faults
+    assert not estimator.estimate(now_ns=t - 20 * MS).reason
