@@ -61,6 +61,9 @@ class Admission(Enum):
     SET_BACK = "set back"  # time is another: start at, then take, what `Arrivals.released` returns
 
 
+TAKE = Admission.TAKE  # as a name: Python 3.11 takes long to look up a member, and each sample asks for it
+
+
 class _Source:
     """Arrivals of one source."""
 
@@ -226,7 +229,7 @@ class Arrivals:
             source.off = 0
             self._drop(s for s in self._waiting if type(s) is source.kind)
             self._waiting = [s for s in self._waiting if type(s) is not source.kind]
-        return Admission.TAKE
+        return TAKE
 
     def _note(self, source: _Source, t_ns: int) -> None:
         known, step_ns = source.interval_ns, t_ns - source.last_ns

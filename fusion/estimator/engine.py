@@ -34,6 +34,7 @@ from fusion.estimator.corridor_axis import CorridorAxis, Recovery, recover, star
 from fusion.estimator.ekf import CorridorEKF
 from fusion.estimator.frame_update import FrameResult, FrameSample, measure_with_prior, reason_to_reject
 from fusion.estimator.gyro_checks import (
+    GOOD,
     GyroVerdict,
     clipped_variance,
     rate_that_bridges,
@@ -247,10 +248,11 @@ class Engine:
             known = earlier[1]
         judged = with_sample(before, sample, self.config) if known is None else known.gyro
         checks = new_record(Checks, (judged, repeats, installed))
-        if not judged.is_used:
-            return self._held(s, t_ns, s.frames)._replace(checks=checks)
-        if judged.verdict is GyroVerdict.CONFIRMED:
-            s = self._with_rate_since(s, rate_that_bridges(before, sample))
+        if judged.verdict is not GOOD:
+            if not judged.is_used:
+                return self._held(s, t_ns, s.frames)._replace(checks=checks)
+            if judged.verdict is GyroVerdict.CONFIRMED:
+                s = self._with_rate_since(s, rate_that_bridges(before, sample))
         if known is None:
             gyro = self._propagation.mean_gyro(s.reckoning, sample)
             tilt = tilts.with_imu(s.tilt, t_ns, gyro, sample.accel_m_s2)

@@ -192,7 +192,8 @@ def status_of(
         return Status.INITIALISING
     if heading_std_rad > config.lost_heading_std_rad:
         return Status.LOST
-    age = seconds_since(_seen_ns(state, t_ns, arrivals), axis.t_vision_ns)
+    seen_ns = t_ns if arrivals is None else _seen_ns(state, t_ns, arrivals)
+    age = seconds_since(seen_ns, axis.t_vision_ns)
     if age > config.lost_after_s:
         return Status.LOST
     if age > state.frames.age_limit_s(config) or axis.diagnosis.refused_share > MAX_REFUSED_SHARE:

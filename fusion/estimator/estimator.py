@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
 
-from fusion.estimator.arrivals import Admission, Arrivals
+from fusion.estimator.arrivals import TAKE, Admission, Arrivals
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.diagnostics import Covariance, Innovations, covariance_of, innovations_of
 from fusion.estimator.engine import Engine
@@ -19,7 +19,7 @@ from fusion.estimator.events import EventLog
 from fusion.estimator.faults import Fault
 from fusion.estimator.fixed_lag import FixedLag
 from fusion.estimator.frame_update import FrameResult, FrameSample, Measure, extract_features
-from fusion.estimator.gyro_checks import GyroVerdict
+from fusion.estimator.gyro_checks import GOOD
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.input_checks import finite_or_not, number, vector, whole_nanoseconds, within_bounds
 from fusion.estimator.lateral_status import reliable
@@ -124,7 +124,7 @@ class CorridorEstimator:
             return None
         timeline = self._timeline
         admission = self._arrivals.admit(sample, timeline.newest_ns)
-        if admission is Admission.TAKE:
+        if admission is TAKE:
             return self._insert(sample)
         if admission is Admission.WAIT:
             return None
@@ -139,18 +139,19 @@ class CorridorEstimator:
 
     def _insert(self, sample: Sample) -> Entry | None:
         self._late_in_a_row = 0
-        before = self._timeline.state
-        entry = self._timeline.insert(sample)
-        name = SOURCES[type(sample)].name
+        timeline, kind = self._timeline, type(sample)
+        before = timeline.state
+        entry = timeline.insert(sample)
+        name = SOURCES[kind].name
         self.counters[f"{name}_duplicate" if entry is None else name] += 1
-        if entry is not None and type(sample) is ImuSample:
+        if entry is not None and kind is ImuSample:
             verdict = entry.after.checks.gyro.verdict
-            if verdict is not GyroVerdict.GOOD:
+            if verdict is not GOOD:
                 self.counters[f"imu_{verdict}"] += 1
         # A gyroscope sample in order only propagates.
         if (
-            type(sample) is not ImuSample
-            or self._timeline.entries[-1] is not entry
+            kind is not ImuSample
+            or timeline.entries[-1] is not entry
             or before.reckoning.gyro_done_rad != 0.0
         ):
             self._count_steps(before)

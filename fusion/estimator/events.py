@@ -93,13 +93,12 @@ class EventFinder:
         old, new, t_ns = self._before, entry.after, entry.t_ns
         self._before = new
         found: list[Event] = []
-        if old is not None:
+        if old is not None and not only_turned(old, new, entry.sample):
             if new.axis.corridor_index != old.axis.corridor_index:
                 index, turn_rad = new.axis.corridor_index, new.axis.corridor_turn_rad
                 values: dict[str, float | str] = {"corridor_index": index, "corridor_turn_rad": turn_rad}
                 found.append(Event(t_ns, EventKind.CORRIDOR_CHANGED, values))
-            if not only_turned(old, new, entry.sample):
-                found += self._resets_since(old, new, t_ns)
+            found += self._resets_since(old, new, t_ns)
         heading_std = spread_by_delay(sqrt(new.P.item(PSI, PSI)), new.delay, t_ns)
         status = status_of(new, self._config, t_ns, heading_std)
         if status != self.status:

@@ -7,7 +7,7 @@ many at a time, those between two frames together.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import groupby
+from itertools import chain, groupby
 from math import nan
 from typing import TYPE_CHECKING
 
@@ -44,6 +44,7 @@ def filter_table(states: Sequence[State], statuses: Sequence[str], config: Fusio
         Settings.
     """
     n, reckoned = len(states), [s.reckoning for s in states]
+    mode, (no_mode, _, by_gyro) = [d.mode for d in reckoned], Mode
     table = np.empty(n, dtype=ESTIMATE_DTYPE)
     x = np.concatenate([s.x for s in states]).reshape(n, N_STATES)
     P = np.concatenate([s.P for s in states]).reshape(n, N_STATES, N_STATES)
@@ -54,8 +55,8 @@ def filter_table(states: Sequence[State], statuses: Sequence[str], config: Fusio
     table["timestamp_ns"] = [d.t_ns for d in reckoned]
     table["heading_rad"], table["heading_std_rad"] = wrap(heading), std
     rate = np.array([d.rate_rad_s for d in reckoned]) - bias
-    table["yaw_rate_rad_s"] = np.where([d.mode is Mode.NONE for d in reckoned], -bias, rate)
-    table["gyro_bias_rad_s"] = np.where([d.mode is Mode.GYRO for d in reckoned], bias, nan)
+    table["yaw_rate_rad_s"] = np.where([m is no_mode for m in mode], -bias, rate)
+    table["gyro_bias_rad_s"] = np.where([m is by_gyro for m in mode], bias, nan)
     known = [s.imu_yaw.known for s in states]
     table["imu_yaw_offset_rad"] = np.where(known, wrap(x[:, YAW_OFFSET]), nan)
     table["status"] = statuses
@@ -106,7 +107,8 @@ def _offsets_along(
     state, n = states[0], len(states)
     if not len(state.x):
         return np.full(n, nan), np.full(n, nan), np.zeros(n, np.bool_)
-    paths, found = np.array([s.path for s in states]), np.empty((n, 3))
+    numbers = np.fromiter(chain.from_iterable(s.path for s in states), np.float64, n * len(state.path))
+    paths, found = numbers.reshape(n, -1), np.empty((n, 3))
     hypotheses, noise = (state.x, state.P, state.weight[:-1]), motion_noise(model)
     shared = (model.tolerance_norm, lasting_variance(state, model), model.scale_std)
     _summarise_along(hypotheses, paths, noise, shared, found)

@@ -130,13 +130,19 @@ def measure_with_prior(
     if not isfinite(prior.heading_rad):
         return expected
     turned = abs(prior.heading_rad) > config.junction_min_turn_rad
-    if not turned and _is_near(expected, psi_rad, config):
+    near = _is_near(expected, psi_rad, config)
+    if near and not turned:
         return expected
-    free = measure(attitude, replace(prior, heading_rad=nan, heading_std_rad=nan), lateral)
+    blind = replace(prior, heading_rad=nan, heading_std_rad=nan)
+    # Turned away, both are nearly always near: the heading tells, at less than half the cost.
+    free = measure(attitude, blind, lateral and not near)
     if reason_to_reject(free, config) is not Reason.OK:
         return expected
-    both_near = _is_near(expected, psi_rad, config) and _is_near(free, psi_rad, config)
-    return expected if both_near else free
+    if not near:
+        return free
+    if _is_near(free, psi_rad, config):
+        return expected
+    return measure(attitude, blind, lateral) if lateral else free
 
 
 def reason_to_reject(m: FrameMeasurement, config: FusionConfig) -> Reason:

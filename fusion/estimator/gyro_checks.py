@@ -52,7 +52,8 @@ class GyroVerdict(StrEnum):
     FROZEN = "frozen"
 
 
-_USED = (GyroVerdict.GOOD, GyroVerdict.CLIPPED, GyroVerdict.CONFIRMED)
+GOOD = GyroVerdict.GOOD  # as a name: Python 3.11 takes long to look up a member, and each sample asks for it
+_USED = (GOOD, GyroVerdict.CLIPPED, GyroVerdict.CONFIRMED)
 _TEXTS = {
     GyroVerdict.OUT_OF_RANGE: (
         Fault.GYRO_OUT_OF_RANGE,
@@ -166,7 +167,7 @@ def with_sample(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> Gy
         fast = MIN_CLIPPED_RAD_S
         held = (dp == 0.0 and abs(p) > fast) or (dq == 0.0 and abs(q) > fast) or (dr == 0.0 and abs(r) > fast)
         stuck = stuck + 1 if held else 0
-    verdict, clip = GyroVerdict.GOOD, CLIPPED_SHARE * top
+    verdict, clip = GOOD, CLIPPED_SHARE * top
     if (stuck >= CLIPPED_REPEATS and noisy >= NOISY) or abs(p) > clip or abs(q) > clip or abs(r) > clip:
         verdict = told = GyroVerdict.CLIPPED
         told_ns, clipped_ns = t_ns, clipped_ns or last_ns

@@ -35,6 +35,7 @@ from fusion.estimator.models import (
     imu_yaw_offset_model,
 )
 from fusion.estimator.propagation import DeadReckoning, Mode, yaw_at
+from fusion.estimator.records import new_record
 
 if TYPE_CHECKING:
     from fusion.estimator.corridor_axis import CorridorAxis
@@ -134,7 +135,8 @@ def fuse_imu_yaw(
         return part._replace(known=True)
     gate = ekf.update(measurement, config.imu_yaw_gate_sigma)
     if gate.accepted:
-        part = part._replace(gate=gate, rejects=0)
+        _, coupled, _, _, watched, traces = part
+        part = new_record(ImuYaw, (True, coupled, 0, gate, watched, traces))
         return _trace(part, ekf, yaw_rad, reckoning, axis, config)
     part = part._replace(gate=gate, rejects=part.rejects + 1)
     if part.rejects >= STEP_SAMPLES:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 from fusion.estimator.camera_yaw import CameraYaw
 from fusion.estimator.faults import Fault, Notice
 from fusion.estimator.models import Vector
+from fusion.estimator.records import new_record
 from vision.rotations import wrap_axis
 
 SPAN_NS = 250_000_000  # over which frames are averaged; turns are from one span to the next
@@ -148,13 +149,9 @@ class Installation(NamedTuple):
         if accel_m_s2 is not None:
             (lx, ly, lz), (nx, ny, nz) = lean, _lean(accel_m_s2, down)
             lean = (lx + slow * (nx - lx), ly + slow * (ny - ly), lz + slow * (nz - lz))
-        return self._replace(
-            imu_ns=t_ns,
-            imu_s=self.imu_s + step_s,
-            lean=lean,
-            accel_m_s2=(mx + gain * (ax - mx), my + gain * (ay - my), mz + gain * (az - mz)),
-            turning_rad2_s2=mean + gain * (turning - mean),
-        )
+        accel = (mx + gain * (ax - mx), my + gain * (ay - my), mz + gain * (az - mz))
+        found = (accel, lean, mean + gain * (turning - mean), self.imu_s + step_s, t_ns)
+        return new_record(Installation, (*self[:FROM_FRAMES], *found))
 
     def agrees_on_imu(self, other: Installation) -> bool:
         """Whether the IMU's samples have left the same; what comes from frames may differ."""

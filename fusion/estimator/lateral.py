@@ -107,10 +107,10 @@ class LateralOffset:
 
     def propagated(self, lateral: Lateral, step: MotionStep) -> Lateral:
         """Take a propagation step."""
-        if step.dt_s <= 0.0 and step.accel_m_s2 is None:
+        dt_s, heading_rad, down, accel_m_s2 = step
+        if dt_s <= 0.0 and accel_m_s2 is None:
             return lateral if lateral.step is None else lateral._replace(step=None)
-        force = usable_force(step.accel_m_s2)
-        offset = propagate(lateral.offset, step.dt_s, step.heading_rad, force, step.down)
+        offset = propagate(lateral.offset, dt_s, heading_rad, usable_force(accel_m_s2), down)
         return new_record(Lateral, (offset, None, *lateral[2:]))
 
     def with_velocity(self, lateral: Lateral, x: FloatArray, P: FloatArray, velocity: Velocity) -> Lateral:

@@ -216,15 +216,10 @@ def propagate(
     down: tuple[float, float, float],
 ) -> OffsetState:
     """Carry the state on by ``dt_s`` with the accelerometer's sample at its end; None: there is none there."""
-    path, accel = lengthened(
-        (*state.path,), (*state.accel,), dt_s, heading_rad, force or NO_FORCE, down, state.roll.mean
-    )
-    age_s = state.evidence_age_s + dt_s
-    x, P, weight, _, _, roll, spread2, _ = state
-    return new_record(
-        OffsetState,
-        (x, P, weight, new_record(Path, path), new_record(Acceleration, accel), roll, spread2, age_s),
-    )
+    x, P, weight, path, accel, roll, spread2, age_s = state
+    far, felt = lengthened((*path,), (*accel,), dt_s, heading_rad, force or NO_FORCE, down, roll[0])
+    path, accel = new_record(Path, far), new_record(Acceleration, felt)
+    return new_record(OffsetState, (x, P, weight, path, accel, roll, spread2, age_s + dt_s))
 
 
 def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tuple[FloatArray, FloatArray]:

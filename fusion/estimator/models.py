@@ -118,5 +118,5 @@ def imu_yaw_offset_model(
     x: FloatArray, P: FloatArray, yaw_rad: float, corridor_turn_rad: float, variance: float
 ) -> ScalarMeasurement:
     """Compare the IMU's yaw so that only the offset learns from it: the heading's variance counts as noise."""
-    residual, _, R = imu_yaw_model(x, yaw_rad, corridor_turn_rad, variance)
-    return ScalarMeasurement(residual, _H_YAW_OFFSET, R + float(P[PSI, PSI]))
+    residual = wrap(yaw_rad - x.item(PSI) - corridor_turn_rad - x.item(YAW_OFFSET))
+    return ScalarMeasurement(residual, _H_YAW_OFFSET, variance + P.item(PSI, PSI))

@@ -50,6 +50,11 @@ class Mode(StrEnum):
     GYRO = "gyro"
 
 
+_NONE, _ATTITUDE, _GYRO = (
+    Mode  # as names: Python 3.11 takes long to look up a member, and each sample asks for some
+)
+
+
 class DeadReckoning(NamedTuple):
     """What carries the heading, and how far it has carried it.
 
@@ -155,8 +160,8 @@ class Propagation:
         """
         t_ns: int | None = sample.t_ns
         turned = corrected = 0.0
-        if d.mode is Mode.GYRO:
-            turned, corrected = self._move(d, ekf, sample.t_ns, rate_rad_s, None)
+        if d.mode is _GYRO:
+            turned, corrected = self._turn(d, ekf, sample.t_ns, rate_rad_s)
         else:
             d = self._with_mode(self.advance(d, ekf, sample.t_ns), ekf, Mode.GYRO)
             t_ns = d.t_ns
@@ -183,7 +188,7 @@ class Propagation:
         """
         d = self._leave_silent_gyro(d, ekf, t_ns)
         rate = d.rate_rad_s
-        if d.mode is Mode.ATTITUDE and d.attitude.last_ns is not None:
+        if d.mode is _ATTITUDE and d.attitude.last_ns is not None:
             increment = wrap(yaw_rad - d.yaw_rad)
             span_s = (t_ns - d.attitude.last_ns) * 1e-9
             d = self.advance(d, ekf, t_ns, wrap(increment - d.yaw_done_rad))
@@ -192,22 +197,10 @@ class Propagation:
         else:
             d = self.advance(d, ekf, t_ns)
         end_ns, mode, _, theta, raw_theta, t_gyro, gyro, gyro_done, _, _, attitude, stored, more_noise = d
-        d = DeadReckoning(
-            end_ns,
-            mode,
-            rate,
-            theta,
-            raw_theta,
-            t_gyro,
-            gyro,
-            gyro_done,
-            yaw_rad,
-            0.0,
-            attitude.with_sample(t_ns),
-            stored,
-            more_noise,
-        )
-        return self._with_mode(d, ekf, Mode.ATTITUDE) if d.mode is Mode.NONE else d
+        kept = (attitude.with_sample(t_ns), stored, more_noise)
+        new = (end_ns, mode, rate, theta, raw_theta, t_gyro, gyro, gyro_done, yaw_rad, 0.0, *kept)
+        d = new_record(DeadReckoning, new)
+        return self._with_mode(d, ekf, Mode.ATTITUDE) if d.mode is _NONE else d
 
     def hold(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
         """Propagate to a time of which neither gyroscope nor attitude tells."""
@@ -237,7 +230,7 @@ class Propagation:
             return d._replace(t_ns=t_ns)
         if t_ns <= d.t_ns and turned_rad is None:
             return d
-        turned, corrected = self._move(d, ekf, t_ns, None, turned_rad)
+        turned, corrected = self._move(d, ekf, t_ns, turned_rad)
         (
             _,
             mode,
@@ -263,39 +256,50 @@ class Propagation:
             gyro,
             gyro_done + turned,
             yaw,
-            yaw_done + (turned if mode is Mode.ATTITUDE else corrected),
+            yaw_done + (turned if mode is _ATTITUDE else corrected),
             attitude,
             stored,
             more_noise,
         )
 
+    def _turn(
+        self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, end_rate_rad_s: float
+    ) -> tuple[float, float]:
+        """Move the filter to a gyroscope sample while the gyroscope carries the heading; return what `_move` does.
+
+        ``end_rate_rad_s`` is the sample's level yaw rate. By the trapezoid rule each sample counts for as much.
+        """
+        start_ns, mode, rate, _, _, gyro_ns, _, done, _, _, _, _, more_noise = d
+        dt_s = 0.0 if start_ns is None else (t_ns - start_ns) * 1e-9
+        turned = variance = 0.0
+        if gyro_ns is not None:
+            turned = 0.5 * (rate + end_rate_rad_s) * (t_ns - gyro_ns) * 1e-9 - done
+            if t_ns - gyro_ns > self.grace_ns:
+                variance = 0.25 * self._silence_variance(d, ekf, t_ns)  # known at both ends: a bridge
+        corrected = turned - ekf.x.item(BIAS) * dt_s
+        variance += self._scale_variance(corrected, dt_s) + more_noise * dt_s
+        ekf.advance(dt_s, turned, self.noise[mode], variance)
+        return turned, corrected
+
     def _move(
-        self,
-        d: DeadReckoning,
-        ekf: CorridorEKF,
-        t_ns: int,
-        end_rate_rad_s: float | None,
-        turned_rad: float | None,
+        self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, turned_rad: float | None
     ) -> tuple[float, float]:
         """Move the filter to a time; return the angle turned, and the same with the gyroscope's bias taken off.
 
-        ``end_rate_rad_s`` is the gyroscope's level rate at that time, ``turned_rad`` as in `advance`.
+        ``turned_rad`` is as in `advance`.
         """
         start_ns = t_ns if d.t_ns is None else d.t_ns
         dt_s = (t_ns - start_ns) * 1e-9
         variance = 0.0
         mode = d.mode
-        if mode is Mode.NONE:
+        if mode is _NONE:
             turned_rad = 0.0
-        elif mode is Mode.GYRO and end_rate_rad_s is not None:
-            turned_rad = _turn_since_gyro(d, t_ns, end_rate_rad_s) - d.gyro_done_rad
-            variance = 0.25 * self._silence_variance(d, ekf, t_ns)  # known at both ends: a bridge
         elif turned_rad is None:
             turned_rad = d.rate_rad_s * dt_s
-            if mode is Mode.GYRO:
+            if mode is _GYRO:
                 variance = self._silence_variance(d, ekf, t_ns)
         bias_turn = float(ekf.x[BIAS]) * dt_s
-        if mode is Mode.GYRO:
+        if mode is _GYRO:
             variance += self._scale_variance(turned_rad - bias_turn, dt_s) + d.more_gyro_noise * dt_s
         ekf.advance(dt_s, turned_rad, self.noise[mode], variance)
         return turned_rad, turned_rad - bias_turn
@@ -303,7 +307,7 @@ class Propagation:
     def _leave_silent_gyro(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
         """Go over to the attitude's yaw, or to a constant rate, where the gyroscope has fallen silent."""
         silent = d.t_gyro_ns is not None and t_ns - d.t_gyro_ns > self.grace_ns
-        if d.mode is Mode.GYRO and silent:
+        if d.mode is _GYRO and silent:
             return self._with_mode(d, ekf, Mode.ATTITUDE if self._attitude_lives(d, t_ns) else Mode.NONE)
         return d
 
@@ -381,10 +385,3 @@ def _noise(mode: Mode, c: FusionConfig) -> ProcessNoise:
     if mode is Mode.ATTITUDE:
         return ProcessNoise(walk, c.bias_walk, walk)
     return ProcessNoise(1e-4, c.yaw_acceleration_density, walk)
-
-
-def _turn_since_gyro(d: DeadReckoning, t_ns: int, end_rate_rad_s: float) -> float:
-    """Yaw turned since the last gyroscope sample, by the trapezoid rule: each sample counts for as much."""
-    if d.t_gyro_ns is None:
-        return d.gyro_done_rad
-    return 0.5 * (d.rate_rad_s + end_rate_rad_s) * (t_ns - d.t_gyro_ns) * 1e-9

@@ -108,12 +108,13 @@ class Resets(NamedTuple):
 
 def only_turned(old: State, new: State, sample: Sample) -> bool:
     """Whether nothing but dead reckoning lies between two states, of which the later is behind a sample."""
+    before = old.reckoning
     return (
         type(sample) is ImuSample
         and new.axis is old.axis
-        and old.reckoning.gyro_done_rad == 0.0
-        and old.t_ns is not None
-        and old.t_ns < sample.t_ns
+        and before.gyro_done_rad == 0.0
+        and before.t_ns is not None
+        and before.t_ns < sample.t_ns
     )
 
 

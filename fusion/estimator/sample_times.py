@@ -22,9 +22,10 @@ class SampleTimes(NamedTuple):
 
     def with_sample(self, t_ns: int) -> SampleTimes:
         """Take in the newest sample's time."""
-        if self.last_ns is None:
-            return SampleTimes(t_ns, self.interval_s)
-        old_s, interval_s = self.interval_s, (t_ns - self.last_ns) * 1e-9
+        last_ns, old_s = self
+        if last_ns is None:
+            return SampleTimes(t_ns, old_s)
+        interval_s = (t_ns - last_ns) * 1e-9
         if isfinite(old_s):
             interval_s = 0.8 * old_s + 0.2 * min(interval_s, 3 * old_s)
         return new_record(SampleTimes, (t_ns, interval_s))

@@ -125,15 +125,14 @@ class Steps:
 
 
 def _block_of(nodes: list[Node]) -> Block:
-    F, x_prior, P_prior, x, P = zip(*((n.F, n.x_prior, n.P_prior, n.x, n.P) for n in nodes), strict=True)
     identity = np.eye(N_STATES)
     vectors, squares = (-1, N_STATES), (-1, N_STATES, N_STATES)
     return Block(
-        np.concatenate([identity if f is None else f for f in F]).reshape(squares),
-        np.concatenate(x_prior).reshape(vectors),
-        np.concatenate(P_prior).reshape(squares),
-        np.concatenate(x).reshape(vectors),
-        np.concatenate(P).reshape(squares),
+        np.concatenate([identity if n.F is None else n.F for n in nodes]).reshape(squares),
+        np.concatenate([n.x_prior for n in nodes]).reshape(vectors),
+        np.concatenate([n.P_prior for n in nodes]).reshape(squares),
+        np.concatenate([n.x for n in nodes]).reshape(vectors),
+        np.concatenate([n.P for n in nodes]).reshape(squares),
     )
 
 

@@ -68,7 +68,8 @@ class Tilt(NamedTuple):
 
 def from_quaternion(tilt: Tilt, t_ns: int, q_world_body: Quaternion) -> Tilt:
     """Take the tilt from an attitude sample: a unit quaternion w, x, y, z, body FRD to a world with z down."""
-    return tilt._replace(down=_unit(down_of_quaternion(q_world_body)), t_ns=t_ns, t_attitude_ns=t_ns)
+    _, _, _, *rest = tilt
+    return new_record(Tilt, (_unit(down_of_quaternion(q_world_body)), t_ns, t_ns, *rest))
 
 
 def with_imu(tilt: Tilt, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | None) -> Tilt:

@@ -308,8 +308,9 @@ class Recorder:
     def take(self, entry: Entry) -> None:
         """Take the next entry in order of time."""
         self.events += self._finder.take(entry)
-        if self._pending is not None and entry.t_ns > self._pending.t_ns:
-            self._close_instant()
+        pending = self._pending
+        if pending is not None and entry.t_ns > pending.t_ns:
+            self._close_instant(pending)
         self.steps.add(entry.nodes)
         lateral = entry.after.lateral
         self.offset_steps.add(entry.t_ns, lateral.step, lateral.offset)
@@ -334,15 +335,16 @@ class Recorder:
         """Close the last instant."""
         self.events += self._finder.finish()
         if self._pending is not None:
-            self._close_instant()
+            self._close_instant(self._pending)
 
-    def _close_instant(self) -> None:
+    def _close_instant(self, last: Entry) -> None:
         # A row stands for its instant after all samples of that time, whatever their order of arrival.
-        if self._pending_is_row and self._pending is not None:
-            self._rows.append(self._pending.after)
+        if self._pending_is_row:
+            rows = self._rows
+            rows.append(last.after)
             self._statuses.append(self._finder.status)
             self._row_steps.append(self.steps.count - 1)
-            if len(self._rows) >= BLOCK_ROWS:
+            if len(rows) >= BLOCK_ROWS:
                 self._pack()
         self._pending, self._pending_is_row = None, False
 

@@ -465,7 +465,8 @@ def test_a_frame_is_measured_again_without_prediction_where_that_does_not_settle
     assert measured(0.1, 1.0, 0.1) == (0.1, 1)  # near what is expected
     assert measured(0.1, 1.0, nan) == (1.0, 1)  # nothing is expected
     assert measured(1.0, 0.9, 0.1) == (0.9, 2)  # far off
-    assert measured(turned, 0.0, turned) == (0.0, 2)  # turned away: what is seen without counts
+    # Turned away, what is seen without counts: first the heading, then, where it differs, the offset too.
+    assert measured(turned, 0.0, turned) == (0.0, 3)
     assert measured(turned, turned + 0.01, turned) == (turned, 2)
 
 

@@ -111,6 +111,15 @@ def _highest(scores: FloatArray, b: int, reach: int) -> int:
 
 
 @compiled_inner
+def _is_peak(scores: FloatArray, b: int) -> bool:
+    """Whether no score (N_BINS,) within `PEAK_BINS` of bin b exceeds its own."""
+    c, last = max(b - PEAK_BINS, 0), min(b + PEAK_BINS, N_BINS - 1)
+    while c <= last and not scores[c] > scores[b]:
+        c += 1
+    return c > last
+
+
+@compiled_inner
 def _score_near(
     scores: FloatArray, b: int, elevations: FloatArray, elevation: float, std: float
 ) -> tuple[int, float]:
@@ -155,7 +164,7 @@ def find_best_heading(
     ranked = np.full(N_BINS, -np.inf)
     for b in range(N_BINS):
         log_prior[b] = -np.inf
-        if _highest(marginal, b, PEAK_BINS) == b:
+        if _is_peak(marginal, b):
             log_prior[b] = _log_prior(bin_heading(b), prior_heading, prior_std)
             ranked[b] = marginal[b] + log_prior[b]
     best_bin, best_elevation, best_score = 0, 0, -np.inf

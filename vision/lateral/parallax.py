@@ -155,23 +155,23 @@ def are_profiles(values: object) -> bool:
 
 @compiled_inner
 def _wall_likelihood(before: Profiles, now: Profiles) -> FloatArray:
-    """Log-likelihood (SHIFTS, SCALES) of how one wall's profiles (N_ALONG, N_BANDS) have moved.
+    """Log-likelihood (SCALES, SHIFTS) of how one wall's profiles (N_ALONG, N_BANDS) have moved.
 
     It is 0 where they are not alike, as where nothing can be compared.
     """
-    out = np.zeros((len(SHIFTS), len(SCALES)))
+    out, place = np.zeros((len(SCALES), len(SHIFTS))), np.empty(N_ALONG)
     for m in range(len(SCALES)):
         k = 1.0 + SCALES[m]
         for a in range(len(SHIFTS)):
             shift = SHIFTS[a] + SCALES[m] * PIVOT
+            for i in range(N_ALONG):  # apart from the rest: then the divisions vectorise
+                place[i] = ((_COTANGENTS[i] + shift) / k - FIRST_COTANGENT) / COTANGENT_STEP
             squares, power, n = np.float32(0.0), np.float32(0.0), 0
             for i in range(N_ALONG):
-                u = FIRST_COTANGENT + COTANGENT_STEP * i
-                place = ((u + shift) / k - FIRST_COTANGENT) / COTANGENT_STEP
-                if not 0.0 <= place < N_ALONG - 1:
+                if not 0.0 <= place[i] < N_ALONG - 1:
                     continue
-                j = int(place)
-                share = np.float32(place - j)
+                j = int(place[i])
+                share = np.float32(place[i] - j)
                 for band in range(N_BANDS):
                     first = before[j, band] + share * (before[j + 1, band] - before[j, band])
                     second = now[i, band]
@@ -181,21 +181,23 @@ def _wall_likelihood(before: Profiles, now: Profiles) -> FloatArray:
                         n += 1
             if n >= MIN_OVERLAP:
                 relative = (squares + n * NOISE_FLOOR) / (0.5 * power + n * NOISE_FLOOR)
-                out[a, m] = max(-0.5 * INDEPENDENT * N_BANDS * N_ALONG * log(relative), 0.0)
+                out[m, a] = max(-0.5 * INDEPENDENT * N_BANDS * N_ALONG * log(relative), 0.0)
     return out
 
 
 @compiled_inner
-def _add_along(table: FloatArray, scale: float, distance: float, out: FloatArray) -> None:
-    """Add one wall's log-likelihood, linear between the table's places, to that (FORWARD_NORM,) of all advances."""
+def _add_along(table: FloatArray, scale: float, distance: float, column: FloatArray, out: FloatArray) -> None:
+    """Add one wall's log-likelihood, linear between the table's places, to that (FORWARD_NORM,) of all advances.
+
+    ``column`` (SHIFTS,) is working memory.
+    """
     y = (scale - SCALES[0]) / (SCALES[1] - SCALES[0])
     if not 0.0 <= y <= len(SCALES) - 1:
         return
     j = min(max(int(y), 0), len(SCALES) - 2)
     y -= j
-    column = np.empty(len(SHIFTS))
     for k in range(len(SHIFTS)):
-        column[k] = table[k, j] + y * (table[k, j + 1] - table[k, j])
+        column[k] = table[j, k] + y * (table[j + 1, k] - table[j, k])
     for f in range(len(out)):
         x = (FORWARD_NORM[f] / distance - scale * PIVOT - SHIFTS[0]) / (SHIFTS[1] - SHIFTS[0])
         if 0.0 <= x < len(SHIFTS) - 1:
@@ -210,13 +212,13 @@ def motion_likelihood(before: Profiles, now: Profiles) -> FloatArray:
     left = _wall_likelihood(before[1], now[1])
     most = right.max() + left.max()
     out = np.zeros((N_OFFSETS, len(DISPLACEMENT_NORM)))
-    both = np.empty(len(FORWARD_NORM))
+    both, column = np.empty(len(FORWARD_NORM)), np.empty(len(SHIFTS))
     for b in range(N_OFFSETS):
         to_right, to_left = 1.0 - OFFSETS[b], 1.0 + OFFSETS[b]
         for c in range(len(DISPLACEMENT_NORM)):
             both[:] = -most
-            _add_along(right, DISPLACEMENT_NORM[c] / to_right, to_right, both)
-            _add_along(left, -DISPLACEMENT_NORM[c] / to_left, to_left, both)
+            _add_along(right, DISPLACEMENT_NORM[c] / to_right, to_right, column, both)
+            _add_along(left, -DISPLACEMENT_NORM[c] / to_left, to_left, column, both)
             for f in range(len(both)):
                 if both[f] > -NEGLIGIBLE:
                     out[b, c] += exp(both[f])

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from vision.cameras.camera import Camera
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
 from vision.lines.edges import median_bin
 from vision.types import GreyImage
 
@@ -29,6 +29,12 @@ MAX_BLOCK_STEP = 20  # larger ones are the picture's own edges
 MAX_SECOND_DIFFERENCE = 2 * 255
 
 
+@compiled_inner
+def _block_step(row: GreyImage, x: int) -> int:
+    """Return by how many grey levels a pixel of a row (w,) differs from the one before, at most `MAX_BLOCK_STEP`."""
+    return int(min(abs(np.int32(row[x]) - np.int32(row[x - 1])), np.int32(MAX_BLOCK_STEP)))
+
+
 @compiled
 def noise_and_blockiness(grey: GreyImage) -> tuple[float, float]:
     """Estimate a picture's noise, standard deviation in grey levels, and how visible JPEG's blocks are.
@@ -43,21 +49,22 @@ def noise_and_blockiness(grey: GreyImage) -> tuple[float, float]:
         Picture (h, w).
     """
     height, width = grey.shape
-    counts = np.zeros(MAX_SECOND_DIFFERENCE + 1, np.int64)
-    n = at_joint = elsewhere = 0
+    # Two tables in turn: counting the same level twice in a row, the processor waits for the first count.
+    counts = np.zeros((2, MAX_SECOND_DIFFERENCE + 1), np.int64)
+    n = at_joint = everywhere = 0
     for y in range(0, height, ROW_STEP):
+        row = grey[y]
         for x in range(1, width - 1):
-            a = np.int64(grey[y, x - 1])
-            b = np.int64(grey[y, x])
-            counts[abs(a - 2 * b + np.int64(grey[y, x + 1]))] += 1
-            n += 1
-            step = min(int(abs(b - a)), MAX_BLOCK_STEP)
-            if x % 8 == 0:
-                at_joint += step
-            else:
-                elsewhere += step
-    below, level = median_bin(counts, n)
-    median = level - 0.5 + (0.5 * n - below) / max(counts[level], 1)
+            counts[x & 1, abs(np.int64(row[x - 1]) - 2 * np.int64(row[x]) + np.int64(row[x + 1]))] += 1
+        for x in range(1, width - 1):
+            everywhere += _block_step(row, x)
+        for x in range(8, width - 1, 8):
+            at_joint += _block_step(row, x)
+        n += max(width - 2, 0)
+    elsewhere = everywhere - at_joint
+    total = counts[0] + counts[1]
+    below, level = median_bin(total, n)
+    median = level - 0.5 + (0.5 * n - below) / max(total[level], 1)
     return max(median, 0.0) / SECOND_DIFFERENCE_MEDIAN, 7.0 * at_joint / max(elsewhere, 1)
 
 
