@@ -35,6 +35,12 @@ variance."""
 NO_SUMS: Sums = (0.0,) * 5
 
 
+def surely(size: float, std: float, n: float) -> bool:
+    """Whether a number is surely not zero, where its sigma is known by n degrees of freedom only."""
+    z = SURE_SIGMA  # Student's t, by the expansion of Cornish and Fisher
+    return size > std * (z + (z**3 + z) / (4.0 * n) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * n**2))
+
+
 class CameraYaw(NamedTuple):
     """What elevations have shown so far.
 
@@ -68,10 +74,7 @@ class CameraYaw(NamedTuple):
     def is_off(self) -> bool:
         """Whether it surely points to one side by more than an installation may."""
         size, n = abs(self.angle_rad), PRIOR_WINDOWS + self.n_blocks / WINDOW
-        # Sigma is known by so many degrees of freedom: Student's t, by the expansion of Cornish and Fisher.
-        z = SURE_SIGMA
-        sure = z + (z**3 + z) / (4.0 * n) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * n**2)
-        return size - self.std_rad > MAX_CAMERA_YAW_RAD and size > sure * self.std_rad
+        return size - self.std_rad > MAX_CAMERA_YAW_RAD and surely(size, self.std_rad, n)
 
     def with_elevation(self, t_ns: int, elevation_rad: float, std_rad: float, roll_rad: float) -> CameraYaw:
         """Take the elevation of a frame's axis above the IMU's horizon, its sigma, and the vehicle's roll.

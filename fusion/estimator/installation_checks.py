@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from fusion.estimator.camera_yaw import CameraYaw
 from fusion.estimator.faults import Fault, Notice
+from fusion.estimator.frame_timing import FrameTiming
 from fusion.estimator.models import Vector
 from fusion.estimator.records import new_record
 from vision.rotations import wrap_axis
@@ -31,7 +32,7 @@ IMU_STEP_NS, IMU_MEMORY_S, ACCEL_MIN_S, FAST_MIN_S = 50_000_000, 3.0, 0.5, 2.0
 MAX_TILT_ERROR_RAD = radians(20)
 LEAN_MEMORY_S, LEAN_MIN_S = 10.0, 4.0  # no vehicle speeds up one way for so long
 MAX_LEAN_RAD = radians(7)
-FROM_FRAMES = 4  # so many fields of an `Installation` come from frames, the others from the IMU's samples
+FROM_FRAMES = 5  # so many fields of an `Installation` come from frames, the others from the IMU's samples
 
 
 class Span(NamedTuple):
@@ -80,6 +81,8 @@ class Installation(NamedTuple):
         Weight, x, y, xx, xy, yy, stated variance of the turns; x is the gyroscope's, y the frames', rad/s.
     camera_yaw
         Whether the camera points to one side.
+    timing
+        Whether frames are stamped early or late.
     accel_m_s2, lean, turning_rad2_s2, imu_s, imu_ns
         Mean specific force, mean angle (3,) between it and the attitude's up about each axis, and mean square of the
         gyroscope's rate, over how long, and when they were last taken in.
@@ -89,6 +92,7 @@ class Installation(NamedTuple):
     last_span: Span | None = None
     sums: tuple[float, float, float, float, float, float, float] = (0.0,) * 7
     camera_yaw: CameraYaw = CameraYaw()
+    timing: FrameTiming = FrameTiming()
     accel_m_s2: Vector = (0.0, 0.0, 0.0)
     lean: Vector = (0.0, 0.0, 0.0)
     turning_rad2_s2: float = 0.0
@@ -97,17 +101,18 @@ class Installation(NamedTuple):
 
     def interrupted(self) -> Installation:
         """Start another turn and another mean: time has moved, or something else carries the heading."""
-        return self._replace(span=None, last_span=None, imu_ns=None)
+        return self._replace(span=None, last_span=None, timing=self.timing.interrupted(), imu_ns=None)
 
     def with_frame(self, t_ns: int, heading_rad: float, gyro_rad: float, std_rad: float) -> Installation:
         """Take a frame's heading and its sigma, and the angle that the gyroscope has turned by then."""
         span, variance = self.span, std_rad * std_rad
+        timing = self.timing.with_frame(t_ns, heading_rad, gyro_rad, std_rad)
         if span is not None and t_ns - span.since_ns < SPAN_NS:
-            return self._replace(span=span.with_frame(t_ns, heading_rad, gyro_rad, variance))
+            return self._replace(span=span.with_frame(t_ns, heading_rad, gyro_rad, variance), timing=timing)
         new = Span(t_ns, 0.0, gyro_rad, variance, (heading_rad - gyro_rad,))
         if span is None or t_ns - span.since_ns > 2 * SPAN_NS:
-            return self._replace(span=new, last_span=None)
-        then, done = self.last_span, self._replace(span=new, last_span=span)
+            return self._replace(span=new, last_span=None, timing=timing)
+        then, done = self.last_span, self._replace(span=new, last_span=span, timing=timing)
         if then is None:
             return done
         turn = wrap_axis(span.heading_rad - then.heading_rad)
@@ -160,7 +165,11 @@ class Installation(NamedTuple):
     def with_frames_of(self, other: Installation) -> Installation:
         """Take over what comes from frames; what comes from the IMU stays."""
         return self._replace(
-            span=other.span, last_span=other.last_span, sums=other.sums, camera_yaw=other.camera_yaw
+            span=other.span,
+            last_span=other.last_span,
+            sums=other.sums,
+            camera_yaw=other.camera_yaw,
+            timing=other.timing,
         )
 
     def notices(self, down: Vector) -> Iterator[Notice]:
@@ -176,6 +185,13 @@ class Installation(NamedTuple):
         tilt = self._of_gravity(down)
         if tilt is None:
             yield from self._of_turns()
+            if self.timing.is_off:
+                side = "late" if self.timing.late_s > 0.0 else "early"
+                late_ms = round(
+                    1e3 * abs(self.timing.late_s), -1
+                )  # else it would be another text twice a second
+                text = f"frames are stamped {late_ms:.0f} ms {side}: set camera_delay_s, or synchronise the clocks"
+                yield Notice(Fault.CAMERA_CLOCK, text)
             if self.camera_yaw.is_off:
                 angle = degrees(abs(self.camera_yaw.angle_rad))
                 text = f"camera points {angle:.0f} deg to one side: check principal point and mounting"
