@@ -36,14 +36,14 @@ CLASS_COLOUR: dict[LineClass, Colour] = {
 }
 REASON_WORDS: dict[Reason, str] = {
     Reason.OK: "used",
-    Reason.TOO_FEW_LINES: "fewer than four lines meet",
+    Reason.TOO_FEW_LINES: "too few lines meet",
     Reason.AMBIGUOUS: "two directions fit equally well",
     Reason.UNCERTAIN: "heading too uncertain to use",
     Reason.BLUR: "turning too fast for the exposure",
     Reason.GATE: "disagrees with the filter",
     Reason.UNREADABLE: "picture could not be decoded",
-    Reason.LATE: "came too late",
-    Reason.REPEATED: "the picture before once more",
+    Reason.LATE: "arrived too late",
+    Reason.REPEATED: "same picture as the previous frame",
     Reason.AHEAD: "stamped ahead of the other sensors",
 }
 

@@ -1,4 +1,4 @@
-"""Whose clock is wrong: takes stamps in the order of arrival, says which samples to take, and what to tell of clocks.
+"""Checks time stamps in order of arrival: decides which samples to accept, and reports wrong clocks.
 
 The IMU's stamps order time; where it is dead, the attitude's do, then the frames'. Nothing is measured in the future:
 
@@ -6,8 +6,9 @@ The IMU's stamps order time; where it is dead, the attitude's do, then the frame
 - a sample of the clock's own source far ahead waits until the next one confirms it;
 - what nothing confirms is dropped and counted (``frame_ahead``).
 
-How far behind the clock a source's samples usually come is its latency: by so much longer it may be silent. A step of
-it that stays is that of a clock, or of the latency itself; which of them, the frames tell in the next turn.
+A source's usual delay behind the clock is its latency; it is added to the time after which the source counts as
+silent. A lasting step of the latency means that either the clock or the transport delay has changed; the next turn
+shows which.
 """
 
 from __future__ import annotations

@@ -197,7 +197,10 @@ class CorridorAxis(NamedTuple):
         return self.lost()._replace(t_vision_ns=None, recent=(), previous=None)
 
     def with_turns_since(self, unmeasured_ns: int | None) -> CorridorAxis:
-        """Let go of headings from before a turn that was not measured: what they differ by tells nothing."""
+        """Drop headings from before a clipped turn.
+
+        The gyroscope did not measure it, so they cannot be compared with later ones.
+        """
         sights = self.diagnosis.sights
         if unmeasured_ns is None or not sights or sights[0].t_ns > unmeasured_ns:
             return self

@@ -1,4 +1,4 @@
-"""Who is wrong, where frames and prediction part? Takes what the sources say, returns probabilities; changes nothing.
+"""Fault isolation: probabilities of what is wrong when frames and prediction disagree. A pure function.
 
 Innovations of a filter whose model holds are white with mean zero (R. K. Mehra, "On the identification of variances
 and adaptive Kalman filtering", IEEE Transactions on Automatic Control 15, 1970). Their signed mean, over half a
@@ -10,7 +10,7 @@ hypothesis         frames - gyroscope     frames - IMU yaw       frames themselv
 =================  =====================  =====================  ==================
 all well           none                   none                   follow the turn
 gyroscope wrong    drifts                 none                   follow the turn
-gyroscope spikes   leaps                  none                   follow the turn
+gyroscope spikes   jumps                  none                   follow the turn
 corridor bends     drifts                 drifts likewise        follow the bend
 another axis       jumps                  jumps                  jump
 stamps wrong       like the turn's rate   likewise               follow the turn
@@ -20,7 +20,8 @@ Three sources, two differences: each hypothesis says which source drifts, and wi
 correlate. The frames' own errors are in both. An IMU yaw made from the same gyroscope repeats its errors, so that it
 agrees with it is weaker evidence than that it does not. Frames that drift away by themselves look like a bend.
 
-What is less likely than not is not followed, but told all the same: a word costs less than a wrong turn.
+A hypothesis is reported from 5 % on and acted on when it is the most probable one: a false warning costs less than
+a wrong correction.
 """
 
 from __future__ import annotations

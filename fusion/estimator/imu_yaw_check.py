@@ -1,13 +1,13 @@
-"""Does the IMU's yaw know anything that the gyroscope does not? Vision can tell, in flight.
+"""Check whether the IMU's yaw is independent of the gyroscope, by the frames.
 
-An attitude filter's yaw mostly repeats the gyroscope that carries the heading anyway; believed as independent, it
-makes the filter too sure and worse. A yaw of its own (a good compass, a second gyroscope) is worth having where
-vision is blind. The two are told apart by their errors: over a few seconds, frames show by how much the dead-reckoned
-heading and the IMU's yaw have each gone astray. If they stray together, they come from one sensor.
+An attitude filter's yaw usually contains the gyroscope's error; fused as independent, it makes the filter
+overconfident. Frames show over a few seconds how far dead reckoning and IMU yaw have each drifted. If the two errors
+are correlated, the yaw is not independent. An independent yaw (a good compass, a second gyroscope) is fused, and
+helps while no frame is used.
 
-A yaw that is worth having may still be pulled away by steel or a motor's current, at once or over seconds. Then it
-parts from the gyroscope faster than both their noises allow; what it did to the heading meanwhile is taken back, and
-it is left alone until the two agree again.
+Steel or a motor's current may disturb even an independent yaw, at once or over seconds. It then deviates from the
+gyroscope faster than the noises of both allow. Its effect on the heading is undone, and it is not used until the two
+agree again.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ class State(NamedTuple):
 
 
 class Sensed(NamedTuple):
-    """What no late frame changes of the state behind a sample, and `fusion.estimator.gyro_run` takes as it was.
+    """Parts of the state after a sample that do not depend on frames, so that a replay can reuse them.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from vision import InputError
 
 REASON_WORDS = {
     "ok": "used",
-    "too_few_lines": "fewer than four lines meet",
+    "too_few_lines": "too few lines meet",
     "ambiguous": "two directions fit equally well",
     "uncertain": "heading too uncertain to use",
     "blur": "turning too fast for the exposure",
