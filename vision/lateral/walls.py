@@ -1,4 +1,4 @@
-"""Whether a picture shows a wall on either side: without one there is no corner, however sure the network is of it.
+"""Checks that a picture shows a wall on either side: without a wall there is no corner, whatever the network reports.
 
 Between its two corners a wall has door posts, which are vertical. Where it is missing, as towards an open hall, one
 sees edges square to the corridor, which no side wall has. Besides, the network spreads a corner that it only guesses
