@@ -1,4 +1,4 @@
-"""The measurement from one camera frame, and what may be known beforehand: attitude and a filter's prediction.
+"""The measurement from one camera frame, and its prior information: attitude and a filter's prediction.
 
 Frames and signs (the whole project keeps them):
 

@@ -189,7 +189,7 @@ class Delay(NamedTuple):
         return self.effect.heading_per_s - self.effect.bias_per_s * (t_ns - self.effect.t_ns) * 1e-9
 
     def interrupted(self) -> Delay:
-        """Start anew with axis and turns; what is known of the delay stays."""
+        """Start again with axis and turns; what is known of the delay is kept."""
         return self._replace(turns=(), waiting=(), last=None, axis=None, effect=None)
 
 
@@ -262,7 +262,7 @@ def recent_rate(delay: Delay, t_ns: int, theta_rad: float) -> float:
 
 
 def with_frame(delay: Delay, seen: FrameHeading, noise: AxisNoise) -> Delay:
-    """Let a frame wait for its rates, and take in those that have them."""
+    """Let a frame wait for its rates, and update with those that have them."""
     delay = delay._replace(waiting=(*delay.waiting, seen))
     while delay.waiting and delay.turns and delay.waiting[0].t_ns + LAG_NS <= delay.turns[-1].t_ns:
         first = delay.waiting[0]
@@ -357,7 +357,7 @@ def innovation_of(delay: Delay, ekf: CorridorEKF, t_ns: int, raw_theta_rad: floa
 def learn_delay(
     delay: Delay, ekf: CorridorEKF, seen: FrameHeading, innovation_per_s: float, config: FusionConfig
 ) -> Delay:
-    """Let an accepted frame tell of the delay too, and correct the main filter by what that changes.
+    """Update the delay with an accepted frame too, and correct the main filter by what that changes.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ MEMORY = 1.0 - 1 / 240  # of each block, when the next ends: two minutes
 PRIOR_WINDOWS, MIN_BLOCKS = 3.0, 2.9  # the oldest have faded
 ALIKE_FRAMES = 10.0  # that have about the same error, by what is stated
 MAX_ELEVATION_RAD = 0.3  # more is no axis of a corridor
-MIN_ROLL_STD = 0.02  # rad; with less, elevations tell nothing
+MIN_ROLL_STD = 0.02  # rad; with less, elevations show nothing
 SURE_SIGMA = 4.0  # were sigma known
 MAX_CAMERA_YAW_RAD = radians(3)
 

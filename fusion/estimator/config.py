@@ -1,4 +1,4 @@
-"""Everything that can be set, in one flat table; SI units and radians, as the names say.
+"""All settings of the estimator in one flat table; SI units and radians, with the unit in the name.
 
 A TOML file holds the same names: ``corridor_width_m = 2.2``. What is not named keeps its default.
 """

@@ -1,4 +1,4 @@
-"""What the estimator reports: takes a state and a time, returns an `Estimate`, changes nothing."""
+"""Makes an `Estimate` of a state and a time: status, reasons, faults. Pure functions."""
 
 from __future__ import annotations
 

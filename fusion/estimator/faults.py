@@ -13,7 +13,7 @@ class Fault(IntFlag):
     """
 
     NONE = 0
-    GYRO_SILENT = 1 << 0  # no sample for gyro_gap_s: attitude or a constant rate carries the heading
+    GYRO_SILENT = 1 << 0  # no sample for gyro_gap_s: the heading is propagated by attitude or a constant rate
     ATTITUDE_SILENT = 1 << 1  # no attitude sample any more
     FRAMES_SILENT = 1 << 2  # no frame arrives
     VELOCITY_SILENT = 1 << 3  # no velocity sample any more

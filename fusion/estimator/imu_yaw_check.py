@@ -180,7 +180,7 @@ def is_due(traces: tuple[Trace, ...], t_ns: int) -> bool:
 
 
 def traced(traces: tuple[Trace, ...], now: Trace) -> tuple[Trace, ...]:
-    """Append a trace and let go of old ones."""
+    """Append a trace and drop old ones."""
     return (*(old for old in traces if now.t_ns - old.t_ns <= TRACE_NS), now)
 
 
@@ -204,7 +204,7 @@ class InertialNoise(NamedTuple):
 
 
 class TurnBeside(NamedTuple):
-    """What gyroscope (bias not taken off) and IMU yaw say at one time, and what bias the filter takes off."""
+    """Gyroscope (bias not subtracted) and IMU yaw at one time, and the bias that the filter subtracts."""
 
     t_ns: int
     raw_theta_rad: float
@@ -235,7 +235,7 @@ class YawDoubt(NamedTuple):
     mean: YawMean | None = None
 
     def with_look(self, astray: float) -> YawDoubt:
-        """Learn from the probability that it was astray at a look: a share of the time."""
+        """Update the share of the time in which it is disturbed, with the probability of one look."""
         share = self.astray + ASTRAY_MEMORY * (astray - self.astray)
         return self._replace(astray=max(share, LEAST_DOUBT))
 

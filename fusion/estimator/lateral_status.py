@@ -40,7 +40,7 @@ class LateralStatus(StrEnum):
 
     UNKNOWN = "unknown"  # never told, or no hypothesis is probable and narrow enough
     KNOWN = "known"  # recent frames confirm it
-    COASTING = "coasting"  # carried on by the accelerometer or velocity; its sigma grows
+    COASTING = "coasting"  # propagated by the accelerometer or velocity; its sigma grows
 
 
 class RecentOffsets(NamedTuple):

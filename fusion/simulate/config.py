@@ -1,4 +1,4 @@
-"""Everything a simulated flight is made of; SI units and radians, as the names say.
+"""Configuration of a simulated flight; SI units and radians, with the unit in the name.
 
 A TOML file holds one table per section: ``[scene]``, ``[camera]``, ``[imaging]``, ``[motion]``, ``[imu]``,
 ``[attitude]``, ``[range]``; what is not named keeps its default. A flight has a range sensor only where it is named.

@@ -1,4 +1,4 @@
-"""Whether a lens model's numbers can belong to a lens: coefficients of another model, polynomials that turn back."""
+"""Checks that a lens model's coefficients are possible: those of another model, polynomials that turn back."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ OFF_CORNER_RAD = radians(3.0)  # about the axis
 ASIDE_COSINE = cos(radians(8.0))  # nearer to the axis is the end of the corridor
 FEW_RAD = 0.1  # a line shorter than this tells little
 LEAST_DISAGREEMENT, LEAST_VERTICAL_RAD, LEAST_RATIO = 0.05, 0.05, 0.1
-USUAL_WIDTH_PER_HEIGHT = 2.718  # up to here it tells nothing
+USUAL_WIDTH_PER_HEIGHT = 2.718  # up to here it shows nothing
 
 TRANSVERSE, VERTICAL = int(LineClass.TRANSVERSE), int(LineClass.VERTICAL)
 
