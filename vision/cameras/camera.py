@@ -165,7 +165,7 @@ class Camera:
             )
         if not all(isfinite(c) for c in self.coefficients):
             raise InputError(
-                f"distortion coefficients {self.coefficients} are not finite", remedy="calibrate anew"
+                f"distortion coefficients {self.coefficients} are not finite", remedy="calibrate again"
             )
 
     @classmethod
