@@ -322,7 +322,7 @@ class FrameStamps:
         if moved_s == 0.0:
             if self._moved_at_ns is None:
                 return
-            moved_s, text = self.moved_ns * 1e-9, "which is taken off from now on"
+            moved_s, text = self.moved_ns * 1e-9, "which is subtracted from now on"
         sense = "ahead" if moved_s > 0 else "back"
         yield Notice(
             Fault.CAMERA_CLOCK,
