@@ -8,13 +8,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTHON ?=
-# A worker runs whole files, whose fixtures are then made once; one that is done takes tests from the other.
+# pytest-xdist: each worker gets whole files, so that module fixtures are built once; an idle worker steals tests.
 PYTEST_FLAGS ?= -n 2 --dist worksteal
 EXTRA ?= dev
 CONSTRAINTS ?=
 # Some containers forbid byte code. Each of the many processes that the tests start would compile all libraries then.
 unexport PYTHONDONTWRITEBYTECODE
-# Where a reader, a writer or the command line leans on another library; the filter's own arithmetic does not.
+# Tests of code that depends on other libraries' behaviour.
 LOWEST_TESTS := tests/test_cli.py tests/fusion/test_log_ulog.py tests/fusion/test_log_tlog.py \
 	tests/fusion/test_log_dataflash.py tests/fusion/test_log_rosbag.py tests/fusion/test_video.py \
 	tests/fusion/test_exports.py tests/fusion/test_report.py tests/fusion/test_config_file.py \

@@ -3,7 +3,7 @@
 Frames, signs and units are those of `vision.measurement`: body FRD, heading and lateral offset positive to the right,
 SI and radians, time in integer nanoseconds. Importing the package loads nothing; each name loads at its first use.
 
-Each subpackage is a room with one job, and imports only rooms below it; ``make lint`` checks that. From the bottom:
+Each subpackage has one job, and imports only packages below it; ``make lint`` checks that. From the bottom:
 `fusion.settings`, `fusion.flight`; `fusion.estimator`, `fusion.logs`, `fusion.simulate`; `fusion.result`,
 `fusion.alignment`, `fusion.inspection`, `fusion.pictures`; `fusion.evaluation`; `fusion.offline`; `fusion.report`;
 `fusion.outputs`; `fusion.fleet`, `fusion.live`; `fusion.cli`. Begin reading at `fusion.estimator.estimator`, or at

@@ -104,7 +104,7 @@ class AttitudeStream:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VectorStream:
-    """Positions (world, z down) or velocities (body FRD), (n, 3), metres or metres per second."""
+    """Positions (n, 3), m, in a world with z down, or velocities (n, 3), m/s, in body FRD."""
 
     t_ns: TimeArray
     xyz: FloatArray
@@ -142,10 +142,35 @@ class FlightSource(Protocol):
 class Flight:
     """One flight: a camera, its frames, and the other streams of the log, each None if the log does not have it.
 
-    ``problems`` lists in one sentence each what was dropped or repaired on reading (duplicate times, rows of NaN,
-    zero quaternions, missing pictures ...); a `Remark` among them states what was found or assumed.
-    ``corridor_width_m`` is from the manifest. ``manifest`` says where every stream came from; None for a flight
-    constructed by the caller.
+    All times are integer nanoseconds of one clock, in ascending order.
+
+    Parameters
+    ----------
+    name
+        Name of the flight.
+    camera
+        Calibration of the pictures.
+    frames
+        Times of the pictures, and the pictures.
+    imu
+        Gyroscope, rad/s, and accelerometer, m/s^2, body FRD.
+    attitude
+        Unit quaternions w, x, y, z of the vehicle's own filter, from body FRD to a world with z down.
+    position
+        Positions in that world (z down), m.
+    velocity
+        Velocities, body FRD, m/s.
+    truth
+        Ground truth of heading and lateral offset.
+    problems
+        What was dropped or repaired on reading (duplicate times, rows of NaN, zero quaternions, missing pictures
+        ...), one sentence each; a `Remark` among them states what was found or assumed.
+    corridor_width_m
+        Width from the manifest, m; None if it does not set one.
+    manifest
+        Where every stream came from; None for a flight constructed by the caller.
+    range
+        Distances to the floor, m, along the body's z axis (down).
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Text from files made fit for a terminal: a name in a log may hold what a terminal takes for a command."""
+"""Escapes control characters in text from files: a name in a log may contain a terminal command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long work reports how far it is."""
+"""Type of the functions that report progress."""
 
 from __future__ import annotations
 

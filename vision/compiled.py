@@ -30,7 +30,7 @@ def compiled(function: F) -> F:
     What is kept is used only as long as the function, and all that it calls, are the same.
 
     A read-only installation without a writable cache folder makes numba refuse to cache: compile in memory then, and
-    log once how to mend it.
+    log once what to set.
     """
     try:
         dispatcher: Any = numba.njit(cache=True, **_OPTIONS)(function)
@@ -96,7 +96,7 @@ class _Inner:
 @cache
 def _say_that_nothing_is_kept() -> None:
     logging.getLogger("vision").warning(
-        "every start compiles anew, for about a minute: no folder for compiled code is writable; "
+        "every start compiles again, for up to a minute: no folder for compiled code is writable; "
         "set the environment variable NUMBA_CACHE_DIR to one that is"
     )
 

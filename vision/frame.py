@@ -73,6 +73,10 @@ def measure_frame(
 ) -> FrameMeasurement:
     """Measure heading and lateral offset in one picture of a corridor.
 
+    Line segments are found as in the article (equations 1 to 4; J. Kosecka, W. Zhang, "Video Compass", ECCV 2002),
+    but with sub-pixel accuracy. An exhaustive vote over heading and elevation gives the corridor's axis, and least
+    squares with Geman-McClure's weights refine it, see `vision.axis.vanishing_point`.
+
     Parameters
     ----------
     image
@@ -87,12 +91,19 @@ def measure_frame(
     method
         ``geometric``, or ``paper``: the article's chain, which uses neither attitude nor prior.
     lateral
-        Whether to look for the lateral offset; without it the heading comes sooner.
+        Whether to measure the lateral offset; without it the heading comes sooner.
+
+    Returns
+    -------
+    FrameMeasurement
+        Heading in radians, positive turned right; lateral offset in half widths, positive right of the centre line.
+        If the heading is not ``accepted``, ``reason`` says why.
 
     Raises
     ------
     InputError
-        Where the array is not a picture or has another size than the camera's, or the quaternion is not a unit one.
+        If the method is unknown, the array is not a picture or has another size than the camera's, or the quaternion
+        is not a unit quaternion of four numbers.
     """
     if method not in get_args(Method):
         raise InputError(f"method {method!r} is unknown", remedy=f"use one of {', '.join(get_args(Method))}")
@@ -118,13 +129,18 @@ def measure_lines(
         Result of `extract_lines`.
     camera
         Calibration that they were found with.
-    attitude, prior
+    attitude, prior, lateral
         As in `measure_frame`.
+
+    Returns
+    -------
+    FrameMeasurement
+        As from `measure_frame`.
 
     Raises
     ------
     InputError
-        Where the quaternion is not a unit one.
+        If the quaternion is not a unit quaternion of four numbers.
     """
     started = time.perf_counter()
     prior = prior or Prior()
@@ -200,8 +216,13 @@ def _find_axis(lines: LineSet, camera: Camera, attitude: Attitude, prior: Prior)
 def warm_up(camera: Camera) -> None:
     """Load the compiled code, or compile it, so that the first frame takes no longer than any other.
 
-    A controller calls it before take-off, with the camera it flies with: about a minute the first time on a machine,
-    a fraction of a second from then on.
+    A controller calls it before take-off. The first time on a machine it compiles: 40 to 60 s of processor time on a
+    slow one. Later it only loads the compiled code.
+
+    Parameters
+    ----------
+    camera
+        The camera of the flight: its lens model and size decide which code and buffers are needed.
     """
     picture = np.full((camera.height_px, camera.width_px), 160, np.uint8)
     x, y = camera.width_px // 2, camera.height_px // 2

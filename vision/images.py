@@ -17,10 +17,22 @@ from vision.types import GreyImage as GreyImage
 def read_image(path: str | Path) -> GreyImage:
     """Read a picture file as grey uint8 (h, w).
 
+    Colours become luminance, 16 bits are scaled to 8, and the rotation that EXIF names is applied.
+
+    Parameters
+    ----------
+    path
+        A JPEG, PNG or other file that OpenCV decodes.
+
+    Returns
+    -------
+    ndarray
+        Grey uint8 (h, w), the upright picture.
+
     Raises
     ------
     InputError
-        Where the file is missing, empty, or does not decode.
+        If the file is missing, empty, too large, or does not decode.
     """
     path = Path(path)
     try:

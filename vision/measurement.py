@@ -1,4 +1,4 @@
-"""The measurement from one camera frame, and what may be known beforehand: attitude and a filter's prediction.
+"""The measurement from one camera frame, and its prior information: attitude and a filter's prediction.
 
 Frames and signs (the whole project keeps them):
 
@@ -32,20 +32,20 @@ class Reason(StrEnum):
     """Why a frame was used (``ok``) or not; the words of the ``reason`` column."""
 
     OK = "ok"
-    TOO_FEW_LINES = "too_few_lines"  # fewer than four lines that meet
+    TOO_FEW_LINES = "too_few_lines"  # fewer lines meet than are needed, at least four
     AMBIGUOUS = "ambiguous"  # two directions explain the lines almost equally well
-    UNCERTAIN = "uncertain"  # the lines leave the heading too uncertain to be of use
+    UNCERTAIN = "uncertain"  # sigma of the heading is too large
     BLUR = "blur"  # turning too fast for the exposure
     GATE = "gate"  # disagrees with the filter
     UNREADABLE = "unreadable"  # the picture could not be decoded
     LATE = "late"  # arrived after the estimator's buffer had passed it
-    REPEATED = "repeated"  # the picture before once more: the camera is frozen
+    REPEATED = "repeated"  # same picture as the previous frame: the camera is frozen
     AHEAD = "ahead"  # stamped far ahead of the other sensors' clock
 
 
 REASON_MEANING: dict[Reason, str] = {
     Reason.OK: "used",
-    Reason.TOO_FEW_LINES: "fewer than four lines meet",
+    Reason.TOO_FEW_LINES: "too few lines meet",
     Reason.AMBIGUOUS: "two directions fit equally well",
     Reason.UNCERTAIN: "heading too uncertain to use",
     Reason.BLUR: "turning too fast for the exposure",
@@ -59,7 +59,7 @@ REASON_MEANING: dict[Reason, str] = {
 
 
 class Position(StrEnum):
-    """Side of the corridor's centre line that the vehicle is on."""
+    """Side of the corridor's centre line that the vehicle is on; centre is within 0.1 half widths of the line."""
 
     LEFT = "left"
     CENTRE = "centre"
@@ -69,9 +69,9 @@ class Position(StrEnum):
 class LineClass(IntEnum):
     """What a line segment was found to be; the values of `FrameMeasurement.line_class`."""
 
-    REJECTED = 0
-    CORRIDOR = 1
-    TRANSVERSE = 2
+    REJECTED = 0  # none of the others
+    CORRIDOR = 1  # along the corridor: meets the vanishing point
+    TRANSVERSE = 2  # horizontal, across the corridor
     VERTICAL = 3
 
 
@@ -98,9 +98,15 @@ class Attitude:
         Raises
         ------
         InputError
-            Where the four numbers are not finite or are far from unit length.
+            Where these are not four numbers, are not finite, or are far from unit length.
         """
-        w, x, y, z = (float(v) for v in np.asarray(q_world_body, dtype=float).reshape(4))
+        try:
+            w, x, y, z = (float(v) for v in np.asarray(q_world_body, dtype=float).reshape(4))
+        except (TypeError, ValueError):
+            raise InputError(
+                f"attitude quaternion {q_world_body!r} is not four numbers",
+                remedy="give a unit quaternion w, x, y, z",
+            ) from None
         norm = (w * w + x * x + y * y + z * z) ** 0.5
         if not 0.9 < norm < 1.1:  # NaN fails too
             raise InputError(
@@ -124,18 +130,19 @@ class Prior:
     Parameters
     ----------
     heading_rad, heading_std_rad
-        Predicted heading and its standard deviation; from 30 degrees on it counts as not predicted.
+        Predicted heading, radians, positive turned right, and its standard deviation; from a standard deviation of 30
+        degrees on it counts as not predicted.
     lateral_offset_norm, lateral_offset_norm_std
-        Predicted scale-free lateral offset; NaN where unknown.
+        Predicted lateral offset, half widths, positive right of the centre line; NaN where unknown.
     width_per_height
-        Corridor width over the camera's height above the floor, as seen so far; NaN where unknown.
+        Corridor width over the camera's height above the floor, unit 1, as seen so far; NaN where unknown.
     elevation_rad, elevation_std_rad
         Elevation of the corridor's axis in the level frame as seen so far (positive: up). It is the camera's
         mounting pitch error with its sign turned; zero where the mount is exact.
     body_rate_rad_s
-        Magnitude of the body's angular rate during the exposure; NaN where unknown.
+        Magnitude of the body's angular rate during the exposure, rad/s; NaN where unknown.
     body_rates_rad_s
-        Angular rate (3,) of the body, FRD, while a rolling shutter reads the picture; None where unknown.
+        Angular rate (3,) of the body, FRD, rad/s, while a rolling shutter reads the picture; None where unknown.
     """
 
     heading_rad: float = nan
@@ -151,7 +158,7 @@ class Prior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameMeasurement:
-    """One frame's answer. Numbers that could not be measured are NaN, never a guess.
+    """Measurement from one frame. Numbers that could not be measured are NaN, never a guess.
 
     Parameters
     ----------
@@ -165,12 +172,13 @@ class FrameMeasurement:
     heading_rad, heading_std_rad
         Heading relative to the corridor's axis, in (-pi/2, pi/2): a corridor looks alike from both ends.
     elevation_rad, elevation_std_rad
-        Elevation of the corridor's axis in the level frame, positive up. Not zero: tilt or mount are off.
+        Elevation of the corridor's axis in the level frame, positive up. A value other than zero indicates
+        an error of the tilt or of the camera mounting.
     second_heading_rad, second_score
         The next best hypothesis and its score relative to the best one (0: no rival, 1: a tie).
-        A caller who knows better may choose where the reason is ambiguous: the direction near
-        ``Prior(heading_rad=..., heading_std_rad=...)`` comes first, with its own sigma, and is accepted if it
-        explains the lines about as well as the other. Before a wall the second is square to the first.
+        If the reason is `ambiguous`, pass ``Prior(heading_rad=..., heading_std_rad=...)`` near the direction that you
+        know to be right: it is then reported first, and accepted if it explains the lines about as well as the other.
+        In front of a wall the second is at right angles to the first.
     lateral_offset_norm, lateral_offset_norm_std
         Offset from the centre line over half the corridor's width.
     width_per_height
@@ -180,7 +188,8 @@ class FrameMeasurement:
     paper_yaw_rad
         The article's equation (8) at this vanishing point: unsigned, see `vision.paper.measure`.
     vision_ms
-        Time spent on this frame, milliseconds.
+        Time spent on this frame, milliseconds: extraction of the lines, and their measurement. Decoding the picture
+        is not included.
     lines_px, line_class
         The segments (n, 4) as x0, y0, x1, y1 in the original image, and their `LineClass` (n,); None where
         they were dropped to save memory.
@@ -188,13 +197,16 @@ class FrameMeasurement:
         Lines (k, 4) that the lateral offset follows from, in pairs at one height on both walls: corners with floor or
         ceiling, skirting boards, tops of doors; None like `lines_px`.
     offset_evidence
-        All that the picture says about the lateral offset, by each kind of evidence, for a filter to accumulate. It
-        does not know of any predicted offset. Where the heading is not accepted, the axis is the prior's.
+        Likelihood of the lateral offset (half widths) by each kind of evidence, for a filter to accumulate: a tuple
+        of `vision.lateral.mixture.OffsetMixture`, Gaussian sums with arrays (k,). It does not depend on a predicted
+        offset. Where the heading is not accepted, the axis is the prior's.
     wall_profiles
-        Brightness along both walls, see `vision.lateral.parallax.wall_profiles`: a filter compares it with that of an
-        earlier frame. None where the heading is not accepted.
+        Brightness along both walls over the mean brightness, unit 1, float32 (2, n_along, n_bands), see
+        `vision.lateral.parallax.wall_profiles`: a filter compares it with that of an earlier frame. None where the
+        heading is not accepted.
     roll_correction_rad, roll_correction_std_rad
-        What the picture's vertical lines alone add to the attitude's roll; NaN where no line tells.
+        What the picture's vertical lines alone add to the attitude's roll; NaN if no
+        vertical line is visible.
     """
 
     accepted: bool

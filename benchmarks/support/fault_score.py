@@ -1,7 +1,7 @@
-"""Fly an estimator through a recording with a fault in it, and judge what it says against what was true.
+"""Run an estimator over a recording with a fault in it, and compare what it reports with the truth.
 
-An instant is *silent* where the status is ``tracking``, no reason is given, and the error is beyond 4 sigma: the one
-thing that a controller cannot defend itself against.
+An instant is *silent* if the status is ``tracking``, no reason is given, and the error is beyond 4 sigma: the one
+thing that a controller cannot detect.
 """
 
 from __future__ import annotations

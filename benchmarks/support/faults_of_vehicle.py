@@ -1,4 +1,4 @@
-"""What the sensors of a vehicle get wrong though each of them works, and what is asked: no harm, or a word."""
+"""Errors of sensors that work within their specification; required: no harm, or a report."""
 
 from __future__ import annotations
 

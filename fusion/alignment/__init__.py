@@ -1,4 +1,4 @@
-"""Put a flight's camera right by the flight itself: its clock, its focal length and how it is mounted.
+"""Calibrates a flight's camera from the flight itself: clock, focal length and mounting.
 
 `align_flight` compares the turns that vision sees along a corridor with those of the inertial sensors. May import
 `fusion.estimator`, `fusion.logs` and what lies below them; the check of the camera's time in `fusion.evaluation` uses

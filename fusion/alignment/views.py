@@ -27,7 +27,7 @@ IntArray = npt.NDArray[np.int64]
 
 MAX_RATE_HZ = 32.0  # faster frames resemble each other
 MAX_FRAMES = 1000
-N_BLOCKS = 5  # stretches that are looked at of a longer flight
+N_BLOCKS = 5  # stretches of a longer flight that are measured
 RATE_HALF_WIDTH_S = 0.1
 SEARCH_STD_RAD = radians(3.0)  # of the axis's elevation, before it has been seen
 STD_FLOOR_RAD = radians(0.05)
@@ -37,7 +37,7 @@ INFORMED = 0.5  # of the attitude's standard deviation: below, the picture's ver
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sightings:
-    """Measurements of n frames; NaN where a frame was not accepted or says nothing.
+    """Measurements of n frames; NaN where a frame was not accepted or a value was not measured.
 
     Parameters
     ----------

@@ -106,7 +106,7 @@ def compile_notice(what: str) -> Iterator[None]:
         def on_start(self, event: Any) -> None:
             if not self.told:
                 self.told = True
-                say(f"compiling {what} (once, about a minute) ...")
+                say(f"compiling {what} (once, up to a minute) ...")
 
         def on_end(self, event: Any) -> None:
             pass

@@ -148,11 +148,13 @@ def _summary(session: LiveSession, record: Path | None) -> str:
         f"frames        {s.frames} measured, {s.frames_used} used, {s.frames_dropped} dropped",
         f"latency       p50 {s.latency_ms(50):.1f} ms, p99 {s.latency_ms(99):.1f} ms from shutter to message",
         f"camera delay  {1e3 * delay:.1f} ms +- {1e3 * core.estimate.camera_delay_std_s:.1f}",
-        f"autopilot     {_autopilot(core)}, booted again {core.counters['autopilot_restarts']} times",
+        f"autopilot     {_autopilot(core)}, rebooted {core.counters['autopilot_restarts']} times",
         f"reopened      camera {s.camera_reopened}, link {s.link_reopened} times",
     ]
     if record is not None:
-        lost = f"; {s.not_recorded} messages were too many for the disk" if s.not_recorded else ""
+        lost = (
+            f"; {s.not_recorded} messages were not recorded: the disk was too slow" if s.not_recorded else ""
+        )
         lines.append(f"recording     {record}{lost}; next: corridor fuse {record}")
     return "\n".join(lines)
 

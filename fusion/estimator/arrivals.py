@@ -1,4 +1,4 @@
-"""Whose clock is wrong: takes stamps in the order of arrival, says which samples to take, and what to tell of clocks.
+"""Checks time stamps in order of arrival: decides which samples to accept, and reports wrong clocks.
 
 The IMU's stamps order time; where it is dead, the attitude's do, then the frames'. Nothing is measured in the future:
 
@@ -6,8 +6,9 @@ The IMU's stamps order time; where it is dead, the attitude's do, then the frame
 - a sample of the clock's own source far ahead waits until the next one confirms it;
 - what nothing confirms is dropped and counted (``frame_ahead``).
 
-How far behind the clock a source's samples usually come is its latency: by so much longer it may be silent. A step of
-it that stays is that of a clock, or of the latency itself; which of them, the frames tell in the next turn.
+A source's usual delay behind the clock is its latency; it is added to the time after which the source counts as
+silent. A lasting step of the latency means that either the clock or the transport delay has changed; the next turn
+shows which.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ MIN_STEP_S = 0.04
 STEP_SPREADS = 3.0  # a step is this many times the recent stamps' spread
 MIN_INTERVAL_NS = 25_000  # on average; IMUs sample at up to 32 kHz
 MIN_COUNTED = 50  # samples of the clock, before they are called too close
-OFF_SAMPLES = 2  # in a row that a source is off before it is told
+OFF_SAMPLES = 2  # in a row that a source is off before it is reported
 MAX_TERM = 2.0  # of one frame's evidence on what has stepped
 MIN_STD_RAD = 1e-6  # of a heading: a smaller one, squared, may be 0
 COMPARED_NS = 400_000_000  # from frame to frame; the rate must change in that time
 DEPENDENT_FRAMES = 4.0  # each comparison is so many times less evidence than an independent one
-TOLD_NS = 1_000_000_000  # how long a clock that was found is told of: the filter has to recover
+TOLD_NS = 1_000_000_000  # how long a clock that was found is reported: the filter has to recover
 DECIDED = 7.0  # log odds of 1000:1
 
 _FAULTS = {"imu": Fault.IMU_CLOCK, "attitude": Fault.ATTITUDE_CLOCK, "frame": Fault.CAMERA_CLOCK}
@@ -198,7 +199,7 @@ class Arrivals:
             self._clock, self._first = source, (t_ns, self._tick)
 
     def _reach_ns(self, source: _Source) -> float:
-        """How far a stamp may leap."""
+        """How far a stamp may jump."""
         return max(self.buffer_ns, 2.5 * source.interval_ns)  # of NaN, too, the buffer
 
     def _outlives(self, source: _Source, t_ns: int, clock: _Source) -> bool:
@@ -262,7 +263,7 @@ class Arrivals:
         return Admission.SET_BACK
 
     def _ahead_of_its_own(self, source: _Source, sample: Sample) -> Admission:
-        """Wait for the next sample to confirm a leap of the clock itself, or let both through."""
+        """Wait for the next sample to confirm a jump of the clock itself, or let both through."""
         suspect, t_ns = source.suspect, sample.t_ns
         if source.interval_ns == 0.0:  # how often it speaks is not known
             self._release([sample])
@@ -324,7 +325,7 @@ class FrameStamps:
         if moved_s == 0.0:
             if self._moved_at_ns is None:
                 return
-            moved_s, text = self.moved_ns * 1e-9, "which is taken off from now on"
+            moved_s, text = self.moved_ns * 1e-9, "which is subtracted from now on"
         sense = "ahead" if moved_s > 0 else "back"
         yield Notice(
             Fault.CAMERA_CLOCK,

@@ -1,4 +1,4 @@
-"""What follows where frames drift from the prediction: asks who is wrong, and lets heading, bias or axis follow.
+"""Reaction to frames that drift from the prediction: judges the hypotheses and corrects heading, bias or axis.
 
 `fusion.estimator.hypotheses` decides; this module gathers its evidence frame by frame and acts on the verdict.
 """
@@ -76,7 +76,7 @@ def diagnosed(
     axis, ekf, coupled, config
         As in `start`; the axis with the outcome of the newest frame's gate.
     reckoning
-        What carries the heading: the gyroscope.
+        What propagates the heading: the gyroscope.
     seen
         The newest frame.
     """
@@ -212,7 +212,7 @@ def bend_rate(d: Diagnosis, ekf: CorridorEKF) -> float:
 
 
 def straight_again(d: Diagnosis, ekf: CorridorEKF) -> Diagnosis:
-    """Take the rate of a bend that has ended off the bias again."""
+    """Subtract the rate of a bend that has ended from the bias."""
     x = ekf.x.copy()
     x[BIAS] = d.straight_bias_rad_s
     ekf.predict(x, np.eye(N_STATES), np.zeros((N_STATES, N_STATES)))

@@ -1,13 +1,13 @@
-"""How late the frames are stamped: takes dead reckoning and accepted frames, returns what is known of the delay.
+"""Estimates the delay of the frames' time stamps from dead reckoning and accepted frames.
 
-It is found in flight, from how frames disagree with the gyroscope in turns.
+The delay shows in turns, as a difference between frames and gyroscope.
 
-A frame stamped late by d more than is configured shows the heading of d ago, so while the vehicle turns its heading
-lags. The filter takes that lag for an error of the heading and follows it; what is left in its innovations grows with
-changes of the rate. To take the rate that the gyroscope measures for a known regressor is wrong: its noise is in the
-heading's error too, and their product passes for a delay. So the delay is no state of the Kalman filter but estimated
-beside it, by an instrumental variable (T. Soderstrom, P. Stoica, "Comparison of some instrumental variable methods",
-Automatica 17, 1981):
+A frame stamped d later than configured shows the heading of d ago, so its heading lags while the vehicle turns. The
+filter follows that lag as if it were an error of its heading; what remains in the innovations grows with changes of
+the rate. The gyroscope's rate cannot be used as a known regressor: its noise is part of the heading's error too, and
+their product would look like a delay. The delay is therefore not a state of the Kalman filter; it is estimated
+separately, by an instrumental variable (T. Soderstrom, P. Stoica, "Comparison of some instrumental variable
+methods", Automatica 17, 1981):
 
 - A Kalman filter of the corridor's axis in the dead-reckoned frame and of the gyroscope's bias, which makes it drift,
   gives the innovations i of the frames and, by the sensitivity of its state, their derivative G with respect to
@@ -189,7 +189,7 @@ class Delay(NamedTuple):
         return self.effect.heading_per_s - self.effect.bias_per_s * (t_ns - self.effect.t_ns) * 1e-9
 
     def interrupted(self) -> Delay:
-        """Start anew with axis and turns; what is known of the delay stays."""
+        """Start again with axis and turns; what is known of the delay is kept."""
         return self._replace(turns=(), waiting=(), last=None, axis=None, effect=None)
 
 
@@ -262,7 +262,7 @@ def recent_rate(delay: Delay, t_ns: int, theta_rad: float) -> float:
 
 
 def with_frame(delay: Delay, seen: FrameHeading, noise: AxisNoise) -> Delay:
-    """Let a frame wait for its rates, and take in those that have them."""
+    """Let a frame wait for its rates, and update with those that have them."""
     delay = delay._replace(waiting=(*delay.waiting, seen))
     while delay.waiting and delay.turns and delay.waiting[0].t_ns + LAG_NS <= delay.turns[-1].t_ns:
         first = delay.waiting[0]
@@ -357,7 +357,7 @@ def innovation_of(delay: Delay, ekf: CorridorEKF, t_ns: int, raw_theta_rad: floa
 def learn_delay(
     delay: Delay, ekf: CorridorEKF, seen: FrameHeading, innovation_per_s: float, config: FusionConfig
 ) -> Delay:
-    """Let an accepted frame tell of the delay too, and correct the main filter by what that changes.
+    """Update the delay with an accepted frame too, and correct the main filter by what that changes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The camera's mounting pitch: takes the elevations that frames see, returns mean and variance, no more."""
+"""The camera's mounting pitch: mean and variance from the frames' elevations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A camera that shows the same picture again: takes what frames show and how the vehicle moved, says whether.
+"""Detects a camera that repeats its picture, by the pictures and the motion of the vehicle.
 
 No two pictures of a real camera are equal, for their noise differs. So a picture equal to the one before is a
 repetition as soon as anything moved at all. Of measurements that another program hands over, a few in a row must be

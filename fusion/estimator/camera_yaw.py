@@ -1,16 +1,16 @@
-"""Whether the camera points to one side: takes the axis's elevations and the vehicle's roll, returns the angle.
+"""Yaw error of the camera's calibration, estimated from the axis's elevations and the vehicle's roll.
 
-A camera that points to one side of what is told, by its mounting or its principal point, makes every heading wrong by
-that angle, and no turn shows it; but when the vehicle rolls, the axis seems to rise or sink by the angle times the
-roll's sine. The angle is the slope of a line through elevations over the roll's sine, both less their means over the
-last `LEVEL_S`: a ramp, or an attitude that is off for long, changes the elevations too, and a slow roll by chance in
-the same way.
+A camera whose yaw or principal point differs from the calibration makes every heading wrong by that angle, and no
+turn shows it; but when the vehicle rolls, the axis seems to rise or sink by the angle times the roll's sine. The
+angle is the slope of a line through elevations over the roll's sine, both less their means over the last `LEVEL_S`:
+a ramp, or an attitude that is off for long, changes the elevations too, and a slow roll by chance in the same way.
 
-How sure the slope is depends on how long errors last, which nobody tells: those of an attitude may go along with the
-motion for seconds, those of frames hardly from one to the next. So it is taken from the residuals, summed over
-windows of `WINDOW` blocks that overlap: errors that last make the sums large (W. K. Newey, K. D. West, "A simple,
-positive semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix", Econometrica 55, 1987).
-What is stated counts as some windows besides, and as few windows say little, the limits are those of Student's t.
+The slope's variance depends on the correlation time of the errors, which is not known: those of an attitude may
+follow the motion for seconds, those of frames are hardly correlated. It is therefore estimated from the residuals,
+summed over windows of `WINDOW` blocks that overlap: correlated errors make the sums large (W. K. Newey, K. D. West,
+"A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix", Econometrica
+55, 1987). What is stated counts as some windows besides, and as few windows say little, the limits are those of
+Student's t.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MEMORY = 1.0 - 1 / 240  # of each block, when the next ends: two minutes
 PRIOR_WINDOWS, MIN_BLOCKS = 3.0, 2.9  # the oldest have faded
 ALIKE_FRAMES = 10.0  # that have about the same error, by what is stated
 MAX_ELEVATION_RAD = 0.3  # more is no axis of a corridor
-MIN_ROLL_STD = 0.02  # rad; with less, elevations tell nothing
+MIN_ROLL_STD = 0.02  # rad; with less, elevations show nothing
 SURE_SIGMA = 4.0  # were sigma known
 MAX_CAMERA_YAW_RAD = radians(3)
 

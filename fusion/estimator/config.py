@@ -1,4 +1,4 @@
-"""Everything that can be set, in one flat table; SI units and radians, as the names say.
+"""All settings of the estimator in one flat table; SI units and radians, with the unit in the name.
 
 A TOML file holds the same names: ``corridor_width_m = 2.2``. What is not named keeps its default.
 """
@@ -20,7 +20,7 @@ IMU_YAW_WALK_OVER_GYRO = 1.2
 
 
 class FusionConfig(Settings):
-    """Settings of the estimator; frozen, unknown names refused.
+    """Settings of the estimator; frozen, unknown names rejected.
 
     Densities are one-sided square roots of power spectral densities, as sensor files declare them.
     """
@@ -29,13 +29,15 @@ class FusionConfig(Settings):
         default=None,
         gt=0.2,
         le=100,
-        description="Width between the walls. Without it, a camera height or a range, offsets stay in half widths.",
+        description="Corridor width, wall to wall. If neither it, camera_height_m nor a range sensor is given, "
+        "offsets are in half widths.",
     )
     camera_height_m: float | None = Field(
         default=None,
         gt=0.01,
         le=100,
-        description="Height of the camera above the floor. Gives an unset width, before a range sensor does.",
+        description="Height of the camera above the floor. If corridor_width_m is not set, the width is computed "
+        "from this height; it has priority over a range sensor.",
     )
     camera_delay_s: float = Field(
         default=0.0, ge=0, le=5, description="Time stamps of the frames less mid-exposure."
@@ -78,7 +80,7 @@ class FusionConfig(Settings):
         default=0.01,
         ge=0,
         le=0.2,
-        description="Standard deviation of the gyroscope's relative scale error; 0.5 to 3 % in data sheets.",
+        description="Standard deviation of the gyroscope's relative scale error, unit 1; 0.5 to 3 % in data sheets.",
     )
     gyro_gap_s: float = Field(
         default=0.1,
@@ -143,17 +145,21 @@ class FusionConfig(Settings):
         "one estimated in flight.",
     )
     min_lines: int = Field(
-        default=4, ge=2, le=1000, description="Number of lines that must meet for a frame to be used."
+        default=4,
+        ge=2,
+        le=1000,
+        description="Number of lines that must meet for a frame to be used. Values below 4 have no effect on "
+        "pictures, which always need 4; they apply to measurements made elsewhere.",
     )
 
     velocity_std_m_s: float = Field(
         default=0.1,
         gt=0,
         le=50,
-        description="Standard deviation of the lateral velocity that the velocity stream does not explain.",
+        description="Standard deviation of the velocity stream's error across the corridor.",
     )
     lateral_velocity_time_s: float = Field(
-        default=1.0, gt=0, le=100, description="Correlation time of that lateral velocity."
+        default=1.0, gt=0, le=100, description="Correlation time of the velocity stream's error."
     )
     lateral_rate_hz: float | None = Field(
         default=None,
@@ -166,13 +172,15 @@ class FusionConfig(Settings):
         default=4.0,
         ge=1,
         le=100,
-        description="Gate of the lateral offset, in standard deviations of the innovation.",
+        description="Scales the lateral offset's test ratio: a ratio of 1 is this many standard deviations of the "
+        "innovation. Nothing is rejected.",
     )
     lateral_std_floor_norm: float = Field(
         default=0.005,
         gt=0,
         le=1,
-        description="Lower bound of a frame's offset standard deviation, in half widths.",
+        description="Lower bound of a frame's offset standard deviation, in half widths; only for measurements made "
+        "elsewhere that have no offset evidence.",
     )
     position_dead_band_norm: float = Field(
         default=0.1,
@@ -188,7 +196,7 @@ class FusionConfig(Settings):
         default=10,
         ge=3,
         le=40,
-        description="Number of agreeing rejected frames after which they are accepted.",
+        description="Number of consistent rejected frames after which the filter resets its heading to them.",
     )
     recovery_spread_rad: float = Field(
         default=radians(1.5), gt=0, le=0.5, description="Largest spread of frames that agree."
@@ -197,7 +205,8 @@ class FusionConfig(Settings):
         default=10.0,
         ge=0,
         le=60,
-        description="Time for which a new direction without a turn of the vehicle must last to be accepted.",
+        description="If the frames show a new direction although the vehicle did not turn: time for which they must "
+        "keep showing it before it is accepted.",
     )
     junction_min_turn_rad: float = Field(
         default=radians(20),

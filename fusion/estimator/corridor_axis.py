@@ -1,4 +1,4 @@
-"""Which axis the heading is measured from: takes frames' headings, corrects the filter, returns its state.
+"""The corridor's axis: updates the filter with the frames' headings, and decides when the axis is another one.
 
 Headings that the gate rejects are kept as votes for another axis, in the dead-reckoned frame, in which the axis of a
 corridor stays where it is however the vehicle turns; `fusion.estimator.junctions` decides what they mean.
@@ -31,7 +31,7 @@ VOTE_SPACING_S = 0.03
 GRADUAL_RAD = radians(6)  # what a vehicle turns between frames, if the gyroscope may be wrong
 LINK_SIGMA = 3.0
 SIDING_NATS = 4.0  # log-likelihood ratio from which the IMU's yaw sides with the gyroscope against frames
-REPEATING = 0.1  # probability from which on the IMU's yaw may repeat a leap of the gyroscope
+REPEATING = 0.1  # probability from which on the IMU's yaw may repeat a jump of the gyroscope
 MAX_ACCELERATION_RAD_S2 = radians(150)  # of the yaw of a vehicle that flies with a camera
 
 
@@ -184,7 +184,7 @@ class CorridorAxis(NamedTuple):
         return self.gate is not None and self.gate.accepted
 
     def lost(self) -> CorridorAxis:
-        """Let the next headings start anew."""
+        """Start again with the next headings."""
         return self._replace(
             acquired=False,
             votes=(),
@@ -193,11 +193,14 @@ class CorridorAxis(NamedTuple):
         )
 
     def clock_set_back(self) -> CorridorAxis:
-        """Start anew; corridors and counts stay."""
+        """Start again; corridors and counts are kept."""
         return self.lost()._replace(t_vision_ns=None, recent=(), previous=None)
 
     def with_turns_since(self, unmeasured_ns: int | None) -> CorridorAxis:
-        """Let go of headings from before a turn that was not measured: what they differ by tells nothing."""
+        """Drop headings from before a clipped turn.
+
+        The gyroscope did not measure it, so they cannot be compared with later ones.
+        """
         sights = self.diagnosis.sights
         if unmeasured_ns is None or not sights or sights[0].t_ns > unmeasured_ns:
             return self
@@ -248,7 +251,7 @@ class CorridorAxis(NamedTuple):
         t_ns, heading_rad, std_rad, accepted
             Of the frame, and whether the filter took it.
         reckoning
-            What carries the heading.
+            What propagates the heading.
         frame_interval_s
             Mean time between frames; NaN where unknown.
         yaw_std_rad
@@ -329,7 +332,7 @@ def start(
     config
         Settings.
     mode
-        What carries the heading.
+        What propagates the heading.
     """
     # A slow camera's frames are seconds apart, in which a gyroscope of unknown bias drifts.
     drift_rad_s = sqrt(float(ekf.P[BIAS, BIAS])) if mode is Mode.GYRO else 0.0
@@ -342,7 +345,7 @@ def start(
         _widen_heading(ekf, wrap_axis(heading - before), coupled)
     elif float(ekf.P[PSI, PSI]) < UNKNOWN_HEADING_STD_RAD**2:
         ekf.widen(PSI, UNKNOWN_HEADING_STD_RAD**2)
-    # Frames that a gyroscope of unknown bias has carried on to now.
+    # Frames that a gyroscope of unknown bias has propagated to now.
     age_s = found.age_s if mode is Mode.GYRO else 0.0
     carried = float(ekf.P[BIAS, BIAS]) * age_s**2 + config.gyro_noise**2 * age_s
     ekf.update(heading_model(ekf.x, heading, found.std**2 + carried))
@@ -355,7 +358,7 @@ def start(
 def recover(
     axis: CorridorAxis, ekf: CorridorEKF, found: Recovery, t_ns: int, theta_rad: float, coupled: bool
 ) -> CorridorAxis:
-    """Let the covariance admit the heading that the votes agree on, and take in their median.
+    """Widen the covariance for the heading that the votes agree on, and update with their median.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What an autopilot logs beside the estimate: takes a state, returns covariances and innovations with their names."""
+"""Covariance and innovations of the estimator, by name, as an autopilot logs them. Pure functions."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Covariance:
         Of the newest sample; None before any.
     names
         Of the states, in order; each ends with its unit (``norm``: half widths, positive right of the centre line).
-        ``heading_rad`` is unwrapped; ``gyro_bias_rad_s`` is the bias of what carries the heading: minus the rate
+        ``heading_rad`` is unwrapped; ``gyro_bias_rad_s`` is the bias of what propagates the heading: minus the rate
         itself where neither gyroscope nor attitude does. The last four, of the lateral offset, are the moments of the
         hypotheses about the likeliest, and stand there only while the offset is known.
     mean, matrix
@@ -56,7 +56,7 @@ class Covariance:
 
 @dataclass(frozen=True, slots=True)
 class Innovation:
-    """What a source measured last, minus what was expected, as judged by its gate.
+    """Last measurement of a source minus its prediction, with the result of its gate.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Innovation:
     test_ratio
         ``value**2 / (gate_sigma**2 * variance)``; above 1 it is beyond the gate.
     accepted
-        Whether it was taken in.
+        Whether it was used.
     """
 
     value: float = nan
@@ -76,7 +76,7 @@ class Innovation:
 
 @dataclass(frozen=True, slots=True)
 class Innovations:
-    """Last innovation of each source; NaN where a source has not spoken.
+    """Last innovation of each source; NaN for a source without a measurement so far.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Innovations:
     imu_yaw
         Of attitudes, rad.
     velocity
-        Across the corridor, m/s. Beyond the gate its variance is raised until it is at the rim; none is refused.
+        Across the corridor, m/s. Beyond the gate its variance is raised until it is at the rim; none is rejected.
 
     Ranges go through medians, and no filter: they have no innovation.
     """

@@ -1,4 +1,4 @@
-"""The filter: takes predictions and scalar updates, with compiled arithmetic.
+"""The extended Kalman filter: predictions and scalar updates, with compiled arithmetic.
 
 It has the attributes of `filterpy.kalman.ExtendedKalmanFilter` with their meaning: ``x``, ``P``, ``F``, ``Q``,
 ``x_prior``, ``P_prior``, ``x_post``, ``P_post``, ``K``, ``y``, ``S``, ``SI``, ``R``. The arithmetic is the same to
@@ -51,7 +51,7 @@ class CorridorEKF:
         self.F, self.Q = np.eye(N_STATES), np.eye(N_STATES)
         self.K, self.y = np.zeros((N_STATES, 1)), np.zeros(1)
         self.S, self.SI, self.R = np.eye(1), np.eye(1), np.eye(1)
-        self._Q = np.empty(_SQUARE)  # of the process model; written anew in each step, for nobody keeps it
+        self._Q = np.empty(_SQUARE)  # of the process model; written again in each step, for nobody keeps it
         _compile()
 
     def load(self, x: FloatArray, P: FloatArray) -> None:

@@ -148,10 +148,10 @@ class Engine:
         return s._replace(x=ekf.x, P=ekf.P, reckoning=reckoning, lateral=lateral)
 
     def process(self, state: State, sample: Sample, earlier: tuple[Sensed, Sensed] | None = None) -> Entry:
-        """Take the next sample.
+        """Process the next sample.
 
-        ``earlier`` is what was sensed before and behind it when it was taken before: what no late sample has changed
-        since, a frame's heading changes neither tilt nor gyroscope, is not computed again.
+        ``earlier``: tilt and gyroscope checks before and after this sample from its first processing. They do not
+        depend on frames, so a replay reuses them.
         """
         ekf, frame = self.ekf, None
         ekf.load(state.x, state.P)
@@ -175,9 +175,9 @@ class Engine:
         return Entry(sample.t_ns, sample, state, tuple(ekf.nodes), frame)
 
     def carry_on(self, s: State, entries: Sequence[Entry], before: Sensed) -> int:
-        """Put good gyroscope samples behind another state: as many of the first entries as are; return how many.
+        """Replay the leading run of valid gyroscope samples from another state; return its length.
 
-        ``before`` is what was sensed in front of them when they were taken before.
+        ``before``: tilt and gyroscope checks before the first of them, from their first processing.
         """
         d, checks = s.reckoning, s.checks
         same = s.tilt is before.tilt and checks.gyro is before.gyro
@@ -196,7 +196,10 @@ class Engine:
         return run.count
 
     def clock_set_back(self, s: State, t_ns: int) -> State:
-        """Go on after the samples' clock was set back: what was known is kept, how long ago it was is not."""
+        """Continue after the samples' clock was set back.
+
+        The estimates are kept; the ages of all samples are reset.
+        """
         if s.t_ns is None:
             return s
         ekf = self.ekf

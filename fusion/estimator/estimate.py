@@ -1,4 +1,4 @@
-"""What the estimator reports: takes a state and a time, returns an `Estimate`, changes nothing."""
+"""Makes an `Estimate` of a state and a time: status, reasons, faults. Pure functions."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 
 MAX_REFUSED_SHARE = 0.5  # of the last frames, beyond which they are rejected
 CONTESTED = {
-    Hypothesis.WELL: "contested: frames lie to one side of the prediction",
-    Hypothesis.GYRO: "contested: frames drift from the gyroscope",
-    Hypothesis.SPIKE: "contested: the gyroscope leapt",
-    Hypothesis.BEND: "contested: frames drift from the inertial sensors",
+    Hypothesis.WELL: "contested: the frames' headings are biased against the prediction",
+    Hypothesis.GYRO: "contested: frames drift against the gyroscope",
+    Hypothesis.SPIKE: "contested: the gyroscope jumped",
+    Hypothesis.BEND: "contested: frames drift against gyroscope and IMU yaw",
     Hypothesis.AXIS: "contested: frames show another axis",
     Hypothesis.STAMPS: "contested: frames show turns sooner or later than the gyroscope",
 }
@@ -50,8 +50,8 @@ class Status(StrEnum):
 
     INITIALISING = "initialising"  # no heading yet
     TRACKING = "tracking"  # recent frames confirm it
-    COASTING = "coasting"  # carried on by gyroscope or attitude alone
-    LOST = "lost"  # carried on for too long, or too uncertain
+    COASTING = "coasting"  # propagated by gyroscope or attitude alone
+    LOST = "lost"  # propagated for too long, or too uncertain
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,8 @@ class Estimate:
     gyro_age_s, attitude_age_s, lateral_age_s
         Time since the last sample of each, and since the last lateral offset used.
     heading_test_ratio, lateral_test_ratio, imu_yaw_test_ratio
-        Of the last innovation of each: squared over gate squared; above 1 rejected.
+        Last innovation of each, squared over gate squared. Heading and IMU yaw are rejected above 1; the lateral
+        offset never is: its ratio is only reported.
     lateral_velocity_norm_s, lateral_velocity_norm_s_std, lateral_velocity_m_s, lateral_velocity_std_m_s
         Rate of the lateral offset: from heading and speed, if there is a velocity stream, and from drift. In half
         widths per second, and in metres per second where the width is known.
@@ -153,13 +154,13 @@ class Estimate:
 
 
 class ArrivalTimes(Protocol):
-    """How samples arrive, where they do: `fusion.estimator.arrivals.Arrivals`. In a log they are simply there."""
+    """Latencies and clock checks of live samples: `fusion.estimator.arrivals.Arrivals`. Not used for logs."""
 
     def latency_ns(self, kind: type[Sample]) -> int:
-        """How far behind the IMU's clock a source's samples usually come."""
+        """Usual delay of a source's samples behind the IMU's clock, nanoseconds."""
 
     def notices(self) -> Iterator[Notice]:
-        """Say which clocks are off."""
+        """Report wrong clocks."""
 
 
 def status_of(
@@ -171,8 +172,7 @@ def status_of(
 ) -> Status:
     """Status at a time.
 
-    A source is silent, and frames are rejected, for as long as is known by now: samples that always come 0.3 s late
-    cannot be missed before.
+    The usual latency is allowed for: if frames always arrive 0.3 s late, they are not reported missing earlier.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def status_of(
     heading_std_rad
         Standard deviation of the heading.
     arrivals
-        How samples arrive; None for those of a log.
+        Latencies and clock checks of live samples; not used for logs.
     """
     axis = state.axis
     if not axis.ever_acquired:
@@ -208,7 +208,7 @@ def notices_of(
     heading_std_rad: float,
     arrivals: ArrivalTimes | None = None,
 ) -> list[Notice]:
-    """Say why the status is what it is; of sources that have fallen silent whatever it is. As for `status_of`."""
+    """Reasons for the status, and sources that have fallen silent, whatever it is. Arguments as in `status_of`."""
     axis, clocks = state.axis, [] if arrivals is None else list(arrivals.notices())
     status = status_of(state, config, t_ns, heading_std_rad, arrivals)
     if status is Status.INITIALISING:
@@ -236,7 +236,7 @@ def notices_of(
         notices.append(Notice(Fault.FRAMES_SILENT if silent else Fault.FRAMES_REJECTED, told))
     if (frozen := state.checks.repeats.notice()) is not None:
         notices = [n for n in notices if n.fault is not Fault.FRAMES_REJECTED] + [frozen]
-    if clocks:  # frames do arrive, with stamps of no use
+    if clocks:  # frames do arrive, with unusable stamps
         notices = [n for n in notices if n.text != "no frames arrive"] + clocks
     return [*notices, *_of_sensors(state, config, t_ns, arrivals)]
 
@@ -250,7 +250,7 @@ def _seen_ns(state: State, t_ns: int, arrivals: ArrivalTimes | None) -> int:
 def _of_sensors(
     state: State, config: FusionConfig, t_ns: int, arrivals: ArrivalTimes | None
 ) -> Iterator[Notice]:
-    """Say of each source but the camera whether it has fallen silent, and what was wrong with the gyroscope."""
+    """Yield the faults of all sources but the camera: silent sources, gyroscope, installation."""
 
     def due_ns(kind: type[Sample]) -> int:
         return t_ns if arrivals is None else t_ns - arrivals.latency_ns(kind)
@@ -348,7 +348,7 @@ def heading_of(state: State) -> tuple[float, float]:
 
 
 def _steps(resets: Resets) -> dict[str, Any]:
-    """Return the fields of an `Estimate` that tell of steps."""
+    """Return the fields of an `Estimate` that report steps."""
     return {
         "reset_count": resets.heading_count,
         "reset_heading_rad": resets.heading_rad,

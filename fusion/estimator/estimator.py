@@ -1,4 +1,4 @@
-"""The estimator that a vehicle's program calls once per sample; the offline path drives the same one."""
+"""The streaming estimator: a vehicle's program calls it once per sample, and so does the offline path."""
 
 from __future__ import annotations
 
@@ -68,6 +68,11 @@ class CorridorEstimator:
         ``geometric``, or ``paper`` for the article's measurement.
     on_final
         Called with each `fusion.estimator.state.Entry` that no late sample can change any more, in order of time.
+
+    Raises
+    ------
+    InputError
+        If the method is unknown, or ``camera`` is not a `vision.Camera`.
     """
 
     def __init__(
@@ -115,9 +120,20 @@ class CorridorEstimator:
         return self._engine.filterpy_ekf()
 
     def add(self, sample: Sample) -> Entry | None:
-        """Add a sample of any kind; return its outcome so far, or None where it is ignored and counted.
+        """Add a sample of any kind.
 
-        If measuring a frame raises an error, the caller gets it and the frame has no effect.
+        Its values are not checked as by the methods below, only whether the filter can use them. If measuring a frame
+        raises an error, the caller gets it and the frame has no effect.
+
+        Parameters
+        ----------
+        sample
+            For instance an `fusion.estimator.propagation.ImuSample`; each kind has ``t_ns``, integer nanoseconds.
+
+        Returns
+        -------
+        Entry or None
+            The outcome so far; None if the sample is held back or rejected, and counted.
         """
         if fault := sample.fault():
             self.counters[fault] += 1
@@ -158,14 +174,14 @@ class CorridorEstimator:
         return entry
 
     def _count_steps(self, before: State) -> None:
-        """Count what has moved the newest estimate in a jump."""
+        """Count a jump of the newest estimate."""
         after = self._timeline.state
         if after is not before:
             half_m = after.width.half_m(self.config)
             self._resets = self._resets.after(before, after, self._engine.offset_model(after), half_m)
 
     def _late(self, sample: Sample) -> Entry | None:
-        """Count a late sample; where nothing but late ones come, it is the clock that was set back."""
+        """Count a late sample; if only late ones arrive, the clock was set back."""
         self.counters[f"{SOURCES[type(sample)].name}_late"] += 1
         self._late_in_a_row += 1
         if self._late_in_a_row < CLOCK_RESET_SAMPLES:
@@ -183,10 +199,23 @@ class CorridorEstimator:
             self._lag.clear()
 
     def add_imu(self, t_ns: int, gyro: npt.ArrayLike, accel: npt.ArrayLike | None = None) -> None:
-        """Add a gyroscope sample (3,) rad/s and, where there is one, accelerometer (3,) m/s^2, body FRD.
+        """Add a sample of the gyroscope and, if there is one, of the accelerometer.
 
-        This and the methods below raise `InputError` where a time is not an integer of nanoseconds, or a value has
-        another shape. Values that are not numbers, or that no vehicle can reach, are counted and ignored.
+        Values that are not finite, or that no vehicle can reach, are counted and ignored.
+
+        Parameters
+        ----------
+        t_ns
+            Time, integer nanoseconds.
+        gyro
+            Angular rate (3,), rad/s, body FRD.
+        accel
+            Specific force (3,), m/s^2, body FRD: (0, 0, -9.81) level and at rest. None without an accelerometer.
+
+        Raises
+        ------
+        InputError
+            If the time is not an integer of nanoseconds, or a value does not consist of three numbers.
         """
         force = None
         if accel is not None:
@@ -196,37 +225,82 @@ class CorridorEstimator:
         self.add(new_record(ImuSample, (whole_nanoseconds(t_ns), vector(gyro, "gyro"), force)))
 
     def add_attitude(self, t_ns: int, q_world_body: npt.ArrayLike) -> None:
-        """Add an attitude (4,), unit quaternion w, x, y, z, body FRD to a world whose z points down."""
-        w, x, y, z = finite_or_not(q_world_body, 4, "q_world_body")
-        self.add(AttitudeSample(whole_nanoseconds(t_ns), (w, x, y, z)))
+        """Add an attitude of the vehicle's own filter; one that is not a unit quaternion is counted and ignored.
 
-    def add_velocity(self, t_ns: int, v_body: npt.ArrayLike) -> None:
-        """Add a velocity (3,) m/s in body FRD, for instance from optical flow or wheels."""
-        self.add(VelocitySample(whole_nanoseconds(t_ns), vector(v_body, "v_body")))
-
-    def add_range(self, t_ns: int, distance_m: float) -> None:
-        """Add a distance to the floor, metres along the body's z, as seen from the camera's place.
-
-        With the width per height that frames see it gives the corridor's width, and so offsets in metres, where the
-        configuration tells neither the width nor the camera's height.
-        """
-        self.add(RangeSample(whole_nanoseconds(t_ns), number(distance_m, "distance_m")))
-
-    def add_frame(self, t_ns: int, image: npt.NDArray[Any]) -> FrameResult:
-        """Add a picture: grey (h, w), BGR or BGRA, uint8 or uint16. A picture of no use is counted as unreadable.
-
-        Why it is of no use (another size than the camera's, floats) is the result's ``cause``, and stands in the
-        estimate's ``reason`` until a frame can be read again.
-
-        Returns
-        -------
-        FrameResult
-            What became of it for now; a sample that comes late may still change it.
+        Parameters
+        ----------
+        t_ns
+            Time, integer nanoseconds.
+        q_world_body
+            Unit quaternion (4,) w, x, y, z, from body FRD to a world whose z points down.
 
         Raises
         ------
         InputError
-            Where the estimator has no camera.
+            If the time is not an integer of nanoseconds, or the quaternion does not consist of four numbers.
+        """
+        w, x, y, z = finite_or_not(q_world_body, 4, "q_world_body")
+        self.add(AttitudeSample(whole_nanoseconds(t_ns), (w, x, y, z)))
+
+    def add_velocity(self, t_ns: int, v_body: npt.ArrayLike) -> None:
+        """Add a velocity, for instance from optical flow or wheels; one that is not finite is counted and ignored.
+
+        Parameters
+        ----------
+        t_ns
+            Time, integer nanoseconds.
+        v_body
+            Velocity (3,), m/s, body FRD.
+
+        Raises
+        ------
+        InputError
+            If the time is not an integer of nanoseconds, or the velocity does not consist of three numbers.
+        """
+        self.add(VelocitySample(whole_nanoseconds(t_ns), vector(v_body, "v_body")))
+
+    def add_range(self, t_ns: int, distance_m: float) -> None:
+        """Add a distance to the floor; one that is not positive is counted and ignored.
+
+        With the width per height that frames measure it gives the corridor's width, and so offsets in metres, if the
+        configuration sets neither the width nor the camera's height.
+
+        Parameters
+        ----------
+        t_ns
+            Time, integer nanoseconds.
+        distance_m
+            Distance along the body's z axis (down), metres, from the camera's position.
+
+        Raises
+        ------
+        InputError
+            If the time is not an integer of nanoseconds, or the distance is not a number.
+        """
+        self.add(RangeSample(whole_nanoseconds(t_ns), number(distance_m, "distance_m")))
+
+    def add_frame(self, t_ns: int, image: npt.NDArray[Any]) -> FrameResult:
+        """Add a picture. An unusable picture is counted as unreadable.
+
+        Why it is unusable (another size than the camera's, floats) is the result's ``cause``, and is part of the
+        estimate's ``reason`` until a frame can be read again.
+
+        Parameters
+        ----------
+        t_ns
+            Time stamp, integer nanoseconds: mid-exposure, or later than that by ``config.camera_delay_s``.
+        image
+            Grey (h, w), BGR (h, w, 3) or BGRA (h, w, 4), uint8 or uint16.
+
+        Returns
+        -------
+        FrameResult
+            The outcome for now; a late sample may still change it.
+
+        Raises
+        ------
+        InputError
+            If the estimator has no camera, or the time is not an integer of nanoseconds.
         """
         camera = self._camera()
         try:
@@ -236,13 +310,49 @@ class CorridorEstimator:
         return self.add_features(t_ns, features)
 
     def add_features(self, t_ns: int, features: Features) -> FrameResult:
-        """Add what `fusion.estimator.frame_update.extract_features` returned, for instance in another thread."""
+        """Add what `fusion.estimator.frame_update.extract_features` returned, for instance in another thread.
+
+        Parameters
+        ----------
+        t_ns
+            As for `add_frame`.
+        features
+            A `vision.lines.line_set.LineSet` or a `FrameMeasurement`.
+
+        Returns
+        -------
+        FrameResult
+            As for `add_frame`.
+
+        Raises
+        ------
+        InputError
+            As for `add_lines` or `add_measurement`.
+        """
         if isinstance(features, FrameMeasurement):
             return self.add_measurement(t_ns, features)
         return self.add_lines(t_ns, features)
 
     def add_lines(self, t_ns: int, lines: LineSet) -> FrameResult:
-        """Add a picture whose lines were extracted elsewhere, for instance in another thread."""
+        """Add a picture whose lines were extracted elsewhere, for instance in another thread.
+
+        Parameters
+        ----------
+        t_ns
+            As for `add_frame`.
+        lines
+            Result of `vision.extract_lines` with the estimator's camera.
+
+        Returns
+        -------
+        FrameResult
+            As for `add_frame`.
+
+        Raises
+        ------
+        InputError
+            If the estimator has no camera, or the time is not an integer of nanoseconds.
+        """
         from vision import measure_lines
 
         camera = self._camera()
@@ -255,15 +365,50 @@ class CorridorEstimator:
     def add_measurement(self, t_ns: int, measurement: FrameMeasurement) -> FrameResult:
         """Add a frame that was measured elsewhere.
 
-        A field that no camera in a corridor can show (an offset of three half widths, an elevation of 30 degrees) is
-        counted, ``frame_offset_out_of_range`` for instance, and taken for not measured.
+        A field with an impossible value (an offset of more than three half widths, an elevation of 30 degrees) is
+        counted, ``frame_offset_out_of_range`` for instance, and treated as not measured.
+
+        Parameters
+        ----------
+        t_ns
+            As for `add_frame`.
+        measurement
+            The measurement; its arrays of offset evidence and wall profiles are copied.
+
+        Returns
+        -------
+        FrameResult
+            As for `add_frame`.
+
+        Raises
+        ------
+        InputError
+            If the time is not an integer of nanoseconds.
         """
         measurement, refused = within_bounds(measurement)
         self.counters.update(refused)
         return self._add_frame(t_ns, measurement)
 
     def add_unreadable_frame(self, t_ns: int, cause: str = "") -> FrameResult:
-        """Add a frame of which there is no picture, and why, so that it is counted and its age is known."""
+        """Add a frame without a picture, so that it is counted.
+
+        Parameters
+        ----------
+        t_ns
+            As for `add_frame`.
+        cause
+            Why there is no picture; part of the estimate's ``reason`` until a frame can be read again.
+
+        Returns
+        -------
+        FrameResult
+            Not accepted, with ``cause``.
+
+        Raises
+        ------
+        InputError
+            If the time is not an integer of nanoseconds.
+        """
         self.last_frame = replace(self._add_frame(t_ns, None), cause=cause)
         return self.last_frame
 
@@ -283,16 +428,16 @@ class CorridorEstimator:
         Parameters
         ----------
         t_ns
-            Time; not older than the buffer.
+            Time, integer nanoseconds; within ``config.buffer_s`` of the newest sample.
         heading_rad, heading_std_rad
-            Heading from the corridor's axis, positive turned right, and its standard deviation.
+            Heading from the corridor's axis, radians, positive turned right, and its standard deviation.
         corridor_width_m
-            Width of the corridor from then on, where it is told too; None leaves it as it is.
+            Width of the corridor from then on, metres; None leaves it as it is.
 
         Raises
         ------
         InputError
-            Where a value cannot be, or the time is beyond the buffer or already taken by a seed.
+            If a value is impossible, or the time is beyond the buffer or already has a seed.
         """
         samples: list[Sample] = [HeadingSeed.told(t_ns, heading_rad, heading_std_rad)]
         if corridor_width_m is not None:
@@ -308,7 +453,7 @@ class CorridorEstimator:
         Parameters
         ----------
         t_ns
-            Time; not older than the buffer.
+            Time, integer nanoseconds; within ``config.buffer_s`` of the newest sample.
         width_m
             0.2 to 100 m, or None.
 
@@ -320,7 +465,7 @@ class CorridorEstimator:
         self._tell([WidthChange.told(t_ns, width_m)])
 
     def _tell(self, samples: list[Sample]) -> None:
-        """Take what the program tells; the arrivals' clocks have nothing to do with it."""
+        """Insert samples that the caller sets; they are not checked against the sensors' clocks."""
         t_ns, newest_ns, buffer_ns = samples[0].t_ns, self._timeline.newest_ns, self._timeline.buffer_ns
         if newest_ns is not None and abs(t_ns - newest_ns) > buffer_ns:
             raise InputError(
@@ -355,19 +500,26 @@ class CorridorEstimator:
         Parameters
         ----------
         now_ns
-            The caller's clock, ns: status and ages are those of this time, so that a source that has fallen silent
-            since the newest sample shows. ``timestamp_ns`` stays the newest sample's, or that of ``at_ns``. One that
-            lies more than 1 s before the newest sample is of another clock or unit: ``reason`` says so.
+            The present time by the sensors' clock, integer nanoseconds: status and ages then also show sources that
+            have fallen silent since the newest sample. None: the time of the newest sample. ``timestamp_ns`` stays
+            that of the newest sample, or of ``at_ns``. If it lies more than 1 s before the newest sample, it is of
+            another clock or unit, and ``reason`` says so.
         at_ns
-            Time to predict to, for instance when the actuators will act: the heading turns on with the last rate, the
-            lateral offset moves on with its own, and sigmas grow by the process noise and by what the rate may have
-            changed since it was measured. A time before the newest sample gives that sample's estimate. At most 0.5 s
-            ahead: beyond, ``timestamp_ns`` and ``reason`` say so. Status and ages stay those of ``now_ns``.
+            Time to predict to, integer nanoseconds, for instance when the actuators will act: heading and lateral
+            offset are propagated with their last rates, and sigmas grow by the process noise and by the possible
+            change of the rate since it was measured. A time before the newest sample gives that sample's estimate.
+            The prediction ends 0.5 s ahead; ``timestamp_ns`` and ``reason`` then show it. Status and ages remain
+            those of ``now_ns``.
+
+        Returns
+        -------
+        Estimate
+            Radians, metres and seconds; unknown numbers are NaN.
 
         Raises
         ------
         InputError
-            Where a time is not a whole number of nanoseconds.
+            If a time is not an integer of nanoseconds.
         """
         state = self._timeline.state
         judged_ns = None if now_ns is None else whole_nanoseconds(now_ns)
@@ -401,13 +553,28 @@ class CorridorEstimator:
         return replace(e, timestamp_ns=end_ns, status=newest.status, reason=reason, faults=newest.faults)
 
     def covariance(self) -> Covariance:
-        """Mean and covariance of all states with their names, at the newest sample."""
+        """Mean and covariance of all states, at the newest sample.
+
+        Returns
+        -------
+        Covariance
+            Names, mean (n,) and matrix (n, n) in one order: ``heading_rad``, ``gyro_bias_rad_s`` and
+            ``imu_yaw_offset_rad``, then, while the lateral offset is known, the four states of its filter. Each name
+            ends with its unit. See `fusion.estimator.diagnostics.Covariance`.
+        """
         state = self._timeline.state
         model = self._engine.offset_model(state)
         return covariance_of(state, model, reliable(state.lateral, model).known)
 
     def innovations(self) -> Innovations:
-        """Return the last innovation of each source with its variance and test ratio, as PX4's EKF2 logs them."""
+        """Last innovation of each source with its variance and test ratio, as PX4's EKF2 logs them.
+
+        Returns
+        -------
+        Innovations
+            Frames' heading and IMU yaw in rad, lateral offset in half widths, velocity across the corridor in m/s;
+            NaN for a source without a measurement so far. See `fusion.estimator.diagnostics.Innovations`.
+        """
         return innovations_of(self._timeline.state)
 
     def smoothed(self) -> Estimate:
@@ -467,9 +634,9 @@ class CorridorEstimator:
         return self.last_frame
 
     def _weigh_stamps(self, entry: Entry, m: FrameMeasurement | None) -> None:
-        """Ask a frame whether the camera's clock has moved, or frames only take another time to arrive.
+        """Decide by a frame whether the camera's clock has moved, or only the transport delay of the frames.
 
-        A clock that has moved is taken off the stamps from then on.
+        A clock's step is subtracted from the stamps from then on.
         """
         stamps = self._arrivals.frames
         before = self._timeline.at(entry.t_ns - round(stamps.shift_s * 1e9))
@@ -482,7 +649,7 @@ class CorridorEstimator:
 
 
 def _check_camera(camera: object) -> None:
-    """Raise `InputError` for what is no camera, such as the path of its calibration."""
+    """Raise `InputError` for anything but a camera, such as the path of its calibration."""
     from vision import Camera
 
     if not isinstance(camera, Camera):

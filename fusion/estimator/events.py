@@ -1,4 +1,4 @@
-"""What happened in flight, with times and numbers: frames rejected, steps, other corridors, changes of status.
+"""Events of a flight, with times and numbers: rejected frames, jumps, other corridors, changes of status.
 
 Events are found between entries that have left the buffer, which no late sample can change any more: they are those
 of the sorted log, and come ``config.buffer_s`` after the fact. A program that acts at once reads the `Estimate`.

@@ -1,4 +1,4 @@
-"""What is amiss, for people and for programs: a sentence and a bit for each thing that the estimator can tell of."""
+"""Faults that the estimator reports: a bit for programs and a sentence for people."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ class Fault(IntFlag):
     """
 
     NONE = 0
-    GYRO_SILENT = 1 << 0  # no sample for gyro_gap_s: attitude or a constant rate carries the heading
-    ATTITUDE_SILENT = 1 << 1
+    GYRO_SILENT = 1 << 0  # no sample for gyro_gap_s: the heading is propagated by attitude or a constant rate
+    ATTITUDE_SILENT = 1 << 1  # no attitude sample any more
     FRAMES_SILENT = 1 << 2  # no frame arrives
-    VELOCITY_SILENT = 1 << 3
-    RANGE_SILENT = 1 << 4
+    VELOCITY_SILENT = 1 << 3  # no velocity sample any more
+    RANGE_SILENT = 1 << 4  # no range sample any more
     FRAMES_REJECTED = 1 << 5  # frames arrive, but none is used
     NO_LATERAL_OFFSET = 1 << 6  # frames are used, but show no lateral offset
     HEADING_UNCERTAIN = 1 << 7  # sigma beyond lost_heading_std_rad
@@ -26,24 +26,24 @@ class Fault(IntFlag):
     ATTITUDE_CLOCK = 1 << 10  # attitudes are stamped ahead of the IMU, or too far behind
     IMU_CLOCK = 1 << 11  # IMU samples come too far behind the other sources, or not in nanoseconds
     OTHER_CLOCK = 1 << 12  # velocities or ranges are stamped ahead of the IMU, or too far behind
-    GYRO_OUT_OF_RANGE = 1 << 13  # beyond gyro_range_rad_s: refused
+    GYRO_OUT_OF_RANGE = 1 << 13  # beyond gyro_range_rad_s: rejected
     GYRO_SPIKES = 1 << 14  # jumps that no vehicle makes: held back
     GYRO_CLIPPED = 1 << 15  # at the end of its range: used, with a larger variance
-    GYRO_FROZEN = 1 << 16  # the same sample again and again: refused
+    GYRO_FROZEN = 1 << 16  # the same sample again and again: rejected
     CAMERA_FROZEN = 1 << 17  # the same picture again and again: not used
     GYRO_SIGN = 1 << 18  # turns the other way than the camera sees
     GYRO_SCALE = 1 << 19  # turns far more than the camera sees
     GYRO_BIAS = 1 << 20  # far from zero at rest
     FOCAL_LENGTH = 1 << 21  # the camera sees more, or less, of each turn than the gyroscope
     TILT_WRONG = 1 << 22  # attitude or accelerometer do not point where gravity does
-    HEADING_CONTESTED = 1 << 23  # frames and prediction part, and it is not settled who is wrong
-    CAMERA_YAW = (
-        1 << 24
-    )  # rolling moves what the camera sees up and down: it points to one side of what is told
+    HEADING_CONTESTED = 1 << 23  # frames and prediction disagree; which is wrong is undecided
+    # The axis moves up and down as the vehicle rolls: the camera's yaw or principal point differs from the
+    # calibration.
+    CAMERA_YAW = 1 << 24
 
 
 class Notice(NamedTuple):
-    """One thing that is amiss: its bit, and a sentence for people."""
+    """One fault: its bit, and a sentence for people."""
 
     fault: Fault
     text: str

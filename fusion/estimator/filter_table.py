@@ -1,4 +1,4 @@
-"""The filter's table: takes states in order of time, returns the rows that report them.
+"""Makes the filter's table from states in order of time.
 
 The numbers are those of `fusion.estimator.estimate.estimate_of`. A flight has millions of rows, so they are computed
 many at a time, those between two frames together.

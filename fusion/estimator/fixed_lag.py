@@ -1,4 +1,4 @@
-"""The smoother in flight: takes entries that leave the buffer, returns the estimate of a moment ago as known now."""
+"""Fixed-lag smoother in flight: smooths the estimate of a moment ago with all samples since."""
 
 from __future__ import annotations
 

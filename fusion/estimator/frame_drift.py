@@ -1,4 +1,4 @@
-"""How frames have drifted from gyroscope and IMU yaw: lines fitted to the differences over spans up to now.
+"""Drift of the frames against gyroscope and IMU yaw: lines fitted to the differences over spans up to now.
 
 `fusion.estimator.hypotheses` judges by them who is wrong.
 """
@@ -28,7 +28,7 @@ WALKED_END = 2 / 15  # variance of the end of a line fitted to such a walk
 
 
 class Sight(NamedTuple):
-    """A frame's heading and its sigma beside what gyroscope (bias not taken off) and IMU yaw (or NaN) then said.
+    """A frame's heading and its sigma beside what gyroscope (bias not subtracted) and IMU yaw (or NaN) then said.
 
     ``linked``: no jump of the picture lies between it and the frames that the filter used. ``walk``: how its errors
     wander, rad/sqrt(s), where they last for longer than a frame. ``bias_rad_s``: the gyroscope's bias as it was then
@@ -81,7 +81,7 @@ class Evidence(NamedTuple):
     jumped
         Whether the frames themselves jumped, by more than the gyroscope turned meanwhile.
     refused
-        Whether frames were refused lately: a gyroscope that leapt by less has done no harm.
+        Whether frames were rejected lately: a gyroscope that jumped by less has done no harm.
     yaw_doubt
         Prior probabilities of what ails the IMU's yaw.
     """
@@ -98,7 +98,7 @@ class Evidence(NamedTuple):
 
 
 def with_sight(sights: tuple[Sight, ...], new: Sight, spacing_ns: int) -> tuple[Sight, ...]:
-    """Append a frame unless it follows the last too closely; let go of what is older than the span."""
+    """Append a frame unless it follows the last too closely; drop what is older than the span."""
     if sights and new.t_ns - sights[-1].t_ns < spacing_ns:
         return sights
     first = next((i for i, s in enumerate(sights) if new.t_ns - s.t_ns <= SPAN_NS), len(sights))
@@ -106,7 +106,7 @@ def with_sight(sights: tuple[Sight, ...], new: Sight, spacing_ns: int) -> tuple[
 
 
 def unseen_leap(sights: tuple[Sight, ...], new: Sight, bias_rad_s: float) -> float:
-    """Return by how much the gyroscope leapt since the last frame, rad; 0 where it did not, or nothing shows it.
+    """Return the size of a jump of the gyroscope since the last frame, rad; 0 without one, or if nothing shows it.
 
     A frame cannot tell one end of the corridor from the other. An IMU yaw may jump where the gyroscope does not
     (steel, a reset), but not stand still while the vehicle turns: of the two, the one that turned less is right.
@@ -164,7 +164,7 @@ def slope_of(
     at_now = np.array((1.0, 0.0, turn_now))
     now_variance = float(at_now @ cov @ at_now) + WALKED_END * (walk**2 + gyro_walk**2) * span_s
     found = Slope(rate, rate_std, now + stamp_s * turn_now, sqrt(now_variance), misfit, len(t_s))
-    known = 1.0 / c_variance - TIME_STD_S**-2  # what the differences alone tell of it
+    known = 1.0 / c_variance - TIME_STD_S**-2  # what the differences alone show of it
     if not known > 0.0:
         return found
     wander = WANDER_LIKE_TURN * (walk**2 + gyro_walk**2) * span_s  # it looks in part like a turn seen late
@@ -274,7 +274,7 @@ class Drift:
             return known
         # The slope of a line that is fitted to n white errors over a span T has variance 12 sigma^2 / (n T^2).
         white = 12.0 * noise.yaw_std**2 / (n * span_s**2)
-        leaping = max(yaw.rate_std**2 - gyro.rate_std**2, 0.0)  # a yaw that leaps drifts at no constant rate
+        leaping = max(yaw.rate_std**2 - gyro.rate_std**2, 0.0)  # a yaw that jumps drifts at no constant rate
         yaw_variance = walked_rate_variance(noise.yaw_walk, span_s) + white + leaping
         return known._replace(yaw=yaw, yaw_variance=yaw_variance)
 

@@ -1,15 +1,15 @@
-"""How noisy the frames' headings are, by how they scatter about the gyroscope's: takes headings, returns noise.
+"""Noise of the frames' headings, estimated from their differences to the gyroscope's.
 
 The variance of the difference of two headings, less what the vehicle turned between them, grows with the time l
 between them as s (R1 + R2) (1 - exp(-l / tau)) + q^2 l: s is the variance of the frames' errors over what the frames
-state, tau the time over which errors resemble each other, q the gyroscope's noise: a structure function, kin to the
-Allan variance. Innovations of successive frames show only the product of s and 1 - exp(-l / tau): frames whose errors
-last would pass for better ones than they say.
+state, tau their correlation time, q the gyroscope's noise density: a structure function, related to the Allan
+variance. Innovations of successive frames show only the product of s and 1 - exp(-l / tau): frames with correlated
+errors would seem better than they are.
 
-How differences grow with l also tells a gyroscope that is noisier than the settings say (vibration, a log with one in
-so many of its samples) from frames that are worse than they say.
+The growth with l also separates a gyroscope that is noisier than its setting (vibration, a log with only some of its
+samples) from frames that are worse than their stated sigma.
 
-A gyroscope that is wrong turns by little from one frame to the next, so that its fault is not taken for noise.
+A gyroscope with a fault turns by little from one frame to the next, so that the fault is not taken for noise.
 """
 
 from __future__ import annotations

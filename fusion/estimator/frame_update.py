@@ -61,13 +61,14 @@ class FrameResult:
     Parameters
     ----------
     timestamp_ns
-        As stamped, before the camera's delay is taken off.
+        Time stamp, nanoseconds, before the camera's delay is subtracted.
     measurement
-        What vision found; None where there was no picture.
+        The frame's measurement; None if there was no picture.
     accepted, reason
         Whether the filter used its heading.
     innovation_rad, test_ratio
-        Heading minus prediction, and its square over gate squared; NaN where it was not judged.
+        Heading of the frame minus its prediction, radians, positive right; its square over gate squared, unit 1. NaN
+        where it was not compared.
     cause
         Why a picture is unreadable, where that is known; else empty.
     """

@@ -1,4 +1,4 @@
-"""Whether a gyroscope sample can be true: takes them one by one, says which to use, changes nothing else.
+"""Checks of single gyroscope samples: range, spikes, clipping and repeated values.
 
 - Beyond the sensor's range it is refused.
 - One that leaps further than a vehicle can accelerate is held back until those behind it agree with it: a spike lasts
@@ -25,7 +25,7 @@ MAX_ANGULAR_ACCELERATION_RAD_S2 = 300.0  # about what small racing multirotors r
 MAX_ACCELERATED_S = 0.03  # however long ago the last sample that was used: no vehicle does so for longer
 MIN_LEAP_RAD_S = 3.0  # from sample to sample; vibration makes smaller ones
 LEAP_SIGMA = 8.0  # of the gyroscope's noise
-CONFIRMED_SAMPLES, CONFIRMED_NS = 3, 20_000_000  # that agree, before a leap is believed
+CONFIRMED_SAMPLES, CONFIRMED_NS = 3, 20_000_000  # that agree, before a jump is accepted
 CLIPPED_SHARE = 0.98  # of the range, from which on a sample is taken for clipped
 CLIPPED_REPEATS = 2  # of one fast axis while another changes: clipped at a range that is not configured
 MIN_CLIPPED_RAD_S = 1.0
@@ -117,7 +117,7 @@ class GyroCheck(NamedTuple):
         return self.told_ns if self.told is GyroVerdict.CLIPPED else None
 
     def clock_set_back(self) -> GyroCheck:
-        """Start anew, but for what is known of the noise."""
+        """Start again; the estimated noise is kept."""
         return GyroCheck(noisy=self.noisy)
 
     def notice(self, t_ns: int) -> Notice | None:

@@ -1,4 +1,4 @@
-"""A run of gyroscope samples that only carry the state on, processed again in one compiled call.
+"""A run of gyroscope samples that only propagate the state, replayed in one compiled call.
 
 A late frame changes what was known when the samples behind it were taken: heading, its covariance, and the lateral
 offset. It changes neither the tilt nor what was found of the gyroscope. So most samples are replayed by a few numbers

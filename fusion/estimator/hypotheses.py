@@ -1,4 +1,4 @@
-"""Who is wrong, where frames and prediction part? Takes what the sources say, returns probabilities; changes nothing.
+"""Fault isolation: probabilities of what is wrong when frames and prediction disagree. A pure function.
 
 Innovations of a filter whose model holds are white with mean zero (R. K. Mehra, "On the identification of variances
 and adaptive Kalman filtering", IEEE Transactions on Automatic Control 15, 1970). Their signed mean, over half a
@@ -10,7 +10,7 @@ hypothesis         frames - gyroscope     frames - IMU yaw       frames themselv
 =================  =====================  =====================  ==================
 all well           none                   none                   follow the turn
 gyroscope wrong    drifts                 none                   follow the turn
-gyroscope spikes   leaps                  none                   follow the turn
+gyroscope spikes   jumps                  none                   follow the turn
 corridor bends     drifts                 drifts likewise        follow the bend
 another axis       jumps                  jumps                  jump
 stamps wrong       like the turn's rate   likewise               follow the turn
@@ -20,7 +20,8 @@ Three sources, two differences: each hypothesis says which source drifts, and wi
 correlate. The frames' own errors are in both. An IMU yaw made from the same gyroscope repeats its errors, so that it
 agrees with it is weaker evidence than that it does not. Frames that drift away by themselves look like a bend.
 
-What is less likely than not is not followed, but told all the same: a word costs less than a wrong turn.
+A hypothesis is reported from 5 % on and acted on when it is the most probable one: a false warning costs less than
+a wrong correction.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ SHORT_S, LONG_S = 0.25, 1.5  # time constants of means over about 0.5 and 3 s
 CLIPPED_SIGMA = 4.0  # a gross error must not make a mean
 SYSTEMATIC_SIGMA = 4.0  # of a mean: worth a look at the slopes, which decide
 CONTESTED_SIGMA = 5.5  # of a mean: worth a word, whatever the slopes say
-DOUBTED, STILL_DOUBTED = 0.05, 0.02  # probability of a fault from which on it is told, and goes on to be
+DOUBTED, STILL_DOUBTED = 0.05, 0.02  # probability from which a fault is reported, and remains reported
 CONTESTED_S = 1.0  # from the last frame that contested
 DRIFT_STD_RAD_S = radians(10.0)  # of a gyroscope that is wrong, and of a corridor that bends
 STAMP_STD_S, WRONG_STAMP_STD_S = 0.005, 0.05  # of stamps that are well, and of wrong ones
@@ -69,7 +70,7 @@ class Innovations(NamedTuple):
     long_variance: float = 0.0
 
     def with_innovation(self, normalised: float, interval_s: float, rho: float) -> Innovations:
-        """Take in an innovation over its standard deviation; ``rho`` is the correlation with the one before."""
+        """Add an innovation over its standard deviation; ``rho`` is the correlation with the one before."""
         z = min(max(normalised, -CLIPPED_SIGMA), CLIPPED_SIGMA)
         unit = (1.0 + rho) / (1.0 - rho)  # variance of a sum of correlated terms, each of variance one
 
@@ -105,7 +106,7 @@ class Innovations(NamedTuple):
 class Verdict(NamedTuple):
     """Probabilities of the hypotheses, in the order of `Hypothesis`; they add up to one.
 
-    ``yaw_astray`` is the probability that the IMU's yaw is, whoever else is wrong; NaN where there is none.
+    ``yaw_astray`` is the probability that the IMU's yaw is disturbed, whatever else is wrong; NaN without one.
     """
 
     probabilities: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -117,7 +118,7 @@ class Verdict(NamedTuple):
         return tuple(Hypothesis)[int(np.argmax(self.probabilities))]
 
     def doubt(self, told: bool) -> Hypothesis:
-        """Return what is most probably wrong, where that is to be told, or still is; else `Hypothesis.WELL`."""
+        """Return the most probable fault, if it is to be reported, or still is; else `Hypothesis.WELL`."""
         if self.of(Hypothesis.WELL) > 1.0 - (STILL_DOUBTED if told else DOUBTED):
             return Hypothesis.WELL
         return tuple(Hypothesis)[1 + int(np.argmax(self.probabilities[1:]))]
@@ -128,14 +129,14 @@ class Verdict(NamedTuple):
 
 
 class Told(NamedTuple):
-    """Who was found wrong, and when last."""
+    """The fault that was found, and when last."""
 
     hypothesis: Hypothesis
     t_ns: int
 
 
 class Diagnosis(NamedTuple):
-    """What the frames have shown against the prediction, and who is wrong by that.
+    """Evidence of the frames against the prediction, and the fault that follows from it.
 
     Parameters
     ----------
@@ -144,16 +145,16 @@ class Diagnosis(NamedTuple):
     refused_share
         Share of the frames of the last half second that were not used.
     judged_ns, found, verdict
-        When it was asked last who is wrong, what was found, and the probabilities if that was with the last frame.
+        Time of the last judgement, its result, and the probabilities if it was made with the last frame.
     told
-        Who was found wrong last, and when.
+        The fault reported last, and when.
     leap_rad
-        By how much the gyroscope leapt while no frame came; 0 where it did not.
+        Size of a jump of the gyroscope while no frame came; 0 without one.
     straight_bias_rad_s
         The gyroscope's bias from before frames began to drift from gyroscope and attitude; the filter's own takes up
         the bend's rate meanwhile. NaN while there is no bend.
     yaw_doubt
-        What ails the IMU's yaw.
+        Doubts about the IMU's yaw: disturbed, or repeating the gyroscope.
     """
 
     innovations: Innovations = Innovations()
@@ -168,15 +169,15 @@ class Diagnosis(NamedTuple):
     yaw_doubt: YawDoubt = YawDoubt()
 
     def stepped(self) -> Diagnosis:
-        """Let go of evidence that is relative to a heading that has jumped since."""
+        """Drop evidence that is relative to a heading that has jumped since."""
         return self._replace(innovations=Innovations(), sights=(), refused_share=0.0, found=Hypothesis.WELL)
 
     def started_anew(self) -> Diagnosis:
-        """Keep nothing but what has been told."""
+        """Keep only what has been reported, and the doubts about the IMU's yaw."""
         return Diagnosis(told=self.told, yaw_doubt=self.yaw_doubt)
 
     def with_verdict(self, t_ns: int, verdict: Verdict, look_due: bool) -> Diagnosis:
-        """Take in who is wrong; ``look_due`` where the question was not asked for its answer."""
+        """Store a verdict; ``look_due`` if it was due by time, not asked for by an innovation."""
         yaw_doubt = self.yaw_doubt
         if look_due and isfinite(verdict.yaw_astray):
             yaw_doubt = yaw_doubt.with_look(verdict.yaw_astray)
@@ -213,7 +214,7 @@ def _log_density(evidence: Evidence, drifts: _Drifts) -> float:
 
 
 def _log_density_of_leap(evidence: Evidence, drifts: _Drifts) -> float:
-    """Return the same where the gyroscope's rate may be any."""
+    """Return the same for a gyroscope whose rate may be any."""
     leap = -log(2.0 * MAX_RATE_RAD_S)
     if evidence.gyro is None or evidence.yaw is None:
         return leap
@@ -233,16 +234,16 @@ def _log_ratio_of_stamps(gyro: Slope) -> float:
 
 
 def judge(evidence: Evidence, before: Hypothesis = Hypothesis.WELL) -> Verdict:
-    """Weigh the hypotheses by Bayes's rule; what was found the last time is likely to go on.
+    """Weigh the hypotheses by Bayes's rule; what was found the last time is likely to last.
 
-    The spans of successive looks overlap, so the whole distribution is not carried on: one frame would count often.
+    The spans of successive looks overlap, so the whole distribution is not propagated: one frame would count often.
     """
     if evidence.jumped:
         return Verdict((0.0, 0.0, 0.0, 0.0, 1.0, 0.0))
     if evidence.gyro is None:
         return Verdict()
     wide, n = DRIFT_STD_RAD_S**2, min(evidence.gyro.n, MAX_INDEPENDENT)
-    steady = -0.5 * n * max(evidence.gyro.misfit - 1.0, 0.0)  # what leaps lies on no line
+    steady = -0.5 * n * max(evidence.gyro.misfit - 1.0, 0.0)  # a jump is not on a line
     faults = (Hypothesis.GYRO, Hypothesis.SPIKE, Hypothesis.BEND, Hypothesis.STAMPS)
     priors = dict.fromkeys(faults, PRIOR_WRONG)
     if before in priors:

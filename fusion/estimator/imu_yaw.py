@@ -126,7 +126,7 @@ def fuse_imu_yaw(
     """
     if not axis.acquired:
         return part
-    # Where yaw increments carry the heading, the same yaw tells nothing more.
+    # Where yaw increments propagate the heading, the same yaw adds nothing.
     useful = reckoning.mode is Mode.GYRO and _is_useful(part, config)
     part = _coupled(part, ekf, useful and is_calm(part.traces))
     measurement = _measurement(part, ekf, yaw_rad, axis, config)

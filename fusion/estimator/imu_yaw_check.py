@@ -1,13 +1,13 @@
-"""Does the IMU's yaw know anything that the gyroscope does not? Vision can tell, in flight.
+"""Check whether the IMU's yaw is independent of the gyroscope, by the frames.
 
-An attitude filter's yaw mostly repeats the gyroscope that carries the heading anyway; believed as independent, it
-makes the filter too sure and worse. A yaw of its own (a good compass, a second gyroscope) is worth having where
-vision is blind. The two are told apart by their errors: over a few seconds, frames show by how much the dead-reckoned
-heading and the IMU's yaw have each gone astray. If they stray together, they come from one sensor.
+An attitude filter's yaw usually contains the gyroscope's error; fused as independent, it makes the filter
+overconfident. Frames show over a few seconds how far dead reckoning and IMU yaw have each drifted. If the two errors
+are correlated, the yaw is not independent. An independent yaw (a good compass, a second gyroscope) is fused, and
+helps while no frame is used.
 
-A yaw that is worth having may still be pulled away by steel or a motor's current, at once or over seconds. Then it
-parts from the gyroscope faster than both their noises allow; what it did to the heading meanwhile is taken back, and
-it is left alone until the two agree again.
+Steel or a motor's current may disturb even an independent yaw, at once or over seconds. It then deviates from the
+gyroscope faster than the noises of both allow. Its effect on the heading is undone, and it is not used until the two
+agree again.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def is_due(traces: tuple[Trace, ...], t_ns: int) -> bool:
 
 
 def traced(traces: tuple[Trace, ...], now: Trace) -> tuple[Trace, ...]:
-    """Append a trace and let go of old ones."""
+    """Append a trace and drop old ones."""
     return (*(old for old in traces if now.t_ns - old.t_ns <= TRACE_NS), now)
 
 
@@ -204,7 +204,7 @@ class InertialNoise(NamedTuple):
 
 
 class TurnBeside(NamedTuple):
-    """What gyroscope (bias not taken off) and IMU yaw say at one time, and what bias the filter takes off."""
+    """Gyroscope (bias not subtracted) and IMU yaw at one time, and the bias that the filter subtracts."""
 
     t_ns: int
     raw_theta_rad: float
@@ -235,7 +235,7 @@ class YawDoubt(NamedTuple):
     mean: YawMean | None = None
 
     def with_look(self, astray: float) -> YawDoubt:
-        """Learn from the probability that it was astray at a look: a share of the time."""
+        """Update the share of the time in which it is disturbed, with the probability of one look."""
         share = self.astray + ASTRAY_MEMORY * (astray - self.astray)
         return self._replace(astray=max(share, LEAST_DOUBT))
 

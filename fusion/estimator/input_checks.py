@@ -1,4 +1,4 @@
-"""What a caller hands over: takes arguments of any type, returns plain numbers, or raises naming the argument.
+"""Checks of the caller's arguments: returns plain numbers, or raises an error that names the argument.
 
 Also the bounds of a frame's measurement: a field beyond them is taken out before the filter squares it.
 """
@@ -141,7 +141,7 @@ def within_bounds(m: FrameMeasurement) -> tuple[FrameMeasurement, tuple[str, ...
         changes["wall_profiles"] = np.array(m.wall_profiles, order="C") if is_usable else None
         if not is_usable:
             counted.append("frame_walls")
-    if m.accepted and abs(m.heading_rad) > pi:  # not so for NaN, which is refused as unmeasured
+    if m.accepted and abs(m.heading_rad) > pi:  # not so for NaN, which is rejected as unmeasured
         changes |= {"accepted": False, "reason": Reason.UNCERTAIN, "heading_rad": nan}
         counted.append("frame_heading")
     if not changes:

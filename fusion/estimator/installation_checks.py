@@ -1,4 +1,4 @@
-"""Whether sensors are installed as told: takes what they measure of the same motion, says which of them disagree.
+"""Checks how sensors are installed (axes, units, tilt, focal length), by comparing what they measure of one motion.
 
 The turns that frames see are regressed on those of the gyroscope: a slope of -1 is a wrong sign, one near 0 a wrong
 unit, another one a wrong focal length, and the intercept is the gyroscope's bias. At rest the accelerometer reads

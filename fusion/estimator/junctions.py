@@ -1,4 +1,4 @@
-"""What votes against the present axis mean: takes its state and the newest vote, returns what is to be done.
+"""Decides what votes against the present axis mean: another corridor, a wrong heading, or nothing. A pure function.
 
 Once enough votes agree, they mean one of three things:
 

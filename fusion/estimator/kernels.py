@@ -1,4 +1,4 @@
-"""The filter's inner arithmetic, compiled: takes numbers and arrays, fills the arrays named ``_out``, no more.
+"""Compiled arithmetic of the filter: fills the arrays named ``_out``, and has no other effect.
 
 Calling numpy takes ten times as long as a 3 by 3 product itself, and returning a new array from compiled code costs
 more than filling one of the caller's. What the numbers mean is said in `fusion.estimator.models` and

@@ -1,4 +1,4 @@
-"""The lateral offset: takes propagation steps, velocities and frames, returns its part of the state, changes nothing.
+"""The lateral offset: updates its part of the state with propagation steps, velocities and frames. Pure functions.
 
 The engine calls `propagated` in each propagation step, with a `MotionStep`, `with_velocity` for each velocity and
 `fused` for each accepted frame, which asks for `expected` before. The estimation itself is the Gaussian sum of
@@ -42,7 +42,7 @@ from vision.measurement import FrameMeasurement
 from vision.rotations import wrap_axis
 
 PRIOR_STD = 0.1
-WIDTH_STD_SHARE = 0.05  # of a width that is told: corridors are not as wide everywhere
+WIDTH_STD_SHARE = 0.05  # of a width that is set: corridors are not as wide everywhere
 ANSWER_PROBABILITY = 0.97  # that a single frame's answer is right, where that is all there is
 MAX_FORCE_M_S2 = 300.0  # beyond these no vehicle flies: damaged samples
 MAX_SPEED_M_S = 100.0
@@ -222,7 +222,7 @@ def usable_force(force: Vector | None) -> Vector | None:
 
 
 def offset_model(config: FusionConfig) -> OffsetModel:
-    """Return what the Gaussian sum assumes, with the configuration's width where it is told."""
+    """Return what the Gaussian sum assumes, with the configuration's width where it is set."""
     model = OffsetModel()
     if config.corridor_width_m is None:
         return model
@@ -243,7 +243,7 @@ def _mixtures_of(m: FrameMeasurement, config: FusionConfig) -> tuple[OffsetMixtu
 
 
 def _with_width(offset: OffsetState, half_m: float) -> OffsetState:
-    """Let a width that is told fix the scale of the hypotheses, where they know less of it."""
+    """Let a width that is set fix the scale of the hypotheses, where they know less of it."""
     if not half_m > 0.0 or not len(offset.x):  # NaN fails too
         return offset
     inverse = 1.0 / half_m

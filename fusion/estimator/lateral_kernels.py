@@ -1,4 +1,4 @@
-"""The inner arithmetic of `fusion.estimator.lateral_offset`, compiled; what the numbers mean is said there.
+"""Compiled arithmetic of `fusion.estimator.lateral_offset`; the meaning of the numbers is described there.
 
 Hypotheses are rows of ``x`` (k, 4) and ``P`` (k, 4, 4); ``weight`` (k + 1,) ends with that of the offset being
 unknown. Covariances come out symmetric to the last bit: each pair of entries is computed once. What a frame does

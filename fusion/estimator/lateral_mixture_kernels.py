@@ -1,4 +1,4 @@
-"""What a frame does to the hypotheses of the lateral offset, and what is read from them: compiled.
+"""Compiled update of the hypotheses of the lateral offset by a frame, and their readout.
 
 Hypotheses and weights are those of `fusion.estimator.lateral_kernels`. Components of a frame's evidence are rows
 (m, 3) of weight, offset and variance.

@@ -1,6 +1,6 @@
-r"""The lateral offset as a Gaussian sum: several places at once, until time and motion tell which is right.
+r"""The lateral offset as a Gaussian sum: several hypotheses, between which later frames and the motion decide.
 
-A frame seldom leaves one offset (`vision.lateral.mixture`). So the filter carries a sum of Gaussians (D. L. Alspach,
+A frame seldom leaves one offset (`vision.lateral.mixture`). So the filter keeps a sum of Gaussians (D. L. Alspach,
 H. W. Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", IEEE Transactions on Automatic
 Control 17(4), 1972) and the probability that the offset is unknown. Each hypothesis is a state (4,) ``[y, v, c, s]``:
 

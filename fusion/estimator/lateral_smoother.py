@@ -60,7 +60,7 @@ class MotionPrediction(NamedTuple):
 
 
 class OffsetStep(NamedTuple):
-    """One step of the filter: a path, then what was taken in at its end.
+    """One step of the filter: a path, then what was fused at its end.
 
     Parameters
     ----------

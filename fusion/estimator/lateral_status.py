@@ -1,7 +1,7 @@
-"""What is known of the lateral offset, whether it can be relied on, and when it jumps.
+"""Status of the lateral offset: whether it is known and consistent with the motion, and its jumps.
 
-`fusion.estimator.lateral` changes it; a hypothesis that wins over another one is a jump, which is counted, and one
-that the motion since does not lead to is not relied on for some seconds.
+`fusion.estimator.lateral` updates it. If another hypothesis becomes the most probable one, this is a jump and is
+counted. An offset that the motion does not explain is reported as unknown for some seconds.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class LateralStatus(StrEnum):
 
     UNKNOWN = "unknown"  # never told, or no hypothesis is probable and narrow enough
     KNOWN = "known"  # recent frames confirm it
-    COASTING = "coasting"  # carried on by the accelerometer or velocity; its sigma grows
+    COASTING = "coasting"  # propagated by the accelerometer or velocity; its sigma grows
 
 
 class RecentOffsets(NamedTuple):
@@ -257,7 +257,7 @@ def _counted(
 ) -> Lateral:
     """Count a jump: another hypothesis has won, or the offset is known again after a frame left it unknown.
 
-    That it is too uncertain between two frames is none: the hypothesis stays the same.
+    An offset that is only too uncertain between two frames does not jump: the hypothesis stays the same.
     """
     latest = lateral.last_known
     if was_known and before.known:

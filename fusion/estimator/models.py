@@ -1,4 +1,4 @@
-"""State, process model and measurement models: take numbers and small arrays, return new ones, change nothing.
+"""State, process model and measurement models. Pure functions of numbers and small arrays.
 
 State (3,): ``[psi, b_z, o]``
 

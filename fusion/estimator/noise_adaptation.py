@@ -1,4 +1,4 @@
-"""How noisy a source is, by its own innovations: takes a measurement, updates the filter, returns what it learned.
+"""Adapts the noise of a source to its own innovations, and weighs outliers by their probability.
 
 Two numbers per source: its share of outliers, and the variance of its inliers over what they state. A measurement is
 either what its sigma says or an outlier, that is anywhere. Given its innovation, the odds between the two follow from
@@ -146,7 +146,7 @@ def outlier_share_now(noise: SourceNoise, refused_share: float, gate_rad: float,
     Outliers that fall into the gate (a half width ``gate_rad``) by chance are not refused: with a wide gate, what is
     refused tells little. The long-run share counts as `KNOWN_FRAMES` frames, the half second as `RECENT_FRAMES`.
     """
-    seen = max(1.0 - 2.0 * gate_rad * density, 0.0)  # of all outliers, the share that is refused
+    seen = max(1.0 - 2.0 * gate_rad * density, 0.0)  # of all outliers, the share that is rejected
     recent = RECENT_FRAMES * refused_share + KNOWN_FRAMES * noise.outlier_share
     now = recent / (RECENT_FRAMES * seen + KNOWN_FRAMES)
     return min(max(noise.outlier_share, now), 1.0 - MIN_INLIER_SHARE)

@@ -1,7 +1,7 @@
-"""Dead reckoning from sample to sample: takes a sample, moves the filter there, returns its part of the state.
+"""Dead reckoning from sample to sample: propagates the filter by gyroscope, attitude or a constant rate.
 
-Which stream carries the heading is decided anew at each sample: the gyroscope; where it is absent or silent, the yaw
-increments of the attitude stream; with neither, a constant rate (then the state's bias is minus that rate).
+Which stream propagates the heading is decided again at each sample: the gyroscope; where it is absent or silent, the
+yaw increments of the attitude stream; with neither, a constant rate (then the state's bias is minus that rate).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class ImuSample(NamedTuple):
 
 
 class Mode(StrEnum):
-    """What carries the heading between frames."""
+    """What propagates the heading between frames."""
 
     NONE = "none"  # a rate assumed constant
     ATTITUDE = "attitude"  # yaw increments of the attitude stream
@@ -56,14 +56,14 @@ _NONE, _ATTITUDE, _GYRO = (
 
 
 class DeadReckoning(NamedTuple):
-    """What carries the heading, and how far it has carried it.
+    """What propagates the heading, and the angle turned so far.
 
     Parameters
     ----------
     t_ns
         Time to which the filter's state is propagated; None before any sample.
     mode
-        What carries the heading.
+        What propagates the heading.
     rate_rad_s
         Level yaw rate, at ``t_gyro_ns`` or over the last attitude interval.
     theta_rad
@@ -101,7 +101,7 @@ class DeadReckoning(NamedTuple):
     more_gyro_noise: float = 0.0
 
     def yaw_rate(self, bias_rad_s: float) -> float:
-        """Level yaw rate with the filter's bias taken off, rad/s."""
+        """Level yaw rate minus the filter's bias, rad/s."""
         return -bias_rad_s if self.mode is Mode.NONE else self.rate_rad_s - bias_rad_s
 
     def gyro_silence(self, t_ns: int, config: FusionConfig) -> str:
@@ -114,7 +114,7 @@ class DeadReckoning(NamedTuple):
 
 
 def yaw_at(reckoning: DeadReckoning, t_ns: int) -> float:
-    """Return the IMU's yaw as carried on from its last sample, rad; NaN where that is too old to compare with."""
+    """Return the IMU's yaw propagated from its last sample, rad; NaN where that is too old to compare with."""
     fresh = reckoning.attitude.age_s(t_ns) <= MAX_YAW_AGE_S
     return reckoning.yaw_rad + reckoning.yaw_done_rad if fresh else nan
 
@@ -175,7 +175,7 @@ class Propagation:
     def with_attitude_yaw(
         self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, yaw_rad: float
     ) -> DeadReckoning:
-        """Propagate to an attitude sample; its yaw increment carries the heading where no gyroscope does.
+        """Propagate to an attitude sample; its yaw increment propagates the heading where no gyroscope does.
 
         Parameters
         ----------
@@ -284,7 +284,7 @@ class Propagation:
     def _move(
         self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, turned_rad: float | None
     ) -> tuple[float, float]:
-        """Move the filter to a time; return the angle turned, and the same with the gyroscope's bias taken off.
+        """Move the filter to a time; return the angle turned, and the same minus the gyroscope's bias.
 
         ``turned_rad`` is as in `advance`.
         """
@@ -357,7 +357,7 @@ class Propagation:
         return max(min(variance, 2.0 * UNKNOWN_HEADING_STD_RAD**2 - known), 0.0)
 
     def _with_mode(self, d: DeadReckoning, ekf: CorridorEKF, mode: Mode) -> DeadReckoning:
-        """Change what carries the heading; the bias then means something else and starts anew."""
+        """Change what propagates the heading; the bias then means something else and starts again."""
         if mode is d.mode:
             return d
         bias, variance = float(ekf.x[BIAS]), float(ekf.P[BIAS, BIAS])

@@ -1,4 +1,4 @@
-"""The corridor's width in metres: takes distances to the floor and what frames see, returns its part of the state.
+"""The corridor's width in metres, from distances to the floor and the frames' width per height.
 
 A frame tells the corridor's width per height of the camera above the floor; a range sensor that looks down tells
 that height. Their product is the same along a whole corridor, whatever the height, and that is what makes it robust:
@@ -80,7 +80,7 @@ class Width(NamedTuple):
         return self._replace(told_m=0.0 if width_m is None else width_m)
 
     def half_m(self, config: FusionConfig) -> float:
-        """Half the corridor's width, metres; NaN where neither it nor the camera's height is told or measured."""
+        """Half the corridor's width, metres; NaN where neither it nor the camera's height is set or measured."""
         told_m = config.corridor_width_m if self.told_m is None else self.told_m
         if told_m:
             return 0.5 * told_m

@@ -1,4 +1,4 @@
-"""Steps of the published estimate: takes the newest state before and after a sample, counts what moved it in a jump.
+"""Jumps of the published estimate: compares the newest state before and after a sample, and counts them.
 
 The engine counts the steps that it makes, but a late sample rolls its state back and may undo one of them, or make
 another one in the past. What a controller has read cannot be rolled back. So the count is kept here, beside the

@@ -1,4 +1,4 @@
-"""When a source's samples came: takes times of samples, returns age and mean interval, changes nothing else."""
+"""Times of a source's samples: age and mean interval."""
 
 from __future__ import annotations
 

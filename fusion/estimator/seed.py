@@ -1,4 +1,4 @@
-"""What a program tells the filter beside its sensors: a heading, or the corridor's width, at a time.
+"""Values that a program sets beside its sensors: a heading, or the corridor's width, at a time.
 
 They are samples like others: late ones are put in their place, and what lies behind them is processed anew.
 """

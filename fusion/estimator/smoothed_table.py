@@ -1,4 +1,4 @@
-"""The table of the smoother: takes the filter's table and steps, returns what the whole flight says of each row."""
+"""Makes the smoother's table from the filter's table and steps."""
 
 from __future__ import annotations
 

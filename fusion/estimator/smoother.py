@@ -1,4 +1,4 @@
-"""The backward pass: every estimate from the whole flight, not only from what came before it.
+"""The smoother: a backward pass, so that every estimate uses the whole flight.
 
 Rauch, Tung and Striebel's recursion (H. E. Rauch, F. Tung, C. T. Striebel, "Maximum likelihood estimates of linear
 dynamic systems", AIAA Journal 3(8), 1965) over the steps that the engine took, each with its own transition. Resets
@@ -97,7 +97,7 @@ class Steps:
                 self._nodes = [node]
 
     def smoothed(self) -> SmoothedSteps:
-        """Smooth the run. The steps are let go of one block after another: a long flight is not held twice."""
+        """Smooth the run. The steps are freed one block after another, so that a long flight is not held twice."""
         n, self.count = self.count, 0
         blocks, self._blocks = self._blocks, []
         if self._nodes:

@@ -1,4 +1,4 @@
-"""What the estimator knows between two samples, and the samples that change it.
+"""The state of the estimator between two samples, and the samples that change it.
 
 All is immutable and without behaviour, but for an `Entry`: a late sample puts it behind another state.
 """
@@ -57,7 +57,7 @@ class Checks(NamedTuple):
     installation: Installation = Installation()
 
     def clock_set_back(self) -> Checks:
-        """Start anew, but for what is known of the gyroscope's noise and of the turns so far."""
+        """Start again; the gyroscope's noise and the turns so far are kept."""
         return Checks(self.gyro.clock_set_back(), installation=self.installation.interrupted())
 
 
@@ -85,7 +85,7 @@ class State(NamedTuple):
 
 
 class Sensed(NamedTuple):
-    """What no late frame changes of the state behind a sample, and `fusion.estimator.gyro_run` takes as it was.
+    """Parts of the state after a sample that do not depend on frames, so that a replay can reuse them.
 
     Parameters
     ----------

@@ -54,7 +54,11 @@ _VERTICAL = "vertical axis"
 _PICTURE = "original picture"
 
 _TIME = Column(
-    "timestamp_ns", "i8", "ns", "Time of the row; of a frame, as it was stamped", "clock of the log"
+    "timestamp_ns",
+    "i8",
+    "ns",
+    "Time of the row. For frames: the recorded time stamp, before camera_delay_s is subtracted",
+    "clock of the log",
 )
 _HEADING = (
     Column(
@@ -111,7 +115,7 @@ ESTIMATE_COLUMNS = (
         "corridor_turn_rad",
         "f8",
         "rad",
-        "Angle between the two axes, positive {side}",
+        "Angle from the first corridor's axis to the present one's, positive {side}",
         "first corridor's axis to the present one's",
         True,
     ),
@@ -127,7 +131,7 @@ ESTIMATE_COLUMNS = (
 FRAME_COLUMNS = (
     _TIME,
     Column("accepted", "?", "", "Whether the filter used the frame"),
-    Column("reason", "U16", "", "Why not; ok where it did"),
+    Column("reason", "U16", "", "Reason for rejection; ok if the frame was used"),
     Column("n_lines", "i4", "1", "Line segments found"),
     Column("n_inliers", "i4", "1", "Segments that meet in the vanishing point"),
     Column("vp_x_px", "f8", "px", "Vanishing point; (0, 0) is the centre of the top-left pixel", _PICTURE),
@@ -143,7 +147,7 @@ FRAME_COLUMNS = (
         _AXIS,
         True,
     ),
-    Column("test_ratio", "f8", "1", "Innovation squared over gate squared; above 1 the frame is refused"),
+    Column("test_ratio", "f8", "1", "Innovation squared over gate squared; above 1 the frame is rejected"),
     Column("vision_ms", "f8", "ms", "Time that measuring the frame took"),
 )
 """Of ``frames.csv``."""

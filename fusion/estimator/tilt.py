@@ -1,4 +1,4 @@
-"""Roll and pitch at any time: takes gyroscope, accelerometer and attitude, whichever there are, returns a new `Tilt`.
+"""Roll and pitch at any time, from gyroscope, accelerometer and attitude, as far as there are any.
 
 The tilt is carried as the direction of gravity in the body frame, which has no singularity and turns with the
 gyroscope. It is set by the attitude stream while there is one; otherwise it is a complementary filter of gyroscope

@@ -1,4 +1,4 @@
-"""Samples in any order: takes a sample, hands all of them to the engine in order of time, keeps the last ones.
+"""Samples in any order: keeps the last ones and passes all of them to the engine in order of time.
 
 After every sample the engine's state is kept for as long as the buffer lasts, so a late sample costs no more than
 the samples behind it: roll back to before it, and replay. The result is, bit for bit, that of the samples in order.
@@ -92,7 +92,7 @@ class Timeline:
         return entry
 
     def _replay(self, at: int, key: tuple[int, int], entry: Entry, before: State) -> None:
-        """Put an entry in its place, behind a state, and process anew what lies behind it."""
+        """Put an entry in its place, behind a state, and process what lies behind it again."""
         keys, entries = self._keys[at:], self.entries[at:]
         new_keys, replayed = [key], [entry]
         sensed = self.entries[at - 1].sensed if at > 0 else sensed_behind(before)

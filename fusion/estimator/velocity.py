@@ -1,4 +1,4 @@
-"""The velocity stream: takes a body velocity and the tilt, returns level speeds that are held for half a second."""
+"""The velocity stream: level speeds from a body velocity and the tilt, held for half a second."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Measurements that one would not believe alone: takes votes, returns those that agree, changes nothing.
+"""Votes: rejected measurements that are kept until several agree. Pure functions.
 
-Used for headings (`fusion.estimator.corridor_axis`) and for lateral offsets (`fusion.estimator.lateral`).
+Used for headings (`fusion.estimator.corridor_axis`).
 """
 
 from __future__ import annotations

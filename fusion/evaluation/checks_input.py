@@ -1,4 +1,4 @@
-"""Checks of what the log carried: the gyroscope, the IMU's own yaw, holes, and what reading had to mend."""
+"""Checks of the log: the gyroscope, the IMU's own yaw, gaps, and what was repaired on reading."""
 
 from __future__ import annotations
 

@@ -124,7 +124,10 @@ def evaluate(table: Table, truth: CorridorTruth, *, max_gap_s: float = 0.5) -> T
     """Compare estimates or single frames with ground truth.
 
     Errors are evaluated over rows that are tracking (estimates) or accepted (frames), outside junctions and within
-    the time of the truth. Every other row is counted under the first cause that applies.
+    the time of the truth. Every other row is counted under the first cause that applies. RMSE and MAE are the
+    article's equations (9) and (10). NEES, the normalised estimation error squared, is the mean of (error /
+    sigma)^2, 1 for a consistent filter (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to
+    Tracking and Navigation", Wiley 2001, section 5.4).
 
     Parameters
     ----------
@@ -138,8 +141,13 @@ def evaluate(table: Table, truth: CorridorTruth, *, max_gap_s: float = 0.5) -> T
     Returns
     -------
     TableErrors
-        Errors of heading and lateral offset, for the flight and per corridor; ``to_dict()`` gives plain values for
-        JSON.
+        Errors of heading (rad) and lateral offset (m and half widths), for the flight and per corridor; ``to_dict()``
+        gives plain values for JSON.
+
+    Raises
+    ------
+    ValueError
+        If the table lacks a column of these types.
     """
     names = table.dtype.names or ()
     estimates = "status" in names

@@ -1,4 +1,4 @@
-"""The rows of a batch as they come, a line of JSON each: what a batch that was ended, however, goes on from."""
+"""Journal of a batch: each row is written as a line of JSON once it is ready, so that a stopped batch can go on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the fleet's table says of one fused flight."""
+"""One row of the fleet's table, from a fused flight."""
 
 from __future__ import annotations
 

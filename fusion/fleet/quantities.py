@@ -1,4 +1,4 @@
-"""The numbers by which flights of a fleet are told apart: names and units for people, and which way is better."""
+"""The numbers by which flights of a fleet are compared: names and units for people, and which way is better."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ class AutopilotClock:
         return True
 
     def restart(self) -> None:
-        """Begin anew: the autopilot has."""
+        """Start again, as the autopilot has."""
         self.restarts += 1
         self._forget()
 

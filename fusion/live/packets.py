@@ -1,4 +1,4 @@
-"""Estimates as MAVLink packets, and what else a component on the network has to say.
+"""Estimates as MAVLink packets, and the other messages of a component on the network.
 
 ``ODOMETRY`` goes to the autopilot's filter; ``DEBUG_VECT`` and ``NAMED_VALUE_FLOAT`` are plotted by ground stations
 and logged by autopilots as they come, ``STATUSTEXT`` is read by the pilot. https://mavlink.io/en/messages/common.html

@@ -18,7 +18,7 @@ from vision.rotations import wrap
 STEP_RAD = pi / 90  # a smaller jump of the yaw is no step, as for `Estimate.reset_count`
 UNKNOWN_OFFSET_STD_M = 1.0
 UNKNOWN_SPEED_M_S = 1.0  # standard deviation of the speed along the corridor while nothing tells it
-SPEED_STD_M_S, SPEED_TIME_S = 0.1, 1.0  # error of a speed that is told, and how long one lasts
+SPEED_STD_M_S, SPEED_TIME_S = 0.1, 1.0  # error of a speed that is measured, and its correlation time
 MAX_STEP_S = 0.5
 
 

@@ -1,4 +1,4 @@
-"""`corridor live`: the core between a link, a camera, a recording and a viewer, until it is told to stop.
+"""`corridor live`: runs the core between link, camera, recording and viewer, until it is stopped.
 
 One thread deals with all events in order: bytes from the link's thread, lines from the vision thread, ticks by the
 clock. It alone touches the estimator. Nothing in it waits for the camera, the disk or the viewer.
@@ -172,7 +172,7 @@ class LiveSession:
             raise self._refusal
 
     def _offer(self, vision: VisionThread, picture: Picture) -> None:
-        """Hand a picture to vision, in the camera's thread; refuse a camera of another size than calibrated."""
+        """Hand a picture to vision, in the camera's thread; reject a camera of another size than calibrated."""
         image = np.empty((0, 0), np.uint8)
         if picture.image is not None:
             with suppress(InputError):  # counted as unreadable

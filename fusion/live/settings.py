@@ -32,6 +32,6 @@ class LiveSettings(Settings):
     )
     use_velocity: bool = Field(
         default=False,
-        description="Whether the autopilot's LOCAL_POSITION_NED tells the speed; only where its own filter has "
-        "optical flow or the like, not where it lives on these estimates.",
+        description="Whether the speed is taken from the autopilot's LOCAL_POSITION_NED; only where its own filter "
+        "has optical flow or the like, not where it lives on these estimates.",
     )

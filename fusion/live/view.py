@@ -1,4 +1,4 @@
-"""Watch it: pictures with what was seen in them, heading and offset with sigma, over a Foxglove web socket.
+"""Live view: pictures with their lines, heading and offset with sigma, over a Foxglove web socket.
 
 The messages are those that `corridor fuse --export mcap` writes, so one layout shows both.
 """

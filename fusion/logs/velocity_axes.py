@@ -1,4 +1,4 @@
-"""Whether a velocity is along the body's axes or the world's, told by the pose beside it.
+"""Decides whether a velocity is along the body's axes or the world's, by the pose beside it.
 
 Logs of state estimators give velocities in the world's axes (EuRoC's ``v_RS_R``, VINS-Mono's odometry), flight
 controllers and ROS drivers in the body's. Read as the wrong one, the speed points elsewhere at every heading but one.

@@ -53,7 +53,8 @@ def fuse_flight(
 ) -> FusionResult:
     """Fuse a logged flight with the causal filter and the smoother, and evaluate the result.
 
-    Pictures are read one by one. One that cannot be decoded becomes a row with the reason ``unreadable``.
+    Pictures are read one by one. One that cannot be decoded becomes a row with the reason ``unreadable``. A frame is
+    fused at its time stamp minus ``config.camera_delay_s``; the table of frames keeps the time stamp.
 
     Parameters
     ----------
@@ -70,10 +71,16 @@ def fuse_flight(
         The result is bit for bit the same for any number. None: one per core that the process may use, at most
         `MAX_JOBS`.
 
+    Returns
+    -------
+    FusionResult
+        Tables of filter, smoother and frames, and the summary with the verdict; errors if the flight has ground
+        truth.
+
     Raises
     ------
     InputError
-        Where the method is unknown, the flight has no frames, a stream is not in order of time, or ``jobs`` is below
+        If the method is unknown, the flight has no frames, a stream is not in order of time, or ``jobs`` is below
         1.
     """
     if jobs is not None and jobs < 1:
@@ -132,7 +139,7 @@ def _collector_spared() -> Iterator[None]:
     most are modules, which stay.
     """
     first, *others = gc.get_threshold()
-    frozen = gc.get_freeze_count() > 0  # the program has seen to it, and knows what may be let go of
+    frozen = gc.get_freeze_count() > 0  # the program has frozen them itself, and knows which may be freed
     if first:  # 0: it is off
         gc.set_threshold(max(first, NEW_OBJECTS), *others)
     if not frozen:

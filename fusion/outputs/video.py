@@ -1,4 +1,4 @@
-"""A fused flight as a video: each picture with its lines and vanishing point, and below it what the filter says."""
+"""A fused flight as a video: each picture with its lines and vanishing point, and below it the filter's estimate."""
 
 from __future__ import annotations
 

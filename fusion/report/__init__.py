@@ -1,4 +1,4 @@
-"""One page that says what a fused flight is worth: `write_report`.
+"""The report of a fused flight, one HTML page: `write_report`.
 
 May import `fusion.evaluation`, `fusion.result` and what lies below them. Begin reading at `fusion.report.page`; the
 plots in `fusion.report.plots` are usable alone, as in notebooks.

@@ -116,7 +116,7 @@ def plot_innovations(ax: Axes, result: FusionResult) -> None:
 
 
 def plot_test_ratio(ax: Axes, result: FusionResult) -> None:
-    """Draw each frame's test ratio, innovation squared over gate squared; above one the frame is refused."""
+    """Draw each frame's test ratio, innovation squared over gate squared; above 1 the frame is rejected."""
     frames = result.frames
     t = seconds(frames["timestamp_ns"], result.origin_ns)
     ax.set_yscale("log")

@@ -1,4 +1,4 @@
-"""What ``summary.json`` says of a fused flight, typed: the fields are its keys, in its order."""
+"""Contents of ``summary.json``, typed: the fields are its keys, in its order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings files: read as TOML, refused with path, value and remedy, and written with the meaning of each setting."""
+"""Settings files: reads TOML, rejects it with path, value and remedy, and writes it with each setting's meaning."""
 
 from __future__ import annotations
 

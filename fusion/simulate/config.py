@@ -1,4 +1,4 @@
-"""Everything a simulated flight is made of; SI units and radians, as the names say.
+"""Configuration of a simulated flight; SI units and radians, with the unit in the name.
 
 A TOML file holds one table per section: ``[scene]``, ``[camera]``, ``[imaging]``, ``[motion]``, ``[imu]``,
 ``[attitude]``, ``[range]``; what is not named keeps its default. A flight has a range sensor only where it is named.
@@ -113,7 +113,9 @@ class ImagingConfig(Settings):
     full_well_electrons: Positive = Field(default=12000.0, description="Full scale; sets the shot noise.")
     gain: Positive = Field(default=1.0, description="Full scale is the full well over the gain.")
     read_noise_electrons: NotNegative = 6.0
-    row_noise_electrons: NotNegative = Field(default=0.0, description="Of whole rows, anew in each picture.")
+    row_noise_electrons: NotNegative = Field(
+        default=0.0, description="Noise of whole rows, independent from picture to picture."
+    )
     fixed_pattern_electrons: NotNegative = Field(
         default=0.0, description="Of pixels, the same in each picture."
     )

@@ -265,6 +265,14 @@ def test_too_far_ahead_is_said() -> None:
     assert far.reason == "predicted 0.5 s ahead, not the 2.00 s asked for"
 
 
+@pytest.mark.parametrize("name", ["now_ns", "at_ns"])
+def test_times_in_seconds_are_rejected(name: str) -> None:
+    estimator, _ = flown(0.2)
+    wrong: dict[str, Any] = {name: 2.5}
+    with pytest.raises(InputError, match="not an integer"):
+        estimator.estimate(**wrong)
+
+
 def test_a_time_that_is_past_gives_the_newest_estimate() -> None:
     estimator, t = flown(0.2)
     assert plain(estimator.estimate(at_ns=t - 100 * MS)) == plain(estimator.estimate())

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from math import cos, degrees, radians, sin
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from fusion.estimator.tilt import (
     with_imu,
 )
 from tests.fusion.simulated import quaternion, weaving
+from vision.errors import InputError
 from vision.measurement import Attitude
 
 S = 1_000_000_000
@@ -24,6 +26,12 @@ S = 1_000_000_000
 
 def down_of(roll: float, pitch: float) -> tuple[float, float, float]:
     return (-sin(pitch), sin(roll) * cos(pitch), cos(roll) * cos(pitch))
+
+
+@pytest.mark.parametrize("q", [(1.0, 0.0, 0.0), np.eye(3), "level", None, (1.0, 0.0, 0.0, "z")])
+def test_what_is_not_four_numbers_is_no_attitude(q: Any) -> None:
+    with pytest.raises(InputError, match="four numbers"):
+        Attitude.from_quaternion(q)
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))

@@ -1,4 +1,4 @@
-"""Whether the heading that a picture's lines give may be used, how sure it is, and which line is which."""
+"""Decides whether a frame's heading may be used, with its sigma and the class of each line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known of the elevation of the corridor's axis beforehand, and which elevations are worth a vote."""
+"""Prior knowledge of the elevation of the corridor's axis, and the elevations to try in the vote."""
 
 from __future__ import annotations
 

@@ -70,31 +70,34 @@ def nearest_rotation(matrix: npt.ArrayLike, what: str = "R_body_camera") -> Floa
 class Camera:
     """A calibrated camera on a body.
 
+    The optical frame has x right, y down and z forward; pixel (0, 0) is the centre of the top-left pixel.
+
     Parameters
     ----------
     width_px, height_px
-        Size of the pictures that the calibration belongs to.
+        Size of the pictures that the calibration belongs to, pixels.
     fx_px, fy_px, cx_px, cy_px
-        Focal lengths and principal point.
+        Focal lengths and principal point, pixels.
     distortion, coefficients
         Lens model and its coefficients: none (), radtan ``k1 k2 p1 p2 [k3 [k4 k5 k6]]`` or equidistant
         ``k1 k2 k3 k4``, in OpenCV's order.
     R_body_camera
         Rotation (3, 3) from the optical frame to the body FRD; straight ahead by default.
     exposure_s
-        Exposure time, NaN where unknown.
+        Exposure time, seconds; NaN where unknown.
     p_body_camera_m
-        Position (3,) in the body FRD: a camera ahead of the vehicle's centre swings sideways as it turns.
+        Position (3,) of the camera, metres, body FRD (forward, right, down): a camera ahead of the vehicle's centre
+        moves sideways as it turns.
     mount_assumed
-        Whether ``R_body_camera`` is only taken for granted, since the calibration says nothing of it.
+        Whether ``R_body_camera`` is only assumed, because the calibration does not contain it.
     line_delay_s
-        Time from one row's exposure to that of the row below, negative where the lowest comes first; 0 for a global
-        shutter. A picture's time is its middle row's.
+        Time from one row's exposure to that of the row below, seconds; negative where the lowest comes first; 0 for
+        a global shutter. A picture's time is its middle row's.
 
     Raises
     ------
     InputError
-        Where a number cannot belong to a camera.
+        If a number cannot belong to a camera.
     """
 
     width_px: int
@@ -162,7 +165,7 @@ class Camera:
             )
         if not all(isfinite(c) for c in self.coefficients):
             raise InputError(
-                f"distortion coefficients {self.coefficients} are not finite", remedy="calibrate anew"
+                f"distortion coefficients {self.coefficients} are not finite", remedy="calibrate again"
             )
 
     @classmethod
@@ -192,7 +195,20 @@ class Camera:
 
     @classmethod
     def from_fov(cls, width_px: int, height_px: int, horizontal_fov_rad: float) -> Camera:
-        """Assume an undistorted camera that looks straight ahead, from its horizontal field of view."""
+        """Assume an undistorted camera that looks straight ahead, from its horizontal field of view.
+
+        Parameters
+        ----------
+        width_px, height_px
+            Size of the pictures, pixels.
+        horizontal_fov_rad
+            Angle between the left and the right edge of the picture, radians.
+
+        Raises
+        ------
+        InputError
+            If the size has no pixels, or the angle is not between 0 and pi.
+        """
         if not 0.0 < horizontal_fov_rad < pi:
             raise InputError(
                 f"horizontal field of view is {horizontal_fov_rad:g} rad",
@@ -272,7 +288,10 @@ class Camera:
     def undistort(self, points_px: npt.ArrayLike) -> FloatArray:
         """Normalised image coordinates x/z, y/z (n, 2) of pixels (n, 2).
 
-        NaN where the lens model has no inverse, or the ray is 90 degrees or more off the axis.
+        The lens models are OpenCV's: radial-tangential, and the equidistant one of its ``fisheye`` module (J.
+        Kannala, S. S. Brandt, "A generic camera model and calibration method for conventional, wide-angle, and
+        fish-eye lenses", IEEE Transactions on Pattern Analysis and Machine Intelligence 28(8), 2006). NaN where the
+        lens model has no inverse, or the ray is 90 degrees or more off the axis.
         """
         x, y = self._normalised(points_px)
         if isinstance(self._lens, RadialTangential):
@@ -289,7 +308,8 @@ class Camera:
     def rays(self, points_px: npt.ArrayLike) -> FloatArray:
         """Turn pixels (n, 2) into unit vectors (n, 3) in the optical frame; NaN where there is no inverse.
 
-        With the equidistant model they may point more than 90 degrees away from the axis.
+        Lens models as in `undistort`. With the equidistant model the vectors may point more than 90 degrees away from
+        the axis.
         """
         if isinstance(self._lens, Equidistant):
             x, y = self._normalised(points_px)
@@ -306,8 +326,8 @@ class Camera:
     def project(self, rays: npt.ArrayLike) -> FloatArray:
         """Pixels (n, 2) of vectors (n, 3) of any length in the optical frame.
 
-        NaN behind the camera (pinhole models) and past the radius where the lens model turns back; a pixel
-        may lie outside the picture.
+        Lens models as in `undistort`. NaN behind the camera (pinhole models) and past the radius where the lens
+        model turns back; a pixel may lie outside the picture.
         """
         vectors = np.asarray(rays, dtype=float).reshape(-1, 3)
         x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]

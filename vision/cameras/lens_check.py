@@ -1,4 +1,4 @@
-"""Whether a lens model's numbers can belong to a lens: coefficients of another model, polynomials that turn back."""
+"""Checks that a lens model's coefficients are possible: those of another model, polynomials that turn back."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def lens_problem(camera: Camera) -> str | None:
     if inverted < 1.0:
         return (
             f"the {camera.distortion} distortion turns back within the picture: {1.0 - inverted:.0%} of its border "
-            "belongs to no ray (calibrate anew, with views that reach the corners, or with the fisheye model)"
+            "belongs to no ray (calibrate again, with views that reach the corners, or with the fisheye model)"
         )
     if _tangential(camera) > MAX_TANGENTIAL:
         return (

@@ -1,4 +1,4 @@
-"""What one frame says about the lateral offset, as a sum of Gaussians.
+"""Evidence of one frame for the lateral offset, as a sum of Gaussians.
 
 A frame seldom leaves one answer: of every pair of lines that could be the corners one offset follows, and a picture
 may show no corner at all. A mixture keeps all of it, so that a filter can let time and motion decide.
@@ -18,7 +18,7 @@ from vision.types import FloatArray
 N_BINS = 64
 """Components nearer to each other than a bin of this grid over (-1, 1) become one; so many are left at most."""
 
-BOTH_BLIND = 0.05  # probability that a picture leads both kinds of evidence astray
+BOTH_BLIND = 0.05  # probability that a picture misleads both kinds of evidence
 MIN_WEIGHT = 1e-4  # of a component; less is left to "cannot tell"
 CHANCE = 0.5  # density of an offset in (-1, 1) of which nothing is known
 MAX_PEAKS = 8  # the narrow ones, which are higher, must not crowd out a wide one

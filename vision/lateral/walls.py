@@ -1,4 +1,4 @@
-"""Whether a picture shows a wall on either side: without one there is no corner, however sure the network is of it.
+"""Checks that a picture shows a wall on either side: without a wall there is no corner, whatever the network reports.
 
 Between its two corners a wall has door posts, which are vertical. Where it is missing, as towards an open hall, one
 sees edges square to the corridor, which no side wall has. Besides, the network spreads a corner that it only guesses
@@ -24,7 +24,7 @@ OFF_CORNER_RAD = radians(3.0)  # about the axis
 ASIDE_COSINE = cos(radians(8.0))  # nearer to the axis is the end of the corridor
 FEW_RAD = 0.1  # a line shorter than this tells little
 LEAST_DISAGREEMENT, LEAST_VERTICAL_RAD, LEAST_RATIO = 0.05, 0.05, 0.1
-USUAL_WIDTH_PER_HEIGHT = 2.718  # up to here it tells nothing
+USUAL_WIDTH_PER_HEIGHT = 2.718  # up to here it shows nothing
 
 TRANSVERSE, VERTICAL = int(LineClass.TRANSVERSE), int(LineClass.VERTICAL)
 

@@ -125,7 +125,7 @@ class ImuSource(SensorSource):
 
     camera_axis: CameraAxis | None = Field(
         default=None,
-        description="Which of the IMU's own axes the camera looks along, as -z of a phone; gravity tells the rest.",
+        description="Which of the IMU's own axes the camera looks along, as -z of a phone; gravity gives the rest.",
     )
     noise: Path | None = Field(
         default=None, description="Kalibr's imu.yaml or EuRoC's sensor.yaml with the gyroscope's noise."

@@ -1,4 +1,4 @@
-"""What a simulated corridor looks like: every number with its unit in the name, unknown keys refused."""
+"""Configuration of a simulated corridor: every number with its unit in the name, unknown keys rejected."""
 
 from __future__ import annotations
 
@@ -93,7 +93,10 @@ class JunctionConfig(Settings):
     )
     width_m: float = Field(default=2.0, gt=0.5, le=20)
     length_m: float = Field(default=15.0, gt=1, le=500)
-    crossing: bool = Field(default=False, description="It goes on beyond the other corridor too, as far.")
+    crossing: bool = Field(
+        default=False,
+        description="Whether it also continues on the other side of that corridor, for the same length.",
+    )
 
     @model_validator(mode="after")
     def _check_angle(self) -> Self:
@@ -113,9 +116,9 @@ class StripConfig(Settings):
 
     on: Surface
     at_m: float = Field(
-        description="Its middle: right of the centre line on floor and ceiling, above the floor on a wall."
+        description="Place of its middle: right of the centre line on floor and ceiling, above the floor on a wall."
     )
-    width_m: float = Field(gt=0, le=10, description="Across; a pipe's diameter.")
+    width_m: float = Field(gt=0, le=10, description="Width across its direction; the diameter of a pipe.")
     depth_m: float = Field(
         default=0.0, ge=0, le=1, description="How far it stands out; 0: painted or laid in."
     )
@@ -140,7 +143,7 @@ class WallConfig(Settings):
     finish: WallFinish = WallFinish.PLASTER
     albedo: Share = 0.7
     lower_height_m: NotNegative = Field(
-        default=0.0, description="Up to where its lower part is another; 0: none."
+        default=0.0, description="Height up to which lower_finish and lower_albedo apply; 0: nowhere."
     )
     lower_finish: WallFinish = WallFinish.PLASTER
     lower_albedo: Share = 0.4
@@ -159,8 +162,8 @@ class WallConfig(Settings):
 class WidthStepConfig(Settings):
     """The first corridor goes on narrower or wider from a place on."""
 
-    at_m: Positive = Field(description="Along the first corridor.")
-    width_m: float = Field(gt=0.8, le=20, description="Beyond it.")
+    at_m: Positive = Field(description="Place along the first corridor.")
+    width_m: float = Field(gt=0.8, le=20, description="Width of the corridor beyond at_m.")
     moves: Sides = Field(
         default=Sides.BOTH,
         description="The wall that steps in or out. Where it is one, the centre line moves.",
@@ -211,7 +214,8 @@ class SceneConfig(Settings):
     wall: WallFinish = WallFinish.PLASTER
     wall_albedo: Share = 0.7
     left_wall: WallConfig | None = Field(
-        default=None, description="Of corridors; like wall, wall_albedo and skirting_* where not given."
+        default=None,
+        description="Left wall of the corridors; by default as set by wall, wall_albedo and skirting_*.",
     )
     right_wall: WallConfig | None = None
     floor: Floor = Floor.TILES
@@ -251,19 +255,21 @@ class SceneConfig(Settings):
     door_recess_m: NotNegative = 0.12
     door_frame_albedo: Share = 0.3
     open_door_share: Share = 0.12
-    ajar_share: Share = Field(default=0.0, description="Of the open doors.")
-    alcove_share: Share = Field(default=0.0, description="Of the doorways: alcoves instead.")
+    ajar_share: Share = Field(default=0.0, description="Share of the open doors that are ajar.")
+    alcove_share: Share = Field(default=0.0, description="Share of the doorways that are alcoves.")
     windows: WindowsConfig | None = Field(
         default=None, description="They take the place of that wall's doors."
     )
     pilaster_spacing_m: NotNegative = Field(
-        default=0.0, description="Of pillars that stand out of both walls."
+        default=0.0, description="Distance between pillars that stand out of both walls; 0: none."
     )
     pilaster_m: tuple[Positive, Positive] = Field(
-        default=(0.3, 0.12), description="Along and out of the wall."
+        default=(0.3, 0.12), description="Size of a pillar along and out of the wall."
     )
     pilaster_albedo: Share = 0.6
-    beam_spacing_m: NotNegative = Field(default=0.0, description="Of beams across the ceiling.")
+    beam_spacing_m: NotNegative = Field(
+        default=0.0, description="Distance between beams across the ceiling; 0: none."
+    )
     beam_m: tuple[Positive, Positive] = Field(default=(0.2, 0.2), description="Width and depth of a beam.")
     beam_albedo: Share = 0.4
     strips: tuple[StripConfig, ...] = ()
@@ -271,7 +277,9 @@ class SceneConfig(Settings):
     sign_spacing_m: NotNegative = 3.0
     furniture_spacing_m: NotNegative = 7.0
     radiator_spacing_m: NotNegative = 0.0
-    lockers_share: Share = Field(default=0.0, description="Of the wall between doors.")
+    lockers_share: Share = Field(
+        default=0.0, description="Share of the wall between doors that lockers cover."
+    )
     boxes_spacing_m: NotNegative = 0.0
     plants_spacing_m: NotNegative = 0.0
     people: int = Field(default=0, ge=0, le=50, description="Standing in the first corridor.")
