@@ -270,10 +270,8 @@ class Engine:
         if delay is not None:
             delay = delay if d.mode is s.reckoning.mode else delay.interrupted()
             delay = with_turns(delay, (t_ns,), (d.raw_theta_rad,))
-        _, _, _, _, velocity, width, imu_yaw, axis, _, frames, elevation, _, _ = s
         x, P = self.ekf.x, self.ekf.P
-        parts = (x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
-        return new_record(State, parts)
+        return s.moved(x, P, d, lateral, delay, tilt=tilt, imu_yaw=s.imu_yaw, frames=s.frames, checks=checks)
 
     def _with_rate_since(self, s: State, gyro_rad_s: Vector) -> State:
         """Take this for the rate at the last gyroscope sample."""
@@ -293,10 +291,8 @@ class Engine:
             tilt = tilts.from_quaternion(s.tilt, sample.t_ns, q)
         imu_yaw = fuse_imu_yaw(s.imu_yaw, self.ekf, yaw_rad, d, s.axis, self.config)
         delay = self._delay_in_mode(s, d)
-        _, _, _, _, velocity, width, _, axis, _, frames, elevation, _, checks = s
         x, P = self.ekf.x, self.ekf.P
-        parts = (x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
-        return new_record(State, parts)
+        return s.moved(x, P, d, lateral, delay, tilt=tilt, imu_yaw=imu_yaw, frames=s.frames, checks=s.checks)
 
     def _velocity(self, s: State, sample: VelocitySample) -> State:
         s = self._held(s, sample.t_ns, s.frames)
@@ -363,10 +359,10 @@ class Engine:
         lateral = self._moved(s, t_ns, s.tilt.down)
         d = self._propagation.hold(s.reckoning, self.ekf, t_ns)
         delay = self._delay_in_mode(s, d)
-        _, _, _, tilt, velocity, width, imu_yaw, axis, _, _, elevation, _, checks = s
         x, P = self.ekf.x, self.ekf.P
-        parts = (x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
-        return new_record(State, parts)
+        return s.moved(
+            x, P, d, lateral, delay, tilt=s.tilt, imu_yaw=s.imu_yaw, frames=frames, checks=s.checks
+        )
 
     def _delay_in_mode(self, s: State, d: DeadReckoning) -> Delay | None:
         """Start the delay's dead reckoning anew where something else carries the heading now."""
@@ -446,7 +442,7 @@ class Engine:
     def _with_accepted(self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None) -> State:
         """Use the rest of a frame whose heading has corrected the filter, and the filter's new state."""
         lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
-        _, _, d, tilt, velocity, _, imu_yaw, axis, _, frames, _, delay, checks = s
+        checks = s.checks
         if attitude is not None:
             std_rad = hypot(m.elevation_std_rad, attitude.std_rad)
             installation = checks.installation.with_elevation(
@@ -454,7 +450,7 @@ class Engine:
             )
             checks = checks._replace(installation=installation)
         x, P = self.ekf.x, self.ekf.P
-        return State(x, P, d, tilt, velocity, width, imu_yaw, axis, lateral, frames, elevation, delay, checks)
+        return s._replace(x=x, P=P, lateral=lateral, width=width, elevation=elevation, checks=checks)
 
     def _acquire(
         self,

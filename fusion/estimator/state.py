@@ -21,6 +21,7 @@ from fusion.estimator.lateral_status import Lateral
 from fusion.estimator.models import FloatArray, level_yaw_rate
 from fusion.estimator.propagation import DeadReckoning, ImuSample
 from fusion.estimator.range_width import RangeSample, Width
+from fusion.estimator.records import new_record
 from fusion.estimator.sample_times import SampleTimes
 from fusion.estimator.seed import HeadingSeed, WidthChange
 from fusion.estimator.smoother import Node
@@ -82,6 +83,26 @@ class State(NamedTuple):
     def t_ns(self) -> int | None:
         """Time of the state; None before any sample."""
         return self.reckoning.t_ns
+
+    def moved(
+        self,
+        x: FloatArray,
+        P: FloatArray,
+        reckoning: DeadReckoning,
+        lateral: Lateral,
+        delay: Delay | None,
+        *,
+        tilt: Tilt,
+        imu_yaw: ImuYaw,
+        frames: SampleTimes,
+        checks: Checks,
+    ) -> State:
+        """Return the state after a propagation step; the parts that are not given stay. Faster than `_replace`."""
+        parts = (
+            x, P, reckoning, tilt, self.velocity, self.width, imu_yaw, self.axis, lateral, frames, self.elevation,
+            delay, checks,
+        )  # fmt: skip
+        return new_record(State, parts)
 
 
 class Sensed(NamedTuple):

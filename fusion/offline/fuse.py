@@ -381,7 +381,7 @@ class Recorder:
 def frame_row(result: FrameResult, config: FusionConfig) -> tuple[Any, ...]:
     """Put a frame's outcome into the order of `fusion.estimator.tables.FRAME_DTYPE`."""
     m = result.measurement or FrameMeasurement(False, result.reason)
-    position = m.position or position_from_offset(m.lateral_offset_norm, config.position_dead_band_norm)
+    position = position_from_offset(m.lateral_offset_norm, config.position_dead_band_norm) or m.position
     return (
         result.timestamp_ns,
         result.accepted,

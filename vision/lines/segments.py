@@ -91,12 +91,17 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera, *, keep_picture: bool
     Parameters
     ----------
     image
-        Grey, BGR or BGRA picture, uint8 or uint16.
+        Picture (h, w), (h, w, 3) BGR or (h, w, 4) BGRA, uint8 or uint16.
     camera
         Calibration for this picture size.
     keep_picture
         Whether to keep a reference to the grey picture: `measure_lines` reads the lateral offset from it too, and
         searches it again where these lines show no axis.
+
+    Returns
+    -------
+    LineSet
+        Segments in rectified pixels and as rays in the optical frame (x right, y down, z forward).
 
     Raises
     ------
