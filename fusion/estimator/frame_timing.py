@@ -30,6 +30,7 @@ MEMORY_BLOCKS = 20
 MIN_BLOCKS = 8
 PRIOR_WINDOWS = 3.0
 ALIKE_FRAMES = 10.0  # that have about the same error, by what is stated
+MIN_STD_RAD = 1e-4  # no frame is more exact, whatever it says
 MAX_STEP_S = 0.5  # between frames
 MAX_JUMP_RAD = 0.35  # of the difference from frame to frame: another axis
 MAX_OFFSET_S = 0.3  # what differs by more than this, times the rate, is a gross error
@@ -98,7 +99,7 @@ class FrameTiming(NamedTuple):
         full = self._replace(last=last, level=level)
         if full.since_ns is None or t_ns - full.since_ns >= BLOCK_NS:
             full = full._with_block()._replace(since_ns=t_ns, block=(0.0,) * 10)
-        w = std_rad**-2
+        w = max(std_rad, MIN_STD_RAD) ** -2
         products = (w, w * x, w * x * x, w * z, w * z * x, w * z * z, w * y, w * y * x, w * y * z, w * y * y)
         return full._replace(block=tuple(a + b for a, b in zip(full.block, products, strict=True)))
 

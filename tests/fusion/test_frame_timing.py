@@ -79,6 +79,16 @@ def test_nothing_else_passes_for_an_offset(seed: int) -> None:
     assert not timing.is_off
 
 
+@pytest.mark.parametrize("std_rad", [1e-300, 5e-324, 1e-9, 1e100])
+def test_any_sigma_leaves_numbers(std_rad: float) -> None:
+    timing = FrameTiming()
+    for k in range(300):
+        t = k / 30
+        timing = timing.with_frame(round(t * 1e9), weaving(t), weaving(t), std_rad)
+    assert np.isfinite(timing.late_s)
+    assert not timing.is_off
+
+
 def test_without_turns_nothing_is_known() -> None:
     assert seen(lambda t: 0.1, late_s=lambda t: 0.1).std_s == inf
 
