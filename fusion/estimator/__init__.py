@@ -9,8 +9,9 @@ orders the parts:
 - lateral offset: `lateral`, `lateral_status`, `lateral_offset` with `lateral_kernels` and `lateral_mixture_kernels`,
   `lateral_parallax`, `lateral_smoother`, `velocity`, `range_width`;
 - camera: `camera_delay`, `camera_elevation`, `camera_yaw`, `camera_repeats`;
-- fault detection: `gyro_checks`, `imu_yaw_check`, `installation_checks`, `frame_timing`, `frame_drift` (slopes of frames minus
-  gyroscope and minus IMU yaw), `hypotheses` (which sensor is wrong), `axis_drift` (what follows from it), `faults`;
+- fault detection: `gyro_checks`, `imu_yaw_check`, `installation_checks`, `frame_timing` (early or late stamps),
+  `frame_drift` (slopes of frames minus gyroscope and minus IMU yaw), `hypotheses` (which sensor is wrong),
+  `axis_drift` (what follows from it), `faults`;
 - the filter: `ekf`, `models`, `kernels`, `noise_adaptation`, `frame_noise`, `filterpy_ekf` (for inspection);
 - samples and time: `input_checks`, `arrivals` (clocks), `timeline` (samples in any order), `sample_times`, `seed`,
   `records`, `state`;
