@@ -212,7 +212,7 @@ def notices_of(
     axis, clocks = state.axis, [] if arrivals is None else list(arrivals.notices())
     status = status_of(state, config, t_ns, heading_std_rad, arrivals)
     if status is Status.INITIALISING:
-        clocks = [*clocks, *state.checks.installation.notices(state.tilt.down)]
+        clocks = [*clocks, *state.checks.installation.notices(state.tilt.down, config.gyro_scale_std)]
         text = "waiting for frames that agree" if axis.votes else "no usable frame yet"
         return clocks or [Notice(Fault.NOT_STARTED, text)]
     seen_ns = _seen_ns(state, t_ns, arrivals)
@@ -258,7 +258,7 @@ def _of_sensors(
     reckoning = state.reckoning
     if (wrong := state.checks.gyro.notice(t_ns)) is not None:
         yield wrong
-    yield from state.checks.installation.notices(state.tilt.down)
+    yield from state.checks.installation.notices(state.tilt.down, config.gyro_scale_std)
     found = (
         (Fault.GYRO_SILENT, reckoning.gyro_silence(t_ns, config)),
         (Fault.ATTITUDE_SILENT, reckoning.attitude_silence(due_ns(AttitudeSample), config)),

@@ -21,7 +21,15 @@ from fusion.estimator.fixed_lag import FixedLag
 from fusion.estimator.frame_update import FrameResult, FrameSample, Measure, extract_features
 from fusion.estimator.gyro_checks import GOOD
 from fusion.estimator.imu_yaw import AttitudeSample
-from fusion.estimator.input_checks import finite_or_not, number, vector, whole_nanoseconds, within_bounds
+from fusion.estimator.input_checks import (
+    checked_config,
+    checked_measurement,
+    finite_or_not,
+    number,
+    vector,
+    whole_nanoseconds,
+    within_bounds,
+)
 from fusion.estimator.lateral_status import reliable
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.range_width import RangeSample
@@ -87,7 +95,7 @@ class CorridorEstimator:
             raise InputError(f"method {method!r} is unknown", remedy="use geometric or paper")
         if camera is not None:
             _check_camera(camera)
-        self.config = config or FusionConfig()
+        self.config = checked_config(config)
         self.camera = camera
         self.method = method
         self.counters: Counter[str] = Counter()
@@ -385,7 +393,7 @@ class CorridorEstimator:
         InputError
             If the time is not an integer of nanoseconds.
         """
-        measurement, refused = within_bounds(measurement)
+        measurement, refused = within_bounds(checked_measurement(measurement))
         self.counters.update(refused)
         return self._add_frame(t_ns, measurement)
 

@@ -8,7 +8,7 @@ gyroscope's bias and its wander.
 
 In one span of seconds the offset does not stand out from the frames' noise
 (`fusion.estimator.frame_drift.Slope.stamp_s`). Here it is summed up over `MEMORY_BLOCKS`: a clock that runs wrong by
-a fraction of a per cent shows as well. Its sigma follows from the residuals, as in `fusion.estimator.camera_yaw`.
+a fraction of a per cent shows as well. Its sigma follows from the residuals, as in `fusion.estimator.slope`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.estimator.camera_yaw import surely
 from fusion.estimator.kernels import FloatArray
+from fusion.estimator.slope import is_surely_beyond
 
 LEVEL_S = (
     0.5  # time constant of the means: slower, and the gyroscope's wander passes for stamps in slow turns
@@ -33,7 +33,8 @@ ALIKE_FRAMES = 10.0  # that have about the same error, by what is stated
 MIN_STD_RAD = 1e-4  # no frame is more exact, whatever it says
 MAX_STEP_S = 0.5  # between frames
 MAX_JUMP_RAD = 0.35  # of the difference from frame to frame: another axis
-MAX_OFFSET_S = 0.3  # what differs by more than this, times the rate, is a gross error
+# What differs by more than this, times rate and angle, is a gross error.
+MAX_OFFSET_S, MAX_SCALE = 0.3, 0.2
 MIN_RATE_RAD_S = 0.03  # rms, less the mean; with less, frames show nothing
 MIN_REPORTED_S = 0.025  # an offset that is smaller does no harm worth a word
 N_TERMS = 3  # of a line over rate and angle
@@ -71,7 +72,14 @@ class FrameTiming(NamedTuple):
     def is_off(self) -> bool:
         """Whether frames are surely stamped early or late by more than matters."""
         n = PRIOR_WINDOWS + len(self.blocks) / WINDOW
-        return abs(self.late_s) - self.std_s > MIN_REPORTED_S and surely(abs(self.late_s), self.std_s, n)
+        return is_surely_beyond(self.late_s, self.std_s, MIN_REPORTED_S, n)
+
+    @property
+    def text(self) -> str:
+        """The offset in words, to 10 ms: finer, and the words would change twice a second."""
+        side = "late" if self.late_s > 0.0 else "early"
+        late_ms = round(1e3 * abs(self.late_s), -1)
+        return f"frames are stamped {late_ms:.0f} ms {side}: set camera_delay_s, or synchronise the clocks"
 
     def interrupted(self) -> FrameTiming:
         """Compare no frame to come with those before; what they have shown stays."""
@@ -93,7 +101,7 @@ class FrameTiming(NamedTuple):
         share = -expm1(-dt_s / LEVEL_S)
         mean_rate, mean_angle, mean_difference = self.level
         x, z = rate - mean_rate, gyro_rad - mean_angle
-        reach = 5.0 * std_rad + MAX_OFFSET_S * abs(x)
+        reach = 5.0 * std_rad + MAX_OFFSET_S * abs(x) + MAX_SCALE * abs(z)
         y = min(max(difference - mean_difference, -reach), reach)
         level = (mean_rate + share * x, mean_angle + share * z, mean_difference + share * y)
         full = self._replace(last=last, level=level)

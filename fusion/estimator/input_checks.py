@@ -5,7 +5,7 @@ Also the bounds of a frame's measurement: a field beyond them is taken out befor
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from math import inf, isfinite, nan, pi
 from operator import index
 from typing import Any, NamedTuple
@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fusion.estimator.config import FusionConfig
 from fusion.estimator.models import Vector
 from vision.errors import InputError
 from vision.lateral.mixture import OffsetMixture
@@ -26,6 +27,7 @@ MAX_WIDTH_PER_HEIGHT = 1000.0
 MAX_ELEVATION_RAD = 0.5  # a camera's mount that is off by more is no matter of calibration
 MAX_ROLL_CORRECTION_RAD = 0.5
 MAX_ANGLE_STD_RAD = pi
+_NUMBERS = tuple(field.name for field in fields(FrameMeasurement) if field.type in ("float", float))
 
 
 def whole_nanoseconds(t_ns: object) -> int:
@@ -91,6 +93,34 @@ def number(value: object, name: str) -> float:
         return float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name} = {value!r} is not a number") from None
+
+
+def checked_config(config: object) -> FusionConfig:
+    """Return the settings, the usual ones for None; raise `InputError` where they are of another type."""
+    if config is None:
+        return FusionConfig()
+    if not isinstance(config, FusionConfig):
+        raise InputError(
+            f"config is of type {type(config).__name__}",
+            remedy="give a FusionConfig: FusionConfig(**settings)",
+        )
+    return config
+
+
+def checked_measurement(measurement: object) -> FrameMeasurement:
+    """Return a frame's measurement; raise `InputError` where it is none, or one of its numbers is no number."""
+    if not isinstance(measurement, FrameMeasurement):
+        raise InputError(
+            f"measurement is of type {type(measurement).__name__}",
+            remedy="give a FrameMeasurement; for a frame without a picture call add_unreadable_frame",
+        )
+    for name in _NUMBERS:
+        value = getattr(measurement, name)
+        if type(value) is not float and not isinstance(value, (int, float, np.integer, np.floating)):
+            raise InputError(
+                f"{name} = {value!r} is not a number", remedy="give NaN for what was not measured"
+            )
+    return measurement
 
 
 class _Bound(NamedTuple):

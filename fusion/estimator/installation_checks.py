@@ -1,9 +1,9 @@
 """Checks how sensors are installed (axes, units, tilt, focal length), by comparing what they measure of one motion.
 
 The turns that frames see are regressed on those of the gyroscope: a slope of -1 is a wrong sign, one near 0 a wrong
-unit, another one a wrong focal length, and the intercept is the gyroscope's bias. At rest the accelerometer reads
-(0, 0, -9.8) m/s^2 in FRD, and its mean points where the attitude has up. Where the camera points, the vehicle's
-rolling shows (`fusion.estimator.camera_yaw`).
+unit, and the intercept is the gyroscope's bias. At rest the accelerometer reads (0, 0, -9.8) m/s^2 in FRD, and its
+mean points where the attitude has up. Where the camera points, the vehicle's rolling shows
+(`fusion.estimator.camera_yaw`), and its focal length the headings (`fusion.estimator.focal_length`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from fusion.estimator.camera_yaw import CameraYaw
 from fusion.estimator.faults import Fault, Notice
+from fusion.estimator.focal_length import FocalLength
 from fusion.estimator.frame_timing import FrameTiming
 from fusion.estimator.models import Vector
 from fusion.estimator.records import new_record
@@ -25,14 +26,13 @@ MAX_TURN_RAD = 0.35  # in that time; more is another axis
 MEMORY = 1.0 - 1 / 40  # of each turn, when the next comes
 MIN_TURNS, SURE_SIGMA = 3.0, 5.0
 PRIOR_TURNS = 4.0  # that the stated noise counts as, beside the scatter that is found
-FOCAL_SLOPES = (0.85, 1.18)
 FAST_RAD_S = 3.0  # rms that no flight along a corridor has
 MAX_BIAS_RAD_S = 0.1
 IMU_STEP_NS, IMU_MEMORY_S, ACCEL_MIN_S, FAST_MIN_S = 50_000_000, 3.0, 0.5, 2.0
 MAX_TILT_ERROR_RAD = radians(20)
 LEAN_MEMORY_S, LEAN_MIN_S = 10.0, 4.0  # no vehicle speeds up one way for so long
 MAX_LEAN_RAD = radians(7)
-FROM_FRAMES = 5  # so many fields of an `Installation` come from frames, the others from the IMU's samples
+FROM_FRAMES = 6  # so many fields of an `Installation` come from frames, the others from the IMU's samples
 
 
 class Span(NamedTuple):
@@ -81,6 +81,8 @@ class Installation(NamedTuple):
         Weight, x, y, xx, xy, yy, stated variance of the turns; x is the gyroscope's, y the frames', rad/s.
     camera_yaw
         Whether the camera points to one side.
+    focal_length
+        Whether its focal length is wrong.
     timing
         Whether frames are stamped early or late.
     accel_m_s2, lean, turning_rad2_s2, imu_s, imu_ns
@@ -92,6 +94,7 @@ class Installation(NamedTuple):
     last_span: Span | None = None
     sums: tuple[float, float, float, float, float, float, float] = (0.0,) * 7
     camera_yaw: CameraYaw = CameraYaw()
+    focal_length: FocalLength = FocalLength()
     timing: FrameTiming = FrameTiming()
     accel_m_s2: Vector = (0.0, 0.0, 0.0)
     lean: Vector = (0.0, 0.0, 0.0)
@@ -101,7 +104,13 @@ class Installation(NamedTuple):
 
     def interrupted(self) -> Installation:
         """Start another turn and another mean: time has moved, or something else carries the heading."""
-        return self._replace(span=None, last_span=None, timing=self.timing.interrupted(), imu_ns=None)
+        return self._replace(
+            span=None,
+            last_span=None,
+            imu_ns=None,
+            focal_length=self.focal_length.interrupted(),
+            timing=self.timing.interrupted(),
+        )
 
     def with_frame(self, t_ns: int, heading_rad: float, gyro_rad: float, std_rad: float) -> Installation:
         """Take a frame's heading and its sigma, and the angle that the gyroscope has turned by then."""
@@ -111,8 +120,14 @@ class Installation(NamedTuple):
             return self._replace(span=span.with_frame(t_ns, heading_rad, gyro_rad, variance), timing=timing)
         new = Span(t_ns, 0.0, gyro_rad, variance, (heading_rad - gyro_rad,))
         if span is None or t_ns - span.since_ns > 2 * SPAN_NS:
-            return self._replace(span=new, last_span=None, timing=timing)
-        then, done = self.last_span, self._replace(span=new, last_span=span, timing=timing)
+            focal = self.focal_length.interrupted()
+            return self._replace(span=new, last_span=None, focal_length=focal, timing=timing)
+        middle_ns = span.since_ns + round(1e9 * span.time_s)
+        focal = self.focal_length.with_heading(
+            middle_ns, span.heading_rad, span.gyro_rad, span.heading_variance
+        )
+        then = self.last_span
+        done = self._replace(span=new, last_span=span, focal_length=focal, timing=timing)
         if then is None:
             return done
         turn = wrap_axis(span.heading_rad - then.heading_rad)
@@ -169,10 +184,11 @@ class Installation(NamedTuple):
             last_span=other.last_span,
             sums=other.sums,
             camera_yaw=other.camera_yaw,
+            focal_length=other.focal_length,
             timing=other.timing,
         )
 
-    def notices(self, down: Vector) -> Iterator[Notice]:
+    def notices(self, down: Vector, gyro_scale_std: float = 0.0) -> Iterator[Notice]:
         """Say what is installed otherwise than told; ``down`` is that of the attitude in use, body FRD.
 
         A gyroscope in degrees spoils the tilt, and a wrong tilt reverses the level yaw rate: then the turns tell
@@ -184,14 +200,13 @@ class Installation(NamedTuple):
             return
         tilt = self._of_gravity(down)
         if tilt is None:
-            yield from self._of_turns()
-            if self.timing.is_off:
-                side = "late" if self.timing.late_s > 0.0 else "early"
-                late_ms = round(
-                    1e3 * abs(self.timing.late_s), -1
-                )  # else it would be another text twice a second
-                text = f"frames are stamped {late_ms:.0f} ms {side}: set camera_delay_s, or synchronise the clocks"
-                yield Notice(Fault.CAMERA_CLOCK, text)
+            of_turns = list(self._of_turns(gyro_scale_std))
+            yield from of_turns
+            # Against a gyroscope in another unit, or of another sign, nothing shows how frames are stamped.
+            if self.timing.is_off and not any(
+                n.fault in (Fault.GYRO_SIGN, Fault.GYRO_SCALE) for n in of_turns
+            ):
+                yield Notice(Fault.CAMERA_CLOCK, self.timing.text)
             if self.camera_yaw.is_off:
                 angle = degrees(abs(self.camera_yaw.angle_rad))
                 text = f"camera points {angle:.0f} deg to one side: check principal point and mounting"
@@ -214,7 +229,7 @@ class Installation(NamedTuple):
             return "attitude and accelerometer disagree: check how each is mounted"
         return None
 
-    def _of_turns(self) -> Iterator[Notice]:
+    def _of_turns(self, gyro_scale_std: float) -> Iterator[Notice]:
         n, sx, sy, sxx, sxy, syy, stated = self.sums
         if n < MIN_TURNS:
             return
@@ -232,9 +247,11 @@ class Installation(NamedTuple):
             text = "gyroscope turns against the camera: give it in FRD, positive to the right"
             yield Notice(Fault.GYRO_SIGN, text)
             return
-        scaled = 0.5 < slope < FOCAL_SLOPES[0] or FOCAL_SLOPES[1] < slope < 2.0
-        if scaled and abs(slope - 1.0) > SURE_SIGMA * std:
-            text = f"camera sees {slope:.2f} times the gyroscope's turns: check the focal length"
+        if 0.5 < slope < 2.0 and self.focal_length.is_off(gyro_scale_std):
+            seen = 1.0 + self.focal_length.share
+            text = (
+                f"camera sees {seen:.2f} times the gyroscope's turns: check focal length and gyroscope scale"
+            )
             yield Notice(Fault.FOCAL_LENGTH, text)
         bias = (sx - sy / slope) / n if 0.5 < slope < 2.0 else (sx - sy) / n
         if abs(bias) > MAX_BIAS_RAD_S and abs(bias) > SURE_SIGMA * sqrt(noise / n):

@@ -35,7 +35,9 @@ class RangeSample(NamedTuple):
 
     def fault(self) -> str:
         """Why it cannot be used; empty where it can."""
-        return "" if 0.0 < self.distance_m <= MAX_DISTANCE_M else "range_not_positive"  # NaN fails too
+        if self.distance_m > MAX_DISTANCE_M:
+            return "range_out_of_range"
+        return "" if self.distance_m > 0.0 else "range_not_positive"  # NaN fails too
 
 
 class Heights(NamedTuple):

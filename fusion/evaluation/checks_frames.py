@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import numpy.typing as npt
 
 from fusion.alignment import clock_of_frames
+from fusion.estimator.frame_update import extract_features
 from fusion.evaluation.verdict import CheckRule, Finding, Limits, level_of, nothing_to_judge, worst_of
 from fusion.flight import Flight
 from fusion.result.result import FusionResult
@@ -26,6 +29,7 @@ REASON_ACTION = {
     "ahead": "Check the camera's clock: some frames are stamped far ahead of the other sensors.",
 }
 _HELD_BACK = "held back at a junction"  # said in place of gate
+TRIED = 20  # of the unreadable pictures, for why they are
 _DAMAGE = ("unreadable", "late")  # no picture of a good log is either
 
 
@@ -48,7 +52,32 @@ def _share_used(result: FusionResult, flight: Flight, limits: Limits) -> Finding
     meaning = (
         f"Most of the rejected frames are “{worst.replace('_', ' ')}”: {counts.max()} of {len(rejected)}."
     )
+    cause = _cause(result, flight) if worst == Reason.UNREADABLE else None
+    if cause is not None:
+        return Finding(text, share, meaning=f"{meaning[:-1]}, {cause[0]}.", action=cause[1])
     return Finding(text, share, meaning=meaning, action=REASON_ACTION.get(worst, ""))
+
+
+def _cause(result: FusionResult, flight: Flight) -> tuple[str, str] | None:
+    """Why most unreadable pictures that decode are of no use, and the remedy; None where most do not decode."""
+    frames, found = result.frames, Counter[tuple[str, str] | None]()
+    t_ns = frames["timestamp_ns"][frames["reason"] == Reason.UNREADABLE]
+    t_ns = t_ns - round(result.config.camera_delay_s * 1e9)
+    for k in np.flatnonzero(np.isin(flight.frames.t_ns, t_ns))[:TRIED].tolist():
+        try:
+            picture = flight.frames.read(k)
+        except InputError:
+            found[None] += 1
+            continue
+        try:
+            extract_features(picture, flight.camera, "geometric")
+        except InputError as error:
+            found[error.problem, _sentence(error.remedy or "")] += 1
+    return found.most_common(1)[0][0] if found else None
+
+
+def _sentence(text: str) -> str:
+    return text and f"{text[0].upper()}{text[1:]}."
 
 
 def _reasons_to_reject(result: FusionResult) -> npt.NDArray[np.str_]:
@@ -92,6 +121,11 @@ def _rejections_by_reason(result: FusionResult, flight: Flight, limits: Limits) 
     if level is Level.PASS:
         return Finding(text, largest, level=level)
     word = next(word for word in order if levels.get(word) is level)
+    cause = _cause(result, flight) if word == Reason.UNREADABLE else None
+    if cause is not None:
+        return Finding(
+            text, largest, level=level, meaning=f"Unreadable pictures: {cause[0]}.", action=cause[1]
+        )
     meaning = f"“{word.replace('_', ' ').capitalize()}” means: {REASON_MEANING[Reason(word)]}."
     return Finding(text, largest, level=level, meaning=meaning, action=REASON_ACTION.get(word, ""))
 

@@ -280,6 +280,7 @@ def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
         "velocity_not_finite": "velocities that are not numbers were skipped",
         "velocity_out_of_range": "velocities that no vehicle indoors reaches were skipped",
         "range_not_positive": "distances to the floor that can be none were skipped",
+        "range_out_of_range": "distances to the floor beyond 100 m, which none indoors is, were skipped: give metres",
         "imu_ahead": "IMU samples stamped far ahead of all others were skipped",
         "attitude_ahead": "attitudes stamped far ahead of all others were skipped",
         "frame_ahead": "frames stamped far ahead of all others were skipped",

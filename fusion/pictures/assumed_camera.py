@@ -154,9 +154,10 @@ class AssumedViews:
         rest = self.groups[MAX_NOTES:]
         if rest:
             low, high = (degrees(bound(view.horizontal_rad for view in rest)) for bound in (min, max))
+            between = f"{low:.0f} to {high:.0f}" if round(low) < round(high) else f"{low:.0f}"
             lines.append(
                 f"no --camera: {counted(sum(view.n_pictures for view in rest), 'picture')} in "
-                f"{counted(len(rest), 'more group')}: assuming {low:.0f} to {high:.0f} degrees, each as above"
+                f"{counted(len(rest), 'more group')}: assuming {between} degrees, each as above"
             )
         return lines
 

@@ -729,3 +729,21 @@ def test_counts_of_an_accelerometer_are_put_right_as_the_finding_says(tmp_path: 
     assert setting is not None
     manifest = written(tmp_path / "flight.toml", f'log = "imu.csv"\n[imu.columns]\n{setting[1]}\n')
     assert not [f for f in inspect_path(manifest).findings if f.kind == "accel_unit"]
+
+
+HEADER = "t_ns,gx [{0}],gy [{0}],gz [{0}],ax [m/s^2],ay [m/s^2],az [m/s^2]\n"
+
+
+@pytest.mark.parametrize("unit", ["rev/s", "rps", "rpm", "turns/s", "deg/h", "urad/s", "LSB"])
+def test_a_unit_that_is_not_known_is_refused(tmp_path: Path, unit: str) -> None:
+    text = HEADER.format(unit) + rows(lambda i: f"{1_000_000_000 + 5_000_000 * i},0.1,0.2,0.3,0,0,-9.8")
+    with pytest.raises(InputError, match=f"column gx is in {unit}, .*known are rad/s, deg/s") as refused:
+        open_log(written(tmp_path / "imu.csv", text))
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("unit", ["rad/sec", "rad/second"])
+def test_seconds_may_be_written_out(tmp_path: Path, unit: str) -> None:
+    text = HEADER.format(unit) + rows(lambda i: f"{1_000_000_000 + 5_000_000 * i},0.1,0.2,0.3,0,0,-9.8")
+    log = open_log(written(tmp_path / "imu.csv", text))
+    assert not any("no unit is given" in problem for problem in log.problems)

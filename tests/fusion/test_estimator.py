@@ -881,3 +881,26 @@ def test_a_camera_ahead_of_the_centre_does_not_move_the_vehicle() -> None:
             )
             estimator.add_measurement(t_ns, measured)
     assert estimator.estimate().lateral_offset_m == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("heading_rad", None), ("heading_std_rad", "0.1"), ("elevation_rad", None)]
+)
+def test_what_is_no_number_of_a_measurement_is_refused(name: str, value: object) -> None:
+    changes: dict[str, Any] = {name: value}
+    with pytest.raises(InputError, match=f"{name} = {value!r} is not a number .*NaN"):
+        CorridorEstimator().add_measurement(0, replace(frame(0.1), **changes))
+
+
+@pytest.mark.parametrize("measurement", [None, {"heading_rad": 0.1}])
+def test_what_is_no_measurement_is_refused(measurement: Any) -> None:
+    estimator = CorridorEstimator()
+    with pytest.raises(InputError, match=f"measurement is of type {type(measurement).__name__}"):
+        estimator.add_measurement(0, measurement)
+    assert estimator.add_measurement(0, frame(float(np.float32(0.1)))).accepted
+
+
+def test_settings_of_another_type_are_refused() -> None:
+    settings_of_a_file: Any = {"corridor_width_m": 2.2}
+    with pytest.raises(InputError, match=r"config is of type dict .*FusionConfig\(\*\*settings\)"):
+        CorridorEstimator(settings_of_a_file)

@@ -20,6 +20,7 @@ from fusion.estimator.range_width import Heights, Widths, height_at, with_range,
 from fusion.estimator.state import Entry
 from fusion.flight import Flight, RangeStream
 from fusion.logs.asl import read_ground_truth
+from fusion.offline.fuse import _sample_problems
 from tests.files import OFFICE
 from tests.fusion.simulated import Sample, frame, give, quaternion
 
@@ -155,11 +156,22 @@ def test_late_ranges_give_the_same_bits(seed: int, jitter_s: float) -> None:
     assert recorded([IN_ORDER[i] for _, i in keyed]) == EXPECTED
 
 
-@pytest.mark.parametrize("distance", [nan, float("inf"), 0.0, -1.0, 101.0])
-def test_what_is_no_distance_is_counted(distance: float) -> None:
+@pytest.mark.parametrize(
+    ("distance", "counted"),
+    [
+        (nan, "range_not_positive"),
+        (0.0, "range_not_positive"),
+        (-1.0, "range_not_positive"),
+        (120.0, "range_out_of_range"),  # centimetres
+        (1200.0, "range_out_of_range"),
+        (float("inf"), "range_out_of_range"),
+    ],
+)
+def test_what_is_no_distance_is_counted(distance: float, counted: str) -> None:
     estimator = CorridorEstimator()
     estimator.add_range(0, distance)
-    assert dict(estimator.counters) == {"range_not_positive": 1}
+    assert dict(estimator.counters) == {counted: 1}
+    assert ("metres" in "; ".join(_sample_problems(estimator))) == (counted == "range_out_of_range")
 
 
 def test_silence_is_told_of_and_the_width_outlasts_it() -> None:

@@ -15,7 +15,7 @@ from fusion.evaluation import checks_cause
 from fusion.evaluation.checks import CHECKS, run_checks
 from fusion.evaluation.checks_frames import REASON_ACTION
 from fusion.evaluation.verdict import CheckRule, Finding, Limits, nothing_to_judge, worst_first, worst_of
-from fusion.flight import Flight, FloatArray, FrameStream, ImuStream
+from fusion.flight import Flight, FloatArray, FrameStream, GreyImage, ImuStream
 from fusion.report.template import with_code
 from fusion.result.result import FusionResult
 from fusion.result.summary import Check, Level
@@ -58,6 +58,11 @@ def check_of(name: str, result: FusionResult, flight: Flight) -> Check:
     return next(check for check in run_checks(result, flight) if check.name == name)
 
 
+class SmallPictures:
+    def read(self, index: int) -> GreyImage:
+        return np.zeros((120, 160), np.uint8)
+
+
 class TestFrames:
     def rejected(self, swing: Fused, **counts: int) -> Check:
         result, flight = swing
@@ -67,6 +72,19 @@ class TestFrames:
             frames = table_with(frames, accepted=(rows, False), reason=(rows, reason))
             start += count
         return check_of("Rejected frames by reason", replace(result, frames=frames), flight)
+
+    @pytest.mark.parametrize("name", ["Frames used", "Rejected frames by reason"])
+    def test_pictures_of_another_size_are_not_called_damaged(self, swing: Fused, name: str) -> None:
+        result, flight = swing
+        frames = table_with(
+            result.frames, accepted=(slice(0, 40), False), reason=(slice(0, 40), "unreadable")
+        )
+        flight = replace(flight, frames=FrameStream(flight.frames.t_ns, SmallPictures()))
+        camera = flight.camera
+        check = check_of(name, replace(result, frames=frames), flight)
+        assert f"the camera's {camera.width_px}x{camera.height_px}" in check.meaning
+        assert "calibration of these pictures" in check.action
+        assert "decoded" not in check.meaning
 
     def at_a_junction(self, swing: Fused, *corridors: int) -> Fused:
         """A flight whose frames 40 to 59 saw another corridor, 65 degrees to the left."""

@@ -78,6 +78,14 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
         if not columns:
             return
         names = tuple(layout.names[i] for i in columns)
+        given = layout.units[columns[0]].strip()
+        if given and not unit and role in _UNITS and role != "position":
+            raise InputError(
+                f"column {names[0]} is in {given}, a unit that is not known",
+                file=layout.path,
+                remedy=f"known are {', '.join(dict.fromkeys(_UNITS[role].values()))}: convert the column and name "
+                f"its unit, or set {role}_unit under the columns in flight.toml",
+            )
         found[role] = names[0] if role == "range" else names
         if unit:
             found[f"{role}_unit"] = unit
@@ -186,5 +194,6 @@ def _normal(name: str, unit: str) -> tuple[str, str]:
     name = re.sub(r"[\s.\-]+", "_", name.strip().lower()).removeprefix("field_").removeprefix("_")
     unit = unit.lower().replace("²", "2").replace("^", "").replace("°", "deg").replace("degrees", "deg")
     unit = re.sub(r"[\s*·]+", " ", unit).strip()
+    unit = re.sub(r"\b(?:sec|second)s?\b", "s", unit)
     unit = re.sub(r"\bs-(\d)", r"/s\1", unit).replace(" /", "/").replace("/s1", "/s")
     return name, unit.replace("/", "_")

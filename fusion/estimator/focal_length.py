@@ -1,0 +1,82 @@
+"""Whether the focal length is wrong: takes headings and the gyroscope's angle, returns by how much.
+
+A camera whose focal length is told too short by a share sees the tangent of each heading too large by it, so the
+heading h by the share times sin(2 h) / 2: of a turn less, the further the axis lies from the middle of the picture.
+The share is the slope of a line through headings less the gyroscope's angle over sin(2 h) / 2
+(`fusion.estimator.slope.Slope`). It is taken twice, with h as seen, and as the gyroscope carries it from the mean of
+the last seconds. Errors of the frames, a wrong axis among them, are in the h that is seen too and make the first
+slope larger; a bend that the vehicle follows turns the gyroscope and not the camera's view, and makes the second one
+smaller. A wrong focal length changes both alike, and so does a wrong scale of the gyroscope.
+"""
+
+from __future__ import annotations
+
+from math import expm1, radians, sin, sqrt
+from typing import NamedTuple
+
+from fusion.estimator.slope import LEVEL_S, Slope
+from vision.rotations import wrap_axis
+
+MAX_JUMP_RAD = 0.35  # of a difference from the mean of the last seconds; more is another axis
+MIN_HEADING_STD = radians(2)  # with less, a slope is that of errors
+WINDOW = 6  # blocks: a bend lasts for seconds
+MIN_WINDOWS = 5.0  # of turning, 15 s: in fewer, a bend may happen to go along with the turns
+MAX_SHARE = 0.03
+SCALE_SIGMA = 3.0  # by which the scale of a good gyroscope may be off
+
+
+class FocalLength(NamedTuple):
+    """What headings have shown so far.
+
+    Parameters
+    ----------
+    level
+        Time of the last heading, and means of sin(2 h) / 2 of both kinds and of the difference until then; None
+        before the first.
+    by_frames, by_gyro
+        Lines through the differences, h as seen and as the gyroscope carries it.
+    """
+
+    level: tuple[int, float, float, float] | None = None
+    by_frames: Slope = Slope(WINDOW, MIN_HEADING_STD)
+    by_gyro: Slope = Slope(WINDOW, MIN_HEADING_STD)
+
+    @property
+    def share(self) -> float:
+        """By how much the camera sees more of a turn than the gyroscope."""
+        return min(self.by_frames.slope, self.by_gyro.slope, key=abs)
+
+    def is_off(self, gyro_scale_std: float) -> bool:
+        """Whether that is surely more than a calibration and the gyroscope's scale may be off."""
+        limit = max(MAX_SHARE, SCALE_SIGMA * gyro_scale_std)
+        lines = (self.by_frames, self.by_gyro)
+        alike = self.by_frames.slope * self.by_gyro.slope > 0.0
+        return alike and all(
+            line.windows > MIN_WINDOWS and line.is_beyond(limit, line.windows) for line in lines
+        )
+
+    def interrupted(self) -> FocalLength:
+        """Forget the last seconds: time has moved, or something else carries the heading."""
+        return FocalLength(None, self.by_frames.interrupted(), self.by_gyro.interrupted())
+
+    def with_heading(self, t_ns: int, heading_rad: float, gyro_rad: float, variance: float) -> FocalLength:
+        """Take a heading, modulo half a turn, its variance, and the angle that the gyroscope has turned by then."""
+        seen, difference = 0.5 * sin(2.0 * heading_rad), heading_rad - gyro_rad
+        then_ns, mean_seen, mean_carried, mean = self.level or (t_ns, seen, seen, difference)
+        off = wrap_axis(difference - mean)
+        if abs(off) > MAX_JUMP_RAD:
+            return self.interrupted()
+        carried = 0.5 * sin(2.0 * (gyro_rad + mean))
+        share = -expm1(-max(t_ns - then_ns, 0) * 1e-9 / LEVEL_S)
+        level = (
+            t_ns,
+            mean_seen + share * (seen - mean_seen),
+            mean_carried + share * (carried - mean_carried),
+            mean + share * off,
+        )
+        std = sqrt(variance)
+        return FocalLength(
+            level,
+            self.by_frames.with_point(t_ns, seen - mean_seen, off, std),
+            self.by_gyro.with_point(t_ns, carried - mean_carried, off, std),
+        )
