@@ -24,7 +24,7 @@ from vision import Attitude, Camera, extract_lines, measure_lines
 from vision.lateral import walls
 from vision.lateral.learned import corner_scores
 from vision.lateral.mixture import CHANCE
-from vision.lateral.offset import answer_of
+from vision.lateral.offset import combined_offset
 from vision.lateral.polar import polar_picture
 from vision.lateral.walls import MissingWallEvidence, missing_wall_evidence
 
@@ -88,7 +88,7 @@ def answers(n_scenes: int, seed: int) -> Iterator[Answer]:
                 continue
             R_corridor_camera = frame[0]
             by_lines, by_regions = found.offset_evidence
-            answer = answer_of(by_lines, by_regions)
+            answer = combined_offset(by_lines, by_regions)
             if answer is None:
                 continue
             evidence = missing_wall_evidence(

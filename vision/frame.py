@@ -28,7 +28,7 @@ from vision.errors import InputError
 from vision.images import to_grey
 from vision.lateral.learned import corner_lines, corner_scores, learned_mixture, mixture_of
 from vision.lateral.mixture import CHANCE, OffsetMixture
-from vision.lateral.offset import SAME_ANSWER, LateralFit, OffsetAnswer, answer_of, fit_lateral
+from vision.lateral.offset import SAME_ANSWER, LateralFit, PictureOffset, combined_offset, fit_lateral
 from vision.lateral.parallax import Profiles, wall_profiles
 from vision.lateral.polar import polar_picture, pyramid_of
 from vision.lateral.walls import missing_wall_evidence, wall_is_missing
@@ -165,10 +165,10 @@ def measure_lines(
             offset_evidence=_evidence_about_expected_axis(lines, camera, level, prior) if lateral else (),
             vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started),
         )
-    offset = _OffsetFound()
+    offset = _OffsetResult()
     if lateral:
         offset = _offset(heading, fit, lines, camera, level, prior)
-    return _described(heading, offset, fit, lines, camera, level, prior, started)
+    return _frame_measurement(heading, offset, fit, lines, camera, level, prior, started)
 
 
 @lru_cache(maxsize=8)
@@ -245,7 +245,7 @@ def level_std_rad(attitude: Attitude, mount_std_rad: float) -> tuple[float, floa
     return hypot(attitude.std_rad, mount_std_rad), hypot(attitude.std_rad, roll_std_rad)
 
 
-class _OffsetFound(NamedTuple):
+class _OffsetResult(NamedTuple):
     """What is said of the lateral offset; fields as in `FrameMeasurement`."""
 
     lateral_offset_norm: float = nan
@@ -257,9 +257,9 @@ class _OffsetFound(NamedTuple):
     wall_profiles: Profiles | None = None
 
 
-def _described(
+def _frame_measurement(
     heading: HeadingJudgement,
-    offset: _OffsetFound,
+    offset: _OffsetResult,
     fit: AxisFit,
     lines: LineSet,
     camera: Camera,
@@ -296,14 +296,14 @@ def _described(
 
 def _offset(
     heading: HeadingJudgement, fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
-) -> _OffsetFound:
+) -> _OffsetResult:
     """Return what lines and, where the axis is to be relied on, regions say about the lateral offset.
 
     Where a wall is missing there is no answer unless the corridor's width is known from before. The evidence remains.
     """
     known = (prior.lateral_offset_norm, prior.lateral_offset_norm_std, prior.width_per_height)
     by_lines, mixture = fit_lateral(lines, fit, level.R_level_camera, level.roll_std_rad, *known)
-    answer: LateralFit | OffsetAnswer | None = by_lines
+    answer: LateralFit | PictureOffset | None = by_lines
     evidence: tuple[OffsetMixture, ...] = (mixture,)
     profiles = None
     walls = None if by_lines is None else _in_picture(lines.ends_px[by_lines.wall_lines], camera)
@@ -312,11 +312,11 @@ def _offset(
     elif lines.grey is not None:
         R_corridor_camera = corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad)
         picture = pyramid_of(lines.grey)
-        profiles = wall_profiles(picture, camera, _steady_axes(fit, level, prior))
+        profiles = wall_profiles(picture, camera, _corridor_frame_from_prediction(fit, level, prior))
         scores = corner_scores(polar_picture(picture, camera, R_corridor_camera))
         regions = mixture_of(scores)
         evidence = (mixture, regions)
-        answer = answer_of(mixture, regions, *known)
+        answer = combined_offset(mixture, regions, *known)
         if answer is not None and not isfinite(prior.width_per_height):
             by_lines_alone = float(mixture.likelihood(answer.offset_norm)) / CHANCE
             walls_seen = missing_wall_evidence(
@@ -329,8 +329,8 @@ def _offset(
             told = regions.cannot_tell < MAX_DRAWN_DOUBT
             walls = corner_lines(scores, camera, R_corridor_camera).astype(np.float32) if told else None
     if answer is None:
-        return _OffsetFound(wall_lines_px=walls, offset_evidence=evidence, wall_profiles=profiles)
-    return _OffsetFound(
+        return _OffsetResult(wall_lines_px=walls, offset_evidence=evidence, wall_profiles=profiles)
+    return _OffsetResult(
         lateral_offset_norm=answer.offset_norm,
         lateral_offset_norm_std=answer.offset_norm_std,
         width_per_height=answer.width_per_height,
@@ -341,7 +341,7 @@ def _offset(
     )
 
 
-def _steady_axes(fit: AxisFit, level: LevelFrame, prior: Prior) -> FloatArray:
+def _corridor_frame_from_prediction(fit: AxisFit, level: LevelFrame, prior: Prior) -> FloatArray:
     """Return R_corridor_camera with the prior's heading, where that is well known.
 
     Frames that are compared should err alike: the prior turns with the gyro, while the frame's own heading is noise

@@ -17,14 +17,14 @@ from fusion.estimator.frame_drift import (
     SPANS_S,
     Drift,
     Evidence,
-    Sight,
+    HeadingComparison,
     Slope,
-    unseen_leap,
-    with_sight,
+    add_comparison,
+    gyro_jump_between_frames,
 )
 from fusion.estimator.frame_noise import white_and_walk
 from fusion.estimator.hypotheses import (
-    LOOK_S,
+    CHECK_INTERVAL_S,
     SHORT_S,
     Diagnosis,
     Hypothesis,
@@ -33,7 +33,7 @@ from fusion.estimator.hypotheses import (
     Verdict,
     judge,
 )
-from fusion.estimator.imu_yaw_check import InertialNoise, TurnBeside
+from fusion.estimator.imu_yaw_check import GyroAndYaw, InertialNoise
 from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, heading_model
 from fusion.estimator.propagation import DeadReckoning, yaw_at
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 MAX_INTERVAL_S = 0.5  # between frames: after a longer one the last counts for no more
-REFUSED_SHARE = 0.25  # one gross frame of ten is none of the gyroscope's
+REJECTED_SHARE = 0.25  # one gross frame of ten is none of the gyroscope's
 
 
 class SeenHeading(NamedTuple):
@@ -66,14 +66,14 @@ def diagnosed(
     ekf: CorridorEKF,
     reckoning: DeadReckoning,
     seen: SeenHeading,
-    coupled: bool,
+    corrects_heading: bool,
     config: FusionConfig,
 ) -> tuple[CorridorAxis, CorridorAxis | None]:
     """Ask who is wrong, after the gate; return the axis, and as it is where the filter follows what was found.
 
     Parameters
     ----------
-    axis, ekf, coupled, config
+    axis, ekf, corrects_heading, config
         As in `start`; the axis with the outcome of the newest frame's gate.
     reckoning
         What propagates the heading: the gyroscope.
@@ -87,11 +87,11 @@ def diagnosed(
     linked, yaw_rad = axis.recent[-1].linked, yaw_at(reckoning, t_ns)
     bias_rad_s, bias_variance = float(ekf.x[BIAS]) + bend_rate(axis.diagnosis, ekf), float(ekf.P[BIAS, BIAS])
     raw_rad = reckoning.raw_theta_rad
-    sight = Sight(
+    comparison = HeadingComparison(
         t_ns, heading_rad, std, raw_rad, yaw_rad, linked, walk, bias_rad_s, bias_variance, stamp_std_s
     )
-    axis, drift = weigh(axis, ekf, sight, rho, config)
-    followed = follow_verdict(axis, ekf, sight, drift, reckoning.theta_rad, coupled)
+    axis, drift = weigh(axis, ekf, comparison, rho, config)
+    followed = follow_verdict(axis, ekf, comparison, drift, reckoning.theta_rad, corrects_heading)
     if axis.was_accepted and axis.diagnosis.found is Hypothesis.WELL:
         difference = heading_rad - reckoning.theta_rad
         noise = axis.frame_noise.with_heading(
@@ -102,7 +102,7 @@ def diagnosed(
 
 
 def weigh(
-    axis: CorridorAxis, ekf: CorridorEKF, new: Sight, rho: float, config: FusionConfig
+    axis: CorridorAxis, ekf: CorridorEKF, new: HeadingComparison, rho: float, config: FusionConfig
 ) -> tuple[CorridorAxis, Slope | None]:
     """Ask who is wrong, and return what frames minus gyroscope showed.
 
@@ -123,22 +123,22 @@ def weigh(
     if not isnan(before.straight_bias_rad_s):  # dead reckoning turns with the bend, the anchor does not
         axis = axis._replace(anchor_rad=axis.anchor_rad + bend_rate(before, ekf) * elapsed_s)
     kept = exp(-interval_s / SHORT_S)
-    refused_share = kept * before.refused_share + (0.0 if axis.was_accepted else 1.0 - kept)
+    rejected_share = kept * before.rejected_share + (0.0 if axis.was_accepted else 1.0 - kept)
     noise = _inertial_noise(config, axis.frame_noise.gyro_scale)
-    beside = TurnBeside(new.t_ns, new.raw_theta_rad, new.yaw_rad, new.bias_rad_s, new.bias_variance)
-    sights = with_sight(before.sights, new, round(0.9 * VOTE_SPACING_S * 1e9))
+    beside = GyroAndYaw(new.t_ns, new.raw_theta_rad, new.yaw_rad, new.bias_rad_s, new.bias_variance)
+    comparisons = add_comparison(before.comparisons, new, round(0.9 * VOTE_SPACING_S * 1e9))
     now = before._replace(
-        refused_share=refused_share,
+        rejected_share=rejected_share,
         innovations=innovations,
-        sights=sights,
+        comparisons=comparisons,
         verdict=Verdict(),
-        leap_rad=unseen_leap(before.sights, new, float(ekf.x[BIAS])),
-        yaw_doubt=before.yaw_doubt.compared(beside, noise),
+        jump_rad=gyro_jump_between_frames(before.comparisons, new, float(ekf.x[BIAS])),
+        yaw_probabilities=before.yaw_probabilities.compared(beside, noise),
     )
-    if now.leap_rad:
+    if now.jump_rad:
         now = now._replace(told=Told(Hypothesis.SPIKE, new.t_ns))
-    due = now.judged_ns is None or new.t_ns - now.judged_ns >= LOOK_S * 1e9
-    if not (innovations.systematic or due) or sights[-1] is not new:
+    due = now.judged_ns is None or new.t_ns - now.judged_ns >= CHECK_INTERVAL_S * 1e9
+    if not (innovations.systematic or due) or comparisons[-1] is not new:
         return axis._replace(diagnosis=now), None
     verdict, drift = _judge_spans(now, ekf, noise)
     now = now.with_verdict(new.t_ns, verdict, due)
@@ -146,7 +146,7 @@ def weigh(
     if found in (Hypothesis.WELL, Hypothesis.GYRO) and not isnan(now.straight_bias_rad_s):
         now = straight_again(now, ekf)
     if found is Hypothesis.SPIKE:
-        now = now._replace(sights=(new,))
+        now = now._replace(comparisons=(new,))
     return axis._replace(diagnosis=now), drift
 
 
@@ -155,13 +155,15 @@ def _judge_spans(d: Diagnosis, ekf: CorridorEKF, noise: InertialNoise) -> tuple[
 
     Returned besides is the drift of the frames from what the filter predicts.
     """
-    last = d.sights[-MIN_POINTS:]
+    last = d.comparisons[-MIN_POINTS:]
     jumped = d.innovations.systematic and 2 * sum(not s.linked for s in last) > MIN_POINTS
-    refused = d.refused_share > REFUSED_SHARE
-    drift = Drift(d.sights, float(ekf.x[PSI]), noise)
+    refused = d.rejected_share > REJECTED_SHARE
+    drift = Drift(d.comparisons, float(ekf.x[PSI]), noise)
     verdict, evidence = Verdict(), Evidence()
     for span_s in SPANS_S:
-        shown = drift.over(span_s)._replace(jumped=jumped, refused=refused, yaw_doubt=d.yaw_doubt)
+        shown = drift.over(span_s)._replace(
+            jumped=jumped, refused=refused, yaw_probabilities=d.yaw_probabilities
+        )
         found = judge(shown, d.found)
         if evidence.gyro is None or found.of(Hypothesis.WELL) < verdict.of(Hypothesis.WELL):
             verdict, evidence = found, shown
@@ -178,30 +180,35 @@ def _inertial_noise(c: FusionConfig, gyro_scale: float) -> InertialNoise:
 
 
 def follow_verdict(
-    axis: CorridorAxis, ekf: CorridorEKF, new: Sight, drift: Slope | None, theta_rad: float, coupled: bool
+    axis: CorridorAxis,
+    ekf: CorridorEKF,
+    new: HeadingComparison,
+    drift: Slope | None,
+    theta_rad: float,
+    corrects_heading: bool,
 ) -> CorridorAxis | None:
     """Let the filter follow frames that are right where something else is wrong; None: nothing more to do.
 
     Parameters
     ----------
-    axis, ekf, theta_rad, coupled
+    axis, ekf, theta_rad, corrects_heading
         As in `start`.
     new, drift
         The newest frame, and what frames minus gyroscope showed.
     """
     d = axis.diagnosis
-    if d.leap_rad:
+    if d.jump_rad:
         psi_rad = float(ekf.x[PSI])
-        found = Recovery(psi_rad - pi * round(d.leap_rad / pi), new.std_rad)
-        return recover(axis, ekf, found, new.t_ns, theta_rad, coupled)
+        found = Recovery(psi_rad - pi * round(d.jump_rad / pi), new.std_rad)
+        return recover(axis, ekf, found, new.t_ns, theta_rad, corrects_heading)
     likeliest = d.verdict.likeliest
     followed = not isnan(d.straight_bias_rad_s) and not d.innovations.systematic
     if likeliest in (Hypothesis.GYRO, Hypothesis.BEND) and drift is not None and not followed:
-        return follow_drift(axis, ekf, drift, new.t_ns, theta_rad, coupled)
-    leapt = likeliest is Hypothesis.SPIKE and d.refused_share > 0.5
+        return follow_drift(axis, ekf, drift, new.t_ns, theta_rad, corrects_heading)
+    leapt = likeliest is Hypothesis.SPIKE and d.rejected_share > 0.5
     if leapt and new.linked and not axis.was_accepted:
         found = Recovery(new.heading_rad + axis.facing_rad, new.std_rad)
-        return recover(axis, ekf, found, new.t_ns, theta_rad, coupled)
+        return recover(axis, ekf, found, new.t_ns, theta_rad, corrects_heading)
     return None
 
 
@@ -221,12 +228,12 @@ def straight_again(d: Diagnosis, ekf: CorridorEKF) -> Diagnosis:
 
 def _with_bias(d: Diagnosis, bias_rad_s: float, variance: float) -> Diagnosis:
     """Let the evidence hold no bias from before the filter's own stepped, or followed a bend."""
-    sights = tuple(s._replace(bias_rad_s=bias_rad_s, bias_variance=variance) for s in d.sights)
-    return d._replace(sights=sights)
+    comparisons = tuple(s._replace(bias_rad_s=bias_rad_s, bias_variance=variance) for s in d.comparisons)
+    return d._replace(comparisons=comparisons)
 
 
 def follow_drift(
-    axis: CorridorAxis, ekf: CorridorEKF, found: Slope, t_ns: int, theta_rad: float, coupled: bool
+    axis: CorridorAxis, ekf: CorridorEKF, found: Slope, t_ns: int, theta_rad: float, corrects_heading: bool
 ) -> CorridorAxis:
     """Let heading and, where the gyroscope is wrong, bias follow frames that drift away from the gyroscope.
 
@@ -235,7 +242,7 @@ def follow_drift(
 
     Parameters
     ----------
-    axis, ekf, t_ns, theta_rad, coupled
+    axis, ekf, t_ns, theta_rad, corrects_heading
         As in `start`.
     found
         The drift.
@@ -244,17 +251,17 @@ def follow_drift(
     along = np.zeros(N_STATES)
     along[PSI] = found.now_rad
     along[BIAS] = -found.rate_rad_s
-    if coupled:
+    if corrects_heading:
         along[YAW_OFFSET] = -found.now_rad
     before = float(ekf.x[PSI])
     Q = np.multiply.outer(along, along)
-    if not coupled:
+    if not corrects_heading:
         Q[YAW_OFFSET, YAW_OFFSET] += found.now_rad**2
     ekf.predict(ekf.x, np.eye(N_STATES), Q)
     if now.verdict.likeliest is Hypothesis.BEND and isnan(now.straight_bias_rad_s):
         # Before the bend was found, the bias has taken up some of its rate.
-        now = _with_bias(now, now.sights[0].bias_rad_s, now.sights[0].bias_variance)
-        now = now._replace(straight_bias_rad_s=now.sights[0].bias_rad_s)
+        now = _with_bias(now, now.comparisons[0].bias_rad_s, now.comparisons[0].bias_variance)
+        now = now._replace(straight_bias_rad_s=now.comparisons[0].bias_rad_s)
     m = heading_model(ekf.x, before + found.now_rad, found.now_std**2)
     ekf.update(m._replace(residual=found.now_rad))
     if now.verdict.likeliest is Hypothesis.GYRO:

@@ -30,7 +30,9 @@ VOTE_AGE_FRAMES = 15
 VOTE_SPACING_S = 0.03
 GRADUAL_RAD = radians(6)  # what a vehicle turns between frames, if the gyroscope may be wrong
 LINK_SIGMA = 3.0
-SIDING_NATS = 4.0  # log-likelihood ratio from which the IMU's yaw sides with the gyroscope against frames
+MIN_YAW_LOG_RATIO = (
+    4.0  # log-likelihood ratio from which the IMU's yaw sides with the gyroscope against frames
+)
 REPEATING = 0.1  # probability from which on the IMU's yaw may repeat a jump of the gyroscope
 MAX_ACCELERATION_RAD_S2 = radians(150)  # of the yaw of a vehicle that flies with a camera
 
@@ -68,7 +70,7 @@ class Rival(NamedTuple):
     last_ns: int
 
 
-def goes_on(seen: Sequence[FrameAxis], t_ns: int, heading_rad: float, std_rad: float) -> bool:
+def continues_at_same_rate(seen: Sequence[FrameAxis], t_ns: int, heading_rad: float, std_rad: float) -> bool:
     """Whether a frame's heading goes on at the rate of those before, by noise and by what a vehicle accelerates.
 
     Parameters
@@ -104,13 +106,15 @@ def _is_linked(near: Sequence[FrameAxis], new: FrameAxis, yaw_std_rad: float) ->
         return True
     yawed = median(wrap(new.yaw_rad - r.yaw_rad) for r in near)
     variance += yaw_std_rad**2 * (1.0 + 1.0 / len(near))
-    if (yawed - step) ** 2 - (yawed - turned) ** 2 > 2.0 * variance * SIDING_NATS:  # NaN is not
+    if (yawed - step) ** 2 - (yawed - turned) ** 2 > 2.0 * variance * MIN_YAW_LOG_RATIO:  # NaN is not
         return False
     low, high = max(min(turned, 0.0), -GRADUAL_RAD), min(max(turned, 0.0), GRADUAL_RAD)
     if low - noise < step < high + noise:
         return True
     leapt = abs(new.raw_theta_rad - near[-1].raw_theta_rad) > GRADUAL_RAD
-    return leapt and goes_on(near, new.t_ns, new.heading_rad, new.std_rad)  # whatever the gyroscope says
+    return leapt and continues_at_same_rate(
+        near, new.t_ns, new.heading_rad, new.std_rad
+    )  # whatever the gyroscope says
 
 
 class CorridorAxis(NamedTuple):
@@ -201,11 +205,11 @@ class CorridorAxis(NamedTuple):
 
         The gyroscope did not measure it, so they cannot be compared with later ones.
         """
-        sights = self.diagnosis.sights
-        if unmeasured_ns is None or not sights or sights[0].t_ns > unmeasured_ns:
+        comparisons = self.diagnosis.comparisons
+        if unmeasured_ns is None or not comparisons or comparisons[0].t_ns > unmeasured_ns:
             return self
-        kept = tuple(sight for sight in sights if sight.t_ns > unmeasured_ns)
-        diagnosis = self.diagnosis._replace(innovations=Innovations(), sights=kept)
+        kept = tuple(comparison for comparison in comparisons if comparison.t_ns > unmeasured_ns)
+        diagnosis = self.diagnosis._replace(innovations=Innovations(), comparisons=kept)
         return self._replace(diagnosis=diagnosis, frame_noise=self.frame_noise.interrupted())
 
     def confirmed(self, ekf: CorridorEKF, t_ns: int, theta_rad: float) -> CorridorAxis:
@@ -260,12 +264,12 @@ class CorridorAxis(NamedTuple):
         reach_ns = round(max(0.4, 2.5 * frame_interval_s if isfinite(frame_interval_s) else 0.0) * 1e9)
         near = [r for r in self.recent if r.linked and t_ns - r.t_ns <= reach_ns]
         raw_theta_rad = reckoning.raw_theta_rad
-        yaw_rad = yaw_at(reckoning, t_ns) if self.diagnosis.yaw_doubt.repeating < REPEATING else nan
+        yaw_rad = yaw_at(reckoning, t_ns) if self.diagnosis.yaw_probabilities.repeating < REPEATING else nan
         new = FrameAxis(t_ns, heading_rad, std_rad, False, raw_theta_rad, yaw_rad)
         if reckoning.mode is Mode.NONE:
             linked = accepted or any(abs(wrap_axis(heading_rad - r.heading_rad)) < GRADUAL_RAD for r in near)
         else:
-            linked = accepted and self.diagnosis.refused_share < 0.5
+            linked = accepted and self.diagnosis.rejected_share < 0.5
             linked = linked or (bool(near) and _is_linked(near, new, yaw_std_rad))
         return self._replace(recent=(*self.recent[-5:], new._replace(linked=linked)))
 
@@ -313,7 +317,7 @@ def start(
     ekf: CorridorEKF,
     t_ns: int,
     theta_rad: float,
-    coupled: bool,
+    corrects_heading: bool,
     config: FusionConfig,
     mode: Mode,
 ) -> CorridorAxis:
@@ -327,7 +331,7 @@ def start(
         Filter to correct.
     t_ns, theta_rad
         Now, and the dead-reckoned heading.
-    coupled
+    corrects_heading
         Whether the IMU's yaw offset is correlated with the heading.
     config
         Settings.
@@ -342,7 +346,7 @@ def start(
     heading = wrap_axis(theta_rad - found.value)
     before = float(ekf.x[PSI])
     if axis.ever_acquired:
-        _widen_heading(ekf, wrap_axis(heading - before), coupled)
+        _widen_heading(ekf, wrap_axis(heading - before), corrects_heading)
     elif float(ekf.P[PSI, PSI]) < UNKNOWN_HEADING_STD_RAD**2:
         ekf.widen(PSI, UNKNOWN_HEADING_STD_RAD**2)
     # Frames that a gyroscope of unknown bias has propagated to now.
@@ -356,29 +360,29 @@ def start(
 
 
 def recover(
-    axis: CorridorAxis, ekf: CorridorEKF, found: Recovery, t_ns: int, theta_rad: float, coupled: bool
+    axis: CorridorAxis, ekf: CorridorEKF, found: Recovery, t_ns: int, theta_rad: float, corrects_heading: bool
 ) -> CorridorAxis:
     """Widen the covariance for the heading that the votes agree on, and update with their median.
 
     Parameters
     ----------
-    axis, ekf, t_ns, theta_rad, coupled
+    axis, ekf, t_ns, theta_rad, corrects_heading
         As in `start`.
     found
         What the votes say.
     """
     before = float(ekf.x[PSI])
-    _widen_heading(ekf, found.heading_rad - before, coupled)
+    _widen_heading(ekf, found.heading_rad - before, corrects_heading)
     expected = heading_model(ekf.x, found.heading_rad, found.std_rad**2)
     ekf.update(expected._replace(residual=found.heading_rad - before))
     axis = axis.stepped(ekf, before)._replace(votes=(), rival=None)
     return axis.confirmed(ekf, t_ns, theta_rad)
 
 
-def _widen_heading(ekf: CorridorEKF, error_rad: float, coupled: bool) -> None:
+def _widen_heading(ekf: CorridorEKF, error_rad: float, corrects_heading: bool) -> None:
     """Widen along an error of the heading that leaves psi + o, what the IMU's yaw has shown, as it was."""
     Q = np.zeros((N_STATES, N_STATES))
     Q[PSI, PSI] = Q[YAW_OFFSET, YAW_OFFSET] = error_rad**2
-    if coupled:
+    if corrects_heading:
         Q[PSI, YAW_OFFSET] = Q[YAW_OFFSET, PSI] = -(error_rad**2)
     ekf.predict(ekf.x, np.eye(N_STATES), Q)

@@ -169,12 +169,12 @@ class Engine:
             case HeadingSeed():
                 state = self._seeded(state, sample)
             case WidthChange():
-                state = self._with_told_width(state, sample)
+                state = self._with_set_width(state, sample)
             case _:
                 assert_never(sample)
         return Entry(sample.t_ns, sample, state, tuple(ekf.nodes), frame)
 
-    def carry_on(self, s: State, entries: Sequence[Entry], before: Sensed) -> int:
+    def replay_gyro_samples(self, s: State, entries: Sequence[Entry], before: Sensed) -> int:
         """Replay the leading run of valid gyroscope samples from another state; return its length.
 
         ``before``: tilt and gyroscope checks before the first of them, from their first processing.
@@ -253,7 +253,7 @@ class Engine:
         checks = new_record(Checks, (judged, repeats, installed))
         if judged.verdict is not GOOD:
             if not judged.is_used:
-                return self._held(s, t_ns, s.frames)._replace(checks=checks)
+                return self._propagated_to(s, t_ns, s.frames)._replace(checks=checks)
             if judged.verdict is GyroVerdict.CONFIRMED:
                 s = self._with_rate_since(s, rate_that_bridges(before, sample))
         if known is None:
@@ -262,7 +262,7 @@ class Engine:
         else:
             tilt = known.tilt
         rate = level_yaw_rate(sample.gyro_rad_s, tilt.down)
-        lateral = self._moved(s, t_ns, tilt.down, sample.accel_m_s2)
+        lateral = self._lateral_propagated(s, t_ns, tilt.down, sample.accel_m_s2)
         d = self._propagation.with_gyro(s.reckoning, self.ekf, sample, rate)
         if judged.clipped_from_ns is not None:
             self.ekf.widen(PSI, clipped_variance(before, judged))
@@ -283,7 +283,7 @@ class Engine:
     ) -> State:
         q = sample.unit()
         yaw_rad = yaw_of_quaternion(q)
-        lateral = self._moved(s, sample.t_ns, s.tilt.down)
+        lateral = self._lateral_propagated(s, sample.t_ns, s.tilt.down)
         d = self._propagation.with_attitude_yaw(s.reckoning, self.ekf, sample.t_ns, yaw_rad)
         if earlier is not None and earlier[0].tilt is s.tilt:
             tilt = earlier[1].tilt
@@ -295,7 +295,7 @@ class Engine:
         return s.moved(x, P, d, lateral, delay, tilt=tilt, imu_yaw=imu_yaw, frames=s.frames, checks=s.checks)
 
     def _velocity(self, s: State, sample: VelocitySample) -> State:
-        s = self._held(s, sample.t_ns, s.frames)
+        s = self._propagated_to(s, sample.t_ns, s.frames)
         velocity = with_velocity(s.velocity, sample, s.tilt.down)
         lateral = s.lateral
         if s.axis.acquired:
@@ -303,21 +303,21 @@ class Engine:
         return s._replace(velocity=velocity, lateral=lateral)
 
     def _seeded(self, s: State, seed: HeadingSeed) -> State:
-        s = self._held(s, seed.t_ns, s.frames)
+        s = self._propagated_to(s, seed.t_ns, s.frames)
         turn_rad = abs(wrap(seed.heading_rad - float(self.ekf.x[PSI])))
         if turn_rad > self.config.junction_min_turn_rad:  # the other way round, or along another corridor
             s = s._replace(lateral=s.lateral.unknown_again())
-        axis = seed_heading(s.axis, self.ekf, seed, s.reckoning.theta_rad, s.imu_yaw.coupled)
+        axis = seed_heading(s.axis, self.ekf, seed, s.reckoning.theta_rad, s.imu_yaw.corrects_heading)
         return s._replace(axis=axis, imu_yaw=s.imu_yaw.axis_changed(), x=self.ekf.x, P=self.ekf.P)
 
-    def _with_told_width(self, s: State, sample: WidthChange) -> State:
-        s = self._held(s, sample.t_ns, s.frames)
-        lateral = self._lateral.with_told_width(s.lateral, sample.width_m)
+    def _with_set_width(self, s: State, sample: WidthChange) -> State:
+        s = self._propagated_to(s, sample.t_ns, s.frames)
+        lateral = self._lateral.with_set_width(s.lateral, sample.width_m)
         return s._replace(width=s.width.told(sample.width_m), lateral=lateral)
 
     def _frame(self, s: State, sample: FrameSample) -> tuple[State, FrameResult]:
         lateral = s.frames.begins_period(sample.t_ns, self.config.lateral_rate_hz)
-        s = self._held(s, sample.t_ns, s.frames.with_sample(sample.t_ns))
+        s = self._propagated_to(s, sample.t_ns, s.frames.with_sample(sample.t_ns))
         if sample.measure is None:
             return s, FrameResult(sample.stamp_ns, None, False, Reason.UNREADABLE)
         repeats = s.checks.repeats.with_frame(sample, s.reckoning, s.checks.gyro)
@@ -347,16 +347,18 @@ class Engine:
         s = s._replace(checks=s.checks._replace(installation=installed))
         return self._fuse_heading(s, sample, m, attitude)
 
-    def _moved(self, s: State, t_ns: int, down: Vector, accel_m_s2: Vector | None = None) -> Lateral:
+    def _lateral_propagated(
+        self, s: State, t_ns: int, down: Vector, accel_m_s2: Vector | None = None
+    ) -> Lateral:
         """Tell the lateral offset of a propagation step."""
         last_ns = s.reckoning.t_ns
         dt_s = 0.0 if last_ns is None else (t_ns - last_ns) * 1e-9
         step = new_record(MotionStep, (dt_s, self.ekf.x.item(PSI), down, accel_m_s2))
         return self._lateral.propagated(s.lateral, step)
 
-    def _held(self, s: State, t_ns: int, frames: SampleTimes) -> State:
+    def _propagated_to(self, s: State, t_ns: int, frames: SampleTimes) -> State:
         """Propagate to a sample that tells nothing of the heading's rate; ``frames`` came by then."""
-        lateral = self._moved(s, t_ns, s.tilt.down)
+        lateral = self._lateral_propagated(s, t_ns, s.tilt.down)
         d = self._propagation.hold(s.reckoning, self.ekf, t_ns)
         delay = self._delay_in_mode(s, d)
         x, P = self.ekf.x, self.ekf.P
@@ -370,7 +372,7 @@ class Engine:
             return s.delay
         return s.delay.interrupted()
 
-    def _before_heading(self, s: State, sample: FrameSample) -> State:
+    def _with_axis_checked(self, s: State, sample: FrameSample) -> State:
         """Let go of an axis that is lost, and of what the gyroscope or the frame's stamp no longer bears out."""
         axis, d = s.axis, s.reckoning
         if axis.acquired and float(self.ekf.P[PSI, PSI]) > self.config.lost_heading_std_rad**2:
@@ -390,7 +392,7 @@ class Engine:
         self, s: State, sample: FrameSample, m: FrameMeasurement, attitude: Attitude | None
     ) -> tuple[State, FrameResult]:
         """Gate a frame's heading and take it in, or keep it as a vote for another axis."""
-        s = self._before_heading(s, sample)
+        s = self._with_axis_checked(s, sample)
         c, ekf, t_ns, d, axis = self.config, self.ekf, sample.t_ns, s.reckoning, s.axis
         interval_s = s.frames.interval_s
         variance = max(m.heading_std_rad, c.heading_std_floor_rad) ** 2
@@ -413,7 +415,7 @@ class Engine:
             OUTLIER_DENSITY,
             more_variance=by_delay.variance,
             scale=scale,
-            refused_share=axis.diagnosis.refused_share,
+            rejected_share=axis.diagnosis.rejected_share,
         )
         gate, noise = update_with_doubt(ekf, measurement, axis.noise, doubt)
         axis = axis._replace(noise=noise, gate=gate)
@@ -422,7 +424,7 @@ class Engine:
         if d.mode is Mode.GYRO:
             clipped_ns = s.checks.gyro.clipped_ns
             seen = SeenHeading(t_ns, heading, variance, rho, interval_s, sample.stamp_std_s, clipped_ns)
-            axis, followed = diagnosed(axis, ekf, d, seen, s.imu_yaw.coupled, c)
+            axis, followed = diagnosed(axis, ekf, d, seen, s.imu_yaw.corrects_heading, c)
             if followed is not None:
                 s = s._replace(axis=followed, delay=delay, x=ekf.x, P=ekf.P)
                 return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
@@ -464,7 +466,7 @@ class Engine:
         """Take a frame for the axis that is looked for; where it is found with it, use the rest of the frame too."""
         ekf, d, interval_s = self.ekf, s.reckoning, s.frames.interval_s
         axis = s.axis.voted(t_ns, d.theta_rad - heading_rad, std_rad, False, interval_s)
-        axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.coupled, self.config, d.mode)
+        axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.corrects_heading, self.config, d.mode)
         axis = axis.followed(
             t_ns, heading_rad, std_rad, d, axis.acquired, interval_s, self.config.imu_yaw_std_rad
         )
@@ -484,7 +486,12 @@ class Engine:
 
     def _follow_votes(self, s: State, t_ns: int) -> State:
         """Do what the votes against the present axis mean, if enough of them agree."""
-        c, ekf, theta_rad, coupled = self.config, self.ekf, s.reckoning.theta_rad, s.imu_yaw.coupled
+        c, ekf, theta_rad, corrects_heading = (
+            self.config,
+            self.ekf,
+            s.reckoning.theta_rad,
+            s.imu_yaw.corrects_heading,
+        )
         axis, found = junctions.decide(
             s.axis, float(ekf.x[PSI]), sqrt(float(ekf.P[PSI, PSI])), t_ns, theta_rad, s.frames.interval_s, c
         )
@@ -492,10 +499,10 @@ class Engine:
             return s._replace(axis=axis)  # the gate has left the filter as it was
         imu_yaw = s.imu_yaw.axis_changed()
         if isinstance(found, Recovery):
-            axis = recover(axis, ekf, found, t_ns, theta_rad, coupled)
+            axis = recover(axis, ekf, found, t_ns, theta_rad, corrects_heading)
             return s._replace(axis=axis, imu_yaw=imu_yaw, x=ekf.x, P=ekf.P)
         lateral = s.lateral.unknown_again()
-        crossing = junctions.Crossing(coupled, lateral.n_used)
+        crossing = junctions.Crossing(corrects_heading, lateral.n_used)
         axis = junctions.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
         width = s.width.corridor_changed()
         return s._replace(axis=axis, imu_yaw=imu_yaw, lateral=lateral, width=width, x=ekf.x, P=ekf.P)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from fusion.estimator.state import Sample, State
 
 
-MAX_REFUSED_SHARE = 0.5  # of the last frames, beyond which they are rejected
+MAX_REJECTED_SHARE = 0.5  # of the last frames, beyond which they are rejected
 CONTESTED = {
     Hypothesis.WELL: "contested: the frames' headings are biased against the prediction",
     Hypothesis.GYRO: "contested: frames drift against the gyroscope",
@@ -196,7 +196,7 @@ def status_of(
     age = seconds_since(seen_ns, axis.t_vision_ns)
     if age > config.lost_after_s:
         return Status.LOST
-    if age > state.frames.age_limit_s(config) or axis.diagnosis.refused_share > MAX_REFUSED_SHARE:
+    if age > state.frames.age_limit_s(config) or axis.diagnosis.rejected_share > MAX_REJECTED_SHARE:
         return Status.COASTING
     return Status.TRACKING
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fusion.estimator.imu_yaw_check import InertialNoise, YawDoubt
+from fusion.estimator.imu_yaw_check import InertialNoise, YawProbabilities
 from fusion.estimator.kernels import FloatArray
 from vision.rotations import wrap_axis
 
@@ -27,7 +27,7 @@ WANDER_LIKE_TURN = 1 / 15  # mean square about its line of a random walk over un
 WALKED_END = 2 / 15  # variance of the end of a line fitted to such a walk
 
 
-class Sight(NamedTuple):
+class HeadingComparison(NamedTuple):
     """A frame's heading and its sigma beside what gyroscope (bias not subtracted) and IMU yaw (or NaN) then said.
 
     ``linked``: no jump of the picture lies between it and the frames that the filter used. ``walk``: how its errors
@@ -82,7 +82,7 @@ class Evidence(NamedTuple):
         Whether the frames themselves jumped, by more than the gyroscope turned meanwhile.
     refused
         Whether frames were rejected lately: a gyroscope that jumped by less has done no harm.
-    yaw_doubt
+    yaw_probabilities
         Prior probabilities of what ails the IMU's yaw.
     """
 
@@ -94,26 +94,30 @@ class Evidence(NamedTuple):
     bias_rad_s: float = 0.0
     jumped: bool = False
     refused: bool = True
-    yaw_doubt: YawDoubt = YawDoubt()
+    yaw_probabilities: YawProbabilities = YawProbabilities()
 
 
-def with_sight(sights: tuple[Sight, ...], new: Sight, spacing_ns: int) -> tuple[Sight, ...]:
+def add_comparison(
+    comparisons: tuple[HeadingComparison, ...], new: HeadingComparison, spacing_ns: int
+) -> tuple[HeadingComparison, ...]:
     """Append a frame unless it follows the last too closely; drop what is older than the span."""
-    if sights and new.t_ns - sights[-1].t_ns < spacing_ns:
-        return sights
-    first = next((i for i, s in enumerate(sights) if new.t_ns - s.t_ns <= SPAN_NS), len(sights))
-    return (*sights[first:], new)
+    if comparisons and new.t_ns - comparisons[-1].t_ns < spacing_ns:
+        return comparisons
+    first = next((i for i, s in enumerate(comparisons) if new.t_ns - s.t_ns <= SPAN_NS), len(comparisons))
+    return (*comparisons[first:], new)
 
 
-def unseen_leap(sights: tuple[Sight, ...], new: Sight, bias_rad_s: float) -> float:
+def gyro_jump_between_frames(
+    comparisons: tuple[HeadingComparison, ...], new: HeadingComparison, bias_rad_s: float
+) -> float:
     """Return the size of a jump of the gyroscope since the last frame, rad; 0 without one, or if nothing shows it.
 
     A frame cannot tell one end of the corridor from the other. An IMU yaw may jump where the gyroscope does not
     (steel, a reset), but not stand still while the vehicle turns: of the two, the one that turned less is right.
     """
-    if not sights or new.t_ns - sights[-1].t_ns < SPANS_S[0] * 1e9:
+    if not comparisons or new.t_ns - comparisons[-1].t_ns < SPANS_S[0] * 1e9:
         return 0.0
-    last = sights[-1]
+    last = comparisons[-1]
     gyro = new.raw_theta_rad - last.raw_theta_rad - bias_rad_s * (new.t_ns - last.t_ns) * 1e-9
     apart = new.yaw_rad - last.yaw_rad
     if not isfinite(apart):
@@ -222,7 +226,7 @@ class Drift:
 
     Parameters
     ----------
-    sights
+    comparisons
         Frames, the newest of which is at the filter's time.
     psi_rad
         The filter's heading now: differences are to it, carried back by the gyroscope.
@@ -230,10 +234,12 @@ class Drift:
         Of the inertial sensors.
     """
 
-    def __init__(self, sights: tuple[Sight, ...], psi_rad: float, noise: InertialNoise) -> None:
-        last = sights[-1]
+    def __init__(
+        self, comparisons: tuple[HeadingComparison, ...], psi_rad: float, noise: InertialNoise
+    ) -> None:
+        last = comparisons[-1]
         self._walk, self._noise = last.walk, noise
-        columns = np.array([(s.t_ns - last.t_ns, *s[1:]) for s in sights], dtype=np.float64).T
+        columns = np.array([(s.t_ns - last.t_ns, *s[1:]) for s in comparisons], dtype=np.float64).T
         t_ns, self._heading, self._std, raw, self._yaw, linked, _ = columns[:7]
         self._bias, self._bias_variance, self._stamp_std = columns[7:]
         self._t, self._linked = t_ns * 1e-9, linked > 0.0

@@ -30,7 +30,7 @@ from fusion.flight import TimeArray
 from vision.compiled import compiled
 
 N_CARRIED = 13
-RAW_THETA = 1  # of what is carried, see `_carry_on`
+RAW_THETA = 1  # of what is carried, see `_replay_gyro_samples`
 
 
 class GoodSamples(NamedTuple):
@@ -97,7 +97,7 @@ class GyroRun:
         first = np.array((d.theta_rad, d.raw_theta_rad, d.yaw_done_rad, *path, *accel, offset.evidence_age_s))
         assert d.t_ns is not None
         assert d.t_gyro_ns is not None
-        self.count: int = _carry_on(
+        self.count: int = _replay_gyro_samples(
             good.t_ns,
             good.steps,
             start.x,
@@ -201,11 +201,11 @@ def compile_gyro_run() -> None:
     times = (0, 0, 1_000_000_000)
     t_ns, steps = np.array([1_000_000]), np.array([(0.0,) * 7])
     noise, x, P, carried = (1.0,) * 3, np.zeros(n), np.eye(n), np.zeros(N_CARRIED)
-    _carry_on(t_ns, steps, x, P, carried, times, (0.0,) * 5, noise, out)
+    _replay_gyro_samples(t_ns, steps, x, P, carried, times, (0.0,) * 5, noise, out)
 
 
 @compiled
-def _carry_on(
+def _replay_gyro_samples(
     t_ns: TimeArray,
     steps: FloatArray,
     x: FloatArray,

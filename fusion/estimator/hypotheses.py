@@ -32,8 +32,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.estimator.frame_drift import Evidence, Sight, Slope
-from fusion.estimator.imu_yaw_check import YawDoubt, log_normal
+from fusion.estimator.frame_drift import Evidence, HeadingComparison, Slope
+from fusion.estimator.imu_yaw_check import YawProbabilities, log_normal
 
 SHORT_S, LONG_S = 0.25, 1.5  # time constants of means over about 0.5 and 3 s
 CLIPPED_SIGMA = 4.0  # a gross error must not make a mean
@@ -44,7 +44,7 @@ CONTESTED_S = 1.0  # from the last frame that contested
 DRIFT_STD_RAD_S = radians(10.0)  # of a gyroscope that is wrong, and of a corridor that bends
 STAMP_STD_S, WRONG_STAMP_STD_S = 0.005, 0.05  # of stamps that are well, and of wrong ones
 MAX_RATE_RAD_S = 35.0  # that a gyroscope reports: a spike may be any
-LOOK_S = 0.25  # between looks that no innovation asks for
+CHECK_INTERVAL_S = 0.25  # between looks that no innovation asks for
 PRIOR_WRONG = 1e-3  # of each fault, at each look
 PERSISTS = 0.5  # prior probability that what was found goes on
 MAX_INDEPENDENT = 15  # frames; more in a span do not make their stated sigmas surer
@@ -106,11 +106,11 @@ class Innovations(NamedTuple):
 class Verdict(NamedTuple):
     """Probabilities of the hypotheses, in the order of `Hypothesis`; they add up to one.
 
-    ``yaw_astray`` is the probability that the IMU's yaw is disturbed, whatever else is wrong; NaN without one.
+    ``yaw_disturbed`` is the probability that the IMU's yaw is disturbed, whatever else is wrong; NaN without one.
     """
 
     probabilities: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    yaw_astray: float = nan
+    yaw_disturbed: float = nan
 
     @property
     def likeliest(self) -> Hypothesis:
@@ -140,53 +140,57 @@ class Diagnosis(NamedTuple):
 
     Parameters
     ----------
-    innovations, sights
+    innovations, comparisons
         The evidence so far.
-    refused_share
+    rejected_share
         Share of the frames of the last half second that were not used.
     judged_ns, found, verdict
         Time of the last judgement, its result, and the probabilities if it was made with the last frame.
     told
         The fault reported last, and when.
-    leap_rad
+    jump_rad
         Size of a jump of the gyroscope while no frame came; 0 without one.
     straight_bias_rad_s
         The gyroscope's bias from before frames began to drift from gyroscope and attitude; the filter's own takes up
         the bend's rate meanwhile. NaN while there is no bend.
-    yaw_doubt
+    yaw_probabilities
         Doubts about the IMU's yaw: disturbed, or repeating the gyroscope.
     """
 
     innovations: Innovations = Innovations()
-    sights: tuple[Sight, ...] = ()
-    refused_share: float = 0.0
+    comparisons: tuple[HeadingComparison, ...] = ()
+    rejected_share: float = 0.0
     judged_ns: int | None = None
     found: Hypothesis = Hypothesis.WELL
     verdict: Verdict = Verdict()
     told: Told | None = None
-    leap_rad: float = 0.0
+    jump_rad: float = 0.0
     straight_bias_rad_s: float = nan
-    yaw_doubt: YawDoubt = YawDoubt()
+    yaw_probabilities: YawProbabilities = YawProbabilities()
 
     def stepped(self) -> Diagnosis:
         """Drop evidence that is relative to a heading that has jumped since."""
-        return self._replace(innovations=Innovations(), sights=(), refused_share=0.0, found=Hypothesis.WELL)
+        return self._replace(
+            innovations=Innovations(), comparisons=(), rejected_share=0.0, found=Hypothesis.WELL
+        )
 
     def started_anew(self) -> Diagnosis:
         """Keep only what has been reported, and the doubts about the IMU's yaw."""
-        return Diagnosis(told=self.told, yaw_doubt=self.yaw_doubt)
+        return Diagnosis(told=self.told, yaw_probabilities=self.yaw_probabilities)
 
     def with_verdict(self, t_ns: int, verdict: Verdict, look_due: bool) -> Diagnosis:
         """Store a verdict; ``look_due`` if it was due by time, not asked for by an innovation."""
-        yaw_doubt = self.yaw_doubt
-        if look_due and isfinite(verdict.yaw_astray):
-            yaw_doubt = yaw_doubt.with_look(verdict.yaw_astray)
+        yaw_probabilities = self.yaw_probabilities
+        if look_due and isfinite(verdict.yaw_disturbed):
+            yaw_probabilities = yaw_probabilities.with_look(verdict.yaw_disturbed)
         told = self.told
         doubt = verdict.doubt(told is not None and t_ns - told.t_ns < CONTESTED_S * 1e9)
         if doubt is not Hypothesis.WELL or self.innovations.one_sided_sigmas > CONTESTED_SIGMA:
             told = Told(doubt, t_ns)
         found = verdict.likeliest
-        return self._replace(judged_ns=t_ns, found=found, verdict=verdict, told=told, yaw_doubt=yaw_doubt)
+        return self._replace(
+            judged_ns=t_ns, found=found, verdict=verdict, told=told, yaw_probabilities=yaw_probabilities
+        )
 
 
 class _Drifts(NamedTuple):
@@ -249,7 +253,7 @@ def judge(evidence: Evidence, before: Hypothesis = Hypothesis.WELL) -> Verdict:
     if before in priors:
         priors[before] = PERSISTS
     priors[Hypothesis.WELL] = 1.0 - sum(priors.values())
-    astray, repeating = evidence.yaw_doubt[:2]
+    astray, repeating = evidence.yaw_probabilities[:2]
     wrong_stamps = _log_ratio_of_stamps(evidence.gyro)
     cases = []  # hypothesis, what ails the IMU's yaw, log of prior times density
     for ails, share, yaw in (

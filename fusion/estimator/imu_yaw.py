@@ -15,10 +15,10 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.imu_yaw_check import (
     Trace,
     YawWatch,
+    find_disturbance,
     is_calm,
     is_due,
     is_independent,
-    parted,
     stepped_by,
     traced,
     watch,
@@ -74,7 +74,7 @@ class ImuYaw(NamedTuple):
     ----------
     known
         Whether its offset to the corridor is.
-    coupled
+    corrects_heading
         Whether the offset is correlated with the other states.
     rejects
         Samples that the gate has rejected in a row.
@@ -85,7 +85,7 @@ class ImuYaw(NamedTuple):
     """
 
     known: bool = False
-    coupled: bool = False
+    corrects_heading: bool = False
     rejects: int = 0
     gate: Gate | None = None
     watch: YawWatch = YawWatch()
@@ -135,8 +135,8 @@ def fuse_imu_yaw(
         return part._replace(known=True)
     gate = ekf.update(measurement, config.imu_yaw_gate_sigma)
     if gate.accepted:
-        _, coupled, _, _, watched, traces = part
-        part = new_record(ImuYaw, (True, coupled, 0, gate, watched, traces))
+        _, corrects_heading, _, _, watched, traces = part
+        part = new_record(ImuYaw, (True, corrects_heading, 0, gate, watched, traces))
         return _trace(part, ekf, yaw_rad, reckoning, axis, config)
     part = part._replace(gate=gate, rejects=part.rejects + 1)
     if part.rejects >= STEP_SAMPLES:
@@ -177,7 +177,7 @@ def _measurement(
     part: ImuYaw, ekf: CorridorEKF, yaw_rad: float, axis: CorridorAxis, config: FusionConfig
 ) -> ScalarMeasurement:
     variance = config.imu_yaw_std_rad**2
-    if part.coupled:
+    if part.corrects_heading:
         return imu_yaw_model(ekf.x, yaw_rad, axis.corridor_turn_rad, variance)
     return imu_yaw_offset_model(ekf.x, ekf.P, yaw_rad, axis.corridor_turn_rad, variance)
 
@@ -196,27 +196,29 @@ def _trace(
         return part
     x, raw = ekf.x, reckoning.raw_theta_rad
     now = Trace(t_ns, yaw_rad - raw, float(x[PSI]) - raw, float(x[BIAS]), float(ekf.P[BIAS, BIAS]))
-    found = parted(part.traces, now, config.gyro_noise**2 + config.offset_walk**2, config.imu_yaw_std_rad**2)
+    found = find_disturbance(
+        part.traces, now, config.gyro_noise**2 + config.offset_walk**2, config.imu_yaw_std_rad**2
+    )
     if found is None:
         return part._replace(traces=traced(part.traces, now))
     unseen = axis.t_vision_ns is None or axis.t_vision_ns < found.since_ns
-    if part.coupled and unseen:  # no frame has moved them meanwhile, so the yaw has
+    if part.corrects_heading and unseen:  # no frame has moved them meanwhile, so the yaw has
         moved = np.array([found.heading_rad, found.bias_rad_s, 0.0])
         ekf.predict(x - moved, np.eye(N_STATES), np.multiply.outer(moved, moved))
     return part._replace(traces=(now,))
 
 
-def _coupled(part: ImuYaw, ekf: CorridorEKF, coupled: bool) -> ImuYaw:
+def _coupled(part: ImuYaw, ekf: CorridorEKF, corrects_heading: bool) -> ImuYaw:
     """Let the heading learn from the IMU's yaw, or keep the two apart.
 
     An attitude filter's yaw comes from the gyroscope that already carries the heading. Taken as independent it
     makes the filter too sure, and its drift passes for the gyroscope's bias. Kept apart, the offset is
     uncorrelated with every other state, so nothing learned about it can move them, in the smoother neither.
     """
-    if coupled == part.coupled:
+    if corrects_heading == part.corrects_heading:
         return part
     F, Q = np.eye(N_STATES), np.zeros((N_STATES, N_STATES))
     F[YAW_OFFSET, YAW_OFFSET] = 0.0
     Q[YAW_OFFSET, YAW_OFFSET] = UNKNOWN_YAW_OFFSET_STD_RAD**2
     ekf.predict(ekf.x, F, Q)
-    return part._replace(coupled=coupled, known=False)
+    return part._replace(corrects_heading=corrects_heading, known=False)

@@ -148,7 +148,7 @@ class Trace(NamedTuple):
     bias_variance: float
 
 
-class Parting(NamedTuple):
+class YawDisturbance(NamedTuple):
     """How far heading and bias have come, since ``since_ns``, from where the gyroscope alone would have them."""
 
     since_ns: int
@@ -156,10 +156,10 @@ class Parting(NamedTuple):
     bias_rad_s: float
 
 
-def parted(
+def find_disturbance(
     traces: tuple[Trace, ...], now: Trace, variance_per_s: float, yaw_variance: float
-) -> Parting | None:
-    """Find since when the IMU's yaw has parted from the gyroscope by more than noise allows; None: it has not.
+) -> YawDisturbance | None:
+    """Find since when the IMU's yaw departs from the gyroscope by more than noise allows; None: it does not.
 
     ``variance_per_s`` is that by which both may wander, ``yaw_variance`` that of one yaw's noise. The bias is that of
     the earlier time: a yaw that is pulled away slowly takes the bias along too.
@@ -170,7 +170,7 @@ def parted(
         variance = (variance_per_s + old.bias_variance * span_s) * span_s + 2.0 * yaw_variance
         if wrap(now.yaw_rad - old.yaw_rad - drift) ** 2 > DISTURBED_SIGMA**2 * variance:
             moved = now.heading_rad - old.heading_rad - drift
-            return Parting(old.t_ns, moved, now.bias_rad_s - old.bias_rad_s)
+            return YawDisturbance(old.t_ns, moved, now.bias_rad_s - old.bias_rad_s)
     return None
 
 
@@ -203,7 +203,7 @@ class InertialNoise(NamedTuple):
     gyro_scale_std: float = 0.0
 
 
-class TurnBeside(NamedTuple):
+class GyroAndYaw(NamedTuple):
     """Gyroscope (bias not subtracted) and IMU yaw at one time, and the bias that the filter subtracts."""
 
     t_ns: int
@@ -216,7 +216,7 @@ class TurnBeside(NamedTuple):
 class YawMean(NamedTuple):
     """Mean of ``n`` differences of IMU yaw and gyroscope since ``began_ns``, and the mean of those before."""
 
-    reference: TurnBeside
+    reference: GyroAndYaw
     began_ns: int
     n: int = 0
     mean_rad: float = 0.0
@@ -224,7 +224,7 @@ class YawMean(NamedTuple):
     before_rad: float = nan
 
 
-class YawDoubt(NamedTuple):
+class YawProbabilities(NamedTuple):
     """Probabilities that steel pulls the IMU's yaw away now, and that it always repeats the gyroscope's errors.
 
     Attitude filters differ, and so do buildings: from the start's guess on, both are learned in flight.
@@ -234,12 +234,12 @@ class YawDoubt(NamedTuple):
     repeating: float = 0.2
     mean: YawMean | None = None
 
-    def with_look(self, astray: float) -> YawDoubt:
+    def with_look(self, astray: float) -> YawProbabilities:
         """Update the share of the time in which it is disturbed, with the probability of one look."""
         share = self.astray + ASTRAY_MEMORY * (astray - self.astray)
         return self._replace(astray=max(share, LEAST_DOUBT))
 
-    def compared(self, now: TurnBeside, noise: InertialNoise) -> YawDoubt:
+    def compared(self, now: GyroAndYaw, noise: InertialNoise) -> YawProbabilities:
         """Compare IMU yaw and gyroscope, without frames: an error that both make is not in their difference."""
         mean = self.mean
         if not isfinite(now.yaw_rad):
@@ -258,7 +258,7 @@ class YawDoubt(NamedTuple):
         return self._replace(repeating=repeating, mean=mean)
 
 
-def _repeats(prior: float, mean: YawMean, now: TurnBeside, noise: InertialNoise) -> float:
+def _repeats(prior: float, mean: YawMean, now: GyroAndYaw, noise: InertialNoise) -> float:
     """Probability that the IMU's yaw repeats the gyroscope's errors, by means over two adjoining blocks.
 
     Of a random walk of density q, the means over adjoining spans T differ by a variance of 2/3 q^2 T.

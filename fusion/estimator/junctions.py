@@ -112,13 +112,13 @@ class Crossing(NamedTuple):
 
     Parameters
     ----------
-    coupled
+    corrects_heading
         Whether the IMU's yaw offset is correlated with the heading.
     n_lateral
         How many lateral offsets have been used.
     """
 
-    coupled: bool
+    corrects_heading: bool
     n_lateral: int
 
 
@@ -151,7 +151,7 @@ def enter_corridor(
     F, Q = np.zeros((N_STATES, N_STATES)), np.zeros((N_STATES, N_STATES))
     F[BIAS, BIAS] = F[YAW_OFFSET, YAW_OFFSET] = 1.0
     Q[PSI, PSI] = Q[YAW_OFFSET, YAW_OFFSET] = variance
-    if crossing.coupled:
+    if crossing.corrects_heading:
         F[YAW_OFFSET, PSI] = 1.0
         Q[PSI, YAW_OFFSET] = Q[YAW_OFFSET, PSI] = -variance
     else:

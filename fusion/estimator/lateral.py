@@ -90,7 +90,7 @@ class LateralOffset:
         """Return what the filter assumes."""
         return lateral.model or self.model
 
-    def with_told_width(self, lateral: Lateral, width_m: float | None) -> Lateral:
+    def with_set_width(self, lateral: Lateral, width_m: float | None) -> Lateral:
         """Take the corridor's width, metres; None: it is not known. The offset in half widths stays as it is."""
         model = offset_model(self.config.model_copy(update={"corridor_width_m": width_m}))
         path = lateral.offset.path

@@ -234,10 +234,12 @@ def judged(
     half_m
         Half the corridor's width; NaN where unknown.
     """
-    return _counted(_compared(lateral, after, t_ns), lateral.known, before, after, half_m)
+    return _with_jump_counted(
+        _checked_against_motion(lateral, after, t_ns), lateral.known, before, after, half_m
+    )
 
 
-def _compared(lateral: Lateral, after: OffsetReadout, t_ns: int) -> Lateral:
+def _checked_against_motion(lateral: Lateral, after: OffsetReadout, t_ns: int) -> Lateral:
     """Compare the offset after a frame with those of the last seconds."""
     recent = lateral.recent.moved_on(after.velocity_norm_s, t_ns)
     tolerance = DRIFT_NORM + DRIFT_S * after.velocity_std_norm_s
@@ -252,7 +254,7 @@ def _compared(lateral: Lateral, after: OffsetReadout, t_ns: int) -> Lateral:
     return lateral._replace(recent=recent, contradicted=contradicted, step=step)
 
 
-def _counted(
+def _with_jump_counted(
     lateral: Lateral, was_known: bool, before: OffsetReadout, after: OffsetReadout, half_m: float
 ) -> Lateral:
     """Count a jump: another hypothesis has won, or the offset is known again after a frame left it unknown.

@@ -128,7 +128,7 @@ class Doubt(NamedTuple):
         What the innovation has besides, of which neither state nor measurement knows.
     scale
         Variance of inliers over what they state; None: as `SourceNoise` has learned.
-    refused_share
+    rejected_share
         Share of the last half second's measurements that were not used.
     """
 
@@ -137,17 +137,17 @@ class Doubt(NamedTuple):
     outlier_density: float
     more_variance: float = 0.0
     scale: float | None = None
-    refused_share: float = 0.0
+    rejected_share: float = 0.0
 
 
-def outlier_share_now(noise: SourceNoise, refused_share: float, gate_rad: float, density: float) -> float:
+def outlier_share_now(noise: SourceNoise, rejected_share: float, gate_rad: float, density: float) -> float:
     """Share of outliers among the measurements of the last half second, not less than what is known in the long run.
 
     Outliers that fall into the gate (a half width ``gate_rad``) by chance are not refused: with a wide gate, what is
     refused tells little. The long-run share counts as `KNOWN_FRAMES` frames, the half second as `RECENT_FRAMES`.
     """
     seen = max(1.0 - 2.0 * gate_rad * density, 0.0)  # of all outliers, the share that is rejected
-    recent = RECENT_FRAMES * refused_share + KNOWN_FRAMES * noise.outlier_share
+    recent = RECENT_FRAMES * rejected_share + KNOWN_FRAMES * noise.outlier_share
     now = recent / (RECENT_FRAMES * seen + KNOWN_FRAMES)
     return min(max(noise.outlier_share, now), 1.0 - MIN_INLIER_SHARE)
 
@@ -176,7 +176,7 @@ def update_with_doubt(
     believed = stated * (noise.inflation if doubt.scale is None else doubt.scale)
     gated = max(believed, stated)  # what has been better than it says so far may yet be as bad as it says
     reach = doubt.gate_sigma * sqrt(predicted + gated)
-    outliers = outlier_share_now(noise, doubt.refused_share, reach, doubt.outlier_density)
+    outliers = outlier_share_now(noise, doubt.rejected_share, reach, doubt.outlier_density)
     probability = inlier_probability(m.residual, predicted + gated, outliers, doubt.outlier_density)
     variance = weakened(as_if_independent(believed, predicted, doubt.rho), predicted, probability)
     gate = ekf.update(m._replace(R=gated + doubt.more_variance), doubt.gate_sigma, variance)

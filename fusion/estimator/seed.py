@@ -71,7 +71,7 @@ class WidthChange(NamedTuple):
 
 
 def seed_heading(
-    axis: CorridorAxis, ekf: CorridorEKF, seed: HeadingSeed, theta_rad: float, coupled: bool
+    axis: CorridorAxis, ekf: CorridorEKF, seed: HeadingSeed, theta_rad: float, corrects_heading: bool
 ) -> CorridorAxis:
     """Replace the heading by a seed, independent of what was known; the gyroscope's bias stays.
 
@@ -87,7 +87,7 @@ def seed_heading(
         The heading.
     theta_rad
         Dead-reckoned heading.
-    coupled
+    corrects_heading
         Whether the IMU's yaw offset is correlated with the heading.
     """
     psi, bias, offset = ekf.x.tolist()
@@ -95,7 +95,7 @@ def seed_heading(
     F, Q = np.eye(N_STATES), np.zeros((N_STATES, N_STATES))
     F[PSI] = 0.0
     Q[PSI, PSI] = Q[YAW_OFFSET, YAW_OFFSET] = variance
-    if coupled:
+    if corrects_heading:
         F[YAW_OFFSET, PSI] = 1.0
         Q[PSI, YAW_OFFSET] = Q[YAW_OFFSET, PSI] = -variance
     else:

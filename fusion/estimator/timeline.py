@@ -98,7 +98,7 @@ class Timeline:
         sensed = self.entries[at - 1].sensed if at > 0 else sensed_behind(before)
         place = 0
         while place < len(entries):
-            count = self.engine.carry_on(replayed[-1].after, entries[place:], sensed)
+            count = self.engine.replay_gyro_samples(replayed[-1].after, entries[place:], sensed)
             if count > 0:
                 replayed += entries[place : place + count]
                 new_keys += keys[place : place + count]

@@ -21,7 +21,7 @@ from vision import Camera
 
 FloatArray = npt.NDArray[np.float64]
 
-ELBOW_ROOM_M = 0.3
+MIN_CLEARANCE_M = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,7 +179,7 @@ def _free_place(scene: Scene, offset_norm: float, min_ahead_m: float, rng: np.ra
         part = part_at(scene.rooms, 0, s)
         place = part.to_world(s - part.x_m, offset_norm * part.width_m / 2)
         origin = np.array([*place, -float(rng.uniform(0.3, 0.75)) * config.height_m])
-        low, high = scene.obstacles[:, :3] - ELBOW_ROOM_M, scene.obstacles[:, 3:] + ELBOW_ROOM_M
+        low, high = scene.obstacles[:, :3] - MIN_CLEARANCE_M, scene.obstacles[:, 3:] + MIN_CLEARANCE_M
         if not ((origin > low) & (origin < high)).all(axis=1).any():
             break
     return origin

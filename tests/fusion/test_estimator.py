@@ -330,7 +330,7 @@ def test_the_share_of_refused_frames_grows_with_time_and_not_with_their_number(h
         t += step
         estimator.add_imu(t, (0.0, 0.0, 0.0))
         estimator.add_measurement(t + 1, frame(0.2 + radians(30) + 1e-6 * (k % 2)))
-    share = estimator._timeline.state.axis.diagnosis.refused_share
+    share = estimator._timeline.state.axis.diagnosis.rejected_share
     spent_s = 2 * round(0.25 * hz) / hz
     assert share == pytest.approx(1.0 - exp(-spent_s / SHORT_S), abs=0.03)
 

@@ -15,15 +15,15 @@ from fusion.estimator.frame_drift import (
     MIN_POINTS,
     Drift,
     Evidence,
-    Sight,
+    HeadingComparison,
     Slope,
+    add_comparison,
+    gyro_jump_between_frames,
     slope_of,
-    unseen_leap,
     walked_rate_variance,
-    with_sight,
 )
 from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations, Verdict, judge
-from fusion.estimator.imu_yaw_check import InertialNoise, TurnBeside, YawDoubt
+from fusion.estimator.imu_yaw_check import GyroAndYaw, InertialNoise, YawProbabilities
 
 QUIET = InertialNoise(gyro_walk=0.003, yaw_walk=0.003, yaw_std=0.001)
 OWN_VARIANCE = radians(0.2) ** 2  # of a rate, by gyroscope or IMU yaw
@@ -37,9 +37,9 @@ def verdict_of(gyro: Slope, yaw: Slope | None, before: Hypothesis = Hypothesis.W
     return judge(Evidence(gyro, yaw, OWN_VARIANCE, 0.0, OWN_VARIANCE), before).likeliest
 
 
-def sights(
+def comparisons(
     seconds: float, drift: float = 0.0, turn: float = 0.0, yaw_follows: bool = True
-) -> tuple[Sight, ...]:
+) -> tuple[HeadingComparison, ...]:
     """Thirty frames a second of 0.5 degree; the gyroscope has a drift (rad/s), the vehicle turns (rad/s)."""
     rng = np.random.default_rng(1)
     made = []
@@ -47,7 +47,7 @@ def sights(
         t = k / 30
         heading = turn * t + rng.normal(0.0, radians(0.5))
         yaw = 0.7 + (turn if yaw_follows else turn + drift) * t
-        made.append(Sight(round(t * 1e9), heading, radians(0.5), (turn + drift) * t, yaw, True))
+        made.append(HeadingComparison(round(t * 1e9), heading, radians(0.5), (turn + drift) * t, yaw, True))
     return tuple(made)
 
 
@@ -92,7 +92,7 @@ def test_what_was_found_goes_on_by_weaker_evidence_and_ends_without() -> None:
 def test_the_slope_is_the_drift_whatever_the_vehicle_turns() -> None:
     drift = radians(4.0)
     for turn in (0.0, radians(30.0)):
-        seen = sights(1.0, drift, turn)
+        seen = comparisons(1.0, drift, turn)
         gyro, yaw = Drift(seen, turn, QUIET).over(1.0)[:2]
         assert gyro is not None
         assert yaw is not None
@@ -101,7 +101,7 @@ def test_the_slope_is_the_drift_whatever_the_vehicle_turns() -> None:
         assert gyro.rate_std < radians(0.6)
 
 
-def weaving_sights(late_s: float, drift: float = 0.0) -> tuple[Sight, ...]:
+def weaving_sights(late_s: float, drift: float = 0.0) -> tuple[HeadingComparison, ...]:
     """Three seconds of frames that show the heading of a little before their stamps, while the vehicle weaves."""
     rng = np.random.default_rng(2)
 
@@ -111,7 +111,9 @@ def weaving_sights(late_s: float, drift: float = 0.0) -> tuple[Sight, ...]:
     made = []
     for t_s in np.arange(0.0, 3.0, 1 / 30).tolist():
         seen = heading(t_s - late_s) + drift * t_s + rng.normal(0.0, radians(0.5))
-        made.append(Sight(round(t_s * 1e9), seen, radians(0.5), heading(t_s), 0.7 + heading(t_s), True))
+        made.append(
+            HeadingComparison(round(t_s * 1e9), seen, radians(0.5), heading(t_s), 0.7 + heading(t_s), True)
+        )
     return tuple(made)
 
 
@@ -193,7 +195,7 @@ def test_the_heading_now_is_that_of_the_frames_as_they_are_stamped() -> None:
 
 
 def test_without_a_turn_nothing_shows_whether_stamps_are_right() -> None:
-    gyro = Drift(sights(3.0), 0.0, QUIET).over(3.0).gyro
+    gyro = Drift(comparisons(3.0), 0.0, QUIET).over(3.0).gyro
     assert gyro is not None
     assert gyro.stamp_variance > 1.0
     assert judge(Evidence(gyro, None, OWN_VARIANCE)).of(Hypothesis.STAMPS) < 0.01
@@ -201,14 +203,14 @@ def test_without_a_turn_nothing_shows_whether_stamps_are_right() -> None:
 
 def test_a_known_bias_is_no_slope() -> None:
     drift = radians(4.0)
-    known = tuple(s._replace(bias_rad_s=drift) for s in sights(1.0, drift))
+    known = tuple(s._replace(bias_rad_s=drift) for s in comparisons(1.0, drift))
     gyro = Drift(known, 0.0, QUIET).over(1.0).gyro
     assert gyro is not None
     assert gyro.rate_rad_s == pytest.approx(0.0, abs=3 * gyro.rate_std)
 
 
 def test_no_slope_without_frames_that_follow_each_other() -> None:
-    seen = sights(1.0)
+    seen = comparisons(1.0)
     assert Drift(seen[: MIN_POINTS - 1], 0.0, QUIET).over(1.0) == Evidence()
     half = tuple(s._replace(linked=k % 2 == 0) for k, s in enumerate(seen))
     assert Drift(half, 0.0, QUIET).over(1.0) == Evidence()
@@ -217,7 +219,9 @@ def test_no_slope_without_frames_that_follow_each_other() -> None:
 
 def test_the_bias_from_before_a_drift_shows_it_though_the_filter_has_taken_it_up_since() -> None:
     drift = radians(2.0)
-    seen = tuple(s._replace(bias_rad_s=drift * min(k / 45, 1.0)) for k, s in enumerate(sights(3.0, drift)))
+    seen = tuple(
+        s._replace(bias_rad_s=drift * min(k / 45, 1.0)) for k, s in enumerate(comparisons(3.0, drift))
+    )
     found = Drift(seen, 0.0, QUIET).over(3.0)
     assert found.gyro is not None
     assert found.bias_rad_s == 0.0
@@ -225,21 +229,21 @@ def test_the_bias_from_before_a_drift_shows_it_though_the_filter_has_taken_it_up
 
 
 def test_headings_from_before_a_turn_that_was_not_measured_are_let_go() -> None:
-    seen = sights(1.0)
+    seen = comparisons(1.0)
     axis = CorridorAxis(diagnosis=Diagnosis(Innovations(3.0, 3.0, 1.0, 1.0), seen))
     assert axis.with_turns_since(None) is axis
     assert axis.with_turns_since(seen[0].t_ns - 1) is axis
     later = axis.with_turns_since(seen[10].t_ns).diagnosis
-    assert later.sights == seen[11:]
+    assert later.comparisons == seen[11:]
     assert later.innovations == Innovations()
 
 
 def test_an_uncertain_bias_and_a_fast_turn_make_a_slope_less_sure() -> None:
-    still, bias = sights(1.0), tuple(s._replace(bias_variance=0.01) for s in sights(1.0))
+    still, bias = comparisons(1.0), tuple(s._replace(bias_variance=0.01) for s in comparisons(1.0))
     known = Drift(still, 0.0, QUIET).over(1.0)
     assert Drift(bias, 0.0, QUIET).over(1.0).bias_variance - known.bias_variance == pytest.approx(0.01)
     scale = QUIET._replace(gyro_scale_std=0.02)
-    turned = Drift(sights(1.0, turn=radians(100.0)), radians(100.0), scale).over(1.0)
+    turned = Drift(comparisons(1.0, turn=radians(100.0)), radians(100.0), scale).over(1.0)
     assert turned.gyro_variance - known.gyro_variance == pytest.approx(radians(2.0) ** 2, rel=0.01)
 
 
@@ -247,8 +251,8 @@ def test_a_yaw_that_repeats_the_gyroscope_is_no_second_witness_against_the_frame
     """The gyroscope is 2.5 sigma off; a yaw that agrees with it says nothing more, or all."""
     gyro, yaw, noisy = slope(1.0, 0.1), slope(1.0, 0.1), radians(0.4) ** 2
     evidence = Evidence(gyro, yaw, noisy, 0.0, radians(0.05) ** 2)
-    of_its_own = evidence._replace(yaw_doubt=YawDoubt(astray=0.01, repeating=0.01))
-    repeating = evidence._replace(yaw_doubt=YawDoubt(astray=0.01, repeating=0.9))
+    of_its_own = evidence._replace(yaw_probabilities=YawProbabilities(astray=0.01, repeating=0.01))
+    repeating = evidence._replace(yaw_probabilities=YawProbabilities(astray=0.01, repeating=0.9))
     assert judge(repeating).of(Hypothesis.WELL) > 0.95
     assert judge(of_its_own).of(Hypothesis.BEND) > 10.0 * judge(repeating).of(Hypothesis.BEND)
 
@@ -258,12 +262,12 @@ def test_whether_the_yaw_repeats_the_gyroscope_is_learned_in_seconds() -> None:
     step_s = 1 / 30
     for repeats in (False, True):
         rng = np.random.default_rng(4)
-        doubt, raw, own = YawDoubt(), 0.0, 0.0
+        doubt, raw, own = YawProbabilities(), 0.0, 0.0
         for k in range(300):
             raw += rng.normal(0.0, noise.gyro_walk * np.sqrt(step_s))
             own += rng.normal(0.0, noise.yaw_walk * np.sqrt(step_s))
             yaw = 0.7 + own + repeats * raw + rng.normal(0.0, noise.yaw_std)
-            doubt = doubt.compared(TurnBeside(round(k * step_s * 1e9), raw, yaw, 0.0, 0.0), noise)
+            doubt = doubt.compared(GyroAndYaw(round(k * step_s * 1e9), raw, yaw, 0.0, 0.0), noise)
         assert (doubt.repeating > 0.5) is repeats
 
 
@@ -283,11 +287,11 @@ def test_a_doubt_is_told_before_it_is_followed_and_for_longer() -> None:
 
 
 def test_sights_are_spaced_and_let_go() -> None:
-    kept: tuple[Sight, ...] = ()
-    for s in sights(8.0):
-        kept = with_sight(kept, s, 30_000_000)
+    kept: tuple[HeadingComparison, ...] = ()
+    for s in comparisons(8.0):
+        kept = add_comparison(kept, s, 30_000_000)
     assert kept[-1].t_ns - kept[0].t_ns <= 6_000_000_000
-    assert with_sight(kept, kept[-1]._replace(t_ns=kept[-1].t_ns + 1000), 30_000_000) == kept
+    assert add_comparison(kept, kept[-1]._replace(t_ns=kept[-1].t_ns + 1000), 30_000_000) == kept
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5])
@@ -326,10 +330,10 @@ def test_a_gross_error_is_not_systematic() -> None:
 def test_a_half_turn_that_no_frame_saw_is_the_gyroscope_s_where_the_imu_yaw_stood_still(
     gyro: float, yaw: float, gap_s: float, leap: float
 ) -> None:
-    last = Sight(0, 0.1, 0.01, 2.0, 0.7, True)
-    new = Sight(round(gap_s * 1e9), 0.1, 0.01, 2.0 + gyro, 0.7 + yaw, True)
-    assert unseen_leap((last,), new, 0.0) == pytest.approx(leap)
-    assert unseen_leap((), new, 0.0) == 0.0
+    last = HeadingComparison(0, 0.1, 0.01, 2.0, 0.7, True)
+    new = HeadingComparison(round(gap_s * 1e9), 0.1, 0.01, 2.0 + gyro, 0.7 + yaw, True)
+    assert gyro_jump_between_frames((last,), new, 0.0) == pytest.approx(leap)
+    assert gyro_jump_between_frames((), new, 0.0) == 0.0
 
 
 @pytest.mark.parametrize("stamp_std_s", [0.0, 0.1])
@@ -338,7 +342,7 @@ def test_a_suspected_step_of_the_camera_s_clock_is_no_drift(stamp_std_s: float) 
     turn, late_s = radians(20.0), 0.1
     stepped = tuple(
         s._replace(heading_rad=s.heading_rad - turn * late_s * (k > 45), stamp_std_s=stamp_std_s * (k > 45))
-        for k, s in enumerate(sights(3.0, turn=turn))
+        for k, s in enumerate(comparisons(3.0, turn=turn))
     )
     evidence = Drift(stepped, stepped[-1].heading_rad, InertialNoise(0.003, 0.003, radians(0.5))).over(3.0)
     assert evidence.gyro is not None

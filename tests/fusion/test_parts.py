@@ -129,7 +129,7 @@ def test_the_offset_is_followed_and_the_heading_left_alone() -> None:
     for _ in range(50):
         part = fuse_imu_yaw(part, ekf, 1.0, d, CorridorAxis(acquired=True), config)
     assert part.known
-    assert not part.coupled
+    assert not part.corrects_heading
     assert float(ekf.x[YAW_OFFSET]) == pytest.approx(0.7, abs=0.05)
     assert ekf.x[[PSI, BIAS]].tolist() == before
 
@@ -232,11 +232,11 @@ def test_recovery_leaves_what_the_imu_yaw_has_shown() -> None:
     assert axis.votes == ()
 
 
-@pytest.mark.parametrize("coupled", [True, False])
-def test_entering_a_corridor_keeps_the_imu_yaw_and_forgets_the_offset(coupled: bool) -> None:
+@pytest.mark.parametrize("corrects_heading", [True, False])
+def test_entering_a_corridor_keeps_the_imu_yaw_and_forgets_the_offset(corrects_heading: bool) -> None:
     ekf, turn = ekf_at(1.3, 0.02, 0.4, std=0.05), radians(80)
     found = NewCorridor(1.3 - turn, turn, radians(0.5), same_corridor=False)
-    crossing = junctions.Crossing(coupled, 7)
+    crossing = junctions.Crossing(corrects_heading, 7)
     axis = junctions.enter_corridor(known_axis(), ekf, found, 0, 1.3, crossing, FusionConfig())
     assert (axis.corridor_index, axis.n_corridors, axis.reset_count) == (1, 2, 1)
     assert axis.corridor_turn_rad == pytest.approx(turn)

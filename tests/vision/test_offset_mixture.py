@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from vision import Attitude, Camera, measure_lines
 from vision.lateral.geometric import MIN_CANNOT_TELL
 from vision.lateral.mixture import N_BINS, OffsetMixture, cannot_tell, combine, mixture_of_components
-from vision.lateral.offset import answer_of
+from vision.lateral.offset import combined_offset
 
 GRID = np.linspace(-1.5, 1.5, 30001)
 CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)
@@ -175,7 +175,7 @@ def with_width(m: OffsetMixture, width: float) -> OffsetMixture:
 
 def test_lines_and_regions_that_agree_answer_though_neither_does_alone() -> None:
     lines = mixture((0.35, 0.20, 0.005), (0.35, -0.30, 0.005))
-    answer = answer_of(lines, mixture((0.98, 0.17, 0.06)))
+    answer = combined_offset(lines, mixture((0.98, 0.17, 0.06)))
     assert answer is not None
     assert answer.offset_norm == pytest.approx(0.20, abs=0.01)
     assert 0.005 < answer.offset_norm_std < 0.06
@@ -183,22 +183,22 @@ def test_lines_and_regions_that_agree_answer_though_neither_does_alone() -> None
 
 def test_a_wide_distribution_with_peaks_at_either_side_is_one_answer() -> None:
     """A bench hides one corner: nothing tells where between the peaks the middle is, but that it is there."""
-    answer = answer_of(cannot_tell(), mixture((0.67, -0.08, 0.06), (0.31, 0.08, 0.05)))
+    answer = combined_offset(cannot_tell(), mixture((0.67, -0.08, 0.06), (0.31, 0.08, 0.05)))
     assert answer is not None
     assert answer.offset_norm == pytest.approx(-0.03, abs=0.01)
     assert 0.09 < answer.offset_norm_std < 0.12
     apart = mixture((0.67, -0.18, 0.06), (0.31, 0.18, 0.05))
-    assert answer_of(cannot_tell(), apart) is None
+    assert combined_offset(cannot_tell(), apart) is None
 
 
 def test_where_lines_and_regions_disagree_the_answer_is_wide_or_none() -> None:
     lines = mixture((0.7, 0.6, 0.005))
-    assert answer_of(lines, mixture((0.7, -0.3, 0.05))) is None
-    sure = answer_of(lines, mixture((0.99, -0.07, 0.08)))
+    assert combined_offset(lines, mixture((0.7, -0.3, 0.05))) is None
+    sure = combined_offset(lines, mixture((0.99, -0.07, 0.08)))
     assert sure is not None
     assert sure.offset_norm == pytest.approx(-0.07, abs=0.01)
     assert sure.offset_norm_std > 0.08
-    assert answer_of(cannot_tell(), cannot_tell()) is None
+    assert combined_offset(cannot_tell(), cannot_tell()) is None
 
 
 def test_a_prediction_chooses_between_answers_and_does_not_move_them() -> None:
@@ -206,8 +206,8 @@ def test_a_prediction_chooses_between_answers_and_does_not_move_them() -> None:
         mixture((0.4, 0.5, 0.01), (0.3, -0.1, 0.01)),
         mixture((0.5, 0.5, 0.03), (0.5, -0.1, 0.03)),
     )
-    assert answer_of(lines, regions) is None
-    chosen = answer_of(lines, regions, 0.45, 0.05)
+    assert combined_offset(lines, regions) is None
+    chosen = combined_offset(lines, regions, 0.45, 0.05)
     assert chosen is not None
     assert chosen.offset_norm == pytest.approx(0.5, abs=1e-3)
 
@@ -216,7 +216,7 @@ def test_width_is_answered_only_where_lines_and_regions_see_the_same() -> None:
     """Carpet stripes are symmetric: taken for the corners they leave the offset right and the width too small."""
     lines, regions = mixture((0.7, 0.1, 0.01)), mixture((0.95, 0.1, 0.05))
     for by_regions, width in ((2.1, 2.0), (2.9, np.nan), (np.nan, np.nan)):
-        answer = answer_of(with_width(lines, 2.0), with_width(regions, by_regions))
+        answer = combined_offset(with_width(lines, 2.0), with_width(regions, by_regions))
         assert answer is not None
         assert answer.offset_norm == pytest.approx(0.1)
         np.testing.assert_equal(answer.width_per_height, width)
@@ -230,7 +230,7 @@ def test_the_mirrored_evidence_gives_the_mirrored_answer(
         return OffsetMixture(m.weight[::-1], -m.offset_norm[::-1], m.std_norm[::-1], m.width_per_height[::-1])
 
     lines, regions = (mixture_of_components(rows + 1e-3, 0.1, 0.0) for rows in (a, b))
-    there, back = answer_of(lines, regions), answer_of(mirrored(lines), mirrored(regions))
+    there, back = combined_offset(lines, regions), combined_offset(mirrored(lines), mirrored(regions))
     if there is not None and back is not None:
         # Bins that merge components are mirrored but for their edges.
         assert there.offset_norm == pytest.approx(-back.offset_norm, abs=0.05)

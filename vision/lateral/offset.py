@@ -9,7 +9,7 @@ Which two lines are the corners is the question: skirting boards, wainscots, fur
 along the corridor too. `vision.lateral.corner_pairs` collects the evidence for every pair of candidates,
 `vision.lateral.hypotheses` turns it into probabilities. From lines alone the offset is answered where one has nearly
 all of the probability (`fit_lateral`). Where the picture's regions tell as well, both kinds of evidence are
-multiplied, and what they say together is answered, as exactly as it is known (`answer_of`).
+multiplied, and what they say together is answered, as exactly as it is known (`combined_offset`).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ SAME_WIDTH = (
 
 
 @dataclass(frozen=True, slots=True)
-class OffsetAnswer:
+class PictureOffset:
     """The lateral offset that one picture tells.
 
     Parameters
@@ -270,7 +270,7 @@ def _answer(
     prior_width: float,
     weights: OffsetWeights,
 ) -> tuple[float, float, float, float, float]:
-    """Return what `answer_of` answers with, of mixtures' fields.
+    """Return what `combined_offset` answers with, of mixtures' fields.
 
     Returns
     -------
@@ -288,13 +288,13 @@ def _answer(
     return probability, mean, variance, _width_about(lines, mean), _width_about(regions, mean)
 
 
-def answer_of(
+def combined_offset(
     lines: OffsetMixture,
     regions: OffsetMixture,
     prior_offset_norm: float = nan,
     prior_offset_norm_std: float = nan,
     prior_width_per_height: float = nan,
-) -> OffsetAnswer | None:
+) -> PictureOffset | None:
     """Answer with the offset that lines and regions together are most sure of; None where none is probable enough.
 
     The width is answered only where both see the same: an offset survives a pair of carpet stripes taken for the
@@ -315,7 +315,7 @@ def answer_of(
     if std > MAX_STD_NORM:
         return None
     agree = width > 0.0 and other > 0.0 and abs(log(width / other)) < SAME_WIDTH
-    return OffsetAnswer(
+    return PictureOffset(
         offset_norm=mean,
         offset_norm_std=std,
         width_per_height=width if agree else nan,

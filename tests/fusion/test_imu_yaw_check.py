@@ -8,10 +8,10 @@ import pytest
 from fusion.estimator.imu_yaw_check import (
     Trace,
     YawWatch,
+    find_disturbance,
     is_calm,
     is_due,
     is_independent,
-    parted,
     stepped_by,
     traced,
     watch,
@@ -81,13 +81,13 @@ def test_change_of_axis_drops_the_comparison_under_way_only() -> None:
 
 
 def first_alarm_s(stray: np.ndarray, hz: float = 50.0) -> float | None:
-    """When a yaw that strays so from the gyroscope is found to have parted from it."""
+    """When a yaw that strays so from the gyroscope is found to depart from it."""
     traces: tuple[Trace, ...] = ()
     for i, value in enumerate(stray.tolist()):
         now = Trace(round(i / hz * S), value, 0.0, 0.0, 1e-6)
         if not is_due(traces, now.t_ns):
             continue
-        if parted(traces, now, GYRO**2 + YAW**2, radians(0.3) ** 2):
+        if find_disturbance(traces, now, GYRO**2 + YAW**2, radians(0.3) ** 2):
             return i / hz
         traces = traced(traces, now)
         assert len(traces) < 35
@@ -128,5 +128,5 @@ def test_step_that_was_taken_up_is_no_parting() -> None:
     for i in range(20):
         traces = traced(traces, Trace(i * S // 10, 0.1, 0.0, 0.0, 1e-6))
     now = Trace(2 * S, 0.1 + radians(15), 0.0, 0.0, 1e-6)
-    assert parted(traces, now, GYRO**2, radians(0.3) ** 2) is not None
-    assert parted(stepped_by(radians(15), traces), now, GYRO**2, radians(0.3) ** 2) is None
+    assert find_disturbance(traces, now, GYRO**2, radians(0.3) ** 2) is not None
+    assert find_disturbance(stepped_by(radians(15), traces), now, GYRO**2, radians(0.3) ** 2) is None
