@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.estimator.kernels import FloatArray
-from fusion.estimator.slope import is_surely_beyond
+from fusion.estimator.slope import MIN_STD, is_surely_beyond
 
 LEVEL_S = (
     0.5  # time constant of the means: slower, and the gyroscope's wander passes for stamps in slow turns
@@ -30,7 +30,6 @@ MEMORY_BLOCKS = 20
 MIN_BLOCKS = 8
 PRIOR_WINDOWS = 3.0
 ALIKE_FRAMES = 10.0  # that have about the same error, by what is stated
-MIN_STD_RAD = 1e-4  # no frame is more exact, whatever it says
 MAX_STEP_S = 0.5  # between frames
 MAX_JUMP_RAD = 0.35  # of the difference from frame to frame: another axis
 # What differs by more than this, times rate and angle, is a gross error.
@@ -107,7 +106,7 @@ class FrameTiming(NamedTuple):
         full = self._replace(last=last, level=level)
         if full.since_ns is None or t_ns - full.since_ns >= BLOCK_NS:
             full = full._with_block()._replace(since_ns=t_ns, block=(0.0,) * 10)
-        w = max(std_rad, MIN_STD_RAD) ** -2
+        w = max(std_rad, MIN_STD) ** -2
         products = (w, w * x, w * x * x, w * z, w * z * x, w * z * z, w * y, w * y * x, w * y * z, w * y * y)
         return full._replace(block=tuple(a + b for a, b in zip(full.block, products, strict=True)))
 

@@ -21,6 +21,7 @@ MEMORY = 1.0 - 1 / 240  # of each block, when the next ends: two minutes
 PRIOR_WINDOWS, MIN_BLOCKS = 3.0, 2.9  # the oldest have faded
 ALIKE_POINTS = 10.0  # that have about the same error, by what is stated
 SURE_SIGMA = 4.0  # were sigma known
+MIN_STD = 1e-4  # rad: no frame is more exact, whatever it says
 
 Sums = tuple[float, float, float, float, float]
 """Of weights, and of weights times x, y, x^2 and x y; a weight is one over a variance."""
@@ -86,7 +87,7 @@ class Slope(NamedTuple):
 
     def with_point(self, t_ns: int, x: float, y: float, std: float) -> Slope:
         """Take a point and the sigma of its y."""
-        w = std**-2
+        w = max(std, MIN_STD) ** -2
         then_ns, mean_x, mean_y = self.level or (t_ns, x, y)
         share = -expm1(-max(t_ns - then_ns, 0) * 1e-9 / LEVEL_S)
         x, y = x - mean_x, y - mean_y
