@@ -1,12 +1,11 @@
 """Whether the focal length is wrong: takes headings and the gyroscope's angle, returns by how much.
 
-A camera whose focal length is told too short by a share sees the tangent of each heading too large by it, so the
-heading h by the share times sin(2 h) / 2: of a turn less, the further the axis lies from the middle of the picture.
-The share is the slope of a line through headings less the gyroscope's angle over sin(2 h) / 2
-(`fusion.estimator.slope.Slope`). It is taken twice, with h as seen, and as the gyroscope carries it from the mean of
-the last seconds. Errors of the frames, a wrong axis among them, are in the h that is seen too and make the first
-slope larger; a bend that the vehicle follows turns the gyroscope and not the camera's view, and makes the second one
-smaller. A wrong focal length changes both alike, and so does a wrong scale of the gyroscope.
+If the focal length is set too short by a share e, the tangent of each heading h is measured too large by e, and h by
+e sin(2 h) / 2. So e is the slope of a line through headings less the gyroscope's angle over sin(2 h) / 2
+(`fusion.estimator.slope.Slope`). It is fitted twice: with h as measured, and with h as the gyroscope carries it from
+the mean of the last seconds. Errors of the frames, a wrong axis among them, are in the measured h too: they make the
+first slope larger. A bend that the vehicle follows turns the gyroscope but not the camera's view: it makes the second
+one smaller. A wrong focal length changes both alike, and so does a wrong scale of the gyroscope.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ class FocalLength(NamedTuple):
         return min(self.by_frames.slope, self.by_gyro.slope, key=abs)
 
     def is_off(self, gyro_scale_std: float) -> bool:
-        """Whether that is surely more than a calibration and the gyroscope's scale may be off."""
+        """Whether the error is significant and larger than those of a calibration and of the gyroscope's scale."""
         limit = max(MAX_SHARE, SCALE_SIGMA * gyro_scale_std)
         lines = (self.by_frames, self.by_gyro)
         alike = self.by_frames.slope * self.by_gyro.slope > 0.0
@@ -60,7 +59,7 @@ class FocalLength(NamedTuple):
         return FocalLength(None, self.by_frames.interrupted(), self.by_gyro.interrupted())
 
     def with_heading(self, t_ns: int, heading_rad: float, gyro_rad: float, variance: float) -> FocalLength:
-        """Take a heading, modulo half a turn, its variance, and the angle that the gyroscope has turned by then."""
+        """Add a heading, modulo half a turn, its variance, and the angle that the gyroscope has turned by then."""
         seen, difference = 0.5 * sin(2.0 * heading_rad), heading_rad - gyro_rad
         then_ns, mean_seen, mean_carried, mean = self.level or (t_ns, seen, seen, difference)
         off = wrap_axis(difference - mean)

@@ -86,7 +86,7 @@ class Slope(NamedTuple):
         return self._replace(level=None)
 
     def with_point(self, t_ns: int, x: float, y: float, std: float) -> Slope:
-        """Take a point and the sigma of its y."""
+        """Add a point and the sigma of its y."""
         w = max(std, MIN_STD) ** -2
         then_ns, mean_x, mean_y = self.level or (t_ns, x, y)
         share = -expm1(-max(t_ns - then_ns, 0) * 1e-9 / LEVEL_S)
@@ -100,7 +100,7 @@ class Slope(NamedTuple):
         return full._replace(block=(sw + w, sx + w * x, sy + w * y, sxx + w * x * x, sxy + w * x * y))
 
     def _with_block(self) -> Slope:
-        """Take the block in, and fit."""
+        """Add the block, and fit."""
         b = self.block
         n = MEMORY * self.n_blocks + 1.0
         sw, sx, sy, sxx, sxy = tuple(MEMORY * s + new for s, new in zip(self.sums, b, strict=True))

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.events import Event, EventFinder
+from fusion.estimator.faults import Fault
 from fusion.estimator.filter_table import filter_table
 from fusion.estimator.frame_update import FrameResult, FrameSample, extract_features
 from fusion.estimator.imu_yaw import AttitudeSample
@@ -99,7 +100,7 @@ def fuse_flight(
         estimates=recorder.estimates(),
         smoothed=smoothed,
         frames=np.array(recorder.frames, dtype=FRAME_DTYPE),
-        problems=(*flight.problems, *_sample_problems(estimator)),
+        problems=(*flight.problems, *_sample_problems(estimator), *recorder.camera_problems()),
         offset_hypotheses=hypotheses_table(recorder.offset_steps),
     )
     return replace(
@@ -312,6 +313,7 @@ class Recorder:
         self._row_steps = array("q")  # index of the last step of each row's instant
         self._pending: Entry | None = None
         self._pending_is_row = False
+        self._last: State | None = None
 
     def take(self, entry: Entry) -> None:
         """Take the next entry in order of time."""
@@ -320,7 +322,8 @@ class Recorder:
         if pending is not None and entry.t_ns > pending.t_ns:
             self._close_instant(pending)
         self.steps.add(entry.nodes)
-        lateral = entry.after.lateral
+        self._last = entry.after
+        lateral = self._last.lateral
         self.offset_steps.add(entry.t_ns, lateral.step, lateral.offset)
         if entry.frame is not None:
             self.frames.append(frame_row(entry.frame, self.config))
@@ -355,6 +358,14 @@ class Recorder:
             if len(rows) >= BLOCK_ROWS:
                 self._pack()
         self._pending, self._pending_is_row = None, False
+
+    def camera_problems(self) -> Iterator[str]:
+        """Say what the whole flight has shown of the camera's calibration, which no other check compares."""
+        if self._last is not None:
+            installation, down = self._last.checks.installation, self._last.tilt.down
+            for notice in installation.notices(down, self.config.gyro_scale_std):
+                if notice.fault in (Fault.FOCAL_LENGTH, Fault.CAMERA_YAW):
+                    yield notice.text
 
     def estimates(self) -> Table:
         """Return the filter's table."""

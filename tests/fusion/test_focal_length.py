@@ -7,8 +7,12 @@ from math import atan, exp, inf, radians, sqrt, tan
 import numpy as np
 import pytest
 
+from fusion import CorridorEstimator, FusionConfig
 from fusion.estimator.faults import Fault
 from fusion.estimator.installation_checks import Installation
+from fusion.estimator.propagation import ImuSample
+from fusion.offline.fuse import Recorder
+from tests.fusion.simulated import frame
 
 SCALE_STD = 0.01
 
@@ -94,3 +98,21 @@ def test_a_gyroscope_that_may_be_off_by_more_is_no_focal_length() -> None:
     down = (0.0, 0.0, 1.0)
     assert [notice.fault for notice in installation.notices(down, SCALE_STD)] == [Fault.FOCAL_LENGTH]
     assert not list(installation.notices(down, 0.05))
+
+
+@pytest.mark.parametrize("focal", [1.0, 1.12])
+def test_a_fused_log_names_it_among_its_problems(focal: float) -> None:
+    rng, config = np.random.default_rng(5), FusionConfig()
+    recorder = Recorder(config, (ImuSample,))
+    estimator = CorridorEstimator(config, on_final=recorder.take)
+    for ms in range(0, 40_000, 10):
+        heading = radians(32) * np.sin(0.8e-3 * ms)
+        rate = radians(32) * 0.8 * np.cos(0.8e-3 * ms) + rng.normal(0.0, 0.02)
+        estimator.add_imu(ms * 1_000_000, (0.0, 0.0, float(rate)), (0.0, 0.0, -9.8))
+        if ms % 40 == 0:
+            seen = atan(focal * tan(heading)) + float(rng.normal(0.0, radians(0.4)))
+            estimator.add_measurement(ms * 1_000_000, frame(seen, radians(0.4)))
+    estimator.finish()
+    recorder.finish()
+    problems = list(recorder.camera_problems())
+    assert any("check focal length" in problem for problem in problems) == (focal != 1.0)
