@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-from array import array
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
@@ -15,31 +14,23 @@ import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
-from fusion.estimator.events import Event, EventFinder
-from fusion.estimator.faults import Fault
-from fusion.estimator.filter_table import filter_table
-from fusion.estimator.frame_update import FrameResult, FrameSample, extract_features
+from fusion.estimator.frame_update import FrameSample, extract_features
 from fusion.estimator.imu_yaw import AttitudeSample
-from fusion.estimator.lateral_smoother import OffsetSteps
 from fusion.estimator.propagation import ImuSample
-from fusion.estimator.sample_times import SampleTimes
-from fusion.estimator.smoothed_table import hypotheses_table, smoothed_table
-from fusion.estimator.smoother import Steps
-from fusion.estimator.state import Entry, State
-from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE, Table
+from fusion.estimator.smoothed_table import hypotheses_table
+from fusion.estimator.tables import FRAME_DTYPE, Table
 from fusion.flight import Flight
 from fusion.offline.prefetch import prefetch_features, usable_cores
 from fusion.offline.stopwatch import Stopwatch, stopwatch
 from fusion.offline.summary import summarise
+from fusion.offline.table_builder import BLOCK_ROWS, TableBuilder
 from fusion.progress import Progress
 from fusion.result.result import FusionResult, Timings
 from vision.errors import InputError
-from vision.measurement import FrameMeasurement, position_from_offset
 
 if TYPE_CHECKING:
     from fusion.estimator.frame_update import Features
 
-BLOCK_ROWS = 512  # few, so that what is waiting stays in the processor's cache
 NEW_OBJECTS = 20_000  # from which on the garbage collector looks
 MAX_JOBS = 8  # unless more are asked for: the filter needs longer for a picture than two threads do
 
@@ -90,41 +81,41 @@ def fuse_flight(
         raise InputError("the flight has no camera frames", remedy="check mav0/cam0/data.csv of the log")
     check_times(flight)
     settings = _with_declared_values(config or FusionConfig(), flight)
-    recorder = Recorder(settings, _row_kinds(flight))
-    estimator = CorridorEstimator(settings, flight.camera, method, on_final=recorder.take)
+    tables = TableBuilder(settings, _row_kinds(flight))
+    estimator = CorridorEstimator(settings, flight.camera, method, on_final=tables.take)
     threads = (jobs or min(usable_cores(), MAX_JOBS)) - 1
-    smoothed, timings = _filter_and_smooth(estimator, recorder, flight, threads, progress)
+    smoothed, timings = _filter_and_smooth(estimator, tables, flight, threads, progress)
     result = FusionResult(
         flight_name=flight.name,
         config=settings,
-        estimates=recorder.estimates(),
+        estimates=tables.estimates(),
         smoothed=smoothed,
-        frames=np.array(recorder.frames, dtype=FRAME_DTYPE),
-        problems=(*flight.problems, *_sample_problems(estimator), *recorder.camera_problems()),
-        offset_hypotheses=hypotheses_table(recorder.offset_steps),
+        frames=np.array(tables.frames, dtype=FRAME_DTYPE),
+        problems=(*flight.problems, *_sample_problems(estimator), *tables.camera_problems()),
+        offset_hypotheses=hypotheses_table(tables.offset_steps),
     )
     return replace(
-        result, overview=summarise(result, flight, method, estimator.counters, timings, recorder.events)
+        result, overview=summarise(result, flight, method, estimator.counters, timings, tables.events)
     )
 
 
 def _filter_and_smooth(
     estimator: CorridorEstimator,
-    recorder: Recorder,
+    tables: TableBuilder,
     flight: Flight,
     threads: int,
     progress: Progress | None,
 ) -> tuple[Table, Timings]:
-    """Run the filter over the whole flight into the recorder, then the smoother; return its table and the times."""
+    """Run the filter over the whole flight into the tables, then the smoother; return its table and the times."""
     with stopwatch() as clock, _collector_spared():
         started = clock.seconds()
         extract = partial(extract_features, camera=flight.camera, method=estimator.method)
         with closing(prefetch_features(flight.frames, extract, threads)) as pictures:
             vision_s = _feed(estimator, flight, pictures, progress, clock)
         estimator.finish()
-        recorder.finish()
+        tables.finish()
         filtered = clock.seconds()
-        smoothed = recorder.smoothed()
+        smoothed = tables.smoothed()
         ended = clock.seconds()
     timings = Timings(
         vision_s, filtered - started - vision_s, ended - filtered, ended - started, clock.compile_s
@@ -290,124 +281,3 @@ def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:
     for name, sentence in what.items():
         if estimator.counters[name]:
             yield f"{estimator.counters[name]} {sentence}"
-
-
-class Recorder:
-    """Collects, from the entries that leave the buffer, the rows of the tables and the smoother's steps.
-
-    Each sample of the first kind makes a row; one of another kind, where those before it have fallen silent.
-    """
-
-    def __init__(self, config: FusionConfig, row_kinds: tuple[type[object], ...]) -> None:
-        self.config = config
-        self._row_times = dict.fromkeys(row_kinds, SampleTimes())
-        self.frames: list[tuple[Any, ...]] = []
-        self.steps = Steps()
-        self.offset_steps = OffsetSteps()
-        self.events: list[Event] = []
-        self._finder = EventFinder(config)
-        self._rows: list[State] = []
-        self._statuses: list[str] = []
-        self._table = np.empty(0, ESTIMATE_DTYPE)  # of the rows before
-        self._smoothed: Table | None = None
-        self._row_steps = array("q")  # index of the last step of each row's instant
-        self._pending: Entry | None = None
-        self._pending_is_row = False
-        self._last: State | None = None
-
-    def take(self, entry: Entry) -> None:
-        """Take the next entry in order of time."""
-        self.events += self._finder.take(entry)
-        pending = self._pending
-        if pending is not None and entry.t_ns > pending.t_ns:
-            self._close_instant(pending)
-        self.steps.add(entry.nodes)
-        self._last = entry.after
-        lateral = self._last.lateral
-        self.offset_steps.add(entry.t_ns, lateral.step, lateral.offset)
-        if entry.frame is not None:
-            self.frames.append(frame_row(entry.frame, self.config))
-        self._pending = entry
-        self._pending_is_row |= self._makes_row(type(entry.sample), entry.t_ns)
-
-    def _makes_row(self, kind: type[object], t_ns: int) -> bool:
-        times = self._row_times
-        if kind not in times:
-            return False
-        times[kind] = times[kind].with_sample(t_ns)
-        for better in times:
-            if better is kind:
-                break
-            if not times[better].is_silent(t_ns, self.config):
-                return False
-        return True
-
-    def finish(self) -> None:
-        """Close the last instant."""
-        self.events += self._finder.finish()
-        if self._pending is not None:
-            self._close_instant(self._pending)
-
-    def _close_instant(self, last: Entry) -> None:
-        # A row stands for its instant after all samples of that time, whatever their order of arrival.
-        if self._pending_is_row:
-            rows = self._rows
-            rows.append(last.after)
-            self._statuses.append(self._finder.status)
-            self._row_steps.append(self.steps.count - 1)
-            if len(rows) >= BLOCK_ROWS:
-                self._pack()
-        self._pending, self._pending_is_row = None, False
-
-    def camera_problems(self) -> Iterator[str]:
-        """Say what the whole flight has shown of the camera's calibration, which no other check compares."""
-        if self._last is not None:
-            installation, down = self._last.checks.installation, self._last.tilt.down
-            for notice in installation.notices(down, self.config.gyro_scale_std):
-                if notice.fault in (Fault.FOCAL_LENGTH, Fault.CAMERA_YAW):
-                    yield notice.text
-
-    def estimates(self) -> Table:
-        """Return the filter's table."""
-        self._pack()
-        return self._table
-
-    def smoothed(self) -> Table:
-        """Return the smoother's table: the same rows, with every number from the whole flight."""
-        if self._smoothed is None:
-            row_steps = np.array(self._row_steps, dtype=np.int64)
-            self._smoothed = smoothed_table(
-                self.estimates(), row_steps, self.steps, self.offset_steps, self.config
-            )
-        return self._smoothed
-
-    def _pack(self) -> None:
-        if not self._rows:
-            return
-        n = len(self._table)
-        self._table.resize(n + len(self._rows), refcheck=False)  # in place: nobody has seen it yet
-        self._table[n:] = filter_table(self._rows, self._statuses, self.config)
-        self._rows, self._statuses = [], []
-
-
-def frame_row(result: FrameResult, config: FusionConfig) -> tuple[Any, ...]:
-    """Put a frame's outcome into the order of `fusion.estimator.tables.FRAME_DTYPE`."""
-    m = result.measurement or FrameMeasurement(False, result.reason)
-    position = position_from_offset(m.lateral_offset_norm, config.position_dead_band_norm) or m.position
-    return (
-        result.timestamp_ns,
-        result.accepted,
-        str(result.reason),
-        m.n_lines,
-        m.n_inliers,
-        *m.vp_px,
-        m.heading_rad,
-        m.heading_std_rad,
-        m.lateral_offset_norm,
-        m.lateral_offset_norm_std,
-        "" if position is None else str(position),
-        m.paper_yaw_rad,
-        result.innovation_rad,
-        result.test_ratio,
-        m.vision_ms,
-    )

@@ -18,7 +18,7 @@ from fusion.estimator.estimate import Estimate
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table
-from fusion.offline.fuse import Recorder
+from fusion.offline.table_builder import TableBuilder
 from tests.fusion.simulated import Scene, Simulated, config_for, give, plus, simulate, turning, weaving, wrap
 from vision.errors import InputError
 
@@ -43,15 +43,15 @@ SIMULATED = simulate(
 def until(end_ns: int, lag_s: float, **config: Any) -> tuple[Estimate, Table]:
     """The fixed-lag estimate once all samples that arrived by then are in, and the offline table of the same ones."""
     settings_ = config_for(SIMULATED.scene, fixed_lag_s=lag_s, **config)
-    recorder = Recorder(settings_, (ImuSample,))
-    estimator = CorridorEstimator(settings_, on_final=recorder.take)
+    tables = TableBuilder(settings_, (ImuSample,))
+    estimator = CorridorEstimator(settings_, on_final=tables.take)
     for sample in SIMULATED.samples:
         if sample.arrival_ns <= end_ns:
             give(estimator, sample)
     found = estimator.smoothed()
     estimator.finish()
-    recorder.finish()
-    return found, recorder.smoothed()
+    tables.finish()
+    return found, tables.smoothed()
 
 
 @settings(max_examples=10, deadline=None)

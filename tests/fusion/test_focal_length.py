@@ -11,7 +11,7 @@ from fusion import CorridorEstimator, FusionConfig
 from fusion.estimator.faults import Fault
 from fusion.estimator.installation_checks import Installation
 from fusion.estimator.propagation import ImuSample
-from fusion.offline.fuse import Recorder
+from fusion.offline.table_builder import TableBuilder
 from tests.fusion.simulated import frame
 
 SCALE_STD = 0.01
@@ -103,8 +103,8 @@ def test_a_gyroscope_that_may_be_off_by_more_is_no_focal_length() -> None:
 @pytest.mark.parametrize("focal", [1.0, 1.12])
 def test_a_fused_log_names_it_among_its_problems(focal: float) -> None:
     rng, config = np.random.default_rng(5), FusionConfig()
-    recorder = Recorder(config, (ImuSample,))
-    estimator = CorridorEstimator(config, on_final=recorder.take)
+    tables = TableBuilder(config, (ImuSample,))
+    estimator = CorridorEstimator(config, on_final=tables.take)
     for ms in range(0, 40_000, 10):
         heading = radians(32) * np.sin(0.8e-3 * ms)
         rate = radians(32) * 0.8 * np.cos(0.8e-3 * ms) + rng.normal(0.0, 0.02)
@@ -113,6 +113,6 @@ def test_a_fused_log_names_it_among_its_problems(focal: float) -> None:
             seen = atan(focal * tan(heading)) + float(rng.normal(0.0, radians(0.4)))
             estimator.add_measurement(ms * 1_000_000, frame(seen, radians(0.4)))
     estimator.finish()
-    recorder.finish()
-    problems = list(recorder.camera_problems())
+    tables.finish()
+    problems = list(tables.camera_problems())
     assert any("check focal length" in problem for problem in problems) == (focal != 1.0)

@@ -18,7 +18,7 @@ from fusion.estimator.propagation import ImuSample
 from fusion.estimator.smoothed_table import hypotheses_table
 from fusion.estimator.state import Entry
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table, estimate_row
-from fusion.offline.fuse import Recorder
+from fusion.offline.table_builder import TableBuilder
 from fusion.result.tables_csv import read_table, write_table
 from tests.fusion.simulated import (
     Sample,
@@ -180,7 +180,7 @@ class Flown:
 
     def __init__(self, samples: Iterable[Sample], buffer_s: float = 0.5) -> None:
         config = config_for(SCENE, buffer_s=buffer_s)
-        self.recorder = Recorder(config, (ImuSample,))
+        self.recorder = TableBuilder(config, (ImuSample,))
         self.states: list[bytes] = []
         estimator = CorridorEstimator(config, on_final=self._take)
         for sample in samples:

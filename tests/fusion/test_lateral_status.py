@@ -16,7 +16,7 @@ from fusion.estimator.lateral_offset import OffsetReadout
 from fusion.estimator.lateral_status import CONTRADICTED_S, Lateral, RecentOffsets, judged
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.tables import Table
-from fusion.offline.fuse import Recorder
+from fusion.offline.table_builder import TableBuilder
 from tests.fusion.simulated import frame
 
 MS = 1_000_000
@@ -91,7 +91,7 @@ def test_what_is_remembered_is_bounded(intervals_s: list[float]) -> None:
 def beside_a_step() -> tuple[tuple[Table, Table], CorridorEstimator]:
     """Filter's and smoother's rows, and the estimator, of a vehicle whose frames begin to show other walls."""
     config = FusionConfig(corridor_width_m=2.0)
-    recorder = Recorder(config, (ImuSample,))
+    recorder = TableBuilder(config, (ImuSample,))
     estimator = CorridorEstimator(config, on_final=recorder.take)
     for k in range(1200):
         t_ns = 10 * MS * k

@@ -25,7 +25,7 @@ from fusion.estimator.frame_update import FrameResult
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.state import Entry
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table
-from fusion.offline.fuse import Recorder
+from fusion.offline.table_builder import TableBuilder
 from vision.measurement import FrameMeasurement, Position, Reason
 
 HERE = Path(__file__).resolve().parent
@@ -170,7 +170,7 @@ def differences(name: str, expected: Table, found: Table) -> Iterator[str]:
 
 def drive(gives: list[Give], config: FusionConfig, flight: Flight | None = None) -> tuple[Table, Table]:
     """Filter's and smoother's table of these samples."""
-    recorder = Recorder(config, (ImuSample,))
+    recorder = TableBuilder(config, (ImuSample,))
     estimator = CorridorEstimator(config, None if flight is None else flight.camera, on_final=recorder.take)
     call: dict[Kind, Callable[..., Any]] = {
         Kind.IMU: estimator.add_imu,
