@@ -8,7 +8,8 @@ orders the parts:
   `frame_update` (a frame's measurement and outcome);
 - lateral offset: `lateral`, `lateral_status`, `lateral_offset` with `lateral_kernels` and `lateral_mixture_kernels`,
   `lateral_parallax`, `lateral_smoother`, `velocity`, `range_width`;
-- camera: `camera_delay`, `camera_elevation`, `camera_yaw`, `camera_repeats`;
+- camera: `camera_delay`, `camera_elevation`, `camera_repeats`, `camera_yaw` and `focal_length` (both by
+  `running_slope`);
 - fault detection: `gyro_checks`, `imu_yaw_check`, `installation_checks`, `frame_timing` (early or late stamps),
   `frame_drift` (slopes of frames minus gyroscope and minus IMU yaw), `hypotheses` (which sensor is wrong),
   `axis_drift` (what follows from it), `faults`;

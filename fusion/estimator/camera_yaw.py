@@ -2,10 +2,10 @@
 
 A camera whose yaw or principal point differs from the calibration makes every heading wrong by that angle, and no
 turn shows it; but when the vehicle rolls, the axis seems to rise or sink by the angle times the roll's sine. The
-angle is the slope of a line through elevations over the roll's sine (`fusion.estimator.slope.Slope`). Both are less
-their means of the last seconds: a ramp, or an attitude that is off for long, changes the elevations too, and a slow
-roll by chance in the same way. Errors of an attitude may follow the motion for seconds, those of frames are hardly
-correlated.
+angle is the slope of a line through elevations over the roll's sine (`fusion.estimator.running_slope.RunningSlope`).
+Both are less their means of the last seconds: a ramp, or an attitude that is off for long, changes the elevations
+too, and a slow roll by chance in the same way. Errors of an attitude may follow the motion for seconds, those of
+frames are hardly correlated.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 from math import radians, sin
 from typing import NamedTuple
 
-from fusion.estimator.slope import PRIOR_WINDOWS, Slope
+from fusion.estimator.running_slope import PRIOR_WINDOWS, RunningSlope
 
 MAX_ELEVATION_RAD = 0.3  # more is no axis of a corridor
 MIN_ROLL_STD = 0.02  # rad; with less, elevations show nothing
@@ -24,7 +24,7 @@ MAX_CAMERA_YAW_RAD = radians(3)
 class CameraYaw(NamedTuple):
     """What elevations have shown so far: the line through them over the roll's sine."""
 
-    line: Slope = Slope(WINDOW, MIN_ROLL_STD)
+    line: RunningSlope = RunningSlope(WINDOW, MIN_ROLL_STD)
 
     @property
     def angle_rad(self) -> float:

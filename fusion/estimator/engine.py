@@ -350,7 +350,7 @@ class Engine:
     def _lateral_propagated(
         self, s: State, t_ns: int, down: Vector, accel_m_s2: Vector | None = None
     ) -> Lateral:
-        """Tell the lateral offset of a propagation step."""
+        """Return the lateral offset after a propagation step."""
         last_ns = s.reckoning.t_ns
         dt_s = 0.0 if last_ns is None else (t_ns - last_ns) * 1e-9
         step = new_record(MotionStep, (dt_s, self.ekf.x.item(PSI), down, accel_m_s2))
@@ -486,12 +486,8 @@ class Engine:
 
     def _follow_votes(self, s: State, t_ns: int) -> State:
         """Do what the votes against the present axis mean, if enough of them agree."""
-        c, ekf, theta_rad, corrects_heading = (
-            self.config,
-            self.ekf,
-            s.reckoning.theta_rad,
-            s.imu_yaw.corrects_heading,
-        )
+        c, ekf, theta_rad = self.config, self.ekf, s.reckoning.theta_rad
+        corrects_heading = s.imu_yaw.corrects_heading
         axis, found = junctions.decide(
             s.axis, float(ekf.x[PSI]), sqrt(float(ekf.P[PSI, PSI])), t_ns, theta_rad, s.frames.interval_s, c
         )

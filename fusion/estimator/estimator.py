@@ -80,7 +80,7 @@ class CorridorEstimator:
     Raises
     ------
     InputError
-        If the method is unknown, or ``camera`` is not a `vision.Camera`.
+        If the method is unknown, ``camera`` is not a `vision.Camera`, or ``config`` not a `FusionConfig`.
     """
 
     def __init__(
@@ -268,7 +268,7 @@ class CorridorEstimator:
         self.add(VelocitySample(whole_nanoseconds(t_ns), vector(v_body, "v_body")))
 
     def add_range(self, t_ns: int, distance_m: float) -> None:
-        """Add a distance to the floor; one that is not positive is counted and ignored.
+        """Add a distance to the floor; one that is not positive, or beyond 100 m, is counted and ignored.
 
         With the width per height that frames measure it gives the corridor's width, and so offsets in metres, if the
         configuration sets neither the width nor the camera's height.
@@ -391,7 +391,7 @@ class CorridorEstimator:
         Raises
         ------
         InputError
-            If the time is not an integer of nanoseconds.
+            If the time is not an integer of nanoseconds, or the measurement or one of its numbers is of another type.
         """
         measurement, refused = within_bounds(checked_measurement(measurement))
         self.counters.update(refused)

@@ -2,10 +2,10 @@
 
 If the focal length is set too short by a share e, the tangent of each heading h is measured too large by e, and h by
 e sin(2 h) / 2. So e is the slope of a line through headings less the gyroscope's angle over sin(2 h) / 2
-(`fusion.estimator.slope.Slope`). It is fitted twice: with h as measured, and with h as the gyroscope carries it from
-the mean of the last seconds. Errors of the frames, a wrong axis among them, are in the measured h too: they make the
-first slope larger. A bend that the vehicle follows turns the gyroscope but not the camera's view: it makes the second
-one smaller. A wrong focal length changes both alike, and so does a wrong scale of the gyroscope.
+(`fusion.estimator.running_slope.RunningSlope`). It is fitted twice: with h as measured, and with h as the gyroscope
+carries it from the mean of the last seconds. Errors of the frames, a wrong axis among them, are in the measured h
+too: they make the first slope larger. A bend that the vehicle follows turns the gyroscope but not the camera's view:
+it makes the second one smaller. A wrong focal length changes both alike, and so does a wrong scale of the gyroscope.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 from math import expm1, radians, sin, sqrt
 from typing import NamedTuple
 
-from fusion.estimator.slope import LEVEL_S, Slope
+from fusion.estimator.running_slope import LEVEL_S, RunningSlope
 from vision.rotations import wrap_axis
 
 MAX_JUMP_RAD = 0.35  # of a difference from the mean of the last seconds; more is another axis
@@ -37,8 +37,8 @@ class FocalLength(NamedTuple):
     """
 
     level: tuple[int, float, float, float] | None = None
-    by_frames: Slope = Slope(WINDOW, MIN_HEADING_STD)
-    by_gyro: Slope = Slope(WINDOW, MIN_HEADING_STD)
+    by_frames: RunningSlope = RunningSlope(WINDOW, MIN_HEADING_STD)
+    by_gyro: RunningSlope = RunningSlope(WINDOW, MIN_HEADING_STD)
 
     @property
     def share(self) -> float:

@@ -8,7 +8,7 @@ gyroscope's bias and its wander.
 
 In one span of seconds the offset does not stand out from the frames' noise
 (`fusion.estimator.frame_drift.Slope.stamp_s`). Here it is summed up over `MEMORY_BLOCKS`: a clock that runs wrong by
-a fraction of a per cent shows as well. Its sigma follows from the residuals, as in `fusion.estimator.slope`.
+a fraction of a per cent shows as well. Its sigma follows from the residuals, as in `fusion.estimator.running_slope`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.estimator.kernels import FloatArray
-from fusion.estimator.slope import MIN_STD, is_surely_beyond
+from fusion.estimator.running_slope import MIN_STD, is_surely_beyond
 
 LEVEL_S = (
     0.5  # time constant of the means: slower, and the gyroscope's wander passes for stamps in slow turns

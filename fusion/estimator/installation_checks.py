@@ -179,14 +179,7 @@ class Installation(NamedTuple):
 
     def with_frames_of(self, other: Installation) -> Installation:
         """Take over what comes from frames; what comes from the IMU stays."""
-        return self._replace(
-            span=other.span,
-            last_span=other.last_span,
-            sums=other.sums,
-            camera_yaw=other.camera_yaw,
-            focal_length=other.focal_length,
-            timing=other.timing,
-        )
+        return new_record(Installation, (*other[:FROM_FRAMES], *self[FROM_FRAMES:]))
 
     def notices(self, down: Vector, gyro_scale_std: float = 0.0) -> Iterator[Notice]:
         """Say what is installed otherwise than told; ``down`` is that of the attitude in use, body FRD.

@@ -50,9 +50,8 @@ class Mode(StrEnum):
     GYRO = "gyro"
 
 
-_NONE, _ATTITUDE, _GYRO = (
-    Mode  # as names: Python 3.11 takes long to look up a member, and each sample asks for some
-)
+# As names: Python 3.11 takes long to look up a member, and each sample asks for some.
+_NONE, _ATTITUDE, _GYRO = Mode.NONE, Mode.ATTITUDE, Mode.GYRO
 
 
 class DeadReckoning(NamedTuple):

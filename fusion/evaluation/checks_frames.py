@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.alignment import clock_of_frames
-from fusion.estimator.frame_update import extract_features
 from fusion.evaluation.verdict import CheckRule, Finding, Limits, level_of, nothing_to_judge, worst_of
 from fusion.flight import Flight
 from fusion.result.result import FusionResult
@@ -59,7 +58,7 @@ def _share_used(result: FusionResult, flight: Flight, limits: Limits) -> Finding
 
 
 def _cause(result: FusionResult, flight: Flight) -> tuple[str, str] | None:
-    """Why most unreadable pictures that decode are of no use, and the remedy; None where most do not decode."""
+    """Why most unreadable pictures cannot be used though they decode, and the remedy; None where most do not."""
     frames, found = result.frames, Counter[tuple[str, str] | None]()
     t_ns = frames["timestamp_ns"][frames["reason"] == Reason.UNREADABLE]
     t_ns = t_ns - round(result.config.camera_delay_s * 1e9)
@@ -70,7 +69,7 @@ def _cause(result: FusionResult, flight: Flight) -> tuple[str, str] | None:
             found[None] += 1
             continue
         try:
-            extract_features(picture, flight.camera, "geometric")
+            flight.camera.require_size(picture.shape[1], picture.shape[0])
         except InputError as error:
             found[error.problem, _sentence(error.remedy or "")] += 1
     return found.most_common(1)[0][0] if found else None

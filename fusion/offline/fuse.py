@@ -14,10 +14,12 @@ import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.faults import Fault
 from fusion.estimator.frame_update import FrameSample, extract_features
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.smoothed_table import hypotheses_table
+from fusion.estimator.state import State
 from fusion.estimator.tables import FRAME_DTYPE, Table
 from fusion.flight import Flight
 from fusion.offline.prefetch import prefetch_features, usable_cores
@@ -91,7 +93,7 @@ def fuse_flight(
         estimates=tables.estimates(),
         smoothed=smoothed,
         frames=np.array(tables.frames, dtype=FRAME_DTYPE),
-        problems=(*flight.problems, *_sample_problems(estimator), *tables.camera_problems()),
+        problems=(*flight.problems, *_sample_problems(estimator), *_camera_problems(tables.last, settings)),
         offset_hypotheses=hypotheses_table(tables.offset_steps),
     )
     return replace(
@@ -259,6 +261,14 @@ def _rows(values: npt.NDArray[Any]) -> Iterator[Any]:
     """Rows as Python's lists, which the estimator takes faster, few at a time: a whole flight's take much memory."""
     for start in range(0, len(values), BLOCK_ROWS):
         yield from values[start : start + BLOCK_ROWS].tolist()
+
+
+def _camera_problems(last: State | None, config: FusionConfig) -> Iterator[str]:
+    """Report what the whole flight, up to its last state, has shown of the camera's calibration."""
+    if last is not None:
+        for notice in last.checks.installation.notices(last.tilt.down, config.gyro_scale_std):
+            if notice.fault in (Fault.FOCAL_LENGTH, Fault.CAMERA_YAW):
+                yield notice.text
 
 
 def _sample_problems(estimator: CorridorEstimator) -> Iterator[str]:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.events import Event, EventFinder
-from fusion.estimator.faults import Fault
 from fusion.estimator.filter_table import filter_table
 from fusion.estimator.frame_update import FrameResult
 from fusion.estimator.lateral_smoother import OffsetSteps
@@ -45,7 +43,7 @@ class TableBuilder:
         self._row_steps = array("q")  # index of the last step of each row's instant
         self._pending: Entry | None = None
         self._pending_is_row = False
-        self._last: State | None = None
+        self.last: State | None = None
 
     def take(self, entry: Entry) -> None:
         """Take the next entry in order of time."""
@@ -54,8 +52,8 @@ class TableBuilder:
         if pending is not None and entry.t_ns > pending.t_ns:
             self._close_instant(pending)
         self.steps.add(entry.nodes)
-        self._last = entry.after
-        lateral = self._last.lateral
+        self.last = entry.after
+        lateral = self.last.lateral
         self.offset_steps.add(entry.t_ns, lateral.step, lateral.offset)
         if entry.frame is not None:
             self.frames.append(frame_row(entry.frame, self.config))
@@ -90,14 +88,6 @@ class TableBuilder:
             if len(rows) >= BLOCK_ROWS:
                 self._pack()
         self._pending, self._pending_is_row = None, False
-
-    def camera_problems(self) -> Iterator[str]:
-        """Say what the whole flight has shown of the camera's calibration, which no other check compares."""
-        if self._last is not None:
-            installation, down = self._last.checks.installation, self._last.tilt.down
-            for notice in installation.notices(down, self.config.gyro_scale_std):
-                if notice.fault in (Fault.FOCAL_LENGTH, Fault.CAMERA_YAW):
-                    yield notice.text
 
     def estimates(self) -> Table:
         """Return the filter's table."""

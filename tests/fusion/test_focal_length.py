@@ -11,6 +11,7 @@ from fusion import CorridorEstimator, FusionConfig
 from fusion.estimator.faults import Fault
 from fusion.estimator.installation_checks import Installation
 from fusion.estimator.propagation import ImuSample
+from fusion.offline.fuse import _camera_problems
 from fusion.offline.table_builder import TableBuilder
 from tests.fusion.simulated import frame
 
@@ -114,5 +115,5 @@ def test_a_fused_log_names_it_among_its_problems(focal: float) -> None:
             estimator.add_measurement(ms * 1_000_000, frame(seen, radians(0.4)))
     estimator.finish()
     tables.finish()
-    problems = list(tables.camera_problems())
+    problems = list(_camera_problems(tables.last, config))
     assert any("check focal length" in problem for problem in problems) == (focal != 1.0)

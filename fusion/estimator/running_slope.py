@@ -36,7 +36,7 @@ def is_surely_beyond(value: float, std: float, limit: float, n: float) -> bool:
     return size - std > limit and size > sure * std
 
 
-class Slope(NamedTuple):
+class RunningSlope(NamedTuple):
     """What points have shown so far.
 
     Parameters
@@ -81,11 +81,11 @@ class Slope(NamedTuple):
         """Whether the slope is surely larger than a limit, to either side; its sigma is known by so many windows."""
         return is_surely_beyond(self.slope, self.std, limit, windows)
 
-    def interrupted(self) -> Slope:
+    def interrupted(self) -> RunningSlope:
         """Start anew with the means; what is known of the slope stays."""
         return self._replace(level=None)
 
-    def with_point(self, t_ns: int, x: float, y: float, std: float) -> Slope:
+    def with_point(self, t_ns: int, x: float, y: float, std: float) -> RunningSlope:
         """Add a point and the sigma of its y."""
         w = max(std, MIN_STD) ** -2
         then_ns, mean_x, mean_y = self.level or (t_ns, x, y)
@@ -99,7 +99,7 @@ class Slope(NamedTuple):
         sw, sx, sy, sxx, sxy = full.block
         return full._replace(block=(sw + w, sx + w * x, sy + w * y, sxx + w * x * x, sxy + w * x * y))
 
-    def _with_block(self) -> Slope:
+    def _with_block(self) -> RunningSlope:
         """Add the block, and fit."""
         b = self.block
         n = MEMORY * self.n_blocks + 1.0
