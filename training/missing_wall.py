@@ -23,7 +23,7 @@ from training.offset_views import FloatArray, measured_frame
 from vision import Attitude, Camera, extract_lines, measure_lines
 from vision.lateral import walls
 from vision.lateral.learned import corner_scores
-from vision.lateral.mixture import CHANCE
+from vision.lateral.mixture import UNIFORM_DENSITY
 from vision.lateral.offset import combined_offset
 from vision.lateral.polar import polar_picture
 from vision.lateral.walls import MissingWallEvidence, missing_wall_evidence
@@ -96,7 +96,7 @@ def answers(n_scenes: int, seed: int) -> Iterator[Answer]:
                 found.line_class,
                 R_corridor_camera,
                 corner_scores(polar_picture(view.image, camera, R_corridor_camera)),
-                float(by_lines.likelihood(answer.offset_norm)) / CHANCE,
+                float(by_lines.likelihood(answer.offset_norm)) / UNIFORM_DENSITY,
             )
             yield Answer(
                 evidence,

@@ -1,11 +1,11 @@
 """Heading and lateral offset from single frames of a corridor.
 
 `measure_frame` turns a picture and a `Camera` into a `FrameMeasurement`. Frames, signs and units are those of
-`vision.measurement`. Importing the package is light: the compiled line finder loads at its first use.
+`vision.measurement`. Importing the package is cheap: the compiled line finder loads at its first use.
 
-Begin reading at `vision.frame`, which calls the packages in their order: `vision.lines` finds line segments,
-`vision.axis` the corridor's axis among them, `vision.lateral` the corridor's corners and from them the lateral
-offset; `vision.cameras` relates pixels to rays. `vision.paper` is the published article's own method. Nothing here
+Begin reading at `vision.frame`, which lists the steps and calls the packages in order: `vision.lines` finds line
+segments, `vision.axis` finds the corridor's axis, `vision.lateral` finds the corridor's corners and the lateral
+offset. `vision.cameras` relates pixels to rays. `vision.paper` is the published article's own method. Nothing here
 imports `fusion`.
 """
 

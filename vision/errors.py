@@ -1,4 +1,4 @@
-"""The one exception that a user's input can cause."""
+"""The exception raised for unusable user input."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 class InputError(ValueError):
-    """Input that cannot be used, explained in one line: file, field, value and remedy.
+    """Unusable input, described in one line: file, field, value and remedy.
 
     The command line prints it and exits with code 2; a library caller catches it.
 
@@ -15,7 +15,7 @@ class InputError(ValueError):
     problem
         What is wrong, naming the field and the offending value.
     file
-        The file it stands in, where there is one.
+        The file that contains it, if any.
     remedy
         What the user can do about it.
     """

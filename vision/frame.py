@@ -1,9 +1,15 @@
-"""One frame, from picture to measurement: where to enter the package.
+"""Heading and lateral offset from one picture of a corridor: the entry point of the package.
 
-`measure_frame` takes all steps. A filter calls the two halves: `extract_lines` needs only the picture and takes most
-of the time; `measure_lines` needs the attitude and the prediction at the frame's time, and is cheap enough to be
-repeated when late samples change either. Where the lines show no axis, it searches the picture once more at half its
-size.
+1. Line segments with sub-pixel ends (`vision.lines.segments`).
+2. Level frame: roll and pitch of the attitude, corrected by the vertical lines (`vision.axis.level`).
+3. Corridor axis: vote over heading and elevation, then robust least squares (`vision.axis.vanishing_point`).
+4. Acceptance of the heading, or the reason to reject it (`vision.axis.acceptance`). Where it is rejected, steps 1 to
+   4 are repeated once at half the picture's size.
+5. Lateral offset by pairs of corner lines and by a small network (`vision.lateral.offset`).
+
+`measure_frame` runs all steps. A filter calls the two halves: `extract_lines` is step 1, needs only the picture and
+takes most of the time; `measure_lines` needs attitude and prediction at the frame's time, and is cheap enough to
+repeat when late samples change either.
 """
 
 from __future__ import annotations
@@ -18,7 +24,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vision.axis.acceptance import HeadingJudgement, judge_heading
+from vision.axis.acceptance import HeadingAssessment, assess_heading
 from vision.axis.level import LevelFrame, level_from_verticals
 from vision.axis.peaks import HEADING_PRIOR_STD_RAD
 from vision.axis.vanishing_point import AxisFit, axis_direction, corridor_frame, fit_axis
@@ -27,8 +33,8 @@ from vision.cameras.projection import project_directions
 from vision.errors import InputError
 from vision.images import to_grey
 from vision.lateral.learned import corner_lines, corner_scores, learned_mixture, mixture_of
-from vision.lateral.mixture import CHANCE, OffsetMixture
-from vision.lateral.offset import SAME_ANSWER, LateralFit, PictureOffset, combined_offset, fit_lateral
+from vision.lateral.mixture import UNIFORM_DENSITY, OffsetMixture
+from vision.lateral.offset import MODE_HALF_WIDTH, LateralFit, PictureOffset, combined_offset, fit_lateral
 from vision.lateral.parallax import Profiles, wall_profiles
 from vision.lateral.polar import polar_picture, pyramid_of
 from vision.lateral.walls import missing_wall_evidence, wall_is_missing
@@ -49,13 +55,11 @@ from vision.types import FloatArray
 
 Method = Literal["geometric", "paper"]
 
-MAX_DRAWN_DOUBT = 0.5  # of the network: less sure, its corners are not drawn
-MAX_EXPECTED_STD_RAD = radians(1.0)  # of the prior's axis, to stand in for the picture's
-MAX_EXPECTED_TURN_RAD = radians(35.0)
-MAX_STEADY_RAD = radians(
-    1.5
-)  # between the prior's heading and the picture's, for walls to be compared about it
-MOUNT_ROLL_STD_RAD = radians(1.0)  # of a camera whose mounting pitch is not known either
+MAX_DRAWN_CANNOT_TELL = 0.5  # the network's corners are drawn only where its "cannot tell" is below this
+MAX_PREDICTED_STD_RAD = radians(1.0)  # of the predicted heading, for it to replace the picture's
+MAX_PREDICTED_HEADING_RAD = radians(35.0)
+MAX_PREDICTION_ERROR_RAD = radians(1.5)  # predicted minus measured heading, to align the wall profiles by it
+MOUNT_ROLL_STD_RAD = radians(1.0)  # upper limit: cameras are mounted at a chosen pitch, but hardly rolled
 SLOPE_STD_RAD = radians(0.2)  # floors and ceilings are level to about this
 UNKNOWN_ATTITUDE = Attitude(0.0, 0.0, std_rad=radians(12.0))
 
@@ -74,8 +78,7 @@ def measure_frame(
     """Measure heading and lateral offset in one picture of a corridor.
 
     Line segments are found as in the article (equations 1 to 4; J. Kosecka, W. Zhang, "Video Compass", ECCV 2002),
-    but with sub-pixel accuracy. An exhaustive vote over heading and elevation gives the corridor's axis, and least
-    squares with Geman-McClure's weights refine it, see `vision.axis.vanishing_point`.
+    but with sub-pixel accuracy.
 
     Parameters
     ----------
@@ -87,17 +90,17 @@ def measure_frame(
         Roll and pitch of the body, or a quaternion (4,) w x y z, body FRD to a world whose z points down.
         None: level is found from the picture's vertical lines.
     prior
-        What a filter predicts; chooses between hypotheses, and is not averaged in.
+        A filter's prediction. It selects between hypotheses and is not averaged in.
     method
         ``geometric``, or ``paper``: the article's chain, which uses neither attitude nor prior.
     lateral
-        Whether to measure the lateral offset; without it the heading comes sooner.
+        Whether to measure the lateral offset; skipping it saves time.
 
     Returns
     -------
     FrameMeasurement
         Heading in radians, positive turned right; lateral offset in half widths, positive right of the centre line.
-        If the heading is not ``accepted``, ``reason`` says why.
+        If the heading is not ``accepted``, ``reason`` is the cause.
 
     Raises
     ------
@@ -144,7 +147,7 @@ def measure_lines(
     """
     started = time.perf_counter()
     prior = prior or Prior()
-    # A vaguer one says less than that the camera looks along the corridor.
+    # A wider prediction carries less information than the built-in prior: the camera looks along the corridor.
     if not isnan(prior.heading_rad) and not prior.heading_std_rad < HEADING_PRIOR_STD_RAD:
         prior = replace(prior, heading_rad=nan, heading_std_rad=nan)
     if attitude is None:
@@ -154,7 +157,7 @@ def measure_lines(
     axis = _find_axis(lines, camera, attitude, prior)
     if not axis.is_accepted and lines.grey is not None:
         coarse = _find_axis(_coarse_lines(lines, camera), camera, attitude, prior)
-        if coarse.is_accepted:  # the time to find its lines is counted from `started` on
+        if coarse.is_accepted:  # its extraction time is already counted from `started`
             axis = coarse._replace(lines=replace(coarse.lines, extract_ms=lines.extract_ms))
     lines, level, fit, heading = axis
     if fit is None or heading is None:
@@ -162,7 +165,7 @@ def measure_lines(
             accepted=False,
             reason=Reason.TOO_FEW_LINES,
             n_lines=len(lines),
-            offset_evidence=_evidence_about_expected_axis(lines, camera, level, prior) if lateral else (),
+            offset_evidence=_evidence_about_predicted_axis(lines, camera, level, prior) if lateral else (),
             vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started),
         )
     offset = _OffsetResult()
@@ -173,18 +176,18 @@ def measure_lines(
 
 @lru_cache(maxsize=8)
 def _coarse_lines(lines: LineSet, camera: Camera) -> LineSet:
-    """Return the lines of the same picture at half its size; it may be measured again with another prediction."""
+    """Extract lines at half the picture's size; cached, as a frame may be measured again with a new prediction."""
     assert lines.grey is not None
     return extract_coarse_lines(lines.grey, camera)
 
 
 class _Axis(NamedTuple):
-    """The corridor's axis as the lines of a picture show it; without a fit and a judgement where they are too few."""
+    """Corridor axis of one picture; fit and heading are None where there are too few lines."""
 
     lines: LineSet
     level: LevelFrame
     fit: AxisFit | None = None
-    heading: HeadingJudgement | None = None
+    heading: HeadingAssessment | None = None
 
     @property
     def is_accepted(self) -> bool:
@@ -193,10 +196,10 @@ class _Axis(NamedTuple):
 
 
 def _find_axis(lines: LineSet, camera: Camera, attitude: Attitude, prior: Prior) -> _Axis:
-    """Fit the corridor's axis to lines, and judge it; lines that cross the axis are cut in two."""
+    """Fit the corridor's axis and decide whether to accept it; lines across the vanishing point are cut in two."""
     if camera.line_delay_s != 0.0 and prior.body_rates_rad_s is not None:
         lines = lines_at_one_moment(lines, camera, prior.body_rates_rad_s)
-    # An axis of the elevation that the filter expects is brought down to the horizon.
+    # Subtract the predicted elevation, so that the axis is expected on the horizon.
     R_level_body = rotation_from_angles(0.0, attitude.pitch_rad - prior.elevation_rad, attitude.roll_rad)
     level = level_from_verticals(
         lines, R_level_body @ camera.R_body_camera, *level_std_rad(attitude, prior.elevation_std_rad)
@@ -210,19 +213,19 @@ def _find_axis(lines: LineSet, camera: Camera, attitude: Attitude, prior: Prior)
         fit = fit_axis(lines, level.R_level_camera, 0.0, *known)
     if fit is None:
         return _Axis(lines, level)
-    return _Axis(lines, level, fit, judge_heading(fit, lines, camera, level, prior, elevation_std_rad))
+    return _Axis(lines, level, fit, assess_heading(fit, lines, camera, level, prior, elevation_std_rad))
 
 
 def warm_up(camera: Camera) -> None:
-    """Load the compiled code, or compile it, so that the first frame takes no longer than any other.
+    """Load or build the compiled code, so that the first frame takes no longer than any other.
 
-    A controller calls it before take-off. The first time on a machine it compiles: 40 to 60 s of processor time on a
-    slow one. Later it only loads the compiled code.
+    Call it before take-off. The first call on a machine compiles, which takes 40 to 60 s of processor time on a slow
+    one. Later calls only load the compiled code.
 
     Parameters
     ----------
     camera
-        The camera of the flight: its lens model and size decide which code and buffers are needed.
+        Camera of the flight: its lens model and picture size determine which code and buffers are needed.
     """
     picture = np.full((camera.height_px, camera.width_px), 160, np.uint8)
     x, y = camera.width_px // 2, camera.height_px // 2
@@ -239,14 +242,14 @@ def warm_up(camera: Camera) -> None:
 def level_std_rad(attitude: Attitude, mount_std_rad: float) -> tuple[float, float]:
     """Return the standard deviations of the level frame's pitch and roll, radians.
 
-    ``mount_std_rad`` is that of the camera's mounting pitch. Cameras are tilted by choice, but hardly rolled.
+    ``mount_std_rad`` is that of the camera's mounting pitch; the mounting roll's is at most `MOUNT_ROLL_STD_RAD`.
     """
     roll_std_rad = min(mount_std_rad, MOUNT_ROLL_STD_RAD)
     return hypot(attitude.std_rad, mount_std_rad), hypot(attitude.std_rad, roll_std_rad)
 
 
 class _OffsetResult(NamedTuple):
-    """What is said of the lateral offset; fields as in `FrameMeasurement`."""
+    """Estimate of the lateral offset and its evidence; fields as in `FrameMeasurement`."""
 
     lateral_offset_norm: float = nan
     lateral_offset_norm_std: float = nan
@@ -258,7 +261,7 @@ class _OffsetResult(NamedTuple):
 
 
 def _frame_measurement(
-    heading: HeadingJudgement,
+    heading: HeadingAssessment,
     offset: _OffsetResult,
     fit: AxisFit,
     lines: LineSet,
@@ -267,7 +270,7 @@ def _frame_measurement(
     prior: Prior,
     started: float,
 ) -> FrameMeasurement:
-    """Put together the measurement; ``started`` is when it was begun with, seconds."""
+    """Assemble the measurement; ``started`` is the start time of the computation, seconds."""
     vp_px, vp_cov_px2 = _vanishing_point(fit, camera, level.R_level_camera)
     return FrameMeasurement(
         accepted=heading.reason is Reason.OK,
@@ -295,20 +298,20 @@ def _frame_measurement(
 
 
 def _offset(
-    heading: HeadingJudgement, fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
+    heading: HeadingAssessment, fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
 ) -> _OffsetResult:
-    """Return what lines and, where the axis is to be relied on, regions say about the lateral offset.
+    """Estimate the lateral offset from lines and, where the heading is accepted, from the network.
 
-    Where a wall is missing there is no answer unless the corridor's width is known from before. The evidence remains.
+    There is evidence but no estimate where a side wall seems to be missing and the corridor's width is not known.
     """
     known = (prior.lateral_offset_norm, prior.lateral_offset_norm_std, prior.width_per_height)
     by_lines, mixture = fit_lateral(lines, fit, level.R_level_camera, level.roll_std_rad, *known)
-    answer: LateralFit | PictureOffset | None = by_lines
+    estimate: LateralFit | PictureOffset | None = by_lines
     evidence: tuple[OffsetMixture, ...] = (mixture,)
     profiles = None
     walls = None if by_lines is None else _in_picture(lines.ends_px[by_lines.wall_lines], camera)
     if heading.reason is not Reason.OK:
-        evidence = _evidence_about_expected_axis(lines, camera, level, prior)
+        evidence = _evidence_about_predicted_axis(lines, camera, level, prior)
     elif lines.grey is not None:
         R_corridor_camera = corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad)
         picture = pyramid_of(lines.grey)
@@ -316,25 +319,25 @@ def _offset(
         scores = corner_scores(polar_picture(picture, camera, R_corridor_camera))
         regions = mixture_of(scores)
         evidence = (mixture, regions)
-        answer = combined_offset(mixture, regions, *known)
-        if answer is not None and not isfinite(prior.width_per_height):
-            by_lines_alone = float(mixture.likelihood(answer.offset_norm)) / CHANCE
-            walls_seen = missing_wall_evidence(
-                lines.geometry(), heading.line_class, R_corridor_camera, scores, by_lines_alone
+        estimate = combined_offset(mixture, regions, *known)
+        if estimate is not None and not isfinite(prior.width_per_height):
+            likelihood_ratio = float(mixture.likelihood(estimate.offset_norm)) / UNIFORM_DENSITY
+            wall_evidence = missing_wall_evidence(
+                lines.geometry(), heading.line_class, R_corridor_camera, scores, likelihood_ratio
             )
-            if wall_is_missing(walls_seen):
-                answer = None
-        agree = by_lines and answer and abs(by_lines.offset_norm - answer.offset_norm) < SAME_ANSWER
+            if wall_is_missing(wall_evidence):
+                estimate = None
+        agree = by_lines and estimate and abs(by_lines.offset_norm - estimate.offset_norm) < MODE_HALF_WIDTH
         if not agree:
-            told = regions.cannot_tell < MAX_DRAWN_DOUBT
-            walls = corner_lines(scores, camera, R_corridor_camera).astype(np.float32) if told else None
-    if answer is None:
+            drawn = regions.cannot_tell < MAX_DRAWN_CANNOT_TELL
+            walls = corner_lines(scores, camera, R_corridor_camera).astype(np.float32) if drawn else None
+    if estimate is None:
         return _OffsetResult(wall_lines_px=walls, offset_evidence=evidence, wall_profiles=profiles)
     return _OffsetResult(
-        lateral_offset_norm=answer.offset_norm,
-        lateral_offset_norm_std=answer.offset_norm_std,
-        width_per_height=answer.width_per_height,
-        position=position_from_offset(answer.offset_norm),
+        lateral_offset_norm=estimate.offset_norm,
+        lateral_offset_norm_std=estimate.offset_norm_std,
+        width_per_height=estimate.width_per_height,
+        position=position_from_offset(estimate.offset_norm),
         wall_lines_px=walls,
         offset_evidence=evidence,
         wall_profiles=profiles,
@@ -342,37 +345,37 @@ def _offset(
 
 
 def _corridor_frame_from_prediction(fit: AxisFit, level: LevelFrame, prior: Prior) -> FloatArray:
-    """Return R_corridor_camera with the prior's heading, where that is well known.
+    """Return R_corridor_camera with the predicted heading, where it is precise enough.
 
-    Frames that are compared should err alike: the prior turns with the gyro, while the frame's own heading is noise
-    of each frame, of which a tenth of a degree is as much as .01 half widths of displacement.
+    The profiles of two frames are compared, so their heading errors should be equal. The prediction follows the
+    gyro; measured headings have independent noise: 0.1 degrees shift the displacement by 0.01 half widths.
     """
-    apart_rad = abs(prior.heading_rad - fit.heading_rad)  # NaN without a prediction
-    known = prior.heading_std_rad < MAX_EXPECTED_STD_RAD and apart_rad < MAX_STEADY_RAD
+    error_rad = abs(prior.heading_rad - fit.heading_rad)  # NaN without a prediction
+    known = prior.heading_std_rad < MAX_PREDICTED_STD_RAD and error_rad < MAX_PREDICTION_ERROR_RAD
     heading_rad = prior.heading_rad if known else fit.heading_rad
     return corridor_frame(level.R_level_camera, heading_rad, fit.elevation_rad)
 
 
-def _evidence_about_expected_axis(
+def _evidence_about_predicted_axis(
     lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
 ) -> tuple[OffsetMixture, ...]:
-    """Return what regions say about the lateral offset where the axis is the prior's: in the dark lines are too few.
+    """Return the network's likelihood of the lateral offset about the predicted axis, for frames without an axis.
 
-    Empty where the prior does not know the axis well enough.
+    Dark pictures have too few lines for an axis of their own. Empty where the predicted heading is too uncertain.
     """
-    expected = prior.heading_std_rad < MAX_EXPECTED_STD_RAD and abs(prior.heading_rad) < MAX_EXPECTED_TURN_RAD
-    if lines.grey is None or not expected:  # nor where the prior is NaN
+    precise = prior.heading_std_rad < MAX_PREDICTED_STD_RAD
+    predicted = precise and abs(prior.heading_rad) < MAX_PREDICTED_HEADING_RAD
+    if lines.grey is None or not predicted:  # a prior of NaN is not a prediction
         return ()
-    return (
-        learned_mixture(lines.grey, camera, corridor_frame(level.R_level_camera, prior.heading_rad, 0.0)),
-    )
+    R_corridor_camera = corridor_frame(level.R_level_camera, prior.heading_rad, 0.0)
+    return (learned_mixture(lines.grey, camera, R_corridor_camera),)
 
 
 def _vanishing_point(
     fit: AxisFit, camera: Camera, R_level_camera: FloatArray
 ) -> tuple[tuple[float, float], tuple[tuple[float, float], tuple[float, float]]]:
-    """Vanishing point (2,) and covariance (2, 2) in the original picture."""
-    step = 1e-4
+    """Return the vanishing point (2,) in the original picture and its covariance ``J C J^T`` (2, 2)."""
+    step = 1e-4  # of the finite differences in J, radians
     axes = np.array(
         [
             axis_direction(fit.heading_rad, fit.elevation_rad),
@@ -380,16 +383,10 @@ def _vanishing_point(
             axis_direction(fit.heading_rad, fit.elevation_rad + step),
         ]
     )
-    (x, y), (x_turned, y_turned), (x_lifted, y_lifted) = project_directions(
-        axes, R_level_camera, camera
-    ).tolist()
+    (x, y), (x_h, y_h), (x_e, y_e) = project_directions(axes, R_level_camera, camera).tolist()
     (hh, he), (_, ee) = fit.covariance.tolist()
-    xh, yh, xe, ye = (
-        (x_turned - x) / step,
-        (y_turned - y) / step,
-        (x_lifted - x) / step,
-        (y_lifted - y) / step,
-    )
+    xh, yh = (x_h - x) / step, (y_h - y) / step
+    xe, ye = (x_e - x) / step, (y_e - y) / step
     xx = xh * xh * hh + 2.0 * xh * xe * he + xe * xe * ee
     xy = xh * yh * hh + (xh * ye + xe * yh) * he + xe * ye * ee
     yy = yh * yh * hh + 2.0 * yh * ye * he + ye * ye * ee
@@ -397,5 +394,5 @@ def _vanishing_point(
 
 
 def _in_picture(ends_px: FloatArray, camera: Camera) -> npt.NDArray[np.float32]:
-    """Bring line ends (n, 4) from rectified pixels back to where they are in the original picture."""
+    """Map line ends (n, 4) from rectified pixels to the original picture."""
     return to_picture(ends_px.reshape(-1, 2), camera).reshape(-1, 4).astype(np.float32)

@@ -1,12 +1,13 @@
 """The measurement from one camera frame, and its prior information: attitude and a filter's prediction.
 
-Frames and signs (the whole project keeps them):
+Frames and signs, used throughout the project:
 
-- body: FRD, x forward, y right, z down; level: the body frame turned back by roll and pitch, so that z points
-  down along gravity and x is the vehicle's heading in the horizontal plane.
+- body: FRD, x forward, y right, z down.
+- level: the body frame with roll and pitch removed: z points down along gravity, x along the vehicle's heading in
+  the horizontal plane.
 - heading: angle from the corridor's axis to the vehicle's x axis, positive when the vehicle is turned right
   (clockwise from above); the vanishing point then lies left of the principal point.
-- lateral offset: right of the corridor's centre line is positive; scale-free form ``y / (width / 2)``.
+- lateral offset: positive right of the corridor's centre line; scale-free form ``y / (width / 2)``.
 - pixels: (0, 0) is the centre of the top-left pixel.
 """
 
@@ -29,16 +30,16 @@ if TYPE_CHECKING:
 
 
 class Reason(StrEnum):
-    """Why a frame was used (``ok``) or not; the words of the ``reason`` column."""
+    """Why a frame was used (``ok``) or rejected; values of the ``reason`` column."""
 
     OK = "ok"
-    TOO_FEW_LINES = "too_few_lines"  # fewer lines meet than are needed, at least four
+    TOO_FEW_LINES = "too_few_lines"  # too few lines meet in the vanishing point; at least four are needed
     AMBIGUOUS = "ambiguous"  # two directions explain the lines almost equally well
     UNCERTAIN = "uncertain"  # sigma of the heading is too large
     BLUR = "blur"  # turning too fast for the exposure
     GATE = "gate"  # disagrees with the filter
     UNREADABLE = "unreadable"  # the picture could not be decoded
-    LATE = "late"  # arrived after the estimator's buffer had passed it
+    LATE = "late"  # older than the estimator's buffer
     REPEATED = "repeated"  # same picture as the previous frame: the camera is frozen
     AHEAD = "ahead"  # stamped far ahead of the other sensors' clock
 
@@ -55,7 +56,7 @@ REASON_MEANING: dict[Reason, str] = {
     Reason.REPEATED: "same picture as the previous frame",
     Reason.AHEAD: "stamped ahead of the other sensors",
 }
-"""What people read for each reason."""
+"""Text shown to the user for each reason."""
 
 
 class Position(StrEnum):
@@ -67,7 +68,7 @@ class Position(StrEnum):
 
 
 class LineClass(IntEnum):
-    """What a line segment was found to be; the values of `FrameMeasurement.line_class`."""
+    """Class of a line segment; values of `FrameMeasurement.line_class`."""
 
     REJECTED = 0  # none of the others
     CORRIDOR = 1  # along the corridor: meets the vanishing point
@@ -125,20 +126,20 @@ class Attitude:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What a filter knows at the time of a frame; used to choose between hypotheses, never averaged in.
+    """A filter's prediction at the time of a frame; it selects between hypotheses and is never averaged in.
 
     Parameters
     ----------
     heading_rad, heading_std_rad
-        Predicted heading, radians, positive turned right, and its standard deviation; from a standard deviation of 30
-        degrees on it counts as not predicted.
+        Predicted heading, radians, positive turned right, and its standard deviation. With 30 degrees or more it is
+        ignored.
     lateral_offset_norm, lateral_offset_norm_std
         Predicted lateral offset, half widths, positive right of the centre line; NaN where unknown.
     width_per_height
-        Corridor width over the camera's height above the floor, unit 1, as seen so far; NaN where unknown.
+        Corridor width over the camera's height above the floor, unit 1, from earlier frames; NaN where unknown.
     elevation_rad, elevation_std_rad
-        Elevation of the corridor's axis in the level frame as seen so far (positive: up). It is the camera's
-        mounting pitch error with its sign turned; zero where the mount is exact.
+        Elevation of the corridor's axis in the level frame from earlier frames, positive up. It is the negative of
+        the camera's mounting pitch error; zero where the mount is exact.
     body_rate_rad_s
         Magnitude of the body's angular rate during the exposure, rad/s; NaN where unknown.
     body_rates_rad_s
@@ -158,27 +159,27 @@ class Prior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameMeasurement:
-    """Measurement from one frame. Numbers that could not be measured are NaN, never a guess.
+    """Measurement from one frame. Numbers that could not be measured are NaN.
 
     Parameters
     ----------
     accepted, reason
-        Whether the heading may be used, and why not.
+        Whether the heading may be used, and if not, why.
     n_lines, n_inliers
         Line segments found, and those that meet in the vanishing point.
     vp_px, vp_cov_px2
-        Vanishing point (2,) in the original, distorted image and its covariance (2, 2). It may lie outside
-        the picture; NaN where the lens model does not reach it.
+        Vanishing point (2,) in the original, distorted image and its covariance (2, 2). It may lie outside the
+        picture; NaN where it is outside the lens model's range.
     heading_rad, heading_std_rad
-        Heading relative to the corridor's axis, in (-pi/2, pi/2): a corridor looks alike from both ends.
+        Heading relative to the corridor's axis, in (-pi/2, pi/2): both directions of a corridor look alike.
     elevation_rad, elevation_std_rad
         Elevation of the corridor's axis in the level frame, positive up. A value other than zero indicates
         an error of the tilt or of the camera mounting.
     second_heading_rad, second_score
-        The next best hypothesis and its score relative to the best one (0: no rival, 1: a tie).
+        The second-best hypothesis and its score relative to the best one (0: no rival, 1: a tie).
         If the reason is `ambiguous`, pass ``Prior(heading_rad=..., heading_std_rad=...)`` near the direction that you
         know to be right: it is then reported first, and accepted if it explains the lines about as well as the other.
-        In front of a wall the second is at right angles to the first.
+        In front of a wall the second hypothesis is at right angles to the first.
     lateral_offset_norm, lateral_offset_norm_std
         Offset from the centre line over half the corridor's width.
     width_per_height
@@ -188,25 +189,23 @@ class FrameMeasurement:
     paper_yaw_rad
         The article's equation (8) at this vanishing point: unsigned, see `vision.paper.measure`.
     vision_ms
-        Time spent on this frame, milliseconds: extraction of the lines, and their measurement. Decoding the picture
-        is not included.
+        Processing time of this frame, milliseconds: line extraction and measurement, without decoding the picture.
     lines_px, line_class
         The segments (n, 4) as x0, y0, x1, y1 in the original image, and their `LineClass` (n,); None where
         they were dropped to save memory.
     wall_lines_px
-        Lines (k, 4) that the lateral offset follows from, in pairs at one height on both walls: corners with floor or
-        ceiling, skirting boards, tops of doors; None like `lines_px`.
+        Lines (k, 4) from which the lateral offset follows, in pairs at one height on both walls: corners with floor
+        or ceiling, skirting boards, tops of doors; None like `lines_px`.
     offset_evidence
         Likelihood of the lateral offset (half widths) by each kind of evidence, for a filter to accumulate: a tuple
         of `vision.lateral.mixture.OffsetMixture`, Gaussian sums with arrays (k,). It does not depend on a predicted
-        offset. Where the heading is not accepted, the axis is the prior's.
+        offset. Where the heading is not accepted, it is about the predicted axis.
     wall_profiles
         Brightness along both walls over the mean brightness, unit 1, float32 (2, n_along, n_bands), see
-        `vision.lateral.parallax.wall_profiles`: a filter compares it with that of an earlier frame. None where the
-        heading is not accepted.
+        `vision.lateral.parallax.wall_profiles`: a filter compares it with the profiles of an earlier frame. None
+        where the heading is not accepted.
     roll_correction_rad, roll_correction_std_rad
-        What the picture's vertical lines alone add to the attitude's roll; NaN if no
-        vertical line is visible.
+        Correction of the attitude's roll by the picture's vertical lines alone; NaN if no vertical line is visible.
     """
 
     accepted: bool
@@ -236,7 +235,7 @@ class FrameMeasurement:
     roll_correction_std_rad: float = nan
 
     def without_lines(self) -> FrameMeasurement:
-        """Return a copy that contains no arrays, for keeping a long flight in memory."""
+        """Return a copy without arrays, so that a long flight fits in memory."""
         return replace(
             self,
             lines_px=None,
@@ -248,7 +247,7 @@ class FrameMeasurement:
 
 
 def position_from_offset(lateral_offset_norm: float, dead_band_norm: float = 0.1) -> Position | None:
-    """Name the side of the centre line; inside ``dead_band_norm`` it is the centre, NaN gives None."""
+    """Return the side of the centre line: centre within ``dead_band_norm``, None for NaN."""
     if lateral_offset_norm != lateral_offset_norm:
         return None
     if abs(lateral_offset_norm) <= dead_band_norm:

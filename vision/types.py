@@ -1,4 +1,4 @@
-"""Types of arrays, by name; importing it costs nothing but numpy.
+"""Named array types; the module imports only numpy.
 
 Functions state the shape, unit and frame of each array in their docstrings.
 """
@@ -15,9 +15,9 @@ Float32Array = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 RecordArray = npt.NDArray[np.void]
-"""Structured array; its dtype, which names and explains the fields, stands in the function's docstring."""
+"""Structured array; the function's docstring names its dtype, which documents the fields."""
 Record = Any
-"""One element of a `RecordArray` as compiled code takes it, with its fields as attributes."""
+"""One element of a `RecordArray` in compiled code; its fields are attributes."""
 GreyImage = npt.NDArray[np.uint8]
 """Grey picture (h, w)."""
 ColourImage = npt.NDArray[np.uint8]

@@ -13,7 +13,7 @@ import numba
 import pytest
 from numba.core import event
 
-from vision.compiled import _say_that_nothing_is_kept, compiled, compiled_inner
+from vision.compiled import _warn_of_missing_cache, compiled, compiled_inner
 
 
 def test_without_any_place_for_a_cache_it_compiles_in_memory_and_says_once_how_to_mend_it(
@@ -29,7 +29,7 @@ def test_without_any_place_for_a_cache_it_compiles_in_memory_and_says_once_how_t
 
     monkeypatch.setattr(numba, "njit", nowhere_to_write)
 
-    _say_that_nothing_is_kept.cache_clear()
+    _warn_of_missing_cache.cache_clear()
 
     @compiled
     def double(x: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.axis.level import LevelFrame
-from vision.axis.peaks import PRIOR_DOUBT, PRIOR_FLOOR_STD_RAD
+from vision.axis.peaks import PRIOR_FLOOR_STD_RAD, PRIOR_OUTLIER_SHARE
 from vision.axis.vanishing_point import AxisFit
 from vision.axis.vote import VERTICAL_SINE
 from vision.cameras.camera import Camera
@@ -38,7 +38,7 @@ TRANSVERSE_SINE = sin(radians(1.5))
 REJECTED, CORRIDOR, TRANSVERSE, VERTICAL = (int(kind) for kind in LineClass)
 
 
-class HeadingJudgement(NamedTuple):
+class HeadingAssessment(NamedTuple):
     """What is said of the heading; fields as in `FrameMeasurement`."""
 
     reason: Reason
@@ -49,9 +49,9 @@ class HeadingJudgement(NamedTuple):
     line_class: npt.NDArray[np.int8]
 
 
-def judge_heading(
+def assess_heading(
     fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior, elevation_std_rad: float
-) -> HeadingJudgement:
+) -> HeadingAssessment:
     """Say which lines are which, and whether the heading may be used.
 
     Parameters
@@ -70,7 +70,7 @@ def judge_heading(
     line_class, across_px, along_px = _classify(
         lines.normal, lines.centre, lines.length_px, level.R_level_camera, fit.heading_rad, fit.inlier
     )
-    found = HeadingJudgement(
+    found = HeadingAssessment(
         reason=Reason.OK,
         n_inliers=int(np.count_nonzero(fit.inlier)),
         heading_std_rad=hypot(sqrt(fit.covariance[0, 0]), CALIBRATION_STD_RAD),
@@ -88,7 +88,7 @@ def judge_heading(
 
 
 def _reason(
-    found: HeadingJudgement, fit: AxisFit, camera: Camera, prior: Prior, elevation_std_rad: float
+    found: HeadingAssessment, fit: AxisFit, camera: Camera, prior: Prior, elevation_std_rad: float
 ) -> Reason:
     """Decide whether the heading may be used; the limits were set where gross errors in degraded pictures end."""
     if found.n_inliers < MIN_LINES or fit.score < MIN_SCORE:
@@ -119,7 +119,7 @@ def _is_chosen(fit: AxisFit, prior: Prior) -> bool:
         return False
     reach_rad = CHOOSING_SIGMA * hypot(prior.heading_std_rad, PRIOR_FLOOR_STD_RAD)
     own, other = (abs(wrap_axis(h - prior.heading_rad)) for h in (fit.heading_rad, fit.second_heading_rad))
-    without_prior = fit.second_score - log(PRIOR_DOUBT)
+    without_prior = fit.second_score - log(PRIOR_OUTLIER_SHARE)
     return own < reach_rad < other and fit.score > MIN_CHOSEN * without_prior
 
 

@@ -30,7 +30,7 @@ SUBDIVISIONS = 8  # of a bin
 MIN_COSINE = 0.3  # of a heading, for its elevation to tell the tilt error
 HEADING_PRIOR_STD_RAD = radians(30.0)  # the camera looks along the corridor rather than across
 PRIOR_FLOOR_STD_RAD = radians(1.0)
-PRIOR_DOUBT = 0.01  # a filter can be wrong: strong evidence wins against it
+PRIOR_OUTLIER_SHARE = 0.01  # a filter can be wrong: strong evidence wins against it
 # Log-likelihood of lines that all lie below the axis, or above it. Of simulated corridors whose floor is laid at an
 # angle, 18 accepts one in 70 by the floor; 10 rejects one corridor in 20 of those with little but the floor in view.
 MAX_ONE_SIDED = 14.0
@@ -97,7 +97,7 @@ def _log_prior(heading: float, prior_heading: float, prior_std: float) -> float:
         return by_view
     z = ((heading - prior_heading + 0.5 * pi) % pi - 0.5 * pi) / hypot(prior_std, PRIOR_FLOOR_STD_RAD)
     # Where the prediction is wrong, a heading is as likely as without one: else it would be across the view.
-    return log(PRIOR_DOUBT * exp(by_view) + exp(-0.5 * z * z))
+    return log(PRIOR_OUTLIER_SHARE * exp(by_view) + exp(-0.5 * z * z))
 
 
 @compiled_inner

@@ -20,7 +20,7 @@ N_BINS = 64
 
 BOTH_BLIND = 0.05  # probability that a picture misleads both kinds of evidence
 MIN_WEIGHT = 1e-4  # of a component; less is left to "cannot tell"
-CHANCE = 0.5  # density of an offset in (-1, 1) of which nothing is known
+UNIFORM_DENSITY = 0.5  # density of an offset in (-1, 1) of which nothing is known
 MAX_PEAKS = 8  # the narrow ones, which are higher, must not crowd out a wide one
 MIN_PEAK = 0.01  # weight of a peak of a density; less is left to "cannot tell"
 FOOT = 0.02  # a peak ends where the density has fallen to this share of it,
@@ -68,7 +68,7 @@ class OffsetMixture:
         y = np.asarray(offset_norm, dtype=float)[..., None]
         z = (y - self.offset_norm) / self.std_norm
         density = self.weight / self.std_norm * np.exp(-0.5 * z * z) / _SQRT_TWO_PI
-        return np.asarray(CHANCE * self.cannot_tell + density.sum(axis=-1))
+        return np.asarray(UNIFORM_DENSITY * self.cannot_tell + density.sum(axis=-1))
 
     def wider(self, std_norm: float) -> OffsetMixture:
         """Return the mixture with an independent error of this standard deviation added to every component."""

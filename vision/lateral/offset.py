@@ -47,7 +47,7 @@ SCATTER_SHARE = 0.64  # of the hypotheses' variance: they err together only in p
 DOUBT = 0.02  # variance for what probability is left to others
 # Of what lines and regions say together. On random simulated corridors (300 single pictures of scenes drawn anew)
 # an error is within 1.95 of these standard deviations in nine of ten answers.
-SAME_ANSWER = 0.12  # components nearer than this to their mean are one answer
+MODE_HALF_WIDTH = 0.12  # components nearer than this to their mean are one answer
 MIN_JOINT_PROBABILITY = 0.7
 JOINT_DOUBT = 0.03
 MAX_STD_NORM = 0.12  # of an answer: a wider one is none
@@ -236,13 +236,13 @@ def _group_about(start: float, both: FloatArray, factor: FloatArray) -> tuple[fl
     for _ in range(3):
         moment = share = 0.0
         for k in range(len(weight)):
-            if abs(offset[k] - mean) < SAME_ANSWER:
+            if abs(offset[k] - mean) < MODE_HALF_WIDTH:
                 moment += weight[k] * offset[k]
                 share += weight[k]
         mean = moment / max(share, 1e-12)
     total = share = variance = 0.0
     for k in range(len(weight)):
-        if abs(offset[k] - mean) < SAME_ANSWER:
+        if abs(offset[k] - mean) < MODE_HALF_WIDTH:
             total += weight[k] * factor[k]
             share += weight[k]
             variance += weight[k] * (std[k] ** 2 + (offset[k] - mean) ** 2)
@@ -255,7 +255,7 @@ def _width_about(fields: FloatArray, offset_norm: float) -> float:
     weight, offset, width = fields[0], fields[1], fields[3]
     moment = share = 0.0
     for k in range(len(weight)):
-        if isfinite(width[k]) and abs(offset[k] - offset_norm) < SAME_ANSWER:
+        if isfinite(width[k]) and abs(offset[k] - offset_norm) < MODE_HALF_WIDTH:
             moment += weight[k] * width[k]
             share += weight[k]
     return moment / share if share > 0.0 else nan
