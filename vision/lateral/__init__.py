@@ -1,4 +1,4 @@
-"""The lateral offset in one picture: corridor corners found among the lines, and the offset they give.
+"""Lateral offset from one picture: corner lines of the corridor, a small network, and wall parallax.
 
 Imports `vision.lines` and `vision.axis`. Begin reading at `vision.lateral.offset`.
 """

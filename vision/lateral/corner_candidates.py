@@ -1,9 +1,10 @@
 """Candidates for the corridor's four corners, where its walls meet floor and ceiling.
 
-Corridor lines of one quadrant that have the same angle about the axis are grouped into one candidate. Vertical lines
-that end at a candidate speak for it, vertical lines that cross it against it; transverse lines that end at it may
-reach from corner to corner, those that cross it speak against it. Frame, angles, quadrants and sides are those of
-`vision.lateral.line_directions`.
+Corridor lines of one quadrant with the same angle about the axis are grouped into one candidate, longest line first;
+its angle is their mean weighted by inverse variance. For each candidate the lengths of other lines are summed:
+vertical lines that end at it (evidence for a corner) or cross it (against), transverse lines that end at it (they may
+reach from corner to corner) or cross it (against), and corridor lines beyond it. Frame, angles, quadrants and sides
+are those of `vision.lateral.line_directions`.
 """
 
 from __future__ import annotations
@@ -22,10 +23,7 @@ MERGE_STD_RAD, MAX_MERGE_RAD = radians(0.2), radians(2.0)
 BEYOND_RAD = radians(1.5)
 FIRST_BIN, BIN_WIDTH, N_BINS = 0.03, 0.16, 32  # coverage counts bins of the logarithm of inverse depth
 COVERAGE_PER_BIN = 0.1
-MIN_SKIRTING, MAX_SKIRTING = (
-    0.84,
-    0.975,
-)  # height of a skirting board's top below the camera over that of its foot
+MIN_SKIRTING, MAX_SKIRTING = 0.84, 0.975  # depth of a skirting board's top below the camera over its foot's
 
 CORNER = np.dtype(
     [
@@ -41,10 +39,7 @@ CORNER = np.dtype(
         ("vertical_crossings", np.float64),  # length of the vertical lines that cross it
         ("beyond", np.float64),  # length of the corridor lines beyond it, where no wall should be
         ("transverse_crossings", np.float64),  # length of the transverse lines that cross it
-        (
-            "skirting_ratio",
-            np.float64,
-        ),  # slope of what may be its skirting board's top, over its own; 0: none
+        ("skirting_ratio", np.float64),  # slope of its skirting board's presumed top over its own; 0: none
         ("skirting_length", np.float64),
         ("transverse_ends", np.int64),  # bit i: transverse line i ends here
         ("line", np.int64),  # index of its longest line in the `LineSet`
@@ -71,7 +66,7 @@ class CornerCandidates(NamedTuple):
 
 @compiled_inner
 def _depth_bins(nearest: float, farthest: float) -> int:
-    """Return the bins of depth that a line covers, one bit each."""
+    """Return a bit mask of the depth bins that a line covers."""
     first = int(log(max(farthest, FIRST_BIN) / FIRST_BIN) / BIN_WIDTH)
     last = int(log(max(nearest, FIRST_BIN) / FIRST_BIN) / BIN_WIDTH)
     first, last = min(first, N_BINS - 1), min(last, N_BINS - 1)
@@ -80,7 +75,7 @@ def _depth_bins(nearest: float, farthest: float) -> int:
 
 @compiled_inner
 def count_bits(bits: int) -> int:
-    """Return how many bits are set."""
+    """Return the number of set bits."""
     count = 0
     while bits:
         bits &= bits - 1
@@ -97,14 +92,14 @@ def group_by_angle(lines: RecordArray, quadrant: int, corners: RecordArray) -> i
     lines
         Array (n,) of `vision.lateral.line_directions.CORRIDOR_LINE`.
     quadrant
-        Only its lines count.
+        Quadrant to search.
     corners
-        Array (n,) of `CORNER`, zeros; filled with the candidates, n at most.
+        Array (n,) of `CORNER`, zeros; filled with at most n candidates.
 
     Returns
     -------
     int
-        How many candidates there are.
+        Number of candidates.
     """
     count = 0
     taken = np.zeros(len(lines), np.bool_)
@@ -147,7 +142,7 @@ def group_by_angle(lines: RecordArray, quadrant: int, corners: RecordArray) -> i
 
 @compiled_inner
 def _count_vertical_lines(corner: Record, quadrant: int, lines: RecordArray) -> None:
-    """Add up the vertical lines of the corner's wall that end at it, and those that cross it."""
+    """Sum the lengths of vertical lines on the corner's wall that end at it, and of those that cross it."""
     side, floor = quadrant % 2, quadrant < 2
     angle = corner.angle
     for i in range(len(lines)):
@@ -168,7 +163,7 @@ def _count_vertical_lines(corner: Record, quadrant: int, lines: RecordArray) -> 
 
 @compiled_inner
 def _count_transverse_lines(corner: Record, quadrant: int, lines: RecordArray) -> None:
-    """Mark the transverse lines that end at the corner, and add up those that cross it."""
+    """Mark the transverse lines that end at the corner, and sum the lengths of those that cross it."""
     side, floor = quadrant % 2, quadrant < 2
     angle = corner.angle
     for i in range(len(lines)):
@@ -185,14 +180,14 @@ def _count_transverse_lines(corner: Record, quadrant: int, lines: RecordArray) -
 
 @compiled_inner
 def gather_evidence(corners: RecordArray, quadrant: int, lines: SortedLines) -> None:
-    """Fill in what ends at each candidate of a quadrant, crosses it and lies beyond it.
+    """Sum for each candidate of a quadrant the lines that end at it, cross it or lie beyond it.
 
     Parameters
     ----------
     corners
-        Array (k,) of `CORNER` as `group_by_angle` left it.
+        Array (k,) of `CORNER`, result of `group_by_angle`.
     quadrant
-        Of these candidates.
+        Quadrant of these candidates.
     lines
         The picture's lines.
     """
@@ -212,7 +207,7 @@ def gather_evidence(corners: RecordArray, quadrant: int, lines: SortedLines) -> 
 
 @compiled_inner
 def find_corner_candidates(lines: SortedLines, max_corners: int) -> CornerCandidates:
-    """Find the candidates for the four corners among a picture's lines, at most ``max_corners`` in a quadrant."""
+    """Find the candidates for the four corners, at most ``max_corners`` in each quadrant."""
     corners = np.zeros((4, max_corners), CORNER)
     count = np.empty(4, np.int64)
     for q in range(4):

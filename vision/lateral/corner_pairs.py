@@ -1,9 +1,15 @@
-"""Pairs of corners, left and right, and the evidence that a pair is where the walls meet the floor or the ceiling.
+"""Pairs of corner candidates, left and right, and the evidence that a pair is the corridor's two corners.
 
-Every candidate on the left is paired with every one on the right. The two true corners are both long and of one
-contrast; vertical lines end at them and do not cross them; transverse lines reach from one to the other; no line lies
-beyond one of them only; skirting boards, door tops and rails of one wall have their counterpart on the other, at the
-lateral offset that the pair gives. `vision.lateral.hypotheses` weighs this evidence.
+Every candidate on the left is paired with every one on the right, separately for floor and ceiling. With the slopes
+t_L, t_R below (above) the horizontal the pair gives, in units of half the width and of the camera's distance from the
+floor (ceiling):
+
+    offset = (t_R - t_L) / (t_R + t_L),    width = 1 / t_L + 1 / t_R
+
+The two true corners are long and of equal contrast; vertical lines end at them and do not cross them; transverse
+lines reach from one to the other; lines beyond a corner exist on both sides or on neither; skirting boards, door tops
+and rails of one wall have a counterpart on the other, at the same lateral offset. `EVIDENCE` lists these quantities,
+and `vision.lateral.hypotheses` weights them.
 """
 
 from __future__ import annotations
@@ -25,13 +31,13 @@ from vision.lateral.line_directions import PictureLines, sort_by_direction
 from vision.lines.line_set import LineSet
 from vision.types import FloatArray, IntArray, Record, RecordArray
 
-# For the floor's pairs, and for the ceiling's
-MIN_WIDTH = 0.3  # corridor width over the camera's distance from the floor, or the ceiling
+# Corridor width over the camera's distance from the floor and from the ceiling
+MIN_WIDTH = 0.3
 MAX_WIDTH = (8.0, 12.0)
 TYPICAL_WIDTH = (1.7, 2.0)
 
-SMALL = 0.05  # of the diagonal: from here on lengths count by the logarithm
-MAX_OFFSET, NEAR_WALL_SCALE = 0.7, 0.1  # a vehicle seldom flies nearer to a wall
+LENGTH_SCALE = 0.05  # of the diagonal: a length l counts as log(1 + l / LENGTH_SCALE)
+MAX_OFFSET, NEAR_WALL_SCALE = 0.7, 0.1  # vehicles seldom fly nearer to a wall
 SAME_SKIRTING = 0.02
 MAX_SPANS = 2
 SYMMETRY_WINDOW = 0.04  # in lateral offset
@@ -43,8 +49,8 @@ PAIR = np.dtype(
         ("offset", np.float64),  # lateral offset over half the corridor's width, positive right
         ("offset_std", np.float64),
         ("width", np.float64),  # of the corridor, over the camera's distance from the floor or the ceiling
-        ("left", np.int64),  # which candidate of the left quadrant
-        ("right", np.int64),  # which candidate of the right quadrant
+        ("left", np.int64),  # index of the candidate in the left quadrant
+        ("right", np.int64),  # index of the candidate in the right quadrant
     ],
     align=True,
 )
@@ -56,18 +62,18 @@ EVIDENCE = np.dtype(
         for name in (
             "lengths",  # sum of both lengths' logarithms
             "coverages",  # sum of both coverages
-            "vertical_ends",  # sum of the logarithms of what ends at each
-            "transverse_crossings",  # sum of the logarithms of what crosses each
-            "length_gap",  # difference of the lengths' logarithms, as the gaps below
+            "vertical_ends",  # sum of the logarithms of the lengths of vertical lines ending at each
+            "transverse_crossings",  # sum of the logarithms of the lengths of transverse lines crossing each
+            "length_gap",  # difference of the lengths' logarithms; likewise the gaps below
             "vertical_ends_gap",
             "vertical_crossings_gap",
             "beyond_gap",
             "same_polarity",  # 1: both bright on the same side, -1: on opposite sides
             "contrast_gap",
-            "spans",  # transverse lines from one to the other, at most MAX_SPANS
-            "skirtings",  # logarithm of the shorter skirting board's length, where they are of one height
+            "spans",  # number of transverse lines from one to the other, at most MAX_SPANS
+            "skirtings",  # logarithm of the shorter skirting board's length, where both have one height
             "symmetry",  # logarithm of the length of other lines that are symmetric at this offset
-            "near_wall",  # by how much the offset is beyond MAX_OFFSET
+            "near_wall",  # excess of the offset over MAX_OFFSET
             "log_width",  # logarithm of the width over a typical one
             "log_width_squared",
             "log_pairs",  # logarithm of the number of pairs to choose from
@@ -75,7 +81,7 @@ EVIDENCE = np.dtype(
     ],
     align=True,
 )
-"""Evidence for a pair, every piece dimensionless; contiguous, so that it can also be viewed as a vector."""
+"""Evidence for a pair, dimensionless; contiguous, so that it can also be viewed as a vector."""
 
 N_EVIDENCE = len(EVIDENCE.names or ())
 
@@ -106,37 +112,37 @@ class PictureCorners(NamedTuple):
 @compiled_inner
 def _log_sum(a: float, b: float) -> tuple[float, float]:
     """Sum and absolute difference of the logarithms of two lengths."""
-    la, lb = log(1.0 + a / SMALL), log(1.0 + b / SMALL)
+    la, lb = log(1.0 + a / LENGTH_SCALE), log(1.0 + b / LENGTH_SCALE)
     return la + lb, abs(la - lb)
 
 
 @compiled_inner
 def _log_ratio(a: float, b: float) -> float:
-    return abs(log((SMALL + a) / (SMALL + b)))
+    return abs(log((LENGTH_SCALE + a) / (LENGTH_SCALE + b)))
 
 
 @compiled_inner
 def _fill_evidence(row: Record, left: Record, right: Record) -> None:
-    """Fill in what two corners by themselves say of their pair."""
+    """Fill in the evidence that depends only on the two corners of a pair."""
     row.lengths, row.length_gap = _log_sum(left.length, right.length)
     row.coverages = left.coverage + right.coverage
     row.vertical_ends, row.vertical_ends_gap = _log_sum(left.vertical_ends, right.vertical_ends)
     row.vertical_crossings_gap = _log_ratio(left.vertical_crossings, right.vertical_crossings)
     row.beyond_gap = _log_ratio(left.beyond, right.beyond)
     row.transverse_crossings = log(
-        (1.0 + left.transverse_crossings / SMALL) * (1.0 + right.transverse_crossings / SMALL)
+        (1.0 + left.transverse_crossings / LENGTH_SCALE) * (1.0 + right.transverse_crossings / LENGTH_SCALE)
     )
     row.same_polarity = left.polarity * right.polarity
     row.contrast_gap = abs(log(left.contrast / right.contrast))
     row.spans = min(count_bits(left.transverse_ends & right.transverse_ends), MAX_SPANS)
     skirting = min(left.skirting_length, right.skirting_length)
     same = abs(left.skirting_ratio - right.skirting_ratio) < SAME_SKIRTING
-    row.skirtings = log(1.0 + skirting / SMALL) if same else 0.0
+    row.skirtings = log(1.0 + skirting / LENGTH_SCALE) if same else 0.0
 
 
 @compiled_inner
 def _pair_up(left: RecordArray, right: RecordArray, max_width: float, typical_width: float) -> CornerPairs:
-    """Pair every left with every right candidate, as far as the corridor's width is possible."""
+    """Pair every left candidate with every right one, where the resulting corridor width is plausible."""
     size = len(left) * len(right)
     pairs, evidence = np.empty(size, PAIR), np.empty(size, EVIDENCE)
     count = 0
@@ -167,7 +173,7 @@ def _pair_up(left: RecordArray, right: RecordArray, max_width: float, typical_wi
 
 @compiled
 def rising_order(values: FloatArray) -> IntArray:
-    """Return the indices (n,) that sort values (n,), by D. L. Shell's sort; numba's takes a second to compile."""
+    """Return the indices (n,) that sort values (n,), by Shell sort; numba's own sort takes a second to compile."""
     n = len(values)
     order = np.empty(n, np.int64)
     for i in range(n):
@@ -188,7 +194,7 @@ def rising_order(values: FloatArray) -> IntArray:
 
 @compiled_inner
 def _fill_symmetry(floor: CornerPairs, ceiling: CornerPairs, corners: RecordArray) -> None:
-    """Count for each pair the length of the other pairs of the same offset: what is symmetric on the walls."""
+    """Sum for each pair the lengths of other pairs at the same offset: structure that is symmetric on both walls."""
     n = len(floor.pair)
     m = n + len(ceiling.pair)
     offset, weight, angle = np.empty(m), np.empty(m), np.empty((m, 2))
@@ -217,7 +223,7 @@ def _fill_symmetry(floor: CornerPairs, ceiling: CornerPairs, corners: RecordArra
                 z = (offset[q] - offset[p]) / SYMMETRY_WINDOW
                 total += weight[q] * (1.0 - z * z)
         row = floor.evidence[p] if p < n else ceiling.evidence[p - n]
-        row.symmetry = log(1.0 + total / SMALL)
+        row.symmetry = log(1.0 + total / LENGTH_SCALE)
 
 
 @compiled
@@ -239,9 +245,9 @@ def corners_of_arrays(
     Parameters
     ----------
     lines, R_axis_camera, down, diagonal_px
-        As `arrays_of` gives them and `vision.lateral.line_directions.sort_by_direction` takes them.
+        Result of `arrays_of`, see `vision.lateral.line_directions.sort_by_direction`.
     max_corners
-        How many candidates to consider in a quadrant; lines are taken longest first.
+        Largest number of candidates in a quadrant; lines are taken longest first.
     """
     candidates = find_corner_candidates(
         sort_by_direction(lines, R_axis_camera, down, diagonal_px), max_corners
@@ -253,7 +259,7 @@ def corners_of_arrays(
 def arrays_of(
     lines: LineSet, axis: AxisFit, R_level_camera: FloatArray
 ) -> tuple[PictureLines, FloatArray, FloatArray, float]:
-    """Return the first arguments of `corners_of_arrays`; parameters as of `find_corner_pairs`."""
+    """Return the first arguments of `corners_of_arrays`; parameters as in `find_corner_pairs`."""
     R_axis_camera = corridor_frame(R_level_camera, axis.heading_rad, axis.elevation_rad)
     arrays = PictureLines(
         normal=lines.normal,

@@ -1,12 +1,13 @@
-"""The geometric evidence for the lateral offset: all pairs of candidates for corners, as a mixture.
+"""Likelihood of the lateral offset by corner lines: all pairs of corner candidates as a Gaussian mixture.
 
-`vision.lateral.offset` answers where one offset holds nearly all of the probability. Here every pair of the floor,
-of the ceiling, and of both together keeps its share: brick courses, tiles and rails then stand beside the corners
-until time and motion tell them apart.
+`vision.lateral.offset` gives an estimate where one offset has nearly all of the probability. Here every pair of the
+floor, of the ceiling, and of both together remains a component, so that a filter can distinguish corners from brick
+courses, tiles and rails over time and motion.
 
-The joint hypotheses are those of `vision.lateral.hypotheses`, but for each pair of the floor all pairs of the ceiling
-at its offset are summed up to one. With running sums over the ceiling's pairs in order of their offset this costs no
-more than the pairs themselves, however many agree.
+Weights are odds, as in `vision.lateral.hypotheses`. For each pair of the floor, all pairs of the ceiling within
+`JOINT_WINDOW` of its offset are replaced by one Gaussian with their total odds, mean and variance, and the two are
+averaged by inverse variance. With cumulative sums over the ceiling's pairs, sorted by offset, the cost does not grow
+with the number of pairs that agree.
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ from vision.lateral.mixture import fields_of_components
 from vision.types import FloatArray, IntArray
 
 MIN_CANNOT_TELL = (
-    0.75  # what runs along a corridor need not be its corner, and stays where it is from frame to frame
+    0.75  # a line along the corridor need not be its corner, and the mistake persists over frames
 )
-PLACE_STD = 0.02  # of the corner beside the line that is taken for it
+CORNER_STD_NORM = 0.02  # of the corner relative to the line that represents it
 MIN_VARIANCE = 1e-8
 
 # columns of components, see `vision.lateral.mixture`
 WEIGHT, OFFSET, VARIANCE, WIDTH = range(4)
-# columns of running sums over the ceiling's pairs
+# columns of the cumulative sums over the ceiling's pairs
 ODDS, MOMENT, SQUARE, ROLL_SLOPE = range(4)
 
 
@@ -49,7 +50,7 @@ def _odds(log_odds: float) -> float:
 def _ceiling_components(
     picture: PictureCorners, weights: OffsetWeights, roll_std: float, order: IntArray, rows: FloatArray
 ) -> FloatArray:
-    """Fill ``rows`` (m, 4) with the ceiling's pairs alone; return running sums (m + 1, 4) for joining the floor's."""
+    """Fill ``rows`` (m, 4) with the ceiling's pairs alone; return their cumulative sums (m + 1, 4)."""
     pairs, corners = picture.ceiling.pair, picture.candidates.corners
     m = len(pairs)
     evidence = picture.ceiling.evidence.view(np.float64).reshape(m, N_EVIDENCE)
@@ -78,14 +79,14 @@ def _ceiling_components(
 def corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std: float) -> FloatArray:
     """Return every pair of corners as a component (k, 4) of a mixture, see `vision.lateral.mixture`.
 
-    Their weights are odds against the hypothesis that no pair can be relied on.
+    Their weights are odds against the null hypothesis, that no pair can be relied on.
     """
     corners, bias = picture.candidates.corners, weights.bias[0]
     pairs = picture.floor.pair
     n, m = len(pairs), len(picture.ceiling.pair)
     evidence = picture.floor.evidence.view(np.float64).reshape(n, N_EVIDENCE)
     rows = np.zeros((2 * n + m, 4))
-    # Contiguous as the other array that is sorted: the sort is compiled once.
+    # Contiguous, like the other array that is sorted, so that the sort is compiled once.
     offsets = picture.ceiling.pair["offset"].copy()
     order = rising_order(offsets)
     offsets = offsets[order]
@@ -114,23 +115,23 @@ def corner_components(picture: PictureCorners, weights: OffsetWeights, roll_std:
 
 @compiled_inner
 def fields_of_corners(picture: PictureCorners, weights: OffsetWeights, roll_std: float) -> FloatArray:
-    """Return what pairs of corners say about the lateral offset, as a mixture's fields (4, k).
+    """Return the likelihood of the lateral offset by pairs of corners, as a mixture's fields (4, k).
 
     Parameters
     ----------
     picture
         Candidates for corners and their pairs.
     weights
-        Of the evidence.
+        Weights of the evidence.
     roll_std
-        Standard deviation of the level frame's roll, radians: it tilts left against right.
+        Standard deviation of the level frame's roll, radians.
     """
     fields = fields_of_components(corner_components(picture, weights, roll_std), 1.0, 0.0)
-    told = 0.0
+    total_weight = 0.0
     for k in range(fields.shape[1]):
-        told += fields[0, k]
-    scale = (1.0 - MIN_CANNOT_TELL) / told if told > 1.0 - MIN_CANNOT_TELL else 1.0
+        total_weight += fields[0, k]
+    scale = (1.0 - MIN_CANNOT_TELL) / total_weight if total_weight > 1.0 - MIN_CANNOT_TELL else 1.0
     for k in range(fields.shape[1]):
         fields[0, k] *= scale
-        fields[2, k] = hypot(fields[2, k], PLACE_STD)
+        fields[2, k] = hypot(fields[2, k], CORNER_STD_NORM)
     return fields

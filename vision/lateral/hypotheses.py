@@ -1,8 +1,15 @@
-"""Hypotheses of the lateral offset: which pair of corners, and how probable each is.
+"""Hypotheses of the lateral offset, one for each choice of corner pairs, and their probabilities.
 
-A hypothesis is a pair of the floor's corners, a pair of the ceiling's, or one of each. The weighted sum of its
-evidence is the logarithm of its odds against the hypothesis that no pair can be relied on. Hypotheses of nearly one
-offset share their probability.
+A hypothesis h is a pair of the floor's corners, a pair of the ceiling's, or one of each. Its log-odds against the
+null hypothesis, that no pair can be relied on, are linear in the evidence x of its pairs (`EVIDENCE`), as in logistic
+regression; the weights v were fitted on simulated corridors:
+
+    log o_h = bias + v . x,    P_h = o_h / (1 + sum_g o_g)
+
+A joint hypothesis of floor and ceiling averages both offsets by inverse variance. A filter's prediction of offset or
+width multiplies the odds, with a lower limit so that strong evidence can override it. The probabilities of all
+hypotheses within `SAME_OFFSET` of the best one are added, and the estimate is their mean, weighted by the odds
+without the prediction.
 """
 
 from __future__ import annotations
@@ -18,10 +25,10 @@ from vision.types import FloatArray, Record, RecordArray
 
 JOINT_WINDOW = 0.06  # in lateral offset: floor and ceiling must agree to this
 MIN_CEILING, MAX_CEILING = 0.1, 6.0  # camera to ceiling over camera to floor
-SAME_OFFSET = 0.08  # hypotheses nearer than this are one answer
-PRIOR_SLACK = 0.03
-PRIOR_FLOOR = 0.1  # lets strong evidence win
-WIDTH_STD = 0.1  # of the logarithm of a known width per height: the camera rises and sinks
+SAME_OFFSET = 0.08  # hypotheses nearer than this count as one offset
+PRIOR_EXTRA_STD = 0.03  # of the predicted offset
+PRIOR_FLOOR = 0.1  # least factor of a prediction: strong evidence overrides it
+WIDTH_STD = 0.1  # of the logarithm of a known width per height: the camera's height varies
 MAX_LOG_ODDS = 100.0  # keeps the exponential finite
 
 HYPOTHESIS = np.dtype(
@@ -35,23 +42,23 @@ HYPOTHESIS = np.dtype(
     ],
     align=True,
 )
-"""A hypothesis of where the corners are."""
+"""A hypothesis about the corners."""
 
 
 BIAS = np.dtype(
     [
-        ("floor", np.float64),  # log odds of a floor's pair
-        ("ceiling", np.float64),  # log odds of a ceiling's pair alone
+        ("floor", np.float64),  # log-odds of a floor's pair
+        ("ceiling", np.float64),  # log-odds of a ceiling's pair alone
         ("joint", np.float64),  # added where a ceiling's pair joins a floor's
-        ("choice", np.float64),  # times the logarithm of how many hypotheses have the same floor's pair
+        ("choice", np.float64),  # times the logarithm of the number of hypotheses with the same floor's pair
     ],
     align=True,
 )
-"""Log odds of a hypothesis whose evidence says nothing."""
+"""Log-odds of a hypothesis at zero evidence."""
 
 
 class OffsetWeights(NamedTuple):
-    """Weights of the evidence, and the log odds without any.
+    """Weights of the evidence, and the log-odds at zero evidence.
 
     Parameters
     ----------
@@ -66,8 +73,8 @@ class OffsetWeights(NamedTuple):
     bias: RecordArray
 
 
-# By maximum likelihood on simulated corridors: `benchmarks/lateral_weights.py` fits them anew. That of `near_wall` is
-# set by hand, for how a vehicle is flown is not the simulator's to say.
+# Maximum likelihood on simulated corridors, see `benchmarks/lateral_weights.py`. The weight of `near_wall` is set by
+# hand: the simulator is no evidence of how near to walls vehicles are flown.
 _FLOOR_AND_CEILING = {
     "lengths": (1.444, 0.0),
     "coverages": (0.323, 1.404),
@@ -96,28 +103,28 @@ WEIGHTS = OffsetWeights(
 POSITION_TERMS = tuple(
     (EVIDENCE.names or ()).index(name) for name in ("near_wall", "log_width", "log_width_squared")
 )
-"""Evidence on the vehicle's place and the corridor's width: in a joint hypothesis only the floor's counts."""
+"""Evidence on position and corridor width: a joint hypothesis uses only the floor's, else it would count twice."""
 
 LOG_WIDTH, LOG_WIDTH_SQUARED = POSITION_TERMS[1:]
 
 
 class OffsetEstimate(NamedTuple):
-    """The offset that most of the probability is for.
+    """The most probable offset; means are weighted by the odds of the hypotheses that agree on it.
 
     Parameters
     ----------
     offset
         Lateral offset over half the corridor's width.
     scatter, std
-        Of the hypotheses that agree on it: their standard deviation about it, and the mean of their own.
+        Standard deviation of the hypotheses' offsets about it, and mean of their own standard deviations.
     roll_slope
         Derivative of the offset with respect to roll, per radian.
     probability
-        Of these hypotheses together.
+        Sum of these hypotheses' probabilities.
     floor, ceiling
-        The likeliest pair of the floor and of the ceiling, -1: none.
+        Index of the likeliest pair of the floor and of the ceiling, -1: none.
     floor_share
-        Share of these hypotheses' evidence that the floor's pair has.
+        Share of the floor's pair in these hypotheses' odds.
     """
 
     offset: float
@@ -185,8 +192,8 @@ def offset_hypotheses(picture: PictureCorners, weights: OffsetWeights) -> Record
         precision = 1.0 / pair.offset_std**2
         for c in range(m):
             height = pair.width / ceiling[c].width
-            apart = abs(pair.offset - ceiling[c].offset)
-            if apart > JOINT_WINDOW or not MIN_CEILING < height < MAX_CEILING:
+            difference = abs(pair.offset - ceiling[c].offset)
+            if difference > JOINT_WINDOW or not MIN_CEILING < height < MAX_CEILING:
                 continue
             row = rows[count]
             count += 1
@@ -202,19 +209,19 @@ def offset_hypotheses(picture: PictureCorners, weights: OffsetWeights) -> Record
 
 @compiled
 def width_log_odds(width: FloatArray, prior_width: float, weights: OffsetWeights) -> FloatArray:
-    """Return what a known width adds to the log odds of hypotheses that each have a width of their own.
+    """Return the log-odds (n,) that a known corridor width adds to each hypothesis.
 
-    It is the density of the hypothesis' width where the corridor's is known, over the density that `EVIDENCE` has of
-    corridors in general. Zero where none is known.
+    That is the logarithm of the density of the hypothesis' width given the known one, over its density in corridors
+    in general, which the weights of `log_width` and `log_width_squared` already contain. Zero without a known width.
 
     Parameters
     ----------
     width
-        Corridor width over the camera's height (n,) that each hypothesis gives; NaN: it does not tell.
+        Corridor width over the camera's height (n,) by each hypothesis; NaN where it does not give one.
     prior_width
-        The same as known beforehand; NaN: unknown.
+        The known width over height; NaN: unknown.
     weights
-        Of the evidence.
+        Weights of the evidence.
     """
     out = np.zeros(len(width))
     if not prior_width > 0.0:  # NaN fails too
@@ -234,10 +241,10 @@ def width_log_odds(width: FloatArray, prior_width: float, weights: OffsetWeights
 
 @compiled
 def prediction_factor(offset: float, prior: float, prior_std: float) -> float:
-    """Return the factor by which a filter's prediction of the offset changes a hypothesis' odds; 1 without any."""
+    """Return the factor by which a filter's prediction of the offset multiplies a hypothesis' odds; 1 without one."""
     if not isfinite(prior):
         return 1.0
-    z = (offset - prior) / hypot(prior_std, PRIOR_SLACK)
+    z = (offset - prior) / hypot(prior_std, PRIOR_EXTRA_STD)
     return PRIOR_FLOOR + (1.0 - PRIOR_FLOOR) * exp(-0.5 * z * z)
 
 
@@ -245,27 +252,27 @@ def prediction_factor(offset: float, prior: float, prior_std: float) -> float:
 def most_probable_offset(
     hypotheses: RecordArray, floor_log_odds: FloatArray, prior: float, prior_std: float
 ) -> OffsetEstimate:
-    """Find the offset that most of the probability is for.
+    """Find the most probable offset.
 
     Parameters
     ----------
     hypotheses
         Array (k,) of `HYPOTHESIS`.
     floor_log_odds
-        What is known beforehand of each of the floor's pairs (n,) that they choose from, see `width_log_odds`.
+        Prior log-odds (n,) of the floor's pairs, see `width_log_odds`.
     prior, prior_std
-        A filter's prediction of the offset, to choose between hypotheses; NaN: none.
+        A filter's prediction of the offset, which selects between hypotheses; NaN: none.
 
     Returns
     -------
     OffsetEstimate
-        Of probability 0 where there is no hypothesis.
+        Its probability is 0 where there is no hypothesis.
     """
     n = len(hypotheses)
     if n == 0:
         return OffsetEstimate(nan, nan, nan, nan, 0.0, -1, -1, 0.0)
     evidence, likely = np.empty(n), np.empty(n)
-    best, most, total = 0, 0.0, 1.0  # the odds that no pair can be relied on
+    best, most, total = 0, 0.0, 1.0  # the null hypothesis has odds of 1
     for k in range(n):
         row = hypotheses[k]
         evidence[k] = exp(min(row.log_odds, MAX_LOG_ODDS))
@@ -283,7 +290,7 @@ def most_probable_offset(
                 weight += evidence[k]
         offset = moment / weight
     n_floor = len(floor_log_odds)
-    share = np.zeros(n_floor + 1)  # of each floor's pair; the last for none
+    share = np.zeros(n_floor + 1)  # of each floor's pair; the last is for hypotheses without one
     weight = probability = scatter = std = roll_slope = most = 0.0
     ceiling = -1
     for k in range(n):

@@ -1,14 +1,14 @@
 """A picture's lines sorted by direction: along the corridor, vertical, or transverse.
 
-Seen along the corridor's axis, a line parallel to it is one point of the corridor's cross-section, known by its angle
-about the axis. Vertical lines on a wall end where the wall ends. Transverse lines lie across the floor, the ceiling
-or the end wall and reach from wall to wall.
+Viewed along the corridor's axis, a line parallel to it is one point of the corridor's cross-section; one picture
+gives its angle about the axis, ``atan2(|z|, |y|)``. Vertical lines on a wall end where the wall ends. Transverse
+lines lie across the floor, the ceiling or the end wall and reach from wall to wall.
 
 Coordinates are those of the axis frame: x along the corridor's axis, y right, z down; a ray (1, y, z) passes through
 (y, z) in the plane at unit depth. Quadrants are numbered 0 floor left, 1 floor right, 2 ceiling left, 3 ceiling
 right. Angles about the axis are measured from the horizontal, towards the floor in the lower quadrants and towards
-the ceiling in the upper ones, so that all four look alike. Sides are numbered 0 left, 1 right. Lengths are over the
-picture's diagonal.
+the ceiling in the upper ones, so that all quadrants are treated alike. Sides are numbered 0 left, 1 right. Lengths
+are over the picture's diagonal.
 """
 
 from __future__ import annotations
@@ -22,20 +22,17 @@ from vision.axis.vote import VERTICAL_SINE
 from vision.compiled import compiled_inner
 from vision.types import BoolArray, FloatArray, Record, RecordArray
 
-MIN_DEPTH = 0.05  # cosine of the angle from the axis; rays farther off it are drawn in to here
-MIN_AXIS_SINE = 1e-4  # a line whose middle is this close to the axis has no angle about it
+MIN_DEPTH = 0.05  # cosine of the angle from the axis; rays farther off are clipped to it
+MIN_AXIS_SINE = 1e-4  # a line whose middle is this close to the axis has no defined angle about it
 ANGLE_FLOOR_RAD = radians(0.1)  # corners are rounded, skirting boards have thickness
 VERTICAL_COSINE = 0.7  # least downward component of a vertical line's direction
 TRANSVERSE_SINE = 0.026  # transverse lines are at right angles to the corridor to about this
-MAX_LENGTH = 0.15  # no single vertical or transverse line decides
-END_PX, END_STD_RAD, MAX_END_STD_RAD = (
-    6.0,
-    radians(3.0),
-    radians(12.0),
-)  # how well a vertical line's end is known
+MAX_LENGTH = 0.15  # limits the influence of a single vertical or transverse line
+# Uncertainty of a vertical line's end, and of a transverse line's
+END_PX, END_STD_RAD, MAX_END_STD_RAD = 6.0, radians(3.0), radians(12.0)
 TRANSVERSE_END_PX, TRANSVERSE_STD_RAD, MAX_TRANSVERSE_STD_RAD = 4.0, radians(1.0), radians(6.0)
-MAX_TRANSVERSE = 60  # one bit each
-SAME_TRANSVERSE = 0.01  # of a transverse line's tangent of depression
+MAX_TRANSVERSE = 60  # they are bits of an int64
+SAME_TRANSVERSE = 0.01  # relative difference in the tangent of depression within which pieces are merged
 
 CORRIDOR_LINE = np.dtype(
     [
@@ -79,11 +76,11 @@ TRANSVERSE_LINE = np.dtype(
     ],
     align=True,
 )
-"""A line across the corridor; its angles are known once `merge_transverse_lines` has joined its pieces."""
+"""A line across the corridor; `merge_transverse_lines` joins its pieces and fills in the angles."""
 
 
 class PictureLines(NamedTuple):
-    """A picture's lines as compiled code takes them; n lines, fields as in `vision.lines.segments.LineSet`."""
+    """A picture's n lines as arrays for compiled code; fields as in `vision.lines.line_set.LineSet`."""
 
     normal: FloatArray  # (n, 3), optical frame, as the next two
     centre: FloatArray
@@ -121,7 +118,7 @@ def _end_std(y: float, z: float, angle: float, pixel_rad: float) -> float:
 def _fill_corridor_line(
     row: Record, normal: FloatArray, centre: FloatArray, a: FloatArray, b: FloatArray, sigma_rad: float
 ) -> bool:
-    """Place a line of normal, centre and ends in the cross-section; False where it lies on the axis itself."""
+    """Compute a line's angle about the axis from its normal, centre and ends; False where it passes the axis."""
     across = hypot(normal[1], normal[2])
     y, z = normal[2] / across, -normal[1] / across
     sine = centre[1] * y + centre[2] * z  # of the angle between the axis and the line's middle
@@ -140,7 +137,7 @@ def _fill_corridor_line(
 
 @compiled_inner
 def _fill_vertical_line(row: Record, a: FloatArray, b: FloatArray, pixel_rad: float) -> bool:
-    """Describe a vertical line by its ends; False where it crosses from one side to the other."""
+    """Compute the side and end angles of a vertical line; False where its ends are on different sides."""
     if a[1] * b[1] <= 0.0:
         return False
     row.side = 0 if a[1] < 0.0 else 1
@@ -173,7 +170,7 @@ def sort_by_direction(
     Returns
     -------
     SortedLines
-        Lines that run in none of the three directions are left out.
+        Lines in none of the three directions are left out.
     """
     count = len(lines.arc_rad)
     corridor = np.empty(count + 1, CORRIDOR_LINE)
@@ -217,7 +214,7 @@ def sort_by_direction(
 
 @compiled_inner
 def merge_transverse_lines(lines: RecordArray) -> int:
-    """Merge the pieces of each `TRANSVERSE_LINE` in place; return how many lines there are, at most 60."""
+    """Merge the pieces of each `TRANSVERSE_LINE` in place; return the number of lines, at most `MAX_TRANSVERSE`."""
     count = 0
     taken = np.zeros(len(lines), np.bool_)
     for i in range(len(lines)):

@@ -1,7 +1,13 @@
-"""Evidence of one frame for the lateral offset, as a sum of Gaussians.
+"""Likelihood of the lateral offset from one frame: a Gaussian mixture with a uniform "cannot tell" share.
 
-A frame seldom leaves one answer: of every pair of lines that could be the corners one offset follows, and a picture
-may show no corner at all. A mixture keeps all of it, so that a filter can let time and motion decide.
+One frame is often ambiguous: each pair of lines that may be the corners gives another offset, and a picture may show
+no corner at all. The mixture keeps all hypotheses, so that a filter can resolve them over time and motion. With
+weights w_j whose sum is at most 1, the likelihood of the offset y in (-1, 1) is
+
+    p(y) = (1 - sum_j w_j) / 2 + sum_j w_j N(y; m_j, s_j^2).
+
+The remaining probability, ``1 - sum_j w_j``, is called "cannot tell": the frame carries no information. Two kinds of
+evidence are combined by multiplying their likelihoods, which again gives a mixture (`combine`).
 """
 
 from __future__ import annotations
@@ -16,15 +22,15 @@ from vision.compiled import compiled, compiled_inner
 from vision.types import FloatArray
 
 N_BINS = 64
-"""Components nearer to each other than a bin of this grid over (-1, 1) become one; so many are left at most."""
+"""Bins over (-1, 1); components in one bin are merged, so this is also the largest number of components."""
 
-BOTH_BLIND = 0.05  # probability that a picture misleads both kinds of evidence
-MIN_WEIGHT = 1e-4  # of a component; less is left to "cannot tell"
-UNIFORM_DENSITY = 0.5  # density of an offset in (-1, 1) of which nothing is known
-MAX_PEAKS = 8  # the narrow ones, which are higher, must not crowd out a wide one
-MIN_PEAK = 0.01  # weight of a peak of a density; less is left to "cannot tell"
-FOOT = 0.02  # a peak ends where the density has fallen to this share of it,
-RISE = 1.2  # or rises so far above its lowest
+BOTH_MISLED = 0.05  # probability that a picture misleads both kinds of evidence
+MIN_WEIGHT = 1e-4  # of a component; smaller ones are added to "cannot tell"
+UNIFORM_DENSITY = 0.5  # of an unknown offset in (-1, 1)
+MAX_PEAKS = 8  # large enough that narrow, higher peaks do not displace a wide one
+MIN_PEAK = 0.01  # share of a density in a peak; smaller ones are added to "cannot tell"
+PEAK_END = 0.02  # a peak ends where the density has fallen to this share of its maximum,
+VALLEY_RISE = 1.2  # or rises again by this factor over the minimum
 MIN_STD = 0.005
 _SQRT_TWO_PI = sqrt(2.0 * pi)
 
@@ -34,7 +40,7 @@ WEIGHT, OFFSET, VARIANCE, WIDTH = range(4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OffsetMixture:
-    """What one frame says about the scale-free lateral offset: Gaussians, and a share that says "cannot tell".
+    """Likelihood of the scale-free lateral offset from one frame: Gaussians and a "cannot tell" share.
 
     The likelihood of the offset y in (-1, 1) is ``(1 - sum(weight)) / 2 + sum_j weight_j N(offset_norm_j; y,
     std_norm_j^2)``.
@@ -42,11 +48,11 @@ class OffsetMixture:
     Parameters
     ----------
     weight
-        (k,), not negative, their sum at most 1; what is left over is the probability that the frame cannot tell.
+        (k,), not negative, their sum at most 1; the remainder is the probability that the frame cannot tell.
     offset_norm, std_norm
         (k,) means and standard deviations.
     width_per_height
-        (k,) corridor width over camera height above the floor; NaN where the component does not tell.
+        (k,) corridor width over camera height above the floor; NaN where the component does not give it.
     """
 
     weight: FloatArray
@@ -55,7 +61,7 @@ class OffsetMixture:
     width_per_height: FloatArray
 
     def fields(self) -> FloatArray:
-        """Return weight, offset, standard deviation and width as rows (4, k), as compiled code takes them."""
+        """Return weight, offset, standard deviation and width as rows (4, k), the form used in compiled code."""
         return np.array([self.weight, self.offset_norm, self.std_norm, self.width_per_height])
 
     @property
@@ -64,28 +70,28 @@ class OffsetMixture:
         return max(1.0 - float(self.weight.sum()), 0.0)
 
     def likelihood(self, offset_norm: npt.ArrayLike) -> FloatArray:
-        """Likelihood of offsets (...) of any shape; where the frame cannot tell it is 1/2, as over (-1, 1) any is."""
+        """Likelihood of offsets (...) of any shape; 1/2, the uniform density, where the frame cannot tell."""
         y = np.asarray(offset_norm, dtype=float)[..., None]
         z = (y - self.offset_norm) / self.std_norm
         density = self.weight / self.std_norm * np.exp(-0.5 * z * z) / _SQRT_TWO_PI
         return np.asarray(UNIFORM_DENSITY * self.cannot_tell + density.sum(axis=-1))
 
     def wider(self, std_norm: float) -> OffsetMixture:
-        """Return the mixture with an independent error of this standard deviation added to every component."""
+        """Return the mixture convolved with a Gaussian error of this standard deviation."""
         std = np.hypot(self.std_norm, std_norm)
         return OffsetMixture(self.weight, self.offset_norm, std, self.width_per_height)
 
     def less_sure(self, cannot_tell: float) -> OffsetMixture:
-        """Return the mixture with at least this probability that the frame cannot tell."""
-        told = float(self.weight.sum())
-        if told <= 1.0 - cannot_tell:
+        """Return the mixture scaled so that "cannot tell" has at least this probability."""
+        total_weight = float(self.weight.sum())
+        if total_weight <= 1.0 - cannot_tell:
             return self
-        scale = (1.0 - cannot_tell) / told
+        scale = (1.0 - cannot_tell) / total_weight
         return OffsetMixture(self.weight * scale, self.offset_norm, self.std_norm, self.width_per_height)
 
 
 def cannot_tell() -> OffsetMixture:
-    """Return what a frame without any evidence says."""
+    """Return the mixture of a frame without any evidence: a uniform likelihood."""
     none = np.zeros(0)
     return OffsetMixture(none, none, none, none)
 
@@ -94,11 +100,11 @@ def cannot_tell() -> OffsetMixture:
 def merge_by_bins(rows: FloatArray, bins: FloatArray) -> int:
     """Merge components (n, 4) of weight, offset, variance and width, bin by bin, keeping mean and variance.
 
-    Fills the first rows of ``bins`` (N_BINS, 4) in order of the offset and returns how many; a width of NaN counts
-    for nothing, and a component has one where most of its weight does.
+    Fills the first rows of ``bins`` (N_BINS, 4) in order of the offset and returns their number. Widths of NaN are
+    left out of the mean; a merged width is NaN unless most of its weight has one.
     """
     n_bins = len(bins)
-    square, told = np.zeros(n_bins), np.zeros(n_bins)
+    square, width_weight = np.zeros(n_bins), np.zeros(n_bins)
     bins[:] = 0.0
     for k in range(len(rows)):
         weight, offset = rows[k, WEIGHT], rows[k, OFFSET]
@@ -108,14 +114,14 @@ def merge_by_bins(rows: FloatArray, bins: FloatArray) -> int:
         square[b] += weight * (offset * offset + rows[k, VARIANCE])
         if isfinite(rows[k, WIDTH]):
             bins[b, WIDTH] += weight * rows[k, WIDTH]
-            told[b] += weight
+            width_weight[b] += weight
     count = 0
     for b in range(n_bins):
         weight = bins[b, WEIGHT]
         if not weight > 0.0:
             continue
         offset = bins[b, OFFSET] / weight
-        width = bins[b, WIDTH] / told[b] if told[b] > 0.5 * weight else np.nan
+        width = bins[b, WIDTH] / width_weight[b] if width_weight[b] > 0.5 * weight else np.nan
         bins[count, WEIGHT], bins[count, OFFSET] = weight, offset
         bins[count, VARIANCE], bins[count, WIDTH] = square[b] / weight - offset * offset, width
         count += 1
@@ -124,7 +130,7 @@ def merge_by_bins(rows: FloatArray, bins: FloatArray) -> int:
 
 @compiled
 def fields_of_components(components: FloatArray, cannot_tell_odds: float, min_variance: float) -> FloatArray:
-    """Return the fields (4, k) of a mixture; parameters as of `mixture_of_components`."""
+    """Return the fields (4, k) of a mixture; parameters as in `mixture_of_components`."""
     bins = np.empty((N_BINS, 4))
     n, total, count = merge_by_bins(components, bins), cannot_tell_odds, 0
     for k in range(n):
@@ -145,42 +151,44 @@ def fields_of_components(components: FloatArray, cannot_tell_odds: float, min_va
 def mixture_of_components(
     components: FloatArray, cannot_tell_odds: float, min_variance: float
 ) -> OffsetMixture:
-    """Make a mixture of components (n, 4) as `merge_by_bins` takes them.
+    """Build a mixture from components (n, 4), see `merge_by_bins`.
 
-    Their weights are odds, as ``cannot_tell_odds`` are those of a frame that cannot tell.
+    Their weights are odds relative to ``cannot_tell_odds``; they are normalised to probabilities here.
     """
     return OffsetMixture(*fields_of_components(components, cannot_tell_odds, min_variance))
 
 
 @compiled_inner
 def _products(
-    first: FloatArray, second: FloatArray, slack: float, both_blind: float, rows: FloatArray
+    first: FloatArray, second: FloatArray, extra_variance: float, both_misled: float, rows: FloatArray
 ) -> float:
-    """Multiply two likelihoods given as components (n, 4), (m, 4) into ``rows``; return what is alike everywhere.
+    """Multiply two likelihoods given as components (n, 4), (m, 4) into ``rows``; return the uniform part.
 
-    Rows and return value are weights: the integral over (-1, 1). ``slack`` is the variance that each has besides,
-    ``both_blind`` the probability that neither tells anything though both seem to.
+    With uniform parts u1, u2 the product has the terms u1 u2, u2 times the first's Gaussians, u1 times the second's,
+    and all products of two Gaussians, which are Gaussians again. Rows and return value are integrals over (-1, 1).
+    ``extra_variance`` is added to each component in the products; ``both_misled`` is the probability that both
+    likelihoods are misleading.
     """
     n, m = len(first), len(second)
-    blind_first, blind_second = 1.0, 1.0
+    cannot_tell_first, cannot_tell_second = 1.0, 1.0
     for i in range(n):
-        blind_first -= first[i, WEIGHT]
+        cannot_tell_first -= first[i, WEIGHT]
     for j in range(m):
-        blind_second -= second[j, WEIGHT]
-    blind_first, blind_second = max(blind_first, 0.0), max(blind_second, 0.0)
+        cannot_tell_second -= second[j, WEIGHT]
+    cannot_tell_first, cannot_tell_second = max(cannot_tell_first, 0.0), max(cannot_tell_second, 0.0)
     count = 0
     for i in range(n + m):
         row = first[i] if i < n else second[i - n]
         for column in range(row.shape[0]):
             rows[count, column] = row[column]
-        rows[count, WEIGHT] *= 0.5 * (blind_second if i < n else blind_first)
+        rows[count, WEIGHT] *= 0.5 * (cannot_tell_second if i < n else cannot_tell_first)
         count += 1
     for i in range(n):
-        a = first[i, VARIANCE] + slack
+        a = first[i, VARIANCE] + extra_variance
         for j in range(m):
-            b = second[j, VARIANCE] + slack
-            apart = first[i, OFFSET] - second[j, OFFSET]
-            z = 0.5 * apart * apart / (a + b)
+            b = second[j, VARIANCE] + extra_variance
+            difference = first[i, OFFSET] - second[j, OFFSET]
+            z = 0.5 * difference * difference / (a + b)
             weight = 0.0
             if z < 30.0:
                 weight = first[i, WEIGHT] * second[j, WEIGHT] * exp(-z) / sqrt(2.0 * np.pi * (a + b))
@@ -191,13 +199,13 @@ def _products(
             row[VARIANCE] = a * b / (a + b)
             row[WIDTH] = first[i, WIDTH] if isfinite(first[i, WIDTH]) else second[j, WIDTH]
     for k in range(count):
-        rows[k, WEIGHT] *= 1.0 - both_blind
-    return 0.5 * (both_blind + (1.0 - both_blind) * blind_first * blind_second)
+        rows[k, WEIGHT] *= 1.0 - both_misled
+    return 0.5 * (both_misled + (1.0 - both_misled) * cannot_tell_first * cannot_tell_second)
 
 
 @compiled_inner
 def _components(fields: FloatArray) -> FloatArray:
-    """Return the components (k, 4) of a mixture's fields (4, k), as `merge_by_bins` takes them."""
+    """Return the components (k, 4) of a mixture's fields (4, k), see `merge_by_bins`."""
     components = np.empty((fields.shape[1], 4))
     for k in range(len(components)):
         components[k, WEIGHT], components[k, OFFSET] = fields[0, k], fields[1, k]
@@ -207,10 +215,10 @@ def _components(fields: FloatArray) -> FloatArray:
 
 @compiled_inner
 def peaks_of_density(density: FloatArray, centres: FloatArray, rows: FloatArray) -> int:
-    """Take peak after peak out of a density, each down to where it rises again or ends.
+    """Split a sampled density into peaks, highest first, each up to where it rises again or ends.
 
-    Fills rows (k, 5) with weight, mean, standard deviation, first bin and the one after the last, and returns how
-    many; ``density``, at offsets ``centres``, is used up.
+    Fills rows (k, 5) with weight, mean, standard deviation, first bin and one past the last bin, and returns their
+    number. ``density``, at offsets ``centres``, is overwritten.
     """
     total, bins = density.sum(), len(density)
     count = 0
@@ -221,11 +229,11 @@ def peaks_of_density(density: FloatArray, centres: FloatArray, rows: FloatArray)
             break
         first = last = peak
         low = top
-        while first > 0 and FOOT * top < density[first - 1] <= RISE * low:
+        while first > 0 and PEAK_END * top < density[first - 1] <= VALLEY_RISE * low:
             first -= 1
             low = min(low, density[first])
         low = top
-        while last + 1 < bins and FOOT * top < density[last + 1] <= RISE * low:
+        while last + 1 < bins and PEAK_END * top < density[last + 1] <= VALLEY_RISE * low:
             last += 1
             low = min(low, density[last])
         weight = mean = square = 0.0
@@ -244,24 +252,24 @@ def peaks_of_density(density: FloatArray, centres: FloatArray, rows: FloatArray)
     return count
 
 
-SLACK = 0.005
-"""Standard deviation by which two kinds of evidence may differ that see the same corner."""
+AGREEMENT_STD = 0.005
+"""Standard deviation by which two kinds of evidence of the same corner may differ."""
 
 
 @compiled
 def fields_of_both(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the fields (4, k) of the mixture that two mixtures' fields (4, n), (4, m) make, see `combine`."""
+    """Return the fields (4, k) of the product of two mixtures with fields (4, n), (4, m), see `combine`."""
     a, b = _components(first), _components(second)
     rows = np.empty((len(a) + len(b) + len(a) * len(b), 4))
-    blind = _products(a, b, SLACK**2, BOTH_BLIND, rows)
-    return fields_of_components(rows, blind, 0.0)
+    cannot_tell_odds = _products(a, b, AGREEMENT_STD**2, BOTH_MISLED, rows)
+    return fields_of_components(rows, cannot_tell_odds, 0.0)
 
 
 def combine(first: OffsetMixture, second: OffsetMixture) -> OffsetMixture:
-    """Return what two independent kinds of evidence say together: the product of their likelihoods.
+    """Multiply the likelihoods by two independent kinds of evidence.
 
-    Where both are sure of one place, so is the product. Where they are sure of different places, each place is held
-    up only by the other's "cannot tell", and the probability that both are wrong counts for more: the answer is wide.
+    Where both are sharp at one offset, so is the product. Where they are sharp at different offsets, each peak is
+    weighted by the other's "cannot tell" share, and the probability that both are misleading gains weight.
     """
     return OffsetMixture(*fields_of_both(first.fields(), second.fields()))
 

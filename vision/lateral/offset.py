@@ -1,15 +1,17 @@
-"""Lateral offset from the corners where the two walls meet floor and ceiling, scale-free.
+"""Scale-free lateral offset from the corners where the two walls meet floor and ceiling.
 
-In the corridor's cross-section, a line on the left wall at height z below the camera is seen at the slope ``t_L = z /
-w_L`` below the horizontal, one at the same height on the right wall at ``t_R = z / w_R``, where w_L and w_R are the
-distances to the walls. The pair gives the offset ``y / (W / 2) = (w_L - w_R) / (w_L + w_R) = (t_R - t_L) / (t_R +
-t_L)``.
+In the corridor's cross-section, a line at the depth z below the camera is seen at the slope ``t_L = z / w_L`` below
+the horizontal on the left wall and at ``t_R = z / w_R`` on the right wall, where w_L and w_R are the distances to the
+walls. A pair of lines at one height, such as both corners with the floor, gives the offset over the half width:
 
-Which two lines are the corners is the question: skirting boards, wainscots, furniture and joints of the floor run
-along the corridor too. `vision.lateral.corner_pairs` collects the evidence for every pair of candidates,
-`vision.lateral.hypotheses` turns it into probabilities. From lines alone the offset is answered where one has nearly
-all of the probability (`fit_lateral`). Where the picture's regions tell as well, both kinds of evidence are
-multiplied, and what they say together is answered, as exactly as it is known (`combined_offset`).
+    y / (W / 2) = (w_L - w_R) / (w_L + w_R) = (t_R - t_L) / (t_R + t_L)
+
+The difficulty is to find the two corners: skirting boards, wainscots, furniture and floor joints are parallel to
+them. `vision.lateral.corner_pairs` computes the evidence for every pair of candidates, and
+`vision.lateral.hypotheses` turns it into probabilities. `fit_lateral` uses lines alone; it gives an estimate where
+one offset has at least `MIN_PROBABILITY` of the probability. `combined_offset` multiplies the likelihoods by lines
+and by the network (`vision.lateral.learned`, called regions here); it gives an estimate where one mode has at least
+`MIN_JOINT_PROBABILITY`.
 """
 
 from __future__ import annotations
@@ -41,31 +43,29 @@ from vision.types import FloatArray
 
 MAX_MIXTURE_CORNERS = 24  # in a quadrant: among bricks and tiles the corners are not among the longest lines
 MIN_PROBABILITY = 0.97
-MIN_WIDTH_SHARE = 0.3  # of the answer, for the floor's pair to give the width
+MIN_WIDTH_SHARE = 0.3  # of the mode's evidence, for the floor's pair to give the width
 MIN_STD = 0.004
-SCATTER_SHARE = 0.64  # of the hypotheses' variance: they err together only in part
-DOUBT = 0.02  # variance for what probability is left to others
-# Of what lines and regions say together. On random simulated corridors (300 single pictures of scenes drawn anew)
-# an error is within 1.95 of these standard deviations in nine of ten answers.
-MODE_HALF_WIDTH = 0.12  # components nearer than this to their mean are one answer
+SCATTER_SHARE = 0.64  # of the hypotheses' variance: their errors are only partly common
+REMAINDER_VARIANCE = 0.02  # times the probability of all other offsets, added to the variance
+# For lines and regions together. On random simulated corridors (300 single pictures, each of a new scene) nine of ten
+# errors are within 1.95 of these standard deviations.
+MODE_HALF_WIDTH = 0.12  # components nearer than this to their mean form one mode
 MIN_JOINT_PROBABILITY = 0.7
-JOINT_DOUBT = 0.03
-MAX_STD_NORM = 0.12  # of an answer: a wider one is none
-SAME_WIDTH = (
-    0.06  # in the logarithm: where lines and regions differ by more, one of them took a stripe for a corner
-)
+JOINT_REMAINDER_VARIANCE = 0.03
+MAX_STD_NORM = 0.12  # with a larger one there is no estimate
+SAME_WIDTH = 0.06  # of the logarithm: if lines and regions differ by more, one mistook a stripe for a corner
 
 
 @dataclass(frozen=True, slots=True)
 class PictureOffset:
-    """The lateral offset that one picture tells.
+    """Lateral offset from one picture, by lines and regions together.
 
     Parameters
     ----------
     offset_norm, offset_norm_std
         Offset right of the centre line over half the width.
     width_per_height
-        Corridor width over camera height above the floor; NaN where the picture does not tell.
+        Corridor width over camera height above the floor; NaN where it was not measured.
     """
 
     offset_norm: float
@@ -75,7 +75,7 @@ class PictureOffset:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LateralFit:
-    """Where in the cross-section the camera is.
+    """Lateral offset from one picture, by lines alone.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class LateralFit:
     width_per_height
         Corridor width over camera height above the floor; NaN where only the ceiling was seen.
     wall_lines
-        Indices (k,) of the lines taken for the corners of wall and floor, wall and ceiling.
+        Indices (k,) of the corner lines used, floor first.
     """
 
     offset_norm: float
@@ -106,15 +106,15 @@ def _estimate_offset(
     roll_std: float,
     max_corners: tuple[int, int],
 ) -> tuple[OffsetEstimate, float, npt.NDArray[np.intp], FloatArray]:
-    """Go all the way from lines to the offset in compiled code: handing arrays over costs more than some steps.
+    """Estimate the offset from lines, all in one compiled function: passing arrays costs more than some steps.
 
     Returns
     -------
     tuple
-        The estimate, the corridor's width over the camera's height (NaN where the floor's pair does not tell), and
-        the lines (k,) that stand for the corners; and the fields (4, n) of the mixture.
+        The estimate, the corridor's width over the camera's height (NaN without a floor's pair), the indices (k,) of
+        the corner lines, and the fields (4, n) of the mixture.
     """
-    many, few = max_corners  # as arguments they are of one type: as constants all would be compiled for each
+    many, few = max_corners  # arguments, not constants: everything would be compiled once for each constant
     wide = picture = corners_of_arrays(lines, R_axis_camera, down, diagonal_px, many)
     for count in wide.candidates.n_candidates:
         if count > few:
@@ -148,7 +148,10 @@ def fit_lateral(
     prior_offset_norm_std: float = nan,
     prior_width_per_height: float = nan,
 ) -> tuple[LateralFit | None, OffsetMixture]:
-    """Find the lateral offset, and all that the lines say about it.
+    """Estimate the lateral offset from lines, with the mixture of all hypotheses.
+
+    The variance of the estimate is the sum of ``SCATTER_SHARE`` of the scatter of the agreeing hypotheses, their own
+    variance, that by roll, ``MIN_STD`` squared, and ``REMAINDER_VARIANCE`` times the probability of other offsets.
 
     Parameters
     ----------
@@ -157,16 +160,16 @@ def fit_lateral(
     R_level_camera
         Rotation (3, 3) from the optical frame to the level frame.
     roll_std_rad
-        Standard deviation of the level frame's roll: it tilts left against right.
+        Standard deviation of the level frame's roll; roll raises one wall's lines and lowers the other's.
     prior_offset_norm, prior_offset_norm_std
-        A filter's prediction, to choose between hypotheses; NaN: none. The mixture does not know of it.
+        A filter's prediction, which selects between hypotheses; NaN: none. It does not affect the mixture.
     prior_width_per_height
-        Corridor width over camera height as seen so far, for the same; NaN: unknown.
+        Corridor width over camera height from earlier frames, used likewise; NaN: unknown.
 
     Returns
     -------
     fit, mixture
-        The answer, None where one picture does not tell, and the mixture of all hypotheses.
+        The estimate, None where it is ambiguous, and the mixture of all hypotheses.
     """
     found, width_per_height, wall_lines, fields = _estimate_offset(
         *arrays_of(lines, axis, R_level_camera),
@@ -185,32 +188,32 @@ def fit_lateral(
         + found.std**2
         + (roll_std_rad * found.roll_slope) ** 2
         + MIN_STD**2
-        + DOUBT * (1.0 - found.probability)
+        + REMAINDER_VARIANCE * (1.0 - found.probability)
     )
     return LateralFit(found.offset, sqrt(variance), width_per_height, wall_lines), mixture
 
 
 @compiled_inner
-def _most_probable_group(both: FloatArray, factor: FloatArray) -> tuple[float, float, float]:
-    """Find the offset that most of a mixture's probability is for.
+def _most_probable_mode(both: FloatArray, factor: FloatArray) -> tuple[float, float, float]:
+    """Find the mode with most of a mixture's probability.
 
     Parameters
     ----------
     both
-        The mixture's fields (4, n), at least one.
+        The mixture's fields (4, n), at least one component.
     factor
-        What is known beforehand of each component (n,): it chooses and does not move the answer.
+        Prior odds (n,) of each component: they select the mode, but do not shift its mean.
 
     Returns
     -------
     tuple
-        Probability, mean and variance of the components about the offset.
+        Probability, mean and variance of the mode's components.
     """
     weight, offset, std = both[0], both[1], both[2]
     n = len(weight)
-    mode, most, blind, total, moment = 0, -1.0, 1.0, 0.0, 0.0
+    mode, most, cannot_tell, total, moment = 0, -1.0, 1.0, 0.0, 0.0
     for k in range(n):
-        blind -= weight[k]
+        cannot_tell -= weight[k]
         total += weight[k] * factor[k]
         moment += weight[k] * factor[k] * offset[k]
         density = 0.0
@@ -220,17 +223,17 @@ def _most_probable_group(both: FloatArray, factor: FloatArray) -> tuple[float, f
         if density > most:
             mode, most = k, density
     best = (0.0, offset[mode], 0.0)
-    # From the mode, and from the mean: a wide distribution may have peaks at either side.
+    # Start from the highest density and from the mean: a wide distribution may have peaks at both sides.
     for start in (offset[mode], moment / max(total, 1e-12)):
-        found = _group_about(start, both, factor)
+        found = _mode_about(start, both, factor)
         if found[0] > best[0]:
             best = found
-    return best[0] / (total + max(blind, 0.0)), best[1], best[2]
+    return best[0] / (total + max(cannot_tell, 0.0)), best[1], best[2]
 
 
 @compiled_inner
-def _group_about(start: float, both: FloatArray, factor: FloatArray) -> tuple[float, float, float]:
-    """Return weight, mean and variance of the components of one answer, sought from an offset on."""
+def _mode_about(start: float, both: FloatArray, factor: FloatArray) -> tuple[float, float, float]:
+    """Return weight, mean and variance of the mode found by mean shift from a start offset."""
     weight, offset, std = both[0], both[1], both[2]
     mean = start
     for _ in range(3):
@@ -251,7 +254,7 @@ def _group_about(start: float, both: FloatArray, factor: FloatArray) -> tuple[fl
 
 @compiled_inner
 def _width_about(fields: FloatArray, offset_norm: float) -> float:
-    """Return the mean width per height of a mixture's components about an offset; NaN where none tells it."""
+    """Return the mean width per height of a mixture's components about an offset; NaN where all are unknown."""
     weight, offset, width = fields[0], fields[1], fields[3]
     moment = share = 0.0
     for k in range(len(weight)):
@@ -262,7 +265,7 @@ def _width_about(fields: FloatArray, offset_norm: float) -> float:
 
 
 @compiled
-def _answer(
+def _joint_estimate(
     lines: FloatArray,
     regions: FloatArray,
     prior: float,
@@ -270,13 +273,13 @@ def _answer(
     prior_width: float,
     weights: OffsetWeights,
 ) -> tuple[float, float, float, float, float]:
-    """Return what `combined_offset` answers with, of mixtures' fields.
+    """Compute the estimate of `combined_offset` from the fields of two mixtures.
 
     Returns
     -------
     tuple
-        Probability, mean and variance of the likeliest offset, and the width about it by lines and by regions; a
-        probability of zero where neither tells anything.
+        Probability, mean and variance of the likeliest mode, and the width about it by lines and by regions; the
+        probability is zero where both mixtures are empty.
     """
     both = fields_of_both(lines, regions)
     if both.shape[1] == 0:
@@ -284,7 +287,7 @@ def _answer(
     factor = width_log_odds(both[3], prior_width, weights)
     for k in range(len(factor)):
         factor[k] = exp(factor[k]) * prediction_factor(both[1, k], prior, prior_std)
-    probability, mean, variance = _most_probable_group(both, factor)
+    probability, mean, variance = _most_probable_mode(both, factor)
     return probability, mean, variance, _width_about(lines, mean), _width_about(regions, mean)
 
 
@@ -295,23 +298,25 @@ def combined_offset(
     prior_offset_norm_std: float = nan,
     prior_width_per_height: float = nan,
 ) -> PictureOffset | None:
-    """Answer with the offset that lines and regions together are most sure of; None where none is probable enough.
+    """Estimate the offset from lines and regions together; None where no mode is probable enough.
 
-    The width is answered only where both see the same: an offset survives a pair of carpet stripes taken for the
-    corners, as they are symmetric, but the width does not.
+    The width is given only where both agree on it: a symmetric pair of carpet stripes mistaken for the corners gives
+    the right offset, but a wrong width.
 
     Parameters
     ----------
     lines, regions
-        What either kind of evidence says.
+        Likelihoods by the two kinds of evidence.
     prior_offset_norm, prior_offset_norm_std, prior_width_per_height
         As in `fit_lateral`.
     """
     known = (prior_offset_norm, prior_offset_norm_std, prior_width_per_height)
-    probability, mean, variance, width, other = _answer(lines.fields(), regions.fields(), *known, WEIGHTS)
+    probability, mean, variance, width, other = _joint_estimate(
+        lines.fields(), regions.fields(), *known, WEIGHTS
+    )
     if not probability >= MIN_JOINT_PROBABILITY:
         return None
-    std = sqrt(variance + MIN_STD**2 + JOINT_DOUBT * (1.0 - min(probability, 1.0)))
+    std = sqrt(variance + MIN_STD**2 + JOINT_REMAINDER_VARIANCE * (1.0 - min(probability, 1.0)))
     if std > MAX_STD_NORM:
         return None
     agree = width > 0.0 and other > 0.0 and abs(log(width / other)) < SAME_WIDTH

@@ -1,26 +1,28 @@
 r"""Lateral offset and lateral displacement from the motion parallax of both walls between two pictures.
 
-A point of a wall at the distance w beside the camera and z ahead lies, seen along the corridor's axis, at the
-cotangent ``u = z / w``. When the camera has moved forward by f and sideways, towards that wall, by d, it lies at
+A wall point at the distance w beside the camera and z ahead is seen at the angle b off the corridor's axis with
+``cot b = u = z / w``. After the camera has moved forward by f, and sideways towards that wall by d, it is seen at
 
     u' = k u - a,    k = w / (w - d),    a = f / (w - d),
 
-whatever its height: it stays on nearly the same ray about the axis. So brightness along rays, sampled uniformly in u,
-is scaled by k and shifted by a. With distances in half widths and the camera at y from the centre line in the
-later picture, the right wall is at ``w - d = 1 - y`` and the left one at ``1 + y``, so
+at any height, on nearly the same ray about the axis. So the brightness along these rays, sampled uniformly in u, is
+scaled by k and shifted by a. With distances in half widths and the camera at y from the centre line in the later
+picture, the right wall is at ``w - d = 1 - y`` and the left wall at ``1 + y``, so
 
     a_right = f / (1 - y),    k_right = 1 + d / (1 - y),
     a_left  = f / (1 + y),    k_left  = 1 - d / (1 + y),
 
-and y follows from the ratio of the shifts, d from the scales; f need not be known. Corners need not be seen: any
-texture tells, and lines along the corridor, which mislead where corners are sought, are the same at every u.
+and y follows from the ratio of the shifts, d from the scales; f need not be known. Corners need not be visible: any
+texture carries information. Lines along the corridor, which may be mistaken for corners, are constant in u and have
+no effect here.
 
-The likelihood of k and a for one wall is that of the differences which they leave, their variance unknown::
+The log-likelihood of k and a for one wall is that of Gaussian residuals of unknown variance, relative to unrelated
+profiles::
 
     L = max(0, -n / 2 log(mean squared difference / variance of the brightness))
 
-with n the number of independent samples, and both with a floor for noise. That of y and d follows by summing over
-f, and for y over d.
+with n the number of independent samples; both variances have a noise floor. The likelihood of y and d is the sum over
+f, and that of y the sum over d as well.
 """
 
 from __future__ import annotations
@@ -47,8 +49,10 @@ MAX_SLOPE = 0.5  # of a ray: height over distance to the wall
 FIRST_COTANGENT, COTANGENT_STEP, N_ALONG = 0.8, 0.05, 65
 PROFILES_SHAPE = (2, N_ALONG, N_BANDS)
 MAX_RELATIVE = 256.0  # of brightness to its mean
-SMOOTH_SAMPLES = 25  # half the window whose mean is subtracted: light changes slowly along a wall
-PIVOT = 2.0  # cotangent at which shifts are counted in the search: there they hardly depend on the scale
+SMOOTH_SAMPLES = 25  # half the window whose mean is subtracted, to remove slow changes of illumination
+PIVOT = (
+    2.0  # cotangent at which shifts are defined in the search: there shift and scale are nearly uncorrelated
+)
 SHIFTS: FloatArray = np.arange(-0.2, 1.425, 0.05)
 SCALES: FloatArray = np.arange(-0.28, 0.3, 0.04)  # k - 1
 FORWARD_NORM: FloatArray = np.arange(-0.1, 1.025, 0.05)
@@ -56,16 +60,16 @@ DISPLACEMENT_NORM: FloatArray = np.arange(-0.21, 0.215, 0.014)
 N_OFFSETS = 24
 OFFSETS: FloatArray = np.linspace(-1.0 + 1.0 / N_OFFSETS, 1.0 - 1.0 / N_OFFSETS, N_OFFSETS)
 INDEPENDENT = 0.05  # share of the samples
-NOISE_FLOOR = 1e-4  # mean square, of a picture of brightness 1
+NOISE_FLOOR = 1e-4  # mean square, relative to a mean brightness of 1
 MIN_OVERLAP = 60  # samples
 MIN_DISPLACEMENT_STD, MAX_DISPLACEMENT_STD = 0.006, 0.05  # half widths; with a larger one it is not measured
-MIN_OFFSET_STD = 0.04  # half widths: the offsets compared lie .083 apart, and the axis errs
+MIN_OFFSET_STD = 0.04  # half widths: the grid's spacing is 0.083, and the axis has errors
 NEGLIGIBLE = 12.0  # log-likelihood below the best
 
 _RIGHT_LEFT = (1.0, -1.0)
 _SLOPES: npt.NDArray[Any] = np.linspace(-MAX_SLOPE, MAX_SLOPE, N_BANDS * RAYS_PER_BAND + 1)
 _COTANGENTS: npt.NDArray[Any] = FIRST_COTANGENT + COTANGENT_STEP * np.arange(N_ALONG)
-# Directions (2 N_ALONG, rays, 3): the right wall and then the left; one ray more than is used, see `sample_points`
+# Directions (2 N_ALONG, rays, 3), right wall first; one extra ray, as `sample_points` looks at the next column
 DIRECTIONS: npt.NDArray[Any] = np.concatenate(
     [
         np.stack(
@@ -78,15 +82,15 @@ DIRECTIONS: npt.NDArray[Any] = np.concatenate(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parallax:
-    """What two pictures say together.
+    """Offset and displacement from two pictures.
 
     Parameters
     ----------
     offset
-        Offset at the later one.
+        Likelihood of the offset at the later picture.
     displacement_norm, displacement_per_offset, displacement_std_norm
-        Lateral displacement between them, half widths, positive right: at the offset y it is
-        ``displacement_norm + displacement_per_offset y`` with that standard deviation; NaN where it was not measured.
+        Lateral displacement between them, half widths, positive right. Given the offset y it is Gaussian with mean
+        ``displacement_norm + displacement_per_offset y`` and this standard deviation; NaN where it was not measured.
     """
 
     offset: OffsetMixture
@@ -97,7 +101,7 @@ class Parallax:
 
 @compiled
 def _banded(samples: Profiles) -> Profiles:
-    """Average rays (2, 2 N_ALONG, rays) into bands (2, N_ALONG, N_BANDS), and subtract the mean nearby."""
+    """Average rays (2, 2 N_ALONG, rays) into bands (2, N_ALONG, N_BANDS), and subtract the moving average."""
     out = np.full((2, N_ALONG, N_BANDS), np.nan, np.float32)
     total, n_total = 0.0, 0
     for side in range(2):
@@ -138,33 +142,33 @@ def wall_profiles(picture: GreyImage | Pyramid, camera: Camera, R_corridor_camer
     Returns
     -------
     Profiles
-        Brightness (2, N_ALONG, N_BANDS) of the right wall and of the left, from rays below the horizontal to such
-        above, at cotangents in steps of `COTANGENT_STEP`, over the picture's mean there, less its mean nearby; NaN
-        outside the picture.
+        Brightness (2, N_ALONG, N_BANDS) of the right and the left wall, less its moving average along the wall, over
+        the mean brightness of all samples. Bands run from rays above the horizontal to rays below it, samples along
+        the wall at cotangents in steps of `COTANGENT_STEP`; NaN outside the picture.
     """
     points = project_directions(DIRECTIONS.reshape(-1, 3), R_corridor_camera, camera)
     return _banded(sample_points(picture, points.reshape(*DIRECTIONS.shape[:2], 2)))
 
 
 def are_profiles(values: object) -> bool:
-    """Whether an array may be compared: shape and type of `wall_profiles`, no number beyond what a picture holds."""
+    """Whether an array has the shape, type and range of `wall_profiles`."""
     if not isinstance(values, np.ndarray) or values.shape != PROFILES_SHAPE or values.dtype != np.float32:
         return False
-    return not bool((np.abs(values) > MAX_RELATIVE).any())  # NaN is not
+    return not bool((np.abs(values) > MAX_RELATIVE).any())  # NaN is allowed
 
 
 @compiled_inner
 def _wall_likelihood(before: Profiles, now: Profiles) -> FloatArray:
-    """Log-likelihood (SCALES, SHIFTS) of how one wall's profiles (N_ALONG, N_BANDS) have moved.
+    """Return the log-likelihood (SCALES, SHIFTS) of scale and shift between one wall's profiles (N_ALONG, N_BANDS).
 
-    It is 0 where they are not alike, as where nothing can be compared.
+    It is 0 where the profiles do not match or do not overlap.
     """
     out, place = np.zeros((len(SCALES), len(SHIFTS))), np.empty(N_ALONG)
     for m in range(len(SCALES)):
         k = 1.0 + SCALES[m]
         for a in range(len(SHIFTS)):
             shift = SHIFTS[a] + SCALES[m] * PIVOT
-            for i in range(N_ALONG):  # apart from the rest: then the divisions vectorise
+            for i in range(N_ALONG):  # a separate loop, so that the divisions vectorise
                 place[i] = ((_COTANGENTS[i] + shift) / k - FIRST_COTANGENT) / COTANGENT_STEP
             squares, power, n = np.float32(0.0), np.float32(0.0), 0
             for i in range(N_ALONG):
@@ -187,7 +191,7 @@ def _wall_likelihood(before: Profiles, now: Profiles) -> FloatArray:
 
 @compiled_inner
 def _add_along(table: FloatArray, scale: float, distance: float, column: FloatArray, out: FloatArray) -> None:
-    """Add one wall's log-likelihood, linear between the table's places, to that (FORWARD_NORM,) of all advances.
+    """Add one wall's log-likelihood, interpolated linearly, to the sum (FORWARD_NORM,) over both walls.
 
     ``column`` (SHIFTS,) is working memory.
     """
@@ -246,7 +250,7 @@ def _summary(likelihood: FloatArray) -> tuple[FloatArray, float, float, float]:
     slope = yd / max(yy, MIN_STD**2)
     level = of_offset.min()
     for b in range(N_OFFSETS):
-        of_offset[b] -= level  # what is the same everywhere tells nothing
+        of_offset[b] -= level  # a constant part carries no information
     rows = np.empty((MAX_PEAKS, 5))
     count = peaks_of_density(of_offset, OFFSETS, rows)
     fields = np.empty((4, count))
@@ -257,12 +261,12 @@ def _summary(likelihood: FloatArray) -> tuple[FloatArray, float, float, float]:
 
 
 def compare(before: Profiles, now: Profiles) -> Parallax:
-    """Compare the walls' profiles of two frames.
+    """Estimate offset and displacement from the wall profiles of two frames.
 
     Parameters
     ----------
     before, now
-        Of `wall_profiles`, some tenths of a second apart.
+        Results of `wall_profiles`, some tenths of a second apart.
     """
     fields, displacement, slope, std = _summary(motion_likelihood(before, now))
     if not std < MAX_DISPLACEMENT_STD:

@@ -1,8 +1,9 @@
-"""A picture in polar form about the corridor's axis: whatever runs along the corridor becomes an upright stripe.
+"""Log-polar picture about the corridor's axis: lines along the corridor become columns.
 
-Columns are angles about the axis, rows logarithms of the tangent of the angle off the axis; a corner where a wall
-meets the floor lies in one column, from the near end of the corridor at the bottom to the far end at the top.
-Angles are counted from the corridor's right, clockwise as seen along it: right 0, down pi/2, left pi, up 3/2 pi.
+A direction at the angle a about the axis and b off the axis is ``(1, tan b cos a, tan b sin a)`` in the corridor's
+axes (along, right, down). Columns sample a, rows sample log tan b. The corner where a wall meets the floor lies in
+one column, from the far end of the corridor in the first row to the near end in the last. Angles are counted from
+the corridor's right, clockwise as seen along it: right 0, down pi/2, left pi, up 3/2 pi.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ Polar = npt.NDArray[np.float32]
 
 N_ANGLES, N_RADII = 192, 20
 NEAREST_TAN, WIDEST_TAN = 0.14, 2.0  # of the angle off the axis, first row and last
-NARROWEST_TAN = 0.65  # from the middle to a corner of the picture, of the narrowest lens trained on
-N_LEVELS = 6  # of the picture at halved sizes
+NARROWEST_TAN = 0.65  # from the centre to a corner of the picture, for the narrowest lens in training
+N_LEVELS = 6  # of the pyramid
 MIN_SIDE_PX = 8
-MAX_SIGMA = 3.0  # brighter and darker is cut off
+MAX_SIGMA = 3.0  # standardised brightness is clipped here
 
 _PER_THREAD = local()
 
@@ -49,7 +50,7 @@ DIRECTIONS: FloatArray = np.stack(
 def _sample(
     points: FloatArray, pixels: npt.NDArray[np.float32], sizes: npt.NDArray[np.int64], out: Polar
 ) -> None:
-    """Read the pyramid at points (rows, columns, 2), each at the level whose pixels are as wide as the columns."""
+    """Sample the pyramid at points (rows, columns, 2), each at the level whose pixels match the column spacing."""
     height, width = sizes[0, 0], sizes[0, 1]
     n_columns = points.shape[1]
     for r in range(points.shape[0]):
@@ -83,7 +84,7 @@ def _sample(
 
 @compiled
 def standardise(polar: Polar) -> None:
-    """Bring the samples (2, rows, columns) that the picture holds to mean 0 and standard deviation 1, in place."""
+    """Standardise the valid samples (2, rows, columns) to mean 0 and standard deviation 1, in place."""
     count = total = squares = 0.0
     for r in range(polar.shape[1]):
         for a in range(polar.shape[2]):
@@ -99,10 +100,9 @@ def standardise(polar: Polar) -> None:
 
 
 class Pyramid:
-    """A picture at halved sizes, in one piece of memory that serves picture after picture.
+    """Image pyramid by halving, in one buffer that is reused for every picture, see `pyramid_of`.
 
-    Fresh memory of this size would be mapped and cleared for every frame, which takes longer than all the rest.
-    See `pyramid_of`.
+    Allocating it anew would map and clear the memory for every frame, which takes longer than filling it.
     """
 
     def __init__(self, height: int, width: int) -> None:
@@ -123,7 +123,7 @@ class Pyramid:
 
 
 def pyramid_of(picture: GreyImage | Pyramid) -> Pyramid:
-    """Return a picture (h, w) at halved sizes; it holds until this thread asks for that of another picture."""
+    """Return the pyramid of a picture (h, w); valid until this thread requests another picture's."""
     if isinstance(picture, Pyramid):
         return picture
     pyramid: Pyramid | None = getattr(_PER_THREAD, "pyramid", None)
@@ -134,10 +134,10 @@ def pyramid_of(picture: GreyImage | Pyramid) -> Pyramid:
 
 
 def sample_points(picture: GreyImage | Pyramid, points_px: FloatArray) -> Polar:
-    """Brightness and validity (2, rows, columns) of a picture at points (rows, columns, 2), in grey levels.
+    """Sample brightness (grey levels) and validity (2, rows, columns) of a picture at points (rows, columns, 2).
 
-    Each sample is an average over about the distance to the next column, so that noise and fine grain even out;
-    points outside the picture, or NaN, are 0 and not valid.
+    Each sample averages over about the distance to the next column, which suppresses noise and fine texture. Points
+    outside the picture, or NaN, are 0 and invalid.
     """
     pyramid = pyramid_of(picture)
     out: Polar = np.empty((2, *points_px.shape[:2]), np.float32)
@@ -146,9 +146,9 @@ def sample_points(picture: GreyImage | Pyramid, points_px: FloatArray) -> Polar:
 
 
 def _directions_for(camera: Camera) -> FloatArray:
-    """Return `DIRECTIONS` for a camera: nearer to the axis where its lens is narrower than any trained on.
+    """Return `DIRECTIONS` for a camera, scaled towards the axis where its lens is narrower than any in training.
 
-    A corridor looks the same from farther back, but smaller: so to a narrow lens as to a wide one nearer by.
+    A corridor has one cross-section at all depths, so scaling the tangents only scales the depths.
     """
     corner_tan = 0.5 * hypot(camera.width_px / camera.fx_px, camera.height_px / camera.fy_px)
     if corner_tan >= NARROWEST_TAN:
@@ -163,7 +163,7 @@ def polar_picture(picture: GreyImage | Pyramid, camera: Camera, R_corridor_camer
     Parameters
     ----------
     picture
-        Of the camera (h, w), as it was taken; the lens model takes the directions into it.
+        Original picture (h, w), not undistorted: the lens model is applied to the directions.
     R_corridor_camera
         Rotation (3, 3) by `vision.axis.vanishing_point.corridor_frame`.
 

@@ -1,9 +1,10 @@
-"""Checks that a picture shows a wall on either side: without a wall there is no corner, whatever the network reports.
+"""Detection of a missing side wall: without a wall there is no corner, and the network's offset is wrong.
 
-Between its two corners a wall has door posts, which are vertical. Where it is missing, as towards an open hall, one
-sees edges square to the corridor, which no side wall has. Besides, the network spreads a corner that it only guesses
-over many angles, guesses another offset by the ceiling than by the floor, or takes a far wall for the near one, and
-lines seldom confirm it.
+Between its two corners a side wall shows vertical edges, such as door posts. Where it is missing, as towards an open
+hall, edges at right angles to the corridor are visible, which no side wall has. There the network is also less
+certain of the corner's angle, its offsets by floor and by ceiling differ, it takes a farther wall for the near one,
+or the offset is not confirmed by lines. These quantities (`MissingWallEvidence`) are weighted by logistic regression;
+a wall counts as missing where the log-odds, the weighted sum, are positive.
 """
 
 from __future__ import annotations
@@ -20,52 +21,52 @@ from vision.lines.line_set import LineGeometry
 from vision.measurement import LineClass
 from vision.types import FloatArray
 
-OFF_CORNER_RAD = radians(3.0)  # about the axis
-ASIDE_COSINE = cos(radians(8.0))  # nearer to the axis is the end of the corridor
-FEW_RAD = 0.1  # a line shorter than this tells little
-LEAST_DISAGREEMENT, LEAST_VERTICAL_RAD, LEAST_RATIO = 0.05, 0.05, 0.1
-USUAL_WIDTH_PER_HEIGHT = 2.718  # up to here it shows nothing
+CORNER_MARGIN_RAD = radians(3.0)  # about the axis: lines nearer to a corner are left out
+ASIDE_COSINE = cos(radians(8.0))  # lines nearer to the axis are on the end wall
+ARC_FLOOR_RAD = 0.1  # added to both lengths in the ratio of transverse to vertical lines
+DISAGREEMENT_FLOOR, VERTICAL_FLOOR_RAD, MIN_LIKELIHOOD_RATIO = 0.05, 0.05, 0.1
+USUAL_WIDTH_PER_HEIGHT = 2.718  # smaller widths are no evidence
 
 TRANSVERSE, VERTICAL = int(LineClass.TRANSVERSE), int(LineClass.VERTICAL)
 
 
 class MissingWallEvidence(NamedTuple):
-    """What tells that a side wall is missing; or the weight of each, in a sum that is the log-odds.
+    """Evidence that a side wall is missing, or the weights of the evidence in the log-odds.
 
     Parameters
     ----------
     bias
         One.
-    sureness
-        Probability of the corners of floor and ceiling, on the side where they are less sure.
+    certainty
+        Sum of the network's certainty of the floor's and the ceiling's corner, on the less certain side.
     by_lines
-        Logarithm of the answer's likelihood by lines alone, over that of any other offset.
-    across
-        Logarithm of the length of lines square to the corridor over that of vertical ones.
+        Logarithm of the likelihood of the estimated offset by lines alone, over the uniform density.
+    transverse
+        Logarithm of the length of transverse lines over the length of vertical lines, on the side where it is larger.
     vertical
-        Logarithm of the length of vertical lines, on the side where there are fewer.
+        Logarithm of the length of vertical lines, on the side with fewer.
     disagreement
-        Logarithm of the distance between the offsets by floor and by ceiling.
+        Logarithm of the difference between the offsets by floor and by ceiling.
     width
-        Logarithm of the width over the camera's height.
+        Logarithm of the corridor's width over the camera's height.
     """
 
     bias: float
-    sureness: float
+    certainty: float
     by_lines: float
-    across: float
+    transverse: float
     vertical: float
     disagreement: float
     width: float
 
 
-# By ``python -m training.missing_wall``, which is to be run again with every network: of the answers in simulated
-# corridors with two walls, 5 % have positive log-odds.
+# Fitted by ``python -m training.missing_wall``; fit again with every new network. In simulated corridors with two
+# walls, 5 % of the estimates have positive log-odds and are lost.
 WEIGHTS = MissingWallEvidence(
     bias=2.38,
-    sureness=-1.94,
+    certainty=-1.94,
     by_lines=-0.8,
-    across=2.01,
+    transverse=2.01,
     vertical=0.81,
     disagreement=0.35,
     width=2.52,
@@ -79,7 +80,7 @@ def missing_wall_evidence(
     scores: CornerScores,
     likelihood_ratio: float,
 ) -> MissingWallEvidence:
-    """Collect what tells whether one of the side walls is missing.
+    """Compute the evidence that one of the side walls is missing.
 
     Parameters
     ----------
@@ -88,45 +89,45 @@ def missing_wall_evidence(
     R_corridor_camera
         Rotation (3, 3) from the optical frame to axes along the corridor, to its right, and down.
     scores
-        What the network says about the corners.
+        The network's output for this picture.
     likelihood_ratio
-        Likelihood of the offset to answer, by lines alone, over that of any other.
+        Likelihood of the estimated offset by lines alone, over the uniform density.
     """
-    corners_rad, sure = corners_from_level(scores.corner)
-    across, vertical_rad = _across_and_vertical(lines, line_class, R_corridor_camera, corners_rad)
+    corners_rad, certainty = corners_from_level(scores.corner)
+    transverse, vertical_rad = _transverse_and_vertical(lines, line_class, R_corridor_camera, corners_rad)
     # Distances of the walls over the camera's height above the floor, and below the ceiling.
     left, right, left_by_ceiling, right_by_ceiling = (1.0 / tan(angle) for angle in corners_rad.tolist())
     by_floor = (left - right) / (left + right)
     by_ceiling = (left_by_ceiling - right_by_ceiling) / (left_by_ceiling + right_by_ceiling)
     return MissingWallEvidence(
         bias=1.0,
-        sureness=min(sure[0] + sure[2], sure[1] + sure[3]),
-        by_lines=log(max(likelihood_ratio, LEAST_RATIO)),
-        across=log(across),
-        vertical=log(vertical_rad + LEAST_VERTICAL_RAD),
-        disagreement=log(abs(by_floor - by_ceiling) + LEAST_DISAGREEMENT),
+        certainty=min(certainty[0] + certainty[2], certainty[1] + certainty[3]),
+        by_lines=log(max(likelihood_ratio, MIN_LIKELIHOOD_RATIO)),
+        transverse=log(transverse),
+        vertical=log(vertical_rad + VERTICAL_FLOOR_RAD),
+        disagreement=log(abs(by_floor - by_ceiling) + DISAGREEMENT_FLOOR),
         width=log(max(left + right, USUAL_WIDTH_PER_HEIGHT)),
     )
 
 
 def wall_is_missing(evidence: MissingWallEvidence) -> bool:
-    """Tell whether one of the side walls is likelier to be missing than an answer can bear."""
-    return sum(weight * found for weight, found in zip(WEIGHTS, evidence, strict=True)) > 0.0
+    """Decide whether a side wall is missing: whether the log-odds are positive."""
+    return sum(weight * value for weight, value in zip(WEIGHTS, evidence, strict=True)) > 0.0
 
 
 @compiled
-def _across_and_vertical(
+def _transverse_and_vertical(
     lines: LineGeometry, line_class: npt.NDArray[np.int8], R: FloatArray, corners_rad: FloatArray
 ) -> tuple[float, float]:
-    """Compare lines between a wall's corners; ``corners_rad`` (4,) as by `corners_from_level`.
+    """Compare transverse and vertical lines between each wall's corners; ``corners_rad`` (4,), `corners_from_level`.
 
     Returns
     -------
     tuple
-        The length of lines square to the corridor over that of vertical ones, where it is larger, and the length of
-        vertical lines where it is less, as angles that they subtend.
+        Larger of the two walls' ratios of transverse to vertical length, and smaller of their vertical lengths;
+        lengths are subtended angles.
     """
-    across, vertical = np.zeros(2), np.zeros(2)
+    transverse, vertical = np.zeros(2), np.zeros(2)
     for i in range(len(line_class)):
         if line_class[i] != TRANSVERSE and line_class[i] != VERTICAL:
             continue
@@ -136,12 +137,12 @@ def _across_and_vertical(
         down = R[2, 0] * a + R[2, 1] * b + R[2, 2] * c
         side = 1 if right > 0.0 else 0
         angle = atan2(down, abs(right))
-        lowest, highest = corners_rad[side] - OFF_CORNER_RAD, OFF_CORNER_RAD - corners_rad[2 + side]
+        lowest, highest = corners_rad[side] - CORNER_MARGIN_RAD, CORNER_MARGIN_RAD - corners_rad[2 + side]
         if ahead > ASIDE_COSINE * hypot(hypot(ahead, right), down) or not highest < angle < lowest:
             continue
         if line_class[i] == TRANSVERSE:
-            across[side] += lines.arc_rad[i]
+            transverse[side] += lines.arc_rad[i]
         else:
             vertical[side] += lines.arc_rad[i]
-    ratio = (across + FEW_RAD) / (vertical + FEW_RAD)
+    ratio = (transverse + ARC_FLOOR_RAD) / (vertical + ARC_FLOOR_RAD)
     return ratio.max(), vertical.min()
