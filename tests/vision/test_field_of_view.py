@@ -248,11 +248,11 @@ class TestRightAngles:
         lines = lines_of(seen(look, true), true, nominal)
         exact = (look.rotation() @ true.R_body_camera).T  # columns: the corridor's axes in the optical frame
         near = Rotation.from_rotvec([0.01, -0.012, 0.008]).as_matrix() @ exact
-        geometry, swing = lines.geometry(), np.sqrt(12.0) * lines.sigma_rad / lines.arc_rad
+        geometry, direction_std = lines.geometry(), np.sqrt(12.0) * lines.sigma_rad / lines.arc_rad
         start, loose = RightAngles(0.0, near, np.zeros(5)), slack_std(0.01)
-        found = fit_right_angles(geometry, swing, stretch, loose, start, radians(2))
+        found = fit_right_angles(geometry, direction_std, stretch, loose, start, radians(2))
         assert found.score > 10.0
         np.testing.assert_allclose(found.rotation, exact, atol=2e-3)
         np.testing.assert_array_equal(start.rotation, near)  # the start is left as it was
-        wrong = fit_right_angles(geometry, swing, 1.4 * stretch, loose, found, radians(2))
+        wrong = fit_right_angles(geometry, direction_std, 1.4 * stretch, loose, found, radians(2))
         assert wrong.score < found.score - 5.0

@@ -1,4 +1,10 @@
-"""Decides whether a frame's heading may be used, with its sigma and the class of each line."""
+"""Acceptance of a frame's heading, its standard deviation, and the class of each line.
+
+The heading is accepted (`Reason.OK`) where all of these hold: enough inliers and a high enough score; not too much
+motion blur; the score exceeds the rival's, in difference and in ratio, or a prediction decides between the two; the
+inliers have a minimum share of the lines' length; heading sigma and elevation are small enough. Without a prediction
+the view must not be across the corridor, see `assess_heading`.
+"""
 
 from __future__ import annotations
 
@@ -20,26 +26,27 @@ from vision.rotations import wrap_axis
 from vision.types import BoolArray, FloatArray
 
 MIN_LINES = 4
-MIN_SCORE = 8.0  # log-likelihood over chance
-MIN_MARGIN = 6.5  # log-likelihood over the second-best heading, by lines that are not pieces of one edge
+MIN_SCORE = 8.0  # log-likelihood ratio against random lines
+MIN_MARGIN = 6.5  # log-likelihood ratio against the second-best heading, by distinct edges
 MAX_RIVAL = 0.80  # score of the second-best heading over the best
-CHOOSING_SIGMA = 3.0  # of a prediction: it is near one direction and not near the other
-MIN_CHOSEN = 0.9  # score of the direction that a prediction chooses over the other's
+DECISION_SIGMA = 3.0  # a prediction decides where it is this near to one direction and not to the other
+MIN_DECIDED = 0.9  # score of the predicted direction over the other's
 MIN_SHARE = 0.07  # of the length of all lines that are not vertical
 ASIDE_RAD = radians(16.0)
-# Of the corridor lines' length: views along corridors: 1 % have more than 1.1; walls before the camera: 1.9.
+# Length of transverse lines aside of the axis over that of corridor lines. Along corridors 1 % of the views have more
+# than 1.1; in front of side walls: 1.9.
 MAX_ACROSS = 1.5
 MAX_STD_RAD = radians(1.5)
-MAX_ELEVATION_RAD = radians(5.5)  # ramps are at most 1:12 steep: an axis that rises more was none
+MAX_ELEVATION_RAD = radians(5.5)  # ramps are at most 1:12 steep
 MAX_ELEVATION_SIGMA = 2.5
 MAX_BLUR_PX = 20.0
-CALIBRATION_STD_RAD = radians(0.03)  # what focal length and principal point leave, the same in every frame
+CALIBRATION_STD_RAD = radians(0.03)  # error by focal length and principal point, constant over frames
 TRANSVERSE_SINE = sin(radians(1.5))
 REJECTED, CORRIDOR, TRANSVERSE, VERTICAL = (int(kind) for kind in LineClass)
 
 
 class HeadingAssessment(NamedTuple):
-    """What is said of the heading; fields as in `FrameMeasurement`."""
+    """Decision on the heading, and its uncertainty; fields as in `FrameMeasurement`."""
 
     reason: Reason
     n_inliers: int
@@ -52,20 +59,20 @@ class HeadingAssessment(NamedTuple):
 def assess_heading(
     fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior, elevation_std_rad: float
 ) -> HeadingAssessment:
-    """Say which lines are which, and whether the heading may be used.
+    """Classify the lines, and decide whether the heading may be used.
 
     Parameters
     ----------
     fit, lines
-        The axis and the lines, as many, that it was fitted to.
+        The axis and the lines that it was fitted to.
     camera
-        What took the picture.
+        The camera.
     level
-        The level frame that the axis is given in.
+        Level frame of the axis.
     prior
-        What a filter predicts; decides between directions that explain the lines about as well.
+        A filter's prediction; it decides between directions that explain the lines about equally well.
     elevation_std_rad
-        What was known of the axis's elevation.
+        Prior standard deviation of the axis's elevation.
     """
     line_class, across_px, along_px = _classify(
         lines.normal, lines.centre, lines.length_px, level.R_level_camera, fit.heading_rad, fit.inlier
@@ -79,8 +86,9 @@ def assess_heading(
         line_class=line_class,
     )
     reason = _reason(found, fit, camera, prior, elevation_std_rad)
-    # Along a corridor what runs across lies ahead, between the walls. Before a side wall it spans the view: it is
-    # what runs along the corridor, and what sticks out of the wall is taken for the corridor. A prediction tells.
+    # In a view along a corridor, transverse lines are ahead, between the walls. In front of a side wall, the wall's
+    # lines span the view and look transverse, and objects sticking out of it are taken for the corridor. Only a
+    # prediction can distinguish the two.
     if reason is Reason.OK and not isfinite(prior.heading_rad) and across_px > MAX_ACROSS * along_px:
         square_rad = fit.heading_rad - copysign(0.5 * pi, fit.heading_rad)
         return found._replace(reason=Reason.AMBIGUOUS, second_heading_rad=square_rad, second_score=1.0)
@@ -90,15 +98,15 @@ def assess_heading(
 def _reason(
     found: HeadingAssessment, fit: AxisFit, camera: Camera, prior: Prior, elevation_std_rad: float
 ) -> Reason:
-    """Decide whether the heading may be used; the limits were set where gross errors in degraded pictures end."""
+    """Return why the heading is rejected, or `Reason.OK`; the limits exclude gross errors in degraded pictures."""
     if found.n_inliers < MIN_LINES or fit.score < MIN_SCORE:
         return Reason.TOO_FEW_LINES
     blur_px = prior.body_rate_rad_s * camera.exposure_s * camera.fx_px
     if isfinite(blur_px) and blur_px > MAX_BLUR_PX:
         return Reason.BLUR
     distinct = min(fit.n_distinct / found.n_inliers * fit.score_of_all / fit.score, 1.0)
-    tied = distinct * (fit.score - fit.second_score) < MIN_MARGIN or found.second_score > MAX_RIVAL
-    if tied and not _is_chosen(fit, prior):
+    is_tie = distinct * (fit.score - fit.second_score) < MIN_MARGIN or found.second_score > MAX_RIVAL
+    if is_tie and not _prediction_decides(fit, prior):
         return Reason.AMBIGUOUS
     if fit.inlier_share < MIN_SHARE:
         return Reason.AMBIGUOUS
@@ -109,18 +117,18 @@ def _reason(
     return Reason.OK
 
 
-def _is_chosen(fit: AxisFit, prior: Prior) -> bool:
-    """Tell whether a prediction decides for this direction, where another explains the lines about as well.
+def _prediction_decides(fit: AxisFit, prior: Prior) -> bool:
+    """Whether a prediction selects this direction, where the second one explains the lines about equally well.
 
-    A prediction can be wrong by the angle between the two, where a filter follows the axis across: a picture that is
-    for the other direction by more than a tenth is not overruled.
+    A filter may track the transverse direction by mistake. So a picture that favours the other direction by more than
+    a tenth of the score is not overruled.
     """
     if not isfinite(prior.heading_rad):
         return False
-    reach_rad = CHOOSING_SIGMA * hypot(prior.heading_std_rad, PRIOR_FLOOR_STD_RAD)
+    reach_rad = DECISION_SIGMA * hypot(prior.heading_std_rad, PRIOR_FLOOR_STD_RAD)
     own, other = (abs(wrap_axis(h - prior.heading_rad)) for h in (fit.heading_rad, fit.second_heading_rad))
     without_prior = fit.second_score - log(PRIOR_OUTLIER_SHARE)
-    return own < reach_rad < other and fit.score > MIN_CHOSEN * without_prior
+    return own < reach_rad < other and fit.score > MIN_DECIDED * without_prior
 
 
 @compiled
@@ -132,7 +140,7 @@ def _classify(
     heading: float,
     inlier: BoolArray,
 ) -> tuple[npt.NDArray[np.int8], float, float]:
-    """Return each line's `LineClass` (n,), and two lengths: of those across well aside of the axis, and along it.
+    """Return each line's `LineClass` (n,), the length of transverse lines aside of the axis, and of corridor lines.
 
     ``R`` is the rotation (3, 3) from the lines' frame to the level frame.
     """

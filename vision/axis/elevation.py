@@ -1,4 +1,10 @@
-"""Prior knowledge of the elevation of the corridor's axis, and the elevations to try in the vote."""
+"""Prior of the corridor axis's elevation e in the level frame, and the grid of elevations in the vote.
+
+Most corridors are level, so e is the level frame's error with standard deviation s. A share q of them slopes, with
+the standard deviation t of the slope. The prior is the mixture
+
+    p(e) = (1 - q) N(e; 0, s^2) + q N(e; 0, s^2 + t^2).
+"""
 
 from __future__ import annotations
 
@@ -9,27 +15,27 @@ import numpy as np
 from vision.compiled import compiled
 from vision.types import FloatArray
 
-SLOPE_STD_RAD = radians(2.5)  # of the elevation of ramps and of floors that are not level
-SLOPE_SHARE = 0.02  # of corridors
-FINE_STEP_RAD, COARSE_STEP_RAD = radians(0.5), radians(1.0)  # between elevations to try
-STD_OF_SPACING = 0.4
+SLOPE_STD_RAD = radians(2.5)  # t: of ramps and floors that are not level
+SLOPE_SHARE = 0.02  # q
+FINE_STEP_RAD, COARSE_STEP_RAD = radians(0.5), radians(1.0)  # of the grid
+STD_OF_SPACING = 0.4  # standard deviation that a grid value represents, over the grid's spacing
 FINEST_STD_RAD = STD_OF_SPACING * FINE_STEP_RAD
 FINE_REACH_RAD, MAX_REACH_RAD = radians(1.0), radians(10.0)
 
 
 @compiled
 def elevations_to_try(std: float) -> tuple[FloatArray, FloatArray]:
-    """Return elevations (m,) about the expected one, closer together where corridors are level, and their stds.
+    """Return a grid of elevations (m,) about the predicted one, finer in its middle, and their standard deviations.
 
     Parameters
     ----------
     std
-        Standard deviation of the elevation.
+        Standard deviation of the level frame's elevation error, radians.
 
     Returns
     -------
     elevation, elevation_std
-        Relative to the expected one, and the standard deviation of those that each stands for.
+        Elevation relative to the predicted one, and standard deviation of the elevations each value represents.
     """
     reach = min(2.0 * hypot(std, SLOPE_STD_RAD), MAX_REACH_RAD)
     n_fine = int(np.ceil(FINE_REACH_RAD / FINE_STEP_RAD))
@@ -40,7 +46,7 @@ def elevations_to_try(std: float) -> tuple[FloatArray, FloatArray]:
         elevation[n - 1 + k], elevation[n - 1 - k] = up, -up
     last = 2 * n - 2
     for k in range(2 * n - 1):
-        # half the distance between its neighbours, or to its only one
+        # half the distance between its neighbours, or the distance to the only one
         low, high = max(k - 1, 0), min(k + 1, last)
         spacing = (elevation[high] - elevation[low]) / max(high - low, 1)
         elevation_std[k] = min(std, STD_OF_SPACING * spacing) if last > 0 else std
@@ -49,11 +55,7 @@ def elevations_to_try(std: float) -> tuple[FloatArray, FloatArray]:
 
 @compiled
 def elevation_log_prior(elevation: float, std: float) -> float:
-    """Return the log of the elevation's prior density over that of a Gaussian's peak.
-
-    Most corridors are level: then the axis's elevation is the error of the level frame, Gaussian with ``std``. A few
-    slope: that adds their own elevation, and the sum is Gaussian, too. The prior is the mixture of both.
-    """
+    """Return the logarithm of the elevation's prior density over the peak density of a Gaussian with ``std``."""
     z = elevation / std
     wide = hypot(std, SLOPE_STD_RAD)
     y = elevation / wide
@@ -62,10 +64,10 @@ def elevation_log_prior(elevation: float, std: float) -> float:
 
 @compiled
 def elevation_information(elevation: float, std: float) -> float:
-    """Return the information (rad^-2) of the Gaussian whose gradient there is that of `elevation_log_prior`.
+    """Return the information (rad^-2) of the zero-mean Gaussian with the gradient of `elevation_log_prior`.
 
-    It is the mean of both Gaussians' information by their share of the density: iterated, it finds the maximum of
-    the posterior (expectation-maximisation).
+    It is the mean of both Gaussians' information, weighted by their responsibilities; iterating with it is
+    expectation-maximisation and converges to the maximum of the posterior.
     """
     z = elevation / std
     wide = hypot(std, SLOPE_STD_RAD)

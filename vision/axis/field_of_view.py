@@ -1,12 +1,13 @@
-"""The field of view of an uncalibrated camera, from pictures of corridors.
+"""Field of view of an uncalibrated camera, from pictures of corridors.
 
-Door posts meet in the vanishing point of the vertical, corridor lines and transverse lines in theirs. The directions
-to the three are at right angles only with the right focal length (`vision.axis.right_angles`). Each picture gives a
-log-likelihood for every field of view; those of one camera's pictures are added up, on top of a prior: what ordinary
-cameras have.
+The directions to the vanishing points of corridor lines, transverse lines and door posts are orthogonal only at the
+right focal length (`vision.axis.right_angles`), so each picture i gives a log-likelihood L_i of the focal length. With
+the prior p of ordinary cameras and the share o of pictures with false right angles, the posterior of the field of
+view is ``p prod_i ((1 - o) exp(L_i / T) / norm_i + o)``; the temperature T >= 1 grows if the pictures disagree. There
+is no estimate where it is too wide or reaches the ends of the range.
 
-Assumed throughout: square pixels, no distortion, the optical axis at the picture's centre to about one percent of its
-width.
+Assumed throughout: square pixels, no distortion beyond the bend of `vision.lines.straightness`, and the optical axis
+at the picture's centre to about one percent of its width.
 """
 
 from __future__ import annotations
@@ -36,22 +37,19 @@ from vision.lines.straightness import NO_BEND, Bend, camera_of_bend, estimate_be
 from vision.measurement import Attitude
 from vision.types import FloatArray
 
-PRIOR_RAD, PRIOR_STD_RAD = radians(65.0), radians(20.0)  # what ordinary cameras have along the longer side
+PRIOR_RAD, PRIOR_STD_RAD = radians(65.0), radians(20.0)  # of ordinary cameras, along the longer side
 RANGE_RAD = (radians(30.0), radians(120.0))
 MAX_PICTURES = 30
 MAX_TRIED = 60
 MIN_LINES = 6
-MIN_SCORE = 15.0  # log-likelihood of right angles over stray lines; up to 300 stray ones reach 6
-MIN_EVIDENCE = 2.0  # log-likelihood of a picture's best field of view over its median one, to be of use
+MIN_SCORE = 15.0  # log-likelihood ratio against stray lines; up to 300 stray lines reach 6
+MIN_EVIDENCE = 2.0  # log-likelihood of a picture's best field of view over its median one
 MAX_STD_RAD = radians(10.0)
-EDGE_RAD, EDGE_SHARE = (
-    radians(3.0),
-    0.1,
-)  # a larger share of the probability so near to the range's ends is refused
-OUTLIER_SHARE = 0.1  # of pictures whose lines form right angles that are none
+EDGE_RAD, EDGE_SHARE = radians(3.0), 0.1  # largest share of the probability so near to the range's ends
+OUTLIER_SHARE = 0.1  # of pictures whose lines form false right angles
 MEDIAN_CHI2 = 0.455  # of one degree of freedom
-MIN_TELLING_BEND_RAD = 0.8  # from here on the bend alone tells the focal length,
-FOCAL_STD_OF_BEND = 0.15  # to this share: F of stereographic lenses is 1.15 of it, of equisolid ones 0.94
+MIN_INFORMATIVE_BEND_RAD = 0.8  # with a larger bend, F alone gives the focal length f,
+FOCAL_STD_OF_BEND = 0.15  # to this relative error: F / f is 1.15 for stereographic, 0.94 for equisolid lenses
 
 NOMINAL_RAD = radians(65.0)
 SEED_FIELDS_RAD = tuple(radians(fov) for fov in (38.0, 50.0, 65.0, 85.0))
@@ -68,20 +66,20 @@ _COARSE_U = tuple(float(u) for u in np.linspace(_LOW_U, _HIGH_U, 1 + round((_HIG
 
 @dataclass(frozen=True, slots=True)
 class FieldOfView:
-    """What pictures say about the field of view of the camera that took them.
+    """Estimated field of view of a camera.
 
     Parameters
     ----------
     horizontal_rad, std_rad
         Field of view across the picture, and its standard deviation.
     measured
-        Whether the pictures show it; otherwise it is what ordinary cameras have.
+        Whether it was measured; otherwise it is the prior of ordinary cameras.
     n_used
-        Pictures that it was measured from.
+        Number of pictures it was measured from.
     n_tried
-        Pictures that were examined.
+        Number of pictures examined.
     bend
-        How much the lens bends straight lines.
+        The lens's bending of straight lines.
     """
 
     horizontal_rad: float
@@ -97,7 +95,7 @@ class FieldOfView:
         return self.std_rad / sin(self.horizontal_rad)
 
     def camera(self, width_px: int, height_px: int) -> Camera:
-        """Return a camera with this field of view and lens that looks straight ahead."""
+        """Return a camera with this field of view and lens, mounted straight ahead."""
         if self.bend.rad == 0.0:
             return Camera.from_fov(width_px, height_px, self.horizontal_rad)
         radius_px = self.bend.radius_px(width_px, height_px)
@@ -106,30 +104,30 @@ class FieldOfView:
 
 
 def ordinary_field_of_view(width_px: int, height_px: int) -> FieldOfView:
-    """Return what to assume of a picture's camera where nothing is known: 65 +- 20 degrees along the longer side."""
+    """Return the prior of an unknown camera's field of view: 65 +- 20 degrees along the longer side."""
     return _across(FieldOfView(PRIOR_RAD, PRIOR_STD_RAD, measured=False), width_px, height_px)
 
 
 def estimate_field_of_view(images: Iterable[npt.NDArray[Any]]) -> FieldOfView:
-    """Find the horizontal field of view of the camera that took pictures of corridors.
+    """Estimate the horizontal field of view of a camera from its pictures of corridors.
 
     Parameters
     ----------
     images
-        Pictures of one size, grey (h, w), BGR or BGRA, uint8 or uint16, at least one. They are taken one by one
-        until `MAX_PICTURES` were of use or `MAX_TRIED` were examined: let the first few be unlike each other. How
-        much the lens bends straight lines is found from these, the focal length from all.
+        Pictures of one size, grey (h, w), BGR or BGRA, uint8 or uint16, at least one. They are read one by one until
+        `MAX_PICTURES` were informative or `MAX_TRIED` were examined. The first few should be of different views: they
+        alone determine the bend of the lens.
 
     Returns
     -------
     FieldOfView
-        `ordinary_field_of_view`, with ``measured`` False, where the pictures do not show it: level
-        cameras that look straight along the corridor, blank walls, pictures cropped off their centre.
+        `ordinary_field_of_view`, with ``measured`` False, where the pictures carry no information: level cameras that
+        look straight along the corridor, blank walls, pictures cropped off their centre.
 
     Raises
     ------
     InputError
-        Where there is no picture, an array is not one, or their sizes differ.
+        Where there is no picture, an array is not a picture, or their sizes differ.
     """
     rest = iter(images)
     first = [to_grey(image) for image in islice(rest, MAX_BEND_PICTURES)]
@@ -147,16 +145,16 @@ def estimate_field_of_view(images: Iterable[npt.NDArray[Any]]) -> FieldOfView:
 
 
 def _of_bent_picture(straight: FieldOfView, bend: Bend, camera: Camera) -> FieldOfView:
-    """Turn the field of view that straightened pictures have as if they were of a lens that bends no lines.
+    """Convert the field of view of the straightened pictures, as of a lens without distortion, to the original ones.
 
-    Where they do not tell it, the bend does: lenses that bend lines much are near to equidistant ones.
+    Where it was not measured, a large bend gives it: strongly bending lenses are nearly equidistant.
     """
     width_px = camera.width_px
     focal_px, share = bend.radius_px(width_px, camera.height_px), FOCAL_STD_OF_BEND
     if straight.measured:
         share = hypot(straight.focal_std_share, bend.std_rad / bend.rad)
         focal_px = 0.5 * width_px / tan(0.5 * straight.horizontal_rad)
-    elif bend.rad < MIN_TELLING_BEND_RAD:
+    elif bend.rad < MIN_INFORMATIVE_BEND_RAD:
         return replace(straight, bend=bend)
     radius_px = bend.radius_px(width_px, camera.height_px)
     horizontal_rad = 2.0 * atan(radius_px * tan(0.5 * width_px / radius_px) / focal_px)
@@ -171,15 +169,15 @@ def _of_bent_picture(straight: FieldOfView, bend: Bend, camera: Camera) -> Field
 
 
 def field_of_view_of_lines(line_sets: Iterable[LineSet], camera: Camera) -> FieldOfView:
-    """Find the horizontal field of view from lines; as `estimate_field_of_view`.
+    """Estimate the horizontal field of view from lines, as `estimate_field_of_view`.
 
     Parameters
     ----------
     line_sets
         Lines of each picture.
     camera
-        What they were found with: optical axis at the centre, any focal length. Lines are straight as it has them,
-        and the field of view is that of a lens without distortion.
+        Camera that they were extracted with: optical axis at the centre, any focal length. The field of view is that
+        of its rectified picture, without distortion.
     """
     nominal = _nominal_camera(camera.width_px, camera.height_px)
     pictures: list[_PictureLikelihood] = []
@@ -196,7 +194,7 @@ def field_of_view_of_lines(line_sets: Iterable[LineSet], camera: Camera) -> Fiel
 
 
 def _across(along_longer_side: FieldOfView, width_px: int, height_px: int) -> FieldOfView:
-    """Turn a field of view along the picture's longer side into that across it."""
+    """Convert a field of view along the picture's longer side to the horizontal one."""
     rad = along_longer_side.horizontal_rad
     horizontal_rad = 2.0 * atan(width_px / max(width_px, height_px) * tan(0.5 * rad))
     std_rad = along_longer_side.std_rad * sin(horizontal_rad) / sin(rad)
@@ -215,15 +213,17 @@ def _nominal_camera(width_px: int, height_px: int) -> Camera:
 
 
 class _PictureLikelihood:
-    """How well right-angled axes explain a picture's lines, at the focal lengths tried so far.
+    """Log-likelihood of a picture's lines at the focal lengths tried so far.
 
-    A focal length is given by u, the logarithm of half the picture's longer side over the focal length.
+    A focal length f is given by u, the logarithm of half the picture's longer side over f.
     """
 
     def __init__(self, lines: LineSet, camera: Camera) -> None:
         self._lines = lines.geometry()
-        self._swing = sqrt(12.0) * lines.sigma_rad / lines.arc_rad
-        self._spread = slack_std(CENTRE_STD_OF_SIDE * max(camera.width_px, camera.height_px) / camera.fx_px)
+        self._direction_std = sqrt(12.0) * lines.sigma_rad / lines.arc_rad
+        self._slack_std = slack_std(
+            CENTRE_STD_OF_SIDE * max(camera.width_px, camera.height_px) / camera.fx_px
+        )
         self._fits: dict[float, RightAngles] = {}
         for down, axis in _seeds(lines, camera):
             for u in _COARSE_U:
@@ -234,14 +234,14 @@ class _PictureLikelihood:
 
     @property
     def is_informative(self) -> bool:
-        """Whether the picture has right angles, and not equally at all focal lengths."""
+        """Whether the picture shows right angles, and its score depends on the focal length."""
         scores = [self._fits[u].score for u in _COARSE_U if u in self._fits]
         if not scores or max(scores) < MIN_SCORE:
             return False
         return max(scores) - float(np.median(scores)) >= MIN_EVIDENCE
 
     def refine(self, u: float) -> None:
-        """Try more focal lengths, in small steps about one."""
+        """Evaluate more focal lengths, in small steps about u."""
         steps = round(FINE_REACH / FINE_STEP)
         nodes = [u + k * FINE_STEP for k in range(-steps, steps + 1)]
         around = [node for node in self._fits if abs(node - u) < FINE_REACH + COARSE_STEP]
@@ -249,27 +249,29 @@ class _PictureLikelihood:
 
     def curve(self, u: FloatArray) -> FloatArray:
         """Interpolate the scores to focal lengths (n,)."""
-        from scipy.interpolate import Akima1DInterpolator  # slow to import: only who asks for it pays
+        from scipy.interpolate import Akima1DInterpolator  # slow to import, and seldom needed
 
         nodes = sorted(self._fits)
         scores = [self._fits[node].score for node in nodes]
         return np.asarray(Akima1DInterpolator(nodes, scores, method="makima")(u), np.float64)
 
     def centre_slack(self, u: float) -> FloatArray:
-        """Shift (2,) of the optical axis, over its standard deviation, that the fit takes at a focal length."""
+        """Return the fitted shift (2,) of the optical axis at a focal length, over its standard deviation."""
         nodes = np.array(sorted(self._fits))
-        shifts = np.array([self._fits[node].slack[3:] / self._spread[3:] for node in nodes])
+        shifts = np.array([self._fits[node].slack[3:] / self._slack_std[3:] for node in nodes])
         return np.array([np.interp(u, nodes, shifts[:, 0]), np.interp(u, nodes, shifts[:, 1])])
 
     def _sweep(self, nodes: Sequence[float]) -> None:
-        """Start each fit from its neighbours', up and down, as well."""
+        """Repeat each fit from its neighbours' solutions, in both directions."""
         for there in (nodes, nodes[::-1]):
             for neighbour, u in pairwise(there):
                 if neighbour in self._fits:
                     self._improve(u, self._fits[neighbour], NEIGHBOUR_STD_RAD)
 
     def _improve(self, u: float, start: RightAngles, start_std_rad: float) -> None:
-        fit = fit_right_angles(self._lines, self._swing, _focal_ratio(u), self._spread, start, start_std_rad)
+        fit = fit_right_angles(
+            self._lines, self._direction_std, _focal_ratio(u), self._slack_std, start, start_std_rad
+        )
         if u not in self._fits or fit.score > self._fits[u].score:
             self._fits[u] = fit
 
@@ -279,7 +281,7 @@ def _focal_ratio(u: float) -> float:
 
 
 def _seeds(lines: LineSet, camera: Camera) -> list[tuple[FloatArray, FloatArray]]:
-    """Nominal rays towards down and the corridor's end, as measured with several assumed fields of view."""
+    """Return nominal rays down and along the corridor, as measured with several assumed fields of view."""
     seeds = []
     for fov_rad in SEED_FIELDS_RAD:
         tried = _camera(camera.width_px, camera.height_px, fov_rad)
@@ -298,7 +300,7 @@ def _seeds(lines: LineSet, camera: Camera) -> list[tuple[FloatArray, FloatArray]
 
 
 def _rotation(down: FloatArray, axis: FloatArray, focal_ratio: float) -> FloatArray:
-    """Right-angled axes (3, 3), columns along, across, down, nearest to two nominal rays at a focal length."""
+    """Return the rotation (3, 3), columns along, across, down, nearest to two nominal rays at a focal length."""
     from_nominal = np.array([1.0 / focal_ratio, 1.0 / focal_ratio, 1.0])
     down, axis = down * from_nominal, axis * from_nominal
     down, axis = down / np.linalg.norm(down), axis / np.linalg.norm(axis)
@@ -311,12 +313,12 @@ def _rotation(down: FloatArray, axis: FloatArray, focal_ratio: float) -> FloatAr
 
 
 def lines_of(lines: LineSet, camera: Camera, other: Camera) -> LineSet:
-    """Return the same lines as another camera has them, one that takes the same pictures without distortion.
+    """Return the same lines for another camera without distortion.
 
     Parameters
     ----------
     lines
-        As found with ``camera``.
+        Lines extracted with ``camera``.
     camera, other
         Two assumptions about the same pictures; only focal length and principal point differ.
     """
@@ -328,7 +330,7 @@ def lines_of(lines: LineSet, camera: Camera, other: Camera) -> LineSet:
         return np.hstack([ends[:, :2], one]), np.hstack([ends[:, 2:], one])
 
     def off_plane(normal: FloatArray, p0: FloatArray, p1: FloatArray, of: Camera) -> FloatArray:
-        """Return the angle by which a line's middle leaves its plane, per pixel across the line."""
+        """Return the angle of a line's middle off its plane per pixel across the line."""
         depth = np.linalg.norm(0.5 * (p0 + p1), axis=1)
         return np.asarray(np.hypot(normal[:, 0], normal[:, 1]) / (depth * of.fx_px), np.float64)
 
@@ -339,7 +341,7 @@ def lines_of(lines: LineSet, camera: Camera, other: Camera) -> LineSet:
 
 
 def _combined(pictures: Sequence[_PictureLikelihood]) -> FieldOfView:
-    """Combine the pictures' likelihoods of the field of view along their longer side; judge whether they suffice."""
+    """Combine the pictures' likelihoods of the field of view along the longer side; return the prior if too vague."""
     unknown = FieldOfView(PRIOR_RAD, PRIOR_STD_RAD, measured=False)
     if not pictures:
         return unknown
@@ -348,7 +350,7 @@ def _combined(pictures: Sequence[_PictureLikelihood]) -> FieldOfView:
         picture.refine(float(_GRID_U[mode]))
     probability = _posterior(pictures)
     mode = int(np.argmax(probability))
-    # Where pictures of one camera disagree by more than they should, each counts for less.
+    # Where the pictures disagree by more than chance, flatten each one's likelihood.
     curves = [picture.curve(_GRID_U) for picture in pictures]
     disagreement = np.median([2.0 * (curve.max() - curve[mode]) for curve in curves]) / MEDIAN_CHI2
     probability = _posterior(pictures, max(1.0, float(disagreement)))
@@ -363,7 +365,7 @@ def _combined(pictures: Sequence[_PictureLikelihood]) -> FieldOfView:
 
 
 def _posterior(pictures: Sequence[_PictureLikelihood], temperature: float = 1.0) -> FloatArray:
-    """Probability (n,) of each field of view of the grid."""
+    """Return the posterior probability (n,) of each field of view of the grid."""
     prior = np.exp(-0.5 * ((_GRID_RAD - PRIOR_RAD) / PRIOR_STD_RAD) ** 2)
     prior /= prior.sum()
     log_posterior = np.log(prior)
@@ -377,10 +379,10 @@ def _posterior(pictures: Sequence[_PictureLikelihood], temperature: float = 1.0)
 
 
 def _centre_std(pictures: Sequence[_PictureLikelihood], mode: int) -> float:
-    """Say what the optical axis's place adds to the standard deviation, being the same in all pictures.
+    """Return the standard deviation due to the optical axis's position, an error common to all pictures.
 
-    Each picture's fit already lets it move on its own. By the envelope theorem the derivative of a picture's score by
-    the place expected is the slack it takes, so the slacks' slopes tell how the best focal length would move.
+    By the envelope theorem the derivative of a picture's score with respect to the prior position is its fitted
+    slack, so the derivative of the slacks with respect to u gives the shift of the best focal length.
     """
     u = float(np.clip(_GRID_U[mode], _LOW_U + FINE_STEP, _HIGH_U - FINE_STEP))
     below, here, above = (

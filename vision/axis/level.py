@@ -1,9 +1,16 @@
-"""Level from the picture itself: door posts and wall corners are vertical, and they show roll and pitch.
+"""Roll and pitch from the vertical lines of a picture, such as door posts and wall corners.
 
-The attitude that comes with a frame is a starting point with a standard deviation: a filter's tilt error, a camera
-that is not mounted as its file says, or an attitude that is unknown. Vertical lines then make level as exact as the
-picture allows. The lateral offset needs that (half a degree of roll is 1 % of the corridor's width); the heading
-gains by it.
+The attitude given with a frame is a prior whose standard deviation covers the filter's tilt error and the mounting
+error; it may also be unknown. The plane of a vertical line contains the down vector. In the given level frame that is
+(a, b, 1), where a and b are the tangents of the pitch and roll corrections, so a line with plane normal n has the
+residual
+
+    r = n_x a + n_y b + n_z.
+
+An exhaustive vote, coarse then fine, maximises the sum of truncated parabolas ``max(0, 1 - r^2 / s^2)``, weighted by
+the lines' lengths, plus the Gaussian log-prior of a and b, limited below. Gauss-Newton with Tukey's biweight refines
+it; the scale shrinks to 3 sigma of each line. The lateral offset needs this accuracy: 0.5 degrees of roll move it by
+1 % of the corridor's width. The heading improves too.
 """
 
 from __future__ import annotations
@@ -21,19 +28,19 @@ from vision.types import FloatArray
 
 COARSE_STEP_RAD = radians(2.0)
 GRID_REACH_SIGMA = 2.5
-MIN_REACH_RAD = radians(8.0)  # of the roll: an attitude may be off by more than it says
-MAX_PENALTY = 24.0  # of a down vector that it does not expect: the votes of four long lines
-MAX_VOTE_ARC_RAD = 0.3  # longer lines have no more weight
+MIN_REACH_RAD = radians(8.0)  # of the roll: the attitude's error may exceed its standard deviation
+MAX_PENALTY = 24.0  # by the prior; equals the votes of four long lines
+MAX_VOTE_ARC_RAD = 0.3  # longer lines get no more weight
 VOTE_WEIGHT = 6.0
 VERTICAL_COSINE = 0.7  # least component of a vertical line's direction along the given vertical
 PLUMB_STD_RAD = radians(0.15)  # door posts are vertical to about this
 CUT_SIGMA = 3.0
-MAX_ROLL_VARIANCE_SHARE = 0.8  # left of the given variance, for the vertical lines to tell anything
+MAX_ROLL_VARIANCE_SHARE = 0.8  # posterior over prior variance; with a larger one there is no roll correction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevelFrame:
-    """The level frame as seen by the camera.
+    """The level frame relative to the camera.
 
     Parameters
     ----------
@@ -42,10 +49,10 @@ class LevelFrame:
     roll_std_rad, pitch_std_rad
         Standard deviations of the remaining errors about the level frame's x and y axes.
     pitch_correction_rad
-        Elevation by which the picture's level lies above the given attitude's.
+        Elevation of the picture's horizon above the given attitude's.
     roll_correction_rad, roll_correction_std_rad
-        What the vertical lines alone, without the given attitude's standard deviation, add to its roll; NaN where
-        they tell little.
+        Correction of the given roll by the vertical lines alone, with the prior removed; NaN where they carry little
+        information.
     """
 
     R_level_camera: FloatArray
@@ -72,7 +79,7 @@ class _Down(NamedTuple):
     information_a, information_both, information_b
         Elements of their information matrix.
     given_roll_std
-        Standard deviation of the given roll as it was counted, radians.
+        Standard deviation of the roll's prior as used in the fit, radians.
     """
 
     a: float
@@ -85,7 +92,7 @@ class _Down(NamedTuple):
 
 @compiled_inner
 def _search_down(lines: LineGeometry, pitch_std: float, roll_std: float) -> tuple[float, float]:
-    """Find by exhaustive vote, coarsely first, where the vertical lines meet: a and b of `_Down`."""
+    """Find the down vector's a and b (see `_Down`) by exhaustive vote, first on a coarse grid, then on a fine one."""
     normal, direction, arc = lines.normal, lines.direction, lines.arc_rad
     upright = np.empty((len(arc), 4), np.float32)
     n = 0
@@ -124,11 +131,11 @@ def _add_votes(
     step: float,
     scores: npt.NDArray[np.float32],
 ) -> None:
-    """Add each line's parabola, cut off at zero, to a grid of down vectors; a row is done many at a time."""
+    """Add each line's parabola, truncated at zero, to a grid of down vectors; the inner loop is vectorised."""
     n_rows, n_columns = scores.shape
     inverse, one, zero = np.float32(1.0) / spread, np.float32(1.0), np.float32(0.0)
     a0, b0, step32 = np.float32(first_a), np.float32(first_b), np.float32(step)
-    columns = np.arange(n_columns).astype(np.float32)  # at once: no vector instruction converts int64
+    columns = np.arange(n_columns).astype(np.float32)  # converted here: int64 to float32 does not vectorise
     for k in range(len(upright)):
         nx, ny, weight = upright[k, 0] * inverse, upright[k, 1] * inverse, upright[k, 3]
         z0 = upright[k, 2] * inverse + nx * a0 + ny * b0
@@ -145,14 +152,14 @@ def _add_votes(
 def _fit_down(
     in_camera: LineGeometry, R_level_camera: FloatArray, pitch_std: float, roll_std: float
 ) -> _Down:
-    """Find the down vector that the vertical lines agree on; its a and b have Gaussian priors about zero."""
+    """Fit the down vector to the vertical lines; a and b have zero-mean Gaussian priors."""
     lines = turned(in_camera, R_level_camera)
     normal, centre, direction = lines.normal, lines.centre, lines.direction
     sigma, arc = lines.sigma_rad, lines.arc_rad
     n = len(sigma)
     a, b = _search_down(lines, pitch_std, roll_std)
     start = 0.5 * COARSE_STEP_RAD
-    # An attitude that the lines have refuted holds them back no more.
+    # Widen the prior where the vote contradicts it, so that it does not bias the fit.
     pitch_std, roll_std = max(pitch_std, abs(a) / CUT_SIGMA), max(roll_std, abs(b) / CUT_SIGMA)
     h00 = h01 = h11 = 0.0
     for iteration in range(8):
@@ -193,15 +200,15 @@ def level_from_verticals(
     lines
         Segments of the picture.
     R_level_camera
-        Rotation (3, 3) from the optical frame to level as the attitude and the mount have it.
+        Rotation (3, 3) from the optical frame to level, by the attitude and the mount.
     pitch_std_rad, roll_std_rad
-        Standard deviations of its pitch and roll. A stripe on the floor below the camera looks vertical: the roll
-        that it shows is only as wrong as this admits.
+        Standard deviations of its pitch and roll. They limit the roll error by a stripe on the floor below the
+        camera, which looks vertical.
     """
     down = _fit_down(lines.geometry(), R_level_camera, pitch_std_rad, roll_std_rad)
     a, b, h_pitch, h_both, h_roll, given_roll_std = down
     determinant = h_pitch * h_roll - h_both * h_both
-    # The shortest rotation that brings the found down (a, b, 1) to (0, 0, 1): heading is left alone.
+    # The shortest rotation from (a, b, 1) to (0, 0, 1), which leaves the heading unchanged.
     size = sqrt(1.0 + a * a + b * b)
     dx, dy, dz = a / size, b / size, 1.0 / size
     level = sqrt(1.0 - dx * dx)

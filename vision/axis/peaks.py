@@ -1,12 +1,14 @@
-"""The corridor's axis among the peaks of a vote, and the direction that rivals it.
+"""Selection of the corridor's axis among the peaks of a vote, and the second-best direction.
 
-To the vote comes the logarithm of the elevation's prior, a mixture of two Gaussians (`vision.axis.elevation`): level
-corridors, whose axis is off the horizon by the level frame's error only, and a small share of sloping ones. The
-heading's score is that of its best elevation (profile likelihood): left and right lines meet in one point only where
-the elevation is right.
+To the vote is added the log-prior of the elevation (`vision.axis.elevation`). The score of a heading is its maximum
+over the elevations (profile likelihood): lines on the left and right meet in one point only at the right elevation.
+The peaks of this score are the candidates. Each gets the log-prior of its heading: a Gaussian about the camera's
+direction or about a filter's prediction, the latter mixed with a small outlier share. The evidence of lines in one
+plane is limited (`corridor_score`), because one plane with parallel joints is not yet a corridor.
 
-The peaks are the candidates for the axis. What the score has beside its best peak says by how much more its heading
-is uncertain than the fit to that peak's lines.
+The best peak is the axis. The best one at least 8 degrees away is its rival, which `vision.axis.acceptance` compares
+with it. Where the score has more mass near the best peak than the peak's own Gaussian, that excess variance is added
+to the heading's.
 """
 
 from __future__ import annotations
@@ -21,35 +23,36 @@ from vision.axis.vote import BIN_RAD, MAX_HEADING_RAD, N_BINS, bin_heading
 from vision.compiled import compiled, compiled_inner
 from vision.types import FloatArray
 
-PEAK_BINS = 4  # a peak exceeds everything within a degree
+PEAK_BINS = 4  # a peak is the maximum within one degree to both sides
 RIVAL_DISTANCE_RAD = radians(8.0)
 RIVAL_BINS = int(RIVAL_DISTANCE_RAD / BIN_RAD)
-VOTE_TEMPERATURE = 0.8  # edges of one door or skirting board have a common error: so many lines count as one
-NEGLIGIBLE = 15.0  # in the logarithm
+VOTE_TEMPERATURE = 0.8  # divides the score: edges of one door or skirting board have common errors
+NEGLIGIBLE = 15.0  # difference of log-likelihoods
 SUBDIVISIONS = 8  # of a bin
-MIN_COSINE = 0.3  # of a heading, for its elevation to tell the tilt error
+MIN_COSINE = 0.3  # lower limit of the heading's cosine where the tilt error is computed from the elevation
 HEADING_PRIOR_STD_RAD = radians(30.0)  # the camera looks along the corridor rather than across
 PRIOR_FLOOR_STD_RAD = radians(1.0)
-PRIOR_OUTLIER_SHARE = 0.01  # a filter can be wrong: strong evidence wins against it
-# Log-likelihood of lines that all lie below the axis, or above it. Of simulated corridors whose floor is laid at an
-# angle, 18 accepts one in 70 by the floor; 10 rejects one corridor in 20 of those with little but the floor in view.
+PRIOR_OUTLIER_SHARE = 0.01  # probability that the prediction is wrong: strong evidence overrides it
+# Log-likelihood of lines that are all below the axis, or all above it. In simulated corridors with floor joints at an
+# angle to the walls, 18 accepts the floor's direction in one of 70; 10 rejects one of 20 corridors that show mostly
+# floor.
 MAX_ONE_SIDED = 14.0
 
 
 class HeadingVote(NamedTuple):
-    """Score of every heading, and the best peak among them.
+    """Score of every heading, and the best peak.
 
     Parameters
     ----------
     scores, elevation, elevation_std
-        The vote (2, m, N_BINS), the elevations it tried (m,) relative to the expected one, and the standard deviation
-        of that, radians.
+        The vote (2, m, N_BINS), its elevations (m,) relative to the predicted one, and the standard deviation of the
+        prediction, radians.
     marginal
-        Each heading's score at its best elevation (N_BINS,), log-likelihood over lines at random.
+        Each heading's score at its best elevation (N_BINS,), log-likelihood ratio against random lines.
     log_prior
-        Of each heading (N_BINS,), minus infinity where there is no peak.
+        Log-prior of each heading (N_BINS,), minus infinity where there is no peak.
     best_bin, best_elevation, best_score
-        Bin of the best peak, index of its elevation, and its score by `corridor_score` and the prior.
+        Bin of the best peak, index of its elevation, and its score by `corridor_score` and the priors.
     """
 
     scores: FloatArray
@@ -63,15 +66,14 @@ class HeadingVote(NamedTuple):
 
 
 class RivalPeak(NamedTuple):
-    """The second-best peak of a vote, and what there is beside the best one.
+    """The second-best peak of a vote, and the excess variance about the best one.
 
     Parameters
     ----------
     bin, score
         Bin of the second-best peak and its score by `corridor_score` and the prior.
     excess_variance
-        By how much the heading's variance about the best peak exceeds that peak's own, rad^2, taking the vote for a
-        likelihood.
+        Variance of the heading near the best peak, with the vote as log-likelihood, minus the peak's own, rad^2.
     """
 
     bin: int
@@ -81,11 +83,10 @@ class RivalPeak(NamedTuple):
 
 @compiled
 def corridor_score(below: float, above: float) -> float:
-    """Return the evidence that a direction is a corridor's, from that of the lines below and above the axis.
+    """Return the evidence that a direction is a corridor's, from the scores of the lines below and above the axis.
 
-    Lines of one direction in one plane need no corridor: a floor may be laid at any angle to the walls, and has many
-    parallel joints. However many there are, they count as one coincidence, which has a limited improbability. A
-    corridor has lines in other planes, too.
+    Parallel lines in one plane are no proof of a corridor: floor joints may be laid at any angle to the walls. All of
+    them together count as one coincidence, with limited evidence; a corridor has lines in other planes as well.
     """
     return min(below, above) + min(max(below, above), MAX_ONE_SIDED)
 
@@ -96,7 +97,7 @@ def _log_prior(heading: float, prior_heading: float, prior_std: float) -> float:
     if prior_heading != prior_heading:
         return by_view
     z = ((heading - prior_heading + 0.5 * pi) % pi - 0.5 * pi) / hypot(prior_std, PRIOR_FLOOR_STD_RAD)
-    # Where the prediction is wrong, a heading is as likely as without one: else it would be across the view.
+    # The outlier share uses the prior without a prediction: a uniform one would favour directions across the view.
     return log(PRIOR_OUTLIER_SHARE * exp(by_view) + exp(-0.5 * z * z))
 
 
@@ -123,9 +124,9 @@ def _is_peak(scores: FloatArray, b: int) -> bool:
 def _score_near(
     scores: FloatArray, b: int, elevations: FloatArray, elevation: float, std: float
 ) -> tuple[int, float]:
-    """Return where a heading has most evidence near an elevation, and its score there.
+    """Return the index of a heading's best elevation, and its score there.
 
-    ``elevation`` with its standard deviation is what another heading says of the tilt error.
+    ``elevation`` and ``std`` are a Gaussian prior of it, from the elevation of another heading.
     """
     best, highest, score = 0, -np.inf, -np.inf
     std = hypot(std, 0.5 * FINE_STEP_RAD)
@@ -149,9 +150,9 @@ def find_best_heading(
     scores
         Result of `vote`, (2, m, N_BINS).
     elevation, elevation_std
-        The elevations it tried (m,) relative to the expected one, and the standard deviation of that, radians.
+        Its elevations (m,) relative to the predicted one, and the standard deviation of the prediction, radians.
     prior_heading, prior_std
-        A filter's prediction, radians; NaN: none.
+        A filter's predicted heading, radians; NaN: none.
     """
     marginal, log_prior = np.empty(N_BINS), np.empty(N_BINS)
     prior = np.array([elevation_log_prior(e, elevation_std) for e in elevation])
@@ -171,7 +172,7 @@ def find_best_heading(
     for b in range(N_BINS):
         if ranked[b] == -np.inf:
             continue
-        # At another elevation the lines of one axis have several peaks: the highest says what the elevation is.
+        # At a wrong elevation the lines of one axis form several peaks: the highest one nearby fixes the elevation.
         highest = _highest(ranked, b, RIVAL_BINS)
         k = 0
         while scores[0, k, highest] + scores[1, k, highest] + prior[k] != marginal[highest]:
@@ -190,10 +191,10 @@ def find_best_heading(
 
 @compiled_inner
 def _excess_variance(marginal: FloatArray, heading: float) -> float:
-    """Return by how much (rad^2) the variance about a heading exceeds that of the peak there.
+    """Return the variance about a heading (rad^2) in excess of the peak's own.
 
-    ``marginal`` is taken for the logarithm of a likelihood. From bin to bin it is interpolated by parabolas, which it
-    consists of, so that it does not matter where the bins lie. The peak itself is the Gaussian of its curvature.
+    ``marginal`` is used as a log-likelihood. It is a sum of parabolas, so interpolation by parabolas makes the result
+    independent of the bins' positions. The peak's own variance follows from its curvature.
     """
     middle = int((heading + 0.5 * pi) / BIN_RAD)
     best, top = middle, -np.inf
@@ -205,7 +206,7 @@ def _excess_variance(marginal: FloatArray, heading: float) -> float:
         before, here, after = marginal[(b - 1) % N_BINS], marginal[b % N_BINS], marginal[(b + 1) % N_BINS]
         rise, bend = 0.5 * (after - before), 0.5 * (after + before) - here
         if abs(b - best) <= 1:
-            # the mean of three: the lines' cut-offs are kinks
+            # mean of three second differences: truncated parabolas have kinks
             curvature -= 2.0 * bend / (3.0 * BIN_RAD * BIN_RAD)
         if here < top - NEGLIGIBLE * VOTE_TEMPERATURE:
             continue
@@ -221,20 +222,20 @@ def _excess_variance(marginal: FloatArray, heading: float) -> float:
 
 @compiled
 def find_rival(voted: HeadingVote, at_axis: FloatArray, heading: float, elevation: float) -> RivalPeak:
-    """Find the second-best peak, at least 8 degrees from the axis, and what the vote has nearer beside its peak.
+    """Find the second-best peak, at least 8 degrees from the axis, and the excess variance within 8 degrees of it.
 
-    Where the vote is split between headings nearer than that, the heading is uncertain, whatever the fit to one of
-    its peaks says. A rival does not choose an elevation of its own: a tilt error that lifts the axis lifts every
-    level direction with it.
+    Where the vote is split between headings within 8 degrees, the heading is uncertain even if the fit to one of
+    them is precise. The rival's elevation is not free: a tilt error that raises the axis raises all level directions,
+    by ``elevation * cos(rival heading) / cos(heading)``.
 
     Parameters
     ----------
     voted
         Result of `find_best_heading`.
     at_axis
-        The vote (N_BINS,) at the axis's own elevation.
+        The vote (N_BINS,) at the axis's fitted elevation.
     heading, elevation
-        The axis after its refinement, radians; the elevation relative to the expected one.
+        The refined axis, radians; the elevation relative to the predicted one.
     """
     second = 0
     second_score = -np.inf
@@ -244,8 +245,8 @@ def find_rival(voted: HeadingVote, at_axis: FloatArray, heading: float, elevatio
         offset = (bin_heading(b) - heading + 0.5 * pi) % pi - 0.5 * pi
         if abs(offset) <= RIVAL_DISTANCE_RAD:
             continue
-        lifted = elevation * cos(bin_heading(b)) / max(cos(heading), MIN_COSINE)
-        score = _score_near(voted.scores, b, voted.elevation, lifted, voted.elevation_std)[1]
+        raised = elevation * cos(bin_heading(b)) / max(cos(heading), MIN_COSINE)
+        score = _score_near(voted.scores, b, voted.elevation, raised, voted.elevation_std)[1]
         score += voted.log_prior[b]
         if score > second_score:
             second_score = score

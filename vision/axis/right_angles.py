@@ -1,13 +1,18 @@
-"""How well three directions at right angles explain a picture's lines, for an assumed focal length.
+"""Likelihood of a focal length: how well three orthogonal directions explain a picture's lines.
 
-Corridor lines, transverse lines and door posts meet in three vanishing points. That the directions towards them are
-at right angles determines the focal length, provided the camera is pitched, or turned while transverse lines are
-seen. The fit works with nominal rays, those of a camera of a fixed, assumed focal length: the lines and their
-tolerances are then the same for every focal length tried, so that a picture without information gives the same score
-to all.
+Corridor lines, transverse lines and door posts meet in three vanishing points. The directions to them are orthogonal
+only at the true focal length, which is observable if the camera is pitched, or is turned and sees transverse lines.
+Each line is a mixture over the three axes k and stray lines; with the density p_k of its direction under axis k, the
+log-likelihood ratio against stray lines is
 
-Buildings are not exact, and the optical axis does not pass exactly through the picture's centre. These five
-deviations are called the slack; each has a Gaussian prior, see `slack_std`.
+    sum over lines of log(STRAY_SHARE + sum_k SHARE_k p_k),
+
+maximised over the rotation of the axes by Gauss-Newton with expectation-maximisation. Lines are given as nominal
+rays, those of a camera with a fixed, assumed focal length f_0; the axes are scaled by f / f_0 instead. So lines and
+tolerances are the same for every f, and a picture without information gives all of them the same score.
+
+Buildings are not exact, and the optical axis is not exactly at the picture's centre. Five deviations, called the
+slack, are estimated along with the rotation; each has a Gaussian prior, see `slack_std`.
 """
 
 from __future__ import annotations
@@ -28,26 +33,22 @@ N_PARAMETERS = N_TURN + N_SLACK
 CENTRE_STD_OF_SIDE = 0.01  # of the optical axis from the centre, over the longer side
 SHARE = np.array([0.30, 0.12, 0.25])  # of the lines, expected along each axis
 STRAY_SHARE = 1.0 - float(SHARE.sum())
-PARALLEL_STD_RAD = np.array(
-    [radians(0.10), radians(0.15), radians(0.15)]
-)  # lines along an axis are parallel to this
-CORRELATION = 2.0  # edges of one door or skirting board have a common error: so many lines count as one
-UNIFORM = (
-    1.2533  # density of a Gaussian's peak over that of any direction within half a turn: pi / sqrt(2 pi)
-)
+PARALLEL_STD_RAD = np.array([radians(0.10), radians(0.15), radians(0.15)])  # of lines about their axis
+CORRELATION = 2.0  # divides the log-likelihood: edges of one door or skirting board have common errors
+UNIFORM = 1.2533  # peak density of a Gaussian of unit sigma over the uniform density on half a turn: pi / sqrt(2 pi)
 MAX_Z2 = 40.0
 MIN_RESPONSIBILITY = 1e-3
 LAST_EXTRA_RAD = radians(0.02)  # the start's tolerance is halved until it is below the lines' own
 MAX_STEPS = 14
-TURN_STD_RAD = 6.0  # keeps the equations solvable where no line holds a direction
+TURN_STD_RAD = 6.0  # weak prior of the rotation: keeps the equations regular where no line constrains it
 MAX_TURN_RAD = 0.1
 
 
 def slack_std(centre_std: float) -> FloatArray:
     """Return the standard deviations (5,) of a picture's slack.
 
-    In this order: slope of the corridor against the posts, slope of the transverse lines, squareness of the walls
-    (radians); place of the optical axis right and down of the picture's centre (``centre_std``, nominal rays).
+    In this order: slope of the corridor relative to the posts, slope of the transverse lines, deviation of the walls
+    from a right angle (radians); optical axis right of and below the picture's centre (``centre_std``, nominal rays).
     """
     return np.array([radians(0.25), radians(0.25), radians(0.5), centre_std, centre_std])
 
@@ -60,7 +61,7 @@ class NominalAxes(NamedTuple):
     ray
         Unit vectors (3, 3), a row per axis.
     slopes
-        Their derivatives (3, 8, 3) with respect to the turn (3) and the slack (5).
+        Their derivatives (3, 8, 3) with respect to the rotation vector (3) and the slack (5).
     """
 
     ray: FloatArray
@@ -73,7 +74,7 @@ class RightAngles(NamedTuple):
     Parameters
     ----------
     score
-        Log-likelihood over stray lines.
+        Log-likelihood ratio against stray lines, with the prior of the slack.
     rotation
         Rotation (3, 3) from the axes (along, across, down) to the optical frame.
     slack
@@ -123,12 +124,17 @@ def _nominal_axes(rotation: FloatArray, slack: FloatArray, focal_ratio: float) -
 
 @compiled
 def _log_likelihood(
-    lines: LineGeometry, swing: FloatArray, axes: NominalAxes, extra_std: float, H: FloatArray, g: FloatArray
+    lines: LineGeometry,
+    direction_std: FloatArray,
+    axes: NominalAxes,
+    extra_std: float,
+    H: FloatArray,
+    g: FloatArray,
 ) -> float:
-    """Return the log-likelihood of the lines over stray ones; H (lower half) and g become Gauss-Newton's equations.
+    """Return the log-likelihood ratio against stray lines; fill H (lower half) and g with the normal equations.
 
-    A line runs along each axis with its share's probability, or anywhere. Likelihoods are densities of its direction
-    in the picture. ``swing`` (n,) is the standard deviation of each line's direction.
+    Densities are those of a line's direction in the picture; each line enters the normal equations of an axis with
+    its responsibility. ``direction_std`` (n,) is the standard deviation of each line's direction.
     """
     normal, centre, direction, sigma = lines.normal, lines.centre, lines.direction, lines.sigma_rad
     ray, slopes = axes.ray, axes.slopes
@@ -148,7 +154,12 @@ def _log_likelihood(
             alpha = centre[i, 0] * x + centre[i, 1] * y + centre[i, 2] * z
             beta = direction[i, 0] * x + direction[i, 1] * y + direction[i, 2] * z
             r = normal[i, 0] * x + normal[i, 1] * y + normal[i, 2] * z
-            v = (sigma[i] * alpha) ** 2 + (swing[i] * beta) ** 2 + PARALLEL_STD_RAD[k] ** 2 + extra_std**2
+            v = (
+                (sigma[i] * alpha) ** 2
+                + (direction_std[i] * beta) ** 2
+                + PARALLEL_STD_RAD[k] ** 2
+                + extra_std**2
+            )
             residual[k] = r
             variance[k] = v
             density[k] = 0.0
@@ -198,7 +209,7 @@ def _solve(H: FloatArray, g: FloatArray, x: FloatArray) -> None:
 
 @compiled_inner
 def _turn(rotation: FloatArray, x: float, y: float, z: float) -> None:
-    """Turn the columns of a rotation by a rotation vector (Rodrigues)."""
+    """Rotate the columns of a rotation matrix in place by a rotation vector (Rodrigues' formula)."""
     angle = sqrt(x * x + y * y + z * z)
     if angle < 1e-12:
         return
@@ -220,28 +231,28 @@ def _turn(rotation: FloatArray, x: float, y: float, z: float) -> None:
 @compiled
 def fit_right_angles(
     lines: LineGeometry,
-    swing: FloatArray,
+    direction_std: FloatArray,
     focal_ratio: float,
     slack_stds: FloatArray,
     start: RightAngles,
     start_std: float,
 ) -> RightAngles:
-    """Turn three right-angled axes until they explain the lines best.
+    """Fit three orthogonal axes to the lines at one focal length.
 
     Parameters
     ----------
     lines
         The picture's lines, for the nominal camera, optical frame.
-    swing
+    direction_std
         Standard deviation (n,) of each line's direction, radians.
     focal_ratio
-        The focal length to try, over the nominal one.
+        Focal length over the nominal one.
     slack_stds
         Standard deviations (5,) of the slack, see `slack_std`.
     start
         Axes to start from; their score is not used.
     start_std
-        How far the axes may be from where they start, radians.
+        Standard deviation of the start's error, radians; it widens the residuals at first.
     """
     rotation, slack = start.rotation.copy(), start.slack.copy()
     H = np.empty((N_PARAMETERS, N_PARAMETERS))
@@ -249,7 +260,7 @@ def fit_right_angles(
     x = np.empty(N_PARAMETERS)
     extra = start_std
     for _ in range(MAX_STEPS):
-        _log_likelihood(lines, swing, _nominal_axes(rotation, slack, focal_ratio), extra, H, g)
+        _log_likelihood(lines, direction_std, _nominal_axes(rotation, slack, focal_ratio), extra, H, g)
         for p in range(N_TURN):
             H[p, p] += 1.0 / TURN_STD_RAD**2
         for p in range(N_SLACK):
@@ -264,7 +275,7 @@ def fit_right_angles(
         if extra == 0.0 and turned < 1e-5:
             break
         extra = extra * 0.5 if extra > LAST_EXTRA_RAD else 0.0
-    score = _log_likelihood(lines, swing, _nominal_axes(rotation, slack, focal_ratio), 0.0, H, g)
+    score = _log_likelihood(lines, direction_std, _nominal_axes(rotation, slack, focal_ratio), 0.0, H, g)
     for p in range(N_SLACK):
         score -= 0.5 * (slack[p] / slack_stds[p]) ** 2
     return RightAngles(score, rotation, slack)

@@ -1,11 +1,15 @@
 """The corridor's axis from line segments: an exhaustive vote over heading, then a robust least-squares fit.
 
-Each segment spans a plane with the camera's centre; a line along the corridor has the axis in its plane. Turned
-level by roll and pitch, that makes each line vote for one heading. The vote is over all headings (and over
-elevations, as far as tilt and mount are uncertain), so it needs neither an initial guess nor random sampling.
+Each segment spans a plane with the camera's centre; for a line along the corridor this plane contains the axis. The
+axis at heading psi and elevation e (positive up) is ``d = (cos e cos psi, -cos e sin psi, -sin e)`` in the level
+frame. A line with plane normal n has the residual ``n . d``, which is zero for a corridor line.
 
-The axis at heading psi and elevation e (positive up) is ``d = (cos e cos psi, -cos e sin psi, -sin e)`` in the level
-frame; the residual of a line with plane normal n is ``n . d``, zero for a corridor line.
+1. The vote (`vision.axis.vote`) covers all headings, and the elevations within the uncertainty of tilt and mount. It
+   needs neither an initial guess nor random sampling. `vision.axis.peaks` selects the best peak and its rival.
+2. Gauss-Newton refines psi and e from there, with Geman-McClure weights ``w = 1 / (1 + z^2 / c^2)^2`` of the
+   normalised residuals z and the prior of the elevation. The scale c decreases from 4 to 2 times the lines' scatter.
+3. Inliers have a residual below 3 sigma. The covariance of the fit is scaled by their scatter and by Student's t
+   factor for few distinct lines, and widened by the vote's excess variance.
 """
 
 from __future__ import annotations
@@ -26,12 +30,11 @@ from vision.types import BoolArray, FloatArray
 
 MAX_REFINEMENT_RAD = radians(4.0)
 INLIER_SIGMA = 3.0
-# Scale of the Geman-McClure weights, to begin with and in the end, and times that scale from where a line has none.
+# First and last scale c of the Geman-McClure weights, and the residual over c beyond which the weight is zero
 FIRST_ROBUST_SIGMA, ROBUST_SIGMA = 4.0, 2.0
 NEGLIGIBLE = 5.0
-GAUSSIAN_CHI2 = 0.58  # weighted mean of the squared residuals of lines that scatter as their sigmas say
-# Where lines scatter more, so do the weights reach, but not much: else the few that are right tell nothing.
-MAX_SCATTER = 1.5
+GAUSSIAN_CHI2 = 0.58  # weighted mean of the squared normalised residuals if they are standard Gaussian
+MAX_SCATTER = 1.5  # limits the scale where lines scatter more, so that few right lines still decide
 MIN_SCALE = 0.3  # of the covariance, however well the lines agree
 MIN_FREEDOM = 3  # degrees of freedom: with two, Student's t has no variance
 LEVEL_COSINE = cos(radians(15.0))  # of a line's normal with the vertical
@@ -74,21 +77,21 @@ class AxisFit:
     covariance
         Of heading and elevation (2, 2), rad^2.
     score, score_of_all
-        Log-likelihood of the best vote over lines at random, and what it would be if all lines told something new,
-        however many lie in one plane.
+        Log-likelihood ratio of the best peak against random lines, and the same without the limit for lines in one
+        plane (`vision.axis.peaks.corridor_score`).
     second_heading_rad, second_score
-        The best vote at least 8 degrees away.
+        The best peak at least 8 degrees away.
     residual
         Each line's residual over its standard deviation (n,).
     inlier
-        Lines (n,) that run along the axis.
+        Lines (n,) along the axis.
     crossing
-        Lines (n,) among them that reach past the vanishing point on both sides. No edge along the corridor does:
-        they are two edges, as of the floor on the left and of the ceiling on the right.
+        Inliers (n,) that extend past the vanishing point on both sides. A single edge cannot: they consist of two
+        edges, such as the floor's on the left and the ceiling's on the right.
     inlier_share
-        Their share of the length of all lines that are not vertical.
+        Share of the inliers in the length of all lines that are not vertical.
     n_distinct
-        In how many directions about the axis they lie, 4 degrees apart.
+        Number of distinct directions of the inliers about the axis, 4 degrees apart.
     """
 
     heading_rad: float
@@ -107,9 +110,9 @@ class AxisFit:
 
 @compiled_inner
 def _refine(lines: LineGeometry, psi: float, e: float, prior_e: float, prior_e_std: float) -> _Refined:
-    """Fit the axis by Gauss-Newton with Geman-McClure's weights, from heading psi and elevation e.
+    """Fit the axis by Gauss-Newton with Geman-McClure weights, from heading psi and elevation e.
 
-    They fall off smoothly, so that a line that is found a little elsewhere does not enter or leave the fit at once.
+    The weights decrease smoothly, so that a small change of a line does not make it enter or leave the fit.
     """
     normal, centre, direction = lines.normal, lines.centre, lines.direction
     sigma, arc = lines.sigma_rad, lines.arc_rad
@@ -165,7 +168,7 @@ def _refine(lines: LineGeometry, psi: float, e: float, prior_e: float, prior_e_s
 
 @compiled_inner
 def _count_distinct(normal: FloatArray, inlier: BoolArray, psi: float, e: float) -> int:
-    """Count the directions, about the axis, in which lines lie: pieces of one edge and its two sides are one."""
+    """Count distinct directions of the inliers about the axis; pieces of one edge and its two sides count once."""
     cp, sp, ce, se = cos(psi), sin(psi), cos(e), sin(e)
     seen = np.zeros(DIRECTIONS, np.bool_)
     count = 0
@@ -182,7 +185,7 @@ def _count_distinct(normal: FloatArray, inlier: BoolArray, psi: float, e: float)
 
 @compiled_inner
 def _angle_ahead(lines: LineGeometry, i: int, psi: float, e: float) -> float:
-    """Return how far along line i, from its middle, the vanishing point is."""
+    """Return the angle along line i from its middle to the vanishing point."""
     c, d = lines.centre, lines.direction
     ce, se, cp, sp = cos(e), sin(e), cos(psi), sin(psi)
     along = ce * (d[i, 0] * cp - d[i, 1] * sp) - d[i, 2] * se
@@ -194,9 +197,9 @@ def _angle_ahead(lines: LineGeometry, i: int, psi: float, e: float) -> float:
 def _lines_along(
     lines: LineGeometry, length: FloatArray, fit: _Refined
 ) -> tuple[BoolArray, BoolArray, float]:
-    """Return which lines run along the axis, which of them reach past the vanishing point on both sides, (n,).
+    """Return which lines run along the axis, which of them extend past the vanishing point on both sides, (n,).
 
-    Last is the share of those along the axis in the length of all lines that are not vertical.
+    The third value is the inliers' share in the length of all lines that are not vertical.
     """
     n = len(length)
     inlier, crossing = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
@@ -208,7 +211,8 @@ def _lines_along(
         if abs(fit.residual[i]) < INLIER_SIGMA:
             inlier[i] = True
             along += length[i]
-            # A level one rather runs across, at the camera's height. Each part is long enough to be found by itself.
+            # Level lines are left out: they rather run across, at the camera's height. Both parts of a crossing line
+            # must have the least length of a line.
             if abs(lines.normal[i, 2]) < LEVEL_COSINE:
                 ahead = abs(_angle_ahead(lines, i, fit.heading, fit.elevation))
                 crossing[i] = (0.5 - ahead / lines.arc_rad[i]) * length[i] > MIN_LENGTH_PX
@@ -216,26 +220,7 @@ def _lines_along(
 
 
 class _Found(NamedTuple):
-    """The axis as compiled code finds it; NaN as heading: there is none.
-
-    Parameters
-    ----------
-    heading, elevation
-        Of the fit, radians.
-    covariance
-        Of both (2, 2), rad^2.
-    score, score_of_all
-        Of the best vote, and without a limit to what the lines of one plane tell.
-    second_heading, second_score
-        Of the best vote at least 8 degrees away.
-    residual, inlier, crossing
-        Each line's residual over its standard deviation, whether it runs along the axis, and whether it then reaches
-        past the vanishing point on both sides, (n,).
-    inlier_share
-        Share of the inliers in the length of all lines that are not vertical.
-    n_distinct
-        In how many directions about the axis they lie.
-    """
+    """Result of `_find` in compiled code; fields as in `AxisFit`, in radians. The heading is NaN without an axis."""
 
     heading: float
     elevation: float
@@ -253,10 +238,11 @@ class _Found(NamedTuple):
 
 @compiled
 def _covariance(fit: _Refined, excess_variance: float, n_distinct: int) -> FloatArray:
-    """Return the covariance (2, 2) of heading and elevation; infinite where the lines leave it open.
+    """Return the covariance (2, 2) of heading and elevation; infinite where the information matrix is singular.
 
-    It is that of the fit, with the vote's excess variance added to the heading's. Its scale comes from the lines' own
-    residuals, so that errors follow Student's t distribution: the fewer distinct lines, the larger its variance.
+    It is the inverse information of the fit, with the vote's excess variance added to the heading's. It is scaled by
+    the residuals' own variance, so errors follow Student's t distribution: with f degrees of freedom, the number of
+    distinct lines less two, the variance has the factor f / (f - 2).
     """
     h00, h01, h11 = fit.information_heading, fit.information_both, fit.information_elevation
     covariance = np.empty((2, 2))
@@ -284,7 +270,7 @@ def _find(
     prior_heading: float,
     prior_heading_std: float,
 ) -> _Found:
-    """Go all the way from lines to the axis in compiled code: handing arrays over costs more than some steps.
+    """Find the axis from lines, all in one compiled function: passing arrays costs more than some steps.
 
     Parameters
     ----------
@@ -308,8 +294,8 @@ def _find(
     start = bin_heading(voted.best_bin)
     fit = _refine(lines, start, elevation + steps[voted.best_elevation], elevation, elevation_std)
     if abs(fit.heading - start) > MAX_REFINEMENT_RAD:
-        return none  # the fit left the peak it started from: there was no axis, only many stray lines
-    # The elevations tried may all miss the axis's own, and then the vote has several peaks where there is one axis.
+        return none  # the fit left its peak: there is no axis, only many stray lines
+    # Between grid elevations one axis may split into several peaks: vote again at the fitted elevation.
     at_axis = vote(lines, np.array([fit.elevation]), np.array([FINEST_STD_RAD]), max_heading)
     rival = find_rival(voted, at_axis[0, 0] + at_axis[1, 0], fit.heading, fit.elevation - elevation)
     inlier, crossing, share = _lines_along(lines, length, fit)
@@ -332,7 +318,7 @@ def _find(
 
 
 def axis_direction(heading_rad: float, elevation_rad: float) -> FloatArray:
-    """Return the unit vector (3,) in the level frame along a corridor seen at this heading and elevation."""
+    """Return the unit vector (3,) along the corridor in the level frame, for a heading and an elevation."""
     level = cos(elevation_rad)
     return np.array([level * cos(heading_rad), -level * sin(heading_rad), -sin(elevation_rad)])
 
@@ -361,9 +347,10 @@ def fit_axis(
     R_level_camera
         Rotation (3, 3) from the optical frame to the level frame.
     elevation_rad, elevation_std_rad
-        What is known of the axis's elevation: tilt error and mount together.
+        Prior of the axis's elevation, with tilt and mounting errors.
     prior_heading_rad, prior_heading_std_rad
-        A filter's prediction, to choose between peaks; NaN: none, the camera is taken to look along the corridor.
+        A filter's prediction, which selects between peaks; NaN: none, the camera is assumed to look along the
+        corridor.
     """
     if len(lines) == 0:
         return None

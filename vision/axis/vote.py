@@ -1,8 +1,14 @@
-"""The exhaustive vote over heading and elevation of the corridor's axis.
+"""Exhaustive vote over heading and elevation of the corridor's axis.
 
-At every elevation each line adds the log-likelihood that it passes through the axis rather than somewhere at random,
-cut off at zero: a parabola over heading, centred where the line meets that elevation. `vision.axis.peaks` looks for
-the axis in the sum.
+At the elevation e a line's plane contains the axis direction at up to two headings psi_0. Near each, the residual
+``n . d`` is linear in the heading, with the variance s^2 in units of heading. The line adds the logarithm of its
+likelihood ratio, a Gaussian inlier (prior probability `INLIER_ODDS`) against a uniform heading, truncated at zero:
+
+    max(0, 1/2 log(MAX_VARIANCE / s^2) - (psi - psi_0)^2 / (2 s^2))
+
+s^2 contains the line's measurement error, the non-parallelism of real corridor lines, the spacing of the elevations
+and the bin width. Steep planes get less weight, and nearly vertical ones none, as they may be those of door posts.
+`vision.axis.peaks` searches the sum for the axis.
 """
 
 from __future__ import annotations
@@ -19,10 +25,12 @@ N_BINS = 720
 BIN_RAD = pi / N_BINS
 ALIGN_STD_RAD = radians(0.07)  # lines along a real corridor are parallel to about this
 INLIER_ODDS = 0.25  # share of lines expected to run along the corridor
-MAX_VARIANCE = (INLIER_ODDS * pi) ** 2 / (2.0 * pi)  # of a line's heading, rad^2, to tell more than chance
-VERTICAL_SINE = 0.10  # a plane this close to vertical may be a door post's, and tells nothing about the axis
-STEEP_SINE = 0.3  # and one up to here has less weight: streaks on a wall, leaning objects
-MAX_HEADING_RAD = radians(60.0)  # without a prediction, what is farther off is taken for a transverse axis
+MAX_VARIANCE = (INLIER_ODDS * pi) ** 2 / (
+    2.0 * pi
+)  # of a line's heading, rad^2: above, it carries no evidence
+VERTICAL_SINE = 0.10  # planes this close to vertical may be door posts'; they carry no evidence of the axis
+STEEP_SINE = 0.3  # planes up to here have less weight: streaks on a wall, leaning objects
+MAX_HEADING_RAD = radians(60.0)  # without a prediction, a larger one is taken for a transverse direction
 
 
 @compiled_inner
@@ -50,13 +58,13 @@ def bin_heading(b: int) -> float:
 
 @compiled_inner
 def _add_parabola(row: FloatArray, heading: float, variance: float, trust: float) -> None:
-    """Add one line's log-likelihood over chance of every heading (N_BINS,), as far as it is positive."""
+    """Add one line's log-likelihood ratio over headings (N_BINS,), where it is positive."""
     top = 0.5 * log(MAX_VARIANCE / variance)
     reach = sqrt(2.0 * top * variance)
     first = max(int(np.ceil((heading - reach + 0.5 * pi) / BIN_RAD - 0.5)), 0)
     last = min(int(np.floor((heading + reach + 0.5 * pi) / BIN_RAD - 0.5)), N_BINS - 1)
     bend, start = 0.5 * trust / variance, bin_heading(first) - heading
-    for b in range(last - first + 1):  # from zero: then it vectorises
+    for b in range(last - first + 1):  # starting at zero, so that it vectorises
         offset = start + b * BIN_RAD
         row[first + b] += trust * top - bend * offset * offset
 
@@ -65,7 +73,7 @@ def _add_parabola(row: FloatArray, heading: float, variance: float, trust: float
 def vote(
     lines: LineGeometry, elevation: FloatArray, elevation_std: FloatArray, max_heading: float
 ) -> FloatArray:
-    """Add up the lines' truncated log-likelihoods of every heading and elevation of the axis.
+    """Sum the lines' truncated log-likelihood ratios for every heading and elevation of the axis.
 
     Parameters
     ----------
@@ -74,14 +82,14 @@ def vote(
     elevation
         Elevations to try (m,), radians.
     elevation_std
-        Standard deviation (m,) of those that each stands for.
+        Standard deviation (m,) of the elevations that each grid value represents.
     max_heading
         Headings beyond this are left out; `MAX_HEADING_RAD` without a prediction, else a right angle.
 
     Returns
     -------
     ndarray
-        Scores (2, m, N_BINS), log-likelihood over lines at random: of the lines below the axis, and of those above.
+        Scores (2, m, N_BINS), log-likelihood ratios against random lines: of the lines below the axis, and above it.
     """
     normal, centre, direction = lines.normal, lines.centre, lines.direction
     sigma, arc = lines.sigma_rad, lines.arc_rad
