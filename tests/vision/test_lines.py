@@ -21,7 +21,7 @@ from vision.lines.fitting import (
     MIN_PIXELS,
     _are_of_one_edge,
     _next_in_line,
-    _note_middle,
+    _fill_middle,
 )
 from vision.lines.preparation import noise_and_blockiness
 from vision.lines.segments import extract_lines
@@ -218,7 +218,7 @@ def joined_pairs(lines: RecordArray, floor_px: float) -> tuple[int, int]:
     pairs = found = 0
     following, middles = np.full(len(lines), -1), np.empty((len(lines), 3))
     for i in range(len(lines)):
-        _note_middle(lines[i], floor_px, middles[i])
+        _fill_middle(lines[i], floor_px, middles[i])
     for i in range(len(lines)):
         for j in range(len(lines)):
             if i != j and _are_of_one_edge(lines[i], lines[j], floor_px):

@@ -1,10 +1,10 @@
 """Field of view of an uncalibrated camera, from pictures of corridors.
 
 The directions to the vanishing points of corridor lines, transverse lines and door posts are orthogonal only at the
-right focal length (`vision.axis.right_angles`), so each picture i gives a log-likelihood L_i of the focal length. With
-the prior p of ordinary cameras and the share o of pictures with false right angles, the posterior of the field of
-view is ``p prod_i ((1 - o) exp(L_i / T) / norm_i + o)``; the temperature T >= 1 grows if the pictures disagree. There
-is no estimate where it is too wide or reaches the ends of the range.
+right focal length (`vision.axis.right_angles`), so each picture i gives a log-likelihood L_i of the focal length.
+With the prior p of ordinary cameras and the share o of pictures with false right angles, the posterior of the field
+of view is ``p prod_i ((1 - o) exp(L_i / T) / norm_i + o)``; the temperature T >= 1 grows if the pictures disagree.
+There is no estimate where it is too wide or reaches the ends of the range.
 
 Assumed throughout: square pixels, no distortion beyond the bend of `vision.lines.straightness`, and the optical axis
 at the picture's centre to about one percent of its width.

@@ -1,8 +1,11 @@
-"""Edge pixels, maxima of the gradient, joined to straight components in one raster pass.
+"""Edge pixels, the maxima of the gradient, connected to components in one raster pass.
 
-Everything is compiled and works on buffers that the caller keeps from frame to frame. What is done to every pixel is
-done to the picture as one long row: loops without branches, which the compiler turns into vector instructions. Of a
-component only running sums are kept: to join two is to add their sums.
+An edge pixel's gradient magnitude (Sobel 3x3) reaches the threshold and exceeds both neighbours along x or y,
+whichever is nearer to the gradient. The parabola through the three magnitudes gives its sub-pixel position. Union-find
+connects 8-neighbours whose gradients are within 22.5 degrees of the component's mean gradient.
+
+Components are stored as running sums only. Everything is compiled and works on buffers that the caller reuses. Loops
+over all pixels treat the picture as one long row without branches, so that they vectorise.
 """
 
 from __future__ import annotations
@@ -27,20 +30,20 @@ NO_LABEL = np.uint32(0xFFFFFFFF)
 COMPONENT = np.dtype(
     [(name, np.float64) for name in ("n", "x", "y", "xx", "xy", "yy", "gx", "gy")], align=True
 )
-"""Running sums of a component's pixels: number, coordinates and their products, gradient. One cache line."""
+"""Running sums over a component's pixels: number, coordinates, their products, gradient. Fills one cache line."""
 
 
 class Gradient(NamedTuple):
-    """A picture's gradient (Sobel 3x3), its length, and where that is an edge pixel's, each (h * w,).
+    """A picture's gradient (Sobel 3x3), its magnitude, and the marks of edge pixels, each (h * w,).
 
     Parameters
     ----------
     gx, gy, magnitude
-        Of use but for the pixels at the picture's border.
+        Not valid at the picture's border.
     mark
-        One for edge pixels, filled up to a multiple of 8.
+        One for edge pixels; padded to a multiple of 8.
     words
-        The same memory as ``mark``, eight pixels at a time.
+        The same memory as ``mark``, eight pixels per word.
     """
 
     gx: npt.NDArray[np.int16]
@@ -60,9 +63,9 @@ class Components(NamedTuple):
     places
         Their rectified coordinates (h * w, 2).
     parent
-        Parent (m,) of each label; a label that is its own is a component.
+        Parent (m,) of each label (union-find); a root, which is its own parent, is a component.
     sums
-        Array (m,) of `COMPONENT`, of use for labels that are their own parent.
+        Array (m,) of `COMPONENT`, valid for roots.
     rows
         Working memory (2, w).
     """
@@ -76,7 +79,7 @@ class Components(NamedTuple):
 
 @compiled_inner
 def median_bin(counts: IntArray, n: int) -> tuple[int, int]:
-    """Return how many of a histogram's n entries lie below the bin of their median, and that bin."""
+    """Return the number of a histogram's n entries below the bin of their median, and that bin."""
     below = level = 0
     while below + counts[level] < 0.5 * n:
         below += counts[level]
@@ -86,9 +89,9 @@ def median_bin(counts: IntArray, n: int) -> tuple[int, int]:
 
 @compiled_inner
 def median_and_mean(magnitude: Float32Array, width: int, counts: IntArray) -> tuple[float, float]:
-    """Return the median, to half a level, and the mean of every fourth magnitude of every fourth row.
+    """Return the median, to half a level, and the mean of every fourth magnitude in every fourth row.
 
-    ``counts`` is working memory, longer than any doubled magnitude.
+    ``counts`` is working memory with more entries than twice the largest magnitude.
     """
     counts[:] = 0
     total = 0.0
@@ -112,7 +115,7 @@ def _fill_gradient(
     gy: Int16Array,
     magnitude: Float32Array,
 ) -> None:
-    """Fill in the gradient (Sobel 3x3) of pixels in a row but the first and the last."""
+    """Fill in the gradient (Sobel 3x3) of a row's pixels, except the first and the last."""
     two = np.int16(2)
     last = len(gx) - 1
     for x in range(1, last):
@@ -132,7 +135,7 @@ def _fill_gradient(
 
 @compiled_inner
 def fill_gradient(picture: GreyImage, gradient: Gradient) -> None:
-    """Fill in the gradient of a picture (h, w) and its length, all but ``mark``."""
+    """Fill in the gradient of a picture (h, w) and its magnitude, but not ``mark``."""
     pixels, w = picture.ravel(), picture.shape[1]
     inner = slice(w, len(pixels) - w)
     _fill_gradient(
@@ -157,10 +160,7 @@ def _mark_ridge(
     threshold: np.float32,
     mark: npt.NDArray[np.uint8],
 ) -> None:
-    """Mark the pixels that reach the threshold and exceed their neighbours across the edge.
-
-    Nothing here branches, not even whether to load a neighbour, so that the compiler works on many pixels at a time.
-    """
+    """Mark the pixels that reach the threshold and exceed their neighbours across the edge, without branches."""
     for x in range(len(middle)):
         m = middle[x]
         at_left, at_right, at_up, at_down = left[x], right[x], up[x], down[x]
@@ -172,7 +172,7 @@ def _mark_ridge(
 
 @compiled_inner
 def _find_edge_pixels(gradient: Gradient, width: int, threshold: np.float32, edges: UintArray) -> int:
-    """Fill in the indices of the edge pixels, also of those too near to the picture's sides; return how many."""
+    """Fill in the indices of edge pixels, including those too near to the picture's sides; return their number."""
     magnitude, mark, words = gradient.magnitude, gradient.mark, gradient.words
     first, last = 2 * width, len(magnitude) - 2 * width
     _mark_ridge(
@@ -205,7 +205,7 @@ def _root(parent: UintArray, label: np.uint32) -> np.uint32:
 
 @compiled_inner
 def _agree(ax: float, ay: float, bx: float, by: float) -> bool:
-    """Tell whether two directions differ by less than 22.5 degrees; edges of opposite sign never agree."""
+    """Whether two gradients differ by less than 22.5 degrees; opposite ones never agree."""
     dot = ax * bx + ay * by
     return dot > 0.0 and dot * dot > DIRECTION_COS2 * (ax * ax + ay * ay) * (bx * bx + by * by)
 
@@ -231,7 +231,7 @@ def _join_around(
     parent: UintArray,
     sums: RecordArray,
 ) -> np.uint32:
-    """Return the component of an edge pixel of gradient (a, b), joining those around it that it connects.
+    """Return the component of an edge pixel with gradient (a, b), merging the components around it that it connects.
 
     `NO_LABEL` where it agrees with none of them.
     """
@@ -283,7 +283,7 @@ def _is_upright(gradient: Gradient, i: np.uintp) -> bool:
 
 @compiled_inner
 def _peak(gradient: Gradient, i: np.uintp, step: np.uintp) -> tuple[float, float]:
-    """Return the curvature of a parabola across the edge, and how far from pixel i it peaks."""
+    """Return the curvature of a parabola across the edge, and its vertex relative to pixel i."""
     m, m0, m1 = gradient.magnitude[i], gradient.magnitude[i - step], gradient.magnitude[i + step]
     curvature = 2.0 * m - m0 - m1
     return curvature, 0.5 * (m1 - m0) / curvature
@@ -291,11 +291,11 @@ def _peak(gradient: Gradient, i: np.uintp, step: np.uintp) -> tuple[float, float
 
 @compiled_inner
 def _locate(gradient: Gradient, width: int, n_edges: int, components: Components) -> tuple[int, float, float]:
-    """Find where edge pixels are to a fraction of a pixel, and leave out those at the sides.
+    """Compute the sub-pixel positions of edge pixels, leaving out those at the picture's sides.
 
-    Fills in the first rows of ``components.edges`` and ``components.places``; returns how many, and the sharpness of
-    upright and of level edges, see `connect`. What depends on the lens is left to `_rectify`: in this loop nothing
-    may branch on the direction of an edge, which no processor can predict.
+    Fills in the first rows of ``components.edges`` and ``components.places``; returns their number, and the sharpness
+    of upright and of level edges, see `connect`. Lens distortion is left to `_rectify`: this loop must not branch on
+    an edge's direction, which processors cannot predict.
     """
     edges, places = components.edges, components.places
     bend, ridge = np.full(2, 1e-9), np.full(2, 1e-9)
@@ -308,7 +308,7 @@ def _locate(gradient: Gradient, width: int, n_edges: int, components: Components
         x = np.intp(i - row)
         if x < 2 or x >= width - 2:
             continue
-        # A parabola along the axis nearest to the gradient peaks on the edge whatever its direction.
+        # The parabola along x or y, whichever is nearer to the gradient, peaks on the edge for any edge direction.
         upright = _is_upright(gradient, i)
         step, axis = np.uintp(1) if upright else w, np.uintp(upright)
         curvature, shift = _peak(gradient, i, step)
@@ -325,7 +325,7 @@ def _locate(gradient: Gradient, width: int, n_edges: int, components: Components
 def _rectify(
     gradient: Gradient, width: int, n_edges: int, rectified: Float32Array, components: Components
 ) -> int:
-    """Bring located edge pixels to rectified coordinates, and leave out those without; return how many remain."""
+    """Convert located edge pixels to rectified coordinates, leaving out those without; return their number."""
     edges, places = components.edges, components.places
     n = 0
     for k in range(n_edges):
@@ -346,27 +346,27 @@ def _rectify(
 def connect(
     gradient: Gradient, width: int, threshold: np.float32, rectified: Float32Array, components: Components
 ) -> tuple[int, float, float]:
-    """Join edge pixels to components of one gradient direction, in one raster pass.
+    """Connect edge pixels to components of one gradient direction, in one raster pass.
 
     Parameters
     ----------
     gradient
-        Of a picture, by `fill_gradient`.
+        Gradient of a picture, by `fill_gradient`.
     width
-        Of the picture.
+        Width of the picture.
     threshold
-        Length of the gradient from which a maximum across the edge is an edge pixel.
+        Least gradient magnitude of an edge pixel.
     rectified
-        Rectified coordinates (h, w, 2) of the pixels, or (1, 1, 2) where they are the pixels' own.
+        Rectified coordinates (h, w, 2) of the pixels, or (1, 1, 2) where they equal the pixel coordinates.
     components
         Filled with the components.
 
     Returns
     -------
     tuple
-        How many labels were given out, and the sharpness of upright and of level edges: the mean curvature of the
-        gradient's ridge over its height, strong edges counting most. It is about 1 for edges as sharp as the pixels,
-        1 / s^2 for edges blurred over s pixels. Motion blurs only the edges across its direction.
+        Number of labels, and the sharpness of upright and of level edges: total curvature of the gradient magnitude
+        across the edges over its total height. It is about 1 for edges as sharp as a pixel, 1 / s^2 for edges blurred
+        over s pixels. The two differ because motion blurs only the edges across its direction.
     """
     n_edges = _find_edge_pixels(gradient, width, threshold, components.edges)
     n_edges, upright, level = _locate(gradient, width, n_edges, components)
@@ -377,9 +377,9 @@ def connect(
 
 @compiled_inner
 def _label(gradient: Gradient, width: int, n_edges: int, components: Components) -> int:
-    """Give each edge pixel, row by row, the label of a component; return how many labels there are.
+    """Assign each edge pixel, row by row, to a component; return the number of labels.
 
-    Indices are unsigned, which spares asking at each whether it counts from the end.
+    Indices are unsigned, which avoids the check for negative indices.
     """
     gx, gy = gradient.gx, gradient.gy
     edges, places, parent, sums = components.edges, components.places, components.parent, components.sums
@@ -398,7 +398,7 @@ def _label(gradient: Gradient, width: int, n_edges: int, components: Components)
         around = (here[x - one], above[x - one], above[x], above[x + one])
         label = min(min(around[0], around[1]), min(around[2], around[3]))
         if label != NO_LABEL:
-            # The common case, one component around, stays in line.
+            # Fast path for the common case of one component around.
             first, second, third, fourth = around
             alone = _is_or_none(first, label) & _is_or_none(second, label) & _is_or_none(third, label)
             if alone & _is_or_none(fourth, label):

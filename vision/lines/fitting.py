@@ -1,8 +1,14 @@
-"""Lines fitted to components of edge pixels, and the fragments of one edge joined to one line.
+"""Line fits to components of edge pixels, and the joining of fragments of one edge.
 
-Noise, a door handle or a shadow breaks an edge into fragments, and where it breaks changes from picture to picture.
-Each fragment alone says little about the edge's direction; together they say as much as an edge that was never
-broken. So two fragments are joined if each has the direction of the line through both their middles.
+A component's scatter matrix gives the line (the article's equations 1 to 4): direction by the eigenvector of the
+larger eigenvalue L, length ``sqrt(12 L)`` as of evenly spread pixels, rms across it by the smaller eigenvalue. The
+position across a line has the variance ``v = 12 rms^2 / n + floor^2``, as about one in 12 pixels is independent, and
+its direction ``12 v / length^2``.
+
+Noise, a door handle or a shadow breaks an edge into fragments, differently in each picture. A fragment alone gives
+the edge's direction poorly; joined, the fragments are as precise as an unbroken edge. Two fragments are joined if
+each one's direction agrees with the line through both midpoints (chi^2 below `JOIN_CHI2`), the gap is not too long,
+and at least one extrapolates precisely enough for the agreement to be significant.
 """
 
 from __future__ import annotations
@@ -15,16 +21,16 @@ from vision.compiled import compiled_inner
 from vision.lines.edges import Components, add
 from vision.types import FloatArray, IntArray, Record, RecordArray
 
-MAX_RMS_PX = 0.8  # scatter across the line beyond which it is not one
+MAX_RMS_PX = 0.8  # of the pixels across a line
 MIN_PIXELS = 5
 PIXELS_PER_INDEPENDENT = 12.0  # neighbouring edge pixels share blur, noise and aliasing
-JOIN_CHI2 = 4.0  # of each fragment's direction against the line through both middles
+JOIN_CHI2 = 4.0  # of each fragment's direction against the line through both midpoints
 MAX_GAP = 1.0  # between fragments, over the length of the longer one
 MAX_OVERLAP = 0.5  # of the shorter one's length
-# Standard deviation of the surer one's line at the other: beyond, agreeing is chance.
+# Standard deviation of the more precise line at the other's midpoint; with a larger one agreement may be chance.
 MAX_EXTRAPOLATED_PX = 1.0
-SECTORS = 60  # of directions; fragments of one edge are in the same or in neighbouring ones
-ROUNDING = 1.0001  # room for it where a limit is computed in another order
+SECTORS = 60  # of directions; fragments of one edge are in the same or in neighbouring sectors
+ROUNDING = 1.0001  # margin for rounding where a limit is computed in another order
 
 FITTED_LINE = np.dtype(
     [
@@ -45,7 +51,7 @@ FITTED_LINE = np.dtype(
 
 @compiled_inner
 def _fit(s: Record, line: Record) -> None:
-    """Fit a line to a component's sums, by the article's equations 1 to 4."""
+    """Fit a line to a component's sums by the article's equations 1 to 4."""
     n = s.n
     x = s.x / n
     y = s.y / n
@@ -78,7 +84,7 @@ def fit(components: Components, n_labels: int, min_length_px: float, lines: Reco
     Parameters
     ----------
     components, n_labels
-        As `vision.lines.edges.connect` left them.
+        Results of `vision.lines.edges.connect`.
     min_length_px
         Shorter lines are left out.
     lines
@@ -87,7 +93,7 @@ def fit(components: Components, n_labels: int, min_length_px: float, lines: Reco
     Returns
     -------
     int
-        How many lines are long and straight enough.
+        Number of lines that are long and straight enough.
     """
     parent, sums = components.parent, components.sums
     n_lines = 0
@@ -108,7 +114,7 @@ def fit(components: Components, n_labels: int, min_length_px: float, lines: Reco
 
 @compiled_inner
 def variance_across(line: Record, floor_px: float) -> float:
-    """Return the variance (px^2) of where a line's middle lies across it; ``floor_px`` as in `join`."""
+    """Return the variance (px^2) of a line's midpoint across the line; ``floor_px`` as in `join`."""
     return float(line.rms * line.rms * PIXELS_PER_INDEPENDENT / line.n_pixels + floor_px * floor_px)
 
 
@@ -117,10 +123,10 @@ def _are_of_one_edge(a: Record, b: Record, floor_px: float) -> bool:
     ax, ay, bx, by = a.x1 - a.x0, a.y1 - a.y0, b.x1 - b.x0, b.y1 - b.y0
     apart_x = 0.5 * (b.x0 + b.x1 - a.x0 - a.x1)
     apart_y = 0.5 * (b.y0 + b.y1 - a.y0 - a.y1)
-    # Products with the length of a: most pairs are told apart before anything is divided.
+    # Multiplied by the length of a, so that most pairs are rejected without a division.
     along, across = abs(ax * apart_x + ay * apart_y), ax * apart_y - ay * apart_x
     middle, longer, shorter = 0.5 * (a.length + b.length), max(a.length, b.length), min(a.length, b.length)
-    # Fragments that lie beside each other, not one behind the other, are edges of their own.
+    # Fragments side by side, not one behind the other, belong to different edges.
     if along > a.length * (middle + MAX_GAP * longer) or along < a.length * (middle - MAX_OVERLAP * shorter):
         return False
     if abs(across) > along or ax * bx + ay * by <= 0.0:
@@ -131,7 +137,7 @@ def _are_of_one_edge(a: Record, b: Record, floor_px: float) -> bool:
     b_turn = 12.0 * b_middle / (b.length * b.length) * squared
     if min(a_middle + a_turn, b_middle + b_turn) > MAX_EXTRAPOLATED_PX**2:
         return False
-    # sines of the directions against the line through both middles, times the distance
+    # sines of the directions against the line through both midpoints, times their distance
     a_off, b_off = across / a.length, (bx * apart_y - by * apart_x) / b.length
     middles = a_middle + b_middle
     return bool(
@@ -145,21 +151,21 @@ def _sector(line: Record) -> int:
 
 
 @compiled_inner
-def _note_middle(line: Record, floor_px: float, middle: FloatArray) -> None:
-    """Fill in twice the place (x, y) of a line's middle, and its variance across the line."""
+def _fill_middle(line: Record, floor_px: float, middle: FloatArray) -> None:
+    """Fill in twice the midpoint (x, y) of a line, and its variance across the line."""
     middle[0], middle[1] = line.x0 + line.x1, line.y0 + line.y1
     middle[2] = variance_across(line, floor_px)
 
 
 @compiled_inner
 def _next_in_line(line: Record, own: FloatArray, middles: FloatArray, following: IntArray, other: int) -> int:
-    """Return the first of a list of lines whose middle lies where `_are_of_one_edge` can be true; -1: none does.
+    """Return the first line of a linked list whose midpoint allows `_are_of_one_edge` to be true; -1: none.
 
-    Nearly all pairs are told apart by that, without a division and in little memory. ``own`` is the line's own row of
-    the ``middles`` (m, 3), see `_note_middle`; the list starts at ``other`` and goes on by ``following``.
+    This test rejects nearly all pairs without a division and with little memory traffic. ``own`` is the line's own
+    row of ``middles`` (m, 3), see `_fill_middle`; the list starts at ``other`` and continues by ``following``.
     """
     ax, ay, x, y = line.x1 - line.x0, line.y1 - line.y0, own[0], own[1]
-    # The limit of a_off there, all multiplied by the squared length, and by 4 as middles are doubled.
+    # The limit of a_off in `_are_of_one_edge`, times the squared length, and times 4 as the midpoints are doubled.
     per_variance = 4.0 * ROUNDING * JOIN_CHI2 * line.length * line.length
     constant, per_distance = per_variance * own[2], 12.0 * ROUNDING * JOIN_CHI2 * own[2]
     while other >= 0:
@@ -176,16 +182,16 @@ def _next_in_line(line: Record, own: FloatArray, middles: FloatArray, following:
 def join(
     components: Components, lines: RecordArray, n_lines: int, floor_px: float, following: IntArray
 ) -> int:
-    """Join fragments of one edge; return how many lines are left.
+    """Join fragments of one edge; return the number of remaining lines.
 
     Parameters
     ----------
     components
-        Of the lines; their sums are added where lines are joined.
+        Components of the lines; their sums are added where lines are joined.
     lines, n_lines
-        As `fit` filled them; those that are left come first.
+        Results of `fit`; the remaining lines are moved to the front.
     floor_px
-        Error across a line that more edge pixels do not average out.
+        Error across a line that does not average out over its pixels.
     following
         Working memory (m,), as long as ``lines``.
     """
@@ -194,7 +200,7 @@ def join(
         sector[i] = _sector(lines[i])
         following[i] = first[sector[i]]
         first[sector[i]] = i
-        _note_middle(lines[i], floor_px, middles[i])
+        _fill_middle(lines[i], floor_px, middles[i])
     for i in range(n_lines):
         line = lines[i]
         grown = line.label >= 0
@@ -207,7 +213,7 @@ def join(
                     if j != i and other.label >= 0 and _are_of_one_edge(line, other, floor_px):
                         add(components.sums[line.label], components.sums[other.label])
                         _fit(components.sums[line.label], line)
-                        _note_middle(line, floor_px, middles[i])
+                        _fill_middle(line, floor_px, middles[i])
                         other.label = -1
                         grown = True
                     j = _next_in_line(line, middles[i], middles, following, following[j])

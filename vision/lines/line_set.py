@@ -1,4 +1,8 @@
-"""The straight line segments of one picture: where they are in it, and the planes they span with the camera."""
+"""Straight line segments of one picture: their ends in pixels, and the planes they span with the camera's centre.
+
+A segment with unit rays r_0, r_1 to its ends is described by the unit vectors ``centre`` (towards its middle),
+``normal`` (of the plane, parallel to r_0 x r_1) and ``direction = normal x centre``.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,7 @@ from vision.types import BoolArray, FloatArray, GreyImage
 
 
 class LineGeometry(NamedTuple):
-    """The planes of n lines as compiled code takes them; fields as in `LineSet`, in any one frame."""
+    """Planes of n lines for compiled code; fields as in `LineSet`, in any one frame."""
 
     normal: FloatArray  # (n, 3), as the next two
     centre: FloatArray
@@ -23,7 +27,7 @@ class LineGeometry(NamedTuple):
 
 @compiled
 def turned(lines: LineGeometry, R: FloatArray) -> LineGeometry:
-    """Return lines turned by a rotation (3, 3)."""
+    """Return the lines rotated by R (3, 3)."""
     n = len(lines.sigma_rad)
     normal, centre, direction = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
     for i in range(n):
@@ -60,15 +64,15 @@ class LineSet:
         Unit vectors (n, 3) in the optical frame: towards the middle of the segment, along it, and normal to the
         plane it spans with the camera's centre, on the bright side; ``normal = centre x direction``.
     sigma_rad
-        Standard deviation (n,) of the angle by which the middle is off its plane.
+        Standard deviation (n,) of the angle of the middle off its plane.
     arc_rad
-        Angle (n,) the segment subtends.
+        Angle (n,) that the segment subtends.
     threshold
         Gradient magnitude above which pixels counted as edges.
     extract_ms
-        Time it took to find them, milliseconds.
+        Time of the extraction, milliseconds.
     grey
-        The picture (h, w), uint8, for what lines do not tell; None for lines without one.
+        The picture (h, w), uint8, for the steps that use pixels; None for lines without one.
     """
 
     width_px: int
@@ -91,7 +95,7 @@ class LineSet:
         return len(self.length_px)
 
     def with_ends(self, start: FloatArray, end: FloatArray) -> LineSet:
-        """Return the same lines with their planes spanned by other rays (n, 3) to their ends, z = 1 or about."""
+        """Return the same lines with their planes spanned by other rays (n, 3) to their ends; z must be about 1."""
         centre = start + end
         centre /= np.linalg.norm(centre, axis=1, keepdims=True)
         normal = np.cross(start, end)
@@ -106,7 +110,7 @@ class LineSet:
         )
 
     def cut(self, which: BoolArray, ray: FloatArray) -> LineSet:
-        """Return the lines with some of them (n,) cut in two where they pass a ray (3,) of the optical frame."""
+        """Return the lines, those marked in ``which`` (n,) cut in two where they pass a ray (3,), optical frame."""
         whole, halved = np.flatnonzero(~which), np.flatnonzero(which)
         lines = np.concatenate([whole, halved, halved])
         ahead = np.arctan2(self.direction[halved] @ ray, self.centre[halved] @ ray)  # of the middle
@@ -135,5 +139,5 @@ class LineSet:
         )
 
     def geometry(self) -> LineGeometry:
-        """Return the lines' planes in the optical frame, as compiled code takes them."""
+        """Return the lines' planes in the optical frame, for compiled code."""
         return LineGeometry(self.normal, self.centre, self.direction, self.sigma_rad, self.arc_rad)

@@ -1,4 +1,8 @@
-"""The picture in which lines are searched: at what size, and how much blurred, follows its own noise."""
+"""Size and blur of the picture in which lines are searched, chosen by its resolution, noise and JPEG artefacts.
+
+Large pictures are reduced and small ones enlarged (`working_camera`); fine ones are then resampled at three quarters
+(`prepared`). `smoothed` applies a Gaussian blur of 3, 5 or 7 pixels where noise or blockiness exceed given limits.
+"""
 
 from __future__ import annotations
 
@@ -13,35 +17,35 @@ from vision.compiled import compiled, compiled_inner
 from vision.lines.edges import median_bin
 from vision.types import GreyImage
 
-# Fine pictures are searched at three quarters of their size, which hides what sensor, compression and resampling do
-# to single pixels. The blur before it makes all pixels of the smaller picture about equally sharp, wherever they fall
-# between those of the larger one: a picture that is moved by half a pixel shows the same lines.
+# Three quarters of the size suppress artefacts of single pixels by sensor, compression and resampling. The blur
+# before makes all pixels of the smaller picture about equally sharp at any sub-pixel phase, so that a picture shifted
+# by half a pixel gives the same lines.
 FINE_DIAGONAL_PX = 600.0
 FINE_SCALE, FINE_BLUR_PX, FINE_SHARPNESS = 0.75, 0.65, 0.67
-SMOOTH_FROM_NOISE = (5.0, 14.0)  # noise above which blur of 3, 5 pixels pays
-SMOOTH_FROM_BLOCKINESS = (1.7, 1.7, 2.6)  # and blockiness above which blur of 3, 5, 7 pixels does
-SHARPNESS = (0.80, 0.58, 0.42, 0.34)  # of a sharp edge after blur of 1, 3, 5, 7 pixels; see `connect`
+SMOOTH_FROM_NOISE = (5.0, 14.0)  # noise above which the blur is 3, 5 pixels
+SMOOTH_FROM_BLOCKINESS = (1.7, 1.7, 2.6)  # blockiness above which the blur is 3, 5, 7 pixels
+SHARPNESS = (0.80, 0.58, 0.42, 0.34)  # of a sharp edge after a blur of 1, 3, 5, 7 pixels; see `connect`
 SMALL_DIAGONAL_PX = 300.0
 MAX_DIAGONAL_PX = 1000.0
 SECOND_DIFFERENCE_MEDIAN = 0.6745 * sqrt(6.0)  # median of |a - 2b + c| for noise of one grey level
 ROW_STEP = 8
-MAX_BLOCK_STEP = 20  # larger ones are the picture's own edges
+MAX_BLOCK_STEP = 20  # limits the influence of the picture's own edges
 MAX_SECOND_DIFFERENCE = 2 * 255
 
 
 @compiled_inner
 def _block_step(row: GreyImage, x: int) -> int:
-    """Return by how many grey levels a pixel of a row (w,) differs from the one before, at most `MAX_BLOCK_STEP`."""
+    """Return the absolute difference of a row's pixel x and its predecessor, at most `MAX_BLOCK_STEP`."""
     return int(min(abs(np.int32(row[x]) - np.int32(row[x - 1])), np.int32(MAX_BLOCK_STEP)))
 
 
 @compiled
 def noise_and_blockiness(grey: GreyImage) -> tuple[float, float]:
-    """Estimate a picture's noise, standard deviation in grey levels, and how visible JPEG's blocks are.
+    """Estimate a picture's noise, standard deviation in grey levels, and its blockiness by JPEG compression.
 
-    The noise follows from the median of |a - 2b + c| along every eighth row, which edges hardly touch. Blockiness is
+    The noise follows from the median of |a - 2b + c| along every eighth row, which is robust to edges. Blockiness is
     the mean step between columns 8k - 1 and 8k, where JPEG's blocks meet, over the mean step elsewhere: about 1 for
-    pictures never compressed, 1.5 for good quality, 2 and more where the blocks can be seen.
+    uncompressed pictures, 1.5 for good quality, 2 and more where the blocks are visible.
 
     Parameters
     ----------
@@ -49,7 +53,7 @@ def noise_and_blockiness(grey: GreyImage) -> tuple[float, float]:
         Picture (h, w).
     """
     height, width = grey.shape
-    # Two tables in turn: counting the same level twice in a row, the processor waits for the first count.
+    # Two alternating tables: incrementing one counter twice in a row would stall the processor.
     counts = np.zeros((2, MAX_SECOND_DIFFERENCE + 1), np.int64)
     n = at_joint = everywhere = 0
     for y in range(0, height, ROW_STEP):
@@ -69,12 +73,12 @@ def noise_and_blockiness(grey: GreyImage) -> tuple[float, float]:
 
 
 def prepared(grey: GreyImage, camera: Camera) -> tuple[Camera, GreyImage, float]:
-    """Choose the size at which lines are searched.
+    """Resample a picture to the size at which lines are searched.
 
     Returns
     -------
     tuple
-        Camera and picture of that size, and how sharp a sharp edge is in it.
+        Camera and picture of that size, and the sharpness of a sharp edge in it.
     """
     working = working_camera(camera)
     picture = scaled(grey, working)
@@ -92,10 +96,10 @@ def prepared(grey: GreyImage, camera: Camera) -> tuple[Camera, GreyImage, float]
 
 @lru_cache(maxsize=8)
 def working_camera(camera: Camera) -> Camera:
-    """Return the camera scaled to the size at which lines are searched.
+    """Return the camera scaled to the base size for line search.
 
-    Large pictures gain nothing but time; small ones hide neighbouring edges from each other, which interpolation
-    undoes in part.
+    Larger pictures cost time without better lines. In small ones neighbouring edges interfere, which interpolation
+    partly prevents.
     """
     diagonal = hypot(camera.width_px, camera.height_px)
     if diagonal > MAX_DIAGONAL_PX:
@@ -109,7 +113,7 @@ def working_camera(camera: Camera) -> Camera:
 
 @lru_cache(maxsize=8)
 def resized(camera: Camera, scale: float) -> Camera:
-    """Return the camera as of its pictures at ``scale`` times their size."""
+    """Return the camera for its pictures at ``scale`` times their size."""
     return camera.resized(max(round(camera.width_px * scale), 1), max(round(camera.height_px * scale), 1))
 
 
@@ -123,9 +127,9 @@ def scaled(grey: GreyImage, camera: Camera) -> GreyImage:
 
 
 def smoothed(picture: GreyImage, out: GreyImage) -> tuple[GreyImage, float]:
-    """Blur as little as the noise allows; return the picture, and how sharp it leaves a sharp edge, a share.
+    """Blur as little as the noise allows; return the picture, and the share of sharpness that a sharp edge retains.
 
-    Blur lets neighbouring edges pull at each other.
+    More blur would bias edges towards their neighbours.
     """
     noise, blockiness = noise_and_blockiness(picture)
     level = max(

@@ -1,8 +1,8 @@
-"""Lines of a rolling shutter's picture, as if all of its rows had been exposed with the middle one.
+"""Correction of a rolling shutter: lines as if all rows had been exposed together with the middle row.
 
-While the rows are exposed one after the other, the camera turns. A ray seen t after the middle row had, at the middle
-row's moment, the direction ``exp([w t]) r`` in the camera, where w is the angular rate. The camera's movement is left
-out: it is small against the turn.
+The camera rotates while the rows are exposed one after the other. A ray r seen the time t after the middle row has,
+at the middle row's time, the direction ``exp([w t]_x) r`` in the camera, with the angular rate w; the exponential is
+computed to second order. The camera's translation is neglected, as its effect is small compared with the rotation's.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from vision.types import FloatArray
 
 
 def to_picture(points_px: FloatArray, camera: Camera) -> FloatArray:
-    """Bring points (n, 2) from rectified pixels to where they are in the picture as it was taken."""
+    """Map points (n, 2) from rectified pixels to the original picture."""
     return camera.project(_rectified_rays(points_px, camera)) if is_distorted(camera) else points_px
 
 
 def lines_at_one_moment(lines: LineSet, camera: Camera, body_rates_rad_s: npt.ArrayLike) -> LineSet:
-    """Return the planes of a picture's lines at the moment of its middle row.
+    """Return the lines with their planes at the time of the picture's middle row.
 
     Parameters
     ----------
     lines
-        As found; their ends stay where they are in the picture.
+        Lines as extracted; their ends in pixels do not change.
     camera
-        What took the picture, with its ``line_delay_s``.
+        The camera, with its ``line_delay_s``.
     body_rates_rad_s
-        Angular rate (3,) of the body, FRD, while the picture was read.
+        Angular rate (3,) of the body, FRD, during the readout.
     """
     rate = camera.R_body_camera.T @ np.asarray(body_rates_rad_s, dtype=float)
     rays = []
@@ -41,7 +41,7 @@ def lines_at_one_moment(lines: LineSet, camera: Camera, body_rates_rad_s: npt.Ar
         ray = _rectified_rays(points, camera)
         turn = seconds[:, None] * rate
         across = np.cross(turn, ray)
-        rays.append(ray + across + 0.5 * np.cross(turn, across))  # exp, as turns are of a degree or two
+        rays.append(ray + across + 0.5 * np.cross(turn, across))  # second order: turns are a degree or two
     return lines.with_ends(*rays)
 
 

@@ -1,10 +1,15 @@
 """Straight line segments with sub-pixel accuracy, in one pass over the picture.
 
-The article's line finder (connected components of edge pixels with a common gradient direction, eigen fit of each,
-equations 1 to 4) made sub-pixel: an edge pixel is a maximum of the gradient magnitude across the edge, its position
-the vertex of a parabola through three magnitudes; pixels join a component while their gradient agrees with the
-component's mean within 22.5 degrees. For a distorted lens the fit is in rectified coordinates, where edges of
-straight things are straight. Threshold, blur and the size at which lines are searched follow the picture's own noise.
+This is the article's line finder (connected components of edge pixels with a common gradient direction, eigenvector
+fit of each, equations 1 to 4), made sub-pixel. An edge pixel is a maximum of the gradient magnitude across the edge;
+its position is the vertex of a parabola through three magnitudes. Pixels join a component if their gradient agrees
+with the component's mean within 22.5 degrees (`vision.lines.edges`). A line is fitted to each component, and
+fragments of one edge are joined (`vision.lines.fitting`). For a distorted lens the fit uses rectified coordinates, in
+which straight edges are straight. The gradient threshold, the blur and the working size adapt to the picture's noise
+and to the sharpness of its edges.
+
+A line's plane follows from its ends, and sigma, the standard deviation of the angle across it, from the scatter of
+its n pixels: the variance is ``12 rms^2 / n + floor^2`` (px^2), as about one pixel in 12 is independent.
 """
 
 from __future__ import annotations
@@ -35,14 +40,14 @@ MAX_COMPONENTS = 1 << 15
 MAX_LINES = 1 << 12
 NOISE_TO_THRESHOLD = 3.0  # threshold over the median gradient magnitude
 STRUCTURE_TO_THRESHOLD = 1.0  # threshold over the mean gradient magnitude
-MIN_THRESHOLD = 6.0  # gradient (Sobel 3x3) that quantisation to whole grey levels can make
+MIN_THRESHOLD = 6.0  # gradient (Sobel 3x3) that quantisation to whole grey levels can cause
 BLURRED_SHARPNESS = 0.5
 MIN_DIAGONAL_PX = 100.0
 MIN_LENGTH_OF_DIAGONAL = 0.015
 MIN_LENGTH_PX = 7.0
 MAX_HALF_FIELD_RAD = radians(75.0)  # rectified coordinates stretch without bound towards 90 degrees
-POSITION_FLOOR_PX = 0.055  # bias of the parabola, compression, edges not quite straight: does not average out
-SOFT = 3.0  # times that, where edges are blurred even as seen from as far away as can be
+POSITION_FLOOR_PX = 0.055  # parabola bias, compression, edges not exactly straight: does not average out
+BLURRED_FLOOR_FACTOR = 3.0  # where edges are blurred even at the smallest size
 
 
 class _Workspace:
@@ -114,10 +119,10 @@ def extract_lines(image: npt.NDArray[Any], camera: Camera, *, keep_picture: bool
 
 
 def extract_coarse_lines(grey: GreyImage, camera: Camera) -> LineSet:
-    """Find the straight line segments of a picture in one of half its size.
+    """Find the straight line segments of a picture at half its size.
 
-    Noise is averaged there, and what is left of a weak edge is longer: in the dark more lines are found, at the cost
-    of their accuracy. Arguments and result are as those of `extract_lines`.
+    This averages noise and leaves longer pieces of weak edges: more lines are found in dark pictures, with less
+    accuracy. Arguments and result as in `extract_lines`.
     """
     half = resized(camera, 0.5)
     return _extract(grey, scaled(grey, half), camera, half, keep_picture=True)
@@ -126,24 +131,24 @@ def extract_coarse_lines(grey: GreyImage, camera: Camera) -> LineSet:
 def _extract(
     grey: GreyImage, searched: GreyImage, camera: Camera, searched_camera: Camera, keep_picture: bool
 ) -> LineSet:
-    """Find lines in ``searched``, the picture ``grey`` at some size, and bring them into the camera's pixels."""
+    """Find lines in ``searched``, the picture ``grey`` at some size, and convert them to the camera's pixels."""
     started = time.perf_counter()
     chosen, picture, sharpness = prepared(searched, searched_camera)
     working, view = chosen, _view(camera, chosen)
-    n_labels, threshold, blurred = _connected(picture, view.rectified, sharpness)
-    # Edges blurred over several pixels have their maximum anywhere on a plateau: look from farther away.
+    n_labels, threshold, blurred = _connect_edges(picture, view.rectified, sharpness)
+    # On edges blurred over several pixels the maximum is anywhere on a plateau: halve the size until they are sharp.
     while blurred and hypot(working.width_px, working.height_px) > 2.0 * MIN_DIAGONAL_PX:
         working = resized(working, 0.5)
         view = _view(camera, working)
-        n_labels, threshold, blurred = _connected(scaled(grey, working), view.rectified)
+        n_labels, threshold, blurred = _connect_edges(scaled(grey, working), view.rectified)
     work = _workspace(working.height_px, working.width_px)
-    floor_px = POSITION_FLOOR_PX * (chosen.fx_px / working.fx_px) * (SOFT if blurred else 1.0)
+    floor_px = POSITION_FLOOR_PX * (chosen.fx_px / working.fx_px) * (BLURRED_FLOOR_FACTOR if blurred else 1.0)
     found = _fit_lines(work.components, n_labels, view, floor_px, work.lines, work.following)
     return _line_set(found, camera, threshold, started, grey if keep_picture else None)
 
 
 class _FoundLines(NamedTuple):
-    """Lines as compiled code finds them; fields as in `LineSet`."""
+    """Lines as returned by compiled code; fields as in `LineSet`."""
 
     ends_px: FloatArray
     length_px: FloatArray
@@ -154,7 +159,7 @@ class _FoundLines(NamedTuple):
 
 
 class _View(NamedTuple):
-    """What compiled code needs to know of a camera and of the size at which it looks for lines.
+    """Camera data for compiled code, at the working size and at the original one.
 
     Parameters
     ----------
@@ -163,7 +168,7 @@ class _View(NamedTuple):
     working, original
         Arrays (1,) of `PINHOLE`.
     min_length_px
-        Of a line, working pixels.
+        Least length of a line, working pixels.
     """
 
     rectified: Float32Array
@@ -179,32 +184,32 @@ def _view(camera: Camera, working: Camera) -> _View:
     return _View(_rectified(working), _pinhole(working), _pinhole(camera), min_length_px)
 
 
-def _connected(
+def _connect_edges(
     picture: GreyImage, rectified: Float32Array, sharpness: float = SHARPNESS[0]
 ) -> tuple[int, float, bool]:
-    """Join a picture's edge pixels in the buffers of this thread, of use until the next picture.
+    """Blur a picture according to its noise, and connect its edge pixels in this thread's buffers.
 
-    It is blurred first as far as its noise asks for. ``sharpness`` is that of its sharp edges, see `connect`.
+    The buffers are valid until the next picture. ``sharpness`` is the expected sharpness of sharp edges, see
+    `connect`.
 
     Returns
     -------
     tuple
-        How many labels were given out, the gradient's length from which pixels counted as edges, and whether edges
-        are blurred over several pixels.
+        Number of labels, threshold of the gradient magnitude, and whether edges are blurred over several pixels.
     """
     work = _workspace(*picture.shape)
-    smooth, share_left = smoothed(picture, work.smooth)
+    smooth, remaining_sharpness = smoothed(picture, work.smooth)
     n_labels, threshold, found = _find_components(
         smooth, rectified, work.gradient, work.components, work.counts
     )
-    return n_labels, threshold, found < BLURRED_SHARPNESS * share_left * sharpness
+    return n_labels, threshold, found < BLURRED_SHARPNESS * remaining_sharpness * sharpness
 
 
 @compiled
 def _find_components(
     smooth: GreyImage, rectified: Float32Array, gradient: Gradient, components: Components, counts: IntArray
 ) -> tuple[int, float, float]:
-    """Return the number of labels, the threshold and the sharpness of the blurrier edges, see `connect`."""
+    """Return the number of labels, the threshold and the smaller sharpness of both edge directions, see `connect`."""
     fill_gradient(smooth, gradient)
     width = smooth.shape[1]
     median, mean = median_and_mean(gradient.magnitude, width, counts)
@@ -230,7 +235,7 @@ def _fit_lines(
 
 @compiled
 def _describe_lines(lines: RecordArray, view: _View, floor_px: float) -> _FoundLines:
-    """Bring fitted lines (n,) of `vision.lines.fitting.FITTED_LINE` from working pixels into the camera's frame."""
+    """Convert fitted lines (n,) of `vision.lines.fitting.FITTED_LINE` from working pixels to the camera's frame."""
     scale = view.original[0].fx / view.working[0].fx
     ends_px, planes = _span_planes(lines, view.working, view.original, floor_px)
     return _FoundLines(
@@ -267,13 +272,12 @@ def _line_set(
 
 
 def edge_components(grey: GreyImage, camera: Camera) -> RecordArray:
-    """Return what a picture's connected edges (n,) sum up to, of `vision.lines.edges.COMPONENT`.
+    """Return the sums (n,) of a picture's connected edges, of `vision.lines.edges.COMPONENT`, at full size.
 
-    Which pixels make a component does not depend on the lens; their rectified coordinates do. How straight they are
-    shows best at full size.
+    The lens model affects only the rectified coordinates of the pixels, not which pixels form a component.
     """
     working = working_camera(camera)
-    n_labels, _, _ = _connected(scaled(grey, working), _rectified(working))
+    n_labels, _, _ = _connect_edges(scaled(grey, working), _rectified(working))
     work = _workspace(working.height_px, working.width_px)
     parent = work.components.parent[:n_labels]
     sums: RecordArray = work.components.sums[:n_labels][parent == np.arange(n_labels)]
@@ -284,7 +288,7 @@ def edge_components(grey: GreyImage, camera: Camera) -> RecordArray:
 def _rectified(camera: Camera) -> Float32Array:
     """Return rectified coordinates (h, w, 2) of every pixel, NaN outside the usable field.
 
-    For a lens without distortion they would be the pixels' own: (1, 1, 2) then.
+    The array is (1, 1, 2) for a lens without distortion, where they equal the pixel coordinates.
     """
     if not is_distorted(camera):
         return np.zeros((1, 1, 2), np.float32)
@@ -325,7 +329,7 @@ def _span_planes(
         ends_px[i, 1] = y0 * o.fy + o.cy
         ends_px[i, 2] = x1 * o.fx + o.cx
         ends_px[i, 3] = y1 * o.fy + o.cy
-        # the cross product of (x0, y0, 1) and (x1, y1, 1)
+        # cross product of (x0, y0, 1) and (x1, y1, 1)
         nx = y0 - y1
         ny = x1 - x0
         nz = x0 * y1 - y0 * x1

@@ -1,12 +1,18 @@
-"""How much a lens bends straight lines, from pictures of a building: what is straight there tells.
+"""How much a lens bends straight lines, from pictures of a building, where most edges are straight.
 
-The lens is that of Devernay and Faugeras (Straight lines have to be straight, 2001), of one parameter: a point at
-distance r from the optical axis in the picture lies at ``F tan(r / F)`` in one without distortion. A fisheye of
-equidistant projection with focal length f has F = f; others have their own F, the less they bend the larger. The
-parameter here is the **bend**, half the picture's diagonal over F, radians; 0 is a lens that does not bend lines.
+The lens model is the one-parameter model of Devernay and Faugeras ("Straight lines have to be straight", 2001): a
+point at the distance r from the optical axis in the picture is at ``F tan(r / F)`` in a picture without distortion.
+An equidistant fisheye with focal length f has F = f; lenses that bend less have a larger F. The parameter here is the
+**bend**, half the picture's diagonal over F, radians; 0 for a lens that does not bend lines.
 
-Edge pixels are joined to components by their gradient, which is done in the picture as it is. Only how far the pixels
-scatter about a straight line then depends on F: the likelihood of all components' scatter tells it.
+Edge pixels are connected to components by their gradient in the original picture, independent of F. Only their
+scatter s about a straight line depends on F. The log-likelihood of F is, summed over components with the weight w
+(number of independent pixels, limited),
+
+    -1/2 sum w log(1 + (s / SCATTER_PX)^2),
+
+which is robust to edges that are curved in reality. It is maximised by a coarse and a fine grid search. The bend is
+zero unless the gain over no bend, and the bend over its standard deviation, are significant.
 """
 
 from __future__ import annotations
@@ -22,16 +28,16 @@ from vision.lines.segments import edge_components
 from vision.types import FloatArray, GreyImage
 
 MIN_PIXELS = 20  # of a component
-MAX_PIXELS = 100  # longer ones count no more: a person's outline can be long, too
+MAX_PIXELS = 100  # longer ones get no more weight: a person's outline can be long, too
 PIXELS_PER_INDEPENDENT = 20.0
 SCATTER_PX = 0.25  # of edge pixels about a straight edge
 MAX_BEND_RAD = 1.7  # twice the angle of the picture's corner for an equidistant lens: 195 degrees
 COARSE_STEP, FINE_STEP = 0.2, 0.05
-N_COARSE = 5  # pictures that the search starts with
+N_COARSE = 5  # pictures in the coarse search
 MAX_PICTURES = 10
-MIN_GAIN = 12.0  # log-likelihood over no bend
+MIN_GAIN = 12.0  # log-likelihood ratio against no bend
 MIN_SIGMA = 4.0
-MAX_FITTED = 1.48  # of the distance from the axis over F: towards a quarter turn the tangent has no bounds
+MAX_FITTED = 1.48  # of r / F, below pi / 2, where the tangent diverges
 NOMINAL_FOCAL_OF_DIAGONAL = 0.75
 
 
@@ -42,14 +48,14 @@ class Bend:
     Parameters
     ----------
     rad, std_rad
-        Half the picture's diagonal over F, and its standard deviation; 0 and NaN where pictures show no bend.
+        Half the picture's diagonal over F, and its standard deviation; 0 and NaN where no bend was found.
     """
 
     rad: float = 0.0
     std_rad: float = nan
 
     def radius_px(self, width_px: int, height_px: int) -> float:
-        """Return F for pictures of a size, pixels; it must bend lines at all."""
+        """Return F for pictures of a size, pixels; the bend must not be zero."""
         return 0.5 * hypot(width_px, height_px) / self.rad
 
 
@@ -57,9 +63,9 @@ NO_BEND = Bend()
 
 
 def straightening_camera(width_px: int, height_px: int, bend_rad: float) -> Camera:
-    """Return a camera that straightens lines: its rectified pixels are those of a lens without distortion.
+    """Return a camera in whose rectified pixels straight lines are straight.
 
-    Its focal length is F, or a nominal one for no bend: only that straight lines become straight is meant.
+    Its focal length is F, or a nominal one without bend; it is no estimate of the real one.
     """
     centre = (0.5 * (width_px - 1), 0.5 * (height_px - 1))
     if bend_rad == 0.0:
@@ -70,10 +76,10 @@ def straightening_camera(width_px: int, height_px: int, bend_rad: float) -> Came
 
 
 def camera_of_bend(width_px: int, height_px: int, focal_px: float, bend: Bend) -> Camera:
-    """Return a camera of a focal length whose lens bends lines.
+    """Return a camera with a focal length f and a bend.
 
     A ray at the angle a from the optical axis is seen at ``F atan(f tan(a) / F)``; the polynomial of `Camera`'s
-    equidistant model is fitted to that as far as the picture's corners.
+    equidistant model is fitted to that up to the picture's corners.
     """
     radius_px = bend.radius_px(width_px, height_px)
     seen = np.linspace(0.0, min(bend.rad, MAX_FITTED), 200)[1:]
@@ -85,21 +91,21 @@ def camera_of_bend(width_px: int, height_px: int, focal_px: float, bend: Bend) -
 
 
 def _straightness(grey: GreyImage, camera: Camera) -> float:
-    """Return the log-likelihood of how edge pixels scatter about straight lines."""
+    """Return the log-likelihood of the scatter of edge pixels about straight lines."""
     sums = edge_components(grey, camera)
     sums = sums[sums["n"] >= MIN_PIXELS]
     n = sums["n"]
     x, y = sums["x"] / n, sums["y"] / n
     xx, xy, yy = sums["xx"] / n - x * x, sums["xy"] / n - x * y, sums["yy"] / n - y * y
     mean, half = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-    # Rectified coordinates are stretched: over the length the scatter is not, and n is the length in the picture.
+    # Rectification stretches lengths. Scatter over length is not affected, and n is the length in the picture.
     share = np.sqrt(np.maximum(mean - half, 0.0) / (12.0 * (mean + half)))
     weight = np.minimum(n, MAX_PIXELS) / PIXELS_PER_INDEPENDENT
     return float(-0.5 * (weight * np.log1p((share * n / SCATTER_PX) ** 2)).sum())
 
 
 def _scores(images: Sequence[GreyImage], bends: FloatArray) -> FloatArray:
-    """Return the straightness (pictures, bends) of every picture."""
+    """Return the log-likelihood (pictures, bends) of every bend by every picture."""
     height_px, width_px = images[0].shape
     scores = np.empty((len(images), len(bends)))
     for k, bend in enumerate(bends.tolist()):
@@ -109,7 +115,7 @@ def _scores(images: Sequence[GreyImage], bends: FloatArray) -> FloatArray:
 
 
 def estimate_bend(images: Sequence[GreyImage]) -> Bend:
-    """Find how much a lens bends straight lines from pictures of one camera.
+    """Estimate how much a lens bends straight lines, from pictures of one camera.
 
     Parameters
     ----------
@@ -119,7 +125,7 @@ def estimate_bend(images: Sequence[GreyImage]) -> Bend:
     Returns
     -------
     Bend
-        Zero where the pictures do not show clearly that lines are bent.
+        Zero where a bend is not significant.
     """
     images = images[:MAX_PICTURES]
     coarse = np.arange(0.0, MAX_BEND_RAD + 1e-9, COARSE_STEP)
@@ -138,7 +144,7 @@ def estimate_bend(images: Sequence[GreyImage]) -> Bend:
     if not curvature > 0.0:
         return NO_BEND
     bend_rad = float(fine[best] + np.clip(slopes.sum() / curvature, -FINE_STEP, FINE_STEP))
-    # The pictures' own slopes at the common best tell by how much they disagree.
+    # Add the scatter of the pictures' slopes at the common maximum to the curvature (sandwich estimate).
     own = slopes - slopes.mean()
     std_rad = sqrt(float(own @ own) * len(images) / max(len(images) - 1, 1) + curvature) / curvature
     return Bend(bend_rad, std_rad) if bend_rad > MIN_SIGMA * std_rad else Bend()
