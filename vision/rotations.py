@@ -1,7 +1,7 @@
-"""Angles and rotations that both packages need: wrapping, yaw of a quaternion, rotation from Euler angles.
+"""Angles and rotations used by both packages: wrapping, yaw of a quaternion, rotation from Euler angles.
 
-Quaternions are (w, x, y, z) and take body vectors to world vectors. Euler angles are aerospace Z-Y-X: yaw, then
-pitch, then roll. Right-handed about each axis, so yaw is positive to the right where z points down.
+Quaternions are (w, x, y, z) and rotate body vectors to world vectors. Euler angles are aerospace Z-Y-X: yaw, then
+pitch, then roll, right-handed about each axis; with z down, yaw is positive to the right.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def wrap(angle_rad: float) -> float: ...
 @overload
 def wrap(angle_rad: FloatArray) -> FloatArray: ...
 def wrap(angle_rad: float | FloatArray) -> float | FloatArray:
-    """Bring an angle, or an array of angles, into [-pi, pi)."""
+    """Wrap an angle, or an array of angles, to [-pi, pi)."""
     return (angle_rad + pi) % (2 * pi) - pi
 
 
@@ -29,7 +29,7 @@ def wrap_axis(angle_rad: float) -> float: ...
 @overload
 def wrap_axis(angle_rad: FloatArray) -> FloatArray: ...
 def wrap_axis(angle_rad: float | FloatArray) -> float | FloatArray:
-    """Bring the angle of an undirected axis (a corridor looks alike from both ends) into [-pi/2, pi/2)."""
+    """Wrap the angle of an undirected axis, such as a corridor's, to [-pi/2, pi/2)."""
     return (angle_rad + 0.5 * pi) % pi - 0.5 * pi
 
 
@@ -40,7 +40,7 @@ def yaw_of(q: npt.ArrayLike) -> FloatArray:
 
 
 def yaw_of_quaternion(q_world_body: tuple[float, float, float, float]) -> float:
-    """Return the yaw of one unit quaternion, in [-pi, pi]: `yaw_of` without numpy, for every sample in flight."""
+    """Return the yaw of one unit quaternion, in [-pi, pi]: `yaw_of` without numpy, for use in flight."""
     w, x, y, z = q_world_body
     return atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
@@ -52,7 +52,7 @@ def down_of(q: npt.ArrayLike) -> FloatArray:
 
 
 def down_of_quaternion(q_world_body: tuple[float, float, float, float]) -> tuple[float, float, float]:
-    """Return that direction for one unit quaternion: `down_of` without numpy, for every sample in flight."""
+    """Return the world's z axis in the body by one unit quaternion: `down_of` without numpy, for use in flight."""
     w, x, y, z = q_world_body
     return 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
@@ -63,7 +63,7 @@ def rotation_from_angles(yaw_rad: float, pitch_rad: float, roll_rad: float) -> F
     Parameters
     ----------
     yaw_rad, pitch_rad, roll_rad
-        Turned in this order about z, the new y and the new x.
+        Rotations in this order about z, the new y and the new x.
     """
     cr, cp, cy = cos(roll_rad), cos(pitch_rad), cos(yaw_rad)
     sr, sp, sy = sin(roll_rad), sin(pitch_rad), sin(yaw_rad)

@@ -20,8 +20,8 @@ from vision.lines.fitting import (
     MAX_RMS_PX,
     MIN_PIXELS,
     _are_of_one_edge,
-    _next_in_line,
     _fill_middle,
+    _next_in_line,
 )
 from vision.lines.preparation import noise_and_blockiness
 from vision.lines.segments import extract_lines

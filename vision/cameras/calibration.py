@@ -1,18 +1,18 @@
-"""Camera files of every supported kind, with every field checked.
+"""Readers of all supported camera files; every field is checked.
 
 =====================  =============================================  ==================================
-kind                   known by                                       pose of the camera
+kind                   recognised by                                  pose of the camera
 =====================  =============================================  ==================================
 EuRoC ``sensor.yaml``  ``resolution``, ``intrinsics``                 ``T_BS``: camera to body
 Kalibr ``camchain``    ``cam0``, ``cam1`` ...                         ``T_cam_imu``: IMU to camera, if any
-ROS ``camera_info``    ``camera_matrix`` or ``K``, the model's name   none: taken as straight ahead
-OpenCV YAML, JSON, XML ``camera_matrix`` and other names in use       none: taken as straight ahead
-SLAM systems           see `vision.cameras.slam_files`                of the camera in the IMU, if any
+ROS ``camera_info``    ``camera_matrix`` or ``K``, the model's name   none: assumed straight ahead
+OpenCV YAML, JSON, XML ``camera_matrix`` and other names in use       none: assumed straight ahead
+SLAM systems           see `vision.cameras.slam_files`                camera to IMU, if any
 =====================  =============================================  ==================================
 
-Extrinsics run in opposite directions: ``T_BS`` and ``T_imu_cam`` (OpenVINS) take points from the camera to the
-body, ``T_cam_imu`` takes them from the IMU to the camera. Any of the files may hold any of the three, and
-``line_delay``, the seconds from row to row of a rolling shutter as Kalibr calibrates it.
+The extrinsics have opposite directions: ``T_BS`` and ``T_imu_cam`` (OpenVINS) transform points from the camera to the
+body, ``T_cam_imu`` from the IMU to the camera. Any file may contain any of the three, and also ``line_delay``, a
+rolling shutter's time in seconds from row to row as calibrated by Kalibr.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from vision.cameras.imu_noise import ImuNoise as ImuNoise
 from vision.cameras.imu_noise import read_imu_noise as read_imu_noise
 from vision.cameras.lens_check import refuse_fisheye_numbers
 from vision.cameras.matrix_files import is_matrix_file, read_lens
-from vision.cameras.slam_files import as_euroc, told_time_shift
+from vision.cameras.slam_files import as_euroc, declared_time_shift
 from vision.errors import InputError
 from vision.types import FloatArray
 
@@ -62,7 +62,7 @@ _DISTORTIONS = {
     "equidistant": Distortion.EQUIDISTANT,
     "fisheye": Distortion.EQUIDISTANT,
 }
-_POSES_AGREE = 2e-3  # of two extrinsics in one file, printed to three digits
+_POSE_TOLERANCE = 2e-3  # between two extrinsics in one file, which may be printed with three digits
 _STRAIGHT_AHEAD = {
     "flu": "[0,0,1,0, -1,0,0,0, 0,-1,0,0, 0,0,0,1]",
     "frd": "[0,0,1,0, 1,0,0,0, 0,1,0,0, 0,0,0,1]",
@@ -70,16 +70,16 @@ _STRAIGHT_AHEAD = {
 
 
 def read_body_frame(path: Path) -> BodyFrame:
-    """Read ``body_frame`` (``flu`` or ``frd``) from a ``body.yaml``; ``flu`` where nothing says it.
+    """Read ``body_frame`` (``flu`` or ``frd``) from a ``body.yaml``; ``flu`` where it is not declared.
 
-    The public EuRoC flights have a ``body.yaml`` that holds a comment only.
+    In the public EuRoC flights ``body.yaml`` contains only a comment.
     """
-    told = read_yaml(path).get("body_frame") if path.exists() else None
-    return "flu" if told is None else check_body_frame(told, path)
+    declared = read_yaml(path).get("body_frame") if path.exists() else None
+    return "flu" if declared is None else check_body_frame(declared, path)
 
 
 def check_body_frame(value: object, file: Path | None = None) -> BodyFrame:
-    """Return ``flu`` or ``frd``; `InputError` for anything else."""
+    """Return ``flu`` or ``frd``; raise `InputError` for anything else."""
     for known in get_args(BodyFrame):
         if str(value).strip().lower() == known:
             return known  # type: ignore[no-any-return]
@@ -91,12 +91,12 @@ def check_body_frame(value: object, file: Path | None = None) -> BodyFrame:
 
 
 def to_frd(body_frame: BodyFrame) -> FloatArray:
-    """Rotation (3, 3) from the file's body axes to FRD; its own inverse."""
+    """Return the rotation (3, 3) from the file's body axes to FRD; it is its own inverse."""
     return R_FRD_FLU.copy() if body_frame == "flu" else np.eye(3)
 
 
 def read_camera(path: Path, body_frame: BodyFrame | None, cam: str) -> Camera:
-    """Read any kind of camera file, see `Camera.from_yaml`."""
+    """Read a camera file of any supported kind, see `Camera.from_yaml`."""
     content = read_yaml(path)
     if body_frame is None:
         body_frame = read_body_frame(path.absolute().parent.parent / "body.yaml")
@@ -128,7 +128,7 @@ def _read_content(content: Mapping[str, Any], folder: Path, body_frame: BodyFram
 
 
 def read_time_shift_s(path: Path, cam: str = "cam0") -> float | None:
-    """Read how many seconds to add to the camera's times to get the IMU's: of a Kalibr chain or a SLAM system's file.
+    """Read the time shift, ``t_imu = t_camera + shift`` in seconds, from a Kalibr chain or a SLAM system's file.
 
     Returns
     -------
@@ -138,12 +138,12 @@ def read_time_shift_s(path: Path, cam: str = "cam0") -> float | None:
     content = read_yaml(path)
     chain = content.get(cam)
     if _is_chain(content) and isinstance(chain, Mapping):
-        told: tuple[str, object] | None = f"{cam}.timeshift_cam_imu", chain.get("timeshift_cam_imu")
+        declared: tuple[str, object] | None = f"{cam}.timeshift_cam_imu", chain.get("timeshift_cam_imu")
     else:
-        told = told_time_shift(content)
-    if told is None or told[1] is None:
+        declared = declared_time_shift(content)
+    if declared is None or declared[1] is None:
         return None
-    key, shift_s = told
+    key, shift_s = declared
     if isinstance(shift_s, bool) or not isinstance(shift_s, int | float) or not abs(shift_s) < 1e10:
         raise InputError(f"{key} is {shift_s!r}", file=path, remedy="give seconds")
     return float(shift_s)
@@ -188,7 +188,7 @@ def _read_matrix_file(content: Mapping[str, Any], body_frame: BodyFrame) -> Came
 
 
 def _read_pose(content: Mapping[str, Any], prefix: str, body_frame: BodyFrame) -> Pose | None:
-    """Rotation (3, 3) and position (3,) of the camera in body FRD; None where the file gives no extrinsic."""
+    """Return rotation (3, 3) and position (3,) of the camera in body FRD; None without an extrinsic."""
     found: dict[str, Pose] = {}
     for name in ("T_BS", "T_cam_imu", "T_imu_cam"):
         if content.get(name) is None:
@@ -199,7 +199,7 @@ def _read_pose(content: Mapping[str, Any], prefix: str, body_frame: BodyFrame) -
         return None
     (first, (R_body_camera, p_body_camera_m)), *others = found.items()
     for name, (R, _) in others:
-        if not np.allclose(R, R_body_camera, atol=_POSES_AGREE):
+        if not np.allclose(R, R_body_camera, atol=_POSE_TOLERANCE):
             raise InputError(
                 f"{prefix}{first} and {prefix}{name} place the camera differently",
                 remedy="T_BS and T_imu_cam take the camera to the body, T_cam_imu the IMU to the camera; keep one",
@@ -209,7 +209,7 @@ def _read_pose(content: Mapping[str, Any], prefix: str, body_frame: BodyFrame) -
 
 
 def rotation_of_transform(value: object, name: str) -> FloatArray:
-    """Rotation (3, 3) of a 4x4 transform, given flat, nested, or as a mapping with ``data``."""
+    """Return the rotation (3, 3) of a 4x4 transform, given flat, nested, or as a mapping with ``data``."""
     return parts_of_transform(value, name)[0]
 
 

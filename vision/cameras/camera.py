@@ -1,6 +1,8 @@
-"""The camera: from pixels to rays and back, and how it sits on the body.
+"""Calibrated camera: projection between pixels and rays, and its pose on the body.
 
-The optical frame has x right, y down and z forward; pixel (0, 0) is the centre of the top-left pixel.
+The optical frame has x right, y down and z forward; pixel (0, 0) is the centre of the top-left pixel. A ray (x, y, z)
+is projected to the pixel ``(fx x_d + cx, fy y_d + cy)``, where (x_d, y_d) is the distorted (x/z, y/z), see
+`vision.cameras.lens`.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from vision.types import FloatArray
 
 BodyFrame = Literal["flu", "frd"]
 
-ROTATION_TOLERANCE = 1e-3  # files print rotations to a few digits; beyond this it is not one
+ROTATION_TOLERANCE = 1e-3  # deviation from orthonormality: files print rotations with few digits
 MAX_AXIS_ANGLE_RAD = pi / 3
 MAX_READOUT_S = 0.5  # from the first row to the last
 
@@ -43,12 +45,12 @@ COEFFICIENT_COUNTS = {
 
 
 def nearest_rotation(matrix: npt.ArrayLike, what: str = "R_body_camera") -> FloatArray:
-    """Return the rotation nearest to a (3, 3) matrix that is one but for printed digits.
+    """Return the rotation nearest to a (3, 3) matrix that is a rotation up to rounding.
 
     Raises
     ------
     InputError
-        Where it is not orthonormal within 1e-3, mirrors, or is not finite.
+        Where it is not orthonormal within 1e-3, is a reflection, or is not finite.
     """
     rotation = np.array(matrix, dtype=float)
     if rotation.shape != (3, 3) or not np.isfinite(rotation).all():
@@ -75,7 +77,7 @@ class Camera:
     Parameters
     ----------
     width_px, height_px
-        Size of the pictures that the calibration belongs to, pixels.
+        Picture size of the calibration, pixels.
     fx_px, fy_px, cx_px, cy_px
         Focal lengths and principal point, pixels.
     distortion, coefficients
@@ -86,18 +88,18 @@ class Camera:
     exposure_s
         Exposure time, seconds; NaN where unknown.
     p_body_camera_m
-        Position (3,) of the camera, metres, body FRD (forward, right, down): a camera ahead of the vehicle's centre
-        moves sideways as it turns.
+        Position (3,) of the camera, metres, body FRD (forward, right, down). It matters because a camera ahead of the
+        vehicle's centre moves sideways as the vehicle turns.
     mount_assumed
         Whether ``R_body_camera`` is only assumed, because the calibration does not contain it.
     line_delay_s
-        Time from one row's exposure to that of the row below, seconds; negative where the lowest comes first; 0 for
-        a global shutter. A picture's time is its middle row's.
+        Time from one row's exposure to the next row's below, seconds; negative where the lowest row comes first; 0
+        for a global shutter. A picture's timestamp is that of its middle row.
 
     Raises
     ------
     InputError
-        If a number cannot belong to a camera.
+        If a value is impossible for a camera.
     """
 
     width_px: int
@@ -175,19 +177,19 @@ class Camera:
         Parameters
         ----------
         path
-            The file. EuRoC's ``T_BS`` takes camera coordinates to the body, Kalibr's ``T_cam_imu`` takes
-            IMU coordinates to the camera; the IMU's frame is then the body's. ROS's and OpenCV's files have no
-            extrinsic: the camera is then taken to look straight ahead, see ``mount_assumed``.
+            The file. EuRoC's ``T_BS`` transforms camera coordinates to the body, Kalibr's ``T_cam_imu`` IMU
+            coordinates to the camera; the body frame is then the IMU's. ROS's and OpenCV's files have no extrinsic:
+            the camera is then assumed to look straight ahead, see ``mount_assumed``.
         body_frame
-            Axes of the body in the file, ``flu`` or ``frd``. By default what ``body.yaml`` says in the
-            folder above the file's (``mav0/body.yaml`` for ``mav0/cam0/sensor.yaml``), else ``flu``.
+            Axes of the body in the file, ``flu`` or ``frd``. Default: the value in ``body.yaml`` in the folder above
+            the file's (``mav0/body.yaml`` for ``mav0/cam0/sensor.yaml``), else ``flu``.
         cam
-            Which camera of a Kalibr chain.
+            Name of the camera in a Kalibr chain.
 
         Raises
         ------
         InputError
-            Naming the file, the field and what to do.
+            Naming the file, the field and the remedy.
         """
         from vision.cameras.calibration import read_camera
 
@@ -195,7 +197,7 @@ class Camera:
 
     @classmethod
     def from_fov(cls, width_px: int, height_px: int, horizontal_fov_rad: float) -> Camera:
-        """Assume an undistorted camera that looks straight ahead, from its horizontal field of view.
+        """Return an undistorted camera that looks straight ahead, from its horizontal field of view.
 
         Parameters
         ----------
@@ -218,7 +220,7 @@ class Camera:
         return cls(width_px, height_px, focal_px, focal_px, (width_px - 1) / 2.0, (height_px - 1) / 2.0)
 
     def resized(self, width_px: int, height_px: int) -> Camera:
-        """Return the camera of the same pictures scaled to another size, exact to the pixel centres.
+        """Return the camera for the same pictures scaled to another size, with exact pixel centres.
 
         Raises
         ------
@@ -240,7 +242,7 @@ class Camera:
         )
 
     def require_size(self, width_px: int, height_px: int, file: str | Path | None = None) -> None:
-        """Raise `InputError` unless pictures of this size belong to the calibration."""
+        """Raise `InputError` unless this is the picture size of the calibration."""
         if (width_px, height_px) != (self.width_px, self.height_px):
             raise InputError(
                 f"picture is {width_px}x{height_px}, the camera's {self.width_px}x{self.height_px}",
@@ -249,12 +251,12 @@ class Camera:
             )
 
     def is_scaled_to(self, width_px: int, height_px: int) -> bool:
-        """Whether pictures of this size have the calibration's proportions, to the rounding of a side."""
+        """Whether pictures of this size have the calibration's aspect ratio, up to rounding of a side."""
         across, down = width_px / self.width_px, height_px / self.height_px
         return min(width_px, height_px) > 0 and abs(across / down - 1.0) < 1.0 / min(width_px, height_px)
 
     def _remedy_for(self, width_px: int, height_px: int) -> str:
-        """Say what the calibration of pictures of another size would be."""
+        """Return the remedy for pictures of another size: their calibration, if they were scaled."""
         if not self.is_scaled_to(width_px, height_px):
             return (
                 "give the calibration of these pictures; where they were cut out of the larger ones, subtract the "
@@ -267,7 +269,7 @@ class Camera:
         return f"give the calibration of these pictures; where they were scaled it is {numbers}, distortion as it is"
 
     def mount_problem(self) -> str | None:
-        """One sentence where the optical axis is assumed, or over 60 degrees from the body's x axis, else None."""
+        """Return one sentence if the mounting is assumed, or the axis over 60 degrees off the body's x; else None."""
         if self.mount_assumed:
             return (
                 "the calibration does not say how the camera is mounted: taken as looking straight ahead "
@@ -286,7 +288,7 @@ class Camera:
         return (points[:, 0] - self.cx_px) / self.fx_px, (points[:, 1] - self.cy_px) / self.fy_px
 
     def undistort(self, points_px: npt.ArrayLike) -> FloatArray:
-        """Normalised image coordinates x/z, y/z (n, 2) of pixels (n, 2).
+        """Return the normalised image coordinates x/z, y/z (n, 2) of pixels (n, 2).
 
         The lens models are OpenCV's: radial-tangential, and the equidistant one of its ``fisheye`` module (J.
         Kannala, S. S. Brandt, "A generic camera model and calibration method for conventional, wide-angle, and
@@ -306,7 +308,7 @@ class Camera:
         return np.stack([x, y], axis=1)
 
     def rays(self, points_px: npt.ArrayLike) -> FloatArray:
-        """Turn pixels (n, 2) into unit vectors (n, 3) in the optical frame; NaN where there is no inverse.
+        """Return the unit vectors (n, 3) in the optical frame of pixels (n, 2); NaN where there is no inverse.
 
         Lens models as in `undistort`. With the equidistant model the vectors may point more than 90 degrees away from
         the axis.
@@ -324,10 +326,10 @@ class Camera:
         return rays
 
     def project(self, rays: npt.ArrayLike) -> FloatArray:
-        """Pixels (n, 2) of vectors (n, 3) of any length in the optical frame.
+        """Return the pixels (n, 2) of vectors (n, 3) of any length in the optical frame.
 
-        Lens models as in `undistort`. NaN behind the camera (pinhole models) and past the radius where the lens
-        model turns back; a pixel may lie outside the picture.
+        Lens models as in `undistort`. NaN behind the camera (pinhole models) and beyond the radius up to which the
+        distortion is monotonic; a pixel may lie outside the picture.
         """
         vectors = np.asarray(rays, dtype=float).reshape(-1, 3)
         x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]

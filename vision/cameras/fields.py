@@ -1,4 +1,4 @@
-"""Calibration files read as mappings, and checks of their fields that name the field in every complaint."""
+"""Calibration files as mappings, and checks of their fields; every error message names the field."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        Where the file is missing, unreadable, neither of the two, or no mapping.
+        Where the file is missing, unreadable, in none of these formats, or not a mapping.
     """
     try:
         text = read_text(path, "a calibration")
@@ -67,7 +67,7 @@ def _parse_yaml(text: str, path: Path) -> object:
     from ruamel.yaml.error import YAMLError
 
     text = re.sub(r"\A%YAML:[^\n]*\n(---[^\n]*\n)?", "", text).replace("!!opencv-matrix", "")
-    text = re.sub(r"\n(---|\.\.\.)\s*\Z", "\n", text)  # `rostopic echo` ends each message so
+    text = re.sub(r"\n(---|\.\.\.)\s*\Z", "\n", text)  # `rostopic echo` ends each message with it
     try:
         check_yaml(text)
         content = YAML(typ="safe", pure=True).load(text)
@@ -81,16 +81,16 @@ def _parse_yaml(text: str, path: Path) -> object:
 
 
 def require(content: Mapping[str, Any], key: str, file: Path | None, remedy: str, prefix: str = "") -> Any:
-    """Return a field that must be there.
+    """Return a required field.
 
     Parameters
     ----------
     content
         The file's content, or a part of it.
     key, prefix
-        Name of the field, and what stands before it in a complaint, such as ``cam0.``.
+        Name of the field, and its prefix in an error message, such as ``cam0.``.
     file, remedy
-        For the complaint.
+        For the error message.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def numbers(
     content, key, prefix, remedy
         As in `require`.
     counts
-        How many numbers there may be; None: any number of them.
+        Allowed counts of numbers; None: any.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def numbers(
 
 
 def positive(content: Mapping[str, Any], key: str, remedy: str, prefix: str = "") -> float | None:
-    """Return a field that is a positive number, None where it is absent.
+    """Return a positive number, None where the field is absent.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def positive(content: Mapping[str, Any], key: str, remedy: str, prefix: str = ""
     Raises
     ------
     InputError
-        Where it is anything else.
+        Where its value is anything else.
     """
     value = content.get(key)
     if value is None:
@@ -158,7 +158,7 @@ def positive(content: Mapping[str, Any], key: str, remedy: str, prefix: str = ""
 
 
 def exposure_s(content: Mapping[str, Any], prefix: str) -> float:
-    """Return the exposure time in seconds, NaN where the file does not state it."""
+    """Return the exposure time in seconds, NaN where the file does not declare it."""
     remedy = "give seconds, or leave it out"
     value = positive(content, "exposure_s", remedy, prefix)
     if value is not None and value >= 10.0:
@@ -167,7 +167,7 @@ def exposure_s(content: Mapping[str, Any], prefix: str) -> float:
 
 
 def line_delay_s(content: Mapping[str, Any], prefix: str) -> float:
-    """Return the time in seconds from row to row of a rolling shutter (``line_delay``), 0 where there is none."""
+    """Return a rolling shutter's time from row to row in seconds (``line_delay``), 0 where it is not declared."""
     value = content.get("line_delay")
     if value is None:
         return 0.0
@@ -178,7 +178,7 @@ def line_delay_s(content: Mapping[str, Any], prefix: str) -> float:
 
 
 def parts_of_transform(value: object, name: str) -> tuple[FloatArray, FloatArray]:
-    """Rotation (3, 3) and translation (3,) of a 4x4 transform, given flat, nested, or as a mapping with ``data``."""
+    """Return rotation (3, 3) and translation (3,) of a 4x4 transform: flat, nested, or a mapping with ``data``."""
     if isinstance(value, Mapping):
         value = require(value, "data", None, "give 16 numbers, row by row", prefix=f"{name}.")
     try:
@@ -196,14 +196,14 @@ def parts_of_transform(value: object, name: str) -> tuple[FloatArray, FloatArray
 
 
 def check_size(width_px: float, height_px: float, what: str) -> tuple[int, int]:
-    """Return a picture's size in whole pixels."""
+    """Return a picture's size in whole pixels; raise `InputError` where it is not one."""
     if not all(isfinite(v) and v == int(v) and 1 <= v <= MAX_SIDE_PX for v in (width_px, height_px)):
         raise InputError(f"{what} is {[width_px, height_px]}", remedy="write [width, height] in whole pixels")
     return int(width_px), int(height_px)
 
 
 def check_pinhole(size: tuple[int, int], pinhole: tuple[float, float, float, float], what: str) -> None:
-    """Raise `InputError` where fx, fy, cx, cy cannot belong to pictures of this size."""
+    """Raise `InputError` where fx, fy, cx, cy are impossible for pictures of this size."""
     fx_px, fy_px, cx_px, cy_px = pinhole
     for name, focal_px in (("fu", fx_px), ("fv", fy_px)):
         if focal_px <= 0.0:

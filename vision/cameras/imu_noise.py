@@ -1,4 +1,4 @@
-"""The noise of an IMU as its calibration declares it: Kalibr's ``imu.yaml`` and EuRoC's ``sensor.yaml``."""
+"""IMU noise as declared in a calibration: Kalibr's ``imu.yaml`` and EuRoC's ``sensor.yaml``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _RATES = ("update_rate", "rate_hz")
 
 @dataclass(frozen=True, slots=True)
 class ImuNoise:
-    """Continuous-time noise of an IMU; None where the calibration does not state it.
+    """Continuous-time noise of an IMU; None where the calibration does not declare it.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def read_imu_noise(path: str | Path) -> ImuNoise:
     Raises
     ------
     InputError
-        Where the file cannot be read, declares no noise, or a value that is not a positive number.
+        Where the file cannot be read, declares no noise, or has a value that is not a positive number.
     """
     path = Path(path)
     content: Mapping[str, Any] = read_yaml(path)

@@ -1,8 +1,15 @@
-"""Lens distortion and its inverse, in normalised image coordinates.
+"""Lens distortion and its inverse, in normalised image coordinates x = X/Z, y = Y/Z with r^2 = x^2 + y^2.
 
-Both models are OpenCV's (`calib3d`, sections "Detailed Description" and "fisheye"). The inverses are ours:
-OpenCV's fixed-point iteration does not converge for strong lenses, and it answers past the radius at which a
-fitted polynomial turns back, where no ray belongs to a pixel. Here such points are NaN, in both directions.
+Radial-tangential, with ``q = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)``:
+
+    x_d = x q + 2 p1 x y + p2 (r^2 + 2 x^2),    y_d = y q + p1 (r^2 + 2 y^2) + 2 p2 x y
+
+Equidistant, with the angle a from the optical axis: ``r_d = a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8)``.
+
+Both models are OpenCV's (`calib3d`, sections "Detailed Description" and "fisheye"). The inverses here use Newton's
+method: OpenCV's fixed-point iteration does not converge for strong distortion, and it returns values beyond the
+radius at which a fitted polynomial stops growing, where no ray belongs to a pixel. Here such points are NaN, in both
+directions.
 """
 
 from __future__ import annotations
@@ -17,13 +24,13 @@ from vision.types import FloatArray
 _TABLE_SIZE = 2048
 _WIDEST_RAD = radians(89.9)
 _MAX_ITERATIONS = 12
-_LAST_STEP = 1e-7  # Newton's convergence is quadratic: after such a step the error is about its square
+_LAST_STEP = 1e-7  # convergence is quadratic: after such a step the error is about its square
 
 
 def _first_positive_root(ascending: list[float], largest: float) -> float:
-    """Smallest positive real root of a polynomial with ascending coefficients; inf where there is none.
+    """Return the smallest positive real root of a polynomial with ascending coefficients; inf if there is none.
 
-    Leading terms that do not count up to ``largest`` are left out: divided by, they would overflow.
+    Leading terms that are negligible up to ``largest`` are dropped, as dividing by them would overflow.
     """
     while len(ascending) > 1 and abs(ascending[-1]) * largest ** (len(ascending) - 1) < 1e-12:
         ascending = ascending[:-1]
@@ -51,11 +58,11 @@ class RadialTangential:
     p1, p2
         Tangential coefficients.
     max_radius
-        Undistorted radius x/z at which the radial function stops growing (or has its pole); inf: never.
+        Undistorted radius at which the radial function stops growing or has its pole; inf: never.
     reach
-        Distorted radius past which no point has an inverse.
+        Distorted radius beyond which no point has an inverse.
     table_radius, table_distorted
-        Samples (m,) of the radial function, the inverse's first guess.
+        Samples (m,) of the radial function, for the initial guess of the inverse.
     """
 
     k: tuple[float, float, float, float, float, float]
@@ -68,7 +75,7 @@ class RadialTangential:
 
     @classmethod
     def from_coefficients(cls, coefficients: tuple[float, ...]) -> RadialTangential:
-        """Build from 4, 5 or 8 coefficients in OpenCV's order."""
+        """Create the model from 4, 5 or 8 coefficients in OpenCV's order."""
         k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, *[0.0] * (8 - len(coefficients)))
         numerator, denominator = [1.0, k1, k2, k3], [1.0, k4, k5, k6]
         # With s = r^2, d/dr [r N(s)/D(s)] has the numerator (N + 2 s N') D - 2 s N D'.
@@ -92,7 +99,7 @@ class RadialTangential:
         return cls(k, p1, p2, max_radius, reach, radius, np.maximum.accumulate(distorted))
 
     def _radial(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Radial factor and its derivative by s = r^2."""
+        """Return the radial factor and its derivative with respect to s = r^2."""
         k1, k2, k3, k4, k5, k6 = self.k
         factor = 1.0 + s * (k1 + s * (k2 + s * k3))
         slope = k1 + s * (2.0 * k2 + s * (3.0 * k3))
@@ -103,7 +110,7 @@ class RadialTangential:
         return factor, (slope - factor * (k4 + s * (2.0 * k5 + s * (3.0 * k6)))) * inverse
 
     def distort(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Distort undistorted coordinates x/z, y/z (n,); NaN past `max_radius`."""
+        """Distort undistorted coordinates x/z, y/z (n,); NaN beyond `max_radius`."""
         s = x * x + y * y
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             factor, _ = self._radial(s)
@@ -123,7 +130,7 @@ class RadialTangential:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             guess = np.interp(target_r, self.table_distorted, self.table_radius) / target_r
             guess[target_r == 0.0] = 1.0
-            # Past the fold there is nothing to find, and a point that searches for ever holds up the others.
+            # Beyond `reach` there is no solution, and a point that never converges delays all others.
             guess[target_r > self.reach] = np.nan
             x, y = target_x * guess, target_y * guess
             for _ in range(_MAX_ITERATIONS):
@@ -159,7 +166,7 @@ class Equidistant:
     max_angle_rad
         Angle from the optical axis at which the polynomial stops growing; at most pi.
     table_angle, table_distorted
-        Samples (m,), the inverse's first guess.
+        Samples (m,), for the initial guess of the inverse.
     """
 
     k: tuple[float, float, float, float]
@@ -169,7 +176,7 @@ class Equidistant:
 
     @classmethod
     def from_coefficients(cls, coefficients: tuple[float, ...]) -> Equidistant:
-        """Build from the four coefficients."""
+        """Create the model from its four coefficients."""
         k1, k2, k3, k4 = coefficients
         turning = sqrt(_first_positive_root([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3, 9.0 * k4], pi**2))
         max_angle = min(pi, turning)
@@ -179,7 +186,7 @@ class Equidistant:
         return cls((k1, k2, k3, k4), max_angle, angle, np.maximum.accumulate(distorted))
 
     def distort(self, angle_rad: FloatArray) -> FloatArray:
-        """Distorted radius (n,) of an angle from the optical axis; NaN from `max_angle_rad` on."""
+        """Return the distorted radius (n,) of angles from the optical axis; NaN from `max_angle_rad` on."""
         k1, k2, k3, k4 = self.k
         s = angle_rad * angle_rad
         distorted = angle_rad * (1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4))))
@@ -187,7 +194,7 @@ class Equidistant:
         return distorted
 
     def undistort(self, target: FloatArray) -> FloatArray:
-        """Angle from the optical axis (n,) of a distorted radius; NaN where there is none."""
+        """Return the angles (n,) from the optical axis of distorted radii; NaN where there is none."""
         k1, k2, k3, k4 = self.k
         angle = np.interp(target, self.table_distorted, self.table_angle)
         angle[target > self.table_distorted[-1]] = np.nan

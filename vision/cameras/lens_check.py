@@ -1,4 +1,4 @@
-"""Checks that a lens model's coefficients are possible: those of another model, polynomials that turn back."""
+"""Plausibility of a lens model's coefficients: mistaken models, polynomials that are not monotonic in the picture."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from vision.cameras.camera import Camera, Distortion
 from vision.errors import InputError
 
 MAX_TANGENTIAL = 0.02  # p1 and p2 of real lenses are far smaller
-WIDE_RAD = radians(90)  # horizontal view, beyond which a lens is as likely a fisheye
+WIDE_RAD = radians(90)  # horizontal field of view above which a lens may be a fisheye
 _BORDER = 24  # points along each side of the picture
 
 
 def lens_problem(camera: Camera) -> str | None:
-    """Return one sentence where the distortion is implausible, else None."""
+    """Return one sentence if the distortion is implausible, else None."""
     inverted = _share_inverted(camera)
     if inverted < 1.0:
         return (
@@ -31,15 +31,15 @@ def lens_problem(camera: Camera) -> str | None:
 
 
 def refuse_fisheye_numbers(camera: Camera) -> None:
-    """Refuse four numbers of a fisheye model that go by the name of the radial-tangential one.
+    """Reject four fisheye coefficients declared as radial-tangential.
 
-    Some stereo cameras' drivers publish Kannala-Brandt coefficients as ``plumb_bob``: the third and fourth then stand
-    where p1 and p2 should. Eight coefficients are no fisheye's and are never questioned.
+    Some stereo cameras' drivers publish Kannala-Brandt coefficients as ``plumb_bob``; k3 and k4 are then in the place
+    of p1 and p2. Eight coefficients cannot be a fisheye's and are always accepted.
 
     Raises
     ------
     InputError
-        Where the view is wide and the numbers are implausible as they are named.
+        Where the field of view is wide and the coefficients are implausible for the declared model.
     """
     coefficients = camera.coefficients
     if camera.distortion is not Distortion.RADTAN or len(coefficients) > 5 or any(coefficients[4:]):
@@ -62,7 +62,7 @@ def _tangential(camera: Camera) -> float:
 
 
 def _share_inverted(camera: Camera) -> float:
-    """Share of the picture's border whose pixels belong to rays."""
+    """Return the share of the picture's border whose pixels have a ray."""
     along = np.linspace(0.0, 1.0, _BORDER)
     x, y = along * (camera.width_px - 1), along * (camera.height_px - 1)
     right, bottom = np.full(_BORDER, x[-1]), np.full(_BORDER, y[-1])

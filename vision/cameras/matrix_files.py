@@ -1,10 +1,10 @@
-"""Camera files built around a 3x3 matrix: ROS ``camera_info`` and OpenCV's FileStorage, YAML or JSON.
+"""Camera files with a 3x3 matrix: ROS ``camera_info`` and OpenCV's FileStorage, YAML or JSON.
 
 Both describe the raw, distorted picture by ``camera_matrix`` (K) and ``distortion_coefficients``; ROS adds the
-matrices of a rectified picture (R, P), which are not used here. Neither says how the camera sits on the vehicle: it
-is taken to look straight ahead unless the file has been given a ``T_BS`` or a ``T_cam_imu`` of its own.
+matrices of a rectified picture (R, P), which are not used here. Neither contains the mounting: the camera is assumed
+to look straight ahead unless a ``T_BS`` or a ``T_cam_imu`` was added to the file.
 
-People write these files with their own scripts, so a field is found by any of the names in common use.
+Many of these files are written by users' own scripts, so a field is recognised by any of the names in common use.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _MODELS = {
     "radialtangential": Distortion.RADTAN,
     "brownconrady": Distortion.RADTAN,
     "opencv": Distortion.RADTAN,
-    "pinhole": None,  # which says nothing of the distortion
+    "pinhole": None,  # does not specify the distortion
     "equidistant": Distortion.EQUIDISTANT,
     "equi": Distortion.EQUIDISTANT,
     "fisheye": Distortion.EQUIDISTANT,
@@ -57,12 +57,12 @@ SUPPORTED = (
     "supported are plumb_bob, rational_polynomial and equidistant (fisheye): calibrate with one of them"
 )
 
-MAX_PLAIN_FOV_RAD = pi / 2  # four coefficients without a name are OpenCV's plain model up to here
+MAX_PLAIN_FOV_RAD = pi / 2  # up to here, four coefficients without a model are radial-tangential
 
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """Content of these files: size of its raw pictures, ``fx fy cx cy`` in pixels, and distortion."""
+    """Intrinsics in such a file: size of the raw pictures, ``fx fy cx cy`` in pixels, and distortion."""
 
     size: tuple[int, int]
     pinhole: tuple[float, float, float, float]
@@ -72,20 +72,20 @@ class Lens:
 
 @dataclass(frozen=True, slots=True)
 class _Fields:
-    """A file's fields, found by name in lower case without underscores."""
+    """A file's fields, looked up by name in lower case without underscores."""
 
     content: Mapping[str, Any]
     names: Mapping[str, str]
 
     def find(self, names: tuple[str, ...]) -> str | None:
-        """Return the file's own name of the first of these that it has a value for."""
+        """Return the file's spelling of the first of these names that has a value; None without any."""
         for name in names:
             if name in self.names and self.content[self.names[name]] is not None:
                 return self.names[name]
         return None
 
     def value(self, names: tuple[str, ...]) -> Any:
-        """Return the value of the first of these names that the file has; None without any."""
+        """Return the value of the first of these names in the file; None without any."""
         key = self.find(names)
         return None if key is None else self.content[key]
 
@@ -99,12 +99,12 @@ def _fields(content: Mapping[str, Any]) -> _Fields:
 
 
 def is_matrix_file(content: Mapping[str, Any]) -> bool:
-    """Whether a file gives the camera as a matrix."""
+    """Whether a file contains a camera matrix."""
     return _fields(content).find(_MATRIX) is not None
 
 
 def read_lens(content: Mapping[str, Any]) -> Lens:
-    """Read size, matrix and distortion; `InputError` naming the field where one cannot be used."""
+    """Read size, matrix and distortion; an `InputError` names an unusable field."""
     fields = _fields(content)
     size = _size(fields)
     key = fields.find(_MATRIX) or "camera_matrix"
@@ -143,7 +143,7 @@ def _size(fields: _Fields) -> tuple[int, int]:
 
 
 def _refuse_cut_pictures(fields: _Fields, size: tuple[int, int]) -> None:
-    """Raise `InputError` where the pictures are a binned or cut part of what the matrix describes."""
+    """Raise `InputError` where the pictures are binned or cropped relative to the matrix."""
     remedy = "give the calibration of the pictures as they are in the log"
     for name in ("binningx", "binningy"):
         if (fields.value((name,)) or 1) not in (0, 1):
@@ -169,7 +169,7 @@ def _distortion(fields: _Fields, size: tuple[int, int], fx_px: float) -> tuple[D
     if distortion is Distortion.NONE or not given:
         if any(given):
             raise InputError(f"{key} is {list(given)} though the model is none", remedy=SUPPORTED)
-        if distortion is Distortion.EQUIDISTANT:  # without coefficients it still bends: r = f * angle
+        if distortion is Distortion.EQUIDISTANT:  # distorted even without coefficients: r = f * angle
             return distortion, (0.0,) * 4
         return Distortion.NONE, ()
     if distortion is Distortion.EQUIDISTANT:
@@ -188,7 +188,7 @@ def _distortion(fields: _Fields, size: tuple[int, int], fx_px: float) -> tuple[D
 
 
 def _named_model(fields: _Fields) -> Distortion | None:
-    """Return the model the file names, None where it names none."""
+    """Return the declared model, None where the file does not declare one."""
     fisheye = fields.value(_FISHEYE)
     if fisheye is not None and _plain(fisheye) in ("1", "true", "yes"):
         return Distortion.EQUIDISTANT
@@ -202,7 +202,7 @@ def _named_model(fields: _Fields) -> Distortion | None:
 
 
 def _model_by_count(key: str, given: tuple[float, ...], size: tuple[int, int], fx_px: float) -> Distortion:
-    """Choose the model by the number of coefficients, as OpenCV does; four of a wide lens may be a fisheye's."""
+    """Choose the model by the number of coefficients, as OpenCV does; four of a wide lens are ambiguous."""
     if len(given) != 4 or not any(given):
         return Distortion.RADTAN
     fov_rad = 2.0 * atan(0.5 * size[0] / fx_px)

@@ -1,4 +1,4 @@
-"""Directions of any frame into a camera's picture, in compiled code where the lens leaves straight lines straight."""
+"""Projection of directions in any frame to pixels, compiled for lenses without distortion."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vision.types import FloatArray
 
 
 def is_distorted(camera: Camera) -> bool:
-    """Return whether straight lines are curved in this camera's pictures."""
+    """Whether straight lines are curved in this camera's pictures."""
     return any(camera.coefficients) or camera.distortion is Distortion.EQUIDISTANT
 
 
@@ -31,16 +31,16 @@ def _project_turned(
 
 
 def project_directions(directions: FloatArray, R_frame_camera: FloatArray, camera: Camera) -> FloatArray:
-    """Return the pixels (n, 2) of directions in some frame; NaN where the camera cannot see them.
+    """Return the pixels (n, 2) of directions in a given frame; NaN where they have none, see `Camera.project`.
 
     Parameters
     ----------
     directions
         Vectors (n, 3) of any length.
     R_frame_camera
-        Rotation (3, 3) from the optical frame to theirs.
+        Rotation (3, 3) from the optical frame to the directions' frame.
     camera
-        As for `Camera.project`.
+        The camera.
     """
     if is_distorted(camera):
         return camera.project(directions @ R_frame_camera)

@@ -1,7 +1,7 @@
-"""Camera files of visual-inertial estimators and SLAM systems, turned into the fields of an EuRoC ``sensor.yaml``.
+"""Camera files of visual-inertial estimators and SLAM systems, converted to the fields of an EuRoC ``sensor.yaml``.
 
 =============================== ====================================== ===================================
-written for                     known by                               pose of the camera
+system                          recognised by                          pose of the camera
 =============================== ====================================== ===================================
 VINS-Fusion, VINS-Mono          ``model_type`` (camodocal)             ``body_T_cam0`` of the file that names
                                                                        this one, ``extrinsicRotation``
@@ -11,7 +11,7 @@ OKVIS                           ``cameras`` with ``T_SC``              ``T_SC``
 Basalt                          ``value0`` with ``intrinsics``         ``T_imu_cam``
 =============================== ====================================== ===================================
 
-Every pose takes camera coordinates to the IMU. Lens models that are not known here are refused by name.
+All poses transform camera coordinates to the IMU. Unknown lens models are rejected by name.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ _FISHEYE = ("k1", "k2", "k3", "k4")
 
 
 def as_euroc(content: Fields, folder: Path, cam: str) -> dict[str, Any] | None:
-    """Return the fields of a ``sensor.yaml`` that a file of another system holds; None where it is of none.
+    """Return a file's content as fields of a ``sensor.yaml``; None where it belongs to none of these systems.
 
     Parameters
     ----------
     content
-        Of the file.
+        Content of the file.
     folder
-        That it lies in: VINS-Fusion's configuration names the file of each camera.
+        Its folder: VINS-Fusion's configuration refers to a file for each camera.
     cam
-        Which camera of several, ``cam0`` the first.
+        Name of the camera; ``cam0`` is the first.
 
     Raises
     ------
     InputError
-        Naming what is missing, or the lens model that is not known.
+        Naming the missing field, or the unknown lens model.
     """
     number = int(cam.removeprefix("cam")) if cam.removeprefix("cam").isdigit() else 0
     if "model_type" in content:
@@ -63,7 +63,7 @@ def as_euroc(content: Fields, folder: Path, cam: str) -> dict[str, Any] | None:
     if isinstance(content.get("Camera"), Mapping) and "model" in content["Camera"]:
         return _stella(content["Camera"])
     if isinstance(content.get("cameras"), list) and content["cameras"]:
-        return _okvis(_numbered(content["cameras"], number))
+        return _okvis(_camera_at(content["cameras"], number))
     value = content.get("value0")
     if isinstance(value, Mapping) and "intrinsics" in value:
         return _basalt(value, number)
@@ -90,7 +90,7 @@ def _euroc(
 def _values(
     content: Fields, names: Sequence[str], prefix: str = "", default: float | None = None
 ) -> list[float]:
-    """Numbers of fields, of which each may be missing where there is a default."""
+    """Return the numbers of several fields, ``default`` for missing ones; `InputError` where there is no default."""
     if not isinstance(content, Mapping):
         raise InputError(f"has {content!r} where {', '.join(names)} should be", remedy="give the whole file")
     found = []
@@ -103,18 +103,18 @@ def _values(
     return found
 
 
-def _numbered(cameras: Sequence[Any], number: int) -> Any:
+def _camera_at(cameras: Sequence[Any], number: int) -> Any:
     if number < len(cameras) and isinstance(cameras[number], Mapping):
         return cameras[number]
     raise InputError(f"holds {len(cameras)} cameras, none of number {number}", remedy="the first is cam0")
 
 
-def _refused(key: str, model: object) -> InputError:
+def _unknown_model(key: str, model: object) -> InputError:
     return InputError(f"{key} is {str(model)!r}, a lens model that is not known here", remedy=SUPPORTED)
 
 
 def _camodocal(content: Fields) -> dict[str, Any]:
-    """Read camodocal's parameters; its Kannala-Brandt numbers its four coefficients from k2 on."""
+    """Read camodocal's parameters; the coefficients of its Kannala-Brandt model are k2 to k5."""
     size = _values(content, ("image_width", "image_height"))
     remedy = "give the whole file"
     projection = require(content, "projection_parameters", None, remedy)
@@ -132,7 +132,7 @@ def _camodocal(content: Fields) -> dict[str, Any]:
         pinhole = _values(projection, ("mu", "mv", "u0", "v0"))
         lens = pinhole, "equidistant", _values(projection, ("k2", "k3", "k4", "k5"))
     else:
-        raise _refused("model_type", content["model_type"])
+        raise _unknown_model("model_type", content["model_type"])
     return _euroc(size, *lens, pose)
 
 
@@ -143,16 +143,17 @@ def _vins_fusion(content: Fields, folder: Path, number: int) -> dict[str, Any]:
     return found if pose is None else found | {"T_BS": pose}
 
 
-def told_time_shift(content: Fields) -> tuple[str, object] | None:
-    """Return where such a file says how much later than stamped its pictures are by the IMU's clock, and what.
+def declared_time_shift(content: Fields) -> tuple[str, object] | None:
+    """Return the field with the time shift, ``t_imu = t_camera + shift``, and its value in seconds.
 
     VINS-Fusion's ``td`` and Basalt's ``cam_time_offset_ns`` are added to the pictures' times, OKVIS's ``imageDelay``
-    is taken from them.
+    is subtracted.
     """
     inner = content.get("value0")
     if isinstance(inner, Mapping) and "cam_time_offset_ns" in inner:
-        told = inner["cam_time_offset_ns"]
-        return "value0.cam_time_offset_ns", told * 1e-9 if isinstance(told, int | float) else told
+        shift_ns = inner["cam_time_offset_ns"]
+        shift_s = shift_ns * 1e-9 if isinstance(shift_ns, int | float) else shift_ns
+        return "value0.cam_time_offset_ns", shift_s
     if any(key.endswith("_calib") for key in map(str, content)) and "td" in content:
         return "td", content["td"]
     if "cameras" in content and "imageDelay" in content:
@@ -177,7 +178,7 @@ def _stella(camera: Fields) -> dict[str, Any]:
 
 
 def _lens(content: Fields, prefix: str, model: str, key: str) -> tuple[str, list[float]]:
-    """Model and coefficients of ORB-SLAM's and stella's files; those that a pinhole's lacks are zero."""
+    """Return model and coefficients of ORB-SLAM's and stella's files; missing ones of a pinhole are zero."""
     name = model.lower()
     if name in ("pinhole", "perspective"):
         return "radtan", _values(content, (*_RADTAN, "k3"), prefix, 0.0)
@@ -185,7 +186,7 @@ def _lens(content: Fields, prefix: str, model: str, key: str) -> tuple[str, list
         return "equidistant", _values(content, _FISHEYE, prefix)
     if name == "rectified":
         return "none", []
-    raise _refused(key, model)
+    raise _unknown_model(key, model)
 
 
 def _okvis(camera: Fields) -> dict[str, Any]:
@@ -199,11 +200,11 @@ def _okvis(camera: Fields) -> dict[str, Any]:
         "equidistant": "equidistant",
         "none": "none",
     }
-    told = require(camera, "distortion_type", None, SUPPORTED, prefix="cameras.")
-    if str(told).lower() not in models:
-        raise _refused("distortion_type", told)
+    declared = require(camera, "distortion_type", None, SUPPORTED, prefix="cameras.")
+    if str(declared).lower() not in models:
+        raise _unknown_model("distortion_type", declared)
     coefficients = numbers(camera, "distortion_coefficients", "cameras.", None, remedy)
-    return _euroc(size, (*focal, *centre), models[str(told).lower()], coefficients, camera.get("T_SC"))
+    return _euroc(size, (*focal, *centre), models[str(declared).lower()], coefficients, camera.get("T_SC"))
 
 
 _BASALT: dict[str, Callable[[Fields], tuple[str, list[float]]]] = {
@@ -214,11 +215,11 @@ _BASALT: dict[str, Callable[[Fields], tuple[str, list[float]]]] = {
 
 
 def _basalt(content: Fields, number: int) -> dict[str, Any]:
-    camera = _numbered(content["intrinsics"], number)
+    camera = _camera_at(content["intrinsics"], number)
     values = require(camera, "intrinsics", None, "give the whole file", prefix="intrinsics.")
     kind = str(camera.get("camera_type"))
     if kind not in _BASALT:
-        raise _refused("camera_type", kind)
+        raise _unknown_model("camera_type", kind)
     sizes, poses = content.get("resolution"), content.get("T_imu_cam")
     if not isinstance(sizes, list) or number >= len(sizes):
         raise InputError("resolution is missing", remedy="give the whole file")
@@ -230,7 +231,7 @@ def _basalt(content: Fields, number: int) -> dict[str, Any]:
 
 
 def _transform(pose: Fields) -> FloatArray:
-    """Matrix (4, 4) of a quaternion and a translation."""
+    """Return the matrix (4, 4) of a quaternion and a translation."""
     x, y, z, w = _values(pose, ("qx", "qy", "qz", "qw"))
     length = float(np.linalg.norm([x, y, z, w]))
     if not 0.9 < length < 1.1:

@@ -1,4 +1,4 @@
-"""Camera files that are neither YAML nor JSON: OpenCV's XML and the ``.ini`` of ROS, as mappings of their fields."""
+"""Parsers of camera files that are neither YAML nor JSON: OpenCV's XML and the ``.ini`` of ROS."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _MATRICES = {"camera matrix": ("camera_matrix", 9), "distortion": ("distortion_c
 
 
 def is_ini(text: str) -> bool:
-    """Whether a text is a calibration as ROS's ``camera_calibration_parsers`` writes it in ``.ini``."""
+    """Whether a text is a calibration in the ``.ini`` format of ROS's ``camera_calibration_parsers``."""
     return re.search(r"^\[image\]\s*$", text, re.MULTILINE) is not None and "camera matrix" in text
 
 
 def parse_ini(text: str, path: Path) -> dict[str, Any]:
-    """Read size, matrix and distortion: each name stands on a line of its own, its numbers on the next ones."""
+    """Read size, matrix and distortion: each name is on a line of its own, its numbers on the following lines."""
     lines = [line.strip() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     found: dict[str, Any] = {"distortion_model": "plumb_bob"}
     for place, line in enumerate(lines):
@@ -35,7 +35,7 @@ def parse_ini(text: str, path: Path) -> dict[str, Any]:
 
 
 def _numbers_after(lines: list[str], place: int) -> list[float]:
-    """Return the numbers on the lines that follow one, up to the next that holds anything else."""
+    """Return the numbers on the lines that follow one, up to the next line with anything else."""
     found: list[float] = []
     for line in lines[place + 1 :]:
         fields = line.split()
@@ -46,12 +46,12 @@ def _numbers_after(lines: list[str], place: int) -> list[float]:
 
 
 def parse_xml(text: str, path: Path) -> dict[str, Any]:
-    """Read what OpenCV's FileStorage wrote: matrices, numbers and texts under one root.
+    """Read an XML file of OpenCV's FileStorage: matrices, numbers and texts under one root.
 
     Raises
     ------
     InputError
-        Where it is no such file; entities, by which a small file may fill the memory, are refused unread.
+        Where it is not such a file, or declares entities, whose expansion may exhaust memory.
     """
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise InputError(

@@ -1,8 +1,8 @@
 """Edge pixels, the maxima of the gradient, connected to components in one raster pass.
 
 An edge pixel's gradient magnitude (Sobel 3x3) reaches the threshold and exceeds both neighbours along x or y,
-whichever is nearer to the gradient. The parabola through the three magnitudes gives its sub-pixel position. Union-find
-connects 8-neighbours whose gradients are within 22.5 degrees of the component's mean gradient.
+whichever is nearer to the gradient. The parabola through the three magnitudes gives its sub-pixel position.
+Union-find connects 8-neighbours whose gradients are within 22.5 degrees of the component's mean gradient.
 
 Components are stored as running sums only. Everything is compiled and works on buffers that the caller reuses. Loops
 over all pixels treat the picture as one long row without branches, so that they vectorise.
