@@ -1,9 +1,10 @@
-"""Fit the weights of `vision.lateral.walls`: when an answer is not given because a side wall is missing.
+"""Fit the weights of `vision.lateral.walls`, which detect that a side wall is missing.
 
 ``python -m training.missing_wall`` renders simulated corridors with and without an open hall beside them, measures
-them with the network in the package, and fits a logistic regression to what the answered pictures show. It prints
-the weights as they stand in the module, and what they are worth on corridors left out of the fit. Some evidence is
-what the network says, so new weights of the network need new weights here. Seeds are fixed.
+them with the packaged network, and fits a logistic regression of the missing wall on the evidence of all pictures
+with an estimated offset. It prints the weights in the form used in the module, and their performance on corridors
+left out of the fit (cross-validation). Some of the evidence is the network's output, so a new network needs new
+weights. Seeds are fixed.
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ FIELD_OF_VIEW_RAD = radians(72.0)
 TILT_STD_RAD = radians(0.5)  # of the roll and pitch that come with a picture
 SCENES, VIEWS_PER_SCENE, SEED = 240, 4, 4100
 FOLDS = 5
-LEFT_OUT = 0.05  # share of the answers between two walls that may be lost
+LOST_SHARE = 0.05  # accepted loss of estimates between two walls
 WRONG_NORM = 0.1
 RIDGE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """What an answered picture shows, whether it is beside an open hall and the answer wrong, and its corridor."""
+class EstimatedView:
+    """Evidence of a picture with an estimated offset, whether a hall is beside it, whether the estimate is wrong."""
 
     evidence: MissingWallEvidence
     is_beside_hall: bool
@@ -49,7 +50,7 @@ class Answer:
 
 
 def draw_scene(seed: int) -> SceneConfig:
-    """Draw a corridor, every other one with an open hall beside all of it; plain offices and others by turns."""
+    """Draw a corridor, every other one with an open hall along its whole length; offices and others alternate."""
     draw = SceneConfig.random_office if seed % 4 < 2 else SceneConfig.random
     if seed % 2 == 0:
         return draw(seed, open_hall_m=None)
@@ -63,8 +64,8 @@ def draw_imaging(seed: int) -> ImagingConfig:
     return (ImagingConfig.random_office if seed % 4 < 2 else ImagingConfig.random)(seed)
 
 
-def answers(n_scenes: int, seed: int) -> Iterator[Answer]:
-    """Measure pictures as `vision.measure_lines` does, up to the question whether a wall is missing."""
+def estimated_views(n_scenes: int, seed: int) -> Iterator[EstimatedView]:
+    """Measure pictures as `vision.measure_lines` does, up to the test for a missing wall."""
     for number, size in enumerate(SIZES):
         camera = Camera.from_fov(*size, FIELD_OF_VIEW_RAD)
         views = random_views(
@@ -88,26 +89,26 @@ def answers(n_scenes: int, seed: int) -> Iterator[Answer]:
                 continue
             R_corridor_camera = frame[0]
             by_lines, by_regions = found.offset_evidence
-            answer = combined_offset(by_lines, by_regions)
-            if answer is None:
+            estimate = combined_offset(by_lines, by_regions)
+            if estimate is None:
                 continue
             evidence = missing_wall_evidence(
                 lines.geometry(),
                 found.line_class,
                 R_corridor_camera,
                 corner_scores(polar_picture(view.image, camera, R_corridor_camera)),
-                float(by_lines.likelihood(answer.offset_norm)) / UNIFORM_DENSITY,
+                float(by_lines.likelihood(estimate.offset_norm)) / UNIFORM_DENSITY,
             )
-            yield Answer(
+            yield EstimatedView(
                 evidence,
                 view.scene_seed % 2 == 1,
-                abs(answer.offset_norm - view.lateral_offset_norm) > WRONG_NORM,
+                abs(estimate.offset_norm - view.lateral_offset_norm) > WRONG_NORM,
                 view.scene_seed,
             )
 
 
 def fit(evidence: FloatArray, is_missing: npt.NDArray[np.bool_]) -> FloatArray:
-    """Fit weights (k,) to evidence (n, k), and move the bias to where `LEFT_OUT` of the ordinary answers are lost."""
+    """Fit weights (k,) to evidence (n, k), and shift the bias so that `LOST_SHARE` of views with walls are lost."""
     share = np.where(is_missing, np.sqrt((~is_missing).sum() / max(is_missing.sum(), 1)), 1.0)
     sign = np.where(is_missing, -1.0, 1.0)
 
@@ -116,12 +117,12 @@ def fit(evidence: FloatArray, is_missing: npt.NDArray[np.bool_]) -> FloatArray:
         return float(misfit + RIDGE * weights[1:] @ weights[1:])
 
     weights: FloatArray = minimize(loss, np.zeros(evidence.shape[1])).x
-    weights[0] -= np.quantile(evidence[~is_missing] @ weights, 1.0 - LEFT_OUT)
+    weights[0] -= np.quantile(evidence[~is_missing] @ weights, 1.0 - LOST_SHARE)
     return weights
 
 
-def describe(name: str, kept: npt.NDArray[np.bool_], found: list[Answer]) -> str:
-    """Say how many answers remain beside halls and between two walls, and how many of these are wrong."""
+def describe(name: str, kept: npt.NDArray[np.bool_], found: list[EstimatedView]) -> str:
+    """Describe how many estimates remain beside halls and between two walls, and how many of these are wrong."""
     parts = []
     for where, beside in (("beside a hall", True), ("between walls", False)):
         these = [k for a, k in zip(found, kept, strict=True) if a.is_beside_hall == beside]
@@ -134,7 +135,7 @@ def main(
     scenes: Annotated[int, typer.Option(min=20, help="Corridors to render.")] = SCENES, seed: int = SEED
 ) -> None:
     """Fit the weights and print them."""
-    found = list(answers(scenes, seed))
+    found = list(estimated_views(scenes, seed))
     evidence = np.array([a.evidence for a in found])
     is_missing = np.array([a.is_beside_hall for a in found])
     fold = np.array([a.scene_seed // 8 % FOLDS for a in found])

@@ -1,9 +1,9 @@
-"""The network of `vision.lateral.learned` as it is trained, and the likelihoods that its scores stand for.
+"""PyTorch model of the network in `vision.lateral.learned`, and the likelihoods computed from its output.
 
-The network classifies every angle about the axis. 2-D convolutions collapse the radius, circular 1-D convolutions
-over the angle follow; out come scores of the floor's and the ceiling's corner at each angle, a class of each angle as
-an auxiliary task, and three log-odds. The offset's likelihood follows in `offset_likelihood`, and is what the
-training maximises.
+2-D convolutions reduce the radius of the log-polar picture to one row; residual circular 1-D convolutions over the
+angle follow. The output is the scores of the floor's and the ceiling's corner at each angle, a class for each angle
+as an auxiliary task, and three log-odds of "cannot tell". `offset_likelihood` computes the offset's likelihood from
+it, which the training maximises.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ N_CLASSES = 3
 
 
 class _CircularLayer(nn.Module):
-    """Convolution that goes on around the angle, batch normalisation, ReLU; export folds the first two into one."""
+    """Convolution with circular padding in angle, batch normalisation, ReLU; export fuses the first two."""
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class _CircularLayer(nn.Module):
 
 
 class OffsetNetwork(nn.Module):
-    """From polar pictures (n, 2, N_RADII, N_ANGLES) to scores (n, 5, N_ANGLES) and log-odds (n, 3)."""
+    """Network from polar pictures (n, 2, N_RADII, N_ANGLES) to scores (n, 5, N_ANGLES) and log-odds (n, 3)."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -65,7 +65,7 @@ class OffsetNetwork(nn.Module):
         )
         self.place = nn.Parameter(torch.zeros(d, 6))
         self.around = nn.ModuleList([_CircularLayer(d, d, (1, 5), dilation=k) for k in DILATIONS])
-        self.scores = nn.Conv2d(d, 2 * (2 + N_CLASSES), 1)  # two angles for each place
+        self.scores = nn.Conv2d(d, 2 * (2 + N_CLASSES), 1)  # two angles for each position
         self.odds = nn.Linear(2 * d, N_ODDS)
         self.reset_odds()
         angle = ANGLES.reshape(-1, 2).mean(axis=1)
@@ -80,7 +80,7 @@ class OffsetNetwork(nn.Module):
         return [layer for layer in (*self.radial, *self.around) if isinstance(layer, _CircularLayer)]
 
     def reset_odds(self) -> None:
-        """Begin anew with what cannot be told: a little of everything."""
+        """Reset the log-odds of "cannot tell" to a constant small probability."""
         nn.init.zeros_(self.odds.weight)
         nn.init.constant_(self.odds.bias, -2.0)
 
@@ -95,7 +95,7 @@ class OffsetNetwork(nn.Module):
 
 
 def _pair_matrix() -> Tensor:
-    """(N_QUARTER^2, N_BINS): into which bins of the offset a pair of corners falls, shared between neighbours."""
+    """Return the matrix (N_QUARTER^2, N_BINS) from pairs of corners to offset bins, linear between neighbours."""
     place = (PAIR_OFFSET.ravel() + 1.0) / 2.0 * N_BINS - 0.5
     low = np.clip(np.floor(place).astype(int), 0, N_BINS - 2)
     share = np.clip(place - low, 0.0, 1.0)
@@ -109,7 +109,7 @@ PAIRS = _pair_matrix()
 
 
 def corner_probability(scores: Tensor) -> list[Tensor]:
-    """Log-probabilities (n, N_QUARTER) of floor right and left, ceiling right and left, outwards from the wall."""
+    """Return log-probabilities (n, N_QUARTER) over the angle from level: floor right, left, ceiling right, left."""
     q = N_QUARTER
     floor, ceiling = scores[:, 0], scores[:, 1]
     parts = [
@@ -122,29 +122,29 @@ def corner_probability(scores: Tensor) -> list[Tensor]:
 
 
 def pair_density(left: Tensor, right: Tensor) -> Tensor:
-    """Probability over chance (n, N_BINS) of the offset by two corners."""
+    """Return the density (n, N_BINS) of the offset by two corners, relative to the uniform density."""
     outer = left.exp()[:, :, None] * right.exp()[:, None, :]
     return outer.flatten(1) @ PAIRS * N_BINS
 
 
 def offset_likelihood(scores: Tensor, odds: Tensor) -> tuple[Tensor, Tensor]:
-    """Likelihood over chance (n, N_BINS) of the offset, and the probability (n,) that the frame cannot tell."""
+    """Return the offset's likelihood over uniform (n, N_BINS), and the frame's "cannot tell" probability (n,)."""
     fr, fl, cr, cl = corner_probability(scores)
-    blind = torch.sigmoid(odds)
-    floor = blind[:, :1] + (1.0 - blind[:, :1]) * pair_density(fl, fr)
-    ceiling = blind[:, 1:2] + (1.0 - blind[:, 1:2]) * pair_density(cl, cr)
-    return floor * ceiling, blind[:, 2]
+    cannot_tell = torch.sigmoid(odds)
+    floor = cannot_tell[:, :1] + (1.0 - cannot_tell[:, :1]) * pair_density(fl, fr)
+    ceiling = cannot_tell[:, 1:2] + (1.0 - cannot_tell[:, 1:2]) * pair_density(cl, cr)
+    return floor * ceiling, cannot_tell[:, 2]
 
 
 def offset_density(scores: Tensor, odds: Tensor) -> Tensor:
-    """Posterior over chance (n, N_BINS)."""
-    likelihood, blind = offset_likelihood(scores, odds)
-    mixed = blind[:, None] + (1.0 - blind[:, None]) * likelihood
+    """Return the offset's density (n, N_BINS), relative to the uniform density."""
+    likelihood, cannot_tell = offset_likelihood(scores, odds)
+    mixed = cannot_tell[:, None] + (1.0 - cannot_tell[:, None]) * likelihood
     return mixed / mixed.mean(dim=-1, keepdim=True)
 
 
 def at_offset(density: Tensor, offset: Tensor) -> Tensor:
-    """Density (n,) at offsets, linear between the bins."""
+    """Return the density (n,) at offsets, linear between the bins."""
     place = ((offset + 1.0) / 2.0 * N_BINS - 0.5).clamp(0.0, N_BINS - 1.001)
     low = place.floor().long()
     share = place - low
@@ -155,13 +155,14 @@ def at_offset(density: Tensor, offset: Tensor) -> Tensor:
 
 
 def corner_loss(scores: Tensor, corners: Tensor) -> Tensor:
-    """Cross-entropy of the corners that can be seen, each shared between the two nearest angles."""
-    rights = corners.clone()
-    rights[:, 1], rights[:, 2], rights[:, 3] = pi - corners[:, 1], corners[:, 2] - pi, 2 * pi - corners[:, 3]
-    rights = rights[:, [0, 1, 3, 2]]
+    """Return the cross-entropy of the visible corners, each target linear between the two nearest angles."""
+    from_level = corners.clone()
+    from_level[:, 1], from_level[:, 2] = pi - corners[:, 1], corners[:, 2] - pi
+    from_level[:, 3] = 2 * pi - corners[:, 3]
+    from_level = from_level[:, [0, 1, 3, 2]]
     total = torch.zeros(())
     for k, log_p in enumerate(corner_probability(scores)):
-        angle = rights[:, k]
+        angle = from_level[:, k]
         seen = ~torch.isnan(angle)
         place = (torch.nan_to_num(angle) / (pi / 2) * N_QUARTER - 0.5).clamp(0.0, N_QUARTER - 1.001)
         low = place.floor().long()

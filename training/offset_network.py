@@ -1,9 +1,9 @@
 """Train the network of `vision.lateral.learned` on simulated corridors, and write its weights.
 
-``python -m training.offset_network render FOLDER`` renders the pictures, ``... train FOLDER`` (extra ``training``)
-trains on them, calibrates on corridors that the training has not seen, and writes
-``vision/lateral/offset_network.onnx`` and, as JSON beside it, how it was made and how good it is. ``... refine
-FOLDER`` does the same with the weights in the package to begin with. Seeds are fixed.
+``python -m training.offset_network render FOLDER`` renders the pictures. ``... train FOLDER`` (extra ``training``)
+trains on them, calibrates on corridors that were not used in training, and writes
+``vision/lateral/offset_network.onnx``, with its origin and its accuracy as JSON beside it. ``... refine FOLDER`` does
+the same, starting from the packaged weights. Seeds are fixed.
 """
 
 from __future__ import annotations
@@ -34,25 +34,27 @@ from vision.lateral import learned
 from vision.lateral.learned import learned_mixture
 from vision.lateral.polar import N_ANGLES, N_RADII
 
-MIN_HALVED = 64  # numbers of a tensor that is kept at half precision
+MIN_HALVED = 64  # elements: smaller tensors are not stored in half precision
 BATCH = 48
 LEARNING_RATE, LATER_RATE, REFINING_RATE = 4e-3, 3e-3, 1.5e-3
-ODDS_RATE = 0.02  # of that for the log-odds: faster, they run off to where the sigmoid has no gradient
+ODDS_RATE = (
+    0.02  # learning rate of the log-odds over that of the rest; with a larger one the sigmoid saturates
+)
 WARM_UP_STEPS, CORNER_STEPS = 60, 300
-FIRST_NORMALISED = 96  # views by which the folded normalisations of exported weights are unfolded
+FIRST_NORMALISED = 96  # views that restore the batch normalisation, which export has fused
 WITHOUT_CORRIDOR = 0.05
 CORNER_WEIGHT, CLASS_WEIGHT = 0.25, 0.3
 CHUNK_VIEWS = 10 * VIEWS_PER_CAMERA
 CHUNKS, STEPS, LATER_STEPS, SEED = 53, 11000, 26000, 11
 HELD_OUT, HELD_OUT_SEED, VARIATIONS = 240, 900, 4
 TEST_VIEWS, TEST_SEED = 48, 950
-TEMPERATURES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8, 2.1)  # never surer than trained
-SHIFTS = (1.0, 1.5, 2.0)  # never less: all the pictures that it is fitted on show a corridor, others do not
+TEMPERATURES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8, 2.1)  # at least 1: not more confident than trained
+SHIFTS = (1.0, 1.5, 2.0)  # at least 1: all calibration pictures show a corridor, others may not
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Samples stacked: polar (n, 2, N_RADII, N_ANGLES), offset (n,), corners (n, 4), classes (n, N_ANGLES)."""
+    """Stacked samples: polar (n, 2, N_RADII, N_ANGLES), offset (n,), corners (n, 4), classes (n, N_ANGLES)."""
 
     polar: Tensor
     offset: Tensor
@@ -71,7 +73,7 @@ class Batch:
 
 
 def chunk_file(folder: Path, seed: int, number: int) -> Path:
-    """File of a chunk of rendered views."""
+    """Return the file of a chunk of rendered views."""
     return folder / f"views_{seed}_{number}.pkl"
 
 
@@ -83,10 +85,10 @@ def train(
     rate: float = LEARNING_RATE,
     earlier: OffsetNetwork | None = None,
 ) -> OffsetNetwork:
-    """Train a network on endless variations of the views in a folder.
+    """Train a network on random variations of the views in a folder.
 
-    It goes on with an ``earlier`` one, which is changed. Its log-odds had better begin anew where its corners were
-    not right yet: only then can it be learned when they are not to be relied on.
+    Training continues with an ``earlier`` network, in place. Reset its log-odds if its corners were not accurate yet:
+    only with accurate corners can the network learn when they are unreliable.
     """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
@@ -117,7 +119,7 @@ def train(
         corners = corner_loss(scores, batch.corners)
         classes = functional.cross_entropy(scores[:, 2:], batch.classes, ignore_index=UNKNOWN)
         optimiser.zero_grad()
-        # The corners first: while they are at random, "cannot tell" is right, and it would never be unlearned.
+        # Corners first: while they are random, "cannot tell" is correct, and would not be unlearned later.
         share = 1.0 if earlier is not None else min(1.0, max(0.0, step / CORNER_STEPS - 0.5))
         (share * nll + CORNER_WEIGHT * corners + CLASS_WEIGHT * classes).backward()
         nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -130,12 +132,12 @@ def train(
 
 
 def calibrate(network: OffsetNetwork, held: Batch) -> tuple[float, float]:
-    """Fit a temperature of the corners' scores and a shift of "cannot tell" on pictures not trained on; fold them in.
+    """Fit a temperature of the corner scores and a shift of "cannot tell" on held-out pictures; apply both in place.
 
     Returns
     -------
     temperature, shift
-        Of the scores, and of the frame's log-odds.
+        Temperature of the scores, shift of the frame's log-odds.
     """
     with torch.no_grad():
         scores, odds = network(held.polar)
@@ -154,7 +156,7 @@ def calibrate(network: OffsetNetwork, held: Batch) -> tuple[float, float]:
 
 
 class _Exported(nn.Module):
-    """The network with one output (n, 5 N_ANGLES + N_ODDS); what does not depend on the picture is a constant."""
+    """The network with one output (n, 2 N_ANGLES + N_ODDS): corner scores and log-odds."""
 
     def __init__(self, network: OffsetNetwork) -> None:
         super().__init__()
@@ -167,7 +169,7 @@ class _Exported(nn.Module):
 
 
 def export(network: OffsetNetwork, file: Path) -> None:
-    """Write the network for `cv2.dnn`, for one picture."""
+    """Write the network as ONNX for `cv2.dnn`, with a batch of one picture."""
     example = torch.zeros(1, 2, N_RADII, N_ANGLES)
     torch.onnx.export(
         _Exported(network).eval(),
@@ -182,7 +184,7 @@ def export(network: OffsetNetwork, file: Path) -> None:
 
 
 def _halve(file: Path) -> None:
-    """Keep the weights of an exported network as half-precision numbers, which are cast when it is loaded."""
+    """Store the weights of an exported network in half precision, with casts to single precision."""
     model = onnx.load(file)
     graph = model.graph
     weights, casts = [], []
@@ -202,10 +204,10 @@ def _halve(file: Path) -> None:
 
 
 def packaged_network(views: list[TrainingView], cannot_tell_shift: float) -> OffsetNetwork:
-    """Load the weights in the package to train on; ``cannot_tell_shift`` is what calibration had added.
+    """Load the packaged weights for further training; ``cannot_tell_shift``, added by calibration, is subtracted.
 
-    Export has folded the normalisations into the convolutions. They are unfolded by the mean and the variance that
-    samples of the views have there.
+    Export has fused the batch normalisations into the convolutions. They are restored with the mean and variance of
+    the convolutions' outputs on samples of the views.
     """
     model = onnx.load(Path(learned.__file__).with_name(learned.WEIGHTS_FILE))
     tensors = {t.name.removesuffix("_half"): onnx.numpy_helper.to_array(t) for t in model.graph.initializer}
@@ -251,7 +253,7 @@ def packaged_network(views: list[TrainingView], cannot_tell_shift: float) -> Off
 
 
 def scores(views: list[TrainingView]) -> dict[str, float]:
-    """Score the weights in the package on views about the axes that vision finds."""
+    """Score the packaged weights on views, about the measured axes."""
     known = [view for view in views if view.R_measured is not None]
     mixtures = [learned_mixture(view.image, view.camera, view.R_measured) for view in known]
     found = OffsetScores.of(mixtures, [view.box.offset_norm for view in known])
@@ -319,12 +321,12 @@ def refine(folder: Path, chunks: int, steps: int, seed: int, rate: float = REFIN
 
 
 def described_weights() -> Path:
-    """File that says how the weights in the package were made."""
+    """Return the file with origin and accuracy of the packaged weights."""
     return Path(learned.__file__).with_name(learned.WEIGHTS_FILE).with_suffix(".json")
 
 
 def write(network: OffsetNetwork, folder: Path, made: dict[str, Any]) -> None:
-    """Calibrate a trained network, write it into the package with how it was made and how good it is."""
+    """Calibrate a trained network, and write it into the package with its origin and accuracy."""
     torch.save(network.state_dict(), folder / "network.pt")
     held_out = list(render_views(HELD_OUT, HELD_OUT_SEED))
     rng = np.random.default_rng(HELD_OUT_SEED)
@@ -341,7 +343,7 @@ def write(network: OffsetNetwork, folder: Path, made: dict[str, Any]) -> None:
         "parameters": sum(parameter.numel() for parameter in network.parameters()),
         "temperature": temperature,
         "cannot_tell_shift": shift,
-        # In a process of its own: this one holds the weights that it found when it began.
+        # In a separate process: this one has cached the weights it loaded at its start.
         **json.loads(subprocess.check_output([sys.executable, "-m", "training.offset_network", "score"])),
     }
     described_weights().write_text(json.dumps(made, indent=2) + "\n", encoding="utf-8")

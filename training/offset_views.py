@@ -1,4 +1,4 @@
-"""Simulated pictures of corridors with their truth, to train on; `training.variations` varies them."""
+"""Simulated pictures of corridors with their truth, for training; `training.variations` augments them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from vision.frame import SLOPE_STD_RAD, UNKNOWN_ATTITUDE, level_std_rad
 FloatArray = npt.NDArray[np.float64]
 
 LIGHT_CELL_M = 0.3
-NEAREST_END_M = 0.6  # a door or wall ahead then fills most of the picture
+NEAREST_END_M = 0.6  # there a door or wall ahead fills most of the picture
 VIEWS_PER_CAMERA, VIEWS_PER_SCENE = 24, 6
 
 
@@ -51,11 +51,11 @@ class TrainingView:
     R_true
         Rotation (3, 3) from the optical frame to the corridor's axes.
     R_measured
-        The same as vision finds it in this picture; None where it accepts none.
+        The same as measured in this picture; None where the heading was rejected.
     box
-        Where the corridor's surfaces are.
+        Distances to the corridor's surfaces.
     is_hall
-        A wall is missing ahead.
+        Whether a wall is missing ahead.
     """
 
     image: npt.NDArray[np.uint8]
@@ -67,7 +67,7 @@ class TrainingView:
 
 
 def draw_lens(seed: int) -> Camera:
-    """Draw a camera: both lens models, fields of view of 55 to 140 degrees, two sizes, mounted up, down and askew."""
+    """Draw a camera: both lens models, fields of view of 55 to 140 degrees, two sizes, random mounting angles."""
     rng = np.random.default_rng((seed, 21))
     size = {"width_px": 320, "height_px": 240} if rng.random() < 0.65 else {"width_px": 640, "height_px": 480}
     lens = draw_camera(seed) | size
@@ -86,7 +86,7 @@ def draw_lens(seed: int) -> Camera:
 def measured_frame(
     image: npt.NDArray[np.uint8], camera: Camera, attitude: Attitude | None
 ) -> tuple[FloatArray, float] | None:
-    """Find the corridor's axes by vision: R_corridor_camera and the heading; None where the frame is not accepted."""
+    """Measure the corridor's axes: R_corridor_camera and the heading; None where the frame is rejected."""
     lines = extract_lines(image, camera)
     known = attitude or UNKNOWN_ATTITUDE
     std_rad = level_std_rad(known, Prior().elevation_std_rad)
@@ -94,16 +94,16 @@ def measured_frame(
     fit = fit_axis(
         lines, level.R_level_camera, elevation_std_rad=float(np.hypot(level.pitch_std_rad, SLOPE_STD_RAD))
     )
-    # Without its picture the axis is that of these lines, too: none is searched at another size.
+    # Without the picture, `measure_lines` uses the same lines: it cannot search at half the size.
     if fit is None or not measure_lines(replace(lines, grey=None), camera, attitude).accepted:
         return None
     return corridor_frame(level.R_level_camera, fit.heading_rad, fit.elevation_rad), fit.heading_rad
 
 
 def render_views(n: int, seed: int, first_camera: int = 0) -> Iterator[TrainingView]:
-    """Yield n views of random corridors, a third of them near walls and ends, or far askew.
+    """Yield n views of random corridors, a third of them near walls and ends, or at large headings.
 
-    Each camera takes `VIEWS_PER_CAMERA` of them; ``first_camera`` leaves those of the cameras before it out.
+    Each camera takes `VIEWS_PER_CAMERA` of them; ``first_camera`` skips the cameras before it.
     """
     for block in range(first_camera, first_camera + (n + VIEWS_PER_CAMERA - 1) // VIEWS_PER_CAMERA):
         block_seed = seed * 7919 + block

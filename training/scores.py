@@ -1,4 +1,4 @@
-"""What mixtures of the lateral offset are worth against the truth."""
+"""Scores of lateral offset mixtures against the truth."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from vision.lateral.mixture import OffsetMixture
 
 FloatArray = npt.NDArray[np.float64]
 
-RIGHT = 0.10  # half widths
-SURE = 0.9
+CORRECT_NORM = 0.10  # half widths: largest error of a correct estimate
+SURE = 0.9  # probability within `CORRECT_NORM` of the likeliest offset
 GRID: FloatArray = np.linspace(-0.995, 0.995, 200)
 
 
 def density_of(mixture: OffsetMixture) -> FloatArray:
-    """Probability (n,) of the offset at each point of `GRID`."""
+    """Return the probability (n,) of the offset at each point of `GRID`."""
     z = (GRID[:, None] - mixture.offset_norm) / mixture.std_norm
     peaks = np.exp(-0.5 * z * z) / (mixture.std_norm * np.sqrt(2.0 * np.pi))
     density = (1.0 - mixture.weight.sum()) / 2.0 + peaks @ mixture.weight
@@ -34,16 +34,17 @@ class OffsetScores:
     n
         Frames.
     within
-        Share whose likeliest offset is within `RIGHT` of the truth.
+        Share whose likeliest offset is within `CORRECT_NORM` of the truth.
     sure, sure_wrong
-        Share with more than `SURE` of the probability within `RIGHT` of the likeliest offset, and the share of these
-        whose likeliest offset is not within `RIGHT` of the truth.
+        Share with more than `SURE` of the probability within `CORRECT_NORM` of the likeliest offset, and the share of
+        these whose likeliest offset is not within `CORRECT_NORM` of the truth.
     median, sure_median
         Median error of all frames and of the sure ones.
     ratio_p90
         90th percentile of error over standard deviation, sure frames.
     nll
-        Mean negative log-likelihood of the truth over chance: 0 knows nothing, below is better.
+        Mean negative log-likelihood of the truth relative to the uniform density: 0 without information, lower is
+        better.
     """
 
     n: int
@@ -60,7 +61,7 @@ class OffsetScores:
         """Score mixtures against true offsets (n,)."""
         truth = np.asarray(offsets, dtype=float)
         p = np.stack([density_of(mixture) for mixture in mixtures])
-        near = (np.abs(GRID[:, None] - GRID) < RIGHT).astype(float)
+        near = (np.abs(GRID[:, None] - GRID) < CORRECT_NORM).astype(float)
         mass = p @ near
         best = mass.argmax(axis=1)
         window = p * near[best]
@@ -72,9 +73,9 @@ class OffsetScores:
         some = sure if sure.any() else np.ones(len(sure), bool)
         return cls(
             n=len(truth),
-            within=float((error < RIGHT).mean()),
+            within=float((error < CORRECT_NORM).mean()),
             sure=float(sure.mean()),
-            sure_wrong=float((error[sure] >= RIGHT).mean()) if sure.any() else 0.0,
+            sure_wrong=float((error[sure] >= CORRECT_NORM).mean()) if sure.any() else 0.0,
             median=float(np.median(error)),
             sure_median=float(np.median(error[some])),
             ratio_p90=float(np.quantile(error[some] / std[some], 0.9)),

@@ -1,9 +1,9 @@
-"""The ways in which a rendered view is varied: one picture is drawn on many times.
+"""Data augmentation: many training samples from one rendered view.
 
-Its truth makes the corridor a box, so every ray of the polar form is followed to the box's surface and from there,
-the box deformed, back into the picture (*box warp*): one picture shows the corridor from any offset and height, in
-any width. On the way the corridor goes on narrower or wider, other boxes are put up along the walls, stripes are
-painted along the corridor, surfaces change their brightness, and the axis is off as in flight.
+The corridor's true geometry is a box. For another box, that is another offset, height and width, every ray of the
+polar picture is intersected with it, the hit point is mapped linearly to the view's own box, and projected into the
+picture (*box warp*). Further variations: the width steps ahead, boxes stand along the walls, stripes are painted
+along the corridor, surfaces change their brightness, and the axis has an error as in flight.
 """
 
 from __future__ import annotations
@@ -20,18 +20,17 @@ from training.offset_views import Box, FloatArray, TrainingView
 from vision.lateral.learned import MIRRORED, is_left_brighter
 from vision.lateral.polar import ANGLES, DIRECTIONS, N_ANGLES, Polar, sample_points, standardise
 
-# Further off the axis is another one, or that of a slope taken as level.
-MAX_MEASURED_ERROR_RAD = radians(3.0)
+MAX_MEASURED_ERROR_RAD = radians(3.0)  # a larger one is a false axis, or a slope taken as level
 MAX_OFFSET_NORM = 0.85
 UNKNOWN, FLOOR, CEILING, WALL = -1, 0, 1, 2  # classes of an angle
-WITH_STEP = 0.25  # share of the box warps in which the width steps ahead
+STEP_SHARE = 0.25  # of the box warps, with a step in the width ahead
 
 
 def axis_error(view: TrainingView, rng: np.random.Generator) -> FloatArray:
-    """Draw a rotation (3, 3) from the corridor's axes as vision takes them to the true ones.
+    """Draw a rotation (3, 3) from the measured corridor axes to the true ones.
 
-    Half of the draws are this picture's own error, the others that of a heading which persists over frames; one in
-    twenty is of a wrong axis.
+    Half of the draws are this picture's own error, the others a random heading error as persists over frames; one in
+    twenty is a false axis.
     """
     kind = rng.random()
     small = rng.normal(0.0, radians(0.15), 3)
@@ -47,8 +46,8 @@ def axis_error(view: TrainingView, rng: np.random.Generator) -> FloatArray:
     return np.asarray(rotation(*(small + rng.normal(0.0, 1.0, 3) * std)), dtype=float)
 
 
-def other_box(box: Box, rng: np.random.Generator) -> Box:
-    """Draw another corridor and another place in it, not so unlike that the picture tears."""
+def random_box_near(box: Box, rng: np.random.Generator) -> Box:
+    """Draw another corridor and position, near enough that the warped picture is not too distorted."""
     width, height = box.left + box.right, box.floor + box.ceiling
     wide = width * float(np.exp(rng.uniform(-0.4, 0.4)))
     high = height * float(np.exp(rng.uniform(-0.2, 0.2)))
@@ -61,20 +60,20 @@ def other_box(box: Box, rng: np.random.Generator) -> Box:
 
 @dataclass(frozen=True, slots=True)
 class WidthStep:
-    """Where the corridor goes on with other walls: ``at`` metres ahead of the camera, ``beyond`` it another box."""
+    """Step in the corridor's width, ``at`` metres ahead of the camera; ``beyond`` it the corridor is another box."""
 
     at: float
     beyond: Box
 
 
 def draw_step(box: Box, rng: np.random.Generator) -> WidthStep:
-    """Draw a step in the width ahead, of one wall or of both; floor and ceiling go on."""
+    """Draw a step in the width ahead, of one wall or of both; floor and ceiling continue."""
     left, right = box.left, box.right
     factor = float(rng.uniform(0.55, 0.85) if rng.random() < 0.65 else rng.uniform(1.15, 1.6))
     change = (factor - 1.0) * (left + right)
     share_left = float(rng.choice([0.0, 0.5, 1.0]))
     at = min(0.5 * (left + right), box.floor + box.ceiling) * float(np.exp(rng.uniform(-0.7, 1.9)))
-    # The vehicle flies on between the walls.
+    # The walls beyond stay on both sides of the vehicle's path.
     beyond = replace(
         box, left=max(left + share_left * change, 0.15), right=max(right + (1.0 - share_left) * change, 0.15)
     )
@@ -83,7 +82,7 @@ def draw_step(box: Box, rng: np.random.Generator) -> WidthStep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """What the network is given, and what it should say.
+    """Training sample: input and targets.
 
     Parameters
     ----------
@@ -92,7 +91,7 @@ class Sample:
     offset_norm
         True offset.
     corners_rad
-        Angles (4,) of floor right, floor left, ceiling left, ceiling right; NaN where none can be seen.
+        Angles (4,) of floor right, floor left, ceiling left, ceiling right; NaN where not visible.
     classes
         FLOOR, CEILING, WALL or UNKNOWN (N_ANGLES,).
     """
@@ -104,7 +103,7 @@ class Sample:
 
 
 def _hits(direction: FloatArray, box: Box) -> FloatArray:
-    """Distance factors (...,) at which directions (..., 3) meet the box from within."""
+    """Return the distance factors (...,) at which directions (..., 3) hit the box from inside."""
     with np.errstate(divide="ignore"):
         across = np.where(direction[..., 1] > 0, box.right, -box.left) / direction[..., 1]
         down = np.where(direction[..., 2] > 0, box.floor, -box.ceiling) / direction[..., 2]
@@ -120,7 +119,7 @@ def _hits_beyond(
     Returns
     -------
     reach, is_beyond, is_face
-        Distance factors (...,), which of the rays end beyond the step, and which on a wall that steps in.
+        Distance factors (...,), which rays end beyond the step, and which on a wall's face at the step.
     """
     passes = direction[..., 0] * reach > step.at
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -132,13 +131,13 @@ def _hits_beyond(
     return reach, is_beyond, is_face
 
 
-def _plaster_faces(
+def _shade_faces(
     grey: npt.NDArray[np.float32],
     direction: FloatArray,
     is_face: npt.NDArray[np.bool_],
     rng: np.random.Generator,
 ) -> None:
-    """Give the walls that step in a brightness each, in place."""
+    """Give each wall face at a step a random brightness, in place."""
     spread = float(grey.std()) + 1.0
     for side in (direction[..., 1] > 0, direction[..., 1] <= 0):
         here = is_face & side
@@ -146,14 +145,14 @@ def _plaster_faces(
         grey[here] = shade + rng.uniform(0.0, 0.2) * spread * rng.standard_normal(int(here.sum()))
 
 
-def _put_up_boxes(
+def _add_boxes(
     grey: npt.NDArray[np.float32],
     direction: FloatArray,
     reach: FloatArray,
     box: Box,
     rng: np.random.Generator,
 ) -> None:
-    """Draw boxes that stand along the walls, on the floor or under the ceiling, in place: furniture, pipes, trays."""
+    """Draw boxes along the walls, on the floor or under the ceiling, in place: furniture, pipes, trays."""
     width, height = box.left + box.right, box.floor + box.ceiling
     spread = float(grey.std()) + 1.0
     for _ in range(int(rng.integers(1, 6))):
@@ -182,7 +181,7 @@ def _put_up_boxes(
             leave = np.minimum(leave, far)
         hit = enter < leave
         if y[0] < 0.0 < y[1] and z[0] < 0.0 < z[1]:
-            continue  # the camera would be behind it
+            continue  # it would block the view along the corridor
         shade = float(grey.mean()) + spread * (rng.normal(0.0, 1.2) + rng.normal(0.0, 0.5, 3))
         grey[hit] = shade[face[hit]] + 0.15 * spread * rng.standard_normal(int(hit.sum()))
 
@@ -212,7 +211,7 @@ def _paint(
 def _shade(
     grey: npt.NDArray[np.float32], place: FloatArray, surface: npt.NDArray[np.int64], rng: np.random.Generator
 ) -> None:
-    """Change the brightness of each surface, and along the corridor, in place."""
+    """Vary the brightness of each surface, and along and across it, in place."""
     gain = np.exp(rng.normal(0.0, 0.3, 5))
     gain[1] = gain[0] * np.exp(rng.normal(0.0, 0.15))
     along = np.exp(
@@ -222,8 +221,8 @@ def _shade(
     grey *= (gain[surface] * along * across).astype(np.float32)
 
 
-def _spoil(image: npt.NDArray[np.uint8], rng: np.random.Generator) -> npt.NDArray[np.uint8]:
-    """Blur a picture, and bend its tone curve."""
+def _degrade(image: npt.NDArray[np.uint8], rng: np.random.Generator) -> npt.NDArray[np.uint8]:
+    """Blur a picture, and change its tone curve, each at random."""
     scale = image.shape[1] / 640.0
     if rng.random() < 0.25:
         sigma_px = float(rng.uniform(0.5, 4.0)) * scale + 0.1
@@ -239,7 +238,7 @@ def _spoil(image: npt.NDArray[np.uint8], rng: np.random.Generator) -> npt.NDArra
 
 
 def corner_angles(box: Box) -> FloatArray:
-    """Angles (4,) about the axis of the corners: floor right, floor left, ceiling left, ceiling right."""
+    """Return the corners' angles (4,) about the axis: floor right, floor left, ceiling left, ceiling right."""
     across = np.array([box.right, -box.left, -box.left, box.right])
     down = np.array([box.floor, box.floor, -box.ceiling, -box.ceiling])
     return np.asarray(np.arctan2(down, across) % (2.0 * pi), dtype=float)
@@ -250,7 +249,7 @@ def _between(first_rad: float, last_rad: float) -> npt.NDArray[np.bool_]:
 
 
 def classes_of(corners_rad: FloatArray) -> npt.NDArray[np.int64]:
-    """Class of every angle between the corners."""
+    """Return the class (N_ANGLES,) of every angle."""
     classes = np.full(N_ANGLES, WALL, np.int64)
     classes[_between(corners_rad[0], corners_rad[1])] = FLOOR
     classes[_between(corners_rad[2], corners_rad[3])] = CEILING
@@ -258,7 +257,7 @@ def classes_of(corners_rad: FloatArray) -> npt.NDArray[np.int64]:
 
 
 def darker_side_left(sample: Sample) -> Sample:
-    """Exchange left and right where the left is the brighter side, as in flight: the angle a becomes pi - a."""
+    """Mirror a sample whose left is the brighter side, as in flight: the angle a becomes pi - a."""
     if not is_left_brighter(sample.polar):
         return sample
     return Sample(
@@ -270,7 +269,7 @@ def darker_side_left(sample: Sample) -> Sample:
 
 
 def varied(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> Sample:
-    """Draw one training sample of a view; without ``vary`` only the axis is off as vision finds it."""
+    """Draw one training sample of a view; without ``vary`` only with the measured error of the axis."""
     if vary:
         error = axis_error(view, rng)
     else:
@@ -278,11 +277,11 @@ def varied(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> S
     direction = DIRECTIONS @ error.T
     box = view.box
     warp = vary and not view.is_hall and rng.random() < 0.75
-    target = other_box(box, rng) if warp else box
+    target = random_box_near(box, rng) if warp else box
     reach = _hits(direction, target)
     left, right = np.full(reach.shape, target.left), np.full(reach.shape, target.right)
     is_face = np.zeros(reach.shape, np.bool_)
-    if warp and rng.random() < WITH_STEP:
+    if warp and rng.random() < STEP_SHARE:
         step = draw_step(target, rng)
         reach, is_beyond, is_face = _hits_beyond(direction, reach, step)
         left[is_beyond], right[is_beyond] = step.beyond.left, step.beyond.right
@@ -300,10 +299,10 @@ def varied(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> S
             axis=-1,
         )
     points = view.camera.project(source.reshape(-1, 3) @ view.R_true).reshape(*reach.shape, 2)
-    image = _spoil(view.image, rng) if vary else view.image
+    image = _degrade(view.image, rng) if vary else view.image
     polar = sample_points(image, points)
     grey = polar[0]
-    _plaster_faces(grey, direction, is_face, rng)
+    _shade_faces(grey, direction, is_face, rng)
     if vary:
         edge = np.stack([1.0 - u, u, 1.0 - v, v], axis=-1)
         surface = np.where(hit[..., 0] > 0.999 * target.ahead, 4, edge.argmin(axis=-1))
@@ -313,7 +312,7 @@ def varied(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> S
         if rng.random() < 0.6:
             _paint(grey, place, surface, rng)
         if rng.random() < 0.55 and not view.is_hall:
-            _put_up_boxes(grey, direction, reach, target, rng)
+            _add_boxes(grey, direction, reach, target, rng)
         if rng.random() < 0.5:
             gap = np.hypot(*np.moveaxis(points - np.roll(points, 1, axis=1), -1, 0))
             sigma = float(np.exp(rng.uniform(np.log(0.01), np.log(0.5)))) * float(grey.std())
@@ -330,7 +329,7 @@ def varied(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> S
 
 
 def without_corridor(rng: np.random.Generator) -> Sample:
-    """Draw a sample that shows no corridor: nothing at all, noise, a ramp of light, blots or stripes at angles."""
+    """Draw a sample without a corridor: uniform or noisy, with brightness ramps, random stripes and patches."""
     polar: Polar = np.ones((2, *DIRECTIONS.shape[:2]), np.float32)
     polar[1] = DIRECTIONS[..., 0] * np.hypot(DIRECTIONS[..., 1], DIRECTIONS[..., 2]) < tan(
         rng.uniform(0.4, 1.0)

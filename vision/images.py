@@ -1,4 +1,4 @@
-"""Pictures from files and arrays, as the grey 8-bit images that everything else works on."""
+"""Conversion of picture files and arrays to grey 8-bit images, the input of all measurements."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from vision.types import GreyImage as GreyImage
 def read_image(path: str | Path) -> GreyImage:
     """Read a picture file as grey uint8 (h, w).
 
-    Colours become luminance, 16 bits are scaled to 8, and the rotation that EXIF names is applied.
+    Colours are converted to luminance, 16 bits are scaled to 8, and EXIF's rotation is applied.
 
     Parameters
     ----------
@@ -61,12 +61,12 @@ def decode_image(data: npt.NDArray[np.uint8]) -> GreyImage:
 
 
 def decode_grey(data: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
-    """Decode a picture file's bytes (n,) as grey (h, w), of as many bits as it has.
+    """Decode a picture file's bytes (n,) as grey (h, w), in its own bit depth.
 
     Raises
     ------
     InputError
-        Where they do not decode, or are a picture too large to be unpacked.
+        Where they do not decode, or the picture is too large.
     """
     import cv2
 
@@ -84,21 +84,21 @@ def decode_grey(data: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
 
 
 def _has_size(data: bytes) -> bool:
-    """Whether a picture's header tells its size; `InputError` where that is too large to be unpacked."""
+    """Whether a picture's header contains its size; raise `InputError` where it is too large."""
     from PIL import Image
 
     try:
         size = Image.open(BytesIO(data)).size
     except Image.DecompressionBombError as error:
         raise InputError("picture has too many pixels", remedy="give a smaller one") from error
-    except Exception:  # of any of Pillow's readers
+    except Exception:  # Pillow's readers raise many types
         return False
     check_pixels(*size)
     return True
 
 
 def _is_cut_jpeg(data: bytes) -> bool:
-    """Whether a JPEG lacks its end marker; OpenCV 4.10 fills the lost part with grey without a warning."""
+    """Whether a JPEG lacks its end marker; OpenCV 4.10 fills the missing part with grey without a warning."""
     if not data.startswith(b"\xff\xd8"):
         return False
     # An embedded thumbnail has an end marker of its own, near the beginning.
@@ -106,9 +106,9 @@ def _is_cut_jpeg(data: bytes) -> bool:
 
 
 def to_grey(image: npt.NDArray[Any]) -> GreyImage:
-    """Turn a grey, BGR or BGRA array, uint8 or uint16, into grey uint8 (h, w), contiguous.
+    """Convert a grey, BGR or BGRA array, uint8 or uint16, to contiguous grey uint8 (h, w).
 
-    16-bit pictures are scaled by 1/256: their whole range is kept, also where only 10 or 12 bits are used.
+    16-bit values are divided by 256, even where only 10 or 12 bits are used.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""A measured frame drawn as a picture: its lines, vanishing point and corners, and why it was or was not used.
+"""Drawing of a measured frame: its lines, vanishing point and corners, and the result with the reason.
 
-Lines are drawn where they are in the original, distorted picture; below it are the corridor from above and the result
-in words. The colours are those of Okabe and Ito, which colour-blind readers can distinguish, with dark outlines that
-keep them visible on bright walls.
+Lines are drawn in the original, distorted picture; the footer shows the corridor from above and the result in words.
+The colours are those of Okabe and Ito, which colour-blind readers can distinguish, with dark outlines so that they
+are visible on bright walls.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ _SIGMAS = 2.0
 
 
 def overlay_scale(width_px: int) -> int:
-    """How many times `draw_overlay` enlarges a picture of this width: to about 640 pixels, never below 1.
+    """Return the factor by which `draw_overlay` enlarges a picture of this width: to about 640 pixels, at least 1.
 
-    Pixel x lands on ``(x + 0.5) * scale - 0.5``.
+    Pixel x is mapped to ``(x + 0.5) * scale - 0.5``.
     """
     return max(1, round(640 / width_px))
 
@@ -50,18 +50,18 @@ def overlay_scale(width_px: int) -> int:
 def draw_overlay(
     image: npt.NDArray[np.generic], camera: Camera, measurement: FrameMeasurement, *, footer: bool = True
 ) -> ColourImage:
-    """Draw a measurement over its picture, with the corridor from above and the verdict below it.
+    """Draw a measurement over its picture, with a footer below it.
 
     Parameters
     ----------
     image
-        The frame, grey (h, w) or BGR or BGRA (h, w, 3 or 4), uint8 or uint16; it is left as it is.
+        The frame, grey (h, w) or BGR or BGRA (h, w, 3 or 4), uint8 or uint16; it is not modified.
     camera
-        The camera that the measurement was made with; a picture of another size is drawn to scale.
+        The measurement's camera; for a picture of another size the drawing is scaled.
     measurement
-        Its ``lines_px`` and ``wall_lines_px`` are drawn where it contains them.
+        Its ``lines_px`` and ``wall_lines_px`` are drawn if present.
     footer
-        Whether to add the corridor from above and the verdict in words below the picture.
+        Whether to add the footer: the corridor from above, and the result in words.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def draw_overlay(
         size = (width * scale, height * scale)
         canvas = np.asarray(cv2.resize(canvas, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     to_canvas = _Mapping(scale * width / camera.width_px, scale * height / camera.height_px)
-    unit = canvas.shape[1] / 640.0  # stroke widths and type grow with the picture
+    unit = canvas.shape[1] / 640.0  # stroke widths and font size grow with the picture
     _draw_lines(canvas, to_canvas, measurement, unit)
     _draw_principal_point(canvas, to_canvas.points([(camera.cx_px, camera.cy_px)])[0], unit)
     _draw_vanishing_point(canvas, to_canvas, measurement, unit)
@@ -105,7 +105,7 @@ def _to_bgr(image: npt.NDArray[np.generic]) -> ColourImage:
 
 
 class _Mapping:
-    """Camera pixels to canvas pixels, both with (0, 0) in the centre of the top-left pixel."""
+    """Mapping from camera pixels to canvas pixels, both with (0, 0) at the centre of the top-left pixel."""
 
     def __init__(self, sx: float, sy: float) -> None:
         self.scale = np.array([sx, sy])
@@ -120,7 +120,7 @@ class _Mapping:
 
 
 def _fixed(points: FloatArray) -> npt.NDArray[np.int32]:
-    # Far points are pulled in: cv2's fixed-point coordinates overflow beyond 2^27.
+    # Clip far points: cv2's fixed-point coordinates overflow beyond 2^27.
     return np.asarray(np.round(np.clip(points, -2e4, 2e4) * (1 << _SHIFT)), dtype=np.int32)
 
 
@@ -144,7 +144,7 @@ def _draw_lines(canvas: ColourImage, to_canvas: _Mapping, measurement: FrameMeas
         classes = measurement.line_class
         if classes is None:
             classes = np.zeros(len(lines), dtype=np.int8)
-        # What matters most is drawn last.
+        # The most important class is drawn last.
         for kind in (LineClass.REJECTED, LineClass.VERTICAL, LineClass.TRANSVERSE, LineClass.CORRIDOR):
             for line in lines[classes == kind]:
                 if kind is LineClass.REJECTED:
@@ -169,7 +169,7 @@ def _draw_vanishing_point(
     point = to_canvas.points(measurement.vp_px)
     if not np.all(np.isfinite(point)):
         if isfinite(measurement.heading_rad) and measurement.heading_rad != 0.0:
-            # Beyond the lens model only the side is known: turned right, it lies to the left.
+            # Outside the lens model's range only the side is known: left of the picture if turned right.
             _draw_border_arrow(canvas, np.array([-np.sign(measurement.heading_rad), 0.0]), unit)
         return
     cov = np.asarray(measurement.vp_cov_px2, dtype=np.float64) * np.outer(to_canvas.scale, to_canvas.scale)
@@ -260,7 +260,7 @@ def _legend(footer: ColourImage, m: FrameMeasurement, x: float, y: float, unit: 
 def _text(
     footer: ColourImage, text: str, x: float, y: float, size: float, colour: Colour, room: float
 ) -> float:
-    """Write on a base line, capitals ``0.7 * size`` high, smaller where there is no room; return the end."""
+    """Draw text on a base line, capitals ``0.7 * size`` high, smaller where there is no room; return its end x."""
     face, thickness = cv2.FONT_HERSHEY_SIMPLEX, max(1, round(size / 15))
     scale = 0.7 * size / cv2.getTextSize("H", face, 1.0, 1)[0][1]
     (length, _), _ = cv2.getTextSize(text, face, scale, thickness)
@@ -274,7 +274,7 @@ def _text(
 def _draw_from_above(
     footer: ColourImage, m: FrameMeasurement, *, left: float, side: float, top: float, unit: float
 ) -> None:
-    """Draw the corridor from above, its axis upward, and the vehicle; hollow where its place is unknown."""
+    """Draw the corridor from above, its axis upward, and the vehicle; hollow where its offset is unknown."""
     half = 0.40 * side
     centre, bottom = left + side / 2.0, top + side
     for x in (centre - half, centre + half):

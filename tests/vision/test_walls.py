@@ -11,7 +11,7 @@ import pytest
 
 from fusion.simulate import SceneConfig, office_views
 from fusion.simulate.single_views import RandomView
-from training.missing_wall import LEFT_OUT, fit
+from training.missing_wall import LOST_SHARE, fit
 from vision import Attitude, Camera, FrameMeasurement, Prior, measure_frame
 
 CAMERA = replace(Camera.from_fov(320, 240, radians(70.0)), exposure_s=0.008)
@@ -65,7 +65,7 @@ def test_the_fit_loses_as_many_ordinary_answers_as_it_may_and_finds_what_tells()
     evidence = np.column_stack([np.ones(6000), telling, chance])
     weights = fit(evidence, is_missing)
     lost = evidence @ weights > 0.0
-    assert np.mean(lost[~is_missing]) == pytest.approx(LEFT_OUT, abs=0.001)
+    assert np.mean(lost[~is_missing]) == pytest.approx(LOST_SHARE, abs=0.001)
     # Two Gaussians of unit variance, 2 apart: their log-odds rise by 2 per unit.
     assert weights[1] == pytest.approx(2.0, abs=0.2)
     assert abs(weights[2]) < 0.1

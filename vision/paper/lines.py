@@ -1,9 +1,9 @@
 """Steps 1 to 7 of the article's chain: from a picture to straight lines (its sections 3.1 to 3.3).
 
 Source: "Position and heading estimation for indoor navigation of a micro aerial vehicle using vanishing
-point". The article names its steps and leaves most numbers to MATLAB. Where it is silent this module takes
+point". The article names its steps and leaves most parameters to MATLAB. Where it gives none, this module uses
 MATLAB's defaults and the usual MATLAB form of the line finder it builds on (Kosecka and Zhang, "Video
-Compass", 2002); every such choice is said in the docstring of its step, and none was tuned on any picture.
+Compass", 2002). Each such choice is documented in the docstring of its step; none was tuned on any picture.
 
 Pixels: (0, 0) is the centre of the top-left pixel, x to the right, y down.
 """
@@ -24,18 +24,18 @@ KERNEL_45_DEGREES = np.array([[-1, -1, 2], [-1, 2, -1], [2, -1, -1]], dtype=np.f
 SATURATED_FRACTION = 0.01  # imadjust, at each end
 EQUALISED_BINS = 64
 CANNY_SIGMA_PX = sqrt(2.0)
-CANNY_NOT_EDGES = 0.7  # share of the pixels that are to stay below the high threshold
+CANNY_NOT_EDGES = 0.7  # share of the pixels below the high threshold
 CANNY_LOW_TO_HIGH = 0.4
 CANNY_BINS = 64
 ORIENTATION_SIGMA_PX = 1.5
 ORIENTATION_BINS = 8  # over pi
 MIN_PIXELS_TO_DIAGONAL = 0.025
 MIN_EIGENVALUE_RATIO = 400.0
-_USED = -1  # the bin of a pixel that already belongs to a line
+_USED = -1  # bin of a pixel that already belongs to a line
 
 
 def grey(image: npt.NDArray[np.generic]) -> GreyImage:
-    """Step 1, section 3.1: take the luminance of a picture (h, w, 3) BGR or (h, w) as (h, w) uint8."""
+    """Step 1, section 3.1: convert a picture (h, w, 3) BGR or (h, w) to luminance (h, w) uint8."""
     return to_grey(image)
 
 
@@ -64,9 +64,9 @@ def adjust_intensity(image: GreyImage, saturated: float = SATURATED_FRACTION) ->
 def equalise_histogram(image: GreyImage, bins: int = EQUALISED_BINS) -> GreyImage:
     """Step 3, section 3 "64-bin image equalisation": MATLAB's ``histeq``.
 
-    Each grey level goes to the first of ``bins`` evenly spaced levels whose share of a flat histogram reaches
-    the share of pixels below it, the level's own pixels counted by half (the two extreme levels in full, as
-    there).
+    Each grey level is mapped to the first of ``bins`` evenly spaced levels whose share of a flat histogram reaches
+    the share of pixels below it, with the level's own pixels counted by half (in full at the two extreme levels,
+    as in ``histeq``).
 
     Parameters
     ----------
@@ -92,13 +92,13 @@ def _look_up(image: GreyImage, share: FloatArray) -> GreyImage:
 def respond_45_degrees(image: GreyImage) -> GreyImage:
     """Step 4, section 3.1: convolve with the 45-degree line kernel.
 
-    The article does not say how this enters the next step. Its section 3 applies the kernel "before
-    determining which pixels are the edges" and finds lines "with a 45-degree orientation", so here Canny sees
-    the response. (Section 3.2 can also be read as Canny seeing the contrast-enhanced picture, which leaves
-    the kernel without effect: ``find_lines(..., kernel_feeds_canny=False)``; ``benchmarks/article.py
+    The article does not specify how this enters the next step. Its section 3 applies the kernel "before
+    determining which pixels are the edges" and finds lines "with a 45-degree orientation", so here the response
+    is the input of Canny. (In another reading of section 3.2 the input is the contrast-enhanced picture, which
+    leaves the kernel without effect: ``find_lines(..., kernel_feeds_canny=False)``; ``benchmarks/article.py
     --flights`` prints both.) Negative responses become 0, as in MATLAB's ``imfilter`` of uint8, and the
-    border is replicated, lest it become an edge itself. Rows and columns of the kernel sum to zero:
-    horizontal and vertical edges vanish here.
+    border is replicated, so that it is not an edge itself. Rows and columns of the kernel sum to zero, which
+    removes horizontal and vertical edges.
 
     Parameters
     ----------
@@ -110,11 +110,11 @@ def respond_45_degrees(image: GreyImage) -> GreyImage:
 
 
 def detect_edges(image: GreyImage) -> npt.NDArray[np.bool_]:
-    """Step 5, section 3.2: Canny's edges with the thresholds that MATLAB's ``edge`` takes by default.
+    """Step 5, section 3.2: Canny's edges with the default thresholds of MATLAB's ``edge``.
 
-    Derivative of a Gaussian of sigma sqrt(2); the high threshold is the 70th percentile of the gradient's
-    magnitude through a 64-bin histogram, the low one 0.4 of it. Suppression and hysteresis are OpenCV's,
-    which compares the nearest of eight neighbours where MATLAB interpolates between two.
+    Derivative of a Gaussian with sigma sqrt(2); the high threshold is the 70th percentile of the gradient's
+    magnitude by a 64-bin histogram, the low one 0.4 of it. Suppression and hysteresis are OpenCV's, which
+    compares the nearest of eight neighbours where MATLAB interpolates between two.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def detect_edges(image: GreyImage) -> npt.NDArray[np.bool_]:
 
 
 def _canny_kernels() -> tuple[FloatArray, FloatArray]:
-    """Gaussian and its derivative, each (17,); either half of the derivative sums to one."""
+    """Return a Gaussian and its derivative, each (17,); each half of the derivative sums to one in magnitude."""
     radius = 4 * ceil(CANNY_SIGMA_PX)
     x = np.arange(-radius, radius + 1)
     gaussian = np.exp(-(x**2) / (2 * CANNY_SIGMA_PX**2))
@@ -155,7 +155,7 @@ def _canny_kernels() -> tuple[FloatArray, FloatArray]:
 
 
 def canny_high_threshold(magnitude: npt.NDArray[np.floating]) -> float:
-    """Part of step 5: the 70th percentile of gradient magnitudes in [0, 1], to a 64th, as MATLAB's `edge`."""
+    """Part of step 5: 70th percentile of gradient magnitudes in [0, 1], in steps of 1/64, as MATLAB's `edge`."""
     bins = np.rint(magnitude.ravel() * (CANNY_BINS - 1)).astype(np.intp)
     counts = np.bincount(bins, minlength=CANNY_BINS)
     return float(np.argmax(np.cumsum(counts) > CANNY_NOT_EDGES * magnitude.size) + 1) / CANNY_BINS
@@ -164,10 +164,10 @@ def canny_high_threshold(magnitude: npt.NDArray[np.floating]) -> float:
 def orientation_bin(
     image: GreyImage, x: npt.NDArray[np.intp], y: npt.NDArray[np.intp]
 ) -> npt.NDArray[np.int64]:
-    """Part of step 6: the gradient's direction modulo pi at pixels (n,), as the nearest of 8 directions.
+    """Part of step 6: direction of the gradient modulo pi at pixels (n,), as the nearest of 8 directions.
 
-    Gradient as in "Video Compass" code: Gaussian 7x7 with sigma 1.5, then central differences, of the same
-    picture in which the edges were found.
+    Gradient as in the code of "Video Compass": Gaussian 7x7 with sigma 1.5, then central differences, in the
+    picture in which the edges were detected.
     """
     smooth = cv2.GaussianBlur(
         image.astype(np.float32), (7, 7), ORIENTATION_SIGMA_PX, borderType=cv2.BORDER_REPLICATE
@@ -210,8 +210,8 @@ def fit_lines(x: npt.ArrayLike, y: npt.ArrayLike, member: npt.NDArray[np.intp], 
     Equation (1) is the scatter matrix D of a set about its mean; the eigenvector of its larger eigenvalue is
     the line's direction theta, equation (3). Equation (4) as printed, ``rho = mean_x cos(theta) + mean_y
     sin(theta)``, uses that same theta: it is then the midpoint's coordinate *along* the line, and not, as the
-    text has it, the line's distance from the origin (that needs theta + pi/2). It is kept as printed; nothing
-    later uses it. The end points are the extreme pixels of the set, projected onto the line.
+    text states, the line's distance from the origin (that needs theta + pi/2). It is kept as printed; later steps
+    do not use it. The end points are the extreme pixels of the set, projected onto the line.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def fit_lines(x: npt.ArrayLike, y: npt.ArrayLike, member: npt.NDArray[np.intp], 
     scatter[:, 0, 1] = scatter[:, 1, 0] = np.bincount(member, x_tilde * y_tilde, minlength=n)
     eigenvalues, eigenvectors = np.linalg.eigh(scatter)  # ascending
     cos_theta, sin_theta = eigenvectors[:, 0, 1], eigenvectors[:, 1, 1]
-    # An eigenvector's sign is arbitrary: one half plane is taken, so that a line has one theta.
+    # An eigenvector's sign is arbitrary: choose one half plane, so that theta is unique.
     sign = np.where((cos_theta < 0) | ((cos_theta == 0) & (sin_theta < 0)), -1.0, 1.0)
     cos_theta, sin_theta = sign * cos_theta, sign * sin_theta
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -256,9 +256,9 @@ def fit_lines(x: npt.ArrayLike, y: npt.ArrayLike, member: npt.NDArray[np.intp], 
 def connect_edges(image: GreyImage, edges: npt.NDArray[np.bool_]) -> FloatArray:
     """Step 6, section 3.3: edge pixels of one gradient orientation, 8-connected, become lines.
 
-    As "Video Compass" is written in MATLAB: directions in 8 bins over pi, one pass per bin over that bin and
-    its two neighbours. A component of at least 0.025 of the image's diagonal, in pixels, whose eigenvalues
-    have a ratio of at least 400 is a line, and its pixels are taken out of the passes that follow.
+    As in the MATLAB code of "Video Compass": directions in 8 bins over pi, one pass per bin over that bin and its
+    two neighbours. A component is a line if its number of pixels is at least 0.025 of the image's diagonal and
+    its eigenvalues have a ratio of at least 400; its pixels are removed from the following passes.
 
     Parameters
     ----------
@@ -297,14 +297,14 @@ def connect_edges(image: GreyImage, edges: npt.NDArray[np.bool_]) -> FloatArray:
 
 
 def find_lines(image: npt.NDArray[np.generic], kernel_feeds_canny: bool = True) -> FloatArray:
-    """Take steps 1 to 7, picture to lines (n, 4) as x0, y0, x1, y1 in pixels.
+    """Run steps 1 to 7: from a picture to lines (n, 4) as x0, y0, x1, y1 in pixels.
 
     Parameters
     ----------
     image
         Picture (h, w), or (h, w, 3) BGR.
     kernel_feeds_canny
-        False leaves step 4 out: the other way to read the article, see `respond_45_degrees`.
+        False omits step 4, the other reading of the article, see `respond_45_degrees`.
     """
     enhanced = equalise_histogram(adjust_intensity(grey(image)))
     edge_source = respond_45_degrees(enhanced) if kernel_feeds_canny else enhanced

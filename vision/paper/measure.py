@@ -5,20 +5,21 @@ point". Steps 1 to 7, picture to lines, are in `vision.paper.lines`; here are st
 (section 3.4, equations 5 to 7), step 9, the yaw (section 3.5, equation 8), and step 10, left, centre or right
 (Table 1).
 
-It is kept faithful and selectable (``method="paper"``), and it is not the default, because what it measures
-is not the corridor's vanishing point:
+It is implemented faithfully and can be selected (``method="paper"``). It is not the default, because it does not
+measure the corridor's vanishing point:
 
 - The mean of line end points is the vanishing point only where their density is symmetric about it. The
-  border of the picture, and whatever else has edges, break that: the point follows the corridor in part only.
-- Equation (8) has no sign. Its distance to the image centre runs in both directions, so that pitch, and any
-  error of height in the picture, counts as yaw; it is hardly ever zero.
-- It takes the focal length to be half the image's height, whatever the camera: a field of view of 90 degrees
-  from top to bottom. Lens distortion, roll and the camera's mounting do not enter.
-- The random start of the k-means alone moves the answer: the point is near the middle of the picture, and the
-  sign turns with its side.
+  border of the picture and other objects with edges break this symmetry, so the point follows the corridor only
+  partly.
+- Equation (8) has no sign. Its distance to the image centre is the Euclidean one, so that pitch, and any
+  vertical error in the picture, counts as yaw; it is hardly ever zero.
+- It assumes that the focal length is half the image's height, a vertical field of view of 90 degrees, for every
+  camera. Lens distortion, roll and the camera's mounting do not enter.
+- The result depends on the random start of the k-means: the point is near the middle of the picture, and the
+  sign depends on its side.
 
-The heading is off by as much as a vehicle turns in a corridor, see `HEADING_ERROR_RMS_RAD`; the command
-``python benchmarks/article.py --flights`` measures it beside always answering 0. The article's own figures
+The heading error is as large as a vehicle's headings in a corridor, see `HEADING_ERROR_RMS_RAD`; the command
+``python benchmarks/article.py --flights`` compares it with a constant heading of 0. The article's own figures
 compare equation (8) with an "actual" yaw frame by frame, to 0.3 degrees RMSE; they are in ``data/article``.
 """
 
@@ -45,47 +46,47 @@ MIN_LINES = 4
 DEAD_BAND_TO_WIDTH = 0.005
 FIRST_PIXEL = 1.0  # the article's coordinates are MATLAB's: the top-left pixel is (1, 1)
 HEADING_ERROR_RMS_RAD = radians(17.0)
-"""Measured RMS error of the signed heading; equation (8) offers no uncertainty of its own.
+"""Measured RMS error of the signed heading; equation (8) gives no uncertainty of its own.
 
 On the rendered flight ``office``, 300 frames against exact truth: 17.2 degrees at 640x480, 17.5 at 320x240,
-17.1 at 256x256, where always answering 0 has 12.4. On 42 frames of a real flight down one corridor, less one
-constant: 11.4, 14.6 and 12.5, where 0 has 1.6. The larger stands here. Another seed of the k-means alone
-changes the heading by 10 to 15 degrees RMS.
+17.1 at 256x256; a constant heading of 0 has 12.4. On 42 frames of a real flight along one corridor, after
+subtracting a constant: 11.4, 14.6 and 12.5; a constant heading has 1.6. The larger one is used. Another seed of the
+k-means alone changes the heading by 10 to 15 degrees RMS.
 """
 
 
 def cluster_end_points(points_px: FloatArray, seed: int = 0) -> FloatArray:
     """Step 8, section 3.4, equations (5) to (7): k-means with k = 4 of the lines' end points.
 
-    Equation (5), the random start, is four different end points drawn at random (MATLAB's "sample");
-    equations (6), nearest centroid, and (7), mean of each cluster, repeat until nothing changes. One start,
-    no repetition.
+    Equation (5), the random start, is four distinct end points drawn at random (MATLAB's "sample");
+    equations (6), nearest centroid, and (7), mean of each cluster, repeat until convergence. There is a single
+    start.
 
     Parameters
     ----------
     points_px
         Starting and ending points of all lines (m, 2).
     seed
-        Of the random start; the same points and seed give the same centroids. No global generator is touched.
+        Seed of the random start; the same points and seed give the same centroids. Global generators are not used.
 
     Returns
     -------
-    Centroids (4, 2); fewer where there are fewer different points, or where a cluster ran empty.
+    Centroids (4, 2); fewer where there are fewer distinct points, or where a cluster became empty.
     """
-    from scipy.cluster.vq import kmeans  # slow to import: only who clusters pays
+    from scipy.cluster.vq import kmeans  # slow to import, and seldom needed
 
-    different = np.unique(points_px, axis=0)
-    if len(different) <= CLUSTERS:
-        return different
-    chosen = np.random.default_rng(seed).choice(len(different), CLUSTERS, replace=False)
-    centroids, _ = kmeans(points_px, different[chosen], thresh=1e-9)
+    distinct = np.unique(points_px, axis=0)
+    if len(distinct) <= CLUSTERS:
+        return distinct
+    chosen = np.random.default_rng(seed).choice(len(distinct), CLUSTERS, replace=False)
+    centroids, _ = kmeans(points_px, distinct[chosen], thresh=1e-9)
     return np.asarray(centroids, dtype=float)
 
 
 def vanishing_point(lines_px: FloatArray, seed: int = 0) -> tuple[float, float] | None:
     """Step 8, section 3.4: the centroid of the four clusters' centroids.
 
-    The "final clustering" of the centroids is into one cluster, whose k-means is their mean.
+    The "final clustering" of the centroids has one cluster, so its k-means is their mean.
 
     Parameters
     ----------
@@ -112,16 +113,16 @@ def equation_8(
 ) -> FloatArray:
     """Step 9, section 3.5, equation (8): unsigned yaw ``atan(D / V)`` of vanishing points.
 
-    The text calls D the horizontal distance from the image centre. The printed yaws follow only from the full
-    distance, ``D = hypot(x - width / 2, y - height / 2)``, with ``V = height / 2`` (279 of the article's 287
-    rows, within 0.06 degrees).
+    The text calls D the horizontal distance from the image centre. The printed yaws follow only from the
+    Euclidean distance, ``D = hypot(x - width / 2, y - height / 2)``, with ``V = height / 2`` (279 of the
+    article's 287 rows, within 0.06 degrees).
 
     Parameters
     ----------
     vp_x_px, vp_y_px
-        Vanishing points in the article's pixels, whose first is (1, 1).
+        Vanishing points in the article's pixels, the first of which is (1, 1).
     width_px, height_px
-        Size of the picture. All four broadcast against each other.
+        Size of the picture. All four arguments broadcast against each other.
 
     Returns
     -------
@@ -145,21 +146,21 @@ def equation_8(
 
 
 def paper_yaw(vp_x_px: float, vp_y_px: float, width_px: int, height_px: int) -> float:
-    """`equation_8` of one vanishing point and a picture whose size is known to be one, without numpy: in flight."""
+    """Return `equation_8` of one vanishing point without numpy and without checks, for use in flight."""
     return atan(hypot(vp_x_px - 0.5 * width_px, vp_y_px - 0.5 * height_px) / (0.5 * height_px))
 
 
 def position_of(vp_x_px: float, width_px: float) -> Position:
     """Step 10, Table 1: side of the corridor from the horizontal offset of the vanishing point.
 
-    Right of the image centre is "left", left of it "right"; within 0.5 % of the width it is "centre". (The
-    article gives no dead band: its three rows need one between 0.40 and 0.69 %.) In truth the offset speaks
-    of heading, not of position.
+    A vanishing point right of the image centre means "left", left of it "right"; within 0.5 % of the width it means
+    "centre". (The article gives no dead band: its three rows need one between 0.40 and 0.69 %.) Actually this
+    offset depends on the heading, not on the position.
 
     Parameters
     ----------
     vp_x_px
-        In the article's pixels, whose first is 1.
+        In the article's pixels, the first of which is 1.
     width_px
         Width of the picture.
     """
@@ -176,25 +177,25 @@ def measure_paper(
     *,
     kernel_feeds_canny: bool = True,
 ) -> FrameMeasurement:
-    """Measure one picture as the article does.
+    """Measure one picture by the article's method.
 
     Parameters
     ----------
     image_grey
-        Picture (h, w) uint8; colour (h, w, 3) BGR is made grey as step 1.
+        Picture (h, w) uint8; colour (h, w, 3) BGR is converted to grey as in step 1.
     camera
-        Not used: the article's chain knows no camera. Taken so that both methods are called alike.
+        Not used: the article's method has no camera model. It gives both methods the same signature.
     seed
-        Of the k-means' random start.
+        Seed of the k-means' random start.
     kernel_feeds_canny
-        See `vision.paper.lines.respond_45_degrees`: False is the other way to read the article.
+        See `vision.paper.lines.respond_45_degrees`: False is the other reading of the article.
 
     Returns
     -------
     ``paper_yaw_rad`` is equation (8); ``heading_rad`` is the same angle with the side's sign, positive where
     the vanishing point is left of the image centre (turned right), and ``heading_std_rad`` is
-    `HEADING_ERROR_RMS_RAD`. ``position`` is as in Table 1. The article measures no lateral offset: it stays
-    NaN, like every other number the chain does not have.
+    `HEADING_ERROR_RMS_RAD`. ``position`` is as in Table 1. The article measures no lateral offset; it is NaN, like
+    all other numbers that the method does not give.
 
     Raises
     ------
@@ -209,7 +210,7 @@ def measure_paper(
 
 
 def _measure_lines(lines: FloatArray, width: int, height: int, seed: int) -> FrameMeasurement:
-    """Take steps 8 to 10 with the lines (n, 4) of a picture of this size."""
+    """Run steps 8 to 10 on the lines (n, 4) of a picture of this size."""
     found = FrameMeasurement(
         accepted=False,
         reason=Reason.TOO_FEW_LINES,
