@@ -29,7 +29,7 @@ from torch.nn import functional
 from training.offset_model import OffsetNetwork, at_offset, corner_loss, offset_density
 from training.offset_views import VIEWS_PER_CAMERA, TrainingView, render_views
 from training.scores import OffsetScores
-from training.variations import UNKNOWN, Sample, varied, without_corridor
+from training.variations import UNKNOWN, Sample, draw_sample, draw_sample_without_corridor
 from vision.lateral import learned
 from vision.lateral.learned import learned_mixture
 from vision.lateral.polar import N_ANGLES, N_RADII
@@ -37,9 +37,7 @@ from vision.lateral.polar import N_ANGLES, N_RADII
 MIN_HALVED = 64  # elements: smaller tensors are not stored in half precision
 BATCH = 48
 LEARNING_RATE, LATER_RATE, REFINING_RATE = 4e-3, 3e-3, 1.5e-3
-ODDS_RATE = (
-    0.02  # learning rate of the log-odds over that of the rest; with a larger one the sigmoid saturates
-)
+ODDS_RATE = 0.02  # learning rate of the log-odds over the other one; with a larger one the sigmoid saturates
 WARM_UP_STEPS, CORNER_STEPS = 60, 300
 FIRST_NORMALISED = 96  # views that restore the batch normalisation, which export has fused
 WITHOUT_CORRIDOR = 0.05
@@ -107,7 +105,9 @@ def train(
             order += rng.permutation(len(views)).tolist()
         batch = Batch.of(
             [
-                without_corridor(rng) if rng.random() < WITHOUT_CORRIDOR else varied(views[order.pop()], rng)
+                draw_sample_without_corridor(rng)
+                if rng.random() < WITHOUT_CORRIDOR
+                else draw_sample(views[order.pop()], rng)
                 for _ in range(BATCH)
             ]
         )
@@ -222,7 +222,7 @@ def packaged_network(views: list[TrainingView], cannot_tell_shift: float) -> Off
         n for n in model.graph.node if n.op_type == "Conv" and not n.input[1].startswith("network.")
     ]
     rng = np.random.default_rng(0)
-    samples = Batch.of([varied(view, rng) for view in views])
+    samples = Batch.of([draw_sample(view, rng) for view in views])
 
     def unfolded(layer: nn.Module, weight: str, bias: str) -> Callable[..., None]:
         folded = torch.from_numpy(tensors[bias].astype(np.float32))
@@ -331,7 +331,9 @@ def write(network: OffsetNetwork, folder: Path, made: dict[str, Any]) -> None:
     held_out = list(render_views(HELD_OUT, HELD_OUT_SEED))
     rng = np.random.default_rng(HELD_OUT_SEED)
     draws = [
-        varied(view, rng, vary=k % 2 == 0) for view in held_out[: HELD_OUT // 2] for k in range(VARIATIONS)
+        draw_sample(view, rng, vary=k % 2 == 0)
+        for view in held_out[: HELD_OUT // 2]
+        for k in range(VARIATIONS)
     ]
     temperature, shift = calibrate(network, Batch.of(draws))
     file = Path(learned.__file__).with_name(learned.WEIGHTS_FILE)

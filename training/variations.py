@@ -268,7 +268,7 @@ def darker_side_left(sample: Sample) -> Sample:
     )
 
 
-def varied(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> Sample:
+def draw_sample(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> Sample:
     """Draw one training sample of a view; without ``vary`` only with the measured error of the axis."""
     if vary:
         error = axis_error(view, rng)
@@ -328,7 +328,7 @@ def varied(view: TrainingView, rng: np.random.Generator, vary: bool = True) -> S
     return darker_side_left(Sample(polar, target.offset_norm, corners, classes))
 
 
-def without_corridor(rng: np.random.Generator) -> Sample:
+def draw_sample_without_corridor(rng: np.random.Generator) -> Sample:
     """Draw a sample without a corridor: uniform or noisy, with brightness ramps, random stripes and patches."""
     polar: Polar = np.ones((2, *DIRECTIONS.shape[:2]), np.float32)
     polar[1] = DIRECTIONS[..., 0] * np.hypot(DIRECTIONS[..., 1], DIRECTIONS[..., 2]) < tan(

@@ -39,7 +39,7 @@ from vision.lateral.parallax import Profiles, wall_profiles
 from vision.lateral.polar import polar_picture, pyramid_of
 from vision.lateral.walls import missing_wall_evidence, wall_is_missing
 from vision.lines.line_set import LineSet
-from vision.lines.rolling_shutter import lines_at_one_moment, to_picture
+from vision.lines.rolling_shutter import correct_rolling_shutter, to_original_px
 from vision.lines.segments import extract_coarse_lines, extract_lines
 from vision.measurement import (
     Attitude,
@@ -170,7 +170,7 @@ def measure_lines(
         )
     offset = _OffsetResult()
     if lateral:
-        offset = _offset(heading, fit, lines, camera, level, prior)
+        offset = _measure_offset(heading, fit, lines, camera, level, prior)
     return _frame_measurement(heading, offset, fit, lines, camera, level, prior, started)
 
 
@@ -198,7 +198,7 @@ class _Axis(NamedTuple):
 def _find_axis(lines: LineSet, camera: Camera, attitude: Attitude, prior: Prior) -> _Axis:
     """Fit the corridor's axis and decide whether to accept it; lines across the vanishing point are cut in two."""
     if camera.line_delay_s != 0.0 and prior.body_rates_rad_s is not None:
-        lines = lines_at_one_moment(lines, camera, prior.body_rates_rad_s)
+        lines = correct_rolling_shutter(lines, camera, prior.body_rates_rad_s)
     # Subtract the predicted elevation, so that the axis is expected on the horizon.
     R_level_body = rotation_from_angles(0.0, attitude.pitch_rad - prior.elevation_rad, attitude.roll_rad)
     level = level_from_verticals(
@@ -297,7 +297,7 @@ def _frame_measurement(
     )
 
 
-def _offset(
+def _measure_offset(
     heading: HeadingAssessment, fit: AxisFit, lines: LineSet, camera: Camera, level: LevelFrame, prior: Prior
 ) -> _OffsetResult:
     """Estimate the lateral offset from lines and, where the heading is accepted, from the network.
@@ -395,4 +395,4 @@ def _vanishing_point(
 
 def _in_picture(ends_px: FloatArray, camera: Camera) -> npt.NDArray[np.float32]:
     """Map line ends (n, 4) from rectified pixels to the original picture."""
-    return to_picture(ends_px.reshape(-1, 2), camera).reshape(-1, 4).astype(np.float32)
+    return to_original_px(ends_px.reshape(-1, 2), camera).reshape(-1, 4).astype(np.float32)

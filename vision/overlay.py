@@ -20,9 +20,9 @@ from vision.types import ColourImage, FloatArray
 
 Colour = tuple[int, int, int]
 
-CASING: Colour = (20, 20, 20)
-PAPER: Colour = (32, 28, 26)
-INK: Colour = (238, 238, 238)
+OUTLINE: Colour = (20, 20, 20)
+BACKGROUND: Colour = (32, 28, 26)
+FOREGROUND: Colour = (238, 238, 238)
 FAINT: Colour = (165, 160, 155)
 YES: Colour = (233, 180, 86)
 NO: Colour = (60, 130, 255)
@@ -119,7 +119,7 @@ class _Mapping:
         return self.points(np.asarray(lines_px, dtype=np.float64).reshape(-1, 2, 2))
 
 
-def _fixed(points: FloatArray) -> npt.NDArray[np.int32]:
+def _fixed_point(points: FloatArray) -> npt.NDArray[np.int32]:
     # Clip far points: cv2's fixed-point coordinates overflow beyond 2^27.
     return np.asarray(np.round(np.clip(points, -2e4, 2e4) * (1 << _SHIFT)), dtype=np.int32)
 
@@ -128,13 +128,15 @@ def _stroke(
     canvas: ColourImage, points: FloatArray, colour: Colour, width: float, *, closed: bool = False
 ) -> None:
     if np.all(np.isfinite(points)):
-        cv2.polylines(canvas, [_fixed(points)], closed, colour, max(1, round(width)), cv2.LINE_AA, _SHIFT)
+        cv2.polylines(
+            canvas, [_fixed_point(points)], closed, colour, max(1, round(width)), cv2.LINE_AA, _SHIFT
+        )
 
 
-def _cased(
+def _stroke_with_outline(
     canvas: ColourImage, points: FloatArray, colour: Colour, width: float, *, closed: bool = False
 ) -> None:
-    _stroke(canvas, points, CASING, max(round(1.8 * width), round(width) + 2), closed=closed)
+    _stroke(canvas, points, OUTLINE, max(round(1.8 * width), round(width) + 2), closed=closed)
     _stroke(canvas, points, colour, width, closed=closed)
 
 
@@ -150,15 +152,15 @@ def _draw_lines(canvas: ColourImage, to_canvas: _Mapping, measurement: FrameMeas
                 if kind is LineClass.REJECTED:
                     _stroke(canvas, line, CLASS_COLOUR[kind], unit)
                 else:
-                    _cased(canvas, line, CLASS_COLOUR[kind], 1.6 * unit)
+                    _stroke_with_outline(canvas, line, CLASS_COLOUR[kind], 1.6 * unit)
     if measurement.wall_lines_px is not None:
         for line in to_canvas.lines(measurement.wall_lines_px):
-            _cased(canvas, line, WALL, 3.4 * unit)
+            _stroke_with_outline(canvas, line, WALL, 3.4 * unit)
 
 
 def _draw_principal_point(canvas: ColourImage, centre: FloatArray, unit: float) -> None:
     for step in ((6.0 * unit, 0.0), (0.0, 6.0 * unit)):
-        _cased(canvas, np.array([centre - step, centre + step]), FAINT, unit)
+        _stroke_with_outline(canvas, np.array([centre - step, centre + step]), FAINT, unit)
 
 
 def _draw_vanishing_point(
@@ -178,14 +180,14 @@ def _draw_vanishing_point(
         turn = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
         circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
         ellipse = point + _SIGMAS * (circle * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-        _cased(canvas, ellipse, VANISHING_POINT, 1.2 * unit, closed=True)
+        _stroke_with_outline(canvas, ellipse, VANISHING_POINT, 1.2 * unit, closed=True)
     if -0.5 <= point[0] <= width - 0.5 and -0.5 <= point[1] <= height - 0.5:
         for angle in np.radians((45.0, 135.0, 225.0, 315.0)):
             ray = np.array([cos(angle), sin(angle)])
-            _cased(
+            _stroke_with_outline(
                 canvas, np.array([point + 5 * unit * ray, point + 14 * unit * ray]), VANISHING_POINT, 2 * unit
             )
-        _cased(canvas, np.array([point, point]), VANISHING_POINT, 2 * unit)
+        _stroke_with_outline(canvas, np.array([point, point]), VANISHING_POINT, 2 * unit)
     else:
         _draw_border_arrow(canvas, point - middle, unit)
 
@@ -199,8 +201,8 @@ def _draw_border_arrow(canvas: ColourImage, direction: FloatArray, unit: float) 
     tip = middle + ahead * np.min(reach / np.maximum(np.abs(ahead), 1e-9))
     across = np.array([-ahead[1], ahead[0]])
     back = tip - 16.0 * unit * ahead
-    _cased(canvas, np.array([tip - 44.0 * unit * ahead, tip]), VANISHING_POINT, 2.4 * unit)
-    _cased(
+    _stroke_with_outline(canvas, np.array([tip - 44.0 * unit * ahead, tip]), VANISHING_POINT, 2.4 * unit)
+    _stroke_with_outline(
         canvas,
         np.array([back + 8.0 * unit * across, tip, back - 8.0 * unit * across]),
         VANISHING_POINT,
@@ -211,20 +213,20 @@ def _draw_border_arrow(canvas: ColourImage, direction: FloatArray, unit: float) 
 def _footer(width_px: int, measurement: FrameMeasurement) -> ColourImage:
     unit = width_px / 640.0
     height = round(112 * unit)
-    footer = np.full((height, width_px, 3), PAPER, dtype=np.uint8)
+    footer = np.full((height, width_px, 3), BACKGROUND, dtype=np.uint8)
     _draw_from_above(footer, measurement, left=10 * unit, side=92 * unit, top=10 * unit, unit=unit)
     x, room = 122 * unit, width_px - 132 * unit
     used = measurement.accepted
     words = REASON_MEANING[measurement.reason]
     verdict = "accepted" if used and measurement.reason is Reason.OK else f"rejected: {words}"
     _text(footer, verdict, x, 29 * unit, 19 * unit, YES if used else NO, room)
-    _text(footer, _heading_words(measurement), x, 53 * unit, 15.5 * unit, INK, room)
-    _text(footer, _offset_words(measurement), x, 74 * unit, 15.5 * unit, INK, room)
+    _text(footer, _heading_text(measurement), x, 53 * unit, 15.5 * unit, FOREGROUND, room)
+    _text(footer, _offset_text(measurement), x, 74 * unit, 15.5 * unit, FOREGROUND, room)
     _legend(footer, measurement, x, 99 * unit, unit)
     return footer
 
 
-def _heading_words(m: FrameMeasurement) -> str:
+def _heading_text(m: FrameMeasurement) -> str:
     if not isfinite(m.heading_rad):
         return "heading unknown"
     side = "right" if m.heading_rad >= 0 else "left"
@@ -232,7 +234,7 @@ def _heading_words(m: FrameMeasurement) -> str:
     return f"heading {abs(degrees(m.heading_rad)):.2f} deg {side}{sigma}"
 
 
-def _offset_words(m: FrameMeasurement) -> str:
+def _offset_text(m: FrameMeasurement) -> str:
     if not isfinite(m.lateral_offset_norm):
         return "offset unknown" if m.position is None else f"{m.position} of the corridor"
     side = "right" if m.lateral_offset_norm >= 0 else "left"
@@ -295,5 +297,5 @@ def _draw_from_above(
         [17 * ahead, -11 * ahead + 10 * right, -6 * ahead, -11 * ahead - 10 * right]
     )
     if known:
-        cv2.fillPoly(footer, [_fixed(body)], INK, cv2.LINE_AA, _SHIFT)
-    _stroke(footer, body, INK, 1.4 * unit, closed=True)
+        cv2.fillPoly(footer, [_fixed_point(body)], FOREGROUND, cv2.LINE_AA, _SHIFT)
+    _stroke(footer, body, FOREGROUND, 1.4 * unit, closed=True)

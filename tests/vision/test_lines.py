@@ -23,7 +23,7 @@ from vision.lines.fitting import (
     _fill_middle,
     _next_in_line,
 )
-from vision.lines.preparation import noise_and_blockiness
+from vision.lines.preparation import estimate_noise_and_blockiness
 from vision.lines.segments import extract_lines
 from vision.types import RecordArray
 
@@ -84,7 +84,7 @@ def test_a_thin_line_is_two_edges_and_a_blank_picture_none() -> None:
 def test_noise_alone_gives_next_to_no_lines() -> None:
     rng = np.random.default_rng(1)
     image = np.clip(rng.normal(100, 8, (480, 640)), 0, 255).astype(np.uint8)
-    assert noise_and_blockiness(image)[0] == pytest.approx(8.0, rel=0.05)
+    assert estimate_noise_and_blockiness(image)[0] == pytest.approx(8.0, rel=0.05)
     assert len(extract_lines(image, CAMERA)) < 5
 
 
@@ -156,11 +156,11 @@ def test_blockiness_tells_compression_from_structure() -> None:
     clean = np.clip(half_plane(0.5, 3.0) + np.random.default_rng(0).normal(0, 2, (480, 640)), 0, 255).astype(
         np.uint8
     )
-    assert noise_and_blockiness(clean)[1] < 1.3
+    assert estimate_noise_and_blockiness(clean)[1] < 1.3
     packed = cv2.imdecode(
         cv2.imencode(".jpg", clean, [cv2.IMWRITE_JPEG_QUALITY, 10])[1], cv2.IMREAD_GRAYSCALE
     )
-    assert noise_and_blockiness(np.asarray(packed, np.uint8))[1] > 1.7
+    assert estimate_noise_and_blockiness(np.asarray(packed, np.uint8))[1] > 1.7
 
 
 @pytest.mark.parametrize("noise", [0.5, 3.0, 7.0])

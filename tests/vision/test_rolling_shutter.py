@@ -17,7 +17,7 @@ from fusion.simulate import SimulationConfig, office_views, simulate_flight
 from vision import Attitude, Camera, InputError, Prior, measure_frame
 from vision.cameras.camera import Distortion
 from vision.lines.line_set import LineSet
-from vision.lines.rolling_shutter import lines_at_one_moment
+from vision.lines.rolling_shutter import correct_rolling_shutter
 from vision.lines.segments import extract_lines
 from vision.rotations import rotation_from_angles
 
@@ -71,7 +71,7 @@ def test_planes_are_those_of_the_middle_row(name: str) -> None:
     camera = CAMERAS[name]
     rays = camera.rays(np.random.default_rng(1).uniform(0.1, 0.9, (24, 2)) * (640, 480))
     pixels = np.array([seen_while_turning(camera, ray) for ray in rays])
-    found = lines_at_one_moment(line_set(camera, pixels[:12], pixels[12:]), camera, RATES)
+    found = correct_rolling_shutter(line_set(camera, pixels[:12], pixels[12:]), camera, RATES)
     normal = np.cross(rays[:12], rays[12:])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     np.testing.assert_allclose(found.normal, normal, atol=3e-5)

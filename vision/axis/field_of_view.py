@@ -105,7 +105,7 @@ class FieldOfView:
 
 def ordinary_field_of_view(width_px: int, height_px: int) -> FieldOfView:
     """Return the prior of an unknown camera's field of view: 65 +- 20 degrees along the longer side."""
-    return _across(FieldOfView(PRIOR_RAD, PRIOR_STD_RAD, measured=False), width_px, height_px)
+    return _horizontal_fov(FieldOfView(PRIOR_RAD, PRIOR_STD_RAD, measured=False), width_px, height_px)
 
 
 def estimate_field_of_view(images: Iterable[npt.NDArray[Any]]) -> FieldOfView:
@@ -141,10 +141,10 @@ def estimate_field_of_view(images: Iterable[npt.NDArray[Any]]) -> FieldOfView:
     camera = straightening_camera(width_px, height_px, bend.rad)
     lines = (extract_lines(image, camera, keep_picture=False) for image in chain(first, rest))
     found = field_of_view_of_lines(lines, camera)
-    return found if bend.rad == 0.0 else _of_bent_picture(found, bend, camera)
+    return found if bend.rad == 0.0 else _fov_of_bent_picture(found, bend, camera)
 
 
-def _of_bent_picture(straight: FieldOfView, bend: Bend, camera: Camera) -> FieldOfView:
+def _fov_of_bent_picture(straight: FieldOfView, bend: Bend, camera: Camera) -> FieldOfView:
     """Convert the field of view of the straightened pictures, as of a lens without distortion, to the original ones.
 
     Where it was not measured, a large bend gives it: strongly bending lenses are nearly equidistant.
@@ -190,10 +190,10 @@ def field_of_view_of_lines(line_sets: Iterable[LineSet], camera: Camera) -> Fiel
                 pictures.append(picture)
         if len(pictures) >= MAX_PICTURES or tried >= MAX_TRIED:
             break
-    return _across(replace(_combined(pictures), n_tried=tried), camera.width_px, camera.height_px)
+    return _horizontal_fov(replace(_combine(pictures), n_tried=tried), camera.width_px, camera.height_px)
 
 
-def _across(along_longer_side: FieldOfView, width_px: int, height_px: int) -> FieldOfView:
+def _horizontal_fov(along_longer_side: FieldOfView, width_px: int, height_px: int) -> FieldOfView:
     """Convert a field of view along the picture's longer side to the horizontal one."""
     rad = along_longer_side.horizontal_rad
     horizontal_rad = 2.0 * atan(width_px / max(width_px, height_px) * tan(0.5 * rad))
@@ -201,15 +201,15 @@ def _across(along_longer_side: FieldOfView, width_px: int, height_px: int) -> Fi
     return replace(along_longer_side, horizontal_rad=horizontal_rad, std_rad=std_rad)
 
 
-def _camera(width_px: int, height_px: int, fov_rad: float) -> Camera:
+def _camera_of_fov(width_px: int, height_px: int, fov_rad: float) -> Camera:
     """Return the camera of a field of view along the longer side."""
-    horizontal = _across(FieldOfView(fov_rad, 0.0, measured=False), width_px, height_px)
+    horizontal = _horizontal_fov(FieldOfView(fov_rad, 0.0, measured=False), width_px, height_px)
     return Camera.from_fov(width_px, height_px, horizontal.horizontal_rad)
 
 
 @lru_cache(maxsize=8)
 def _nominal_camera(width_px: int, height_px: int) -> Camera:
-    return _camera(width_px, height_px, NOMINAL_RAD)
+    return _camera_of_fov(width_px, height_px, NOMINAL_RAD)
 
 
 class _PictureLikelihood:
@@ -284,7 +284,7 @@ def _seeds(lines: LineSet, camera: Camera) -> list[tuple[FloatArray, FloatArray]
     """Return nominal rays down and along the corridor, as measured with several assumed fields of view."""
     seeds = []
     for fov_rad in SEED_FIELDS_RAD:
-        tried = _camera(camera.width_px, camera.height_px, fov_rad)
+        tried = _camera_of_fov(camera.width_px, camera.height_px, fov_rad)
         seen = lines_of(lines, camera, tried)
         std_rad = SEED_ATTITUDE.std_rad
         level = level_from_verticals(
@@ -340,7 +340,7 @@ def lines_of(lines: LineSet, camera: Camera, other: Camera) -> LineSet:
     return replace(spanned, sigma_rad=sigma_px * off_plane(spanned.normal, p0, p1, other))
 
 
-def _combined(pictures: Sequence[_PictureLikelihood]) -> FieldOfView:
+def _combine(pictures: Sequence[_PictureLikelihood]) -> FieldOfView:
     """Combine the pictures' likelihoods of the field of view along the longer side; return the prior if too vague."""
     unknown = FieldOfView(PRIOR_RAD, PRIOR_STD_RAD, measured=False)
     if not pictures:

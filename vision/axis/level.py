@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.compiled import compiled, compiled_inner
-from vision.lines.line_set import LineGeometry, LineSet, turned
+from vision.lines.line_set import LineGeometry, LineSet, rotate_lines
 from vision.types import FloatArray
 
 COARSE_STEP_RAD = radians(2.0)
@@ -153,7 +153,7 @@ def _fit_down(
     in_camera: LineGeometry, R_level_camera: FloatArray, pitch_std: float, roll_std: float
 ) -> _Down:
     """Fit the down vector to the vertical lines; a and b have zero-mean Gaussian priors."""
-    lines = turned(in_camera, R_level_camera)
+    lines = rotate_lines(in_camera, R_level_camera)
     normal, centre, direction = lines.normal, lines.centre, lines.direction
     sigma, arc = lines.sigma_rad, lines.arc_rad
     n = len(sigma)

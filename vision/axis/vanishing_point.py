@@ -24,7 +24,7 @@ from vision.axis.elevation import FINEST_STD_RAD, elevation_information, elevati
 from vision.axis.peaks import RIVAL_DISTANCE_RAD, find_best_heading, find_rival
 from vision.axis.vote import MAX_HEADING_RAD, VERTICAL_SINE, bin_heading, line_variance, vote
 from vision.compiled import compiled, compiled_inner
-from vision.lines.line_set import LineGeometry, LineSet, turned
+from vision.lines.line_set import LineGeometry, LineSet, rotate_lines
 from vision.lines.segments import MIN_LENGTH_PX
 from vision.types import BoolArray, FloatArray
 
@@ -279,7 +279,7 @@ def _find(
     R_level_camera, elevation, elevation_std, prior_heading, prior_heading_std
         As in `fit_axis`.
     """
-    lines = turned(in_camera, R_level_camera)
+    lines = rotate_lines(in_camera, R_level_camera)
     n = len(length)
     no_line = np.zeros(n, np.bool_)
     none = _Found(

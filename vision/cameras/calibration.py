@@ -41,7 +41,7 @@ from vision.cameras.imu_noise import ImuNoise as ImuNoise
 from vision.cameras.imu_noise import read_imu_noise as read_imu_noise
 from vision.cameras.lens_check import refuse_fisheye_numbers
 from vision.cameras.matrix_files import is_matrix_file, read_lens
-from vision.cameras.slam_files import as_euroc, declared_time_shift
+from vision.cameras.slam_files import declared_time_shift, to_euroc_fields
 from vision.errors import InputError
 from vision.types import FloatArray
 
@@ -113,7 +113,7 @@ def read_camera(path: Path, body_frame: BodyFrame | None, cam: str) -> Camera:
 
 
 def _read_content(content: Mapping[str, Any], folder: Path, body_frame: BodyFrame, cam: str) -> Camera:
-    translated = as_euroc(content, folder, cam)
+    translated = to_euroc_fields(content, folder, cam)
     if translated is not None:
         pose = _read_pose(translated, "", body_frame)
         return _make_camera(translated, "", "distortion_coefficients", pose)

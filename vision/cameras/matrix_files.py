@@ -90,12 +90,12 @@ class _Fields:
         return None if key is None else self.content[key]
 
 
-def _plain(name: object) -> str:
+def _normalised_name(name: object) -> str:
     return re.sub(r"[\s_-]", "", str(name)).lower()
 
 
 def _fields(content: Mapping[str, Any]) -> _Fields:
-    return _Fields(content, {_plain(key): key for key in reversed(list(content))})
+    return _Fields(content, {_normalised_name(key): key for key in reversed(list(content))})
 
 
 def is_matrix_file(content: Mapping[str, Any]) -> bool:
@@ -190,12 +190,12 @@ def _distortion(fields: _Fields, size: tuple[int, int], fx_px: float) -> tuple[D
 def _named_model(fields: _Fields) -> Distortion | None:
     """Return the declared model, None where the file does not declare one."""
     fisheye = fields.value(_FISHEYE)
-    if fisheye is not None and _plain(fisheye) in ("1", "true", "yes"):
+    if fisheye is not None and _normalised_name(fisheye) in ("1", "true", "yes"):
         return Distortion.EQUIDISTANT
     key = fields.find(_MODEL)
     if key is None:
         return None if fisheye is None else Distortion.RADTAN
-    name = _plain(fields.content[key])
+    name = _normalised_name(fields.content[key])
     if name not in _MODELS:
         raise InputError(f"{key} is {str(fields.content[key])!r}", remedy=SUPPORTED)
     return _MODELS[name]

@@ -36,7 +36,7 @@ _RADTAN, _RADTAN_8 = ("k1", "k2", "p1", "p2"), ("k1", "k2", "p1", "p2", "k3", "k
 _FISHEYE = ("k1", "k2", "k3", "k4")
 
 
-def as_euroc(content: Fields, folder: Path, cam: str) -> dict[str, Any] | None:
+def to_euroc_fields(content: Fields, folder: Path, cam: str) -> dict[str, Any] | None:
     """Return a file's content as fields of a ``sensor.yaml``; None where it belongs to none of these systems.
 
     Parameters
@@ -70,7 +70,7 @@ def as_euroc(content: Fields, folder: Path, cam: str) -> dict[str, Any] | None:
     return None
 
 
-def _euroc(
+def _euroc_fields(
     size: Sequence[float],
     pinhole: Sequence[float],
     model: str,
@@ -133,7 +133,7 @@ def _camodocal(content: Fields) -> dict[str, Any]:
         lens = pinhole, "equidistant", _values(projection, ("k2", "k3", "k4", "k5"))
     else:
         raise _unknown_model("model_type", content["model_type"])
-    return _euroc(size, *lens, pose)
+    return _euroc_fields(size, *lens, pose)
 
 
 def _vins_fusion(content: Fields, folder: Path, number: int) -> dict[str, Any]:
@@ -167,14 +167,14 @@ def _orb_slam(content: Fields) -> dict[str, Any]:
     size = _values(content, ("width", "height") if "Camera.width" in content else ("cols", "rows"), "Camera.")
     model = str(content.get("Camera.type", content.get("Camera.model", "PinHole")))
     pose = next((content[key] for key in ("IMU.T_b_c1", "Tbc") if content.get(key) is not None), None)
-    return _euroc(
+    return _euroc_fields(
         size, _values(content, _PINHOLE, prefix), *_lens(content, prefix, model, "Camera.type"), pose
     )
 
 
 def _stella(camera: Fields) -> dict[str, Any]:
     lens = _lens(camera, "", str(camera["model"]), "Camera.model")
-    return _euroc(_values(camera, ("cols", "rows"), ""), _values(camera, _PINHOLE), *lens)
+    return _euroc_fields(_values(camera, ("cols", "rows"), ""), _values(camera, _PINHOLE), *lens)
 
 
 def _lens(content: Fields, prefix: str, model: str, key: str) -> tuple[str, list[float]]:
@@ -204,7 +204,9 @@ def _okvis(camera: Fields) -> dict[str, Any]:
     if str(declared).lower() not in models:
         raise _unknown_model("distortion_type", declared)
     coefficients = numbers(camera, "distortion_coefficients", "cameras.", None, remedy)
-    return _euroc(size, (*focal, *centre), models[str(declared).lower()], coefficients, camera.get("T_SC"))
+    return _euroc_fields(
+        size, (*focal, *centre), models[str(declared).lower()], coefficients, camera.get("T_SC")
+    )
 
 
 _BASALT: dict[str, Callable[[Fields], tuple[str, list[float]]]] = {
@@ -227,7 +229,7 @@ def _basalt(content: Fields, number: int) -> dict[str, Any]:
     pose = None
     if isinstance(poses, list) and number < len(poses):
         pose = _transform(poses[number]).tolist()
-    return _euroc(size, _values(values, _PINHOLE), *_BASALT[kind](values), pose)
+    return _euroc_fields(size, _values(values, _PINHOLE), *_BASALT[kind](values), pose)
 
 
 def _transform(pose: Fields) -> FloatArray:

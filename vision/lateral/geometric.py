@@ -29,9 +29,7 @@ from vision.lateral.hypotheses import (
 from vision.lateral.mixture import fields_of_components
 from vision.types import FloatArray, IntArray
 
-MIN_CANNOT_TELL = (
-    0.75  # a line along the corridor need not be its corner, and the mistake persists over frames
-)
+MIN_CANNOT_TELL = 0.75  # a line along the corridor may not be a corner, and such errors persist over frames
 CORNER_STD_NORM = 0.02  # of the corner relative to the line that represents it
 MIN_VARIANCE = 1e-8
 

@@ -203,7 +203,7 @@ def _offset_density(corner: FloatArray, cannot_tell: FloatArray) -> tuple[FloatA
 
 
 @compiled
-def _fields(corner: FloatArray, cannot_tell: FloatArray) -> FloatArray:
+def _mixture_fields(corner: FloatArray, cannot_tell: FloatArray) -> FloatArray:
     """Return the fields (4, k) of the mixture of `mixture_of`, from the fields of `CornerScores`."""
     density, uniform_part, width = _offset_density(corner, cannot_tell)
     above = np.empty(N_BINS)
@@ -227,7 +227,7 @@ def _fields(corner: FloatArray, cannot_tell: FloatArray) -> FloatArray:
 
 def mixture_of(found: CornerScores) -> OffsetMixture:
     """Return the offset's likelihood as a mixture, one component for each peak of its density."""
-    return OffsetMixture(*_fields(found.corner, found.cannot_tell))
+    return OffsetMixture(*_mixture_fields(found.corner, found.cannot_tell))
 
 
 def learned_mixture(grey: GreyImage, camera: Camera, R_corridor_camera: FloatArray) -> OffsetMixture:

@@ -50,9 +50,7 @@ FIRST_COTANGENT, COTANGENT_STEP, N_ALONG = 0.8, 0.05, 65
 PROFILES_SHAPE = (2, N_ALONG, N_BANDS)
 MAX_RELATIVE = 256.0  # of brightness to its mean
 SMOOTH_SAMPLES = 25  # half the window whose mean is subtracted, to remove slow changes of illumination
-PIVOT = (
-    2.0  # cotangent at which shifts are defined in the search: there shift and scale are nearly uncorrelated
-)
+PIVOT = 2.0  # cotangent at which the search defines shifts: there they hardly depend on the scale
 SHIFTS: FloatArray = np.arange(-0.2, 1.425, 0.05)
 SCALES: FloatArray = np.arange(-0.28, 0.3, 0.04)  # k - 1
 FORWARD_NORM: FloatArray = np.arange(-0.1, 1.025, 0.05)

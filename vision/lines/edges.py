@@ -211,7 +211,7 @@ def _agree(ax: float, ay: float, bx: float, by: float) -> bool:
 
 
 @compiled_inner
-def add(total: Record, part: Record) -> None:
+def add_sums(total: Record, part: Record) -> None:
     """Add a component's sums to another's."""
     total.n += part.n
     total.x += part.x
@@ -250,7 +250,7 @@ def _join_around(
             if other < label:
                 label, other = other, label
             parent[other] = label
-            add(sums[label], sums[other])
+            add_sums(sums[label], sums[other])
     return label
 
 
@@ -294,8 +294,8 @@ def _locate(gradient: Gradient, width: int, n_edges: int, components: Components
     """Compute the sub-pixel positions of edge pixels, leaving out those at the picture's sides.
 
     Fills in the first rows of ``components.edges`` and ``components.places``; returns their number, and the sharpness
-    of upright and of level edges, see `connect`. Lens distortion is left to `_rectify`: this loop must not branch on
-    an edge's direction, which processors cannot predict.
+    of upright and of level edges, see `connect_edge_pixels`. Lens distortion is left to `_rectify`: this loop must
+    not branch on an edge's direction, which processors cannot predict.
     """
     edges, places = components.edges, components.places
     bend, ridge = np.full(2, 1e-9), np.full(2, 1e-9)
@@ -343,7 +343,7 @@ def _rectify(
 
 
 @compiled
-def connect(
+def connect_edge_pixels(
     gradient: Gradient, width: int, threshold: np.float32, rectified: Float32Array, components: Components
 ) -> tuple[int, float, float]:
     """Connect edge pixels to components of one gradient direction, in one raster pass.

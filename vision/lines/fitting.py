@@ -18,7 +18,7 @@ from math import atan2, pi, sqrt
 import numpy as np
 
 from vision.compiled import compiled_inner
-from vision.lines.edges import Components, add
+from vision.lines.edges import Components, add_sums
 from vision.types import FloatArray, IntArray, Record, RecordArray
 
 MAX_RMS_PX = 0.8  # of the pixels across a line
@@ -78,13 +78,13 @@ def _fit(s: Record, line: Record) -> None:
 
 
 @compiled_inner
-def fit(components: Components, n_labels: int, min_length_px: float, lines: RecordArray) -> int:
+def fit_components(components: Components, n_labels: int, min_length_px: float, lines: RecordArray) -> int:
     """Fit a line to each component.
 
     Parameters
     ----------
     components, n_labels
-        Results of `vision.lines.edges.connect`.
+        Results of `vision.lines.edges.connect_edge_pixels`.
     min_length_px
         Shorter lines are left out.
     lines
@@ -114,7 +114,7 @@ def fit(components: Components, n_labels: int, min_length_px: float, lines: Reco
 
 @compiled_inner
 def variance_across(line: Record, floor_px: float) -> float:
-    """Return the variance (px^2) of a line's midpoint across the line; ``floor_px`` as in `join`."""
+    """Return the variance (px^2) of a line's midpoint across the line; ``floor_px`` as in `join_fragments`."""
     return float(line.rms * line.rms * PIXELS_PER_INDEPENDENT / line.n_pixels + floor_px * floor_px)
 
 
@@ -179,7 +179,7 @@ def _next_in_line(line: Record, own: FloatArray, middles: FloatArray, following:
 
 
 @compiled_inner
-def join(
+def join_fragments(
     components: Components, lines: RecordArray, n_lines: int, floor_px: float, following: IntArray
 ) -> int:
     """Join fragments of one edge; return the number of remaining lines.
@@ -189,7 +189,7 @@ def join(
     components
         Components of the lines; their sums are added where lines are joined.
     lines, n_lines
-        Results of `fit`; the remaining lines are moved to the front.
+        Results of `fit_components`; the remaining lines are moved to the front.
     floor_px
         Error across a line that does not average out over its pixels.
     following
@@ -211,7 +211,7 @@ def join(
                 while j >= 0:
                     other = lines[j]
                     if j != i and other.label >= 0 and _are_of_one_edge(line, other, floor_px):
-                        add(components.sums[line.label], components.sums[other.label])
+                        add_sums(components.sums[line.label], components.sums[other.label])
                         _fit(components.sums[line.label], line)
                         _fill_middle(line, floor_px, middles[i])
                         other.label = -1

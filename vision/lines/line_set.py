@@ -26,7 +26,7 @@ class LineGeometry(NamedTuple):
 
 
 @compiled
-def turned(lines: LineGeometry, R: FloatArray) -> LineGeometry:
+def rotate_lines(lines: LineGeometry, R: FloatArray) -> LineGeometry:
     """Return the lines rotated by R (3, 3)."""
     n = len(lines.sigma_rad)
     normal, centre, direction = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))

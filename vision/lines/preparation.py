@@ -1,7 +1,8 @@
 """Size and blur of the picture in which lines are searched, chosen by its resolution, noise and JPEG artefacts.
 
 Large pictures are reduced and small ones enlarged (`working_camera`); fine ones are then resampled at three quarters
-(`prepared`). `smoothed` applies a Gaussian blur of 3, 5 or 7 pixels where noise or blockiness exceed given limits.
+(`resample_for_search`). `blur_by_noise` applies a Gaussian blur of 3, 5 or 7 pixels, depending on noise and
+blockiness.
 """
 
 from __future__ import annotations
@@ -24,7 +25,12 @@ FINE_DIAGONAL_PX = 600.0
 FINE_SCALE, FINE_BLUR_PX, FINE_SHARPNESS = 0.75, 0.65, 0.67
 SMOOTH_FROM_NOISE = (5.0, 14.0)  # noise above which the blur is 3, 5 pixels
 SMOOTH_FROM_BLOCKINESS = (1.7, 1.7, 2.6)  # blockiness above which the blur is 3, 5, 7 pixels
-SHARPNESS = (0.80, 0.58, 0.42, 0.34)  # of a sharp edge after a blur of 1, 3, 5, 7 pixels; see `connect`
+SHARPNESS = (
+    0.80,
+    0.58,
+    0.42,
+    0.34,
+)  # of a sharp edge after a blur of 1, 3, 5, 7 pixels; see `connect_edge_pixels`
 SMALL_DIAGONAL_PX = 300.0
 MAX_DIAGONAL_PX = 1000.0
 SECOND_DIFFERENCE_MEDIAN = 0.6745 * sqrt(6.0)  # median of |a - 2b + c| for noise of one grey level
@@ -40,7 +46,7 @@ def _block_step(row: GreyImage, x: int) -> int:
 
 
 @compiled
-def noise_and_blockiness(grey: GreyImage) -> tuple[float, float]:
+def estimate_noise_and_blockiness(grey: GreyImage) -> tuple[float, float]:
     """Estimate a picture's noise, standard deviation in grey levels, and its blockiness by JPEG compression.
 
     The noise follows from the median of |a - 2b + c| along every eighth row, which is robust to edges. Blockiness is
@@ -72,7 +78,7 @@ def noise_and_blockiness(grey: GreyImage) -> tuple[float, float]:
     return max(median, 0.0) / SECOND_DIFFERENCE_MEDIAN, 7.0 * at_joint / max(elsewhere, 1)
 
 
-def prepared(grey: GreyImage, camera: Camera) -> tuple[Camera, GreyImage, float]:
+def resample_for_search(grey: GreyImage, camera: Camera) -> tuple[Camera, GreyImage, float]:
     """Resample a picture to the size at which lines are searched.
 
     Returns
@@ -81,10 +87,10 @@ def prepared(grey: GreyImage, camera: Camera) -> tuple[Camera, GreyImage, float]
         Camera and picture of that size, and the sharpness of a sharp edge in it.
     """
     working = working_camera(camera)
-    picture = scaled(grey, working)
+    picture = resize_picture(grey, working)
     if hypot(*picture.shape) <= FINE_DIAGONAL_PX:
         return working, picture, SHARPNESS[0]
-    working = resized(working, FINE_SCALE)
+    working = resized_camera(working, FINE_SCALE)
     size = (working.width_px, working.height_px)
     even = cv2.GaussianBlur(picture, (3, 3), FINE_BLUR_PX)
     return (
@@ -108,16 +114,16 @@ def working_camera(camera: Camera) -> Camera:
         scale = 2.0
     else:
         return camera
-    return resized(camera, scale)
+    return resized_camera(camera, scale)
 
 
 @lru_cache(maxsize=8)
-def resized(camera: Camera, scale: float) -> Camera:
+def resized_camera(camera: Camera, scale: float) -> Camera:
     """Return the camera for its pictures at ``scale`` times their size."""
     return camera.resized(max(round(camera.width_px * scale), 1), max(round(camera.height_px * scale), 1))
 
 
-def scaled(grey: GreyImage, camera: Camera) -> GreyImage:
+def resize_picture(grey: GreyImage, camera: Camera) -> GreyImage:
     """Return a grey picture (h, w) at the camera's size."""
     size = (camera.width_px, camera.height_px)
     if size == grey.shape[::-1]:
@@ -126,12 +132,12 @@ def scaled(grey: GreyImage, camera: Camera) -> GreyImage:
     return np.asarray(cv2.resize(grey, size, interpolation=interpolation), np.uint8)
 
 
-def smoothed(picture: GreyImage, out: GreyImage) -> tuple[GreyImage, float]:
+def blur_by_noise(picture: GreyImage, out: GreyImage) -> tuple[GreyImage, float]:
     """Blur as little as the noise allows; return the picture, and the share of sharpness that a sharp edge retains.
 
     More blur would bias edges towards their neighbours.
     """
-    noise, blockiness = noise_and_blockiness(picture)
+    noise, blockiness = estimate_noise_and_blockiness(picture)
     level = max(
         sum(noise > limit for limit in SMOOTH_FROM_NOISE),
         sum(blockiness > limit for limit in SMOOTH_FROM_BLOCKINESS),

@@ -16,12 +16,12 @@ from vision.lines.line_set import LineSet
 from vision.types import FloatArray
 
 
-def to_picture(points_px: FloatArray, camera: Camera) -> FloatArray:
+def to_original_px(points_px: FloatArray, camera: Camera) -> FloatArray:
     """Map points (n, 2) from rectified pixels to the original picture."""
     return camera.project(_rectified_rays(points_px, camera)) if is_distorted(camera) else points_px
 
 
-def lines_at_one_moment(lines: LineSet, camera: Camera, body_rates_rad_s: npt.ArrayLike) -> LineSet:
+def correct_rolling_shutter(lines: LineSet, camera: Camera, body_rates_rad_s: npt.ArrayLike) -> LineSet:
     """Return the lines with their planes at the time of the picture's middle row.
 
     Parameters
@@ -36,7 +36,7 @@ def lines_at_one_moment(lines: LineSet, camera: Camera, body_rates_rad_s: npt.Ar
     rate = camera.R_body_camera.T @ np.asarray(body_rates_rad_s, dtype=float)
     rays = []
     for points in (lines.ends_px[:, :2], lines.ends_px[:, 2:]):
-        row = to_picture(points, camera)[:, 1]
+        row = to_original_px(points, camera)[:, 1]
         seconds = np.nan_to_num((row - 0.5 * (camera.height_px - 1)) * camera.line_delay_s)
         ray = _rectified_rays(points, camera)
         turn = seconds[:, None] * rate

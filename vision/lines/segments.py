@@ -27,10 +27,24 @@ from vision.cameras.camera import Camera
 from vision.cameras.projection import is_distorted
 from vision.compiled import compiled, compiled_inner
 from vision.images import to_grey
-from vision.lines.edges import COMPONENT, Components, Gradient, connect, fill_gradient, median_and_mean
-from vision.lines.fitting import FITTED_LINE, fit, join, variance_across
+from vision.lines.edges import (
+    COMPONENT,
+    Components,
+    Gradient,
+    connect_edge_pixels,
+    fill_gradient,
+    median_and_mean,
+)
+from vision.lines.fitting import FITTED_LINE, fit_components, join_fragments, variance_across
 from vision.lines.line_set import LineGeometry, LineSet
-from vision.lines.preparation import SHARPNESS, prepared, resized, scaled, smoothed, working_camera
+from vision.lines.preparation import (
+    SHARPNESS,
+    blur_by_noise,
+    resample_for_search,
+    resize_picture,
+    resized_camera,
+    working_camera,
+)
 from vision.types import Float32Array, FloatArray, GreyImage, IntArray, RecordArray
 
 PINHOLE = np.dtype([(name, np.float64) for name in ("fx", "fy", "cx", "cy")], align=True)
@@ -124,8 +138,8 @@ def extract_coarse_lines(grey: GreyImage, camera: Camera) -> LineSet:
     This averages noise and leaves longer pieces of weak edges: more lines are found in dark pictures, with less
     accuracy. Arguments and result as in `extract_lines`.
     """
-    half = resized(camera, 0.5)
-    return _extract(grey, scaled(grey, half), camera, half, keep_picture=True)
+    half = resized_camera(camera, 0.5)
+    return _extract(grey, resize_picture(grey, half), camera, half, keep_picture=True)
 
 
 def _extract(
@@ -133,14 +147,14 @@ def _extract(
 ) -> LineSet:
     """Find lines in ``searched``, the picture ``grey`` at some size, and convert them to the camera's pixels."""
     started = time.perf_counter()
-    chosen, picture, sharpness = prepared(searched, searched_camera)
+    chosen, picture, sharpness = resample_for_search(searched, searched_camera)
     working, view = chosen, _view(camera, chosen)
     n_labels, threshold, blurred = _connect_edges(picture, view.rectified, sharpness)
     # On edges blurred over several pixels the maximum is anywhere on a plateau: halve the size until they are sharp.
     while blurred and hypot(working.width_px, working.height_px) > 2.0 * MIN_DIAGONAL_PX:
-        working = resized(working, 0.5)
+        working = resized_camera(working, 0.5)
         view = _view(camera, working)
-        n_labels, threshold, blurred = _connect_edges(scaled(grey, working), view.rectified)
+        n_labels, threshold, blurred = _connect_edges(resize_picture(grey, working), view.rectified)
     work = _workspace(working.height_px, working.width_px)
     floor_px = POSITION_FLOOR_PX * (chosen.fx_px / working.fx_px) * (BLURRED_FLOOR_FACTOR if blurred else 1.0)
     found = _fit_lines(work.components, n_labels, view, floor_px, work.lines, work.following)
@@ -190,7 +204,7 @@ def _connect_edges(
     """Blur a picture according to its noise, and connect its edge pixels in this thread's buffers.
 
     The buffers are valid until the next picture. ``sharpness`` is the expected sharpness of sharp edges, see
-    `connect`.
+    `connect_edge_pixels`.
 
     Returns
     -------
@@ -198,7 +212,7 @@ def _connect_edges(
         Number of labels, threshold of the gradient magnitude, and whether edges are blurred over several pixels.
     """
     work = _workspace(*picture.shape)
-    smooth, remaining_sharpness = smoothed(picture, work.smooth)
+    smooth, remaining_sharpness = blur_by_noise(picture, work.smooth)
     n_labels, threshold, found = _find_components(
         smooth, rectified, work.gradient, work.components, work.counts
     )
@@ -209,12 +223,14 @@ def _connect_edges(
 def _find_components(
     smooth: GreyImage, rectified: Float32Array, gradient: Gradient, components: Components, counts: IntArray
 ) -> tuple[int, float, float]:
-    """Return the number of labels, the threshold and the smaller sharpness of both edge directions, see `connect`."""
+    """Return the number of labels, the threshold, and the sharpness of the blurrier edge direction."""
     fill_gradient(smooth, gradient)
     width = smooth.shape[1]
     median, mean = median_and_mean(gradient.magnitude, width, counts)
     threshold = max(MIN_THRESHOLD, NOISE_TO_THRESHOLD * median, STRUCTURE_TO_THRESHOLD * mean)
-    n_labels, upright, level = connect(gradient, width, np.float32(threshold), rectified, components)
+    n_labels, upright, level = connect_edge_pixels(
+        gradient, width, np.float32(threshold), rectified, components
+    )
     return n_labels, threshold, min(upright, level)
 
 
@@ -227,9 +243,9 @@ def _fit_lines(
     lines: RecordArray,
     following: IntArray,
 ) -> _FoundLines:
-    """Fit lines to components; ``lines`` and ``following`` are working memory, ``floor_px`` as in `join`."""
-    n_lines = fit(components, n_labels, view.min_length_px, lines)
-    n_lines = join(components, lines, n_lines, floor_px, following)
+    """Fit and join lines; ``lines`` and ``following`` are working memory, ``floor_px`` as in `join_fragments`."""
+    n_lines = fit_components(components, n_labels, view.min_length_px, lines)
+    n_lines = join_fragments(components, lines, n_lines, floor_px, following)
     return _describe_lines(lines[:n_lines], view, floor_px)
 
 
@@ -277,7 +293,7 @@ def edge_components(grey: GreyImage, camera: Camera) -> RecordArray:
     The lens model affects only the rectified coordinates of the pixels, not which pixels form a component.
     """
     working = working_camera(camera)
-    n_labels, _, _ = _connect_edges(scaled(grey, working), _rectified(working))
+    n_labels, _, _ = _connect_edges(resize_picture(grey, working), _rectified(working))
     work = _workspace(working.height_px, working.width_px)
     parent = work.components.parent[:n_labels]
     sums: RecordArray = work.components.sums[:n_labels][parent == np.arange(n_labels)]
