@@ -257,7 +257,7 @@ AGREEMENT_STD = 0.005
 
 
 @compiled
-def fields_of_both(first: FloatArray, second: FloatArray) -> FloatArray:
+def fields_of_product(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the fields (4, k) of the product of two mixtures with fields (4, n), (4, m), see `combine`."""
     a, b = _components(first), _components(second)
     rows = np.empty((len(a) + len(b) + len(a) * len(b), 4))
@@ -271,7 +271,7 @@ def combine(first: OffsetMixture, second: OffsetMixture) -> OffsetMixture:
     Where both are sharp at one offset, so is the product. Where they are sharp at different offsets, each peak is
     weighted by the other's "cannot tell" share, and the probability that both are misleading gains weight.
     """
-    return OffsetMixture(*fields_of_both(first.fields(), second.fields()))
+    return OffsetMixture(*fields_of_product(first.fields(), second.fields()))
 
 
 __all__ = [

@@ -37,7 +37,7 @@ from vision.lateral.hypotheses import (
     width_log_odds,
 )
 from vision.lateral.line_directions import PictureLines
-from vision.lateral.mixture import OffsetMixture, fields_of_both
+from vision.lateral.mixture import OffsetMixture, fields_of_product
 from vision.lines.line_set import LineSet
 from vision.types import FloatArray
 
@@ -194,12 +194,12 @@ def fit_lateral(
 
 
 @compiled_inner
-def _most_probable_mode(both: FloatArray, factor: FloatArray) -> tuple[float, float, float]:
+def _most_probable_mode(product: FloatArray, factor: FloatArray) -> tuple[float, float, float]:
     """Find the mode with most of a mixture's probability.
 
     Parameters
     ----------
-    both
+    product
         The mixture's fields (4, n), at least one component.
     factor
         Prior odds (n,) of each component: they select the mode, but do not shift its mean.
@@ -209,7 +209,7 @@ def _most_probable_mode(both: FloatArray, factor: FloatArray) -> tuple[float, fl
     tuple
         Probability, mean and variance of the mode's components.
     """
-    weight, offset, std = both[0], both[1], both[2]
+    weight, offset, std = product[0], product[1], product[2]
     n = len(weight)
     mode, most, cannot_tell, total, moment = 0, -1.0, 1.0, 0.0, 0.0
     for k in range(n):
@@ -225,16 +225,16 @@ def _most_probable_mode(both: FloatArray, factor: FloatArray) -> tuple[float, fl
     best = (0.0, offset[mode], 0.0)
     # Start from the highest density and from the mean: a wide distribution may have peaks at both sides.
     for start in (offset[mode], moment / max(total, 1e-12)):
-        found = _mode_about(start, both, factor)
+        found = _mode_about(start, product, factor)
         if found[0] > best[0]:
             best = found
     return best[0] / (total + max(cannot_tell, 0.0)), best[1], best[2]
 
 
 @compiled_inner
-def _mode_about(start: float, both: FloatArray, factor: FloatArray) -> tuple[float, float, float]:
+def _mode_about(start: float, product: FloatArray, factor: FloatArray) -> tuple[float, float, float]:
     """Return weight, mean and variance of the mode found by mean shift from a start offset."""
-    weight, offset, std = both[0], both[1], both[2]
+    weight, offset, std = product[0], product[1], product[2]
     mean = start
     for _ in range(3):
         moment = share = 0.0
@@ -281,13 +281,13 @@ def _joint_estimate(
         Probability, mean and variance of the likeliest mode, and the width about it by lines and by regions; the
         probability is zero where both mixtures are empty.
     """
-    both = fields_of_both(lines, regions)
-    if both.shape[1] == 0:
+    product = fields_of_product(lines, regions)
+    if product.shape[1] == 0:
         return 0.0, nan, nan, nan, nan
-    factor = width_log_odds(both[3], prior_width, weights)
+    factor = width_log_odds(product[3], prior_width, weights)
     for k in range(len(factor)):
-        factor[k] = exp(factor[k]) * prediction_factor(both[1, k], prior, prior_std)
-    probability, mean, variance = _most_probable_mode(both, factor)
+        factor[k] = exp(factor[k]) * prediction_factor(product[1, k], prior, prior_std)
+    probability, mean, variance = _most_probable_mode(product, factor)
     return probability, mean, variance, _width_about(lines, mean), _width_about(regions, mean)
 
 
