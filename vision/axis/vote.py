@@ -25,9 +25,7 @@ N_BINS = 720
 BIN_RAD = pi / N_BINS
 ALIGN_STD_RAD = radians(0.07)  # lines along a real corridor are parallel to about this
 INLIER_ODDS = 0.25  # share of lines expected to run along the corridor
-MAX_VARIANCE = (INLIER_ODDS * pi) ** 2 / (
-    2.0 * pi
-)  # of a line's heading, rad^2: above, it carries no evidence
+MAX_VARIANCE = (INLIER_ODDS * pi) ** 2 / (2.0 * pi)  # of a line's heading, rad^2: above, no evidence
 VERTICAL_SINE = 0.10  # planes this close to vertical may be door posts'; they carry no evidence of the axis
 STEEP_SINE = 0.3  # planes up to here have less weight: streaks on a wall, leaning objects
 MAX_HEADING_RAD = radians(60.0)  # without a prediction, a larger one is taken for a transverse direction

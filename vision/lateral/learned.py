@@ -55,9 +55,8 @@ MIN_PROBABILITY = 1e-4  # corners less probable at an angle are left out of the 
 MIN_DRAWN_CERTAINTY = 0.5  # see `corners_from_level`; less certain corners are not drawn
 DRAWN_TAN: FloatArray = np.geomspace(0.05, 4.0, 16)
 
-MIRRORED: IntArray = (
-    N_ANGLES // 2 - 1 - np.arange(N_ANGLES)
-) % N_ANGLES  # indices with left and right exchanged
+# Indices of the angles with left and right exchanged
+MIRRORED: IntArray = (N_ANGLES // 2 - 1 - np.arange(N_ANGLES)) % N_ANGLES
 _PER_THREAD = local()  # cv2.dnn stores the input in the network
 
 

@@ -25,12 +25,8 @@ FINE_DIAGONAL_PX = 600.0
 FINE_SCALE, FINE_BLUR_PX, FINE_SHARPNESS = 0.75, 0.65, 0.67
 SMOOTH_FROM_NOISE = (5.0, 14.0)  # noise above which the blur is 3, 5 pixels
 SMOOTH_FROM_BLOCKINESS = (1.7, 1.7, 2.6)  # blockiness above which the blur is 3, 5, 7 pixels
-SHARPNESS = (
-    0.80,
-    0.58,
-    0.42,
-    0.34,
-)  # of a sharp edge after a blur of 1, 3, 5, 7 pixels; see `connect_edge_pixels`
+# Of a sharp edge after a blur of 1, 3, 5, 7 pixels, see `vision.lines.edges.connect_edge_pixels`
+SHARPNESS = (0.80, 0.58, 0.42, 0.34)
 SMALL_DIAGONAL_PX = 300.0
 MAX_DIAGONAL_PX = 1000.0
 SECOND_DIFFERENCE_MEDIAN = 0.6745 * sqrt(6.0)  # median of |a - 2b + c| for noise of one grey level
