@@ -10,7 +10,7 @@ import pytest
 
 from fusion.simulate import random_views
 from vision import Camera
-from vision.axis.field_of_view import FieldOfView, _of_bent_picture, estimate_field_of_view
+from vision.axis.field_of_view import FieldOfView, _fov_of_bent_picture, estimate_field_of_view
 from vision.cameras.camera import Distortion
 from vision.images import GreyImage
 from vision.lines.straightness import (
@@ -98,12 +98,12 @@ def test_field_of_view_of_a_fisheye_is_found() -> None:
 def test_where_right_angles_do_not_tell_a_strong_bend_does() -> None:
     untold = FieldOfView(radians(65.0), radians(20.0), measured=False, n_tried=4)
     strong, weak = Bend(1.3, 0.02), Bend(0.4, 0.02)
-    found = _of_bent_picture(untold, strong, straightening_camera(WIDTH, HEIGHT, strong.rad))
+    found = _fov_of_bent_picture(untold, strong, straightening_camera(WIDTH, HEIGHT, strong.rad))
     assert found.measured
     # As of an equidistant lens: the angle grows with the distance from the centre.
     assert found.horizontal_rad == pytest.approx(WIDTH / strong.radius_px(WIDTH, HEIGHT), rel=1e-6)
     assert found.focal_std_share == pytest.approx(0.15)
-    other = _of_bent_picture(untold, weak, straightening_camera(WIDTH, HEIGHT, weak.rad))
+    other = _fov_of_bent_picture(untold, weak, straightening_camera(WIDTH, HEIGHT, weak.rad))
     assert not other.measured
     assert other.bend is weak
 
