@@ -1,10 +1,10 @@
 """Selection of the corridor's axis among the peaks of a vote, and the second-best direction.
 
-To the vote is added the log-prior of the elevation (`vision.axis.elevation`). The score of a heading is its maximum
+The log-prior of the elevation (`vision.axis.elevation`) is added to the vote. The score of a heading is its maximum
 over the elevations (profile likelihood): lines on the left and right meet in one point only at the right elevation.
-The peaks of this score are the candidates. Each gets the log-prior of its heading: a Gaussian about the camera's
-direction or about a filter's prediction, the latter mixed with a small outlier share. The evidence of lines in one
-plane is limited (`corridor_score`), because one plane with parallel joints is not yet a corridor.
+The peaks of this score are the candidates. The log-prior of the heading is added to each: a Gaussian about the
+camera's direction or about a filter's prediction, the latter mixed with a small outlier share. The evidence of lines
+in one plane is limited (`corridor_score`), because parallel joints in one plane do not prove a corridor.
 
 The best peak is the axis. The best one at least 8 degrees away is its rival, which `vision.axis.acceptance` compares
 with it. Where the score has more mass near the best peak than the peak's own Gaussian, that excess variance is added
