@@ -114,7 +114,7 @@ class ClockSearch:
     ----------
     fit
         The best one; None where too few frames could be compared.
-    told
+    determined
         Whether the flight tells the offset.
     rival_s
         Another offset that explains the flight as well; None: there is none.
@@ -127,7 +127,7 @@ class ClockSearch:
     """
 
     fit: ClockFit | None
-    told: bool
+    determined: bool
     rival_s: float | None = None
     reversed: bool = False
     at_edge: bool = False
@@ -149,8 +149,8 @@ def find_clock(sightings: Sightings, turning: Turning, reach_s: float) -> ClockS
         return ClockSearch(None, False, rival, compared=True)
     at_edge = abs(fit.offset_s) > reach_s - EDGE_S
     moved = fit.ratio > MIN_RATIO_SIGMA * fit.ratio_std and RATIO_RANGE[0] < fit.ratio < RATIO_RANGE[1]
-    told = rival is None and not at_edge and moved and fit.offset_std_s < USABLE_STD_S
-    return ClockSearch(fit, told, rival, at_edge=at_edge, compared=True)
+    determined = rival is None and not at_edge and moved and fit.offset_std_s < USABLE_STD_S
+    return ClockSearch(fit, determined, rival, at_edge=at_edge, compared=True)
 
 
 def coarse_offsets(sightings: Sightings, turning: Turning, reach_s: float) -> tuple[Coarse, ...]:

@@ -25,8 +25,8 @@ def opposite_remedy(flight: Flight) -> str:
     if imu is None or not np.isfinite(imu.accel_m_s2).any():
         stream = "attitude" if imu is None else "imu"
         return f"Axes are likely forward, left, up: {advice.frame(stream, 'flu')}."
-    told = sources.manifest.imu if sources is not None else ImuSource()
-    if told.mount_rad is not None and cos(told.mount_rad[0]) < 0.0:
+    declared = sources.manifest.imu if sources is not None else ImuSource()
+    if declared.mount_rad is not None and cos(declared.mount_rad[0]) < 0.0:
         return (
             "Take mount_rad of [imu] away and set accel_sign = -1 in [imu.columns] of flight.toml: the accelerometer "
             "gives gravity's pull, the axes are as they should be."

@@ -58,7 +58,7 @@ class Found:
     @property
     def clock(self) -> ClockFit | None:
         """The fit, where the flight tells the offset."""
-        return self.search.fit if self.search.told else None
+        return self.search.fit if self.search.determined else None
 
 
 def search(views: Views, turning: Turning, reach_s: float, start_scales: tuple[float, ...] = (1.0,)) -> Found:
@@ -83,9 +83,9 @@ def search(views: Views, turning: Turning, reach_s: float, start_scales: tuple[f
         sightings = views.with_focal_scale(scale).measure()
         clock = find_skewed_clock(sightings, turning, reach_s)
         first = clock.search
-        if first.told:
+        if first.determined:
             break
-    if not first.told or first.fit is None:
+    if not first.determined or first.fit is None:
         return Found(first, 1.0, fit_mount(views.measure(turning, 0.0, 0.0, FAR_STD_RAD)))
     start = Found(first, float(np.clip(scale * first.fit.ratio, *SCALE_RANGE)))
     elevation_rad = _elevation(at_skew(sightings, clock.skew), turning, first.fit.offset_s)

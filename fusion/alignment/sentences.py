@@ -52,13 +52,13 @@ def rate_quantity(found: Found, turning: Turning) -> Quantity:
             name, nan, inf, False, "There are no turns to compare: equal clock rates are assumed.", 1.0
         )
     if not found.skew:
-        is_told = found.skew_std < USABLE_SKEW
+        is_usable = found.skew_std < USABLE_SKEW
         said = (
             f"The clocks of camera and {source} run at the same rate."
-            if is_told
+            if is_usable
             else "The flight is too short to tell: equal clock rates are assumed."
         )
-        return Quantity(name, 1.0, found.skew_std, is_told, said, 1.0)
+        return Quantity(name, 1.0, found.skew_std, is_usable, said, 1.0)
     way = "slower" if found.skew > 0.0 else "faster"
     said = (
         f"The frames' clock runs {100.0 * abs(found.skew):.2f} % {way} than the {source}'s, which an offset alone "

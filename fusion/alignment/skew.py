@@ -57,13 +57,13 @@ def find_skewed_clock(
     """
     search = find_clock(sightings, turning, reach_s)
     skew = 0.0
-    if thorough and not search.told and not search.reversed:
+    if thorough and not search.determined and not search.reversed:
         skew = _likeliest_skew(sightings, turning, reach_s)
         if skew:
             search = find_clock(at_skew(sightings, skew), turning, reach_s)
     std = inf
     for _ in range(ROUNDS):
-        if search.fit is None or not search.told:
+        if search.fit is None or not search.determined:
             break
         change, std = _skew_left(search.fit, turning)
         # A skew looks like noise to a fit without it: whether it is sure is asked of the fit that has it.
@@ -71,7 +71,7 @@ def find_skewed_clock(
             break
         skew += change * (1.0 + skew)
         search = find_clock(at_skew(sightings, skew), turning, reach_s)
-    if not search.told or abs(skew) < max(MIN_SKEW, SURE_SIGMA * std):
+    if not search.determined or abs(skew) < max(MIN_SKEW, SURE_SIGMA * std):
         return SkewedClock(find_clock(sightings, turning, reach_s) if skew else search, skew_std=std)
     return SkewedClock(search, skew, std)
 

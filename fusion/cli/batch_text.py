@@ -43,12 +43,12 @@ def batch_text(fleet: Fleet, out: Path, comparison: FleetComparison | None = Non
     """Lay out a fleet for reading: verdicts, medians, the worst flights, and what a change did."""
     rows = fleet.rows
     verdicts = sorted({row.verdict for row in rows}, key=rank)
-    told = ", ".join(
+    counts = ", ".join(
         f"{sum(row.verdict == word for row in rows)} {word.replace('_', ' ')}" for word in verdicts
     )
     done = len(rows) - fleet.kept
     kept = f", {fleet.kept} kept" if fleet.kept else ""
-    lines = [f"{counted(len(rows), 'flight')}: {told} ({done} fused in {fleet.wall_s:.1f} s{kept})", ""]
+    lines = [f"{counted(len(rows), 'flight')}: {counts} ({done} fused in {fleet.wall_s:.1f} s{kept})", ""]
     for quantity in QUANTITIES:
         values = quantity.values(rows)
         if len(values) and quantity.sign:
@@ -92,10 +92,10 @@ def _comparison_lines(found: FleetComparison) -> list[str]:
         if quantity.sign:
             before, after = quantity.text(median.before), quantity.text(median.after)
             lines.append(f"  {quantity.title:<42}median {before} to {after}")
-    told = [change for change in found.changes if change.change is not Change.SAME]
-    lines += [_change_line(change) for change in told[:LISTED]]
-    if len(told) > LISTED:
-        lines.append(f"  and {len(told) - LISTED} more")
+    changed = [change for change in found.changes if change.change is not Change.SAME]
+    lines += [_change_line(change) for change in changed[:LISTED]]
+    if len(changed) > LISTED:
+        lines.append(f"  and {len(changed) - LISTED} more")
     return lines
 
 

@@ -101,11 +101,11 @@ def compile_notice(what: str) -> Iterator[None]:
     from numba.core import event
 
     class Notice(event.Listener):
-        told = False
+        announced = False
 
         def on_start(self, event: Any) -> None:
-            if not self.told:
-                self.told = True
+            if not self.announced:
+                self.announced = True
                 say(f"compiling {what} (once, up to a minute) ...")
 
         def on_end(self, event: Any) -> None:

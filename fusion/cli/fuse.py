@@ -110,8 +110,8 @@ def fuse(
     log = flight_from_options(
         flight, imu=imu, video=video, attitude=attitude, camera=camera, clock_offset_s=clock_offset_s
     )
-    if (told := outside_text(flight)) is not None:
-        say(told)
+    if (outside := outside_text(flight)) is not None:
+        say(outside)
     folder = out if out is not None else Path(f"{log.name}_fused")
     check_out_dir(folder)
     with compile_notice("the line finder"), progress_bar("fusing") as progress:

@@ -64,8 +64,8 @@ def advise(
     missing = list(_missing(name, usable, findings, unclear))
     camera = usable.get(Kind.FRAMES)
     is_calibrated = camera is not None and camera.camera is not None
-    is_told = any(refusal is not None and refusal.problem in text for text in missing)
-    if refusal is not None and not is_told and (is_calibrated or not missing):
+    is_reported = any(refusal is not None and refusal.problem in text for text in missing)
+    if refusal is not None and not is_reported and (is_calibrated or not missing):
         missing.insert(
             0, refusal.problem if refusal.remedy is None else f"{refusal.problem} ({refusal.remedy})"
         )
@@ -158,10 +158,10 @@ def _noise(imu: StreamFindings) -> Iterator[str]:
     if found is None:
         return
     measured = found.at_rest.gyro if found.at_rest is not None else None
-    told = "" if measured is None else f"; at rest it is {measured:.2g} rad/s/sqrt(Hz)"
+    remark = "" if measured is None else f"; at rest it is {measured:.2g} rad/s/sqrt(Hz)"
     if found.declared_gyro_noise is None:
         yield (
-            f"the gyroscope's noise is not declared, so a default is used{told}; name Kalibr's imu.yaml with "
+            f"the gyroscope's noise is not declared, so a default is used{remark}; name Kalibr's imu.yaml with "
             "[imu] noise in a flight.toml"
         )
     elif measured is not None and not 1 / 3 < measured / found.declared_gyro_noise < 3:

@@ -217,12 +217,12 @@ def _imu(imu: ImuFindings, start_ns: int | None, *, is_judged: bool) -> Iterator
     noise, when, bound = (
         (imu.in_flight, "in motion", "at most ") if imu.at_rest is None else (imu.at_rest, "at rest", "")
     )
-    told = _noise(noise, bound)
-    if told:
+    noise_text = _noise(noise, bound)
+    if noise_text:
         declared = (
             "" if imu.declared_gyro_noise is None else f"; declared gyroscope {imu.declared_gyro_noise:.2g}"
         )
-        yield f"white noise {when}: {told}{declared}"
+        yield f"white noise {when}: {noise_text}{declared}"
     if imu.gyro_bias_rad_s is not None:
         bias = ", ".join(f"{round(degrees(axis), 2) + 0.0:+.2f}" for axis in imu.gyro_bias_rad_s)
         yield f"gyroscope's bias at rest ({bias}) degrees/s"

@@ -228,16 +228,16 @@ class CameraThread:
         self._thread.join(READ_S + 1.0)
 
     def _run(self) -> None:
-        said = ""
+        last_error = ""
         while not self._stop.is_set():
             try:
                 for picture in self._source.pictures(self._stop):
                     self._offer(picture)
-                    said = ""
+                    last_error = ""
             except InputError as error:
-                if str(error) != said:  # once, not at every try
-                    said = str(error)
-                    logging.getLogger(__name__).warning("%s", said)
+                if str(error) != last_error:  # once, not at every try
+                    last_error = str(error)
+                    logging.getLogger(__name__).warning("%s", last_error)
             except Exception:  # a broken stream may make a decoder fail in any way
                 logging.getLogger(__name__).exception("the camera failed")
             if not self._source.is_live:

@@ -54,15 +54,15 @@ class Replay:
     def text(self) -> str:
         """Say whether it came out as it was sent."""
         n = len(self.estimates)
-        told = f"sent in flight: {n} estimates, {self.packets_sent} packets; computed again: "
+        sentence = f"sent in flight: {n} estimates, {self.packets_sent} packets; computed again: "
         if self.is_exact:
-            told += "the same to the bit"
+            sentence += "the same to the bit"
         else:
-            told += (
+            sentence += (
                 f"{self.estimates_equal} estimates and {self.packets_equal} packets the same; the versions or the "
                 "processor differ, or the recording has gaps"
             )
-        return "\n".join([told, *self.problems])
+        return "\n".join([sentence, *self.problems])
 
 
 def recorded_config(path: Path) -> FusionConfig | None:

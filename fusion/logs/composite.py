@@ -49,8 +49,8 @@ class CompositeLog(LogContents):
         self._camera_file = camera_file
         self.topics = tuple(self._topic(kind, name, part) for (kind, name), part in self._parts.items())
         logs = {id(part.log): part.log for part in self._parts.values()}
-        told = (problem for log in logs.values() for problem in log.problems)
-        self.problems = tuple(dict.fromkeys((*problems, *told)))
+        part_problems = (problem for log in logs.values() for problem in log.problems)
+        self.problems = tuple(dict.fromkeys((*problems, *part_problems)))
 
     @staticmethod
     def _topic(kind: Kind, name: str, part: Part) -> Topic:

@@ -49,17 +49,17 @@ def imu_stream(
     if min(alone) > MIN_ALONE and sum(alone) > MOSTLY:
         accel = VectorStream(t_ns[with_accel], accel_m_s2[with_accel])
         imu, problems = joined_imu(t_ns[with_gyro], gyro_rad_s[with_gyro], accel, where, where)
-        told = f"{where.label}: gyroscope and accelerometer come in rows of their own, joined by time"
-        return WithProblems(imu, (Remark(told), *problems))
+        remark = f"{where.label}: gyroscope and accelerometer come in rows of their own, joined by time"
+        return WithProblems(imu, (Remark(remark), *problems))
     return _clean_imu(t_ns, gyro_rad_s, accel_m_s2, where)
 
 
 def _clean_imu(
     t_ns: TimeArray, gyro_rad_s: FloatArray, accel_m_s2: FloatArray, where: Where
 ) -> WithProblems[ImuStream]:
-    t_ns, told = spread_bursts(t_ns, where)
+    t_ns, burst_problems = spread_bursts(t_ns, where)
     index, problems = usable(t_ns, where)
-    problems = told + problems
+    problems = burst_problems + problems
     t_ns, gyro_rad_s, accel_m_s2 = t_ns[index], gyro_rad_s[index], accel_m_s2[index]
     good = within(gyro_rad_s, MAX_RATE)
     problems += where.dropped(good, t_ns, "a gyro value that is none")

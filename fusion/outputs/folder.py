@@ -127,8 +127,8 @@ def _write_manifest(flight: Flight, path: Path, folder: Path) -> None:
 def _write_summary(result: FusionResult, origin: Mapping[str, Any], folder: Path, frame: Frame) -> None:
     """Write the summary, the last file of a folder: it lists all that were written with it."""
     files = sorted([MARK, *(entry.name for entry in folder.iterdir())])
-    told = {"files": files, "provenance": origin}
-    write_summary(summary_in_frame(result.summary, frame) | told, folder / MARK)
+    additions = {"files": files, "provenance": origin}
+    write_summary(summary_in_frame(result.summary, frame) | additions, folder / MARK)
 
 
 def check_out_dir(out_dir: str | Path) -> Path:

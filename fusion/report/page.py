@@ -282,10 +282,10 @@ def provenance_rows(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
 def timings(result: FusionResult) -> list[tuple[str, str]]:
     """Return the times in the summary, and those of measuring a picture."""
     found = []
-    told = {} if result.overview.timings is None else result.overview.timings.to_dict()
+    values = {} if result.overview.timings is None else result.overview.timings.to_dict()
     for name, (words, unit) in TIMING_WORDS.items():
-        if told.get(name) is not None:
-            found.append((words, f"{told[name]:.3g} {unit}"))
+        if values.get(name) is not None:
+            found.append((words, f"{values[name]:.3g} {unit}"))
     milliseconds = result.frames["vision_ms"]
     milliseconds = milliseconds[np.isfinite(milliseconds)]
     if milliseconds.size:

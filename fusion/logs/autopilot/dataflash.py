@@ -223,8 +223,8 @@ def _ranges(tables: list[_Table]) -> list[Series]:
             if not (_looks_down(table, suffix) & (table.column(f"Dist{suffix}") > 0.0)).any():
                 continue
             name = f"{table.label}.Dist{suffix}" if suffix else table.label
-            told = table.has(f"Orient{suffix}")
-            note = "looks down" if told else "taken to look down: the log does not tell"
+            declared = table.has(f"Orient{suffix}")
+            note = "looks down" if declared else "taken to look down: the log does not tell"
             read = partial(_read_range, suffix)
             found.append(series_of(replace(table, label=name), Kind.RANGE, note, read))
     return found

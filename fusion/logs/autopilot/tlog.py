@@ -281,15 +281,15 @@ def _on_one_clock(path: Path, raws: list[_Raw], suffix: str) -> list[_Table]:
     tables = []
     for raw in raws:
         t_ns = raw.boot_ns()
-        told = clock
+        clock_note = clock
         if t_ns is None and offset_us is not None:
             t_ns = nanoseconds(raw.rows["time_usec"], 1000) - offset_us * 1000
-            told += ", subtracted here"
+            clock_note += ", subtracted here"
         elif t_ns is None:
-            t_ns, told = nanoseconds(raw.rows["time_usec"], 1000), "Unix time by the vehicle's clock"
+            t_ns, clock_note = nanoseconds(raw.rows["time_usec"], 1000), "Unix time by the vehicle's clock"
         if raw.name != CLOCK:
             units = dict(raw.kind.fieldunits_by_name)
-            tables += _instances(_Table(path, raw.name + suffix, t_ns, raw.name, raw.rows, units, told))
+            tables += _instances(_Table(path, raw.name + suffix, t_ns, raw.name, raw.rows, units, clock_note))
     return tables
 
 

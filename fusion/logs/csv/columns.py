@@ -245,9 +245,9 @@ class _Table:
 
     def body_frame(self) -> WithProblems[Frame]:
         """Return the body's axes: those of the map, else those that gravity shows, with a problem that reports it."""
-        told = self.frame or self.columns.frame
-        if told is not None:
-            return WithProblems(told)
+        declared = self.frame or self.columns.frame
+        if declared is not None:
+            return WithProblems(declared)
         frame, why = self._likely_frame()
         problem = f"{self.path.name}: axes taken as {frame}, {why}; name them with frame in flight.toml"
         return WithProblems(frame, (problem if why == _NOTHING_TELLS else Remark(problem),))
@@ -328,20 +328,20 @@ class _Table:
         UndecidedError
             Where that stays open and matters.
         """
-        pose_frame, told = self.body_frame().value, self.frame or self.columns.velocity_frame
+        pose_frame, declared = self.body_frame().value, self.frame or self.columns.velocity_frame
         name = names_the_world(self.columns)
         if name is not None and self.columns.velocity_frame is None:
             problem = f"{self.path.name}: velocity taken along the world's axes, as its name {name} says"
             return WithProblems((Axes.WORLD, pose_frame), (Remark(problem),))
-        if told in ("ned", "enu") or (told is None and self.columns.frame in ("ned", "enu")):
-            is_same_up = (told in ("flu", "enu")) == (pose_frame in ("flu", "enu"))
-            return WithProblems((Axes.WORLD, pose_frame if told is None or is_same_up else told))
+        if declared in ("ned", "enu") or (declared is None and self.columns.frame in ("ned", "enu")):
+            is_same_up = (declared in ("flu", "enu")) == (pose_frame in ("flu", "enu"))
+            return WithProblems((Axes.WORLD, pose_frame if declared is None or is_same_up else declared))
         found: Axes | None = Axes.BODY
         if self._has_attitude and self.columns.velocity_frame is None:
             pose = self.parts.get("position"), self._quaternions()
             found = axes_of_velocity(self.t_ns, *pose, self.parts["velocity"])
-        told = told or self.columns.frame
-        if found is None and told is None:
+        declared = declared or self.columns.frame
+        if found is None and declared is None:
             raise UndecidedError(
                 "velocity may be along the body's axes or the world's, and the pose does not tell",
                 file=self.path,
@@ -349,7 +349,7 @@ class _Table:
                 "world; or [velocity] use = false",
             )
         if found is not Axes.WORLD:
-            return WithProblems((Axes.BODY, told or pose_frame))
+            return WithProblems((Axes.BODY, declared or pose_frame))
         problem = (
             f"{self.path.name}: velocity taken along the world's axes, as its positions move; velocity_frame under "
             "[velocity.columns] in flight.toml says otherwise"
@@ -368,10 +368,10 @@ class _Table:
 
     def range(self) -> WithProblems[RangeStream]:
         """Distance to the floor along the body's z."""
-        told, where = self.columns.range_limits, self.where(Kind.RANGE)
-        if told is None:
+        limits, where = self.columns.range_limits, self.where(Kind.RANGE)
+        if limits is None:
             return range_stream(self.t_ns, self.parts["range"][:, 0], where)
-        low, high = (limit * in_si(self.columns.range_unit) for limit in told)
+        low, high = (limit * in_si(self.columns.range_unit) for limit in limits)
         return range_stream(self.t_ns, self.parts["range"][:, 0], where, limits_m=(low, high))
 
 

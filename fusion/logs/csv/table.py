@@ -152,9 +152,9 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
     comment = next((line for line in reversed(lines[: lines.index(rows[0])]) if separator in line), None)
     titles = first if named else [""] * len(first)
     if not named and comment is not None:
-        told = split_fields(comment.lstrip("# "), separator)
-        told += [""] * (len(first) - len(told) if not any(first[len(told) :]) else 0)  # a comma ends each row
-        titles = told if len(told) == len(first) else titles
+        fields = split_fields(comment.lstrip("# "), separator)
+        fields += [""] * (len(first) - len(fields) if not any(first[len(fields) :]) else 0)  # trailing comma
+        titles = fields if len(fields) == len(first) else titles
     units = split_fields(rows[1], separator) if named and len(rows) > 2 else []
     has_units = len(units) == len(titles) and all(is_unit(field) for field in units)
     has_units &= any(sign.isalpha() or sign in "°%" for field in units for sign in field)

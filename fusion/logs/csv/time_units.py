@@ -12,7 +12,7 @@ from fusion.flight import TimeArray
 from fusion.logs.csv.column_map import TIME_NAMES, TimeUnit
 
 NS: dict[TimeUnit, int] = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
-_TOLD_NS = NS | {"100us": 100_000, "days": 86_400 * 10**9}  # those that are not guessed by their steps
+_UNIT_NS = NS | {"100us": 100_000, "days": 86_400 * 10**9}  # also the units that are never guessed from the steps
 _IN_WORDS = {
     "ns": "nanoseconds",
     "us": "microseconds",
@@ -92,19 +92,19 @@ def to_ns(values: npt.NDArray[np.generic], unit: TimeUnit) -> TimeArray:
         epoch = next((zero for zero, (low, high) in _CALENDARS if low < np.median(numbers) < high), 0)
         return to_ns((numbers - epoch) * 86_400.0, "s")
     if values.dtype.kind == "i":
-        ok = np.abs(values) < 2**62 // _TOLD_NS[unit]
-        return np.where(ok, np.where(ok, values, 0) * _TOLD_NS[unit], MISSING)
+        ok = np.abs(values) < 2**62 // _UNIT_NS[unit]
+        return np.where(ok, np.where(ok, values, 0) * _UNIT_NS[unit], MISSING)
     numbers = values.astype(np.float64)
     # Whole and broken part apart: the fraction of a large number keeps its digits.
-    ok = np.isfinite(numbers) & (np.abs(numbers) < 2**62 / _TOLD_NS[unit])
+    ok = np.isfinite(numbers) & (np.abs(numbers) < 2**62 / _UNIT_NS[unit])
     numbers = np.where(ok, numbers, 0.0)
     whole = np.floor(numbers)
     # Seconds since 1970 have room for 240 ns: what a float adds below its own resolution is no measurement.
     quantum = 10 ** max(
-        0, int(np.ceil(np.log10(float(np.spacing(np.abs(numbers).max(initial=1.0))) * _TOLD_NS[unit])))
+        0, int(np.ceil(np.log10(float(np.spacing(np.abs(numbers).max(initial=1.0))) * _UNIT_NS[unit])))
     )
-    part = np.rint((numbers - whole) * _TOLD_NS[unit] / quantum).astype(np.int64) * quantum
-    t_ns = whole.astype(np.int64) * _TOLD_NS[unit] + part
+    part = np.rint((numbers - whole) * _UNIT_NS[unit] / quantum).astype(np.int64) * quantum
+    t_ns = whole.astype(np.int64) * _UNIT_NS[unit] + part
     return np.where(ok, t_ns, MISSING)
 
 

@@ -167,10 +167,10 @@ class _Assembly:
         manifest, imu = self.sources.manifest, self.sources.log(Kind.IMU)
         if imu is None or not any(topic.kind is Kind.IMU for topic in imu.topics):
             return ""
-        told = manifest.model_dump(mode="json", exclude_defaults=True)
-        if told.keys() == {"log"}:
+        declared = manifest.model_dump(mode="json", exclude_defaults=True)
+        if declared.keys() == {"log"}:
             return f"; where there is none, `corridor align {manifest.log} --write` finds the focal length"
-        lines = ", ".join(_lines(told))
+        lines = ", ".join(_lines(declared))
         return (
             "; where there is none, `corridor align flight.toml --write` finds the focal length, with these lines in "
             f"flight.toml: {lines}"

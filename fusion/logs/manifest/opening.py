@@ -45,11 +45,11 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
     from fusion.logs.pictures import picture_folder as folder
     from fusion.logs.pictures import video
 
-    told = source.how_to_open()
+    options = source.how_to_open()
     refuse_placeholder(path)
     if isinstance(source, CameraSource):
         if video.recognises(path):
-            _refuse(told, ("frame",), path, "a video")
+            _refuse(options, ("frame",), path, "a video")
             return video.open_video(
                 path,
                 start_ns=source.start_ns or 0,
@@ -57,8 +57,8 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
                 columns=source.columns,
                 rate_hz=source.rate_hz,
             )
-        if folder.recognises(path) and any(told[key] is not None for key in ("times", "columns", "rate_hz")):
-            _refuse(told, ("frame",), path, "a folder of pictures")
+        if folder.recognises(path) and any(options[key] is not None for key in ("times", "columns", "rate_hz")):
+            _refuse(options, ("frame",), path, "a folder of pictures")
             return folder.open_folder(
                 path,
                 times=source.times,
@@ -67,12 +67,12 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
                 start_ns=source.start_ns or 0,
             )
         own = ("times", "start_ns", "rate_hz", "columns", "frame")
-        _refuse(told, own, path, "a log with pictures of its own")
+        _refuse(options, own, path, "a log with pictures of its own")
         return open_log(path)
     is_table = columns.recognises(path)
     if (source.columns is not None and (is_table or source.units() is None)) or source.frame is not None:
         if not path.is_file() or (source.columns is None and not is_table):
-            _refuse(told, ("columns", "frame"), path, "a log with columns and axes of its own")
+            _refuse(options, ("columns", "frame"), path, "a log with columns and axes of its own")
         return columns.open_columns(path, source.columns, source.frame)
     return open_log(path)
 
@@ -117,7 +117,7 @@ def converted(stream: AnyStream, kind: Kind, columns: ColumnMap) -> AnyStream:
     return result
 
 
-def _refuse(told: Mapping[str, object], keys: tuple[str, ...], path: Path, what: str) -> None:
+def _refuse(options: Mapping[str, object], keys: tuple[str, ...], path: Path, what: str) -> None:
     for key in keys:
-        if told[key] is not None:
+        if options[key] is not None:
             raise InputError(f"is {what}: {key} does not go with it", file=path, remedy=f"take {key} away")

@@ -115,9 +115,9 @@ def _natural(name: str) -> list[tuple[int, str]]:
 def _numbers(names: list[str]) -> npt.NDArray[np.int64]:
     """Numbers (n,) of pictures from the first on, as their names count them; else in their order."""
     found = [_NUMBER.findall(Path(name).stem) for name in names]
-    told = np.array([int(numbers[-1]) if numbers and numbers[-1].isdigit() else -1 for numbers in found])
-    counts = are_numbers_of_frames(told) and told.min() >= 0 and len(set(told.tolist())) == len(told)
-    return told - told.min() if counts else np.arange(len(names))
+    last = np.array([int(numbers[-1]) if numbers and numbers[-1].isdigit() else -1 for numbers in found])
+    counts = are_numbers_of_frames(last) and last.min() >= 0 and len(set(last.tolist())) == len(last)
+    return last - last.min() if counts else np.arange(len(names))
 
 
 def _times_inside(path: Path) -> Path | None:
@@ -218,8 +218,8 @@ def _times_from_names(
             file=path,
             remedy=_REMEDY,
         )
-    told = columns.time_unit if isinstance(columns, ColumnMap) else None
-    unit = told or guess_unit(numbers)
+    declared = columns.time_unit if isinstance(columns, ColumnMap) else None
+    unit = declared or guess_unit(numbers)
     t_ns = to_ns(numbers, unit)
     kept = [name for (name, _), t in zip(timed, t_ns, strict=True) if t != MISSING]
     problems: Problems = (Remark(f"{path.name}: times taken from the pictures' names, as {in_words(unit)}"),)

@@ -126,8 +126,8 @@ def open_video(
             raise InputError("contains no video stream", file=path, remedy="give a video with pictures")
         packets, problems = _read_packets(path, container, streams)
         indices = {stream.index: _index(container, stream, packets[stream.index]) for stream in streams}
-        told = None if rate_hz is None else Fraction(rate_hz).limit_denominator(10**6)
-        nominal = told or _nominal_rate(container, streams[0])
+        declared = None if rate_hz is None else Fraction(rate_hz).limit_denominator(10**6)
+        nominal = declared or _nominal_rate(container, streams[0])
         note = _note(container)
         first = indices[streams[0].index]
         telemetry = None
@@ -147,7 +147,7 @@ def open_video(
         if times is not None:
             (t_ns, rows), more = _listed_times(path, index, times, columns)
         else:
-            t_ns, more = _times(path, index, nominal, start_ns, is_told=told is not None)
+            t_ns, more = _times(path, index, nominal, start_ns, is_declared=declared is not None)
             rows = np.arange(len(index.pts))
         problems += more
         videos[name] = _Video(t_ns, rows, index, number)
@@ -250,15 +250,15 @@ def _nominal_rate(container: InputContainer, stream: VideoStream) -> Fraction | 
 
 
 def _times(
-    path: Path, index: VideoIndex, nominal: Fraction | None, start_ns: int, *, is_told: bool = False
+    path: Path, index: VideoIndex, nominal: Fraction | None, start_ns: int, *, is_declared: bool = False
 ) -> WithProblems[TimeArray]:
     """Return the times (n,) of the frames by the video's own clock."""
     problems: Problems = ()
-    if is_told and not index.numbered:
+    if is_declared and not index.numbered:
         raise InputError(
             "has times of its own: rate_hz does not go with it", file=path, remedy="take rate_hz away"
         )
-    if nominal is not None and not is_told:
+    if nominal is not None and not is_declared:
         problems += (
             f"{path.name}: AVI stores no times; its nominal rate of {float(nominal):g} frames a second is taken",
         )

@@ -162,15 +162,15 @@ def _opened(bag: Bag) -> RosLog:
     series, left_out = _series(wire, [s for s in gathered.samples if s.kind not in PICTURES])
     problems += refused + left_out
     if not series and not pictures:
-        told = {c.msgtype for c in bag.connections if of_use(c)}
-        if told and told <= {RosType.TRANSFORMS, RosType.CAMERA_INFO}:
-            what = " and ".join(word for kind, word in _ACCESSORIES.items() if kind in told)
+        types = {c.msgtype for c in bag.connections if of_use(c)}
+        if types and types <= {RosType.TRANSFORMS, RosType.CAMERA_INFO}:
+            what = " and ".join(word for kind, word in _ACCESSORIES.items() if kind in types)
             raise InputError(
                 f"holds {what}, but no pictures and no IMU",
                 file=bag.path,
                 remedy="give the bag with the sensors' topics: sensor_msgs/Imu, and Image or CompressedImage",
             )
-        if told:
+        if types:
             raise InputError(
                 f"none of its messages can be read ({'; '.join(problems) or 'it contains none'})",
                 file=bag.path,

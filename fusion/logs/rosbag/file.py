@@ -139,8 +139,8 @@ class Bag:
             self._reader = self._open_ros1(path)
 
     def _check_format(self) -> None:
-        told = {str(getattr(c.ext, "serialization_format", "cdr")) for c in self.connections}
-        other = ", ".join(sorted(told - {"cdr", ""}))
+        formats = {str(getattr(c.ext, "serialization_format", "cdr")) for c in self.connections}
+        other = ", ".join(sorted(formats - {"cdr", ""}))
         if self.ros2 and other:
             raise InputError(
                 f"its messages are serialized as {other}, not as cdr, which ROS 2 writes",
