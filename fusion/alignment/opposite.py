@@ -1,4 +1,4 @@
-"""What to change where vision and the inertial sensors turn opposite ways."""
+"""Advice for a flight in which vision and inertial sensors measure opposite turns."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from fusion.logs.plausibility.findings import Advice, Medium
 
 
 def opposite_remedy(flight: Flight) -> str:
-    """Name the setting that is likely wrong: whose axes, by gravity and by what the flight's manifest says.
+    """Name the setting that is likely wrong, by gravity and the axes that the flight's manifest declares.
 
-    Gravity alone cannot tell an IMU with x forward, left, up from one that gives gravity's pull along x forward,
-    right, down: turns seen by the camera do.
+    Gravity alone cannot distinguish an IMU with axes forward, left, up from one that reports gravity's pull along
+    forward, right, down. The turns seen by the camera can.
     """
     imu, manifest = flight.imu, flight.manifest
     sources = ManifestLog(manifest) if isinstance(manifest, Manifest) else None

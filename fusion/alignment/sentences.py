@@ -29,7 +29,7 @@ def clock_quantity(found: Found, turning: Turning, reach_s: float) -> Quantity:
     name = "clock_offset_s"
     if found.clock is None or fit is None:
         return Quantity(name, nan, inf, False, _why_not(search, turning, reach_s))
-    # The offset is that of the first frame: a skew turns about the middle.
+    # The offset holds at the first frame; a skew changes it about the middle.
     by_skew_s = found.skew_std * float(np.mean(fit.samples.t_s)) if found.skew else 0.0
     sigma = hypot(fit.offset_std_s, found.unrest_s, by_skew_s)
     value, source = fit.offset_s, _source(turning)
@@ -96,7 +96,7 @@ def _why_not(search: ClockSearch, turning: Turning, reach_s: float) -> str:
 
 
 def focal_quantity(found: Found, turning: Turning, camera: Camera, camera_known: bool) -> Quantity:
-    """Factor on the focal length of a camera that is known or assumed, from the ratio of turns."""
+    """Factor on the focal length of a known or assumed camera, from the ratio of turns."""
     name, fit = "focal_scale", found.search.fit
     if found.clock is None or fit is None:
         return Quantity(
@@ -127,7 +127,7 @@ def focal_quantity(found: Found, turning: Turning, camera: Camera, camera_known:
 
 
 class Known(NamedTuple):
-    """What the mounting is compared with, in words: the source of level, and of the mounting assumed so far."""
+    """Words for the references of the mounting: the source of level, and of the mounting assumed so far."""
 
     level: str
     mounted: str  # "calibrated" or "assumed"

@@ -237,13 +237,13 @@ class ManifestLog(LogContents):
 
     def _rig_by_axis(self, log: LogContents, gravity: Gravity | None) -> WithProblems[Rig | None]:
         """Tell how the IMU sits from gravity and the axis that the manifest says the camera looks along."""
-        axis_name = str(self.manifest.imu.camera_axis)
+        name = str(self.manifest.imu.camera_axis)
         axis = np.zeros(3)
-        axis["xyz".index(axis_name[-1])] = -1.0 if axis_name.startswith("-") else 1.0
+        axis["xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
         frame = log.body_frame or ("frd" if log.format in RANKED_FORMATS else "flu")
         found = None if gravity is None else body_from_camera_axis(gravity, to_frd(frame) @ axis)
         if found is None:
-            text = f"[imu] camera_axis = {axis_name!r} is of no use: gravity is not seen, or the camera looks along it"
+            text = f"[imu] camera_axis = {name!r} is of no use: gravity is not seen, or the camera looks along it"
             return WithProblems(None, (text,))
         return WithProblems(found, (Remark(rig_sentence(found.mount_rad)),))
 
