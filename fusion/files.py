@@ -35,7 +35,7 @@ def sha256_of(path: Path) -> str:
     Raises
     ------
     OSError
-        Where it cannot be read.
+        If it cannot be read.
     """
     with path.open("rb") as file:
         return file_digest(file, "sha256").hexdigest()

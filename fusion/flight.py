@@ -30,7 +30,7 @@ class FrameSource(Protocol):
         Raises
         ------
         InputError
-            Where this picture does not decode.
+            If this picture does not decode.
         """
 
 
@@ -84,7 +84,7 @@ class ImuStream:
     accel_m_s2
         Specific force (n, 3), about (0, 0, -9.81) at rest and level; NaN rows where a log has none.
     gyro_noise_density, gyro_random_walk
-        rad/s/sqrt(Hz) and rad/s^2/sqrt(Hz) as the log declares them; None where it does not.
+        rad/s/sqrt(Hz) and rad/s^2/sqrt(Hz) as the log declares them; None if it does not.
     """
 
     t_ns: TimeArray
@@ -135,7 +135,7 @@ class FlightSource(Protocol):
 
     @property
     def name(self) -> str | None:
-        """What the flight is to be called; None where the source does not say."""
+        """What the flight is to be called; None if the source does not say."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

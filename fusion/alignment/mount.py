@@ -53,7 +53,7 @@ class MountFit:
 
 
 def fit_mount(sightings: Sightings) -> MountFit | None:
-    """Fit the mount; None where too few frames were measured with an attitude."""
+    """Fit the mount; None if too few frames were measured with an attitude."""
     seen = np.isfinite(sightings.elevation_rad)
     if seen.sum() < MIN_MOUNT_FRAMES:
         return None

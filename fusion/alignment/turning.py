@@ -42,7 +42,7 @@ class Turning:
     by_gyro
         Whether the yaw comes from the gyroscope; otherwise from the attitude stream.
     noise_density
-        Of the gyroscope's yaw rate, rad/s/sqrt(Hz); 0 where the yaw is the attitude's.
+        Of the gyroscope's yaw rate, rad/s/sqrt(Hz); 0 if the yaw is the attitude's.
     """
 
     t_s: FloatArray
@@ -99,7 +99,7 @@ def turning_of(flight: Flight, origin_ns: int, attitude_std_rad: float) -> Turni
     Raises
     ------
     InputError
-        Where the flight has neither.
+        If the flight has neither.
     """
     imu, attitude = flight.imu, flight.attitude
     if imu is not None and len(imu.t_ns) > 1:

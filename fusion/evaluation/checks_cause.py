@@ -54,7 +54,7 @@ _NO_GYROSCOPE = (
 
 
 def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) -> Check | None:
-    """Return the cause of what other checks found, as a check; None where nothing is wrong or nothing is seen.
+    """Return the cause of what other checks found, as a check; None if nothing is wrong or nothing is seen.
 
     Parameters
     ----------

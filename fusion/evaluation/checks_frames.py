@@ -58,7 +58,7 @@ def _share_used(result: FusionResult, flight: Flight, limits: Limits) -> Finding
 
 
 def _cause(result: FusionResult, flight: Flight) -> tuple[str, str] | None:
-    """Why most unreadable pictures cannot be used though they decode, and the remedy; None where most do not."""
+    """Why most unreadable pictures cannot be used though they decode, and the remedy; None if most do not."""
     frames, found = result.frames, Counter[tuple[str, str] | None]()
     t_ns = frames["timestamp_ns"][frames["reason"] == Reason.UNREADABLE]
     t_ns = t_ns - round(result.config.camera_delay_s * 1e9)

@@ -53,7 +53,7 @@ class RemovedConstants(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedTable(Record):
-    """Errors of one table, and the constants that were taken out of it by corridor; None where not aligned."""
+    """Errors of one table, and the constants that were taken out of it by corridor; None if not aligned."""
 
     errors: TableErrors
     removed: Mapping[str, RemovedConstants] | None
@@ -80,7 +80,7 @@ class ComparedOutput(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorsOverTime:
-    """Estimate less truth at a table's times (n,), NaN where it is not judged; the offset in the unit asked for."""
+    """Estimate less truth at a table's times (n,), NaN if it is not judged; the offset in the unit asked for."""
 
     t_ns: TimeArray
     heading_rad: FloatArray
@@ -114,7 +114,7 @@ def read_outputs(folders: Sequence[str | Path]) -> list[Output]:
     Raises
     ------
     InputError
-        Where one is no output folder, or its tables are torn or hold nothing.
+        If one is no output folder, or its tables are torn or hold nothing.
     """
     paths = [Path(folder) for folder in folders]
     names = _short_names(paths)
@@ -176,7 +176,7 @@ def compare(outputs: Sequence[Output], truth: Truth, *, align: bool = False) -> 
     Raises
     ------
     InputError
-        Where an output and the truth have no time in common.
+        If an output and the truth have no time in common.
     """
     t = truth.corridor.t_ns
     compared = tuple(_compare_output(output, truth, align) for output in outputs)

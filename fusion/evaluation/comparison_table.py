@@ -34,7 +34,7 @@ def write_comparison_table(found: Comparison, path: Path) -> None:
     Raises
     ------
     InputError
-        Where the ending is none of `FORMATS`, or the file cannot be written.
+        If the ending is none of `FORMATS`, or the file cannot be written.
     """
     ending = path.suffix.lower()
     if ending not in FORMATS:

@@ -35,7 +35,7 @@ def rmse(estimate: npt.ArrayLike, truth: npt.ArrayLike, *, angle: bool = False) 
     Raises
     ------
     ValueError
-        Where the shapes differ or there is nothing to compare.
+        If the shapes differ or there is nothing to compare.
     """
     return float(np.sqrt(np.mean(np.square(_difference(estimate, truth, angle)))))
 

@@ -25,11 +25,11 @@ class Truth:
     Parameters
     ----------
     corridor
-        In FRD; NaN where an offset is not known.
+        In FRD; NaN if an offset is not known.
     fixed_axis
         Headings are from one axis through the whole flight, not from the corridor being flown.
     offset
-        ``m``, ``norm`` or ``both``: what its offsets can be compared with; None where it has none.
+        ``m``, ``norm`` or ``both``: what its offsets can be compared with; None if it has none.
     source
         The file, in words.
     frame
@@ -51,7 +51,7 @@ class Truth:
         Raises
         ------
         InputError
-            Where that is not a number, or so large that the times leave the years 1678 to 2262.
+            If that is not a number, or so large that the times leave the years 1678 to 2262.
         """
         if not seconds:
             return self
@@ -71,15 +71,15 @@ class TruthColumns:
     t_ns
         Times (n,) in nanoseconds, in any order.
     heading_rad
-        Headings (n,); NaN where a row has none.
+        Headings (n,); NaN if a row has none.
     offset
-        Lateral offsets (n,) in ``offset_unit``; NaN where unknown.
+        Lateral offsets (n,) in ``offset_unit``; NaN if unknown.
     offset_unit
         ``m``, or ``norm`` for half widths.
     width_m
-        Corridor widths (n,), NaN where unknown; None where the file has none.
+        Corridor widths (n,), NaN if unknown; None if the file has none.
     corridor_id, in_junction
-        Numbers (n,), NaN taken as 0; None where the file has none.
+        Numbers (n,), NaN taken as 0; None if the file has none.
     """
 
     t_ns: TimeArray
@@ -112,7 +112,7 @@ def truth_of(
     Raises
     ------
     InputError
-        Where no row has a heading, or headings are too large for radians.
+        If no row has a heading, or headings are too large for radians.
     """
     sign = -1.0 if frame is Frame.ROS else 1.0
     heading_rad = columns.heading_rad

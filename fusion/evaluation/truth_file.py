@@ -72,7 +72,7 @@ def read_truth(path: str | Path, frame: Frame | None = None) -> Truth:
     Raises
     ------
     InputError
-        Where it cannot be read, lacks a time or a heading, or its convention or units are not known.
+        If it cannot be read, lacks a time or a heading, or its convention or units are not known.
     """
     path = Path(path)
     if path.is_dir():
@@ -177,7 +177,7 @@ def _from_csv(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
 
 
 def _offset_of(values: Mapping[str, FloatArray], count: int) -> tuple[FloatArray, OffsetUnit]:
-    """Return offsets (n,) and their unit: metres where any is known, else half widths; NaN where there are none."""
+    """Return offsets (n,) and their unit: metres where any is known, else half widths; NaN if there are none."""
     offset = np.full(count, np.nan)
     unit: OffsetUnit = "m"
     for name, (scale, its_unit) in _OFFSETS.items():
@@ -266,7 +266,7 @@ def _yaw_of_body(q: FloatArray, path: Path, order: str) -> FloatArray:
     Raises
     ------
     InputError
-        Where it lies on its side, or would be level if the quaternions were not read in ``order`` but in another.
+        If it lies on its side, or would be level if the quaternions were not read in ``order`` but in another.
     """
     is_upright, off_deg = _off_level(q)
     # In the wrong order, a level vehicle that has turned by an angle is upside down but for that angle.

@@ -112,7 +112,7 @@ def fuse_fleet(
     Raises
     ------
     InputError
-        Where there are no flights, settings or files that go with them cannot be used, or ``out`` cannot be written.
+        If there are no flights, settings or files that go with them cannot be used, or ``out`` cannot be written.
         A flight that cannot be used is a row with its reason.
     """
     settings = settings or BatchSettings()

@@ -47,7 +47,7 @@ class FoundFlight:
     path
         What ``corridor fuse`` would be given, absolute.
     vehicle
-        Which vehicle flew; empty where nothing says it.
+        Which vehicle flew; empty if nothing says it.
     date
         ISO 8601 day, where a list or the path says it; empty: the log's own clock may.
     config
@@ -104,7 +104,7 @@ def find_flights(sources: Iterable[str | Path]) -> tuple[FoundFlight, ...]:
     Raises
     ------
     InputError
-        Where a source does not exist, or a list cannot be used. A flight that is listed but not there is found all
+        If a source does not exist, or a list cannot be used. A flight that is listed but not there is found all
         the same: it becomes a row with its reason.
     """
     found: dict[Path, FoundFlight] = {}
@@ -176,7 +176,7 @@ def _described(path: Path, name: str, vehicle: str) -> FoundFlight:
 
 
 def date_in(path: Path) -> str:
-    """Return the last day that a path's parts name, as ISO 8601; empty where none does."""
+    """Return the last day that a path's parts name, as ISO 8601; empty if none does."""
     for part in reversed(path.parts):
         for match in _DATE.finditer(part):
             try:

@@ -61,7 +61,7 @@ def hashes_of(path: Path) -> dict[Path, str]:
     Raises
     ------
     OSError
-        Where a file cannot be read.
+        If a file cannot be read.
     """
     return {file: sha256_of(file) for file in flight_files(path) if file.is_file()}
 

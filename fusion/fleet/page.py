@@ -74,7 +74,7 @@ def write_page(rows: Sequence[FleetRow], folder: Path, total: int, against: Sequ
     Raises
     ------
     InputError
-        Where it cannot be written.
+        If it cannot be written.
     """
     text = render_page(rows, folder, total, against)
     with replacing(folder / PAGE) as draft:
@@ -176,7 +176,7 @@ def _check_counts(rows: Sequence[FleetRow]) -> list[CheckCounts]:
 
 
 def _vehicle_rows(rows: Sequence[FleetRow]) -> list[tuple[str, list[str]]]:
-    """Return a row per vehicle: its name and the cells; empty where there are not two."""
+    """Return a row per vehicle: its name and the cells; empty if there are not two."""
     vehicles = sorted({row.vehicle for row in rows})
     if len(vehicles) < 2:
         return []

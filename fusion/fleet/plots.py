@@ -24,7 +24,7 @@ _EDGE_SHARE = 0.98  # of the values that the scale shows; those beyond stand in 
 
 
 def day_of(row: FleetRow) -> float | None:
-    """Return a flight's date as matplotlib counts days; None where it is unknown."""
+    """Return a flight's date as matplotlib counts days; None if it is unknown."""
     try:
         return float(_dates.date2num(datetime.fromisoformat(row.date))) if row.date else None
     except ValueError:

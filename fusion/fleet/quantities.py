@@ -27,7 +27,7 @@ class Quantity:
     factor, unit, decimals
         From the column's unit to the one shown, and how many decimals of it.
     sign
-        1 where more is better, -1 where less is, 0 where neither.
+        1 if more is better, -1 if less is, 0 if neither.
     least
         Smallest change worth telling, in the unit shown.
     """
@@ -47,7 +47,7 @@ class Quantity:
         return "degrees" if self.unit == "°" else self.unit
 
     def of(self, row: FleetRow) -> float | None:
-        """Return a flight's value in the unit shown; None where it is unknown."""
+        """Return a flight's value in the unit shown; None if it is unknown."""
         value = getattr(row, self.column)
         return None if value is None else self.factor * float(value)
 

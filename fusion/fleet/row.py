@@ -157,7 +157,7 @@ def row_from(values: Mapping[str, Any]) -> FleetRow:
     Raises
     ------
     ValueError
-        Where a number or a level is none.
+        If a number or a level is none.
     """
     known: dict[str, Any] = {}
     for name, found in COLUMNS.items():

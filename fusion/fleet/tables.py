@@ -26,7 +26,7 @@ def write_tables(rows: Sequence[FleetRow], folder: Path) -> None:
     Raises
     ------
     InputError
-        Where one cannot be written.
+        If one cannot be written.
     """
     values = [flat(row) for row in rows]
     names = [name for name, *_ in column_facts()]
@@ -74,7 +74,7 @@ def read_fleet(path: str | Path) -> list[FleetRow]:
     Raises
     ------
     InputError
-        Where it is not there, or is something else.
+        If it is not there, or is something else.
     """
     path = Path(path)
     if path.is_dir():

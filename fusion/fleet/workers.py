@@ -260,7 +260,7 @@ def cluster_workers(address: str, timeout_s: float | None, tell: Tell) -> Iterat
     Raises
     ------
     InputError
-        Where Dask is not installed, no scheduler answers there, or a worker has another version of this program.
+        If Dask is not installed, no scheduler answers there, or a worker has another version of this program.
     """
     if find_spec("distributed") is None:
         raise InputError("--scheduler needs Dask distributed", remedy='pip install "corridor-fusion[fleet]"')

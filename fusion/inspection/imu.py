@@ -43,7 +43,7 @@ class StillPeriod:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Continuous-time white noise: rad/s/sqrt(Hz), m/s^2/sqrt(Hz); None where it could not be measured."""
+    """Continuous-time white noise: rad/s/sqrt(Hz), m/s^2/sqrt(Hz); None if it could not be measured."""
 
     gyro: float | None
     accel: float | None
@@ -51,7 +51,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class ImuFindings:
-    """What an IMU's samples show; None where they do not.
+    """What an IMU's samples show; None if they do not.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class ImuFindings:
 
 
 def inspect_imu(imu: ImuStream) -> ImuFindings | None:
-    """Describe an IMU; None where it has too few samples."""
+    """Describe an IMU; None if it has too few samples."""
     if len(imu.t_ns) < 10:
         return None
     step_s = float(np.median(np.diff(imu.t_ns))) * 1e-9

@@ -131,7 +131,7 @@ def _as_fused(found: list[StreamFindings], alive: Streams) -> list[StreamFinding
 def _chosen(
     log: LogContents, choose: Callable[[Kind], WithProblems[str | None]]
 ) -> tuple[dict[Kind, set[str]], dict[Kind, str]]:
-    """Return the topic of each kind that would be fused, and why there is none where it is not clear."""
+    """Return the topic of each kind that would be fused, and why there is none if it is not clear."""
     chosen: dict[Kind, set[str]] = {}
     unclear: dict[Kind, str] = {}
     for kind in Kind:

@@ -27,7 +27,7 @@ class PictureFindings:
     sizes
         Widths and heights in pixels, each once.
     first_index
-        Which is the first that decodes; None where none of those tried does.
+        Which is the first that decodes; None if none of those tried does.
     brightness, contrast
         Mean and standard deviation of its grey levels, 0 to 255.
     """
@@ -99,7 +99,7 @@ def write_picture(picture: GreyImage | None, path: Path) -> None:
     Raises
     ------
     InputError
-        Where there is none, or the file cannot be written.
+        If there is none, or the file cannot be written.
     """
     import cv2
 

@@ -19,7 +19,7 @@ def inspect_path(path: Path) -> Inspection:
     Raises
     ------
     InputError
-        Where there is nothing of a known format, or nothing of it can be read.
+        If there is nothing of a known format, or nothing of it can be read.
     """
     if not path.exists():
         raise InputError("there is no such file or folder", file=path, remedy="check the path")

@@ -90,7 +90,7 @@ def _times(streams: Sequence[StreamFindings]) -> list[tuple[int, int]]:
 
 
 def _start(streams: Sequence[StreamFindings]) -> int | None:
-    """Return the first time of all; None where the streams are on different clocks."""
+    """Return the first time of all; None if the streams are on different clocks."""
     times = _times(streams)
     if not times:
         return None

@@ -35,7 +35,7 @@ class Timing:
     duration_s
         Between the two.
     rate_hz
-        One over the usual (median) step; None where there are fewer than two different times.
+        One over the usual (median) step; None if there are fewer than two different times.
     jitter_s
         95 of 100 steps that are no gaps are within so much of the usual one.
     gaps
@@ -102,7 +102,7 @@ def time_stream(t_ns: TimeArray) -> Timing:
 
 
 def share_covered(t_ns: TimeArray, by_ns: TimeArray) -> float:
-    """Share of times (n,) that lie between the first and the last of others (m,); 0 where either is empty."""
+    """Share of times (n,) that lie between the first and the last of others (m,); 0 if either is empty."""
     if len(t_ns) == 0 or len(by_ns) == 0:
         return 0.0
     return float(np.mean((t_ns >= by_ns.min()) & (t_ns <= by_ns.max())))

@@ -31,7 +31,7 @@ HALF_WRITTEN_NS = 500_000_000  # a picture that does not decode may not be compl
 
 
 class Picture(NamedTuple):
-    """A picture, grey or colour; None where it cannot be read."""
+    """A picture, grey or colour; None if it cannot be read."""
 
     t_ns: int
     image: npt.NDArray[Any] | None
@@ -50,7 +50,7 @@ class CameraSource(Protocol):
         Raises
         ------
         InputError
-            Where it cannot be opened, or dies.
+            If it cannot be opened, or dies.
         """
 
 
@@ -79,7 +79,7 @@ def camera_source(text: str, camera: Camera, clock: Clock) -> CameraSource:
     Raises
     ------
     InputError
-        Where there is no such file, or it contains no pictures.
+        If there is no such file, or it contains no pictures.
     """
     if text.startswith(STREAMS):
         return VideoStream(text, None, {}, clock)

@@ -99,7 +99,7 @@ class AutopilotClock:
         return min(self._replies).round_trip_ns if self._replies else None
 
     def replied(self, asked_ns: int, autopilot_ns: int, received_ns: int) -> bool:
-        """Take a reply to TIMESYNC; False where it cannot be one.
+        """Take a reply to TIMESYNC; False if it cannot be one.
 
         Parameters
         ----------
@@ -125,7 +125,7 @@ class AutopilotClock:
         self._forget()
 
     def host_ns(self, stamp_ns: int, received_ns: int) -> int | None:
-        """Turn the time of a sample into the computer's; None where that is not known, or cannot be.
+        """Turn the time of a sample into the computer's; None if that is not known, or cannot be.
 
         Parameters
         ----------

@@ -154,7 +154,7 @@ class LiveCore:
         return answers
 
     def on_frame(self, t_ns: int, lines: LineSet | None) -> FrameResult:
-        """Take the lines of a picture stamped ``t_ns``; None where it could not be read."""
+        """Take the lines of a picture stamped ``t_ns``; None if it could not be read."""
         if lines is None:
             return self.estimator.add_unreadable_frame(t_ns)
         return self.estimator.add_lines(t_ns, lines)

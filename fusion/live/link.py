@@ -33,7 +33,7 @@ class Link:
     Raises
     ------
     InputError
-        Where the address cannot be one, or what it names is not there.
+        If the address cannot be one, or what it names is not there.
     """
 
     def __init__(self, address: str, receive: Callable[[bytes], object]) -> None:
@@ -113,7 +113,7 @@ def _read(port: Any) -> bytes:
     Raises
     ------
     OSError
-        Where the link has ended.
+        If the link has ended.
     """
     ready, _, _ = select.select([port.fd], [], [], POLL_S)
     if not ready:

@@ -138,7 +138,7 @@ class PacketWriter:
 
 
 def quality_of(e: Estimate, config: FusionConfig) -> int:
-    """Quality in per cent, 1 to 100: 100 for a heading known exactly and confirmed by frames; -1 where it is lost."""
+    """Quality in per cent, 1 to 100: 100 for a heading known exactly and confirmed by frames; -1 if it is lost."""
     if e.status in (Status.LOST, Status.INITIALISING) or not isfinite(e.heading_std_rad):
         return FAILED_QUALITY
     share = 1.0 - e.heading_std_rad / config.lost_heading_std_rad

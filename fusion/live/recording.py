@@ -67,7 +67,7 @@ def typestore() -> Any:
     Raises
     ------
     InputError
-        Where rosbags is not installed.
+        If rosbags is not installed.
     """
     try:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -95,7 +95,7 @@ class Recorder:
     Raises
     ------
     InputError
-        Where it cannot be written.
+        If it cannot be written.
     """
 
     def __init__(self, path: Path, config: FusionConfig, camera: Camera, settings: LiveSettings) -> None:

@@ -66,7 +66,7 @@ class Replay:
 
 
 def recorded_config(path: Path) -> FusionConfig | None:
-    """Return the estimator's settings in flight; None where the file is no recording of `corridor live`."""
+    """Return the estimator's settings in flight; None if the file is no recording of `corridor live`."""
     import tomllib
 
     text = attachments(path).get(CONFIG)
@@ -79,7 +79,7 @@ def replay(path: Path) -> Replay:
     Raises
     ------
     InputError
-        Where the file is no recording of `corridor live`, or is damaged beyond its beginning.
+        If the file is no recording of `corridor live`, or is damaged beyond its beginning.
     """
     attached = attachments(path)
     config, camera = recorded_config(path), attached_camera(path)

@@ -101,7 +101,7 @@ class LiveSession:
     Raises
     ------
     InputError
-        Where the link cannot be opened.
+        If the link cannot be opened.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class LiveSession:
         Raises
         ------
         InputError
-            Where the pictures are not those of the calibration.
+            If the pictures are not those of the calibration.
         """
         warm_up(self._camera)
         sys.setswitchinterval(0.0005)  # a thread that computes holds others up for no longer

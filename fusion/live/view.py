@@ -36,7 +36,7 @@ class FoxgloveViewer:
     Raises
     ------
     InputError
-        Where the SDK is not installed, or the port is taken.
+        If the SDK is not installed, or the port is taken.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8765) -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Measured(NamedTuple):
-    """A picture, when it was taken, and its lines; None where it could not be read, and why, where that is known."""
+    """A picture, when it was taken, and its lines; None if it could not be read, and why, where that is known."""
 
     t_ns: int
     lines: LineSet | None

@@ -77,7 +77,7 @@ def open_log(path: str | Path) -> LogContents:
     Raises
     ------
     InputError
-        Where it does not exist, is of no known format, or cannot be opened.
+        If it does not exist, is of no known format, or cannot be opened.
     """
     path = Path(path)
     if not path.exists():
@@ -105,12 +105,12 @@ def _flight_within(path: Path) -> Path | None:
 
 
 def format_of(path: Path) -> str | None:
-    """Return the module of `FORMATS` that reads an existing file or folder; None where none does.
+    """Return the module of `FORMATS` that reads an existing file or folder; None if none does.
 
     Raises
     ------
     InputError
-        Where it cannot be read.
+        If it cannot be read.
     """
     for module in FORMATS.values():
         if find_spec(module) is None:
@@ -146,7 +146,7 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
     Raises
     ------
     InputError
-        Where the log cannot be used: one line naming file, field, value and remedy.
+        If the log cannot be used: one line naming file, field, value and remedy.
     """
     from fusion.logs.manifest.file import MANIFEST_NAME, find_manifest, read_manifest
     from fusion.logs.manifest.manifest import Manifest

@@ -104,7 +104,7 @@ class _Folder:
         return read_table(path, columns, label=f"{stream}/data.csv", min_step_ns=min_step_ns)
 
     def sensor(self, stream: str) -> dict[str, Any]:
-        """Read a stream's ``sensor.yaml``; empty where it has none."""
+        """Read a stream's ``sensor.yaml``; empty if it has none."""
         path = self.path / stream / "sensor.yaml"
         return read_yaml(path) if path.exists() else {}
 
@@ -190,7 +190,7 @@ class AslLog(SeriesLog):
         return Camera.from_yaml(path, body_frame=self.body_frame) if path.exists() else None
 
     def truth(self) -> WithProblems[CorridorTruth | None]:
-        """Read ``corridor_truth.csv`` beside ``mav0``; None where there is none."""
+        """Read ``corridor_truth.csv`` beside ``mav0``; None if there is none."""
         path = self.path / TRUTH_NAME
         return read_corridor_truth(path) if path.exists() else WithProblems(None)
 

@@ -56,7 +56,7 @@ def open_log(path: Path) -> LogContents:
     Raises
     ------
     InputError
-        Where its pictures or their times cannot be read.
+        If its pictures or their times cannot be read.
     """
     if _lists(path):
         return _listed(path)

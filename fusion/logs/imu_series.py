@@ -86,7 +86,7 @@ def joined_imu(
     t_ns, gyro_rad_s
         Times (n,) and angular rates (n, 3), body FRD, as read.
     accel
-        Specific force, body FRD, on the same clock, as read; None where there is none.
+        Specific force, body FRD, on the same clock, as read; None if there is none.
     where, accel_where
         What to call the two.
     """

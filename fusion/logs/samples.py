@@ -40,7 +40,7 @@ def refuse_placeholder(path: Path) -> None:
     Raises
     ------
     InputError
-        Where it contains nothing, or is a pointer of Git LFS; a folder is neither.
+        If it contains nothing, or is a pointer of Git LFS; a folder is neither.
     """
     if not path.is_file():
         return
@@ -88,7 +88,7 @@ def in_order(
     Raises
     ------
     InputError
-        Where the times cannot be nanoseconds.
+        If the times cannot be nanoseconds.
     """
     index, problems = order_times(t_ns, label)
     check_nanoseconds(t_ns[index], file, min_step_ns, remedy if file is not None else f"{label}: {remedy}")
@@ -134,7 +134,7 @@ def check_nanoseconds(
     Raises
     ------
     InputError
-        Where the median step is smaller.
+        If the median step is smaller.
     """
     if len(t_ns) < 3:
         return
@@ -206,7 +206,7 @@ def report_dropped(
     Raises
     ------
     InputError
-        Where no row is good.
+        If no row is good.
     """
     bad = int(np.count_nonzero(~good))
     if bad == len(good):

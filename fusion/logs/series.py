@@ -84,7 +84,7 @@ def usable(t_ns: TimeArray, where: Where, min_step_ns: int = MIN_IMU_STEP_NS) ->
     Raises
     ------
     InputError
-        Where no sample is left, or the times cannot be nanoseconds.
+        If no sample is left, or the times cannot be nanoseconds.
     """
     problems: Problems = ()
     possible = (t_ns >= 0) & (t_ns < LATEST_NS)

@@ -75,7 +75,7 @@ TABLES = {
 
 
 def choose_topic(log: LogContents, kind: Kind, wanted: str | None = None) -> WithProblems[str | None]:
-    """Name the topic to read as a kind; None where the log has none, or no clear one.
+    """Name the topic to read as a kind; None if the log has none, or no clear one.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def choose_topic(log: LogContents, kind: Kind, wanted: str | None = None) -> Wit
     Raises
     ------
     InputError
-        Where the wanted topic is not there, or there are several cameras or IMUs.
+        If the wanted topic is not there, or there are several cameras or IMUs.
     """
     names = _in_use(log, kind)
     if wanted is not None:

@@ -38,7 +38,7 @@ def axes_of_velocity(
     t_ns
         Times (n,) of the rows.
     position
-        Positions (n, 3) in the world; None where the log has none.
+        Positions (n, 3) in the world; None if the log has none.
     q_world_body
         Quaternions (n, 4), w x y z, body to the same world.
     velocity
@@ -47,7 +47,7 @@ def axes_of_velocity(
     Returns
     -------
     Axes or None
-        None where the data do not tell.
+        None if the data do not tell.
     """
     good = np.abs(np.linalg.norm(q_world_body, axis=1) - 1.0) <= QUATERNION_TOLERANCE
     good &= np.isfinite(velocity).all(axis=1)

@@ -42,7 +42,7 @@ def check_formats(words: Iterable[str]) -> tuple[Format, ...]:
     Raises
     ------
     InputError
-        Where a word is no format, or its library is not installed.
+        If a word is no format, or its library is not installed.
     """
     names = [name.strip().lower() for word in words for name in word.split(",") if name.strip()]
     found = []
@@ -94,7 +94,7 @@ def write_exports(
     Raises
     ------
     InputError
-        Where the flight cannot be written in that form.
+        If the flight cannot be written in that form.
     """
     facts = file_facts(result.summary, frame)
     tables = {"estimates": result.estimates, "smoothed": result.smoothed, "frames": result.frames}

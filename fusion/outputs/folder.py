@@ -87,7 +87,7 @@ def write_outputs(
     Raises
     ------
     InputError
-        Where ``out_dir`` is a file, contains other files, or cannot be written.
+        If ``out_dir`` is a file, contains other files, or cannot be written.
     """
     with _appearing_whole(out_dir) as folder:
         _write_tables(result, sent, folder, frame)
@@ -139,7 +139,7 @@ def check_out_dir(out_dir: str | Path) -> Path:
     Raises
     ------
     InputError
-        Where it is a file, or a folder that holds files that are not ours, or it cannot be written.
+        If it is a file, or a folder that holds files that are not ours, or it cannot be written.
     """
     try:
         folder = Path(out_dir).resolve()
@@ -181,7 +181,7 @@ def _check_writable(folder: Path) -> None:
     Raises
     ------
     OSError
-        Where they cannot.
+        If they cannot.
     """
     place = folder if _stays(folder) else next(parent for parent in folder.parents if parent.exists())
     if not place.is_dir():

@@ -223,7 +223,7 @@ def _verdict(time: Mapping[str, int], measurement: FrameMeasurement, unit: float
 
 
 def _ellipse(measurement: FrameMeasurement) -> npt.NDArray[np.float64]:
-    """Two-sigma ellipse (n, 2) of the vanishing point; NaN where it is not known."""
+    """Two-sigma ellipse (n, 2) of the vanishing point; NaN if it is not known."""
     cov = np.asarray(measurement.vp_cov_px2, dtype=np.float64)
     if not np.isfinite(cov).all():
         return np.zeros((0, 2))

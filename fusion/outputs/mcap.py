@@ -61,7 +61,7 @@ def write_mcap(
     Raises
     ------
     InputError
-        Where times lie before zero, which the format cannot hold.
+        If times lie before zero, which the format cannot hold.
     """
     from mcap.writer import Writer
 

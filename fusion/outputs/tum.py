@@ -31,7 +31,7 @@ def write_tum(
     facts
         What the file says of itself.
     velocity
-        Body FRD; None where the log has none.
+        Body FRD; None if the log has none.
     """
     sign = -1.0 if frame is Frame.ROS else 1.0
     y, unit_y, what_y = _aside(table)

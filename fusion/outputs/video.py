@@ -42,7 +42,7 @@ def write_video(result: FusionResult, flight: Flight, path: Path, progress: Prog
     Raises
     ------
     InputError
-        Where no picture of the flight can be read.
+        If no picture of the flight can be read.
     """
     import av
 

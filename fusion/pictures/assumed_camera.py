@@ -181,7 +181,7 @@ def assume_views(
     Raises
     ------
     InputError
-        Where the given field of view is no camera's.
+        If the given field of view is no camera's.
     """
     if horizontal_fov_rad is not None and not FOV_RANGE_RAD[0] <= horizontal_fov_rad <= FOV_RANGE_RAD[1]:
         low, high = (degrees(bound) for bound in FOV_RANGE_RAD)

@@ -56,7 +56,7 @@ class AttitudeFile:
         Raises
         ------
         InputError
-            Where it is missing, of another shape, or has no usable row.
+            If it is missing, of another shape, or has no usable row.
         """
         try:
             check_is_file(path)
@@ -70,7 +70,7 @@ class AttitudeFile:
         return _read_by_time(path)
 
     def of(self, picture: Path, t_ns: int | None) -> Attitude | None:
-        """Attitude at a picture, None where the file has none for it."""
+        """Attitude at a picture, None if the file has none for it."""
         named = self.by_name.get(picture.name)
         if named is not None or t_ns is None or len(self.t_ns) == 0:
             return named

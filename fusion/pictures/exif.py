@@ -30,7 +30,7 @@ class PictureHeader:
     width_px, height_px
         After the turn that the camera noted down.
     film_mm
-        EXIF's focal length on 35 mm film; None where it is not written, or the picture was cropped since.
+        EXIF's focal length on 35 mm film; None if it is not written, or the picture was cropped since.
     """
 
     width_px: int
@@ -52,7 +52,7 @@ def read_header(path: Path) -> PictureHeader | None:
     Returns
     -------
     PictureHeader or None
-        None where the picture cannot be read.
+        None if the picture cannot be read.
     """
     from PIL import Image
 

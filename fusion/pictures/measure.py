@@ -41,7 +41,7 @@ def find_images(sources: Sequence[Path]) -> list[Path]:
     Raises
     ------
     InputError
-        Where a source does not exist or a folder contains no picture.
+        If a source does not exist or a folder contains no picture.
     """
     found: list[Path] = []
     for source in sources:
@@ -99,7 +99,7 @@ def camera_for(camera: Camera, image: GreyImage, file: Path) -> Camera:
     Raises
     ------
     InputError
-        Where the aspect ratios differ by more than one percent.
+        If the aspect ratios differ by more than one percent.
     """
     height, width = image.shape
     if (width, height) == (camera.width_px, camera.height_px):
@@ -156,7 +156,7 @@ def measure_images(
     Raises
     ------
     InputError
-        Where no picture decodes, or the calibration is of pictures of another shape.
+        If no picture decodes, or the calibration is of pictures of another shape.
     """
     if camera is None and views is None:
         views = assume_views(paths) if method == "geometric" else AssumedViews()

@@ -34,7 +34,7 @@ def write_report(
     Raises
     ------
     InputError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     from fusion.report.page import render_report, replace_text
 

@@ -77,7 +77,7 @@ def write_comparison_figure(
     Raises
     ------
     InputError
-        Where the ending is none of `FORMATS`, or the file cannot be written.
+        If the ending is none of `FORMATS`, or the file cannot be written.
     """
     if path.suffix.lower() not in FORMATS:
         remedy = f"end it in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}"

@@ -16,14 +16,14 @@ from vision.measurement import Attitude, FrameMeasurement, Position, Prior, Reas
 
 
 class RemeasuredFrame(NamedTuple):
-    """A frame's picture, and its measurement with lines; None where it could not be measured again."""
+    """A frame's picture, and its measurement with lines; None if it could not be measured again."""
 
     image: GreyImage
     measurement: FrameMeasurement | None
 
 
 def measure_frame_again(result: FusionResult, flight: Flight, row: int) -> RemeasuredFrame | None:
-    """Read and measure a frame again, with what the filter knew; None where its picture does not decode.
+    """Read and measure a frame again, with what the filter knew; None if its picture does not decode.
 
     The lines are the new measurement's, the numbers those that went into the filter.
 
@@ -108,7 +108,7 @@ def interpolated_attitude(flight: Flight, t_ns: int, within_s: float = 0.5) -> A
     Returns
     -------
     Attitude or None
-        None where no sample is near.
+        None if no sample is near.
     """
     stream = flight.attitude
     if stream is None or not stream.t_ns.size:

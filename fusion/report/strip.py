@@ -30,7 +30,7 @@ class ChosenFrame:
 
 @dataclass(frozen=True, slots=True)
 class DrawnFrame:
-    """A chosen frame, drawn; ``picture`` is a data URI, None where the file does not decode."""
+    """A chosen frame, drawn; ``picture`` is a data URI, None if the file does not decode."""
 
     row: int
     why: str

@@ -34,7 +34,7 @@ def data_frame(table: Table, origin_ns: int, *, seconds: bool, degrees: bool) ->
     Raises
     ------
     InputError
-        Where pandas is not installed.
+        If pandas is not installed.
     """
     try:
         import pandas as pd

@@ -95,7 +95,7 @@ class FusionResult:
         Raises
         ------
         InputError
-            Where there is no such table, or pandas is not installed.
+            If there is no such table, or pandas is not installed.
         """
         if table not in TABLES:
             raise InputError(f"there is no table {table!r}", remedy=f"use one of {', '.join(TABLES)}")

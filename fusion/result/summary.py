@@ -36,9 +36,9 @@ class Check(Record):
     meaning
         One sentence: what this says about the flight.
     action
-        One sentence: what to do; empty where nothing needs doing.
+        One sentence: what to do; empty if nothing needs doing.
     number
-        What ``value`` says in words, in SI units and radians: what many flights are compared by; None where no one
+        What ``value`` says in words, in SI units and radians: what many flights are compared by; None if no one
         number says it.
     """
 
@@ -55,7 +55,7 @@ class Check(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorStatistics(Record):
-    """Errors of one quantity, estimate minus truth; None where no row was left to judge.
+    """Errors of one quantity, estimate minus truth; None if no row was left to judge.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class CorridorErrors(Record):
     status_share
         Share of those rows in each status; None for single frames, which have none.
     heading, lateral_offset_m, lateral_offset_norm
-        Errors of each quantity; None where the table or the truth has no such column.
+        Errors of each quantity; None if the table or the truth has no such column.
     """
 
     optional = frozenset({"status_share", "lateral_offset_m", "lateral_offset_norm"})
@@ -136,7 +136,7 @@ class TableErrors(Record):
     status_share
         Share of the rows in each status; None for single frames.
     heading, lateral_offset_m, lateral_offset_norm
-        Errors of each quantity; None where the table or the truth has no such column.
+        Errors of each quantity; None if the table or the truth has no such column.
     corridors
         The same by the truth's corridor id, as text.
     """

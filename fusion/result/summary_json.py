@@ -26,7 +26,7 @@ def read_summary(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     OSError, ValueError
-        Where the file cannot be read, is too large, or holds something else.
+        If the file cannot be read, is too large, or holds something else.
     """
     check_is_file(Path(path))
     with Path(path).open("rb") as file:

@@ -29,7 +29,7 @@ def write_table(table: Table, path: str | Path) -> None:
     Raises
     ------
     InputError
-        Where ``path`` is a folder or cannot be written.
+        If ``path`` is a folder or cannot be written.
     """
     with replacing(Path(path)) as draft, draft.open("w", encoding="utf-8", newline="") as file:
         print_table(table, file)
@@ -75,7 +75,7 @@ def read_table(path: str | Path, dtype: np.dtype[Any]) -> Table:
     Raises
     ------
     InputError
-        Where the file is missing, its header is another, or a row is torn or has no number where one belongs.
+        If the file is missing, its header is another, or a row is torn or has no number where one belongs.
     """
     names = list(dtype.names or ())
     chunks: list[Table] = []

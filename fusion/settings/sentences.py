@@ -50,7 +50,7 @@ class Complaint:
 
     @property
     def field(self) -> FieldInfo | None:
-        """What the model says of the setting; None where it is unknown."""
+        """What the model says of the setting; None if it is unknown."""
         return self.model.model_fields.get(self.name)
 
     @property
@@ -96,6 +96,6 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def did_you_mean(name: str, known: Iterable[str], *, cutoff: float = 0.5) -> str | None:
-    """Ask whether the nearest of the known names was meant; None where none is near."""
+    """Ask whether the nearest of the known names was meant; None if none is near."""
     near = get_close_matches(name[:100], list(known), n=1, cutoff=cutoff)
     return f"did you mean {near[0]}?" if near else None

@@ -31,7 +31,7 @@ def read_toml(path: str | Path, example: str = "name = 1.5") -> dict[str, Any]:
     Raises
     ------
     InputError
-        Where the file is missing or torn.
+        If the file is missing or torn.
     """
     text = ""
     try:
@@ -143,7 +143,7 @@ def settings_text(model: type[Config], command: str, file: str | Path | None = N
     Raises
     ------
     InputError
-        Where the file cannot be read or used.
+        If the file cannot be read or used.
     """
     config = model() if file is None else build(model, read_toml(file), file)
     whose = "the defaults" if file is None else f"as {Path(file).name} makes them"

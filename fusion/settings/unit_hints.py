@@ -79,7 +79,7 @@ def unit_of(name: str, description: str | None) -> str:
 
 
 def suggestion(name: str, value: Any, units: Mapping[str, str]) -> str | None:
-    """Say which setting an unknown name may mean, its unit and the value in it; None where nothing is near.
+    """Say which setting an unknown name may mean, its unit and the value in it; None if nothing is near.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def suggestion(name: str, value: Any, units: Mapping[str, str]) -> str | None:
 
 
 def as_number(name: str, value: Any) -> str | None:
-    """Say how to write a value that was given as text with a unit, such as ``"220 cm"``; None where it is not."""
+    """Say how to write a value that was given as text with a unit, such as ``"220 cm"``; None if it is not."""
     match = _QUANTITY.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
     foreign = FOREIGN.get(match[2].lower()) if match else None
     if match is None or foreign is None:
@@ -120,7 +120,7 @@ def as_number(name: str, value: Any) -> str | None:
 
 
 def too_large(name: str, value: Any) -> str | None:
-    """Say what a number beyond its bound would be, were it meant in a smaller unit; None where that says nothing."""
+    """Say what a number beyond its bound would be, were it meant in a smaller unit; None if that says nothing."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     for suffix, spelling in (

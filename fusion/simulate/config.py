@@ -305,7 +305,7 @@ class SimulationConfig(Settings):
         Raises
         ------
         InputError
-            Where the file is missing or torn, or names something unknown or out of bounds.
+            If the file is missing or torn, or names something unknown or out of bounds.
         """
         return cls.from_values(read_toml(path), path)
 

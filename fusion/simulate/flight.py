@@ -61,7 +61,7 @@ def simulate_flight(
     Raises
     ------
     InputError
-        Where the folder is there already, or cannot be written.
+        If the folder is there already, or cannot be written.
     """
     out = Path(out_dir).absolute()
     if out.exists() and (not out.is_dir() or any(out.iterdir())):

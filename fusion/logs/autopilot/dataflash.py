@@ -99,7 +99,7 @@ def open_log(path: Path) -> LogContents:
     Raises
     ------
     InputError
-        Where it contains none of them.
+        If it contains none of them.
     """
     tables, problems = _tables(path)
     series = [

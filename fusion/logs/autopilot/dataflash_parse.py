@@ -54,7 +54,7 @@ def find_formats(data: mmap | bytes) -> dict[str, Format]:
 
 
 def _format(raw: bytes) -> Format | None:
-    """Read an FMT message after its header; None where it is inconsistent."""
+    """Read an FMT message after its header; None if it is inconsistent."""
     if len(raw) < FMT_LENGTH - HEADER_LENGTH:
         return None
     number, length = raw[0], raw[1]

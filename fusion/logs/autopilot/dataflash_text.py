@@ -48,7 +48,7 @@ def read_messages(path: Path, names: tuple[str, ...]) -> tuple[dict[str, tuple[F
     Raises
     ------
     InputError
-        Where the file cannot be read.
+        If the file cannot be read.
     """
     formats: dict[str, Format] = {}
     rows: dict[str, list[list[str]]] = {}
@@ -84,7 +84,7 @@ def _lines(path: Path) -> Iterator[list[str]]:
 
 
 def _format(fields: list[str]) -> Format | None:
-    """Read a definition; None where it is inconsistent. Its length is that of its fields, packed."""
+    """Read a definition; None if it is inconsistent. Its length is that of its fields, packed."""
     number, _, name, letters, *columns = fields[1:]
     known = all(letter in TYPES for letter in letters) and len(columns) == len(letters) == len(set(columns))
     if not known or not number.isdigit() or int(number) > 255:

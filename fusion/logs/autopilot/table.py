@@ -107,7 +107,7 @@ def map_file(path: Path) -> Any:
     Raises
     ------
     InputError
-        Where it cannot be opened, or is empty.
+        If it cannot be opened, or is empty.
     """
     try:
         with path.open("rb") as file:

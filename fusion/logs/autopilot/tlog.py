@@ -101,7 +101,7 @@ class _Raw:
     wrapped_ns: TimeArray  # of the times that the counter of milliseconds has started over before
 
     def boot_ns(self) -> TimeArray | None:
-        """Return the times (n,) since the vehicle booted; None where the message tells Unix time."""
+        """Return the times (n,) since the vehicle booted; None if the message tells Unix time."""
         if "time_boot_ms" in (self.rows.dtype.names or ()):
             return nanoseconds(self.rows["time_boot_ms"], 1_000_000) + self.wrapped_ns
         unix = float(np.median(self.rows["time_usec"])) > UNIX_US
@@ -147,7 +147,7 @@ def open_log(path: Path) -> LogContents:
     Raises
     ------
     InputError
-        Where pymavlink is not installed, or the log holds none of them.
+        If pymavlink is not installed, or the log holds none of them.
     """
     tables, problems = _tables(path)
     series = _series(tables)

@@ -132,7 +132,7 @@ def open_log(path: Path) -> LogContents:
     Raises
     ------
     InputError
-        Where pyulog is not installed, or the file holds none of them.
+        If pyulog is not installed, or the file holds none of them.
     """
     log, problems = _parse(path)
     found: dict[tuple[str, int], _Table] = {}

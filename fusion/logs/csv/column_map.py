@@ -99,14 +99,14 @@ class ColumnMap(BaseModel):
         return self
 
     def columns_of(self, role: str) -> tuple[Column, ...]:
-        """Return the columns named for a role such as ``gyro``; none where it is left open."""
+        """Return the columns named for a role such as ``gyro``; none if it is left open."""
         named: tuple[Column, ...] | Column | None = self._roles()[role][0]
         if named is None:
             return ()
         return named if isinstance(named, tuple) else (named,)
 
     def unit_of(self, role: str) -> str | None:
-        """Return the unit of a role's columns; None where it has none."""
+        """Return the unit of a role's columns; None if it has none."""
         return self._roles()[role][1]
 
     @property

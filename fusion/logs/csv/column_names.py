@@ -59,7 +59,7 @@ def ready_map_of(layout: Layout) -> str | None:
 
 
 def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
-    """Make a map of the columns whose names are known, and say what unit was assumed; None where there are none.
+    """Make a map of the columns whose names are known, and say what unit was assumed; None if there are none.
 
     A vector's unit is that in brackets behind its names or at their end (``gyro_x_deg_s``); else SI.
     """
@@ -149,7 +149,7 @@ def _axes(layout: Layout, role: str) -> list[list[str]]:
 
 
 def _sensor_of(layout: Layout) -> str | None:
-    """Return which sensor a file is named after, as ``Gyroscope.csv`` of phones is; None where it is not."""
+    """Return which sensor a file is named after, as ``Gyroscope.csv`` of phones is; None if it is not."""
     stem = layout.path.stem.lower()
     return next((role for word, role in _SENSORS.items() if word in stem), None)
 
@@ -167,7 +167,7 @@ def has_asl_names(columns: ColumnMap) -> bool:
 
 
 def _find(known: list[tuple[str, str]], patterns: list[list[str]], role: str) -> tuple[list[int], str]:
-    """Return the columns of the first pattern that a file has, and their unit, if any; none where it has none."""
+    """Return the columns of the first pattern that a file has, and their unit, if any; none if it has none."""
     for _, places, unit in _spellings(known, patterns, role):
         columns = [i for i in places if i is not None]
         if len(columns) == len(places):

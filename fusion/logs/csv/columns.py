@@ -108,7 +108,7 @@ def open_columns(
     Raises
     ------
     InputError
-        Where the file cannot be read, a column is missing, or nothing says what the columns are.
+        If the file cannot be read, a column is missing, or nothing says what the columns are.
     """
     layout = read_layout(
         path, *(() if not isinstance(columns, ColumnMap) else (columns.separator, columns.header))
@@ -326,7 +326,7 @@ class _Table:
         Raises
         ------
         UndecidedError
-            Where that stays open and matters.
+            If that stays open and matters.
         """
         pose_frame, declared = self.body_frame().value, self.frame or self.columns.velocity_frame
         name = names_the_world(self.columns)

@@ -43,7 +43,7 @@ def open_log(path: Path) -> LogContents:
     Raises
     ------
     InputError
-        Where its table or a scale is missing.
+        If its table or a scale is missing.
     """
     lines = read_head(path)
     start = next((i for i, line in enumerate(lines) if line.strip().startswith("t,")), None)

@@ -38,7 +38,7 @@ def open_log(path: Path) -> LogContents:
     Raises
     ------
     InputError
-        Where the gyroscope cannot be read.
+        If the gyroscope cannot be read.
     """
     tables = _tables(path)
     (t_ns, gyro), problems = _read(tables[GYRO], "gyro")

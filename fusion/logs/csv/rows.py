@@ -32,7 +32,7 @@ _WORDS = {"true": "1", "false": "0", "null": "nan", "none": "nan"}
 
 
 def parse_time(text: str) -> int | None:
-    """Whole number that fits 64 bits, such as nanoseconds; None where the text is something else."""
+    """Whole number that fits 64 bits, such as nanoseconds; None if the text is something else."""
     if not re.fullmatch(r"[+-]?0*[0-9]{1,19}", text):
         return None
     number = int(text)
@@ -76,7 +76,7 @@ def read_head(path: Path) -> list[str]:
     Raises
     ------
     InputError
-        Where it cannot be read or holds nothing but blanks.
+        If it cannot be read or holds nothing but blanks.
     """
     try:
         check_is_file(path)
@@ -131,7 +131,7 @@ def read_blocks(
     Raises
     ------
     InputError
-        Where the file cannot be read.
+        If the file cannot be read.
     """
 
     def rows_of(text: str) -> list[str]:
@@ -275,7 +275,7 @@ class _Part(NamedTuple):
 
 
 def _parse_fast(lines: list[str], fmt: RowFormat) -> npt.NDArray[np.void] | None:
-    """Parse rows by numpy; None where it does not take them."""
+    """Parse rows by numpy; None if it does not take them."""
     columns = (fmt.first, *fmt.others)
     takes_all = columns == tuple(range(fmt.width or 0))  # then numpy sees to it that no row is longer
     if fmt.width is not None and not takes_all and not _all_of_width(lines, fmt):

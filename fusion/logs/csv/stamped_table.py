@@ -69,7 +69,7 @@ def read_table(
     Raises
     ------
     InputError
-        Where no usable rows are left, or the columns or the times are not what they should be.
+        If no usable rows are left, or the columns or the times are not what they should be.
     """
     head = read_table_head(path)
     order: list[int] | None = None
@@ -107,7 +107,7 @@ def read_table_head(path: Path) -> Head:
     Raises
     ------
     InputError
-        Where it cannot be read, or has no row.
+        If it cannot be read, or has no row.
     """
     lines = read_head(path)
     names: tuple[str, ...] | None = None
@@ -148,7 +148,7 @@ def check_columns(path: Path, head: Head, width: int, columns: Sequence[str]) ->
     Raises
     ------
     InputError
-        Where most of the first rows have a wrong number of columns or no whole time.
+        If most of the first rows have a wrong number of columns or no whole time.
     """
     rows = [row.split(",") for row in head.sample]
     wrong = [len(fields) for fields in rows if len(fields) != width]

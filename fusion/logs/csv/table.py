@@ -103,7 +103,7 @@ class Layout:
         raise InputError(f"has no column {column!r} ({key})", file=self.path, remedy=remedy)
 
     def look_for(self, name: str) -> int | None:
-        """Return the index of a column by its name, upper or lower case; None where there is no such column."""
+        """Return the index of a column by its name, upper or lower case; None if there is no such column."""
         plain = _plain(name)[0]
         for wanted, there in ((plain, self.names), (plain.lower(), [n.lower() for n in self.names])):
             if wanted and wanted in there:
@@ -134,7 +134,7 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
     Raises
     ------
     InputError
-        Where it cannot be read, is empty, or no text.
+        If it cannot be read, is empty, or no text.
     """
     lines = [_dates_joined(line) for line in read_head(path)]
     if any("\0" in line for line in lines):
@@ -239,7 +239,7 @@ def read_columns(layout: Layout, first: int, others: Sequence[int], first_type: 
     Raises
     ------
     InputError
-        Where no row is left.
+        If no row is left.
     """
 
     def tidy(text: str) -> str:

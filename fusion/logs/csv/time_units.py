@@ -57,7 +57,7 @@ def unit_named(name: str, bracket: str) -> TimeUnit | None:
 
 
 def is_time_name(name: str) -> int | None:
-    """Return how clearly a column's name means time stamps, 0 the clearest; None where it does not."""
+    """Return how clearly a column's name means time stamps, 0 the clearest; None if it does not."""
     plain = name.strip().lower().lstrip("#").strip()
     stem, _, last = plain.rpartition("_")
     candidates = (plain, stem if last in _SPELLINGS else plain)
@@ -114,7 +114,7 @@ def decimal_to_ns(text: str, unit: TimeUnit) -> int:
     Raises
     ------
     ValueError, OverflowError
-        Where the text is not a number, or no finite one.
+        If the text is not a number, or no finite one.
     """
     scale = NS[unit]
     digits = len(str(scale)) - 1
@@ -152,7 +152,7 @@ def dates_to_ns(values: npt.NDArray[np.generic]) -> TimeArray:
 
 
 def _is_month_first(texts: list[str]) -> bool | None:
-    """Tell the order of dates whose year stands last, over all rows; None where both would do.
+    """Tell the order of dates whose year stands last, over all rows; None if both would do.
 
     With dots the day comes first, with AM and PM the month; else a number beyond 12 is the day.
     """

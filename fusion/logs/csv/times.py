@@ -41,7 +41,7 @@ class FrameTimes:
     t_ns
         Time (n,) of each, as they stand.
     names
-        File name of each; None where the file has no such column.
+        File name of each; None if the file has no such column.
     """
 
     row: npt.NDArray[np.int64]
@@ -55,7 +55,7 @@ def read_times(path: Path, columns: ColumnMap | str | None) -> WithProblems[Fram
     Raises
     ------
     InputError
-        Where the file has no time stamps.
+        If the file has no time stamps.
     """
     column_map = columns if isinstance(columns, ColumnMap) else ColumnMap()
     layout = read_layout(path, column_map.separator, column_map.header)
@@ -109,7 +109,7 @@ def read_timed(
     Raises
     ------
     InputError
-        Where no column holds times, or they are too coarse.
+        If no column holds times, or they are too coarse.
     """
     index, *nanoseconds = time_columns(layout, columns, avoid)
     if nanoseconds:
@@ -210,7 +210,7 @@ def time_columns(layout: Layout, columns: ColumnMap, avoid: int | None = None) -
     Raises
     ------
     InputError
-        Where none is named, known by its name, or the only one that rises.
+        If none is named, known by its name, or the only one that rises.
     """
     pair = None if columns.time is not None else _seconds_and_nanoseconds(layout)
     return pair if pair is not None else (_time_column(layout, columns, avoid),)

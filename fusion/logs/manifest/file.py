@@ -35,7 +35,7 @@ def read_manifest(path: str | Path) -> Manifest:
     Raises
     ------
     InputError
-        Where the file is missing or torn, or names something unknown or out of bounds.
+        If the file is missing or torn, or names something unknown or out of bounds.
     """
     path = Path(path)
     return make_manifest(read_toml(path, 'file = "video.mp4"'), file=path)
@@ -122,7 +122,7 @@ def write_manifest(manifest: Manifest, path: str | Path, notes: Mapping[str, str
     Raises
     ------
     InputError
-        Where it cannot be written.
+        If it cannot be written.
     """
     path = Path(path)
     with replacing(path) as draft:

@@ -93,7 +93,7 @@ class StreamSource(BaseModel):
         return self.columns if is_units and isinstance(self.columns, ColumnMap) else None
 
     def how_to_open(self) -> dict[str, Path | float | str | ColumnMap | None]:
-        """Return what the table says on opening the file, by key; None where it says nothing."""
+        """Return what the table says on opening the file, by key; None if it says nothing."""
         return {
             "columns": self.columns,
             "frame": self.frame,
@@ -191,7 +191,7 @@ class CameraSource(StreamSource):
     )
 
     def how_to_open(self) -> dict[str, Path | float | str | ColumnMap | None]:
-        """Return what the table says on opening the file, by key; None where it says nothing."""
+        """Return what the table says on opening the file, by key; None if it says nothing."""
         return super().how_to_open() | {
             "times": self.times,
             "start_ns": self.start_ns,

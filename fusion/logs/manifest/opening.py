@@ -39,7 +39,7 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
     Raises
     ------
     InputError
-        Where it does not open, or a key does not go with this kind of file.
+        If it does not open, or a key does not go with this kind of file.
     """
     from fusion.logs.csv import columns
     from fusion.logs.pictures import picture_folder as folder

@@ -58,7 +58,7 @@ class ManifestLog(LogContents):
         With absolute paths. A clock offset that it leaves open is taken from the camera's calibration, where that
         is a Kalibr chain.
     path
-        The manifest's file; None where there is none.
+        The manifest's file; None if there is none.
     camera
         Calibration to use instead of the manifest's; the manifest's corrections apply to either.
     """
@@ -85,7 +85,7 @@ class ManifestLog(LogContents):
         Raises
         ------
         InputError
-            Where the file does not open.
+            If the file does not open.
         """
         source = self.source(kind)
         path = source.file or self.manifest.log
@@ -133,12 +133,12 @@ class ManifestLog(LogContents):
         return None
 
     def choose(self, kind: Kind) -> WithProblems[str | None]:
-        """Name the topic of its file that a kind of stream is read from; None where there is none, or no clear one.
+        """Name the topic of its file that a kind of stream is read from; None if there is none, or no clear one.
 
         Raises
         ------
         InputError
-            Where the file does not open, the topic that the manifest names is not in it, or there are several
+            If the file does not open, the topic that the manifest names is not in it, or there are several
             cameras or IMUs.
         """
         log = self.log(kind)
@@ -249,7 +249,7 @@ class ManifestLog(LogContents):
 
     @cached_property
     def _gravity(self) -> Gravity | None:
-        """Gravity along the axes that the chosen IMU is read in; None where there is none."""
+        """Gravity along the axes that the chosen IMU is read in; None if there is none."""
         topic = self.choose(Kind.IMU).value
         return None if topic is None else gravity_of(self._imu_as_read(topic).value)
 

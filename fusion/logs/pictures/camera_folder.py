@@ -52,7 +52,7 @@ def read_frames(cam: Path) -> WithProblems[FrameStream]:
     Raises
     ------
     InputError
-        Where there are no frames to be had.
+        If there are no frames to be had.
     """
     if not cam.is_dir():
         raise InputError(
@@ -189,7 +189,7 @@ def check_size(frames: FrameStream, camera: Camera, file: Path | None = None) ->
 
 
 def size_of_pictures(frames: FrameStream) -> tuple[int, int] | None:
-    """Return width and height of the first picture that decodes; None where none of a few does."""
+    """Return width and height of the first picture that decodes; None if none of a few does."""
     tries = 0
     for index in range(len(frames.t_ns)):
         source = frames.source

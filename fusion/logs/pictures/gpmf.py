@@ -59,7 +59,7 @@ class _Sensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Telemetry:
-    """Gyroscope, rad/s, and accelerometer, m/s^2, along the camera's own axes; None where there is none of it."""
+    """Gyroscope, rad/s, and accelerometer, m/s^2, along the camera's own axes; None if there is none of it."""
 
     gyro: VectorStream
     accel: VectorStream | None
@@ -75,7 +75,7 @@ class Telemetry:
 
 
 def read_telemetry(container: InputContainer, first_frame_s: float, start_ns: int) -> Telemetry | None:
-    """Read the telemetry of an open video; None where it carries none.
+    """Read the telemetry of an open video; None if it carries none.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ def open_folder(
     Raises
     ------
     InputError
-        Where there are no pictures, or nothing says when they were taken.
+        If there are no pictures, or nothing says when they were taken.
     """
     names = sorted((name for name in os.listdir(path) if _is_picture(name)), key=_natural)
     if not names:
@@ -121,7 +121,7 @@ def _numbers(names: list[str]) -> npt.NDArray[np.int64]:
 
 
 def _times_inside(path: Path) -> Path | None:
-    """Find the one text file of a folder that gives times; None where there is none or no single one.
+    """Find the one text file of a folder that gives times; None if there is none or no single one.
 
     Public data sets have it beside the folder, under names of their own.
     """

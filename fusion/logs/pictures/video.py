@@ -118,7 +118,7 @@ def open_video(
     Raises
     ------
     InputError
-        Where PyAV is not installed, the file is no video or has no frames, or nothing says when they were taken.
+        If PyAV is not installed, the file is no video or has no frames, or nothing says when they were taken.
     """
     with open_container(path) as container:
         streams = [stream for stream in container.streams.video if not _is_cover(stream)]
@@ -162,7 +162,7 @@ def open_container(path: Path) -> InputContainer:
     Raises
     ------
     InputError
-        Where PyAV is not installed, or the file does not open.
+        If PyAV is not installed, or the file does not open.
     """
     try:
         import av

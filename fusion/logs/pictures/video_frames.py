@@ -65,7 +65,7 @@ class VideoFrames:
         Raises
         ------
         InputError
-            Where it does not decode, or a frame that it is predicted from did not.
+            If it does not decode, or a frame that it is predicted from did not.
         """
         frame = self._frame(int(self._pts[index]))
         if frame is None:
@@ -87,7 +87,7 @@ class VideoFrames:
         Raises
         ------
         InputError
-            Where none of the first frames decodes, or the pictures stand at an angle.
+            If none of the first frames decodes, or the pictures stand at an angle.
         """
         tries = min(_CHECKED_FRAMES, len(self._pts))
         for index in range(tries):
@@ -114,7 +114,7 @@ class VideoFrames:
         self._container, self._coming, self._here, self._before = None, iter(()), None, _NOWHERE
 
     def _frame(self, pts: int) -> VideoFrame | None:
-        """Return the frame of a time stamp; None where the decoder does not give it."""
+        """Return the frame of a time stamp; None if the decoder does not give it."""
         number = self._key_number(pts)
         # Decoding on is cheaper than a jump, unless there is a key frame on the way.
         if self._here is None or pts <= self._before or self._key(number) > self._here[0]:

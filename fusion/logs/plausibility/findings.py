@@ -65,7 +65,7 @@ class Advice:
     media
         Of streams by their names in a manifest; those that it lacks are of a log.
     taken
-        What one of a unit is in SI, ``gyro_unit`` or ``accel_unit``, as the file was read; 1 where it lacks one.
+        What one of a unit is in SI, ``gyro_unit`` or ``accel_unit``, as the file was read; 1 if it lacks one.
     frames
         Axes that the manifest says of streams.
     """

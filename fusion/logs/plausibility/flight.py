@@ -27,7 +27,7 @@ MAX_HEIGHT_M = 20.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Streams:
-    """The streams of a flight that are checked; None where the flight lacks one."""
+    """The streams of a flight that are checked; None if the flight lacks one."""
 
     frames_t_ns: TimeArray | None = None
     imu: ImuStream | None = None
@@ -71,7 +71,7 @@ def check_flight(
     Raises
     ------
     InputError
-        Where fusing would give a wrong answer: units, axes or clocks that are certainly not as taken.
+        If fusing would give a wrong answer: units, axes or clocks that are certainly not as taken.
     """
     alive, findings = examine_streams(_streams(flight), advice)
     for finding in findings:

@@ -47,7 +47,7 @@ class Gravity:
 
 
 def gravity_of(imu: ImuStream) -> Gravity | None:
-    """Measure gravity over the whole log; None where the log has no accelerometer, or too little of it."""
+    """Measure gravity over the whole log; None if the log has no accelerometer, or too little of it."""
     accel = imu.accel_m_s2[np.isfinite(imu.accel_m_s2).all(axis=1)]
     if len(accel) < MIN_SAMPLES:
         return None

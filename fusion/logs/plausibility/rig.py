@@ -57,7 +57,7 @@ def find_body_from_imu(gravity: Gravity, camera: Camera) -> MountRad | None:
     Returns
     -------
     tuple or None
-        Radians, see `fusion.logs.plausibility.mounting`; None where the axes are the vehicle's already, or gravity
+        Radians, see `fusion.logs.plausibility.mounting`; None if the axes are the vehicle's already, or gravity
         and the camera do not agree on how the rig stands.
     """
     if camera.mount_assumed or not gravity.is_seen:
@@ -85,7 +85,7 @@ def body_from_camera_axis(gravity: Gravity, optical_axis: FloatArray) -> Rig | N
     Returns
     -------
     Rig or None
-        None where gravity is not seen, or the camera looks along it.
+        None if gravity is not seen, or the camera looks along it.
     """
     up = gravity.direction if gravity.is_seen else optical_axis
     upward = float(optical_axis @ up)

@@ -62,7 +62,7 @@ class TurnComparison:
 
 
 def compare_turns(imu: ImuStream, attitude: AttitudeStream) -> TurnComparison | None:
-    """Compare gyroscope and attitude; None where they share too little time or motion to tell."""
+    """Compare gyroscope and attitude; None if they share too little time or motion to tell."""
     windows = _window_rates(imu, attitude)
     if windows is None:
         return None

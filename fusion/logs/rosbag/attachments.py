@@ -12,7 +12,7 @@ _MAGIC = b"\x89MCAP0\r\n"
 
 
 def attachments(path: Path) -> dict[str, str]:
-    """Text files attached before the first message of an MCAP file; none where it is no recording of ours."""
+    """Text files attached before the first message of an MCAP file; none if it is no recording of ours."""
     if not path.is_file():
         return {}
     with path.open("rb") as file:
@@ -42,7 +42,7 @@ def is_recording(path: Path) -> bool:
 
 
 def attached_camera(path: Path) -> Camera | None:
-    """Calibration that a recording was made with; None where it carries none."""
+    """Calibration that a recording was made with; None if it carries none."""
     text = attachments(path).get(CAMERA)
     if text is None:
         return None

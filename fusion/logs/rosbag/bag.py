@@ -145,7 +145,7 @@ def open_log(path: Path) -> LogContents:
     Raises
     ------
     InputError
-        Where rosbags is not installed, the bag cannot be read, or contains no topic that is of use.
+        If rosbags is not installed, the bag cannot be read, or contains no topic that is of use.
     """
     bag = Bag(path)
     try:

@@ -27,7 +27,7 @@ ReadPacket = Callable[[int], bytes]
 
 
 def codec_of(form: str) -> str | None:
-    """Return the codec that a ``CompressedImage.format`` names; None where it names none of a video."""
+    """Return the codec that a ``CompressedImage.format`` names; None if it names none of a video."""
     return CODECS.get(form.strip().lower().partition(";")[0])
 
 
@@ -74,7 +74,7 @@ class EncodedPictures:
         Raises
         ------
         InputError
-            Where it does not decode, or what it is predicted from.
+            If it does not decode, or what it is predicted from.
         """
         with self._lock:
             return self._read(index)
@@ -131,7 +131,7 @@ class EncodedPictures:
 
 
 def refusal_of(codec: str) -> str | None:
-    """Return why pictures of a codec cannot be decoded; None where they can."""
+    """Return why pictures of a codec cannot be decoded; None if they can."""
     try:
         import av  # noqa: F401
     except ImportError:

@@ -87,7 +87,7 @@ class Bag:
     Raises
     ------
     InputError
-        Where rosbags is not installed or the file cannot be read.
+        If rosbags is not installed or the file cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -215,7 +215,7 @@ class Bag:
         Raises
         ------
         InputError
-            Where it does not decode.
+            If it does not decode.
         """
         store = _STORES.get(self.ros2) or _STORES.setdefault(self.ros2, _typestore(self.ros2))
         try:
@@ -226,7 +226,7 @@ class Bag:
             raise InputError(f"message does not decode: {one_line(error)}", file=self.path) from error
 
     def start_ns(self) -> int:
-        """When the first message was received, by the index; 0 where that cannot be."""
+        """When the first message was received, by the index; 0 if that cannot be."""
         # The readers of rosbags have it in either of two places, and damaged ones in neither.
         start = getattr(self._reader, "start_time", None)
         metadata = getattr(self._reader, "metadata", None)

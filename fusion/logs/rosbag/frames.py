@@ -65,7 +65,7 @@ class StaticFrames:
                 self.parents[child] = (parent, _matrix(q / length), p)
 
     def mount(self, frame_id: str) -> Mount | None:
-        """Where a frame is on the body; None where the transforms do not lead from one to the other."""
+        """Where a frame is on the body; None if the transforms do not lead from one to the other."""
         R, p, frame = np.eye(3), np.zeros(3), name_of(frame_id)
         for _ in range(DEEPEST):
             if frame.rsplit("/", 1)[-1] in BODIES:

@@ -88,7 +88,7 @@ class Wire:
         return ">" if self.ros2 and raw[1] == 0 else "<"
 
     def stamp_ns(self, raw: bytes, kind: RosType) -> int:
-        """Time of a message's header; `struct.error` where it has none, -1 where it is damaged."""
+        """Time of a message's header; `struct.error` where it has none, -1 if it is damaged."""
         if kind in PX4:
             logged_us, sampled_us = struct.unpack_from(self.order(raw) + "2Q", raw, 4)
             return int(sampled_us if kind is RosType.PX4_ATTITUDE and sampled_us else logged_us) * 1000
@@ -191,7 +191,7 @@ def camera_from_info(
     Returns
     -------
     Camera or None
-        None where the driver says that it was never calibrated (all zero).
+        None if the driver says that it was never calibrated (all zero).
 
     Raises
     ------

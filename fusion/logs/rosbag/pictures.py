@@ -161,7 +161,7 @@ def describe(message: Any, kind: str) -> str:
 
 
 def refusal(message: Any, kind: str) -> str | None:
-    """Why pictures like this one cannot be read; None where they can."""
+    """Why pictures like this one cannot be read; None if they can."""
     if kind == RosType.COMPRESSED:
         codec = codec_of(message.format)
         if codec is not None:
@@ -176,7 +176,7 @@ def grey(message: Any, depth_bits: int = 16) -> GreyImage:
     Raises
     ------
     InputError
-        Where it does not decode, or its encoding is not known.
+        If it does not decode, or its encoding is not known.
     """
     words = _words(message)
     if words is not None:

@@ -32,7 +32,7 @@ class _Record(NamedTuple):
 
     @property
     def op(self) -> int:
-        """What kind of record it is; 0 where it does not say."""
+        """What kind of record it is; 0 if it does not say."""
         return int.from_bytes(self.fields.get(b"op", b"\0"), "little")
 
 
@@ -106,7 +106,7 @@ class UnindexedRos1:
         return self._cached[1]
 
     def _index_chunk(self, number: int) -> bool:
-        """Note a chunk's messages; False where it is damaged or does not end as it should."""
+        """Note a chunk's messages; False if it is damaged or does not end as it should."""
         from io import BytesIO
 
         try:
@@ -197,7 +197,7 @@ def index_mcap(reader: Any) -> str:
     Raises
     ------
     InputError
-        Where no chunk and no message is whole.
+        If no chunk and no message is whole.
     """
     from rosbags.rosbag2.storage_mcap import ChunkInfo
 
@@ -233,7 +233,7 @@ def index_mcap(reader: Any) -> str:
 
 
 def _mcap_record_end(bio: BinaryIO, at: int, size: int) -> tuple[int, int] | None:
-    """Kind and end of a record, or None where no whole one stands."""
+    """Kind and end of a record, or None if no whole one stands."""
     bio.seek(at)
     head = bio.read(9)
     if len(head) < 9 or not 1 <= head[0] <= _MCAP_LAST:

@@ -44,9 +44,9 @@ def unpack(packed: bytes, new: Callable[[], Decompressor]) -> bytes:
     Raises
     ------
     InputError
-        Where they become too many.
+        If they become too many.
     EOFError
-        Where they end within a stream.
+        If they end within a stream.
     """
     bound = unpacked_bound(len(packed))
     parts: list[bytes] = []
@@ -124,7 +124,7 @@ class _BoundedFile:
         Raises
         ------
         InputError
-            Where there are more than the bound.
+            If there are more than the bound.
         """
         part = bytes(self._file.read(size if size > 0 else _PIECE))
         self._left -= len(part)
