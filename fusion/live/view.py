@@ -26,7 +26,7 @@ MOST_WAITING = 20
 
 
 class FoxgloveViewer:
-    """Serves a `fusion.live.session.LiveSession` to Foxglove or Lichtblick, from a thread of its own.
+    """Serves a `fusion.live.session.LiveSession` to Foxglove or Lichtblick, from a separate thread.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class FoxgloveViewer:
         return int(self._server.port)
 
     def frame(self, t_ns: int, image: npt.NDArray[np.uint8], result: FrameResult) -> None:
-        """Show a picture; it is dropped where the last ones still wait."""
+        """Show a picture; it is dropped while earlier ones are waiting."""
         self._offer((t_ns, image, result))
 
     def estimate(self, now_ns: int, e: Estimate) -> None:
