@@ -1,7 +1,8 @@
 """Estimates as MAVLink packets, and the other messages of a component on the network.
 
 ``ODOMETRY`` goes to the autopilot's filter; ``DEBUG_VECT`` and ``NAMED_VALUE_FLOAT`` are plotted by ground stations
-and logged by autopilots without configuration, ``STATUSTEXT`` is read by the pilot. https://mavlink.io/en/messages/common.html
+and logged by autopilots without configuration, ``STATUSTEXT`` is read by the pilot.
+https://mavlink.io/en/messages/common.html
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A flight out of what its manifest names: streams read onto one clock, camera corrected."""
+"""Assemble a flight from the streams of its manifest, on one clock, with its camera corrected."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ VIDEO_HINT = (
 
 
 def assemble_flight(manifest: Manifest, camera: Camera | Path | None = None) -> Flight:
-    """Read the streams that a manifest names, or leaves to be found, onto one clock.
+    """Read the streams that a manifest names or leaves to be chosen, on one clock.
 
     Parameters
     ----------
@@ -39,12 +39,12 @@ def assemble_flight(manifest: Manifest, camera: Camera | Path | None = None) -> 
     Returns
     -------
     Flight
-        Its ``manifest`` names every topic that was chosen.
+        Its ``manifest`` names every chosen topic.
 
     Raises
     ------
     InputError
-        One line naming file, field, value and remedy.
+        In one line: file, field, value and remedy.
     """
     if isinstance(camera, Path):
         manifest, camera = manifest.with_calibration(camera), None
@@ -52,12 +52,12 @@ def assemble_flight(manifest: Manifest, camera: Camera | Path | None = None) -> 
 
 
 def flight_of(sources: ManifestLog) -> Flight:
-    """Read the streams that are to be fused of what a manifest names.
+    """Return the sources of the streams to be fused.
 
     Raises
     ------
     InputError
-        One line naming file, field, value and remedy.
+        In one line: file, field, value and remedy.
     """
     for key, path in files_of(sources.manifest):
         if not path.exists():
@@ -66,19 +66,19 @@ def flight_of(sources: ManifestLog) -> Flight:
 
 
 def checked_flight(sources: ManifestLog, path: Path) -> Flight:
-    """Read a flight, and refuse it where its streams contradict each other: all that decides whether it is fused.
+    """Read a flight, and reject it if its streams contradict each other, for `corridor fuse` and `inspect` alike.
 
     Parameters
     ----------
     sources
-        What is to be fused.
+        The sources to be fused.
     path
-        What the user named, for messages.
+        The path that the user gave, for messages.
 
     Raises
     ------
     InputError
-        One line naming file, field, value and remedy.
+        In one line: file, field, value and remedy.
     """
     flight = flight_of(sources)
     files = {name: s.file for name, s in sources.manifest.streams().items() if s.file is not None}
@@ -86,7 +86,7 @@ def checked_flight(sources: ManifestLog, path: Path) -> Flight:
 
 
 class _Assembly:
-    """One flight in the making: what went wrong so far, and which topics were chosen."""
+    """A flight being assembled: problems so far, and the chosen topics."""
 
     def __init__(self, sources: ManifestLog) -> None:
         self.sources = sources
@@ -94,7 +94,7 @@ class _Assembly:
         self._changes: dict[str, StreamSource] = {}
 
     def flight(self) -> Flight:
-        """Read everything; the pictures first, since without them there is no flight."""
+        """Read all streams, first the pictures, which every flight needs."""
         sources = self.sources
         log, topic = self._picture_topic()
         frames = self._noted(sources.frames(topic))
@@ -120,12 +120,12 @@ class _Assembly:
         )
 
     def _body_from_imu(self) -> tuple[float, float, float] | None:
-        """Rotation that was found, unless the manifest says how to find it."""
+        """Rotation that was found, unless the manifest determines it."""
         rig = self.sources.rig.value
         return None if rig is None or rig.looks_up_rad is not None else rig.mount_rad
 
     def _note(self, problems: Problems) -> None:
-        """Add problems; one of a file, or of a topic that is read twice, is listed once."""
+        """Add problems, each only once even if a file or topic is read twice."""
         self.problems += [text for text in problems if text not in self.problems]
 
     def _noted(self, read: WithProblems[AnyStream]) -> AnyStream:
@@ -163,7 +163,7 @@ class _Assembly:
         return camera
 
     def _how_to_align(self) -> str:
-        """Say how to find the focal length; `corridor align` takes a log or a manifest, not files one by one."""
+        """Explain how to find the focal length; `corridor align` takes a log or a manifest, not single files."""
         manifest, imu = self.sources.manifest, self.sources.log(Kind.IMU)
         if imu is None or not any(topic.kind is Kind.IMU for topic in imu.topics):
             return ""
@@ -195,7 +195,7 @@ class _Assembly:
         try:
             stream = self._noted(read(topic))
         except InputError as error:
-            # The flight can do without what nobody asked for; range finders are often carried beyond their reach.
+            # Streams that were not requested are optional; range finders are often carried beyond their reach.
             is_dispensable = kind is Kind.RANGE or isinstance(error, UndecidedError)
             if not is_dispensable or source.file is not None or source.topic is not None:
                 raise
@@ -216,11 +216,11 @@ class _Assembly:
         return truth
 
     def _name(self, log: LogContents) -> str:
-        log = self.sources.whole_log() or log  # it knows its own root, where only a part of it was named
+        log = self.sources.whole_log() or log  # the whole log knows its root, even if only a part was named
         return log.path.name if log.path.is_dir() else log.path.stem
 
     def _check_clock(self, file: Path, table: str, t_ns: TimeArray, frame_t_ns: TimeArray) -> None:
-        """Raise `InputError` where a stream and the frames have no time in common."""
+        """Raise `InputError` if a stream and the frames do not overlap in time."""
         if t_ns[0] <= frame_t_ns[-1] and t_ns[-1] >= frame_t_ns[0]:
             return
         lag_s = float(t_ns[0] - frame_t_ns[0]) * 1e-9 + self.sources.manifest.camera.clock_offset_s

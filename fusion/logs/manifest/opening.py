@@ -1,4 +1,4 @@
-"""Files as a manifest's tables say: opened with their columns, put onto the flight's clock, into SI units."""
+"""Open files as declared in a manifest: with their columns, on the flight's clock, in SI units."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AnyStream = TypeVar("AnyStream", bound=Any)
 
 
 def with_time_shift(manifest: Manifest) -> Manifest:
-    """Take the camera's clock offset from its calibration, where the manifest leaves it open."""
+    """Take the camera's clock offset from its calibration, if the manifest does not set it."""
     from vision.cameras.calibration import read_time_shift_s
 
     source = manifest.camera
@@ -34,12 +34,12 @@ def with_time_shift(manifest: Manifest) -> Manifest:
 
 
 def open_as_told(path: Path, source: StreamSource) -> LogContents:
-    """Open a file as a manifest's table says: with its column map and axes, its frame times, its start.
+    """Open a file as declared in a manifest's table: with its column map and axes, frame times and start.
 
     Raises
     ------
     InputError
-        If it does not open, or a key does not go with this kind of file.
+        If it cannot be opened, or a key does not apply to this kind of file.
     """
     from fusion.logs.csv import columns
     from fusion.logs.pictures import picture_folder as folder
@@ -78,7 +78,7 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
 
 
 def medium_of(path: Path, source: StreamSource) -> Medium:
-    """Tell what a stream is read from, by a look at its file's beginning."""
+    """Determine the medium of a stream from the beginning of its file."""
     if source.frame is not None or (source.columns is not None and source.units() is None):
         return Medium.TABLE
     try:
@@ -91,7 +91,7 @@ def medium_of(path: Path, source: StreamSource) -> Medium:
 
 
 def on_flights_clock(t_ns: TimeArray, source: StreamSource) -> TimeArray:
-    """Return times (n,) of a file on the flight's clock; the same array where they are on it already."""
+    """Return times (n,) of a file on the flight's clock; the same array if nothing changes."""
     shift_ns = round(source.clock_offset_s * 1e9)
     if source.clock_rate != 1.0:
         t_ns = at_rate(t_ns, source.clock_rate)
@@ -99,7 +99,7 @@ def on_flights_clock(t_ns: TimeArray, source: StreamSource) -> TimeArray:
 
 
 def converted(stream: AnyStream, kind: Kind, columns: ColumnMap) -> AnyStream:
-    """Return a stream of a log whose format has units of its own, where its numbers are in others."""
+    """Convert a stream whose numbers are not in the units of the log's format."""
     scaled: Any = stream
     if isinstance(stream, ImuStream):
         accel_unit = in_si(columns.accel_unit) * columns.accel_sign
