@@ -1,8 +1,8 @@
-"""Gyroflow's IMU logs (``.gcsv``), which action cameras and loggers write beside their video.
+"""Gyroflow's IMU logs (``.gcsv``), written by action cameras and loggers beside their video.
 
-A few lines of ``key,value`` come first, then a table ``t,gx,gy,gz,ax,ay,az`` of counts: ``tscale`` makes seconds of
-them, ``gscale`` rad/s and ``ascale`` g. Axes are the sensor's own and stay as they are: which of them the camera
-looks along is said by ``camera_axis``, see `fusion.logs.manifest.manifest`; gravity tells the rest.
+Lines of ``key,value`` are followed by a table ``t,gx,gy,gz,ax,ay,az`` of counts: ``tscale`` converts them to seconds,
+``gscale`` to rad/s and ``ascale`` to g. Axes are the sensor's own and are not changed: ``camera_axis`` declares the
+one along which the camera looks, see `fusion.logs.manifest.manifest`; the rest follows from gravity.
 
 Format: https://docs.gyroflow.xyz/app/technical-details/gcsv-format
 """
@@ -30,7 +30,7 @@ LONGEST_S = 1e9
 
 
 def recognises(path: Path) -> bool:
-    """Whether a file begins as these logs do."""
+    """Whether a file begins like these logs."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -74,7 +74,7 @@ def open_log(path: Path) -> LogContents:
         f"axes of the sensor; orientation {header.get('orientation', 'not told')} of the camera is not applied"
     )
     log = SeriesLog(path, "Gyroflow IMU log", [Series(Topic("imu", Kind.IMU, t_ns, note), read)], problems)
-    log.body_frame = "frd"  # as they are: nothing was turned
+    log.body_frame = "frd"  # axes unchanged
     return log
 
 

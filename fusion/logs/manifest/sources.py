@@ -138,8 +138,7 @@ class ManifestLog(LogContents):
         Raises
         ------
         InputError
-            If the file does not open, the topic that the manifest names is not in it, or there are several
-            cameras or IMUs.
+            If the file cannot be opened, does not contain the manifest's topic, or contains several cameras or IMUs.
         """
         log = self.log(kind)
         return WithProblems(None) if log is None else choose_topic(log, kind, self.source(kind).topic)
