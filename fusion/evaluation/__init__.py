@@ -1,4 +1,4 @@
-"""How good a fused flight is: errors against a truth, checks, and the verdict made of them.
+"""Quality of a fused flight: errors against ground truth, checks, and the verdict.
 
 May import `fusion.result`, `fusion.alignment` (for the check of the camera's time) and what lies below them. Begin
 reading at `fusion.evaluation.errors` for errors, at `fusion.evaluation.checks` for the table of checks.

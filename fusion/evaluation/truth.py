@@ -1,4 +1,4 @@
-"""The true course of a flight, and how a file's columns become one."""
+"""Ground truth of a flight, and its construction from a file's columns."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ OffsetUnit = Literal["m", "norm"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """A truth and how to compare with it.
+    """A ground truth, and how to compare with it.
 
     Parameters
     ----------
     corridor
-        In FRD; NaN if an offset is not known.
+        In FRD; NaN for unknown offsets.
     fixed_axis
-        Headings are from one axis through the whole flight, not from the corridor being flown.
+        Headings are relative to one axis for the whole flight, not to the corridor being flown.
     offset
-        ``m``, ``norm`` or ``both``: what its offsets can be compared with; None if it has none.
+        ``m``, ``norm`` or ``both``: units of comparable offsets; None if it has none.
     source
         The file, in words.
     frame
-        Convention of signs that it was read by.
+        Sign convention with which it was read.
     problems
         What was dropped on reading.
     """
@@ -46,7 +46,7 @@ class Truth:
     problems: tuple[str, ...] = ()
 
     def shifted(self, seconds: float) -> Truth:
-        """Add seconds to its times: for a truth by another clock.
+        """Add seconds to its times, for a truth with another clock.
 
         Raises
         ------
@@ -56,7 +56,7 @@ class Truth:
         if not seconds:
             return self
         reach_ns = int(np.abs(self.corridor.t_ns).max())
-        if not abs(seconds) * 1e9 + reach_ns < 2**63:  # NaN fails too
+        if not abs(seconds) * 1e9 + reach_ns < 2**63:  # NaN is rejected, too
             raise InputError(f"--truth-shift {seconds:g}: no time of a truth can be shifted by that")
         corridor = replace(self.corridor, t_ns=self.corridor.t_ns + round(seconds * 1e9))
         return replace(self, corridor=corridor, source=f"{self.source}; {seconds:+g} s to its times")
@@ -64,7 +64,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TruthColumns:
-    """What a file says of the true course, row by row, in the file's own convention of signs.
+    """Rows of a ground truth file, in the file's own sign convention.
 
     Parameters
     ----------
@@ -94,16 +94,16 @@ class TruthColumns:
 def truth_of(
     columns: TruthColumns, path: Path, frame: Frame, problems: Problems, *, fixed_axis: bool, kind: str
 ) -> Truth:
-    """Make a truth of a file's columns: rows with a heading, in order of time, in FRD.
+    """Make a ground truth from a file's columns: rows with a heading, in order of time, in FRD.
 
     Parameters
     ----------
     columns
         As read.
     path, kind
-        The file, and what kind of truth it holds, for `Truth.source`.
+        The file, and its kind of truth, for `Truth.source`.
     frame
-        Convention of its signs.
+        Its sign convention.
     problems
         What was dropped on reading.
     fixed_axis
@@ -144,13 +144,13 @@ def truth_of(
 
 
 def _offset_in_metres(columns: TruthColumns) -> tuple[FloatArray, FloatArray, str]:
-    """Return offsets and widths (n,) in metres, and what the offsets can be compared with; see `Truth.offset`."""
+    """Return offsets and widths (n,) in metres, and the units of comparable offsets; see `Truth.offset`."""
     offset = columns.offset
     width_m = np.full(len(offset), np.nan) if columns.width_m is None else columns.width_m
     known = np.isfinite(width_m)
     if columns.offset_unit == "m":
         return offset, width_m, "both" if known.any() else "m"
-    # Where no width is known, one of two metres makes an offset in half widths one in metres of the same value.
+    # If no width is known, a width of 2 m makes an offset in half widths equal to one in metres.
     offset_m = np.where(known, offset * width_m / 2, offset)
     return offset_m, np.where(known, width_m, 2.0), "both" if known.any() else "norm"
 

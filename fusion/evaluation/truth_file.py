@@ -1,6 +1,6 @@
-"""The true course of a flight, from files as people have them: CSV with a heading, TUM, an earlier output.
+"""Ground truth of a flight from files in common forms: CSV with a heading, TUM, an earlier output.
 
-Two kinds of heading are told apart. ``heading_*`` is the angle from the axis of the corridor being flown, as in
+There are two kinds of heading. ``heading_*`` is the angle from the axis of the corridor being flown, as in
 ``corridor_truth.csv``. ``yaw_*`` and quaternions are angles from one fixed axis; they are compared with the
 heading plus the turn between corridors, and offsets only within the first corridor.
 """
@@ -67,12 +67,12 @@ def read_truth(path: str | Path, frame: Frame | None = None) -> Truth:
     path
         The file or folder.
     frame
-        Convention of its signs. None: what the file says of itself; a CSV that says nothing is in FRD.
+        Convention of its signs. None: as declared in the file; a CSV without a declaration is in FRD.
 
     Raises
     ------
     InputError
-        If it cannot be read, lacks a time or a heading, or its convention or units are not known.
+        If it cannot be read, lacks a time or a heading, or its convention or units are unknown.
     """
     path = Path(path)
     if path.is_dir():
@@ -96,7 +96,7 @@ def read_truth(path: str | Path, frame: Frame | None = None) -> Truth:
 
 
 def _frame_beside(path: Path) -> Frame | None:
-    """Convention of a table that lies in an output folder."""
+    """Convention of a table in an output folder."""
     if path.name not in ("estimates.csv", "smoothed.csv"):
         return None
     with suppress(OSError, ValueError, KeyError):
@@ -191,7 +191,7 @@ def _read(
 ) -> WithProblems[Rows]:
     """Read the times, as texts, and columns of numbers; a field that is not a number becomes NaN."""
     fmt = RowFormat(separator, first, others, "O", width=len(names), keep_bad_fields=True)
-    # A last line is not taken for cut because its number is shorter: truths are written by hand too.
+    # A shorter last line is not taken for truncated, because truths may be written by hand.
     blocks = read_blocks(path, separator, leave_out_cut=False)
     rows = read_rows(_without_names(blocks, separator), fmt)
     if not len(rows.first):
@@ -210,7 +210,7 @@ def _read(
 
 
 def _without_names(blocks: Iterable[Block], separator: str) -> Iterator[Block]:
-    """Leave out what stands before the first row of numbers."""
+    """Skip lines before the first row of numbers."""
     begun = False
     for rows, cut in blocks:
         start = 0
@@ -246,7 +246,7 @@ def _find_time(path: Path, column: Mapping[str, int], row: Sequence[str]) -> tup
 
 @dataclass(frozen=True, slots=True)
 class _Heading:
-    """Which columns give the heading: an angle and its unit in radians, or a quaternion w, x, y, z."""
+    """Columns of the heading: an angle and its unit in radians, or a quaternion w, x, y, z."""
 
     names: tuple[str, ...]
     unit_rad: float
@@ -254,22 +254,22 @@ class _Heading:
     kind: str
 
     def of(self, values: Sequence[FloatArray], path: Path) -> FloatArray:
-        """Return the angles (n,), radians, of the columns' values (n,); ``path`` for a complaint."""
+        """Return the angles (n,), radians, of the columns' values (n,); ``path`` for an error."""
         if len(values) == 1:
             return self.unit_rad * values[0]
         return _yaw_of_body(np.column_stack(values), path, "w, x, y, z")
 
 
 def _yaw_of_body(q: FloatArray, path: Path, order: str) -> FloatArray:
-    """Return the yaw (n,) of quaternions (n, 4), w x y z, of a vehicle that flies level, either side up.
+    """Return the yaw (n,) of quaternions (n, 4), w x y z, of a vehicle that flies level, upright or inverted.
 
     Raises
     ------
     InputError
-        If it lies on its side, or would be level if the quaternions were not read in ``order`` but in another.
+        If it is on its side, or would be level with another order of the quaternions than ``order``.
     """
     is_upright, off_deg = _off_level(q)
-    # In the wrong order, a level vehicle that has turned by an angle is upside down but for that angle.
+    # In the wrong order, a level vehicle with a yaw angle appears upside down, tilted by that angle.
     suspicious_deg = 20.0 if is_upright else 5.0
     other, shift = ("w, x, y, z", -1) if order == "x, y, z, w" else ("x, y, z, w", 1)
     if off_deg > suspicious_deg and _off_level(np.roll(q, shift, axis=1))[1] < 0.5 * off_deg:
@@ -290,7 +290,7 @@ def _yaw_of_body(q: FloatArray, path: Path, order: str) -> FloatArray:
 
 
 def _off_level(q: FloatArray) -> tuple[bool, float]:
-    """Whether quaternions (n, 4) are usually upright, and by how many degrees they are usually off level."""
+    """Whether quaternions (n, 4) are mostly upright, and their median tilt in degrees."""
     tilt_deg = np.degrees(np.arccos(np.clip(1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), -1.0, 1.0)))
     tilt_deg = tilt_deg[np.isfinite(tilt_deg)]
     if not len(tilt_deg):

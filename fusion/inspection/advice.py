@@ -1,4 +1,4 @@
-"""What can be fused from a log, what is missing, and how to supply it: one sentence each."""
+"""Advice on a log: what can be fused, what is missing, and how to supply it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from vision import InputError
 
 
 class Matter(StrEnum):
-    """What a sentence is about."""
+    """Subject of a sentence."""
 
-    FUSE = "fuse"  # what can be done as it is
+    FUSE = "fuse"  # what can be fused as it is
     MISSING = "missing"  # needed before anything can be fused
     BETTER = "better"  # would help, but is not needed
 
@@ -45,20 +45,20 @@ def advise(
     unclear: Mapping[Kind, str],
     refusal: InputError | None = None,
 ) -> Iterator[Sentence]:
-    """Yield what can be fused, what has to be supplied first, and what would make it better.
+    """Yield what can be fused, what must be supplied first, and what would improve the result.
 
     Parameters
     ----------
     name
-        What the user called the log.
+        The user's name of the log.
     streams
-        Everything that was found in it.
+        All streams found in it.
     findings
-        What is implausible about the chosen streams.
+        Implausible properties of the chosen streams.
     unclear
-        Why no topic of a kind was chosen, where there is one.
+        Reasons why no topic of a kind was chosen.
     refusal
-        Why the flight would be refused.
+        Reason why the flight would be rejected.
     """
     usable = {stream.kind: stream for stream in streams if stream.chosen and _is_usable(stream)}
     missing = list(_missing(name, usable, findings, unclear))

@@ -21,7 +21,7 @@ from fusion.logs.samples import counted
 from fusion.printable import printable
 
 WIDTH = 110
-ONE_CLOCK_S = 1e6  # streams further apart than eleven days do not share a clock
+ONE_CLOCK_S = 1e6  # streams more than eleven days apart have different clocks
 LISTED = 3
 
 _NO_BREAK = "\N{NO-BREAK SPACE}"
@@ -33,7 +33,7 @@ _TITLES = {
 
 
 def inspection_values(inspection: Inspection) -> dict[str, Any]:
-    """Return an inspection as plain values: numbers, texts, lists and mappings; units are in the names."""
+    """Return an inspection as plain values: numbers, texts, lists and mappings; names include units."""
     values = asdict(inspection, dict_factory=lambda pairs: {k: v for k, v in pairs if k != "first_picture"})
     for stream in values["streams"]:
         stream["kind"] = str(stream["kind"])
@@ -41,7 +41,7 @@ def inspection_values(inspection: Inspection) -> dict[str, Any]:
 
 
 def inspection_text(inspection: Inspection) -> str:
-    """Lay out an inspection for reading."""
+    """Format an inspection as text."""
     streams = inspection.streams
     start_ns = _start(streams)
     lines = [f"{inspection.path}: {inspection.format}", *_when(streams), ""]
@@ -61,7 +61,7 @@ def inspection_text(inspection: Inspection) -> str:
 
 
 def _wrapped(text: str, first: str, then: str) -> list[str]:
-    # a number and its unit stay together
+    # keep a number and its unit together
     text = re.sub(r"(?<=\d) (?=(?:s|Hz|px|ms|m/s|degrees)\b)", _NO_BREAK, text)
     lines = wrap(
         text,
@@ -164,7 +164,7 @@ def _described(stream: StreamFindings, start_ns: int | None) -> Iterator[str]:
 
 
 def _is_judged(timing: Timing) -> bool:
-    """Whether an IMU's log is long and dense enough to look for still periods in it."""
+    """Whether an IMU's log is long and dense enough to detect still periods."""
     return (timing.rate_hz or 0.0) * MAX_STEP_S >= 1.0 and timing.duration_s >= MIN_STILL_S
 
 
@@ -254,7 +254,7 @@ def _problems(inspection: Inspection, start_ns: int | None) -> Iterator[str]:
             yield text if stream.name in text else f"{stream.name}: {text}"
         yield from _timing_problems(stream, start_ns)
     for finding in inspection.findings:
-        # errors are listed under what has to be put right first, jumps with the stream's other times
+        # errors are listed under the required corrections, jumps with the stream's other times
         if finding.severity is Severity.WARNING and finding.kind != "time_jump":
             yield finding.sentence
 

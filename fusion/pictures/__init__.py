@@ -1,4 +1,4 @@
-"""Measure pictures without a flight: what `corridor measure` does.
+"""Measure pictures without a flight, for `corridor measure`.
 
 May import `fusion.logs`, `fusion.estimator.tables` and what lies below them. Begin reading at
 `fusion.pictures.measure`.
