@@ -35,7 +35,7 @@ class Truth:
     frame
         Sign convention with which it was read.
     problems
-        What was dropped on reading.
+        Problems of reading.
     """
 
     corridor: CorridorTruth
@@ -105,7 +105,7 @@ def truth_of(
     frame
         Its sign convention.
     problems
-        What was dropped on reading.
+        Problems of reading.
     fixed_axis
         See `Truth`.
 
