@@ -1,4 +1,4 @@
-"""A fused fleet in words: what ``corridor batch`` prints, plain and stable."""
+"""Output of ``corridor batch``: a fused fleet as plain, stable text."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def memory_bytes(text: str) -> int:
     Raises
     ------
     InputError
-        Where it is none, or less than a worker needs to start.
+        If it is invalid, or less than a worker needs to start.
     """
     match = _SIZE.fullmatch(text.strip())
     if match is None:
@@ -40,7 +40,7 @@ def memory_bytes(text: str) -> int:
 
 
 def batch_text(fleet: Fleet, out: Path, comparison: FleetComparison | None = None) -> str:
-    """Lay out a fleet for reading: verdicts, medians, the worst flights, and what a change did."""
+    """Format a fleet as text: verdicts, medians, the worst flights, and the comparison."""
     rows = fleet.rows
     verdicts = sorted({row.verdict for row in rows}, key=rank)
     counts = ", ".join(
@@ -109,7 +109,7 @@ def _change_line(change: FlightChange) -> str:
 
 
 def batch_values(fleet: Fleet, comparison: FleetComparison | None = None) -> dict[str, Any]:
-    """Return a fleet as plain values for JSON: all rows, and what became of each flight."""
+    """Return a fleet as plain values for JSON: all rows, and the change of each flight."""
     found: dict[str, Any] = {
         "flights": [flat(row) for row in fleet.rows],
         "kept": fleet.kept,

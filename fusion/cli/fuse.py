@@ -100,7 +100,7 @@ def fuse(
     from fusion.outputs.folder import check_out_dir, write_outputs
 
     if out is not None:
-        check_out_dir(out)  # before the work, not after it
+        check_out_dir(out)  # before the work
     exports = check_formats(export or ())
     settings = None if config is None else FusionConfig.from_toml(config)
     again = None

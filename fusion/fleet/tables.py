@@ -1,4 +1,4 @@
-"""The fleet's table as CSV and Parquet, written whole and read back."""
+"""The fleet's table as CSV and Parquet, written atomically and read back."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def has_parquet() -> bool:
 
 
 def write_tables(rows: Sequence[FleetRow], folder: Path) -> None:
-    """Write ``fleet.csv``, and ``fleet.parquet`` where its library is installed, each whole or not at all.
+    """Write ``fleet.csv``, and ``fleet.parquet`` if its library is installed, each atomically.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def read_fleet(path: str | Path) -> list[FleetRow]:
     Raises
     ------
     InputError
-        If it is not there, or is something else.
+        If it does not exist, or is something else.
     """
     path = Path(path)
     if path.is_dir():
@@ -87,7 +87,7 @@ def read_fleet(path: str | Path) -> list[FleetRow]:
         rows = [row_from(values) for values in _read(path)]
     except InputError:
         raise
-    except Exception as error:  # pyarrow, csv and text decoding have their own
+    except Exception as error:  # pyarrow, csv and text decoding raise various errors
         raise InputError(
             f"cannot be read: {error}", file=path, remedy="give a batch's fleet.parquet"
         ) from error

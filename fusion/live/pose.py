@@ -105,7 +105,9 @@ class PoseTracker:
             return
         if isfinite(self._across_m) and e.lateral_reset_count != self._lateral_count:
             self.reset_counter = (self.reset_counter + 1) % 256
-        elif not isfinite(self._across_m) and self._corridor:  # first offset in a new corridor: shifts its axis
+        elif (
+            not isfinite(self._across_m) and self._corridor
+        ):  # first offset in a new corridor: shifts its axis
             self._origin_m -= self._right() * e.lateral_offset_m
         self._across_m, self._lateral_count = e.lateral_offset_m, e.lateral_reset_count
 

@@ -32,9 +32,7 @@ from fusion.live.vision_thread import Measured, VisionThread
 from vision import Camera, InputError, warm_up
 from vision.images import to_grey
 
-DEFAULT_DELAY_STD_S = (
-    0.02  # of the camera's delay, if not configured: the delay is then estimated in flight
-)
+DEFAULT_DELAY_STD_S = 0.02  # of the camera's delay, if not configured: the delay is then estimated in flight
 LINGER_S = 0.5  # after the last picture of a camera that has an end
 KEPT_LATENCIES = 100_000
 LONGEST_WAIT_S = 0.05

@@ -209,9 +209,7 @@ def range_stream(
         Rows (n,) that the sensor does not flag as invalid.
     """
     low_m, high_m = (np.broadcast_to(np.asarray(limit, dtype=float), distance_m.shape) for limit in limits_m)
-    with np.errstate(
-        invalid="ignore"
-    ):  # NaN is no limit; a sensor without an echo may report its limit
+    with np.errstate(invalid="ignore"):  # NaN is no limit; a sensor without an echo may report its limit
         low_m = np.where(low_m > 0.0, low_m, 0.0)
         high_m = np.where(high_m > 0.0, np.minimum(high_m, MAX_DISTANCE_M), MAX_DISTANCE_M)
         good = (distance_m > low_m) & (distance_m < high_m)

@@ -78,8 +78,8 @@ class AssumedView:
     def widened(self, measurement: FrameMeasurement) -> FrameMeasurement:
         """Add the assumption's uncertainty to a measurement's sigma; if that is too large, it is not accepted.
 
-        A focal length wrong by a share turns a heading by that share of ``sin(heading) cos(heading)``; an optical
-        axis that does not meet the picture's centre turns all of them.
+        A relative error of the focal length changes a heading by that share of ``sin(heading) cos(heading)``; an
+        optical axis off the picture's centre changes all headings.
         """
         from vision.axis.acceptance import MAX_STD_RAD
         from vision.axis.right_angles import CENTRE_STD_OF_SIDE

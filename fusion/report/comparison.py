@@ -17,7 +17,14 @@ from fusion.report.drawing import FAINT, FILTER, IMU_YAW, RAW_YAW, REJECTED, SMO
 from vision.errors import InputError
 
 FORMATS = (".png", ".svg", ".pdf")
-COLOURS = (FILTER, REJECTED, SMOOTHED, RAW_YAW, IMU_YAW, VISION)  # distinguishable for colour-blind readers, too
+COLOURS = (
+    FILTER,
+    REJECTED,
+    SMOOTHED,
+    RAW_YAW,
+    IMU_YAW,
+    VISION,
+)  # distinguishable for colour-blind readers, too
 STYLES = ("-", (0, (5, 2)), (0, (1, 1.5)))
 DPI = 160
 

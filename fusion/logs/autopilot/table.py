@@ -25,7 +25,9 @@ from fusion.logs.series import (
 )
 from vision import InputError
 
-DOWNWARD = 25  # orientation of a distance sensor that looks down: the same number in PX4, ArduPilot and MAVLink
+DOWNWARD = (
+    25  # orientation of a distance sensor that looks down: the same number in PX4, ArduPilot and MAVLink
+)
 
 Columns = tuple[str, ...]
 AnyTable = TypeVar("AnyTable", bound="MessageTable")

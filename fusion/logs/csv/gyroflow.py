@@ -70,9 +70,7 @@ def open_log(path: Path) -> LogContents:
     def read() -> WithProblems[ImuStream]:
         return imu_stream(t_ns, gyro, accel, Where(path, path.name))
 
-    note = (
-        f"axes of the sensor; orientation {header.get('orientation', 'not told')} of the camera is not applied"
-    )
+    note = f"axes of the sensor; orientation {header.get('orientation', 'not told')} of the camera is not applied"
     log = SeriesLog(path, "Gyroflow IMU log", [Series(Topic("imu", Kind.IMU, t_ns, note), read)], problems)
     log.body_frame = "frd"  # axes unchanged
     return log

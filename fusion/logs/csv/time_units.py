@@ -12,7 +12,10 @@ from fusion.flight import TimeArray
 from fusion.logs.csv.column_map import TIME_NAMES, TimeUnit
 
 NS: dict[TimeUnit, int] = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
-_UNIT_NS = NS | {"100us": 100_000, "days": 86_400 * 10**9}  # also the units that are never guessed from the steps
+_UNIT_NS = NS | {
+    "100us": 100_000,
+    "days": 86_400 * 10**9,
+}  # also the units that are never guessed from the steps
 _IN_WORDS = {
     "ns": "nanoseconds",
     "us": "microseconds",

@@ -57,7 +57,9 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
                 columns=source.columns,
                 rate_hz=source.rate_hz,
             )
-        if folder.recognises(path) and any(options[key] is not None for key in ("times", "columns", "rate_hz")):
+        if folder.recognises(path) and any(
+            options[key] is not None for key in ("times", "columns", "rate_hz")
+        ):
             _refuse(options, ("frame",), path, "a folder of pictures")
             return folder.open_folder(
                 path,

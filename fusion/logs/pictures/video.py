@@ -211,9 +211,7 @@ def _read_packets(
     try:
         for packet in container.demux(streams):
             found = packets[packet.stream_index]
-            found.seen += packet.dts is not None or bool(
-                packet.size
-            )  # an empty packet is a dropped frame
+            found.seen += packet.dts is not None or bool(packet.size)  # an empty packet is a dropped frame
             if not packet.size or packet.is_discard:
                 continue
             if packet.pts is None:

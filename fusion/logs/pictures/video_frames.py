@@ -142,9 +142,7 @@ class VideoFrames:
 
         first = key_pts <= int(self._pts[0])
         container = self._container
-        if (
-            container is None or first
-        ):  # reopening gives the beginning: raw streams cannot seek
+        if container is None or first:  # reopening gives the beginning: raw streams cannot seek
             container = self._open()
         if not first:
             try:

@@ -23,9 +23,7 @@ from vision.cameras.camera import MAX_AXIS_ANGLE_RAD
 
 MAX_PICTURE_TILT_RAD = radians(45)  # between the picture's vertical and gravity
 MAX_LOOK_RAD = radians(60)  # of an optical axis above or below level
-MAX_SNAP_RAD = radians(
-    20
-)  # from quarter turns, which are usual; a flight's mean attitude is not quite level
+MAX_SNAP_RAD = radians(20)  # from quarter turns, which are usual; a flight's mean attitude is not quite level
 SAME_AXES_RAD = radians(30)  # between gravity by the IMU and by an attitude in the same axes
 
 
