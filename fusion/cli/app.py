@@ -66,7 +66,7 @@ def corridor(
         typer.Option("--version", "-V", help="Print the version.", is_eager=True, callback=_print_version),
     ] = False,
 ) -> None:
-    """The command group."""
+    """Define the command group."""
 
 
 #: In the order of the help.

@@ -92,10 +92,10 @@ def _comparison_lines(found: FleetComparison) -> list[str]:
         if quantity.sign:
             before, after = quantity.text(median.before), quantity.text(median.after)
             lines.append(f"  {quantity.title:<42}median {before} to {after}")
-    changed = [change for change in found.changes if change.change is not Change.SAME]
-    lines += [_change_line(change) for change in changed[:LISTED]]
-    if len(changed) > LISTED:
-        lines.append(f"  and {len(changed) - LISTED} more")
+    different = [change for change in found.changes if change.change is not Change.SAME]
+    lines += [_change_line(change) for change in different[:LISTED]]
+    if len(different) > LISTED:
+        lines.append(f"  and {len(different) - LISTED} more")
     return lines
 
 

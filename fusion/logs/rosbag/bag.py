@@ -352,7 +352,7 @@ def _read_range(samples: Samples) -> WithProblems[RangeStream]:
 
 
 def _repeats(t_ns: TimeArray) -> npt.NDArray[np.int64]:
-    """Number of earlier samples of the same time (n,), for sorted times."""
+    """Count earlier samples of the same time (n,), for sorted times."""
     starts = np.concatenate([[True], np.diff(t_ns) != 0])
     number = np.arange(len(t_ns))
     return np.asarray(number - np.maximum.accumulate(np.where(starts, number, 0)))
