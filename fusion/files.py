@@ -222,7 +222,7 @@ def tree_to_disk(folder: Path) -> None:
         to_disk(Path(inside))
 
 
-def stays_inside(name: str) -> bool:
+def is_inside_folder(name: str) -> bool:
     """Whether a file name read from a file refers to that file's folder or below."""
     path = os.path.normpath(name.replace("\\", "/"))
     return not os.path.isabs(path) and path.split("/")[0] != ".." and "\0" not in name

@@ -210,10 +210,10 @@ def _focal_of_pictures(views: Views) -> Quantity:
     # d(f)/f = -d(fov) / sin(fov)
     sigma = scale * view.std_rad / float(np.sin(view.horizontal_rad))
     if not view.measured:
-        said = "Neither turns nor pictures give the focal length: that of an ordinary camera is assumed."
-        return Quantity("focal_scale", nan, inf, False, said, 1.0)
-    said = f"From the right angles in {view.n_used} pictures, as the vehicle turns too little."
-    return Quantity("focal_scale", scale, sigma, True, said, 1.0)
+        sentence = "Neither turns nor pictures give the focal length: that of an ordinary camera is assumed."
+        return Quantity("focal_scale", nan, inf, False, sentence, 1.0)
+    sentence = f"From the right angles in {view.n_used} pictures, as the vehicle turns too little."
+    return Quantity("focal_scale", scale, sigma, True, sentence, 1.0)
 
 
 def _corrected(

@@ -159,12 +159,12 @@ def corrected(manifest: Manifest, alignment: Alignment) -> tuple[Manifest, dict[
 
 def _body_frame(manifest: Manifest, calibration: Path) -> BodyFrame:
     """Return the body axes in which a calibration at this path will be read."""
-    from fusion.logs.manifest.opening import open_as_told
+    from fusion.logs.manifest.opening import open_as_declared
     from vision.cameras.calibration import check_body_frame, read_body_frame
 
     source = manifest.camera
     path = source.file or manifest.log
-    frame = None if path is None else open_as_told(path, source).body_frame
+    frame = None if path is None else open_as_declared(path, source).body_frame
     if frame is None:
         return read_body_frame(calibration.parent.parent / "body.yaml")
     return check_body_frame(frame)

@@ -79,17 +79,17 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
         )
     except InputError:
         return None
-    said: tuple[str, str, str] | None = None
+    cause: tuple[str, str, str] | None = None
     found = clock.search
     if found.reversed:
-        said = _opposite(flight)
+        cause = _opposite(flight)
     elif found.fit is not None and found.rival_s is None and not found.at_edge:
-        said = _skewed(clock, flight) or _late(found.fit, delay_s) or _scaled(found.fit, flight)
-    if said is None and flight.imu is None and _contradicted(checks):
-        said = _NO_GYROSCOPE
-    if said is None:
+        cause = _skewed(clock, flight) or _late(found.fit, delay_s) or _scaled(found.fit, flight)
+    if cause is None and flight.imu is None and _contradicted(checks):
+        cause = _NO_GYROSCOPE
+    if cause is None:
         return None
-    value, meaning, action = said
+    value, meaning, action = cause
     return Check(NAME, level, value, LIMIT, meaning, action)
 
 

@@ -134,8 +134,8 @@ def truth_of(
         heading_rad=sign * heading_rad[rows],
         lateral_offset_m=sign * offset_m[rows],
         corridor_width_m=width_m[rows],
-        corridor_id=_whole(columns.corridor_id, count)[rows],
-        in_junction=_whole(columns.in_junction, count)[rows] != 0,
+        corridor_id=_integers(columns.corridor_id, count)[rows],
+        in_junction=_integers(columns.in_junction, count)[rows] != 0,
     )
     side = "left" if frame is Frame.ROS else "right"
     has_offset = bool(np.isfinite(offset_m[rows]).any())
@@ -155,7 +155,7 @@ def _offset_in_metres(columns: TruthColumns) -> tuple[FloatArray, FloatArray, st
     return offset_m, np.where(known, width_m, 2.0), "both" if known.any() else "norm"
 
 
-def _whole(values: FloatArray | None, count: int) -> npt.NDArray[np.int64]:
+def _integers(values: FloatArray | None, count: int) -> npt.NDArray[np.int64]:
     if values is None:
         return np.zeros(count, dtype=np.int64)
     return np.nan_to_num(values, nan=0.0).astype(np.int64)

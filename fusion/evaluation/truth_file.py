@@ -106,19 +106,19 @@ def _frame_beside(path: Path) -> Frame | None:
 
 def _from_tum(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     found = (re.match(r"#\s*(\w+):\s*(\S+)", line) for line in lines)
-    said = {match[1]: match[2] for match in found if match}
-    ours = said.get("software") == "corridor-fusion"
-    if frame is None and said.get("frame", "") in list(Frame):
-        frame = Frame(said["frame"])
+    metadata = {match[1]: match[2] for match in found if match}
+    ours = metadata.get("software") == "corridor-fusion"
+    if frame is None and metadata.get("frame", "") in list(Frame):
+        frame = Frame(metadata["frame"])
     if frame is None:
-        raise _which_way(path, "a TUM trajectory does")
+        raise _unknown_convention(path, "a TUM trajectory does")
     names = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
     rows, problems = _read(path, " ", 0, tuple(range(1, _TUM_WIDTH)), names)
     t_ns = _times(path, rows.first.tolist(), "s")
     values = rows.values
     heading = _yaw_of_body(values[:, [6, 3, 4, 5]], path, "x, y, z, w")
-    offset = values[:, 1] if said.get("offset_unit") != "none" else np.full(len(t_ns), np.nan)
-    unit: OffsetUnit = "norm" if said.get("offset_unit") == "half" else "m"
+    offset = values[:, 1] if metadata.get("offset_unit") != "none" else np.full(len(t_ns), np.nan)
+    unit: OffsetUnit = "norm" if metadata.get("offset_unit") == "half" else "m"
     kind = (
         "a corridor-fusion trajectory" if ours else "a TUM trajectory: yaw from one fixed axis, y as offset"
     )
@@ -126,7 +126,7 @@ def _from_tum(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     return truth_of(columns, path, frame, problems, fixed_axis=not ours, kind=kind)
 
 
-def _which_way(path: Path, what: str) -> InputError:
+def _unknown_convention(path: Path, what: str) -> InputError:
     return InputError(
         f"{what} not say which way its angles count",
         file=path,
@@ -155,7 +155,7 @@ def _from_csv(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     time_name, unit = _find_time(path, column, whole)
     heading = _find_heading(path, column)
     if heading.fixed_axis and frame is None:
-        raise _which_way(path, "yaw and quaternions do")
+        raise _unknown_convention(path, "yaw and quaternions do")
     id_name = next((name for name in _IDS if name in column), None)
     optional = [name for name in (*_OFFSETS, id_name, "corridor_width_m", "in_junction") if name in column]
     wanted = (*heading.names, *(name for name in optional if name is not None))
@@ -268,11 +268,11 @@ def _yaw_of_body(q: FloatArray, path: Path, order: str) -> FloatArray:
     InputError
         If it is on its side, or would be level with another order of the quaternions than ``order``.
     """
-    is_upright, off_deg = _off_level(q)
+    is_upright, off_deg = _upright_and_tilt(q)
     # In the wrong order, a level vehicle with a yaw angle appears upside down, tilted by that angle.
     suspicious_deg = 20.0 if is_upright else 5.0
     other, shift = ("w, x, y, z", -1) if order == "x, y, z, w" else ("x, y, z, w", 1)
-    if off_deg > suspicious_deg and _off_level(np.roll(q, shift, axis=1))[1] < 0.5 * off_deg:
+    if off_deg > suspicious_deg and _upright_and_tilt(np.roll(q, shift, axis=1))[1] < 0.5 * off_deg:
         raise InputError(
             f"its quaternions, read in the order {order}, are {off_deg:.0f} degrees off level; in the order {other} "
             "they are level",
@@ -289,7 +289,7 @@ def _yaw_of_body(q: FloatArray, path: Path, order: str) -> FloatArray:
     return yaw_of(q)
 
 
-def _off_level(q: FloatArray) -> tuple[bool, float]:
+def _upright_and_tilt(q: FloatArray) -> tuple[bool, float]:
     """Whether quaternions (n, 4) are mostly upright, and their median tilt in degrees."""
     tilt_deg = np.degrees(np.arccos(np.clip(1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), -1.0, 1.0)))
     tilt_deg = tilt_deg[np.isfinite(tilt_deg)]

@@ -19,7 +19,7 @@ from fusion.fleet.row import FleetRow
 from fusion.fleet.tables import write_tables
 from fusion.fleet.task import Task
 from fusion.fleet.worker import failure
-from fusion.fleet.workers import Tell, Workers, cluster_workers, local_workers
+from fusion.fleet.workers import Notify, Workers, cluster_workers, local_workers
 from fusion.offline.prefetch import usable_cores
 from fusion.progress import Progress
 from vision.errors import InputError
@@ -87,7 +87,7 @@ def fuse_fleet(
     *,
     against: Sequence[FleetRow] = (),
     progress: Progress | None = None,
-    tell: Tell = lambda sentence: None,
+    notify: Notify = lambda sentence: None,
 ) -> Fleet:
     """Fuse all flights of the sources into one folder: an output per flight, tables and a page.
 
@@ -106,7 +106,7 @@ def fuse_fleet(
         Rows of another batch to compare with, from `fusion.fleet.tables.read_fleet`.
     progress
         Called with (done, total) flights.
-    tell
+    notify
         Called with a sentence when a worker has died.
 
     Raises
@@ -125,7 +125,7 @@ def fuse_fleet(
     earlier = {} if settings.redo else read_journal(folder)
     tasks, kept = _divide(flights, folder, settings, earlier)
     started = time.perf_counter()
-    with _workers(settings, len(tasks), tell) as workers:
+    with _workers(settings, len(tasks), notify) as workers:
         table = _Table(folder, kept, len(flights), against, Journal(folder, earlier.values()))
         try:
             if progress is not None:
@@ -168,7 +168,7 @@ def _divide(
     for flight in flights:
         stamp, log_bytes = stamp_of(flight.path)
         row = earlier.get(flight.name)
-        if row is not None and not _holds(row, hashes[flight.config], folder, settings.reports):
+        if row is not None and not _is_up_to_date(row, hashes[flight.config], folder, settings.reports):
             row = None
         if row is not None and row.log_stamp == stamp and row.path == str(flight.path):
             date = row.date if "T" in row.date else flight.date
@@ -192,7 +192,7 @@ def _divide(
     return tasks, kept
 
 
-def _holds(row: FleetRow, config_hash: str, folder: Path, reports: bool) -> bool:
+def _is_up_to_date(row: FleetRow, config_hash: str, folder: Path, reports: bool) -> bool:
     """Whether a row is still up to date."""
     if row.verdict == "error" or (row.config_hash, row.version) != (config_hash, program_version()):
         return False
@@ -200,12 +200,12 @@ def _holds(row: FleetRow, config_hash: str, folder: Path, reports: bool) -> bool
     return not row.has_result or (folder / row.output / wanted).is_file()
 
 
-def _workers(settings: BatchSettings, flights: int, tell: Tell) -> AbstractContextManager[Workers]:
+def _workers(settings: BatchSettings, flights: int, notify: Notify) -> AbstractContextManager[Workers]:
     if settings.scheduler is not None:
-        return cluster_workers(settings.scheduler, settings.timeout_s, tell)
+        return cluster_workers(settings.scheduler, settings.timeout_s, notify)
     jobs = max(1, min(settings.jobs or usable_cores(), flights))
     memory_bytes = settings.memory_bytes or usable_memory_bytes() // jobs
-    return local_workers(jobs, memory_bytes, settings.timeout_s, tell)
+    return local_workers(jobs, memory_bytes, settings.timeout_s, notify)
 
 
 def usable_memory_bytes() -> int:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from fusion.files import stays_inside
+from fusion.files import is_inside_folder
 from fusion.logs import format_of
 from fusion.logs.manifest.file import MANIFEST_NAME, find_manifest, read_manifest
 from fusion.logs.manifest.manifest import files_of
@@ -78,8 +78,8 @@ class _Listed(BaseModel):
 
     @field_validator("name")
     @classmethod
-    def _names_a_place_below(cls, name: str | None) -> str | None:
-        if name is not None and (not stays_inside(name) or Path(name).parts == ()):
+    def _check_name(cls, name: str | None) -> str | None:
+        if name is not None and (not is_inside_folder(name) or Path(name).parts == ()):
             raise ValueError(f"name = {name!r} names a place elsewhere: give a plain name")
         return name
 

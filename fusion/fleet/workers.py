@@ -27,7 +27,7 @@ ATTEMPTS = 3  # workers that may die while fusing one flight
 CONNECT_S = 10.0  # timeout of the scheduler's answer
 _KILL = getattr(signal, "SIGKILL", signal.SIGTERM)  # also ends processes that hang; Windows has only SIGTERM
 _OVERDUE = "corridor-fusion: flights that take too long"  # a topic of Dask's events
-Tell = Callable[[str], None]
+Notify = Callable[[str], None]
 """Called with a sentence for the user."""
 
 
@@ -67,8 +67,8 @@ class _Worker:
 class LocalWorkers:
     """Local processes, each watched by a thread, so that the death of one does not affect the others' flights."""
 
-    def __init__(self, jobs: int, memory_bytes: int | None, timeout_s: float | None, tell: Tell) -> None:
-        self._jobs, self._memory_bytes, self._timeout_s, self._tell = jobs, memory_bytes, timeout_s, tell
+    def __init__(self, jobs: int, memory_bytes: int | None, timeout_s: float | None, notify: Notify) -> None:
+        self._jobs, self._memory_bytes, self._timeout_s, self._notify = jobs, memory_bytes, timeout_s, notify
         self._own = threading.local()
         self._lost: dict[str, int] = {}
         self._all: set[_Worker] = set()
@@ -95,7 +95,7 @@ class LocalWorkers:
                 return worker.fuse(task, self._timeout_s)
             except TimeoutError:
                 self._drop(worker)
-                raise _too_slow(task, self._timeout_s, self._tell) from None
+                raise _too_slow(task, self._timeout_s, self._notify) from None
             except BrokenProcessPool:
                 if self._ending:
                     break
@@ -103,7 +103,7 @@ class LocalWorkers:
                 self._lost[task.flight.name] = attempt
                 again = "it is fused again" if attempt < ATTEMPTS else "given up"
                 pid = "" if worker is None else f" {worker.pid}"
-                self._tell(f"worker{pid} died while it fused {task.flight.name}: {again}")
+                self._notify(f"worker{pid} died while it fused {task.flight.name}: {again}")
         raise WorkerLostError(f"its worker process died {ATTEMPTS} times, killed or out of memory")
 
     def _worker(self) -> _Worker:
@@ -131,9 +131,9 @@ class LocalWorkers:
         self._threads.shutdown()
 
 
-def _too_slow(task: Task, timeout_s: float | None, tell: Tell) -> WorkerLostError:
+def _too_slow(task: Task, timeout_s: float | None, notify: Notify) -> WorkerLostError:
     """Report that a flight is given up, and return the error for its row."""
-    tell(f"{task.flight.name} took more than {timeout_s:g} s: given up, its worker ended")
+    notify(f"{task.flight.name} took more than {timeout_s:g} s: given up, its worker ended")
     return WorkerLostError(
         f"took more than {timeout_s:g} s (allow more by --timeout; 0: as long as it likes)"
     )
@@ -141,7 +141,7 @@ def _too_slow(task: Task, timeout_s: float | None, tell: Tell) -> WorkerLostErro
 
 @contextmanager
 def local_workers(
-    jobs: int, memory_bytes: int | None, timeout_s: float | None, tell: Tell
+    jobs: int, memory_bytes: int | None, timeout_s: float | None, notify: Notify
 ) -> Iterator[LocalWorkers]:
     """Provide local processes, which are ended with the block.
 
@@ -153,10 +153,10 @@ def local_workers(
         Memory limit of each; None: no limit.
     timeout_s
         Time limit per flight; None: no limit.
-    tell
+    notify
         Called with a sentence when one has died.
     """
-    workers = LocalWorkers(jobs, memory_bytes, timeout_s, tell)
+    workers = LocalWorkers(jobs, memory_bytes, timeout_s, notify)
     try:
         yield workers
     finally:
@@ -166,8 +166,8 @@ def local_workers(
 class ClusterWorkers:
     """Workers of a Dask cluster; its scheduler passes a lost worker's flights to others."""
 
-    def __init__(self, client: Any, timeout_s: float | None, tell: Tell) -> None:
-        self._client, self._timeout_s, self._tell = client, timeout_s, tell
+    def __init__(self, client: Any, timeout_s: float | None, notify: Notify) -> None:
+        self._client, self._timeout_s, self._notify = client, timeout_s, notify
         self._running: dict[str, Any] = {}  # Dask cancels futures without references
         self._overdue: set[str] = set()
         self._lost: dict[str, int] = {}
@@ -186,15 +186,15 @@ class ClusterWorkers:
         self._running[key] = self._client.submit(
             _fuse_in_time, task, key, self._timeout_s, key=key, pure=False
         )
-        self._running[key].add_done_callback(lambda fused: self._pass_on(task, fused, row))
+        self._running[key].add_done_callback(lambda fused: self._copy_result(task, fused, row))
         return row
 
-    def _pass_on(self, task: Task, fused: Any, row: Future[FleetRow]) -> None:
+    def _copy_result(self, task: Task, fused: Any, row: Future[FleetRow]) -> None:
         """Copy the result of Dask's future to ours."""
         del self._running[fused.key]
         try:
             if fused.key in self._overdue:
-                raise _too_slow(task, self._timeout_s, self._tell)
+                raise _too_slow(task, self._timeout_s, self._notify)
             row.set_result(fused.result())
         except Exception as error:  # any error must reach the caller that waits for the row
             row.set_exception(error)
@@ -218,7 +218,7 @@ class ClusterWorkers:
             if str(key).endswith(f"({self._client.id})"):
                 self._lost[key] = self._lost.get(key, 0) + 1
                 name = str(key).removeprefix("fuse ").rpartition(" (")[0]
-                self._tell(f"worker {message.get('worker')} died while it fused {name}: it is fused again")
+                self._notify(f"worker {message.get('worker')} died while it fused {name}: it is fused again")
 
     async def _on_overdue(self, event: tuple[float, Any]) -> None:
         """Give up a flight, and restart the worker that is still fusing it."""
@@ -245,7 +245,7 @@ def _fuse_in_time(task: Task, key: str, timeout_s: float | None) -> FleetRow:
 
 
 @contextmanager
-def cluster_workers(address: str, timeout_s: float | None, tell: Tell) -> Iterator[ClusterWorkers]:
+def cluster_workers(address: str, timeout_s: float | None, notify: Notify) -> Iterator[ClusterWorkers]:
     """Provide the workers of a Dask cluster, which keeps running after the block.
 
     Parameters
@@ -254,7 +254,7 @@ def cluster_workers(address: str, timeout_s: float | None, tell: Tell) -> Iterat
         Address of its scheduler, such as ``tcp://10.0.0.5:8786``.
     timeout_s
         Time limit per flight; None: no limit.
-    tell
+    notify
         Called with a sentence when a worker has died.
 
     Raises
@@ -276,7 +276,7 @@ def cluster_workers(address: str, timeout_s: float | None, tell: Tell) -> Iterat
         ) from error
     try:
         _check_versions(client, address)
-        yield ClusterWorkers(client, timeout_s, tell)
+        yield ClusterWorkers(client, timeout_s, notify)
     finally:
         client.close()
 

@@ -83,7 +83,7 @@ def _is_usable(stream: StreamFindings) -> bool:
 
 
 def _fusable(name: str, usable: Mapping[Kind, StreamFindings], *, possible: bool) -> str:
-    parts = [f"{_what(stream)} ({stream.name}, {_rate(stream)})" for stream in usable.values()]
+    parts = [f"{_stream_words(stream)} ({stream.name}, {_rate(stream)})" for stream in usable.values()]
     if Kind.FRAMES not in usable:
         held = f"; it has {_listed(parts)}" if parts else ""
         return f"nothing yet: a heading in a corridor needs pictures{held}"
@@ -92,7 +92,7 @@ def _fusable(name: str, usable: Mapping[Kind, StreamFindings], *, possible: bool
     return f"{_listed(parts)}, once the following is resolved"
 
 
-def _what(stream: StreamFindings) -> str:
+def _stream_words(stream: StreamFindings) -> str:
     has_accel = stream.imu is None or stream.imu.usual_accel_m_s2 is not None
     return _WHAT[stream.kind] if has_accel else "gyroscope"
 

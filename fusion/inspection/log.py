@@ -161,12 +161,12 @@ class _Reading:
         is_chosen = topic.name in self._chosen[topic.kind]
         found = StreamFindings(topic.name, topic.kind, topic.note, is_chosen, time_stream(topic.t_ns))
         try:
-            looked_at, problems = self._looked_at(topic, found)
+            examined, problems = self._with_samples(topic, found)
         except InputError as error:
             return replace(found, error=str(error))
-        return replace(looked_at, problems=problems)
+        return replace(examined, problems=problems)
 
-    def _looked_at(self, topic: Topic, found: StreamFindings) -> WithProblems[StreamFindings]:
+    def _with_samples(self, topic: Topic, found: StreamFindings) -> WithProblems[StreamFindings]:
         kept, name = self.streams, topic.name
         stream: FrameStream | ImuStream | AttitudeStream | VectorStream | RangeStream
         match found.kind:

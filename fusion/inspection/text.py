@@ -44,7 +44,7 @@ def inspection_text(inspection: Inspection) -> str:
     """Format an inspection as text."""
     streams = inspection.streams
     start_ns = _start(streams)
-    lines = [f"{inspection.path}: {inspection.format}", *_when(streams), ""]
+    lines = [f"{inspection.path}: {inspection.format}", *_time_lines(streams), ""]
     lines += _table(streams, start_ns)
     decided = {stream.kind for stream in streams if stream.chosen}
     for stream in streams:
@@ -98,7 +98,7 @@ def _start(streams: Sequence[StreamFindings]) -> int | None:
     return first if (last - first) * 1e-9 < ONE_CLOCK_S else None
 
 
-def _when(streams: Sequence[StreamFindings]) -> list[str]:
+def _time_lines(streams: Sequence[StreamFindings]) -> list[str]:
     times = _times(streams)
     if not times:
         return ["it contains no samples"]

@@ -287,11 +287,11 @@ class LiveCore:
         rate_hz = self.settings.imu_rate_hz
         if rate_hz and self._is_due("streams", now_ns, ASK_STREAMS_NS):
             if self._imu_since_asked < 0.5 * rate_hz * ASK_STREAMS_NS * 1e-9:
-                packets += self._ask_for_streams(self.vehicle, rate_hz)
+                packets += self._stream_requests(self.vehicle, rate_hz)
             self._imu_since_asked = 0
         return packets
 
-    def _ask_for_streams(self, vehicle: Vehicle, imu_hz: float) -> list[bytes]:
+    def _stream_requests(self, vehicle: Vehicle, imu_hz: float) -> list[bytes]:
         imu = "RAW_IMU" if vehicle.autopilot == ARDUPILOT else "HIGHRES_IMU"
         wanted = {imu: imu_hz, "ATTITUDE_QUATERNION": ATTITUDE_HZ, RANGE: RANGE_HZ}
         if vehicle.autopilot == ARDUPILOT:

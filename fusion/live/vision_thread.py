@@ -25,7 +25,7 @@ class Measured(NamedTuple):
     cause: str = ""
 
 
-def _nobody() -> None:
+def _ignore() -> None:
     pass
 
 
@@ -46,7 +46,7 @@ class VisionThread:
         self,
         camera: Camera,
         extract: Callable[[npt.NDArray[Any], Camera], LineSet] = extract_lines,
-        on_finished: Callable[[], object] = _nobody,
+        on_finished: Callable[[], object] = _ignore,
     ) -> None:
         self.dropped = 0
         self._camera, self._extract, self._on_finished = camera, extract, on_finished

@@ -121,11 +121,11 @@ def _without_strays(t_ns: TimeArray, where: Where) -> WithProblems[IndexArray]:
     good = np.abs(t_ns - around) <= limit_ns
     if not good.any():
         return WithProblems(np.arange(len(t_ns)))
-    _keep_what_fits_in(t_ns, good)
+    _restore_short_runs(t_ns, good)
     return WithProblems(np.flatnonzero(good), where.dropped(good, t_ns, "a time far from its neighbours'"))
 
 
-def _keep_what_fits_in(t_ns: TimeArray, good: BoolArray) -> None:
+def _restore_short_runs(t_ns: TimeArray, good: BoolArray) -> None:
     """Mark short runs of rows (n,) between two pauses, or between a pause and the log's end, as good again."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], good, [True]])))
     usual_ns = max(int(np.median(np.abs(np.diff(t_ns)))), 1)

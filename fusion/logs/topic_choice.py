@@ -126,7 +126,7 @@ def _wanted(log: LogContents, kind: Kind, wanted: str) -> str:
     raise InputError(
         f"has no {WORDS[kind]} under {wanted!r}",
         file=log.path,
-        remedy=f"choose one of {_listed(there)}" if there else f"it contains {holdings(log)}",
+        remedy=f"choose one of {_listed(there)}" if there else f"it contains {contents_in_words(log)}",
     )
 
 
@@ -163,7 +163,7 @@ def _listed(names: Sequence[str], limit: int = 8) -> str:
     return ", ".join(names[:limit]) + more
 
 
-def holdings(log: LogContents) -> str:
+def contents_in_words(log: LogContents) -> str:
     """Describe a log's contents in words."""
     topics: dict[Kind, list[Topic]] = {}
     for topic in log.topics:

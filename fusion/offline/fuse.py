@@ -109,7 +109,7 @@ def _filter_and_smooth(
     progress: Progress | None,
 ) -> tuple[Table, Timings]:
     """Run the filter over the whole flight into the tables, then the smoother; return its table and the times."""
-    with stopwatch() as clock, _collector_spared():
+    with stopwatch() as clock, _reduced_garbage_collection():
         started = clock.seconds()
         extract = partial(extract_features, camera=flight.camera, method=estimator.method)
         with closing(prefetch_features(flight.frames, extract, threads)) as pictures:
@@ -126,7 +126,7 @@ def _filter_and_smooth(
 
 
 @contextmanager
-def _collector_spared() -> Iterator[None]:
+def _reduced_garbage_collection() -> Iterator[None]:
     """Reduce the work of the garbage collector, which samples and states do not need.
 
     Some thousand of them are alive at a time and would be scanned repeatedly. Most of the existing objects are

@@ -89,7 +89,7 @@ def write_outputs(
     InputError
         If ``out_dir`` is a file, contains other files, or cannot be written.
     """
-    with _appearing_whole(out_dir) as folder:
+    with _atomic_folder(out_dir) as folder:
         _write_tables(result, sent, folder, frame)
         _write_manifest(flight, folder / "flight.toml", Path(out_dir).resolve())
         write_exports(result, flight, folder, exports, frame, progress)
@@ -143,7 +143,7 @@ def check_out_dir(out_dir: str | Path) -> Path:
     """
     try:
         folder = Path(out_dir).resolve()
-        _put_in_order(folder)
+        _recover(folder)
         if not folder.is_file():
             _check_writable(folder)
         if not folder.exists():
@@ -154,7 +154,7 @@ def check_out_dir(out_dir: str | Path) -> Path:
                 file=out_dir,
                 remedy="choose another with -o, or remove it",
             )
-        ours = _written_by_us(folder) | _LEFT_BY_FILE_BROWSERS
+        ours = _listed_files(folder) | _LEFT_BY_FILE_BROWSERS
         foreign = sorted(
             entry.name
             for entry in folder.iterdir()
@@ -190,7 +190,7 @@ def _check_writable(folder: Path) -> None:
         raise PermissionError(EACCES, os.strerror(EACCES), str(place))
 
 
-def _written_by_us(folder: Path) -> set[str]:
+def _listed_files(folder: Path) -> set[str]:
     """Return the files listed in a folder's summary; none without a summary."""
     try:
         summary = read_summary(folder / MARK)
@@ -205,7 +205,7 @@ def _is_draft(entry: Path) -> bool:
 
 
 @contextmanager
-def _appearing_whole(out_dir: str | Path) -> Iterator[Path]:
+def _atomic_folder(out_dir: str | Path) -> Iterator[Path]:
     """Provide a draft folder; it replaces ``out_dir`` when the block ends without an error."""
     folder = check_out_dir(out_dir)
     draft = folder
@@ -255,7 +255,7 @@ def _moved_into(folder: Path) -> Iterator[Path]:
 def _move_files(complete: Path, folder: Path) -> None:
     """Move a complete draft's files into its folder, the summary last, which lists them."""
     if (complete / MARK).exists():
-        for name in _written_by_us(folder) - _written_by_us(complete):
+        for name in _listed_files(folder) - _listed_files(complete):
             (folder / name).unlink(missing_ok=True)
         for path in sorted(complete.iterdir(), key=lambda path: path.name == MARK):
             path.replace(folder / path.name)
@@ -263,7 +263,7 @@ def _move_files(complete: Path, folder: Path) -> None:
     complete.rmdir()
 
 
-def _put_in_order(folder: Path) -> None:
+def _recover(folder: Path) -> None:
     """Complete, restore or delete the remains of a killed run's output."""
     restore(folder)
     for left in left_behind(folder):

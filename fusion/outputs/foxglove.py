@@ -125,9 +125,9 @@ IN_DEGREES = {
 
 
 def _said(name: str, frame: Frame) -> dict[str, str]:
-    said = column_metadata(name, frame)
-    words = said.get("description", "")
-    return {"description": f"{words}; {said['unit']}" if "unit" in said else words}
+    metadata = column_metadata(name, frame)
+    words = metadata.get("description", "")
+    return {"description": f"{words}; {metadata['unit']}" if "unit" in metadata else words}
 
 
 def time_of(t_ns: int) -> Message:

@@ -95,14 +95,14 @@ def draw(name: str, title: str, panels: Sequence[Panel]) -> Drawing:
 
 def _svg(figure: Figure, name: str, title: str, page: _Page) -> str:
     settings: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "font.size": page.font_pt}
-    _lay_out(figure, page)
+    _set_margins(figure, page)
     text = io.StringIO()
     with mpl.rc_context(settings):
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     return _inline(text.getvalue(), name, title)
 
 
-def _lay_out(figure: Figure, page: _Page) -> None:
+def _set_margins(figure: Figure, page: _Page) -> None:
     """Set margins of fixed width, so that the time axes of all figures on the page are aligned."""
     count = len(figure.axes)
     width, height = page.size_in[0], page.size_in[1] * count

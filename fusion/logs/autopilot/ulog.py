@@ -110,14 +110,14 @@ class _BoundedReader(io.BufferedReader):
     def __init__(self, path: Path) -> None:
         super().__init__(io.FileIO(path, "rb"), 1 << 20)
         self.left = REREADS * path.stat().st_size + 65536
-        self.torn = False  # a message is truncated
+        self.is_truncated = False  # a message is truncated
 
     def read(self, size: int | None = -1, /) -> bytes:
         """Read bytes, and detect a truncated message; returns nothing once too much was read."""
         data = super().read(size)
         self.left -= len(data) + 1
         if size is not None and len(data) < size and (data or size != HEADER_BYTES):
-            self.torn = True
+            self.is_truncated = True
         return data if self.left > 0 else b""
 
 
@@ -175,7 +175,7 @@ def _parse(path: Path) -> WithProblems[ULog]:
     problems: Problems = ()
     if log.file_corruption or file.left <= 0:
         problems += ("parts of the file are damaged and were skipped",)
-    if file.torn:
+    if file.is_truncated:
         problems += ("the file ends in the middle of a message: it was cut short",)
     if log.has_data_appended:
         problems += ("data were appended after the log was closed (after a crash of the autopilot)",)

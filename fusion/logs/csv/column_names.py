@@ -64,10 +64,10 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
     A vector's unit is in brackets after its names or at their end (``gyro_x_deg_s``), or else SI.
     """
     if not layout.has_names and is_tum(layout):
-        said = Remark(
+        remark = Remark(
             f"{layout.path.name}: taken for a TUM trajectory: time, position, quaternion x, y, z, w"
         )
-        return WithProblems(_TUM, (said,))
+        return WithProblems(_TUM, (remark,))
     known = _known(layout)
     found: dict[str, Any] = {}
     problems: Problems = ()
@@ -154,7 +154,7 @@ def _sensor_of(layout: Layout) -> str | None:
     return next((role for word, role in _SENSORS.items() if word in stem), None)
 
 
-def names_the_world(columns: ColumnMap) -> str | None:
+def world_velocity_name(columns: ColumnMap) -> str | None:
     """Return the velocity's name if it means the world's axes, as EuRoC's ``v_RS_R_x``; else None."""
     names = [name for name in columns.velocity or () if isinstance(name, str)]
     return next((name for name in names if re.search(r"v_rs_r|world", name, re.IGNORECASE)), None)

@@ -28,8 +28,8 @@ from fusion.logs.csv.column_names import (
     check_axes,
     has_asl_names,
     map_of_names,
-    names_the_world,
     ready_map_of,
+    world_velocity_name,
 )
 from fusion.logs.csv.table import Layout, read_layout
 from fusion.logs.csv.time_units import is_time_name
@@ -124,7 +124,7 @@ def open_columns(
         raise InputError(
             f"has an accelerometer, but no known gyroscope: {listed}", file=path, remedy=_EXAMPLE
         )
-    log = CsvLog(path, what, series, assumed + problems + _left_out(layout, found))
+    log = CsvLog(path, what, series, assumed + problems + _unread_columns(layout, found))
     log.units_taken = found.units_taken
     log.body_frame = "flu" if table.body_frame().value in ("flu", "enu") else "frd"
     return log
@@ -136,7 +136,7 @@ class CsvLog(SeriesLog):
     units_taken: Mapping[str, float]
 
 
-def _left_out(layout: Layout, columns: ColumnMap) -> Problems:
+def _unread_columns(layout: Layout, columns: ColumnMap) -> Problems:
     """Name the columns that are not read."""
     named = {layout.find(name, role) for role in ROLES for name in columns.columns_of(role)}
     named |= set(time_columns(layout, columns))
@@ -179,7 +179,7 @@ def _present(ready: ColumnMap, layout: Layout) -> ColumnMap:
     absent = [
         role
         for role in ROLES
-        if any(isinstance(name, str) and layout.look_for(name) is None for name in ready.columns_of(role))
+        if any(isinstance(name, str) and layout.find_column(name) is None for name in ready.columns_of(role))
     ]
     named = [role for role in ROLES if ready.columns_of(role)]
     return ready if absent == named else ready.model_copy(update=dict.fromkeys(absent))
@@ -329,7 +329,7 @@ class _Table:
             If they remain undecided and matter.
         """
         pose_frame, declared = self.body_frame().value, self.frame or self.columns.velocity_frame
-        name = names_the_world(self.columns)
+        name = world_velocity_name(self.columns)
         if name is not None and self.columns.velocity_frame is None:
             problem = f"{self.path.name}: velocity taken along the world's axes, as its name {name} says"
             return WithProblems((Axes.WORLD, pose_frame), (Remark(problem),))

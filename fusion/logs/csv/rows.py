@@ -302,7 +302,7 @@ def _all_of_width(lines: list[str], fmt: RowFormat) -> bool:
 
 def _parse_slowly(lines: Sequence[str], fmt: RowFormat) -> _Part:
     """Parse row by row, so that only damaged rows are lost."""
-    converters: dict[str, Callable[[str], int | float | str]] = {"i8": _whole, "f8": float, "O": str}
+    converters: dict[str, Callable[[str], int | float | str]] = {"i8": _integer, "f8": float, "O": str}
     convert = converters[fmt.first_type]
     rows: list[tuple[int | float | str, list[float]]] = []
     kept: list[int] = []
@@ -340,7 +340,7 @@ def _as_number(text: str, *, words: bool = True) -> str:
     return "nan" if not text else _WORDS.get(text.lower(), text) if words else text
 
 
-def _whole(text: str) -> int:
+def _integer(text: str) -> int:
     number = parse_time(text)
     if number is None:
         raise ValueError(text)

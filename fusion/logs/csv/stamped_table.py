@@ -114,7 +114,7 @@ def read_table_head(path: Path) -> Head:
     start, first = 0, True
     for number, line in enumerate(lines):
         if line and not line.isspace():
-            if not line.lstrip().startswith("#") and not (first and _is_names(line)):
+            if not line.lstrip().startswith("#") and not (first and _has_column_names(line)):
                 start = number
                 break
             first = False
@@ -128,7 +128,7 @@ def read_table_head(path: Path) -> Head:
     return Head(names, start, tuple(rows[:_LOOKED_AT]))
 
 
-def _is_names(line: str) -> bool:
+def _has_column_names(line: str) -> bool:
     """Whether a first line contains column names: letters in place of the time."""
     return re.match(r"\s*[A-Za-z_]", line) is not None and not is_number(line.split(",")[0])
 

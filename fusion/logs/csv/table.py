@@ -89,7 +89,7 @@ class Layout:
                 file=self.path,
                 remedy="the first column is 1",
             )
-        number = self.look_for(column)
+        number = self.find_column(column)
         if number is not None:
             return number
         if not self.has_names:
@@ -102,7 +102,7 @@ class Layout:
         remedy = did_you_mean(column, self.names) or f"the columns are {listed}"
         raise InputError(f"has no column {column!r} ({key})", file=self.path, remedy=remedy)
 
-    def look_for(self, name: str) -> int | None:
+    def find_column(self, name: str) -> int | None:
         """Return the index of a column by its name, ignoring case; None if there is no such column."""
         plain = _plain(name)[0]
         for wanted, there in ((plain, self.names), (plain.lower(), [n.lower() for n in self.names])):

@@ -14,7 +14,7 @@ from fusion.logs.pictures.camera_folder import check_size, darkness_problem
 from fusion.logs.plausibility.clocks import is_unix, span
 from fusion.logs.plausibility.flight import check_flight
 from fusion.logs.samples import Problems, WithProblems
-from fusion.logs.topic_choice import TABLES, WORDS, holdings
+from fusion.logs.topic_choice import TABLES, WORDS, contents_in_words
 from fusion.settings.toml import toml_value
 from vision import Camera, InputError
 from vision.cameras.lens_check import lens_problem
@@ -97,7 +97,7 @@ class _Assembly:
         """Read all streams, first the pictures, which every flight needs."""
         sources = self.sources
         log, topic = self._picture_topic()
-        frames = self._noted(sources.frames(topic))
+        frames = self._collect_problems(sources.frames(topic))
         camera = self._camera(log, topic)
         check_size(frames, camera, log.path)
         dark = darkness_problem(frames)
@@ -128,7 +128,7 @@ class _Assembly:
         """Add problems, each only once even if a file or topic is read twice."""
         self.problems += [text for text in problems if text not in self.problems]
 
-    def _noted(self, read: WithProblems[AnyStream]) -> AnyStream:
+    def _collect_problems(self, read: WithProblems[AnyStream]) -> AnyStream:
         self._note(read.problems)
         return read.value
 
@@ -138,12 +138,14 @@ class _Assembly:
         if log is None:
             raise InputError("no pictures are named", remedy="give a log, or a video with --video")
         self._note(log.problems)
-        topic = self._noted(self.sources.choose(Kind.FRAMES))
+        topic = self._collect_problems(self.sources.choose(Kind.FRAMES))
         if topic is None:
             path = source.file or self.sources.manifest.log or log.path
             remedy = log.pictures_remedy or VIDEO_HINT.format(log=path.name)
             raise InputError(
-                f"{log.format} without pictures; it contains {holdings(log)}", file=path, remedy=remedy
+                f"{log.format} without pictures; it contains {contents_in_words(log)}",
+                file=path,
+                remedy=remedy,
             )
         self._changes["camera"] = source.model_copy(update={"topic": topic})
         return log, topic
@@ -157,12 +159,12 @@ class _Assembly:
                 "contains no calibration of the camera" if missing is None else "there is no such file",
                 file=missing or log.path,
                 remedy="add the calibration: name it with --camera, or under [camera] in flight.toml"
-                + self._how_to_align(),
+                + self._alignment_remedy(),
             )
         self._note(tuple(text for text in (camera.mount_problem(), lens_problem(camera)) if text is not None))
         return camera
 
-    def _how_to_align(self) -> str:
+    def _alignment_remedy(self) -> str:
         """Explain how to find the focal length; `corridor align` takes a log or a manifest, not single files."""
         manifest, imu = self.sources.manifest, self.sources.log(Kind.IMU)
         if imu is None or not any(topic.kind is Kind.IMU for topic in imu.topics):
@@ -183,17 +185,17 @@ class _Assembly:
         if log is None:
             return None
         self._note(log.problems)
-        topic = self._noted(self.sources.choose(kind))
+        topic = self._collect_problems(self.sources.choose(kind))
         if topic is None:
             if source.file is not None:
                 raise InputError(
-                    f"contains no {WORDS[kind]}; it contains {holdings(log)}",
+                    f"contains no {WORDS[kind]}; it contains {contents_in_words(log)}",
                     file=source.file,
                     remedy=f"name another file under [{TABLES[kind]}], or the columns of this one",
                 )
             return None
         try:
-            stream = self._noted(read(topic))
+            stream = self._collect_problems(read(topic))
         except InputError as error:
             # Streams that were not requested are optional; range finders are often carried beyond their reach.
             is_dispensable = kind is Kind.RANGE or isinstance(error, UndecidedError)
@@ -208,7 +210,7 @@ class _Assembly:
     def _truth(self, frames: FrameStream) -> CorridorTruth | None:
         from fusion.logs.asl import TRUTH_NAME
 
-        truth = self._noted(self.sources.truth())
+        truth = self._collect_problems(self.sources.truth())
         if truth is not None:
             log = self.sources.whole_log()
             beside = (log.path if log is not None else Path()) / TRUTH_NAME

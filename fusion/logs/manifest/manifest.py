@@ -92,7 +92,7 @@ class StreamSource(BaseModel):
         is_units = isinstance(self.columns, ColumnMap) and self.columns.model_fields_set <= UNIT_KEYS
         return self.columns if is_units and isinstance(self.columns, ColumnMap) else None
 
-    def how_to_open(self) -> dict[str, Path | float | str | ColumnMap | None]:
+    def open_options(self) -> dict[str, Path | float | str | ColumnMap | None]:
         """Return the table's options for opening the file, by key; None if not set."""
         return {
             "columns": self.columns,
@@ -190,9 +190,9 @@ class CameraSource(StreamSource):
         default=1.0, strict=True, ge=0.2, le=5.0, description="Factor on the focal lengths."
     )
 
-    def how_to_open(self) -> dict[str, Path | float | str | ColumnMap | None]:
+    def open_options(self) -> dict[str, Path | float | str | ColumnMap | None]:
         """Return the table's options for opening the file, by key; None if not set."""
-        return super().how_to_open() | {
+        return super().open_options() | {
             "times": self.times,
             "start_ns": self.start_ns,
             "rate_hz": self.rate_hz,

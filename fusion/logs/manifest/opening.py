@@ -33,7 +33,7 @@ def with_time_shift(manifest: Manifest) -> Manifest:
     return manifest.model_copy(update={"camera": source.model_copy(update={"clock_offset_s": shift_s})})
 
 
-def open_as_told(path: Path, source: StreamSource) -> LogContents:
+def open_as_declared(path: Path, source: StreamSource) -> LogContents:
     """Open a file as declared in a manifest's table: with its column map and axes, frame times and start.
 
     Raises
@@ -45,7 +45,7 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
     from fusion.logs.pictures import picture_folder as folder
     from fusion.logs.pictures import video
 
-    options = source.how_to_open()
+    options = source.open_options()
     refuse_placeholder(path)
     if isinstance(source, CameraSource):
         if video.recognises(path):

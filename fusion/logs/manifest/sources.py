@@ -27,7 +27,13 @@ from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.csv.columns import CsvLog
 from fusion.logs.manifest.manifest import Manifest, StreamSource, corrected_camera
-from fusion.logs.manifest.opening import converted, medium_of, on_flights_clock, open_as_told, with_time_shift
+from fusion.logs.manifest.opening import (
+    converted,
+    medium_of,
+    on_flights_clock,
+    open_as_declared,
+    with_time_shift,
+)
 from fusion.logs.pictures.camera_folder import size_of_pictures
 from fusion.logs.plausibility.findings import Advice, Medium
 from fusion.logs.plausibility.imu import Gravity, gravity_of
@@ -91,10 +97,10 @@ class ManifestLog(LogContents):
         path = source.file or self.manifest.log
         if path is None or not source.use:
             return None
-        key = (path, repr(source.how_to_open()))
+        key = (path, repr(source.open_options()))
         if key not in self._opened:
             try:
-                self._opened[key] = open_as_told(path, source)
+                self._opened[key] = open_as_declared(path, source)
             except InputError as error:
                 self._opened[key] = error
         opened = self._opened[key]

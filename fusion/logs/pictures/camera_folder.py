@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fusion.files import stays_inside
+from fusion.files import is_inside_folder
 from fusion.flight import FrameStream
 from fusion.logs.csv.rows import parse_time, read_blocks
 from fusion.logs.csv.stamped_table import check_columns, read_table_head
@@ -101,7 +101,7 @@ def _read_list(path: Path, label: str) -> WithProblems[_TimesAndNames]:
                 names.append(name)
             else:
                 broken.append(row)
-            if not stays_inside(name):
+            if not is_inside_folder(name):
                 raise InputError(
                     f"names {name!r}, outside data/", file=path, remedy="copy the pictures there"
                 )

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fusion.files import stays_inside
+from fusion.files import is_inside_folder
 from fusion.flight import FrameStream, Remark, TimeArray
 from fusion.logs.contents import Kind, Topic
 from fusion.logs.csv.column_map import ColumnMap
@@ -174,7 +174,7 @@ def _times_from_list(
 def _beside(path: Path, file: Path, name: str) -> Path:
     """Return the path of a listed picture: in the folder, or relative to the list's folder."""
     name = name.strip().strip('"').replace("\\", "/")
-    if not stays_inside(name):
+    if not is_inside_folder(name):
         raise InputError(f"names {name!r}, outside the folder", file=file, remedy="copy the pictures there")
     for candidate in (path / name, file.parent / name, path / Path(name).name):
         if isfile(candidate):

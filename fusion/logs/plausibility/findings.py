@@ -84,7 +84,7 @@ class Advice:
             case Medium.FOLDER:
                 return f"correct body_frame in mav0/body.yaml, or T_BS in mav0/{stream}0/sensor.yaml"
             case Medium.TABLE:
-                other = "frd" if self._is_told_up(stream) else frame
+                other = "frd" if self._is_declared_z_up(stream) else frame
                 return f'set frame = "{other}" for [{stream}] in flight.toml'
             case Medium.LOG if stream == "imu":
                 return "set mount_rad = [3.1416, 0, 0] for [imu] in flight.toml"
@@ -94,9 +94,11 @@ class Advice:
         """Return the remedy if a stream's y and z are opposite to those assumed."""
         if self.medium(stream) is Medium.LOG:
             return "y and z of its axes point the other way than this format has them"
-        return "axes look like FRD, not FLU" if self._is_told_up(stream) else "axes look like FLU, not FRD"
+        return (
+            "axes look like FRD, not FLU" if self._is_declared_z_up(stream) else "axes look like FLU, not FRD"
+        )
 
-    def _is_told_up(self, stream: str) -> bool:
+    def _is_declared_z_up(self, stream: str) -> bool:
         return self.frames.get(stream) in ("flu", "enu")
 
     def mounting(self, stream: str, up: npt.NDArray[np.float64]) -> str:

@@ -33,7 +33,7 @@ class Reading:
     scale: float  # attitude's rate over the gyroscope's
 
     @property
-    def is_as_taken(self) -> bool:
+    def is_unchanged(self) -> bool:
         """Whether nothing needs to be changed."""
         return not self.conjugated and np.array_equal(self.axes, np.eye(3))
 
@@ -79,7 +79,7 @@ def compare_turns(imu: ImuStream, attitude: AttitudeStream) -> TurnComparison | 
     as_taken = readings[0]
     best = max(readings, key=_correlation)
     close = [reading for reading in readings if reading.correlation > best.correlation - 0.05]
-    others = () if as_taken in close else tuple(sorted(close, key=_unlikeliness))
+    others = () if as_taken in close else tuple(sorted(close, key=_plausibility_rank))
     return TurnComparison(as_taken, others, rate, len(gyro))
 
 
@@ -108,7 +108,7 @@ def _axes() -> list[FloatArray]:
     return found
 
 
-def _unlikeliness(reading: Reading) -> tuple[int, float]:
+def _plausibility_rank(reading: Reading) -> tuple[int, float]:
     known = (np.array_equal(reading.axes, FLU) and not reading.conjugated) or (
         reading.conjugated and np.array_equal(reading.axes, np.eye(3))
     )

@@ -42,7 +42,7 @@ from fusion.logs.rosbag.messages import (
     camera_from_info,
 )
 from fusion.logs.rosbag.pictures import GREY_16, BagPictures, describe, refusal
-from fusion.logs.rosbag.topics import Samples, gather, of_use
+from fusion.logs.rosbag.topics import Samples, gather, is_read
 from fusion.logs.samples import MIN_STEP_NS, Problems, WithProblems, counted
 from fusion.logs.series import (
     MAX_POSITION,
@@ -162,7 +162,7 @@ def _opened(bag: Bag) -> RosLog:
     series, left_out = _series(wire, [s for s in gathered.samples if s.kind not in PICTURES])
     problems += refused + left_out
     if not series and not pictures:
-        types = {c.msgtype for c in bag.connections if of_use(c)}
+        types = {c.msgtype for c in bag.connections if is_read(c)}
         if types and types <= {RosType.TRANSFORMS, RosType.CAMERA_INFO}:
             what = " and ".join(word for kind, word in _ACCESSORIES.items() if kind in types)
             raise InputError(

@@ -57,7 +57,7 @@ def magic_of(path: Path) -> bytes:
         return file.read(16)
 
 
-def storages_in(folder: Path) -> list[Path]:
+def bag_files_in(folder: Path) -> list[Path]:
     """Bag files of ROS 2 in a folder, by their first bytes."""
     files = [path for path in sorted(folder.iterdir()) if path.suffix in (".db3", ".mcap") and path.is_file()]
     return [path for path in files if magic_of(path).startswith((MCAP_MAGIC, SQLITE_MAGIC))]
@@ -73,7 +73,7 @@ def recognises(path: Path) -> bool:
     if metadata.is_file() and METADATA_KEY in "".join(read_head(metadata)):
         return True
     only_bags = all(child.suffix in _SUFFIXES for child in path.iterdir())
-    return only_bags and bool(storages_in(path))
+    return only_bags and bool(bag_files_in(path))
 
 
 class Bag:
@@ -149,7 +149,7 @@ class Bag:
             )
 
     def _only_storage(self, folder: Path) -> Path:
-        storages = storages_in(folder)
+        storages = bag_files_in(folder)
         if len(storages) != 1:
             raise InputError(
                 f"has {len(storages)} bag files and no {METADATA}",

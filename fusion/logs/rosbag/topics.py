@@ -111,7 +111,7 @@ class Gathered:
 def gather(bag: Bag, wire: Wire) -> WithProblems[Gathered]:
     """Read a bag in one pass."""
     found: dict[tuple[str, str], _Messages] = {}
-    connections = [connection for connection in bag.connections if of_use(connection)]
+    connections = [connection for connection in bag.connections if is_read(connection)]
     infos: dict[str, bytes] = {}
     frames = StaticFrames()
     read: Counter[str] = Counter()
@@ -136,14 +136,14 @@ def gather(bag: Bag, wire: Wire) -> WithProblems[Gathered]:
                 f"{topic}: {read[topic]} of {counted(promised, 'message')} in the index can be read",
             )
     gathered = sorted((topic for topic in found.values() if topic.stamps_ns), key=lambda topic: topic.name)
-    samples = [_turned_into_body(_put_right(bag, topic), wire, frames) for topic in gathered]
+    samples = [_turned_into_body(_with_chosen_clock(bag, topic), wire, frames) for topic in gathered]
     elsewhere = [s for s in samples if s.kind is RosType.RANGE and s.axes == LOOKS_ELSEWHERE]
     problems += tuple(f"{s.name}: {LOOKS_ELSEWHERE}, left out" for s in elsewhere)
     kept = _on_one_clock([s for s in samples if s not in elsewhere])
     return WithProblems(Gathered(kept, infos, frames), problems)
 
 
-def _put_right(bag: Bag, found: _Messages) -> Samples:
+def _with_chosen_clock(bag: Bag, found: _Messages) -> Samples:
     """Choose a topic's clock: its headers or, if these are empty, the receipt."""
     stamps_ns = np.array(found.stamps_ns, dtype=np.int64)
     received_ns = np.array(found.received_ns, dtype=np.int64)
@@ -210,7 +210,7 @@ def _moved(samples: Samples, by_ns: int) -> Samples:
     )
 
 
-def of_use(connection: Connection) -> bool:
+def is_read(connection: Connection) -> bool:
     """Whether a connection is read; only static ones of the transforms."""
     if connection.msgtype == RosType.TRANSFORMS:
         return connection.topic in TRANSFORM_TOPICS
@@ -226,7 +226,7 @@ def _turned_into_body(samples: Samples, wire: Wire, frames: StaticFrames) -> Sam
     frame_id = wire.frame_id(samples.first)
     mount = frames.mount(frame_id)
     if samples.kind is RosType.RANGE:
-        return _told_where_it_looks(samples, mount)
+        return _with_direction_note(samples, mount)
     if mount is None and not is_optical(frame_id):
         return samples
     R = OPTICAL_AS_FLU if mount is None else mount.of_flu_sensor()
@@ -239,7 +239,7 @@ def _turned_into_body(samples: Samples, wire: Wire, frames: StaticFrames) -> Sam
     return replace(samples, values=values, axes=f"turned from {frame_id} into {mount.body} by /tf_static")
 
 
-def _told_where_it_looks(samples: Samples, mount: Mount | None) -> Samples:
+def _with_direction_note(samples: Samples, mount: Mount | None) -> Samples:
     """Distances with a note on where the sensor points, along its x axis (sensor_msgs/Range)."""
     if mount is None:
         remark = (

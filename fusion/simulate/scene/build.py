@@ -172,7 +172,7 @@ def _build_wall(builder: Builder, wall: Wall, rooms: list[Room], config: SceneCo
     position = 0.0
     for opening in [*openings, Opening(length, length, 0.0, False)]:
         s0, s1 = position, opening.s0_m
-        angle = 0.0 if windows else _out_of_true(builder, s1 - s0, config)
+        angle = 0.0 if windows else _wall_deviation(builder, s1 - s0, config)
         askew = frame.turned((s0 + s1) / 2, 0.0, angle)
         reach = (s0 - _overlap(frame, s0, length, rooms), s1 + _overlap(frame, s1, length, rooms))
         _build_piece(builder, askew, reach, config, look, start_m)
@@ -227,7 +227,7 @@ def _build_wall_strips(
             build_strip(builder, frame, (begin, end), strip, config.height_m, layer)
 
 
-def _out_of_true(builder: Builder, length_m: float, config: SceneConfig) -> float:
+def _wall_deviation(builder: Builder, length_m: float, config: SceneConfig) -> float:
     """Angular deviation of a piece of wall: the offset at its ends does not depend on its length."""
     return float(builder.rng.normal(0, config.parallel_std_rad)) * min(1.0, TRUE_M / max(length_m, 1e-3))
 
