@@ -53,11 +53,11 @@ def align_flight(
         Whether the flight's camera is calibrated. Otherwise only its picture size is used, with no distortion and the
         principal point in the middle, and the focal length is estimated.
     max_offset_s
-        How far the clocks may be apart.
+        Largest offset of the clocks.
     max_frames
         Largest number of frames to measure.
     progress
-        Called with frames done and in all.
+        Called with (done, total) frames.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def turns_of_frames(
     t_ns, heading_rad, heading_std_rad
         Of the frames (n,); NaN if nothing was measured.
     max_offset_s
-        How far the clocks may be apart.
+        Largest offset of the clocks.
 
     Raises
     ------

@@ -39,7 +39,7 @@ MIN_LEAD = 8.0  # in log-likelihood, of the best offset over its rivals
 MIN_OVERLAP = 0.5  # share of the pairs that the inertial stream must cover at an offset
 RATIO_RANGE = (0.3, 3.0)  # plausible ratios of turns
 FIT_RATIO_RANGE = (0.001, 1000.0)  # for gyroscopes in any unit
-MIN_RATIO_SIGMA = 8.0  # else the frames did not show a turn
+MIN_RATIO_SIGMA = 8.0  # below it, the frames show no turn
 USABLE_STD_S = 0.02
 EDGE_S = 0.05
 
@@ -121,7 +121,7 @@ class ClockSearch:
     reversed
         Whether vision and inertial sensors turn in opposite directions.
     at_edge
-        Whether the best offset lies at the end of the searched range.
+        Whether the best offset is at the end of the searched range.
     compared
         Whether there were enough frames to compare.
     """

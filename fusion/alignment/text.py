@@ -33,7 +33,7 @@ def alignment_text(alignment: Alignment) -> str:
 
 
 def note_of(quantity: Quantity) -> str:
-    """Return the comment that stands beside a quantity in a manifest."""
+    """Return the comment on a quantity in a manifest."""
     value, sigma = _numbers(quantity)
     if quantity.changes:
         return f"corridor align: sigma {sigma}"

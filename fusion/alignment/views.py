@@ -193,7 +193,7 @@ def collect(flight: Flight, camera: Camera, chosen: IntArray, origin_ns: int, pr
     origin_ns
         Time that counts as zero.
     progress
-        Called with frames done and in all.
+        Called with (done, total) frames.
     """
     lines, kept = [], []
     for done, index in enumerate(chosen.tolist(), start=1):

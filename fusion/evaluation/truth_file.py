@@ -60,7 +60,7 @@ _MAX_NAME = 200
 
 
 def read_truth(path: str | Path, frame: Frame | None = None) -> Truth:
-    """Read a truth file, see `SUPPORTED`; a flight's folder stands for its ``corridor_truth.csv``.
+    """Read a truth file, see `SUPPORTED`; a flight's folder means its ``corridor_truth.csv``.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def _from_csv(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
 
 
 def _offset_of(values: Mapping[str, FloatArray], count: int) -> tuple[FloatArray, OffsetUnit]:
-    """Return offsets (n,) and their unit: metres where any is known, else half widths; NaN if there are none."""
+    """Return offsets (n,) and their unit: metres if any are known, else half widths; NaN if there are none."""
     offset = np.full(count, np.nan)
     unit: OffsetUnit = "m"
     for name, (scale, its_unit) in _OFFSETS.items():

@@ -69,7 +69,7 @@ def _write_parquet(rows: Sequence[dict[str, Value]], path: Path) -> None:
 
 
 def read_fleet(path: str | Path) -> list[FleetRow]:
-    """Read a fleet's table back, Parquet or CSV; a folder stands for the table in it.
+    """Read a fleet's table back, Parquet or CSV; a folder means the table in it.
 
     Raises
     ------

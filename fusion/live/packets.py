@@ -98,7 +98,7 @@ class PacketWriter:
         return [self._pack(encode(boot_ms, name.encode(), value)) for name, value in values.items()]
 
     def offset_vector(self, e: Estimate) -> bytes:
-        """Lateral offset, its sigma (in metres where the width is known, else in half widths) and heading."""
+        """Lateral offset, its sigma (in metres if the width is known, else in half widths) and heading."""
         in_metres = isfinite(e.lateral_offset_m)
         offset = e.lateral_offset_m if in_metres else e.lateral_offset_norm
         std = e.lateral_offset_std_m if in_metres else e.lateral_offset_norm_std

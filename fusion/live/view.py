@@ -36,7 +36,7 @@ class FoxgloveViewer:
     Raises
     ------
     InputError
-        If the SDK is not installed, or the port is taken.
+        If the SDK is not installed, or the port is in use.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8765) -> None:
@@ -64,7 +64,7 @@ class FoxgloveViewer:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """Address of the server."""
         return int(self._server.port)
 
     def frame(self, t_ns: int, image: npt.NDArray[np.uint8], result: FrameResult) -> None:

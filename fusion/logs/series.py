@@ -60,7 +60,7 @@ class Where:
     label: str
 
     def dropped(self, good: BoolArray, t_ns: TimeArray, what: str) -> Problems:
-        """Report the rows (n,) that are not good; the caller drops them. `InputError` where none is good."""
+        """Report the rows (n,) that are not good; the caller drops them. `InputError` if none is good."""
         if not good.any():
             raise InputError(
                 f"{self.label}: every row has {what}", file=self.file, remedy="choose another topic"

@@ -59,7 +59,7 @@ def fuse_flight(
     method
         ``geometric``, or ``paper`` for the article's measurement.
     progress
-        Called with frames done and in all.
+        Called with (done, total) frames.
     jobs
         Number of threads, including this one; the others decode pictures and find their lines ahead of the filter.
         The result is bit for bit the same for any number. None: one per core that the process may use, at most
@@ -216,7 +216,7 @@ def _feed(
     progress: Progress | None,
     clock: Stopwatch,
 ) -> float:
-    """Give the estimator all samples, in order of measurement time; return the seconds spent on pictures."""
+    """Pass all samples to the estimator, in order of measurement time; return the seconds spent on pictures."""
     vision_s = 0.0
     delay_ns = round(estimator.config.camera_delay_s * 1e9)
     total = len(flight.frames.t_ns)

@@ -51,7 +51,7 @@ def summarise(
     result, flight
         The result, and the flight that was fused.
     method
-        How the pictures were measured.
+        Method of measuring the pictures.
     counters
         Samples that the estimator took and dropped, by name.
     timings

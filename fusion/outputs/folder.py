@@ -75,7 +75,7 @@ def write_outputs(
     hashes
         SHA-256 of the flight's files where already known, for ``provenance``.
     progress
-        Called with pictures exported and in all, if ``exports`` include pictures.
+        Called with (done, total) exported pictures, if ``exports`` include pictures.
     sent
         Estimates sent in flight, if the flight is a recording of `corridor live`.
 

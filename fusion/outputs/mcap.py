@@ -56,7 +56,7 @@ def write_mcap(
     facts
         Metadata of the file.
     progress
-        Called with frames done and in all.
+        Called with (done, total) frames.
 
     Raises
     ------

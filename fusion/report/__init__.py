@@ -1,7 +1,7 @@
 """The report of a fused flight, one HTML page: `write_report`.
 
-May import `fusion.evaluation`, `fusion.result` and what lies below them. Begin reading at `fusion.report.page`; the
-plots in `fusion.report.plots` can be used alone, for example in notebooks.
+May import `fusion.evaluation`, `fusion.result` and the packages below them. Begin reading at `fusion.report.page`;
+the plots in `fusion.report.plots` can be used alone, for example in notebooks.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ def read_summary(path: str | Path) -> dict[str, Any]:
 def summary_json(summary: Mapping[str, Any]) -> str:
     """Return a summary as JSON text."""
     text = json.dumps(_plain(summary), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    # JSON allows some control characters of terminals; they occur only within texts, where they can be escaped.
+    # JSON allows some control characters of terminals; they occur only in texts and can be escaped.
     return "".join(sign if sign.isprintable() or sign == "\n" else _escaped(sign) for sign in text)
 
 

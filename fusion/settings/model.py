@@ -23,7 +23,7 @@ class Settings(BaseModel, metaclass=_Explained):
     Raises
     ------
     InputError
-        From the constructor: a `ValueError` of one line that names the setting, its value and what would do.
+        From the constructor: a `ValueError` of one line with the setting, its value and the remedy.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

@@ -49,7 +49,7 @@ def simulate_flight(
     out_dir
         The folder to create; it must not exist, or must be empty.
     progress
-        Called with frames done and frames in all.
+        Called with (done, total) frames.
     camera
         Replaces the lens and mount in ``config.camera``.
 

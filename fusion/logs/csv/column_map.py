@@ -131,7 +131,7 @@ class ColumnMap(BaseModel):
 # names neither unit nor axes of vgx, vgy, vgz; flights show decimetres per second along the axes of yaw = 0
 # (x forward at power-on, y right, z down). `time` counts whole seconds of motor time and cannot stamp samples: the
 # recorder has to add a time of its own. tof is centimetres along the body's z: 30 to 1000 by the manual, 10 on
-# the ground, and 6553 (0xFFFF millimetres) where nothing came back.
+# the ground, and 6553 (0xFFFF millimetres) without an echo.
 _TELLO = ColumnMap(
     frame="frd",
     velocity_frame="ned",
@@ -169,7 +169,7 @@ _ARDRONE = ColumnMap(
 )
 
 # Crazyflie, variables of its log blocks under their own names: FLU, degrees/s, g; the state is of a world with z up.
-# zrange looks down, millimetres; 32767 where nothing came back.
+# zrange looks down, millimetres; 32767 without an echo.
 _CRAZYFLIE = ColumnMap(
     frame="flu",
     velocity_frame="enu",

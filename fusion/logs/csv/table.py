@@ -46,7 +46,7 @@ class Layout:
     separator
         Between fields.
     names
-        Of the columns, without units; empty strings where there is no header.
+        Of the columns, without units; empty strings if there is no header.
     units
         Text in brackets after each name.
     header_lines

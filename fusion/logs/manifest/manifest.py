@@ -60,7 +60,7 @@ UNIT_KEYS = frozenset(
 
 
 class StreamSource(BaseModel):
-    """Where one stream comes from; what is left open is chosen from the log."""
+    """Source of one stream; unset fields are chosen from the log."""
 
     model_config = _STRICT
 
@@ -112,7 +112,7 @@ class StreamSource(BaseModel):
 
 
 class SensorSource(StreamSource):
-    """Where the samples of a sensor on the body come from, and how it sits there."""
+    """Source of a body-mounted sensor's samples, and its mounting."""
 
     mount_rad: tuple[MountAngle, MountAngle, MountAngle] | None = Field(
         default=None,
@@ -121,7 +121,7 @@ class SensorSource(StreamSource):
 
 
 class ImuSource(SensorSource):
-    """Where the IMU's samples come from, how it is mounted, and how noisy it is."""
+    """Source of the IMU's samples, its mounting and noise."""
 
     camera_axis: CameraAxis | None = Field(
         default=None,
@@ -133,7 +133,7 @@ class ImuSource(SensorSource):
 
 
 class RangeSource(StreamSource):
-    """Where the distances to the floor come from, and where the sensor sits."""
+    """Source of the distances to the floor, and the sensor's position."""
 
     above_camera_m: float = Field(
         default=0.0,
@@ -145,7 +145,7 @@ class RangeSource(StreamSource):
 
 
 class CameraSource(StreamSource):
-    """Where the pictures come from, and the camera that took them."""
+    """Source of the pictures, and their camera."""
 
     calibration: Path | None = Field(default=None, description="Calibration file; without it, the log's own.")
     times: Path | None = Field(

@@ -118,7 +118,7 @@ def open_video(
     Raises
     ------
     InputError
-        If PyAV is not installed, the file is not a video, it has no frames, or nothing says when they were taken.
+        If PyAV is not installed, the file is not a video, it has no frames, or there are no times.
     """
     with open_container(path) as container:
         streams = [stream for stream in container.streams.video if not _is_cover(stream)]

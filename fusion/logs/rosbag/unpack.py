@@ -119,7 +119,7 @@ class _BoundedFile:
         self._file.close()
 
     def read(self, size: int = -1) -> bytes:
-        """Read unpacked bytes, one piece where no size is given.
+        """Read unpacked bytes; one piece if no size is given.
 
         Raises
         ------

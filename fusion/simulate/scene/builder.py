@@ -57,7 +57,7 @@ class Frame:
         return s * self.along + d * self.out - h * np.array([0.0, 0.0, 1.0])
 
     def turned(self, s: float, d: float, angle_rad: float) -> Frame:
-        """Return the frame turned about the vertical through (s, d), from ``along`` towards ``out``."""
+        """Return the frame rotated about the vertical through (s, d), from ``along`` towards ``out``."""
         c, n = np.cos(angle_rad), np.sin(angle_rad)
         along, out = c * self.along + n * self.out, c * self.out - n * self.along
         return Frame(self.point(s, d, 0.0) - s * along - d * out, along, out)
@@ -71,7 +71,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 @dataclass(slots=True, eq=False)
 class Builder:
-    """Collects surfaces; `fusion.simulate.scene.build` turns them into a lit `Mesh`.
+    """Collects surfaces; `fusion.simulate.scene.build` converts them to a lit `Mesh`.
 
     ``keep_clear`` (k, 3) are world points that no object may come near; ``obstacles`` (minimum, maximum) are the
     boxes of the objects built.

@@ -27,7 +27,7 @@ def _panes(windows: WindowsConfig, config: SceneConfig) -> tuple[float, int]:
 def build_windows(
     builder: Builder, frame: Frame, windows: WindowsConfig, config: SceneConfig, span_m: tuple[float, float]
 ) -> None:
-    """Set the panes that lie within ``span_m`` (along the corridor) into a wall that begins there."""
+    """Build the panes within ``span_m`` (along the corridor) in a wall that begins there."""
     first, count = _panes(windows, config)
     pitch, low, high = (
         windows.pane_m + windows.pier_m,
