@@ -1,4 +1,4 @@
-"""A flight in memory, independent of the log format: SI units, radians, body FRD, world z down, integer nanoseconds."""
+"""A flight in memory, for any log format: SI units, radians, body FRD, world z down, integer nanoseconds."""
 
 from __future__ import annotations
 

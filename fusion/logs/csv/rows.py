@@ -265,7 +265,7 @@ def read_rows(blocks: Iterable[Block], fmt: RowFormat) -> Rows:
 
 
 class _Part(NamedTuple):
-    """Some parsed rows, numbered among the given lines; number of damaged lines, the first of them, and bad fields."""
+    """Some parsed rows, numbered among the given lines; number of damaged lines, the first, and bad fields."""
 
     data: npt.NDArray[np.void]
     number: npt.NDArray[np.int64]
