@@ -1,8 +1,8 @@
 """The camera's mounting yaw from the vehicle's track, for vehicles that hardly tilt but measure their velocity.
 
 A vehicle with heading ``psi``, forward speed u and rightward speed w drifts to the right at
-``u sin(psi) + w cos(psi)``. The camera measures the drift as lateral offset in units of the corridor's half width h, and a heading
-that is the vehicle's plus the mounting yaw m. To first order in m
+``u sin(psi) + w cos(psi)``. The camera measures the drift as lateral offset in units of the half width h, and a
+heading that is the vehicle's plus the mounting yaw m. To first order in m
 
     offset = (A - m B) / h + constant,    A = integral(u sin + w cos),  B = integral(u cos - w sin)
 
