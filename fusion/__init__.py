@@ -1,7 +1,8 @@
-"""Fuse corridor vision with an IMU: a streaming estimator, and the same over logged flights.
+"""Fuse corridor vision with an IMU: a streaming estimator, which also runs over logged flights.
 
 Frames, signs and units are those of `vision.measurement`: body FRD, heading and lateral offset positive to the right,
-SI and radians, time in integer nanoseconds. Importing the package loads nothing; each name loads at its first use.
+SI and radians, time in integer nanoseconds. Importing the package loads nothing; each name is loaded at its first
+use.
 
 Each subpackage has one job, and imports only packages below it; ``make lint`` checks that. From the bottom:
 `fusion.settings`, `fusion.flight`; `fusion.estimator`, `fusion.logs`, `fusion.simulate`; `fusion.result`,
@@ -12,8 +13,8 @@ Each subpackage has one job, and imports only packages below it; ``make lint`` c
 
 from __future__ import annotations
 
-# `typing.TYPE_CHECKING` without `typing`: until the command line has its handler of interrupts, every import is time
-# in which Ctrl-C ends in a traceback.
+# `typing.TYPE_CHECKING` without `typing`: until the command line has installed its handler, Ctrl-C during an import
+# ends in a traceback.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
@@ -70,7 +71,7 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         from importlib.metadata import version
 
-        return version("corridor-fusion")  # pyproject.toml is the only place that says it
+        return version("corridor-fusion")  # defined only in pyproject.toml
     raise AttributeError(f"module 'fusion' has no attribute {name!r}")
 
 

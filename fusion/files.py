@@ -1,8 +1,8 @@
-"""Files and folders that appear whole: an error or a kill while writing leaves what was there before.
+"""Atomic writing of files and folders: after an error or a kill while writing, the previous ones are unchanged.
 
-A draft lies hidden beside its target, as ``.NAME.corridor-XXXXXXXX.partial``. It is on the disk before it takes the
-target's name. What a killed run left is cleared, and what it had set aside put back, when the same target is next
-written; the drafts of a run still at work are locked and stay.
+A draft is a hidden file beside its target, ``.NAME.corridor-XXXXXXXX.partial``. It is flushed to the disk before it
+is renamed to the target. When the same target is written again, drafts of a killed run are deleted and its backups
+restored; the drafts of a running process are locked and kept.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from vision.errors import InputError
 
 try:
     from fcntl import LOCK_EX, LOCK_NB, flock
-except ImportError:  # no such locks on Windows: there nothing is taken for left behind
+except ImportError:  # no such locks on Windows: there, no draft is regarded as left behind
     flock = None  # type: ignore[assignment]
 
 _POSIX = os.name == "posix"
 
-_at_work: dict[Path, Path] = {}  # this process's drafts and what each becomes
+_at_work: dict[Path, Path] = {}  # this process's drafts and their targets
 
 
 def sha256_of(path: Path) -> str:
@@ -35,7 +35,7 @@ def sha256_of(path: Path) -> str:
     Raises
     ------
     OSError
-        Where it cannot be read.
+        If it cannot be read.
     """
     with path.open("rb") as file:
         return file_digest(file, "sha256").hexdigest()
@@ -43,14 +43,14 @@ def sha256_of(path: Path) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a draft to write to; it takes the name ``path`` if the block succeeds. Parents are made as needed.
+    """Provide a draft to write to; it is renamed to ``path`` if the block succeeds. Creates missing parents.
 
-    A link is followed; a device or a pipe such as ``/dev/stdout`` is written to as it is.
+    Links are followed; a device or a pipe such as ``/dev/stdout`` is written to directly.
 
     Raises
     ------
     InputError
-        Naming ``path``, where it cannot be written.
+        With ``path``, if it cannot be written.
     """
     try:
         if path.exists() and not path.is_file() and not path.is_dir():
@@ -74,12 +74,12 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replacing_folder(folder: Path) -> Iterator[Path]:
-    """Give a draft to fill; it takes the place of ``folder`` and all that is in it if the block succeeds.
+    """Provide a draft to fill; it replaces ``folder`` with all its contents if the block succeeds.
 
     Parameters
     ----------
     folder
-        Absolute and free of links. Its parents are made as needed.
+        Absolute, without links. Missing parents are created.
     """
     _make_folder(folder.parent)
     restore(folder)
@@ -110,7 +110,7 @@ def _swap(draft: Path, folder: Path) -> None:
 
 
 def restore(target: Path) -> None:
-    """Put back what a killed run had set aside of a file or folder, and clear the drafts that it left."""
+    """Restore a file's or folder's backup from a killed run, and delete the run's drafts."""
     for left in left_behind(target.parent, f".{target.name}"):
         if left.suffix == ".old" and not target.exists():
             left.rename(target)
@@ -119,7 +119,7 @@ def restore(target: Path) -> None:
 
 
 def left_behind(folder: Path, prefix: str = "") -> list[Path]:
-    """Return drafts in a folder that no running process holds, by the name they begin with."""
+    """Return a folder's drafts with this prefix that no running process holds."""
     if flock is None or not folder.is_dir():
         return []
     ours = re.compile(re.escape(prefix) + r"\.corridor-[0-9a-f]{8}\.(partial|complete|old)")
@@ -135,14 +135,14 @@ def _make_folder(folder: Path) -> None:
 
 @contextmanager
 def draft_of(target: Path, prefix: str = "") -> Iterator[Path]:
-    """Give the path of a draft, removed at the end where it is still there.
+    """Provide the path of a draft, which is deleted at the end if it still exists.
 
     Parameters
     ----------
     target
-        What the draft becomes: it lies beside it.
+        Target of the draft, in the same folder.
     prefix
-        What the draft's name begins with, for `left_behind` to find.
+        Prefix of the draft's name, for `left_behind`.
     """
     draft = target.with_name(f"{prefix}.corridor-{secrets.token_hex(4)}.partial")
     _at_work[draft] = target
@@ -154,7 +154,7 @@ def draft_of(target: Path, prefix: str = "") -> Iterator[Path]:
 
 
 def abandon_drafts() -> None:
-    """Remove all drafts of this process, and put back what was set aside for them: for one about to end at once."""
+    """Delete all drafts of this process, and restore backups, before the process ends at once."""
     for draft, target in list(_at_work.items()):
         remove(draft)
         aside = draft.with_suffix(".old")
@@ -166,7 +166,7 @@ def abandon_drafts() -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file or a folder as far as that can be done."""
+    """Delete a file or a folder as far as possible."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
         return
@@ -176,7 +176,7 @@ def remove(path: Path) -> None:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold a file or folder that is being worked on; the system lets go of it when the process ends."""
+    """Lock a file or folder in use; the system releases the lock when the process ends."""
     if flock is None:
         yield
         return
@@ -204,7 +204,7 @@ def _is_held(path: Path) -> bool:
 
 
 def to_disk(path: Path) -> None:
-    """Wait until a file's content, or a folder's list of names, is on the disk."""
+    """Flush a file's content, or a folder's list of names, to the disk."""
     if path.is_dir() and not _POSIX:
         return
     handle = os.open(path, os.O_RDONLY if _POSIX else os.O_RDWR)
@@ -215,19 +215,19 @@ def to_disk(path: Path) -> None:
 
 
 def tree_to_disk(folder: Path) -> None:
-    """Wait until a folder and all in it is on the disk."""
+    """Flush a folder and all its contents to the disk."""
     for inside, _, names in os.walk(folder, topdown=False):
         for name in names:
             to_disk(Path(inside, name))
         to_disk(Path(inside))
 
 
-def stays_inside(name: str) -> bool:
-    """Whether a file name that was read from a file names something in that file's folder or below."""
+def is_inside_folder(name: str) -> bool:
+    """Whether a file name read from a file refers to that file's folder or below."""
     path = os.path.normpath(name.replace("\\", "/"))
     return not os.path.isabs(path) and path.split("/")[0] != ".." and "\0" not in name
 
 
 def error_text(error: Exception) -> str:
-    """Return what the system says of an error, without its number and path."""
+    """Return the system's text for an error, without number and path."""
     return (error.strerror or str(error)) if isinstance(error, OSError) else str(error)

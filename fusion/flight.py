@@ -1,4 +1,4 @@
-"""A flight in memory, whatever log it came from: SI units, radians, body FRD, world z down, integer nanoseconds."""
+"""A flight in memory, for any log format: SI units, radians, body FRD, world z down, integer nanoseconds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GreyImage = npt.NDArray[np.uint8]
 
 
 class Remark(str):
-    """A sentence among a flight's ``problems`` on what was found and taken, where nothing was lost or is in doubt."""
+    """A sentence among a flight's ``problems`` that states a finding or an assumption; nothing was lost."""
 
     __slots__ = ()
 
@@ -30,13 +30,13 @@ class FrameSource(Protocol):
         Raises
         ------
         InputError
-            Where this picture does not decode.
+            If the picture cannot be decoded.
         """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChosenFrames:
-    """Some pictures of a source under numbers of their own: ``index`` (n,) are the source's."""
+    """Some pictures of a source, renumbered: ``index`` (n,) are their numbers in the source."""
 
     source: FrameSource
     index: npt.NDArray[np.int64]
@@ -48,7 +48,7 @@ class ChosenFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameStream:
-    """Camera frames; a picture that does not decode is found when it is read, not here.
+    """Camera frames; a picture that cannot be decoded is noticed only when it is read.
 
     Parameters
     ----------
@@ -82,9 +82,9 @@ class ImuStream:
     gyro_rad_s
         Angular rate (n, 3).
     accel_m_s2
-        Specific force (n, 3), about (0, 0, -9.81) at rest and level; NaN rows where a log has none.
+        Specific force (n, 3), about (0, 0, -9.81) at rest and level; NaN rows if a log has none.
     gyro_noise_density, gyro_random_walk
-        rad/s/sqrt(Hz) and rad/s^2/sqrt(Hz) as the log declares them; None where it does not.
+        rad/s/sqrt(Hz) and rad/s^2/sqrt(Hz) as the log declares them; None if it does not.
     """
 
     t_ns: TimeArray
@@ -112,7 +112,7 @@ class VectorStream:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeStream:
-    """Distances (n,) to the floor, metres, along the body's z (down), as seen from the camera's place."""
+    """Distances (n,) to the floor, metres, along the body's z (down), from the camera."""
 
     t_ns: TimeArray
     distance_m: FloatArray
@@ -120,7 +120,7 @@ class RangeStream:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorridorTruth:
-    """What the flight really did, columns of ``corridor_truth.csv``; every array is (n,)."""
+    """Ground truth, the columns of ``corridor_truth.csv``; every array is (n,)."""
 
     t_ns: TimeArray
     heading_rad: FloatArray
@@ -131,11 +131,11 @@ class CorridorTruth:
 
 
 class FlightSource(Protocol):
-    """Where a flight's streams came from: `fusion.logs.manifest.manifest.Manifest`, which this module cannot know."""
+    """Sources of a flight's streams: `fusion.logs.manifest.manifest.Manifest`, which this module does not import."""
 
     @property
     def name(self) -> str | None:
-        """What the flight is to be called; None where the source does not say."""
+        """Name of the flight; None if the source has none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 
 def printable(text: str, keep: str = "") -> str:
-    """Write control characters, line breaks and marks that change the direction of writing as escapes, like Python.
+    """Escape control characters, line breaks and marks of the writing direction, like Python.
 
     Parameters
     ----------
     text
         Any text.
     keep
-        Characters to leave as they are, such as line breaks.
+        Characters that are not escaped, such as line breaks.
     """
     if text.isprintable():
         return text

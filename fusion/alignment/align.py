@@ -1,4 +1,4 @@
-"""`align_flight`: what an alignment does, from a flight to its corrected camera."""
+"""`align_flight`: the steps of an alignment, from a flight to its corrected camera."""
 
 from __future__ import annotations
 
@@ -48,21 +48,21 @@ def align_flight(
     Parameters
     ----------
     flight
-        With a gyroscope or an attitude stream. Of a long flight, the stretches with most turning are used.
+        With a gyroscope or an attitude stream. In a long flight, the stretches with most turning are used.
     camera_known
-        Whether the flight's camera is a calibrated one. Otherwise only its picture size counts: no distortion, the
-        principal point in the middle, and the focal length is looked for.
+        Whether the flight's camera is calibrated. Otherwise only its picture size is used, with no distortion and the
+        principal point in the middle, and the focal length is estimated.
     max_offset_s
-        How far the clocks may be apart.
+        Largest offset of the clocks.
     max_frames
-        How many frames are looked at.
+        Largest number of frames to measure.
     progress
-        Called with frames done and in all.
+        Called with (done, total) frames.
 
     Raises
     ------
     InputError
-        Where the flight has no frames that can be read, or nothing inertial.
+        If the flight has no readable frames, or no inertial stream.
     """
     if not 0.0 < max_offset_s <= 60.0:
         raise InputError(f"max_offset_s = {max_offset_s:g}", remedy="give seconds, up to 60")
@@ -99,7 +99,7 @@ def align_flight(
 def _mounting(
     flight: Flight, found: Found, turning: Turning, origin_ns: int, camera_known: bool
 ) -> tuple[Quantity, Quantity, Quantity]:
-    """Mounting yaw, pitch and roll; yaw from the vehicle's track, where the flight has one."""
+    """Mounting yaw, pitch and roll; yaw from the vehicle's track, if the flight has one."""
     tilt_known = float(np.median(turning.tilt_std_rad)) < LEVEL_STD_RAD
     track = None
     if found.clock is not None and found.sightings is not None:
@@ -108,7 +108,7 @@ def _mounting(
 
 
 def _notes_on_frames(n_unreadable: int, n_chosen: int, n_all: int) -> Iterator[str]:
-    """Say which of the flight's frames the alignment could not use, or did not look at."""
+    """Report which of the flight's frames the alignment could not use or did not measure."""
     if n_unreadable:
         yield f"{n_unreadable} of {n_chosen} frames cannot be read."
     if n_chosen < n_all:
@@ -122,10 +122,10 @@ def clock_of_frames(
     heading_std_rad: FloatArray,
     max_offset_s: float = MAX_OFFSET_S,
 ) -> Quantity:
-    """Find the time offset from headings that were measured already, as those of ``frames.csv``: reads no picture.
+    """Find the time offset from existing headings, such as those of ``frames.csv``, without reading pictures.
 
-    As good as `align_flight` where the offset is small. A large one spoils the attitude that the headings were
-    measured with, and so may go unseen here.
+    As good as `align_flight` if the offset is small. A large offset gives the headings a wrong attitude and may go
+    undetected here.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def clock_of_frames(
     Raises
     ------
     InputError
-        Where the flight has nothing inertial, or there are no frames.
+        If the flight has no inertial stream or no frames.
     """
     turning, sightings = _turns(flight, t_ns, heading_rad, heading_std_rad)
     return clock_quantity(Found(find_clock(sightings, turning, max_offset_s), 1.0), turning, max_offset_s)
@@ -148,21 +148,21 @@ def turns_of_frames(
     heading_std_rad: FloatArray,
     max_offset_s: float = MAX_OFFSET_S,
 ) -> SkewedClock:
-    """Compare the turns of headings that were measured already with those of the inertial sensors: offset and skew.
+    """Compare the turns of existing headings with those of the inertial sensors: offset and skew.
 
     Parameters
     ----------
     flight
         With a gyroscope or an attitude stream.
     t_ns, heading_rad, heading_std_rad
-        Of the frames (n,); NaN where nothing was measured.
+        Of the frames (n,); NaN if nothing was measured.
     max_offset_s
-        How far the clocks may be apart.
+        Largest offset of the clocks.
 
     Raises
     ------
     InputError
-        Where the flight has nothing inertial, or there are no frames.
+        If the flight has no inertial stream or no frames.
     """
     turning, sightings = _turns(flight, t_ns, heading_rad, heading_std_rad)
     return find_skewed_clock(sightings, turning, max_offset_s, thorough=False)
@@ -171,7 +171,7 @@ def turns_of_frames(
 def _turns(
     flight: Flight, t_ns: TimeArray, heading_rad: FloatArray, heading_std_rad: FloatArray
 ) -> tuple[Turning, Sightings]:
-    """Yaw by the inertial sensors, and the frames to compare with it; times count from the first frame."""
+    """Yaw by the inertial sensors, and the frames to compare with it; times are relative to the first frame."""
     if not len(t_ns):
         raise InputError(f"flight {flight.name} has no camera frames", remedy="align a flight with pictures")
     origin_ns = int(t_ns[0])
@@ -182,7 +182,7 @@ def _turns(
 
 
 def apply_alignment(flight: Flight, alignment: Alignment) -> Flight:
-    """Return the flight with the corrections of its alignment: what reading it with the manifest would give."""
+    """Return the flight with its alignment's corrections, as if read with the new manifest."""
     frames = flight.frames
     if alignment.clock_rate.changes:
         frames = replace(frames, t_ns=at_rate(frames.t_ns, alignment.clock_rate.value))
@@ -192,7 +192,7 @@ def apply_alignment(flight: Flight, alignment: Alignment) -> Flight:
 
 
 def ordinary_camera(camera: Camera) -> Camera:
-    """Return what to start from where nothing is known of a camera but the size of its pictures."""
+    """Return the camera to start from if only the size of its pictures is known."""
     from vision.axis.field_of_view import ordinary_field_of_view
 
     view = ordinary_field_of_view(camera.width_px, camera.height_px)
@@ -200,7 +200,7 @@ def ordinary_camera(camera: Camera) -> Camera:
 
 
 def _focal_of_pictures(views: Views) -> Quantity:
-    """Focal length by the right angles in the pictures, where turns do not tell it."""
+    """Estimate the focal length from right angles in the pictures, if the turns do not determine it."""
     from vision.axis.field_of_view import MAX_TRIED, field_of_view_of_lines
 
     step = max(1, len(views.lines) // MAX_TRIED)
@@ -210,16 +210,16 @@ def _focal_of_pictures(views: Views) -> Quantity:
     # d(f)/f = -d(fov) / sin(fov)
     sigma = scale * view.std_rad / float(np.sin(view.horizontal_rad))
     if not view.measured:
-        said = "Neither turns nor pictures give the focal length: that of an ordinary camera is assumed."
-        return Quantity("focal_scale", nan, inf, False, said, 1.0)
-    said = f"From the right angles in {view.n_used} pictures, as the vehicle turns too little."
-    return Quantity("focal_scale", scale, sigma, True, said, 1.0)
+        sentence = "Neither turns nor pictures give the focal length: that of an ordinary camera is assumed."
+        return Quantity("focal_scale", nan, inf, False, sentence, 1.0)
+    sentence = f"From the right angles in {view.n_used} pictures, as the vehicle turns too little."
+    return Quantity("focal_scale", scale, sigma, True, sentence, 1.0)
 
 
 def _corrected(
     camera: Camera, known: bool, focal: Quantity, yaw: Quantity, pitch: Quantity, roll: Quantity
 ) -> Camera:
-    """Apply what is usable and differs; a focal length that nobody knew is better than none."""
+    """Apply quantities that are usable and significant; without a calibration, any focal length found."""
     if focal.changes or (focal.usable and not known):
         camera = scaled_focal(camera, focal.value)
     angle_rad = np.array([q.value if q.changes else 0.0 for q in (roll, pitch, yaw)])

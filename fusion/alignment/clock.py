@@ -1,13 +1,13 @@
-"""Time offset between camera and inertial sensors, and the ratio of the turns that each of them saw.
+"""Time offset between camera and inertial sensors, and the ratio of the turns that each of them measured.
 
 The model, for a frame stamped t while the vehicle flies along one corridor:
 
     heading(t) = ratio * yaw(t + offset) + drift * t + constant + errors
 
-The constant is another one in each corridor, and known only up to half a turn, as a corridor looks alike from both
-ends. Errors are white (the frame's) plus a random walk (the gyroscope's, and what successive frames have in common).
-The gyroscope's share of the walk is noise of the regressor, which would make the ratio too small; it is taken out as
-in total least squares, by regressing on the yaw less the walk that the residuals show.
+The constant differs from corridor to corridor and is known only up to half a turn, because a corridor looks the same
+from both ends. Errors are white (the frame's) plus a random walk (the gyroscope's, and what successive frames have in
+common). The gyroscope's share of the walk is noise of the regressor, which would make the ratio too small; it is
+removed as in total least squares, by regressing on the yaw less the walk estimated from the residuals.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
 COARSE_STEP_S = 0.01
-PAIR_S = (0.2, 0.8)  # frames so far apart are compared in the coarse search
+PAIR_S = (0.2, 0.8)  # spacing of the frames compared in the coarse search
 MIN_PAIRS = 12
 COARSE_SIGMA_RAD = radians(1.0)
 COARSE_ROUNDS = 4
@@ -37,23 +37,23 @@ RIVAL_APART_S = 0.3
 N_RIVALS = 4
 MIN_LEAD = 8.0  # in log-likelihood, of the best offset over its rivals
 MIN_OVERLAP = 0.5  # share of the pairs that the inertial stream must cover at an offset
-RATIO_RANGE = (0.3, 3.0)  # of lenses and gyroscopes whose offset is believed
-FIT_RATIO_RANGE = (0.001, 1000.0)  # of gyroscopes in any unit
-MIN_RATIO_SIGMA = 8.0  # else the frames did not show a turn
+RATIO_RANGE = (0.3, 3.0)  # plausible ratios of turns
+FIT_RATIO_RANGE = (0.001, 1000.0)  # for gyroscopes in any unit
+MIN_RATIO_SIGMA = 8.0  # below it, the frames show no turn
 USABLE_STD_S = 0.02
 EDGE_S = 0.05
 
 LEVEL_FRAMES = 15
 NEW_LEVEL_FRAMES = 6
 GATE_RAD = radians(5.0)
-DRIFT_RAD_S = radians(0.6)  # by which a level may have moved while it was not seen
+DRIFT_RAD_S = radians(0.6)  # drift of a level while no frame belongs to it
 MAX_GATE_RAD = radians(20.0)
 
 MIN_CLOCK_FRAMES = 12
 ROUNDS = 12
 NOISE_EVERY = 3
-REACH_S = 0.25  # by which the fine fit may leave the candidate, and look about
-# A yaw rate between nearer points would be mostly the gyroscope's noise, and pass for a steep slope.
+REACH_S = 0.25  # largest distance of the fine fit from its candidate
+# A yaw rate between closer points would be mostly gyroscope noise, and look like a steep slope.
 HALF_SLOPE_S = 0.1
 OFFSET, RATIO, DRIFT = range(3)  # columns of the fit, before the constants
 START_DENSITY = 0.005
@@ -62,7 +62,7 @@ MAX_STEP_S = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coarse:
-    """A candidate of the coarse search; ``lead`` is its evidence over turns that have nothing in common."""
+    """A candidate of the coarse search; ``lead`` is its log-likelihood over that of unrelated turns."""
 
     offset_s: float
     ratio: float
@@ -82,11 +82,11 @@ class ClockFit:
     ratio, ratio_std
         Turns that vision saw over turns of the inertial sensors.
     drift_rad_s
-        Bias of the inertial yaw rate with its sign turned.
+        Negative bias of the inertial yaw rate.
     n_frames, n_corridors
-        Frames that had a say, and constants that were needed.
+        Number of frames used, and of constants fitted.
     turned_rad
-        Standard deviation of the yaw over the frames, drift and constants taken out.
+        Standard deviation of the yaw over the frames, drift and constants removed.
     white_rad, walk_density
         Noise found: of a frame, and of the walk, rad/sqrt(s).
     samples
@@ -108,26 +108,26 @@ class ClockFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClockSearch:
-    """Outcome of looking for the time offset.
+    """Result of the search for the time offset.
 
     Parameters
     ----------
     fit
-        The best one; None where too few frames could be compared.
-    told
-        Whether the flight tells the offset.
+        The best fit; None if too few frames could be compared.
+    determined
+        Whether the flight determines the offset.
     rival_s
-        Another offset that explains the flight as well; None: there is none.
+        Another offset that explains the flight equally well; None if there is none.
     reversed
         Whether vision and inertial sensors turn in opposite directions.
     at_edge
-        Whether the best offset lies at the end of the range that was searched.
+        Whether the best offset is at the end of the searched range.
     compared
         Whether there were enough frames to compare.
     """
 
     fit: ClockFit | None
-    told: bool
+    determined: bool
     rival_s: float | None = None
     reversed: bool = False
     at_edge: bool = False
@@ -135,7 +135,7 @@ class ClockSearch:
 
 
 def find_clock(sightings: Sightings, turning: Turning, reach_s: float) -> ClockSearch:
-    """Look for the offset within ``+-reach_s``, and judge whether the flight tells it."""
+    """Search the offset within ``+-reach_s``, and judge whether the flight determines it."""
     coarse = coarse_offsets(sightings, turning, reach_s)
     if not coarse:
         return ClockSearch(None, False)
@@ -149,8 +149,8 @@ def find_clock(sightings: Sightings, turning: Turning, reach_s: float) -> ClockS
         return ClockSearch(None, False, rival, compared=True)
     at_edge = abs(fit.offset_s) > reach_s - EDGE_S
     moved = fit.ratio > MIN_RATIO_SIGMA * fit.ratio_std and RATIO_RANGE[0] < fit.ratio < RATIO_RANGE[1]
-    told = rival is None and not at_edge and moved and fit.offset_std_s < USABLE_STD_S
-    return ClockSearch(fit, told, rival, at_edge=at_edge, compared=True)
+    determined = rival is None and not at_edge and moved and fit.offset_std_s < USABLE_STD_S
+    return ClockSearch(fit, determined, rival, at_edge=at_edge, compared=True)
 
 
 def coarse_offsets(sightings: Sightings, turning: Turning, reach_s: float) -> tuple[Coarse, ...]:
@@ -159,7 +159,7 @@ def coarse_offsets(sightings: Sightings, turning: Turning, reach_s: float) -> tu
     Returns
     -------
     tuple of Coarse
-        The best offset first, then rivals at least `RIVAL_APART_S` away; empty where there is too little to compare.
+        The best offset first, then rivals at least `RIVAL_APART_S` away; empty if there is too little to compare.
     """
     t, heading = sightings.t_s[sightings.seen], sightings.heading_rad[sightings.seen]
     partner = np.searchsorted(t, t + PAIR_S[0])
@@ -181,11 +181,11 @@ def coarse_offsets(sightings: Sightings, turning: Turning, reach_s: float) -> tu
     yawed = np.where(covered, yawed, 0.0)
     ratio, drift, z = _robust_slopes(yawed, turned, span, covered, COARSE_SIGMA_RAD)
     best = int(np.argmin(np.where(enough, _loss(z, covered), np.inf)))
-    # The best offset shows how well the two can agree; by that measure all are compared.
+    # The scale of the loss follows from the best offset, where the two agree best.
     spread = 1.48 * COARSE_SIGMA_RAD * float(np.median(np.abs(z[best][covered[best]])))
     sigma = max(spread, MIN_SIGMA_RAD)
     ratio, drift, z = _robust_slopes(yawed, turned, span, covered, sigma)
-    # Pairs overlap: so many of them are one.
+    # Overlapping pairs are not independent: so many count as one.
     independent = n_covered * np.minimum(1.0, np.median(np.diff(t)) / np.median(span))
     evidence = np.where(enough, -_loss(z, covered) * independent[best], -np.inf)
     none = turned[None, :] / sigma
@@ -230,21 +230,21 @@ def _robust_slopes(
 
 
 def corridors_of(t_s: FloatArray, constant_rad: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Divide frames among corridors: where heading less yaw keeps to one level.
+    """Assign frames to corridors, in each of which heading less yaw is constant.
 
     Parameters
     ----------
     t_s
         Times (n,).
     constant_rad
-        Heading less what the yaw explains (n,), known up to half a turn.
+        Heading less the part explained by the yaw (n,), known up to half a turn.
 
     Returns
     -------
     corridor
-        Number (n,), -1 for frames that keep to no level.
+        Number (n,), -1 for frames that belong to no level.
     unwrapped
-        ``constant_rad`` (n,) with the half turns that bring it next to its level.
+        ``constant_rad`` (n,) shifted by half turns to its level.
     """
     n = len(t_s)
     corridor, unwrapped = np.full(n, -1, np.int64), constant_rad.copy()
@@ -273,7 +273,7 @@ def corridors_of(t_s: FloatArray, constant_rad: FloatArray) -> tuple[IntArray, F
 
 
 def _new_level(t_s: FloatArray, constant_rad: FloatArray, strays: list[int]) -> list[int] | None:
-    """Return the strays that make a level of their own, once enough of the last ones agree."""
+    """Return the stray frames that form a new level, once enough of the last ones agree."""
     recent = strays[-2 * NEW_LEVEL_FRAMES :]
     away = np.abs(wrap_axis(constant_rad[recent] - constant_rad[recent[-1]]))
     near = [k for k, a in zip(recent, away.tolist(), strict=True) if a < 0.5 * GATE_RAD]
@@ -281,7 +281,7 @@ def _new_level(t_s: FloatArray, constant_rad: FloatArray, strays: list[int]) -> 
 
 
 def fine_fit(sightings: Sightings, turning: Turning, start: Coarse) -> ClockFit | None:
-    """Fit offset, ratio and drift from a candidate on; None where too few frames keep to a corridor."""
+    """Fit offset, ratio and drift, starting at a candidate; None if too few frames belong to a corridor."""
     seen = sightings.seen
     t, heading, white = sightings.t_s[seen], sightings.heading_rad[seen], sightings.heading_std_rad[seen] ** 2
     reach = np.array([-REACH_S, 0.0, REACH_S])
@@ -298,7 +298,7 @@ def fine_fit(sightings: Sightings, turning: Turning, start: Coarse) -> ClockFit 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Samples:
-    """Frames that keep to a corridor: times, headings, variances, corridors, weights; all (n,)."""
+    """Frames that belong to a corridor: times, headings, variances, corridors, weights; all (n,)."""
 
     t_s: FloatArray
     heading_rad: FloatArray
@@ -320,13 +320,13 @@ class _Samples:
 
 
 def _gauss_newton(samples: _Samples, turning: Turning, start: Coarse) -> ClockFit | None:
-    """Iterate to the fit, finding noise and outliers on the way."""
+    """Iterate the fit, with estimates of noise and outliers."""
     offset, ratio = start.offset_s, start.ratio
     scale, density = 1.0, max(START_DENSITY, turning.noise_density)
     values = np.array([0.0, ratio, 0.0])
     weight = np.ones(len(samples.t_s))
     for step in range(ROUNDS):
-        # Constants are left to the walk, which begins anywhere in each corridor.
+        # The walk absorbs the constants: it starts at an arbitrary value in each corridor.
         yaw = samples.centred(turning.yaw_at(samples.t_s + offset))
         slope = ratio * turning.rate_at(samples.t_s + offset, HALF_SLOPE_S)
         design = np.stack([slope, yaw, samples.centred(samples.t_s)], axis=1)

@@ -1,4 +1,4 @@
-"""An alignment in ``flight.toml``: where it goes, and what it changes there."""
+"""An alignment in ``flight.toml``: location of the file, and the changes in it."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _FIRST_LINE = "# Found by corridor align"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loaded:
-    """A flight to be aligned, and whether its camera is a calibrated one."""
+    """A flight to be aligned, and whether its camera is calibrated."""
 
     flight: Flight
     camera_known: bool
 
 
 def load_to_align(path: str | Path, camera: Path | None = None) -> Loaded:
-    """Read a flight as `fusion.load_flight` does, also one of whose camera nothing is known.
+    """Read a flight as `fusion.load_flight` does, even if its camera is not calibrated.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def load_to_align(path: str | Path, camera: Path | None = None) -> Loaded:
 
 
 def _size_of_uncalibrated(manifest: Manifest) -> tuple[int, int] | None:
-    """Width and height of the pictures where neither manifest nor log has a calibration; None: there is one."""
+    """Width and height of the pictures if neither manifest nor log has a calibration; None if one has."""
     from fusion.logs.contents import Kind
     from fusion.logs.manifest.sources import ManifestLog
     from fusion.logs.pictures.camera_folder import size_of_pictures
@@ -70,12 +70,12 @@ def _size_of_uncalibrated(manifest: Manifest) -> tuple[int, int] | None:
 
 
 def place_of(flight: Path) -> Path:
-    """Return where a flight's own manifest is or would be: in its folder, or beside its log.
+    """Return the path of a flight's own manifest, which may not exist yet: in its folder, or beside its log.
 
     Raises
     ------
     InputError
-        Where something else is there.
+        If something else is there.
     """
     described = find_manifest(flight)
     if described is not None:
@@ -87,7 +87,7 @@ def place_of(flight: Path) -> Path:
 
 
 def check_place(place: Path) -> None:
-    """Raise `InputError` where a manifest cannot be written: before the work, not after it."""
+    """Raise `InputError` if a manifest cannot be written, before the work is done."""
     if place.suffix.lower() != ".toml":
         raise InputError("is not named like a manifest", file=place, remedy="name it something.toml")
     if place.is_dir():
@@ -107,9 +107,9 @@ def check_place(place: Path) -> None:
 
 
 def write_alignment(alignment: Alignment, flight: Flight, place: Path) -> tuple[Path, ...]:
-    """Write a manifest with an alignment's corrections, and a calibration where there was none.
+    """Write a manifest with an alignment's corrections, and a calibration if there was none.
 
-    What is not usable, or no different from what the flight was read with, stays as it is.
+    Quantities that are not usable or not significant stay as they are.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def write_alignment(alignment: Alignment, flight: Flight, place: Path) -> tuple[
     Raises
     ------
     InputError
-        Where the flight came from no log, or a file cannot be written.
+        If the flight does not come from a log, or a file cannot be written.
     """
     if not isinstance(flight.manifest, Manifest):
         raise InputError(f"flight {flight.name} came from no log", remedy="load it with fusion.load_flight")
@@ -136,7 +136,7 @@ def write_alignment(alignment: Alignment, flight: Flight, place: Path) -> tuple[
 
 
 def corrected(manifest: Manifest, alignment: Alignment) -> tuple[Manifest, dict[str, str]]:
-    """Put an alignment's corrections on top of those in a manifest; the comments to go with them."""
+    """Add an alignment's corrections to those in a manifest; return it with their comments."""
     source = manifest.camera
     notes: dict[str, str] = {}
     changes: dict[str, float] = {}
@@ -158,20 +158,20 @@ def corrected(manifest: Manifest, alignment: Alignment) -> tuple[Manifest, dict[
 
 
 def _body_frame(manifest: Manifest, calibration: Path) -> BodyFrame:
-    """Return the axes in which a calibration at this place will be read."""
-    from fusion.logs.manifest.opening import open_as_told
+    """Return the body axes in which a calibration at this path will be read."""
+    from fusion.logs.manifest.opening import open_as_declared
     from vision.cameras.calibration import check_body_frame, read_body_frame
 
     source = manifest.camera
     path = source.file or manifest.log
-    frame = None if path is None else open_as_told(path, source).body_frame
+    frame = None if path is None else open_as_declared(path, source).body_frame
     if frame is None:
         return read_body_frame(calibration.parent.parent / "body.yaml")
     return check_body_frame(frame)
 
 
 def _write_calibration(alignment: Alignment, path: Path, body_frame: BodyFrame) -> None:
-    """Write a camera as a ``sensor.yaml``, in these body axes."""
+    """Write a camera as ``sensor.yaml`` in the given body axes."""
     from vision.cameras.calibration import to_frd
 
     if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(_FIRST_LINE):

@@ -1,15 +1,15 @@
 """Least squares whose errors are correlated from sample to sample.
 
-Each residual is white noise plus a first-order Markov process (what the gyroscope has drifted, what an attitude
-filter is off by), the same process along a chain of samples, a new one in each chain. With white variances V and the
-process's tridiagonal precision P, everything follows from the Cholesky factor of ``A = P + V^-1`` at a cost
-proportional to the number of samples:
+Each residual is white noise plus a first-order Markov process (the gyroscope's drift, the error of an attitude
+filter): one process along a chain of samples, a new one in each chain. With white variances V and the process's
+tridiagonal precision P, everything follows from the Cholesky factor of ``A = P + V^-1`` at a cost proportional to the
+number of samples:
 
     S^-1 = V^-1 - V^-1 A^-1 V^-1        log |S| = log |A| + log |V| - log |P|
 
 Both sizes of noise are found from the residuals by restricted maximum likelihood (Patterson and Thompson, "Recovery
-of inter-block information when block sizes are unequal", Biometrika 58, 1971), so the covariance of the fit counts
-the correlation, and needs nobody to say how good the sensors are.
+of inter-block information when block sizes are unequal", Biometrika 58, 1971), so the covariance of the fit includes
+the correlation, and no sensor accuracies need to be given.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-START_VARIANCE = (2.0 * pi) ** 2  # of a process that may begin anywhere
-OUTLIER_SIGMA = 2.5  # beyond, a sample counts less
-GROSS_SIGMA = 7.0  # beyond, not at all
+START_VARIANCE = (2.0 * pi) ** 2  # of a process with an arbitrary start
+OUTLIER_SIGMA = 2.5  # beyond it, a sample is down-weighted
+GROSS_SIGMA = 7.0  # beyond it, a sample is rejected
 DROPPED = 1e-6
-LOG_RANGE = 9.0  # the noise is looked for within e**+-9 of where the search starts
+LOG_RANGE = 9.0  # the noise is searched within e**+-9 of the start value
 N_REWEIGHTINGS = 4
-SMALLEST_STEP = 1e-6  # of the white variance: a smaller process is as good as none, and spoils the arithmetic
-BEYOND = 1e12  # cost of what cannot be
+SMALLEST_STEP = 1e-6  # of the white variance; a smaller process is negligible and ill-conditioned
+BEYOND = 1e12  # cost of impossible values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +47,7 @@ class Process:
 
     @classmethod
     def walk(cls, t_s: FloatArray, chain: IntArray, density: float) -> Process:
-        """Random walk that begins anywhere; ``density`` in units per square root of a second."""
+        """Random walk with an arbitrary start; ``density`` in units per square root of a second."""
         goes_on, step_s = _steps(t_s, chain)
         return cls(goes_on.astype(float), np.where(goes_on, density**2 * step_s, START_VARIANCE))
 
@@ -97,15 +97,15 @@ class Noise:
         return np.asarray(scaled - (inner.T / self.white).T)
 
     def process_of(self, residual: FloatArray) -> FloatArray:
-        """Return what the process most probably was (n,), given the residuals."""
+        """Return the most probable process (n,), given the residuals."""
         return np.asarray(cho_solve_banded((self._factor, False), residual / self.white, check_finite=False))
 
     def standardised(self, residual: FloatArray) -> FloatArray:
-        """Residuals (n,) against what all the others say of them, over their standard deviation."""
+        """Normalised leave-one-out residuals (n,): each against its prediction from all others."""
         return np.asarray(self.whiten(residual) / np.sqrt(np.maximum(self._whitener_diagonal(), 1e-300)))
 
     def process_trace(self) -> float:
-        """Trace of the process's covariance times the inverse of the whole: what a copy of it weighs in a fit."""
+        """Trace of the process's covariance times the inverse of the whole: the weight of a copy of it in a fit."""
         return float(np.sum(1.0 - self.white * self._whitener_diagonal()))
 
     def _whitener_diagonal(self) -> FloatArray:
@@ -128,7 +128,7 @@ def _pivots(diagonal: FloatArray, beside: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineFit:
-    """A linear fit: values (k,), covariance (k, k), and what is left.
+    """A linear fit: values (k,), covariance (k, k), and residuals.
 
     Parameters
     ----------
@@ -164,11 +164,11 @@ def solve(
     Parameters
     ----------
     design, target
-        Regressors (n, k) and what they explain (n,).
+        Regressors (n, k) and target (n,).
     noise
         Covariance of the residuals.
     instrument
-        Instrumental variables (n, k), where the design holds noise of its own; None: the design itself.
+        Instrumental variables (n, k), if the design is noisy; None: the design itself.
     """
     left = noise.whiten(design if instrument is None else instrument)
     inverse = np.linalg.pinv(left.T @ design, rcond=1e-13)
@@ -178,23 +178,23 @@ def solve(
 def fit_lines(
     design: FloatArray, target: FloatArray, white: FloatArray, make: MakeProcess, size: float
 ) -> LineFit:
-    """Fit ``target (n,) ~ design (n, k) @ values`` robustly, with the noise found on the way.
+    """Fit ``target (n,) ~ design (n, k) @ values`` robustly, and estimate the noise.
 
     Parameters
     ----------
     design, target
-        Regressors (n, k) and what they explain (n,).
+        Regressors (n, k) and target (n,).
     white
         Variances (n,) as the measurement states them; the fit finds their common factor.
     make
         Process of a given size.
     size
-        Where the search for the size starts.
+        Start value of the size.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        Where the samples do not determine the fit.
+        If the samples do not determine the fit.
     """
     weight, scale = first_weights(design, target, white, make(size)), 1.0
     for _ in range(N_REWEIGHTINGS):
@@ -207,12 +207,12 @@ def fit_lines(
 
 
 def first_weights(design: FloatArray, target: FloatArray, white: FloatArray, process: Process) -> FloatArray:
-    """Weights (n,) before the noise is known: outliers stand out against the samples' median.
+    """Weights (n,) before the noise is known, from deviations relative to the samples' median.
 
     Parameters
     ----------
     design, target
-        Regressors (n, k) and what they explain (n,).
+        Regressors (n, k) and target (n,).
     white
         White variances (n,) as stated.
     process
@@ -229,8 +229,8 @@ def first_weights(design: FloatArray, target: FloatArray, white: FloatArray, pro
 
 
 def weights(noise: Noise, residual: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weights (n,) by Huber's rule, 0 for gross outliers; ``weight`` is what the noise was inflated by already."""
-    # by its inflated variance an outlier would look harmless and come back at full weight
+    """Weights (n,) by Huber's rule, 0 for gross outliers; ``weight`` already inflates the noise."""
+    # relative to its inflated variance, an outlier would regain full weight
     z = np.abs(noise.standardised(residual)) / np.sqrt(weight)
     return np.where(z > GROSS_SIGMA, 0.0, np.minimum(1.0, OUTLIER_SIGMA / np.maximum(z, 1e-12)))
 
@@ -248,15 +248,15 @@ def find_noise(
     Parameters
     ----------
     design, target
-        Regressors (n, k) and what they explain (n,).
+        Regressors (n, k) and target (n,).
     white
         White variances (n,) as stated.
     make
         Process of a given size.
     scale, size
-        Where the search starts.
+        Start values.
     """
-    from scipy.optimize import minimize  # slow to import: only who looks for the noise pays
+    from scipy.optimize import minimize  # slow to import, needed only here
 
     typical = float(np.median(white))
 

@@ -1,15 +1,15 @@
-"""How the camera sits on the body, from the corridor's axis, the picture's vertical lines and the vehicle's tilting.
+"""The camera's mounting angles, from the corridor's axis, the picture's vertical lines and the vehicle's tilting.
 
-Let the camera be turned against its calibration by a small rotation, roll, pitch and yaw about the body's axes.
-Turned into level by the attitude, it lifts or lowers the corridor's axis and leans the door posts:
+Let the camera be rotated from its calibration by small angles, roll, pitch and yaw about the body's axes. In the
+level frame of the attitude, the rotation raises or lowers the corridor's axis and tilts the door posts:
 
     elevation = -(sin(heading), cos(heading), 0) . R_level_body (roll, pitch, yaw)
     lean      =  (1, 0, 0) . R_level_body (roll, pitch, yaw)
 
-As long as the body stays level the yaw has no part in either: it only adds to the heading, and which part of that
-is the vehicle's own nobody can tell. But a camera that looks to the right of the axis that the vehicle rolls about
-sees a roll as some pitch, and a pitch as some roll: each degree of tilting shows the yaw's sine. Errors of the
-attitude (which wander for seconds) are modelled as a Markov process.
+While the body is level, the yaw affects neither: it only adds to the heading and cannot be separated from the
+vehicle's own. But a camera that looks to the right of the roll axis measures part of a roll as pitch, and part of a
+pitch as roll, in proportion to the sine of the yaw. Errors of the attitude, which are correlated over seconds, are
+modelled as a Markov process.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ FloatArray = npt.NDArray[np.float64]
 
 MIN_MOUNT_FRAMES = 12
 WANDER_STD_RAD, WANDER_TIME_S = radians(0.4), 4.0  # of an attitude filter's roll and pitch
-LEVEL_STD_RAD = radians(0.5)  # constant error of what an attitude calls level
+LEVEL_STD_RAD = radians(0.5)  # constant error of an attitude's level
 MAX_SURPLUS = 0.9
 ROLL, PITCH, YAW = range(3)
-PRIOR_STD_RAD = radians(15.0)  # of a mount: keeps what is not seen finite
+PRIOR_STD_RAD = radians(15.0)  # of a mount: keeps unobserved angles finite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +41,7 @@ class MountFit:
     Parameters
     ----------
     angle_rad, std_rad
-        The fit; a roll or pitch is against the attitude's level, whose own error is in the standard deviation.
+        The fit; roll and pitch are relative to the attitude's level, whose error is part of the standard deviation.
     tilted_rad
         Standard deviations of the body's roll and pitch over the frames (2,).
     """
@@ -53,12 +53,12 @@ class MountFit:
 
 
 def fit_mount(sightings: Sightings) -> MountFit | None:
-    """Fit the mount; None where too few frames were measured with an attitude."""
+    """Fit the mount; None if too few frames were measured with an attitude."""
     seen = np.isfinite(sightings.elevation_rad)
     if seen.sum() < MIN_MOUNT_FRAMES:
         return None
     R = sightings.level_body
-    # Where the picture's verticals were level already, the elevation contains no roll.
+    # If the verticals in the picture gave the level, the elevation contains no roll.
     level = np.isfinite(sightings.roll_rad)[:, None]
     psi = sightings.heading_rad
     toward = np.stack([np.sin(psi), np.cos(psi)], axis=1)
@@ -76,7 +76,7 @@ def fit_mount(sightings: Sightings) -> MountFit | None:
         whitened = fit.noise.whiten(part.design)
         normal += part.design.T @ whitened
         right += whitened.T @ part.target
-        # The attitude errs in what it says of the tilting, too: that much of it is no evidence.
+        # The measured tilting contains attitude errors, too; their share carries no information.
         normal[YAW, YAW] -= min(fit.noise.process_trace(), MAX_SURPLUS * normal[YAW, YAW])
     covariance = np.linalg.inv(normal)
     std = np.sqrt(np.diag(covariance) + np.array([LEVEL_STD_RAD, LEVEL_STD_RAD, 0.0]) ** 2)
@@ -85,7 +85,7 @@ def fit_mount(sightings: Sightings) -> MountFit | None:
 
 
 def mount_rotation(angle_rad: FloatArray) -> FloatArray:
-    """Rotation (3, 3) that turns the assumed camera to the true one: roll, pitch, yaw (3,), Z-Y-X about the body."""
+    """Rotation (3, 3) from the assumed camera to the true one: roll, pitch, yaw (3,), Z-Y-X about the body."""
     roll, pitch, yaw = angle_rad.tolist()
     return rotation_from_angles(yaw, pitch, roll)
 
@@ -110,7 +110,7 @@ class _Part:
         return _Part(self.t_s[keep], self.design[keep], self.target[keep], self.std[keep])
 
     def fit(self) -> LineFit:
-        """Fit it alone, which tells its noise."""
+        """Fit these residuals alone, to estimate their noise."""
         chain = np.zeros(len(self.t_s), np.int64)
 
         def wander(std: float) -> Process:

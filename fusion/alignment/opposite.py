@@ -1,4 +1,4 @@
-"""What to change where vision and the inertial sensors turn opposite ways."""
+"""Advice for a flight in which vision and inertial sensors measure opposite turns."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from fusion.logs.plausibility.findings import Advice, Medium
 
 
 def opposite_remedy(flight: Flight) -> str:
-    """Name the setting that is likely wrong: whose axes, by gravity and by what the flight's manifest says.
+    """Name the setting that is likely wrong, by gravity and the axes that the flight's manifest declares.
 
-    Gravity alone cannot tell an IMU with x forward, left, up from one that gives gravity's pull along x forward,
-    right, down: turns seen by the camera do.
+    Gravity alone cannot distinguish an IMU with axes forward, left, up from one that reports gravity's pull along
+    forward, right, down. The turns seen by the camera can.
     """
     imu, manifest = flight.imu, flight.manifest
     sources = ManifestLog(manifest) if isinstance(manifest, Manifest) else None
@@ -25,8 +25,8 @@ def opposite_remedy(flight: Flight) -> str:
     if imu is None or not np.isfinite(imu.accel_m_s2).any():
         stream = "attitude" if imu is None else "imu"
         return f"Axes are likely forward, left, up: {advice.frame(stream, 'flu')}."
-    told = sources.manifest.imu if sources is not None else ImuSource()
-    if told.mount_rad is not None and cos(told.mount_rad[0]) < 0.0:
+    declared = sources.manifest.imu if sources is not None else ImuSource()
+    if declared.mount_rad is not None and cos(declared.mount_rad[0]) < 0.0:
         return (
             "Take mount_rad of [imu] away and set accel_sign = -1 in [imu.columns] of flight.toml: the accelerometer "
             "gives gravity's pull, the axes are as they should be."

@@ -1,4 +1,4 @@
-"""What an alignment found: quantities with their standard deviations and a sentence each."""
+"""Result of an alignment: quantities with their standard deviations and a sentence each."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ SIGNIFICANT_SIGMA = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One thing that was looked for.
+    """One estimated quantity.
 
     Parameters
     ----------
     name
         As in the manifest, unit included: ``clock_offset_s``, ``focal_scale``, ``mount_yaw_rad`` ...
     value, sigma
-        What was found, against the flight as it was read; NaN and infinite where nothing was.
+        Estimate relative to the flight as read; NaN and infinite if there is none.
     usable
-        Whether sigma is small enough for the value to be of use.
+        Whether sigma is small enough to use the value.
     sentence
-        What it means, or why it could not be found.
+        Its meaning, or the reason why it could not be found.
     neutral
         The value that changes nothing.
     """
@@ -37,7 +37,7 @@ class Quantity:
 
     @property
     def changes(self) -> bool:
-        """Whether to correct the flight by it: usable, and not what is there already."""
+        """Whether to correct the flight by it: usable and significantly different from the present value."""
         if not (self.usable and isfinite(self.value)):
             return False
         return abs(self.value - self.neutral) > SIGNIFICANT_SIGMA * self.sigma
@@ -54,21 +54,20 @@ class Alignment:
     clock_rate
         Factor on the frames' times counted from the first, before the offset is added.
     focal_scale
-        Factor on the camera's focal lengths; on an ordinary camera's, where nothing was known of the camera.
+        Factor on the camera's focal lengths; relative to an ordinary camera's if the camera is unknown.
     mount_yaw, mount_pitch, mount_roll
-        By how much further right and up the camera looks, and how much further its right side hangs down, than its
-        calibration says.
+        Angles by which the camera looks further right and up, and its right side is lower, than calibrated.
     camera
-        The flight's camera with the corrections that are usable and significant; where nothing was known of the
-        camera, an ordinary one with the focal length found.
+        The flight's camera with the corrections that are usable and significant; if it is unknown, an ordinary camera
+        with the focal length found.
     camera_known
         Whether there was a calibration.
     n_frames, n_used
-        Frames looked at, and those that told the time offset.
+        Frames measured, and those used for the time offset.
     notes
-        What else should be known, a sentence each.
+        Further remarks, a sentence each.
     turns_opposite
-        Whether vision and the inertial sensors turn opposite ways.
+        Whether vision and inertial sensors measure opposite turns.
     """
 
     clock_offset: Quantity
@@ -86,6 +85,6 @@ class Alignment:
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """All of them, in the order to be shown."""
+        """All quantities, in the order of display."""
         clock = (self.clock_offset, self.clock_rate)
         return (*clock, self.focal_scale, self.mount_yaw, self.mount_pitch, self.mount_roll)

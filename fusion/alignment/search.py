@@ -27,22 +27,22 @@ SCALE_RANGE = (0.25, 4.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """Where the search ended.
+    """Result of the search.
 
     Parameters
     ----------
     search
-        The last look for the time offset.
+        The last search for the time offset.
     scale
         Factor on the focal length.
     unrest_s, unrest
-        By how much offset and factor still changed when the search gave up; 0 where it settled.
+        Last change of offset and factor if the search did not converge; 0 if it did.
     mount
-        None where no frame has an attitude.
+        None if no frame has an attitude.
     sightings
-        The last measurements, by a camera that was turned right on the body by ``turned_yaw_rad`` already.
+        The last measurements, by a camera already rotated to the right by ``turned_yaw_rad``.
     skew, skew_std
-        Of the clocks, see `fusion.alignment.skew`: the times of search and sightings are corrected by it.
+        Of the clocks, see `fusion.alignment.skew`; the times of search and sightings are corrected by it.
     """
 
     search: ClockSearch
@@ -57,16 +57,16 @@ class Found:
 
     @property
     def clock(self) -> ClockFit | None:
-        """The fit, where the flight tells the offset."""
-        return self.search.fit if self.search.told else None
+        """The fit, if the flight determines the offset."""
+        return self.search.fit if self.search.determined else None
 
 
 def search(views: Views, turning: Turning, reach_s: float, start_scales: tuple[float, ...] = (1.0,)) -> Found:
     """Estimate time offset, focal length and mount.
 
-    A frame is measured with the attitude at its time, which a wrong offset would falsify: the first estimate does
-    without. Then offset, focal length and the axis's elevation are improved in turns; and once more where the mount
-    turns out far off, as lines are then measured better with the camera turned.
+    A frame is measured with the attitude at its time. A wrong offset gives a wrong attitude, so the first estimate
+    uses none. Then offset, focal length and the axis's elevation are improved alternately. If the mount is far off,
+    this is repeated with the corrected camera, because lines are then measured better.
 
     Parameters
     ----------
@@ -77,15 +77,15 @@ def search(views: Views, turning: Turning, reach_s: float, start_scales: tuple[f
     reach_s
         Largest time offset considered.
     start_scales
-        Factors on the focal length to start from; one of them must be near the true one.
+        Start values of the factor on the focal length; one of them must be near the true one.
     """
     for scale in start_scales:
         sightings = views.with_focal_scale(scale).measure()
         clock = find_skewed_clock(sightings, turning, reach_s)
         first = clock.search
-        if first.told:
+        if first.determined:
             break
-    if not first.told or first.fit is None:
+    if not first.determined or first.fit is None:
         return Found(first, 1.0, fit_mount(views.measure(turning, 0.0, 0.0, FAR_STD_RAD)))
     start = Found(first, float(np.clip(scale * first.fit.ratio, *SCALE_RANGE)))
     elevation_rad = _elevation(at_skew(sightings, clock.skew), turning, first.fit.offset_s)
@@ -112,7 +112,7 @@ def _improved(views: Views, turning: Turning, reach_s: float, start: Found, elev
 def _settle(
     views: Views, turning: Turning, reach_s: float, found: Found, elevation_rad: float
 ) -> tuple[Found, Sightings]:
-    """Measure with attitude and a corrected focal length, and fit anew, until neither changes any more."""
+    """Measure with attitude and a corrected focal length, and fit anew, until neither changes."""
     std_rad = FAR_STD_RAD
     passed: list[Found] = []
     while True:
@@ -129,7 +129,7 @@ def _settle(
             return found, sightings
         passed.append(found)
         if len(passed) == MAX_ROUNDS:
-            # Frames come and go with the focal length: what is left of that belongs to the uncertainty.
+            # The set of accepted frames depends on the focal length; the remaining change adds to the uncertainty.
             offsets = [one.search.fit.offset_s for one in passed[-LAST:] if one.search.fit is not None]
             scales = [one.scale for one in passed[-LAST:]]
             return replace(found, unrest_s=float(np.std(offsets)), unrest=float(np.std(scales))), sightings
@@ -137,7 +137,7 @@ def _settle(
 
 
 def _elevation(sightings: Sightings, turning: Turning, offset_s: float) -> float:
-    """Elevation of the axis above level, from frames measured without attitude: the body's pitch is still in it."""
+    """Elevation of the axis above level, from frames measured without attitude; includes the body's pitch."""
     down_x = [
         0.0 if attitude is None else attitude.pitch_rad
         for attitude in (turning.attitude_at(t) for t in (sightings.t_s + offset_s).tolist())

@@ -28,20 +28,20 @@ def clock_quantity(found: Found, turning: Turning, reach_s: float) -> Quantity:
     search, fit = found.search, found.search.fit
     name = "clock_offset_s"
     if found.clock is None or fit is None:
-        return Quantity(name, nan, inf, False, _why_not(search, turning, reach_s))
-    # The offset is that of the first frame: a skew turns about the middle.
+        return Quantity(name, nan, inf, False, _reason_not_determined(search, turning, reach_s))
+    # The offset holds at the first frame; a skew changes it about the middle.
     by_skew_s = found.skew_std * float(np.mean(fit.samples.t_s)) if found.skew else 0.0
     sigma = hypot(fit.offset_std_s, found.unrest_s, by_skew_s)
     value, source = fit.offset_s, _source(turning)
     seen = f"{fit.n_frames} frames, turned by {degrees(fit.turned_rad):.0f} degrees rms"
     if abs(value) <= SIGNIFICANT_SIGMA * sigma:
-        said = f"There is no time offset between camera and {source} ({seen})."
+        text = f"There is no time offset between camera and {source} ({seen})."
     else:
         way = "early" if value > 0 else "late"
-        said = (
+        text = (
             f"The frames are stamped {1e3 * abs(value):.1f} ms too {way} relative to the {source} ({seen})."
         )
-    return Quantity(name, value, sigma, True, said)
+    return Quantity(name, value, sigma, True, text)
 
 
 def rate_quantity(found: Found, turning: Turning) -> Quantity:
@@ -52,26 +52,26 @@ def rate_quantity(found: Found, turning: Turning) -> Quantity:
             name, nan, inf, False, "There are no turns to compare: equal clock rates are assumed.", 1.0
         )
     if not found.skew:
-        is_told = found.skew_std < USABLE_SKEW
-        said = (
+        is_usable = found.skew_std < USABLE_SKEW
+        text = (
             f"The clocks of camera and {source} run at the same rate."
-            if is_told
+            if is_usable
             else "The flight is too short to tell: equal clock rates are assumed."
         )
-        return Quantity(name, 1.0, found.skew_std, is_told, said, 1.0)
+        return Quantity(name, 1.0, found.skew_std, is_usable, text, 1.0)
     way = "slower" if found.skew > 0.0 else "faster"
-    said = (
+    text = (
         f"The frames' clock runs {100.0 * abs(found.skew):.2f} % {way} than the {source}'s, which an offset alone "
         "does not correct."
     )
-    return Quantity(name, 1.0 + found.skew, found.skew_std, True, said, 1.0)
+    return Quantity(name, 1.0 + found.skew, found.skew_std, True, text, 1.0)
 
 
 def _source(turning: Turning) -> str:
     return "gyroscope" if turning.by_gyro else "attitude"
 
 
-def _why_not(search: ClockSearch, turning: Turning, reach_s: float) -> str:
+def _reason_not_determined(search: ClockSearch, turning: Turning, reach_s: float) -> str:
     source, fit = _source(turning), search.fit
     if search.reversed:
         return (
@@ -96,7 +96,7 @@ def _why_not(search: ClockSearch, turning: Turning, reach_s: float) -> str:
 
 
 def focal_quantity(found: Found, turning: Turning, camera: Camera, camera_known: bool) -> Quantity:
-    """Factor on the focal length of a camera that is known or assumed, from the ratio of turns."""
+    """Factor on the focal length of a known or assumed camera, from the ratio of turns."""
     name, fit = "focal_scale", found.search.fit
     if found.clock is None or fit is None:
         return Quantity(
@@ -105,29 +105,29 @@ def focal_quantity(found: Found, turning: Turning, camera: Camera, camera_known:
     value, source = found.scale, _source(turning)
     sigma = hypot(value * fit.ratio_std / fit.ratio, found.unrest)
     if sigma > USABLE_FOCAL:
-        said = f"The turns give the focal length only within {100.0 * sigma / value:.0f} %."
-        return Quantity(name, value, sigma, False, said, 1.0)
+        text = f"The turns give the focal length only within {100.0 * sigma / value:.0f} %."
+        return Quantity(name, value, sigma, False, text, 1.0)
     trust = f"this assumes a correct scale of the {source}"
     focal_px = camera.fx_px * value
     if not camera_known:
         across = degrees(2.0 * atan(0.5 * camera.width_px / focal_px))
-        said = (
+        text = (
             f"From the turns, the focal length is {focal_px:.1f} +- {camera.fx_px * sigma:.1f} px, a field of "
             f"view of {across:.0f} degrees, for a lens without distortion; {trust}."
         )
     elif abs(value - 1.0) <= SIGNIFICANT_SIGMA * sigma:
-        said = f"The focal length is correct: pictures and {source} show the same turns; {trust}."
+        text = f"The focal length is correct: pictures and {source} show the same turns; {trust}."
     else:
         way = "long" if value > 1.0 else "short"
-        said = (
+        text = (
             f"From the turns, the focal length should be {100.0 * abs(value - 1.0):.1f} % {way}er, {focal_px:.1f} px "
             f"instead of {camera.fx_px:.1f} px; {trust}."
         )
-    return Quantity(name, value, sigma, True, said, 1.0)
+    return Quantity(name, value, sigma, True, text, 1.0)
 
 
 class Known(NamedTuple):
-    """What the mounting is compared with, in words: the source of level, and of the mounting assumed so far."""
+    """Words for the references of the mounting: the source of level, and of the mounting assumed so far."""
 
     level: str
     mounted: str  # "calibrated" or "assumed"
@@ -145,8 +145,8 @@ def mount_quantities(
     """Yaw, pitch and roll of the mounting."""
     names = ("mount_yaw_rad", "mount_pitch_rad", "mount_roll_rad")
     if mount is None:
-        said = "Too few frames show the corridor at a known attitude."
-        yaw, pitch, roll = (Quantity(name, nan, inf, False, said) for name in names)
+        text = "Too few frames show the corridor at a known attitude."
+        yaw, pitch, roll = (Quantity(name, nan, inf, False, text) for name in names)
         return yaw if track is None else _yaw(names[0], None, track, known), pitch, roll
     return (
         _yaw(names[0], mount if tilt_known else None, track, known),
@@ -167,39 +167,39 @@ def _yaw(name: str, mount: MountFit | None, track: TrackFit | None, known: Known
         by = f"from the lateral drift over {track.distance_m:.0f} m, compared with the velocity"
         ways.append((track.yaw_rad, track.std_rad, by))
     if not ways:
-        said = "Cannot be separated from the vehicle's heading without attitude or velocity."
-        return Quantity(name, nan, inf, False, said)
+        text = "Cannot be separated from the vehicle's heading without attitude or velocity."
+        return Quantity(name, nan, inf, False, text)
     values, sigmas = np.array([way[0] for way in ways]), np.array([way[1] for way in ways])
     sigma = float(1.0 / np.sqrt((1.0 / sigmas**2).sum()))
     value = float((values / sigmas**2).sum() * sigma**2)
     if len(ways) > 1 and abs(values[0] - values[1]) > CONTRADICTION_SIGMA * float(np.hypot(*sigmas)):
         first, second = (f"{degrees(v):.1f}" for v in values)
-        said = f"Two estimates disagree: {first} degrees {ways[0][2]}, {second} degrees {ways[1][2]}."
-        return Quantity(name, value, float(0.5 * abs(values[0] - values[1])), False, said)
+        text = f"Two estimates disagree: {first} degrees {ways[0][2]}, {second} degrees {ways[1][2]}."
+        return Quantity(name, value, float(0.5 * abs(values[0] - values[1])), False, text)
     if sigma > USABLE_YAW_RAD:
-        said = (
+        text = (
             "Cannot be separated from the vehicle's heading: this needs more rolling and pitching than "
             f"{tilted:.1f} degrees rms, or a velocity in the log, over some metres."
         )
-        return Quantity(name, value, sigma, False, said)
+        return Quantity(name, value, sigma, False, text)
     by = " and ".join(way[2] for way in ways)
     if abs(value) <= SIGNIFICANT_SIGMA * sigma:
         return Quantity(name, value, sigma, True, f"As {known.mounted}, {by}.")
     side = "right" if value > 0 else "left"
-    said = f"The camera looks {degrees(abs(value)):.1f} degrees further {side} than {known.mounted}, {by}."
-    return Quantity(name, value, sigma, True, said)
+    text = f"The camera looks {degrees(abs(value)):.1f} degrees further {side} than {known.mounted}, {by}."
+    return Quantity(name, value, sigma, True, text)
 
 
 def _tilt(name: str, mount: MountFit, axis: int, tilt_known: bool, known: Known) -> Quantity:
     value, sigma = float(mount.angle_rad[axis]), float(mount.std_rad[axis])
     if not tilt_known:
-        said = "The log does not show which way is down."
-        return Quantity(name, value, inf, False, said)
+        text = "The log does not show which way is down."
+        return Quantity(name, value, inf, False, text)
     usable = sigma < USABLE_TILT_RAD
     against = f"relative to level by {known.level}, whose error is included in sigma"
     if abs(value) <= SIGNIFICANT_SIGMA * sigma:
         return Quantity(name, value, sigma, usable, f"As {known.mounted}, {against}.")
     ways = ("up", "down") if axis == PITCH else ("over to the right", "over to the left")
     way = ways[0] if value > 0 else ways[1]
-    said = f"The camera {'looks' if axis == PITCH else 'leans'} {degrees(abs(value)):.1f} degrees {way}, {against}."
-    return Quantity(name, value, sigma, usable, said)
+    text = f"The camera {'looks' if axis == PITCH else 'leans'} {degrees(abs(value)):.1f} degrees {way}, {against}."
+    return Quantity(name, value, sigma, usable, text)

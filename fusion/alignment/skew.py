@@ -1,7 +1,7 @@
-"""How much faster one of two clocks runs: an offset that grows through the flight.
+"""Skew of two clocks: a time offset that grows through the flight.
 
-A camera's nominal rate that is not quite its own, or a driver that counts the samples of a sensor, stamps later and
-later, or earlier and earlier. No constant offset explains the turns then.
+If a camera's nominal rate differs from its true one, or a driver derives times from counted samples, the time stamps
+become later and later, or earlier and earlier. No constant offset then explains the turns.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from fusion.alignment.markov import Noise, solve
 from fusion.alignment.turning import Turning
 from fusion.alignment.views import Sightings
 
-MIN_SKEW = 5e-4  # less shifts the ends of ten minutes by what a delay that wanders does
+MIN_SKEW = 5e-4  # over ten minutes, less is within the variation of a camera's delay
 WORTH_TRYING, SURE_SIGMA = 2.0, 5.0
 MAX_SKEW = 0.03
-ROUNDS = 4  # of correcting the stamps and fitting anew
-STEPS = 4  # of Gauss-Newton in each
-GRID_S = 0.3  # that the ends of the flight move by from one skew tried to the next
+ROUNDS = 4  # of correcting the stamps and fitting again
+STEPS = 4  # of Gauss-Newton in each round
+GRID_S = 0.3  # shift of the flight's ends from one trial skew to the next
 MAX_TRIED = 41
 MIN_GAIN = 8.0  # in log-likelihood, of a skew over none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkewedClock:
-    """The offset of clocks of which one runs faster.
+    """Time offset of two clocks, one of which runs faster.
 
     Parameters
     ----------
     search
-        The look for the offset, at stamps that were corrected by ``skew``.
+        The search for the offset, with stamps corrected by ``skew``.
     skew, skew_std
-        Frames' stamps, counted from the first, are to be multiplied by ``1 + skew``; 0 where that is not significant.
+        Frames' stamps, relative to the first, are multiplied by ``1 + skew``; 0 if not significant.
     """
 
     search: ClockSearch
@@ -46,43 +46,43 @@ class SkewedClock:
 def find_skewed_clock(
     sightings: Sightings, turning: Turning, reach_s: float, *, thorough: bool = True
 ) -> SkewedClock:
-    """Look for the offset as `fusion.alignment.clock.find_clock` does, and for a skew of the clocks.
+    """Search the offset as `fusion.alignment.clock.find_clock` does, and a skew of the clocks.
 
     Parameters
     ----------
     sightings, turning, reach_s
         As there.
     thorough
-        Whether to try skews that hide the offset altogether, where none is found.
+        Whether to try large skews if no offset is found without them.
     """
     search = find_clock(sightings, turning, reach_s)
     skew = 0.0
-    if thorough and not search.told and not search.reversed:
+    if thorough and not search.determined and not search.reversed:
         skew = _likeliest_skew(sightings, turning, reach_s)
         if skew:
             search = find_clock(at_skew(sightings, skew), turning, reach_s)
     std = inf
     for _ in range(ROUNDS):
-        if search.fit is None or not search.told:
+        if search.fit is None or not search.determined:
             break
         change, std = _skew_left(search.fit, turning)
-        # A skew looks like noise to a fit without it: whether it is sure is asked of the fit that has it.
+        # A fit without skew takes it for noise, so its significance is judged by the fit that includes it.
         if abs(change) < (1.0 if skew else WORTH_TRYING) * std or abs(skew + change) > MAX_SKEW:
             break
         skew += change * (1.0 + skew)
         search = find_clock(at_skew(sightings, skew), turning, reach_s)
-    if not search.told or abs(skew) < max(MIN_SKEW, SURE_SIGMA * std):
+    if not search.determined or abs(skew) < max(MIN_SKEW, SURE_SIGMA * std):
         return SkewedClock(find_clock(sightings, turning, reach_s) if skew else search, skew_std=std)
     return SkewedClock(search, skew, std)
 
 
 def at_skew(sightings: Sightings, skew: float) -> Sightings:
-    """Return sightings whose stamps are corrected by a skew."""
+    """Return sightings with stamps corrected by a skew."""
     return replace(sightings, t_s=sightings.t_s * (1.0 + skew))
 
 
 def _skew_left(fit: ClockFit, turning: Turning) -> tuple[float, float]:
-    """Skew that the frames of a fit still show, and its standard deviation, with the noise that the fit found."""
+    """Residual skew of a fit's frames and its standard deviation, with the noise that the fit estimated."""
     samples = fit.samples
     middle_s = float(np.mean(samples.t_s[[0, -1]]))
     from_middle_s = samples.t_s - middle_s
@@ -94,17 +94,17 @@ def _skew_left(fit: ClockFit, turning: Turning) -> tuple[float, float]:
         at_s = samples.t_s + fit.offset_s + values[2] + values[3] * from_middle_s
         slope = values[0] * turning.rate_at(at_s, HALF_SLOPE_S)
         yaw = samples.centred(turning.yaw_at(at_s))
-        if not np.isfinite(slope).all():  # beyond the stream's ends
+        if not np.isfinite(slope).all():  # outside the stream
             return 0.0, inf
         shift = np.stack([slope, slope * from_middle_s], axis=1)
         design = np.column_stack([yaw, samples.centred(samples.t_s), shift])
-        # Linearised about what is there: the offset's and the skew's share of the target is put back.
+        # Linearised about the present offset and skew, so their share of the target is added back.
         values, covariance = solve(design, target + shift @ values[2:], noise)
     return float(values[3]), float(np.sqrt(max(covariance[3, 3], 0.0)))
 
 
 def _likeliest_skew(sightings: Sightings, turning: Turning, reach_s: float) -> float:
-    """Skew at which turns fit best by a coarse search; 0 where none is clearly better than none."""
+    """Skew with the best fit of a coarse search; 0 unless it is clearly better than no skew."""
     half_s = 0.5 * float(np.ptp(sightings.t_s[sightings.seen])) if sightings.seen.any() else 0.0
     if half_s <= 0.0:
         return 0.0

@@ -20,7 +20,7 @@ _LABELS = {
 
 
 def alignment_text(alignment: Alignment) -> str:
-    """Return a line per quantity, and under each what it means."""
+    """Return a line per quantity, each followed by its meaning."""
     lines = [f"{'':15} {'found':>12}  {'sigma':>10}"]
     for quantity in alignment.quantities:
         value, sigma = _numbers(quantity)
@@ -33,7 +33,7 @@ def alignment_text(alignment: Alignment) -> str:
 
 
 def note_of(quantity: Quantity) -> str:
-    """Return the comment that stands beside a quantity in a manifest."""
+    """Return the comment on a quantity in a manifest."""
     value, sigma = _numbers(quantity)
     if quantity.changes:
         return f"corridor align: sigma {sigma}"
@@ -47,7 +47,7 @@ def _verdict(quantity: Quantity) -> str:
 
 
 def _numbers(quantity: Quantity) -> tuple[str, str]:
-    """Value and sigma with their unit; a dash where nothing was found."""
+    """Value and sigma with their unit; a dash if nothing was found."""
     value, sigma = quantity.value, quantity.sigma
     if quantity.name == "clock_offset_s":
         texts = f"{1e3 * value:.1f} ms", f"{1e3 * sigma:.1f} ms"

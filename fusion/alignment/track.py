@@ -1,12 +1,13 @@
-"""The camera's mounting yaw from where the vehicle goes: for vehicles that do not tilt, but know their velocity.
+"""The camera's mounting yaw from the vehicle's track, for vehicles that hardly tilt but measure their velocity.
 
-A vehicle whose nose points ``psi`` to the right of the corridor's axis, and which moves forward at u and to its right
-at w, drifts right at ``u sin(psi) + w cos(psi)``. The camera sees the drift, as lateral offset in units of the
-corridor's half width h, and a heading that is the nose's plus the mounting yaw m. To first order in m
+A vehicle with heading ``psi``, forward speed u and rightward speed w drifts to the right at
+``u sin(psi) + w cos(psi)``. The camera measures the drift as lateral offset in units of the half width h, and a
+heading that is the vehicle's plus the mounting yaw m. To first order in m
 
     offset = (A - m B) / h + constant,    A = integral(u sin + w cos),  B = integral(u cos - w sin)
 
-with the measured heading in both integrals. Without a velocity h and m cannot be told from the vehicle's crabbing.
+with the measured heading in both integrals. Without a velocity, h and m cannot be separated from the vehicle's crab
+angle.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from fusion.flight import AttitudeStream, Flight, VectorStream
 
 FloatArray = npt.NDArray[np.float64]
 
-DIRECTION_STD_RAD = radians(1.0)  # to which a velocity's direction in the body is trusted
+DIRECTION_STD_RAD = radians(1.0)  # of a velocity's direction in the body
 ORDINARY_HALF_WIDTH_M, HALF_WIDTH_LOG_STD = 1.0, 0.5
 GIVEN_WIDTH_LOG_STD = 0.05
 MAX_GAP_S = 0.6
@@ -33,12 +34,12 @@ MIN_TRACK_FRAMES = 30
 MIN_DISTANCE_M = 2.0
 START_DENSITY = 0.05  # half widths per square root of a second
 OFFSET_STD_FLOOR = 0.01
-SLOPE_SPAN_S = 0.4  # over which positions give a velocity
+SLOPE_SPAN_S = 0.4  # for the slope of positions
 
 
 @dataclass(frozen=True, slots=True)
 class TrackFit:
-    """Mounting yaw by the track, and the distance over which it was told."""
+    """Mounting yaw by the track, and the distance flown."""
 
     yaw_rad: float
     std_rad: float
@@ -53,18 +54,18 @@ def fit_track(
     origin_ns: int,
     turned_yaw_rad: float = 0.0,
 ) -> TrackFit | None:
-    """Fit the mounting yaw to drift and velocity; None where the flight has no velocity, or hardly moves.
+    """Fit the mounting yaw to drift and velocity; None if the flight has no velocity or hardly moves.
 
     Parameters
     ----------
     flight
         With velocities, or positions and attitude.
     sightings, turning, clock
-        Of the same flight; the frames that the clock's fit used are used here.
+        Of the same flight; the frames of the clock's fit are used.
     origin_ns
         Time that the others count from.
     turned_yaw_rad
-        Mounting yaw that the sightings' camera was corrected by already.
+        Mounting yaw already corrected in the sightings' camera.
     """
     velocity = _velocity(flight)
     if velocity is None or len(velocity.t_ns) < 2:
@@ -108,7 +109,7 @@ def fit_track(
 
 
 def _walk(t_s: FloatArray, chain: npt.NDArray[np.int64], density: float) -> Process:
-    """Random walk; the last row, which is what is known of the width, has no part in it."""
+    """Random walk; the last row, the prior of the width, is excluded."""
     walk = Process.walk(t_s, chain, density)
     variance = walk.variance.copy()
     variance[-1] = 1e-12
@@ -126,7 +127,7 @@ def _integral(rate: FloatArray, step_s: FloatArray, chain: npt.NDArray[np.int64]
 def _level_velocity(
     velocity: VectorStream, turning: Turning, t_s: FloatArray, origin_ns: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Forward and rightward speed (n,) in the level frame, at times; NaN where the stream does not reach."""
+    """Forward and rightward speed (n,) in the level frame, at times; NaN outside the stream."""
     at = seconds(velocity.t_ns, origin_ns)
     index = np.clip(np.searchsorted(at, t_s), 1, len(at) - 1)
     far = (t_s < at[0]) | (t_s > at[-1]) | (at[index] - at[index - 1] > MAX_GAP_S)
@@ -139,7 +140,7 @@ def _level_velocity(
 
 
 def _velocity(flight: Flight) -> VectorStream | None:
-    """Velocity in the body: the flight's own, or its positions' slope turned by its attitude."""
+    """Velocity in the body: the flight's own, or the slope of its positions rotated by its attitude."""
     if flight.velocity is not None:
         return flight.velocity
     position, attitude = flight.position, flight.attitude
@@ -157,7 +158,7 @@ def _velocity(flight: Flight) -> VectorStream | None:
 
 
 def _in_body(v_world: FloatArray, position: VectorStream, attitude: AttitudeStream) -> FloatArray:
-    """Turn vectors (n, 3) of the world into the body by the nearest attitude."""
+    """Rotate vectors (n, 3) from the world into the body by the nearest attitude."""
     index = np.clip(np.searchsorted(attitude.t_ns, position.t_ns), 1, len(attitude.t_ns) - 1)
     nearer = position.t_ns - attitude.t_ns[index - 1] < attitude.t_ns[index] - position.t_ns
     w, *xyz = attitude.q_world_body[index - nearer].T

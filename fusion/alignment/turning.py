@@ -1,4 +1,4 @@
-"""How the vehicle turned by its inertial sensors alone: yaw and tilt as curves over time."""
+"""The vehicle's rotation by its inertial sensors alone: yaw and tilt as curves over time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FloatArray = npt.NDArray[np.float64]
 
 GYRO_GAP_S = 0.1
 ATTITUDE_GAP_S = 0.5
-GAP_STEPS = 3.0  # of the stream's own step
+GAP_STEPS = 3.0  # of the stream's median step
 SECOND_DIFFERENCE_MEDIAN = 0.6745 * sqrt(6.0)  # median of |a - 2b + c| for noise of one unit
 
 
@@ -42,7 +42,7 @@ class Turning:
     by_gyro
         Whether the yaw comes from the gyroscope; otherwise from the attitude stream.
     noise_density
-        Of the gyroscope's yaw rate, rad/s/sqrt(Hz); 0 where the yaw is the attitude's.
+        Of the gyroscope's yaw rate, rad/s/sqrt(Hz); 0 if the yaw is the attitude's.
     """
 
     t_s: FloatArray
@@ -99,7 +99,7 @@ def turning_of(flight: Flight, origin_ns: int, attitude_std_rad: float) -> Turni
     Raises
     ------
     InputError
-        Where the flight has neither.
+        If the flight has neither.
     """
     imu, attitude = flight.imu, flight.attitude
     if imu is not None and len(imu.t_ns) > 1:
@@ -129,7 +129,7 @@ def _of_gyro(
 
 
 def _noise_density(rate_rad_s: FloatArray, step_s: float) -> float:
-    """White noise of a rate, from its second differences, in which the motion hardly shows."""
+    """White noise of a rate, from its second differences, which contain little of the motion."""
     if len(rate_rad_s) < 3:
         return 0.0
     return float(np.median(np.abs(np.diff(rate_rad_s, 2)))) / SECOND_DIFFERENCE_MEDIAN * sqrt(step_s)

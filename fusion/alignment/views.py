@@ -1,4 +1,4 @@
-"""What the camera saw of the corridor: lines found once, measured as often as attitude or focal length change."""
+"""Lines of the chosen frames, extracted once and measured again for each attitude and focal length."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
-MAX_RATE_HZ = 32.0  # faster frames resemble each other
+MAX_RATE_HZ = 32.0  # frames at a higher rate are redundant
 MAX_FRAMES = 1000
-N_BLOCKS = 5  # stretches of a longer flight that are measured
+N_BLOCKS = 5  # measured stretches of a longer flight
 RATE_HALF_WIDTH_S = 0.1
-SEARCH_STD_RAD = radians(3.0)  # of the axis's elevation, before it has been seen
+SEARCH_STD_RAD = radians(3.0)  # of the axis's elevation, before it is measured
 STD_FLOOR_RAD = radians(0.05)
 N_COLUMNS = 8  # of a frame's measurement
-INFORMED = 0.5  # of the attitude's standard deviation: below, the picture's verticals have spoken
+INFORMED = 0.5  # of the attitude's standard deviation: below it, verticals contributed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sightings:
-    """Measurements of n frames; NaN where a frame was not accepted or a value was not measured.
+    """Measurements of n frames; NaN if a frame was not accepted or a value was not measured.
 
     Parameters
     ----------
@@ -46,9 +46,9 @@ class Sightings:
     heading_rad, heading_std_rad
         Corridor heading in (-pi/2, pi/2).
     elevation_rad, elevation_std_rad
-        Of the corridor's axis above the level of the attitude given.
+        Of the corridor's axis above the given attitude's level.
     roll_rad, roll_std_rad
-        By which the level of the picture's vertical lines is rolled against the attitude's.
+        Roll of the level by the picture's vertical lines, relative to the attitude's.
     level_body
         Rotation (n, 3, 3) from the body to that attitude's level.
     offset_norm, offset_std
@@ -90,17 +90,17 @@ class Views:
     n_unreadable: int
 
     def with_focal_scale(self, scale: float) -> Views:
-        """Return the same lines as a camera of another focal length has them."""
+        """Return the same lines for a camera of another focal length."""
         camera = scaled_focal(self.camera, scale)
         move = _undistorted_anew if is_distorted(self.camera) else lines_of
         return replace(self, lines=tuple(move(one, self.camera, camera) for one in self.lines), camera=camera)
 
     def at_skew(self, skew: float) -> Views:
-        """Return the same views with stamps that are corrected by a skew of the clocks."""
+        """Return the same views with time stamps corrected by a skew of the clocks."""
         return replace(self, t_s=self.t_s * (1.0 + skew)) if skew else self
 
     def turned(self, R: FloatArray) -> Views:
-        """Return the same views of a camera turned on the body by a rotation (3, 3)."""
+        """Return the same views of a camera rotated on the body by a rotation (3, 3)."""
         return replace(self, camera=replace(self.camera, R_body_camera=R @ self.camera.R_body_camera))
 
     def measure(
@@ -115,7 +115,7 @@ class Views:
         Parameters
         ----------
         turning
-            Gives each frame's attitude; None: measure without attitude.
+            Source of each frame's attitude; None: measure without attitude.
         offset_s
             Added to the frames' stamps to give the time of their attitude.
         elevation_rad, elevation_std_rad
@@ -182,18 +182,18 @@ def _undistorted_anew(lines: LineSet, camera: Camera, other: Camera) -> LineSet:
 
 
 def collect(flight: Flight, camera: Camera, chosen: IntArray, origin_ns: int, progress: Progress) -> Views:
-    """Read frames and find their lines; those that do not decode are counted and left out.
+    """Read frames and find their lines; those that cannot be decoded are counted and left out.
 
     Parameters
     ----------
     flight, camera
-        Whose pictures, and the camera to find their lines with.
+        Source of the pictures, and the camera to find their lines with.
     chosen
         Numbers (n,) of the frames.
     origin_ns
         Time that counts as zero.
     progress
-        Called with frames done and in all.
+        Called with (done, total) frames.
     """
     lines, kept = [], []
     for done, index in enumerate(chosen.tolist(), start=1):
@@ -208,7 +208,7 @@ def collect(flight: Flight, camera: Camera, chosen: IntArray, origin_ns: int, pr
 
 
 def choose_frames(t_s: FloatArray, turning: Turning, max_frames: int = MAX_FRAMES) -> IntArray:
-    """Choose the frames to look at: all of a short flight, the stretches with most turning of a long one."""
+    """Choose the frames to measure: all of a short flight, the stretches with most turning of a long one."""
     keep = [0]
     times = t_s.tolist()
     for k, t in enumerate(times):

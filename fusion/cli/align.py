@@ -40,7 +40,7 @@ def align(
         Path | None, typer.Option("--out", "-o", metavar="FILE.toml", help="Write to this manifest.")
     ] = None,
 ) -> None:
-    """Align a flight, and write its manifest where asked to."""
+    """Align a flight, and write its manifest on request."""
     from fusion.alignment import align_flight
     from fusion.alignment.manifest import check_place, load_to_align, place_of, write_alignment
     from fusion.alignment.opposite import opposite_remedy
@@ -52,7 +52,7 @@ def align(
     if place is None and write and flight.exists():
         place = place_of(flight)
     if place is not None:
-        check_place(place)  # before the work, not after it
+        check_place(place)  # before the work
     loaded = load_to_align(flight, camera)
     if not loaded.camera_known:
         say("no calibration: the focal length is estimated, too")

@@ -1,8 +1,8 @@
-"""The command ``corridor``: a thin layer, so that everything it does can also be done from Python.
+"""The command ``corridor``: a thin layer over functions that can also be called from Python.
 
-Each command is a module of this package with its help; this one only assembles them. Results go to stdout, all else
-to stderr. Exit codes: 0 success; 2 input or options that cannot be used; 130 interrupted. Commands import heavy
-modules themselves, so that ``--help`` is quick.
+Each command is a module of this package with its help; this one only assembles them. Results go to stdout, all other
+output to stderr. Exit codes: 0 success; 2 input or options that cannot be used; 130 interrupted. Commands import
+heavy modules themselves, so that ``--help`` is quick.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def corridor(
         typer.Option("--version", "-V", help="Print the version.", is_eager=True, callback=_print_version),
     ] = False,
 ) -> None:
-    """Offer the commands."""
+    """Define the command group."""
 
 
 #: In the order of the help.
@@ -86,9 +86,9 @@ for _name, _help, _short_help, _command in (
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit; the entry point of the script ``corridor``."""
-    if isinstance(sys.stdout, TextIOWrapper):  # a terminal without a degree sign shows a question mark
+    if isinstance(sys.stdout, TextIOWrapper):  # terminals without a degree sign show a question mark
         sys.stdout.reconfigure(errors="replace")
-    if not sys.warnoptions:  # warnings of libraries are for programmers
+    if not sys.warnoptions:  # hide warnings of libraries from users
         warnings.simplefilter("ignore")
     app(arguments, prog_name="corridor")
     raise SystemExit(0)

@@ -107,7 +107,7 @@ def batch(
     if not has_parquet():
         say(f"fleet.csv alone, no fleet.parquet: that needs pyarrow ({NEEDS_PARQUET})")
     with interrupts.Raised(), progress_bar("fusing flights") as progress:
-        fleet = fuse_fleet(flights, out, settings, against=before, progress=progress, tell=say)
+        fleet = fuse_fleet(flights, out, settings, against=before, progress=progress, notify=say)
     comparison = compare_fleets(before, fleet.rows) if before else None
     echo(
         summary_json(batch_values(fleet, comparison)).rstrip("\n")

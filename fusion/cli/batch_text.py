@@ -1,4 +1,4 @@
-"""A fused fleet in words: what ``corridor batch`` prints, plain and stable."""
+"""Output of ``corridor batch``: a fused fleet as plain, stable text."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def memory_bytes(text: str) -> int:
     Raises
     ------
     InputError
-        Where it is none, or less than a worker needs to start.
+        If it is invalid, or less than a worker needs to start.
     """
     match = _SIZE.fullmatch(text.strip())
     if match is None:
@@ -40,15 +40,15 @@ def memory_bytes(text: str) -> int:
 
 
 def batch_text(fleet: Fleet, out: Path, comparison: FleetComparison | None = None) -> str:
-    """Lay out a fleet for reading: verdicts, medians, the worst flights, and what a change did."""
+    """Format a fleet as text: verdicts, medians, the worst flights, and the comparison."""
     rows = fleet.rows
     verdicts = sorted({row.verdict for row in rows}, key=rank)
-    told = ", ".join(
+    counts = ", ".join(
         f"{sum(row.verdict == word for row in rows)} {word.replace('_', ' ')}" for word in verdicts
     )
     done = len(rows) - fleet.kept
     kept = f", {fleet.kept} kept" if fleet.kept else ""
-    lines = [f"{counted(len(rows), 'flight')}: {told} ({done} fused in {fleet.wall_s:.1f} s{kept})", ""]
+    lines = [f"{counted(len(rows), 'flight')}: {counts} ({done} fused in {fleet.wall_s:.1f} s{kept})", ""]
     for quantity in QUANTITIES:
         values = quantity.values(rows)
         if len(values) and quantity.sign:
@@ -92,10 +92,10 @@ def _comparison_lines(found: FleetComparison) -> list[str]:
         if quantity.sign:
             before, after = quantity.text(median.before), quantity.text(median.after)
             lines.append(f"  {quantity.title:<42}median {before} to {after}")
-    told = [change for change in found.changes if change.change is not Change.SAME]
-    lines += [_change_line(change) for change in told[:LISTED]]
-    if len(told) > LISTED:
-        lines.append(f"  and {len(told) - LISTED} more")
+    different = [change for change in found.changes if change.change is not Change.SAME]
+    lines += [_change_line(change) for change in different[:LISTED]]
+    if len(different) > LISTED:
+        lines.append(f"  and {len(different) - LISTED} more")
     return lines
 
 
@@ -109,7 +109,7 @@ def _change_line(change: FlightChange) -> str:
 
 
 def batch_values(fleet: Fleet, comparison: FleetComparison | None = None) -> dict[str, Any]:
-    """Return a fleet as plain values for JSON: all rows, and what became of each flight."""
+    """Return a fleet as plain values for JSON: all rows, and the change of each flight."""
     found: dict[str, Any] = {
         "flights": [flat(row) for row in fleet.rows],
         "kept": fleet.kept,

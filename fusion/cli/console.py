@@ -17,9 +17,9 @@ from fusion.printable import printable
 from fusion.progress import Progress
 from vision.errors import InputError
 
-#: click's `UsageError`, of which newer versions of typer have a copy of their own.
+#: click's `UsageError`; newer versions of typer have their own copy.
 USAGE_ERROR: Any = typer.BadParameter.__base__
-MAX_LINE = 2000  # characters: a line that quotes a file's value may be as long as the file
+MAX_LINE = 2000  # characters: a message may quote a long value from a file
 
 
 def say(text: str) -> None:
@@ -41,7 +41,7 @@ def echo(text: str) -> None:
 
 
 class OneLineErrors(TyperGroup):
-    """Commands whose errors, of input and of usage, are one line on stderr and exit code 2, never a traceback."""
+    """Commands that report errors of input and usage in one line on stderr with exit code 2, without a traceback."""
 
     def main(self, *args: Any, **settings: Any) -> Any:
         """Run the command line; report usage errors like errors in files."""
@@ -57,13 +57,13 @@ class OneLineErrors(TyperGroup):
         raise SystemExit(code if isinstance(code, int) else 0)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command, and turn errors into a line and an exit code."""
+        """Run the command, and convert errors to a line and an exit code."""
         try:
             return super().invoke(ctx)
         except InputError as error:
             say(f"error: {error}")
         except OSError as error:
-            if error.errno == errno.EPIPE:  # the reader of our output has closed it: end as pipes do
+            if error.errno == errno.EPIPE:  # the reader has closed the pipe: end without a message
                 raise
             where = f"{error.filename}: " if error.filename else ""
             say(f"error: {where}{error.strerror or error}")
@@ -77,7 +77,7 @@ class OneLineErrors(TyperGroup):
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Progress]:
-    """Give the block a function to call with (done, total), which updates a bar; silent without a terminal."""
+    """Provide a function to call with (done, total) that updates a progress bar; silent without a terminal."""
     if not sys.stderr.isatty():
         yield lambda done, total: None
         return
@@ -94,18 +94,18 @@ def progress_bar(label: str) -> Iterator[Progress]:
 
 @contextmanager
 def compile_notice(what: str) -> Iterator[None]:
-    """Tell the user, once, if the block compiles the pixel loops, which takes far longer than running them.
+    """Print a note, once, if the block compiles the pixel loops, which takes far longer than running them.
 
     numba announces each compilation; code taken from its cache on disk is not announced.
     """
     from numba.core import event
 
     class Notice(event.Listener):
-        told = False
+        announced = False
 
         def on_start(self, event: Any) -> None:
-            if not self.told:
-                self.told = True
+            if not self.announced:
+                self.announced = True
                 say(f"compiling {what} (once, up to a minute) ...")
 
         def on_end(self, event: Any) -> None:

@@ -1,4 +1,4 @@
-"""A comparison with ground truth as text: what ``corridor evaluate`` prints, in tables of up to 100 columns."""
+"""Output of ``corridor evaluate``: a comparison with ground truth in tables of up to 100 columns."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Quantity(NamedTuple):
     decimals: int
 
     def of(self, errors: TableErrors | CorridorErrors | None) -> ErrorStatistics | None:
-        """Return the statistics of this quantity; None where there are none."""
+        """Return the statistics of this quantity; None if there are none."""
         if errors is None or self.name == "heading":
             return None if errors is None else errors.heading
         return errors.lateral_offset_m if self.name == "lateral_offset_m" else errors.lateral_offset_norm
@@ -115,7 +115,7 @@ def _shares(shares: Mapping[str, float] | None) -> str:
 
 
 def excluded_text(errors: TableErrors) -> str:
-    """Say how many rows of estimates were not judged, and why; empty where all were."""
+    """Report how many rows of estimates were not judged, and the reasons; empty if all were judged."""
     return ", ".join(f"{count} {EXCLUDED[cause]}" for cause, count in errors.excluded.items() if count)
 
 

@@ -100,7 +100,7 @@ def fuse(
     from fusion.outputs.folder import check_out_dir, write_outputs
 
     if out is not None:
-        check_out_dir(out)  # before the work, not after it
+        check_out_dir(out)  # before the work
     exports = check_formats(export or ())
     settings = None if config is None else FusionConfig.from_toml(config)
     again = None
@@ -110,8 +110,8 @@ def fuse(
     log = flight_from_options(
         flight, imu=imu, video=video, attitude=attitude, camera=camera, clock_offset_s=clock_offset_s
     )
-    if (told := outside_text(flight)) is not None:
-        say(told)
+    if (outside := outside_text(flight)) is not None:
+        say(outside)
     folder = out if out is not None else Path(f"{log.name}_fused")
     check_out_dir(folder)
     with compile_notice("the line finder"), progress_bar("fusing") as progress:

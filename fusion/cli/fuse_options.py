@@ -1,4 +1,4 @@
-"""What ``corridor fuse`` is to fuse: a flight, a manifest, a log, or files named one by one."""
+"""Input of ``corridor fuse``: a flight, a manifest, a log, or separate files."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def flight_from_options(
     Parameters
     ----------
     flight
-        A flight's folder, a manifest or a log; what the others name takes the place of what it says.
+        A flight's folder, a manifest or a log; the other options override its streams.
     imu
-        A log from which the IMU's samples come; without ``flight`` all that it contains but the pictures.
+        A log for the IMU's samples; without ``flight``, for all streams but the pictures.
     video
         A video or a folder of pictures.
     attitude
@@ -40,7 +40,7 @@ def flight_from_options(
     Raises
     ------
     InputError
-        Where too little is named, or it cannot be read.
+        If files are missing or cannot be read.
     """
     from fusion.logs import load_flight, load_manifest
     from fusion.logs.manifest.file import make_manifest
@@ -78,7 +78,7 @@ def _check_exist(named: dict[str, Path | None]) -> None:
 
 
 def _values_of_flight(flight: Path | None) -> dict[str, Any]:
-    """Return the manifest's values to start from: the flight's own, or one that names its log; none without it."""
+    """Return the manifest's initial values: the flight's own, or its log's path; none without a flight."""
     from fusion.logs.manifest.file import find_manifest, read_manifest
 
     if flight is None:
@@ -92,7 +92,7 @@ def _values_of_flight(flight: Path | None) -> dict[str, Any]:
 
 
 def outside_text(flight: Path | None) -> str | None:
-    """Say which files a flight's manifest takes from outside its folder; None where it does not."""
+    """List the files outside a flight's folder that its manifest names; None if there are none."""
     from fusion.logs.manifest.file import find_manifest, read_manifest
     from fusion.logs.manifest.manifest import files_outside
 
@@ -105,7 +105,7 @@ def outside_text(flight: Path | None) -> str | None:
 
 
 def _put(values: dict[str, Any], table: str, new: dict[str, Path | None]) -> None:
-    """Set a stream's new file; what the manifest said of the old one, its topic and columns, goes with it."""
+    """Set a stream's new file; entries about the old one, such as topic and columns, are removed."""
     given = {key: path.absolute() for key, path in new.items() if path is not None}
     if not given:
         return

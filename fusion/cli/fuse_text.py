@@ -1,6 +1,6 @@
-"""A fused flight in words: what ``corridor fuse`` prints, plain and stable.
+"""Output of ``corridor fuse``: a fused flight as plain, stable text.
 
-Numbers come from the summary that is written beside the tables; nothing is computed here but units.
+Numbers are from the summary that is written beside the tables; only units are converted here.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from fusion.result.summary import CorridorStretch, ErrorStatistics, FlightErrors
 
 
 def fusion_text(summary: Summary, folder: Path, remarks: Sequence[str] = ()) -> str:
-    """Lay out a fused flight's summary for reading: frames, errors, speed, outputs and verdict.
+    """Format a fused flight's summary as text: frames, errors, speed, outputs and verdict.
 
     Parameters
     ----------
     summary
         Of a `fusion.FusionResult`.
     folder
-        Where the outputs lie.
+        Folder of the outputs.
     remarks
-        What else is to be known of the outputs, a line each.
+        Further remarks on the outputs, a line each.
     """
     counts = summary.counts
     frames = counts.frames
@@ -102,7 +102,7 @@ def _error_lines(errors: FlightErrors | None, width_m: float | None) -> list[str
         numbers = [_scaled(value, degrees(1.0)) for value in (heading.rmse, heading.mae, heading.max)]
         if in_metres and metres is not None:
             offsets = _offset_cells(metres, 100.0)
-        else:  # a single frame knows no metres; the configured width turns its share of it into them
+        else:  # single frames have no metres; the configured width gives them
             offsets = _offset_cells(norm, 100.0 if not in_metres else 50.0 * width_m if width_m else nan)
         judged = f"{found.judged} of {found.rows}"
         lines.append(

@@ -1,8 +1,8 @@
-"""What an interrupt (Ctrl-C) does: it ends the program at once, with nothing half written.
+"""Handling of interrupts (Ctrl-C): they end the program at once, without incomplete files.
 
 Raising `KeyboardInterrupt`, as Python does, is not safe: libraries swallow it in callbacks and destructors, and
-a callback from compiled code that raises can crash the process. Imports as little as it can, since Ctrl-C before
-`leave_at_once` ends in Python's own traceback.
+a callback from compiled code that raises can crash the process. Imports as little as possible, since Ctrl-C before
+`leave_at_once` ends in Python's traceback.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _CLEAR_LINE_AND_SHOW_CURSOR = b"\r\x1b[2K\x1b[?25h"  # a progress bar hides the 
 
 
 def leave_at_once() -> None:
-    """Let an interrupt end the program without more ado, unless interrupts are ignored."""
+    """Let an interrupt end the program at once, unless interrupts are ignored."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _leave)
 
@@ -38,7 +38,7 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 
 class Raised:
-    """Lets an interrupt raise `KeyboardInterrupt` within its block: for one that has other processes to end."""
+    """Lets an interrupt raise `KeyboardInterrupt` within its block, to end other processes first."""
 
     def __enter__(self) -> None:
         self._ends_at_once = signal.getsignal(signal.SIGINT) is _leave
@@ -51,7 +51,7 @@ class Raised:
 
 
 def was_interrupted(error: BaseException | None) -> bool:
-    """Whether an error, or one that it came from, was an interrupt."""
+    """Whether an error or one of its causes was an interrupt."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None

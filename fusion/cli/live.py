@@ -79,7 +79,7 @@ def live(
     use_velocity: VelocityOption = False,
     duration_s: DurationOption = None,
 ) -> None:
-    """Run until interrupted, and print how it went."""
+    """Run until interrupted, and print the result."""
     from fusion import FusionConfig
     from fusion.live.cameras import camera_source
     from fusion.live.clock import HostClock
@@ -119,7 +119,7 @@ def live(
 
 
 def _served_viewer(host: str, port: int) -> FoxgloveViewer:
-    """Start serving pictures and estimates, and tell the user where."""
+    """Start serving pictures and estimates, and print the address."""
     from fusion.live.view import FoxgloveViewer
 
     viewer = FoxgloveViewer(host, port)
@@ -129,7 +129,7 @@ def _served_viewer(host: str, port: int) -> FoxgloveViewer:
 
 @contextmanager
 def _signals_stop(session: LiveSession) -> Iterator[None]:
-    """Let SIGINT and SIGTERM end the session's run in good order within the block."""
+    """Let SIGINT and SIGTERM end the session's run properly within the block."""
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = [signal.signal(number, lambda *_: session.stop()) for number in numbers]
     try:

@@ -1,4 +1,4 @@
-"""What ``corridor measure`` prints besides its table: what it assumes, and the result."""
+"""Output of ``corridor measure`` besides its table: assumptions and result."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fusion.pictures.attitude_file import AttitudeFile
 def assumptions_text(
     paths: Sequence[Path], views: AssumedViews | None, attitudes: AttitudeFile | None, method: str
 ) -> list[str]:
-    """Say what `fusion.pictures.measure.measure_images` assumes where it was not told.
+    """Describe the assumptions of `fusion.pictures.measure.measure_images` for missing inputs.
 
     Parameters
     ----------
@@ -26,14 +26,14 @@ def assumptions_text(
     views
         The fields of view assumed; None with a calibration.
     attitudes
-        As given; None without.
+        The given attitudes, if any.
     method
         ``geometric`` or ``paper``, which uses no attitude.
     """
     from vision.frame import UNKNOWN_ATTITUDE
 
     notes = [] if views is None else views.notes()
-    if method == "paper":  # which uses no attitude
+    if method == "paper":  # this method uses no attitude
         return notes
     level = f"assuming level within about {degrees(UNKNOWN_ATTITUDE.std_rad):.0f} degrees"
     if attitudes is None:
@@ -46,7 +46,7 @@ def assumptions_text(
 
 
 def measured_text(table: Table, out: Path | None, overlay: Path | None) -> str:
-    """Say in one line what came of measuring pictures, and where it lies."""
+    """Summarise the measurement of pictures, and name the output, in one line."""
     reasons = Counter(str(reason) for reason in table["reason"])
     parts = [
         f"{reasons.pop('ok', 0)} measured",

@@ -10,7 +10,7 @@ import typer
 
 
 class Method(StrEnum):
-    """How the vanishing point of a frame is found."""
+    """Method for the vanishing point of a frame."""
 
     GEOMETRIC = "geometric"
     PAPER = "paper"

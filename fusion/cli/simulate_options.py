@@ -20,14 +20,14 @@ def simulation_config(
     size: str | None = None,
     turn_deg: float | None = None,
 ) -> SimulationConfig:
-    """Read a settings file and change what was asked for; None leaves a setting as it is.
+    """Read a settings file and apply the options; None keeps a setting.
 
     Parameters
     ----------
     file
         TOML, see `SimulationConfig`; None for the defaults.
     seed
-        Of everything that is drawn.
+        Seed of all random numbers.
     duration_s
         Length of the flight; the first corridor grows with it.
     width_m
@@ -35,12 +35,12 @@ def simulation_config(
     size
         Of the pictures, ``640x480``.
     turn_deg
-        Turn into a second corridor at this angle half way through the flight, positive right.
+        Angle of a turn into a second corridor halfway through the flight, positive right.
 
     Raises
     ------
     InputError
-        Naming the file or the setting, its value and the remedy.
+        With the file or the setting, its value and the remedy.
     """
     config = SimulationConfig() if file is None else SimulationConfig.from_toml(file)
     values = config.model_dump()

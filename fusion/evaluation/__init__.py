@@ -1,5 +1,5 @@
-"""How good a fused flight is: errors against a truth, checks, and the verdict made of them.
+"""Quality of a fused flight: errors against ground truth, checks, and the verdict.
 
-May import `fusion.result`, `fusion.alignment` (for the check of the camera's time) and what lies below them. Begin
+May import `fusion.result`, `fusion.alignment` (for the check of the camera's time) and the packages below them. Begin
 reading at `fusion.evaluation.errors` for errors, at `fusion.evaluation.checks` for the table of checks.
 """

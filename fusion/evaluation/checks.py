@@ -1,7 +1,7 @@
-"""The table of checks on a fused flight: one rule per thing that goes wrong.
+"""Table of the checks on a fused flight: one rule per kind of fault.
 
-To add a check, write its rule beside its like in a ``checks_*`` module, name its thresholds in
-`fusion.evaluation.verdict.Limits`, and give it a place in `CHECKS`.
+To add a check, write its rule in a ``checks_*`` module, add its thresholds to `fusion.evaluation.verdict.Limits`, and
+list it in `CHECKS`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fusion.flight import Flight
 from fusion.result.result import FusionResult
 from fusion.result.summary import Check
 
-#: In the order in which a reader should look at them.
+#: In the order of importance to a reader.
 CHECKS: tuple[CheckRule, ...] = (
     HEADING_ERROR,
     OFFSET_ERROR,
@@ -44,12 +44,12 @@ CHECKS: tuple[CheckRule, ...] = (
 
 
 def run_checks(result: FusionResult, flight: Flight, limits: Limits | None = None) -> tuple[Check, ...]:
-    """Run every check on a fused flight, in the order of `CHECKS`; before them the likely cause of what is wrong.
+    """Run all checks on a fused flight, in the order of `CHECKS`, preceded by the likely cause of a fault.
 
     Parameters
     ----------
     result, flight
-        What `fusion.fuse_flight` returned, and what it was given.
+        Result of `fusion.fuse_flight`, and its flight.
     limits
         Thresholds; None for the defaults.
     """

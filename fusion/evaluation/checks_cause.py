@@ -1,7 +1,7 @@
-"""What is wrong with the set-up where frames and inertial sensors do not fit, and the setting that puts it right.
+"""Cause of a disagreement between frames and inertial sensors, and the setting that corrects it.
 
-The other checks tell that they do not. This one compares the turns that frames saw, whether the filter used them or
-not, with those of the gyroscope: in their sense, in time, and in their size.
+The other checks detect the disagreement. This one compares the turns in the frames, used or not, with those of the
+gyroscope: their sign, timing and size.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ SYMPTOMS = frozenset(
 LIMIT = "looked for where frames and inertial sensors do not fit"
 MIN_OFFSET_S = 0.02
 SCALE_DIFFERS = 0.1
-LENS_SCALES = (0.6, 1.6)  # by which a focal length may be off; beyond it the gyroscope is
+LENS_SCALES = (0.6, 1.6)  # plausible errors of a focal length; beyond them the gyroscope's scale is wrong
 SURE_SIGMA = 5.0
-_MEASURED = ("ok", "gate")  # reasons of frames that have a heading of their own
+_MEASURED = ("ok", "gate")  # reasons of frames with a heading
 _NO_GYROSCOPE = (
     "no gyroscope",
     "Between pictures, the heading comes from the IMU's yaw, with all of its jumps.",
@@ -54,19 +54,19 @@ _NO_GYROSCOPE = (
 
 
 def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) -> Check | None:
-    """Return the cause of what other checks found, as a check; None where nothing is wrong or nothing is seen.
+    """Return the cause of other checks' findings, as a check; None if nothing is wrong or no cause is found.
 
     Parameters
     ----------
     result, flight
-        What `fusion.fuse_flight` returned, and what it was given.
+        Result of `fusion.fuse_flight`, and its flight.
     checks
-        The others.
+        The other checks.
     """
     levels = [check.level for check in checks if check.name in SYMPTOMS]
     if worst_of(Level.NOT_JUDGED, *levels) not in (Level.WARN, Level.FAIL):
         return None
-    # A bias takes up what does not fit, and must not stand before its cause.
+    # The bias absorbs the disagreement; its check must not precede the cause.
     level = worst_of(*levels, *(check.level for check in checks if check.name == GYRO_BIAS.name))
     frames, delay_s = result.frames, result.config.camera_delay_s
     measured = np.isin(frames["reason"], _MEASURED)
@@ -79,17 +79,17 @@ def likely_cause(result: FusionResult, flight: Flight, checks: Sequence[Check]) 
         )
     except InputError:
         return None
-    said: tuple[str, str, str] | None = None
+    cause: tuple[str, str, str] | None = None
     found = clock.search
     if found.reversed:
-        said = _opposite(flight)
+        cause = _opposite(flight)
     elif found.fit is not None and found.rival_s is None and not found.at_edge:
-        said = _skewed(clock, flight) or _late(found.fit, delay_s) or _scaled(found.fit, flight)
-    if said is None and flight.imu is None and _contradicted(checks):
-        said = _NO_GYROSCOPE
-    if said is None:
+        cause = _skewed(clock, flight) or _late(found.fit, delay_s) or _scaled(found.fit, flight)
+    if cause is None and flight.imu is None and _contradicted(checks):
+        cause = _NO_GYROSCOPE
+    if cause is None:
         return None
-    value, meaning, action = said
+    value, meaning, action = cause
     return Check(NAME, level, value, LIMIT, meaning, action)
 
 
@@ -141,7 +141,7 @@ def _scaled(fit: ClockFit, flight: Flight) -> tuple[str, str, str] | None:
         return None
     value = f"pictures turn {fit.ratio:.2f} times as much as the gyroscope"
     columns = flight.manifest.imu.columns if isinstance(flight.manifest, Manifest) else None
-    # The size of counts was guessed, the lens was calibrated.
+    # The scale of the counts was guessed, but the lens was calibrated.
     in_counts = isinstance(columns, ColumnMap) and is_counts(columns.gyro_unit)
     if LENS_SCALES[0] < fit.ratio < LENS_SCALES[1] and not in_counts:
         return (
@@ -157,7 +157,7 @@ def _scaled(fit: ClockFit, flight: Flight) -> tuple[str, str, str] | None:
 
 
 def _unit_remedy(ratio: float, flight: Flight) -> str:
-    """Name the unit that makes a gyroscope turn as the pictures do."""
+    """Name the unit with which the gyroscope agrees with the pictures."""
     if not isinstance(flight.manifest, Manifest):
         return f"Multiply the gyroscope by {ratio:.4g}."
     advice = ManifestLog(flight.manifest).advice()

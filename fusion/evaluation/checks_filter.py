@@ -1,4 +1,4 @@
-"""Checks of the filter: do frames agree with its prediction, and how long did it do without them."""
+"""Checks of the filter: agreement of frames with its prediction, and time without frames."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fusion.result.result import FusionResult
 from fusion.result.summary import Level
 from fusion.result.table_rows import held_back_at_junctions, runs
 
-MIN_COMPARED_FRAMES = 10  # of which a median says something
+MIN_COMPARED_FRAMES = 10  # for a meaningful median
 
 
 def _share_over_gate(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
@@ -25,7 +25,7 @@ def _share_over_gate(result: FusionResult, flight: Flight, limits: Limits) -> Fi
 
 
 def _test_ratios(result: FusionResult) -> FloatArray:
-    """Return the test ratios of the frames that were compared with the axis of their own corridor."""
+    """Return the test ratios of frames compared with their own corridor's axis."""
     ratio = result.frames["test_ratio"]
     own: FloatArray = ratio[np.isfinite(ratio) & ~held_back_at_junctions(result.estimates, result.frames)]
     return own
@@ -141,10 +141,10 @@ def _innovations_over_sigma(result: FusionResult, flight: Flight, limits: Limits
 
 
 def innovation_ratio(result: FusionResult) -> float:
-    """Robust ratio of innovations to the sigma that the filter expected of them; 1 if it is consistent.
+    """Robust ratio of the innovations to their predicted sigma; 1 if the filter is consistent.
 
-    The test ratio is the innovation's square over the gate's; the median of the normalised innovation, unlike
-    its root mean square, does not depend on where the gate cuts.
+    The test ratio is the innovation's square over the gate's; unlike the root mean square,
+    the median of the normalised innovation does not depend on the gate.
     """
     ratio = _test_ratios(result)
     if ratio.size < MIN_COMPARED_FRAMES:
@@ -159,7 +159,7 @@ INNOVATIONS_OVER_SIGMA = CheckRule(
     limit=lambda limits: (
         f"pass to {limits.innovation_ratio[0]:g} times, fail above {limits.innovation_ratio[1]:g}"
     ),
-    # Well below one is as it should be: a frame's sigma is widened for what it shares with the last one.
+    # Well below one is normal: a frame's sigma is inflated for its correlation with the last one.
     good="Frames differ from the prediction by no more than expected from their sigma.",
     bad="The filter is overconfident: its two-sigma band is too narrow.",
     remedy="Check the camera's time offset, then increase gyro_noise_density.",

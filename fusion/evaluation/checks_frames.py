@@ -1,4 +1,4 @@
-"""Checks of the camera's frames: how many were used, why others were not, and whether their clock fits the IMU's."""
+"""Checks of the camera's frames: share of used frames, reasons of rejection, and clock offset from the IMU."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ REASON_ACTION = {
     "repeated": "The camera sends the same picture again: check its driver and its connection.",
     "ahead": "Check the camera's clock: some frames are stamped far ahead of the other sensors.",
 }
-_HELD_BACK = "held back at a junction"  # said in place of gate
-TRIED = 20  # of the unreadable pictures, for why they are
-_DAMAGE = ("unreadable", "late")  # no picture of a good log is either
+_HELD_BACK = "held back at a junction"  # shown instead of gate
+TRIED = 20  # unreadable pictures examined for the cause
+_DAMAGE = ("unreadable", "late")  # do not occur in a good log
 
 
 def _share_used(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
@@ -58,7 +58,7 @@ def _share_used(result: FusionResult, flight: Flight, limits: Limits) -> Finding
 
 
 def _cause(result: FusionResult, flight: Flight) -> tuple[str, str] | None:
-    """Why most unreadable pictures cannot be used though they decode, and the remedy; None where most do not."""
+    """Reason why most unreadable pictures cannot be used although they can be decoded, and the remedy, or None."""
     frames, found = result.frames, Counter[tuple[str, str] | None]()
     t_ns = frames["timestamp_ns"][frames["reason"] == Reason.UNREADABLE]
     t_ns = t_ns - round(result.config.camera_delay_s * 1e9)
@@ -80,7 +80,7 @@ def _sentence(text: str) -> str:
 
 
 def _reasons_to_reject(result: FusionResult) -> npt.NDArray[np.str_]:
-    """Return the reason of each rejected frame; one held back until a junction was confirmed is no contradiction."""
+    """Return the reason of each rejected frame; frames held back at a junction are not contradictions."""
     frames = result.frames
     held = held_back_at_junctions(result.estimates, frames)
     reasons: npt.NDArray[np.str_] = np.where(held, _HELD_BACK, frames["reason"])[~frames["accepted"]]
@@ -99,7 +99,7 @@ FRAMES_USED = CheckRule(
 
 
 def _rejections_by_reason(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
-    """Each reason has another cause and another remedy."""
+    """Each reason has its own cause and remedy."""
     frames = result.frames
     if not len(frames):
         return nothing_to_judge("The flight has no frames.")
@@ -108,7 +108,7 @@ def _rejections_by_reason(result: FusionResult, flight: Flight, limits: Limits) 
         return Finding("None", 0.0, level=Level.PASS, meaning="Every frame was used.")
     levels = {}
     for word, count in zip(words.tolist(), counts.tolist(), strict=True):
-        if word == _HELD_BACK:  # as a working filter does
+        if word == _HELD_BACK:  # normal behaviour of the filter
             continue
         level = level_of(count / len(frames), limits.one_reason_share)
         levels[word] = worst_of(level, Level.WARN) if word in _DAMAGE else level
@@ -141,7 +141,7 @@ REJECTIONS = CheckRule(
 
 
 def _camera_time(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
-    """Compare when frames turn with when the IMU turns."""
+    """Compare the times of turns in frames and IMU."""
     frames, delay_s = result.frames, result.config.camera_delay_s
     try:
         found = clock_of_frames(

@@ -1,4 +1,4 @@
-"""Checks of the log: the gyroscope, the IMU's own yaw, gaps, and what was repaired on reading."""
+"""Checks of the log: the gyroscope, the IMU's own yaw, gaps, and repairs on reading."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fusion.result.table_rows import runs
 
 
 def _gyro_bias(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
-    """Size of the bias as the smoother knows it."""
+    """Size of the bias, by the smoother."""
     bias = result.smoothed["gyro_bias_rad_s"]
     bias = bias[np.isfinite(bias)]
     if flight.imu is None or not bias.size:
@@ -134,7 +134,7 @@ def _streams(flight: Flight) -> list[tuple[str, TimeArray]]:
 
 
 def _rate_hz(t_ns: TimeArray) -> float | None:
-    """Nominal rate: holes do not lower the median interval."""
+    """Nominal rate, from the median interval, so that gaps do not lower it."""
     return float(1e9 / np.median(np.diff(t_ns))) if len(t_ns) > 1 else None
 
 
@@ -155,7 +155,7 @@ def _longest_gap(result: FusionResult, flight: Flight, limits: Limits) -> Findin
     worst, where, count = 0.0, "", 0
     last_ns = max(int(t_ns[-1]) for _, t_ns in _streams(flight) if len(t_ns))
     for word, t_ns in _streams(flight):
-        step = np.diff(np.append(t_ns, last_ns)) / 1e9  # a stream that ends early leaves a gap up to the end
+        step = np.diff(np.append(t_ns, last_ns)) / 1e9  # a stream that ends early has a gap up to the end
         if not step.size:
             continue
         count += int(np.count_nonzero(step > max(good, 3.0 * float(np.median(step)))))

@@ -1,4 +1,4 @@
-"""Checks against ground truth, where there is one."""
+"""Checks against ground truth, if there is one."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ HEADING_ERROR = CheckRule(
 
 
 def _offset_rmse(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
-    """In metres where both sides have them."""
+    """In metres if both have them."""
     if flight.truth is None:
         return nothing_to_judge(_NO_TRUTH)
     errors = evaluate(result.estimates, flight.truth)
@@ -81,7 +81,7 @@ def _errors_over_sigma(result: FusionResult, flight: Flight, limits: Limits) -> 
     p90, nees = heading.error_over_sigma_p90, heading.nees_mean
     if p90 is None or nees is None:
         return nothing_to_judge(_NOTHING_COMPARED)
-    # A few gross errors leave the percentile as it is, but not the mean.
+    # A few gross errors change the mean, but not the percentile.
     level = worst_of(level_of(p90, limits.truth_sigma_p90), level_of(nees, limits.truth_nees))
     return Finding(f"{p90:.2f} sigma, mean NEES {nees:.2f}", p90, level=level)
 

@@ -1,4 +1,4 @@
-"""Outputs of fused flights against a truth, side by side: what ``corridor evaluate`` computes."""
+"""Compare outputs of fused flights with ground truth: the computation of ``corridor evaluate``."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from vision.rotations import wrap
 
 Errors = TypeVar("Errors", TableErrors, CorridorErrors)
 
-SENSE_NS = 500_000_000  # over which turns are compared in their sense
+SENSE_NS = 500_000_000  # interval over which the signs of turns are compared
 MIN_TURNS, MIN_TURN_RAD = 6, 0.02
 TABLES = {"causal": "estimates.csv", "smoothed": "smoothed.csv"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Output:
-    """An output folder of `corridor fuse`: its tables in FRD, and what its summary calls flight and method."""
+    """An output folder of `corridor fuse`: its tables in FRD, and flight and method from its summary."""
 
     folder: Path
     name: str
@@ -42,7 +42,7 @@ class Output:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RemovedConstants(Record):
-    """What alignment took out of one corridor's differences: estimate minus truth, medians."""
+    """Constants removed from one corridor's differences by alignment: medians of estimate minus truth."""
 
     optional = frozenset({"lateral_offset_m", "lateral_offset_norm"})
 
@@ -53,7 +53,7 @@ class RemovedConstants(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedTable(Record):
-    """Errors of one table, and the constants that were taken out of it by corridor; None where not aligned."""
+    """Errors of one table, and the constants removed by corridor; None if not aligned."""
 
     errors: TableErrors
     removed: Mapping[str, RemovedConstants] | None
@@ -66,7 +66,7 @@ class ComparedTable(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedOutput(Record):
-    """One output folder against the truth; ``overlap_s`` of its ``duration_s`` lie within the truth's time."""
+    """One output folder compared with the truth; ``overlap_s`` of its ``duration_s`` are within the truth's time."""
 
     name: str
     folder: str
@@ -80,7 +80,7 @@ class ComparedOutput(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorsOverTime:
-    """Estimate less truth at a table's times (n,), NaN where it is not judged; the offset in the unit asked for."""
+    """Estimate less truth at a table's times (n,), NaN if not judged; the offset in the requested unit."""
 
     t_ns: TimeArray
     heading_rad: FloatArray
@@ -89,7 +89,7 @@ class ErrorsOverTime:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TruthFacts(Record):
-    """The truth that was compared with; ``aligned``: constants between it and the estimates were taken out."""
+    """The truth of a comparison; ``aligned``: constants between it and the estimates were removed."""
 
     source: str
     rows: int
@@ -102,19 +102,19 @@ class TruthFacts(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison(Record):
-    """A truth, and outputs compared with it."""
+    """A ground truth, and outputs compared with it."""
 
     truth: TruthFacts
     outputs: tuple[ComparedOutput, ...]
 
 
 def read_outputs(folders: Sequence[str | Path]) -> list[Output]:
-    """Read output folders; each is named by as much of its path as tells it from the others.
+    """Read output folders; each is named by the shortest part of its path that is unique.
 
     Raises
     ------
     InputError
-        Where one is no output folder, or its tables are torn or hold nothing.
+        If one is not an output folder, or its tables are damaged or empty.
     """
     paths = [Path(folder) for folder in folders]
     names = _short_names(paths)
@@ -149,14 +149,14 @@ def _read_output(folder: Path, name: str) -> Output:
         table = read_table(folder / file, ESTIMATE_DTYPE)
         if not len(table):
             raise InputError("contains no rows", file=folder / file, remedy="the flight had nothing to fuse")
-        tables[kind] = table_in_frame(table, frame)  # turning twice leaves what was
+        tables[kind] = table_in_frame(table, frame)  # converting twice restores the original
     return Output(
         folder, name, tables["causal"], tables["smoothed"], summary.get("flight"), summary.get("method")
     )
 
 
 def compare(outputs: Sequence[Output], truth: Truth, *, align: bool = False) -> Comparison:
-    """Compare outputs with a truth.
+    """Compare outputs with ground truth.
 
     Parameters
     ----------
@@ -165,8 +165,8 @@ def compare(outputs: Sequence[Output], truth: Truth, *, align: bool = False) -> 
     truth
         From `fusion.evaluation.truth_file.read_truth`.
     align
-        Take the constant between estimate and truth out of heading and offset, per corridor of the truth: for a
-        truth whose zero is not the corridor's axis and centre line. The constants are told.
+        Remove the constant between estimate and truth from heading and offset, per corridor of the truth, for a truth
+        whose zero is not the corridor's axis and centre line. The constants are part of the result.
 
     Returns
     -------
@@ -176,7 +176,7 @@ def compare(outputs: Sequence[Output], truth: Truth, *, align: bool = False) -> 
     Raises
     ------
     InputError
-        Where an output and the truth have no time in common.
+        If an output and the truth have no time in common.
     """
     t = truth.corridor.t_ns
     compared = tuple(_compare_output(output, truth, align) for output in outputs)
@@ -201,7 +201,7 @@ def compare(outputs: Sequence[Output], truth: Truth, *, align: bool = False) -> 
 def errors_over_time(
     table: Table, truth: Truth, unit: Literal["m", "norm"], *, align: bool = False
 ) -> ErrorsOverTime:
-    """Return what `compare` judges of one table, row by row.
+    """Return the differences of one table that `compare` judges, row by row.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def errors_over_time(
 
 
 def _turn_oppositely(table: Table, truth: Truth) -> bool:
-    """Whether truth and estimates turn at the same times, but in opposite senses."""
+    """Whether truth and estimates turn at the same times, but in opposite directions."""
     rows = _to_first_axis(table) if truth.fixed_axis else table
     sampled = interpolate_truth(truth.corridor, rows["timestamp_ns"])
     own, true = rows["heading_rad"], sampled.heading_rad
@@ -269,7 +269,7 @@ def _compare_table(table: Table, truth: Truth, align: bool) -> ComparedTable:
 
 
 def _without_unknown_offset(errors: Errors, truth: Truth) -> Errors:
-    """Leave out the offsets that the truth does not have in that unit."""
+    """Leave out offsets that the truth does not have in this unit."""
     return replace(
         errors,
         lateral_offset_m=errors.lateral_offset_m if truth.offset in ("m", "both") else None,
@@ -278,7 +278,7 @@ def _without_unknown_offset(errors: Errors, truth: Truth) -> Errors:
 
 
 def _to_first_axis(table: Table) -> Table:
-    """Refer headings to the first corridor's axis; beyond that corridor its centre line says nothing."""
+    """Convert headings to the first corridor's axis; offsets are unknown beyond that corridor."""
     turned = table.copy()
     turned["heading_rad"] = wrap(table["heading_rad"] + table["corridor_turn_rad"])
     elsewhere = table["corridor_index"] != table["corridor_index"][0]
@@ -288,7 +288,7 @@ def _to_first_axis(table: Table) -> Table:
 
 
 def _aligned(truth: CorridorTruth, table: Table) -> tuple[CorridorTruth, dict[str, RemovedConstants]]:
-    """Shift the truth by the median difference of the rows that are judged, corridor by corridor."""
+    """Shift the truth by the median difference of the judged rows, per corridor."""
     at = interpolate_truth(truth, table["timestamp_ns"])
     judged = at.known & ~at.in_junction & (table["status"] == "tracking")
     heading, offset = truth.heading_rad.copy(), truth.lateral_offset_m.copy()

@@ -1,4 +1,4 @@
-"""A comparison with a truth as a table for papers and spreadsheets: CSV, Markdown or LaTeX."""
+"""A comparison with ground truth as a table for papers and spreadsheets: CSV, Markdown or LaTeX."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _LATEX = {c: "\\" + c for c in "&%$#_{}"} | {
 
 
 def write_comparison_table(found: Comparison, path: Path) -> None:
-    """Write a row for each output's filter and smoother, whole or not at all; the ending says the format.
+    """Write a row for each output's filter and smoother, atomically; the extension selects the format.
 
     LaTeX needs the package booktabs.
 
     Raises
     ------
     InputError
-        Where the ending is none of `FORMATS`, or the file cannot be written.
+        If the extension is none of `FORMATS`, or the file cannot be written.
     """
     ending = path.suffix.lower()
     if ending not in FORMATS:

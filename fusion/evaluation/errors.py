@@ -1,8 +1,8 @@
-"""Errors against the truth: the article's RMSE and MAE, and whether the filter is consistent.
+"""Errors against ground truth: the article's RMSE and MAE, and the filter's consistency.
 
 Sign of every error: estimate minus truth. Angles in radians, offsets in metres and over half the corridor's
 width (positive right), times in nanoseconds. Headings are relative to the corridor being flown, so truth is
-never interpolated from one corridor into the next.
+not interpolated between corridors.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ def rmse(estimate: npt.ArrayLike, truth: npt.ArrayLike, *, angle: bool = False) 
     Parameters
     ----------
     estimate, truth
-        Arrays of one shape, in one unit; the answer has that unit. A NaN in either gives NaN.
+        Arrays of one shape, in one unit, which is that of the result. A NaN in either gives NaN.
     angle
-        Whether they are angles in radians, whose difference is wrapped to half a turn.
+        Whether they are angles in radians, with their difference wrapped to half a turn.
 
     Raises
     ------
     ValueError
-        Where the shapes differ or there is nothing to compare.
+        If the shapes differ or there is nothing to compare.
     """
     return float(np.sqrt(np.mean(np.square(_difference(estimate, truth, angle)))))
 
@@ -61,11 +61,11 @@ class TruthAt:
     Parameters
     ----------
     inside
-        The time lies within the truth's span.
+        The time is within the truth's span.
     known
-        ``inside``, and neither in a hole of the truth nor between two corridors.
+        ``inside``, and neither in a gap of the truth nor between two corridors.
     in_junction
-        Either neighbouring row of the truth lies in a junction.
+        Either neighbouring row of the truth is in a junction.
     """
 
     heading_rad: FloatArray
@@ -87,7 +87,7 @@ def interpolate_truth(truth: CorridorTruth, t_ns: TimeArray, max_gap_s: float = 
     t_ns
         Times (n,), in any order.
     max_gap_s
-        Neighbouring truth rows further apart than this leave the times between them unknown.
+        Truth is unknown between neighbouring rows further apart than this.
     """
     t = np.asarray(t_ns, dtype=np.int64)
     if truth.t_ns.size == 0:
@@ -98,7 +98,7 @@ def interpolate_truth(truth: CorridorTruth, t_ns: TimeArray, max_gap_s: float = 
     low = np.clip(np.searchsorted(truth.t_ns, t, side="right") - 1, 0, last)
     high = np.where(truth.t_ns[low] == t, low, np.minimum(low + 1, last))
     gap_ns = truth.t_ns[high] - truth.t_ns[low]
-    # Differences of integers first: a float64 of Unix time in nanoseconds is only good to 256 ns.
+    # Integer differences first: a float64 of Unix time in nanoseconds has a resolution of 256 ns.
     part = np.clip((t - truth.t_ns[low]) / np.maximum(gap_ns, 1), 0.0, 1.0)
     known = inside & (truth.corridor_id[low] == truth.corridor_id[high]) & (gap_ns <= max_gap_s * 1e9)
 
@@ -124,7 +124,7 @@ def evaluate(table: Table, truth: CorridorTruth, *, max_gap_s: float = 0.5) -> T
     """Compare estimates or single frames with ground truth.
 
     Errors are evaluated over rows that are tracking (estimates) or accepted (frames), outside junctions and within
-    the time of the truth. Every other row is counted under the first cause that applies. RMSE and MAE are the
+    the time of the truth. All other rows are counted under the first reason that applies. RMSE and MAE are the
     article's equations (9) and (10). NEES, the normalised estimation error squared, is the mean of (error /
     sigma)^2, 1 for a consistent filter (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to
     Tracking and Navigation", Wiley 2001, section 5.4).
@@ -211,7 +211,7 @@ def _quantities(table: Table, at: TruthAt, rows: BoolArray) -> _Quantities:
 def _statistics(error: FloatArray, std: FloatArray, unit: str) -> ErrorStatistics:
     finite = np.isfinite(error)
     error, std = error[finite], std[finite]
-    stated = std > 0  # NaN fails too
+    stated = std > 0  # excludes NaN, too
     ratio = np.abs(error[stated]) / std[stated]
     nees = float(np.mean(ratio**2)) if ratio.size else None
     ratio_p90 = float(np.percentile(ratio, 90)) if ratio.size else None

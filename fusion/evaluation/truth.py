@@ -1,4 +1,4 @@
-"""The true course of a flight, and how a file's columns become one."""
+"""Ground truth of a flight, and its construction from a file's columns."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ OffsetUnit = Literal["m", "norm"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """A truth and how to compare with it.
+    """A ground truth, and how to compare with it.
 
     Parameters
     ----------
     corridor
-        In FRD; NaN where an offset is not known.
+        In FRD; NaN for unknown offsets.
     fixed_axis
-        Headings are from one axis through the whole flight, not from the corridor being flown.
+        Headings are relative to one axis for the whole flight, not to the corridor being flown.
     offset
-        ``m``, ``norm`` or ``both``: what its offsets can be compared with; None where it has none.
+        ``m``, ``norm`` or ``both``: units of comparable offsets; None if it has none.
     source
         The file, in words.
     frame
-        Convention of signs that it was read by.
+        Sign convention with which it was read.
     problems
-        What was dropped on reading.
+        Problems of reading.
     """
 
     corridor: CorridorTruth
@@ -46,17 +46,17 @@ class Truth:
     problems: tuple[str, ...] = ()
 
     def shifted(self, seconds: float) -> Truth:
-        """Add seconds to its times: for a truth by another clock.
+        """Add seconds to its times, for a truth with another clock.
 
         Raises
         ------
         InputError
-            Where that is not a number, or so large that the times leave the years 1678 to 2262.
+            If that is not a number, or so large that the times leave the years 1678 to 2262.
         """
         if not seconds:
             return self
         reach_ns = int(np.abs(self.corridor.t_ns).max())
-        if not abs(seconds) * 1e9 + reach_ns < 2**63:  # NaN fails too
+        if not abs(seconds) * 1e9 + reach_ns < 2**63:  # NaN is rejected, too
             raise InputError(f"--truth-shift {seconds:g}: no time of a truth can be shifted by that")
         corridor = replace(self.corridor, t_ns=self.corridor.t_ns + round(seconds * 1e9))
         return replace(self, corridor=corridor, source=f"{self.source}; {seconds:+g} s to its times")
@@ -64,22 +64,22 @@ class Truth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TruthColumns:
-    """What a file says of the true course, row by row, in the file's own convention of signs.
+    """Rows of a ground truth file, in the file's own sign convention.
 
     Parameters
     ----------
     t_ns
         Times (n,) in nanoseconds, in any order.
     heading_rad
-        Headings (n,); NaN where a row has none.
+        Headings (n,); NaN if a row has none.
     offset
-        Lateral offsets (n,) in ``offset_unit``; NaN where unknown.
+        Lateral offsets (n,) in ``offset_unit``; NaN if unknown.
     offset_unit
         ``m``, or ``norm`` for half widths.
     width_m
-        Corridor widths (n,), NaN where unknown; None where the file has none.
+        Corridor widths (n,), NaN if unknown; None if the file has none.
     corridor_id, in_junction
-        Numbers (n,), NaN taken as 0; None where the file has none.
+        Numbers (n,), NaN taken as 0; None if the file has none.
     """
 
     t_ns: TimeArray
@@ -94,25 +94,25 @@ class TruthColumns:
 def truth_of(
     columns: TruthColumns, path: Path, frame: Frame, problems: Problems, *, fixed_axis: bool, kind: str
 ) -> Truth:
-    """Make a truth of a file's columns: rows with a heading, in order of time, in FRD.
+    """Make a ground truth from a file's columns: rows with a heading, in order of time, in FRD.
 
     Parameters
     ----------
     columns
         As read.
     path, kind
-        The file, and what kind of truth it holds, for `Truth.source`.
+        The file, and its kind of truth, for `Truth.source`.
     frame
-        Convention of its signs.
+        Its sign convention.
     problems
-        What was dropped on reading.
+        Problems of reading.
     fixed_axis
         See `Truth`.
 
     Raises
     ------
     InputError
-        Where no row has a heading, or headings are too large for radians.
+        If no row has a heading, or headings are too large for radians.
     """
     sign = -1.0 if frame is Frame.ROS else 1.0
     heading_rad = columns.heading_rad
@@ -134,8 +134,8 @@ def truth_of(
         heading_rad=sign * heading_rad[rows],
         lateral_offset_m=sign * offset_m[rows],
         corridor_width_m=width_m[rows],
-        corridor_id=_whole(columns.corridor_id, count)[rows],
-        in_junction=_whole(columns.in_junction, count)[rows] != 0,
+        corridor_id=_integers(columns.corridor_id, count)[rows],
+        in_junction=_integers(columns.in_junction, count)[rows] != 0,
     )
     side = "left" if frame is Frame.ROS else "right"
     has_offset = bool(np.isfinite(offset_m[rows]).any())
@@ -144,18 +144,18 @@ def truth_of(
 
 
 def _offset_in_metres(columns: TruthColumns) -> tuple[FloatArray, FloatArray, str]:
-    """Return offsets and widths (n,) in metres, and what the offsets can be compared with; see `Truth.offset`."""
+    """Return offsets and widths (n,) in metres, and the units of comparable offsets; see `Truth.offset`."""
     offset = columns.offset
     width_m = np.full(len(offset), np.nan) if columns.width_m is None else columns.width_m
     known = np.isfinite(width_m)
     if columns.offset_unit == "m":
         return offset, width_m, "both" if known.any() else "m"
-    # Where no width is known, one of two metres makes an offset in half widths one in metres of the same value.
+    # If no width is known, a width of 2 m makes an offset in half widths equal to one in metres.
     offset_m = np.where(known, offset * width_m / 2, offset)
     return offset_m, np.where(known, width_m, 2.0), "both" if known.any() else "norm"
 
 
-def _whole(values: FloatArray | None, count: int) -> npt.NDArray[np.int64]:
+def _integers(values: FloatArray | None, count: int) -> npt.NDArray[np.int64]:
     if values is None:
         return np.zeros(count, dtype=np.int64)
     return np.nan_to_num(values, nan=0.0).astype(np.int64)

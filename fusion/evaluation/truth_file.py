@@ -1,6 +1,6 @@
-"""The true course of a flight, from files as people have them: CSV with a heading, TUM, an earlier output.
+"""Ground truth of a flight from files in common forms: CSV with a heading, TUM, an earlier output.
 
-Two kinds of heading are told apart. ``heading_*`` is the angle from the axis of the corridor being flown, as in
+There are two kinds of heading. ``heading_*`` is the angle from the axis of the corridor being flown, as in
 ``corridor_truth.csv``. ``yaw_*`` and quaternions are angles from one fixed axis; they are compared with the
 heading plus the turn between corridors, and offsets only within the first corridor.
 """
@@ -60,19 +60,19 @@ _MAX_NAME = 200
 
 
 def read_truth(path: str | Path, frame: Frame | None = None) -> Truth:
-    """Read a truth file, see `SUPPORTED`; a flight's folder stands for its ``corridor_truth.csv``.
+    """Read a truth file, see `SUPPORTED`; a flight's folder means its ``corridor_truth.csv``.
 
     Parameters
     ----------
     path
         The file or folder.
     frame
-        Convention of its signs. None: what the file says of itself; a CSV that says nothing is in FRD.
+        Convention of its signs. None: as declared in the file; a CSV without a declaration is in FRD.
 
     Raises
     ------
     InputError
-        Where it cannot be read, lacks a time or a heading, or its convention or units are not known.
+        If it cannot be read, lacks a time or a heading, or its convention or units are unknown.
     """
     path = Path(path)
     if path.is_dir():
@@ -96,7 +96,7 @@ def read_truth(path: str | Path, frame: Frame | None = None) -> Truth:
 
 
 def _frame_beside(path: Path) -> Frame | None:
-    """Convention of a table that lies in an output folder."""
+    """Convention of a table in an output folder."""
     if path.name not in ("estimates.csv", "smoothed.csv"):
         return None
     with suppress(OSError, ValueError, KeyError):
@@ -106,19 +106,19 @@ def _frame_beside(path: Path) -> Frame | None:
 
 def _from_tum(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     found = (re.match(r"#\s*(\w+):\s*(\S+)", line) for line in lines)
-    said = {match[1]: match[2] for match in found if match}
-    ours = said.get("software") == "corridor-fusion"
-    if frame is None and said.get("frame", "") in list(Frame):
-        frame = Frame(said["frame"])
+    metadata = {match[1]: match[2] for match in found if match}
+    ours = metadata.get("software") == "corridor-fusion"
+    if frame is None and metadata.get("frame", "") in list(Frame):
+        frame = Frame(metadata["frame"])
     if frame is None:
-        raise _which_way(path, "a TUM trajectory does")
+        raise _unknown_convention(path, "a TUM trajectory does")
     names = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
     rows, problems = _read(path, " ", 0, tuple(range(1, _TUM_WIDTH)), names)
     t_ns = _times(path, rows.first.tolist(), "s")
     values = rows.values
     heading = _yaw_of_body(values[:, [6, 3, 4, 5]], path, "x, y, z, w")
-    offset = values[:, 1] if said.get("offset_unit") != "none" else np.full(len(t_ns), np.nan)
-    unit: OffsetUnit = "norm" if said.get("offset_unit") == "half" else "m"
+    offset = values[:, 1] if metadata.get("offset_unit") != "none" else np.full(len(t_ns), np.nan)
+    unit: OffsetUnit = "norm" if metadata.get("offset_unit") == "half" else "m"
     kind = (
         "a corridor-fusion trajectory" if ours else "a TUM trajectory: yaw from one fixed axis, y as offset"
     )
@@ -126,7 +126,7 @@ def _from_tum(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     return truth_of(columns, path, frame, problems, fixed_axis=not ours, kind=kind)
 
 
-def _which_way(path: Path, what: str) -> InputError:
+def _unknown_convention(path: Path, what: str) -> InputError:
     return InputError(
         f"{what} not say which way its angles count",
         file=path,
@@ -155,7 +155,7 @@ def _from_csv(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
     time_name, unit = _find_time(path, column, whole)
     heading = _find_heading(path, column)
     if heading.fixed_axis and frame is None:
-        raise _which_way(path, "yaw and quaternions do")
+        raise _unknown_convention(path, "yaw and quaternions do")
     id_name = next((name for name in _IDS if name in column), None)
     optional = [name for name in (*_OFFSETS, id_name, "corridor_width_m", "in_junction") if name in column]
     wanted = (*heading.names, *(name for name in optional if name is not None))
@@ -177,7 +177,7 @@ def _from_csv(path: Path, lines: Sequence[str], frame: Frame | None) -> Truth:
 
 
 def _offset_of(values: Mapping[str, FloatArray], count: int) -> tuple[FloatArray, OffsetUnit]:
-    """Return offsets (n,) and their unit: metres where any is known, else half widths; NaN where there are none."""
+    """Return offsets (n,) and their unit: metres if any are known, else half widths; NaN if there are none."""
     offset = np.full(count, np.nan)
     unit: OffsetUnit = "m"
     for name, (scale, its_unit) in _OFFSETS.items():
@@ -191,7 +191,7 @@ def _read(
 ) -> WithProblems[Rows]:
     """Read the times, as texts, and columns of numbers; a field that is not a number becomes NaN."""
     fmt = RowFormat(separator, first, others, "O", width=len(names), keep_bad_fields=True)
-    # A last line is not taken for cut because its number is shorter: truths are written by hand too.
+    # A shorter last line is not taken for truncated, because truths may be written by hand.
     blocks = read_blocks(path, separator, leave_out_cut=False)
     rows = read_rows(_without_names(blocks, separator), fmt)
     if not len(rows.first):
@@ -210,7 +210,7 @@ def _read(
 
 
 def _without_names(blocks: Iterable[Block], separator: str) -> Iterator[Block]:
-    """Leave out what stands before the first row of numbers."""
+    """Skip lines before the first row of numbers."""
     begun = False
     for rows, cut in blocks:
         start = 0
@@ -246,7 +246,7 @@ def _find_time(path: Path, column: Mapping[str, int], row: Sequence[str]) -> tup
 
 @dataclass(frozen=True, slots=True)
 class _Heading:
-    """Which columns give the heading: an angle and its unit in radians, or a quaternion w, x, y, z."""
+    """Columns of the heading: an angle and its unit in radians, or a quaternion w, x, y, z."""
 
     names: tuple[str, ...]
     unit_rad: float
@@ -254,25 +254,25 @@ class _Heading:
     kind: str
 
     def of(self, values: Sequence[FloatArray], path: Path) -> FloatArray:
-        """Return the angles (n,), radians, of the columns' values (n,); ``path`` for a complaint."""
+        """Return the angles (n,), radians, of the columns' values (n,); ``path`` for an error."""
         if len(values) == 1:
             return self.unit_rad * values[0]
         return _yaw_of_body(np.column_stack(values), path, "w, x, y, z")
 
 
 def _yaw_of_body(q: FloatArray, path: Path, order: str) -> FloatArray:
-    """Return the yaw (n,) of quaternions (n, 4), w x y z, of a vehicle that flies level, either side up.
+    """Return the yaw (n,) of quaternions (n, 4), w x y z, of a vehicle that flies level, upright or inverted.
 
     Raises
     ------
     InputError
-        Where it lies on its side, or would be level if the quaternions were not read in ``order`` but in another.
+        If it is on its side, or would be level with another order of the quaternions than ``order``.
     """
-    is_upright, off_deg = _off_level(q)
-    # In the wrong order, a level vehicle that has turned by an angle is upside down but for that angle.
+    is_upright, off_deg = _upright_and_tilt(q)
+    # In the wrong order, a level vehicle with a yaw angle appears upside down, tilted by that angle.
     suspicious_deg = 20.0 if is_upright else 5.0
     other, shift = ("w, x, y, z", -1) if order == "x, y, z, w" else ("x, y, z, w", 1)
-    if off_deg > suspicious_deg and _off_level(np.roll(q, shift, axis=1))[1] < 0.5 * off_deg:
+    if off_deg > suspicious_deg and _upright_and_tilt(np.roll(q, shift, axis=1))[1] < 0.5 * off_deg:
         raise InputError(
             f"its quaternions, read in the order {order}, are {off_deg:.0f} degrees off level; in the order {other} "
             "they are level",
@@ -289,8 +289,8 @@ def _yaw_of_body(q: FloatArray, path: Path, order: str) -> FloatArray:
     return yaw_of(q)
 
 
-def _off_level(q: FloatArray) -> tuple[bool, float]:
-    """Whether quaternions (n, 4) are usually upright, and by how many degrees they are usually off level."""
+def _upright_and_tilt(q: FloatArray) -> tuple[bool, float]:
+    """Whether quaternions (n, 4) are mostly upright, and their median tilt in degrees."""
     tilt_deg = np.degrees(np.arccos(np.clip(1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), -1.0, 1.0)))
     tilt_deg = tilt_deg[np.isfinite(tilt_deg)]
     if not len(tilt_deg):

@@ -1,4 +1,4 @@
-"""What a check consists of, where it passes, and how many checks become one verdict."""
+"""Parts of a check, its limits, and the verdict from all checks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fusion.result.summary import Check, Level
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The two thresholds of each check: the first parts pass from warn, the second warn from fail."""
+    """The two thresholds of each check: the first separates pass from warn, the second warn from fail."""
 
     accepted_share: tuple[float, float] = (0.80, 0.50)
     over_gate_share: tuple[float, float] = (0.05, 0.20)
@@ -59,30 +59,30 @@ def worst_of(*levels: Level) -> Level:
 
 
 def worst_first(checks: Sequence[Check]) -> list[Check]:
-    """Order checks by how much they matter to a reader, those alike as they were."""
+    """Sort checks by importance to a reader; the order of equal ones is kept."""
     return sorted(checks, key=lambda check: _WORST_FIRST.index(check.level))
 
 
 def overall(checks: Sequence[Check]) -> Level:
-    """Return the worst level of all; ``not_judged`` counts only where nothing was judged."""
+    """Return the worst level of all; ``not_judged`` only if nothing was judged."""
     return worst_of(Level.NOT_JUDGED, *(check.level for check in checks))
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check found on one flight.
+    """Finding of a check on one flight.
 
     Parameters
     ----------
     text
-        What was found, in units for people.
+        The finding in words, in convenient units.
     number
-        What was found as one number, SI units and radians; compared with the rule's ``pass_fail`` unless ``level``
-        says how it came out.
+        The finding as one number, SI units and radians; compared with the rule's ``pass_fail`` unless ``level`` is
+        set.
     level
-        Set where there is more to the outcome than one number.
+        Set if one number does not determine the level.
     limit, meaning, action
-        Said instead of the rule's sentences; None: the rule's.
+        Replace the rule's sentences, unless None.
     """
 
     text: str
@@ -94,7 +94,7 @@ class Finding:
 
 
 def nothing_to_judge(why: str) -> Finding:
-    """Return the finding of a check that the flight gave nothing to judge by, with the reason in a sentence."""
+    """Return the finding of a check that cannot be judged on the flight, with the reason in a sentence."""
     return Finding("not judged", level=Level.NOT_JUDGED, meaning=why)
 
 
@@ -105,19 +105,20 @@ class CheckRule:
     Parameters
     ----------
     name
-        What is looked at, as the report prints it.
+        Subject of the check, as printed in the report.
     measure
-        Finds it on a flight.
+        Computes the finding on a flight.
     limit
-        Where it passes and where it fails, in words.
+        The limits in words.
     good
-        What it means where the check passes.
+        Meaning if the check passes.
     bad
-        What it means where it does not; a finding may say something more exact.
+        Meaning if it does not; a finding may be more specific.
     remedy
-        What to do then.
+        Remedy in that case.
     pass_fail
-        Limits that ``Finding.number`` is compared with: the first parts pass from warn, the second warn from fail.
+        Limits that ``Finding.number`` is compared with: the first separates pass from warn, the second warn from
+        fail.
     """
 
     name: str
@@ -129,7 +130,7 @@ class CheckRule:
     pass_fail: Callable[[Limits], tuple[float, float]] | None = None
 
     def apply(self, result: FusionResult, flight: Flight, limits: Limits) -> Check:
-        """Run the check on a fused flight and put its outcome into words."""
+        """Run the check on a fused flight and describe its result."""
         found = self.measure(result, flight, limits)
         level = self._level(found, limits)
         meaning, action = (self.good, "") if level is Level.PASS else (self.bad, self.remedy)

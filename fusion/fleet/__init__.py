@@ -1,8 +1,8 @@
-"""Many flights into one table: what ``corridor batch`` does.
+"""Fuse many flights into one table, for ``corridor batch``.
 
-A flight goes this way: `fusion.fleet.discovery` finds it, `fusion.fleet.batch` sees whether it has to be done,
-`fusion.fleet.workers` hands it to a process (of this machine or of a Dask cluster), `fusion.fleet.worker` fuses it
-there as ``corridor fuse`` does and makes its `fusion.fleet.row.FleetRow`, `fusion.fleet.journal` keeps the row, and
-`fusion.fleet.tables` and `fusion.fleet.page` write all rows for people and programs. May import `fusion.outputs` and
-what lies below it. Begin reading at `fusion.fleet.batch`.
+The steps for a flight: `fusion.fleet.discovery` finds it, `fusion.fleet.batch` checks whether it must be fused,
+`fusion.fleet.workers` passes it to a process (local or of a Dask cluster), `fusion.fleet.worker` fuses it there as
+``corridor fuse`` does and makes its `fusion.fleet.row.FleetRow`, `fusion.fleet.journal` stores the row, and
+`fusion.fleet.tables` and `fusion.fleet.page` write all rows. May import `fusion.outputs` and
+the packages below it. Begin reading at `fusion.fleet.batch`.
 """

@@ -1,4 +1,4 @@
-"""Fuse many flights: find them, leave out those that are done, hand out the others, keep the table whole."""
+"""Fuse many flights: find them, skip finished ones, distribute the others, update the table."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from fusion.fleet.row import FleetRow
 from fusion.fleet.tables import write_tables
 from fusion.fleet.task import Task
 from fusion.fleet.worker import failure
-from fusion.fleet.workers import Tell, Workers, cluster_workers, local_workers
+from fusion.fleet.workers import Notify, Workers, cluster_workers, local_workers
 from fusion.offline.prefetch import usable_cores
 from fusion.progress import Progress
 from vision.errors import InputError
 
-_WRITING_SHARE = 0.02  # of the time that the tables may take while flights are fused
-_LEAST_PAUSE_S = 5.0  # between two writings
-_QUEUED = 4  # flights handed out for each that is being fused
-TIMEOUT_S = 3600.0  # a flight of some hours, where the program is well
+_WRITING_SHARE = 0.02  # largest share of the time for writing tables
+_LEAST_PAUSE_S = 5.0  # between two updates of the tables
+_QUEUED = 4  # distributed flights per flight being fused
+TIMEOUT_S = 3600.0  # enough for a flight of some hours
 
 
 @dataclass(frozen=True, slots=True)
 class BatchSettings:
-    """How flights are fused, and by whom.
+    """Settings and workers of a batch.
 
     Parameters
     ----------
     config
-        Settings of the estimator for all flights whose list names no others.
+        Settings of the estimator, unless a flight's list entry names others.
     camera
         Calibration file instead of the logs' own.
     method
@@ -47,16 +47,16 @@ class BatchSettings:
     jobs
         Worker processes of this machine; None: one per core.
     memory_bytes
-        What each of them may take; None: the machine's memory over their number.
+        Memory limit of each; None: the machine's memory over their number.
     scheduler
-        Address of a Dask cluster that fuses instead of this machine.
+        Address of a Dask cluster to use instead of this machine.
     redo
-        Fuse again what is done.
+        Fuse finished flights again.
     timeout_s
-        How long a flight may take before its worker is ended and the flight becomes a row with that reason; None: as
-        long as it likes.
+        Time limit of a flight, after which its worker is ended and the flight becomes a row with this reason; None:
+        no limit.
     command
-        The command line that asks for the batch, for each flight's ``provenance``.
+        The command line of the batch, for each flight's ``provenance``.
     """
 
     config: FusionConfig = field(default_factory=FusionConfig)
@@ -73,7 +73,7 @@ class BatchSettings:
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """A batch's rows by name, how many of them are an earlier batch's, and the seconds that the others took."""
+    """A batch's rows by name, the number kept from an earlier batch, and the seconds for the others."""
 
     rows: tuple[FleetRow, ...]
     kept: int
@@ -87,12 +87,12 @@ def fuse_fleet(
     *,
     against: Sequence[FleetRow] = (),
     progress: Progress | None = None,
-    tell: Tell = lambda sentence: None,
+    notify: Notify = lambda sentence: None,
 ) -> Fleet:
-    """Fuse all flights that the sources name into one folder: an output per flight, tables and a page of all.
+    """Fuse all flights of the sources into one folder: an output per flight, tables and a page.
 
-    What an earlier batch in the same folder has done, and whose log, settings and version are the same, is kept. A
-    program that calls this needs ``if __name__ == "__main__":`` around its own start, as for all processes of Python.
+    Results of an earlier batch in the same folder with the same log, settings and version are kept. A program that
+    calls this needs ``if __name__ == "__main__":``, as for all Python processes.
 
     Parameters
     ----------
@@ -103,17 +103,17 @@ def fuse_fleet(
     settings
         See `BatchSettings`; None for the defaults.
     against
-        Rows of another batch, from `fusion.fleet.tables.read_fleet`; the page compares with them.
+        Rows of another batch to compare with, from `fusion.fleet.tables.read_fleet`.
     progress
-        Called with flights done and in all.
-    tell
+        Called with (done, total) flights.
+    notify
         Called with a sentence when a worker has died.
 
     Raises
     ------
     InputError
-        Where there are no flights, settings or files that go with them cannot be used, or ``out`` cannot be written.
-        A flight that cannot be used is a row with its reason.
+        If there are no flights, settings or their files cannot be used, or ``out`` cannot be written. A flight that
+        cannot be used becomes a row with the reason.
     """
     settings = settings or BatchSettings()
     folder = _check_folder(Path(out))
@@ -125,7 +125,7 @@ def fuse_fleet(
     earlier = {} if settings.redo else read_journal(folder)
     tasks, kept = _divide(flights, folder, settings, earlier)
     started = time.perf_counter()
-    with _workers(settings, len(tasks), tell) as workers:
+    with _workers(settings, len(tasks), notify) as workers:
         table = _Table(folder, kept, len(flights), against, Journal(folder, earlier.values()))
         try:
             if progress is not None:
@@ -140,7 +140,7 @@ def fuse_fleet(
 
 
 def _check_folder(out: Path) -> Path:
-    """Make the fleet's folder, or see that what is in it is a fleet's."""
+    """Create the fleet's folder, or check that an existing one belongs to a fleet."""
     folder = out.resolve()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -157,7 +157,7 @@ def _check_folder(out: Path) -> Path:
 def _divide(
     flights: Sequence[FoundFlight], folder: Path, settings: BatchSettings, earlier: dict[str, FleetRow]
 ) -> tuple[list[Task], list[FleetRow]]:
-    """Part the flights into those to be fused and the rows of those that are done."""
+    """Separate the flights to be fused from the rows of finished ones."""
     configs = {flight.config: settings.config for flight in flights}
     configs |= {file: FusionConfig.from_toml(file) for file in configs if file is not None}
     hashes = {
@@ -168,7 +168,7 @@ def _divide(
     for flight in flights:
         stamp, log_bytes = stamp_of(flight.path)
         row = earlier.get(flight.name)
-        if row is not None and not _holds(row, hashes[flight.config], folder, settings.reports):
+        if row is not None and not _is_up_to_date(row, hashes[flight.config], folder, settings.reports):
             row = None
         if row is not None and row.log_stamp == stamp and row.path == str(flight.path):
             date = row.date if "T" in row.date else flight.date
@@ -192,24 +192,24 @@ def _divide(
     return tasks, kept
 
 
-def _holds(row: FleetRow, config_hash: str, folder: Path, reports: bool) -> bool:
-    """Whether a row still tells what fusing the same log would give."""
+def _is_up_to_date(row: FleetRow, config_hash: str, folder: Path, reports: bool) -> bool:
+    """Whether a row is still up to date."""
     if row.verdict == "error" or (row.config_hash, row.version) != (config_hash, program_version()):
         return False
     wanted = "report.html" if reports else "summary.json"
     return not row.has_result or (folder / row.output / wanted).is_file()
 
 
-def _workers(settings: BatchSettings, flights: int, tell: Tell) -> AbstractContextManager[Workers]:
+def _workers(settings: BatchSettings, flights: int, notify: Notify) -> AbstractContextManager[Workers]:
     if settings.scheduler is not None:
-        return cluster_workers(settings.scheduler, settings.timeout_s, tell)
+        return cluster_workers(settings.scheduler, settings.timeout_s, notify)
     jobs = max(1, min(settings.jobs or usable_cores(), flights))
     memory_bytes = settings.memory_bytes or usable_memory_bytes() // jobs
-    return local_workers(jobs, memory_bytes, settings.timeout_s, tell)
+    return local_workers(jobs, memory_bytes, settings.timeout_s, notify)
 
 
 def usable_memory_bytes() -> int:
-    """Return the memory of the machine, or of the container if that is less; where neither is known, 4 GB."""
+    """Return the memory of the machine, or of the container if that is less; 4 GB if neither is known."""
     try:
         machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
@@ -222,7 +222,7 @@ def usable_memory_bytes() -> int:
 
 
 def _finished(tasks: Sequence[Task], workers: Workers) -> Iterator[list[tuple[Task, Future[FleetRow]]]]:
-    """Hand out tasks, a few ahead of what is being fused, and yield those that have ended since the last time."""
+    """Distribute tasks, a few in advance, and yield those that have ended since the last time."""
     waiting = iter(tasks)
     running: dict[Future[FleetRow], Task] = {}
     while True:
@@ -242,7 +242,7 @@ def _row(task: Task, future: Future[FleetRow], workers: Workers) -> FleetRow:
         raise InputError(
             "the cluster has gone", remedy="run the same again: the flights that are done are kept"
         ) from error
-    except Exception as error:  # of the process or the cluster: what goes wrong with a flight is in its row
+    except Exception as error:  # of the process or the cluster; a flight's own errors are in its row
         flight = task.flight
         return FleetRow(
             flight=flight.name,
@@ -259,7 +259,7 @@ def _row(task: Task, future: Future[FleetRow], workers: Workers) -> FleetRow:
 
 
 class _Table:
-    """The rows so far, in the journal at once and in the tables soon after."""
+    """The rows so far, written to the journal at once and to the tables soon after."""
 
     def __init__(
         self,
@@ -278,8 +278,10 @@ class _Table:
         for row in rows:
             self.rows[row.flight] = row
             self._journal.add(row)
-        if time.monotonic() >= self._next_s and len(self.rows) < self._total:  # then `close` writes them
-            self._write(with_page=self._next_s > 0.0)  # not at once: the first page loads what draws it
+        if time.monotonic() >= self._next_s and len(self.rows) < self._total:  # otherwise `close` writes them
+            self._write(
+                with_page=self._next_s > 0.0
+            )  # not the first time: the page loads the plotting library
 
     def sorted(self) -> tuple[FleetRow, ...]:
         """Return the rows by name."""

@@ -1,4 +1,4 @@
-"""What a change of settings or version did to a fleet: two tables of the same flights, side by side."""
+"""Effect of a change of settings or version on a fleet: comparison of two tables of the same flights."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from fusion.fleet.quantities import QUANTITIES, Quantity, rank
 from fusion.fleet.row import CHECK_NAMES, FleetRow
 from fusion.result.summary import Level
 
-LEAST_SHARE = 0.05  # relative change of a number that is worth telling
+LEAST_SHARE = 0.05  # smallest relative change that is reported
 
 
 class Change(StrEnum):
-    """What became of a flight."""
+    """Change of a flight."""
 
     WORSE = "worse"
     BETTER = "better"
@@ -26,7 +26,7 @@ class Change(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """A number of a flight that changed, in the quantity's unit for people."""
+    """A quantity of a flight that changed, in its displayed unit."""
 
     quantity: Quantity
     before: float
@@ -34,7 +34,7 @@ class Moved:
 
     @property
     def gain(self) -> float:
-        """How much better it became, in smallest changes worth telling; negative: worse."""
+        """Improvement in multiples of the smallest reported change; negative: worse."""
         return self.quantity.sign * (self.after - self.before) / self.quantity.least
 
 
@@ -45,13 +45,13 @@ class FlightChange:
     Parameters
     ----------
     flight, change
-        Its name, and what became of it.
+        Its name, and its change.
     before, after
         Its rows.
     moved
-        The numbers that changed, the most changed first.
+        The changed quantities, the largest change first.
     checks
-        The checks that came out differently: name, level before and after.
+        The checks with another level: name, level before and after.
     """
 
     flight: str
@@ -101,12 +101,12 @@ class FleetComparison:
     settings: tuple[frozenset[str], frozenset[str]]
 
     def count(self, change: Change) -> int:
-        """Return how many flights became so."""
+        """Return the number of flights with this change."""
         return sum(c.change is change for c in self.changes)
 
 
 def compare_fleets(before: Sequence[FleetRow], after: Sequence[FleetRow]) -> FleetComparison:
-    """Compare two batches, flight by flight; a flight is known by its name, else by what is in its log."""
+    """Compare two batches, flight by flight; flights are matched by name, or else by their log's hash."""
     pairs = list(_pairs(before, after))
     order = [Change.WORSE, Change.MIXED, Change.BETTER, Change.SAME]
     changes = sorted(
@@ -170,7 +170,7 @@ def _moved(before: FleetRow, after: FleetRow) -> Iterator[Moved]:
 
 
 def _size(change: FlightChange) -> float:
-    """How much changed, verdicts above all."""
+    """Size of the change; the verdict has priority."""
     return 1000.0 * change.has_new_verdict + max((abs(m.gain) for m in change.moved), default=0.0)
 
 

@@ -1,4 +1,4 @@
-"""Find flights: below a folder, by a pattern, or as a list says."""
+"""Find flights: below a folder, by a pattern, or in a list."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from fusion.files import stays_inside
+from fusion.files import is_inside_folder
 from fusion.logs import format_of
 from fusion.logs.manifest.file import MANIFEST_NAME, find_manifest, read_manifest
 from fusion.logs.manifest.manifest import files_of
 from fusion.settings.toml import build, read_toml
 from vision.errors import InputError
 
-#: Formats of which one file or folder may be a flight; tables, which never hold pictures, are none.
+#: Formats of which one file or folder may be a flight; tables are excluded because they contain no pictures.
 _FILES = frozenset(
     {
         "fusion.logs.autopilot.ulog",
@@ -31,7 +31,7 @@ _FILES = frozenset(
 )
 _FOLDERS = frozenset({"fusion.logs.rosbag.bag", "fusion.logs.datasets"})
 _ASL = "fusion.logs.asl"
-#: Formats by which a folder of flights may look like one: by a vehicle called mav0, by a stray picture.
+#: Formats that a folder of flights may be mistaken for: a vehicle called mav0, a stray picture.
 _FOLDERS_WITHOUT_FLIGHTS = frozenset({_ASL, "fusion.logs.pictures.picture_folder"})
 _DATE = re.compile(r"(?<!\d)(20\d\d)[-_]?(\d\d)[-_]?(\d\d)(?!\d)")
 
@@ -45,13 +45,13 @@ class FoundFlight:
     name
         Of the flight, unique in its fleet: its path below the folder that was searched.
     path
-        What ``corridor fuse`` would be given, absolute.
+        Argument of ``corridor fuse``, absolute.
     vehicle
-        Which vehicle flew; empty where nothing says it.
+        Name of the vehicle; empty if unknown.
     date
-        ISO 8601 day, where a list or the path says it; empty: the log's own clock may.
+        ISO 8601 day, from a list or the path; if empty, the log's clock may give it.
     config
-        Settings for this flight alone; None: those of the batch.
+        Settings for this flight only; None: those of the batch.
     """
 
     name: str
@@ -78,8 +78,8 @@ class _Listed(BaseModel):
 
     @field_validator("name")
     @classmethod
-    def _names_a_place_below(cls, name: str | None) -> str | None:
-        if name is not None and (not stays_inside(name) or Path(name).parts == ()):
+    def _check_name(cls, name: str | None) -> str | None:
+        if name is not None and (not is_inside_folder(name) or Path(name).parts == ()):
             raise ValueError(f"name = {name!r} names a place elsewhere: give a plain name")
         return name
 
@@ -93,19 +93,19 @@ class _FlightList(BaseModel):
 
 
 def find_flights(sources: Iterable[str | Path]) -> tuple[FoundFlight, ...]:
-    """Find all flights that the sources name, each once, by name.
+    """Find all flights of the sources, each once, by name.
 
     Parameters
     ----------
     sources
-        Each a flight, a folder to search, a pattern such as ``logs/*.bag``, or a list: a TOML file with a table
+        Each is a flight, a folder to search, a pattern such as ``logs/*.bag``, or a list: a TOML file with a table
         ``[[flight]]`` per flight.
 
     Raises
     ------
     InputError
-        Where a source does not exist, or a list cannot be used. A flight that is listed but not there is found all
-        the same: it becomes a row with its reason.
+        If a source does not exist, or a list cannot be used. A missing flight of a list is
+        returned nevertheless: it becomes a row with the reason.
     """
     found: dict[Path, FoundFlight] = {}
     for source in sources:
@@ -154,7 +154,7 @@ def _listed(file: Path) -> Iterator[FoundFlight]:
 
 
 def _at(root: Path) -> Iterator[FoundFlight]:
-    """Yield the flight that a path is, or those below it."""
+    """Yield the flight at a path, or those below it."""
     root = root.resolve()
     if root.is_file():
         yield _described(root, root.name, "")
@@ -170,13 +170,13 @@ def _described(path: Path, name: str, vehicle: str) -> FoundFlight:
     manifest = find_manifest(path)
     if manifest is not None:
         name = name.removesuffix(".toml")
-        with suppress(InputError):  # told in the flight's row, when it is read again to be fused
+        with suppress(InputError):  # reported in the flight's row, when it is read again to be fused
             vehicle = read_manifest(manifest).vehicle or vehicle
     return FoundFlight(name, path, vehicle, date_in(path))
 
 
 def date_in(path: Path) -> str:
-    """Return the last day that a path's parts name, as ISO 8601; empty where none does."""
+    """Return the last date in a path, as ISO 8601; empty if there is none."""
     for part in reversed(path.parts):
         for match in _DATE.finditer(part):
             try:
@@ -187,7 +187,7 @@ def date_in(path: Path) -> str:
 
 
 def _search(folder: Path, seen: set[Path]) -> Iterator[Path]:
-    """Yield the flights at and below a folder; outputs of `corridor` and hidden files are none."""
+    """Yield the flights at and below a folder, without outputs of `corridor` and hidden files."""
     if folder.resolve() in seen or _is_output(folder):
         return
     seen.add(folder.resolve())
@@ -195,7 +195,7 @@ def _search(folder: Path, seen: set[Path]) -> Iterator[Path]:
         entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
         kind = format_of(folder)
     except (OSError, InputError):
-        yield folder  # cannot be read: the flight's row says so
+        yield folder  # cannot be read: reported in the flight's row
         return
     has_camera = any((folder / inside).is_dir() for inside in ("cam0", "mav0/cam0"))
     if (folder / MANIFEST_NAME).is_file() or kind in _FOLDERS or (kind == _ASL and has_camera):
@@ -253,7 +253,7 @@ def _is_output(folder: Path) -> bool:
 
 
 def _with_unique_names(flights: Sequence[FoundFlight]) -> Iterator[FoundFlight]:
-    """Put as much of the path before a name as tells it from the others."""
+    """Prefix a name with as much of the path as makes it unique."""
     names = {flight.path: flight.name for flight in flights}
     for _ in range(max((len(flight.path.parts) for flight in flights), default=0)):
         taken: dict[str, list[FoundFlight]] = {}

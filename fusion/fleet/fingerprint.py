@@ -1,4 +1,4 @@
-"""What a flight's result depends on, as short hashes: the log's files, the settings, the program."""
+"""Short hashes of everything that a flight's result depends on: the log's files, the settings, the program."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from fusion.logs.manifest.file import find_manifest, read_manifest
 from fusion.logs.manifest.manifest import files_of
 from vision.errors import InputError
 
-_LENGTH = 16  # hexadecimal digits: 64 bits tell a million flights apart
+_LENGTH = 16  # hexadecimal digits: 64 bits are enough for a million flights
 
 
 def flight_files(path: Path) -> list[Path]:
-    """Return all files that a flight consists of, sorted: its folder's, or those that its manifest names too."""
+    """Return all files of a flight, sorted: those in its folder, and those that its manifest names."""
     manifest = find_manifest(path)
     named = {path} if manifest is None else {manifest, path}
     if manifest is not None:
-        with suppress(InputError):  # else the manifest itself is what is wrong with the flight
+        with suppress(InputError):  # an invalid manifest is reported when the flight is fused
             named |= {file for _, file in files_of(read_manifest(manifest))}
     return sorted({file for place in named for file in _files_below(place)})
 
@@ -43,7 +43,7 @@ def _files_below(path: Path) -> Iterator[Path]:
 
 
 def stamp_of(path: Path) -> tuple[str, int]:
-    """Return a hash of names, sizes and times of change of a flight's files, and their bytes in all; quick."""
+    """Return a quick hash of names, sizes and modification times of a flight's files, and their total bytes."""
     digest, size = hashlib.sha256(), 0
     for file in flight_files(path):
         try:
@@ -56,18 +56,18 @@ def stamp_of(path: Path) -> tuple[str, int]:
 
 
 def hashes_of(path: Path) -> dict[Path, str]:
-    """Return the SHA-256 of each file that a flight consists of; a pipe, which could be read for ever, is none.
+    """Return the SHA-256 of each file of a flight, without pipes, which may never end.
 
     Raises
     ------
     OSError
-        Where a file cannot be read.
+        If a file cannot be read.
     """
     return {file: sha256_of(file) for file in flight_files(path) if file.is_file()}
 
 
 def content_of(path: Path, hashes: Mapping[Path, str]) -> str:
-    """Return a hash of what is in a flight's files, from `hashes_of`, and of their names as seen from the flight."""
+    """Return a hash of the contents of a flight's files, from `hashes_of`, and of their relative names."""
     digest = hashlib.sha256()
     for file, content in hashes.items():
         digest.update(os.path.relpath(file, path).encode(errors="surrogateescape") + b"\0" + content.encode())
@@ -75,7 +75,7 @@ def content_of(path: Path, hashes: Mapping[Path, str]) -> str:
 
 
 def settings_hash(settings: Mapping[str, Any], *files: Path | None) -> str:
-    """Return a hash of settings as plain values, and of the content of the files that go with them."""
+    """Return a hash of settings as plain values, and of the contents of their files."""
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode())
     for file in files:
         digest.update(b"\0" if file is None else file.read_bytes())
@@ -84,7 +84,7 @@ def settings_hash(settings: Mapping[str, Any], *files: Path | None) -> str:
 
 @cache
 def program_version() -> str:
-    """Return the version with a hash of the source, so that a checkout that is being worked on is told apart."""
+    """Return the version with a hash of the source, to detect changes in a checkout."""
     digest = hashlib.sha256()
     for package in ("fusion", "vision"):
         spec = find_spec(package)
@@ -97,7 +97,7 @@ def program_version() -> str:
 
 @cache
 def library_versions() -> str:
-    """Return the versions of Python and of the libraries that touch the numbers."""
+    """Return the versions of Python and of the libraries that affect the numbers."""
     modules = {name: import_module(name).__version__ for name in ("numpy", "scipy", "cv2", "numba")}
     versions = {"python": python_version()} | modules
     return ", ".join(f"{name} {number}" for name, number in versions.items())

@@ -1,4 +1,4 @@
-"""Journal of a batch: each row is written as a line of JSON once it is ready, so that a stopped batch can go on."""
+"""Journal of a batch: each row is written as a line of JSON when it is ready, so that a batch can be resumed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ JOURNAL = "fleet.jsonl"
 
 
 def read_journal(folder: Path) -> dict[str, FleetRow]:
-    """Return the last row of each flight by name; a line that a kill cut short is passed over."""
+    """Return the last row of each flight by name; truncated lines are skipped."""
     found: dict[str, FleetRow] = {}
     path = folder / JOURNAL
     if not path.is_file():
@@ -30,10 +30,10 @@ def read_journal(folder: Path) -> dict[str, FleetRow]:
 
 
 class Journal:
-    """Adds rows to a batch's journal; each is with the system before `add` returns."""
+    """Adds rows to a batch's journal; each is flushed to the system before `add` returns."""
 
     def __init__(self, folder: Path, rows: Iterable[FleetRow]) -> None:
-        """Begin with these rows; they take the place of what was there at once."""
+        """Start with these rows, which replace the existing ones at once."""
         with replacing(folder / JOURNAL) as draft:
             draft.write_text("".join(map(_line, rows)), encoding="utf-8")
         self._file = (folder / JOURNAL).open("a", encoding="utf-8")

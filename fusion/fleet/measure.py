@@ -27,7 +27,7 @@ from fusion.result.table_rows import runs
 _UNIX_NS = (
     978_307_200 * 10**9,
     4_102_444_800 * 10**9,
-)  # 2001 to 2100: times within are taken for the world's clock
+)  # 2001 to 2100: times in this range are absolute
 
 
 def measures(result: FusionResult, flight: Flight) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def measures(result: FusionResult, flight: Flight) -> dict[str, Any]:
     Parameters
     ----------
     result, flight
-        What `fusion.fuse_flight` returned, and what it was given.
+        Result of `fusion.fuse_flight`, and its flight.
     """
     summary = result.overview
     rejected = [reason for reason in summary.counts.by_reason if reason != "ok"]
@@ -81,7 +81,7 @@ _STATUSES = ("initialising", "tracking", "coasting", "lost")
 
 
 def started(flight: Flight) -> str:
-    """Return when the first frame was taken, ISO 8601, where the log's clock is the world's; else an empty text."""
+    """Return the time of the first frame, ISO 8601, if the log's clock is absolute; else an empty text."""
     first_ns = int(flight.frames.t_ns[0]) if len(flight.frames.t_ns) else 0
     if not _UNIX_NS[0] < first_ns < _UNIX_NS[1]:
         return ""

@@ -1,4 +1,4 @@
-"""The fleet's page: the worst flights with links, which checks fail, distributions, drifts, what a change did."""
+"""The fleet's page: the worst flights with links, failing checks, distributions, trends, the comparison."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from fusion.report.template import render
 from fusion.result.summary import Level
 
 PAGE = "fleet.html"
-LISTED = 200  # flights in a list of the page; the tables have all
-MIN_DRAWN = 3  # values that make a distribution
+LISTED = 200  # flights in a list of the page; the tables have all of them
+MIN_DRAWN = 3  # values for a distribution
 _LEVELS = (Level.FAIL, Level.WARN, Level.PASS, Level.NOT_JUDGED)
-_BADGES = {"error": "fail", "unusable": "fail"}  # as which level a verdict without a result is coloured
+_BADGES = {"error": "fail", "unusable": "fail"}  # colours of verdicts without a result
 
 
 @dataclass(frozen=True, slots=True)
 class ListedFlight:
-    """A flight in the list: its verdict, link, and what is wrong with it, in words."""
+    """A flight in the list: its verdict, link, and problems in words."""
 
     name: str
     verdict: str
@@ -42,7 +42,7 @@ class ListedFlight:
 
 @dataclass(frozen=True, slots=True)
 class CheckCounts:
-    """How often a check came out at each level, in the order fail, warn, pass, not judged."""
+    """Number of flights at each level of a check, in the order fail, warn, pass, not judged."""
 
     name: str
     counts: tuple[int, ...]
@@ -58,23 +58,23 @@ class Figure:
 
 
 def write_page(rows: Sequence[FleetRow], folder: Path, total: int, against: Sequence[FleetRow] = ()) -> None:
-    """Write ``fleet.html``, whole or not at all.
+    """Write ``fleet.html`` atomically.
 
     Parameters
     ----------
     rows
-        Of the flights that are done.
+        Rows of the finished flights.
     folder
-        Of the fleet; links count from it.
+        Folder of the fleet; links are relative to it.
     total
-        Flights in all.
+        Total number of flights.
     against
         Rows of another batch to compare with.
 
     Raises
     ------
     InputError
-        Where it cannot be written.
+        If it cannot be written.
     """
     text = render_page(rows, folder, total, against)
     with replacing(folder / PAGE) as draft:
@@ -107,13 +107,13 @@ def render_page(rows: Sequence[FleetRow], folder: Path, total: int, against: Seq
 
 
 def _verdicts(rows: Sequence[FleetRow]) -> list[tuple[str, str, int]]:
-    """Return (verdict, how it is coloured, flights), the worst first."""
+    """Return (verdict, colour level, flights), the worst first."""
     words = sorted({row.verdict for row in rows}, key=rank)
     return [(word, _BADGES.get(word, word), sum(row.verdict == word for row in rows)) for word in words]
 
 
 def _facts(rows: Sequence[FleetRow], done: Sequence[FleetRow]) -> list[tuple[str, str, str]]:
-    """Return the headline numbers: what, number, remark."""
+    """Return the headline numbers: (name, number, remark)."""
     flown = _duration(sum(row.duration_s or 0.0 for row in done))
     found = [("Flights", str(len(rows)), f"{len(done)} with a result, {flown} of flight")]
     for quantity in QUANTITIES[:5]:
@@ -126,14 +126,14 @@ def _facts(rows: Sequence[FleetRow], done: Sequence[FleetRow]) -> list[tuple[str
 
 
 def _duration(seconds: float) -> str:
-    """Return a time in the unit that gives it two digits or more."""
+    """Return a time in the largest unit with at least two digits."""
     if seconds < 120:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def _listed_quantities(rows: Sequence[FleetRow]) -> list[Quantity]:
-    """Return what the list of flights shows: what is better or worse, and known of a flight at least."""
+    """Return the quantities of the list of flights: those with a better direction that at least one flight has."""
     return [quantity for quantity in QUANTITIES if quantity.sign and len(quantity.values(rows))][:5]
 
 
@@ -154,7 +154,7 @@ def _listed(row: FleetRow, folder: Path, columns: Sequence[Quantity]) -> ListedF
 
 
 def _link(row: FleetRow, folder: Path) -> str:
-    """Return where a flight's report is, seen from the page; its folder without one; empty without a result."""
+    """Return the link to a flight's report, or to its folder without a report; empty without a result."""
     if not row.output:
         return ""
     report = f"{row.output}/report.html"
@@ -176,7 +176,7 @@ def _check_counts(rows: Sequence[FleetRow]) -> list[CheckCounts]:
 
 
 def _vehicle_rows(rows: Sequence[FleetRow]) -> list[tuple[str, list[str]]]:
-    """Return a row per vehicle: its name and the cells; empty where there are not two."""
+    """Return a row per vehicle: its name and the cells; empty if there are fewer than two."""
     vehicles = sorted({row.vehicle for row in rows})
     if len(vehicles) < 2:
         return []
@@ -203,7 +203,7 @@ def _distributions(rows: Sequence[FleetRow]) -> list[Figure]:
 
 
 def _drifts(rows: Sequence[FleetRow]) -> list[Figure]:
-    """Draw each number over the date, where there are flights of several days or hours."""
+    """Draw each quantity over the date, if there are flights of several days or hours."""
     dated = [row for row in rows if plots.day_of(row) is not None]
     vehicles = plots.drawn_vehicles(dated)
     if len({row.date for row in dated}) < MIN_DRAWN:

@@ -1,4 +1,4 @@
-"""Plots of a fleet: how a number is distributed over the flights, and how it drifts with date and vehicle."""
+"""Plots of a fleet: distribution of a quantity over the flights, and its trend with date and vehicle."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from fusion.report.drawing import FAINT, FILTER, GRID, IMU_YAW, INK, RAW_YAW, RE
 VEHICLE_COLOURS = (FILTER, REJECTED, SMOOTHED, IMU_YAW, RAW_YAW)
 _dates: Any = matplotlib.dates  # not typed
 OTHERS = "other vehicles"
-_EDGE_SHARE = 0.98  # of the values that the scale shows; those beyond stand in the last bin
+_EDGE_SHARE = 0.98  # of the values within the scale; those beyond are in the last bin
 
 
 def day_of(row: FleetRow) -> float | None:
-    """Return a flight's date as matplotlib counts days; None where it is unknown."""
+    """Return a flight's date as matplotlib's number of days; None if it is unknown."""
     try:
         return float(_dates.date2num(datetime.fromisoformat(row.date))) if row.date else None
     except ValueError:
@@ -57,11 +57,11 @@ def plot_drift(ax: Axes, quantity: Quantity, rows: Sequence[FleetRow], vehicles:
     Parameters
     ----------
     quantity
-        What is drawn.
+        Quantity to draw.
     rows
         Flights; those without the value or without a date are left out.
     vehicles
-        Those that have a colour of their own, from `drawn_vehicles`.
+        Vehicles with their own colour, from `drawn_vehicles`.
     """
     for k, vehicle in enumerate(vehicles):
         points = sorted(
@@ -92,7 +92,7 @@ def _by_day(points: Sequence[tuple[float, float]]) -> list[tuple[float, list[tup
 
 
 def drawn_vehicles(rows: Sequence[FleetRow]) -> list[str]:
-    """Return the vehicles that get a colour of their own, by number of flights, and a name for the rest."""
+    """Return the vehicles with their own colour, by number of flights, and a name for the rest."""
     count: dict[str, int] = {}
     for row in rows:
         count[row.vehicle] = count.get(row.vehicle, 0) + 1

@@ -1,4 +1,4 @@
-"""The numbers by which flights of a fleet are compared: names and units for people, and which way is better."""
+"""Quantities for the comparison of flights: displayed names and units, and the better direction."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ _DEGREES = degrees(1.0)
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A column of the fleet's table as people read it.
+    """A column of the fleet's table as displayed.
 
     Parameters
     ----------
     column
         In `fusion.fleet.row.FleetRow`.
     title, short
-        What it is, and the same above a column of a table.
+        Name, and short name for a table's header.
     factor, unit, decimals
-        From the column's unit to the one shown, and how many decimals of it.
+        Factor from the column's unit to the displayed one, and its decimals.
     sign
-        1 where more is better, -1 where less is, 0 where neither.
+        1 if more is better, -1 if less is, 0 if neither.
     least
-        Smallest change worth telling, in the unit shown.
+        Smallest reported change, in the displayed unit.
     """
 
     column: str
@@ -43,11 +43,11 @@ class Quantity:
 
     @property
     def unit_word(self) -> str:
-        """The unit as it stands alone beside an axis."""
+        """The unit for an axis label."""
         return "degrees" if self.unit == "°" else self.unit
 
     def of(self, row: FleetRow) -> float | None:
-        """Return a flight's value in the unit shown; None where it is unknown."""
+        """Return a flight's value in the displayed unit; None if it is unknown."""
         value = getattr(row, self.column)
         return None if value is None else self.factor * float(value)
 
@@ -63,7 +63,7 @@ class Quantity:
         return f"{value:.{self.decimals}f}{space}{self.unit}"
 
 
-#: In the order in which the page shows them.
+#: In the order of the page.
 QUANTITIES = (
     Quantity("heading_rmse_rad", "Heading error, RMSE", "Heading error", _DEGREES, "°", 2, -1, 0.02),
     Quantity(
@@ -103,7 +103,7 @@ QUANTITIES = (
 
 
 def worst_first_key(row: FleetRow) -> tuple[float, ...]:
-    """Return what sorts the worst first: verdict, failing checks, warnings, error or sigma of the heading."""
+    """Return the sort key for the worst first: verdict, failing checks, warnings, error or sigma of the heading."""
     heading = row.heading_rmse_rad if row.heading_rmse_rad is not None else row.heading_std_rad
     return (
         rank(row.verdict),

@@ -1,4 +1,4 @@
-"""A flight's row in the fleet's table: one list of fields makes columns, types, units and documentation."""
+"""A flight's row in the fleet's table: one list of fields defines columns, types, units and documentation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Value = str | float | int | None
 
 
 class WorkerLostError(Exception):
-    """A flight whose worker died at every attempt, or was ended because the flight took too long."""
+    """The worker of a flight died at every attempt, or was ended because the flight took too long."""
 
 
 def slug(name: str) -> str:
@@ -28,7 +28,7 @@ CHECK_NAMES: Mapping[str, str] = {slug(rule.name): rule.name for rule in CHECKS}
 
 @dataclass(frozen=True, slots=True)
 class CheckOutcome:
-    """How one check came out on a flight, and what was found, in units for people."""
+    """Level of a check on one flight, and the finding, in convenient units."""
 
     level: Level
     value: str
@@ -40,10 +40,10 @@ def _column(unit: str, meaning: str, default: Any = None) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetRow:
-    """One flight of a fleet; each field but ``checks`` is a column. None and an empty text stand for unknown.
+    """One flight of a fleet; each field except ``checks`` is a column. None and an empty text mean unknown.
 
     Angles and offsets are positive right, in SI units and radians. Errors are the causal filter's against
-    ``corridor_truth.csv``, on the rows in which it tracked, unless the name says otherwise.
+    ``corridor_truth.csv``, in the rows with status tracking, unless the name says otherwise.
     """
 
     flight: str = _column("", "Name of the flight, unique in the table", "")
@@ -152,12 +152,12 @@ def flat(row: FleetRow) -> dict[str, Value]:
 
 
 def row_from(values: Mapping[str, Any]) -> FleetRow:
-    """Make a row of its columns; those of other versions that are unknown here are left out, missing ones unknown.
+    """Make a row from its columns; unknown columns of other versions are left out, missing ones are unknown.
 
     Raises
     ------
     ValueError
-        Where a number or a level is none.
+        If a number or a level is invalid.
     """
     known: dict[str, Any] = {}
     for name, found in COLUMNS.items():
@@ -177,7 +177,7 @@ def row_from(values: Mapping[str, Any]) -> FleetRow:
 
 
 class ColumnFacts(NamedTuple):
-    """Name, type (str, int or float), unit and meaning of a column; the unit of words is empty."""
+    """Name, type (str, int or float), unit and meaning of a column; texts have no unit."""
 
     name: str
     kind: type
@@ -186,7 +186,7 @@ class ColumnFacts(NamedTuple):
 
 
 def column_facts() -> list[ColumnFacts]:
-    """Return what is to be known of each column of the table, in order."""
+    """Return the description of each column of the table, in order."""
     facts = [
         ColumnFacts(name, _NUMBERS.get(name, str), f.metadata["unit"], f.metadata["meaning"])
         for name, f in COLUMNS.items()

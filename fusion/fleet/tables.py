@@ -1,4 +1,4 @@
-"""The fleet's table as CSV and Parquet, written whole and read back."""
+"""The fleet's table as CSV and Parquet, written atomically and read back."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def has_parquet() -> bool:
 
 
 def write_tables(rows: Sequence[FleetRow], folder: Path) -> None:
-    """Write ``fleet.csv``, and ``fleet.parquet`` where its library is installed, each whole or not at all.
+    """Write ``fleet.csv``, and ``fleet.parquet`` if its library is installed, each atomically.
 
     Raises
     ------
     InputError
-        Where one cannot be written.
+        If one cannot be written.
     """
     values = [flat(row) for row in rows]
     names = [name for name, *_ in column_facts()]
@@ -69,12 +69,12 @@ def _write_parquet(rows: Sequence[dict[str, Value]], path: Path) -> None:
 
 
 def read_fleet(path: str | Path) -> list[FleetRow]:
-    """Read a fleet's table back, Parquet or CSV; a folder stands for the table in it.
+    """Read a fleet's table back, Parquet or CSV; a folder means the table in it.
 
     Raises
     ------
     InputError
-        Where it is not there, or is something else.
+        If it does not exist, or is something else.
     """
     path = Path(path)
     if path.is_dir():
@@ -87,7 +87,7 @@ def read_fleet(path: str | Path) -> list[FleetRow]:
         rows = [row_from(values) for values in _read(path)]
     except InputError:
         raise
-    except Exception as error:  # pyarrow, csv and text decoding have their own
+    except Exception as error:  # pyarrow, csv and text decoding raise various errors
         raise InputError(
             f"cannot be read: {error}", file=path, remedy="give a batch's fleet.parquet"
         ) from error

@@ -1,4 +1,4 @@
-"""What a worker is given for one flight."""
+"""Task of a worker: one flight."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from fusion.fleet.row import FleetRow
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One flight to be fused, and where to.
+    """One flight to be fused, and its output.
 
     Parameters
     ----------
     flight
-        Which.
+        The flight.
     out
         The fleet's folder, absolute.
     config
@@ -27,15 +27,15 @@ class Task:
     camera
         Calibration file instead of the log's own.
     method
-        How the pictures are measured.
+        Method of measuring the pictures.
     reports
         Whether to write ``report.html``.
     stamp, log_bytes
         From `fusion.fleet.fingerprint.stamp_of`.
     command
-        The command line that asked for it, where there was one.
+        The command line, if any.
     earlier
-        The flight's row of an earlier batch with the same settings and version; kept if the content is the same.
+        The flight's row of an earlier batch with the same settings and version; kept if the content is unchanged.
     """
 
     flight: FoundFlight
@@ -52,5 +52,5 @@ class Task:
 
     @property
     def folder(self) -> str:
-        """The flight's output folder, seen from the fleet's."""
+        """The flight's output folder, relative to the fleet's."""
         return f"flights/{self.flight.name}"

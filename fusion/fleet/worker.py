@@ -1,4 +1,4 @@
-"""What runs in a worker process: limits on what it takes of the machine, and the fusing of one flight."""
+"""Code of a worker process: limits of its resources, and the fusing of one flight."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _MAX_REASON = 600  # characters
 
 
 def prepare_process(memory_bytes: int | None) -> None:
-    """Set up a worker process of this machine, before anything heavy loads in it.
+    """Set up a local worker process, before it imports heavy modules.
 
-    It keeps to ``memory_bytes`` of its own data, leaves interrupts to its parent, and ends when that has gone.
+    It limits its memory to ``memory_bytes``, leaves interrupts to its parent, and ends when the parent has ended.
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ[name] = "1"
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_leave_with_parent, daemon=True).start()
-    if memory_bytes is not None and sys.platform == "linux":  # elsewhere the system does not enforce it
+    if memory_bytes is not None and sys.platform == "linux":  # not enforced by other systems
         from resource import RLIMIT_DATA, getrlimit, setrlimit
 
         hard = getrlimit(RLIMIT_DATA)[1]
@@ -47,16 +47,16 @@ def _leave_with_parent() -> None:
 
 
 def process_id() -> int:
-    """Return the number of the process that this runs in."""
+    """Return the id of this process."""
     return os.getpid()
 
 
 @cache
 def limit_threads() -> None:
-    """Keep OpenCV, BLAS, OpenMP and numba to one thread in this process: there is a process per core already."""
+    """Limit OpenCV, BLAS, OpenMP and numba to one thread in this process: there is one process per core."""
     import cv2
     import numba
-    import numpy  # noqa: F401  # its BLAS has to be there to be limited
+    import numpy  # noqa: F401  # its BLAS must be loaded to be limited
     import scipy.linalg  # noqa: F401
     from threadpoolctl import threadpool_limits
 
@@ -66,7 +66,7 @@ def limit_threads() -> None:
 
 
 def fuse_task(task: Task) -> FleetRow:
-    """Fuse a flight as ``corridor fuse`` does; whatever goes wrong with it becomes its row's reason."""
+    """Fuse a flight as ``corridor fuse`` does; any error becomes its row's reason."""
     from fusion.fleet.fingerprint import content_of, hashes_of, library_versions, program_version
     from fusion.fleet.row import FleetRow
 
@@ -100,7 +100,7 @@ def fuse_task(task: Task) -> FleetRow:
 
 
 def _fused(task: Task, hashes: Mapping[Path, str]) -> dict[str, Any]:
-    """Fuse a flight and write its output; return what its row says of it."""
+    """Fuse a flight and write its output; return the fields of its row."""
     from fusion.fleet.measure import measures, started
     from fusion.logs import load_flight
     from fusion.offline.fuse import fuse_flight
@@ -111,7 +111,7 @@ def _fused(task: Task, hashes: Mapping[Path, str]) -> dict[str, Any]:
         flight = load_flight(task.flight.path, camera=task.camera)
         result = fuse_flight(flight, task.config, method=task.method, jobs=1)
     except InputError as error:
-        # What an installation would mend is no fault of the log: that flight is tried again next time.
+        # A missing library is not a fault of the log: the flight is tried again next time.
         is_mended_here = (error.remedy or "").startswith("pip install")
         return failure(error, "error" if is_mended_here else "unusable")
     folder = check_out_dir(task.out / task.folder)
@@ -121,7 +121,7 @@ def _fused(task: Task, hashes: Mapping[Path, str]) -> dict[str, Any]:
 
 
 def failure(error: BaseException, verdict: str = "error") -> dict[str, Any]:
-    """Return what the row of a flight without a result says, in one line; a mistake of ours with its place."""
+    """Return the reason for a row without a result, in one line; for bugs with the place in the code."""
     from fusion.fleet.row import WorkerLostError
     from vision.errors import InputError
 

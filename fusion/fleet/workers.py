@@ -1,7 +1,7 @@
-"""Executors that fuse flights: processes of this machine, or a Dask cluster; both take a task and promise a row.
+"""Executors that fuse flights: local processes or a Dask cluster; both take a task and return a future row.
 
-A worker that dies costs no flight: the flight is fused again elsewhere, `ATTEMPTS` times at most, and that is told.
-One that takes too long over a flight is ended, and the flight given up.
+If a worker dies, this is reported and its flight is fused again elsewhere, at most `ATTEMPTS` times. A worker that
+takes too long is ended, and its flight is given up.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from fusion.fleet.task import Task
 from fusion.fleet.worker import fuse_task, prepare_process, process_id
 from vision.errors import InputError
 
-ATTEMPTS = 3  # workers that a flight may outlive
-CONNECT_S = 10.0  # how long a scheduler may take to answer
-_KILL = getattr(signal, "SIGKILL", signal.SIGTERM)  # it ends what hangs, too; Windows has but one way
+ATTEMPTS = 3  # workers that may die while fusing one flight
+CONNECT_S = 10.0  # timeout of the scheduler's answer
+_KILL = getattr(signal, "SIGKILL", signal.SIGTERM)  # also ends processes that hang; Windows has only SIGTERM
 _OVERDUE = "corridor-fusion: flights that take too long"  # a topic of Dask's events
-Tell = Callable[[str], None]
+Notify = Callable[[str], None]
 """Called with a sentence for the user."""
 
 
@@ -35,20 +35,20 @@ class Workers(Protocol):
     """Where flights are fused."""
 
     def submit(self, task: Task) -> Future[FleetRow]:
-        """Begin with a flight when a worker is free."""
+        """Start a flight when a worker is free."""
 
     def capacity(self) -> int:
-        """Return how many flights are fused at once."""
+        """Return how many flights are fused in parallel."""
 
     def lost(self, task: Task) -> int:
-        """Return how many workers died while they held a flight."""
+        """Return how many workers died with a flight."""
 
 
 class _Worker:
     """A process that fuses one flight after another, and is replaced when it dies."""
 
     def __init__(self, memory_bytes: int | None) -> None:
-        # "spawn": a copy of this process would hold its threads' locks, and all that it has loaded.
+        # "spawn": a fork would copy the locks of this process's threads and all its modules.
         context = get_context("spawn")
         self._pool = ProcessPoolExecutor(1, context, initializer=prepare_process, initargs=(memory_bytes,))
         self.pid = self._pool.submit(process_id).result()
@@ -65,10 +65,10 @@ class _Worker:
 
 
 class LocalWorkers:
-    """Processes of this machine, each watched by a thread, so that one that dies takes no other's flight with it."""
+    """Local processes, each watched by a thread, so that the death of one does not affect the others' flights."""
 
-    def __init__(self, jobs: int, memory_bytes: int | None, timeout_s: float | None, tell: Tell) -> None:
-        self._jobs, self._memory_bytes, self._timeout_s, self._tell = jobs, memory_bytes, timeout_s, tell
+    def __init__(self, jobs: int, memory_bytes: int | None, timeout_s: float | None, notify: Notify) -> None:
+        self._jobs, self._memory_bytes, self._timeout_s, self._notify = jobs, memory_bytes, timeout_s, notify
         self._own = threading.local()
         self._lost: dict[str, int] = {}
         self._all: set[_Worker] = set()
@@ -80,11 +80,11 @@ class LocalWorkers:
         return self._jobs
 
     def lost(self, task: Task) -> int:
-        """Return how many processes died while they fused a flight."""
+        """Return how many processes died with a flight."""
         return self._lost.get(task.flight.name, 0)
 
     def submit(self, task: Task) -> Future[FleetRow]:
-        """Begin with a flight when a process is free."""
+        """Start a flight when a process is free."""
         return self._threads.submit(self._fuse, task)
 
     def _fuse(self, task: Task) -> FleetRow:
@@ -95,7 +95,7 @@ class LocalWorkers:
                 return worker.fuse(task, self._timeout_s)
             except TimeoutError:
                 self._drop(worker)
-                raise _too_slow(task, self._timeout_s, self._tell) from None
+                raise _too_slow(task, self._timeout_s, self._notify) from None
             except BrokenProcessPool:
                 if self._ending:
                     break
@@ -103,11 +103,11 @@ class LocalWorkers:
                 self._lost[task.flight.name] = attempt
                 again = "it is fused again" if attempt < ATTEMPTS else "given up"
                 pid = "" if worker is None else f" {worker.pid}"
-                self._tell(f"worker{pid} died while it fused {task.flight.name}: {again}")
+                self._notify(f"worker{pid} died while it fused {task.flight.name}: {again}")
         raise WorkerLostError(f"its worker process died {ATTEMPTS} times, killed or out of memory")
 
     def _worker(self) -> _Worker:
-        """Return this thread's process, a new one where there is none."""
+        """Return this thread's process, or start a new one."""
         if getattr(self._own, "worker", None) is None:
             self._own.worker = _Worker(self._memory_bytes)
             self._all.add(self._own.worker)
@@ -123,7 +123,7 @@ class LocalWorkers:
             self._all.discard(worker)
 
     def end(self) -> None:
-        """End all processes, whatever they are at."""
+        """End all processes, even while they are fusing."""
         self._ending = True
         self._threads.shutdown(wait=False, cancel_futures=True)
         for worker in list(self._all):
@@ -131,9 +131,9 @@ class LocalWorkers:
         self._threads.shutdown()
 
 
-def _too_slow(task: Task, timeout_s: float | None, tell: Tell) -> WorkerLostError:
-    """Tell that a flight is given up, and return what its row will say."""
-    tell(f"{task.flight.name} took more than {timeout_s:g} s: given up, its worker ended")
+def _too_slow(task: Task, timeout_s: float | None, notify: Notify) -> WorkerLostError:
+    """Report that a flight is given up, and return the error for its row."""
+    notify(f"{task.flight.name} took more than {timeout_s:g} s: given up, its worker ended")
     return WorkerLostError(
         f"took more than {timeout_s:g} s (allow more by --timeout; 0: as long as it likes)"
     )
@@ -141,22 +141,22 @@ def _too_slow(task: Task, timeout_s: float | None, tell: Tell) -> WorkerLostErro
 
 @contextmanager
 def local_workers(
-    jobs: int, memory_bytes: int | None, timeout_s: float | None, tell: Tell
+    jobs: int, memory_bytes: int | None, timeout_s: float | None, notify: Notify
 ) -> Iterator[LocalWorkers]:
-    """Give processes of this machine, ended with the block.
+    """Provide local processes, which are ended with the block.
 
     Parameters
     ----------
     jobs
-        How many.
+        Number of processes.
     memory_bytes
-        What each may take; None: no limit.
+        Memory limit of each; None: no limit.
     timeout_s
-        How long a flight may take; None: as long as it likes.
-    tell
-        Called when one has died.
+        Time limit per flight; None: no limit.
+    notify
+        Called with a sentence when one has died.
     """
-    workers = LocalWorkers(jobs, memory_bytes, timeout_s, tell)
+    workers = LocalWorkers(jobs, memory_bytes, timeout_s, notify)
     try:
         yield workers
     finally:
@@ -164,46 +164,46 @@ def local_workers(
 
 
 class ClusterWorkers:
-    """Workers of a Dask cluster; its scheduler gives a lost worker's flights to others."""
+    """Workers of a Dask cluster; its scheduler passes a lost worker's flights to others."""
 
-    def __init__(self, client: Any, timeout_s: float | None, tell: Tell) -> None:
-        self._client, self._timeout_s, self._tell = client, timeout_s, tell
-        self._running: dict[str, Any] = {}  # Dask gives up what nobody holds
+    def __init__(self, client: Any, timeout_s: float | None, notify: Notify) -> None:
+        self._client, self._timeout_s, self._notify = client, timeout_s, notify
+        self._running: dict[str, Any] = {}  # Dask cancels futures without references
         self._overdue: set[str] = set()
         self._lost: dict[str, int] = {}
         client.subscribe_topic("all", self._on_event)
         client.subscribe_topic(_OVERDUE, self._on_overdue)
 
     def capacity(self) -> int:
-        """Return the number of threads of all workers there are at present."""
+        """Return the present number of threads of all workers."""
         threads: dict[str, int] = self._client.nthreads()
         return max(1, sum(threads.values()))
 
     def submit(self, task: Task) -> Future[FleetRow]:
-        """Begin with a flight when a worker is free."""
+        """Start a flight when a worker is free."""
         row: Future[FleetRow] = Future()
         key = self._key(task)
         self._running[key] = self._client.submit(
             _fuse_in_time, task, key, self._timeout_s, key=key, pure=False
         )
-        self._running[key].add_done_callback(lambda fused: self._pass_on(task, fused, row))
+        self._running[key].add_done_callback(lambda fused: self._copy_result(task, fused, row))
         return row
 
-    def _pass_on(self, task: Task, fused: Any, row: Future[FleetRow]) -> None:
-        """Give the outcome of Dask's future to ours."""
+    def _copy_result(self, task: Task, fused: Any, row: Future[FleetRow]) -> None:
+        """Copy the result of Dask's future to ours."""
         del self._running[fused.key]
         try:
             if fused.key in self._overdue:
-                raise _too_slow(task, self._timeout_s, self._tell)
+                raise _too_slow(task, self._timeout_s, self._notify)
             row.set_result(fused.result())
-        except Exception as error:  # whatever it is: who waits for the row has to hear of it
+        except Exception as error:  # any error must reach the caller that waits for the row
             row.set_exception(error)
 
     def _key(self, task: Task) -> str:
         return f"fuse {task.flight.name} ({self._client.id})"
 
     def lost(self, task: Task) -> int:
-        """Return how many workers died while they held a flight."""
+        """Return how many workers died with a flight."""
         return self._lost.get(self._key(task), 0)
 
     def _on_event(self, event: tuple[float, Any]) -> None:
@@ -218,19 +218,19 @@ class ClusterWorkers:
             if str(key).endswith(f"({self._client.id})"):
                 self._lost[key] = self._lost.get(key, 0) + 1
                 name = str(key).removeprefix("fuse ").rpartition(" (")[0]
-                self._tell(f"worker {message.get('worker')} died while it fused {name}: it is fused again")
+                self._notify(f"worker {message.get('worker')} died while it fused {name}: it is fused again")
 
     async def _on_overdue(self, event: tuple[float, Any]) -> None:
-        """Give a flight up, and have the worker that is still at it restarted."""
+        """Give up a flight, and restart the worker that is still fusing it."""
         key, worker = event[1]
         if key in self._running:
             self._overdue.add(key)
-            await self._client.cancel([self._running[key]])  # else it would be given to another worker
+            await self._client.cancel([self._running[key]])  # otherwise it would be passed to another worker
             await self._client.restart_workers([worker], raise_for_error=False)
 
 
 def _fuse_in_time(task: Task, key: str, timeout_s: float | None) -> FleetRow:
-    """Fuse a flight in a worker of Dask, and say so where it takes too long."""
+    """Fuse a flight in a worker of Dask, and report if it takes too long."""
     from distributed import get_worker
 
     worker = get_worker()
@@ -245,22 +245,22 @@ def _fuse_in_time(task: Task, key: str, timeout_s: float | None) -> FleetRow:
 
 
 @contextmanager
-def cluster_workers(address: str, timeout_s: float | None, tell: Tell) -> Iterator[ClusterWorkers]:
-    """Give the workers of a Dask cluster, which goes on after the block.
+def cluster_workers(address: str, timeout_s: float | None, notify: Notify) -> Iterator[ClusterWorkers]:
+    """Provide the workers of a Dask cluster, which keeps running after the block.
 
     Parameters
     ----------
     address
-        Of its scheduler, such as ``tcp://10.0.0.5:8786``.
+        Address of its scheduler, such as ``tcp://10.0.0.5:8786``.
     timeout_s
-        How long a flight may take; None: as long as it likes.
-    tell
-        Called when a worker has died.
+        Time limit per flight; None: no limit.
+    notify
+        Called with a sentence when a worker has died.
 
     Raises
     ------
     InputError
-        Where Dask is not installed, no scheduler answers there, or a worker has another version of this program.
+        If Dask is not installed, no scheduler answers, or a worker has another version of this program.
     """
     if find_spec("distributed") is None:
         raise InputError("--scheduler needs Dask distributed", remedy='pip install "corridor-fusion[fleet]"')
@@ -276,7 +276,7 @@ def cluster_workers(address: str, timeout_s: float | None, tell: Tell) -> Iterat
         ) from error
     try:
         _check_versions(client, address)
-        yield ClusterWorkers(client, timeout_s, tell)
+        yield ClusterWorkers(client, timeout_s, notify)
     finally:
         client.close()
 

@@ -1,4 +1,4 @@
-"""What can be fused from a log, what is missing, and how to supply it: one sentence each."""
+"""Advice on a log: what can be fused, what is missing, and how to supply it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from vision import InputError
 
 
 class Matter(StrEnum):
-    """What a sentence is about."""
+    """Subject of a sentence."""
 
-    FUSE = "fuse"  # what can be done as it is
+    FUSE = "fuse"  # what can be fused as it is
     MISSING = "missing"  # needed before anything can be fused
     BETTER = "better"  # would help, but is not needed
 
@@ -45,27 +45,27 @@ def advise(
     unclear: Mapping[Kind, str],
     refusal: InputError | None = None,
 ) -> Iterator[Sentence]:
-    """Yield what can be fused, what has to be supplied first, and what would make it better.
+    """Yield what can be fused, what must be supplied first, and what would improve the result.
 
     Parameters
     ----------
     name
-        What the user called the log.
+        The user's name of the log.
     streams
-        Everything that was found in it.
+        All streams found in it.
     findings
-        What is implausible about the chosen streams.
+        Implausible properties of the chosen streams.
     unclear
-        Why no topic of a kind was chosen, where there is one.
+        Reasons why no topic of a kind was chosen.
     refusal
-        Why the flight would be refused.
+        Reason why the flight would be rejected.
     """
     usable = {stream.kind: stream for stream in streams if stream.chosen and _is_usable(stream)}
     missing = list(_missing(name, usable, findings, unclear))
     camera = usable.get(Kind.FRAMES)
     is_calibrated = camera is not None and camera.camera is not None
-    is_told = any(refusal is not None and refusal.problem in text for text in missing)
-    if refusal is not None and not is_told and (is_calibrated or not missing):
+    is_reported = any(refusal is not None and refusal.problem in text for text in missing)
+    if refusal is not None and not is_reported and (is_calibrated or not missing):
         missing.insert(
             0, refusal.problem if refusal.remedy is None else f"{refusal.problem} ({refusal.remedy})"
         )
@@ -83,7 +83,7 @@ def _is_usable(stream: StreamFindings) -> bool:
 
 
 def _fusable(name: str, usable: Mapping[Kind, StreamFindings], *, possible: bool) -> str:
-    parts = [f"{_what(stream)} ({stream.name}, {_rate(stream)})" for stream in usable.values()]
+    parts = [f"{_stream_words(stream)} ({stream.name}, {_rate(stream)})" for stream in usable.values()]
     if Kind.FRAMES not in usable:
         held = f"; it has {_listed(parts)}" if parts else ""
         return f"nothing yet: a heading in a corridor needs pictures{held}"
@@ -92,7 +92,7 @@ def _fusable(name: str, usable: Mapping[Kind, StreamFindings], *, possible: bool
     return f"{_listed(parts)}, once the following is resolved"
 
 
-def _what(stream: StreamFindings) -> str:
+def _stream_words(stream: StreamFindings) -> str:
     has_accel = stream.imu is None or stream.imu.usual_accel_m_s2 is not None
     return _WHAT[stream.kind] if has_accel else "gyroscope"
 
@@ -158,10 +158,10 @@ def _noise(imu: StreamFindings) -> Iterator[str]:
     if found is None:
         return
     measured = found.at_rest.gyro if found.at_rest is not None else None
-    told = "" if measured is None else f"; at rest it is {measured:.2g} rad/s/sqrt(Hz)"
+    remark = "" if measured is None else f"; at rest it is {measured:.2g} rad/s/sqrt(Hz)"
     if found.declared_gyro_noise is None:
         yield (
-            f"the gyroscope's noise is not declared, so a default is used{told}; name Kalibr's imu.yaml with "
+            f"the gyroscope's noise is not declared, so a default is used{remark}; name Kalibr's imu.yaml with "
             "[imu] noise in a flight.toml"
         )
     elif measured is not None and not 1 / 3 < measured / found.declared_gyro_noise < 3:

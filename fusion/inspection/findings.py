@@ -1,4 +1,4 @@
-"""What `corridor inspect` found about one stream or one camera."""
+"""Findings of `corridor inspect` about one stream or one camera."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from vision import Camera
 
 @dataclass(frozen=True, slots=True)
 class CameraFindings:
-    """The calibration of a camera, as far as a person checks it at a glance."""
+    """Main values of a camera's calibration."""
 
     width_px: int
     height_px: int
@@ -47,26 +47,26 @@ class CameraFindings:
 
 @dataclass(frozen=True, slots=True)
 class StreamFindings:
-    """One topic: its times, and what its samples show where they were looked at.
+    """One topic: its times, and the properties of its samples, if they were read.
 
     Parameters
     ----------
     name, kind, note
-        As the log names and describes it.
+        Name, kind and note in the log.
     chosen
-        Whether `corridor fuse` would take it, without being told.
+        Whether `corridor fuse` would choose it by default.
     timing
-        Of the times as the log has them, or as they were spread where a driver stamped bursts.
+        Of the times in the log, or of the spread ones if a driver stamped bursts.
     frames_covered
         Share of the chosen camera's frames between its first and its last sample; None without pictures.
     problems
-        What was dropped or mended on reading it.
+        Samples dropped or repaired on reading.
     error
-        Why it cannot be read at all.
+        Reason why it cannot be read.
     imu, pictures, camera
-        For an IMU, a camera, and a camera that the log has a calibration for.
+        For an IMU, a camera, and a camera with a calibration in the log.
     distances_m
-        Least, median and greatest distance to the floor, for a range sensor.
+        Smallest, median and largest distance to the floor, for a range sensor.
     """
 
     name: str

@@ -1,9 +1,9 @@
-"""An IMU in numbers: when it stood still, its noise and biases then, gravity, and how fast it turned.
+"""Statistics of an IMU: still periods, noise and biases in them, gravity, and turn rates.
 
-White noise is read off the Allan deviation at a short averaging time tau, ``N = sigma(tau) sqrt(tau)``: within still
-periods at a tenth of a second, where the motors are off. In flight, second differences of averages over a 25th of a
-second take most of the motion out; vibration and the rest of the motion stay in, so it is an upper bound. Single
-samples would tell less: most IMUs smooth them.
+White noise follows from the Allan deviation at a short averaging time tau, ``N = sigma(tau) sqrt(tau)``: within still
+periods at a tenth of a second, with the motors off. In flight, second differences of averages over a 25th of a second
+remove most of the motion; vibration and the rest of the motion remain, so it is an upper bound. Single samples are
+not used, because most IMUs smooth them.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ FLIGHT_TAU_S = 0.04
 BIN_S = 0.1
 WINDOW_S = 1.0
 MIN_STILL_S = 2.0
-STILL_GYRO_RAD_S = 0.02  # scatter of tenths of a second within a second
+STILL_GYRO_RAD_S = 0.02  # scatter of 0.1 s averages within a second
 STILL_ACCEL_M_S2 = 0.15
-MAX_STEP_S = 0.05  # slower streams do not show whether a vehicle shakes
-STILL_RATE_RAD_S = 0.1  # mean: a gyroscope's bias is less
-SHAKING_ACCEL_M_S2 = 0.7  # scatter of single samples: propellers turn
+MAX_STEP_S = 0.05  # slower streams do not show vibration
+STILL_RATE_RAD_S = 0.1  # mean: larger than a gyroscope's bias
+SHAKING_ACCEL_M_S2 = 0.7  # scatter of single samples: propellers run
 LISTED = 10
 
 
@@ -43,7 +43,7 @@ class StillPeriod:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Continuous-time white noise: rad/s/sqrt(Hz), m/s^2/sqrt(Hz); None where it could not be measured."""
+    """Continuous-time white noise: rad/s/sqrt(Hz), m/s^2/sqrt(Hz); None if it could not be measured."""
 
     gyro: float | None
     accel: float | None
@@ -51,7 +51,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class ImuFindings:
-    """What an IMU's samples show; None where they do not.
+    """Statistics of an IMU's samples; None if unknown.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class ImuFindings:
     at_rest
         Noise within them.
     in_flight
-        Noise over the whole log with the motion taken out, vibration included.
+        Noise over the whole log without the motion, but with vibration.
     gyro_bias_rad_s
         Mean rate at rest.
     gravity_m_s2
@@ -70,7 +70,7 @@ class ImuFindings:
     fastest_rad_s
         99th percentile of the turn rate.
     declared_gyro_noise
-        What the log declares, rad/s/sqrt(Hz).
+        As declared in the log, rad/s/sqrt(Hz).
     """
 
     still: tuple[StillPeriod, ...]
@@ -85,7 +85,7 @@ class ImuFindings:
 
 
 def inspect_imu(imu: ImuStream) -> ImuFindings | None:
-    """Describe an IMU; None where it has too few samples."""
+    """Describe an IMU; None if it has too few samples."""
     if len(imu.t_ns) < 10:
         return None
     step_s = float(np.median(np.diff(imu.t_ns))) * 1e-9
@@ -124,9 +124,9 @@ def find_still_periods(imu: ImuStream, noise: Noise) -> tuple[StillPeriod, ...]:
     Parameters
     ----------
     imu
-        With accelerations or without.
+        With or without accelerations.
     noise
-        Of single samples, as `inspect_imu` measures it: a noisy IMU at rest scatters by it.
+        Of single samples, as measured by `inspect_imu`: the scatter of a noisy IMU at rest.
     """
     t_s = (imu.t_ns - imu.t_ns[0]) * 1e-9
     if t_s[-1] < MIN_STILL_S or float(np.median(np.diff(t_s))) > MAX_STEP_S:
@@ -154,13 +154,13 @@ def find_still_periods(imu: ImuStream, noise: Noise) -> tuple[StillPeriod, ...]:
 
 
 def _allowed(scatter: float, noise: float | None) -> float:
-    """Scatter of averages over a bin that counts as still, wider for an IMU that is noisy itself."""
+    """Largest scatter of averages over a still bin, larger for a noisy IMU."""
     own = 2.0 * (noise or 0.0) / float(np.sqrt(BIN_S))
     return max(scatter, min(own, 3.0 * scatter))
 
 
 def _runs(windows: npt.NDArray[np.int64], start_ns: int, end_ns: int) -> tuple[StillPeriod, ...]:
-    """Join windows that follow each other, by their numbers (n,)."""
+    """Join consecutive windows, by their numbers (n,)."""
     found: list[StillPeriod] = []
     width_ns = int(WINDOW_S * 1e9)
     for number in windows:
@@ -189,7 +189,7 @@ def _from_averages(parts: list[FloatArray], step_s: float) -> float | None:
             steps.append(np.abs(np.diff(averages, axis=0)))
     if not steps:
         return None
-    sigma = 1.4826 * np.nanmedian(np.concatenate(steps), axis=0) / np.sqrt(2.0)  # robust: someone touched it
+    sigma = 1.4826 * np.nanmedian(np.concatenate(steps), axis=0) / np.sqrt(2.0)  # robust against disturbances
     density = float(np.sqrt(np.nanmean(sigma**2) * width * step_s))
     return density if np.isfinite(density) else None
 

@@ -1,7 +1,7 @@
-"""What a log holds and what can be made of it: `corridor inspect`, for any format, without reading every picture.
+"""Contents of a log, and what can be fused: `corridor inspect` for any format, without reading every picture.
 
-Each topic is described by its times; IMUs and cameras by a look at their samples. One stream that cannot be read does
-not keep the others from being described.
+Each topic is described by its times, IMUs and cameras also by their samples. If one stream cannot be read, the others
+are still described.
 """
 
 from __future__ import annotations
@@ -27,28 +27,28 @@ from fusion.logs.topic_choice import choose_topic
 from vision import InputError
 from vision.cameras.lens_check import lens_problem
 
-#: What a manifest, and `Streams`, call a stream of each kind.
+#: Name of each kind of stream in a manifest and in `Streams`.
 _NAMES = {kind: "camera" if kind is Kind.FRAMES else kind.value for kind in Kind}
 
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """A log described.
+    """Description of a log.
 
     Parameters
     ----------
     path, format
-        What was opened, and as what.
+        Path and format of the log.
     streams
-        Every topic, the chosen ones of each kind first.
+        All topics, the chosen ones of each kind first.
     problems
-        Of the file as a whole.
+        Of the whole file.
     findings
-        What is implausible about the chosen streams.
+        Implausible properties of the chosen streams.
     advice
         What can be fused, what is missing and how to supply it, one sentence each.
     first_picture
-        The chosen camera's first picture that decodes, grey (h, w).
+        The chosen camera's first picture that can be decoded, grey (h, w).
     """
 
     path: str
@@ -73,15 +73,15 @@ def inspect_log(
     Parameters
     ----------
     log
-        Any format's, see `fusion.logs.contents`.
+        Of any format, see `fusion.logs.contents`.
     name
-        What to call it; else its path.
+        Name to use instead of its path.
     choose
-        Names the topic of each kind that would be fused; else `fusion.logs.topic_choice.choose_topic`.
+        Chooses the topic of each kind to fuse; default `fusion.logs.topic_choice.choose_topic`.
     advice
-        Words what to change.
+        Words the remedies.
     refusal
-        Why `corridor fuse` would refuse it, if it does.
+        Reason why `corridor fuse` would reject it, if any.
     """
     name = str(log.path) if name is None else name
     chosen, unclear = _chosen(log, choose or partial(choose_topic, log))
@@ -106,9 +106,9 @@ def inspect_log(
 
 
 def _as_fused(found: list[StreamFindings], alive: Streams) -> list[StreamFindings]:
-    """Return the streams as they are fused.
+    """Return the streams as they would be fused.
 
-    Without those that never change and a dead accelerometer, and with the times that reading leaves.
+    Without constant streams and a dead accelerometer, and with the times after reading.
     """
     times = alive.times()
     kept = []
@@ -131,7 +131,7 @@ def _as_fused(found: list[StreamFindings], alive: Streams) -> list[StreamFinding
 def _chosen(
     log: LogContents, choose: Callable[[Kind], WithProblems[str | None]]
 ) -> tuple[dict[Kind, set[str]], dict[Kind, str]]:
-    """Return the topic of each kind that would be fused, and why there is none where it is not clear."""
+    """Return the topic of each kind that would be fused, and the reason if there is no clear choice."""
     chosen: dict[Kind, set[str]] = {}
     unclear: dict[Kind, str] = {}
     for kind in Kind:
@@ -148,7 +148,7 @@ def _chosen(
 
 
 class _Reading:
-    """A log under inspection: the chosen streams are kept for what they show together."""
+    """A log under inspection; the chosen streams are kept for joint checks."""
 
     def __init__(self, log: LogContents, chosen: dict[Kind, set[str]]) -> None:
         self.log = log
@@ -157,16 +157,16 @@ class _Reading:
         self._chosen = chosen
 
     def stream(self, topic: Topic) -> StreamFindings:
-        """Describe a topic; what cannot be read becomes its ``error``."""
+        """Describe a topic; a reading error becomes its ``error``."""
         is_chosen = topic.name in self._chosen[topic.kind]
         found = StreamFindings(topic.name, topic.kind, topic.note, is_chosen, time_stream(topic.t_ns))
         try:
-            looked_at, problems = self._looked_at(topic, found)
+            examined, problems = self._with_samples(topic, found)
         except InputError as error:
             return replace(found, error=str(error))
-        return replace(looked_at, problems=problems)
+        return replace(examined, problems=problems)
 
-    def _looked_at(self, topic: Topic, found: StreamFindings) -> WithProblems[StreamFindings]:
+    def _with_samples(self, topic: Topic, found: StreamFindings) -> WithProblems[StreamFindings]:
         kept, name = self.streams, topic.name
         stream: FrameStream | ImuStream | AttitudeStream | VectorStream | RangeStream
         match found.kind:
@@ -205,7 +205,7 @@ class _Reading:
                 if found.chosen:
                     self.streams = replace(kept, range=distance)
         if len(stream.t_ns) == len(topic.t_ns) and not np.isin(stream.t_ns, topic.t_ns).all():
-            found = replace(found, timing=time_stream(stream.t_ns))  # reading gave it other times
+            found = replace(found, timing=time_stream(stream.t_ns))  # reading changed its times
         return WithProblems(found, problems)
 
     def _camera(self, name: str) -> WithProblems[CameraFindings | None]:

@@ -1,4 +1,4 @@
-"""A camera's pictures in numbers, from a handful of them: size, brightness, and whether they decode."""
+"""Statistics of a camera's pictures, from a few of them: size, brightness, and whether they can be decoded."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from vision import InputError
 
 SAMPLED = 5
 SUFFIXES = (".png", ".jpg")
-TRIES = 10  # pictures at the beginning, before it is believed that none decodes
+TRIES = 10  # pictures to try at the beginning
 
 
 @dataclass(frozen=True, slots=True)
 class PictureFindings:
-    """What a few pictures, spread over the log, show.
+    """Statistics of a few pictures spread over the log.
 
     Parameters
     ----------
     sampled, unreadable
-        How many were tried, and how many of them do not decode.
+        Number of pictures tried, and of those that cannot be decoded.
     sizes
         Widths and heights in pixels, each once.
     first_index
-        Which is the first that decodes; None where none of those tried does.
+        Index of the first that can be decoded; None if none can.
     brightness, contrast
         Mean and standard deviation of its grey levels, 0 to 255.
     """
@@ -41,7 +41,7 @@ class PictureFindings:
 
 
 def inspect_pictures(frames: FrameStream) -> tuple[PictureFindings, GreyImage | None]:
-    """Describe a stream of pictures, and return the first that decodes."""
+    """Describe a stream of pictures, and return the first that can be decoded."""
     count = len(frames.t_ns)
     first_index, first = None, None
     sizes: list[tuple[int, int]] = []
@@ -86,7 +86,7 @@ def _size(picture: GreyImage) -> tuple[int, int]:
 
 
 def check_picture_file(path: Path) -> None:
-    """Raise `InputError` where a picture cannot be written to this file."""
+    """Raise `InputError` if a picture cannot be written to this file."""
     if path.suffix.lower() not in SUFFIXES:
         raise InputError("is not a picture name", file=path, remedy=f"end it in {' or '.join(SUFFIXES)}")
     if path.is_dir() or not path.absolute().parent.is_dir():
@@ -94,12 +94,12 @@ def check_picture_file(path: Path) -> None:
 
 
 def write_picture(picture: GreyImage | None, path: Path) -> None:
-    """Write a grey picture (h, w), whole or not at all.
+    """Write a grey picture (h, w) atomically.
 
     Raises
     ------
     InputError
-        Where there is none, or the file cannot be written.
+        If there is none, or the file cannot be written.
     """
     import cv2
 

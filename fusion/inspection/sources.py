@@ -1,4 +1,4 @@
-"""What `corridor inspect` is pointed at: one log, or the several that a ``flight.toml`` names, as one."""
+"""Input of `corridor inspect`: one log, or the logs of a ``flight.toml`` as one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def inspect_path(path: Path) -> Inspection:
     Raises
     ------
     InputError
-        Where there is nothing of a known format, or nothing of it can be read.
+        If there is no known format, or nothing can be read.
     """
     if not path.exists():
         raise InputError("there is no such file or folder", file=path, remedy="check the path")
@@ -28,7 +28,7 @@ def inspect_path(path: Path) -> Inspection:
         log = ManifestLog(read_manifest(described), described)
     else:
         log = ManifestLog(Manifest(log=path.resolve()))
-        log.log(Kind.IMU)  # raises where it does not open: there is nothing else to describe
+        log.log(Kind.IMU)  # raises if it cannot be opened: there is nothing else to describe
     refusal = None
     try:
         checked_flight(log, described or path)

@@ -21,7 +21,7 @@ from fusion.logs.samples import counted
 from fusion.printable import printable
 
 WIDTH = 110
-ONE_CLOCK_S = 1e6  # streams further apart than eleven days do not share a clock
+ONE_CLOCK_S = 1e6  # streams more than eleven days apart have different clocks
 LISTED = 3
 
 _NO_BREAK = "\N{NO-BREAK SPACE}"
@@ -33,7 +33,7 @@ _TITLES = {
 
 
 def inspection_values(inspection: Inspection) -> dict[str, Any]:
-    """Return an inspection as plain values: numbers, texts, lists and mappings; units are in the names."""
+    """Return an inspection as plain values: numbers, texts, lists and mappings; names include units."""
     values = asdict(inspection, dict_factory=lambda pairs: {k: v for k, v in pairs if k != "first_picture"})
     for stream in values["streams"]:
         stream["kind"] = str(stream["kind"])
@@ -41,10 +41,10 @@ def inspection_values(inspection: Inspection) -> dict[str, Any]:
 
 
 def inspection_text(inspection: Inspection) -> str:
-    """Lay out an inspection for reading."""
+    """Format an inspection as text."""
     streams = inspection.streams
     start_ns = _start(streams)
-    lines = [f"{inspection.path}: {inspection.format}", *_when(streams), ""]
+    lines = [f"{inspection.path}: {inspection.format}", *_time_lines(streams), ""]
     lines += _table(streams, start_ns)
     decided = {stream.kind for stream in streams if stream.chosen}
     for stream in streams:
@@ -61,7 +61,7 @@ def inspection_text(inspection: Inspection) -> str:
 
 
 def _wrapped(text: str, first: str, then: str) -> list[str]:
-    # a number and its unit stay together
+    # keep a number and its unit together
     text = re.sub(r"(?<=\d) (?=(?:s|Hz|px|ms|m/s|degrees)\b)", _NO_BREAK, text)
     lines = wrap(
         text,
@@ -90,7 +90,7 @@ def _times(streams: Sequence[StreamFindings]) -> list[tuple[int, int]]:
 
 
 def _start(streams: Sequence[StreamFindings]) -> int | None:
-    """Return the first time of all; None where the streams are on different clocks."""
+    """Return the first time of all; None if the streams are on different clocks."""
     times = _times(streams)
     if not times:
         return None
@@ -98,7 +98,7 @@ def _start(streams: Sequence[StreamFindings]) -> int | None:
     return first if (last - first) * 1e-9 < ONE_CLOCK_S else None
 
 
-def _when(streams: Sequence[StreamFindings]) -> list[str]:
+def _time_lines(streams: Sequence[StreamFindings]) -> list[str]:
     times = _times(streams)
     if not times:
         return ["it contains no samples"]
@@ -164,7 +164,7 @@ def _described(stream: StreamFindings, start_ns: int | None) -> Iterator[str]:
 
 
 def _is_judged(timing: Timing) -> bool:
-    """Whether an IMU's log is long and dense enough to look for still periods in it."""
+    """Whether an IMU's log is long and dense enough to detect still periods."""
     return (timing.rate_hz or 0.0) * MAX_STEP_S >= 1.0 and timing.duration_s >= MIN_STILL_S
 
 
@@ -217,12 +217,12 @@ def _imu(imu: ImuFindings, start_ns: int | None, *, is_judged: bool) -> Iterator
     noise, when, bound = (
         (imu.in_flight, "in motion", "at most ") if imu.at_rest is None else (imu.at_rest, "at rest", "")
     )
-    told = _noise(noise, bound)
-    if told:
+    noise_text = _noise(noise, bound)
+    if noise_text:
         declared = (
             "" if imu.declared_gyro_noise is None else f"; declared gyroscope {imu.declared_gyro_noise:.2g}"
         )
-        yield f"white noise {when}: {told}{declared}"
+        yield f"white noise {when}: {noise_text}{declared}"
     if imu.gyro_bias_rad_s is not None:
         bias = ", ".join(f"{round(degrees(axis), 2) + 0.0:+.2f}" for axis in imu.gyro_bias_rad_s)
         yield f"gyroscope's bias at rest ({bias}) degrees/s"
@@ -254,7 +254,7 @@ def _problems(inspection: Inspection, start_ns: int | None) -> Iterator[str]:
             yield text if stream.name in text else f"{stream.name}: {text}"
         yield from _timing_problems(stream, start_ns)
     for finding in inspection.findings:
-        # errors are listed under what has to be put right first, jumps with the stream's other times
+        # errors are listed under the required corrections, jumps with the stream's other times
         if finding.severity is Severity.WARNING and finding.kind != "time_jump":
             yield finding.sentence
 

@@ -1,4 +1,4 @@
-"""Times of one stream in numbers: rate, jitter, gaps, repeats, jumps of the clock. Arrays in, findings out."""
+"""Statistics of a stream's times: rate, jitter, gaps, repeats, jumps of the clock."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 
 from fusion.flight import TimeArray
 
-GAP_STEPS = 3.0  # a step of more than so many usual ones is a gap
-JUMP_FORWARD_NS = 60_000_000_000  # nothing is lost for a minute: the clock was set, or the log continued
-JUMP_BACK_NS = 1_000_000_000  # less is samples in the wrong order
+GAP_STEPS = 3.0  # in median steps: a longer step is a gap
+JUMP_FORWARD_NS = 60_000_000_000  # a longer step is a change of the clock or of the log
+JUMP_BACK_NS = 1_000_000_000  # smaller steps are unsorted samples
 LISTED = 5
 
 
@@ -24,7 +24,7 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """What the times of a stream show.
+    """Statistics of a stream's times.
 
     Parameters
     ----------
@@ -35,19 +35,19 @@ class Timing:
     duration_s
         Between the two.
     rate_hz
-        One over the usual (median) step; None where there are fewer than two different times.
+        One over the median step; None if there are fewer than two different times.
     jitter_s
-        95 of 100 steps that are no gaps are within so much of the usual one.
+        Deviation from the median step within which 95 of 100 steps lie, without gaps.
     gaps
-        Stretches of more than three usual steps, the longest first, at most five of them.
+        Stretches of more than three median steps, the longest first, at most five of them.
     gap_count, gap_total_s
-        Number and sum of all.
+        Number and total duration of all gaps.
     repeated
-        Samples whose time stood there before.
+        Samples with the time of an earlier one.
     backwards
         Places where the time is less than the one before.
     jumps
-        Of the clock: a minute or more ahead, a second or more back; at most five.
+        Of the clock: a minute or more forward, a second or more back; at most five.
     jump_count
         Number of all.
     """
@@ -68,7 +68,7 @@ class Timing:
 
 
 def time_stream(t_ns: TimeArray) -> Timing:
-    """Describe times (n,) as a log has them, in any order."""
+    """Describe the times (n,) in a log, in any order."""
     n = len(t_ns)
     if n == 0:
         return Timing(0)
@@ -102,7 +102,7 @@ def time_stream(t_ns: TimeArray) -> Timing:
 
 
 def share_covered(t_ns: TimeArray, by_ns: TimeArray) -> float:
-    """Share of times (n,) that lie between the first and the last of others (m,); 0 where either is empty."""
+    """Share of times (n,) that lie between the first and the last of others (m,); 0 if either is empty."""
     if len(t_ns) == 0 or len(by_ns) == 0:
         return 0.0
     return float(np.mean((t_ns >= by_ns.min()) & (t_ns <= by_ns.max())))

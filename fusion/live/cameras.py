@@ -1,7 +1,7 @@
-"""Cameras: a device, a network stream, a video played at its own pace, a folder.
+"""Cameras: a device, a network stream, a video in real time, a folder.
 
-Each gives pictures with the time they were taken by the computer's clock, and ends where it has no more; what is
-alive is then opened again by `CameraThread`.
+Each yields pictures with their time of exposure by the computer's clock, and ends with the last one; `CameraThread`
+reopens live sources.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES
 from vision import Camera, InputError, read_image
 
 STREAMS = ("rtsp://", "rtsps://", "udp://", "rtp://", "tcp://", "http://", "https://")
-OPEN_S, READ_S = 5.0, 2.0  # patience with a stream
+OPEN_S, READ_S = 5.0, 2.0  # timeouts of a stream
 AGAIN_S = 0.5
-LOOK_S = 0.005  # how often a folder is looked at
-HALF_WRITTEN_NS = 500_000_000  # a picture that does not decode may not be complete before
+LOOK_S = 0.005  # polling interval of a folder
+HALF_WRITTEN_NS = 500_000_000  # until then, a picture that cannot be decoded may be incomplete
 
 
 class Picture(NamedTuple):
-    """A picture, grey or colour; None where it cannot be read."""
+    """A picture, grey or colour; None if it cannot be read."""
 
     t_ns: int
     image: npt.NDArray[Any] | None
@@ -42,15 +42,15 @@ class CameraSource(Protocol):
 
     @property
     def is_live(self) -> bool:
-        """Whether it is to be opened again when it ends."""
+        """Whether to reopen the source when it ends."""
 
     def pictures(self, stop: threading.Event) -> Iterator[Picture]:
-        """Pictures as they come, until the end or ``stop``.
+        """Yield pictures as they arrive, until the end or ``stop``.
 
         Raises
         ------
         InputError
-            Where it cannot be opened, or dies.
+            If it cannot be opened, or fails.
         """
 
 
@@ -64,22 +64,22 @@ class Clock(Protocol):
 
 
 def camera_source(text: str, camera: Camera, clock: Clock) -> CameraSource:
-    """Tell what kind of camera is meant.
+    """Return the source that an argument names.
 
     Parameters
     ----------
     text
-        A device, ``/dev/video0``; a stream, ``rtsp://...`` or ``udp://...``; a video or a recorded flight, played at
-        its own pace; a folder of pictures, played by their times, or an empty one, in which pictures will appear.
+        A device, ``/dev/video0``; a stream, ``rtsp://...`` or ``udp://...``; a video or a recorded flight, played in
+        real time; a folder of pictures, played by their times, or an empty one in which pictures will appear.
     camera
-        Calibration; a device is asked for pictures of its size.
+        Calibration; pictures of its size are requested from a device.
     clock
         The computer's.
 
     Raises
     ------
     InputError
-        Where there is no such file, or it contains no pictures.
+        If there is no such file, or it contains no pictures.
     """
     if text.startswith(STREAMS):
         return VideoStream(text, None, {}, clock)
@@ -97,7 +97,7 @@ def camera_source(text: str, camera: Camera, clock: Clock) -> CameraSource:
 
 
 class VideoStream:
-    """A camera's device or a network stream, decoded by FFmpeg."""
+    """A camera device or a network stream, decoded by FFmpeg."""
 
     is_live = True
 
@@ -121,7 +121,7 @@ class VideoStream:
                 self._url, format=self._form, options=self._options, timeout=(OPEN_S, READ_S)
             ) as file:
                 stream = file.streams.video[0]
-                stream.codec_context.thread_count = 1  # threads that work on several pictures hold them back
+                stream.codec_context.thread_count = 1  # frame threading would delay the pictures
                 for frame in file.decode(stream):
                     received_ns = self._clock.now_ns()
                     if stop.is_set():
@@ -135,7 +135,7 @@ class VideoStream:
 
 
 class PlayedFrames:
-    """Pictures of a video, a folder or a log, at the pace of their times."""
+    """Pictures of a video, a folder or a log, in real time."""
 
     is_live = False
 
@@ -158,9 +158,9 @@ class PlayedFrames:
 
 
 class WatchedFolder:
-    """A folder in which pictures appear, written there by another program, best by renaming.
+    """A folder into which another program writes pictures, preferably by renaming.
 
-    A name that is the time in nanoseconds since 1970 tells when a picture was taken; else the file's time does.
+    If a file's name is an integer, it is the picture's time in nanoseconds since 1970; else the file's time is used.
     """
 
     is_live = True
@@ -170,7 +170,7 @@ class WatchedFolder:
         self._seen: set[str] = set()
 
     def pictures(self, stop: threading.Event) -> Iterator[Picture]:
-        """Give each new picture once."""
+        """Yield each new picture once."""
         clock = CameraClock(self._clock.monotonic_offset_ns)
         while not stop.wait(LOOK_S):
             for entry in self._new():
@@ -179,7 +179,7 @@ class WatchedFolder:
                     written_ns = entry.stat().st_mtime_ns
                     image = read_image(entry.path)
                 except OSError:
-                    continue  # it has gone again
+                    continue  # already deleted
                 except InputError:
                     if time.time_ns() - written_ns < HALF_WRITTEN_NS:
                         continue
@@ -204,7 +204,7 @@ class WatchedFolder:
 
 
 class CameraThread:
-    """Takes pictures from a source in a thread of its own, and opens it again when it dies.
+    """Reads pictures from a source in a separate thread, and reopens it after a failure.
 
     Parameters
     ----------
@@ -228,17 +228,17 @@ class CameraThread:
         self._thread.join(READ_S + 1.0)
 
     def _run(self) -> None:
-        said = ""
+        last_error = ""
         while not self._stop.is_set():
             try:
                 for picture in self._source.pictures(self._stop):
                     self._offer(picture)
-                    said = ""
+                    last_error = ""
             except InputError as error:
-                if str(error) != said:  # once, not at every try
-                    said = str(error)
-                    logging.getLogger(__name__).warning("%s", said)
-            except Exception:  # a broken stream may make a decoder fail in any way
+                if str(error) != last_error:  # once, not at every attempt
+                    last_error = str(error)
+                    logging.getLogger(__name__).warning("%s", last_error)
+            except Exception:  # a damaged stream may raise any error in a decoder
                 logging.getLogger(__name__).exception("the camera failed")
             if not self._source.is_live:
                 break

@@ -1,7 +1,7 @@
-"""Clocks: the computer's own, and how those of an autopilot and of a camera relate to it.
+"""Clocks: the computer's own, and the offsets of an autopilot's and a camera's clock from it.
 
-Times in flight are those of `HostClock`: nanoseconds since 1970 as the clock stood at the start, going on without
-steps. An autopilot counts from its boot, a stream from wherever it likes.
+Times in flight are those of `HostClock`: nanoseconds since 1970 at the start, then monotonic. An
+autopilot's times start at its boot, a stream's anywhere.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from enum import StrEnum
 from typing import NamedTuple
 
 MAX_AGE_NS = 1_000_000_000  # of a sample when it is received
-MAX_AHEAD_NS = 50_000_000  # of a sample's time after its receipt, for what a clock's offset may be wrong
-STRANGE_SAMPLES = 10  # in a row, outside these: the clock is another one
-JUMP_NS = 100_000_000  # between two replies: the autopilot has booted again
+MAX_AHEAD_NS = 50_000_000  # of a sample's time after its receipt: tolerance for a wrong clock offset
+STRANGE_SAMPLES = 10  # in a row outside these limits: the clock has changed
+JUMP_NS = 100_000_000  # between two replies: the autopilot has rebooted
 KEPT_REPLIES = 32
 NEEDED_REPLIES = 4
-REPLY_PATIENCE_NS = 3_000_000_000  # with samples but no reply: it does not answer
+REPLY_PATIENCE_NS = 3_000_000_000  # with samples but no reply: the autopilot does not support TIMESYNC
 WINDOW_NS = 10_000_000_000
 
 
@@ -33,18 +33,18 @@ class HostClock:
 
 
 class LeastLatency:
-    """Offset of a clock whose stamps only come one way: the least difference between receipt and stamp of late.
+    """Offset of a clock known only from one-way stamps: the smallest recent difference of receipt and stamp.
 
-    What it gives is late by the least latency, which `camera_delay_s` can tell.
+    The result is late by the smallest latency, which `camera_delay_s` can correct.
     """
 
     def __init__(self) -> None:
-        self._began_ns = 0  # the present window
-        self._least_ns: int | None = None  # in it
-        self._earlier_ns: int | None = None  # in the one before
+        self._began_ns = 0  # of the present window
+        self._least_ns: int | None = None  # in the present window
+        self._earlier_ns: int | None = None  # in the previous window
 
     def offset_ns(self, stamp_ns: int, received_ns: int) -> int:
-        """Take a stamp and its receipt; return what to add to stamps."""
+        """Add a stamp and its time of receipt; return the offset to add to stamps."""
         difference_ns = received_ns - stamp_ns
         if self._least_ns is not None and abs(difference_ns - self._least_ns) > MAX_AGE_NS:
             self._least_ns = self._earlier_ns = None  # the clock was set
@@ -60,7 +60,7 @@ class SyncState(StrEnum):
 
     WAITING = "waiting"  # for replies to TIMESYNC
     SYNCHRONISED = "synchronised"
-    ONE_WAY = "one way"  # it does not reply; by least latency
+    ONE_WAY = "one way"  # no replies; by the smallest latency
 
 
 class _Reply(NamedTuple):
@@ -71,8 +71,8 @@ class _Reply(NamedTuple):
 class AutopilotClock:
     """The autopilot's clock against the computer's, by MAVLink's TIMESYNC.
 
-    Of the last replies the one with the shortest round trip counts, as in NTP's clock filter. Where none comes, the
-    least latency of the samples stands in.
+    Of the last replies, the one with the shortest round trip is used, as in NTP's clock filter. Without replies, the
+    smallest latency of the samples is used instead.
     """
 
     def __init__(self) -> None:
@@ -83,12 +83,12 @@ class AutopilotClock:
         self._replies: deque[_Reply] = deque(maxlen=KEPT_REPLIES)
         self._one_way = LeastLatency()
         self._first_ns: int | None = None  # receipt of the first sample
-        self._waited_ns = 0  # from then on
+        self._waited_ns = 0  # since then
         self._strange = 0
 
     @property
     def state(self) -> SyncState:
-        """How its offset is known."""
+        """Source of the offset."""
         if len(self._replies) >= NEEDED_REPLIES:
             return SyncState.SYNCHRONISED
         return SyncState.ONE_WAY if self._waited_ns > REPLY_PATIENCE_NS else SyncState.WAITING
@@ -99,16 +99,16 @@ class AutopilotClock:
         return min(self._replies).round_trip_ns if self._replies else None
 
     def replied(self, asked_ns: int, autopilot_ns: int, received_ns: int) -> bool:
-        """Take a reply to TIMESYNC; False where it cannot be one.
+        """Process a reply to TIMESYNC; False if it is implausible.
 
         Parameters
         ----------
         asked_ns
-            When it was asked, by the computer's clock.
+            Time of the request, by the computer's clock.
         autopilot_ns
-            When the autopilot answered, by its own.
+            Time of the reply, by the autopilot's clock.
         received_ns
-            When the answer came.
+            Time of receipt, by the computer's clock.
         """
         round_trip_ns = received_ns - asked_ns
         if not 0 <= round_trip_ns <= MAX_AGE_NS or not 0 < autopilot_ns < 2**62:
@@ -120,19 +120,19 @@ class AutopilotClock:
         return True
 
     def restart(self) -> None:
-        """Start again, as the autopilot has."""
+        """Start again, because the autopilot has rebooted."""
         self.restarts += 1
         self._forget()
 
     def host_ns(self, stamp_ns: int, received_ns: int) -> int | None:
-        """Turn the time of a sample into the computer's; None where that is not known, or cannot be.
+        """Convert the time of a sample to the computer's clock; None if unknown or implausible.
 
         Parameters
         ----------
         stamp_ns
-            As the autopilot stamped it.
+            Stamp of the autopilot.
         received_ns
-            When it was received.
+            Time of receipt.
         """
         if self._first_ns is None:
             self._first_ns = received_ns
@@ -153,10 +153,10 @@ class AutopilotClock:
 
 
 class CameraClock:
-    """Turns a camera's stamps into the computer's time.
+    """Converts a camera's stamps to the computer's clock.
 
-    A driver stamps pictures by the computer's clock since 1970 or by its monotonic one; a stream by its sender's, to
-    which only the least latency relates it.
+    A driver stamps pictures by the computer's time since 1970 or its monotonic clock; a stream by its sender's clock,
+    whose offset is known only from the smallest latency.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ class CameraClock:
         self._one_way = LeastLatency()
 
     def host_ns(self, stamp_ns: int | None, received_ns: int) -> int:
-        """Time of a picture; that of its receipt where it carries none."""
+        """Time of a picture; the time of receipt if it has no stamp."""
         if stamp_ns is None:
             return received_ns
         for offset_ns in self._offsets_ns:

@@ -1,8 +1,8 @@
-"""The estimator between a link and a camera, as a machine that knows no clock, thread or socket.
+"""The estimator between a link and a camera, as a state machine without clock, thread or socket.
 
-Everything that happens comes in as one of three calls, each with its time: bytes from the link, a picture's lines, a
-tick. What is to be sent is given back. The same calls in the same order give the same packets to the bit, which is
-how a recording is replayed.
+All input comes as one of three calls, each with its time: bytes from the link, a picture's lines, a tick. They return
+the packets to send. The same calls in the same order give the same packets, bit for bit; recordings are replayed this
+way.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ if TYPE_CHECKING:
     from vision import Camera
     from vision.lines.line_set import LineSet
 
-GROUND_STATION, NO_AUTOPILOT = 6, 8  # type and autopilot in HEARTBEAT of what flies no vehicle
+GROUND_STATION, NO_AUTOPILOT = 6, 8  # type and autopilot in HEARTBEAT of components that are not autopilots
 AUTOPILOT_COMPONENT = 1
 HEARTBEAT_NS = 1_000_000_000
 ASK_TIME_NS, ASK_TIME_SOON_NS = 500_000_000, 100_000_000
 ASK_STREAMS_NS = 5_000_000_000
-BETTER_MESSAGE_NS = 1_000_000_000  # after which a message of lower rank is taken
+BETTER_MESSAGE_NS = 1_000_000_000  # after which a message of lower rank is used
 TEXT_NS = 1_000_000_000  # between two texts to the pilot
 ATTITUDE_HZ, RANGE_HZ, VELOCITY_HZ = 50.0, 20.0, 25.0
-LONGEST_NS = 2**62  # a stamp beyond is damaged
-UNIX_NS = 10**18  # more counts from 1970, less from the boot, as MAVLink tells them apart
+LONGEST_NS = 2**62  # a larger stamp is damaged
+UNIX_NS = 10**18  # larger times count from 1970, smaller ones from boot, as in MAVLink
 MESSAGE_IDS = {
     "RAW_IMU": 27,
     "ATTITUDE": 30,
@@ -58,7 +58,7 @@ MESSAGE_IDS = {
 
 
 class SampleSink(Protocol):
-    """Is told of each sample as the estimator takes it, by the computer's clock: a recording."""
+    """Receives each sample as the estimator uses it, by the computer's clock: a recording."""
 
     def imu(self, t_ns: int, sample: Imu) -> None:
         """Take an IMU sample."""
@@ -74,7 +74,7 @@ class SampleSink(Protocol):
 
 
 class Vehicle(NamedTuple):
-    """Whose autopilot it is."""
+    """Make of the autopilot."""
 
     system_id: int
     component_id: int
@@ -87,11 +87,11 @@ class LiveCore:
     Parameters
     ----------
     config, camera
-        Of the estimator.
+        For the estimator.
     settings
-        What to send and to ask for.
+        Messages to send and to request.
     sink
-        Is told of the samples.
+        Receives the samples.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class LiveCore:
         self.estimator = CorridorEstimator(config, camera)
         self.counters: Counter[str] = Counter()
         self.clock = AutopilotClock()
-        self._unix_clock = LeastLatency()  # of messages that count from 1970
+        self._unix_clock = LeastLatency()  # of messages with times since 1970
         self.vehicle: Vehicle | None = None
         self.estimate = self.estimator.estimate()
         self._sink = sink
@@ -115,7 +115,7 @@ class LiveCore:
         self._parser.robust_parsing = True
         self._writer = PacketWriter()
         self._pose = PoseTracker()
-        self._heard_ns: dict[str, int] = {}  # when each sensor's message last came
+        self._heard_ns: dict[str, int] = {}  # receipt of each sensor's last message
         self._imu_since_asked = 0
         self._first_tick_ns: int | None = None
         self._q_world_body: Quaternion | None = None
@@ -133,7 +133,7 @@ class LiveCore:
     # In
 
     def on_bytes(self, received_ns: int, data: bytes) -> list[bytes]:
-        """Take what the link received; return the packets that answer it."""
+        """Process bytes received on the link; return the packets to send in reply."""
         answers: list[bytes] = []
         for message in self._parser.parse_buffer(data) or ():
             kind = message.get_type()
@@ -154,13 +154,13 @@ class LiveCore:
         return answers
 
     def on_frame(self, t_ns: int, lines: LineSet | None) -> FrameResult:
-        """Take the lines of a picture stamped ``t_ns``; None where it could not be read."""
+        """Process the lines of a picture stamped ``t_ns``; None if it could not be read."""
         if lines is None:
             return self.estimator.add_unreadable_frame(t_ns)
         return self.estimator.add_lines(t_ns, lines)
 
     def on_tick(self, now_ns: int) -> list[bytes]:
-        """Estimate for now, and return what is to be sent; the estimate is then ``estimate``."""
+        """Estimate the present state, store it in ``estimate``, and return the packets to send."""
         e = self.estimate = self.estimator.estimate(now_ns, at_ns=now_ns)
         packets = self._upkeep(now_ns)
         if self.vehicle is None:
@@ -239,13 +239,13 @@ class LiveCore:
         return []
 
     def _is_best(self, ranking: tuple[str, ...], kind: str, received_ns: int) -> bool:
-        """Whether no message of a higher rank tells the same."""
+        """Whether no message of a higher rank carries the same quantity."""
         self._heard_ns[kind] = received_ns
         better = ranking[: ranking.index(kind)]
         return all(received_ns - self._heard_ns.get(name, -LONGEST_NS) > BETTER_MESSAGE_NS for name in better)
 
     def _host_ns(self, sample: Any, received_ns: int) -> int | None:
-        """Time of a sample by the computer's clock; None, counted, where there is no use in it."""
+        """Time of a sample by the computer's clock; None, and counted, if the sample is unusable."""
         if sample is None:
             self.counters["not_used"] += 1
             return None
@@ -275,7 +275,7 @@ class LiveCore:
         return wanted is SendPosition.ALWAYS
 
     def _upkeep(self, now_ns: int) -> list[bytes]:
-        """Heartbeat, questions for the time, and for messages that do not come."""
+        """Heartbeat, time requests, and requests for messages that do not arrive."""
         packets = []
         if self._is_due("heartbeat", now_ns, HEARTBEAT_NS):
             packets.append(self._writer.heartbeat())
@@ -287,15 +287,15 @@ class LiveCore:
         rate_hz = self.settings.imu_rate_hz
         if rate_hz and self._is_due("streams", now_ns, ASK_STREAMS_NS):
             if self._imu_since_asked < 0.5 * rate_hz * ASK_STREAMS_NS * 1e-9:
-                packets += self._ask_for_streams(self.vehicle, rate_hz)
+                packets += self._stream_requests(self.vehicle, rate_hz)
             self._imu_since_asked = 0
         return packets
 
-    def _ask_for_streams(self, vehicle: Vehicle, imu_hz: float) -> list[bytes]:
+    def _stream_requests(self, vehicle: Vehicle, imu_hz: float) -> list[bytes]:
         imu = "RAW_IMU" if vehicle.autopilot == ARDUPILOT else "HIGHRES_IMU"
         wanted = {imu: imu_hz, "ATTITUDE_QUATERNION": ATTITUDE_HZ, RANGE: RANGE_HZ}
         if vehicle.autopilot == ARDUPILOT:
-            wanted["ATTITUDE"] = ATTITUDE_HZ  # versions before 4.1 know no other
+            wanted["ATTITUDE"] = ATTITUDE_HZ  # the only one before version 4.1
         if self.settings.use_velocity:
             wanted[POSITION] = VELOCITY_HZ
         self.counters["streams_asked"] += 1
@@ -304,7 +304,7 @@ class LiveCore:
         ]
 
     def _texts(self, now_ns: int, e: Estimate) -> list[bytes]:
-        """Tell the pilot what has changed, not more often than he can read."""
+        """Text for the pilot on a change of state, at a limited rate."""
         state = (str(e.status), e.corridor_index, e.reason if e.status != Status.TRACKING else "")
         if state[:2] == self._told[:2] or not self._is_due("text", now_ns, TEXT_NS):
             return []
@@ -315,7 +315,7 @@ class LiveCore:
         return [self._writer.status_text(e, text)]
 
     def _boot_ms(self, now_ns: int) -> int:
-        """Milliseconds since the first tick, for messages that count from a boot."""
+        """Milliseconds since the first tick, for messages with times since boot."""
         if self._first_tick_ns is None:
             self._first_tick_ns = now_ns
         return (now_ns - self._first_tick_ns) // 1_000_000 % 2**32

@@ -1,4 +1,4 @@
-"""The link to the autopilot: UDP, TCP or serial as pymavlink names and opens them, and opened again when it dies."""
+"""The link to the autopilot: UDP, TCP or serial, with pymavlink's addresses, reopened after a failure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _REMEDY = "give udpin:0.0.0.0:14540, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST
 
 
 class Link:
-    """Receives in a thread of its own; sends from whichever calls.
+    """Receives in a separate thread; sends in the caller's thread.
 
     Parameters
     ----------
@@ -28,12 +28,12 @@ class Link:
         ``udpin:0.0.0.0:14540``, ``udpout:HOST:PORT``, ``tcp:HOST:PORT``, ``tcpin:HOST:PORT``, or a serial device
         with its baud rate, ``/dev/ttyACM0,921600``.
     receive
-        Called with all that is received, in the link's thread.
+        Called with all received bytes, in the link's thread.
 
     Raises
     ------
     InputError
-        Where the address cannot be one, or what it names is not there.
+        If the address is invalid, or the device does not exist.
     """
 
     def __init__(self, address: str, receive: Callable[[bytes], object]) -> None:
@@ -57,7 +57,7 @@ class Link:
         self._thread.start()
 
     def send(self, data: bytes) -> None:
-        """Send a packet; it is lost where the link is down."""
+        """Send a packet; it is lost while the link is down."""
         with self._lock:
             if self._port is not None:
                 self._port.write(data)
@@ -108,19 +108,19 @@ def _open(address: str) -> Any:
 
 
 def _read(port: Any) -> bytes:
-    """Wait a little for something to read.
+    """Wait briefly for bytes to read.
 
     Raises
     ------
     OSError
-        Where the link has ended.
+        If the link has ended.
     """
     ready, _, _ = select.select([port.fd], [], [], POLL_S)
     if not ready:
         return b""
     connection = port.port
     is_stream = isinstance(connection, socket.socket) and connection.type == socket.SOCK_STREAM
-    if not is_stream:  # UDP, serial, or one that listens and has just been called
+    if not is_stream:  # UDP, serial, or a server with a new connection
         return bytes(port.recv(MOST_BYTES))
     data: bytes = connection.recv(MOST_BYTES)
     if not data:

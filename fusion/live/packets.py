@@ -1,7 +1,8 @@
 """Estimates as MAVLink packets, and the other messages of a component on the network.
 
 ``ODOMETRY`` goes to the autopilot's filter; ``DEBUG_VECT`` and ``NAMED_VALUE_FLOAT`` are plotted by ground stations
-and logged by autopilots as they come, ``STATUSTEXT`` is read by the pilot. https://mavlink.io/en/messages/common.html
+and logged by autopilots without configuration, ``STATUSTEXT`` is read by the pilot.
+https://mavlink.io/en/messages/common.html
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ MAX_TEXT = 50
 
 
 class PacketWriter:
-    """Makes MAVLink 2 packets of one component, numbered on.
+    """Encodes MAVLink 2 packets of one component, with consecutive sequence numbers.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ class PacketWriter:
         self._mavlink = ardupilotmega.MAVLink(None, srcSystem=system_id, srcComponent=COMPONENT_ID)
 
     def set_system(self, system_id: int) -> None:
-        """Belong to a vehicle."""
+        """Set the system id."""
         self._mavlink.srcSystem = system_id
 
     def _pack(self, message: Any) -> bytes:
@@ -58,15 +59,15 @@ class PacketWriter:
         return data
 
     def heartbeat(self) -> bytes:
-        """Say that this component lives."""
+        """Heartbeat of this component."""
         return self._pack(self._mavlink.heartbeat_encode(ONBOARD_CONTROLLER, NO_AUTOPILOT, 0, 0, 4))
 
     def timesync(self, tc1_ns: int, ts1_ns: int) -> bytes:
-        """Ask for the autopilot's time (``tc1_ns`` 0), or answer."""
+        """Request the autopilot's time (``tc1_ns`` 0), or reply to its request."""
         return self._pack(self._mavlink.timesync_encode(tc1_ns, ts1_ns))
 
     def message_interval(self, vehicle: tuple[int, int], message_id: int, rate_hz: float) -> bytes:
-        """Ask a vehicle (system, component) for a message at a rate."""
+        """Request a message from a vehicle (system, component) at a rate."""
         interval_us = 1e6 / rate_hz
         return self._pack(
             self._mavlink.command_long_encode(
@@ -75,7 +76,7 @@ class PacketWriter:
         )
 
     def status_text(self, e: Estimate, text: str) -> bytes:
-        """Tell the pilot; at most 50 characters are sent."""
+        """Text for the pilot; at most 50 characters are sent."""
         severity = _SEVERITIES[Status(e.status)]
         return self._pack(
             self._mavlink.statustext_encode(severity, text.encode("ascii", "replace")[:MAX_TEXT])
@@ -97,7 +98,7 @@ class PacketWriter:
         return [self._pack(encode(boot_ms, name.encode(), value)) for name, value in values.items()]
 
     def offset_vector(self, e: Estimate) -> bytes:
-        """Lateral offset, its sigma (in metres where the width is known, else in half widths) and heading."""
+        """Lateral offset, its sigma (in metres if the width is known, else in half widths) and heading."""
         in_metres = isfinite(e.lateral_offset_m)
         offset = e.lateral_offset_m if in_metres else e.lateral_offset_norm
         std = e.lateral_offset_std_m if in_metres else e.lateral_offset_norm_std
@@ -107,7 +108,7 @@ class PacketWriter:
         )
 
     def odometry(self, e: Estimate, pose: Pose, config: FusionConfig, with_position: bool) -> bytes:
-        """Yaw and, where asked for, place from the first corridor's axis; nothing in it is known while lost."""
+        """Yaw and, if requested, position from the first corridor's axis; all unknown while lost."""
         quality = quality_of(e, config)
         q = [nan] * 4
         if quality != FAILED_QUALITY:
@@ -138,7 +139,7 @@ class PacketWriter:
 
 
 def quality_of(e: Estimate, config: FusionConfig) -> int:
-    """Quality in per cent, 1 to 100: 100 for a heading known exactly and confirmed by frames; -1 where it is lost."""
+    """Quality in per cent, 1 to 100: 100 for a heading known exactly and confirmed by frames; -1 if it is lost."""
     if e.status in (Status.LOST, Status.INITIALISING) or not isfinite(e.heading_std_rad):
         return FAILED_QUALITY
     share = 1.0 - e.heading_std_rad / config.lost_heading_std_rad

@@ -1,7 +1,7 @@
-"""Where the vehicle is and heads in the frame of the first corridor, which an autopilot can follow through turns.
+"""The vehicle's position and yaw in the frame of the first corridor, continuous through turns for an autopilot.
 
-The estimate counts heading and offset from the corridor being flown, and both jump where another one begins. Here the
-x axis is the middle of the first corridor for the whole flight: yaw and place go on smoothly round a corner.
+The estimate's heading and offset are relative to the corridor being flown, and both jump where another one begins.
+Here the x axis is the centre line of the first corridor for the whole flight, so yaw and position are continuous.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ import numpy.typing as npt
 from fusion.estimator.estimate import Estimate
 from vision.rotations import wrap
 
-STEP_RAD = pi / 90  # a smaller jump of the yaw is no step, as for `Estimate.reset_count`
+STEP_RAD = pi / 90  # smaller jumps of the yaw are not counted, as for `Estimate.reset_count`
 UNKNOWN_OFFSET_STD_M = 1.0
-UNKNOWN_SPEED_M_S = 1.0  # standard deviation of the speed along the corridor while nothing tells it
-SPEED_STD_M_S, SPEED_TIME_S = 0.1, 1.0  # error of a speed that is measured, and its correlation time
+UNKNOWN_SPEED_M_S = 1.0  # standard deviation of an unmeasured speed along the corridor
+SPEED_STD_M_S, SPEED_TIME_S = 0.1, 1.0  # error of a measured speed, and its correlation time
 MAX_STEP_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Yaw and place from the first corridor's axis, x along it, y right of its middle.
+    """Yaw and position from the first corridor's axis, x along it, y right of its centre line.
 
     Parameters
     ----------
     yaw_rad, yaw_std_rad
         Positive turned right.
     reset_counter
-        Of yaw and place: goes up where either jumps, modulo 256.
+        Increases when yaw or position jumps, modulo 256.
     x_m, y_m
         Dead-reckoned along each corridor, measured across it.
     variance_m2
@@ -47,11 +47,11 @@ class Pose:
 
 
 class PoseTracker:
-    """Follows an estimator's estimates, each as it is sent."""
+    """Integrates an estimator's estimates in the order in which they are sent."""
 
     def __init__(self) -> None:
         self.reset_counter = 0
-        self._steps_rad: float | None = None  # sum of all steps of the yaw
+        self._steps_rad: float | None = None  # sum of all jumps of the yaw
         self._reset_count = self._lateral_count = 0
         self._t_ns: int | None = None
         self._corridor = 0
@@ -62,7 +62,7 @@ class PoseTracker:
         self._origin_covariance = np.zeros((2, 2))
 
     def follow(self, e: Estimate) -> Pose:
-        """Take the next estimate."""
+        """Process the next estimate."""
         self._count_yaw_steps(e)
         self._move_along(e)
         if e.corridor_index != self._corridor:
@@ -80,7 +80,7 @@ class PoseTracker:
         )
 
     def _count_yaw_steps(self, e: Estimate) -> None:
-        """Count jumps of the yaw: a new corridor steps heading and turn alike, in opposite ways."""
+        """Count jumps of the yaw; in a new corridor, heading and turn jump by opposite amounts."""
         if e.reset_count == self._reset_count and self._steps_rad is not None:
             return
         steps = e.reset_heading_total_rad + e.corridor_turn_rad
@@ -94,7 +94,7 @@ class PoseTracker:
         if isfinite(e.along_velocity_m_s):
             self._along_m += dt_s * e.along_velocity_m_s
             self._along_variance_m2 += 2.0 * SPEED_STD_M_S**2 * SPEED_TIME_S * dt_s
-        else:  # at a speed that is not known, for as long as it lasts
+        else:  # the speed is unknown
             before_s, self._drift_s = self._drift_s, self._drift_s + dt_s
             self._along_variance_m2 += UNKNOWN_SPEED_M_S**2 * (self._drift_s**2 - before_s**2)
 
@@ -105,12 +105,14 @@ class PoseTracker:
             return
         if isfinite(self._across_m) and e.lateral_reset_count != self._lateral_count:
             self.reset_counter = (self.reset_counter + 1) % 256
-        elif not isfinite(self._across_m) and self._corridor:  # found in a new corridor: that moves its axis
+        elif (
+            not isfinite(self._across_m) and self._corridor
+        ):  # first offset in a new corridor: shifts its axis
             self._origin_m -= self._right() * e.lateral_offset_m
         self._across_m, self._lateral_count = e.lateral_offset_m, e.lateral_reset_count
 
     def _enter(self, e: Estimate) -> None:
-        """Lay the new corridor's axis through the vehicle, until its offset from the middle is known."""
+        """Place the new corridor's axis through the vehicle until the lateral offset is known."""
         self._origin_covariance = self._covariance()
         self._origin_m = self._place()
         self._along_m, self._along_variance_m2, self._drift_s = 0.0, 0.0, 0.0

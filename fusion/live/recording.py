@@ -1,9 +1,9 @@
-"""Everything that goes in and out of `corridor live`, in order, as one MCAP file.
+"""All input and output of `corridor live`, in order, as one MCAP file.
 
-Messages are those of ROS 2, so that viewers, `corridor fuse`, `corridor inspect` and ``ros2 bag`` read it as it is:
-pictures, IMU, attitude and distance as the estimator took them, each estimate, and all MAVLink packets. Calibration
-and settings are attached. Messages stand in the file in the order in which they were dealt with; their log time is
-when that was, by the computer's clock.
+Messages are those of ROS 2, so that viewers, `corridor fuse`, `corridor inspect` and ``ros2 bag`` can read it:
+pictures, IMU, attitude and distance as the estimator received them, each estimate, and all MAVLink packets.
+Calibration and settings are attached. Messages are in the order of processing; their log time is the time of
+processing by the computer's clock.
 """
 
 from __future__ import annotations
@@ -54,20 +54,20 @@ TYPES = {
     UNREADABLE: "std_msgs/msg/Header",
 }
 _ROS_NAMES = {"i8": "int64", "i4": "int32", "f8": "float64"}
-MOST_WAITING = 2000  # messages that a slow disk may hold up
+MOST_WAITING = 2000  # messages, if the disk is slow
 BODY, CAMERA_FRAME, DOWN_FRAME = "base_link", "camera", "range_down"
-_NO_DATA = -1.0  # first covariance of a part that a sensor_msgs/Imu does not carry
+_NO_DATA = -1.0  # first covariance of a missing part of sensor_msgs/Imu
 
 Write = Callable[[], Any]
 
 
 def typestore() -> Any:
-    """Message types of ROS 2 and those of this file's own.
+    """Message types of ROS 2 and those defined in this file.
 
     Raises
     ------
     InputError
-        Where rosbags is not installed.
+        If rosbags is not installed.
     """
     try:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -83,19 +83,19 @@ def typestore() -> Any:
 
 
 class Recorder:
-    """Writes a recording in a thread of its own; also a `fusion.live.core.SampleSink`.
+    """Writes a recording in a separate thread; also a `fusion.live.core.SampleSink`.
 
     Parameters
     ----------
     path
-        The file; one that is there already is not touched.
+        The file; an existing file is not overwritten.
     config, camera, settings
-        What the estimator was made with.
+        Of the estimator and the core.
 
     Raises
     ------
     InputError
-        Where it cannot be written.
+        If it cannot be written.
     """
 
     def __init__(self, path: Path, config: FusionConfig, camera: Camera, settings: LiveSettings) -> None:
@@ -139,16 +139,16 @@ class Recorder:
     # What happens, in order
 
     def received(self, now_ns: int, data: bytes) -> None:
-        """Note bytes of the link; the samples in them follow."""
+        """Record bytes received on the link; their samples follow."""
         self._now_ns = now_ns
         self._put(RECEIVED, now_ns, lambda: self._packet(data))
 
     def sent(self, now_ns: int, data: bytes) -> None:
-        """Note a packet."""
+        """Record a sent packet."""
         self._put(SENT, now_ns, lambda: self._packet(data))
 
     def picture(self, now_ns: int, t_ns: int, image: npt.NDArray[np.uint8] | None) -> None:
-        """Note a grey picture (h, w) whose lines are handed to the estimator now."""
+        """Record a grey picture (h, w) whose lines the estimator receives now."""
         if image is None:
             self._put(UNREADABLE, now_ns, lambda: self._header(t_ns, CAMERA_FRAME), t_ns)
             return
@@ -170,12 +170,12 @@ class Recorder:
         )
 
     def estimate(self, now_ns: int, e: Estimate) -> None:
-        """Note a tick and its estimate."""
+        """Record a tick and its estimate."""
         kind = self._types[ESTIMATE_TYPE]
         self._put(ESTIMATE, now_ns, lambda: kind(*estimate_row(e)))
 
     def imu(self, t_ns: int, sample: Imu) -> None:
-        """Note an IMU sample."""
+        """Record an IMU sample."""
         zero = np.zeros(9)
         no_attitude = np.array([_NO_DATA, *[0.0] * 8])
         force = sample.accel_m_s2
@@ -195,7 +195,7 @@ class Recorder:
         self._put(IMU, self._now_ns, make, t_ns)
 
     def attitude(self, t_ns: int, sample: Orientation) -> None:
-        """Note an attitude, as an IMU message with nothing else in it."""
+        """Record an attitude, as an IMU message without the other parts."""
         no_data = np.array([_NO_DATA, *[0.0] * 8])
         none = (0.0, 0.0, 0.0)
 
@@ -213,7 +213,7 @@ class Recorder:
         self._put(ATTITUDE, self._now_ns, make, t_ns)
 
     def velocity(self, t_ns: int, sample: Velocity) -> None:
-        """Note a velocity in the body."""
+        """Record a velocity in the body."""
 
         def make() -> Any:
             twist = self._types["geometry_msgs/msg/Twist"](
@@ -224,7 +224,7 @@ class Recorder:
         self._put(VELOCITY, self._now_ns, make, t_ns)
 
     def distance(self, t_ns: int, sample: Distance) -> None:
-        """Note a distance to the floor."""
+        """Record a distance to the floor."""
 
         def make() -> Any:
             return self._types[TYPES[RANGE]](
@@ -234,12 +234,12 @@ class Recorder:
         self._put(RANGE, self._now_ns, make, t_ns)
 
     def close(self) -> None:
-        """Write what waits, and the index."""
+        """Write the waiting messages and the index."""
         self._pending.put(None)
         self._thread.join()
 
     def discard(self) -> None:
-        """Close and delete the file: for a run that never began."""
+        """Close and delete the file of a run that never started."""
         self.close()
         self._path.unlink()
 
@@ -255,7 +255,7 @@ class Recorder:
             data = bytes(self._store.serialize_cdr(make(), TYPES[topic]))
             try:
                 self._writer.add_message(self._channels[topic], now_ns, data, max(t_ns, 0))
-            except (OSError, ValueError):  # the disk is full, or gone
+            except (OSError, ValueError):  # disk full or removed
                 self.lost += 1
         try:
             self._writer.finish()
@@ -282,7 +282,7 @@ class Recorder:
 
 
 def camera_yaml(camera: Camera) -> str:
-    """Write a calibration as EuRoC has it, to the last digit, in a body FRD."""
+    """Write a calibration in EuRoC's format, with all digits, in body FRD."""
     transform = np.eye(4)
     transform[:3, :3], transform[:3, 3] = camera.R_body_camera, camera.p_body_camera_m
     values: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""A recording of `corridor live` through the same core again: what was sent must come out to the bit."""
+"""Replay a recording of `corridor live` through the same core: the packets must be the same, bit for bit."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ class _Event(NamedTuple):
 
 @dataclass(slots=True)
 class Replay:
-    """What came out again.
+    """Result of a replay.
 
     Parameters
     ----------
     estimates
         Of `ESTIMATE_DTYPE`, a row per tick, as computed again.
     packets_sent, packets_equal
-        How many packets were sent in flight, and how many of them came out again, the same to the bit.
+        Number of packets sent in flight, and of those reproduced bit for bit.
     estimates_equal
-        How many estimates are those of the flight, to the bit.
+        Number of estimates reproduced bit for bit.
     """
 
     estimates: Table
@@ -48,25 +48,25 @@ class Replay:
 
     @property
     def is_exact(self) -> bool:
-        """Whether all that was sent came out again."""
+        """Whether everything that was sent was reproduced."""
         return self.packets_equal == self.packets_sent and self.estimates_equal == len(self.estimates)
 
     def text(self) -> str:
-        """Say whether it came out as it was sent."""
+        """Return the result in words."""
         n = len(self.estimates)
-        told = f"sent in flight: {n} estimates, {self.packets_sent} packets; computed again: "
+        sentence = f"sent in flight: {n} estimates, {self.packets_sent} packets; computed again: "
         if self.is_exact:
-            told += "the same to the bit"
+            sentence += "the same to the bit"
         else:
-            told += (
+            sentence += (
                 f"{self.estimates_equal} estimates and {self.packets_equal} packets the same; the versions or the "
                 "processor differ, or the recording has gaps"
             )
-        return "\n".join([told, *self.problems])
+        return "\n".join([sentence, *self.problems])
 
 
 def recorded_config(path: Path) -> FusionConfig | None:
-    """Return the estimator's settings in flight; None where the file is no recording of `corridor live`."""
+    """Return the estimator's settings in flight; None if the file is not a recording of `corridor live`."""
     import tomllib
 
     text = attachments(path).get(CONFIG)
@@ -79,7 +79,7 @@ def replay(path: Path) -> Replay:
     Raises
     ------
     InputError
-        Where the file is no recording of `corridor live`, or is damaged beyond its beginning.
+        If the file is not a recording of `corridor live`, or nothing but its beginning can be read.
     """
     attached = attachments(path)
     config, camera = recorded_config(path), attached_camera(path)
@@ -89,7 +89,7 @@ def replay(path: Path) -> Replay:
     core = LiveCore(config, camera, settings)
     result = Replay(np.empty(0, ESTIMATE_DTYPE))
     rows: list[tuple[Any, ...]] = []
-    expected: list[bytes] = []  # came out, and not yet seen among what was sent
+    expected: list[bytes] = []  # computed, but not yet found among the sent packets
     for event in _events(path, result.problems):
         if event.topic == SENT:
             result.packets_sent += 1
@@ -120,7 +120,7 @@ def _stamp_ns(header: Any) -> int:
 
 
 def _events(path: Path, problems: list[str]) -> Iterator[_Event]:
-    """Messages in the order in which they were dealt with, up to where a torn file ends."""
+    """Messages in the order of processing, up to the end of a truncated file."""
     from mcap.records import Channel, Message
     from mcap.stream_reader import StreamReader
 
@@ -132,7 +132,7 @@ def _events(path: Path, problems: list[str]) -> Iterator[_Event]:
         while True:
             try:
                 record = next(records, None)
-            except Exception as error:  # a file cut in flight ends anywhere
+            except Exception as error:  # a truncated file may end anywhere
                 problems.append(f"the recording ends early: {error or type(error).__name__}")
                 return
             if record is None:

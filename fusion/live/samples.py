@@ -1,6 +1,6 @@
 """MAVLink messages as samples for the estimator: SI units, body FRD, time by the autopilot's clock.
 
-The messages are those of https://mavlink.io/en/messages/common.html. A message of no use, such as that of a distance
+The messages are those of https://mavlink.io/en/messages/common.html. An unusable message, such as from a distance
 sensor that looks ahead, gives None.
 """
 
@@ -22,7 +22,7 @@ Quaternion = tuple[float, float, float, float]
 
 
 class Imu(NamedTuple):
-    """Angular rate, rad/s, and specific force, m/s^2, where the message has a fresh one; body FRD."""
+    """Angular rate, rad/s, and specific force, m/s^2, if the message has a new one; body FRD."""
 
     stamp_ns: int
     gyro_rad_s: Vector
@@ -53,8 +53,8 @@ class Velocity(NamedTuple):
 def imu_of(message: Any, autopilot: int) -> Imu | None:
     """Read an IMU message.
 
-    ``RAW_IMU`` holds the sensor's own counts by its definition, and is read only from ArduPilot, which sends
-    thousandths of g and of rad/s in it.
+    ``RAW_IMU`` is defined as raw sensor counts. It is read only from ArduPilot, which sends thousandths of g and
+    rad/s.
     """
     kind = message.get_type()
     if kind == "HIGHRES_IMU":
@@ -76,7 +76,7 @@ def imu_of(message: Any, autopilot: int) -> Imu | None:
 
 
 def attitude_of(message: Any) -> Orientation | None:
-    """Read an attitude message; the estimator counts what is no unit quaternion."""
+    """Read an attitude message; the estimator counts and ignores invalid quaternions."""
     stamp_ns = message.time_boot_ms * 1_000_000
     if message.get_type() == "ATTITUDE_QUATERNION":
         return Orientation(stamp_ns, (message.q1, message.q2, message.q3, message.q4))
@@ -97,7 +97,7 @@ def range_of(message: Any) -> Distance | None:
 
 
 def velocity_of(message: Any, q_world_body: Quaternion) -> Velocity:
-    """Read ``LOCAL_POSITION_NED``'s velocity, turned into the body by an attitude."""
+    """Read ``LOCAL_POSITION_NED``'s velocity, rotated into the body by an attitude."""
     v_world = np.array([[message.vx, message.vy, message.vz]])
     x, y, z = into_body(np.array([q_world_body]), v_world)[0].tolist()
     return Velocity(message.time_boot_ms * 1_000_000, (x, y, z))

@@ -1,7 +1,7 @@
-"""`corridor live`: runs the core between link, camera, recording and viewer, until it is stopped.
+"""`corridor live`: runs the core with link, camera, recording and viewer, until it is stopped.
 
-One thread deals with all events in order: bytes from the link's thread, lines from the vision thread, ticks by the
-clock. It alone touches the estimator. Nothing in it waits for the camera, the disk or the viewer.
+One thread processes all events in order: bytes from the link's thread, lines from the vision thread, ticks of the
+clock. Only this thread uses the estimator. It never waits for the camera, the disk or the viewer.
 """
 
 from __future__ import annotations
@@ -32,22 +32,20 @@ from fusion.live.vision_thread import Measured, VisionThread
 from vision import Camera, InputError, warm_up
 from vision.images import to_grey
 
-DEFAULT_DELAY_STD_S = (
-    0.02  # of the camera, where the configuration does not say: then it is estimated in flight
-)
+DEFAULT_DELAY_STD_S = 0.02  # of the camera's delay, if not configured: the delay is then estimated in flight
 LINGER_S = 0.5  # after the last picture of a camera that has an end
 KEPT_LATENCIES = 100_000
 LONGEST_WAIT_S = 0.05
 
 
 class Viewer(Protocol):
-    """Is shown what happens; must not wait."""
+    """Receives pictures and estimates to show; must not block."""
 
     def frame(self, t_ns: int, image: npt.NDArray[np.uint8], result: FrameResult) -> None:
-        """Take a picture and what was seen in it."""
+        """Show a picture and its measurement."""
 
     def estimate(self, now_ns: int, e: Estimate) -> None:
-        """Take an estimate that was sent."""
+        """Show an estimate that was sent."""
 
     def close(self) -> None:
         """End."""
@@ -55,7 +53,7 @@ class Viewer(Protocol):
 
 @dataclass(slots=True)
 class LiveStatistics:
-    """How it goes; latencies are from a picture's stamp until a message with it in is sent."""
+    """State of a run; latencies are from a picture's stamp until the first message that includes it is sent."""
 
     estimates: int = 0
     packets_sent: int = 0
@@ -101,7 +99,7 @@ class LiveSession:
     Raises
     ------
     InputError
-        Where the link cannot be opened.
+        If the link cannot be opened.
     """
 
     def __init__(
@@ -117,7 +115,7 @@ class LiveSession:
         clock: Clock | None = None,
     ) -> None:
         self.statistics = LiveStatistics()
-        self.ready = threading.Event()  # set once slow things are over with and events are dealt with
+        self.ready = threading.Event()  # set once start-up is complete and events are processed
         self.core = LiveCore(config, camera, settings, sink=recorder)
         self._camera, self._source = camera, source
         self._clock: Clock = clock or HostClock()
@@ -130,7 +128,7 @@ class LiveSession:
         self._link = Link(link_address, lambda data: self._events.put((self._clock.now_ns(), data)))
 
     def stop(self) -> None:
-        """End `run` soon; from any thread or signal handler."""
+        """Make `run` end soon; callable from any thread or signal handler."""
         self._stop.set()
         self._events.put(None)
 
@@ -149,10 +147,10 @@ class LiveSession:
         Raises
         ------
         InputError
-            Where the pictures are not those of the calibration.
+            If the pictures are not those of the calibration.
         """
         warm_up(self._camera)
-        sys.setswitchinterval(0.0005)  # a thread that computes holds others up for no longer
+        sys.setswitchinterval(0.0005)  # limits the time that a computing thread blocks others
         gc.collect()
         gc.freeze()
         vision = VisionThread(self._camera, on_finished=lambda: self._events.put(None))
@@ -172,7 +170,7 @@ class LiveSession:
             raise self._refusal
 
     def _offer(self, vision: VisionThread, picture: Picture) -> None:
-        """Hand a picture to vision, in the camera's thread; reject a camera of another size than calibrated."""
+        """Hand a picture to vision, in the camera's thread; reject sizes other than calibrated."""
         image = np.empty((0, 0), np.uint8)
         if picture.image is not None:
             with suppress(InputError):  # counted as unreadable
@@ -271,7 +269,7 @@ class LiveSession:
 
 
 def status_line(session: LiveSession) -> str:
-    """One line on how it goes, for a terminal or a journal."""
+    """Status in one line, for a terminal or a journal."""
     core, s = session.core, session.statistics
     e = core.estimate
     parts = [str(e.status)]

@@ -1,4 +1,4 @@
-"""What can be set of `corridor live` besides the estimator; recorded with the flight, for the replay needs it."""
+"""Settings of `corridor live` besides the estimator's; recorded with the flight, for the replay."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class SendPosition(StrEnum):
 
 
 class LiveSettings(Settings):
-    """How estimates are sent, and what is asked of the autopilot."""
+    """How estimates are sent, and which messages are requested from the autopilot."""
 
     rate_hz: float = Field(default=50.0, ge=1, le=200, description="Estimates a second.")
     plot_rate_hz: float = Field(

@@ -26,7 +26,7 @@ MOST_WAITING = 20
 
 
 class FoxgloveViewer:
-    """Serves a `fusion.live.session.LiveSession` to Foxglove or Lichtblick, from a thread of its own.
+    """Serves a `fusion.live.session.LiveSession` to Foxglove or Lichtblick, from a separate thread.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class FoxgloveViewer:
     Raises
     ------
     InputError
-        Where the SDK is not installed, or the port is taken.
+        If the SDK is not installed, or the port is in use.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8765) -> None:
@@ -64,11 +64,11 @@ class FoxgloveViewer:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """Address of the server."""
         return int(self._server.port)
 
     def frame(self, t_ns: int, image: npt.NDArray[np.uint8], result: FrameResult) -> None:
-        """Show a picture; it is dropped where the last ones still wait."""
+        """Show a picture; it is dropped while earlier ones are waiting."""
         self._offer((t_ns, image, result))
 
     def estimate(self, now_ns: int, e: Estimate) -> None:

@@ -1,4 +1,4 @@
-"""Finding the lines of pictures beside a loop that must not wait for them."""
+"""Line extraction in a separate thread, for a loop that must not block."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Measured(NamedTuple):
-    """A picture, when it was taken, and its lines; None where it could not be read, and why, where that is known."""
+    """A picture, its time and its lines; None if it could not be read, with the cause if known."""
 
     t_ns: int
     lines: LineSet | None
@@ -25,19 +25,19 @@ class Measured(NamedTuple):
     cause: str = ""
 
 
-def _nobody() -> None:
+def _ignore() -> None:
     pass
 
 
 class VisionThread:
-    """Finds the lines of pictures in a thread of its own. Of pictures that wait, only the newest is kept.
+    """Finds the lines of pictures in a separate thread. Only the newest waiting picture is kept.
 
     Parameters
     ----------
     camera
-        That the pictures come from.
+        Camera of the pictures.
     extract
-        What is done to a picture.
+        Function that extracts a picture's lines.
     on_finished
         Called in the vision thread whenever `finished` has something new.
     """
@@ -46,7 +46,7 @@ class VisionThread:
         self,
         camera: Camera,
         extract: Callable[[npt.NDArray[Any], Camera], LineSet] = extract_lines,
-        on_finished: Callable[[], object] = _nobody,
+        on_finished: Callable[[], object] = _ignore,
     ) -> None:
         self.dropped = 0
         self._camera, self._extract, self._on_finished = camera, extract, on_finished
@@ -56,7 +56,7 @@ class VisionThread:
         self._thread.start()
 
     def offer(self, t_ns: int, image: npt.NDArray[Any]) -> None:
-        """Hand over a picture, never waiting: one that has waited till now gives way to it."""
+        """Hand over a picture without blocking; it replaces one that is still waiting."""
         self._put((t_ns, image))
 
     def finished(self) -> Iterator[Measured]:
@@ -68,11 +68,11 @@ class VisionThread:
                 return
 
     def wait(self) -> None:
-        """Wait until all that was offered is measured. For tests and simulations; a control loop must not."""
+        """Wait until all offered pictures are measured. For tests and simulations; a control loop must not."""
         self._waiting.join()
 
     def close(self) -> None:
-        """End the thread, once it is through with the picture in hand."""
+        """End the thread after the present picture."""
         self._put(None)
         self._thread.join()
 
@@ -97,7 +97,7 @@ class VisionThread:
                 lines = self._extract(image, self._camera)
             except InputError as error:
                 lines, cause = None, error.problem
-            except Exception:  # whatever is wrong with one picture must not end vision
+            except Exception:  # an error in one picture must not end vision
                 logging.getLogger(__name__).exception("picture of %d ns could not be measured", t_ns)
                 lines = None
             self._finished.put(Measured(t_ns, lines, image, cause))

@@ -1,10 +1,10 @@
-"""Logs of flights, one module per format, put together into a `fusion.flight.Flight`.
+"""Logs of flights, one module per format, read into a `fusion.flight.Flight`.
 
 May import `fusion.flight`, `fusion.files`, `fusion.settings` and `vision`. Begin reading at `fusion.logs.contents`,
-what an opened log is, and `fusion.logs.series`, what the readers share.
+the interface of an opened log, and `fusion.logs.series`, the readers' common functions.
 
-A format is a module with two functions, ``recognises(path)`` and ``open_log(path)``; adding one means writing the
-module and naming it in `FORMATS`. A module is imported only when a log is opened.
+A format is a module with two functions, ``recognises(path)`` and ``open_log(path)``; to add one, write the
+module and list it in `FORMATS`. A module is imported only when a log is opened.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from fusion.flight import Flight
     from fusion.logs.manifest.manifest import Manifest
 
-#: In the order in which they are asked: by magic bytes first, by names and endings last.
+#: In the order of recognition: by magic bytes first, by names and extensions last.
 FORMATS = {
     "ASL / EuRoC folder (mav0/cam0 ...)": "fusion.logs.asl",
     "PX4 ULog": "fusion.logs.autopilot.ulog",
@@ -39,7 +39,7 @@ FORMATS = {
 }
 
 
-#: What holds pictures or samples only, and makes a flight together with other files.
+#: Formats with pictures or samples only, which need other files to make a flight.
 _PARTS = (
     "fusion.logs.pictures.video",
     "fusion.logs.pictures.picture_folder",
@@ -52,7 +52,7 @@ _PACKED, _WRITTEN = (
     "unpack it first, and give what is in it",
     "write its samples as CSV with a column of times",
 )
-#: What to do with files that are no logs of ours, but hold one.
+#: Remedies for files that contain a log in another form.
 _OTHER_FILES = dict.fromkeys(
     (".gz", ".bz2", ".xz", ".zst", ".zip", ".tar", ".7z", ".rar"), _PACKED
 ) | dict.fromkeys(
@@ -62,13 +62,13 @@ _OTHER_FILES = dict.fromkeys(
 
 
 class LogFormat(Protocol):
-    """What a module in `FORMATS` provides."""
+    """Interface of a module in `FORMATS`."""
 
     def recognises(self, path: Path) -> bool:
-        """Say whether this existing file or folder is of the format, without reading more than needed."""
+        """Return whether an existing file or folder has this format, without reading more than needed."""
 
     def open_log(self, path: Path) -> LogContents:
-        """Find out what it holds."""
+        """Open it and list its contents."""
 
 
 def open_log(path: str | Path) -> LogContents:
@@ -77,7 +77,7 @@ def open_log(path: str | Path) -> LogContents:
     Raises
     ------
     InputError
-        Where it does not exist, is of no known format, or cannot be opened.
+        If it does not exist, has no known format, or cannot be opened.
     """
     path = Path(path)
     if not path.exists():
@@ -94,23 +94,23 @@ def open_log(path: str | Path) -> LogContents:
 
 
 def _flight_within(path: Path) -> Path | None:
-    """Return the first flight in a folder; pictures or samples alone are none."""
+    """Return the first flight in a folder; pictures or samples alone do not count."""
     from fusion.logs.manifest.file import find_manifest
 
     for inside in sorted(path.iterdir()) if path.is_dir() else ():
-        with suppress(InputError):  # what cannot be read is no example
+        with suppress(InputError):  # unreadable files are no example
             if find_manifest(inside) is not None or format_of(inside) not in (None, *_PARTS):
                 return inside
     return None
 
 
 def format_of(path: Path) -> str | None:
-    """Return the module of `FORMATS` that reads an existing file or folder; None where none does.
+    """Return the module of `FORMATS` that reads an existing file or folder; None if none does.
 
     Raises
     ------
     InputError
-        Where it cannot be read.
+        If it cannot be read.
     """
     for module in FORMATS.values():
         if find_spec(module) is None:
@@ -146,7 +146,7 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
     Raises
     ------
     InputError
-        Where the log cannot be used: one line naming file, field, value and remedy.
+        If the log cannot be used; in one line: file, field, value and remedy.
     """
     from fusion.logs.manifest.file import MANIFEST_NAME, find_manifest, read_manifest
     from fusion.logs.manifest.manifest import Manifest
@@ -171,7 +171,7 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
 def load_manifest(
     manifest: Manifest, camera: Camera | Path | None = None, path: Path | None = None
 ) -> Flight:
-    """Read the flight that a manifest describes; ``path`` is named where the streams contradict each other.
+    """Read the flight that a manifest describes; ``path`` is named if the streams contradict each other.
 
     Raises
     ------

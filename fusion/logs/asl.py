@@ -1,13 +1,12 @@
 """Flight folders in the ASL / EuRoC layout.
 
-``mav0/cam0`` is required; ``imu0``, ``attitude0``, ``position0``, ``velocity0`` and ``range0`` are read where
-they exist (or another number), and so is ``corridor_truth.csv`` beside ``mav0``. Files give the body's axes as
-``mav0/body.yaml`` says (``flu`` with world z up where it is absent) and turn into FRD with world z down here,
-once. Each sensor's ``T_BS`` (body from sensor) is applied as a rotation; its lever arm is ignored: what it adds
-to the specific force is small beside the accelerations of flight, which the estimator has to distrust anyway.
+``mav0/cam0`` is required; ``imu0``, ``attitude0``, ``position0``, ``velocity0`` and ``range0`` are read if
+they exist (or another number), and so is ``corridor_truth.csv`` beside ``mav0``. The body's axes are declared in
+``mav0/body.yaml`` (default: ``flu`` with world z up) and converted to FRD with world z down here. Each sensor's
+``T_BS`` (body from sensor) is applied as a rotation. Its lever arm is ignored: the effect on the specific force is
+small compared with the accelerations in flight, for which the estimator allows anyway.
 
-``state_groundtruth_estimate0`` is the answer and never becomes an input; `read_ground_truth` reads it for
-tests and benchmarks.
+``state_groundtruth_estimate0`` is never used as an input; `read_ground_truth` reads it for tests and benchmarks.
 """
 
 from __future__ import annotations
@@ -91,7 +90,7 @@ class GroundTruth:
 
 @dataclass(frozen=True, slots=True)
 class _Folder:
-    """A ``mav0``: its path, and the axes that its files give the body in."""
+    """A ``mav0``: its path, and the body axes of its files."""
 
     path: Path
     body_frame: BodyFrame
@@ -104,7 +103,7 @@ class _Folder:
         return read_table(path, columns, label=f"{stream}/data.csv", min_step_ns=min_step_ns)
 
     def sensor(self, stream: str) -> dict[str, Any]:
-        """Read a stream's ``sensor.yaml``; empty where it has none."""
+        """Read a stream's ``sensor.yaml``; empty if it has none."""
         path = self.path / stream / "sensor.yaml"
         return read_yaml(path) if path.exists() else {}
 
@@ -120,7 +119,7 @@ class _Folder:
         return to_frd(self.body_frame) @ R_body_sensor
 
     def dropped(self, good: BoolArray, stream: str, what: str, t_ns: TimeArray) -> Problems:
-        """Report the rows of a stream that are not good; `InputError` where none is.
+        """Report the rows of a stream that are not good; `InputError` if none is.
 
         Parameters
         ----------
@@ -129,7 +128,7 @@ class _Folder:
         stream
             Name of the sensor's folder.
         what
-            What is wrong with the others.
+            Fault of the other rows.
         """
         path, label = self.path / stream / "data.csv", f"{stream}/data.csv"
         return report_dropped(good, t_ns, what, label, file=path, remedy="take the folder away")
@@ -173,11 +172,11 @@ class AslLog(SeriesLog):
         self._mav0 = mav0
 
     def calibration_file(self, topic: str) -> Path:
-        """Return where a camera's calibration belongs."""
+        """Return the path of a camera's calibration."""
         return self._mav0 / topic / "sensor.yaml"
 
     def file_of(self, topic: str) -> Path:
-        """Return the file whose times a topic's are."""
+        """Return the file with a topic's times."""
         return self._mav0 / topic / "data.csv"
 
     def frames(self, topic: str) -> WithProblems[FrameStream]:
@@ -190,13 +189,13 @@ class AslLog(SeriesLog):
         return Camera.from_yaml(path, body_frame=self.body_frame) if path.exists() else None
 
     def truth(self) -> WithProblems[CorridorTruth | None]:
-        """Read ``corridor_truth.csv`` beside ``mav0``; None where there is none."""
+        """Read ``corridor_truth.csv`` beside ``mav0``; None if there is none."""
         path = self.path / TRUTH_NAME
         return read_corridor_truth(path) if path.exists() else WithProblems(None)
 
 
 def _raw_times(folder: Path) -> TimeArray:
-    """Read the times of a stream, unsorted, from its ``data.csv``, else from its pictures' names."""
+    """Read the times of a stream, unsorted, from its ``data.csv``, or else from its pictures' names."""
     path = folder / "data.csv"
     if not path.exists():
         names = sorted(os.listdir(folder / "data")) if (folder / "data").is_dir() else []
@@ -207,7 +206,7 @@ def _raw_times(folder: Path) -> TimeArray:
         warnings.simplefilter("error")
         try:
             return np.loadtxt(path, dtype=np.int64, delimiter=",", usecols=0, comments="#", ndmin=1)
-        except (OSError, ValueError, OverflowError, Warning):  # dirty: look at it line by line
+        except (OSError, ValueError, OverflowError, Warning):  # damaged: read it line by line
             pass
     with suppress(OSError), path.open(encoding="utf-8", errors="replace") as file:
         times = (parse_time(line.partition(",")[0].strip()) for line in file)
@@ -216,7 +215,7 @@ def _raw_times(folder: Path) -> TimeArray:
 
 
 def read_ground_truth(path: str | Path) -> GroundTruth:
-    """Read ``state_groundtruth_estimate0`` of a flight folder, turned into FRD and world z down."""
+    """Read ``state_groundtruth_estimate0`` of a flight folder, converted to FRD and world z down."""
     root = Path(path)
     mav0 = root / "mav0" if (root / "mav0").is_dir() else root
     folder = _Folder(mav0, read_body_frame(mav0 / "body.yaml"))
@@ -278,10 +277,10 @@ def _read_attitude(folder: _Folder, stream: str) -> WithProblems[AttitudeStream]
 
 
 def _attitude_in_frd(folder: _Folder, stream: str, q_world_sensor: FloatArray) -> FloatArray:
-    """Turn quaternions (n, 4) sensor to file's world into unit ones, body FRD to world z down."""
+    """Convert quaternions (n, 4) from sensor to the file's world into unit ones from body FRD to world z down."""
     q = q_world_sensor / np.linalg.norm(q_world_sensor, axis=1, keepdims=True)
     R_frd_sensor = folder.R_frd_sensor(stream, folder.sensor(stream))
-    R_down_world = to_frd(folder.body_frame)  # the world turns about x as the body does
+    R_down_world = to_frd(folder.body_frame)  # the world is rotated about x like the body
     if np.array_equal(R_frd_sensor, R_down_world):
         return np.asarray(q * np.array([1.0, 1.0, *np.diag(R_down_world)[1:]]))
     from scipy.spatial.transform import Rotation

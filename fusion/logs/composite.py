@@ -1,4 +1,4 @@
-"""Several opened logs as one: a data set whose pictures and sensors lie in files of their own."""
+"""Several opened logs as one: a data set with pictures and sensors in separate files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vision import Camera, InputError
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A topic of another log: whose, and by what name there."""
+    """A topic of another log: the log, and the topic's name in it."""
 
     log: LogContents
     topic: str
@@ -27,13 +27,13 @@ class CompositeLog(LogContents):
     Parameters
     ----------
     path, log_format
-        What it is called, and as what it was opened.
+        Its path, and the name of its format.
     parts
-        The topics, by kind and the name that they have here.
+        The topics, by kind and by name in the composite log.
     problems
-        Of finding the parts; theirs are added.
+        Problems of finding the parts; the parts' problems are added.
     camera_file
-        Where a calibration of its pictures is; None: nowhere.
+        Path of a calibration of its pictures, or None.
     """
 
     def __init__(
@@ -49,8 +49,8 @@ class CompositeLog(LogContents):
         self._camera_file = camera_file
         self.topics = tuple(self._topic(kind, name, part) for (kind, name), part in self._parts.items())
         logs = {id(part.log): part.log for part in self._parts.values()}
-        told = (problem for log in logs.values() for problem in log.problems)
-        self.problems = tuple(dict.fromkeys((*problems, *told)))
+        part_problems = (problem for log in logs.values() for problem in log.problems)
+        self.problems = tuple(dict.fromkeys((*problems, *part_problems)))
 
     @staticmethod
     def _topic(kind: Kind, name: str, part: Part) -> Topic:
@@ -63,12 +63,12 @@ class CompositeLog(LogContents):
         return self._parts[kind, name]
 
     def frames(self, topic: str) -> WithProblems[FrameStream]:
-        """Pictures, decoded one at a time when asked for."""
+        """Pictures, decoded one at a time on request."""
         part = self._part(Kind.FRAMES, topic)
         return part.log.frames(part.topic)
 
     def camera(self, topic: str) -> Camera | None:
-        """Read the calibration that goes with the data set."""
+        """Read the data set's calibration."""
         if self._camera_file is not None:
             return Camera.from_yaml(self._camera_file)
         part = self._part(Kind.FRAMES, topic)
@@ -99,5 +99,5 @@ class CompositeLog(LogContents):
         raise InputError("contains no distances", file=self.path, remedy="leave [range] out")
 
     def file_of(self, topic: str) -> Path:
-        """Return the file that a topic's times are from."""
+        """Return the file with a topic's times."""
         return next((p.log.path for (_, name), p in self._parts.items() if name == topic), self.path)

@@ -1,8 +1,7 @@
-"""What a log holds, whatever its format: named topics, each to be read as one of the streams of a flight.
+"""Contents of a log of any format: named topics, each to be read as one of the streams of a flight.
 
-A format is a module with ``recognises(path)`` and ``open_log(path)``, see `fusion.logs`. Opening a log reads no more
-than its topics and their times; a topic is read, converted (body FRD, world z down, SI) and cleaned when it is asked
-for.
+A format is a module with ``recognises(path)`` and ``open_log(path)``, see `fusion.logs`. Opening a log reads only
+its topics and their times; a topic is read, converted (body FRD, world z down, SI) and cleaned on request.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ from vision.cameras.camera import BodyFrame
 
 
 class UndecidedError(InputError):
-    """A stream whose meaning the log leaves open: the user is asked where it was named, else it is left out."""
+    """A stream with undefined meaning: an error if the user named it, else it is left out."""
 
 
 class Kind(StrEnum):
-    """What a topic can be read as."""
+    """Kind of stream that a topic can be read as."""
 
     FRAMES = "frames"
     IMU = "imu"
@@ -48,13 +47,13 @@ class Topic:
     Parameters
     ----------
     name
-        As the log calls it: a ROS topic, ``vehicle_attitude``, ``IMU[0]``, ``cam0``.
+        Name in the log: a ROS topic, ``vehicle_attitude``, ``IMU[0]``, ``cam0``.
     kind
-        What it can be read as.
+        Kind of stream.
     t_ns
-        Times (n,) as the log has them, neither sorted nor cleaned.
+        Times (n,) as in the log, neither sorted nor cleaned.
     note
-        What a person should know before choosing it, such as the size of its pictures or its frame convention.
+        Information for choosing it, such as the size of its pictures or its frame convention.
     """
 
     name: str
@@ -66,23 +65,23 @@ class Topic:
 class LogContents(Protocol):
     """An opened log.
 
-    The methods that read take the name of a topic of that kind. They return the stream with one sentence for each
-    thing that they dropped or repaired, and raise `InputError` where nothing usable is left. The members with a
-    default are for formats that have more to tell; a reader that inherits from this class may leave them.
+    The reading methods take the name of a topic of their kind. They return the stream with a sentence for each thing
+    that they dropped or repaired, and raise `InputError` if nothing usable is left. Members with a default are
+    optional for readers that inherit from this class.
     """
 
     path: Path
     format: str  # in words, "PX4 ULog"
     topics: tuple[Topic, ...]
-    problems: Problems  # of the file as a whole: torn end, corrupt blocks
-    body_frame: BodyFrame | None = None  # axes that extrinsics refer to, where the log states them
-    pictures_remedy: str | None = None  # how to supply pictures, where the format has a place for them
+    problems: Problems  # of the whole file: truncated end, corrupt blocks
+    body_frame: BodyFrame | None = None  # axes of extrinsics, if the log states them
+    pictures_remedy: str | None = None  # how to supply pictures, if the format supports them
 
     def frames(self, topic: str) -> WithProblems[FrameStream]:
-        """Pictures, decoded one at a time when asked for."""
+        """Pictures, decoded one at a time on request."""
 
     def camera(self, topic: str) -> Camera | None:
-        """Return the calibration that the log itself carries for these pictures; None: none."""
+        """Return the log's own calibration for these pictures, or None."""
 
     def imu(self, topic: str) -> WithProblems[ImuStream]:
         """Gyroscope and accelerometer, body FRD."""
@@ -100,13 +99,13 @@ class LogContents(Protocol):
         """Distance to the floor along the body's z."""
 
     def calibration_file(self, topic: str) -> Path | None:
-        """Return where the format expects the calibration of a camera; None: nowhere."""
+        """Return the path where the format expects a camera's calibration, or None."""
         return None
 
     def file_of(self, topic: str) -> Path:
-        """Return the file that a topic's times are from."""
+        """Return the file with a topic's times."""
         return self.path
 
     def truth(self) -> WithProblems[CorridorTruth | None]:
-        """Read what the flight really did, where the log carries it."""
+        """Read the ground truth, if the log has one."""
         return WithProblems(None)

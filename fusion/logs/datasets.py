@@ -1,4 +1,4 @@
-"""Folders of public data sets, read as what they are: TUM RGB-D, UZH-FPV and KITTI raw drives.
+"""Folders of public data sets: TUM RGB-D, UZH-FPV and KITTI raw drives.
 
 ========= ============================================== ==========================================================
 data set  pictures                                       sensors
@@ -8,7 +8,7 @@ UZH-FPV   ``images.txt``, ``left_images.txt``            ``imu.txt``: the camera
 KITTI     ``image_00/data``, ``image_00/timestamps.txt`` ``oxts``: the vehicle's, x forward, y left, z up
 ========= ============================================== ==========================================================
 
-Ground truth (``groundtruth.txt``) is the answer and never becomes an input.
+Ground truth (``groundtruth.txt``) is never used as an input.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _FLIP = np.array([1.0, -1.0, -1.0])  # x forward, y left, z up to x forward, y r
 
 
 def recognises(path: Path) -> bool:
-    """Whether a folder is laid out as one of these data sets."""
+    """Whether a folder has the layout of one of these data sets."""
     return path.is_dir() and bool(_lists(path) or _cameras(path) or _is_camera(path))
 
 
@@ -56,7 +56,7 @@ def open_log(path: Path) -> LogContents:
     Raises
     ------
     InputError
-        Where its pictures or their times cannot be read.
+        If its pictures or their times cannot be read.
     """
     if _lists(path):
         return _listed(path)

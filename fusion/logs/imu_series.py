@@ -1,4 +1,4 @@
-"""IMUs as drivers send them: cleaned, one sensor at a time joined by time, times of a buffer spread."""
+"""IMU samples of drivers: cleaned, separate sensors joined by time, burst time stamps spread."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from fusion.logs.samples import BoolArray, Problems, WithProblems, counted, fini
 from fusion.logs.series import Where, usable, vector_stream, within
 from vision import InputError
 
-MAX_ACCEL_GAP_NS = 50_000_000  # bridged between an accelerometer's samples, if it is not slower itself
+MAX_ACCEL_GAP_NS = 50_000_000  # interpolated between accelerometer samples, unless the sensor is slower
 MIN_ALONE, MOSTLY = (
     0.1,
     0.8,
-)  # shares of rows that hold one sensor, of each and of both, where they come by turns
+)  # shares of rows with one sensor, of each and of both, if the sensors alternate
 MAX_BURST_STEP_NS, MIN_BURST_SHARE, MIN_BURST_STEPS = 200_000, 0.4, 20
-BURST_RATIO = 5.0  # of the usual step to that within a burst
+BURST_RATIO = 5.0  # ratio of the usual step to that within a burst
 
-# Beyond what any vehicle does, in any unit that a driver may have got wrong: damage.
+# Beyond any vehicle's motion in any unit, so the sample is damaged.
 MAX_RATE = 1e4
 MAX_ACCELERATION = 1e5
 
@@ -28,8 +28,8 @@ def imu_stream(
 ) -> WithProblems[ImuStream]:
     """Clean IMU samples; rows without acceleration keep NaN there.
 
-    Some drivers send one sensor at a time, the other zero or unknown by turns: then the gyroscope's rows are kept,
-    with the acceleration between its own.
+    Some drivers send the two sensors alternately, with the other one zero or unknown. Then the gyroscope's rows are
+    kept, with interpolated acceleration.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def imu_stream(
     gyro_rad_s, accel_m_s2
         Angular rate and specific force (n, 3), body FRD.
     where
-        What to call the stream.
+        Name of the stream.
     """
     with_gyro, with_accel = is_measured(gyro_rad_s), is_measured(accel_m_s2)
     alone = (
@@ -49,17 +49,17 @@ def imu_stream(
     if min(alone) > MIN_ALONE and sum(alone) > MOSTLY:
         accel = VectorStream(t_ns[with_accel], accel_m_s2[with_accel])
         imu, problems = joined_imu(t_ns[with_gyro], gyro_rad_s[with_gyro], accel, where, where)
-        told = f"{where.label}: gyroscope and accelerometer come in rows of their own, joined by time"
-        return WithProblems(imu, (Remark(told), *problems))
+        remark = f"{where.label}: gyroscope and accelerometer come in rows of their own, joined by time"
+        return WithProblems(imu, (Remark(remark), *problems))
     return _clean_imu(t_ns, gyro_rad_s, accel_m_s2, where)
 
 
 def _clean_imu(
     t_ns: TimeArray, gyro_rad_s: FloatArray, accel_m_s2: FloatArray, where: Where
 ) -> WithProblems[ImuStream]:
-    t_ns, told = spread_bursts(t_ns, where)
+    t_ns, burst_problems = spread_bursts(t_ns, where)
     index, problems = usable(t_ns, where)
-    problems = told + problems
+    problems = burst_problems + problems
     t_ns, gyro_rad_s, accel_m_s2 = t_ns[index], gyro_rad_s[index], accel_m_s2[index]
     good = within(gyro_rad_s, MAX_RATE)
     problems += where.dropped(good, t_ns, "a gyro value that is none")
@@ -72,23 +72,23 @@ def _clean_imu(
 
 
 def is_measured(values: FloatArray) -> BoolArray:
-    """Rows (n,) of (n, 3) that a sensor can have given: numbers, and not all zero."""
+    """Rows (n,) of (n, 3) that are plausible sensor values: numbers, and not all zero."""
     return np.asarray(finite(values) & (values != 0.0).any(axis=1))
 
 
 def joined_imu(
     t_ns: TimeArray, gyro_rad_s: FloatArray, accel: VectorStream | None, where: Where, accel_where: Where
 ) -> WithProblems[ImuStream]:
-    """Clean a gyroscope's samples and give them the acceleration of another sensor, interpolated at their times.
+    """Clean a gyroscope's samples, and interpolate another sensor's acceleration at their times.
 
     Parameters
     ----------
     t_ns, gyro_rad_s
         Times (n,) and angular rates (n, 3), body FRD, as read.
     accel
-        Specific force, body FRD, on the same clock, as read; None where there is none.
+        Specific force, body FRD, on the same clock, as read; None if there is none.
     where, accel_where
-        What to call the two.
+        Names of the two streams.
     """
     accel_m_s2 = np.full((len(t_ns), 3), np.nan)
     problems: Problems = ()
@@ -105,9 +105,9 @@ def joined_imu(
 
 
 def spread_bursts(t_ns: TimeArray, where: Where) -> WithProblems[TimeArray]:
-    """Spread times (n,) that a driver gave to whole buffers on receipt evenly over the time between the buffers.
+    """Spread times (n,) that a driver assigned to whole buffers on receipt evenly between the buffers.
 
-    The last sample of a buffer is as old as its stamp says; the others came before it at the sensor's own pace.
+    The stamp is right for the last sample of a buffer; the others precede it at the sensor's sampling interval.
     """
     steps = np.diff(t_ns)
     if len(steps) < MIN_BURST_STEPS or steps.min() < 0:
@@ -125,7 +125,7 @@ def spread_bursts(t_ns: TimeArray, where: Where) -> WithProblems[TimeArray]:
     period_ns[0] = pace_ns
     period_ns = np.minimum(
         period_ns, 2.0 * pace_ns
-    )  # after a pause the sensor's own pace is the better guess
+    )  # after a pause, the sensor's sampling interval is the better estimate
     before = np.repeat(ends, lengths) - np.arange(len(t_ns))
     spread = np.repeat(t_ns[ends], lengths) - np.rint(before * np.repeat(period_ns, lengths)).astype(np.int64)
     within_us = float(np.median(steps[close])) * 1e-3

@@ -23,7 +23,7 @@ def attitude_at(
     max_gap_ns: int = MAX_ATTITUDE_GAP_NS,
     hold_ns: int = 0,
 ) -> tuple[FloatArray, BoolArray]:
-    """Attitude between samples, by the chord between neighbours, which are close enough for it.
+    """Attitude between samples, by normalised linear interpolation of neighbours, which are close together.
 
     Parameters
     ----------
@@ -32,14 +32,14 @@ def attitude_at(
     t_ns
         Times (m,).
     max_gap_ns
-        Longest step between samples that is bridged.
+        Longest step between samples that is interpolated.
     hold_ns
-        For so long the nearest sample counts, beyond the ends and in longer steps.
+        Time for which the nearest sample is held, beyond the ends and in longer steps.
 
     Returns
     -------
     q_world_body, known
-        Unit quaternions (m, 4), and whether (m,) the attitude is known there.
+        Unit quaternions (m, 4), and whether the attitude is known (m,).
     """
     before, after, share, known = _around(attitude.t_ns, t_ns, max_gap_ns)
     q0, q1 = attitude.q_world_body[before], attitude.q_world_body[after]
@@ -56,7 +56,7 @@ def attitude_at(
 def _around(
     known_ns: TimeArray, t_ns: TimeArray, max_gap_ns: int
 ) -> tuple[IndexArray, IndexArray, FloatArray, BoolArray]:
-    """Find the samples before and after each time (m,), how far between them it is (m, 1), and if they are close."""
+    """Find the samples around each time (m,), its fraction between them (m, 1), and whether they are close."""
     last = len(known_ns) - 1
     after = np.clip(np.searchsorted(known_ns, t_ns), 0, last)
     exact = known_ns[after] == t_ns

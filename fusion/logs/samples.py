@@ -1,4 +1,4 @@
-"""What every reader does to samples: sort them by time, drop those that are not numbers, and report what was dropped.
+"""Steps common to all readers: sort samples by time, drop those that are not numbers, and report them.
 
 Functions that may drop or repair something return it together with the sentences that report it, as `WithProblems`.
 """
@@ -21,7 +21,7 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 class WithProblems(NamedTuple, Generic[T_co]):
-    """Something that was read, and one sentence for each thing that was dropped or repaired in doing so."""
+    """A value that was read, and a sentence for each thing that was dropped or repaired."""
 
     value: T_co
     problems: Problems = ()
@@ -35,12 +35,12 @@ NOT_NANOSECONDS = "the first column must be whole nanoseconds"
 
 
 def refuse_placeholder(path: Path) -> None:
-    """Refuse a file that is empty, or stands for one that was never fetched.
+    """Reject a file that is empty or a placeholder.
 
     Raises
     ------
     InputError
-        Where it contains nothing, or is a pointer of Git LFS; a folder is neither.
+        If it is empty or a Git LFS pointer; folders are not checked.
     """
     if not path.is_file():
         return
@@ -79,16 +79,16 @@ def in_order(
     t_ns
         As read.
     label
-        What to call the stream in problems, such as ``imu0/data.csv``.
+        Name of the stream in problems, such as ``imu0/data.csv``.
     min_step_ns
         A median step below it means that the times are not nanoseconds.
     file, remedy
-        Named in that error.
+        For the error.
 
     Raises
     ------
     InputError
-        Where the times cannot be nanoseconds.
+        If the times cannot be nanoseconds.
     """
     index, problems = order_times(t_ns, label)
     check_nanoseconds(t_ns[index], file, min_step_ns, remedy if file is not None else f"{label}: {remedy}")
@@ -96,7 +96,7 @@ def in_order(
 
 
 def order_times(t_ns: TimeArray, label: str) -> WithProblems[IndexArray]:
-    """Index (m,) that sorts times (n,) and keeps the first of equal ones; ``label`` names them in problems."""
+    """Index (m,) that sorts times (n,) and keeps the first of equal ones; ``label`` is their name in problems."""
     steps = np.diff(t_ns)
     if steps.size == 0 or steps.min() > 0:
         return WithProblems(np.arange(len(t_ns)))
@@ -120,21 +120,21 @@ def order_times(t_ns: TimeArray, label: str) -> WithProblems[IndexArray]:
 def check_nanoseconds(
     t_ns: TimeArray, file: Path | None, min_step_ns: int, remedy: str = NOT_NANOSECONDS
 ) -> None:
-    """Refuse times that are too close together to be nanoseconds.
+    """Reject times that are too close together to be nanoseconds.
 
     Parameters
     ----------
     t_ns
         Strictly increasing times (n,).
     file, remedy
-        Named in the error.
+        For the error.
     min_step_ns
-        Least median step that is plausible.
+        Smallest plausible median step.
 
     Raises
     ------
     InputError
-        Where the median step is smaller.
+        If the median step is smaller.
     """
     if len(t_ns) < 3:
         return
@@ -154,13 +154,13 @@ def check_nanoseconds(
     )
 
 
-COUNTERS = (1 << 16, 1 << 32)  # where counters of ticks start over
+COUNTERS = (1 << 16, 1 << 32)  # ranges of tick counters
 
 
 def unwrapped(ticks: IndexArray) -> IndexArray:
-    """Ticks (n,) of a counter that starts over at 2^16 or 2^32, in the order of the file, as one that goes on.
+    """Unwrap ticks (n,), in the order of the file, of a counter that overflows at 2^16 or 2^32.
 
-    A clock that was set back is left as it is: it does not land just where the counter would go on.
+    A clock that was set back is left unchanged, because its values do not continue those of an overflowed counter.
     """
     steps = np.diff(ticks)
     if len(steps) == 0 or steps.min() >= 0 or ticks.min() < 0:
@@ -175,7 +175,7 @@ def unwrapped(ticks: IndexArray) -> IndexArray:
 
 
 def finite(values: FloatArray) -> BoolArray:
-    """Rows (n,) of (n, k) that hold numbers only."""
+    """Rows (n,) of (n, k) that contain only numbers."""
     return np.asarray(np.isfinite(values).all(axis=1))
 
 
@@ -197,16 +197,16 @@ def report_dropped(
     t_ns
         Their times (n,).
     what
-        What is wrong with the others, such as "a gyro value that is not finite".
+        Fault of the other rows, such as "a gyro value that is not finite".
     label
-        What to call the stream.
+        Name of the stream.
     file, remedy
-        Named where no row is left.
+        For the error if no row is left.
 
     Raises
     ------
     InputError
-        Where no row is good.
+        If no row is good.
     """
     bad = int(np.count_nonzero(~good))
     if bad == len(good):
@@ -219,7 +219,7 @@ def report_dropped(
 
 
 def at_rate(t_ns: TimeArray, rate: float) -> TimeArray:
-    """Return times (n,) of a clock that runs at another rate, counted from the earliest of them."""
+    """Scale times (n,) of a clock with another rate, relative to the earliest of them."""
     if not len(t_ns):
         return t_ns
     first_ns = int(np.min(t_ns))

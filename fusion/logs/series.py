@@ -1,4 +1,4 @@
-"""What the readers of recorded logs share: times cleaned, samples cleaned, topics read when they are asked for."""
+"""Common functions of the log readers: clean times, clean samples, read topics on request."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ from vision import Camera, InputError
 Stream = ImuStream | AttitudeStream | VectorStream | RangeStream
 Read = Callable[[], WithProblems[Stream]]
 
-QUATERNION_TOLERANCE = 0.05  # of its length; more is not rounding but damage
-LATEST_NS = 2**62  # the year 2116; later is no time but damage
+QUATERNION_TOLERANCE = 0.05  # of its length; a larger deviation is damage
+LATEST_NS = 2**62  # the year 2116; later times are damaged
 
-STRAY_WINDOW = 11  # samples; up to five damaged ones side by side are recognised
+STRAY_WINDOW = 11  # samples; detects up to five adjacent damaged ones
 STRAY_NS = 500_000_000
 LONE_PAUSE_NS, LONG_PAUSE_NS = 5_000_000_000, 60_000_000_000  # beside one row, beside rows of the usual step
-CLOCK_BACK_NS = 1_000_000_000  # less is jitter and is sorted
+CLOCK_BACK_NS = 1_000_000_000  # less is jitter, and samples are sorted
 CLOCK_AHEAD_NS = 3_600_000_000_000
 
-# Beyond what any vehicle does, in any unit that a driver may have got wrong: damage.
+# Beyond any vehicle's motion in any unit, so the sample is damaged.
 MAX_POSITION = 1e7
 MAX_VELOCITY = 1e4
 MAX_DISTANCE_M = 100.0
@@ -54,13 +54,13 @@ MAX_DISTANCE_M = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """What to call a stream in messages, and the file that it is from."""
+    """Name of a stream for messages, and its file."""
 
     file: Path
     label: str
 
     def dropped(self, good: BoolArray, t_ns: TimeArray, what: str) -> Problems:
-        """Report the rows (n,) that are not good; the caller drops them. `InputError` where none is good."""
+        """Report the rows (n,) that are not good; the caller drops them. `InputError` if none is good."""
         if not good.any():
             raise InputError(
                 f"{self.label}: every row has {what}", file=self.file, remedy="choose another topic"
@@ -69,22 +69,22 @@ class Where:
 
 
 def nanoseconds(ticks: npt.NDArray[np.generic], tick_ns: int) -> TimeArray:
-    """Turn whole ticks (n,) into nanoseconds; what cannot be a time becomes `LATEST_NS`."""
+    """Convert whole ticks (n,) to nanoseconds; implausible times become `LATEST_NS`."""
     unsigned = ticks.astype(np.uint64)
     ok = unsigned < LATEST_NS // tick_ns
     return np.where(ok, unsigned * np.uint64(tick_ns), LATEST_NS).astype(np.int64)
 
 
 def usable(t_ns: TimeArray, where: Where, min_step_ns: int = MIN_IMU_STEP_NS) -> WithProblems[IndexArray]:
-    """Index (m,) of the samples whose time can be trusted, in the order of time.
+    """Index (m,) of the samples with plausible times, in the order of time.
 
-    Damaged times, far from those of the samples around them, are dropped. Where the clock was set back, or far ahead,
-    the longest stretch is taken: sorting would shuffle two flights into one.
+    Damaged times, far from those of neighbouring samples, are dropped. If the clock was set back, or far ahead, only
+    the longest stretch is used: sorting would interleave two flights.
 
     Raises
     ------
     InputError
-        Where no sample is left, or the times cannot be nanoseconds.
+        If no sample is left, or the times cannot be nanoseconds.
     """
     problems: Problems = ()
     possible = (t_ns >= 0) & (t_ns < LATEST_NS)
@@ -115,18 +115,18 @@ def _without_strays(t_ns: TimeArray, where: Where) -> WithProblems[IndexArray]:
 
     half = min(STRAY_WINDOW, len(t_ns)) // 2
     around = median_filter(t_ns, 2 * half + 1, mode="nearest")
-    if half:  # a mirrored or repeated end would let what is damaged there outvote the rest
+    if half:  # with a mirrored or repeated end, damaged samples there could be the majority
         around[:half], around[len(t_ns) - half :] = around[half], around[len(t_ns) - half - 1]
     limit_ns = max(STRAY_NS, 8 * int(np.median(np.abs(np.diff(t_ns)))))
     good = np.abs(t_ns - around) <= limit_ns
     if not good.any():
         return WithProblems(np.arange(len(t_ns)))
-    _keep_what_fits_in(t_ns, good)
+    _restore_short_runs(t_ns, good)
     return WithProblems(np.flatnonzero(good), where.dropped(good, t_ns, "a time far from its neighbours'"))
 
 
-def _keep_what_fits_in(t_ns: TimeArray, good: BoolArray) -> None:
-    """Call rows good (n,) again that are few between two pauses, or between a pause and the log's end."""
+def _restore_short_runs(t_ns: TimeArray, good: BoolArray) -> None:
+    """Mark short runs of rows (n,) between two pauses, or between a pause and the log's end, as good again."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], good, [True]])))
     usual_ns = max(int(np.median(np.abs(np.diff(t_ns)))), 1)
     for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
@@ -154,7 +154,7 @@ def _longest_stretch(t_ns: TimeArray, where: Where) -> WithProblems[slice]:
 
 
 def attitude_stream(t_ns: TimeArray, q_world_body: FloatArray, where: Where) -> WithProblems[AttitudeStream]:
-    """Clean quaternions (n, 4), w x y z, body FRD to world z down, and make them of unit length."""
+    """Clean and normalise quaternions (n, 4), w x y z, body FRD to world z down."""
     index, problems = usable(t_ns, where)
     t_ns, q_world_body = t_ns[index], q_world_body[index]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -174,11 +174,11 @@ def vector_stream(
     t_ns, xyz
         Times (n,) and vectors (n, 3), as read.
     where
-        What to call the stream.
+        Name of the stream.
     limit
-        More than a sound component can be, in the unit of ``xyz``.
+        Largest plausible component, in the unit of ``xyz``.
     what
-        What is wrong with the rows that are dropped.
+        Fault of the dropped rows.
     """
     index, problems = usable(t_ns, where)
     t_ns, xyz = t_ns[index], xyz[index]
@@ -195,24 +195,21 @@ def range_stream(
     limits_m: tuple[npt.ArrayLike, npt.ArrayLike] = (0.0, MAX_DISTANCE_M),
     trusted: BoolArray | None = None,
 ) -> WithProblems[RangeStream]:
-    """Clean distances (n,) to the floor: what is out of the sensor's reach is no distance.
+    """Clean distances (n,) to the floor, without those out of the sensor's range.
 
     Parameters
     ----------
     t_ns, distance_m
         As read.
     where
-        What to call the stream.
+        Name of the stream.
     limits_m
-        Between which the sensor measures, one or (n,) each; one that is not a number, or a greatest of zero, limits
-        nothing.
+        Range of the sensor, one or (n,) each; NaN, or an upper limit of zero, means no limit.
     trusted
-        Rows (n,) that the sensor itself does not call wrong.
+        Rows (n,) that the sensor does not flag as invalid.
     """
     low_m, high_m = (np.broadcast_to(np.asarray(limit, dtype=float), distance_m.shape) for limit in limits_m)
-    with np.errstate(
-        invalid="ignore"
-    ):  # a NaN limits nothing; a sensor that sees nothing may report its limit
+    with np.errstate(invalid="ignore"):  # NaN is no limit; a sensor without an echo may report its limit
         low_m = np.where(low_m > 0.0, low_m, 0.0)
         high_m = np.where(high_m > 0.0, np.minimum(high_m, MAX_DISTANCE_M), MAX_DISTANCE_M)
         good = (distance_m > low_m) & (distance_m < high_m)
@@ -225,7 +222,7 @@ def range_stream(
 
 
 def within(values: FloatArray, limit: float) -> BoolArray:
-    """Rows (n,) of (n, k) that are numbers, none beyond a limit."""
+    """Rows (n,) of (n, k) that are numbers within a limit."""
     with np.errstate(invalid="ignore"):
         return finite(values) & (np.abs(values) < limit).all(axis=1)
 
@@ -247,7 +244,7 @@ def quaternions(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArray
 
 
 def into_body(q_world_body: FloatArray, v_world: FloatArray) -> FloatArray:
-    """Turn vectors (n, 3) of the world into the body, one quaternion (n, 4) each."""
+    """Rotate vectors (n, 3) from the world into the body, one quaternion (n, 4) each."""
     w, u = q_world_body[:, :1], -q_world_body[:, 1:]
     t = 2.0 * np.cross(u, v_world)
     return np.asarray(v_world + w * t + np.cross(u, t))
@@ -256,9 +253,9 @@ def into_body(q_world_body: FloatArray, v_world: FloatArray) -> FloatArray:
 def velocity_stream(
     t_ns: TimeArray, v_world_m_s: FloatArray, attitude: AttitudeStream, where: Where
 ) -> WithProblems[VectorStream]:
-    """Clean velocities of the world and turn them into the body by the attitude at their times.
+    """Clean velocities in the world and rotate them into the body by the attitude at their times.
 
-    What lies outside the attitude, or in a gap of it of more than half a second, is dropped.
+    Velocities outside the attitude's time, or in a gap of more than half a second, are dropped.
 
     Parameters
     ----------
@@ -267,7 +264,7 @@ def velocity_stream(
     attitude
         Body FRD to the same world.
     where
-        What to call the stream.
+        Name of the stream.
     """
     world, problems = vector_stream(t_ns, v_world_m_s, where, MAX_VELOCITY)
     q_world_body, known = attitude_at(attitude, world.t_ns)
@@ -277,14 +274,14 @@ def velocity_stream(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
-    """One topic and how to read it."""
+    """A topic and its reading function."""
 
     topic: Topic
     read: Read
 
 
 class SeriesLog(LogContents):
-    """`LogContents` of a log without pictures, or of one whose subclass reads them."""
+    """`LogContents` of a log without pictures, or with pictures that a subclass reads."""
 
     def __init__(
         self, path: Path, log_format: str, series: Sequence[Series], problems: Sequence[str]
@@ -296,13 +293,13 @@ class SeriesLog(LogContents):
         self._read = {(item.topic.kind, item.topic.name): item.read for item in series}
 
     def frames(self, topic: str) -> WithProblems[FrameStream]:
-        """Refuse: these logs carry no pictures."""
+        """Raise `InputError`: these logs have no pictures."""
         raise InputError(
             f"{self.format} carries no pictures", file=self.path, remedy="give the pictures from another file"
         )
 
     def camera(self, topic: str) -> Camera | None:
-        """Return None: no calibration either."""
+        """Return None: these logs have no calibration."""
         return None
 
     def imu(self, topic: str) -> WithProblems[ImuStream]:
@@ -332,16 +329,16 @@ class SeriesLog(LogContents):
 
 
 def no_such_topic(path: Path, topics: Sequence[Topic], kind: Kind, name: str) -> InputError:
-    """Make the error for a topic that is not there, which says what topics of its kind there are.
+    """Return the error for a missing topic, which lists the topics of its kind.
 
     Parameters
     ----------
     path
         The log.
     topics
-        Those it has.
+        The log's topics.
     kind, name
-        What was asked for.
+        The requested topic.
     """
     there = ", ".join(topic.name for topic in topics if topic.kind == kind)
     return InputError(

@@ -1,7 +1,7 @@
-"""Which topic of a log a flight is made of, where the manifest leaves it open.
+"""Choice of a flight's topics in a log, if the manifest does not name them.
 
-A log may hold several of a kind. Where one is clearly the vehicle's own it is taken; otherwise nobody but the user
-can know, and is asked: for pictures and IMU by an error, for the rest by leaving the stream out with a problem.
+A log may contain several topics of a kind. If one is clearly the vehicle's own, it is used; otherwise the user must
+decide: for pictures and IMU an error is raised, other streams are left out with a problem.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.samples import WithProblems
 from vision import InputError
 
-# Their readers list an autopilot's streams in the order in which its own estimator would trust them.
+# Their readers list an autopilot's streams in its estimator's order of preference.
 RANKED_FORMATS = frozenset({"PX4 ULog", "ArduPilot DataFlash log", "MAVLink tlog"})
 
-# In other logs the stream that is the vehicle's own, most telling first; matched against the whole name.
+# Patterns of the vehicle's own streams in other logs, the clearest first; matched against the whole name.
 _PREFERRED: dict[Kind, tuple[str, ...]] = {
     Kind.FRAMES: (r"cam0",),
     Kind.IMU: (
@@ -75,26 +75,26 @@ TABLES = {
 
 
 def choose_topic(log: LogContents, kind: Kind, wanted: str | None = None) -> WithProblems[str | None]:
-    """Name the topic to read as a kind; None where the log has none, or no clear one.
+    """Choose the topic to read as a kind; None if the log has none, or no clear one.
 
     Parameters
     ----------
     log
         An opened log.
     kind
-        What to look for.
+        Kind of stream.
     wanted
-        The topic that the manifest names, if it does.
+        The topic in the manifest, if any.
 
     Returns
     -------
     WithProblems
-        The topic, with a sentence where an ambiguous stream is left out.
+        The topic, with a sentence if an ambiguous stream is left out.
 
     Raises
     ------
     InputError
-        Where the wanted topic is not there, or there are several cameras or IMUs.
+        If the wanted topic does not exist, or there are several cameras or IMUs.
     """
     names = _in_use(log, kind)
     if wanted is not None:
@@ -126,18 +126,18 @@ def _wanted(log: LogContents, kind: Kind, wanted: str) -> str:
     raise InputError(
         f"has no {WORDS[kind]} under {wanted!r}",
         file=log.path,
-        remedy=f"choose one of {_listed(there)}" if there else f"it contains {holdings(log)}",
+        remedy=f"choose one of {_listed(there)}" if there else f"it contains {contents_in_words(log)}",
     )
 
 
 def _in_use(log: LogContents, kind: Kind) -> list[str]:
-    """Names of the topics of a kind; those without a sample only where there is no other."""
+    """Names of the topics of a kind; those without samples only if there is no other."""
     topics = [topic for topic in log.topics if topic.kind is kind]
     return [topic.name for topic in topics if len(topic.t_ns)] or [topic.name for topic in topics]
 
 
 def _best(names: Sequence[str], kind: Kind) -> list[str]:
-    """Return the names that no other is preferred to."""
+    """Return the most preferred names."""
     if kind is Kind.FRAMES:
         names = _one_per_camera(names)
     ranks = [_rank(name, kind) for name in names]
@@ -145,7 +145,7 @@ def _best(names: Sequence[str], kind: Kind) -> list[str]:
 
 
 def _one_per_camera(names: Sequence[str]) -> list[str]:
-    """Leave one name per camera: a raw picture and its compressed copy are the same, depth is no camera."""
+    """Keep one name per camera: a raw picture and its compressed copy are the same, and depth is left out."""
     cameras: dict[str, str] = {}
     for name in sorted(names, key=len):
         if not re.search(r"depth|disparity", name, re.IGNORECASE):
@@ -163,8 +163,8 @@ def _listed(names: Sequence[str], limit: int = 8) -> str:
     return ", ".join(names[:limit]) + more
 
 
-def holdings(log: LogContents) -> str:
-    """Say in words what a log holds."""
+def contents_in_words(log: LogContents) -> str:
+    """Describe a log's contents in words."""
     topics: dict[Kind, list[Topic]] = {}
     for topic in log.topics:
         topics.setdefault(topic.kind, []).append(topic)

@@ -1,6 +1,6 @@
-"""Units of the numbers in logs: what each is in SI, and which one a measured size is.
+"""Units of the numbers in logs: their factors to SI, and the unit that fits a measured factor.
 
-Counts of a sensor are parts of a unit, as data sheets give them: ``deg/s/16.4``, ``g/2048``.
+Raw counts are written as fractions of a unit, as in data sheets: ``deg/s/16.4``, ``g/2048``.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import re
 from math import log, pi
 
 _G_M_S2, _DEG = 9.80665, pi / 180.0
-#: What one of each unit is in SI.
+#: Factor of each unit to SI.
 _SI = (
     {"rad/s": 1.0, "deg/s": _DEG, "mrad/s": 1e-3, "rad": 1.0, "deg": _DEG, "mdeg": _DEG * 1e-3}
     | {"mdeg/s": _DEG * 1e-3}
@@ -19,7 +19,7 @@ _SI = (
 _COUNTS = re.compile(r"(deg/s|g)/(\d{1,9}(?:\.\d{1,6})?)")
 
 
-#: Counts of one degree per second in the usual ranges of 250 to 2000, of one g in those of 2 to 64.
+#: Counts per degree per second in the usual ranges of 250 to 2000, and per g in those of 2 to 64.
 _GYRO_COUNTS = (131.0, 114.3, 65.5, 57.14, 32.8, 28.57, 16.4, 14.29)
 _ACCEL_COUNTS = (16384.0, 8192.0, 4096.0, 2048.0, 1024.0, 512.0, 256.0)
 _WITHIN = {"deg/s": 1.06, "g": 1.2}  # half the distance between the nearest two
@@ -27,20 +27,20 @@ _NAMES = {"deg/s": ("rad/s", "deg/s", "mrad/s"), "g": ("m/s2", "g", "mg")}
 
 
 def in_si(unit: str) -> float:
-    """Return what one of a unit is in SI; of ``g/2048`` or ``deg/s/16.4``, one count of a sensor."""
+    """Return the factor of a unit to SI; for ``g/2048`` or ``deg/s/16.4``, of one count of a sensor."""
     counts = _COUNTS.fullmatch(unit)
     return _SI[unit] if counts is None else _SI[counts[1]] / float(counts[2])
 
 
 def unit_of_size(size: float, base: str) -> tuple[str, bool]:
-    """Return the unit of a gyroscope or accelerometer whose size in SI was measured, and whether it is one in use.
+    """Return the unit that fits a measured factor to SI, and whether the factor is that of a common unit.
 
     Parameters
     ----------
     size
-        What one of it is in SI.
+        Measured factor to SI.
     base
-        ``deg/s`` or ``g``: of which counts are a part where it is none of the units with a name.
+        ``deg/s`` or ``g``: the base of raw counts, if no named unit fits.
     """
     counts = _GYRO_COUNTS if base == "deg/s" else _ACCEL_COUNTS
     known = (*_NAMES[base], *(f"{base}/{count:g}" for count in counts))
@@ -52,7 +52,7 @@ def unit_of_size(size: float, base: str) -> tuple[str, bool]:
 
 
 def is_counts(unit: str) -> bool:
-    """Whether a unit is one count of a sensor."""
+    """Whether a unit is a raw count of a sensor."""
     counts = _COUNTS.fullmatch(unit)
     return counts is not None and float(counts[2]) > 0.0
 

@@ -1,7 +1,7 @@
-"""Decides whether a velocity is along the body's axes or the world's, by the pose beside it.
+"""Decides whether a velocity is along the body's axes or the world's, by comparison with the pose.
 
-Logs of state estimators give velocities in the world's axes (EuRoC's ``v_RS_R``, VINS-Mono's odometry), flight
-controllers and ROS drivers in the body's. Read as the wrong one, the speed points elsewhere at every heading but one.
+State estimators log velocities in the world's axes (EuRoC's ``v_RS_R``, VINS-Mono's odometry), flight controllers
+and ROS drivers in the body's. With the wrong axes, the velocity is right at only one heading.
 """
 
 from __future__ import annotations
@@ -15,30 +15,30 @@ from fusion.logs.series import QUATERNION_TOLERANCE, into_body
 
 WINDOW_S = 0.5
 MIN_WINDOWS = 8
-MIN_TURNED = 0.1  # of the speed: less, and both readings are the same
+MIN_TURNED = 0.1  # of the speed; below it, both interpretations are the same
 CLEARLY = 3.0  # ratio of the residuals' root mean squares
-EXPLAINED = 0.5  # of the displacement's root mean square, that the better reading may leave
+EXPLAINED = 0.5  # largest residual of the better one, as a share of the displacement's root mean square
 
 
 class Axes(StrEnum):
-    """Of a velocity."""
+    """Axes of a velocity."""
 
     BODY = "body"
     WORLD = "world"
-    EITHER = "either"  # they coincide: the vehicle does not turn away from the world's axes
+    EITHER = "either"  # the same: the vehicle keeps to the world's axes
 
 
 def axes_of_velocity(
     t_ns: TimeArray, position: FloatArray | None, q_world_body: FloatArray, velocity: FloatArray
 ) -> Axes | None:
-    """Compare displacements with the velocity's integral, once as it is and once turned by the attitude.
+    """Compare displacements with the velocity's integral, without and with rotation by the attitude.
 
     Parameters
     ----------
     t_ns
         Times (n,) of the rows.
     position
-        Positions (n, 3) in the world; None where the log has none.
+        Positions (n, 3) in the world; None if the log has none.
     q_world_body
         Quaternions (n, 4), w x y z, body to the same world.
     velocity
@@ -47,7 +47,7 @@ def axes_of_velocity(
     Returns
     -------
     Axes or None
-        None where the data do not tell.
+        None if the data do not determine them.
     """
     good = np.abs(np.linalg.norm(q_world_body, axis=1) - 1.0) <= QUATERNION_TOLERANCE
     good &= np.isfinite(velocity).all(axis=1)
@@ -58,7 +58,7 @@ def axes_of_velocity(
         return None
     conjugate = q_world_body[good] * np.array([1.0, -1.0, -1.0, -1.0])
     as_world = velocity[good]
-    as_body = into_body(conjugate, as_world)  # what it is in the world if it is the body's
+    as_body = into_body(conjugate, as_world)  # in the world, if it is along the body's axes
     if _rms(as_body - as_world) < MIN_TURNED * _rms(as_world):
         return Axes.EITHER
     if position is None:
@@ -89,5 +89,5 @@ def _rms(vectors: FloatArray) -> float:
 
 
 def _typical(vectors: FloatArray) -> float:
-    """Median length: jumps of a pose that was corrected do not count."""
+    """Median length, robust against jumps of a corrected pose."""
     return float(np.median(np.linalg.norm(vectors, axis=1)))

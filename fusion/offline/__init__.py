@@ -1,5 +1,5 @@
 """Fuse a whole logged flight: `fuse_flight`, and its summary.
 
-Runs the estimator over a `fusion.flight.Flight`. May import `fusion.evaluation` and what lies below it. Begin reading
-at `fusion.offline.fuse`.
+Runs the estimator over a `fusion.flight.Flight`. May import `fusion.evaluation` and the packages below it. Begin
+reading at `fusion.offline.fuse`.
 """

@@ -1,4 +1,4 @@
-"""A logged flight through the streaming estimator, then the backward pass over it."""
+"""Run the streaming estimator over a logged flight, then the backward pass."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from vision.errors import InputError
 if TYPE_CHECKING:
     from fusion.estimator.frame_update import Features
 
-NEW_OBJECTS = 20_000  # from which on the garbage collector looks
-MAX_JOBS = 8  # unless more are asked for: the filter needs longer for a picture than two threads do
+NEW_OBJECTS = 20_000  # threshold of the garbage collector
+MAX_JOBS = 8  # by default; more threads than this do not help the filter
 
 
 def fuse_flight(
@@ -59,7 +59,7 @@ def fuse_flight(
     method
         ``geometric``, or ``paper`` for the article's measurement.
     progress
-        Called with frames done and in all.
+        Called with (done, total) frames.
     jobs
         Number of threads, including this one; the others decode pictures and find their lines ahead of the filter.
         The result is bit for bit the same for any number. None: one per core that the process may use, at most
@@ -109,7 +109,7 @@ def _filter_and_smooth(
     progress: Progress | None,
 ) -> tuple[Table, Timings]:
     """Run the filter over the whole flight into the tables, then the smoother; return its table and the times."""
-    with stopwatch() as clock, _collector_spared():
+    with stopwatch() as clock, _reduced_garbage_collection():
         started = clock.seconds()
         extract = partial(extract_features, camera=flight.camera, method=estimator.method)
         with closing(prefetch_features(flight.frames, extract, threads)) as pictures:
@@ -126,14 +126,14 @@ def _filter_and_smooth(
 
 
 @contextmanager
-def _collector_spared() -> Iterator[None]:
-    """Let the garbage collector look at few objects, and seldom: samples and states do not need it.
+def _reduced_garbage_collection() -> Iterator[None]:
+    """Reduce the work of the garbage collector, which samples and states do not need.
 
-    Some thousand of their parts are alive at a time, which it would look at again and again. Of what exists already
-    most are modules, which stay.
+    Some thousand of them are alive at a time and would be scanned repeatedly. Most of the existing objects are
+    modules, which stay.
     """
     first, *others = gc.get_threshold()
-    frozen = gc.get_freeze_count() > 0  # the program has frozen them itself, and knows which may be freed
+    frozen = gc.get_freeze_count() > 0  # the caller manages frozen objects itself
     if first:  # 0: it is off
         gc.set_threshold(max(first, NEW_OBJECTS), *others)
     if not frozen:
@@ -147,12 +147,12 @@ def _collector_spared() -> Iterator[None]:
 
 
 def check_times(flight: Flight) -> None:
-    """Refuse a flight made by hand with a stream whose times are not whole numbers in order.
+    """Reject a flight with a stream whose times are not ascending integers.
 
     Raises
     ------
     InputError
-        Naming the stream, and the first row that is out of order.
+        With the stream and the first row out of order.
     """
     streams = {
         "frames": flight.frames,
@@ -180,7 +180,7 @@ def check_times(flight: Flight) -> None:
 
 
 def _with_declared_values(config: FusionConfig, flight: Flight) -> FusionConfig:
-    """Fill in what the configuration leaves open and the flight declares: gyroscope noise, the corridor's width."""
+    """Fill in unset settings that the flight declares: gyroscope noise, the corridor's width."""
     declared: dict[str, float | None] = {
         "corridor_width_m": config.corridor_width_m or flight.corridor_width_m
     }
@@ -200,7 +200,7 @@ def _any_finite(rows: npt.NDArray[np.float64]) -> bool:
 
 
 def _row_kinds(flight: Flight) -> tuple[type[object], ...]:
-    """Kinds of sample that make rows, since they propagate: the best first, the others where that has died."""
+    """Kinds of sample that propagate and so make rows: the best first, the others as substitutes."""
     found: list[type[object]] = [FrameSample]
     if flight.attitude is not None and _any_finite(flight.attitude.q_world_body):
         found.insert(0, AttitudeSample)
@@ -216,7 +216,7 @@ def _feed(
     progress: Progress | None,
     clock: Stopwatch,
 ) -> float:
-    """Give the estimator all samples, in order of measurement time; return the seconds spent on pictures."""
+    """Pass all samples to the estimator, in order of measurement time; return the seconds spent on pictures."""
     vision_s = 0.0
     delay_ns = round(estimator.config.camera_delay_s * 1e9)
     total = len(flight.frames.t_ns)
@@ -248,9 +248,9 @@ def _feed(
     streams.append((flight.frames.t_ns - delay_ns, add_frame))
     counts = [len(times) for times, _ in streams]
     t_ns = np.concatenate([np.asarray(times, np.int64) for times, _ in streams])
-    order = np.argsort(t_ns, kind="stable")  # samples of one time in the order of the streams
+    order = np.argsort(t_ns, kind="stable")  # samples of equal time in the order of the streams
     t_ns, stream = t_ns[order], np.repeat(np.arange(len(streams), dtype=np.int8), counts)[order]
-    order -= np.cumsum([0, *counts])[stream]  # now the number within its stream
+    order -= np.cumsum([0, *counts])[stream]  # number within the sample's stream
     give = [add for _, add in streams]
     for t, k, i in zip(_rows(t_ns), _rows(stream), _rows(order), strict=True):
         give[k](t, i)
@@ -258,13 +258,13 @@ def _feed(
 
 
 def _rows(values: npt.NDArray[Any]) -> Iterator[Any]:
-    """Rows as Python's lists, which the estimator takes faster, few at a time: a whole flight's take much memory."""
+    """Yield rows as Python lists, which the estimator processes faster; few at a time, to save memory."""
     for start in range(0, len(values), BLOCK_ROWS):
         yield from values[start : start + BLOCK_ROWS].tolist()
 
 
 def _camera_problems(last: State | None, config: FusionConfig) -> Iterator[str]:
-    """Report what the whole flight, up to its last state, has shown of the camera's calibration."""
+    """Report the whole flight's evidence on the camera's calibration."""
     if last is not None:
         for notice in last.checks.installation.notices(last.tilt.down, config.gyro_scale_std):
             if notice.fault in (Fault.FOCAL_LENGTH, Fault.CAMERA_YAW):

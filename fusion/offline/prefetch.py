@@ -1,7 +1,7 @@
-"""Pictures decoded and their features extracted in threads ahead of the filter, handed out in order.
+"""Decode pictures and extract their features in threads ahead of the filter, in order.
 
-What is found in a picture depends on nothing but the picture, so the number of threads changes no result. Decoders
-and compiled loops release the interpreter's lock: threads do, and begin at once.
+The features depend only on the picture, so the number of threads does not change the result. Decoders and compiled
+loops release the interpreter's lock, so threads are enough, and they start at once.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ def usable_cores() -> int:
 def prefetch_features(
     frames: FrameStream, extract: Callable[[GreyImage], Found], threads: int
 ) -> Generator[Found | None]:
-    """Yield what is found in each picture, in order; None for one that cannot be read or used.
+    """Yield the features of each picture, in order; None for one that cannot be read or used.
 
     Parameters
     ----------
     frames
         The pictures.
     extract
-        Finds it; called in several threads at once. An `InputError` says that the picture is of no use.
+        Extracts the features; called in several threads at once. An `InputError` means that the picture is unusable.
     threads
-        How many work ahead; 0: none, each picture is read when it is asked for.
+        Number of threads; 0: each picture is read when it is needed.
     """
     numbers, reading, total = count(), Lock(), len(frames.t_ns)
 
     def extract_next() -> tuple[int, Found | None]:
-        with reading:  # in order, one at a time: most sources are a file that is read on from where it stands
+        with reading:  # in order, one at a time: most sources read a file sequentially
             number = next(numbers)
             try:
                 picture = frames.read(number)

@@ -1,4 +1,4 @@
-"""A clock that stands still while pixel loops are compiled, which happens once on a machine."""
+"""A clock that stops while pixel loops are compiled, which happens once per machine."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numba.core import event
 
 
 class Stopwatch(event.Listener):
-    """Seconds of wall clock since some moment, and those that numba compiled for.
+    """Seconds of wall clock, without those spent on compilation by numba.
 
-    Code that is taken from numba's cache on disk is not compiled.
+    Code loaded from numba's cache on disk is not compiled.
 
     Attributes
     ----------
@@ -23,26 +23,26 @@ class Stopwatch(event.Listener):
 
     def __init__(self) -> None:
         self.compile_s = 0.0
-        self._started: list[float] = []  # of compilations under way: what one calls is compiled within it
+        self._started: list[float] = []  # of running compilations, which may be nested
 
     def on_start(self, event: Any) -> None:
-        """Note when a compilation starts."""
+        """Record the start of a compilation."""
         self._started.append(time.perf_counter())
 
     def on_end(self, event: Any) -> None:
-        """Count a compilation that no other contains."""
+        """Add the time of a compilation that is not nested."""
         started = self._started.pop()
         if not self._started:
             self.compile_s += time.perf_counter() - started
 
     def seconds(self) -> float:
-        """Return the time, without that of compilation."""
+        """Return the time without compilation."""
         return time.perf_counter() - self.compile_s
 
 
 @contextmanager
 def stopwatch() -> Iterator[Stopwatch]:
-    """Give a clock that hears of every compilation within the block."""
+    """Provide a clock that is notified of every compilation within the block."""
     clock = Stopwatch()
     with event.install_listener("numba:compile", clock):
         yield clock

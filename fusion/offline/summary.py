@@ -49,15 +49,15 @@ def summarise(
     Parameters
     ----------
     result, flight
-        What was fused, and what it was made from.
+        The result, and the flight that was fused.
     method
-        How the pictures were measured.
+        Method of measuring the pictures.
     counters
         Samples that the estimator took and dropped, by name.
     timings
-        What the run cost.
+        Durations of the run.
     events
-        What happened, in order of time.
+        Events in order of time.
     """
     duration_s = _duration_s(result, flight)
     checks = run_checks(result, flight)
@@ -85,7 +85,7 @@ def summarise(
 
 
 def _summed_up(events: Sequence[Event]) -> tuple[Mapping[str, Any], ...]:
-    """Put events as plain values; frames rejected one after another for one reason are one, with their number."""
+    """Return events as plain values; consecutive frames rejected for one reason are one event with a count."""
     found: list[dict[str, Any]] = []
     for event in events:
         last, reason = found[-1] if found else {}, event.values.get("reason")
@@ -125,7 +125,7 @@ def _counts(result: FusionResult, counters: Mapping[str, int]) -> Counts:
 
 
 def _rate(t_ns: npt.NDArray[np.int64]) -> float | None:
-    """Nominal rate: gaps do not lower the median interval."""
+    """Nominal rate, from the median interval, so that gaps do not lower it."""
     return float(1e9 / np.median(np.diff(t_ns))) if len(t_ns) > 1 else None
 
 
@@ -149,7 +149,7 @@ def _status_share(estimates: Table) -> dict[str, float]:
 
 
 def _corridors(result: FusionResult) -> tuple[CorridorStretch, ...]:
-    """Each corridor's stretch, as the smoother places it."""
+    """Time span of each corridor, by the smoother."""
     found = []
     table, frames = result.smoothed, result.frames
     if not len(table):
@@ -172,7 +172,7 @@ def _corridors(result: FusionResult) -> tuple[CorridorStretch, ...]:
 
 
 def _errors(result: FusionResult, flight: Flight) -> FlightErrors | None:
-    """Errors of filter, smoother and single frames; None without truth."""
+    """Errors of filter, smoother and single frames; None without ground truth."""
     if flight.truth is None:
         return None
     return FlightErrors(

@@ -1,4 +1,4 @@
-"""The tables of a fused flight, built from the entries that leave the estimator's buffer."""
+"""Tables of a fused flight, built from the entries that leave the estimator's buffer."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from fusion.estimator.state import Entry, State
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table
 from vision.measurement import FrameMeasurement, position_from_offset
 
-BLOCK_ROWS = 512  # few, so that what is waiting stays in the processor's cache
+BLOCK_ROWS = 512  # few, so that waiting entries stay in the processor's cache
 
 
 class TableBuilder:
     """Collects, from the entries that leave the buffer, the rows of the tables and the smoother's steps.
 
-    Each sample of the first kind makes a row; one of another kind, where those before it have fallen silent.
+    Each sample of the first kind makes a row; a sample of another kind only while those before it are silent.
     """
 
     def __init__(self, config: FusionConfig, row_kinds: tuple[type[object], ...]) -> None:
@@ -38,7 +38,7 @@ class TableBuilder:
         self._finder = EventFinder(config)
         self._rows: list[State] = []
         self._statuses: list[str] = []
-        self._table = np.empty(0, ESTIMATE_DTYPE)  # of the rows before
+        self._table = np.empty(0, ESTIMATE_DTYPE)  # finished rows
         self._smoothed: Table | None = None
         self._row_steps = array("q")  # index of the last step of each row's instant
         self._pending: Entry | None = None
@@ -79,7 +79,7 @@ class TableBuilder:
             self._close_instant(self._pending)
 
     def _close_instant(self, last: Entry) -> None:
-        # A row stands for its instant after all samples of that time, whatever their order of arrival.
+        # A row is the state after all samples of its time, in any order of arrival.
         if self._pending_is_row:
             rows = self._rows
             rows.append(last.after)
@@ -107,13 +107,13 @@ class TableBuilder:
         if not self._rows:
             return
         n = len(self._table)
-        self._table.resize(n + len(self._rows), refcheck=False)  # in place: nobody has seen it yet
+        self._table.resize(n + len(self._rows), refcheck=False)  # in place: there is no other reference
         self._table[n:] = filter_table(self._rows, self._statuses, self.config)
         self._rows, self._statuses = [], []
 
 
 def frame_row(result: FrameResult, config: FusionConfig) -> tuple[Any, ...]:
-    """Put a frame's outcome into the order of `fusion.estimator.tables.FRAME_DTYPE`."""
+    """Return a frame's result in the order of `fusion.estimator.tables.FRAME_DTYPE`."""
     m = result.measurement or FrameMeasurement(False, result.reason)
     position = position_from_offset(m.lateral_offset_norm, config.position_dead_band_norm) or m.position
     return (

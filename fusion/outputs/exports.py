@@ -1,4 +1,4 @@
-"""Other forms of a fused flight: Parquet, TUM trajectories for evo, MCAP for Foxglove, a video to look at.
+"""Export formats of a fused flight: Parquet, TUM trajectories for evo, MCAP for Foxglove, video.
 
 They are written beside the CSV files by `fusion.outputs.folder.write_outputs`. Each format's library loads when it is
 used.
@@ -19,7 +19,7 @@ from vision.errors import InputError
 
 
 class Format(StrEnum):
-    """A form besides CSV."""
+    """An export format besides CSV."""
 
     PARQUET = "parquet"
     TUM = "tum"
@@ -37,12 +37,12 @@ _LIBRARY = {Format.PARQUET: "pyarrow", Format.MCAP: "mcap", Format.VIDEO: "av"}
 
 
 def check_formats(words: Iterable[str]) -> tuple[Format, ...]:
-    """Turn words such as ``parquet,tum`` into formats, and see before the work that their libraries are there.
+    """Parse formats such as ``parquet,tum``, and check before the work that their libraries are installed.
 
     Raises
     ------
     InputError
-        Where a word is no format, or its library is not installed.
+        If a word is not a format, or its library is not installed.
     """
     names = [name.strip().lower() for word in words for name in word.split(",") if name.strip()]
     found = []
@@ -60,7 +60,7 @@ def check_formats(words: Iterable[str]) -> tuple[Format, ...]:
 
 
 def remarks(formats: Iterable[Format], frame: Frame) -> list[str]:
-    """Say, a line each, what lies beside the tables, and which way all of them count where that is not FRD."""
+    """Describe the exports beside the tables, a line each, and the sign convention if it is not FRD."""
     names = [name for kind in formats for name in EXPORT_FILES[kind]]
     found = [f"and {', '.join(names)}"] if names else []
     if frame is Frame.ROS:
@@ -76,25 +76,25 @@ def write_exports(
     frame: Frame = Frame.FRD,
     progress: Progress | None = None,
 ) -> None:
-    """Write a fused flight into a folder that is there, in the given formats; names as in `EXPORT_FILES`.
+    """Write a fused flight into an existing folder, in the given formats; names as in `EXPORT_FILES`.
 
     Parameters
     ----------
     result, flight
-        What `fusion.fuse_flight` returned and what it was given (MCAP and video show its pictures, TUM its velocity).
+        Result of `fusion.fuse_flight`, and its flight (MCAP and video show its pictures, TUM its velocity).
     folder
-        Where to.
+        Folder of the exports.
     formats
         From `check_formats`.
     frame
-        Convention of signs.
+        Sign convention.
     progress
-        Called with pictures done and in all.
+        Called with (done, total) pictures.
 
     Raises
     ------
     InputError
-        Where the flight cannot be written in that form.
+        If the flight cannot be written in that format.
     """
     facts = file_facts(result.summary, frame)
     tables = {"estimates": result.estimates, "smoothed": result.smoothed, "frames": result.frames}

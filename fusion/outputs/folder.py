@@ -1,4 +1,4 @@
-"""The output folder of a fused flight: three tables, a summary, a report and exports, whole or not at all."""
+"""The output folder of a fused flight: three tables, a summary, a report and exports, written atomically."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from vision.errors import InputError
 OUTPUT_FILES = ("estimates.csv", "smoothed.csv", "frames.csv", "summary.json", "report.html", "flight.toml")
 SENT_FILE = "sent.csv"
 _OURS = (*OUTPUT_FILES, SENT_FILE, *chain.from_iterable(EXPORT_FILES.values()))
-MARK = "summary.json"  # a folder that holds it is ours; it lists the files written with it
+MARK = "summary.json"  # marks an output folder, and lists the files written with it
 _LEFT_BY_FILE_BROWSERS = frozenset({".DS_Store", "Thumbs.db"})
 
 
@@ -56,12 +56,12 @@ def write_outputs(
 
     They are written beside ``out_dir`` under a temporary name, and renamed once they are complete and on the disk. An
     earlier output is replaced; it is recognised by the list of files in its ``summary.json``. A folder with any other
-    file is left unchanged. What an interrupted run has left behind is cleared, or completed.
+    file is left unchanged. Remains of an interrupted run are deleted or completed.
 
     Parameters
     ----------
     result, flight
-        What `fusion.fuse_flight` returned, and what it was given (the report shows its pictures).
+        Result of `fusion.fuse_flight`, and its flight (the report shows its pictures).
     out_dir
         The folder to create, with its parents as needed.
     report
@@ -75,9 +75,9 @@ def write_outputs(
     hashes
         SHA-256 of the flight's files where already known, for ``provenance``.
     progress
-        Called with pictures exported and in all, if ``exports`` include pictures.
+        Called with (done, total) exported pictures, if ``exports`` include pictures.
     sent
-        Estimates as they were sent in flight, where the flight is a recording of `corridor live`.
+        Estimates sent in flight, if the flight is a recording of `corridor live`.
 
     Returns
     -------
@@ -87,9 +87,9 @@ def write_outputs(
     Raises
     ------
     InputError
-        Where ``out_dir`` is a file, contains other files, or cannot be written.
+        If ``out_dir`` is a file, contains other files, or cannot be written.
     """
-    with _appearing_whole(out_dir) as folder:
+    with _atomic_folder(out_dir) as folder:
         _write_tables(result, sent, folder, frame)
         _write_manifest(flight, folder / "flight.toml", Path(out_dir).resolve())
         write_exports(result, flight, folder, exports, frame, progress)
@@ -111,9 +111,9 @@ def _write_tables(result: FusionResult, sent: Table | None, folder: Path, frame:
 
 
 def _write_manifest(flight: Flight, path: Path, folder: Path) -> None:
-    """Write where the flight came from, for `corridor fuse` and `corridor align` to take up again.
+    """Write the flight's manifest, for use by `corridor fuse` and `corridor align`.
 
-    Its paths are relative to the folder that the file will lie in. A flight made by hand has no manifest.
+    Its paths are relative to the file's final folder. A flight constructed by the caller has no manifest.
     """
     from fusion.logs.manifest.manifest import Manifest
     from fusion.logs.manifest.text import manifest_text
@@ -125,25 +125,25 @@ def _write_manifest(flight: Flight, path: Path, folder: Path) -> None:
 
 
 def _write_summary(result: FusionResult, origin: Mapping[str, Any], folder: Path, frame: Frame) -> None:
-    """Write the summary, the last file of a folder: it lists all that were written with it."""
+    """Write the summary, the last file of a folder, which lists all others."""
     files = sorted([MARK, *(entry.name for entry in folder.iterdir())])
-    told = {"files": files, "provenance": origin}
-    write_summary(summary_in_frame(result.summary, frame) | told, folder / MARK)
+    additions = {"files": files, "provenance": origin}
+    write_summary(summary_in_frame(result.summary, frame) | additions, folder / MARK)
 
 
 def check_out_dir(out_dir: str | Path) -> Path:
-    """Say before the work whether `write_outputs` will accept ``out_dir``; return it absolute.
+    """Check before the work whether `write_outputs` will accept ``out_dir``; return it absolute.
 
-    What a killed run left there half done is put in order first.
+    Remains of a killed run are completed or deleted first.
 
     Raises
     ------
     InputError
-        Where it is a file, or a folder that holds files that are not ours, or it cannot be written.
+        If it is a file, a folder with other files, or cannot be written.
     """
     try:
         folder = Path(out_dir).resolve()
-        _put_in_order(folder)
+        _recover(folder)
         if not folder.is_file():
             _check_writable(folder)
         if not folder.exists():
@@ -154,7 +154,7 @@ def check_out_dir(out_dir: str | Path) -> Path:
                 file=out_dir,
                 remedy="choose another with -o, or remove it",
             )
-        ours = _written_by_us(folder) | _LEFT_BY_FILE_BROWSERS
+        ours = _listed_files(folder) | _LEFT_BY_FILE_BROWSERS
         foreign = sorted(
             entry.name
             for entry in folder.iterdir()
@@ -176,12 +176,12 @@ def check_out_dir(out_dir: str | Path) -> Path:
 
 
 def _check_writable(folder: Path) -> None:
-    """See that the outputs can be put where their folder, or its first parent, lies.
+    """Check that the outputs can be written beside their folder, or in its first existing parent.
 
     Raises
     ------
     OSError
-        Where they cannot.
+        If they cannot.
     """
     place = folder if _stays(folder) else next(parent for parent in folder.parents if parent.exists())
     if not place.is_dir():
@@ -190,11 +190,11 @@ def _check_writable(folder: Path) -> None:
         raise PermissionError(EACCES, os.strerror(EACCES), str(place))
 
 
-def _written_by_us(folder: Path) -> set[str]:
-    """Return the names of the files that the summary in a folder says were written with it; none without one."""
+def _listed_files(folder: Path) -> set[str]:
+    """Return the files listed in a folder's summary; none without a summary."""
     try:
         summary = read_summary(folder / MARK)
-        files = summary.get("files", _OURS)  # the first outputs did not list theirs
+        files = summary.get("files", _OURS)  # the first versions did not list them
         return {*files} & {*_OURS} if "verdict" in summary else set()
     except (OSError, ValueError, TypeError):
         return set()
@@ -205,8 +205,8 @@ def _is_draft(entry: Path) -> bool:
 
 
 @contextmanager
-def _appearing_whole(out_dir: str | Path) -> Iterator[Path]:
-    """Give a draft to fill; it takes the place of ``out_dir`` when the block ends without error."""
+def _atomic_folder(out_dir: str | Path) -> Iterator[Path]:
+    """Provide a draft folder; it replaces ``out_dir`` when the block ends without an error."""
     folder = check_out_dir(out_dir)
     draft = folder
     try:
@@ -215,7 +215,7 @@ def _appearing_whole(out_dir: str | Path) -> Iterator[Path]:
     except InputError as error:
         if error.file is None or not error.file.is_relative_to(draft):
             raise
-        file = Path(out_dir) / error.file.relative_to(draft)  # the name that it would have had
+        file = Path(out_dir) / error.file.relative_to(draft)  # its name in the final folder
         raise InputError(error.problem, file=file, remedy=error.remedy) from error
     except OSError as error:
         raise InputError(
@@ -226,7 +226,7 @@ def _appearing_whole(out_dir: str | Path) -> Iterator[Path]:
 
 
 def _stays(folder: Path) -> bool:
-    """Whether a folder cannot be renamed: a mount point, the shell's own, or one in a folder of somebody else's."""
+    """Whether a folder cannot be renamed: a mount point, the working directory, or in another user's folder."""
     if not folder.is_dir():
         return False
     return (
@@ -238,9 +238,9 @@ def _stays(folder: Path) -> bool:
 
 @contextmanager
 def _moved_into(folder: Path) -> Iterator[Path]:
-    """Give a draft inside a folder that stays; its files are moved when all are written.
+    """Provide a draft inside a folder that cannot be renamed; its files are moved when all are written.
 
-    From the renaming to ``.complete`` on, a run that is killed is finished by the next one.
+    If a run is killed after the renaming to ``.complete``, the next run completes it.
     """
     with draft_of(folder / MARK) as draft:
         draft.mkdir()
@@ -253,9 +253,9 @@ def _moved_into(folder: Path) -> Iterator[Path]:
 
 
 def _move_files(complete: Path, folder: Path) -> None:
-    """Move a complete draft's files into its folder, the summary last; it lists what belongs there."""
+    """Move a complete draft's files into its folder, the summary last, which lists them."""
     if (complete / MARK).exists():
-        for name in _written_by_us(folder) - _written_by_us(complete):
+        for name in _listed_files(folder) - _listed_files(complete):
             (folder / name).unlink(missing_ok=True)
         for path in sorted(complete.iterdir(), key=lambda path: path.name == MARK):
             path.replace(folder / path.name)
@@ -263,8 +263,8 @@ def _move_files(complete: Path, folder: Path) -> None:
     complete.rmdir()
 
 
-def _put_in_order(folder: Path) -> None:
-    """Finish, put back or clear what a killed run left of an output."""
+def _recover(folder: Path) -> None:
+    """Complete, restore or delete the remains of a killed run's output."""
     restore(folder)
     for left in left_behind(folder):
         if left.suffix == ".complete":

@@ -1,8 +1,8 @@
-"""Messages that Foxglove and Lichtblick show without help, as JSON with their schemas.
+"""Messages for Foxglove and Lichtblick, as JSON with their standard schemas.
 
 Field names and meanings are those of Foxglove's message schemas CompressedImage, ImageAnnotations and Log; a
-viewer knows them by their names. Its JSON reader takes one plain type per field, so an unknown number is a
-field that is absent, never null.
+viewer recognises them by name. Its JSON reader accepts one plain type per field, so an unknown number is a
+missing field, not null.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ LOG = _object(
 
 
 def table_schema(title: str, dtype: np.dtype[Any], frame: Frame) -> Schema:
-    """Return the schema of a table's row: its columns, and heading and turns in degrees beside radians for plots."""
+    """Return the schema of a table's row: its columns, plus headings and turns in degrees for plots."""
     properties: dict[str, Schema] = {"timestamp": _TIME}
     for name in dtype.names or ():
         if name == "timestamp_ns":
@@ -125,9 +125,9 @@ IN_DEGREES = {
 
 
 def _said(name: str, frame: Frame) -> dict[str, str]:
-    said = column_metadata(name, frame)
-    words = said.get("description", "")
-    return {"description": f"{words}; {said['unit']}" if "unit" in said else words}
+    metadata = column_metadata(name, frame)
+    words = metadata.get("description", "")
+    return {"description": f"{words}; {metadata['unit']}" if "unit" in metadata else words}
 
 
 def time_of(t_ns: int) -> Message:
@@ -137,7 +137,7 @@ def time_of(t_ns: int) -> Message:
 
 
 def row_message(names: tuple[str, ...], row: tuple[Any, ...]) -> Message:
-    """Return a table's row, given as plain values, without what is unknown in it."""
+    """Return a table's row of plain values without unknown ones."""
     message: Message = {}
     for name, value in zip(names, row, strict=True):
         if name == "timestamp_ns":
@@ -154,7 +154,7 @@ def image_message(t_ns: int, image: npt.NDArray[np.uint8], quality: int) -> Mess
     import cv2
 
     ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    if not ok:  # only an empty array does not encode
+    if not ok:  # only an empty array cannot be encoded
         raise ValueError(f"a picture of shape {image.shape} cannot be encoded")
     text = base64.b64encode(data.tobytes()).decode("ascii")
     return {"timestamp": time_of(t_ns), "frame_id": "camera", "data": text, "format": "jpeg"}
@@ -173,9 +173,9 @@ def log_message(t_ns: int, text: str, level: int = INFO) -> Message:
 
 
 def overlay_message(t_ns: int, measurement: FrameMeasurement, width_px: int) -> Message:
-    """Return what was seen in a picture: its lines by class, those on both walls, the vanishing point, the verdict.
+    """Return the drawing of a measurement: lines by class, those on both walls, the vanishing point, the result.
 
-    Coordinates are those of the picture as it is in the file; pixel (0, 0) ends at (0, 0) there, ours is its centre.
+    Coordinates refer to the picture in the file, with (0, 0) at the corner of pixel (0, 0), not at its centre.
     """
     time, unit = time_of(t_ns), width_px / 640.0
     points: list[Message] = []
@@ -223,7 +223,7 @@ def _verdict(time: Mapping[str, int], measurement: FrameMeasurement, unit: float
 
 
 def _ellipse(measurement: FrameMeasurement) -> npt.NDArray[np.float64]:
-    """Two-sigma ellipse (n, 2) of the vanishing point; NaN where it is not known."""
+    """Two-sigma ellipse (n, 2) of the vanishing point; NaN if unknown."""
     cov = np.asarray(measurement.vp_cov_px2, dtype=np.float64)
     if not np.isfinite(cov).all():
         return np.zeros((0, 2))

@@ -1,4 +1,4 @@
-"""A fused flight as one MCAP file: pictures, what was seen in them, frames, estimates and events on one time line."""
+"""A fused flight as one MCAP file: pictures, their measurements, frames, estimates and events on one time line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from vision.errors import InputError
 
 JPEG_QUALITY = 85
 Event = tuple[int, int, str, Callable[[], dict[str, Any] | None]]
-"""Time, rank among events of one time, topic, and the message, made when its turn comes."""
+"""Time, rank among events of equal time, topic, and the message, created on demand."""
 
 IMAGE, OVERLAY, FRAME, ESTIMATE, SMOOTHED, LOG = (
     "/camera/image",
@@ -48,20 +48,20 @@ def write_mcap(
     Parameters
     ----------
     result, flight
-        What `fusion.fuse_flight` returned, and what it was given.
+        Result of `fusion.fuse_flight`, and its flight.
     path
         The file.
     frame
-        Convention of the numbers.
+        Sign convention of the numbers.
     facts
-        What the file says of itself.
+        Metadata of the file.
     progress
-        Called with frames done and in all.
+        Called with (done, total) frames.
 
     Raises
     ------
     InputError
-        Where times lie before zero, which the format cannot hold.
+        If times are negative, which the format does not support.
     """
     from mcap.writer import Writer
 
@@ -115,7 +115,7 @@ def _register(writer: Any, tables: Mapping[str, Table], frame: Frame) -> dict[st
 
 
 def _pictures(result: FusionResult, flight: Flight, progress: Progress | None) -> Iterator[Event]:
-    """Give each frame's picture and overlay; a frame is measured once, when its picture's turn comes."""
+    """Yield each frame's picture and overlay; a frame is measured once, when its picture is written."""
     overlays: dict[int, dict[str, Any]] = {}
     total = len(result.frames)
 
@@ -142,7 +142,7 @@ def _rows(table: Table, topic: str, rank: int) -> Iterator[Event]:
 
 
 def _events(result: FusionResult) -> Iterator[Event]:
-    """Give what a reader of the log looks for: changes of status and corridor, and what was wrong with the flight."""
+    """Yield the log's messages: changes of status and corridor, and the flight's problems."""
     table = result.estimates
     if not len(table):
         return

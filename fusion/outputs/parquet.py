@@ -22,7 +22,7 @@ def write_parquet(table: Table, path: Path, frame: Frame, facts: Mapping[str, st
     frame
         Of the table, for the columns' descriptions.
     facts
-        What the file says of itself.
+        Metadata of the file.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq

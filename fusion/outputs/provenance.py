@@ -1,4 +1,4 @@
-"""Where a fused flight came from: the program's version, the command, and each input file with its hash."""
+"""Provenance of a fused flight: the program's version, the command, and each input file with its hash."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ TEXTS = frozenset({".csv", ".toml", ".txt", ".yaml", ".yml"})
 def provenance(
     flight: Flight, command: str | None = None, hashes: Mapping[Path, str] | None = None
 ) -> dict[str, Any]:
-    """Return what ``summary.json`` tells of where a flight came from.
+    """Return the provenance of a flight for ``summary.json``.
 
     Parameters
     ----------
     flight
-        Whose ``manifest`` names its files; one made by hand has none.
+        The flight; its ``manifest`` names its files, unless the caller constructed it.
     command
-        The command line, where there was one.
+        The command line, if any.
     hashes
-        SHA-256 of files where it is known; the others are read.
+        Known SHA-256 of files; the other files are read.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def provenance(
 
 
 def _files(flight: Flight) -> list[Path]:
-    """Files that the manifest names, each once, in order of their paths."""
+    """Files that the manifest names, each once, sorted by path."""
     from fusion.logs.manifest.manifest import Manifest
 
     manifest = flight.manifest
@@ -77,5 +77,5 @@ def _described(path: Path, hashes: Mapping[Path, str]) -> dict[str, Any]:
     try:
         content = hashes.get(path) or sha256_of(path)
         return {"path": str(path), "bytes": path.stat().st_size, "sha256": content}
-    except OSError as error:  # it was there when the flight was read
+    except OSError as error:  # it existed when the flight was read
         return {"path": str(path), "error": error.strerror}

@@ -1,4 +1,4 @@
-"""Estimates as a trajectory in TUM's form, for evo: ``timestamp_s x y z qx qy qz qw``."""
+"""Estimates as a trajectory in TUM's format, for evo: ``timestamp_s x y z qx qy qz qw``."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from fusion.result.conventions import Frame
 def write_tum(
     table: Table, path: Path, frame: Frame, facts: Mapping[str, str], velocity: VectorStream | None
 ) -> None:
-    """Write the rows whose heading, and whose offset where the flight knows offsets at all, are known.
+    """Write the rows with a known heading and, if the flight has any offsets, a known offset.
 
-    Yaw is the heading, y the lateral offset, both of the corridor being flown; z is zero. x is the way along the
-    corridor where the log has a forward speed, else zero. The comment in the file's first lines says so.
+    Yaw is the heading, y the lateral offset, both of the corridor being flown; z is zero. x is the distance
+    along the corridor if the log has a forward speed, else zero. A comment in the file's first lines states this.
 
     Parameters
     ----------
@@ -27,11 +27,11 @@ def write_tum(
     path
         The file.
     frame
-        Convention to write in.
+        Sign convention of the file.
     facts
-        What the file says of itself.
+        Metadata of the file.
     velocity
-        Body FRD; None where the log has none.
+        Body FRD; None if the log has none.
     """
     sign = -1.0 if frame is Frame.ROS else 1.0
     y, unit_y, what_y = _aside(table)
@@ -64,7 +64,7 @@ def write_tum(
 
 
 def _seconds(t_ns: int) -> str:
-    """Seconds with all their nanoseconds, which a float64 of Unix time would lose."""
+    """Seconds with all digits of the nanoseconds, which a float64 of Unix time would lose."""
     whole, rest = divmod(abs(t_ns), 1_000_000_000)
     return f"{'-' if t_ns < 0 else ''}{whole}.{rest:09d}"
 

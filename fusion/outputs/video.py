@@ -1,4 +1,4 @@
-"""A fused flight as a video: each picture with its lines and vanishing point, and below it the filter's estimate."""
+"""Video of a fused flight: each picture with its lines and vanishing point, above the filter's estimate."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ PAPER, INK = (32, 28, 26), (238, 238, 238)
 
 
 def write_video(result: FusionResult, flight: Flight, path: Path, progress: Progress | None = None) -> None:
-    """Write an MP4 file with a picture per camera frame, at the frames' own times.
+    """Write an MP4 file with a picture per camera frame, at the frames' times.
 
     Parameters
     ----------
     result, flight
-        What `fusion.fuse_flight` returned, and what it was given.
+        Result of `fusion.fuse_flight`, and its flight.
     path
         The file.
     progress
-        Called with pictures done and in all.
+        Called with (done, total) pictures.
 
     Raises
     ------
     InputError
-        Where no picture of the flight can be read.
+        If no picture of the flight can be read.
     """
     import av
 
@@ -69,7 +69,7 @@ def write_video(result: FusionResult, flight: Flight, path: Path, progress: Prog
 def _pictures(
     result: FusionResult, flight: Flight, progress: Progress | None
 ) -> Iterator[tuple[int, ColourImage]]:
-    """Yield time and drawing of each frame whose picture decodes."""
+    """Yield time and drawing of each frame whose picture can be decoded."""
     table, total = result.estimates, len(result.frames)
     for row, stamp_ns in enumerate(result.frames["timestamp_ns"].tolist()):
         seen = measure_frame_again(result, flight, row)
@@ -85,7 +85,7 @@ def _pictures(
 
 
 def _caption(estimate: np.void, origin_ns: int, width_px: int) -> ColourImage:
-    """Write the filter's estimate on a strip as wide as the picture."""
+    """Draw the filter's estimate on a strip of the picture's width."""
     unit = width_px / 640.0
     strip = np.full((round(30 * unit), width_px, 3), PAPER, dtype=np.uint8)
     status = str(estimate["status"])

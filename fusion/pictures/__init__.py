@@ -1,5 +1,5 @@
-"""Measure pictures without a flight: what `corridor measure` does.
+"""Measure pictures without a flight, for `corridor measure`.
 
-May import `fusion.logs`, `fusion.estimator.tables` and what lies below them. Begin reading at
+May import `fusion.logs`, `fusion.estimator.tables` and the packages below them. Begin reading at
 `fusion.pictures.measure`.
 """

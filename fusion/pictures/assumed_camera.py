@@ -1,8 +1,7 @@
-"""Pictures without a calibration: what field of view to assume for them, from where, and how sure that is.
+"""Assumed field of view of pictures without a calibration, with its source and uncertainty.
 
-In this order: what the user says; the focal length that the camera wrote into the picture; what the pictures
-themselves tell; what ordinary cameras have. Pictures of one size and one written focal length are taken to be one
-camera's.
+In the order of preference: the user's value; the focal length in the file's EXIF data; right angles in the pictures;
+the usual value of cameras. Pictures of the same size and EXIF focal length are assumed to be from one camera.
 """
 
 from __future__ import annotations
@@ -24,13 +23,13 @@ from vision.images import GreyImage, read_image
 if TYPE_CHECKING:
     from vision.lines.straightness import Bend
 
-FILM_STD_OF_FOCAL = 0.03  # whole millimetres, diagonal or width, stabilisation: makers differ
+FILM_STD_OF_FOCAL = 0.03  # rounding to millimetres, diagonal or width, stabilisation
 FOV_RANGE_RAD = (radians(1.0), radians(170.0))
 MAX_NOTES = 4
 
 
 class Source(StrEnum):
-    """Where an assumed field of view comes from."""
+    """Source of an assumed field of view."""
 
     GIVEN = "given"
     FILM = "film"  # EXIF
@@ -40,7 +39,7 @@ class Source(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class AssumedView:
-    """What is assumed of the camera that took some pictures; it looks straight ahead.
+    """Assumed camera of some pictures; it looks straight ahead.
 
     Parameters
     ----------
@@ -49,13 +48,13 @@ class AssumedView:
     horizontal_rad, std_rad
         Field of view across the picture, and its standard deviation.
     source
-        Where it comes from.
+        Source of the field of view.
     n_pictures
         Number of pictures that it applies to.
     n_used
-        Pictures that told it, where the source is the pictures.
+        Number of pictures used, if the source is the pictures.
     bend
-        How much its lens bends straight lines, by the pictures; None: not at all.
+        Lens distortion by the pictures; None: no distortion.
     """
 
     width_px: int
@@ -77,10 +76,10 @@ class AssumedView:
         return view.camera(self.width_px, self.height_px)
 
     def widened(self, measurement: FrameMeasurement) -> FrameMeasurement:
-        """Let a measurement's sigma include what the assumption may be off by; too wide, it is not accepted.
+        """Add the assumption's uncertainty to a measurement's sigma; if that is too large, it is not accepted.
 
-        A focal length wrong by a share turns a heading by that share of ``sin(heading) cos(heading)``; an optical
-        axis that does not meet the picture's centre turns all of them.
+        A relative error of the focal length changes a heading by that share of ``sin(heading) cos(heading)``; an
+        optical axis off the picture's centre changes all headings.
         """
         from vision.axis.acceptance import MAX_STD_RAD
         from vision.axis.right_angles import CENTRE_STD_OF_SIDE
@@ -100,7 +99,7 @@ class AssumedView:
         return replace(measurement, heading_std_rad=std_rad)
 
     def text(self) -> str:
-        """Say what is assumed and why, in one sentence."""
+        """Return the assumption and its reason in one sentence."""
         fov = f"a horizontal field of view of {degrees(self.horizontal_rad):.0f}"
         sure = f"{fov} +- {max(degrees(self.std_rad), 1.0):.0f} degrees"
         lens = f"{self._lens_text()}, looking straight ahead"
@@ -137,7 +136,7 @@ class AssumedViews:
     by_path: Mapping[Path, AssumedView] = field(default_factory=dict)
 
     def of(self, path: Path, image: GreyImage) -> AssumedView:
-        """Look up a picture's view; an ordinary one where its file said another size than it has, or nothing."""
+        """Look up a picture's view; an ordinary one if its size was unknown or differs from its file's header."""
         height_px, width_px = image.shape
         view = self.by_path.get(path)
         if view is not None and (view.width_px, view.height_px) == (width_px, height_px):
@@ -145,7 +144,7 @@ class AssumedViews:
         return _ordinary(width_px, height_px)
 
     def notes(self) -> list[str]:
-        """Say what is assumed, a line per group while they are few."""
+        """Return the assumptions, a line per group while there are few."""
         lines = []
         several = len(self.groups) > 1
         for view in self.groups[:MAX_NOTES]:
@@ -167,21 +166,21 @@ def assume_views(
     horizontal_fov_rad: float | None = None,
     progress: Progress = lambda done, total: None,
 ) -> AssumedViews:
-    """Find out what to assume for pictures without a calibration.
+    """Determine the assumptions for pictures without a calibration.
 
     Parameters
     ----------
     paths
-        The pictures; those that cannot be read are left out.
+        The pictures; unreadable ones are left out.
     horizontal_fov_rad
-        What the user says; None to find out.
+        The user's value, or None.
     progress
-        Called with (done, total) pictures looked at.
+        Called with (done, total) pictures.
 
     Raises
     ------
     InputError
-        Where the given field of view is no camera's.
+        If the given field of view is implausible.
     """
     if horizontal_fov_rad is not None and not FOV_RANGE_RAD[0] <= horizontal_fov_rad <= FOV_RANGE_RAD[1]:
         low, high = (degrees(bound) for bound in FOV_RANGE_RAD)
@@ -241,7 +240,7 @@ def _ordinary(width_px: int, height_px: int) -> AssumedView:
 
 
 def _spread(paths: Sequence[Path], header: PictureHeader, progress: Progress) -> Iterator[GreyImage]:
-    """Read pictures so that the first few are spread over them all: neighbours show the same things."""
+    """Read pictures in an order that spreads the first few over all: neighbours look alike."""
     from vision.axis.field_of_view import MAX_TRIED
 
     bits = max(len(paths) - 1, 1).bit_length()

@@ -1,7 +1,7 @@
-"""Roll and pitch for single pictures, from a CSV file in either of two shapes.
+"""Roll and pitch for single pictures, from a CSV file in one of two forms.
 
 - ``timestamp_ns,qw,qx,qy,qz``, as ``attitude0/data.csv`` of an ASL flight: body to world, FLU with z up (FRD
-  with z down where ``body.yaml`` in the folder above the file's says so). A picture whose name is a time in
+  with z down if declared in ``body.yaml`` in the parent folder). A picture whose name is a time in
   nanoseconds takes the nearest row, at most 0.1 s away.
 - ``image,roll_rad,pitch_rad``, with these names in the first line: a row per picture, by file name; roll
   positive right side down, pitch positive nose up.
@@ -32,7 +32,7 @@ _BY_TIME = ("qw", "qx", "qy", "qz")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttitudeFile:
-    """Attitudes by picture name or by time, whichever the file gives.
+    """Attitudes by picture name or by time, depending on the file.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class AttitudeFile:
     t_ns, q_world_body
         Times (n,), strictly increasing, and unit quaternions (n, 4), w x y z, body FRD to world z down.
     problems
-        What was dropped on reading, one sentence each.
+        Rows dropped on reading, one sentence each.
     """
 
     by_name: Mapping[str, Attitude] = field(default_factory=dict)
@@ -51,12 +51,12 @@ class AttitudeFile:
 
     @classmethod
     def read(cls, path: Path) -> AttitudeFile:
-        """Read a file of either shape.
+        """Read a file of either form.
 
         Raises
         ------
         InputError
-            Where it is missing, of another shape, or has no usable row.
+            If it is missing, has another form, or has no usable row.
         """
         try:
             check_is_file(path)
@@ -70,7 +70,7 @@ class AttitudeFile:
         return _read_by_time(path)
 
     def of(self, picture: Path, t_ns: int | None) -> Attitude | None:
-        """Attitude at a picture, None where the file has none for it."""
+        """Attitude at a picture, None if the file has none for it."""
         named = self.by_name.get(picture.name)
         if named is not None or t_ns is None or len(self.t_ns) == 0:
             return named
@@ -109,7 +109,7 @@ def _read_by_name(path: Path, names: tuple[str, ...], rows: Iterable[list[str]])
 def _read_by_time(path: Path) -> AttitudeFile:
     table, problems = read_table(path, _BY_TIME, label=path.name)
     length = np.linalg.norm(table.values, axis=1)
-    good = np.abs(length - 1.0) <= LENGTH_TOLERANCE  # NaN fails too
+    good = np.abs(length - 1.0) <= LENGTH_TOLERANCE  # NaN is rejected, too
     if not good.any():
         raise InputError(
             f"every quaternion is far from unit length (the first has {length[0]:g})",

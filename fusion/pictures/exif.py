@@ -1,4 +1,4 @@
-"""What a picture file says about itself without being decoded: its size, and the lens it was taken with."""
+"""Metadata of a picture file: its size and focal length, without decoding."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vision.images import read_image
 from vision.limits import check_is_file
 
 FILM_DIAGONAL_MM = hypot(36.0, 24.0)
-FILM_RANGE_MM = (5.0, 300.0)  # 0 means unknown; what is beyond is no corridor camera
+FILM_RANGE_MM = (5.0, 300.0)  # 0 means unknown; other values are implausible here
 CROP_TOLERANCE = 0.01
 EXIF_FORMATS = ("JPEG", "MPO", "TIFF", "WEBP")
 
@@ -28,9 +28,9 @@ class PictureHeader:
     Parameters
     ----------
     width_px, height_px
-        After the turn that the camera noted down.
+        After the rotation declared by the camera.
     film_mm
-        EXIF's focal length on 35 mm film; None where it is not written, or the picture was cropped since.
+        EXIF's focal length on 35 mm film; None if missing, or if the picture was cropped.
     """
 
     width_px: int
@@ -39,7 +39,7 @@ class PictureHeader:
 
     @property
     def horizontal_fov_rad(self) -> float | None:
-        """Field of view by ``film_mm``, which relates to the diagonal of the film as of the picture."""
+        """Field of view by ``film_mm``, which refers to the diagonals of film and picture."""
         if self.film_mm is None:
             return None
         diagonal_px = hypot(self.width_px, self.height_px)
@@ -47,21 +47,21 @@ class PictureHeader:
 
 
 def read_header(path: Path) -> PictureHeader | None:
-    """Read a picture's size and focal length, without decoding it where that can be avoided.
+    """Read a picture's size and focal length, if possible without decoding.
 
     Returns
     -------
     PictureHeader or None
-        None where the picture cannot be read.
+        None if the picture cannot be read.
     """
     from PIL import Image
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # large, or with oddities in it: nobody is decoding it here
+            warnings.simplefilter("ignore")  # warnings about size or content: the picture is not decoded here
             check_is_file(path)
             with Image.open(path) as image:
-                if image.format not in EXIF_FORMATS:  # Pillow would decode a PNG to look for it
+                if image.format not in EXIF_FORMATS:  # for a PNG, Pillow would decode the whole picture
                     return PictureHeader(*image.size)
                 return _of_image(image.size, image.getexif())
     except (OSError, ValueError, SyntaxError, TypeError, Image.DecompressionBombError):

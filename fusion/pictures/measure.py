@@ -1,4 +1,4 @@
-"""Pictures without a flight: the work behind ``corridor measure``, a table row for each."""
+"""Measurement of pictures without a flight, for ``corridor measure``: a table row for each."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from vision.images import GreyImage, read_image
 
 ASPECT_TOLERANCE = 0.01
 
-#: As `FRAME_DTYPE`, with the picture first and the next best heading last; a time only where the file's name is one.
+#: `FRAME_DTYPE`, with the picture first and the next best heading last; times only from file names.
 IMAGE_DTYPE = np.dtype(
     [
         ("image", "O"),
@@ -41,7 +41,7 @@ def find_images(sources: Sequence[Path]) -> list[Path]:
     Raises
     ------
     InputError
-        Where a source does not exist or a folder contains no picture.
+        If a source does not exist or a folder contains no picture.
     """
     found: list[Path] = []
     for source in sources:
@@ -72,7 +72,7 @@ def find_images(sources: Sequence[Path]) -> list[Path]:
 
 
 def check_table_file(path: Path) -> None:
-    """Raise `InputError` where a table would take the place of a folder or of a picture."""
+    """Raise `InputError` if a table would replace a folder or a picture."""
     if path.is_dir() or path.suffix.lower() in PICTURE_SUFFIXES:
         what = "folder" if path.is_dir() else "picture"
         raise InputError(
@@ -85,7 +85,7 @@ def _natural_order(path: Path) -> list[tuple[int, str]]:
 
 
 def camera_for(camera: Camera, image: GreyImage, file: Path) -> Camera:
-    """Fit a calibration to a picture's size.
+    """Scale a calibration to a picture's size.
 
     Parameters
     ----------
@@ -94,12 +94,12 @@ def camera_for(camera: Camera, image: GreyImage, file: Path) -> Camera:
     image
         The picture, grey (h, w).
     file
-        Named where the calibration belongs to pictures of another shape.
+        For the error if the aspect ratios differ.
 
     Raises
     ------
     InputError
-        Where the aspect ratios differ by more than one percent.
+        If the aspect ratios differ by more than one percent.
     """
     height, width = image.shape
     if (width, height) == (camera.width_px, camera.height_px):
@@ -128,7 +128,7 @@ def measure_images(
     progress: Progress = lambda done, total: None,
     views: AssumedViews | None = None,
 ) -> Table:
-    """Measure pictures one by one; those that do not decode are rows with the reason ``unreadable``.
+    """Measure pictures one by one; those that cannot be decoded become rows with the reason ``unreadable``.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def measure_images(
     camera
         Their calibration; see `camera_for`. None to assume one: see ``views``.
     attitudes
-        Roll and pitch per picture, where known.
+        Roll and pitch per picture, if known.
     method
         ``geometric`` or ``paper``.
     overlay_dir
@@ -145,8 +145,8 @@ def measure_images(
     progress
         Called with (done, total).
     views
-        What to assume where there is no calibration; None to find out, see `assume_views`. The headings'
-        sigmas then include what that may be off by.
+        Assumptions if there is no calibration; None: from `assume_views`. The headings' sigmas then include their
+        uncertainty.
 
     Returns
     -------
@@ -156,7 +156,7 @@ def measure_images(
     Raises
     ------
     InputError
-        Where no picture decodes, or the calibration is of pictures of another shape.
+        If no picture can be decoded, or the calibration has another aspect ratio.
     """
     if camera is None and views is None:
         views = assume_views(paths) if method == "geometric" else AssumedViews()
@@ -183,14 +183,14 @@ def measure_images(
 
 
 def _none_readable(problems: Sequence[InputError]) -> InputError:
-    """Return the error to raise where no picture can be read, from those of the pictures."""
+    """Return the error to raise if no picture can be read, from the pictures' errors."""
     if len(problems) == 1:
         return problems[0]
     return InputError(f"none of the {len(problems)} pictures can be read; the first: {problems[0]}")
 
 
 class _Measurer:
-    """Measures pictures by their calibration, or by what is assumed of their camera where they have none."""
+    """Measures pictures with a calibration or, without one, with an assumed camera."""
 
     def __init__(
         self, camera: Camera | None, views: AssumedViews, attitudes: AttitudeFile | None, method: Method
@@ -199,7 +199,7 @@ class _Measurer:
         self._warm = False
 
     def measure(self, path: Path, t_ns: int | None, image: GreyImage) -> tuple[Camera, FrameMeasurement]:
-        """Measure a picture; return the camera that it was taken to come from, too."""
+        """Measure a picture; return also the camera that was used."""
         view: AssumedView | None = None
         if self._camera is not None:
             camera = camera_for(self._camera, image, path)
@@ -207,7 +207,7 @@ class _Measurer:
             view = self._views.of(path, image)
             camera = _assumed_camera(view)
         attitude = None if self._attitudes is None else self._attitudes.of(path, t_ns)
-        if not self._warm:  # the first call loads or compiles machine code: keep that out of `vision_ms`
+        if not self._warm:  # the first call loads or compiles code: exclude it from `vision_ms`
             measure_frame(image, camera, attitude, method=self._method)
             self._warm = True
         measurement = measure_frame(image, camera, attitude, method=self._method)
@@ -222,7 +222,7 @@ def _fill(table: Table, row: int, path: Path, t_ns: int | None, measurement: Fra
     table["vp_x_px"][row], table["vp_y_px"][row] = measurement.vp_px
     table["reason"][row] = measurement.reason.value
     table["position"][row] = "" if measurement.position is None else measurement.position.value
-    for of_a_filter in ("innovation_rad", "test_ratio"):  # there is none here
+    for of_a_filter in ("innovation_rad", "test_ratio"):  # there is no filter here
         table[of_a_filter][row] = np.nan
     table["accepted"][row] = measurement.accepted
     table["n_lines"][row] = measurement.n_lines
@@ -238,7 +238,7 @@ def _fill(table: Table, row: int, path: Path, t_ns: int | None, measurement: Fra
 
 
 class _Overlays:
-    """A folder of drawings whose names clash neither with each other nor with a given picture."""
+    """A folder of drawings with names that differ from each other and from the given pictures."""
 
     def __init__(self, folder: Path, paths: Sequence[Path]) -> None:
         if any(path.resolve().parent == folder.resolve() for path in paths):

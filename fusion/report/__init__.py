@@ -1,7 +1,7 @@
 """The report of a fused flight, one HTML page: `write_report`.
 
-May import `fusion.evaluation`, `fusion.result` and what lies below them. Begin reading at `fusion.report.page`; the
-plots in `fusion.report.plots` are usable alone, as in notebooks.
+May import `fusion.evaluation`, `fusion.result` and the packages below them. Begin reading at `fusion.report.page`;
+the plots in `fusion.report.plots` can be used alone, for example in notebooks.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ def write_report(
     Parameters
     ----------
     result, flight
-        What `fusion.fuse_flight` returned, and what it was given; some of its pictures are measured again.
+        Result of `fusion.fuse_flight`, and its flight; some of its pictures are measured again.
     path
-        The file to write. It appears whole: an error leaves an earlier one as it was.
+        The file, written atomically: after an error, an earlier one is unchanged.
     provenance
-        Version, command, inputs and camera as `fusion.outputs.provenance.provenance` tells them; None: not shown.
+        Version, command, inputs and camera from `fusion.outputs.provenance.provenance`; None: not shown.
 
     Raises
     ------
     InputError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     from fusion.report.page import render_report, replace_text
 

@@ -1,4 +1,4 @@
-"""A comparison of fused flights with a truth as a figure: errors over time, and how large they mostly are."""
+"""Figure of a comparison of fused flights with ground truth: errors over time, and their distribution."""
 
 from __future__ import annotations
 
@@ -17,7 +17,14 @@ from fusion.report.drawing import FAINT, FILTER, IMU_YAW, RAW_YAW, REJECTED, SMO
 from vision.errors import InputError
 
 FORMATS = (".png", ".svg", ".pdf")
-COLOURS = (FILTER, REJECTED, SMOOTHED, RAW_YAW, IMU_YAW, VISION)  # told apart by colour-blind readers too
+COLOURS = (
+    FILTER,
+    REJECTED,
+    SMOOTHED,
+    RAW_YAW,
+    IMU_YAW,
+    VISION,
+)  # distinguishable for colour-blind readers, too
 STYLES = ("-", (0, (5, 2)), (0, (1, 1.5)))
 DPI = 160
 
@@ -33,8 +40,8 @@ def comparison_figure(outputs: Sequence[Output], truth: Truth, *, align: bool = 
     Returns
     -------
     Figure
-        On the left heading and offset error over time, on the right the share of the rows whose error is at most so
-        large; the dotted line there is what nine rows of ten stay below.
+        On the left, errors of heading and offset over time; on the right, their cumulative distribution, with a
+        dotted line at the 90th percentile.
     """
     metres = any(np.isfinite(output.causal["lateral_offset_m"]).any() for output in outputs)
     unit: Literal["m", "norm"] = "m" if metres and truth.offset in ("m", "both") else "norm"
@@ -72,12 +79,12 @@ def comparison_figure(outputs: Sequence[Output], truth: Truth, *, align: bool = 
 def write_comparison_figure(
     outputs: Sequence[Output], truth: Truth, path: Path, *, align: bool = False
 ) -> None:
-    """Write `comparison_figure` to a file, whole or not at all; its ending says the format.
+    """Write `comparison_figure` to a file, atomically; its extension selects the format.
 
     Raises
     ------
     InputError
-        Where the ending is none of `FORMATS`, or the file cannot be written.
+        If the extension is none of `FORMATS`, or the file cannot be written.
     """
     if path.suffix.lower() not in FORMATS:
         remedy = f"end it in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}"

@@ -1,4 +1,4 @@
-"""How plots of a flight are drawn: colours, thinned lines, bands and dots, and the axes around them."""
+"""Drawing of plots: colours, thinned lines, bands and dots, and axes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ REJECTED = "#d55e00"
 HYPOTHESIS = "#b8a3c9"
 IMU_YAW = "#e69f00"
 RAW_YAW = "#cc79a7"
-EDGE_WIDTH = 4.0  # of a line along the edge of an axis, where the values are beyond it
+EDGE_WIDTH = 4.0  # of a line along the edge of an axis, for values beyond it
 STATUS_COLOUR = {"initialising": "#b4bac1", "tracking": "#7cc4e8", "coasting": "#e8b33a", "lost": "#d1495b"}
 NO_CUTS: IndexArray = np.array([], dtype=np.int64)
 
@@ -33,7 +33,7 @@ _BINS = ContextVar("bins", default=700)
 
 @contextmanager
 def thinned_to(bins: int) -> Iterator[None]:
-    """Thin series to the extremes in so many intervals of time, as long as this context lasts (default: 700)."""
+    """Set the number of time intervals for thinning within this context (default: 700)."""
     before = _BINS.set(bins)
     try:
         yield
@@ -42,7 +42,7 @@ def thinned_to(bins: int) -> Iterator[None]:
 
 
 def plain_axes(ax: Axes, x_label: str, y_label: str) -> None:
-    """Label axes, and leave of their frame what is needed: two thin edges and a grid behind the lines."""
+    """Label axes, and reduce their frame to two thin edges and a grid behind the lines."""
     ax.set_xlabel(x_label, color=INK)
     ax.set_ylabel(y_label, color=INK)
     ax.grid(axis="y", color=GRID, lw=0.6)
@@ -65,16 +65,16 @@ def draw_line(
     label: str,
     style: str | tuple[int, tuple[int, ...]] = "-",
 ) -> None:
-    """Draw a line, thinned, unless it is NaN throughout.
+    """Draw a thinned line, unless it is NaN throughout.
 
     Parameters
     ----------
     t, y
         Times (n,), seconds, and values (n,); NaN leaves a gap.
     cuts
-        Indices (k,) of samples that are not joined to the one before.
+        Indices (k,) of samples that are not connected to the previous one.
     colour, width, label, style
-        As `Axes.plot` takes them.
+        As for `Axes.plot`.
     """
     if np.isfinite(y).any():
         x, values = envelope(*broken(t, y, cuts), _BINS.get())
@@ -97,19 +97,19 @@ def draw_dots(ax: Axes, x: FloatArray, y: FloatArray, colour: str, label: str) -
     """Draw points (n,) as dots."""
     if not len(x):
         return
-    # One path of zero-length strokes with round caps: a quarter of the bytes of as many markers in SVG.
+    # A path of zero-length strokes with round caps needs a quarter of the bytes of markers in SVG.
     vertices = np.repeat(np.column_stack([x, y]), 2, axis=0)
     path = Path(vertices, np.tile(np.array([Path.MOVETO, Path.LINETO], dtype=np.uint8), len(x)))
     path.should_simplify = False
     patch = PathPatch(path, fill=False, edgecolor=colour, lw=2.4, capstyle="round", zorder=2.5)
     ax.add_patch(patch)
-    ax.plot([], [], ".", color=colour, label=label)  # what a legend shows of them
+    ax.plot([], [], ".", color=colour, label=label)  # for the legend
     ax.update_datalim(vertices)
     ax.autoscale_view()
 
 
 def widen_y_axis(ax: Axes, values: FloatArray) -> None:
-    """Make room for another series, unless it would squeeze the first."""
+    """Extend the limits for another series, unless that would squeeze the first."""
     values = values[np.isfinite(values)]
     if not values.size:
         return
@@ -123,7 +123,7 @@ def widen_y_axis(ax: Axes, values: FloatArray) -> None:
 def mark_beyond(ax: Axes, t: FloatArray, values: FloatArray) -> None:
     """Draw a thick line along the edge of the axis where the filter is beyond it."""
     low, high = ax.get_ylim()
-    inset = 0.02 * (high - low)  # below lies the colour of the status
+    inset = 0.02 * (high - low)  # the status colour is below
     edge = np.where(values > high, high - inset, np.where(values < low, low + 3 * inset, np.nan))
-    edge[1:] = np.where(np.isnan(edge[1:]), edge[:-1], edge[1:])  # a lone sample would draw nothing
+    edge[1:] = np.where(np.isnan(edge[1:]), edge[:-1], edge[1:])  # a single sample would draw nothing
     draw_line(ax, t, edge, NO_CUTS, FILTER, EDGE_WIDTH, "filter beyond the scale")

@@ -1,7 +1,7 @@
-"""The report's plots as data, for the charts that a browser with scripts draws in their place.
+"""The report's plots as data, for the interactive charts that replace them in a browser with scripts.
 
-What is shown is said once, in `fusion.report.plots`: the same functions draw into axes that are never rendered, and
-their lines, bands and points are taken from there. `uPlot <https://github.com/leeoniya/uPlot>`_ draws them: 50 kB
+The contents are defined only in `fusion.report.plots`: the same functions draw into axes that are never rendered, and
+their lines, bands and points are extracted. `uPlot <https://github.com/leeoniya/uPlot>`_ draws them: 50 kB
 under the MIT licence, where Plotly takes 1 MB and more and Bokeh 0.8 MB, and it draws 100,000 points at once.
 """
 
@@ -30,20 +30,20 @@ from fusion.result.table_rows import runs
 
 Panel = Callable[[Axes], None]
 
-BINS = 1200  # of time, to which a series is thinned: a ten-minute flight then stays within the report's 6 MB
-GAP_S = 1e-4  # before the next sample, a hole's time: two values at one time would be one
+BINS = 1200  # time bins of a thinned series: keeps the report of a ten-minute flight below 6 MB
+GAP_S = 1e-4  # of a gap's time before the next sample, because times must differ
 PICTURES_PER_S, MAX_PICTURES = 2.0, 90
 
 
 def page_data(result: FusionResult, flight: Flight, panels: dict[str, Sequence[Panel]]) -> Markup:
-    """Return what the page's script draws, as JSON that no text of the log can leave.
+    """Return the data for the page's script, as JSON safe for embedding in HTML.
 
     Parameters
     ----------
     result, flight
         As for `fusion.report.write_report`.
     panels
-        By the name of the figure, the functions that draw its panels.
+        Functions that draw the panels, by the name of the figure.
     """
     table = result.estimates
     origin_ns = result.origin_ns
@@ -71,7 +71,7 @@ def page_data(result: FusionResult, flight: Flight, panels: dict[str, Sequence[P
 
 
 def script() -> tuple[Markup, Markup]:
-    """Return the page's script and the style sheet that it needs."""
+    """Return the page's script and its style sheet."""
     text = {
         name: (files("fusion.report") / name).read_text("utf-8")
         for name in ("uplot.min.js", "uplot.min.css", "interactive.js")
@@ -88,7 +88,7 @@ def _charts(panels: Sequence[Panel]) -> list[dict[str, Any]]:
 
 
 def _chart(ax: Axes) -> dict[str, Any]:
-    """Take what a panel drew: its label, scale, limits and series, each band before the lines over it."""
+    """Extract a panel's label, scale, limits and series, each band before the lines over it."""
     series = [_band(band) for band in ax.collections if isinstance(band, PolyCollection) and _is_named(band)]
     words = {line.get_color(): line.get_label() for line in ax.lines if not np.size(line.get_xdata())}
     for patch in ax.patches:
@@ -108,12 +108,12 @@ def _chart(ax: Axes) -> dict[str, Any]:
 
 
 def _is_named(artist: Line2D | PolyCollection) -> bool:
-    return not str(artist.get_label()).startswith("_")  # as matplotlib calls what no legend shows
+    return not str(artist.get_label()).startswith("_")  # matplotlib's prefix of labels without a legend entry
 
 
 def _line(line: Line2D, ax: Axes) -> dict[str, Any]:
     x, y = np.asarray(line.get_xdata(), dtype=float), np.asarray(line.get_ydata(), dtype=float)
-    if line.get_transform() == ax.get_yaxis_transform():  # level, from edge to edge
+    if line.get_transform() == ax.get_yaxis_transform():  # horizontal, from edge to edge
         x = np.array(ax.get_xlim())
     is_thick = line.get_linewidth() >= drawing.EDGE_WIDTH
     shape = "cross" if line.get_marker() == "x" else "dash" if line.is_dashed() else "line"
@@ -122,7 +122,7 @@ def _line(line: Line2D, ax: Axes) -> dict[str, Any]:
 
 
 def _band(band: PolyCollection) -> dict[str, Any]:
-    """Take a band's edges from its polygons: start, lower edge, end, upper edge backwards, start."""
+    """Extract a band's edges from its polygons: start, lower edge, end, upper edge backwards, start."""
     parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     for path in band.get_paths():
         corners = np.asarray(path.vertices)

@@ -1,4 +1,4 @@
-"""The report's page: what the template shows, in words and units for people."""
+"""The report's page: values for the template, in words and convenient units."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def replace_text(path: str | Path, text: str) -> None:
 
 
 def facts(result: FusionResult, flight: Flight) -> list[tuple[str, str, str]]:
-    """Return the headline numbers: (what, number, remark)."""
+    """Return the headline numbers: (name, number, remark)."""
     table, frames = result.estimates, result.frames
     tracking = table["status"] == "tracking"
     found = []
@@ -144,7 +144,7 @@ def facts(result: FusionResult, flight: Flight) -> list[tuple[str, str, str]]:
 
 
 def figures(result: FusionResult, flight: Flight) -> list[Figure]:
-    """Draw every plot for which the flight has data."""
+    """Draw all plots for which the flight has data."""
     found: list[Figure] = []
 
     def add(name: str, title: str, text: str, *panels: Panel) -> None:
@@ -210,7 +210,7 @@ def error_rows(result: FusionResult, flight: Flight) -> list[tuple[str, list[str
         return []
     rows = []
     half = half_widths_m(result.estimates, result.config)
-    half_m = float(half[0]) if np.ptp(half) == 0.0 else None  # of all corridors; NaN: of none
+    half_m = float(half[0]) if np.ptp(half) == 0.0 else None  # the same in all corridors; NaN: unknown
     for name, table in (
         ("Filter", result.estimates),
         ("Smoother", result.smoothed),
@@ -224,7 +224,7 @@ def error_rows(result: FusionResult, flight: Flight) -> list[tuple[str, list[str
 
 
 def _error_cells(found: TableErrors | CorridorErrors, half_m: float | None) -> list[str]:
-    """Format errors in degrees and, where the width is known, in centimetres; single frames have no metres."""
+    """Format errors in degrees and, if the width is known, in centimetres; single frames have no metres."""
     heading, metres, norm = found.heading, found.lateral_offset_m, found.lateral_offset_norm
     cells = [_degrees(value) for value in (heading.rmse, heading.mae, heading.p95, heading.max)]
     cells.append("" if heading.nees_mean is None else f"{heading.nees_mean:.2f}")
@@ -265,7 +265,7 @@ def settings(result: FusionResult) -> list[tuple[str, str, str, bool]]:
 
 
 def provenance_rows(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return (name, value) of the program, command and camera that made the output."""
+    """Return (name, value) of the program, command and camera of the output."""
     if not provenance:
         return []
     rows = [("Version", f"{provenance['version']}, Python {provenance['python']}")]
@@ -280,12 +280,12 @@ def provenance_rows(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def timings(result: FusionResult) -> list[tuple[str, str]]:
-    """Return the times in the summary, and those of measuring a picture."""
+    """Return the timings in the summary, and those of measuring a picture."""
     found = []
-    told = {} if result.overview.timings is None else result.overview.timings.to_dict()
+    values = {} if result.overview.timings is None else result.overview.timings.to_dict()
     for name, (words, unit) in TIMING_WORDS.items():
-        if told.get(name) is not None:
-            found.append((words, f"{told[name]:.3g} {unit}"))
+        if values.get(name) is not None:
+            found.append((words, f"{values[name]:.3g} {unit}"))
     milliseconds = result.frames["vision_ms"]
     milliseconds = milliseconds[np.isfinite(milliseconds)]
     if milliseconds.size:

@@ -1,7 +1,7 @@
-"""Plots of a fused flight, each drawn into an ``Axes`` of the caller; the report and notebooks share them.
+"""Plots of a fused flight, each drawn into the caller's ``Axes``, for the report and notebooks.
 
 Time is seconds since `FusionResult.origin_ns`; angles are drawn in degrees, positive right. Series are thinned to
-their extremes, so that a long flight draws as fast as a short one. No global state of matplotlib is touched.
+their extremes, so that a long flight is drawn as fast as a short one. No global state of matplotlib is changed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from fusion.result.result import FusionResult
 from fusion.result.table_rows import runs
 from vision.rotations import wrap, yaw_of
 
-_RATIO_SHOWN = (2.2e-4, 6e1)  # beyond it, at the edge of the axis
+_RATIO_SHOWN = (2.2e-4, 6e1)  # values beyond are drawn at the edge of the axis
 
 
 def seconds(t_ns: TimeArray, origin_ns: int) -> FloatArray:
@@ -47,7 +47,7 @@ def seconds(t_ns: TimeArray, origin_ns: int) -> FloatArray:
 
 
 def plot_heading(ax: Axes, result: FusionResult, flight: Flight) -> None:
-    """Draw the heading with its two-sigma band, over what the frames and the IMU's yaw say."""
+    """Draw the heading with its two-sigma band, over the headings of the frames and the IMU's yaw."""
     origin, table = result.origin_ns, result.estimates
     t, heading = seconds(table["timestamp_ns"], origin), np.degrees(table["heading_rad"])
     cuts = _cuts(table, heading)
@@ -67,7 +67,7 @@ def plot_heading(ax: Axes, result: FusionResult, flight: Flight) -> None:
 
 
 def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
-    """Draw the lateral offset with its two-sigma band, in metres where the corridor's width is known."""
+    """Draw the lateral offset with its two-sigma band, in metres if the corridor's width is known."""
     origin, table, frames = result.origin_ns, result.estimates, result.frames
     metres = bool(np.isfinite(table["lateral_offset_m"]).any())
     unit = "m" if metres else "norm"
@@ -96,7 +96,7 @@ def plot_offset(ax: Axes, result: FusionResult, flight: Flight) -> None:
 
 
 def plot_innovations(ax: Axes, result: FusionResult) -> None:
-    """Draw what each frame said beyond the filter's prediction, with the gate it had to pass."""
+    """Draw each frame's innovation, with its gate."""
     frames = result.frames
     t, innovation = (
         seconds(frames["timestamp_ns"], result.origin_ns),
@@ -128,12 +128,12 @@ def plot_test_ratio(ax: Axes, result: FusionResult) -> None:
 
 
 def plot_gyro_bias(ax: Axes, result: FusionResult) -> None:
-    """Draw the gyroscope's bias about the vertical, as the filter learned it and the smoother knows it."""
+    """Draw the gyroscope's bias about the vertical, by filter and smoother."""
     _plot_state(ax, result, "gyro_bias_rad_s", "Gyro bias, degrees/s")
 
 
 def plot_imu_yaw_offset(ax: Axes, result: FusionResult) -> None:
-    """Draw how far the IMU's yaw is off from the first corridor's axis; steps are disturbances of it."""
+    """Draw the offset of the IMU's yaw from the first corridor's axis; steps are disturbances."""
     _plot_state(ax, result, "imu_yaw_offset_rad", "IMU yaw offset, degrees")
 
 
@@ -152,13 +152,13 @@ def plot_offset_error(ax: Axes, result: FusionResult, truth: CorridorTruth) -> N
 
 
 def aligned_imu_yaw(attitude: AttitudeStream, table: Table) -> tuple[FloatArray, FloatArray]:
-    """Bring the IMU's yaw (n,), at its own times, to the present corridor's axis in two ways.
+    """Convert the IMU's yaw (n,), at its own times, to the present corridor's axis in two ways.
 
     Returns
     -------
     tuple
-        Yaw less the offset that the filter holds at that time, and yaw less the constant that fits the first
-        second of tracking; both in radians, less the turn between corridors, NaN outside the table.
+        Yaw less the filter's offset at that time, and yaw less the constant that fits the first second of tracking;
+        both in radians, less the turn between corridors, NaN outside the table.
     """
     yaw = yaw_of(attitude.q_world_body)
     t = attitude.t_ns
@@ -176,7 +176,7 @@ def aligned_imu_yaw(attitude: AttitudeStream, table: Table) -> tuple[FloatArray,
 
 
 def mark_status(ax: Axes, result: FusionResult) -> None:
-    """Colour the foot of the axes by status, and draw a vertical line where a new corridor begins."""
+    """Colour the bottom of the axes by status, and draw a vertical line where a new corridor begins."""
     table = result.estimates
     t = seconds(table["timestamp_ns"], result.origin_ns)
     for status, colour in STATUS_COLOUR.items():
@@ -238,7 +238,7 @@ def _plot_error(
     if worst.size:
         top = 1.25 * float(worst.max())
         usual = band[tracked & np.isfinite(band)]
-        if usual.size:  # its edges are to be seen, unless they would flatten the lines
+        if usual.size:  # show its edges, unless that would flatten the lines
             top = max(top, min(1.25 * float(np.median(usual)), 5.0 * top))
         ax.set_ylim(-top, top)
         mark_beyond(ax, t, error)
@@ -262,7 +262,7 @@ def _plot_truth(ax: Axes, truth: CorridorTruth, values: FloatArray, origin_ns: i
 
 
 def _plot_hypotheses(ax: Axes, hypotheses: Table, table: Table, half: FloatArray, origin_ns: int) -> None:
-    """Draw what else the filter held possible of the offset."""
+    """Draw the filter's other hypotheses of the offset."""
     some = hypotheses[hypotheses["probability"] < 0.9]
     row = np.clip(np.searchsorted(table["timestamp_ns"], some["timestamp_ns"], side="right") - 1, 0, None)
     y = some["lateral_offset_norm"] * half[row]
@@ -289,7 +289,7 @@ def _wraps(degrees: FloatArray) -> IndexArray:
 
 
 def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, least: float) -> None:
-    """Fit the y axis to what was tracked and coasted, so that a wide start or one wild frame does not flatten it."""
+    """Fit the y axis to the estimates while tracking and coasting; ignore a wide start and outliers."""
     rows = (table["status"] == "tracking") & np.isfinite(values + half)
     if not rows.any():
         return
@@ -301,9 +301,9 @@ def _limit(ax: Axes, table: Table, values: FloatArray, half: FloatArray, *, leas
 
 
 def _walls(ax: Axes, t: FloatArray, half: FloatArray) -> None:
-    """End the axis a little behind the widest corridor's walls, and draw each corridor's where it reaches them."""
+    """Limit the axis to slightly beyond the widest corridor's walls, and draw each corridor's walls."""
     low, high = ax.get_ylim()
-    known = half[half > 0]  # NaN fails too
+    known = half[half > 0]  # excludes NaN, too
     if not known.size:
         return
     widest = float(known.max())

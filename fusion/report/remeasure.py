@@ -1,4 +1,4 @@
-"""Measure frames of a fused flight once more, for their lines: the tables keep numbers only."""
+"""Measure frames of a fused flight again, for their lines: the tables contain only numbers."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from vision.measurement import Attitude, FrameMeasurement, Position, Prior, Reas
 
 
 class RemeasuredFrame(NamedTuple):
-    """A frame's picture, and its measurement with lines; None where it could not be measured again."""
+    """A frame's picture, and its measurement with lines; None if it could not be measured again."""
 
     image: GreyImage
     measurement: FrameMeasurement | None
 
 
 def measure_frame_again(result: FusionResult, flight: Flight, row: int) -> RemeasuredFrame | None:
-    """Read and measure a frame again, with what the filter knew; None where its picture does not decode.
+    """Read and measure a frame again, with the filter's prior; None if its picture cannot be decoded.
 
-    The lines are the new measurement's, the numbers those that went into the filter.
+    The lines are from the new measurement, the numbers are those used by the filter.
 
     Parameters
     ----------
     result, flight
-        What `fusion.fuse_flight` returned, and what it was given.
+        Result of `fusion.fuse_flight`, and its flight.
     row
-        Of ``result.frames``.
+        Row of ``result.frames``.
     """
     from vision.frame import measure_frame
 
@@ -62,12 +62,12 @@ def measure_frame_again(result: FusionResult, flight: Flight, row: int) -> Remea
 
 
 def delay_ns(result: FusionResult) -> int:
-    """How much later than mid-exposure the filter took the frames to be stamped."""
+    """Delay of the frames' stamps after mid-exposure, as assumed by the filter."""
     return round(result.config.camera_delay_s * 1e9)
 
 
 def _as_recorded(measurement: FrameMeasurement, record: np.void) -> FrameMeasurement:
-    """Keep the new measurement's lines and the recorded one's numbers: those went into the filter."""
+    """Combine the new measurement's lines with the recorded numbers, which the filter used."""
     position = str(record["position"])
     vp = (float(record["vp_x_px"]), float(record["vp_y_px"]))
     return replace(
@@ -103,12 +103,12 @@ def interpolated_attitude(flight: Flight, t_ns: int, within_s: float = 0.5) -> A
     t_ns
         The time.
     within_s
-        How near the nearer sample must be.
+        Largest distance of the nearest sample.
 
     Returns
     -------
     Attitude or None
-        None where no sample is near.
+        None if no sample is near enough.
     """
     stream = flight.attitude
     if stream is None or not stream.t_ns.size:

@@ -1,4 +1,4 @@
-"""Long series made small enough for a page, without losing what stands out in them."""
+"""Thin long series for a page without losing extremes."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ IndexArray = npt.NDArray[np.int64]
 
 
 def envelope_indices(t_s: FloatArray, y: FloatArray, bins: int = 700) -> IndexArray:
-    """Choose the samples (at most 4 per bin of time) that keep a line's extremes, its ends and its holes.
+    """Choose the samples (at most 4 per bin of time) that keep a line's extremes, ends and gaps.
 
     Parameters
     ----------
     t_s, y
-        Times (n,), not decreasing, and values (n,); NaN values are holes, and one of each is kept.
+        Times (n,), not decreasing, and values (n,); NaN values are gaps, and one of each is kept.
     bins
         Intervals of equal length that the time is divided into.
     """
@@ -56,9 +56,9 @@ def band_envelope(
 
 
 def thin_points(t_s: FloatArray, y: FloatArray, limit: int = 3000) -> tuple[FloatArray, FloatArray]:
-    """Thin a scatter to at most about ``limit`` points, half of them extremes and half every so many-th.
+    """Thin a scatter to about ``limit`` points, half of them extremes and half evenly spaced.
 
-    The extremes alone would keep the outliers but look like two bands; the others show where most points lie.
+    The extremes keep the outliers, but would look like two bands; the others show where most points are.
     """
     finite = np.isfinite(y) & np.isfinite(t_s)
     t_s, y = t_s[finite], y[finite]
@@ -71,5 +71,5 @@ def thin_points(t_s: FloatArray, y: FloatArray, limit: int = 3000) -> tuple[Floa
 
 
 def broken(t_s: FloatArray, y: FloatArray, before: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """Break a line before the samples of the given indices, so that no stroke joins what does not belong."""
+    """Break a line before the samples of the given indices."""
     return np.insert(t_s, before, t_s[before]), np.insert(y, before, np.nan)

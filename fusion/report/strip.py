@@ -1,4 +1,4 @@
-"""The frames worth looking at: where something happened, not every so many seconds."""
+"""Selected frames of the report: those at events, not at regular intervals."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from fusion.result.table_rows import row_before, runs
 from vision.rotations import wrap
 
 MAX_WIDTH_PX, JPEG_QUALITY = 640, 78
-SMALL_WIDTH_PX, SMALL_QUALITY = 320, 55  # of the many that the time cursor shows
+SMALL_WIDTH_PX, SMALL_QUALITY = 320, 55  # for the many pictures at the time cursor
 
 
 @dataclass(frozen=True, slots=True)
 class ChosenFrame:
-    """A row of the frames table and the reason to look at it."""
+    """A row of the frames table and the reason for its selection."""
 
     row: int
     why: str
@@ -30,7 +30,7 @@ class ChosenFrame:
 
 @dataclass(frozen=True, slots=True)
 class DrawnFrame:
-    """A chosen frame, drawn; ``picture`` is a data URI, None where the file does not decode."""
+    """A drawing of a chosen frame; ``picture`` is a data URI, None if the file cannot be decoded."""
 
     row: int
     why: str
@@ -42,9 +42,9 @@ class DrawnFrame:
 
 
 def choose_frames(result: FusionResult, flight: Flight, limit: int = 12) -> list[ChosenFrame]:
-    """Choose up to ``limit`` frames, in order of time, no two of them close together.
+    """Choose up to ``limit`` frames, in order of time, with a minimum distance.
 
-    Each kind of event offers its frames, most telling first; the kinds take turns until the strip is full.
+    Each kind of event offers its frames, the most relevant first; the kinds alternate until the strip is full.
     """
     frames = result.frames
     if not len(frames) or not len(result.estimates):
@@ -67,7 +67,7 @@ def choose_frames(result: FusionResult, flight: Flight, limit: int = 12) -> list
 
 
 def show_frames(result: FusionResult, flight: Flight, chosen: list[ChosenFrame]) -> Iterator[DrawnFrame]:
-    """Measure the chosen frames again, for their lines, and draw what was seen; a frame at a time."""
+    """Measure the chosen frames again, for their lines, and draw the measurements, one frame at a time."""
     table, frames = result.estimates, result.frames
     for item in chosen:
         t_ns = int(frames["timestamp_ns"][item.row])
@@ -84,7 +84,7 @@ def show_frames(result: FusionResult, flight: Flight, chosen: list[ChosenFrame])
 
 
 def small_pictures(result: FusionResult, flight: Flight, count: int) -> Iterator[tuple[int, str]]:
-    """Draw frames at even distances: row of the frames table and picture, without those that do not decode."""
+    """Draw evenly spaced frames: row of the frames table and picture, without those that cannot be decoded."""
     rows = np.linspace(0, len(result.frames) - 1, min(count, len(result.frames))).round()
     for row in rows.astype(int).tolist():
         picture = _picture(result, flight, row, SMALL_WIDTH_PX, SMALL_QUALITY)
@@ -129,7 +129,7 @@ def _rejections(frames: Table) -> list[list[tuple[int, str]]]:
 def _largest(values: FloatArray, why: str, count: int) -> list[tuple[int, str]]:
     known = np.flatnonzero(np.isfinite(values))
     order = known[np.argsort(-values[known], kind="stable")]
-    # More than are shown: neighbours of the first are too close to it to be taken.
+    # More than are shown, because neighbours of a chosen frame are skipped.
     return [(int(k), why) for k in order[: 40 * count]]
 
 

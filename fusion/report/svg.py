@@ -1,4 +1,4 @@
-"""Matplotlib figures as inline SVG: small, in the page's own type, and in colours that follow its scheme."""
+"""Matplotlib figures as inline SVG: small, in the page's font, with colours of its colour scheme."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fusion.report import drawing
 
 Panel = Callable[[Axes], None]
 
-# Each colour of the plots is a CSS variable of the page, which gives it a second value for dark screens.
+# Each colour of the plots is a CSS variable of the page, with a second value for dark screens.
 CSS_NAME = {
     drawing.INK: "ink",
     drawing.FAINT: "faint",
@@ -39,7 +39,7 @@ KEY_ORDER = ("line", "dash", "band", "dot", "cross")
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """An entry of a plot's legend: its word, its colour's CSS name, and band, dot, cross, dash or line."""
+    """An entry of a plot's legend: its text, its colour's CSS name, and band, dot, cross, dash or line."""
 
     word: str
     colour: str
@@ -48,7 +48,7 @@ class Key:
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """A figure for a page of about 1000 pixels and for a telephone, with its legend."""
+    """A figure for a page of about 1000 pixels and for a phone, with its legend."""
 
     wide: str
     narrow: str
@@ -56,7 +56,7 @@ class Drawing:
 
 
 class _Page(NamedTuple):
-    """Width and height of a panel, inches, and size of the letters."""
+    """Width and height of a panel, inches, and font size."""
 
     suffix: str
     size_in: tuple[float, float]
@@ -72,9 +72,9 @@ def draw(name: str, title: str, panels: Sequence[Panel]) -> Drawing:
     Parameters
     ----------
     name
-        Short and unique on the page: it keeps the identifiers inside the SVG apart.
+        Short and unique on the page: makes the identifiers inside the SVG unique.
     title
-        What a screen reader says of the picture.
+        Text for screen readers.
     """
     figure = Figure()
     with mpl.rc_context({"font.size": _WIDE.font_pt}):
@@ -88,22 +88,22 @@ def draw(name: str, title: str, panels: Sequence[Panel]) -> Drawing:
                 keys.setdefault(word, _key(handle, word))
         figure.patch.set_visible(False)
     ordered = sorted(keys.values(), key=lambda key: (KEY_ORDER.index(key.shape), key.word != "filter"))
-    # Drawn once: the narrow one only has another size.
+    # Drawn once: the narrow figure differs only in size.
     wide, narrow = (_svg(figure, f"{name}-{page.suffix}", title, page) for page in (_WIDE, _NARROW))
     return Drawing(wide, narrow, tuple(ordered))
 
 
 def _svg(figure: Figure, name: str, title: str, page: _Page) -> str:
     settings: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "font.size": page.font_pt}
-    _lay_out(figure, page)
+    _set_margins(figure, page)
     text = io.StringIO()
     with mpl.rc_context(settings):
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     return _inline(text.getvalue(), name, title)
 
 
-def _lay_out(figure: Figure, page: _Page) -> None:
-    """Give margins of fixed width: the time axes of all figures on the page then line up."""
+def _set_margins(figure: Figure, page: _Page) -> None:
+    """Set margins of fixed width, so that the time axes of all figures on the page are aligned."""
     count = len(figure.axes)
     width, height = page.size_in[0], page.size_in[1] * count
     em = page.font_pt / 72
@@ -132,7 +132,7 @@ def _key(handle: object, word: str) -> Key:
 
 
 def _inline(svg: str, name: str, title: str) -> str:
-    """Turn a file into an element: no prolog, own identifiers, two decimals, colours by name."""
+    """Convert a file to an element: no prolog, unique identifiers, two decimals, named colours."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.S)
     svg = re.sub(r'\s(?:width|height)="[\d.]+pt"', "", svg, count=2)

@@ -1,4 +1,4 @@
-"""Pages from templates: one style for all, everything escaped."""
+"""Pages from templates, with a common style and escaped values."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from markupsafe import Markup, escape
 
 
 def render(package: str, template: str, context: Mapping[str, Any]) -> str:
-    """Fill in a template that lies in a package; it may include ``style.css`` and what else lies here."""
+    """Fill in a template of a package; it may include ``style.css`` and other files of this folder."""
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package, "."), PackageLoader("fusion.report", ".")]),
         autoescape=True,
@@ -23,7 +23,7 @@ def render(package: str, template: str, context: Mapping[str, Any]) -> str:
 
 
 def with_code(text: str) -> Markup:
-    """Set what stands between back quotes as code; everything is escaped."""
+    """Format text between back quotes as code; everything is escaped."""
     parts = [escape(part) for part in text.split("`")]
     return Markup("").join(
         Markup("<code>{}</code>").format(part) if k % 2 else part for k, part in enumerate(parts)

@@ -1,8 +1,8 @@
-"""What each column means, in which unit and frame, and how a table is put into ROS's conventions.
+"""Meaning, unit and frame of each column, and the conversion of a table to ROS's conventions.
 
-Inside and by default everything is FRD: heading, turns and offsets count positive to the right. ROS (REP 103)
-has bodies in FLU and worlds in ENU, so the same numbers count positive to the left, counter-clockwise seen
-from above. Names stay; which of the two holds is said in a file's metadata and in ``summary.json``.
+Internally and by default everything is FRD: heading, turns and offsets are positive to the right. ROS (REP 103)
+has bodies in FLU and worlds in ENU, so the same numbers are positive to the left, counter-clockwise seen from
+above. The names are the same; a file's metadata and ``summary.json`` name the convention.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fusion.estimator.tables import ESTIMATE_COLUMNS, FRAME_COLUMNS, Column, Tab
 
 
 class Frame(StrEnum):
-    """Convention of signs in what is written."""
+    """Sign convention of written files."""
 
     FRD = "frd"
     ROS = "ros"
@@ -45,7 +45,7 @@ def column_metadata(name: str, frame: Frame) -> dict[str, str]:
 
 
 def file_facts(summary: Mapping[str, Any], frame: Frame) -> dict[str, str]:
-    """Return what every exported file says of itself: conventions, software, flight, method."""
+    """Return the metadata of every exported file: conventions, software, flight, method."""
     return {
         "frame": str(frame),
         "conventions": _CONVENTIONS[frame] + " SI units and radians; integer nanoseconds of the log's clock. "
@@ -58,26 +58,26 @@ def file_facts(summary: Mapping[str, Any], frame: Frame) -> dict[str, str]:
 
 
 def table_in_frame(table: Table, frame: Frame) -> Table:
-    """Turn a table between FRD and ROS's conventions, either way; the table itself where nothing turns.
+    """Convert a table between FRD and ROS's conventions, in either direction; the same table if nothing changes.
 
     Parameters
     ----------
     table
         Rows of `fusion.estimator.tables.ESTIMATE_DTYPE` or `fusion.estimator.tables.FRAME_DTYPE`.
     frame
-        `Frame.FRD` leaves the signs as they are, `Frame.ROS` turns them.
+        `Frame.FRD` keeps the signs, `Frame.ROS` reverses them.
     """
     if frame is Frame.FRD:
         return table
     turned = table.copy()
     for name in turned.dtype.names or ():
         if COLUMNS[name].flips:
-            turned[name] = 0.0 - turned[name]  # not minus: there should be no -0 in the files
+            turned[name] = 0.0 - turned[name]  # not negated: avoids -0 in the files
     return turned
 
 
 def summary_in_frame(summary: Mapping[str, Any], frame: Frame) -> dict[str, Any]:
-    """Name the frame in a summary, and turn what has a sign in it: turns of corridors, mean errors."""
+    """Name the frame in a summary, and reverse its signed values: turns of corridors, mean errors."""
     found: dict[str, Any] = deepcopy(dict(summary)) | {"frame": str(frame)}
     if frame is Frame.ROS:
         for corridor in found.get("corridors") or ():

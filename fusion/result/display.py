@@ -1,4 +1,4 @@
-"""A fused flight in a notebook: its tables as pandas frames, and what it looks like where a cell ends with it."""
+"""A fused flight in a notebook: its tables as pandas frames, and its display as a cell's output."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def data_frame(table: Table, origin_ns: int, *, seconds: bool, degrees: bool) ->
     table
         Structured array (n,), see `fusion.estimator.tables`.
     origin_ns
-        Time that counts as zero.
+        Time of zero seconds.
     seconds
         Whether the index is the time in seconds since ``origin_ns``, named ``time_s``.
     degrees
@@ -34,7 +34,7 @@ def data_frame(table: Table, origin_ns: int, *, seconds: bool, degrees: bool) ->
     Raises
     ------
     InputError
-        Where pandas is not installed.
+        If pandas is not installed.
     """
     try:
         import pandas as pd
@@ -53,7 +53,7 @@ def data_frame(table: Table, origin_ns: int, *, seconds: bool, degrees: bool) ->
 
 
 def summary_line(summary: Summary) -> str:
-    """Say in one line what flight this is and how it went."""
+    """Summarise the flight and its verdict in one line."""
     counts = summary.counts
     return printable(
         f"{summary.flight}: {summary.verdict}, {summary.duration_s:.1f} s, {counts.accepted} of {counts.frames} "
@@ -62,7 +62,7 @@ def summary_line(summary: Summary) -> str:
 
 
 def summary_html(summary: Summary) -> str:
-    """Lay the same out as HTML, with the errors against the truth and the checks that did not pass."""
+    """Return the same as HTML, with the errors against ground truth and the checks that did not pass."""
     parts = [f"<p><b>{escape(summary_line(summary))}</b></p>"]
     if summary.errors is not None:
         found = {

@@ -1,4 +1,4 @@
-"""Results that are typed in Python and plain in JSON."""
+"""Results with types in Python and plain values in JSON."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ class Record(Mapping[str, Any]):
     """Base of frozen dataclasses that are written as JSON objects.
 
     Attributes are typed; `to_dict` gives the JSON object, and ``record["name"]`` reads from it, so that a result
-    in memory and its JSON read back are used alike. Fields named in ``optional`` are left out of the
-    object while they are None.
+    in memory and its JSON can be used alike. Fields in ``optional`` are left out of the object while they are None.
     """
 
     __slots__ = ()

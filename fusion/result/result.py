@@ -21,7 +21,7 @@ TABLES = ("estimates", "smoothed", "frames")
 
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """Seconds of wall clock: pictures (reading and measuring), filter, smoother, all; and, apart, compilation."""
+    """Seconds of wall clock: pictures (reading and measuring), filter, smoother, total; compilation separately."""
 
     vision_s: float = 0.0
     filter_s: float = 0.0
@@ -65,12 +65,12 @@ class FusionResult:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Return the overview as plain values, ready for JSON: what ``summary.json`` holds."""
+        """Return the overview as plain values for JSON: the contents of ``summary.json``."""
         return self.overview.to_dict()
 
     @property
     def origin_ns(self) -> int:
-        """First time of the tables: zero of every plot, and of `to_pandas` in seconds."""
+        """First time of the tables: origin of all plots, and of `to_pandas` in seconds."""
         firsts = [int(table["timestamp_ns"][0]) for table in (self.estimates, self.frames) if len(table)]
         return min(firsts, default=0)
 
@@ -95,7 +95,7 @@ class FusionResult:
         Raises
         ------
         InputError
-            Where there is no such table, or pandas is not installed.
+            If there is no such table, or pandas is not installed.
         """
         if table not in TABLES:
             raise InputError(f"there is no table {table!r}", remedy=f"use one of {', '.join(TABLES)}")

@@ -13,7 +13,7 @@ PERCENTILES = (50, 90, 95, 99)
 
 
 class Level(StrEnum):
-    """Outcome of a check; ``not_judged`` where the flight has nothing to judge."""
+    """Result of a check; ``not_judged`` if the flight has nothing to judge."""
 
     PASS = "pass"
     WARN = "warn"
@@ -28,18 +28,17 @@ class Check(Record):
     Parameters
     ----------
     name, level
-        What was looked at, and how it came out.
+        Subject and result of the check.
     value
-        The number found, in units for people.
+        The finding, in convenient units.
     limit
-        Where it passes and where it fails.
+        The limits in words.
     meaning
-        One sentence: what this says about the flight.
+        One sentence: what it means for the flight.
     action
-        One sentence: what to do; empty where nothing needs doing.
+        One sentence: what to do; empty if nothing needs doing.
     number
-        What ``value`` says in words, in SI units and radians: what many flights are compared by; None where no one
-        number says it.
+        ``value`` as a number, in SI units and radians, for the comparison of flights; None if it is not one number.
     """
 
     optional = frozenset({"number"})
@@ -55,7 +54,7 @@ class Check(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorStatistics(Record):
-    """Errors of one quantity, estimate minus truth; None where no row was left to judge.
+    """Errors of one quantity, estimate minus truth; None if no row was left to judge.
 
     Parameters
     ----------
@@ -106,11 +105,11 @@ class CorridorErrors(Record):
     Parameters
     ----------
     rows
-        Within the truth's time and this corridor.
+        Rows within the truth's time and this corridor.
     status_share
         Share of those rows in each status; None for single frames, which have none.
     heading, lateral_offset_m, lateral_offset_norm
-        Errors of each quantity; None where the table or the truth has no such column.
+        Errors of each quantity; None if the table or the truth has no such column.
     """
 
     optional = frozenset({"status_share", "lateral_offset_m", "lateral_offset_norm"})
@@ -131,12 +130,12 @@ class TableErrors(Record):
     rows, judged
         Rows of the table, and those that were compared with the truth.
     excluded
-        The others, counted under the first cause that applies: ``outside_truth``, ``junction``, ``no_truth``, and
+        Number of the others by the first reason that applies: ``outside_truth``, ``junction``, ``no_truth``, and
         ``not_tracking`` (estimates) or ``not_accepted`` (frames).
     status_share
         Share of the rows in each status; None for single frames.
     heading, lateral_offset_m, lateral_offset_norm
-        Errors of each quantity; None where the table or the truth has no such column.
+        Errors of each quantity; None if the table or the truth has no such column.
     corridors
         The same by the truth's corridor id, as text.
     """
@@ -186,9 +185,9 @@ class Rates(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeedSummary(Record):
-    """What the run cost: milliseconds per picture, and seconds of wall clock.
+    """Durations of the run: milliseconds per picture, and seconds of wall clock.
 
-    ``compile_s`` is the time of compiling pixel loops, once on a machine; the other seconds are without it.
+    ``compile_s`` is the time of compiling pixel loops, once per machine; the other times exclude it.
     """
 
     vision_ms_median: float | None = None
@@ -203,7 +202,7 @@ class SpeedSummary(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorridorStretch(Record):
-    """One corridor's part of the flight, as the smoother places it; ``turn_rad`` is from the first corridor."""
+    """One corridor's part of the flight, by the smoother; ``turn_rad`` is from the first corridor."""
 
     index: int
     turn_rad: float
@@ -224,7 +223,7 @@ class Summary(Record):
     flight, method, duration_s
         Name, measurement method and length of the flight.
     counts, rates, timings
-        What went in, how often it came, and what the run cost.
+        Numbers and rates of the inputs, and durations of the run.
     status_share
         Share of the rows of the estimates in each status.
     corridors
@@ -232,11 +231,10 @@ class Summary(Record):
     errors
         Against the truth; None without one.
     problems, config
-        What was wrong with the log, a sentence each; the settings as used.
+        Problems of the log, a sentence each; the settings as used.
     events, events_left_out
-        What happened, see `fusion.estimator.events`, and how much more than is listed: each with ``timestamp_ns``,
-        ``kind`` and its numbers. Frames rejected in a row for one reason are one event, from ``timestamp_ns`` to
-        ``last_ns``.
+        Events, see `fusion.estimator.events`, and the number of unlisted ones: each with ``timestamp_ns``, ``kind``
+        and its numbers. Frames rejected in a row for one reason are one event, from ``timestamp_ns`` to ``last_ns``.
     """
 
     verdict: Level = Level.NOT_JUDGED

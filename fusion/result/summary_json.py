@@ -16,7 +16,7 @@ MAX_BYTES = 16_000_000
 
 
 def write_summary(summary: Mapping[str, Any], path: str | Path) -> None:
-    """Write a summary as JSON that every reader takes: unknown numbers are null, never ``NaN``."""
+    """Write a summary as standard JSON: unknown numbers are null, never ``NaN``."""
     Path(path).write_text(summary_json(summary), encoding="utf-8")
 
 
@@ -26,7 +26,7 @@ def read_summary(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     OSError, ValueError
-        Where the file cannot be read, is too large, or holds something else.
+        If the file cannot be read, is too large, or has other contents.
     """
     check_is_file(Path(path))
     with Path(path).open("rb") as file:
@@ -43,9 +43,9 @@ def read_summary(path: str | Path) -> dict[str, Any]:
 
 
 def summary_json(summary: Mapping[str, Any]) -> str:
-    """Return the text that `write_summary` writes."""
+    """Return a summary as JSON text."""
     text = json.dumps(_plain(summary), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    # JSON allows some of what a terminal takes for commands; its own escapes of them stand within texts only.
+    # JSON allows some control characters of terminals; they occur only in texts and can be escaped.
     return "".join(sign if sign.isprintable() or sign == "\n" else _escaped(sign) for sign in text)
 
 

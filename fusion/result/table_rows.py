@@ -1,4 +1,4 @@
-"""Rows of a result's tables: stretches in which a flag is set, the row that holds at a time, frames at a junction."""
+"""Rows of a result's tables: stretches with a flag, the row valid at a time, frames at a junction."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ def runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def row_before(table: Table, t_ns: int) -> int:
-    """Row of a table that is not empty which holds at a time: the last not after it, else the first."""
+    """Row of a non-empty table that is valid at a time: the last one not after it, or else the first."""
     return max(int(np.searchsorted(table["timestamp_ns"], t_ns, side="right")) - 1, 0)
 
 
 def held_back_at_junctions(estimates: Table, frames: Table) -> npt.NDArray[np.bool_]:
-    """Flag the frames (n,) of a new corridor that the filter held back until it had confirmed the junction.
+    """Flag the frames (n,) of a new corridor that the filter held back until it confirmed the junction.
 
     They follow the last frame used in the old corridor, and their innovation is the turn between the two axes. A
-    junction is not confirmed where the filter returned to the old corridor later.
+    junction is not confirmed if the filter returned to the old corridor later.
 
     Parameters
     ----------
@@ -43,11 +43,11 @@ def held_back_at_junctions(estimates: Table, frames: Table) -> npt.NDArray[np.bo
         return held
     t_ns = estimates["timestamp_ns"]
     rows = np.append(np.searchsorted(t_ns, frames["timestamp_ns"], side="right") - 1, -1)
-    rows[:-1] = np.maximum(rows[:-1], 0)  # before the first estimate: the first, as of `row_before`
+    rows[:-1] = np.maximum(rows[:-1], 0)  # before the first estimate: the first, as in `row_before`
     index, turn_rad = estimates["corridor_index"], estimates["corridor_turn_rad"]
     for first, end in runs(~frames["accepted"]):
         old, new = rows[max(first - 1, 0)], rows[end]
         if index[old] < index[new] <= index[new:].min():
             turned = frames["innovation_rad"][first:end] + (turn_rad[new] - turn_rad[old])
-            held[first:end] = np.abs(wrap_axis(turned)) < SAME_AXIS_RAD  # NaN is not
+            held[first:end] = np.abs(wrap_axis(turned)) < SAME_AXIS_RAD  # False for NaN
     return held

@@ -1,7 +1,7 @@
 """A result's tables as CSV, written and read back.
 
-Integers as integers, truth values as ``true`` and ``false``, floats with nine significant digits, unknown numbers
-empty.
+Integers are written as integers, Booleans as ``true`` and ``false``, floats with nine significant digits; unknown
+numbers are empty.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ _CHUNK_ROWS = 50_000
 
 
 def write_table(table: Table, path: str | Path) -> None:
-    """Write a structured array as CSV, a column per field, the whole file or none.
+    """Write a structured array as CSV, a column per field, atomically.
 
     Raises
     ------
     InputError
-        Where ``path`` is a folder or cannot be written.
+        If ``path`` is a folder or cannot be written.
     """
     with replacing(Path(path)) as draft, draft.open("w", encoding="utf-8", newline="") as file:
         print_table(table, file)
@@ -75,7 +75,7 @@ def read_table(path: str | Path, dtype: np.dtype[Any]) -> Table:
     Raises
     ------
     InputError
-        Where the file is missing, its header is another, or a row is torn or has no number where one belongs.
+        If the file is missing, its header differs, or a row is truncated or has an invalid number.
     """
     names = list(dtype.names or ())
     chunks: list[Table] = []

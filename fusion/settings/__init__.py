@@ -2,5 +2,5 @@
 
 May import only `vision`; the packages that own a model (`fusion.estimator.config`, `fusion.simulate.config`,
 `fusion.logs.manifest`) import this one. Begin reading at `fusion.settings.toml`; `fusion.settings.sentences` locates
-what pydantic finds wrong, `fusion.settings.unit_hints` knows which unit a name or a value may have been meant in.
+pydantic's errors, `fusion.settings.unit_hints` suggests the unit that a name or value may have been meant in.
 """

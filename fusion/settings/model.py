@@ -1,4 +1,4 @@
-"""Settings as models of pydantic that explain what is wrong in one line, in Python as in files."""
+"""Settings as pydantic models that report errors in one line, in Python and in files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict
 
 from fusion.settings.toml import build
 
-if TYPE_CHECKING:  # a type checker is to know the constructors as pydantic declares them
+if TYPE_CHECKING:  # type checkers see the constructors as declared by pydantic
     from pydantic._internal._model_construction import ModelMetaclass as _Explained
 else:
 
@@ -23,7 +23,7 @@ class Settings(BaseModel, metaclass=_Explained):
     Raises
     ------
     InputError
-        From the constructor: a `ValueError` of one line that names the setting, its value and what would do.
+        From the constructor: a `ValueError` of one line with the setting, its value and the remedy.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

@@ -1,4 +1,4 @@
-"""What pydantic finds wrong with settings, located in their models, and names that come close to a wrong one."""
+"""Pydantic's errors in settings, located in their models, and names similar to an unknown one."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-UNKNOWN_NAME = "extra_forbidden"  # pydantic's words for kinds of complaint
+UNKNOWN_NAME = "extra_forbidden"  # pydantic's names of kinds of errors
 OWN_CHECK = "value_error"
 
 
 @dataclass(frozen=True, slots=True)
 class Complaint:
-    """One thing that is wrong with settings.
+    """One error in settings.
 
     Parameters
     ----------
     kind
-        Pydantic's word for it, such as `UNKNOWN_NAME`.
+        Pydantic's name of it, such as `UNKNOWN_NAME`.
     path
-        Names of tables, settings and numbers of members down to the wrong one; empty for the whole.
+        Names of tables and settings, and indices, down to the wrong one; empty for the whole.
     value
         The value given.
     message
-        Pydantic's sentence, in lower case; a model's own sentence where the kind is `OWN_CHECK`.
+        Pydantic's sentence, in lower case; a model's own sentence if the kind is `OWN_CHECK`.
     model
-        The model whose settings stand beside the wrong one.
+        The model of the wrong setting.
     """
 
     kind: str
@@ -50,7 +50,7 @@ class Complaint:
 
     @property
     def field(self) -> FieldInfo | None:
-        """What the model says of the setting; None where it is unknown."""
+        """The model's field of the setting; None if it is unknown."""
         return self.model.model_fields.get(self.name)
 
     @property
@@ -60,7 +60,7 @@ class Complaint:
 
 
 def complaints(error: ValidationError, model: type[BaseModel]) -> list[Complaint]:
-    """Locate everything that pydantic found wrong with values for a model, unknown names first."""
+    """Locate all errors that pydantic found in values for a model, unknown names first."""
     found = [_located(one, model) for one in error.errors()]
     return sorted(found, key=lambda complaint: complaint.kind != UNKNOWN_NAME)
 
@@ -68,13 +68,13 @@ def complaints(error: ValidationError, model: type[BaseModel]) -> list[Complaint
 def _located(error: Any, model: type[BaseModel]) -> Complaint:
     path: list[str] = []
     inside = model
-    here: type[BaseModel] | None = model  # whose settings may come next; None below a plain value
+    here: type[BaseModel] | None = model  # model of the next settings; None below a plain value
     parts = [str(part) for part in error["loc"]]
     for number, part in enumerate(parts):
         field = here.model_fields.get(part) if here is not None else None
         is_unknown_name = error["type"] == UNKNOWN_NAME and number == len(parts) - 1
         if field is None and not part.isdigit() and not is_unknown_name:
-            continue  # which member of a union pydantic tried
+            continue  # the member of a union that pydantic tried
         path.append(part)
         inside = here or inside
         here = section_of(field) if field is not None else here
@@ -84,7 +84,7 @@ def _located(error: Any, model: type[BaseModel]) -> Complaint:
 
 
 def section_of(field: FieldInfo) -> type[BaseModel] | None:
-    """Return the model of which a field holds one or several; None for a plain value."""
+    """Return the model of a field's value or members; None for a plain value."""
     return next(_models_in(field.annotation), None)
 
 
@@ -96,6 +96,6 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def did_you_mean(name: str, known: Iterable[str], *, cutoff: float = 0.5) -> str | None:
-    """Ask whether the nearest of the known names was meant; None where none is near."""
+    """Suggest the nearest of the known names; None if none is near."""
     near = get_close_matches(name[:100], list(known), n=1, cutoff=cutoff)
     return f"did you mean {near[0]}?" if near else None

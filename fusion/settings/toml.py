@@ -1,4 +1,4 @@
-"""Settings files: reads TOML, rejects it with path, value and remedy, and writes it with each setting's meaning."""
+"""Settings files: reads TOML, reports errors with path, value and remedy, and writes settings with their meanings."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ Config = TypeVar("Config", bound=BaseModel)
 
 
 def read_toml(path: str | Path, example: str = "name = 1.5") -> dict[str, Any]:
-    """Read a TOML file; ``example`` shows a line of such a file where this one is not TOML.
+    """Read a TOML file; the error for a file that is not TOML shows the line ``example``.
 
     Raises
     ------
     InputError
-        Where the file is missing or torn.
+        If the file is missing or not TOML.
     """
     text = ""
     try:
@@ -46,19 +46,19 @@ def read_toml(path: str | Path, example: str = "name = 1.5") -> dict[str, Any]:
         ) from error
     except InputError:
         raise
-    except (ValueError, RecursionError) as error:  # also a number of thousands of digits, or tables too deep
+    except (ValueError, RecursionError) as error:  # also for numbers of thousands of digits, or deep nesting
         comma = _DECIMAL_COMMA.search(text)
         remedy = f"write a decimal point: {comma[1]}.{comma[2]}" if comma else f"write lines like {example}"
         raise InputError(f"is not TOML: {error}", file=path, remedy=remedy) from error
 
 
 def build(model: type[Config], values: dict[str, Any], file: str | Path | None = None) -> Config:
-    """Make a configuration of values as a file holds them.
+    """Make a configuration from the values of a file.
 
     Raises
     ------
     InputError
-        In one line, the first thing wrong, an unknown name before a wrong value.
+        With the first error in one line; unknown names before wrong values.
     """
     found = next(_booleans(model, values, ()), None)
     if found is not None:
@@ -71,7 +71,7 @@ def build(model: type[Config], values: dict[str, Any], file: str | Path | None =
 
 
 def _booleans(model: type[BaseModel], values: dict[str, Any], path: tuple[str, ...]) -> Iterator[str]:
-    """Find numbers given as true or false, which pydantic would take for 1 and 0."""
+    """Find numbers given as true or false, which pydantic would accept as 1 and 0."""
     for name, value in values.items():
         field = model.model_fields.get(name)
         inner = section_of(field) if field is not None else None
@@ -88,7 +88,7 @@ def _booleans(model: type[BaseModel], values: dict[str, Any], path: tuple[str, .
 
 
 def _explain(complaint: Complaint) -> tuple[str, str | None]:
-    """Word a problem and its remedy."""
+    """Return the error of a problem, with its remedy."""
     if complaint.kind == OWN_CHECK:
         return f"{complaint.dotted}: {complaint.message}" if complaint.path else complaint.message, None
     if complaint.kind == UNKNOWN_NAME:
@@ -129,21 +129,21 @@ def _listing(names: list[str]) -> str:
 
 
 def settings_text(model: type[Config], command: str, file: str | Path | None = None) -> str:
-    """Return the settings of a command, as `config_toml` writes them.
+    """Return the settings of a command as text from `config_toml`.
 
     Parameters
     ----------
     model
         The settings.
     command
-        Which takes them, such as ``corridor fuse FLIGHT``.
+        Command that uses them, such as ``corridor fuse FLIGHT``.
     file
         A settings file; None for the defaults.
 
     Raises
     ------
     InputError
-        Where the file cannot be read or used.
+        If the file cannot be read or used.
     """
     config = model() if file is None else build(model, read_toml(file), file)
     whose = "the defaults" if file is None else f"as {Path(file).name} makes them"
@@ -158,7 +158,7 @@ def config_toml(config: BaseModel, heading: str) -> str:
     """Write a configuration as TOML with each setting's meaning, unit, bounds and default as comments.
 
     Reading it back gives the same configuration; a setting that is None is written as a comment, since TOML
-    has no word for it.
+    has no null.
 
     Parameters
     ----------
@@ -205,12 +205,12 @@ def _setting_line(name: str, field: FieldInfo, value: Any) -> str:
 
 
 def description_of(field: FieldInfo) -> str:
-    """Return what a setting means, in the words of a file of settings, which has no None."""
+    """Return a setting's meaning, worded for a settings file, which has no None."""
     return (field.description or "").replace(". None:", ". Not set:").replace("None:", "not set:")
 
 
 def _meaning(name: str, field: FieldInfo) -> str:
-    """Return the description without the unit that it may begin with, which stands beside the value."""
+    """Return the description without a leading unit, which is written beside the value."""
     text = description_of(field)
     rest = text.removeprefix(unit_of(name, text)).lstrip(";. ") if unit_of(name, text) else text
     return rest[:1].upper() + rest[1:]
@@ -254,13 +254,13 @@ def _either(words: Sequence[str]) -> str:
 
 
 def toml_value(value: Any) -> str:
-    """Write a value as TOML: a truth value, number, text, member of an enumeration, or a list of these."""
+    """Write a value as TOML: Boolean, number, text, enumeration member, or a list of these."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, Enum):
         return toml_value(value.value)
     if isinstance(value, str):
-        # A basic string of TOML escapes as JSON does, and the delete character too.
+        # TOML's basic strings use JSON's escapes, and also escape the delete character.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, tuple | list):
         return "[" + ", ".join(toml_value(item) for item in value) + "]"

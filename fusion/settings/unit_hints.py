@@ -1,4 +1,4 @@
-"""Units as settings' names carry them, and what to do with a name or a value that carries another one."""
+"""Units in the names of settings, and suggestions for names or values with another unit."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ UNIT_OF_SUFFIX = {
     "_sigma": "sigma",
     "_share": "share",
 }
-"""What a name's ending says, the longest first."""
+"""Units by the suffix of a name, the longest first."""
 
 
 class Foreign(NamedTuple):
-    """A unit that no setting is in: its own word, the endings of settings it may be meant for, the factor."""
+    """A unit that no setting uses: its name, the suffixes of settings it may be meant for, the factor."""
 
     word: str
     suffixes: tuple[str, ...]
@@ -70,7 +70,7 @@ _QUANTITY = re.compile(r"\s*([-+]?[0-9.]+(?:e[-+]?[0-9]+)?)\s*([^\d\s].*?)\s*", 
 
 
 def unit_of(name: str, description: str | None) -> str:
-    """Say in which unit a setting is: by the ending of its name, else as its description begins; else nothing."""
+    """Return a setting's unit: from the suffix of its name, or else the beginning of its description, or empty."""
     for suffix, unit in UNIT_OF_SUFFIX.items():
         if name.endswith(suffix):
             return unit
@@ -79,14 +79,14 @@ def unit_of(name: str, description: str | None) -> str:
 
 
 def suggestion(name: str, value: Any, units: Mapping[str, str]) -> str | None:
-    """Say which setting an unknown name may mean, its unit and the value in it; None where nothing is near.
+    """Suggest which setting an unknown name may mean, with the value in its unit; None if none is near.
 
     Parameters
     ----------
     name, value
-        As they were given.
+        As given by the user.
     units
-        The known names, each with its unit as `unit_of` says it.
+        The known names, each with its unit from `unit_of`.
     """
     names = list(units)
     stem, foreign = _without_unit(name)
@@ -109,7 +109,7 @@ def suggestion(name: str, value: Any, units: Mapping[str, str]) -> str | None:
 
 
 def as_number(name: str, value: Any) -> str | None:
-    """Say how to write a value that was given as text with a unit, such as ``"220 cm"``; None where it is not."""
+    """Suggest how to write a value given as text with a unit, such as ``"220 cm"``; None otherwise."""
     match = _QUANTITY.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
     foreign = FOREIGN.get(match[2].lower()) if match else None
     if match is None or foreign is None:
@@ -120,7 +120,7 @@ def as_number(name: str, value: Any) -> str | None:
 
 
 def too_large(name: str, value: Any) -> str | None:
-    """Say what a number beyond its bound would be, were it meant in a smaller unit; None where that says nothing."""
+    """Suggest the value of a number beyond its bound, if it was meant in a smaller unit; None otherwise."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     for suffix, spelling in (

@@ -1,9 +1,9 @@
 """Make corridor flights: pictures, inertial data and exact truth, from a configuration and a seed.
 
 World axes: x along the first corridor, y right of it, z down, floor at z = 0. Body FRD. The pictures are made by
-casting rays at a furnished, lit corridor: `fusion.simulate.scene` builds it, `fusion.simulate.render` draws it.
+casting rays in a furnished, lit corridor: `fusion.simulate.scene` builds it, `fusion.simulate.render` draws it.
 `SimulationConfig.random` draws corridors of all kinds, lenses, flights and inertial sensors; ``random_office`` draws
-plain offices in good light. Each name loads at its first use.
+plain offices in good light. Each name is loaded at its first use.
 """
 
 from __future__ import annotations

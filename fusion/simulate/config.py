@@ -1,7 +1,8 @@
 """Configuration of a simulated flight; SI units and radians, with the unit in the name.
 
 A TOML file holds one table per section: ``[scene]``, ``[camera]``, ``[imaging]``, ``[motion]``, ``[imu]``,
-``[attitude]``, ``[range]``; what is not named keeps its default. A flight has a range sensor only where it is named.
+``[attitude]``, ``[range]``; missing settings keep their defaults. A flight has a range sensor only with a table
+``[range]``.
 """
 
 from __future__ import annotations
@@ -286,7 +287,7 @@ class SimulationConfig(Settings):
     def random(cls, seed: int, **fixed: Any) -> SimulationConfig:
         """Draw the corridor, the camera, the flight and the sensors.
 
-        Keyword arguments stay as given; of a section given as a dictionary the rest is drawn.
+        Keyword arguments stay as given; the rest of a section given as a dictionary is drawn.
         """
         from fusion.simulate.random_flight import draw_flight
 
@@ -305,7 +306,7 @@ class SimulationConfig(Settings):
         Raises
         ------
         InputError
-            Where the file is missing or torn, or names something unknown or out of bounds.
+            If the file is missing or invalid, or has an unknown setting or a value out of bounds.
         """
         return cls.from_values(read_toml(path), path)
 
@@ -316,7 +317,7 @@ class SimulationConfig(Settings):
 
 
 def least_half_width_m(scene: SceneConfig) -> float:
-    """Distance from the first corridor's axis to its nearest wall, before or behind a step of the width."""
+    """Distance from the first corridor's axis to its nearest wall, before or after a step in the width."""
     half, step = scene.width_m / 2, scene.width_step
     if step is None or step.width_m > scene.width_m:
         return half
@@ -324,7 +325,7 @@ def least_half_width_m(scene: SceneConfig) -> float:
 
 
 def rotation(yaw_rad: float, pitch_rad: float, roll_rad: float) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Rotation (3, 3) of Z-Y-X angles: takes vectors of the turned frame to the fixed one (x forward, z down)."""
+    """Rotation (3, 3) of Z-Y-X angles: from the rotated frame to the fixed one (x forward, z down)."""
     cy, sy, cp, sp = cos(yaw_rad), sin(yaw_rad), cos(pitch_rad), sin(pitch_rad)
     cr, sr = cos(roll_rad), sin(roll_rad)
     return np.array(

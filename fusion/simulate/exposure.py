@@ -20,12 +20,12 @@ from vision import Camera
 
 FloatArray = npt.NDArray[np.float64]
 
-NEAR_M = 1.0  # how near the things are that speed blurs
+NEAR_M = 1.0  # distance of objects for motion blur by speed
 METERED_FRAMES = 6
 
 
 class SimulatedFrame(NamedTuple):
-    """A frame: time stamp as a log would have it, the grey picture (h, w), and the exact state at mid-exposure."""
+    """A frame: time stamp as in a log, the grey picture (h, w), and the exact state at mid-exposure."""
 
     t_ns: int
     image: Picture
@@ -34,7 +34,7 @@ class SimulatedFrame(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlyingCamera:
-    """A flight through a scene with a camera; makes the picture of any moment."""
+    """A flight through a scene with a camera; renders the picture of any moment."""
 
     config: SimulationConfig
     camera: Camera
@@ -45,18 +45,18 @@ class FlyingCamera:
 
     @classmethod
     def prepare(cls, config: SimulationConfig, camera: Camera | None = None) -> FlyingCamera:
-        """Plan the flight, build the scene clear of its path, and set the exposure by a few small pictures.
+        """Plan the flight, build the scene with a free path, and set the exposure from a few small pictures.
 
         Parameters
         ----------
         camera
-            Takes the place of the lens and mount in ``config.camera``.
+            Replaces the lens and mount in ``config.camera``.
         """
         camera = camera or config.camera.camera()
         rooms, meetings = floor_plan(config.scene)
         trajectory = plan_flight(config.motion, rooms, meetings, config.seed)
         path = trajectory.position(np.arange(0.0, trajectory.duration_s + 0.1, 0.1))
-        path[:, 2] += np.tan(config.scene.slope_rad) * path[:, 0]  # as if the floor were level
+        path[:, 2] += np.tan(config.scene.slope_rad) * path[:, 0]  # relative to a level floor
         scene = build_scene(config.scene, config.seed, config.light_cell_m, path)
         view = View.of(camera)
         global_shutter = replace(camera, line_delay_s=0.0)
@@ -86,7 +86,7 @@ class FlyingCamera:
         return times[kept]
 
     def radiance(self, t_s: float) -> Image:
-        """Light that falls on the sensor during the exposure about ``t_s``."""
+        """Light on the sensor during the exposure about ``t_s``."""
         exposure_s = 0.0 if np.isnan(self.camera.exposure_s) else self.camera.exposure_s
         truth = self.trajectory.truth(t_s + np.array([-0.5, 0.0, 0.5]) * exposure_s)
         rate = float(np.linalg.norm(truth.rate_rad_s, axis=1).max())
@@ -126,12 +126,12 @@ def _exposed(
 
 
 def simulate_frames(config: SimulationConfig, camera: Camera | None = None) -> Iterator[SimulatedFrame]:
-    """Yield a flight's frames in memory, as they come back from JPEG where that is configured.
+    """Yield a flight's frames in memory, after JPEG compression if configured.
 
     Parameters
     ----------
     camera
-        Takes the place of the lens and mount in ``config.camera``.
+        Replaces the lens and mount in ``config.camera``.
     """
     flying = FlyingCamera.prepare(config, camera)
     for number, t in enumerate(flying.frame_times().tolist()):

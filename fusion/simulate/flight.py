@@ -1,4 +1,4 @@
-"""Write a simulated flight as an ASL folder: pictures, sensors, ground truth; whole or not at all."""
+"""Write a simulated flight as an ASL folder, atomically: pictures, sensors, ground truth."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ def simulate_flight(
     Parameters
     ----------
     out_dir
-        The folder to make; it must not exist, or be empty.
+        The folder to create; it must not exist, or must be empty.
     progress
-        Called with frames done and frames in all.
+        Called with (done, total) frames.
     camera
-        Takes the place of the lens and mount in ``config.camera``.
+        Replaces the lens and mount in ``config.camera``.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def simulate_flight(
     Raises
     ------
     InputError
-        Where the folder is there already, or cannot be written.
+        If the folder exists and is not empty, or cannot be written.
     """
     out = Path(out_dir).absolute()
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -150,7 +150,7 @@ def _write_imu(folder: Path, config: SimulationConfig, imu: ImuSamples, R_file: 
         "accelerometer_noise_density": (c.accel_noise_density, "m/s^2/sqrt(Hz)"),
         "accelerometer_random_walk": (c.accel_random_walk, "m/s^3/sqrt(Hz)"),
     }
-    # a density of zero is no density: the line is left out
+    # a density of zero is left out
     lines = [f"{name}: {value:.9g}   # {unit}\n" for name, (value, unit) in densities.items() if value > 0]
     text = "sensor_type: imu\ncomment: simulated; axes are the body's\n" + _transform(np.eye(3), np.zeros(3))
     (folder / "sensor.yaml").write_text(text + f"rate_hz: {c.rate_hz:g}\n" + "".join(lines), encoding="utf-8")
@@ -159,7 +159,7 @@ def _write_imu(folder: Path, config: SimulationConfig, imu: ImuSamples, R_file: 
 def _write_attitude(
     folder: Path, config: SimulationConfig, samples: AttitudeSamples, R_file: FloatArray
 ) -> None:
-    # body and world turn about x alike
+    # body and world are both rotated about x
     q = samples.q_world_body * np.array([1.0, 1.0, R_file[1, 1], R_file[2, 2]])
     _table(folder / "data.csv", "#timestamp [ns],qw,qx,qy,qz", _stamps(config, samples.t_s), q)
     assert config.attitude is not None

@@ -1,4 +1,4 @@
-"""What the vehicle's sensors read along a `Trajectory`: IMU, attitude filter and range sensor, with their errors."""
+"""Readings of the vehicle's sensors along a `Trajectory`: IMU, attitude filter and range sensor, with errors."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ class RangeSamples:
 
 
 def sample_times(duration_s: float, rate_hz: float) -> FloatArray:
-    """Return times from 0 to the duration, both included where they fall on a sample."""
+    """Return times from 0 to the duration, both included if they coincide with a sample."""
     return np.arange(int(np.floor(duration_s * rate_hz + 1e-9)) + 1) / rate_hz
 
 
 def _walk(rng: np.random.Generator, n: int, step: float, start_std: float, density: float) -> FloatArray:
-    """Random walks (n, 3): variance grows by density squared a second from the start's."""
+    """Random walks (n, 3): the variance grows by the density squared per second, from the start's."""
     start = rng.normal(0.0, start_std, 3) if start_std > 0 else np.zeros(3)
     steps = rng.normal(0.0, 1.0, (n, 3)) * (density * np.sqrt(step))
     steps[0] = 0.0
@@ -56,9 +56,9 @@ def _walk(rng: np.random.Generator, n: int, step: float, start_std: float, densi
 
 
 def read_imu(truth: Truth, config: ImuConfig, seed: int) -> ImuSamples:
-    """Add errors to what perfect sensors would read at the truth's times.
+    """Add errors to the readings of perfect sensors at the truth's times.
 
-    Scale errors and misalignment act on the true values, ``(I + E) x``; then come bias, white noise (density d
+    Scale errors and misalignment act on the true values, ``(I + E) x``, followed by bias, white noise (density d
     sampled at rate f has the standard deviation ``d sqrt(f)``) and the rotors' vibration.
     """
     rng = np.random.default_rng((seed, 6))
@@ -92,14 +92,14 @@ def _distorted(truth: Truth, config: ImuConfig, rng: np.random.Generator) -> tup
 def rotor_vibration(t_s: FloatArray, config: ImuConfig, rng: np.random.Generator) -> FloatArray:
     """Specific force (n, 3) of four rotors' unbalance: harmonics of their speeds, sampled without a filter.
 
-    What lies above half the sampling rate is folded down, as in a flight controller's raw log. The speeds wander by
+    Frequencies above half the sampling rate are aliased, as in a flight controller's raw log. The speeds vary by
     some per cent. Each axis has the root mean square ``vibration_m_s2``, the vertical one twice that.
     """
     step = 1 / config.rate_hz
     total = np.zeros((len(t_s), 3))
     for _ in range(ROTORS):
         wander = np.cumsum(rng.normal(0.0, 1.0, len(t_s))) * np.sqrt(step)
-        wander = 0.03 * np.sin(wander / 2.0)  # bounded: a controller holds the speed
+        wander = 0.03 * np.sin(wander / 2.0)  # bounded, because a controller regulates the speed
         speed = config.rotor_hz * rng.uniform(0.95, 1.05) * (1 + wander)
         phase = 2 * np.pi * np.cumsum(speed) * step
         for harmonic in range(1, config.vibration_harmonics + 1):
@@ -112,7 +112,7 @@ def rotor_vibration(t_s: FloatArray, config: ImuConfig, rng: np.random.Generator
 def read_attitude(
     trajectory: Trajectory, config: AttitudeConfig, imu: ImuSamples | None, seed: int
 ) -> AttitudeSamples:
-    """Read an attitude filter: tilt wanders about the truth, yaw is off in the ways configured."""
+    """Read an attitude filter: tilt errors are stationary, yaw errors as configured."""
     rng = np.random.default_rng((seed, 7))
     t = sample_times(trajectory.duration_s, config.rate_hz)
     step = 1 / config.rate_hz
@@ -133,7 +133,7 @@ def read_attitude(
 def read_range(
     trajectory: Trajectory, config: RangeConfig, p_body_sensor_m: FloatArray, seed: int
 ) -> RangeSamples:
-    """Read a range sensor that sits at ``p_body_sensor_m`` (3,) and looks along the body's z at a bare floor."""
+    """Read a range sensor at ``p_body_sensor_m`` (3,) that points along the body's z at a bare floor."""
     rng = np.random.default_rng((seed, 8))
     truth = trajectory.truth(sample_times(trajectory.duration_s, config.rate_hz))
     down = truth.R_world_body[:, 2]  # rows: the vertical in the body
@@ -176,7 +176,7 @@ def _integrated_yaw_error(
     """Yaw error (at the IMU's times) of a filter that integrates the gyroscope and follows a compass slowly."""
     truth = trajectory.truth(imu.t_s)
     level = truth.R_world_body[:, 2]  # rows: the vertical in the body
-    # the filter knows its gyroscope's bias by the time the flight begins
+    # the filter has estimated its gyroscope's bias before the flight
     wrong = imu.gyro_rad_s - imu.gyro_bias_rad_s[0] - truth.rate_rad_s
     pull = np.interp(imu.t_s, t, drift + magnetic) / config.compass_time_s
     error_rate = np.einsum("ni,ni->n", wrong, level) + pull

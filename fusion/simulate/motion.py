@@ -1,9 +1,9 @@
-"""Flights as smooth curves: quintic splines of position and attitude, whose derivatives are exact.
+"""Flights as smooth curves: quintic splines of position and attitude, with exact derivatives.
 
-The nominal path follows the centre lines of the corridors on the route, slows down before a junction, turns at a
-smooth rate and leaves on the next centre line. Sideways motion, swings of the heading, height and tilt are added as
-sums of three sines, scaled to the amplitude and the rate that were asked for. What was computed on a time grid is
-then interpolated by splines, and the splines are the truth.
+The nominal path follows the centre lines of the corridors on the route, slows down before a junction, turns
+smoothly and continues on the next centre line. Sideways motion, swings of the heading, height and tilt are added as
+sums of three sines, scaled to the configured amplitude and rate. The values on a time grid are then interpolated by
+splines, and the splines are the ground truth.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Truth:
     R_world_body
         (n, 3, 3).
     rate_rad_s, specific_force_m_s2
-        What a perfect gyroscope and accelerometer at the body's origin would read, (n, 3).
+        Readings of a perfect gyroscope and accelerometer at the body's origin, (n, 3).
     heading_rad, lateral_offset_m, corridor_width_m, corridor_id, in_junction
         As in ``corridor_truth.csv``, (n,).
     """
@@ -57,7 +57,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Turn:
-    """A junction passed between two times, from one room into another."""
+    """Passage of a junction between two times, from one room into another."""
 
     start_s: float
     end_s: float
@@ -96,7 +96,7 @@ class Trajectory:
             s, y = flown.to_room(p[here, :2]).T
             turned = angles[here, 2] - flown.yaw_rad
             heading[here] = np.arctan2(np.sin(turned), np.cos(turned))
-            behind = part_at(self.rooms, number, np.inf)  # where the corridor goes on with another width
+            behind = part_at(self.rooms, number, np.inf)  # continuation of the corridor with another width
             y_behind = behind.to_room(p[here, :2])[:, 1]
             offset[here] = np.where(s < flown.length_m, y, y_behind)
             width[here] = np.where(s < flown.length_m, flown.width_m, behind.width_m)
@@ -108,7 +108,7 @@ class Trajectory:
         )
 
     def _rooms_at(self, t: FloatArray) -> npt.NDArray[np.int64]:
-        """Say which room is being flown: in a turn it changes halfway."""
+        """Return the room being flown; in a turn it changes halfway."""
         room = np.zeros(len(t), np.int64)
         for turn in self.turns:
             room[t >= (turn.start_s + turn.end_s) / 2] = turn.next_room
@@ -147,13 +147,13 @@ def smooth_step(x: FloatArray) -> FloatArray:
 
 
 def oscillation(rng: np.random.Generator, t: FloatArray, amplitude: float, rate: float) -> FloatArray:
-    """Three sines whose greatest value over t is ``amplitude`` and greatest rate of change is ``rate``."""
+    """Sum of three sines with the maximum ``amplitude`` over t and the maximum rate of change ``rate``."""
     ratios, phases = rng.uniform(0.9, 1.1, 3) * (0.5, 0.85, 1.3), rng.uniform(0, 2 * np.pi, 3)
     weights = rng.uniform(0.6, 1.0, 3)
     if amplitude <= 0 or rate <= 0:
         return np.zeros(len(t))
     centre, best, best_miss = rate / amplitude, np.zeros(len(t)), np.inf
-    # scaling the time changes what part of the wave is seen, so the rate does not simply follow: search for it
+    # scaling the time changes the visible part of the wave, so the rate is found by a search
     for factors in (np.geomspace(0.4, 2.5, 40), np.linspace(0.96, 1.04, 17)):
         bases = (centre * factors).tolist()
         for base in bases:
@@ -179,13 +179,13 @@ def _braked_m(speed: float, slower: float) -> float:
 
 
 def _change(t: FloatArray, speeds: FloatArray, start_s: float, from_speed: float, to_speed: float) -> None:
-    """Let the speed go from one value to another from ``start_s`` on."""
+    """Change the speed from one value to another, starting at ``start_s``."""
     later = t >= start_s
     speeds[later] = from_speed + (to_speed - from_speed) * smooth_step((t[later] - start_s) / BRAKING_S)
 
 
 def _timeline(config: MotionConfig, rooms: list[Room], meetings: list[Meeting], t: FloatArray) -> _Timeline:
-    """Lay the route out in time: cruise, brake, turn, speed up, and stop short of the end."""
+    """Schedule the route: cruise, brake, turn, accelerate, and stop before the end."""
     cruise, slow = config.speed_m_s, min(config.turn_speed_m_s, config.speed_m_s)
     course, speeds = np.full(len(t), rooms[0].yaw_rad), np.full(len(t), cruise)
     turns: list[_Turn] = []
@@ -200,7 +200,7 @@ def _timeline(config: MotionConfig, rooms: list[Room], meetings: list[Meeting], 
         # entering here, the arc ends on the next centre line
         enter = meeting.parent_s_m - ahead + aside * np.cos(angle) / np.sin(angle)
         free = enter - place - _braked_m(speed, slow)
-        if free < 0 or cruise <= 0:  # no room to cruise first: creep all the way
+        if free < 0 or cruise <= 0:  # no space to cruise first: fly slowly all the way
             speeds[t >= clock] = speed = slow
             clock += max(0.0, enter - place) / max(slow, 1e-3)
         else:
@@ -245,7 +245,7 @@ def plan_flight(config: MotionConfig, rooms: list[Room], meetings: list[Meeting]
 def _tilt(
     rng: np.random.Generator, config: MotionConfig, t: FloatArray, path: FloatArray, yaw: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Roll and pitch that push the vehicle along its path, as far as the greatest tilt allows, and swings."""
+    """Roll and pitch for the accelerations of the path, limited to the largest tilt, plus swings."""
     acceleration = gaussian_filter1d(np.gradient(np.gradient(path, t, axis=0), t, axis=0), 8, axis=0)
     forward = np.sum(acceleration * np.stack([np.cos(yaw), np.sin(yaw)], axis=1), axis=1)
     right = np.sum(acceleration * np.stack([-np.sin(yaw), np.cos(yaw)], axis=1), axis=1)

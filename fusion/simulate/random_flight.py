@@ -1,4 +1,4 @@
-"""Flights drawn at random: lens and mount, motion and inertial sensors, to go with a random corridor."""
+"""Random flights for random corridors: lens and mount, motion and inertial sensors."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from fusion.simulate.scene.random_scene import is_night
 NIGHT_EXPOSURE_S = 0.02
 WALL_CLEARANCE_M, PILLAR_CLEARANCE_M = 0.3, 0.1
 NEAREST_START_M = 0.6
-BARREL_REACH = 0.4  # r (1 + k r^2 + 0.3 k^2 r^4), of a barrel, reaches 0.41 / sqrt(-k) and no further
+BARREL_REACH = 0.4  # r (1 + k r^2 + 0.3 k^2 r^4), of a barrel, reaches at most 0.41 / sqrt(-k)
 CORNER_OVER_EDGE = 1.27  # of a picture of 4:3
 
 
 def draw_flight(seed: int, fixed: dict[str, Any]) -> dict[str, Any]:
-    """Draw a `SimulationConfig`'s settings; sections given as dictionaries are filled up."""
+    """Draw a `SimulationConfig`'s settings; sections given as dictionaries are completed."""
     scene = fixed.get("scene")
     if not isinstance(scene, SceneConfig):
         scene = SceneConfig.random(seed, **(scene or {}))
@@ -63,7 +63,7 @@ def draw_camera(seed: int) -> dict[str, Any]:
 
 
 def _motion(seed: int, scene: SceneConfig, given: dict[str, Any]) -> dict[str, Any]:
-    """Draw how the vehicle flies within the room that the corridor leaves; some of the flights reach its end."""
+    """Draw the vehicle's motion within the free space of the corridor; some flights reach its end."""
     rng = np.random.default_rng((seed, 17))
     pillar_m = scene.pilaster_m[1] if scene.pilaster_spacing_m else 0.0
     free = max(0.0, least_half_width_m(scene) - max(WALL_CLEARANCE_M, pillar_m + PILLAR_CLEARANCE_M))

@@ -1,4 +1,4 @@
-"""From radiance to the 8-bit picture a camera delivers: lens, exposure, noise, tone curve, JPEG."""
+"""From radiance to a camera's 8-bit picture: lens, exposure, noise, tone curve, JPEG."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class Sensor:
     Parameters
     ----------
     gain
-        What radiance is multiplied by, so that 1 is white.
+        Factor on radiance, so that 1 is white.
     vignette
-        Share of light that reaches each pixel, (h, w); the pixels' unequal response is in it.
+        Share of light that reaches each pixel, (h, w), including the pixels' unequal response.
     offsets
-        What each pixel adds of its own, electrons (h, w).
+        Fixed offset of each pixel, electrons (h, w).
     """
 
     config: ImagingConfig
@@ -35,7 +35,7 @@ class Sensor:
 
     @classmethod
     def of(cls, config: ImagingConfig, view: View, mean_radiance: float, seed: int = 0) -> Sensor:
-        """Expose so that ``mean_radiance`` comes out at the configured brightness; ``seed`` draws its own pattern."""
+        """Set the gain so that ``mean_radiance`` gets the configured brightness; ``seed`` draws the fixed pattern."""
         axis = view.camera.R_body_camera[:, 2]
         cosine = np.nan_to_num(np.clip(view.corner_rays[:-1, :-1] @ axis, 0.0, 1.0))
         vignette = (1 - config.vignetting) + config.vignetting * cosine**4
@@ -46,7 +46,7 @@ class Sensor:
         return cls(config, gain, vignette.astype(np.float32), config.fixed_pattern_electrons * offsets)
 
     def develop(self, radiance: Image, rng: np.random.Generator) -> Picture:
-        """Turn radiance (h, w) into a grey picture; noise comes from ``rng``."""
+        """Convert radiance (h, w) to a grey picture, with noise from ``rng``."""
         c = self.config
         light = radiance * (self.gain * self.vignette)
         if c.defocus_px > 0:
@@ -67,7 +67,7 @@ class Sensor:
 
 
 def _bloom(light: Image, share: float) -> Image:
-    """Spread a share of the light widely, as lenses and covers do round lamps and windows."""
+    """Spread a share of the light widely, like the glare of lenses and covers around lamps and windows."""
     h, w = light.shape
     small = cv2.resize(light, (max(8, w // 8), max(8, h // 8)), interpolation=cv2.INTER_AREA)
     wide = cv2.GaussianBlur(small, (0, 0), max(1.0, small.shape[1] / 20))
@@ -80,7 +80,7 @@ def encode_jpeg(picture: Picture, quality: int) -> bytes:
 
 
 def through_jpeg(picture: Picture, quality: int | None) -> Picture:
-    """Return the picture as it comes back from JPEG; None leaves it alone."""
+    """Return the picture after JPEG compression; None: unchanged."""
     if quality is None:
         return picture
     data = np.frombuffer(encode_jpeg(picture, quality), np.uint8)
@@ -88,5 +88,5 @@ def through_jpeg(picture: Picture, quality: int | None) -> Picture:
 
 
 def mean_radiance(radiance: Image) -> float:
-    """Brightness that an automatic exposure measures: the mean, lamps and windows cut to four times the median."""
+    """Brightness for automatic exposure: the mean, with lamps and windows limited to four times the median."""
     return float(np.minimum(radiance, 4 * np.median(radiance) + 1e-6).mean())

@@ -26,7 +26,7 @@ MIN_CLEARANCE_M = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RandomView:
-    """One picture and what it was taken from; signs and frames as in `vision.measurement`.
+    """One picture and its ground truth; signs and frames as in `vision.measurement`.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ class RandomView:
     ahead_m
         From the camera to the corridor's end.
     scene_seed
-        What the corridor was drawn from.
+        Seed of the corridor.
     slope_rad
-        The corridor climbs ahead by so much.
+        Slope by which the corridor rises ahead.
     """
 
     image: Picture
@@ -63,7 +63,7 @@ class RandomView:
 
 @dataclass(frozen=True, slots=True)
 class _Limits:
-    """From what the poses are drawn."""
+    """Distributions of the poses."""
 
     heading_rad: float
     offset_norm: float
@@ -92,7 +92,7 @@ def random_views(
     Parameters
     ----------
     camera
-        Any `vision.Camera`; its size is the pictures' size. The body's origin is where the camera is.
+        Any `vision.Camera`; its size is the pictures' size. The body's origin is the camera's position.
     scene, imaging
         Fixed conditions, or functions that draw them from a seed: a new corridor for every ``views_per_scene``
         pictures. ``lambda seed: SceneConfig.random(seed, end="stairs")`` fixes some of it.
@@ -101,14 +101,14 @@ def random_views(
     tilt_std_rad
         Of roll and of pitch.
     min_ahead_m
-        Nearest that the end of the corridor may be.
+        Smallest distance to the end of the corridor.
     yaw_rate_rad_s
-        Turning while the picture is taken: blurs it over the camera's ``exposure_s``, skews it by its
-        ``line_delay_s``. The truth is that of the middle.
+        Turn rate during the exposure: blurs the picture over the camera's ``exposure_s``, skews it by its
+        ``line_delay_s``. The truth is that of the middle of the exposure.
     views_per_scene
         Pictures taken in one corridor before the next is built (building takes longer than a picture).
     light_cell_m
-        Grain of the lighting.
+        Resolution of the lighting.
     """
     view = View.of(camera)
     limits = _Limits(max_heading_rad, max_offset_norm, tilt_std_rad, min_ahead_m, yaw_rate_rad_s)
@@ -121,7 +121,7 @@ def random_views(
             yield _take(built, view, quality, rng, limits, scene_seed)
 
 
-# Building takes longer than a picture; a scene holds a megabyte, and all share the textures.
+# Building takes longer than a picture; a scene needs a megabyte, and all share the textures.
 @lru_cache(maxsize=64)
 def _built(config: SceneConfig, seed: int, light_cell_m: float) -> Scene:
     return build_scene(config, seed, light_cell_m)
@@ -168,9 +168,9 @@ def _take(
 
 
 def _free_place(scene: Scene, offset_norm: float, min_ahead_m: float, rng: np.random.Generator) -> FloatArray:
-    """Draw a place along the first corridor at an offset, not inside furniture if that can be helped.
+    """Draw a position along the first corridor at an offset, if possible not inside furniture.
 
-    The floor is taken as level.
+    The floor is assumed to be level.
     """
     config = scene.config
     origin = np.zeros(3)

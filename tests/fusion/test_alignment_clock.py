@@ -76,7 +76,7 @@ def look(
 @settings(max_examples=25, deadline=None)
 def test_any_offset_and_ratio_is_found(seed: int, offset_s: float, ratio: float) -> None:
     found = look(seed, offset_s, ratio)
-    assert found.told
+    assert found.determined
     fit = found.fit
     assert fit is not None
     assert abs(fit.offset_s - offset_s) < max(0.005, 5.0 * fit.offset_std_s)
@@ -128,7 +128,7 @@ def look_noisy(seed: int) -> float:
 )
 def test_trouble_does_not_fool_it(trouble: dict[str, float]) -> None:
     found = look(4, -1.3, 0.97, **trouble)  # type: ignore[arg-type]
-    assert found.told
+    assert found.determined
     assert found.fit is not None
     assert found.fit.offset_s == pytest.approx(-1.3, abs=max(0.005, 4 * found.fit.offset_std_s))
     assert found.fit.ratio == pytest.approx(0.97, abs=4 * found.fit.ratio_std)
@@ -138,7 +138,7 @@ def test_trouble_does_not_fool_it(trouble: dict[str, float]) -> None:
 def test_no_turning_is_told_as_such() -> None:
     for seed in range(8):
         found = look(seed, 0.5, amplitude_deg=0.0)
-        assert not found.told
+        assert not found.determined
 
 
 def test_a_periodic_motion_is_ambiguous() -> None:
@@ -146,7 +146,7 @@ def test_a_periodic_motion_is_ambiguous() -> None:
     t = np.arange(0.0, DURATION_S, 1 / FRAME_HZ)
     seen = heading(t + 0.2, curve) + np.random.default_rng(0).normal(0, radians(0.2), len(t))
     found = find_clock(sightings(t, seen, radians(0.2)), turning(0, curve), 3.0)
-    assert not found.told
+    assert not found.determined
     assert found.rival_s is not None
     assert found.fit is not None
     assert (found.rival_s - found.fit.offset_s) % 1.0 == pytest.approx(
@@ -156,12 +156,12 @@ def test_a_periodic_motion_is_ambiguous() -> None:
 
 def test_an_offset_beyond_reach_is_not_made_up() -> None:
     found = look(2, 2.5, reach_s=1.0)
-    assert not found.told
+    assert not found.determined
 
 
 def test_opposite_turns_are_noticed() -> None:
     found = look(3, 0.1, ratio=-1.0)
-    assert not found.told
+    assert not found.determined
     assert found.reversed
 
 

@@ -170,7 +170,7 @@ def test_a_killed_worker_costs_no_flight(flight: Path, tmp_path: Path) -> None:
             assert len(read_fleet(out)) >= 1
 
     with first_worker_killed(out) as killed:
-        fleet = fuse_fleet([source], out, TWO, progress=progress, tell=told.append)
+        fleet = fuse_fleet([source], out, TWO, progress=progress, notify=told.append)
     assert fleet.rows[0].heading_rmse_rad is not None
     assert [row.reason for row in fleet.rows] == [""] * 6
     assert sum(row.lost_workers for row in fleet.rows) == 1
@@ -186,7 +186,7 @@ def test_a_flight_that_kills_its_workers_is_given_up(
     source, out = make_fleet(tmp_path / "flights", flight, 3), tmp_path / "out"
     (source / "2026-03-02").rename(source / "deadly")
     told: list[str] = []
-    rows = by_name(fuse_fleet([source], out, TWO, tell=told.append).rows)
+    rows = by_name(fuse_fleet([source], out, TWO, notify=told.append).rows)
     assert rows["deadly"].verdict == "error"
     assert rows["deadly"].reason == "its worker process died 3 times, killed or out of memory"
     assert rows["deadly"].lost_workers == 3
@@ -208,7 +208,7 @@ def test_a_flight_that_hangs_is_given_up(
     source, out = make_fleet(tmp_path / "flights", flight, 3), tmp_path / "out"
     (source / "2026-03-02").rename(source / "hanging")
     told: list[str] = []
-    rows = by_name(fuse_fleet([source], out, replace(TWO, timeout_s=BRIEF_S), tell=told.append).rows)
+    rows = by_name(fuse_fleet([source], out, replace(TWO, timeout_s=BRIEF_S), notify=told.append).rows)
     assert rows["hanging"].verdict == "error"
     assert rows["hanging"].reason.startswith("took more than 2 s (allow more by --timeout")
     assert rows["hanging"].lost_workers == 0
@@ -339,7 +339,7 @@ def test_two_workers_of_a_cluster_one_of_them_killed(
     told: list[str] = []
     settings = replace(TWO, scheduler=scheduler)
     with first_worker_killed(out):
-        fleet = fuse_fleet([source], out, settings, tell=told.append)
+        fleet = fuse_fleet([source], out, settings, notify=told.append)
     assert fuse_fleet([source], out, settings).kept == 6
     assert [row.reason for row in fleet.rows] == [""] * 6
     assert sum(row.lost_workers for row in fleet.rows) >= 1
@@ -357,7 +357,7 @@ def test_a_flight_that_hangs_on_a_cluster_is_given_up(
     (source / "2026-03-02").rename(source / "hanging")
     told: list[str] = []
     settings = replace(TWO, scheduler=scheduler, timeout_s=BRIEF_S)
-    rows = by_name(fuse_fleet([source], out, settings, tell=told.append).rows)
+    rows = by_name(fuse_fleet([source], out, settings, notify=told.append).rows)
     wait_until_ended([int((tmp_path / "hanging").read_text())])
     assert rows["hanging"].reason.startswith("took more than 2 s")
     assert rows["hanging"].lost_workers == 0

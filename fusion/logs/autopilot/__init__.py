@@ -1,5 +1,5 @@
 """Logs of autopilots: PX4 ULog, ArduPilot DataFlash, MAVLink telemetry.
 
-Each format says where the columns of a message are; what is made of them is the same for all and stands in
-`fusion.logs.autopilot.table`, where to begin reading. The modules named ``*_parse`` find messages in a log's bytes.
+Each format module finds the columns of the messages; their conversion is common to all formats. Begin reading at
+`fusion.logs.autopilot.table`. The modules named ``*_parse`` find messages in a log's bytes.
 """

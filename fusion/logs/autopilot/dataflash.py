@@ -1,10 +1,10 @@
 """ArduPilot DataFlash logs (.BIN): IMU, attitude, position, velocity and height sensors; no pictures.
 
-ArduPilot works in FRD and NED; only the velocity is turned, from the world into the body. Times are those of the
+ArduPilot uses FRD and NED; only the velocity is rotated, from the world into the body. Times are those of the
 autopilot's clock, which starts at zero when it boots. The log describes its own messages; they are read column by
-column (see `fusion.logs.autopilot.dataflash_parse`), for pymavlink takes minutes on a log of hours.
+column (see `fusion.logs.autopilot.dataflash_parse`), because pymavlink takes minutes on a log of hours.
 
-Message by message: https://ardupilot.org/copter/docs/logmessages.html
+Messages: https://ardupilot.org/copter/docs/logmessages.html
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ if TYPE_CHECKING:
 MAGIC = b"\xa3\x95"
 FORMAT = "ArduPilot DataFlash log"
 
-# In the order of preference. Old logs number their sensors and filters in the name, new ones in a column.
+# In the order of preference. Old logs number sensors and filters in the message's name, new ones in a column.
 IMUS = {"IMU": 0, "IMU2": 1, "IMU3": 2}
 FILTER_QUATERNIONS = ("XKQ", "XKQ1", "XKQ2", "NKQ", "NKQ1", "NKQ2")
 FILTERS = ("XKF1", "XKF6", "NKF1", "NKF6")
 RANGE = "RFND"
 NAMES = (*IMUS, *FILTER_QUATERNIONS, "ATT", "AHR2", *FILTERS, RANGE)
-INSTANCE = ("I", "C", "Instance")  # columns that number a sensor or a filter's core
+INSTANCE = ("I", "C", "Instance")  # columns with the number of a sensor or a filter's core
 MAX_INSTANCES = 8
 
 GYRO = ("GyrX", "GyrY", "GyrZ")
@@ -58,22 +58,22 @@ DEGREE = pi / 180.0
 VELOCITY = ("VN", "VE", "VD")
 POSITION = ("PN", "PE", "PD")
 
-# Distances are metres in every version. Until 4.0 a message held two sensors, numbered in the names of its columns.
+# Distances are metres in every version. Up to 4.0, a message had two sensors, numbered in its columns' names.
 RANGE_SUFFIXES = ("", "1", "2")
-GOOD = 4  # RFND.Stat; less is no data, or out of reach
-INVALID_SIGNAL = 0  # RFND.Quality, percent; -1 is one that is not known
+GOOD = 4  # RFND.Stat; smaller: no data, or out of range
+INVALID_SIGNAL = 0  # RFND.Quality, percent; -1: unknown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Table(MessageTable):
-    """One message's samples, of one instance; ``starts`` (n,) is where they begin in the log's bytes."""
+    """Samples of one message and instance; ``starts`` (n,) are their positions in the log's bytes."""
 
     data: npt.NDArray[np.uint8]
     fmt: Format
     starts: IndexArray
 
     def has(self, *columns: str) -> bool:
-        """Whether it has all of these columns, in numbers."""
+        """Whether it has all of these columns, as numbers."""
         return _has(self.fmt, *columns)
 
     def numbers(self, *columns: str) -> FloatArray:
@@ -89,17 +89,17 @@ def _has(fmt: Format, *columns: str) -> bool:
 
 
 def recognises(path: Path) -> bool:
-    """Whether a file begins with a DataFlash message, or with the definition of one as text."""
+    """Whether a file begins with a DataFlash message, or with a message definition as text."""
     return begins_with(path, MAGIC) or dataflash_text.recognises(path)
 
 
 def open_log(path: Path) -> LogContents:
-    """Find the messages of use in a DataFlash log.
+    """Find the usable messages in a DataFlash log.
 
     Raises
     ------
     InputError
-        Where it contains none of them.
+        If it contains none of them.
     """
     tables, problems = _tables(path)
     series = [
@@ -154,10 +154,10 @@ def _is_timed(fmt: Format) -> bool:
 
 
 def _instances(path: Path, data: npt.NDArray[np.uint8], fmt: Format, starts: IndexArray) -> list[_Table]:
-    """Split a message by the sensor or filter that it is of."""
+    """Split a message by the sensor or filter instance."""
     from fusion.logs.autopilot.dataflash_parse import read_column
 
-    # Logs from before 2014 count milliseconds.
+    # Logs from before 2014 have milliseconds.
     column, tick_ns = ("TimeUS", 1_000) if _has(fmt, "TimeUS") else ("TimeMS", 1_000_000)
     t_ns = nanoseconds(read_column(data, fmt, starts, column), tick_ns)
     instance = next((column for column in INSTANCE if _has(fmt, column)), None)
@@ -172,7 +172,7 @@ def _instances(path: Path, data: npt.NDArray[np.uint8], fmt: Format, starts: Ind
 
 
 def _having(tables: list[_Table], names: tuple[str, ...], *columns: str) -> list[_Table]:
-    """Tables of these messages in their order, as far as they have the columns."""
+    """Tables of these messages in their order, if they have the columns."""
     return [table for name in names for table in tables if table.fmt.name == name and table.has(*columns)]
 
 
@@ -216,15 +216,15 @@ def _read_velocity(table: _Table) -> WithProblems[VectorStream]:
 
 
 def _ranges(tables: list[_Table]) -> list[Series]:
-    """Range finders that look down, or of which the log does not say where they look."""
+    """Range finders that look down, or whose orientation is not logged."""
     found = []
     for table in (table for table in tables if table.fmt.name == RANGE):
         for suffix in (suffix for suffix in RANGE_SUFFIXES if table.has(f"Dist{suffix}")):
             if not (_looks_down(table, suffix) & (table.column(f"Dist{suffix}") > 0.0)).any():
                 continue
             name = f"{table.label}.Dist{suffix}" if suffix else table.label
-            told = table.has(f"Orient{suffix}")
-            note = "looks down" if told else "taken to look down: the log does not tell"
+            declared = table.has(f"Orient{suffix}")
+            note = "looks down" if declared else "taken to look down: the log does not tell"
             read = partial(_read_range, suffix)
             found.append(series_of(replace(table, label=name), Kind.RANGE, note, read))
     return found

@@ -1,7 +1,7 @@
-"""Find the messages in a DataFlash log: compiled, because a log of two hours holds tens of millions of them.
+"""Find the messages in a DataFlash log with compiled code: two hours of log have tens of millions of them.
 
-A message is the bytes A3 95, its type, and as many bytes as the log's own FMT message of that type says. There is no
-checksum: a message counts where another one follows it, or the end of the file.
+A message is the bytes A3 95, its type, and the number of bytes that the log's FMT message of that type declares.
+There is no checksum: a message is valid if another one or the end of the file follows.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FMT_TYPE = 128
 FMT_LENGTH = 89
 HEADER_LENGTH = 3
 
-# Format characters: how numpy reads them, and what a unit of them is worth.
+# Format characters: numpy's type, and the factor to the unit.
 TYPES: dict[str, tuple[str, float]] = {
     "a": ("V64", 1.0), "b": ("<i1", 1.0), "B": ("<u1", 1.0), "h": ("<i2", 1.0), "H": ("<u2", 1.0),
     "i": ("<i4", 1.0), "I": ("<u4", 1.0), "f": ("<f4", 1.0), "d": ("<f8", 1.0), "g": ("<f2", 1.0),
@@ -34,7 +34,7 @@ TYPES: dict[str, tuple[str, float]] = {
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """What a type of message holds, as its FMT message says."""
+    """Format of a type of message, from its FMT message."""
 
     number: int
     length: int
@@ -44,7 +44,7 @@ class Format:
 
 
 def find_formats(data: mmap | bytes) -> dict[str, Format]:
-    """Every sound FMT message, by name; the first of a name counts."""
+    """All valid FMT messages, by name; the first of a name is used."""
     found: dict[str, Format] = {}
     for match in re.finditer(b"\xa3\x95\x80", data):
         fmt = _format(bytes(data[match.end() : match.start() + FMT_LENGTH]))
@@ -54,7 +54,7 @@ def find_formats(data: mmap | bytes) -> dict[str, Format]:
 
 
 def _format(raw: bytes) -> Format | None:
-    """Read an FMT message after its header; None where it is inconsistent."""
+    """Read an FMT message after its header; None if it is inconsistent."""
     if len(raw) < FMT_LENGTH - HEADER_LENGTH:
         return None
     number, length = raw[0], raw[1]
@@ -80,7 +80,7 @@ def _format(raw: bytes) -> Format | None:
 def find_messages(
     data: ByteArray, formats: dict[str, Format], names: list[str]
 ) -> tuple[dict[str, IndexArray], int]:
-    """Where the messages of some names begin, and how many bytes belong to no message."""
+    """Positions of the messages of some names, and the number of bytes that belong to no message."""
     lengths = np.zeros(256, dtype=np.int64)
     lengths[FMT_TYPE] = FMT_LENGTH
     for fmt in formats.values():
@@ -102,7 +102,7 @@ def find_messages(
 def _scan(
     data: ByteArray, lengths: IndexArray, slots: IndexArray, counts: IndexArray, starts: IndexArray
 ) -> int:
-    """Count messages by slot and, where ``starts`` has room, note where they begin; return the bytes lost."""
+    """Count messages by slot and, if ``starts`` has room, store their positions; return the number of lost bytes."""
     size = data.size
     keep = starts.shape[1] > 0
     lost = 0
@@ -142,9 +142,9 @@ def read_columns(
     data
         Bytes of the log.
     fmt
-        What the message holds.
+        Format of the message.
     starts
-        Where the messages begin (n,).
+        Positions of the messages (n,).
     columns
         Their names, k of them.
 
@@ -162,7 +162,7 @@ def read_columns(
 
 
 def read_column(data: ByteArray, fmt: Format, starts: IndexArray, column: str) -> npt.NDArray[np.generic]:
-    """Read one column of messages as it is stored.
+    """Read one column of messages as stored.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def read_column(data: ByteArray, fmt: Format, starts: IndexArray, column: str) -
     Returns
     -------
     array
-        Values (n,), of the type that the message has.
+        Values (n,), of the message's type.
     """
     kind, first = fmt.dtype.fields[column][:2]  # type: ignore[index]
     rows = np.empty((len(starts), kind.itemsize), dtype=np.uint8)

@@ -1,7 +1,7 @@
-"""DataFlash logs as text (``.log`` of Mission Planner and ``mavlogdump``): packed again as the autopilot wrote them.
+"""DataFlash logs as text (``.log`` of Mission Planner and ``mavlogdump``): packed into their binary form.
 
-Each line is a message: its name, then its fields, in the units of their names. The lines named FMT say what fields
-the others have, as in the binary log.
+Each line is a message: its name, then its fields, in the units of their names. FMT lines define the fields of the
+others, as in the binary log.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _FMT_FIELDS = 6  # FMT, type, length, name, format, columns ...
 
 
 def recognises(path: Path) -> bool:
-    """Whether a text begins with the definition of a message."""
+    """Whether a text begins with a message definition."""
     if not path.is_file() or path.suffix.lower() not in SUFFIXES:
         return False
     with path.open("rb") as file:
@@ -38,17 +38,17 @@ def read_messages(path: Path, names: tuple[str, ...]) -> tuple[dict[str, tuple[F
     path
         The log.
     names
-        Those wanted.
+        Names of the requested messages.
 
     Returns
     -------
     messages, damaged
-        What each holds and its bytes, one message after the other; how many lines of them were damaged.
+        Format of each and its concatenated bytes; number of damaged lines.
 
     Raises
     ------
     InputError
-        Where the file cannot be read.
+        If the file cannot be read.
     """
     formats: dict[str, Format] = {}
     rows: dict[str, list[list[str]]] = {}
@@ -84,7 +84,7 @@ def _lines(path: Path) -> Iterator[list[str]]:
 
 
 def _format(fields: list[str]) -> Format | None:
-    """Read a definition; None where it is inconsistent. Its length is that of its fields, packed."""
+    """Read a definition; None if it is inconsistent. Its length is that of its fields, packed."""
     number, _, name, letters, *columns = fields[1:]
     known = all(letter in TYPES for letter in letters) and len(columns) == len(letters) == len(set(columns))
     if not known or not number.isdigit() or int(number) > 255:
@@ -98,13 +98,13 @@ def _format(fields: list[str]) -> Format | None:
 
 
 def _packed(fmt: Format, lines: list[list[str]]) -> tuple[ByteArray, int]:
-    """Pack the fields of lines as the binary log has them; lines whose numbers are none are left out and counted."""
+    """Pack the fields of lines as in the binary log; lines with invalid numbers are left out and counted."""
     columns = dict(zip(fmt.scales, zip(*lines, strict=True), strict=True))
     good = np.ones(len(lines), dtype=bool)
     values = {}
     for column, texts in columns.items():
         kind = fmt.dtype[column].kind
-        if kind == "V":  # text, of no use here
+        if kind == "V":  # text, not used
             continue
         numbers = np.array([_number(text) for text in texts])
         if kind != "f":

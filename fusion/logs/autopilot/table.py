@@ -1,4 +1,4 @@
-"""The shape that messages of all autopilots' logs share: a table of samples, one of its columns the time."""
+"""Common form of the messages of all autopilots' logs: a table of samples with a column of times."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ from fusion.logs.series import (
 )
 from vision import InputError
 
-DOWNWARD = 25  # orientation of a distance sensor that looks down: PX4, ArduPilot and MAVLink number it alike
+DOWNWARD = (
+    25  # orientation of a distance sensor that looks down: the same number in PX4, ArduPilot and MAVLink
+)
 
 Columns = tuple[str, ...]
 AnyTable = TypeVar("AnyTable", bound="MessageTable")
@@ -33,16 +35,16 @@ AnyTable = TypeVar("AnyTable", bound="MessageTable")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MessageTable(ABC):
-    """Samples of one message from one sensor or filter; a format adds where their columns are.
+    """Samples of one message from one sensor or filter; formats implement the access to columns.
 
     Parameters
     ----------
     file
         The log.
     label
-        What the topic is called, such as ``IMU[0]``.
+        Name of the topic, such as ``IMU[0]``.
     t_ns
-        When each sample was taken (n,), neither sorted nor cleaned.
+        Time of each sample (n,), neither sorted nor cleaned.
     """
 
     file: Path
@@ -51,18 +53,18 @@ class MessageTable(ABC):
 
     @abstractmethod
     def has(self, *columns: str) -> bool:
-        """Whether all of these columns are there, as numbers."""
+        """Whether all of these columns exist, as numbers."""
 
     @abstractmethod
     def numbers(self, *columns: str) -> FloatArray:
-        """Columns (n, k) as floats, in the unit that the format gives them."""
+        """Columns (n, k) as floats, in the format's unit."""
 
     def column(self, name: str) -> FloatArray:
         """One column (n,)."""
         return self.numbers(name)[:, 0]
 
     def where(self) -> Where:
-        """Return what to call the samples in messages."""
+        """Return the name of the samples for messages."""
         return Where(self.file, self.label)
 
     def imu(self, gyro: Columns, accel: Columns) -> WithProblems[ImuStream]:
@@ -74,7 +76,7 @@ class MessageTable(ABC):
         return attitude_stream(self.t_ns, self.numbers(*quaternion), self.where())
 
     def attitude_from_angles(self, angles: Columns, unit_rad: float = 1.0) -> WithProblems[AttitudeStream]:
-        """Roll, pitch and yaw, in units of so many radians."""
+        """Roll, pitch and yaw, in a unit given in radians."""
         return attitude_stream(self.t_ns, quaternions(*(self.numbers(*angles) * unit_rad).T), self.where())
 
     def position(self, columns: Columns) -> WithProblems[VectorStream]:
@@ -90,13 +92,13 @@ def series_of(
     Parameters
     ----------
     table
-        Its label and times are the topic's.
+        Its label and times become the topic's.
     kind
-        What it can be read as.
+        Kind of stream.
     note
-        What a person should know before choosing it.
+        Information for choosing it.
     read
-        Reads the table when the topic is asked for.
+        Reads the table when the topic is requested.
     """
     return Series(Topic(table.label, kind, table.t_ns, note), partial(read, table))
 
@@ -107,7 +109,7 @@ def map_file(path: Path) -> Any:
     Raises
     ------
     InputError
-        Where it cannot be opened, or is empty.
+        If it cannot be opened, or is empty.
     """
     try:
         with path.open("rb") as file:

@@ -1,9 +1,9 @@
 """MAVLink telemetry logs (.tlog), received by a ground station; IMU, attitude, position, velocity, height sensors.
 
-Messages are in FRD and NED; only the velocity is turned, from the world into the body. Their units differ:
+Messages are in FRD and NED; only the velocity is rotated, from the world into the body. Their units differ:
 ``HIGHRES_IMU`` has rad/s and m/s^2, the others thousandths of rad/s and of standard gravity. pymavlink's definitions
-tell the layout and the units of each message. Times are those of the vehicle's clock, which starts at zero when it
-boots: a radio delays messages too unevenly for the recording computer's. Its difference to Unix time is in the notes.
+give the layout and the units of each message. Times are those of the vehicle's clock, which starts at zero when it
+boots: radio delays vary too much to use the recording computer's clock. The offset to Unix time is in the notes.
 
 Messages: https://mavlink.io/en/messages/common.html
 """
@@ -43,8 +43,8 @@ MAGICS = (0xFE, 0xFD)
 HEAD_BYTES = 9  # time and magic
 LONGEST_PACKET = 300  # bytes after the time
 LONGEST_PAUSE_US = 3_600_000_000
-EARLIEST_US, LATEST_US = 10**15, 4 * 10**15  # 2001 and 2096: what a recording computer's clock may say
-UNIX_US = 10**15  # more is a time since 1970, less one since boot, as MAVLink distinguishes them
+EARLIEST_US, LATEST_US = 10**15, 4 * 10**15  # 2001 and 2096: plausible times of a recording computer
+UNIX_US = 10**15  # larger times count from 1970, smaller ones from boot, as in MAVLink
 
 # In the order of preference.
 IMUS = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
@@ -63,8 +63,8 @@ VELOCITY = ("vx", "vy", "vz")
 GYRO_UPDATED, ACCEL_UPDATED = 0x38, 0x07  # bits of HIGHRES_IMU.fields_updated
 SCALES = {"mG": 9.80665e-3, "mrad/s": 1e-3, "m/s/s": 1.0, "rad/s": 1.0, "cm": 0.01}
 DISTANCES = ("current_distance", "min_distance", "max_distance")
-INVALID_SIGNAL = 1  # of DISTANCE_SENSOR.signal_quality; 0 is one that is not known
-ONE_G_M_S2 = (3.0, 30.0)  # what the median of a sound accelerometer in flight lies between
+INVALID_SIGNAL = 1  # of DISTANCE_SENSOR.signal_quality; 0: unknown
+ONE_G_M_S2 = (3.0, 30.0)  # range of the median of a working accelerometer in flight
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +81,7 @@ class _Table(MessageTable):
         return all(name in (self.rows.dtype.names or ()) for name in columns)
 
     def numbers(self, *columns: str) -> FloatArray:
-        """Columns (n, k) in SI units where the definitions give a unit."""
+        """Columns (n, k), in SI units if the definitions declare a unit."""
         with np.errstate(invalid="ignore"):  # a damaged float may be a signalling NaN
             values = [
                 self.rows[name].astype(float) * SCALES.get(self.units.get(name, ""), 1.0) for name in columns
@@ -91,24 +91,24 @@ class _Table(MessageTable):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Raw:
-    """One message's packets from one sender, as sent; ``place`` (n,) numbers all packets of the file."""
+    """Packets of one message from one sender, as sent; ``place`` (n,) is the number among all packets of the file."""
 
     name: str
     kind: Any
     place: npt.NDArray[np.int64]
     rows: npt.NDArray[np.void]
     received_us: npt.NDArray[np.uint64]
-    wrapped_ns: TimeArray  # of the times that the counter of milliseconds has started over before
+    wrapped_ns: TimeArray  # added for overflows of the millisecond counter
 
     def boot_ns(self) -> TimeArray | None:
-        """Return the times (n,) since the vehicle booted; None where the message tells Unix time."""
+        """Return the times (n,) since the vehicle booted; None if the message has Unix time."""
         if "time_boot_ms" in (self.rows.dtype.names or ()):
             return nanoseconds(self.rows["time_boot_ms"], 1_000_000) + self.wrapped_ns
         unix = float(np.median(self.rows["time_usec"])) > UNIX_US
         return None if unix else nanoseconds(self.rows["time_usec"], 1_000)
 
     def between(self, first: int, last: int) -> _Raw:
-        """Only the packets from one place to another."""
+        """Return the packets between two places."""
         kept = (self.place >= first) & (self.place <= last)
         return replace(
             self,
@@ -130,7 +130,7 @@ def recognises(path: Path) -> bool:
     first_us = int.from_bytes(head[:8], "big")
     if EARLIEST_US < first_us < LATEST_US:
         return True
-    # A computer without a clock counts from 1970: then the next packet has to follow where the first one ends.
+    # A computer without a clock starts at 1970; then a packet must follow the end of the first one.
     if len(head) < 2 * HEAD_BYTES:
         return False
     overhead = 8 if head[8] == MAGICS[0] else 12 + 13 * (head[10] & 1)
@@ -142,12 +142,12 @@ def recognises(path: Path) -> bool:
 
 
 def open_log(path: Path) -> LogContents:
-    """Find the messages of use in a telemetry log.
+    """Find the usable messages in a telemetry log.
 
     Raises
     ------
     InputError
-        Where pymavlink is not installed, or the log holds none of them.
+        If pymavlink is not installed, or the log contains none of them.
     """
     tables, problems = _tables(path)
     series = _series(tables)
@@ -161,7 +161,7 @@ def open_log(path: Path) -> LogContents:
 
 
 def _definitions(path: Path) -> dict[int, Any]:
-    """Find what pymavlink knows of every message of the common and of ArduPilot's own set, by number."""
+    """Return pymavlink's definitions of the common and ArduPilot's messages, by number."""
     try:
         from pymavlink.dialects.v20 import ardupilotmega
     except ImportError:
@@ -212,7 +212,7 @@ def _raws(data: npt.NDArray[np.uint8], packets: Packets, sender: int, classes: d
 
 
 def _on_counting(raws: list[_Raw]) -> list[_Raw]:
-    """Let ``time_boot_ms`` go on where it starts over after 49.7 days: one counter, whichever message tells it."""
+    """Unwrap ``time_boot_ms``, which overflows after 49.7 days; all messages share one counter."""
     counted_ms = [raw for raw in raws if "time_boot_ms" in (raw.rows.dtype.names or ())]
     if not counted_ms:
         return raws
@@ -237,7 +237,7 @@ def _dtype(kind: Any) -> np.dtype[np.void]:
 
 
 def _of_one_boot(raws: list[_Raw], suffix: str) -> WithProblems[list[_Raw]]:
-    """Messages between two restarts of the vehicle, the longest stretch: each restart sets the clock to zero."""
+    """Messages of the longest stretch between two reboots of the vehicle: each reboot resets the clock."""
     timed = [(raw.place, t_ns) for raw in raws if (t_ns := raw.boot_ns()) is not None]
     if not timed:
         return WithProblems(raws)
@@ -259,7 +259,7 @@ def _of_one_boot(raws: list[_Raw], suffix: str) -> WithProblems[list[_Raw]]:
 
 
 def _on_one_clock(path: Path, raws: list[_Raw], suffix: str) -> list[_Table]:
-    """Put every message on the clock that begins when the vehicle boots, where any message tells it."""
+    """Map all messages to the vehicle's clock since boot, if any message has it."""
     offset_us: int | None = None  # Unix time less the vehicle's
     late = [
         raw.received_us.astype(np.int64) - t_ns // 1000 for raw in raws if (t_ns := raw.boot_ns()) is not None
@@ -281,20 +281,20 @@ def _on_one_clock(path: Path, raws: list[_Raw], suffix: str) -> list[_Table]:
     tables = []
     for raw in raws:
         t_ns = raw.boot_ns()
-        told = clock
+        clock_note = clock
         if t_ns is None and offset_us is not None:
             t_ns = nanoseconds(raw.rows["time_usec"], 1000) - offset_us * 1000
-            told += ", subtracted here"
+            clock_note += ", subtracted here"
         elif t_ns is None:
-            t_ns, told = nanoseconds(raw.rows["time_usec"], 1000), "Unix time by the vehicle's clock"
+            t_ns, clock_note = nanoseconds(raw.rows["time_usec"], 1000), "Unix time by the vehicle's clock"
         if raw.name != CLOCK:
             units = dict(raw.kind.fieldunits_by_name)
-            tables += _instances(_Table(path, raw.name + suffix, t_ns, raw.name, raw.rows, units, told))
+            tables += _instances(_Table(path, raw.name + suffix, t_ns, raw.name, raw.rows, units, clock_note))
     return tables
 
 
 def _instances(table: _Table) -> list[_Table]:
-    """Split a message by the sensor it numbers, where it does."""
+    """Split a message by its sensor number, if it has one."""
     if not table.has("id"):
         return [table]
     number = table.rows["id"]
@@ -342,7 +342,7 @@ def _read_imu(table: _Table) -> WithProblems[ImuStream]:
         updated = table.rows["fields_updated"].astype(np.int64)
         for values, bits in ((gyro_rad_s, GYRO_UPDATED), (accel_m_s2, ACCEL_UPDATED)):
             fresh = (updated & bits) == bits
-            values[~fresh & fresh.any()] = np.nan  # repeated from before, unless never flagged at all
+            values[~fresh & fresh.any()] = np.nan  # repeated values, unless the flags are never set
     weight_m_s2 = float(np.median(np.linalg.norm(np.nan_to_num(accel_m_s2), axis=1)))
     if table.name == "RAW_IMU" and weight_m_s2 > 0.0 and not ONE_G_M_S2[0] < weight_m_s2 < ONE_G_M_S2[1]:
         raise InputError(
@@ -360,7 +360,7 @@ def _read_attitude(table: _Table) -> WithProblems[AttitudeStream]:
 
 
 def _read_velocity(attitude: _Table, table: _Table) -> WithProblems[VectorStream]:
-    turning = _read_attitude(attitude).value  # its problems are reported where it is read itself
+    turning = _read_attitude(attitude).value  # its problems are reported when it is read itself
     return velocity_stream(table.t_ns, table.numbers(*VELOCITY), turning, table.where())
 
 

@@ -1,4 +1,4 @@
-"""Find the messages in a MAVLink telemetry log: compiled, checksum and all.
+"""Find the messages in a MAVLink telemetry log with compiled code, including checksums.
 
 Each record is eight bytes of time, most significant first, microseconds since 1970 by the recording computer, and
 then a MAVLink packet of version 1 or 2. https://mavlink.io/en/guide/serialization.html
@@ -19,27 +19,26 @@ IndexArray = npt.NDArray[np.int64]
 
 MAX_ID = 1 << 16
 TIME_BYTES = 8
-_COLUMNS = 5  # of a packet found: identifier, payload's place and length, sender, place of the record
-_FOUND, _DAMAGED, _UNKNOWN, _LOST = range(4)  # what is tallied
+_COLUMNS = 5  # of a packet: identifier, payload's position and length, sender, position of the record
+_FOUND, _DAMAGED, _UNKNOWN, _LOST = range(4)  # indices of the tally
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Packets:
-    """Packets of wanted kinds, in the order of the file; every array is (n,).
+    """Packets of requested kinds, in the order of the file; every array is (n,).
 
     Parameters
     ----------
     identifier
-        Which message.
+        Message number.
     payload, length
-        Where its payload stands and how long it is; trailing zeros are not sent.
+        Position and length of its payload; trailing zeros are not sent.
     sender
         System times 256 plus component.
     record
-        Where the record begins.
+        Position of the record.
     damaged, unknown, lost
-        How many packets failed their checksum, how many have none that is known, and how many bytes belong to no
-        record.
+        Number of packets with a wrong checksum, of packets of unknown messages, and of bytes outside records.
     """
 
     identifier: IndexArray
@@ -53,7 +52,7 @@ class Packets:
 
 
 def find_packets(data: ByteArray, seeds: dict[int, int], wanted: Iterable[int]) -> Packets:
-    """Find the wanted packets; ``seeds`` are those of the checksum of every known message."""
+    """Find the requested packets; ``seeds`` are the checksum seeds of all known messages."""
     seed_of = np.full(MAX_ID, -1, dtype=np.int64)
     for identifier, seed in seeds.items():
         if identifier < MAX_ID:
@@ -72,7 +71,7 @@ def find_packets(data: ByteArray, seeds: dict[int, int], wanted: Iterable[int]) 
 
 @compiled_inner
 def _checksum(data: ByteArray, start: int, end: int, seed: int) -> int:
-    """CRC-16/MCRF4XX of some bytes and of the message's own seed."""
+    """CRC-16/MCRF4XX of some bytes and the message's seed."""
     crc = 0xFFFF
     for at in range(start, end + 1):
         byte = data[at] if at < end else seed
@@ -90,7 +89,7 @@ def _scan(
     tally: IndexArray,
     found: IndexArray,
 ) -> None:
-    """Tally what is found, damaged, unknown and lost; note the wanted packets where there is room."""
+    """Count found, damaged, unknown and lost packets; store the requested ones if there is room."""
     size = data.size
     at = 0
     while at + 16 <= size:
@@ -122,7 +121,7 @@ def _scan(
             sound = _checksum(data, at + 9, payload + length, seed) == crc
         if not sound:
             if end + 8 < size and data[end + 8] != 0xFE and data[end + 8] != 0xFD:
-                at += 1  # nothing follows: it was no packet
+                at += 1  # no packet follows, so this was not one
                 tally[3] += 1
                 continue
             tally[2 if seed < 0 else 1] += 1
@@ -149,14 +148,14 @@ def _copy(data: ByteArray, starts: IndexArray, lengths: IndexArray, rows: ByteAr
 def payloads(
     data: ByteArray, starts: IndexArray, lengths: IndexArray, dtype: np.dtype[np.void]
 ) -> npt.NDArray[np.void]:
-    """Read payloads as records; what was not sent is zero.
+    """Read payloads as records; missing trailing bytes are zero.
 
     Parameters
     ----------
     data
         Bytes of the log.
     starts, lengths
-        Where the payloads begin, and how long they are (n,).
+        Positions and lengths of the payloads (n,).
     dtype
         Layout of the message.
 
@@ -171,7 +170,7 @@ def payloads(
 
 
 def received_us(data: ByteArray, records: IndexArray) -> npt.NDArray[np.uint64]:
-    """When the recording computer received each record (n,), microseconds since 1970."""
+    """Time of receipt of each record (n,) by the recording computer, microseconds since 1970."""
     rows = np.zeros((len(records), TIME_BYTES), dtype=np.uint8)
     _copy(data, records, np.full(len(records), TIME_BYTES, dtype=np.int64), rows)
     return rows.view(">u8")[:, 0].astype(np.uint64) if len(records) else np.empty(0, np.uint64)

@@ -1,7 +1,7 @@
 """PX4 logs (ULog), read with pyulog: IMU, attitude, position, velocity and height sensors; no pictures.
 
-PX4 works in FRD and NED throughout, so nothing is turned but the velocity, from the world into the body by the
-logged attitude. Times are those of the autopilot's clock, which starts at zero when it boots. A sample of
+PX4 uses FRD and NED throughout, so only the velocity is rotated, from the world into the body by the logged
+attitude. Times are those of the autopilot's clock, which starts at zero when it boots. A sample of
 ``sensor_combined`` or ``vehicle_imu`` is the mean over an interval; its time here is the middle of that interval.
 
 Format: https://docs.px4.io/main/en/dev_log/ulog_file_format.html
@@ -56,18 +56,18 @@ XYZ = POSITION = ("x", "y", "z")
 VELOCITY = ("vx", "vy", "vz")
 DISTANCE, DISTANCE_LIMITS = "current_distance", ("min_distance", "max_distance")  # metres
 
-INVALID_SIGNAL = 0  # percent; -1 is a quality that is not known
+INVALID_SIGNAL = 0  # percent; -1: unknown
 
 NO_ACCEL = 0x7FFFFFFF  # accelerometer_timestamp_relative of a sample without acceleration
 LONGEST_INTERVAL_US = 1e6
 MAX_LATE_US = 10_000_000  # between taking and logging a sample
 HEADER_BYTES = 3  # of a message
-REREADS = 8  # times the file's size that pyulog may read before it is taken to go in circles
+REREADS = 8  # times the file's size that pyulog may read before an endless loop is assumed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Table(MessageTable):
-    """One message's columns, and which instance of the message it is."""
+    """Columns of one message and instance."""
 
     name: str
     columns: dict[str, npt.NDArray[np.generic]]
@@ -78,11 +78,11 @@ class _Table(MessageTable):
             return np.stack([self.columns[name].astype(float) for name in columns], axis=1)
 
     def has(self, *columns: str) -> bool:
-        """Whether all of these columns are there."""
+        """Whether all of these columns exist."""
         return all(name in self.columns for name in columns)
 
     def trusted(self, *flags: str) -> BoolArray:
-        """Rows (n,) whose flags, as far as they are logged, are all up."""
+        """Rows (n,) whose logged flags are all set."""
         up = np.ones(len(self.t_ns), dtype=bool)
         for flag in flags:
             if flag in self.columns:
@@ -91,48 +91,48 @@ class _Table(MessageTable):
 
 
 def _sample_times(columns: dict[str, npt.NDArray[np.generic]]) -> TimeArray:
-    """When each sample was taken (n,), not when it was logged, where the log tells."""
+    """Time of measurement of each sample (n,), or of logging if the former is missing."""
     logged = columns["timestamp"].astype(np.uint64)
     if "timestamp_sample" in columns:
         taken = columns["timestamp_sample"].astype(np.uint64)
-        # Some companions fill in a time of another clock, and zero where they have none.
+        # Some companion computers write a time of another clock, or zero.
         late_us = logged.astype(np.int64) - taken.astype(np.int64)
         logged = np.where((taken > 0) & (np.abs(late_us) < MAX_LATE_US), taken, logged)
     return nanoseconds(logged, 1000)
 
 
 class _BoundedReader(io.BufferedReader):
-    """A file that pretends to end once far more than its size was read.
+    """A file that reports its end once far more than its size was read.
 
-    pyulog seeks back over what looks damaged; at a torn end it may never stop.
+    pyulog seeks back over damaged bytes; at a truncated end it may loop forever.
     """
 
     def __init__(self, path: Path) -> None:
         super().__init__(io.FileIO(path, "rb"), 1 << 20)
         self.left = REREADS * path.stat().st_size + 65536
-        self.torn = False  # a message began and did not end
+        self.is_truncated = False  # a message is truncated
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Read bytes, and note whether a message was cut off; nothing once too much was read."""
+        """Read bytes, and detect a truncated message; returns nothing once too much was read."""
         data = super().read(size)
         self.left -= len(data) + 1
         if size is not None and len(data) < size and (data or size != HEADER_BYTES):
-            self.torn = True
+            self.is_truncated = True
         return data if self.left > 0 else b""
 
 
 def recognises(path: Path) -> bool:
-    """Whether a file begins as ULogs do."""
+    """Whether a file begins like a ULog."""
     return begins_with(path, MAGIC)
 
 
 def open_log(path: Path) -> LogContents:
-    """Read the topics of use of a ULog.
+    """Read the usable topics of a ULog.
 
     Raises
     ------
     InputError
-        Where pyulog is not installed, or the file holds none of them.
+        If pyulog is not installed, or the file holds none of them.
     """
     log, problems = _parse(path)
     found: dict[tuple[str, int], _Table] = {}
@@ -166,7 +166,7 @@ def _parse(path: Path) -> WithProblems[ULog]:
             log = ULog(file, list(NAMES))
     except OSError as error:
         raise InputError(f"cannot be read: {error}", file=path, remedy="check the file") from error
-    except Exception as error:  # pyulog lets anything through that a damaged file makes it do
+    except Exception as error:  # pyulog raises any exception on damaged files
         raise InputError(
             f"is damaged in its definitions ({type(error).__name__}: {error})",
             file=path,
@@ -175,7 +175,7 @@ def _parse(path: Path) -> WithProblems[ULog]:
     problems: Problems = ()
     if log.file_corruption or file.left <= 0:
         problems += ("parts of the file are damaged and were skipped",)
-    if file.torn:
+    if file.is_truncated:
         problems += ("the file ends in the middle of a message: it was cut short",)
     if log.has_data_appended:
         problems += ("data were appended after the log was closed (after a crash of the autopilot)",)
@@ -190,7 +190,7 @@ def _parse(path: Path) -> WithProblems[ULog]:
 
 
 def _instances(tables: list[_Table], name: str, *columns: str) -> list[_Table]:
-    """Every instance of a message that has these columns and samples."""
+    """All instances of a message with these columns and with samples."""
     return [table for table in tables if table.name == name and table.has(*columns) and len(table.t_ns)]
 
 
@@ -215,7 +215,7 @@ def _imus(tables: list[_Table]) -> list[Series]:
 
 
 def _middle(t_ns: TimeArray, interval_us: FloatArray) -> TimeArray:
-    """Turn the ends of intervals into their middles; a damaged interval counts for nothing."""
+    """Convert the ends of intervals to their middles; damaged intervals count as zero."""
     sound = (interval_us > 0.0) & (interval_us < LONGEST_INTERVAL_US)
     return np.asarray(t_ns - np.where(sound, interval_us * 500.0, 0.0).astype(np.int64))
 
@@ -250,7 +250,7 @@ def _attitudes(tables: list[_Table]) -> list[Series]:
 
 
 def _local_positions(tables: list[_Table]) -> WithProblems[list[Series]]:
-    """Positions and velocities; left out, with a problem, where the autopilot never trusted them."""
+    """Positions and velocities; left out, with a problem, if the autopilot never marked them valid."""
     attitudes = _instances(tables, ATTITUDE, *QUATERNION)
     found: list[Series] = []
     problems: Problems = ()
@@ -281,12 +281,12 @@ def _read_velocity(attitude: _Table, table: _Table) -> WithProblems[VectorStream
     velocity_m_s = np.where(
         table.trusted("v_xy_valid", "v_z_valid")[:, None], table.numbers(*VELOCITY), np.nan
     )
-    turning = attitude.attitude(QUATERNION).value  # its problems are reported where it is read itself
+    turning = attitude.attitude(QUATERNION).value  # its problems are reported when it is read itself
     return velocity_stream(table.t_ns, velocity_m_s, turning, table.where())
 
 
 def _ranges(tables: list[_Table]) -> list[Series]:
-    """Distance sensors that look down; what looks elsewhere tells nothing of the floor."""
+    """Distance sensors that look down; others carry no information about the floor."""
     found = _instances(tables, RANGE, DISTANCE, "orientation")
     down = [table for table in found if (table.columns["orientation"] == DOWNWARD).any()]
     return [series_of(table, Kind.RANGE, "looks down", _read_range) for table in down]

@@ -1,7 +1,7 @@
-"""CSV files: those of an ASL flight folder, and tables of any shape.
+"""CSV files: those of an ASL flight folder, and tables of any form.
 
-Begin reading at `fusion.logs.csv.rows`, which every reader of a table shares, also those of other packages.
+Begin reading at `fusion.logs.csv.rows`, which all readers of tables share, including those of other packages.
 `fusion.logs.csv.stamped_table` reads ``timestamp, numbers ...``; `fusion.logs.csv.columns` is the log format, for
-which `fusion.logs.csv.table` finds out how a file is written, `fusion.logs.csv.column_names` what its columns hold
+which `fusion.logs.csv.table` detects a file's layout, `fusion.logs.csv.column_names` the meaning of its columns
 and `fusion.logs.csv.times` when its rows were taken.
 """

@@ -1,7 +1,7 @@
-"""Which columns of a CSV file hold what, in which unit: the map itself, and ready ones for common logs.
+"""Map of the columns of a CSV file to quantities and units, with predefined maps for common logs.
 
-A map names columns by their header or by their number, the first being 1. Three columns make a vector, four a
-quaternion. What is not named is not read.
+A map names columns by their header or by their number, starting at 1. Three columns are a vector, four a quaternion.
+Columns that are not named are not read.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ AngleUnit = Literal["rad", "deg", "mdeg"]
 
 
 def _unit_or_counts(*units: str) -> AfterValidator:
-    """Accept these units, and counts of the second of them as data sheets give a sensor's sensitivity."""
+    """Accept these units, and raw counts per the second of them, as in a sensor's data sheet."""
 
     def check(unit: str) -> str:
         if unit in units or (is_counts(unit) and unit.rpartition("/")[0] in units):
@@ -49,7 +49,7 @@ position's ``frd`` and ``flu`` are worlds with z down and z up; a velocity may b
 
 
 class ColumnMap(BaseModel):
-    """Columns by name or number and their units; frozen, unknown names refused."""
+    """Columns by name or number and their units; frozen, unknown names rejected."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -99,19 +99,19 @@ class ColumnMap(BaseModel):
         return self
 
     def columns_of(self, role: str) -> tuple[Column, ...]:
-        """Return the columns named for a role such as ``gyro``; none where it is left open."""
+        """Return the columns named for a role such as ``gyro``; none if not set."""
         named: tuple[Column, ...] | Column | None = self._roles()[role][0]
         if named is None:
             return ()
         return named if isinstance(named, tuple) else (named,)
 
     def unit_of(self, role: str) -> str | None:
-        """Return the unit of a role's columns; None where it has none."""
+        """Return the unit of a role's columns; None if it has none."""
         return self._roles()[role][1]
 
     @property
     def units_taken(self) -> dict[str, float]:
-        """What one of the units of an IMU is in SI, by its key."""
+        """Factors of an IMU's units to SI, by key."""
         return {"gyro_unit": in_si(self.gyro_unit), "accel_unit": in_si(self.accel_unit)}
 
     def _roles(self) -> dict[str, tuple[tuple[Column, ...] | Column | None, str | None]]:
@@ -128,10 +128,10 @@ class ColumnMap(BaseModel):
 
 # DJI Tello, state packets of SDK 1.3 to 3.0, ten a second. Roll, pitch and yaw are whole degrees, yaw positive to
 # the right. agx, agy, agz are thousandths of g, about -1000 along z at rest, which is FRD specific force. The manual
-# names neither unit nor axes of vgx, vgy, vgz; flights show decimetres per second along the axes that yaw is counted
-# from (x ahead at power-on, y right, z down). `time` counts whole seconds of motor time and cannot stamp samples: the
+# names neither unit nor axes of vgx, vgy, vgz; flights show decimetres per second along the axes of yaw = 0
+# (x forward at power-on, y right, z down). `time` counts whole seconds of motor time and cannot stamp samples: the
 # recorder has to add a time of its own. tof is centimetres along the body's z: 30 to 1000 by the manual, 10 on
-# the ground, and 6553 (0xFFFF millimetres) where nothing came back.
+# the ground, and 6553 (0xFFFF millimetres) without an echo.
 _TELLO = ColumnMap(
     frame="frd",
     velocity_frame="ned",
@@ -169,7 +169,7 @@ _ARDRONE = ColumnMap(
 )
 
 # Crazyflie, variables of its log blocks under their own names: FLU, degrees/s, g; the state is of a world with z up.
-# zrange looks down, millimetres; 32767 where nothing came back.
+# zrange looks down, millimetres; 32767 without an echo.
 _CRAZYFLIE = ColumnMap(
     frame="flu",
     velocity_frame="enu",
@@ -205,7 +205,7 @@ READY_MAPS = {
     "ardrone_ros": _ARDRONE_ROS,
 }
 
-#: Names that time stamps go by, most telling first; a unit may follow, as in ``time_ms``.
+#: Names of time stamps, the clearest first; a unit may follow, as in ``time_ms``.
 TIME_NAMES = (
     "timestamp",
     "time_stamp",

@@ -1,4 +1,4 @@
-"""What the columns of a CSV are called: maps found from the header, where its names are ones in common use."""
+"""Names of CSV columns: column maps found from a header with names in common use."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fusion.logs.csv.table import Layout
 from fusion.logs.samples import Problems, WithProblems
 from vision import InputError
 
-# {} stands for the axis. Names are compared in lower case, dots and blanks as underscores, without units.
+# {} stands for the axis. Names are compared in lower case, with underscores for dots and blanks, without units.
 _VECTORS = {
     "gyro": "w_rs_s_{} gyro_{} gyr_{} gyroscope_{} angular_velocity_{} ang_vel_{} omega_{} w_{} g{} w{} gyro{} "
     "{}gyro angularvelocity_{} angvel_{} angular_rate_{} rotation_rate_{} rate_{}",
@@ -24,7 +24,7 @@ _VECTORS = {
     "position": "p_rs_r_{} position_{} pos_{} p_{} p{} t{} t_{} pose_position_{} {}",
 }
 _QUATERNIONS = ("q_rs_{}", "q_{}", "q{}", "quat_{}", "quaternion_{}", "orientation_{}", "pose_orientation_{}")
-_NUMBERED_QUATERNION = ["q0", "q1", "q2", "q3"]  # w first; an attitude that then turns otherwise is refused
+_NUMBERED_QUATERNION = ["q0", "q1", "q2", "q3"]  # w first; rejected later if it contradicts the gyroscope
 _RANGES = ("range", "rangefinder", "tof", "distance_to_floor", "distance_to_ground")
 _UNITS = {
     "gyro": {
@@ -53,21 +53,21 @@ _SIGNS = {
 
 
 def ready_map_of(layout: Layout) -> str | None:
-    """Name the ready map whose columns a file has."""
+    """Name the predefined map whose columns a file has."""
     names = {name.lower() for name in layout.names}
     return next((key for key in READY_MAPS if _SIGNS[key] <= names), None)
 
 
 def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
-    """Make a map of the columns whose names are known, and say what unit was assumed; None where there are none.
+    """Make a map of the columns with known names, and report the assumed units; None if there are none.
 
-    A vector's unit is that in brackets behind its names or at their end (``gyro_x_deg_s``); else SI.
+    A vector's unit is in brackets after its names or at their end (``gyro_x_deg_s``), or else SI.
     """
     if not layout.has_names and is_tum(layout):
-        said = Remark(
+        remark = Remark(
             f"{layout.path.name}: taken for a TUM trajectory: time, position, quaternion x, y, z, w"
         )
-        return WithProblems(_TUM, (said,))
+        return WithProblems(_TUM, (remark,))
     known = _known(layout)
     found: dict[str, Any] = {}
     problems: Problems = ()
@@ -106,7 +106,7 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
 
 
 def check_axes(layout: Layout) -> None:
-    """Raise `InputError` where two axes of gyroscope or accelerometer go by known names and the third does not."""
+    """Raise `InputError` if two axes of gyroscope or accelerometer have known names, but the third does not."""
     known = _known(layout)
     for role, sensor in (("gyro", "gyroscope"), ("accel", "accelerometer")):
         patterns = _axes(layout, role)
@@ -125,7 +125,7 @@ def check_axes(layout: Layout) -> None:
 
 
 def is_tum(layout: Layout) -> bool:
-    """Whether rows without names are a trajectory: time, position, a unit quaternion, and perhaps covariances."""
+    """Whether rows without names are a trajectory: time, position, unit quaternion, and optional covariances."""
     try:
         q = np.array([row[4:8] for row in layout.sample], dtype=float)
     except ValueError:
@@ -140,8 +140,8 @@ def _known(layout: Layout) -> list[tuple[str, str]]:
 
 
 def _axes(layout: Layout, role: str) -> list[list[str]]:
-    """Return the names that a vector's three columns may have."""
-    # Phones write a file for each sensor, whose columns are called x, y, z.
+    """Return the possible names of a vector's three columns."""
+    # Phones write a file per sensor, with columns x, y, z.
     sensor = _sensor_of(layout)
     patterns = [p for p in _VECTORS[role].split() if sensor is None or p != "{}"]
     patterns += ["{}"] if role == sensor else []
@@ -149,25 +149,25 @@ def _axes(layout: Layout, role: str) -> list[list[str]]:
 
 
 def _sensor_of(layout: Layout) -> str | None:
-    """Return which sensor a file is named after, as ``Gyroscope.csv`` of phones is; None where it is not."""
+    """Return the sensor that a file is named after, such as a phone's ``Gyroscope.csv``; None if there is none."""
     stem = layout.path.stem.lower()
     return next((role for word, role in _SENSORS.items() if word in stem), None)
 
 
-def names_the_world(columns: ColumnMap) -> str | None:
-    """Return the velocity's name where it says that it is along the world's axes, as EuRoC's ``v_RS_R_x`` does."""
+def world_velocity_name(columns: ColumnMap) -> str | None:
+    """Return the velocity's name if it means the world's axes, as EuRoC's ``v_RS_R_x``; else None."""
     names = [name for name in columns.velocity or () if isinstance(name, str)]
     return next((name for name in names if re.search(r"v_rs_r|world", name, re.IGNORECASE)), None)
 
 
 def has_asl_names(columns: ColumnMap) -> bool:
-    """Whether any column goes by a name of the ASL / EuRoC layout, whose axes are x ahead, y left, z up."""
+    """Whether any column has a name of the ASL / EuRoC layout, with axes x forward, y left, z up."""
     roles = ("gyro", "accel", "quaternion", "velocity", "position")
     return any("_rs_" in str(name).lower() for role in roles for name in columns.columns_of(role))
 
 
 def _find(known: list[tuple[str, str]], patterns: list[list[str]], role: str) -> tuple[list[int], str]:
-    """Return the columns of the first pattern that a file has, and their unit, if any; none where it has none."""
+    """Return the columns of the first pattern that a file has, and their unit, if any; none if it has none."""
     for _, places, unit in _spellings(known, patterns, role):
         columns = [i for i in places if i is not None]
         if len(columns) == len(places):
@@ -178,11 +178,11 @@ def _find(known: list[tuple[str, str]], patterns: list[list[str]], role: str) ->
 def _spellings(
     known: list[tuple[str, str]], patterns: list[list[str]], role: str
 ) -> Iterator[tuple[list[str], list[int | None], str]]:
-    """Yield each way to write the names, the columns that are called so, and the unit that the names end in."""
+    """Yield each spelling of the names, the matching columns, and the unit at the end of the names."""
     units = _UNITS.get(role, {})
     joined = [[name.replace("_", "") for name in names] for names in patterns if names[0] not in "xyz"]
     for sought, there in ((patterns, known), (joined, [(name.replace("_", ""), "") for name, _ in known])):
-        place_of = {name: i for i, (name, _) in reversed(list(enumerate(there)))}  # the first counts
+        place_of = {name: i for i, (name, _) in reversed(list(enumerate(there)))}  # the first one is used
         for names in sought:
             for ending in ("", *units):
                 wanted = [f"{name}_{ending}" if ending else name for name in names]
@@ -190,7 +190,7 @@ def _spellings(
 
 
 def _normal(name: str, unit: str) -> tuple[str, str]:
-    """Bring a column's name and its unit into one spelling: ``field.angular_velocity.x``, ``rad s^-1``."""
+    """Normalise the spelling of a column's name and unit: ``field.angular_velocity.x``, ``rad s^-1``."""
     name = re.sub(r"[\s.\-]+", "_", name.strip().lower()).removeprefix("field_").removeprefix("_")
     unit = unit.lower().replace("²", "2").replace("^", "").replace("°", "deg").replace("degrees", "deg")
     unit = re.sub(r"[\s*·]+", " ", unit).strip()

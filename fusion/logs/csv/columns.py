@@ -1,7 +1,7 @@
-"""CSV files of any shape, read by a column map: one the user gives, a ready one, or one found from the header.
+"""CSV files of any form, read by a column map: the user's, a predefined one, or one found from the header.
 
-Units become SI and axes FRD with z down, here, once. Where neither map nor manifest says the axes of the body,
-gravity decides between FRD and FLU, and a problem reports the choice.
+Units are converted to SI and axes to FRD with z down. If neither map nor manifest declares the body's axes, gravity
+decides between FRD and FLU, and a problem reports the choice.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from fusion.logs.csv.column_names import (
     check_axes,
     has_asl_names,
     map_of_names,
-    names_the_world,
     ready_map_of,
+    world_velocity_name,
 )
 from fusion.logs.csv.table import Layout, read_layout
 from fusion.logs.csv.time_units import is_time_name
@@ -73,7 +73,7 @@ _EXAMPLE = (
 
 
 def recognises(path: Path) -> bool:
-    """Whether a file is a CSV by its ending, or a text whose columns are known."""
+    """Whether a file is a CSV by its extension, or a text with known columns."""
     suffix = path.suffix.lower()
     if not path.is_file() or suffix not in SUFFIXES | TEXT_SUFFIXES:
         return False
@@ -87,7 +87,7 @@ def recognises(path: Path) -> bool:
 
 
 def open_log(path: Path) -> LogContents:
-    """Open a CSV whose columns go by known names."""
+    """Open a CSV whose columns have known names."""
     return open_columns(path)
 
 
@@ -101,14 +101,14 @@ def open_columns(
     path
         The file.
     columns
-        The map, the name of a ready one, or None to go by the header.
+        The map, the name of a predefined one, or None to use the header.
     frame
-        Axes, before those of the map.
+        Axes, which override those of the map.
 
     Raises
     ------
     InputError
-        Where the file cannot be read, a column is missing, or nothing says what the columns are.
+        If the file cannot be read, a column is missing, or the meaning of the columns is unknown.
     """
     layout = read_layout(
         path, *(() if not isinstance(columns, ColumnMap) else (columns.separator, columns.header))
@@ -124,19 +124,19 @@ def open_columns(
         raise InputError(
             f"has an accelerometer, but no known gyroscope: {listed}", file=path, remedy=_EXAMPLE
         )
-    log = CsvLog(path, what, series, assumed + problems + _left_out(layout, found))
+    log = CsvLog(path, what, series, assumed + problems + _unread_columns(layout, found))
     log.units_taken = found.units_taken
     log.body_frame = "flu" if table.body_frame().value in ("flu", "enu") else "frd"
     return log
 
 
 class CsvLog(SeriesLog):
-    """`LogContents` of a CSV; ``body_frame`` is what its axes are taken for, `ColumnMap.units_taken` its units."""
+    """`LogContents` of a CSV; ``body_frame`` is its assumed axes, `ColumnMap.units_taken` its assumed units."""
 
     units_taken: Mapping[str, float]
 
 
-def _left_out(layout: Layout, columns: ColumnMap) -> Problems:
+def _unread_columns(layout: Layout, columns: ColumnMap) -> Problems:
     """Name the columns that are not read."""
     named = {layout.find(name, role) for role in ROLES for name in columns.columns_of(role)}
     named |= set(time_columns(layout, columns))
@@ -153,7 +153,7 @@ def _left_out(layout: Layout, columns: ColumnMap) -> Problems:
 
 
 def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[ColumnMap, str]]:
-    """Return the map to use, and what to call the file."""
+    """Return the map to use, and the name of the format."""
     if isinstance(columns, ColumnMap):
         if not any(columns.columns_of(role) for role in ROLES):
             check_axes(layout)
@@ -175,11 +175,11 @@ def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[
 
 
 def _present(ready: ColumnMap, layout: Layout) -> ColumnMap:
-    """Leave out of a ready map what a file has no columns for: recorders differ; not all of it, though."""
+    """Remove from a predefined map the columns that a file lacks, because recorders differ; but not all of them."""
     absent = [
         role
         for role in ROLES
-        if any(isinstance(name, str) and layout.look_for(name) is None for name in ready.columns_of(role))
+        if any(isinstance(name, str) and layout.find_column(name) is None for name in ready.columns_of(role))
     ]
     named = [role for role in ROLES if ready.columns_of(role)]
     return ready if absent == named else ready.model_copy(update=dict.fromkeys(absent))
@@ -229,7 +229,7 @@ class _Table:
         return WithProblems(cls(layout.path, columns, frame, timed.t_ns, parts), problems)
 
     def note(self, kind: Kind) -> str:
-        """Say the axes, where something says them."""
+        """Declare the axes, if known."""
         if kind is Kind.RANGE:
             return f"in {self.columns.range_unit}, taken to look down"
         frame = (
@@ -240,20 +240,20 @@ class _Table:
         return f"axes {frame}" if frame else ""
 
     def where(self, kind: Kind) -> Where:
-        """Return what to call a stream in messages."""
+        """Return the name of a stream for messages."""
         return Where(self.path, f"{self.path.name} ({kind.value})")
 
     def body_frame(self) -> WithProblems[Frame]:
-        """Return the body's axes: those of the map, else those that gravity shows, with a problem that reports it."""
-        told = self.frame or self.columns.frame
-        if told is not None:
-            return WithProblems(told)
+        """Return the body's axes: the map's, or else those found from gravity, with a problem that reports them."""
+        declared = self.frame or self.columns.frame
+        if declared is not None:
+            return WithProblems(declared)
         frame, why = self._likely_frame()
         problem = f"{self.path.name}: axes taken as {frame}, {why}; name them with frame in flight.toml"
         return WithProblems(frame, (problem if why == _NOTHING_TELLS else Remark(problem),))
 
     def _likely_frame(self) -> tuple[Frame, str]:
-        """Return the axes that gravity shows, else those that the columns' names are used with, and why."""
+        """Return the axes by gravity, or else those usual with the columns' names, and the reason."""
         accel = self.parts.get("accel", np.zeros((0, 3)))
         accel = accel[np.isfinite(accel).all(axis=1)]
         usual = np.median(accel, axis=0) if len(accel) else np.zeros(3)
@@ -262,7 +262,7 @@ class _Table:
                 "frd", "gravity stands down its z axis"
             )  # fmt: skip
         if np.linalg.norm(usual) > _UPRIGHT_M_S2:
-            # No vehicle's axes, so the calibration tells how the IMU sits on it: Kalibr's goes with ROS's axes.
+            # These are not a vehicle's axes, so the calibration gives the IMU's mounting; Kalibr uses ROS's axes.
             return "flu", "gravity stands along another axis than z"
         if has_asl_names(self.columns):
             return "flu", "as its names are used in ASL / EuRoC logs"
@@ -278,7 +278,7 @@ class _Table:
         if accel is not None:
             imu, more = imu_stream(self.t_ns, gyro * flip, accel * flip, where)
         else:
-            # That no row has what no column holds need not be told.
+            # A column that does not exist is not reported as missing in every row.
             imu, more = imu_stream(self.t_ns, gyro * flip, np.zeros_like(gyro), where)
             imu = replace(imu, accel_m_s2=np.full_like(imu.gyro_rad_s, np.nan))
         return WithProblems(imu, problems + more)
@@ -316,32 +316,32 @@ class _Table:
                 file=self.path,
                 remedy="name the attitude's columns too, or leave the stream out: [velocity] use = false",
             )
-        attitude = self.attitude().value  # its problems are reported where it is read itself
+        attitude = self.attitude().value  # its problems are reported when it is read itself
         stream, more = velocity_stream(self.t_ns, _world(v, frame), attitude, where)
         return WithProblems(stream, problems + more)
 
     def _velocity_axes(self) -> WithProblems[tuple[Axes, Frame]]:
-        """Say which axes the velocity is along: as told, by its name, else by the pose beside it.
+        """Return the axes of the velocity: as declared, by its name, or else by comparison with the pose.
 
         Raises
         ------
         UndecidedError
-            Where that stays open and matters.
+            If they remain undecided and matter.
         """
-        pose_frame, told = self.body_frame().value, self.frame or self.columns.velocity_frame
-        name = names_the_world(self.columns)
+        pose_frame, declared = self.body_frame().value, self.frame or self.columns.velocity_frame
+        name = world_velocity_name(self.columns)
         if name is not None and self.columns.velocity_frame is None:
             problem = f"{self.path.name}: velocity taken along the world's axes, as its name {name} says"
             return WithProblems((Axes.WORLD, pose_frame), (Remark(problem),))
-        if told in ("ned", "enu") or (told is None and self.columns.frame in ("ned", "enu")):
-            is_same_up = (told in ("flu", "enu")) == (pose_frame in ("flu", "enu"))
-            return WithProblems((Axes.WORLD, pose_frame if told is None or is_same_up else told))
+        if declared in ("ned", "enu") or (declared is None and self.columns.frame in ("ned", "enu")):
+            is_same_up = (declared in ("flu", "enu")) == (pose_frame in ("flu", "enu"))
+            return WithProblems((Axes.WORLD, pose_frame if declared is None or is_same_up else declared))
         found: Axes | None = Axes.BODY
         if self._has_attitude and self.columns.velocity_frame is None:
             pose = self.parts.get("position"), self._quaternions()
             found = axes_of_velocity(self.t_ns, *pose, self.parts["velocity"])
-        told = told or self.columns.frame
-        if found is None and told is None:
+        declared = declared or self.columns.frame
+        if found is None and declared is None:
             raise UndecidedError(
                 "velocity may be along the body's axes or the world's, and the pose does not tell",
                 file=self.path,
@@ -349,7 +349,7 @@ class _Table:
                 "world; or [velocity] use = false",
             )
         if found is not Axes.WORLD:
-            return WithProblems((Axes.BODY, told or pose_frame))
+            return WithProblems((Axes.BODY, declared or pose_frame))
         problem = (
             f"{self.path.name}: velocity taken along the world's axes, as its positions move; velocity_frame under "
             "[velocity.columns] in flight.toml says otherwise"
@@ -368,10 +368,10 @@ class _Table:
 
     def range(self) -> WithProblems[RangeStream]:
         """Distance to the floor along the body's z."""
-        told, where = self.columns.range_limits, self.where(Kind.RANGE)
-        if told is None:
+        limits, where = self.columns.range_limits, self.where(Kind.RANGE)
+        if limits is None:
             return range_stream(self.t_ns, self.parts["range"][:, 0], where)
-        low, high = (limit * in_si(self.columns.range_unit) for limit in told)
+        low, high = (limit * in_si(self.columns.range_unit) for limit in limits)
         return range_stream(self.t_ns, self.parts["range"][:, 0], where, limits_m=(low, high))
 
 
@@ -385,13 +385,13 @@ _READERS: tuple[tuple[Kind, tuple[str, ...], Callable[[_Table], WithProblems[Str
 
 
 def _are_degrees(euler: FloatArray) -> bool:
-    """Whether roll, pitch and yaw (n, 3) cannot be radians; a damaged row does not count."""
+    """Whether roll, pitch and yaw (n, 3) are too large for radians; damaged rows are ignored."""
     tilt = np.abs(euler[:, :2])
     return bool(np.mean(np.any(tilt > _HALF_TURN, axis=1)) > _NOT_DAMAGED)
 
 
 def _world(xyz: FloatArray, frame: Frame) -> FloatArray:
-    """Turn vectors (n, 3) of a world into one with z down."""
+    """Convert vectors (n, 3) of a world to one with z down."""
     if frame == "enu":
         return np.asarray(xyz[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0]))
     return xyz * _FLIP if frame == "flu" else xyz

@@ -1,8 +1,8 @@
-"""Gyroflow's IMU logs (``.gcsv``), which action cameras and loggers write beside their video.
+"""Gyroflow's IMU logs (``.gcsv``), written by action cameras and loggers beside their video.
 
-A few lines of ``key,value`` come first, then a table ``t,gx,gy,gz,ax,ay,az`` of counts: ``tscale`` makes seconds of
-them, ``gscale`` rad/s and ``ascale`` g. Axes are the sensor's own and stay as they are: which of them the camera
-looks along is said by ``camera_axis``, see `fusion.logs.manifest.manifest`; gravity tells the rest.
+Lines of ``key,value`` are followed by a table ``t,gx,gy,gz,ax,ay,az`` of counts: ``tscale`` converts them to seconds,
+``gscale`` to rad/s and ``ascale`` to g. Axes are the sensor's own and are not changed: ``camera_axis`` declares the
+one along which the camera looks, see `fusion.logs.manifest.manifest`; the rest follows from gravity.
 
 Format: https://docs.gyroflow.xyz/app/technical-details/gcsv-format
 """
@@ -30,7 +30,7 @@ LONGEST_S = 1e9
 
 
 def recognises(path: Path) -> bool:
-    """Whether a file begins as these logs do."""
+    """Whether a file begins like these logs."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -43,13 +43,13 @@ def open_log(path: Path) -> LogContents:
     Raises
     ------
     InputError
-        Where its table or a scale is missing.
+        If its table or a scale is missing.
     """
     lines = read_head(path)
     start = next((i for i, line in enumerate(lines) if line.strip().startswith("t,")), None)
     if start is None:
         raise InputError("has no table of samples", file=path, remedy="copy the whole file from the camera")
-    told = dict(line.strip().split(",", 1) for line in lines[:start] if "," in line)
+    header = dict(line.strip().split(",", 1) for line in lines[:start] if "," in line)
     names = tuple(name.strip() for name in lines[start].split(","))
     if any(name not in names for name in GYRO):
         raise InputError(
@@ -59,33 +59,31 @@ def open_log(path: Path) -> LogContents:
     wanted = [names.index(name) for name in (*GYRO, *(ACCEL if with_accel else ()))]
     layout = Layout(path, ",", names, ("",) * len(names), start + 1, False, False, ())
     rows, problems = read_columns(layout, 0, wanted, "f8")
-    seconds = rows.first.astype(float) * _scale(told, "tscale", path)
+    seconds = rows.first.astype(float) * _scale(header, "tscale", path)
     sound = np.isfinite(seconds) & (np.abs(seconds) < LONGEST_S)
     t_ns = np.where(sound, np.rint(np.where(sound, seconds, 0.0) * 1e9), -1).astype(np.int64)
-    gyro = rows.values[:, :3] * _scale(told, "gscale", path)
+    gyro = rows.values[:, :3] * _scale(header, "gscale", path)
     accel = np.full_like(gyro, np.nan)
     if with_accel:
-        accel = rows.values[:, 3:] * (_scale(told, "ascale", path) * ONE_G_M_S2)
+        accel = rows.values[:, 3:] * (_scale(header, "ascale", path) * ONE_G_M_S2)
 
     def read() -> WithProblems[ImuStream]:
         return imu_stream(t_ns, gyro, accel, Where(path, path.name))
 
-    note = (
-        f"axes of the sensor; orientation {told.get('orientation', 'not told')} of the camera is not applied"
-    )
+    note = f"axes of the sensor; orientation {header.get('orientation', 'not told')} of the camera is not applied"
     log = SeriesLog(path, "Gyroflow IMU log", [Series(Topic("imu", Kind.IMU, t_ns, note), read)], problems)
-    log.body_frame = "frd"  # as they are: nothing was turned
+    log.body_frame = "frd"  # axes unchanged
     return log
 
 
-def _scale(told: dict[str, str], name: str, path: Path) -> float:
+def _scale(header: dict[str, str], name: str, path: Path) -> float:
     try:
-        scale = float(told[name])
+        scale = float(header[name])
     except (KeyError, ValueError):
         scale = float("nan")
     if not isfinite(scale) or scale <= 0.0:
         raise InputError(
-            f"{name} is {told.get(name, 'missing')}",
+            f"{name} is {header.get(name, 'missing')}",
             file=path,
             remedy="give the factor that the logger documents",
         )

@@ -1,7 +1,7 @@
-"""Folders that a phone's recorder writes, a CSV for each sensor: gyroscope and accelerometer joined by time.
+"""Folders of a phone's recorder, with a CSV per sensor: gyroscope and accelerometer are joined by time.
 
-Axes are those of the phone, x right and y up along its screen, z out of it, and stay as they are: how it is held is
-found from gravity and the direction of its camera, see ``camera_axis`` in `fusion.logs.manifest.manifest`.
+The phone's axes, x right and y up along its screen, z out of it, are not changed: its orientation is found from
+gravity and the direction of its camera, see ``camera_axis`` in `fusion.logs.manifest.manifest`.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from fusion.logs.units import in_si
 from vision import InputError
 
 GYRO = "gyroscope"
-ACCELS = ("totalacceleration", "accelerometer")  # the first one holds gravity in every recorder
+ACCELS = ("totalacceleration", "accelerometer")  # the first one includes gravity in every recorder
 TOPIC = "imu"
 
 
 def recognises(path: Path) -> bool:
-    """Whether a folder contains the file of a gyroscope."""
+    """Whether a folder contains a gyroscope's file."""
     return path.is_dir() and GYRO in _tables(path)
 
 
 def open_log(path: Path) -> LogContents:
-    """Open the gyroscope, with the acceleration where there is a file of it.
+    """Open the gyroscope, with the acceleration if there is a file for it.
 
     Raises
     ------
     InputError
-        Where the gyroscope cannot be read.
+        If the gyroscope cannot be read.
     """
     tables = _tables(path)
     (t_ns, gyro), problems = _read(tables[GYRO], "gyro")
@@ -56,7 +56,7 @@ def open_log(path: Path) -> LogContents:
 
     topic = Topic(TOPIC, Kind.IMU, t_ns, f"axes of the phone; {note}")
     log = SeriesLog(path, "folder of a phone's sensors", [Series(topic, read)], problems)
-    log.body_frame = "frd"  # as they are: nothing was turned
+    log.body_frame = "frd"  # axes unchanged
     return log
 
 

@@ -1,8 +1,8 @@
-"""Rows of text tables, the part that every reader of a table shares: blocks, fields, numbers, and what is damaged.
+"""Rows of text tables, shared by all readers of tables: blocks, fields, numbers, and damaged rows.
 
-A file is read in blocks of a few megabytes, so that a log of hours costs little more than its numbers. numpy parses a
-block whole; only where it refuses are rows looked at one by one. A last line that lacks its line break and looks
-shorter than the one before was cut, and is left out.
+A file is read in blocks of a few megabytes, so that a log of hours needs little more memory than its numbers. numpy
+parses whole blocks; rows are parsed one by one only if it fails. A last line without a line break that seems shorter
+than the one before is truncated, and is left out.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from vision import InputError
 from vision.limits import check_is_file
 
 _HEAD_BYTES = 1 << 16
-_LONGEST_SIGN = 3  # bytes of UTF-8 that a cut may take from one
-_SIGNS_1252 = (b"\xb0", b"\xb2", b"\xb5")  # of degrees, squares and micro, by which units are known
+_LONGEST_SIGN = 3  # bytes of a UTF-8 character that may be cut off
+_SIGNS_1252 = (b"\xb0", b"\xb2", b"\xb5")  # of degrees, squares and micro, in units
 _BLOCK_CHARACTERS = 1 << 23
 _MAX_LINE = 1 << 20
 _PIECE_ROWS = 2048
@@ -32,7 +32,7 @@ _WORDS = {"true": "1", "false": "0", "null": "nan", "none": "nan"}
 
 
 def parse_time(text: str) -> int | None:
-    """Whole number that fits 64 bits, such as nanoseconds; None where the text is something else."""
+    """Integer that fits 64 bits, such as nanoseconds; None for any other text."""
     if not re.fullmatch(r"[+-]?0*[0-9]{1,19}", text):
         return None
     number = int(text)
@@ -40,7 +40,7 @@ def parse_time(text: str) -> int | None:
 
 
 def is_number(text: str) -> bool:
-    """Whether Python reads a text as a number."""
+    """Whether Python can read a text as a number."""
     try:
         float(text)
     except ValueError:
@@ -49,7 +49,7 @@ def is_number(text: str) -> bool:
 
 
 def split_fields(line: str, separator: str, *, quoted: bool = True) -> list[str]:
-    """Take a line apart, blanks around its fields left out; a blank as separator stands for any number of them."""
+    """Split a line into stripped fields; a blank as separator stands for any number of blanks."""
     if separator == " ":
         return line.split()
     if not quoted:
@@ -58,12 +58,12 @@ def split_fields(line: str, separator: str, *, quoted: bool = True) -> list[str]
 
 
 def encoding_of(head: bytes) -> str:
-    """Return how a text is encoded by its first bytes: UTF-16 as Excel's Unicode text is, UTF-8, else as of old."""
+    """Return a text's encoding, by its first bytes: UTF-16 (Excel's Unicode text), UTF-8, or else Windows-1252."""
     little, big = head.startswith(b"\xff\xfe") and head[3:4] == b"\0", head.startswith(b"\xfe\xff\0")
     if little or big:
         return "utf-16"
     try:
-        # A sign may be cut at the end; zeros and the like are left to who reads the rows.
+        # The last character may be cut; zero bytes are handled when the rows are read.
         head[: -_LONGEST_SIGN or None].decode("utf-8")
     except UnicodeDecodeError:
         return "cp1252" if any(head.count(sign) for sign in _SIGNS_1252) else "utf-8-sig"
@@ -76,7 +76,7 @@ def read_head(path: Path) -> list[str]:
     Raises
     ------
     InputError
-        Where it cannot be read or holds nothing but blanks.
+        If it cannot be read or contains only blanks.
     """
     try:
         check_is_file(path)
@@ -87,7 +87,7 @@ def read_head(path: Path) -> list[str]:
     text = head.decode(encoding_of(head), errors="replace")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     if len(head) == _HEAD_BYTES and len(lines) > 1:
-        del lines[-1]  # may be cut
+        del lines[-1]  # may be truncated
     if not any(line.strip() for line in lines):
         raise InputError("is empty", file=path, remedy="the file was not written whole; copy it again")
     return lines
@@ -99,7 +99,7 @@ def is_row(line: str) -> bool:
 
 
 class Block(NamedTuple):
-    """Some rows of a file in a row; ``cut`` where a last line that was cut short is left out after them."""
+    """Consecutive rows of a file; ``cut`` if a truncated last line after them is left out."""
 
     rows: list[str]
     cut: bool = False
@@ -120,18 +120,18 @@ def read_blocks(
     path
         The file.
     separator
-        Between fields; by their number a cut line is known.
+        Between fields; their number shows whether a line is truncated.
     skip_lines
         Lines before the first row.
     tidy
-        Applied to the text of each block before it is taken apart.
+        Applied to the text of each block before it is split.
     leave_out_cut
-        Whether a last line that seems cut is left out.
+        Whether a last line that seems truncated is left out.
 
     Raises
     ------
     InputError
-        Where the file cannot be read.
+        If the file cannot be read.
     """
 
     def rows_of(text: str) -> list[str]:
@@ -165,7 +165,7 @@ def read_blocks(
 
 
 def _is_cut(last: str, before: str, separator: str) -> bool:
-    """Whether the last line, which has no line break, seems cut; a false alarm costs one row."""
+    """Whether the last line, which has no line break, seems truncated; a false alarm costs one row."""
     if last.count(separator) != before.count(separator):
         return last.count(separator) < before.count(separator)
 
@@ -177,7 +177,7 @@ def _is_cut(last: str, before: str, separator: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class RowFormat:
-    """What to read of each row.
+    """Format of the rows, and the columns to read.
 
     Parameters
     ----------
@@ -188,12 +188,12 @@ class RowFormat:
     first_type
         Of the first: ``i8``, ``f8`` or ``O`` for text.
     width
-        Number of fields that a row must have; None for any number.
+        Required number of fields in a row; None for any number.
     quoted
-        Whether a field may stand in double quotes.
+        Whether a field may be in double quotes.
     keep_bad_fields
-        Where a field is not a number: whether it becomes NaN and is noted, and ``true``, ``false``, ``null`` and
-        ``none`` are understood; otherwise its whole row is dropped.
+        If true, a field that is not a number becomes NaN and is recorded, and ``true``, ``false``, ``null`` and
+        ``none`` are accepted; otherwise its whole row is dropped.
     """
 
     separator: str
@@ -206,13 +206,13 @@ class RowFormat:
 
     @property
     def dtype(self) -> np.dtype[np.void]:
-        """Of a parsed row: the first column ``t``, the others ``v`` (k,)."""
+        """Type of a parsed row: the first column ``t``, the others ``v`` (k,)."""
         return np.dtype([("t", self.first_type), ("v", "f8", (len(self.others),))])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """What was read of a file.
+    """Parsed rows of a file.
 
     Parameters
     ----------
@@ -221,13 +221,13 @@ class Rows:
     first
         The first column (n,): integers, floats or texts.
     values
-        The others (n, k); a field that is empty is NaN.
+        The other columns (n, k); empty fields are NaN.
     damaged, first_damaged
-        How many rows were dropped, and the first of them.
+        Number of dropped rows, and the first of them.
     bad_fields
-        Text of the fields that became NaN though they were not empty, by the index of their column.
+        Text of non-empty fields that became NaN, by the index of their column.
     cut
-        Whether the last line was cut short and left out.
+        Whether the last line was truncated and left out.
     """
 
     number: npt.NDArray[np.int64]
@@ -246,7 +246,7 @@ def read_rows(blocks: Iterable[Block], fmt: RowFormat) -> Rows:
     for block in blocks:
         cut = cut or block.cut
         whole = _parse_fast(block.rows, fmt)
-        # One damaged row must not cost the speed of a whole block.
+        # One damaged row must not slow down a whole block.
         step = _PIECE_ROWS if whole is None else max(len(block.rows), 1)
         for start in range(0, len(block.rows), step):
             lines = block.rows[start : start + step]
@@ -265,7 +265,7 @@ def read_rows(blocks: Iterable[Block], fmt: RowFormat) -> Rows:
 
 
 class _Part(NamedTuple):
-    """Some parsed rows, numbered among the lines given; how many lines were damaged, the first, and bad fields."""
+    """Some parsed rows, numbered among the given lines; number of damaged lines, the first, and bad fields."""
 
     data: npt.NDArray[np.void]
     number: npt.NDArray[np.int64]
@@ -275,13 +275,13 @@ class _Part(NamedTuple):
 
 
 def _parse_fast(lines: list[str], fmt: RowFormat) -> npt.NDArray[np.void] | None:
-    """Parse rows by numpy; None where it does not take them."""
+    """Parse rows by numpy; None if it fails."""
     columns = (fmt.first, *fmt.others)
-    takes_all = columns == tuple(range(fmt.width or 0))  # then numpy sees to it that no row is longer
+    takes_all = columns == tuple(range(fmt.width or 0))  # then numpy rejects longer rows
     if fmt.width is not None and not takes_all and not _all_of_width(lines, fmt):
         return None
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # an integer read through a float would lose its last digits
+        warnings.simplefilter("error")  # an integer read as a float would lose its last digits
         try:
             return np.loadtxt(
                 lines,
@@ -301,8 +301,8 @@ def _all_of_width(lines: list[str], fmt: RowFormat) -> bool:
 
 
 def _parse_slowly(lines: Sequence[str], fmt: RowFormat) -> _Part:
-    """Parse row by row, so that only what is damaged is lost."""
-    converters: dict[str, Callable[[str], int | float | str]] = {"i8": _whole, "f8": float, "O": str}
+    """Parse row by row, so that only damaged rows are lost."""
+    converters: dict[str, Callable[[str], int | float | str]] = {"i8": _integer, "f8": float, "O": str}
     convert = converters[fmt.first_type]
     rows: list[tuple[int | float | str, list[float]]] = []
     kept: list[int] = []
@@ -336,11 +336,11 @@ def _parse_slowly(lines: Sequence[str], fmt: RowFormat) -> _Part:
 
 
 def _as_number(text: str, *, words: bool = True) -> str:
-    """Write a field as Python reads it as a number: nothing is NaN, and so are, if asked for, words for it."""
+    """Return a field as text that Python reads as a number: NaN if empty or, if requested, a word for NaN."""
     return "nan" if not text else _WORDS.get(text.lower(), text) if words else text
 
 
-def _whole(text: str) -> int:
+def _integer(text: str) -> int:
     number = parse_time(text)
     if number is None:
         raise ValueError(text)

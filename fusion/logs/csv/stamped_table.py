@@ -1,6 +1,6 @@
-"""CSV files of one fixed shape: whole nanoseconds, then numbers in a known order, as in an ASL / EuRoC ``data.csv``.
+"""CSV files of a fixed form: integer nanoseconds, then numbers in a known order, as in ASL / EuRoC ``data.csv``.
 
-The files may be torn, unsorted or dirty; what is damaged is dropped and reported.
+The files may be truncated, unsorted or damaged; damaged rows are dropped and reported.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from fusion.logs.csv.rows import RowFormat, is_number, is_row, read_blocks, read
 from fusion.logs.samples import MIN_STEP_NS, NOT_NANOSECONDS, Problems, WithProblems, counted, in_order
 from vision import InputError
 
-_LOOKED_AT = 20  # rows at the beginning that tell whether the columns are the expected ones
+_LOOKED_AT = 20  # first rows, which show whether the columns are the expected ones
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +27,7 @@ class CsvTable:
     t_ns
         Times (n,), strictly increasing, at least one.
     values
-        The other columns (n, k); a field that is empty is NaN.
+        The other columns (n, k); empty fields are NaN.
     """
 
     t_ns: TimeArray
@@ -36,7 +36,7 @@ class CsvTable:
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """What stands before the rows: the names of the columns, if any, the number of lines, and the first rows."""
+    """Head of a file: the columns' names, if any, the number of lines before the rows, and the first rows."""
 
     names: tuple[str, ...] | None
     lines: int
@@ -51,25 +51,25 @@ def read_table(
     min_step_ns: int = MIN_STEP_NS,
     by_name: bool = False,
 ) -> WithProblems[CsvTable]:
-    """Read ``timestamp, columns ...``, dropping what is broken.
+    """Read ``timestamp, columns ...``; damaged rows are dropped.
 
     Parameters
     ----------
     path
-        The file; comment lines start with ``#``, and a line of column names may stand first.
+        The file; comment lines start with ``#``, and the first line may contain column names.
     columns
         Names of the columns after the time, for messages.
     label
-        What to call the file in problems, such as ``imu0/data.csv``.
+        Name of the file in problems, such as ``imu0/data.csv``.
     min_step_ns
         A median time step below it means that the times are not nanoseconds.
     by_name
-        Find the columns by the names in the file's header, where it has one, instead of by their order.
+        Find the columns by the names in the file's header, if it has one, instead of by their order.
 
     Raises
     ------
     InputError
-        Where no usable rows are left, or the columns or the times are not what they should be.
+        If no usable rows are left, or the columns or times are not as expected.
     """
     head = read_table_head(path)
     order: list[int] | None = None
@@ -102,23 +102,23 @@ def read_table(
 
 
 def read_table_head(path: Path) -> Head:
-    """Read what stands before the rows of a file, and its first rows.
+    """Read the head of a file and its first rows.
 
     Raises
     ------
     InputError
-        Where it cannot be read, or has no row.
+        If it cannot be read, or has no row.
     """
     lines = read_head(path)
     names: tuple[str, ...] | None = None
     start, first = 0, True
     for number, line in enumerate(lines):
         if line and not line.isspace():
-            if not line.lstrip().startswith("#") and not (first and _is_names(line)):
+            if not line.lstrip().startswith("#") and not (first and _has_column_names(line)):
                 start = number
                 break
             first = False
-            if "," in line:  # names, not a remark; units in brackets are no part of them
+            if "," in line:  # names, not a remark; without units in brackets
                 names = tuple(re.sub(r"\s*\[.*", "", name).strip() for name in line.lstrip("# ").split(","))
     else:
         raise InputError(
@@ -128,27 +128,27 @@ def read_table_head(path: Path) -> Head:
     return Head(names, start, tuple(rows[:_LOOKED_AT]))
 
 
-def _is_names(line: str) -> bool:
-    """Whether a first line holds column names: letters where the time should stand."""
+def _has_column_names(line: str) -> bool:
+    """Whether a first line contains column names: letters in place of the time."""
     return re.match(r"\s*[A-Za-z_]", line) is not None and not is_number(line.split(",")[0])
 
 
 def check_columns(path: Path, head: Head, width: int, columns: Sequence[str]) -> None:
-    """Refuse a file whose rows are not what they should be.
+    """Reject a file whose rows are not as expected.
 
     Parameters
     ----------
     path, head
-        The file, and what it begins with.
+        The file, and its head.
     width
-        Number of columns that there should be.
+        Expected number of columns.
     columns
         Their names, for the message.
 
     Raises
     ------
     InputError
-        Where most of the first rows have a wrong number of columns or no whole time.
+        If most of the first rows have a wrong number of columns or no integer time.
     """
     rows = [row.split(",") for row in head.sample]
     wrong = [len(fields) for fields in rows if len(fields) != width]

@@ -1,6 +1,6 @@
-"""Tables of numbers in text files as people have them: any separator, header or none, units in brackets, key:value.
+"""Tables of numbers in text files of any form: any separator, optional header, units in brackets, key:value.
 
-`read_layout` finds out how a file is written, `read_columns` reads some of its columns.
+`read_layout` detects the layout of a file, `read_columns` reads some of its columns.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fusion.logs.samples import Problems, WithProblems, counted
 from fusion.settings.sentences import did_you_mean
 from vision import InputError
 
-_SEPARATORS = (";", "\t", "|", ",", " ")  # a comma may be the decimal point of what semicolons part
+_SEPARATORS = (";", "\t", "|", ",", " ")  # a comma may be the decimal point between semicolons
 _KEY = re.compile(r"\b[A-Za-z_]\w*:")
 _STAMP_BEFORE_KEYS = re.compile(
     r"^(?=[^A-Za-z;]*\d)([^A-Za-z;]*?[^A-Za-z;,\s])[,;\s]++(?=[A-Za-z_]\w*:)", re.MULTILINE
@@ -37,7 +37,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.I
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How a file is written.
+    """Layout of a file.
 
     Parameters
     ----------
@@ -46,17 +46,17 @@ class Layout:
     separator
         Between fields.
     names
-        Of the columns, without units; empty strings where there is no header.
+        Of the columns, without units; empty strings if there is no header.
     units
-        What stood in brackets behind each name.
+        Text in brackets after each name.
     header_lines
         Lines before the first row.
     keyed
-        Whether each field says its own name, as in ``pitch:0;roll:1;``.
+        Whether each field contains its name, as in ``pitch:0;roll:1;``.
     decimal_comma
-        Whether numbers have a comma for the point.
+        Whether numbers have a decimal comma.
     sample
-        The first rows, fields apart.
+        The first rows, split into fields.
     """
 
     path: Path
@@ -79,7 +79,7 @@ class Layout:
         Raises
         ------
         InputError
-            Naming ``key``, the place in the map, and the columns that there are.
+            With ``key``, the place in the map, and the existing columns.
         """
         if isinstance(column, int):
             if column <= len(self.names):
@@ -89,7 +89,7 @@ class Layout:
                 file=self.path,
                 remedy="the first column is 1",
             )
-        number = self.look_for(column)
+        number = self.find_column(column)
         if number is not None:
             return number
         if not self.has_names:
@@ -102,8 +102,8 @@ class Layout:
         remedy = did_you_mean(column, self.names) or f"the columns are {listed}"
         raise InputError(f"has no column {column!r} ({key})", file=self.path, remedy=remedy)
 
-    def look_for(self, name: str) -> int | None:
-        """Return the index of a column by its name, upper or lower case; None where there is no such column."""
+    def find_column(self, name: str) -> int | None:
+        """Return the index of a column by its name, ignoring case; None if there is no such column."""
         plain = _plain(name)[0]
         for wanted, there in ((plain, self.names), (plain.lower(), [n.lower() for n in self.names])):
             if wanted and wanted in there:
@@ -112,29 +112,29 @@ class Layout:
 
 
 def _plain(name: str) -> tuple[str, str]:
-    """Split a column's name from the unit behind it: ``gyro x [deg/s]``."""
+    """Split a column's name and the unit after it: ``gyro x [deg/s]``."""
     if len(name) > _MAX_NAME:
         return name.strip(), ""
     match = re.fullmatch(r"\s*(.*?)\s*[\[(]\s*(.*?)\s*[\])]\s*", name)
-    if match is None or not match[1] or match[2].isdigit():  # a number is which of several, as in gyroADC[0]
+    if match is None or not match[1] or match[2].isdigit():  # a number is an index, as in gyroADC[0]
         return name.strip(), ""
     return match[1], match[2]
 
 
 def read_layout(path: Path, separator: str | None = None, header: bool | None = None) -> Layout:
-    """Find out how a file is written from its first lines.
+    """Detect the layout of a file from its first lines.
 
     Parameters
     ----------
     path
         The file.
     separator, header
-        Where the user says; else found.
+        As given by the user; None: detected.
 
     Raises
     ------
     InputError
-        Where it cannot be read, is empty, or no text.
+        If it cannot be read, is empty, or is not a text.
     """
     lines = [_dates_joined(line) for line in read_head(path)]
     if any("\0" in line for line in lines):
@@ -152,9 +152,9 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
     comment = next((line for line in reversed(lines[: lines.index(rows[0])]) if separator in line), None)
     titles = first if named else [""] * len(first)
     if not named and comment is not None:
-        told = split_fields(comment.lstrip("# "), separator)
-        told += [""] * (len(first) - len(told) if not any(first[len(told) :]) else 0)  # a comma ends each row
-        titles = told if len(told) == len(first) else titles
+        fields = split_fields(comment.lstrip("# "), separator)
+        fields += [""] * (len(first) - len(fields) if not any(first[len(fields) :]) else 0)  # trailing comma
+        titles = fields if len(fields) == len(first) else titles
     units = split_fields(rows[1], separator) if named and len(rows) > 2 else []
     has_units = len(units) == len(titles) and all(is_unit(field) for field in units)
     has_units &= any(sign.isalpha() or sign in "°%" for field in units for sign in field)
@@ -179,22 +179,22 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
 
 
 def is_unit(field: str) -> bool:
-    """Whether a field is a unit, as in a second line of titles: ``rad/s``, ``[m/s^2]``, or nothing."""
+    """Whether a field of a second title line is a unit: ``rad/s``, ``[m/s^2]``, or empty."""
     return _UNIT.fullmatch(field.strip().strip("[]()").strip()) is not None
 
 
 def _dates_joined(text: str) -> str:
-    """Write a T between date and time of day, which may stand among columns that blanks part."""
+    """Join date and time of day by a T, because blanks may separate the columns."""
     return _DATE_AND_TIME.sub(r"\1T\2", text)
 
 
 def _without_preamble(rows: list[str], separator: str) -> list[str]:
-    """Leave out lines of another width that stand before the table, such as settings with their values."""
+    """Skip lines of another width before the table, such as settings with their values."""
     widths = [len(split_fields(row, separator)) for row in rows]
     if widths[-1] == 1:
         return rows
     start = next((k for k in range(len(rows) - 1, -1, -1) if widths[k] != widths[-1]), -1) + 1
-    # Damaged rows among the others are no preamble.
+    # Damaged rows within the table are not a preamble.
     numbers = sum(_is_number(split_fields(row, separator)[0], separator) for row in rows[:start])
     return rows if numbers or start >= len(rows) - 1 else rows[start:]
 
@@ -216,7 +216,7 @@ def _is_number(field: str, separator: str) -> bool:
 
 
 def _separator(rows: Sequence[str]) -> str:
-    """Return the separator that most rows have equally often; a comma where there is one column."""
+    """Return the separator with the most consistent count per row; a comma if there is only one column."""
     for separator in _SEPARATORS:
         width, times = Counter(len(split_fields(row, separator)) for row in rows).most_common(1)[0]
         if width > 1 and 2 * times > len(rows):
@@ -225,7 +225,7 @@ def _separator(rows: Sequence[str]) -> str:
 
 
 def read_columns(layout: Layout, first: int, others: Sequence[int], first_type: str) -> WithProblems[Rows]:
-    """Read columns of a file, dropping rows that are damaged and saying so.
+    """Read columns of a file; damaged rows are dropped and reported.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ def read_columns(layout: Layout, first: int, others: Sequence[int], first_type: 
     Raises
     ------
     InputError
-        Where no row is left.
+        If no row is left.
     """
 
     def tidy(text: str) -> str:

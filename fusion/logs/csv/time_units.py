@@ -1,4 +1,4 @@
-"""Time stamps of unknown unit: whole numbers, decimals or dates, turned into integer nanoseconds."""
+"""Convert time stamps of unknown unit to integer nanoseconds: integers, decimals or dates."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from fusion.flight import TimeArray
 from fusion.logs.csv.column_map import TIME_NAMES, TimeUnit
 
 NS: dict[TimeUnit, int] = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
-_TOLD_NS = NS | {"100us": 100_000, "days": 86_400 * 10**9}  # those that are not guessed by their steps
+_UNIT_NS = NS | {
+    "100us": 100_000,
+    "days": 86_400 * 10**9,
+}  # also the units that are never guessed from the steps
 _IN_WORDS = {
     "ns": "nanoseconds",
     "us": "microseconds",
@@ -39,14 +42,14 @@ _SPELLINGS: dict[str, TimeUnit] = {unit: unit for unit in NS} | {
 }
 _YEAR_2001_S, _YEAR_2100_S = 978_307_200, 4_102_444_800
 _TYPICAL_STEP_S, _LONGEST_STEP_S = 0.02, 100.0
-#: Days from a calendar's zero to 1970, and between which of its days a log is: Excel's and MATLAB's.
+#: Days from a calendar's zero to 1970, and the range of days of a log: Excel's and MATLAB's calendars.
 _CALENDARS = ((25_569, (36_526, 73_051)), (719_529, (730_486, 767_011)))
 _LONGEST_STEP_DAYS = 1e-4
 MISSING = np.iinfo(np.int64).min
 
 
 def unit_named(name: str, bracket: str) -> TimeUnit | None:
-    """Return the unit that a column's name ends in, as in ``time_ms``, or that follows it in brackets."""
+    """Return the unit at the end of a column's name, as in ``time_ms``, or in brackets after it."""
     if name.strip().lower() in _UNIT_OF_NAMES:
         return _UNIT_OF_NAMES[name.strip().lower()]
     for word in (bracket, name.rsplit("_", 1)[-1] if "_" in name else ""):
@@ -57,7 +60,7 @@ def unit_named(name: str, bracket: str) -> TimeUnit | None:
 
 
 def is_time_name(name: str) -> int | None:
-    """Return how clearly a column's name means time stamps, 0 the clearest; None where it does not."""
+    """Rank how clearly a column's name means time stamps, 0 the clearest; None if it does not."""
     plain = name.strip().lower().lstrip("#").strip()
     stem, _, last = plain.rpartition("_")
     candidates = (plain, stem if last in _SPELLINGS else plain)
@@ -65,7 +68,7 @@ def is_time_name(name: str) -> int | None:
 
 
 def guess_unit(values: npt.NDArray[np.generic]) -> TimeUnit:
-    """Guess the unit of numbers (n,): by the date they would be, else by a step that sensors have."""
+    """Guess the unit of numbers (n,): by a plausible date, or else by a plausible sampling interval."""
     numbers = values.astype(np.float64)
     middle = float(np.median(numbers))
     steps = np.abs(np.diff(numbers))
@@ -84,7 +87,7 @@ def in_words(unit: TimeUnit) -> str:
 
 
 def to_ns(values: npt.NDArray[np.generic], unit: TimeUnit) -> TimeArray:
-    """Turn time stamps (n,) into nanoseconds; `MISSING` where the text is no time."""
+    """Convert time stamps (n,) to nanoseconds; `MISSING` if the text is not a time."""
     if unit == "iso":
         return dates_to_ns(values)
     if unit == "days":
@@ -92,29 +95,29 @@ def to_ns(values: npt.NDArray[np.generic], unit: TimeUnit) -> TimeArray:
         epoch = next((zero for zero, (low, high) in _CALENDARS if low < np.median(numbers) < high), 0)
         return to_ns((numbers - epoch) * 86_400.0, "s")
     if values.dtype.kind == "i":
-        ok = np.abs(values) < 2**62 // _TOLD_NS[unit]
-        return np.where(ok, np.where(ok, values, 0) * _TOLD_NS[unit], MISSING)
+        ok = np.abs(values) < 2**62 // _UNIT_NS[unit]
+        return np.where(ok, np.where(ok, values, 0) * _UNIT_NS[unit], MISSING)
     numbers = values.astype(np.float64)
-    # Whole and broken part apart: the fraction of a large number keeps its digits.
-    ok = np.isfinite(numbers) & (np.abs(numbers) < 2**62 / _TOLD_NS[unit])
+    # Integer part and fraction are separate, so that the fraction of a large number keeps its digits.
+    ok = np.isfinite(numbers) & (np.abs(numbers) < 2**62 / _UNIT_NS[unit])
     numbers = np.where(ok, numbers, 0.0)
     whole = np.floor(numbers)
-    # Seconds since 1970 have room for 240 ns: what a float adds below its own resolution is no measurement.
+    # Seconds since 1970 have a resolution of 240 ns; digits below a float's resolution are noise.
     quantum = 10 ** max(
-        0, int(np.ceil(np.log10(float(np.spacing(np.abs(numbers).max(initial=1.0))) * _TOLD_NS[unit])))
+        0, int(np.ceil(np.log10(float(np.spacing(np.abs(numbers).max(initial=1.0))) * _UNIT_NS[unit])))
     )
-    part = np.rint((numbers - whole) * _TOLD_NS[unit] / quantum).astype(np.int64) * quantum
-    t_ns = whole.astype(np.int64) * _TOLD_NS[unit] + part
+    part = np.rint((numbers - whole) * _UNIT_NS[unit] / quantum).astype(np.int64) * quantum
+    t_ns = whole.astype(np.int64) * _UNIT_NS[unit] + part
     return np.where(ok, t_ns, MISSING)
 
 
 def decimal_to_ns(text: str, unit: TimeUnit) -> int:
-    """Turn a decimal number in a unit into nanoseconds without a float in between, whose digits would not do.
+    """Convert a decimal number in a unit to nanoseconds without a float, whose resolution is too coarse.
 
     Raises
     ------
     ValueError, OverflowError
-        Where the text is not a number, or no finite one.
+        If the text is not a finite number.
     """
     scale = NS[unit]
     digits = len(str(scale)) - 1
@@ -135,12 +138,12 @@ MONTHS, HOURS = 12, 12
 
 
 def is_date(text: str) -> bool:
-    """Whether a text is a date with a time of day, or the latter alone."""
+    """Whether a text is a time of day, with or without a date."""
     return _date_ns(text, month_first=False) != MISSING or _date_ns(text, month_first=True) != MISSING
 
 
 def dates_to_ns(values: npt.NDArray[np.generic]) -> TimeArray:
-    """Turn dates or times of day (n,) into nanoseconds; the latter from midnight on, past the next one too."""
+    """Convert dates or times of day (n,) to nanoseconds; times of day from midnight, also past the next one."""
     texts = [str(text).strip() for text in values.tolist()]
     month_first = _is_month_first(texts)
     t_ns = np.array([_date_ns(text, month_first) for text in texts], dtype=np.int64)
@@ -152,9 +155,9 @@ def dates_to_ns(values: npt.NDArray[np.generic]) -> TimeArray:
 
 
 def _is_month_first(texts: list[str]) -> bool | None:
-    """Tell the order of dates whose year stands last, over all rows; None where both would do.
+    """Determine the order of day and month in dates with the year last, over all rows; None if both fit.
 
-    With dots the day comes first, with AM and PM the month; else a number beyond 12 is the day.
+    With dots the day comes first, with AM and PM the month; otherwise a number above 12 is the day.
     """
     for text in texts:
         found = _DATE.fullmatch(text.strip().strip('"'))
@@ -170,7 +173,7 @@ def _is_month_first(texts: list[str]) -> bool | None:
 
 
 def _date_ns(text: str, month_first: bool | None) -> int:
-    """Nanoseconds since 1970, or since midnight for a time of day; `MISSING` where the text is neither."""
+    """Nanoseconds since 1970, or since midnight for a time of day; `MISSING` if the text is neither."""
     text = text.strip().strip('"')
     alone, dated = _TIME_OF_DAY.fullmatch(text), _DATE.fullmatch(text)
     found = alone or dated
@@ -189,7 +192,7 @@ def _date_ns(text: str, month_first: bool | None) -> int:
             return MISSING
         year, month, day = groups[5], *(groups[3:5] if month_first else groups[4:2:-1])
     try:
-        # fromisoformat reads the zone behind the time; fractions of any length are added by hand
+        # fromisoformat reads the time zone; fractions of any length are added here
         zone = datetime.fromisoformat(f"{year}-{int(month):02}-{int(day):02}T00:00:00{groups[11] or ''}")
     except ValueError:
         return MISSING

@@ -1,4 +1,4 @@
-"""Rows of a CSV with their times: which column holds the time stamps is found, and in which unit."""
+"""Rows of a CSV with their times: detects the column of the time stamps and its unit."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ class FrameTimes:
     row
         Number (n,) of each row among all rows of the file.
     t_ns
-        Time (n,) of each, as they stand.
+        Time (n,) of each, in the file's order.
     names
-        File name of each; None where the file has no such column.
+        File name of each; None if the file has no such column.
     """
 
     row: npt.NDArray[np.int64]
@@ -50,12 +50,12 @@ class FrameTimes:
 
 
 def read_times(path: Path, columns: ColumnMap | str | None) -> WithProblems[FrameTimes]:
-    """Read when pictures were taken, and, where a column gives them, their file names.
+    """Read the times of pictures and, if there is a column for them, their file names.
 
     Raises
     ------
     InputError
-        Where the file has no time stamps.
+        If the file has no time stamps.
     """
     column_map = columns if isinstance(columns, ColumnMap) else ColumnMap()
     layout = read_layout(path, column_map.separator, column_map.header)
@@ -64,14 +64,14 @@ def read_times(path: Path, columns: ColumnMap | str | None) -> WithProblems[Fram
     number = timed.rows.number
     if names is None:
         return WithProblems(FrameTimes(number, timed.t_ns, None), problems)
-    files = read_columns(layout, names, [], "O").value  # its problems are those of the times
+    files = read_columns(layout, names, [], "O").value  # its problems are the same as those of the times
     at = np.searchsorted(files.number, number)
     listed = tuple(str(files.first[i]).strip() for i in at)
     return WithProblems(FrameTimes(number, timed.t_ns, listed), problems)
 
 
 def _picture_column(layout: Layout, column_map: ColumnMap) -> int | None:
-    """Find the column of file names: that of the map, else the first whose fields end like names of pictures."""
+    """Find the column of file names: the map's, or else the first with extensions of pictures."""
     from fusion.logs.pictures.camera_folder import PICTURE_SUFFIXES
 
     if column_map.picture is not None:
@@ -86,7 +86,7 @@ def _picture_column(layout: Layout, column_map: ColumnMap) -> int | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimedRows:
-    """Rows of a file and the times (n,) of each in nanoseconds, as they stand."""
+    """Rows of a file and their times (n,) in nanoseconds, in the file's order."""
 
     t_ns: TimeArray
     rows: Rows
@@ -95,21 +95,21 @@ class TimedRows:
 def read_timed(
     layout: Layout, columns: ColumnMap, others: list[int], avoid: int | None = None
 ) -> WithProblems[TimedRows]:
-    """Read the time column, in nanoseconds, with others; rows without a time are dropped like damaged ones.
+    """Read the time column, in nanoseconds, with others; drops damaged rows and those without a time.
 
     Parameters
     ----------
     layout, columns
-        Of the file, and which column is the time, if that is told.
+        Layout of the file, and the column map, if given.
     others
         Indices of further columns of numbers.
     avoid
-        A column that is not the time.
+        A column to exclude as the time.
 
     Raises
     ------
     InputError
-        Where no column holds times, or they are too coarse.
+        If no column holds times, or they are too coarse.
     """
     index, *nanoseconds = time_columns(layout, columns, avoid)
     if nanoseconds:
@@ -149,7 +149,7 @@ def read_timed(
 
 
 def _seconds_and_nanoseconds(layout: Layout) -> tuple[int, int] | None:
-    """Find two columns that make a time, as ROS 2 has ``sec`` and ``nanosec``."""
+    """Find two columns that form a time, such as ROS 2's ``sec`` and ``nanosec``."""
     places: dict[str, dict[str, int]] = {}
     for index, name in enumerate(layout.names):
         found = re.fullmatch(r"(.*?)(n|nano)?(?:sec|secs|seconds)", name.strip().lower())
@@ -175,7 +175,7 @@ def _no_times(layout: Layout, index: int, example: str) -> InputError:
 
 
 def _time_type(fields: list[str], unit: TimeUnit | None) -> str:
-    """Type to read times as: whole numbers keep every digit."""
+    """Type to read times as: integers keep every digit."""
     whole = sum(field.lstrip("+-").isdigit() for field in fields)
     if unit == "iso":
         return "O"
@@ -186,7 +186,7 @@ def _time_type(fields: list[str], unit: TimeUnit | None) -> str:
 
 
 def _is_rising(layout: Layout, index: int) -> bool:
-    """Whether a column rises from row to row, as times do, and is no counter of rows."""
+    """Whether a column increases from row to row like times, and is not a row counter."""
     fields = np.array([row[index] if index < len(row) else "" for row in layout.sample], dtype=object)
     if layout.decimal_comma:
         fields = np.array([field.replace(",", ".") for field in fields], dtype=object)
@@ -205,12 +205,12 @@ def _title(layout: Layout, index: int) -> str:
 
 
 def time_columns(layout: Layout, columns: ColumnMap, avoid: int | None = None) -> tuple[int, ...]:
-    """Return the column of the time stamps, or those of its seconds and nanoseconds.
+    """Return the column of the time stamps, or those of their seconds and nanoseconds.
 
     Raises
     ------
     InputError
-        Where none is named, known by its name, or the only one that rises.
+        If none is named, has a known name, or is the only increasing one.
     """
     pair = None if columns.time is not None else _seconds_and_nanoseconds(layout)
     return pair if pair is not None else (_time_column(layout, columns, avoid),)

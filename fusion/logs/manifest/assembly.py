@@ -1,4 +1,4 @@
-"""A flight out of what its manifest names: streams read onto one clock, camera corrected."""
+"""Assemble a flight from the streams of its manifest, on one clock, with its camera corrected."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fusion.logs.pictures.camera_folder import check_size, darkness_problem
 from fusion.logs.plausibility.clocks import is_unix, span
 from fusion.logs.plausibility.flight import check_flight
 from fusion.logs.samples import Problems, WithProblems
-from fusion.logs.topic_choice import TABLES, WORDS, holdings
+from fusion.logs.topic_choice import TABLES, WORDS, contents_in_words
 from fusion.settings.toml import toml_value
 from vision import Camera, InputError
 from vision.cameras.lens_check import lens_problem
@@ -27,7 +27,7 @@ VIDEO_HINT = (
 
 
 def assemble_flight(manifest: Manifest, camera: Camera | Path | None = None) -> Flight:
-    """Read the streams that a manifest names, or leaves to be found, onto one clock.
+    """Read the streams that a manifest names or leaves to be chosen, on one clock.
 
     Parameters
     ----------
@@ -39,12 +39,12 @@ def assemble_flight(manifest: Manifest, camera: Camera | Path | None = None) -> 
     Returns
     -------
     Flight
-        Its ``manifest`` names every topic that was chosen.
+        Its ``manifest`` names every chosen topic.
 
     Raises
     ------
     InputError
-        One line naming file, field, value and remedy.
+        In one line: file, field, value and remedy.
     """
     if isinstance(camera, Path):
         manifest, camera = manifest.with_calibration(camera), None
@@ -52,12 +52,12 @@ def assemble_flight(manifest: Manifest, camera: Camera | Path | None = None) -> 
 
 
 def flight_of(sources: ManifestLog) -> Flight:
-    """Read the streams that are to be fused of what a manifest names.
+    """Return the sources of the streams to be fused.
 
     Raises
     ------
     InputError
-        One line naming file, field, value and remedy.
+        In one line: file, field, value and remedy.
     """
     for key, path in files_of(sources.manifest):
         if not path.exists():
@@ -66,19 +66,19 @@ def flight_of(sources: ManifestLog) -> Flight:
 
 
 def checked_flight(sources: ManifestLog, path: Path) -> Flight:
-    """Read a flight, and refuse it where its streams contradict each other: all that decides whether it is fused.
+    """Read a flight, and reject it if its streams contradict each other, for `corridor fuse` and `inspect` alike.
 
     Parameters
     ----------
     sources
-        What is to be fused.
+        The sources to be fused.
     path
-        What the user named, for messages.
+        The path that the user gave, for messages.
 
     Raises
     ------
     InputError
-        One line naming file, field, value and remedy.
+        In one line: file, field, value and remedy.
     """
     flight = flight_of(sources)
     files = {name: s.file for name, s in sources.manifest.streams().items() if s.file is not None}
@@ -86,7 +86,7 @@ def checked_flight(sources: ManifestLog, path: Path) -> Flight:
 
 
 class _Assembly:
-    """One flight in the making: what went wrong so far, and which topics were chosen."""
+    """A flight being assembled: problems so far, and the chosen topics."""
 
     def __init__(self, sources: ManifestLog) -> None:
         self.sources = sources
@@ -94,10 +94,10 @@ class _Assembly:
         self._changes: dict[str, StreamSource] = {}
 
     def flight(self) -> Flight:
-        """Read everything; the pictures first, since without them there is no flight."""
+        """Read all streams, first the pictures, which every flight needs."""
         sources = self.sources
         log, topic = self._picture_topic()
-        frames = self._noted(sources.frames(topic))
+        frames = self._collect_problems(sources.frames(topic))
         camera = self._camera(log, topic)
         check_size(frames, camera, log.path)
         dark = darkness_problem(frames)
@@ -120,15 +120,15 @@ class _Assembly:
         )
 
     def _body_from_imu(self) -> tuple[float, float, float] | None:
-        """Rotation that was found, unless the manifest says how to find it."""
+        """Rotation that was found, unless the manifest determines it."""
         rig = self.sources.rig.value
         return None if rig is None or rig.looks_up_rad is not None else rig.mount_rad
 
     def _note(self, problems: Problems) -> None:
-        """Add problems; one of a file, or of a topic that is read twice, is listed once."""
+        """Add problems, each only once even if a file or topic is read twice."""
         self.problems += [text for text in problems if text not in self.problems]
 
-    def _noted(self, read: WithProblems[AnyStream]) -> AnyStream:
+    def _collect_problems(self, read: WithProblems[AnyStream]) -> AnyStream:
         self._note(read.problems)
         return read.value
 
@@ -138,12 +138,14 @@ class _Assembly:
         if log is None:
             raise InputError("no pictures are named", remedy="give a log, or a video with --video")
         self._note(log.problems)
-        topic = self._noted(self.sources.choose(Kind.FRAMES))
+        topic = self._collect_problems(self.sources.choose(Kind.FRAMES))
         if topic is None:
             path = source.file or self.sources.manifest.log or log.path
             remedy = log.pictures_remedy or VIDEO_HINT.format(log=path.name)
             raise InputError(
-                f"{log.format} without pictures; it contains {holdings(log)}", file=path, remedy=remedy
+                f"{log.format} without pictures; it contains {contents_in_words(log)}",
+                file=path,
+                remedy=remedy,
             )
         self._changes["camera"] = source.model_copy(update={"topic": topic})
         return log, topic
@@ -157,20 +159,20 @@ class _Assembly:
                 "contains no calibration of the camera" if missing is None else "there is no such file",
                 file=missing or log.path,
                 remedy="add the calibration: name it with --camera, or under [camera] in flight.toml"
-                + self._how_to_align(),
+                + self._alignment_remedy(),
             )
         self._note(tuple(text for text in (camera.mount_problem(), lens_problem(camera)) if text is not None))
         return camera
 
-    def _how_to_align(self) -> str:
-        """Say how to find the focal length; `corridor align` takes a log or a manifest, not files one by one."""
+    def _alignment_remedy(self) -> str:
+        """Explain how to find the focal length; `corridor align` takes a log or a manifest, not single files."""
         manifest, imu = self.sources.manifest, self.sources.log(Kind.IMU)
         if imu is None or not any(topic.kind is Kind.IMU for topic in imu.topics):
             return ""
-        told = manifest.model_dump(mode="json", exclude_defaults=True)
-        if told.keys() == {"log"}:
+        declared = manifest.model_dump(mode="json", exclude_defaults=True)
+        if declared.keys() == {"log"}:
             return f"; where there is none, `corridor align {manifest.log} --write` finds the focal length"
-        lines = ", ".join(_lines(told))
+        lines = ", ".join(_lines(declared))
         return (
             "; where there is none, `corridor align flight.toml --write` finds the focal length, with these lines in "
             f"flight.toml: {lines}"
@@ -183,19 +185,19 @@ class _Assembly:
         if log is None:
             return None
         self._note(log.problems)
-        topic = self._noted(self.sources.choose(kind))
+        topic = self._collect_problems(self.sources.choose(kind))
         if topic is None:
             if source.file is not None:
                 raise InputError(
-                    f"contains no {WORDS[kind]}; it contains {holdings(log)}",
+                    f"contains no {WORDS[kind]}; it contains {contents_in_words(log)}",
                     file=source.file,
                     remedy=f"name another file under [{TABLES[kind]}], or the columns of this one",
                 )
             return None
         try:
-            stream = self._noted(read(topic))
+            stream = self._collect_problems(read(topic))
         except InputError as error:
-            # The flight can do without what nobody asked for; range finders are often carried beyond their reach.
+            # Streams that were not requested are optional; range finders are often carried beyond their reach.
             is_dispensable = kind is Kind.RANGE or isinstance(error, UndecidedError)
             if not is_dispensable or source.file is not None or source.topic is not None:
                 raise
@@ -208,7 +210,7 @@ class _Assembly:
     def _truth(self, frames: FrameStream) -> CorridorTruth | None:
         from fusion.logs.asl import TRUTH_NAME
 
-        truth = self._noted(self.sources.truth())
+        truth = self._collect_problems(self.sources.truth())
         if truth is not None:
             log = self.sources.whole_log()
             beside = (log.path if log is not None else Path()) / TRUTH_NAME
@@ -216,11 +218,11 @@ class _Assembly:
         return truth
 
     def _name(self, log: LogContents) -> str:
-        log = self.sources.whole_log() or log  # it knows its own root, where only a part of it was named
+        log = self.sources.whole_log() or log  # the whole log knows its root, even if only a part was named
         return log.path.name if log.path.is_dir() else log.path.stem
 
     def _check_clock(self, file: Path, table: str, t_ns: TimeArray, frame_t_ns: TimeArray) -> None:
-        """Raise `InputError` where a stream and the frames have no time in common."""
+        """Raise `InputError` if a stream and the frames do not overlap in time."""
         if t_ns[0] <= frame_t_ns[-1] and t_ns[-1] >= frame_t_ns[0]:
             return
         lag_s = float(t_ns[0] - frame_t_ns[0]) * 1e-9 + self.sources.manifest.camera.clock_offset_s

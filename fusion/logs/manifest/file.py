@@ -22,7 +22,7 @@ _WORDS = {"path_type": "it should be a path in quotes", "model_type": "it should
 
 
 def find_manifest(path: Path) -> Path | None:
-    """Return the manifest that a path names: a TOML file, or ``flight.toml`` in a folder; else None."""
+    """Return the manifest at a path: a TOML file, or ``flight.toml`` in a folder; else None."""
     if path.is_dir():
         inside = path / MANIFEST_NAME
         return inside if inside.is_file() else None
@@ -35,19 +35,19 @@ def read_manifest(path: str | Path) -> Manifest:
     Raises
     ------
     InputError
-        Where the file is missing or torn, or names something unknown or out of bounds.
+        If the file is missing or truncated, or has an unknown key or a value out of bounds.
     """
     path = Path(path)
     return make_manifest(read_toml(path, 'file = "video.mp4"'), file=path)
 
 
 def make_manifest(values: Mapping[str, Any], *, file: Path | None = None) -> Manifest:
-    """Check a manifest's values; relative paths count from the file's folder, else from the current one.
+    """Check a manifest's values; paths are relative to the file's folder, or else to the current one.
 
     Raises
     ------
     InputError
-        Naming the key, its value and the remedy.
+        With the key, its value and the remedy.
     """
     try:
         manifest = Manifest.model_validate(dict(values))
@@ -56,7 +56,7 @@ def make_manifest(values: Mapping[str, Any], *, file: Path | None = None) -> Man
         raise InputError(problem, file=file, remedy=remedy) from error
     try:
         return _with_paths(manifest, (file or Path("x")).absolute().parent)
-    except (ValueError, RuntimeError) as error:  # of a path that no system has: a null byte, an unknown user
+    except (ValueError, RuntimeError) as error:  # invalid path: a null byte, an unknown user
         raise InputError(f"names a path that cannot be: {error}", file=file, remedy="correct it") from error
 
 
@@ -74,7 +74,7 @@ def _with_paths(manifest: Manifest, folder: Path) -> Manifest:
 
 
 def _explain(complaint: Complaint) -> tuple[str, str | None]:
-    """Word a problem and its remedy."""
+    """Return the error of a problem, with its remedy."""
     if complaint.kind == OWN_CHECK:
         prefix = f"[{complaint.path[0]}] " if complaint.path else ""
         problem, _, remedy = complaint.message.partition(": ")
@@ -87,7 +87,7 @@ def _explain(complaint: Complaint) -> tuple[str, str | None]:
 
 
 def _place_of(complaint: Complaint) -> str:
-    """Say what an unknown key may mean, or where it belongs."""
+    """Suggest what an unknown key may mean, or the table it belongs to."""
     key, model = complaint.name, complaint.model
     near = did_you_mean(key, model.model_fields, cutoff=0.72)
     if near:
@@ -113,16 +113,16 @@ def write_manifest(manifest: Manifest, path: str | Path, notes: Mapping[str, str
     Parameters
     ----------
     manifest
-        Its paths are made relative to the file's folder where they share more than the root.
+        Paths that share more than the root with the file's folder are made relative to it.
     path
-        The file; written whole or not at all.
+        The file, written atomically.
     notes
         Further comments by key, such as ``{"camera.clock_offset_s": "sigma 0.8 ms, corridor align"}``.
 
     Raises
     ------
     InputError
-        Where it cannot be written.
+        If it cannot be written.
     """
     path = Path(path)
     with replacing(path) as draft:

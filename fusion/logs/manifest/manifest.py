@@ -1,15 +1,15 @@
-"""What a manifest says: where each stream of a flight comes from, so that camera and IMU may be in different files.
+"""Contents of a manifest: the source of each stream of a flight; camera and IMU may be in different files.
 
 `fusion.logs.manifest.file` reads and writes it, as ``flight.toml``.
 
-Signs, once for all readers and writers of a manifest:
+Sign conventions for all readers and writers of a manifest:
 
 - ``clock_offset_s`` is added: time of the flight = time in the file + ``clock_offset_s``. The flight's clock is that
-  of whichever stream has none.
-- ``body_from_imu_rad`` is roll, pitch and yaw of the IMU's own axes on the vehicle, as ``mount_rad``. It turns the
-  IMU and the camera that is calibrated to it together; left open, it is found where gravity and the camera agree.
-- ``mount_yaw_rad`` and ``mount_pitch_rad`` turn the camera of the calibration on the body: the true optical axis
-  points that much further right and further up.
+  of the streams without an offset.
+- ``body_from_imu_rad`` is roll, pitch and yaw of the IMU's own axes on the vehicle, as ``mount_rad``. It rotates the
+  IMU together with the camera calibrated to it; if not set, it is found from gravity and the camera if they agree.
+- ``mount_yaw_rad`` and ``mount_pitch_rad`` rotate the calibrated camera on the body: the true optical axis points
+  further right and further up by these angles.
 - ``focal_scale`` multiplies both focal lengths of the calibration.
 - ``above_camera_m`` of a range sensor is subtracted from its distances, so that they count from the camera.
 """
@@ -53,14 +53,14 @@ Columns = Annotated[
     Annotated[str, Tag("name")] | Annotated[ColumnMap, Tag("map")], Discriminator(_kind_of_columns)
 ]
 
-#: Keys of a column map that hold for any format: the unit of its numbers where they are not in the format's own.
+#: Keys of a column map that apply to any format: units that differ from the format's own.
 UNIT_KEYS = frozenset(
     {"gyro_unit", "accel_unit", "accel_sign", "velocity_unit", "position_unit", "range_unit"}
 )
 
 
 class StreamSource(BaseModel):
-    """Where one stream comes from; what is left open is chosen from the log."""
+    """Source of one stream; unset fields are chosen from the log."""
 
     model_config = _STRICT
 
@@ -88,12 +88,12 @@ class StreamSource(BaseModel):
     use: bool = Field(default=True, description="false leaves the stream out.")
 
     def units(self) -> ColumnMap | None:
-        """Return the column map where it gives nothing but units, which go with any format; else None."""
+        """Return the column map if it contains only units, which apply to any format; else None."""
         is_units = isinstance(self.columns, ColumnMap) and self.columns.model_fields_set <= UNIT_KEYS
         return self.columns if is_units and isinstance(self.columns, ColumnMap) else None
 
-    def how_to_open(self) -> dict[str, Path | float | str | ColumnMap | None]:
-        """Return what the table says on opening the file, by key; None where it says nothing."""
+    def open_options(self) -> dict[str, Path | float | str | ColumnMap | None]:
+        """Return the table's options for opening the file, by key; None if not set."""
         return {
             "columns": self.columns,
             "frame": self.frame,
@@ -112,7 +112,7 @@ class StreamSource(BaseModel):
 
 
 class SensorSource(StreamSource):
-    """Where the samples of a sensor on the body come from, and how it sits there."""
+    """Source of a body-mounted sensor's samples, and its mounting."""
 
     mount_rad: tuple[MountAngle, MountAngle, MountAngle] | None = Field(
         default=None,
@@ -121,7 +121,7 @@ class SensorSource(StreamSource):
 
 
 class ImuSource(SensorSource):
-    """Where the IMU's samples come from, how it is mounted, and how noisy it is."""
+    """Source of the IMU's samples, its mounting and noise."""
 
     camera_axis: CameraAxis | None = Field(
         default=None,
@@ -133,7 +133,7 @@ class ImuSource(SensorSource):
 
 
 class RangeSource(StreamSource):
-    """Where the distances to the floor come from, and where the sensor sits."""
+    """Source of the distances to the floor, and the sensor's position."""
 
     above_camera_m: float = Field(
         default=0.0,
@@ -145,7 +145,7 @@ class RangeSource(StreamSource):
 
 
 class CameraSource(StreamSource):
-    """Where the pictures come from, and the camera that took them."""
+    """Source of the pictures, and their camera."""
 
     calibration: Path | None = Field(default=None, description="Calibration file; without it, the log's own.")
     times: Path | None = Field(
@@ -190,9 +190,9 @@ class CameraSource(StreamSource):
         default=1.0, strict=True, ge=0.2, le=5.0, description="Factor on the focal lengths."
     )
 
-    def how_to_open(self) -> dict[str, Path | float | str | ColumnMap | None]:
-        """Return what the table says on opening the file, by key; None where it says nothing."""
-        return super().how_to_open() | {
+    def open_options(self) -> dict[str, Path | float | str | ColumnMap | None]:
+        """Return the table's options for opening the file, by key; None if not set."""
+        return super().open_options() | {
             "times": self.times,
             "start_ns": self.start_ns,
             "rate_hz": self.rate_hz,
@@ -301,5 +301,5 @@ def files_of(manifest: Manifest) -> Iterator[tuple[str, Path]]:
 
 
 def files_outside(manifest: Manifest, folder: Path) -> list[Path]:
-    """Return the files that a manifest in this folder names outside of it."""
+    """Return the files outside this folder that a manifest in it names."""
     return [path for _, path in files_of(manifest) if not path.is_relative_to(folder.resolve())]

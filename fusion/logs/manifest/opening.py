@@ -1,4 +1,4 @@
-"""Files as a manifest's tables say: opened with their columns, put onto the flight's clock, into SI units."""
+"""Open files as declared in a manifest: with their columns, on the flight's clock, in SI units."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AnyStream = TypeVar("AnyStream", bound=Any)
 
 
 def with_time_shift(manifest: Manifest) -> Manifest:
-    """Take the camera's clock offset from its calibration, where the manifest leaves it open."""
+    """Take the camera's clock offset from its calibration, if the manifest does not set it."""
     from vision.cameras.calibration import read_time_shift_s
 
     source = manifest.camera
@@ -33,23 +33,23 @@ def with_time_shift(manifest: Manifest) -> Manifest:
     return manifest.model_copy(update={"camera": source.model_copy(update={"clock_offset_s": shift_s})})
 
 
-def open_as_told(path: Path, source: StreamSource) -> LogContents:
-    """Open a file as a manifest's table says: with its column map and axes, its frame times, its start.
+def open_as_declared(path: Path, source: StreamSource) -> LogContents:
+    """Open a file as declared in a manifest's table: with its column map and axes, frame times and start.
 
     Raises
     ------
     InputError
-        Where it does not open, or a key does not go with this kind of file.
+        If it cannot be opened, or a key does not apply to this kind of file.
     """
     from fusion.logs.csv import columns
     from fusion.logs.pictures import picture_folder as folder
     from fusion.logs.pictures import video
 
-    told = source.how_to_open()
+    options = source.open_options()
     refuse_placeholder(path)
     if isinstance(source, CameraSource):
         if video.recognises(path):
-            _refuse(told, ("frame",), path, "a video")
+            _refuse(options, ("frame",), path, "a video")
             return video.open_video(
                 path,
                 start_ns=source.start_ns or 0,
@@ -57,8 +57,10 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
                 columns=source.columns,
                 rate_hz=source.rate_hz,
             )
-        if folder.recognises(path) and any(told[key] is not None for key in ("times", "columns", "rate_hz")):
-            _refuse(told, ("frame",), path, "a folder of pictures")
+        if folder.recognises(path) and any(
+            options[key] is not None for key in ("times", "columns", "rate_hz")
+        ):
+            _refuse(options, ("frame",), path, "a folder of pictures")
             return folder.open_folder(
                 path,
                 times=source.times,
@@ -67,18 +69,18 @@ def open_as_told(path: Path, source: StreamSource) -> LogContents:
                 start_ns=source.start_ns or 0,
             )
         own = ("times", "start_ns", "rate_hz", "columns", "frame")
-        _refuse(told, own, path, "a log with pictures of its own")
+        _refuse(options, own, path, "a log with pictures of its own")
         return open_log(path)
     is_table = columns.recognises(path)
     if (source.columns is not None and (is_table or source.units() is None)) or source.frame is not None:
         if not path.is_file() or (source.columns is None and not is_table):
-            _refuse(told, ("columns", "frame"), path, "a log with columns and axes of its own")
+            _refuse(options, ("columns", "frame"), path, "a log with columns and axes of its own")
         return columns.open_columns(path, source.columns, source.frame)
     return open_log(path)
 
 
 def medium_of(path: Path, source: StreamSource) -> Medium:
-    """Tell what a stream is read from, by a look at its file's beginning."""
+    """Determine the medium of a stream from the beginning of its file."""
     if source.frame is not None or (source.columns is not None and source.units() is None):
         return Medium.TABLE
     try:
@@ -91,7 +93,7 @@ def medium_of(path: Path, source: StreamSource) -> Medium:
 
 
 def on_flights_clock(t_ns: TimeArray, source: StreamSource) -> TimeArray:
-    """Return times (n,) of a file on the flight's clock; the same array where they are on it already."""
+    """Return times (n,) of a file on the flight's clock; the same array if nothing changes."""
     shift_ns = round(source.clock_offset_s * 1e9)
     if source.clock_rate != 1.0:
         t_ns = at_rate(t_ns, source.clock_rate)
@@ -99,7 +101,7 @@ def on_flights_clock(t_ns: TimeArray, source: StreamSource) -> TimeArray:
 
 
 def converted(stream: AnyStream, kind: Kind, columns: ColumnMap) -> AnyStream:
-    """Return a stream of a log whose format has units of its own, where its numbers are in others."""
+    """Convert a stream whose numbers are not in the units of the log's format."""
     scaled: Any = stream
     if isinstance(stream, ImuStream):
         accel_unit = in_si(columns.accel_unit) * columns.accel_sign
@@ -117,7 +119,7 @@ def converted(stream: AnyStream, kind: Kind, columns: ColumnMap) -> AnyStream:
     return result
 
 
-def _refuse(told: Mapping[str, object], keys: tuple[str, ...], path: Path, what: str) -> None:
+def _refuse(options: Mapping[str, object], keys: tuple[str, ...], path: Path, what: str) -> None:
     for key in keys:
-        if told[key] is not None:
+        if options[key] is not None:
             raise InputError(f"is {what}: {key} does not go with it", file=path, remedy=f"take {key} away")

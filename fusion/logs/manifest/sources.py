@@ -1,4 +1,4 @@
-"""What a manifest's streams are: which file and topic each comes from, at which times, along which axes.
+"""The streams of a manifest: file and topic of each, times and axes.
 
 `corridor fuse` and `corridor inspect` both read a manifest through `ManifestLog`, so that they see the same streams.
 """
@@ -27,7 +27,13 @@ from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.csv.columns import CsvLog
 from fusion.logs.manifest.manifest import Manifest, StreamSource, corrected_camera
-from fusion.logs.manifest.opening import converted, medium_of, on_flights_clock, open_as_told, with_time_shift
+from fusion.logs.manifest.opening import (
+    converted,
+    medium_of,
+    on_flights_clock,
+    open_as_declared,
+    with_time_shift,
+)
 from fusion.logs.pictures.camera_folder import size_of_pictures
 from fusion.logs.plausibility.findings import Advice, Medium
 from fusion.logs.plausibility.imu import Gravity, gravity_of
@@ -55,10 +61,10 @@ class ManifestLog(LogContents):
     Parameters
     ----------
     manifest
-        With absolute paths. A clock offset that it leaves open is taken from the camera's calibration, where that
-        is a Kalibr chain.
+        With absolute paths. A clock offset that is not set is taken from the camera's calibration, if that is a
+        Kalibr chain.
     path
-        The manifest's file; None where there is none.
+        The manifest's file; None if there is none.
     camera
         Calibration to use instead of the manifest's; the manifest's corrections apply to either.
     """
@@ -69,7 +75,7 @@ class ManifestLog(LogContents):
         self._shift_error: InputError | None = None
         try:
             self.manifest = with_time_shift(manifest)
-        except InputError as error:  # raised where the calibration is read
+        except InputError as error:  # raised when the calibration is read
             self.manifest, self._shift_error = manifest, error
         self._given_camera = camera
         self._opened: dict[tuple[Path, str], LogContents | InputError] = {}
@@ -80,21 +86,21 @@ class ManifestLog(LogContents):
         return self.manifest.stream(TABLES[kind])
 
     def log(self, kind: Kind) -> LogContents | None:
-        """Open the file that a kind of stream comes from, once however many come from it; None: it has none.
+        """Open the file of a kind of stream, once for all streams in it; None if the stream has no file.
 
         Raises
         ------
         InputError
-            Where the file does not open.
+            If the file cannot be opened.
         """
         source = self.source(kind)
         path = source.file or self.manifest.log
         if path is None or not source.use:
             return None
-        key = (path, repr(source.how_to_open()))
+        key = (path, repr(source.open_options()))
         if key not in self._opened:
             try:
-                self._opened[key] = open_as_told(path, source)
+                self._opened[key] = open_as_declared(path, source)
             except InputError as error:
                 self._opened[key] = error
         opened = self._opened[key]
@@ -103,7 +109,7 @@ class ManifestLog(LogContents):
         return opened
 
     def advice(self) -> Advice:
-        """Return how to put streams right, by what each of them is read from; opens nothing but an IMU's table."""
+        """Return advice on correcting streams, by the medium of each; opens only an IMU's table."""
         media: dict[str, Medium] = {}
         frames: dict[str, str] = {}
         for kind in Kind:
@@ -133,31 +139,30 @@ class ManifestLog(LogContents):
         return None
 
     def choose(self, kind: Kind) -> WithProblems[str | None]:
-        """Name the topic of its file that a kind of stream is read from; None where there is none, or no clear one.
+        """Name the topic that a kind of stream is read from; None if there is none, or no clear choice.
 
         Raises
         ------
         InputError
-            Where the file does not open, the topic that the manifest names is not in it, or there are several
-            cameras or IMUs.
+            If the file cannot be opened, does not contain the manifest's topic, or contains several cameras or IMUs.
         """
         log = self.log(kind)
         return WithProblems(None) if log is None else choose_topic(log, kind, self.source(kind).topic)
 
     @property
     def format(self) -> str:  # type: ignore[override]
-        """In words: that of the log where nothing describes it further."""
+        """Format in words; that of the log if there is only one."""
         log = None if self._described else self.whole_log()
         return "flight.toml" if log is None else log.format
 
     @cached_property
     def topics(self) -> tuple[Topic, ...]:  # type: ignore[override]
-        """Every topic that a stream could be read from, of the files that open."""
+        """All topics of the files that can be opened."""
         return tuple(topic for kind in Kind for topic in self._topics(kind))
 
     @cached_property
     def problems(self) -> Problems:  # type: ignore[override]
-        """What is wrong with the files, and which streams the manifest names that they do not hold."""
+        """Problems of the files, and streams of the manifest that they do not contain."""
         found: list[str] = []
         for kind in Kind:
             source = self.source(kind)
@@ -199,7 +204,7 @@ class ManifestLog(LogContents):
     def _read(
         self, kind: Kind, read: Callable[[LogContents], Callable[[str], WithProblems[AnyStream]]], topic: str
     ) -> WithProblems[AnyStream]:
-        """Read a topic, put it onto the flight's clock, into SI units, and turn it into the sensor's own mounting."""
+        """Read a topic on the flight's clock, in SI units, corrected for the sensor's mounting."""
         if (kind, topic) not in self._streams:
             log, source = self.log(kind), self.source(kind)
             if log is None:
@@ -215,10 +220,10 @@ class ManifestLog(LogContents):
 
     @cached_property
     def rig(self) -> WithProblems[Rig | None]:
-        """How IMU and camera sit on the vehicle together: as the manifest says, else as found; None: as read."""
-        told = self.manifest.body_from_imu_rad
-        if told is not None:
-            return WithProblems(Rig(told))
+        """Common mounting of IMU and camera: as declared in the manifest, else as found; None: as read."""
+        declared = self.manifest.body_from_imu_rad
+        if declared is not None:
+            return WithProblems(Rig(declared))
         try:
             log, gravity = self.log(Kind.IMU), self._gravity
             topic = self.choose(Kind.FRAMES).value
@@ -228,7 +233,7 @@ class ManifestLog(LogContents):
             if is_known or log is None or log.format in RANKED_FORMATS or gravity is None or topic is None:
                 return WithProblems(None)
             camera = self._camera_as_calibrated(topic)
-        except InputError:  # told where it is read for its own sake
+        except InputError:  # reported when that stream itself is read
             return WithProblems(None)
         found = None if camera is None else find_body_from_imu(gravity, camera)
         return (
@@ -236,34 +241,34 @@ class ManifestLog(LogContents):
         )
 
     def _rig_by_axis(self, log: LogContents, gravity: Gravity | None) -> WithProblems[Rig | None]:
-        """Tell how the IMU sits from gravity and the axis that the manifest says the camera looks along."""
-        told = str(self.manifest.imu.camera_axis)
+        """Find the IMU's mounting from gravity and the camera axis declared in the manifest."""
+        name = str(self.manifest.imu.camera_axis)
         axis = np.zeros(3)
-        axis["xyz".index(told[-1])] = -1.0 if told.startswith("-") else 1.0
+        axis["xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
         frame = log.body_frame or ("frd" if log.format in RANKED_FORMATS else "flu")
         found = None if gravity is None else body_from_camera_axis(gravity, to_frd(frame) @ axis)
         if found is None:
-            text = f"[imu] camera_axis = {told!r} is of no use: gravity is not seen, or the camera looks along it"
+            text = f"[imu] camera_axis = {name!r} is of no use: gravity is not seen, or the camera looks along it"
             return WithProblems(None, (text,))
         return WithProblems(found, (Remark(rig_sentence(found.mount_rad)),))
 
     @cached_property
     def _gravity(self) -> Gravity | None:
-        """Gravity along the axes that the chosen IMU is read in; None where there is none."""
+        """Gravity along the axes that the chosen IMU is read in; None if there is none."""
         topic = self.choose(Kind.IMU).value
         return None if topic is None else gravity_of(self._imu_as_read(topic).value)
 
     def _gravity_or_none(self) -> Gravity | None:
         try:
             return self._gravity
-        except InputError:  # told where the IMU is read
+        except InputError:  # reported when the IMU is read
             return None
 
     def _chosen_imu(self) -> ImuStream | None:
         try:
             topic = self.choose(Kind.IMU).value
             return None if topic is None else self.imu(topic).value
-        except InputError:  # told where the IMU is read
+        except InputError:  # reported when the IMU is read
             return None
 
     def _imu_as_read(self, topic: str) -> WithProblems[ImuStream]:
@@ -346,7 +351,7 @@ class ManifestLog(LogContents):
         return self._read(Kind.RANGE, lambda log: log.range, topic)
 
     def truth(self) -> WithProblems[CorridorTruth | None]:
-        """Read what the flight really did: from the file that the manifest names, else from its log."""
+        """Read the ground truth: from the file that the manifest names, else from its log."""
         from fusion.logs.asl import read_corridor_truth
 
         if self.manifest.truth is not None:

@@ -38,7 +38,7 @@ _MEANING = {
 
 
 def manifest_text(manifest: Manifest, folder: Path, notes: Mapping[str, str]) -> str:
-    """Return the TOML text; paths relative to ``folder``, an absolute one, where they share more than the root."""
+    """Return the TOML text; paths that share more than the root with ``folder`` (absolute) are relative to it."""
     lines = [_HEAD]
     lines += _lines(manifest, "", folder, notes)
     for name, source in manifest.streams().items():
@@ -67,12 +67,12 @@ def _lines(model: BaseModel, prefix: str, folder: Path, notes: Mapping[str, str]
 
 
 def _in_one_line(text: str) -> str:
-    """Keep a comment within its line: no line breaks, nothing that TOML forbids."""
+    """Remove line breaks and characters that TOML forbids from a comment."""
     return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
 
 
 def relative(path: Path, folder: Path) -> str:
-    """Return a path as seen from a folder; absolute where the two share nothing but the root."""
+    """Return a path relative to a folder; absolute if they share nothing but the root."""
     try:
         shared = os.path.commonpath([path, folder])
     except ValueError:  # on different drives

@@ -1,4 +1,4 @@
-"""A camera's folder of pictures and the times they were taken at."""
+"""A camera's folder of pictures, and their times."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fusion.files import stays_inside
+from fusion.files import is_inside_folder
 from fusion.flight import FrameStream
 from fusion.logs.csv.rows import parse_time, read_blocks
 from fusion.logs.csv.stamped_table import check_columns, read_table_head
@@ -30,7 +30,7 @@ PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".pgm", ".ppm", "
 
 _TRIES = 5
 _SAMPLED, _MIN_CONTRAST, _MAX_BLACK = 5, 2.0, 16.0
-MAX_FRAME_NUMBER, MAX_FRAME_STEP = 10**8, 10  # beyond either it may be a time
+MAX_FRAME_NUMBER, MAX_FRAME_STEP = 10**8, 10  # larger numbers may be times
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,12 +47,12 @@ class PictureFiles:
 def read_frames(cam: Path) -> WithProblems[FrameStream]:
     """Read ``data.csv`` (time, file name) of a camera folder, or, without it, times from the pictures' names.
 
-    A picture that is listed but missing stays in the stream, so that its time is counted as unreadable.
+    A picture that is listed but missing stays in the stream and is counted as unreadable.
 
     Raises
     ------
     InputError
-        Where there are no frames to be had.
+        If there are no frames.
     """
     if not cam.is_dir():
         raise InputError(
@@ -101,7 +101,7 @@ def _read_list(path: Path, label: str) -> WithProblems[_TimesAndNames]:
                 names.append(name)
             else:
                 broken.append(row)
-            if not stays_inside(name):
+            if not is_inside_folder(name):
                 raise InputError(
                     f"names {name!r}, outside data/", file=path, remedy="copy the pictures there"
                 )
@@ -145,7 +145,7 @@ def _times_from_names(cam: Path, present: list[str]) -> WithProblems[_TimesAndNa
 
 
 def darkness_problem(frames: FrameStream) -> str | None:
-    """Return one sentence where pictures all over the log are black, else None."""
+    """Return a sentence if pictures throughout the log are black, else None."""
     brightest = 0.0
     count = 0
     for index in np.unique(np.linspace(0, len(frames.t_ns) - 1, _SAMPLED).astype(int)).tolist():
@@ -163,7 +163,7 @@ def darkness_problem(frames: FrameStream) -> str | None:
 
 
 def are_numbers_of_frames(numbers: npt.NDArray[np.generic]) -> bool:
-    """Whether the numbers (n,) in pictures' names count frames: small, and mostly one or a few apart."""
+    """Whether the numbers (n,) in pictures' names are frame numbers: small, and mostly one or a few apart."""
     if len(numbers) < 2 or numbers.dtype.kind != "i":
         return False
     steps = np.diff(np.sort(numbers))
@@ -171,7 +171,7 @@ def are_numbers_of_frames(numbers: npt.NDArray[np.generic]) -> bool:
 
 
 def check_size(frames: FrameStream, camera: Camera, file: Path | None = None) -> None:
-    """Raise `InputError` where the first picture that decodes is not of the camera's resolution."""
+    """Raise `InputError` if the first picture that can be decoded does not have the camera's resolution."""
     paths = frames.source.paths if isinstance(frames.source, PictureFiles) else ()
     first = next((path for path in paths if path.exists()), file)
     if first is not None and first.exists():
@@ -189,7 +189,7 @@ def check_size(frames: FrameStream, camera: Camera, file: Path | None = None) ->
 
 
 def size_of_pictures(frames: FrameStream) -> tuple[int, int] | None:
-    """Return width and height of the first picture that decodes; None where none of a few does."""
+    """Return width and height of the first picture that can be decoded; None if the first few cannot."""
     tries = 0
     for index in range(len(frames.t_ns)):
         source = frames.source

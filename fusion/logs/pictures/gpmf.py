@@ -1,11 +1,11 @@
-"""GoPro's telemetry (GPMF), the gyroscope and accelerometer in a track of their own beside the video.
+"""GoPro's telemetry (GPMF): gyroscope and accelerometer in a separate track of the video file.
 
 A packet holds nested records: four letters, a type, the size of a sample, how many there are, and the samples, most
 significant byte first, padded to four bytes. ``DEVC`` holds a ``STRM`` for each sensor, in which ``SCAL`` divides
 what follows. Samples have no times: they are spread evenly from each packet to the next.
 
-The order of the axes differs from model to model, and stays as it is; which of them the camera looks along is said by
-``camera_axis``, see `fusion.logs.manifest.manifest`. The sense of a turn does not depend on it: gravity tells.
+The order of the axes differs between models and is not changed; ``camera_axis`` declares the one along which the
+camera looks, see `fusion.logs.manifest.manifest`. The sign of a turn does not depend on it, but on gravity.
 
 Format: https://github.com/gopro/gpmf-parser
 """
@@ -36,7 +36,7 @@ _HEADER = struct.Struct(">4sBBH")
 
 @dataclass(slots=True)
 class _Sensor:
-    """Packets of one sensor: when each begins, in seconds of the video, and its samples."""
+    """Packets of one sensor: start of each, in seconds of the video, and its samples."""
 
     begins_s: list[float] = field(default_factory=list)
     values: list[FloatArray] = field(default_factory=list)
@@ -49,7 +49,7 @@ class _Sensor:
         self.end_s = end_s
 
     def stream(self, start_ns: int) -> VectorStream:
-        """Return every sample at its own time, evenly from packet to packet."""
+        """Return the samples with their times, spread evenly between packets."""
         counts = np.array([len(values) for values in self.values])
         first = np.concatenate([[0], np.cumsum(counts)])
         known_s = np.array([*self.begins_s, self.end_s])
@@ -59,7 +59,7 @@ class _Sensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Telemetry:
-    """Gyroscope, rad/s, and accelerometer, m/s^2, along the camera's own axes; None where there is none of it."""
+    """Gyroscope, rad/s, and accelerometer, m/s^2, along the camera's own axes; None if missing."""
 
     gyro: VectorStream
     accel: VectorStream | None
@@ -75,7 +75,7 @@ class Telemetry:
 
 
 def read_telemetry(container: InputContainer, first_frame_s: float, start_ns: int) -> Telemetry | None:
-    """Read the telemetry of an open video; None where it carries none.
+    """Read the telemetry of an open video; None if it has none.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def samples_of(data: bytes) -> Iterator[tuple[bytes, FloatArray]]:
 
 
 def _records(data: bytes) -> Iterator[tuple[bytes, int, int, bytes]]:
-    """Yield key, type, size of a sample and content of the records one after another; a torn one ends them."""
+    """Yield key, type, sample size and content of consecutive records, up to a truncated one."""
     at = 0
     while at + _HEADER.size <= len(data):
         key, kind, size, repeat = _HEADER.unpack_from(data, at)
@@ -132,7 +132,7 @@ def _records(data: bytes) -> Iterator[tuple[bytes, int, int, bytes]]:
 
 
 def _numbers(content: bytes, form: int, size: int) -> np.ndarray[Any, Any]:
-    """Numbers (n, k) of a record; none of a type that is not known."""
+    """Numbers (n, k) of a record; none if its type is unknown."""
     dtype = np.dtype(_TYPES.get(chr(form), "V1"))
     if dtype.kind == "V" or not size or size % dtype.itemsize:
         return np.zeros((0, 0))

@@ -1,8 +1,8 @@
-"""A folder of pictures, with a CSV of their times or times in their names; no calibration, nothing else.
+"""A folder of pictures, with a CSV of their times or with times in their names; no calibration.
 
-The CSV may lie in the folder (``*.csv`` or ``*.txt``, if there is one that gives times) or be named in the manifest.
-Its columns are found: time stamps by name or by being the first, file names by their endings. Without file names the
-rows are taken for the pictures in natural order, ``2.png`` before ``10.png``.
+The CSV may be in the folder (``*.csv`` or ``*.txt``, if there is exactly one with times) or be named in the manifest.
+Its columns are detected: time stamps by name or position, file names by their extensions. Without file names, the
+rows belong to the pictures in natural order, ``2.png`` before ``10.png``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fusion.files import stays_inside
+from fusion.files import is_inside_folder
 from fusion.flight import FrameStream, Remark, TimeArray
 from fusion.logs.contents import Kind, Topic
 from fusion.logs.csv.column_map import ColumnMap
@@ -44,7 +44,7 @@ def recognises(path: Path) -> bool:
 
 
 def open_log(path: Path) -> PictureFolder:
-    """Open a folder with the times that it carries."""
+    """Open a folder with its own times."""
     return open_folder(path)
 
 
@@ -56,7 +56,7 @@ def open_folder(
     rate_hz: float | None = None,
     start_ns: int = 0,
 ) -> PictureFolder:
-    """Open a folder of pictures and find out when they were taken.
+    """Open a folder of pictures and find their times.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def open_folder(
     Raises
     ------
     InputError
-        Where there are no pictures, or nothing says when they were taken.
+        If there are no pictures, or there are no times.
     """
     names = sorted((name for name in os.listdir(path) if _is_picture(name)), key=_natural)
     if not names:
@@ -87,7 +87,7 @@ def open_folder(
 
 
 class PictureFolder(SeriesLog):
-    """A folder of pictures as `fusion.logs.contents.LogContents`: pictures and nothing else."""
+    """A folder of pictures as `fusion.logs.contents.LogContents`, without other streams."""
 
     def __init__(self, path: Path, t_ns: TimeArray, names: tuple[str, ...], problems: Problems) -> None:
         super().__init__(path, "folder of pictures", (), problems)
@@ -113,17 +113,17 @@ def _natural(name: str) -> list[tuple[int, str]]:
 
 
 def _numbers(names: list[str]) -> npt.NDArray[np.int64]:
-    """Numbers (n,) of pictures from the first on, as their names count them; else in their order."""
+    """Frame numbers (n,) relative to the first, from the pictures' names, or else their order."""
     found = [_NUMBER.findall(Path(name).stem) for name in names]
-    told = np.array([int(numbers[-1]) if numbers and numbers[-1].isdigit() else -1 for numbers in found])
-    counts = are_numbers_of_frames(told) and told.min() >= 0 and len(set(told.tolist())) == len(told)
-    return told - told.min() if counts else np.arange(len(names))
+    last = np.array([int(numbers[-1]) if numbers and numbers[-1].isdigit() else -1 for numbers in found])
+    counts = are_numbers_of_frames(last) and last.min() >= 0 and len(set(last.tolist())) == len(last)
+    return last - last.min() if counts else np.arange(len(names))
 
 
 def _times_inside(path: Path) -> Path | None:
-    """Find the one text file of a folder that gives times; None where there is none or no single one.
+    """Find the one text file of a folder that gives times; None unless there is exactly one.
 
-    Public data sets have it beside the folder, under names of their own.
+    Public data sets have it beside the folder, under various names.
     """
     texts = [path / name for name in sorted(os.listdir(path)) if Path(name).suffix.lower() in _TIME_FILES]
     if not texts:
@@ -144,7 +144,7 @@ _TimesAndNames = tuple[TimeArray, list[str]]
 def _times_from_list(
     path: Path, file: Path, columns: ColumnMap | str | None, names: list[str]
 ) -> WithProblems[_TimesAndNames]:
-    """Take times from a file: by its names, else row by row in the pictures' order."""
+    """Read times from a file: by its file names, or else row by row in the pictures' order."""
     listed, problems = read_times(file, columns)
     if listed.names is None:
         n_rows = int(listed.row[-1]) + 1
@@ -172,9 +172,9 @@ def _times_from_list(
 
 
 def _beside(path: Path, file: Path, name: str) -> Path:
-    """Return where a listed picture lies: in the folder, or where the list's own folder has it."""
+    """Return the path of a listed picture: in the folder, or relative to the list's folder."""
     name = name.strip().strip('"').replace("\\", "/")
-    if not stays_inside(name):
+    if not is_inside_folder(name):
         raise InputError(f"names {name!r}, outside the folder", file=file, remedy="copy the pictures there")
     for candidate in (path / name, file.parent / name, path / Path(name).name):
         if isfile(candidate):
@@ -183,7 +183,7 @@ def _beside(path: Path, file: Path, name: str) -> Path:
 
 
 def _date_ns(stem: str) -> int:
-    """Time that a picture's name gives as a date, as in ``IMG_20200913_124320_123``; `MISSING` where it does not."""
+    """Time from a date in a picture's name, as in ``IMG_20200913_124320_123``; `MISSING` if there is none."""
     found = _DATE.search(stem)
     if found is None:
         return MISSING
@@ -195,7 +195,7 @@ def _date_ns(stem: str) -> int:
 def _times_from_names(
     path: Path, names: list[str], columns: ColumnMap | str | None
 ) -> WithProblems[_TimesAndNames]:
-    """Take times from the pictures' names: the last number in each, if it is long enough to be a time."""
+    """Read times from the pictures' names: the last number in each, if it has enough digits."""
     dated = np.array([_date_ns(Path(name).stem) for name in names], dtype=np.int64)
     if (dated != MISSING).all() and 2 * len(np.unique(dated)) > len(dated):
         return WithProblems(
@@ -218,8 +218,8 @@ def _times_from_names(
             file=path,
             remedy=_REMEDY,
         )
-    told = columns.time_unit if isinstance(columns, ColumnMap) else None
-    unit = told or guess_unit(numbers)
+    declared = columns.time_unit if isinstance(columns, ColumnMap) else None
+    unit = declared or guess_unit(numbers)
     t_ns = to_ns(numbers, unit)
     kept = [name for (name, _), t in zip(timed, t_ns, strict=True) if t != MISSING]
     problems: Problems = (Remark(f"{path.name}: times taken from the pictures' names, as {in_words(unit)}"),)

@@ -1,7 +1,7 @@
-"""Video files by PyAV: every frame at its own time stamp, decoded when it is asked for.
+"""Video files by PyAV: every frame with its own time stamp, decoded on request.
 
-The flight's time of a frame is the video's own time, counted from its first frame, plus ``start_ns``; or row for row
-from a CSV of frame times, where the recorder wrote one (``libcamera-vid --save-pts``, the logs of most scripts). Raw
+The flight's time of a frame is the video's own time, counted from its first frame, plus ``start_ns``; or row by row
+from a CSV of frame times, if the recorder wrote one (``libcamera-vid --save-pts``, the logs of most scripts). Raw
 streams (``.h264``) have no time stamps and need such a file; AVI has only a nominal rate, which is used and reported.
 """
 
@@ -36,7 +36,7 @@ SUFFIXES = frozenset(
     | {".3gp", ".ogv", ".mjpg", ".mjpeg", ".h264", ".264", ".h265", ".265", ".hevc"}
 )
 GPMF_TOPIC = "gopro"
-# A playlist in a file that is named like a video would make FFmpeg open what it lists, also over the network.
+# A playlist named like a video would make FFmpeg open the listed files, even over the network.
 _LOCAL_VIDEO = {
     "protocol_whitelist": "file",
     "format_whitelist": "mov,matroska,avi,mpegts,mpeg,asf,flv,ogg,mjpeg,h264,hevc,mpegvideo,m4v",
@@ -49,22 +49,22 @@ _TIMES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VideoIndex:
-    """What the packets of one video stream say, frames in the order in which they are shown.
+    """Index of one video stream from its packets, frames in presentation order.
 
     Parameters
     ----------
     pts
-        Presentation time stamps (n,), strictly increasing, in units of ``time_base``; where ``numbered``, numbers.
+        Presentation time stamps (n,), strictly increasing, in units of ``time_base``; frame numbers if ``numbered``.
     key_pts
-        Those of the frames that decode without others (k,).
+        Of the key frames (k,).
     time_base
         Seconds per unit.
     numbered
         Whether frames can only be identified by counting them: the file has no time stamps of its own.
     rows
-        Number (n,) of each frame among all that the camera delivered, one with another's time stamp included.
+        Number (n,) of each frame among all frames of the camera, including those with a repeated time stamp.
     delivered
-        How many these are.
+        Number of all frames of the camera.
     """
 
     pts: npt.NDArray[np.int64]
@@ -76,7 +76,7 @@ class VideoIndex:
 
 
 def recognises(path: Path) -> bool:
-    """Whether a file is a video by its first bytes or its ending."""
+    """Whether a file is a video, by its first bytes or its extension."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -90,7 +90,7 @@ def recognises(path: Path) -> bool:
 
 
 def open_log(path: Path) -> VideoLog:
-    """Open a video with the clock that it has."""
+    """Open a video with its own clock."""
     return open_video(path)
 
 
@@ -102,7 +102,7 @@ def open_video(
     columns: ColumnMap | str | None = None,
     rate_hz: float | None = None,
 ) -> VideoLog:
-    """Open a video and find out when its frames were taken.
+    """Open a video and find its frames' times.
 
     Parameters
     ----------
@@ -111,14 +111,14 @@ def open_video(
     start_ns
         Time of its first frame.
     times, columns
-        A CSV with the time of each frame instead, a row per frame in the order they are shown; its columns.
+        A CSV with the time of each frame instead, a row per frame in presentation order; its columns.
     rate_hz
-        Frames a second, for a file without times of its own.
+        Frame rate of a file without time stamps.
 
     Raises
     ------
     InputError
-        Where PyAV is not installed, the file is no video or has no frames, or nothing says when they were taken.
+        If PyAV is not installed, the file is not a video, it has no frames, or there are no times.
     """
     with open_container(path) as container:
         streams = [stream for stream in container.streams.video if not _is_cover(stream)]
@@ -126,8 +126,8 @@ def open_video(
             raise InputError("contains no video stream", file=path, remedy="give a video with pictures")
         packets, problems = _read_packets(path, container, streams)
         indices = {stream.index: _index(container, stream, packets[stream.index]) for stream in streams}
-        told = None if rate_hz is None else Fraction(rate_hz).limit_denominator(10**6)
-        nominal = told or _nominal_rate(container, streams[0])
+        declared = None if rate_hz is None else Fraction(rate_hz).limit_denominator(10**6)
+        nominal = declared or _nominal_rate(container, streams[0])
         note = _note(container)
         first = indices[streams[0].index]
         telemetry = None
@@ -147,7 +147,7 @@ def open_video(
         if times is not None:
             (t_ns, rows), more = _listed_times(path, index, times, columns)
         else:
-            t_ns, more = _times(path, index, nominal, start_ns, is_told=told is not None)
+            t_ns, more = _times(path, index, nominal, start_ns, is_declared=declared is not None)
             rows = np.arange(len(index.pts))
         problems += more
         videos[name] = _Video(t_ns, rows, index, number)
@@ -162,7 +162,7 @@ def open_container(path: Path) -> InputContainer:
     Raises
     ------
     InputError
-        Where PyAV is not installed, or the file does not open.
+        If PyAV is not installed, or the file cannot be opened.
     """
     try:
         import av
@@ -171,7 +171,7 @@ def open_container(path: Path) -> InputContainer:
     try:
         container = av.open(str(path.absolute()), "r", options=_LOCAL_VIDEO)
         for stream in container.streams.video:
-            if stream.codec_context is None:  # its properties are missing then, too
+            if stream.codec_context is None:  # other properties are then missing, too
                 raise InputError("contains a video that cannot be decoded", remedy="convert it to H.264")
             check_pixels(stream.width or 0, stream.height or 0)
         return container
@@ -198,22 +198,20 @@ class _Packets:
     pts: list[int] = field(default_factory=list)
     key_pts: list[int] = field(default_factory=list)
     without: int = 0
-    seen: int = 0  # empty ones and those that are not shown included
+    seen: int = 0  # including empty packets and frames that are not shown
 
 
 def _read_packets(
     path: Path, container: InputContainer, streams: list[VideoStream]
 ) -> WithProblems[dict[int, _Packets]]:
-    """Go through the file's packets and note their time stamps by stream; none is decoded."""
+    """Read the time stamps of the file's packets by stream, without decoding."""
     from av.error import FFmpegError
 
     packets = {stream.index: _Packets() for stream in streams}
     try:
         for packet in container.demux(streams):
             found = packets[packet.stream_index]
-            found.seen += packet.dts is not None or bool(
-                packet.size
-            )  # an empty one stands for a dropped frame
+            found.seen += packet.dts is not None or bool(packet.size)  # an empty packet is a dropped frame
             if not packet.size or packet.is_discard:
                 continue
             if packet.pts is None:
@@ -232,33 +230,33 @@ def _read_packets(
 def _index(container: InputContainer, stream: VideoStream, packets: _Packets) -> VideoIndex:
     time_base = Fraction(stream.time_base or Fraction(1, 1))
     pts = np.unique(np.array(packets.pts, dtype=np.int64))
-    # AVI stores no time stamps, and those that are made up for frames out of order are wrong.
+    # AVI stores no time stamps, and FFmpeg's are wrong for reordered frames.
     made_up = container.format.name == "avi" and bool(getattr(stream.codec_context, "has_b_frames", False))
     if made_up or packets.without > len(pts):
         count = len(packets.pts) + packets.without
         number = np.arange(count)
         return VideoIndex(number, np.zeros(1, dtype=np.int64), time_base, True, number, count)
-    # A frame with another's time stamp cannot be asked for, but the camera did deliver it: it has a row of its own.
+    # A frame with a repeated time stamp cannot be sought, but it has a row in the camera's list.
     rows = np.searchsorted(np.sort(packets.pts), pts)
     key_pts = np.unique(np.array(packets.key_pts, dtype=np.int64))
     return VideoIndex(pts, key_pts, time_base, False, rows, len(packets.pts))
 
 
 def _nominal_rate(container: InputContainer, stream: VideoStream) -> Fraction | None:
-    """Return the frame rate of an AVI, the only time it knows; None for other files."""
+    """Return the frame rate of an AVI, which has no other times; None for other files."""
     return stream.average_rate if container.format.name == "avi" else None
 
 
 def _times(
-    path: Path, index: VideoIndex, nominal: Fraction | None, start_ns: int, *, is_told: bool = False
+    path: Path, index: VideoIndex, nominal: Fraction | None, start_ns: int, *, is_declared: bool = False
 ) -> WithProblems[TimeArray]:
     """Return the times (n,) of the frames by the video's own clock."""
     problems: Problems = ()
-    if is_told and not index.numbered:
+    if is_declared and not index.numbered:
         raise InputError(
             "has times of its own: rate_hz does not go with it", file=path, remedy="take rate_hz away"
         )
-    if nominal is not None and not is_told:
+    if nominal is not None and not is_declared:
         problems += (
             f"{path.name}: AVI stores no times; its nominal rate of {float(nominal):g} frames a second is taken",
         )
@@ -266,7 +264,7 @@ def _times(
         raise InputError("has no time stamps", file=path, remedy=_TIMES)
     unit_s = 1 / nominal if index.numbered and nominal is not None else index.time_base
     ticks = index.pts - index.pts[0]
-    # Whole numbers without a float in between: hours of video keep every digit.
+    # Integer arithmetic keeps every digit, even in hours of video.
     seconds, rest = np.divmod(ticks * unit_s.numerator, unit_s.denominator)
     rest_ns = (rest * 10**9 + unit_s.denominator // 2) // unit_s.denominator
     return WithProblems(np.asarray(start_ns + seconds * 10**9 + rest_ns), problems)
@@ -275,7 +273,7 @@ def _times(
 def _listed_times(
     path: Path, index: VideoIndex, times: Path, columns: ColumnMap | str | None
 ) -> WithProblems[tuple[TimeArray, npt.NDArray[np.int64]]]:
-    """Return the times (m,) that a file gives, and the numbers (m,) of their frames; a broken row costs its frame."""
+    """Return the times (m,) in a file, and their frame numbers (m,); frames with damaged rows are left out."""
     from fusion.logs.csv.times import read_times
 
     listed, problems = read_times(times, columns)
@@ -293,7 +291,7 @@ def _listed_times(
 
 
 def _note(container: InputContainer) -> str:
-    """Say when the video was made, if it says so itself."""
+    """Return the creation time of the video, if declared."""
     made = container.metadata.get("creation_time")
     return f"made {made}" if made else ""
 
@@ -305,19 +303,19 @@ def _cut_ends(
     packets: dict[int, _Packets],
     indices: dict[int, VideoIndex],
 ) -> Iterator[str]:
-    """Yield a sentence for each stream that ends well before its header says."""
+    """Yield a sentence for each stream that ends well before the duration in its header."""
     for stream in streams:
         index = indices[stream.index]
         if index.numbered or not len(index.pts):
             continue
         if container.duration is None:
             continue
-        is_end = container.format.name.startswith("matroska")  # whose duration counts from zero
+        is_end = container.format.name.startswith("matroska")  # its duration starts at zero
         declared_s = (container.duration + (0 if is_end else container.start_time or 0)) * 1e-6
         step_s = float(np.median(np.diff(index.pts)) * index.time_base) if len(index.pts) > 1 else 0.1
         end_s = float(index.pts[-1] * index.time_base) + step_s
-        # Sound may last longer than the pictures. Frames that are listed and not there may have been dropped, or be
-        # left out by an edit list: only at the end they were lost.
+        # Sound may last longer than the pictures. Missing frames may have been dropped or left out by an
+        # edit list; only missing frames at the end are lost.
         tolerance_s = 1.0 if len(container.streams) > 1 else 4 * step_s
         if stream.frames > packets[stream.index].seen:
             tolerance_s = 0.5 * step_s
@@ -330,7 +328,7 @@ def _cut_ends(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Video:
-    """One stream: times of frames and their numbers, its packets, its number in the file."""
+    """One stream: frame times and numbers, its packets, its number in the file."""
 
     t_ns: TimeArray
     rows: npt.NDArray[np.int64]
@@ -339,7 +337,7 @@ class _Video:
 
 
 class VideoLog(SeriesLog):
-    """A video as `fusion.logs.contents.LogContents`: pictures, and an IMU that is recorded beside them."""
+    """A video as `fusion.logs.contents.LogContents`: pictures, and the recorded IMU, if any."""
 
     def __init__(
         self,
@@ -353,7 +351,7 @@ class VideoLog(SeriesLog):
         if telemetry is not None:
             topic = Topic(GPMF_TOPIC, Kind.IMU, telemetry.t_ns, "GoPro's telemetry; axes of the sensor")
             series.append(Series(topic, partial(telemetry.imu, Where(path, f"{path.name} ({GPMF_TOPIC})"))))
-            self.body_frame = "frd"  # as they are: nothing was turned
+            self.body_frame = "frd"  # axes unchanged
         super().__init__(path, "video", series, problems)
         frames = (Topic(name, Kind.FRAMES, video.t_ns, note) for name, video in videos.items())
         self.topics = (*frames, *self.topics)

@@ -1,4 +1,4 @@
-"""The pictures of a video, decoded one at a time: on from the last one, or from the key frame before."""
+"""Pictures of a video, decoded one at a time, from the last one or from the preceding key frame."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class VideoFrames:
     pts
         Presentation time stamps (n,) of the frames, ascending; frame numbers where ``numbered``.
     key_pts
-        Those of key frames (k,), ascending: a frame can be reached from the last one at or before it.
+        Of the key frames (k,), ascending; decoding of a frame starts at the last one at or before it.
     numbered
         Whether frames are identified by counting from the beginning, since the file has no time stamps of its own.
     """
@@ -65,7 +65,7 @@ class VideoFrames:
         Raises
         ------
         InputError
-            Where it does not decode, or a frame that it is predicted from did not.
+            If it, or a frame that it is predicted from, cannot be decoded.
         """
         frame = self._frame(int(self._pts[index]))
         if frame is None:
@@ -77,17 +77,17 @@ class VideoFrames:
         return _grey(frame, self.path)
 
     def check(self) -> Problems:
-        """Decode the first frame that will, so that a video of no use is refused before the work.
+        """Decode the first frame that can be decoded, so that an unusable video is rejected at once.
 
         Returns
         -------
         tuple of str
-            What a user should know of the pictures.
+            Remarks on the pictures for the user.
 
         Raises
         ------
         InputError
-            Where none of the first frames decodes, or the pictures stand at an angle.
+            If none of the first frames can be decoded, or the pictures are rotated by an odd angle.
         """
         tries = min(_CHECKED_FRAMES, len(self._pts))
         for index in range(tries):
@@ -114,12 +114,12 @@ class VideoFrames:
         self._container, self._coming, self._here, self._before = None, iter(()), None, _NOWHERE
 
     def _frame(self, pts: int) -> VideoFrame | None:
-        """Return the frame of a time stamp; None where the decoder does not give it."""
+        """Return the frame of a time stamp; None if the decoder does not return it."""
         number = self._key_number(pts)
-        # Decoding on is cheaper than a jump, unless there is a key frame on the way.
+        # Decoding forward is cheaper than seeking, unless there is a key frame in between.
         if self._here is None or pts <= self._before or self._key(number) > self._here[0]:
             self._jump(self._key(number))
-            # A transport stream is entered behind the key frame: from the one before, it is met on the way.
+            # Seeking in a transport stream lands after the key frame, so start at the previous one.
             if number and (self._here is None or self._here[0] > self._key(number)):
                 self._jump(self._key(number - 1))
         while self._here is not None and self._here[0] < pts:
@@ -137,23 +137,21 @@ class VideoFrames:
         return int(self._key_pts[number]) if number else int(self._pts[0])
 
     def _jump(self, key_pts: int) -> None:
-        """Go to a key frame, so that it is the next to come."""
+        """Seek to a key frame, so that it is decoded next."""
         from av.error import FFmpegError
 
         first = key_pts <= int(self._pts[0])
         container = self._container
-        if (
-            container is None or first
-        ):  # the beginning is reached by opening the file again: raw streams cannot seek
+        if container is None or first:  # reopening gives the beginning: raw streams cannot seek
             container = self._open()
         if not first:
             try:
                 container.seek(key_pts, stream=container.streams[self._stream])
-            except FFmpegError:  # decoding on from the beginning is slow, not wrong
+            except FFmpegError:  # decoding from the beginning is slow, but correct
                 container = self._open()
         self._coming = _decoded(container, self._stream, self._numbered)
         self._here = next(self._coming, None)
-        # What lies between the key frame and a landing behind it is not lost, only passed over.
+        # Frames between the key frame and the position of the seek are skipped, not lost.
         landed = key_pts if self._here is None else max(self._here[0], key_pts)
         self._before = landed - 1
 
@@ -167,11 +165,11 @@ class VideoFrames:
 
 
 def _decoded(container: InputContainer, number: int, numbered: bool) -> Iterator[Decoded]:
-    """Yield time stamp (or number) and frame; None in place of a frame that is damaged or rests on a damaged one.
+    """Yield time stamp (or number) and frame; None for a frame that is damaged or predicted from a damaged one.
 
-    FFmpeg fills what it cannot decode with what stood there before and hands the frame out as if nothing had been;
-    only its log tells. From such a packet on no frame is trusted up to the next key frame, or for `_HEALING_FRAMES`
-    where a stream has none and refreshes its pictures part by part.
+    FFmpeg conceals damaged parts with earlier picture content and reports this only in its log. After such a packet,
+    no frame is used until the next key frame, or for `_HEALING_FRAMES` frames if the stream has no key frames and
+    refreshes its pictures part by part.
     """
     from av.error import FFmpegError
 
@@ -204,12 +202,12 @@ def _decoded(container: InputContainer, number: int, numbered: bool) -> Iterator
 
 
 def _decode(packet: Packet[VideoStream]) -> tuple[list[VideoFrame], bool]:
-    """Decode a packet, and say whether the decoder complained."""
+    """Decode a packet; return also whether the decoder reported an error."""
     from av import logging
 
     before, skips = logging.get_level(), logging.get_skip_repeated()
     logging.set_level(logging.ERROR)
-    logging.set_skip_repeated(False)  # a complaint like the last one, of whatever video, counts as well
+    logging.set_skip_repeated(False)  # repeated messages, even of another video, count as well
     try:
         with logging.Capture() as complaints:
             frames = packet.decode()
@@ -220,7 +218,7 @@ def _decode(packet: Packet[VideoStream]) -> tuple[list[VideoFrame], bool]:
 
 
 def _grey(frame: VideoFrame, path: Path) -> GreyImage:
-    """Turn a decoded frame into a grey picture, upright as the video's header asks."""
+    """Convert a decoded frame to a grey picture, rotated as declared in the video's header."""
     turns, rest = divmod(frame.rotation, 90)
     if rest:
         raise InputError(

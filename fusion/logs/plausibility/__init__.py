@@ -1,4 +1,4 @@
-"""Plausibility of a flight: checks units, axes, clocks and live sensors by its data.
+"""Plausibility checks of a flight's units, axes, clocks and sensors by its data.
 
-Begin reading at `fusion.logs.plausibility.flight`, which `corridor fuse` and `corridor inspect` both ask.
+Begin reading at `fusion.logs.plausibility.flight`, which both `corridor fuse` and `corridor inspect` use.
 """

@@ -10,10 +10,10 @@ import numpy as np
 from fusion.flight import TimeArray
 from fusion.logs.plausibility.findings import Advice, Finding, Severity
 
-UNIX_FROM_NS = 946_684_800 * 10**9  # the year 2000: no boot is that old
+UNIX_FROM_NS = 946_684_800 * 10**9  # the year 2000: times since boot are smaller
 UNIX_TO_NS = 4_102_444_800 * 10**9  # the year 2100
 JUMP_NS = 60_000_000_000  # a minute without a sample
-MIN_COVERED = 0.9  # of the frames, by a stream that is to help them
+MIN_COVERED = 0.9  # of the frames, by an auxiliary stream
 
 #: Plausible median steps in seconds: shortest and longest of each stream.
 STEPS_S = {
@@ -28,7 +28,7 @@ _UNITS = ((1000.0, "microseconds"), (1e6, "milliseconds"), (1e9, "seconds"))
 
 
 def examine_clocks(streams: Mapping[str, TimeArray], advice: Advice) -> Iterator[Finding]:
-    """Yield what is implausible about the times of streams by name, of which ``camera`` is one."""
+    """Yield implausible properties of the streams' times, by name; ``camera`` is one of them."""
     wrong_unit = False
     for name, t_ns in streams.items():
         for finding in _unit(name, t_ns):
@@ -88,7 +88,7 @@ def _jumps(name: str, t_ns: TimeArray) -> Iterator[Finding]:
 
 
 def examine_overlap(name: str, t_ns: TimeArray, frames: TimeArray, advice: Advice) -> Finding | None:
-    """Say how much of the frames a stream covers, unless it is nearly all; an error where it is nothing.
+    """Report the share of frames that a stream covers, unless nearly all; an error if none.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a check of a log found: one sentence, what to do about it, and whether fusing would go wrong."""
+"""Findings of the checks of a log: a sentence, a remedy, and whether the flight can be fused."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ import numpy.typing as npt
 
 
 class Severity(StrEnum):
-    """How sure it is, and what follows."""
+    """Severity of a finding, and its consequence."""
 
-    WARNING = "warning"  # likely, or harmless enough: fused, and reported
-    ERROR = "error"  # certain, and the answer would be wrong: refused
+    WARNING = "warning"  # likely, or nearly harmless: fused, and reported
+    ERROR = "error"  # certain, and the result would be wrong: rejected
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something that is implausible about a stream.
+    """An implausible property of a stream.
 
     Parameters
     ----------
     severity
-        Whether the flight can be fused all the same.
+        Whether the flight can be fused nevertheless.
     stream
         ``camera``, ``imu``, ``attitude``, ``velocity``, ``position`` or ``range``.
     kind
         A short fixed word, such as ``gyro_unit``.
     text
-        What is wrong and what shows it, in words.
+        The fault and its evidence, in words.
     remedy
         What the user can do.
     """
@@ -49,25 +49,25 @@ class Finding:
 
 
 class Medium(StrEnum):
-    """What a stream is read from, for who has to put its axes or units right."""
+    """Medium that a stream is read from; decides how its axes or units are corrected."""
 
     FOLDER = "folder"  # a flight folder in the ASL layout, whose files state their axes; its units are fixed
-    TABLE = "table"  # a CSV, of which the manifest says axes, columns and units
-    LOG = "log"  # any other format: its axes are known, a sensor's mounting or unit may differ from them
+    TABLE = "table"  # a CSV, with axes, columns and units in the manifest
+    LOG = "log"  # any other format: its axes are known, but a sensor's mounting or unit may differ
 
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """What to change, worded for what each stream is read from.
+    """Remedies, worded for the medium of each stream.
 
     Parameters
     ----------
     media
-        Of streams by their names in a manifest; those that it lacks are of a log.
+        Medium of each stream by its name in a manifest; a log by default.
     taken
-        What one of a unit is in SI, ``gyro_unit`` or ``accel_unit``, as the file was read; 1 where it lacks one.
+        Factor to SI of ``gyro_unit`` and ``accel_unit`` with which the file was read; 1 if missing.
     frames
-        Axes that the manifest says of streams.
+        Axes of streams declared in the manifest.
     """
 
     media: Mapping[str, Medium] = field(default_factory=dict)
@@ -75,32 +75,34 @@ class Advice:
     frames: Mapping[str, str] = field(default_factory=dict)
 
     def medium(self, stream: str) -> Medium:
-        """Return what a stream is read from."""
+        """Return the medium of a stream."""
         return self.media.get(stream, Medium.LOG)
 
     def frame(self, stream: str, frame: str) -> str:
-        """Return how to name a stream's axes."""
+        """Return how to declare a stream's axes."""
         match self.medium(stream):
             case Medium.FOLDER:
                 return f"correct body_frame in mav0/body.yaml, or T_BS in mav0/{stream}0/sensor.yaml"
             case Medium.TABLE:
-                other = "frd" if self._is_told_up(stream) else frame
+                other = "frd" if self._is_declared_z_up(stream) else frame
                 return f'set frame = "{other}" for [{stream}] in flight.toml'
             case Medium.LOG if stream == "imu":
                 return "set mount_rad = [3.1416, 0, 0] for [imu] in flight.toml"
         return self.leave_out(stream)
 
     def reversed_axes(self, stream: str) -> str:
-        """Say that a stream's y and z point the other way than taken."""
+        """Return the remedy if a stream's y and z are opposite to those assumed."""
         if self.medium(stream) is Medium.LOG:
             return "y and z of its axes point the other way than this format has them"
-        return "axes look like FRD, not FLU" if self._is_told_up(stream) else "axes look like FLU, not FRD"
+        return (
+            "axes look like FRD, not FLU" if self._is_declared_z_up(stream) else "axes look like FLU, not FRD"
+        )
 
-    def _is_told_up(self, stream: str) -> bool:
+    def _is_declared_z_up(self, stream: str) -> bool:
         return self.frames.get(stream) in ("flu", "enu")
 
     def mounting(self, stream: str, up: npt.NDArray[np.float64]) -> str:
-        """Return how to say that a sensor's axes are not the body's, of which it sees this direction (3,) as up."""
+        """Return how to declare a sensor's mounting, if up on the body is this direction (3,) of the sensor."""
         if self.medium(stream) is Medium.FOLDER:
             return f"give its mounting as T_BS in mav0/{stream}0/sensor.yaml"
         roll = _rounded(atan2(-up[1], -up[2]))
@@ -119,16 +121,16 @@ class Advice:
         stream
             Name of the stream in a manifest.
         key, unit
-            What to write into its column map.
+            Entry in its column map.
         factor
-            What to multiply the numbers by where they are in a flight folder.
+            Factor for the numbers in a flight folder.
         """
         if self.medium(stream) is Medium.FOLDER:
             return f"multiply its columns in mav0/{stream}0/data.csv by {factor}"
         return f'set {key} = "{unit}" in [{stream}.columns] of flight.toml, or correct the logger'
 
     def quaternion_order(self) -> str:
-        """Return how to name the order of quaternions that are not w, x, y, z."""
+        """Return how to declare an order of quaternions other than w, x, y, z."""
         match self.medium("attitude"):
             case Medium.FOLDER:
                 return "write w, x, y, z into mav0/attitude0/data.csv"
@@ -137,7 +139,7 @@ class Advice:
         return self.leave_out("attitude")
 
     def conjugated(self) -> str:
-        """Return what to do with quaternions that take the world to the body."""
+        """Return the remedy for quaternions from world to body."""
         match self.medium("attitude"):
             case Medium.FOLDER:
                 return "negate x, y, z in mav0/attitude0/data.csv"
@@ -146,18 +148,18 @@ class Advice:
         return self.leave_out("attitude")
 
     def leave_out(self, stream: str) -> str:
-        """Return how to do without a stream."""
+        """Return how to leave out a stream."""
         if self.medium(stream) is Medium.FOLDER:
             return f"take mav0/{stream}0 away to fuse without it"
         return f"set use = false for [{stream}] in flight.toml to fuse without it"
 
     def clock(self, stream: str, lag_s: float) -> str:
-        """Return how to shift the camera's clock, since the vehicle's own streams usually share one."""
+        """Return how to shift the camera's clock; the vehicle's own streams usually share one."""
         shift = f"add {lag_s:.3f} to [camera] clock_offset_s in flight.toml if both began together"
         return f"{shift}, `corridor align` finds the rest; or {self.leave_out(stream)}"
 
 
 def _rounded(angle_rad: float) -> float:
-    """Return the nearest quarter turn, where it is near: sensors are mounted so."""
+    """Return the nearest quarter turn, if it is near, as usual for mounted sensors."""
     quarter = round(angle_rad / (pi / 2)) * pi / 2
     return quarter + 0.0 if abs(angle_rad - quarter) < radians(15) else angle_rad

@@ -1,8 +1,8 @@
-"""Checks whether a flight is what it claims to be: units, axes, clocks and live sensors, by its data.
+"""Checks the declared units, axes, clocks and sensors of a flight by its data.
 
-Readers convert what a log says it holds; this looks at whether the numbers agree. What would make the answer wrong
-without a sign of it is refused; what is likely, or does little harm, is listed in the flight's ``problems``. A stream
-that never changes is left out: it has no information, whatever it claims.
+Readers convert a log as declared; these checks compare the declaration with the numbers. Faults that would make the
+result silently wrong are rejected; likely or minor ones are listed in the flight's ``problems``. A stream that never
+changes is left out, because it carries no information.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from fusion.logs.plausibility.findings import Advice, Finding, Severity
 from fusion.logs.plausibility.imu import MIN_SAMPLES, examine_imu
 from vision import InputError
 
-MIN_DEAD_NS = 2_000_000_000  # a stream must stay the same for so long before it counts as dead
+MIN_DEAD_NS = 2_000_000_000  # a stream without change for this long is dead
 MAX_SPEED_M_S = 60.0
 MAX_HEIGHT_M = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Streams:
-    """The streams of a flight that are checked; None where the flight lacks one."""
+    """The streams of a flight that are checked; None if the flight lacks one."""
 
     frames_t_ns: TimeArray | None = None
     imu: ImuStream | None = None
@@ -37,7 +37,7 @@ class Streams:
     range: RangeStream | None = None
 
     def times(self) -> dict[str, TimeArray]:
-        """Return the times of each stream that is there, by its name in a manifest."""
+        """Return the times of each existing stream, by its name in a manifest."""
         streams = {
             "imu": self.imu,
             "attitude": self.attitude,
@@ -55,23 +55,23 @@ def check_flight(
     files: Mapping[str, Path] | None = None,
     advice: Advice = Advice(),  # noqa: B008  # frozen
 ) -> Flight:
-    """Return the flight without dead streams and with what is implausible among its problems.
+    """Return the flight without dead streams, with implausible properties among its problems.
 
     Parameters
     ----------
     flight
-        As a reader made it.
+        From a reader.
     path
-        What the user named, for messages.
+        The path that the user gave, for messages.
     files
-        Files that streams have of their own, by the stream's name in a manifest.
+        Separate files of streams, by the stream's name in a manifest.
     advice
-        What to change, by what each stream was read from.
+        Remedies, by the medium of each stream.
 
     Raises
     ------
     InputError
-        Where fusing would give a wrong answer: units, axes or clocks that are certainly not as taken.
+        If the result would be wrong: units, axes or clocks are certainly not as assumed.
     """
     alive, findings = examine_streams(_streams(flight), advice)
     for finding in findings:
@@ -93,12 +93,12 @@ def check_flight(
 
 
 def examine_flight(flight: Flight, advice: Advice) -> list[Finding]:
-    """Return everything that is implausible about a flight."""
+    """Return all implausible properties of a flight."""
     return examine_streams(_streams(flight), advice)[1]
 
 
 def examine_streams(streams: Streams, advice: Advice) -> tuple[Streams, list[Finding]]:
-    """Return the streams without dead ones, and everything that is implausible about them, clocks first."""
+    """Return the streams without dead ones, and their implausible properties, clocks first."""
     streams, found = without_dead_streams(streams)
     found += examine_clocks(streams.times(), advice)
     if any(finding.kind == "time_unit" for finding in found):
@@ -113,9 +113,9 @@ def examine_streams(streams: Streams, advice: Advice) -> tuple[Streams, list[Fin
 
 
 def without_dead_streams(streams: Streams) -> tuple[Streams, list[Finding]]:
-    """Take away streams that never change or cannot be, and a velocity of zeros.
+    """Remove streams that never change or are impossible, and a velocity of zeros.
 
-    An accelerometer that never changes becomes unknown.
+    An accelerometer that never changes becomes NaN.
     """
     found: list[Finding] = []
 
@@ -149,7 +149,7 @@ def without_dead_streams(streams: Streams) -> tuple[Streams, list[Finding]]:
 
 
 def examine_attitude(attitude: AttitudeStream, advice: Advice) -> Iterator[Finding]:
-    """Yield what an attitude shows by itself: a vehicle that flies upside down, or on its side."""
+    """Yield implausible attitudes: a vehicle that flies upside down, or on its side."""
     q = attitude.q_world_body
     if len(q) < MIN_SAMPLES:
         return
@@ -169,7 +169,7 @@ def examine_attitude(attitude: AttitudeStream, advice: Advice) -> Iterator[Findi
 
 
 def down_in_body(q_world_body: FloatArray) -> FloatArray:
-    """Return the world's down (n, 3) as the body sees it."""
+    """Return the world's down (n, 3) in the body's axes."""
     w, x, y, z = q_world_body.T
     return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
 

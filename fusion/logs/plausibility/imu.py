@@ -1,7 +1,7 @@
-"""Checks whether an IMU is in rad/s and m/s^2, in body FRD, and alive, by gravity, by itself and by the attitude.
+"""Checks an IMU's units (rad/s, m/s^2), axes (body FRD) and function, by gravity, by itself and by the attitude.
 
-Every check is silent where the data do not allow a judgement. Thresholds lie far beyond what vehicles do: they
-are to find a factor of 57 or 9.8 or a reversed axis, not a poor calibration.
+No check reports anything if the data are insufficient. Thresholds are far beyond vehicles' motions: they detect a
+factor of 57 or 9.8 or a reversed axis, not a poor calibration.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from fusion.logs.units import in_si, unit_in_words, unit_of_size
 GRAVITY_M_S2 = 9.80665
 MIN_SAMPLES = 20
 GYRO_RANGE_RAD_S = radians(2000.0)  # the widest range of small gyroscopes
-MAX_DEGREES = 2000.0  # per second: beyond it the numbers are no degrees either
+MAX_DEGREES = 2000.0  # per second: larger numbers are not degrees either
 LIKELY_DEGREES = 4.0  # median of |gyro|: 230 degrees/s all the time
 UPRIGHT = 0.8  # share of gravity along z: within 37 degrees
-MIN_CORRELATION = 0.7  # with the attitude, before its scale or axes are believed
+MIN_CORRELATION = 0.7  # with the attitude, to judge its scale or axes
 TILT_WINDOW_S = 0.5
 STUCK_S = 1.0
 
@@ -37,7 +37,7 @@ class Gravity:
 
     @property
     def is_seen(self) -> bool:
-        """Whether it points somewhere, as gravity does and vibration does not."""
+        """Whether it has a constant direction, as gravity has and vibration has not."""
         return self.length > 0.0 and float(np.linalg.norm(self.mean)) > 0.7 * self.length
 
     @property
@@ -47,7 +47,7 @@ class Gravity:
 
 
 def gravity_of(imu: ImuStream) -> Gravity | None:
-    """Measure gravity over the whole log; None where the log has no accelerometer, or too little of it."""
+    """Measure gravity over the whole log; None if the log has no accelerometer, or too little of it."""
     accel = imu.accel_m_s2[np.isfinite(imu.accel_m_s2).all(axis=1)]
     if len(accel) < MIN_SAMPLES:
         return None
@@ -55,7 +55,7 @@ def gravity_of(imu: ImuStream) -> Gravity | None:
 
 
 def examine_imu(imu: ImuStream, attitude: AttitudeStream | None, advice: Advice) -> Iterator[Finding]:
-    """Yield what is implausible about an IMU, and about an attitude that contradicts it."""
+    """Yield implausible properties of an IMU, and of an attitude that contradicts it."""
     if len(imu.t_ns) < MIN_SAMPLES:
         return
     yield from _stuck(imu, advice)
@@ -80,14 +80,14 @@ def examine_imu(imu: ImuStream, attitude: AttitudeStream | None, advice: Advice)
 
 
 def examine_order(imu: ImuStream, attitude: AttitudeStream, advice: Advice) -> Finding | None:
-    """Tell whether quaternions are in another order than taken: w first where it should be last, or the reverse.
+    """Determine whether quaternions have another order than assumed: w first instead of last, or the reverse.
 
-    In the other order, and only in it, they turn as the gyroscope does, and the vehicle stands upright.
+    In the other order, and only in it, they agree with the gyroscope, and the vehicle is upright.
     """
     taken = compare_turns(imu, attitude)
     if taken is None or (taken.as_taken.correlation >= MIN_CORRELATION and not taken.others):
         return None
-    flip = np.array([1.0, 1.0, -1.0, -1.0])  # a reader may have turned them from z up already
+    flip = np.array([1.0, 1.0, -1.0, -1.0])  # a reader may have converted them from z up already
     for turned in (np.ones(4), flip):
         for shift, text in ((-1, "w, x, y, z, read as x, y, z, w"), (1, "x, y, z, w, read as w, x, y, z")):
             q = np.roll(attitude.q_world_body * turned, shift, axis=1) * turned
@@ -134,7 +134,7 @@ def _stuck(imu: ImuStream, advice: Advice) -> Iterator[Finding]:
 
 
 def _accel_unit(gravity: Gravity, advice: Advice) -> Iterator[Finding]:
-    """Tell the unit by gravity's length, where it is gravity: vibration alone points nowhere."""
+    """Determine the unit by the length of gravity, if there is gravity: vibration has no direction."""
     if not gravity.is_seen:
         if gravity.length < 0.5 * GRAVITY_M_S2:
             yield Finding(
@@ -166,13 +166,13 @@ def _accel_unit(gravity: Gravity, advice: Advice) -> Iterator[Finding]:
 
 
 def _scale(reading: Reading, advice: Advice) -> Iterator[Finding]:
-    """Compare the sizes of both rates: 57 times the attitude's where the gyroscope is in degrees."""
+    """Compare both rates: the gyroscope's is 57 times the attitude's if it is in degrees."""
     ratio = 1.0 / reading.scale
     if 0.6 < ratio < 1.6:
         return
     taken = advice.taken.get("gyro_unit", 1.0)
     unit, is_known = unit_of_size(taken / ratio, "deg/s")
-    if not is_known:  # an attitude that lags or leads shows a rate's size roughly
+    if not is_known:  # an attitude that lags or leads still gives the rate's magnitude roughly
         near = [name for name in ("deg/s", "mrad/s") if 0.7 < ratio * in_si(name) / taken < 1.3]
         unit, is_known = (near[0], True) if near else (unit, False)
     certain = is_known or not 0.2 < ratio < 5.0
@@ -197,7 +197,7 @@ def _scale(reading: Reading, advice: Advice) -> Iterator[Finding]:
 def _axes_by_attitude(
     as_taken: Reading, likeliest: Reading, gravity: Gravity | None, advice: Advice
 ) -> Iterator[Finding]:
-    """Say whose axes are wrong where gyroscope and attitude turn differently; gravity tells."""
+    """Determine by gravity whose axes are wrong if gyroscope and attitude disagree."""
     evidence = f"correlation {as_taken.correlation:+.2f} as taken, {likeliest.correlation:+.2f} so"
     certain = as_taken.correlation < 0.5
     severity = Severity.ERROR if certain else Severity.WARNING
@@ -301,7 +301,7 @@ def _gyro_degrees(imu: ImuStream, gravity: Gravity | None, advice: Advice) -> It
                 f"gravity {degrees(tilts[1]):.1f}"
             )
         elif usual > LIKELY_DEGREES:
-            # As told, it is sure to be wrong; as logged, something may have spun.
+            # A declared unit is certainly wrong; in a log, something may have spun.
             severity = Severity.WARNING if taken == 1.0 else Severity.ERROR
             text = f"the gyroscope reads {usual:.0f} rad/s half of the time"
     if text is None:
@@ -322,7 +322,7 @@ def _gyro_degrees(imu: ImuStream, gravity: Gravity | None, advice: Advice) -> It
 
 
 def _tilts(imu: ImuStream) -> tuple[float, float] | None:
-    """Return the usual tilt in radians over half a second: as the gyroscope tells it, and as gravity shows it."""
+    """Return the usual change of tilt in half a second, radians, by the gyroscope and by gravity."""
     t_s = (imu.t_ns - imu.t_ns[0]) * 1e-9
     window = np.floor(t_s / TILT_WINDOW_S).astype(np.int64)
     finite = np.isfinite(imu.accel_m_s2).all(axis=1)
@@ -351,7 +351,7 @@ def _signed(gravity: Gravity | None) -> str:
 
 
 def _axes_in_words(axes: FloatArray) -> str:
-    """Return such as ``x, -y, -z``: which of the IMU's axes each of the body's is."""
+    """Return the IMU's axis along each of the body's, such as ``x, -y, -z``."""
     words = []
     for row in axes:
         axis = int(np.argmax(np.abs(row)))

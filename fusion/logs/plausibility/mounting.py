@@ -1,8 +1,8 @@
-"""Corrects streams of sensors that are not mounted as their axes or their readers say.
+"""Corrects streams of sensors whose mounting differs from their declared axes.
 
-``mount_rad`` is the sensor's own roll, pitch and yaw on the body, as of a small vehicle inside it: roll right side
-down, pitch nose up, yaw to the right, applied in the order yaw, pitch, roll (``R_body_sensor = Rz Ry Rx`` in FRD). A
-sensor mounted upside down has ``[3.1416, 0, 0]``; so has an IMU whose log is in FLU though its reader takes FRD.
+``mount_rad`` is the sensor's roll, pitch and yaw on the body: roll right side down, pitch nose up, yaw to the right,
+applied in the order yaw, pitch, roll (``R_body_sensor = Rz Ry Rx`` in FRD). A sensor mounted upside down has
+``[3.1416, 0, 0]``; so has an IMU whose log is in FLU although its reader assumes FRD.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ MountRad = tuple[float, float, float]
 
 
 def mounted(stream: AnyStream, source: StreamSource) -> AnyStream:
-    """Return a stream along the body's axes, as far as its table in a manifest says how it is mounted.
+    """Return a stream along the body's axes, by the mounting in its table of a manifest.
 
-    Distances to the floor then count from the camera's height.
+    Distances to the floor are then measured from the camera's height.
     """
     if isinstance(stream, RangeStream) and isinstance(source, RangeSource) and source.above_camera_m:
         lowered: Any = replace(stream, distance_m=stream.distance_m - source.above_camera_m)
@@ -52,7 +52,7 @@ def mounted_attitude(attitude: AttitudeStream, mount_rad: MountRad) -> AttitudeS
     """Return the body's attitude, from that of a sensor on it."""
     w0, v0 = attitude.q_world_body[:, :1], attitude.q_world_body[:, 1:]
     (w1, *vector) = _quaternion(mount_rad)
-    v1 = -np.array(vector)  # its inverse: world from sensor, sensor from body
+    v1 = -np.array(vector)  # inverse: world from sensor, sensor from body
     w = w0 * w1 - (v0 @ v1)[:, None]
     return replace(attitude, q_world_body=np.hstack([w, w0 * v1 + w1 * v0 + np.cross(v0, v1)]))
 

@@ -1,8 +1,9 @@
-"""How a rig of IMU and camera sits on the vehicle, found from gravity and the optical axis.
+"""Orientation of a rig of IMU and camera on the vehicle, from gravity and the optical axis.
 
-Calibrations such as Kalibr's and EuRoC's place the camera in the IMU's own axes, which need not be the vehicle's:
-those of the public EuRoC flights are x up and z ahead. Where gravity, the picture's own down and the optical axis
-agree on how the rig stands, they tell the rotation that turns camera and IMU together into forward, right, down.
+Calibrations such as Kalibr's and EuRoC's give the camera's pose in the IMU's axes, which may differ from the
+vehicle's: those of the public EuRoC flights are x up and z forward. If gravity, the vertical direction of the picture
+and the optical axis agree on the rig's orientation, they determine the rotation of camera and IMU to forward, right,
+down.
 """
 
 from __future__ import annotations
@@ -20,24 +21,22 @@ from fusion.logs.plausibility.turn_rates import compare_turns
 from vision import Camera
 from vision.cameras.camera import MAX_AXIS_ANGLE_RAD
 
-MAX_PICTURE_TILT_RAD = radians(45)  # between the picture's down and gravity
+MAX_PICTURE_TILT_RAD = radians(45)  # between the picture's vertical and gravity
 MAX_LOOK_RAD = radians(60)  # of an optical axis above or below level
-MAX_SNAP_RAD = radians(
-    20
-)  # from quarter turns: rigs are built so, and a flight's usual attitude is not quite level
+MAX_SNAP_RAD = radians(20)  # from quarter turns, which are usual; a flight's mean attitude is not quite level
 SAME_AXES_RAD = radians(30)  # between gravity by the IMU and by an attitude in the same axes
 
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """How IMU and camera sit on the vehicle together.
+    """Common orientation of IMU and camera on the vehicle.
 
     Parameters
     ----------
     mount_rad
         Roll, pitch and yaw of the IMU's axes.
     looks_up_rad
-        Angle of the optical axis above level, where it is told by the IMU's axes and not by the calibration.
+        Angle of the optical axis above level, if it is declared by the IMU's axes and not by the calibration.
     """
 
     mount_rad: MountRad
@@ -50,15 +49,15 @@ def find_body_from_imu(gravity: Gravity, camera: Camera) -> MountRad | None:
     Parameters
     ----------
     gravity
-        As the IMU measures it along the axes it is read in.
+        Measured by the IMU along the axes in which it is read.
     camera
-        Its ``R_body_camera`` is to the same axes.
+        Its ``R_body_camera`` refers to the same axes.
 
     Returns
     -------
     tuple or None
-        Radians, see `fusion.logs.plausibility.mounting`; None where the axes are the vehicle's already, or gravity
-        and the camera do not agree on how the rig stands.
+        Radians, see `fusion.logs.plausibility.mounting`; None if the axes are the vehicle's already, or gravity
+        and the camera do not agree on the rig's orientation.
     """
     if camera.mount_assumed or not gravity.is_seen:
         return None
@@ -73,19 +72,19 @@ def find_body_from_imu(gravity: Gravity, camera: Camera) -> MountRad | None:
 
 
 def body_from_camera_axis(gravity: Gravity, optical_axis: FloatArray) -> Rig | None:
-    """Find how an IMU sits whose camera is known to look along one of its axes, upright.
+    """Find the orientation of an IMU along one of whose axes an upright camera looks.
 
     Parameters
     ----------
     gravity
-        As the IMU measures it along the axes it is read in.
+        Measured by the IMU along the axes in which it is read.
     optical_axis
         Unit vector (3,) along the same axes.
 
     Returns
     -------
     Rig or None
-        None where gravity is not seen, or the camera looks along it.
+        None if gravity is not measured, or the camera looks along it.
     """
     up = gravity.direction if gravity.is_seen else optical_axis
     upward = float(optical_axis @ up)
@@ -96,7 +95,7 @@ def body_from_camera_axis(gravity: Gravity, optical_axis: FloatArray) -> Rig | N
 
 
 def _snapped(R: FloatArray) -> FloatArray:
-    """Return the nearest rotation (3, 3) by quarter turns, where one is near."""
+    """Return the nearest rotation (3, 3) by quarter turns, if one is near."""
     from scipy.spatial.transform import Rotation
 
     quarter_turns = Rotation.create_group("O")
@@ -106,9 +105,9 @@ def _snapped(R: FloatArray) -> FloatArray:
 
 
 def _angles(R: FloatArray) -> MountRad:
-    """Roll, pitch and yaw of ``R = Rz Ry Rx``, to the digits that are told and written."""
+    """Roll, pitch and yaw of ``R = Rz Ry Rx``, rounded to the reported digits."""
     pitch = -asin(max(-1.0, min(1.0, float(R[2, 0]))))
-    if abs(R[2, 0]) > 0.99999:  # roll and yaw are about one axis
+    if abs(R[2, 0]) > 0.99999:  # gimbal lock: roll and yaw have one axis
         roll, yaw = 0.0, atan2(-R[0, 1], R[1, 1])
     else:
         roll, yaw = atan2(R[2, 1], R[2, 2]), atan2(R[1, 0], R[0, 0])
@@ -117,9 +116,9 @@ def _angles(R: FloatArray) -> MountRad:
 
 
 def turned_camera(camera: Camera, rig: Rig) -> Camera:
-    """Return the camera on the vehicle: as it was calibrated to the IMU's axes, or upright along one of them.
+    """Return the camera on the vehicle, as calibrated to the IMU's axes, or upright along one of them.
 
-    Where the camera's axis on the IMU was told, a calibration with a pose is on the vehicle already.
+    If the camera's axis on the IMU is declared, a calibration with a pose refers to the vehicle already.
     """
     if rig.looks_up_rad is None and not camera.mount_assumed:
         R = rotation(rig.mount_rad)
@@ -133,7 +132,7 @@ def turned_camera(camera: Camera, rig: Rig) -> Camera:
 
 
 def is_along_imu(attitude: AttitudeStream, gravity: Gravity | None) -> bool:
-    """Whether an attitude is that of the IMU's own axes: it has gravity where the IMU has it."""
+    """Whether an attitude refers to the IMU's own axes: it agrees with the IMU on gravity."""
     if gravity is None or not gravity.is_seen:
         return False
     down = np.median(down_in_body(attitude.q_world_body), axis=0)
@@ -143,39 +142,39 @@ def is_along_imu(attitude: AttitudeStream, gravity: Gravity | None) -> bool:
 def turned_attitude(
     attitude: AttitudeStream, imu: ImuStream | None, gravity: Gravity | None, mount_rad: MountRad
 ) -> AttitudeStream:
-    """Return an attitude along the vehicle's axes: turned where it is of the IMU's own.
+    """Return an attitude along the vehicle's axes, rotated if it refers to the IMU's.
 
     Parameters
     ----------
     attitude
         As read.
     imu
-        Along the vehicle's axes already: the attitude has to turn as it does.
+        Along the vehicle's axes already; the attitude's rates must agree with it.
     gravity
-        As the IMU measures it along the axes it is read in.
+        Measured by the IMU along the axes in which it is read.
     mount_rad
         Of the IMU on the vehicle.
     """
     turned = mounted_attitude(attitude, mount_rad)
     as_read, as_turned = (None if imu is None else compare_turns(imu, a) for a in (attitude, turned))
-    if as_read is None or as_turned is None:  # too little motion to tell
+    if as_read is None or as_turned is None:  # too little motion to decide
         return turned if is_along_imu(attitude, gravity) else attitude
     return turned if as_turned.as_taken.correlation > as_read.as_taken.correlation else attitude
 
 
 def turned_velocity(velocity: VectorStream, mount_rad: MountRad) -> VectorStream:
-    """Return a velocity along the vehicle's axes: turned where that makes it point ahead, as vehicles fly."""
+    """Return a velocity along the vehicle's axes, rotated if it then points forward, as usual in flight."""
     turned = velocity.xyz @ rotation(mount_rad).T
     ahead = float(np.median(turned[:, 0])) > float(np.median(velocity.xyz[:, 0]))
     return replace(velocity, xyz=turned) if ahead else velocity
 
 
 def sentence(mount_rad: MountRad) -> str:
-    """Say what was found."""
-    told = ", ".join(f"{degrees(angle):.0f}" for angle in mount_rad)
+    """Return the finding as a sentence."""
+    rpy = ", ".join(f"{degrees(angle):.0f}" for angle in mount_rad)
     written = ", ".join(f"{angle:g}" for angle in mount_rad)
     return (
         f"the axes of IMU and camera are not the vehicle's: by gravity and the optical axis both are turned by roll, "
-        f"pitch, yaw of {told} degrees (body_from_imu_rad = [{written}] in flight.toml; [0, 0, 0] keeps them as they "
+        f"pitch, yaw of {rpy} degrees (body_from_imu_rad = [{written}] in flight.toml; [0, 0, 0] keeps them as they "
         "are)"
     )

@@ -1,7 +1,7 @@
 """Comparison of gyroscope and attitude: the scale of the rates, their axes, and the direction of the quaternions.
 
 Both are reduced to the mean rate over windows of a quarter of a second. The attitude's rates are compared with the
-gyroscope's under each way of confusing axes; correlation does not depend on units or bias, so the scale comes after.
+gyroscope's under every permutation of axes; correlation does not depend on units or bias, so the scale comes last.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from fusion.flight import AttitudeStream, FloatArray, ImuStream
 
 WINDOW_S = 0.25
 MIN_WINDOWS = 20
-MIN_RATE_RAD_S = 0.02  # rms of the attitude's rates; below it the vehicle stands
+MIN_RATE_RAD_S = 0.02  # rms of the attitude's rates; below it the vehicle does not turn
 MAX_RATE_RAD_S = 20.0  # a reset of the attitude, not a turn
-RESETS = 0.02  # share of the windows that may disagree altogether, where the attitude jumps
+RESETS = 0.02  # share of windows that may disagree completely because the attitude jumps
 
 FLU = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """One way to read the two streams: ``body rate = axes @ gyro``, quaternions conjugated first or not."""
+    """One interpretation of the two streams: ``body rate = axes @ gyro``, with or without conjugated quaternions."""
 
     axes: FloatArray
     conjugated: bool
@@ -33,22 +33,22 @@ class Reading:
     scale: float  # attitude's rate over the gyroscope's
 
     @property
-    def is_as_taken(self) -> bool:
-        """Whether nothing has to be changed."""
+    def is_unchanged(self) -> bool:
+        """Whether nothing needs to be changed."""
         return not self.conjugated and np.array_equal(self.axes, np.eye(3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TurnComparison:
-    """How gyroscope and attitude agree.
+    """Agreement of gyroscope and attitude.
 
     Parameters
     ----------
     as_taken
-        The reading without any change.
+        The interpretation without any change.
     others
-        The readings that explain the rates about as well as the best one, the likeliest mistake first; empty where
-        what was taken is among the best.
+        The interpretations that explain the rates about as well as the best one, the likeliest mistake first; empty
+        if the assumed one is among the best.
     rate_rad_s
         Root mean square of the attitude's rate.
     windows
@@ -62,7 +62,7 @@ class TurnComparison:
 
 
 def compare_turns(imu: ImuStream, attitude: AttitudeStream) -> TurnComparison | None:
-    """Compare gyroscope and attitude; None where they share too little time or motion to tell."""
+    """Compare gyroscope and attitude; None if they have too little time or motion in common."""
     windows = _window_rates(imu, attitude)
     if windows is None:
         return None
@@ -79,12 +79,12 @@ def compare_turns(imu: ImuStream, attitude: AttitudeStream) -> TurnComparison | 
     as_taken = readings[0]
     best = max(readings, key=_correlation)
     close = [reading for reading in readings if reading.correlation > best.correlation - 0.05]
-    others = () if as_taken in close else tuple(sorted(close, key=_unlikeliness))
+    others = () if as_taken in close else tuple(sorted(close, key=_plausibility_rank))
     return TurnComparison(as_taken, others, rate, len(gyro))
 
 
 def _readings(gyro: FloatArray, rates: dict[bool, FloatArray]) -> list[Reading]:
-    """Return every reading of windows of rates (n, 3), the one without any change first."""
+    """Return every interpretation of windows of rates (n, 3), first the one without any change."""
     return [
         _reading(gyro, rates[conjugated], axes, conjugated)
         for conjugated in (False, True)
@@ -97,7 +97,7 @@ def _correlation(reading: Reading) -> float:
 
 
 def _axes() -> list[FloatArray]:
-    """Return the 24 ways to name the axes of a right-handed frame, the right one first, FLU for FRD second."""
+    """Return the 24 right-handed permutations of axes, the identity first, FLU for FRD second."""
     found = [np.eye(3), FLU]
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
@@ -108,7 +108,7 @@ def _axes() -> list[FloatArray]:
     return found
 
 
-def _unlikeliness(reading: Reading) -> tuple[int, float]:
+def _plausibility_rank(reading: Reading) -> tuple[int, float]:
     known = (np.array_equal(reading.axes, FLU) and not reading.conjugated) or (
         reading.conjugated and np.array_equal(reading.axes, np.eye(3))
     )
@@ -129,7 +129,7 @@ def _reading(gyro: FloatArray, rates: FloatArray, axes: FloatArray, conjugated: 
 def _window_rates(
     imu: ImuStream, attitude: AttitudeStream
 ) -> tuple[FloatArray, dict[bool, FloatArray]] | None:
-    """Mean rates (n, 3) over windows, of the gyroscope and of the attitude as it is (False) and conjugated (True)."""
+    """Mean rates (n, 3) over windows, of the gyroscope and the attitude, unchanged (False) and conjugated (True)."""
     first = max(int(imu.t_ns[0]), int(attitude.t_ns[0]))
     last = min(int(imu.t_ns[-1]), int(attitude.t_ns[-1]))
     t_imu_s: FloatArray = (imu.t_ns - first).astype(np.float64) * 1e-9
@@ -141,7 +141,7 @@ def _window_rates(
     start, end = edges[:-1], edges[1:]
     duration_s = t_s[end] - t_s[start]
     inside = np.searchsorted(t_imu_s, t_s[end]) - np.searchsorted(t_imu_s, t_s[start])
-    whole = 0.5 * duration_s / float(np.median(np.diff(t_imu_s)))  # at least half of the samples are there
+    whole = 0.5 * duration_s / float(np.median(np.diff(t_imu_s)))  # at least half of the samples are present
     good = (duration_s < 4.0 * WINDOW_S) & (inside >= np.maximum(1.0, whole))
     start, end, duration_s = start[good], end[good], duration_s[good]
     gyro = (_integral(t_imu_s, imu.gyro_rad_s, t_s[end]) - _integral(t_imu_s, imu.gyro_rad_s, t_s[start])) / (

@@ -1,4 +1,4 @@
-"""What a recording of `corridor live` has attached at its beginning: calibration and settings."""
+"""Attachments at the beginning of a recording of `corridor live`: calibration and settings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _MAGIC = b"\x89MCAP0\r\n"
 
 
 def attachments(path: Path) -> dict[str, str]:
-    """Text files attached before the first message of an MCAP file; none where it is no recording of ours."""
+    """Text files attached before the first message of an MCAP file; none if it is not such a recording."""
     if not path.is_file():
         return {}
     with path.open("rb") as file:
@@ -31,7 +31,7 @@ def attachments(path: Path) -> dict[str, str]:
                     break
                 if isinstance(record, Attachment):
                     found[record.name] = record.data.decode()
-        except Exception:  # of a torn or damaged file: who reads the messages tells of it
+        except Exception:  # of a truncated or damaged file, reported when its messages are read
             return {}
     return found if MARK in found else {}
 
@@ -42,7 +42,7 @@ def is_recording(path: Path) -> bool:
 
 
 def attached_camera(path: Path) -> Camera | None:
-    """Calibration that a recording was made with; None where it carries none."""
+    """Calibration of a recording; None if it has none."""
     text = attachments(path).get(CAMERA)
     if text is None:
         return None

@@ -1,8 +1,8 @@
 """ROS 1 bags, ROS 2 bags (sqlite3 or MCAP) and plain MCAP files, read with rosbags.
 
-Bodies x forward, y left, z up and worlds with z up (REP 103, REP 105) turn into FRD and z down. Times are those of
-the messages' headers, which say when a sample was taken, not when it was received; a topic whose headers are empty
-keeps the times of receipt, and says so.
+Bodies x forward, y left, z up and worlds with z up (REP 103, REP 105) are converted to FRD and z down. Times are
+those of the messages' headers, the times of measurement, not of receipt; a topic with empty headers keeps the times
+of receipt, which is reported.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from fusion.logs.rosbag.messages import (
     camera_from_info,
 )
 from fusion.logs.rosbag.pictures import GREY_16, BagPictures, describe, refusal
-from fusion.logs.rosbag.topics import Samples, gather, of_use
+from fusion.logs.rosbag.topics import Samples, gather, is_read
 from fusion.logs.samples import MIN_STEP_NS, Problems, WithProblems, counted
 from fusion.logs.series import (
     MAX_POSITION,
@@ -69,7 +69,7 @@ WORLDS = (
     "earth",
     "enu",
     "local_origin",
-)  # frames of a velocity that is not the body's
+)  # frames of velocities that are not along the body's axes
 
 
 _ACCESSORIES = {RosType.TRANSFORMS: "transforms", RosType.CAMERA_INFO: "calibrations"}
@@ -104,7 +104,7 @@ class RosLog(SeriesLog):
             )
 
     def frames(self, topic: str) -> WithProblems[FrameStream]:
-        """Pictures, decoded one at a time when asked for."""
+        """Pictures, decoded one at a time on request."""
         if topic not in self._pictures:
             raise no_such_topic(self.path, self.topics, Kind.FRAMES, topic)
         samples = self._pictures[topic]
@@ -122,7 +122,7 @@ class RosLog(SeriesLog):
         return WithProblems(FrameStream(samples.t_ns[index], source), problems)
 
     def camera(self, topic: str) -> Camera | None:
-        """Calibration from the CameraInfo beside these pictures; it looks straight ahead unless transforms tell."""
+        """Calibration from the CameraInfo beside these pictures; straight ahead unless transforms give the mount."""
         name = _info_of(topic, list(self._infos), list(self._pictures))
         if name is None:
             return attached_camera(self.path)
@@ -140,12 +140,12 @@ class RosLog(SeriesLog):
 
 
 def open_log(path: Path) -> LogContents:
-    """Go through a bag once, for the times of its topics and the numbers of the small ones.
+    """Read a bag once: the times of its topics, and the numbers of all but pictures.
 
     Raises
     ------
     InputError
-        Where rosbags is not installed, the bag cannot be read, or contains no topic that is of use.
+        If rosbags is not installed, the bag cannot be read, or contains no usable topic.
     """
     bag = Bag(path)
     try:
@@ -162,15 +162,15 @@ def _opened(bag: Bag) -> RosLog:
     series, left_out = _series(wire, [s for s in gathered.samples if s.kind not in PICTURES])
     problems += refused + left_out
     if not series and not pictures:
-        told = {c.msgtype for c in bag.connections if of_use(c)}
-        if told and told <= {RosType.TRANSFORMS, RosType.CAMERA_INFO}:
-            what = " and ".join(word for kind, word in _ACCESSORIES.items() if kind in told)
+        types = {c.msgtype for c in bag.connections if is_read(c)}
+        if types and types <= {RosType.TRANSFORMS, RosType.CAMERA_INFO}:
+            what = " and ".join(word for kind, word in _ACCESSORIES.items() if kind in types)
             raise InputError(
                 f"holds {what}, but no pictures and no IMU",
                 file=bag.path,
                 remedy="give the bag with the sensors' topics: sensor_msgs/Imu, and Image or CompressedImage",
             )
-        if told:
+        if types:
             raise InputError(
                 f"none of its messages can be read ({'; '.join(problems) or 'it contains none'})",
                 file=bag.path,
@@ -188,7 +188,7 @@ def _opened(bag: Bag) -> RosLog:
 def _pictures(
     bag: Bag, topics: Iterable[Samples]
 ) -> tuple[dict[str, Samples], dict[str, str], dict[str, str], Problems]:
-    """Picture topics that can be read, a note and the format of each, and why the others cannot."""
+    """Readable picture topics with note and format, and the reasons why others are not readable."""
     found: dict[str, Samples] = {}
     notes: dict[str, str] = {}
     formats: dict[str, str] = {}
@@ -217,7 +217,7 @@ def _pictures(
 def _video(
     path: Path, topic: str, packets: BagPictures, codec: str, count: int
 ) -> WithProblems[EncodedPictures]:
-    """Find the key frames of a video stream, from which its pictures are decoded."""
+    """Find the key frames of a video stream, where decoding starts."""
     keys = np.flatnonzero([is_key_frame(packets.packet(number), codec) for number in range(count)])
     if not len(keys):
         raise InputError(
@@ -233,7 +233,7 @@ def _video(
 
 
 def _series(wire: Wire, topics: list[Samples]) -> WithProblems[list[Series]]:
-    """Topics of numbers by kind, the one to prefer first."""
+    """Topics of numbers by kind, in the order of preference."""
     imus = [s for s in topics if s.kind in IMUS]
     inertial, problems = _inertial(imus)
     oriented = [s for s in imus if _any_quaternion(s.columns(0, 4))]
@@ -266,7 +266,7 @@ def _series(wire: Wire, topics: list[Samples]) -> WithProblems[list[Series]]:
 
 
 def _inertial(imus: list[Samples]) -> WithProblems[list[Series]]:
-    """IMUs, a gyroscope and an accelerometer with topics of their own taken together, as RealSense sends them."""
+    """IMUs; a gyroscope and an accelerometer in separate topics, as of RealSense, are joined."""
     with_gyro = [s for s in imus if is_measured(s.columns(4, 7)).any()]
     accels = [s for s in imus if s not in with_gyro and is_measured(s.columns(7, 10)).any()]
     lone = [s for s in with_gyro if not is_measured(s.columns(7, 10)).any()]
@@ -300,7 +300,7 @@ def _frame(wire: Wire, samples: Samples) -> str:
 
 
 def _any_quaternion(q: FloatArray) -> bool:
-    """Whether any of these (n, 4) is one: drivers without an attitude leave zeros."""
+    """Whether any of these (n, 4) is a quaternion: drivers without an attitude write zeros."""
     return bool((np.abs(np.linalg.norm(np.nan_to_num(q), axis=1) - 1.0) < 0.05).any())
 
 
@@ -328,7 +328,7 @@ def _velocity_columns(samples: Samples) -> FloatArray:
 
 
 def _read_velocity(samples: Samples) -> WithProblems[VectorStream]:
-    """Velocity of the body, as messages should carry it; some odometry carries the world's, which its pose shows."""
+    """Velocity along the body's axes, as defined; some odometry is along the world's, detected by its pose."""
     velocity = _velocity_columns(samples)
     if samples.kind is RosType.ODOMETRY:
         pose = samples.columns(0, 3), samples.columns(3, 7)
@@ -341,7 +341,7 @@ def _read_velocity(samples: Samples) -> WithProblems[VectorStream]:
 
 
 def _read_world_velocity(turning: Series, samples: Samples) -> WithProblems[VectorStream]:
-    attitude = turning.read().value  # its problems are reported where it is read itself
+    attitude = turning.read().value  # its problems are reported when it is read itself
     where = samples.where()
     return velocity_stream(samples.t_ns, _velocity_columns(samples), cast(AttitudeStream, attitude), where)
 
@@ -352,7 +352,7 @@ def _read_range(samples: Samples) -> WithProblems[RangeStream]:
 
 
 def _repeats(t_ns: TimeArray) -> npt.NDArray[np.int64]:
-    """How many samples of the same time come before each (n,), of times in order."""
+    """Count earlier samples of the same time (n,), for sorted times."""
     starts = np.concatenate([[True], np.diff(t_ns) != 0])
     number = np.arange(len(t_ns))
     return np.asarray(number - np.maximum.accumulate(np.where(starts, number, 0)))

@@ -1,6 +1,6 @@
 """Pictures of a video stream in a bag: each ``CompressedImage`` holds one packet of H.264 or H.265, decoded by PyAV.
 
-A picture that is predicted from others needs them first: decoding begins at the key frame before it.
+A predicted picture needs others: decoding begins at the key frame before it.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
     from av.video.codeccontext import VideoCodecContext
 
 CODECS = {"h264": "h264", "h.264": "h264", "avc": "h264", "h265": "hevc", "h.265": "hevc", "hevc": "hevc"}
-AHEAD = 16  # packets that a decoder may hold back before it gives the first picture
+AHEAD = 16  # packets that a decoder may buffer before it returns the first picture
 _EXTRA = "pip install 'corridor-fusion[video]'"
 
 ReadPacket = Callable[[int], bytes]
 
 
 def codec_of(form: str) -> str | None:
-    """Return the codec that a ``CompressedImage.format`` names; None where it names none of a video."""
+    """Return the video codec that a ``CompressedImage.format`` names; None if it names none."""
     return CODECS.get(form.strip().lower().partition(";")[0])
 
 
 def is_key_frame(packet: bytes, codec: str) -> bool:
-    """Whether a packet (Annex B) decodes without others: it contains an IDR picture, or parameter sets before one."""
+    """Whether a packet (Annex B) is a key frame: it contains an IDR picture, or parameter sets before one."""
     at = packet.find(b"\x00\x00\x01")
     while 0 <= at < len(packet) - 3:
         kind = packet[at + 3] & 0x1F if codec == "h264" else packet[at + 3] >> 1 & 0x3F
@@ -63,7 +63,7 @@ class EncodedPictures:
         self._lock = threading.Lock()
         self._context: VideoCodecContext | None = None
         self._fed = 0  # number of the next packet to be fed
-        self._ready: dict[int, GreyImage] = {}  # decoded and not asked for yet
+        self._ready: dict[int, GreyImage] = {}  # decoded, not yet requested
 
     def __reduce__(self) -> tuple[Any, ...]:
         return EncodedPictures, (self.codec, self._read_packet, self.keys, self.count)
@@ -74,7 +74,7 @@ class EncodedPictures:
         Raises
         ------
         InputError
-            Where it does not decode, or what it is predicted from.
+            If it, or a picture that it is predicted from, cannot be decoded.
         """
         with self._lock:
             return self._read(index)
@@ -111,11 +111,11 @@ class EncodedPictures:
         packet: Packet[Any] = Packet(self._read_packet(self._fed))
         packet.pts = self._fed
         self._fed += 1
-        with suppress(FFmpegError):  # the picture is missed when it is asked for
+        with suppress(FFmpegError):  # reported when the picture is requested
             self._keep(self._context.decode(packet))
 
     def _feed_end(self) -> None:
-        """Let the decoder give what it held back; it takes nothing more then."""
+        """Flush the decoder's buffered pictures; it accepts no more packets."""
         from av.error import FFmpegError
 
         if self._context is None or self._fed < self.count:
@@ -131,7 +131,7 @@ class EncodedPictures:
 
 
 def refusal_of(codec: str) -> str | None:
-    """Return why pictures of a codec cannot be decoded; None where they can."""
+    """Return the reason why pictures of a codec cannot be decoded; None if they can."""
     try:
         import av  # noqa: F401
     except ImportError:

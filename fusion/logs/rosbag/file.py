@@ -1,7 +1,7 @@
-"""Bags as files: ROS 1, ROS 2 (sqlite3 or MCAP, alone or in a folder), opened with rosbags, whole or torn.
+"""Bags as files: ROS 1, ROS 2 (sqlite3 or MCAP, alone or in a folder), opened with rosbags, complete or truncated.
 
-A recorder that lost power leaves a bag without its index. rosbags refuses it; here the index is rebuilt in
-memory from what is there.
+After a power loss, a bag has no index. rosbags rejects it; here the index is rebuilt in memory from the complete
+messages.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ ROS1_MAGIC = b"#ROSBAG V"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 SQLITE_MAGIC = b"SQLite format 3\x00"
 METADATA = "metadata.yaml"
-_SUFFIXES = (".db3", ".db3-wal", ".db3-shm", ".mcap", ".yaml")  # of what a recorder leaves in its folder
+_SUFFIXES = (".db3", ".db3-wal", ".db3-shm", ".mcap", ".yaml")  # of a recorder's files in its folder
 METADATA_KEY = "rosbag2_bagfile_information"
 
 FIRST_SKIP_NS = 1_000_000
 MAX_SKIPS = 200
 
-Message = tuple["Connection", int, bytes]  # what, when it was received, its bytes
+Message = tuple["Connection", int, bytes]  # connection, time of receipt, bytes
 
 
 class Reader(Protocol):
-    """What the readers of rosbags have in common."""
+    """Common interface of the readers of rosbags."""
 
     connections: list[Connection]
 
@@ -57,14 +57,14 @@ def magic_of(path: Path) -> bytes:
         return file.read(16)
 
 
-def storages_in(folder: Path) -> list[Path]:
+def bag_files_in(folder: Path) -> list[Path]:
     """Bag files of ROS 2 in a folder, by their first bytes."""
     files = [path for path in sorted(folder.iterdir()) if path.suffix in (".db3", ".mcap") and path.is_file()]
     return [path for path in files if magic_of(path).startswith((MCAP_MAGIC, SQLITE_MAGIC))]
 
 
 def recognises(path: Path) -> bool:
-    """Whether a file begins as a bag does, or a folder contains one of ROS 2."""
+    """Whether a file begins like a bag, or a folder contains one of ROS 2."""
     if path.is_file():
         return magic_of(path).startswith((ROS1_MAGIC, MCAP_MAGIC, SQLITE_MAGIC))
     if not path.is_dir():
@@ -73,7 +73,7 @@ def recognises(path: Path) -> bool:
     if metadata.is_file() and METADATA_KEY in "".join(read_head(metadata)):
         return True
     only_bags = all(child.suffix in _SUFFIXES for child in path.iterdir())
-    return only_bags and bool(storages_in(path))
+    return only_bags and bool(bag_files_in(path))
 
 
 class Bag:
@@ -87,7 +87,7 @@ class Bag:
     Raises
     ------
     InputError
-        Where rosbags is not installed or the file cannot be read.
+        If rosbags is not installed or the file cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -106,7 +106,7 @@ class Bag:
             self._check_format()
         except InputError as error:
             raise InputError(error.problem, file=error.file or path, remedy=error.remedy) from error
-        except Exception as error:  # rosbags lets anything through that a damaged file makes it do
+        except Exception as error:  # rosbags raises any exception on damaged files
             raise InputError(
                 f"cannot be opened: {one_line(error, path)}",
                 file=path,
@@ -139,8 +139,8 @@ class Bag:
             self._reader = self._open_ros1(path)
 
     def _check_format(self) -> None:
-        told = {str(getattr(c.ext, "serialization_format", "cdr")) for c in self.connections}
-        other = ", ".join(sorted(told - {"cdr", ""}))
+        formats = {str(getattr(c.ext, "serialization_format", "cdr")) for c in self.connections}
+        other = ", ".join(sorted(formats - {"cdr", ""}))
         if self.ros2 and other:
             raise InputError(
                 f"its messages are serialized as {other}, not as cdr, which ROS 2 writes",
@@ -149,7 +149,7 @@ class Bag:
             )
 
     def _only_storage(self, folder: Path) -> Path:
-        storages = storages_in(folder)
+        storages = bag_files_in(folder)
         if len(storages) != 1:
             raise InputError(
                 f"has {len(storages)} bag files and no {METADATA}",
@@ -201,33 +201,33 @@ class Bag:
 
     @property
     def connections(self) -> list[Connection]:
-        """What was recorded."""
+        """The recorded topics."""
         return self._reader.connections
 
     def messages(self, connections: Collection[Connection], start_ns: int | None = None) -> Iterator[Message]:
-        """Messages in the order of receipt, from a time on; damage raises what rosbags raises."""
+        """Messages in the order of receipt, from a given time; damage raises the errors of rosbags."""
         for connection, t_ns, raw in self._reader.messages(list(connections), start=start_ns):
             yield connection, t_ns, bytes(raw)
 
     def decode(self, msgtype: str, raw: bytes) -> Any:
-        """Take a message apart with rosbags.
+        """Decode a message with rosbags.
 
         Raises
         ------
         InputError
-            Where it does not decode.
+            If it cannot be decoded.
         """
         store = _STORES.get(self.ros2) or _STORES.setdefault(self.ros2, _typestore(self.ros2))
         try:
             if self.ros2:
                 return store.deserialize_cdr(raw, msgtype)
             return store.deserialize_ros1(raw, msgtype)
-        except Exception as error:  # rosbags lets anything through that damaged bytes make it do
+        except Exception as error:  # rosbags raises any exception on damaged bytes
             raise InputError(f"message does not decode: {one_line(error)}", file=self.path) from error
 
     def start_ns(self) -> int:
-        """When the first message was received, by the index; 0 where that cannot be."""
-        # The readers of rosbags have it in either of two places, and damaged ones in neither.
+        """Receipt of the first message, by the index; 0 if implausible."""
+        # The readers of rosbags have it in one of two places, those of damaged bags in neither.
         start = getattr(self._reader, "start_time", None)
         metadata = getattr(self._reader, "metadata", None)
         if start is None and metadata is not None:
@@ -235,8 +235,8 @@ class Bag:
         return 0 if start is None or start >= 2**62 else int(start)
 
     def close(self) -> None:
-        """Close the file; what was read of it stays."""
-        with suppress(Exception):  # a damaged file may not even close
+        """Close the file; values already read stay valid."""
+        with suppress(Exception):  # closing a damaged file may fail
             self._reader.close()
 
 
@@ -259,9 +259,9 @@ class SkippingMessages:
                     yield connection, t_ns, raw
                     at_ns, skip_ns = t_ns + 1, FIRST_SKIP_NS
                 break
-            except InputError as error:  # a bound, not damage
+            except InputError as error:  # a limit, not damage
                 raise InputError(error.problem, file=self._bag.path, remedy=error.remedy) from error
-            except Exception as error:  # rosbags lets anything through that damage makes it do
+            except Exception as error:  # rosbags raises any exception on damaged bytes
                 skips += 1
                 at_ns = self._bag.start_ns() if at_ns is None else at_ns
                 first_ns = at_ns if first_ns is None else first_ns
@@ -291,7 +291,7 @@ _STORES: dict[bool, Any] = {}  # building one takes a tenth of a second
 
 
 def one_line(error: Exception, path: Path | None = None) -> str:
-    """Return what an exception of rosbags says, fit for a message that names the path already."""
+    """Return the text of an exception of rosbags, without the path."""
     text = " ".join(str(error).split())
     if path is not None:
         text = text.replace(f"{path}: ", "").replace(str(path), path.name)

@@ -1,7 +1,7 @@
-"""How a robot's sensors are mounted, by the static transforms in its bag (``/tf_static``, REP 105).
+"""Mounting of a robot's sensors, by the static transforms in its bag (``/tf_static``, REP 105).
 
-A transform of ROS takes coordinates of the child to the parent. Axes are those of ROS, body x forward, y left, z up,
-until they are asked for: `Mount` is in FRD.
+A transform of ROS maps coordinates of the child to the parent. Axes are those of ROS, body x forward, y left, z up;
+only `Mount` is in FRD.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from fusion.flight import FloatArray
 from vision.cameras.calibration import to_frd
 
 R_FRD_FLU: FloatArray = to_frd("flu")
-# For samples in an optical frame (x right, y down, z forward) that were turned as if in x forward, y left, z up.
+# For samples in an optical frame (x right, y down, z forward) that were converted as x forward, y left, z up.
 OPTICAL_AS_FLU: FloatArray = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]) @ R_FRD_FLU.T
 TOPICS = ("/tf_static", "tf_static")
 BODIES = ("base_link", "base_footprint", "base", "body")  # last part of the name of a vehicle's own axes
-DEEPEST = 50  # more transforms in a row go in a circle
-MIN_LENGTH = 0.5  # of a quaternion that is one
+DEEPEST = 50  # a longer chain of transforms is a cycle
+MIN_LENGTH = 0.5  # of a valid quaternion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mount:
-    """A sensor on the body.
+    """Pose of a sensor on the body.
 
     Parameters
     ----------
     R_body_sensor
-        Rotation (3, 3) from the sensor's axes, as they are, to the body FRD.
+        Rotation (3, 3) from the sensor's own axes to the body FRD.
     p_body_sensor_m
-        Its place (3,) in the body FRD.
+        Its position (3,) in the body FRD.
     body
-        What the bag calls the body.
+        Name of the body's frame in the bag.
     """
 
     R_body_sensor: FloatArray
@@ -43,18 +43,18 @@ class Mount:
     body: str
 
     def of_flu_sensor(self) -> FloatArray:
-        """Rotation (3, 3) to the body FRD for samples that were turned as if the sensor stood like the body."""
+        """Rotation (3, 3) to the body FRD for samples that were converted as if in the body's axes."""
         return self.R_body_sensor @ R_FRD_FLU.T
 
 
 @dataclass(slots=True, eq=False)
 class StaticFrames:
-    """Static transforms: each frame's parent, and rotation (3, 3) and place (3,) in it."""
+    """Static transforms: each frame's parent, and its rotation (3, 3) and position (3,) in it."""
 
     parents: dict[str, tuple[str, FloatArray, FloatArray]] = field(default_factory=dict)
 
     def add(self, transforms: Iterable[Any]) -> None:
-        """Add a message's transforms; those that are no rotations are left out."""
+        """Add a message's transforms, without invalid rotations."""
         for stamped in transforms:
             shift, turn = stamped.transform.translation, stamped.transform.rotation
             p = np.array([shift.x, shift.y, shift.z], dtype=float)
@@ -65,7 +65,7 @@ class StaticFrames:
                 self.parents[child] = (parent, _matrix(q / length), p)
 
     def mount(self, frame_id: str) -> Mount | None:
-        """Where a frame is on the body; None where the transforms do not lead from one to the other."""
+        """Pose of a frame on the body; None if no chain of transforms connects them."""
         R, p, frame = np.eye(3), np.zeros(3), name_of(frame_id)
         for _ in range(DEEPEST):
             if frame.rsplit("/", 1)[-1] in BODIES:
@@ -78,7 +78,7 @@ class StaticFrames:
 
 
 def is_optical(frame_id: str) -> bool:
-    """Whether axes are those of pictures by their name (REP 103): x right, y down, z forward."""
+    """Whether a frame is optical by its name (REP 103): x right, y down, z forward."""
     return name_of(frame_id).removesuffix("_frame").endswith("_optical")
 
 

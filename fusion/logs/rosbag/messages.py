@@ -1,7 +1,8 @@
 """ROS messages as numbers: stamps, inertial samples, poses, velocities, calibrations; from REP 103 and 105 to FRD.
 
-ROS has bodies x forward, y left, z up and worlds with z up; both turn half round about x. Only message types of fixed
-layout are unpacked here, without rosbags, because a flight has millions of them; pictures are left to rosbags.
+ROS has bodies x forward, y left, z up and worlds with z up; both are rotated by half a turn about x. Only message
+types of fixed layout are decoded here, without rosbags, because a flight has millions of them; rosbags decodes
+pictures.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from vision.cameras.camera import Distortion
 from vision.cameras.lens_check import refuse_fisheye_numbers
 
 HALF_TURN_X = (1.0, -1.0, -1.0)
-NO_DATA = -1.0  # first covariance of a part that a message does not carry, sensor_msgs/Imu
+NO_DATA = -1.0  # first covariance of a missing part of sensor_msgs/Imu
 
 _NAN3 = (nan, nan, nan)
 _NAN4 = (nan, nan, nan, nan)
@@ -48,7 +49,7 @@ IMUS = (RosType.IMU, RosType.PX4_COMBINED)
 PX4 = (RosType.PX4_COMBINED, RosType.PX4_ATTITUDE)  # microseconds and no header; FRD and NED
 TWISTS = (RosType.ODOMETRY, RosType.TWIST, RosType.TWIST_COVARIANCE)
 
-# How many strings stand between the stamp and the numbers, and how many numbers follow.
+# Number of strings between the stamp and the numbers, and of the numbers.
 _LAYOUT = {
     RosType.IMU: (1, 37),
     RosType.ODOMETRY: (2, 85),
@@ -66,18 +67,18 @@ WIDTH = {
     RosType.TWIST_COVARIANCE: 3,
     RosType.PX4_COMBINED: 10,
     RosType.PX4_ATTITUDE: 4,
-    RosType.RANGE: 3,  # distance, least and greatest that can be measured
+    RosType.RANGE: 3,  # distance, smallest and largest measurable
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """How a bag writes numbers.
+    """Encoding of a bag's numbers.
 
     Parameters
     ----------
     ros2
-        CDR, which aligns numbers and begins with 4 bytes that tell the byte order; else ROS 1, packed, with a
+        CDR, which aligns numbers and begins with 4 bytes with the byte order; else ROS 1, packed, with a
         sequence number before the stamp.
     """
 
@@ -88,7 +89,7 @@ class Wire:
         return ">" if self.ros2 and raw[1] == 0 else "<"
 
     def stamp_ns(self, raw: bytes, kind: RosType) -> int:
-        """Time of a message's header; `struct.error` where it has none, -1 where it is damaged."""
+        """Time of a message's header; `struct.error` if it has none, -1 if it is damaged."""
         if kind in PX4:
             logged_us, sampled_us = struct.unpack_from(self.order(raw) + "2Q", raw, 4)
             return int(sampled_us if kind is RosType.PX4_ATTITUDE and sampled_us else logged_us) * 1000
@@ -96,7 +97,7 @@ class Wire:
         return int(seconds) * 1_000_000_000 + int(nanoseconds) if nanoseconds < 1_000_000_000 else -1
 
     def strings(self, raw: bytes, n: int) -> tuple[list[str], int]:
-        """Read the ``n`` strings after the stamp, and tell where the numbers after them begin."""
+        """Read the ``n`` strings after the stamp; return them and the position of the numbers."""
         at, order = 12, self.order(raw)
         found = []
         for _ in range(n):
@@ -107,11 +108,11 @@ class Wire:
             found.append(raw[at : at + length].rstrip(b"\0").decode(errors="replace"))
             at += length
         if self.ros2:
-            at += (4 - at) % 8  # alignment counts from after the first 4 bytes
+            at += (4 - at) % 8  # alignment is relative to the end of the first 4 bytes
         return found, at
 
     def numbers(self, raw: bytes, kind: RosType) -> Sequence[float]:
-        """Read the numbers of a message of fixed layout, of double precision but for distances."""
+        """Read the numbers of a message of fixed layout, in double precision except distances."""
         if kind is RosType.RANGE:
             return self._range(raw)
         if kind is RosType.PX4_COMBINED:
@@ -123,7 +124,7 @@ class Wire:
         return struct.unpack_from(f"{self.order(raw)}{count}d", raw, at)
 
     def _range(self, raw: bytes) -> Sequence[float]:
-        """Field of view, least and greatest distance, and distance; a byte before them tells the kind of sensor."""
+        """Field of view, smallest and largest distance, and distance, after a byte with the kind of sensor."""
         order = self.order(raw)
         (length,) = struct.unpack_from(order + "I", raw, 12)
         at = 16 + int(length) + 1
@@ -132,12 +133,12 @@ class Wire:
         return struct.unpack_from(order + "4f", raw, at)
 
     def frame_id(self, raw: bytes) -> str:
-        """Name of the axes that a message refers to."""
+        """Frame of a message."""
         return self.strings(raw, 1)[0][0]
 
 
 def row(kind: RosType, v: Sequence[float]) -> tuple[float, ...]:
-    """Turn a message's numbers into those wanted, `WIDTH` of them, in FRD and a world with z down."""
+    """Convert a message's numbers to `WIDTH` values in FRD and a world with z down."""
     if kind is RosType.IMU:
         q = _quaternion(v[0:4]) if v[4] != NO_DATA else _NAN4
         gyro = _turned(v[13:16]) if v[16] != NO_DATA else _NAN3
@@ -159,7 +160,7 @@ def _turned(v: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _quaternion(q: Sequence[float]) -> tuple[float, float, float, float]:
-    """Quaternion w x y z of one x y z w, where body and world both turn half round about x."""
+    """Quaternion w x y z from x y z w, with body and world both rotated by half a turn about x."""
     return q[3], q[0], -q[1], -q[2]
 
 
@@ -180,23 +181,23 @@ def camera_from_info(
     Parameters
     ----------
     info
-        The message as rosbags gives it; ROS 1 writes ``K``, ROS 2 ``k``.
+        The message as decoded by rosbags; ROS 1 writes ``K``, ROS 2 ``k``.
     topic
         Its topic, for messages.
     rectified
-        Whether the pictures were rectified: then the projection ``P`` counts and nothing is distorted.
+        Whether the pictures are rectified: then the projection ``P`` is used, without distortion.
     mount
-        Where it is on the body; straight ahead by default, for the message does not tell.
+        Its pose on the body, which the message does not contain; straight ahead by default.
 
     Returns
     -------
     Camera or None
-        None where the driver says that it was never calibrated (all zero).
+        None if the camera is not calibrated (all zero).
 
     Raises
     ------
     InputError
-        For a lens model that is not known, or numbers that are no camera's.
+        If the lens model is unknown or the numbers are not those of a camera.
     """
 
     def numbers(name: str) -> list[float]:
@@ -239,7 +240,7 @@ def _distortion(name: str, D: list[float], topic: str) -> tuple[Distortion, list
     model = _DISTORTIONS[name]
     if (
         model is Distortion.EQUIDISTANT and len(D) == 5 and D[4] == 0.0
-    ):  # drivers fill all five of RealSense's
+    ):  # RealSense drivers always fill all five
         D = D[:4]
     if model is Distortion.RADTAN and len(D) > 8 and not any(D[8:]):  # thin prism and tilt, unused
         D = D[:8]

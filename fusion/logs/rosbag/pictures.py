@@ -17,11 +17,11 @@ from fusion.logs.rosbag.messages import PICTURES, RosType
 from vision import InputError
 from vision.images import GreyImage, decode_grey, decode_image, to_grey
 
-DEPTHS = (10, 12, 14)  # of sensors whose pictures are stored in 16 bits, the lowest of them used
+DEPTHS = (10, 12, 14)  # of sensors whose pictures use the lowest of 16 bits
 DEPTH_SAMPLES = 5
 _PICTURE_TYPES = frozenset(kind.value for kind in PICTURES)
 MAX_SIDE_PX = 1 << 15
-FORWARD_NS = 2_000_000_000  # farther ahead it is cheaper to look the time up than to read on
+FORWARD_NS = 2_000_000_000  # beyond it, seeking is cheaper than reading on
 
 # Encodings of sensor_msgs/Image: channels and bytes of each.
 _PLAIN = {
@@ -41,7 +41,7 @@ _YUV422 = {
     "yuv422_yuy2": 0,
     "yuyv": 0,
     "YUYV": 0,
-}  # where brightness stands
+}  # position of the brightness
 _BAYER_16 = {name.replace("8", "16"): code for name, code in _BAYER.items()}
 GREY_16 = ("mono16", "16UC1", *_BAYER_16)
 _PLANAR = ("nv12", "nv21", "nv24")  # brightness first
@@ -58,11 +58,11 @@ class BagPictures:
     topic
         Its topic.
     received_ns
-        When each message was received (n,): where in the bag it stands.
+        Receipt of each message (n,), its position in the bag.
     repeat
-        How many messages of the topic with that very time come before it (n,).
+        Number of earlier messages of the topic with the same time (n,).
     depth_bits
-        How many bits of 16 a sensor fills: the rest of the range is never used.
+        Number of the 16 bits that the sensor uses.
     """
 
     def __init__(
@@ -75,10 +75,10 @@ class BagPictures:
     ) -> None:
         self.path, self.topic, self.depth_bits = path, topic, depth_bits
         self.received_ns, self.repeat = received_ns, repeat
-        self._lock = threading.Lock()  # a bag is read at one place at a time
+        self._lock = threading.Lock()  # a bag has only one read position
         self._bag: Bag | None = None
         self._messages: Iterator[Message] | None = None
-        self._at = (-1, 0)  # time and number of the message last read
+        self._at = (-1, 0)  # time and number of the last message read
 
     def __reduce__(self) -> tuple[Any, ...]:
         return BagPictures, (self.path, self.topic, self.received_ns, self.repeat, self.depth_bits)
@@ -98,7 +98,7 @@ class BagPictures:
             return bytes(self._message(index).data)
 
     def used_bits(self) -> int:
-        """Find how many bits of 16 the pictures fill, from a few of them; 16 for pictures of 8 bits."""
+        """Estimate how many of 16 bits the pictures use, from a few of them; 16 for pictures of 8 bits."""
         bits = 0
         for index in np.unique(np.linspace(0, len(self.received_ns) - 1, DEPTH_SAMPLES).astype(int)).tolist():
             with suppress(InputError):
@@ -114,7 +114,7 @@ class BagPictures:
             message = self._find(wanted)
         except InputError:
             raise
-        except Exception as error:  # rosbags lets anything through that a damaged file makes it do
+        except Exception as error:  # rosbags raises any exception on damaged files
             self._messages = None
             raise self._unreadable(f"picture cannot be read: {one_line(error)}", wanted[0]) from error
         if message is None:
@@ -154,14 +154,14 @@ class BagPictures:
 
 
 def describe(message: Any, kind: str) -> str:
-    """Size and encoding of a picture, for people."""
+    """Size and encoding of a picture, in words."""
     if kind == RosType.COMPRESSED:
         return f"compressed, {message.format}"
     return f"{message.width}x{message.height} {message.encoding}"
 
 
 def refusal(message: Any, kind: str) -> str | None:
-    """Why pictures like this one cannot be read; None where they can."""
+    """Reason why pictures like this one cannot be read; None if they can."""
     if kind == RosType.COMPRESSED:
         codec = codec_of(message.format)
         if codec is not None:
@@ -171,12 +171,12 @@ def refusal(message: Any, kind: str) -> str | None:
 
 
 def grey(message: Any, depth_bits: int = 16) -> GreyImage:
-    """Turn an Image or a CompressedImage into grey uint8 (h, w); of 16 bits, the highest 8 of those used.
+    """Convert an Image or CompressedImage to grey uint8 (h, w); from 16 bits, the highest 8 of those used.
 
     Raises
     ------
     InputError
-        Where it does not decode, or its encoding is not known.
+        If it cannot be decoded, or its encoding is unknown.
     """
     words = _words(message)
     if words is not None:
@@ -197,7 +197,7 @@ def grey(message: Any, depth_bits: int = 16) -> GreyImage:
         return to_grey(pixels[:, _YUV422[encoding] :: 2])
     if encoding in _BAYER:
         return _without_colours(pixels, encoding)
-    if depth == 2:  # in colours
+    if depth == 2:  # colour
         words = np.ascontiguousarray(pixels).view(">u2" if message.is_bigendian else "<u2")
         pixels = (words >> 8).astype(np.uint8)
     shaped = pixels.reshape(height, width, channels)
@@ -207,7 +207,7 @@ def grey(message: Any, depth_bits: int = 16) -> GreyImage:
 
 
 def _without_colours(pixels: GreyImage, encoding: str) -> GreyImage:
-    """Brightness (h, w) behind a mosaic of colour filters; other pictures as they are."""
+    """Brightness (h, w) from a Bayer mosaic; other pictures unchanged."""
     if encoding not in _BAYER:
         return pixels
     import cv2
@@ -231,7 +231,7 @@ def _words(message: Any) -> npt.NDArray[np.uint16] | None:
 
 
 def _rows(data: npt.NDArray[np.uint8], width: int, height: int, step: int, used: int) -> GreyImage:
-    """Rows (h, used) of bytes, without what pads them."""
+    """Rows (h, used) of bytes, without padding."""
     if not (0 < width <= MAX_SIDE_PX and 0 < height <= MAX_SIDE_PX and step >= used):
         raise InputError(f"picture has the size {width}x{height} and rows of {step} bytes, which cannot be")
     if data.size < step * height:

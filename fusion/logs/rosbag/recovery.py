@@ -1,4 +1,4 @@
-"""Recovery of bags whose recorder lost power, so that they lack an index or an end: whole messages are found, sorted.
+"""Recovery of truncated bags without an index or an end: complete messages are found and sorted.
 
 Formats: http://wiki.ros.org/Bags/Format/2.0 and https://mcap.dev/spec
 """
@@ -24,7 +24,7 @@ _MAX_HEADER = 1 << 16
 
 
 class _Record(NamedTuple):
-    """A record of a ROS 1 bag: its header's fields, and where its data stand."""
+    """A record of a ROS 1 bag: its header's fields, and the position of its data."""
 
     fields: dict[bytes, bytes]
     start: int
@@ -32,12 +32,12 @@ class _Record(NamedTuple):
 
     @property
     def op(self) -> int:
-        """What kind of record it is; 0 where it does not say."""
+        """Kind of the record; 0 if missing."""
         return int.from_bytes(self.fields.get(b"op", b"\0"), "little")
 
 
 class _Entry(NamedTuple):
-    """A message: when it was received, its connection, its chunk, and its first and last byte there."""
+    """A message: time of receipt, connection, chunk, and its first and last byte in the chunk."""
 
     t_ns: int
     connection: int
@@ -60,11 +60,11 @@ class UnindexedRos1:
 
     @property
     def start_time(self) -> int:
-        """When the first message was received."""
+        """Receipt of the first message."""
         return self._entries[0].t_ns if self._entries else 0
 
     def open(self) -> None:
-        """Find every whole message."""
+        """Find all complete messages."""
         self._bio = self.path.open("rb")
         size = self.path.stat().st_size
         self._bio.readline()
@@ -106,14 +106,14 @@ class UnindexedRos1:
         return self._cached[1]
 
     def _index_chunk(self, number: int) -> bool:
-        """Note a chunk's messages; False where it is damaged or does not end as it should."""
+        """Index a chunk's messages; False if it is damaged or truncated."""
         from io import BytesIO
 
         try:
             content = self._content(number)
-        except InputError:  # a bound, not damage
+        except InputError:  # a limit, not damage
             raise
-        except Exception:  # of any decompressor
+        except Exception:  # any decompressor's error
             return False
         bio, at = BytesIO(content), 0
         while (record := _record_at(bio, at, len(content))) is not None:
@@ -157,7 +157,7 @@ class UnindexedRos1:
 
 
 def _record_at(bio: BinaryIO, at: int, size: int) -> _Record | None:
-    """Read a record's header; None at the end, or where there is no record."""
+    """Read a record's header; None at the end, or if there is no record."""
     bio.seek(at)
     raw = bio.read(4)
     length = int.from_bytes(raw, "little")
@@ -192,12 +192,12 @@ def _decompressed(data: bytes, compression: str) -> bytes:
 
 
 def index_mcap(reader: Any) -> str:
-    """Open a `rosbags` MCAP reader on a file without summary, as far as its records are whole; say what is lost.
+    """Open a `rosbags` MCAP reader on a file without summary, up to the last complete record; report the loss.
 
     Raises
     ------
     InputError
-        Where no chunk and no message is whole.
+        If no chunk and no message is complete.
     """
     from rosbags.rosbag2.storage_mcap import ChunkInfo
 
@@ -233,7 +233,7 @@ def index_mcap(reader: Any) -> str:
 
 
 def _mcap_record_end(bio: BinaryIO, at: int, size: int) -> tuple[int, int] | None:
-    """Kind and end of a record, or None where no whole one stands."""
+    """Kind and end of a record, or None if it is not complete."""
     bio.seek(at)
     head = bio.read(9)
     if len(head) < 9 or not 1 <= head[0] <= _MCAP_LAST:
@@ -243,7 +243,7 @@ def _mcap_record_end(bio: BinaryIO, at: int, size: int) -> tuple[int, int] | Non
 
 
 def _mcap_chunk(bio: BinaryIO, start: int, end: int) -> tuple[tuple[int, int], str, int, int] | None:
-    """First and last time, compression, packed and unpacked size of a chunk that unpacks; else None."""
+    """First and last time, compression, packed and unpacked size of an intact chunk; else None."""
     from rosbags.rosbag2.storage_mcap import decompress
 
     bio.seek(start)
@@ -253,6 +253,6 @@ def _mcap_chunk(bio: BinaryIO, start: int, end: int) -> tuple[tuple[int, int], s
         compression = content[32 : 32 + length].decode()
         (packed,) = struct.unpack_from("<Q", content, 32 + length)
         decompress(content[40 + length : 40 + length + packed], compression, unpacked, crc)
-    except Exception:  # of any decompressor
+    except Exception:  # any decompressor's error
         return None
     return (first, last), compression, packed, unpacked

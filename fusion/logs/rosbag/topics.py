@@ -28,13 +28,13 @@ WANTED = frozenset(kind.value for kind in RosType)
 LOOKS_DOWN, LOOKS_ELSEWHERE = "looks down by /tf_static", "does not look down by /tf_static"
 MIN_DOWN = 0.94  # of the beam along the body's z: within 20 degrees
 T = TypeVar("T")
-LATE_NS = 1_000_000_000  # between a header and its receipt; more is told
-OTHER_CLOCK_NS = 60_000_000_000  # no message is that late: its header is of another clock
+LATE_NS = 1_000_000_000  # between a header's time and receipt; more is reported
+OTHER_CLOCK_NS = 60_000_000_000  # a larger delay means that the header is of another clock
 
 
 @dataclass(slots=True, eq=False)
 class _Messages:
-    """What one pass through the bag finds of a topic."""
+    """Samples of a topic, from one pass through the bag."""
 
     name: str
     kind: RosType
@@ -45,7 +45,7 @@ class _Messages:
     broken: int = 0
 
     def take(self, wire: Wire, received_ns: int, raw: bytes) -> None:
-        """Note a message; one that is damaged is counted."""
+        """Add a message; damaged ones are counted."""
         try:
             stamp_ns = wire.stamp_ns(raw, self.kind)
             values = row(self.kind, wire.numbers(raw, self.kind)) if self.kind in WIDTH else ()
@@ -81,26 +81,26 @@ class Samples:
         return self.values[:, start:end]
 
     def where(self) -> Where:
-        """Return what to call it in messages."""
+        """Return its name for messages."""
         return Where(self.file, self.name)
 
     def with_remarks(self, read: WithProblems[T]) -> WithProblems[T]:
-        """Put what was noticed while going through the bag before what was found on reading."""
+        """Return the problems of the pass through the bag, followed by those of reading."""
         return WithProblems(read.value, self.remarks + read.problems)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gathered:
-    """What one pass through a bag finds.
+    """Result of one pass through a bag.
 
     Parameters
     ----------
     samples
-        Every topic of use.
+        All usable topics.
     infos
-        The first CameraInfo of each topic of them.
+        The first CameraInfo of each topic of this type.
     frames
-        How the sensors are mounted.
+        Mounting of the sensors.
     """
 
     samples: tuple[Samples, ...]
@@ -109,9 +109,9 @@ class Gathered:
 
 
 def gather(bag: Bag, wire: Wire) -> WithProblems[Gathered]:
-    """Go through a bag once."""
+    """Read a bag in one pass."""
     found: dict[tuple[str, str], _Messages] = {}
-    connections = [connection for connection in bag.connections if of_use(connection)]
+    connections = [connection for connection in bag.connections if is_read(connection)]
     infos: dict[str, bytes] = {}
     frames = StaticFrames()
     read: Counter[str] = Counter()
@@ -121,7 +121,7 @@ def gather(bag: Bag, wire: Wire) -> WithProblems[Gathered]:
         if connection.msgtype == RosType.CAMERA_INFO:
             infos.setdefault(connection.topic, raw)
         elif connection.msgtype == RosType.TRANSFORMS:
-            with suppress(InputError):  # a damaged one is one that is not there
+            with suppress(InputError):  # a damaged message is treated as missing
                 frames.add(bag.decode(connection.msgtype, raw).transforms)
         else:
             key = (connection.topic, connection.msgtype)
@@ -136,15 +136,15 @@ def gather(bag: Bag, wire: Wire) -> WithProblems[Gathered]:
                 f"{topic}: {read[topic]} of {counted(promised, 'message')} in the index can be read",
             )
     gathered = sorted((topic for topic in found.values() if topic.stamps_ns), key=lambda topic: topic.name)
-    samples = [_turned_into_body(_put_right(bag, topic), wire, frames) for topic in gathered]
+    samples = [_turned_into_body(_with_chosen_clock(bag, topic), wire, frames) for topic in gathered]
     elsewhere = [s for s in samples if s.kind is RosType.RANGE and s.axes == LOOKS_ELSEWHERE]
     problems += tuple(f"{s.name}: {LOOKS_ELSEWHERE}, left out" for s in elsewhere)
     kept = _on_one_clock([s for s in samples if s not in elsewhere])
     return WithProblems(Gathered(kept, infos, frames), problems)
 
 
-def _put_right(bag: Bag, found: _Messages) -> Samples:
-    """Choose a topic's clock: its headers, or where these are empty, the receipt."""
+def _with_chosen_clock(bag: Bag, found: _Messages) -> Samples:
+    """Choose a topic's clock: its headers or, if these are empty, the receipt."""
     stamps_ns = np.array(found.stamps_ns, dtype=np.int64)
     received_ns = np.array(found.received_ns, dtype=np.int64)
     remarks: Problems = ()
@@ -174,10 +174,10 @@ def _put_right(bag: Bag, found: _Messages) -> Samples:
 
 
 def _on_one_clock(topics: list[Samples]) -> tuple[Samples, ...]:
-    """Put headers of different clocks, from boot and from 1970 as it may be, onto the clock of the receipt.
+    """Map headers of different clocks, for example since boot and since 1970, to the clock of the receipt.
 
-    Headers that are all of one clock stay as they are, also where that is not the receipt's: a bag played again.
-    Topics that share a clock are moved together, by the shortest delay of their messages, one in a hundred left out.
+    Headers that share one clock are not changed, even if it is not the receipt's (a bag that was played back). Topics
+    that share a clock are shifted together, by the shortest delay of their messages (first percentile).
     """
     late_ns = {s.name: int(np.median(s.received_ns - s.t_ns)) for s in topics}
     ordered = sorted(topics, key=lambda s: late_ns[s.name])
@@ -210,15 +210,15 @@ def _moved(samples: Samples, by_ns: int) -> Samples:
     )
 
 
-def of_use(connection: Connection) -> bool:
-    """Whether a connection is read; of the transforms only those that never change."""
+def is_read(connection: Connection) -> bool:
+    """Whether a connection is read; only static ones of the transforms."""
     if connection.msgtype == RosType.TRANSFORMS:
         return connection.topic in TRANSFORM_TOPICS
     return connection.msgtype in WANTED
 
 
 def _turned_into_body(samples: Samples, wire: Wire, frames: StaticFrames) -> Samples:
-    """Turn inertial samples into the body, where transforms tell the mount; tell of a range sensor where it looks."""
+    """Rotate inertial samples into the body if transforms give the mount; note where a range sensor points."""
     if samples.kind in PX4:
         return replace(samples, axes="x forward, y right, z down")
     if samples.kind not in (RosType.IMU, RosType.RANGE):
@@ -226,7 +226,7 @@ def _turned_into_body(samples: Samples, wire: Wire, frames: StaticFrames) -> Sam
     frame_id = wire.frame_id(samples.first)
     mount = frames.mount(frame_id)
     if samples.kind is RosType.RANGE:
-        return _told_where_it_looks(samples, mount)
+        return _with_direction_note(samples, mount)
     if mount is None and not is_optical(frame_id):
         return samples
     R = OPTICAL_AS_FLU if mount is None else mount.of_flu_sensor()
@@ -239,8 +239,8 @@ def _turned_into_body(samples: Samples, wire: Wire, frames: StaticFrames) -> Sam
     return replace(samples, values=values, axes=f"turned from {frame_id} into {mount.body} by /tf_static")
 
 
-def _told_where_it_looks(samples: Samples, mount: Mount | None) -> Samples:
-    """Distances with a word on where the sensor looks, which is along its x (sensor_msgs/Range)."""
+def _with_direction_note(samples: Samples, mount: Mount | None) -> Samples:
+    """Distances with a note on where the sensor points, along its x axis (sensor_msgs/Range)."""
     if mount is None:
         remark = (
             f"{samples.name}: taken to look down, no transform tells; if it does not: [range] use = false"

@@ -1,6 +1,6 @@
-"""Unpacking of what bags hold compressed, within bounds: a few kilobytes may stand for gigabytes.
+"""Decompression of chunks in bags, within bounds: a few kilobytes may expand to gigabytes.
 
-rosbags unpacks a chunk whole, however large it becomes; `bound_rosbags` puts these functions in place of its own.
+rosbags decompresses a chunk without a limit; `bound_rosbags` replaces its functions with these.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ from typing import Any, BinaryIO, Protocol
 from vision import InputError
 
 MAX_UNPACKED = 1 << 27  # bytes of a chunk or message; a recorder closes a chunk after some megabytes
-FREE_UNPACKED = 1 << 24  # up to here any ratio will do: a dark picture packs a thousandfold
+FREE_UNPACKED = 1 << 24  # up to here any ratio is allowed: dark pictures compress a thousandfold
 MAX_RATIO = 200
 _PIECE = 1 << 22
 
 
 class Decompressor(Protocol):
-    """What those of bz2, lz4 and zstd have in common."""
+    """Common interface of the decompressors of bz2, lz4 and zstd."""
 
     @property
     def eof(self) -> bool:
-        """Whether the end of a stream was met."""
+        """Whether the end of a stream was reached."""
 
     @property
     def needs_input(self) -> bool:
-        """Whether nothing more comes of what was given."""
+        """Whether more input is needed."""
 
     @property
     def unused_data(self) -> bytes | None:
-        """What follows after the end."""
+        """Bytes after the end of the stream."""
 
     def decompress(self, data: bytes, /, max_length: int = -1) -> bytes:
         """Unpack some more."""
@@ -44,9 +44,9 @@ def unpack(packed: bytes, new: Callable[[], Decompressor]) -> bytes:
     Raises
     ------
     InputError
-        Where they become too many.
+        If the result is too large.
     EOFError
-        Where they end within a stream.
+        If they end within a stream.
     """
     bound = unpacked_bound(len(packed))
     parts: list[bytes] = []
@@ -69,7 +69,7 @@ def unpack(packed: bytes, new: Callable[[], Decompressor]) -> bytes:
 
 
 def unpacked_bound(packed_bytes: int) -> int:
-    """Return how many bytes so many packed ones may become."""
+    """Return the largest allowed size for this many packed bytes."""
     return min(MAX_UNPACKED, max(FREE_UNPACKED, MAX_RATIO * packed_bytes))
 
 
@@ -100,12 +100,12 @@ def unpack_zstd(packed: bytes) -> bytes:
 def _zstd() -> Any:
     from rosbags.rosbag2 import reader
 
-    zstd = vars(reader)["zstd"]  # of the standard library or its backport, whichever rosbags uses
+    zstd = vars(reader)["zstd"]  # of the standard library or its backport, as rosbags uses
     return getattr(zstd, "whole", zstd)
 
 
 class _BoundedFile:
-    """A packed file read piece by piece, ending with an error where it becomes too large for the disk."""
+    """A packed file read piece by piece, with an error if it becomes too large for the disk."""
 
     def __init__(self, file: Any, packed_bytes: int) -> None:
         self._file = file
@@ -119,12 +119,12 @@ class _BoundedFile:
         self._file.close()
 
     def read(self, size: int = -1) -> bytes:
-        """Read unpacked bytes, one piece where no size is given.
+        """Read unpacked bytes; one piece if no size is given.
 
         Raises
         ------
         InputError
-            Where there are more than the bound.
+            If they exceed the bound.
         """
         part = bytes(self._file.read(size if size > 0 else _PIECE))
         self._left -= len(part)
@@ -141,7 +141,7 @@ def _open_zstd(file: BinaryIO, mode: str = "rb") -> _BoundedFile:
 
 @cache
 def bound_rosbags() -> None:
-    """Let rosbags unpack within the bounds above, once for the process."""
+    """Make rosbags decompress within the bounds above, once per process."""
     from rosbags.rosbag1 import reader as ros1
     from rosbags.rosbag2 import reader as ros2
     from rosbags.rosbag2 import storage_mcap as mcap
@@ -150,5 +150,5 @@ def bound_rosbags() -> None:
     mcap.DECOMPRESSORS.update(
         lz4=lambda data, size: unpack_lz4(data), zstd=lambda data, size: unpack_zstd(data)
     )
-    # Message by message and file by file it takes them from a module.
+    # rosbags looks these functions up in a module at each use.
     vars(ros2)["zstd"] = SimpleNamespace(decompress=unpack_zstd, open=_open_zstd, whole=_zstd())

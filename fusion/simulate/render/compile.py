@@ -1,4 +1,4 @@
-"""Compile the pixel loops, and the small functions that they call."""
+"""Compilation of the pixel loops and the small functions that they call."""
 
 from __future__ import annotations
 
@@ -16,20 +16,19 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def inner(function: F) -> F:
-    """Compile a function that only compiled functions call, and that makes no arrays.
+    """Compile a function that is called only by compiled functions and creates no arrays.
 
-    numba counts the references of array arguments with atomic instructions, which cost more than the work in a
-    ray's test against a surface; without its memory manager there is nothing to count. The code is kept on disk
-    within the callers'.
+    numba counts the references of array arguments with atomic instructions, which cost more than testing a ray
+    against a surface; without its memory manager it counts none. The code is cached on disk as part of the callers'.
     """
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
     return cast(F, numba.njit(function, fastmath={"contract", "arcp", "nsz"}, **options))
 
 
 def outer(*modules: ModuleType) -> Callable[[F], F]:
-    """Compile a function that Python calls, keeping the code on disk until it or one of the modules changes.
+    """Compile a function that Python calls, and cache the code on disk until it or one of the modules changes.
 
-    numba by itself looks at the function's own file only, and would go on running old code of the inner functions.
+    numba itself checks only the function's own file, and would keep running old code of the inner functions.
     """
 
     def decorate(function: F) -> F:

@@ -1,4 +1,4 @@
-"""The compiled loops that shoot rays at a `Mesh`: nearest hit, shadow, colour of a hit.
+"""The compiled loops that cast rays at a `Mesh`: nearest hit, shadow, colour of a hit.
 
 A hit is the ray's ``O + t D`` in the surface's plane; the dual vectors of its edges give u and v there, in metres.
 The arrays are `Mesh`'s, and its columns are described there.
@@ -20,7 +20,7 @@ Light = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
 FAR_M = 1e9
-LIFT_M = 0.004  # rays that start from a surface start this far off it
+LIFT_M = 0.004  # distance of a ray's start from its surface
 SIZE = m.TEXTURE_SIZE
 LEVELS = m.TEXTURE_LEVELS
 COPIES = (2 * SIZE - 1) * (2 * SIZE - 1)  # numbers in one texture's ripmap
@@ -40,7 +40,7 @@ SUN_PITCH, SUN_PANE, SUN_SILL, SUN_HEAD, SUN_SLOPE = (
     m.SUN_HEAD,
     m.SUN_SLOPE,
 )
-WALL_FITTINGS_M = 0.06  # frames and bars stand this far out of the window wall and do not shade
+WALL_FITTINGS_M = 0.06  # frames and bars up to this far from the window wall cast no shadow
 
 
 @inner
@@ -53,7 +53,7 @@ def dot(table: FloatArray, i: int, column: int, x: float, y: float, z: float) ->
 def hit_distance(
     table: FloatArray, i: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
 ) -> Any:
-    """Distance to surface i with its u and v, metres; FAR_M where it is missed or seen from behind."""
+    """Distance to surface i with its u and v, metres; FAR_M if it is missed or seen from behind."""
     slope = dot(table, i, NORMAL, dx, dy, dz)
     if slope > -1e-9:
         return FAR_M, 0.0, 0.0
@@ -122,7 +122,7 @@ def texture_value(textures: Light, number: int, u: float, v: float, width_u: flo
         width *= 0.5
         level_v += 1
     columns, rows = SIZE >> level_u, SIZE >> level_v
-    # copies lie by (level_v, level_u); the widths of a row of copies add up to 2 SIZE - 1
+    # copies are ordered by (level_v, level_u); the widths of a row of copies add up to 2 SIZE - 1
     start = number * COPIES
     start += (2 * SIZE - 2 * rows) * (2 * SIZE - 1) + rows * (2 * SIZE - 2 * columns)
     x, y = u * columns - 0.5, v * rows - 0.5
@@ -137,7 +137,7 @@ def texture_value(textures: Light, number: int, u: float, v: float, width_u: flo
 
 @inner
 def joint_share(x: float, footprint: float, spacing: float, width: float) -> float:
-    """Share of a footprint about x that lies in joints, which begin at the multiples of the spacing."""
+    """Share of a footprint about x within joints, which begin at the multiples of the spacing."""
     a, b = (x - 0.5 * footprint) / spacing, (x + 0.5 * footprint) / spacing
     fill = width / spacing
     ia, ib = np.floor(a), np.floor(b)
@@ -190,7 +190,7 @@ def reflectance(
 def sunlight(
     table: FloatArray, nodes: FloatArray, sun: FloatArray, i: int, px: float, py: float, pz: float, footprint: float
 ) -> float:  # fmt: skip
-    """Light of the sun on surface i at a world point: through a pane of the window wall, and nothing between."""
+    """Light of the sun on surface i at a world point: through a pane of the window wall, if unobstructed."""
     cosine = dot(table, i, NORMAL, sun[SUN_X], sun[SUN_Y], sun[SUN_Z])
     if cosine <= 0.0:
         return 0.0
@@ -239,7 +239,7 @@ def radiance(
     foot_v = t * angle * np.sqrt(1.0 + along_v * along_v)
     albedo = reflectance(table, textures, i, u, v, foot_u, foot_v)
     if table[i, EMISSION] > 0.0:
-        return float(table[i, EMISSION] * albedo)  # what a lamp or a window reflects is lost in its own light
+        return float(table[i, EMISSION] * albedo)  # reflections of a lamp or a window are negligible
     light = irradiance(table, lightmap, i, u, v)
     if sun[SUN_LIGHT] > 0.0:
         x, y, z = (

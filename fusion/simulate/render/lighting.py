@@ -1,4 +1,4 @@
-"""Light of a scene, computed once: soft shadows of every lamp and a gathered bounce, kept per surface cell.
+"""Light of a scene, computed once per surface cell: soft shadows of every lamp and a gathered bounce.
 
 Emission is radiance; a cell's value is irradiance over pi, so that albedo times it is the radiance seen.
 """
@@ -36,7 +36,7 @@ from fusion.simulate.render.mesh import (
 )
 
 LAMP_REACH_M = 9.0
-SUN_GRAIN_M = 0.1  # how sharply the light that bounces sees the edge of a patch of sun
+SUN_GRAIN_M = 0.1  # resolution of a patch of sun for the bounced light
 
 
 @inner
@@ -86,7 +86,7 @@ def _gathered(
     key: int,
     rays: int,
 ) -> float:
-    """Light reflected onto a point by what it sees: mean over cosine-weighted rays of albedo times light."""
+    """Light reflected onto a point: mean over cosine-weighted rays of albedo times light."""
     nx, ny, nz = table[i, NORMAL], table[i, NORMAL + 1], table[i, NORMAL + 2]
     if abs(nx) < 0.7:
         ax, ay, az = 0.0, nz, -ny
@@ -177,7 +177,9 @@ def bake(mesh: Mesh, ambient: float, rays: int = 24) -> Mesh:
     _fill(table, nodes, lamps, direct, mesh.sun, bounce, rays)
     bounce = _smooth(table, bounce)
     before, after = direct, bounce
-    if mesh.sun[SUN_LIGHT] > 0:  # the sun's own light is in no cell: compare the second bounce with the first
+    if (
+        mesh.sun[SUN_LIGHT] > 0
+    ):  # no cell has the sun's direct light: compare the second bounce with the first
         before, after = bounce, np.empty_like(bounce)
         _fill(table, nodes, lamps, bounce, np.zeros_like(mesh.sun), after, rays // 3)
     share = float(np.clip(after.mean() / max(float(before.mean()), 1e-9), 0.0, 0.8))

@@ -19,7 +19,7 @@ TEXTURE_LEVELS = 9  # 256, 128, ... 1
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """What a surface looks like; lengths in metres, reflectances and strengths without unit.
+    """Appearance of a surface; lengths in metres, reflectances and strengths without unit.
 
     Parameters
     ----------
@@ -30,20 +30,20 @@ class Material:
     texture_size_m
         Extent of one repetition along the surface's two edges; None stretches one copy over the surface.
     contrast
-        How strongly the texture modulates the albedo (1: as drawn).
+        Strength of the texture's modulation of the albedo (1: as drawn).
     joint_spacing_m, joint_width_m, joint_albedo
         A rectangular pattern of joints along the two edges (spacing 0: none), and its reflectance.
     emission
-        Emitted radiance; light panels have about 10 where a lit white wall has 1.
+        Emitted radiance; about 10 for light panels, compared with 1 for a lit white wall.
     gloss
-        Mirror reflection at perpendicular view, 0 to 1; it rises to grazing view after Schlick.
+        Mirror reflection at perpendicular view, 0 to 1; increases towards grazing view after Schlick.
     roughness_rad
-        Spread of the normals of a glossy surface: how blurred its reflections are.
+        Spread of the normals of a glossy surface, which blurs its reflections.
     joint_turn_rad
-        Angle by which the joints are turned against the edges.
+        Angle between the joints and the edges.
     origin_m
-        Where along its two edges the surface begins in a pattern that runs on from its neighbours: bricks and
-        tiles. None: joints begin at the corner, textures anywhere.
+        Position of the surface's corner in a pattern that continues across its neighbours: bricks and tiles. None:
+        joints begin at the corner, textures anywhere.
     """
 
     albedo: float
@@ -65,7 +65,7 @@ class Material:
 
 
 # Columns of `Mesh.table`.
-CORNER = 0  # (3) where edges a and b start
+CORNER = 0  # (3) start of edges a and b
 NORMAL = 3  # (3) towards the side from which it is seen
 DUAL_A, DUAL_B = (
     6,
@@ -73,7 +73,7 @@ DUAL_A, DUAL_B = (
 )  # (3) dual vectors: their product with a point's vector from the corner is u, v in metres
 LENGTH_A, LENGTH_B = 12, 13
 PLANE = 14  # normal times corner
-ELLIPSE = 15  # 1 where only the inscribed ellipse is there
+ELLIPSE = 15  # 1 if only the inscribed ellipse exists
 EMISSION, GLOSS, ROUGHNESS = 16, 17, 18
 ALBEDO, CONTRAST, TEXTURE = 19, 20, 21
 SCALE_U, SCALE_V, SHIFT_U, SHIFT_V = 22, 23, 24, 25  # metres to repetitions of the texture
@@ -86,7 +86,7 @@ COLUMNS = 48
 # Entries of `Mesh.sun`.
 SUN_X, SUN_Y, SUN_Z = 0, 1, 2  # unit vector towards the sun
 SUN_LIGHT = 3  # radiance of a white surface square to it; 0: no sun
-SUN_WALL_Y = 4  # where the window wall stands; its panes run along x
+SUN_WALL_Y = 4  # of the window wall; its panes run along x
 SUN_FIRST, SUN_LAST = 5, 6  # panes from this x to that one
 SUN_PITCH, SUN_PANE = 7, 8  # from pane to pane, and a pane's width
 SUN_SILL, SUN_HEAD = 9, 10  # above the floor
@@ -97,14 +97,14 @@ SUN_COUNT = 12
 class Mesh(NamedTuple):
     """The arrays the compiled loops read; n surfaces, m tree nodes.
 
-    Few and wide, and handed on one by one: numba counts references of arrays in tuples, atomically, at every call.
+    Few and wide arrays, passed one by one: numba counts the references of arrays in tuples atomically at every call.
 
     Parameters
     ----------
     table
         (n, COLUMNS), see the column names above; surfaces in the order of the tree's leaves.
     nodes
-        (m, 9): minimum and maximum of a node's box, the node to go on with if it is missed (else the next one),
+        (m, 9): minimum and maximum of a node's box, the next node if it is missed (else the following one),
         first and count of a leaf's surfaces; inner nodes count none.
     lightmap
         Light on every cell of every surface.
@@ -125,7 +125,7 @@ def _half_area(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def _best_split(low: FloatArray, high: FloatArray) -> tuple[npt.NDArray[np.int64], int]:
-    """Order boxes (n, 3) and say how many go left, for the least area times number (surface area heuristic)."""
+    """Order boxes (n, 3) and return how many go left, by the surface area heuristic."""
     n = len(low)
     best, best_order, best_count = np.inf, np.arange(n), n // 2
     number = np.arange(1, n)
@@ -142,9 +142,9 @@ def _best_split(low: FloatArray, high: FloatArray) -> tuple[npt.NDArray[np.int64
 
 
 def build_tree(points: FloatArray) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-    """Build a tree of boxes round surfaces (n, 4, 3).
+    """Build a tree of boxes around surfaces (n, 4, 3).
 
-    Returns `Mesh.nodes` and the order (n,) that the surfaces must be put in.
+    Returns `Mesh.nodes` and the required order (n,) of the surfaces.
     """
     low, high = points.min(axis=1) - 1e-6, points.max(axis=1) + 1e-6
     nodes: list[list[float]] = []
@@ -162,7 +162,7 @@ def build_tree(points: FloatArray) -> tuple[FloatArray, npt.NDArray[np.int64]]:
         grow(members[ranked[count:]])
         nodes[node] += [len(nodes), 0, 0]
 
-    # floors and ceilings would blow up every box they are in; tested first, they shorten the ray for the rest
+    # floors and ceilings would enlarge every box; tested first, they shorten the ray for the rest
     large = np.max(high - low, axis=1) > LARGE_M
     for members in (np.flatnonzero(large), np.flatnonzero(~large)):
         if len(members):

@@ -1,8 +1,8 @@
 """The compiled loops that turn a `Mesh` and a camera's rays into a picture, tile by tile.
 
-What a tile can see is found once, by the four planes through its rim, and sorted by depth; its rays then test few
-surfaces each. One ray goes through every pixel corner. Where the four corners of a pixel meet one surface, their
-mean is its colour; where they do not, the pixel is sampled on a grid: edges are averages over the pixel's area.
+The surfaces visible in a tile are found once, by the four planes through its edges, and sorted by depth; each ray
+then tests few surfaces. One ray goes through every pixel corner. If the four corners of a pixel hit one surface, the
+colour is their mean; otherwise the pixel is sampled on a grid, so that edges are averages over the pixel's area.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from fusion.simulate.render.mesh import DUAL_A, DUAL_B, GLOSS, NORMAL, PLANE, PO
 
 TILE = 8
 MAX_SEEN = 4096
-SLACK = 1e-6  # widens what a tile can see against rounding
-BLOCK = 6  # pixels that share the directions of a rough reflection between them
+SLACK = 1e-6  # tolerance of a tile's visibility against rounding
+BLOCK = 6  # size of a block of pixels that share the directions of a rough reflection
 GOLDEN_ANGLE = 2.399963229728653
-BRIGHTEST = 8.0  # of what is mirrored: beyond it the sensor is full anyway
+BRIGHTEST = 8.0  # of mirrored light: beyond it the sensor saturates anyway
 
 
 @inner
 def _rotate_rays(
     rays: FloatArray, rotations: FloatArray, top: int, left: int, rows: int, columns: int, out: FloatArray
 ) -> int:
-    """World directions of a tile's corner rays, row by row; return how many."""
+    """World directions of a tile's corner rays, row by row; return their number."""
     n = 0
     for y in range(top, top + rows + 1):
         pose = min(y, rotations.shape[0] - 1)
@@ -54,7 +54,7 @@ def _rotate_rays(
 
 @inner
 def _pyramid(rays: FloatArray, n: int, axis: FloatArray, rim: FloatArray) -> bool:
-    """Find a pyramid round n rays: its axis (3,) and four rim vectors (4, 3); False if there is no ray."""
+    """Find a pyramid around n rays: its axis (3,) and four edge vectors (4, 3); False if there is no ray."""
     axis[:] = 0.0
     found = 0
     for k in range(n):
@@ -120,7 +120,7 @@ def _list_seen(
     table: FloatArray, nodes: FloatArray, origin: FloatArray, axis: FloatArray, rim: FloatArray, planes: FloatArray,
     seen: Indices, near: FloatArray,
 ) -> int:  # fmt: skip
-    """List the surfaces a tile can see with their least depth along its axis, nearest first; return how many."""
+    """List the surfaces visible in a tile with their least depth along its axis, nearest first; return the count."""
     for k in range(4):
         j = (k + 1) % 4
         planes[k, 0] = rim[k, 1] * rim[j, 2] - rim[k, 2] * rim[j, 1]
@@ -140,7 +140,7 @@ def _list_seen(
             height = table[i, PLANE] - dot(table, i, NORMAL, origin[0], origin[1], origin[2])
             if height > 0.0 or count >= MAX_SEEN or _outside(table, i, origin, planes):
                 continue
-            # 1/depth is linear over the pyramid's section: its greatest value stands at a rim vector
+            # 1/depth is linear over the pyramid's section: its maximum is at an edge vector
             inverse = 1e-9
             for j in range(4):
                 slope = dot(table, i, NORMAL, rim[j, 0], rim[j, 1], rim[j, 2])
@@ -187,8 +187,8 @@ def _mirrored(
 ) -> float:  # fmt: skip
     """Light that a glossy surface mirrors along one reflected ray.
 
-    The normal leans by the roughness; pixels of a block of `BLOCK` by `BLOCK` share the directions evenly between
-    them, so that the mean over any block is the mean over all directions.
+    The normal is tilted by the roughness; the pixels of a block of `BLOCK` by `BLOCK` divide the directions evenly,
+    so that the mean over a block is the mean over all directions.
     """
     k = (x % BLOCK) + BLOCK * (y % BLOCK)
     lean = 1.5 * table[i, ROUGHNESS] * np.sqrt((k + 0.5) / (BLOCK * BLOCK))
@@ -222,7 +222,7 @@ def _corner_pass(
     d: FloatArray, n: int, origin: FloatArray, angle: float,
     seen: Indices, near: FloatArray, count: int, ids: Indices, hit: FloatArray,
 ) -> None:  # fmt: skip
-    """FlyingCamera the rays d (n, 3): surface into ``ids``; light, mirror share and distance into ``hit`` (n, 3)."""
+    """Trace the rays d (n, 3): surface into ``ids``; light, mirror share and distance into ``hit`` (n, 3)."""
     for k in range(n):
         ids[k], hit[k, 0], hit[k, 1], hit[k, 2] = -1, 0.0, 0.0, 0.0
         dx, dy, dz = d[k, 0], d[k, 1], d[k, 2]
@@ -243,8 +243,8 @@ def _edge_pixel(
 ) -> Any:  # fmt: skip
     """Mean light and mirror share over a grid of rays within the pixel between four corner rays.
 
-    A sample on a surface that a corner met too takes that corner's colour: colours change little within a pixel,
-    surfaces do.
+    A sample on the same surface as a corner gets that corner's colour: colours change little within a pixel and
+    surface.
     """
     total, share = 0.0, 0.0
     a, b, c, e = corner
@@ -281,8 +281,8 @@ def render_rows(
     """Fill diffuse light, mirror share and mirrored light (h, w) each.
 
     Row y is seen from ``origins[y]`` (h, 3) with ``rotations[y]`` (h, 3, 3), body to world; ``rays``
-    (h + 1, w + 1, 3) go through the pixel corners. Of several exposures that are averaged,
-    each mirrors its share of the pixels: ``turn`` of ``turns``.
+    (h + 1, w + 1, 3) go through the pixel corners. Each of several averaged
+    exposures computes the mirrored light of its share of the pixels: ``turn`` of ``turns``.
     """
     height, width = direct.shape
     size = (TILE + 1) * (TILE + 1)
@@ -291,7 +291,7 @@ def render_rows(
     axis, rim, origin = np.empty(3), np.empty((4, 3)), np.empty(3)
     for top in range(0, height, TILE):
         rows = min(TILE, height - top)
-        # one place for a tile: within eight rows a rolling shutter moves by a fraction of a millimetre
+        # one position per tile: within eight rows a rolling shutter moves by a fraction of a millimetre
         for k in range(3):
             origin[k] = origins[top + rows // 2, k]
         for left in range(0, width, TILE):

@@ -16,13 +16,13 @@ from vision import Camera
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
-SUB_EXPOSURE_PX = 1.5  # pictures averaged into a blurred one lie this far apart; the lens blurs about as much
+SUB_EXPOSURE_PX = 1.5  # distance of the pictures averaged for motion blur; about the blur of the lens
 MAX_SUB_EXPOSURES = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What does not change from frame to frame of one camera.
+    """Constants of a camera for all its frames.
 
     Parameters
     ----------
@@ -49,13 +49,13 @@ class View:
 
 
 def exposure_moments(view: View, exposure_s: float, turned_rad: float, grid: int) -> tuple[FloatArray, int]:
-    """Moments (k,) of an exposure to average, relative to its middle, and the edge grid that goes with so many.
+    """Moments (k,) of an exposure to average, relative to its middle, and the edge grid for this number.
 
-    ``turned_rad`` is how far the picture moves during the exposure.
+    ``turned_rad`` is the picture's motion during the exposure.
     """
     pixels = turned_rad / float(np.median(view.pixel_rad))
     count = int(np.clip(np.ceil(pixels / SUB_EXPOSURE_PX), 1, MAX_SUB_EXPOSURES))
-    if count > 1:  # the moments differ by a pixel: together they sample edges finely enough
+    if count > 1:  # the moments differ by a pixel, so together they sample edges finely enough
         grid = max(2, round(grid / count**0.5))
     return ((np.arange(count) + 0.5) / count - 0.5) * exposure_s, grid
 
@@ -71,7 +71,7 @@ def render_linear(
         For each moment, the camera's centre (3,) or (h, 3), and R_world_body (3, 3) or (h, 3, 3): one pose, or one
         for every pixel row (rolling shutter). World z down, metres.
     grid
-        Samples across a pixel where edges cross it.
+        Samples across a pixel that contains an edge.
     """
     height, width = view.camera.height_px, view.camera.width_px
     total, total_share = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
@@ -92,7 +92,7 @@ def render_linear(
 
 
 def _spread(mirror: Image) -> Image:
-    """Average mirrored light over the blocks whose pixels share its directions, where there is any."""
+    """Average mirrored light over the blocks whose pixels share its directions, if there is any."""
     mask = (mirror >= 0).astype(np.float32)
     size, ddepth = (BLOCK, BLOCK), -1
     blurred = cv2.GaussianBlur(cv2.boxFilter(mirror * mask, ddepth, size), (3, 3), 0)

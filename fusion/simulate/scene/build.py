@@ -30,7 +30,7 @@ from fusion.simulate.scene.windows import build_windows, sun_of
 
 TRUE_M = 2.0  # walls deviate by an angle over this length
 OVERLAP_M, FREE_CORNER_M = 0.02, 0.003
-LAYER_M = 0.001  # floors of overlapping rooms lie this far apart
+LAYER_M = 0.001  # distance between floors of overlapping rooms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,8 +42,8 @@ class Scene:
     rooms
         Corridors in the order of their numbers, then the hall, then the second part of the first corridor.
     obstacles
-        Minimum and maximum (k, 6) of the boxes round furniture, people and what hangs on the walls, before the
-        floor is inclined.
+        Minimum and maximum (k, 6) of the boxes around furniture, people and objects on the walls, before the floor
+        is inclined.
     """
 
     config: SceneConfig
@@ -60,7 +60,7 @@ def build_scene(
     Parameters
     ----------
     keep_clear
-        World points (k, 3) that no furniture may be near, such as a flight's path, before the floor is inclined.
+        World points (k, 3) to keep free of furniture, such as a flight's path, before the floor is inclined.
     """
     rng = np.random.default_rng((seed, 2))
     builder = Builder(rng, light_cell_m, np.empty((0, 3)) if keep_clear is None else keep_clear)
@@ -95,7 +95,7 @@ def _light(builder: Builder, ambient: float, sun: FloatArray) -> Mesh:
 
 
 def _build_strips(builder: Builder, parts: list[Room], config: SceneConfig) -> None:
-    """Lay what runs along the floor and the ceiling of the first corridor; walls carry their own."""
+    """Build the strips along the floor and the ceiling of the first corridor; walls build their own."""
     for layer, strip in enumerate(config.strips):
         if strip.on not in (Surface.FLOOR, Surface.CEILING):
             continue
@@ -172,7 +172,7 @@ def _build_wall(builder: Builder, wall: Wall, rooms: list[Room], config: SceneCo
     position = 0.0
     for opening in [*openings, Opening(length, length, 0.0, False)]:
         s0, s1 = position, opening.s0_m
-        angle = 0.0 if windows else _out_of_true(builder, s1 - s0, config)
+        angle = 0.0 if windows else _wall_deviation(builder, s1 - s0, config)
         askew = frame.turned((s0 + s1) / 2, 0.0, angle)
         reach = (s0 - _overlap(frame, s0, length, rooms), s1 + _overlap(frame, s1, length, rooms))
         _build_piece(builder, askew, reach, config, look, start_m)
@@ -200,7 +200,7 @@ def _build_wall(builder: Builder, wall: Wall, rooms: list[Room], config: SceneCo
 
 
 def _fittings_on(side: str, config: SceneConfig, has_windows: bool) -> SceneConfig:
-    """Return the settings without what does not hang or stand on this wall."""
+    """Return the settings without the objects that are not at this wall."""
     without: dict[str, object] = {}
     if side in ("left", "right") and config.clutter_side not in (Sides.BOTH, side):
         names = (
@@ -227,13 +227,13 @@ def _build_wall_strips(
             build_strip(builder, frame, (begin, end), strip, config.height_m, layer)
 
 
-def _out_of_true(builder: Builder, length_m: float, config: SceneConfig) -> float:
-    """Angle by which a piece of wall deviates: masons keep the ends of a long one as true as those of a short one."""
+def _wall_deviation(builder: Builder, length_m: float, config: SceneConfig) -> float:
+    """Angular deviation of a piece of wall: the offset at its ends does not depend on its length."""
     return float(builder.rng.normal(0, config.parallel_std_rad)) * min(1.0, TRUE_M / max(length_m, 1e-3))
 
 
 def _overlap(frame: Frame, s: float, length_m: float, rooms: list[Room]) -> float:
-    """How far a piece runs on at the end of its wall, so that no gap opens to the next: into it, or just past it."""
+    """Extension of a piece at the end of its wall that avoids a gap: into the next wall, or slightly past it."""
     if 1e-6 < s < length_m - 1e-6:
         return 0.0
     beyond = frame.point(-OVERLAP_M if s <= 1e-6 else length_m + OVERLAP_M, 0.01, 0.0)[:2]
@@ -249,7 +249,7 @@ def _build_bands(
     look: WallConfig,
     start_m: float,
 ) -> None:
-    """Build a piece of wall between two heights, its lower part of another finish where it has one."""
+    """Build a piece of wall between two heights, with another finish of its lower part if configured."""
     edge = min(look.lower_height_m, h[1])
     for low, high, finish, albedo in (
         (h[0], edge, look.lower_finish, look.lower_albedo),
@@ -266,7 +266,7 @@ def _build_piece(
     look: WallConfig,
     start_m: float,
 ) -> None:
-    """Wall from floor to ceiling with its skirting board or coving and what runs along it."""
+    """Build a wall from floor to ceiling with its skirting board or coving and its strips."""
     _build_bands(builder, frame, s, (0.0, config.height_m), look, start_m)
     if config.floor_coving_m > 0:
         finish, albedo = (

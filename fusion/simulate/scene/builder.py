@@ -1,4 +1,4 @@
-"""Where surfaces are put together before they are lit: local frames, boxes, prisms, and the table of all of them."""
+"""Construction of surfaces before lighting: local frames, boxes, prisms, and the table of all surfaces."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ CLEARANCE_M = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A right place to build at: origin (3,), along (3,), out (3,) unit vectors of the world; up is -z."""
+    """A local frame: origin (3,), and the world's unit vectors along (3,) and out (3,); up is -z."""
 
     origin: FloatArray
     along: FloatArray
@@ -57,24 +57,24 @@ class Frame:
         return s * self.along + d * self.out - h * np.array([0.0, 0.0, 1.0])
 
     def turned(self, s: float, d: float, angle_rad: float) -> Frame:
-        """Return the frame turned about the vertical through (s, d), from ``along`` towards ``out``."""
+        """Return the frame rotated about the vertical through (s, d), from ``along`` towards ``out``."""
         c, n = np.cos(angle_rad), np.sin(angle_rad)
         along, out = c * self.along + n * self.out, c * self.out - n * self.along
         return Frame(self.point(s, d, 0.0) - s * along - d * out, along, out)
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the vector product of two vectors (3,): of so few numbers faster than `numpy.cross`."""
+    """Return the vector product of two vectors (3,), faster than `numpy.cross` for so few numbers."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 @dataclass(slots=True, eq=False)
 class Builder:
-    """Collects surfaces; `fusion.simulate.scene.build` turns them into a lit `Mesh`.
+    """Collects surfaces; `fusion.simulate.scene.build` converts them to a lit `Mesh`.
 
     ``keep_clear`` (k, 3) are world points that no object may come near; ``obstacles`` (minimum, maximum) are the
-    boxes of the objects that stand.
+    boxes of the objects built.
     """
 
     rng: np.random.Generator
@@ -87,7 +87,7 @@ class Builder:
 
     @contextmanager
     def standing(self) -> Iterator[None]:
-        """Build one object; it is taken away again if it stands in the way."""
+        """Build one object; it is removed again if it is too near a point to keep clear."""
         first = len(self.rows)
         yield
         if len(self.rows) == first:
@@ -101,7 +101,7 @@ class Builder:
             self.obstacles.append(np.concatenate([low, high]))
 
     def incline(self, slope_rad: float) -> None:
-        """Let the floor climb along x: what is upright stays upright, what is level across stays level."""
+        """Let the floor rise along x: verticals stay vertical, and lines across stay level."""
         if slope_rad == 0:
             return
         rise = np.eye(3)
@@ -151,7 +151,7 @@ class Builder:
         low = frame.point(s[0], d[0], h[0])
         edges = (frame.vector(size[0], 0, 0), frame.vector(0, size[1], 0), frame.vector(0, 0, size[2]))
         for axis, name in enumerate("sdh"):
-            # the horizontal edge first, so that textures (text, wood grain) stand upright
+            # the horizontal edge first, so that textures (text, wood grain) are upright
             first, second = ((1, 2), (0, 2), (0, 1))[axis]
             if name in faces:
                 self.quad(low, edges[first], edges[second], -edges[axis], material)
@@ -183,7 +183,7 @@ class Builder:
         self.quad(corner, a, b, frame.vector(0, 0, 1), lid or material, ellipse=True)
 
     def table(self, texture_number: dict[str, int]) -> tuple[FloatArray, int]:
-        """Pack what was collected into `Mesh.table`; also how many light cells it needs."""
+        """Pack the collected surfaces into `Mesh.table`; return also the number of light cells."""
         table = np.zeros((len(self.rows), COLUMNS))
         cells = 0
         lengths = [(float(np.linalg.norm(a)), float(np.linalg.norm(b))) for _, a, b, *_ in self.rows]
@@ -213,7 +213,7 @@ class Builder:
                 material.joint_turn_rad,
                 *(material.origin_m or (0.0, 0.0)),
             ]
-            # Lengths are often whole numbers of cells, to a last bit that differs between kinds of processor.
+            # Lengths are often whole numbers of cells, except for a last bit that depends on the processor.
             nu, nv = (min(max(ceil(length / self.light_cell_m - 1e-6), 1), 400) for length in (la, lb))
             row[LIGHT_START:POINTS] = cells, nu, nv
             row[POINTS:] = np.concatenate([corner, corner + a, corner + a + b, corner + b])

@@ -1,4 +1,4 @@
-"""What hangs from the ceiling: lamps, beams, pipes, cable trays, smoke detectors, exit signs."""
+"""Objects at the ceiling: lamps, beams, pipes, cable trays, smoke detectors, exit signs."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class Floor(StrEnum):
 
 
 class WallFinish(StrEnum):
-    """What the walls are made of."""
+    """Material of the walls."""
 
     PLASTER = "plaster"
     TWO_TONE = "two_tone"
@@ -48,7 +48,7 @@ class WallFinish(StrEnum):
 
 
 class Ceiling(StrEnum):
-    """What the ceiling is made of."""
+    """Material of the ceiling."""
 
     PLASTER = "plaster"
     BOARDS = "boards"
@@ -71,7 +71,7 @@ class Sides(StrEnum):
 
 
 class Surface(StrEnum):
-    """What a strip runs along."""
+    """Surface along which a strip runs."""
 
     FLOOR = "floor"
     CEILING = "ceiling"

@@ -1,4 +1,4 @@
-"""What closes a corridor's end: a window, doors, stairs, or a bare wall with a poster."""
+"""Ends of corridors: a window, doors, stairs, or a bare wall with a poster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands on the floor along the walls: cupboards, benches, plants, radiators, lockers, people.
+"""Objects on the floor along the walls: cupboards, benches, plants, radiators, lockers, people.
 
 Every function builds in the wall's own frame: s along the wall, d out of it into the room, h above the floor.
 """
@@ -10,13 +10,13 @@ import numpy as np
 from fusion.simulate.render.mesh import Material
 from fusion.simulate.scene.builder import Builder, Frame
 
-ASKEW_RAD = 0.02  # how far furniture stands from parallel to its wall
+ASKEW_RAD = 0.02  # angle between furniture and its wall
 
 
 def build_furniture(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
-    """Stand a cupboard, a bin or a bench against the wall from s on, at most to s1; return how long it is."""
+    """Place a cupboard, a bin or a bench against the wall from s, at most to s1; return its length."""
     rng = builder.rng
-    frame = frame.turned(s, 0.03, abs(float(rng.normal(0, ASKEW_RAD))))  # nobody aligns furniture
+    frame = frame.turned(s, 0.03, abs(float(rng.normal(0, ASKEW_RAD))))  # furniture is never exactly aligned
     reach = min(0.55, 0.28 * room_m)
     kind = rng.random()
     if kind < 0.45:  # cabinet or cupboard
@@ -54,7 +54,7 @@ def build_furniture(builder: Builder, frame: Frame, s: float, s1: float, room_m:
 
 
 def build_radiator(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
-    """Hang a radiator low on the wall from s on; return how long it is."""
+    """Mount a radiator low on the wall from s; return its length."""
     wide = min(float(builder.rng.uniform(0.8, 1.6)), s1 - s - 0.02)
     ribs = Material(0.75, None, None, 1.0, (0.05, 0.0), 0.012, 0.35)
     builder.box(frame, (s, s + wide), (0.03, 0.12), (0.12, 0.68), ribs)
@@ -62,7 +62,7 @@ def build_radiator(builder: Builder, frame: Frame, s: float, s1: float, room_m: 
 
 
 def build_boxes(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
-    """Pile cardboard boxes against the wall from s on, none straight; return how long the pile is."""
+    """Pile cardboard boxes against the wall from s, none aligned; return the pile's length."""
     rng = builder.rng
     wide, deep = min(float(rng.uniform(0.35, 0.75)), s1 - s - 0.05), min(0.5, 0.22 * room_m)
     level = 0.0
@@ -83,7 +83,7 @@ def build_boxes(builder: Builder, frame: Frame, s: float, s1: float, room_m: flo
 
 
 def build_plant(builder: Builder, frame: Frame, s: float, s1: float, room_m: float) -> float:
-    """Stand a plant in a pot against the wall; return how long it is."""
+    """Place a plant in a pot against the wall; return its length."""
     rng = builder.rng
     radius, high = float(rng.uniform(0.12, 0.2)), float(rng.uniform(0.2, 0.4))
     middle = s + radius, radius + 0.05

@@ -1,4 +1,4 @@
-"""What walls, floors and ceilings are made of."""
+"""Materials of walls, floors and ceilings."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ class Room:
     """A rectangle of floor: starts at (x, y), runs ``length_m`` in direction ``yaw_rad``, ``width_m`` across.
 
     ``yaw_rad`` is positive to the right; (x, y) is the middle of the near end. ``part_of`` is the number of the
-    corridor that goes on in this room with another width. The floor climbs ahead by ``slope_rad``.
+    corridor that continues in this room with another width. The floor rises ahead by ``slope_rad``.
     """
 
     x_m: float
@@ -66,7 +66,7 @@ class Wall:
     """A straight wall from start to end (2,), with the room's inside in direction ``inward`` (2,).
 
     ``room`` is the room's number; ``side`` is ``left``, ``right``, ``near`` (start of the room) or ``far``.
-    ``s0_m`` is the place of ``start`` along the room for the left and right sides.
+    ``s0_m`` is the position of ``start`` along the room for the left and right sides.
     """
 
     start: FloatArray
@@ -86,7 +86,7 @@ def _inside_interval(room: Room, start: FloatArray, end: FloatArray) -> tuple[fl
     """Fractions of a segment between which it runs strictly inside a room."""
     (s0, y0), (s1, y1) = room.to_room([start, end])
     low, high = 0.0, 1.0
-    tolerance = 1e-6  # a wall that only touches the rim stays
+    tolerance = 1e-6  # a wall that only touches the edge is kept
     half = room.width_m / 2 - tolerance
     for value, change, floor, roof in (
         (s0, s1 - s0, tolerance, room.length_m - tolerance),
@@ -131,7 +131,7 @@ def outline(rooms: list[Room], shortest_m: float = 0.02) -> list[Wall]:
 
 @dataclass(frozen=True, slots=True)
 class Meeting:
-    """Where corridor ``child`` leaves corridor ``parent`` (room numbers): places along both, and the angle between.
+    """A junction of corridor ``child`` with corridor ``parent`` (room numbers): positions along both, and the angle.
 
     ``angle_rad`` is the child's direction from the parent's, positive right.
     """
@@ -144,11 +144,11 @@ class Meeting:
 
 
 HALL_DEPTH_M = 8.0
-OVERLAP_M = 0.01  # of rooms that open into each other: it takes the wall between them away
+OVERLAP_M = 0.01  # of adjoining rooms, so that there is no wall between them
 
 
 def floor_plan(config: SceneConfig) -> tuple[list[Room], list[Meeting]]:
-    """Rooms of a scene (corridors in the order of their numbers, hall, second part) and where corridors meet."""
+    """Rooms of a scene (corridors in the order of their numbers, hall, second part) and the junctions."""
     step = config.width_step
     first_m = config.length_m if step is None else step.at_m
     rooms = [Room(0.0, 0.0, 0.0, first_m, config.width_m, slope_rad=config.slope_rad)]
@@ -178,20 +178,20 @@ def floor_plan(config: SceneConfig) -> tuple[list[Room], list[Meeting]]:
 
 
 def room_frame(room: Room) -> Frame:
-    """Frame on the floor at a room's beginning, d to the right."""
+    """Frame on the floor at a room's start, d to the right."""
     along, right = np.array([*room.direction, 0.0]), np.array([*room.right, 0.0])
     return Frame(np.array([room.x_m, room.y_m, 0.0]), along, right)
 
 
 def part_at(rooms: Sequence[Room], number: int, s_m: float) -> Room:
-    """Return the room that corridor ``number`` is at a place along it: its first part, or the one it goes on in."""
+    """Return the room of corridor ``number`` at a position: its first part, or its continuation."""
     first = rooms[number]
     parts = [room for room in rooms if room.part_of == number and s_m >= first.length_m]
     return parts[0] if parts else first
 
 
 def corridor_length_m(rooms: Sequence[Room], number: int) -> float:
-    """Length of a corridor with the part that it goes on in."""
+    """Length of a corridor with its continuation."""
     first = rooms[number]
     return max(
         [first.length_m]
@@ -202,7 +202,7 @@ def corridor_length_m(rooms: Sequence[Room], number: int) -> float:
 def in_junction(
     rooms: list[Room], meetings: list[Meeting], room: int, s_m: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.bool_]:
-    """Whether places s (n,) along a corridor lie where another one opens into it."""
+    """Whether positions s (n,) along a corridor are in the opening of another one."""
     inside = np.zeros(np.shape(s_m), bool)
     for meeting in meetings:
         if room == meeting.parent:

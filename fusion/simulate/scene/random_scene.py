@@ -1,4 +1,4 @@
-"""Corridors drawn at random: a plain office, and what buildings of all kinds have."""
+"""Random corridors: plain offices, and corridors of all kinds of buildings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BOTH_WALLS = {"wall", "wall_albedo", "skirting_height_m", "skirting_albedo"}  # 
 
 
 def is_night(seed: int) -> bool:
-    """Tell whether the corridor and the camera of a seed are drawn for a night with few lamps on."""
+    """Return whether the corridor and camera of a seed are drawn for a night with few lamps on."""
     return bool(np.random.default_rng((seed, 11)).random() < NIGHT_SHARE)
 
 
@@ -100,7 +100,7 @@ class _Draw:
 
 
 def draw_building(seed: int, fixed: Mapping[str, Any]) -> dict[str, Any]:
-    """Draw the settings of a corridor of any kind of building, to go with what is ``fixed``."""
+    """Draw the settings of a corridor of any kind of building, consistent with those ``fixed``."""
     draw, night = _Draw(seed), is_night(seed)
     values: dict[str, Any] = {
         "length_m": draw.between(12, 40),
@@ -136,14 +136,14 @@ def _plan(draw: _Draw, size: Mapping[str, Any], fixed: Mapping[str, Any]) -> dic
             "crossing": draw.chance(0.5),
         }  # fmt: skip
         found: dict[str, Any] = {"junctions": (junction,)}
-        if draw.chance(0.5):  # the corridor goes on narrower behind it
+        if draw.chance(0.5):  # the corridor is narrower beyond it
             behind = min(place + 0.45 * across, length - 1.5)
             found["width_step"] = {"at_m": behind, "width_m": narrower}
         return found
     if kind == "step":
         wider = width * draw.between(1.15, 1.6)
         moves = draw.one_of(*Sides)
-        if moves is not Sides.BOTH:  # the way along the first part's middle stays free
+        if moves is not Sides.BOTH:  # the centre line of the first part stays free
             narrower = max(narrower, width / 2 + FREE_HALF_M)
         return {"width_step": {"at_m": place, "width_m": draw.one_of(narrower, wider), "moves": moves}}
     if kind == "hall":
@@ -184,7 +184,7 @@ def _wall(draw: _Draw) -> WallConfig:
 
 
 def _surfaces(draw: _Draw) -> dict[str, Any]:
-    """Draw walls, floor and ceiling; now and then the walls differ, or their skirting boards do."""
+    """Draw walls, floor and ceiling; sometimes the walls differ, or their skirting boards."""
     left = _wall(draw)
     kind = draw.one_of("alike", "skirting", "own", p=(0.6, 0.2, 0.2))
     right = left if kind == "alike" else _wall(draw)
@@ -225,9 +225,9 @@ def _surfaces(draw: _Draw) -> dict[str, Any]:
 
 
 def _structure(seed: int, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Draw, now and then, a building's frame that shows: deep pillars, deep beams, or soffits along both walls.
+    """Sometimes draw a building's visible frame: deep pillars, deep beams, or soffits along both walls.
 
-    It has random numbers of its own, so that all else of a corridor is the same with and without.
+    It uses separate random numbers, so that the rest of a corridor is the same with and without it.
     """
     draw = _Draw(seed, stream=12)
     width, height = values["width_m"], values["height_m"]
@@ -282,7 +282,7 @@ def _openings(draw: _Draw, values: Mapping[str, Any], night: bool) -> dict[str, 
 
 
 def _contents(draw: _Draw) -> dict[str, Any]:
-    """Draw what stands and hangs in the corridor."""
+    """Draw the objects in the corridor."""
 
     def spacing(share: float, low: float, high: float) -> float:
         return float(draw.one_of(0.0, draw.between(low, high), p=(1 - share, share)))
@@ -316,7 +316,7 @@ def _light(draw: _Draw, width_m: float, night: bool) -> dict[str, Any]:
 
 
 def _strips(draw: _Draw, width_m: float, height_m: float) -> tuple[dict[str, Any], ...]:
-    """Draw what runs along the walls, the floor and under the ceiling."""
+    """Draw strips along the walls, the floor and the ceiling."""
     return (
         *_wall_strips(draw),
         *_floor_strips(draw, width_m),
@@ -325,7 +325,7 @@ def _strips(draw: _Draw, width_m: float, height_m: float) -> tuple[dict[str, Any
 
 
 def _wall_strips(draw: _Draw) -> list[dict[str, Any]]:
-    """Draw painted lines and dado rails, handrails, ledges and cable ducts, at times at unequal heights."""
+    """Draw painted lines and dado rails, handrails, ledges and cable ducts, sometimes at unequal heights."""
     strips: list[dict[str, Any]] = []
     if draw.chance(0.3):
         level, wide = draw.between(0.6, 1.6), draw.between(0.03, 0.25)
@@ -351,7 +351,7 @@ def _wall_strips(draw: _Draw) -> list[dict[str, Any]]:
 
 
 def _floor_strips(draw: _Draw, width_m: float) -> list[dict[str, Any]]:
-    """Draw painted lines, stripes of carpet and gutters, at times on one side only."""
+    """Draw painted lines, stripes of carpet and gutters, sometimes on one side only."""
     strips: list[dict[str, Any]] = []
     half = width_m / 2
     hand = draw.one_of((-1, 1), (-1,), (1,), p=(0.45, 0.275, 0.275))

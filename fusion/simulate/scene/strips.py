@@ -1,4 +1,4 @@
-"""What runs along a corridor: painted lines, stripes, rails, ducts, pipes, trays, gutters, and rounded corners."""
+"""Objects along a corridor: painted lines, stripes, rails, ducts, pipes, trays, gutters, and rounded corners."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from fusion.simulate.render.mesh import Material
 from fusion.simulate.scene.builder import Builder, Frame
 from fusion.simulate.scene.config import StripConfig, Surface
 
-PIECE_M = 6.0  # long surfaces slow the search for what a ray hits
-PAINT_M = 0.0008  # paint lies above its surface
+PIECE_M = 6.0  # long surfaces slow down ray casting
+PAINT_M = 0.0008  # height of paint above its surface
 PIPE_SIDES = 10
 COVING_FACETS = 6
 
 
 def strip_material(strip: StripConfig) -> Material:
-    """Return what a strip is made of."""
+    """Return the material of a strip."""
     material = Material(strip.albedo, strip.texture, (0.9, 0.7), 1.0, gloss=strip.gloss)
     if strip.slot_spacing_m > 0:
         return material.but(
@@ -38,7 +38,7 @@ def build_strip(
 ) -> None:
     """Build a strip from s[0] to s[1] in a wall's frame, or in a room's (d right of its centre line).
 
-    ``height_m`` is that of the ceiling; ``layer`` keeps strips apart that are painted over one another.
+    ``height_m`` is that of the ceiling; ``layer`` separates overlapping painted strips.
     """
     if strip.dash_m > 0.0:
         pieces = [
@@ -116,7 +116,7 @@ def build_coving(
     material: Material,
     top_m: float = 0.0,
 ) -> None:
-    """Round the corner of a wall and the floor, or the ceiling at ``top_m``, by facets of a quarter cylinder."""
+    """Round the corner between a wall and the floor, or the ceiling at ``top_m``, by facets of a quarter cylinder."""
     angles = np.linspace(0.0, np.pi / 2, COVING_FACETS + 1)
     d, rise = radius_m * (1 - np.cos(angles)), radius_m * (1 - np.sin(angles))
     h = top_m - rise if top_m > 0 else rise

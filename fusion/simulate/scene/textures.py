@@ -1,6 +1,6 @@
 """Procedural grey textures as ripmaps: averaged separately along the two axes.
 
-A floor seen at a flat angle so blurs along the view and stays sharp across it.
+A floor seen at a flat angle is then blurred along the view and sharp across it.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ Canvas = npt.NDArray[np.uint8]
 
 
 class TextureSet(NamedTuple):
-    """Every texture: numbers by name, and the averaged copies of each one after another.
+    """All textures: numbers by name, and the concatenated averaged copies.
 
-    A texture's copies lie row-major by (level along v, level along u); each is (SIZE >> lv, SIZE >> lu).
+    A texture's copies are stored row-major by (level along v, level along u); each is (SIZE >> lv, SIZE >> lu).
     """
 
     number: dict[str, int]
@@ -218,7 +218,7 @@ _DRAW = {
 
 
 def _ripmap(picture: Picture) -> list[Picture]:
-    # rows count from the bottom: v grows upwards on a wall
+    # rows are numbered from the bottom: v grows upwards on a wall
     rows = [np.ascontiguousarray(picture[::-1])]
     for _ in range(1, LEVELS):
         rows.append(np.asarray((rows[-1][0::2] + rows[-1][1::2]) / 2, np.float32))

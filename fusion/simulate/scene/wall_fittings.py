@@ -1,4 +1,4 @@
-"""What is in the walls and hangs on them: doors with the rooms behind them, posters, boards, signs.
+"""Objects in and on the walls: doors with the rooms behind them, posters, boards, signs.
 
 Every function builds in the wall's own frame: s along the wall, d out of it into the room, h above the floor.
 """
@@ -24,7 +24,7 @@ from fusion.simulate.scene.plan import Room, room_frame
 from fusion.simulate.scene.textures import BOARDS, POSTERS, SIGNS
 
 DOOR_HEIGHT_M = 2.05
-SKEW_RAD = 0.006  # how far sheets hang from plumb
+SKEW_RAD = 0.006  # tilt of hanging sheets
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Opening:
 def place_openings(
     config: SceneConfig, length_m: float, rng: np.random.Generator, free_behind: list[tuple[float, float]]
 ) -> list[Opening]:
-    """Draw doorways along a wall; rooms open only where ``free_behind`` says that nothing else is there."""
+    """Draw doorways along a wall; rooms are built only in the free stretches ``free_behind``."""
     openings: list[Opening] = []
     if config.door_spacing_m <= 0:
         return openings
@@ -185,7 +185,7 @@ def _swing_leaf(builder: Builder, frame: Frame, opening: Opening, deep: float, a
 def hang_sheet(
     builder: Builder, frame: Frame, s: float, low: float, size: tuple[float, float], texture: str
 ) -> None:
-    """Hang a poster, board or sign, a few millimetres to centimetres thick and not quite plumb."""
+    """Hang a poster, board or sign, a few millimetres to centimetres thick and slightly tilted."""
     rng = builder.rng
     thick = float(rng.choice([0.003, 0.012, 0.025]))
     face = Material(float(rng.uniform(0.6, 0.9)), texture)
@@ -198,7 +198,7 @@ def hang_sheet(
     rims = ((back, along, -up), (back + up, along, up), (back, up, -along), (back + along, up, along))
     for corner, edge, facing in rims:
         builder.quad(corner, edge, out, facing, rim)
-    # text reads from left to right whichever way the wall runs
+    # text runs from left to right for either direction of the wall
     if np.cross(along, up) @ frame.out < 0:
         back, along = back + along, -along
     builder.quad(back + out, along, up, frame.out, face)
@@ -207,7 +207,7 @@ def hang_sheet(
 def decorate(
     builder: Builder, frame: Frame, s0: float, s1: float, config: SceneConfig, room_m: float
 ) -> None:
-    """Fill a piece of wall between two doorways with what hangs and stands there."""
+    """Fill a piece of wall between two doorways with objects."""
     rng = builder.rng
     lockers = rng.random() < config.lockers_share
     if lockers and s1 - s0 > 0.9:

@@ -12,12 +12,12 @@ from fusion.simulate.scene.config import SceneConfig, Side, WindowsConfig
 from fusion.simulate.scene.plan import FloatArray, Room
 from fusion.simulate.scene.textures import WINDOWS
 
-OUTSIDE_M = 7.0  # of what is outside, seen in one copy of its picture
+OUTSIDE_M = 7.0  # width of the outside view in one copy of its picture
 FRAME_M = 0.05
 
 
 def _panes(windows: WindowsConfig, config: SceneConfig) -> tuple[float, int]:
-    """Where the first pane begins along the corridor, and how many there are; none beyond a step in the width."""
+    """Start of the first pane along the corridor, and the number of panes; none beyond a step in the width."""
     last = (config.length_m if config.width_step is None else config.width_step.at_m) - 0.5
     last = last if windows.to_m is None else min(windows.to_m, last)
     pitch = windows.pane_m + windows.pier_m
@@ -27,7 +27,7 @@ def _panes(windows: WindowsConfig, config: SceneConfig) -> tuple[float, int]:
 def build_windows(
     builder: Builder, frame: Frame, windows: WindowsConfig, config: SceneConfig, span_m: tuple[float, float]
 ) -> None:
-    """Set the panes that lie within ``span_m`` (along the corridor) into a wall that begins there."""
+    """Build the panes within ``span_m`` (along the corridor) in a wall that begins there."""
     first, count = _panes(windows, config)
     pitch, low, high = (
         windows.pane_m + windows.pier_m,
