@@ -37,20 +37,33 @@ _STEADY = Bound(within=2.5, over_oracle=1.1, nees=(0.7, 1.4), quiet=True)
 
 
 def _statistic(
-    name: str, injection: Injection | None = None, seconds: float = 40.0, **scene: object
+    name: str,
+    injection: Injection | None = None,
+    seconds: float = 40.0,
+    flights: int = 3,
+    **scene: object,
 ) -> Fault:
     # Without an attitude, which the oracle does not see either; 1 Hz needs five frames to start.
     return Fault(
-        name, "F10", injection, _STEADY, start_s=7.0, seconds=seconds, flights=3, scene=NO_ATTITUDE | scene
+        name,
+        "F10",
+        injection,
+        _STEADY,
+        start_s=7.0,
+        seconds=seconds,
+        flights=flights,
+        scene=NO_ATTITUDE | scene,
     )
 
 
 def _correlated(time_s: float) -> Fault:
-    seconds = 60.0 if time_s > 1.0 else 40.0
+    # A minute has few independent errors that last for seconds: NEES of one flight scatters by a half.
+    seconds, flights = (60.0, 10) if time_s > 1.0 else (40.0, 3)
     return _statistic(
         f"frame errors correlated over {time_s:g} s, not told",
         None,
         seconds,
+        flights,
         frame_correlation=np.exp(-1 / (30 * time_s)),
     )
 

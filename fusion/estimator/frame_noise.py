@@ -15,7 +15,7 @@ A gyroscope with a fault turns by little from one frame to the next, so that the
 from __future__ import annotations
 
 from bisect import bisect_left
-from math import exp, log, pi, sqrt
+from math import exp, expm1, log, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +30,7 @@ MEMORY_S = 15.0
 MAX_TERM = 9.0  # of a squared difference over its expectation: beyond is a gross error
 FIT_NS = 250_000_000
 LASTING_S = 0.1
-PRIOR_LOG_SCALE, PRIOR_LOG_TIME = 0.35, 2.0  # standard deviations about what is stated
+PRIOR_LOG_SCALE, PRIOR_LOG_TIME = 0.35, 4.0  # standard deviations about what is stated
 PRIOR_LOG_GYRO = 0.5
 POOR_FIT = 3.0  # log-likelihood and prior less than the best possible: from there on the gyroscope is doubted
 GYRO_SCALES = np.exp(np.linspace(np.log(1.5), np.log(100.0), 12))
@@ -110,7 +110,7 @@ class FrameNoise(NamedTuple):
         fade = exp(-dt_s / MEMORY_S)
         density = gyro_noise * gyro_noise
         lags = tuple(
-            _with_difference(d, fade, _at_lag(kept, t_ns, lag), new, density, self.scale, self.gyro_scale)
+            _with_difference(d, fade, _at_lag(kept, t_ns, lag), new, density, self)
             for d, lag in zip(self.lags, LAGS_S, strict=True)
         )
         noise = self._replace(headings=(*kept, new), lags=lags)
@@ -153,8 +153,7 @@ def _with_difference(
     then: Heading | None,
     now: Heading,
     density: float,
-    scale: float,
-    gyro_scale: float,
+    noise: FrameNoise,
 ) -> Differences:
     weight, lag, total, squares, turned = (fade * value for value in d)
     if then is None:
@@ -163,7 +162,10 @@ def _with_difference(
     stated = now.variance + then.variance
     step = (now.difference_rad - then.difference_rad + 0.5 * pi) % pi - 0.5 * pi
     share = density * lag_s / stated
-    most = sqrt(MAX_TERM * (max(scale, 1.0) + gyro_scale * share))
+    # Gross errors that passed the gate are white: beside errors that change slowly they would look like a short
+    # correlation time, were they not bounded by what is expected at this lag.
+    changed = -expm1(-lag_s / noise.correlation_s) if noise.correlation_s > 0.0 else 1.0  # NaN fails too
+    most = sqrt(MAX_TERM * (max(noise.scale, 1.0) * changed + noise.gyro_scale * share))
     z = min(max(step / sqrt(stated), -most), most)
     return Differences(weight + 1.0, lag + lag_s, total + z, squares + z * z, turned + share)
 
