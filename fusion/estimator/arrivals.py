@@ -37,7 +37,7 @@ MAX_TERM = 2.0  # of one frame's evidence on what has stepped
 MIN_STD_RAD = 1e-6  # of a heading: a smaller one, squared, may be 0
 COMPARED_NS = 400_000_000  # from frame to frame; the rate must change in that time
 DEPENDENT_FRAMES = 4.0  # each comparison is so many times less evidence than an independent one
-TOLD_NS = 1_000_000_000  # how long a clock that was found is reported: the filter has to recover
+REPORTED_NS = 1_000_000_000  # how long a clock that was found is reported: the filter has to recover
 DECIDED = 7.0  # log odds of 1000:1
 
 _FAULTS = {"imu": Fault.IMU_CLOCK, "attitude": Fault.ATTITUDE_CLOCK, "frame": Fault.CAMERA_CLOCK}
@@ -99,7 +99,7 @@ class _Source:
         )  # the clock's last arrival, and how far stamps have gone since then
 
     @property
-    def spoken(self) -> bool:
+    def has_samples(self) -> bool:
         """Whether a sample was taken."""
         return self.interval_ns == self.interval_ns
 
@@ -146,7 +146,7 @@ class Arrivals:
             return self._take(source, t_ns)
         if source is clock and newest_ns - self.buffer_ns <= t_ns <= clock.last_ns + self.buffer_ns:
             return self._take(source, t_ns)  # as nearly always
-        orders = source is clock or source.rank < clock.rank or self._outlives(source, t_ns, clock)
+        orders = source is clock or source.rank < clock.rank or self._replaces_dead_clock(source, t_ns, clock)
         if t_ns < newest_ns - self.buffer_ns:
             return self._late(source, sample, newest_ns, orders)
         if not orders:
@@ -202,9 +202,9 @@ class Arrivals:
         """How far a stamp may jump."""
         return max(self.buffer_ns, 2.5 * source.interval_ns)  # of NaN, too, the buffer
 
-    def _outlives(self, source: _Source, t_ns: int, clock: _Source) -> bool:
+    def _replaces_dead_clock(self, source: _Source, t_ns: int, clock: _Source) -> bool:
         """Whether the clock is dead: this source has gone on for long since its last sample."""
-        if source.rank == len(CLOCKS) or not source.spoken:
+        if source.rank == len(CLOCKS) or not source.has_samples:
             return False
         if source.tick != self._tick:
             source.tick, source.progress_ns = self._tick, 0.0
@@ -219,9 +219,9 @@ class Arrivals:
             self._tick += 1
             if source.suspect is not None:
                 self._forget_suspect(source)
-        elif clock is not None and source.progress_ns == 0.0:  # the clock has spoken since the last one
+        elif clock is not None and source.progress_ns == 0.0:  # the clock has has_samples since the last one
             lag_s = (clock.last_ns - t_ns) * 1e-9
-            memory = LATENCY_MEMORY if source.spoken else 1.0
+            memory = LATENCY_MEMORY if source.has_samples else 1.0
             source.latency_s += memory * (max(lag_s, 0.0) - source.latency_s)
             if source.name == "frame":
                 self.frames.arrived(t_ns, lag_s)
@@ -250,7 +250,7 @@ class Arrivals:
     def _late(self, source: _Source, sample: Sample, newest_ns: int, orders: bool) -> Admission:
         """Refuse, unless this is the first that is heard of a better clock: time is its own from now on."""
         suspect = source.suspect
-        if source.spoken or not orders:
+        if source.has_samples or not orders:
             source.off, source.off_s = min(source.off, 0) - 1, (newest_ns - sample.t_ns) * 1e-9
             return Admission.LATE
         if suspect is None or not 0 < sample.t_ns - suspect.t_ns <= self.buffer_ns:
@@ -334,7 +334,7 @@ class FrameStamps:
 
     def arrived(self, t_ns: int, lag_s: float) -> None:
         """Take a frame that arrives so far behind the clock."""
-        if self._moved_at_ns is not None and t_ns - self._moved_at_ns > TOLD_NS:
+        if self._moved_at_ns is not None and t_ns - self._moved_at_ns > REPORTED_NS:
             self._moved_at_ns = None
         recent = self._recent
         recent.append(lag_s)
@@ -353,7 +353,9 @@ class FrameStamps:
             self.shift_s = 0.0
             self._usual_s += USUAL_MEMORY * (middle - self._usual_s)
 
-    def weigh(self, t_ns: int, heading_rad: float, std_rad: float, turned_rad: tuple[float, float]) -> None:
+    def add_evidence(
+        self, t_ns: int, heading_rad: float, std_rad: float, turned_rad: tuple[float, float]
+    ) -> None:
         """Weigh a frame of stepped stamps.
 
         Parameters

@@ -29,7 +29,7 @@ from fusion.estimator.hypotheses import (
     Diagnosis,
     Hypothesis,
     Innovations,
-    Told,
+    ReportedFault,
     Verdict,
     judge,
 )
@@ -61,7 +61,7 @@ class SeenHeading(NamedTuple):
     unmeasured_ns: int | None = None
 
 
-def diagnosed(
+def with_diagnosis(
     axis: CorridorAxis,
     ekf: CorridorEKF,
     reckoning: DeadReckoning,
@@ -90,7 +90,7 @@ def diagnosed(
     comparison = HeadingComparison(
         t_ns, heading_rad, std, raw_rad, yaw_rad, linked, walk, bias_rad_s, bias_variance, stamp_std_s
     )
-    axis, drift = weigh(axis, ekf, comparison, rho, config)
+    axis, drift = update_diagnosis(axis, ekf, comparison, rho, config)
     followed = follow_verdict(axis, ekf, comparison, drift, reckoning.theta_rad, corrects_heading)
     if axis.was_accepted and axis.diagnosis.found is Hypothesis.WELL:
         difference = heading_rad - reckoning.theta_rad
@@ -101,7 +101,7 @@ def diagnosed(
     return axis, followed
 
 
-def weigh(
+def update_diagnosis(
     axis: CorridorAxis, ekf: CorridorEKF, new: HeadingComparison, rho: float, config: FusionConfig
 ) -> tuple[CorridorAxis, Slope | None]:
     """Ask who is wrong, and return what frames minus gyroscope showed.
@@ -136,7 +136,7 @@ def weigh(
         yaw_probabilities=before.yaw_probabilities.compared(beside, noise),
     )
     if now.jump_rad:
-        now = now._replace(told=Told(Hypothesis.SPIKE, new.t_ns))
+        now = now._replace(reported=ReportedFault(Hypothesis.SPIKE, new.t_ns))
     due = now.judged_ns is None or new.t_ns - now.judged_ns >= CHECK_INTERVAL_S * 1e9
     if not (innovations.systematic or due) or comparisons[-1] is not new:
         return axis._replace(diagnosis=now), None
@@ -144,7 +144,7 @@ def weigh(
     now = now.with_verdict(new.t_ns, verdict, due)
     found = now.found
     if found in (Hypothesis.WELL, Hypothesis.GYRO) and not isnan(now.straight_bias_rad_s):
-        now = straight_again(now, ekf)
+        now = end_bend(now, ekf)
     if found is Hypothesis.SPIKE:
         now = now._replace(comparisons=(new,))
     return axis._replace(diagnosis=now), drift
@@ -157,15 +157,17 @@ def _judge_spans(d: Diagnosis, ekf: CorridorEKF, noise: InertialNoise) -> tuple[
     """
     last = d.comparisons[-MIN_POINTS:]
     jumped = d.innovations.systematic and 2 * sum(not s.linked for s in last) > MIN_POINTS
-    refused = d.rejected_share > REJECTED_SHARE
+    frames_rejected = d.rejected_share > REJECTED_SHARE
     drift = Drift(d.comparisons, float(ekf.x[PSI]), noise)
     verdict, evidence = Verdict(), Evidence()
     for span_s in SPANS_S:
         shown = drift.over(span_s)._replace(
-            jumped=jumped, refused=refused, yaw_probabilities=d.yaw_probabilities
+            jumped=jumped, frames_rejected=frames_rejected, yaw_probabilities=d.yaw_probabilities
         )
         found = judge(shown, d.found)
-        if evidence.gyro is None or found.of(Hypothesis.WELL) < verdict.of(Hypothesis.WELL):
+        if evidence.gyro is None or found.probability_of(Hypothesis.WELL) < verdict.probability_of(
+            Hypothesis.WELL
+        ):
             verdict, evidence = found, shown
         if verdict.likeliest is not Hypothesis.WELL:
             break
@@ -205,8 +207,8 @@ def follow_verdict(
     followed = not isnan(d.straight_bias_rad_s) and not d.innovations.systematic
     if likeliest in (Hypothesis.GYRO, Hypothesis.BEND) and drift is not None and not followed:
         return follow_drift(axis, ekf, drift, new.t_ns, theta_rad, corrects_heading)
-    leapt = likeliest is Hypothesis.SPIKE and d.rejected_share > 0.5
-    if leapt and new.linked and not axis.was_accepted:
+    spiked = likeliest is Hypothesis.SPIKE and d.rejected_share > 0.5
+    if spiked and new.linked and not axis.was_accepted:
         found = Recovery(new.heading_rad + axis.facing_rad, new.std_rad)
         return recover(axis, ekf, found, new.t_ns, theta_rad, corrects_heading)
     return None
@@ -218,7 +220,7 @@ def bend_rate(d: Diagnosis, ekf: CorridorEKF) -> float:
     return 0.0 if isnan(straight) else straight - float(ekf.x[BIAS])
 
 
-def straight_again(d: Diagnosis, ekf: CorridorEKF) -> Diagnosis:
+def end_bend(d: Diagnosis, ekf: CorridorEKF) -> Diagnosis:
     """Subtract the rate of a bend that has ended from the bias."""
     x = ekf.x.copy()
     x[BIAS] = d.straight_bias_rad_s

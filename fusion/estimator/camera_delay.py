@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.models import BIAS, PSI
-from fusion.estimator.noise_adaptation import as_if_independent, correlation
+from fusion.estimator.noise_adaptation import correlation, independent_equivalent_variance
 from vision.rotations import wrap_axis
 
 if TYPE_CHECKING:
@@ -193,12 +193,12 @@ class Delay(NamedTuple):
         return self._replace(turns=(), waiting=(), last=None, axis=None, effect=None)
 
 
-def unknown_delay(config: FusionConfig) -> Delay | None:
+def initial_delay(config: FusionConfig) -> Delay | None:
     """Start with what the configuration says; None where it takes the delay as known."""
     if config.camera_delay_std_s <= 0.0:
         return None
-    told_s = config.camera_delay_s
-    bounds = (max(-told_s, -MAX_LATE_S), min(config.buffer_s - told_s, MAX_LATE_S))
+    configured_s = config.camera_delay_s
+    bounds = (max(-configured_s, -MAX_LATE_S), min(config.buffer_s - configured_s, MAX_LATE_S))
     return Delay(config.camera_delay_std_s, bounds)
 
 
@@ -268,11 +268,11 @@ def with_frame(delay: Delay, seen: FrameHeading, noise: AxisNoise) -> Delay:
         first = delay.waiting[0]
         delay = delay._replace(waiting=delay.waiting[1:])
         if first.t_ns - BEHIND_NS >= delay.turns[0].t_ns:
-            delay = _taken_in(delay, first, noise)
+            delay = _updated(delay, first, noise)
     return delay
 
 
-def _taken_in(delay: Delay, seen: FrameHeading, noise: AxisNoise) -> Delay:
+def _updated(delay: Delay, seen: FrameHeading, noise: AxisNoise) -> Delay:
     turns, t_ns = delay.turns, seen.t_ns
     middle_ns = t_ns - round(0.5e9 * delay.late_s)
     rate = mean_rate(turns, middle_ns - RATE_NS // 2, middle_ns + RATE_NS // 2)
@@ -288,7 +288,9 @@ def _taken_in(delay: Delay, seen: FrameHeading, noise: AxisNoise) -> Delay:
         )
         return delay._replace(last=seen, axis=started)
     axis = axis.predicted((t_ns - last.t_ns) * 1e-9, noise)
-    variance = as_if_independent(seen.variance, axis.P[0], correlation(t_ns, last.t_ns, noise.correlation_s))
+    variance = independent_equivalent_variance(
+        seen.variance, axis.P[0], correlation(t_ns, last.t_ns, noise.correlation_s)
+    )
     innovation, per_s, S = wrap_axis(measured - axis.angle_rad), rate - axis.per_s[0], axis.P[0] + variance
     start_ns = t_ns + GUARD_NS
     near = mean_rate(turns, start_ns, start_ns + PART_NS) - axis.bias_rad_s

@@ -18,7 +18,7 @@ from fusion.estimator.gyro_checks import GyroCheck
 from fusion.estimator.propagation import DeadReckoning, Mode
 from vision.measurement import FrameMeasurement
 
-TOLD_FRAMES = 3  # in a row: a video of a higher rate than its camera's shows some pictures twice
+MIN_REPORTED_FRAMES = 3  # in a row: a video of a higher rate than its camera's shows some pictures twice
 EQUAL_FRAMES = 5  # measurements in a row beside a noisy gyroscope
 TURN_RAD = radians(0.3)
 
@@ -56,7 +56,7 @@ class Repeats(NamedTuple):
 
     def notice(self) -> Notice | None:
         """Say that the camera is frozen; None where it is not."""
-        if self.found < TOLD_FRAMES:
+        if self.found < MIN_REPORTED_FRAMES:
             return None
         return Notice(Fault.CAMERA_FROZEN, "camera repeats the same picture")
 

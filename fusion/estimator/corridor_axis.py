@@ -111,8 +111,8 @@ def _is_linked(near: Sequence[FrameAxis], new: FrameAxis, yaw_std_rad: float) ->
     low, high = max(min(turned, 0.0), -GRADUAL_RAD), min(max(turned, 0.0), GRADUAL_RAD)
     if low - noise < step < high + noise:
         return True
-    leapt = abs(new.raw_theta_rad - near[-1].raw_theta_rad) > GRADUAL_RAD
-    return leapt and continues_at_same_rate(
+    gyro_jumped = abs(new.raw_theta_rad - near[-1].raw_theta_rad) > GRADUAL_RAD
+    return gyro_jumped and continues_at_same_rate(
         near, new.t_ns, new.heading_rad, new.std_rad
     )  # whatever the gyroscope says
 
@@ -238,7 +238,7 @@ class CorridorAxis(NamedTuple):
             return self.frame_noise.scale, self.frame_noise.correlation_s
         return self.noise.inflation, config.heading_correlation_s
 
-    def followed(
+    def with_seen_heading(
         self,
         t_ns: int,
         heading_rad: float,
@@ -273,7 +273,7 @@ class CorridorAxis(NamedTuple):
             linked = linked or (bool(near) and _is_linked(near, new, yaw_std_rad))
         return self._replace(recent=(*self.recent[-5:], new._replace(linked=linked)))
 
-    def voted(
+    def with_vote(
         self, t_ns: int, axis_rad: float, std_rad: float, linked: bool, frame_interval_s: float
     ) -> CorridorAxis:
         """Keep a heading as a vote.

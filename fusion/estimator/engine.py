@@ -16,15 +16,15 @@ import numpy as np
 
 from fusion.estimator import junctions
 from fusion.estimator import tilt as tilts
-from fusion.estimator.axis_drift import SeenHeading, diagnosed
+from fusion.estimator.axis_drift import SeenHeading, with_diagnosis
 from fusion.estimator.camera_delay import (
     Delay,
     DelayedInnovation,
     FrameHeading,
+    initial_delay,
     innovation_of,
     learn_delay,
     turned_since_exposure,
-    unknown_delay,
     with_axis,
     with_turns,
 )
@@ -60,7 +60,7 @@ from fusion.estimator.models import (
     heading_model,
     level_yaw_rate,
 )
-from fusion.estimator.noise_adaptation import Doubt, correlation, update_with_doubt
+from fusion.estimator.noise_adaptation import ErrorModel, correlation, update_robustly
 from fusion.estimator.propagation import (
     UNKNOWN_HEADING_STD_RAD,
     DeadReckoning,
@@ -110,7 +110,7 @@ class Engine:
         reckoning = DeadReckoning(stored_gyro_bias=(0.0, self.config.gyro_bias_std_rad_s**2))
         P = np.diag([s**2 for s in std])
         lateral = Lateral(model=offset_model(self.config))
-        return State(np.zeros(N_STATES), P, reckoning, lateral=lateral, delay=unknown_delay(self.config))
+        return State(np.zeros(N_STATES), P, reckoning, lateral=lateral, delay=initial_delay(self.config))
 
     def filterpy_ekf(self) -> FilterpyEKF:
         """Return the filter to look at, which is worked with from the first call on."""
@@ -124,7 +124,7 @@ class Engine:
         """Return what the lateral offset's filter assumes."""
         return self._lateral.model_of(state.lateral)
 
-    def forgotten(self, s: State) -> State:
+    def reset_state(self, s: State) -> State:
         """Return the state before any sample, with the numbers of resets of another one, counted up."""
         initial, old = self.initial_state(), s.lateral
         axis = CorridorAxis(reset_count=s.axis.reset_count + 1)
@@ -213,7 +213,7 @@ class Engine:
             velocity=s.velocity.clock_set_back(),
             width=s.width.clock_set_back(),
             axis=s.axis.clock_set_back(),
-            lateral=s.lateral.unknown_again(),
+            lateral=s.lateral.without_offset(),
             frames=s.frames.clock_set_back(),
             delay=None if s.delay is None else s.delay.interrupted(),
             checks=s.checks.clock_set_back(),
@@ -255,7 +255,7 @@ class Engine:
             if not judged.is_used:
                 return self._propagated_to(s, t_ns, s.frames)._replace(checks=checks)
             if judged.verdict is GyroVerdict.CONFIRMED:
-                s = self._with_rate_since(s, rate_that_bridges(before, sample))
+                s = self._with_bridging_rate(s, rate_that_bridges(before, sample))
         if known is None:
             gyro = self._propagation.mean_gyro(s.reckoning, sample)
             tilt = tilts.with_imu(s.tilt, t_ns, gyro, sample.accel_m_s2)
@@ -273,7 +273,7 @@ class Engine:
         x, P = self.ekf.x, self.ekf.P
         return s.moved(x, P, d, lateral, delay, tilt=tilt, imu_yaw=s.imu_yaw, frames=s.frames, checks=checks)
 
-    def _with_rate_since(self, s: State, gyro_rad_s: Vector) -> State:
+    def _with_bridging_rate(self, s: State, gyro_rad_s: Vector) -> State:
         """Take this for the rate at the last gyroscope sample."""
         rate = level_yaw_rate(gyro_rad_s, s.tilt.down)
         return s._replace(reckoning=s.reckoning._replace(gyro_rad_s=gyro_rad_s, rate_rad_s=rate))
@@ -306,14 +306,14 @@ class Engine:
         s = self._propagated_to(s, seed.t_ns, s.frames)
         turn_rad = abs(wrap(seed.heading_rad - float(self.ekf.x[PSI])))
         if turn_rad > self.config.junction_min_turn_rad:  # the other way round, or along another corridor
-            s = s._replace(lateral=s.lateral.unknown_again())
+            s = s._replace(lateral=s.lateral.without_offset())
         axis = seed_heading(s.axis, self.ekf, seed, s.reckoning.theta_rad, s.imu_yaw.corrects_heading)
         return s._replace(axis=axis, imu_yaw=s.imu_yaw.axis_changed(), x=self.ekf.x, P=self.ekf.P)
 
     def _with_set_width(self, s: State, sample: WidthChange) -> State:
         s = self._propagated_to(s, sample.t_ns, s.frames)
         lateral = self._lateral.with_set_width(s.lateral, sample.width_m)
-        return s._replace(width=s.width.told(sample.width_m), lateral=lateral)
+        return s._replace(width=s.width.with_set_width(sample.width_m), lateral=lateral)
 
     def _frame(self, s: State, sample: FrameSample) -> tuple[State, FrameResult]:
         lateral = s.frames.begins_period(sample.t_ns, self.config.lateral_rate_hz)
@@ -383,9 +383,9 @@ class Engine:
             axis = axis._replace(
                 diagnosis=axis.diagnosis.started_anew(), frame_noise=axis.frame_noise.interrupted()
             )
-        more_gyro_noise = (axis.frame_noise.gyro_scale - 1.0) * self.config.gyro_noise**2
-        if more_gyro_noise != d.more_gyro_noise:
-            d = d._replace(more_gyro_noise=more_gyro_noise)
+        extra_gyro_noise = (axis.frame_noise.gyro_scale - 1.0) * self.config.gyro_noise**2
+        if extra_gyro_noise != d.extra_gyro_noise:
+            d = d._replace(extra_gyro_noise=extra_gyro_noise)
         return s if axis is s.axis and d is s.reckoning else s._replace(axis=axis, reckoning=d)
 
     def _fuse_heading(
@@ -409,28 +409,30 @@ class Engine:
         if delay is not None:
             delay = with_axis(delay, ekf, t_ns, d.raw_theta_rad, axis.reset_count)
             by_delay = innovation_of(delay, ekf, t_ns, d.raw_theta_rad)
-        doubt = Doubt(
+        error_model = ErrorModel(
             axis.gate_sigma(c),
             rho,
             OUTLIER_DENSITY,
-            more_variance=by_delay.variance,
+            extra_variance=by_delay.variance,
             scale=scale,
             rejected_share=axis.diagnosis.rejected_share,
         )
-        gate, noise = update_with_doubt(ekf, measurement, axis.noise, doubt)
+        gate, noise = update_robustly(ekf, measurement, axis.noise, error_model)
         axis = axis._replace(noise=noise, gate=gate)
-        axis = axis.followed(t_ns, heading, sqrt(variance), d, gate.accepted, interval_s, c.imu_yaw_std_rad)
+        axis = axis.with_seen_heading(
+            t_ns, heading, sqrt(variance), d, gate.accepted, interval_s, c.imu_yaw_std_rad
+        )
         result = (gate.residual, gate.test_ratio)
         if d.mode is Mode.GYRO:
             clipped_ns = s.checks.gyro.clipped_ns
             seen = SeenHeading(t_ns, heading, variance, rho, interval_s, sample.stamp_std_s, clipped_ns)
-            axis, followed = diagnosed(axis, ekf, d, seen, s.imu_yaw.corrects_heading, c)
+            axis, followed = with_diagnosis(axis, ekf, d, seen, s.imu_yaw.corrects_heading, c)
             if followed is not None:
                 s = s._replace(axis=followed, delay=delay, x=ekf.x, P=ekf.P)
                 return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
         if not gate.accepted:
             vote = (t_ns, d.theta_rad - heading, sqrt(variance))
-            axis = axis.voted(*vote, axis.recent[-1].linked, interval_s)
+            axis = axis.with_vote(*vote, axis.recent[-1].linked, interval_s)
             s = self._follow_votes(s._replace(axis=axis, delay=delay), t_ns)
             return s, FrameResult(sample.stamp_ns, m, False, Reason.GATE, *result)
         if delay is not None and d.mode is Mode.GYRO:
@@ -465,9 +467,9 @@ class Engine:
     ) -> State:
         """Take a frame for the axis that is looked for; where it is found with it, use the rest of the frame too."""
         ekf, d, interval_s = self.ekf, s.reckoning, s.frames.interval_s
-        axis = s.axis.voted(t_ns, d.theta_rad - heading_rad, std_rad, False, interval_s)
+        axis = s.axis.with_vote(t_ns, d.theta_rad - heading_rad, std_rad, False, interval_s)
         axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.corrects_heading, self.config, d.mode)
-        axis = axis.followed(
+        axis = axis.with_seen_heading(
             t_ns, heading_rad, std_rad, d, axis.acquired, interval_s, self.config.imu_yaw_std_rad
         )
         s = s._replace(axis=axis)
@@ -497,7 +499,7 @@ class Engine:
         if isinstance(found, Recovery):
             axis = recover(axis, ekf, found, t_ns, theta_rad, corrects_heading)
             return s._replace(axis=axis, imu_yaw=imu_yaw, x=ekf.x, P=ekf.P)
-        lateral = s.lateral.unknown_again()
+        lateral = s.lateral.without_offset()
         crossing = junctions.Crossing(corrects_heading, lateral.n_used)
         axis = junctions.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
         width = s.width.corridor_changed()

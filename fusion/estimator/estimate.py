@@ -219,7 +219,7 @@ def notices_of(
     age, limit = seconds_since(seen_ns, axis.t_vision_ns), state.frames.age_limit_s(config)
     notices = []
     if status is Status.TRACKING:
-        contested = axis.diagnosis.told
+        contested = axis.diagnosis.reported
         if contested is not None and seconds_since(t_ns, contested.t_ns) < CONTESTED_S:
             notices.append(Notice(Fault.HEADING_CONTESTED, CONTESTED[contested.hypothesis]))
         if state.lateral.contradicted:
@@ -230,15 +230,15 @@ def notices_of(
         notices.append(Notice(Fault.HEADING_UNCERTAIN, "heading is too uncertain"))
     else:
         silent = age > limit and state.frames.is_silent(seen_ns, config)
-        told = "no frames arrive" if silent else "frames are rejected"
+        text = "no frames arrive" if silent else "frames are rejected"
         if status is Status.LOST:
-            told = f"no usable frame for {age:.0f} s"
-        notices.append(Notice(Fault.FRAMES_SILENT if silent else Fault.FRAMES_REJECTED, told))
+            text = f"no usable frame for {age:.0f} s"
+        notices.append(Notice(Fault.FRAMES_SILENT if silent else Fault.FRAMES_REJECTED, text))
     if (frozen := state.checks.repeats.notice()) is not None:
         notices = [n for n in notices if n.fault is not Fault.FRAMES_REJECTED] + [frozen]
     if clocks:  # frames do arrive, with unusable stamps
         notices = [n for n in notices if n.text != "no frames arrive"] + clocks
-    return [*notices, *_of_sensors(state, config, t_ns, arrivals)]
+    return [*notices, *_sensor_notices(state, config, t_ns, arrivals)]
 
 
 def _seen_ns(state: State, t_ns: int, arrivals: ArrivalTimes | None) -> int:
@@ -247,7 +247,7 @@ def _seen_ns(state: State, t_ns: int, arrivals: ArrivalTimes | None) -> int:
     return t_ns if not latency_ns else max(t_ns - latency_ns, state.frames.last_ns or 0)
 
 
-def _of_sensors(
+def _sensor_notices(
     state: State, config: FusionConfig, t_ns: int, arrivals: ArrivalTimes | None
 ) -> Iterator[Notice]:
     """Yield the faults of all sources but the camera: silent sources, gyroscope, installation."""
@@ -286,7 +286,7 @@ def estimate_of(
             0 if t_ns is None else t_ns,
             reason="no sample yet",
             faults=Fault.NOT_STARTED,
-            **_steps(resets),
+            **_reset_fields(resets),
         )
     t = state.t_ns if t_ns is None else t_ns
     reckoning, axis, lateral, half = state.reckoning, state.axis, state.lateral, state.width.half_m(config)
@@ -335,7 +335,7 @@ def estimate_of(
         lateral_status=str(found.status),
         lateral_probability=found.probability,
         faults=reduce(or_, (notice.fault for notice in notices), Fault.NONE),
-        **_steps(resets),
+        **_reset_fields(resets),
     )
 
 
@@ -347,7 +347,7 @@ def heading_of(state: State) -> tuple[float, float]:
     return float(state.x[PSI]), std if state.t_ns is None else spread_by_delay(std, state.delay, state.t_ns)
 
 
-def _steps(resets: Resets) -> dict[str, Any]:
+def _reset_fields(resets: Resets) -> dict[str, Any]:
     """Return the fields of an `Estimate` that report steps."""
     return {
         "reset_count": resets.heading_count,

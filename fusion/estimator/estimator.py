@@ -24,7 +24,7 @@ from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.input_checks import (
     checked_config,
     checked_measurement,
-    finite_or_not,
+    float_list,
     number,
     vector,
     whole_nanoseconds,
@@ -156,7 +156,7 @@ class CorridorEstimator:
             return self._late(sample)
         released = self._arrivals.released()
         if admission is Admission.JUMPED:
-            timeline.leap()
+            timeline.note_jump()
         else:
             self._set_back(released[0].t_ns)
         return [self._insert(held) for held in released][-1]
@@ -178,10 +178,10 @@ class CorridorEstimator:
             or timeline.entries[-1] is not entry
             or before.reckoning.gyro_done_rad != 0.0
         ):
-            self._count_steps(before)
+            self._count_resets(before)
         return entry
 
-    def _count_steps(self, before: State) -> None:
+    def _count_resets(self, before: State) -> None:
         """Count a jump of the newest estimate."""
         after = self._timeline.state
         if after is not before:
@@ -202,7 +202,7 @@ class CorridorEstimator:
         self.counters["clock_set_back"] += 1
         before = self._timeline.state
         self._timeline.restart(t_ns)
-        self._count_steps(before)
+        self._count_resets(before)
         if self._lag is not None:
             self._lag.clear()
 
@@ -247,7 +247,7 @@ class CorridorEstimator:
         InputError
             If the time is not an integer of nanoseconds, or the quaternion does not consist of four numbers.
         """
-        w, x, y, z = finite_or_not(q_world_body, 4, "q_world_body")
+        w, x, y, z = float_list(q_world_body, 4, "q_world_body")
         self.add(AttitudeSample(whole_nanoseconds(t_ns), (w, x, y, z)))
 
     def add_velocity(self, t_ns: int, v_body: npt.ArrayLike) -> None:
@@ -447,10 +447,10 @@ class CorridorEstimator:
         InputError
             If a value is impossible, or the time is beyond the buffer or already has a seed.
         """
-        samples: list[Sample] = [HeadingSeed.told(t_ns, heading_rad, heading_std_rad)]
+        samples: list[Sample] = [HeadingSeed.checked(t_ns, heading_rad, heading_std_rad)]
         if corridor_width_m is not None:
-            samples.append(WidthChange.told(t_ns, corridor_width_m))
-        self._tell(samples)
+            samples.append(WidthChange.checked(t_ns, corridor_width_m))
+        self._insert_set_values(samples)
 
     def set_corridor_width(self, t_ns: int, width_m: float | None) -> None:
         """Set the corridor's width from a time on, in place of ``config.corridor_width_m``.
@@ -470,9 +470,9 @@ class CorridorEstimator:
         InputError
             As for `seed`.
         """
-        self._tell([WidthChange.told(t_ns, width_m)])
+        self._insert_set_values([WidthChange.checked(t_ns, width_m)])
 
-    def _tell(self, samples: list[Sample]) -> None:
+    def _insert_set_values(self, samples: list[Sample]) -> None:
         """Insert samples that the caller sets; they are not checked against the sensors' clocks."""
         t_ns, newest_ns, buffer_ns = samples[0].t_ns, self._timeline.newest_ns, self._timeline.buffer_ns
         if newest_ns is not None and abs(t_ns - newest_ns) > buffer_ns:
@@ -492,14 +492,14 @@ class CorridorEstimator:
         heading is known, with the jump from the last known heading.
         """
         before = self._timeline.state
-        self._timeline.start_anew(self._engine.forgotten(before))
+        self._timeline.start_anew(self._engine.reset_state(before))
         self._arrivals.restart()
         if self._lag is not None:
             self._lag.clear()
         self.last_frame = None
         self._late_in_a_row = 0
         self.counters["reset"] += 1
-        self._count_steps(before)
+        self._count_resets(before)
         self._resets = self._resets.with_heading_step(0.0)
 
     def estimate(self, now_ns: int | None = None, *, at_ns: int | None = None) -> Estimate:
@@ -538,10 +538,10 @@ class CorridorEstimator:
         if state.t_ns is not None:
             newest = replace(newest, timestamp_ns=state.t_ns)
         if behind_s > MAX_BEHIND_S:
-            told = (
+            message = (
                 f"now_ns is {behind_s:.0f} s before the newest sample: give nanoseconds of the samples' clock"
             )
-            reason = f"{newest.reason}; {told}" if newest.reason else told
+            reason = f"{newest.reason}; {message}" if newest.reason else message
             newest = replace(newest, reason=reason, faults=newest.faults | Fault.IMU_CLOCK)
         if newest.reason and self.last_frame is not None and self.last_frame.cause:
             newest = replace(newest, reason=f"{newest.reason}; {self.last_frame.cause}")
@@ -555,8 +555,8 @@ class CorridorEstimator:
         e = estimate_of(moved, self.config, judged_ns or state.t_ns, self._arrivals, self._resets)
         reason = newest.reason
         if end_ns < at_ns:
-            told = f"predicted {MAX_AHEAD_NS * 1e-9:g} s ahead, not the {ahead_ns * 1e-9:.2f} s asked for"
-            reason = f"{reason}; {told}" if reason else told
+            message = f"predicted {MAX_AHEAD_NS * 1e-9:g} s ahead, not the {ahead_ns * 1e-9:.2f} s asked for"
+            reason = f"{reason}; {message}" if reason else message
         # What is known is judged where it is known; what the way ahead adds is in the sigmas.
         return replace(e, timestamp_ns=end_ns, status=newest.status, reason=reason, faults=newest.faults)
 
@@ -638,10 +638,10 @@ class CorridorEstimator:
             self.last_frame = entry.frame
             self.counters[f"frame_{entry.frame.reason}"] += 1
             if self._arrivals.frames.shift_s != 0.0:
-                self._weigh_stamps(entry, entry.frame.measurement)
+                self._check_frame_stamps(entry, entry.frame.measurement)
         return self.last_frame
 
-    def _weigh_stamps(self, entry: Entry, m: FrameMeasurement | None) -> None:
+    def _check_frame_stamps(self, entry: Entry, m: FrameMeasurement | None) -> None:
         """Decide by a frame whether the camera's clock has moved, or only the transport delay of the frames.
 
         A clock's step is subtracted from the stamps from then on.
@@ -652,7 +652,7 @@ class CorridorEstimator:
             return
         turned = (entry.after.reckoning.raw_theta_rad, before.reckoning.raw_theta_rad)
         moved_ns = stamps.moved_ns
-        stamps.weigh(entry.t_ns, m.heading_rad, m.heading_std_rad, turned)
+        stamps.add_evidence(entry.t_ns, m.heading_rad, m.heading_std_rad, turned)
         self.counters["camera_clock_moved"] += stamps.moved_ns != moved_ns
 
 

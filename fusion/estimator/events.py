@@ -17,7 +17,7 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import notices_of, status_of
 from fusion.estimator.lateral import offset_model
 from fusion.estimator.models import PSI
-from fusion.estimator.resets import Resets, only_turned
+from fusion.estimator.resets import Resets, only_propagated
 from fusion.estimator.state import Entry, State
 
 LOGGER = logging.getLogger("fusion.estimator")
@@ -53,11 +53,11 @@ class Event:
     values: Mapping[str, float | str] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        told = (
+        pairs = (
             f"{name}={value:.6g}" if isinstance(value, float) else f"{name}={value}"
             for name, value in self.values.items()
         )
-        return " ".join((f"t_ns={self.timestamp_ns}", str(self.kind), *told))
+        return " ".join((f"t_ns={self.timestamp_ns}", str(self.kind), *pairs))
 
 
 class EventFinder:
@@ -93,7 +93,7 @@ class EventFinder:
         old, new, t_ns = self._before, entry.after, entry.t_ns
         self._before = new
         found: list[Event] = []
-        if old is not None and not only_turned(old, new, entry.sample):
+        if old is not None and not only_propagated(old, new, entry.sample):
             if new.axis.corridor_index != old.axis.corridor_index:
                 index, turn_rad = new.axis.corridor_index, new.axis.corridor_turn_rad
                 values: dict[str, float | str] = {"corridor_index": index, "corridor_turn_rad": turn_rad}
@@ -137,13 +137,13 @@ class EventLog:
             return
         if self._finder is None:
             self._finder = EventFinder(self._config)
-        self._tell(self._finder.take(entry))
+        self._log(self._finder.take(entry))
 
     def finish(self) -> None:
         """Tell of the last instant."""
         if self._finder is not None:
-            self._tell(self._finder.finish())
+            self._log(self._finder.finish())
 
-    def _tell(self, events: list[Event]) -> None:
+    def _log(self, events: list[Event]) -> None:
         for event in events:
             LOGGER.info("%s", event, extra={"event": event})

@@ -84,7 +84,7 @@ class FixedLag:
             offset_steps.add(entry.t_ns, lateral.step, lateral.offset)
         row = smoothed_table(table, ends[instants], steps, offset_steps, self.config)[0]
         found = replace(rows[0], **dict(zip(ESTIMATE_DTYPE.names or (), row.item(), strict=True)))
-        if target.width.told_m is None:
+        if target.width.set_width_m is None:
             return found
         half_m = target.width.half_m(self.config)
         norm, std = found.lateral_offset_norm, found.lateral_offset_norm_std

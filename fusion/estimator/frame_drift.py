@@ -80,7 +80,7 @@ class Evidence(NamedTuple):
         The bias that was taken off.
     jumped
         Whether the frames themselves jumped, by more than the gyroscope turned meanwhile.
-    refused
+    frames_rejected
         Whether frames were rejected lately: a gyroscope that jumped by less has done no harm.
     yaw_probabilities
         Prior probabilities of what ails the IMU's yaw.
@@ -93,7 +93,7 @@ class Evidence(NamedTuple):
     yaw_variance: float = 0.0
     bias_rad_s: float = 0.0
     jumped: bool = False
-    refused: bool = True
+    frames_rejected: bool = True
     yaw_probabilities: YawProbabilities = YawProbabilities()
 
 
@@ -123,8 +123,8 @@ def gyro_jump_between_frames(
     if not isfinite(apart):
         return 0.0
     yaw = remainder(apart, 2.0 * pi)
-    leap = remainder(gyro - yaw, 2.0 * pi)
-    return leap if abs(leap) > 0.5 * pi and abs(gyro) > abs(yaw) + 0.5 * pi else 0.0
+    jump = remainder(gyro - yaw, 2.0 * pi)
+    return jump if abs(jump) > 0.5 * pi and abs(gyro) > abs(yaw) + 0.5 * pi else 0.0
 
 
 def slope_of(
@@ -280,8 +280,8 @@ class Drift:
             return known
         # The slope of a line that is fitted to n white errors over a span T has variance 12 sigma^2 / (n T^2).
         white = 12.0 * noise.yaw_std**2 / (n * span_s**2)
-        leaping = max(yaw.rate_std**2 - gyro.rate_std**2, 0.0)  # a yaw that jumps drifts at no constant rate
-        yaw_variance = walked_rate_variance(noise.yaw_walk, span_s) + white + leaping
+        jumping = max(yaw.rate_std**2 - gyro.rate_std**2, 0.0)  # a yaw that jumps drifts at no constant rate
+        yaw_variance = walked_rate_variance(noise.yaw_walk, span_s) + white + jumping
         return known._replace(yaw=yaw, yaw_variance=yaw_variance)
 
 

@@ -23,8 +23,8 @@ from fusion.estimator.records import new_record
 
 MAX_ANGULAR_ACCELERATION_RAD_S2 = 300.0  # about what small racing multirotors reach
 MAX_ACCELERATED_S = 0.03  # however long ago the last sample that was used: no vehicle does so for longer
-MIN_LEAP_RAD_S = 3.0  # from sample to sample; vibration makes smaller ones
-LEAP_SIGMA = 8.0  # of the gyroscope's noise
+MIN_JUMP_RAD_S = 3.0  # from sample to sample; vibration makes smaller ones
+JUMP_SIGMA = 8.0  # of the gyroscope's noise
 CONFIRMED_SAMPLES, CONFIRMED_NS = 3, 20_000_000  # that agree, before a jump is accepted
 CLIPPED_SHARE = 0.98  # of the range, from which on a sample is taken for clipped
 CLIPPED_REPEATS = 2  # of one fast axis while another changes: clipped at a range that is not configured
@@ -38,7 +38,7 @@ NOISY, NOISY_MEMORY = (
     0.3,
     1 / 32,
 )  # share of changes that reverse: 2/3 in noise, near 0 in an exact simulation
-TOLD_NS = 500_000_000
+REPORTED_NS = 500_000_000
 
 
 class GyroVerdict(StrEnum):
@@ -84,7 +84,7 @@ class GyroCheck(NamedTuple):
         When a sample last differed from the one before.
     clipped_from_ns
         Since when samples are clipped; None where they are not.
-    told, told_ns
+    reported, reported_ns
         The last verdict that was not good, and when.
     """
 
@@ -98,8 +98,8 @@ class GyroCheck(NamedTuple):
     stuck: int = 0
     changed_ns: int = 0
     clipped_from_ns: int | None = None
-    told: GyroVerdict = GyroVerdict.GOOD
-    told_ns: int = 0
+    reported: GyroVerdict = GyroVerdict.GOOD
+    reported_ns: int = 0
 
     @property
     def is_used(self) -> bool:
@@ -114,7 +114,7 @@ class GyroCheck(NamedTuple):
     @property
     def clipped_ns(self) -> int | None:
         """When a sample was clipped last, and the angle turned was not measured; None: not lately."""
-        return self.told_ns if self.told is GyroVerdict.CLIPPED else None
+        return self.reported_ns if self.reported is GyroVerdict.CLIPPED else None
 
     def clock_set_back(self) -> GyroCheck:
         """Start again; the estimated noise is kept."""
@@ -122,12 +122,12 @@ class GyroCheck(NamedTuple):
 
     def notice(self, t_ns: int) -> Notice | None:
         """Say what was wrong with a sample within the last half second; None: nothing."""
-        if self.told is GyroVerdict.GOOD or t_ns - self.told_ns > TOLD_NS:
+        if self.reported is GyroVerdict.GOOD or t_ns - self.reported_ns > REPORTED_NS:
             return None
-        return Notice(*_TEXTS[self.told])
+        return Notice(*_TEXTS[self.reported])
 
     def _wrong(self, verdict: GyroVerdict, t_ns: int) -> GyroCheck:
-        return self._replace(verdict=verdict, told=verdict, told_ns=t_ns)
+        return self._replace(verdict=verdict, reported=verdict, reported_ns=t_ns)
 
 
 def with_sample(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> GyroCheck:
@@ -147,14 +147,14 @@ def with_sample(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> Gy
     top = config.gyro_range_rad_s
     if not (-top <= p <= top and -top <= q <= top and -top <= r <= top):
         return check._wrong(GyroVerdict.OUT_OF_RANGE, t_ns)
-    _, last_ns, last, _, change, noisy, repeats, stuck, changed_ns, clipped_ns, told, told_ns = check
+    _, last_ns, last, _, change, noisy, repeats, stuck, changed_ns, clipped_ns, reported, reported_ns = check
     if last_ns is None:
         return check._replace(verdict=GyroVerdict.GOOD, t_ns=t_ns, gyro_rad_s=gyro, changed_ns=t_ns)
     dp, dq, dr = p - last[0], q - last[1], r - last[2]
-    least = MIN_LEAP_RAD_S
+    least = MIN_JUMP_RAD_S
     far = not (-least < dp < least and -least < dq < least and -least < dr < least)
-    if far and _leaps(gyro, last, t_ns - last_ns, config):
-        return _with_leap(check, sample, config)
+    if far and _jumps(gyro, last, t_ns - last_ns, config):
+        return _with_jump(check, sample, config)
     if dr != 0.0:
         noisy += NOISY_MEMORY * ((dr * change < 0.0) - noisy)
         change = dr
@@ -169,11 +169,24 @@ def with_sample(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> Gy
         stuck = stuck + 1 if held else 0
     verdict, clip = GOOD, CLIPPED_SHARE * top
     if (stuck >= CLIPPED_REPEATS and noisy >= NOISY) or abs(p) > clip or abs(q) > clip or abs(r) > clip:
-        verdict = told = GyroVerdict.CLIPPED
-        told_ns, clipped_ns = t_ns, clipped_ns or last_ns
+        verdict = reported = GyroVerdict.CLIPPED
+        reported_ns, clipped_ns = t_ns, clipped_ns or last_ns
     else:
         clipped_ns = None
-    found = (verdict, t_ns, gyro, (), change, noisy, repeats, stuck, changed_ns, clipped_ns, told, told_ns)
+    found = (
+        verdict,
+        t_ns,
+        gyro,
+        (),
+        change,
+        noisy,
+        repeats,
+        stuck,
+        changed_ns,
+        clipped_ns,
+        reported,
+        reported_ns,
+    )
     return new_record(GyroCheck, found)
 
 
@@ -201,19 +214,19 @@ def rate_that_bridges(before: GyroCheck, sample: ImuSample) -> Vector:
     return start(0), start(1), start(2)
 
 
-def _leaps(gyro: Vector, last: Vector, dt_ns: int, config: FusionConfig) -> bool:
+def _jumps(gyro: Vector, last: Vector, dt_ns: int, config: FusionConfig) -> bool:
     """Whether neither a vehicle nor noise gets from one rate to the other in that time."""
     dt_s = min(max(dt_ns * 1e-9, 1e-4), MAX_ACCELERATED_S)
     reach = max(
-        MAX_ANGULAR_ACCELERATION_RAD_S2 * dt_s, MIN_LEAP_RAD_S
-    ) + LEAP_SIGMA * config.gyro_noise / sqrt(dt_s)
+        MAX_ANGULAR_ACCELERATION_RAD_S2 * dt_s, MIN_JUMP_RAD_S
+    ) + JUMP_SIGMA * config.gyro_noise / sqrt(dt_s)
     return max(abs(a - b) for a, b in zip(gyro, last, strict=True)) > reach
 
 
-def _with_leap(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> GyroCheck:
+def _with_jump(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> GyroCheck:
     """Hold a sample back, or believe it, where it agrees with enough of those that are."""
     waiting, t_ns = check.waiting, sample.t_ns
-    if waiting and _leaps(sample.gyro_rad_s, waiting[-1].gyro_rad_s, t_ns - waiting[-1].t_ns, config):
+    if waiting and _jumps(sample.gyro_rad_s, waiting[-1].gyro_rad_s, t_ns - waiting[-1].t_ns, config):
         waiting = ()
     if len(waiting) + 1 >= CONFIRMED_SAMPLES and t_ns - waiting[0].t_ns >= CONFIRMED_NS:
         return check._replace(

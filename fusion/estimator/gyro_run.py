@@ -19,7 +19,7 @@ import numpy as np
 from fusion.estimator.camera_delay import Delay, with_turns
 from fusion.estimator.installation_checks import Installation
 from fusion.estimator.kernels import BIAS, N_STATES, PSI, stepped
-from fusion.estimator.lateral_kernels import lengthened
+from fusion.estimator.lateral_kernels import extended_path
 from fusion.estimator.lateral_offset import Acceleration, OffsetState, Path
 from fusion.estimator.lateral_status import Lateral
 from fusion.estimator.models import FloatArray
@@ -109,7 +109,7 @@ class GyroRun:
                 d.gyro_done_rad,
                 offset.roll.mean,
                 propagation.scale_variance_s,
-                d.more_gyro_noise,
+                d.extra_gyro_noise,
             ),
             (*propagation.noise[Mode.GYRO],),
             (self.x, self.F, self.P, self.Q, self.carried),
@@ -152,7 +152,7 @@ class GyroRun:
             yaw_done,
             d.attitude,
             d.stored_gyro_bias,
-            d.more_gyro_noise,
+            d.extra_gyro_noise,
         )
         return State(
             self.x[i],
@@ -166,15 +166,15 @@ class GyroRun:
             Lateral(offset, None, *lateral[2:]),
             frames,
             elevation,
-            self._delay_behind(i),
-            Checks(sensed.gyro, checks.repeats, self._installation_behind(i)),
+            self._delay_after(i),
+            Checks(sensed.gyro, checks.repeats, self._installation_after(i)),
         )
 
-    def _installation_behind(self, i: int) -> Installation:
+    def _installation_after(self, i: int) -> Installation:
         found, start = self.good.sensed[i].installation, self.start.checks.installation
         return start if found is self.before.installation else found.with_frames_of(start)
 
-    def _delay_behind(self, i: int) -> Delay | None:
+    def _delay_after(self, i: int) -> Delay | None:
         if self._delay is None:
             return None
         if self._delay_at > i + 1:
@@ -240,7 +240,7 @@ def _replay_gyro_samples(
         Filled: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3) of the last step, carried (n, 13).
     """
     last_ns, gyro_ns, grace_ns = times_ns
-    last_rate, done, roll, scale_variance_s, more_noise = numbers
+    last_rate, done, roll, scale_variance_s, extra_noise = numbers
     heading_noise, bias_noise, offset_noise = noise
     x_out, F_out, P_out, Q, carried_out = out
     theta, raw_theta, yaw_done = carried[0], carried[1], carried[2]
@@ -253,11 +253,11 @@ def _replay_gyro_samples(
             return k
         rate = steps[k, 0]
         force, down = (steps[k, 1], steps[k, 2], steps[k, 3]), (steps[k, 4], steps[k, 5], steps[k, 6])
-        path, accel = lengthened(path, accel, dt_s, x[PSI], force, down, roll)
+        path, accel = extended_path(path, accel, dt_s, x[PSI], force, down, roll)
         age_s += dt_s
         turned = 0.5 * (last_rate + rate) * (t_ns[k] - gyro_ns) * 1e-9 - done
         corrected = turned - x[BIAS] * dt_s
-        variance = scale_variance_s * corrected * corrected / dt_s + more_noise * dt_s
+        variance = scale_variance_s * corrected * corrected / dt_s + extra_noise * dt_s
         stepped(
             x,
             P,

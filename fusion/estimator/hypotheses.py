@@ -117,18 +117,18 @@ class Verdict(NamedTuple):
         """The most probable one."""
         return tuple(Hypothesis)[int(np.argmax(self.probabilities))]
 
-    def doubt(self, told: bool) -> Hypothesis:
+    def fault_to_report(self, is_reported: bool) -> Hypothesis:
         """Return the most probable fault, if it is to be reported, or still is; else `Hypothesis.WELL`."""
-        if self.of(Hypothesis.WELL) > 1.0 - (STILL_DOUBTED if told else DOUBTED):
+        if self.probability_of(Hypothesis.WELL) > 1.0 - (STILL_DOUBTED if is_reported else DOUBTED):
             return Hypothesis.WELL
         return tuple(Hypothesis)[1 + int(np.argmax(self.probabilities[1:]))]
 
-    def of(self, hypothesis: Hypothesis) -> float:
+    def probability_of(self, hypothesis: Hypothesis) -> float:
         """Return the probability of one."""
         return self.probabilities[tuple(Hypothesis).index(hypothesis)]
 
 
-class Told(NamedTuple):
+class ReportedFault(NamedTuple):
     """The fault that was found, and when last."""
 
     hypothesis: Hypothesis
@@ -146,7 +146,7 @@ class Diagnosis(NamedTuple):
         Share of the frames of the last half second that were not used.
     judged_ns, found, verdict
         Time of the last judgement, its result, and the probabilities if it was made with the last frame.
-    told
+    reported
         The fault reported last, and when.
     jump_rad
         Size of a jump of the gyroscope while no frame came; 0 without one.
@@ -163,7 +163,7 @@ class Diagnosis(NamedTuple):
     judged_ns: int | None = None
     found: Hypothesis = Hypothesis.WELL
     verdict: Verdict = Verdict()
-    told: Told | None = None
+    reported: ReportedFault | None = None
     jump_rad: float = 0.0
     straight_bias_rad_s: float = nan
     yaw_probabilities: YawProbabilities = YawProbabilities()
@@ -176,20 +176,24 @@ class Diagnosis(NamedTuple):
 
     def started_anew(self) -> Diagnosis:
         """Keep only what has been reported, and the doubts about the IMU's yaw."""
-        return Diagnosis(told=self.told, yaw_probabilities=self.yaw_probabilities)
+        return Diagnosis(reported=self.reported, yaw_probabilities=self.yaw_probabilities)
 
     def with_verdict(self, t_ns: int, verdict: Verdict, look_due: bool) -> Diagnosis:
         """Store a verdict; ``look_due`` if it was due by time, not asked for by an innovation."""
         yaw_probabilities = self.yaw_probabilities
         if look_due and isfinite(verdict.yaw_disturbed):
             yaw_probabilities = yaw_probabilities.with_look(verdict.yaw_disturbed)
-        told = self.told
-        doubt = verdict.doubt(told is not None and t_ns - told.t_ns < CONTESTED_S * 1e9)
+        reported = self.reported
+        doubt = verdict.fault_to_report(reported is not None and t_ns - reported.t_ns < CONTESTED_S * 1e9)
         if doubt is not Hypothesis.WELL or self.innovations.one_sided_sigmas > CONTESTED_SIGMA:
-            told = Told(doubt, t_ns)
+            reported = ReportedFault(doubt, t_ns)
         found = verdict.likeliest
         return self._replace(
-            judged_ns=t_ns, found=found, verdict=verdict, told=told, yaw_probabilities=yaw_probabilities
+            judged_ns=t_ns,
+            found=found,
+            verdict=verdict,
+            reported=reported,
+            yaw_probabilities=yaw_probabilities,
         )
 
 
@@ -217,15 +221,15 @@ def _log_density(evidence: Evidence, drifts: _Drifts) -> float:
     return log_normal(y, var_y) + log_normal(g - given_y * y, var_g - given_y * common)
 
 
-def _log_density_of_leap(evidence: Evidence, drifts: _Drifts) -> float:
+def _log_density_of_spike(evidence: Evidence, drifts: _Drifts) -> float:
     """Return the same for a gyroscope whose rate may be any."""
-    leap = -log(2.0 * MAX_RATE_RAD_S)
+    uniform = -log(2.0 * MAX_RATE_RAD_S)
     if evidence.gyro is None or evidence.yaw is None:
-        return leap
+        return uniform
     variance = evidence.yaw_variance + drifts.yaw
     if drifts.repeats:
-        return leap + log_normal(evidence.yaw.rate_rad_s - evidence.gyro.rate_rad_s, variance)
-    return leap + log_normal(evidence.yaw.rate_rad_s, variance + evidence.gyro.rate_std**2)
+        return uniform + log_normal(evidence.yaw.rate_rad_s - evidence.gyro.rate_rad_s, variance)
+    return uniform + log_normal(evidence.yaw.rate_rad_s, variance + evidence.gyro.rate_std**2)
 
 
 def _log_ratio_of_stamps(gyro: Slope) -> float:
@@ -253,28 +257,28 @@ def judge(evidence: Evidence, before: Hypothesis = Hypothesis.WELL) -> Verdict:
     if before in priors:
         priors[before] = PERSISTS
     priors[Hypothesis.WELL] = 1.0 - sum(priors.values())
-    astray, repeating = evidence.yaw_probabilities[:2]
+    disturbed, repeating = evidence.yaw_probabilities[:2]
     wrong_stamps = _log_ratio_of_stamps(evidence.gyro)
-    cases = []  # hypothesis, what ails the IMU's yaw, log of prior times density
-    for ails, share, yaw in (
-        ("nothing", (1.0 - astray) * (1.0 - repeating), _Drifts()),
-        ("astray", astray, _Drifts(yaw=wide)),
-        ("repeating", (1.0 - astray) * repeating, _Drifts(repeats=True)),
+    cases = []  # hypothesis, what yaw_fault the IMU's yaw, log of prior times density
+    for yaw_fault, share, yaw in (
+        ("nothing", (1.0 - disturbed) * (1.0 - repeating), _Drifts()),
+        ("disturbed", disturbed, _Drifts(yaw=wide)),
+        ("repeating", (1.0 - disturbed) * repeating, _Drifts(repeats=True)),
     ):
         logs = {
             Hypothesis.WELL: steady + _log_density(evidence, yaw),
             Hypothesis.GYRO: steady + _log_density(evidence, yaw._replace(gyro=wide)),
         }
         logs[Hypothesis.STAMPS] = logs[Hypothesis.WELL] + wrong_stamps
-        if evidence.refused:
-            logs[Hypothesis.SPIKE] = _log_density_of_leap(evidence, yaw)
-        if evidence.yaw is not None and ails != "astray":
+        if evidence.frames_rejected:
+            logs[Hypothesis.SPIKE] = _log_density_of_spike(evidence, yaw)
+        if evidence.yaw is not None and yaw_fault != "disturbed":
             logs[Hypothesis.BEND] = steady + _log_density(evidence, yaw._replace(frames=wide))
-        cases += [(who, ails, log(share * priors[who]) + value) for who, value in logs.items()]
+        cases += [(who, yaw_fault, log(share * priors[who]) + value) for who, value in logs.items()]
     highest = max(value for *_, value in cases)
-    weights = [(who, ails, exp(max(value - highest, -700.0))) for who, ails, value in cases]
+    weights = [(who, yaw_fault, exp(max(value - highest, -700.0))) for who, yaw_fault, value in cases]
     total = sum(w for *_, w in weights)
     probabilities = tuple(sum(w for who, _, w in weights if who is each) / total for each in Hypothesis)
     if evidence.yaw is None:
         return Verdict(probabilities)
-    return Verdict(probabilities, sum(w for _, ails, w in weights if ails == "astray") / total)
+    return Verdict(probabilities, sum(w for _, yaw_fault, w in weights if yaw_fault == "disturbed") / total)

@@ -14,14 +14,14 @@ import numpy as np
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.imu_yaw_check import (
     Trace,
-    YawWatch,
+    YawDriftStatistics,
     find_disturbance,
     is_calm,
     is_due,
     is_independent,
     stepped_by,
-    traced,
-    watch,
+    with_difference,
+    with_trace,
 )
 from fusion.estimator.models import (
     BIAS,
@@ -80,7 +80,7 @@ class ImuYaw(NamedTuple):
         Samples that the gate has rejected in a row.
     gate
         Outcome of the last innovation.
-    watch, traces
+    drift_statistics, traces
         See `fusion.estimator.imu_yaw_check`.
     """
 
@@ -88,7 +88,7 @@ class ImuYaw(NamedTuple):
     corrects_heading: bool = False
     rejects: int = 0
     gate: Gate | None = None
-    watch: YawWatch = YawWatch()
+    drift_statistics: YawDriftStatistics = YawDriftStatistics()
     traces: tuple[Trace, ...] = ()
 
     @property
@@ -98,7 +98,7 @@ class ImuYaw(NamedTuple):
 
     def axis_changed(self) -> ImuYaw:
         """Drop the running comparison of gyroscope and yaw: frames no longer show the same axis."""
-        return self._replace(watch=self.watch.interrupted())
+        return self._replace(drift_statistics=self.drift_statistics.interrupted())
 
 
 def fuse_imu_yaw(
@@ -135,8 +135,8 @@ def fuse_imu_yaw(
         return part._replace(known=True)
     gate = ekf.update(measurement, config.imu_yaw_gate_sigma)
     if gate.accepted:
-        _, corrects_heading, _, _, watched, traces = part
-        part = new_record(ImuYaw, (True, corrects_heading, 0, gate, watched, traces))
+        _, corrects_heading, _, _, statistics, traces = part
+        part = new_record(ImuYaw, (True, corrects_heading, 0, gate, statistics, traces))
         return _trace(part, ekf, yaw_rad, reckoning, axis, config)
     part = part._replace(gate=gate, rejects=part.rejects + 1)
     if part.rejects >= STEP_SAMPLES:
@@ -163,13 +163,15 @@ def compare_by_frame(
     yaw_now = yaw_at(reckoning, t_ns)
     if reckoning.mode is not Mode.GYRO or isnan(yaw_now):
         return part
-    seen = watch(part.watch, t_ns, heading_rad - reckoning.theta_rad, heading_rad - yaw_now, variance)
-    return part._replace(watch=seen)
+    seen = with_difference(
+        part.drift_statistics, t_ns, heading_rad - reckoning.theta_rad, heading_rad - yaw_now, variance
+    )
+    return part._replace(drift_statistics=seen)
 
 
 def _is_useful(part: ImuYaw, config: FusionConfig) -> bool:
     if config.imu_yaw_use == "auto":
-        return is_independent(part.watch, config.gyro_noise, config.offset_walk)
+        return is_independent(part.drift_statistics, config.gyro_noise, config.offset_walk)
     return config.imu_yaw_use == "always"
 
 
@@ -200,7 +202,7 @@ def _trace(
         part.traces, now, config.gyro_noise**2 + config.offset_walk**2, config.imu_yaw_std_rad**2
     )
     if found is None:
-        return part._replace(traces=traced(part.traces, now))
+        return part._replace(traces=with_trace(part.traces, now))
     unseen = axis.t_vision_ns is None or axis.t_vision_ns < found.since_ns
     if part.corrects_heading and unseen:  # no frame has moved them meanwhile, so the yaw has
         moved = np.array([found.heading_rad, found.bias_rad_s, 0.0])

@@ -29,7 +29,7 @@ TRACE_NS = 3_000_000_000  # how far back yaw and gyroscope are compared
 TRACE_STEP_NS = 100_000_000
 CALM_NS = 2_000_000_000
 DISTURBED_SIGMA = 4.5  # less, and the many comparisons would find chance
-ASTRAY_MEMORY = 1 / 20  # of a look: five seconds
+DISTURBED_MEMORY = 1 / 20  # of a look: five seconds
 LEAST_DOUBT, MOST_DOUBT = 0.005, 0.9  # of the IMU's yaw: what it is may change
 MOST_NATS = 6.0  # that one block tells
 
@@ -43,7 +43,7 @@ class Block(NamedTuple):
     variance: float
 
 
-class YawWatch(NamedTuple):
+class YawDriftStatistics(NamedTuple):
     """What the frames have shown so far; variances are per second, rad^2/s.
 
     Parameters
@@ -67,12 +67,14 @@ class YawWatch(NamedTuple):
     yaw: float = 0.0
     shared: float = 0.0
 
-    def interrupted(self) -> YawWatch:
+    def interrupted(self) -> YawDriftStatistics:
         """Return the watch with the running comparison dropped: the axis has changed."""
         return self._replace(first=None, reference=None)
 
 
-def watch(w: YawWatch, t_ns: int, gyro_rad: float, yaw_rad: float, variance: float) -> YawWatch:
+def with_difference(
+    w: YawDriftStatistics, t_ns: int, gyro_rad: float, yaw_rad: float, variance: float
+) -> YawDriftStatistics:
     """Take in a frame that the filter accepted.
 
     Parameters
@@ -97,12 +99,12 @@ def watch(w: YawWatch, t_ns: int, gyro_rad: float, yaw_rad: float, variance: flo
     return w._replace(n=w.n + 1, sums=sums)
 
 
-def _mean(first: Block, w: YawWatch) -> Block:
+def _mean(first: Block, w: YawDriftStatistics) -> Block:
     g, y, v = w.sums
     return Block(first.t_ns, first.gyro_rad + g / w.n, first.yaw_rad + y / w.n, v / w.n**2)
 
 
-def _compare(w: YawWatch, block: Block) -> YawWatch:
+def _compare(w: YawDriftStatistics, block: Block) -> YawDriftStatistics:
     old = w.reference
     if old is None:
         return w._replace(reference=block)
@@ -127,7 +129,7 @@ def _compare(w: YawWatch, block: Block) -> YawWatch:
     )
 
 
-def is_independent(w: YawWatch, gyro_density: float, yaw_density: float) -> bool:
+def is_independent(w: YawDriftStatistics, gyro_density: float, yaw_density: float) -> bool:
     """Whether the IMU's yaw strays on its own, and no more than ``yaw_density`` (rad/sqrt(s)) allows.
 
     ``gyro_density`` is the gyroscope's noise as configured, rad/sqrt(s).
@@ -179,7 +181,7 @@ def is_due(traces: tuple[Trace, ...], t_ns: int) -> bool:
     return not traces or t_ns - traces[-1].t_ns >= TRACE_STEP_NS
 
 
-def traced(traces: tuple[Trace, ...], now: Trace) -> tuple[Trace, ...]:
+def with_trace(traces: tuple[Trace, ...], now: Trace) -> tuple[Trace, ...]:
     """Append a trace and drop old ones."""
     return (*(old for old in traces if now.t_ns - old.t_ns <= TRACE_NS), now)
 
@@ -230,14 +232,14 @@ class YawProbabilities(NamedTuple):
     Attitude filters differ, and so do buildings: from the start's guess on, both are learned in flight.
     """
 
-    astray: float = 0.05
+    disturbed: float = 0.05
     repeating: float = 0.2
     mean: YawMean | None = None
 
-    def with_look(self, astray: float) -> YawProbabilities:
+    def with_look(self, disturbed: float) -> YawProbabilities:
         """Update the share of the time in which it is disturbed, with the probability of one look."""
-        share = self.astray + ASTRAY_MEMORY * (astray - self.astray)
-        return self._replace(astray=max(share, LEAST_DOUBT))
+        share = self.disturbed + DISTURBED_MEMORY * (disturbed - self.disturbed)
+        return self._replace(disturbed=max(share, LEAST_DOUBT))
 
     def compared(self, now: GyroAndYaw, noise: InertialNoise) -> YawProbabilities:
         """Compare IMU yaw and gyroscope, without frames: an error that both make is not in their difference."""

@@ -51,7 +51,7 @@ def whole_nanoseconds(t_ns: object) -> int:
     return t_ns
 
 
-def finite_or_not(values: npt.ArrayLike, count: int, name: str) -> list[float]:
+def float_list(values: npt.ArrayLike, count: int, name: str) -> list[float]:
     """Return so many floats, be they finite or not.
 
     Raises
@@ -70,14 +70,14 @@ def finite_or_not(values: npt.ArrayLike, count: int, name: str) -> list[float]:
 
 
 def vector(values: npt.ArrayLike, name: str) -> Vector:
-    """Return three floats, be they finite or not; errors as in `finite_or_not`."""
+    """Return three floats, be they finite or not; errors as in `float_list`."""
     # Without numpy for what the usual callers give, at half the price.
     listed: Any = values.tolist() if type(values) is np.ndarray and values.shape == (3,) else values
     try:
         x, y, z = listed
         return float(x), float(y), float(z)
     except (TypeError, ValueError):
-        x, y, z = finite_or_not(values, 3, name)
+        x, y, z = float_list(values, 3, name)
         return x, y, z
 
 
@@ -162,7 +162,7 @@ def within_bounds(m: FrameMeasurement) -> tuple[FrameMeasurement, tuple[str, ...
             changes |= dict.fromkeys((bound.value, bound.std) if bound.std else (bound.value,), nan)
             counted.append(bound.counted)
     if len(m.offset_evidence):
-        sound = [mixture for mixture in map(_sound, m.offset_evidence) if mixture is not None]
+        sound = [mixture for mixture in map(_usable_mixture, m.offset_evidence) if mixture is not None]
         changes["offset_evidence"] = tuple(sound)
         if len(sound) < len(m.offset_evidence):
             counted.append("frame_offset")
@@ -185,7 +185,7 @@ def _is_beyond(m: FrameMeasurement, bound: _Bound) -> bool:
     return beyond
 
 
-def _sound(mixture: OffsetMixture) -> OffsetMixture | None:
+def _usable_mixture(mixture: OffsetMixture) -> OffsetMixture | None:
     """Return a mixture with arrays of its own, float64 (k,); None where it cannot be used: widths may be NaN."""
     try:
         fields = np.array(

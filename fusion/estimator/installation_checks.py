@@ -191,9 +191,9 @@ class Installation(NamedTuple):
             text = f"gyroscope turns at {sqrt(self.turning_rad2_s2):.0f} rad/s: convert deg/s to rad/s"
             yield Notice(Fault.GYRO_SCALE, text)
             return
-        tilt = self._of_gravity(down)
+        tilt = self._tilt_fault_text(down)
         if tilt is None:
-            of_turns = list(self._of_turns(gyro_scale_std))
+            of_turns = list(self._turn_notices(gyro_scale_std))
             yield from of_turns
             # Against a gyroscope in another unit, or of another sign, nothing shows how frames are stamped.
             if self.timing.is_off and not any(
@@ -207,7 +207,7 @@ class Installation(NamedTuple):
         else:
             yield Notice(Fault.TILT_WRONG, tilt)
 
-    def _of_gravity(self, down: Vector) -> str | None:
+    def _tilt_fault_text(self, down: Vector) -> str | None:
         ax, ay, az = self.accel_m_s2
         if self.imu_s < ACCEL_MIN_S:
             return None
@@ -222,7 +222,7 @@ class Installation(NamedTuple):
             return "attitude and accelerometer disagree: check how each is mounted"
         return None
 
-    def _of_turns(self, gyro_scale_std: float) -> Iterator[Notice]:
+    def _turn_notices(self, gyro_scale_std: float) -> Iterator[Notice]:
         n, sx, sy, sxx, sxy, syy, stated = self.sums
         if n < MIN_TURNS:
             return

@@ -32,7 +32,7 @@ from fusion.estimator.lateral_offset import (
 from fusion.estimator.lateral_offset import readout as readout_of
 from fusion.estimator.lateral_parallax import compare_walls, compile_parallax, with_parallax
 from fusion.estimator.lateral_smoother import OffsetStep
-from fusion.estimator.lateral_status import Lateral, judged, reliable
+from fusion.estimator.lateral_status import Lateral, reliable, with_frame_outcome
 from fusion.estimator.models import PSI, FloatArray, Gate, Vector
 from fusion.estimator.records import new_record
 from fusion.estimator.sample_times import seconds_since
@@ -43,10 +43,10 @@ from vision.rotations import wrap_axis
 
 PRIOR_STD = 0.1
 WIDTH_STD_SHARE = 0.05  # of a width that is set: corridors are not as wide everywhere
-ANSWER_PROBABILITY = 0.97  # that a single frame's answer is right, where that is all there is
+POINT_ESTIMATE_PROBABILITY = 0.97  # that a single frame's answer is right, where that is all there is
 MAX_FORCE_M_S2 = 300.0  # beyond these no vehicle flies: damaged samples
 MAX_SPEED_M_S = 100.0
-MAX_ANSWER_NORM = 10.0  # half widths, of an offset or its sigma: what is beyond says nothing
+MAX_POINT_ESTIMATE_NORM = 10.0  # half widths, of an offset or its sigma: what is beyond says nothing
 
 
 class MotionStep(NamedTuple):
@@ -138,7 +138,7 @@ class LateralOffset:
         before = lateral.offset
         offset = with_speed(before, across, variance)
         step = OffsetStep(path, offset, speed=(across, variance))
-        gate = _judged_speed(before, across, variance)
+        gate = _speed_gate(before, across, variance)
         return lateral._replace(offset=offset, step=step, speed_gate=gate)
 
     def fused(
@@ -179,11 +179,11 @@ class LateralOffset:
             views=views,
             step=OffsetStep(path, offset, evidence, parallax=parallax),
             t_frame_ns=t_ns,
-            gate=_judged(before, evidence, half_m, self.config),
+            gate=_offset_gate(before, evidence, half_m, self.config),
         )
         if after.evidence_age_s == 0.0 and len(offset.x):
             lateral = lateral._replace(t_ns=t_ns, n_used=lateral.n_used + 1)
-        return judged(lateral, before, after, t_ns, half_m)
+        return with_frame_outcome(lateral, before, after, t_ns, half_m)
 
     def expected(self, lateral: Lateral, psi_rad: float, half_m: float) -> tuple[float, float]:
         """Offset and sigma, half widths, that a frame should show; NaN while it is not known.
@@ -234,11 +234,11 @@ def _mixtures_of(m: FrameMeasurement, config: FusionConfig) -> tuple[OffsetMixtu
     """Return what a frame says; one measured elsewhere may hold nothing but an answer."""
     if m.offset_evidence:
         return m.offset_evidence
-    is_possible = abs(m.lateral_offset_norm) < MAX_ANSWER_NORM  # NaN fails too
-    if not (is_possible and 0.0 < m.lateral_offset_norm_std < MAX_ANSWER_NORM):
+    is_possible = abs(m.lateral_offset_norm) < MAX_POINT_ESTIMATE_NORM  # NaN fails too
+    if not (is_possible and 0.0 < m.lateral_offset_norm_std < MAX_POINT_ESTIMATE_NORM):
         return ()
     std = max(m.lateral_offset_norm_std, config.lateral_std_floor_norm)
-    values = ([ANSWER_PROBABILITY], [m.lateral_offset_norm], [std], [m.width_per_height])
+    values = ([POINT_ESTIMATE_PROBABILITY], [m.lateral_offset_norm], [std], [m.width_per_height])
     return (OffsetMixture(*(np.array(v, dtype=float) for v in values)),)
 
 
@@ -257,7 +257,7 @@ def _with_width(offset: OffsetState, half_m: float) -> OffsetState:
     return offset._replace(x=x, P=P)
 
 
-def _judged(
+def _offset_gate(
     expected: OffsetReadout, evidence: FrameEvidence, half_m: float, config: FusionConfig
 ) -> Gate | None:
     """Innovation of a frame's likeliest offset; None while nothing is known."""
@@ -269,7 +269,7 @@ def _judged(
     return _gate(innovation, variance + expected.std_norm**2, config.lateral_gate_sigma)
 
 
-def _judged_speed(offset: OffsetState, across_m_s: float, variance: float) -> Gate | None:
+def _speed_gate(offset: OffsetState, across_m_s: float, variance: float) -> Gate | None:
     """Innovation of a speed across the corridor, m/s, by the likeliest hypothesis; None without any."""
     if not len(offset.x):
         return None

@@ -48,7 +48,7 @@ def levelled(force: Vector, down: Vector, roll_rad: float) -> tuple[float, float
 
 
 @compiled
-def lengthened(
+def extended_path(
     path: PathNumbers,
     accel: AccelerationNumbers,
     dt_s: float,
@@ -164,7 +164,7 @@ def fill_transition(
 
 
 @compiled
-def moved_along(
+def propagated_along(
     x: FloatArray,
     P: FloatArray,
     path: tuple[float, float, float, float, float],

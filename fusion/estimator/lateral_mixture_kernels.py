@@ -93,23 +93,23 @@ def associate(
             expected += H[i] * x[h, i]
             for j in range(N_LATERAL):
                 spread += H[i] * P[h, i, j] * H[j]
-        told = 0.0
+        explained = 0.0
         for j in range(m):
             S_j = spread + evidence[j, 2]
             z = (evidence[j, 1] - expected) ** 2 / S_j
             share[j] = evidence[j, 0] * exp(-0.5 * z) / sqrt(2.0 * pi * S_j)
-            told += share[j]
-        likelihood = max(0.5 * blind + told, MIN_LIKELIHOOD)
+            explained += share[j]
+        likelihood = max(0.5 * blind + explained, MIN_LIKELIHOOD)
         weight[h] *= likelihood**temper
         total += weight[h]
-        belief = told / likelihood
+        belief = explained / likelihood
         if h == best:
             best_belief = belief
         if belief < MIN_BELIEF:
             continue
         mean = square = variance = 0.0
         for j in range(m):
-            b = share[j] / told
+            b = share[j] / explained
             mean += b * evidence[j, 1]
             square += b * evidence[j, 1] ** 2
             variance += b * evidence[j, 2]
@@ -298,7 +298,7 @@ def reduce(
 
 
 @compiled
-def take_frame(
+def update_with_frame(
     x: FloatArray,
     P: FloatArray,
     weight: FloatArray,

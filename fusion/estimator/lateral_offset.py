@@ -61,11 +61,11 @@ from fusion.estimator.lateral_kernels import (
     S,
     Y,
     correct_all,
+    extended_path,
     fill_transition,
-    lengthened,
-    moved_along,
+    propagated_along,
 )
-from fusion.estimator.lateral_mixture_kernels import summarised, take_frame
+from fusion.estimator.lateral_mixture_kernels import summarised, update_with_frame
 from fusion.estimator.records import new_record
 from vision.lateral.mixture import OffsetMixture, combine
 from vision.types import FloatArray
@@ -197,7 +197,7 @@ class OffsetReadout(NamedTuple):
     evidence_age_s: float
 
 
-def nothing_known() -> OffsetState:
+def initial_offset_state() -> OffsetState:
     """Return the state before any frame."""
     return OffsetState(np.zeros((0, N_LATERAL)), np.zeros((0, N_LATERAL, N_LATERAL)), np.ones(1))
 
@@ -205,7 +205,7 @@ def nothing_known() -> OffsetState:
 def in_new_corridor(state: OffsetState) -> OffsetState:
     """Forget the offset and its rate; what is known of the accelerometer stays."""
     # The bias across the corridor is another one there: it is that of the tilt and of both axes.
-    return nothing_known()._replace(accel=state.accel, roll=state.roll)
+    return initial_offset_state()._replace(accel=state.accel, roll=state.roll)
 
 
 def propagate(
@@ -217,7 +217,7 @@ def propagate(
 ) -> OffsetState:
     """Carry the state on by ``dt_s`` with the accelerometer's sample at its end; None: there is none there."""
     x, P, weight, path, accel, roll, spread2, age_s = state
-    far, felt = lengthened((*path,), (*accel,), dt_s, heading_rad, force or NO_FORCE, down, roll[0])
+    far, felt = extended_path((*path,), (*accel,), dt_s, heading_rad, force or NO_FORCE, down, roll[0])
     path, accel = new_record(Path, far), new_record(Acceleration, felt)
     return new_record(OffsetState, (x, P, weight, path, accel, roll, spread2, age_s + dt_s))
 
@@ -242,17 +242,17 @@ def motion_noise(m: OffsetModel) -> tuple[float, float, float, float, float, flo
 
 def along_path(state: OffsetState, path: Path, model: OffsetModel, *, backward: bool = False) -> OffsetState:
     """Carry the hypotheses along a path, or back along it."""
-    x, P = _moved_along(state, path, model, backward)
+    x, P = _propagated_along(state, path, model, backward)
     return state if x is state.x else state._replace(x=x, P=P)
 
 
-def _moved_along(
+def _propagated_along(
     state: OffsetState, path: Path, model: OffsetModel, backward: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     if not path.t_s > 0.0 or not len(state.x):
         return state.x, state.P
     t_s, accel_s, a1, a2, noise = path
-    return moved_along(state.x, state.P, (t_s, accel_s, a1, a2, noise), motion_noise(model), backward)
+    return propagated_along(state.x, state.P, (t_s, accel_s, a1, a2, noise), motion_noise(model), backward)
 
 
 def at_path_end(state: OffsetState, model: OffsetModel) -> OffsetState:
@@ -328,7 +328,7 @@ def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) 
     gap_s, dt_s = max(frame.dt_s - FIRST_FRAME_S, 0.0), min(frame.dt_s, FIRST_FRAME_S)
     new = -expm1(-dt_s / model.weight_time_s)
     forgotten = 1.0 - (1.0 - model.forgotten * new) * exp(-model.forget_1_s * gap_s)
-    x, P, weight, belief, moment = frame_taken(state, frame, model, dt_s, forgotten)
+    x, P, weight, belief, moment = updated_hypotheses(state, frame, model, dt_s, forgotten)
     age_s = 0.0 if belief > SUPPORTED or not len(state.x) else state.evidence_age_s
     spread2 = state.spread2
     if moment >= 0.0:
@@ -336,13 +336,13 @@ def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) 
     return state._replace(x=x, P=P, weight=weight, evidence_age_s=age_s, spread2=spread2)
 
 
-def frame_taken(
+def updated_hypotheses(
     state: OffsetState, frame: FrameEvidence, model: OffsetModel, dt_s: float, forgotten: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
-    """Return what `take_frame` does, for a frame of which ``dt_s`` is new and that makes a share be forgotten."""
+    """Call `update_with_frame` for a frame of which ``dt_s`` is new; a share ``forgotten`` of all weights is lost."""
     s, s_std = model.inverse_half_width
     v_std, c_std = model.start_velocity_std_m_s * s, model.accel_bias_std * s
-    return take_frame(
+    return update_with_frame(
         state.x,
         state.P,
         state.weight,
@@ -364,7 +364,7 @@ def update(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> Offs
 
 def readout(state: OffsetState, model: OffsetModel) -> OffsetReadout:
     """Report the offset at the state's time."""
-    x, P = _moved_along(state, state.path, model)
+    x, P = _propagated_along(state, state.path, model)
     return summary(x, P, state.weight[:-1], state, model)
 
 
@@ -418,7 +418,7 @@ def compile_filter() -> None:
     one = np.array([0.5])
     mixture = OffsetMixture(one, one, one, one)
     frame = frame_evidence([mixture, mixture], FIRST_FRAME_S, 0.0, (0.0, 0.0))
-    state, model = nothing_known(), OffsetModel()
+    state, model = initial_offset_state(), OffsetModel()
     for _ in range(2):
         state = update(propagate(state, 0.01, 0.0, None, (0.0, 0.0, 1.0)), frame, model)
     readout(with_speed(state, 0.0, 1.0), model)

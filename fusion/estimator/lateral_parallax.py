@@ -30,9 +30,9 @@ from fusion.estimator.lateral_offset import (
     OffsetModel,
     OffsetState,
     Path,
-    frame_taken,
-    nothing_known,
+    initial_offset_state,
     transition,
+    updated_hypotheses,
 )
 from vision.lateral.parallax import PROFILES_SHAPE, Profiles, compare
 from vision.types import FloatArray
@@ -93,7 +93,7 @@ def with_parallax(state: OffsetState, motion: WallParallax, model: OffsetModel) 
             correct_all(x[h : h + 1], P[h : h + 1], H, moved, variance, DISPLACEMENT_SIGMA)
         state = state._replace(x=x, P=P)
     evidence = FrameEvidence(motion.components, motion.dt_s, motion.side, motion.aside_m)
-    x, P, weight, _, _ = frame_taken(state, evidence, model, min(motion.dt_s, FIRST_FRAME_S), 0.0)
+    x, P, weight, _, _ = updated_hypotheses(state, evidence, model, min(motion.dt_s, FIRST_FRAME_S), 0.0)
     return state._replace(x=x, P=P, weight=weight)
 
 
@@ -115,7 +115,7 @@ class WallView(NamedTuple):
     aside_m: float
     path: Path = Path()
 
-    def moved_on(self, path: Path) -> WallView:
+    def propagated(self, path: Path) -> WallView:
         """Return the view after some more motion."""
         return self._replace(path=self.path.then(path))
 
@@ -170,7 +170,7 @@ def compile_parallax() -> None:
     """Compile, or load what was compiled, when an estimator is made: not at its first frames, in flight."""
     nothing = np.zeros(PROFILES_SHAPE, np.float32)
     compare(nothing, nothing)
-    said = WallParallax(np.array([[0.5, 0.2, 0.01]]), 1.0, 0.0, Path(0.3, 0.3), 0.2, 0.0, 0.0, 1e-4, 0.0)
+    example = WallParallax(np.array([[0.5, 0.2, 0.01]]), 1.0, 0.0, Path(0.3, 0.3), 0.2, 0.0, 0.0, 1e-4, 0.0)
     model = OffsetModel()
-    state = with_parallax(nothing_known(), said, model)
-    with_parallax(state, said, model)
+    state = with_parallax(initial_offset_state(), example, model)
+    with_parallax(state, example, model)

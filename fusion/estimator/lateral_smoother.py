@@ -32,7 +32,7 @@ from fusion.estimator.lateral_offset import (
     Path,
     along_path,
     at_path_end,
-    nothing_known,
+    initial_offset_state,
     summary,
     with_evidence,
     with_speed,
@@ -131,9 +131,9 @@ def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[Of
     """Return the offset after each step from the whole flight; ages are the filter's."""
     model = model._replace(known_probability=KNOWN_PROBABILITY)
     out: list[OffsetReadout] = []
-    later = nothing_known()
+    later = initial_offset_state()
     for step in reversed(steps):
-        found = _met(at_path_end(step.after, model), later, model)
+        found = _combined(at_path_end(step.after, model), later, model)
         out.append(found._replace(known=found.known and not step.predicted.excludes(found.offset_norm)))
         if step.evidence is not None:
             later = with_evidence(later, step.evidence, model)
@@ -141,11 +141,13 @@ def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[Of
             later = with_speed(later, *step.speed)
         if step.parallax is not None:
             later = with_parallax(later, step.parallax, model)
-        later = nothing_known() if step.starts_anew else along_path(later, step.path, model, backward=True)
+        later = (
+            initial_offset_state() if step.starts_anew else along_path(later, step.path, model, backward=True)
+        )
     return out[::-1]
 
 
-def _met(before: OffsetState, after: OffsetState, model: OffsetModel) -> OffsetReadout:
+def _combined(before: OffsetState, after: OffsetState, model: OffsetModel) -> OffsetReadout:
     """Multiply what is known from before a time with what is known from after it."""
     m_f, P_f, w_f = before.x[:, YV], before.P[:, YV, YV], before.weight
     m_b, P_b, w_b = after.x[:, YV], after.P[:, YV, YV], after.weight

@@ -18,7 +18,7 @@ from fusion.estimator.lateral_offset import (
     Path,
     at_path_end,
     in_new_corridor,
-    nothing_known,
+    initial_offset_state,
 )
 from fusion.estimator.lateral_offset import readout as readout_of
 from fusion.estimator.lateral_parallax import WallView
@@ -64,7 +64,7 @@ class RecentOffsets(NamedTuple):
     t_ns: tuple[int, ...] = ()
     origin_norm: tuple[float, ...] = ()
 
-    def moved_on(self, rate_norm_s: float, t_ns: int) -> RecentOffsets:
+    def propagated(self, rate_norm_s: float, t_ns: int) -> RecentOffsets:
         """Go on to a frame by the rate there, and forget what is too old."""
         moved = self.displacement_norm
         if self.t_frame_ns is not None and isfinite(rate_norm_s):
@@ -116,7 +116,7 @@ class Lateral(NamedTuple):
         Frames with which the walls of later ones are compared, the oldest first.
     """
 
-    offset: OffsetState = nothing_known()
+    offset: OffsetState = initial_offset_state()
     step: OffsetStep | None = None
     t_frame_ns: int | None = None
     t_ns: int | None = None
@@ -138,7 +138,7 @@ class Lateral(NamedTuple):
         """Of the last innovation: squared over gate squared."""
         return nan if self.gate is None else self.gate.test_ratio
 
-    def unknown_again(self) -> Lateral:
+    def without_offset(self) -> Lateral:
         """Go on in another corridor, or at another time, with nothing known but what the offset was last."""
         offset = in_new_corridor(self.offset)
         step = OffsetStep(Path(), offset, starts_anew=True)
@@ -155,7 +155,7 @@ class Lateral(NamedTuple):
 
     def at_path_end(self, model: OffsetModel) -> Lateral:
         """Carry the hypotheses to the state's time."""
-        views = tuple(view.moved_on(self.offset.path) for view in self.views)
+        views = tuple(view.propagated(self.offset.path) for view in self.views)
         return self._replace(offset=at_path_end(self.offset, model), views=views)
 
 
@@ -218,7 +218,7 @@ def readout(
     )
 
 
-def judged(
+def with_frame_outcome(
     lateral: Lateral, before: OffsetReadout, after: OffsetReadout, t_ns: int, half_m: float
 ) -> Lateral:
     """Say whether the offset that a frame has left may be relied on, and count it if it jumped.
@@ -241,7 +241,7 @@ def judged(
 
 def _checked_against_motion(lateral: Lateral, after: OffsetReadout, t_ns: int) -> Lateral:
     """Compare the offset after a frame with those of the last seconds."""
-    recent = lateral.recent.moved_on(after.velocity_norm_s, t_ns)
+    recent = lateral.recent.propagated(after.velocity_norm_s, t_ns)
     tolerance = DRIFT_NORM + DRIFT_S * after.velocity_std_norm_s
     predicted = MotionPrediction(recent.predicted_norm, tolerance)
     contradicted = predicted.excludes(after.offset_norm) if after.known else lateral.contradicted

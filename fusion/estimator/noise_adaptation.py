@@ -69,7 +69,7 @@ def inlier_probability(
     return good / (good + outlier_share * outlier_density)
 
 
-def weakened(variance: float, predicted: float, probability: float) -> float:
+def weakened_variance(variance: float, predicted: float, probability: float) -> float:
     """Variance that gives a measurement the gain it has, times the probability that it is an inlier."""
     return (predicted + variance) / max(probability, 1e-6) - predicted
 
@@ -81,7 +81,7 @@ def correlation(t_ns: int, last_ns: int | None, time_s: float) -> float:
     return exp(-max((t_ns - last_ns) * 1e-9, 1e-3) / time_s)
 
 
-def as_if_independent(variance: float, predicted: float, rho: float) -> float:
+def independent_equivalent_variance(variance: float, predicted: float, rho: float) -> float:
     """Variance with which a measurement may be taken for independent of the one before, though it is not.
 
     A filter that keeps the part a of what it knew at each measurement averages errors that correlate by rho as it
@@ -113,7 +113,7 @@ def learn(
     return SourceNoise(min(max(share, MIN_OUTLIER_SHARE), MAX_OUTLIER_SHARE), scale)
 
 
-class Doubt(NamedTuple):
+class ErrorModel(NamedTuple):
     """How far a measurement may be off from what it states.
 
     Parameters
@@ -124,7 +124,7 @@ class Doubt(NamedTuple):
         Correlation of its error with that of the measurement before.
     outlier_density
         Probability density of outliers.
-    more_variance
+    extra_variance
         What the innovation has besides, of which neither state nor measurement knows.
     scale
         Variance of inliers over what they state; None: as `SourceNoise` has learned.
@@ -135,7 +135,7 @@ class Doubt(NamedTuple):
     gate_sigma: float
     rho: float
     outlier_density: float
-    more_variance: float = 0.0
+    extra_variance: float = 0.0
     scale: float | None = None
     rejected_share: float = 0.0
 
@@ -152,8 +152,8 @@ def outlier_share_now(noise: SourceNoise, rejected_share: float, gate_rad: float
     return min(max(noise.outlier_share, now), 1.0 - MIN_INLIER_SHARE)
 
 
-def update_with_doubt(
-    ekf: CorridorEKF, m: ScalarMeasurement, noise: SourceNoise, doubt: Doubt
+def update_robustly(
+    ekf: CorridorEKF, m: ScalarMeasurement, noise: SourceNoise, error_model: ErrorModel
 ) -> tuple[Gate, SourceNoise]:
     """Update with a measurement that may be an outlier, whose sigma may be wrong and whose error resembles the last.
 
@@ -168,17 +168,19 @@ def update_with_doubt(
         The measurement.
     noise
         What is known of its source.
-    doubt
+    error_model
         How far it may be off.
     """
-    predicted = predicted_variance(ekf.P, m.H) + doubt.more_variance
+    predicted = predicted_variance(ekf.P, m.H) + error_model.extra_variance
     stated = m.R
-    believed = stated * (noise.inflation if doubt.scale is None else doubt.scale)
+    believed = stated * (noise.inflation if error_model.scale is None else error_model.scale)
     gated = max(believed, stated)  # what has been better than it says so far may yet be as bad as it says
-    reach = doubt.gate_sigma * sqrt(predicted + gated)
-    outliers = outlier_share_now(noise, doubt.rejected_share, reach, doubt.outlier_density)
-    probability = inlier_probability(m.residual, predicted + gated, outliers, doubt.outlier_density)
-    variance = weakened(as_if_independent(believed, predicted, doubt.rho), predicted, probability)
-    gate = ekf.update(m._replace(R=gated + doubt.more_variance), doubt.gate_sigma, variance)
+    reach = error_model.gate_sigma * sqrt(predicted + gated)
+    outliers = outlier_share_now(noise, error_model.rejected_share, reach, error_model.outlier_density)
+    probability = inlier_probability(m.residual, predicted + gated, outliers, error_model.outlier_density)
+    variance = weakened_variance(
+        independent_equivalent_variance(believed, predicted, error_model.rho), predicted, probability
+    )
+    gate = ekf.update(m._replace(R=gated + error_model.extra_variance), error_model.gate_sigma, variance)
     probability = probability if gate.accepted else 0.0
     return gate, learn(noise, m.residual, predicted, stated, probability)

@@ -81,7 +81,7 @@ class DeadReckoning(NamedTuple):
         When attitude samples came.
     stored_gyro_bias
         Mean and variance of the gyroscope's bias, kept while another mode runs.
-    more_gyro_noise
+    extra_gyro_noise
         Density of the gyroscope's noise beyond that of the settings, rad^2/s, as frames have shown it.
     """
 
@@ -97,7 +97,7 @@ class DeadReckoning(NamedTuple):
     yaw_done_rad: float = 0.0
     attitude: SampleTimes = SampleTimes()
     stored_gyro_bias: tuple[float, float] = (0.0, 0.02**2)
-    more_gyro_noise: float = 0.0
+    extra_gyro_noise: float = 0.0
 
     def yaw_rate(self, bias_rad_s: float) -> float:
         """Level yaw rate minus the filter's bias, rad/s."""
@@ -164,10 +164,10 @@ class Propagation:
         else:
             d = self._with_mode(self.advance(d, ekf, sample.t_ns), ekf, Mode.GYRO)
             t_ns = d.t_ns
-        _, mode, _, theta, raw_theta, _, _, _, yaw, yaw_done, attitude, stored, more_noise = d
+        _, mode, _, theta, raw_theta, _, _, _, yaw, yaw_done, attitude, stored, extra_noise = d
         theta, raw_theta, yaw_done = theta + corrected, raw_theta + turned, yaw_done + corrected
         gyro_ns, gyro, _ = sample
-        kept = (attitude, stored, more_noise)
+        kept = (attitude, stored, extra_noise)
         new = (t_ns, mode, rate_rad_s, theta, raw_theta, gyro_ns, gyro, 0.0, yaw, yaw_done, *kept)
         return new_record(DeadReckoning, new)
 
@@ -195,8 +195,8 @@ class Propagation:
                 rate = increment / span_s
         else:
             d = self.advance(d, ekf, t_ns)
-        end_ns, mode, _, theta, raw_theta, t_gyro, gyro, gyro_done, _, _, attitude, stored, more_noise = d
-        kept = (attitude.with_sample(t_ns), stored, more_noise)
+        end_ns, mode, _, theta, raw_theta, t_gyro, gyro, gyro_done, _, _, attitude, stored, extra_noise = d
+        kept = (attitude.with_sample(t_ns), stored, extra_noise)
         new = (end_ns, mode, rate, theta, raw_theta, t_gyro, gyro, gyro_done, yaw_rad, 0.0, *kept)
         d = new_record(DeadReckoning, new)
         return self._with_mode(d, ekf, Mode.ATTITUDE) if d.mode is _NONE else d
@@ -204,7 +204,7 @@ class Propagation:
     def hold(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
         """Propagate to a time of which neither gyroscope nor attitude tells."""
         d = self._leave_silent_gyro(d, ekf, t_ns)
-        if d.mode is Mode.ATTITUDE and not self._attitude_lives(d, t_ns):
+        if d.mode is Mode.ATTITUDE and not self._attitude_is_recent(d, t_ns):
             d = self._with_mode(d, ekf, Mode.NONE)
         return self.advance(d, ekf, t_ns)
 
@@ -243,7 +243,7 @@ class Propagation:
             yaw_done,
             attitude,
             stored,
-            more_noise,
+            extra_noise,
         ) = d
         return DeadReckoning(
             t_ns,
@@ -258,7 +258,7 @@ class Propagation:
             yaw_done + (turned if mode is _ATTITUDE else corrected),
             attitude,
             stored,
-            more_noise,
+            extra_noise,
         )
 
     def _turn(
@@ -268,7 +268,7 @@ class Propagation:
 
         ``end_rate_rad_s`` is the sample's level yaw rate. By the trapezoid rule each sample counts for as much.
         """
-        start_ns, mode, rate, _, _, gyro_ns, _, done, _, _, _, _, more_noise = d
+        start_ns, mode, rate, _, _, gyro_ns, _, done, _, _, _, _, extra_noise = d
         dt_s = 0.0 if start_ns is None else (t_ns - start_ns) * 1e-9
         turned = variance = 0.0
         if gyro_ns is not None:
@@ -276,7 +276,7 @@ class Propagation:
             if t_ns - gyro_ns > self.grace_ns:
                 variance = 0.25 * self._silence_variance(d, ekf, t_ns)  # known at both ends: a bridge
         corrected = turned - ekf.x.item(BIAS) * dt_s
-        variance += self._scale_variance(corrected, dt_s) + more_noise * dt_s
+        variance += self._scale_variance(corrected, dt_s) + extra_noise * dt_s
         ekf.advance(dt_s, turned, self.noise[mode], variance)
         return turned, corrected
 
@@ -299,7 +299,7 @@ class Propagation:
                 variance = self._silence_variance(d, ekf, t_ns)
         bias_turn = float(ekf.x[BIAS]) * dt_s
         if mode is _GYRO:
-            variance += self._scale_variance(turned_rad - bias_turn, dt_s) + d.more_gyro_noise * dt_s
+            variance += self._scale_variance(turned_rad - bias_turn, dt_s) + d.extra_gyro_noise * dt_s
         ekf.advance(dt_s, turned_rad, self.noise[mode], variance)
         return turned_rad, turned_rad - bias_turn
 
@@ -307,10 +307,10 @@ class Propagation:
         """Go over to the attitude's yaw, or to a constant rate, where the gyroscope has fallen silent."""
         silent = d.t_gyro_ns is not None and t_ns - d.t_gyro_ns > self.grace_ns
         if d.mode is _GYRO and silent:
-            return self._with_mode(d, ekf, Mode.ATTITUDE if self._attitude_lives(d, t_ns) else Mode.NONE)
+            return self._with_mode(d, ekf, Mode.ATTITUDE if self._attitude_is_recent(d, t_ns) else Mode.NONE)
         return d
 
-    def _attitude_lives(self, d: DeadReckoning, t_ns: int) -> bool:
+    def _attitude_is_recent(self, d: DeadReckoning, t_ns: int) -> bool:
         return d.attitude.age_s(t_ns) <= max(ATTITUDE_GAP_S, d.attitude.age_limit_s(self.config))
 
     def held_rate_variance(self, d: DeadReckoning, t_ns: int) -> float:
@@ -329,7 +329,7 @@ class Propagation:
         variance = self.held_rate_variance(d, t_ns)
         if d.mode is Mode.GYRO:
             variance += (
-                self._scale_variance(turned - float(ekf.x[BIAS]) * dt_s, dt_s) + d.more_gyro_noise * dt_s
+                self._scale_variance(turned - float(ekf.x[BIAS]) * dt_s, dt_s) + d.extra_gyro_noise * dt_s
             )
         ekf.advance(dt_s, turned, self.noise[d.mode], variance)
         return d._replace(t_ns=t_ns)

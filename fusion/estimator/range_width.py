@@ -66,7 +66,7 @@ class Width(NamedTuple):
         Of the last ranges, and of the frames since the corridor began.
     per_height, n_frames
         Width per height of the camera above the floor, and of how many frames it is the mean.
-    told_m
+    set_width_m
         Width that the program has told in flight: 0 where it said that it is unknown, None where it said nothing.
     """
 
@@ -75,17 +75,17 @@ class Width(NamedTuple):
     widths: Widths = Widths()
     per_height: float = nan
     n_frames: int = 0
-    told_m: float | None = None
+    set_width_m: float | None = None
 
-    def told(self, width_m: float | None) -> Width:
+    def with_set_width(self, width_m: float | None) -> Width:
         """Take the width that the program tells in place of the configuration's; None: it is not known."""
-        return self._replace(told_m=0.0 if width_m is None else width_m)
+        return self._replace(set_width_m=0.0 if width_m is None else width_m)
 
     def half_m(self, config: FusionConfig) -> float:
         """Half the corridor's width, metres; NaN where neither it nor the camera's height is set or measured."""
-        told_m = config.corridor_width_m if self.told_m is None else self.told_m
-        if told_m:
-            return 0.5 * told_m
+        set_width_m = config.corridor_width_m if self.set_width_m is None else self.set_width_m
+        if set_width_m:
+            return 0.5 * set_width_m
         if config.camera_height_m is not None:
             return 0.5 * config.camera_height_m * self.per_height
         return 0.5 * self.widths.width_m

@@ -106,7 +106,7 @@ class Resets(NamedTuple):
         return self
 
 
-def only_turned(old: State, new: State, sample: Sample) -> bool:
+def only_propagated(old: State, new: State, sample: Sample) -> bool:
     """Whether nothing but dead reckoning lies between two states, of which the later is behind a sample."""
     before = old.reckoning
     return (

@@ -31,7 +31,7 @@ class HeadingSeed(NamedTuple):
     std_rad: float
 
     @classmethod
-    def told(cls, t_ns: int, heading_rad: float, std_rad: float) -> HeadingSeed:
+    def checked(cls, t_ns: int, heading_rad: float, std_rad: float) -> HeadingSeed:
         """Take what a program tells; `InputError` where it cannot be."""
         heading, std = number(heading_rad, "heading_rad"), number(std_rad, "heading_std_rad")
         if not isfinite(heading):
@@ -55,7 +55,7 @@ class WidthChange(NamedTuple):
     width_m: float | None
 
     @classmethod
-    def told(cls, t_ns: int, width_m: float | None) -> WidthChange:
+    def checked(cls, t_ns: int, width_m: float | None) -> WidthChange:
         """Take what a program tells; `InputError` where it cannot be."""
         width = None if width_m is None else number(width_m, "corridor_width_m")
         if width is not None and not MIN_WIDTH_M < width <= MAX_WIDTH_M:

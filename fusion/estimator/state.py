@@ -193,11 +193,11 @@ class Entry:
     def sensed(self) -> Sensed:
         """What no late frame changes."""
         if self._sensed is None:
-            self._sensed = sensed_behind(self.after, self.sample)
+            self._sensed = sensed_after(self.after, self.sample)
         return self._sensed
 
 
-def sensed_behind(state: State, sample: Sample | None = None) -> Sensed:
+def sensed_after(state: State, sample: Sample | None = None) -> Sensed:
     """Return what no late frame changes of the state behind a sample, or of the first one."""
     tilt, gyro, step = state.tilt, state.checks.gyro, None
     if isinstance(sample, ImuSample) and gyro.verdict is GyroVerdict.GOOD and gyro.clipped_from_ns is None:

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from fusion.estimator.engine import Engine
-from fusion.estimator.state import SOURCES, Entry, Sample, State, sensed_behind
+from fusion.estimator.state import SOURCES, Entry, Sample, State, sensed_after
 
 
 class Timeline:
@@ -47,7 +47,7 @@ class Timeline:
         self.entries: list[Entry] = []
         self._keys: list[tuple[int, int]] = []
         self._base = self.state  # behind the last entry that has left the buffer
-        self._before_leap: State | None = None
+        self._before_jump: State | None = None
 
     @property
     def newest_ns(self) -> int | None:
@@ -95,7 +95,7 @@ class Timeline:
         """Put an entry in its place, behind a state, and process what lies behind it again."""
         keys, entries = self._keys[at:], self.entries[at:]
         new_keys, replayed = [key], [entry]
-        sensed = self.entries[at - 1].sensed if at > 0 else sensed_behind(before)
+        sensed = self.entries[at - 1].sensed if at > 0 else sensed_after(before)
         place = 0
         while place < len(entries):
             count = self.engine.replay_gyro_samples(replayed[-1].after, entries[place:], sensed)
@@ -118,13 +118,13 @@ class Timeline:
         self._keys[at:], self.entries[at:] = new_keys, replayed
         self.state = replayed[-1].after
 
-    def leap(self) -> None:
+    def note_jump(self) -> None:
         """Note that the next samples are far ahead: should time prove to be another, they were wrong."""
-        self._before_leap = self.state
+        self._before_jump = self.state
 
     def restart(self, t_ns: int) -> None:
         """Go on at an earlier time: what was stamped after it was wrong, or the samples' clock was set back."""
-        before, self._before_leap = self._before_leap, None
+        before, self._before_jump = self._before_jump, None
         if before is not None and before.t_ns is not None and before.t_ns <= t_ns:
             right = bisect_right(self.entries, before.t_ns, key=lambda entry: entry.t_ns)
             del self.entries[right:], self._keys[right:]
@@ -137,22 +137,22 @@ class Timeline:
     def start_anew(self, state: State) -> None:
         """Go on from a state that no sample has led to; what is in the buffer is handed out."""
         self.finish()
-        self._before_leap = None
+        self._before_jump = None
         self.state = self._base = state
         self.engine.ekf.load(state.x, state.P)
 
     def finish(self) -> None:
         """Hand out what is still in the buffer; nothing may be inserted before it any more."""
-        self._let_go(len(self.entries))
+        self._release_entries(len(self.entries))
 
     def _trim(self) -> None:
         keys = self._keys
         horizon = keys[-1][0] - self.buffer_ns
         # In lumps, of 16 or of half of them: cutting the front of a list costs its length.
         if keys[min(15, (len(keys) - 1) // 2)][0] < horizon:
-            self._let_go(bisect_left(keys, (horizon, -1)))
+            self._release_entries(bisect_left(keys, (horizon, -1)))
 
-    def _let_go(self, count: int) -> None:
+    def _release_entries(self, count: int) -> None:
         if count == 0:
             return
         gone = self.entries[:count]
