@@ -2,8 +2,8 @@
 
 The engine holds no history: its result depends only on state and sample. For each kind of sample it calls the parts
 in a fixed order: propagation, then the measurement update. Each part has a module of its own and owns a field of
-`fusion.estimator.state.State`. All of them update one extended Kalman filter, `fusion.estimator.ekf.CorridorEKF`, with
-the state and models of `fusion.estimator.models`. `fusion.estimator.timeline` sorts the samples.
+`fusion.estimator.state.State`. All of them update one extended Kalman filter, `fusion.estimator.ekf.CorridorEKF`,
+with the state and models of `fusion.estimator.models`. `fusion.estimator.timeline` sorts the samples.
 """
 
 from __future__ import annotations

@@ -93,10 +93,10 @@ class Estimate:
         Speed along the corridor, positive in the direction of its axis, from the velocity stream; NaN without one.
     reset_count, reset_heading_rad, reset_heading_total_rad
         Number of jumps of the heading (another corridor, a recovery, the first heading after loss or a gap, a late
-        sample that changed a published estimate, a seed or a reset), the last jump (new minus old), and the sum of all
-        jumps. A controller that needs continuity subtracts the sum: heading less sum is continuous, modulo a turn,
-        even if several jumps lie between two calls. The count never decreases. Corrections below 2 degrees do not
-        count.
+        sample that changed a published estimate, a seed or a reset), the last jump (new minus old), and the sum of
+        all jumps. A controller that needs continuity subtracts the sum: heading less sum is continuous, modulo a
+        turn, even if several jumps lie between two calls. The count never decreases. Corrections below 2 degrees do
+        not count.
     lateral_reset_count, reset_lateral_norm, reset_lateral_m, reset_lateral_total_norm
         The same for the lateral offset; after a gap, its jump is from the last known offset to the next known one.
     roll_rad, pitch_rad
@@ -277,7 +277,7 @@ def estimate_of(
 ) -> Estimate:
     """Report a state at its own time; ages and status may be those at a later time.
 
-    ``arrivals`` as in `status_of`; ``resets`` are the published jumps. None: those counted in the state, without sums.
+    ``arrivals`` as in `status_of`; ``resets`` are the published jumps. None: those of the state, without sums.
     """
     resets = _resets_of(state) if resets is None else resets
     if state.t_ns is None:

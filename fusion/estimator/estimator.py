@@ -1,7 +1,7 @@
 """The streaming estimator: the public class that live programs and the offline path call once per sample.
 
 Each sample is checked (`input_checks`), its time stamp is admitted (`arrivals`), and the sample is inserted into the
-`timeline`, which passes samples to the `engine` in order of time and replays them after a late one. Estimates are read
+`timeline`, which passes samples to the `engine` in order of time and replays them after a late one. Estimates come
 from the state after the newest sample (`estimate`).
 """
 
@@ -64,10 +64,10 @@ class CorridorEstimator:
     """Heading and lateral offset from gyroscope, attitude and camera, sample by sample.
 
     Samples may arrive out of order and up to ``config.buffer_s`` late; the result is bit-identical to that of samples
-    in order. Samples that are later than that, repeated or not finite are counted in `counters` and otherwise ignored.
-    A stamp far ahead of the IMU's clock is ignored until the next one confirms it. Status and reason take the latency
-    of the sources into account: they report wrong clocks, and a source that is always late counts as silent later.
-    Rejected frames, resets and changes of status are logged, see `fusion.estimator.events`.
+    in order. Samples that are later than that, repeated or not finite are counted in `counters` and otherwise
+    ignored. A stamp far ahead of the IMU's clock is ignored until the next one confirms it. Status and reason take
+    the latency of the sources into account: they report wrong clocks, and a source that is always late counts as
+    silent later. Rejected frames, resets and changes of status are logged, see `fusion.estimator.events`.
 
     Not thread-safe: call it from one thread. Lines can be extracted in another one (`vision.extract_lines`).
 
@@ -135,8 +135,8 @@ class CorridorEstimator:
     def add(self, sample: Sample) -> Entry | None:
         """Add a sample of any kind.
 
-        Values are only checked for use by the filter; the methods below check their arguments as well. An error raised
-        while a frame is measured goes to the caller, and the frame has no effect.
+        Values are only checked for use by the filter; the methods below check their arguments as well. An error
+        raised while a frame is measured goes to the caller, and the frame has no effect.
 
         Parameters
         ----------
@@ -514,8 +514,8 @@ class CorridorEstimator:
         now_ns
             The present time on the sensors' clock, integer nanoseconds: status and ages then also show sources that
             have fallen silent since the newest sample. None: the time of the newest sample. ``timestamp_ns`` remains
-            that of the newest sample, or ``at_ns``. A time more than 1 s before the newest sample is taken for that of
-            another clock or unit, and reported in ``reason``.
+            that of the newest sample, or ``at_ns``. A time more than 1 s before the newest sample is taken for that
+            of another clock or unit, and reported in ``reason``.
         at_ns
             Time to predict to, integer nanoseconds, for instance the time at which the actuators act. Heading and
             lateral offset are propagated with their last rates; sigmas grow by the process noise and by the possible

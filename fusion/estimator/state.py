@@ -33,7 +33,7 @@ Sample = ImuSample | AttitudeSample | VelocitySample | RangeSample | FrameSample
 
 
 class Source(NamedTuple):
-    """A kind of sample: order among samples of equal time, name in the counters, whether it propagates the heading."""
+    """A kind of sample: order at equal times, name in the counters, and whether it propagates the heading."""
 
     order: int
     name: str
