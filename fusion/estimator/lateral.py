@@ -274,7 +274,7 @@ def _offset_gate(
 
 
 def _speed_gate(offset: OffsetState, across_m_s: float, variance: float) -> Gate | None:
-    """Return the innovation of a speed across the corridor, m/s, to the most probable hypothesis; None without one."""
+    """Return the innovation of a speed across the corridor, m/s, for the most probable hypothesis; None if none."""
     if not len(offset.x):
         return None
     best = int(np.argmax(offset.weight[:-1]))
