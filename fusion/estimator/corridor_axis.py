@@ -5,11 +5,10 @@ constant however the vehicle turns, so headings are compared as axes in that fra
 
 - `start`: the axis is acquired once `FusionConfig.start_frames` votes agree; their median gives the heading.
 - Headings rejected by the gate are kept as votes for another axis; `fusion.estimator.junctions` decides what they
-mean.
+  mean.
 - `recover`: the covariance is widened along the error, and the filter is updated with the votes' median.
 - A heading is *linked* if no jump lies between it and a heading that the filter accepted, allowing for noise and for
-the
-  turn measured by the gyroscope. Linked headings belong to the present axis even if the gate rejects them.
+  the turn measured by the gyroscope. Linked headings belong to the present axis even if the gate rejects them.
 """
 
 from __future__ import annotations

@@ -152,8 +152,8 @@ def within_bounds(m: FrameMeasurement) -> tuple[FrameMeasurement, tuple[str, ...
     """Return a measurement without what no camera in a corridor can see, and the names that count it.
 
     A heading beyond half a turn takes the frame with it; other fields are only taken out themselves. NaN is no fault:
-    it says that a field was not measured. Arrays are copied, so that the caller may use its own again,
-    and contiguous, so that no code is compiled for another layout in flight.
+    it says that a field was not measured. Arrays are copied, so that the caller may use its own again, and
+    contiguous, so that no code is compiled for another layout in flight.
     """
     changes: dict[str, Any] = {}
     counted = []

@@ -3,14 +3,12 @@
 Once enough votes agree (`fusion.estimator.votes`), there are three cases:
 
 - The filter has diverged: the agreed axis is the one that frames last confirmed, or the votes are linked to frames
-that
-  the filter accepted. The heading is reset to the votes' median (`fusion.estimator.corridor_axis.recover`).
+  that the filter accepted. The heading is reset to the votes' median (`fusion.estimator.corridor_axis.recover`).
 - Another corridor: the vehicle has turned away from the old axis by at least `FusionConfig.junction_min_turn_rad` and
   faces along the agreed one, within `OBLIQUE_RAD`, for `FusionConfig.junction_time_s` and longer if it is oblique.
   `enter_corridor` changes the axis.
 - Otherwise the votes come from a wall, a side corridor or furniture and are ignored, unless frames show nothing else
-for
-  `FusionConfig.axis_jump_hold_s`, or for as long as they had shown the present axis: then that was wrong.
+  for `FusionConfig.axis_jump_hold_s`, or for as long as they had shown the present axis: then that was wrong.
 """
 
 from __future__ import annotations

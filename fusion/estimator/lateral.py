@@ -116,9 +116,9 @@ class LateralOffset:
     def with_velocity(self, lateral: Lateral, x: FloatArray, P: FloatArray, velocity: Velocity) -> Lateral:
         """Update with a level velocity as a measurement of the offset's rate, unless it is out of range.
 
-        The velocity across the corridor is ``w = v_forward sin(psi) + v_right cos(psi)``, with variance
-        ``R = (sigma_v^2 + v_along^2 P_psi) max(tau / dt, 1)``: errors that are correlated over tau are treated as
-        white errors of samples dt apart.
+        The velocity across the corridor is ``w = v_forward sin(psi) + v_right cos(psi)``. Its variance is
+        ``(sigma_v^2 + v_along^2 P_psi) max(tau / dt, 1)``: errors that are correlated over tau are treated as white
+        errors of samples dt apart.
 
         Parameters
         ----------

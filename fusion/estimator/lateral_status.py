@@ -3,9 +3,8 @@
 `fusion.estimator.lateral` updates this part of the state. After each frame:
 
 - The offset is compared with a prediction: the median of the offsets of the last `CONTRADICTED_S`, each moved on by
-the
-  integrated rate. It is contradicted, and reported as unknown, if it differs by more than
-  `DRIFT_NORM` + `DRIFT_S` sigma_v. One of the two is wrong then, and the next seconds show which.
+  the integrated rate. It is contradicted, and reported as unknown, if it differs by more than `DRIFT_NORM` +
+  `DRIFT_S` sigma_v. One of the two is wrong then, and the next seconds show which.
 - A change by more than `JUMP_NORM` means that another hypothesis has become the most probable one: a jump, counted.
 """
 

@@ -78,8 +78,8 @@ def level_yaw_rate(gyro_rad_s: tuple[float, float, float], down: tuple[float, fl
     gyro_rad_s
         Body rates p, q, r (FRD).
     down
-        Unit vector of gravity's direction in the body frame: (-sin(pitch), sin(roll) cos(pitch),
-        cos(roll) cos(pitch)). With it (q sin(roll) + r cos(roll)) / cos(pitch) needs no trigonometry.
+        Unit vector of gravity's direction in the body frame: (-sin(pitch), sin(roll) cos(pitch), cos(roll)
+        cos(pitch)). With it (q sin(roll) + r cos(roll)) / cos(pitch) needs no trigonometry.
     """
     _, q, r = gyro_rad_s
     _, dy, dz = down
