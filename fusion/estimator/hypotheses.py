@@ -187,11 +187,11 @@ class Diagnosis(NamedTuple):
         """Drop all but the reported fault and the probabilities of the IMU's yaw."""
         return Diagnosis(reported=self.reported, yaw_probabilities=self.yaw_probabilities)
 
-    def with_verdict(self, t_ns: int, verdict: Verdict, look_due: bool) -> Diagnosis:
-        """Store a verdict; ``look_due`` if it was due by time and not triggered by an innovation."""
+    def with_verdict(self, t_ns: int, verdict: Verdict, judgement_due: bool) -> Diagnosis:
+        """Store a verdict; ``judgement_due`` if it was due by time and not triggered by an innovation."""
         yaw_probabilities = self.yaw_probabilities
-        if look_due and isfinite(verdict.yaw_disturbed):
-            yaw_probabilities = yaw_probabilities.with_look(verdict.yaw_disturbed)
+        if judgement_due and isfinite(verdict.yaw_disturbed):
+            yaw_probabilities = yaw_probabilities.with_judgement(verdict.yaw_disturbed)
         reported = self.reported
         doubt = verdict.fault_to_report(reported is not None and t_ns - reported.t_ns < CONTESTED_S * 1e9)
         if doubt is not Hypothesis.WELL or self.innovations.one_sided_sigmas > CONTESTED_SIGMA:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from fusion.estimator.noise_adaptation import (
     SourceNoise,
     correlation,
-    independent_equivalent_variance,
+    equivalent_white_variance,
     inlier_probability,
     learn,
     weakened_variance,
@@ -49,7 +49,7 @@ def test_errors_that_resemble_each_other_leave_the_filter_as_sure_as_it_should_b
         x += np.sqrt(process_variance) * step
         P += process_variance
         error = rho * error + np.sqrt(1 - rho**2) * kick
-        gain = P / (P + independent_equivalent_variance(1.0, P, rho))
+        gain = P / (P + equivalent_white_variance(1.0, P, rho))
         found += gain * (x + error - found)
         P *= 1 - gain
         ratios.append((found - x) ** 2 / P)
@@ -60,11 +60,11 @@ def test_errors_that_resemble_each_other_leave_the_filter_as_sure_as_it_should_b
 def test_variance_in_place_of_correlation_has_its_bounds(
     variance: float, predicted: float, rho: float
 ) -> None:
-    R = independent_equivalent_variance(variance, predicted, rho)
+    R = equivalent_white_variance(variance, predicted, rho)
     kept = R / (predicted + R)
     assert pytest.approx(variance * (1 + kept * rho) / (1 - kept * rho), rel=1e-6) == R
     assert variance * (1 - 1e-9) <= R <= variance * (1 + rho) / (1 - rho) * (1 + 1e-9)
-    assert independent_equivalent_variance(variance, predicted, 0.0) == pytest.approx(variance)
+    assert equivalent_white_variance(variance, predicted, 0.0) == pytest.approx(variance)
 
 
 def test_correlation_falls_with_time() -> None:
