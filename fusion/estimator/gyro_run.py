@@ -1,10 +1,10 @@
-"""A run of gyroscope samples that only propagate the state, replayed in one compiled call.
+"""Fast replay of consecutive gyroscope samples in one compiled call, after a late sample.
 
-A late frame changes what was known when the samples behind it were taken: heading, its covariance, and the lateral
-offset. It changes neither the tilt nor what was found of the gyroscope. So most samples are replayed by a few numbers
-of arithmetic each. The state behind one of them is put together only when something asks for it.
+A late frame changes the heading, its covariance and the lateral offset for all samples after it, but neither the tilt
+nor the gyroscope checks (`fusion.estimator.state.Sensed`). So a run of good gyroscope samples is replayed with stored
+level rates and forces. The full state after a sample is built only on access.
 
-The result is that of `fusion.estimator.engine.Engine.process`, to the bit.
+The result is bit-identical to that of `fusion.estimator.engine.Engine.process`.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from fusion.flight import TimeArray
 from vision.compiled import compiled
 
 N_CARRIED = 13
-RAW_THETA = 1  # of what is carried, see `_replay_gyro_samples`
+RAW_THETA = 1  # column of ``carried``, see `_replay_gyro_samples`
 
 
 class GoodSamples(NamedTuple):
-    """Gyroscope samples in a row that were good when they were processed first, and what was found of each then.
+    """Consecutive good gyroscope samples, and tilt and checks from their first processing.
 
-    ``t_ns`` (n,) and ``steps`` (n, 7) are the same for compiled code, rows as in `fusion.estimator.state.Sensed`.
+    ``t_ns`` (n,) and ``steps`` (n, 7) hold the same for compiled code, rows as in `fusion.estimator.state.Sensed`.
     """
 
     samples: Sequence[Sample]
@@ -46,11 +46,11 @@ class GoodSamples(NamedTuple):
 
     @classmethod
     def first_of(cls, entries: Sequence[Entry]) -> GoodSamples | None:
-        """Take as many of the first entries as are good; None where the first is not."""
+        """Return the leading good samples of ``entries``; None if the first is not good."""
         if not entries:
             return None
         run, place = entries[0].run, entries[0].place
-        if isinstance(run, GyroRun):  # the numbers are at hand where the rest of the run follows
+        if isinstance(run, GyroRun):  # reuse the arrays if the rest of a run follows
             count = run.count - place
             last = entries[count - 1] if count <= len(entries) else None
             if last is not None and last.run is run and last.place == run.count - 1:
@@ -66,18 +66,18 @@ class GoodSamples(NamedTuple):
 
 
 class GyroRun:
-    """Samples in a row behind a state.
+    """Consecutive samples replayed from a state.
 
     Parameters
     ----------
     start
-        The state; a gyroscope carries its heading.
+        The state; a gyroscope propagates its heading.
     good
         The samples.
     before
-        What was found in front of them when they were processed first.
+        Tilt and checks before them, from their first processing.
     propagation
-        Says how noisy a gyroscope is.
+        Source of the noise parameters.
     """
 
     def __init__(
@@ -114,15 +114,15 @@ class GyroRun:
             (*propagation.noise[Mode.GYRO],),
             (self.x, self.F, self.P, self.Q, self.carried),
         )
-        self._delay, self._delay_at = start.delay, 0  # behind so many samples
+        self._delay, self._delay_at = start.delay, 0  # delay after this number of samples
 
     def nodes(self, i: int) -> tuple[Node, ...]:
-        """Return a sample's step for the smoother."""
+        """Return the smoother's step of a sample."""
         x, P = self.x[i], self.P[i]
         return (Node(self.F[i], x, P, x, P),)
 
     def state(self, i: int) -> State:
-        """Return the state behind a sample."""
+        """Return the state after a sample."""
         sample, sensed = self.good.samples[i], self.good.sensed[i]
         assert isinstance(sample, ImuSample)
         theta, raw, yaw_done, t_s, accel_s, a1, a2, path_noise, *accel, age_s = self.carried[i].tolist()
@@ -189,7 +189,7 @@ class GyroRun:
 
 @cache
 def compile_gyro_run() -> None:
-    """Compile, or load what was compiled, when an estimator is made: not at its first late frame, in flight."""
+    """Compile the replay, or load it from the cache, before the first late frame."""
     n = N_STATES
     out = (
         np.empty((1, n)),
@@ -216,9 +216,9 @@ def _replay_gyro_samples(
     noise: tuple[float, float, float],
     out: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
 ) -> int:
-    """Process samples as the engine does where a gyroscope carries the heading; return how many could be.
+    """Process samples as the engine does in `Mode.GYRO`; return how many were processed.
 
-    It ends before a gap in the gyroscope's samples.
+    It stops before a gap in the gyroscope's samples.
 
     Parameters
     ----------
@@ -227,17 +227,17 @@ def _replay_gyro_samples(
     x, P
         State (3,) and covariance (3, 3) of the filter.
     carried
-        What else is carried on (13,): dead-reckoned heading, the same with the bias, yaw since the last attitude;
-        the path's five and the acceleration's four numbers; age of the evidence.
+        Other propagated values (13,): dead-reckoned heading, the same with the bias, yaw since the last attitude;
+        the five fields of the path and the four of the acceleration; age of the evidence.
     times_ns
-        Of the state, of the last gyroscope sample, and the longest gap.
+        Times of the state and of the last gyroscope sample, and the longest gap.
     numbers
-        Last level yaw rate, angle propagated since then, roll correction, variance of the scale, s, and density of
-        the noise beyond that of the settings, rad^2/s.
+        Last level yaw rate, angle propagated since then, roll correction, variance of the scale, s, and squared
+        density of the noise beyond the configured one, rad^2/s.
     noise
-        Of the process.
+        Densities of the process noise.
     out
-        Filled: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3) of the last step, carried (n, 13).
+        Output: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3) of the last step, carried (n, 13).
     """
     last_ns, gyro_ns, grace_ns = times_ns
     last_rate, done, roll, scale_variance_s, extra_noise = numbers
