@@ -1,7 +1,7 @@
-"""Events of a flight, with times and numbers: rejected frames, jumps, other corridors, changes of status.
+"""Events of a flight, with times and values: rejected frames, jumps, changes of corridor and status.
 
-Events are found between entries that have left the buffer, which no late sample can change any more: they are those
-of the sorted log, and come ``config.buffer_s`` after the fact. A program that acts at once reads the `Estimate`.
+Events are found from entries that have left the buffer and are final. They are therefore identical to those of the
+sorted log, and delayed by ``config.buffer_s``. A program that needs them without delay reads the `Estimate`.
 """
 
 from __future__ import annotations
@@ -21,11 +21,13 @@ from fusion.estimator.resets import Resets, only_propagated
 from fusion.estimator.state import Entry, State
 
 LOGGER = logging.getLogger("fusion.estimator")
-logging.getLogger("fusion").addHandler(logging.NullHandler())  # a library is quiet until it is asked
+logging.getLogger("fusion").addHandler(
+    logging.NullHandler()
+)  # no output unless the program configures logging
 
 
 class EventKind(StrEnum):
-    """What happened."""
+    """Kind of an event."""
 
     FRAME_REJECTED = "frame_rejected"
     HEADING_RESET = "heading_reset"
@@ -36,16 +38,16 @@ class EventKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened at an instant.
+    """An event at an instant.
 
     Parameters
     ----------
     timestamp_ns
-        When; of a frame, its time stamp.
+        Time of the event; for a frame, its time stamp.
     kind
-        What.
+        Kind of the event.
     values
-        Its numbers and words, by name; units are in the names.
+        Its values by name; units are in the names.
     """
 
     timestamp_ns: int
@@ -65,13 +67,13 @@ class EventFinder:
 
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
-        self._before: State | None = None  # behind the last instant that is closed
-        self.status = ""  # at the last instant that is closed
+        self._before: State | None = None  # after the last completed instant
+        self.status = ""  # at the last completed instant
         self._resets = Resets()
         self._open: Entry | None = None
 
     def take(self, entry: Entry) -> list[Event]:
-        """Take the next entry; return what it shows to have happened."""
+        """Add the next entry; return the events that it completes."""
         last = self._open
         found = [] if last is None or entry.t_ns == last.t_ns else self._close(last)
         self._open = entry
@@ -84,7 +86,7 @@ class EventFinder:
         return found
 
     def finish(self) -> list[Event]:
-        """Return what the last instant shows."""
+        """Return the events of the last instant."""
         last, self._open = self._open, None
         return [] if last is None else self._close(last)
 
@@ -121,9 +123,9 @@ class EventFinder:
 
 
 class EventLog:
-    """Tells the logger ``fusion.estimator`` of events, at level INFO; costs nothing while nobody listens.
+    """Logs events to the logger ``fusion.estimator`` at level INFO; has no cost while the level is disabled.
 
-    Each record carries its `Event` as ``record.event``.
+    Each record has its `Event` as ``record.event``.
     """
 
     def __init__(self, config: FusionConfig) -> None:
@@ -131,7 +133,7 @@ class EventLog:
         self._finder: EventFinder | None = None
 
     def take(self, entry: Entry) -> None:
-        """Take the next entry in order of time."""
+        """Add the next entry in order of time."""
         if not LOGGER.isEnabledFor(logging.INFO):
             self._finder = None
             return
@@ -140,7 +142,7 @@ class EventLog:
         self._log(self._finder.take(entry))
 
     def finish(self) -> None:
-        """Tell of the last instant."""
+        """Log the events of the last instant."""
         if self._finder is not None:
             self._log(self._finder.finish())
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 
 class Fault(IntFlag):
-    """Bits of `fusion.estimator.estimate.Estimate.faults`; a bit keeps its meaning for good, new ones are added.
+    """Bits of `fusion.estimator.estimate.Estimate.faults`; the meaning of a bit never changes, new ones are added.
 
-    As in the flags of PX4's EKF2, a set bit is something that a flight controller may act on without reading text.
+    As with the fault flags of PX4's EKF2, a flight controller can act on a bit without reading the text.
     """
 
     NONE = 0

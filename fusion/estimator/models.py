@@ -1,4 +1,4 @@
-"""State, process model and measurement models. Pure functions of numbers and small arrays.
+"""State, process model and measurement models of the heading filter. Pure functions.
 
 State (3,): ``[psi, b_z, o]``
 
@@ -11,6 +11,11 @@ Process, with level yaw rate omega::
     psi' = omega - b_z + n_psi        omega = (q sin(roll) + r cos(roll)) / cos(pitch)
     b_z' = n_b
     o'   = n_o
+
+Measurements, with residuals wrapped to half a turn for frames and to a turn for the IMU's yaw::
+
+    frame:    z = psi  (modulo pi)
+    IMU yaw:  z = psi + turn + o    (turn: angle of the present corridor's axis from the first one's)
 
 The lateral offset has a filter of its own, `fusion.estimator.lateral_offset`.
 """
@@ -31,12 +36,12 @@ from fusion.estimator.kernels import Quaternion as Quaternion
 from fusion.estimator.kernels import Vector as Vector
 from vision.rotations import wrap, wrap_axis
 
-# Nose straight up or down yaw has no meaning; this floor (85 degrees) keeps the number finite.
+# Yaw is undefined at a pitch of 90 degrees; this lower bound (85 degrees) keeps the rate finite.
 LEAST_LEVEL = 0.0076
 
 
 class ProcessNoise(NamedTuple):
-    """Continuous noise of the process model.
+    """Densities of the continuous process noise.
 
     Parameters
     ----------
@@ -54,7 +59,7 @@ class ProcessNoise(NamedTuple):
 
 
 class ScalarMeasurement(NamedTuple):
-    """What an update needs: residual (wrapped where it is an angle), H (3,) and the variance R."""
+    """Scalar measurement: residual (wrapped if it is an angle), H (3,) and the variance R."""
 
     residual: float
     H: FloatArray
@@ -62,7 +67,7 @@ class ScalarMeasurement(NamedTuple):
 
 
 class Gate(NamedTuple):
-    """Outcome of an update: whether it was taken, the residual, residual^2 / (gate^2 S), and S."""
+    """Outcome of an update: whether it was accepted, the residual, residual^2 / (gate^2 S), and S."""
 
     accepted: bool
     residual: float
@@ -71,7 +76,7 @@ class Gate(NamedTuple):
 
 
 def level_yaw_rate(gyro_rad_s: tuple[float, float, float], down: tuple[float, float, float]) -> float:
-    """Yaw rate about the vertical, rad/s, without bias correction.
+    """Return the yaw rate about the vertical, rad/s, without bias correction.
 
     Parameters
     ----------
@@ -101,14 +106,14 @@ for _H in (_H_HEADING, _H_IMU_YAW, _H_YAW_OFFSET):
 
 
 def heading_model(x: FloatArray, heading_rad: float, variance: float) -> ScalarMeasurement:
-    """Compare a frame's heading. A corridor looks alike from both ends, so the residual is that of an axis."""
+    """Return the measurement of a frame's heading; it is ambiguous by half a turn, so the residual is an axis's."""
     return ScalarMeasurement(wrap_axis(heading_rad - float(x[PSI])), _H_HEADING, variance)
 
 
 def imu_yaw_model(
     x: FloatArray, yaw_rad: float, corridor_turn_rad: float, variance: float
 ) -> ScalarMeasurement:
-    """Compare the IMU's yaw: heading in the first corridor's frame, plus the offset."""
+    """Return the measurement of the IMU's yaw: heading in the first corridor's frame, plus the offset."""
     return ScalarMeasurement(
         wrap(yaw_rad - float(x[PSI]) - corridor_turn_rad - float(x[YAW_OFFSET])), _H_IMU_YAW, variance
     )
@@ -117,6 +122,6 @@ def imu_yaw_model(
 def imu_yaw_offset_model(
     x: FloatArray, P: FloatArray, yaw_rad: float, corridor_turn_rad: float, variance: float
 ) -> ScalarMeasurement:
-    """Compare the IMU's yaw so that only the offset learns from it: the heading's variance counts as noise."""
+    """Return the measurement of the IMU's yaw that updates only the offset: the heading's variance is noise."""
     residual = wrap(yaw_rad - x.item(PSI) - corridor_turn_rad - x.item(YAW_OFFSET))
     return ScalarMeasurement(residual, _H_YAW_OFFSET, variance + P.item(PSI, PSI))
