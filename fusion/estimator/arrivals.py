@@ -60,9 +60,7 @@ class Admission(Enum):
     WAIT = "wait"  # it is held back
     LATE = "late"  # ignore it: it is older than the buffer
     JUMPED = "jumped"  # the clock jumped ahead: insert the samples of `Arrivals.released`
-    SET_BACK = (
-        "set back"  # the clock was set back: restart at the samples of `Arrivals.released`, then insert them
-    )
+    SET_BACK = "set back"  # the clock was set back: restart, then insert the samples of `Arrivals.released`
 
 
 TAKE = Admission.TAKE  # member lookup of an enum is slow in Python 3.11, and needed for each sample

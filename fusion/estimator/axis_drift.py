@@ -52,10 +52,10 @@ MAX_INTERVAL_S = 0.5  # largest weight of one frame in the means, as the time si
 REJECTED_SHARE = 0.25  # of the frames; a spike needs more: single outliers do not come from the gyroscope
 
 
-class SeenHeading(NamedTuple):
+class MeasuredHeading(NamedTuple):
     """A frame's heading, its stated variance, the correlation with the one before, and the frames' interval.
 
-    ``stamp_std_s`` is as in `fusion.estimator.frame_update.FrameSample`; ``unmeasured_ns`` is the time of the last
+    ``stamp_std_s`` is as in `fusion.estimator.frame_update.FrameSample`; ``clipped_ns`` is the time of the last
     clipped gyroscope sample: the angle turned then was not measured.
     """
 
@@ -65,14 +65,14 @@ class SeenHeading(NamedTuple):
     rho: float
     interval_s: float
     stamp_std_s: float = 0.0
-    unmeasured_ns: int | None = None
+    clipped_ns: int | None = None
 
 
 def with_diagnosis(
     axis: CorridorAxis,
     ekf: CorridorEKF,
     reckoning: DeadReckoning,
-    seen: SeenHeading,
+    seen: MeasuredHeading,
     corrects_heading: bool,
     config: FusionConfig,
 ) -> tuple[CorridorAxis, CorridorAxis | None]:
@@ -87,8 +87,8 @@ def with_diagnosis(
     seen
         The newest frame.
     """
-    t_ns, heading_rad, variance, rho, interval_s, stamp_std_s, unmeasured_ns = seen
-    axis = axis.with_turns_since(unmeasured_ns)
+    t_ns, heading_rad, variance, rho, interval_s, stamp_std_s, clipped_ns = seen
+    axis = axis.without_frames_before(clipped_ns)
     scale, correlation_s = axis.scale_and_correlation(reckoning.mode, config)
     std, walk = white_and_walk(variance * scale, correlation_s, interval_s)
     linked, yaw_rad = axis.recent[-1].linked, yaw_at(reckoning, t_ns)
@@ -176,7 +176,7 @@ def _judge_spans(d: Diagnosis, ekf: CorridorEKF, noise: InertialNoise) -> tuple[
             Hypothesis.WELL
         ):
             verdict, evidence = found, shown
-        if verdict.likeliest is not Hypothesis.WELL:
+        if verdict.most_probable is not Hypothesis.WELL:
             break
     if evidence.gyro is None:
         return verdict, None
@@ -210,11 +210,11 @@ def follow_verdict(
         psi_rad = float(ekf.x[PSI])
         found = Recovery(psi_rad - pi * round(d.jump_rad / pi), new.std_rad)
         return recover(axis, ekf, found, new.t_ns, theta_rad, corrects_heading)
-    likeliest = d.verdict.likeliest
+    most_probable = d.verdict.most_probable
     followed = not isnan(d.straight_bias_rad_s) and not d.innovations.systematic
-    if likeliest in (Hypothesis.GYRO, Hypothesis.BEND) and drift is not None and not followed:
+    if most_probable in (Hypothesis.GYRO, Hypothesis.BEND) and drift is not None and not followed:
         return follow_drift(axis, ekf, drift, new.t_ns, theta_rad, corrects_heading)
-    spiked = likeliest is Hypothesis.SPIKE and d.rejected_share > 0.5
+    spiked = most_probable is Hypothesis.SPIKE and d.rejected_share > 0.5
     if spiked and new.linked and not axis.was_accepted:
         found = Recovery(new.heading_rad + axis.facing_rad, new.std_rad)
         return recover(axis, ekf, found, new.t_ns, theta_rad, corrects_heading)
@@ -267,14 +267,14 @@ def follow_drift(
     if not corrects_heading:
         Q[YAW_OFFSET, YAW_OFFSET] += found.now_rad**2
     ekf.predict(ekf.x, np.eye(N_STATES), Q)
-    if now.verdict.likeliest is Hypothesis.BEND and isnan(now.straight_bias_rad_s):
+    if now.verdict.most_probable is Hypothesis.BEND and isnan(now.straight_bias_rad_s):
         # The filter's bias has absorbed some of the bend's rate by now.
         now = _with_bias(now, now.comparisons[0].bias_rad_s, now.comparisons[0].bias_variance)
         now = now._replace(straight_bias_rad_s=now.comparisons[0].bias_rad_s)
     m = heading_model(ekf.x, before + found.now_rad, found.now_std**2)
     ekf.update(m._replace(residual=found.now_rad))
-    if now.verdict.likeliest is Hypothesis.GYRO:
+    if now.verdict.most_probable is Hypothesis.GYRO:
         now = _with_bias(now, float(ekf.x[BIAS]), float(ekf.P[BIAS, BIAS]))
-    axis = axis.stepped(ekf, before)
+    axis = axis.with_reset(ekf, before)
     axis = axis._replace(votes=(), rival=None, diagnosis=now._replace(innovations=Innovations()))
     return axis.confirmed(ekf, t_ns, theta_rad)

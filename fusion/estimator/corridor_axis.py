@@ -118,9 +118,8 @@ def _is_linked(near: Sequence[FrameAxis], new: FrameAxis, yaw_std_rad: float) ->
     if low - noise < step < high + noise:
         return True
     gyro_jumped = abs(new.raw_theta_rad - near[-1].raw_theta_rad) > GRADUAL_RAD
-    return gyro_jumped and continues_at_same_rate(
-        near, new.t_ns, new.heading_rad, new.std_rad
-    )  # the gyroscope is not needed for this
+    # Frames alone decide if the gyroscope may have jumped.
+    return gyro_jumped and continues_at_same_rate(near, new.t_ns, new.heading_rad, new.std_rad)
 
 
 class CorridorAxis(NamedTuple):
@@ -141,7 +140,7 @@ class CorridorAxis(NamedTuple):
     anchor_rad, anchor_ns
         Axis in the dead-reckoned frame when a frame last confirmed it, and the time; not updated in a bend or while
         the frames' stamps are in doubt.
-    stamps_doubted
+    stamps_suspect
         Whether a step of the camera's clock is suspected: a turn seen late may then look like another axis.
     facing_rad
         pi if the vehicle then faced against the axis, modulo a turn.
@@ -172,7 +171,7 @@ class CorridorAxis(NamedTuple):
     support_s: float = 0.0
     anchor_rad: float = nan
     anchor_ns: int = 0
-    stamps_doubted: bool = False
+    stamps_suspect: bool = False
     facing_rad: float = 0.0
     noise: SourceNoise = SourceNoise()
     frame_noise: FrameNoise = FrameNoise()
@@ -198,7 +197,7 @@ class CorridorAxis(NamedTuple):
         return self._replace(
             acquired=False,
             votes=(),
-            diagnosis=self.diagnosis.started_anew(),
+            diagnosis=self.diagnosis.restarted(),
             frame_noise=self.frame_noise.interrupted(),
         )
 
@@ -206,15 +205,15 @@ class CorridorAxis(NamedTuple):
         """Restart acquisition and drop all times; keep corridors and counts."""
         return self.lost()._replace(t_vision_ns=None, recent=(), previous=None)
 
-    def with_turns_since(self, unmeasured_ns: int | None) -> CorridorAxis:
+    def without_frames_before(self, clipped_ns: int | None) -> CorridorAxis:
         """Drop headings from before a clipped turn.
 
         The gyroscope did not measure it, so they cannot be compared with later ones.
         """
         comparisons = self.diagnosis.comparisons
-        if unmeasured_ns is None or not comparisons or comparisons[0].t_ns > unmeasured_ns:
+        if clipped_ns is None or not comparisons or comparisons[0].t_ns > clipped_ns:
             return self
-        kept = tuple(comparison for comparison in comparisons if comparison.t_ns > unmeasured_ns)
+        kept = tuple(comparison for comparison in comparisons if comparison.t_ns > clipped_ns)
         diagnosis = self.diagnosis._replace(innovations=Innovations(), comparisons=kept)
         return self._replace(diagnosis=diagnosis, frame_noise=self.frame_noise.interrupted())
 
@@ -224,7 +223,7 @@ class CorridorAxis(NamedTuple):
         if self.t_vision_ns is not None:
             support_s += min((t_ns - self.t_vision_ns) * 1e-9, 0.5)
         psi = float(ekf.x[PSI])
-        sure = isnan(self.diagnosis.straight_bias_rad_s) and not self.stamps_doubted
+        sure = isnan(self.diagnosis.straight_bias_rad_s) and not self.stamps_suspect
         return self._replace(
             support_s=support_s,
             t_vision_ns=t_ns,
@@ -300,13 +299,13 @@ class CorridorAxis(NamedTuple):
         vote = Vote(t_ns, axis_rad, std_rad, self.n_accepted, linked)
         return self._replace(votes=add_vote(self.votes, vote, age_s))
 
-    def stepped(self, ekf: CorridorEKF, before_rad: float) -> CorridorAxis:
+    def with_reset(self, ekf: CorridorEKF, before_rad: float) -> CorridorAxis:
         """Count a jump of the heading from ``before_rad`` to its present value."""
         step_rad = float(ekf.x[PSI]) - before_rad
         return self._replace(
             reset_count=self.reset_count + 1,
             reset_heading_rad=step_rad,
-            diagnosis=self.diagnosis.stepped(),
+            diagnosis=self.diagnosis.without_evidence(),
             frame_noise=self.frame_noise.interrupted(),
         )
 
@@ -357,11 +356,11 @@ def start(
         ekf.widen(PSI, UNKNOWN_HEADING_STD_RAD**2)
     # Variance from propagating the median frame to now with a gyroscope of unknown bias.
     age_s = found.age_s if mode is Mode.GYRO else 0.0
-    carried = float(ekf.P[BIAS, BIAS]) * age_s**2 + config.gyro_noise**2 * age_s
-    ekf.update(heading_model(ekf.x, heading, found.std**2 + carried))
+    drift_variance = float(ekf.P[BIAS, BIAS]) * age_s**2 + config.gyro_noise**2 * age_s
+    ekf.update(heading_model(ekf.x, heading, found.std**2 + drift_variance))
     if axis.ever_acquired:
-        axis = axis.stepped(ekf, before)
-    axis = axis._replace(acquired=True, ever_acquired=True, votes=(), stamps_doubted=False)
+        axis = axis.with_reset(ekf, before)
+    axis = axis._replace(acquired=True, ever_acquired=True, votes=(), stamps_suspect=False)
     return axis.confirmed(ekf, t_ns, theta_rad)
 
 
@@ -381,7 +380,7 @@ def recover(
     _widen_heading(ekf, found.heading_rad - before, corrects_heading)
     expected = heading_model(ekf.x, found.heading_rad, found.std_rad**2)
     ekf.update(expected._replace(residual=found.heading_rad - before))
-    axis = axis.stepped(ekf, before)._replace(votes=(), rival=None)
+    axis = axis.with_reset(ekf, before)._replace(votes=(), rival=None)
     return axis.confirmed(ekf, t_ns, theta_rad)
 
 

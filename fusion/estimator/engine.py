@@ -16,7 +16,7 @@ import numpy as np
 
 from fusion.estimator import junctions
 from fusion.estimator import tilt as tilts
-from fusion.estimator.axis_drift import SeenHeading, with_diagnosis
+from fusion.estimator.axis_drift import MeasuredHeading, with_diagnosis
 from fusion.estimator.camera_delay import (
     Delay,
     DelayedInnovation,
@@ -188,7 +188,7 @@ class Engine:
             return 0
         run = GyroRun(s, good, before, self._propagation)
         for place in range(run.count):
-            entries[place].follow(run, place)
+            entries[place].use_replay(run, place)
         if run.count:
             last = run.count - 1
             self.ekf.load(s.x, s.P)
@@ -377,11 +377,11 @@ class Engine:
         axis, d = s.axis, s.reckoning
         if axis.acquired and float(self.ekf.P[PSI, PSI]) > self.config.lost_heading_std_rad**2:
             axis = axis.lost()
-        if axis.stamps_doubted != (sample.stamp_std_s > 0.0):
-            axis = axis._replace(stamps_doubted=sample.stamp_std_s > 0.0)
+        if axis.stamps_suspect != (sample.stamp_std_s > 0.0):
+            axis = axis._replace(stamps_suspect=sample.stamp_std_s > 0.0)
         if d.mode is not Mode.GYRO:  # without a gyroscope the faulty sensor cannot be isolated
             axis = axis._replace(
-                diagnosis=axis.diagnosis.started_anew(), frame_noise=axis.frame_noise.interrupted()
+                diagnosis=axis.diagnosis.restarted(), frame_noise=axis.frame_noise.interrupted()
             )
         extra_gyro_noise = (axis.frame_noise.gyro_scale - 1.0) * self.config.gyro_noise**2
         if extra_gyro_noise != d.extra_gyro_noise:
@@ -425,7 +425,7 @@ class Engine:
         result = (gate.residual, gate.test_ratio)
         if d.mode is Mode.GYRO:
             clipped_ns = s.checks.gyro.clipped_ns
-            seen = SeenHeading(t_ns, heading, variance, rho, interval_s, sample.stamp_std_s, clipped_ns)
+            seen = MeasuredHeading(t_ns, heading, variance, rho, interval_s, sample.stamp_std_s, clipped_ns)
             axis, followed = with_diagnosis(axis, ekf, d, seen, s.imu_yaw.corrects_heading, c)
             if followed is not None:
                 s = s._replace(axis=followed, delay=delay, x=ekf.x, P=ekf.P)
@@ -445,7 +445,7 @@ class Engine:
 
     def _with_accepted(self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None) -> State:
         """Use the other measurements of an accepted frame, and store the filter's new state."""
-        lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
+        lateral, width, elevation = self._fuse_other_measurements(s, t_ns, m, attitude)
         checks = s.checks
         if attitude is not None:
             std_rad = hypot(m.elevation_std_rad, attitude.std_rad)
@@ -475,10 +475,10 @@ class Engine:
         s = s._replace(axis=axis)
         if not axis.acquired:
             return s
-        lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
+        lateral, width, elevation = self._fuse_other_measurements(s, t_ns, m, attitude)
         return s._replace(lateral=lateral, width=width, elevation=elevation, x=ekf.x, P=ekf.P)
 
-    def _fuse_rest(
+    def _fuse_other_measurements(
         self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None
     ) -> tuple[Lateral, Width, Elevation]:
         """Use an accepted frame's other measurements: lateral offset, corridor width, elevation of the camera."""

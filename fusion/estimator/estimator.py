@@ -496,7 +496,7 @@ class CorridorEstimator:
         heading becomes known, with the jump from the last known heading.
         """
         before = self._timeline.state
-        self._timeline.start_anew(self._engine.reset_state(before))
+        self._timeline.restart_from(self._engine.reset_state(before))
         self._arrivals.restart()
         if self._lag is not None:
             self._lag.clear()

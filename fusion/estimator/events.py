@@ -21,9 +21,7 @@ from fusion.estimator.resets import Resets, only_propagated
 from fusion.estimator.state import Entry, State
 
 LOGGER = logging.getLogger("fusion.estimator")
-logging.getLogger("fusion").addHandler(
-    logging.NullHandler()
-)  # no output unless the program configures logging
+logging.getLogger("fusion").addHandler(logging.NullHandler())  # silent unless the program configures logging
 
 
 class EventKind(StrEnum):

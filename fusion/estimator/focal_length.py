@@ -64,21 +64,21 @@ class FocalLength(NamedTuple):
     def with_heading(self, t_ns: int, heading_rad: float, gyro_rad: float, variance: float) -> FocalLength:
         """Add a heading, modulo half a turn, and its variance, with the gyroscope's angle at its time."""
         seen, difference = 0.5 * sin(2.0 * heading_rad), heading_rad - gyro_rad
-        then_ns, mean_seen, mean_carried, mean = self.level or (t_ns, seen, seen, difference)
+        then_ns, mean_seen, mean_propagated, mean = self.level or (t_ns, seen, seen, difference)
         off = wrap_axis(difference - mean)
         if abs(off) > MAX_JUMP_RAD:
             return self.interrupted()
-        carried = 0.5 * sin(2.0 * (gyro_rad + mean))
+        propagated = 0.5 * sin(2.0 * (gyro_rad + mean))
         share = -expm1(-max(t_ns - then_ns, 0) * 1e-9 / LEVEL_S)
         level = (
             t_ns,
             mean_seen + share * (seen - mean_seen),
-            mean_carried + share * (carried - mean_carried),
+            mean_propagated + share * (propagated - mean_propagated),
             mean + share * off,
         )
         std = sqrt(variance)
         return FocalLength(
             level,
             self.by_frames.with_point(t_ns, seen - mean_seen, off, std),
-            self.by_gyro.with_point(t_ns, carried - mean_carried, off, std),
+            self.by_gyro.with_point(t_ns, propagated - mean_propagated, off, std),
         )

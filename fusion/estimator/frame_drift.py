@@ -29,8 +29,8 @@ MIN_LINKED = 0.75  # smallest share of frames that are linked; fewer may follow 
 TIME_STD_S = 0.03  # prior sigma of the frames' stamps against the gyroscope's
 MAX_MISFIT = 9.0  # upper bound of one frame's squared normalised residual
 MAX_FITS = 4
-WANDER_LIKE_TURN = 1 / 15  # mean squared residual of a unit random walk over unit time about its fitted line
-WALKED_END = 2 / 15  # variance at the end of a line fitted to such a walk
+# Of a line fitted to a unit random walk over unit time: mean squared residual, and variance at its end.
+WALK_RESIDUAL_VARIANCE, WALK_END_VARIANCE = 1 / 15, 2 / 15
 
 
 class HeadingComparison(NamedTuple):
@@ -165,17 +165,18 @@ def slope_of(
     # A poor fit means that the drift is not constant, so the rate is less certain.
     spread = max(1.0, float(squares @ keep) / len(t_s))
     rate_variance, c_variance = float(cov[1, 1]), float(cov[2, 2])
-    rate_std = sqrt(rate_variance * spread + walked_rate_variance(walk, span_s))
+    rate_std = sqrt(rate_variance * spread + walk_slope_variance(walk, span_s))
     now, rate, stamp_s = fitted.tolist()
     # The filter uses frames at their stamps, so the value now includes the effect of the stamp's error.
     at_now = np.array((1.0, 0.0, turn_now))
-    now_variance = float(at_now @ cov @ at_now) + WALKED_END * (walk**2 + gyro_walk**2) * span_s
+    now_variance = float(at_now @ cov @ at_now) + WALK_END_VARIANCE * (walk**2 + gyro_walk**2) * span_s
     found = Slope(rate, rate_std, now + stamp_s * turn_now, sqrt(now_variance), misfit, len(t_s))
     known = 1.0 / c_variance - TIME_STD_S**-2  # information of the differences alone, without the prior
     if not known > 0.0:
         return found
-    wander = WANDER_LIKE_TURN * (walk**2 + gyro_walk**2) * span_s  # random walks can pass for a stamp's error
-    stamp_variance = (spread + wander * float(keep @ std_rad**-2)) / known
+    # Random walks can pass for a stamp's error.
+    walk_variance = WALK_RESIDUAL_VARIANCE * (walk**2 + gyro_walk**2) * span_s
+    stamp_variance = (spread + walk_variance * float(keep @ std_rad**-2)) / known
     return found._replace(stamp_s=stamp_s / (c_variance * known), stamp_variance=stamp_variance)
 
 
@@ -219,7 +220,7 @@ def _robust_line(
     return fitted, cov, off, keep
 
 
-def walked_rate_variance(walk: float, span_s: float) -> float:
+def walk_slope_variance(walk: float, span_s: float) -> float:
     """Return the variance of the slope fitted to a random walk of this density over a span, (rad/s)^2."""
     return 1.2 * walk * walk / span_s
 
@@ -274,7 +275,7 @@ class Drift:
         by_step = float(self._stamp_std[seen].max() * (abs(turn[0]) + abs(turn[-1]))) / span_s
         gyro = gyro._replace(rate_std=hypot(gyro.rate_std, by_step))
         by_scale = noise.gyro_scale_std * float(self._raw[seen][0]) / span_s
-        gyro_variance = walked_rate_variance(noise.gyro_walk, span_s) + by_scale**2
+        gyro_variance = walk_slope_variance(noise.gyro_walk, span_s) + by_scale**2
         known = Evidence(gyro, None, gyro_variance, bias_variance, bias_rad_s=bias)
         if not np.isfinite(self._yaw[seen]).all():
             return known
@@ -284,7 +285,7 @@ class Drift:
         # The slope of a line fitted to n white errors over a span T has variance 12 sigma^2 / (n T^2).
         white = 12.0 * noise.yaw_std**2 / (n * span_s**2)
         jumping = max(yaw.rate_std**2 - gyro.rate_std**2, 0.0)  # a yaw that jumps drifts at no constant rate
-        yaw_variance = walked_rate_variance(noise.yaw_walk, span_s) + white + jumping
+        yaw_variance = walk_slope_variance(noise.yaw_walk, span_s) + white + jumping
         return known._replace(yaw=yaw, yaw_variance=yaw_variance)
 
 

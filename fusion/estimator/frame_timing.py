@@ -32,7 +32,7 @@ WINDOW = 3  # blocks; errors with a longer correlation time are not covered by t
 MEMORY_BLOCKS = 20
 MIN_BLOCKS = 8
 PRIOR_WINDOWS = 3.0
-ALIKE_FRAMES = 10.0  # correlated frames per independent one, in the prior of the variance
+CORRELATED_FRAMES = 10.0  # correlated frames per independent one, in the prior of the variance
 MAX_STEP_S = 0.5  # longest time between frames
 MAX_JUMP_RAD = 0.35  # a larger change of the difference from frame to frame is another axis
 # Differences are clipped at these values times rate and angle, plus five sigmas.
@@ -142,6 +142,6 @@ def _fitted(blocks: tuple[Sums, ...]) -> tuple[float, float]:
     # Contribution of each block's residuals to the coefficient of the rate, summed over windows of blocks.
     by_block = (each[:, :N_TERMS, N_TERMS] - each[:, :N_TERMS, :N_TERMS] @ fitted) @ cov[1]
     by_window = np.convolve(by_block, np.ones(WINDOW)) / sqrt(WINDOW)
-    stated, squares = ALIKE_FRAMES * cov[1, 1], n * float(by_window @ by_window)
+    stated, squares = CORRELATED_FRAMES * cov[1, 1], n * float(by_window @ by_window)
     variance = (PRIOR_WINDOWS * stated + squares) / (PRIOR_WINDOWS + n - N_TERMS)
     return -float(fitted[1]), sqrt(max(float(variance), 0.0))

@@ -29,8 +29,8 @@ from fusion.estimator.state import Checks, Entry, Sample, Sensed, State
 from fusion.flight import TimeArray
 from vision.compiled import compiled
 
-N_CARRIED = 13
-RAW_THETA = 1  # column of ``carried``, see `_replay_gyro_samples`
+N_PROPAGATED = 13
+RAW_THETA = 1  # column of ``propagated``, see `_replay_gyro_samples`
 
 
 class GoodSamples(NamedTuple):
@@ -91,7 +91,7 @@ class GyroRun:
         n = len(good.samples)
         self.x, self.F = np.empty((n, N_STATES)), np.empty((n, N_STATES, N_STATES))
         self.P, self.Q = np.empty_like(self.F), np.empty((N_STATES, N_STATES))
-        self.carried = np.empty((n, N_CARRIED))
+        self.propagated = np.empty((n, N_PROPAGATED))
         d, offset = start.reckoning, start.lateral.offset
         path, accel = offset.path, offset.accel
         first = np.array((d.theta_rad, d.raw_theta_rad, d.yaw_done_rad, *path, *accel, offset.evidence_age_s))
@@ -112,7 +112,7 @@ class GyroRun:
                 d.extra_gyro_noise,
             ),
             (*propagation.noise[Mode.GYRO],),
-            (self.x, self.F, self.P, self.Q, self.carried),
+            (self.x, self.F, self.P, self.Q, self.propagated),
         )
         self._delay, self._delay_at = start.delay, 0  # delay after this number of samples
 
@@ -125,7 +125,7 @@ class GyroRun:
         """Return the state after a sample."""
         sample, sensed = self.good.samples[i], self.good.sensed[i]
         assert isinstance(sample, ImuSample)
-        theta, raw, yaw_done, t_s, accel_s, a1, a2, path_noise, *accel, age_s = self.carried[i].tolist()
+        theta, raw, yaw_done, t_s, accel_s, a1, a2, path_noise, *accel, age_s = self.propagated[i].tolist()
         last, silent_s, density2, n = accel
         _, _, d, _, velocity, width, imu_yaw, axis, lateral, frames, elevation, _, checks = self.start
         offset = lateral.offset
@@ -182,7 +182,7 @@ class GyroRun:
         assert self._delay is not None
         rows = slice(self._delay_at, i + 1)
         times = [sample.t_ns for sample in self.good.samples[rows]]
-        self._delay = with_turns(self._delay, times, self.carried[rows, RAW_THETA].tolist())
+        self._delay = with_turns(self._delay, times, self.propagated[rows, RAW_THETA].tolist())
         self._delay_at = i + 1
         return self._delay
 
@@ -196,12 +196,12 @@ def compile_gyro_run() -> None:
         np.empty((1, n, n)),
         np.empty((1, n, n)),
         np.empty((n, n)),
-        np.empty((1, N_CARRIED)),
+        np.empty((1, N_PROPAGATED)),
     )
     times = (0, 0, 1_000_000_000)
     t_ns, steps = np.array([1_000_000]), np.array([(0.0,) * 7])
-    noise, x, P, carried = (1.0,) * 3, np.zeros(n), np.eye(n), np.zeros(N_CARRIED)
-    _replay_gyro_samples(t_ns, steps, x, P, carried, times, (0.0,) * 5, noise, out)
+    noise, x, P, propagated = (1.0,) * 3, np.zeros(n), np.eye(n), np.zeros(N_PROPAGATED)
+    _replay_gyro_samples(t_ns, steps, x, P, propagated, times, (0.0,) * 5, noise, out)
 
 
 @compiled
@@ -210,7 +210,7 @@ def _replay_gyro_samples(
     steps: FloatArray,
     x: FloatArray,
     P: FloatArray,
-    carried: FloatArray,
+    propagated: FloatArray,
     times_ns: tuple[int, int, int],
     numbers: tuple[float, float, float, float, float],
     noise: tuple[float, float, float],
@@ -226,7 +226,7 @@ def _replay_gyro_samples(
         Times (n,), and rows (n, 7) as in `fusion.estimator.state.Sensed`.
     x, P
         State (3,) and covariance (3, 3) of the filter.
-    carried
+    propagated
         Other propagated values (13,): dead-reckoned heading, the same with the bias, yaw since the last attitude;
         the five fields of the path and the four of the acceleration; age of the evidence.
     times_ns
@@ -237,16 +237,16 @@ def _replay_gyro_samples(
     noise
         Densities of the process noise.
     out
-        Output: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3) of the last step, carried (n, 13).
+        Output: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3) of the last step, propagated (n, 13).
     """
     last_ns, gyro_ns, grace_ns = times_ns
     last_rate, done, roll, scale_variance_s, extra_noise = numbers
     heading_noise, bias_noise, offset_noise = noise
-    x_out, F_out, P_out, Q, carried_out = out
-    theta, raw_theta, yaw_done = carried[0], carried[1], carried[2]
-    path = (carried[3], carried[4], carried[5], carried[6], carried[7])
-    accel = (carried[8], carried[9], carried[10], int(carried[11]))
-    age_s = carried[12]
+    x_out, F_out, P_out, Q, propagated_out = out
+    theta, raw_theta, yaw_done = propagated[0], propagated[1], propagated[2]
+    path = (propagated[3], propagated[4], propagated[5], propagated[6], propagated[7])
+    accel = (propagated[8], propagated[9], propagated[10], int(propagated[11]))
+    age_s = propagated[12]
     for k in range(len(t_ns)):
         dt_s = (t_ns[k] - last_ns) * 1e-9
         if t_ns[k] - gyro_ns > grace_ns or not dt_s > 0.0:
@@ -274,7 +274,7 @@ def _replay_gyro_samples(
         )
         theta, raw_theta, yaw_done = theta + corrected, raw_theta + turned, yaw_done + corrected
         x, P, last_ns, gyro_ns, last_rate, done = x_out[k], P_out[k], t_ns[k], t_ns[k], rate, 0.0
-        row = carried_out[k]
+        row = propagated_out[k]
         row[0], row[1], row[2], row[12] = theta, raw_theta, yaw_done, age_s
         row[3], row[4], row[5], row[6], row[7] = path
         row[8], row[9], row[10], row[11] = accel

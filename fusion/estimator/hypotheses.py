@@ -29,8 +29,8 @@ An IMU yaw computed from the same gyroscope repeats its errors: ``q_g + d_g`` is
 Bayes' rule gives the posterior over the hypotheses and over the states of the IMU yaw (sound, disturbed, repeating).
 Frames that drift by themselves cannot be distinguished from a bend.
 
-**Decision.** A fault is reported from a probability of `DOUBTED` on, and acted on when it is the most probable
-hypothesis: a false warning costs less than a wrong correction.
+**Decision.** A fault is reported from a probability of `REPORT_PROBABILITY` on, and acted on when it is the most
+probable hypothesis: a false warning costs less than a wrong correction.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ SHORT_S, LONG_S = 0.25, 1.5  # time constants of the means over about 0.5 and 3 
 CLIPPED_SIGMA = 4.0  # normalised innovations are clipped here, so that an outlier does not dominate a mean
 SYSTEMATIC_SIGMA = 4.0  # a mean beyond this triggers a judgement of the slopes
 CONTESTED_SIGMA = 5.5  # a mean beyond this is reported, independently of the slopes
-DOUBTED, STILL_DOUBTED = 0.05, 0.02  # probability above which a fault is reported, and remains reported
+REPORT_PROBABILITY, KEEP_PROBABILITY = 0.05, 0.02  # above which a fault is reported, and remains reported
 CONTESTED_S = 1.0  # for which a fault remains reported after the last frame that showed it
 DRIFT_STD_RAD_S = radians(10.0)  # rate of a faulty gyroscope's drift, and of a bend
 STAMP_STD_S, WRONG_STAMP_STD_S = 0.005, 0.05  # sigma of correct and of wrong time stamps
 MAX_RATE_RAD_S = 35.0  # of a gyroscope: its rate in a spike is uniform within this range
 CHECK_INTERVAL_S = 0.25  # between judgements that no innovation triggers
-PRIOR_WRONG = 1e-3  # prior probability of each fault, per judgement
+PRIOR_FAULT = 1e-3  # prior probability of each fault, per judgement
 PERSISTS = 0.5  # prior probability that the fault found last persists
 MAX_INDEPENDENT = 15  # frames per span in the goodness of fit: their stated sigmas are not exact
 
@@ -122,13 +122,14 @@ class Verdict(NamedTuple):
     yaw_disturbed: float = nan
 
     @property
-    def likeliest(self) -> Hypothesis:
+    def most_probable(self) -> Hypothesis:
         """The most probable hypothesis."""
         return tuple(Hypothesis)[int(np.argmax(self.probabilities))]
 
     def fault_to_report(self, is_reported: bool) -> Hypothesis:
         """Return the most probable fault if it is to be reported, or to remain so; else `Hypothesis.WELL`."""
-        if self.probability_of(Hypothesis.WELL) > 1.0 - (STILL_DOUBTED if is_reported else DOUBTED):
+        least = KEEP_PROBABILITY if is_reported else REPORT_PROBABILITY
+        if self.probability_of(Hypothesis.WELL) > 1.0 - least:
             return Hypothesis.WELL
         return tuple(Hypothesis)[1 + int(np.argmax(self.probabilities[1:]))]
 
@@ -177,13 +178,13 @@ class Diagnosis(NamedTuple):
     straight_bias_rad_s: float = nan
     yaw_probabilities: YawProbabilities = YawProbabilities()
 
-    def stepped(self) -> Diagnosis:
+    def without_evidence(self) -> Diagnosis:
         """Drop evidence from before a jump of the heading."""
         return self._replace(
             innovations=Innovations(), comparisons=(), rejected_share=0.0, found=Hypothesis.WELL
         )
 
-    def started_anew(self) -> Diagnosis:
+    def restarted(self) -> Diagnosis:
         """Drop all but the reported fault and the probabilities of the IMU's yaw."""
         return Diagnosis(reported=self.reported, yaw_probabilities=self.yaw_probabilities)
 
@@ -196,7 +197,7 @@ class Diagnosis(NamedTuple):
         doubt = verdict.fault_to_report(reported is not None and t_ns - reported.t_ns < CONTESTED_S * 1e9)
         if doubt is not Hypothesis.WELL or self.innovations.one_sided_sigmas > CONTESTED_SIGMA:
             reported = ReportedFault(doubt, t_ns)
-        found = verdict.likeliest
+        found = verdict.most_probable
         return self._replace(
             judged_ns=t_ns,
             found=found,
@@ -263,7 +264,7 @@ def judge(evidence: Evidence, before: Hypothesis = Hypothesis.WELL) -> Verdict:
     wide, n = DRIFT_STD_RAD_S**2, min(evidence.gyro.n, MAX_INDEPENDENT)
     steady = -0.5 * n * max(evidence.gyro.misfit - 1.0, 0.0)  # a jump does not fit a line
     faults = (Hypothesis.GYRO, Hypothesis.SPIKE, Hypothesis.BEND, Hypothesis.STAMPS)
-    priors = dict.fromkeys(faults, PRIOR_WRONG)
+    priors = dict.fromkeys(faults, PRIOR_FAULT)
     if before in priors:
         priors[before] = PERSISTS
     priors[Hypothesis.WELL] = 1.0 - sum(priors.values())
@@ -284,11 +285,18 @@ def judge(evidence: Evidence, before: Hypothesis = Hypothesis.WELL) -> Verdict:
             logs[Hypothesis.SPIKE] = _log_density_of_spike(evidence, yaw)
         if evidence.yaw is not None and yaw_fault != "disturbed":
             logs[Hypothesis.BEND] = steady + _log_density(evidence, yaw._replace(frames=wide))
-        cases += [(who, yaw_fault, log(share * priors[who]) + value) for who, value in logs.items()]
+        cases += [
+            (hypothesis, yaw_fault, log(share * priors[hypothesis]) + value)
+            for hypothesis, value in logs.items()
+        ]
     highest = max(value for *_, value in cases)
-    weights = [(who, yaw_fault, exp(max(value - highest, -700.0))) for who, yaw_fault, value in cases]
+    weights = [
+        (hypothesis, yaw_fault, exp(max(value - highest, -700.0))) for hypothesis, yaw_fault, value in cases
+    ]
     total = sum(w for *_, w in weights)
-    probabilities = tuple(sum(w for who, _, w in weights if who is each) / total for each in Hypothesis)
+    probabilities = tuple(
+        sum(w for hypothesis, _, w in weights if hypothesis is each) / total for each in Hypothesis
+    )
     if evidence.yaw is None:
         return Verdict(probabilities)
     return Verdict(probabilities, sum(w for _, yaw_fault, w in weights if yaw_fault == "disturbed") / total)

@@ -23,10 +23,10 @@ from fusion.estimator.imu_yaw_check import (
     Trace,
     YawDriftStatistics,
     find_disturbance,
-    is_calm,
     is_due,
     is_independent,
-    stepped_by,
+    is_undisturbed,
+    shifted_by,
     with_difference,
     with_trace,
 )
@@ -135,7 +135,7 @@ def fuse_imu_yaw(
         return part
     # If its increments propagate the heading, the yaw carries no further information.
     useful = reckoning.mode is Mode.GYRO and _is_useful(part, config)
-    part = _coupled(part, ekf, useful and is_calm(part.traces))
+    part = _coupled(part, ekf, useful and is_undisturbed(part.traces))
     measurement = _measurement(part, ekf, yaw_rad, axis, config)
     if not part.known:
         ekf.update(measurement)
@@ -149,7 +149,7 @@ def fuse_imu_yaw(
     if part.rejects >= STEP_SAMPLES:
         ekf.widen(YAW_OFFSET, gate.residual**2)
         ekf.update(_measurement(part, ekf, yaw_rad, axis, config))
-        part = part._replace(traces=stepped_by(gate.residual, part.traces))
+        part = part._replace(traces=shifted_by(gate.residual, part.traces))
     return part
 
 

@@ -4,12 +4,12 @@
 filter overconfident. Over spans of a few seconds, frames show the drift g of dead reckoning and y of the IMU's yaw.
 The means of ``(g^2 - r) / T``, ``(y^2 - r) / T`` and ``(g y - r) / T``, with r the frames' own variance and T the
 span, estimate the variances per second of both and their common part. The yaw is independent if the common part is
-below `MAX_SHARED` of the gyroscope's configured variance, and its own below `MAX_WANDER` squared of the configured
+below `MAX_SHARED` of the gyroscope's configured variance, and its own below `MAX_YAW_WALK` squared of the configured
 one (`is_independent`). Such a yaw (a good compass, a second gyroscope) is fused, which helps while no frame is used.
 
 **Disturbance.** Steel or motor currents can disturb an independent yaw, at once or over seconds. Its difference to
 the gyroscope then changes by more than `DISTURBED_SIGMA` (`find_disturbance`). The effect on the heading is undone,
-and the yaw is not used until both have agreed for `CALM_NS`.
+and the yaw is not used until both have agreed for `UNDISTURBED_NS`.
 
 **Probabilities.** `YawProbabilities` are the priors of `fusion.estimator.hypotheses`: that the yaw is disturbed, and
 that it repeats the gyroscope's errors. The latter follows by Bayes' rule from means of yaw minus gyroscope over
@@ -30,14 +30,14 @@ STEP_RAD = radians(4)  # a larger change over a span is a disturbance and no ran
 MEMORY = 40.0  # spans
 MIN_SPANS = 8.0
 MAX_SHARED = 0.5  # part of the gyroscope's variance that the IMU's yaw may share
-MAX_WANDER = 1.5  # density of the IMU yaw's random walk, over the configured one
+MAX_YAW_WALK = 1.5  # density of the IMU yaw's random walk, over the configured one
 TRACE_NS = 3_000_000_000  # longest time over which yaw and gyroscope are compared
 TRACE_STEP_NS = 100_000_000
-CALM_NS = 2_000_000_000
+UNDISTURBED_NS = 2_000_000_000
 DISTURBED_SIGMA = 4.5  # high, because there are many comparisons
 DISTURBED_MEMORY = 1 / 20  # gain per judgement: five seconds
-LEAST_DOUBT, MOST_DOUBT = 0.005, 0.9  # bounds of the probabilities, since the yaw's quality may change
-MOST_NATS = 6.0  # bound of one block's log likelihood ratio
+MIN_PROBABILITY, MAX_PROBABILITY = 0.005, 0.9  # bounds, since the yaw's quality may change
+MAX_LOG_RATIO = 6.0  # bound of one block's log likelihood ratio
 
 
 class Block(NamedTuple):
@@ -142,10 +142,9 @@ def is_independent(w: YawDriftStatistics, gyro_density: float, yaw_density: floa
     """
     if w.spans < MIN_SPANS:
         return False
-    error = sqrt(
-        max(w.gyro, 0.0) * max(w.yaw, 0.0) / w.spans
-    )  # sigma of the covariance of independent errors
-    return w.shared + error < MAX_SHARED * gyro_density**2 and w.yaw < (MAX_WANDER * yaw_density) ** 2
+    # Standard error of the covariance of independent errors.
+    error = sqrt(max(w.gyro, 0.0) * max(w.yaw, 0.0) / w.spans)
+    return w.shared + error < MAX_SHARED * gyro_density**2 and w.yaw < (MAX_YAW_WALK * yaw_density) ** 2
 
 
 class Trace(NamedTuple):
@@ -194,14 +193,14 @@ def with_trace(traces: tuple[Trace, ...], now: Trace) -> tuple[Trace, ...]:
     return (*(old for old in traces if now.t_ns - old.t_ns <= TRACE_NS), now)
 
 
-def stepped_by(step_rad: float, traces: tuple[Trace, ...]) -> tuple[Trace, ...]:
+def shifted_by(step_rad: float, traces: tuple[Trace, ...]) -> tuple[Trace, ...]:
     """Shift the traces by a step of the yaw that the offset has absorbed."""
     return tuple(old._replace(yaw_rad=old.yaw_rad + step_rad) for old in traces)
 
 
-def is_calm(traces: tuple[Trace, ...]) -> bool:
-    """Whether yaw and gyroscope have agreed for `CALM_NS`."""
-    return bool(traces) and traces[-1].t_ns - traces[0].t_ns >= CALM_NS
+def is_undisturbed(traces: tuple[Trace, ...]) -> bool:
+    """Whether yaw and gyroscope have agreed for `UNDISTURBED_NS`."""
+    return bool(traces) and traces[-1].t_ns - traces[0].t_ns >= UNDISTURBED_NS
 
 
 class InertialNoise(NamedTuple):
@@ -247,7 +246,7 @@ class YawProbabilities(NamedTuple):
     def with_judgement(self, disturbed: float) -> YawProbabilities:
         """Update the part of the time in which the yaw is disturbed, with the probability of one judgement."""
         share = self.disturbed + DISTURBED_MEMORY * (disturbed - self.disturbed)
-        return self._replace(disturbed=max(share, LEAST_DOUBT))
+        return self._replace(disturbed=max(share, MIN_PROBABILITY))
 
     def compared(self, now: GyroAndYaw, noise: InertialNoise) -> YawProbabilities:
         """Compare IMU yaw and gyroscope without frames: common errors cancel in their difference."""
@@ -278,10 +277,10 @@ def _repeats(prior: float, mean: YawMean, now: GyroAndYaw, noise: InertialNoise)
     white = noise.yaw_std**2 * (1.0 / mean.n + 1.0 / mean.n_before)
     alike = white + now.bias_variance * span_s**2 + 2.0 / 3.0 * noise.yaw_walk**2 * span_s
     by_gyro = 2.0 / 3.0 * noise.gyro_walk**2 * span_s
-    nats = log_normal(step, alike) - log_normal(step, alike + by_gyro)
-    ratio = exp(max(nats, -MOST_NATS))
+    log_ratio = log_normal(step, alike) - log_normal(step, alike + by_gyro)
+    ratio = exp(max(log_ratio, -MAX_LOG_RATIO))
     repeating = prior * ratio / (prior * ratio + 1.0 - prior)
-    return min(max(repeating, LEAST_DOUBT), MOST_DOUBT)
+    return min(max(repeating, MIN_PROBABILITY), MAX_PROBABILITY)
 
 
 def log_normal(x: float, variance: float) -> float:

@@ -81,9 +81,8 @@ def decide(
     axis = axis._replace(rival=rival)
     heading = wrap_axis(theta_rad - found.value)
     linked = found.linked_share > 0.5
-    drifted = c.gyro_noise * sqrt(
-        max(t_ns - axis.anchor_ns, 0) * 1e-9
-    )  # sigma of the anchor since it was confirmed
+    # Sigma of the anchor's drift since it was confirmed.
+    drifted = c.gyro_noise * sqrt(max(t_ns - axis.anchor_ns, 0) * 1e-9)
     reach = max(c.recovery_spread_rad, DRIFTED_SIGMA * max(psi_std, drifted))
     at_anchor = abs(wrap_axis(found.value - axis.anchor_rad)) < reach
     enough = found.n_votes >= c.recovery_frames
@@ -167,7 +166,7 @@ def enter_corridor(
         left = back or left  # a better axis of the corridor just entered; the first one was that of a wall
     else:
         index = axis.n_corridors
-    axis = axis.stepped(ekf, psi)._replace(
+    axis = axis.with_reset(ekf, psi)._replace(
         corridor_index=index,
         n_corridors=max(axis.n_corridors, index + 1),
         previous=left,
@@ -175,7 +174,7 @@ def enter_corridor(
         votes=(),
         rival=None,
         support_s=0.0,
-        stamps_doubted=False,
+        stamps_suspect=False,
     )
     return axis.confirmed(ekf, t_ns, theta_rad)
 

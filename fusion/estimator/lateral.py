@@ -103,7 +103,7 @@ class LateralOffset:
         P[:, S], P[:, :, S] = 0.0, 0.0
         P[:, S, S] = std**2
         offset = offset._replace(x=x, P=P)
-        return lateral._replace(offset=offset, step=OffsetStep(path, offset, starts_anew=True), model=model)
+        return lateral._replace(offset=offset, step=OffsetStep(path, offset, is_reset=True), model=model)
 
     def propagated(self, lateral: Lateral, step: MotionStep) -> Lateral:
         """Propagate by one step."""

@@ -94,10 +94,7 @@ class OffsetModel(NamedTuple):
     velocity_std_m_s: float = 0.3  # without accelerometer
     velocity_time_s: float = 1.0
     start_velocity_std_m_s: float = 0.4
-    inverse_half_width: tuple[float, float] = (
-        0.95,
-        0.25,
-    )  # 1/m, mean and standard deviation in an unknown corridor
+    inverse_half_width: tuple[float, float] = (0.95, 0.25)  # 1/m; mean and sigma in an unknown corridor
     weight_time_s: float = 0.26
     state_time_s: float = 0.05
     displacement_time_s: float = 2.0  # tau for displacements by parallax: errors of the axis last for seconds
@@ -126,7 +123,7 @@ class Path(NamedTuple):
     a2: float = 0.0
     noise: float = 0.0
 
-    def then(self, on: Path) -> Path:
+    def followed_by(self, on: Path) -> Path:
         """Return this path followed by another one."""
         return Path(
             self.t_s + on.t_s,

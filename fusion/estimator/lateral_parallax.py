@@ -116,7 +116,7 @@ class WallView(NamedTuple):
 
     def propagated(self, path: Path) -> WallView:
         """Return the view with its path extended."""
-        return self._replace(path=self.path.then(path))
+        return self._replace(path=self.path.followed_by(path))
 
     def compared(self, now: WallView, dt_s: float) -> WallParallax | None:
         """Compare with a later view; None if they cannot be compared.

@@ -41,7 +41,7 @@ from fusion.estimator.lateral_parallax import WallParallax, with_parallax
 from vision.types import FloatArray
 
 YV = slice(Y, V + 1)
-BOTH_INFLATION = 1.5  # of the combined variance: errors of earlier and later frames are correlated
+COMBINED_INFLATION = 1.5  # of the combined variance: errors of earlier and later frames are correlated
 KNOWN_PROBABILITY = 0.95  # higher than the filter's for the same reason
 LONGEST_STEP_S = 0.5  # in a longer one the motion may reverse unseen by offsets and rates at its ends
 
@@ -72,7 +72,7 @@ class OffsetStep(NamedTuple):
         Speed across the corridor, m/s, and its variance; None without one.
     parallax
         Parallax of the walls since an earlier frame, fused before this frame's evidence; None without one.
-    starts_anew
+    is_reset
         Whether another corridor begins here.
     predicted
         Offset predicted by the motion from earlier known offsets; a smoothed offset that it excludes is unknown.
@@ -83,7 +83,7 @@ class OffsetStep(NamedTuple):
     evidence: FrameEvidence | None = None
     speed: tuple[float, float] | None = None
     parallax: WallParallax | None = None
-    starts_anew: bool = False
+    is_reset: bool = False
     predicted: MotionPrediction = MotionPrediction()
 
 
@@ -112,7 +112,7 @@ class OffsetSteps:
                 self._waiting.append((t_ns, OffsetStep(offset.path.since(self._moved), offset)))
                 self._moved = offset.path
             return
-        if not step.starts_anew:
+        if not step.is_reset:
             step = step._replace(path=step.path.since(self._moved))
         for time_ns, waiting in (*self._waiting, (t_ns, step)):
             self.t_ns.append(time_ns)
@@ -140,7 +140,7 @@ def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[Of
         if step.parallax is not None:
             later = with_parallax(later, step.parallax, model)
         later = (
-            initial_offset_state() if step.starts_anew else along_path(later, step.path, model, backward=True)
+            initial_offset_state() if step.is_reset else along_path(later, step.path, model, backward=True)
         )
     return out[::-1]
 
@@ -164,7 +164,7 @@ def _combined(before: OffsetState, after: OffsetState, model: OffsetModel) -> Of
         middle = m_f[:, None] + (P_f[:, None] @ pull)[..., 0]
         mean[: n * k] = middle.reshape(-1, 2)
         both = P_f[:, None] - gain @ P_f[:, None]
-        both = 0.5 * BOTH_INFLATION * (both + np.swapaxes(both, -1, -2))
+        both = 0.5 * COMBINED_INFLATION * (both + np.swapaxes(both, -1, -2))
         cov[: n * k] = both.reshape(-1, 2, 2)
         distance = (apart[..., None, :] @ pull)[..., 0, 0]
         density = np.exp(-0.5 * distance) / (2.0 * pi * np.sqrt(np.linalg.det(total)))

@@ -145,7 +145,7 @@ class Lateral(NamedTuple):
     def without_offset(self) -> Lateral:
         """Reset the estimate for another corridor or clock; keep the last known offset and the counts."""
         offset = in_new_corridor(self.offset)
-        step = OffsetStep(Path(), offset, starts_anew=True)
+        step = OffsetStep(Path(), offset, is_reset=True)
         return self._replace(
             offset=offset,
             step=step,

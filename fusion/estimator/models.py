@@ -37,7 +37,7 @@ from fusion.estimator.kernels import Vector as Vector
 from vision.rotations import wrap, wrap_axis
 
 # Yaw is undefined at a pitch of 90 degrees; this lower bound (85 degrees) keeps the rate finite.
-LEAST_LEVEL = 0.0076
+MIN_COS_PITCH_SQUARED = 0.0076
 
 
 class ProcessNoise(NamedTuple):
@@ -88,14 +88,14 @@ def level_yaw_rate(gyro_rad_s: tuple[float, float, float], down: tuple[float, fl
     """
     _, q, r = gyro_rad_s
     _, dy, dz = down
-    return (q * dy + r * dz) / max(dy * dy + dz * dz, LEAST_LEVEL)
+    return (q * dy + r * dz) / max(dy * dy + dz * dz, MIN_COS_PITCH_SQUARED)
 
 
 def level_yaw_rates(gyro_rad_s: FloatArray, down: FloatArray) -> FloatArray:
     """Return `level_yaw_rate` (n,) of many samples: rates (n, 3), directions (n, 3)."""
     _, q, r = gyro_rad_s.T
     _, dy, dz = down.T
-    return np.asarray((q * dy + r * dz) / np.maximum(dy * dy + dz * dz, LEAST_LEVEL))
+    return np.asarray((q * dy + r * dz) / np.maximum(dy * dy + dz * dz, MIN_COS_PITCH_SQUARED))
 
 
 _H_HEADING = np.array([1.0, 0.0, 0.0])

@@ -30,7 +30,7 @@ SCALE_SLACK = 0.3  # about two standard deviations of the learned scale for corr
 MAX_SCALE = 25.0
 MAX_TERM = 9.0  # bound of one measurement's squared normalised innovation
 MIN_INLIER_SHARE = 0.01
-RECENT_FRAMES, KNOWN_FRAMES = 15.0, 1.0  # weights of the recent and of the long-run share of outliers
+RECENT_FRAMES, LONG_RUN_FRAMES = 15.0, 1.0  # weights of the recent and of the long-run share of outliers
 
 
 class SourceNoise(NamedTuple):
@@ -147,12 +147,12 @@ def outlier_share_now(noise: SourceNoise, rejected_share: float, gate_rad: float
     """Return the share of outliers in the last half second, at least the long-run share.
 
     Outliers that fall into the gate (of half width ``gate_rad``) by chance are not rejected, so the rejected share of
-    a wide gate carries little information. The long-run share counts as `KNOWN_FRAMES` frames, the half second as
+    a wide gate carries little information. The long-run share counts as `LONG_RUN_FRAMES` frames, the half second as
     `RECENT_FRAMES`.
     """
     seen = max(1.0 - 2.0 * gate_rad * density, 0.0)  # of all outliers, the share that is rejected
-    recent = RECENT_FRAMES * rejected_share + KNOWN_FRAMES * noise.outlier_share
-    now = recent / (RECENT_FRAMES * seen + KNOWN_FRAMES)
+    recent = RECENT_FRAMES * rejected_share + LONG_RUN_FRAMES * noise.outlier_share
+    now = recent / (RECENT_FRAMES * seen + LONG_RUN_FRAMES)
     return min(max(noise.outlier_share, now), 1.0 - MIN_INLIER_SHARE)
 
 

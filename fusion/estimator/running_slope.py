@@ -19,7 +19,7 @@ LEVEL_S = 2.0  # time constant of the running means
 BLOCK_NS = 500_000_000
 MEMORY = 1.0 - 1 / 240  # forgetting factor per block: two minutes
 PRIOR_WINDOWS, MIN_BLOCKS = 3.0, 2.9  # three blocks, less the fading
-ALIKE_POINTS = 10.0  # correlated points per independent one, in the prior of the variance
+CORRELATED_POINTS = 10.0  # correlated points per independent one, in the prior of the variance
 SURE_SIGMA = 4.0  # significance for a known sigma
 MIN_STD = 1e-4  # rad; lower bound of a point's sigma
 
@@ -122,7 +122,7 @@ class RunningSlope(NamedTuple):
             for i in range(5)
             for j in range(i + 1)
         )
-        stated = ALIKE_POINTS * spread
+        stated = CORRELATED_POINTS * spread
         # Two fitted parameters reduce the residuals' degrees of freedom.
         variance = (PRIOR_WINDOWS * stated + n * max(squares, 0.0)) / (PRIOR_WINDOWS + n - 2.0) / spread**2
         return known._replace(slope=slope, std=sqrt(variance))

@@ -102,8 +102,8 @@ def seed_heading(
         Q[YAW_OFFSET, YAW_OFFSET] += float(ekf.P[PSI, PSI])
     ekf.predict(np.array([psi + step, bias, offset - step]), F, Q)
     if axis.ever_acquired:
-        axis = axis.stepped(ekf, psi)
+        axis = axis.with_reset(ekf, psi)
     axis = axis._replace(
-        acquired=True, ever_acquired=True, votes=(), recent=(), rival=None, stamps_doubted=False
+        acquired=True, ever_acquired=True, votes=(), recent=(), rival=None, stamps_suspect=False
     )
     return axis.confirmed(ekf, seed.t_ns, theta_rad)

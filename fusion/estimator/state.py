@@ -170,7 +170,7 @@ class Entry:
         self.run: Replay | None = None
         self.place = 0
 
-    def follow(self, run: Replay, place: int) -> None:
+    def use_replay(self, run: Replay, place: int) -> None:
         """Take state and steps from a place in a replayed run; they are built on first access."""
         self.run, self.place, self._after, self._nodes = run, place, None, None
 

@@ -135,7 +135,7 @@ class Timeline:
         self.finish()
         self.state = self._base = self.engine.clock_set_back(self._base, t_ns)
 
-    def start_anew(self, state: State) -> None:
+    def restart_from(self, state: State) -> None:
         """Continue from a given state, after passing out the entries in the buffer."""
         self.finish()
         self._before_jump = None

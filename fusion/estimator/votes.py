@@ -13,7 +13,7 @@ from typing import NamedTuple
 MAX_VOTES = 60
 AGREEING_SHARE = 0.4
 CONTESTED_SHARE = 0.25
-BROKEN_BY = 5  # two votes with more accepted frames between them belong to different events
+MAX_ACCEPTED_BETWEEN = 5  # two votes with more accepted frames between them belong to different events
 
 
 class Vote(NamedTuple):
@@ -99,7 +99,7 @@ def agreement(
         (
             k
             for k in range(1, len(members))
-            if members[k][1].n_accepted - members[k - 1][1].n_accepted > BROKEN_BY
+            if members[k][1].n_accepted - members[k - 1][1].n_accepted > MAX_ACCEPTED_BETWEEN
         ),
         default=0,
     )

@@ -20,7 +20,7 @@ from fusion.estimator.frame_drift import (
     add_comparison,
     gyro_jump_between_frames,
     slope_of,
-    walked_rate_variance,
+    walk_slope_variance,
 )
 from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations, Verdict, judge
 from fusion.estimator.imu_yaw_check import GyroAndYaw, InertialNoise, YawProbabilities
@@ -34,7 +34,7 @@ def slope(deg_per_s: float, std_deg_per_s: float = 0.3, misfit: float = 1.0) -> 
 
 
 def verdict_of(gyro: Slope, yaw: Slope | None, before: Hypothesis = Hypothesis.WELL) -> Hypothesis:
-    return judge(Evidence(gyro, yaw, OWN_VARIANCE, 0.0, OWN_VARIANCE), before).likeliest
+    return judge(Evidence(gyro, yaw, OWN_VARIANCE, 0.0, OWN_VARIANCE), before).most_probable
 
 
 def comparisons(
@@ -126,7 +126,7 @@ def test_frames_stamped_wrongly_are_found_and_their_slope_is_none(late_s: float)
     assert gyro.stamp_s == pytest.approx(-late_s, abs=3 * gyro.stamp_variance**0.5)
     assert gyro.stamp_variance**0.5 < 0.006
     assert gyro.rate_rad_s == pytest.approx(0.0, abs=3 * gyro.rate_std)
-    assert judge(evidence).likeliest is (Hypothesis.STAMPS if late_s else Hypothesis.WELL)
+    assert judge(evidence).most_probable is (Hypothesis.STAMPS if late_s else Hypothesis.WELL)
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.02])
@@ -156,7 +156,7 @@ def test_slopes_and_their_ends_are_as_sure_as_they_say(hz: int, seconds: float, 
             t, wander - wander[-1] + rng.normal(0.0, std, len(t)), np.full(len(t), std), turn, 0.0, walk
         )
         assert found is not None
-        rate_std = np.hypot(found.rate_std, np.sqrt(walked_rate_variance(walk, seconds)))
+        rate_std = np.hypot(found.rate_std, np.sqrt(walk_slope_variance(walk, seconds)))
         ratios.append((found.rate_rad_s / rate_std, found.now_rad / found.now_std))
     rate, now = np.sqrt(np.mean(np.square(ratios), axis=0))
     assert 0.8 < rate < 1.2
@@ -231,9 +231,9 @@ def test_the_bias_from_before_a_drift_shows_it_though_the_filter_has_taken_it_up
 def test_headings_from_before_a_turn_that_was_not_measured_are_let_go() -> None:
     seen = comparisons(1.0)
     axis = CorridorAxis(diagnosis=Diagnosis(Innovations(3.0, 3.0, 1.0, 1.0), seen))
-    assert axis.with_turns_since(None) is axis
-    assert axis.with_turns_since(seen[0].t_ns - 1) is axis
-    later = axis.with_turns_since(seen[10].t_ns).diagnosis
+    assert axis.without_frames_before(None) is axis
+    assert axis.without_frames_before(seen[0].t_ns - 1) is axis
+    later = axis.without_frames_before(seen[10].t_ns).diagnosis
     assert later.comparisons == seen[11:]
     assert later.innovations == Innovations()
 
@@ -274,8 +274,8 @@ def test_whether_the_yaw_repeats_the_gyroscope_is_learned_in_seconds() -> None:
 
 
 def test_a_fault_is_reported_before_it_is_followed_and_for_longer() -> None:
-    def reported_after(well: float, told: Diagnosis) -> Diagnosis:
-        return told.with_verdict(0, Verdict((well, 1.0 - well, 0.0, 0.0, 0.0)), look_due=True)
+    def reported_after(well: float, before: Diagnosis) -> Diagnosis:
+        return before.with_verdict(0, Verdict((well, 1.0 - well, 0.0, 0.0, 0.0)), judgement_due=True)
 
     quiet = Diagnosis()
     assert reported_after(0.97, quiet).reported is None
@@ -283,7 +283,7 @@ def test_a_fault_is_reported_before_it_is_followed_and_for_longer() -> None:
     assert doubted.found is Hypothesis.WELL
     assert doubted.reported is not None
     assert doubted.reported.hypothesis is Hypothesis.GYRO
-    later = doubted.with_verdict(900_000_000, Verdict((0.97, 0.03, 0.0, 0.0, 0.0)), look_due=True)
+    later = doubted.with_verdict(900_000_000, Verdict((0.97, 0.03, 0.0, 0.0, 0.0)), judgement_due=True)
     assert later.reported is not None
     assert later.reported.t_ns == 900_000_000
 
@@ -379,9 +379,9 @@ def test_frames_whose_stamps_are_in_doubt_move_no_anchor() -> None:
     """A turn seen late may be another axis: where frames agree with the anchor again, the filter goes back to it."""
     ekf = CorridorEKF(np.array([0.1, 0.0, 0.0]), np.eye(3))
     axis = CorridorAxis().confirmed(ekf, 1_000_000_000, 0.3)
-    doubted = axis._replace(stamps_doubted=True).confirmed(ekf, 2_000_000_000, 0.5)
+    doubted = axis._replace(stamps_suspect=True).confirmed(ekf, 2_000_000_000, 0.5)
     assert (doubted.anchor_rad, doubted.anchor_ns) == (axis.anchor_rad, axis.anchor_ns)
     assert doubted.t_vision_ns == 2_000_000_000
-    sure = doubted._replace(stamps_doubted=False).confirmed(ekf, 3_000_000_000, 0.5)
+    sure = doubted._replace(stamps_suspect=False).confirmed(ekf, 3_000_000_000, 0.5)
     assert sure.anchor_rad == pytest.approx(0.4)
     assert sure.anchor_ns == 3_000_000_000

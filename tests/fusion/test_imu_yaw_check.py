@@ -9,10 +9,10 @@ from fusion.estimator.imu_yaw_check import (
     Trace,
     YawDriftStatistics,
     find_disturbance,
-    is_calm,
     is_due,
     is_independent,
-    stepped_by,
+    is_undisturbed,
+    shifted_by,
     with_difference,
     with_trace,
 )
@@ -116,11 +116,11 @@ def test_noise_and_wander_are_no_disturbance() -> None:
 
 def test_calm_takes_two_seconds_and_ends_with_a_gap() -> None:
     traces: tuple[Trace, ...] = ()
-    assert not is_calm(traces)
+    assert not is_undisturbed(traces)
     for i in range(25):
         traces = with_trace(traces, Trace(i * S // 10, 0.0, 0.0, 0.0, 0.0))
-        assert is_calm(traces) == (i >= 20)
-    assert not is_calm(with_trace(traces, Trace(9 * S, 0.0, 0.0, 0.0, 0.0)))
+        assert is_undisturbed(traces) == (i >= 20)
+    assert not is_undisturbed(with_trace(traces, Trace(9 * S, 0.0, 0.0, 0.0, 0.0)))
 
 
 def test_step_that_was_taken_up_is_no_parting() -> None:
@@ -129,4 +129,4 @@ def test_step_that_was_taken_up_is_no_parting() -> None:
         traces = with_trace(traces, Trace(i * S // 10, 0.1, 0.0, 0.0, 1e-6))
     now = Trace(2 * S, 0.1 + radians(15), 0.0, 0.0, 1e-6)
     assert find_disturbance(traces, now, GYRO**2, radians(0.3) ** 2) is not None
-    assert find_disturbance(stepped_by(radians(15), traces), now, GYRO**2, radians(0.3) ** 2) is None
+    assert find_disturbance(shifted_by(radians(15), traces), now, GYRO**2, radians(0.3) ** 2) is None

@@ -462,7 +462,7 @@ def test_a_path_less_its_beginning_is_its_end(right: float, later: float, t_s: f
         moved_on(initial_offset_state(), t_s, right).path,
         moved_on(initial_offset_state(), later_s, later).path,
     )
-    np.testing.assert_allclose(start.then(end).since(start), end, atol=1e-9)
+    np.testing.assert_allclose(start.followed_by(end).since(start), end, atol=1e-9)
 
 
 def test_the_smoother_does_not_look_into_another_corridor() -> None:
@@ -475,7 +475,7 @@ def test_the_smoother_does_not_look_into_another_corridor() -> None:
         path = state.path
         frame = frame_evidence([mixture((0.9, -0.4 if k < 20 else 0.5, 0.01))], FRAME_S, 0.0, (0.0, 0.0))
         state = update(state, frame, MODEL)
-        steps.append(OffsetStep(path, state, frame, starts_anew=fresh))
+        steps.append(OffsetStep(path, state, frame, is_reset=fresh))
     smooth = smoothed_offsets(steps, MODEL)
     assert [round(o.offset_norm, 2) for o in smooth] == [-0.4] * 20 + [0.5] * 20
 

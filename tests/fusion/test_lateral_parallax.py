@@ -69,13 +69,13 @@ def moved(
 @given(PATHS, PATHS)
 def test_two_paths_are_one(first: Path, second: Path) -> None:
     one, other = (transition(path, MODEL)[0] for path in (first, second))
-    whole, _ = transition(first.then(second), MODEL)
+    whole, _ = transition(first.followed_by(second), MODEL)
     np.testing.assert_allclose(whole, other @ one, atol=1e-9)
 
 
 def test_paths_lead_nowhere_from_nowhere() -> None:
     path = Path(0.2, 0.2, 0.1, 0.02, 0.001)
-    assert Path().then(path) == path == path.then(Path())
+    assert Path().followed_by(path) == path == path.followed_by(Path())
 
 
 @settings(max_examples=40)

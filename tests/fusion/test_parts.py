@@ -295,7 +295,7 @@ def test_in_another_corridor_nothing_is_known_and_the_step_is_told_later() -> No
     assert told(part, again).status is LateralStatus.UNKNOWN
     assert again.last_known[0] == pytest.approx(0.4, abs=0.01)
     assert again.step is not None
-    assert again.step.starts_anew
+    assert again.step.is_reset
 
 
 def test_a_frame_without_an_offset_changes_nothing() -> None:
