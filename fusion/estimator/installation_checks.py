@@ -1,8 +1,8 @@
 """Checks of the sensors' installation (axes, units, tilt, focal length) by their measurements of the same motion.
 
-- Turn rates: over spans of a quarter second, the frames' turn rate y is regressed on the gyroscope's x as ``a + m
-  x``. A slope m near -1 is a wrong sign, one near 0 a wrong unit; ``-a / m`` is the gyroscope's bias. Sums fade with
-  `MEMORY`, and the stated variances count as `PRIOR_TURNS` turns beside the residuals.
+- Turn rates: over spans of a quarter second, the frames' turn rate y is regressed on the gyroscope's rate x:
+  ``y = a + m x``. A slope m near -1 is a wrong sign, one near 0 a wrong unit; ``-a / m`` is the gyroscope's bias.
+  Sums fade with `MEMORY`, and the stated variances count as `PRIOR_TURNS` turns beside the residuals.
 - Gravity: at rest the accelerometer reads (0, 0, -9.8) m/s^2 in FRD; its mean must agree with the attitude's
   vertical.
 - Camera: its yaw shows when the vehicle rolls (`fusion.estimator.camera_yaw`), its focal length in the headings

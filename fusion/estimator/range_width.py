@@ -1,9 +1,9 @@
 """The corridor's width in metres, from distances to the floor and the frames' width per height.
 
-A frame measures the corridor's width per height of the camera above the floor, a downward range sensor the height ``h
-= d cos(roll) cos(pitch)``. Their product is constant along a corridor, whatever the height. Medians reject outliers:
-of the last `HEIGHTS` heights for single wrong readings, and of the last `WIDTHS` widths for a table or a step below.
-There is no width if the interquartile range of the widths exceeds `AGREEING_SPREAD` of the median.
+A frame measures the corridor's width per height of the camera above the floor. A downward range sensor measures that
+height as ``h = d cos(roll) cos(pitch)``. Their product is constant along a corridor at any height. Medians reject
+outliers: of the last `HEIGHTS` heights for single wrong readings, and of the last `WIDTHS` widths for a table or a
+step below. There is no width if the interquartile range of the widths exceeds `AGREEING_SPREAD` of the median.
 """
 
 from __future__ import annotations
