@@ -1,8 +1,8 @@
 """The streaming estimator: an extended Kalman filter over gyroscope, IMU yaw, frames, velocities and ranges.
 
 It is independent of logs, reports, plots and the command line: it only imports `vision`, `fusion.settings` and
-`fusion.flight`. Begin reading at `fusion.estimator.estimator`, the public class, then `fusion.estimator.engine`, which
-calls the parts:
+`fusion.flight`. Begin reading at `fusion.estimator.estimator`, the public class, then `fusion.estimator.engine`,
+which calls the parts:
 
 - heading: `propagation` and `gyro_run` (dead reckoning), `tilt`, `imu_yaw`, `corridor_axis`, `junctions` and `votes`,
   `frame_update` (a frame's measurement and outcome);
