@@ -208,6 +208,7 @@ def test_a_seed_is_a_flight() -> None:
         "axis 30 deg off for 2 s",
         "axis 3 deg off for 2 s",
         "axis 10 deg off for 2 s, no attitude",
+        "axis 3 deg off for 6 s",
         "axis 5 deg off for 5 s",
         "gyro bias steps 2 deg/s",
         "gyro bias steps 10 deg/s, noise 0.003",

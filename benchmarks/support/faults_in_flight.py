@@ -147,6 +147,7 @@ def _wrong_axis(angle_deg: float, length_s: float, **scene: object) -> Fault:
 
 WRONG_AXIS = [
     *(_wrong_axis(angle, 2.0) for angle in (3, 5, 10, 15, 19, 30)),
+    *(_wrong_axis(angle, 6.0) for angle in (3, 4)),
     _wrong_axis(5, 5.0),
     _wrong_axis(12, 5.0),
     _wrong_axis(10, 2.0, **NO_ATTITUDE),

@@ -32,11 +32,14 @@ from vision.rotations import wrap, wrap_axis
 if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF
 
+RIVAL_NS = 2_000_000_000  # after its last vote, for which an axis stays rejected
 VOTE_AGE_S = 3.0
 VOTE_AGE_FRAMES = 15
 VOTE_SPACING_S = 0.03
 GRADUAL_RAD = radians(6)  # largest turn between frames that is accepted without the gyroscope
 LINK_SIGMA = 3.0
+DRIFTED_SIGMA = 3.5
+NEARER_SHARE = 0.25  # of the distance to a rejected axis, within which a frame shows the present one
 MIN_YAW_LOG_RATIO = 4.0  # log-likelihood ratio above which the IMU yaw confirms the gyroscope, not the frame
 REPEATING = 0.1  # probability above which the IMU's yaw may repeat a jump of the gyroscope
 MAX_ACCELERATION_RAD_S2 = radians(150)  # yaw acceleration of a vehicle with a camera
@@ -68,11 +71,26 @@ class FrameAxis(NamedTuple):
 
 
 class Rival(NamedTuple):
-    """An axis that rejected frames agree on, in the dead-reckoned frame; its first and its last vote."""
+    """An axis that rejected frames agree on.
+
+    Parameters
+    ----------
+    axis_rad
+        In the dead-reckoned frame.
+    since_ns, last_ns
+        Times of its first and its last vote.
+    psi_std_rad
+        Sigma of the filter's heading when the votes began to agree.
+    """
 
     axis_rad: float
     since_ns: int
     last_ns: int
+    psi_std_rad: float
+
+    def reach(self, config: FusionConfig, drifted: float = 0.0) -> float:
+        """Return how far the present axis may have drifted before the first vote; ``drifted`` is a sigma of that."""
+        return max(config.recovery_spread_rad, DRIFTED_SIGMA * max(self.psi_std_rad, drifted))
 
 
 def continues_at_same_rate(seen: Sequence[FrameAxis], t_ns: int, heading_rad: float, std_rad: float) -> bool:
@@ -233,9 +251,28 @@ class CorridorAxis(NamedTuple):
             facing_rad=psi - wrap_axis(psi),
         )
 
-    def gate_sigma(self, config: FusionConfig) -> float:
-        """Return the gate of the frames' heading; it is halved while frames show another axis."""
-        return config.heading_gate_sigma * (0.5 if self.diagnosis.found is Hypothesis.AXIS else 1.0)
+    def gate_sigma(self, config: FusionConfig, t_ns: int, axis_rad: float, variance: float) -> float:
+        """Return the gate of a frame's heading.
+
+        It is halved while frames show another axis. It also ends a quarter of the way to an axis that was too far off
+        when it appeared: that stays rejected, however much the prediction's sigma has grown since, and with such a
+        sigma one frame by chance in the gate would move the heading there.
+
+        Parameters
+        ----------
+        config
+            Settings.
+        t_ns, axis_rad
+            The frame's time, and the axis that the filter expects then, in the dead-reckoned frame.
+        variance
+            Variance of the innovation.
+        """
+        gate = config.heading_gate_sigma * (0.5 if self.diagnosis.found is Hypothesis.AXIS else 1.0)
+        rival = self.rival
+        if rival is None or t_ns - rival.last_ns > RIVAL_NS:
+            return gate
+        apart = abs(wrap_axis(axis_rad - rival.axis_rad))
+        return min(gate, NEARER_SHARE * apart / sqrt(variance)) if apart > rival.reach(config) else gate
 
     def scale_and_correlation(self, mode: Mode, config: FusionConfig) -> tuple[float, float]:
         """Return the ratio of the frames' error variance to the stated one, and the errors' correlation time, s."""

@@ -410,7 +410,7 @@ class Engine:
             delay = with_axis(delay, ekf, t_ns, d.raw_theta_rad, axis.reset_count)
             by_delay = innovation_of(delay, ekf, t_ns, d.raw_theta_rad)
         error_model = ErrorModel(
-            axis.gate_sigma(c),
+            axis.gate_sigma(c, t_ns, d.theta_rad - float(ekf.x[PSI]), float(ekf.P[PSI, PSI]) + variance),
             rho,
             OUTLIER_DENSITY,
             extra_variance=by_delay.variance,

@@ -34,7 +34,6 @@ OBLIQUE_WAIT_S = 1.5
 WEAK_SUPPORT_S = 1.5
 REAL_CORRIDOR_OFFSETS = 10
 GLANCE_S = 3.0
-DRIFTED_SIGMA = 3.5
 
 
 class NewCorridor(NamedTuple):
@@ -74,17 +73,16 @@ def decide(
     found = agreement(axis.votes, c.recovery_spread_rad, wrap_axis)
     if found is None or found.n_votes < min(c.recovery_frames, c.junction_frames):
         return axis, None
-    rival = _rival(axis, t_ns, found, frame_interval_s)
+    rival = _rival(axis, t_ns, found, psi_std, frame_interval_s)
     lasting_s = (t_ns - rival.since_ns) * 1e-9
     if is_contested(found, axis.n_accepted):
         return axis._replace(rival=None), None  # other frames still show the present axis
     axis = axis._replace(rival=rival)
     heading = wrap_axis(theta_rad - found.value)
     linked = found.linked_share > 0.5
-    # Sigma of the anchor's drift since it was confirmed.
-    drifted = c.gyro_noise * sqrt(max(t_ns - axis.anchor_ns, 0) * 1e-9)
-    reach = max(c.recovery_spread_rad, DRIFTED_SIGMA * max(psi_std, drifted))
-    at_anchor = abs(wrap_axis(found.value - axis.anchor_rad)) < reach
+    # Sigma of the anchor's drift until the first vote: what has drifted since moves the votes one by one.
+    drifted = c.gyro_noise * sqrt(max(rival.since_ns - axis.anchor_ns, 0) * 1e-9)
+    at_anchor = abs(wrap_axis(found.value - axis.anchor_rad)) < rival.reach(c, drifted)
     enough = found.n_votes >= c.recovery_frames
     if linked or at_anchor:
         if not enough:
@@ -184,14 +182,14 @@ def _facing(heading_rad: float, expected_rad: float) -> float:
     return heading_rad + pi * round((expected_rad - heading_rad) / pi)
 
 
-def _rival(axis: CorridorAxis, t_ns: int, found: Agreement, frame_interval_s: float) -> Rival:
+def _rival(axis: CorridorAxis, t_ns: int, found: Agreement, psi_std: float, frame_interval_s: float) -> Rival:
     """Track the axis that votes agree on for longer than the votes themselves are kept."""
     first_ns = found.first_ns
     if axis.rival is not None:
         alive = (t_ns - axis.rival.last_ns) * 1e-9 <= max(1.0, 5.0 * frame_interval_s)
         if alive and abs(wrap_axis(axis.rival.axis_rad - found.value)) < KNOWN_AXIS_RAD:
-            first_ns = min(first_ns, axis.rival.since_ns)
-    return Rival(found.value, first_ns, t_ns)
+            first_ns, psi_std = min(first_ns, axis.rival.since_ns), min(psi_std, axis.rival.psi_std_rad)
+    return Rival(found.value, first_ns, t_ns, psi_std)
 
 
 def _has_turned_into(
