@@ -201,7 +201,7 @@ def test_level_is_found_without_any_attitude(corridor: Any, seen: Any, roll: int
     truth = corridor(heading_rad=0.15, roll_rad=radians(roll), pitch_rad=radians(pitch))
     m = measure_lines(seen(truth, CAMERA), CAMERA)
     assert degrees(m.heading_rad - 0.15) == pytest.approx(0.0, abs=0.05)
-    found = level_from_verticals(seen(truth, CAMERA), CAMERA.R_body_camera, radians(12), radians(12))
+    found = level_from_verticals(seen(truth, CAMERA), np.eye(3), CAMERA.R_body_camera, radians(12), radians(12))
     true_level = Attitude(radians(roll), radians(pitch)).R_level_body() @ CAMERA.R_body_camera
     assert (found.R_level_camera @ true_level.T)[2, 2] > np.cos(radians(0.1))
 
