@@ -30,7 +30,7 @@ from fusion.estimator.lateral_offset import (
     OffsetModel,
     OffsetState,
     frame_evidence,
-    nothing_known,
+    initial_offset_state,
     propagate,
     readout,
     update,
@@ -317,7 +317,7 @@ def aims_of_cost(every: int = 5) -> list[list[str]]:
         return []
     cv2.setNumThreads(1)
     flight, clock = load_flight(folder), time.process_time  # of this process: a busy machine does not count
-    state, model = nothing_known(), OffsetModel()
+    state, model = initial_offset_state(), OffsetModel()
     times = []
     for i in range(0, len(flight.frames.t_ns), every):
         lines = extract_lines(flight.frames.read(i), flight.camera)

@@ -1,14 +1,15 @@
 """Checks time stamps in order of arrival: decides which samples to accept, and reports wrong clocks.
 
-The IMU's stamps order time; where it is dead, the attitude's do, then the frames'. Nothing is measured in the future:
+The IMU's stamps are the reference clock; without IMU samples those of the attitude are, then those of the frames. No
+sample can be measured in the future, so:
 
-- a sample of another source ahead of that clock waits, for the clock itself may have jumped or paused;
-- a sample of the clock's own source far ahead waits until the next one confirms it;
-- what nothing confirms is dropped and counted (``frame_ahead``).
+- a sample of another source ahead of the reference clock is held back, since that clock may have jumped or paused;
+- a sample of the reference source far ahead of its last one is held back until the next one confirms it;
+- a sample that is never confirmed is dropped and counted (``frame_ahead``).
 
-A source's usual delay behind the clock is its latency; it is added to the time after which the source counts as
-silent. A lasting step of the latency means that either the clock or the transport delay has changed; the next turn
-shows which.
+The usual delay of a source behind the reference clock is its latency, a low-pass filtered mean; it is added to the
+time after which the source counts as silent. A lasting step of the frames' latency means that the camera's clock or
+the transport delay has changed; the next turn decides between the two (`FrameStamps`).
 """
 
 from __future__ import annotations
@@ -25,20 +26,20 @@ from vision.rotations import wrap_axis
 
 CLOCKS = ("imu", "attitude", "frame")
 MAX_WAITING = 32
-USUAL_MEMORY = 1 / 32  # of a frame
-LATENCY_MEMORY = 1 / 8
+USUAL_MEMORY = 1 / 32  # gain per frame of the usual latency
+LATENCY_MEMORY = 1 / 8  # gain per sample of the latency
 RECENT_FRAMES = 6
 MIN_STEP_S = 0.04
-STEP_SPREADS = 3.0  # a step is this many times the recent stamps' spread
-MIN_INTERVAL_NS = 25_000  # on average; IMUs sample at up to 32 kHz
-MIN_COUNTED = 50  # samples of the clock, before they are called too close
-OFF_SAMPLES = 2  # in a row that a source is off before it is reported
-MAX_TERM = 2.0  # of one frame's evidence on what has stepped
-MIN_STD_RAD = 1e-6  # of a heading: a smaller one, squared, may be 0
-COMPARED_NS = 400_000_000  # from frame to frame; the rate must change in that time
-DEPENDENT_FRAMES = 4.0  # each comparison is so many times less evidence than an independent one
-TOLD_NS = 1_000_000_000  # how long a clock that was found is reported: the filter has to recover
-DECIDED = 7.0  # log odds of 1000:1
+STEP_SPREADS = 3.0  # a step is larger than this many times the spread of the recent latencies
+MIN_INTERVAL_NS = 25_000  # mean interval; IMUs sample at up to 32 kHz
+MIN_COUNTED = 50  # samples of the clock before their interval is judged
+OFF_SAMPLES = 2  # samples in a row with a wrong stamp before the source is reported
+MAX_TERM = 2.0  # bound of one comparison's log likelihood ratio
+MIN_STD_RAD = 1e-6  # lower bound of a heading's sigma, whose square would otherwise underflow
+COMPARED_NS = 400_000_000  # between compared frames; the turn rate must change in that time
+DEPENDENT_FRAMES = 4.0  # correlated comparisons per independent one
+REPORTED_NS = 1_000_000_000  # for which a step of the clock is reported: the filter needs time to recover
+DECIDED = 7.0  # log odds of about 1000:1
 
 _FAULTS = {"imu": Fault.IMU_CLOCK, "attitude": Fault.ATTITUDE_CLOCK, "frame": Fault.CAMERA_CLOCK}
 _WORDS = {
@@ -53,20 +54,20 @@ _WORDS = {
 
 
 class Admission(Enum):
-    """What to do with a sample."""
+    """Decision about a sample."""
 
-    TAKE = "take"
-    WAIT = "wait"  # nothing, for now
-    LATE = "late"  # nothing: the buffer has passed it
-    JUMPED = "jumped"  # the clock has: take what `Arrivals.released` returns
-    SET_BACK = "set back"  # time is another: start at, then take, what `Arrivals.released` returns
+    TAKE = "take"  # insert it
+    WAIT = "wait"  # it is held back
+    LATE = "late"  # ignore it: it is older than the buffer
+    JUMPED = "jumped"  # the clock jumped ahead: insert the samples of `Arrivals.released`
+    SET_BACK = "set back"  # the clock was set back: restart, then insert the samples of `Arrivals.released`
 
 
-TAKE = Admission.TAKE  # as a name: Python 3.11 takes long to look up a member, and each sample asks for it
+TAKE = Admission.TAKE  # member lookup of an enum is slow in Python 3.11, and needed for each sample
 
 
 class _Source:
-    """Arrivals of one source."""
+    """Arrivals of one source: stamps, interval, latency, and samples with a wrong stamp."""
 
     __slots__ = (
         "interval_ns",
@@ -85,34 +86,30 @@ class _Source:
     def __init__(self, kind: type[Sample]) -> None:
         self.kind, self.name = kind, SOURCES[kind].name
         self.rank = CLOCKS.index(self.name) if self.name in CLOCKS else len(CLOCKS)
-        self.last_ns = 0  # newest stamp; what counts only if interval_ns is not NaN
+        self.last_ns = 0  # newest stamp; valid only if interval_ns is not NaN
         self.interval_ns = nan  # mean; NaN before the first sample, 0 before the second
         self.latency_s = 0.0
-        self.suspect: Sample | None = None  # far ahead, not confirmed
-        self.off, self.off_s = (
-            0,
-            0.0,
-        )  # how many in a row were ahead (negative: late), and by how much the last
-        self.tick, self.progress_ns = (
-            0,
-            0.0,
-        )  # the clock's last arrival, and how far stamps have gone since then
+        self.suspect: Sample | None = None  # far ahead, not yet confirmed
+        # Number of samples in a row that were ahead (negative: late), and by how much the last one was.
+        self.off, self.off_s = 0, 0.0
+        # Count of the reference clock's samples at the last arrival, and progress of the stamps since then.
+        self.tick, self.progress_ns = 0, 0.0
 
     @property
-    def spoken(self) -> bool:
-        """Whether a sample was taken."""
+    def has_samples(self) -> bool:
+        """Whether a sample has been accepted."""
         return self.interval_ns == self.interval_ns
 
 
 class Arrivals:
-    """Samples as they arrive.
+    """Decides about samples in order of arrival.
 
     Parameters
     ----------
     buffer_ns
-        How far behind the newest sample one may be and still be taken, and how far ahead of the clock.
+        Largest lag behind the newest sample, and largest lead ahead of the clock, of an accepted sample.
     counters
-        Where what is dropped is counted.
+        Counters of dropped samples.
     """
 
     def __init__(self, buffer_ns: int, counters: Counter[str]) -> None:
@@ -121,7 +118,7 @@ class Arrivals:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all stamps: time is another."""
+        """Forget all stamps, after a reset of the clock."""
         self._sources = {kind: _Source(kind) for kind in SOURCES}
         self._clock: _Source | None = None
         self._tick = 0
@@ -136,17 +133,17 @@ class Arrivals:
         Parameters
         ----------
         sample
-            As it arrives.
+            The sample.
         newest_ns
-            Time of the newest sample taken; None before any.
+            Time of the newest accepted sample; None before any.
         """
         source, t_ns, clock = self._sources[type(sample)], sample.t_ns, self._clock
         if newest_ns is None or clock is None:
             self._follow(source, t_ns)
             return self._take(source, t_ns)
         if source is clock and newest_ns - self.buffer_ns <= t_ns <= clock.last_ns + self.buffer_ns:
-            return self._take(source, t_ns)  # as nearly always
-        orders = source is clock or source.rank < clock.rank or self._outlives(source, t_ns, clock)
+            return self._take(source, t_ns)  # the usual case
+        orders = source is clock or source.rank < clock.rank or self._replaces_dead_clock(source, t_ns, clock)
         if t_ns < newest_ns - self.buffer_ns:
             return self._late(source, sample, newest_ns, orders)
         if not orders:
@@ -160,16 +157,16 @@ class Arrivals:
         return self._take(source, t_ns)
 
     def released(self) -> list[Sample]:
-        """Return what was held until now, in order of time."""
+        """Return the samples that a decision has released, in order of time."""
         released, self._released = self._released, []
         return released
 
     def latency_ns(self, kind: type[Sample]) -> int:
-        """How far behind the clock a source's samples usually come."""
+        """Return the usual delay of a source's samples behind the reference clock."""
         return round(self._sources[kind].latency_s * 1e9)
 
     def notices(self) -> Iterator[Notice]:
-        """Say which clocks are off."""
+        """Yield the faults of the clocks."""
         clock = "IMU" if self._clock is None else _WORDS[self._clock.name][0]
         for source in self._sources.values():
             fault, (word, samples) = _FAULTS.get(source.name, Fault.OTHER_CLOCK), _WORDS[source.name]
@@ -187,29 +184,29 @@ class Arrivals:
                 yield Notice(fault, f"{apart}: times must be nanoseconds")
 
     def finish(self) -> None:
-        """Drop what nothing has confirmed."""
+        """Drop samples that were never confirmed."""
         self._drop(self._waiting)
         self._waiting = []
         for source in self._sources.values():
             self._forget_suspect(source)
 
     def _follow(self, source: _Source, t_ns: int) -> None:
-        """Let a source order time, from this stamp on where it has not done so."""
+        """Make a source the reference clock, from this stamp on if it was not."""
         if source is not self._clock:
             self._clock, self._first = source, (t_ns, self._tick)
 
     def _reach_ns(self, source: _Source) -> float:
-        """How far a stamp may jump."""
-        return max(self.buffer_ns, 2.5 * source.interval_ns)  # of NaN, too, the buffer
+        """Return the largest accepted step of a source's stamps."""
+        return max(self.buffer_ns, 2.5 * source.interval_ns)  # the buffer if the interval is NaN
 
-    def _outlives(self, source: _Source, t_ns: int, clock: _Source) -> bool:
-        """Whether the clock is dead: this source has gone on for long since its last sample."""
-        if source.rank == len(CLOCKS) or not source.spoken:
+    def _replaces_dead_clock(self, source: _Source, t_ns: int, clock: _Source) -> bool:
+        """Whether the reference clock has stopped: this source's stamps have advanced long past its last sample."""
+        if source.rank == len(CLOCKS) or not source.has_samples:
             return False
         if source.tick != self._tick:
             source.tick, source.progress_ns = self._tick, 0.0
             return False
-        longest = 2.5 * source.interval_ns or 0.25 * self.buffer_ns  # one stamp far ahead is no progress
+        longest = 2.5 * source.interval_ns or 0.25 * self.buffer_ns  # a single stamp far ahead must not count
         source.progress_ns += min(max(t_ns - source.last_ns, 0), longest)
         return source.progress_ns > 0.5 * self._reach_ns(clock)
 
@@ -219,9 +216,9 @@ class Arrivals:
             self._tick += 1
             if source.suspect is not None:
                 self._forget_suspect(source)
-        elif clock is not None and source.progress_ns == 0.0:  # the clock has spoken since the last one
+        elif clock is not None and source.progress_ns == 0.0:  # a clock sample arrived since the last one
             lag_s = (clock.last_ns - t_ns) * 1e-9
-            memory = LATENCY_MEMORY if source.spoken else 1.0
+            memory = LATENCY_MEMORY if source.has_samples else 1.0
             source.latency_s += memory * (max(lag_s, 0.0) - source.latency_s)
             if source.name == "frame":
                 self.frames.arrived(t_ns, lag_s)
@@ -248,9 +245,9 @@ class Arrivals:
         return Admission.WAIT
 
     def _late(self, source: _Source, sample: Sample, newest_ns: int, orders: bool) -> Admission:
-        """Refuse, unless this is the first that is heard of a better clock: time is its own from now on."""
+        """Reject a late sample, unless it is among the first of a better clock: that becomes the reference."""
         suspect = source.suspect
-        if source.spoken or not orders:
+        if source.has_samples or not orders:
             source.off, source.off_s = min(source.off, 0) - 1, (newest_ns - sample.t_ns) * 1e-9
             return Admission.LATE
         if suspect is None or not 0 < sample.t_ns - suspect.t_ns <= self.buffer_ns:
@@ -263,9 +260,9 @@ class Arrivals:
         return Admission.SET_BACK
 
     def _ahead_of_its_own(self, source: _Source, sample: Sample) -> Admission:
-        """Wait for the next sample to confirm a jump of the clock itself, or let both through."""
+        """Hold back a jump of the reference clock until the next sample confirms it; then release both."""
         suspect, t_ns = source.suspect, sample.t_ns
-        if source.interval_ns == 0.0:  # how often it speaks is not known
+        if source.interval_ns == 0.0:  # its interval is not known
             self._release([sample])
             return Admission.JUMPED
         if suspect is None or not 0 < t_ns - suspect.t_ns <= self._reach_ns(source):
@@ -299,12 +296,13 @@ class Arrivals:
 
 
 class FrameStamps:
-    """How far behind the clock frames arrive, and by how much that has stepped.
+    """Latency of the frames, and steps of it.
 
-    A jump of a clock by J and a latency that changes by as much look alike until the vehicle turns: frames stamped J
-    ahead then show the heading of J ago. Both are weighed by how the frames' heading changes from frame to frame.
-    ``shift_s`` is a step that is not decided, positive where the camera's clock would have gone ahead, ``moved_ns``
-    what was found to be its clock, to be taken off the stamps.
+    A step J of the camera's clock and a change of the latency by J are indistinguishable until the vehicle turns:
+    after a step of the clock, frames show the heading of J before their stamps. The log odds of the two hypotheses
+    are summed from the change of heading minus gyroscope's angle between frames, at the stamps and at the stamps less
+    J. ``shift_s`` is an undecided step, positive if the camera's clock would have moved ahead; ``moved_ns`` is the
+    step attributed to the clock, to be subtracted from the stamps.
     """
 
     def __init__(self) -> None:
@@ -319,7 +317,7 @@ class FrameStamps:
         self._moved_at_ns: int | None = None
 
     def notice(self, clock: str) -> Iterator[Notice]:
-        """Say that the stamps have stepped against a clock, or did within the last second."""
+        """Report a step of the stamps against a clock, undecided or within the last second."""
         moved_s = self.shift_s
         text = "or latency has changed"
         if moved_s == 0.0:
@@ -333,8 +331,8 @@ class FrameStamps:
         )
 
     def arrived(self, t_ns: int, lag_s: float) -> None:
-        """Take a frame that arrives so far behind the clock."""
-        if self._moved_at_ns is not None and t_ns - self._moved_at_ns > TOLD_NS:
+        """Add the latency of a frame."""
+        if self._moved_at_ns is not None and t_ns - self._moved_at_ns > REPORTED_NS:
             self._moved_at_ns = None
         recent = self._recent
         recent.append(lag_s)
@@ -353,13 +351,15 @@ class FrameStamps:
             self.shift_s = 0.0
             self._usual_s += USUAL_MEMORY * (middle - self._usual_s)
 
-    def weigh(self, t_ns: int, heading_rad: float, std_rad: float, turned_rad: tuple[float, float]) -> None:
-        """Weigh a frame of stepped stamps.
+    def add_evidence(
+        self, t_ns: int, heading_rad: float, std_rad: float, turned_rad: tuple[float, float]
+    ) -> None:
+        """Add a frame's evidence about a step of the stamps.
 
         Parameters
         ----------
         t_ns, heading_rad, std_rad
-            Its stamp and what it measured.
+            Stamp and measurement of the frame.
         turned_rad
             The gyroscope's angle at the stamp, and at the stamp less the step.
         """
@@ -372,7 +372,7 @@ class FrameStamps:
             std = max(std_rad, MIN_STD_RAD)
             term = (as_shifted * as_shifted - as_stamped * as_stamped) / (4.0 * std * std)
             self._log_odds += min(max(term, -MAX_TERM), MAX_TERM) / DEPENDENT_FRAMES
-        if self._log_odds > DECIDED:  # the stamps are right: frames take longer now, or no longer so long
+        if self._log_odds > DECIDED:  # the stamps are right: the transport delay has changed
             self._usual_s, self.shift_s = median(self._recent), 0.0
         elif self._log_odds < -DECIDED:
             self.moved_ns += round(self.shift_s * 1e9)

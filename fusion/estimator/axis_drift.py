@@ -1,6 +1,13 @@
-"""Reaction to frames that drift from the prediction: judges the hypotheses and corrects heading, bias or axis.
+"""Reaction to frames that drift from the prediction: gathers evidence, isolates the fault, corrects the filter.
 
-`fusion.estimator.hypotheses` decides; this module gathers its evidence frame by frame and acts on the verdict.
+With each frame the innovation statistics and the comparison of frame, gyroscope and IMU yaw are updated. When a mean
+innovation is significant, and every `CHECK_INTERVAL_S`, `fusion.estimator.hypotheses.judge` decides over the spans of
+`fusion.estimator.frame_drift`. The most probable hypothesis determines the reaction:
+
+- gyroscope wrong: the covariance is widened along the drift, and heading and bias are corrected by the fitted line;
+- corridor bends: the same, but the bias from before the bend is stored and restored at its end;
+- gyroscope spikes: the heading is taken from the frames, which are continuous;
+- all others: no correction here.
 """
 
 from __future__ import annotations
@@ -29,7 +36,7 @@ from fusion.estimator.hypotheses import (
     Diagnosis,
     Hypothesis,
     Innovations,
-    Told,
+    ReportedFault,
     Verdict,
     judge,
 )
@@ -41,15 +48,15 @@ if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF
 
 
-MAX_INTERVAL_S = 0.5  # between frames: after a longer one the last counts for no more
-REJECTED_SHARE = 0.25  # one gross frame of ten is none of the gyroscope's
+MAX_INTERVAL_S = 0.5  # largest weight of one frame in the means, as the time since the frame before
+REJECTED_SHARE = 0.25  # of the frames; a spike needs more: single outliers do not come from the gyroscope
 
 
-class SeenHeading(NamedTuple):
-    """A frame's heading and its stated variance, the correlation with the one before, and the frames' interval.
+class MeasuredHeading(NamedTuple):
+    """A frame's heading, its stated variance, the correlation with the one before, and the frames' interval.
 
-    ``stamp_std_s`` is as of a `fusion.estimator.frame_update.FrameSample`; ``unmeasured_ns`` is when the gyroscope
-    was clipped last, so that it did not measure the angle turned.
+    ``stamp_std_s`` is as in `fusion.estimator.frame_update.FrameSample`; ``clipped_ns`` is the time of the last
+    clipped gyroscope sample: the angle turned then was not measured.
     """
 
     t_ns: int
@@ -58,30 +65,30 @@ class SeenHeading(NamedTuple):
     rho: float
     interval_s: float
     stamp_std_s: float = 0.0
-    unmeasured_ns: int | None = None
+    clipped_ns: int | None = None
 
 
-def diagnosed(
+def with_diagnosis(
     axis: CorridorAxis,
     ekf: CorridorEKF,
     reckoning: DeadReckoning,
-    seen: SeenHeading,
+    seen: MeasuredHeading,
     corrects_heading: bool,
     config: FusionConfig,
 ) -> tuple[CorridorAxis, CorridorAxis | None]:
-    """Ask who is wrong, after the gate; return the axis, and as it is where the filter follows what was found.
+    """Diagnose after the gate; return the axis with the diagnosis, and the corrected one if the filter follows it.
 
     Parameters
     ----------
     axis, ekf, corrects_heading, config
-        As in `start`; the axis with the outcome of the newest frame's gate.
+        As in `fusion.estimator.corridor_axis.start`; the axis with the newest frame's innovation.
     reckoning
-        What propagates the heading: the gyroscope.
+        Dead reckoning by the gyroscope.
     seen
         The newest frame.
     """
-    t_ns, heading_rad, variance, rho, interval_s, stamp_std_s, unmeasured_ns = seen
-    axis = axis.with_turns_since(unmeasured_ns)
+    t_ns, heading_rad, variance, rho, interval_s, stamp_std_s, clipped_ns = seen
+    axis = axis.without_frames_before(clipped_ns)
     scale, correlation_s = axis.scale_and_correlation(reckoning.mode, config)
     std, walk = white_and_walk(variance * scale, correlation_s, interval_s)
     linked, yaw_rad = axis.recent[-1].linked, yaw_at(reckoning, t_ns)
@@ -90,7 +97,7 @@ def diagnosed(
     comparison = HeadingComparison(
         t_ns, heading_rad, std, raw_rad, yaw_rad, linked, walk, bias_rad_s, bias_variance, stamp_std_s
     )
-    axis, drift = weigh(axis, ekf, comparison, rho, config)
+    axis, drift = update_diagnosis(axis, ekf, comparison, rho, config)
     followed = follow_verdict(axis, ekf, comparison, drift, reckoning.theta_rad, corrects_heading)
     if axis.was_accepted and axis.diagnosis.found is Hypothesis.WELL:
         difference = heading_rad - reckoning.theta_rad
@@ -101,17 +108,17 @@ def diagnosed(
     return axis, followed
 
 
-def weigh(
+def update_diagnosis(
     axis: CorridorAxis, ekf: CorridorEKF, new: HeadingComparison, rho: float, config: FusionConfig
 ) -> tuple[CorridorAxis, Slope | None]:
-    """Ask who is wrong, and return what frames minus gyroscope showed.
+    """Add a frame to the evidence and judge if due; return the fitted slope of frames minus prediction, if judged.
 
     Parameters
     ----------
     axis, ekf
-        As in `start`; the axis with the outcome of the newest frame's gate.
+        As in `fusion.estimator.corridor_axis.start`; the axis with the newest frame's innovation.
     new
-        The newest frame beside what gyroscope and IMU yaw say.
+        The newest frame with gyroscope and IMU yaw.
     rho
         Correlation of its error with that of the frame before.
     """
@@ -136,7 +143,7 @@ def weigh(
         yaw_probabilities=before.yaw_probabilities.compared(beside, noise),
     )
     if now.jump_rad:
-        now = now._replace(told=Told(Hypothesis.SPIKE, new.t_ns))
+        now = now._replace(reported=ReportedFault(Hypothesis.SPIKE, new.t_ns))
     due = now.judged_ns is None or new.t_ns - now.judged_ns >= CHECK_INTERVAL_S * 1e9
     if not (innovations.systematic or due) or comparisons[-1] is not new:
         return axis._replace(diagnosis=now), None
@@ -144,30 +151,32 @@ def weigh(
     now = now.with_verdict(new.t_ns, verdict, due)
     found = now.found
     if found in (Hypothesis.WELL, Hypothesis.GYRO) and not isnan(now.straight_bias_rad_s):
-        now = straight_again(now, ekf)
+        now = end_bend(now, ekf)
     if found is Hypothesis.SPIKE:
         now = now._replace(comparisons=(new,))
     return axis._replace(diagnosis=now), drift
 
 
 def _judge_spans(d: Diagnosis, ekf: CorridorEKF, noise: InertialNoise) -> tuple[Verdict, Slope | None]:
-    """Judge over each span: the shortest that shows something wrong tells most of now, else the one most in doubt.
+    """Judge over each span: the shortest one that shows a fault decides, else the one with the least `WELL`.
 
-    Returned besides is the drift of the frames from what the filter predicts.
+    Returns the verdict, and the slope of the frames minus the filter's prediction.
     """
     last = d.comparisons[-MIN_POINTS:]
     jumped = d.innovations.systematic and 2 * sum(not s.linked for s in last) > MIN_POINTS
-    refused = d.rejected_share > REJECTED_SHARE
+    frames_rejected = d.rejected_share > REJECTED_SHARE
     drift = Drift(d.comparisons, float(ekf.x[PSI]), noise)
     verdict, evidence = Verdict(), Evidence()
     for span_s in SPANS_S:
         shown = drift.over(span_s)._replace(
-            jumped=jumped, refused=refused, yaw_probabilities=d.yaw_probabilities
+            jumped=jumped, frames_rejected=frames_rejected, yaw_probabilities=d.yaw_probabilities
         )
         found = judge(shown, d.found)
-        if evidence.gyro is None or found.of(Hypothesis.WELL) < verdict.of(Hypothesis.WELL):
+        if evidence.gyro is None or found.probability_of(Hypothesis.WELL) < verdict.probability_of(
+            Hypothesis.WELL
+        ):
             verdict, evidence = found, shown
-        if verdict.likeliest is not Hypothesis.WELL:
+        if verdict.most_probable is not Hypothesis.WELL:
             break
     if evidence.gyro is None:
         return verdict, None
@@ -187,39 +196,39 @@ def follow_verdict(
     theta_rad: float,
     corrects_heading: bool,
 ) -> CorridorAxis | None:
-    """Let the filter follow frames that are right where something else is wrong; None: nothing more to do.
+    """Correct the filter by the frames if another source is at fault; None if no correction is needed.
 
     Parameters
     ----------
     axis, ekf, theta_rad, corrects_heading
-        As in `start`.
+        As in `fusion.estimator.corridor_axis.start`.
     new, drift
-        The newest frame, and what frames minus gyroscope showed.
+        The newest frame, and the slope of frames minus prediction.
     """
     d = axis.diagnosis
     if d.jump_rad:
         psi_rad = float(ekf.x[PSI])
         found = Recovery(psi_rad - pi * round(d.jump_rad / pi), new.std_rad)
         return recover(axis, ekf, found, new.t_ns, theta_rad, corrects_heading)
-    likeliest = d.verdict.likeliest
+    most_probable = d.verdict.most_probable
     followed = not isnan(d.straight_bias_rad_s) and not d.innovations.systematic
-    if likeliest in (Hypothesis.GYRO, Hypothesis.BEND) and drift is not None and not followed:
+    if most_probable in (Hypothesis.GYRO, Hypothesis.BEND) and drift is not None and not followed:
         return follow_drift(axis, ekf, drift, new.t_ns, theta_rad, corrects_heading)
-    leapt = likeliest is Hypothesis.SPIKE and d.rejected_share > 0.5
-    if leapt and new.linked and not axis.was_accepted:
+    spiked = most_probable is Hypothesis.SPIKE and d.rejected_share > 0.5
+    if spiked and new.linked and not axis.was_accepted:
         found = Recovery(new.heading_rad + axis.facing_rad, new.std_rad)
         return recover(axis, ekf, found, new.t_ns, theta_rad, corrects_heading)
     return None
 
 
 def bend_rate(d: Diagnosis, ekf: CorridorEKF) -> float:
-    """Rate, rad/s, at which the axis is taken to turn; zero where it is straight."""
+    """Return the estimated rate at which the axis turns, rad/s; zero for a straight corridor."""
     straight = d.straight_bias_rad_s
     return 0.0 if isnan(straight) else straight - float(ekf.x[BIAS])
 
 
-def straight_again(d: Diagnosis, ekf: CorridorEKF) -> Diagnosis:
-    """Subtract the rate of a bend that has ended from the bias."""
+def end_bend(d: Diagnosis, ekf: CorridorEKF) -> Diagnosis:
+    """Restore the bias from before a bend that has ended."""
     x = ekf.x.copy()
     x[BIAS] = d.straight_bias_rad_s
     ekf.predict(x, np.eye(N_STATES), np.zeros((N_STATES, N_STATES)))
@@ -227,7 +236,7 @@ def straight_again(d: Diagnosis, ekf: CorridorEKF) -> Diagnosis:
 
 
 def _with_bias(d: Diagnosis, bias_rad_s: float, variance: float) -> Diagnosis:
-    """Let the evidence hold no bias from before the filter's own stepped, or followed a bend."""
+    """Replace the biases stored with the evidence, after a step of the filter's bias or a bend."""
     comparisons = tuple(s._replace(bias_rad_s=bias_rad_s, bias_variance=variance) for s in d.comparisons)
     return d._replace(comparisons=comparisons)
 
@@ -235,17 +244,17 @@ def _with_bias(d: Diagnosis, bias_rad_s: float, variance: float) -> Diagnosis:
 def follow_drift(
     axis: CorridorAxis, ekf: CorridorEKF, found: Slope, t_ns: int, theta_rad: float, corrects_heading: bool
 ) -> CorridorAxis:
-    """Let heading and, where the gyroscope is wrong, bias follow frames that drift away from the gyroscope.
+    """Correct heading and bias by a line fitted to frames that drift away from the gyroscope.
 
-    The covariance is widened along the drift, heading and bias together, so that the heading on the fitted line
-    corrects both.
+    The covariance is widened by ``v v'`` with v = (now, -rate) for heading and bias, so that an update with the
+    heading on the fitted line corrects both.
 
     Parameters
     ----------
     axis, ekf, t_ns, theta_rad, corrects_heading
-        As in `start`.
+        As in `fusion.estimator.corridor_axis.start`.
     found
-        The drift.
+        The fitted line.
     """
     now = axis.diagnosis
     along = np.zeros(N_STATES)
@@ -258,14 +267,14 @@ def follow_drift(
     if not corrects_heading:
         Q[YAW_OFFSET, YAW_OFFSET] += found.now_rad**2
     ekf.predict(ekf.x, np.eye(N_STATES), Q)
-    if now.verdict.likeliest is Hypothesis.BEND and isnan(now.straight_bias_rad_s):
-        # Before the bend was found, the bias has taken up some of its rate.
+    if now.verdict.most_probable is Hypothesis.BEND and isnan(now.straight_bias_rad_s):
+        # The filter's bias has absorbed some of the bend's rate by now.
         now = _with_bias(now, now.comparisons[0].bias_rad_s, now.comparisons[0].bias_variance)
         now = now._replace(straight_bias_rad_s=now.comparisons[0].bias_rad_s)
     m = heading_model(ekf.x, before + found.now_rad, found.now_std**2)
     ekf.update(m._replace(residual=found.now_rad))
-    if now.verdict.likeliest is Hypothesis.GYRO:
+    if now.verdict.most_probable is Hypothesis.GYRO:
         now = _with_bias(now, float(ekf.x[BIAS]), float(ekf.P[BIAS, BIAS]))
-    axis = axis.stepped(ekf, before)
+    axis = axis.with_reset(ekf, before)
     axis = axis._replace(votes=(), rival=None, diagnosis=now._replace(innovations=Innovations()))
     return axis.confirmed(ekf, t_ns, theta_rad)

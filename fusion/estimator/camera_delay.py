@@ -1,31 +1,28 @@
-"""Estimates the delay of the frames' time stamps from dead reckoning and accepted frames.
-
-The delay shows in turns, as a difference between frames and gyroscope.
+"""Delay of the frames' time stamps, estimated in flight from dead reckoning and accepted frames.
 
 A frame stamped d later than configured shows the heading of d ago, so its heading lags while the vehicle turns. The
-filter follows that lag as if it were an error of its heading; what remains in the innovations grows with changes of
-the rate. The gyroscope's rate cannot be used as a known regressor: its noise is part of the heading's error too, and
-their product would look like a delay. The delay is therefore not a state of the Kalman filter; it is estimated
-separately, by an instrumental variable (T. Soderstrom, P. Stoica, "Comparison of some instrumental variable
-methods", Automatica 17, 1981):
+heading filter mistakes the lag for an error of its heading; what remains in the innovations grows with changes of the
+rate. The measured rate is no valid regressor: its noise is also in the heading's error, and their product would look
+like a delay. The delay is therefore not a state of the Kalman filter, but estimated by an instrumental variable
+(T. Soderstrom, P. Stoica, "Comparison of some instrumental variable methods", Automatica 17, 1981):
 
-- A Kalman filter of the corridor's axis in the dead-reckoned frame and of the gyroscope's bias, which makes it drift,
-  gives the innovations i of the frames and, by the sensitivity of its state, their derivative G with respect to
-  the delay.
-- The instrument w is a change of the rate from a tenth of a second after the frame onwards. Its noise is neither in
-  i nor in G, so the mean of w i is the mean of w G times the delay, whatever the noise.
-- With e = sum(w i / S), g = sum(w G / S) and v = sum(w^2 / S), S the innovations' variance, e is g d with variance
-  v. Together with what the configuration says of d, that gives mean and variance. Without turning, w and G are noise
-  that has nothing in common: g stays small against the root of v, and the variance as wide as it was.
+- A Kalman filter of the corridor's axis in the dead-reckoned frame and of the gyroscope's bias gives the innovations
+  i of the frames and, by the sensitivity of its state, their derivative G with respect to the delay.
+- The instrument w is a change of the rate, measured from a tenth of a second after the frame onwards. Its noise is
+  independent of that in i and G, so E[w i] = E[w G] d, independently of the noise.
+- With e = sum(w i / S), g = sum(w G / S) and v = sum(w^2 / S), S the innovations' variance, e has the mean g d and
+  the variance v. With the prior sigma p of d from the configuration, the estimate is ``d = p^2 g e / (p^2 g^2 + v)``
+  with the variance ``p^2 v / (p^2 g^2 + v)``. Without turns, w and G are uncorrelated, g is small against the root of
+  v, and the prior remains.
 
-What the error of the delay does to the filter's heading is followed (the sensitivity of the two-stage filter of B.
-Friedland, "Treatment of bias in recursive filtering", IEEE Transactions on Automatic Control 14, 1969) and counts in
-its sigma; when the estimate of the delay changes, the heading changes with it.
+The sensitivity of the main filter's heading and bias to the delay is propagated (as in the two-stage filter of B.
+Friedland, "Treatment of bias in recursive filtering", IEEE Transactions on Automatic Control 14, 1969). It adds to
+the heading's sigma, and the heading is corrected when the estimate of the delay changes.
 
-A frame counts half a second after it was taken, when the rates are known; a camera of less than five frames a second
-may tell nothing. It takes changes of the rate: a turn of constant rate looks like another heading. The rate is taken
-as constant over the delay, about its middle, which is good for errors of some 50 ms. Of the frame only its heading is
-brought to the right time; the roll and pitch that it was measured with stay those of its stamp.
+A frame is used half a second after it was taken, when the rates are known; below five frames a second there may be no
+information. The estimate needs changes of the rate: a turn at constant rate looks like another heading. The rate is
+taken as constant over the delay, which is accurate for errors up to about 50 ms. Only the frame's heading is moved to
+the corrected time; it was measured with the roll and pitch at the stamp.
 """
 
 from __future__ import annotations
@@ -36,7 +33,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.models import BIAS, PSI
-from fusion.estimator.noise_adaptation import as_if_independent, correlation
+from fusion.estimator.noise_adaptation import correlation, equivalent_white_variance
 from vision.rotations import wrap_axis
 
 if TYPE_CHECKING:
@@ -45,24 +42,24 @@ if TYPE_CHECKING:
 MAX_LATE_S = 0.1
 STEP_NS = 20_000_000
 RATE_NS = 100_000_000  # window of the rate about a frame
-RECENT_NS = 40_000_000  # window of the rate where none is known ahead
-GUARD_NS = 100_000_000  # from a frame to its instrument: beyond the rate's window, whatever the delay
-PART_NS = 200_000_000  # each of the instrument's two windows
-LEVEL = 0.3  # of the instrument: share of the rate beside its change
+RECENT_NS = 40_000_000  # window of the rate at the newest sample
+GUARD_NS = 100_000_000  # from a frame to its instrument: outside the window of the rate for every delay
+PART_NS = 200_000_000  # length of each of the instrument's two windows
+LEVEL = 0.3  # weight of the rate itself in the instrument, beside its change
 LAG_NS = GUARD_NS + 2 * PART_NS
 BEHIND_NS = (RATE_NS + round(MAX_LATE_S * 1e9)) // 2
 KEPT_NS = LAG_NS + BEHIND_NS + 200_000_000
 
 
 class TurnPoint(NamedTuple):
-    """Heading dead-reckoned by the gyroscope, its bias included."""
+    """Heading dead-reckoned by the gyroscope, bias not subtracted."""
 
     t_ns: int
     theta_rad: float
 
 
 class FrameHeading(NamedTuple):
-    """A frame's heading and its variance; ``epoch`` changes where the axis does."""
+    """A frame's heading and its variance; ``epoch`` changes with the axis."""
 
     t_ns: int
     heading_rad: float
@@ -71,7 +68,7 @@ class FrameHeading(NamedTuple):
 
 
 class AxisNoise(NamedTuple):
-    """Densities of the gyroscope and of its bias's walk, the bias's sigma, and the frames' correlation time."""
+    """Densities of the gyroscope's noise and bias walk, the bias's sigma, and the frames' correlation time."""
 
     gyro: float
     bias_std_rad_s: float
@@ -80,12 +77,12 @@ class AxisNoise(NamedTuple):
 
 
 class AxisFilter(NamedTuple):
-    """A Kalman filter of the corridor's axis as the gyroscope, with its bias, makes it drift.
+    """Kalman filter of the corridor's axis in the dead-reckoned frame, with ``angle' = bias``.
 
     Parameters
     ----------
     angle_rad, bias_rad_s
-        State; the axis drifts by the bias.
+        State: the axis, and the gyroscope's bias, by which it drifts.
     P
         Covariance: axis, axis with bias, bias.
     per_s
@@ -98,7 +95,7 @@ class AxisFilter(NamedTuple):
     per_s: tuple[float, float]
 
     def predicted(self, dt_s: float, noise: AxisNoise) -> AxisFilter:
-        """Move on by ``dt_s``."""
+        """Predict by ``dt_s``."""
         a, c, b = self.P
         walk = noise.bias_walk**2 * dt_s
         P = (
@@ -112,7 +109,7 @@ class AxisFilter(NamedTuple):
         )
 
     def updated(self, innovation_rad: float, innovation_per_s: float, variance: float) -> AxisFilter:
-        """Take in an innovation, with its derivative with respect to the delay."""
+        """Update with an innovation and its derivative with respect to the delay."""
         a, c, b = self.P
         k, j = a / (a + variance), c / (a + variance)
         angle, bias = self.per_s
@@ -125,7 +122,7 @@ class AxisFilter(NamedTuple):
 
 
 class Effect(NamedTuple):
-    """How the main filter's heading and gyroscope bias at a time change with the delay; ``epoch`` as for frames."""
+    """Sensitivity of the main filter's heading and bias at a time to the delay; ``epoch`` as for frames."""
 
     t_ns: int
     heading_per_s: float
@@ -134,24 +131,24 @@ class Effect(NamedTuple):
 
 
 class Delay(NamedTuple):
-    """What is known of the delay; immutable.
+    """Estimate of the delay; immutable.
 
     Parameters
     ----------
     std_s
-        As configured.
+        Configured standard deviation.
     bounds_s
-        Of the delay beyond the configured one: no frame is stamped before its exposure or leaves the buffer.
+        Bounds of the delay beyond the configured one: no frame is stamped before its exposure or leaves the buffer.
     turns, waiting
-        Of the last moments: dead reckoning, and the frames whose rates are not all known yet.
+        Recent dead reckoning, and the frames whose rates are not all known yet.
     last
-        Frame taken in last; None where the axis starts anew.
+        The last frame used; None after a restart of the axis.
     axis
-        As the frames taken in show it.
+        Filter of the axis.
     evidence, gain, spread
-        e, g and v.
+        The sums e, g and v.
     effect
-        On the main filter; None while that has no heading.
+        Sensitivity of the main filter; None while that has no heading.
     """
 
     std_s: float
@@ -183,41 +180,41 @@ class Delay(NamedTuple):
         return prior * self.spread / (prior * gain * gain + self.spread) if self.spread > 0.0 else prior
 
     def heading_per_s(self, t_ns: int) -> float:
-        """How the main filter's heading at a time changes with the delay, rad/s."""
+        """Return the sensitivity of the main filter's heading to the delay at a time, rad/s."""
         if self.effect is None:
             return 0.0
         return self.effect.heading_per_s - self.effect.bias_per_s * (t_ns - self.effect.t_ns) * 1e-9
 
     def interrupted(self) -> Delay:
-        """Start again with axis and turns; what is known of the delay is kept."""
+        """Restart axis and dead reckoning; keep the estimate of the delay."""
         return self._replace(turns=(), waiting=(), last=None, axis=None, effect=None)
 
 
-def unknown_delay(config: FusionConfig) -> Delay | None:
-    """Start with what the configuration says; None where it takes the delay as known."""
+def initial_delay(config: FusionConfig) -> Delay | None:
+    """Return the prior from the configuration; None if the delay is configured as known."""
     if config.camera_delay_std_s <= 0.0:
         return None
-    told_s = config.camera_delay_s
-    bounds = (max(-told_s, -MAX_LATE_S), min(config.buffer_s - told_s, MAX_LATE_S))
+    configured_s = config.camera_delay_s
+    bounds = (max(-configured_s, -MAX_LATE_S), min(config.buffer_s - configured_s, MAX_LATE_S))
     return Delay(config.camera_delay_std_s, bounds)
 
 
 def camera_delay(delay: Delay | None, config: FusionConfig) -> tuple[float, float]:
-    """Return how late the frames are stamped, s, and its sigma; NaN for the sigma of what is taken as known."""
+    """Return the delay of the frames' stamps, s, and its sigma; NaN if the delay is configured as known."""
     if delay is None:
         return config.camera_delay_s, nan
     return config.camera_delay_s + delay.late_s, sqrt(delay.variance)
 
 
 def spread_by_delay(heading_std_rad: float, delay: Delay | None, t_ns: int) -> float:
-    """Sigma of the heading at a time with what the delay's adds to that of a known delay."""
+    """Return the sigma of the heading at a time, with the contribution of the delay's sigma."""
     if delay is None:
         return heading_std_rad
     return hypot(heading_std_rad, delay.heading_per_s(t_ns) * sqrt(delay.variance))
 
 
 def with_turns(delay: Delay, t_ns: Sequence[int], theta_rad: Sequence[float]) -> Delay:
-    """Add dead reckoning, in order of time; of three points within 20 ms the middle one makes way, as do old ones."""
+    """Add dead reckoning in order of time, thinned to one point per `STEP_NS`, and drop old points."""
     turns, first = list(delay.turns), 0
     for t, theta in zip(t_ns, theta_rad, strict=True):
         if len(turns) - first > 1 and t - turns[-2].t_ns < STEP_NS:
@@ -229,7 +226,7 @@ def with_turns(delay: Delay, t_ns: Sequence[int], theta_rad: Sequence[float]) ->
 
 
 def turned_at(turns: tuple[TurnPoint, ...], t_ns: int) -> float:
-    """Angle at a time, between points on a straight line; held beyond the ends."""
+    """Return the angle at a time by linear interpolation; constant beyond the ends."""
     after = turns[-1]
     if t_ns >= after.t_ns:
         return after.theta_rad
@@ -242,12 +239,12 @@ def turned_at(turns: tuple[TurnPoint, ...], t_ns: int) -> float:
 
 
 def mean_rate(turns: tuple[TurnPoint, ...], start_ns: int, end_ns: int) -> float:
-    """Mean rate between two times, rad/s."""
+    """Return the mean rate between two times, rad/s."""
     return (turned_at(turns, end_ns) - turned_at(turns, start_ns)) / ((end_ns - start_ns) * 1e-9)
 
 
 def turned_since(delay: Delay, t_ns: int, theta_rad: float) -> float:
-    """Angle turned since ``delay.late_s`` ago, now at ``theta_rad``; ahead, what the present rate promises."""
+    """Return the angle turned in the last ``delay.late_s``; extrapolated by the present rate if that is negative."""
     late_s = delay.late_s
     if late_s > 0.0:
         turns = (*delay.turns, TurnPoint(t_ns, theta_rad))
@@ -256,23 +253,23 @@ def turned_since(delay: Delay, t_ns: int, theta_rad: float) -> float:
 
 
 def recent_rate(delay: Delay, t_ns: int, theta_rad: float) -> float:
-    """Mean rate of the last moments."""
+    """Return the mean rate over the last `RECENT_NS`."""
     turns = (*delay.turns, TurnPoint(t_ns, theta_rad))
     return mean_rate(turns, max(t_ns - RECENT_NS, turns[0].t_ns), t_ns) if turns[0].t_ns < t_ns else 0.0
 
 
 def with_frame(delay: Delay, seen: FrameHeading, noise: AxisNoise) -> Delay:
-    """Let a frame wait for its rates, and update with those that have them."""
+    """Add a frame to the queue, and update with the frames whose rates are known by now."""
     delay = delay._replace(waiting=(*delay.waiting, seen))
     while delay.waiting and delay.turns and delay.waiting[0].t_ns + LAG_NS <= delay.turns[-1].t_ns:
         first = delay.waiting[0]
         delay = delay._replace(waiting=delay.waiting[1:])
         if first.t_ns - BEHIND_NS >= delay.turns[0].t_ns:
-            delay = _taken_in(delay, first, noise)
+            delay = _updated(delay, first, noise)
     return delay
 
 
-def _taken_in(delay: Delay, seen: FrameHeading, noise: AxisNoise) -> Delay:
+def _updated(delay: Delay, seen: FrameHeading, noise: AxisNoise) -> Delay:
     turns, t_ns = delay.turns, seen.t_ns
     middle_ns = t_ns - round(0.5e9 * delay.late_s)
     rate = mean_rate(turns, middle_ns - RATE_NS // 2, middle_ns + RATE_NS // 2)
@@ -288,7 +285,9 @@ def _taken_in(delay: Delay, seen: FrameHeading, noise: AxisNoise) -> Delay:
         )
         return delay._replace(last=seen, axis=started)
     axis = axis.predicted((t_ns - last.t_ns) * 1e-9, noise)
-    variance = as_if_independent(seen.variance, axis.P[0], correlation(t_ns, last.t_ns, noise.correlation_s))
+    variance = equivalent_white_variance(
+        seen.variance, axis.P[0], correlation(t_ns, last.t_ns, noise.correlation_s)
+    )
     innovation, per_s, S = wrap_axis(measured - axis.angle_rad), rate - axis.per_s[0], axis.P[0] + variance
     start_ns = t_ns + GUARD_NS
     near = mean_rate(turns, start_ns, start_ns + PART_NS) - axis.bias_rad_s
@@ -311,16 +310,16 @@ class DelayedInnovation(NamedTuple):
 
 
 def turned_since_exposure(delay: Delay | None, bias_rad_s: float, t_ns: int, raw_theta_rad: float) -> float:
-    """Angle turned in the time by which a frame is estimated to be later than configured.
+    """Return the angle turned in the time by which a frame is estimated to be later than configured.
 
     Parameters
     ----------
     delay
-        What is known of the delay; None where it is taken as configured.
+        Estimate of the delay; None if it is configured as known.
     bias_rad_s
         The gyroscope's bias.
     t_ns, raw_theta_rad
-        Now, and the heading dead-reckoned with the bias in it.
+        Time now, and the dead-reckoned heading, bias not subtracted.
     """
     if delay is None:
         return 0.0
@@ -328,18 +327,18 @@ def turned_since_exposure(delay: Delay | None, bias_rad_s: float, t_ns: int, raw
 
 
 def with_axis(delay: Delay, ekf: CorridorEKF, t_ns: int, raw_theta_rad: float, epoch: int) -> Delay:
-    """Start to follow the effect on the main filter, where it measures the heading from an axis for the first time.
+    """Start the sensitivity of the main filter if it measures the heading from a new axis.
 
     Parameters
     ----------
     delay
-        What is known of the delay.
+        Estimate of the delay.
     ekf
         Main filter.
     t_ns, raw_theta_rad
-        Now, and the heading dead-reckoned with the bias in it.
+        Time now, and the dead-reckoned heading, bias not subtracted.
     epoch
-        Number of times that the heading has jumped.
+        Number of jumps of the heading.
     """
     if delay.effect is not None and delay.effect.epoch == epoch:
         return delay
@@ -348,7 +347,7 @@ def with_axis(delay: Delay, ekf: CorridorEKF, t_ns: int, raw_theta_rad: float, e
 
 
 def innovation_of(delay: Delay, ekf: CorridorEKF, t_ns: int, raw_theta_rad: float) -> DelayedInnovation:
-    """How an error of the camera's delay shows in the next innovation of the heading; arguments as `with_axis`."""
+    """Return the effect of the delay's error on the next innovation of the heading; arguments as in `with_axis`."""
     rate = recent_rate(delay, t_ns, raw_theta_rad) - float(ekf.x[BIAS])
     per_s = -rate - delay.heading_per_s(t_ns)
     return DelayedInnovation(per_s, per_s**2 * delay.variance)
@@ -357,14 +356,14 @@ def innovation_of(delay: Delay, ekf: CorridorEKF, t_ns: int, raw_theta_rad: floa
 def learn_delay(
     delay: Delay, ekf: CorridorEKF, seen: FrameHeading, innovation_per_s: float, config: FusionConfig
 ) -> Delay:
-    """Update the delay with an accepted frame too, and correct the main filter by what that changes.
+    """Update the delay with an accepted frame, and correct the main filter by the change of the delay.
 
     Parameters
     ----------
     delay
-        What was known of the delay.
+        Estimate of the delay before the frame.
     ekf
-        Main filter, right after the frame's heading was taken in.
+        Main filter, right after its update with the frame's heading.
     seen
         The frame's heading.
     innovation_per_s
@@ -382,7 +381,7 @@ def learn_delay(
     )
     effect = Effect(seen.t_ns, heading_per_s, bias_per_s, seen.epoch)
     delay = with_frame(delay, seen, noise)._replace(effect=effect)
-    x = ekf.x.copy()  # what frames have done to the heading with the delay as it was thought to be
+    x = ekf.x.copy()  # earlier frames were fused with the old delay: correct their effect
     x[PSI] -= heading_per_s * (delay.late_s - before_s)
     x[BIAS] -= bias_per_s * (delay.late_s - before_s)
     ekf.correct(x)

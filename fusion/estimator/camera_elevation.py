@@ -1,4 +1,4 @@
-"""The camera's mounting pitch: mean and variance from the frames' elevations."""
+"""The camera's mounting pitch: a scalar Kalman filter of the frames' elevations."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from vision.measurement import Attitude, FrameMeasurement
 
-WEIGHT = 30.0  # errors of successive elevations are those of the attitude: alike for seconds
+WEIGHT = 30.0  # factor on the variance: errors of the attitude are correlated for seconds
 FLOOR_RAD = radians(0.25)
 
 
@@ -19,11 +19,11 @@ class Elevation(NamedTuple):
 
     @property
     def std_rad(self) -> float:
-        """Standard deviation, not below the smallest that is believed."""
+        """Standard deviation, at least `FLOOR_RAD`."""
         return max(sqrt(self.variance), FLOOR_RAD)
 
     def with_frame(self, m: FrameMeasurement, attitude: Attitude | None) -> Elevation:
-        """Take in a frame's elevation, where it has one and its attitude was known."""
+        """Update with a frame's elevation, if it has one and the attitude was known."""
         if not (isfinite(m.elevation_rad) and m.elevation_std_rad > 0.0) or attitude is None:
             return self
         R = WEIGHT * hypot(m.elevation_std_rad, attitude.std_rad) ** 2

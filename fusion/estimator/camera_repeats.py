@@ -1,9 +1,9 @@
-"""Detects a camera that repeats its picture, by the pictures and the motion of the vehicle.
+"""Detects a camera that repeats its picture, from the pictures and the motion of the vehicle.
 
-No two pictures of a real camera are equal, for their noise differs. So a picture equal to the one before is a
-repetition as soon as anything moved at all. Of measurements that another program hands over, a few in a row must be
-equal beside a gyroscope that is noisy; beside an exact one, the vehicle must have turned. A vehicle at rest in a
-simulation without noise is left in peace.
+Two pictures of a real camera are never equal, because of noise. So a picture equal to the one before is a repetition
+if the gyroscope shows any motion. For measurements made elsewhere the rule depends on the gyroscope: with a noisy
+one, `EQUAL_FRAMES` equal measurements in a row are a repetition; with one free of noise, as in a simulation, the
+vehicle must have turned by `TURN_RAD`. A vehicle at rest in a simulation without noise therefore raises no fault.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from fusion.estimator.gyro_checks import GyroCheck
 from fusion.estimator.propagation import DeadReckoning, Mode
 from vision.measurement import FrameMeasurement
 
-TOLD_FRAMES = 3  # in a row: a video of a higher rate than its camera's shows some pictures twice
-EQUAL_FRAMES = 5  # measurements in a row beside a noisy gyroscope
+MIN_REPORTED_FRAMES = 3  # in a row: a video at a higher rate than its camera's shows some pictures twice
+EQUAL_FRAMES = 5  # equal measurements in a row, with a noisy gyroscope
 TURN_RAD = radians(0.3)
 
 
 class Repeats(NamedTuple):
-    """What the last frame showed.
+    """State of the detection.
 
     Parameters
     ----------
     content
-        Of the last frame, to be compared bit for bit; empty where it showed nothing.
+        Content of the last frame, compared bit for bit; empty if there was none.
     turned_rad
-        The dead-reckoned heading, bias included, at the first frame of this content.
+        The dead-reckoned heading, bias not subtracted, at the first frame with this content.
     equal, found
-        Frames in a row that equal the first, and that were found to be repetitions.
+        Number of frames in a row equal to the first, and of those found to be repetitions.
     """
 
     content: bytes = b""
@@ -42,21 +42,21 @@ class Repeats(NamedTuple):
     found: int = 0
 
     def with_frame(self, sample: FrameSample, reckoning: DeadReckoning, gyro: GyroCheck) -> Repeats:
-        """Take the next frame; ``reckoning`` and ``gyro`` are those of its time."""
+        """Add the next frame; ``reckoning`` and ``gyro`` are those at its time."""
         m = sample.measure
         content = _content(m) if isinstance(m, FrameMeasurement) else sample.picture
         if not content or content != self.content:
             return Repeats(content, reckoning.raw_theta_rad)
         equal, turned_rad = self.equal + 1, abs(reckoning.raw_theta_rad - self.turned_rad)
         if not isinstance(m, FrameMeasurement):
-            again = turned_rad > 0.0 or reckoning.mode is Mode.NONE  # then nothing tells whether it moved
+            again = turned_rad > 0.0 or reckoning.mode is Mode.NONE  # without a source, motion is unknown
         else:
             again = (turned_rad > TURN_RAD and not gyro.is_noisy) or (equal >= EQUAL_FRAMES and gyro.is_noisy)
         return Repeats(content, self.turned_rad, equal, self.found + 1 if again or self.found else 0)
 
     def notice(self) -> Notice | None:
-        """Say that the camera is frozen; None where it is not."""
-        if self.found < TOLD_FRAMES:
+        """Report a frozen camera; None if it is not frozen."""
+        if self.found < MIN_REPORTED_FRAMES:
             return None
         return Notice(Fault.CAMERA_FROZEN, "camera repeats the same picture")
 

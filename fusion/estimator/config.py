@@ -1,6 +1,6 @@
 """All settings of the estimator in one flat table; SI units and radians, with the unit in the name.
 
-A TOML file holds the same names: ``corridor_width_m = 2.2``. What is not named keeps its default.
+A TOML file uses the same names: ``corridor_width_m = 2.2``. Settings that it does not name keep their defaults.
 """
 
 from __future__ import annotations
@@ -267,7 +267,7 @@ class FusionConfig(Settings):
 
     @property
     def offset_walk(self) -> float:
-        """Wander of the IMU's yaw offset in use, rad/sqrt(s)."""
+        """Random walk of the IMU's yaw offset in use, rad/sqrt(s)."""
         return self.imu_yaw_walk or IMU_YAW_WALK_OVER_GYRO * self.gyro_noise
 
     @classmethod
@@ -277,6 +277,6 @@ class FusionConfig(Settings):
         Raises
         ------
         InputError
-            Where the file is missing or torn, or names something unknown or out of bounds.
+            If the file is missing or malformed, or a setting is unknown or out of bounds.
         """
         return build(cls, read_toml(path), path)

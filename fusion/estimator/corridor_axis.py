@@ -1,7 +1,14 @@
-"""The corridor's axis: updates the filter with the frames' headings, and decides when the axis is another one.
+"""The corridor's axis: acquisition, recovery and loss of the axis that the heading is measured from.
 
-Headings that the gate rejects are kept as votes for another axis, in the dead-reckoned frame, in which the axis of a
-corridor stays where it is however the vehicle turns; `fusion.estimator.junctions` decides what they mean.
+A frame shows the heading psi modulo half a turn. With the dead-reckoned heading theta, the axis ``theta - psi`` is
+constant however the vehicle turns, so headings are compared as axes in that frame:
+
+- `start`: the axis is acquired once `FusionConfig.start_frames` votes agree; their median gives the heading.
+- Headings rejected by the gate are kept as votes for another axis; `fusion.estimator.junctions` decides what they
+  mean.
+- `recover`: the covariance is widened along the error, and the filter is updated with the votes' median.
+- A heading is *linked* if no jump lies between it and a heading that the filter accepted, allowing for noise and for
+  the turn measured by the gyroscope. Linked headings belong to the present axis even if the gate rejects them.
 """
 
 from __future__ import annotations
@@ -28,17 +35,15 @@ if TYPE_CHECKING:
 VOTE_AGE_S = 3.0
 VOTE_AGE_FRAMES = 15
 VOTE_SPACING_S = 0.03
-GRADUAL_RAD = radians(6)  # what a vehicle turns between frames, if the gyroscope may be wrong
+GRADUAL_RAD = radians(6)  # largest turn between frames that is accepted without the gyroscope
 LINK_SIGMA = 3.0
-MIN_YAW_LOG_RATIO = (
-    4.0  # log-likelihood ratio from which the IMU's yaw sides with the gyroscope against frames
-)
-REPEATING = 0.1  # probability from which on the IMU's yaw may repeat a jump of the gyroscope
-MAX_ACCELERATION_RAD_S2 = radians(150)  # of the yaw of a vehicle that flies with a camera
+MIN_YAW_LOG_RATIO = 4.0  # log-likelihood ratio above which the IMU yaw confirms the gyroscope, not the frame
+REPEATING = 0.1  # probability above which the IMU's yaw may repeat a jump of the gyroscope
+MAX_ACCELERATION_RAD_S2 = radians(150)  # yaw acceleration of a vehicle with a camera
 
 
 class PreviousAxis(NamedTuple):
-    """The corridor left last: axis in the dead-reckoned frame, index, turn, when, lateral offsets used by then."""
+    """The corridor left last: axis in the dead-reckoned frame, index, turn, time, lateral offsets used by then."""
 
     axis_rad: float
     corridor_index: int
@@ -48,10 +53,10 @@ class PreviousAxis(NamedTuple):
 
 
 class FrameAxis(NamedTuple):
-    """A heading that a picture showed, its sigma, and what the gyroscope had turned by then.
+    """A frame's heading, its sigma, and the gyroscope's angle at its time.
 
-    ``linked``: no jump lies between it and one that the filter accepted. ``yaw_rad``: the IMU's yaw then; NaN where
-    there is none, or one that may repeat the gyroscope's errors.
+    ``linked``: no jump lies between it and one that the filter accepted. ``yaw_rad``: the IMU's yaw at its time; NaN
+    if there is none, or if it may repeat the gyroscope's errors.
     """
 
     t_ns: int
@@ -63,7 +68,7 @@ class FrameAxis(NamedTuple):
 
 
 class Rival(NamedTuple):
-    """An axis that rejected frames agree on, dead-reckoned; since when, and seen last."""
+    """An axis that rejected frames agree on, in the dead-reckoned frame; its first and its last vote."""
 
     axis_rad: float
     since_ns: int
@@ -71,12 +76,12 @@ class Rival(NamedTuple):
 
 
 def continues_at_same_rate(seen: Sequence[FrameAxis], t_ns: int, heading_rad: float, std_rad: float) -> bool:
-    """Whether a frame's heading goes on at the rate of those before, by noise and by what a vehicle accelerates.
+    """Whether a frame's heading continues at the earlier frames' rate, within noise and the largest acceleration.
 
     Parameters
     ----------
     seen
-        Frames before, oldest first.
+        Earlier frames, oldest first.
     t_ns, heading_rad, std_rad
         The frame's time, heading and standard deviation.
     """
@@ -93,9 +98,10 @@ def continues_at_same_rate(seen: Sequence[FrameAxis], t_ns: int, heading_rad: fl
 
 
 def _is_linked(near: Sequence[FrameAxis], new: FrameAxis, yaw_std_rad: float) -> bool:
-    """Whether a frame's heading follows those before by no jump: by noise, and by a turn up to the gyroscope's.
+    """Whether no jump lies between a frame's heading and those before, within noise and the gyroscope's turn.
 
-    A gyroscope may leap. Where the IMU's yaw has turned as far, it has not, and the frames must have turned with it.
+    The gyroscope itself may jump. If the IMU's yaw has turned as far, it has not, and the frames must have turned
+    too.
     """
     last = near[-1].heading_rad
     step = wrap_axis(new.heading_rad - last - median(wrap_axis(r.heading_rad - last) for r in near))
@@ -111,47 +117,46 @@ def _is_linked(near: Sequence[FrameAxis], new: FrameAxis, yaw_std_rad: float) ->
     low, high = max(min(turned, 0.0), -GRADUAL_RAD), min(max(turned, 0.0), GRADUAL_RAD)
     if low - noise < step < high + noise:
         return True
-    leapt = abs(new.raw_theta_rad - near[-1].raw_theta_rad) > GRADUAL_RAD
-    return leapt and continues_at_same_rate(
-        near, new.t_ns, new.heading_rad, new.std_rad
-    )  # whatever the gyroscope says
+    gyro_jumped = abs(new.raw_theta_rad - near[-1].raw_theta_rad) > GRADUAL_RAD
+    # Frames alone decide if the gyroscope may have jumped.
+    return gyro_jumped and continues_at_same_rate(near, new.t_ns, new.heading_rad, new.std_rad)
 
 
 class CorridorAxis(NamedTuple):
-    """What is known of the axis that the heading is measured from.
+    """State of the axis that the heading is measured from.
 
     Parameters
     ----------
     acquired, ever_acquired
-        Whether a heading was found and not lost since, and whether ever.
+        Whether a heading has been acquired and not lost since, and whether ever.
     corridor_index, n_corridors, corridor_turn_rad
-        The corridor being flown, how many there were, and the angle of its axis from the first one's.
+        The present corridor, the number of corridors so far, and the angle of its axis from the first one's.
     reset_count, reset_heading_rad
-        How often the heading jumped, and its last step.
+        Number of jumps of the heading, and the last jump.
     t_vision_ns, n_accepted
-        When a frame was last used, and how many have been.
+        Time of the last accepted frame, and the number of accepted frames.
     support_s
         Time over which frames have confirmed the present axis.
     anchor_rad, anchor_ns
-        Axis in the dead-reckoned frame when a frame last confirmed it, and when that was; while frames drift off or
-        their stamps are in doubt, as it was before.
-    stamps_doubted
-        Whether a step of the camera's clock is suspected, so that another axis may pass for a turn seen late.
+        Axis in the dead-reckoned frame when a frame last confirmed it, and the time; not updated in a bend or while
+        the frames' stamps are in doubt.
+    stamps_suspect
+        Whether a step of the camera's clock is suspected: a turn seen late may then look like another axis.
     facing_rad
-        pi where the vehicle then faced against the axis.
+        pi if the vehicle then faced against the axis, modulo a turn.
     noise, frame_noise, gate
-        Of the frames' headings, by their innovations and by how they scatter about the gyroscope; outcome of the last
-        innovation.
+        Noise of the frames' headings, from their innovations and from their scatter about the gyroscope; outcome of
+        the last innovation.
     votes
         Rejected headings, as axes in the dead-reckoned frame.
     recent
-        The last headings that pictures showed.
+        The last headings of frames.
     rival
         Axis that rejected frames agree on.
     previous
         The corridor left last.
     diagnosis
-        Who is wrong where frames and prediction part.
+        Fault isolation for frames that disagree with the prediction.
     """
 
     acquired: bool = False
@@ -166,7 +171,7 @@ class CorridorAxis(NamedTuple):
     support_s: float = 0.0
     anchor_rad: float = nan
     anchor_ns: int = 0
-    stamps_doubted: bool = False
+    stamps_suspect: bool = False
     facing_rad: float = 0.0
     noise: SourceNoise = SourceNoise()
     frame_noise: FrameNoise = FrameNoise()
@@ -179,46 +184,46 @@ class CorridorAxis(NamedTuple):
 
     @property
     def test_ratio(self) -> float:
-        """Of the last innovation: squared over gate squared."""
+        """Square of the last innovation over the gate squared."""
         return nan if self.gate is None else self.gate.test_ratio
 
     @property
     def was_accepted(self) -> bool:
-        """Whether the gate took the last innovation."""
+        """Whether the last innovation passed the gate."""
         return self.gate is not None and self.gate.accepted
 
     def lost(self) -> CorridorAxis:
-        """Start again with the next headings."""
+        """Restart acquisition with the next headings."""
         return self._replace(
             acquired=False,
             votes=(),
-            diagnosis=self.diagnosis.started_anew(),
+            diagnosis=self.diagnosis.restarted(),
             frame_noise=self.frame_noise.interrupted(),
         )
 
     def clock_set_back(self) -> CorridorAxis:
-        """Start again; corridors and counts are kept."""
+        """Restart acquisition and drop all times; keep corridors and counts."""
         return self.lost()._replace(t_vision_ns=None, recent=(), previous=None)
 
-    def with_turns_since(self, unmeasured_ns: int | None) -> CorridorAxis:
+    def without_frames_before(self, clipped_ns: int | None) -> CorridorAxis:
         """Drop headings from before a clipped turn.
 
         The gyroscope did not measure it, so they cannot be compared with later ones.
         """
         comparisons = self.diagnosis.comparisons
-        if unmeasured_ns is None or not comparisons or comparisons[0].t_ns > unmeasured_ns:
+        if clipped_ns is None or not comparisons or comparisons[0].t_ns > clipped_ns:
             return self
-        kept = tuple(comparison for comparison in comparisons if comparison.t_ns > unmeasured_ns)
+        kept = tuple(comparison for comparison in comparisons if comparison.t_ns > clipped_ns)
         diagnosis = self.diagnosis._replace(innovations=Innovations(), comparisons=kept)
         return self._replace(diagnosis=diagnosis, frame_noise=self.frame_noise.interrupted())
 
     def confirmed(self, ekf: CorridorEKF, t_ns: int, theta_rad: float) -> CorridorAxis:
-        """Note that the present axis was seen at a time and a dead-reckoned heading."""
+        """Record that a frame confirmed the present axis at a time and a dead-reckoned heading."""
         support_s = self.support_s
         if self.t_vision_ns is not None:
             support_s += min((t_ns - self.t_vision_ns) * 1e-9, 0.5)
         psi = float(ekf.x[PSI])
-        sure = isnan(self.diagnosis.straight_bias_rad_s) and not self.stamps_doubted
+        sure = isnan(self.diagnosis.straight_bias_rad_s) and not self.stamps_suspect
         return self._replace(
             support_s=support_s,
             t_vision_ns=t_ns,
@@ -229,16 +234,16 @@ class CorridorAxis(NamedTuple):
         )
 
     def gate_sigma(self, config: FusionConfig) -> float:
-        """Gate of the frames' heading; halved while another axis is seen, as what lies between may be either."""
+        """Return the gate of the frames' heading; it is halved while frames show another axis."""
         return config.heading_gate_sigma * (0.5 if self.diagnosis.found is Hypothesis.AXIS else 1.0)
 
     def scale_and_correlation(self, mode: Mode, config: FusionConfig) -> tuple[float, float]:
-        """Return the variance of the frames' errors over what they state, and how long errors last, s."""
+        """Return the ratio of the frames' error variance to the stated one, and the errors' correlation time, s."""
         if mode is Mode.GYRO and self.frame_noise.fitted_ns is not None:
             return self.frame_noise.scale, self.frame_noise.correlation_s
         return self.noise.inflation, config.heading_correlation_s
 
-    def followed(
+    def with_seen_heading(
         self,
         t_ns: int,
         heading_rad: float,
@@ -248,16 +253,16 @@ class CorridorAxis(NamedTuple):
         frame_interval_s: float,
         yaw_std_rad: float,
     ) -> CorridorAxis:
-        """Follow the axis through the pictures alone: keep a frame's heading, and whether it jumped.
+        """Record a frame's heading, and whether it is linked to the earlier ones.
 
         Parameters
         ----------
         t_ns, heading_rad, std_rad, accepted
-            Of the frame, and whether the filter took it.
+            The frame's measurement, and whether the filter accepted it.
         reckoning
-            What propagates the heading.
+            Dead reckoning of the heading.
         frame_interval_s
-            Mean time between frames; NaN where unknown.
+            Mean time between frames; NaN if unknown.
         yaw_std_rad
             White noise of the IMU's yaw.
         """
@@ -273,7 +278,7 @@ class CorridorAxis(NamedTuple):
             linked = linked or (bool(near) and _is_linked(near, new, yaw_std_rad))
         return self._replace(recent=(*self.recent[-5:], new._replace(linked=linked)))
 
-    def voted(
+    def with_vote(
         self, t_ns: int, axis_rad: float, std_rad: float, linked: bool, frame_interval_s: float
     ) -> CorridorAxis:
         """Keep a heading as a vote.
@@ -281,32 +286,32 @@ class CorridorAxis(NamedTuple):
         Parameters
         ----------
         t_ns, axis_rad, std_rad
-            Of the frame; axis in the dead-reckoned frame.
+            The frame's time, its axis in the dead-reckoned frame, and the sigma.
         linked
             See `FrameAxis`.
         frame_interval_s
-            Mean time between frames; NaN where unknown.
+            Mean time between frames; NaN if unknown.
         """
         if self.votes and (t_ns - self.votes[-1].t_ns) * 1e-9 < VOTE_SPACING_S:
-            return self  # a fast camera's frames resemble each other, and would crowd out the older ones
+            return self  # frames of a fast camera are correlated, and would displace the older ones
         interval = frame_interval_s if isfinite(frame_interval_s) else 0.0
         age_s = max(VOTE_AGE_S, VOTE_AGE_FRAMES * interval)
         vote = Vote(t_ns, axis_rad, std_rad, self.n_accepted, linked)
         return self._replace(votes=add_vote(self.votes, vote, age_s))
 
-    def stepped(self, ekf: CorridorEKF, before_rad: float) -> CorridorAxis:
-        """Count a jump of the heading from ``before_rad`` to what it is now."""
+    def with_reset(self, ekf: CorridorEKF, before_rad: float) -> CorridorAxis:
+        """Count a jump of the heading from ``before_rad`` to its present value."""
         step_rad = float(ekf.x[PSI]) - before_rad
         return self._replace(
             reset_count=self.reset_count + 1,
             reset_heading_rad=step_rad,
-            diagnosis=self.diagnosis.stepped(),
+            diagnosis=self.diagnosis.without_evidence(),
             frame_noise=self.frame_noise.interrupted(),
         )
 
 
 class Recovery(NamedTuple):
-    """The filter has gone wrong: the heading is another one."""
+    """Heading to reset a diverged filter to."""
 
     heading_rad: float
     std_rad: float
@@ -321,24 +326,24 @@ def start(
     config: FusionConfig,
     mode: Mode,
 ) -> CorridorAxis:
-    """Find the first heading, or the first after loss: the median of frames that agree.
+    """Acquire the heading, at first or after loss, as the median of frames that agree.
 
     Parameters
     ----------
     axis
-        Part of the state, with the newest frame's vote; it comes back acquired if enough agree.
+        Part of the state, with the newest frame's vote; it is returned as acquired if enough votes agree.
     ekf
         Filter to correct.
     t_ns, theta_rad
-        Now, and the dead-reckoned heading.
+        Time now, and the dead-reckoned heading.
     corrects_heading
         Whether the IMU's yaw offset is correlated with the heading.
     config
         Settings.
     mode
-        What propagates the heading.
+        Source that propagates the heading.
     """
-    # A slow camera's frames are seconds apart, in which a gyroscope of unknown bias drifts.
+    # Frames of a slow camera are seconds apart; meanwhile a gyroscope of unknown bias drifts.
     drift_rad_s = sqrt(float(ekf.P[BIAS, BIAS])) if mode is Mode.GYRO else 0.0
     found = agreement(axis.votes, config.recovery_spread_rad, wrap_axis, drift_rad_s)
     if found is None or found.n_votes < config.start_frames or found.share < AGREEING_SHARE:
@@ -349,38 +354,38 @@ def start(
         _widen_heading(ekf, wrap_axis(heading - before), corrects_heading)
     elif float(ekf.P[PSI, PSI]) < UNKNOWN_HEADING_STD_RAD**2:
         ekf.widen(PSI, UNKNOWN_HEADING_STD_RAD**2)
-    # Frames that a gyroscope of unknown bias has propagated to now.
+    # Variance from propagating the median frame to now with a gyroscope of unknown bias.
     age_s = found.age_s if mode is Mode.GYRO else 0.0
-    carried = float(ekf.P[BIAS, BIAS]) * age_s**2 + config.gyro_noise**2 * age_s
-    ekf.update(heading_model(ekf.x, heading, found.std**2 + carried))
+    drift_variance = float(ekf.P[BIAS, BIAS]) * age_s**2 + config.gyro_noise**2 * age_s
+    ekf.update(heading_model(ekf.x, heading, found.std**2 + drift_variance))
     if axis.ever_acquired:
-        axis = axis.stepped(ekf, before)
-    axis = axis._replace(acquired=True, ever_acquired=True, votes=(), stamps_doubted=False)
+        axis = axis.with_reset(ekf, before)
+    axis = axis._replace(acquired=True, ever_acquired=True, votes=(), stamps_suspect=False)
     return axis.confirmed(ekf, t_ns, theta_rad)
 
 
 def recover(
     axis: CorridorAxis, ekf: CorridorEKF, found: Recovery, t_ns: int, theta_rad: float, corrects_heading: bool
 ) -> CorridorAxis:
-    """Widen the covariance for the heading that the votes agree on, and update with their median.
+    """Reset the heading: widen the covariance along the error, and update with the votes' median.
 
     Parameters
     ----------
     axis, ekf, t_ns, theta_rad, corrects_heading
         As in `start`.
     found
-        What the votes say.
+        Median of the votes.
     """
     before = float(ekf.x[PSI])
     _widen_heading(ekf, found.heading_rad - before, corrects_heading)
     expected = heading_model(ekf.x, found.heading_rad, found.std_rad**2)
     ekf.update(expected._replace(residual=found.heading_rad - before))
-    axis = axis.stepped(ekf, before)._replace(votes=(), rival=None)
+    axis = axis.with_reset(ekf, before)._replace(votes=(), rival=None)
     return axis.confirmed(ekf, t_ns, theta_rad)
 
 
 def _widen_heading(ekf: CorridorEKF, error_rad: float, corrects_heading: bool) -> None:
-    """Widen along an error of the heading that leaves psi + o, what the IMU's yaw has shown, as it was."""
+    """Widen the covariance along an error of the heading that leaves psi + o (the IMU's yaw) unchanged."""
     Q = np.zeros((N_STATES, N_STATES))
     Q[PSI, PSI] = Q[YAW_OFFSET, YAW_OFFSET] = error_rad**2
     if corrects_heading:

@@ -1,4 +1,4 @@
-"""Covariance and innovations of the estimator, by name, as an autopilot logs them. Pure functions."""
+"""Covariance and innovations of the estimator by name, as an autopilot logs them. Pure functions."""
 
 from __future__ import annotations
 
@@ -25,19 +25,20 @@ OFFSET_NAMES = (
 
 @dataclass(frozen=True, slots=True)
 class Covariance:
-    """Mean and covariance of everything that is estimated, at one time.
+    """Mean and covariance of all states at one time.
 
     Parameters
     ----------
     timestamp_ns
-        Of the newest sample; None before any.
+        Time of the newest sample; None before any.
     names
-        Of the states, in order; each ends with its unit (``norm``: half widths, positive right of the centre line).
-        ``heading_rad`` is unwrapped; ``gyro_bias_rad_s`` is the bias of what propagates the heading: minus the rate
-        itself where neither gyroscope nor attitude does. The last four, of the lateral offset, are the moments of the
-        hypotheses about the likeliest, and stand there only while the offset is known.
+        Names of the states, in order; each ends with its unit (``norm``: half widths, positive right of the centre
+        line). ``heading_rad`` is unwrapped; ``gyro_bias_rad_s`` is the bias of the source that propagates the
+        heading, or minus the rate itself if neither gyroscope nor attitude does. The last four, of the lateral
+        offset, are the moments of the hypotheses near the most probable one, and are present only while the offset is
+        known.
     mean, matrix
-        (n,) and (n, n). The lateral offset has a filter of its own: between it and the others stand zeros.
+        (n,) and (n, n). The lateral offset has a filter of its own: its covariance with the other states is zero.
     """
 
     timestamp_ns: int | None
@@ -56,14 +57,14 @@ class Covariance:
 
 @dataclass(frozen=True, slots=True)
 class Innovation:
-    """Last measurement of a source minus its prediction, with the result of its gate.
+    """Last measurement of a source minus its prediction, with the outcome of the gate.
 
     Parameters
     ----------
     value, variance
-        Innovation and its variance, prediction and measurement together; in the source's unit, and its square.
+        Innovation and its variance, that of prediction plus measurement; in the source's unit, and its square.
     test_ratio
-        ``value**2 / (gate_sigma**2 * variance)``; above 1 it is beyond the gate.
+        ``value**2 / (gate_sigma**2 * variance)``; above 1 the innovation is beyond the gate.
     accepted
         Whether it was used.
     """
@@ -81,15 +82,15 @@ class Innovations:
     Parameters
     ----------
     heading
-        Of frames, rad.
+        Heading of frames, rad.
     lateral
-        Of frames' likeliest offset, half widths. Beyond the gate it is evidence for other hypotheses, if for any.
+        Most probable offset of frames, half widths. It is never rejected: the Gaussian sum weighs it.
     imu_yaw
-        Of attitudes, rad.
+        Yaw of attitudes, rad.
     velocity
-        Across the corridor, m/s. Beyond the gate its variance is raised until it is at the rim; none is rejected.
+        Speed across the corridor, m/s. It is never rejected: beyond the gate its variance is inflated to the gate.
 
-    Ranges go through medians, and no filter: they have no innovation.
+    Ranges have no innovation: they are fused by medians.
     """
 
     heading: Innovation
@@ -99,9 +100,9 @@ class Innovations:
 
 
 def covariance_of(state: State, model: OffsetModel, known: bool) -> Covariance:
-    """Return mean and covariance of a state; ``known`` says whether the lateral offset is.
+    """Return mean and covariance of a state; ``known`` is whether the lateral offset is.
 
-    The variance of the heading contains what an estimated camera delay adds, as `Estimate.heading_std_rad` does.
+    The variance of the heading contains that from an estimated camera delay, as in `Estimate.heading_std_rad`.
     """
     P = state.P.copy()
     if state.t_ns is not None:

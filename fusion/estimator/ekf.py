@@ -1,18 +1,18 @@
-"""The extended Kalman filter: predictions and scalar updates, with compiled arithmetic.
+"""The extended Kalman filter of the heading: prediction and gated scalar updates, with compiled arithmetic.
 
-It has the attributes of `filterpy.kalman.ExtendedKalmanFilter` with their meaning: ``x``, ``P``, ``F``, ``Q``,
-``x_prior``, ``P_prior``, ``x_post``, ``P_post``, ``K``, ``y``, ``S``, ``SI``, ``R``. The arithmetic is the same to
-rounding (tests hold it to filterpy's own, to 1e-12). It is not filterpy's because in filterpy 2.0
+It has the attributes of `filterpy.kalman.ExtendedKalmanFilter` with the same meaning: ``x``, ``P``, ``F``, ``Q``,
+``x_prior``, ``P_prior``, ``x_post``, ``P_post``, ``K``, ``y``, ``S``, ``SI``, ``R``. Results agree with filterpy's
+(tests require 1e-12). filterpy 2.0 itself is not used, because
 
-- ``update`` with None keeps the innovation of the measurement before, so a gate that reads it judges the wrong one;
-- a NaN measurement turns state and covariance into NaN for good;
-- each update makes a deep copy of the measurement and calls a general matrix inverse, for a scalar; each
-  prediction copies what nobody writes into;
-- rounding lets the covariance lose its symmetry over millions of steps;
+- ``update`` with None keeps the innovation of the measurement before, so a gate would use the wrong one;
+- a NaN measurement makes state and covariance NaN for good;
+- each update copies the measurement and inverts a general matrix, for a scalar; each prediction makes needless
+  copies;
+- rounding makes the covariance asymmetric over millions of steps;
 - importing it imports ``scipy.stats``, which takes half a second and a third of an estimator's memory.
 
-`fusion.estimator.filterpy_ekf` makes a filter of filterpy's class of it, to inspect. State and covariance are
-replaced, never written into, so that a snapshot of the filter is two references.
+`fusion.estimator.filterpy_ekf` converts the filter to filterpy's class for inspection. State and covariance arrays
+are replaced, never modified, so a snapshot of the filter is two references.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SQUARE = (N_STATES, N_STATES)
 class CorridorEKF:
     """Filter over the state of `fusion.estimator.models`, for scalar measurements.
 
-    Every change of the state goes through its methods, which note it for the smoother in ``nodes``.
+    Every change of the state goes through its methods, which record it for the smoother in ``nodes``.
 
     Parameters
     ----------
@@ -51,15 +51,15 @@ class CorridorEKF:
         self.F, self.Q = np.eye(N_STATES), np.eye(N_STATES)
         self.K, self.y = np.zeros((N_STATES, 1)), np.zeros(1)
         self.S, self.SI, self.R = np.eye(1), np.eye(1), np.eye(1)
-        self._Q = np.empty(_SQUARE)  # of the process model; written again in each step, for nobody keeps it
+        self._Q = np.empty(_SQUARE)  # of the process model; reused in each step
         _compile()
 
     def load(self, x: FloatArray, P: FloatArray) -> None:
-        """Go on from a state (3,) and covariance (3, 3), with no steps noted yet."""
+        """Continue from a state (3,) and covariance (3, 3), with no recorded steps."""
         self.x, self.P, self.nodes = x, P, []
 
     def predict(self, x_next: FloatArray, F: FloatArray, Q: FloatArray) -> None:
-        """Move to ``x_next`` (3,), with ``F`` its derivative and ``Q`` the noise gained."""
+        """Predict: the state becomes ``x_next`` (3,), the covariance F P F' + Q."""
         P = np.empty_like(self.P)
         predicted(self.P, F, Q, P)
         self.move_to(x_next, F, Q, P)
@@ -73,16 +73,16 @@ class CorridorEKF:
     def advance(
         self, dt_s: float, turned_rad: float, noise: ProcessNoise, heading_variance: float = 0.0
     ) -> None:
-        """Move by the process model, discretised exactly.
+        """Predict by the process model, discretised exactly.
 
         Parameters
         ----------
         dt_s, turned_rad
-            Length of the step, and by how much the level frame turned in it (bias included).
+            Length of the step, and the turn of the level frame in it (bias not subtracted).
         noise
-            Continuous noise.
+            Densities of the process noise.
         heading_variance
-            Further variance of the heading gained in the step, rad^2 (a gap in the gyroscope).
+            Additional variance of the heading in this step, rad^2 (a gap in the gyroscope's samples).
         """
         x, F, P, Q = np.empty(N_STATES), np.empty(_SQUARE), np.empty(_SQUARE), self._Q
         stepped(self.x, self.P, x, F, Q, P, dt_s, turned_rad, *noise, heading_variance)
@@ -91,22 +91,22 @@ class CorridorEKF:
     def update(
         self, measurement: ScalarMeasurement | None, gate_sigma: float = float("inf"), R: float | None = None
     ) -> Gate:
-        """Take in one scalar measurement unless it fails the gate.
+        """Update with one scalar measurement unless the gate rejects it.
 
         Parameters
         ----------
         measurement
-            Residual, H and the variance that the gate expects; None counts as rejected.
+            Residual, H and the variance used by the gate; None counts as rejected.
         gate_sigma
             Residuals beyond this many standard deviations are rejected; so are those that are not finite.
         R
-            Variance to update with where it differs from the gate's (correlated errors).
+            Variance used by the update, if it differs from the gate's (correlated errors).
 
         Returns
         -------
         Gate
-            With NaN where there was nothing to judge. After a rejection ``y`` and ``S`` hold the rejected
-            innovation, x and P are untouched.
+            With NaN if there was no valid measurement. After a rejection ``y`` and ``S`` hold the rejected
+            innovation; x and P are unchanged.
         """
         if measurement is None or not isfinite(measurement.residual) or not measurement.R > 0.0:
             self.y[0] = np.nan
@@ -126,11 +126,11 @@ class CorridorEKF:
         return Gate(True, residual, ratio, expected + gate_variance)
 
     def correct(self, x: FloatArray) -> None:
-        """Take a state (3,) that a measurement implies beside its update; the covariance stays."""
+        """Replace the state (3,) as part of a measurement update; the covariance is kept."""
         self._measured(x, self.P)
 
     def move_to(self, x: FloatArray, F: FloatArray, Q: FloatArray, P: FloatArray) -> None:
-        """Take over a prediction: state (3,) and covariance (3, 3) after it, its transition and noise (3, 3)."""
+        """Adopt a prediction: state (3,) and covariance (3, 3) after it, its transition and noise (3, 3)."""
         self.F, self.Q = F, Q
         self.x = self.x_prior = x
         self.P = self.P_prior = P
@@ -145,10 +145,10 @@ class CorridorEKF:
 
 @cache
 def _compile() -> None:
-    """Compile, or load what was compiled, when a filter is made: not at its first sample, in flight."""
+    """Compile the filter's kernels, or load them from the cache, before the first sample."""
     x, P = np.zeros(N_STATES), np.eye(N_STATES)
     H = x.copy()
-    H.setflags(write=False)  # as those of the models are: to the compiler another type
+    H.setflags(write=False)  # as in the models: a read-only array is another type for the compiler
     predicted_variance(P, H)
     updated(x, P, H, 0.0, 1.0, x.copy(), P.copy(), np.zeros((N_STATES, 1)))
     predicted(P, P, P, P.copy())

@@ -1,9 +1,9 @@
-"""The estimator for samples in order of time: takes a state and a sample, returns the next state, keeps nothing.
+"""One step of the estimator: takes a state and the next sample in order of time, returns the next state.
 
-The engine only orders the parts: for each kind of sample, which of them act, one after another. Each part has its own
-module, with its share of `fusion.estimator.state.State`; all correct one filter,
-`fusion.estimator.ekf.CorridorEKF`, which the engine hands to them. `fusion.estimator.timeline` brings samples into
-order.
+The engine holds no history: its result depends only on state and sample. For each kind of sample it calls the parts
+in a fixed order: propagation, then the measurement update. Each part has a module of its own and owns a field of
+`fusion.estimator.state.State`. All of them update one extended Kalman filter, `fusion.estimator.ekf.CorridorEKF`,
+with the state and models of `fusion.estimator.models`. `fusion.estimator.timeline` sorts the samples.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import numpy as np
 
 from fusion.estimator import junctions
 from fusion.estimator import tilt as tilts
-from fusion.estimator.axis_drift import SeenHeading, diagnosed
+from fusion.estimator.axis_drift import MeasuredHeading, with_diagnosis
 from fusion.estimator.camera_delay import (
     Delay,
     DelayedInnovation,
     FrameHeading,
+    initial_delay,
     innovation_of,
     learn_delay,
     turned_since_exposure,
-    unknown_delay,
     with_axis,
     with_turns,
 )
@@ -60,7 +60,7 @@ from fusion.estimator.models import (
     heading_model,
     level_yaw_rate,
 )
-from fusion.estimator.noise_adaptation import Doubt, correlation, update_with_doubt
+from fusion.estimator.noise_adaptation import ErrorModel, correlation, update_robustly
 from fusion.estimator.propagation import (
     UNKNOWN_HEADING_STD_RAD,
     DeadReckoning,
@@ -80,18 +80,18 @@ from vision.rotations import wrap, wrap_axis, yaw_of_quaternion
 if TYPE_CHECKING:
     from fusion.estimator.filterpy_ekf import FilterpyEKF
 
-OUTLIER_DENSITY = 1 / pi  # an outlying heading may be any
+OUTLIER_DENSITY = 1 / pi  # 1/rad: outlying headings are uniform over half a turn
 
 
 class Engine:
-    """Takes samples in order of time; what it does depends on nothing but state and sample.
+    """Processes samples in order of time; the result depends only on state and sample.
 
     Parameters
     ----------
     config
         Settings.
     camera_arm_m
-        How far the camera sits ahead and right of the body's centre.
+        Position of the camera ahead and right of the body's centre, metres.
     """
 
     def __init__(self, config: FusionConfig, camera_arm_m: tuple[float, float] = (0.0, 0.0)) -> None:
@@ -110,32 +110,32 @@ class Engine:
         reckoning = DeadReckoning(stored_gyro_bias=(0.0, self.config.gyro_bias_std_rad_s**2))
         P = np.diag([s**2 for s in std])
         lateral = Lateral(model=offset_model(self.config))
-        return State(np.zeros(N_STATES), P, reckoning, lateral=lateral, delay=unknown_delay(self.config))
+        return State(np.zeros(N_STATES), P, reckoning, lateral=lateral, delay=initial_delay(self.config))
 
     def filterpy_ekf(self) -> FilterpyEKF:
-        """Return the filter to look at, which is worked with from the first call on."""
-        from fusion.estimator.filterpy_ekf import FilterpyEKF  # slow and large: only who looks pays
+        """Return the filter as one of filterpy's class; the engine uses that object from the first call on."""
+        from fusion.estimator.filterpy_ekf import FilterpyEKF  # slow and large: load it on demand
 
         if not isinstance(self.ekf, FilterpyEKF):
             self.ekf = FilterpyEKF(self.ekf)
         return self.ekf
 
     def offset_model(self, state: State) -> OffsetModel:
-        """Return what the lateral offset's filter assumes."""
+        """Return the model parameters of the lateral offset's filter."""
         return self._lateral.model_of(state.lateral)
 
-    def forgotten(self, s: State) -> State:
-        """Return the state before any sample, with the numbers of resets of another one, counted up."""
+    def reset_state(self, s: State) -> State:
+        """Return the initial state; it continues the reset counts of ``s``."""
         initial, old = self.initial_state(), s.lateral
         axis = CorridorAxis(reset_count=s.axis.reset_count + 1)
         lateral = initial.lateral._replace(last_known=old.last_known, reset_count=old.reset_count)
         return initial._replace(axis=axis, lateral=lateral)
 
     def predicted(self, s: State, t_ns: int) -> State:
-        """Move a state to a time of which no sample tells, later than its own; the filter stays as it is.
+        """Predict a state to a later time without a sample; the filter itself is not changed.
 
-        The heading turns with the last rate; its variance grows by the process noise and by what the rate may have
-        changed since it was measured. The lateral offset moves by its rate and the last acceleration.
+        The heading turns at the last rate; its variance grows by the process noise and by the possible change of the
+        rate since it was measured. The lateral offset moves by its rate and the last acceleration.
         """
         if s.t_ns is None or t_ns <= s.t_ns:
             return s
@@ -188,7 +188,7 @@ class Engine:
             return 0
         run = GyroRun(s, good, before, self._propagation)
         for place in range(run.count):
-            entries[place].follow(run, place)
+            entries[place].use_replay(run, place)
         if run.count:
             last = run.count - 1
             self.ekf.load(s.x, s.P)
@@ -213,7 +213,7 @@ class Engine:
             velocity=s.velocity.clock_set_back(),
             width=s.width.clock_set_back(),
             axis=s.axis.clock_set_back(),
-            lateral=s.lateral.unknown_again(),
+            lateral=s.lateral.without_offset(),
             frames=s.frames.clock_set_back(),
             delay=None if s.delay is None else s.delay.interrupted(),
             checks=s.checks.clock_set_back(),
@@ -222,7 +222,7 @@ class Engine:
         )
 
     def expected_frame(self, s: State, t_ns: int) -> Prior:
-        """Return what the filter expects of a frame now, as a frame would see it."""
+        """Return the predicted measurement of a frame at this time."""
         x, P, d = s.x, s.P, s.reckoning
         psi = float(x[PSI]) - turned_since_exposure(s.delay, float(x[BIAS]), t_ns, d.raw_theta_rad)
         offset = offset_std = nan
@@ -255,7 +255,7 @@ class Engine:
             if not judged.is_used:
                 return self._propagated_to(s, t_ns, s.frames)._replace(checks=checks)
             if judged.verdict is GyroVerdict.CONFIRMED:
-                s = self._with_rate_since(s, rate_that_bridges(before, sample))
+                s = self._with_bridging_rate(s, rate_that_bridges(before, sample))
         if known is None:
             gyro = self._propagation.mean_gyro(s.reckoning, sample)
             tilt = tilts.with_imu(s.tilt, t_ns, gyro, sample.accel_m_s2)
@@ -273,8 +273,8 @@ class Engine:
         x, P = self.ekf.x, self.ekf.P
         return s.moved(x, P, d, lateral, delay, tilt=tilt, imu_yaw=s.imu_yaw, frames=s.frames, checks=checks)
 
-    def _with_rate_since(self, s: State, gyro_rad_s: Vector) -> State:
-        """Take this for the rate at the last gyroscope sample."""
+    def _with_bridging_rate(self, s: State, gyro_rad_s: Vector) -> State:
+        """Replace the rate at the last gyroscope sample, so that the next trapezoid covers the rejected samples."""
         rate = level_yaw_rate(gyro_rad_s, s.tilt.down)
         return s._replace(reckoning=s.reckoning._replace(gyro_rad_s=gyro_rad_s, rate_rad_s=rate))
 
@@ -305,15 +305,15 @@ class Engine:
     def _seeded(self, s: State, seed: HeadingSeed) -> State:
         s = self._propagated_to(s, seed.t_ns, s.frames)
         turn_rad = abs(wrap(seed.heading_rad - float(self.ekf.x[PSI])))
-        if turn_rad > self.config.junction_min_turn_rad:  # the other way round, or along another corridor
-            s = s._replace(lateral=s.lateral.unknown_again())
+        if turn_rad > self.config.junction_min_turn_rad:  # facing the other way, or along another corridor
+            s = s._replace(lateral=s.lateral.without_offset())
         axis = seed_heading(s.axis, self.ekf, seed, s.reckoning.theta_rad, s.imu_yaw.corrects_heading)
         return s._replace(axis=axis, imu_yaw=s.imu_yaw.axis_changed(), x=self.ekf.x, P=self.ekf.P)
 
     def _with_set_width(self, s: State, sample: WidthChange) -> State:
         s = self._propagated_to(s, sample.t_ns, s.frames)
         lateral = self._lateral.with_set_width(s.lateral, sample.width_m)
-        return s._replace(width=s.width.told(sample.width_m), lateral=lateral)
+        return s._replace(width=s.width.with_set_width(sample.width_m), lateral=lateral)
 
     def _frame(self, s: State, sample: FrameSample) -> tuple[State, FrameResult]:
         lateral = s.frames.begins_period(sample.t_ns, self.config.lateral_rate_hz)
@@ -333,7 +333,7 @@ class Engine:
             m = measure_with_prior(sample.measure, attitude, prior, psi_rad, lateral, self.config)
         reason = reason_to_reject(m, self.config)
         if reason is not Reason.OK:
-            if s.axis.acquired and not m.accepted and m.offset_evidence:  # about the axis that was expected
+            if s.axis.acquired and not m.accepted and m.offset_evidence:  # relative to the predicted axis
                 half_m = s.width.half_m(self.config)
                 s = s._replace(lateral=self._lateral.fused(s.lateral, self.ekf.x, sample.t_ns, m, half_m))
             return s, FrameResult(sample.stamp_ns, m, False, reason)
@@ -357,7 +357,7 @@ class Engine:
         return self._lateral.propagated(s.lateral, step)
 
     def _propagated_to(self, s: State, t_ns: int, frames: SampleTimes) -> State:
-        """Propagate to a sample that tells nothing of the heading's rate; ``frames`` came by then."""
+        """Propagate to a sample that does not measure the yaw rate; ``frames`` are the frames' times up to it."""
         lateral = self._lateral_propagated(s, t_ns, s.tilt.down)
         d = self._propagation.hold(s.reckoning, self.ekf, t_ns)
         delay = self._delay_in_mode(s, d)
@@ -367,31 +367,31 @@ class Engine:
         )
 
     def _delay_in_mode(self, s: State, d: DeadReckoning) -> Delay | None:
-        """Start the delay's dead reckoning anew where something else carries the heading now."""
+        """Restart the delay's dead reckoning if another source propagates the heading now."""
         if s.delay is None or d.mode is s.reckoning.mode:
             return s.delay
         return s.delay.interrupted()
 
     def _with_axis_checked(self, s: State, sample: FrameSample) -> State:
-        """Let go of an axis that is lost, and of what the gyroscope or the frame's stamp no longer bears out."""
+        """Drop an axis that is lost, and evidence that gyroscope or frame stamps no longer support."""
         axis, d = s.axis, s.reckoning
         if axis.acquired and float(self.ekf.P[PSI, PSI]) > self.config.lost_heading_std_rad**2:
             axis = axis.lost()
-        if axis.stamps_doubted != (sample.stamp_std_s > 0.0):
-            axis = axis._replace(stamps_doubted=sample.stamp_std_s > 0.0)
-        if d.mode is not Mode.GYRO:  # without it, nothing says who is wrong
+        if axis.stamps_suspect != (sample.stamp_std_s > 0.0):
+            axis = axis._replace(stamps_suspect=sample.stamp_std_s > 0.0)
+        if d.mode is not Mode.GYRO:  # without a gyroscope the faulty sensor cannot be isolated
             axis = axis._replace(
-                diagnosis=axis.diagnosis.started_anew(), frame_noise=axis.frame_noise.interrupted()
+                diagnosis=axis.diagnosis.restarted(), frame_noise=axis.frame_noise.interrupted()
             )
-        more_gyro_noise = (axis.frame_noise.gyro_scale - 1.0) * self.config.gyro_noise**2
-        if more_gyro_noise != d.more_gyro_noise:
-            d = d._replace(more_gyro_noise=more_gyro_noise)
+        extra_gyro_noise = (axis.frame_noise.gyro_scale - 1.0) * self.config.gyro_noise**2
+        if extra_gyro_noise != d.extra_gyro_noise:
+            d = d._replace(extra_gyro_noise=extra_gyro_noise)
         return s if axis is s.axis and d is s.reckoning else s._replace(axis=axis, reckoning=d)
 
     def _fuse_heading(
         self, s: State, sample: FrameSample, m: FrameMeasurement, attitude: Attitude | None
     ) -> tuple[State, FrameResult]:
-        """Gate a frame's heading and take it in, or keep it as a vote for another axis."""
+        """Update with a frame's heading if it passes the gate, or keep it as a vote for another axis."""
         s = self._with_axis_checked(s, sample)
         c, ekf, t_ns, d, axis = self.config, self.ekf, sample.t_ns, s.reckoning, s.axis
         interval_s = s.frames.interval_s
@@ -409,28 +409,30 @@ class Engine:
         if delay is not None:
             delay = with_axis(delay, ekf, t_ns, d.raw_theta_rad, axis.reset_count)
             by_delay = innovation_of(delay, ekf, t_ns, d.raw_theta_rad)
-        doubt = Doubt(
+        error_model = ErrorModel(
             axis.gate_sigma(c),
             rho,
             OUTLIER_DENSITY,
-            more_variance=by_delay.variance,
+            extra_variance=by_delay.variance,
             scale=scale,
             rejected_share=axis.diagnosis.rejected_share,
         )
-        gate, noise = update_with_doubt(ekf, measurement, axis.noise, doubt)
+        gate, noise = update_robustly(ekf, measurement, axis.noise, error_model)
         axis = axis._replace(noise=noise, gate=gate)
-        axis = axis.followed(t_ns, heading, sqrt(variance), d, gate.accepted, interval_s, c.imu_yaw_std_rad)
+        axis = axis.with_seen_heading(
+            t_ns, heading, sqrt(variance), d, gate.accepted, interval_s, c.imu_yaw_std_rad
+        )
         result = (gate.residual, gate.test_ratio)
         if d.mode is Mode.GYRO:
             clipped_ns = s.checks.gyro.clipped_ns
-            seen = SeenHeading(t_ns, heading, variance, rho, interval_s, sample.stamp_std_s, clipped_ns)
-            axis, followed = diagnosed(axis, ekf, d, seen, s.imu_yaw.corrects_heading, c)
+            seen = MeasuredHeading(t_ns, heading, variance, rho, interval_s, sample.stamp_std_s, clipped_ns)
+            axis, followed = with_diagnosis(axis, ekf, d, seen, s.imu_yaw.corrects_heading, c)
             if followed is not None:
                 s = s._replace(axis=followed, delay=delay, x=ekf.x, P=ekf.P)
                 return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
         if not gate.accepted:
             vote = (t_ns, d.theta_rad - heading, sqrt(variance))
-            axis = axis.voted(*vote, axis.recent[-1].linked, interval_s)
+            axis = axis.with_vote(*vote, axis.recent[-1].linked, interval_s)
             s = self._follow_votes(s._replace(axis=axis, delay=delay), t_ns)
             return s, FrameResult(sample.stamp_ns, m, False, Reason.GATE, *result)
         if delay is not None and d.mode is Mode.GYRO:
@@ -442,8 +444,8 @@ class Engine:
         return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
 
     def _with_accepted(self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None) -> State:
-        """Use the rest of a frame whose heading has corrected the filter, and the filter's new state."""
-        lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
+        """Use the other measurements of an accepted frame, and store the filter's new state."""
+        lateral, width, elevation = self._fuse_other_measurements(s, t_ns, m, attitude)
         checks = s.checks
         if attitude is not None:
             std_rad = hypot(m.elevation_std_rad, attitude.std_rad)
@@ -463,41 +465,41 @@ class Engine:
         heading_rad: float,
         std_rad: float,
     ) -> State:
-        """Take a frame for the axis that is looked for; where it is found with it, use the rest of the frame too."""
+        """Add a frame to the search for an axis; if that acquires one, use the frame's other measurements too."""
         ekf, d, interval_s = self.ekf, s.reckoning, s.frames.interval_s
-        axis = s.axis.voted(t_ns, d.theta_rad - heading_rad, std_rad, False, interval_s)
+        axis = s.axis.with_vote(t_ns, d.theta_rad - heading_rad, std_rad, False, interval_s)
         axis = start(axis, ekf, t_ns, d.theta_rad, s.imu_yaw.corrects_heading, self.config, d.mode)
-        axis = axis.followed(
+        axis = axis.with_seen_heading(
             t_ns, heading_rad, std_rad, d, axis.acquired, interval_s, self.config.imu_yaw_std_rad
         )
         s = s._replace(axis=axis)
         if not axis.acquired:
             return s
-        lateral, width, elevation = self._fuse_rest(s, t_ns, m, attitude)
+        lateral, width, elevation = self._fuse_other_measurements(s, t_ns, m, attitude)
         return s._replace(lateral=lateral, width=width, elevation=elevation, x=ekf.x, P=ekf.P)
 
-    def _fuse_rest(
+    def _fuse_other_measurements(
         self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None
     ) -> tuple[Lateral, Width, Elevation]:
-        """Use the rest of a frame whose heading was accepted: lateral offset, width, elevation of the camera."""
+        """Use an accepted frame's other measurements: lateral offset, corridor width, elevation of the camera."""
         width = s.width.with_frame(t_ns, m.width_per_height)
         lateral = self._lateral.fused(s.lateral, self.ekf.x, t_ns, m, width.half_m(self.config))
         return lateral, width, s.elevation.with_frame(m, attitude)
 
     def _follow_votes(self, s: State, t_ns: int) -> State:
-        """Do what the votes against the present axis mean, if enough of them agree."""
+        """Recover the heading or enter another corridor if enough votes against the present axis agree."""
         c, ekf, theta_rad = self.config, self.ekf, s.reckoning.theta_rad
         corrects_heading = s.imu_yaw.corrects_heading
         axis, found = junctions.decide(
             s.axis, float(ekf.x[PSI]), sqrt(float(ekf.P[PSI, PSI])), t_ns, theta_rad, s.frames.interval_s, c
         )
         if found is None:
-            return s._replace(axis=axis)  # the gate has left the filter as it was
+            return s._replace(axis=axis)  # the gate rejected the heading: the filter is unchanged
         imu_yaw = s.imu_yaw.axis_changed()
         if isinstance(found, Recovery):
             axis = recover(axis, ekf, found, t_ns, theta_rad, corrects_heading)
             return s._replace(axis=axis, imu_yaw=imu_yaw, x=ekf.x, P=ekf.P)
-        lateral = s.lateral.unknown_again()
+        lateral = s.lateral.without_offset()
         crossing = junctions.Crossing(corrects_heading, lateral.n_used)
         axis = junctions.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
         width = s.width.corridor_changed()

@@ -1,4 +1,4 @@
-"""Makes an `Estimate` of a state and a time: status, reasons, faults. Pure functions."""
+"""Builds the published `Estimate` from a state and a time: values, status, reasons and faults. Pure functions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from fusion.estimator.state import Sample, State
 
 
-MAX_REJECTED_SHARE = 0.5  # of the last frames, beyond which they are rejected
+MAX_REJECTED_SHARE = 0.5  # of the frames of the last half second; beyond it the heading is coasting
 CONTESTED = {
     Hypothesis.WELL: "contested: the frames' headings are biased against the prediction",
     Hypothesis.GYRO: "contested: frames drift against the gyroscope",
@@ -46,7 +46,7 @@ CONTESTED = {
 
 
 class Status(StrEnum):
-    """How far the heading can be relied on; the words of the ``status`` column."""
+    """Reliability of the heading; the values of the ``status`` column."""
 
     INITIALISING = "initialising"  # no heading yet
     TRACKING = "tracking"  # recent frames confirm it
@@ -64,11 +64,11 @@ class Estimate:
     Parameters
     ----------
     timestamp_ns
-        Time to which the estimate is predicted: that of the newest sample, or the later one that was asked for.
+        Time to which the estimate is predicted: that of the newest sample, or the requested later time.
     heading_rad, heading_std_rad
         Relative to the corridor being flown, positive turned right, in [-pi, pi).
     lateral_offset_m, lateral_offset_std_m, lateral_offset_norm, lateral_offset_norm_std
-        Right of the centre line; in metres where the width is known, and over half the width.
+        Right of the centre line; in metres if the width is known, and in half widths.
     position
         left, centre or right; empty where unknown.
     yaw_rate_rad_s, gyro_bias_rad_s
@@ -76,36 +76,36 @@ class Estimate:
     imu_yaw_offset_rad
         The IMU's yaw minus the heading in the first corridor's frame.
     corridor_index, corridor_turn_rad
-        0 for the first corridor; angle of the present one's axis from the first one's, positive right.
+        0 for the first corridor; angle from the first corridor's axis to the present one's, positive right.
     status, vision_age_s
-        A `Status`; time since the last frame that was used, or the heading that was seeded.
+        A `Status`; time since the last frame that was used or the last seeded heading.
     reason
         Reason for the status, or a fault while tracking; empty if there is none.
     gyro_age_s, attitude_age_s, lateral_age_s
         Time since the last sample of each, and since the last lateral offset used.
     heading_test_ratio, lateral_test_ratio, imu_yaw_test_ratio
-        Last innovation of each, squared over gate squared. Heading and IMU yaw are rejected above 1; the lateral
-        offset never is: its ratio is only reported.
+        Last innovation of each, squared over gate squared. Heading and IMU yaw are rejected above 1. The lateral
+        offset is never rejected; its ratio is only reported.
     lateral_velocity_norm_s, lateral_velocity_norm_s_std, lateral_velocity_m_s, lateral_velocity_std_m_s
         Rate of the lateral offset: from heading and speed, if there is a velocity stream, and from drift. In half
-        widths per second, and in metres per second where the width is known.
+        widths per second, and in metres per second if the width is known.
     along_velocity_m_s
-        Speed along the corridor in the sense of its axis, from the velocity stream; NaN without.
+        Speed along the corridor, positive in the direction of its axis, from the velocity stream; NaN without one.
     reset_count, reset_heading_rad, reset_heading_total_rad
-        How often the heading jumped (into another corridor, by a recovery, after loss or a gap, by a late sample that
-        changed a published estimate, by a seed or a reset), the last jump (new minus old), and the sum of all jumps.
-        A controller that needs continuity subtracts the jump when the count increases or, since several may lie
-        between two calls, the sum: heading less sum is continuous, modulo a turn. The count never decreases.
-        Corrections below 2 degrees do not count.
+        Number of jumps of the heading (another corridor, a recovery, the first heading after loss or a gap, a late
+        sample that changed a published estimate, a seed or a reset), the last jump (new minus old), and the sum of
+        all jumps. A controller that needs continuity subtracts the sum: heading less sum is continuous, modulo a
+        turn, even if several jumps lie between two calls. The count never decreases. Corrections below 2 degrees do
+        not count.
     lateral_reset_count, reset_lateral_norm, reset_lateral_m, reset_lateral_total_norm
-        The same for the lateral offset; its jump is from the last known one to the first one known again.
+        The same for the lateral offset; after a gap, its jump is from the last known offset to the next known one.
     roll_rad, pitch_rad
         The tilt in use.
     camera_delay_s, camera_delay_std_s
-        Delay of the frames' time stamps, as configured or as estimated; sigma is NaN where it is not estimated.
+        Delay of the frames' time stamps, as configured or as estimated; sigma is NaN if it is not estimated.
     lateral_status, lateral_probability
-        A `LateralStatus`; the probability that the offset is within 0.1 half widths of the likeliest hypothesis,
-        whether it is reported or not.
+        A `LateralStatus`; the probability that the offset is within 0.1 half widths of the most probable hypothesis,
+        whether or not the offset is reported.
     faults
         The faults in ``reason`` as a bit field, see `fusion.estimator.faults.Fault`.
     """
@@ -170,18 +170,18 @@ def status_of(
     heading_std_rad: float,
     arrivals: ArrivalTimes | None = None,
 ) -> Status:
-    """Status at a time.
+    """Return the status at a time.
 
-    The usual latency is allowed for: if frames always arrive 0.3 s late, they are not reported missing earlier.
+    The usual latency is allowed for: frames that always arrive 0.3 s late are not reported missing before that.
 
     Parameters
     ----------
     state
-        Of the estimator.
+        State of the estimator.
     config
         Settings.
     t_ns
-        When; not before the state.
+        Time, nanoseconds; not before the state.
     heading_std_rad
         Standard deviation of the heading.
     arrivals
@@ -208,7 +208,7 @@ def notices_of(
     heading_std_rad: float,
     arrivals: ArrivalTimes | None = None,
 ) -> list[Notice]:
-    """Reasons for the status, and sources that have fallen silent, whatever it is. Arguments as in `status_of`."""
+    """Return the reasons for the status, and all faults of other sources. Arguments as in `status_of`."""
     axis, clocks = state.axis, [] if arrivals is None else list(arrivals.notices())
     status = status_of(state, config, t_ns, heading_std_rad, arrivals)
     if status is Status.INITIALISING:
@@ -219,7 +219,7 @@ def notices_of(
     age, limit = seconds_since(seen_ns, axis.t_vision_ns), state.frames.age_limit_s(config)
     notices = []
     if status is Status.TRACKING:
-        contested = axis.diagnosis.told
+        contested = axis.diagnosis.reported
         if contested is not None and seconds_since(t_ns, contested.t_ns) < CONTESTED_S:
             notices.append(Notice(Fault.HEADING_CONTESTED, CONTESTED[contested.hypothesis]))
         if state.lateral.contradicted:
@@ -230,27 +230,27 @@ def notices_of(
         notices.append(Notice(Fault.HEADING_UNCERTAIN, "heading is too uncertain"))
     else:
         silent = age > limit and state.frames.is_silent(seen_ns, config)
-        told = "no frames arrive" if silent else "frames are rejected"
+        text = "no frames arrive" if silent else "frames are rejected"
         if status is Status.LOST:
-            told = f"no usable frame for {age:.0f} s"
-        notices.append(Notice(Fault.FRAMES_SILENT if silent else Fault.FRAMES_REJECTED, told))
+            text = f"no usable frame for {age:.0f} s"
+        notices.append(Notice(Fault.FRAMES_SILENT if silent else Fault.FRAMES_REJECTED, text))
     if (frozen := state.checks.repeats.notice()) is not None:
         notices = [n for n in notices if n.fault is not Fault.FRAMES_REJECTED] + [frozen]
     if clocks:  # frames do arrive, with unusable stamps
         notices = [n for n in notices if n.text != "no frames arrive"] + clocks
-    return [*notices, *_of_sensors(state, config, t_ns, arrivals)]
+    return [*notices, *_sensor_notices(state, config, t_ns, arrivals)]
 
 
 def _seen_ns(state: State, t_ns: int, arrivals: ArrivalTimes | None) -> int:
-    """Time up to which frames are known to have come or not."""
+    """Return the time up to which a missing frame is known to be missing: now, less the frames' latency."""
     latency_ns = 0 if arrivals is None else arrivals.latency_ns(FrameSample)
     return t_ns if not latency_ns else max(t_ns - latency_ns, state.frames.last_ns or 0)
 
 
-def _of_sensors(
+def _sensor_notices(
     state: State, config: FusionConfig, t_ns: int, arrivals: ArrivalTimes | None
 ) -> Iterator[Notice]:
-    """Yield the faults of all sources but the camera: silent sources, gyroscope, installation."""
+    """Yield the faults of all sources except the camera: silent sources, gyroscope, installation."""
 
     def due_ns(kind: type[Sample]) -> int:
         return t_ns if arrivals is None else t_ns - arrivals.latency_ns(kind)
@@ -275,10 +275,9 @@ def estimate_of(
     arrivals: ArrivalTimes | None = None,
     resets: Resets | None = None,
 ) -> Estimate:
-    """Report a state, at its own time or (ages and status only) at a later one.
+    """Report a state at its own time; ages and status may be those at a later time.
 
-    ``arrivals`` as in `status_of`; ``resets`` are the steps that were published, None for those of the state, which
-    knows no sums.
+    ``arrivals`` as in `status_of`; ``resets`` are the published jumps. None: those of the state, without sums.
     """
     resets = _resets_of(state) if resets is None else resets
     if state.t_ns is None:
@@ -286,7 +285,7 @@ def estimate_of(
             0 if t_ns is None else t_ns,
             reason="no sample yet",
             faults=Fault.NOT_STARTED,
-            **_steps(resets),
+            **_reset_fields(resets),
         )
     t = state.t_ns if t_ns is None else t_ns
     reckoning, axis, lateral, half = state.reckoning, state.axis, state.lateral, state.width.half_m(config)
@@ -335,20 +334,20 @@ def estimate_of(
         lateral_status=str(found.status),
         lateral_probability=found.probability,
         faults=reduce(or_, (notice.fault for notice in notices), Fault.NONE),
-        **_steps(resets),
+        **_reset_fields(resets),
     )
 
 
 def heading_of(state: State) -> tuple[float, float]:
-    """Heading and its standard deviation."""
+    """Return the heading and its standard deviation."""
     if not state.axis.ever_acquired:
         return _provisional_heading(state)
     std = sqrt(float(state.P[PSI, PSI]))
     return float(state.x[PSI]), std if state.t_ns is None else spread_by_delay(std, state.delay, state.t_ns)
 
 
-def _steps(resets: Resets) -> dict[str, Any]:
-    """Return the fields of an `Estimate` that report steps."""
+def _reset_fields(resets: Resets) -> dict[str, Any]:
+    """Return the fields of an `Estimate` that report jumps."""
     return {
         "reset_count": resets.heading_count,
         "reset_heading_rad": resets.heading_rad,
@@ -367,7 +366,7 @@ def _resets_of(state: State) -> Resets:
 
 
 def _provisional_heading(state: State) -> tuple[float, float]:
-    """Heading before the start is settled: what the frames so far say, with a wide sigma."""
+    """Return a heading before acquisition: the median of the frames so far, with a wide sigma."""
     votes = state.axis.votes
     if not votes:
         return nan, nan

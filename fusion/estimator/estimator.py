@@ -1,4 +1,9 @@
-"""The streaming estimator: a vehicle's program calls it once per sample, and so does the offline path."""
+"""The streaming estimator: the public class that live programs and the offline path call once per sample.
+
+Each sample is checked (`input_checks`), its time stamp is admitted (`arrivals`), and the sample is inserted into the
+`timeline`, which passes samples to the `engine` in order of time and replays them after a late one. Estimates come
+from the state after the newest sample (`estimate`).
+"""
 
 from __future__ import annotations
 
@@ -24,7 +29,7 @@ from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.input_checks import (
     checked_config,
     checked_measurement,
-    finite_or_not,
+    float_list,
     number,
     vector,
     whole_nanoseconds,
@@ -49,8 +54,8 @@ if TYPE_CHECKING:
     from vision.lines.line_set import LineSet
 
 CLOCK_RESET_SAMPLES = 50
-MAX_BEHIND_S = 1.0  # of the caller's clock behind the newest sample
-MAX_AHEAD_NS = 500_000_000  # that a state may be predicted: beyond, the last rate says little
+MAX_BEHIND_S = 1.0  # largest lag of the caller's clock behind the newest sample
+MAX_AHEAD_NS = 500_000_000  # longest prediction: beyond it the last rate is no longer valid
 
 __all__ = ["CorridorEstimator", "Estimate", "FrameResult", "Status"]
 
@@ -58,11 +63,11 @@ __all__ = ["CorridorEstimator", "Estimate", "FrameResult", "Status"]
 class CorridorEstimator:
     """Heading and lateral offset from gyroscope, attitude and camera, sample by sample.
 
-    Samples may arrive out of order and up to ``config.buffer_s`` late; the result is bit for bit that of samples in
-    order. Samples that are later than that, repeated or not finite are counted in `counters` and otherwise ignored. A
-    stamp far ahead of the IMU's clock is ignored until the next one confirms it. Status and reason take the delay of
-    the sources into account: they report wrong clocks, and allow more time before a source that is always late counts
-    as silent. Rejected frames, resets and changes of status are logged, see `fusion.estimator.events`.
+    Samples may arrive out of order and up to ``config.buffer_s`` late; the result is bit-identical to that of samples
+    in order. Samples that are later than that, repeated or not finite are counted in `counters` and otherwise
+    ignored. A stamp far ahead of the IMU's clock is ignored until the next one confirms it. Status and reason take
+    the latency of the sources into account: they report wrong clocks, and a source that is always late counts as
+    silent later. Rejected frames, resets and changes of status are logged, see `fusion.estimator.events`.
 
     Not thread-safe: call it from one thread. Lines can be extracted in another one (`vision.extract_lines`).
 
@@ -75,7 +80,7 @@ class CorridorEstimator:
     method
         ``geometric``, or ``paper`` for the article's measurement.
     on_final
-        Called with each `fusion.estimator.state.Entry` that no late sample can change any more, in order of time.
+        Called, in order of time, with each `fusion.estimator.state.Entry` that has left the buffer and is final.
 
     Raises
     ------
@@ -122,26 +127,26 @@ class CorridorEstimator:
         """The filter at the newest sample, an ``ExtendedKalmanFilter`` of filterpy, for inspection.
 
         Its ``x``, ``P``, ``F``, ``Q``, ``K``, ``y``, ``S`` and ``likelihood`` are those of the last prediction and
-        the last update; the state is that of `fusion.estimator.models`. What is written into it has no effect. The
-        first call loads filterpy and scipy, which take half a second and 40 MiB: make it before take-off.
+        the last update; the state is that of `fusion.estimator.models`. Writing to it has no effect on the estimator.
+        The first call loads filterpy and scipy, which takes half a second and 40 MiB: make it before take-off.
         """
         return self._engine.filterpy_ekf()
 
     def add(self, sample: Sample) -> Entry | None:
         """Add a sample of any kind.
 
-        Its values are not checked as by the methods below, only whether the filter can use them. If measuring a frame
-        raises an error, the caller gets it and the frame has no effect.
+        Values are only checked for use by the filter; the methods below check their arguments as well. An error
+        raised while a frame is measured goes to the caller, and the frame has no effect.
 
         Parameters
         ----------
         sample
-            For instance an `fusion.estimator.propagation.ImuSample`; each kind has ``t_ns``, integer nanoseconds.
+            For instance a `fusion.estimator.propagation.ImuSample`; each kind has ``t_ns``, integer nanoseconds.
 
         Returns
         -------
         Entry or None
-            The outcome so far; None if the sample is held back or rejected, and counted.
+            The result so far; None if the sample is held back, or rejected and counted.
         """
         if fault := sample.fault():
             self.counters[fault] += 1
@@ -156,7 +161,7 @@ class CorridorEstimator:
             return self._late(sample)
         released = self._arrivals.released()
         if admission is Admission.JUMPED:
-            timeline.leap()
+            timeline.note_jump()
         else:
             self._set_back(released[0].t_ns)
         return [self._insert(held) for held in released][-1]
@@ -178,18 +183,18 @@ class CorridorEstimator:
             or timeline.entries[-1] is not entry
             or before.reckoning.gyro_done_rad != 0.0
         ):
-            self._count_steps(before)
+            self._count_resets(before)
         return entry
 
-    def _count_steps(self, before: State) -> None:
-        """Count a jump of the newest estimate."""
+    def _count_resets(self, before: State) -> None:
+        """Count a reset if the newest estimate has jumped."""
         after = self._timeline.state
         if after is not before:
             half_m = after.width.half_m(self.config)
             self._resets = self._resets.after(before, after, self._engine.offset_model(after), half_m)
 
     def _late(self, sample: Sample) -> Entry | None:
-        """Count a late sample; if only late ones arrive, the clock was set back."""
+        """Count a late sample; many in a row mean that the clock was set back."""
         self.counters[f"{SOURCES[type(sample)].name}_late"] += 1
         self._late_in_a_row += 1
         if self._late_in_a_row < CLOCK_RESET_SAMPLES:
@@ -202,14 +207,14 @@ class CorridorEstimator:
         self.counters["clock_set_back"] += 1
         before = self._timeline.state
         self._timeline.restart(t_ns)
-        self._count_steps(before)
+        self._count_resets(before)
         if self._lag is not None:
             self._lag.clear()
 
     def add_imu(self, t_ns: int, gyro: npt.ArrayLike, accel: npt.ArrayLike | None = None) -> None:
-        """Add a sample of the gyroscope and, if there is one, of the accelerometer.
+        """Add a sample of the gyroscope and, if present, of the accelerometer.
 
-        Values that are not finite, or that no vehicle can reach, are counted and ignored.
+        Values that are not finite or physically impossible are counted and ignored.
 
         Parameters
         ----------
@@ -233,7 +238,7 @@ class CorridorEstimator:
         self.add(new_record(ImuSample, (whole_nanoseconds(t_ns), vector(gyro, "gyro"), force)))
 
     def add_attitude(self, t_ns: int, q_world_body: npt.ArrayLike) -> None:
-        """Add an attitude of the vehicle's own filter; one that is not a unit quaternion is counted and ignored.
+        """Add an attitude from the vehicle's own filter; one that is not a unit quaternion is counted and ignored.
 
         Parameters
         ----------
@@ -247,7 +252,7 @@ class CorridorEstimator:
         InputError
             If the time is not an integer of nanoseconds, or the quaternion does not consist of four numbers.
         """
-        w, x, y, z = finite_or_not(q_world_body, 4, "q_world_body")
+        w, x, y, z = float_list(q_world_body, 4, "q_world_body")
         self.add(AttitudeSample(whole_nanoseconds(t_ns), (w, x, y, z)))
 
     def add_velocity(self, t_ns: int, v_body: npt.ArrayLike) -> None:
@@ -270,8 +275,8 @@ class CorridorEstimator:
     def add_range(self, t_ns: int, distance_m: float) -> None:
         """Add a distance to the floor; one that is not positive, or beyond 100 m, is counted and ignored.
 
-        With the width per height that frames measure it gives the corridor's width, and so offsets in metres, if the
-        configuration sets neither the width nor the camera's height.
+        Multiplied by the width per height that frames measure, it gives the corridor's width and thus offsets in
+        metres, if the configuration sets neither the width nor the camera's height.
 
         Parameters
         ----------
@@ -288,10 +293,10 @@ class CorridorEstimator:
         self.add(RangeSample(whole_nanoseconds(t_ns), number(distance_m, "distance_m")))
 
     def add_frame(self, t_ns: int, image: npt.NDArray[Any]) -> FrameResult:
-        """Add a picture. An unusable picture is counted as unreadable.
+        """Add a picture; an unusable one is counted as unreadable.
 
-        Why it is unusable (another size than the camera's, floats) is the result's ``cause``, and is part of the
-        estimate's ``reason`` until a frame can be read again.
+        The result's ``cause`` gives the reason (another size than the camera's, floats). It is part of the estimate's
+        ``reason`` until a frame can be read again.
 
         Parameters
         ----------
@@ -427,11 +432,10 @@ class CorridorEstimator:
         heading_std_rad: float,
         corridor_width_m: float | None = None,
     ) -> None:
-        """Set the heading at a time, from another source; before the first frame or in flight.
+        """Set the heading at a time from another source, before the first frame or in flight.
 
-        It replaces the estimated heading and starts tracking; replacing one counts as a reset. Unlike a frame's
-        heading, it also decides which direction along the corridor the vehicle faces. Frames then correct it as
-        usual.
+        It replaces the estimated heading, which counts as a reset, and starts tracking. Unlike a frame's heading, it
+        also determines which way along the corridor the vehicle faces. Frames then correct it as usual.
 
         Parameters
         ----------
@@ -440,17 +444,17 @@ class CorridorEstimator:
         heading_rad, heading_std_rad
             Heading from the corridor's axis, radians, positive turned right, and its standard deviation.
         corridor_width_m
-            Width of the corridor from then on, metres; None leaves it as it is.
+            Width of the corridor from then on, metres; None leaves it unchanged.
 
         Raises
         ------
         InputError
             If a value is impossible, or the time is beyond the buffer or already has a seed.
         """
-        samples: list[Sample] = [HeadingSeed.told(t_ns, heading_rad, heading_std_rad)]
+        samples: list[Sample] = [HeadingSeed.checked(t_ns, heading_rad, heading_std_rad)]
         if corridor_width_m is not None:
-            samples.append(WidthChange.told(t_ns, corridor_width_m))
-        self._tell(samples)
+            samples.append(WidthChange.checked(t_ns, corridor_width_m))
+        self._insert_set_values(samples)
 
     def set_corridor_width(self, t_ns: int, width_m: float | None) -> None:
         """Set the corridor's width from a time on, in place of ``config.corridor_width_m``.
@@ -470,36 +474,36 @@ class CorridorEstimator:
         InputError
             As for `seed`.
         """
-        self._tell([WidthChange.told(t_ns, width_m)])
+        self._insert_set_values([WidthChange.checked(t_ns, width_m)])
 
-    def _tell(self, samples: list[Sample]) -> None:
-        """Insert samples that the caller sets; they are not checked against the sensors' clocks."""
+    def _insert_set_values(self, samples: list[Sample]) -> None:
+        """Insert values set by the caller; they are not checked against the sensors' clocks."""
         t_ns, newest_ns, buffer_ns = samples[0].t_ns, self._timeline.newest_ns, self._timeline.buffer_ns
         if newest_ns is not None and abs(t_ns - newest_ns) > buffer_ns:
             raise InputError(
                 f"t_ns = {t_ns} is {(t_ns - newest_ns) * 1e-9:+.2f} s from the newest sample",
                 remedy=f"seed within buffer_s = {buffer_ns * 1e-9:g} s of it, or after reset()",
             )
-        if any(map(self._timeline.holds, samples)):  # before any is taken: all of them, or none
+        if any(map(self._timeline.holds, samples)):  # checked first: insert all of them, or none
             raise InputError(f"t_ns = {t_ns} already has another value", remedy="use a time 1 ns later")
         for sample in samples:
             self._insert(sample)
 
     def reset(self) -> None:
-        """Discard all samples, and all that was estimated or set in flight; keep configuration and `counters`.
+        """Discard all samples, estimates and values set in flight; keep configuration and `counters`.
 
         It counts as a reset at once, with a jump of zero, since the heading is then unknown. It counts again when the
-        heading is known, with the jump from the last known heading.
+        heading becomes known, with the jump from the last known heading.
         """
         before = self._timeline.state
-        self._timeline.start_anew(self._engine.forgotten(before))
+        self._timeline.restart_from(self._engine.reset_state(before))
         self._arrivals.restart()
         if self._lag is not None:
             self._lag.clear()
         self.last_frame = None
         self._late_in_a_row = 0
         self.counters["reset"] += 1
-        self._count_steps(before)
+        self._count_resets(before)
         self._resets = self._resets.with_heading_step(0.0)
 
     def estimate(self, now_ns: int | None = None, *, at_ns: int | None = None) -> Estimate:
@@ -508,16 +512,16 @@ class CorridorEstimator:
         Parameters
         ----------
         now_ns
-            The present time by the sensors' clock, integer nanoseconds: status and ages then also show sources that
-            have fallen silent since the newest sample. None: the time of the newest sample. ``timestamp_ns`` stays
-            that of the newest sample, or of ``at_ns``. If it lies more than 1 s before the newest sample, it is of
-            another clock or unit, and ``reason`` says so.
+            The present time on the sensors' clock, integer nanoseconds: status and ages then also show sources that
+            have fallen silent since the newest sample. None: the time of the newest sample. ``timestamp_ns`` remains
+            that of the newest sample, or ``at_ns``. A time more than 1 s before the newest sample is taken for that
+            of another clock or unit, and reported in ``reason``.
         at_ns
-            Time to predict to, integer nanoseconds, for instance when the actuators will act: heading and lateral
-            offset are propagated with their last rates, and sigmas grow by the process noise and by the possible
-            change of the rate since it was measured. A time before the newest sample gives that sample's estimate.
+            Time to predict to, integer nanoseconds, for instance the time at which the actuators act. Heading and
+            lateral offset are propagated with their last rates; sigmas grow by the process noise and by the possible
+            change of the rate since it was measured. A time before the newest sample returns that sample's estimate.
             The prediction ends 0.5 s ahead; ``timestamp_ns`` and ``reason`` then show it. Status and ages remain
-            those of ``now_ns``.
+            those at ``now_ns``.
 
         Returns
         -------
@@ -538,10 +542,10 @@ class CorridorEstimator:
         if state.t_ns is not None:
             newest = replace(newest, timestamp_ns=state.t_ns)
         if behind_s > MAX_BEHIND_S:
-            told = (
+            message = (
                 f"now_ns is {behind_s:.0f} s before the newest sample: give nanoseconds of the samples' clock"
             )
-            reason = f"{newest.reason}; {told}" if newest.reason else told
+            reason = f"{newest.reason}; {message}" if newest.reason else message
             newest = replace(newest, reason=reason, faults=newest.faults | Fault.IMU_CLOCK)
         if newest.reason and self.last_frame is not None and self.last_frame.cause:
             newest = replace(newest, reason=f"{newest.reason}; {self.last_frame.cause}")
@@ -555,9 +559,9 @@ class CorridorEstimator:
         e = estimate_of(moved, self.config, judged_ns or state.t_ns, self._arrivals, self._resets)
         reason = newest.reason
         if end_ns < at_ns:
-            told = f"predicted {MAX_AHEAD_NS * 1e-9:g} s ahead, not the {ahead_ns * 1e-9:.2f} s asked for"
-            reason = f"{reason}; {told}" if reason else told
-        # What is known is judged where it is known; what the way ahead adds is in the sigmas.
+            message = f"predicted {MAX_AHEAD_NS * 1e-9:g} s ahead, not the {ahead_ns * 1e-9:.2f} s asked for"
+            reason = f"{reason}; {message}" if reason else message
+        # Status and faults are those of the newest sample; the prediction only widens the sigmas.
         return replace(e, timestamp_ns=end_ns, status=newest.status, reason=reason, faults=newest.faults)
 
     def covariance(self) -> Covariance:
@@ -586,15 +590,15 @@ class CorridorEstimator:
         return innovations_of(self._timeline.state)
 
     def smoothed(self) -> Estimate:
-        """Return the estimate of ``config.fixed_lag_s`` ago, smoothed with everything measured since.
+        """Return the estimate of ``config.fixed_lag_s`` ago, smoothed with all measurements since.
 
         It is for the last sample at or before the newest sample's time less the lag, or for the first sample while
-        the flight is shorter. Status and ages are those of that time.
+        the flight is shorter. Status and ages are those at that time.
 
         Raises
         ------
         InputError
-            Where the configuration asks for no lag.
+            If the configuration sets no lag.
         """
         if self._lag is None:
             raise InputError(
@@ -603,7 +607,7 @@ class CorridorEstimator:
         return self._lag.smoothed(self._timeline.entries)
 
     def finish(self) -> None:
-        """End the flight: hand what is still in the buffer to ``on_final``."""
+        """End the flight: pass the entries still in the buffer to ``on_final``."""
         self._arrivals.finish()
         self._timeline.finish()
         self._events.finish()
@@ -638,13 +642,13 @@ class CorridorEstimator:
             self.last_frame = entry.frame
             self.counters[f"frame_{entry.frame.reason}"] += 1
             if self._arrivals.frames.shift_s != 0.0:
-                self._weigh_stamps(entry, entry.frame.measurement)
+                self._check_frame_stamps(entry, entry.frame.measurement)
         return self.last_frame
 
-    def _weigh_stamps(self, entry: Entry, m: FrameMeasurement | None) -> None:
-        """Decide by a frame whether the camera's clock has moved, or only the transport delay of the frames.
+    def _check_frame_stamps(self, entry: Entry, m: FrameMeasurement | None) -> None:
+        """Use a frame as evidence of whether the camera's clock has stepped, or only the frames' transport delay.
 
-        A clock's step is subtracted from the stamps from then on.
+        A step of the clock is subtracted from later stamps.
         """
         stamps = self._arrivals.frames
         before = self._timeline.at(entry.t_ns - round(stamps.shift_s * 1e9))
@@ -652,12 +656,12 @@ class CorridorEstimator:
             return
         turned = (entry.after.reckoning.raw_theta_rad, before.reckoning.raw_theta_rad)
         moved_ns = stamps.moved_ns
-        stamps.weigh(entry.t_ns, m.heading_rad, m.heading_std_rad, turned)
+        stamps.add_evidence(entry.t_ns, m.heading_rad, m.heading_std_rad, turned)
         self.counters["camera_clock_moved"] += stamps.moved_ns != moved_ns
 
 
 def _check_camera(camera: object) -> None:
-    """Raise `InputError` for anything but a camera, such as the path of its calibration."""
+    """Raise `InputError` unless the argument is a camera: a common mistake is the path of its calibration."""
     from vision import Camera
 
     if not isinstance(camera, Camera):

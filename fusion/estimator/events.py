@@ -1,7 +1,7 @@
-"""Events of a flight, with times and numbers: rejected frames, jumps, other corridors, changes of status.
+"""Events of a flight, with times and values: rejected frames, jumps, changes of corridor and status.
 
-Events are found between entries that have left the buffer, which no late sample can change any more: they are those
-of the sorted log, and come ``config.buffer_s`` after the fact. A program that acts at once reads the `Estimate`.
+Events are found from entries that have left the buffer and are final. They are therefore identical to those of the
+sorted log, and delayed by ``config.buffer_s``. A program that needs them without delay reads the `Estimate`.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import notices_of, status_of
 from fusion.estimator.lateral import offset_model
 from fusion.estimator.models import PSI
-from fusion.estimator.resets import Resets, only_turned
+from fusion.estimator.resets import Resets, only_propagated
 from fusion.estimator.state import Entry, State
 
 LOGGER = logging.getLogger("fusion.estimator")
-logging.getLogger("fusion").addHandler(logging.NullHandler())  # a library is quiet until it is asked
+logging.getLogger("fusion").addHandler(logging.NullHandler())  # silent unless the program configures logging
 
 
 class EventKind(StrEnum):
-    """What happened."""
+    """Kind of an event."""
 
     FRAME_REJECTED = "frame_rejected"
     HEADING_RESET = "heading_reset"
@@ -36,16 +36,16 @@ class EventKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened at an instant.
+    """An event at an instant.
 
     Parameters
     ----------
     timestamp_ns
-        When; of a frame, its time stamp.
+        Time of the event; for a frame, its time stamp.
     kind
-        What.
+        Kind of the event.
     values
-        Its numbers and words, by name; units are in the names.
+        Its values by name; units are in the names.
     """
 
     timestamp_ns: int
@@ -53,11 +53,11 @@ class Event:
     values: Mapping[str, float | str] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        told = (
+        pairs = (
             f"{name}={value:.6g}" if isinstance(value, float) else f"{name}={value}"
             for name, value in self.values.items()
         )
-        return " ".join((f"t_ns={self.timestamp_ns}", str(self.kind), *told))
+        return " ".join((f"t_ns={self.timestamp_ns}", str(self.kind), *pairs))
 
 
 class EventFinder:
@@ -65,13 +65,13 @@ class EventFinder:
 
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
-        self._before: State | None = None  # behind the last instant that is closed
-        self.status = ""  # at the last instant that is closed
+        self._before: State | None = None  # after the last completed instant
+        self.status = ""  # at the last completed instant
         self._resets = Resets()
         self._open: Entry | None = None
 
     def take(self, entry: Entry) -> list[Event]:
-        """Take the next entry; return what it shows to have happened."""
+        """Add the next entry; return the events that it completes."""
         last = self._open
         found = [] if last is None or entry.t_ns == last.t_ns else self._close(last)
         self._open = entry
@@ -84,7 +84,7 @@ class EventFinder:
         return found
 
     def finish(self) -> list[Event]:
-        """Return what the last instant shows."""
+        """Return the events of the last instant."""
         last, self._open = self._open, None
         return [] if last is None else self._close(last)
 
@@ -93,7 +93,7 @@ class EventFinder:
         old, new, t_ns = self._before, entry.after, entry.t_ns
         self._before = new
         found: list[Event] = []
-        if old is not None and not only_turned(old, new, entry.sample):
+        if old is not None and not only_propagated(old, new, entry.sample):
             if new.axis.corridor_index != old.axis.corridor_index:
                 index, turn_rad = new.axis.corridor_index, new.axis.corridor_turn_rad
                 values: dict[str, float | str] = {"corridor_index": index, "corridor_turn_rad": turn_rad}
@@ -121,9 +121,9 @@ class EventFinder:
 
 
 class EventLog:
-    """Tells the logger ``fusion.estimator`` of events, at level INFO; costs nothing while nobody listens.
+    """Logs events to the logger ``fusion.estimator`` at level INFO; has no cost while the level is disabled.
 
-    Each record carries its `Event` as ``record.event``.
+    Each record has its `Event` as ``record.event``.
     """
 
     def __init__(self, config: FusionConfig) -> None:
@@ -131,19 +131,19 @@ class EventLog:
         self._finder: EventFinder | None = None
 
     def take(self, entry: Entry) -> None:
-        """Take the next entry in order of time."""
+        """Add the next entry in order of time."""
         if not LOGGER.isEnabledFor(logging.INFO):
             self._finder = None
             return
         if self._finder is None:
             self._finder = EventFinder(self._config)
-        self._tell(self._finder.take(entry))
+        self._log(self._finder.take(entry))
 
     def finish(self) -> None:
-        """Tell of the last instant."""
+        """Log the events of the last instant."""
         if self._finder is not None:
-            self._tell(self._finder.finish())
+            self._log(self._finder.finish())
 
-    def _tell(self, events: list[Event]) -> None:
+    def _log(self, events: list[Event]) -> None:
         for event in events:
             LOGGER.info("%s", event, extra={"event": event})

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 
 class Fault(IntFlag):
-    """Bits of `fusion.estimator.estimate.Estimate.faults`; a bit keeps its meaning for good, new ones are added.
+    """Bits of `fusion.estimator.estimate.Estimate.faults`; the meaning of a bit never changes, new ones are added.
 
-    As in the flags of PX4's EKF2, a set bit is something that a flight controller may act on without reading text.
+    As with the fault flags of PX4's EKF2, a flight controller can act on a bit without reading the text.
     """
 
     NONE = 0
@@ -22,9 +22,7 @@ class Fault(IntFlag):
     NO_LATERAL_OFFSET = 1 << 6  # frames are used, but show no lateral offset
     HEADING_UNCERTAIN = 1 << 7  # sigma beyond lost_heading_std_rad
     NOT_STARTED = 1 << 8  # no heading yet
-    CAMERA_CLOCK = (
-        1 << 9
-    )  # frames are stamped early, late, ahead of, or otherwise than before against the IMU
+    CAMERA_CLOCK = 1 << 9  # frames are stamped early, late or ahead of the IMU, or their offset has changed
     ATTITUDE_CLOCK = 1 << 10  # attitudes are stamped ahead of the IMU, or too far behind
     IMU_CLOCK = 1 << 11  # IMU samples come too far behind the other sources, or not in nanoseconds
     OTHER_CLOCK = 1 << 12  # velocities or ranges are stamped ahead of the IMU, or too far behind

@@ -1,7 +1,7 @@
-"""Makes the filter's table from states in order of time.
+"""Builds the filter's table from states in order of time.
 
-The numbers are those of `fusion.estimator.estimate.estimate_of`. A flight has millions of rows, so they are computed
-many at a time, those between two frames together.
+The values are those of `fusion.estimator.estimate.estimate_of`. A flight has millions of rows, so the rows between
+two frames are computed together.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 
 
 def filter_table(states: Sequence[State], statuses: Sequence[str], config: FusionConfig) -> Table:
-    """Report states of a log, whose samples are all there, as rows of `fusion.estimator.tables.ESTIMATE_DTYPE`.
+    """Report states of a complete log as rows of `fusion.estimator.tables.ESTIMATE_DTYPE`.
 
     Parameters
     ----------
     states
-        At least one; none of before the first sample.
+        At least one state; all after the first sample.
     statuses
         The `fusion.estimator.estimate.Status` of each.
     config
@@ -70,14 +70,14 @@ def filter_table(states: Sequence[State], statuses: Sequence[str], config: Fusio
 
 
 def _between_frames(s: State) -> tuple[object, ...]:
-    """Return what rows that are computed together have in common."""
+    """Return the key of rows that are computed together: the parts of the state that only frames change."""
     lateral, offset = s.lateral, s.lateral.offset
     kept = (s.axis, s.width, s.frames, offset.x, offset.P, offset.weight, lateral.model)
     return (*map(id, kept), offset.spread2, lateral.t_ns, lateral.contradicted)
 
 
 def _fill_by_frame(rows: Table, states: Sequence[State], config: FusionConfig) -> None:
-    """Fill in what depends on frames, for states between two of them."""
+    """Fill in the columns that depend on frames, for states between two frames."""
     s = states[0]
     axis, lateral, half_m = s.axis, s.lateral, s.width.half_m(config)
     rows["corridor_index"], rows["corridor_turn_rad"] = axis.corridor_index, axis.corridor_turn_rad
@@ -94,7 +94,7 @@ def _fill_by_frame(rows: Table, states: Sequence[State], config: FusionConfig) -
 
 
 def _ages_s(rows: Table, then_ns: int | None) -> FloatArray:
-    """Age (n,) at each row; NaN where it never was."""
+    """Return the age (n,) at each row; NaN if ``then_ns`` is None."""
     if then_ns is None:
         return np.full(len(rows), nan)
     return (rows["timestamp_ns"] - then_ns) * 1e-9

@@ -18,7 +18,7 @@ class FilterpyEKF(CorridorEKF, ExtendedKalmanFilter):  # type: ignore[misc]
     Parameters
     ----------
     ekf
-        Filter to go on from.
+        Filter to continue from.
     """
 
     def __init__(self, ekf: CorridorEKF) -> None:
@@ -28,7 +28,7 @@ class FilterpyEKF(CorridorEKF, ExtendedKalmanFilter):  # type: ignore[misc]
     def update(
         self, measurement: ScalarMeasurement | None, gate_sigma: float = float("inf"), R: float | None = None
     ) -> Gate:
-        """Take in one scalar measurement unless it fails the gate; see `CorridorEKF.update`."""
-        # filterpy computes them when it is asked for them.
+        """Update with one scalar measurement unless the gate rejects it; see `CorridorEKF.update`."""
+        # filterpy computes these on access.
         self._log_likelihood = self._likelihood = self._mahalanobis = None
         return super().update(measurement, gate_sigma, R)

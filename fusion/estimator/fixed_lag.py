@@ -1,4 +1,8 @@
-"""Fixed-lag smoother in flight: smooths the estimate of a moment ago with all samples since."""
+"""Fixed-lag smoother in flight: smooths the estimate ``lag`` ago with all samples since.
+
+The smoothers of `fusion.estimator.smoother` and `fusion.estimator.lateral_smoother` run over the window of the lag,
+so the result equals that of the offline smoother for a flight that ends now.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,7 @@ class FixedLag:
     Parameters
     ----------
     lag_ns
-        How far back the estimate is wanted.
+        Lag of the smoothed estimate.
     config
         Settings.
     """
@@ -38,7 +42,7 @@ class FixedLag:
         self._dropped: Entry | None = None  # last one dropped with a step of the lateral offset
 
     def keep(self, entry: Entry) -> None:
-        """Take an entry that has left the buffer, in order of time."""
+        """Add an entry that has left the buffer, in order of time."""
         passed = self._passed
         passed.append(entry)
         while passed[0].t_ns < entry.t_ns - self.lag_ns and passed[1].t_ns <= entry.t_ns - self.lag_ns:
@@ -55,11 +59,7 @@ class FixedLag:
         self._dropped = None
 
     def smoothed(self, buffer: Sequence[Entry]) -> Estimate:
-        """Smooth over the lag's window: the passed entries and those in the buffer.
-
-        The window's steps go through the same backward pass as a whole flight, so the result is what the offline
-        smoother would say had the flight ended now.
-        """
+        """Smooth over the lag's window: the entries that have left the buffer, and those in it."""
         entries = [*self._passed, *buffer]
         if not entries:
             return Estimate(0, reason="no sample yet")
@@ -84,7 +84,7 @@ class FixedLag:
             offset_steps.add(entry.t_ns, lateral.step, lateral.offset)
         row = smoothed_table(table, ends[instants], steps, offset_steps, self.config)[0]
         found = replace(rows[0], **dict(zip(ESTIMATE_DTYPE.names or (), row.item(), strict=True)))
-        if target.width.told_m is None:
+        if target.width.set_width_m is None:
             return found
         half_m = target.width.half_m(self.config)
         norm, std = found.lateral_offset_norm, found.lateral_offset_norm_std
@@ -96,7 +96,7 @@ def _axis(state: State) -> tuple[int, int]:
 
 
 def _instants(window: Sequence[Entry]) -> Iterator[int]:
-    """Places of the rows that the offline table would have: the first, then the last entry of each sample's time."""
+    """Yield the indices of the offline table's rows: the first, then the last entry of each row's time."""
     sources = [SOURCES[type(entry.sample)] for entry in window]
     rows_of = min((source for source in sources if source.propagates), default=None)
     yield 0

@@ -1,11 +1,14 @@
-"""Whether the focal length is wrong: takes headings and the gyroscope's angle, returns by how much.
+"""Error of the camera's focal length, estimated from the frames' headings and the gyroscope's angle.
 
-If the focal length is set too short by a share e, the tangent of each heading h is measured too large by e, and h by
-e sin(2 h) / 2. So e is the slope of a line through headings less the gyroscope's angle over sin(2 h) / 2
-(`fusion.estimator.running_slope.RunningSlope`). It is fitted twice: with h as measured, and with h as the gyroscope
-carries it from the mean of the last seconds. Errors of the frames, a wrong axis among them, are in the measured h
-too: they make the first slope larger. A bend that the vehicle follows turns the gyroscope but not the camera's view:
-it makes the second one smaller. A wrong focal length changes both alike, and so does a wrong scale of the gyroscope.
+If the configured focal length is too short by a part e, the tangent of each heading h is measured too large by e, and
+h by e sin(2 h) / 2. So e is the slope of the difference of heading and gyroscope's angle over sin(2 h) / 2
+(`fusion.estimator.running_slope.RunningSlope`). Two slopes are fitted: with the measured h, and with h propagated by
+the gyroscope from the mean of the last seconds. Errors of the frames, such as a wrong axis, are also in the measured
+h and increase the first slope. A bend turns the gyroscope but not the measured heading, and decreases the second one.
+A wrong focal length changes both equally, and so does a scale error of the gyroscope.
+
+The error is reported if both slopes have the same sign, are significant, and exceed `MAX_SHARE` and `SCALE_SIGMA`
+sigmas of the gyroscope's scale.
 """
 
 from __future__ import annotations
@@ -16,24 +19,24 @@ from typing import NamedTuple
 from fusion.estimator.running_slope import LEVEL_S, RunningSlope
 from vision.rotations import wrap_axis
 
-MAX_JUMP_RAD = 0.35  # of a difference from the mean of the last seconds; more is another axis
-MIN_HEADING_STD = radians(2)  # with less, a slope is that of errors
-WINDOW = 6  # blocks: a bend lasts for seconds
-MIN_WINDOWS = 5.0  # of turning, 15 s: in fewer, a bend may happen to go along with the turns
+MAX_JUMP_RAD = 0.35  # a larger difference from the mean of the last seconds is another axis
+MIN_HEADING_STD = radians(2)  # smallest scatter of headings for which the slope is observable
+WINDOW = 6  # blocks, 3 s: about the duration of a bend
+MIN_WINDOWS = 5.0  # with turns, 15 s: in fewer, a bend may correlate with the turns by chance
 MAX_SHARE = 0.03
-SCALE_SIGMA = 3.0  # by which the scale of a good gyroscope may be off
+SCALE_SIGMA = 3.0  # tolerated scale error of the gyroscope, in sigmas
 
 
 class FocalLength(NamedTuple):
-    """What headings have shown so far.
+    """Estimate of the focal length's error.
 
     Parameters
     ----------
     level
-        Time of the last heading, and means of sin(2 h) / 2 of both kinds and of the difference until then; None
-        before the first.
+        Time of the last heading, and running means of both kinds of sin(2 h) / 2 and of the difference; None before
+        the first.
     by_frames, by_gyro
-        Lines through the differences, h as seen and as the gyroscope carries it.
+        Regressions of the difference, with h as measured and as propagated by the gyroscope.
     """
 
     level: tuple[int, float, float, float] | None = None
@@ -42,7 +45,7 @@ class FocalLength(NamedTuple):
 
     @property
     def share(self) -> float:
-        """By how much the camera sees more of a turn than the gyroscope."""
+        """Part by which the camera measures turns larger than the gyroscope: the smaller of the two slopes."""
         return min(self.by_frames.slope, self.by_gyro.slope, key=abs)
 
     def is_off(self, gyro_scale_std: float) -> bool:
@@ -55,27 +58,27 @@ class FocalLength(NamedTuple):
         )
 
     def interrupted(self) -> FocalLength:
-        """Forget the last seconds: time has moved, or something else carries the heading."""
+        """Restart the running means after a change of the clock or of the source that propagates the heading."""
         return FocalLength(None, self.by_frames.interrupted(), self.by_gyro.interrupted())
 
     def with_heading(self, t_ns: int, heading_rad: float, gyro_rad: float, variance: float) -> FocalLength:
-        """Add a heading, modulo half a turn, its variance, and the angle that the gyroscope has turned by then."""
+        """Add a heading, modulo half a turn, and its variance, with the gyroscope's angle at its time."""
         seen, difference = 0.5 * sin(2.0 * heading_rad), heading_rad - gyro_rad
-        then_ns, mean_seen, mean_carried, mean = self.level or (t_ns, seen, seen, difference)
+        then_ns, mean_seen, mean_propagated, mean = self.level or (t_ns, seen, seen, difference)
         off = wrap_axis(difference - mean)
         if abs(off) > MAX_JUMP_RAD:
             return self.interrupted()
-        carried = 0.5 * sin(2.0 * (gyro_rad + mean))
+        propagated = 0.5 * sin(2.0 * (gyro_rad + mean))
         share = -expm1(-max(t_ns - then_ns, 0) * 1e-9 / LEVEL_S)
         level = (
             t_ns,
             mean_seen + share * (seen - mean_seen),
-            mean_carried + share * (carried - mean_carried),
+            mean_propagated + share * (propagated - mean_propagated),
             mean + share * off,
         )
         std = sqrt(variance)
         return FocalLength(
             level,
             self.by_frames.with_point(t_ns, seen - mean_seen, off, std),
-            self.by_gyro.with_point(t_ns, carried - mean_carried, off, std),
+            self.by_gyro.with_point(t_ns, propagated - mean_propagated, off, std),
         )

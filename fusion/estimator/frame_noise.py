@@ -1,15 +1,18 @@
-"""Noise of the frames' headings, estimated from their differences to the gyroscope's.
+"""Noise of the frames' headings and of the gyroscope, estimated from the differences between the two.
 
-The variance of the difference of two headings, less what the vehicle turned between them, grows with the time l
-between them as s (R1 + R2) (1 - exp(-l / tau)) + q^2 l: s is the variance of the frames' errors over what the frames
-state, tau their correlation time, q the gyroscope's noise density: a structure function, related to the Allan
-variance. Innovations of successive frames show only the product of s and 1 - exp(-l / tau): frames with correlated
-errors would seem better than they are.
+The difference of two headings a time l apart, less the gyroscope's turn between them, has the variance (a structure
+function, related to the Allan variance)::
 
-The growth with l also separates a gyroscope that is noisier than its setting (vibration, a log with only some of its
-samples) from frames that are worse than their stated sigma.
+    D(l) = s (R1 + R2) (1 - exp(-l / tau)) + q^2 l
 
-A gyroscope with a fault turns by little from one frame to the next, so that the fault is not taken for noise.
+with R1, R2 the stated variances, s their scale, tau the correlation time of the frames' errors, and q the gyroscope's
+noise density. Squared differences are averaged at the lags `LAGS_S`; s and tau are the posterior means over a grid,
+with a log-normal prior about the stated values. Innovations of successive frames alone would show only the product
+s (1 - exp(-l / tau)), so frames with correlated errors would seem more accurate than they are.
+
+The growth with l also separates a gyroscope that is noisier than configured (vibration, a log with only part of its
+samples) from frames that are worse than their stated sigma: q is only scaled if no s and tau fit (`POOR_FIT`). The
+drift of a faulty gyroscope between frames is small, so a fault does not count as noise.
 """
 
 from __future__ import annotations
@@ -22,17 +25,17 @@ import numpy as np
 
 from fusion.estimator.kernels import FloatArray
 
-LAGS_S = (0.033, 0.1, 0.3, 1.0)  # between headings that are compared
-SPACING_NS = 27_000_000  # of the headings that are kept
+LAGS_S = (0.033, 0.1, 0.3, 1.0)  # between compared headings
+SPACING_NS = 27_000_000  # smallest interval of stored headings
 SPAN_NS = 1_050_000_000
-LAG_TOLERANCE = 0.35  # of a lag, either way
+LAG_TOLERANCE = 0.35  # relative tolerance of a lag
 MEMORY_S = 15.0
-MAX_TERM = 9.0  # of a squared difference over its expectation: beyond is a gross error
-FIT_NS = 250_000_000
-LASTING_S = 0.1
-PRIOR_LOG_SCALE, PRIOR_LOG_TIME = 0.35, 4.0  # standard deviations about what is stated
+MAX_TERM = 9.0  # squared differences are clipped at this multiple of their expectation
+FIT_NS = 250_000_000  # between fits
+LASTING_S = 0.1  # errors with a longer correlation time are modelled as a random walk
+PRIOR_LOG_SCALE, PRIOR_LOG_TIME = 0.35, 4.0  # prior sigmas of the logarithms, about the stated values
 PRIOR_LOG_GYRO = 0.5
-POOR_FIT = 3.0  # log-likelihood and prior less than the best possible: from there on the gyroscope is doubted
+POOR_FIT = 3.0  # loss of log posterior against a perfect fit above which the gyroscope's noise is scaled
 GYRO_SCALES = np.exp(np.linspace(np.log(1.5), np.log(100.0), 12))
 SCALES = np.exp(np.linspace(np.log(0.04), np.log(25.0), 25))
 TIMES_S = np.exp(np.linspace(np.log(0.004), np.log(15.0), 25))
@@ -47,9 +50,9 @@ class Heading(NamedTuple):
 
 
 class Differences(NamedTuple):
-    """Sums over the differences at one lag, the older the less.
+    """Fading sums over the differences at one lag.
 
-    Weight, lag, differences over the stated sigma, their squares, and the gyroscope's share of those.
+    Weight, lag, normalised differences, their squares, and the gyroscope's expected part of the squares.
     """
 
     weight: float = 0.0
@@ -60,20 +63,20 @@ class Differences(NamedTuple):
 
 
 class FrameNoise(NamedTuple):
-    """What is known of the noise of frames' headings.
+    """Estimated noise of the frames' headings.
 
     Parameters
     ----------
     scale
-        Variance of their errors over what they state.
+        Ratio s of the error variance to the stated one.
     correlation_s
-        Time over which errors resemble each other; NaN: as the settings say.
+        Correlation time of the errors; NaN for the configured one.
     gyro_scale
-        Variance of the gyroscope's noise over what the settings say; 1 unless frames show that it is larger.
+        Ratio of the gyroscope's noise variance to the configured one; 1 unless the frames show a larger one.
     headings, lags
-        The last second's headings, and what they differed by.
+        Headings of the last second, and the sums of their differences.
     fitted_ns
-        When scale and time were found last.
+        Time of the last fit.
     """
 
     scale: float = 1.0
@@ -84,22 +87,22 @@ class FrameNoise(NamedTuple):
     fitted_ns: int | None = None
 
     def interrupted(self) -> FrameNoise:
-        """Compare no heading to come with those before."""
+        """Drop the stored headings, so that later ones are not compared with them."""
         return self._replace(headings=())
 
     def with_heading(
         self, t_ns: int, difference_rad: float, variance: float, gyro_noise: float, stated_time_s: float
     ) -> FrameNoise:
-        """Take in a frame that was used.
+        """Add an accepted frame.
 
         Parameters
         ----------
         t_ns, difference_rad, variance
             As in `Heading`.
         gyro_noise
-            Of what carries the heading, rad/s/sqrt(Hz).
+            Configured noise density of the gyroscope, rad/s/sqrt(Hz).
         stated_time_s
-            Correlation time that the settings say.
+            Configured correlation time.
         """
         kept = self.headings
         if kept and t_ns - kept[-1].t_ns < SPACING_NS:
@@ -124,10 +127,10 @@ class FrameNoise(NamedTuple):
 
 
 def white_and_walk(variance: float, time_s: float, interval_s: float) -> tuple[float, float]:
-    """Return the sigma of white errors and the density of a random walk, rad/sqrt(s), that act alike over a second.
+    """Return the sigma of white noise and the density of a random walk, rad/sqrt(s), equivalent over about a second.
 
-    Errors of a first-order process of correlation time ``time_s`` are white to whoever looks for longer, and a random
-    walk of density ``sqrt(2 variance / time_s)`` to whoever looks for less.
+    A first-order process of correlation time ``time_s`` is nearly white over longer times, and a random walk of
+    density ``sqrt(2 variance / time_s)`` over shorter ones.
     """
     rho = exp(-max(1e-3, interval_s) / min(time_s, LASTING_S)) if time_s > 0.0 else 0.0
     walk = sqrt(2.0 * variance / time_s) if time_s > LASTING_S else 0.0
@@ -139,7 +142,7 @@ def _time(heading: Heading) -> int:
 
 
 def _at_lag(kept: tuple[Heading, ...], t_ns: int, lag_s: float) -> Heading | None:
-    """Return the heading nearest to a time before; None where none is near enough."""
+    """Return the stored heading nearest to ``t_ns - lag_s``; None if none is within the tolerance."""
     wanted = t_ns - round(lag_s * 1e9)
     after = bisect_left(kept, wanted, key=_time)
     near = kept[max(after - 1, 0) : after + 1]
@@ -171,11 +174,11 @@ def _with_difference(
 
 
 def fit(lags: tuple[Differences, ...], stated_time_s: float, interval_s: float) -> tuple[float, float, float]:
-    """Scale and correlation time of the frames' errors, and scale of the gyroscope's noise, that explain differences.
+    """Return scale and correlation time of the frames' errors, and the scale of the gyroscope's noise, by a grid fit.
 
-    What is stated is the prior; the gyroscope is as stated unless no scale and time explain them.
-    ``interval_s`` is the time between headings. A mean of n squares of variance v has standard deviation
-    v sqrt(2 / n); n is less where spans overlap.
+    The stated values are the prior. The gyroscope's scale is 1 unless no scale and time fit. ``interval_s`` is the
+    time between headings. A mean of n squares of expectation v has the standard deviation v sqrt(2 / n); n is reduced
+    for overlapping spans.
     """
     stated = max(stated_time_s, float(TIMES_S[0]))
     prior = 0.5 * (np.log(SCALES) / PRIOR_LOG_SCALE) ** 2
@@ -183,11 +186,11 @@ def fit(lags: tuple[Differences, ...], stated_time_s: float, interval_s: float) 
     used = [d for d in lags if d.weight > 1.0]
 
     def costs(gyro_scale: float) -> tuple[FloatArray, float]:
-        """Return those of frames' scale and time, and the least with spans as often as headings come."""
+        """Return the costs over the grid, and the smallest one with n counted at the headings' rate."""
         cost, spaced = prior, prior + 0.5 * (log(gyro_scale) / PRIOR_LOG_GYRO) ** 2
         for d in used:
             lag_s, share = d.lag_s / d.weight, gyro_scale * d.turned / d.weight
-            mean = max(d.squares / d.weight - (d.sum / d.weight) ** 2, 1e-6)  # a steady drift is no scatter
+            mean = max(d.squares / d.weight - (d.sum / d.weight) ** 2, 1e-6)  # without the steady drift
             n, n_spaced = (d.weight * min(1.0, 2.0 * s / lag_s) for s in (LAGS_S[0], interval_s))
             expected = SCALES[:, None] * (1.0 - np.exp(-lag_s / TIMES_S))[None, :] + share
             misfit = mean / expected - 1.0 + np.log(expected / mean)

@@ -1,14 +1,18 @@
-"""Whether frames are stamped early or late: takes their headings and the gyroscope's angle, returns the offset.
+"""Time-stamp error of the frames, estimated from their headings and the gyroscope's angle.
 
-A frame that is stamped late by c shows a turn later than the gyroscope: its heading is less than the gyroscope's by c
-times the rate. So c is the slope of a line through the differences of the two over the rate. The gyroscope's scale
-and the camera's focal length make differences in proportion to the angle instead. That is fitted besides: over few
-turns angle and rate are correlated. All are less their means over the last `LEVEL_S`, which leaves out the
-gyroscope's bias and its wander.
+A frame that is stamped late by c shows a turn later than the gyroscope. The difference d of heading minus gyroscope's
+angle alpha is modelled as::
 
-In one span of seconds the offset does not stand out from the frames' noise
-(`fusion.estimator.frame_drift.Slope.stamp_s`). Here it is summed up over `MEMORY_BLOCKS`: a clock that runs wrong by
-a fraction of a per cent shows as well. Its sigma follows from the residuals, as in `fusion.estimator.running_slope`.
+    d = d_0 - c omega + k alpha + noise
+
+with omega the turn rate. The term k contains the scale error of the gyroscope and the error of the focal length; it
+is fitted too, because angle and rate are correlated over few turns. Means over the last `LEVEL_S` are subtracted from
+all variables, which removes the gyroscope's bias and its random walk.
+
+The error is small against the frames' noise in a span of seconds (`fusion.estimator.frame_drift.Slope.stamp_s`). Here
+the normal equations are summed over `MEMORY_BLOCKS` blocks, 10 s: short enough to follow a clock whose rate is wrong.
+Its sigma follows from the residuals, as in `fusion.estimator.running_slope`. It is reported if it is significant
+(`running_slope.is_surely_beyond`) and larger than `MIN_REPORTED_S`.
 """
 
 from __future__ import annotations
@@ -21,29 +25,28 @@ import numpy as np
 from fusion.estimator.kernels import FloatArray
 from fusion.estimator.running_slope import MIN_STD, is_surely_beyond
 
-LEVEL_S = (
-    0.5  # time constant of the means: slower, and the gyroscope's wander passes for stamps in slow turns
-)
+# Time constant of the means; with a longer one the gyroscope's random walk biases c in slow turns.
+LEVEL_S = 0.5
 BLOCK_NS = 500_000_000
-WINDOW = 3  # blocks: errors that last for longer pass for the slope
+WINDOW = 3  # blocks; errors with a longer correlation time are not covered by the sigma
 MEMORY_BLOCKS = 20
 MIN_BLOCKS = 8
 PRIOR_WINDOWS = 3.0
-ALIKE_FRAMES = 10.0  # that have about the same error, by what is stated
-MAX_STEP_S = 0.5  # between frames
-MAX_JUMP_RAD = 0.35  # of the difference from frame to frame: another axis
-# What differs by more than this, times rate and angle, is a gross error.
+CORRELATED_FRAMES = 10.0  # correlated frames per independent one, in the prior of the variance
+MAX_STEP_S = 0.5  # longest time between frames
+MAX_JUMP_RAD = 0.35  # a larger change of the difference from frame to frame is another axis
+# Differences are clipped at these values times rate and angle, plus five sigmas.
 MAX_OFFSET_S, MAX_SCALE = 0.3, 0.2
-MIN_RATE_RAD_S = 0.03  # rms, less the mean; with less, frames show nothing
-MIN_REPORTED_S = 0.025  # an offset that is smaller does no harm worth a word
-N_TERMS = 3  # of a line over rate and angle
+MIN_RATE_RAD_S = 0.03  # rms of the rate about its mean; with less, c is not observable
+MIN_REPORTED_S = 0.025  # smaller errors have no relevant effect
+N_TERMS = 3  # constant, rate and angle
 
 Sums = tuple[float, ...]
 """Of weights times the products of (1, rate, angle, difference) with one another, by rows of the lower triangle."""
 
 
 class FrameTiming(NamedTuple):
-    """What frames have shown of their stamps so far.
+    """Estimate of the frames' time-stamp error.
 
     Parameters
     ----------
@@ -52,11 +55,11 @@ class FrameTiming(NamedTuple):
     level
         Means of rate, angle and difference.
     since_ns, block
-        The block that is being filled: its first frame, and its sums.
+        The block that is being filled: time of its first frame, and its sums.
     blocks
         Sums of the last full blocks.
     late_s, std_s
-        By how much frames are stamped late, and its sigma; infinite while nothing is known.
+        Time c by which frames are stamped late, and its sigma; infinite while unknown.
     """
 
     last: tuple[int, float, float] | None = None
@@ -69,23 +72,23 @@ class FrameTiming(NamedTuple):
 
     @property
     def is_off(self) -> bool:
-        """Whether frames are surely stamped early or late by more than matters."""
+        """Whether frames are stamped early or late by a significant and relevant time."""
         n = PRIOR_WINDOWS + len(self.blocks) / WINDOW
         return is_surely_beyond(self.late_s, self.std_s, MIN_REPORTED_S, n)
 
     @property
     def text(self) -> str:
-        """The offset in words, to 10 ms: finer, and the words would change twice a second."""
+        """The fault's text, rounded to 10 ms so that it does not change twice a second."""
         side = "late" if self.late_s > 0.0 else "early"
         late_ms = round(1e3 * abs(self.late_s), -1)
         return f"frames are stamped {late_ms:.0f} ms {side}: set camera_delay_s, or synchronise the clocks"
 
     def interrupted(self) -> FrameTiming:
-        """Compare no frame to come with those before; what they have shown stays."""
+        """Restart the means; keep the blocks and the estimate."""
         return self if self.last is None else self._replace(last=None, level=None, since_ns=None)
 
     def with_frame(self, t_ns: int, heading_rad: float, gyro_rad: float, std_rad: float) -> FrameTiming:
-        """Add a frame's heading, its sigma, and the angle that the gyroscope has turned by then (bias included)."""
+        """Add a frame's heading and its sigma, with the gyroscope's angle at its time (bias included)."""
         difference = heading_rad - gyro_rad
         if self.last is None:
             return self._replace(last=(t_ns, gyro_rad, difference))
@@ -111,7 +114,7 @@ class FrameTiming(NamedTuple):
         return full._replace(block=tuple(a + b for a, b in zip(full.block, products, strict=True)))
 
     def _with_block(self) -> FrameTiming:
-        """Add the block, and fit."""
+        """Append the full block, and fit."""
         if self.since_ns is None:
             return self
         blocks = (*self.blocks, self.block)[-MEMORY_BLOCKS:]
@@ -120,7 +123,7 @@ class FrameTiming(NamedTuple):
 
 
 def _fitted(blocks: tuple[Sums, ...]) -> tuple[float, float]:
-    """Return by how much frames are stamped late, s, and its sigma; (0, inf) where blocks do not show it."""
+    """Return the time by which frames are stamped late, s, and its sigma; (0, inf) if it is not observable."""
     n = len(blocks)
     if n < MIN_BLOCKS:
         return 0.0, inf
@@ -136,9 +139,9 @@ def _fitted(blocks: tuple[Sums, ...]) -> tuple[float, float]:
     except np.linalg.LinAlgError:
         return 0.0, inf
     fitted = cov @ whole[:N_TERMS, N_TERMS]
-    # What a block's residuals add to the slope over the rate, summed over windows of blocks.
+    # Contribution of each block's residuals to the coefficient of the rate, summed over windows of blocks.
     by_block = (each[:, :N_TERMS, N_TERMS] - each[:, :N_TERMS, :N_TERMS] @ fitted) @ cov[1]
     by_window = np.convolve(by_block, np.ones(WINDOW)) / sqrt(WINDOW)
-    stated, squares = ALIKE_FRAMES * cov[1, 1], n * float(by_window @ by_window)
+    stated, squares = CORRELATED_FRAMES * cov[1, 1], n * float(by_window @ by_window)
     variance = (PRIOR_WINDOWS * stated + squares) / (PRIOR_WINDOWS + n - N_TERMS)
     return -float(fitted[1]), sqrt(max(float(variance), 0.0))

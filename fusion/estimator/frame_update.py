@@ -1,6 +1,7 @@
-"""Measure a frame: takes what measures it and what the filter expects, returns the measurement, changes nothing.
+"""Measurement of a frame with the filter's prediction as prior. Pure functions.
 
-`fusion.estimator.engine` fuses its heading.
+Vision prefers a vanishing point near the predicted heading. If the result is far from the prediction, or the vehicle
+is turned away from the axis, the frame is measured again without prior. `fusion.estimator.engine` fuses the heading.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     Features = LineSet | FrameMeasurement
 
 Measure = Callable[[Attitude | None, Prior, bool], FrameMeasurement]
-"""What turns attitude and prediction into a frame's measurement, with the lateral offset or without."""
+"""Function from attitude and prediction to a frame's measurement, with or without the lateral offset."""
 
 
 class FrameSample(NamedTuple):
@@ -32,15 +33,15 @@ class FrameSample(NamedTuple):
     Parameters
     ----------
     t_ns
-        When it was taken.
+        Time of exposure: the stamp less the camera's delay.
     stamp_ns
-        As stamped, before the camera's delay is taken off.
+        Time stamp.
     measure
-        What measures it; or its measurement, made elsewhere; None where there is no picture.
+        Function that measures it; or its measurement, made elsewhere; None without a picture.
     picture
-        What the picture shows, to be compared with the one before; empty where that is not known.
+        Content of the picture, compared with the one before; empty if not known.
     stamp_std_s
-        By how much the stamp may be off: a step of the camera's clock that is suspected, but not decided.
+        Sigma of the stamp: size of an undecided step of the camera's clock.
     """
 
     t_ns: int
@@ -50,13 +51,13 @@ class FrameSample(NamedTuple):
     stamp_std_s: float = 0.0
 
     def fault(self) -> str:
-        """Why it cannot be used: a frame without a picture counts too, so nothing."""
+        """Return no fault: a frame without a picture counts too."""
         return ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameResult:
-    """What became of a frame.
+    """Result of a frame.
 
     Parameters
     ----------
@@ -68,9 +69,9 @@ class FrameResult:
         Whether the filter used its heading.
     innovation_rad, test_ratio
         Heading of the frame minus its prediction, radians, positive right; its square over gate squared, unit 1. NaN
-        where it was not compared.
+        if it was not compared.
     cause
-        Why a picture is unreadable, where that is known; else empty.
+        Reason why a picture is unreadable, if known; else empty.
     """
 
     timestamp_ns: int
@@ -83,12 +84,12 @@ class FrameResult:
 
 
 def extract_features(image: npt.NDArray[Any], camera: Camera, method: str) -> Features:
-    """Extract what depends on nothing but the picture: its lines, or all that the article's method measures.
+    """Extract what depends on the picture alone: its lines, or the whole measurement of the article's method.
 
     Raises
     ------
     InputError
-        Where the array is no picture or has another size than the camera's.
+        If the array is no picture or its size is not the camera's.
     """
     from vision import extract_lines, measure_frame
     from vision.images import to_grey
@@ -106,20 +107,20 @@ def measure_with_prior(
     lateral: bool,
     config: FusionConfig,
 ) -> FrameMeasurement:
-    """Measure a frame with the prediction, and, where that does not settle it, without.
+    """Measure a frame with the prediction and, if the result is ambiguous, without.
 
-    With the prediction, vision prefers an axis near it to one along the view, so strong lines across can win. And
-    turned away from the axis, the prediction must not choose at all: walls and fittings at a junction run along
-    the old corridor too, and would hide the new one; there the best direction counts, if only as a vote.
+    With the prediction, vision prefers an axis near it to one along the view, so strong lines across the corridor can
+    win. If the vehicle is turned away from the axis, the prediction must not select: walls and fittings at a junction
+    also run along the old corridor and would hide the new one. The best direction then counts, at least as a vote.
 
     Parameters
     ----------
     measure
-        What measures the frame.
+        Function that measures the frame.
     attitude
-        Roll and pitch; None where nothing ever told them.
+        Roll and pitch; None if never measured.
     prior
-        What the filter expects; its heading is NaN where it has none.
+        The filter's prediction; its heading is NaN before acquisition.
     psi_rad
         The filter's heading.
     lateral
@@ -135,7 +136,7 @@ def measure_with_prior(
     if near and not turned:
         return expected
     blind = replace(prior, heading_rad=nan, heading_std_rad=nan)
-    # Turned away, both are nearly always near: the heading tells, at less than half the cost.
+    # After a turn both results are usually near the axis; the heading alone decides, at less than half the cost.
     free = measure(attitude, blind, lateral and not near)
     if reason_to_reject(free, config) is not Reason.OK:
         return expected
@@ -147,7 +148,7 @@ def measure_with_prior(
 
 
 def reason_to_reject(m: FrameMeasurement, config: FusionConfig) -> Reason:
-    """Reason to turn a measurement down before the filter looks at it; OK where there is none."""
+    """Return the reason to reject a measurement before the gate; OK if there is none."""
     if not m.accepted:
         return m.reason if m.reason is not Reason.OK else Reason.UNCERTAIN
     if m.n_inliers < config.min_lines:
@@ -158,6 +159,6 @@ def reason_to_reject(m: FrameMeasurement, config: FusionConfig) -> Reason:
 
 
 def _is_near(m: FrameMeasurement, psi_rad: float, config: FusionConfig) -> bool:
-    """Whether a measurement is of the present axis rather than of another."""
+    """Whether a measurement is valid and nearer to the present axis than to that of another corridor."""
     distance = abs(wrap_axis(m.heading_rad - psi_rad))
     return reason_to_reject(m, config) is Reason.OK and distance <= config.junction_min_turn_rad

@@ -1,11 +1,13 @@
 """Checks of single gyroscope samples: range, spikes, clipping and repeated values.
 
-- Beyond the sensor's range it is refused.
-- One that leaps further than a vehicle can accelerate is held back until those behind it agree with it: a spike lasts
-  a sample or two, a collision longer. What is held back or refused is bridged by the trapezoid rule.
-- At the end of the range the true rate is only known to be larger, so the heading's variance grows.
-- Noise makes a real gyroscope's samples differ: one that was noisy and then repeats itself bit for bit is frozen, and
-  counts as silent.
+- Out of range: a sample beyond ``gyro_range_rad_s`` is rejected.
+- Spike: a sample is held back if it differs from the last one by more than ``alpha dt + 8 sigma``, with alpha the
+  largest angular acceleration of a vehicle and sigma the gyroscope's noise. It is accepted once the samples after it
+  agree with it: a spike lasts one or two samples, a collision longer. The trapezoid rule bridges samples that are
+  held back or rejected.
+- Clipped: at the end of the range, the true rate is only known to be larger. The sample is used, and the heading's
+  variance grows.
+- Frozen: a gyroscope whose samples were noisy and are now bit-identical is frozen, and counts as silent.
 """
 
 from __future__ import annotations
@@ -22,37 +24,33 @@ from fusion.estimator.propagation import ImuSample
 from fusion.estimator.records import new_record
 
 MAX_ANGULAR_ACCELERATION_RAD_S2 = 300.0  # about what small racing multirotors reach
-MAX_ACCELERATED_S = 0.03  # however long ago the last sample that was used: no vehicle does so for longer
-MIN_LEAP_RAD_S = 3.0  # from sample to sample; vibration makes smaller ones
-LEAP_SIGMA = 8.0  # of the gyroscope's noise
-CONFIRMED_SAMPLES, CONFIRMED_NS = 3, 20_000_000  # that agree, before a jump is accepted
-CLIPPED_SHARE = 0.98  # of the range, from which on a sample is taken for clipped
+MAX_ACCELERATED_S = 0.03  # upper bound of dt: no vehicle accelerates at that rate for longer
+MIN_JUMP_RAD_S = 3.0  # smallest jump from sample to sample; vibration causes smaller ones
+JUMP_SIGMA = 8.0  # of the gyroscope's noise
+CONFIRMED_SAMPLES, CONFIRMED_NS = 3, 20_000_000  # samples that must agree, and their span, to accept a jump
+CLIPPED_SHARE = 0.98  # part of the range above which a sample is clipped
 CLIPPED_REPEATS = 2  # of one fast axis while another changes: clipped at a range that is not configured
 MIN_CLIPPED_RAD_S = 1.0
-CLIPPED_STD_SHARE = 0.3  # of the rate: what may be above the range, one sigma
-FROZEN_REPEATS, FROZEN_NS = (
-    8,
-    50_000_000,
-)  # coarse quantisation repeats fewer, a slow sensor read often for less time
-NOISY, NOISY_MEMORY = (
-    0.3,
-    1 / 32,
-)  # share of changes that reverse: 2/3 in noise, near 0 in an exact simulation
-TOLD_NS = 500_000_000
+CLIPPED_STD_SHARE = 0.3  # sigma of the excess over the range, as a part of the rate
+# Coarse quantisation repeats fewer samples; a slow sensor that is polled often repeats for less time.
+FROZEN_REPEATS, FROZEN_NS = 8, 50_000_000
+# Part of the changes that reverse the one before: 2/3 in white noise, near 0 in an exact simulation.
+NOISY, NOISY_MEMORY = 0.3, 1 / 32
+REPORTED_NS = 500_000_000  # for which a fault remains reported
 
 
 class GyroVerdict(StrEnum):
-    """What a sample was; the names in the counters."""
+    """Result of the check of a sample; the names in the counters."""
 
     GOOD = "good"
-    CONFIRMED = "confirmed"  # with it, those that were held back
+    CONFIRMED = "confirmed"  # confirms the samples that were held back, too
     OUT_OF_RANGE = "out_of_range"
     SPIKE = "spike"
     CLIPPED = "clipped"
     FROZEN = "frozen"
 
 
-GOOD = GyroVerdict.GOOD  # as a name: Python 3.11 takes long to look up a member, and each sample asks for it
+GOOD = GyroVerdict.GOOD  # member lookup of an enum is slow in Python 3.11, and needed for each sample
 _USED = (GOOD, GyroVerdict.CLIPPED, GyroVerdict.CONFIRMED)
 _TEXTS = {
     GyroVerdict.OUT_OF_RANGE: (
@@ -66,26 +64,26 @@ _TEXTS = {
 
 
 class GyroCheck(NamedTuple):
-    """What is known of the gyroscope's samples.
+    """State of the checks of the gyroscope's samples.
 
     Parameters
     ----------
     verdict
-        What the newest sample was.
+        Verdict on the newest sample.
     t_ns, gyro_rad_s
         The last sample used; None before the first.
     waiting
         Samples that are held back, oldest first.
     change_rad_s, noisy
-        Last change of the third axis, and the share of its changes that reverse the one before.
+        Last change of the third axis, and the part of its changes that reverse the one before.
     repeats, stuck
-        Samples in a row that equal the one before: all axes, and one fast axis alone.
+        Samples in a row that equal the one before: on all axes, and on one fast axis alone.
     changed_ns
-        When a sample last differed from the one before.
+        Time of the last sample that differed from the one before.
     clipped_from_ns
-        Since when samples are clipped; None where they are not.
-    told, told_ns
-        The last verdict that was not good, and when.
+        Time since which samples are clipped; None if they are not.
+    reported, reported_ns
+        The last verdict that was not good, and its time.
     """
 
     verdict: GyroVerdict = GyroVerdict.GOOD
@@ -98,45 +96,45 @@ class GyroCheck(NamedTuple):
     stuck: int = 0
     changed_ns: int = 0
     clipped_from_ns: int | None = None
-    told: GyroVerdict = GyroVerdict.GOOD
-    told_ns: int = 0
+    reported: GyroVerdict = GyroVerdict.GOOD
+    reported_ns: int = 0
 
     @property
     def is_used(self) -> bool:
-        """Whether the newest sample is to be integrated."""
+        """Whether the newest sample is integrated."""
         return self.verdict in _USED
 
     @property
     def is_noisy(self) -> bool:
-        """Whether the samples have noise, as those of a real gyroscope."""
+        """Whether the samples are noisy, as those of a real gyroscope."""
         return self.noisy >= NOISY
 
     @property
     def clipped_ns(self) -> int | None:
-        """When a sample was clipped last, and the angle turned was not measured; None: not lately."""
-        return self.told_ns if self.told is GyroVerdict.CLIPPED else None
+        """Time of the last clipped sample, if clipping was the last fault; else None."""
+        return self.reported_ns if self.reported is GyroVerdict.CLIPPED else None
 
     def clock_set_back(self) -> GyroCheck:
-        """Start again; the estimated noise is kept."""
+        """Restart the checks; keep the estimated noise."""
         return GyroCheck(noisy=self.noisy)
 
     def notice(self, t_ns: int) -> Notice | None:
-        """Say what was wrong with a sample within the last half second; None: nothing."""
-        if self.told is GyroVerdict.GOOD or t_ns - self.told_ns > TOLD_NS:
+        """Return the fault found within the last half second; None if there is none."""
+        if self.reported is GyroVerdict.GOOD or t_ns - self.reported_ns > REPORTED_NS:
             return None
-        return Notice(*_TEXTS[self.told])
+        return Notice(*_TEXTS[self.reported])
 
     def _wrong(self, verdict: GyroVerdict, t_ns: int) -> GyroCheck:
-        return self._replace(verdict=verdict, told=verdict, told_ns=t_ns)
+        return self._replace(verdict=verdict, reported=verdict, reported_ns=t_ns)
 
 
 def with_sample(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> GyroCheck:
-    """Judge the next sample.
+    """Check the next sample.
 
     Parameters
     ----------
     check
-        What is known so far.
+        State of the checks.
     sample
         The next sample.
     config
@@ -147,14 +145,14 @@ def with_sample(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> Gy
     top = config.gyro_range_rad_s
     if not (-top <= p <= top and -top <= q <= top and -top <= r <= top):
         return check._wrong(GyroVerdict.OUT_OF_RANGE, t_ns)
-    _, last_ns, last, _, change, noisy, repeats, stuck, changed_ns, clipped_ns, told, told_ns = check
+    _, last_ns, last, _, change, noisy, repeats, stuck, changed_ns, clipped_ns, reported, reported_ns = check
     if last_ns is None:
         return check._replace(verdict=GyroVerdict.GOOD, t_ns=t_ns, gyro_rad_s=gyro, changed_ns=t_ns)
     dp, dq, dr = p - last[0], q - last[1], r - last[2]
-    least = MIN_LEAP_RAD_S
+    least = MIN_JUMP_RAD_S
     far = not (-least < dp < least and -least < dq < least and -least < dr < least)
-    if far and _leaps(gyro, last, t_ns - last_ns, config):
-        return _with_leap(check, sample, config)
+    if far and _jumps(gyro, last, t_ns - last_ns, config):
+        return _with_jump(check, sample, config)
     if dr != 0.0:
         noisy += NOISY_MEMORY * ((dr * change < 0.0) - noisy)
         change = dr
@@ -169,16 +167,29 @@ def with_sample(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> Gy
         stuck = stuck + 1 if held else 0
     verdict, clip = GOOD, CLIPPED_SHARE * top
     if (stuck >= CLIPPED_REPEATS and noisy >= NOISY) or abs(p) > clip or abs(q) > clip or abs(r) > clip:
-        verdict = told = GyroVerdict.CLIPPED
-        told_ns, clipped_ns = t_ns, clipped_ns or last_ns
+        verdict = reported = GyroVerdict.CLIPPED
+        reported_ns, clipped_ns = t_ns, clipped_ns or last_ns
     else:
         clipped_ns = None
-    found = (verdict, t_ns, gyro, (), change, noisy, repeats, stuck, changed_ns, clipped_ns, told, told_ns)
+    found = (
+        verdict,
+        t_ns,
+        gyro,
+        (),
+        change,
+        noisy,
+        repeats,
+        stuck,
+        changed_ns,
+        clipped_ns,
+        reported,
+        reported_ns,
+    )
     return new_record(GyroCheck, found)
 
 
 def clipped_variance(before: GyroCheck, check: GyroCheck) -> float:
-    """Variance of the heading, rad^2, that a clipped sample adds: a constant unknown rate, as long as it lasts."""
+    """Return the variance of the heading added by a clipped sample, rad^2: that of a constant unknown rate."""
     if check.clipped_from_ns is None or check.t_ns is None or before.t_ns is None:
         return 0.0
     std = CLIPPED_STD_SHARE * max(map(abs, check.gyro_rad_s))
@@ -187,7 +198,7 @@ def clipped_variance(before: GyroCheck, check: GyroCheck) -> float:
 
 
 def rate_that_bridges(before: GyroCheck, sample: ImuSample) -> Vector:
-    """Rate (3,) at the last sample used with which one trapezoid to ``sample`` turns as those held back do."""
+    """Return the rate (3,) at the last sample used with which one trapezoid covers the held-back samples."""
     if before.t_ns is None:
         return sample.gyro_rad_s
     path = [(before.t_ns, before.gyro_rad_s), *((w.t_ns, w.gyro_rad_s) for w in before.waiting)]
@@ -201,19 +212,19 @@ def rate_that_bridges(before: GyroCheck, sample: ImuSample) -> Vector:
     return start(0), start(1), start(2)
 
 
-def _leaps(gyro: Vector, last: Vector, dt_ns: int, config: FusionConfig) -> bool:
-    """Whether neither a vehicle nor noise gets from one rate to the other in that time."""
+def _jumps(gyro: Vector, last: Vector, dt_ns: int, config: FusionConfig) -> bool:
+    """Whether the change of the rate exceeds what acceleration and noise allow in that time."""
     dt_s = min(max(dt_ns * 1e-9, 1e-4), MAX_ACCELERATED_S)
     reach = max(
-        MAX_ANGULAR_ACCELERATION_RAD_S2 * dt_s, MIN_LEAP_RAD_S
-    ) + LEAP_SIGMA * config.gyro_noise / sqrt(dt_s)
+        MAX_ANGULAR_ACCELERATION_RAD_S2 * dt_s, MIN_JUMP_RAD_S
+    ) + JUMP_SIGMA * config.gyro_noise / sqrt(dt_s)
     return max(abs(a - b) for a, b in zip(gyro, last, strict=True)) > reach
 
 
-def _with_leap(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> GyroCheck:
-    """Hold a sample back, or believe it, where it agrees with enough of those that are."""
+def _with_jump(check: GyroCheck, sample: ImuSample, config: FusionConfig) -> GyroCheck:
+    """Hold a sample back, or accept it if enough samples held back agree with it."""
     waiting, t_ns = check.waiting, sample.t_ns
-    if waiting and _leaps(sample.gyro_rad_s, waiting[-1].gyro_rad_s, t_ns - waiting[-1].t_ns, config):
+    if waiting and _jumps(sample.gyro_rad_s, waiting[-1].gyro_rad_s, t_ns - waiting[-1].t_ns, config):
         waiting = ()
     if len(waiting) + 1 >= CONFIRMED_SAMPLES and t_ns - waiting[0].t_ns >= CONFIRMED_NS:
         return check._replace(

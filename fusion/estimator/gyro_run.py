@@ -1,10 +1,10 @@
-"""A run of gyroscope samples that only propagate the state, replayed in one compiled call.
+"""Fast replay of consecutive gyroscope samples in one compiled call, after a late sample.
 
-A late frame changes what was known when the samples behind it were taken: heading, its covariance, and the lateral
-offset. It changes neither the tilt nor what was found of the gyroscope. So most samples are replayed by a few numbers
-of arithmetic each. The state behind one of them is put together only when something asks for it.
+A late frame changes the heading, its covariance and the lateral offset for all samples after it, but neither the tilt
+nor the gyroscope checks (`fusion.estimator.state.Sensed`). So a run of good gyroscope samples is replayed with stored
+level rates and forces. The full state after a sample is built only on access.
 
-The result is that of `fusion.estimator.engine.Engine.process`, to the bit.
+The result is bit-identical to that of `fusion.estimator.engine.Engine.process`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from fusion.estimator.camera_delay import Delay, with_turns
 from fusion.estimator.installation_checks import Installation
 from fusion.estimator.kernels import BIAS, N_STATES, PSI, stepped
-from fusion.estimator.lateral_kernels import lengthened
+from fusion.estimator.lateral_kernels import extended_path
 from fusion.estimator.lateral_offset import Acceleration, OffsetState, Path
 from fusion.estimator.lateral_status import Lateral
 from fusion.estimator.models import FloatArray
@@ -29,14 +29,14 @@ from fusion.estimator.state import Checks, Entry, Sample, Sensed, State
 from fusion.flight import TimeArray
 from vision.compiled import compiled
 
-N_CARRIED = 13
-RAW_THETA = 1  # of what is carried, see `_replay_gyro_samples`
+N_PROPAGATED = 13
+RAW_THETA = 1  # column of ``propagated``, see `_replay_gyro_samples`
 
 
 class GoodSamples(NamedTuple):
-    """Gyroscope samples in a row that were good when they were processed first, and what was found of each then.
+    """Consecutive good gyroscope samples, and tilt and checks from their first processing.
 
-    ``t_ns`` (n,) and ``steps`` (n, 7) are the same for compiled code, rows as in `fusion.estimator.state.Sensed`.
+    ``t_ns`` (n,) and ``steps`` (n, 7) hold the same for compiled code, rows as in `fusion.estimator.state.Sensed`.
     """
 
     samples: Sequence[Sample]
@@ -46,11 +46,11 @@ class GoodSamples(NamedTuple):
 
     @classmethod
     def first_of(cls, entries: Sequence[Entry]) -> GoodSamples | None:
-        """Take as many of the first entries as are good; None where the first is not."""
+        """Return the leading good samples of ``entries``; None if the first is not good."""
         if not entries:
             return None
         run, place = entries[0].run, entries[0].place
-        if isinstance(run, GyroRun):  # the numbers are at hand where the rest of the run follows
+        if isinstance(run, GyroRun):  # reuse the arrays if the rest of a run follows
             count = run.count - place
             last = entries[count - 1] if count <= len(entries) else None
             if last is not None and last.run is run and last.place == run.count - 1:
@@ -66,18 +66,18 @@ class GoodSamples(NamedTuple):
 
 
 class GyroRun:
-    """Samples in a row behind a state.
+    """Consecutive samples replayed from a state.
 
     Parameters
     ----------
     start
-        The state; a gyroscope carries its heading.
+        The state; a gyroscope propagates its heading.
     good
         The samples.
     before
-        What was found in front of them when they were processed first.
+        Tilt and checks before them, from their first processing.
     propagation
-        Says how noisy a gyroscope is.
+        Source of the noise parameters.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class GyroRun:
         n = len(good.samples)
         self.x, self.F = np.empty((n, N_STATES)), np.empty((n, N_STATES, N_STATES))
         self.P, self.Q = np.empty_like(self.F), np.empty((N_STATES, N_STATES))
-        self.carried = np.empty((n, N_CARRIED))
+        self.propagated = np.empty((n, N_PROPAGATED))
         d, offset = start.reckoning, start.lateral.offset
         path, accel = offset.path, offset.accel
         first = np.array((d.theta_rad, d.raw_theta_rad, d.yaw_done_rad, *path, *accel, offset.evidence_age_s))
@@ -109,23 +109,23 @@ class GyroRun:
                 d.gyro_done_rad,
                 offset.roll.mean,
                 propagation.scale_variance_s,
-                d.more_gyro_noise,
+                d.extra_gyro_noise,
             ),
             (*propagation.noise[Mode.GYRO],),
-            (self.x, self.F, self.P, self.Q, self.carried),
+            (self.x, self.F, self.P, self.Q, self.propagated),
         )
-        self._delay, self._delay_at = start.delay, 0  # behind so many samples
+        self._delay, self._delay_at = start.delay, 0  # delay after this number of samples
 
     def nodes(self, i: int) -> tuple[Node, ...]:
-        """Return a sample's step for the smoother."""
+        """Return the smoother's step of a sample."""
         x, P = self.x[i], self.P[i]
         return (Node(self.F[i], x, P, x, P),)
 
     def state(self, i: int) -> State:
-        """Return the state behind a sample."""
+        """Return the state after a sample."""
         sample, sensed = self.good.samples[i], self.good.sensed[i]
         assert isinstance(sample, ImuSample)
-        theta, raw, yaw_done, t_s, accel_s, a1, a2, path_noise, *accel, age_s = self.carried[i].tolist()
+        theta, raw, yaw_done, t_s, accel_s, a1, a2, path_noise, *accel, age_s = self.propagated[i].tolist()
         last, silent_s, density2, n = accel
         _, _, d, _, velocity, width, imu_yaw, axis, lateral, frames, elevation, _, checks = self.start
         offset = lateral.offset
@@ -152,7 +152,7 @@ class GyroRun:
             yaw_done,
             d.attitude,
             d.stored_gyro_bias,
-            d.more_gyro_noise,
+            d.extra_gyro_noise,
         )
         return State(
             self.x[i],
@@ -166,15 +166,15 @@ class GyroRun:
             Lateral(offset, None, *lateral[2:]),
             frames,
             elevation,
-            self._delay_behind(i),
-            Checks(sensed.gyro, checks.repeats, self._installation_behind(i)),
+            self._delay_after(i),
+            Checks(sensed.gyro, checks.repeats, self._installation_after(i)),
         )
 
-    def _installation_behind(self, i: int) -> Installation:
+    def _installation_after(self, i: int) -> Installation:
         found, start = self.good.sensed[i].installation, self.start.checks.installation
         return start if found is self.before.installation else found.with_frames_of(start)
 
-    def _delay_behind(self, i: int) -> Delay | None:
+    def _delay_after(self, i: int) -> Delay | None:
         if self._delay is None:
             return None
         if self._delay_at > i + 1:
@@ -182,26 +182,26 @@ class GyroRun:
         assert self._delay is not None
         rows = slice(self._delay_at, i + 1)
         times = [sample.t_ns for sample in self.good.samples[rows]]
-        self._delay = with_turns(self._delay, times, self.carried[rows, RAW_THETA].tolist())
+        self._delay = with_turns(self._delay, times, self.propagated[rows, RAW_THETA].tolist())
         self._delay_at = i + 1
         return self._delay
 
 
 @cache
 def compile_gyro_run() -> None:
-    """Compile, or load what was compiled, when an estimator is made: not at its first late frame, in flight."""
+    """Compile the replay, or load it from the cache, before the first late frame."""
     n = N_STATES
     out = (
         np.empty((1, n)),
         np.empty((1, n, n)),
         np.empty((1, n, n)),
         np.empty((n, n)),
-        np.empty((1, N_CARRIED)),
+        np.empty((1, N_PROPAGATED)),
     )
     times = (0, 0, 1_000_000_000)
     t_ns, steps = np.array([1_000_000]), np.array([(0.0,) * 7])
-    noise, x, P, carried = (1.0,) * 3, np.zeros(n), np.eye(n), np.zeros(N_CARRIED)
-    _replay_gyro_samples(t_ns, steps, x, P, carried, times, (0.0,) * 5, noise, out)
+    noise, x, P, propagated = (1.0,) * 3, np.zeros(n), np.eye(n), np.zeros(N_PROPAGATED)
+    _replay_gyro_samples(t_ns, steps, x, P, propagated, times, (0.0,) * 5, noise, out)
 
 
 @compiled
@@ -210,15 +210,15 @@ def _replay_gyro_samples(
     steps: FloatArray,
     x: FloatArray,
     P: FloatArray,
-    carried: FloatArray,
+    propagated: FloatArray,
     times_ns: tuple[int, int, int],
     numbers: tuple[float, float, float, float, float],
     noise: tuple[float, float, float],
     out: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
 ) -> int:
-    """Process samples as the engine does where a gyroscope carries the heading; return how many could be.
+    """Process samples as the engine does in `Mode.GYRO`; return how many were processed.
 
-    It ends before a gap in the gyroscope's samples.
+    It stops before a gap in the gyroscope's samples.
 
     Parameters
     ----------
@@ -226,38 +226,38 @@ def _replay_gyro_samples(
         Times (n,), and rows (n, 7) as in `fusion.estimator.state.Sensed`.
     x, P
         State (3,) and covariance (3, 3) of the filter.
-    carried
-        What else is carried on (13,): dead-reckoned heading, the same with the bias, yaw since the last attitude;
-        the path's five and the acceleration's four numbers; age of the evidence.
+    propagated
+        Other propagated values (13,): dead-reckoned heading, the same with the bias, yaw since the last attitude;
+        the five fields of the path and the four of the acceleration; age of the evidence.
     times_ns
-        Of the state, of the last gyroscope sample, and the longest gap.
+        Times of the state and of the last gyroscope sample, and the longest gap.
     numbers
-        Last level yaw rate, angle propagated since then, roll correction, variance of the scale, s, and density of
-        the noise beyond that of the settings, rad^2/s.
+        Last level yaw rate, angle propagated since then, roll correction, variance of the scale, s, and squared
+        density of the noise beyond the configured one, rad^2/s.
     noise
-        Of the process.
+        Densities of the process noise.
     out
-        Filled: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3) of the last step, carried (n, 13).
+        Output: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3) of the last step, propagated (n, 13).
     """
     last_ns, gyro_ns, grace_ns = times_ns
-    last_rate, done, roll, scale_variance_s, more_noise = numbers
+    last_rate, done, roll, scale_variance_s, extra_noise = numbers
     heading_noise, bias_noise, offset_noise = noise
-    x_out, F_out, P_out, Q, carried_out = out
-    theta, raw_theta, yaw_done = carried[0], carried[1], carried[2]
-    path = (carried[3], carried[4], carried[5], carried[6], carried[7])
-    accel = (carried[8], carried[9], carried[10], int(carried[11]))
-    age_s = carried[12]
+    x_out, F_out, P_out, Q, propagated_out = out
+    theta, raw_theta, yaw_done = propagated[0], propagated[1], propagated[2]
+    path = (propagated[3], propagated[4], propagated[5], propagated[6], propagated[7])
+    accel = (propagated[8], propagated[9], propagated[10], int(propagated[11]))
+    age_s = propagated[12]
     for k in range(len(t_ns)):
         dt_s = (t_ns[k] - last_ns) * 1e-9
         if t_ns[k] - gyro_ns > grace_ns or not dt_s > 0.0:
             return k
         rate = steps[k, 0]
         force, down = (steps[k, 1], steps[k, 2], steps[k, 3]), (steps[k, 4], steps[k, 5], steps[k, 6])
-        path, accel = lengthened(path, accel, dt_s, x[PSI], force, down, roll)
+        path, accel = extended_path(path, accel, dt_s, x[PSI], force, down, roll)
         age_s += dt_s
         turned = 0.5 * (last_rate + rate) * (t_ns[k] - gyro_ns) * 1e-9 - done
         corrected = turned - x[BIAS] * dt_s
-        variance = scale_variance_s * corrected * corrected / dt_s + more_noise * dt_s
+        variance = scale_variance_s * corrected * corrected / dt_s + extra_noise * dt_s
         stepped(
             x,
             P,
@@ -274,7 +274,7 @@ def _replay_gyro_samples(
         )
         theta, raw_theta, yaw_done = theta + corrected, raw_theta + turned, yaw_done + corrected
         x, P, last_ns, gyro_ns, last_rate, done = x_out[k], P_out[k], t_ns[k], t_ns[k], rate, 0.0
-        row = carried_out[k]
+        row = propagated_out[k]
         row[0], row[1], row[2], row[12] = theta, raw_theta, yaw_done, age_s
         row[3], row[4], row[5], row[6], row[7] = path
         row[8], row[9], row[10], row[11] = accel

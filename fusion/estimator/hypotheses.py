@@ -1,9 +1,12 @@
-"""Fault isolation: probabilities of what is wrong when frames and prediction disagree. A pure function.
+"""Fault isolation: probabilities of the possible faults when frames and prediction disagree. Pure functions.
 
-Innovations of a filter whose model holds are white with mean zero (R. K. Mehra, "On the identification of variances
-and adaptive Kalman filtering", IEEE Transactions on Automatic Control 15, 1970). Their signed mean, over half a
-second and over three, shows that something is systematically wrong; scatter about it is noise, and no sign of that.
-Who it is follows from the turn over one span as gyroscope, IMU yaw and frames measure it, by Bayes's rule:
+**Detection.** Innovations of a filter whose model holds are white with zero mean (R. K. Mehra, "On the identification
+of variances and adaptive Kalman filtering", IEEE Transactions on Automatic Control 15, 1970). Their signed mean over
+half a second and over three seconds is tested: beyond `SYSTEMATIC_SIGMA` there is a systematic error. Their scatter
+is noise.
+
+**Isolation.** Gyroscope, IMU yaw and frames measure the same turn over a span. Each hypothesis predicts how the
+differences of frames minus gyroscope and frames minus IMU yaw behave:
 
 =================  =====================  =====================  ==================
 hypothesis         frames - gyroscope     frames - IMU yaw       frames themselves
@@ -16,12 +19,18 @@ another axis       jumps                  jumps                  jump
 stamps wrong       like the turn's rate   likewise               follow the turn
 =================  =====================  =====================  ==================
 
-Three sources, two differences: each hypothesis says which source drifts, and with it how the two rates vary and
-correlate. The frames' own errors are in both. An IMU yaw made from the same gyroscope repeats its errors, so that it
-agrees with it is weaker evidence than that it does not. Frames that drift away by themselves look like a bend.
+The slopes g of frames minus gyroscope and y of frames minus IMU yaw are jointly Gaussian with mean zero. With the
+variances r of the frames' fitted slope, q_g and q_y of gyroscope and yaw, q_b of the bias, and d_f, d_g, d_y of a
+drift of the frames, the gyroscope or the yaw (zero, or `DRIFT_STD_RAD_S` squared under the hypothesis)::
 
-A hypothesis is reported from 5 % on and acted on when it is the most probable one: a false warning costs less than
-a wrong correction.
+    var(g) = r + d_f + q_g + d_g + q_b,    var(y) = r + d_f + q_y + d_y,    cov(g, y) = r + d_f
+
+An IMU yaw computed from the same gyroscope repeats its errors: ``q_g + d_g`` is then in var(y) and cov(g, y) too.
+Bayes' rule gives the posterior over the hypotheses and over the states of the IMU yaw (sound, disturbed, repeating).
+Frames that drift by themselves cannot be distinguished from a bend.
+
+**Decision.** A fault is reported from a probability of `REPORT_PROBABILITY` on, and acted on when it is the most
+probable hypothesis: a false warning costs less than a wrong correction.
 """
 
 from __future__ import annotations
@@ -35,23 +44,23 @@ import numpy as np
 from fusion.estimator.frame_drift import Evidence, HeadingComparison, Slope
 from fusion.estimator.imu_yaw_check import YawProbabilities, log_normal
 
-SHORT_S, LONG_S = 0.25, 1.5  # time constants of means over about 0.5 and 3 s
-CLIPPED_SIGMA = 4.0  # a gross error must not make a mean
-SYSTEMATIC_SIGMA = 4.0  # of a mean: worth a look at the slopes, which decide
-CONTESTED_SIGMA = 5.5  # of a mean: worth a word, whatever the slopes say
-DOUBTED, STILL_DOUBTED = 0.05, 0.02  # probability from which a fault is reported, and remains reported
-CONTESTED_S = 1.0  # from the last frame that contested
-DRIFT_STD_RAD_S = radians(10.0)  # of a gyroscope that is wrong, and of a corridor that bends
-STAMP_STD_S, WRONG_STAMP_STD_S = 0.005, 0.05  # of stamps that are well, and of wrong ones
-MAX_RATE_RAD_S = 35.0  # that a gyroscope reports: a spike may be any
-CHECK_INTERVAL_S = 0.25  # between looks that no innovation asks for
-PRIOR_WRONG = 1e-3  # of each fault, at each look
-PERSISTS = 0.5  # prior probability that what was found goes on
-MAX_INDEPENDENT = 15  # frames; more in a span do not make their stated sigmas surer
+SHORT_S, LONG_S = 0.25, 1.5  # time constants of the means over about 0.5 and 3 s
+CLIPPED_SIGMA = 4.0  # normalised innovations are clipped here, so that an outlier does not dominate a mean
+SYSTEMATIC_SIGMA = 4.0  # a mean beyond this triggers a judgement of the slopes
+CONTESTED_SIGMA = 5.5  # a mean beyond this is reported, independently of the slopes
+REPORT_PROBABILITY, KEEP_PROBABILITY = 0.05, 0.02  # above which a fault is reported, and remains reported
+CONTESTED_S = 1.0  # for which a fault remains reported after the last frame that showed it
+DRIFT_STD_RAD_S = radians(10.0)  # rate of a faulty gyroscope's drift, and of a bend
+STAMP_STD_S, WRONG_STAMP_STD_S = 0.005, 0.05  # sigma of correct and of wrong time stamps
+MAX_RATE_RAD_S = 35.0  # of a gyroscope: its rate in a spike is uniform within this range
+CHECK_INTERVAL_S = 0.25  # between judgements that no innovation triggers
+PRIOR_FAULT = 1e-3  # prior probability of each fault, per judgement
+PERSISTS = 0.5  # prior probability that the fault found last persists
+MAX_INDEPENDENT = 15  # frames per span in the goodness of fit: their stated sigmas are not exact
 
 
 class Hypothesis(StrEnum):
-    """Who is wrong."""
+    """Which source is wrong."""
 
     WELL = "all well"
     GYRO = "gyroscope"
@@ -62,7 +71,7 @@ class Hypothesis(StrEnum):
 
 
 class Innovations(NamedTuple):
-    """Signed means of the frames' normalised innovations, with their variances had the innovations been white."""
+    """Signed means of the frames' normalised innovations, with their variances for white innovations."""
 
     short: float = 0.0
     long: float = 0.0
@@ -70,9 +79,9 @@ class Innovations(NamedTuple):
     long_variance: float = 0.0
 
     def with_innovation(self, normalised: float, interval_s: float, rho: float) -> Innovations:
-        """Add an innovation over its standard deviation; ``rho`` is the correlation with the one before."""
+        """Add a normalised innovation; ``rho`` is its correlation with the one before."""
         z = min(max(normalised, -CLIPPED_SIGMA), CLIPPED_SIGMA)
-        unit = (1.0 + rho) / (1.0 - rho)  # variance of a sum of correlated terms, each of variance one
+        unit = (1.0 + rho) / (1.0 - rho)  # variance, per term, of a sum of correlated terms of variance one
 
         def mean(old: float, variance: float, time_s: float) -> tuple[float, float]:
             a = 1.0 - exp(-interval_s / time_s)
@@ -84,59 +93,60 @@ class Innovations(NamedTuple):
 
     @property
     def short_sigmas(self) -> float:
-        """The mean over half a second, in its standard deviations."""
+        """Mean over half a second, in standard deviations."""
         return self.short / sqrt(self.short_variance) if self.short_variance > 0.0 else 0.0
 
     @property
     def long_sigmas(self) -> float:
-        """The mean over three seconds, in its standard deviations."""
+        """Mean over three seconds, in standard deviations."""
         return self.long / sqrt(self.long_variance) if self.long_variance > 0.0 else 0.0
 
     @property
     def one_sided_sigmas(self) -> float:
-        """How far they are from what chance does, in standard deviations."""
+        """The larger of the two means, in standard deviations."""
         return max(abs(self.short_sigmas), abs(self.long_sigmas))
 
     @property
     def systematic(self) -> bool:
-        """Whether they are one-sided beyond chance."""
+        """Whether the innovations have a significant mean."""
         return self.one_sided_sigmas > SYSTEMATIC_SIGMA
 
 
 class Verdict(NamedTuple):
-    """Probabilities of the hypotheses, in the order of `Hypothesis`; they add up to one.
+    """Probabilities of the hypotheses, in the order of `Hypothesis`; they sum to one.
 
-    ``yaw_disturbed`` is the probability that the IMU's yaw is disturbed, whatever else is wrong; NaN without one.
+    ``yaw_disturbed`` is the marginal probability that the IMU's yaw is disturbed; NaN without an IMU yaw.
     """
 
     probabilities: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     yaw_disturbed: float = nan
 
     @property
-    def likeliest(self) -> Hypothesis:
-        """The most probable one."""
+    def most_probable(self) -> Hypothesis:
+        """The most probable hypothesis."""
         return tuple(Hypothesis)[int(np.argmax(self.probabilities))]
 
-    def doubt(self, told: bool) -> Hypothesis:
-        """Return the most probable fault, if it is to be reported, or still is; else `Hypothesis.WELL`."""
-        if self.of(Hypothesis.WELL) > 1.0 - (STILL_DOUBTED if told else DOUBTED):
+    def fault_to_report(self, is_reported: bool) -> Hypothesis:
+        """Return the most probable fault if it is to be reported, or to remain so; else `Hypothesis.WELL`."""
+        least = KEEP_PROBABILITY if is_reported else REPORT_PROBABILITY
+        if self.probability_of(Hypothesis.WELL) > 1.0 - least:
             return Hypothesis.WELL
         return tuple(Hypothesis)[1 + int(np.argmax(self.probabilities[1:]))]
 
-    def of(self, hypothesis: Hypothesis) -> float:
-        """Return the probability of one."""
+    def probability_of(self, hypothesis: Hypothesis) -> float:
+        """Return the probability of a hypothesis."""
         return self.probabilities[tuple(Hypothesis).index(hypothesis)]
 
 
-class Told(NamedTuple):
-    """The fault that was found, and when last."""
+class ReportedFault(NamedTuple):
+    """A reported fault, and when it was last found."""
 
     hypothesis: Hypothesis
     t_ns: int
 
 
 class Diagnosis(NamedTuple):
-    """Evidence of the frames against the prediction, and the fault that follows from it.
+    """Evidence of the frames against the prediction, and the isolated fault.
 
     Parameters
     ----------
@@ -146,15 +156,15 @@ class Diagnosis(NamedTuple):
         Share of the frames of the last half second that were not used.
     judged_ns, found, verdict
         Time of the last judgement, its result, and the probabilities if it was made with the last frame.
-    told
-        The fault reported last, and when.
+    reported
+        The fault reported last.
     jump_rad
-        Size of a jump of the gyroscope while no frame came; 0 without one.
+        Size of a jump of the gyroscope while no frame arrived; 0 without one.
     straight_bias_rad_s
-        The gyroscope's bias from before frames began to drift from gyroscope and attitude; the filter's own takes up
-        the bend's rate meanwhile. NaN while there is no bend.
+        The gyroscope's bias from before a bend; during the bend the filter's own bias absorbs its rate. NaN while
+        there is no bend.
     yaw_probabilities
-        Doubts about the IMU's yaw: disturbed, or repeating the gyroscope.
+        Probabilities that the IMU's yaw is disturbed, and that it repeats the gyroscope's errors.
     """
 
     innovations: Innovations = Innovations()
@@ -163,38 +173,42 @@ class Diagnosis(NamedTuple):
     judged_ns: int | None = None
     found: Hypothesis = Hypothesis.WELL
     verdict: Verdict = Verdict()
-    told: Told | None = None
+    reported: ReportedFault | None = None
     jump_rad: float = 0.0
     straight_bias_rad_s: float = nan
     yaw_probabilities: YawProbabilities = YawProbabilities()
 
-    def stepped(self) -> Diagnosis:
-        """Drop evidence that is relative to a heading that has jumped since."""
+    def without_evidence(self) -> Diagnosis:
+        """Drop evidence from before a jump of the heading."""
         return self._replace(
             innovations=Innovations(), comparisons=(), rejected_share=0.0, found=Hypothesis.WELL
         )
 
-    def started_anew(self) -> Diagnosis:
-        """Keep only what has been reported, and the doubts about the IMU's yaw."""
-        return Diagnosis(told=self.told, yaw_probabilities=self.yaw_probabilities)
+    def restarted(self) -> Diagnosis:
+        """Drop all but the reported fault and the probabilities of the IMU's yaw."""
+        return Diagnosis(reported=self.reported, yaw_probabilities=self.yaw_probabilities)
 
-    def with_verdict(self, t_ns: int, verdict: Verdict, look_due: bool) -> Diagnosis:
-        """Store a verdict; ``look_due`` if it was due by time, not asked for by an innovation."""
+    def with_verdict(self, t_ns: int, verdict: Verdict, judgement_due: bool) -> Diagnosis:
+        """Store a verdict; ``judgement_due`` if it was due by time and not triggered by an innovation."""
         yaw_probabilities = self.yaw_probabilities
-        if look_due and isfinite(verdict.yaw_disturbed):
-            yaw_probabilities = yaw_probabilities.with_look(verdict.yaw_disturbed)
-        told = self.told
-        doubt = verdict.doubt(told is not None and t_ns - told.t_ns < CONTESTED_S * 1e9)
+        if judgement_due and isfinite(verdict.yaw_disturbed):
+            yaw_probabilities = yaw_probabilities.with_judgement(verdict.yaw_disturbed)
+        reported = self.reported
+        doubt = verdict.fault_to_report(reported is not None and t_ns - reported.t_ns < CONTESTED_S * 1e9)
         if doubt is not Hypothesis.WELL or self.innovations.one_sided_sigmas > CONTESTED_SIGMA:
-            told = Told(doubt, t_ns)
-        found = verdict.likeliest
+            reported = ReportedFault(doubt, t_ns)
+        found = verdict.most_probable
         return self._replace(
-            judged_ns=t_ns, found=found, verdict=verdict, told=told, yaw_probabilities=yaw_probabilities
+            judged_ns=t_ns,
+            found=found,
+            verdict=verdict,
+            reported=reported,
+            yaw_probabilities=yaw_probabilities,
         )
 
 
 class _Drifts(NamedTuple):
-    """Variances of the rates at which the sources drift; whether the IMU's yaw repeats the gyroscope's errors."""
+    """Variances d of the sources' drifts under a hypothesis; whether the IMU's yaw repeats the gyroscope's errors."""
 
     frames: float = 0.0
     gyro: float = 0.0
@@ -203,7 +217,7 @@ class _Drifts(NamedTuple):
 
 
 def _log_density(evidence: Evidence, drifts: _Drifts) -> float:
-    """Log density of the two rates; what the frames do is in both."""
+    """Return the log density of the two slopes; errors of the frames are in both."""
     if evidence.gyro is None:
         return 0.0
     g, frames = evidence.gyro.rate_rad_s, evidence.gyro.rate_std**2 + drifts.frames
@@ -217,19 +231,19 @@ def _log_density(evidence: Evidence, drifts: _Drifts) -> float:
     return log_normal(y, var_y) + log_normal(g - given_y * y, var_g - given_y * common)
 
 
-def _log_density_of_leap(evidence: Evidence, drifts: _Drifts) -> float:
-    """Return the same for a gyroscope whose rate may be any."""
-    leap = -log(2.0 * MAX_RATE_RAD_S)
+def _log_density_of_spike(evidence: Evidence, drifts: _Drifts) -> float:
+    """Return the same for a gyroscope whose rate is uniform over its range."""
+    uniform = -log(2.0 * MAX_RATE_RAD_S)
     if evidence.gyro is None or evidence.yaw is None:
-        return leap
+        return uniform
     variance = evidence.yaw_variance + drifts.yaw
     if drifts.repeats:
-        return leap + log_normal(evidence.yaw.rate_rad_s - evidence.gyro.rate_rad_s, variance)
-    return leap + log_normal(evidence.yaw.rate_rad_s, variance + evidence.gyro.rate_std**2)
+        return uniform + log_normal(evidence.yaw.rate_rad_s - evidence.gyro.rate_rad_s, variance)
+    return uniform + log_normal(evidence.yaw.rate_rad_s, variance + evidence.gyro.rate_std**2)
 
 
 def _log_ratio_of_stamps(gyro: Slope) -> float:
-    """Log likelihood that the frames are stamped wrongly over that they are stamped well."""
+    """Return the log likelihood ratio of wrong time stamps of the frames over correct ones."""
     off_s, variance = gyro.stamp_s, gyro.stamp_variance
     if not isfinite(variance):
         return 0.0
@@ -238,43 +252,51 @@ def _log_ratio_of_stamps(gyro: Slope) -> float:
 
 
 def judge(evidence: Evidence, before: Hypothesis = Hypothesis.WELL) -> Verdict:
-    """Weigh the hypotheses by Bayes's rule; what was found the last time is likely to last.
+    """Return the posterior of the hypotheses by Bayes' rule; the prior favours the fault found last.
 
-    The spans of successive looks overlap, so the whole distribution is not propagated: one frame would count often.
+    Only that fault is carried over, not the whole posterior: successive spans overlap, so frames would count
+    repeatedly.
     """
     if evidence.jumped:
         return Verdict((0.0, 0.0, 0.0, 0.0, 1.0, 0.0))
     if evidence.gyro is None:
         return Verdict()
     wide, n = DRIFT_STD_RAD_S**2, min(evidence.gyro.n, MAX_INDEPENDENT)
-    steady = -0.5 * n * max(evidence.gyro.misfit - 1.0, 0.0)  # a jump is not on a line
+    steady = -0.5 * n * max(evidence.gyro.misfit - 1.0, 0.0)  # a jump does not fit a line
     faults = (Hypothesis.GYRO, Hypothesis.SPIKE, Hypothesis.BEND, Hypothesis.STAMPS)
-    priors = dict.fromkeys(faults, PRIOR_WRONG)
+    priors = dict.fromkeys(faults, PRIOR_FAULT)
     if before in priors:
         priors[before] = PERSISTS
     priors[Hypothesis.WELL] = 1.0 - sum(priors.values())
-    astray, repeating = evidence.yaw_probabilities[:2]
+    disturbed, repeating = evidence.yaw_probabilities[:2]
     wrong_stamps = _log_ratio_of_stamps(evidence.gyro)
-    cases = []  # hypothesis, what ails the IMU's yaw, log of prior times density
-    for ails, share, yaw in (
-        ("nothing", (1.0 - astray) * (1.0 - repeating), _Drifts()),
-        ("astray", astray, _Drifts(yaw=wide)),
-        ("repeating", (1.0 - astray) * repeating, _Drifts(repeats=True)),
+    cases = []  # hypothesis, fault of the IMU yaw, log of prior times density
+    for yaw_fault, share, yaw in (
+        ("nothing", (1.0 - disturbed) * (1.0 - repeating), _Drifts()),
+        ("disturbed", disturbed, _Drifts(yaw=wide)),
+        ("repeating", (1.0 - disturbed) * repeating, _Drifts(repeats=True)),
     ):
         logs = {
             Hypothesis.WELL: steady + _log_density(evidence, yaw),
             Hypothesis.GYRO: steady + _log_density(evidence, yaw._replace(gyro=wide)),
         }
         logs[Hypothesis.STAMPS] = logs[Hypothesis.WELL] + wrong_stamps
-        if evidence.refused:
-            logs[Hypothesis.SPIKE] = _log_density_of_leap(evidence, yaw)
-        if evidence.yaw is not None and ails != "astray":
+        if evidence.frames_rejected:
+            logs[Hypothesis.SPIKE] = _log_density_of_spike(evidence, yaw)
+        if evidence.yaw is not None and yaw_fault != "disturbed":
             logs[Hypothesis.BEND] = steady + _log_density(evidence, yaw._replace(frames=wide))
-        cases += [(who, ails, log(share * priors[who]) + value) for who, value in logs.items()]
+        cases += [
+            (hypothesis, yaw_fault, log(share * priors[hypothesis]) + value)
+            for hypothesis, value in logs.items()
+        ]
     highest = max(value for *_, value in cases)
-    weights = [(who, ails, exp(max(value - highest, -700.0))) for who, ails, value in cases]
+    weights = [
+        (hypothesis, yaw_fault, exp(max(value - highest, -700.0))) for hypothesis, yaw_fault, value in cases
+    ]
     total = sum(w for *_, w in weights)
-    probabilities = tuple(sum(w for who, _, w in weights if who is each) / total for each in Hypothesis)
+    probabilities = tuple(
+        sum(w for hypothesis, _, w in weights if hypothesis is each) / total for each in Hypothesis
+    )
     if evidence.yaw is None:
         return Verdict(probabilities)
-    return Verdict(probabilities, sum(w for _, ails, w in weights if ails == "astray") / total)
+    return Verdict(probabilities, sum(w for _, yaw_fault, w in weights if yaw_fault == "disturbed") / total)

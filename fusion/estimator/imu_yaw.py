@@ -1,7 +1,14 @@
-"""The IMU's own yaw: takes an attitude's yaw, corrects the filter, returns its part of the state.
+"""The IMU's own yaw: measurement update with the yaw of an attitude sample.
 
-Its offset to the corridor is followed while a gyroscope carries the heading; it corrects the heading if
-`fusion.estimator.imu_yaw_check` finds that it knows something of its own.
+The yaw measures ``psi + turn + o``, with psi the heading, turn the angle of the present corridor from the first one,
+and o the yaw offset, a state of the filter. There are two ways to use it:
+
+- By default only o is estimated: its covariance with the other states is zero, and the heading's variance counts as
+  measurement noise (`fusion.estimator.models.imu_yaw_offset_model`).
+- The yaw corrects the heading too while `fusion.estimator.imu_yaw_check` finds it independent of the gyroscope and
+  not disturbed, or if the configuration asks for it.
+
+A step of the yaw (`STEP_SAMPLES` rejected samples in a row) is absorbed by o.
 """
 
 from __future__ import annotations
@@ -14,14 +21,14 @@ import numpy as np
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.imu_yaw_check import (
     Trace,
-    YawWatch,
+    YawDriftStatistics,
     find_disturbance,
-    is_calm,
     is_due,
     is_independent,
-    stepped_by,
-    traced,
-    watch,
+    is_undisturbed,
+    shifted_by,
+    with_difference,
+    with_trace,
 )
 from fusion.estimator.models import (
     BIAS,
@@ -52,7 +59,7 @@ class AttitudeSample(NamedTuple):
     q_world_body: Quaternion
 
     def fault(self) -> str:
-        """Why it cannot be used; empty where it can."""
+        """Return the reason why it cannot be used; empty if it can."""
         return "" if 0.9 < _length(self.q_world_body) < 1.1 else "attitude_not_unit"  # NaN fails too
 
     def unit(self) -> Quaternion:
@@ -68,19 +75,19 @@ def _length(q: Quaternion) -> float:
 
 
 class ImuYaw(NamedTuple):
-    """What is known of the IMU's yaw.
+    """State of the fusion of the IMU's yaw.
 
     Parameters
     ----------
     known
-        Whether its offset to the corridor is.
+        Whether its offset to the corridor is known.
     corrects_heading
         Whether the offset is correlated with the other states.
     rejects
-        Samples that the gate has rejected in a row.
+        Number of samples rejected by the gate in a row.
     gate
         Outcome of the last innovation.
-    watch, traces
+    drift_statistics, traces
         See `fusion.estimator.imu_yaw_check`.
     """
 
@@ -88,17 +95,17 @@ class ImuYaw(NamedTuple):
     corrects_heading: bool = False
     rejects: int = 0
     gate: Gate | None = None
-    watch: YawWatch = YawWatch()
+    drift_statistics: YawDriftStatistics = YawDriftStatistics()
     traces: tuple[Trace, ...] = ()
 
     @property
     def test_ratio(self) -> float:
-        """Of the last innovation: squared over gate squared."""
+        """Square of the last innovation over the gate squared."""
         return nan if self.gate is None else self.gate.test_ratio
 
     def axis_changed(self) -> ImuYaw:
-        """Drop the running comparison of gyroscope and yaw: frames no longer show the same axis."""
-        return self._replace(watch=self.watch.interrupted())
+        """Drop the running comparison of gyroscope and yaw after a change of the axis."""
+        return self._replace(drift_statistics=self.drift_statistics.interrupted())
 
 
 def fuse_imu_yaw(
@@ -109,7 +116,7 @@ def fuse_imu_yaw(
     axis: CorridorAxis,
     config: FusionConfig,
 ) -> ImuYaw:
-    """Fuse the IMU's yaw, or follow its offset; a step of it is taken up by the offset, never by the heading.
+    """Update with the IMU's yaw; a step of the yaw is absorbed by its offset, never by the heading.
 
     Parameters
     ----------
@@ -118,58 +125,60 @@ def fuse_imu_yaw(
     ekf
         Filter to update.
     yaw_rad
-        Of the attitude sample, at the time of ``reckoning``.
+        Yaw of the attitude sample, at the time of ``reckoning``.
     reckoning, axis
-        What carries the heading, and which axis it is measured from.
+        Dead reckoning of the heading, and the axis that it is measured from.
     config
         Settings.
     """
     if not axis.acquired:
         return part
-    # Where yaw increments propagate the heading, the same yaw adds nothing.
+    # If its increments propagate the heading, the yaw carries no further information.
     useful = reckoning.mode is Mode.GYRO and _is_useful(part, config)
-    part = _coupled(part, ekf, useful and is_calm(part.traces))
+    part = _coupled(part, ekf, useful and is_undisturbed(part.traces))
     measurement = _measurement(part, ekf, yaw_rad, axis, config)
     if not part.known:
         ekf.update(measurement)
         return part._replace(known=True)
     gate = ekf.update(measurement, config.imu_yaw_gate_sigma)
     if gate.accepted:
-        _, corrects_heading, _, _, watched, traces = part
-        part = new_record(ImuYaw, (True, corrects_heading, 0, gate, watched, traces))
+        _, corrects_heading, _, _, statistics, traces = part
+        part = new_record(ImuYaw, (True, corrects_heading, 0, gate, statistics, traces))
         return _trace(part, ekf, yaw_rad, reckoning, axis, config)
     part = part._replace(gate=gate, rejects=part.rejects + 1)
     if part.rejects >= STEP_SAMPLES:
         ekf.widen(YAW_OFFSET, gate.residual**2)
         ekf.update(_measurement(part, ekf, yaw_rad, axis, config))
-        part = part._replace(traces=stepped_by(gate.residual, part.traces))
+        part = part._replace(traces=shifted_by(gate.residual, part.traces))
     return part
 
 
 def compare_by_frame(
     part: ImuYaw, t_ns: int, heading_rad: float, variance: float, reckoning: DeadReckoning
 ) -> ImuYaw:
-    """Compare gyroscope and IMU yaw by a frame, where an attitude sample is near.
+    """Compare gyroscope and IMU yaw with a frame, if an attitude sample is near.
 
     Parameters
     ----------
     part
         Part of the state.
     t_ns, heading_rad, variance
-        The frame's time and its heading.
+        Time of the frame, its heading and the variance.
     reckoning
-        What carries the heading.
+        Dead reckoning of the heading.
     """
     yaw_now = yaw_at(reckoning, t_ns)
     if reckoning.mode is not Mode.GYRO or isnan(yaw_now):
         return part
-    seen = watch(part.watch, t_ns, heading_rad - reckoning.theta_rad, heading_rad - yaw_now, variance)
-    return part._replace(watch=seen)
+    seen = with_difference(
+        part.drift_statistics, t_ns, heading_rad - reckoning.theta_rad, heading_rad - yaw_now, variance
+    )
+    return part._replace(drift_statistics=seen)
 
 
 def _is_useful(part: ImuYaw, config: FusionConfig) -> bool:
     if config.imu_yaw_use == "auto":
-        return is_independent(part.watch, config.gyro_noise, config.offset_walk)
+        return is_independent(part.drift_statistics, config.gyro_noise, config.offset_walk)
     return config.imu_yaw_use == "always"
 
 
@@ -190,7 +199,7 @@ def _trace(
     axis: CorridorAxis,
     config: FusionConfig,
 ) -> ImuYaw:
-    """Notice where the IMU's yaw parts from the gyroscope, and undo what that did to the heading."""
+    """Detect a disturbance of the IMU's yaw, and undo its effect on heading and bias."""
     t_ns = reckoning.attitude.last_ns
     if t_ns is None or not is_due(part.traces, t_ns):
         return part
@@ -200,20 +209,20 @@ def _trace(
         part.traces, now, config.gyro_noise**2 + config.offset_walk**2, config.imu_yaw_std_rad**2
     )
     if found is None:
-        return part._replace(traces=traced(part.traces, now))
+        return part._replace(traces=with_trace(part.traces, now))
     unseen = axis.t_vision_ns is None or axis.t_vision_ns < found.since_ns
-    if part.corrects_heading and unseen:  # no frame has moved them meanwhile, so the yaw has
+    if part.corrects_heading and unseen:  # no frame was fused meanwhile, so the yaw caused the change
         moved = np.array([found.heading_rad, found.bias_rad_s, 0.0])
         ekf.predict(x - moved, np.eye(N_STATES), np.multiply.outer(moved, moved))
     return part._replace(traces=(now,))
 
 
 def _coupled(part: ImuYaw, ekf: CorridorEKF, corrects_heading: bool) -> ImuYaw:
-    """Let the heading learn from the IMU's yaw, or keep the two apart.
+    """Couple the yaw offset to the heading, or decouple it, by a transition that resets the offset.
 
-    An attitude filter's yaw comes from the gyroscope that already carries the heading. Taken as independent it
-    makes the filter too sure, and its drift passes for the gyroscope's bias. Kept apart, the offset is
-    uncorrelated with every other state, so nothing learned about it can move them, in the smoother neither.
+    An attitude filter's yaw contains the errors of the gyroscope that already propagates the heading. Fused as
+    independent it makes the filter overconfident, and its drift is attributed to the gyroscope's bias. A decoupled
+    offset is uncorrelated with every other state, so its updates do not change them, in the smoother either.
     """
     if corrects_heading == part.corrects_heading:
         return part

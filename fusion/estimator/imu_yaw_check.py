@@ -1,13 +1,19 @@
-"""Check whether the IMU's yaw is independent of the gyroscope, by the frames.
+"""Checks of the IMU's yaw: whether its errors are independent of the gyroscope's, and whether it is disturbed.
 
-An attitude filter's yaw usually contains the gyroscope's error; fused as independent, it makes the filter
-overconfident. Frames show over a few seconds how far dead reckoning and IMU yaw have each drifted. If the two errors
-are correlated, the yaw is not independent. An independent yaw (a good compass, a second gyroscope) is fused, and
-helps while no frame is used.
+**Independence.** An attitude filter's yaw usually contains the gyroscope's errors; fused as independent, it makes the
+filter overconfident. Over spans of a few seconds, frames show the drift g of dead reckoning and y of the IMU's yaw.
+The means of ``(g^2 - r) / T``, ``(y^2 - r) / T`` and ``(g y - r) / T``, with r the frames' own variance and T the
+span, estimate the variances per second of both and their common part. The yaw is independent if the common part is
+below `MAX_SHARED` of the gyroscope's configured variance, and its own below `MAX_YAW_WALK` squared of the configured
+one (`is_independent`). Such a yaw (a good compass, a second gyroscope) is fused, which helps while no frame is used.
 
-Steel or a motor's current may disturb even an independent yaw, at once or over seconds. It then deviates from the
-gyroscope faster than the noises of both allow. Its effect on the heading is undone, and it is not used until the two
-agree again.
+**Disturbance.** Steel or motor currents can disturb an independent yaw, at once or over seconds. Its difference to
+the gyroscope then changes by more than `DISTURBED_SIGMA` (`find_disturbance`). The effect on the heading is undone,
+and the yaw is not used until both have agreed for `UNDISTURBED_NS`.
+
+**Probabilities.** `YawProbabilities` are the priors of `fusion.estimator.hypotheses`: that the yaw is disturbed, and
+that it repeats the gyroscope's errors. The latter follows by Bayes' rule from means of yaw minus gyroscope over
+adjoining blocks: a repeated error cancels in the difference, an independent one adds ``2/3 q^2 T``.
 """
 
 from __future__ import annotations
@@ -18,24 +24,24 @@ from typing import NamedTuple
 from vision.rotations import wrap, wrap_axis
 
 BLOCK_NS = 500_000_000
-MIN_FRAMES = 3  # of a block
+MIN_FRAMES = 3  # per block
 MIN_SPAN_S, MAX_SPAN_S = 2.0, 8.0
-STEP_RAD = radians(4)  # more than that over a span is a disturbance, not wander
+STEP_RAD = radians(4)  # a larger change over a span is a disturbance and no random walk
 MEMORY = 40.0  # spans
 MIN_SPANS = 8.0
-MAX_SHARED = 0.5  # part of the gyroscope's wander that the IMU's yaw may repeat
-MAX_WANDER = 1.5  # of the IMU's yaw, over what the configuration takes it for
-TRACE_NS = 3_000_000_000  # how far back yaw and gyroscope are compared
+MAX_SHARED = 0.5  # part of the gyroscope's variance that the IMU's yaw may share
+MAX_YAW_WALK = 1.5  # density of the IMU yaw's random walk, over the configured one
+TRACE_NS = 3_000_000_000  # longest time over which yaw and gyroscope are compared
 TRACE_STEP_NS = 100_000_000
-CALM_NS = 2_000_000_000
-DISTURBED_SIGMA = 4.5  # less, and the many comparisons would find chance
-ASTRAY_MEMORY = 1 / 20  # of a look: five seconds
-LEAST_DOUBT, MOST_DOUBT = 0.005, 0.9  # of the IMU's yaw: what it is may change
-MOST_NATS = 6.0  # that one block tells
+UNDISTURBED_NS = 2_000_000_000
+DISTURBED_SIGMA = 4.5  # high, because there are many comparisons
+DISTURBED_MEMORY = 1 / 20  # gain per judgement: five seconds
+MIN_PROBABILITY, MAX_PROBABILITY = 0.005, 0.9  # bounds, since the yaw's quality may change
+MAX_LOG_RATIO = 6.0  # bound of one block's log likelihood ratio
 
 
 class Block(NamedTuple):
-    """Frames of half a second: when, heading minus dead reckoning and minus IMU yaw, variance of both means."""
+    """Frames of half a second: time, heading minus dead reckoning and minus IMU yaw, variance of both means."""
 
     t_ns: int
     gyro_rad: float
@@ -43,19 +49,19 @@ class Block(NamedTuple):
     variance: float
 
 
-class YawWatch(NamedTuple):
-    """What the frames have shown so far; variances are per second, rad^2/s.
+class YawDriftStatistics(NamedTuple):
+    """Drift of gyroscope and IMU yaw, as measured by frames; variances are per second, rad^2/s.
 
     Parameters
     ----------
     first, n, sums
-        The block being filled: its first frame, how many, and sums of differences to the first and of variances.
+        The block being filled: its first frame, number of frames, sums of differences to the first and of variances.
     reference
-        The block that the next is compared with.
+        The block that the next one is compared with.
     spans
-        How many comparisons have been made, as far as they are remembered.
+        Number of comparisons in the means, at most `MEMORY`.
     gyro, yaw, shared
-        Wander of the dead-reckoned heading, of the IMU's yaw, and what they have in common.
+        Variances per second of the dead-reckoned heading and of the IMU's yaw, and their covariance.
     """
 
     first: Block | None = None
@@ -67,20 +73,22 @@ class YawWatch(NamedTuple):
     yaw: float = 0.0
     shared: float = 0.0
 
-    def interrupted(self) -> YawWatch:
-        """Return the watch with the running comparison dropped: the axis has changed."""
+    def interrupted(self) -> YawDriftStatistics:
+        """Drop the running comparison after a change of the axis."""
         return self._replace(first=None, reference=None)
 
 
-def watch(w: YawWatch, t_ns: int, gyro_rad: float, yaw_rad: float, variance: float) -> YawWatch:
-    """Take in a frame that the filter accepted.
+def with_difference(
+    w: YawDriftStatistics, t_ns: int, gyro_rad: float, yaw_rad: float, variance: float
+) -> YawDriftStatistics:
+    """Add an accepted frame.
 
     Parameters
     ----------
     gyro_rad, yaw_rad
         The frame's heading minus the dead-reckoned heading, and minus the IMU's yaw at the frame's time.
     variance
-        Of the frame's heading.
+        Variance of the frame's heading.
     """
     if w.first is not None and t_ns - w.first.t_ns >= BLOCK_NS:
         if w.n >= MIN_FRAMES:
@@ -97,12 +105,12 @@ def watch(w: YawWatch, t_ns: int, gyro_rad: float, yaw_rad: float, variance: flo
     return w._replace(n=w.n + 1, sums=sums)
 
 
-def _mean(first: Block, w: YawWatch) -> Block:
+def _mean(first: Block, w: YawDriftStatistics) -> Block:
     g, y, v = w.sums
     return Block(first.t_ns, first.gyro_rad + g / w.n, first.yaw_rad + y / w.n, v / w.n**2)
 
 
-def _compare(w: YawWatch, block: Block) -> YawWatch:
+def _compare(w: YawDriftStatistics, block: Block) -> YawDriftStatistics:
     old = w.reference
     if old is None:
         return w._replace(reference=block)
@@ -127,19 +135,20 @@ def _compare(w: YawWatch, block: Block) -> YawWatch:
     )
 
 
-def is_independent(w: YawWatch, gyro_density: float, yaw_density: float) -> bool:
-    """Whether the IMU's yaw strays on its own, and no more than ``yaw_density`` (rad/sqrt(s)) allows.
+def is_independent(w: YawDriftStatistics, gyro_density: float, yaw_density: float) -> bool:
+    """Whether the IMU's yaw is independent of the gyroscope and not noisier than configured.
 
-    ``gyro_density`` is the gyroscope's noise as configured, rad/sqrt(s).
+    ``gyro_density`` and ``yaw_density`` are the configured densities of both, rad/sqrt(s).
     """
     if w.spans < MIN_SPANS:
         return False
-    error = sqrt(max(w.gyro, 0.0) * max(w.yaw, 0.0) / w.spans)  # of the common part, where there is none
-    return w.shared + error < MAX_SHARED * gyro_density**2 and w.yaw < (MAX_WANDER * yaw_density) ** 2
+    # Standard error of the covariance of independent errors.
+    error = sqrt(max(w.gyro, 0.0) * max(w.yaw, 0.0) / w.spans)
+    return w.shared + error < MAX_SHARED * gyro_density**2 and w.yaw < (MAX_YAW_WALK * yaw_density) ** 2
 
 
 class Trace(NamedTuple):
-    """IMU yaw and filter's heading at one time, less the turns that the gyroscope has measured; bias and variance."""
+    """IMU yaw and filter's heading at one time, both less the gyroscope's angle; the bias and its variance."""
 
     t_ns: int
     yaw_rad: float
@@ -149,7 +158,7 @@ class Trace(NamedTuple):
 
 
 class YawDisturbance(NamedTuple):
-    """How far heading and bias have come, since ``since_ns``, from where the gyroscope alone would have them."""
+    """Change of heading and bias since ``since_ns``, beyond the prediction by the gyroscope alone."""
 
     since_ns: int
     heading_rad: float
@@ -159,10 +168,10 @@ class YawDisturbance(NamedTuple):
 def find_disturbance(
     traces: tuple[Trace, ...], now: Trace, variance_per_s: float, yaw_variance: float
 ) -> YawDisturbance | None:
-    """Find since when the IMU's yaw departs from the gyroscope by more than noise allows; None: it does not.
+    """Find the start of a significant change of IMU yaw minus gyroscope; None if there is none.
 
-    ``variance_per_s`` is that by which both may wander, ``yaw_variance`` that of one yaw's noise. The bias is that of
-    the earlier time: a yaw that is pulled away slowly takes the bias along too.
+    ``variance_per_s`` is the random walk of both, ``yaw_variance`` the white noise of the yaw. The bias is that of
+    the earlier time, because a slow disturbance shifts the estimated bias too.
     """
     for old in traces:
         span_s = (now.t_ns - old.t_ns) * 1e-9
@@ -175,27 +184,27 @@ def find_disturbance(
 
 
 def is_due(traces: tuple[Trace, ...], t_ns: int) -> bool:
-    """Whether it is time to look again."""
+    """Whether the next trace is due."""
     return not traces or t_ns - traces[-1].t_ns >= TRACE_STEP_NS
 
 
-def traced(traces: tuple[Trace, ...], now: Trace) -> tuple[Trace, ...]:
+def with_trace(traces: tuple[Trace, ...], now: Trace) -> tuple[Trace, ...]:
     """Append a trace and drop old ones."""
     return (*(old for old in traces if now.t_ns - old.t_ns <= TRACE_NS), now)
 
 
-def stepped_by(step_rad: float, traces: tuple[Trace, ...]) -> tuple[Trace, ...]:
-    """Go on after a step that the offset has taken up: it is as if the yaw had always been there."""
+def shifted_by(step_rad: float, traces: tuple[Trace, ...]) -> tuple[Trace, ...]:
+    """Shift the traces by a step of the yaw that the offset has absorbed."""
     return tuple(old._replace(yaw_rad=old.yaw_rad + step_rad) for old in traces)
 
 
-def is_calm(traces: tuple[Trace, ...]) -> bool:
-    """Whether yaw and gyroscope have agreed for a while."""
-    return bool(traces) and traces[-1].t_ns - traces[0].t_ns >= CALM_NS
+def is_undisturbed(traces: tuple[Trace, ...]) -> bool:
+    """Whether yaw and gyroscope have agreed for `UNDISTURBED_NS`."""
+    return bool(traces) and traces[-1].t_ns - traces[0].t_ns >= UNDISTURBED_NS
 
 
 class InertialNoise(NamedTuple):
-    """How gyroscope and IMU yaw wander, rad/sqrt(s), the yaw's white noise, rad, and the gyroscope's scale error."""
+    """Random walks of gyroscope and IMU yaw, rad/sqrt(s), the yaw's white noise, rad, the gyroscope's scale error."""
 
     gyro_walk: float
     yaw_walk: float
@@ -214,7 +223,7 @@ class GyroAndYaw(NamedTuple):
 
 
 class YawMean(NamedTuple):
-    """Mean of ``n`` differences of IMU yaw and gyroscope since ``began_ns``, and the mean of those before."""
+    """Mean of ``n`` differences of IMU yaw and gyroscope since ``began_ns``, and the mean of the block before."""
 
     reference: GyroAndYaw
     began_ns: int
@@ -225,22 +234,22 @@ class YawMean(NamedTuple):
 
 
 class YawProbabilities(NamedTuple):
-    """Probabilities that steel pulls the IMU's yaw away now, and that it always repeats the gyroscope's errors.
+    """Probabilities that the IMU's yaw is disturbed at present, and that it repeats the gyroscope's errors.
 
-    Attitude filters differ, and so do buildings: from the start's guess on, both are learned in flight.
+    Both are learned in flight from an initial guess: attitude filters and buildings differ.
     """
 
-    astray: float = 0.05
+    disturbed: float = 0.05
     repeating: float = 0.2
     mean: YawMean | None = None
 
-    def with_look(self, astray: float) -> YawProbabilities:
-        """Update the share of the time in which it is disturbed, with the probability of one look."""
-        share = self.astray + ASTRAY_MEMORY * (astray - self.astray)
-        return self._replace(astray=max(share, LEAST_DOUBT))
+    def with_judgement(self, disturbed: float) -> YawProbabilities:
+        """Update the part of the time in which the yaw is disturbed, with the probability of one judgement."""
+        share = self.disturbed + DISTURBED_MEMORY * (disturbed - self.disturbed)
+        return self._replace(disturbed=max(share, MIN_PROBABILITY))
 
     def compared(self, now: GyroAndYaw, noise: InertialNoise) -> YawProbabilities:
-        """Compare IMU yaw and gyroscope, without frames: an error that both make is not in their difference."""
+        """Compare IMU yaw and gyroscope without frames: common errors cancel in their difference."""
         mean = self.mean
         if not isfinite(now.yaw_rad):
             return self._replace(mean=None)
@@ -259,21 +268,21 @@ class YawProbabilities(NamedTuple):
 
 
 def _repeats(prior: float, mean: YawMean, now: GyroAndYaw, noise: InertialNoise) -> float:
-    """Probability that the IMU's yaw repeats the gyroscope's errors, by means over two adjoining blocks.
+    """Return the probability that the IMU's yaw repeats the gyroscope's errors, from means over two adjoining blocks.
 
-    Of a random walk of density q, the means over adjoining spans T differ by a variance of 2/3 q^2 T.
+    Means of a random walk of density q over adjoining spans T differ with the variance 2/3 q^2 T.
     """
     span_s = BLOCK_NS * 1e-9
     step = remainder(mean.mean_rad - mean.before_rad + now.bias_rad_s * span_s, 2.0 * pi)
     white = noise.yaw_std**2 * (1.0 / mean.n + 1.0 / mean.n_before)
     alike = white + now.bias_variance * span_s**2 + 2.0 / 3.0 * noise.yaw_walk**2 * span_s
     by_gyro = 2.0 / 3.0 * noise.gyro_walk**2 * span_s
-    nats = log_normal(step, alike) - log_normal(step, alike + by_gyro)
-    ratio = exp(max(nats, -MOST_NATS))
+    log_ratio = log_normal(step, alike) - log_normal(step, alike + by_gyro)
+    ratio = exp(max(log_ratio, -MAX_LOG_RATIO))
     repeating = prior * ratio / (prior * ratio + 1.0 - prior)
-    return min(max(repeating, LEAST_DOUBT), MOST_DOUBT)
+    return min(max(repeating, MIN_PROBABILITY), MAX_PROBABILITY)
 
 
 def log_normal(x: float, variance: float) -> float:
-    """Log density of a normal distribution of mean zero."""
+    """Return the log density of a normal distribution with mean zero."""
     return -0.5 * (x * x / variance + log(2.0 * pi * variance))

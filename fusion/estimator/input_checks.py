@@ -1,6 +1,6 @@
 """Checks of the caller's arguments: returns plain numbers, or raises an error that names the argument.
 
-Also the bounds of a frame's measurement: a field beyond them is taken out before the filter squares it.
+Also checks the bounds of a frame's measurement: a field beyond them is set to NaN, that is, not measured.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from vision.lateral.parallax import are_profiles
 from vision.measurement import FrameMeasurement, Reason
 
 MAX_TIME_NS = 2**62  # 146 years; sums of such times fit into 64 bits
-MAX_OFFSET_NORM = 3.0  # a camera is between the walls, which is within 1
+MAX_OFFSET_NORM = 3.0  # a camera between the walls is within 1
 MAX_OFFSET_STD = 10.0
 MAX_WIDTH_PER_HEIGHT = 1000.0
-MAX_ELEVATION_RAD = 0.5  # a camera's mount that is off by more is no matter of calibration
+MAX_ELEVATION_RAD = 0.5  # calibration errors of a camera's mount are smaller
 MAX_ROLL_CORRECTION_RAD = 0.5
 MAX_ANGLE_STD_RAD = pi
 _NUMBERS = tuple(field.name for field in fields(FrameMeasurement) if field.type in ("float", float))
@@ -36,7 +36,7 @@ def whole_nanoseconds(t_ns: object) -> int:
     Raises
     ------
     InputError
-        Where it is not an integer (seconds as a float, say) or does not fit.
+        If it is not an integer (for instance seconds as a float) or does not fit.
     """
     if type(t_ns) is not int:
         try:
@@ -51,13 +51,13 @@ def whole_nanoseconds(t_ns: object) -> int:
     return t_ns
 
 
-def finite_or_not(values: npt.ArrayLike, count: int, name: str) -> list[float]:
-    """Return so many floats, be they finite or not.
+def float_list(values: npt.ArrayLike, count: int, name: str) -> list[float]:
+    """Return ``count`` floats, finite or not.
 
     Raises
     ------
     InputError
-        Where there are more, or fewer, or they are not numbers.
+        If the shape is different, or the values are not numbers.
     """
     try:
         found = np.asarray(values, dtype=float)
@@ -70,24 +70,24 @@ def finite_or_not(values: npt.ArrayLike, count: int, name: str) -> list[float]:
 
 
 def vector(values: npt.ArrayLike, name: str) -> Vector:
-    """Return three floats, be they finite or not; errors as in `finite_or_not`."""
-    # Without numpy for what the usual callers give, at half the price.
+    """Return three floats, finite or not; errors as in `float_list`."""
+    # The usual types without numpy, in half the time.
     listed: Any = values.tolist() if type(values) is np.ndarray and values.shape == (3,) else values
     try:
         x, y, z = listed
         return float(x), float(y), float(z)
     except (TypeError, ValueError):
-        x, y, z = finite_or_not(values, 3, name)
+        x, y, z = float_list(values, 3, name)
         return x, y, z
 
 
 def number(value: object, name: str) -> float:
-    """Return a float, be it finite or not.
+    """Return a float, finite or not.
 
     Raises
     ------
     InputError
-        Where it is not a number.
+        If it is not a number.
     """
     try:
         return float(value)  # type: ignore[arg-type]
@@ -96,7 +96,7 @@ def number(value: object, name: str) -> float:
 
 
 def checked_config(config: object) -> FusionConfig:
-    """Return the settings, the usual ones for None; raise `InputError` where they are of another type."""
+    """Return the settings, the defaults for None; raise `InputError` if they are of another type."""
     if config is None:
         return FusionConfig()
     if not isinstance(config, FusionConfig):
@@ -108,7 +108,7 @@ def checked_config(config: object) -> FusionConfig:
 
 
 def checked_measurement(measurement: object) -> FrameMeasurement:
-    """Return a frame's measurement; raise `InputError` where it is none, or one of its numbers is no number."""
+    """Return a frame's measurement; raise `InputError` if it or one of its numbers is of another type."""
     if not isinstance(measurement, FrameMeasurement):
         raise InputError(
             f"measurement is of type {type(measurement).__name__}",
@@ -124,7 +124,7 @@ def checked_measurement(measurement: object) -> FrameMeasurement:
 
 
 class _Bound(NamedTuple):
-    """Fields that are of use only together, the bounds of value and sigma, and how a refusal is counted."""
+    """A value and its sigma, their bounds, and the name under which a rejection is counted."""
 
     value: str
     std: str
@@ -149,11 +149,11 @@ _BOUNDS = (
 
 
 def within_bounds(m: FrameMeasurement) -> tuple[FrameMeasurement, tuple[str, ...]]:
-    """Return a measurement without what no camera in a corridor can see, and the names that count it.
+    """Return a measurement without impossible values, and the names of the counters of rejected fields.
 
-    A heading beyond half a turn takes the frame with it; other fields are only taken out themselves. NaN is no fault:
-    it says that a field was not measured. Arrays are copied, so that the caller may use its own again,
-    and contiguous, so that no code is compiled for another layout in flight.
+    A heading beyond half a turn rejects the frame; other fields are set to NaN themselves. NaN is no fault: it means
+    that a field was not measured. Arrays are copied, so that the caller may reuse its own, and made contiguous, so
+    that no code is compiled for another layout in flight.
     """
     changes: dict[str, Any] = {}
     counted = []
@@ -162,7 +162,7 @@ def within_bounds(m: FrameMeasurement) -> tuple[FrameMeasurement, tuple[str, ...
             changes |= dict.fromkeys((bound.value, bound.std) if bound.std else (bound.value,), nan)
             counted.append(bound.counted)
     if len(m.offset_evidence):
-        sound = [mixture for mixture in map(_sound, m.offset_evidence) if mixture is not None]
+        sound = [mixture for mixture in map(_usable_mixture, m.offset_evidence) if mixture is not None]
         changes["offset_evidence"] = tuple(sound)
         if len(sound) < len(m.offset_evidence):
             counted.append("frame_offset")
@@ -185,8 +185,8 @@ def _is_beyond(m: FrameMeasurement, bound: _Bound) -> bool:
     return beyond
 
 
-def _sound(mixture: OffsetMixture) -> OffsetMixture | None:
-    """Return a mixture with arrays of its own, float64 (k,); None where it cannot be used: widths may be NaN."""
+def _usable_mixture(mixture: OffsetMixture) -> OffsetMixture | None:
+    """Return a copy of a mixture as float64 arrays (k,); None if it cannot be used; widths may be NaN."""
     try:
         fields = np.array(
             [mixture.weight, mixture.offset_norm, mixture.std_norm, mixture.width_per_height], order="C"

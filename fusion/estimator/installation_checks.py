@@ -1,9 +1,12 @@
-"""Checks how sensors are installed (axes, units, tilt, focal length), by comparing what they measure of one motion.
+"""Checks of the sensors' installation (axes, units, tilt, focal length) by their measurements of the same motion.
 
-The turns that frames see are regressed on those of the gyroscope: a slope of -1 is a wrong sign, one near 0 a wrong
-unit, and the intercept is the gyroscope's bias. At rest the accelerometer reads (0, 0, -9.8) m/s^2 in FRD, and its
-mean points where the attitude has up. Where the camera points, the vehicle's rolling shows
-(`fusion.estimator.camera_yaw`), and its focal length the headings (`fusion.estimator.focal_length`).
+- Turn rates: over spans of a quarter second, the frames' turn rate y is regressed on the gyroscope's rate x:
+  ``y = a + m x``. A slope m near -1 is a wrong sign, one near 0 a wrong unit; ``-a / m`` is the gyroscope's bias.
+  Sums fade with `MEMORY`, and the stated variances count as `PRIOR_TURNS` turns beside the residuals.
+- Gravity: at rest the accelerometer reads (0, 0, -9.8) m/s^2 in FRD; its mean must agree with the attitude's
+  vertical.
+- Camera: its yaw shows when the vehicle rolls (`fusion.estimator.camera_yaw`), its focal length in the headings
+  (`fusion.estimator.focal_length`), its time stamps in turns (`fusion.estimator.frame_timing`).
 """
 
 from __future__ import annotations
@@ -22,23 +25,23 @@ from fusion.estimator.records import new_record
 from vision.rotations import wrap_axis
 
 SPAN_NS = 250_000_000  # over which frames are averaged; turns are from one span to the next
-MAX_TURN_RAD = 0.35  # in that time; more is another axis
-MEMORY = 1.0 - 1 / 40  # of each turn, when the next comes
+MAX_TURN_RAD = 0.35  # a larger change of the frames' heading in that time is another axis
+MEMORY = 1.0 - 1 / 40  # forgetting factor per turn
 MIN_TURNS, SURE_SIGMA = 3.0, 5.0
-PRIOR_TURNS = 4.0  # that the stated noise counts as, beside the scatter that is found
-FAST_RAD_S = 3.0  # rms that no flight along a corridor has
+PRIOR_TURNS = 4.0  # degrees of freedom of the stated noise, beside the residuals
+FAST_RAD_S = 3.0  # rms turn rate that no flight along a corridor reaches
 MAX_BIAS_RAD_S = 0.1
 IMU_STEP_NS, IMU_MEMORY_S, ACCEL_MIN_S, FAST_MIN_S = 50_000_000, 3.0, 0.5, 2.0
 MAX_TILT_ERROR_RAD = radians(20)
-LEAN_MEMORY_S, LEAN_MIN_S = 10.0, 4.0  # no vehicle speeds up one way for so long
+LEAN_MEMORY_S, LEAN_MIN_S = 10.0, 4.0  # no vehicle accelerates in one direction for so long
 MAX_LEAN_RAD = radians(7)
-FROM_FRAMES = 6  # so many fields of an `Installation` come from frames, the others from the IMU's samples
+FROM_FRAMES = 6  # the first fields of an `Installation` come from frames, the others from the IMU
 
 
 class Span(NamedTuple):
-    """Frames of a quarter second: start, mean time since then and gyroscope's angle, the frames' stated variance.
+    """Frames of a quarter second: start, means of the time since then, gyroscope's angle and stated variance.
 
-    ``differences_rad`` are the headings less the gyroscope's angle; their median is none of the gross frames'.
+    ``differences_rad`` are the headings less the gyroscope's angle; their median is robust to outliers.
     """
 
     since_ns: int
@@ -54,11 +57,11 @@ class Span(NamedTuple):
 
     @property
     def heading_variance(self) -> float:
-        """Its variance; that of a median is pi / 2 times a mean's."""
+        """Variance of the heading; that of a median is pi / 2 times a mean's."""
         return 0.5 * pi * self.variance / len(self.differences_rad)
 
     def with_frame(self, t_ns: int, heading_rad: float, gyro_rad: float, variance: float) -> Span:
-        """Take in a frame."""
+        """Add a frame."""
         share, first = 1.0 / (len(self.differences_rad) + 1), self.differences_rad[0]
         difference = first + wrap_axis(heading_rad - gyro_rad - first)
         return Span(
@@ -71,23 +74,23 @@ class Span(NamedTuple):
 
 
 class Installation(NamedTuple):
-    """What has been compared so far.
+    """Statistics of the installation checks.
 
     Parameters
     ----------
     span, last_span
         The frames of the present span, and of the one before.
     sums
-        Weight, x, y, xx, xy, yy, stated variance of the turns; x is the gyroscope's, y the frames', rad/s.
+        Sums of weight, x, y, xx, xy, yy and stated variance of the turn rates, rad/s.
     camera_yaw
-        Whether the camera points to one side.
+        Estimate of the camera's yaw error.
     focal_length
-        Whether its focal length is wrong.
+        Estimate of the focal length's error.
     timing
-        Whether frames are stamped early or late.
+        Estimate of the frames' time-stamp error.
     accel_m_s2, lean, turning_rad2_s2, imu_s, imu_ns
-        Mean specific force, mean angle (3,) between it and the attitude's up about each axis, and mean square of the
-        gyroscope's rate, over how long, and when they were last taken in.
+        Mean specific force, mean angle (3,) from the attitude's up to it about each axis, and mean square of the
+        gyroscope's rate; the time over which they are averaged, and their last update.
     """
 
     span: Span | None = None
@@ -103,7 +106,7 @@ class Installation(NamedTuple):
     imu_ns: int | None = None
 
     def interrupted(self) -> Installation:
-        """Start another turn and another mean: time has moved, or something else carries the heading."""
+        """Restart spans and means after a change of the clock or of the source that propagates the heading."""
         return self._replace(
             span=None,
             last_span=None,
@@ -113,7 +116,7 @@ class Installation(NamedTuple):
         )
 
     def with_frame(self, t_ns: int, heading_rad: float, gyro_rad: float, std_rad: float) -> Installation:
-        """Take a frame's heading and its sigma, and the angle that the gyroscope has turned by then."""
+        """Add a frame's heading and its sigma, with the gyroscope's angle at its time."""
         span, variance = self.span, std_rad * std_rad
         timing = self.timing.with_frame(t_ns, heading_rad, gyro_rad, std_rad)
         if span is not None and t_ns - span.since_ns < SPAN_NS:
@@ -143,16 +146,16 @@ class Installation(NamedTuple):
     def with_elevation(
         self, t_ns: int, elevation_rad: float, std_rad: float, roll_rad: float
     ) -> Installation:
-        """Take what `fusion.estimator.camera_yaw.CameraYaw.with_elevation` takes."""
+        """Add an elevation; arguments as in `fusion.estimator.camera_yaw.CameraYaw.with_elevation`."""
         seen = self.camera_yaw.with_elevation(t_ns, elevation_rad, std_rad, roll_rad)
         return self if seen is self.camera_yaw else self._replace(camera_yaw=seen)
 
     def with_imu(
         self, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | None, down: Vector
     ) -> Installation:
-        """Take an IMU sample, where it is time for one; the specific force stays zero where there is none.
+        """Add an IMU sample every `IMU_STEP_NS`; without accelerometer the mean specific force stays zero.
 
-        ``down`` is that of the attitude in use, body FRD.
+        ``down`` is gravity's direction by the attitude in use, body FRD.
         """
         if self.imu_ns is not None and t_ns - self.imu_ns < IMU_STEP_NS:
             return self
@@ -174,28 +177,28 @@ class Installation(NamedTuple):
         return new_record(Installation, (*self[:FROM_FRAMES], *found))
 
     def agrees_on_imu(self, other: Installation) -> bool:
-        """Whether the IMU's samples have left the same; what comes from frames may differ."""
+        """Whether the fields from the IMU are equal; those from frames may differ."""
         return self is other or self[FROM_FRAMES:] == other[FROM_FRAMES:]
 
     def with_frames_of(self, other: Installation) -> Installation:
-        """Take over what comes from frames; what comes from the IMU stays."""
+        """Return the record with the fields from frames of another one."""
         return new_record(Installation, (*other[:FROM_FRAMES], *self[FROM_FRAMES:]))
 
     def notices(self, down: Vector, gyro_scale_std: float = 0.0) -> Iterator[Notice]:
-        """Say what is installed otherwise than told; ``down`` is that of the attitude in use, body FRD.
+        """Yield the installation faults; ``down`` is gravity's direction by the attitude in use, body FRD.
 
-        A gyroscope in degrees spoils the tilt, and a wrong tilt reverses the level yaw rate: then the turns tell
-        nothing of the gyroscope.
+        A gyroscope in degrees corrupts the tilt, and a wrong tilt reverses the level yaw rate. Turns are therefore
+        only judged if neither is found.
         """
         if self.imu_s > FAST_MIN_S and self.turning_rad2_s2 > FAST_RAD_S**2:
             text = f"gyroscope turns at {sqrt(self.turning_rad2_s2):.0f} rad/s: convert deg/s to rad/s"
             yield Notice(Fault.GYRO_SCALE, text)
             return
-        tilt = self._of_gravity(down)
+        tilt = self._tilt_fault_text(down)
         if tilt is None:
-            of_turns = list(self._of_turns(gyro_scale_std))
+            of_turns = list(self._turn_notices(gyro_scale_std))
             yield from of_turns
-            # Against a gyroscope in another unit, or of another sign, nothing shows how frames are stamped.
+            # A gyroscope of another unit or sign makes the estimated stamp error meaningless.
             if self.timing.is_off and not any(
                 n.fault in (Fault.GYRO_SIGN, Fault.GYRO_SCALE) for n in of_turns
             ):
@@ -207,7 +210,7 @@ class Installation(NamedTuple):
         else:
             yield Notice(Fault.TILT_WRONG, tilt)
 
-    def _of_gravity(self, down: Vector) -> str | None:
+    def _tilt_fault_text(self, down: Vector) -> str | None:
         ax, ay, az = self.accel_m_s2
         if self.imu_s < ACCEL_MIN_S:
             return None
@@ -222,7 +225,7 @@ class Installation(NamedTuple):
             return "attitude and accelerometer disagree: check how each is mounted"
         return None
 
-    def _of_turns(self, gyro_scale_std: float) -> Iterator[Notice]:
+    def _turn_notices(self, gyro_scale_std: float) -> Iterator[Notice]:
         n, sx, sy, sxx, sxy, syy, stated = self.sums
         if n < MIN_TURNS:
             return
@@ -253,7 +256,7 @@ class Installation(NamedTuple):
 
 
 def _lean(force: Vector, down: Vector) -> Vector:
-    """Angle (3,) from the attitude's up to the specific force, rad about the body's axes; small ones are exact."""
+    """Return the angle (3,) from the attitude's up to the specific force, rad about the body's axes, if small."""
     (fx, fy, fz), (dx, dy, dz) = force, down
     norm = max(hypot(fx, fy, fz), 1.0)
     return (fy * dz - fz * dy) / norm, (fz * dx - fx * dz) / norm, (fx * dy - fy * dx) / norm

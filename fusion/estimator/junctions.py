@@ -1,14 +1,14 @@
-"""Decides what votes against the present axis mean: another corridor, a wrong heading, or nothing. A pure function.
+"""Junctions: decides whether votes against the present axis mean another corridor, a wrong heading, or nothing.
 
-Once enough votes agree, they mean one of three things:
+Once enough votes agree (`fusion.estimator.votes`), there are three cases:
 
-- The filter has gone wrong: the axis is where it was when frames last confirmed it, or the picture has changed no
-  more since then than noise and the gyroscope's turn explain. The covariance is widened in the direction of the
-  disagreement, so that the votes' median can be taken in (`fusion.estimator.corridor_axis.recover`).
-- Another corridor: the vehicle itself has turned away from the old axis, and looks along the new one
-  (`enter_corridor`, which changes the filter and returns the axis's part of the state).
-- A wall, a side corridor, furniture: neither of these, so it is waited out, unless nothing else is seen for as long
-  as the present axis was.
+- The filter has diverged: the agreed axis is the one that frames last confirmed, or the votes are linked to frames
+  that the filter accepted. The heading is reset to the votes' median (`fusion.estimator.corridor_axis.recover`).
+- Another corridor: the vehicle has turned away from the old axis by at least `FusionConfig.junction_min_turn_rad` and
+  faces along the agreed one, within `OBLIQUE_RAD`, for `FusionConfig.junction_time_s` and longer if it is oblique.
+  `enter_corridor` changes the axis.
+- Otherwise the votes come from a wall, a side corridor or furniture and are ignored, unless frames show nothing else
+  for `FusionConfig.axis_jump_hold_s`, or for as long as they had shown the present axis: then that was wrong.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ DRIFTED_SIGMA = 3.5
 
 
 class NewCorridor(NamedTuple):
-    """The heading is to be measured from another axis, that of another corridor unless ``same_corridor``."""
+    """Another axis to measure the heading from; that of another corridor unless ``same_corridor``."""
 
     heading_rad: float
     axis_rad: float
@@ -55,7 +55,7 @@ def decide(
     frame_interval_s: float,
     config: FusionConfig,
 ) -> tuple[CorridorAxis, Recovery | NewCorridor | None]:
-    """Decide what the votes mean, if enough of them agree.
+    """Apply the module's decision rule; return the axis, and the recovery or new corridor, if any.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def decide(
     psi_rad, psi_std
         The filter's heading and its standard deviation.
     t_ns, theta_rad
-        Now, and the dead-reckoned heading.
+        Time now, and the dead-reckoned heading.
     frame_interval_s
         Mean time between frames.
     config
@@ -77,13 +77,12 @@ def decide(
     rival = _rival(axis, t_ns, found, frame_interval_s)
     lasting_s = (t_ns - rival.since_ns) * 1e-9
     if is_contested(found, axis.n_accepted):
-        return axis._replace(rival=None), None  # other frames still see the present axis
+        return axis._replace(rival=None), None  # other frames still show the present axis
     axis = axis._replace(rival=rival)
     heading = wrap_axis(theta_rad - found.value)
     linked = found.linked_share > 0.5
-    drifted = c.gyro_noise * sqrt(
-        max(t_ns - axis.anchor_ns, 0) * 1e-9
-    )  # of the anchor, since it was confirmed
+    # Sigma of the anchor's drift since it was confirmed.
+    drifted = c.gyro_noise * sqrt(max(t_ns - axis.anchor_ns, 0) * 1e-9)
     reach = max(c.recovery_spread_rad, DRIFTED_SIGMA * max(psi_std, drifted))
     at_anchor = abs(wrap_axis(found.value - axis.anchor_rad)) < reach
     enough = found.n_votes >= c.recovery_frames
@@ -100,7 +99,7 @@ def decide(
     if differs and _has_turned_into(axis, theta_rad, heading, found, lasting_s, c):
         return axis, NewCorridor(heading, found.value, found.std, same_corridor=False)
     if enough and lasting_s >= min(c.axis_jump_hold_s, 0.3 + axis.support_s):
-        # No turn explains it: the axis taken up before was the wrong one.
+        # No turn explains the votes: the present axis is the wrong one.
         if axis.corridor_index == 0:
             return axis, Recovery(_facing(heading, psi_rad), found.std)
         return axis, NewCorridor(heading, found.value, found.std, same_corridor=True)
@@ -108,14 +107,14 @@ def decide(
 
 
 class Crossing(NamedTuple):
-    """What else changes with the corridor.
+    """Further state that a change of corridor depends on.
 
     Parameters
     ----------
     corrects_heading
         Whether the IMU's yaw offset is correlated with the heading.
     n_lateral
-        How many lateral offsets have been used.
+        Number of lateral offsets used so far.
     """
 
     corrects_heading: bool
@@ -133,17 +132,17 @@ def enter_corridor(
 ) -> CorridorAxis:
     """Measure the heading from another corridor's axis from now on.
 
-    As a transition: the new heading is what the votes say, independent of the old; the offset takes up the
-    difference, so that the IMU's yaw, psi + turn + o, goes on as it was.
+    The change is a transition of the filter: the new heading is the votes' median, independent of the old heading.
+    The yaw offset o absorbs the difference, so that the predicted IMU yaw, psi + turn + o, is unchanged.
 
     Parameters
     ----------
     axis, ekf, t_ns, theta_rad, config
         As in `fusion.estimator.corridor_axis.start`.
     found
-        What the votes say.
+        The new axis.
     crossing
-        What else changes.
+        Further state that it depends on.
     """
     psi, bias, offset = ekf.x.tolist()
     turn = axis.corridor_turn_rad + psi - found.heading_rad
@@ -162,12 +161,12 @@ def enter_corridor(
     back = axis.previous
     recent = back is not None and _is_glance(back, t_ns, crossing.n_lateral, config)
     if back is not None and recent and abs(wrap_axis(found.axis_rad - back.axis_rad)) < 2 * KNOWN_AXIS_RAD:
-        index = back.corridor_index  # the vehicle came back: it was no other corridor
+        index = back.corridor_index  # the vehicle came back: the axis left now was no corridor
     elif found.same_corridor or (recent and axis.support_s < WEAK_SUPPORT_S):
-        left = back or left  # the right axis of the corridor just entered; the first guess was a wall's
+        left = back or left  # a better axis of the corridor just entered; the first one was that of a wall
     else:
         index = axis.n_corridors
-    axis = axis.stepped(ekf, psi)._replace(
+    axis = axis.with_reset(ekf, psi)._replace(
         corridor_index=index,
         n_corridors=max(axis.n_corridors, index + 1),
         previous=left,
@@ -175,18 +174,18 @@ def enter_corridor(
         votes=(),
         rival=None,
         support_s=0.0,
-        stamps_doubted=False,
+        stamps_suspect=False,
     )
     return axis.confirmed(ekf, t_ns, theta_rad)
 
 
 def _facing(heading_rad: float, expected_rad: float) -> float:
-    """Choose the end of the corridor that the vehicle faces, which a frame cannot tell."""
+    """Resolve the ambiguity of half a turn: choose the heading nearest to the expected one."""
     return heading_rad + pi * round((expected_rad - heading_rad) / pi)
 
 
 def _rival(axis: CorridorAxis, t_ns: int, found: Agreement, frame_interval_s: float) -> Rival:
-    """Follow the axis that votes agree on, also beyond the votes' own age."""
+    """Track the axis that votes agree on for longer than the votes themselves are kept."""
     first_ns = found.first_ns
     if axis.rival is not None:
         alive = (t_ns - axis.rival.last_ns) * 1e-9 <= max(1.0, 5.0 * frame_interval_s)
@@ -203,7 +202,7 @@ def _has_turned_into(
     lasting_s: float,
     c: FusionConfig,
 ) -> bool:
-    """Whether the vehicle's own turn makes the agreed axis that of another corridor, ``heading_rad`` off it."""
+    """Whether the vehicle has turned into another corridor along the agreed axis, at ``heading_rad`` from it."""
     turned = theta_rad - axis.anchor_rad
     oblique = abs(heading_rad)
     if abs(turned) < c.junction_min_turn_rad or oblique > OBLIQUE_RAD:
@@ -217,7 +216,7 @@ def _has_turned_into(
 
 
 def _is_glance(back: PreviousAxis, t_ns: int, n_lateral: int, config: FusionConfig) -> bool:
-    """Whether the present corridor may still turn out to be a wall or a side corridor looked at in passing."""
+    """Whether the present corridor may still be a wall or a side corridor seen in passing."""
     since_s = (t_ns - back.left_ns) * 1e-9
-    two_sided = n_lateral - back.n_lateral >= REAL_CORRIDOR_OFFSETS  # a wall shows one side
+    two_sided = n_lateral - back.n_lateral >= REAL_CORRIDOR_OFFSETS  # a single wall gives no lateral offset
     return since_s <= (GLANCE_S if two_sided else config.junction_revert_s)

@@ -1,8 +1,8 @@
-"""Compiled arithmetic of the filter: fills the arrays named ``_out``, and has no other effect.
+"""Compiled arithmetic of the heading filter and the tilt; functions only write to arrays named ``_out``.
 
-Calling numpy takes ten times as long as a 3 by 3 product itself, and returning a new array from compiled code costs
-more than filling one of the caller's. What the numbers mean is said in `fusion.estimator.models` and
-`fusion.estimator.tilt`. Covariances are symmetric to the last bit: each pair is computed once, or averaged.
+A call of numpy takes ten times as long as a 3 by 3 product itself, and returning a new array from compiled code costs
+more than filling one of the caller's. The models are described in `fusion.estimator.models` and
+`fusion.estimator.tilt`. Covariances are exactly symmetric: each pair is computed once, or averaged.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Quaternion = tuple[float, float, float, float]
 
 PSI, BIAS, YAW_OFFSET = range(3)
 N_STATES = 3
-NO_FORCE = (nan, nan, nan)  # where an accelerometer has no sample
+NO_FORCE = (nan, nan, nan)  # without an accelerometer sample
 STATE_NAMES = ("heading_rad", "gyro_bias_rad_s", "imu_yaw_offset_rad")
 
 
@@ -35,8 +35,8 @@ def discretised(
 ) -> None:
     """Discretise the process model exactly over ``dt``: transition F and noise Q, (3, 3) each.
 
-    ``heading`` to ``offset`` are those of `fusion.estimator.models.ProcessNoise`; ``heading_variance`` is further
-    variance of the heading gained in the step, rad^2 (a gap in the gyroscope).
+    ``heading`` to ``offset`` are those of `fusion.estimator.models.ProcessNoise`; ``heading_variance`` is additional
+    variance of the heading in this step, rad^2 (a gap in the gyroscope's samples).
     """
     n2, b2, o2 = heading**2, bias**2, offset**2
     F, Q = F_out, Q_out
@@ -51,7 +51,7 @@ def discretised(
 
 @compiled
 def predicted(P: FloatArray, F: FloatArray, Q: FloatArray, P_out: FloatArray) -> None:
-    """Covariance (n, n) after a transition: F P F' + Q."""
+    """Compute the covariance (n, n) after a transition: F P F' + Q."""
     n = P.shape[0]
     FP = np.empty((n, n))
     for i in range(n):
@@ -83,9 +83,9 @@ def stepped(
     offset: float,
     heading_variance: float,
 ) -> None:
-    """State (3,), covariance (3, 3), F and Q after ``dt`` in which the level frame turned by ``turned``.
+    """Compute state (3,), covariance (3, 3), F and Q after ``dt`` in which the level frame turned by ``turned``.
 
-    The bias is still in ``turned``; what follows is as in `discretised`.
+    The bias is not subtracted from ``turned``; the other arguments are as in `discretised`.
     """
     discretised(F_out, Q_out, dt, heading, bias, offset, heading_variance)
     for i in range(x.shape[0]):
@@ -96,7 +96,7 @@ def stepped(
 
 @compiled
 def predicted_variance(P: FloatArray, H: FloatArray) -> float:
-    """Variance of a scalar that depends on the state by H (n,): H P H'."""
+    """Return the variance of a predicted scalar measurement with H (n,): H P H'."""
     total = 0.0
     for i in range(H.shape[0]):
         if H[i] != 0.0:
@@ -116,9 +116,9 @@ def updated(
     P_out: FloatArray,
     K_out: FloatArray,
 ) -> None:
-    """State (n,), covariance (n, n) and gain (n, 1) after a scalar measurement.
+    """Compute state (n,), covariance (n, n) and gain (n, 1) after a scalar measurement.
 
-    The covariance is Joseph's form, (I - K H) P (I - K H)' + R K K', positive whatever the gain.
+    The covariance update is Joseph's form, (I - K H) P (I - K H)' + R K K', positive semidefinite for any gain.
     """
     n = x.shape[0]
     HP, K = np.empty(n), K_out[:, 0]
@@ -149,7 +149,7 @@ def updated(
 
 @compiled_inner
 def turned_down(down: Vector, rate: Vector, dt: float) -> Vector:
-    """Direction of gravity (3,) in a body that turns: down' = down x rate, to second order in the angle."""
+    """Propagate the direction of gravity (3,) by a body rate: down' = down x rate, to second order in the angle."""
     gx, gy, gz = down
     p, q, r = rate
     ux, uy, uz = p * dt, q * dt, r * dt
@@ -165,7 +165,7 @@ def turned_down(down: Vector, rate: Vector, dt: float) -> Vector:
 def corrected_down(
     down: Vector, bias: Vector, rate: Vector, dt: float, force: Vector, gain: float, bias_gain: float
 ) -> tuple[Vector, Vector]:
-    """Direction of gravity (3,) and bias (3,), corrected towards the specific force; see `fusion.estimator.tilt`."""
+    """Propagate gravity's direction (3,) and bias (3,), corrected by the force; see `fusion.estimator.tilt`."""
     gx, gy, gz = down
     bx, by, bz = bias
     p, q, r = rate

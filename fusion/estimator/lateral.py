@@ -1,9 +1,9 @@
-"""The lateral offset: updates its part of the state with propagation steps, velocities and frames. Pure functions.
+"""Lateral offset: updates its part of the state by propagation, velocities and frames. Pure functions.
 
-The engine calls `propagated` in each propagation step, with a `MotionStep`, `with_velocity` for each velocity and
-`fused` for each accepted frame, which asks for `expected` before. The estimation itself is the Gaussian sum of
-`fusion.estimator.lateral_offset`; this part hands it what the estimator knows. What is known of the offset, and what
-is reported of it, is `fusion.estimator.lateral_status`.
+The engine calls `LateralOffset.propagated` in each propagation step, `with_velocity` for each velocity and `fused`
+for each accepted frame; `expected` is the prior that vision gets before it measures a frame. This module turns
+samples into measurements of the Gaussian-sum filter `fusion.estimator.lateral_offset`.
+`fusion.estimator.lateral_status` holds this part of the state and decides whether the offset is reported.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from fusion.estimator.lateral_offset import (
 from fusion.estimator.lateral_offset import readout as readout_of
 from fusion.estimator.lateral_parallax import compare_walls, compile_parallax, with_parallax
 from fusion.estimator.lateral_smoother import OffsetStep
-from fusion.estimator.lateral_status import Lateral, judged, reliable
+from fusion.estimator.lateral_status import Lateral, reliable, with_frame_outcome
 from fusion.estimator.models import PSI, FloatArray, Gate, Vector
 from fusion.estimator.records import new_record
 from fusion.estimator.sample_times import seconds_since
@@ -42,24 +42,24 @@ from vision.measurement import FrameMeasurement
 from vision.rotations import wrap_axis
 
 PRIOR_STD = 0.1
-WIDTH_STD_SHARE = 0.05  # of a width that is set: corridors are not as wide everywhere
-ANSWER_PROBABILITY = 0.97  # that a single frame's answer is right, where that is all there is
-MAX_FORCE_M_S2 = 300.0  # beyond these no vehicle flies: damaged samples
+WIDTH_STD_SHARE = 0.05  # relative standard deviation of a configured width: it varies along a corridor
+POINT_ESTIMATE_PROBABILITY = 0.97  # inlier probability of an offset that comes without a likelihood
+MAX_FORCE_M_S2 = 300.0  # force and speed beyond these limits are corrupt samples
 MAX_SPEED_M_S = 100.0
-MAX_ANSWER_NORM = 10.0  # half widths, of an offset or its sigma: what is beyond says nothing
+MAX_POINT_ESTIMATE_NORM = 10.0  # half widths; larger offsets or sigmas carry no information
 
 
 class MotionStep(NamedTuple):
-    """One propagation step, as told to the lateral offset.
+    """Input of one propagation step of the lateral offset.
 
     Parameters
     ----------
     dt_s
-        Its length; 0 s at the first sample.
+        Length of the step; 0 s at the first sample.
     heading_rad
-        At its start.
+        Heading at its start.
     down, accel_m_s2
-        Direction of gravity in the body, and the accelerometer's specific force there (FRD); None without.
+        Direction of gravity and specific force, both in the body (FRD); the force is None without accelerometer.
     """
 
     dt_s: float
@@ -69,14 +69,14 @@ class MotionStep(NamedTuple):
 
 
 class LateralOffset:
-    """Hands the Gaussian sum what the estimator knows.
+    """Feeds samples to the Gaussian-sum filter of the lateral offset.
 
     Parameters
     ----------
     config
         Settings.
     camera_arm_m
-        How far the camera sits ahead and right of the body's centre.
+        Position of the camera ahead and right of the body's centre, metres.
     """
 
     def __init__(self, config: FusionConfig, camera_arm_m: tuple[float, float]) -> None:
@@ -87,11 +87,11 @@ class LateralOffset:
         compile_parallax()
 
     def model_of(self, lateral: Lateral) -> OffsetModel:
-        """Return what the filter assumes."""
+        """Return the model parameters in use."""
         return lateral.model or self.model
 
     def with_set_width(self, lateral: Lateral, width_m: float | None) -> Lateral:
-        """Take the corridor's width, metres; None: it is not known. The offset in half widths stays as it is."""
+        """Set the corridor's width, metres, or None for unknown; the offset in half widths does not change."""
         model = offset_model(self.config.model_copy(update={"corridor_width_m": width_m}))
         path = lateral.offset.path
         lateral = lateral.at_path_end(self.model_of(lateral))
@@ -103,10 +103,10 @@ class LateralOffset:
         P[:, S], P[:, :, S] = 0.0, 0.0
         P[:, S, S] = std**2
         offset = offset._replace(x=x, P=P)
-        return lateral._replace(offset=offset, step=OffsetStep(path, offset, starts_anew=True), model=model)
+        return lateral._replace(offset=offset, step=OffsetStep(path, offset, is_reset=True), model=model)
 
     def propagated(self, lateral: Lateral, step: MotionStep) -> Lateral:
-        """Take a propagation step."""
+        """Propagate by one step."""
         dt_s, heading_rad, down, accel_m_s2 = step
         if dt_s <= 0.0 and accel_m_s2 is None:
             return lateral if lateral.step is None else lateral._replace(step=None)
@@ -114,16 +114,20 @@ class LateralOffset:
         return new_record(Lateral, (offset, None, *lateral[2:]))
 
     def with_velocity(self, lateral: Lateral, x: FloatArray, P: FloatArray, velocity: Velocity) -> Lateral:
-        """Take a level velocity as a measurement of the offset's rate, unless it is absurd.
+        """Update with a level velocity as a measurement of the offset's rate, unless it is out of range.
+
+        The velocity across the corridor is ``w = v_forward sin(psi) + v_right cos(psi)``. Its variance is
+        ``(sigma_v^2 + v_along^2 P_psi) max(tau / dt, 1)``: errors that are correlated over tau are treated as white
+        errors of samples dt apart.
 
         Parameters
         ----------
         lateral
             Part of the state.
         x, P
-            The filter's state and covariance: the heading turns the velocity into the corridor.
+            The heading filter's state and covariance.
         velocity
-            As just measured.
+            The new measurement.
         """
         if not max(abs(velocity.forward_m_s), abs(velocity.sideways_m_s)) < MAX_SPEED_M_S:
             return lateral
@@ -138,24 +142,24 @@ class LateralOffset:
         before = lateral.offset
         offset = with_speed(before, across, variance)
         step = OffsetStep(path, offset, speed=(across, variance))
-        gate = _judged_speed(before, across, variance)
+        gate = _speed_gate(before, across, variance)
         return lateral._replace(offset=offset, step=step, speed_gate=gate)
 
     def fused(
         self, lateral: Lateral, x: FloatArray, t_ns: int, m: FrameMeasurement, half_m: float
     ) -> Lateral:
-        """Take what a frame whose heading was accepted says.
+        """Update with a frame's offset likelihood, roll correction and wall parallax.
 
         Parameters
         ----------
         lateral
             Part of the state.
         x
-            The filter's state.
+            The heading filter's state.
         t_ns, m
-            The frame.
+            Time and measurement of the frame.
         half_m
-            Half the corridor's width; NaN where unknown.
+            Half the corridor's width, metres; NaN if unknown.
         """
         dt_s = FIRST_FRAME_S if lateral.t_frame_ns is None else seconds_since(t_ns, lateral.t_frame_ns)
         path, model = lateral.offset.path, self.model_of(lateral)
@@ -179,34 +183,34 @@ class LateralOffset:
             views=views,
             step=OffsetStep(path, offset, evidence, parallax=parallax),
             t_frame_ns=t_ns,
-            gate=_judged(before, evidence, half_m, self.config),
+            gate=_offset_gate(before, evidence, half_m, self.config),
         )
         if after.evidence_age_s == 0.0 and len(offset.x):
             lateral = lateral._replace(t_ns=t_ns, n_used=lateral.n_used + 1)
-        return judged(lateral, before, after, t_ns, half_m)
+        return with_frame_outcome(lateral, before, after, t_ns, half_m)
 
     def expected(self, lateral: Lateral, psi_rad: float, half_m: float) -> tuple[float, float]:
-        """Offset and sigma, half widths, that a frame should show; NaN while it is not known.
+        """Return the predicted offset of the camera and its sigma, half widths; NaN while unknown.
 
         Parameters
         ----------
         lateral
             Part of the state.
         psi_rad
-            Heading that the frame should show.
+            Predicted heading at the frame.
         half_m
-            Half the corridor's width; NaN where unknown.
+            Half the corridor's width, metres; NaN if unknown.
         """
         found = reliable(lateral, self.model_of(lateral))
         if not found.known:
             return nan, nan
         side = 1 if cos(psi_rad) >= 0 else -1
         offset = side * found.offset_norm + self._camera_aside(wrap_axis(psi_rad), half_m)
-        # Wider than it is: were vision silent wherever the filter is wrong, nothing could set the filter right.
+        # Inflated, so that vision still finds the true offset when the filter is wrong.
         return offset, hypot(found.std_norm, PRIOR_STD)
 
     def _camera_aside(self, heading_rad: float, half_m: float) -> float:
-        """Half widths by which a camera ahead of the body's centre swings right; 0 while no width is known."""
+        """Return the camera's offset right of the body's centre, half widths; 0 while no width is known."""
         if not half_m > 0.0:  # NaN fails too
             return 0.0
         ahead_m, right_m = self.camera_arm_m
@@ -214,7 +218,7 @@ class LateralOffset:
 
 
 def usable_force(force: Vector | None) -> Vector | None:
-    """Return a specific force (3,), m/s^2; None where there is none, or one that no vehicle flies with."""
+    """Return a specific force (3,), m/s^2; None if it is missing or out of range."""
     if force is None:
         return None
     (x, y, z), most = force, MAX_FORCE_M_S2
@@ -222,7 +226,7 @@ def usable_force(force: Vector | None) -> Vector | None:
 
 
 def offset_model(config: FusionConfig) -> OffsetModel:
-    """Return what the Gaussian sum assumes, with the configuration's width where it is set."""
+    """Return the parameters of the Gaussian sum, with the configured corridor width if there is one."""
     model = OffsetModel()
     if config.corridor_width_m is None:
         return model
@@ -231,19 +235,19 @@ def offset_model(config: FusionConfig) -> OffsetModel:
 
 
 def _mixtures_of(m: FrameMeasurement, config: FusionConfig) -> tuple[OffsetMixture, ...]:
-    """Return what a frame says; one measured elsewhere may hold nothing but an answer."""
+    """Return a frame's offset likelihoods; a measurement made elsewhere may hold only an offset and its sigma."""
     if m.offset_evidence:
         return m.offset_evidence
-    is_possible = abs(m.lateral_offset_norm) < MAX_ANSWER_NORM  # NaN fails too
-    if not (is_possible and 0.0 < m.lateral_offset_norm_std < MAX_ANSWER_NORM):
+    is_possible = abs(m.lateral_offset_norm) < MAX_POINT_ESTIMATE_NORM  # NaN fails too
+    if not (is_possible and 0.0 < m.lateral_offset_norm_std < MAX_POINT_ESTIMATE_NORM):
         return ()
     std = max(m.lateral_offset_norm_std, config.lateral_std_floor_norm)
-    values = ([ANSWER_PROBABILITY], [m.lateral_offset_norm], [std], [m.width_per_height])
+    values = ([POINT_ESTIMATE_PROBABILITY], [m.lateral_offset_norm], [std], [m.width_per_height])
     return (OffsetMixture(*(np.array(v, dtype=float) for v in values)),)
 
 
 def _with_width(offset: OffsetState, half_m: float) -> OffsetState:
-    """Let a width that is set fix the scale of the hypotheses, where they know less of it."""
+    """Update the scale of the hypotheses by a known width, if theirs is more uncertain."""
     if not half_m > 0.0 or not len(offset.x):  # NaN fails too
         return offset
     inverse = 1.0 / half_m
@@ -257,10 +261,10 @@ def _with_width(offset: OffsetState, half_m: float) -> OffsetState:
     return offset._replace(x=x, P=P)
 
 
-def _judged(
+def _offset_gate(
     expected: OffsetReadout, evidence: FrameEvidence, half_m: float, config: FusionConfig
 ) -> Gate | None:
-    """Innovation of a frame's likeliest offset; None while nothing is known."""
+    """Return the innovation of a frame's most probable offset; None while the offset is unknown."""
     if not expected.known or not len(evidence.components):
         return None
     _, offset, variance = evidence.components[int(np.argmax(evidence.components[:, 0]))].tolist()
@@ -269,8 +273,8 @@ def _judged(
     return _gate(innovation, variance + expected.std_norm**2, config.lateral_gate_sigma)
 
 
-def _judged_speed(offset: OffsetState, across_m_s: float, variance: float) -> Gate | None:
-    """Innovation of a speed across the corridor, m/s, by the likeliest hypothesis; None without any."""
+def _speed_gate(offset: OffsetState, across_m_s: float, variance: float) -> Gate | None:
+    """Return the innovation of a speed across the corridor, m/s, for the most probable hypothesis; None if none."""
     if not len(offset.x):
         return None
     best = int(np.argmax(offset.weight[:-1]))

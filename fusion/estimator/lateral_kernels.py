@@ -1,8 +1,8 @@
-"""Compiled arithmetic of `fusion.estimator.lateral_offset`; the meaning of the numbers is described there.
+"""Compiled prediction and scalar update of the lateral offset's hypotheses; see `fusion.estimator.lateral_offset`.
 
-Hypotheses are rows of ``x`` (k, 4) and ``P`` (k, 4, 4); ``weight`` (k + 1,) ends with that of the offset being
-unknown. Covariances come out symmetric to the last bit: each pair of entries is computed once. What a frame does
-to the hypotheses follows in `fusion.estimator.lateral_mixture_kernels`.
+Hypotheses are rows of ``x`` (k, 4) and ``P`` (k, 4, 4); the last element of ``weight`` (k + 1,) is the probability
+that the offset is unknown. Covariances are exactly symmetric: each pair of entries is computed once. The update of
+the sum by a frame is in `fusion.estimator.lateral_mixture_kernels`.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from vision.types import FloatArray
 
 Y, V, C, S = range(4)
 N_LATERAL = 4
-ACCEL_SHARE = 0.9  # of a path over which the accelerometer must have spoken
-MAX_SILENCE_S = 0.1  # of the accelerometer, until which its last sample is held
-ROUGHNESS_SAMPLES = 100
+ACCEL_SHARE = 0.9  # part of a path that accelerometer samples must cover for it to be used
+MAX_SILENCE_S = 0.1  # longest time for which the accelerometer's last sample is held
+ROUGHNESS_SAMPLES = 100  # memory of the accelerometer's noise density
 
 PathNumbers = tuple[float, float, float, float, float]
 AccelerationNumbers = tuple[float, float, float, int]
@@ -27,16 +27,16 @@ AccelerationNumbers = tuple[float, float, float, int]
 
 @compiled
 def levelled(force: Vector, down: Vector, roll_rad: float) -> tuple[float, float]:
-    """Specific force forward and right in the level frame, m/s^2.
+    """Return the specific force forward and right in the level frame, m/s^2.
 
     Parameters
     ----------
     force
-        Body FRD.
+        Specific force, body FRD.
     down
         Unit vector of gravity's direction in the body.
     roll_rad
-        Further roll of the level frame by which the frames' verticals correct it.
+        Correction of the level frame's roll, from the frames' verticals.
     """
     dx, dy, dz = down
     fx, fy, fz = force
@@ -48,7 +48,7 @@ def levelled(force: Vector, down: Vector, roll_rad: float) -> tuple[float, float
 
 
 @compiled
-def lengthened(
+def extended_path(
     path: PathNumbers,
     accel: AccelerationNumbers,
     dt_s: float,
@@ -57,9 +57,9 @@ def lengthened(
     down: Vector,
     roll_rad: float,
 ) -> tuple[PathNumbers, AccelerationNumbers]:
-    """Carry a path on by ``dt_s`` with the accelerometer's sample at its end, NaN where there is none.
+    """Extend a path by ``dt_s``, with the specific force at the end of the step; NaN without a sample.
 
-    ``path`` and ``accel`` are the numbers of a `fusion.estimator.lateral_offset.Path` and ``Acceleration``; the
+    ``path`` and ``accel`` are the fields of a `fusion.estimator.lateral_offset.Path` and ``Acceleration``; the
     other arguments are as in `levelled`.
     """
     t_s, accel_s, a1, a2, noise = path
@@ -91,7 +91,7 @@ def lengthened(
 def moved(
     x: FloatArray, P: FloatArray, F: FloatArray, Q: FloatArray, x_out: FloatArray, P_out: FloatArray
 ) -> None:
-    """Carry hypotheses on: F x and F P F' + Q."""
+    """Predict hypotheses: F x and F P F' + Q."""
     n = N_LATERAL
     FP = np.empty((n, n))
     for h in range(len(x)):
@@ -121,19 +121,19 @@ def fill_transition(
     F: FloatArray,
     Q: FloatArray,
 ) -> None:
-    """Fill in F (4, 4) and Q (4, 4) of a path of some length; see `fusion.estimator.lateral_offset.transition`.
+    """Fill in F (4, 4) and Q (4, 4) of a path of non-zero length; see `fusion.estimator.lateral_offset.transition`.
 
     Parameters
     ----------
     path
-        The numbers of a `fusion.estimator.lateral_offset.Path`.
+        The fields of a `fusion.estimator.lateral_offset.Path`.
     noise
         One over the half width, accel_noise, accel_bias_walk, rough_limit, velocity_std_m_s and velocity_time_s of an
         `OffsetModel`.
     backward
-        Whether to lead back.
+        Whether the transition is from the end of the path to its start.
     F, Q
-        Filled.
+        Output.
     """
     t, accel_s, a1, a2, rough = path
     scale, accel_noise, bias_walk, rough_limit, v_std, tau = noise
@@ -155,7 +155,7 @@ def fill_transition(
     F[Y, V], F[Y, C], F[V, C] = sign * t, -0.5 * t * t, -sign * t
     F[V, S] = sign * a1
     F[Y, S] = t * a1 - a2 if backward else a2
-    # The noise of the way back, F^-1 Q F^-T, is that of the way there with time reversed.
+    # The noise of the reversed transition, F^-1 Q F^-T, equals the forward one with time reversed.
     Q[Y, Y] = n2 * t**3 / 3 + b2 * t**5 / 20
     Q[Y, V] = Q[V, Y] = sign * (n2 * t**2 / 2 + b2 * t**4 / 8)
     Q[V, V] = n2 * t + b2 * t**3 / 3
@@ -164,14 +164,14 @@ def fill_transition(
 
 
 @compiled
-def moved_along(
+def propagated_along(
     x: FloatArray,
     P: FloatArray,
     path: tuple[float, float, float, float, float],
     noise: tuple[float, float, float, float, float, float],
     backward: bool,
 ) -> tuple[FloatArray, FloatArray]:
-    """Carry hypotheses (k, 4), (k, 4, 4) along a path of some length, or back along it; see `fill_transition`."""
+    """Return hypotheses (k, 4), (k, 4, 4) predicted along a path, or backward along it; see `fill_transition`."""
     F, Q = np.empty((N_LATERAL, N_LATERAL)), np.empty((N_LATERAL, N_LATERAL))
     fill_transition(path, noise, backward, F, Q)
     x_out, P_out = np.empty_like(x), np.empty_like(P)
@@ -209,8 +209,8 @@ def correct_all(
 ) -> None:
     """Update every hypothesis in place by one scalar measurement.
 
-    One that is further than ``max_sigma`` from what a hypothesis expects has there the variance with which it is as
-    far as that: the further off, the less it counts.
+    If the residual of a hypothesis exceeds ``max_sigma`` standard deviations, the variance is inflated until it
+    equals ``max_sigma``: outliers count the less, the further off they are.
     """
     for h in range(len(x)):
         residual, expected_variance = z, 0.0
@@ -218,5 +218,5 @@ def correct_all(
             residual -= H[i] * x[h, i]
             for j in range(N_LATERAL):
                 expected_variance += H[i] * P[h, i, j] * H[j]
-        doubted = max(variance, (residual / max_sigma) ** 2 - expected_variance)
-        corrected(x[h], P[h], H, residual, doubted)
+        inflated = max(variance, (residual / max_sigma) ** 2 - expected_variance)
+        corrected(x[h], P[h], H, residual, inflated)

@@ -1,7 +1,8 @@
-"""Compiled update of the hypotheses of the lateral offset by a frame, and their readout.
+"""Compiled update of the lateral offset's hypotheses by a frame, and the moments that are reported.
 
-Hypotheses and weights are those of `fusion.estimator.lateral_kernels`. Components of a frame's evidence are rows
-(m, 3) of weight, offset and variance.
+The model is described in `fusion.estimator.lateral_offset`. Hypotheses and weights are laid out as in
+`fusion.estimator.lateral_kernels`. The components of a frame's likelihood are rows (m, 3) of weight, offset and
+variance.
 """
 
 from __future__ import annotations
@@ -15,20 +16,20 @@ from vision.compiled import compiled, compiled_inner
 from vision.types import FloatArray, IntArray
 
 MIN_LIKELIHOOD = 1e-12
-MIN_BELIEF = 0.01  # of a hypothesis in any component, for an update to be worth while
-EXPLAINED_SIGMA = 3.0
-MERGE_SIGMA2 = 1.0
+MIN_BELIEF = 0.01  # association probability below which a hypothesis is not updated
+EXPLAINED_SIGMA = 3.0  # a hypothesis within this distance explains a component
+MERGE_SIGMA2 = 1.0  # squared distances within which hypotheses are merged
 MERGE_VELOCITY_SIGMA2 = 2.0
-PLACE_NORM = 0.1  # half widths within which components are one place
-MAX_SPREAD_NORM = 0.2  # further off is another place, no matter how far
+PLACE_NORM = 0.1  # half widths; components closer than this form one peak
+MAX_SPREAD_NORM = 0.2  # upper bound of the root of the second moment
 
 
 @compiled
 def spread_about(evidence: FloatArray, expected: float) -> float:
-    """Second moment of a frame's likelihood about an offset, within its likeliest place.
+    """Return the second moment about an offset of the highest peak of a frame's likelihood.
 
-    The likeliest place are the components within `PLACE_NORM` of the one about which the most weight lies. At most
-    `MAX_SPREAD_NORM` squared; negative where the frame has no component.
+    A peak consists of the components within `PLACE_NORM` of one of them; the highest has the most weight. The result
+    is at most `MAX_SPREAD_NORM` squared, and negative if the frame has no component.
     """
     most, spread2 = 0.0, -1.0
     for i in range(len(evidence)):
@@ -44,7 +45,7 @@ def spread_about(evidence: FloatArray, expected: float) -> float:
 
 @compiled_inner
 def expected_offset(x: FloatArray, weight: FloatArray, H: FloatArray) -> float:
-    """Offset H x of the likeliest hypothesis; NaN where there is none."""
+    """Return the offset H x of the most probable hypothesis; NaN if there is none."""
     best = -1
     for h in range(len(x)):
         if best < 0 or weight[h] > weight[best]:
@@ -68,13 +69,13 @@ def associate(
     temper: float,
     inflation: float,
 ) -> tuple[float, float]:
-    """Update hypotheses and weights by a frame, in place.
+    """Update hypotheses and weights by a frame, in place, by probabilistic data association.
 
-    Returned are the belief of the hypothesis that was the likeliest before, and the `spread_about` the one
-    that is the likeliest now.
+    Returns the association probability of the hypothesis that was the most probable one before, and `spread_about`
+    the one that is now.
 
-    ``slack`` is a variance that every component has besides. Weights come out multiplied by the likelihood to the
-    power of ``temper`` and normalised.
+    ``slack`` is added to the variance of every component. Weights are multiplied by the likelihood to the power of
+    ``temper`` and normalised; the variance of the state update is multiplied by ``inflation``.
     """
     k, m = len(x), len(evidence)
     blind = 1.0
@@ -93,23 +94,23 @@ def associate(
             expected += H[i] * x[h, i]
             for j in range(N_LATERAL):
                 spread += H[i] * P[h, i, j] * H[j]
-        told = 0.0
+        explained = 0.0
         for j in range(m):
             S_j = spread + evidence[j, 2]
             z = (evidence[j, 1] - expected) ** 2 / S_j
             share[j] = evidence[j, 0] * exp(-0.5 * z) / sqrt(2.0 * pi * S_j)
-            told += share[j]
-        likelihood = max(0.5 * blind + told, MIN_LIKELIHOOD)
+            explained += share[j]
+        likelihood = max(0.5 * blind + explained, MIN_LIKELIHOOD)
         weight[h] *= likelihood**temper
         total += weight[h]
-        belief = told / likelihood
+        belief = explained / likelihood
         if h == best:
             best_belief = belief
         if belief < MIN_BELIEF:
             continue
         mean = square = variance = 0.0
         for j in range(m):
-            b = share[j] / told
+            b = share[j] / explained
             mean += b * evidence[j, 1]
             square += b * evidence[j, 1] ** 2
             variance += b * evidence[j, 2]
@@ -137,7 +138,7 @@ def spawn(
     P_out: FloatArray,
     weight_out: FloatArray,
 ) -> int:
-    """Let the unknown's weight move to a frame's components: a hypothesis that explains one takes it, or a new one.
+    """Move weight of the unknown to a frame's components: to a hypothesis that explains one, or else to a new one.
 
     Parameters
     ----------
@@ -146,18 +147,19 @@ def spawn(
     evidence
         Components; the offset of each is ``side`` times that of a hypothesis, plus ``aside_m`` times its s.
     start
-        Variance of y besides the component's, variances of v and c, mean and variance of s (5,) of a new hypothesis.
+        Prior of a new hypothesis (5,): variance of y in addition to the component's, variances of v and c, mean and
+        variance of s.
     share
-        Of the unknown's weight that is up for the components.
+        Part of the unknown's weight that is distributed to the components.
     near
-        A hypothesis nearer than this explains a component.
+        A hypothesis closer than this explains a component.
     x_out, P_out, weight_out
         New hypotheses (m, 4), (m, 4, 4) and weights (m,).
 
     Returns
     -------
     int
-        How many are new.
+        Number of new hypotheses.
     """
     k, count = len(x), 0
     free = share * weight[k]
@@ -189,10 +191,10 @@ def spawn(
 def merge(
     x: FloatArray, P: FloatArray, weight: FloatArray, order: IntArray, near: float, keep: IntArray
 ) -> int:
-    """Merge hypotheses that have become one, in place, likeliest first.
+    """Merge similar hypotheses in place, the most probable first, preserving mean and covariance.
 
-    Two are one where both offset and velocity are alike, within their sigmas or ``near``; ``order`` (k,) is that of
-    falling weight. ``keep`` (k,) is filled with the indices left; returned is how many.
+    Two are merged if offset and velocity agree within their sigmas or ``near``. ``order`` (k,) sorts them by falling
+    weight. ``keep`` (k,) is filled with the remaining indices; their number is returned.
     """
     n = N_LATERAL
     gone = np.zeros(len(x), np.bool_)
@@ -231,7 +233,7 @@ def merge(
 
 @compiled_inner
 def copy_hypothesis(x: FloatArray, P: FloatArray, x_out: FloatArray, P_out: FloatArray) -> None:
-    """Copy one: a loop compiles in a tenth of the time that an assignment of arrays takes, for its error message."""
+    """Copy one hypothesis; loops compile in a tenth of the time of an array assignment."""
     for i in range(N_LATERAL):
         x_out[i] = x[i]
         for j in range(N_LATERAL):
@@ -240,7 +242,7 @@ def copy_hypothesis(x: FloatArray, P: FloatArray, x_out: FloatArray, P_out: Floa
 
 @compiled_inner
 def sort_falling(values: FloatArray, which: IntArray) -> None:
-    """Sort indices (n,), a few dozen at most, in place so that their values fall; those alike stay in order."""
+    """Sort indices (n,), a few dozen at most, in place by falling value; the sort is stable."""
     for a in range(1, len(which)):
         index = which[a]
         b = a
@@ -261,7 +263,7 @@ def reduce(
     max_count: int,
     min_weight: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Merge what has become one and drop what hardly counts; what they held is unknown.
+    """Merge similar hypotheses and drop improbable ones; their weight goes to the unknown.
 
     Parameters
     ----------
@@ -270,9 +272,9 @@ def reduce(
     near
         As in `merge`.
     lost_variance, max_offset
-        A hypothesis less certain than this, or beyond this, is none.
+        A hypothesis with a larger variance or offset is dropped.
     max_count, min_weight
-        So many are kept, the likeliest, if they weigh more than this.
+        Largest number of hypotheses kept, and the smallest weight.
     """
     k = len(x)
     order, keep = np.empty(k, np.int64), np.empty(k, np.int64)
@@ -298,7 +300,7 @@ def reduce(
 
 
 @compiled
-def take_frame(
+def update_with_frame(
     x: FloatArray,
     P: FloatArray,
     weight: FloatArray,
@@ -311,7 +313,7 @@ def take_frame(
     near: float,
     limits: tuple[float, float, int, float],
 ) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
-    """Take in a frame: `associate`, forget, `spawn` and `reduce`; the hypotheses given are left as they are.
+    """Update by a frame: `associate`, forget, `spawn` and `reduce`; the inputs are not changed.
 
     Parameters
     ----------
@@ -320,14 +322,14 @@ def take_frame(
     slack
         As in `associate`.
     shares
-        How much of the frame is new for the weights and for the state; the share of all weights that is forgotten.
+        Independent part of the frame, for the weights and for the state; the part of all weights that is forgotten.
     limits
         ``lost_variance`` to ``min_weight`` of `reduce`.
 
     Returns
     -------
     tuple
-        Hypotheses, covariances, weights; belief and second moment as of `associate`.
+        Hypotheses, covariances, weights; association probability and second moment as in `associate`.
     """
     k, m = len(x), len(evidence)
     all_x, all_P = np.empty((k + m, N_LATERAL)), np.empty((k + m, N_LATERAL, N_LATERAL))
@@ -358,15 +360,15 @@ def take_frame(
 def summarised(
     mean: FloatArray, cov: FloatArray, weight: FloatArray, tolerance: float, lasting: float, scale: float
 ) -> tuple[float, float, float, float, float]:
-    """Offset and rate of the hypotheses within ``tolerance`` of the likeliest; at least one.
+    """Return the moments of the hypotheses within ``tolerance`` of the most probable one; at least one.
 
-    Each offset has the variance ``lasting`` besides, and the standard deviation ``scale`` times itself.
+    The variance ``lasting + (scale y)^2`` is added to that of each offset y.
 
     Returns
     -------
     tuple
-        Offset and its standard deviation, rate and its own, and the probability that the offset lies within the
-        tolerance.
+        Offset and its standard deviation, rate and its standard deviation, and the probability that the offset is
+        within the tolerance.
     """
     k = len(mean)
     best = 0

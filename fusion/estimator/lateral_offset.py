@@ -1,49 +1,51 @@
-r"""The lateral offset as a Gaussian sum: several hypotheses, between which later frames and the motion decide.
+r"""Gaussian-sum filter of the lateral offset: several hypotheses, weighted by frames and motion.
 
-A frame seldom leaves one offset (`vision.lateral.mixture`). So the filter keeps a sum of Gaussians (D. L. Alspach,
-H. W. Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", IEEE Transactions on Automatic
-Control 17(4), 1972) and the probability that the offset is unknown. Each hypothesis is a state (4,) ``[y, v, c, s]``:
+A frame's likelihood of the offset usually has several peaks (`vision.lateral.mixture`). So the posterior is a sum of
+Gaussians (D. L. Alspach, H. W. Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", IEEE
+Transactions on Automatic Control 17(4), 1972) and the probability that the offset is unknown. Each hypothesis has a
+mean and covariance of the state (4,) ``[y, v, c, s]``:
 
 - y: offset right of the centre line, half widths;
 - v: its rate, half widths per second;
 - c: the accelerometer's bias across the corridor, half widths per second squared;
 - s: one over the half width, 1/m.
 
-**Process.** With the acceleration a across the corridor, m/s^2, from the specific force f levelled by roll and
+**Process model.** With the acceleration a across the corridor, m/s^2, from the specific force f levelled by roll and
 pitch::
 
     a  = sin(psi) f_forward + cos(psi) f_right
     y' = v        v' = a s - c + n_v        c' = n_c        s' = 0
 
-which is linear in the state, as s multiplies what is measured: with A1 and A2 the single and double integral of a
-over T, one transition serves all hypotheses, and a sample of the accelerometer costs a few additions::
+This is linear in the state, because s multiplies the measured acceleration. With A1 and A2 the single and double
+integral of a over the time T, all hypotheses share one transition, and an accelerometer sample costs a few
+additions::
 
         [ 1  T  -T^2/2  A2 ]
     F = [ 0  1  -T      A1 ]
         [ 0  0   1      0  ]
         [ 0  0   0      1  ]
 
-Where there is no accelerometer, or one that vibrates so much that it tells less than nothing would, v is a
-Gauss-Markov process instead, as long as the silence lasts. A velocity stream's speed w across the corridor is a
-measurement of v: ``0 = v - w s``, with its variance inflated where it is far from what a hypothesis expects.
+Without an accelerometer, or if its noise exceeds `OffsetModel.rough_limit`, v is a Gauss-Markov process instead. The
+speed w across the corridor from a velocity stream is a measurement of v: ``0 = v - w s``; its variance is inflated if
+the innovation is beyond `SPEED_SIGMA`.
 
-**Evidence.** A frame's likelihood of the offset is ``p(y) = e / 2 + sum_j w_j N(o_j; y, sigma_j^2)``, with e the
-probability that it cannot tell. Errors of successive frames resemble each other, so a frame that follows the last one
-after dt counts as a part ``1 - exp(-dt / tau)`` of one: the hypotheses' weights are multiplied by that power of the
-likelihood, and the variances of the update are divided by it. Within a hypothesis, components are
-weighed by probabilistic data association (Y. Bar-Shalom, E. Tse, "Tracking in a cluttered environment with
-probabilistic data association", Automatica 11(5), 1975). The unknown offset is uniform over (-1, 1), hence its
-likelihood is 1/2; what it contains moves to new hypotheses at the components that none explains. A little is always
-forgotten: weight leaks from all hypotheses to the unknown.
+**Measurement update.** A frame's likelihood of the offset is ``p(y) = e / 2 + sum_j w_j N(o_j; y, sigma_j^2)``, with
+e the probability that the frame cannot tell. Errors of successive frames are correlated, so a frame that follows the
+last one after dt counts as the part ``a = 1 - exp(-dt / tau)`` of an independent one: the hypotheses' weights are
+multiplied by the likelihood to the power of a (tau = ``weight_time_s``), and the variances of the state update are
+divided by a (tau = ``state_time_s``). Within a hypothesis, components are weighted by probabilistic data association
+(Y. Bar-Shalom, E. Tse, "Tracking in a cluttered environment with probabilistic data association", Automatica 11(5),
+1975). The unknown offset is uniform over (-1, 1), so its likelihood is 1/2; its weight moves to new hypotheses at
+components that no hypothesis explains. A forgetting factor moves weight from all hypotheses back to the unknown.
 
-**Reported** is the sum of those about the likeliest; it is known where it contains most of the probability and is
-narrow. A line beside the corner that is taken for it stays there for seconds, and no average over frames makes that
-error less. So what is reported has two variances besides those of the hypotheses, which the filter itself does not
-feed back: ``(s_y y)^2``, as lines inside or outside both corners make the corridor narrower or wider, and
-``s_l^2 u^2``, with u^2 the second moment of the frames' likelihoods about the likeliest hypothesis, averaged over
-seconds: where each frame leaves much open, or says something else than all of them together do, that is off as well.
-On simulated corridors the error grows in proportion to u, and u tells a wrong offset from a right one better than
-the variance of the hypotheses, or the distance between what floor and ceiling say.
+**Output.** The mean and variance of the hypotheses within ``tolerance_norm`` of the most probable one are reported;
+the offset is known if they contain most of the probability and are narrow. A line beside a corner that is mistaken
+for the corner stays for seconds, and averaging over frames does not reduce that error. Two variances are therefore
+added to the output, and not fed back to the filter: ``(s_y y)^2``, since lines inside or outside both corners make
+the corridor look narrower or wider, and ``s_l^2 u^2``, with u^2 the second moment of the frames' likelihoods about
+the most probable hypothesis, averaged over seconds: it is large if single frames are ambiguous or contradict the
+fused offset. On simulated corridors the error grows in proportion to u, and u separates wrong from right offsets
+better than the variance of the hypotheses or the difference between floor and ceiling.
 """
 
 from __future__ import annotations
@@ -61,11 +63,11 @@ from fusion.estimator.lateral_kernels import (
     S,
     Y,
     correct_all,
+    extended_path,
     fill_transition,
-    lengthened,
-    moved_along,
+    propagated_along,
 )
-from fusion.estimator.lateral_mixture_kernels import summarised, take_frame
+from fusion.estimator.lateral_mixture_kernels import summarised, update_with_frame
 from fusion.estimator.records import new_record
 from vision.lateral.mixture import OffsetMixture, combine
 from vision.types import FloatArray
@@ -73,43 +75,36 @@ from vision.types import FloatArray
 MAX_HYPOTHESES = 15
 MIN_WEIGHT = 1e-4
 MAX_OFFSET = 1.2  # beyond the walls
-MIN_CANNOT_TELL = 0.15  # of each kind of evidence, as no frame tells what it does not know
-FIRST_FRAME_S = (
-    0.3  # as if that long after another: one frame alone, whenever it comes, is not to be relied on
-)
+MIN_CANNOT_TELL = 0.15  # lower bound of e for each kind of evidence: frames are overconfident
+FIRST_FRAME_S = 0.3  # largest dt: a single frame never counts as more than this part of one
 START_SPREAD_NORM = 0.05  # u before the first frame
-SUPPORTED = 0.5  # belief in a frame from which on it confirms the likeliest hypothesis
-ROLL_WALK = 0.006  # rad/sqrt(s) that the attitude's roll strays
-SPEED_SIGMA = 3.0  # from which on a velocity is doubted
-ROLL_TIME_S = 0.3  # over which errors of the frames' verticals resemble each other
+SUPPORTED = 0.5  # association probability above which a frame confirms the most probable hypothesis
+ROLL_WALK = 0.006  # rad/sqrt(s); random walk of the attitude's roll error
+SPEED_SIGMA = 3.0  # innovations of a velocity beyond this have their variance inflated
+ROLL_TIME_S = 0.3  # correlation time of the errors of the frames' verticals
 
 
 class OffsetModel(NamedTuple):
-    """What the filter assumes; lengths in metres unless they are said to be in half widths (``norm``)."""
+    """Parameters of the filter; lengths in metres, or in half widths for names with ``norm``."""
 
-    accel_noise: float = (
-        0.09  # m/s/sqrt(s), besides what the accelerometer itself shows: tilt that comes and goes
-    )
+    accel_noise: float = 0.09  # m/s/sqrt(s); tilt errors, added to the accelerometer's measured noise
     accel_bias_std: float = 0.15  # m/s^2
-    accel_bias_walk: float = 0.03  # m/s^2/sqrt(s): the attitude's slow errors
-    rough_limit: float = 0.17  # m/s/sqrt(s) of noise from which on an accelerometer is worth nothing
+    accel_bias_walk: float = 0.03  # m/s^2/sqrt(s); slow errors of the attitude
+    rough_limit: float = 0.17  # m/s/sqrt(s); an accelerometer with more noise is not used
     velocity_std_m_s: float = 0.3  # without accelerometer
     velocity_time_s: float = 1.0
     start_velocity_std_m_s: float = 0.4
-    inverse_half_width: tuple[float, float] = (
-        0.95,
-        0.25,
-    )  # 1/m, mean and standard deviation in an unknown corridor
+    inverse_half_width: tuple[float, float] = (0.95, 0.25)  # 1/m; mean and sigma in an unknown corridor
     weight_time_s: float = 0.26
     state_time_s: float = 0.05
-    displacement_time_s: float = 2.0  # likewise for displacements by parallax: the axis errs for seconds
-    forgotten: float = 0.08  # share of all weights that a frame which is all new gives to the unknown
-    forget_1_s: float = 0.3  # the same while no frame comes
-    slack_norm: float = 0.01
-    spread_time_s: float = 1.5  # over which the second moment of the frames' likelihoods is averaged
-    lasting_share: float = 0.4  # standard deviation of an error that lasts, over the root of that moment
-    scale_std: float = 0.05  # of the corridor's width as the taken lines have it, over the true one
-    near_norm: float = 0.03  # hypotheses nearer than this are one
+    displacement_time_s: float = 2.0  # tau for displacements by parallax: errors of the axis last for seconds
+    forgotten: float = 0.08  # share of all weights that one independent frame moves to the unknown
+    forget_1_s: float = 0.3  # rate of the same between frames
+    slack_norm: float = 0.01  # model error added to every component's sigma
+    spread_time_s: float = 1.5  # time constant of the average of u^2
+    lasting_share: float = 0.4  # s_l
+    scale_std: float = 0.05  # s_y: relative error of the corridor's width as the detected lines show it
+    near_norm: float = 0.03  # hypotheses closer than this are merged
     tolerance_norm: float = 0.1
     known_probability: float = 0.9
     known_std_norm: float = 0.12
@@ -117,9 +112,9 @@ class OffsetModel(NamedTuple):
 
 
 class Path(NamedTuple):
-    """Motion since the hypotheses' time: seconds, of which with accelerometer, and integrals of the acceleration.
+    """Motion since the hypotheses' time: duration, part of it with accelerometer, integrals A1 and A2.
 
-    ``noise`` is the integral of the accelerometer's noise density squared.
+    ``noise`` is the integral of the squared noise density of the accelerometer.
     """
 
     t_s: float = 0.0
@@ -128,8 +123,8 @@ class Path(NamedTuple):
     a2: float = 0.0
     noise: float = 0.0
 
-    def then(self, on: Path) -> Path:
-        """Return this path with another one at its end."""
+    def followed_by(self, on: Path) -> Path:
+        """Return this path followed by another one."""
         return Path(
             self.t_s + on.t_s,
             self.accel_s + on.accel_s,
@@ -139,7 +134,7 @@ class Path(NamedTuple):
         )
 
     def since(self, start: Path) -> Path:
-        """Return what follows a path that this one begins with."""
+        """Return the rest of this path after its initial part ``start``."""
         t_s = self.t_s - start.t_s
         return Path(
             t_s,
@@ -151,9 +146,10 @@ class Path(NamedTuple):
 
 
 class Acceleration(NamedTuple):
-    """The acceleration across the corridor: last sample, m/s^2, its age, and how much successive samples differ.
+    """Acceleration across the corridor: last sample, m/s^2, its age, and the noise density.
 
-    ``density2`` is that difference as the square of a white noise's density, (m/s)^2/s; ``n`` counts samples.
+    ``density2`` is the squared density of the white noise that explains the differences of successive samples,
+    (m/s)^2/s; ``n`` counts samples.
     """
 
     last: float = nan
@@ -163,16 +159,16 @@ class Acceleration(NamedTuple):
 
 
 class RollCorrection(NamedTuple):
-    """How far the frames' vertical lines lie right of the attitude's vertical, rad: mean and variance."""
+    """Angle of the frames' vertical lines to the right of the attitude's vertical, rad: mean and variance."""
 
     mean: float = 0.0
     variance: float = 0.01**2
 
 
 class OffsetState(NamedTuple):
-    """Immutable; its arrays are never written into.
+    """The Gaussian sum; immutable, its arrays are never written to.
 
-    ``weight`` (k + 1,) sums to one and ends with that of the unknown.
+    ``weight`` (k + 1,) sums to one; its last element is the weight of the unknown.
     """
 
     x: FloatArray
@@ -182,11 +178,11 @@ class OffsetState(NamedTuple):
     accel: Acceleration = Acceleration()
     roll: RollCorrection = RollCorrection()
     spread2: float = START_SPREAD_NORM**2  # second moment of the frames' likelihoods, half widths squared
-    evidence_age_s: float = nan  # since a frame supported the likeliest hypothesis
+    evidence_age_s: float = nan  # since a frame confirmed the most probable hypothesis
 
 
 class OffsetReadout(NamedTuple):
-    """The offset at the state's time, its rate, the probability of its hypothesis, whether it may be relied on."""
+    """The offset at the state's time, its rate, the probability of its hypothesis, and whether it is reliable."""
 
     offset_norm: float
     std_norm: float
@@ -197,15 +193,15 @@ class OffsetReadout(NamedTuple):
     evidence_age_s: float
 
 
-def nothing_known() -> OffsetState:
+def initial_offset_state() -> OffsetState:
     """Return the state before any frame."""
     return OffsetState(np.zeros((0, N_LATERAL)), np.zeros((0, N_LATERAL, N_LATERAL)), np.ones(1))
 
 
 def in_new_corridor(state: OffsetState) -> OffsetState:
-    """Forget the offset and its rate; what is known of the accelerometer stays."""
-    # The bias across the corridor is another one there: it is that of the tilt and of both axes.
-    return nothing_known()._replace(accel=state.accel, roll=state.roll)
+    """Forget the hypotheses; keep the accelerometer's noise and the roll correction."""
+    # The bias across the corridor changes with the direction: it combines tilt and both accelerometer axes.
+    return initial_offset_state()._replace(accel=state.accel, roll=state.roll)
 
 
 def propagate(
@@ -215,18 +211,18 @@ def propagate(
     force: tuple[float, float, float] | None,
     down: tuple[float, float, float],
 ) -> OffsetState:
-    """Carry the state on by ``dt_s`` with the accelerometer's sample at its end; None: there is none there."""
+    """Propagate by ``dt_s``, with the specific force at the end of the step; None without a sample."""
     x, P, weight, path, accel, roll, spread2, age_s = state
-    far, felt = lengthened((*path,), (*accel,), dt_s, heading_rad, force or NO_FORCE, down, roll[0])
-    path, accel = new_record(Path, far), new_record(Acceleration, felt)
+    longer, sample = extended_path((*path,), (*accel,), dt_s, heading_rad, force or NO_FORCE, down, roll[0])
+    path, accel = new_record(Path, longer), new_record(Acceleration, sample)
     return new_record(OffsetState, (x, P, weight, path, accel, roll, spread2, age_s + dt_s))
 
 
 def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tuple[FloatArray, FloatArray]:
-    """Return F (4, 4) and Q (4, 4) of a path of some length, or, ``backward``, those that lead back.
+    """Return F (4, 4) and Q (4, 4) of a path of non-zero length, or of its reversal if ``backward``.
 
-    The noise is turned into half widths by the s of the model, not that of a hypothesis: one that takes the corridor
-    for wider would have less of it, and win for that alone.
+    The noise is converted to half widths by the model's s, not by that of each hypothesis: a hypothesis of a wider
+    corridor would otherwise have less noise and win for that reason alone.
     """
     F, Q = np.empty((N_LATERAL, N_LATERAL)), np.empty((N_LATERAL, N_LATERAL))
     t_s, accel_s, a1, a2, noise = path
@@ -235,33 +231,33 @@ def transition(path: Path, model: OffsetModel, *, backward: bool = False) -> tup
 
 
 def motion_noise(m: OffsetModel) -> tuple[float, float, float, float, float, float]:
-    """Return what `fill_transition` takes of a model."""
+    """Return the noise parameters that `fill_transition` takes from a model."""
     inverse, _ = m.inverse_half_width
     return inverse, m.accel_noise, m.accel_bias_walk, m.rough_limit, m.velocity_std_m_s, m.velocity_time_s
 
 
 def along_path(state: OffsetState, path: Path, model: OffsetModel, *, backward: bool = False) -> OffsetState:
-    """Carry the hypotheses along a path, or back along it."""
-    x, P = _moved_along(state, path, model, backward)
+    """Propagate the hypotheses along a path, or backward along it."""
+    x, P = _propagated_along(state, path, model, backward)
     return state if x is state.x else state._replace(x=x, P=P)
 
 
-def _moved_along(
+def _propagated_along(
     state: OffsetState, path: Path, model: OffsetModel, backward: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     if not path.t_s > 0.0 or not len(state.x):
         return state.x, state.P
     t_s, accel_s, a1, a2, noise = path
-    return moved_along(state.x, state.P, (t_s, accel_s, a1, a2, noise), motion_noise(model), backward)
+    return propagated_along(state.x, state.P, (t_s, accel_s, a1, a2, noise), motion_noise(model), backward)
 
 
 def at_path_end(state: OffsetState, model: OffsetModel) -> OffsetState:
-    """Carry the hypotheses to the state's time."""
+    """Propagate the hypotheses to the state's time."""
     return along_path(state, state.path, model)._replace(path=Path())
 
 
 def with_roll(state: OffsetState, roll_rad: float, std_rad: float, dt_s: float) -> OffsetState:
-    """Take in how far a frame's vertical lines lie right of the attitude's vertical."""
+    """Update the roll correction by the angle of a frame's vertical lines to the attitude's vertical."""
     mean, variance = state.roll
     variance = variance + ROLL_WALK**2 * max(dt_s, 0.0)
     gain = variance / (variance + std_rad**2 / (1.0 - exp(-max(dt_s, 0.02) / ROLL_TIME_S)))
@@ -269,18 +265,18 @@ def with_roll(state: OffsetState, roll_rad: float, std_rad: float, dt_s: float) 
 
 
 class FrameEvidence(NamedTuple):
-    """What a frame says of the offset.
+    """A frame's likelihood of the offset.
 
     Parameters
     ----------
     components
-        Rows (m, 3) of weight, offset of the camera and variance, half widths; the rest of the weight: it cannot tell.
+        Rows (m, 3) of weight, offset of the camera and variance, half widths; the weights sum to 1 - e.
     dt_s
-        Time since the frame before, which says how much of it is new.
+        Time since the frame before, which gives the independent part of the frame.
     side
-        1, or -1 where the vehicle flies against the axis and right is left.
+        1, or -1 if the vehicle flies against the axis, so that left and right are exchanged.
     aside_m
-        How far the camera is right of the body's centre, across the corridor as it faces.
+        Distance of the camera to the right of the body's centre, across the corridor, in the frame's direction.
     """
 
     components: FloatArray
@@ -292,18 +288,18 @@ class FrameEvidence(NamedTuple):
 def frame_evidence(
     mixtures: Sequence[OffsetMixture], dt_s: float, heading_rad: float, camera_arm_m: tuple[float, float]
 ) -> FrameEvidence:
-    """Combine what one frame says by several kinds of evidence.
+    """Combine a frame's likelihoods from several kinds of evidence.
 
     Parameters
     ----------
     mixtures
-        At least one.
+        At least one likelihood.
     dt_s
         Time since the frame before; NaN for the first.
     heading_rad
-        The vehicle's, from the corridor's axis, in all directions.
+        Heading of the vehicle from the corridor's axis, over the full circle.
     camera_arm_m
-        How far the camera sits ahead and right of the body's centre.
+        Position of the camera ahead and right of the body's centre, metres.
     """
     mixture = reduce(combine, [m.less_sure(MIN_CANNOT_TELL) for m in mixtures])
     side = 1.0 if cos(heading_rad) >= 0.0 else -1.0
@@ -314,7 +310,7 @@ def frame_evidence(
 
 
 def with_speed(state: OffsetState, across_m_s: float, variance: float) -> OffsetState:
-    """Take in a speed across the corridor, positive right, with its variance, (m/s)^2."""
+    """Update with a speed across the corridor, positive right, with its variance, (m/s)^2."""
     if not len(state.x):
         return state
     x, P = state.x.copy(), state.P.copy()
@@ -324,11 +320,11 @@ def with_speed(state: OffsetState, across_m_s: float, variance: float) -> Offset
 
 
 def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> OffsetState:
-    """Take in what a frame says, at the hypotheses' time."""
+    """Update with a frame's likelihood at the hypotheses' time."""
     gap_s, dt_s = max(frame.dt_s - FIRST_FRAME_S, 0.0), min(frame.dt_s, FIRST_FRAME_S)
     new = -expm1(-dt_s / model.weight_time_s)
     forgotten = 1.0 - (1.0 - model.forgotten * new) * exp(-model.forget_1_s * gap_s)
-    x, P, weight, belief, moment = frame_taken(state, frame, model, dt_s, forgotten)
+    x, P, weight, belief, moment = updated_hypotheses(state, frame, model, dt_s, forgotten)
     age_s = 0.0 if belief > SUPPORTED or not len(state.x) else state.evidence_age_s
     spread2 = state.spread2
     if moment >= 0.0:
@@ -336,13 +332,13 @@ def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) 
     return state._replace(x=x, P=P, weight=weight, evidence_age_s=age_s, spread2=spread2)
 
 
-def frame_taken(
+def updated_hypotheses(
     state: OffsetState, frame: FrameEvidence, model: OffsetModel, dt_s: float, forgotten: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
-    """Return what `take_frame` does, for a frame of which ``dt_s`` is new and that makes a share be forgotten."""
+    """Call `update_with_frame` for a frame of which ``dt_s`` is new; a share ``forgotten`` of all weights is lost."""
     s, s_std = model.inverse_half_width
     v_std, c_std = model.start_velocity_std_m_s * s, model.accel_bias_std * s
-    return take_frame(
+    return update_with_frame(
         state.x,
         state.P,
         state.weight,
@@ -358,36 +354,36 @@ def frame_taken(
 
 
 def update(state: OffsetState, frame: FrameEvidence, model: OffsetModel) -> OffsetState:
-    """Take in what a frame at the state's time says."""
+    """Update with a frame's likelihood at the state's time."""
     return with_evidence(at_path_end(state, model), frame, model)
 
 
 def readout(state: OffsetState, model: OffsetModel) -> OffsetReadout:
     """Report the offset at the state's time."""
-    x, P = _moved_along(state, state.path, model)
+    x, P = _propagated_along(state, state.path, model)
     return summary(x, P, state.weight[:-1], state, model)
 
 
 def lasting_variance(state: OffsetState, model: OffsetModel) -> float:
-    """Variance of an error that successive frames have in common, half widths squared, see the module's text."""
+    """Return ``s_l^2 u^2``, the variance of errors common to successive frames, half widths squared."""
     return model.lasting_share**2 * state.spread2
 
 
 def summary(
     mean: FloatArray, cov: FloatArray, weight: FloatArray, state: OffsetState, model: OffsetModel
 ) -> OffsetReadout:
-    """Report the sum of the hypotheses about the likeliest.
+    """Report the moments of the hypotheses near the most probable one.
 
     Parameters
     ----------
     mean, cov
-        Of y and v, and what may follow: (k, 2 or more) and (k, 2 or more, 2 or more).
+        Hypotheses: y and v, possibly followed by further states: (k, 2 or more) and (k, 2 or more, 2 or more).
     weight
-        (k,), with what is unknown left out.
+        Weights (k,) without that of the unknown.
     state
-        Has the age of its evidence, reported as it is, and the spread of its frames.
+        Source of the evidence's age and of u^2.
     model
-        Says what is near, and when an offset is known.
+        Thresholds: which hypotheses are near, and when an offset is known.
     """
     if not len(mean):
         return OffsetReadout(nan, nan, nan, nan, 0.0, False, nan)
@@ -400,7 +396,7 @@ def summary(
 
 
 def moments(state: OffsetState, model: OffsetModel) -> tuple[FloatArray, FloatArray]:
-    """Mean (4,) and covariance (4, 4) of the hypotheses that `summary` reports on; there is at least one."""
+    """Return mean (4,) and covariance (4, 4) of the hypotheses that `summary` reports; there is at least one."""
     weight = state.weight[:-1]
     near = np.abs(state.x[:, Y] - state.x[np.argmax(weight), Y]) < model.tolerance_norm
     share = weight[near] / weight[near].sum()
@@ -414,11 +410,11 @@ def moments(state: OffsetState, model: OffsetModel) -> tuple[FloatArray, FloatAr
 
 @cache
 def compile_filter() -> None:
-    """Compile, or load what was compiled, when an estimator is made: not at its first frame, in flight."""
+    """Compile the filter's kernels, or load them from the cache, before the first frame."""
     one = np.array([0.5])
     mixture = OffsetMixture(one, one, one, one)
     frame = frame_evidence([mixture, mixture], FIRST_FRAME_S, 0.0, (0.0, 0.0))
-    state, model = nothing_known(), OffsetModel()
+    state, model = initial_offset_state(), OffsetModel()
     for _ in range(2):
         state = update(propagate(state, 0.01, 0.0, None, (0.0, 0.0, 1.0)), frame, model)
     readout(with_speed(state, 0.0, 1.0), model)

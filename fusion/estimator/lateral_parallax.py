@@ -1,17 +1,17 @@
-"""Motion parallax of the walls between two frames, as evidence for the lateral offset and its rate.
+"""Motion parallax of the walls between two frames, as a measurement of the lateral offset and its rate.
 
 `vision.lateral.parallax` compares a frame with one some tenths of a second earlier. This evidence is independent
-of the other kinds: it rests on any texture of the walls, not on where their corners are.
+of the other kinds: it uses any texture of the walls, not the position of their corners.
 
-With F the transition back along the path between the two frames, and Q its noise, the displacement d of the camera
-is a measurement of each hypothesis x = [y, v, c, s]::
+With F the backward transition along the path between the two frames, and Q its noise, the displacement d of the
+camera is a measurement of each hypothesis x = [y, v, c, s]::
 
     d = (e_Y - F_Y) x + l s,    variance  R / (1 - exp(-dt / tau)) + Q_YY
 
-with e_Y the unit vector of y, F_Y the row of F for y, and l the camera's swing about the body's centre, metres. R is
-divided by the part of a comparison that is new after dt, as in `fusion.estimator.lateral_offset`, with a tau of
-seconds: an axis that is off by a tenth of a degree shifts d by some thousandths, and stays off. The mixture of y
-counts like that of a frame, but lets nothing be forgotten.
+with e_Y the unit vector of y, F_Y the row of F for y, and l the camera's displacement by rotation about the body's
+centre, metres. R is divided by the independent part of a comparison after dt, as in
+`fusion.estimator.lateral_offset`, with a tau of seconds: an axis that is off by a tenth of a degree shifts d by some
+thousandths, and this error lasts. The mixture of y is fused like that of a frame, without forgetting.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from fusion.estimator.lateral_offset import (
     OffsetModel,
     OffsetState,
     Path,
-    frame_taken,
-    nothing_known,
+    initial_offset_state,
     transition,
+    updated_hypotheses,
 )
 from vision.lateral.parallax import PROFILES_SHAPE, Profiles, compare
 from vision.types import FloatArray
 
-BASELINE_S = 0.29  # between two frames that are compared; more, where frames are rarer
-INTERVAL_S = 0.19  # between two comparisons
-MAX_VIEW_S = 1.2  # after which the walls in view are others
-DISPLACEMENT_SIGMA = 3.0  # from which on a displacement is doubted
+BASELINE_S = 0.29  # shortest time between two compared frames
+INTERVAL_S = 0.19  # shortest time between two comparisons
+MAX_VIEW_S = 1.2  # longest time between compared frames: later ones see other parts of the walls
+DISPLACEMENT_SIGMA = 3.0  # residuals of a displacement beyond this have their variance inflated
 
 
 class WallParallax(NamedTuple):
-    """What the parallax of both walls says, between an earlier frame and one at the hypotheses' time.
+    """Measurement from the parallax of both walls between an earlier frame and one at the hypotheses' time.
 
     Parameters
     ----------
@@ -55,10 +55,10 @@ class WallParallax(NamedTuple):
     dt_s
         As in `FrameEvidence`: time since the comparison before.
     displacement_norm, displacement_per_offset, displacement_variance
-        Lateral displacement of the camera, half widths, positive right: at its offset o it is
-        ``displacement_norm + displacement_per_offset o`` with that variance; NaN where it was not measured.
+        Lateral displacement of the camera, half widths, positive right: at the camera's offset o it is
+        ``displacement_norm + displacement_per_offset o`` with that variance; NaN if it was not measured.
     swing_m
-        What of it is the camera's swing about the body's centre, metres.
+        Part of it from the camera's rotation about the body's centre, metres.
     """
 
     components: FloatArray
@@ -73,10 +73,9 @@ class WallParallax(NamedTuple):
 
 
 def with_parallax(state: OffsetState, motion: WallParallax, model: OffsetModel) -> OffsetState:
-    """Take in what the parallax of both walls says.
+    """Update with the parallax of both walls.
 
-    The displacement is a measurement of ``y - y'``, with y' what the transition back along the path makes of the
-    state.
+    The displacement measures ``y - y'``, with y' the offset at the earlier frame, by the backward transition.
     """
     if isfinite(motion.displacement_norm) and len(state.x):
         x, P = state.x.copy(), state.P.copy()
@@ -93,12 +92,12 @@ def with_parallax(state: OffsetState, motion: WallParallax, model: OffsetModel) 
             correct_all(x[h : h + 1], P[h : h + 1], H, moved, variance, DISPLACEMENT_SIGMA)
         state = state._replace(x=x, P=P)
     evidence = FrameEvidence(motion.components, motion.dt_s, motion.side, motion.aside_m)
-    x, P, weight, _, _ = frame_taken(state, evidence, model, min(motion.dt_s, FIRST_FRAME_S), 0.0)
+    x, P, weight, _, _ = updated_hypotheses(state, evidence, model, min(motion.dt_s, FIRST_FRAME_S), 0.0)
     return state._replace(x=x, P=P, weight=weight)
 
 
 class WallView(NamedTuple):
-    """How a frame saw the walls, and the motion since.
+    """A frame's wall profiles, and the motion since.
 
     Parameters
     ----------
@@ -107,7 +106,7 @@ class WallView(NamedTuple):
     side, aside_m
         As in `fusion.estimator.lateral_offset.FrameEvidence`.
     path
-        Motion since.
+        Motion since the frame.
     """
 
     profiles: Profiles
@@ -115,12 +114,12 @@ class WallView(NamedTuple):
     aside_m: float
     path: Path = Path()
 
-    def moved_on(self, path: Path) -> WallView:
-        """Return the view after some more motion."""
-        return self._replace(path=self.path.then(path))
+    def propagated(self, path: Path) -> WallView:
+        """Return the view with its path extended."""
+        return self._replace(path=self.path.followed_by(path))
 
     def compared(self, now: WallView, dt_s: float) -> WallParallax | None:
-        """Compare with a later view; None where they have nothing in common.
+        """Compare with a later view; None if they cannot be compared.
 
         ``dt_s`` is the time since the last comparison.
         """
@@ -145,16 +144,16 @@ class WallView(NamedTuple):
 def compare_walls(
     views: tuple[WallView, ...], profiles: Profiles | None, evidence: FrameEvidence
 ) -> tuple[tuple[WallView, ...], WallParallax | None]:
-    """Return the views that later frames are compared with, and what a frame says compared with one before.
+    """Compare a frame with an earlier view; return the views to keep and the measurement, if any.
 
     Parameters
     ----------
     views
-        Of earlier frames, the oldest first.
+        Views of earlier frames, the oldest first.
     profiles
-        Of the frame; None where it has none.
+        Wall profiles of the frame; None without.
     evidence
-        What the frame says by itself.
+        The frame's own likelihood.
     """
     if profiles is None or (views and views[-1].path.t_s < INTERVAL_S):
         return views, None
@@ -167,10 +166,10 @@ def compare_walls(
 
 @cache
 def compile_parallax() -> None:
-    """Compile, or load what was compiled, when an estimator is made: not at its first frames, in flight."""
+    """Compile the comparison, or load it from the cache, before the first frame."""
     nothing = np.zeros(PROFILES_SHAPE, np.float32)
     compare(nothing, nothing)
-    said = WallParallax(np.array([[0.5, 0.2, 0.01]]), 1.0, 0.0, Path(0.3, 0.3), 0.2, 0.0, 0.0, 1e-4, 0.0)
+    example = WallParallax(np.array([[0.5, 0.2, 0.01]]), 1.0, 0.0, Path(0.3, 0.3), 0.2, 0.0, 0.0, 1e-4, 0.0)
     model = OffsetModel()
-    state = with_parallax(nothing_known(), said, model)
-    with_parallax(state, said, model)
+    state = with_parallax(initial_offset_state(), example, model)
+    with_parallax(state, example, model)

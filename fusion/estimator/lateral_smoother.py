@@ -1,17 +1,17 @@
-"""The lateral offset from the whole flight: two filters, one from the start and one from the end, that meet.
+"""Smoother of the lateral offset over a whole flight: combines a forward and a backward filter.
 
-(D. C. Fraser, J. E. Potter, "The optimum linear smoother as a combination of two optimum linear filters", IEEE
-Transactions on Automatic Control 14(4), 1969.) `fusion.estimator.lateral_offset` runs once more, from the end to
-the start, over the same steps: a transition is undone, the evidence of a frame is the same. What is known at a time
-from before it, p_f(y, v), and from after it, p_b, both Gaussian sums, is multiplied; each has the prior p_0 in it,
-uniform in y and Gaussian in v, which counts once::
+A two-filter smoother (D. C. Fraser, J. E. Potter, "The optimum linear smoother as a combination of two optimum
+linear filters", IEEE Transactions on Automatic Control 14(4), 1969) for Gaussian sums. The filter of
+`fusion.estimator.lateral_offset` runs a second time over the same steps, from the end to the start, with inverted
+transitions and the same frame likelihoods. At each step the forward density p_f(y, v) and the backward density p_b
+are multiplied. Both contain the prior p_0, uniform in y and Gaussian in v, which must count only once::
 
     p(y, v) = p_f p_b / p_0,    w_ij = w_i w_j N(m_i - m_j; 0, P_i + P_j) / p_0
 
-and where one of the two knows nothing it is p_0, so that the other's weight stands as it is. A hypothesis that wins
-in the end thus counts from where it began, and a wrong one that held for a while loses its past. Neither filter
-runs on from one corridor into another. Accelerometer bias and width are not compared: both filters have learned
-them from the same prior, and they matter little where y and v are compared.
+The part of a density that is unknown equals p_0, so it leaves the other's weights unchanged. A hypothesis that later
+frames confirm thus gains weight from its start, and one that they refute loses it. Both filters restart at a change
+of corridor. Only y and v are compared: both filters estimate accelerometer bias and width from the same prior, and
+these have little effect on the comparison.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from fusion.estimator.lateral_offset import (
     Path,
     along_path,
     at_path_end,
-    nothing_known,
+    initial_offset_state,
     summary,
     with_evidence,
     with_speed,
@@ -41,43 +41,41 @@ from fusion.estimator.lateral_parallax import WallParallax, with_parallax
 from vision.types import FloatArray
 
 YV = slice(Y, V + 1)
-BOTH_INFLATION = 1.5  # of the variance, as errors of what comes before and after resemble each other
-KNOWN_PROBABILITY = 0.95  # likewise higher than the filter's
-LONGEST_STEP_S = (
-    0.5  # a vehicle may turn round in a longer one, which offsets and rates at its ends do not show
-)
+COMBINED_INFLATION = 1.5  # of the combined variance: errors of earlier and later frames are correlated
+KNOWN_PROBABILITY = 0.95  # higher than the filter's for the same reason
+LONGEST_STEP_S = 0.5  # in a longer one the motion may reverse unseen by offsets and rates at its ends
 
 
 class MotionPrediction(NamedTuple):
-    """Where motion leads, and how far from there an offset may be, half widths; NaN where nothing is known of it."""
+    """Offset predicted by the motion, and its tolerance, half widths; NaN if unknown."""
 
     offset_norm: float = nan
     tolerance_norm: float = nan
 
     def excludes(self, offset_norm: float) -> bool:
-        """Tell whether an offset is too far from there."""
+        """Whether an offset differs from the prediction by more than the tolerance."""
         return abs(offset_norm - self.offset_norm) > self.tolerance_norm
 
 
 class OffsetStep(NamedTuple):
-    """One step of the filter: a path, then what was fused at its end.
+    """One step of the filter: a path, then the measurements fused at its end.
 
     Parameters
     ----------
     path
         Motion since the step before.
     after
-        The filter's state after the step, carried on by its own path where motion alone made it.
+        The filter's state after the step; for a step of motion alone its own path is still to be applied.
     evidence
-        Of a frame; None without.
+        Likelihood of a frame; None without one.
     speed
-        Speed across the corridor, m/s, and its variance; None without.
+        Speed across the corridor, m/s, and its variance; None without one.
     parallax
-        Parallax of the walls since an earlier frame, taken in before this one's evidence; None without.
-    starts_anew
+        Parallax of the walls since an earlier frame, fused before this frame's evidence; None without one.
+    is_reset
         Whether another corridor begins here.
     predicted
-        Where motion leads from the offsets that the filter relied on before: no other is relied on.
+        Offset predicted by the motion from earlier known offsets; a smoothed offset that it excludes is unknown.
     """
 
     path: Path
@@ -85,12 +83,12 @@ class OffsetStep(NamedTuple):
     evidence: FrameEvidence | None = None
     speed: tuple[float, float] | None = None
     parallax: WallParallax | None = None
-    starts_anew: bool = False
+    is_reset: bool = False
     predicted: MotionPrediction = MotionPrediction()
 
 
 def ends_step(path: Path, moved: Path) -> bool:
-    """Whether a path, of which ``moved`` is in steps already, makes a step of its own."""
+    """Whether a path is long enough for a step of its own; ``moved`` is the part that is in steps already."""
     return int(path.t_s / LONGEST_STEP_S) > int(moved.t_s / LONGEST_STEP_S)
 
 
@@ -98,23 +96,23 @@ def ends_step(path: Path, moved: Path) -> bool:
 class OffsetSteps:
     """Steps of the lateral offset with their times, in order.
 
-    While nothing is taken in for long, the motion alone makes steps, so that the offset between is not interpolated
-    over seconds. They count once another step follows: behind the last one the filter's offset is the smoother's.
+    While nothing is measured for long, motion alone makes steps, so that the offset is not interpolated over seconds.
+    They are appended once a measurement follows: after the last one the filter's offset equals the smoother's.
     """
 
     t_ns: list[int] = field(default_factory=list)
     steps: list[OffsetStep] = field(default_factory=list)
-    _moved: Path = field(default_factory=Path)  # of the filter's path, what is in steps already
+    _moved: Path = field(default_factory=Path)  # the part of the filter's path that is in steps already
     _waiting: list[tuple[int, OffsetStep]] = field(default_factory=list)
 
     def add(self, t_ns: int, step: OffsetStep | None, offset: OffsetState) -> None:
-        """Append the step that led to the filter's state ``offset``; None: nothing but motion did."""
+        """Append the step that led to the filter's state ``offset``; None for motion alone."""
         if step is None:
             if self.steps and ends_step(offset.path, self._moved):
                 self._waiting.append((t_ns, OffsetStep(offset.path.since(self._moved), offset)))
                 self._moved = offset.path
             return
-        if not step.starts_anew:
+        if not step.is_reset:
             step = step._replace(path=step.path.since(self._moved))
         for time_ns, waiting in (*self._waiting, (t_ns, step)):
             self.t_ns.append(time_ns)
@@ -122,18 +120,18 @@ class OffsetSteps:
         self._moved, self._waiting = Path(), []
 
     def begin(self, t_ns: int, offset: OffsetState) -> None:
-        """Begin with the filter's state after a step, of which nothing before matters."""
+        """Begin with the filter's state after a step; earlier steps are dropped."""
         self.t_ns, self.steps = [t_ns], [OffsetStep(Path(), offset)]
         self._moved, self._waiting = offset.path, []
 
 
 def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[OffsetReadout]:
-    """Return the offset after each step from the whole flight; ages are the filter's."""
+    """Return the smoothed offset after each step; ages are the filter's."""
     model = model._replace(known_probability=KNOWN_PROBABILITY)
     out: list[OffsetReadout] = []
-    later = nothing_known()
+    later = initial_offset_state()
     for step in reversed(steps):
-        found = _met(at_path_end(step.after, model), later, model)
+        found = _combined(at_path_end(step.after, model), later, model)
         out.append(found._replace(known=found.known and not step.predicted.excludes(found.offset_norm)))
         if step.evidence is not None:
             later = with_evidence(later, step.evidence, model)
@@ -141,12 +139,14 @@ def smoothed_offsets(steps: Sequence[OffsetStep], model: OffsetModel) -> list[Of
             later = with_speed(later, *step.speed)
         if step.parallax is not None:
             later = with_parallax(later, step.parallax, model)
-        later = nothing_known() if step.starts_anew else along_path(later, step.path, model, backward=True)
+        later = (
+            initial_offset_state() if step.is_reset else along_path(later, step.path, model, backward=True)
+        )
     return out[::-1]
 
 
-def _met(before: OffsetState, after: OffsetState, model: OffsetModel) -> OffsetReadout:
-    """Multiply what is known from before a time with what is known from after it."""
+def _combined(before: OffsetState, after: OffsetState, model: OffsetModel) -> OffsetReadout:
+    """Return the moments of the product of forward and backward density, as in the module's equation."""
     m_f, P_f, w_f = before.x[:, YV], before.P[:, YV, YV], before.weight
     m_b, P_b, w_b = after.x[:, YV], after.P[:, YV, YV], after.weight
     n, k = len(m_f), len(m_b)
@@ -164,7 +164,7 @@ def _met(before: OffsetState, after: OffsetState, model: OffsetModel) -> OffsetR
         middle = m_f[:, None] + (P_f[:, None] @ pull)[..., 0]
         mean[: n * k] = middle.reshape(-1, 2)
         both = P_f[:, None] - gain @ P_f[:, None]
-        both = 0.5 * BOTH_INFLATION * (both + np.swapaxes(both, -1, -2))
+        both = 0.5 * COMBINED_INFLATION * (both + np.swapaxes(both, -1, -2))
         cov[: n * k] = both.reshape(-1, 2, 2)
         distance = (apart[..., None, :] @ pull)[..., 0, 0]
         density = np.exp(-0.5 * distance) / (2.0 * pi * np.sqrt(np.linalg.det(total)))
@@ -182,7 +182,7 @@ def at_times(
 ) -> tuple[FloatArray, FloatArray, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
     """Interpolate smoothed offsets to times (n,): offset (n,), sigma (n,), whether it is known (n,).
 
-    A cubic between steps that has their offsets and rates; unknown where the step on either side is.
+    Cubic Hermite interpolation of offsets and rates; unknown if the step on either side is.
     """
     y, std, v = (np.array([o[k] for o in offsets]) for k in range(3))
     known = np.array([o.known for o in offsets])

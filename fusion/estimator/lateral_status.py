@@ -1,7 +1,11 @@
-"""Status of the lateral offset: whether it is known and consistent with the motion, and its jumps.
+"""Status of the lateral offset: whether it is known, whether it is consistent with the motion, and its jumps.
 
-`fusion.estimator.lateral` updates it. If another hypothesis becomes the most probable one, this is a jump and is
-counted. An offset that the motion does not explain is reported as unknown for some seconds.
+`fusion.estimator.lateral` updates this part of the state. After each frame:
+
+- The offset is compared with a prediction: the median of the offsets of the last `CONTRADICTED_S`, each moved on by
+  the integrated rate. It is contradicted, and reported as unknown, if it differs by more than `DRIFT_NORM` +
+  `DRIFT_S` sigma_v. One of the two is wrong then, and the next seconds show which.
+- A change by more than `JUMP_NORM` means that another hypothesis has become the most probable one: a jump, counted.
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ from fusion.estimator.lateral_offset import (
     Path,
     at_path_end,
     in_new_corridor,
-    nothing_known,
+    initial_offset_state,
 )
 from fusion.estimator.lateral_offset import readout as readout_of
 from fusion.estimator.lateral_parallax import WallView
@@ -27,36 +31,36 @@ from fusion.estimator.models import Gate
 from fusion.estimator.sample_times import seconds_since
 from fusion.estimator.velocity import Velocity
 
-JUMP_NORM = 0.1  # change in one frame from which on another hypothesis has won
-CONTRADICTED_S = 4.0  # for which no offset is reported that motion does not lead to: one of the two is wrong
-DRIFT_NORM = 0.07  # half widths by which offset and displacement drift apart in that time, besides
-DRIFT_S = 0.5  # times the standard deviation of the rate
-MIN_RECENT = 5  # offsets that contradict one: fewer may be a first guess
+JUMP_NORM = 0.1  # half widths; a larger change in one frame means another hypothesis
+CONTRADICTED_S = 4.0  # memory of offsets: the longest time for which a contradicted offset is not reported
+DRIFT_NORM = 0.07  # half widths; tolerated drift between offset and displacement in that time
+DRIFT_S = 0.5  # further tolerance, times the standard deviation of the rate
+MIN_RECENT = 5  # offsets needed to contradict one: fewer may be a wrong initial hypothesis
 RECENT_EVERY_S = 0.1
 
 
 class LateralStatus(StrEnum):
-    """How far the lateral offset can be relied on; the words of the ``lateral_status`` column."""
+    """Reliability of the lateral offset; the values of the ``lateral_status`` column."""
 
-    UNKNOWN = "unknown"  # never told, or no hypothesis is probable and narrow enough
+    UNKNOWN = "unknown"  # never measured, or no hypothesis is probable and narrow enough
     KNOWN = "known"  # recent frames confirm it
     COASTING = "coasting"  # propagated by the accelerometer or velocity; its sigma grows
 
 
 class RecentOffsets(NamedTuple):
-    """Offsets that were known in the last seconds, each less the displacement until then.
+    """Known offsets of the last seconds, each less the displacement up to its time.
 
-    Ahead of a place where the corridor gets narrower or wider, frames show more and more the walls beyond it: the
-    offset drifts or jumps to theirs, to where the displacement does not lead.
+    Where the corridor gets narrower or wider ahead, frames increasingly show the walls beyond that place: the
+    measured offset drifts or jumps to a value that the vehicle's displacement does not explain.
 
     Parameters
     ----------
     displacement_norm
-        How far the vehicle has moved right since the first frame, half widths.
+        Displacement of the vehicle to the right since the first frame, half widths.
     t_frame_ns
-        Last frame; None before the first.
+        Time of the last frame; None before the first.
     t_ns, origin_norm
-        When an offset was known, and that offset less the displacement until then; the oldest first.
+        Times of known offsets, and the offsets less the displacement up to then; the oldest first.
     """
 
     displacement_norm: float = 0.0
@@ -64,8 +68,8 @@ class RecentOffsets(NamedTuple):
     t_ns: tuple[int, ...] = ()
     origin_norm: tuple[float, ...] = ()
 
-    def moved_on(self, rate_norm_s: float, t_ns: int) -> RecentOffsets:
-        """Go on to a frame by the rate there, and forget what is too old."""
+    def propagated(self, rate_norm_s: float, t_ns: int) -> RecentOffsets:
+        """Integrate the rate up to a frame, and drop old offsets."""
         moved = self.displacement_norm
         if self.t_frame_ns is not None and isfinite(rate_norm_s):
             moved += rate_norm_s * seconds_since(t_ns, self.t_frame_ns)
@@ -74,11 +78,11 @@ class RecentOffsets(NamedTuple):
 
     @property
     def predicted_norm(self) -> float:
-        """Offset that follows from them and the displacement; NaN where they are too few."""
+        """Offset predicted from the recent ones and the displacement; NaN if there are too few."""
         return self.displacement_norm + median(self.origin_norm) if len(self.t_ns) >= MIN_RECENT else nan
 
     def with_offset(self, offset_norm: float, t_ns: int) -> RecentOffsets:
-        """Add one, unless the last is recent."""
+        """Add an offset, unless the last one is recent."""
         if self.t_ns and seconds_since(t_ns, self.t_ns[-1]) < RECENT_EVERY_S:
             return self
         origins = (*self.origin_norm, offset_norm - self.displacement_norm)
@@ -86,37 +90,37 @@ class RecentOffsets(NamedTuple):
 
 
 class Lateral(NamedTuple):
-    """What is known of the lateral offset.
+    """Estimate of the lateral offset.
 
     Parameters
     ----------
     offset
         The Gaussian sum.
     step
-        Its last step, for the smoother; None where the last sample made none.
+        Its last step, for the smoother; None if the last sample made none.
     t_frame_ns, t_ns
-        When the last frame came that told anything, and the last one that confirmed the offset.
+        Time of the last frame with offset evidence, and of the last one that confirmed the offset.
     n_used
-        How many confirmed it.
+        Number of frames that confirmed it.
     gate, speed_gate
-        Outcome of the last frame's likeliest offset, half widths, and of the last velocity, m/s.
+        Innovation of the last frame's most probable offset, half widths, and of the last velocity, m/s.
     known
-        Whether the last frame left an offset that may be relied on.
+        Whether the offset after the last frame is reliable.
     last_known
-        Offset when it was last known, half widths and metres.
+        The last known offset, half widths and metres.
     recent
-        Offsets in this corridor that were known in the last seconds.
+        Known offsets of the last seconds, in this corridor.
     contradicted
-        Whether motion does not lead from them to where the last frame left it.
+        Whether the motion does not explain the change from them to the offset after the last frame.
     reset_count, reset_norm, reset_m
-        How often it jumped, and its last step.
+        Number of jumps, and the last jump.
     model
-        What the filter assumes, with the width as it was told last; None: what the configuration says.
+        Parameters of the filter, with the width set last; None: those of the configuration.
     views
-        Frames with which the walls of later ones are compared, the oldest first.
+        Earlier frames' wall profiles, for the parallax of later frames; the oldest first.
     """
 
-    offset: OffsetState = nothing_known()
+    offset: OffsetState = initial_offset_state()
     step: OffsetStep | None = None
     t_frame_ns: int | None = None
     t_ns: int | None = None
@@ -135,13 +139,13 @@ class Lateral(NamedTuple):
 
     @property
     def test_ratio(self) -> float:
-        """Of the last innovation: squared over gate squared."""
+        """Square of the last innovation over the gate squared."""
         return nan if self.gate is None else self.gate.test_ratio
 
-    def unknown_again(self) -> Lateral:
-        """Go on in another corridor, or at another time, with nothing known but what the offset was last."""
+    def without_offset(self) -> Lateral:
+        """Reset the estimate for another corridor or clock; keep the last known offset and the counts."""
         offset = in_new_corridor(self.offset)
-        step = OffsetStep(Path(), offset, starts_anew=True)
+        step = OffsetStep(Path(), offset, is_reset=True)
         return self._replace(
             offset=offset,
             step=step,
@@ -154,15 +158,15 @@ class Lateral(NamedTuple):
         )
 
     def at_path_end(self, model: OffsetModel) -> Lateral:
-        """Carry the hypotheses to the state's time."""
-        views = tuple(view.moved_on(self.offset.path) for view in self.views)
+        """Propagate the hypotheses to the state's time."""
+        views = tuple(view.propagated(self.offset.path) for view in self.views)
         return self._replace(offset=at_path_end(self.offset, model), views=views)
 
 
 class LateralReadout(NamedTuple):
     """The lateral offset as reported.
 
-    Offset and sigma in half widths, its rate and sigma in half widths per second, NaN where unknown; status; the
+    Offset and sigma in half widths, its rate and sigma in half widths per second, NaN if unknown; status; the
     probability of the hypothesis; speed along the axis, m/s.
     """
 
@@ -176,7 +180,7 @@ class LateralReadout(NamedTuple):
 
 
 def reliable(lateral: Lateral, model: OffsetModel) -> OffsetReadout:
-    """Report the offset at the state's time; it is known only where motion does not contradict it."""
+    """Report the offset at the state's time; one that the motion contradicts counts as unknown."""
     found = readout_of(lateral.offset, model)
     return found._replace(known=found.known and not lateral.contradicted)
 
@@ -189,15 +193,15 @@ def readout(
     Parameters
     ----------
     lateral, model
-        Part of the state, and what its filter assumes.
+        Part of the state, and the parameters of its filter.
     psi_rad
         Heading.
     velocity
         Level speeds of the velocity stream.
     t_ns
-        When.
+        Time of the report.
     age_limit_s
-        Age of the last confirming frame from which on the offset counts as carried on.
+        Age of the last confirming frame beyond which the offset is coasting.
     """
     along = nan
     if velocity.is_known(t_ns):
@@ -218,21 +222,21 @@ def readout(
     )
 
 
-def judged(
+def with_frame_outcome(
     lateral: Lateral, before: OffsetReadout, after: OffsetReadout, t_ns: int, half_m: float
 ) -> Lateral:
-    """Say whether the offset that a frame has left may be relied on, and count it if it jumped.
+    """Check the offset after a frame against the motion, and count a jump.
 
     Parameters
     ----------
     lateral
-        After the frame.
+        Part of the state after the frame.
     before, after
         The offset just before the frame and after it.
     t_ns
         Time of the frame.
     half_m
-        Half the corridor's width; NaN where unknown.
+        Half the corridor's width, metres; NaN if unknown.
     """
     return _with_jump_counted(
         _checked_against_motion(lateral, after, t_ns), lateral.known, before, after, half_m
@@ -241,13 +245,13 @@ def judged(
 
 def _checked_against_motion(lateral: Lateral, after: OffsetReadout, t_ns: int) -> Lateral:
     """Compare the offset after a frame with those of the last seconds."""
-    recent = lateral.recent.moved_on(after.velocity_norm_s, t_ns)
+    recent = lateral.recent.propagated(after.velocity_norm_s, t_ns)
     tolerance = DRIFT_NORM + DRIFT_S * after.velocity_std_norm_s
     predicted = MotionPrediction(recent.predicted_norm, tolerance)
     contradicted = predicted.excludes(after.offset_norm) if after.known else lateral.contradicted
     if after.known and not contradicted:
         if lateral.contradicted and isnan(predicted.offset_norm):
-            # The few that are left would contradict the next frame again.
+            # Too few are left for a prediction, but they would contradict the next frame again.
             recent = recent._replace(t_ns=(), origin_norm=())
         recent = recent.with_offset(after.offset_norm, t_ns)
     step = None if lateral.step is None else lateral.step._replace(predicted=predicted)
@@ -257,7 +261,7 @@ def _checked_against_motion(lateral: Lateral, after: OffsetReadout, t_ns: int) -
 def _with_jump_counted(
     lateral: Lateral, was_known: bool, before: OffsetReadout, after: OffsetReadout, half_m: float
 ) -> Lateral:
-    """Count a jump: another hypothesis has won, or the offset is known again after a frame left it unknown.
+    """Count a jump: another hypothesis is the most probable one, or the offset is known again after a gap.
 
     An offset that is only too uncertain between two frames does not jump: the hypothesis stays the same.
     """

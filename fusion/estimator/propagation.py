@@ -1,7 +1,15 @@
-"""Dead reckoning from sample to sample: propagates the filter by gyroscope, attitude or a constant rate.
+"""Dead reckoning: propagates the heading filter by gyroscope, attitude or a constant rate.
 
-Which stream propagates the heading is decided again at each sample: the gyroscope; where it is absent or silent, the
-yaw increments of the attitude stream; with neither, a constant rate (then the state's bias is minus that rate).
+The source (`Mode`) is chosen at each sample: the gyroscope; if it is absent or silent, the yaw increments of the
+attitude stream; without both, a constant rate (the bias state is then minus that rate). With the measured turn
+``delta`` over dt, a step is::
+
+    psi += delta - b dt,    P = F P F' + Q,    Q[psi, psi] += v
+
+For the gyroscope, ``delta`` is the trapezoid of the level yaw rate (`fusion.estimator.models.level_yaw_rate`). At a
+sample of another source the last rate is held; the next gyroscope sample adds the rest of its trapezoid. The extra
+variance v contains the error of the gyroscope's scale, a gap in its samples (the rate is a random walk of density
+``yaw_acceleration_density``), and noise beyond the configured one.
 """
 
 from __future__ import annotations
@@ -25,50 +33,50 @@ if TYPE_CHECKING:
 UNKNOWN_HEADING_STD_RAD = pi / 2
 ATTITUDE_DRIFT_STD_RAD_S = 0.003  # an attitude filter has removed most of the gyroscope's bias
 HELD_RATE_STD_RAD_S = 0.2
-MAX_YAW_AGE_S = 0.1  # of the attitude that a frame is compared with
-SCALE_TIME_S = 0.5  # of turning one way, in which an error of the gyroscope's scale adds up
+MAX_YAW_AGE_S = 0.1  # oldest attitude that a frame is compared with
+SCALE_TIME_S = 0.5  # duration of a turn in one direction, over which the scale's error adds up
 
 
 class ImuSample(NamedTuple):
-    """Gyroscope (3,) rad/s and, where there is one, accelerometer (3,) m/s^2, body FRD."""
+    """Gyroscope (3,) rad/s and, if present, accelerometer (3,) m/s^2, body FRD."""
 
     t_ns: int
     gyro_rad_s: Vector
     accel_m_s2: Vector | None
 
     def fault(self) -> str:
-        """Why it cannot be used; empty where it can."""
+        """Return the reason why it cannot be used; empty if it can."""
         p, q, r = self.gyro_rad_s
         return "" if isfinite(p) and isfinite(q) and isfinite(r) else "imu_not_finite"
 
 
 class Mode(StrEnum):
-    """What propagates the heading between frames."""
+    """Source that propagates the heading between frames."""
 
     NONE = "none"  # a rate assumed constant
     ATTITUDE = "attitude"  # yaw increments of the attitude stream
     GYRO = "gyro"
 
 
-# As names: Python 3.11 takes long to look up a member, and each sample asks for some.
+# Member lookup of an enum is slow in Python 3.11, and needed for each sample.
 _NONE, _ATTITUDE, _GYRO = Mode.NONE, Mode.ATTITUDE, Mode.GYRO
 
 
 class DeadReckoning(NamedTuple):
-    """What propagates the heading, and the angle turned so far.
+    """Source that propagates the heading, and the angle turned so far.
 
     Parameters
     ----------
     t_ns
         Time to which the filter's state is propagated; None before any sample.
     mode
-        What propagates the heading.
+        Source that propagates the heading.
     rate_rad_s
         Level yaw rate, at ``t_gyro_ns`` or over the last attitude interval.
     theta_rad
-        Heading dead-reckoned: the sum of all yaw increments since the start, without corrections.
+        Dead-reckoned heading: the sum of all yaw increments since the start, without corrections by frames.
     raw_theta_rad
-        The same without taking off the bias.
+        The same without subtracting the bias.
     t_gyro_ns, gyro_rad_s
         Last gyroscope sample.
     gyro_done_rad
@@ -78,11 +86,11 @@ class DeadReckoning(NamedTuple):
     yaw_done_rad
         Angle already propagated since then.
     attitude
-        When attitude samples came.
+        Times of the attitude samples.
     stored_gyro_bias
-        Mean and variance of the gyroscope's bias, kept while another mode runs.
-    more_gyro_noise
-        Density of the gyroscope's noise beyond that of the settings, rad^2/s, as frames have shown it.
+        Mean and variance of the gyroscope's bias, stored while another mode is active.
+    extra_gyro_noise
+        Squared density of the gyroscope's noise beyond the configured one, rad^2/s, as estimated from frames.
     """
 
     t_ns: int | None = None
@@ -97,29 +105,29 @@ class DeadReckoning(NamedTuple):
     yaw_done_rad: float = 0.0
     attitude: SampleTimes = SampleTimes()
     stored_gyro_bias: tuple[float, float] = (0.0, 0.02**2)
-    more_gyro_noise: float = 0.0
+    extra_gyro_noise: float = 0.0
 
     def yaw_rate(self, bias_rad_s: float) -> float:
         """Level yaw rate minus the filter's bias, rad/s."""
         return -bias_rad_s if self.mode is Mode.NONE else self.rate_rad_s - bias_rad_s
 
     def gyro_silence(self, t_ns: int, config: FusionConfig) -> str:
-        """Say so if the gyroscope has fallen silent."""
+        """Report a gyroscope that has fallen silent; empty if it has not."""
         return "gyroscope is silent" if seconds_since(t_ns, self.t_gyro_ns) > config.gyro_gap_s else ""
 
     def attitude_silence(self, t_ns: int, config: FusionConfig) -> str:
-        """Say so if the attitude stream has fallen silent."""
+        """Report an attitude stream that has fallen silent; empty if it has not."""
         return "attitude is silent" if self.attitude.is_silent(t_ns, config) else ""
 
 
 def yaw_at(reckoning: DeadReckoning, t_ns: int) -> float:
-    """Return the IMU's yaw propagated from its last sample, rad; NaN where that is too old to compare with."""
+    """Return the IMU's yaw propagated from its last sample, rad; NaN if that is too old."""
     fresh = reckoning.attitude.age_s(t_ns) <= MAX_YAW_AGE_S
     return reckoning.yaw_rad + reckoning.yaw_done_rad if fresh else nan
 
 
 class Propagation:
-    """Moves the filter, and the dead-reckoned heading with it.
+    """Propagates the filter and the dead-reckoned heading.
 
     Parameters
     ----------
@@ -134,7 +142,7 @@ class Propagation:
         self.scale_variance_s = config.gyro_scale_std**2 * SCALE_TIME_S
 
     def mean_gyro(self, d: DeadReckoning, sample: ImuSample) -> Vector:
-        """Mean rate since the last sample; that of the newest where the last one is too old."""
+        """Return the mean rate since the last sample; the newest rate if the last one is too old."""
         if d.t_gyro_ns is None or sample.t_ns - d.t_gyro_ns > self.grace_ns:
             return sample.gyro_rad_s
         p, q, r = d.gyro_rad_s
@@ -151,7 +159,7 @@ class Propagation:
         d
             Part of the state.
         ekf
-            Filter to move.
+            Filter to propagate.
         sample
             The sample.
         rate_rad_s
@@ -164,24 +172,24 @@ class Propagation:
         else:
             d = self._with_mode(self.advance(d, ekf, sample.t_ns), ekf, Mode.GYRO)
             t_ns = d.t_ns
-        _, mode, _, theta, raw_theta, _, _, _, yaw, yaw_done, attitude, stored, more_noise = d
+        _, mode, _, theta, raw_theta, _, _, _, yaw, yaw_done, attitude, stored, extra_noise = d
         theta, raw_theta, yaw_done = theta + corrected, raw_theta + turned, yaw_done + corrected
         gyro_ns, gyro, _ = sample
-        kept = (attitude, stored, more_noise)
+        kept = (attitude, stored, extra_noise)
         new = (t_ns, mode, rate_rad_s, theta, raw_theta, gyro_ns, gyro, 0.0, yaw, yaw_done, *kept)
         return new_record(DeadReckoning, new)
 
     def with_attitude_yaw(
         self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, yaw_rad: float
     ) -> DeadReckoning:
-        """Propagate to an attitude sample; its yaw increment propagates the heading where no gyroscope does.
+        """Propagate to an attitude sample; its yaw increment propagates the heading if no gyroscope does.
 
         Parameters
         ----------
         d
             Part of the state.
         ekf
-            Filter to move.
+            Filter to propagate.
         t_ns, yaw_rad
             The sample's time and yaw.
         """
@@ -195,35 +203,35 @@ class Propagation:
                 rate = increment / span_s
         else:
             d = self.advance(d, ekf, t_ns)
-        end_ns, mode, _, theta, raw_theta, t_gyro, gyro, gyro_done, _, _, attitude, stored, more_noise = d
-        kept = (attitude.with_sample(t_ns), stored, more_noise)
+        end_ns, mode, _, theta, raw_theta, t_gyro, gyro, gyro_done, _, _, attitude, stored, extra_noise = d
+        kept = (attitude.with_sample(t_ns), stored, extra_noise)
         new = (end_ns, mode, rate, theta, raw_theta, t_gyro, gyro, gyro_done, yaw_rad, 0.0, *kept)
         d = new_record(DeadReckoning, new)
         return self._with_mode(d, ekf, Mode.ATTITUDE) if d.mode is _NONE else d
 
     def hold(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
-        """Propagate to a time of which neither gyroscope nor attitude tells."""
+        """Propagate to a time without a gyroscope or attitude sample."""
         d = self._leave_silent_gyro(d, ekf, t_ns)
-        if d.mode is Mode.ATTITUDE and not self._attitude_lives(d, t_ns):
+        if d.mode is Mode.ATTITUDE and not self._attitude_is_recent(d, t_ns):
             d = self._with_mode(d, ekf, Mode.NONE)
         return self.advance(d, ekf, t_ns)
 
     def advance(
         self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, turned_rad: float | None = None
     ) -> DeadReckoning:
-        """Propagate to a time with the mode in force.
+        """Propagate to a time in the present mode.
 
         Parameters
         ----------
         d
             Part of the state.
         ekf
-            Filter to move.
+            Filter to propagate.
         t_ns
-            Where to.
+            End of the step.
         turned_rad
-            The attitude's yaw increment less what was propagated already. Without, the last rate is held, and made
-            good when the next is known.
+            The attitude's yaw increment less the part propagated already. None: the last rate is held; the next
+            sample corrects the difference.
         """
         if d.t_ns is None:
             return d._replace(t_ns=t_ns)
@@ -243,7 +251,7 @@ class Propagation:
             yaw_done,
             attitude,
             stored,
-            more_noise,
+            extra_noise,
         ) = d
         return DeadReckoning(
             t_ns,
@@ -258,32 +266,32 @@ class Propagation:
             yaw_done + (turned if mode is _ATTITUDE else corrected),
             attitude,
             stored,
-            more_noise,
+            extra_noise,
         )
 
     def _turn(
         self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, end_rate_rad_s: float
     ) -> tuple[float, float]:
-        """Move the filter to a gyroscope sample while the gyroscope carries the heading; return what `_move` does.
+        """Propagate to a gyroscope sample by the trapezoid rule, in `Mode.GYRO`; returns the same as `_move`.
 
-        ``end_rate_rad_s`` is the sample's level yaw rate. By the trapezoid rule each sample counts for as much.
+        ``end_rate_rad_s`` is the sample's level yaw rate.
         """
-        start_ns, mode, rate, _, _, gyro_ns, _, done, _, _, _, _, more_noise = d
+        start_ns, mode, rate, _, _, gyro_ns, _, done, _, _, _, _, extra_noise = d
         dt_s = 0.0 if start_ns is None else (t_ns - start_ns) * 1e-9
         turned = variance = 0.0
         if gyro_ns is not None:
             turned = 0.5 * (rate + end_rate_rad_s) * (t_ns - gyro_ns) * 1e-9 - done
             if t_ns - gyro_ns > self.grace_ns:
-                variance = 0.25 * self._silence_variance(d, ekf, t_ns)  # known at both ends: a bridge
+                variance = 0.25 * self._silence_variance(d, ekf, t_ns)  # the rate is known at both ends
         corrected = turned - ekf.x.item(BIAS) * dt_s
-        variance += self._scale_variance(corrected, dt_s) + more_noise * dt_s
+        variance += self._scale_variance(corrected, dt_s) + extra_noise * dt_s
         ekf.advance(dt_s, turned, self.noise[mode], variance)
         return turned, corrected
 
     def _move(
         self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, turned_rad: float | None
     ) -> tuple[float, float]:
-        """Move the filter to a time; return the angle turned, and the same minus the gyroscope's bias.
+        """Propagate the filter to a time; return the angle turned, and the same minus the gyroscope's bias.
 
         ``turned_rad`` is as in `advance`.
         """
@@ -299,22 +307,22 @@ class Propagation:
                 variance = self._silence_variance(d, ekf, t_ns)
         bias_turn = float(ekf.x[BIAS]) * dt_s
         if mode is _GYRO:
-            variance += self._scale_variance(turned_rad - bias_turn, dt_s) + d.more_gyro_noise * dt_s
+            variance += self._scale_variance(turned_rad - bias_turn, dt_s) + d.extra_gyro_noise * dt_s
         ekf.advance(dt_s, turned_rad, self.noise[mode], variance)
         return turned_rad, turned_rad - bias_turn
 
     def _leave_silent_gyro(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
-        """Go over to the attitude's yaw, or to a constant rate, where the gyroscope has fallen silent."""
+        """Change to the attitude's yaw, or to a constant rate, if the gyroscope has fallen silent."""
         silent = d.t_gyro_ns is not None and t_ns - d.t_gyro_ns > self.grace_ns
         if d.mode is _GYRO and silent:
-            return self._with_mode(d, ekf, Mode.ATTITUDE if self._attitude_lives(d, t_ns) else Mode.NONE)
+            return self._with_mode(d, ekf, Mode.ATTITUDE if self._attitude_is_recent(d, t_ns) else Mode.NONE)
         return d
 
-    def _attitude_lives(self, d: DeadReckoning, t_ns: int) -> bool:
+    def _attitude_is_recent(self, d: DeadReckoning, t_ns: int) -> bool:
         return d.attitude.age_s(t_ns) <= max(ATTITUDE_GAP_S, d.attitude.age_limit_s(self.config))
 
     def held_rate_variance(self, d: DeadReckoning, t_ns: int) -> float:
-        """Variance of the heading at ``t_ns`` from holding the last rate or yaw until then; gone with the next."""
+        """Return the variance of the heading at ``t_ns`` from holding the last rate or yaw until then."""
         last = d.t_gyro_ns if d.mode is Mode.GYRO else d.attitude.last_ns
         if d.mode is Mode.NONE or last is None:
             return 0.0
@@ -323,40 +331,40 @@ class Propagation:
         return variance + (self.config.imu_yaw_std_rad**2 if d.mode is Mode.ATTITUDE else 0.0)
 
     def ahead(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
-        """Predict to a time later than the last sample, as if the mode went on: for a look, not to go on from."""
+        """Predict to a time later than the last sample in the present mode; not a state to continue from."""
         dt_s = 0.0 if d.t_ns is None else (t_ns - d.t_ns) * 1e-9
         turned = 0.0 if d.mode is Mode.NONE else d.rate_rad_s * dt_s
         variance = self.held_rate_variance(d, t_ns)
         if d.mode is Mode.GYRO:
             variance += (
-                self._scale_variance(turned - float(ekf.x[BIAS]) * dt_s, dt_s) + d.more_gyro_noise * dt_s
+                self._scale_variance(turned - float(ekf.x[BIAS]) * dt_s, dt_s) + d.extra_gyro_noise * dt_s
             )
         ekf.advance(dt_s, turned, self.noise[d.mode], variance)
         return d._replace(t_ns=t_ns)
 
     def clock_set_back(self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int) -> DeadReckoning:
-        """Go on at an earlier time with neither gyroscope nor attitude known."""
+        """Continue at an earlier time, without a gyroscope or attitude sample so far."""
         attitude = d.attitude.clock_set_back()
         return self._with_mode(d._replace(t_ns=t_ns, t_gyro_ns=None, attitude=attitude), ekf, Mode.NONE)
 
     def _scale_variance(self, turned_rad: float, dt_s: float) -> float:
-        """Heading variance gained by a turn through the error of the gyroscope's scale."""
+        """Return the heading variance from the gyroscope's scale error in a turn."""
         return self.scale_variance_s * turned_rad * turned_rad / dt_s if dt_s > 0.0 else 0.0
 
     def _silence_variance(self, d: DeadReckoning, ekf: CorridorEKF, end_ns: int) -> float:
-        """Heading variance gained up to a time in which the gyroscope should have spoken and did not."""
+        """Return the heading variance from a gap in the gyroscope's samples, up to a time."""
         if d.t_gyro_ns is None or d.t_ns is None or end_ns - d.t_gyro_ns <= self.grace_ns:
             return 0.0
         grace = self.config.gyro_gap_s
         first = max((d.t_ns - d.t_gyro_ns) * 1e-9 - grace, 0.0)
         last = max((end_ns - d.t_gyro_ns) * 1e-9 - grace, 0.0)
-        # The rate wanders like a random walk from its last sample.
+        # The rate is a random walk from its last sample on.
         variance = self.config.yaw_acceleration_density**2 * (last**3 - first**3) / 3.0
         known = float(ekf.P[PSI, PSI])
         return max(min(variance, 2.0 * UNKNOWN_HEADING_STD_RAD**2 - known), 0.0)
 
     def _with_mode(self, d: DeadReckoning, ekf: CorridorEKF, mode: Mode) -> DeadReckoning:
-        """Change what propagates the heading; the bias then means something else and starts again."""
+        """Change the source that propagates the heading; the bias state then has another meaning and is reset."""
         if mode is d.mode:
             return d
         bias, variance = float(ekf.x[BIAS]), float(ekf.P[BIAS, BIAS])

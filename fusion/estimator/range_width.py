@@ -1,9 +1,9 @@
 """The corridor's width in metres, from distances to the floor and the frames' width per height.
 
-A frame tells the corridor's width per height of the camera above the floor; a range sensor that looks down tells
-that height. Their product is the same along a whole corridor, whatever the height, and that is what makes it robust:
-single wrong readings go in the median of the last few heights, a table or a step below in the median of the widths
-of several seconds, and where the widths do not agree with one another there is no width at all.
+A frame measures the corridor's width per height of the camera above the floor. A downward range sensor measures that
+height as ``h = d cos(roll) cos(pitch)``. Their product is constant along a corridor at any height. Medians reject
+outliers: of the last `HEIGHTS` heights for single wrong readings, and of the last `WIDTHS` widths for a table or a
+step below. There is no width if the interquartile range of the widths exceeds `AGREEING_SPREAD` of the median.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.sample_times import SampleTimes
 
 MAX_DISTANCE_M = 100.0
-MIN_DOWN = 0.7  # cosine of the tilt; further over, the beam may well meet a wall
+MIN_DOWN = 0.7  # cosine of the tilt; at larger tilts the beam may hit a wall
 HEIGHTS = 5
-HEIGHT_AGE_S = 0.3  # of the readings that make a height; a vehicle climbs 0.3 m in that time at most
+HEIGHT_AGE_S = 0.3  # oldest reading used; a vehicle climbs at most 0.3 m in that time
 WIDTH_STEP_S = 0.1
-WIDTHS = 61  # of WIDTH_STEP_S and more apart: 6 s, of which an obstacle below may last less than half
+WIDTHS = 61  # at least WIDTH_STEP_S apart: 6 s; an obstacle below must last for less than half of that
 MIN_WIDTHS = 8
-AGREEING_SPREAD = 0.25  # between the quartiles of the widths, over their median
+AGREEING_SPREAD = 0.25  # largest interquartile range of the widths, over their median
 WIDTH_M = (0.4, 50.0)
 WIDTH_MEMORY_FRAMES = 100
 
 
 class RangeSample(NamedTuple):
-    """A distance to the floor, metres along the body's z, as seen from the camera's place."""
+    """A distance to the floor, metres along the body's z, from the camera's position."""
 
     t_ns: int
     distance_m: float
 
     def fault(self) -> str:
-        """Why it cannot be used; empty where it can."""
+        """Return the reason why it cannot be used; empty if it can."""
         if self.distance_m > MAX_DISTANCE_M:
             return "range_out_of_range"
         return "" if self.distance_m > 0.0 else "range_not_positive"  # NaN fails too
@@ -48,7 +48,7 @@ class Heights(NamedTuple):
 
 
 class Widths(NamedTuple):
-    """Widths that the last frames gave, oldest first, and what is made of them; NaN while it is nothing."""
+    """Widths from the last frames, oldest first, and the estimated width; NaN while unknown."""
 
     t_ns: int | None = None
     recent_m: tuple[float, ...] = ()
@@ -56,18 +56,18 @@ class Widths(NamedTuple):
 
 
 class Width(NamedTuple):
-    """What is known of the corridor's width.
+    """Estimate of the corridor's width.
 
     Parameters
     ----------
     times
-        When ranges came.
+        Times of the ranges.
     heights, widths
-        Of the last ranges, and of the frames since the corridor began.
+        Heights from the last ranges, and widths from the frames in this corridor.
     per_height, n_frames
-        Width per height of the camera above the floor, and of how many frames it is the mean.
-    told_m
-        Width that the program has told in flight: 0 where it said that it is unknown, None where it said nothing.
+        Mean width per height of the camera above the floor, and the number of frames in it.
+    set_width_m
+        Width set by the caller in flight: 0 for unknown, None if it was not set.
     """
 
     times: SampleTimes = SampleTimes()
@@ -75,28 +75,28 @@ class Width(NamedTuple):
     widths: Widths = Widths()
     per_height: float = nan
     n_frames: int = 0
-    told_m: float | None = None
+    set_width_m: float | None = None
 
-    def told(self, width_m: float | None) -> Width:
-        """Take the width that the program tells in place of the configuration's; None: it is not known."""
-        return self._replace(told_m=0.0 if width_m is None else width_m)
+    def with_set_width(self, width_m: float | None) -> Width:
+        """Set the width in place of the configured one; None: unknown."""
+        return self._replace(set_width_m=0.0 if width_m is None else width_m)
 
     def half_m(self, config: FusionConfig) -> float:
-        """Half the corridor's width, metres; NaN where neither it nor the camera's height is set or measured."""
-        told_m = config.corridor_width_m if self.told_m is None else self.told_m
-        if told_m:
-            return 0.5 * told_m
+        """Return half the corridor's width, metres; NaN if neither it nor the camera's height is set or measured."""
+        set_width_m = config.corridor_width_m if self.set_width_m is None else self.set_width_m
+        if set_width_m:
+            return 0.5 * set_width_m
         if config.camera_height_m is not None:
             return 0.5 * config.camera_height_m * self.per_height
         return 0.5 * self.widths.width_m
 
     def with_range(self, sample: RangeSample, down_z: float) -> Width:
-        """Take a range; ``down_z`` is cos(roll) cos(pitch). The next frame may make a width of it."""
+        """Add a range; ``down_z`` is cos(roll) cos(pitch)."""
         heights = with_range(self.heights, sample.t_ns, sample.distance_m, down_z)
         return self._replace(times=self.times.with_sample(sample.t_ns), heights=heights)
 
     def with_frame(self, t_ns: int, per_height: float) -> Width:
-        """Take the width per height that a frame sees; none is NaN."""
+        """Add a frame's width per height; NaN if it was not measured."""
         if not (isfinite(per_height) and per_height > 0.0):
             return self
         n = min(self.n_frames + 1, WIDTH_MEMORY_FRAMES)
@@ -106,30 +106,30 @@ class Width(NamedTuple):
         return self._replace(n_frames=n, per_height=old + change / n, widths=widths)
 
     def corridor_changed(self) -> Width:
-        """Forget the width; heights stay."""
+        """Forget the width; keep the heights."""
         return self._replace(per_height=nan, n_frames=0, widths=Widths())
 
     def clock_set_back(self) -> Width:
-        """Forget when ranges and widths came, and the heights."""
+        """Forget the heights, and the times of ranges and widths."""
         widths = self.widths._replace(t_ns=None)
         return self._replace(times=self.times.clock_set_back(), heights=Heights(), widths=widths)
 
     def silence(self, t_ns: int, config: FusionConfig) -> str:
-        """Say so if the range sensor has fallen silent."""
+        """Report a range sensor that has fallen silent; empty if it has not."""
         return "range sensor is silent" if self.times.is_silent(t_ns, config) else ""
 
 
 def with_range(heights: Heights, t_ns: int, distance_m: float, down_z: float) -> Heights:
-    """Take a distance along the body's z.
+    """Add a distance along the body's z.
 
     Parameters
     ----------
     heights
-        Those so far.
+        Heights so far.
     t_ns, distance_m
-        When it was measured, and the distance to the floor.
+        Time of the measurement, and the distance to the floor.
     down_z
-        z of gravity's direction in the body, which is cos(roll) cos(pitch).
+        z of gravity's direction in the body: cos(roll) cos(pitch).
     """
     if down_z < MIN_DOWN:
         return heights
@@ -137,14 +137,14 @@ def with_range(heights: Heights, t_ns: int, distance_m: float, down_z: float) ->
 
 
 def height_at(heights: Heights, t_ns: int) -> float:
-    """Height above the floor, metres; NaN where the last reading is too old."""
+    """Return the height above the floor, metres; NaN if the last reading is too old."""
     oldest_ns = t_ns - round(HEIGHT_AGE_S * 1e9)
     fresh = [h for then_ns, h in zip(heights.t_ns, heights.height_m, strict=True) if then_ns >= oldest_ns]
     return median(fresh) if fresh else nan
 
 
 def with_width(widths: Widths, t_ns: int, width_m: float) -> Widths:
-    """Take the width that a frame and the height at its time give."""
+    """Add a width, the product of a frame's width per height and the height at its time."""
     if not WIDTH_M[0] < width_m < WIDTH_M[1]:  # NaN fails too
         return widths
     if widths.t_ns is not None and t_ns - widths.t_ns < round(WIDTH_STEP_S * 1e9):
@@ -154,7 +154,7 @@ def with_width(widths: Widths, t_ns: int, width_m: float) -> Widths:
 
 
 def _agreed(recent_m: tuple[float, ...]) -> float:
-    """Return the median of widths that agree; NaN for too few or others."""
+    """Return the median of the widths; NaN if they are too few or do not agree."""
     n = len(recent_m)
     if n < MIN_WIDTHS:
         return nan

@@ -1,4 +1,4 @@
-"""A fast way to make the named tuples that are made again for every sample."""
+"""Fast construction of the named tuples that are created for every sample."""
 
 from __future__ import annotations
 

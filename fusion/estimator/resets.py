@@ -1,9 +1,9 @@
 """Jumps of the published estimate: compares the newest state before and after a sample, and counts them.
 
-The engine counts the steps that it makes, but a late sample rolls its state back and may undo one of them, or make
-another one in the past. What a controller has read cannot be rolled back. So the count is kept here, beside the
-states, and goes only up: whatever separates the newest state from the one before, beyond what dead reckoning carried
-it on and beyond an ordinary correction, is one more step.
+The engine counts its own resets in the state, but a late sample rolls the state back and may undo a reset or add one
+in the past. A controller cannot roll back what it has read. So the published count is kept here, outside the states,
+and never decreases: a difference of the newest state to the one before, beyond dead reckoning and beyond an ordinary
+correction of `STEP_RAD`, is one more jump.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from vision.rotations import wrap
 if TYPE_CHECKING:
     from fusion.estimator.state import Sample, State
 
-STEP_RAD = radians(2)  # a single correction beyond this is a step: the first frame after a gap makes some
+STEP_RAD = radians(2)  # a larger single correction is a jump, for instance by the first frame after a gap
 
 
 class Resets(NamedTuple):
-    """Steps of the published heading and lateral offset.
+    """Jumps of the published heading and lateral offset.
 
     Parameters
     ----------
     heading_count, heading_rad, heading_total_rad
-        Number of steps of the heading, the last one, new minus old, and the sum of all.
+        Number of jumps of the heading, the last one, new minus old, and the sum of all.
     lateral_count, lateral_norm, lateral_m, lateral_total_norm
-        The same for the lateral offset; half widths, and metres where the width is known.
+        The same for the lateral offset; half widths, and metres if the width is known.
     lost_rad
-        Heading when it was last known, while it is not; None otherwise.
+        The last known heading while the heading is unknown after a reset; else None.
     """
 
     heading_count: int = 0
@@ -46,7 +46,7 @@ class Resets(NamedTuple):
     lost_rad: float | None = None
 
     def with_heading_step(self, step_rad: float) -> Resets:
-        """Count a step of the heading."""
+        """Count a jump of the heading."""
         return self._replace(
             heading_count=self.heading_count + 1,
             heading_rad=step_rad,
@@ -54,7 +54,7 @@ class Resets(NamedTuple):
         )
 
     def with_lateral_step(self, step_norm: float, step_m: float) -> Resets:
-        """Count a step of the lateral offset."""
+        """Count a jump of the lateral offset."""
         return self._replace(
             lateral_count=self.lateral_count + 1,
             lateral_norm=step_norm,
@@ -63,14 +63,14 @@ class Resets(NamedTuple):
         )
 
     def after(self, old: State, new: State, model: OffsetModel, half_m: float) -> Resets:
-        """Count what separates the newest state from the one before.
+        """Count the jumps between the newest state and the one before.
 
         Parameters
         ----------
         old, new
-            The newest states, before and after a sample was taken.
+            The newest states before and after a sample.
         model, half_m
-            What the lateral offset's filter assumes, and half the corridor's width, metres.
+            Parameters of the lateral offset's filter, and half the corridor's width, metres.
         """
         resets = self._after_heading(old, new)
         if new.lateral is old.lateral:
@@ -106,8 +106,8 @@ class Resets(NamedTuple):
         return self
 
 
-def only_turned(old: State, new: State, sample: Sample) -> bool:
-    """Whether nothing but dead reckoning lies between two states, of which the later is behind a sample."""
+def only_propagated(old: State, new: State, sample: Sample) -> bool:
+    """Whether only dead reckoning lies between two states, the later of which follows ``sample``."""
     before = old.reckoning
     return (
         type(sample) is ImuSample
@@ -119,10 +119,10 @@ def only_turned(old: State, new: State, sample: Sample) -> bool:
 
 
 def heading_step(old: State, new: State) -> float:
-    """How far the heading has moved beyond propagation, rad.
+    """Return the change of the heading beyond propagation, rad.
 
-    States of one time differ by what a late sample, or one of the same instant, changed. A later state differs by
-    what it was corrected by since, and by what an increment makes good that the rate held meanwhile got wrong.
+    States of equal time differ by the effect of a late sample, or of one of the same instant. A later state differs
+    by the corrections since, and by the error of the rate that was held until the next gyroscope or attitude sample.
     """
     moved = float(new.x[PSI]) - float(old.x[PSI])
     before, after = old.reckoning, new.reckoning

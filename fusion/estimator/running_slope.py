@@ -1,13 +1,13 @@
-"""The slope of a line through points whose errors may last: takes points one by one, returns the slope and its sigma.
+"""Recursive regression slope ``y = a + m x`` with correlated errors: slope, sigma and a significance test.
 
-Both coordinates are less their means over the last `LEVEL_S`: what is off for long, and what drifts slowly, changes
-no slope.
+Points arrive one by one. Running means with time constant `LEVEL_S` are subtracted from both coordinates, so constant
+and slowly drifting errors do not change the slope. Weighted sums are gathered in blocks, which fade with `MEMORY`.
 
-The slope's variance depends on the correlation time of the errors, which is not known. It is therefore estimated from
-the residuals, summed over windows of some blocks that overlap: correlated errors make the sums large (W. K. Newey,
-K. D. West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix",
-Econometrica 55, 1987). The stated sigmas count as some windows besides. Limits are those of Student's t, since few
-windows leave the variance uncertain.
+The variance of the slope depends on the correlation time of the errors, which is unknown. It is therefore estimated
+from ``x`` times residual, summed over overlapping windows of blocks: correlated errors make these sums large (W. K.
+Newey, K. D. West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance
+matrix", Econometrica 55, 1987). The stated sigmas count as `PRIOR_WINDOWS` further windows. The test uses quantiles
+of Student's t, since the variance from few windows is uncertain.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from __future__ import annotations
 from math import expm1, inf, sqrt
 from typing import NamedTuple
 
-LEVEL_S = 2.0  # time constant of those means
+LEVEL_S = 2.0  # time constant of the running means
 BLOCK_NS = 500_000_000
-MEMORY = 1.0 - 1 / 240  # of each block, when the next ends: two minutes
-PRIOR_WINDOWS, MIN_BLOCKS = 3.0, 2.9  # the oldest have faded
-ALIKE_POINTS = 10.0  # that have about the same error, by what is stated
-SURE_SIGMA = 4.0  # were sigma known
-MIN_STD = 1e-4  # rad: no frame is more exact, whatever it says
+MEMORY = 1.0 - 1 / 240  # forgetting factor per block: two minutes
+PRIOR_WINDOWS, MIN_BLOCKS = 3.0, 2.9  # three blocks, less the fading
+CORRELATED_POINTS = 10.0  # correlated points per independent one, in the prior of the variance
+SURE_SIGMA = 4.0  # significance for a known sigma
+MIN_STD = 1e-4  # rad; lower bound of a point's sigma
 
 Sums = tuple[float, float, float, float, float]
 """Of weights, and of weights times x, y, x^2 and x y; a weight is one over a variance."""
@@ -29,34 +29,34 @@ NO_SUMS: Sums = (0.0,) * 5
 
 
 def is_surely_beyond(value: float, std: float, limit: float, n: float) -> bool:
-    """Whether a number is surely not zero, and beyond a limit to either side; its sigma has n degrees of freedom."""
-    # Student's t, by the expansion of Cornish and Fisher.
+    """Whether a value is significantly non-zero, and its size above a limit; its sigma has n degrees of freedom."""
+    # Quantile of Student's t, by the expansion of Cornish and Fisher.
     z, size = SURE_SIGMA, abs(value)
     sure = z + (z**3 + z) / (4.0 * n) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * n**2)
     return size - std > limit and size > sure * std
 
 
 class RunningSlope(NamedTuple):
-    """What points have shown so far.
+    """State of the regression.
 
     Parameters
     ----------
     window
-        Length of a window in blocks: errors that last for longer pass for the level or the slope.
+        Length of a window in blocks; errors with a longer correlation time are not covered by the sigma.
     min_x_std
-        While x scatters by less, nothing is known.
+        Smallest standard deviation of x for which the slope is observable.
     level
-        Time of the last point, and means of x and y until then; None before the first.
+        Time of the last point, and running means of x and y; None before the first.
     since_ns, block
-        The block that is being filled: its first point, and its sums.
+        The block that is being filled: time of its first point, and its sums.
     n_blocks, sums
-        How many blocks are full, and their sums.
+        Number of full blocks, and their sums; both fade.
     products
         Sums over windows of the products of their sums with one another, by rows of the lower triangle.
     recent
         Sums of the blocks of the present window.
     slope, std
-        The slope and its sigma; infinite while nothing is known.
+        The slope and its sigma; infinite while unknown.
     """
 
     window: int
@@ -73,16 +73,16 @@ class RunningSlope(NamedTuple):
 
     @property
     def windows(self) -> float:
-        """How many windows the scatter of x amounts to: few, where it is that of one turn."""
-        x2, x4 = self.sums[3], self.products[9]  # of the blocks, and of the windows squared
+        """Effective number of windows with scatter of x: small if x scatters only in one turn."""
+        x2, x4 = self.sums[3], self.products[9]  # sum over blocks, and sum of squares over windows
         return min(x2 * x2 / x4, self.n_blocks / self.window) if x4 > 0.0 else 0.0
 
     def is_beyond(self, limit: float, windows: float) -> bool:
-        """Whether the slope is surely larger than a limit, to either side; its sigma is known by so many windows."""
+        """Whether the slope is significant and its size above a limit; ``windows`` are its degrees of freedom."""
         return is_surely_beyond(self.slope, self.std, limit, windows)
 
     def interrupted(self) -> RunningSlope:
-        """Start anew with the means; what is known of the slope stays."""
+        """Restart the running means; keep the sums and the slope."""
         return self._replace(level=None)
 
     def with_point(self, t_ns: int, x: float, y: float, std: float) -> RunningSlope:
@@ -100,7 +100,7 @@ class RunningSlope(NamedTuple):
         return full._replace(block=(sw + w, sx + w * x, sy + w * y, sxx + w * x * x, sxy + w * x * y))
 
     def _with_block(self) -> RunningSlope:
-        """Add the block, and fit."""
+        """Add the full block, and fit."""
         b = self.block
         n = MEMORY * self.n_blocks + 1.0
         sw, sx, sy, sxx, sxy = tuple(MEMORY * s + new for s, new in zip(self.sums, b, strict=True))
@@ -122,7 +122,7 @@ class RunningSlope(NamedTuple):
             for i in range(5)
             for j in range(i + 1)
         )
-        stated = ALIKE_POINTS * spread
-        # Of two numbers that are fitted, residuals know nothing.
+        stated = CORRELATED_POINTS * spread
+        # Two fitted parameters reduce the residuals' degrees of freedom.
         variance = (PRIOR_WINDOWS * stated + n * max(squares, 0.0)) / (PRIOR_WINDOWS + n - 2.0) / spread**2
         return known._replace(slope=slope, std=sqrt(variance))

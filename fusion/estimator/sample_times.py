@@ -10,7 +10,7 @@ from fusion.estimator.records import new_record
 
 
 def seconds_since(t_ns: int, then_ns: int | None) -> float:
-    """Age in seconds; NaN where it never was."""
+    """Return the age in seconds; NaN if ``then_ns`` is None."""
     return nan if then_ns is None else (t_ns - then_ns) * 1e-9
 
 
@@ -21,7 +21,7 @@ class SampleTimes(NamedTuple):
     interval_s: float = nan
 
     def with_sample(self, t_ns: int) -> SampleTimes:
-        """Take in the newest sample's time."""
+        """Add the newest sample's time; the interval is a low-pass filtered mean."""
         last_ns, old_s = self
         if last_ns is None:
             return SampleTimes(t_ns, old_s)
@@ -31,25 +31,25 @@ class SampleTimes(NamedTuple):
         return new_record(SampleTimes, (t_ns, interval_s))
 
     def begins_period(self, t_ns: int, rate_hz: float | None) -> bool:
-        """Whether the next sample is the first in its period of a rate; None: every sample is."""
+        """Whether the next sample is the first in its period of a rate; always if the rate is None."""
         if self.last_ns is None or rate_hz is None:
             return True
         period_ns = round(1e9 / rate_hz)
         return t_ns // period_ns != self.last_ns // period_ns
 
     def clock_set_back(self) -> SampleTimes:
-        """Forget when the last sample came; the interval stays."""
+        """Forget the last sample; keep the interval."""
         return SampleTimes(None, self.interval_s)
 
     def age_s(self, t_ns: int) -> float:
-        """Seconds since the last sample; NaN before the first."""
+        """Return the time since the last sample, s; NaN before the first."""
         return seconds_since(t_ns, self.last_ns)
 
     def age_limit_s(self, config: FusionConfig) -> float:
-        """Age at which the source counts as silent: a source of one sample per second is not always silent."""
+        """Return the age beyond which the source is silent: at least 2.5 of its intervals."""
         limit_s = config.coasting_after_s
         return max(limit_s, 2.5 * self.interval_s) if isfinite(self.interval_s) else limit_s
 
     def is_silent(self, t_ns: int, config: FusionConfig) -> bool:
-        """Whether the source has spoken once and no longer does."""
+        """Whether the source has delivered samples and no longer does."""
         return self.last_ns is not None and (t_ns - self.last_ns) * 1e-9 > self.age_limit_s(config)

@@ -1,6 +1,6 @@
-"""Values that a program sets beside its sensors: a heading, or the corridor's width, at a time.
+"""Values set by the caller: a heading, or the corridor's width, at a time.
 
-They are samples like others: late ones are put in their place, and what lies behind them is processed anew.
+They are samples like the sensors': late ones are sorted in, and the samples after them are replayed.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ MIN_WIDTH_M, MAX_WIDTH_M = 0.2, 100.0
 
 
 class HeadingSeed(NamedTuple):
-    """A heading from the corridor's axis, rad, with its sigma; all of it, not modulo half a turn as a frame's."""
+    """A heading from the corridor's axis, rad, with its sigma; over the full circle, unlike a frame's."""
 
     t_ns: int
     heading_rad: float
     std_rad: float
 
     @classmethod
-    def told(cls, t_ns: int, heading_rad: float, std_rad: float) -> HeadingSeed:
-        """Take what a program tells; `InputError` where it cannot be."""
+    def checked(cls, t_ns: int, heading_rad: float, std_rad: float) -> HeadingSeed:
+        """Check the caller's values; raise `InputError` if they are impossible."""
         heading, std = number(heading_rad, "heading_rad"), number(std_rad, "heading_std_rad")
         if not isfinite(heading):
             raise InputError(f"heading_rad = {heading} is not finite", remedy="give radians, or no seed")
@@ -44,19 +44,19 @@ class HeadingSeed(NamedTuple):
         return cls(whole_nanoseconds(t_ns), heading, std)
 
     def fault(self) -> str:
-        """Why it cannot be used: never, `told` has looked."""
+        """Return no fault: `checked` has validated the values."""
         return ""
 
 
 class WidthChange(NamedTuple):
-    """The corridor's width from a time on, metres; None: no longer told, so measured where something measures it."""
+    """The corridor's width from a time on, metres; None: it is estimated again, if a sensor allows."""
 
     t_ns: int
     width_m: float | None
 
     @classmethod
-    def told(cls, t_ns: int, width_m: float | None) -> WidthChange:
-        """Take what a program tells; `InputError` where it cannot be."""
+    def checked(cls, t_ns: int, width_m: float | None) -> WidthChange:
+        """Check the caller's value; raise `InputError` if it is impossible."""
         width = None if width_m is None else number(width_m, "corridor_width_m")
         if width is not None and not MIN_WIDTH_M < width <= MAX_WIDTH_M:
             raise InputError(
@@ -66,16 +66,16 @@ class WidthChange(NamedTuple):
         return cls(whole_nanoseconds(t_ns), width)
 
     def fault(self) -> str:
-        """Why it cannot be used: never, `told` has looked."""
+        """Return no fault: `checked` has validated the values."""
         return ""
 
 
 def seed_heading(
     axis: CorridorAxis, ekf: CorridorEKF, seed: HeadingSeed, theta_rad: float, corrects_heading: bool
 ) -> CorridorAxis:
-    """Replace the heading by a seed, independent of what was known; the gyroscope's bias stays.
+    """Replace the heading by a seed, independent of the previous estimate; the gyroscope's bias is kept.
 
-    The offset of the IMU's yaw takes up the difference, so that the yaw, psi + turn + o, goes on as it was.
+    The yaw offset o absorbs the difference, so that the predicted IMU yaw, psi + turn + o, is unchanged.
 
     Parameters
     ----------
@@ -102,8 +102,8 @@ def seed_heading(
         Q[YAW_OFFSET, YAW_OFFSET] += float(ekf.P[PSI, PSI])
     ekf.predict(np.array([psi + step, bias, offset - step]), F, Q)
     if axis.ever_acquired:
-        axis = axis.stepped(ekf, psi)
+        axis = axis.with_reset(ekf, psi)
     axis = axis._replace(
-        acquired=True, ever_acquired=True, votes=(), recent=(), rival=None, stamps_doubted=False
+        acquired=True, ever_acquired=True, votes=(), recent=(), rival=None, stamps_suspect=False
     )
     return axis.confirmed(ekf, seed.t_ns, theta_rad)

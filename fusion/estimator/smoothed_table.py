@@ -1,4 +1,4 @@
-"""Makes the smoother's table from the filter's table and steps."""
+"""Builds the table of smoothed estimates from the filter's table and steps."""
 
 from __future__ import annotations
 
@@ -29,30 +29,30 @@ def smoothed_table(
 ) -> Table:
     """Smooth a filter's table.
 
-    Status, ages and corridor stay the filter's, but that a change of corridor, of which the filter can only learn
-    after the turn, is put back to where the vehicle turned.
+    Status, ages and corridor are the filter's, except that a change of corridor, which the filter only detects after
+    the turn, is moved back to the turn.
 
     Parameters
     ----------
     table
-        Of `fusion.estimator.tables.ESTIMATE_DTYPE`.
+        Filter's table of `fusion.estimator.tables.ESTIMATE_DTYPE`.
     row_steps
-        Index (n,) of the step that each row stands behind.
+        Index (n,) of the last step before each row.
     steps
-        Of the engine; they are handed over, and gone afterwards.
+        Steps of the engine; they are consumed.
     offset_steps
-        Of the lateral offset.
+        Steps of the lateral offset.
     config
         Settings.
     """
-    if (row_steps < 0).all():  # no rows, or none behind a step
+    if (row_steps < 0).all():  # no rows, or none after a step
         return table.copy()
     found = steps.smoothed()
     out = table.copy()
     variance = np.maximum(np.diagonal(found.P, axis1=1, axis2=2), 0.0)
     at = found.x[row_steps]
     std = np.sqrt(variance[row_steps])
-    if config.camera_delay_std_s > 0.0:  # the steps do not know of it, and learn nothing more of it
+    if config.camera_delay_std_s > 0.0:  # the steps do not contain the delay's error
         of_delay = np.maximum(table["heading_std_rad"] ** 2 - found.filter_variance[row_steps], 0.0)
         of_delay[table["status"] == "initialising"] = 0.0
         std[:, PSI] = np.sqrt(std[:, PSI] ** 2 + of_delay)
@@ -60,7 +60,7 @@ def smoothed_table(
     heading = at[:, PSI] if started else np.full(len(table), nan)
     out["heading_rad"] = wrap(heading)
     out["heading_std_rad"] = std[:, PSI] if started else nan
-    # The raw rate is the filter's, corrected rate plus bias; only the bias is known better now.
+    # The raw rate is the filter's corrected rate plus its bias; only the bias changes by smoothing.
     out["yaw_rate_rad_s"] = table["yaw_rate_rad_s"] + found.filter_bias[row_steps] - at[:, BIAS]
     out["gyro_bias_rad_s"] = np.where(np.isfinite(table["gyro_bias_rad_s"]), at[:, BIAS], nan)
     known = (std[:, YAW_OFFSET] < KNOWN_IMU_YAW_STD_RAD) & np.isfinite(table["imu_yaw_offset_rad"]).any()
@@ -75,7 +75,7 @@ def smoothed_table(
 
 
 def _smooth_offset(out: Table, steps: OffsetSteps, config: FusionConfig) -> None:
-    """Put in the lateral offset from the whole flight; behind the last step the filter's is the smoother's."""
+    """Fill in the smoothed lateral offset; after the last step the filter's equals the smoother's."""
     if not steps.steps:
         return
     offsets = smoothed_offsets(steps.steps, offset_model(config))
@@ -98,7 +98,7 @@ def _move_corridor_changes(
     steps: SmoothedSteps,
     config: FusionConfig,
 ) -> None:
-    """Let each corridor begin where the vehicle came nearer to its axis than to the last one's."""
+    """Begin each corridor where the heading became nearer to its axis than to that of the last one."""
     index = out["corridor_index"]
     for row in np.flatnonzero(np.diff(index)) + 1:
         step = int(row_steps[row])
@@ -107,7 +107,7 @@ def _move_corridor_changes(
         if not steps.forgets_heading[step]:
             continue
         turn = float(steps.x[step - 1, PSI] - steps.x[step, PSI])
-        # Frames that the old axis explained end its stretch.
+        # The old corridor lasts at least until its last accepted frame.
         age_s = float(out["vision_age_s"][row - 1])
         last_ns = int(out["timestamp_ns"][row - 1]) - (round(age_s * 1e9) if age_s == age_s else 0)
         back = row - 1
@@ -132,7 +132,7 @@ def hypotheses_table(steps: OffsetSteps, least_probability: float = 0.02) -> Tab
     rows = []
     for t_ns, step in zip(steps.t_ns, steps.steps, strict=True):
         after = step.after
-        if after.path.t_s > 0.0:  # motion alone made it
+        if after.path.t_s > 0.0:  # a step of motion alone
             continue
         for x, P, weight in zip(after.x, after.P, after.weight[:-1].tolist(), strict=True):
             if weight >= least_probability:
@@ -141,7 +141,7 @@ def hypotheses_table(steps: OffsetSteps, least_probability: float = 0.02) -> Tab
 
 
 def half_widths_m(table: Table, config: FusionConfig) -> FloatArray:
-    """Half width (n,) of each row's corridor: as told, else as known at its end; NaN where never."""
+    """Return the half width (n,) of each row's corridor: as configured, else the last estimate; NaN without one."""
     if config.corridor_width_m is not None:
         return np.full(len(table), 0.5 * config.corridor_width_m)
     norm = table["lateral_offset_norm_std"]

@@ -1,11 +1,15 @@
-"""The smoother: a backward pass, so that every estimate uses the whole flight.
+"""Rauch-Tung-Striebel smoother of the heading filter: a backward pass over the whole flight.
 
-Rauch, Tung and Striebel's recursion (H. E. Rauch, F. Tung, C. T. Striebel, "Maximum likelihood estimates of linear
-dynamic systems", AIAA Journal 3(8), 1965) over the steps that the engine took, each with its own transition. Resets
-are steps like any other: a change of corridor or of what carries the heading, and a recovery, are transitions that
-forget what they must, so nothing is carried back across them that is not so.
+The recursion (H. E. Rauch, F. Tung, C. T. Striebel, "Maximum likelihood estimates of linear dynamic systems", AIAA
+Journal 3(8), 1965) over the engine's steps, each with its own transition::
 
-filterpy's function ``rts_smoother`` is not used: for transitions that change it takes those of the wrong step.
+    C_k = P_k F' / P-_{k+1},    x_k += C_k (x_{k+1} - x-_{k+1}),    P_k += C_k (P_{k+1} - P-_{k+1}) C_k'
+
+with x-, P- before the measurements of a step. Resets are steps like all others: a change of corridor or of the source
+that propagates the heading, and a recovery, are transitions that remove the dependence on the states they replace, so
+no information flows back across them.
+
+filterpy's function ``rts_smoother`` is not used: with time-varying transitions it uses those of the wrong step.
 """
 
 from __future__ import annotations
@@ -27,14 +31,14 @@ _BLOCK = 512
 
 @dataclass(slots=True, eq=False)
 class Node:
-    """One step for the smoother: a transition, and the state after what was measured behind it.
+    """One step for the smoother: a transition, and the state after the measurements that follow it.
 
     Parameters
     ----------
     F
-        Transition (3, 3); None where nothing moved.
+        Transition (3, 3); None for the identity.
     x_prior, P_prior
-        State (3,) and covariance (3, 3) right behind the transition.
+        State (3,) and covariance (3, 3) right after the transition.
     x, P
         The same after the step's measurements.
     """
@@ -47,7 +51,7 @@ class Node:
 
 
 class Block(NamedTuple):
-    """Steps in a row: F (n, 3, 3), state (n, 3) and covariance (n, 3, 3) before the measurements and after them."""
+    """Consecutive steps: F (n, 3, 3), state (n, 3) and covariance (n, 3, 3) before and after the measurements."""
 
     F: FloatArray
     x_prior: FloatArray
@@ -57,16 +61,16 @@ class Block(NamedTuple):
 
 
 class SmoothedSteps(NamedTuple):
-    """All steps of a run as known from the whole of it.
+    """The smoothed steps of a run.
 
     Parameters
     ----------
     x, P
         State (n, 3) and covariance (n, 3, 3).
     filter_bias, filter_variance
-        The filter's own bias (n,) and variance of the heading (n,).
+        Bias (n,) and variance of the heading (n,) before smoothing.
     forgets_heading
-        Whether a step (n,) forgot the heading before it.
+        Whether a step (n,) made the heading independent of the one before it.
     """
 
     x: FloatArray
@@ -78,9 +82,9 @@ class SmoothedSteps(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class Steps:
-    """The engine's steps, gathered in blocks so that a long flight does not become millions of small objects.
+    """The engine's steps, stored in blocks: a long flight would otherwise be millions of small objects.
 
-    The last step of a block is the first of the next one, so that each can be smoothed by itself.
+    The last step of a block is the first of the next one, so that each block can be smoothed separately.
     """
 
     _nodes: list[Node] = field(default_factory=list)
@@ -97,7 +101,7 @@ class Steps:
                 self._nodes = [node]
 
     def smoothed(self) -> SmoothedSteps:
-        """Smooth the run. The steps are freed one block after another, so that a long flight is not held twice."""
+        """Smooth the run, and release its blocks one after another to save memory."""
         n, self.count = self.count, 0
         blocks, self._blocks = self._blocks, []
         if self._nodes:
@@ -143,9 +147,9 @@ def rts(F: FloatArray, x_prior: FloatArray, P_prior: FloatArray, x: FloatArray, 
     Parameters
     ----------
     F
-        Transition (n, m, m) that led to each step (the first one's is not used).
+        Transition (n, m, m) that led to each step (the first one is not used).
     x_prior, P_prior
-        State (n, m) and covariance (n, m, m) right behind the transition.
+        State (n, m) and covariance (n, m, m) right after the transition.
     x, P
         The same after the step's measurements; smoothed on return.
     """
@@ -174,7 +178,7 @@ def rts(F: FloatArray, x_prior: FloatArray, P_prior: FloatArray, x: FloatArray, 
 
 @cache
 def compile_smoother() -> None:
-    """Compile, or load what was compiled, when an estimator that smooths in flight is made: not in flight."""
+    """Compile the smoother, or load it from the cache, before take-off."""
     x, P = np.zeros((2, N_STATES)), np.tile(np.eye(N_STATES), (2, 1, 1))
     rts(P.copy(), x.copy(), P.copy(), x, P)
 
@@ -183,7 +187,7 @@ def compile_smoother() -> None:
 def _fill_gain(
     F: FloatArray, P_prior: FloatArray, P: FloatArray, scale: FloatArray, A: FloatArray, C: FloatArray
 ) -> None:
-    """Smoother's gain (m, m), P F' / P_prior, into ``C``: by elimination, scaled to unit diagonal as units differ."""
+    """Fill the smoother's gain ``C`` (m, m), P F' / P_prior, by elimination, scaled to a unit diagonal."""
     m = len(scale)
     still = True
     for i in range(m):

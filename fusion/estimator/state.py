@@ -1,6 +1,7 @@
-"""The state of the estimator between two samples, and the samples that change it.
+"""The estimator's state after a sample, and the kinds of samples that change it.
 
-All is immutable and without behaviour, but for an `Entry`: a late sample puts it behind another state.
+States and samples are immutable records. An `Entry` pairs a sample with the state after it; a late sample in front of
+it replaces that state.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ Sample = ImuSample | AttitudeSample | VelocitySample | RangeSample | FrameSample
 
 
 class Source(NamedTuple):
-    """A kind of sample: place among those of one instant, name in the counters, whether it carries the heading on."""
+    """A kind of sample: order at equal times, name in the counters, and whether it propagates the heading."""
 
     order: int
     name: str
@@ -51,19 +52,19 @@ SOURCES: dict[type[Sample], Source] = {
 
 
 class Checks(NamedTuple):
-    """Whether what the sensors say can be true."""
+    """Plausibility checks of the sensors: gyroscope samples, repeated pictures, installation."""
 
     gyro: GyroCheck = GyroCheck()
     repeats: Repeats = Repeats()
     installation: Installation = Installation()
 
     def clock_set_back(self) -> Checks:
-        """Start again; the gyroscope's noise and the turns so far are kept."""
+        """Restart the checks; keep the gyroscope's noise and the statistics of turns."""
         return Checks(self.gyro.clock_set_back(), installation=self.installation.interrupted())
 
 
 class State(NamedTuple):
-    """All that the next step depends on: the filter's state and covariance, and a share for each part; immutable."""
+    """Everything that the next step depends on: the filter's ``x`` and ``P``, and one field per part; immutable."""
 
     x: FloatArray
     P: FloatArray
@@ -97,7 +98,7 @@ class State(NamedTuple):
         frames: SampleTimes,
         checks: Checks,
     ) -> State:
-        """Return the state after a propagation step; the parts that are not given stay. Faster than `_replace`."""
+        """Return the state after a propagation step; other parts are kept. Faster than `_replace`."""
         parts = (
             x, P, reckoning, tilt, self.velocity, self.width, imu_yaw, self.axis, lateral, frames, self.elevation,
             delay, checks,
@@ -111,9 +112,9 @@ class Sensed(NamedTuple):
     Parameters
     ----------
     tilt, gyro, installation
-        Parts of the state; of the installation only what comes from the IMU.
+        Parts of the state; of the installation only the fields from the IMU are independent of frames.
     step
-        Of a good gyroscope sample: level yaw rate, force (3,) or NaN, direction of gravity (3,); None of others.
+        Level yaw rate, force (3,) or NaN, direction of gravity (3,); only for a good gyroscope sample, else None.
     """
 
     tilt: Tilt
@@ -123,33 +124,33 @@ class Sensed(NamedTuple):
 
 
 class Replay(Protocol):
-    """Samples that were put behind another state together, such as a `fusion.estimator.gyro_run.GyroRun`."""
+    """A run of samples replayed together, such as a `fusion.estimator.gyro_run.GyroRun`."""
 
     def state(self, i: int) -> State:
-        """Return the state behind a sample."""
+        """Return the state after sample ``i``."""
 
     def nodes(self, i: int) -> tuple[Node, ...]:
-        """Return a sample's steps for the smoother."""
+        """Return the smoother's steps of sample ``i``."""
 
 
 class Entry:
-    """A sample, and what the engine made of it.
+    """A sample and the result of processing it.
 
     Parameters
     ----------
     t_ns, sample
         The sample and its time.
     after
-        The engine's state behind it.
+        The engine's state after it.
     nodes
         Its steps for the smoother.
     frame
-        What became of it, where it is a frame.
+        The frame's result; None for other samples.
 
     Attributes
     ----------
     run, place
-        Where a late sample has put it behind another state together with others, its place among them.
+        The replayed run that gives the state and steps, and the sample's index in it; None and 0 before a replay.
     """
 
     __slots__ = ("_after", "_nodes", "_sensed", "frame", "place", "run", "sample", "t_ns")
@@ -169,13 +170,13 @@ class Entry:
         self.run: Replay | None = None
         self.place = 0
 
-    def follow(self, run: Replay, place: int) -> None:
-        """Take another state: that of a place in a run, put together when it is asked for."""
+    def use_replay(self, run: Replay, place: int) -> None:
+        """Take state and steps from a place in a replayed run; they are built on first access."""
         self.run, self.place, self._after, self._nodes = run, place, None, None
 
     @property
     def after(self) -> State:
-        """The engine's state behind the sample."""
+        """The engine's state after the sample."""
         if self._after is None:
             assert self.run is not None
             self._after = self.run.state(self.place)
@@ -191,14 +192,14 @@ class Entry:
 
     @property
     def sensed(self) -> Sensed:
-        """What no late frame changes."""
+        """Parts of the state after the sample that no late frame changes."""
         if self._sensed is None:
-            self._sensed = sensed_behind(self.after, self.sample)
+            self._sensed = sensed_after(self.after, self.sample)
         return self._sensed
 
 
-def sensed_behind(state: State, sample: Sample | None = None) -> Sensed:
-    """Return what no late frame changes of the state behind a sample, or of the first one."""
+def sensed_after(state: State, sample: Sample | None = None) -> Sensed:
+    """Return the parts of a state that no late frame changes; ``sample`` is the one that led to it, if any."""
     tilt, gyro, step = state.tilt, state.checks.gyro, None
     if isinstance(sample, ImuSample) and gyro.verdict is GyroVerdict.GOOD and gyro.clipped_from_ns is None:
         force = usable_force(sample.accel_m_s2) or NO_FORCE

@@ -1,7 +1,7 @@
-"""The tables that a fused flight consists of: one list of columns makes their types, documentation and rows.
+"""The tables of a fused flight: one list of columns defines their types, documentation and rows.
 
-A table is a numpy structured array whose field names are the CSV's columns, so ``table["heading_rad"]`` works
-and ``pandas.DataFrame(table)`` takes it as it is. Unknown numbers are NaN in memory and empty in the file.
+A table is a numpy structured array whose field names are the CSV's columns, so ``table["heading_rad"]`` and
+``pandas.DataFrame(table)`` work. Unknown numbers are NaN in memory and empty in the file.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ class Column(NamedTuple):
     Parameters
     ----------
     name
-        In the table and the file.
+        Name in the table and the file.
     type
-        numpy's code.
+        numpy's type code.
     unit
         ``1`` for a pure number, empty for a word or a flag.
     meaning
-        One line; ``{side}`` stands for what counts positive.
+        Description in one line; ``{side}`` is replaced by the positive side.
     frame
-        What it is measured in or about; empty where there is nothing to say.
+        Reference frame or axis; empty if not applicable.
     flips
-        Whether its sign is that of a turn or place to the right, and turns with the convention.
+        Whether its sign is positive to the right, and changes with the sign convention.
     """
 
     name: str
@@ -157,7 +157,7 @@ HYPOTHESIS_COLUMNS = (
     *_OFFSET_NORM[:2],
     Column("probability", "f8", "1", "Of this hypothesis"),
 )
-"""What the filter holds possible of the lateral offset, a row per hypothesis; not written to a file."""
+"""The hypotheses of the lateral offset, one per row; not written to a file."""
 
 HYPOTHESIS_DTYPE = np.dtype([(c.name, c.type) for c in HYPOTHESIS_COLUMNS])
 ESTIMATE_DTYPE = np.dtype([(c.name, c.type) for c in ESTIMATE_COLUMNS])
@@ -167,14 +167,14 @@ _estimate_row = attrgetter(*(c.name for c in ESTIMATE_COLUMNS))
 
 
 def estimate_row(estimate: Estimate) -> tuple[Any, ...]:
-    """Make a row of `ESTIMATE_DTYPE` of an estimate."""
+    """Convert an estimate to a row of `ESTIMATE_DTYPE`."""
     row: tuple[Any, ...] = _estimate_row(estimate)
     return row
 
 
 def position_names(offset_norm: npt.NDArray[np.float64], config: FusionConfig) -> npt.NDArray[np.str_]:
-    """Name the side of the centre line of offsets (n,), half widths; empty where they are NaN."""
-    names = np.full(len(offset_norm), "", "U6")  # filled in place: a flight's are many
+    """Return the side of the centre line of offsets (n,), half widths; empty for NaN."""
+    names = np.full(len(offset_norm), "", "U6")  # filled in place to save time
     names[offset_norm > 0.0], names[offset_norm < 0.0] = Position.RIGHT, Position.LEFT
     names[np.abs(offset_norm) <= config.position_dead_band_norm] = Position.CENTRE
     return names

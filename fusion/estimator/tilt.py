@@ -1,10 +1,14 @@
-"""Roll and pitch at any time, from gyroscope, accelerometer and attitude, as far as there are any.
+"""Roll and pitch from gyroscope, accelerometer and attitude, whichever are available.
 
-The tilt is carried as the direction of gravity in the body frame, which has no singularity and turns with the
-gyroscope. It is set by the attitude stream while there is one; otherwise it is a complementary filter of gyroscope
-and accelerometer (R. Mahony, T. Hamel, J.-M. Pflimlin, "Nonlinear complementary filters on the special orthogonal
-group", IEEE Transactions on Automatic Control 53(5), 2008, with gravity as the only reference); with neither it
-leaks towards level, with a large standard deviation.
+The tilt is represented by the direction of gravity g in the body frame (a unit vector), which has no singularity. Its
+kinematics are ``g' = g x omega``.
+
+- With an attitude stream, each sample sets g, and the gyroscope propagates it between samples.
+- Otherwise a complementary filter of gyroscope and accelerometer (R. Mahony, T. Hamel, J.-M. Pflimlin, "Nonlinear
+  complementary filters on the special orthogonal group", IEEE Transactions on Automatic Control 53(5), 2008, with
+  gravity as the only reference): ``g' = g x (omega - b - k e)``, ``b' = k_b e``, with the error e the cross product
+  of g and the measured direction. Both gains decrease to zero as the force deviates from 1 g by `ACCEL_TOLERANCE`.
+- Without both, g decays towards level, with a large standard deviation.
 """
 
 from __future__ import annotations
@@ -23,21 +27,21 @@ from vision.measurement import Attitude
 from vision.rotations import down_of, down_of_quaternion
 
 GRAVITY_M_S2 = 9.80665
-ATTITUDE_GAP_S = 0.5  # an attitude stream silent for longer no longer sets the tilt
+ATTITUDE_GAP_S = 0.5  # an attitude stream that is silent for longer no longer sets the tilt
 COMPLEMENTARY_STD_RAD = radians(1.5)
 LEVEL_STD_RAD = radians(6.0)
-HELD_RATE_STD_RAD_S = 0.2  # how fast the tilt wanders between attitude samples without a gyroscope
+HELD_RATE_STD_RAD_S = 0.2  # unknown rate of the tilt between attitude samples without a gyroscope
 ACCEL_GAIN_1_S = 0.4
 ACCEL_BIAS_GAIN_1_S2 = 0.04
-START_GAIN_1_S = 5.0  # settles within a second on the first accelerometer samples
+START_GAIN_1_S = 5.0  # initial gain: settles within a second
 START_S = 1.0
 LEVEL_LEAK_1_S = 0.2
-MAX_STEP_S = 0.2  # over which one rate is held
-ACCEL_TOLERANCE = 0.15  # |accel| / g - 1 at which the accelerometer no longer shows gravity
+MAX_STEP_S = 0.2  # longest time for which a rate is held
+ACCEL_TOLERANCE = 0.15  # | |accel| / g - 1 | at which the accelerometer is no longer used
 
 
 class Tilt(NamedTuple):
-    """Direction of gravity in the body frame, and where it comes from.
+    """Direction of gravity in the body frame, and its sources.
 
     Parameters
     ----------
@@ -50,7 +54,7 @@ class Tilt(NamedTuple):
     settled_s
         Time over which the accelerometer has been used.
     gyro_bias
-        Bias that the complementary filter has learned, rad/s.
+        Gyroscope bias estimated by the complementary filter, rad/s.
     """
 
     down: Vector = (0.0, 0.0, 1.0)
@@ -62,18 +66,18 @@ class Tilt(NamedTuple):
     gyro_bias: Vector = (0.0, 0.0, 0.0)
 
     def clock_set_back(self, t_ns: int) -> Tilt:
-        """Keep the direction, valid from an earlier time on, and forget when samples came."""
+        """Keep the direction, valid from an earlier time on, and forget the times of the samples."""
         return self._replace(t_ns=t_ns, t_attitude_ns=None, t_gyro_ns=None, t_accel_ns=None)
 
 
 def from_quaternion(tilt: Tilt, t_ns: int, q_world_body: Quaternion) -> Tilt:
-    """Take the tilt from an attitude sample: a unit quaternion w, x, y, z, body FRD to a world with z down."""
+    """Set the tilt from an attitude sample: a unit quaternion w, x, y, z, body FRD to a world with z down."""
     _, _, _, *rest = tilt
     return new_record(Tilt, (_unit(down_of_quaternion(q_world_body)), t_ns, t_ns, *rest))
 
 
 def with_imu(tilt: Tilt, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | None) -> Tilt:
-    """Turn with the gyroscope up to ``t_ns`` and correct by the accelerometer where no attitude stream does.
+    """Propagate by the gyroscope to ``t_ns``, and correct by the accelerometer if there is no attitude stream.
 
     ``gyro_rad_s`` is the mean rate since the last step, body FRD; ``accel_m_s2`` the specific force, about
     (0, 0, -9.81) at rest and level, or None.
@@ -98,9 +102,9 @@ def _tilt_step(
     force: Vector,
     ages_s: tuple[float, float],
 ) -> tuple[Vector, Vector, float, bool]:
-    """Step of `with_imu`: gravity's direction, gyroscope's bias, time settled, and whether the force was used.
+    """Return gravity's direction, gyroscope bias, time settled, and whether the force was used; see `with_imu`.
 
-    ``force`` is NaN where there is none; ``ages_s`` are those of the last attitude and the last force used, infinite
+    ``force`` is NaN without a sample; ``ages_s`` are those of the last attitude and the last force used, infinite
     before the first.
     """
     attitude_age_s, force_age_s = ages_s
@@ -127,7 +131,7 @@ def _tilt_step(
 
 @cache
 def compile_tilt() -> None:
-    """Compile, or load what was compiled, when an estimator is made: not at its first sample, in flight."""
+    """Compile the filter step, or load it from the cache, before the first sample."""
     with_imu(Tilt(), 0, (0.0, 0.0, 0.0), None)
 
 
@@ -139,14 +143,14 @@ def tilt_along(
     q_world_body: FloatArray,
     attitude_std_rad: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Tilt at every sample of a log, as `with_imu` and `from_quaternion` carry it.
+    """Return the tilt at every sample of a log, as `with_imu` and `from_quaternion` compute it.
 
     Parameters
     ----------
     t_ns, gyro_rad_s, accel_m_s2
-        Times (n,), rates (n, 3) and specific forces (n, 3); NaN rows where there is no force.
+        Times (n,), rates (n, 3) and specific forces (n, 3); rows without a force are NaN.
     attitude_t_ns, q_world_body
-        Times (m,) and unit quaternions (m, 4) of the attitude stream; an attitude counts from the first IMU sample
+        Times (m,) and unit quaternions (m, 4) of the attitude stream; an attitude is used from the first IMU sample
         after it.
     attitude_std_rad
         Standard deviation of its roll and pitch.
@@ -205,10 +209,10 @@ def _fill_tilts(
 
 
 def attitude_at(tilt: Tilt, t_ns: int, attitude_std_rad: float) -> Attitude | None:
-    """Roll and pitch for a frame at ``t_ns``, not before the last sample; None where nothing was ever measured.
+    """Return roll and pitch for a frame at ``t_ns``, not before the last sample; None before any measurement.
 
-    The standard deviation is that of the source: the attitude stream's, growing with its age where no gyroscope
-    carries it on; that of the complementary filter; or that of assuming level flight.
+    The standard deviation depends on the source: that of the attitude stream, growing with its age if no gyroscope
+    propagates it; that of the complementary filter; or that of assuming level flight.
     """
     if tilt.t_ns is None:
         return None

@@ -1,10 +1,11 @@
-"""Samples in any order: keeps the last ones and passes all of them to the engine in order of time.
+"""Buffer of recent samples: accepts samples in any order and passes them to the engine in order of time.
 
-After every sample the engine's state is kept for as long as the buffer lasts, so a late sample costs no more than
-the samples behind it: roll back to before it, and replay. The result is, bit for bit, that of the samples in order.
+The state after every sample is kept while the sample is in the buffer. A late sample is handled by rolling back to
+the state before it and replaying the samples after it, so its cost is proportional to its delay. The result is
+bit-identical to that of the samples in order.
 
-A frame is measured again in each replay, by a function that may raise. What raises is not kept: the new sample's
-error goes to the caller, and leaves the buffer as it was; a sample that raises in a replay is dropped and counted.
+A frame is measured again in each replay, by a function that may raise. The error of a new sample goes to the caller,
+and the buffer is unchanged; a sample that raises in a replay is dropped and counted.
 """
 
 from __future__ import annotations
@@ -14,22 +15,22 @@ from collections import Counter
 from collections.abc import Callable
 
 from fusion.estimator.engine import Engine
-from fusion.estimator.state import SOURCES, Entry, Sample, State, sensed_behind
+from fusion.estimator.state import SOURCES, Entry, Sample, State, sensed_after
 
 
 class Timeline:
-    """Samples of the last ``buffer_ns``, in order, each with the state behind it.
+    """Samples of the last ``buffer_ns`` in order of time, each with the state after it.
 
     Parameters
     ----------
     engine
-        What takes samples in order.
+        Processes samples in order.
     buffer_ns
-        How far behind the newest sample one may lie and still be taken.
+        Largest lag of an accepted sample behind the newest one.
     counters
-        Where samples that raise in a replay are counted, by source.
+        Counters of samples that raise in a replay, by source.
     on_final
-        Called with each entry that nothing can change any more, in order.
+        Called in order of time with each entry that has left the buffer and is final.
     """
 
     def __init__(
@@ -46,8 +47,8 @@ class Timeline:
         self.state = engine.initial_state()
         self.entries: list[Entry] = []
         self._keys: list[tuple[int, int]] = []
-        self._base = self.state  # behind the last entry that has left the buffer
-        self._before_leap: State | None = None
+        self._base = self.state  # after the last entry that has left the buffer
+        self._before_jump: State | None = None
 
     @property
     def newest_ns(self) -> int | None:
@@ -55,7 +56,7 @@ class Timeline:
         return self._keys[-1][0] if self._keys else None
 
     def at(self, t_ns: int) -> State | None:
-        """Return the state behind the last sample up to a time; None where the buffer does not reach back so far."""
+        """Return the state after the last sample up to a time; None if the buffer does not reach back so far."""
         place = bisect_right(self.entries, t_ns, key=lambda entry: entry.t_ns)
         return self.entries[place - 1].after if place > 0 else None
 
@@ -66,9 +67,9 @@ class Timeline:
         return at < len(self._keys) and self._keys[at] == key
 
     def insert(self, sample: Sample) -> Entry | None:
-        """Take a sample and bring the engine up to date; None where one of its time and kind is there already.
+        """Insert a sample and process it; return None if one of the same time and kind is in the buffer already.
 
-        It is not older than the buffer.
+        The sample must not be older than the buffer.
         """
         key = (sample.t_ns, SOURCES[type(sample)].order)
         keys, entries = self._keys, self.entries
@@ -92,10 +93,10 @@ class Timeline:
         return entry
 
     def _replay(self, at: int, key: tuple[int, int], entry: Entry, before: State) -> None:
-        """Put an entry in its place, behind a state, and process what lies behind it again."""
+        """Insert an entry at a place, with the state before it, and replay the samples after it."""
         keys, entries = self._keys[at:], self.entries[at:]
         new_keys, replayed = [key], [entry]
-        sensed = self.entries[at - 1].sensed if at > 0 else sensed_behind(before)
+        sensed = self.entries[at - 1].sensed if at > 0 else sensed_after(before)
         place = 0
         while place < len(entries):
             count = self.engine.replay_gyro_samples(replayed[-1].after, entries[place:], sensed)
@@ -118,13 +119,13 @@ class Timeline:
         self._keys[at:], self.entries[at:] = new_keys, replayed
         self.state = replayed[-1].after
 
-    def leap(self) -> None:
-        """Note that the next samples are far ahead: should time prove to be another, they were wrong."""
-        self._before_leap = self.state
+    def note_jump(self) -> None:
+        """Store the state before a jump of the clock, to return to it if the jump turns out to be wrong."""
+        self._before_jump = self.state
 
     def restart(self, t_ns: int) -> None:
-        """Go on at an earlier time: what was stamped after it was wrong, or the samples' clock was set back."""
-        before, self._before_leap = self._before_leap, None
+        """Continue at an earlier time: later stamps were wrong, or the samples' clock was set back."""
+        before, self._before_jump = self._before_jump, None
         if before is not None and before.t_ns is not None and before.t_ns <= t_ns:
             right = bisect_right(self.entries, before.t_ns, key=lambda entry: entry.t_ns)
             del self.entries[right:], self._keys[right:]
@@ -134,25 +135,25 @@ class Timeline:
         self.finish()
         self.state = self._base = self.engine.clock_set_back(self._base, t_ns)
 
-    def start_anew(self, state: State) -> None:
-        """Go on from a state that no sample has led to; what is in the buffer is handed out."""
+    def restart_from(self, state: State) -> None:
+        """Continue from a given state, after passing out the entries in the buffer."""
         self.finish()
-        self._before_leap = None
+        self._before_jump = None
         self.state = self._base = state
         self.engine.ekf.load(state.x, state.P)
 
     def finish(self) -> None:
-        """Hand out what is still in the buffer; nothing may be inserted before it any more."""
-        self._let_go(len(self.entries))
+        """Pass out all entries in the buffer; samples can no longer be inserted before them."""
+        self._release_entries(len(self.entries))
 
     def _trim(self) -> None:
         keys = self._keys
         horizon = keys[-1][0] - self.buffer_ns
-        # In lumps, of 16 or of half of them: cutting the front of a list costs its length.
+        # In batches of 16, or half of the buffer: deleting from the front of a list costs its length.
         if keys[min(15, (len(keys) - 1) // 2)][0] < horizon:
-            self._let_go(bisect_left(keys, (horizon, -1)))
+            self._release_entries(bisect_left(keys, (horizon, -1)))
 
-    def _let_go(self, count: int) -> None:
+    def _release_entries(self, count: int) -> None:
         if count == 0:
             return
         gone = self.entries[:count]

@@ -20,7 +20,7 @@ class VelocitySample(NamedTuple):
     v_body_m_s: Vector
 
     def fault(self) -> str:
-        """Why it cannot be used; empty where it can."""
+        """Return the reason why it cannot be used; empty if it can."""
         x, y, z = self.v_body_m_s
         if not (isfinite(x) and isfinite(y) and isfinite(z)):
             return "velocity_not_finite"
@@ -28,27 +28,27 @@ class VelocitySample(NamedTuple):
 
 
 class Velocity(NamedTuple):
-    """Level speeds ahead and to the right, metres per second, and when they were measured."""
+    """Level speeds ahead and to the right, metres per second, and the times of the samples."""
 
     times: SampleTimes = SampleTimes()
     forward_m_s: float = 0.0
     sideways_m_s: float = 0.0
 
     def is_known(self, t_ns: int) -> bool:
-        """Whether the stream tells how the vehicle moves at a time."""
+        """Whether the last sample is recent enough at a time."""
         return self.times.age_s(t_ns) <= HELD_S
 
     def clock_set_back(self) -> Velocity:
-        """Go on without the last sample."""
+        """Drop the last sample."""
         return self._replace(times=self.times.clock_set_back())
 
     def silence(self, t_ns: int, config: FusionConfig) -> str:
-        """Say so if the source has fallen silent."""
+        """Report a source that has fallen silent; empty if it has not."""
         return "velocity is silent" if self.times.is_silent(t_ns, config) else ""
 
 
 def with_velocity(velocity: Velocity, sample: VelocitySample, down: Vector) -> Velocity:
-    """Level a velocity by gravity's direction in the body; without yaw, that is all it takes."""
+    """Rotate a body velocity into the level frame by gravity's direction; the yaw is not needed."""
     dx, dy, dz = down
     vx, vy, vz = sample.v_body_m_s
     horizontal = max((dy * dy + dz * dz) ** 0.5, 0.09)

@@ -1,6 +1,7 @@
 """Votes: rejected measurements that are kept until several agree. Pure functions.
 
-Used for headings (`fusion.estimator.corridor_axis`).
+Votes agree if they lie within ``max(spread, 2.5 sigma)`` of a common centre. The centre is the median of the votes
+near the newest one. Used for headings (`fusion.estimator.corridor_axis`).
 """
 
 from __future__ import annotations
@@ -12,24 +13,24 @@ from typing import NamedTuple
 MAX_VOTES = 60
 AGREEING_SHARE = 0.4
 CONTESTED_SHARE = 0.25
-BROKEN_BY = 5  # frames accepted between two votes: they are not of one event
+MAX_ACCEPTED_BETWEEN = 5  # two votes with more accepted frames between them belong to different events
 
 
 class Vote(NamedTuple):
-    """A measurement put aside until others confirm it.
+    """A rejected measurement, kept until others confirm it.
 
     Parameters
     ----------
     t_ns
         Time of the frame.
     value
-        What it says, in coordinates in which a constant truth stays constant.
+        The measurement, in coordinates in which the true value is constant.
     std
         Its standard deviation.
     n_accepted
-        How many frames the filter had accepted by then.
+        Number of frames that the filter had accepted by then.
     linked
-        Whether the picture changed only gradually since a frame that the filter accepted.
+        Whether the picture has changed only gradually since a frame that the filter accepted.
     """
 
     t_ns: int
@@ -40,9 +41,9 @@ class Vote(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """Votes that agree: how many, their median, one's standard deviation, since when, and of what kind.
+    """Votes that agree: number, median, the standard deviation of one vote, and the time of the first.
 
-    ``age_s`` is the time from their median one to the newest. ``share`` is their part of all votes since the first of
+    ``age_s`` is the time from the median vote to the newest. ``share`` is their part of all votes since the first of
     them; ``n_accepted`` and ``linked_share`` are the count at the first vote and the part of linked ones.
     """
 
@@ -69,12 +70,12 @@ def agreement(
     votes
         In order of time.
     spread
-        How far apart two votes may lie and still agree; widened to 2.5 of their standard deviations.
+        Smallest tolerance for votes that agree; widened to 2.5 of their standard deviations.
     difference
-        Wraps a difference where the values are angles.
+        Wraps a difference if the values are angles.
     drift_std_per_s
-        Standard deviation of the rate at which a constant truth may drift. The spread is widened to 2.5 times what
-        that amounts to in the time between two votes.
+        Standard deviation of the drift rate of the coordinates. The tolerance is widened to 2.5 times the drift in
+        the time between two votes.
     """
     if not votes:
         return None
@@ -87,18 +88,18 @@ def agreement(
 
         return [(d, v) for v in votes if abs(d := difference(v.value - centre)) <= reach(v)]
 
-    # Around the newest vote, then around what agrees with it: the newest may lie at the edge of the cluster.
+    # First around the newest vote, then around the votes near it: the newest may lie at the edge of the cluster.
     members = offsets_from(newest.value, newest.t_ns)
     centre = newest.value + median(d for d, _ in members)
     members = offsets_from(centre, median(v.t_ns for _, v in members))
     if not members:
         return None
-    # A gross error of long ago that points the same way by chance is no part of it.
+    # Drop an old outlier that agrees by chance.
     start = max(
         (
             k
             for k in range(1, len(members))
-            if members[k][1].n_accepted - members[k - 1][1].n_accepted > BROKEN_BY
+            if members[k][1].n_accepted - members[k - 1][1].n_accepted > MAX_ACCEPTED_BETWEEN
         ),
         default=0,
     )
@@ -118,11 +119,11 @@ def agreement(
 
 
 def is_contested(found: Agreement, n_accepted: int) -> bool:
-    """Whether the filter, which has accepted ``n_accepted`` frames by now, took too many others meanwhile."""
+    """Whether the filter, with ``n_accepted`` frames by now, has accepted too many others since the first vote."""
     return n_accepted - found.n_accepted > CONTESTED_SHARE * found.n_votes
 
 
 def add_vote(votes: tuple[Vote, ...], vote: Vote, max_age_s: float) -> tuple[Vote, ...]:
-    """Append a vote, letting go of old ones."""
+    """Append a vote and drop old ones."""
     oldest = vote.t_ns - round(max_age_s * 1e9)
     return (*(v for v in votes[-(MAX_VOTES - 1) :] if v.t_ns >= oldest), vote)

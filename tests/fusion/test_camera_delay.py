@@ -17,8 +17,8 @@ from fusion.estimator.camera_delay import (
     AxisNoise,
     Delay,
     TurnPoint,
+    initial_delay,
     turned_at,
-    unknown_delay,
     with_turns,
 )
 from fusion.estimator.config import FusionConfig
@@ -95,7 +95,7 @@ def test_by_default_it_is_as_told() -> None:
     end = flown(flight(0, TOLD_S, 5.0), camera_delay_std_s=0.0)[-1]
     assert end.camera_delay_s == TOLD_S
     assert np.isnan(end.camera_delay_std_s)
-    assert unknown_delay(FusionConfig(camera_delay_s=0.1)) is None
+    assert initial_delay(FusionConfig(camera_delay_s=0.1)) is None
 
 
 def everything(samples: list[Sample]) -> list[Any]:
@@ -141,7 +141,7 @@ def test_it_outlasts_a_silent_gyroscope() -> None:
 
 def test_it_stays_within_its_bounds() -> None:
     known: dict[str, Any] = {"gain": 1e6, "spread": 1e6}
-    start = unknown_delay(FusionConfig(camera_delay_s=0.02, camera_delay_std_s=0.03, buffer_s=0.05))
+    start = initial_delay(FusionConfig(camera_delay_s=0.02, camera_delay_std_s=0.03, buffer_s=0.05))
     assert start is not None
     assert start.late_s == 0.0
     assert start.variance == pytest.approx(0.03**2)

@@ -20,7 +20,7 @@ from fusion.estimator.frame_drift import (
     add_comparison,
     gyro_jump_between_frames,
     slope_of,
-    walked_rate_variance,
+    walk_slope_variance,
 )
 from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations, Verdict, judge
 from fusion.estimator.imu_yaw_check import GyroAndYaw, InertialNoise, YawProbabilities
@@ -34,7 +34,7 @@ def slope(deg_per_s: float, std_deg_per_s: float = 0.3, misfit: float = 1.0) -> 
 
 
 def verdict_of(gyro: Slope, yaw: Slope | None, before: Hypothesis = Hypothesis.WELL) -> Hypothesis:
-    return judge(Evidence(gyro, yaw, OWN_VARIANCE, 0.0, OWN_VARIANCE), before).likeliest
+    return judge(Evidence(gyro, yaw, OWN_VARIANCE, 0.0, OWN_VARIANCE), before).most_probable
 
 
 def comparisons(
@@ -78,8 +78,8 @@ def test_probabilities_add_up_to_one() -> None:
 
 
 def test_frames_that_jump_show_another_axis_and_too_few_show_nothing() -> None:
-    assert judge(Evidence(jumped=True)).of(Hypothesis.AXIS) == 1.0
-    assert judge(Evidence()).of(Hypothesis.WELL) == 1.0
+    assert judge(Evidence(jumped=True)).probability_of(Hypothesis.AXIS) == 1.0
+    assert judge(Evidence()).probability_of(Hypothesis.WELL) == 1.0
 
 
 def test_what_was_found_goes_on_by_weaker_evidence_and_ends_without() -> None:
@@ -126,7 +126,7 @@ def test_frames_stamped_wrongly_are_found_and_their_slope_is_none(late_s: float)
     assert gyro.stamp_s == pytest.approx(-late_s, abs=3 * gyro.stamp_variance**0.5)
     assert gyro.stamp_variance**0.5 < 0.006
     assert gyro.rate_rad_s == pytest.approx(0.0, abs=3 * gyro.rate_std)
-    assert judge(evidence).likeliest is (Hypothesis.STAMPS if late_s else Hypothesis.WELL)
+    assert judge(evidence).most_probable is (Hypothesis.STAMPS if late_s else Hypothesis.WELL)
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.02])
@@ -156,7 +156,7 @@ def test_slopes_and_their_ends_are_as_sure_as_they_say(hz: int, seconds: float, 
             t, wander - wander[-1] + rng.normal(0.0, std, len(t)), np.full(len(t), std), turn, 0.0, walk
         )
         assert found is not None
-        rate_std = np.hypot(found.rate_std, np.sqrt(walked_rate_variance(walk, seconds)))
+        rate_std = np.hypot(found.rate_std, np.sqrt(walk_slope_variance(walk, seconds)))
         ratios.append((found.rate_rad_s / rate_std, found.now_rad / found.now_std))
     rate, now = np.sqrt(np.mean(np.square(ratios), axis=0))
     assert 0.8 < rate < 1.2
@@ -198,7 +198,7 @@ def test_without_a_turn_nothing_shows_whether_stamps_are_right() -> None:
     gyro = Drift(comparisons(3.0), 0.0, QUIET).over(3.0).gyro
     assert gyro is not None
     assert gyro.stamp_variance > 1.0
-    assert judge(Evidence(gyro, None, OWN_VARIANCE)).of(Hypothesis.STAMPS) < 0.01
+    assert judge(Evidence(gyro, None, OWN_VARIANCE)).probability_of(Hypothesis.STAMPS) < 0.01
 
 
 def test_a_known_bias_is_no_slope() -> None:
@@ -231,9 +231,9 @@ def test_the_bias_from_before_a_drift_shows_it_though_the_filter_has_taken_it_up
 def test_headings_from_before_a_turn_that_was_not_measured_are_let_go() -> None:
     seen = comparisons(1.0)
     axis = CorridorAxis(diagnosis=Diagnosis(Innovations(3.0, 3.0, 1.0, 1.0), seen))
-    assert axis.with_turns_since(None) is axis
-    assert axis.with_turns_since(seen[0].t_ns - 1) is axis
-    later = axis.with_turns_since(seen[10].t_ns).diagnosis
+    assert axis.without_frames_before(None) is axis
+    assert axis.without_frames_before(seen[0].t_ns - 1) is axis
+    later = axis.without_frames_before(seen[10].t_ns).diagnosis
     assert later.comparisons == seen[11:]
     assert later.innovations == Innovations()
 
@@ -251,10 +251,12 @@ def test_a_yaw_that_repeats_the_gyroscope_is_no_second_witness_against_the_frame
     """The gyroscope is 2.5 sigma off; a yaw that agrees with it says nothing more, or all."""
     gyro, yaw, noisy = slope(1.0, 0.1), slope(1.0, 0.1), radians(0.4) ** 2
     evidence = Evidence(gyro, yaw, noisy, 0.0, radians(0.05) ** 2)
-    of_its_own = evidence._replace(yaw_probabilities=YawProbabilities(astray=0.01, repeating=0.01))
-    repeating = evidence._replace(yaw_probabilities=YawProbabilities(astray=0.01, repeating=0.9))
-    assert judge(repeating).of(Hypothesis.WELL) > 0.95
-    assert judge(of_its_own).of(Hypothesis.BEND) > 10.0 * judge(repeating).of(Hypothesis.BEND)
+    of_its_own = evidence._replace(yaw_probabilities=YawProbabilities(disturbed=0.01, repeating=0.01))
+    repeating = evidence._replace(yaw_probabilities=YawProbabilities(disturbed=0.01, repeating=0.9))
+    assert judge(repeating).probability_of(Hypothesis.WELL) > 0.95
+    assert judge(of_its_own).probability_of(Hypothesis.BEND) > 10.0 * judge(repeating).probability_of(
+        Hypothesis.BEND
+    )
 
 
 def test_whether_the_yaw_repeats_the_gyroscope_is_learned_in_seconds() -> None:
@@ -271,19 +273,19 @@ def test_whether_the_yaw_repeats_the_gyroscope_is_learned_in_seconds() -> None:
         assert (doubt.repeating > 0.5) is repeats
 
 
-def test_a_doubt_is_told_before_it_is_followed_and_for_longer() -> None:
-    def told_after(well: float, told: Diagnosis) -> Diagnosis:
-        return told.with_verdict(0, Verdict((well, 1.0 - well, 0.0, 0.0, 0.0)), look_due=True)
+def test_a_fault_is_reported_before_it_is_followed_and_for_longer() -> None:
+    def reported_after(well: float, before: Diagnosis) -> Diagnosis:
+        return before.with_verdict(0, Verdict((well, 1.0 - well, 0.0, 0.0, 0.0)), judgement_due=True)
 
     quiet = Diagnosis()
-    assert told_after(0.97, quiet).told is None
-    doubted = told_after(0.8, quiet)
+    assert reported_after(0.97, quiet).reported is None
+    doubted = reported_after(0.8, quiet)
     assert doubted.found is Hypothesis.WELL
-    assert doubted.told is not None
-    assert doubted.told.hypothesis is Hypothesis.GYRO
-    later = doubted.with_verdict(900_000_000, Verdict((0.97, 0.03, 0.0, 0.0, 0.0)), look_due=True)
-    assert later.told is not None
-    assert later.told.t_ns == 900_000_000
+    assert doubted.reported is not None
+    assert doubted.reported.hypothesis is Hypothesis.GYRO
+    later = doubted.with_verdict(900_000_000, Verdict((0.97, 0.03, 0.0, 0.0, 0.0)), judgement_due=True)
+    assert later.reported is not None
+    assert later.reported.t_ns == 900_000_000
 
 
 def test_sights_are_spaced_and_let_go() -> None:
@@ -317,7 +319,7 @@ def test_a_gross_error_is_not_systematic() -> None:
 
 
 @pytest.mark.parametrize(
-    ("gyro", "yaw", "gap_s", "leap"),
+    ("gyro", "yaw", "gap_s", "jump"),
     [
         (pi, 0.0, 5.0, pi),  # the gyroscope spun, the IMU's yaw did not
         (-pi, 0.1, 5.0, -pi - 0.1 + 2 * pi),
@@ -328,11 +330,11 @@ def test_a_gross_error_is_not_systematic() -> None:
     ],
 )
 def test_a_half_turn_that_no_frame_saw_is_the_gyroscope_s_where_the_imu_yaw_stood_still(
-    gyro: float, yaw: float, gap_s: float, leap: float
+    gyro: float, yaw: float, gap_s: float, jump: float
 ) -> None:
     last = HeadingComparison(0, 0.1, 0.01, 2.0, 0.7, True)
     new = HeadingComparison(round(gap_s * 1e9), 0.1, 0.01, 2.0 + gyro, 0.7 + yaw, True)
-    assert gyro_jump_between_frames((last,), new, 0.0) == pytest.approx(leap)
+    assert gyro_jump_between_frames((last,), new, 0.0) == pytest.approx(jump)
     assert gyro_jump_between_frames((), new, 0.0) == 0.0
 
 
@@ -358,10 +360,10 @@ def test_a_suspected_step_of_the_camera_s_clock_is_no_drift(stamp_std_s: float) 
         (0.0, 0.0, 0.3, True),
         (5.0, 0.0, 0.3, False),  # IMU yaw and gyroscope stood still: another axis
         (5.0, 5.0, 5.3, True),  # a turn, seen by all
-        (0.0, 5.0, 0.3, True),  # the gyroscope leapt
+        (0.0, 5.0, 0.3, True),  # the gyroscope jumped
         (5.0, 0.0, nan, False),
         (1.0, 6.0, 6.3, False),  # the frames fall behind a turn that both others saw
-        (1.0, 6.0, nan, True),  # or the gyroscope leapt
+        (1.0, 6.0, nan, True),  # or the gyroscope jumped
     ],
 )
 def test_frames_that_part_from_a_turn_that_the_imu_yaw_confirms_jump(
@@ -377,9 +379,9 @@ def test_frames_whose_stamps_are_in_doubt_move_no_anchor() -> None:
     """A turn seen late may be another axis: where frames agree with the anchor again, the filter goes back to it."""
     ekf = CorridorEKF(np.array([0.1, 0.0, 0.0]), np.eye(3))
     axis = CorridorAxis().confirmed(ekf, 1_000_000_000, 0.3)
-    doubted = axis._replace(stamps_doubted=True).confirmed(ekf, 2_000_000_000, 0.5)
+    doubted = axis._replace(stamps_suspect=True).confirmed(ekf, 2_000_000_000, 0.5)
     assert (doubted.anchor_rad, doubted.anchor_ns) == (axis.anchor_rad, axis.anchor_ns)
     assert doubted.t_vision_ns == 2_000_000_000
-    sure = doubted._replace(stamps_doubted=False).confirmed(ekf, 3_000_000_000, 0.5)
+    sure = doubted._replace(stamps_suspect=False).confirmed(ekf, 3_000_000_000, 0.5)
     assert sure.anchor_rad == pytest.approx(0.4)
     assert sure.anchor_ns == 3_000_000_000

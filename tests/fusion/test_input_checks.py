@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion import CorridorEstimator, Flight, FusionConfig, fuse_flight
-from fusion.estimator.input_checks import finite_or_not, whole_nanoseconds, within_bounds
+from fusion.estimator.input_checks import float_list, whole_nanoseconds, within_bounds
 from fusion.flight import FrameStream, ImuStream
 from tests.fusion.simulated import frame
 from vision import Camera, FrameMeasurement, InputError, Reason
@@ -74,7 +74,7 @@ def test_distances_and_frames_are_refused_by_name_too() -> None:
 
 @given(st.lists(st.floats(), min_size=3, max_size=3))
 def test_any_three_numbers_are_a_vector(values: list[float]) -> None:
-    assert repr(finite_or_not(values, 3, "v")) == repr(values)
+    assert repr(float_list(values, 3, "v")) == repr(values)
 
 
 # --- bounds of a measurement ---

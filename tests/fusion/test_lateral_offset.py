@@ -23,9 +23,9 @@ from fusion.estimator.lateral_offset import (
     along_path,
     frame_evidence,
     in_new_corridor,
+    initial_offset_state,
     lasting_variance,
     moments,
-    nothing_known,
     propagate,
     readout,
     transition,
@@ -89,7 +89,7 @@ class Flight:
         model: OffsetModel = MODEL,
     ) -> tuple[list[OffsetStep], np.ndarray[Any, Any], list[OffsetReadout]]:
         """Return steps, times and readouts of every frame."""
-        state, steps, times, out = nothing_known(), [], [], []
+        state, steps, times, out = initial_offset_state(), [], [], []
         for k in range(1, round(seconds / FRAME_S) + 1):
             for i in range(10):
                 t = (k - 1) * FRAME_S + (i + 1) * IMU_S
@@ -109,7 +109,7 @@ def weave(t: float) -> float:
 
 
 def test_nothing_is_known_before_a_frame_and_after_one_alone() -> None:
-    state = nothing_known()
+    state = initial_offset_state()
     assert not readout(state, MODEL).known
     state = seen(state, (0.9, 0.3, 0.01))
     assert not readout(state, MODEL).known
@@ -121,7 +121,7 @@ def test_nothing_is_known_before_a_frame_and_after_one_alone() -> None:
 
 
 def test_frames_that_cannot_tell_leave_it_unknown() -> None:
-    state = nothing_known()
+    state = initial_offset_state()
     for _ in range(50):
         state = update(moved_on(state, FRAME_S), frame_evidence([cannot_tell()], FRAME_S, 0.0, (0, 0)), MODEL)
     assert not readout(state, MODEL).known
@@ -129,7 +129,7 @@ def test_frames_that_cannot_tell_leave_it_unknown() -> None:
 
 
 def test_two_places_stay_open_while_frames_show_both() -> None:
-    state = nothing_known()
+    state = initial_offset_state()
     for _ in range(60):
         state = seen(moved_on(state, FRAME_S), (0.45, 0.3, 0.01), (0.45, -0.2, 0.01))
         assert not readout(state, MODEL).known
@@ -164,7 +164,7 @@ def test_a_burst_of_wrong_frames_does_not_capture_it_for_long() -> None:
 
 
 def test_a_step_of_the_accelerometer_integrates() -> None:
-    state = nothing_known()
+    state = initial_offset_state()
     for _ in range(200):
         state = seen(moved_on(state, FRAME_S), (0.9, 0.0, 0.005))
     state = moved_on(state, 1.0, right_m_s2=0.3)
@@ -193,10 +193,10 @@ def test_without_accelerometer_the_rate_fades_and_the_sigma_grows() -> None:
 
 
 def test_a_vibrating_accelerometer_is_given_up() -> None:
-    still = moved_on(nothing_known()._replace(accel=Acceleration(0.0, 0.0, 0.0, 1)), 0.1)
+    still = moved_on(initial_offset_state()._replace(accel=Acceleration(0.0, 0.0, 0.0, 1)), 0.1)
     F, _ = transition(still.path, MODEL)
     assert F[V, V] == 1.0
-    shaken = nothing_known()
+    shaken = initial_offset_state()
     for k in range(100):
         shaken = propagate(shaken, IMU_S, 0.0, (0.0, 15.0 * (-1) ** k, -G), LEVEL)
     F, _ = transition(shaken.path, MODEL)
@@ -205,7 +205,7 @@ def test_a_vibrating_accelerometer_is_given_up() -> None:
 
 
 def test_another_corridor_forgets_the_offset_but_not_the_roll() -> None:
-    state = with_roll(nothing_known(), 0.01, 0.002, 0.05)
+    state = with_roll(initial_offset_state(), 0.01, 0.002, 0.05)
     for _ in range(20):
         state = seen(moved_on(state, FRAME_S), (0.9, 0.3, 0.01))
     assert readout(state, MODEL).known
@@ -217,7 +217,7 @@ def test_another_corridor_forgets_the_offset_but_not_the_roll() -> None:
 
 def test_a_step_in_the_width_is_followed() -> None:
     """Frames speak of another place from one frame to the next: unknown for a moment, then there."""
-    state = nothing_known()
+    state = initial_offset_state()
     for _ in range(40):
         state = seen(moved_on(state, FRAME_S), (0.9, 0.2, 0.01))
     known_wrong = 0
@@ -230,7 +230,7 @@ def test_a_step_in_the_width_is_followed() -> None:
 
 
 def test_flying_back_right_is_left() -> None:
-    state = nothing_known()
+    state = initial_offset_state()
     for _ in range(20):
         state = seen(moved_on(state, FRAME_S), (0.9, 0.3, 0.01), heading_rad=3.1)
     assert readout(state, MODEL).offset_norm == pytest.approx(-0.3, abs=0.01)
@@ -242,7 +242,7 @@ def test_the_camera_ahead_of_the_body_is_taken_off(heading_rad: float) -> None:
     model = OffsetModel(inverse_half_width=(1.0, 0.01))
     side = 1.0 if cos(heading_rad) > 0 else -1.0
     camera = side * (0.2 + 0.5 * sin(heading_rad))
-    state = nothing_known()
+    state = initial_offset_state()
     for _ in range(30):
         frame = frame_evidence([mixture((0.9, camera, 0.01))], FRAME_S, heading_rad, (0.5, 0.0))
         state = update(moved_on(state, FRAME_S), frame, model)
@@ -250,7 +250,7 @@ def test_the_camera_ahead_of_the_body_is_taken_off(heading_rad: float) -> None:
 
 
 def test_a_velocity_across_the_corridor_carries_it_on() -> None:
-    state = nothing_known()
+    state = initial_offset_state()
     for _ in range(20):
         state = seen(moved_on(state, FRAME_S, accel=False), (0.9, 0.0, 0.01))
     for _ in range(100):
@@ -262,7 +262,7 @@ def test_a_velocity_across_the_corridor_carries_it_on() -> None:
 
 @pytest.mark.parametrize("speed_m_s", [5.0, 10.0, -30.0, 99.0])
 def test_a_velocity_that_cannot_be_does_not_tell_the_width(speed_m_s: float) -> None:
-    state = nothing_known()
+    state = initial_offset_state()
     for _ in range(40):
         state = seen(moved_on(state, FRAME_S), (0.9, 0.2, 0.01))
     state = along_path(state, state.path, MODEL)._replace(path=Path())
@@ -279,7 +279,7 @@ def test_frames_that_each_leave_much_open_are_not_averaged_to_certainty() -> Non
     """An error that lasts stays however many frames agree, and is the larger the more each of them leaves open."""
     std = []
     for spread in (0.02, 0.06, 0.12):
-        state = nothing_known()
+        state = initial_offset_state()
         for _ in range(400):
             state = seen(moved_on(state, FRAME_S), (0.9, 0.0, spread))
         std.append(readout(state, MODEL).std_norm)
@@ -289,7 +289,7 @@ def test_frames_that_each_leave_much_open_are_not_averaged_to_certainty() -> Non
 
 
 def test_an_error_of_the_scale_grows_with_the_offset() -> None:
-    centre, aside = nothing_known(), nothing_known()
+    centre, aside = initial_offset_state(), initial_offset_state()
     for _ in range(100):
         centre = seen(moved_on(centre, FRAME_S), (0.9, 0.0, 0.01))
         aside = seen(moved_on(aside, FRAME_S), (0.9, 0.6, 0.01))
@@ -313,7 +313,7 @@ def test_spread_of_known_likelihoods(std: float) -> None:
 def test_frames_that_scatter_are_not_averaged_to_certainty() -> None:
     std = []
     for scatter in (0.0, 0.04, 0.08):
-        state = nothing_known()
+        state = initial_offset_state()
         for k in range(400):
             state = seen(moved_on(state, FRAME_S), (0.9, scatter * (-1) ** (k // 10), 0.02))
         std.append(readout(state, MODEL).std_norm)
@@ -340,7 +340,7 @@ def test_specific_force_is_levelled(roll: float, pitch: float) -> None:
 
 def test_the_roll_of_the_verticals_is_averaged() -> None:
     rng = np.random.default_rng(5)
-    state = nothing_known()
+    state = initial_offset_state()
     for _ in range(200):
         state = with_roll(state, 0.012 + 0.003 * rng.normal(), 0.003, FRAME_S)
     assert state.roll.mean == pytest.approx(0.012, abs=0.003)
@@ -364,7 +364,7 @@ def test_without_accelerometer_the_way_back_is_as_uncertain_as_the_way_there() -
 
 @pytest.mark.parametrize("gap_s", [0.05, 1.0, 20.0])
 def test_one_frame_alone_is_not_relied_on_however_late_it_comes(gap_s: float) -> None:
-    state = nothing_known()
+    state = initial_offset_state()
     for place in (-0.5, 0.4):
         state = update(state, frame_evidence([mixture((0.95, place, 0.01))], gap_s, 0.0, (0.0, 0.0)), MODEL)
         found = readout(state, MODEL)
@@ -373,7 +373,7 @@ def test_one_frame_alone_is_not_relied_on_however_late_it_comes(gap_s: float) ->
 
 @pytest.mark.parametrize("frame_s", [0.02, 0.05, 0.2])
 def test_known_within_a_second_at_any_rate_of_frames(frame_s: float) -> None:
-    state, t_s = nothing_known(), 0.0
+    state, t_s = initial_offset_state(), 0.0
     while not readout(state, MODEL).known:
         evidence = frame_evidence([mixture((0.85, 0.2, 0.02))], frame_s if t_s else nan, 0.0, (0.0, 0.0))
         state = update(moved_on(state, frame_s), evidence, MODEL)
@@ -420,7 +420,7 @@ def test_where_no_frame_comes_for_seconds_the_smoothed_offset_follows_the_motion
     """Interpolated over the gap, it would be beyond nine of its sigmas."""
     flight = Flight(3, lambda t: 0.3 * sin(2.0 * t), roughness=0.1)
     start_s, seconds = 4.0, 8.0 + gap_s
-    state, steps, seen_s = nothing_known(), OffsetSteps(), 0.0
+    state, steps, seen_s = initial_offset_state(), OffsetSteps(), 0.0
     for k in range(1, round(seconds / IMU_S) + 1):
         t = k * IMU_S
         force = (0.0, flight.accel(t), -G) if accel else None
@@ -446,7 +446,7 @@ def test_where_no_frame_comes_for_seconds_the_smoothed_offset_follows_the_motion
 
 def test_behind_the_last_frame_motion_makes_no_steps() -> None:
     """There the filter's offset is the smoother's."""
-    state, steps = moved_on(nothing_known(), FRAME_S), OffsetSteps()
+    state, steps = moved_on(initial_offset_state(), FRAME_S), OffsetSteps()
     path, frame = state.path, frame_evidence([mixture((0.9, 0.2, 0.01))], nan, 0.0, (0.0, 0.0))
     state = update(state, frame, MODEL)
     steps.add(0, OffsetStep(path, state, frame), state)
@@ -458,12 +458,15 @@ def test_behind_the_last_frame_motion_makes_no_steps() -> None:
 
 @given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(0.1, 2.0), st.floats(0.1, 2.0))
 def test_a_path_less_its_beginning_is_its_end(right: float, later: float, t_s: float, later_s: float) -> None:
-    start, end = moved_on(nothing_known(), t_s, right).path, moved_on(nothing_known(), later_s, later).path
-    np.testing.assert_allclose(start.then(end).since(start), end, atol=1e-9)
+    start, end = (
+        moved_on(initial_offset_state(), t_s, right).path,
+        moved_on(initial_offset_state(), later_s, later).path,
+    )
+    np.testing.assert_allclose(start.followed_by(end).since(start), end, atol=1e-9)
 
 
 def test_the_smoother_does_not_look_into_another_corridor() -> None:
-    state, steps = nothing_known(), []
+    state, steps = initial_offset_state(), []
     for k in range(40):
         fresh = k == 20
         if fresh:
@@ -472,7 +475,7 @@ def test_the_smoother_does_not_look_into_another_corridor() -> None:
         path = state.path
         frame = frame_evidence([mixture((0.9, -0.4 if k < 20 else 0.5, 0.01))], FRAME_S, 0.0, (0.0, 0.0))
         state = update(state, frame, MODEL)
-        steps.append(OffsetStep(path, state, frame, starts_anew=fresh))
+        steps.append(OffsetStep(path, state, frame, is_reset=fresh))
     smooth = smoothed_offsets(steps, MODEL)
     assert [round(o.offset_norm, 2) for o in smooth] == [-0.4] * 20 + [0.5] * 20
 
@@ -496,7 +499,7 @@ def normalised(parts: Parts) -> OffsetMixture:
 def test_weights_sum_to_one_and_covariances_are_symmetric_and_positive(
     frames: list[Parts], right_m_s2: float, accel: bool
 ) -> None:
-    state = nothing_known()
+    state = initial_offset_state()
     for parts in frames:
         state = moved_on(state, FRAME_S, right_m_s2, accel)
         before = [a.copy() for a in (state.x, state.P, state.weight)]
@@ -516,7 +519,7 @@ def test_weights_sum_to_one_and_covariances_are_symmetric_and_positive(
 @settings(max_examples=40, deadline=None)
 @given(some_frames, st.floats(-1.0, 1.0))
 def test_a_mirrored_flight_gives_the_mirrored_offset(frames: list[Parts], right_m_s2: float) -> None:
-    one, other = nothing_known(), nothing_known()
+    one, other = initial_offset_state(), initial_offset_state()
     for parts in frames:
         one, other = moved_on(one, FRAME_S, right_m_s2), moved_on(other, FRAME_S, -right_m_s2)
         mirrored = [(w, -y, std) for w, y, std in parts]
@@ -548,7 +551,7 @@ def test_scale_free_offset_does_not_depend_on_the_scale(factor: float, accel: bo
         }
         s, s_std = MODEL.inverse_half_width
         model = MODEL._replace(inverse_half_width=(s / scale, s_std / scale), **grown)
-        rng, state, out = np.random.default_rng(3), nothing_known(), []
+        rng, state, out = np.random.default_rng(3), initial_offset_state(), []
         for k in range(1, 81):
             for i in range(10):
                 t = (10 * k - 9 + i) * IMU_S

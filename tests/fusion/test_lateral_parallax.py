@@ -19,7 +19,7 @@ from fusion.estimator.lateral_offset import (
     OffsetState,
     Path,
     frame_evidence,
-    nothing_known,
+    initial_offset_state,
     transition,
     update,
 )
@@ -49,7 +49,7 @@ PATHS = st.builds(
 
 def at(offset_norm: float, frames: int = 10) -> OffsetState:
     """Know the offset, and little of its rate."""
-    state = nothing_known()
+    state = initial_offset_state()
     said = OffsetMixture(*(np.array([v]) for v in (0.95, offset_norm, 0.02, nan)))
     for _ in range(frames):
         state = update(state, frame_evidence([said], 0.3, 0.0, (0.0, 0.0)), MODEL)
@@ -69,13 +69,13 @@ def moved(
 @given(PATHS, PATHS)
 def test_two_paths_are_one(first: Path, second: Path) -> None:
     one, other = (transition(path, MODEL)[0] for path in (first, second))
-    whole, _ = transition(first.then(second), MODEL)
+    whole, _ = transition(first.followed_by(second), MODEL)
     np.testing.assert_allclose(whole, other @ one, atol=1e-9)
 
 
 def test_paths_lead_nowhere_from_nowhere() -> None:
     path = Path(0.2, 0.2, 0.1, 0.02, 0.001)
-    assert Path().then(path) == path == path.then(Path())
+    assert Path().followed_by(path) == path == path.followed_by(Path())
 
 
 @settings(max_examples=40)
@@ -113,7 +113,7 @@ def test_an_absurd_displacement_hardly_counts() -> None:
 
 @pytest.mark.parametrize("displacement_norm", [nan, 0.05])
 def test_parallax_moves_weights_and_forgets_nothing(displacement_norm: float) -> None:
-    two = nothing_known()
+    two = initial_offset_state()
     both = OffsetMixture(*(np.array(v) for v in ([0.45, 0.45], [0.3, -0.3], [0.02, 0.02], [nan, nan])))
     for _ in range(10):
         two = update(two, frame_evidence([both], 0.3, 0.0, (0.0, 0.0)), MODEL)
@@ -128,7 +128,7 @@ def test_parallax_moves_weights_and_forgets_nothing(displacement_norm: float) ->
 
 def test_before_any_frame_the_walls_alone_make_hypotheses_but_no_rate() -> None:
     said = moved(0.05)._replace(components=np.array([[0.85, 0.28, 0.1**2]]), dt_s=0.3)
-    state = with_parallax(nothing_known(), said, MODEL)
+    state = with_parallax(initial_offset_state(), said, MODEL)
     assert len(state.x) == 1
     assert state.x[0, V] == 0.0
 
@@ -150,7 +150,7 @@ def test_frames_are_compared_with_one_long_enough_ago() -> None:
         most = max(most, len(views))
         if motion is not None:
             compared.append((k, motion.path.t_s, motion.dt_s))
-        views = tuple(view.moved_on(Path(0.05, 0.05, 0.0, 0.0, 0.0)) for view in views)
+        views = tuple(view.propagated(Path(0.05, 0.05, 0.0, 0.0, 0.0)) for view in views)
     assert most < 5
     assert all(BASELINE_S - 1e-6 <= t_s < BASELINE_S + INTERVAL_S + 0.05 for _, t_s, _ in compared)
     steps = np.diff([k for k, _, _ in compared]) * 0.05
@@ -163,13 +163,13 @@ def test_rare_frames_are_compared_until_other_walls_are_in_view() -> None:
     views, motion = compare_walls((), profiles(), evidence)
     assert motion is None
     for wait_s, is_compared in ((1.0, True), (2.0 * MAX_VIEW_S, False)):
-        later = tuple(view.moved_on(Path(wait_s, 0.0, 0.0, 0.0, 0.0)) for view in views)
+        later = tuple(view.propagated(Path(wait_s, 0.0, 0.0, 0.0, 0.0)) for view in views)
         assert (compare_walls(later, profiles(), evidence)[1] is not None) == is_compared
 
 
 def test_a_vehicle_that_has_turned_round_sees_other_walls() -> None:
     views, _ = compare_walls((), profiles(), FrameEvidence(NO_COMPONENTS, 0.3))
-    later = tuple(view.moved_on(Path(0.4, 0.0, 0.0, 0.0, 0.0)) for view in views)
+    later = tuple(view.propagated(Path(0.4, 0.0, 0.0, 0.0, 0.0)) for view in views)
     views, motion = compare_walls(later, profiles(), FrameEvidence(NO_COMPONENTS, 0.3, side=-1.0))
     assert motion is None
     assert views[-1].side == -1.0

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.lateral_offset import OffsetReadout
-from fusion.estimator.lateral_status import CONTRADICTED_S, Lateral, RecentOffsets, judged
+from fusion.estimator.lateral_status import CONTRADICTED_S, Lateral, RecentOffsets, with_frame_outcome
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.tables import Table
 from fusion.offline.table_builder import TableBuilder
@@ -32,7 +32,7 @@ def doubted(
     for k, offset in enumerate(offsets):
         rate = 0.0 if rates is None else rates[k]
         found = OffsetReadout(offset, 0.02, rate, rate_std, 1.0, offset == offset, 0.0)
-        lateral = judged(lateral, found, found, round(k * FRAME_S * 1e9), nan)
+        lateral = with_frame_outcome(lateral, found, found, round(k * FRAME_S * 1e9), nan)
         out.append(lateral.contradicted)
     return out
 
@@ -82,7 +82,7 @@ def test_what_is_remembered_is_bounded(intervals_s: list[float]) -> None:
     recent, t_ns = RecentOffsets(), 0
     for dt_s in intervals_s:
         t_ns += round(dt_s * 1e9)
-        recent = recent.moved_on(0.1, t_ns).with_offset(0.0, t_ns)
+        recent = recent.propagated(0.1, t_ns).with_offset(0.0, t_ns)
         assert len(recent.t_ns) == len(recent.origin_norm) <= 41
         assert all(0 <= t_ns - t < CONTRADICTED_S * 1e9 for t in recent.t_ns)
 

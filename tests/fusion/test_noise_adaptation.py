@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from fusion.estimator.noise_adaptation import (
     SourceNoise,
-    as_if_independent,
     correlation,
+    equivalent_white_variance,
     inlier_probability,
     learn,
-    weakened,
+    weakened_variance,
 )
 
 
@@ -30,7 +30,7 @@ def test_odds_are_bayess_rule() -> None:
 def test_weakened_gain_is_the_gain_times_the_odds(
     variance: float, predicted: float, probability: float
 ) -> None:
-    weak = weakened(variance, predicted, probability)
+    weak = weakened_variance(variance, predicted, probability)
     gain = predicted / (predicted + variance)
     assert predicted / (predicted + weak) == pytest.approx(probability * gain)
 
@@ -49,7 +49,7 @@ def test_errors_that_resemble_each_other_leave_the_filter_as_sure_as_it_should_b
         x += np.sqrt(process_variance) * step
         P += process_variance
         error = rho * error + np.sqrt(1 - rho**2) * kick
-        gain = P / (P + as_if_independent(1.0, P, rho))
+        gain = P / (P + equivalent_white_variance(1.0, P, rho))
         found += gain * (x + error - found)
         P *= 1 - gain
         ratios.append((found - x) ** 2 / P)
@@ -60,11 +60,11 @@ def test_errors_that_resemble_each_other_leave_the_filter_as_sure_as_it_should_b
 def test_variance_in_place_of_correlation_has_its_bounds(
     variance: float, predicted: float, rho: float
 ) -> None:
-    R = as_if_independent(variance, predicted, rho)
+    R = equivalent_white_variance(variance, predicted, rho)
     kept = R / (predicted + R)
     assert pytest.approx(variance * (1 + kept * rho) / (1 - kept * rho), rel=1e-6) == R
     assert variance * (1 - 1e-9) <= R <= variance * (1 + rho) / (1 - rho) * (1 + 1e-9)
-    assert as_if_independent(variance, predicted, 0.0) == pytest.approx(variance)
+    assert equivalent_white_variance(variance, predicted, 0.0) == pytest.approx(variance)
 
 
 def test_correlation_falls_with_time() -> None:

@@ -23,7 +23,7 @@ from fusion.estimator.junctions import NewCorridor
 from fusion.estimator.lateral import LateralOffset, MotionStep
 from fusion.estimator.lateral_status import Lateral, LateralReadout, LateralStatus, readout
 from fusion.estimator.models import BIAS, PSI, YAW_OFFSET, ScalarMeasurement
-from fusion.estimator.noise_adaptation import Doubt, SourceNoise, update_with_doubt
+from fusion.estimator.noise_adaptation import ErrorModel, SourceNoise, update_robustly
 from fusion.estimator.propagation import DeadReckoning, ImuSample, Mode, Propagation
 from fusion.estimator.range_width import RangeSample, Width
 from fusion.estimator.sample_times import SampleTimes
@@ -291,11 +291,11 @@ def test_another_offset_that_lasts_is_one_counted_step() -> None:
 def test_in_another_corridor_nothing_is_known_and_the_step_is_told_later() -> None:
     part = LateralOffset(FusionConfig(), (0.0, 0.0))
     known = frames_of(part, [0.4] * 10)
-    again = known.unknown_again()
+    again = known.without_offset()
     assert told(part, again).status is LateralStatus.UNKNOWN
     assert again.last_known[0] == pytest.approx(0.4, abs=0.01)
     assert again.step is not None
-    assert again.step.starts_anew
+    assert again.step.is_reset
 
 
 def test_a_frame_without_an_offset_changes_nothing() -> None:
@@ -477,12 +477,12 @@ def test_an_update_with_doubt_is_weaker_and_learns() -> None:
     m = ScalarMeasurement(0.1, np.eye(5)[0], 0.01)
     plain, doubted = ekf_at(), ekf_at()
     plain.update(m)
-    gate, noise = update_with_doubt(doubted, m, SourceNoise(), Doubt(4.0, 0.5, 0.5))
+    gate, noise = update_robustly(doubted, m, SourceNoise(), ErrorModel(4.0, 0.5, 0.5))
     assert gate.accepted
     assert 0 < float(doubted.x[PSI]) < float(plain.x[PSI])
     assert noise.outlier_share < SourceNoise().outlier_share
     far = ScalarMeasurement(3.0, np.eye(5)[0], 0.01)
-    gate, noise = update_with_doubt(doubted, far, SourceNoise(), Doubt(4.0, 0.5, 0.5))
+    gate, noise = update_robustly(doubted, far, SourceNoise(), ErrorModel(4.0, 0.5, 0.5))
     assert not gate.accepted
     assert noise.outlier_share > SourceNoise().outlier_share
 
