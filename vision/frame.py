@@ -252,6 +252,8 @@ def level_std_rad(attitude: Attitude, mount_std_rad: float) -> tuple[float, floa
 
 def _mount_share(attitude: Attitude, prior: Prior) -> float:
     """Return the share of the pitch by the verticals that is to be put down to the mount, not to the attitude."""
+    if attitude is UNKNOWN_ATTITUDE:
+        return 0.0
     mount_variance = prior.elevation_std_rad**2 + min(abs(prior.elevation_rad), MAX_SLOPE_RAD) ** 2
     return mount_variance / (mount_variance + attitude.std_rad**2)
 
