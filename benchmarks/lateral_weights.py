@@ -80,8 +80,8 @@ def picture_of(
     lines = extract_lines(image, camera)
     if not measure_lines(lines, camera, attitude).accepted:
         return None
-    R_level_camera = attitude.R_level_body() @ camera.R_body_camera
-    level = level_from_verticals(lines, R_level_camera, attitude.std_rad, attitude.std_rad)
+    std_rad = attitude.std_rad
+    level = level_from_verticals(lines, attitude.R_level_body(), camera.R_body_camera, std_rad, std_rad)
     axis = fit_axis(lines, level.R_level_camera, elevation_std_rad=hypot(level.pitch_std_rad, SLOPE_STD_RAD))
     if axis is None:
         return None

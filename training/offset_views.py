@@ -90,7 +90,7 @@ def measured_frame(
     lines = extract_lines(image, camera)
     known = attitude or UNKNOWN_ATTITUDE
     std_rad = level_std_rad(known, Prior().elevation_std_rad)
-    level = level_from_verticals(lines, known.R_level_body() @ camera.R_body_camera, *std_rad)
+    level = level_from_verticals(lines, known.R_level_body(), camera.R_body_camera, *std_rad)
     fit = fit_axis(
         lines, level.R_level_camera, elevation_std_rad=float(np.hypot(level.pitch_std_rad, SLOPE_STD_RAD))
     )

@@ -60,6 +60,7 @@ MAX_PREDICTED_STD_RAD = radians(1.0)  # of the predicted heading, for it to repl
 MAX_PREDICTED_HEADING_RAD = radians(35.0)
 MAX_PREDICTION_ERROR_RAD = radians(1.5)  # predicted minus measured heading, to align the wall profiles by it
 MOUNT_ROLL_STD_RAD = radians(1.0)  # upper limit: cameras are mounted at a chosen pitch, but hardly rolled
+MAX_SLOPE_RAD = radians(3.0)  # of a predicted elevation, the part that may be a slope
 SLOPE_STD_RAD = radians(0.2)  # floors and ceilings are level to about this
 UNKNOWN_ATTITUDE = Attitude(0.0, 0.0, std_rad=radians(12.0))
 
@@ -199,11 +200,12 @@ def _find_axis(lines: LineSet, camera: Camera, attitude: Attitude, prior: Prior)
     """Fit the corridor's axis and decide whether to accept it; lines across the vanishing point are cut in two."""
     if camera.line_delay_s != 0.0 and prior.body_rates_rad_s is not None:
         lines = correct_rolling_shutter(lines, camera, prior.body_rates_rad_s)
-    # Subtract the predicted elevation, so that the axis is expected on the horizon.
-    R_level_body = rotation_from_angles(0.0, attitude.pitch_rad - prior.elevation_rad, attitude.roll_rad)
-    level = level_from_verticals(
-        lines, R_level_body @ camera.R_body_camera, *level_std_rad(attitude, prior.elevation_std_rad)
-    )
+    # Subtract the predicted elevation, so that the axis is expected on the horizon. It is taken for a mounting pitch,
+    # which rolls with the body, until vertical lines show that it is the corridor that slopes.
+    R_body_camera = rotation_from_angles(0.0, -prior.elevation_rad, 0.0) @ camera.R_body_camera
+    level_std = level_std_rad(attitude, prior.elevation_std_rad)
+    share = _mount_share(attitude, prior)
+    level = level_from_verticals(lines, attitude.R_level_body(), R_body_camera, *level_std, share)
     elevation_std_rad = hypot(level.pitch_std_rad, SLOPE_STD_RAD)
     known = (elevation_std_rad, prior.heading_rad, prior.heading_std_rad)
     fit = fit_axis(lines, level.R_level_camera, 0.0, *known)
@@ -246,6 +248,14 @@ def level_std_rad(attitude: Attitude, mount_std_rad: float) -> tuple[float, floa
     """
     roll_std_rad = min(mount_std_rad, MOUNT_ROLL_STD_RAD)
     return hypot(attitude.std_rad, mount_std_rad), hypot(attitude.std_rad, roll_std_rad)
+
+
+def _mount_share(attitude: Attitude, prior: Prior) -> float:
+    """Return the share of the pitch by the verticals that is to be put down to the mount, not to the attitude."""
+    if attitude is UNKNOWN_ATTITUDE:
+        return 0.0
+    mount_variance = prior.elevation_std_rad**2 + min(abs(prior.elevation_rad), MAX_SLOPE_RAD) ** 2
+    return mount_variance / (mount_variance + attitude.std_rad**2)
 
 
 class _OffsetResult(NamedTuple):

@@ -143,7 +143,7 @@ def _measured(lines: LineSet, camera: Camera, attitude: Attitude, prior: Prior) 
         return (nan,) * N_COLUMNS
     std_rad = hypot(attitude.std_rad, prior.elevation_std_rad)
     R_before = attitude.R_level_body() @ camera.R_body_camera
-    level = level_from_verticals(lines, R_before, std_rad, std_rad)
+    level = level_from_verticals(lines, attitude.R_level_body(), camera.R_body_camera, std_rad, std_rad)
     down = R_before @ level.R_level_camera[2]  # the picture's down, seen from the attitude's level
     roll, roll_std = nan, nan
     if level.roll_std_rad < INFORMED * std_rad:

@@ -18,7 +18,7 @@ from vision import Attitude, Camera, InputError, Position, Prior, Reason, measur
 from vision.axis.level import level_from_verticals
 from vision.axis.vanishing_point import axis_direction, fit_axis
 from vision.lines.line_set import LineSet
-from vision.rotations import wrap_axis
+from vision.rotations import rotation_from_angles, wrap_axis
 
 CAMERA = Camera(640, 480, 466.0, 466.0, 319.5, 239.5)
 PER_LINE = [
@@ -134,10 +134,11 @@ def test_a_turned_mount_is_like_a_turned_body(
     by_body = measure_lines(
         lines, CAMERA, Attitude(view_roll, view_pitch), Prior(heading_rad=yaw, heading_std_rad=0.1)
     )
-    # The vote's bins lie elsewhere among the lines; the fit that starts from them ends at the same axis.
+    # The vote's bins lie elsewhere among the lines; the fit that starts from them ends at the same axis. A pitch
+    # correction that is put down to the mount is about the body's axis: an effect of second order.
     assert by_mount.accepted == by_body.accepted
     std = by_body.heading_std_rad
-    assert by_mount.heading_rad - heading == pytest.approx(by_body.heading_rad - yaw, abs=0.02 * std)
+    assert by_mount.heading_rad - heading == pytest.approx(by_body.heading_rad - yaw, abs=0.1 * std + 3e-4)
     # Where the vote's edge falls on a line's cut-off, what it has beside its peak changes: in one of a hundred such
     # corridors the sigma does by more than a fifth.
     assert 0.5 < by_mount.heading_std_rad / std < 2.0
@@ -201,7 +202,9 @@ def test_level_is_found_without_any_attitude(corridor: Any, seen: Any, roll: int
     truth = corridor(heading_rad=0.15, roll_rad=radians(roll), pitch_rad=radians(pitch))
     m = measure_lines(seen(truth, CAMERA), CAMERA)
     assert degrees(m.heading_rad - 0.15) == pytest.approx(0.0, abs=0.05)
-    found = level_from_verticals(seen(truth, CAMERA), CAMERA.R_body_camera, radians(12), radians(12))
+    found = level_from_verticals(
+        seen(truth, CAMERA), np.eye(3), CAMERA.R_body_camera, radians(12), radians(12)
+    )
     true_level = Attitude(radians(roll), radians(pitch)).R_level_body() @ CAMERA.R_body_camera
     assert (found.R_level_camera @ true_level.T)[2, 2] > np.cos(radians(0.1))
 
@@ -219,6 +222,52 @@ def test_door_posts_correct_a_roll_that_is_off_by_more_than_it_says(
     assert degrees(m.heading_rad - 0.1) == pytest.approx(0.0, abs=0.1)
     assert degrees(m.roll_correction_rad) == pytest.approx(-roll_error_deg, abs=0.3)
     assert m.lateral_offset_norm == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.mark.parametrize("pitch_deg", [-15.0, -6.0, 0.0, 9.0])
+@pytest.mark.parametrize("roll_error_deg", [-6.0, -3.0, 4.0])
+def test_a_roll_error_of_a_pitched_body_does_not_turn_the_heading(
+    corridor: Any, seen: Any, pitch_deg: float, roll_error_deg: float
+) -> None:
+    pitch_rad, roll_rad = radians(pitch_deg), radians(3.0)
+    lines = seen(corridor(heading_rad=0.1, roll_rad=roll_rad, pitch_rad=pitch_rad), CAMERA)
+    attitude = Attitude(roll_rad + radians(roll_error_deg), pitch_rad, radians(1.5))
+    m = measure_lines(lines, CAMERA, attitude)
+    assert m.accepted
+    assert degrees(m.heading_rad - 0.1) == pytest.approx(0.0, abs=0.06)
+
+
+@pytest.mark.parametrize("slope_deg", [-4.0, 3.0])
+@pytest.mark.parametrize("roll_deg", [-12.0, 6.0])
+def test_a_slope_that_is_expected_does_not_turn_the_heading_of_a_body_that_rolls(
+    corridor: Any, seen: Any, slope_deg: float, roll_deg: float
+) -> None:
+    """The expected elevation is taken for a mounting pitch; door posts show that it is none."""
+    truth = corridor(heading_rad=0.1, roll_rad=radians(roll_deg), slope_rad=radians(slope_deg))
+    prior = Prior(elevation_rad=radians(slope_deg), elevation_std_rad=radians(0.2))
+    m = measure_lines(seen(truth, CAMERA), CAMERA, Attitude(radians(roll_deg), 0.0), prior)
+    assert m.accepted
+    error_of_a_mount_rad = radians(slope_deg) * np.sin(radians(roll_deg))
+    assert abs(m.heading_rad - 0.1) < 0.2 * abs(error_of_a_mount_rad) + radians(0.03)
+
+
+@pytest.mark.parametrize("mount_deg", [-8.0, -3.0, 5.0])
+@pytest.mark.parametrize("roll_deg", [-12.0, 6.0])
+@pytest.mark.parametrize("is_learned", [False, True])
+def test_a_mounting_pitch_does_not_turn_the_heading_of_a_body_that_rolls(
+    corridor: Any, seen: Any, mount_deg: float, roll_deg: float, is_learned: bool
+) -> None:
+    mounted = replace(
+        CAMERA, R_body_camera=rotation_from_angles(0.0, radians(mount_deg), 0.0) @ CAMERA.R_body_camera
+    )
+    lines = seen(corridor(heading_rad=0.1, roll_rad=radians(roll_deg)), mounted)
+    prior = Prior(elevation_std_rad=radians(5.0))
+    if is_learned:
+        prior = Prior(elevation_rad=radians(-mount_deg), elevation_std_rad=radians(0.2))
+    m = measure_lines(lines, CAMERA, Attitude(radians(roll_deg), 0.0), prior)
+    assert m.accepted
+    assert degrees(m.elevation_rad) == pytest.approx(-mount_deg, abs=0.3)
+    assert degrees(m.heading_rad - 0.1) == pytest.approx(0.0, abs=0.06)
 
 
 @QUICK

@@ -128,7 +128,7 @@ def test_too_few_lines_leave_what_the_picture_says_about_the_expected_axis(
     attitude, expected = Attitude(0.0, 0.0), Prior(heading_rad=0.1, heading_std_rad=radians(0.5))
     found = measure_lines(few, view.camera, attitude, expected)
     tilt_std = level_std_rad(attitude, expected.elevation_std_rad)
-    level = level_from_verticals(few, attitude.R_level_body() @ view.camera.R_body_camera, *tilt_std)
+    level = level_from_verticals(few, attitude.R_level_body(), view.camera.R_body_camera, *tilt_std)
     about = learned_mixture(view.image, view.camera, corridor_frame(level.R_level_camera, 0.1, 0.0))
     (evidence,) = found.offset_evidence
     assert not found.accepted

@@ -288,7 +288,7 @@ def _seeds(lines: LineSet, camera: Camera) -> list[tuple[FloatArray, FloatArray]
         seen = lines_of(lines, camera, tried)
         std_rad = SEED_ATTITUDE.std_rad
         level = level_from_verticals(
-            seen, SEED_ATTITUDE.R_level_body() @ tried.R_body_camera, std_rad, std_rad
+            seen, SEED_ATTITUDE.R_level_body(), tried.R_body_camera, std_rad, std_rad
         )
         fit = fit_axis(seen, level.R_level_camera)
         if fit is not None:

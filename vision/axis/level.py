@@ -16,7 +16,7 @@ it; the scale shrinks to 3 sigma of each line. The lateral offset needs this acc
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan, nan, radians, sqrt
+from math import atan, cos, nan, radians, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +35,8 @@ VOTE_WEIGHT = 6.0
 VERTICAL_COSINE = 0.7  # least component of a vertical line's direction along the given vertical
 PLUMB_STD_RAD = radians(0.15)  # door posts are vertical to about this
 CUT_SIGMA = 3.0
+MIN_COS_ROLL = 0.5  # of a body whose pitch the picture's verticals show
+MIN_LEVEL_FORWARD = 0.1  # horizontal part of the body's x axis, from which on it has a heading
 MAX_ROLL_VARIANCE_SHARE = 0.8  # posterior over prior variance; with a larger one there is no roll correction
 
 
@@ -190,32 +192,59 @@ def _fit_down(
     return _Down(a, b, h00, h01, h11, roll_std)
 
 
+def _forward(R_level_body: FloatArray, mount_pitch_rad: float) -> tuple[float, float, float]:
+    """Return the body's x axis in the level frame, after a mounting pitch as it appears there is put right."""
+    cos_roll = float(R_level_body[1, 1])
+    pitch = mount_pitch_rad / cos_roll if cos_roll > MIN_COS_ROLL else 0.0
+    x, y, z = (cos(pitch) * R_level_body[:, 0] - sin(pitch) * R_level_body[:, 2]).tolist()
+    return x, y, z
+
+
+def _level_frame(a: float, b: float, forward: tuple[float, float, float]) -> FloatArray:
+    """Return the rotation (3, 3) from a level frame to the one with z along (a, b, 1) and x along ``forward``."""
+    size = sqrt(1.0 + a * a + b * b)
+    dx, dy, dz = a / size, b / size, 1.0 / size
+    x, y, z = forward
+    along = x * dx + y * dy + z * dz
+    x, y, z = x - along * dx, y - along * dy, z - along * dz
+    level = sqrt(x * x + y * y + z * z)
+    if level < MIN_LEVEL_FORWARD:
+        return _level_frame(a, b, (1.0, 0.0, 0.0))
+    x, y, z = x / level, y / level, z / level
+    return np.array([[x, y, z], [dy * z - dz * y, dz * x - dx * z, dx * y - dy * x], [dx, dy, dz]])
+
+
 def level_from_verticals(
-    lines: LineSet, R_level_camera: FloatArray, pitch_std_rad: float, roll_std_rad: float
+    lines: LineSet,
+    R_level_body: FloatArray,
+    R_body_camera: FloatArray,
+    pitch_std_rad: float,
+    roll_std_rad: float,
+    mount_share: float = 0.0,
 ) -> LevelFrame:
     """Correct a level frame by the picture's vertical lines.
+
+    The x axis of the level frame stays below or above that of the body, so that a correction of roll or pitch does
+    not turn the heading.
 
     Parameters
     ----------
     lines
         Segments of the picture.
-    R_level_camera
-        Rotation (3, 3) from the optical frame to level, by the attitude and the mount.
+    R_level_body, R_body_camera
+        Rotations (3, 3) from the body to level, by the attitude, and from the optical frame to the body, by the mount.
     pitch_std_rad, roll_std_rad
-        Standard deviations of its pitch and roll. They limit the roll error by a stripe on the floor below the
+        Standard deviations of their pitch and roll. They limit the roll error by a stripe on the floor below the
         camera, which looks vertical.
+    mount_share
+        Share of a pitch correction that belongs to the mount instead of the attitude. It turns the camera within a
+        body that rolls, hence the heading by the sine of the roll.
     """
+    R_level_camera = R_level_body @ R_body_camera
     down = _fit_down(lines.geometry(), R_level_camera, pitch_std_rad, roll_std_rad)
     a, b, h_pitch, h_both, h_roll, given_roll_std = down
     determinant = h_pitch * h_roll - h_both * h_both
-    # The shortest rotation from (a, b, 1) to (0, 0, 1), which leaves the heading unchanged.
-    size = sqrt(1.0 + a * a + b * b)
-    dx, dy, dz = a / size, b / size, 1.0 / size
-    level = sqrt(1.0 - dx * dx)
-    fx, fy, fz = level, -dx * dy / level, -dx * dz / level
-    R_new_old = np.array(
-        [[fx, fy, fz], [dy * fz - dz * fy, dz * fx - dx * fz, dx * fy - dy * fx], [dx, dy, dz]]
-    )
+    R_new_old = _level_frame(a, b, _forward(R_level_body, mount_share * atan(a)))
     roll_variance, given = h_pitch / determinant, given_roll_std * given_roll_std
     alone_rad = alone_variance = nan
     if roll_variance < MAX_ROLL_VARIANCE_SHARE * given:
