@@ -232,7 +232,7 @@ def level_from_verticals(
     lines
         Segments of the picture.
     R_level_body, R_body_camera
-        Rotations (3, 3) from the body to level, by the attitude, and from the optical frame to the body, by the mount.
+        Rotations (3, 3) from the body to level, by the attitude, and from the optical frame to the body.
     pitch_std_rad, roll_std_rad
         Standard deviations of their pitch and roll. They limit the roll error by a stripe on the floor below the
         camera, which looks vertical.
