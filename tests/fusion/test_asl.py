@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fusion.logs import load_flight
+from fusion.logs import load_flight, open_log
 from fusion.logs.asl import read_ground_truth
 from tests.files import HALLWAY, OFFICE
 from tests.pictures import picture_paths
@@ -485,6 +485,44 @@ def test_windows_line_ends_and_no_header(folder: Folder) -> None:
     assert flight.imu is not None
     assert clean.imu is not None
     np.testing.assert_array_equal(flight.imu.gyro_rad_s, clean.imu.gyro_rad_s)
+
+
+def test_columns_in_the_order_that_the_header_names(folder: Folder) -> None:
+    clean = load_flight(folder.path)
+
+    def moved(*order: int) -> Callable[[list[str]], list[str]]:
+        return lambda rows: [",".join(row.split(",")[i] for i in order) for row in rows]
+
+    folder.edit("mav0/imu0/data.csv", moved(0, 4, 5, 6, 1, 2, 3))
+    folder.edit("mav0/attitude0/data.csv", moved(0, 2, 3, 4, 1))
+    flight = load_flight(folder.path)
+    assert flight.problems == ()
+    assert flight.imu is not None
+    assert clean.imu is not None
+    assert flight.attitude is not None
+    assert clean.attitude is not None
+    np.testing.assert_array_equal(flight.imu.gyro_rad_s, clean.imu.gyro_rad_s)
+    np.testing.assert_array_equal(flight.imu.accel_m_s2, clean.imu.accel_m_s2)
+    np.testing.assert_array_equal(flight.attitude.q_world_body, clean.attitude.q_world_body)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda row: '"' + row.replace(",", '","') + '"', lambda row: row.replace(",", ";").replace(".0", ",0")],
+    ids=["quotes", "decimal commas"],
+)
+def test_quotes_and_other_separators_in_every_file(folder: Folder, change: Callable[[str], str]) -> None:
+    clean = load_flight(folder.path)
+    for name in ("cam0", "imu0", "attitude0"):
+        folder.edit(f"mav0/{name}/data.csv", lambda rows: [rows[0], *(change(row) for row in rows[1:])])
+    flight = load_flight(folder.path)
+    assert flight.problems == ()
+    assert picture_paths(flight) == picture_paths(clean)
+    assert repr(flight) == repr(clean)
+    np.testing.assert_array_equal(
+        [topic.t_ns for topic in open_log(folder.path).topics if topic.name == "imu0"],
+        [np.array(times(40, 10_000_000))],
+    )
 
 
 def test_pictures_of_another_size(folder: Folder) -> None:

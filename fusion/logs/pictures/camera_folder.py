@@ -92,11 +92,11 @@ def _read_list(path: Path, label: str) -> WithProblems[_TimesAndNames]:
     names: list[str] = []
     broken: list[str] = []
     problems: Problems = ()
-    for rows, cut in read_blocks(path, ",", skip_lines=head.lines):
+    for rows, cut in read_blocks(path, head.separator, skip_lines=head.lines):
         for row in rows:
-            time, _, name = row.partition(",")
-            t_ns, name = parse_time(time.strip()), name.strip()
-            if t_ns is not None and name and "," not in name:
+            time, _, name = (part.strip().strip('"') for part in row.partition(head.separator))
+            t_ns = parse_time(time)
+            if t_ns is not None and name and head.separator not in name:
                 times.append(t_ns)
                 names.append(name)
             else:
