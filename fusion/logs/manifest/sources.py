@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from fusion.files import check_name
 from fusion.flight import (
     AttitudeStream,
     CorridorTruth,
@@ -26,7 +27,7 @@ from fusion.flight import (
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.csv.columns import CsvLog
-from fusion.logs.manifest.manifest import Manifest, StreamSource, corrected_camera
+from fusion.logs.manifest.manifest import Manifest, StreamSource, corrected_camera, files_of
 from fusion.logs.manifest.opening import (
     converted,
     medium_of,
@@ -70,6 +71,8 @@ class ManifestLog(LogContents):
     """
 
     def __init__(self, manifest: Manifest, path: Path | None = None, camera: Camera | None = None) -> None:
+        for _, file in files_of(manifest):
+            check_name(file)
         self._described = path is not None
         self.path = path or manifest.log or manifest.camera.file or Path()
         self._shift_error: InputError | None = None
