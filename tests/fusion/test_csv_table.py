@@ -24,10 +24,10 @@ def rows(n: int, start: int = 0) -> list[str]:
     return [f"{T0 + i * STEP},{i}.25,-{i}.5" for i in range(start, start + n)]
 
 
-def read(path: Path, text: str, **options: bool) -> tuple[CsvTable, list[str]]:
+def read(path: Path, text: str, *, by_name: bool = False) -> tuple[CsvTable, list[str]]:
     path.mkdir(exist_ok=True)
     (path / "data.csv").write_bytes(text.encode())
-    table, problems = read_table(path / "data.csv", ("a", "b"), label="x0/data.csv", **options)
+    table, problems = read_table(path / "data.csv", ("a", "b"), label="x0/data.csv", by_name=by_name)
     return table, list(problems)
 
 
