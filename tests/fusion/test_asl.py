@@ -533,6 +533,52 @@ def test_pictures_of_another_size(folder: Folder) -> None:
         load_flight(folder.path)
 
 
+@pytest.mark.parametrize(
+    ("size", "words"),
+    [
+        ("[20, 12]", "cut out of the larger ones"),
+        ("[32, 24]", "rescale_calibration = true"),
+        ("[32, 18]", "cut out of the larger ones"),
+    ],
+)
+def test_the_remedy_for_another_size_is_that_of_a_cut_or_of_a_scaled_picture(
+    folder: Folder, size: str, words: str
+) -> None:
+    folder.write("mav0/cam0/sensor.yaml", SENSOR.replace("[16, 12]", size))
+    with pytest.raises(InputError, match="picture is 16x12") as caught:
+        load_flight(folder.path)
+    remedy = caught.value.remedy or ""
+    assert words in remedy
+    assert ("rescale_calibration" in remedy) == words.startswith("rescale")
+
+
+def test_pictures_with_a_few_pixels_cut_off_are_not_taken_for_scaled_ones(folder: Folder) -> None:
+    for path in (folder.path / "mav0/cam0/data").iterdir():
+        path.write_bytes(cv2.imencode(".png", np.full((479, 639), 99, np.uint8))[1].tobytes())
+    text = SENSOR.replace("[16, 12]", "[640, 480]").replace(
+        "[10.0, 10.0, 7.5, 5.5]", "[466, 466, 319.5, 239.5]"
+    )
+    folder.write("mav0/cam0/sensor.yaml", text)
+    with pytest.raises(
+        InputError, match=r"639x479.*first column and row .* write resolution: \[639, 479\]\)"
+    ):
+        load_flight(folder.path)
+    folder.write(
+        "mav0/cam0/sensor.yaml", text.replace("319.5, 239.5", "318.5, 238.5").replace("640, 480", "639, 479")
+    )
+    assert load_flight(folder.path).camera.width_px == 639
+
+
+@pytest.mark.parametrize(("focal", "name"), [("0.466, 0.466", "fx = 0.466"), ("10.0, 0.79", "fy = 0.79")])
+def test_a_focal_length_that_is_not_in_pixels(folder: Folder, focal: str, name: str) -> None:
+    folder.write("mav0/cam0/sensor.yaml", SENSOR.replace("10.0, 10.0", focal))
+    with pytest.raises(
+        InputError,
+        match=rf"sensor\.yaml: the focal length {name} is not in pixels of a picture 16 wide \(give pixels",
+    ):
+        load_flight(folder.path)
+
+
 def test_an_undecodable_first_picture_does_not_stop_the_check(folder: Folder) -> None:
     (folder.path / f"mav0/cam0/data/{T0}.png").write_bytes(b"torn")
     assert load_flight(folder.path).problems == ()

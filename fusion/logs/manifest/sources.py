@@ -35,7 +35,7 @@ from fusion.logs.manifest.opening import (
     open_as_declared,
     with_time_shift,
 )
-from fusion.logs.pictures.camera_folder import size_of_pictures
+from fusion.logs.pictures.camera_folder import check_focal_length, size_of_pictures
 from fusion.logs.plausibility.findings import Advice, Medium
 from fusion.logs.plausibility.imu import Gravity, gravity_of
 from fusion.logs.plausibility.mounting import mounted, mounted_imu
@@ -314,6 +314,13 @@ class ManifestLog(LogContents):
             camera = Camera.from_yaml(source.calibration, None if log is None else log.body_frame)
         if camera is None and log is not None:
             camera = log.camera(topic)
+        if camera is not None:
+            own = (
+                None
+                if log is None or self._given_camera is not None
+                else log.calibration_file(topic) or log.path
+            )
+            check_focal_length(camera, source.calibration or own)
         return camera
 
     def imu(self, topic: str) -> WithProblems[ImuStream]:
