@@ -97,13 +97,13 @@ def main(arguments: list[str]) -> int:
     make_flights(flights, options.flights, options.seconds)
     settings = BatchSettings(jobs=options.jobs)
 
-    before = fuse_fleet([flights], options.out / "before", settings, tell=print)
+    before = fuse_fleet([flights], options.out / "before", settings, notify=print)
     print("\n".join(told(before)))
 
     measured = [row.gyro_noise_rad_s_sqrt_hz for row in before.rows if row.vehicle == "mav2"]
     noise = float(np.median([value for value in measured if value is not None]))
     listed = write_list(flights / "list.toml", noise)
-    after = fuse_fleet([listed], options.out / "after", settings, against=before.rows, tell=print)
+    after = fuse_fleet([listed], options.out / "after", settings, against=before.rows, notify=print)
     print(f"\nwith {noise:.4f} rad/s/sqrt(Hz) for mav2, as its flights show:")
     print("\n".join(told(after)))
 
