@@ -49,7 +49,7 @@ class Head:
     Parameters
     ----------
     names, units
-        Of the columns, from the header; empty if it does not have one for each column.
+        Of the columns, from the header; empty if there is none.
     lines
         Number of lines before the rows.
     separator
