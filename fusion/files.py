@@ -11,6 +11,7 @@ import os
 import re
 import secrets
 import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from errno import ENOTDIR
@@ -226,6 +227,18 @@ def is_inside_folder(name: str) -> bool:
     """Whether a file name read from a file refers to that file's folder or below."""
     path = os.path.normpath(name.replace("\\", "/"))
     return not os.path.isabs(path) and path.split("/")[0] != ".." and "\0" not in name
+
+
+def check_name(path: Path) -> None:
+    """Raise `InputError` if a path is not text, so that no file could name it."""
+    encoding = sys.getfilesystemencoding()
+    try:
+        str(path).encode("utf-8")
+    except UnicodeEncodeError as error:
+        remedy = "rename it" if encoding == "utf-8" else "rename it, or use a locale with UTF-8"
+        raise InputError(
+            f"the name contains bytes that are not {encoding}", file=path, remedy=remedy
+        ) from error
 
 
 def error_text(error: Exception) -> str:

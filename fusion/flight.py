@@ -8,11 +8,17 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from vision import Camera
+from vision import Camera, InputError
 
 FloatArray = npt.NDArray[np.float64]
 TimeArray = npt.NDArray[np.int64]
 GreyImage = npt.NDArray[np.uint8]
+
+
+def check_type(value: object, kind: type[object], name: str, remedy: str) -> None:
+    """Raise `InputError` if an argument has another type; ``name`` is its name."""
+    if not isinstance(value, kind):
+        raise InputError(f"{name} is of type {type(value).__name__}", remedy=remedy)
 
 
 class Remark(str):

@@ -183,3 +183,42 @@ def test_files_outside_a_manifests_folder_are_told(corridor: Corridor, files: Pa
     run = corridor("fuse", tmp_path / "there", "-o", "out")
     assert run.code == 0, run.err
     assert f"flight.toml reads {files}/hall.mp4 and 1 more, outside its folder" in run.err
+
+
+@pytest.fixture
+def odd_name(tmp_path: Path) -> Path:
+    """A flight of three pictures in a folder whose name, as an old system wrote it, is not UTF-8."""
+    flight = tmp_path / os.fsdecode(b"g\xe4nge") / "flight"
+    cam = flight / "mav0" / "cam0"
+    try:
+        (cam / "data").mkdir(parents=True)
+    except OSError:
+        pytest.skip("this file system takes only UTF-8 names")
+    shutil.copy(OFFICE / "mav0" / "cam0" / "sensor.yaml", cam)
+    for picture in sorted((OFFICE / "mav0" / "cam0" / "data").iterdir())[:3]:
+        shutil.copy(picture, cam / "data")
+    return flight
+
+
+@pytest.mark.parametrize("verb", ["fuse", "inspect", "align"])
+def test_a_name_that_is_not_utf_8_is_refused_before_any_work(
+    corridor: Corridor, odd_name: Path, verb: str
+) -> None:
+    refused(corridor(verb, odd_name), r"g\udce4nge/flight: the name contains bytes", "rename it")
+    calibration = odd_name / "mav0" / "cam0" / "sensor.yaml"
+    if verb == "fuse":
+        refused(corridor(verb, OFFICE, "--camera", calibration), r"sensor.yaml: the name contains bytes")
+
+
+def test_tables_escape_a_name_that_is_not_utf_8(corridor: Corridor, odd_name: Path) -> None:
+    run = corridor("measure", odd_name / "mav0" / "cam0" / "data", "-o", os.fsdecode(b"\xe4.csv"))
+    assert run.code == 0, run.err
+    assert r"g\udce4nge/flight/mav0" in Path(os.fsdecode(b"\xe4.csv")).read_text("utf-8").splitlines()[1]
+    for options in ([], ["--against", os.fsdecode(b"\xe4")]):
+        run = corridor(
+            "batch", odd_name.parent.parent, "-o", os.fsdecode(b"\xe4" * (1 + len(options))), *options
+        )
+        assert run.code == 0, run.err
+    for name in ("fleet.csv", "fleet.jsonl", "fleet.html"):
+        text = (Path(os.fsdecode(b"\xe4")) / name).read_text("utf-8")
+        assert r"g\udce4nge/flight: the name" in text.replace("\\\\", "\\"), name

@@ -43,7 +43,7 @@ def write_comparison_table(found: Comparison, path: Path) -> None:
     rows = list(_rows(found))
     text = {".csv": _as_csv, ".md": _as_markdown, ".tex": _as_latex}[ending](rows)
     with replacing(path) as draft:
-        draft.write_text(text, encoding="utf-8")
+        draft.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def _rows(found: Comparison) -> Iterator[tuple[str, ...]]:

@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.tables import Table
-from fusion.flight import CorridorTruth, FloatArray, TimeArray
+from fusion.flight import CorridorTruth, FloatArray, TimeArray, check_type
 from fusion.result.summary import PERCENTILES, CorridorErrors, ErrorStatistics, TableErrors
+from vision.errors import InputError
 from vision.rotations import wrap
 
 BoolArray = npt.NDArray[np.bool_]
@@ -146,10 +147,19 @@ def evaluate(table: Table, truth: CorridorTruth, *, max_gap_s: float = 0.5) -> T
 
     Raises
     ------
-    ValueError
-        If the table lacks a column of these types.
+    InputError
+        If the table is none of these types, or the truth is not a `fusion.flight.CorridorTruth`.
     """
+    columns = "a table with its columns, such as result.estimates or result.frames"
+    check_type(table, np.ndarray, "table", f"give {columns}")
+    check_type(truth, CorridorTruth, "truth", "give flight.truth of a flight with ground truth")
     names = table.dtype.names or ()
+    missing = {"timestamp_ns", "heading_rad", "heading_std_rad"}.difference(names)
+    if missing or not {"status", "accepted"}.intersection(names):
+        raise InputError(
+            f"table has no column {', '.join(sorted(missing)) or 'status or accepted'}",
+            remedy=f"give {columns}",
+        )
     estimates = "status" in names
     usable = table["status"] == "tracking" if estimates else np.asarray(table["accepted"], dtype=bool)
     at = interpolate_truth(truth, table["timestamp_ns"], max_gap_s)

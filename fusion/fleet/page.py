@@ -78,7 +78,7 @@ def write_page(rows: Sequence[FleetRow], folder: Path, total: int, against: Sequ
     """
     text = render_page(rows, folder, total, against)
     with replacing(folder / PAGE) as draft:
-        draft.write_text(text, encoding="utf-8")
+        draft.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def render_page(rows: Sequence[FleetRow], folder: Path, total: int, against: Sequence[FleetRow] = ()) -> str:

@@ -142,13 +142,17 @@ _NUMBERS = {
 
 
 def flat(row: FleetRow) -> dict[str, Value]:
-    """Return a row's columns by name: its fields, then level and value of each check."""
-    found: dict[str, Value] = {name: getattr(row, name) for name in COLUMNS}
+    """Return a row's columns by name: its fields, then level and value of each check; no byte that is not UTF-8."""
+    found: dict[str, Value] = {name: _encodable(getattr(row, name)) for name in COLUMNS}
     for key in CHECK_NAMES:
         outcome = row.checks.get(key)
         found[f"check_{key}_level"] = "" if outcome is None else str(outcome.level)
         found[f"check_{key}_value"] = "" if outcome is None else outcome.value
     return found
+
+
+def _encodable(value: Value) -> Value:
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
 
 
 def row_from(values: Mapping[str, Any]) -> FleetRow:

@@ -64,8 +64,8 @@ def _write_parquet(rows: Sequence[dict[str, Value]], path: Path) -> None:
         pa.array([None if row[name] == "" else row[name] for row in rows], type=schema.field(name).type)
         for name in schema.names
     ]
-    with replacing(path) as draft:
-        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), draft, compression="zstd")
+    with replacing(path) as draft, draft.open("wb") as file:  # pyarrow opens no path that is not UTF-8
+        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), file, compression="zstd")
 
 
 def read_fleet(path: str | Path) -> list[FleetRow]:
@@ -108,5 +108,6 @@ def _read(path: Path) -> Iterable[dict[str, Value]]:
         )
     import pyarrow.parquet as pq
 
-    found: list[dict[str, Value]] = pq.read_table(path).to_pylist()
+    with path.open("rb") as file:
+        found: list[dict[str, Value]] = pq.read_table(file).to_pylist()
     return found

@@ -12,6 +12,7 @@ from __future__ import annotations
 from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
@@ -79,9 +80,7 @@ def open_log(path: str | Path) -> LogContents:
     InputError
         If it does not exist, has no known format, or cannot be opened.
     """
-    path = Path(path)
-    if not path.exists():
-        raise InputError("there is no such file or folder", file=path, remedy="check the path")
+    path = _existing(path)
     refuse_placeholder(path)
     module = format_of(path)
     if module is None:
@@ -91,6 +90,19 @@ def open_log(path: str | Path) -> LogContents:
             remedy = f"give a flight within it, such as {within}; `corridor batch {path}` fuses all of them"
         raise InputError("is not a flight of a known format", file=path, remedy=remedy)
     return cast(LogFormat, import_module(module)).open_log(path)
+
+
+def _existing(path: object) -> Path:
+    found = _as_path(path, "path")
+    if not found.exists():
+        raise InputError("there is no such file or folder", file=found, remedy="check the path")
+    return found
+
+
+def _as_path(value: object, name: str) -> Path:
+    if not isinstance(value, str | PathLike):
+        raise InputError(f"{name} is of type {type(value).__name__}", remedy="give a path as str or Path")
+    return Path(value)
 
 
 def _flight_within(path: Path) -> Path | None:
@@ -151,11 +163,9 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
     from fusion.logs.manifest.file import MANIFEST_NAME, find_manifest, read_manifest
     from fusion.logs.manifest.manifest import Manifest
 
-    path = Path(path)
-    if not path.exists():
-        raise InputError("there is no such file or folder", file=path, remedy="check the path")
-    if isinstance(camera, str):
-        camera = Path(camera)
+    path = _existing(path)
+    if camera is not None and not isinstance(camera, Camera):
+        camera = _as_path(camera, "camera")
     if isinstance(camera, Path) and not camera.exists():
         raise InputError("there is no such file", file=camera, remedy="check --camera")
     described = find_manifest(path)

@@ -35,7 +35,7 @@ from fusion.flight import (
 )
 from fusion.logs.contents import Kind, Topic
 from fusion.logs.csv.rows import parse_time
-from fusion.logs.csv.stamped_table import CsvTable, read_table
+from fusion.logs.csv.stamped_table import STAMP, CsvTable, read_table
 from fusion.logs.pictures.camera_folder import read_frames
 from fusion.logs.samples import (
     MIN_IMU_STEP_NS,
@@ -96,11 +96,12 @@ class _Folder:
     body_frame: BodyFrame
 
     def table(
-        self, stream: str, columns: tuple[str, ...], min_step_ns: int = MIN_STEP_NS
+        self, stream: str, columns: tuple[str, ...], *roles: str, min_step_ns: int = MIN_STEP_NS
     ) -> WithProblems[CsvTable]:
-        """Read a stream's ``data.csv``."""
+        """Read a stream's ``data.csv``; its columns are those of the roles."""
         path = self.path / stream / "data.csv"
-        return read_table(path, columns, label=f"{stream}/data.csv", min_step_ns=min_step_ns)
+        label = f"{stream}/data.csv"
+        return read_table(path, columns, label=label, min_step_ns=min_step_ns, roles=roles)
 
     def sensor(self, stream: str) -> dict[str, Any]:
         """Read a stream's ``sensor.yaml``; empty if it has none."""
@@ -209,7 +210,8 @@ def _raw_times(folder: Path) -> TimeArray:
         except (OSError, ValueError, OverflowError, Warning):  # damaged: read it line by line
             pass
     with suppress(OSError), path.open(encoding="utf-8", errors="replace") as file:
-        times = (parse_time(line.partition(",")[0].strip()) for line in file)
+        stamps = (STAMP.match(line) for line in file)
+        times = (parse_time(stamp[1]) for stamp in stamps if stamp is not None)
         return np.array([t_ns for t_ns in times if t_ns is not None], dtype=np.int64)
     return np.zeros(0, dtype=np.int64)
 
@@ -225,7 +227,7 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
         raise InputError(
             f"has no {_GROUND_TRUTH}/data.csv", file=mav0, remedy="give a flight with ground truth"
         )
-    table = folder.table(_GROUND_TRUTH, columns + biases).value
+    table = folder.table(_GROUND_TRUTH, columns + biases, "position", "quaternion", "velocity").value
     R_world = to_frd(folder.body_frame)
     q = _attitude_in_frd(folder, _GROUND_TRUTH, table.values[:, 3:7])
     return GroundTruth(table.t_ns, table.values[:, 0:3] @ R_world.T, q, table.values[:, 7:10] @ R_world.T)
@@ -233,7 +235,7 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
 
 def _read_imu(folder: _Folder, stream: str) -> WithProblems[ImuStream]:
     columns = ("w_x", "w_y", "w_z", "a_x", "a_y", "a_z")
-    table, problems = folder.table(stream, columns, min_step_ns=MIN_IMU_STEP_NS)
+    table, problems = folder.table(stream, columns, "gyro", "accel", min_step_ns=MIN_IMU_STEP_NS)
     good = finite(table.values[:, :3])
     problems += folder.dropped(good, stream, "a gyro value that is not finite", table.t_ns)
     t_ns, values = table.t_ns[good], table.values[good]
@@ -268,7 +270,7 @@ def _noise(folder: _Folder, stream: str, sensor: dict[str, Any], key: str) -> fl
 
 
 def _read_attitude(folder: _Folder, stream: str) -> WithProblems[AttitudeStream]:
-    table, problems = folder.table(stream, ("q_w", "q_x", "q_y", "q_z"))
+    table, problems = folder.table(stream, ("q_w", "q_x", "q_y", "q_z"), "quaternion")
     length = np.linalg.norm(table.values, axis=1)
     good = np.abs(length - 1.0) <= QUATERNION_TOLERANCE  # NaN is not
     problems += folder.dropped(good, stream, "a quaternion that is not of unit length", table.t_ns)
@@ -291,25 +293,25 @@ def _attitude_in_frd(folder: _Folder, stream: str, q_world_sensor: FloatArray) -
 
 
 def _read_position(folder: _Folder, stream: str) -> WithProblems[VectorStream]:
-    return _read_vectors(folder, stream, ("p_x", "p_y", "p_z"), to_frd(folder.body_frame))
+    return _read_vectors(folder, stream, ("p_x", "p_y", "p_z"), "position", to_frd(folder.body_frame))
 
 
 def _read_velocity(folder: _Folder, stream: str) -> WithProblems[VectorStream]:
     R_frd_sensor = folder.R_frd_sensor(stream, folder.sensor(stream))
-    return _read_vectors(folder, stream, ("v_x", "v_y", "v_z"), R_frd_sensor)
+    return _read_vectors(folder, stream, ("v_x", "v_y", "v_z"), "velocity", R_frd_sensor)
 
 
 def _read_vectors(
-    folder: _Folder, stream: str, columns: tuple[str, ...], R: FloatArray
+    folder: _Folder, stream: str, columns: tuple[str, ...], role: str, R: FloatArray
 ) -> WithProblems[VectorStream]:
-    table, problems = folder.table(stream, columns)
+    table, problems = folder.table(stream, columns, role)
     good = finite(table.values)
     problems += folder.dropped(good, stream, "a value that is not finite", table.t_ns)
     return WithProblems(VectorStream(table.t_ns[good], table.values[good] @ R.T), problems)
 
 
 def _read_range(folder: _Folder, stream: str) -> WithProblems[RangeStream]:
-    table, problems = folder.table(stream, ("distance",))
+    table, problems = folder.table(stream, ("distance",), "range")
     where = Where(folder.path / stream / "data.csv", f"{stream}/data.csv")
     distances, more = range_stream(table.t_ns, table.values[:, 0], where)
     return WithProblems(distances, problems + more)

@@ -17,11 +17,13 @@ from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.faults import Fault
 from fusion.estimator.frame_update import FrameSample, extract_features
 from fusion.estimator.imu_yaw import AttitudeSample
+from fusion.estimator.input_checks import checked_config
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.smoothed_table import hypotheses_table
 from fusion.estimator.state import State
 from fusion.estimator.tables import FRAME_DTYPE, Table
 from fusion.flight import Flight
+from fusion.offline.flight_checks import check_flight
 from fusion.offline.prefetch import prefetch_features, usable_cores
 from fusion.offline.stopwatch import Stopwatch, stopwatch
 from fusion.offline.summary import summarise
@@ -74,15 +76,13 @@ def fuse_flight(
     Raises
     ------
     InputError
-        If the method is unknown, the flight has no frames, a stream is not in order of time, or ``jobs`` is below
-        1.
+        If the method is unknown, the flight has no frames, a stream is not in order of time or has another shape,
+        ``jobs`` is below 1, or an argument has another type.
     """
     if jobs is not None and jobs < 1:
         raise InputError(f"jobs = {jobs}", remedy="give 1 or more, or None for one per core")
-    if not len(flight.frames.t_ns):
-        raise InputError("the flight has no camera frames", remedy="check mav0/cam0/data.csv of the log")
-    check_times(flight)
-    settings = _with_declared_values(config or FusionConfig(), flight)
+    check_flight(flight)
+    settings = _with_declared_values(checked_config(config), flight)
     tables = TableBuilder(settings, _row_kinds(flight))
     estimator = CorridorEstimator(settings, flight.camera, method, on_final=tables.take)
     threads = (jobs or min(usable_cores(), MAX_JOBS)) - 1
@@ -144,39 +144,6 @@ def _reduced_garbage_collection() -> Iterator[None]:
         gc.set_threshold(first, *others)
         if not frozen:
             gc.unfreeze()
-
-
-def check_times(flight: Flight) -> None:
-    """Reject a flight with a stream whose times are not ascending integers.
-
-    Raises
-    ------
-    InputError
-        With the stream and the first row out of order.
-    """
-    streams = {
-        "frames": flight.frames,
-        "imu": flight.imu,
-        "attitude": flight.attitude,
-        "velocity": flight.velocity,
-        "range": flight.range,
-    }
-    for name, stream in streams.items():
-        if stream is None:
-            continue
-        t_ns = np.asarray(stream.t_ns)
-        if t_ns.ndim != 1 or not np.issubdtype(t_ns.dtype, np.integer):
-            raise InputError(
-                f"flight.{name}.t_ns is {t_ns.dtype} of shape {t_ns.shape}",
-                remedy="give int64 nanoseconds (n,)",
-            )
-        back = np.flatnonzero(np.diff(t_ns) < 0)
-        if len(back):
-            row = int(back[0]) + 1
-            raise InputError(
-                f"flight.{name}.t_ns goes back in row {row}, from {t_ns[row - 1]} to {t_ns[row]}",
-                remedy="sort the stream by time",
-            )
 
 
 def _with_declared_values(config: FusionConfig, flight: Flight) -> FusionConfig:

@@ -39,4 +39,5 @@ def write_parquet(table: Table, path: Path, frame: Frame, facts: Mapping[str, st
             pa.field(name, array.type, nullable=name != "timestamp_ns", metadata=column_metadata(name, frame))
         )
     schema = pa.schema(fields, metadata=dict(facts))
-    pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path, compression="zstd")
+    with path.open("wb") as file:  # pyarrow opens no path that is not UTF-8
+        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), file, compression="zstd")

@@ -107,7 +107,7 @@ def _read_by_name(path: Path, names: tuple[str, ...], rows: Iterable[list[str]])
 
 
 def _read_by_time(path: Path) -> AttitudeFile:
-    table, problems = read_table(path, _BY_TIME, label=path.name)
+    table, problems = read_table(path, _BY_TIME, label=path.name, roles=("quaternion",))
     length = np.linalg.norm(table.values, axis=1)
     good = np.abs(length - 1.0) <= LENGTH_TOLERANCE  # NaN is rejected, too
     if not good.any():

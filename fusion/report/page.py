@@ -105,7 +105,7 @@ def render_report(result: FusionResult, flight: Flight, provenance: Mapping[str,
 def replace_text(path: str | Path, text: str) -> None:
     """Write the report completely, or leave an earlier one unchanged."""
     with replacing(Path(path)) as draft:
-        draft.write_text(text, encoding="utf-8")
+        draft.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def facts(result: FusionResult, flight: Flight) -> list[tuple[str, str, str]]:

@@ -24,14 +24,17 @@ _CHUNK_ROWS = 50_000
 
 
 def write_table(table: Table, path: str | Path) -> None:
-    """Write a structured array as CSV, a column per field, atomically.
+    """Write a structured array as CSV, a column per field, atomically; bytes of names that are not UTF-8 are escaped.
 
     Raises
     ------
     InputError
         If ``path`` is a folder or cannot be written.
     """
-    with replacing(Path(path)) as draft, draft.open("w", encoding="utf-8", newline="") as file:
+    with (
+        replacing(Path(path)) as draft,
+        draft.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file,
+    ):
         print_table(table, file)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fusion.logs import load_flight
+from fusion.logs import load_flight, open_log
 from fusion.logs.asl import read_ground_truth
 from tests.files import HALLWAY, OFFICE
 from tests.pictures import picture_paths
@@ -487,10 +487,94 @@ def test_windows_line_ends_and_no_header(folder: Folder) -> None:
     np.testing.assert_array_equal(flight.imu.gyro_rad_s, clean.imu.gyro_rad_s)
 
 
+def test_columns_in_the_order_that_the_header_names(folder: Folder) -> None:
+    clean = load_flight(folder.path)
+
+    def moved(*order: int) -> Callable[[list[str]], list[str]]:
+        return lambda rows: [",".join(row.split(",")[i] for i in order) for row in rows]
+
+    folder.edit("mav0/imu0/data.csv", moved(0, 4, 5, 6, 1, 2, 3))
+    folder.edit("mav0/attitude0/data.csv", moved(0, 2, 3, 4, 1))
+    flight = load_flight(folder.path)
+    assert flight.problems == ()
+    assert flight.imu is not None
+    assert clean.imu is not None
+    assert flight.attitude is not None
+    assert clean.attitude is not None
+    np.testing.assert_array_equal(flight.imu.gyro_rad_s, clean.imu.gyro_rad_s)
+    np.testing.assert_array_equal(flight.imu.accel_m_s2, clean.imu.accel_m_s2)
+    np.testing.assert_array_equal(flight.attitude.q_world_body, clean.attitude.q_world_body)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda row: '"' + row.replace(",", '","') + '"', lambda row: row.replace(",", ";").replace(".0", ",0")],
+    ids=["quotes", "decimal commas"],
+)
+def test_quotes_and_other_separators_in_every_file(folder: Folder, change: Callable[[str], str]) -> None:
+    clean = load_flight(folder.path)
+    for name in ("cam0", "imu0", "attitude0"):
+        folder.edit(f"mav0/{name}/data.csv", lambda rows: [rows[0], *(change(row) for row in rows[1:])])
+    flight = load_flight(folder.path)
+    assert flight.problems == ()
+    assert picture_paths(flight) == picture_paths(clean)
+    assert repr(flight) == repr(clean)
+    np.testing.assert_array_equal(
+        [topic.t_ns for topic in open_log(folder.path).topics if topic.name == "imu0"],
+        [np.array(times(40, 10_000_000))],
+    )
+
+
 def test_pictures_of_another_size(folder: Folder) -> None:
     folder.write("mav0/cam0/sensor.yaml", SENSOR.replace("[16, 12]", "[32, 24]"))
     with pytest.raises(
         InputError, match=r"\.png: picture is 16x12, the camera's 32x24 \(give the calibration"
+    ):
+        load_flight(folder.path)
+
+
+@pytest.mark.parametrize(
+    ("size", "words"),
+    [
+        ("[20, 12]", "cut out of the larger ones"),
+        ("[32, 24]", "rescale_calibration = true"),
+        ("[32, 18]", "cut out of the larger ones"),
+    ],
+)
+def test_the_remedy_for_another_size_is_that_of_a_cut_or_of_a_scaled_picture(
+    folder: Folder, size: str, words: str
+) -> None:
+    folder.write("mav0/cam0/sensor.yaml", SENSOR.replace("[16, 12]", size))
+    with pytest.raises(InputError, match="picture is 16x12") as caught:
+        load_flight(folder.path)
+    remedy = caught.value.remedy or ""
+    assert words in remedy
+    assert ("rescale_calibration" in remedy) == words.startswith("rescale")
+
+
+def test_pictures_with_a_few_pixels_cut_off_are_not_taken_for_scaled_ones(folder: Folder) -> None:
+    for path in (folder.path / "mav0/cam0/data").iterdir():
+        path.write_bytes(cv2.imencode(".png", np.full((479, 639), 99, np.uint8))[1].tobytes())
+    text = SENSOR.replace("[16, 12]", "[640, 480]").replace(
+        "[10.0, 10.0, 7.5, 5.5]", "[466, 466, 319.5, 239.5]"
+    )
+    folder.write("mav0/cam0/sensor.yaml", text)
+    with pytest.raises(
+        InputError, match=r"639x479.*first column and row .* write resolution: \[639, 479\]\)"
+    ):
+        load_flight(folder.path)
+    folder.write(
+        "mav0/cam0/sensor.yaml", text.replace("319.5, 239.5", "318.5, 238.5").replace("640, 480", "639, 479")
+    )
+    assert load_flight(folder.path).camera.width_px == 639
+
+
+@pytest.mark.parametrize(("focal", "name"), [("0.466, 0.466", "fx = 0.466"), ("10.0, 0.79", "fy = 0.79")])
+def test_a_focal_length_that_is_not_in_pixels(folder: Folder, focal: str, name: str) -> None:
+    folder.write("mav0/cam0/sensor.yaml", SENSOR.replace("10.0, 10.0", focal))
+    with pytest.raises(
+        InputError,
+        match=rf"sensor\.yaml: the focal length {name} is not in pixels of a picture 16 wide \(give pixels",
     ):
         load_flight(folder.path)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +24,10 @@ def rows(n: int, start: int = 0) -> list[str]:
     return [f"{T0 + i * STEP},{i}.25,-{i}.5" for i in range(start, start + n)]
 
 
-def read(path: Path, text: str, **options: bool) -> tuple[CsvTable, list[str]]:
+def read(path: Path, text: str, *, by_name: bool = False) -> tuple[CsvTable, list[str]]:
     path.mkdir(exist_ok=True)
     (path / "data.csv").write_bytes(text.encode())
-    table, problems = read_table(path / "data.csv", ("a", "b"), label="x0/data.csv", **options)
+    table, problems = read_table(path / "data.csv", ("a", "b"), label="x0/data.csv", by_name=by_name)
     return table, list(problems)
 
 
@@ -170,7 +171,7 @@ def test_parse_time(field: str, t_ns: int | None) -> None:
             r"rows of 4 columns instead of 3 \(the columns are timestamp, a, b",
         ),
         (lines(*[row.rsplit(",", 1)[0] for row in rows(5)]), "rows of 2 columns instead of 3"),
-        (lines(*[row.replace(",", ";") for row in rows(5)]), "rows of 1 column instead of 3"),
+        (lines(*[row.replace(",", ":") for row in rows(5)]), "rows of 1 column instead of 3"),
         (
             lines(*[f"{1.6e9 + i / 200},1,2" for i in range(5)]),
             "timestamp 1600000000.0 is not a whole number",
@@ -204,6 +205,112 @@ def test_columns_by_name(tmp_path: Path) -> None:
         read(tmp_path, text.replace("b [m]", "c [m]"), by_name=True)
     table, _ = read(tmp_path, lines(*rows(3)), by_name=True)
     assert table.values[1].tolist() == [1.25, -1.5]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text.replace(",", ";"),
+        lambda text: text.replace(",", ";").replace(".", ","),
+        lambda text: text.replace(",", "\t").replace(".", ","),
+        lambda text: text.replace(",", " ; "),
+        lambda text: text.replace("#timestamp [ns]", "#timestamp").replace(" [m]", "").replace(",", "  "),
+        lambda text: "".join(
+            ",".join(f'"{field}"' for field in line.split(",")) + "\n" for line in text.splitlines()
+        ),
+    ],
+    ids=["semicolons", "decimal commas", "tabs", "blanks and semicolons", "blanks", "quotes"],
+)
+@pytest.mark.parametrize("header", ["", HEADER])
+def test_separators_and_quotes(tmp_path: Path, change: Callable[[str], str], header: str) -> None:
+    table, problems = read(tmp_path, change(header + lines(*rows(9))))
+    assert problems == []
+    assert table.t_ns.tolist() == [T0 + i * STEP for i in range(9)]
+    assert table.values.tolist() == [[i + 0.25, -i - 0.5] for i in range(9)]
+
+
+IMU = ("gyro", "accel")
+IMU_COLUMNS = ("w_x", "w_y", "w_z", "a_x", "a_y", "a_z")
+
+
+def read_roles(
+    path: Path, names: str, values: str, roles: tuple[str, ...], columns: tuple[str, ...]
+) -> list[float]:
+    text = f"{names}\n" + lines(*(f"{T0 + i * STEP},{values}" for i in range(3)))
+    (path / "data.csv").write_text(text, encoding="utf-8")
+    table, problems = read_table(path / "data.csv", columns, label="x", roles=roles)
+    assert problems == ()
+    assert (table.values == table.values[0]).all()
+    row: list[float] = table.values[0].tolist()
+    return row
+
+
+@pytest.mark.parametrize(
+    ("names", "values"),
+    [
+        ("#timestamp [ns],w_x,w_y,w_z,a_x,a_y,a_z", "1,2,3,4,5,6"),
+        ("#timestamp [ns],a_x,a_y,a_z,w_x,w_y,w_z", "4,5,6,1,2,3"),
+        (
+            "#timestamp [ns],a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2],w_RS_S_x [rad s^-1],"
+            "w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]",
+            "4,5,6,1,2,3",
+        ),
+        ("timestamp,accel_z,accel_y,accel_x,gyro_z,gyro_y,gyro_x", "6,5,4,3,2,1"),
+        ("timestamp,temperature,gx,gy,gz,ax,ay,az,state", "9,1,2,3,4,5,6,idle"),
+        (
+            "#timestamp,w_x [mrad/s],w_y [mrad/s],w_z [mrad/s],a_x [cm/s^2],a_y [cm/s^2],a_z [cm/s^2]",
+            "1000,2000,3000,400,500,600",
+        ),
+        ("", "1,2,3,4,5,6"),
+        ("#timestamp,one,two,three,four,five,six", "1,2,3,4,5,6"),
+        ("#timestamp,w_x,w_y,w_z,four,five,six", "1,2,3,4,5,6"),
+        ("#timestamp,w_x,w_y,w_z", "1,2,3,4,5,6"),
+        ("#timestamp,w_x,w_y,w_z,w_x,w_y,w_z", "1,2,3,4,5,6"),
+    ],
+)
+def test_columns_by_the_names_in_the_header_or_else_by_their_order(
+    tmp_path: Path, names: str, values: str
+) -> None:
+    assert read_roles(tmp_path, names, values, IMU, IMU_COLUMNS) == pytest.approx([1, 2, 3, 4, 5, 6])
+
+
+@pytest.mark.parametrize(
+    ("names", "match"),
+    [
+        (
+            "#timestamp,a_x,a_y,a_z,u,v,w",
+            r"has a_x in column 2, but no column w_x, w_y, w_z \(name every column",
+        ),
+        ("#timestamp,a_x,a_y,a_z,w_x,w_y,w_y", "has w_x in column 5, but no column w_y, w_z"),
+        ("#timestamp,x,w_x,w_y,w_z,a_x,a_y", "has w_x in column 3, but no column a_z"),
+    ],
+)
+def test_a_header_that_contradicts_the_order(tmp_path: Path, names: str, match: str) -> None:
+    with pytest.raises(InputError, match=match) as caught:
+        read_roles(tmp_path, names, "1,2,3,4,5,6", IMU, IMU_COLUMNS)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("role", "names", "values", "expected"),
+    [
+        ("quaternion", "qx,qy,qz,qw", "1,2,3,4", [4, 1, 2, 3]),
+        ("quaternion", "q_RS_x [],q_RS_y [],q_RS_z [],q_RS_w []", "1,2,3,4", [4, 1, 2, 3]),
+        ("quaternion", "x,y,z,w", "1,2,3,4", [4, 1, 2, 3]),
+        ("quaternion", "qw,qx,qy,qz", "1,2,3,4", [1, 2, 3, 4]),
+        ("quaternion", "q0,q1,q2,q3", "1,2,3,4", [1, 2, 3, 4]),
+        ("position", "p_RS_R_z [m],p_RS_R_y [m],p_RS_R_x [m]", "1,2,3", [3, 2, 1]),
+        ("velocity", "yaw,vx [cm/s],vy [cm/s],vz [cm/s]", "0,100,200,300", [1, 2, 3]),
+        ("range", "quality,distance [cm]", "7,100", [1]),
+    ],
+)
+def test_every_stream_by_name(
+    tmp_path: Path, role: str, names: str, values: str, expected: list[float]
+) -> None:
+    columns = tuple(f"column{i}" for i in range(len(expected)))
+    assert read_roles(tmp_path, f"#timestamp [ns],{names}", values, (role,), columns) == pytest.approx(
+        expected
+    )
 
 
 def test_a_folder_in_place_of_the_file(tmp_path: Path) -> None:

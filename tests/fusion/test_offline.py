@@ -3,6 +3,7 @@ from __future__ import annotations
 import gc
 import json
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from math import degrees, radians
 from pathlib import Path
@@ -12,13 +13,14 @@ import numba
 import numpy as np
 import pytest
 
-from fusion import FusionConfig, FusionResult, fuse_flight, load_flight
+from fusion import FusionConfig, FusionResult, evaluate, fuse_flight, load_flight
 from fusion.estimator.tables import ESTIMATE_DTYPE, FRAME_DTYPE
 from fusion.flight import AttitudeStream, Flight, FrameStream, ImuStream
+from fusion.logs import open_log
 from fusion.logs.pictures.camera_folder import PictureFiles
 from fusion.offline.fuse import NEW_OBJECTS
 from fusion.offline.stopwatch import stopwatch
-from tests.files import HALLWAY
+from tests.files import HALLWAY, OFFICE
 from tests.pictures import picture_paths
 from vision.errors import InputError
 from vision.rotations import yaw_of
@@ -139,6 +141,87 @@ def test_any_number_of_threads_gives_the_same_bits(office: Flight, tmp_path: Pat
 def test_fewer_threads_than_one_are_refused(office: Flight) -> None:
     with pytest.raises(InputError, match=r"jobs = 0.*give 1 or more"):
         fuse_flight(office, jobs=0)
+
+
+def with_imu(flight: Flight, **changed: Any) -> Flight:
+    assert flight.imu is not None
+    return replace(flight, imu=replace(flight.imu, **changed))
+
+
+@pytest.mark.parametrize(
+    ("make", "match"),
+    [
+        (lambda flight: "flights/hall", r"flight is of type str \(give a Flight"),
+        (lambda flight: None, "flight is of type NoneType"),
+        (lambda flight: replace(flight, frames=None), "flight.frames is of type NoneType .*FrameStream"),
+        (
+            lambda flight: replace(flight, imu=flight.attitude),
+            "flight.imu is of type AttitudeStream .*ImuStream",
+        ),
+        (lambda flight: replace(flight, velocity=[1.0]), "flight.velocity is of type list"),
+        (lambda flight: replace(flight, truth={}), "flight.truth is of type dict"),
+        (lambda flight: replace(flight, camera="camera.yaml"), "camera"),
+        (lambda flight: with_imu(flight, t_ns=flight.imu.t_ns / 1e9), "flight.imu.t_ns is float64"),
+        (lambda flight: with_imu(flight, t_ns=flight.imu.t_ns[::-1]), "flight.imu.t_ns goes back in row 1"),
+        (
+            lambda flight: with_imu(flight, gyro_rad_s=flight.imu.gyro_rad_s[:-5]),
+            r"flight.imu.gyro_rad_s is float64 of shape \(2996, 3\) \(give a numpy array .* shape \(3001, 3\)",
+        ),
+        (
+            lambda flight: with_imu(flight, gyro_rad_s=flight.imu.gyro_rad_s.tolist()),
+            "flight.imu.gyro_rad_s is of type list .*numpy array",
+        ),
+        (lambda flight: with_imu(flight, accel_m_s2=None), "flight.imu.accel_m_s2 is of type NoneType"),
+        (
+            lambda flight: with_imu(flight, gyro_rad_s=flight.imu.gyro_rad_s.astype(str)),
+            "flight.imu.gyro_rad_s is <U",
+        ),
+        (
+            lambda flight: replace(
+                flight, attitude=AttitudeStream(flight.attitude.t_ns, flight.attitude.q_world_body[:, :3])
+            ),
+            "flight.attitude.q_world_body .*shape",
+        ),
+    ],
+)
+def test_a_flight_of_wrong_types_or_shapes_is_refused_in_one_line(
+    office: Flight, make: Callable[[Flight], Any], match: str
+) -> None:
+    with pytest.raises(InputError, match=match) as caught:
+        fuse_flight(make(office))
+    assert caught.value.remedy
+    assert "\n" not in str(caught.value)
+
+
+def test_other_arguments_of_wrong_types_are_refused_in_one_line(fused: FusionResult, office: Flight) -> None:
+    anything: Any = {"corridor_width_m": 2.2}
+    nothing: Any = None
+    for call, match in (
+        (lambda: fuse_flight(office, anything), r"config is of type dict \(give a FusionConfig"),
+        (lambda: fuse_flight(office, nothing or {}), "config is of type dict"),  # type: ignore[arg-type]
+        (lambda: load_flight(nothing), r"path is of type NoneType \(give a path"),
+        (lambda: load_flight(b"flight"), "path is of type bytes"),  # type: ignore[arg-type]
+        (lambda: load_flight(OFFICE, camera=anything), "camera is of type dict"),
+        (lambda: open_log(nothing), "path is of type NoneType"),
+        (lambda: evaluate(fused, office), r"table is of type FusionResult \(give .*result.estimates"),  # type: ignore[arg-type]
+        (lambda: evaluate(fused.estimates, office), r"truth is of type Flight \(give flight.truth"),  # type: ignore[arg-type]
+        (lambda: evaluate(fused.estimates, nothing), "truth is of type NoneType"),
+    ):
+        with pytest.raises(InputError, match=match) as caught:
+            call()
+        assert caught.value.remedy
+        assert "\n" not in str(caught.value)
+
+
+def test_a_table_without_the_columns_is_not_evaluated(fused: FusionResult, office: Flight) -> None:
+    assert office.truth is not None
+    for table, match in (
+        (fused.estimates[["timestamp_ns", "heading_rad"]], "table has no column heading_std_rad"),
+        (fused.estimates[["timestamp_ns", "heading_rad", "heading_std_rad"]], "no column status or accepted"),
+        (fused.estimates["heading_rad"], "table has no column heading_rad, heading_std_rad, timestamp_ns"),
+    ):
+        with pytest.raises(InputError, match=match):
+            evaluate(table, office.truth)
 
 
 @pytest.mark.parametrize("threshold", [(700, 10, 10), (0, 10, 10), (100_000, 5, 5)])

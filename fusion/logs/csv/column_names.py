@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from fusion.flight import Remark
+from fusion.flight import FloatArray, Remark
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap
 from fusion.logs.csv.table import Layout
 from fusion.logs.samples import Problems, WithProblems
+from fusion.logs.units import in_si
 from vision import InputError
 
 # {} stands for the axis. Names are compared in lower case, with underscores for dots and blanks, without units.
@@ -96,13 +98,57 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
 
     for role in _VECTORS:
         take(role, _axes(layout, role), ColumnMap.model_fields[f"{role}_unit"].default, role)
-    take(
-        "quaternion", [*([p.format(part) for part in "wxyz"] for p in _QUATERNIONS), _NUMBERED_QUATERNION], ""
-    )
+    take("quaternion", _patterns("quaternion", bare=False), "")
     if "quaternion" not in found:
         take("euler", [["roll", "pitch", "yaw"], ["roll", "pitch", "heading"]], "rad", "roll, pitch and yaw")
     take("range", [[name] for name in _RANGES], "m")
     return WithProblems(ColumnMap(**found) if found else None, problems)
+
+
+def named_columns(
+    names: Sequence[str], units: Sequence[str], roles: Sequence[str]
+) -> tuple[list[int | None], FloatArray]:
+    """Find the columns of some quantities in a header.
+
+    Parameters
+    ----------
+    names, units
+        Of the columns.
+    roles
+        Quantities such as ``gyro``, in order; a single one may have bare names of axes, such as ``x``.
+
+    Returns
+    -------
+    tuple of list and array
+        Index of each quantity's columns, in the order x, y, z or w, x, y, z, None if a column has no known name or
+        not alone; factors of their units to SI, 1 if none is given.
+    """
+    known = [_normal(name, unit) for name, unit in zip(names, units, strict=True)]
+    count = Counter(name for name, _ in known)
+    known = [(name if count[name] == 1 else "", unit) for name, unit in known]
+    places: list[int | None] = []
+    factors: list[float] = []
+    for role in roles:
+        found = max(_spellings(known, _patterns(role, bare=len(roles) == 1), role), key=_places_found)
+        places += found[1]
+        first = found[1][0]
+        unit = found[2] or ("" if first is None else _UNITS.get(role, {}).get(known[first][1], ""))
+        factors += [in_si(unit) if unit else 1.0] * len(found[1])
+    return places, np.array(factors)
+
+
+def _patterns(role: str, *, bare: bool) -> list[list[str]]:
+    """Return the possible names of a quantity's columns."""
+    if role == "range":
+        return [[name] for name in (*_RANGES, "distance")]
+    axes = "wxyz" if role == "quaternion" else "xyz"
+    known = _QUATERNIONS if role == "quaternion" else [p for p in _VECTORS[role].split() if p != "{}"]
+    patterns = [[pattern.format(axis) for axis in axes] for pattern in (*known, *(["{}"] if bare else []))]
+    return [*patterns, _NUMBERED_QUATERNION] if role == "quaternion" else patterns
+
+
+def _places_found(spelling: tuple[list[str], list[int | None], str]) -> int:
+    return sum(place is not None for place in spelling[1])
 
 
 def check_axes(layout: Layout) -> None:

@@ -48,12 +48,10 @@ def is_number(text: str) -> bool:
     return True
 
 
-def split_fields(line: str, separator: str, *, quoted: bool = True) -> list[str]:
+def split_fields(line: str, separator: str) -> list[str]:
     """Split a line into stripped fields; a blank as separator stands for any number of blanks."""
     if separator == " ":
         return line.split()
-    if not quoted:
-        return [field.strip() for field in line.split(separator)]
     return [field.strip() for field in next(csv.reader([line], delimiter=separator))]
 
 
@@ -182,15 +180,13 @@ class RowFormat:
     Parameters
     ----------
     separator
-        Between fields.
+        Between fields, which may be in double quotes.
     first, others
         Indices of the columns: one of times or names, and those of numbers.
     first_type
         Of the first: ``i8``, ``f8`` or ``O`` for text.
     width
         Required number of fields in a row; None for any number.
-    quoted
-        Whether a field may be in double quotes.
     keep_bad_fields
         If true, a field that is not a number becomes NaN and is recorded, and ``true``, ``false``, ``null`` and
         ``none`` are accepted; otherwise its whole row is dropped.
@@ -201,7 +197,6 @@ class RowFormat:
     others: tuple[int, ...]
     first_type: str = "i8"
     width: int | None = None
-    quoted: bool = True
     keep_bad_fields: bool = False
 
     @property
@@ -289,7 +284,7 @@ def _parse_fast(lines: list[str], fmt: RowFormat) -> npt.NDArray[np.void] | None
                 delimiter=fmt.separator,
                 usecols=None if takes_all else columns,
                 comments=None,
-                quotechar='"' if fmt.quoted else None,
+                quotechar='"',
                 ndmin=1,
             )
         except (ValueError, OverflowError, IndexError, Warning):
@@ -310,7 +305,7 @@ def _parse_slowly(lines: Sequence[str], fmt: RowFormat) -> _Part:
     bad_fields: list[tuple[int, str]] = []
     for number, line in enumerate(lines):
         try:
-            fields = split_fields(line, fmt.separator, quoted=fmt.quoted)
+            fields = split_fields(line, fmt.separator)
             if fmt.width is not None and len(fields) != fmt.width:
                 raise ValueError(line)
             first = convert(fields[fmt.first])

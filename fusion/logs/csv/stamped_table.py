@@ -1,20 +1,28 @@
-"""CSV files of a fixed form: integer nanoseconds, then numbers in a known order, as in ASL / EuRoC ``data.csv``.
+"""CSV files of a fixed form: integer nanoseconds, then known columns of numbers, as in ASL / EuRoC ``data.csv``.
 
-The files may be truncated, unsorted or damaged; damaged rows are dropped and reported.
+The columns are found by their names in the header, or else by their order. The files may be truncated, unsorted or
+damaged; damaged rows are dropped and reported.
 """
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from fusion.flight import FloatArray, TimeArray
+from fusion.logs.csv.column_names import named_columns
 from fusion.logs.csv.rows import RowFormat, is_number, is_row, read_blocks, read_head, read_rows
+from fusion.logs.csv.table import has_decimal_comma, name_and_unit
 from fusion.logs.samples import MIN_STEP_NS, NOT_NANOSECONDS, Problems, WithProblems, counted, in_order
 from vision import InputError
 
+#: A time at the start of a row, and the separator after it, if any.
+STAMP = re.compile(r'\s*"?([+-]?\d+)"? *([,;|\t]| (?=\S)|$)')
 _LOOKED_AT = 20  # first rows, which show whether the columns are the expected ones
 
 
@@ -36,11 +44,25 @@ class CsvTable:
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """Head of a file: the columns' names, if any, the number of lines before the rows, and the first rows."""
+    """Head of a file.
 
-    names: tuple[str, ...] | None
+    Parameters
+    ----------
+    names, units
+        Of the columns, from the header; empty if there is none.
+    lines
+        Number of lines before the rows.
+    separator
+        Between fields: the sign after the time.
+    sample
+        The first rows, split into fields.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
     lines: int
-    sample: tuple[str, ...]
+    separator: str
+    sample: tuple[tuple[str, ...], ...]
 
 
 def read_table(
@@ -50,21 +72,25 @@ def read_table(
     label: str,
     min_step_ns: int = MIN_STEP_NS,
     by_name: bool = False,
+    roles: Sequence[str] = (),
 ) -> WithProblems[CsvTable]:
     """Read ``timestamp, columns ...``; damaged rows are dropped.
 
     Parameters
     ----------
     path
-        The file; comment lines start with ``#``, and the first line may contain column names.
+        The file.
     columns
-        Names of the columns after the time, for messages.
+        Names of the columns after the time.
     label
         Name of the file in problems, such as ``imu0/data.csv``.
     min_step_ns
         A median time step below it means that the times are not nanoseconds.
     by_name
-        Find the columns by the names in the file's header, if it has one, instead of by their order.
+        Find the columns by exactly these names in the file's header, if it has one, instead of by their order.
+    roles
+        Quantities of the columns, such as ``gyro``, in their order: columns with names in common use are found by
+        them and converted to SI, and only these are returned.
 
     Raises
     ------
@@ -72,19 +98,22 @@ def read_table(
         If no usable rows are left, or the columns or times are not as expected.
     """
     head = read_table_head(path)
-    order: list[int] | None = None
+    places, factors = tuple(range(1, len(columns) + 1)), np.ones(len(columns))
     width = len(columns) + 1
-    if by_name and head.names is not None:
+    if head.names and by_name:
         missing = [name for name in columns if name not in head.names]
         if missing:
             raise InputError(
                 f"has no column {', '.join(missing)}", file=path, remedy="name it in the first line"
             )
-        order = [head.names.index(name) - 1 for name in columns]
+        places, width = tuple(head.names.index(name) for name in columns), len(head.names)
+    elif head.names and (found := _places_by_role(path, head, roles, columns)) is not None:
+        places, factors = found
         width = len(head.names)
     check_columns(path, head, width, ("timestamp", *columns))
-    fmt = RowFormat(",", 0, tuple(range(1, width)), width=width, quoted=False)
-    rows = read_rows(read_blocks(path, ",", skip_lines=head.lines), fmt)
+    fmt = RowFormat(head.separator, 0, places, width=width)
+    tidy = _with_decimal_points if has_decimal_comma(head.separator, head.sample) else None
+    rows = read_rows(read_blocks(path, head.separator, skip_lines=head.lines, tidy=tidy), fmt)
     if len(rows.first) == 0:
         raise InputError(
             f"has no row of {width} numbers", file=path, remedy="check that it is the right file"
@@ -97,8 +126,32 @@ def read_table(
         problems += (f"{label}: {what}, the first is {rows.first_damaged[:60]!r}",)
     t_ns = rows.first.astype("i8", copy=False)
     index, disorder = in_order(t_ns, label, min_step_ns, file=path)
-    values = rows.values[index] if order is None else rows.values[index][:, order]
-    return WithProblems(CsvTable(t_ns[index], values), problems + disorder)
+    return WithProblems(CsvTable(t_ns[index], rows.values[index] * factors), problems + disorder)
+
+
+def _with_decimal_points(text: str) -> str:
+    return text.replace(",", ".")
+
+
+def _places_by_role(
+    path: Path, head: Head, roles: Sequence[str], columns: Sequence[str]
+) -> tuple[tuple[int, ...], FloatArray] | None:
+    """Find the columns by the names in the header; None if it has no known name in another place than the usual."""
+    if 2 * sum(len(fields) != len(head.names) for fields in head.sample) > len(head.sample):
+        return None
+    found, factors = named_columns(("", *head.names[1:]), head.units, roles)
+    places = tuple(place for place in found if place is not None)
+    if places and len(places) == len(found):
+        return places, factors
+    moved = [place for usual, place in enumerate(found, 1) if place not in (None, usual)]
+    if moved:
+        missing = [name for name, place in zip(columns, found, strict=False) if place is None]
+        raise InputError(
+            f"has {head.names[moved[0]]} in column {moved[0] + 1}, but no column {', '.join(missing)}",
+            file=path,
+            remedy=f"name every column once in the first line, as in timestamp,{','.join(columns)}",
+        )
+    return None
 
 
 def read_table_head(path: Path) -> Head:
@@ -110,7 +163,7 @@ def read_table_head(path: Path) -> Head:
         If it cannot be read, or has no row.
     """
     lines = read_head(path)
-    names: tuple[str, ...] | None = None
+    titles: list[str] = []
     start, first = 0, True
     for number, line in enumerate(lines):
         if line and not line.isspace():
@@ -118,19 +171,33 @@ def read_table_head(path: Path) -> Head:
                 start = number
                 break
             first = False
-            if "," in line:  # names, not a remark; without units in brackets
-                names = tuple(re.sub(r"\s*\[.*", "", name).strip() for name in line.lstrip("# ").split(","))
+            titles.append(line.lstrip("# "))
     else:
         raise InputError(
             "has a header but no rows", file=path, remedy="the log is empty; take the folder away"
         )
-    rows = [line for line in lines[start:] if is_row(line)]
-    return Head(names, start, tuple(rows[:_LOOKED_AT]))
+    rows = [line for line in lines[start:] if is_row(line)][:_LOOKED_AT]
+    stamps = Counter(found[2] for row in rows if (found := STAMP.match(row)) and found[2])
+    separator = stamps.most_common(1)[0][0] if stamps else ","
+    title = next((line for line in reversed(titles) if separator in line.strip()), None)
+    named = [name_and_unit(name) for name in _fields(title, separator)] if title is not None else []
+    return Head(
+        tuple(name for name, _ in named),
+        tuple(unit for _, unit in named),
+        start,
+        separator,
+        tuple(tuple(_fields(row, separator)) for row in rows),
+    )
+
+
+def _fields(line: str, separator: str) -> list[str]:
+    fields = line.split() if separator == " " else line.split(separator)
+    return [field.strip().strip('"') for field in fields]
 
 
 def _has_column_names(line: str) -> bool:
     """Whether a first line contains column names: letters in place of the time."""
-    return re.match(r"\s*[A-Za-z_]", line) is not None and not is_number(line.split(",")[0])
+    return re.match(r'\s*"?#?\s*[A-Za-z_]', line) is not None and not is_number(re.split(r"[,;|\t]", line)[0])
 
 
 def check_columns(path: Path, head: Head, width: int, columns: Sequence[str]) -> None:
@@ -150,7 +217,7 @@ def check_columns(path: Path, head: Head, width: int, columns: Sequence[str]) ->
     InputError
         If most of the first rows have a wrong number of columns or no integer time.
     """
-    rows = [row.split(",") for row in head.sample]
+    rows = head.sample
     wrong = [len(fields) for fields in rows if len(fields) != width]
     if 2 * len(wrong) > len(rows):
         raise InputError(
@@ -158,7 +225,7 @@ def check_columns(path: Path, head: Head, width: int, columns: Sequence[str]) ->
             file=path,
             remedy=f"the columns are {', '.join(columns)}",
         )
-    times = [fields[0].strip() for fields in rows]
+    times = [fields[0] for fields in rows]
     floats = [t for t in times if is_number(t) and not re.fullmatch(r"[+-]?\d+", t) and t.lower() != "nan"]
     if 2 * len(floats) > len(rows):
         raise InputError(

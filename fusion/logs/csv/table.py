@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,14 +104,14 @@ class Layout:
 
     def find_column(self, name: str) -> int | None:
         """Return the index of a column by its name, ignoring case; None if there is no such column."""
-        plain = _plain(name)[0]
+        plain = name_and_unit(name)[0]
         for wanted, there in ((plain, self.names), (plain.lower(), [n.lower() for n in self.names])):
             if wanted and wanted in there:
                 return list(there).index(wanted)
         return None
 
 
-def _plain(name: str) -> tuple[str, str]:
+def name_and_unit(name: str) -> tuple[str, str]:
     """Split a column's name and the unit after it: ``gyro x [deg/s]``."""
     if len(name) > _MAX_NAME:
         return name.strip(), ""
@@ -162,7 +162,7 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
     sample = [tuple(split_fields(row, separator)) for row in rows[skipped:][:50]]
     if not sample:
         raise InputError("has a header but no rows", file=path, remedy="the log is empty; leave it out")
-    plain = [_plain(title) for title in titles]
+    plain = [name_and_unit(title) for title in titles]
     if has_units:
         plain = [(name, unit.strip("[]() ")) for (name, _), unit in zip(plain, units, strict=True)]
     return Layout(
@@ -172,10 +172,14 @@ def read_layout(path: Path, separator: str | None = None, header: bool | None = 
         tuple(unit for _, unit in plain),
         header_lines=lines.index(rows[0]) + skipped,
         keyed=False,
-        decimal_comma=separator != ","
-        and any(re.fullmatch(r"[+-]?\d+,\d+", f) for row in sample for f in row),
+        decimal_comma=has_decimal_comma(separator, sample),
         sample=tuple(sample),
     )
+
+
+def has_decimal_comma(separator: str, sample: Iterable[Iterable[str]]) -> bool:
+    """Whether numbers in the first rows have a decimal comma."""
+    return separator != "," and any(re.fullmatch(r"[+-]?\d+,\d+", f) for row in sample for f in row)
 
 
 def is_unit(field: str) -> bool:

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from fusion.files import check_name
 from fusion.flight import (
     AttitudeStream,
     CorridorTruth,
@@ -26,7 +27,7 @@ from fusion.flight import (
 from fusion.logs.contents import Kind, LogContents, Topic
 from fusion.logs.csv.column_map import ColumnMap
 from fusion.logs.csv.columns import CsvLog
-from fusion.logs.manifest.manifest import Manifest, StreamSource, corrected_camera
+from fusion.logs.manifest.manifest import Manifest, StreamSource, corrected_camera, files_of
 from fusion.logs.manifest.opening import (
     converted,
     medium_of,
@@ -34,7 +35,7 @@ from fusion.logs.manifest.opening import (
     open_as_declared,
     with_time_shift,
 )
-from fusion.logs.pictures.camera_folder import size_of_pictures
+from fusion.logs.pictures.camera_folder import check_focal_length, size_of_pictures
 from fusion.logs.plausibility.findings import Advice, Medium
 from fusion.logs.plausibility.imu import Gravity, gravity_of
 from fusion.logs.plausibility.mounting import mounted, mounted_imu
@@ -70,6 +71,8 @@ class ManifestLog(LogContents):
     """
 
     def __init__(self, manifest: Manifest, path: Path | None = None, camera: Camera | None = None) -> None:
+        for _, file in files_of(manifest):
+            check_name(file)
         self._described = path is not None
         self.path = path or manifest.log or manifest.camera.file or Path()
         self._shift_error: InputError | None = None
@@ -311,6 +314,13 @@ class ManifestLog(LogContents):
             camera = Camera.from_yaml(source.calibration, None if log is None else log.body_frame)
         if camera is None and log is not None:
             camera = log.camera(topic)
+        if camera is not None:
+            own = (
+                None
+                if log is None or self._given_camera is not None
+                else log.calibration_file(topic) or log.path
+            )
+            check_focal_length(camera, source.calibration or own)
         return camera
 
     def imu(self, topic: str) -> WithProblems[ImuStream]:

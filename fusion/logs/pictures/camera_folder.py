@@ -30,6 +30,12 @@ PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".pgm", ".ppm", "
 
 _TRIES = 5
 _SAMPLED, _MIN_CONTRAST, _MAX_BLACK = 5, 2.0, 16.0
+_CUT = 0.05  # pictures whose size differs by less were cut or padded, not scaled
+_REMEDY_OF_CUT = (
+    "give the calibration of these pictures; where they were cut out of the larger ones, subtract the first column "
+    "and row from cx and cy, and write resolution: [{}, {}]"
+)
+_MIN_FOCAL = 0.05  # of the picture's width; that of the widest fisheye is about a quarter
 MAX_FRAME_NUMBER, MAX_FRAME_STEP = 10**8, 10  # larger numbers may be times
 
 
@@ -92,11 +98,11 @@ def _read_list(path: Path, label: str) -> WithProblems[_TimesAndNames]:
     names: list[str] = []
     broken: list[str] = []
     problems: Problems = ()
-    for rows, cut in read_blocks(path, ",", skip_lines=head.lines):
+    for rows, cut in read_blocks(path, head.separator, skip_lines=head.lines):
         for row in rows:
-            time, _, name = row.partition(",")
-            t_ns, name = parse_time(time.strip()), name.strip()
-            if t_ns is not None and name and "," not in name:
+            time, _, name = (part.strip().strip('"') for part in row.partition(head.separator))
+            t_ns = parse_time(time)
+            if t_ns is not None and name and head.separator not in name:
                 times.append(t_ns)
                 names.append(name)
             else:
@@ -184,8 +190,22 @@ def check_size(frames: FrameStream, camera: Camera, file: Path | None = None) ->
     except InputError as error:
         if not camera.is_scaled_to(*size):
             raise
+        if abs(size[0] / camera.width_px - 1.0) < _CUT:
+            raise InputError(error.problem, file=first, remedy=_REMEDY_OF_CUT.format(*size)) from error
         remedy = f"{error.remedy}; rescale_calibration = true for [camera] in flight.toml does that"
         raise InputError(error.problem, file=first, remedy=remedy) from error
+
+
+def check_focal_length(camera: Camera, file: Path | None) -> None:
+    """Raise `InputError` if the camera's focal length cannot be in pixels; ``file`` is its calibration."""
+    for name, focal_px in (("fx", camera.fx_px), ("fy", camera.fy_px)):
+        if focal_px < _MIN_FOCAL * camera.width_px:
+            raise InputError(
+                f"the focal length {name} = {focal_px:g} is not in pixels of a picture {camera.width_px} wide",
+                file=file,
+                remedy=f"give pixels: a share of the width times {camera.width_px}, or millimetres times "
+                f"{camera.width_px} over the sensor's width in millimetres",
+            )
 
 
 def size_of_pictures(frames: FrameStream) -> tuple[int, int] | None:
