@@ -22,7 +22,7 @@ from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.lateral import offset_model
 from fusion.estimator.lateral_status import LateralStatus, readout
 from fusion.estimator.models import PSI
-from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, Mode
+from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, ImuSample, Mode
 from fusion.estimator.range_width import RangeSample
 from fusion.estimator.resets import Resets
 from fusion.estimator.sample_times import seconds_since
@@ -157,7 +157,7 @@ class ArrivalTimes(Protocol):
     """Latencies and clock checks of live samples: `fusion.estimator.arrivals.Arrivals`. Not used for logs."""
 
     def latency_ns(self, kind: type[Sample]) -> int:
-        """Usual delay of a source's samples behind the IMU's clock, nanoseconds."""
+        """Usual delay of a source's samples behind the newest stamp, nanoseconds."""
 
     def notices(self) -> Iterator[Notice]:
         """Report wrong clocks."""
@@ -260,7 +260,7 @@ def _sensor_notices(
         yield wrong
     yield from state.checks.installation.notices(state.tilt.down, config.gyro_scale_std)
     found = (
-        (Fault.GYRO_SILENT, reckoning.gyro_silence(t_ns, config)),
+        (Fault.GYRO_SILENT, reckoning.gyro_silence(due_ns(ImuSample), config)),
         (Fault.ATTITUDE_SILENT, reckoning.attitude_silence(due_ns(AttitudeSample), config)),
         (Fault.VELOCITY_SILENT, state.velocity.silence(due_ns(VelocitySample), config)),
         (Fault.RANGE_SILENT, state.width.silence(due_ns(RangeSample), config)),
