@@ -502,5 +502,6 @@ class Engine:
         lateral = s.lateral.without_offset()
         crossing = junctions.Crossing(corrects_heading, lateral.n_used)
         axis = junctions.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
+        axis = axis._replace(corridor_turn_rad=wrap(axis.corridor_turn_rad))  # the vehicle may have spun
         width = s.width.corridor_changed()
         return s._replace(axis=axis, imu_yaw=imu_yaw, lateral=lateral, width=width, x=ekf.x, P=ekf.P)

@@ -76,7 +76,8 @@ class Estimate:
     imu_yaw_offset_rad
         The IMU's yaw minus the heading in the first corridor's frame.
     corridor_index, corridor_turn_rad
-        0 for the first corridor; angle from the first corridor's axis to the present one's, positive right.
+        0 for the first corridor; angle from the first corridor's axis to the present one's, positive right, in
+        [-pi, pi).
     status, vision_age_s
         A `Status`; time since the last frame that was used or the last seeded heading.
     reason
@@ -259,6 +260,8 @@ def _sensor_notices(
     if (wrong := state.checks.gyro.notice(t_ns)) is not None:
         yield wrong
     yield from state.checks.installation.notices(state.tilt.down, config.gyro_scale_std)
+    if (narrow := state.width.notice(config)) is not None:
+        yield narrow
     found = (
         (Fault.GYRO_SILENT, reckoning.gyro_silence(due_ns(ImuSample), config)),
         (Fault.ATTITUDE_SILENT, reckoning.attitude_silence(due_ns(AttitudeSample), config)),
