@@ -127,6 +127,7 @@ class Arrivals:
         self._others_came = True  # since the clock's last sample
         self._first = (0, 0)  # stamp and tick of the clock's first sample
         self._waiting: list[Sample] = []
+        self.refused: dict[type[Sample], tuple[str, int]] = {}  # impossible values: fault, number in a row
         self._released: list[Sample] = []
         self.frames = FrameStamps()
 

@@ -35,6 +35,15 @@ if TYPE_CHECKING:
 
 
 MAX_REJECTED_SHARE = 0.5  # of the frames of the last half second; beyond it the heading is coasting
+REFUSED_SAMPLES = 20  # impossible values in a row before a source is reported that was never used
+REFUSED = {
+    "imu_not_finite": "gyroscope is not finite",
+    "attitude_not_unit": "attitude is no unit quaternion",
+    "velocity_not_finite": "velocity is not finite",
+    "velocity_out_of_range": "velocity is out of range: give m/s",
+    "range_out_of_range": "range is out of range: give metres",
+    "range_not_positive": "range is not positive",
+}
 CONTESTED = {
     Hypothesis.WELL: "contested: the frames' headings are biased against the prediction",
     Hypothesis.GYRO: "contested: frames drift against the gyroscope",
@@ -157,6 +166,8 @@ class Estimate:
 class ArrivalTimes(Protocol):
     """Latencies and clock checks of live samples: `fusion.estimator.arrivals.Arrivals`. Not used for logs."""
 
+    refused: dict[type[Sample], tuple[str, int]]  # samples with impossible values: fault, and number in a row
+
     def latency_ns(self, kind: type[Sample]) -> int:
         """Usual delay of a source's samples behind the newest stamp, nanoseconds."""
 
@@ -262,13 +273,20 @@ def _sensor_notices(
     yield from state.checks.installation.notices(state.tilt.down, config.gyro_scale_std)
     if (narrow := state.width.notice(config)) is not None:
         yield narrow
-    found = (
-        (Fault.GYRO_SILENT, reckoning.gyro_silence(due_ns(ImuSample), config)),
-        (Fault.ATTITUDE_SILENT, reckoning.attitude_silence(due_ns(AttitudeSample), config)),
-        (Fault.VELOCITY_SILENT, state.velocity.silence(due_ns(VelocitySample), config)),
-        (Fault.RANGE_SILENT, state.width.silence(due_ns(RangeSample), config)),
+    found: tuple[tuple[Fault, type[Sample], str], ...] = (
+        (Fault.GYRO_SILENT, ImuSample, reckoning.gyro_silence(due_ns(ImuSample), config)),
+        (
+            Fault.ATTITUDE_SILENT,
+            AttitudeSample,
+            reckoning.attitude_silence(due_ns(AttitudeSample), config),
+        ),
+        (Fault.VELOCITY_SILENT, VelocitySample, state.velocity.silence(due_ns(VelocitySample), config)),
+        (Fault.RANGE_SILENT, RangeSample, state.width.silence(due_ns(RangeSample), config)),
     )
-    yield from (Notice(fault, text) for fault, text in found if text)
+    for fault, kind, text in found:
+        cause, count = ("", 0) if arrivals is None else arrivals.refused.get(kind, ("", 0))
+        if text or count >= REFUSED_SAMPLES:
+            yield Notice(fault, REFUSED.get(cause, text))
 
 
 def estimate_of(
