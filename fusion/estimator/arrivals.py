@@ -8,10 +8,9 @@ sample can be measured in the future, so:
 - a sample that is never confirmed is dropped and counted (``frame_ahead``).
 
 The usual delay of a source behind the newest stamp of all is its latency, a low-pass filtered mean; it is added to
-the time after which the source counts as silent. That of the reference clock is taken when it arrives after samples of
-other sources: if its samples come in bursts, at the first of each. A lasting step of the frames' delay behind the
-reference clock means that the camera's clock or the transport delay has changed; the next turn decides between the two
-(`FrameStamps`).
+the time after which the source counts as silent. For the reference clock, only samples that follow one of another
+source count: the first of each burst. A lasting step of the frames' delay behind the reference clock means that the
+camera's clock or the transport delay has changed; the next turn decides between the two (`FrameStamps`).
 """
 
 from __future__ import annotations

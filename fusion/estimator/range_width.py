@@ -3,9 +3,10 @@
 A frame measures the corridor's width per height of the camera above the floor. A downward range sensor measures that
 height as ``h = d cos(roll) cos(pitch)``. Their product is constant along a corridor at any height. Medians reject
 outliers: of the last `HEIGHTS` heights for single wrong readings, and of the last `WIDTHS` widths for a table or a
-step below. There is no width if the interquartile range of the widths exceeds `AGREEING_SPREAD` of the median, or if the
-newest ones are larger than it: the vehicle has probably left a table, over which it started. Widths below `WIDTH_M` are
-those of a table close below, or of a sensor that is stuck at its minimum; they are not used, and reported if they last.
+step below. There is no width if the interquartile range of the widths exceeds `AGREEING_SPREAD` of the median, or if
+the newest ones are larger than it: the vehicle has probably left a table, over which it started. Widths below
+`WIDTH_M` are those of a table close below, or of a sensor that is stuck at its minimum; they are not used, and
+reported if they last.
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ WIDTH_STEP_S = 0.1
 WIDTHS = 61  # at least WIDTH_STEP_S apart: 6 s; an obstacle below must last for less than half of that
 MIN_WIDTHS = 8
 AGREEING_SPREAD = 0.25  # largest interquartile range of the widths, over their median
-WIDTH_M = (1.0, 50.0)  # the lower bound is 4 sigma from `fusion.estimator.lateral_offset`'s prior on half widths
+WIDTH_M = (
+    1.0,
+    50.0,
+)  # the lower bound is 4 sigma from `fusion.estimator.lateral_offset`'s prior on half widths
 GROWN = 1.125  # newest widths over the median; an object below the vehicle only shortens the range
 WIDTH_MEMORY_FRAMES = 100
 

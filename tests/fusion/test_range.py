@@ -175,7 +175,9 @@ def test_what_is_no_distance_is_counted(distance: float, counted: str) -> None:
     assert ("metres" in "; ".join(_sample_problems(estimator))) == (counted == "range_out_of_range")
 
 
-def metres_m(flown: list[tuple[str, int, tuple[Any, ...]]]) -> tuple[CorridorEstimator, list[tuple[float, float, Fault]]]:
+def metres_m(
+    flown: list[tuple[str, int, tuple[Any, ...]]],
+) -> tuple[CorridorEstimator, list[tuple[float, float, Fault]]]:
     """Times, widths in use (NaN if unknown) and faults after each frame."""
     estimator, found = CorridorEstimator(FusionConfig()), []
     for kind, t_ns, values in flown:
