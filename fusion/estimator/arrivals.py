@@ -7,9 +7,10 @@ sample can be measured in the future, so:
 - a sample of the reference source far ahead of its last one is held back until the next one confirms it;
 - a sample that is never confirmed is dropped and counted (``frame_ahead``).
 
-The usual delay of a source behind the reference clock is its latency, a low-pass filtered mean; it is added to the
-time after which the source counts as silent. A lasting step of the frames' latency means that the camera's clock or
-the transport delay has changed; the next turn decides between the two (`FrameStamps`).
+The usual delay of a source behind the newest stamp of all is its latency, a low-pass filtered mean; it is added to
+the time after which the source counts as silent. For the reference clock, only samples that follow one of another
+source count: the first of each burst. A lasting step of the frames' delay behind the reference clock means that the
+camera's clock or the transport delay has changed; the next turn decides between the two (`FrameStamps`).
 """
 
 from __future__ import annotations
@@ -122,8 +123,10 @@ class Arrivals:
         self._sources = {kind: _Source(kind) for kind in SOURCES}
         self._clock: _Source | None = None
         self._tick = 0
+        self._others_came = True  # since the clock's last sample
         self._first = (0, 0)  # stamp and tick of the clock's first sample
         self._waiting: list[Sample] = []
+        self.refused: dict[type[Sample], tuple[str, int]] = {}  # impossible values: fault, number in a row
         self._released: list[Sample] = []
         self.frames = FrameStamps()
 
@@ -140,21 +143,21 @@ class Arrivals:
         source, t_ns, clock = self._sources[type(sample)], sample.t_ns, self._clock
         if newest_ns is None or clock is None:
             self._follow(source, t_ns)
-            return self._take(source, t_ns)
+            return self._take(source, t_ns, t_ns if newest_ns is None else newest_ns)
         if source is clock and newest_ns - self.buffer_ns <= t_ns <= clock.last_ns + self.buffer_ns:
-            return self._take(source, t_ns)  # the usual case
+            return self._take(source, t_ns, newest_ns)  # the usual case
         orders = source is clock or source.rank < clock.rank or self._replaces_dead_clock(source, t_ns, clock)
         if t_ns < newest_ns - self.buffer_ns:
             return self._late(source, sample, newest_ns, orders)
         if not orders:
             if t_ns > clock.last_ns + self._reach_ns(clock):
                 return self._wait(source, sample, (t_ns - clock.last_ns) * 1e-9)
-            return self._take(source, t_ns)
+            return self._take(source, t_ns, newest_ns)
         latest_ns = clock.last_ns if source is clock else newest_ns
         if t_ns > latest_ns + self._reach_ns(source):
             return self._ahead_of_its_own(source, sample)
         self._follow(source, t_ns)
-        return self._take(source, t_ns)
+        return self._take(source, t_ns, newest_ns)
 
     def released(self) -> list[Sample]:
         """Return the samples that a decision has released, in order of time."""
@@ -162,7 +165,7 @@ class Arrivals:
         return released
 
     def latency_ns(self, kind: type[Sample]) -> int:
-        """Return the usual delay of a source's samples behind the reference clock."""
+        """Return the usual delay of a source's samples behind the newest stamp."""
         return round(self._sources[kind].latency_s * 1e9)
 
     def notices(self) -> Iterator[Notice]:
@@ -193,7 +196,8 @@ class Arrivals:
     def _follow(self, source: _Source, t_ns: int) -> None:
         """Make a source the reference clock, from this stamp on if it was not."""
         if source is not self._clock:
-            self._clock, self._first = source, (t_ns, self._tick)
+            self._clock, self._first, self._others_came = source, (t_ns, self._tick), True
+            self.frames.clock_changed()
 
     def _reach_ns(self, source: _Source) -> float:
         """Return the largest accepted step of a source's stamps."""
@@ -208,26 +212,33 @@ class Arrivals:
             return False
         longest = 2.5 * source.interval_ns or 0.25 * self.buffer_ns  # a single stamp far ahead must not count
         source.progress_ns += min(max(t_ns - source.last_ns, 0), longest)
-        return source.progress_ns > 0.5 * self._reach_ns(clock)
+        return source.progress_ns > 0.5 * self._reach_ns(clock) + 1e9 * clock.latency_s
 
-    def _take(self, source: _Source, t_ns: int) -> Admission:
+    def _take(self, source: _Source, t_ns: int, newest_ns: int) -> Admission:
         clock = self._clock
         if source is clock:
             self._tick += 1
+            if self._others_came:
+                self._note_latency(source, newest_ns - t_ns)
+                self._others_came = False
             if source.suspect is not None:
                 self._forget_suspect(source)
-        elif clock is not None and source.progress_ns == 0.0:  # a clock sample arrived since the last one
-            lag_s = (clock.last_ns - t_ns) * 1e-9
-            memory = LATENCY_MEMORY if source.has_samples else 1.0
-            source.latency_s += memory * (max(lag_s, 0.0) - source.latency_s)
-            if source.name == "frame":
-                self.frames.arrived(t_ns, lag_s)
+        else:
+            self._others_came = True
+            if clock is not None and source.progress_ns == 0.0:  # a clock sample arrived since the last one
+                self._note_latency(source, newest_ns - t_ns)
+                if source.name == "frame":
+                    self.frames.arrived(t_ns, (clock.last_ns - t_ns) * 1e-9)
         self._note(source, t_ns)
         if source.off:
             source.off = 0
             self._drop(s for s in self._waiting if type(s) is source.kind)
             self._waiting = [s for s in self._waiting if type(s) is not source.kind]
         return TAKE
+
+    def _note_latency(self, source: _Source, lag_ns: int) -> None:
+        memory = LATENCY_MEMORY if source.has_samples else 1.0
+        source.latency_s += memory * (max(lag_ns * 1e-9, 0.0) - source.latency_s)
 
     def _note(self, source: _Source, t_ns: int) -> None:
         known, step_ns = source.interval_ns, t_ns - source.last_ns
@@ -306,15 +317,19 @@ class FrameStamps:
     """
 
     def __init__(self) -> None:
-        self._usual_s = nan
         self._recent: deque[float] = deque(maxlen=RECENT_FRAMES)
         self._seen: deque[tuple[int, float, float]] = (
             deque()
         )  # time; heading less the gyroscope's, as is and shifted
         self._log_odds = 0.0  # that the stamps are right
-        self.shift_s = 0.0
         self.moved_ns = 0
         self._moved_at_ns: int | None = None
+        self.clock_changed()
+
+    def clock_changed(self) -> None:
+        """Forget the latencies behind another clock than the present one."""
+        self._usual_s, self.shift_s = nan, 0.0
+        self._recent.clear()
 
     def notice(self, clock: str) -> Iterator[Notice]:
         """Report a step of the stamps against a clock, undecided or within the last second."""

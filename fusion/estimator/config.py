@@ -27,7 +27,7 @@ class FusionConfig(Settings):
 
     corridor_width_m: float | None = Field(
         default=None,
-        gt=0.2,
+        ge=0.2,
         le=100,
         description="Corridor width, wall to wall. If neither it, camera_height_m nor a range sensor is given, "
         "offsets are in half widths.",

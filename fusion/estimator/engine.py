@@ -67,6 +67,7 @@ from fusion.estimator.propagation import (
     ImuSample,
     Mode,
     Propagation,
+    with_vision,
 )
 from fusion.estimator.range_width import RangeSample, Width
 from fusion.estimator.records import new_record
@@ -165,7 +166,10 @@ class Engine:
             case RangeSample():
                 state = state._replace(width=state.width.with_range(sample, state.tilt.down[2]))
             case FrameSample():
+                axis = state.axis
                 state, frame = self._frame(state, sample)
+                if state.axis.t_vision_ns != axis.t_vision_ns:
+                    state = state._replace(reckoning=with_vision(state.reckoning))
             case HeadingSeed():
                 state = self._seeded(state, sample)
             case WidthChange():
@@ -308,7 +312,8 @@ class Engine:
         if turn_rad > self.config.junction_min_turn_rad:  # facing the other way, or along another corridor
             s = s._replace(lateral=s.lateral.without_offset())
         axis = seed_heading(s.axis, self.ekf, seed, s.reckoning.theta_rad, s.imu_yaw.corrects_heading)
-        return s._replace(axis=axis, imu_yaw=s.imu_yaw.axis_changed(), x=self.ekf.x, P=self.ekf.P)
+        d, x, P = with_vision(s.reckoning), self.ekf.x, self.ekf.P
+        return s._replace(axis=axis, reckoning=d, imu_yaw=s.imu_yaw.axis_changed(), x=x, P=P)
 
     def _with_set_width(self, s: State, sample: WidthChange) -> State:
         s = self._propagated_to(s, sample.t_ns, s.frames)
@@ -502,5 +507,6 @@ class Engine:
         lateral = s.lateral.without_offset()
         crossing = junctions.Crossing(corrects_heading, lateral.n_used)
         axis = junctions.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
+        axis = axis._replace(corridor_turn_rad=wrap(axis.corridor_turn_rad))  # the vehicle may have spun
         width = s.width.corridor_changed()
         return s._replace(axis=axis, imu_yaw=imu_yaw, lateral=lateral, width=width, x=ekf.x, P=ekf.P)

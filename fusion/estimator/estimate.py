@@ -22,7 +22,7 @@ from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.lateral import offset_model
 from fusion.estimator.lateral_status import LateralStatus, readout
 from fusion.estimator.models import PSI
-from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, Mode
+from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, ImuSample, Mode
 from fusion.estimator.range_width import RangeSample
 from fusion.estimator.resets import Resets
 from fusion.estimator.sample_times import seconds_since
@@ -35,6 +35,15 @@ if TYPE_CHECKING:
 
 
 MAX_REJECTED_SHARE = 0.5  # of the frames of the last half second; beyond it the heading is coasting
+REFUSED_SAMPLES = 20  # impossible values in a row before a source is reported that was never used
+REFUSED = {
+    "imu_not_finite": "gyroscope is not finite",
+    "attitude_not_unit": "attitude is no unit quaternion",
+    "velocity_not_finite": "velocity is not finite",
+    "velocity_out_of_range": "velocity is out of range: give m/s",
+    "range_out_of_range": "range is out of range: give metres",
+    "range_not_positive": "range is not positive",
+}
 CONTESTED = {
     Hypothesis.WELL: "contested: the frames' headings are biased against the prediction",
     Hypothesis.GYRO: "contested: frames drift against the gyroscope",
@@ -76,7 +85,8 @@ class Estimate:
     imu_yaw_offset_rad
         The IMU's yaw minus the heading in the first corridor's frame.
     corridor_index, corridor_turn_rad
-        0 for the first corridor; angle from the first corridor's axis to the present one's, positive right.
+        0 for the first corridor; angle from the first corridor's axis to the present one's, positive right, in
+        [-pi, pi).
     status, vision_age_s
         A `Status`; time since the last frame that was used or the last seeded heading.
     reason
@@ -156,8 +166,10 @@ class Estimate:
 class ArrivalTimes(Protocol):
     """Latencies and clock checks of live samples: `fusion.estimator.arrivals.Arrivals`. Not used for logs."""
 
+    refused: dict[type[Sample], tuple[str, int]]  # samples with impossible values: fault, and number in a row
+
     def latency_ns(self, kind: type[Sample]) -> int:
-        """Usual delay of a source's samples behind the IMU's clock, nanoseconds."""
+        """Usual delay of a source's samples behind the newest stamp, nanoseconds."""
 
     def notices(self) -> Iterator[Notice]:
         """Report wrong clocks."""
@@ -259,13 +271,22 @@ def _sensor_notices(
     if (wrong := state.checks.gyro.notice(t_ns)) is not None:
         yield wrong
     yield from state.checks.installation.notices(state.tilt.down, config.gyro_scale_std)
-    found = (
-        (Fault.GYRO_SILENT, reckoning.gyro_silence(t_ns, config)),
-        (Fault.ATTITUDE_SILENT, reckoning.attitude_silence(due_ns(AttitudeSample), config)),
-        (Fault.VELOCITY_SILENT, state.velocity.silence(due_ns(VelocitySample), config)),
-        (Fault.RANGE_SILENT, state.width.silence(due_ns(RangeSample), config)),
+    if (narrow := state.width.notice(config)) is not None:
+        yield narrow
+    found: tuple[tuple[Fault, type[Sample], str], ...] = (
+        (Fault.GYRO_SILENT, ImuSample, reckoning.gyro_silence(due_ns(ImuSample), config)),
+        (
+            Fault.ATTITUDE_SILENT,
+            AttitudeSample,
+            reckoning.attitude_silence(due_ns(AttitudeSample), config),
+        ),
+        (Fault.VELOCITY_SILENT, VelocitySample, state.velocity.silence(due_ns(VelocitySample), config)),
+        (Fault.RANGE_SILENT, RangeSample, state.width.silence(due_ns(RangeSample), config)),
     )
-    yield from (Notice(fault, text) for fault, text in found if text)
+    for fault, kind, text in found:
+        cause, count = ("", 0) if arrivals is None else arrivals.refused.get(kind, ("", 0))
+        if text or count >= REFUSED_SAMPLES:
+            yield Notice(fault, REFUSED.get(cause, text))
 
 
 def estimate_of(

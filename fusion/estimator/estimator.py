@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 
 CLOCK_RESET_SAMPLES = 50
 MAX_BEHIND_S = 1.0  # largest lag of the caller's clock behind the newest sample
+MAX_SILENCE_S = 600.0  # largest lead of the caller's clock: sensors that fall silent are missed long before
 MAX_AHEAD_NS = 500_000_000  # longest prediction: beyond it the last rate is no longer valid
 
 __all__ = ["CorridorEstimator", "Estimate", "FrameResult", "Status"]
@@ -150,7 +151,11 @@ class CorridorEstimator:
         """
         if fault := sample.fault():
             self.counters[fault] += 1
+            refused = self._arrivals.refused
+            refused[type(sample)] = (fault, refused.get(type(sample), ("", 0))[1] + 1)
             return None
+        if self._arrivals.refused:
+            self._arrivals.refused.pop(type(sample), None)
         timeline = self._timeline
         admission = self._arrivals.admit(sample, timeline.newest_ns)
         if admission is TAKE:
@@ -514,8 +519,8 @@ class CorridorEstimator:
         now_ns
             The present time on the sensors' clock, integer nanoseconds: status and ages then also show sources that
             have fallen silent since the newest sample. None: the time of the newest sample. ``timestamp_ns`` remains
-            that of the newest sample, or ``at_ns``. A time more than 1 s before the newest sample is taken for that
-            of another clock or unit, and reported in ``reason``.
+            that of the newest sample, or ``at_ns``. A time more than 1 s before the newest sample, or 600 s after
+            it, is taken for that of another clock or unit, and reported in ``reason``.
         at_ns
             Time to predict to, integer nanoseconds, for instance the time at which the actuators act. Heading and
             lateral offset are propagated with their last rates; sigmas grow by the process noise and by the possible
@@ -541,10 +546,10 @@ class CorridorEstimator:
         newest = estimate_of(state, self.config, judged_ns, self._arrivals, self._resets)
         if state.t_ns is not None:
             newest = replace(newest, timestamp_ns=state.t_ns)
-        if behind_s > MAX_BEHIND_S:
-            message = (
-                f"now_ns is {behind_s:.0f} s before the newest sample: give nanoseconds of the samples' clock"
-            )
+        if not -MAX_SILENCE_S <= behind_s <= MAX_BEHIND_S:
+            sense = "before" if behind_s > 0.0 else "after"
+            remedy = "give nanoseconds of the samples' clock"
+            message = f"now_ns is {abs(behind_s):.0f} s {sense} the newest sample: {remedy}"
             reason = f"{newest.reason}; {message}" if newest.reason else message
             newest = replace(newest, reason=reason, faults=newest.faults | Fault.IMU_CLOCK)
         if newest.reason and self.last_frame is not None and self.last_frame.cause:

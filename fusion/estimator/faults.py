@@ -40,6 +40,7 @@ class Fault(IntFlag):
     # The axis moves up and down as the vehicle rolls: the camera's yaw or principal point differs from the
     # calibration.
     CAMERA_YAW = 1 << 24
+    RANGE_TOO_SHORT = 1 << 25  # ranges give a corridor narrower than 1 m: not used
 
 
 class Notice(NamedTuple):

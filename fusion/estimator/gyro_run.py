@@ -23,7 +23,14 @@ from fusion.estimator.lateral_kernels import extended_path
 from fusion.estimator.lateral_offset import Acceleration, OffsetState, Path
 from fusion.estimator.lateral_status import Lateral
 from fusion.estimator.models import FloatArray
-from fusion.estimator.propagation import DeadReckoning, ImuSample, Mode, Propagation
+from fusion.estimator.propagation import (
+    LONG_TURN_RAD,
+    SCALE_TIME_S,
+    DeadReckoning,
+    ImuSample,
+    Mode,
+    Propagation,
+)
 from fusion.estimator.smoother import Node
 from fusion.estimator.state import Checks, Entry, Sample, Sensed, State
 from fusion.flight import TimeArray
@@ -108,8 +115,9 @@ class GyroRun:
                 d.rate_rad_s,
                 d.gyro_done_rad,
                 offset.roll.mean,
-                propagation.scale_variance_s,
+                propagation.scale_variance,
                 d.extra_gyro_noise,
+                d.seen_theta_rad,
             ),
             (*propagation.noise[Mode.GYRO],),
             (self.x, self.F, self.P, self.Q, self.propagated),
@@ -153,6 +161,7 @@ class GyroRun:
             d.attitude,
             d.stored_gyro_bias,
             d.extra_gyro_noise,
+            d.seen_theta_rad,
         )
         return State(
             self.x[i],
@@ -201,7 +210,7 @@ def compile_gyro_run() -> None:
     times = (0, 0, 1_000_000_000)
     t_ns, steps = np.array([1_000_000]), np.array([(0.0,) * 7])
     noise, x, P, propagated = (1.0,) * 3, np.zeros(n), np.eye(n), np.zeros(N_PROPAGATED)
-    _replay_gyro_samples(t_ns, steps, x, P, propagated, times, (0.0,) * 5, noise, out)
+    _replay_gyro_samples(t_ns, steps, x, P, propagated, times, (0.0,) * 6, noise, out)
 
 
 @compiled
@@ -212,7 +221,7 @@ def _replay_gyro_samples(
     P: FloatArray,
     propagated: FloatArray,
     times_ns: tuple[int, int, int],
-    numbers: tuple[float, float, float, float, float],
+    numbers: tuple[float, float, float, float, float, float],
     noise: tuple[float, float, float],
     out: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
 ) -> int:
@@ -232,15 +241,15 @@ def _replay_gyro_samples(
     times_ns
         Times of the state and of the last gyroscope sample, and the longest gap.
     numbers
-        Last level yaw rate, angle propagated since then, roll correction, variance of the scale, s, and squared
-        density of the noise beyond the configured one, rad^2/s.
+        Last level yaw rate, angle propagated since then, roll correction, variance of the scale, squared density of
+        the noise beyond the configured one, rad^2/s, and dead-reckoned heading at the last accepted frame.
     noise
         Densities of the process noise.
     out
         Output: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3) of the last step, propagated (n, 13).
     """
     last_ns, gyro_ns, grace_ns = times_ns
-    last_rate, done, roll, scale_variance_s, extra_noise = numbers
+    last_rate, done, roll, scale_variance, extra_noise, seen_theta = numbers
     heading_noise, bias_noise, offset_noise = noise
     x_out, F_out, P_out, Q, propagated_out = out
     theta, raw_theta, yaw_done = propagated[0], propagated[1], propagated[2]
@@ -257,7 +266,11 @@ def _replay_gyro_samples(
         age_s += dt_s
         turned = 0.5 * (last_rate + rate) * (t_ns[k] - gyro_ns) * 1e-9 - done
         corrected = turned - x[BIAS] * dt_s
-        variance = scale_variance_s * corrected * corrected / dt_s + extra_noise * dt_s
+        variance = scale_variance * SCALE_TIME_S * corrected * corrected / dt_s
+        before = theta - seen_theta
+        if abs(before) > LONG_TURN_RAD:
+            variance = max(variance, scale_variance * corrected * (2.0 * before + corrected))
+        variance += extra_noise * dt_s
         stepped(
             x,
             P,

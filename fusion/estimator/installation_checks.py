@@ -30,11 +30,14 @@ MEMORY = 1.0 - 1 / 40  # forgetting factor per turn
 MIN_TURNS, SURE_SIGMA = 3.0, 5.0
 PRIOR_TURNS = 4.0  # degrees of freedom of the stated noise, beside the residuals
 FAST_RAD_S = 3.0  # rms turn rate that no flight along a corridor reaches
+# A flip ends; rates in degrees, taken for radians, exceed this at least once in each half second of a flight.
+SLOW_RAD_S, SLOW_NS = 1.0, 500_000_000
 MAX_BIAS_RAD_S = 0.1
 IMU_STEP_NS, IMU_MEMORY_S, ACCEL_MIN_S, FAST_MIN_S = 50_000_000, 3.0, 0.5, 2.0
 MAX_TILT_ERROR_RAD = radians(20)
 LEAN_MEMORY_S, LEAN_MIN_S = 10.0, 4.0  # no vehicle accelerates in one direction for so long
 MAX_LEAN_RAD = radians(7)
+INVERTED = "accelerometer is upside down: give FRD, (0, 0, -9.8) m/s^2 at rest"
 FROM_FRAMES = 6  # the first fields of an `Installation` come from frames, the others from the IMU
 
 
@@ -91,6 +94,8 @@ class Installation(NamedTuple):
     accel_m_s2, lean, turning_rad2_s2, imu_s, imu_ns
         Mean specific force, mean angle (3,) from the attitude's up to it about each axis, and mean square of the
         gyroscope's rate; the time over which they are averaged, and their last update.
+    fast_ns
+        Times of the first and the last rate beyond `SLOW_RAD_S` without a pause of `SLOW_NS` between.
     """
 
     span: Span | None = None
@@ -104,6 +109,7 @@ class Installation(NamedTuple):
     turning_rad2_s2: float = 0.0
     imu_s: float = 0.0
     imu_ns: int | None = None
+    fast_ns: tuple[int, int] = (0, 0)
 
     def interrupted(self) -> Installation:
         """Restart spans and means after a change of the clock or of the source that propagates the heading."""
@@ -163,7 +169,10 @@ class Installation(NamedTuple):
         turning = p * p + q * q + r * r
         if self.imu_ns is None:
             accel = self.accel_m_s2 if accel_m_s2 is None else accel_m_s2
-            return self._replace(imu_ns=t_ns, accel_m_s2=accel, turning_rad2_s2=turning, imu_s=0.0)
+            fast = (t_ns, t_ns)
+            return self._replace(
+                imu_ns=t_ns, accel_m_s2=accel, turning_rad2_s2=turning, imu_s=0.0, fast_ns=fast
+            )
         step_s = (t_ns - self.imu_ns) * 1e-9
         gain = step_s / (min(self.imu_s, IMU_MEMORY_S) + step_s)
         mean, mx, my, mz = self.turning_rad2_s2, *self.accel_m_s2
@@ -173,7 +182,10 @@ class Installation(NamedTuple):
             (lx, ly, lz), (nx, ny, nz) = lean, _lean(accel_m_s2, down)
             lean = (lx + slow * (nx - lx), ly + slow * (ny - ly), lz + slow * (nz - lz))
         accel = (mx + gain * (ax - mx), my + gain * (ay - my), mz + gain * (az - mz))
-        found = (accel, lean, mean + gain * (turning - mean), self.imu_s + step_s, t_ns)
+        fast = self.fast_ns
+        if turning > SLOW_RAD_S**2:
+            fast = (fast[0] if t_ns - fast[1] <= SLOW_NS else t_ns, t_ns)
+        found = (accel, lean, mean + gain * (turning - mean), self.imu_s + step_s, t_ns, fast)
         return new_record(Installation, (*self[:FROM_FRAMES], *found))
 
     def agrees_on_imu(self, other: Installation) -> bool:
@@ -190,9 +202,11 @@ class Installation(NamedTuple):
         A gyroscope in degrees corrupts the tilt, and a wrong tilt reverses the level yaw rate. Turns are therefore
         only judged if neither is found.
         """
-        if self.imu_s > FAST_MIN_S and self.turning_rad2_s2 > FAST_RAD_S**2:
+        if self._is_in_degrees():
             text = f"gyroscope turns at {sqrt(self.turning_rad2_s2):.0f} rad/s: convert deg/s to rad/s"
             yield Notice(Fault.GYRO_SCALE, text)
+            if self._accelerometer_is_inverted():  # independent of the tilt
+                yield Notice(Fault.TILT_WRONG, INVERTED)
             return
         tilt = self._tilt_fault_text(down)
         if tilt is None:
@@ -210,12 +224,23 @@ class Installation(NamedTuple):
         else:
             yield Notice(Fault.TILT_WRONG, tilt)
 
+    def _is_in_degrees(self) -> bool:
+        """Whether the gyroscope is too fast for too long, and frames have not confirmed its rates."""
+        if self.imu_s <= FAST_MIN_S or self.turning_rad2_s2 <= FAST_RAD_S**2 or self.imu_ns is None:
+            return False
+        first_ns, last_ns = self.fast_ns
+        lasts = last_ns - first_ns > 0.9e9 * FAST_MIN_S and self.imu_ns - last_ns <= SLOW_NS
+        return lasts and not self._scale_is_confirmed()
+
+    def _accelerometer_is_inverted(self) -> bool:
+        return self.imu_s >= ACCEL_MIN_S and self.accel_m_s2[2] > 5.0
+
     def _tilt_fault_text(self, down: Vector) -> str | None:
         ax, ay, az = self.accel_m_s2
         if self.imu_s < ACCEL_MIN_S:
             return None
-        if az > 5.0:
-            return "accelerometer is upside down: give FRD, (0, 0, -9.8) m/s^2 at rest"
+        if self._accelerometer_is_inverted():
+            return INVERTED
         dot = -(ax * down[0] + ay * down[1] + az * down[2])
         cross = hypot(ay * down[2] - az * down[1], az * down[0] - ax * down[2], ax * down[1] - ay * down[0])
         if dot < 0.0:
@@ -225,17 +250,32 @@ class Installation(NamedTuple):
             return "attitude and accelerometer disagree: check how each is mounted"
         return None
 
-    def _turn_notices(self, gyro_scale_std: float) -> Iterator[Notice]:
+    def _slope(self) -> tuple[float, float, float] | None:
+        """Return the slope of the turn rates, its sigma, and the variance of a rate; None if there are too few."""
         n, sx, sy, sxx, sxy, syy, stated = self.sums
         if n < MIN_TURNS:
-            return
+            return None
         vxx, vxy, vyy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
         if vxx <= 1e-6 * sxx or vxx <= 0.0:
-            return
+            return None
         slope = vxy / vxx
         scatter = max(vyy - slope * vxy, 0.0) + PRIOR_TURNS * stated / n
         noise = scatter / (n - 2.0 + PRIOR_TURNS)
-        std = sqrt(noise / vxx)
+        return slope, sqrt(noise / vxx), noise
+
+    def _scale_is_confirmed(self) -> bool:
+        """Whether the frames have shown the gyroscope's turns, of whichever sign."""
+        found = self._slope()
+        if found is None:
+            return False
+        slope, std, _ = found
+        return 0.5 < abs(slope) < 2.0 and abs(slope) > SURE_SIGMA * std
+
+    def _turn_notices(self, gyro_scale_std: float) -> Iterator[Notice]:
+        if (found := self._slope()) is None:
+            return
+        slope, std, noise = found
+        n, sx, sy, sxx, *_ = self.sums
         if sxx > FAST_RAD_S**2 * n and abs(slope) + std < 0.1:
             yield Notice(Fault.GYRO_SCALE, "gyroscope turns far more than the camera: convert deg/s to rad/s")
             return

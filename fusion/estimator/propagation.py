@@ -9,7 +9,9 @@ attitude stream; without both, a constant rate (the bias state is then minus tha
 For the gyroscope, ``delta`` is the trapezoid of the level yaw rate (`fusion.estimator.models.level_yaw_rate`). At a
 sample of another source the last rate is held; the next gyroscope sample adds the rest of its trapezoid. The extra
 variance v contains the error of the gyroscope's scale, a gap in its samples (the rate is a random walk of density
-``yaw_acceleration_density``), and noise beyond the configured one.
+``yaw_acceleration_density``), and noise beyond the configured one. The scale's error counts as a random walk of the
+rate over `SCALE_TIME_S`; beyond half a turn since the last accepted frame as constant, if that adds more: in a long
+turn without frames its sigma grows with the angle.
 """
 
 from __future__ import annotations
@@ -33,8 +35,9 @@ if TYPE_CHECKING:
 UNKNOWN_HEADING_STD_RAD = pi / 2
 ATTITUDE_DRIFT_STD_RAD_S = 0.003  # an attitude filter has removed most of the gyroscope's bias
 HELD_RATE_STD_RAD_S = 0.2
+SCALE_TIME_S = 0.5  # duration of a turn in one direction, over which the scale's error adds up at least
+LONG_TURN_RAD = pi  # without frames, beyond which the scale's error adds up as it does if it is constant
 MAX_YAW_AGE_S = 0.1  # oldest attitude that a frame is compared with
-SCALE_TIME_S = 0.5  # duration of a turn in one direction, over which the scale's error adds up
 
 
 class ImuSample(NamedTuple):
@@ -91,6 +94,8 @@ class DeadReckoning(NamedTuple):
         Mean and variance of the gyroscope's bias, stored while another mode is active.
     extra_gyro_noise
         Squared density of the gyroscope's noise beyond the configured one, rad^2/s, as estimated from frames.
+    seen_theta_rad
+        ``theta_rad`` at the last accepted frame.
     """
 
     t_ns: int | None = None
@@ -106,6 +111,7 @@ class DeadReckoning(NamedTuple):
     attitude: SampleTimes = SampleTimes()
     stored_gyro_bias: tuple[float, float] = (0.0, 0.02**2)
     extra_gyro_noise: float = 0.0
+    seen_theta_rad: float = 0.0
 
     def yaw_rate(self, bias_rad_s: float) -> float:
         """Level yaw rate minus the filter's bias, rad/s."""
@@ -118,6 +124,11 @@ class DeadReckoning(NamedTuple):
     def attitude_silence(self, t_ns: int, config: FusionConfig) -> str:
         """Report an attitude stream that has fallen silent; empty if it has not."""
         return "attitude is silent" if self.attitude.is_silent(t_ns, config) else ""
+
+
+def with_vision(d: DeadReckoning) -> DeadReckoning:
+    """Count the turn from here on: a frame was accepted, or the heading was set."""
+    return d._replace(seen_theta_rad=d.theta_rad)
 
 
 def yaw_at(reckoning: DeadReckoning, t_ns: int) -> float:
@@ -139,7 +150,7 @@ class Propagation:
         self.config = config
         self.grace_ns = round(config.gyro_gap_s * 1e9)
         self.noise = {mode: _noise(mode, config) for mode in Mode}
-        self.scale_variance_s = config.gyro_scale_std**2 * SCALE_TIME_S
+        self.scale_variance = config.gyro_scale_std**2
 
     def mean_gyro(self, d: DeadReckoning, sample: ImuSample) -> Vector:
         """Return the mean rate since the last sample; the newest rate if the last one is too old."""
@@ -172,10 +183,9 @@ class Propagation:
         else:
             d = self._with_mode(self.advance(d, ekf, sample.t_ns), ekf, Mode.GYRO)
             t_ns = d.t_ns
-        _, mode, _, theta, raw_theta, _, _, _, yaw, yaw_done, attitude, stored, extra_noise = d
+        _, mode, _, theta, raw_theta, _, _, _, yaw, yaw_done, *kept = d
         theta, raw_theta, yaw_done = theta + corrected, raw_theta + turned, yaw_done + corrected
         gyro_ns, gyro, _ = sample
-        kept = (attitude, stored, extra_noise)
         new = (t_ns, mode, rate_rad_s, theta, raw_theta, gyro_ns, gyro, 0.0, yaw, yaw_done, *kept)
         return new_record(DeadReckoning, new)
 
@@ -203,8 +213,8 @@ class Propagation:
                 rate = increment / span_s
         else:
             d = self.advance(d, ekf, t_ns)
-        end_ns, mode, _, theta, raw_theta, t_gyro, gyro, gyro_done, _, _, attitude, stored, extra_noise = d
-        kept = (attitude.with_sample(t_ns), stored, extra_noise)
+        end_ns, mode, _, theta, raw_theta, t_gyro, gyro, gyro_done, _, _, attitude, *rest = d
+        kept = (attitude.with_sample(t_ns), *rest)
         new = (end_ns, mode, rate, theta, raw_theta, t_gyro, gyro, gyro_done, yaw_rad, 0.0, *kept)
         d = new_record(DeadReckoning, new)
         return self._with_mode(d, ekf, Mode.ATTITUDE) if d.mode is _NONE else d
@@ -249,25 +259,11 @@ class Propagation:
             gyro_done,
             yaw,
             yaw_done,
-            attitude,
-            stored,
-            extra_noise,
+            *kept,
         ) = d
-        return DeadReckoning(
-            t_ns,
-            mode,
-            rate,
-            theta + corrected,
-            raw_theta + turned,
-            t_gyro,
-            gyro,
-            gyro_done + turned,
-            yaw,
-            yaw_done + (turned if mode is _ATTITUDE else corrected),
-            attitude,
-            stored,
-            extra_noise,
-        )
+        moved = (theta + corrected, raw_theta + turned, t_gyro, gyro, gyro_done + turned, yaw)
+        yaw_done += turned if mode is _ATTITUDE else corrected
+        return new_record(DeadReckoning, (t_ns, mode, rate, *moved, yaw_done, *kept))
 
     def _turn(
         self, d: DeadReckoning, ekf: CorridorEKF, t_ns: int, end_rate_rad_s: float
@@ -276,7 +272,7 @@ class Propagation:
 
         ``end_rate_rad_s`` is the sample's level yaw rate.
         """
-        start_ns, mode, rate, _, _, gyro_ns, _, done, _, _, _, _, extra_noise = d
+        start_ns, mode, rate, _, _, gyro_ns, _, done, _, _, _, _, extra_noise, _ = d
         dt_s = 0.0 if start_ns is None else (t_ns - start_ns) * 1e-9
         turned = variance = 0.0
         if gyro_ns is not None:
@@ -284,7 +280,7 @@ class Propagation:
             if t_ns - gyro_ns > self.grace_ns:
                 variance = 0.25 * self._silence_variance(d, ekf, t_ns)  # the rate is known at both ends
         corrected = turned - ekf.x.item(BIAS) * dt_s
-        variance += self._scale_variance(corrected, dt_s) + extra_noise * dt_s
+        variance += self._scale_variance(d, corrected, dt_s) + extra_noise * dt_s
         ekf.advance(dt_s, turned, self.noise[mode], variance)
         return turned, corrected
 
@@ -307,7 +303,7 @@ class Propagation:
                 variance = self._silence_variance(d, ekf, t_ns)
         bias_turn = float(ekf.x[BIAS]) * dt_s
         if mode is _GYRO:
-            variance += self._scale_variance(turned_rad - bias_turn, dt_s) + d.extra_gyro_noise * dt_s
+            variance += self._scale_variance(d, turned_rad - bias_turn, dt_s) + d.extra_gyro_noise * dt_s
         ekf.advance(dt_s, turned_rad, self.noise[mode], variance)
         return turned_rad, turned_rad - bias_turn
 
@@ -336,9 +332,8 @@ class Propagation:
         turned = 0.0 if d.mode is Mode.NONE else d.rate_rad_s * dt_s
         variance = self.held_rate_variance(d, t_ns)
         if d.mode is Mode.GYRO:
-            variance += (
-                self._scale_variance(turned - float(ekf.x[BIAS]) * dt_s, dt_s) + d.extra_gyro_noise * dt_s
-            )
+            corrected = turned - float(ekf.x[BIAS]) * dt_s
+            variance += self._scale_variance(d, corrected, dt_s) + d.extra_gyro_noise * dt_s
         ekf.advance(dt_s, turned, self.noise[d.mode], variance)
         return d._replace(t_ns=t_ns)
 
@@ -347,9 +342,17 @@ class Propagation:
         attitude = d.attitude.clock_set_back()
         return self._with_mode(d._replace(t_ns=t_ns, t_gyro_ns=None, attitude=attitude), ekf, Mode.NONE)
 
-    def _scale_variance(self, turned_rad: float, dt_s: float) -> float:
-        """Return the heading variance from the gyroscope's scale error in a turn."""
-        return self.scale_variance_s * turned_rad * turned_rad / dt_s if dt_s > 0.0 else 0.0
+    def _scale_variance(self, d: DeadReckoning, turned_rad: float, dt_s: float) -> float:
+        """Return the heading variance that the gyroscope's scale error adds in a step."""
+        if not dt_s > 0.0:
+            return 0.0
+        walk = self.scale_variance * SCALE_TIME_S * turned_rad * turned_rad / dt_s
+        before_rad = d.theta_rad - d.seen_theta_rad
+        if abs(before_rad) <= LONG_TURN_RAD:
+            return walk
+        # (before + turned)^2 - before^2
+        constant = self.scale_variance * turned_rad * (2.0 * before_rad + turned_rad)
+        return max(walk, constant)
 
     def _silence_variance(self, d: DeadReckoning, ekf: CorridorEKF, end_ns: int) -> float:
         """Return the heading variance from a gap in the gyroscope's samples, up to a time."""

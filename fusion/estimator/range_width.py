@@ -3,7 +3,10 @@
 A frame measures the corridor's width per height of the camera above the floor. A downward range sensor measures that
 height as ``h = d cos(roll) cos(pitch)``. Their product is constant along a corridor at any height. Medians reject
 outliers: of the last `HEIGHTS` heights for single wrong readings, and of the last `WIDTHS` widths for a table or a
-step below. There is no width if the interquartile range of the widths exceeds `AGREEING_SPREAD` of the median.
+step below. There is no width if the interquartile range of the widths exceeds `AGREEING_SPREAD` of the median, or if
+the newest ones are larger than it: the vehicle has probably left a table, over which it started. Widths below
+`WIDTH_M` are those of a table close below, or of a sensor that is stuck at its minimum; they are not used, and
+reported if they last.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from statistics import median
 from typing import NamedTuple
 
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.faults import Fault, Notice
 from fusion.estimator.sample_times import SampleTimes
 
 MAX_DISTANCE_M = 100.0
@@ -23,7 +27,11 @@ WIDTH_STEP_S = 0.1
 WIDTHS = 61  # at least WIDTH_STEP_S apart: 6 s; an obstacle below must last for less than half of that
 MIN_WIDTHS = 8
 AGREEING_SPREAD = 0.25  # largest interquartile range of the widths, over their median
-WIDTH_M = (0.4, 50.0)
+WIDTH_M = (
+    1.0,
+    50.0,
+)  # the lower bound is 4 sigma from `fusion.estimator.lateral_offset`'s prior on half widths
+GROWN = 1.125  # newest widths over the median; an object below the vehicle only shortens the range
 WIDTH_MEMORY_FRAMES = 100
 
 
@@ -48,11 +56,15 @@ class Heights(NamedTuple):
 
 
 class Widths(NamedTuple):
-    """Widths from the last frames, oldest first, and the estimated width; NaN while unknown."""
+    """Widths from the last frames, oldest first, and the estimated width; NaN while unknown.
+
+    ``narrow_m`` are those below `WIDTH_M` since the last one within.
+    """
 
     t_ns: int | None = None
     recent_m: tuple[float, ...] = ()
     width_m: float = nan
+    narrow_m: tuple[float, ...] = ()
 
 
 class Width(NamedTuple):
@@ -114,6 +126,15 @@ class Width(NamedTuple):
         widths = self.widths._replace(t_ns=None)
         return self._replace(times=self.times.clock_set_back(), heights=Heights(), widths=widths)
 
+    def notice(self, config: FusionConfig) -> Notice | None:
+        """Report widths that are too small, if the width is taken from the range sensor."""
+        set_width_m = config.corridor_width_m if self.set_width_m is None else self.set_width_m
+        narrow_m = self.widths.narrow_m
+        if set_width_m or config.camera_height_m is not None or len(narrow_m) < MIN_WIDTHS:
+            return None
+        text = f"range sensor sees no floor, or the corridor is only {median(narrow_m):.2f} m wide: set its width"
+        return Notice(Fault.RANGE_TOO_SHORT, text)
+
     def silence(self, t_ns: int, config: FusionConfig) -> str:
         """Report a range sensor that has fallen silent; empty if it has not."""
         return "range sensor is silent" if self.times.is_silent(t_ns, config) else ""
@@ -145,20 +166,24 @@ def height_at(heights: Heights, t_ns: int) -> float:
 
 def with_width(widths: Widths, t_ns: int, width_m: float) -> Widths:
     """Add a width, the product of a frame's width per height and the height at its time."""
-    if not WIDTH_M[0] < width_m < WIDTH_M[1]:  # NaN fails too
+    if not 0.0 < width_m < WIDTH_M[1]:  # NaN fails too
         return widths
     if widths.t_ns is not None and t_ns - widths.t_ns < round(WIDTH_STEP_S * 1e9):
         return widths
+    if width_m < WIDTH_M[0]:
+        return widths._replace(t_ns=t_ns, narrow_m=(*widths.narrow_m, width_m)[-MIN_WIDTHS:])
     recent = (*widths.recent_m, width_m)[-WIDTHS:]
     return Widths(t_ns, recent, _agreed(recent))
 
 
 def _agreed(recent_m: tuple[float, ...]) -> float:
-    """Return the median of the widths; NaN if they are too few or do not agree."""
+    """Return the median of the widths; NaN if they are too few, do not agree or have grown."""
     n = len(recent_m)
     if n < MIN_WIDTHS:
         return nan
     ordered = sorted(recent_m)
     middle = median(ordered)
+    if median(recent_m[-MIN_WIDTHS:]) > GROWN * middle:
+        return nan
     spread = ordered[(3 * n) // 4] - ordered[n // 4]
     return middle if isfinite(middle) and spread <= AGREEING_SPREAD * middle else nan

@@ -58,7 +58,7 @@ class WidthChange(NamedTuple):
     def checked(cls, t_ns: int, width_m: float | None) -> WidthChange:
         """Check the caller's value; raise `InputError` if it is impossible."""
         width = None if width_m is None else number(width_m, "corridor_width_m")
-        if width is not None and not MIN_WIDTH_M < width <= MAX_WIDTH_M:
+        if width is not None and not MIN_WIDTH_M <= width <= MAX_WIDTH_M:
             raise InputError(
                 f"corridor_width_m = {width} is not within {MIN_WIDTH_M:g} and {MAX_WIDTH_M:g} m",
                 remedy="give metres from wall to wall, or None where it is not known",

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
-from math import cos, degrees, radians
+from math import ceil, cos, degrees, radians
 
 import numpy as np
 import pytest
@@ -155,6 +155,53 @@ def test_frames_that_always_come_late_are_not_missed_before(late_ms: int) -> Non
     assert (coasting - 9000 * MS - late_ms * MS) * 1e-9 == pytest.approx(0.2, abs=0.05)
 
 
+def later(kind: str, arrival_s: Callable[[float], float], until_s: float = 1e9) -> list[Sample]:
+    """Samples of a source arrive at another time, and not at all from a time on."""
+    kept = (s for s in FLIGHT.samples if s.kind != kind or s.t_ns < until_s * 1e9)
+    moved = (
+        replace(s, arrival_ns=round(arrival_s(s.t_ns * 1e-9) * 1e9)) if s.kind == kind else s for s in kept
+    )
+    return sorted(moved, key=lambda s: s.arrival_ns)
+
+
+@pytest.mark.parametrize("kinds", [("imu", "attitude", "frame"), ("imu", "frame")])
+@pytest.mark.parametrize(
+    ("arrival_s", "late_s"),
+    [
+        (lambda t: t + 0.3, 0.3),
+        (lambda t: ceil(t / 0.3 + 1e-6) * 0.3, 0.3),
+        (lambda t: ceil(t / 0.4 + 1e-6) * 0.4, 0.4),
+    ],
+    ids=["0.3 s late", "bursts of 0.3 s", "bursts of 0.4 s"],
+)
+def test_a_gyroscope_that_always_comes_late_is_silent_only_once_it_dies(
+    arrival_s: Callable[[float], float], late_s: float, kinds: tuple[str, ...]
+) -> None:
+    """In bursts, too; and the camera's clock, behind which it comes, has not moved."""
+    estimator, said = CorridorEstimator(), {}
+    for s in later("imu", arrival_s, until_s=9.0):
+        if s.kind in kinds:
+            give(estimator, s)
+            said[s.arrival_ns * 1e-9] = estimator.estimate()
+    alive = [e for t, e in said.items() if 2.0 < t < 9.0]
+    assert {(e.status, e.reason) for e in alive} == {("tracking", "")}
+    silent_s = min(t for t, e in said.items() if t > 2.0 and Fault.GYRO_SILENT in e.faults)
+    assert 9.0 + 0.15 < silent_s < 9.0 + late_s + 0.4  # those ahead of it are held back for a while
+    assert estimator.counters["imu_late"] == 0
+
+
+def test_a_velocity_that_comes_later_than_a_late_imu_is_not_silent() -> None:
+    estimator, faults = CorridorEstimator(), Fault.NONE
+    for s in later("imu", lambda t: t + 0.25):
+        give(estimator, s)
+        t_ns = s.arrival_ns - 470 * MS
+        if s.kind == "attitude" and t_ns > 0:
+            estimator.add_velocity(t_ns, (1.0, 0.0, 0.0))
+        if s.arrival_ns > 2000 * MS:
+            faults |= estimator.estimate().faults
+    assert not faults & (Fault.VELOCITY_SILENT | Fault.GYRO_SILENT)
+
+
 @pytest.mark.parametrize("ms", [-100, 100])
 def test_a_camera_clock_that_jumps_is_told_and_found_in_the_next_turn(ms: float) -> None:
     estimator, said = fly(FLIGHT.samples, shifted("frame", ms, 8.0))
@@ -168,14 +215,14 @@ def test_a_camera_clock_that_jumps_is_told_and_found_in_the_next_turn(ms: float)
 
 
 def test_frames_that_take_longer_are_not_a_clock_that_has_jumped() -> None:
-    later = sorted(
+    slower = sorted(
         (
             replace(s, arrival_ns=s.arrival_ns + 100 * MS) if s.kind == "frame" and s.t_ns > 8000 * MS else s
             for s in FLIGHT.samples
         ),
         key=lambda s: s.arrival_ns,
     )
-    estimator, said = fly(later)
+    estimator, said = fly(slower)
     assert any("or latency has changed" in words for words in said)
     assert said[-1] == "tracking: "
     assert estimator.counters["camera_clock_moved"] == 0

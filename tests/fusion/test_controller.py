@@ -400,3 +400,45 @@ def test_a_clock_far_behind_the_samples_is_reported() -> None:
     assert "now_ns is 5 s before the newest sample" in found.reason
     assert Fault.IMU_CLOCK in found.faults
     assert not estimator.estimate(now_ns=t - 20 * MS).reason
+
+
+def test_a_clock_far_ahead_of_the_samples_is_reported() -> None:
+    """Unix time against time since boot."""
+    estimator, t = flown()
+    found = estimator.estimate(now_ns=1_700_000_000 * 10**9)
+    assert "s after the newest sample: give nanoseconds of the samples' clock" in found.reason
+    assert Fault.IMU_CLOCK in found.faults
+    assert "now_ns" not in estimator.estimate(now_ns=t + 60_000 * MS).reason
+
+
+@pytest.mark.parametrize("width_m", [0.2, 100.0])
+def test_the_bounds_of_a_width_are_widths(width_m: float) -> None:
+    estimator, t = flown()
+    estimator.set_corridor_width(t, width_m)
+    e = estimator.estimate()
+    assert 2 * e.lateral_offset_m == pytest.approx(width_m * e.lateral_offset_norm)
+    assert FusionConfig(corridor_width_m=width_m).corridor_width_m == width_m
+
+
+@pytest.mark.parametrize("used_s", [0.0, 1.0])
+@pytest.mark.parametrize(
+    ("kind", "good", "bad", "told"),
+    [
+        ("velocity", (1.0, 0.0, 0.0), (150.0, 0.0, 0.0), "velocity is out of range: give m/s"),
+        ("velocity", (1.0, 0.0, 0.0), (nan, 0.0, 0.0), "velocity is not finite"),
+        ("attitude", (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), "attitude is no unit quaternion"),
+        ("range", 1.0, 1200.0, "range is out of range: give metres"),
+        ("range", 1.0, 0.0, "range is not positive"),
+    ],
+)
+def test_a_source_whose_values_are_impossible_is_not_called_silent(
+    kind: str, good: Any, bad: Any, told: str, used_s: float
+) -> None:
+    """Whether it was used before, or never."""
+    estimator, t = flown()
+    for k in range(60):
+        add = getattr(estimator, f"add_{kind}")
+        add(t + k * 50 * MS, good if k * 0.05 < used_s else bad)
+        fly(estimator, t // MS + k * 50, t // MS + k * 50 + 50, 0.0, 0.2)
+    assert told in estimator.estimate().reason
+    assert "silent" not in estimator.estimate().reason

@@ -549,6 +549,32 @@ def test_other_frame_rates(frame_hz: float) -> None:
     assert (result.status[late] == "tracking").all()
 
 
+@pytest.mark.parametrize(("turns", "seconds"), [(0.5, 2.0), (1.0, 4.0), (3.0, 9.0)])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_the_scale_s_error_adds_up_in_a_long_turn_without_frames(
+    turns: float, seconds: float, sense: float
+) -> None:
+    """It is constant: three turns are off by 10.8 degrees if the scale is off by 1 %."""
+    estimator, t = steady(3.0, gyro_scale_std=0.01)
+    rate = sense * 2 * pi * turns / seconds
+    for ms in range(5, round(1000 * seconds) + 1, 5):
+        estimator.add_imu(t + ms * MS, (0.0, 0.0, rate))
+    std = estimator.estimate().heading_std_rad
+    by_scale = 0.01 * 2 * pi * turns
+    assert 0.6 * by_scale < std < 1.5 * by_scale
+
+
+def test_turns_within_half_a_turn_of_a_frame_add_a_random_walk_s_variance() -> None:
+    variances = []
+    for share in (0.0, 0.01):
+        estimator, t = steady(3.0, gyro_scale_std=share)
+        for ms in range(5, 5001, 5):
+            rate = 1.0 if ms % 2000 < 1000 else -1.0
+            estimator.add_imu(t + ms * MS, (0.0, 0.0, rate))
+        variances.append(estimator.estimate().heading_std_rad ** 2)
+    assert variances[1] - variances[0] == pytest.approx(0.01**2 * 0.5 * 5.0, rel=0.05)
+
+
 # Status
 
 

@@ -204,6 +204,48 @@ def test_a_gyroscope_in_degrees_is_named_before_what_it_does_to_the_tilt(
         assert all(n.fault is Fault.TILT_WRONG for n in installation.notices(down))
 
 
+def flown(flip: bool, weaving: float, degrees_taken: bool) -> list[set[Fault]]:
+    """Faults of each tenth of a second: a rate of noise and weaving, and a flip in one second or a spin for three."""
+    installation, rng, found = Installation(), np.random.default_rng(3), []
+    turned, end_s = 0.0, 15.7 if flip else 18.0
+    scale = 180 / pi if degrees_taken else 1.0
+    for k in range(25 * 200):
+        t = k / 200
+        fast = 9.0 if 15.0 < t < end_s else 0.0
+        yaw = weaving * cos(0.9 * t) + float(rng.normal(0.0, 0.04))
+        turned += scale * (yaw + (0.0 if flip else fast)) / 200
+        rates = (scale * fast, 0.0, scale * yaw) if flip else (0.0, 0.0, scale * (yaw + fast))
+        installation = installation.with_imu(round(t * 1e9), rates, (0.0, 0.0, -9.8), DOWN)
+        if k % 10 == 0 and not 14.9 < t < end_s + 2.0:
+            heading = turned / scale + float(rng.normal(0.0, 0.009))
+            installation = installation.with_frame(round(t * 1e9), heading, turned, radians(0.5))
+        if k % 20 == 0:
+            found.append({notice.fault for notice in installation.notices(DOWN)})
+    return found
+
+
+@pytest.mark.parametrize("weaving", [0.0, 0.02, 0.15])
+def test_a_flip_is_not_a_gyroscope_in_degrees(weaving: float) -> None:
+    assert not any(Fault.GYRO_SCALE in found for found in flown(True, weaving, False))
+
+
+def test_a_spin_of_three_seconds_is_not_a_gyroscope_in_degrees_if_frames_have_confirmed_the_rates() -> None:
+    assert not any(Fault.GYRO_SCALE in found for found in flown(False, 0.15, False))
+
+
+@pytest.mark.parametrize("weaving", [0.1, 0.2])
+def test_a_gyroscope_in_degrees_is_reported_before_a_flip_and_after(weaving: float) -> None:
+    found = flown(True, weaving, True)
+    assert all(Fault.GYRO_SCALE in faults for faults in found[25:])
+
+
+def test_a_gyroscope_in_degrees_does_not_hide_an_inverted_accelerometer() -> None:
+    installation = Installation()
+    for k in range(800):
+        installation = installation.with_imu(k * 5_000_000, (0.0, 0.0, 20.0), (0.0, 0.0, 9.8), DOWN)
+    assert [n.fault for n in installation.notices(DOWN)] == [Fault.GYRO_SCALE, Fault.TILT_WRONG]
+
+
 @pytest.mark.parametrize("std_rad", [1e-300, 5e-324, 1e-9, 3.0])
 def test_any_sigma_leaves_numbers(std_rad: float) -> None:
     installation = Installation()

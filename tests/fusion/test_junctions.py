@@ -81,6 +81,17 @@ def test_turn_into_another_corridor(angle_deg: float, gap_s: float) -> None:
     assert degrees(abs(estimate.reset_heading_rad + angle)) < 3
 
 
+@pytest.mark.parametrize("angle_deg", [450, -450])
+def test_a_spin_before_the_other_corridor_does_not_count_into_its_angle(angle_deg: float) -> None:
+    angle = radians(angle_deg)
+    corner = float(np.copysign(radians(90), angle))
+    turned = turning((7, 4, angle))
+    result, simulated = fly(1, turned, seen_as((9, 99, corner)), dropouts=[(7.0, 11.0)])
+    assert degrees(abs(result.turn[-1] - corner)) < 5
+    assert result.corridor[-1] == 1
+    assert degrees(np.abs(heading_error(result, simulated, result.turn)[result.t_s > 15]).max()) < 5
+
+
 def test_two_turns_and_a_corridor_parallel_to_the_first() -> None:
     result, simulated = fly(
         2, turning((5, 1.5, radians(90)), (11, 1.5, radians(-90))), seen_as((5.75, 11.75, radians(90)))

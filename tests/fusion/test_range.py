@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from fusion import FusionResult, fuse_flight
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.faults import Fault
 from fusion.estimator.range_width import Heights, Widths, height_at, with_range, with_width
 from fusion.estimator.state import Entry
 from fusion.flight import Flight, RangeStream
@@ -172,6 +173,47 @@ def test_what_is_no_distance_is_counted(distance: float, counted: str) -> None:
     estimator.add_range(0, distance)
     assert dict(estimator.counters) == {counted: 1}
     assert ("metres" in "; ".join(_sample_problems(estimator))) == (counted == "range_out_of_range")
+
+
+def metres_m(
+    flown: list[tuple[str, int, tuple[Any, ...]]],
+) -> tuple[CorridorEstimator, list[tuple[float, float, Fault]]]:
+    """Times, widths in use (NaN if unknown) and faults after each frame."""
+    estimator, found = CorridorEstimator(FusionConfig()), []
+    for kind, t_ns, values in flown:
+        give(estimator, Sample(kind, t_ns, t_ns, values))
+        if kind == "frame":
+            e = estimator.estimate()
+            found.append((t_ns * 1e-9, 2 * e.lateral_offset_m / e.lateral_offset_norm, e.faults))
+    return estimator, found
+
+
+@pytest.mark.parametrize("left_s", [3.0, 9.0])
+def test_a_start_over_a_table_gives_no_metres_until_the_floor_is_seen(left_s: float) -> None:
+    """A table so high that the corridor would be 0.5 to 0.9 m wide."""
+    flown = samples(left_s + 6.0, floor_m=lambda t_s: height_m(t_s) * 0.7 if t_s < left_s else 0.0)
+    _, found = metres_m(flown)
+    over = [(width, faults) for t, width, faults in found if 2.0 < t < left_s]
+    assert all(isnan(width) and Fault.RANGE_TOO_SHORT in faults for width, faults in over)
+    after = [(width, faults) for t, width, faults in found if t > left_s + 1.5]
+    assert all(width == pytest.approx(WIDTH_M, rel=0.03) and not faults for width, faults in after)
+
+
+def test_metres_end_soon_after_the_vehicle_has_left_a_low_table() -> None:
+    flown = samples(15.0, floor_m=lambda t_s: height_m(t_s) * 0.35 if t_s < 3.0 else 0.0)
+    _, found = metres_m(flown)
+    wrong = [t for t, width, _ in found if abs(width / WIDTH_M - 1.0) > 0.03]
+    assert max(wrong) < 3.8
+    assert found[-1][1] == pytest.approx(WIDTH_M, rel=0.03)
+
+
+def test_a_sensor_stuck_at_its_minimum_gives_no_metres() -> None:
+    flown = [(k, t, (0.3,)) if k == "range" else (k, t, v) for k, t, v in samples()]
+    estimator, found = metres_m(flown)
+    assert all(isnan(width) for _, width, _ in found)
+    assert "set its width" in estimator.estimate().reason
+    estimator.set_corridor_width(flown[-1][1], 0.8)
+    assert estimator.estimate().reason == ""
 
 
 def test_silence_is_told_of_and_the_width_outlasts_it() -> None:

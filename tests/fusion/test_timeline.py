@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import random
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict, fields, is_dataclass, replace
 from functools import cache
 from math import radians
 from typing import Any
@@ -126,6 +126,20 @@ def test_asking_in_between_changes_nothing() -> None:
 def test_buffers_of_other_lengths_give_the_same_bits() -> None:
     assert fuse(SAMPLES, buffer_s=0.05)[0] == expected()
     assert fuse(SAMPLES, buffer_s=5.0)[0] == expected()
+
+
+def test_late_frames_of_a_spin_give_the_same_bits() -> None:
+    """They show no heading, so that the gyroscope's scale error adds up over more than half a turn."""
+    spin = replace(SCENE, heading=turning((1.5, 2.5, radians(900))), axis=lambda t: 0.0 * np.asarray(t))
+    blurred = (FrameMeasurement(False, Reason.BLUR),)
+    samples = [
+        replace(s, values=blurred) if s.kind == "frame" and 1_500 * MS < s.t_ns < 4_100 * MS else s
+        for s in sorted(simulate(spin).samples, key=lambda s: (s.t_ns, s.kind != "attitude", s.kind != "imu"))
+    ]
+    late = sorted(samples, key=lambda s: s.t_ns + (200 * MS if s.kind == "frame" else 0))
+    found, estimator = fuse(late)
+    assert found == fuse(samples)[0]
+    assert not any(name.endswith("_late") for name in estimator.counters)
 
 
 def test_late_frame_replays_gyroscope_samples_in_runs(monkeypatch: pytest.MonkeyPatch) -> None:
