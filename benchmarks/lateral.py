@@ -26,7 +26,7 @@ import typer
 from scipy.stats import chi2
 
 from fusion import Flight, FusionConfig, fuse_flight, load_flight
-from fusion.estimator.lateral_offset import (
+from fusion.estimator.lateral.gaussian_sum import (
     OffsetModel,
     OffsetState,
     frame_evidence,

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion import CorridorEstimator, FusionConfig
-from fusion.estimator.lateral import offset_model
-from fusion.estimator.lateral_smoother import OffsetSteps, at_times, smoothed_offsets
+from fusion.estimator.lateral.smoother import OffsetSteps, at_times, smoothed_offsets
+from fusion.estimator.lateral.updates import offset_model
 from fusion.estimator.models import PSI
 from fusion.estimator.smoother import Steps
 from fusion.estimator.state import Entry

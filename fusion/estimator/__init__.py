@@ -6,11 +6,9 @@ which calls the parts:
 
 - heading: `propagation` and `gyro_run` (dead reckoning), `tilt`, `imu_yaw`, `corridor_axis`, `junctions` and `votes`,
   `frame_update` (a frame's measurement and outcome);
-- lateral offset: `lateral`, `lateral_status`, `lateral_offset` with `lateral_kernels` and `lateral_mixture_kernels`,
-  `lateral_parallax`, `lateral_smoother`, `velocity`, `range_width`;
-- camera: `camera_delay`, `camera_elevation`, `camera_repeats`, `camera_yaw` and `focal_length` (both by
-  `running_slope`);
-- fault detection: `gyro_checks`, `imu_yaw_check`, `installation_checks`, `frame_timing` (early or late stamps),
+- lateral offset: the package `lateral`; `velocity`, `range_width`;
+- camera: `camera_delay`, `camera_elevation`, `camera_repeats`;
+- fault detection: the package `installation` (mounts, scales and time stamps), `gyro_checks`, `imu_yaw_check`,
   `frame_drift` (slopes of frames minus gyroscope and minus IMU yaw), `hypotheses` (fault isolation), `axis_drift`
   (correction of the filter), `faults`;
 - the filter: `ekf`, `models`, `kernels`, `noise_adaptation`, `frame_noise`, `filterpy_ekf` (for inspection);

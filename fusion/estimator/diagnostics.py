@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.estimator.camera_delay import spread_by_delay
-from fusion.estimator.lateral_offset import OffsetModel, along_path, moments
+from fusion.estimator.lateral.gaussian_sum import OffsetModel, along_path, moments
 from fusion.estimator.models import N_STATES, PSI, STATE_NAMES, FloatArray, Gate
 
 if TYPE_CHECKING:

@@ -48,9 +48,9 @@ from fusion.estimator.imu_yaw import (
     compare_by_frame,
     fuse_imu_yaw,
 )
-from fusion.estimator.lateral import LateralOffset, MotionStep, offset_model
-from fusion.estimator.lateral_offset import OffsetModel
-from fusion.estimator.lateral_status import Lateral
+from fusion.estimator.lateral.gaussian_sum import OffsetModel
+from fusion.estimator.lateral.status import Lateral
+from fusion.estimator.lateral.updates import LateralOffset, MotionStep, offset_model
 from fusion.estimator.models import (
     BIAS,
     N_STATES,
@@ -507,6 +507,5 @@ class Engine:
         lateral = s.lateral.without_offset()
         crossing = junctions.Crossing(corrects_heading, lateral.n_used)
         axis = junctions.enter_corridor(axis, ekf, found, t_ns, theta_rad, crossing, c)
-        axis = axis._replace(corridor_turn_rad=wrap(axis.corridor_turn_rad))  # the vehicle may have spun
         width = s.width.corridor_changed()
         return s._replace(axis=axis, imu_yaw=imu_yaw, lateral=lateral, width=width, x=ekf.x, P=ekf.P)

@@ -19,8 +19,8 @@ from fusion.estimator.faults import Fault, Notice
 from fusion.estimator.frame_update import FrameSample
 from fusion.estimator.hypotheses import CONTESTED_S, Hypothesis
 from fusion.estimator.imu_yaw import AttitudeSample
-from fusion.estimator.lateral import offset_model
-from fusion.estimator.lateral_status import LateralStatus, readout
+from fusion.estimator.lateral.status import LateralStatus, readout
+from fusion.estimator.lateral.updates import offset_model
 from fusion.estimator.models import PSI
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, ImuSample, Mode
 from fusion.estimator.range_width import RangeSample

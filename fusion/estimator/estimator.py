@@ -35,7 +35,7 @@ from fusion.estimator.input_checks import (
     whole_nanoseconds,
     within_bounds,
 )
-from fusion.estimator.lateral_status import reliable
+from fusion.estimator.lateral.status import reliable
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.range_width import RangeSample
 from fusion.estimator.records import new_record

@@ -15,7 +15,7 @@ from math import sqrt
 from fusion.estimator.camera_delay import spread_by_delay
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import notices_of, status_of
-from fusion.estimator.lateral import offset_model
+from fusion.estimator.lateral.updates import offset_model
 from fusion.estimator.models import PSI
 from fusion.estimator.resets import Resets, only_propagated
 from fusion.estimator.state import Entry, State

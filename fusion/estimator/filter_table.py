@@ -15,11 +15,11 @@ import numpy as np
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import heading_of
-from fusion.estimator.lateral import offset_model
-from fusion.estimator.lateral_kernels import N_LATERAL, fill_transition, moved
-from fusion.estimator.lateral_mixture_kernels import summarised
-from fusion.estimator.lateral_offset import OffsetModel, OffsetState, lasting_variance, motion_noise
-from fusion.estimator.lateral_status import LateralStatus
+from fusion.estimator.lateral.gaussian_sum import OffsetModel, OffsetState, lasting_variance, motion_noise
+from fusion.estimator.lateral.kernels import N_LATERAL, fill_transition, moved
+from fusion.estimator.lateral.mixture_kernels import summarised
+from fusion.estimator.lateral.status import LateralStatus
+from fusion.estimator.lateral.updates import offset_model
 from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, FloatArray
 from fusion.estimator.propagation import Mode
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table, position_names
@@ -127,7 +127,7 @@ def _summarise_along(
     """Fill in offset, standard deviation and probability (n, 3) at the ends of paths (n, 5) of the same hypotheses.
 
     ``hypotheses`` are x (k, 4), P (k, 4, 4) and weight (k,), ``noise`` is that of
-    `fusion.estimator.lateral_kernels.fill_transition`, ``shared`` what `summarised` takes last.
+    `fusion.estimator.lateral.kernels.fill_transition`, ``shared`` what `summarised` takes last.
     """
     x, P, weight = hypotheses
     tolerance, lasting, scale = shared

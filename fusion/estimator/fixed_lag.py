@@ -1,6 +1,6 @@
 """Fixed-lag smoother in flight: smooths the estimate ``lag`` ago with all samples since.
 
-The smoothers of `fusion.estimator.smoother` and `fusion.estimator.lateral_smoother` run over the window of the lag,
+The smoothers of `fusion.estimator.smoother` and `fusion.estimator.lateral.smoother` run over the window of the lag,
 so the result equals that of the offline smoother for a flight that ends now.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import Estimate, estimate_of
-from fusion.estimator.lateral_smoother import OffsetSteps, ends_step
+from fusion.estimator.lateral.smoother import OffsetSteps, ends_step
 from fusion.estimator.smoothed_table import smoothed_table
 from fusion.estimator.smoother import Node, Steps, compile_smoother
 from fusion.estimator.state import SOURCES, Entry, State

@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.estimator.camera_delay import Delay, with_turns
-from fusion.estimator.installation_checks import Installation
+from fusion.estimator.installation.checks import Installation
 from fusion.estimator.kernels import BIAS, N_STATES, PSI, stepped
-from fusion.estimator.lateral_kernels import extended_path
-from fusion.estimator.lateral_offset import Acceleration, OffsetState, Path
-from fusion.estimator.lateral_status import Lateral
+from fusion.estimator.lateral.gaussian_sum import Acceleration, OffsetState, Path
+from fusion.estimator.lateral.kernels import extended_path
+from fusion.estimator.lateral.status import Lateral
 from fusion.estimator.models import FloatArray
 from fusion.estimator.propagation import (
     LONG_TURN_RAD,

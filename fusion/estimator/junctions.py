@@ -22,7 +22,7 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.corridor_axis import CorridorAxis, PreviousAxis, Recovery, Rival
 from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET
 from fusion.estimator.votes import AGREEING_SHARE, Agreement, agreement, is_contested
-from vision.rotations import wrap_axis
+from vision.rotations import wrap, wrap_axis
 
 if TYPE_CHECKING:
     from fusion.estimator.ekf import CorridorEKF
@@ -143,7 +143,7 @@ def enter_corridor(
         Further state that it depends on.
     """
     psi, bias, offset = ekf.x.tolist()
-    turn = axis.corridor_turn_rad + psi - found.heading_rad
+    turn = wrap(axis.corridor_turn_rad + psi - found.heading_rad)  # the vehicle may have spun
     variance = found.std_rad**2
     F, Q = np.zeros((N_STATES, N_STATES)), np.zeros((N_STATES, N_STATES))
     F[BIAS, BIAS] = F[YAW_OFFSET, YAW_OFFSET] = 1.0

@@ -17,7 +17,7 @@ Measurements, with residuals wrapped to half a turn for frames and to a turn for
     frame:    z = psi  (modulo pi)
     IMU yaw:  z = psi + turn + o    (turn: angle of the present corridor's axis from the first one's)
 
-The lateral offset has a filter of its own, `fusion.estimator.lateral_offset`.
+The lateral offset has a filter of its own, `fusion.estimator.lateral.gaussian_sum`.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ AGREEING_SPREAD = 0.25  # largest interquartile range of the widths, over their 
 WIDTH_M = (
     1.0,
     50.0,
-)  # the lower bound is 4 sigma from `fusion.estimator.lateral_offset`'s prior on half widths
+)  # the lower bound is 4 sigma from `fusion.estimator.lateral.gaussian_sum`'s prior on half widths
 GROWN = 1.125  # newest widths over the median; an object below the vehicle only shortens the range
 WIDTH_MEMORY_FRAMES = 100
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 from math import isfinite, radians
 from typing import TYPE_CHECKING, NamedTuple
 
-from fusion.estimator.lateral_offset import OffsetModel
-from fusion.estimator.lateral_status import JUMP_NORM, Lateral, reliable
+from fusion.estimator.lateral.gaussian_sum import OffsetModel
+from fusion.estimator.lateral.status import JUMP_NORM, Lateral, reliable
 from fusion.estimator.models import BIAS, PSI
 from fusion.estimator.propagation import ImuSample
 from vision.rotations import wrap

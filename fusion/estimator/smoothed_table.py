@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.lateral import offset_model
-from fusion.estimator.lateral_kernels import Y
-from fusion.estimator.lateral_smoother import OffsetSteps, at_times, smoothed_offsets
-from fusion.estimator.lateral_status import LateralStatus
+from fusion.estimator.lateral.kernels import Y
+from fusion.estimator.lateral.smoother import OffsetSteps, at_times, smoothed_offsets
+from fusion.estimator.lateral.status import LateralStatus
+from fusion.estimator.lateral.updates import offset_model
 from fusion.estimator.models import BIAS, PSI, YAW_OFFSET, FloatArray
 from fusion.estimator.smoother import SmoothedSteps, Steps
 from fusion.estimator.tables import HYPOTHESIS_DTYPE, Table, position_names

@@ -15,10 +15,10 @@ from fusion.estimator.corridor_axis import CorridorAxis
 from fusion.estimator.frame_update import FrameResult, FrameSample
 from fusion.estimator.gyro_checks import GyroCheck, GyroVerdict
 from fusion.estimator.imu_yaw import AttitudeSample, ImuYaw
-from fusion.estimator.installation_checks import Installation
+from fusion.estimator.installation.checks import Installation
 from fusion.estimator.kernels import NO_FORCE
-from fusion.estimator.lateral import usable_force
-from fusion.estimator.lateral_status import Lateral
+from fusion.estimator.lateral.status import Lateral
+from fusion.estimator.lateral.updates import usable_force
 from fusion.estimator.models import FloatArray, level_yaw_rate
 from fusion.estimator.propagation import DeadReckoning, ImuSample
 from fusion.estimator.range_width import RangeSample, Width

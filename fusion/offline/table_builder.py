@@ -11,7 +11,7 @@ from fusion.estimator.config import FusionConfig
 from fusion.estimator.events import Event, EventFinder
 from fusion.estimator.filter_table import filter_table
 from fusion.estimator.frame_update import FrameResult
-from fusion.estimator.lateral_smoother import OffsetSteps
+from fusion.estimator.lateral.smoother import OffsetSteps
 from fusion.estimator.sample_times import SampleTimes
 from fusion.estimator.smoothed_table import smoothed_table
 from fusion.estimator.smoother import Steps

@@ -9,7 +9,7 @@ import pytest
 
 from fusion import CorridorEstimator, FusionConfig
 from fusion.estimator.faults import Fault
-from fusion.estimator.installation_checks import Installation
+from fusion.estimator.installation.checks import Installation
 from fusion.estimator.propagation import ImuSample
 from fusion.offline.fuse import _camera_problems
 from fusion.offline.table_builder import TableBuilder

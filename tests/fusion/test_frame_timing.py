@@ -10,7 +10,7 @@ import pytest
 
 from fusion import CorridorEstimator, FusionConfig
 from fusion.estimator.faults import Fault
-from fusion.estimator.frame_timing import MIN_BLOCKS, FrameTiming
+from fusion.estimator.installation.frame_timing import MIN_BLOCKS, FrameTiming
 from tests.fusion.simulated import frame
 
 MS = 1_000_000

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fusion.estimator.camera_yaw import CameraYaw
 from fusion.estimator.faults import Fault
-from fusion.estimator.installation_checks import Installation
-from fusion.estimator.running_slope import LEVEL_S, MEMORY
+from fusion.estimator.installation.camera_yaw import CameraYaw
+from fusion.estimator.installation.checks import Installation
+from fusion.estimator.installation.running_slope import LEVEL_S, MEMORY
 
 DOWN = (0.0, 0.0, 1.0)
 

@@ -11,9 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.estimator.lateral_kernels import S, V, Y, levelled
-from fusion.estimator.lateral_mixture_kernels import MAX_SPREAD_NORM, spread_about
-from fusion.estimator.lateral_offset import (
+from fusion.estimator.lateral.gaussian_sum import (
     MAX_HYPOTHESES,
     Acceleration,
     OffsetModel,
@@ -33,7 +31,9 @@ from fusion.estimator.lateral_offset import (
     with_roll,
     with_speed,
 )
-from fusion.estimator.lateral_smoother import (
+from fusion.estimator.lateral.kernels import S, V, Y, levelled
+from fusion.estimator.lateral.mixture_kernels import MAX_SPREAD_NORM, spread_about
+from fusion.estimator.lateral.smoother import (
     LONGEST_STEP_S,
     OffsetStep,
     OffsetSteps,

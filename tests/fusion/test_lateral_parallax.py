@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from fusion import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
-from fusion.estimator.lateral_kernels import S, V, Y
-from fusion.estimator.lateral_offset import (
+from fusion.estimator.lateral.gaussian_sum import (
     FrameEvidence,
     OffsetModel,
     OffsetState,
@@ -23,7 +22,8 @@ from fusion.estimator.lateral_offset import (
     transition,
     update,
 )
-from fusion.estimator.lateral_parallax import (
+from fusion.estimator.lateral.kernels import S, V, Y
+from fusion.estimator.lateral.parallax import (
     BASELINE_S,
     INTERVAL_S,
     MAX_VIEW_S,

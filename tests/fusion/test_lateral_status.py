@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimator import CorridorEstimator
-from fusion.estimator.lateral_offset import OffsetReadout
-from fusion.estimator.lateral_status import CONTRADICTED_S, Lateral, RecentOffsets, with_frame_outcome
+from fusion.estimator.lateral.gaussian_sum import OffsetReadout
+from fusion.estimator.lateral.status import CONTRADICTED_S, Lateral, RecentOffsets, with_frame_outcome
 from fusion.estimator.propagation import ImuSample
 from fusion.estimator.tables import Table
 from fusion.offline.table_builder import TableBuilder

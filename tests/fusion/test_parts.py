@@ -20,8 +20,8 @@ from fusion.estimator.engine import Engine
 from fusion.estimator.frame_update import FrameSample, measure_with_prior, reason_to_reject
 from fusion.estimator.imu_yaw import AttitudeSample, ImuYaw, fuse_imu_yaw
 from fusion.estimator.junctions import NewCorridor
-from fusion.estimator.lateral import LateralOffset, MotionStep
-from fusion.estimator.lateral_status import Lateral, LateralReadout, LateralStatus, readout
+from fusion.estimator.lateral.status import Lateral, LateralReadout, LateralStatus, readout
+from fusion.estimator.lateral.updates import LateralOffset, MotionStep
 from fusion.estimator.models import BIAS, PSI, YAW_OFFSET, ScalarMeasurement
 from fusion.estimator.noise_adaptation import ErrorModel, SourceNoise, update_robustly
 from fusion.estimator.propagation import DeadReckoning, ImuSample, Mode, Propagation

@@ -11,7 +11,7 @@ all variables, which removes the gyroscope's bias and its random walk.
 
 The error is small against the frames' noise in a span of seconds (`fusion.estimator.frame_drift.Slope.stamp_s`). Here
 the normal equations are summed over `MEMORY_BLOCKS` blocks, 10 s: short enough to follow a clock whose rate is wrong.
-Its sigma follows from the residuals, as in `fusion.estimator.running_slope`. It is reported if it is significant
+Its sigma follows from the residuals, as in `running_slope`. It is reported if it is significant
 (`running_slope.is_surely_beyond`) and larger than `MIN_REPORTED_S`.
 """
 
@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fusion.estimator.installation.running_slope import MIN_STD, is_surely_beyond
 from fusion.estimator.kernels import FloatArray
-from fusion.estimator.running_slope import MIN_STD, is_surely_beyond
 
 # Time constant of the means; with a longer one the gyroscope's random walk biases c in slow turns.
 LEVEL_S = 0.5

@@ -1,7 +1,7 @@
 """Compiled update of the lateral offset's hypotheses by a frame, and the moments that are reported.
 
-The model is described in `fusion.estimator.lateral_offset`. Hypotheses and weights are laid out as in
-`fusion.estimator.lateral_kernels`. The components of a frame's likelihood are rows (m, 3) of weight, offset and
+The model is described in `gaussian_sum`. Hypotheses and weights are laid out as in
+`kernels`. The components of a frame's likelihood are rows (m, 3) of weight, offset and
 variance.
 """
 
@@ -11,7 +11,7 @@ from math import erf, exp, pi, sqrt
 
 import numpy as np
 
-from fusion.estimator.lateral_kernels import N_LATERAL, C, S, V, Y, corrected
+from fusion.estimator.lateral.kernels import N_LATERAL, C, S, V, Y, corrected
 from vision.compiled import compiled, compiled_inner
 from vision.types import FloatArray, IntArray
 

@@ -1,8 +1,8 @@
-"""Compiled prediction and scalar update of the lateral offset's hypotheses; see `fusion.estimator.lateral_offset`.
+"""Compiled prediction and scalar update of the lateral offset's hypotheses; see `gaussian_sum`.
 
 Hypotheses are rows of ``x`` (k, 4) and ``P`` (k, 4, 4); the last element of ``weight`` (k + 1,) is the probability
 that the offset is unknown. Covariances are exactly symmetric: each pair of entries is computed once. The update of
-the sum by a frame is in `fusion.estimator.lateral_mixture_kernels`.
+the sum by a frame is in `mixture_kernels`.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def extended_path(
 ) -> tuple[PathNumbers, AccelerationNumbers]:
     """Extend a path by ``dt_s``, with the specific force at the end of the step; NaN without a sample.
 
-    ``path`` and ``accel`` are the fields of a `fusion.estimator.lateral_offset.Path` and ``Acceleration``; the
+    ``path`` and ``accel`` are the fields of a `gaussian_sum.Path` and ``Acceleration``; the
     other arguments are as in `levelled`.
     """
     t_s, accel_s, a1, a2, noise = path
@@ -121,12 +121,12 @@ def fill_transition(
     F: FloatArray,
     Q: FloatArray,
 ) -> None:
-    """Fill in F (4, 4) and Q (4, 4) of a path of non-zero length; see `fusion.estimator.lateral_offset.transition`.
+    """Fill in F (4, 4) and Q (4, 4) of a path of non-zero length; see `gaussian_sum.transition`.
 
     Parameters
     ----------
     path
-        The fields of a `fusion.estimator.lateral_offset.Path`.
+        The fields of a `gaussian_sum.Path`.
     noise
         One over the half width, accel_noise, accel_bias_walk, rough_limit, velocity_std_m_s and velocity_time_s of an
         `OffsetModel`.

@@ -2,7 +2,7 @@
 
 If the configured focal length is too short by a part e, the tangent of each heading h is measured too large by e, and
 h by e sin(2 h) / 2. So e is the slope of the difference of heading and gyroscope's angle over sin(2 h) / 2
-(`fusion.estimator.running_slope.RunningSlope`). Two slopes are fitted: with the measured h, and with h propagated by
+(`running_slope.RunningSlope`). Two slopes are fitted: with the measured h, and with h propagated by
 the gyroscope from the mean of the last seconds. Errors of the frames, such as a wrong axis, are also in the measured
 h and increase the first slope. A bend turns the gyroscope but not the measured heading, and decreases the second one.
 A wrong focal length changes both equally, and so does a scale error of the gyroscope.
@@ -16,7 +16,7 @@ from __future__ import annotations
 from math import expm1, radians, sin, sqrt
 from typing import NamedTuple
 
-from fusion.estimator.running_slope import LEVEL_S, RunningSlope
+from fusion.estimator.installation.running_slope import LEVEL_S, RunningSlope
 from vision.rotations import wrap_axis
 
 MAX_JUMP_RAD = 0.35  # a larger difference from the mean of the last seconds is another axis

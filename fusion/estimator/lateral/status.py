@@ -1,6 +1,6 @@
 """Status of the lateral offset: whether it is known, whether it is consistent with the motion, and its jumps.
 
-`fusion.estimator.lateral` updates this part of the state. After each frame:
+`updates` updates this part of the state. After each frame:
 
 - The offset is compared with a prediction: the median of the offsets of the last `CONTRADICTED_S`, each moved on by
   the integrated rate. It is contradicted, and reported as unknown, if it differs by more than `DRIFT_NORM` +
@@ -15,7 +15,7 @@ from math import cos, isfinite, isnan, nan, sin
 from statistics import median
 from typing import NamedTuple
 
-from fusion.estimator.lateral_offset import (
+from fusion.estimator.lateral.gaussian_sum import (
     OffsetModel,
     OffsetReadout,
     OffsetState,
@@ -24,9 +24,9 @@ from fusion.estimator.lateral_offset import (
     in_new_corridor,
     initial_offset_state,
 )
-from fusion.estimator.lateral_offset import readout as readout_of
-from fusion.estimator.lateral_parallax import WallView
-from fusion.estimator.lateral_smoother import MotionPrediction, OffsetStep
+from fusion.estimator.lateral.gaussian_sum import readout as readout_of
+from fusion.estimator.lateral.parallax import WallView
+from fusion.estimator.lateral.smoother import MotionPrediction, OffsetStep
 from fusion.estimator.models import Gate
 from fusion.estimator.sample_times import seconds_since
 from fusion.estimator.velocity import Velocity

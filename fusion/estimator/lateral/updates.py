@@ -2,8 +2,8 @@
 
 The engine calls `LateralOffset.propagated` in each propagation step, `with_velocity` for each velocity and `fused`
 for each accepted frame; `expected` is the prior that vision gets before it measures a frame. This module turns
-samples into measurements of the Gaussian-sum filter `fusion.estimator.lateral_offset`.
-`fusion.estimator.lateral_status` holds this part of the state and decides whether the offset is reported.
+samples into measurements of the Gaussian-sum filter `gaussian_sum`.
+`status` holds this part of the state and decides whether the offset is reported.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.lateral_kernels import N_LATERAL, S, V, correct_all
-from fusion.estimator.lateral_offset import (
+from fusion.estimator.lateral.gaussian_sum import (
     FIRST_FRAME_S,
     SPEED_SIGMA,
     FrameEvidence,
@@ -29,10 +28,11 @@ from fusion.estimator.lateral_offset import (
     with_roll,
     with_speed,
 )
-from fusion.estimator.lateral_offset import readout as readout_of
-from fusion.estimator.lateral_parallax import compare_walls, compile_parallax, with_parallax
-from fusion.estimator.lateral_smoother import OffsetStep
-from fusion.estimator.lateral_status import Lateral, reliable, with_frame_outcome
+from fusion.estimator.lateral.gaussian_sum import readout as readout_of
+from fusion.estimator.lateral.kernels import N_LATERAL, S, V, correct_all
+from fusion.estimator.lateral.parallax import compare_walls, compile_parallax, with_parallax
+from fusion.estimator.lateral.smoother import OffsetStep
+from fusion.estimator.lateral.status import Lateral, reliable, with_frame_outcome
 from fusion.estimator.models import PSI, FloatArray, Gate, Vector
 from fusion.estimator.records import new_record
 from fusion.estimator.sample_times import seconds_since

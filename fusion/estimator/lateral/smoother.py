@@ -2,7 +2,7 @@
 
 A two-filter smoother (D. C. Fraser, J. E. Potter, "The optimum linear smoother as a combination of two optimum
 linear filters", IEEE Transactions on Automatic Control 14(4), 1969) for Gaussian sums. The filter of
-`fusion.estimator.lateral_offset` runs a second time over the same steps, from the end to the start, with inverted
+`gaussian_sum` runs a second time over the same steps, from the end to the start, with inverted
 transitions and the same frame likelihoods. At each step the forward density p_f(y, v) and the backward density p_b
 are multiplied. Both contain the prior p_0, uniform in y and Gaussian in v, which must count only once::
 
@@ -23,8 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.estimator.lateral_kernels import V, Y
-from fusion.estimator.lateral_offset import (
+from fusion.estimator.lateral.gaussian_sum import (
     FrameEvidence,
     OffsetModel,
     OffsetReadout,
@@ -37,7 +36,8 @@ from fusion.estimator.lateral_offset import (
     with_evidence,
     with_speed,
 )
-from fusion.estimator.lateral_parallax import WallParallax, with_parallax
+from fusion.estimator.lateral.kernels import V, Y
+from fusion.estimator.lateral.parallax import WallParallax, with_parallax
 from vision.types import FloatArray
 
 YV = slice(Y, V + 1)

@@ -2,7 +2,7 @@
 
 A camera whose yaw or principal point differs from the calibration by an angle beta shifts every heading by beta,
 which turns do not reveal. When the vehicle rolls by phi, however, the axis's elevation changes by ``beta sin(phi)``.
-So beta is the slope of elevation over sin(phi) (`fusion.estimator.running_slope.RunningSlope`). Running means are
+So beta is the slope of elevation over sin(phi) (`running_slope.RunningSlope`). Running means are
 subtracted from both: a ramp or a lasting attitude error also changes the elevation, possibly together with a slow
 roll. Errors of the attitude are correlated over seconds, those of frames hardly.
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 from math import radians, sin
 from typing import NamedTuple
 
-from fusion.estimator.running_slope import PRIOR_WINDOWS, RunningSlope
+from fusion.estimator.installation.running_slope import PRIOR_WINDOWS, RunningSlope
 
 MAX_ELEVATION_RAD = 0.3  # a larger one is not that of a corridor's axis
 MIN_ROLL_STD = 0.02  # rad; smallest scatter of the roll for which the slope is observable

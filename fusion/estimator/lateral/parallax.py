@@ -10,7 +10,7 @@ camera is a measurement of each hypothesis x = [y, v, c, s]::
 
 with e_Y the unit vector of y, F_Y the row of F for y, and l the camera's displacement by rotation about the body's
 centre, metres. R is divided by the independent part of a comparison after dt, as in
-`fusion.estimator.lateral_offset`, with a tau of seconds: an axis that is off by a tenth of a degree shifts d by some
+`gaussian_sum`, with a tau of seconds: an axis that is off by a tenth of a degree shifts d by some
 thousandths, and this error lasts. The mixture of y is fused like that of a frame, without forgetting.
 """
 
@@ -22,8 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.estimator.lateral_kernels import S, Y, correct_all
-from fusion.estimator.lateral_offset import (
+from fusion.estimator.lateral.gaussian_sum import (
     FIRST_FRAME_S,
     MIN_CANNOT_TELL,
     FrameEvidence,
@@ -34,6 +33,7 @@ from fusion.estimator.lateral_offset import (
     transition,
     updated_hypotheses,
 )
+from fusion.estimator.lateral.kernels import S, Y, correct_all
 from vision.lateral.parallax import PROFILES_SHAPE, Profiles, compare
 from vision.types import FloatArray
 
@@ -104,7 +104,7 @@ class WallView(NamedTuple):
     profiles
         `FrameMeasurement.wall_profiles`.
     side, aside_m
-        As in `fusion.estimator.lateral_offset.FrameEvidence`.
+        As in `gaussian_sum.FrameEvidence`.
     path
         Motion since the frame.
     """

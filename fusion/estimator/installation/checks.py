@@ -5,8 +5,8 @@
   Sums fade with `MEMORY`, and the stated variances count as `PRIOR_TURNS` turns beside the residuals.
 - Gravity: at rest the accelerometer reads (0, 0, -9.8) m/s^2 in FRD; its mean must agree with the attitude's
   vertical.
-- Camera: its yaw shows when the vehicle rolls (`fusion.estimator.camera_yaw`), its focal length in the headings
-  (`fusion.estimator.focal_length`), its time stamps in turns (`fusion.estimator.frame_timing`).
+- Camera: its yaw shows when the vehicle rolls (`camera_yaw`), its focal length in the headings
+  (`focal_length`), its time stamps in turns (`frame_timing`).
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from math import degrees, hypot, pi, radians, sqrt
 from statistics import median
 from typing import NamedTuple
 
-from fusion.estimator.camera_yaw import CameraYaw
 from fusion.estimator.faults import Fault, Notice
-from fusion.estimator.focal_length import FocalLength
-from fusion.estimator.frame_timing import FrameTiming
+from fusion.estimator.installation.camera_yaw import CameraYaw
+from fusion.estimator.installation.focal_length import FocalLength
+from fusion.estimator.installation.frame_timing import FrameTiming
 from fusion.estimator.models import Vector
 from fusion.estimator.records import new_record
 from vision.rotations import wrap_axis
@@ -152,7 +152,7 @@ class Installation(NamedTuple):
     def with_elevation(
         self, t_ns: int, elevation_rad: float, std_rad: float, roll_rad: float
     ) -> Installation:
-        """Add an elevation; arguments as in `fusion.estimator.camera_yaw.CameraYaw.with_elevation`."""
+        """Add an elevation; arguments as in `camera_yaw.CameraYaw.with_elevation`."""
         seen = self.camera_yaw.with_elevation(t_ns, elevation_rad, std_rad, roll_rad)
         return self if seen is self.camera_yaw else self._replace(camera_yaw=seen)
 

@@ -58,7 +58,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.estimator.kernels import NO_FORCE
-from fusion.estimator.lateral_kernels import (
+from fusion.estimator.lateral.kernels import (
     N_LATERAL,
     S,
     Y,
@@ -67,7 +67,7 @@ from fusion.estimator.lateral_kernels import (
     fill_transition,
     propagated_along,
 )
-from fusion.estimator.lateral_mixture_kernels import summarised, update_with_frame
+from fusion.estimator.lateral.mixture_kernels import summarised, update_with_frame
 from fusion.estimator.records import new_record
 from vision.lateral.mixture import OffsetMixture, combine
 from vision.types import FloatArray

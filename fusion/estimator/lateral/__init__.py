@@ -1,0 +1,7 @@
+"""Lateral offset: a Gaussian sum over frames, motion parallax, accelerometer and velocity, and its smoother.
+
+`updates` is the part that the engine calls, with propagation steps, velocities and frames. `gaussian_sum` has the
+model with its equations, `kernels` and `mixture_kernels` its compiled steps, `parallax` the evidence of the walls'
+motion, `smoother` the pass backwards in time. `status` decides what is reported: known, coasting or unknown, and
+jumps.
+"""
