@@ -200,8 +200,8 @@ def _find_axis(lines: LineSet, camera: Camera, attitude: Attitude, prior: Prior)
     """Fit the corridor's axis and decide whether to accept it; lines across the vanishing point are cut in two."""
     if camera.line_delay_s != 0.0 and prior.body_rates_rad_s is not None:
         lines = correct_rolling_shutter(lines, camera, prior.body_rates_rad_s)
-    # Subtract the predicted elevation, so that the axis is expected on the horizon. It is taken for a mounting pitch,
-    # which rolls with the body, until vertical lines show that it is the corridor that slopes.
+    # Subtract the predicted elevation, so that the axis is expected on the horizon. It is assumed to be an error of
+    # the mounting pitch, which rolls with the body; if the corridor slopes instead, vertical lines correct it.
     R_body_camera = rotation_from_angles(0.0, -prior.elevation_rad, 0.0) @ camera.R_body_camera
     level_std = level_std_rad(attitude, prior.elevation_std_rad)
     share = _mount_share(attitude, prior)
@@ -251,7 +251,7 @@ def level_std_rad(attitude: Attitude, mount_std_rad: float) -> tuple[float, floa
 
 
 def _mount_share(attitude: Attitude, prior: Prior) -> float:
-    """Return the share of the pitch by the verticals that is to be put down to the mount, not to the attitude."""
+    """Return the share of a pitch correction that is due to the mount, which is its share of the variance."""
     if attitude is UNKNOWN_ATTITUDE:
         return 0.0
     mount_variance = prior.elevation_std_rad**2 + min(abs(prior.elevation_rad), MAX_SLOPE_RAD) ** 2

@@ -11,6 +11,11 @@ An exhaustive vote, coarse then fine, maximises the sum of truncated parabolas `
 the lines' lengths, plus the Gaussian log-prior of a and b, limited below. Gauss-Newton with Tukey's biweight refines
 it; the scale shrinks to 3 sigma of each line. The lateral offset needs this accuracy: 0.5 degrees of roll move it by
 1 % of the corridor's width. The heading improves too.
+
+The corrected frame has z along (a, b, 1), and x below the body's x axis: the heading is that of the body. Were it
+that of the given level frame, a roll error b of a body pitched by theta would turn it by ``sin(theta) sin(b)``. A
+pitch error of the mount, not of the attitude, moves the body's x axis in the picture: it turns the heading by its
+sine times the sine of the roll.
 """
 
 from __future__ import annotations
@@ -193,7 +198,10 @@ def _fit_down(
 
 
 def _forward(R_level_body: FloatArray, mount_pitch_rad: float) -> tuple[float, float, float]:
-    """Return the body's x axis in the level frame, after a mounting pitch as it appears there is put right."""
+    """Return the body's x axis (3,) in the given level frame.
+
+    ``mount_pitch_rad`` is the part of the pitch correction in that frame that is an error of the mount.
+    """
     cos_roll = float(R_level_body[1, 1])
     pitch = mount_pitch_rad / cos_roll if cos_roll > MIN_COS_ROLL else 0.0
     x, y, z = (cos(pitch) * R_level_body[:, 0] - sin(pitch) * R_level_body[:, 2]).tolist()
@@ -224,9 +232,6 @@ def level_from_verticals(
 ) -> LevelFrame:
     """Correct a level frame by the picture's vertical lines.
 
-    The x axis of the level frame stays below or above that of the body, so that a correction of roll or pitch does
-    not turn the heading.
-
     Parameters
     ----------
     lines
@@ -237,8 +242,7 @@ def level_from_verticals(
         Standard deviations of their pitch and roll. They limit the roll error by a stripe on the floor below the
         camera, which looks vertical.
     mount_share
-        Share of a pitch correction that belongs to the mount instead of the attitude. It turns the camera within a
-        body that rolls, hence the heading by the sine of the roll.
+        Share of the pitch correction that is an error of the mount; the rest is one of the attitude.
     """
     R_level_camera = R_level_body @ R_body_camera
     down = _fit_down(lines.geometry(), R_level_camera, pitch_std_rad, roll_std_rad)
