@@ -49,7 +49,7 @@ class TestPrinted:
         path = tmp_path / "my.toml"
         path.write_text("corridor_width_m = 2.2\nmin_lines = 6\n")
         text = settings_text(FusionConfig, "corridor fuse FLIGHT", path)
-        assert "corridor_width_m = 2.2  # m; above 0.2 to 100; default: not set" in text
+        assert "corridor_width_m = 2.2  # m; from 0.2 to 100; default: not set" in text
         assert "min_lines = 6  # from 2 to 1000; default 4" in text
         assert "# camera_height_m = ...  # m; above 0.01 to 100; not set" in text
         assert "imu_yaw_std_rad = 0.008726646259971648  # rad (0.5 degrees); above 0 to 1" in text

@@ -108,8 +108,10 @@ def test_a_turned_mount_is_like_a_turned_vehicle(
         assert (here.status, here.reset_count) == (there.status, 0)
         rig_pose = Rotation.from_euler("ZYX", [there.heading_rad, there.pitch_rad, there.roll_rad])
         heading_rad = (rig_pose * Rotation.from_matrix(R_body_rig).inv()).as_euler("ZYX")[0]
-        # The vote's bins lie elsewhere among the lines, so the two do not weigh each frame alike.
-        assert here.heading_rad == pytest.approx(heading_rad, abs=0.5 * there.heading_std_rad)
+        # The vote's bins lie elsewhere among the lines, so the two do not weigh each frame alike. A pitch error of
+        # the mount is about the body's y axis, which differs, by up to 17 degrees here.
+        limit_rad = 0.5 * there.heading_std_rad + radians(0.05)
+        assert here.heading_rad == pytest.approx(heading_rad, abs=limit_rad)
         apart = here.lateral_offset_norm - there.lateral_offset_norm
         agreeing.append(isfinite(here.lateral_offset_norm) == isfinite(there.lateral_offset_norm))
         assert not abs(apart) > 0.3 * there.lateral_offset_norm_std  # NaN: one of them does not tell it yet
