@@ -126,7 +126,7 @@ class Arrivals:
         self._others_came = True  # since the clock's last sample
         self._first = (0, 0)  # stamp and tick of the clock's first sample
         self._waiting: list[Sample] = []
-        self.refused: dict[type[Sample], tuple[str, int]] = {}  # impossible values: fault, number in a row
+        self._refused: dict[type[Sample], tuple[str, int]] = {}  # impossible values: fault, number in a row
         self._released: list[Sample] = []
         self.frames = FrameStamps()
 
@@ -140,6 +140,8 @@ class Arrivals:
         newest_ns
             Time of the newest accepted sample; None before any.
         """
+        if self._refused:
+            self._refused.pop(type(sample), None)
         source, t_ns, clock = self._sources[type(sample)], sample.t_ns, self._clock
         if newest_ns is None or clock is None:
             self._follow(source, t_ns)
@@ -163,6 +165,14 @@ class Arrivals:
         """Return the samples that a decision has released, in order of time."""
         released, self._released = self._released, []
         return released
+
+    def refuse(self, kind: type[Sample], fault: str) -> None:
+        """Note that a sample has impossible values; ``fault`` is the name under which it is counted."""
+        self._refused[kind] = (fault, self.refused(kind)[1] + 1)
+
+    def refused(self, kind: type[Sample]) -> tuple[str, int]:
+        """Return the fault of a source's last samples, and how many in a row had impossible values."""
+        return self._refused.get(kind, ("", 0))
 
     def latency_ns(self, kind: type[Sample]) -> int:
         """Return the usual delay of a source's samples behind the newest stamp."""

@@ -166,10 +166,11 @@ class Estimate:
 class ArrivalTimes(Protocol):
     """Latencies and clock checks of live samples: `fusion.estimator.arrivals.Arrivals`. Not used for logs."""
 
-    refused: dict[type[Sample], tuple[str, int]]  # samples with impossible values: fault, and number in a row
-
     def latency_ns(self, kind: type[Sample]) -> int:
         """Usual delay of a source's samples behind the newest stamp, nanoseconds."""
+
+    def refused(self, kind: type[Sample]) -> tuple[str, int]:
+        """Fault of a source's last samples, and how many in a row had impossible values."""
 
     def notices(self) -> Iterator[Notice]:
         """Report wrong clocks."""
@@ -284,7 +285,7 @@ def _sensor_notices(
         (Fault.RANGE_SILENT, RangeSample, state.width.silence(due_ns(RangeSample), config)),
     )
     for fault, kind, text in found:
-        cause, count = ("", 0) if arrivals is None else arrivals.refused.get(kind, ("", 0))
+        cause, count = ("", 0) if arrivals is None else arrivals.refused(kind)
         if text or count >= REFUSED_SAMPLES:
             yield Notice(fault, REFUSED.get(cause, text))
 

@@ -151,11 +151,8 @@ class CorridorEstimator:
         """
         if fault := sample.fault():
             self.counters[fault] += 1
-            refused = self._arrivals.refused
-            refused[type(sample)] = (fault, refused.get(type(sample), ("", 0))[1] + 1)
+            self._arrivals.refuse(type(sample), fault)
             return None
-        if self._arrivals.refused:
-            self._arrivals.refused.pop(type(sample), None)
         timeline = self._timeline
         admission = self._arrivals.admit(sample, timeline.newest_ns)
         if admission is TAKE:

@@ -2,9 +2,9 @@
 
 A camera whose yaw or principal point differs from the calibration by an angle beta shifts every heading by beta,
 which turns do not reveal. When the vehicle rolls by phi, however, the axis's elevation changes by ``beta sin(phi)``.
-So beta is the slope of elevation over sin(phi) (`running_slope.RunningSlope`). Running means are
-subtracted from both: a ramp or a lasting attitude error also changes the elevation, possibly together with a slow
-roll. Errors of the attitude are correlated over seconds, those of frames hardly.
+So beta is the slope of elevation over sin(phi) (`running_slope.RunningSlope`). Running means are subtracted from
+both: a ramp or a lasting attitude error also changes the elevation, possibly together with a slow roll. Errors of the
+attitude are correlated over seconds, those of frames hardly.
 
 The error is reported if it is significant and larger than `MAX_CAMERA_YAW_RAD`.
 """

@@ -5,8 +5,8 @@
   Sums fade with `MEMORY`, and the stated variances count as `PRIOR_TURNS` turns beside the residuals.
 - Gravity: at rest the accelerometer reads (0, 0, -9.8) m/s^2 in FRD; its mean must agree with the attitude's
   vertical.
-- Camera: its yaw shows when the vehicle rolls (`camera_yaw`), its focal length in the headings
-  (`focal_length`), its time stamps in turns (`frame_timing`).
+- Camera: its yaw shows when the vehicle rolls (`camera_yaw`), its focal length in the headings (`focal_length`), its
+  time stamps in turns (`frame_timing`).
 """
 
 from __future__ import annotations
