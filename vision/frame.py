@@ -32,7 +32,7 @@ from vision.cameras.camera import Camera
 from vision.cameras.projection import project_directions
 from vision.errors import InputError
 from vision.images import to_grey
-from vision.lateral.learned import corner_lines, corner_scores, learned_mixture, mixture_of
+from vision.lateral.learned import aspect_at, corner_lines, corner_scores, learned_mixture, mixture_of
 from vision.lateral.mixture import UNIFORM_DENSITY, OffsetMixture
 from vision.lateral.offset import MODE_HALF_WIDTH, LateralFit, PictureOffset, combined_offset, fit_lateral
 from vision.lateral.parallax import Profiles, wall_profiles
@@ -264,6 +264,8 @@ class _OffsetResult(NamedTuple):
     lateral_offset_norm: float = nan
     lateral_offset_norm_std: float = nan
     width_per_height: float = nan
+    corridor_aspect: float = nan
+    corridor_aspect_std: float = nan
     position: Position | None = None
     wall_lines_px: npt.NDArray[np.float32] | None = None
     offset_evidence: tuple[OffsetMixture, ...] = ()
@@ -318,7 +320,7 @@ def _measure_offset(
     by_lines, mixture = fit_lateral(lines, fit, level.R_level_camera, level.roll_std_rad, *known)
     estimate: LateralFit | PictureOffset | None = by_lines
     evidence: tuple[OffsetMixture, ...] = (mixture,)
-    profiles = None
+    profiles, aspect = None, (nan, nan)
     walls = None if by_lines is None else _in_picture(lines.ends_px[by_lines.wall_lines], camera)
     if heading.reason is not Reason.OK:
         evidence = _evidence_about_predicted_axis(lines, camera, level, prior)
@@ -337,6 +339,8 @@ def _measure_offset(
             )
             if wall_is_missing(wall_evidence):
                 estimate = None
+        if estimate is not None:
+            aspect = aspect_at(scores, estimate.offset_norm)
         agree = by_lines and estimate and abs(by_lines.offset_norm - estimate.offset_norm) < MODE_HALF_WIDTH
         if not agree:
             drawn = regions.cannot_tell < MAX_DRAWN_CANNOT_TELL
@@ -347,6 +351,8 @@ def _measure_offset(
         lateral_offset_norm=estimate.offset_norm,
         lateral_offset_norm_std=estimate.offset_norm_std,
         width_per_height=estimate.width_per_height,
+        corridor_aspect=aspect[0],
+        corridor_aspect_std=aspect[1],
         position=position_from_offset(estimate.offset_norm),
         wall_lines_px=walls,
         offset_evidence=evidence,

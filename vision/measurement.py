@@ -184,6 +184,9 @@ class FrameMeasurement:
         Offset from the centre line over half the corridor's width.
     width_per_height
         Corridor width over camera height above the floor.
+    corridor_aspect, corridor_aspect_std
+        Height of the corridor over its width, and its standard deviation, by all four corners. Unlike the corners
+        themselves it does not depend on the camera's position.
     position
         Left, centre or right; None where the offset is unknown.
     paper_yaw_rad
@@ -223,6 +226,8 @@ class FrameMeasurement:
     lateral_offset_norm: float = nan
     lateral_offset_norm_std: float = nan
     width_per_height: float = nan
+    corridor_aspect: float = nan
+    corridor_aspect_std: float = nan
     position: Position | None = None
     paper_yaw_rad: float = nan
     vision_ms: float = nan

@@ -24,6 +24,7 @@ MAX_TIME_NS = 2**62  # 146 years; sums of such times fit into 64 bits
 MAX_OFFSET_NORM = 3.0  # a camera between the walls is within 1
 MAX_OFFSET_STD = 10.0
 MAX_WIDTH_PER_HEIGHT = 1000.0
+MAX_ASPECT = 100.0  # of height over width of a corridor, and of its inverse
 MAX_ELEVATION_RAD = 0.5  # calibration errors of a camera's mount are smaller
 MAX_ROLL_CORRECTION_RAD = 0.5
 MAX_ANGLE_STD_RAD = pi
@@ -145,6 +146,9 @@ _BOUNDS = (
         "frame_roll",
     ),
     _Bound("width_per_height", "", MAX_WIDTH_PER_HEIGHT, inf, "frame_width", 0.0),
+    _Bound(
+        "corridor_aspect", "corridor_aspect_std", MAX_ASPECT, MAX_ASPECT, "frame_aspect", 1.0 / MAX_ASPECT
+    ),
 )
 
 

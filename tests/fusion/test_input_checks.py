@@ -95,6 +95,8 @@ def mixture(offset: float = 0.2, std: float = 0.05, weight: float = 0.9) -> Offs
         ("roll_correction_rad", 1e300, "roll"),
         ("width_per_height", 1e308, "width"),
         ("width_per_height", -1.0, "width"),
+        ("corridor_aspect", 5e-324, "aspect"),
+        ("corridor_aspect_std", inf, "aspect"),
     ],
 )
 def test_a_field_out_of_bounds_is_taken_out_alone(field: str, value: float, counted: str) -> None:
@@ -108,6 +110,8 @@ def test_a_field_out_of_bounds_is_taken_out_alone(field: str, value: float, coun
         roll_correction_rad=0.0,
         roll_correction_std_rad=0.02,
         width_per_height=1.5,
+        corridor_aspect=1.2,
+        corridor_aspect_std=0.1,
     )
     assert within_bounds(good) == (good, ())
     changes: dict[str, Any] = {field: value}

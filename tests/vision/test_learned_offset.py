@@ -28,6 +28,7 @@ from vision.lateral.learned import (
     N_QUARTER,
     WEIGHTS_FILE,
     CornerScores,
+    aspect_at,
     corner_scores,
     learned_mixture,
     likeliest_corners,
@@ -178,6 +179,9 @@ def test_corners_at_known_angles_give_the_offset_and_the_width(
     best = mixture.weight.argmax()
     assert mixture.offset_norm[best] == pytest.approx(offset, abs=0.045)  # columns are 1.9 degrees wide
     assert mixture.width_per_height[best] == pytest.approx(width / height, rel=0.1)
+    # Whatever the place of the camera
+    assert aspect_at(found, offset)[0] == pytest.approx(2.6 / width, rel=0.06)
+    assert np.isnan(aspect_at(found, offset + 0.4)).all()
     assert likeliest_corners(found) == pytest.approx(angles[[1, 0, 2, 3]], abs=radians(1.0))
 
 

@@ -25,7 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from math import exp, isfinite, nan, pi
+from math import exp, isfinite, log, nan, pi, sqrt
 from threading import local
 from typing import Any
 
@@ -51,6 +51,9 @@ COTANGENT: FloatArray = 1.0 / np.tan(ANGLES[:N_QUARTER])
 # Offset (N_QUARTER, N_QUARTER) by the angles of the left and the right corner
 PAIR_OFFSET: FloatArray = (COTANGENT[:, None] - COTANGENT) / (COTANGENT[:, None] + COTANGENT)
 MIN_PROBABILITY = 1e-4  # corners less probable at an angle are left out of the pairs
+
+ASPECT_REACH_NORM = 0.08  # half widths; corners at offsets closer than this belong to one cross-section
+MIN_ASPECT_PROBABILITY = 0.02  # of such corners; with less they contradict the offset
 
 MIN_DRAWN_CERTAINTY = 0.5  # see `corners_from_level`; less certain corners are not drawn
 DRAWN_TAN: FloatArray = np.geomspace(0.05, 4.0, 16)
@@ -227,6 +230,53 @@ def _mixture_fields(corner: FloatArray, cannot_tell: FloatArray) -> FloatArray:
 def mixture_of(found: CornerScores) -> OffsetMixture:
     """Return the offset's likelihood as a mixture, one component for each peak of its density."""
     return OffsetMixture(*_mixture_fields(found.corner, found.cannot_tell))
+
+
+@compiled
+def _aspect_at(corner: FloatArray, offset_norm: float) -> tuple[float, float]:
+    """Return height over width of the corridor at an offset, and its sigma; see `aspect_at`."""
+    aspect = variance = 0.0
+    for k in range(2):
+        left, right = corner[2 * k], corner[2 * k + 1]
+        total = mean = square = 0.0
+        for i in range(N_QUARTER):
+            if left[i] < MIN_PROBABILITY:
+                continue
+            for j in range(N_QUARTER):
+                if right[j] < MIN_PROBABILITY or abs(PAIR_OFFSET[i, j] - offset_norm) > ASPECT_REACH_NORM:
+                    continue
+                p, log_width = left[i] * right[j], log(COTANGENT[i] + COTANGENT[j])
+                total += p
+                mean += p * log_width
+                square += p * log_width * log_width
+        if total < MIN_ASPECT_PROBABILITY:
+            return nan, nan
+        mean /= total
+        part = exp(-mean)  # distance of the floor or the ceiling over the width
+        aspect += part
+        variance += part * part * max(square / total - mean * mean, 0.0)
+    return aspect, sqrt(variance)
+
+
+def aspect_at(found: CornerScores, offset_norm: float) -> tuple[float, float]:
+    """Return the corridor's height over its width by the corners that agree with a lateral offset.
+
+    With the corners' angles a from the horizontal it is ``1 / (cot a_FL + cot a_FR) + 1 / (cot a_CL + cot a_CR)``
+    (F floor, C ceiling, L left, R right). The camera's position cancels out.
+
+    Parameters
+    ----------
+    found
+        The network's output.
+    offset_norm
+        Offset of the camera, half widths.
+
+    Returns
+    -------
+    aspect, std
+        Mean and standard deviation; NaN where floor or ceiling do not agree with the offset.
+    """
+    return _aspect_at(found.corner, offset_norm)
 
 
 def learned_mixture(grey: GreyImage, camera: Camera, R_corridor_camera: FloatArray) -> OffsetMixture:

@@ -15,6 +15,7 @@ from math import cos, isfinite, isnan, nan, sin
 from statistics import median
 from typing import NamedTuple
 
+from fusion.estimator.lateral.cross_section import CrossSection
 from fusion.estimator.lateral.gaussian_sum import (
     OffsetModel,
     OffsetReadout,
@@ -118,6 +119,8 @@ class Lateral(NamedTuple):
         Parameters of the filter, with the width set last; None: those of the configuration.
     views
         Earlier frames' wall profiles, for the parallax of later frames; the oldest first.
+    section
+        Cross-section of the corridor that the frames show.
     """
 
     offset: OffsetState = initial_offset_state()
@@ -136,6 +139,7 @@ class Lateral(NamedTuple):
     reset_m: float = 0.0
     model: OffsetModel | None = None
     views: tuple[WallView, ...] = ()
+    section: CrossSection = CrossSection()
 
     @property
     def test_ratio(self) -> float:
@@ -155,6 +159,7 @@ class Lateral(NamedTuple):
             recent=RecentOffsets(),
             contradicted=False,
             views=(),
+            section=CrossSection(),
         )
 
     def at_path_end(self, model: OffsetModel) -> Lateral:

@@ -166,11 +166,13 @@ class LateralOffset:
         offset = lateral.offset
         if isfinite(m.roll_correction_rad) and m.roll_correction_std_rad > 0.0:
             offset = with_roll(offset, m.roll_correction_rad, m.roll_correction_std_rad, dt_s)
+        section = lateral.section.with_frame(t_ns, m)
+        lateral = lateral._replace(offset=offset, section=section)
         mixtures = _mixtures_of(m, self.config)
-        if not mixtures:
-            return lateral._replace(offset=offset)
+        if section.is_another_seen or not mixtures:
+            return lateral
         evidence = frame_evidence(mixtures, dt_s, float(x[PSI]), self.camera_arm_m)
-        lateral = lateral._replace(offset=offset).at_path_end(model)
+        lateral = lateral.at_path_end(model)
         offset = _with_width(lateral.offset, half_m)
         before = readout_of(offset, model)
         views, parallax = compare_walls(lateral.views, m.wall_profiles, evidence)
