@@ -55,6 +55,9 @@ from vision.types import FloatArray
 
 Method = Literal["geometric", "paper"]
 
+# Of a heading's sigma. Over 45 simulated and rendered flights, errors 2 to 4 s apart have .1 to .28 of the stated
+# variance in common, the more the more accurate the frames.
+LASTING_SHARE = 0.45
 MAX_DRAWN_CANNOT_TELL = 0.5  # the network's corners are drawn only where its "cannot tell" is below this
 MAX_PREDICTED_STD_RAD = radians(1.0)  # of the predicted heading, for it to replace the picture's
 MAX_PREDICTED_HEADING_RAD = radians(35.0)
@@ -293,6 +296,7 @@ def _frame_measurement(
         vp_cov_px2=vp_cov_px2,
         heading_rad=fit.heading_rad,
         heading_std_rad=heading.heading_std_rad,
+        heading_lasting_std_rad=LASTING_SHARE * heading.heading_std_rad,
         elevation_rad=prior.elevation_rad + level.pitch_correction_rad + fit.elevation_rad,
         elevation_std_rad=sqrt(fit.covariance[1, 1]),
         second_heading_rad=heading.second_heading_rad,

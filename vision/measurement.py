@@ -172,6 +172,10 @@ class FrameMeasurement:
         picture; NaN where it is outside the lens model's range.
     heading_rad, heading_std_rad
         Heading relative to the corridor's axis, in (-pi/2, pi/2): both directions of a corridor look alike.
+    heading_lasting_std_rad
+        Part of ``heading_std_rad`` that successive frames have in common for seconds, because they see the same
+        lines: the mean of many frames keeps it. 0 if their errors are independent, also of measurements made
+        elsewhere.
     elevation_rad, elevation_std_rad
         Elevation of the corridor's axis in the level frame, positive up. A value other than zero indicates
         an error of the tilt or of the camera mounting.
@@ -219,6 +223,7 @@ class FrameMeasurement:
     vp_cov_px2: tuple[tuple[float, float], tuple[float, float]] = ((nan, nan), (nan, nan))
     heading_rad: float = nan
     heading_std_rad: float = nan
+    heading_lasting_std_rad: float = 0.0
     elevation_rad: float = nan
     elevation_std_rad: float = nan
     second_heading_rad: float = nan

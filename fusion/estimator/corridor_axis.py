@@ -27,6 +27,7 @@ from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, Gate, headi
 from fusion.estimator.noise_adaptation import SourceNoise
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, DeadReckoning, Mode, yaw_at
 from fusion.estimator.votes import AGREEING_SHARE, Vote, add_vote, agreement
+from vision.measurement import FrameMeasurement
 from vision.rotations import wrap, wrap_axis
 
 if TYPE_CHECKING:
@@ -162,6 +163,8 @@ class CorridorAxis(NamedTuple):
         Whether a step of the camera's clock is suspected: a turn seen late may then look like another axis.
     facing_rad
         pi if the vehicle then faced against the axis, modulo a turn.
+    lasting_std_rad
+        Sigma of the heading's error by the part of the frames' errors that successive frames have in common.
     noise, frame_noise, gate
         Noise of the frames' headings, from their innovations and from their scatter about the gyroscope; outcome of
         the last innovation.
@@ -191,6 +194,7 @@ class CorridorAxis(NamedTuple):
     anchor_ns: int = 0
     stamps_suspect: bool = False
     facing_rad: float = 0.0
+    lasting_std_rad: float = 0.0
     noise: SourceNoise = SourceNoise()
     frame_noise: FrameNoise = FrameNoise()
     gate: Gate | None = None
@@ -250,6 +254,16 @@ class CorridorAxis(NamedTuple):
             anchor_ns=t_ns if sure else self.anchor_ns,
             facing_rad=psi - wrap_axis(psi),
         )
+
+    def with_lasting_error(self, gain: float, m: FrameMeasurement) -> CorridorAxis:
+        """Update with the common error of a frame that was fused with this Kalman gain.
+
+        The errors of all frames are taken as equal but for their sigmas, as in the consider (Schmidt-Kalman) filter
+        with a constant parameter.
+        """
+        part = m.heading_lasting_std_rad
+        std_rad = part if 0.0 < part < m.heading_std_rad else 0.0  # NaN fails too
+        return self._replace(lasting_std_rad=(1.0 - gain) * self.lasting_std_rad + gain * std_rad)
 
     def gate_sigma(self, config: FusionConfig, t_ns: int, axis_rad: float, variance: float) -> float:
         """Return the gate of a frame's heading.

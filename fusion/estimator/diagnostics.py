@@ -102,12 +102,13 @@ class Innovations:
 def covariance_of(state: State, model: OffsetModel, known: bool) -> Covariance:
     """Return mean and covariance of a state; ``known`` is whether the lateral offset is.
 
-    The variance of the heading contains that from an estimated camera delay, as in `Estimate.heading_std_rad`.
+    The variance of the heading contains those of an estimated camera delay and of the errors that successive frames
+    have in common, as in `Estimate.heading_std_rad`.
     """
     P = state.P.copy()
     if state.t_ns is not None:
-        by_delay = spread_by_delay(0.0, state.delay, state.t_ns)
-        P[PSI, PSI] = hypot(P[PSI, PSI] ** 0.5, by_delay) ** 2
+        outside = spread_by_delay(state.axis.lasting_std_rad, state.delay, state.t_ns)
+        P[PSI, PSI] = hypot(P[PSI, PSI] ** 0.5, outside) ** 2
     if not known:
         return Covariance(state.t_ns, STATE_NAMES, state.x.copy(), P)
     offset = state.lateral.offset

@@ -444,6 +444,7 @@ class Engine:
             at_delay = FrameHeading(t_ns, m.heading_rad, variance * scale, axis.reset_count)
             delay = learn_delay(delay, ekf, at_delay, by_delay.per_s, c)
         imu_yaw = compare_by_frame(s.imu_yaw, t_ns, heading, variance, d)
+        axis = axis.with_lasting_error(float(ekf.K[PSI, 0]), m)
         s = s._replace(axis=axis.confirmed(ekf, t_ns, d.theta_rad), delay=delay, imu_yaw=imu_yaw)
         s = self._with_accepted(s, t_ns, m, attitude)
         return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)
@@ -477,6 +478,7 @@ class Engine:
         axis = axis.with_seen_heading(
             t_ns, heading_rad, std_rad, d, axis.acquired, interval_s, self.config.imu_yaw_std_rad
         )
+        axis = axis.with_lasting_error(1.0, m)
         s = s._replace(axis=axis)
         if not axis.acquired:
             return s

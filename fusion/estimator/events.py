@@ -10,13 +10,10 @@ import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from math import sqrt
 
-from fusion.estimator.camera_delay import spread_by_delay
 from fusion.estimator.config import FusionConfig
-from fusion.estimator.estimate import notices_of, status_of
+from fusion.estimator.estimate import heading_of, notices_of, status_of
 from fusion.estimator.lateral.updates import offset_model
-from fusion.estimator.models import PSI
 from fusion.estimator.resets import Resets, only_propagated
 from fusion.estimator.state import Entry, State
 
@@ -99,7 +96,7 @@ class EventFinder:
                 values: dict[str, float | str] = {"corridor_index": index, "corridor_turn_rad": turn_rad}
                 found.append(Event(t_ns, EventKind.CORRIDOR_CHANGED, values))
             found += self._resets_since(old, new, t_ns)
-        heading_std = spread_by_delay(sqrt(new.P.item(PSI, PSI)), new.delay, t_ns)
+        _, heading_std = heading_of(new)
         status = status_of(new, self._config, t_ns, heading_std)
         if status != self.status:
             notices = notices_of(new, self._config, t_ns, heading_std)

@@ -52,10 +52,10 @@ def smoothed_table(
     variance = np.maximum(np.diagonal(found.P, axis1=1, axis2=2), 0.0)
     at = found.x[row_steps]
     std = np.sqrt(variance[row_steps])
-    if config.camera_delay_std_s > 0.0:  # the steps do not contain the delay's error
-        of_delay = np.maximum(table["heading_std_rad"] ** 2 - found.filter_variance[row_steps], 0.0)
-        of_delay[table["status"] == "initialising"] = 0.0
-        std[:, PSI] = np.sqrt(std[:, PSI] ** 2 + of_delay)
+    # The steps contain neither the error by the camera's delay nor the one that successive frames have in common.
+    outside = np.maximum(table["heading_std_rad"] ** 2 - found.filter_variance[row_steps], 0.0)
+    outside[table["status"] == "initialising"] = 0.0
+    std[:, PSI] = np.sqrt(std[:, PSI] ** 2 + outside)
     started = bool((table["status"] != "initialising").any())
     heading = at[:, PSI] if started else np.full(len(table), nan)
     out["heading_rad"] = wrap(heading)
