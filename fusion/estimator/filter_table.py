@@ -15,7 +15,7 @@ import numpy as np
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import heading_of
-from fusion.estimator.lateral.gaussian_sum import OffsetModel, OffsetState, lasting_variance, motion_noise
+from fusion.estimator.lateral.gaussian_sum import OffsetModel, OffsetState, lasting_variances, motion_noise
 from fusion.estimator.lateral.kernels import N_LATERAL, fill_transition, moved
 from fusion.estimator.lateral.mixture_kernels import summarised
 from fusion.estimator.lateral.status import LateralStatus
@@ -111,7 +111,7 @@ def _offsets_along(
     numbers = np.fromiter(chain.from_iterable(s.path for s in states), np.float64, n * len(state.path))
     paths, found = numbers.reshape(n, -1), np.empty((n, 3))
     hypotheses, noise = (state.x, state.P, state.weight[:-1]), motion_noise(model)
-    shared = (model.tolerance_norm, lasting_variance(state, model), model.scale_std)
+    shared = (model.tolerance_norm, lasting_variances(state, model), model.scale_std)
     _summarise_along(hypotheses, paths, noise, shared, found)
     offset, std, probability = found.T
     return offset, std, (probability > model.known_probability) & (std < model.known_std_norm)
@@ -122,7 +122,7 @@ def _summarise_along(
     hypotheses: tuple[FloatArray, FloatArray, FloatArray],
     paths: FloatArray,
     noise: tuple[float, float, float, float, float, float],
-    shared: tuple[float, float, float],
+    shared: tuple[float, tuple[float, float], float],
     out: FloatArray,
 ) -> None:
     """Fill in offset, standard deviation and probability (n, 3) at the ends of paths (n, 5) of the same hypotheses.

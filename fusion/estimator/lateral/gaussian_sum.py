@@ -44,15 +44,17 @@ for the corner stays for seconds, and averaging over frames does not reduce that
 added to the output, and not fed back to the filter: ``(s_y y)^2``, since lines inside or outside both corners make
 the corridor look narrower or wider, and ``s_l^2 u^2``, with u^2 the second moment of the frames' likelihoods about
 the most probable hypothesis, averaged over seconds: it is large if single frames are ambiguous or contradict the
-fused offset. On simulated corridors the error grows in proportion to u, and u separates wrong from right offsets
-better than the variance of the hypotheses or the difference between floor and ceiling.
+fused offset. On simulated corridors u separates wrong from right offsets better than the variance of the hypotheses
+or the difference between floor and ceiling. The error has long tails where u is large: half of the errors stay below
+``s_l u``, which the probability uses, while their root mean square, and so the reported sigma, is
+``max(s_l u, s_t (u - u_0))``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache, reduce
-from math import cos, exp, expm1, isfinite, nan, sin
+from math import cos, exp, expm1, isfinite, nan, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -103,11 +105,13 @@ class OffsetModel(NamedTuple):
     slack_norm: float = 0.01  # model error added to every component's sigma
     spread_time_s: float = 1.5  # time constant of the average of u^2
     lasting_share: float = 0.4  # s_l
+    tail_slope: float = 2.2  # s_t
+    tail_from_norm: float = 0.04  # u_0
     scale_std: float = 0.05  # s_y: relative error of the corridor's width as the detected lines show it
     near_norm: float = 0.03  # hypotheses closer than this are merged
     tolerance_norm: float = 0.1
     known_probability: float = 0.9
-    known_std_norm: float = 0.12
+    known_std_norm: float = 0.2
     lost_std_norm: float = 0.5
 
 
@@ -364,9 +368,11 @@ def readout(state: OffsetState, model: OffsetModel) -> OffsetReadout:
     return summary(x, P, state.weight[:-1], state, model)
 
 
-def lasting_variance(state: OffsetState, model: OffsetModel) -> float:
-    """Return ``s_l^2 u^2``, the variance of errors common to successive frames, half widths squared."""
-    return model.lasting_share**2 * state.spread2
+def lasting_variances(state: OffsetState, model: OffsetModel) -> tuple[float, float]:
+    """Return the variance of errors common to successive frames, half widths squared: usual, and with its tails."""
+    u = sqrt(state.spread2)
+    usual = model.lasting_share * u
+    return usual**2, max(usual, model.tail_slope * (u - model.tail_from_norm)) ** 2
 
 
 def summary(
@@ -387,7 +393,7 @@ def summary(
     """
     if not len(mean):
         return OffsetReadout(nan, nan, nan, nan, 0.0, False, nan)
-    lasting = lasting_variance(state, model)
+    lasting = lasting_variances(state, model)
     y, y_std, v, v_std, probability = summarised(
         mean, cov, weight, model.tolerance_norm, lasting, model.scale_std
     )
@@ -403,7 +409,7 @@ def moments(state: OffsetState, model: OffsetModel) -> tuple[FloatArray, FloatAr
     mean = share @ state.x[near]
     apart = state.x[near] - mean
     cov = np.einsum("k,kij->ij", share, state.P[near]) + np.einsum("k,ki,kj->ij", share, apart, apart)
-    lasting, offsets = lasting_variance(state, model), state.x[near, Y]
+    (_, lasting), offsets = lasting_variances(state, model), state.x[near, Y]
     cov[Y, Y] += lasting + model.scale_std**2 * float(share @ offsets**2)
     return mean, cov
 

@@ -358,11 +358,17 @@ def update_with_frame(
 
 @compiled
 def summarised(
-    mean: FloatArray, cov: FloatArray, weight: FloatArray, tolerance: float, lasting: float, scale: float
+    mean: FloatArray,
+    cov: FloatArray,
+    weight: FloatArray,
+    tolerance: float,
+    lasting: tuple[float, float],
+    scale: float,
 ) -> tuple[float, float, float, float, float]:
     """Return the moments of the hypotheses within ``tolerance`` of the most probable one; at least one.
 
-    The variance ``lasting + (scale y)^2`` is added to that of each offset y.
+    The variance ``lasting + (scale y)^2`` is added to that of each offset y, with the first value of ``lasting`` for
+    the probability and the second one for the standard deviation.
 
     Returns
     -------
@@ -375,6 +381,7 @@ def summarised(
     for h in range(k):
         if weight[h] > weight[best]:
             best = h
+    usual, whole = lasting
     total = y = v = 0.0
     for h in range(k):
         if abs(mean[h, Y] - mean[best, Y]) < tolerance:
@@ -385,9 +392,9 @@ def summarised(
     y_variance = v_variance = probability = 0.0
     for h in range(k):
         apart = mean[h, Y] - y
-        variance = cov[h, Y, Y] + lasting + (scale * mean[h, Y]) ** 2
+        variance = cov[h, Y, Y] + usual + (scale * mean[h, Y]) ** 2
         if abs(mean[h, Y] - mean[best, Y]) < tolerance:
-            y_variance += weight[h] / total * (variance + apart * apart)
+            y_variance += weight[h] / total * (variance - usual + whole + apart * apart)
             v_variance += weight[h] / total * (cov[h, V, V] + (mean[h, V] - v) ** 2)
         wide = sqrt(2.0 * variance)
         probability += 0.5 * weight[h] * (erf((tolerance - apart) / wide) + erf((tolerance + apart) / wide))
