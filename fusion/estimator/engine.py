@@ -489,8 +489,10 @@ class Engine:
         self, s: State, t_ns: int, m: FrameMeasurement, attitude: Attitude | None
     ) -> tuple[Lateral, Width, Elevation]:
         """Use an accepted frame's other measurements: lateral offset, corridor width, elevation of the camera."""
-        width = s.width.with_frame(t_ns, m.width_per_height)
-        lateral = self._lateral.fused(s.lateral, self.ekf.x, t_ns, m, width.half_m(self.config))
+        lateral = s.lateral.with_section_seen(t_ns, m)
+        another = lateral.section.is_another_seen
+        width = s.width if another else s.width.with_frame(t_ns, m.width_per_height)
+        lateral = self._lateral.fused(lateral, self.ekf.x, t_ns, m, width.half_m(self.config))
         return lateral, width, s.elevation.with_frame(m, attitude)
 
     def _follow_votes(self, s: State, t_ns: int) -> State:

@@ -31,6 +31,7 @@ from fusion.estimator.lateral.smoother import MotionPrediction, OffsetStep
 from fusion.estimator.models import Gate
 from fusion.estimator.sample_times import seconds_since
 from fusion.estimator.velocity import Velocity
+from vision.measurement import FrameMeasurement
 
 JUMP_NORM = 0.1  # half widths; a larger change in one frame means another hypothesis
 CONTRADICTED_S = 4.0  # memory of offsets: the longest time for which a contradicted offset is not reported
@@ -161,6 +162,11 @@ class Lateral(NamedTuple):
             views=(),
             section=CrossSection(),
         )
+
+    def with_section_seen(self, t_ns: int, m: FrameMeasurement) -> Lateral:
+        """Compare the cross-section that a frame shows with the corridor's."""
+        section = self.section.with_frame(t_ns, m)
+        return self if section is self.section else self._replace(section=section)
 
     def at_path_end(self, model: OffsetModel) -> Lateral:
         """Propagate the hypotheses to the state's time."""

@@ -153,7 +153,7 @@ class LateralOffset:
         Parameters
         ----------
         lateral
-            Part of the state.
+            Part of the state, after `Lateral.with_section_seen`.
         x
             The heading filter's state.
         t_ns, m
@@ -166,10 +166,9 @@ class LateralOffset:
         offset = lateral.offset
         if isfinite(m.roll_correction_rad) and m.roll_correction_std_rad > 0.0:
             offset = with_roll(offset, m.roll_correction_rad, m.roll_correction_std_rad, dt_s)
-        section = lateral.section.with_frame(t_ns, m)
-        lateral = lateral._replace(offset=offset, section=section)
+        lateral = lateral._replace(offset=offset)
         mixtures = _mixtures_of(m, self.config)
-        if section.is_another_seen or not mixtures:
+        if lateral.section.is_another_seen or not mixtures:
             return lateral
         evidence = frame_evidence(mixtures, dt_s, float(x[PSI]), self.camera_arm_m)
         lateral = lateral.at_path_end(model)
