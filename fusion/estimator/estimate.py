@@ -275,6 +275,8 @@ def _sensor_notices(
     yield from state.checks.installation.notices(state.tilt.down, config.gyro_scale_std)
     if (narrow := state.width.notice(config)) is not None:
         yield narrow
+    if state.velocity.is_known(t_ns) and (contradicted := state.lateral.speed_check.notice()) is not None:
+        yield contradicted
     found: tuple[tuple[Fault, type[Sample], str], ...] = (
         (Fault.GYRO_SILENT, ImuSample, reckoning.gyro_silence(due_ns(ImuSample), config)),
         (

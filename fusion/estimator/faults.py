@@ -41,6 +41,7 @@ class Fault(IntFlag):
     # calibration.
     CAMERA_YAW = 1 << 24
     RANGE_TOO_SHORT = 1 << 25  # ranges give a corridor narrower than 1 m: not used
+    VELOCITY_CONTRADICTED = 1 << 26  # velocities contradict the lateral offset's changes: not used
 
 
 class Notice(NamedTuple):

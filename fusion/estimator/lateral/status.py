@@ -28,6 +28,7 @@ from fusion.estimator.lateral.gaussian_sum import (
 from fusion.estimator.lateral.gaussian_sum import readout as readout_of
 from fusion.estimator.lateral.parallax import WallView
 from fusion.estimator.lateral.smoother import MotionPrediction, OffsetStep
+from fusion.estimator.lateral.speed_check import SpeedCheck
 from fusion.estimator.models import Gate
 from fusion.estimator.sample_times import seconds_since
 from fusion.estimator.velocity import Velocity
@@ -106,6 +107,8 @@ class Lateral(NamedTuple):
         Number of frames that confirmed it.
     gate, speed_gate
         Innovation of the last frame's most probable offset, half widths, and of the last velocity, m/s.
+    speed_check
+        Whether the velocities contradict the offset.
     known
         Whether the offset after the last frame is reliable.
     last_known
@@ -131,6 +134,7 @@ class Lateral(NamedTuple):
     n_used: int = 0
     gate: Gate | None = None
     speed_gate: Gate | None = None
+    speed_check: SpeedCheck = SpeedCheck()
     known: bool = False
     last_known: tuple[float, float] = (nan, nan)
     recent: RecentOffsets = RecentOffsets()

@@ -134,16 +134,20 @@ class LateralOffset:
         psi = float(x[PSI])
         along = velocity.forward_m_s * cos(psi) - velocity.sideways_m_s * sin(psi)
         across = velocity.forward_m_s * sin(psi) + velocity.sideways_m_s * cos(psi)
-        variance = self.config.velocity_std_m_s**2 + along * along * float(P[PSI, PSI])
+        stated = self.config.velocity_std_m_s**2 + along * along * float(P[PSI, PSI])
         interval_s = velocity.times.interval_s  # NaN before the second
-        variance *= max(self.config.lateral_velocity_time_s / interval_s, 1.0) if interval_s > 0.0 else 1.0
-        path = lateral.offset.path
-        lateral = lateral.at_path_end(self.model_of(lateral))
-        before = lateral.offset
-        offset = with_speed(before, across, variance)
+        variance = stated * (
+            max(self.config.lateral_velocity_time_s / interval_s, 1.0) if interval_s > 0.0 else 1.0
+        )
+        path, moved = lateral.offset.path, lateral.at_path_end(self.model_of(lateral))
+        gate, check = _speed_gate(moved.offset, across, variance), lateral.speed_check
+        if gate is not None:
+            check = check.with_innovation(gate.residual, gate.variance - variance + stated, interval_s)
+        if check.is_contradicted:
+            return lateral._replace(speed_gate=gate, speed_check=check)
+        offset = with_speed(moved.offset, across, variance)
         step = OffsetStep(path, offset, speed=(across, variance))
-        gate = _speed_gate(before, across, variance)
-        return lateral._replace(offset=offset, step=step, speed_gate=gate)
+        return moved._replace(offset=offset, step=step, speed_gate=gate, speed_check=check)
 
     def fused(
         self, lateral: Lateral, x: FloatArray, t_ns: int, m: FrameMeasurement, half_m: float
