@@ -143,11 +143,14 @@ def test_the_angle_is_that_of_a_line_through_all_elevations() -> None:
         ((0.0, 0.0, 9.8), (0.0, 0.0, -1.0), "accelerometer is upside down"),
         ((0.0, 0.0, -9.8), (0.0, 0.0, -1.0), "attitude is upside down"),
         ((0.0, -5.0, -8.4), (0.0, 0.0, 1.0), "disagree"),
+        ((0.0, 0.0, -1.0), (0.0, 0.0, 1.0), "check its unit"),  # in g
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), "not gravity"),
         ((0.0, -1.0, -9.7), (0.0, 0.0, 1.0), ""),
+        (None, (0.0, 0.0, 1.0), ""),
     ],
 )
 def test_gravity_tells(
-    accel: tuple[float, float, float], down: tuple[float, float, float], words: str
+    accel: tuple[float, float, float] | None, down: tuple[float, float, float], words: str
 ) -> None:
     installation = Installation()
     for k in range(200):

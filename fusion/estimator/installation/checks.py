@@ -37,6 +37,7 @@ IMU_STEP_NS, IMU_MEMORY_S, ACCEL_MIN_S, FAST_MIN_S = 50_000_000, 3.0, 0.5, 2.0
 MAX_TILT_ERROR_RAD = radians(20)
 LEAN_MEMORY_S, LEAN_MIN_S = 10.0, 4.0  # no vehicle accelerates in one direction for so long
 MAX_LEAN_RAD = radians(7)
+GRAVITY_M_S2, MIN_FORCE_M_S2 = 9.8, 4.9  # no vehicle falls for so long that the mean is half of gravity
 INVERTED = "accelerometer is upside down: give FRD, (0, 0, -9.8) m/s^2 at rest"
 FROM_FRAMES = 6  # the first fields of an `Installation` come from frames, the others from the IMU
 
@@ -91,8 +92,8 @@ class Installation(NamedTuple):
         Estimate of the focal length's error.
     timing
         Estimate of the frames' time-stamp error.
-    accel_m_s2, lean, turning_rad2_s2, imu_s, imu_ns
-        Mean specific force, mean angle (3,) from the attitude's up to it about each axis, and mean square of the
+    accel_m_s2, force_m_s2, lean, turning_rad2_s2, imu_s, imu_ns
+        Mean specific force, mean of its size, mean angle (3,) from the attitude's up to it about each axis, and mean square of the
         gyroscope's rate; the time over which they are averaged, and their last update.
     fast_ns
         Times of the first and the last rate beyond `SLOW_RAD_S` without a pause of `SLOW_NS` between.
@@ -105,6 +106,7 @@ class Installation(NamedTuple):
     focal_length: FocalLength = FocalLength()
     timing: FrameTiming = FrameTiming()
     accel_m_s2: Vector = (0.0, 0.0, 0.0)
+    force_m_s2: float = GRAVITY_M_S2
     lean: Vector = (0.0, 0.0, 0.0)
     turning_rad2_s2: float = 0.0
     imu_s: float = 0.0
@@ -159,7 +161,7 @@ class Installation(NamedTuple):
     def with_imu(
         self, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | None, down: Vector
     ) -> Installation:
-        """Add an IMU sample every `IMU_STEP_NS`; without accelerometer the mean specific force stays zero.
+        """Add an IMU sample every `IMU_STEP_NS`; without accelerometer the mean specific force stays.
 
         ``down`` is gravity's direction by the attitude in use, body FRD.
         """
@@ -169,23 +171,30 @@ class Installation(NamedTuple):
         turning = p * p + q * q + r * r
         if self.imu_ns is None:
             accel = self.accel_m_s2 if accel_m_s2 is None else accel_m_s2
+            force = self.force_m_s2 if accel_m_s2 is None else hypot(*accel_m_s2)
             fast = (t_ns, t_ns)
             return self._replace(
-                imu_ns=t_ns, accel_m_s2=accel, turning_rad2_s2=turning, imu_s=0.0, fast_ns=fast
+                imu_ns=t_ns,
+                accel_m_s2=accel,
+                force_m_s2=force,
+                turning_rad2_s2=turning,
+                imu_s=0.0,
+                fast_ns=fast,
             )
         step_s = (t_ns - self.imu_ns) * 1e-9
         gain = step_s / (min(self.imu_s, IMU_MEMORY_S) + step_s)
         mean, mx, my, mz = self.turning_rad2_s2, *self.accel_m_s2
         ax, ay, az = self.accel_m_s2 if accel_m_s2 is None else accel_m_s2
-        slow, lean = step_s / (min(self.imu_s, LEAN_MEMORY_S) + step_s), self.lean
+        slow, lean, force = step_s / (min(self.imu_s, LEAN_MEMORY_S) + step_s), self.lean, self.force_m_s2
         if accel_m_s2 is not None:
+            force += gain * (hypot(ax, ay, az) - force)
             (lx, ly, lz), (nx, ny, nz) = lean, _lean(accel_m_s2, down)
             lean = (lx + slow * (nx - lx), ly + slow * (ny - ly), lz + slow * (nz - lz))
         accel = (mx + gain * (ax - mx), my + gain * (ay - my), mz + gain * (az - mz))
         fast = self.fast_ns
         if turning > SLOW_RAD_S**2:
             fast = (fast[0] if t_ns - fast[1] <= SLOW_NS else t_ns, t_ns)
-        found = (accel, lean, mean + gain * (turning - mean), self.imu_s + step_s, t_ns, fast)
+        found = (accel, force, lean, mean + gain * (turning - mean), self.imu_s + step_s, t_ns, fast)
         return new_record(Installation, (*self[:FROM_FRAMES], *found))
 
     def agrees_on_imu(self, other: Installation) -> bool:
@@ -241,6 +250,8 @@ class Installation(NamedTuple):
             return None
         if self._accelerometer_is_inverted():
             return INVERTED
+        if self.force_m_s2 < MIN_FORCE_M_S2:
+            return f"accelerometer reads {self.force_m_s2:.1f} m/s^2 and not gravity: check its unit, m/s^2"
         dot = -(ax * down[0] + ay * down[1] + az * down[2])
         cross = hypot(ay * down[2] - az * down[1], az * down[0] - ax * down[2], ax * down[1] - ay * down[0])
         if dot < 0.0:
