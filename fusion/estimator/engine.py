@@ -339,8 +339,8 @@ class Engine:
         reason = reason_to_reject(m, self.config)
         if reason is not Reason.OK:
             if s.axis.acquired and not m.accepted and m.offset_evidence:  # relative to the predicted axis
-                half_m = s.width.half_m(self.config)
-                s = s._replace(lateral=self._lateral.fused(s.lateral, self.ekf.x, sample.t_ns, m, half_m))
+                seen, half_m = s.lateral.with_section_seen(sample.t_ns, m), s.width.half_m(self.config)
+                s = s._replace(lateral=self._lateral.fused(seen, self.ekf.x, sample.t_ns, m, half_m))
             return s, FrameResult(sample.stamp_ns, m, False, reason)
         installed = s.checks.installation
         if s.reckoning.mode is Mode.GYRO and s.axis.diagnosis.found is not Hypothesis.SPIKE:

@@ -93,8 +93,8 @@ class Installation(NamedTuple):
     timing
         Estimate of the frames' time-stamp error.
     accel_m_s2, force_m_s2, lean, turning_rad2_s2, imu_s, imu_ns
-        Mean specific force, mean of its size, mean angle (3,) from the attitude's up to it about each axis, and mean square of the
-        gyroscope's rate; the time over which they are averaged, and their last update.
+        Mean specific force, mean of its size, mean angle (3,) from the attitude's up to it about each axis, and mean
+        square of the gyroscope's rate; the time over which they are averaged, and their last update.
     fast_ns
         Times of the first and the last rate beyond `SLOW_RAD_S` without a pause of `SLOW_NS` between.
     """

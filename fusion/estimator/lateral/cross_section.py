@@ -66,20 +66,20 @@ class CrossSection(NamedTuple):
         return self.held_since_ns is not None
 
     def with_frame(self, t_ns: int, m: FrameMeasurement) -> CrossSection:
-        """Compare a frame with the average, and update it; a frame without an aspect changes nothing."""
+        """Compare a frame with the average, and update it; a frame without an aspect only lets time pass."""
+        since_ns = self.held_since_ns
+        if since_ns is not None and seconds_since(t_ns, since_ns) > HELD_S:
+            return CrossSection(self.other).with_frame(t_ns, m)
         if not (m.corridor_aspect > 0.0 and m.corridor_aspect_std < MAX_LOG_STD * m.corridor_aspect):
             return self
         log_aspect, log_std = log(m.corridor_aspect), m.corridor_aspect_std / m.corridor_aspect
         change = abs(log_aspect - self.average.log_aspect)
-        if self.held_since_ns is not None:
+        if since_ns is not None:
             is_another = change > MAX_RETURNED
         else:
             is_another = self.average.n > 0 and change > max(MIN_CHANGE, CHANGE_SIGMA * log_std)
             is_another &= abs(m.lateral_offset_norm) * expm1(change) > SHIFT_NORM
         if not is_another:
             return CrossSection(self.average.with_value(t_ns, log_aspect))
-        since = t_ns if self.held_since_ns is None else self.held_since_ns
         other = self.other.with_value(t_ns, log_aspect)
-        if seconds_since(t_ns, since) > HELD_S:
-            return CrossSection(other)
-        return CrossSection(self.average, other, since)
+        return CrossSection(self.average, other, t_ns if since_ns is None else since_ns)
