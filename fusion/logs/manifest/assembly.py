@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from fusion.flight import CorridorTruth, Flight, FrameStream, TimeArray
 from fusion.logs.contents import Kind, LogContents, UndecidedError
+from fusion.logs.csv import phone_folder
 from fusion.logs.manifest.manifest import Manifest, StreamSource, files_of
 from fusion.logs.manifest.sources import ManifestLog
 from fusion.logs.pictures.camera_folder import check_size, darkness_problem
@@ -170,6 +171,8 @@ class _Assembly:
         if imu is None or not any(topic.kind is Kind.IMU for topic in imu.topics):
             return ""
         declared = manifest.model_dump(mode="json", exclude_defaults=True)
+        if imu.format == phone_folder.FORMAT:
+            declared["imu"] = {"camera_axis": phone_folder.CAMERA_AXIS} | declared.get("imu", {})
         if declared.keys() == {"log"}:
             return f"; where there is none, `corridor align {manifest.log} --write` finds the focal length"
         lines = ", ".join(_lines(declared))
