@@ -225,7 +225,16 @@ def test_distances_to_the_floor_by_name(tmp_path: Path, header: str, value: floa
     )
     assert [topic.kind for topic in log.topics] == [Kind.RANGE]
     np.testing.assert_allclose(log.range("range").value.distance_m, 1.4)
-    assert any("no unit is given for range, m taken" in text for text in log.problems) == told
+    assert any("no unit is given for range, m assumed" in text for text in log.problems) == told
+
+
+@pytest.mark.parametrize("unit", [None, "rad/s", "deg/s"])
+def test_a_unit_that_is_set_is_not_assumed(tmp_path: Path, unit: str | None) -> None:
+    path = written(tmp_path / "imu.csv", "t_ns,gx,gy,gz\n" + rows(lambda i: f"{5_000_000 * i},0.1,0.2,0.3"))
+    log = (
+        open_log(path) if unit is None else open_columns(path, ColumnMap.model_validate({"gyro_unit": unit}))
+    )
+    assert any("no unit is given" in text for text in log.problems) == (unit is None)
 
 
 def test_distances_to_the_floor_by_a_map(tmp_path: Path) -> None:

@@ -157,7 +157,7 @@ def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[
     if isinstance(columns, ColumnMap):
         if not any(columns.columns_of(role) for role in ROLES):
             check_axes(layout)
-            guessed, problems = map_of_names(layout)
+            guessed, problems = map_of_names(layout, columns.model_fields_set)
             if guessed is None:
                 raise InputError("the column map names no data", file=layout.path, remedy=_EXAMPLE)
             changed = guessed.model_copy(update=columns.model_dump(exclude_unset=True))
