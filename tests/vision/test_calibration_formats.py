@@ -148,7 +148,7 @@ def test_arrays_of_one_dimension_as_opencv_5_writes_them(tmp_path: Path, name: s
 
 
 def test_the_remedy_for_a_missing_size_is_in_the_file_s_own_syntax(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="image_width is missing .*<image_width>640</image_width>"):
+    with pytest.raises(InputError, match=r"image_width is missing .*<image_width>640</image_width>"):
         Camera.from_yaml(written(tmp_path / "c.xml", OPENCV_XML.replace(OPENCV_SIZE, "")))
 
 
