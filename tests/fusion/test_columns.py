@@ -92,7 +92,7 @@ def test_gravity_tells_the_axes_and_it_is_said(tmp_path: Path, z: float, frame: 
     imu = problems.take(open_log(path).imu("imu"))
     assert imu.accel_m_s2[0, 2] == -9.8
     assert imu.gyro_rad_s[0, 2] == (1.0 if frame == "frd" else -1.0)
-    assert any(f"axes taken as {frame}, gravity stands" in text for text in problems)
+    assert any(f"axes assumed {frame} (gravity lies" in text for text in problems)
 
 
 @pytest.mark.parametrize("unit", ["rad", "deg", "mdeg"])
@@ -207,7 +207,7 @@ def test_tello_on_the_ground_and_out_of_reach(tmp_path: Path) -> None:
     found = problems.take(open_log(written(tmp_path / "tello.csv", TELLO + lines)).range("range"))
     assert found.distance_m[3] == pytest.approx(0.31)
     np.testing.assert_allclose(np.delete(found.distance_m, 3), 0.8)
-    assert "(range): 3 rows with no distance within the sensor's reach dropped" in problems[0]
+    assert "(range): 3 rows dropped: no distance within the sensor's reach" in problems[0]
 
 
 @pytest.mark.parametrize(
@@ -374,7 +374,7 @@ def test_empty_fields_are_no_numbers(tmp_path: Path) -> None:
     problems = Told()
     imu = problems.take(open_columns(written(tmp_path / "a.csv", text), None, "frd").imu("imu"))
     assert len(imu.t_ns) == 29
-    assert any("1 row with a gyro value" in text for text in problems)
+    assert any("1 row dropped: a missing or impossible gyro value" in text for text in problems)
 
 
 def test_a_torn_end_costs_one_row(tmp_path: Path) -> None:
@@ -490,7 +490,7 @@ def test_times_of_pictures(tmp_path: Path) -> None:
     plain = problems.take(read_times(path, None))
     assert plain.names is None
     assert plain.t_ns[1] == 33_333_000
-    assert problems == ["t.txt: times taken for milliseconds; time_unit in flight.toml says otherwise"]
+    assert problems == ["t.txt: times assumed to be in milliseconds; set time_unit if they are not"]
 
 
 def test_a_broken_row_keeps_the_numbers_of_the_others(tmp_path: Path) -> None:

@@ -64,7 +64,7 @@ _HALF_TURN = 3.3  # rad; in degrees, a tilt that every flight reaches
 _NOT_DAMAGED = 0.01  # share of the rows
 _UPRIGHT_M_S2 = 5.0
 MAX_LISTED = 12  # names of columns
-_NOTHING_TELLS = "nothing tells"
+_NOTHING_TELLS = "the file does not say"
 
 _EXAMPLE = (
     'name them in flight.toml, as in [imu.columns] time = "t", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s", or '
@@ -249,7 +249,7 @@ class _Table:
         if declared is not None:
             return WithProblems(declared)
         frame, why = self._likely_frame()
-        problem = f"{self.path.name}: axes taken as {frame}, {why}; name them with frame in flight.toml"
+        problem = f"{self.path.name}: axes assumed {frame} ({why}); set frame in flight.toml"
         return WithProblems(frame, (problem if why == _NOTHING_TELLS else Remark(problem),))
 
     def _likely_frame(self) -> tuple[Frame, str]:
@@ -258,14 +258,14 @@ class _Table:
         accel = accel[np.isfinite(accel).all(axis=1)]
         usual = np.median(accel, axis=0) if len(accel) else np.zeros(3)
         if abs(usual[2]) > _UPRIGHT_M_S2:
-            return ("flu", "gravity stands up its z axis") if usual[2] > 0.0 else (
-                "frd", "gravity stands down its z axis"
+            return ("flu", "gravity lies along +z") if usual[2] > 0.0 else (
+                "frd", "gravity lies along -z"
             )  # fmt: skip
         if np.linalg.norm(usual) > _UPRIGHT_M_S2:
             # These are not a vehicle's axes, so the calibration gives the IMU's mounting; Kalibr uses ROS's axes.
-            return "flu", "gravity stands along another axis than z"
+            return "flu", "gravity lies along another axis than z"
         if has_asl_names(self.columns):
-            return "flu", "as its names are used in ASL / EuRoC logs"
+            return "flu", "by its names, which are those of ASL / EuRoC logs"
         return "frd", _NOTHING_TELLS
 
     def imu(self) -> WithProblems[ImuStream]:
@@ -351,8 +351,8 @@ class _Table:
         if found is not Axes.WORLD:
             return WithProblems((Axes.BODY, declared or pose_frame))
         problem = (
-            f"{self.path.name}: velocity taken along the world's axes, as its positions move; velocity_frame under "
-            "[velocity.columns] in flight.toml says otherwise"
+            f"{self.path.name}: velocity taken along the world's axes, as its positions move; set velocity_frame "
+            "under [velocity.columns] in flight.toml if it is not"
         )
         return WithProblems((Axes.WORLD, pose_frame), (Remark(problem),))
 
