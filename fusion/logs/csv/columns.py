@@ -70,6 +70,10 @@ _EXAMPLE = (
     'name them in flight.toml, as in [imu.columns] time = "t", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s", or '
     '[attitude.columns] quaternion = ["w", "x", "y", "z"]'
 )
+_NUMBERED_EXAMPLE = (
+    "give the numbers of the columns, from 1, in flight.toml, as in [imu.columns] time = 1, gyro = [2, 3, 4], "
+    'gyro_unit = "deg/s", or add a header'
+)
 
 
 def recognises(path: Path) -> bool:
@@ -159,7 +163,11 @@ def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[
             check_axes(layout)
             guessed, problems = map_of_names(layout, columns.model_fields_set)
             if guessed is None:
-                raise InputError("the column map names no data", file=layout.path, remedy=_EXAMPLE)
+                raise InputError(
+                    "the column map names no data",
+                    file=layout.path,
+                    remedy=_EXAMPLE if layout.has_names else _NUMBERED_EXAMPLE,
+                )
             changed = guessed.model_copy(update=columns.model_dump(exclude_unset=True))
             return WithProblems((changed, "CSV"), problems)
         return WithProblems((columns, "CSV"))
@@ -169,7 +177,10 @@ def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[
     check_axes(layout)
     guessed, problems = map_of_names(layout)
     if guessed is None:
-        listed = ", ".join(layout.names[:20]) if layout.has_names else f"{len(layout.names)} without names"
+        if not layout.has_names:
+            problem = f"has no header, so the meaning of its {len(layout.names)} columns is not known"
+            raise InputError(problem, file=layout.path, remedy=_NUMBERED_EXAMPLE)
+        listed = ", ".join(layout.names[:20])
         raise InputError(f"its columns are not known by name: {listed}", file=layout.path, remedy=_EXAMPLE)
     return WithProblems((guessed, "CSV"), problems)
 
@@ -258,12 +269,12 @@ class _Table:
         accel = accel[np.isfinite(accel).all(axis=1)]
         usual = np.median(accel, axis=0) if len(accel) else np.zeros(3)
         if abs(usual[2]) > _UPRIGHT_M_S2:
-            return ("flu", "gravity lies along +z") if usual[2] > 0.0 else (
-                "frd", "gravity lies along -z"
+            return ("flu", "the accelerometer reads gravity along +z") if usual[2] > 0.0 else (
+                "frd", "the accelerometer reads gravity along -z"
             )  # fmt: skip
         if np.linalg.norm(usual) > _UPRIGHT_M_S2:
             # These are not a vehicle's axes, so the calibration gives the IMU's mounting; Kalibr uses ROS's axes.
-            return "flu", "gravity lies along another axis than z"
+            return "flu", "the accelerometer reads gravity along another axis than z"
         if has_asl_names(self.columns):
             return "flu", "by its names, which are those of ASL / EuRoC logs"
         return "frd", _NOTHING_TELLS
