@@ -359,13 +359,29 @@ class TestMeasure:
         refused(corridor("measure", tmp_path / "a.jpg", "-o", "frames.csv"), "a.jpg", "does not decode")
         refused(corridor("measure", tmp_path / "a.jpg", tmp_path / "b.jpg"), "none of the 2", "a.jpg")
 
+    def test_a_phone_s_heic_is_to_be_converted(self, corridor: Corridor, tmp_path: Path) -> None:
+        (tmp_path / "a.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(40))
+        for source in (tmp_path / "a.heic", tmp_path):
+            refused(corridor("measure", source), "a.heic", "HEIC", "convert it to JPEG")
+
+    def test_a_picture_that_is_too_large_is_to_be_scaled_down(
+        self, corridor: Corridor, tmp_path: Path
+    ) -> None:
+        cv2.imwrite(str(tmp_path / "a.png"), np.zeros((6000, 8000), np.uint8))
+        refused(corridor("measure", tmp_path / "a.png"), "8000x6000 pixels is too large", "scale it down")
+
     def test_nothing_to_measure(self, corridor: Corridor, tmp_path: Path, flight: Path) -> None:
         refused(corridor("measure", "nowhere.jpg"), "nowhere.jpg", "no such")
         refused(corridor("measure", tmp_path), "no pictures")
-        for name, what in (("flight.mp4", "video"), ("data.csv", "CSV")):
+        verbs = {
+            "flight.mp4": ("video", "`corridor fuse --video "),
+            "data.csv": ("CSV", "`corridor inspect "),
+        }
+        for name, (what, verb) in verbs.items():
             (tmp_path / name).write_text("t,gx,gy,gz\n1,2,3,4\n")
-            run = corridor("measure", tmp_path / name)
-            refused(run, f"{name}: is of the format {what}, no picture", "`corridor inspect ")
+            refused(
+                corridor("measure", tmp_path / name), f"{name}: is of the format {what}, no picture", verb
+            )
         refused(corridor("measure", flight), "corridor fuse")
         assert corridor("measure").code == 2
 

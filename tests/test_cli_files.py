@@ -122,6 +122,19 @@ def test_without_a_calibration_the_lines_to_align_work(
     assert loaded.flight.frames.t_ns[0] == pytest.approx(20_000_000_000)
 
 
+def test_without_a_calibration_a_phone_s_camera_axis_is_named(
+    corridor: Corridor, files: Path, tmp_path: Path
+) -> None:
+    phone = tmp_path / "sensors"
+    phone.mkdir()
+    lines = [line.split(",") for line in (files / "imu.csv").read_text().splitlines()[1:]]
+    for name, first in (("Gyroscope", 1), ("Accelerometer", 4)):
+        rows = [",".join((line[0], *line[first : first + 3])) for line in lines]
+        (phone / f"{name}.csv").write_text("\n".join(["seconds_elapsed,x,y,z", *rows, ""]))
+    run = corridor("fuse", "--imu", phone, "--video", files / "hall.mp4", "--clock-offset", "20")
+    refused(run, "contains no calibration", 'imu.camera_axis = "-z"')
+
+
 def test_the_file_at_fault_is_named(corridor: Corridor, files: Path, tmp_path: Path) -> None:
     imu = np.loadtxt(files / "imu.csv", delimiter=",", skiprows=1)
     imu[:, 0] -= 20.0

@@ -161,7 +161,7 @@ class TestMeasure:
         cv2.imwrite(str(tmp_path / "wall.png"), np.full((120, 160), 150, np.uint8))
         run = measure(tmp_path / "wall.png")
         assert run.code == 0
-        assert "65 +- 20 degrees like ordinary cameras, as the pictures do not tell" in run.notes[0]
+        assert "65 +- 20 degrees like ordinary cameras, because the pictures give no clue" in run.notes[0]
         assert run.rows[0]["accepted"] == "false"
 
     def test_pictures_of_different_sizes_are_different_cameras(

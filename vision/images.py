@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.errors import InputError
-from vision.limits import check_is_file, check_pixels
+from vision.limits import MAX_PIXELS, check_is_file, check_pixels
 from vision.types import GreyImage as GreyImage
 
 
@@ -77,10 +77,17 @@ def decode_grey(data: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
         except cv2.error:
             image = None
     if image is None:
+        if is_heic(data[:12].tobytes()):
+            raise InputError("picture is HEIC, which is not supported", remedy="convert it to JPEG")
         raise InputError(
             f"picture does not decode ({data.size} bytes)", remedy="give a whole JPEG, PNG or similar"
         )
     return np.asarray(image)
+
+
+def is_heic(head: bytes) -> bool:
+    """Whether a file's first 12 bytes are those of a HEIC picture, as phones take them."""
+    return head[4:8] == b"ftyp" and head[8:12] in (b"heic", b"heix", b"mif1")
 
 
 def _has_size(data: bytes) -> bool:
@@ -90,7 +97,8 @@ def _has_size(data: bytes) -> bool:
     try:
         size = Image.open(BytesIO(data)).size
     except Image.DecompressionBombError as error:
-        raise InputError("picture has too many pixels", remedy="give a smaller one") from error
+        problem = f"picture has too many pixels: at most {MAX_PIXELS // 1_000_000} million"
+        raise InputError(problem, remedy="scale it down") from error
     except Exception:  # Pillow's readers raise many types
         return False
     check_pixels(*size)

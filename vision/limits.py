@@ -114,5 +114,7 @@ def check_values(content: Any) -> None:
 def check_pixels(width_px: int, height_px: int) -> None:
     """Raise `InputError` where a picture is too large to come from a flight's camera."""
     if width_px * height_px > MAX_PIXELS or max(width_px, height_px) > MAX_SIDE_PX:
-        problem = f"picture of {width_px}x{height_px} pixels"
-        raise InputError(problem, remedy=f"pictures may have up to {MAX_PIXELS // 1_000_000} million")
+        most = f"{MAX_PIXELS // 1_000_000} million pixels, and {MAX_SIDE_PX} a side"
+        raise InputError(
+            f"picture of {width_px}x{height_px} pixels is too large: at most {most}", remedy="scale it down"
+        )

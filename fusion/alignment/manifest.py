@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,6 +87,11 @@ def place_of(flight: Path) -> Path:
     return place
 
 
+def former_of(place: Path) -> Path:
+    """Return where the former file is kept, with its comments."""
+    return place.with_name(f"{place.name}.bak")
+
+
 def check_place(place: Path) -> None:
     """Raise `InputError` if a manifest cannot be written, before the work is done."""
     if place.suffix.lower() != ".toml":
@@ -109,7 +115,7 @@ def check_place(place: Path) -> None:
 def write_alignment(alignment: Alignment, flight: Flight, place: Path) -> tuple[Path, ...]:
     """Write a manifest with an alignment's corrections, and a calibration if there was none.
 
-    Quantities that are not usable or not significant stay as they are.
+    Quantities that are not usable or not significant stay as they are. A former file is kept as `former_of` it.
 
     Returns
     -------
@@ -131,6 +137,8 @@ def write_alignment(alignment: Alignment, flight: Flight, place: Path) -> tuple[
         source = manifest.camera.model_copy(update={"calibration": calibration})
         manifest = manifest.model_copy(update={"camera": source})
         written.insert(0, calibration)
+    if place.exists():
+        shutil.copyfile(place, former_of(place))
     write_manifest(manifest, place, notes)
     return tuple(written)
 

@@ -80,8 +80,9 @@ def _reason_not_determined(search: ClockSearch, turning: Turning, reach_s: float
         )
     if fit is None and search.compared:
         return (
-            f"The turns seen by vision and by the {source} have nothing in common: the vehicle hardly turns, or one "
-            "of the two is not of this flight."
+            f"The turns seen by vision and by the {source} have nothing in common: the vehicle hardly turns, the "
+            "axes of the IMU are not as assumed (`corridor inspect` checks them), or one of the two is not of this "
+            "flight."
         )
     if fit is None:
         return "Too few frames show the corridor to compare their turns with those of the inertial sensors."

@@ -42,7 +42,7 @@ def align(
 ) -> None:
     """Align a flight, and write its manifest on request."""
     from fusion.alignment import align_flight
-    from fusion.alignment.manifest import check_place, load_to_align, place_of, write_alignment
+    from fusion.alignment.manifest import check_place, former_of, load_to_align, place_of, write_alignment
     from fusion.alignment.opposite import opposite_remedy
     from fusion.alignment.text import alignment_text
 
@@ -67,5 +67,8 @@ def align(
     if place is None:
         say("nothing written: add --write, or -o FILE.toml")
         return
+    is_rewritten = place.exists()
     for path in write_alignment(alignment, loaded.flight, place):
         say(f"wrote {path}")
+    if is_rewritten:
+        say(f"kept the former {place.name} as {former_of(place)}")

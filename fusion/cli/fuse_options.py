@@ -86,7 +86,7 @@ def _values_of_flight(flight: Path | None) -> dict[str, Any]:
     described = find_manifest(flight)
     if described is None:
         return {"log": flight}
-    values = read_manifest(described).model_dump(exclude_defaults=True)
+    values = read_manifest(described).model_dump(exclude_unset=True)
     values.setdefault("name", described.absolute().parent.name)
     return values
 

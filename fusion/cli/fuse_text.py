@@ -12,6 +12,7 @@ from textwrap import wrap
 
 from fusion.cli.evaluate_text import excluded_text
 from fusion.evaluation import checks_cause
+from fusion.flight import Remark
 from fusion.logs.samples import counted
 from fusion.printable import printable
 from fusion.result.summary import CorridorStretch, ErrorStatistics, FlightErrors, Level, SpeedSummary, Summary
@@ -46,7 +47,7 @@ def fusion_text(summary: Summary, folder: Path, remarks: Sequence[str] = ()) -> 
         *([_line("speed", _speed(summary.timings))] if summary.timings is not None else []),
         _line("outputs", f"{folder} (open {folder / 'report.html'})"),
         *(_line("", remark) for remark in remarks),
-        *(_line("problem", problem) for problem in summary.problems),
+        *(_line("note" if isinstance(text, Remark) else "problem", text) for text in summary.problems),
         "",
         _line("verdict", summary.verdict),
     ]

@@ -179,10 +179,12 @@ GAPS = CheckRule(
 
 
 def _problems(result: FusionResult, flight: Flight, limits: Limits) -> Finding:
-    count = sum(not isinstance(problem, Remark) for problem in all_problems(result, flight))
-    if not count:
+    found = [text for text in all_problems(result, flight) if not isinstance(text, Remark)]
+    if not found:
         return Finding("No problems", 0.0, level=Level.PASS)
-    return Finding(counted(count, "problem"), float(count), level=Level.WARN)
+    first = "" if len(found) == 1 else "The first: "
+    text = f"{first}{found[0].rstrip('.')}."
+    return Finding(counted(len(found), "problem"), float(len(found)), level=Level.WARN, meaning=text)
 
 
 def all_problems(result: FusionResult, flight: Flight) -> tuple[str, ...]:
@@ -195,6 +197,5 @@ PROBLEMS = CheckRule(
     measure=_problems,
     limit=lambda limits: "pass without problems",
     good="Every row and picture of the log could be used.",
-    bad="Parts of the log were dropped or repaired on reading.",
     remedy="Check in the list below whether they matter.",
 )

@@ -57,9 +57,9 @@ class Truth:
             return self
         reach_ns = int(np.abs(self.corridor.t_ns).max())
         if not abs(seconds) * 1e9 + reach_ns < 2**63:  # NaN is rejected, too
-            raise InputError(f"--truth-shift {seconds:g}: no time of a truth can be shifted by that")
+            raise InputError(f"--truth-shift {seconds:.15g}: no time of a truth can be shifted by that")
         corridor = replace(self.corridor, t_ns=self.corridor.t_ns + round(seconds * 1e9))
-        return replace(self, corridor=corridor, source=f"{self.source}; {seconds:+g} s to its times")
+        return replace(self, corridor=corridor, source=f"{self.source}; {seconds:+.15g} s to its times")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

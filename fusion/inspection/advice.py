@@ -110,9 +110,15 @@ def _missing(
         else:
             yield f"pictures: corridor fuse {name} --video VIDEO --camera CAM.yaml, or [camera] file in a flight.toml"
     elif camera.camera is None:
+        has_gyro = Kind.IMU in usable
         yield (
             "the camera's calibration: --camera CAM.yaml (EuRoC, Kalibr, ROS camera_info or OpenCV), or [camera] "
             "calibration in a flight.toml"
+            + (
+                f"; where there is none, `corridor align {name} --write` finds the focal length"
+                if has_gyro
+                else ""
+            )
         )
     if Kind.IMU not in usable and Kind.IMU in unclear:
         yield unclear[Kind.IMU]

@@ -19,13 +19,13 @@ from fusion.inspection.imu import inspect_imu
 from fusion.inspection.pictures import inspect_pictures
 from fusion.inspection.times import share_covered, time_stream
 from fusion.logs.contents import Kind, LogContents, Topic
+from fusion.logs.manifest.manifest import camera_problems
 from fusion.logs.pictures.camera_folder import darkness_problem
 from fusion.logs.plausibility.findings import Advice, Finding
 from fusion.logs.plausibility.flight import Streams, examine_streams
 from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.topic_choice import choose_topic
 from vision import InputError
-from vision.cameras.lens_check import lens_problem
 
 #: Name of each kind of stream in a manifest and in `Streams`.
 _NAMES = {kind: "camera" if kind is Kind.FRAMES else kind.value for kind in Kind}
@@ -215,5 +215,4 @@ class _Reading:
             return WithProblems(None, (str(error),))
         if camera is None:
             return WithProblems(None)
-        texts = (camera.mount_problem(), lens_problem(camera))
-        return WithProblems(CameraFindings.of(camera), tuple(text for text in texts if text is not None))
+        return WithProblems(CameraFindings.of(camera), camera_problems(camera))

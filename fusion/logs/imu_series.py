@@ -62,7 +62,7 @@ def _clean_imu(
     problems = burst_problems + problems
     t_ns, gyro_rad_s, accel_m_s2 = t_ns[index], gyro_rad_s[index], accel_m_s2[index]
     good = within(gyro_rad_s, MAX_RATE)
-    problems += where.dropped(good, t_ns, "a gyro value that is none")
+    problems += where.dropped(good, t_ns, "a missing or impossible gyro value")
     t_ns, gyro_rad_s, accel_m_s2 = t_ns[good], gyro_rad_s[good], accel_m_s2[good]
     without = ~within(accel_m_s2, MAX_ACCELERATION)
     if without.any():

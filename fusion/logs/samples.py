@@ -188,7 +188,7 @@ def report_dropped(
     file: Path | None = None,
     remedy: str = "choose another stream",
 ) -> Problems:
-    """Report the rows that are not good: "2 rows with ``what`` dropped"; the caller drops them.
+    """Report the rows that are not good: "2 rows dropped: ``what``"; the caller drops them.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def report_dropped(
     if not bad:
         return ()
     first = int(t_ns[~good][0])
-    return (f"{label}: {counted(bad, 'row')} with {what} dropped (first at {first})",)
+    return (f"{label}: {counted(bad, 'row')} dropped: {what} (first at {first})",)
 
 
 def at_rate(t_ns: TimeArray, rate: float) -> TimeArray:

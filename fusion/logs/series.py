@@ -165,7 +165,7 @@ def attitude_stream(t_ns: TimeArray, q_world_body: FloatArray, where: Where) -> 
 
 
 def vector_stream(
-    t_ns: TimeArray, xyz: FloatArray, where: Where, limit: float, what: str = "a value that is none"
+    t_ns: TimeArray, xyz: FloatArray, where: Where, limit: float, what: str = "a missing or impossible value"
 ) -> WithProblems[VectorStream]:
     """Clean positions or velocities.
 

@@ -110,7 +110,9 @@ class AssumedView:
         if self.source is Source.PICTURES:
             found = f"found from {counted(self.n_used, 'picture')}"
             return f"{sure}, {found}, {lens}; give --camera for a calibrated one"
-        return f"{sure} like ordinary cameras, as the pictures do not tell, {lens}; give --fov or --camera"
+        return (
+            f"{sure} like ordinary cameras, because the pictures give no clue, {lens}; give --fov or --camera"
+        )
 
     def _lens_text(self) -> str:
         if self.bend is None:

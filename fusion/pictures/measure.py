@@ -22,6 +22,7 @@ from vision.frame import Method
 from vision.images import GreyImage, read_image
 
 ASPECT_TOLERANCE = 0.01
+HEIC_SUFFIXES = {".heic", ".heif"}  # listed, so that a picture that cannot be read is reported
 
 #: `FRAME_DTYPE`, with the picture first and the next best heading last; times only from file names.
 IMAGE_DTYPE = np.dtype(
@@ -46,7 +47,9 @@ def find_images(sources: Sequence[Path]) -> list[Path]:
     found: list[Path] = []
     for source in sources:
         if source.is_dir():
-            inside = [path for path in source.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES]
+            inside = [
+                path for path in source.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES | HEIC_SUFFIXES
+            ]
             if not inside:
                 flight = (source / "mav0").is_dir()
                 raise InputError(
@@ -63,7 +66,9 @@ def find_images(sources: Sequence[Path]) -> list[Path]:
                 raise InputError(
                     f"is of the format {name}, no picture",
                     file=source,
-                    remedy=f"give pictures; `corridor inspect {source}` says what this holds",
+                    remedy=f"`corridor fuse --video {source} --camera CAM.yaml` measures its frames"
+                    if name == "video"
+                    else f"give pictures; `corridor inspect {source}` says what this holds",
                 )
             found.append(source)
         else:

@@ -7,13 +7,19 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel, ConfigDict
 
 from fusion.settings.toml import build
+from vision.errors import InputError
 
 if TYPE_CHECKING:  # type checkers see the constructors as declared by pydantic
     from pydantic._internal._model_construction import ModelMetaclass as _Explained
 else:
 
     class _Explained(type(BaseModel)):
-        def __call__(cls, **values: Any) -> Any:
+        def __call__(cls, *unnamed: Any, **values: Any) -> Any:
+            if unnamed:
+                raise InputError(
+                    f"{cls.__name__}({unnamed[0]!r}) does not say which setting this is",
+                    remedy=f"name it, as in {cls.__name__}({next(iter(cls.model_fields))}=...)",
+                )
             return build(cls, values)
 
 

@@ -234,6 +234,15 @@ class TestCommand:
         assert "no time offset between camera" in told.out
         assert read_manifest(late / "flight.toml").camera.clock_offset_s == pytest.approx(1.7, abs=0.005)
 
+    def test_the_former_manifest_is_kept(self, late: Path, corridor: Corridor) -> None:
+        place = late / "flight.toml"
+        former = '# by hand\nlog = "."\n[velocity]\nuse = true\n'
+        place.write_text(former)
+        told = corridor("align", late, "--write")
+        assert f"kept the former flight.toml as {place}.bak" in told.err
+        assert Path(f"{place}.bak").read_text() == former
+        assert "use = true" in place.read_text()
+
     def test_without_calibration_one_is_written(self, late: Path, tmp_path: Path, corridor: Corridor) -> None:
         (late / "mav0/cam0/sensor.yaml").unlink()
         out = tmp_path / "found.toml"

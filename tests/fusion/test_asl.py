@@ -262,7 +262,7 @@ def test_distances_to_the_floor(folder: Folder) -> None:
     assert flight.range is not None
     assert flight.range.distance_m.tolist() == [1.4, 1.5, 1.6, 1.7]
     assert flight.range.t_ns.tolist() == [times(9, 50_000_000)[i] for i in (0, 6, 7, 8)]
-    assert any("range0/data.csv: 5 rows with no distance" in text for text in flight.problems)
+    assert any("range0/data.csv: 5 rows dropped: no distance" in text for text in flight.problems)
 
 
 @pytest.mark.parametrize(("value", "said"), [(0.0, "no distance within"), (45.0, "no corridor is that high")])
@@ -304,8 +304,7 @@ def test_bad_gyro_rows_are_dropped(folder: Folder) -> None:
     assert len(flight.imu.t_ns) == 37
     assert np.isfinite(flight.imu.gyro_rad_s).all()
     assert flight.problems == (
-        "imu0/data.csv: 3 rows with a gyro value that is not finite dropped "
-        f"(first at {T0 + 2 * 10_000_000})",
+        f"imu0/data.csv: 3 rows dropped: a gyro value that is not finite (first at {T0 + 2 * 10_000_000})",
     )
 
 
@@ -335,7 +334,7 @@ def test_quaternions_that_are_none(folder: Folder, bad: str) -> None:
     assert len(flight.attitude.t_ns) == 19
     np.testing.assert_allclose(np.linalg.norm(flight.attitude.q_world_body, axis=1), 1.0)
     assert flight.problems == (
-        "attitude0/data.csv: 1 row with a quaternion that is not of unit length dropped "
+        "attitude0/data.csv: 1 row dropped: a quaternion that is not of unit length "
         f"(first at {T0 + 3 * 20_000_000})",
     )
 

@@ -139,7 +139,7 @@ def test_distances_from_a_file_of_their_own(parts: Parts) -> None:
     kept = np.delete(np.arange(N_FRAMES), 3)
     np.testing.assert_array_equal(flight.range.t_ns, kept * 50_000_000)
     np.testing.assert_allclose(flight.range.distance_m, 1.4 + 0.01 * kept - 0.1)
-    assert any("(range): 1 row with no distance" in text for text in flight.problems)
+    assert any("(range): 1 row dropped: no distance" in text for text in flight.problems)
     assert manifest_of(flight).range.topic == "range"
     path.write_text(MANIFEST + RANGE.replace("[range]", "[range]\nuse = false"))
     assert load_flight(path).range is None

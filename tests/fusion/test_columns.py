@@ -92,7 +92,7 @@ def test_gravity_tells_the_axes_and_it_is_said(tmp_path: Path, z: float, frame: 
     imu = problems.take(open_log(path).imu("imu"))
     assert imu.accel_m_s2[0, 2] == -9.8
     assert imu.gyro_rad_s[0, 2] == (1.0 if frame == "frd" else -1.0)
-    assert any(f"axes taken as {frame}, gravity stands" in text for text in problems)
+    assert any(f"axes assumed {frame} (the accelerometer reads gravity" in text for text in problems)
 
 
 @pytest.mark.parametrize("unit", ["rad", "deg", "mdeg"])
@@ -207,7 +207,7 @@ def test_tello_on_the_ground_and_out_of_reach(tmp_path: Path) -> None:
     found = problems.take(open_log(written(tmp_path / "tello.csv", TELLO + lines)).range("range"))
     assert found.distance_m[3] == pytest.approx(0.31)
     np.testing.assert_allclose(np.delete(found.distance_m, 3), 0.8)
-    assert "(range): 3 rows with no distance within the sensor's reach dropped" in problems[0]
+    assert "(range): 3 rows dropped: no distance within the sensor's reach" in problems[0]
 
 
 @pytest.mark.parametrize(
@@ -225,7 +225,16 @@ def test_distances_to_the_floor_by_name(tmp_path: Path, header: str, value: floa
     )
     assert [topic.kind for topic in log.topics] == [Kind.RANGE]
     np.testing.assert_allclose(log.range("range").value.distance_m, 1.4)
-    assert any("no unit is given for range, m taken" in text for text in log.problems) == told
+    assert any("no unit is given for range, m assumed" in text for text in log.problems) == told
+
+
+@pytest.mark.parametrize("unit", [None, "rad/s", "deg/s"])
+def test_a_unit_that_is_set_is_not_assumed(tmp_path: Path, unit: str | None) -> None:
+    path = written(tmp_path / "imu.csv", "t_ns,gx,gy,gz\n" + rows(lambda i: f"{5_000_000 * i},0.1,0.2,0.3"))
+    log = (
+        open_log(path) if unit is None else open_columns(path, ColumnMap.model_validate({"gyro_unit": unit}))
+    )
+    assert any("no unit is given" in text for text in log.problems) == (unit is None)
 
 
 def test_distances_to_the_floor_by_a_map(tmp_path: Path) -> None:
@@ -365,7 +374,7 @@ def test_empty_fields_are_no_numbers(tmp_path: Path) -> None:
     problems = Told()
     imu = problems.take(open_columns(written(tmp_path / "a.csv", text), None, "frd").imu("imu"))
     assert len(imu.t_ns) == 29
-    assert any("1 row with a gyro value" in text for text in problems)
+    assert any("1 row dropped: a missing or impossible gyro value" in text for text in problems)
 
 
 def test_a_torn_end_costs_one_row(tmp_path: Path) -> None:
@@ -422,7 +431,11 @@ def test_any_bytes_read_or_say_why(tmp_path_factory: pytest.TempPathFactory, dat
             None,
             r"an accelerometer, but no known gyroscope: t, foo_x, .*\(name them in flight\.toml",
         ),
-        ("1,2,3\n2,3,4\n", None, r"not known by name: 3 without names"),
+        (
+            "1,2,3\n2,3,4\n",
+            None,
+            r"no header, .* its 3 columns .*numbers of the columns, from 1, .*gyro = \[2, 3, 4\]",
+        ),
         ("a,gx,gy,gz\n1,2,3,4\n", None, r"has no column of time stamps: a, gx, gy, gz \(name it"),
         ("t,gx,gy,gz\n1,2,3,4\n", ColumnMap(gyro=("gx", "gy", "hz")), r"no column 'hz' .*did you mean gz\?"),
         (
@@ -481,7 +494,7 @@ def test_times_of_pictures(tmp_path: Path) -> None:
     plain = problems.take(read_times(path, None))
     assert plain.names is None
     assert plain.t_ns[1] == 33_333_000
-    assert problems == ["t.txt: times taken for milliseconds; time_unit in flight.toml says otherwise"]
+    assert problems == ["t.txt: times assumed to be in milliseconds; set time_unit if they are not"]
 
 
 def test_a_broken_row_keeps_the_numbers_of_the_others(tmp_path: Path) -> None:

@@ -343,7 +343,7 @@ class TestCompare:
         assert told is not None
         found = compare(outputs, true.shifted(float(told[1])))
         assert found["outputs"][0]["causal"] == here["outputs"][0]["causal"]
-        assert "s to its times" in comparison_text(found)
+        assert f"{float(told[1]):+.3f}".rstrip("0").rstrip(".") + " s to its times" in comparison_text(found)
 
     @pytest.mark.parametrize("seconds", [np.nan, np.inf, 1e10, -1e12])
     def test_no_truth_is_shifted_out_of_all_times(self, truth: Path, seconds: float) -> None:

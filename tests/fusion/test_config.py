@@ -102,6 +102,12 @@ def test_a_wrong_setting_is_one_line_from_python_too(
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("model", [FusionConfig, LiveSettings, SimulationConfig])
+def test_a_setting_without_its_name_is_refused(model: Any) -> None:
+    with pytest.raises(InputError, match=rf"{model.__name__}\(2\.2\) does not say which .*name it, as in"):
+        model(2.2)
+
+
 def test_settings_can_be_sent_to_another_process() -> None:
     config = FusionConfig(corridor_width_m=2.2)
     assert pickle.loads(pickle.dumps(config)) == config == copy.deepcopy(config)

@@ -175,7 +175,7 @@ def test_the_file_at_fault_is_named_and_what_was_only_taken_is_a_remark(
     problems = load_flight(manifest).problems
     lost = [text for text in problems if not isinstance(text, Remark)]
     assert [text[:12] for text in lost] == ["imu: it cove"]  # less than the whole flight
-    assert any("axes taken as frd, gravity stands down" in text for text in problems)
+    assert any("axes assumed frd (the accelerometer reads gravity along -z)" in text for text in problems)
 
 
 def test_a_phones_folder_is_one_imu(office: ImuStream, tmp_path: Path) -> None:

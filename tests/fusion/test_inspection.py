@@ -328,6 +328,11 @@ def test_a_log_is_described_without_reading_its_pictures() -> None:
             "the camera's calibration: --camera CAM.yaml .EuRoC, Kalibr, ROS camera_info or OpenCV.",
         ),
         (
+            MadeUp(imus={"imu0": IMU}, cameras={"cam0": FRAMES}, calibration=None),
+            Matter.MISSING,
+            "where there is none, `corridor align x.log --write` finds the focal length$",
+        ),
+        (
             MadeUp(cameras={"left": FRAMES, "right": FRAMES}),
             Matter.MISSING,
             r'holds 2 cameras: left, right: choose one in a flight.toml: .*\[camera\] topic = "left"',

@@ -285,7 +285,7 @@ def test_what_a_range_finder_calls_bad_is_dropped(tmp_path: Path) -> None:
     problems = Told()
     found = problems.take(log.range("RFND[0]"))
     assert len(found.t_ns) == N - 4
-    assert "RFND[0]: 4 rows with no distance within the sensor's reach dropped" in problems[0]
+    assert "RFND[0]: 4 rows dropped: no distance within the sensor's reach" in problems[0]
 
 
 def test_a_log_as_text_is_the_same_log(tmp_path: Path) -> None:

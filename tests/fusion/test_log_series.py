@@ -111,9 +111,9 @@ def test_rows_that_are_no_numbers_are_dropped_and_said() -> None:
     imu, problems = imu_stream(clean(), gyro, accel, where())
     assert len(imu.t_ns) == 198
     assert np.isnan(imu.accel_m_s2).all(axis=1).sum() == 2
-    assert problems[0].startswith("imu: 2 rows with a gyro value that is none dropped")
+    assert problems[0].startswith("imu: 2 rows dropped: a missing or impossible gyro value")
     assert problems[1] == "imu: 2 rows without acceleration"
-    with pytest.raises(InputError, match="imu: every row has a gyro value that is none"):
+    with pytest.raises(InputError, match="imu: every row has a missing or impossible gyro value"):
         imu_stream(clean(), np.full((200, 3), np.nan), accel, where())
 
 
@@ -122,7 +122,7 @@ def test_quaternions_are_made_unit_and_those_that_are_none_dropped() -> None:
     q[4] = 0.0
     attitude, problems = attitude_stream(clean(), q, where())
     np.testing.assert_allclose(attitude.q_world_body, [[0.0, 0.0, 0.0, 1.0]] * 199)
-    assert "1 row with a quaternion that is not of unit length dropped" in problems[0]
+    assert "1 row dropped: a quaternion that is not of unit length" in problems[0]
 
 
 @given(angles=st.tuples(*[st.floats(-3.1, 3.1)] * 3), v=st.tuples(*[st.floats(-10, 10)] * 3))
@@ -158,7 +158,7 @@ def test_velocity_without_attitude_is_dropped_and_said() -> None:
     world = np.tile([0.0, 2.0, 0.1], (200, 1))
     velocity, problems = velocity_stream(clean(), world, attitude, where())
     np.testing.assert_allclose(velocity.xyz, [[2.0, 0.0, 0.1]] * 100, atol=1e-12)
-    assert "100 rows with no attitude to turn it into the body dropped" in problems[0]
+    assert "100 rows dropped: no attitude to turn it into the body" in problems[0]
 
 
 def test_a_limit_tells_damage() -> None:
@@ -210,7 +210,7 @@ def test_distances_that_are_none_are_dropped() -> None:
     found, problems = range_stream(t_ns, distance_m, where(), limits_m=(0.3, 8.0))
     assert found.distance_m.tolist() == [1.0, 7.9]
     assert found.t_ns.tolist() == [t_ns[0], t_ns[8]]
-    assert "imu: 8 rows with no distance within the sensor's reach dropped" in problems[0]
+    assert "imu: 8 rows dropped: no distance within the sensor's reach" in problems[0]
     unlimited = range_stream(t_ns, distance_m, where(), limits_m=(nan, 0.0)).value
     assert unlimited.distance_m.tolist() == [1.0, 0.3, 8.0, 7.9]
     trusted = np.arange(10) != 0

@@ -133,7 +133,7 @@ def test_units_and_unix_times_of_highres_imu(tmp_path: Path) -> None:
     np.testing.assert_array_equal(imu.t_ns, (BOOT_MS + 2 * STEP_MS * np.arange(N // 2)) * 1_000_000)
     np.testing.assert_allclose(imu.gyro_rad_s, [[0.01, 0.02, 0.3]] * (N // 2), rtol=1e-6)
     np.testing.assert_allclose(imu.accel_m_s2, [[0.1, 0.2, -9.8]] * (N // 2), rtol=1e-6)
-    assert f"{N // 2} rows with a gyro value that is none dropped" in problems[0]
+    assert f"{N // 2} rows dropped: a missing or impossible gyro value" in problems[0]
 
 
 def test_a_sensors_own_counts_are_refused(tmp_path: Path) -> None:
@@ -227,7 +227,7 @@ def test_centimetres_to_the_floor(tmp_path: Path, dialect: Any) -> None:
     kept = np.delete(np.arange(N), [3, 4, 5])
     np.testing.assert_array_equal(found.t_ns, (BOOT_MS + STEP_MS * kept) * 1_000_000)
     np.testing.assert_allclose(found.distance_m, 1.0 + 0.01 * kept)
-    assert "3 rows with no distance within the sensor's reach dropped" in problems[0]
+    assert "3 rows dropped: no distance within the sensor's reach" in problems[0]
 
 
 def test_a_signal_that_is_called_invalid_is_dropped(tmp_path: Path) -> None:

@@ -125,7 +125,7 @@ def test_velocity_is_turned_into_the_body_and_untrusted_positions_are_dropped(tm
     np.testing.assert_allclose(position.xyz[0], [1.0, 1.0, -1.5], rtol=1e-6)
     assert len(position.t_ns) == 14
     assert problems == [
-        "vehicle_local_position: 10 rows with a position that the autopilot did not trust dropped "
+        "vehicle_local_position: 10 rows dropped: a position that the autopilot did not trust "
         f"(first at {START_US * 1000})"
     ]
 
@@ -136,7 +136,7 @@ def test_a_damaged_time_is_dropped_and_said(tmp_path: Path) -> None:
     imu = problems.take(log.imu("sensor_combined"))
     assert len(imu.t_ns) == N - 1
     assert imu.t_ns[-1] == times_us()[-1] * 1000 - 2_000_000
-    assert "1 row with a time" in problems[0]
+    assert "1 row dropped: a time" in problems[0]
 
 
 def test_several_sensors_are_several_topics(tmp_path: Path) -> None:
@@ -278,7 +278,7 @@ def test_distances_of_sensors_that_look_down(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.distance_m, 1.0 + 0.01 * np.array(kept), rtol=1e-6)
     first_ns = times_us()[5] * 1000
     assert problems == [
-        f"distance_sensor[1]: 6 rows with no distance within the sensor's reach dropped (first at {first_ns})"
+        f"distance_sensor[1]: 6 rows dropped: no distance within the sensor's reach (first at {first_ns})"
     ]
     np.testing.assert_allclose(log.range("distance_sensor[2]").value.distance_m, [1.5] * 40)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+from dataclasses import replace
 from math import radians
 from pathlib import Path
 
@@ -12,7 +14,7 @@ from hypothesis import strategies as st
 
 from fusion.logs.csv.column_map import READY_MAPS
 from fusion.logs.manifest.file import find_manifest, make_manifest, read_manifest, write_manifest
-from fusion.logs.manifest.manifest import CameraSource, Manifest, corrected_camera
+from fusion.logs.manifest.manifest import CameraSource, Manifest, camera_problems, corrected_camera
 from vision import Camera, InputError
 
 FULL = """
@@ -172,6 +174,12 @@ def test_any_text_and_number_survives_the_file(
     assert read_manifest(path) == manifest
 
 
+def test_a_value_that_is_set_to_its_default_is_written(tmp_path: Path) -> None:
+    values = {"log": "a", "camera": {"mount_yaw_rad": 0.0, "clock_offset_s": 0.0}, "velocity": {"use": True}}
+    write_manifest(make_manifest(values, file=tmp_path / "flight.toml"), tmp_path / "flight.toml")
+    assert tomllib.loads((tmp_path / "flight.toml").read_text()) == values
+
+
 def test_a_path_elsewhere_is_written_whole(tmp_path: Path) -> None:
     manifest = make_manifest({"log": "/elsewhere/log.ulg"})
     write_manifest(manifest, tmp_path / "flight.toml")
@@ -301,3 +309,15 @@ def test_corrections_turn_the_camera_right_and_up() -> None:
     assert long.fx_px == pytest.approx(1.05 * camera.fx_px)
     assert (long.cx_px, long.width_px) == (camera.cx_px, camera.width_px)
     assert corrected_camera(camera, CameraSource()) is camera
+
+
+@pytest.mark.parametrize("key", ["mount_yaw_rad", "mount_pitch_rad", "mount_roll_rad"])
+def test_a_mounting_angle_that_is_set_states_the_mounting(key: str) -> None:
+    camera = replace(Camera.from_fov(640, 480, radians(70)), mount_assumed=True)
+    problem = camera_problems(corrected_camera(camera, CameraSource(focal_scale=1.05)))
+    assert len(problem) == 1
+    assert key in problem[0]
+    assert "inside cam0:" in problem[0]
+    stated = corrected_camera(camera, CameraSource.model_validate({key: 0.0}))
+    assert not camera_problems(stated)
+    np.testing.assert_array_equal(axis(stated), axis(camera))

@@ -107,7 +107,7 @@ def test_what_is_missing_is_counted(folder: Path) -> None:
     (folder / "times.csv").write_text("".join(f"{T0 + i * 50_000_000},{i}.png\n" for i in range(2, N + 2)))
     log = open_log(folder)
     assert set(log.problems) == {
-        "times.csv: times taken for nanoseconds; time_unit in flight.toml says otherwise",
+        "times.csv: times assumed to be in nanoseconds; set time_unit if they are not",
         "pictures: 2 pictures missing (first 12.png)",
         "pictures: 2 pictures not in times.csv left out",
     }

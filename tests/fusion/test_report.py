@@ -351,6 +351,7 @@ def test_holes_and_problems_of_the_log_are_told(swing: Fused) -> None:
     ]
     assert check.level is Level.WARN
     assert check.value == "2 problems"
+    assert check.meaning == "The first: imu0/data.csv: 3 rows of NaN dropped."
 
 
 def test_yaw_steps_are_found_with_time_and_size(swing: Fused) -> None:

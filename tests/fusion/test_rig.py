@@ -17,7 +17,7 @@ from fusion.inspection.sources import inspect_path
 from fusion.logs import load_flight
 from fusion.logs.plausibility.imu import Gravity
 from fusion.logs.plausibility.mounting import rotation
-from fusion.logs.plausibility.rig import find_body_from_imu
+from fusion.logs.plausibility.rig import find_body_from_imu, sentence
 from tests.files import OFFICE, written
 from vision import Camera, InputError
 
@@ -187,3 +187,7 @@ def test_an_attitude_is_turned_where_it_is_of_the_imus_axes(
     assert flight.attitude is not None
     off = Rotation.from_quat(np.roll(flight.attitude.q_world_body, -1, axis=1)).inv() * world_body
     assert off.magnitude().max() < 1e-4
+
+
+def test_a_rotation_is_printed_without_a_negative_zero() -> None:
+    assert "roll, pitch, yaw of -90, 0, 90 degrees" in sentence((radians(-90), radians(-0.4), radians(90)))

@@ -12,6 +12,7 @@ import pytest
 
 from fusion.cli.fuse_text import fusion_text
 from fusion.cli.measure_text import measured_text
+from fusion.flight import Remark
 from fusion.pictures.measure import IMAGE_DTYPE
 from fusion.result.summary import (
     Check,
@@ -68,6 +69,12 @@ def lines_of(summary: Summary) -> dict[str, str]:
         line[:14].strip(): " ".join(line[14:].split())
         for line in fusion_text(summary, Path("out/hall")).splitlines()
     }
+
+
+def test_what_was_assumed_is_a_note_and_no_problem(summary: Summary) -> None:
+    lines = lines_of(replace(summary, problems=(Remark("axes assumed frd"),)))
+    assert lines["note"] == "axes assumed frd"
+    assert "problem" not in lines
 
 
 def test_the_table_holds_every_number(summary: Summary) -> None:

@@ -113,6 +113,45 @@ def test_no_coefficients_are_no_distortion(tmp_path: Path) -> None:
     assert camera.distortion is Distortion.NONE
 
 
+OPENCV_ROWS = """camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 466., 0., 319.5, 0., 466., 239.5, 0., 0., 1. ]
+distortion_coefficients: !!opencv-nd-matrix
+   sizes: [ 5 ]
+   dt: d
+   data: [ 0.1, 0.02, 0., 0., 0. ]
+"""
+OPENCV_YAML = f"%YAML 1.2\n---\nimage_width: 640\nimage_height: 480\n{OPENCV_ROWS}"
+OPENCV_SIZE = "<image_width>640</image_width><image_height>480</image_height>"
+OPENCV_XML = f"""<?xml version="1.0"?>
+<opencv_storage>
+{OPENCV_SIZE}
+<cameraMatrix type_id="opencv-matrix">
+  <rows>3</rows><cols>3</cols><dt>d</dt>
+  <data>466. 0. 319.5 0. 466. 239.5 0. 0. 1.</data></cameraMatrix>
+<distCoeffs type_id="opencv-nd-matrix">
+  <sizes>
+    5</sizes>
+  <dt>d</dt>
+  <data>0.1 0.02 0. 0. 0.</data></distCoeffs>
+</opencv_storage>
+"""
+
+
+@pytest.mark.parametrize(("name", "text"), [("c.yml", OPENCV_YAML), ("c.xml", OPENCV_XML)])
+def test_arrays_of_one_dimension_as_opencv_5_writes_them(tmp_path: Path, name: str, text: str) -> None:
+    camera = Camera.from_yaml(written(tmp_path / name, text))
+    assert (camera.width_px, camera.fx_px) == (640, 466.0)
+    assert camera.coefficients == (0.1, 0.02, 0.0, 0.0, 0.0)
+
+
+def test_the_remedy_for_a_missing_size_is_in_the_file_s_own_syntax(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"image_width is missing .*<image_width>640</image_width>"):
+        Camera.from_yaml(written(tmp_path / "c.xml", OPENCV_XML.replace(OPENCV_SIZE, "")))
+
+
 def test_a_file_without_extrinsic_says_that_straight_ahead_is_assumed(tmp_path: Path) -> None:
     camera = Camera.from_yaml(written(tmp_path / "camera.yaml", ROS))
     np.testing.assert_array_equal(camera.R_body_camera, FORWARD)

@@ -268,12 +268,16 @@ class Camera:
         )
         return f"give the calibration of these pictures; where they were scaled it is {numbers}, distortion as it is"
 
-    def mount_problem(self) -> str | None:
-        """Return one sentence if the mounting is assumed, or the axis over 60 degrees off the body's x; else None."""
+    def mount_problem(self, setting: str | None = None) -> str | None:
+        """Return one sentence if the mounting is assumed, or the axis over 60 degrees off the body's x; else None.
+
+        ``setting`` names another place for the mounting beside the calibration.
+        """
         if self.mount_assumed:
+            other = "" if setting is None else f"; or set {setting}"
             return (
                 "the calibration does not say how the camera is mounted: taken as looking straight ahead "
-                "(add T_BS, body from camera, to it)"
+                f"(add T_BS, body from camera, to it, in a Kalibr file inside cam0:{other})"
             )
         angle = acos(max(-1.0, min(1.0, float(self.R_body_camera[0, 2]))))
         if angle <= MAX_AXIS_ANGLE_RAD:

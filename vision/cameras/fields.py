@@ -21,7 +21,7 @@ R_FRD_FLU: FloatArray = np.diag([1.0, -1.0, -1.0])
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a mapping from YAML, also as OpenCV writes it (``%YAML:1.0``, ``!!opencv-matrix``), JSON, XML or INI.
+    """Read a mapping from YAML, also as OpenCV writes it (``%YAML:1.0``, its tags), from JSON, XML or INI.
 
     Raises
     ------
@@ -66,7 +66,8 @@ def _parse_yaml(text: str, path: Path) -> object:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
-    text = re.sub(r"\A%YAML:[^\n]*\n(---[^\n]*\n)?", "", text).replace("!!opencv-matrix", "")
+    text = re.sub(r"\A%YAML:[^\n]*\n(---[^\n]*\n)?", "", text)
+    text = re.sub("!!opencv-(nd-)?matrix", "", text)
     text = re.sub(r"\n(---|\.\.\.)\s*\Z", "\n", text)  # `rostopic echo` ends each message with it
     try:
         check_yaml(text)

@@ -133,7 +133,8 @@ def _size(fields: _Fields) -> tuple[int, int]:
         key = fields.find(names)
         if key is None:
             raise InputError(
-                f"{example} is missing", remedy=f"add a line such as `{example}: 640`, in pixels"
+                f"{example} is missing",
+                remedy=f"add a line such as `{example}: 640`, in pixels; in XML `<{example}>640</{example}>`",
             )
         side = fields.content[key]
         if isinstance(side, bool) or not isinstance(side, int | float):

@@ -69,7 +69,7 @@ def parse_xml(text: str, path: Path) -> dict[str, Any]:
 
 
 def _value(element: ElementTree.Element) -> Any:
-    if element.get("type_id") == "opencv-matrix":
+    if element.get("type_id") in ("opencv-matrix", "opencv-nd-matrix"):
         return {child.tag: _value(child) for child in element}
     if len(element):
         return [_value(child) for child in element]

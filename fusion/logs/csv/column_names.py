@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -60,10 +60,11 @@ def ready_map_of(layout: Layout) -> str | None:
     return next((key for key in READY_MAPS if _SIGNS[key] <= names), None)
 
 
-def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
+def map_of_names(layout: Layout, stated: Collection[str] = ()) -> WithProblems[ColumnMap | None]:
     """Make a map of the columns with known names, and report the assumed units; None if there are none.
 
-    A vector's unit is in brackets after its names or at their end (``gyro_x_deg_s``), or else SI.
+    A vector's unit is in brackets after its names or at their end (``gyro_x_deg_s``), or else SI; ``stated`` names
+    the entries of the map that the user sets.
     """
     if not layout.has_names and is_tum(layout):
         remark = Remark(
@@ -81,7 +82,8 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
             return
         names = tuple(layout.names[i] for i in columns)
         given = layout.units[columns[0]].strip()
-        if given and not unit and role in _UNITS and role != "position":
+        is_stated = f"{role}_unit" in stated
+        if given and not unit and role in _UNITS and role != "position" and not is_stated:
             raise InputError(
                 f"column {names[0]} is in {given}, a unit that is not known",
                 file=layout.path,
@@ -91,9 +93,9 @@ def map_of_names(layout: Layout) -> WithProblems[ColumnMap | None]:
         found[role] = names[0] if role == "range" else names
         if unit:
             found[f"{role}_unit"] = unit
-        elif assumed:
+        elif assumed and not is_stated:
             problems += (
-                Remark(f"{layout.path.name}: no unit is given for {what or names[0]}, {assumed} taken"),
+                Remark(f"{layout.path.name}: no unit is given for {what or names[0]}, {assumed} assumed"),
             )
 
     for role in _VECTORS:

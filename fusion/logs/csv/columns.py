@@ -64,11 +64,15 @@ _HALF_TURN = 3.3  # rad; in degrees, a tilt that every flight reaches
 _NOT_DAMAGED = 0.01  # share of the rows
 _UPRIGHT_M_S2 = 5.0
 MAX_LISTED = 12  # names of columns
-_NOTHING_TELLS = "nothing tells"
+_NOTHING_TELLS = "the file does not say"
 
 _EXAMPLE = (
     'name them in flight.toml, as in [imu.columns] time = "t", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s", or '
     '[attitude.columns] quaternion = ["w", "x", "y", "z"]'
+)
+_NUMBERED_EXAMPLE = (
+    "give the numbers of the columns, from 1, in flight.toml, as in [imu.columns] time = 1, gyro = [2, 3, 4], "
+    'gyro_unit = "deg/s", or add a header'
 )
 
 
@@ -157,9 +161,13 @@ def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[
     if isinstance(columns, ColumnMap):
         if not any(columns.columns_of(role) for role in ROLES):
             check_axes(layout)
-            guessed, problems = map_of_names(layout)
+            guessed, problems = map_of_names(layout, columns.model_fields_set)
             if guessed is None:
-                raise InputError("the column map names no data", file=layout.path, remedy=_EXAMPLE)
+                raise InputError(
+                    "the column map names no data",
+                    file=layout.path,
+                    remedy=_EXAMPLE if layout.has_names else _NUMBERED_EXAMPLE,
+                )
             changed = guessed.model_copy(update=columns.model_dump(exclude_unset=True))
             return WithProblems((changed, "CSV"), problems)
         return WithProblems((columns, "CSV"))
@@ -169,7 +177,10 @@ def _map(layout: Layout, columns: ColumnMap | str | None) -> WithProblems[tuple[
     check_axes(layout)
     guessed, problems = map_of_names(layout)
     if guessed is None:
-        listed = ", ".join(layout.names[:20]) if layout.has_names else f"{len(layout.names)} without names"
+        if not layout.has_names:
+            problem = f"has no header, so the meaning of its {len(layout.names)} columns is not known"
+            raise InputError(problem, file=layout.path, remedy=_NUMBERED_EXAMPLE)
+        listed = ", ".join(layout.names[:20])
         raise InputError(f"its columns are not known by name: {listed}", file=layout.path, remedy=_EXAMPLE)
     return WithProblems((guessed, "CSV"), problems)
 
@@ -249,7 +260,7 @@ class _Table:
         if declared is not None:
             return WithProblems(declared)
         frame, why = self._likely_frame()
-        problem = f"{self.path.name}: axes taken as {frame}, {why}; name them with frame in flight.toml"
+        problem = f"{self.path.name}: axes assumed {frame} ({why}); set frame in flight.toml"
         return WithProblems(frame, (problem if why == _NOTHING_TELLS else Remark(problem),))
 
     def _likely_frame(self) -> tuple[Frame, str]:
@@ -258,14 +269,14 @@ class _Table:
         accel = accel[np.isfinite(accel).all(axis=1)]
         usual = np.median(accel, axis=0) if len(accel) else np.zeros(3)
         if abs(usual[2]) > _UPRIGHT_M_S2:
-            return ("flu", "gravity stands up its z axis") if usual[2] > 0.0 else (
-                "frd", "gravity stands down its z axis"
+            return ("flu", "the accelerometer reads gravity along +z") if usual[2] > 0.0 else (
+                "frd", "the accelerometer reads gravity along -z"
             )  # fmt: skip
         if np.linalg.norm(usual) > _UPRIGHT_M_S2:
             # These are not a vehicle's axes, so the calibration gives the IMU's mounting; Kalibr uses ROS's axes.
-            return "flu", "gravity stands along another axis than z"
+            return "flu", "the accelerometer reads gravity along another axis than z"
         if has_asl_names(self.columns):
-            return "flu", "as its names are used in ASL / EuRoC logs"
+            return "flu", "by its names, which are those of ASL / EuRoC logs"
         return "frd", _NOTHING_TELLS
 
     def imu(self) -> WithProblems[ImuStream]:
@@ -351,8 +362,8 @@ class _Table:
         if found is not Axes.WORLD:
             return WithProblems((Axes.BODY, declared or pose_frame))
         problem = (
-            f"{self.path.name}: velocity taken along the world's axes, as its positions move; velocity_frame under "
-            "[velocity.columns] in flight.toml says otherwise"
+            f"{self.path.name}: velocity taken along the world's axes, as its positions move; set velocity_frame "
+            "under [velocity.columns] in flight.toml if it is not"
         )
         return WithProblems((Axes.WORLD, pose_frame), (Remark(problem),))
 

@@ -25,6 +25,8 @@ from vision import InputError
 GYRO = "gyroscope"
 ACCELS = ("totalacceleration", "accelerometer")  # the first one includes gravity in every recorder
 TOPIC = "imu"
+FORMAT = "folder of a phone's sensors"
+CAMERA_AXIS = "-z"  # of the camera on the back
 
 
 def recognises(path: Path) -> bool:
@@ -55,7 +57,7 @@ def open_log(path: Path) -> LogContents:
         return joined_imu(t_ns, gyro, accel, where, accel_where)
 
     topic = Topic(TOPIC, Kind.IMU, t_ns, f"axes of the phone; {note}")
-    log = SeriesLog(path, "folder of a phone's sensors", [Series(topic, read)], problems)
+    log = SeriesLog(path, FORMAT, [Series(topic, read)], problems)
     log.body_frame = "frd"  # axes unchanged
     return log
 

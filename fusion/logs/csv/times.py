@@ -126,7 +126,7 @@ def read_timed(
         unit = guess_unit(data.first)
         problems += (
             Remark(
-                f"{layout.path.name}: times taken for {in_words(unit)}; time_unit in flight.toml says otherwise"
+                f"{layout.path.name}: times assumed to be in {in_words(unit)}; set time_unit if they are not"
             ),
         )
     ticks = data.first

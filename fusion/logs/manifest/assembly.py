@@ -8,7 +8,8 @@ from typing import Any, TypeVar
 
 from fusion.flight import CorridorTruth, Flight, FrameStream, TimeArray
 from fusion.logs.contents import Kind, LogContents, UndecidedError
-from fusion.logs.manifest.manifest import Manifest, StreamSource, files_of
+from fusion.logs.csv import phone_folder
+from fusion.logs.manifest.manifest import Manifest, StreamSource, camera_problems, files_of
 from fusion.logs.manifest.sources import ManifestLog
 from fusion.logs.pictures.camera_folder import check_size, darkness_problem
 from fusion.logs.plausibility.clocks import is_unix, span
@@ -17,7 +18,6 @@ from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.topic_choice import TABLES, WORDS, contents_in_words
 from fusion.settings.toml import toml_value
 from vision import Camera, InputError
-from vision.cameras.lens_check import lens_problem
 
 AnyStream = TypeVar("AnyStream", bound=Any)
 
@@ -161,7 +161,7 @@ class _Assembly:
                 remedy="add the calibration: name it with --camera, or under [camera] in flight.toml"
                 + self._alignment_remedy(),
             )
-        self._note(tuple(text for text in (camera.mount_problem(), lens_problem(camera)) if text is not None))
+        self._note(camera_problems(camera))
         return camera
 
     def _alignment_remedy(self) -> str:
@@ -170,6 +170,8 @@ class _Assembly:
         if imu is None or not any(topic.kind is Kind.IMU for topic in imu.topics):
             return ""
         declared = manifest.model_dump(mode="json", exclude_defaults=True)
+        if imu.format == phone_folder.FORMAT:
+            declared["imu"] = {"camera_axis": phone_folder.CAMERA_AXIS} | declared.get("imu", {})
         if declared.keys() == {"log"}:
             return f"; where there is none, `corridor align {manifest.log} --write` finds the focal length"
         lines = ", ".join(_lines(declared))

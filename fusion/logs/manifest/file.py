@@ -66,7 +66,7 @@ def _with_paths(manifest: Manifest, folder: Path) -> Manifest:
         for key, value in model:
             if isinstance(value, Path):
                 changes[key] = (folder / value.expanduser()).resolve()
-            elif isinstance(value, StreamSource):
+            elif isinstance(value, StreamSource) and key in model.model_fields_set:
                 changes[key] = value.model_copy(update=absolute(value))
         return changes
 

@@ -32,8 +32,10 @@ from pydantic import (
 )
 
 from fusion.logs.csv.column_map import READY_MAPS, ColumnMap, Frame
+from fusion.logs.samples import Problems
 from fusion.settings.sentences import did_you_mean
 from vision import Camera
+from vision.cameras.lens_check import lens_problem
 from vision.rotations import rotation_from_angles
 
 STREAMS = ("camera", "imu", "attitude", "velocity", "position", "range")
@@ -52,6 +54,9 @@ def _kind_of_columns(value: object) -> str:
 Columns = Annotated[
     Annotated[str, Tag("name")] | Annotated[ColumnMap, Tag("map")], Discriminator(_kind_of_columns)
 ]
+
+#: Keys of the camera's table that state its mounting.
+MOUNT_KEYS = ("mount_yaw_rad", "mount_pitch_rad", "mount_roll_rad")
 
 #: Keys of a column map that apply to any format: units that differ from the format's own.
 UNIT_KEYS = frozenset(
@@ -277,18 +282,32 @@ class Manifest(BaseModel):
 
 
 def corrected_camera(camera: Camera, source: CameraSource) -> Camera:
-    """Apply a manifest's corrections to a calibration: mounting yaw, pitch, then roll, in the body; focal lengths."""
+    """Apply a manifest's corrections to a calibration: mounting yaw, pitch, then roll, in the body; focal lengths.
+
+    A mounting angle that is set, even to zero, states the mounting.
+    """
     from dataclasses import replace
 
     angles_rad = (source.mount_yaw_rad, source.mount_pitch_rad, source.mount_roll_rad)
-    if not any(angles_rad) and source.focal_scale == 1.0:
+    is_stated = not source.model_fields_set.isdisjoint(MOUNT_KEYS)
+    if not is_stated and source.focal_scale == 1.0:
         return camera
     return replace(
         camera,
+        mount_assumed=camera.mount_assumed and not is_stated,
         fx_px=camera.fx_px * source.focal_scale,
         fy_px=camera.fy_px * source.focal_scale,
         R_body_camera=rotation_from_angles(*angles_rad) @ camera.R_body_camera,
     )
+
+
+def camera_problems(camera: Camera) -> Problems:
+    """Return what is assumed or implausible in a camera's mounting and lens, a sentence each."""
+    texts = (
+        camera.mount_problem(f"{' or '.join(MOUNT_KEYS)} under [camera] in flight.toml"),
+        lens_problem(camera),
+    )
+    return tuple(text for text in texts if text is not None)
 
 
 def files_of(manifest: Manifest) -> Iterator[tuple[str, Path]]:

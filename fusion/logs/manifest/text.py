@@ -51,14 +51,12 @@ def manifest_text(manifest: Manifest, folder: Path, notes: Mapping[str, str]) ->
 
 
 def _lines(model: BaseModel, prefix: str, folder: Path, notes: Mapping[str, str]) -> Iterator[str]:
-    """Yield a line per value that is set and differs from its default."""
+    """Yield a line per value that is set, even to its default, or has a note."""
     for key, value in model:
-        default = type(model).model_fields[key].get_default(call_default_factory=True)
-        if isinstance(value, StreamSource | ColumnMap) or (
-            value == default and f"{prefix}{key}" not in notes
-        ):
-            continue
         dotted = prefix + key
+        is_told = key in model.model_fields_set or dotted in notes
+        if value is None or isinstance(value, StreamSource | ColumnMap) or not is_told:
+            continue
         remarks = [_MEANING.get(dotted) or _MEANING.get(key), notes.get(dotted)]
         remark = "; ".join(_in_one_line(text) for text in remarks if text)
         yield f"{key} = {toml_value(relative(value, folder) if isinstance(value, Path) else value)}" + (

@@ -25,6 +25,7 @@ from fusion.logs.pictures.video_frames import VideoFrames
 from fusion.logs.samples import Problems, WithProblems, counted, in_order
 from fusion.logs.series import Series, SeriesLog, Where, no_such_topic
 from vision import InputError
+from vision.images import is_heic
 from vision.limits import check_pixels
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def recognises(path: Path) -> bool:
     with path.open("rb") as file:
         head = file.read(12)
     magic = (
-        head[4:8] == b"ftyp"
+        (head[4:8] == b"ftyp" and not is_heic(head))
         or head[:4] == b"\x1a\x45\xdf\xa3"
         or (head[:4] == b"RIFF" and head[8:] == b"AVI ")
     )

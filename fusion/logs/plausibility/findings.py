@@ -109,7 +109,7 @@ class Advice:
         pitch = _rounded(asin(max(-1.0, min(1.0, up[0]))))
         return (
             f"if it is mounted so, set mount_rad = [{roll:.4g}, {pitch:.4g}, 0] for [{stream}] in flight.toml, the "
-            "third its yaw to the right, which gravity does not show; where the camera looks along one of its axes, "
+            "third number is the yaw, which gravity cannot determine; where the camera looks along one of its axes, "
             'camera_axis = "-z" or another for [imu] is enough'
         )
 

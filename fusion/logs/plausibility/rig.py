@@ -171,10 +171,10 @@ def turned_velocity(velocity: VectorStream, mount_rad: MountRad) -> VectorStream
 
 def sentence(mount_rad: MountRad) -> str:
     """Return the finding as a sentence."""
-    rpy = ", ".join(f"{degrees(angle):.0f}" for angle in mount_rad)
+    rpy = ", ".join(str(round(degrees(angle))) for angle in mount_rad)
     written = ", ".join(f"{angle:g}" for angle in mount_rad)
     return (
-        f"the axes of IMU and camera are not the vehicle's: by gravity and the optical axis both are turned by roll, "
+        "the axes of IMU and camera are not the vehicle's: by gravity and the optical axis both are rotated by roll, "
         f"pitch, yaw of {rpy} degrees (body_from_imu_rad = [{written}] in flight.toml; [0, 0, 0] keeps them as they "
         "are)"
     )

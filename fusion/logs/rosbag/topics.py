@@ -236,6 +236,8 @@ def _turned_into_body(samples: Samples, wire: Wire, frames: StaticFrames) -> Sam
     values[:, 0:4] = _times_inverse(samples.columns(0, 4), R)
     if mount is None:
         return replace(samples, values=values, axes=f"{frame_id}: x right, y down, z forward")
+    if mount.body == frame_id:
+        return replace(samples, values=values)
     return replace(samples, values=values, axes=f"turned from {frame_id} into {mount.body} by /tf_static")
 
 
