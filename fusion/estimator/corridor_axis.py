@@ -14,15 +14,16 @@ constant however the vehicle turns, so headings are compared as axes in that fra
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite, isnan, nan, radians, sqrt
+from math import hypot, isfinite, isnan, nan, radians, sqrt
 from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from fusion.estimator.attitude_drift import AttitudeDrift
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.frame_noise import FrameNoise
-from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations
+from fusion.estimator.hypotheses import Diagnosis, Hypothesis, Innovations, ReportedFault
 from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, Gate, heading_model
 from fusion.estimator.noise_adaptation import SourceNoise
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, DeadReckoning, Mode, yaw_at
@@ -178,6 +179,8 @@ class CorridorAxis(NamedTuple):
         The corridor left last.
     diagnosis
         Fault isolation for frames that disagree with the prediction.
+    attitude_drift
+        Drift of the attitude's yaw against the frames while no gyroscope propagates the heading.
     """
 
     acquired: bool = False
@@ -203,11 +206,17 @@ class CorridorAxis(NamedTuple):
     rival: Rival | None = None
     previous: PreviousAxis | None = None
     diagnosis: Diagnosis = Diagnosis()
+    attitude_drift: AttitudeDrift = AttitudeDrift()
 
     @property
     def test_ratio(self) -> float:
         """Square of the last innovation over the gate squared."""
         return nan if self.gate is None else self.gate.test_ratio
+
+    @property
+    def common_std_rad(self) -> float:
+        """Sigma of the heading's errors that successive frames have, or may have, in common."""
+        return hypot(self.lasting_std_rad, self.attitude_drift.undecided_std_rad)
 
     @property
     def was_accepted(self) -> bool:
@@ -221,6 +230,7 @@ class CorridorAxis(NamedTuple):
             votes=(),
             diagnosis=self.diagnosis.restarted(),
             frame_noise=self.frame_noise.interrupted(),
+            attitude_drift=self.attitude_drift.interrupted(),
         )
 
     def clock_set_back(self) -> CorridorAxis:
@@ -264,6 +274,21 @@ class CorridorAxis(NamedTuple):
         part = m.heading_lasting_std_rad
         std_rad = part if 0.0 < part < m.heading_std_rad else 0.0  # NaN fails too
         return self._replace(lasting_std_rad=(1.0 - gain) * self.lasting_std_rad + gain * std_rad)
+
+    def with_attitude_drift(self, ekf: CorridorEKF, t_ns: int, rho: float) -> CorridorAxis:
+        """Widen the heading's variance if the yaw increments drift from the frames, and report it.
+
+        For an accepted frame in `Mode.ATTITUDE`; ``rho`` is the correlation of its error with that of the one before.
+        """
+        if self.gate is None or self.t_vision_ns is None:
+            return self
+        elapsed_s = (t_ns - self.t_vision_ns) * 1e-9
+        drift, variance = self.attitude_drift.with_innovation(self.gate, elapsed_s, rho)
+        if variance == 0.0:
+            return self._replace(attitude_drift=drift)
+        ekf.widen(PSI, variance)
+        diagnosis = self.diagnosis._replace(reported=ReportedFault(Hypothesis.WELL, t_ns))
+        return self._replace(attitude_drift=drift, diagnosis=diagnosis)
 
     def gate_sigma(self, config: FusionConfig, t_ns: int, axis_rad: float, variance: float) -> float:
         """Return the gate of a frame's heading.
@@ -358,6 +383,7 @@ class CorridorAxis(NamedTuple):
             reset_heading_rad=step_rad,
             diagnosis=self.diagnosis.without_evidence(),
             frame_noise=self.frame_noise.interrupted(),
+            attitude_drift=self.attitude_drift.interrupted(),
         )
 
 

@@ -107,7 +107,7 @@ def covariance_of(state: State, model: OffsetModel, known: bool) -> Covariance:
     """
     P = state.P.copy()
     if state.t_ns is not None:
-        outside = spread_by_delay(state.axis.lasting_std_rad, state.delay, state.t_ns)
+        outside = spread_by_delay(state.axis.common_std_rad, state.delay, state.t_ns)
         P[PSI, PSI] = hypot(P[PSI, PSI] ** 0.5, outside) ** 2
     if not known:
         return Covariance(state.t_ns, STATE_NAMES, state.x.copy(), P)

@@ -16,6 +16,7 @@ import numpy as np
 
 from fusion.estimator import junctions
 from fusion.estimator import tilt as tilts
+from fusion.estimator.attitude_drift import AttitudeDrift
 from fusion.estimator.axis_drift import MeasuredHeading, with_diagnosis
 from fusion.estimator.camera_delay import (
     Delay,
@@ -388,9 +389,13 @@ class Engine:
             axis = axis._replace(
                 diagnosis=axis.diagnosis.restarted(), frame_noise=axis.frame_noise.interrupted()
             )
-        extra_gyro_noise = (axis.frame_noise.gyro_scale - 1.0) * self.config.gyro_noise**2
-        if extra_gyro_noise != d.extra_gyro_noise:
-            d = d._replace(extra_gyro_noise=extra_gyro_noise)
+        if d.mode is not Mode.ATTITUDE and axis.attitude_drift != AttitudeDrift():
+            axis = axis._replace(attitude_drift=AttitudeDrift())
+        extra_noise = axis.attitude_drift.density
+        if d.mode is Mode.GYRO:
+            extra_noise = (axis.frame_noise.gyro_scale - 1.0) * self.config.gyro_noise**2
+        if extra_noise != d.extra_noise:
+            d = d._replace(extra_noise=extra_noise)
         return s if axis is s.axis and d is s.reckoning else s._replace(axis=axis, reckoning=d)
 
     def _fuse_heading(
@@ -445,6 +450,8 @@ class Engine:
             delay = learn_delay(delay, ekf, at_delay, by_delay.per_s, c)
         imu_yaw = compare_by_frame(s.imu_yaw, t_ns, heading, variance, d)
         axis = axis.with_lasting_error(float(ekf.K[PSI, 0]), m)
+        if d.mode is Mode.ATTITUDE:
+            axis = axis.with_attitude_drift(ekf, t_ns, rho)
         s = s._replace(axis=axis.confirmed(ekf, t_ns, d.theta_rad), delay=delay, imu_yaw=imu_yaw)
         s = self._with_accepted(s, t_ns, m, attitude)
         return s, FrameResult(sample.stamp_ns, m, True, Reason.OK, *result)

@@ -76,7 +76,8 @@ class Estimate:
         Time to which the estimate is predicted: that of the newest sample, or the requested later time.
     heading_rad, heading_std_rad
         Relative to the corridor being flown, positive turned right, in [-pi, pi). The sigma contains those of an
-        estimated camera delay and of the errors that successive frames have in common.
+        estimated camera delay, of the errors that successive frames have in common, and, without a gyroscope, of a
+        disagreement of frames and attitude.
     lateral_offset_m, lateral_offset_std_m, lateral_offset_norm, lateral_offset_norm_std
         Right of the centre line; in metres if the width is known, and in half widths.
     position
@@ -367,7 +368,7 @@ def heading_of(state: State) -> tuple[float, float]:
     """Return the heading and its standard deviation."""
     if not state.axis.ever_acquired:
         return _provisional_heading(state)
-    std = hypot(sqrt(float(state.P[PSI, PSI])), state.axis.lasting_std_rad)
+    std = hypot(sqrt(float(state.P[PSI, PSI])), state.axis.common_std_rad)
     return float(state.x[PSI]), std if state.t_ns is None else spread_by_delay(std, state.delay, state.t_ns)
 
 

@@ -48,8 +48,8 @@ def filter_table(states: Sequence[State], statuses: Sequence[str], config: Fusio
     table = np.empty(n, dtype=ESTIMATE_DTYPE)
     x = np.concatenate([s.x for s in states]).reshape(n, N_STATES)
     P = np.concatenate([s.P for s in states]).reshape(n, N_STATES, N_STATES)
-    lasting = np.array([s.axis.lasting_std_rad for s in states])
-    heading, std, bias = x[:, PSI].copy(), np.hypot(np.sqrt(P[:, PSI, PSI]), lasting), x[:, BIAS]
+    common = np.array([s.axis.common_std_rad for s in states])
+    heading, std, bias = x[:, PSI].copy(), np.hypot(np.sqrt(P[:, PSI, PSI]), common), x[:, BIAS]
     for k, s in enumerate(states):
         if s.delay is not None or not s.axis.ever_acquired:
             heading[k], std[k] = heading_of(s)

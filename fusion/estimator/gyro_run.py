@@ -116,7 +116,7 @@ class GyroRun:
                 d.gyro_done_rad,
                 offset.roll.mean,
                 propagation.scale_variance,
-                d.extra_gyro_noise,
+                d.extra_noise,
                 d.seen_theta_rad,
             ),
             (*propagation.noise[Mode.GYRO],),
@@ -160,7 +160,7 @@ class GyroRun:
             yaw_done,
             d.attitude,
             d.stored_gyro_bias,
-            d.extra_gyro_noise,
+            d.extra_noise,
             d.seen_theta_rad,
         )
         return State(

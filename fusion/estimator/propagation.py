@@ -92,8 +92,9 @@ class DeadReckoning(NamedTuple):
         Times of the attitude samples.
     stored_gyro_bias
         Mean and variance of the gyroscope's bias, stored while another mode is active.
-    extra_gyro_noise
-        Squared density of the gyroscope's noise beyond the configured one, rad^2/s, as estimated from frames.
+    extra_noise
+        Squared density of the noise of the source in use beyond the configured one, rad^2/s, as estimated from
+        frames.
     seen_theta_rad
         ``theta_rad`` at the last accepted frame.
     """
@@ -110,7 +111,7 @@ class DeadReckoning(NamedTuple):
     yaw_done_rad: float = 0.0
     attitude: SampleTimes = SampleTimes()
     stored_gyro_bias: tuple[float, float] = (0.0, 0.02**2)
-    extra_gyro_noise: float = 0.0
+    extra_noise: float = 0.0
     seen_theta_rad: float = 0.0
 
     def yaw_rate(self, bias_rad_s: float) -> float:
@@ -303,7 +304,8 @@ class Propagation:
                 variance = self._silence_variance(d, ekf, t_ns)
         bias_turn = float(ekf.x[BIAS]) * dt_s
         if mode is _GYRO:
-            variance += self._scale_variance(d, turned_rad - bias_turn, dt_s) + d.extra_gyro_noise * dt_s
+            variance += self._scale_variance(d, turned_rad - bias_turn, dt_s)
+        variance += d.extra_noise * dt_s
         ekf.advance(dt_s, turned_rad, self.noise[mode], variance)
         return turned_rad, turned_rad - bias_turn
 
@@ -333,7 +335,8 @@ class Propagation:
         variance = self.held_rate_variance(d, t_ns)
         if d.mode is Mode.GYRO:
             corrected = turned - float(ekf.x[BIAS]) * dt_s
-            variance += self._scale_variance(d, corrected, dt_s) + d.extra_gyro_noise * dt_s
+            variance += self._scale_variance(d, corrected, dt_s)
+        variance += d.extra_noise * dt_s
         ekf.advance(dt_s, turned, self.noise[d.mode], variance)
         return d._replace(t_ns=t_ns)
 
@@ -385,7 +388,7 @@ class Propagation:
         Q = np.zeros((N_STATES, N_STATES))
         Q[BIAS, BIAS] = new_variance
         ekf.predict(x, F, Q)
-        return d._replace(mode=mode, stored_gyro_bias=stored)
+        return d._replace(mode=mode, stored_gyro_bias=stored, extra_noise=0.0)
 
 
 def _noise(mode: Mode, c: FusionConfig) -> ProcessNoise:
