@@ -21,7 +21,7 @@ from fusion.estimator.hypotheses import CONTESTED_S, Hypothesis
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.lateral.status import LateralStatus, readout
 from fusion.estimator.lateral.updates import offset_model
-from fusion.estimator.models import PSI
+from fusion.estimator.models import PSI, level_yaw_rate
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, ImuSample, Mode
 from fusion.estimator.range_width import RangeSample
 from fusion.estimator.resets import Resets
@@ -317,6 +317,8 @@ def estimate_of(
     reckoning, axis, lateral, half = state.reckoning, state.axis, state.lateral, state.width.half_m(config)
     psi, bias, yaw_offset = state.x.tolist()
     heading, heading_std = heading_of(state)
+    if arrivals is not None and axis.ever_acquired:
+        heading_std = hypot(heading_std, late_gyro_std(state, arrivals.latency_ns(ImuSample) * 1e-9, config))
     limit = state.frames.age_limit_s(config)
     if arrivals is not None:
         limit += arrivals.latency_ns(FrameSample) * 1e-9
@@ -370,6 +372,21 @@ def heading_of(state: State) -> tuple[float, float]:
         return _provisional_heading(state)
     std = hypot(sqrt(float(state.P[PSI, PSI])), state.axis.common_std_rad)
     return float(state.x[PSI]), std if state.t_ns is None else spread_by_delay(std, state.delay, state.t_ns)
+
+
+def late_gyro_std(state: State, latency_s: float, config: FusionConfig) -> float:
+    """Return the sigma of a turn that attitudes have measured and the gyroscope's late samples have not yet.
+
+    IMU samples that always come late, and attitudes stamped ahead, look alike. In the second case the yaw lags by
+    the lead; the turn at the last gyroscope's rate, less the yaw's increment, tells by how much the heading is off.
+    ``latency_s`` is the IMU samples' usual delay behind the newest stamp.
+    """
+    d = state.reckoning
+    age_s = seconds_since(state.t_ns or 0, d.t_gyro_ns)
+    if d.mode is not Mode.ATTITUDE or not config.gyro_gap_s < age_s <= latency_s + config.gyro_gap_s:
+        return 0.0
+    rate_rad_s = level_yaw_rate(d.gyro_rad_s, state.tilt.down) - d.stored_gyro_bias[0]
+    return abs(rate_rad_s * age_s - d.gyro_done_rad)
 
 
 def _reset_fields(resets: Resets) -> dict[str, Any]:

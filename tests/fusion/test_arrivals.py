@@ -260,3 +260,14 @@ def test_samples_stamped_in_bursts_are_not_taken_for_microseconds() -> None:
     for k in range(200):
         estimator.add_imu(k // 20 * 20 * MS + k % 20 * 1000, (0.0, 0.0, 0.0))
     assert estimator.estimate().reason == "no usable frame yet"
+
+
+@pytest.mark.parametrize("ahead_ms", [300, 450])
+def test_attitudes_within_the_buffer_s_length_ahead_are_in_the_sigma(ahead_ms: float) -> None:
+    estimator, off, n = CorridorEstimator(), 0, 0
+    for s in FLIGHT.samples:
+        give(estimator, shifted("attitude", ahead_ms, 0.0)(s))
+        if s.kind == "imu" and s.t_ns > 3000 * MS:
+            n += 1
+            off += error_deg(estimator) > 4.0 * degrees(estimator.estimate().heading_std_rad)
+    assert off < 0.25 * n  # half to three quarters, if the turn by late samples is taken as known
