@@ -103,7 +103,8 @@ def covariance_of(state: State, model: OffsetModel, known: bool) -> Covariance:
     """Return mean and covariance of a state; ``known`` is whether the lateral offset is.
 
     The variance of the heading contains those of an estimated camera delay and of the errors that successive frames
-    have in common, as in `Estimate.heading_std_rad`.
+    have in common, as in `Estimate.heading_std_rad`; not that of a turn which late gyroscope samples have yet to
+    confirm, since it depends on when samples arrive.
     """
     P = state.P.copy()
     if state.t_ns is not None:

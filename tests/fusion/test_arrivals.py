@@ -263,7 +263,7 @@ def test_samples_stamped_in_bursts_are_not_taken_for_microseconds() -> None:
 
 
 @pytest.mark.parametrize("ahead_ms", [300, 450])
-def test_attitudes_within_the_buffer_s_length_ahead_are_in_the_sigma(ahead_ms: float) -> None:
+def test_the_sigma_contains_the_lead_of_attitudes_stamped_ahead(ahead_ms: float) -> None:
     estimator, off, n = CorridorEstimator(), 0, 0
     for s in FLIGHT.samples:
         give(estimator, shifted("attitude", ahead_ms, 0.0)(s))
