@@ -52,7 +52,7 @@ def smoothed_table(
     variance = np.maximum(np.diagonal(found.P, axis1=1, axis2=2), 0.0)
     at = found.x[row_steps]
     std = np.sqrt(variance[row_steps])
-    # The steps contain neither the error by the camera's delay nor the one that successive frames have in common.
+    # The filter's sigma also contains errors outside its covariance: by the camera's delay, and common to all frames.
     outside = np.maximum(table["heading_std_rad"] ** 2 - found.filter_variance[row_steps], 0.0)
     outside[table["status"] == "initialising"] = 0.0
     std[:, PSI] = np.sqrt(std[:, PSI] ** 2 + outside)
