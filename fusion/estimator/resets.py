@@ -122,13 +122,14 @@ def heading_step(old: State, new: State) -> float:
     """Return the change of the heading beyond propagation, rad.
 
     States of equal time differ by the effect of a late sample, or of one of the same instant. A later state differs
-    by the corrections since, and by the error of the rate that was held until the next gyroscope or attitude sample.
+    by the corrections since, and by the error of the rate that was held until the next gyroscope or attitude sample,
+    or until another source took over: its turn may begin long before the earlier state.
     """
     moved = float(new.x[PSI]) - float(old.x[PSI])
     before, after = old.reckoning, new.reckoning
     if before.t_ns is None or after.t_ns is None or after.t_ns <= before.t_ns:
         return moved
-    if before.gyro_done_rad == 0.0 or after.mode is not before.mode:
+    if before.gyro_done_rad == 0.0 and after.mode is before.mode:
         return moved - (after.theta_rad - before.theta_rad)
     rate = 0.5 * (before.yaw_rate(float(old.x[BIAS])) + after.yaw_rate(float(new.x[BIAS])))
     return moved - rate * (after.t_ns - before.t_ns) * 1e-9

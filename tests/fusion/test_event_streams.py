@@ -266,6 +266,20 @@ delays = st.lists(st.integers(0, BUFFER_MS - 20), min_size=3, max_size=40)
     ),
     [0, 0, 0, 280, 0, 0],
 )
+@example(  # the yaw takes over from a late gyroscope, with a turn of 166 degrees from before
+    Stream(
+        flight(0.0, 4.0, False, False),
+        [
+            sample("attitude", 600.2, quaternion(0.0, 0.0, 0.0)),
+            sample("attitude", 1221.2, quaternion(0.0, 0.0, 2.894)),
+            sample("attitude", 1652.2, quaternion(0.0, 0.0, 0.0)),
+            sample("imu", 600.1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+            sample("imu", 600.15, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+            sample("imu", 1036.1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ],
+    ),
+    [197, 267, 278, 78, 53, 0],
+)
 @given(plausible, delays)
 def test_order_within_the_buffer_does_not_matter(stream: Stream, delays_ms: list[int]) -> None:
     """But for what is told of the arrivals themselves, and of steps that were published meanwhile.
