@@ -9,8 +9,8 @@ which calls the parts:
 - lateral offset: the package `lateral`; `velocity`, `range_width`;
 - camera: `camera_delay`, `camera_elevation`, `camera_repeats`;
 - fault detection: the package `installation` (mounts, scales and time stamps), `gyro_checks`, `imu_yaw_check`,
-  `frame_drift` (slopes of frames minus gyroscope and minus IMU yaw), `hypotheses` (fault isolation), `axis_drift`
-  (correction of the filter), `faults`;
+  `frame_drift` (slopes of frames minus gyroscope and minus IMU yaw), `attitude_drift` (the same without a gyroscope),
+  `hypotheses` (fault isolation), `axis_drift` (correction of the filter), `faults`;
 - the filter: `ekf`, `models`, `kernels`, `noise_adaptation`, `frame_noise`, `filterpy_ekf` (for inspection);
 - samples and time: `input_checks`, `arrivals` (clocks), `timeline` (late samples), `sample_times`, `seed`,
   `records`, `state`;

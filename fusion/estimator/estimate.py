@@ -318,7 +318,7 @@ def estimate_of(
     psi, bias, yaw_offset = state.x.tolist()
     heading, heading_std = heading_of(state)
     if arrivals is not None and axis.ever_acquired:
-        heading_std = hypot(heading_std, late_gyro_std(state, arrivals.latency_ns(ImuSample) * 1e-9, config))
+        heading_std = hypot(heading_std, _late_gyro_std(state, arrivals.latency_ns(ImuSample) * 1e-9, config))
     limit = state.frames.age_limit_s(config)
     if arrivals is not None:
         limit += arrivals.latency_ns(FrameSample) * 1e-9
@@ -374,7 +374,7 @@ def heading_of(state: State) -> tuple[float, float]:
     return float(state.x[PSI]), std if state.t_ns is None else spread_by_delay(std, state.delay, state.t_ns)
 
 
-def late_gyro_std(state: State, latency_s: float, config: FusionConfig) -> float:
+def _late_gyro_std(state: State, latency_s: float, config: FusionConfig) -> float:
     """Return the sigma of a turn that attitudes have measured and the gyroscope's late samples have not yet.
 
     IMU samples that always come late, and attitudes stamped ahead, look alike. In the second case the yaw lags by

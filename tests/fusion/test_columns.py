@@ -237,6 +237,15 @@ def test_a_unit_that_is_set_is_not_assumed(tmp_path: Path, unit: str | None) -> 
     assert any("no unit is given" in text for text in log.problems) == (unit is None)
 
 
+def test_a_header_unit_that_is_not_known_is_read_by_the_one_that_is_set(tmp_path: Path) -> None:
+    header = "t_ns,gx [furlong],gy [furlong],gz [furlong]\n"
+    path = written(tmp_path / "imu.csv", header + rows(lambda i: f"{5_000_000 * i},10,20,30"))
+    with pytest.raises(InputError, match="furlong, a unit that is not known"):
+        open_log(path)
+    read = imu_of(path, ColumnMap.model_validate({"gyro_unit": "deg/s"}), "frd")
+    np.testing.assert_allclose(read.gyro_rad_s[0], np.radians([10.0, 20.0, 30.0]), atol=1e-9)
+
+
 def test_distances_to_the_floor_by_a_map(tmp_path: Path) -> None:
     text = "t,d\n" + rows(lambda i: f"{0.02 * i:.2f},{400 if i == 3 else 140 + i}")
     columns = ColumnMap(time="t", time_unit="s", range="d", range_unit="cm", range_limits=(5.0, 399.0))

@@ -2,8 +2,8 @@
 
 The innovations of the speed across the corridor are compared with the sigmas of speed and prediction. Over seconds,
 the mean of their squared ratios is about 1 or less. If it exceeds `CONTRADICTED_RATIO`, the velocities are wrong
-(another frame, unit or sign, a bias), or the width or the frames' offsets are. Velocities are not used until it falls
-below `AGREEING_RATIO`: the offset follows from the frames alone, and the contradiction is reported.
+(another frame, unit or sign, a bias), or the frames' offsets are. Velocities are not used until it falls below
+`AGREEING_RATIO`: the offset follows from the frames alone, and the contradiction is reported.
 """
 
 from __future__ import annotations
@@ -36,5 +36,5 @@ class SpeedCheck(NamedTuple):
         """Return the fault while velocities are not used."""
         if not self.is_contradicted:
             return None
-        text = "velocity contradicts the lateral offset: not used; check its frame and unit, and the width"
+        text = "velocity contradicts the lateral offset: not used; check its frame, unit and sign"
         return Notice(Fault.VELOCITY_CONTRADICTED, text)

@@ -64,7 +64,7 @@ _HALF_TURN = 3.3  # rad; in degrees, a tilt that every flight reaches
 _NOT_DAMAGED = 0.01  # share of the rows
 _UPRIGHT_M_S2 = 5.0
 MAX_LISTED = 12  # names of columns
-_NOTHING_TELLS = "the file does not say"
+_NOT_STATED = "the file does not say"
 
 _EXAMPLE = (
     'name them in flight.toml, as in [imu.columns] time = "t", gyro = ["gx", "gy", "gz"], gyro_unit = "deg/s", or '
@@ -261,7 +261,7 @@ class _Table:
             return WithProblems(declared)
         frame, why = self._likely_frame()
         problem = f"{self.path.name}: axes assumed {frame} ({why}); set frame in flight.toml"
-        return WithProblems(frame, (problem if why == _NOTHING_TELLS else Remark(problem),))
+        return WithProblems(frame, (problem if why == _NOT_STATED else Remark(problem),))
 
     def _likely_frame(self) -> tuple[Frame, str]:
         """Return the axes by gravity, or else those usual with the columns' names, and the reason."""
@@ -277,7 +277,7 @@ class _Table:
             return "flu", "the accelerometer reads gravity along another axis than z"
         if has_asl_names(self.columns):
             return "flu", "by its names, which are those of ASL / EuRoC logs"
-        return "frd", _NOTHING_TELLS
+        return "frd", _NOT_STATED
 
     def imu(self) -> WithProblems[ImuStream]:
         """Gyroscope and accelerometer, body FRD."""

@@ -54,8 +54,8 @@ def _lines(model: BaseModel, prefix: str, folder: Path, notes: Mapping[str, str]
     """Yield a line per value that is set, even to its default, or has a note."""
     for key, value in model:
         dotted = prefix + key
-        is_told = key in model.model_fields_set or dotted in notes
-        if value is None or isinstance(value, StreamSource | ColumnMap) or not is_told:
+        is_written = key in model.model_fields_set or dotted in notes
+        if value is None or isinstance(value, StreamSource | ColumnMap) or not is_written:
             continue
         remarks = [_MEANING.get(dotted) or _MEANING.get(key), notes.get(dotted)]
         remark = "; ".join(_in_one_line(text) for text in remarks if text)
