@@ -16,6 +16,7 @@ from fusion.flight import Remark
 from fusion.logs.samples import counted
 from fusion.printable import printable
 from fusion.result.summary import CorridorStretch, ErrorStatistics, FlightErrors, Level, SpeedSummary, Summary
+from fusion.result.table_rows import lateral_unknown_text
 
 
 def fusion_text(summary: Summary, folder: Path, remarks: Sequence[str] = ()) -> str:
@@ -40,6 +41,7 @@ def fusion_text(summary: Summary, folder: Path, remarks: Sequence[str] = ()) -> 
         _line("frames used", f"{counts.accepted} of {frames} ({_percent(counts.accepted, frames)})"),
         _line("rejected", ", ".join(f"{count} {word}" for word, count in rejected.items()) or "none"),
         _line("status", ", ".join(f"{word} {share:.1%}" for word, share in summary.status_share.items())),
+        _line("offset", lateral_unknown_text(summary.lateral_unknown_share)),
         *_corridor_lines(summary.corridors),
         "",
         *_error_lines(summary.errors, summary.config.get("corridor_width_m")),

@@ -19,7 +19,7 @@ from fusion.estimator.faults import Fault, Notice
 from fusion.estimator.frame_update import FrameSample
 from fusion.estimator.hypotheses import CONTESTED_S, Hypothesis
 from fusion.estimator.imu_yaw import AttitudeSample
-from fusion.estimator.lateral.status import LateralStatus, readout
+from fusion.estimator.lateral.status import LateralReason, LateralStatus, readout, reason_of
 from fusion.estimator.lateral.updates import offset_model
 from fusion.estimator.models import PSI, level_yaw_rate
 from fusion.estimator.propagation import UNKNOWN_HEADING_STD_RAD, ImuSample, Mode
@@ -118,6 +118,9 @@ class Estimate:
     lateral_status, lateral_probability
         A `LateralStatus`; the probability that the offset is within 0.1 half widths of the most probable hypothesis,
         whether or not the offset is reported.
+    lateral_reason
+        Why the lateral offset is unknown or coasting, a `fusion.estimator.lateral.status.LateralReason`; empty while
+        it is known.
     faults
         The faults in ``reason`` as a bit field, see `fusion.estimator.faults.Fault`.
     """
@@ -163,6 +166,7 @@ class Estimate:
     faults: Fault = Fault.NONE
     reset_heading_total_rad: float = 0.0
     reset_lateral_total_norm: float = 0.0
+    lateral_reason: str = LateralReason.NO_FRAME
 
 
 class ArrivalTimes(Protocol):
@@ -322,7 +326,13 @@ def estimate_of(
     limit = state.frames.age_limit_s(config)
     if arrivals is not None:
         limit += arrivals.latency_ns(FrameSample) * 1e-9
-    found = readout(lateral, lateral.model or offset_model(config), psi, state.velocity, t, limit)
+    model = lateral.model or offset_model(config)
+    found = readout(lateral, model, psi, state.velocity, t, limit)
+    reason = LateralReason.NONE
+    if found.status is not LateralStatus.KNOWN:
+        is_old = not seconds_since(t, lateral.t_ns) <= limit  # NaN before the first
+        is_unseen = not seconds_since(t, axis.t_vision_ns) <= limit
+        reason = reason_of(lateral, is_old, is_unseen, found.probability > model.known_probability)
     position = position_from_offset(found.offset, config.position_dead_band_norm)
     notices = notices_of(state, config, t, heading_std, arrivals)
     delay_s, delay_std_s = camera_delay(state.delay, config)
@@ -360,6 +370,7 @@ def estimate_of(
         camera_delay_s=delay_s,
         camera_delay_std_s=delay_std_s,
         lateral_status=str(found.status),
+        lateral_reason=str(reason),
         lateral_probability=found.probability,
         faults=reduce(or_, (notice.fault for notice in notices), Fault.NONE),
         **_reset_fields(resets),

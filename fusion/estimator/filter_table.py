@@ -18,7 +18,7 @@ from fusion.estimator.estimate import heading_of
 from fusion.estimator.lateral.gaussian_sum import OffsetModel, OffsetState, lasting_variances, motion_noise
 from fusion.estimator.lateral.kernels import N_LATERAL, fill_transition, moved
 from fusion.estimator.lateral.mixture_kernels import summarised
-from fusion.estimator.lateral.status import LateralStatus
+from fusion.estimator.lateral.status import LateralReason, LateralStatus, reason_of
 from fusion.estimator.lateral.updates import offset_model
 from fusion.estimator.models import BIAS, N_STATES, PSI, YAW_OFFSET, FloatArray
 from fusion.estimator.propagation import Mode
@@ -85,13 +85,21 @@ def _fill_by_frame(rows: Table, states: Sequence[State], config: FusionConfig) -
     rows["vision_age_s"] = _ages_s(rows, axis.t_vision_ns)
     rows["lateral_age_s"] = ages_s = _ages_s(rows, lateral.t_ns)
     offsets = [state.lateral.offset for state in states]
-    offset, std, known = _offsets_along(offsets, lateral.model or offset_model(config))
-    known &= not lateral.contradicted
+    offset, std, probable, narrow = _offsets_along(offsets, lateral.model or offset_model(config))
+    known = probable & narrow & (not lateral.contradicted)
     offset, std = np.where(known, offset, nan), np.where(known, std, nan)
     rows["lateral_offset_m"], rows["lateral_offset_std_m"] = offset * half_m, std * half_m
     rows["lateral_offset_norm"], rows["lateral_offset_norm_std"] = offset, std
-    recent = np.where(ages_s <= s.frames.age_limit_s(config), LateralStatus.KNOWN, LateralStatus.COASTING)
-    rows["lateral_status"] = np.where(known, recent, LateralStatus.UNKNOWN)
+    limit_s = s.frames.age_limit_s(config)
+    recent = ages_s <= limit_s
+    by_age = np.where(recent, LateralStatus.KNOWN, LateralStatus.COASTING)
+    rows["lateral_status"] = np.where(known, by_age, LateralStatus.UNKNOWN)
+    rows["lateral_reason"] = LateralReason.NONE
+    lacking = ~(known & recent)
+    if lacking.any():
+        seen = rows["vision_age_s"] <= limit_s
+        reasons = [reason_of(lateral, k < 4, k % 4 < 2, k % 2 == 1) for k in range(8)]
+        rows["lateral_reason"][lacking] = np.array(reasons)[4 * recent + 2 * seen + probable][lacking]
 
 
 def _ages_s(rows: Table, then_ns: int | None) -> FloatArray:
@@ -103,18 +111,18 @@ def _ages_s(rows: Table, then_ns: int | None) -> FloatArray:
 
 def _offsets_along(
     states: Sequence[OffsetState], model: OffsetModel
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return offset (n,), standard deviation (n,) and whether it is known (n,) of states that differ by paths."""
+) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
+    """Return offset (n,), sigma (n,), whether it is probable, and narrow enough, of states that differ by paths."""
     state, n = states[0], len(states)
     if not len(state.x):
-        return np.full(n, nan), np.full(n, nan), np.zeros(n, np.bool_)
+        return np.full(n, nan), np.full(n, nan), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
     numbers = np.fromiter(chain.from_iterable(s.path for s in states), np.float64, n * len(state.path))
     paths, found = numbers.reshape(n, -1), np.empty((n, 3))
     hypotheses, noise = (state.x, state.P, state.weight[:-1]), motion_noise(model)
     shared = (model.tolerance_norm, lasting_variances(state, model), model.scale_std)
     _summarise_along(hypotheses, paths, noise, shared, found)
     offset, std, probability = found.T
-    return offset, std, (probability > model.known_probability) & (std < model.known_std_norm)
+    return offset, std, probability > model.known_probability, std < model.known_std_norm
 
 
 @compiled

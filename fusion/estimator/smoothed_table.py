@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.lateral.gaussian_sum import OffsetModel, OffsetReadout
 from fusion.estimator.lateral.kernels import Y
-from fusion.estimator.lateral.smoother import OffsetSteps, at_times, smoothed_offsets
-from fusion.estimator.lateral.status import LateralStatus
+from fusion.estimator.lateral.smoother import KNOWN_PROBABILITY, OffsetSteps, at_times, smoothed_offsets
+from fusion.estimator.lateral.status import LateralReason, LateralStatus
 from fusion.estimator.lateral.updates import offset_model
 from fusion.estimator.models import BIAS, PSI, YAW_OFFSET, FloatArray
 from fusion.estimator.smoother import SmoothedSteps, Steps
@@ -90,6 +91,24 @@ def _smooth_offset(out: Table, steps: OffsetSteps, config: FusionConfig) -> None
     unknown = out["lateral_status"] == LateralStatus.UNKNOWN
     out["lateral_status"][known & unknown] = LateralStatus.KNOWN
     out["lateral_status"][~known] = LateralStatus.UNKNOWN
+    out["lateral_reason"][known & unknown] = LateralReason.NONE
+    # The filter gives no reason where only the smoother, whose limits are stricter, finds the offset unknown.
+    unexplained = ~known & (out["lateral_reason"] == LateralReason.NONE)
+    reasons = np.array([_reason_of(step) for step in offsets])
+    after = np.clip(np.searchsorted(step_t_s, t_s[unexplained]), 1, len(offsets) - 1)
+    out["lateral_reason"][unexplained] = np.where(
+        reasons[after] == LateralReason.NONE, reasons[after - 1], reasons[after]
+    )
+
+
+def _reason_of(step: OffsetReadout) -> LateralReason:
+    """Return why a smoothed offset is unknown."""
+    if step.known:
+        return LateralReason.NONE
+    if not step.probability > KNOWN_PROBABILITY:
+        return LateralReason.AMBIGUOUS
+    narrow = step.std_norm < OffsetModel().known_std_norm
+    return LateralReason.CONTRADICTED if narrow else LateralReason.UNCERTAIN
 
 
 def _move_corridor_changes(
@@ -122,6 +141,7 @@ def _move_corridor_changes(
             ) ** 0.5
             out["lateral_offset_norm"][back] = out["lateral_offset_norm_std"][back] = nan
             out["lateral_status"][back] = LateralStatus.UNKNOWN
+            out["lateral_reason"][back] = LateralReason.NO_OFFSET
             out["corridor_index"][back] = out["corridor_index"][row]
             out["corridor_turn_rad"][back] = out["corridor_turn_rad"][row]
             back -= 1

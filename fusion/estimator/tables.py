@@ -125,6 +125,7 @@ ESTIMATE_COLUMNS = (
         "lateral_status", "U8", "", "unknown, known or coasting: how far the lateral offset can be relied on"
     ),
     Column("lateral_age_s", "f8", "s", "Time since the last frame that confirmed the lateral offset"),
+    Column("lateral_reason", "U12", "", "Why lateral_status is not known; empty while it is"),
 )
 """Of ``estimates.csv`` and ``smoothed.csv``; each is a field of `fusion.estimator.estimate.Estimate`."""
 

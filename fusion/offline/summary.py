@@ -18,6 +18,7 @@ from fusion.evaluation.verdict import overall
 from fusion.flight import Flight
 from fusion.result.result import FusionResult, Timings
 from fusion.result.summary import CorridorStretch, Counts, FlightErrors, Rates, SpeedSummary, Summary
+from fusion.result.table_rows import lateral_unknown_share
 
 MAX_EVENTS = 20_000  # in the summary; frames.csv has every rejection
 _DROPPED_ENDINGS = (
@@ -81,6 +82,7 @@ def summarise(
         config=result.config.model_dump(),
         events=_summed_up(events[:MAX_EVENTS]),
         events_left_out=max(len(events) - MAX_EVENTS, 0),
+        lateral_unknown_share=lateral_unknown_share(result.estimates),
     )
 
 

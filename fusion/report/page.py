@@ -26,6 +26,7 @@ from fusion.report.svg import Drawing, Panel, draw
 from fusion.report.template import render
 from fusion.result.result import FusionResult
 from fusion.result.summary import CorridorErrors, Level, TableErrors
+from fusion.result.table_rows import lateral_unknown_share, lateral_unknown_text
 from fusion.settings.toml import description_of
 from vision.measurement import REASON_MEANING, Reason
 
@@ -157,7 +158,8 @@ def figures(result: FusionResult, flight: Flight) -> list[Figure]:
         "A thick line at the edge means that the filter is outside the scale."
     )
     add("heading", "Heading", text, partial(plots.plot_heading, result=result, flight=flight))
-    text = "Distance from the centre line, positive right."
+    unknown = lateral_unknown_text(lateral_unknown_share(result.estimates))
+    text = f"Distance from the centre line, positive right. It is {unknown}."
     add("offset", "Lateral offset", text, partial(plots.plot_offset, result=result, flight=flight))
     if np.isfinite(result.frames["test_ratio"]).any():
         text = (

@@ -235,6 +235,8 @@ class Summary(Record):
     events, events_left_out
         Events, see `fusion.estimator.events`, and the number of unlisted ones: each with ``timestamp_ns``, ``kind``
         and its numbers. Frames rejected in a row for one reason are one event, from ``timestamp_ns`` to ``last_ns``.
+    lateral_unknown_share
+        Share of the rows of the estimates with an unknown lateral offset, by its ``lateral_reason``.
     """
 
     verdict: Level = Level.NOT_JUDGED
@@ -252,3 +254,4 @@ class Summary(Record):
     config: Mapping[str, Any] = field(default_factory=dict)
     events: tuple[Mapping[str, Any], ...] = ()
     events_left_out: int = 0
+    lateral_unknown_share: Mapping[str, float] = field(default_factory=dict)

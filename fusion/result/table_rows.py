@@ -1,12 +1,15 @@
-"""Rows of a result's tables: stretches with a flag, the row valid at a time, frames at a junction."""
+"""Rows of a result's tables: stretches with a flag, the row at a time, frames at a junction, unknown offsets."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
 from math import radians
 
 import numpy as np
 import numpy.typing as npt
 
+from fusion.estimator.lateral.status import LATERAL_REASON_MEANING, LateralReason, LateralStatus
 from fusion.estimator.tables import Table
 from vision.rotations import wrap_axis
 
@@ -18,6 +21,21 @@ def runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
     padded = np.concatenate(([False], flags, [False])).astype(np.int8)
     edges = np.flatnonzero(np.diff(padded))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def lateral_unknown_share(estimates: Table) -> dict[str, float]:
+    """Return the share of all rows whose lateral offset is unknown, by `LateralReason`, the largest first."""
+    reasons = estimates["lateral_reason"][estimates["lateral_status"] == LateralStatus.UNKNOWN]
+    return {word: count / len(estimates) for word, count in Counter(reasons.tolist()).most_common()}
+
+
+def lateral_unknown_text(share: Mapping[str, float]) -> str:
+    """Return the shares as words: by how much of the time the offset is unknown, and why."""
+    total = sum(share.values())
+    if not total:
+        return "known all the time"
+    parts = [f"{part:.1%} {LATERAL_REASON_MEANING[LateralReason(word)]}" for word, part in share.items()]
+    return f"unknown {total:.1%} of the time: {', '.join(parts)}"
 
 
 def row_before(table: Table, t_ns: int) -> int:

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimate import Estimate
 from fusion.estimator.estimator import CorridorEstimator
 from fusion.estimator.lateral.cross_section import HELD_S, MIN_CHANGE, SHIFT_NORM, CrossSection
 from tests.fusion.simulated import frame
@@ -67,7 +68,7 @@ def test_errors_of_the_corners_hold_nothing_back(seed: int, side: float) -> None
     assert not any(held(aspects.tolist(), offset=0.5 * side))
 
 
-def offsets_ahead_of_a_step(with_aspect: bool) -> list[float]:
+def ahead_of_a_step(with_aspect: bool) -> list[Estimate]:
     """Hover .4 half widths beside the centre; from 3 s to 5.5 s the frames show a corridor of 2/3 of the width."""
     estimator = CorridorEstimator(FusionConfig())
     found = []
@@ -90,12 +91,16 @@ def offsets_ahead_of_a_step(with_aspect: bool) -> list[float]:
                 )
             estimator.add_measurement(k * 10 * MS, seen)
         if t_s < 5.5:
-            found.append(estimator.estimate().lateral_offset_norm)
+            found.append(estimator.estimate())
     return found
 
 
 def test_an_offset_to_the_walls_beyond_a_step_is_never_reported() -> None:
-    wrong = np.abs(np.array(offsets_ahead_of_a_step(with_aspect=True)) - 0.4) > 0.1  # NaN: unknown
-    assert not wrong.any()
+    def is_wrong(estimate: Estimate) -> bool:
+        return abs(estimate.lateral_offset_norm - 0.4) > 0.1  # NaN: unknown
+
+    estimates = ahead_of_a_step(with_aspect=True)
+    assert not any(map(is_wrong, estimates))
+    assert {e.lateral_reason for e in estimates[320:] if e.lateral_status != "known"} == {"width_step"}
     # It would be without the aspect, so this test can fail.
-    assert (np.abs(np.array(offsets_ahead_of_a_step(with_aspect=False)) - 0.4) > 0.1).any()
+    assert any(map(is_wrong, ahead_of_a_step(with_aspect=False)))

@@ -149,18 +149,18 @@ def test_the_tables_end_with_status_and_age(tmp_path: Path) -> None:
         *("timestamp_ns", "heading_rad", "heading_std_rad", "lateral_offset_m", "lateral_offset_std_m"),
         *("lateral_offset_norm", "lateral_offset_norm_std", "position", "yaw_rate_rad_s", "gyro_bias_rad_s"),
         *("imu_yaw_offset_rad", "corridor_index", "corridor_turn_rad", "status", "vision_age_s"),
-        *("lateral_status", "lateral_age_s"),
+        *("lateral_status", "lateral_age_s", "lateral_reason"),
     )
     estimator = CorridorEstimator()
     found = hover(estimator, 0, 2.0, frame(0.1, lateral=0.3, lateral_std=0.02))
     rows = [found[0], found[-1], *hover(estimator, 2000 * MS, 0.3, None)[-1:]]
     write_table(np.array([estimate_row(e) for e in rows], ESTIMATE_DTYPE), tmp_path / "estimates.csv")
     lines = (tmp_path / "estimates.csv").read_text().splitlines()
-    assert lines[0].endswith(",status,vision_age_s,lateral_status,lateral_age_s")
-    assert [line.split(",")[-2:] for line in lines[1:]] == [
-        ["unknown", ""],
-        ["known", "0.03"],
-        ["coasting", "0.33"],
+    assert lines[0].endswith(",status,vision_age_s,lateral_status,lateral_age_s,lateral_reason")
+    assert [line.split(",")[-3:] for line in lines[1:]] == [
+        ["unknown", "", "no_frame"],
+        ["known", "0.03", ""],
+        ["coasting", "0.33", "no_frame"],
     ]
     assert read_table(tmp_path / "estimates.csv", ESTIMATE_DTYPE)["lateral_status"][1] == "known"
 
@@ -173,6 +173,7 @@ def test_in_every_row_the_offset_is_empty_where_it_is_unknown_and_only_there(nam
         for column in ("lateral_offset_norm", "lateral_offset_norm_std"):
             np.testing.assert_array_equal(np.isnan(table[column]), unknown)
         np.testing.assert_array_equal(table["position"] == "", unknown)
+        np.testing.assert_array_equal(table["lateral_reason"] == "", table["lateral_status"] == "known")
 
 
 class Flown:
@@ -242,6 +243,7 @@ def test_the_mirrored_flight_has_the_mirrored_offset(in_order: Flown) -> None:
     there = Flown(map(mirrored, SAMPLES))
     for a, b in zip(in_order.tables()[:2], there.tables()[:2], strict=True):
         np.testing.assert_array_equal(a["lateral_status"], b["lateral_status"])
+        np.testing.assert_array_equal(a["lateral_reason"], b["lateral_reason"])
         np.testing.assert_allclose(a["lateral_offset_norm"], -b["lateral_offset_norm"], rtol=0, atol=1e-7)
         np.testing.assert_allclose(a["lateral_offset_norm_std"], b["lateral_offset_norm_std"], rtol=1e-6)
         np.testing.assert_array_equal(a["lateral_age_s"], b["lateral_age_s"])

@@ -115,6 +115,8 @@ def test_other_walls_are_not_told_as_the_offset_until_time_has_passed(
     np.testing.assert_allclose(offset[known & (t_s < 7.5)], 0.1, atol=0.06)
     assert known[t_s > 8.5].all()
     np.testing.assert_allclose(offset[t_s > 8.5], 0.5, atol=0.05)
+    lacking = ~known & (t_s > 2.0)
+    assert (rows["lateral_reason"][lacking] == "contradicted").sum() > 0.5 * lacking.sum()
     # It is known once, unknown once and known again: no flicker.
     assert np.count_nonzero(np.diff(known[t_s > 2.0].astype(int))) == 2
 

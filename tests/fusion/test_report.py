@@ -28,7 +28,7 @@ from fusion.report.series import band_envelope, broken, envelope, envelope_indic
 from fusion.report.strip import choose_frames, show_frames
 from fusion.result.result import FusionResult
 from fusion.result.summary import Check, Level
-from fusion.result.table_rows import runs
+from fusion.result.table_rows import lateral_unknown_text, runs
 from tests.fusion.fused import T0_NS, Fused, make_flight, table_with
 from tests.pictures import picture_paths
 from vision import InputError
@@ -96,6 +96,13 @@ def test_the_page_escapes_names_and_shows_numbers_in_degrees(swing: Fused, page:
     assert rmse_deg == pytest.approx(0.30, abs=0.02)
     assert "corridor_width_m" in page
     assert re.search(r'<tr class="changed"><th><code>corridor_width_m</code></th><td>2</td>', page)
+
+
+def test_the_page_says_why_the_offset_is_unknown(swing: Fused, page: str) -> None:
+    share = swing[0].overview.lateral_unknown_share
+    unknown = swing[0].estimates["lateral_status"] == "unknown"
+    assert sum(share.values()) == pytest.approx(float(unknown.mean()))
+    assert lateral_unknown_text(share) in page
 
 
 def test_every_plot_comes_wide_and_narrow_with_readable_text(page: str) -> None:

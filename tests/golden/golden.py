@@ -132,7 +132,7 @@ def write_table(path: Path, filtered: Table, smoothed: Table) -> None:
 def read_table(path: Path) -> dict[str, Table]:
     found: dict[str, list[tuple[Any, ...]]] = {"filter": [], "smoother": []}
     for row in read_rows(path):
-        cells = (row[name] for name in ESTIMATE_DTYPE.names or ())
+        cells = (row.get(name, "") for name in ESTIMATE_DTYPE.names or ())  # a new column is not in old files
         kinds = (ESTIMATE_DTYPE[i].kind for i in range(len(ESTIMATE_DTYPE.names or ())))
         found[row["table"]].append(tuple(_value(c, k) for c, k in zip(cells, kinds, strict=True)))
     return {which: np.array(rows, dtype=ESTIMATE_DTYPE) for which, rows in found.items()}

@@ -50,6 +50,28 @@ class LateralStatus(StrEnum):
     COASTING = "coasting"  # propagated by the accelerometer or velocity; its sigma grows
 
 
+class LateralReason(StrEnum):
+    """Why the lateral offset is not known; the values of the ``lateral_reason`` column."""
+
+    NONE = ""  # it is known
+    WIDTH_STEP = "width_step"
+    CONTRADICTED = "contradicted"
+    NO_FRAME = "no_frame"
+    NO_OFFSET = "no_offset"
+    AMBIGUOUS = "ambiguous"
+    UNCERTAIN = "uncertain"
+
+
+LATERAL_REASON_MEANING = {
+    LateralReason.WIDTH_STEP: "frames are held back at a step in width",
+    LateralReason.CONTRADICTED: "the motion contradicts the offset",
+    LateralReason.NO_FRAME: "no frame is used",
+    LateralReason.NO_OFFSET: "the frames show no offset",
+    LateralReason.AMBIGUOUS: "several offsets are possible",
+    LateralReason.UNCERTAIN: "its sigma is too large",
+}
+
+
 class RecentOffsets(NamedTuple):
     """Known offsets of the last seconds, each less the displacement up to its time.
 
@@ -235,6 +257,27 @@ def readout(
         found.probability,
         along,
     )
+
+
+def reason_of(lateral: Lateral, is_old: bool, is_unseen: bool, is_probable: bool) -> LateralReason:
+    """Return why the offset is unknown or coasting.
+
+    Parameters
+    ----------
+    lateral
+        Part of the state.
+    is_old, is_unseen
+        Whether no recent frame confirmed the offset, and whether none was used at all.
+    is_probable
+        Whether the most probable hypothesis is probable enough.
+    """
+    if lateral.section.is_another_seen:
+        return LateralReason.WIDTH_STEP
+    if lateral.contradicted:
+        return LateralReason.CONTRADICTED
+    if is_old:
+        return LateralReason.NO_FRAME if is_unseen else LateralReason.NO_OFFSET
+    return LateralReason.UNCERTAIN if is_probable else LateralReason.AMBIGUOUS
 
 
 def with_frame_outcome(
