@@ -100,7 +100,7 @@ def _mounting(
     flight: Flight, found: Found, turning: Turning, origin_ns: int, camera_known: bool
 ) -> tuple[Quantity, Quantity, Quantity]:
     """Mounting yaw, pitch and roll; yaw from the vehicle's track, if the flight has one."""
-    tilt_known = float(np.median(turning.tilt_std_rad)) < LEVEL_STD_RAD
+    tilt_known = turning.level_std_rad < LEVEL_STD_RAD
     track = None
     if found.clock is not None and found.sightings is not None:
         track = fit_track(flight, found.sightings, turning, found.clock, origin_ns, found.turned_yaw_rad)

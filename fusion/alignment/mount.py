@@ -28,7 +28,6 @@ FloatArray = npt.NDArray[np.float64]
 
 MIN_MOUNT_FRAMES = 12
 WANDER_STD_RAD, WANDER_TIME_S = radians(0.4), 4.0  # of an attitude filter's roll and pitch
-LEVEL_STD_RAD = radians(0.5)  # constant error of an attitude's level
 MAX_SURPLUS = 0.9
 ROLL, PITCH, YAW = range(3)
 PRIOR_STD_RAD = radians(15.0)  # of a mount: keeps unobserved angles finite
@@ -52,8 +51,18 @@ class MountFit:
     n_frames: int
 
 
-def fit_mount(sightings: Sightings) -> MountFit | None:
-    """Fit the mount; None if too few frames were measured with an attitude."""
+def fit_mount(sightings: Sightings, level_std_rad: float) -> MountFit | None:
+    """Fit the mount; None if too few frames were measured with an attitude.
+
+    Parameters
+    ----------
+    sightings
+        Measurements of the frames.
+    level_std_rad
+        Standard deviation of roll and pitch by the inertial sensors. An error of this size may last for the whole
+        flight (a bias of the accelerometer or, until it is estimated, of the gyroscope), so no number of frames
+        averages it out.
+    """
     seen = np.isfinite(sightings.elevation_rad)
     if seen.sum() < MIN_MOUNT_FRAMES:
         return None
@@ -79,7 +88,7 @@ def fit_mount(sightings: Sightings) -> MountFit | None:
         # The measured tilting contains attitude errors, too; their share carries no information.
         normal[YAW, YAW] -= min(fit.noise.process_trace(), MAX_SURPLUS * normal[YAW, YAW])
     covariance = np.linalg.inv(normal)
-    std = np.sqrt(np.diag(covariance) + np.array([LEVEL_STD_RAD, LEVEL_STD_RAD, 0.0]) ** 2)
+    std = np.sqrt(np.diag(covariance) + np.array([level_std_rad, level_std_rad, 0.0]) ** 2)
     tilt = np.stack([R[seen, 2, 1], -R[seen, 2, 0]], axis=1)
     return MountFit(covariance @ right, std, tilt.std(axis=0), int(seen.sum()))
 

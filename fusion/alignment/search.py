@@ -86,7 +86,8 @@ def search(views: Views, turning: Turning, reach_s: float, start_scales: tuple[f
         if first.determined:
             break
     if not first.determined or first.fit is None:
-        return Found(first, 1.0, fit_mount(views.measure(turning, 0.0, 0.0, FAR_STD_RAD)))
+        sightings = views.measure(turning, 0.0, 0.0, FAR_STD_RAD)
+        return Found(first, 1.0, fit_mount(sightings, turning.level_std_rad))
     start = Found(first, float(np.clip(scale * first.fit.ratio, *SCALE_RANGE)))
     elevation_rad = _elevation(at_skew(sightings, clock.skew), turning, first.fit.offset_s)
     found = _improved(views.at_skew(clock.skew), turning, reach_s, start, elevation_rad)
@@ -96,13 +97,13 @@ def search(views: Views, turning: Turning, reach_s: float, start_scales: tuple[f
 def _improved(views: Views, turning: Turning, reach_s: float, start: Found, elevation_rad: float) -> Found:
     """Improve first estimates of offset, focal length and the axis's elevation."""
     found, sightings = _settle(views, turning, reach_s, start, elevation_rad)
-    mount = fit_mount(sightings)
+    mount = fit_mount(sightings, turning.level_std_rad)
     if found.clock is None or mount is None or np.abs(mount.angle_rad).max() < LARGE_MOUNT_RAD:
         return replace(found, mount=mount, sightings=sightings)
     R_first = mount_rotation(mount.angle_rad)
     found, sightings = _settle(views.turned(R_first), turning, reach_s, found, 0.0)
     found = replace(found, sightings=sightings, turned_yaw_rad=float(mount.angle_rad[YAW]))
-    rest = fit_mount(sightings)
+    rest = fit_mount(sightings, turning.level_std_rad)
     if rest is None:
         return replace(found, mount=mount)
     angle_rad = mount_angles(mount_rotation(rest.angle_rad) @ R_first)

@@ -53,6 +53,11 @@ class Turning:
     by_gyro: bool
     noise_density: float
 
+    @property
+    def level_std_rad(self) -> float:
+        """Median standard deviation of roll and pitch."""
+        return float(np.median(self.tilt_std_rad))
+
     def yaw_at(self, t_s: FloatArray) -> FloatArray:
         """Yaw at times of any shape; NaN outside the stream and in its gaps."""
         index = np.clip(np.searchsorted(self.t_s, t_s), 1, len(self.t_s) - 1)

@@ -17,6 +17,7 @@ from fusion.alignment import Quantity, align_flight, apply_alignment, clock_of_f
 from fusion.alignment.mount import mount_rotation
 from fusion.alignment.sentences import Known
 from fusion.alignment.views import scaled_focal
+from fusion.estimator.tilt import COMPLEMENTARY_STD_RAD
 from fusion.flight import AttitudeStream, Flight, FrameStream, VectorStream
 from fusion.logs.asl import read_ground_truth
 from fusion.logs.manifest.file import read_manifest
@@ -148,6 +149,14 @@ def test_without_a_gyroscope_the_attitude_serves(office: Flight) -> None:
     found = align_flight(spoilt(flight, 0.3))
     within(found.clock_offset, 0.3, 0.02)
     assert "attitude" in found.clock_offset.sentence
+
+
+def test_without_an_attitude_roll_and_pitch_are_as_uncertain_as_the_level(office: Flight) -> None:
+    alignment = align_flight(replace(office, attitude=None))
+    for quantity in (alignment.mount_roll, alignment.mount_pitch):
+        assert quantity.sigma > COMPLEMENTARY_STD_RAD
+        assert abs(quantity.value) < 2.0 * quantity.sigma  # the calibration is right
+        assert not quantity.changes
 
 
 def test_a_straight_flight_does_not_tell(straight: Path) -> None:

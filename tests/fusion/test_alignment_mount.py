@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from fusion.alignment.mount import fit_mount, mount_angles, mount_rotation
 from fusion.alignment.views import Sightings
 
+LEVEL_STD_RAD = radians(0.5)
+
 
 def wandering(rng: np.random.Generator, n: int, step_s: float, std: float, time_s: float = 4.0) -> np.ndarray:
     """A first-order process, as the error of an attitude filter."""
@@ -78,7 +80,7 @@ def views(
     ids=str,
 )
 def test_each_angle_is_found(mount_deg: tuple[float, float, float]) -> None:
-    fit = fit_mount(views(mount_deg))
+    fit = fit_mount(views(mount_deg), LEVEL_STD_RAD)
     assert fit is not None
     z = (np.degrees(fit.angle_rad) - mount_deg) / np.degrees(fit.std_rad)
     assert np.abs(z).max() < 3.0, (np.degrees(fit.angle_rad), z)
@@ -86,13 +88,13 @@ def test_each_angle_is_found(mount_deg: tuple[float, float, float]) -> None:
 
 
 def test_an_exact_attitude_gives_exact_angles() -> None:
-    fit = fit_mount(views((1.0, -1.0, 2.0), attitude_deg=1e-4, picture_deg=1e-3))
+    fit = fit_mount(views((1.0, -1.0, 2.0), attitude_deg=1e-4, picture_deg=1e-3), LEVEL_STD_RAD)
     assert fit is not None
     np.testing.assert_allclose(np.degrees(fit.angle_rad), (1.0, -1.0, 2.0), atol=0.1)
 
 
 def test_sigma_of_the_yaw_is_the_scatter_of_many() -> None:
-    fits = [fit_mount(views((0.0, 0.0, 3.0), seed)) for seed in range(30)]
+    fits = [fit_mount(views((0.0, 0.0, 3.0), seed), LEVEL_STD_RAD) for seed in range(30)]
     z = np.array([(fit.angle_rad[2] - radians(3.0)) / fit.std_rad[2] for fit in fits if fit is not None])
     assert len(z) == 30
     assert abs(z.mean()) < 0.6
@@ -100,7 +102,7 @@ def test_sigma_of_the_yaw_is_the_scatter_of_many() -> None:
 
 
 def test_without_tilting_the_yaw_is_not_to_be_had() -> None:
-    fit = fit_mount(views((0.0, 0.0, 3.0), tilt_deg=0.0))
+    fit = fit_mount(views((0.0, 0.0, 3.0), tilt_deg=0.0), LEVEL_STD_RAD)
     assert fit is not None
     assert np.degrees(fit.std_rad[2]) > 1.5
     assert abs(fit.angle_rad[2] - radians(3.0)) < 3.0 * fit.std_rad[2]
@@ -116,4 +118,4 @@ def test_angles_and_rotations_are_each_others_inverse() -> None:
 def test_too_few_frames_give_nothing() -> None:
     few = views((0.0, 0.0, 0.0))
     none = np.full(len(few.t_s), np.nan)
-    assert fit_mount(Sightings.of_headings(few.t_s, none, none)) is None
+    assert fit_mount(Sightings.of_headings(few.t_s, none, none), LEVEL_STD_RAD) is None
