@@ -88,7 +88,7 @@ def place_of(flight: Path) -> Path:
 
 
 def former_of(place: Path) -> Path:
-    """Return where the former file is kept, with its comments."""
+    """Return where the first former file is kept, with its comments."""
     return place.with_name(f"{place.name}.bak")
 
 
@@ -115,7 +115,8 @@ def check_place(place: Path) -> None:
 def write_alignment(alignment: Alignment, flight: Flight, place: Path) -> tuple[Path, ...]:
     """Write a manifest with an alignment's corrections, and a calibration if there was none.
 
-    Quantities that are not usable or not significant stay as they are. A former file is kept as `former_of` it.
+    Quantities that are not usable or not significant stay as they are. A former file is kept as `former_of` it,
+    unless one is kept already: the first is the one written by hand.
 
     Returns
     -------
@@ -137,7 +138,7 @@ def write_alignment(alignment: Alignment, flight: Flight, place: Path) -> tuple[
         source = manifest.camera.model_copy(update={"calibration": calibration})
         manifest = manifest.model_copy(update={"camera": source})
         written.insert(0, calibration)
-    if place.exists():
+    if place.exists() and not former_of(place).exists():
         shutil.copyfile(place, former_of(place))
     write_manifest(manifest, place, notes)
     return tuple(written)

@@ -67,8 +67,9 @@ def align(
     if place is None:
         say("nothing written: add --write, or -o FILE.toml")
         return
-    is_rewritten = place.exists()
+    is_rewritten, is_kept = place.exists(), former_of(place).exists()
     for path in write_alignment(alignment, loaded.flight, place):
         say(f"wrote {path}")
     if is_rewritten:
-        say(f"kept the former {place.name} as {former_of(place)}")
+        kept = f"{former_of(place)} is still the first {place.name}" if is_kept else ""
+        say(kept or f"kept the former {place.name} as {former_of(place)}")

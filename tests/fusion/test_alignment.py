@@ -251,6 +251,9 @@ class TestCommand:
         assert f"kept the former flight.toml as {place}.bak" in told.err
         assert Path(f"{place}.bak").read_text() == former
         assert "use = true" in place.read_text()
+        again = corridor("align", late, "--write")
+        assert f"{place}.bak is still the first flight.toml" in again.err
+        assert Path(f"{place}.bak").read_text() == former
 
     def test_without_calibration_one_is_written(self, late: Path, tmp_path: Path, corridor: Corridor) -> None:
         (late / "mav0/cam0/sensor.yaml").unlink()
