@@ -743,6 +743,38 @@ def test_betaflights_blackbox(tmp_path: Path, of: str) -> None:
     assert said.endswith("columns that are not read: loopIteration, axisP[0], motor[0]")
 
 
+def test_topics_of_px4_as_ulog2csv_writes_them(tmp_path: Path) -> None:
+    """A file per topic: microseconds since boot, FRD, an index after the names."""
+    xyz = (0, 1, 2)
+    names = [
+        "timestamp",
+        *(f"gyro_rad[{i}]" for i in xyz),
+        "gyro_integral_dt",
+        "accelerometer_timestamp_relative",
+    ]
+    names += [
+        *(f"accelerometer_m_s2[{i}]" for i in xyz),
+        "accelerometer_integral_dt",
+        "accelerometer_clipping",
+    ]
+    lines = rows(lambda i: f"{92_000_000 + 4000 * i},0.01,-0.02,{0.1 * (i % 7)},4000,0,0.1,-0.2,-9.8,4000,0")
+    path = written(tmp_path / "log_7_sensor_combined_0.csv", ",".join(names) + "\n" + lines)
+    log = open_log(path)
+    assert log.format == "CSV (px4)"
+    assert not [text for text in log.problems if "assumed" in text]
+    imu = log.imu(log.topics[0].name).value
+    assert imu.t_ns[:2].tolist() == [92_000_000_000, 92_004_000_000]
+    np.testing.assert_allclose(imu.gyro_rad_s[1], [0.01, -0.02, 0.1])
+    np.testing.assert_allclose(imu.accel_m_s2[1], [0.1, -0.2, -9.8])
+    names = ["timestamp", "timestamp_sample", *(f"q[{i}]" for i in range(4))]
+    names += [*(f"delta_q_reset[{i}]" for i in range(4)), "quat_reset_counter"]
+    lines = rows(lambda i: f"{92_000_000 + 20_000 * i},{91_999_000 + 20_000 * i},0.96,0,0,0.28,1,0,0,0,2")
+    log = open_log(written(tmp_path / "log_7_vehicle_attitude_0.csv", ",".join(names) + "\n" + lines))
+    attitude = log.attitude(log.topics[0].name).value
+    assert attitude.t_ns[1] == 92_020_000_000
+    np.testing.assert_allclose(attitude.q_world_body[0], [0.96, 0.0, 0.0, 0.28])
+
+
 def test_counts_of_an_accelerometer_are_put_right_as_the_finding_says(tmp_path: Path) -> None:
     lines = rows(lambda i: f"{5_000_000 * i},0.01,0,{0.1 * (i % 7)},{i % 5},3,{-4096 + i % 3}", 400)
     path = written(tmp_path / "imu.csv", "timestamp_ns,gx,gy,gz,ax,ay,az\n" + lines)

@@ -197,7 +197,19 @@ _BETAFLIGHT = ColumnMap(
     accel_unit="g/2048",
 )
 
+# PX4's topics sensor_combined and vehicle_attitude, as pyulog's ulog2csv writes them, a file per topic: microseconds
+# since boot, FRD, attitude from the body to NED.
+_PX4 = ColumnMap(
+    frame="frd",
+    time="timestamp",
+    time_unit="us",
+    gyro=("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]"),
+    accel=("accelerometer_m_s2[0]", "accelerometer_m_s2[1]", "accelerometer_m_s2[2]"),
+    quaternion=("q[0]", "q[1]", "q[2]", "q[3]"),
+)
+
 READY_MAPS = {
+    "px4": _PX4,
     "betaflight": _BETAFLIGHT,
     "tello": _TELLO,
     "crazyflie": _CRAZYFLIE,

@@ -45,19 +45,24 @@ _UNITS = {
 }
 _SENSORS = {"gyro": "gyro", "accel": "accel", "magnet": "", "gravity": "", "orientation": ""}
 _TUM = ColumnMap(time=1, position=(2, 3, 4), quaternion=(8, 5, 6, 7))
+# Sets of columns, any of which shows that a file is of this kind.
 _SIGNS = {
-    "betaflight": {"gyroadc[0]", "gyroadc[1]", "gyroadc[2]"},
-    "tello": {"pitch", "roll", "yaw", "vgx", "vgy", "vgz"},
-    "crazyflie": {"gyro.x", "gyro.y", "gyro.z"},
-    "ardrone_ros": {"rotx", "roty", "rotz", "altd"},
-    "ardrone": {"phi", "theta", "psi", "vx", "vy", "vz"},
+    "px4": (
+        {"timestamp", "gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]"},
+        {"timestamp", "q[0]", "q[1]", "q[2]", "q[3]"},
+    ),
+    "betaflight": ({"gyroadc[0]", "gyroadc[1]", "gyroadc[2]"},),
+    "tello": ({"pitch", "roll", "yaw", "vgx", "vgy", "vgz"},),
+    "crazyflie": ({"gyro.x", "gyro.y", "gyro.z"},),
+    "ardrone_ros": ({"rotx", "roty", "rotz", "altd"},),
+    "ardrone": ({"phi", "theta", "psi", "vx", "vy", "vz"},),
 }
 
 
 def ready_map_of(layout: Layout) -> str | None:
     """Name the predefined map whose columns a file has."""
     names = {name.lower() for name in layout.names}
-    return next((key for key in READY_MAPS if _SIGNS[key] <= names), None)
+    return next((key for key in READY_MAPS if any(signs <= names for signs in _SIGNS[key])), None)
 
 
 def map_of_names(layout: Layout, stated: Collection[str] = ()) -> WithProblems[ColumnMap | None]:
