@@ -398,6 +398,8 @@ class TestMeasure:
         assert drawn.shape[1] >= 640
         shutil.rmtree("drawn")
         refused(corridor("measure", twin, "--overlay", twin.parent), "among the pictures")
+        refused(corridor("measure", twin, "--overlay", pictures[0]), "is a file, not a folder")
+        refused(corridor("measure", twin, "--overlay", "drawn.png"), "is the name of a picture")
 
     def test_the_table_never_replaces_a_picture_or_a_folder(
         self, corridor: Corridor, pictures: list[Path], tmp_path: Path

@@ -18,6 +18,7 @@ from fusion.outputs.folder import OUTPUT_FILES
 from fusion.result.tables_csv import read_table
 from tests.command import Corridor, refused
 from tests.files import OFFICE
+from vision import InputError
 
 N_FRAMES = 30
 G = 9.80665
@@ -77,6 +78,21 @@ def test_imu_and_video_named_one_by_one(corridor: Corridor, files: Path) -> None
     again = corridor("fuse", "hall_fused", "-o", "again")
     assert again.code == 0, again.err
     assert Path("again/estimates.csv").read_bytes() == Path("hall_fused/estimates.csv").read_bytes()
+
+
+def test_in_python_the_files_are_named_as_on_the_command_line(files: Path) -> None:
+    named = {"imu": files / "imu.csv", "video": files / "hall.mp4", "camera": files / "camera.yaml"}
+    flight = load_flight(**named, clock_offset_s=20.0)
+    assert flight.name == "hall"
+    assert flight.imu is not None
+    assert len(flight.frames.t_ns) == N_FRAMES
+    assert flight.frames.t_ns[0] - flight.imu.t_ns[0] == pytest.approx(0, abs=1_000_000)
+    other = load_flight(OFFICE, attitude=str(OFFICE))
+    assert other.attitude is not None
+    with pytest.raises(InputError, match=r"no pictures are named \(give a flight, or video and imu\)"):
+        load_flight(imu=named["imu"])
+    with pytest.raises(InputError, match="no such file or folder"):
+        load_flight(imu="none.csv", video=named["video"])
 
 
 def test_a_manifest_and_options_on_top_of_it(corridor: Corridor, files: Path) -> None:

@@ -56,13 +56,15 @@ def measure(
     from fusion.cli.measure_text import assumptions_text, measured_text
     from fusion.pictures.assumed_camera import assume_views
     from fusion.pictures.attitude_file import AttitudeFile
-    from fusion.pictures.measure import check_table_file, find_images, measure_images
+    from fusion.pictures.measure import check_overlay_dir, check_table_file, find_images, measure_images
     from fusion.result.tables_csv import print_table, write_table
     from vision import Camera
 
     paths = find_images(pictures)
     if out is not None:
         check_table_file(out)
+    if overlay is not None:
+        check_overlay_dir(overlay)
     calibration = None if camera is None else Camera.from_yaml(camera)
     attitudes = None if attitude is None else AttitudeFile.read(attitude)
     if calibration is not None and fov_deg is not None:

@@ -76,6 +76,12 @@ def read_truth(path: str | Path, frame: Frame | None = None) -> Truth:
     """
     path = Path(path)
     if path.is_dir():
+        if not (path / TRUTH_NAME).exists() and (path / "smoothed.csv").exists():
+            raise InputError(
+                "is an output of corridor fuse, not ground truth",
+                file=path,
+                remedy=f"to compare with its smoother, give {path / 'smoothed.csv'}",
+            )
         if not (path / TRUTH_NAME).exists():
             raise InputError(f"the folder contains no {TRUTH_NAME}", file=path, remedy="give the file itself")
         path = path / TRUTH_NAME

@@ -139,16 +139,29 @@ def format_of(path: Path) -> str | None:
     return None
 
 
-def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> Flight:
-    """Read a logged flight of any supported format.
+def load_flight(
+    path: str | Path | None = None,
+    camera: Camera | str | Path | None = None,
+    *,
+    imu: str | Path | None = None,
+    video: str | Path | None = None,
+    attitude: str | Path | None = None,
+    clock_offset_s: float | None = None,
+) -> Flight:
+    """Read a logged flight of any supported format, or one whose files are named one by one.
 
     Parameters
     ----------
     path
         A ``flight.toml`` or its folder, an ASL / EuRoC flight folder or the ``mav0`` in it, or a log file that
-        contains pictures.
+        contains pictures. None: the files below make the flight.
     camera
         Calibration in place of the log's own: a `Camera`, or a file whose extrinsics refer to the log's body axes.
+    imu, video, attitude
+        A log for the IMU's samples (without ``path``, for all streams but the pictures), a video or a folder of
+        pictures, and a log for the attitude alone; they replace the streams of ``path``.
+    clock_offset_s
+        Added to the pictures' times to give those of the rest.
 
     Returns
     -------
@@ -160,14 +173,28 @@ def load_flight(path: str | Path, camera: Camera | str | Path | None = None) -> 
     InputError
         If the log cannot be used; in one line: file, field, value and remedy.
     """
-    from fusion.logs.manifest.file import MANIFEST_NAME, find_manifest, read_manifest
-    from fusion.logs.manifest.manifest import Manifest
+    from fusion.logs.manifest.separate import manifest_of_files
 
-    path = _existing(path)
+    if path is None and video is None:
+        raise InputError("no pictures are named", remedy="give a flight, or video and imu")
     if camera is not None and not isinstance(camera, Camera):
         camera = _as_path(camera, "camera")
     if isinstance(camera, Path) and not camera.exists():
         raise InputError("there is no such file", file=camera, remedy="check --camera")
+    if all(one is None for one in (imu, video, attitude, clock_offset_s)):
+        return _load_whole(_existing(path), camera)
+    flight, *files = (None if one is None else _existing(one) for one in (path, imu, video, attitude))
+    manifest = manifest_of_files(
+        flight, imu=files[0], video=files[1], attitude=files[2], clock_offset_s=clock_offset_s
+    )
+    return load_manifest(manifest, camera, flight or files[0] or files[1])
+
+
+def _load_whole(path: Path, camera: Camera | Path | None) -> Flight:
+    """Read the flight of a manifest, or of a log that contains everything."""
+    from fusion.logs.manifest.file import MANIFEST_NAME, find_manifest, read_manifest
+    from fusion.logs.manifest.manifest import Manifest
+
     described = find_manifest(path)
     if described is None:
         return load_manifest(Manifest(log=path.resolve()), camera, path)

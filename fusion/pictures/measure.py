@@ -242,6 +242,16 @@ def _fill(table: Table, row: int, path: Path, t_ns: int | None, measurement: Fra
     table["second_score"][row] = measurement.second_score
 
 
+def check_overlay_dir(folder: Path) -> None:
+    """Raise `InputError` if drawings cannot be written to a folder of this name, before the pictures are measured."""
+    if folder.is_file() or (folder.suffix.lower() in PICTURE_SUFFIXES and not folder.is_dir()):
+        raise InputError(
+            "is a file, not a folder" if folder.is_file() else "is the name of a picture, not of a folder",
+            file=folder,
+            remedy="give --overlay a folder; the drawing of NAME.jpg in it is NAME_overlay.jpg",
+        )
+
+
 class _Overlays:
     """A folder of drawings with names that differ from each other and from the given pictures."""
 

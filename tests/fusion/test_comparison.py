@@ -225,6 +225,9 @@ class TestTruth:
             read_truth(tmp_path / "none.csv")
         with pytest.raises(InputError, match=r"contains no corridor_truth\.csv"):
             read_truth(tmp_path)
+        (tmp_path / "smoothed.csv").touch()
+        with pytest.raises(InputError, match=r"is an output of corridor fuse.*give .*/smoothed\.csv"):
+            read_truth(tmp_path)
         (tmp_path / "e.csv").write_text("\n")
         with pytest.raises(InputError, match="contains no rows"):
             read_truth(tmp_path / "e.csv")
