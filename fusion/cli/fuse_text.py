@@ -5,7 +5,7 @@ Numbers are from the summary that is written beside the tables; only units are c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import degrees, isnan, nan
 from pathlib import Path
 from textwrap import wrap
@@ -17,6 +17,8 @@ from fusion.logs.samples import counted
 from fusion.printable import printable
 from fusion.result.summary import CorridorStretch, ErrorStatistics, FlightErrors, Level, SpeedSummary, Summary
 from fusion.result.table_rows import lateral_unknown_text
+
+NAME_WIDTH = 14  # of the names before the lines
 
 
 def fusion_text(summary: Summary, folder: Path, remarks: Sequence[str] = ()) -> str:
@@ -41,7 +43,7 @@ def fusion_text(summary: Summary, folder: Path, remarks: Sequence[str] = ()) -> 
         _line("frames used", f"{counts.accepted} of {frames} ({_percent(counts.accepted, frames)})"),
         _line("rejected", ", ".join(f"{count} {word}" for word, count in rejected.items()) or "none"),
         _line("status", ", ".join(f"{word} {share:.1%}" for word, share in summary.status_share.items())),
-        _line("offset", lateral_unknown_text(summary.lateral_unknown_share)),
+        *_offset_lines(summary.lateral_unknown_share),
         *_corridor_lines(summary.corridors),
         "",
         *_error_lines(summary.errors, summary.config.get("corridor_width_m")),
@@ -63,11 +65,16 @@ def fusion_text(summary: Summary, folder: Path, remarks: Sequence[str] = ()) -> 
 
 
 def _line(name: str, text: str) -> str:
-    return f"{name:<14}{text}"
+    return f"{name:<{NAME_WIDTH}}{text}"
 
 
 def _percent(part: int, whole: int) -> str:
     return f"{part / whole:.1%}" if whole else "-"
+
+
+def _offset_lines(unknown_share: Mapping[str, float]) -> list[str]:
+    first, *rest = wrap(lateral_unknown_text(unknown_share), 100 - NAME_WIDTH)
+    return [_line("offset", first), *(_line("", text) for text in rest)]
 
 
 def _corridor_lines(corridors: Sequence[CorridorStretch]) -> list[str]:

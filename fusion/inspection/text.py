@@ -139,7 +139,7 @@ def _table(streams: Sequence[StreamFindings], start_ns: int | None) -> list[str]
         )
         for row in rows
     ]
-    return [*lines, "(* would be fused)"] if any(not stream.chosen for stream in streams) else lines
+    return [*lines, "(* would be fused)"] if any(stream.chosen for stream in streams) else lines
 
 
 def _relative(t_ns: int | None, start_ns: int | None) -> str:

@@ -40,6 +40,12 @@ def texts(found: Inspection, matter: Matter) -> list[str]:
     return [sentence.text for sentence in found.advice if sentence.matter is matter]
 
 
+def test_the_star_is_explained_where_every_stream_has_one() -> None:
+    lines = inspection_text(inspect_path(OFFICE)).splitlines()
+    assert [line for line in lines if line.startswith("* ")]
+    assert "(* would be fused)" in lines
+
+
 def test_a_gyroscope_alone_is_said_to_be_that(tmp_path: Path) -> None:
     rows = "".join(f"{T0 + k * 5_000_000},0.1,0,{0.01 * (k % 5)}\n" for k in range(100))
     (tmp_path / "imu.csv").write_text("timestamp_ns,gx,gy,gz\n" + rows)
