@@ -16,7 +16,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
-from fusion.logs.contents import LogContents
+from fusion.logs.contents import Kind, LogContents
 from fusion.logs.samples import refuse_placeholder
 from vision import Camera, InputError
 
@@ -41,9 +41,9 @@ FORMATS = {
 
 
 #: Formats with pictures or samples only, which need other files to make a flight.
+_PICTURES = ("fusion.logs.pictures.video", "fusion.logs.pictures.picture_folder")
 _PARTS = (
-    "fusion.logs.pictures.video",
-    "fusion.logs.pictures.picture_folder",
+    *_PICTURES,
     "fusion.logs.csv.phone_folder",
     "fusion.logs.csv.gyroflow",
     "fusion.logs.csv.columns",
@@ -85,6 +85,7 @@ def open_log(path: str | Path) -> LogContents:
     module = format_of(path)
     if module is None:
         remedy = _OTHER_FILES.get(path.suffix.lower()) or "give a flight.toml, " + ", ".join(FORMATS)
+        remedy = _manifest_remedy(path) or remedy
         within = _flight_within(path)
         if within is not None:
             remedy = f"give a flight within it, such as {within}; `corridor batch {path}` fuses all of them"
@@ -114,6 +115,24 @@ def _flight_within(path: Path) -> Path | None:
             if find_manifest(inside) is not None or format_of(inside) not in (None, *_PARTS):
                 return inside
     return None
+
+
+def _manifest_remedy(path: Path) -> str | None:
+    """Propose a manifest of the pictures and samples in a folder; None if it lacks one of them."""
+    places: dict[str, str] = {}
+    for inside in sorted(path.iterdir()) if path.is_dir() else ():
+        with suppress(InputError):
+            module = format_of(inside)
+            if module in _PICTURES:
+                places.setdefault("camera", inside.name)
+            elif module in _PARTS:
+                topics = cast(LogFormat, import_module(module)).open_log(inside).topics
+                if any(topic.kind is Kind.IMU for topic in topics):
+                    places.setdefault("imu", inside.name)
+    if not {"camera", "imu"} <= places.keys():
+        return None
+    tables = ", ".join(f'[{table}] file = "{places[table]}"' for table in ("camera", "imu"))
+    return f"list its files in {path / 'flight.toml'}, as in {tables}; `corridor fuse --help` has an example"
 
 
 def format_of(path: Path) -> str | None:

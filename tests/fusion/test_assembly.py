@@ -129,6 +129,19 @@ def manifest_of(flight: Flight) -> Manifest:
     return flight.manifest
 
 
+def test_a_folder_of_pictures_and_samples_is_told_how_to_list_them(tmp_path: Path) -> None:
+    (tmp_path / "pics").mkdir()
+    shutil.copy(next((OFFICE / "mav0/cam0/data").iterdir()), tmp_path / "pics")
+    (tmp_path / "imu.csv").write_text(
+        "timestamp_ns,gx,gy,gz\n" + "".join(f"{k}000000,0,0,0\n" for k in range(9))
+    )
+    (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(
+        InputError, match=r'\[camera\] file = "pics", \[imu\] file = "imu\.csv"; `corridor fuse --help`'
+    ):
+        load_flight(tmp_path)
+
+
 def test_distances_from_a_file_of_their_own(parts: Parts) -> None:
     lines = (f"{1000 * IMU_CLOCK_S + 50 * k:.0f},{0 if k == 3 else 140 + k}\n" for k in range(N_FRAMES))
     (parts.folder / "tof.csv").write_text("t,tof\n" + "".join(lines))
