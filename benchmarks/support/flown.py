@@ -133,7 +133,7 @@ def fly(simulated: Simulated, config: FusionConfig, smooth: bool = True) -> Flow
     if smooth:
         states = steps.smoothed()
         at = np.searchsorted(np.array(stamps) * 1e-9, t, side="right") - 1
-        smoothed, smoothed_std = wrap(states.x[at, PSI] - truth), np.sqrt(states.P[at, PSI, PSI])
+        smoothed, smoothed_std = wrap(states.x[at, PSI] - truth), np.sqrt(states.variance[at, PSI])
         offsets = smoothed_offsets(offset_steps.steps, offset_model(config))
         found, _, known = at_times(np.array(offset_steps.t_ns) * 1e-9, offsets, t)
         lateral_smoothed = np.where(known, found, np.nan) - offset

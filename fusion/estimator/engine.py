@@ -41,13 +41,14 @@ from fusion.estimator.gyro_checks import (
     rate_that_bridges,
     with_sample,
 )
-from fusion.estimator.gyro_run import GoodSamples, GyroRun, compile_gyro_run
+from fusion.estimator.gyro_run import GyroRun, compile_gyro_run, leading_good
 from fusion.estimator.hypotheses import Hypothesis
 from fusion.estimator.imu_yaw import (
     UNKNOWN_YAW_OFFSET_STD_RAD,
     AttitudeSample,
     compare_by_frame,
     fuse_imu_yaw,
+    yaw_updates,
 )
 from fusion.estimator.lateral.gaussian_sum import OffsetModel
 from fusion.estimator.lateral.status import Lateral
@@ -74,7 +75,8 @@ from fusion.estimator.range_width import RangeSample, Width
 from fusion.estimator.records import new_record
 from fusion.estimator.sample_times import SampleTimes, seconds_since
 from fusion.estimator.seed import HeadingSeed, WidthChange, seed_heading
-from fusion.estimator.state import Checks, Entry, Sample, Sensed, State
+from fusion.estimator.sensing import GoodSamples, compile_sensing, sense
+from fusion.estimator.state import Checks, Entry, Sample, Sensed, State, sensed_after
 from fusion.estimator.velocity import VelocitySample, with_velocity
 from vision.measurement import Attitude, FrameMeasurement, Prior, Reason
 from vision.rotations import wrap, wrap_axis, yaw_of_quaternion
@@ -104,6 +106,7 @@ class Engine:
         self._propagation = Propagation(config)
         self._lateral = LateralOffset(config, camera_arm_m)
         tilts.compile_tilt()
+        compile_sensing()
         compile_gyro_run()
 
     def initial_state(self) -> State:
@@ -179,6 +182,11 @@ class Engine:
                 assert_never(sample)
         return Entry(sample.t_ns, sample, state, tuple(ekf.nodes), frame)
 
+    def process_run(self, s: State, samples: Sequence[Sample]) -> GyroRun | None:
+        """Process the leading good gyroscope samples and attitudes, in order of time; None if there is none."""
+        good = sense(s, samples, self.config, self._propagation.grace_ns)
+        return None if good is None else self._run(s, good, sensed_after(s))
+
     def replay_gyro_samples(self, s: State, entries: Sequence[Entry], before: Sensed) -> int:
         """Replay the leading run of valid gyroscope samples from another state; return its length.
 
@@ -188,17 +196,24 @@ class Engine:
         same = s.tilt is before.tilt and checks.gyro is before.gyro
         if not (same and d.mode is Mode.GYRO and checks.installation.agrees_on_imu(before.installation)):
             return 0
-        good = GoodSamples.first_of(entries)
-        if good is None:
+        good = leading_good(entries)
+        run = None if good is None else self._run(s, good, before)
+        if run is None:
             return 0
-        run = GyroRun(s, good, before, self._propagation)
         for place in range(run.count):
             entries[place].use_replay(run, place)
-        if run.count:
-            last = run.count - 1
-            self.ekf.load(s.x, s.P)
-            self.ekf.move_to(run.x[last], run.F[last], run.Q, run.P[last])
         return run.count
+
+    def _run(self, s: State, good: GoodSamples, before: Sensed) -> GyroRun | None:
+        """Process good samples from a state in `Mode.GYRO`; the filter is then that after the last of them."""
+        yaw = yaw_updates(s.imu_yaw, True, s.axis, self.config)
+        run = GyroRun(s, good, before, self._propagation, yaw)
+        if run.count == 0:
+            return None
+        last = run.count - 1
+        self.ekf.load(s.x, s.P)
+        self.ekf.move_to(run.x[last], run.F[last], run.Q, run.P[last])
+        return run
 
     def clock_set_back(self, s: State, t_ns: int) -> State:
         """Continue after the samples' clock was set back.

@@ -8,7 +8,7 @@ from the state after the newest sample (`estimate`).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any
@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from vision.lines.line_set import LineSet
 
 CLOCK_RESET_SAMPLES = 50
+ALONE = 16  # samples processed one by one after one that cannot be processed with those after it
 MAX_BEHIND_S = 1.0  # largest lag of the caller's clock behind the newest sample
 MAX_SILENCE_S = 600.0  # largest lead of the caller's clock: sensors that fall silent are missed long before
 MAX_AHEAD_NS = 500_000_000  # longest prediction: beyond it the last rate is no longer valid
@@ -153,17 +154,52 @@ class CorridorEstimator:
             self.counters[fault] += 1
             self._arrivals.refuse(type(sample), fault)
             return None
-        timeline = self._timeline
-        admission = self._arrivals.admit(sample, timeline.newest_ns)
-        if admission is TAKE:
-            return self._insert(sample)
+        admission = self._arrivals.admit(sample, self._timeline.newest_ns)
+        return self._insert(sample) if admission is TAKE else self._without_taking(sample, admission)
+
+    def add_in_order(self, samples: Iterable[Sample]) -> None:
+        """Add samples in order of time, as `add` does one by one; gyroscope samples and attitudes in less time."""
+        taken: list[Sample] = []
+        newest_ns = self._timeline.newest_ns
+        for sample in samples:
+            if fault := sample.fault():
+                self.counters[fault] += 1
+                self._arrivals.refuse(type(sample), fault)
+                continue
+            admission = self._arrivals.admit(sample, newest_ns)
+            if admission is TAKE:
+                taken.append(sample)
+                newest_ns = sample.t_ns if newest_ns is None else max(newest_ns, sample.t_ns)
+                continue
+            self._insert_in_order(taken)
+            self._without_taking(sample, admission)
+            taken, newest_ns = [], self._timeline.newest_ns
+        self._insert_in_order(taken)
+
+    def _insert_in_order(self, samples: list[Sample]) -> None:
+        """Insert admitted samples; those that are not processed together one by one."""
+        timeline, place, wait = self._timeline, 0, 0
+        while place < len(samples):
+            count = 0 if wait > 0 else timeline.append_run(samples[place:])
+            if count:
+                self._late_in_a_row = 0
+                for kind, number in Counter(map(type, samples[place : place + count])).items():
+                    self.counters[SOURCES[kind].name] += number
+            else:
+                wait = ALONE if wait == 0 else wait - 1
+                self._insert(samples[place])
+                count = 1
+            place += count
+
+    def _without_taking(self, sample: Sample, admission: Admission) -> Entry | None:
+        """Follow another decision about a sample than to take it; the result is that of `add`."""
         if admission is Admission.WAIT:
             return None
         if admission is Admission.LATE:
             return self._late(sample)
         released = self._arrivals.released()
         if admission is Admission.JUMPED:
-            timeline.note_jump()
+            self._timeline.note_jump()
         else:
             self._set_back(released[0].t_ns)
         return [self._insert(held) for held in released][-1]
@@ -614,12 +650,14 @@ class CorridorEstimator:
         self._timeline.finish()
         self._events.finish()
 
-    def _finalise(self, entry: Entry) -> None:
-        self._events.take(entry)
+    def _finalise(self, entries: Sequence[Entry]) -> None:
+        self._events.take(entries)
         if self._lag is not None:
-            self._lag.keep(entry)
+            for entry in entries:
+                self._lag.keep(entry)
         if self._on_final is not None:
-            self._on_final(entry)
+            for entry in entries:
+                self._on_final(entry)
 
     def _camera(self) -> Camera:
         if self.camera is None:

@@ -7,7 +7,7 @@ sorted log, and delayed by ``config.buffer_s``. A program that needs them withou
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -80,6 +80,12 @@ class EventFinder:
             found.append(Event(frame.timestamp_ns, EventKind.FRAME_REJECTED, values))
         return found
 
+    def skip_to(self, entry: Entry) -> list[Event]:
+        """Pass over entries up to one that completes its instant, all without events; return those of the last."""
+        found = self.finish()
+        self._before = entry.after
+        return found
+
     def finish(self) -> list[Event]:
         """Return the events of the last instant."""
         last, self._open = self._open, None
@@ -127,14 +133,15 @@ class EventLog:
         self._config = config
         self._finder: EventFinder | None = None
 
-    def take(self, entry: Entry) -> None:
-        """Add the next entry in order of time."""
+    def take(self, entries: Sequence[Entry]) -> None:
+        """Add the next entries in order of time."""
         if not LOGGER.isEnabledFor(logging.INFO):
             self._finder = None
             return
         if self._finder is None:
             self._finder = EventFinder(self._config)
-        self._log(self._finder.take(entry))
+        for entry in entries:
+            self._log(self._finder.take(entry))
 
     def finish(self) -> None:
         """Log the events of the last instant."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import heading_of
+from fusion.estimator.gyro_run import PATH_S, RATE, GyroRun
 from fusion.estimator.lateral.gaussian_sum import OffsetModel, OffsetState, lasting_variances, motion_noise
 from fusion.estimator.lateral.kernels import N_LATERAL, fill_transition, moved
 from fusion.estimator.lateral.mixture_kernels import summarised
@@ -25,7 +26,7 @@ from fusion.estimator.propagation import Mode
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table, position_names
 from vision.compiled import compiled
 from vision.rotations import wrap
-from vision.types import BoolArray
+from vision.types import BoolArray, IntArray
 
 if TYPE_CHECKING:
     from fusion.estimator.state import State
@@ -64,8 +65,30 @@ def filter_table(states: Sequence[State], statuses: Sequence[str], config: Fusio
     first = 0
     for _, group in groupby(states, _between_frames):
         like = list(group)
-        _fill_by_frame(table[first : first + len(like)], like, config)
+        numbers = chain.from_iterable(state.lateral.offset.path for state in like)
+        paths = np.fromiter(numbers, np.float64).reshape(len(like), -1)
+        _fill_by_frame(table[first : first + len(like)], like[0], paths, config)
         first += len(like)
+    table["position"] = position_names(table["lateral_offset_norm"], config)
+    return table
+
+
+def run_table(run: GyroRun, places: IntArray, status: str, config: FusionConfig) -> Table:
+    """Report the states after samples of a run, as `filter_table` does: all have the same status.
+
+    The heading must be known, and the camera's delay configured.
+    """
+    s, table = run.start, np.empty(len(places), dtype=ESTIMATE_DTYPE)
+    x, propagated = run.x[places], run.propagated[places]
+    table["timestamp_ns"] = run.good.t_ns[places]
+    table["heading_rad"] = wrap(x[:, PSI])
+    table["heading_std_rad"] = run.heading_std_rad(places)
+    table["yaw_rate_rad_s"] = propagated[:, RATE] - x[:, BIAS]
+    table["gyro_bias_rad_s"] = x[:, BIAS]
+    table["imu_yaw_offset_rad"] = wrap(x[:, YAW_OFFSET]) if s.imu_yaw.known else nan
+    table["status"] = status
+    paths = np.ascontiguousarray(propagated[:, PATH_S : PATH_S + len(s.lateral.offset.path)])
+    _fill_by_frame(table, s, paths, config)
     table["position"] = position_names(table["lateral_offset_norm"], config)
     return table
 
@@ -73,19 +96,19 @@ def filter_table(states: Sequence[State], statuses: Sequence[str], config: Fusio
 def _between_frames(s: State) -> tuple[object, ...]:
     """Return the key of rows that are computed together: the parts of the state that only frames change."""
     lateral, offset = s.lateral, s.lateral.offset
-    kept = (s.axis, s.width, s.frames, offset.x, offset.P, offset.weight, lateral.model)
+    kept = (s.axis, s.width, s.frames, offset.x, offset.P, offset.weight, lateral.model, lateral.section)
     return (*map(id, kept), offset.spread2, lateral.t_ns, lateral.contradicted)
 
 
-def _fill_by_frame(rows: Table, states: Sequence[State], config: FusionConfig) -> None:
-    """Fill in the columns that depend on frames, for states between two frames."""
-    s = states[0]
+def _fill_by_frame(rows: Table, s: State, paths: FloatArray, config: FusionConfig) -> None:
+    """Fill in the columns that depend on frames, for states between two frames that differ by paths (n, 5)."""
     axis, lateral, half_m = s.axis, s.lateral, s.width.half_m(config)
     rows["corridor_index"], rows["corridor_turn_rad"] = axis.corridor_index, axis.corridor_turn_rad
     rows["vision_age_s"] = _ages_s(rows, axis.t_vision_ns)
     rows["lateral_age_s"] = ages_s = _ages_s(rows, lateral.t_ns)
-    offsets = [state.lateral.offset for state in states]
-    offset, std, probable, narrow = _offsets_along(offsets, lateral.model or offset_model(config))
+    offset, std, probable, narrow = _offsets_along(
+        lateral.offset, paths, lateral.model or offset_model(config)
+    )
     known = probable & narrow & (not lateral.contradicted)
     offset, std = np.where(known, offset, nan), np.where(known, std, nan)
     rows["lateral_offset_m"], rows["lateral_offset_std_m"] = offset * half_m, std * half_m
@@ -110,14 +133,13 @@ def _ages_s(rows: Table, then_ns: int | None) -> FloatArray:
 
 
 def _offsets_along(
-    states: Sequence[OffsetState], model: OffsetModel
+    state: OffsetState, paths: FloatArray, model: OffsetModel
 ) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
-    """Return offset (n,), sigma (n,), whether it is probable, and narrow enough, of states that differ by paths."""
-    state, n = states[0], len(states)
+    """Return offset (n,), sigma (n,), whether it is probable, and narrow enough, at the ends of paths (n, 5)."""
+    n = len(paths)
     if not len(state.x):
         return np.full(n, nan), np.full(n, nan), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
-    numbers = np.fromiter(chain.from_iterable(s.path for s in states), np.float64, n * len(state.path))
-    paths, found = numbers.reshape(n, -1), np.empty((n, 3))
+    found = np.empty((n, 3))
     hypotheses, noise = (state.x, state.P, state.weight[:-1]), motion_noise(model)
     shared = (model.tolerance_norm, lasting_variances(state, model), model.scale_std)
     _summarise_along(hypotheses, paths, noise, shared, found)

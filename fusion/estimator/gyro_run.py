@@ -1,8 +1,8 @@
-"""Fast replay of consecutive gyroscope samples in one compiled call, after a late sample.
+"""Consecutive gyroscope samples and attitudes, processed in one compiled call.
 
-A late frame changes the heading, its covariance and the lateral offset for all samples after it, but neither the tilt
-nor the gyroscope checks (`fusion.estimator.state.Sensed`). So a run of good gyroscope samples is replayed with stored
-level rates and forces. The full state after a sample is built only on access.
+Tilt and gyroscope checks come first: they do not depend on frames (`fusion.estimator.sensing`). Then heading,
+covariance, yaw offset and lateral offset follow. A late frame changes only these, so the samples after it are
+replayed with the stored level rates and forces. The full state after a sample is built only on access.
 
 The result is bit-identical to that of `fusion.estimator.engine.Engine.process`.
 """
@@ -12,17 +12,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 from itertools import takewhile
-from typing import NamedTuple
+from math import isfinite
 
 import numpy as np
 
 from fusion.estimator.camera_delay import Delay, with_turns
+from fusion.estimator.imu_yaw import HEADING_TOO, NOTHING, OFFSET_ONLY, UNLIKE, ImuYaw, YawUpdates
+from fusion.estimator.imu_yaw_check import Trace, find_disturbance, is_due, is_undisturbed, with_trace
 from fusion.estimator.installation.checks import Installation
-from fusion.estimator.kernels import BIAS, N_STATES, PSI, stepped
+from fusion.estimator.kernels import BIAS, N_STATES, PSI, YAW_OFFSET, predicted_variance, stepped, updated
 from fusion.estimator.lateral.gaussian_sum import Acceleration, OffsetState, Path
 from fusion.estimator.lateral.kernels import extended_path
 from fusion.estimator.lateral.status import Lateral
-from fusion.estimator.models import FloatArray
+from fusion.estimator.models import FloatArray, Gate
 from fusion.estimator.propagation import (
     LONG_TURN_RAD,
     SCALE_TIME_S,
@@ -31,49 +33,48 @@ from fusion.estimator.propagation import (
     Mode,
     Propagation,
 )
-from fusion.estimator.smoother import Node
-from fusion.estimator.state import Checks, Entry, Sample, Sensed, State
+from fusion.estimator.resets import STEP_RAD
+from fusion.estimator.sample_times import SampleTimes
+from fusion.estimator.sensing import GoodSamples
+from fusion.estimator.smoother import Block, Node
+from fusion.estimator.state import Checks, Entry, Sensed, State
 from fusion.flight import TimeArray
-from vision.compiled import compiled
+from vision.compiled import compiled, compiled_inner
+from vision.rotations import wrap
+from vision.types import BoolArray, IntArray
 
-N_PROPAGATED = 13
-RAW_THETA = 1  # column of ``propagated``, see `_replay_gyro_samples`
+N_PROPAGATED = 20
+THETA, RAW_THETA, PATH_S, RATE = 0, 1, 3, 14  # columns of ``propagated``, see `_process_samples`
+SMALL_STEP_RAD = 0.5 * STEP_RAD  # a larger correction, which may count as a jump, is left to the engine
+_wrap = compiled_inner(wrap)
 
 
-class GoodSamples(NamedTuple):
-    """Consecutive good gyroscope samples, and tilt and checks from their first processing.
-
-    ``t_ns`` (n,) and ``steps`` (n, 7) hold the same for compiled code, rows as in `fusion.estimator.state.Sensed`.
-    """
-
-    samples: Sequence[Sample]
-    sensed: Sequence[Sensed]
-    t_ns: TimeArray
-    steps: FloatArray
-
-    @classmethod
-    def first_of(cls, entries: Sequence[Entry]) -> GoodSamples | None:
-        """Return the leading good samples of ``entries``; None if the first is not good."""
-        if not entries:
-            return None
-        run, place = entries[0].run, entries[0].place
-        if isinstance(run, GyroRun):  # reuse the arrays if the rest of a run follows
-            count = run.count - place
-            last = entries[count - 1] if count <= len(entries) else None
-            if last is not None and last.run is run and last.place == run.count - 1:
-                samples, sensed, t_ns, steps = run.good
-                rest = slice(place, run.count)
-                return cls(samples[rest], sensed[rest], t_ns[rest], steps[rest])
-        good = list(takewhile(lambda entry: entry.sensed.step is not None, entries))
-        if not good:
-            return None
-        t_ns = np.array([entry.t_ns for entry in good])
-        steps = np.array([entry.sensed.step for entry in good])
-        return cls([entry.sample for entry in good], [entry.sensed for entry in good], t_ns, steps)
+def leading_good(entries: Sequence[Entry]) -> GoodSamples | None:
+    """Return the leading good gyroscope samples of ``entries``; None if the first is not good."""
+    if not entries:
+        return None
+    run, place = entries[0].run, entries[0].place
+    if isinstance(run, GyroRun):  # reuse the arrays if the rest of a run follows
+        count = run.count - place
+        last = entries[count - 1] if count <= len(entries) else None
+        if last is not None and last.run is run and last.place == run.count - 1:
+            samples, sensed, t_ns, is_gyro, steps = run.good
+            rest = slice(place, run.count)
+            return GoodSamples(samples[rest], sensed[rest], t_ns[rest], is_gyro[rest], steps[rest])
+    good = list(takewhile(lambda entry: entry.sensed.step is not None, entries))
+    if not good:
+        return None
+    return GoodSamples(
+        [entry.sample for entry in good],
+        [entry.sensed for entry in good],
+        np.array([entry.t_ns for entry in good]),
+        np.ones(len(good), np.bool_),
+        np.array([entry.sensed.step for entry in good]),
+    )
 
 
 class GyroRun:
-    """Consecutive samples replayed from a state.
+    """Consecutive samples processed from a state.
 
     Parameters
     ----------
@@ -85,6 +86,19 @@ class GyroRun:
         Tilt and checks before them, from their first processing.
     propagation
         Source of the noise parameters.
+    yaw
+        What the updates with the yaws of attitudes have in common.
+
+    Attributes
+    ----------
+    count
+        Number of samples processed; the next one needs `fusion.estimator.engine.Engine.process`.
+    x, P, F, x_prior, P_prior, Q
+        Steps for the smoother, rows as in `fusion.estimator.smoother.Block`; noise of the last step.
+    propagated
+        Other values after each sample, see `_process_samples`.
+    makes_step
+        Whether a sample (n,) makes a step.
     """
 
     def __init__(
@@ -93,91 +107,139 @@ class GyroRun:
         good: GoodSamples,
         before: Sensed,
         propagation: Propagation,
+        yaw: YawUpdates,
     ) -> None:
-        self.start, self.good, self.before = start, good, before
+        self.start, self.good, self.before, self.yaw = start, good, before, yaw
         n = len(good.samples)
         self.x, self.F = np.empty((n, N_STATES)), np.empty((n, N_STATES, N_STATES))
         self.P, self.Q = np.empty_like(self.F), np.empty((N_STATES, N_STATES))
-        self.propagated = np.empty((n, N_PROPAGATED))
-        d, offset = start.reckoning, start.lateral.offset
-        path, accel = offset.path, offset.accel
-        first = np.array((d.theta_rad, d.raw_theta_rad, d.yaw_done_rad, *path, *accel, offset.evidence_age_s))
+        self.x_prior, self.P_prior = np.empty_like(self.x), np.empty_like(self.P)
+        self.propagated, self.makes_step = np.empty((n, N_PROPAGATED)), np.empty(n, np.bool_)
+        d = start.reckoning
         assert d.t_ns is not None
         assert d.t_gyro_ns is not None
-        self.count: int = _replay_gyro_samples(
-            good.t_ns,
-            good.steps,
+        unlike = yaw.use == UNLIKE or d.attitude.last_ns is None
+        self.count: int = _process_samples(
+            (good.t_ns, good.is_gyro, good.steps),
             start.x,
             start.P,
-            first,
-            (d.t_ns, d.t_gyro_ns, propagation.grace_ns),
+            _first_row(start),
+            (d.t_ns, d.t_gyro_ns, propagation.grace_ns, d.attitude.last_ns or 0),
             (
-                d.rate_rad_s,
-                d.gyro_done_rad,
-                offset.roll.mean,
+                start.lateral.offset.roll.mean,
                 propagation.scale_variance,
                 d.extra_noise,
                 d.seen_theta_rad,
             ),
             (*propagation.noise[Mode.GYRO],),
-            (self.x, self.F, self.P, self.Q, self.propagated),
+            (UNLIKE if unlike else yaw.use, yaw.turn_rad, yaw.variance, yaw.gate_sigma),
+            (self.x, self.F, self.P, self.Q, self.x_prior, self.P_prior, self.propagated, self.makes_step),
         )
         self._delay, self._delay_at = start.delay, 0  # delay after this number of samples
+        self._traces = [(-1, start.imu_yaw.traces)]  # each with the place of the attitude it is due to
+        if yaw.use > NOTHING:
+            self._follow_traces()
+        places = np.arange(n)
+        self._last_gyro = np.maximum.accumulate(np.where(good.is_gyro, places, -1))
+        self._last_attitude = np.maximum.accumulate(np.where(good.is_gyro, -1, places))
 
     def nodes(self, i: int) -> tuple[Node, ...]:
-        """Return the smoother's step of a sample."""
-        x, P = self.x[i], self.P[i]
-        return (Node(self.F[i], x, P, x, P),)
+        """Return the smoother's steps of a sample."""
+        if not self.makes_step[i]:
+            return ()
+        return (Node(self.F[i], self.x_prior[i], self.P_prior[i], self.x[i], self.P[i]),)
+
+    def block(self, places: slice) -> Block:
+        """Return the smoother's steps of samples."""
+        rows = np.flatnonzero(self.makes_step[places]) + places.start
+        return Block(self.F[rows], self.x_prior[rows], self.P_prior[rows], self.x[rows], self.P[rows])
+
+    def heading_std_rad(self, places: IntArray) -> FloatArray:
+        """Return the heading's sigma after samples, without that of an estimated camera delay."""
+        variance = self.P[places, PSI, PSI]
+        return np.asarray(np.hypot(np.sqrt(variance), self.start.axis.common_std_rad))
 
     def state(self, i: int) -> State:
         """Return the state after a sample."""
-        sample, sensed = self.good.samples[i], self.good.sensed[i]
-        assert isinstance(sample, ImuSample)
-        theta, raw, yaw_done, t_s, accel_s, a1, a2, path_noise, *accel, age_s = self.propagated[i].tolist()
-        last, silent_s, density2, n = accel
-        _, _, d, _, velocity, width, imu_yaw, axis, lateral, frames, elevation, _, checks = self.start
-        offset = lateral.offset
-        offset = OffsetState(
-            offset.x,
-            offset.P,
-            offset.weight,
-            Path(t_s, accel_s, a1, a2, path_noise),
-            Acceleration(last, silent_s, density2, int(n)),
-            offset.roll,
-            offset.spread2,
-            age_s,
-        )
-        reckoning = DeadReckoning(
-            sample.t_ns,
-            Mode.GYRO,
-            float(self.good.steps[i, 0]),
-            theta,
-            raw,
-            sample.t_ns,
-            sample.gyro_rad_s,
-            0.0,
-            d.yaw_rad,
-            yaw_done,
-            d.attitude,
-            d.stored_gyro_bias,
-            d.extra_noise,
-            d.seen_theta_rad,
-        )
+        sensed, lateral = self.good.sensed[i], self.start.lateral
+        _, _, _, _, velocity, width, _, axis, _, frames, elevation, _, checks = self.start
         return State(
             self.x[i],
             self.P[i],
-            reckoning,
+            self._reckoning(i),
             sensed.tilt,
             velocity,
             width,
-            imu_yaw,
+            self._imu_yaw_after(i),
             axis,
-            Lateral(offset, None, *lateral[2:]),
+            Lateral(self.offset(i), None, *lateral[2:]),
             frames,
             elevation,
             self._delay_after(i),
             Checks(sensed.gyro, checks.repeats, self._installation_after(i)),
         )
+
+    def _reckoning(self, i: int) -> DeadReckoning:
+        d = self.start.reckoning
+        theta, raw, yaw_done = self.propagated[i, :PATH_S].tolist()
+        gyro_done, rate, yaw_rad, interval_s, *_ = self.propagated[i, RATE - 1 :].tolist()
+        last, t_gyro_ns, gyro_rad_s, attitude = self._last_gyro[i], d.t_gyro_ns, d.gyro_rad_s, d.attitude
+        if last >= 0:
+            sample = self.good.samples[last]
+            assert isinstance(sample, ImuSample)
+            t_gyro_ns, gyro_rad_s, _ = sample
+        if self._last_attitude[i] >= 0:
+            attitude = SampleTimes(self.good.samples[self._last_attitude[i]].t_ns, interval_s)
+        return DeadReckoning(
+            self.good.samples[i].t_ns,
+            Mode.GYRO,
+            rate,
+            theta,
+            raw,
+            t_gyro_ns,
+            gyro_rad_s,
+            gyro_done,
+            yaw_rad,
+            yaw_done,
+            attitude,
+            d.stored_gyro_bias,
+            d.extra_noise,
+            d.seen_theta_rad,
+        )
+
+    def offset(self, i: int) -> OffsetState:
+        """Return the lateral offset's filter after a sample."""
+        x, P, weight, _, _, roll, spread2, _ = self.start.lateral.offset
+        *path, last, silent_s, density2, n, age_s = self.propagated[i, PATH_S : RATE - 1].tolist()
+        accel = Acceleration(last, silent_s, density2, int(n))
+        return OffsetState(x, P, weight, Path(*path), accel, roll, spread2, age_s)
+
+    def _imu_yaw_after(self, i: int) -> ImuYaw:
+        part = self.start.imu_yaw
+        if self._last_attitude[i] < 0 or self.yaw.use == NOTHING:
+            return part
+        traces = next(traces for place, traces in reversed(self._traces) if place <= i)
+        gate = Gate(True, *self.propagated[i, -3:].tolist())
+        return ImuYaw(True, part.corrects_heading, 0, gate, part.drift_statistics, traces)
+
+    def _follow_traces(self) -> None:
+        """Compare yaw and gyroscope as the engine does; end the run where that has an effect on the filter."""
+        traces, yaw = self.start.imu_yaw.traces, self.yaw
+        for i in np.flatnonzero(~self.good.is_gyro[: self.count]).tolist():
+            if not is_due(traces, t_ns := self.good.samples[i].t_ns):
+                continue
+            raw, yaw_rad = float(self.propagated[i, RAW_THETA]), float(self.propagated[i, RATE + 1])
+            x, variance = self.x[i], float(self.P[i, BIAS, BIAS])
+            now = Trace(t_ns, yaw_rad - raw, float(x[PSI]) - raw, float(x[BIAS]), variance)
+            disturbed = find_disturbance(traces, now, yaw.walk_variance, yaw.variance) is not None
+            if disturbed and yaw.use == HEADING_TOO:  # the engine undoes its effect
+                self.count = i
+                return
+            traces = (now,) if disturbed else with_trace(traces, now)
+            self._traces.append((i, traces))
+            if yaw.useful and is_undisturbed(traces) != (yaw.use == HEADING_TOO):
+                self.count = i + 1
+                return
 
     def _installation_after(self, i: int) -> Installation:
         found, start = self.good.sensed[i].installation, self.start.checks.installation
@@ -189,106 +251,201 @@ class GyroRun:
         if self._delay_at > i + 1:
             self._delay, self._delay_at = self.start.delay, 0
         assert self._delay is not None
-        rows = slice(self._delay_at, i + 1)
-        times = [sample.t_ns for sample in self.good.samples[rows]]
+        rows = [k for k in range(self._delay_at, i + 1) if self.good.is_gyro[k]]
+        times = [self.good.samples[k].t_ns for k in rows]
         self._delay = with_turns(self._delay, times, self.propagated[rows, RAW_THETA].tolist())
         self._delay_at = i + 1
         return self._delay
 
 
+def _first_row(start: State) -> FloatArray:
+    """Return the row of ``propagated`` of the state before a run."""
+    d, offset = start.reckoning, start.lateral.offset
+    values = (
+        d.theta_rad,
+        d.raw_theta_rad,
+        d.yaw_done_rad,
+        *offset.path,
+        *offset.accel,
+        offset.evidence_age_s,
+    )
+    rest = (d.gyro_done_rad, d.rate_rad_s, d.yaw_rad, d.attitude.interval_s, 0.0, 0.0, 0.0)
+    return np.array((*values, *rest))
+
+
 @cache
 def compile_gyro_run() -> None:
-    """Compile the replay, or load it from the cache, before the first late frame."""
+    """Compile the run, or load it from the cache, before the first sample."""
     n = N_STATES
+    rows, squares = np.empty((1, n)), np.empty((1, n, n))
+    propagated, makes_step = np.empty((1, N_PROPAGATED)), np.empty(1, np.bool_)
     out = (
-        np.empty((1, n)),
-        np.empty((1, n, n)),
-        np.empty((1, n, n)),
+        rows,
+        squares,
+        squares.copy(),
         np.empty((n, n)),
-        np.empty((1, N_PROPAGATED)),
+        rows.copy(),
+        squares.copy(),
+        propagated,
+        makes_step,
     )
-    times = (0, 0, 1_000_000_000)
-    t_ns, steps = np.array([1_000_000]), np.array([(0.0,) * 7])
-    noise, x, P, propagated = (1.0,) * 3, np.zeros(n), np.eye(n), np.zeros(N_PROPAGATED)
-    _replay_gyro_samples(t_ns, steps, x, P, propagated, times, (0.0,) * 6, noise, out)
+    samples = (np.array([1_000_000]), np.ones(1, np.bool_), np.zeros((1, 7)))
+    times, yaw = (0, 0, 1_000_000_000, 0), (NOTHING, 0.0, 1.0, 1.0)
+    x, P, first = np.zeros(n), np.eye(n), np.zeros(N_PROPAGATED)
+    _process_samples(samples, x, P, first, times, (0.0,) * 4, (1.0,) * 3, yaw, out)
 
 
 @compiled
-def _replay_gyro_samples(
-    t_ns: TimeArray,
-    steps: FloatArray,
+def _process_samples(
+    samples: tuple[TimeArray, BoolArray, FloatArray],
     x: FloatArray,
     P: FloatArray,
-    propagated: FloatArray,
-    times_ns: tuple[int, int, int],
-    numbers: tuple[float, float, float, float, float, float],
+    first: FloatArray,
+    times_ns: tuple[int, int, int, int],
+    numbers: tuple[float, float, float, float],
     noise: tuple[float, float, float],
-    out: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
+    yaw: tuple[int, float, float, float],
+    out: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, BoolArray],
 ) -> int:
     """Process samples as the engine does in `Mode.GYRO`; return how many were processed.
 
-    It stops before a gap in the gyroscope's samples.
+    It stops before a gap in the gyroscope's samples, and before a yaw that the gate rejects.
 
     Parameters
     ----------
-    t_ns, steps
-        Times (n,), and rows (n, 7) as in `fusion.estimator.state.Sensed`.
+    samples
+        ``t_ns``, ``is_gyro`` and ``steps`` of `fusion.estimator.sensing.GoodSamples`.
     x, P
         State (3,) and covariance (3, 3) of the filter.
-    propagated
-        Other propagated values (13,): dead-reckoned heading, the same with the bias, yaw since the last attitude;
-        the five fields of the path and the four of the acceleration; age of the evidence.
+    first
+        Other propagated values (20,): dead-reckoned heading, the same with the bias, yaw since the last attitude;
+        the five fields of the path and the four of the acceleration; age of the evidence; angle since the last
+        gyroscope sample, level yaw rate; yaw and mean interval of the attitudes; residual, test ratio and variance
+        of the last yaw.
     times_ns
-        Times of the state and of the last gyroscope sample, and the longest gap.
+        Times of the state and of the last gyroscope sample, the longest gap, and the time of the last attitude.
     numbers
-        Last level yaw rate, angle propagated since then, roll correction, variance of the scale, squared density of
-        the noise beyond the configured one, rad^2/s, and dead-reckoned heading at the last accepted frame.
+        Roll correction, variance of the scale, squared density of the noise beyond the configured one, rad^2/s, and
+        dead-reckoned heading at the last accepted frame.
     noise
         Densities of the process noise.
+    yaw
+        The first four fields of `fusion.estimator.imu_yaw.YawUpdates`.
     out
-        Output: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3) of the last step, propagated (n, 13).
+        Output, see `GyroRun`: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3), x_prior, P_prior, propagated (n, 20),
+        makes_step (n,).
     """
-    last_ns, gyro_ns, grace_ns = times_ns
-    last_rate, done, roll, scale_variance, extra_noise, seen_theta = numbers
+    t_ns, is_gyro, steps = samples
+    last_ns, gyro_ns, grace_ns, attitude_ns = times_ns
+    roll, scale_variance, extra_noise, seen_theta = numbers
     heading_noise, bias_noise, offset_noise = noise
-    x_out, F_out, P_out, Q, propagated_out = out
-    theta, raw_theta, yaw_done = propagated[0], propagated[1], propagated[2]
-    path = (propagated[3], propagated[4], propagated[5], propagated[6], propagated[7])
-    accel = (propagated[8], propagated[9], propagated[10], int(propagated[11]))
-    age_s = propagated[12]
+    x_out, F_out, P_out, Q, x_prior, P_prior, propagated, makes_step = out
+    identity = np.eye(N_STATES)
+    before = first
     for k in range(len(t_ns)):
-        dt_s = (t_ns[k] - last_ns) * 1e-9
-        if t_ns[k] - gyro_ns > grace_ns or not dt_s > 0.0:
+        dt_s, gyro = (t_ns[k] - last_ns) * 1e-9, is_gyro[k]
+        if t_ns[k] - gyro_ns > grace_ns or dt_s < 0.0 or (gyro and not dt_s > 0.0):
             return k
-        rate = steps[k, 0]
-        force, down = (steps[k, 1], steps[k, 2], steps[k, 3]), (steps[k, 4], steps[k, 5], steps[k, 6])
-        path, accel = extended_path(path, accel, dt_s, x[PSI], force, down, roll)
-        age_s += dt_s
-        turned = 0.5 * (last_rate + rate) * (t_ns[k] - gyro_ns) * 1e-9 - done
-        corrected = turned - x[BIAS] * dt_s
-        variance = scale_variance * SCALE_TIME_S * corrected * corrected / dt_s
-        before = theta - seen_theta
-        if abs(before) > LONG_TURN_RAD:
-            variance = max(variance, scale_variance * corrected * (2.0 * before + corrected))
-        variance += extra_noise * dt_s
-        stepped(
-            x,
-            P,
-            x_out[k],
-            F_out[k],
-            Q,
-            P_out[k],
-            dt_s,
-            turned,
-            heading_noise,
-            bias_noise,
-            offset_noise,
-            variance,
-        )
-        theta, raw_theta, yaw_done = theta + corrected, raw_theta + turned, yaw_done + corrected
-        x, P, last_ns, gyro_ns, last_rate, done = x_out[k], P_out[k], t_ns[k], t_ns[k], rate, 0.0
-        row = propagated_out[k]
-        row[0], row[1], row[2], row[12] = theta, raw_theta, yaw_done, age_s
-        row[3], row[4], row[5], row[6], row[7] = path
-        row[8], row[9], row[10], row[11] = accel
+        row = propagated[k]
+        row[:] = before
+        x_prior[k], P_prior[k], F_out[k], makes_step[k] = x, P, identity, False
+        if dt_s > 0.0:
+            rate, done = before[RATE], before[RATE - 1]
+            turned = rate * dt_s
+            if gyro:
+                turned = 0.5 * (rate + steps[k, 0]) * (t_ns[k] - gyro_ns) * 1e-9 - done
+                if done != 0.0 and abs(turned - 0.5 * (rate + steps[k, 0]) * dt_s) > SMALL_STEP_RAD:
+                    return k
+            corrected = turned - x[BIAS] * dt_s
+            since = before[THETA] - seen_theta
+            variance = _scale_variance(scale_variance, corrected, dt_s, since) + extra_noise * dt_s
+            stepped(
+                x,
+                P,
+                x_prior[k],
+                F_out[k],
+                Q,
+                P_prior[k],
+                dt_s,
+                turned,
+                heading_noise,
+                bias_noise,
+                offset_noise,
+                variance,
+            )
+            _extend(row, dt_s, x[PSI], steps[k], roll)
+            row[0], row[1], row[2] = row[0] + corrected, row[1] + turned, row[2] + corrected
+            row[RATE - 1] += turned
+            makes_step[k] = True
+        x_out[k], P_out[k] = x_prior[k], P_prior[k]
+        if gyro:
+            row[RATE - 1], row[RATE] = 0.0, steps[k, 0]
+            gyro_ns = t_ns[k]
+        else:
+            if yaw[0] == UNLIKE or t_ns[k] <= attitude_ns:
+                return k
+            _note_yaw(row, steps[k, 0], (t_ns[k] - attitude_ns) * 1e-9)
+            attitude_ns = t_ns[k]
+            if yaw[0] != NOTHING:
+                if not _fuse_yaw(x_prior[k], P_prior[k], steps[k, 0], yaw, row, x_out[k], P_out[k]):
+                    return k
+                makes_step[k] = True
+        x, P, before, last_ns = x_out[k], P_out[k], row, t_ns[k]
     return len(t_ns)
+
+
+@compiled_inner
+def _scale_variance(scale_variance: float, turned: float, dt_s: float, before: float) -> float:
+    """Do as `fusion.estimator.propagation.Propagation` for the error of the gyroscope's scale."""
+    variance = scale_variance * SCALE_TIME_S * turned * turned / dt_s
+    if abs(before) > LONG_TURN_RAD:
+        return max(variance, scale_variance * turned * (2.0 * before + turned))
+    return variance
+
+
+@compiled_inner
+def _extend(row: FloatArray, dt_s: float, heading_rad: float, step: FloatArray, roll: float) -> None:
+    """Extend the path of the lateral offset by a step."""
+    path = (row[3], row[4], row[5], row[6], row[7])
+    accel = (row[8], row[9], row[10], int(row[11]))
+    force, down = (step[1], step[2], step[3]), (step[4], step[5], step[6])
+    path, accel = extended_path(path, accel, dt_s, heading_rad, force, down, roll)
+    row[3], row[4], row[5], row[6], row[7] = path
+    row[8], row[9], row[10], row[11] = accel
+    row[12] += dt_s
+
+
+@compiled_inner
+def _note_yaw(row: FloatArray, yaw_rad: float, interval_s: float) -> None:
+    """Note the yaw and the interval of an attitude, as `fusion.estimator.sample_times.SampleTimes` does."""
+    mean_s = row[16]
+    row[2], row[15] = 0.0, yaw_rad
+    row[16] = 0.8 * mean_s + 0.2 * min(interval_s, 3 * mean_s) if isfinite(mean_s) else interval_s
+
+
+@compiled_inner
+def _fuse_yaw(
+    x: FloatArray,
+    P: FloatArray,
+    yaw_rad: float,
+    yaw: tuple[int, float, float, float],
+    row: FloatArray,
+    x_out: FloatArray,
+    P_out: FloatArray,
+) -> bool:
+    """Update with a yaw as `fusion.estimator.imu_yaw.fuse_imu_yaw` does; return False if that would do more."""
+    use, turn_rad, variance, sigma = yaw
+    H, K = np.zeros(N_STATES), np.empty((N_STATES, 1))
+    H[YAW_OFFSET] = 1.0
+    if use == OFFSET_ONLY:
+        variance += P[PSI, PSI]
+    else:
+        H[PSI] = 1.0
+    residual = _wrap(yaw_rad - x[PSI] - turn_rad - x[YAW_OFFSET])
+    expected = predicted_variance(P, H)
+    ratio = residual * residual / (sigma * sigma * (expected + variance))
+    if not isfinite(residual) or not variance > 0.0 or ratio > 1.0:
+        return False
+    updated(x, P, H, residual, variance, x_out, P_out, K)
+    row[17], row[18], row[19] = residual, ratio, expected + variance
+    return bool(abs(x_out[PSI] - x[PSI]) <= SMALL_STEP_RAD)

@@ -153,6 +153,50 @@ def fuse_imu_yaw(
     return part
 
 
+class YawUpdates(NamedTuple):
+    """What the updates with the yaws of successive attitudes have in common, between two frames.
+
+    Parameters
+    ----------
+    use
+        What a yaw updates: `NOTHING`, `OFFSET_ONLY` or `HEADING_TOO`; `UNLIKE` if the next one does more.
+    turn_rad, variance, gate_sigma
+        Turn of the present corridor from the first one, variance of a yaw, and the gate.
+    walk_variance
+        Variance per second of the random walks of gyroscope and yaw.
+    useful
+        Whether the yaw would correct the heading once it is undisturbed.
+    """
+
+    use: int
+    turn_rad: float
+    variance: float
+    gate_sigma: float
+    walk_variance: float
+    useful: bool
+
+
+UNLIKE, NOTHING, OFFSET_ONLY, HEADING_TOO = -1, 0, 1, 2
+
+
+def yaw_updates(part: ImuYaw, by_gyro: bool, axis: CorridorAxis, config: FusionConfig) -> YawUpdates:
+    """Return what the next updates of `fuse_imu_yaw` have in common; ``by_gyro``: the heading is propagated by it."""
+    useful = by_gyro and _is_useful(part, config)
+    use = HEADING_TOO if part.corrects_heading else OFFSET_ONLY
+    if not axis.acquired:
+        use = NOTHING
+    elif not part.known or part.corrects_heading != (useful and is_undisturbed(part.traces)):
+        use = UNLIKE
+    return YawUpdates(
+        use,
+        axis.corridor_turn_rad,
+        config.imu_yaw_std_rad**2,
+        config.imu_yaw_gate_sigma,
+        config.gyro_noise**2 + config.offset_walk**2,
+        useful,
+    )
+
+
 def compare_by_frame(
     part: ImuYaw, t_ns: int, heading_rad: float, variance: float, reckoning: DeadReckoning
 ) -> ImuYaw:

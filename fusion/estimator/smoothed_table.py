@@ -50,9 +50,20 @@ def smoothed_table(
         return table.copy()
     found = steps.smoothed()
     out = table.copy()
-    variance = np.maximum(np.diagonal(found.P, axis1=1, axis2=2), 0.0)
+    _smooth_heading(out, table, row_steps, found)
+    _smooth_offset(out, offset_steps, config)
+    _move_corridor_changes(out, row_steps, found, config)
+    half_m = half_widths_m(table, config)
+    out["lateral_offset_m"] = out["lateral_offset_norm"] * half_m
+    out["lateral_offset_std_m"] = out["lateral_offset_norm_std"] * half_m
+    out["position"] = position_names(out["lateral_offset_norm"], config)
+    return out
+
+
+def _smooth_heading(out: Table, table: Table, row_steps: npt.NDArray[np.int64], found: SmoothedSteps) -> None:
+    """Fill in the states of the heading's filter."""
     at = found.x[row_steps]
-    std = np.sqrt(variance[row_steps])
+    std = np.sqrt(np.maximum(found.variance[row_steps], 0.0))
     # The filter's sigma also contains errors outside its covariance: by the camera's delay, and common to all frames.
     outside = np.maximum(table["heading_std_rad"] ** 2 - found.filter_variance[row_steps], 0.0)
     outside[table["status"] == "initialising"] = 0.0
@@ -66,13 +77,6 @@ def smoothed_table(
     out["gyro_bias_rad_s"] = np.where(np.isfinite(table["gyro_bias_rad_s"]), at[:, BIAS], nan)
     known = (std[:, YAW_OFFSET] < KNOWN_IMU_YAW_STD_RAD) & np.isfinite(table["imu_yaw_offset_rad"]).any()
     out["imu_yaw_offset_rad"] = np.where(known, wrap(at[:, YAW_OFFSET]), nan)
-    _smooth_offset(out, offset_steps, config)
-    _move_corridor_changes(out, row_steps, found, config)
-    half_m = half_widths_m(table, config)
-    out["lateral_offset_m"] = out["lateral_offset_norm"] * half_m
-    out["lateral_offset_std_m"] = out["lateral_offset_norm_std"] * half_m
-    out["position"] = position_names(out["lateral_offset_norm"], config)
-    return out
 
 
 def _smooth_offset(out: Table, steps: OffsetSteps, config: FusionConfig) -> None:
@@ -137,7 +141,7 @@ def _move_corridor_changes(
             elapsed_s = (int(out["timestamp_ns"][row]) - int(out["timestamp_ns"][back])) * 1e-9
             out["heading_rad"][back] = wrap(old - turn)
             out["heading_std_rad"][back] = (
-                max(steps.P[step, PSI, PSI], 0.0) + config.gyro_noise**2 * elapsed_s
+                max(steps.variance[step, PSI], 0.0) + config.gyro_noise**2 * elapsed_s
             ) ** 0.5
             out["lateral_offset_norm"][back] = out["lateral_offset_norm_std"][back] = nan
             out["lateral_status"][back] = LateralStatus.UNKNOWN

@@ -65,8 +65,8 @@ class SmoothedSteps(NamedTuple):
 
     Parameters
     ----------
-    x, P
-        State (n, 3) and covariance (n, 3, 3).
+    x, variance
+        State (n, 3) and its variances (n, 3).
     filter_bias, filter_variance
         Bias (n,) and variance of the heading (n,) before smoothing.
     forgets_heading
@@ -74,7 +74,7 @@ class SmoothedSteps(NamedTuple):
     """
 
     x: FloatArray
-    P: FloatArray
+    variance: FloatArray
     filter_bias: FloatArray
     filter_variance: FloatArray
     forgets_heading: BoolArray
@@ -100,6 +100,19 @@ class Steps:
                 self._blocks.append(_block_of(self._nodes))
                 self._nodes = [node]
 
+    def add_block(self, steps: Block) -> None:
+        """Append many steps, in order of time."""
+        last = self._nodes[-1:]
+        if len(self._nodes) > 1:
+            self._blocks.append(_block_of(self._nodes))
+        if last:
+            parts = zip(_block_of(last), steps, strict=True)
+            steps = Block(*(np.concatenate(pair) for pair in parts))
+        if len(steps.x) > 1:
+            self._blocks.append(steps)
+        self.count += len(steps.x) - len(last)
+        self._nodes = [Node(*(values[-1].copy() for values in steps))] if len(steps.x) else []
+
     def smoothed(self) -> SmoothedSteps:
         """Smooth the run, and release its blocks one after another to save memory."""
         n, self.count = self.count, 0
@@ -109,21 +122,22 @@ class Steps:
             self._nodes = []
         out = SmoothedSteps(
             np.empty((n, N_STATES)),
-            np.empty((n, N_STATES, N_STATES)),
+            np.empty((n, N_STATES)),
             np.empty(n),
             np.empty(n),
             np.empty(n, np.bool_),
         )
-        end = n
+        end, P = n, np.empty(0)  # covariance at the end of the next block
         while blocks:
             block = blocks.pop()
             rows = slice(end - len(block.x), end)
             out.filter_bias[rows], out.filter_variance[rows] = block.x[:, BIAS], block.P[:, PSI, PSI]
             out.forgets_heading[rows] = block.F[:, PSI, PSI] == 0.0
             if end < n:
-                block.x[-1], block.P[-1] = out.x[end - 1], out.P[end - 1]
+                block.x[-1], block.P[-1] = out.x[end - 1], P
             rts(*block)
-            out.x[rows], out.P[rows] = block.x, block.P
+            out.x[rows], P = block.x, block.P[0].copy()
+            out.variance[rows] = np.diagonal(block.P, axis1=1, axis2=2)
             end = rows.start + 1
         return out
 

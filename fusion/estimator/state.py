@@ -124,7 +124,7 @@ class Sensed(NamedTuple):
 
 
 class Replay(Protocol):
-    """A run of samples replayed together, such as a `fusion.estimator.gyro_run.GyroRun`."""
+    """A run of samples processed together, such as a `fusion.estimator.gyro_run.GyroRun`."""
 
     def state(self, i: int) -> State:
         """Return the state after sample ``i``."""
@@ -150,7 +150,7 @@ class Entry:
     Attributes
     ----------
     run, place
-        The replayed run that gives the state and steps, and the sample's index in it; None and 0 before a replay.
+        The run that gives the state and steps, and the sample's index in it; None and 0 for one processed alone.
     """
 
     __slots__ = ("_after", "_nodes", "_sensed", "frame", "place", "run", "sample", "t_ns")
@@ -170,8 +170,16 @@ class Entry:
         self.run: Replay | None = None
         self.place = 0
 
+    @classmethod
+    def of_run(cls, sample: Sample, run: Replay, place: int) -> Entry:
+        """Return the entry of a sample that was processed in a run."""
+        entry = cls.__new__(cls)
+        entry.t_ns, entry.sample, entry.frame, entry._sensed = sample.t_ns, sample, None, None
+        entry.use_replay(run, place)
+        return entry
+
     def use_replay(self, run: Replay, place: int) -> None:
-        """Take state and steps from a place in a replayed run; they are built on first access."""
+        """Take state and steps from a place in a run; they are built on first access."""
         self.run, self.place, self._after, self._nodes = run, place, None, None
 
     @property

@@ -73,7 +73,12 @@ class Tilt(NamedTuple):
 def from_quaternion(tilt: Tilt, t_ns: int, q_world_body: Quaternion) -> Tilt:
     """Set the tilt from an attitude sample: a unit quaternion w, x, y, z, body FRD to a world with z down."""
     _, _, _, *rest = tilt
-    return new_record(Tilt, (_unit(down_of_quaternion(q_world_body)), t_ns, t_ns, *rest))
+    return new_record(Tilt, (attitude_down(q_world_body), t_ns, t_ns, *rest))
+
+
+def attitude_down(q_world_body: Quaternion) -> Vector:
+    """Return the direction of gravity in the body by an attitude: a unit vector."""
+    return _unit(down_of_quaternion(q_world_body))
 
 
 def with_imu(tilt: Tilt, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | None) -> Tilt:
@@ -88,12 +93,12 @@ def with_imu(tilt: Tilt, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | Non
         inf if t_attitude is None else (t_ns - t_attitude) * 1e-9,
         inf if t_accel is None else (t_ns - t_accel) * 1e-9,
     )
-    down, bias, settled, used = _tilt_step(down, bias, settled, dt, gyro_rad_s, accel_m_s2 or NO_FORCE, ages)
+    down, bias, settled, used = tilt_step(down, bias, settled, dt, gyro_rad_s, accel_m_s2 or NO_FORCE, ages)
     return new_record(Tilt, (down, t_ns, t_attitude, t_ns, t_ns if used else t_accel, settled, bias))
 
 
 @compiled
-def _tilt_step(
+def tilt_step(
     down: Vector,
     bias: Vector,
     settled_s: float,
@@ -161,9 +166,9 @@ def tilt_along(
         Direction of gravity in the body (n, 3), and the standard deviation of roll and pitch (n,).
     """
     down, std_rad = np.empty((len(t_ns), 3)), np.empty(len(t_ns))
-    attitude_down = down_of(q_world_body)
-    attitude_down /= np.sqrt((attitude_down**2).sum(axis=1, keepdims=True))
-    _fill_tilts(t_ns, gyro_rad_s, accel_m_s2, attitude_t_ns, attitude_down, attitude_std_rad, down, std_rad)
+    downs = down_of(q_world_body)
+    downs /= np.sqrt((downs**2).sum(axis=1, keepdims=True))
+    _fill_tilts(t_ns, gyro_rad_s, accel_m_s2, attitude_t_ns, downs, attitude_std_rad, down, std_rad)
     return down, std_rad
 
 
@@ -194,7 +199,7 @@ def _fill_tilts(
         now = (gyro[k, 0], gyro[k, 1], gyro[k, 2])
         rate = (0.5 * (last[0] + now[0]), 0.5 * (last[1] + now[1]), 0.5 * (last[2] + now[2]))
         force = (accel[k, 0], accel[k, 1], accel[k, 2])
-        down, bias, settled_s, used = _tilt_step(
+        down, bias, settled_s, used = tilt_step(
             down, bias, settled_s, dt, rate, force, (attitude_age_s, force_age_s)
         )
         if used:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from fusion.estimator.engine import Engine
 from fusion.estimator.state import SOURCES, Entry, Sample, State, sensed_after
@@ -30,7 +30,7 @@ class Timeline:
     counters
         Counters of samples that raise in a replay, by source.
     on_final
-        Called in order of time with each entry that has left the buffer and is final.
+        Called in order of time with the entries that have left the buffer and are final.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Timeline:
         engine: Engine,
         buffer_ns: int,
         counters: Counter[str],
-        on_final: Callable[[Entry], None] | None = None,
+        on_final: Callable[[Sequence[Entry]], None] | None = None,
     ) -> None:
         self.engine = engine
         self.buffer_ns = buffer_ns
@@ -91,6 +91,23 @@ class Timeline:
         else:
             self._replay(at, key, entry, before)
         return entry
+
+    def append_run(self, samples: Sequence[Sample]) -> int:
+        """Append the leading samples that are processed together; return how many: none if the first is not newest.
+
+        The samples are in order of time.
+        """
+        if not samples or self.newest_ns is None:
+            return 0
+        keys = [(sample.t_ns, SOURCES[type(sample)].order) for sample in samples]
+        run = None if keys[0] <= self._keys[-1] else self.engine.process_run(self.state, samples)
+        if run is None:
+            return 0
+        self._keys += keys[: run.count]
+        self.entries += [Entry.of_run(sample, run, k) for k, sample in enumerate(samples[: run.count])]
+        self.state = self.entries[-1].after
+        self._trim()
+        return run.count
 
     def _replay(self, at: int, key: tuple[int, int], entry: Entry, before: State) -> None:
         """Insert an entry at a place, with the state before it, and replay the samples after it."""
@@ -160,5 +177,4 @@ class Timeline:
         del self.entries[:count], self._keys[:count]
         self._base = gone[-1].after
         if self.on_final is not None:
-            for entry in gone:
-                self.on_final(entry)
+            self.on_final(gone)

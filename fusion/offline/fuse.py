@@ -19,10 +19,11 @@ from fusion.estimator.frame_update import FrameSample, extract_features
 from fusion.estimator.imu_yaw import AttitudeSample
 from fusion.estimator.input_checks import checked_config
 from fusion.estimator.propagation import ImuSample
+from fusion.estimator.records import new_record
 from fusion.estimator.smoothed_table import hypotheses_table
-from fusion.estimator.state import State
+from fusion.estimator.state import Sample, State
 from fusion.estimator.tables import FRAME_DTYPE, Table
-from fusion.flight import Flight
+from fusion.flight import Flight, ImuStream
 from fusion.offline.flight_checks import check_flight
 from fusion.offline.prefetch import prefetch_features, usable_cores
 from fusion.offline.stopwatch import Stopwatch, stopwatch
@@ -199,13 +200,22 @@ def _feed(
         if progress is not None:
             progress(i + 1, total)
 
+    waiting: list[Sample] = []  # gyroscope samples and attitudes since the last other sample
+
+    def add_waiting() -> None:
+        estimator.add_in_order(waiting)
+        waiting.clear()
+
     streams: list[tuple[npt.NDArray[np.int64], Callable[[int, int], object]]] = []
     if (imu := flight.imu) is not None:
-        samples = zip(_rows(imu.gyro_rad_s), _rows(imu.accel_m_s2), strict=True)
-        streams.append((imu.t_ns, lambda t_ns, i: estimator.add_imu(t_ns, *next(samples))))
+        imu_samples = _imu_samples(imu)
+        streams.append((imu.t_ns, lambda t_ns, i: waiting.append(next(imu_samples))))
     if (attitude := flight.attitude) is not None:
-        q = attitude.q_world_body
-        streams.append((attitude.t_ns, lambda t_ns, i: estimator.add_attitude(t_ns, q[i])))
+        q = np.asarray(attitude.q_world_body, np.float64)
+        rows = zip(_rows(attitude.t_ns), _rows(q), strict=True)
+        attitudes = (AttitudeSample(t_ns, tuple(q)) for t_ns, q in rows)
+        streams.append((attitude.t_ns, lambda t_ns, i: waiting.append(next(attitudes))))
+    n_waiting = len(streams)
     if (velocity := flight.velocity) is not None:
         v = velocity.xyz
         streams.append((velocity.t_ns, lambda t_ns, i: estimator.add_velocity(t_ns, v[i])))
@@ -220,8 +230,20 @@ def _feed(
     order -= np.cumsum([0, *counts])[stream]  # number within the sample's stream
     give = [add for _, add in streams]
     for t, k, i in zip(_rows(t_ns), _rows(stream), _rows(order), strict=True):
+        if waiting and (k >= n_waiting or len(waiting) >= BLOCK_ROWS):
+            add_waiting()
         give[k](t, i)
+    add_waiting()
     return vision_s
+
+
+def _imu_samples(imu: ImuStream) -> Iterator[ImuSample]:
+    """Yield the gyroscope samples, each with the specific force if that is a number."""
+    gyros, accels = (np.asarray(values, np.float64) for values in (imu.gyro_rad_s, imu.accel_m_s2))
+    is_known = np.asarray(np.isfinite(accels).all(axis=1))
+    columns: list[npt.NDArray[Any]] = [imu.t_ns, gyros, accels, is_known]
+    for t_ns, gyro, accel, known in zip(*map(_rows, columns), strict=True):
+        yield new_record(ImuSample, (t_ns, tuple(gyro), tuple(accel) if known else None))
 
 
 def _rows(values: npt.NDArray[Any]) -> Iterator[Any]:

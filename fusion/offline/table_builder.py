@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from array import array
+from bisect import bisect_left, bisect_right
 from typing import Any
 
 import numpy as np
 
 from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimate import status_of
 from fusion.estimator.events import Event, EventFinder
-from fusion.estimator.filter_table import filter_table
+from fusion.estimator.filter_table import filter_table, run_table
 from fusion.estimator.frame_update import FrameResult
+from fusion.estimator.gyro_run import PATH_S, GyroRun
 from fusion.estimator.lateral.smoother import OffsetSteps
 from fusion.estimator.sample_times import SampleTimes
 from fusion.estimator.smoothed_table import smoothed_table
@@ -19,6 +22,7 @@ from fusion.estimator.state import Entry, State
 from fusion.estimator.tables import ESTIMATE_DTYPE, Table
 from vision.measurement import FrameMeasurement, position_from_offset
 
+MIN_TOGETHER = 8  # entries; fewer are taken one by one
 BLOCK_ROWS = 512  # few, so that waiting entries stay in the processor's cache
 
 
@@ -43,10 +47,56 @@ class TableBuilder:
         self._row_steps = array("q")  # index of the last step of each row's instant
         self._pending: Entry | None = None
         self._pending_is_row = False
+        self._together: list[Entry] = []  # consecutive entries of one run
         self.last: State | None = None
 
     def take(self, entry: Entry) -> None:
         """Take the next entry in order of time."""
+        together, run = self._together, entry.run
+        if together and (run is not together[0].run or entry.place != together[-1].place + 1):
+            self._take_together()
+        if run is None:
+            self._take(entry)
+        else:
+            self._together.append(entry)
+
+    def _take_together(self) -> None:
+        """Take entries of one run: their first and last instants one by one, those between as arrays."""
+        entries, self._together = self._together, []
+        run, status = entries[0].run, ""
+        first = bisect_right(entries, entries[0].t_ns, key=lambda entry: entry.t_ns)
+        last = bisect_left(entries, entries[-1].t_ns, key=lambda entry: entry.t_ns)
+        if isinstance(run, GyroRun) and last - first >= MIN_TOGETHER:
+            status = run_status(run, entries[0].place, entries[-1].place, self.config)
+        if not status:
+            first = last = len(entries)
+        for entry in entries[:first]:
+            self._take(entry)
+        if isinstance(run, GyroRun) and first < last:
+            self._take_alike(run, entries[first:last], status)
+        for entry in entries[last:]:
+            self._take(entry)
+
+    def _take_alike(self, run: GyroRun, entries: list[Entry], status: str) -> None:
+        """Take entries of whole instants that have no events."""
+        self.events += self._finder.skip_to(entries[-1])
+        if self._pending is not None:
+            self._close_instant(self._pending)
+        self._pack()
+        place = entries[0].place
+        places = slice(place, place + len(entries))
+        t_ns = run.good.t_ns[places]
+        is_row = np.array([self._makes_row(type(entry.sample), entry.t_ns) for entry in entries])
+        ends = np.flatnonzero(np.append(np.diff(t_ns) > 0, True))
+        ends = ends[np.logical_or.reduceat(is_row, np.append(0, ends[:-1] + 1))]
+        self._row_steps.extend((self.steps.count - 1 + np.cumsum(run.makes_step[places])[ends]).tolist())
+        self.steps.add_block(run.block(places))
+        path_s = run.propagated[places, PATH_S]
+        self.offset_steps.add_motion(t_ns.tolist(), path_s, lambda i: run.offset(place + i))
+        if len(ends):
+            self._append(run_table(run, ends + place, status, self.config))
+
+    def _take(self, entry: Entry) -> None:
         self.events += self._finder.take(entry)
         pending = self._pending
         if pending is not None and entry.t_ns > pending.t_ns:
@@ -74,6 +124,8 @@ class TableBuilder:
 
     def finish(self) -> None:
         """Close the last instant."""
+        if self._together:
+            self._take_together()
         self.events += self._finder.finish()
         if self._pending is not None:
             self._close_instant(self._pending)
@@ -106,10 +158,25 @@ class TableBuilder:
     def _pack(self) -> None:
         if not self._rows:
             return
-        n = len(self._table)
-        self._table.resize(n + len(self._rows), refcheck=False)  # in place: there is no other reference
-        self._table[n:] = filter_table(self._rows, self._statuses, self.config)
+        self._append(filter_table(self._rows, self._statuses, self.config))
         self._rows, self._statuses = [], []
+
+    def _append(self, rows: Table) -> None:
+        n = len(self._table)
+        self._table.resize(n + len(rows), refcheck=False)  # in place: there is no other reference
+        self._table[n:] = rows
+
+
+def run_status(run: GyroRun, first: int, last: int, config: FusionConfig) -> str:
+    """Return the status after all samples of a run from one to another; empty if it changes or is to be computed.
+
+    While the heading is not too uncertain, the status depends on the age of the frames alone.
+    """
+    s, std_rad = run.start, float(run.heading_std_rad(np.arange(first, last + 1)).max())
+    if not s.axis.ever_acquired or s.delay is not None or std_rad > 0.99 * config.lost_heading_std_rad:
+        return ""
+    before, after = (status_of(s, config, int(run.good.t_ns[place]), std_rad) for place in (first, last))
+    return str(before) if before is after else ""
 
 
 def frame_row(result: FrameResult, config: FusionConfig) -> tuple[Any, ...]:

@@ -16,7 +16,7 @@ these have little effect on the comparison.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import nan, pi, sqrt
 from typing import NamedTuple
@@ -118,6 +118,17 @@ class OffsetSteps:
             self.t_ns.append(time_ns)
             self.steps.append(waiting)
         self._moved, self._waiting = Path(), []
+
+    def add_motion(
+        self, t_ns: Sequence[int], path_s: FloatArray, offset_at: Callable[[int], OffsetState]
+    ) -> None:
+        """Append motion alone over times (n,), where the filter's paths last ``path_s`` (n,).
+
+        ``offset_at`` returns the filter's state at one of them.
+        """
+        whole = (np.append(self._moved.t_s, path_s) / LONGEST_STEP_S).astype(np.int64)
+        for i in np.flatnonzero(np.diff(whole) > 0).tolist():
+            self.add(t_ns[i], None, offset_at(i))
 
     def begin(self, t_ns: int, offset: OffsetState) -> None:
         """Begin with the filter's state after a step; earlier steps are dropped."""

@@ -1,0 +1,80 @@
+"""Samples added together give what they give one by one, bit for bit, also where some are faulty."""
+
+from __future__ import annotations
+
+from math import cos, sin
+
+import numpy as np
+import pytest
+
+from fusion.estimator.config import FusionConfig
+from fusion.estimator.estimator import CorridorEstimator
+from fusion.estimator.imu_yaw import AttitudeSample
+from fusion.estimator.propagation import ImuSample
+from fusion.estimator.state import Entry, Sample, State
+from vision.measurement import FrameMeasurement, Reason
+
+STEP_NS = 5_000_000
+
+
+def samples_of(seed: int, with_attitude: bool, with_accel: bool) -> list[Sample]:
+    """Return ten seconds of samples with spikes, a gap, a frozen and a clipped gyroscope, and steps of the yaw."""
+    rng = np.random.default_rng(seed)
+    out: list[Sample] = []
+    for k in range(2000):
+        t_ns, rate = k * STEP_NS, 0.3 * sin(0.01 * k)
+        p, q, r = (rng.normal(0.0, 0.01, 3) + np.array((0.0, 0.0, rate))).tolist()
+        if k in (400, 401, 900):
+            r += 30.0
+        if 1200 <= k < 1230:
+            p, q, r = 0.0, 0.0, 0.1
+        if 1300 <= k < 1304:
+            r = 40.0
+        accel = (0.1, rng.normal(0.0, 0.1), -9.8) if with_accel and k % 50 else None
+        if not 600 <= k < 640:
+            out.append(ImuSample(t_ns, (p, q, r), accel))
+        if with_attitude and k % 4 == 0:
+            half = 15.0 * (1.0 - cos(0.01 * k)) * 0.005 + (0.4 if k > 1500 else 0.0) + rng.normal(0.0, 0.001)
+            out.append(AttitudeSample(t_ns + 1_000_000 * (k % 3), (cos(half), 0.0, 0.0, sin(half))))
+    return out
+
+
+@pytest.mark.parametrize(
+    "config", [FusionConfig(), FusionConfig(imu_yaw_use="always", camera_delay_std_s=0.02)]
+)
+@pytest.mark.parametrize("with_attitude", [True, False])
+@pytest.mark.parametrize("with_accel", [True, False])
+def test_as_one_by_one(config: FusionConfig, with_attitude: bool, with_accel: bool) -> None:
+    finals: tuple[list[Entry], list[Entry]] = ([], [])
+    both = [CorridorEstimator(config, on_final=found.append) for found in finals]
+    waiting: list[Sample] = []
+    samples = samples_of(1, with_attitude, with_accel)
+    for i, sample in enumerate(samples):
+        both[0].add(sample)
+        waiting.append(sample)
+        if i % 20 == 10:
+            both[1].add_in_order(waiting)
+            waiting.clear()
+            heading_rad = 15.0 * (1.0 - cos(0.01 * sample.t_ns / STEP_NS)) * 0.01
+            frame = FrameMeasurement(
+                True, Reason.OK, n_inliers=9, heading_rad=heading_rad, heading_std_rad=0.02
+            )
+            for estimator in both:
+                estimator.add_measurement(sample.t_ns - 60_000_000 * (i % 3), frame)
+            assert str(both[0].estimate()) == str(both[1].estimate())
+    both[1].add_in_order(waiting)
+    for estimator in both:
+        estimator.finish()
+    assert both[0].counters == both[1].counters
+    assert str(both[0].estimate()) == str(both[1].estimate())
+    assert len(finals[0]) == len(finals[1])
+    for one, other in list(zip(*finals, strict=True))[::7]:  # writing a state as text is slow
+        assert plain(one.after) == plain(other.after)
+        assert [node.P.tolist() for node in one.nodes] == [node.P.tolist() for node in other.nodes]
+    assert both[0].estimate().status == "tracking"
+
+
+def plain(state: State) -> str:
+    """Return a state as text in which equal numbers are equal: of arrays, lists; repr gives every digit."""
+    with np.printoptions(floatmode="unique"):
+        return repr(state)
