@@ -23,9 +23,10 @@ from fusion.logs.manifest.manifest import camera_problems
 from fusion.logs.pictures.camera_folder import darkness_problem
 from fusion.logs.plausibility.findings import Advice, Finding
 from fusion.logs.plausibility.flight import Streams, examine_streams
+from fusion.logs.plausibility.lens import examine_lens
 from fusion.logs.samples import Problems, WithProblems
 from fusion.logs.topic_choice import choose_topic
-from vision import InputError
+from vision import Camera, InputError
 
 #: Name of each kind of stream in a manifest and in `Streams`.
 _NAMES = {kind: "camera" if kind is Kind.FRAMES else kind.value for kind in Kind}
@@ -94,6 +95,8 @@ def inspect_log(
             found = replace(found, frames_covered=share_covered(pictures[0], topic.t_ns))
         streams.append(found)
     alive, findings = examine_streams(reading.streams, advice)
+    if reading.lens is not None:
+        findings.append(reading.lens)
     return Inspection(
         name,
         log.format,
@@ -154,6 +157,7 @@ class _Reading:
         self.log = log
         self.first_picture: GreyImage | None = None
         self.streams = Streams()
+        self.lens: Finding | None = None
         self._chosen = chosen
 
     def stream(self, topic: Topic) -> StreamFindings:
@@ -180,7 +184,10 @@ class _Reading:
                     self.streams = replace(kept, frames_t_ns=frames.t_ns)
                 camera, more = self._camera(name)
                 problems += more
-                found = replace(found, pictures=pictures, camera=camera)
+                if camera is not None:
+                    found = replace(found, camera=CameraFindings.of(camera))
+                    self.lens = examine_lens(frames, camera) if found.chosen else None
+                found = replace(found, pictures=pictures)
             case Kind.IMU:
                 stream, problems = imu, _ = self.log.imu(name)
                 if found.chosen:
@@ -208,11 +215,11 @@ class _Reading:
             found = replace(found, timing=time_stream(stream.t_ns))  # reading changed its times
         return WithProblems(found, problems)
 
-    def _camera(self, name: str) -> WithProblems[CameraFindings | None]:
+    def _camera(self, name: str) -> WithProblems[Camera | None]:
         try:
             camera = self.log.camera(name)
         except InputError as error:
             return WithProblems(None, (str(error),))
         if camera is None:
             return WithProblems(None)
-        return WithProblems(CameraFindings.of(camera), camera_problems(camera))
+        return WithProblems(camera, camera_problems(camera))

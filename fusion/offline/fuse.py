@@ -24,6 +24,7 @@ from fusion.estimator.smoothed_table import hypotheses_table
 from fusion.estimator.state import Sample, State
 from fusion.estimator.tables import FRAME_DTYPE, Table
 from fusion.flight import Flight, ImuStream
+from fusion.logs.plausibility.lens import examine_lens
 from fusion.offline.flight_checks import check_flight
 from fusion.offline.prefetch import prefetch_features, usable_cores
 from fusion.offline.stopwatch import Stopwatch, stopwatch
@@ -94,7 +95,12 @@ def fuse_flight(
         estimates=tables.estimates(),
         smoothed=smoothed,
         frames=np.array(tables.frames, dtype=FRAME_DTYPE),
-        problems=(*flight.problems, *_sample_problems(estimator), *_camera_problems(tables.last, settings)),
+        problems=(
+            *flight.problems,
+            *_sample_problems(estimator),
+            *_lens_problems(flight),
+            *_camera_problems(tables.last, settings),
+        ),
         offset_hypotheses=hypotheses_table(tables.offset_steps),
     )
     return replace(
@@ -250,6 +256,13 @@ def _rows(values: npt.NDArray[Any]) -> Iterator[Any]:
     """Yield rows as Python lists, which the estimator processes faster; few at a time, to save memory."""
     for start in range(0, len(values), BLOCK_ROWS):
         yield from values[start : start + BLOCK_ROWS].tolist()
+
+
+def _lens_problems(flight: Flight) -> Iterator[str]:
+    """Report a distortion that the pictures contradict."""
+    found = examine_lens(flight.frames, flight.camera)
+    if found is not None:
+        yield found.sentence
 
 
 def _camera_problems(last: State | None, config: FusionConfig) -> Iterator[str]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from math import degrees, hypot, radians, tan
 
+import cv2
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ from vision.lines.straightness import (
     NO_BEND,
     Bend,
     camera_of_bend,
+    check_distortion,
     estimate_bend,
     straightening_camera,
 )
@@ -115,3 +118,59 @@ def test_the_camera_has_the_field_of_view_said() -> None:
         left = camera.rays([[-0.5, camera.cy_px]])[0]
         assert 2.0 * degrees(np.arctan2(-left[0], left[2])) == pytest.approx(fov_deg, abs=0.4)
     assert view.camera(WIDTH, HEIGHT).fx_px < 0.5 * WIDTH / tan(radians(45.0))
+
+
+BARREL = (-0.28, 0.07, 0.0, 0.0)
+LENSES = {
+    "pinhole": Camera.from_fov(WIDTH, HEIGHT, radians(85.0)),
+    "barrel": replace(
+        Camera.from_fov(WIDTH, HEIGHT, radians(85.0)), distortion=Distortion.RADTAN, coefficients=BARREL
+    ),
+    "fisheye": fisheye(120.0),
+}
+
+
+@cache
+def seen_through(lens: str) -> tuple[GreyImage, ...]:
+    return tuple(v.image for v in random_views(LENSES[lens], 8, seed=32, views_per_scene=2, light_cell_m=0.5))
+
+
+def without_distortion(camera: Camera) -> Camera:
+    return replace(camera, distortion=Distortion.NONE, coefficients=())
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_correct_distortion_is_not_doubted(lens: str) -> None:
+    assert check_distortion(seen_through(lens), LENSES[lens]) is None
+    for image in seen_through(lens):
+        assert check_distortion([image], LENSES[lens]) is None
+
+
+@pytest.mark.parametrize("lens", ["barrel", "fisheye"])
+def test_a_distortion_that_is_left_out_is_found_with_its_size(lens: str) -> None:
+    camera = LENSES[lens]
+    taken = without_distortion(camera)
+    found = check_distortion(seen_through(lens), taken)
+    assert found is not None
+    edge_px = np.array([[taken.cx_px + share * HALF_DIAGONAL, taken.cy_px] for share in (0.5, 0.7)])
+    stretch = camera.undistort(edge_px)[:, 0] / taken.undistort(edge_px)[:, 0]
+    # The stretch of the model is quadratic in the distance; the lens's own only about.
+    assert found.corner_share == pytest.approx(
+        float((stretch[1] / stretch[0] - 1.0) / (0.49 - 0.25)), rel=0.5
+    )
+    assert found.corner_share > 4.0 * found.std
+
+
+def test_a_distortion_of_pictures_already_rectified_is_found() -> None:
+    found = check_distortion(seen_through("pinhole"), LENSES["barrel"])
+    assert found is not None
+    assert found.corner_share < 0.0
+
+
+def test_curved_edges_are_no_sign_of_a_wrong_distortion() -> None:
+    rings = np.full((HEIGHT, WIDTH), 90, np.uint8)
+    for radius in range(20, 300, 16):
+        cv2.circle(rings, (WIDTH // 2, HEIGHT // 2), radius, 200, 2, cv2.LINE_AA)
+    blank = np.full((HEIGHT, WIDTH), 90, np.uint8)
+    for image in (rings, blank):
+        assert check_distortion([image] * 3, LENSES["pinhole"]) is None

@@ -287,17 +287,36 @@ def _line_set(
     )
 
 
-def edge_components(grey: GreyImage, camera: Camera) -> RecordArray:
+def edge_components(grey: GreyImage, camera: Camera, radial_share: float = 0.0) -> RecordArray:
     """Return the sums (n,) of a picture's connected edges, of `vision.lines.edges.COMPONENT`, at full size.
 
-    The lens model affects only the rectified coordinates of the pixels, not which pixels form a component.
+    The lens model affects only the rectified coordinates of the pixels, not which pixels form a component. Each
+    pixel's distance from the optical axis is multiplied by ``1 + share (r / R)^2``, with r the distance in the
+    picture and R half of its diagonal; for a negative share it is divided by ``1 - share / (1 + share) (r / R)^2``,
+    which gives the same at R and increases with r too.
     """
     working = working_camera(camera)
-    n_labels, _, _ = _connect_edges(resize_picture(grey, working), _rectified(working))
+    rectified = _rectified(working) if radial_share == 0.0 else _scaled_radially(working, radial_share)
+    n_labels, _, _ = _connect_edges(resize_picture(grey, working), rectified)
     work = _workspace(working.height_px, working.width_px)
     parent = work.components.parent[:n_labels]
     sums: RecordArray = work.components.sums[:n_labels][parent == np.arange(n_labels)]
     return sums
+
+
+@lru_cache(maxsize=1)
+def _scaled_radially(camera: Camera, share: float) -> Float32Array:
+    """Return `_rectified`, all of its pixels, scaled about the principal point as for `edge_components`."""
+    x, y = np.meshgrid(
+        np.arange(camera.width_px, dtype=np.float32), np.arange(camera.height_px, dtype=np.float32)
+    )
+    pixels = np.stack([x, y], axis=-1)
+    centre = np.array([camera.cx_px, camera.cy_px], np.float32)
+    radius = np.linalg.norm(pixels - centre, axis=-1) / (0.5 * hypot(camera.width_px, camera.height_px))
+    rectified = _rectified(camera) if is_distorted(camera) else pixels
+    factor = 1.0 + share * radius**2 if share > 0.0 else 1.0 / (1.0 - share / (1.0 + share) * radius**2)
+    scaled = (rectified - centre) * factor[..., None] + centre
+    return np.ascontiguousarray(scaled, np.float32)
 
 
 @lru_cache(maxsize=8)
