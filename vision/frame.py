@@ -296,7 +296,8 @@ def _frame_measurement(
         vp_cov_px2=vp_cov_px2,
         heading_rad=fit.heading_rad,
         heading_std_rad=heading.heading_std_rad,
-        heading_lasting_std_rad=LASTING_SHARE * heading.heading_std_rad,
+        heading_lasting_std_rad=_lasting_std_rad(heading.heading_std_rad, fit.split_variance),
+        heading_split_std_rad=sqrt(fit.split_variance),
         elevation_rad=prior.elevation_rad + level.pitch_correction_rad + fit.elevation_rad,
         elevation_std_rad=sqrt(fit.covariance[1, 1]),
         second_heading_rad=heading.second_heading_rad,
@@ -311,6 +312,11 @@ def _frame_measurement(
         **offset._asdict(),
         vision_ms=lines.extract_ms + 1e3 * (time.perf_counter() - started),
     )
+
+
+def _lasting_std_rad(heading_std_rad: float, split_variance: float) -> float:
+    """Return the part of a heading's sigma that the next pictures have in common: of a split all of it."""
+    return sqrt(LASTING_SHARE**2 * (heading_std_rad**2 - split_variance) + split_variance)
 
 
 def _measure_offset(

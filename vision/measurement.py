@@ -176,6 +176,9 @@ class FrameMeasurement:
         Part of ``heading_std_rad`` that successive frames have in common for seconds, because they see the same
         lines: the mean of many frames keeps it. 0 if their errors are independent, also of measurements made
         elsewhere.
+    heading_split_std_rad
+        Part of both that is due to lines which agree on a second direction a few degrees away: walls that are not
+        parallel, or a corridor that bends.
     elevation_rad, elevation_std_rad
         Elevation of the corridor's axis in the level frame, positive up. A value other than zero indicates
         an error of the tilt or of the camera mounting.
@@ -224,6 +227,7 @@ class FrameMeasurement:
     heading_rad: float = nan
     heading_std_rad: float = nan
     heading_lasting_std_rad: float = 0.0
+    heading_split_std_rad: float = 0.0
     elevation_rad: float = nan
     elevation_std_rad: float = nan
     second_heading_rad: float = nan

@@ -44,6 +44,7 @@ DRIFTED_SIGMA = 4.0
 NEARER_SHARE = 0.25  # of the distance to a rejected axis, within which a frame shows the present one
 MIN_YAW_LOG_RATIO = 4.0  # log-likelihood ratio above which the IMU yaw confirms the gyroscope, not the frame
 REPEATING = 0.1  # probability above which the IMU's yaw may repeat a jump of the gyroscope
+N_SPLITS, SHOWN_BY = 9, 3  # frames; a second direction counts if so many of the last ones show it
 MAX_ACCELERATION_RAD_S2 = radians(150)  # yaw acceleration of a vehicle with a camera
 
 
@@ -166,6 +167,8 @@ class CorridorAxis(NamedTuple):
         pi if the vehicle then faced against the axis, modulo a turn.
     lasting_std_rad
         Sigma of the heading's error by the part of the frames' errors that successive frames have in common.
+    splits
+        Variances, rad^2, of the last frames due to a second direction near the axis; none if all are 0.
     noise, frame_noise, gate
         Noise of the frames' headings, from their innovations and from their scatter about the gyroscope; outcome of
         the last innovation.
@@ -198,6 +201,7 @@ class CorridorAxis(NamedTuple):
     stamps_suspect: bool = False
     facing_rad: float = 0.0
     lasting_std_rad: float = 0.0
+    splits: tuple[float, ...] = ()
     noise: SourceNoise = SourceNoise()
     frame_noise: FrameNoise = FrameNoise()
     gate: Gate | None = None
@@ -265,14 +269,35 @@ class CorridorAxis(NamedTuple):
             facing_rad=psi - wrap_axis(psi),
         )
 
+    def with_split_seen(self, m: FrameMeasurement) -> CorridorAxis:
+        """Note whether a frame shows a second direction near the axis; it may be rejected for it."""
+        if not m.heading_std_rad > 0.0:  # NaN fails too: no axis was found
+            return self
+        variance = _part_of(m.heading_split_std_rad, m.heading_std_rad) ** 2
+        if variance == 0.0 and not any(self.splits):
+            return self if not self.splits else self._replace(splits=())
+        before = self.splits or (0.0,) * (N_SPLITS - 1)
+        return self._replace(splits=(*before[1 - N_SPLITS :], variance))
+
+    def unseen_split_variance(self, m: FrameMeasurement) -> float:
+        """Return the variance to add to a frame's heading for a second direction that many of the last frames show.
+
+        Frames that happen not to show it are as wrong as the others.
+        """
+        if not self.splits:
+            return 0.0
+        return max(
+            sorted(self.splits)[-SHOWN_BY] - _part_of(m.heading_split_std_rad, m.heading_std_rad) ** 2, 0.0
+        )
+
     def with_lasting_error(self, gain: float, m: FrameMeasurement) -> CorridorAxis:
         """Update with the common error of a frame that was fused with this Kalman gain.
 
         The errors of all frames are taken as equal but for their sigmas, as in the consider (Schmidt-Kalman) filter
         with a constant parameter.
         """
-        part = m.heading_lasting_std_rad
-        std_rad = part if 0.0 < part < m.heading_std_rad else 0.0  # NaN fails too
+        own = _part_of(m.heading_lasting_std_rad, m.heading_std_rad)
+        std_rad = sqrt(own**2 + self.unseen_split_variance(m))
         return self._replace(lasting_std_rad=(1.0 - gain) * self.lasting_std_rad + gain * std_rad)
 
     def with_attitude_drift(self, ekf: CorridorEKF, t_ns: int, rho: float) -> CorridorAxis:
@@ -385,6 +410,11 @@ class CorridorAxis(NamedTuple):
             frame_noise=self.frame_noise.interrupted(),
             attitude_drift=self.attitude_drift.interrupted(),
         )
+
+
+def _part_of(part_rad: float, std_rad: float) -> float:
+    """Return a part of a sigma, or 0 if it is none, as in measurements made elsewhere."""
+    return part_rad if 0.0 < part_rad < std_rad else 0.0  # NaN fails too
 
 
 class Recovery(NamedTuple):

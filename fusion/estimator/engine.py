@@ -352,6 +352,7 @@ class Engine:
         else:
             prior, psi_rad = self.expected_frame(s, sample.t_ns), float(self.ekf.x[PSI])
             m = measure_with_prior(sample.measure, attitude, prior, psi_rad, lateral, self.config)
+        s = s._replace(axis=s.axis.with_split_seen(m))
         reason = reason_to_reject(m, self.config)
         if reason is not Reason.OK:
             if s.axis.acquired and not m.accepted and m.offset_evidence:  # relative to the predicted axis
@@ -420,7 +421,7 @@ class Engine:
         s = self._with_axis_checked(s, sample)
         c, ekf, t_ns, d, axis = self.config, self.ekf, sample.t_ns, s.reckoning, s.axis
         interval_s = s.frames.interval_s
-        variance = max(m.heading_std_rad, c.heading_std_floor_rad) ** 2
+        variance = max(m.heading_std_rad, c.heading_std_floor_rad) ** 2 + axis.unseen_split_variance(m)
         variance += self._propagation.held_rate_variance(d, t_ns)
         variance += (sample.stamp_std_s * (d.rate_rad_s - float(ekf.x[BIAS]))) ** 2
         heading = m.heading_rad + turned_since_exposure(s.delay, float(ekf.x[BIAS]), t_ns, d.raw_theta_rad)

@@ -36,6 +36,8 @@ class Corridor:
     joints: tuple[float, ...] = ()  # lines along the floor, where between left and right wall (-1 to 1)
     left_rails_m: tuple[float, ...] = ()
     slope_rad: float = 0.0  # climbs ahead by so much; posts stay upright
+    right_wall_turn_rad: float = 0.0  # away from the left wall, about the vertical at the camera
+    bend_1_m: float = 0.0  # curvature, to the right
 
     def segments(self) -> FloatArray:
         """World segments (n, 6)."""
@@ -58,6 +60,8 @@ class Corridor:
                 out += [(x, y, -0.7, x, y, self.below_m) for x in (2.0, 2.9, 5.0, 5.9, 9.0)]
         segments = np.array(out).reshape(-1, 6)
         segments[:, [2, 5]] -= np.tan(self.slope_rad) * segments[:, [0, 3]]
+        x, on_right = segments[:, [0, 3]], segments[:, [1, 4]] == right
+        segments[:, [1, 4]] += np.tan(self.right_wall_turn_rad) * x * on_right + 0.5 * self.bend_1_m * x**2
         return segments
 
     def rotation(self) -> FloatArray:

@@ -80,7 +80,7 @@ def assess_heading(
     found = HeadingAssessment(
         reason=Reason.OK,
         n_inliers=int(np.count_nonzero(fit.inlier)),
-        heading_std_rad=hypot(sqrt(fit.covariance[0, 0]), CALIBRATION_STD_RAD),
+        heading_std_rad=sqrt(fit.covariance[0, 0] + CALIBRATION_STD_RAD**2 + fit.split_variance),
         second_heading_rad=fit.second_heading_rad,
         second_score=max(fit.second_score, 0.0) / fit.score,
         line_class=line_class,

@@ -8,7 +8,8 @@ in one plane is limited (`corridor_score`), because parallel joints in one plane
 
 The best peak is the axis. The best one at least 8 degrees away is its rival, which `vision.axis.acceptance` compares
 with it. Where the score has more mass near the best peak than the peak's own Gaussian, that excess variance is added
-to the heading's.
+to the heading's. Lines that are no inliers may agree on another direction a few degrees away: then the walls are not
+parallel, or the corridor bends, and `split_variance` is added too.
 """
 
 from __future__ import annotations
@@ -37,6 +38,14 @@ PRIOR_OUTLIER_SHARE = 0.01  # probability that the prediction is wrong: strong e
 # angle to the walls, 18 accepts the floor's direction in one of 70; 10 rejects one of 20 corridors that show mostly
 # floor.
 MAX_ONE_SIDED = 14.0
+SPLIT_RAD = radians(
+    6.0
+)  # of the axis, where the lines of another wall, or of the corridor behind a bend, agree
+STRAY_RAD = radians(8.0), radians(20.0)  # of the axis, where only stray lines agree
+STRAY_SHARE, SPLIT_SHARE = (
+    0.1,
+    0.2,
+)  # of the axis's score: a split below the first does not count, above the second does
 
 
 class HeadingVote(NamedTuple):
@@ -218,6 +227,33 @@ def _excess_variance(marginal: FloatArray, heading: float) -> float:
     if curvature <= 0.0:
         return RIVAL_DISTANCE_RAD**2
     return max(variance / total - VOTE_TEMPERATURE / curvature, 0.0)
+
+
+@compiled
+def split_variance(rest: FloatArray, heading: float, score: float) -> float:
+    """Return the variance of the heading (rad^2) due to a second direction of the corridor near the axis.
+
+    It is that between the two directions, weighted by their scores. It counts from the second one's score less what
+    stray lines reach further away.
+
+    Parameters
+    ----------
+    rest
+        Vote (N_BINS,) of the lines that are no inliers.
+    heading, score
+        The axis, and its score without limit.
+    """
+    best, near, right, left = 0.0, 0.0, 0.0, 0.0
+    for b in range(N_BINS):
+        apart = (bin_heading(b) - heading + 0.5 * pi) % pi - 0.5 * pi
+        if abs(apart) < SPLIT_RAD and rest[b] > best:
+            best, near = rest[b], apart
+        elif STRAY_RAD[0] < apart < STRAY_RAD[1]:
+            right = max(right, rest[b])
+        elif STRAY_RAD[0] < -apart < STRAY_RAD[1]:
+            left = max(left, rest[b])
+    counts = ((best - 0.5 * (left + right)) / max(score, 1.0) - STRAY_SHARE) / (SPLIT_SHARE - STRAY_SHARE)
+    return min(max(counts, 0.0), 1.0) * near * near * best / (best + max(score, 1.0))
 
 
 @compiled

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.axis.elevation import FINEST_STD_RAD, elevation_information, elevations_to_try
-from vision.axis.peaks import RIVAL_DISTANCE_RAD, find_best_heading, find_rival
+from vision.axis.peaks import RIVAL_DISTANCE_RAD, find_best_heading, find_rival, split_variance
 from vision.axis.vote import MAX_HEADING_RAD, VERTICAL_SINE, bin_heading, line_variance, vote
 from vision.compiled import compiled, compiled_inner
 from vision.lines.line_set import LineGeometry, LineSet, rotate_lines
@@ -76,6 +76,8 @@ class AxisFit:
         The fit, in the level frame.
     covariance
         Of heading and elevation (2, 2), rad^2.
+    split_variance
+        Of the heading, rad^2, due to a second direction near the axis (`vision.axis.peaks.split_variance`).
     score, score_of_all
         Log-likelihood ratio of the best peak against random lines, and the same without the limit for lines in one
         plane (`vision.axis.peaks.corridor_score`).
@@ -97,6 +99,7 @@ class AxisFit:
     heading_rad: float
     elevation_rad: float
     covariance: FloatArray
+    split_variance: float
     score: float
     score_of_all: float
     second_heading_rad: float
@@ -219,12 +222,26 @@ def _lines_along(
     return inlier, crossing, along / max(leaning, 1.0)
 
 
+@compiled_inner
+def _without(lines: LineGeometry, left_out: BoolArray) -> LineGeometry:
+    """Return the lines but those left out (n,)."""
+    kept = np.flatnonzero(~left_out)
+    return LineGeometry(
+        lines.normal[kept],
+        lines.centre[kept],
+        lines.direction[kept],
+        lines.sigma_rad[kept],
+        lines.arc_rad[kept],
+    )
+
+
 class _Found(NamedTuple):
     """Result of `_find` in compiled code; fields as in `AxisFit`, in radians. The heading is NaN without an axis."""
 
     heading: float
     elevation: float
     covariance: FloatArray
+    split_variance: float
     score: float
     score_of_all: float
     second_heading: float
@@ -283,7 +300,7 @@ def _find(
     n = len(length)
     no_line = np.zeros(n, np.bool_)
     none = _Found(
-        np.nan, np.nan, np.empty((2, 2)), 0.0, 0.0, np.nan, 0.0, np.zeros(n), no_line, no_line, 0.0, 0
+        np.nan, np.nan, np.empty((2, 2)), 0.0, 0.0, 0.0, np.nan, 0.0, np.zeros(n), no_line, no_line, 0.0, 0
     )
     steps, step_std = elevations_to_try(elevation_std)
     max_heading = 0.5 * pi if prior_heading == prior_heading else MAX_HEADING_RAD + RIVAL_DISTANCE_RAD
@@ -301,12 +318,15 @@ def _find(
     inlier, crossing, share = _lines_along(lines, length, fit)
     n_distinct = _count_distinct(lines.normal, inlier, fit.heading, fit.elevation)
     covariance = _covariance(fit, rival.excess_variance, n_distinct)
+    score_of_all = voted.marginal[voted.best_bin] + voted.log_prior[voted.best_bin]
+    rest = vote(_without(lines, inlier), np.array([fit.elevation]), np.array([FINEST_STD_RAD]), max_heading)
     return _Found(
         fit.heading,
         fit.elevation,
         covariance,
+        split_variance(rest[0, 0] + rest[1, 0], fit.heading, score_of_all),
         voted.best_score,
-        voted.marginal[voted.best_bin] + voted.log_prior[voted.best_bin],
+        score_of_all,
         bin_heading(rival.bin),
         rival.score,
         fit.residual,
@@ -369,6 +389,7 @@ def fit_axis(
         heading_rad=found.heading,
         elevation_rad=found.elevation,
         covariance=found.covariance,
+        split_variance=found.split_variance,
         score=found.score,
         score_of_all=found.score_of_all,
         second_heading_rad=found.second_heading,

@@ -80,6 +80,7 @@ MAX_OFFSET = 1.2  # beyond the walls
 MIN_CANNOT_TELL = 0.15  # lower bound of e for each kind of evidence: frames are overconfident
 FIRST_FRAME_S = 0.3  # largest dt: a single frame never counts as more than this part of one
 START_SPREAD_NORM = 0.05  # u before the first frame
+CORNERS_AHEAD = 4.0  # half widths; usual distance at which the corners are seen that give the offset
 SUPPORTED = 0.5  # association probability above which a frame confirms the most probable hypothesis
 ROLL_WALK = 0.006  # rad/sqrt(s); random walk of the attitude's roll error
 SPEED_SIGMA = 3.0  # innovations of a velocity beyond this have their variance inflated
@@ -281,12 +282,15 @@ class FrameEvidence(NamedTuple):
         1, or -1 if the vehicle flies against the axis, so that left and right are exchanged.
     aside_m
         Distance of the camera to the right of the body's centre, across the corridor, in the frame's direction.
+    split_std_rad
+        Sigma of the frame's heading due to a second direction near the axis, on which some of its lines agree.
     """
 
     components: FloatArray
     dt_s: float
     side: float = 1.0
     aside_m: float = 0.0
+    split_std_rad: float = 0.0
 
 
 def frame_evidence(
@@ -332,6 +336,7 @@ def with_evidence(state: OffsetState, frame: FrameEvidence, model: OffsetModel) 
     age_s = 0.0 if belief > SUPPORTED or not len(state.x) else state.evidence_age_s
     spread2 = state.spread2
     if moment >= 0.0:
+        moment += (CORNERS_AHEAD * frame.split_std_rad) ** 2
         spread2 -= expm1(-dt_s / model.spread_time_s) * (moment - spread2)
     return state._replace(x=x, P=P, weight=weight, evidence_age_s=age_s, spread2=spread2)
 
