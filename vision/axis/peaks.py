@@ -38,14 +38,10 @@ PRIOR_OUTLIER_SHARE = 0.01  # probability that the prediction is wrong: strong e
 # angle to the walls, 18 accepts the floor's direction in one of 70; 10 rejects one of 20 corridors that show mostly
 # floor.
 MAX_ONE_SIDED = 14.0
-SPLIT_RAD = radians(
-    6.0
-)  # of the axis, where the lines of another wall, or of the corridor behind a bend, agree
+MIN_EXCESS = 3.0  # log-likelihood ratio; of few lines, chance alone reaches a tenth of the score
+SPLIT_RAD = radians(6.0)  # of the axis, where the lines of another wall, or of what is behind a bend, agree
 STRAY_RAD = radians(8.0), radians(20.0)  # of the axis, where only stray lines agree
-STRAY_SHARE, SPLIT_SHARE = (
-    0.1,
-    0.2,
-)  # of the axis's score: a split below the first does not count, above the second does
+STRAY_SHARE, SPLIT_SHARE = 0.1, 0.2  # of the axis's score: where a split begins to count, and counts in full
 
 
 class HeadingVote(NamedTuple):
@@ -252,8 +248,10 @@ def split_variance(rest: FloatArray, heading: float, score: float) -> float:
             right = max(right, rest[b])
         elif STRAY_RAD[0] < -apart < STRAY_RAD[1]:
             left = max(left, rest[b])
-    counts = ((best - 0.5 * (left + right)) / max(score, 1.0) - STRAY_SHARE) / (SPLIT_SHARE - STRAY_SHARE)
-    return min(max(counts, 0.0), 1.0) * near * near * best / (best + max(score, 1.0))
+    score = max(score, 1.0)
+    excess = best - 0.5 * (left + right) - max(STRAY_SHARE * score, MIN_EXCESS)
+    counts = min(max(excess / ((SPLIT_SHARE - STRAY_SHARE) * score), 0.0), 1.0)
+    return counts * near * near * best / (best + score)
 
 
 @compiled
