@@ -16,7 +16,7 @@ import numpy as np
 from fusion.estimator.config import FusionConfig
 from fusion.estimator.estimate import heading_of
 from fusion.estimator.lateral.gaussian_sum import OffsetModel, OffsetState, lasting_variances, motion_noise
-from fusion.estimator.lateral.kernels import N_LATERAL, fill_transition, moved
+from fusion.estimator.lateral.kernels import N_LATERAL, MotionNoise, fill_transition, moved
 from fusion.estimator.lateral.mixture_kernels import summarised
 from fusion.estimator.lateral.status import LateralStatus
 from fusion.estimator.lateral.updates import offset_model
@@ -121,11 +121,11 @@ def _offsets_along(
 def _summarise_along(
     hypotheses: tuple[FloatArray, FloatArray, FloatArray],
     paths: FloatArray,
-    noise: tuple[float, float, float, float, float, float],
+    noise: MotionNoise,
     shared: tuple[float, tuple[float, float], float],
     out: FloatArray,
 ) -> None:
-    """Fill in offset, standard deviation and probability (n, 3) at the ends of paths (n, 5) of the same hypotheses.
+    """Fill in offset, standard deviation and probability (n, 3) at the ends of paths (n, 6) of the same hypotheses.
 
     ``hypotheses`` are x (k, 4), P (k, 4, 4) and weight (k,), ``noise`` is that of
     `fusion.estimator.lateral.kernels.fill_transition`, ``shared`` what `summarised` takes last.
@@ -137,7 +137,7 @@ def _summarise_along(
     for k in range(len(paths)):
         x_there, P_there = x, P
         if paths[k, 0] > 0.0:
-            path = (paths[k, 0], paths[k, 1], paths[k, 2], paths[k, 3], paths[k, 4])
+            path = (paths[k, 0], paths[k, 1], paths[k, 2], paths[k, 3], paths[k, 4], paths[k, 5])
             fill_transition(path, noise, False, F, Q)
             moved(x, P, F, Q, x_end, P_end)
             x_there, P_there = x_end, P_end

@@ -36,14 +36,14 @@ from fusion.estimator.state import Checks, Entry, Sample, Sensed, State
 from fusion.flight import TimeArray
 from vision.compiled import compiled
 
-N_PROPAGATED = 13
+N_PROPAGATED = 14
 RAW_THETA = 1  # column of ``propagated``, see `_replay_gyro_samples`
 
 
 class GoodSamples(NamedTuple):
     """Consecutive good gyroscope samples, and tilt and checks from their first processing.
 
-    ``t_ns`` (n,) and ``steps`` (n, 7) hold the same for compiled code, rows as in `fusion.estimator.state.Sensed`.
+    ``t_ns`` (n,) and ``steps`` (n, 8) hold the same for compiled code, rows as in `fusion.estimator.state.Sensed`.
     """
 
     samples: Sequence[Sample]
@@ -133,15 +133,14 @@ class GyroRun:
         """Return the state after a sample."""
         sample, sensed = self.good.samples[i], self.good.sensed[i]
         assert isinstance(sample, ImuSample)
-        theta, raw, yaw_done, t_s, accel_s, a1, a2, path_noise, *accel, age_s = self.propagated[i].tolist()
-        last, silent_s, density2, n = accel
+        theta, raw, yaw_done, *path, last, silent_s, density2, n, age_s = self.propagated[i].tolist()
         _, _, d, _, velocity, width, imu_yaw, axis, lateral, frames, elevation, _, checks = self.start
         offset = lateral.offset
         offset = OffsetState(
             offset.x,
             offset.P,
             offset.weight,
-            Path(t_s, accel_s, a1, a2, path_noise),
+            Path(*path),
             Acceleration(last, silent_s, density2, int(n)),
             offset.roll,
             offset.spread2,
@@ -208,7 +207,7 @@ def compile_gyro_run() -> None:
         np.empty((1, N_PROPAGATED)),
     )
     times = (0, 0, 1_000_000_000)
-    t_ns, steps = np.array([1_000_000]), np.array([(0.0,) * 7])
+    t_ns, steps = np.array([1_000_000]), np.array([(0.0,) * 8])
     noise, x, P, propagated = (1.0,) * 3, np.zeros(n), np.eye(n), np.zeros(N_PROPAGATED)
     _replay_gyro_samples(t_ns, steps, x, P, propagated, times, (0.0,) * 6, noise, out)
 
@@ -232,12 +231,12 @@ def _replay_gyro_samples(
     Parameters
     ----------
     t_ns, steps
-        Times (n,), and rows (n, 7) as in `fusion.estimator.state.Sensed`.
+        Times (n,), and rows (n, 8) as in `fusion.estimator.state.Sensed`.
     x, P
         State (3,) and covariance (3, 3) of the filter.
     propagated
-        Other propagated values (13,): dead-reckoned heading, the same with the bias, yaw since the last attitude;
-        the five fields of the path and the four of the acceleration; age of the evidence.
+        Other propagated values (14,): dead-reckoned heading, the same with the bias, yaw since the last attitude;
+        the six fields of the path and the four of the acceleration; age of the evidence.
     times_ns
         Times of the state and of the last gyroscope sample, and the longest gap.
     numbers
@@ -246,23 +245,23 @@ def _replay_gyro_samples(
     noise
         Densities of the process noise.
     out
-        Output: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3) of the last step, propagated (n, 13).
+        Output: x (n, 3), F (n, 3, 3), P (n, 3, 3), Q (3, 3) of the last step, propagated (n, 14).
     """
     last_ns, gyro_ns, grace_ns = times_ns
     last_rate, done, roll, scale_variance, extra_noise, seen_theta = numbers
     heading_noise, bias_noise, offset_noise = noise
     x_out, F_out, P_out, Q, propagated_out = out
     theta, raw_theta, yaw_done = propagated[0], propagated[1], propagated[2]
-    path = (propagated[3], propagated[4], propagated[5], propagated[6], propagated[7])
-    accel = (propagated[8], propagated[9], propagated[10], int(propagated[11]))
-    age_s = propagated[12]
+    path = (propagated[3], propagated[4], propagated[5], propagated[6], propagated[7], propagated[8])
+    accel = (propagated[9], propagated[10], propagated[11], int(propagated[12]))
+    age_s = propagated[13]
     for k in range(len(t_ns)):
         dt_s = (t_ns[k] - last_ns) * 1e-9
         if t_ns[k] - gyro_ns > grace_ns or not dt_s > 0.0:
             return k
         rate = steps[k, 0]
         force, down = (steps[k, 1], steps[k, 2], steps[k, 3]), (steps[k, 4], steps[k, 5], steps[k, 6])
-        path, accel = extended_path(path, accel, dt_s, x[PSI], force, down, roll)
+        path, accel = extended_path(path, accel, dt_s, x[PSI], force, down, roll, steps[k, 7])
         age_s += dt_s
         turned = 0.5 * (last_rate + rate) * (t_ns[k] - gyro_ns) * 1e-9 - done
         corrected = turned - x[BIAS] * dt_s
@@ -288,7 +287,7 @@ def _replay_gyro_samples(
         theta, raw_theta, yaw_done = theta + corrected, raw_theta + turned, yaw_done + corrected
         x, P, last_ns, gyro_ns, last_rate, done = x_out[k], P_out[k], t_ns[k], t_ns[k], rate, 0.0
         row = propagated_out[k]
-        row[0], row[1], row[2], row[12] = theta, raw_theta, yaw_done, age_s
-        row[3], row[4], row[5], row[6], row[7] = path
-        row[8], row[9], row[10], row[11] = accel
+        row[0], row[1], row[2], row[13] = theta, raw_theta, yaw_done, age_s
+        row[3], row[4], row[5], row[6], row[7], row[8] = path
+        row[9], row[10], row[11], row[12] = accel
     return len(t_ns)

@@ -52,7 +52,7 @@ class Tilt(NamedTuple):
     t_attitude_ns, t_gyro_ns, t_accel_ns
         Last sample of each kind; None before the first.
     settled_s
-        Time over which the accelerometer has been used.
+        Time over which the accelerometer has been used; an attitude needs no start.
     gyro_bias
         Gyroscope bias estimated by the complementary filter, rad/s.
     """
@@ -65,6 +65,12 @@ class Tilt(NamedTuple):
     settled_s: float = 0.0
     gyro_bias: Vector = (0.0, 0.0, 0.0)
 
+    @property
+    def follows_force(self) -> bool:
+        """Whether there is no recent attitude, so that the accelerometer corrects the direction."""
+        then_ns, now_ns = self.t_attitude_ns, self.t_ns
+        return then_ns is None or now_ns is None or (now_ns - then_ns) * 1e-9 > ATTITUDE_GAP_S
+
     def clock_set_back(self, t_ns: int) -> Tilt:
         """Keep the direction, valid from an earlier time on, and forget the times of the samples."""
         return self._replace(t_ns=t_ns, t_attitude_ns=None, t_gyro_ns=None, t_accel_ns=None)
@@ -72,8 +78,9 @@ class Tilt(NamedTuple):
 
 def from_quaternion(tilt: Tilt, t_ns: int, q_world_body: Quaternion) -> Tilt:
     """Set the tilt from an attitude sample: a unit quaternion w, x, y, z, body FRD to a world with z down."""
-    _, _, _, *rest = tilt
-    return new_record(Tilt, (_unit(down_of_quaternion(q_world_body)), t_ns, t_ns, *rest))
+    _, _, _, t_gyro, t_accel, _, bias = tilt
+    down = _unit(down_of_quaternion(q_world_body))
+    return new_record(Tilt, (down, t_ns, t_ns, t_gyro, t_accel, START_S, bias))
 
 
 def with_imu(tilt: Tilt, t_ns: int, gyro_rad_s: Vector, accel_m_s2: Vector | None) -> Tilt:
@@ -188,6 +195,7 @@ def _fill_tilts(
             attitude += 1
             last_ns = attitude_t_ns[attitude]
             down = (attitude_down[attitude, 0], attitude_down[attitude, 1], attitude_down[attitude, 2])
+            settled_s = START_S
         dt = min(max((now_ns - last_ns) * 1e-9, 0.0), MAX_STEP_S)
         attitude_age_s = inf if attitude < 0 else (now_ns - attitude_t_ns[attitude]) * 1e-9
         force_age_s = (now_ns - force_ns) * 1e-9 if has_force else inf
