@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 
 MAX_REJECTED_SHARE = 0.5  # of the frames of the last half second; beyond it the heading is coasting
+TILT_NOT_TURNING = "attitude does not roll and pitch as the gyroscope does: check its frame, sign and stamps"
 REFUSED_SAMPLES = 20  # impossible values in a row before a source is reported that was never used
 REFUSED = {
     "imu_not_finite": "gyroscope is not finite",
@@ -278,6 +279,8 @@ def _sensor_notices(
     if (wrong := state.checks.gyro.notice(t_ns)) is not None:
         yield wrong
     yield from state.checks.installation.notices(state.tilt.down, config.gyro_scale_std)
+    if state.tilt.check.is_wrong:
+        yield Notice(Fault.TILT_WRONG, TILT_NOT_TURNING)
     if (narrow := state.width.notice(config)) is not None:
         yield narrow
     if state.velocity.is_known(t_ns) and (contradicted := state.lateral.speed_check.notice()) is not None:
