@@ -232,7 +232,7 @@ def notices_of(
     axis, clocks = state.axis, [] if arrivals is None else list(arrivals.notices())
     status = status_of(state, config, t_ns, heading_std_rad, arrivals)
     if status is Status.INITIALISING:
-        clocks = [*clocks, *state.checks.installation.notices(state.tilt.down, config.gyro_scale_std)]
+        clocks = [*clocks, *_installation_notices(state, config)]
         text = "waiting for frames that agree" if axis.votes else "no usable frame yet"
         return clocks or [Notice(Fault.NOT_STARTED, text)]
     seen_ns = _seen_ns(state, t_ns, arrivals)
@@ -267,6 +267,12 @@ def _seen_ns(state: State, t_ns: int, arrivals: ArrivalTimes | None) -> int:
     return t_ns if not latency_ns else max(t_ns - latency_ns, state.frames.last_ns or 0)
 
 
+def _installation_notices(state: State, config: FusionConfig) -> Iterator[Notice]:
+    yield from state.checks.installation.notices(config.gyro_scale_std)
+    if state.tilt.check.is_wrong:
+        yield Notice(Fault.TILT_WRONG, TILT_NOT_TURNING)
+
+
 def _sensor_notices(
     state: State, config: FusionConfig, t_ns: int, arrivals: ArrivalTimes | None
 ) -> Iterator[Notice]:
@@ -278,9 +284,7 @@ def _sensor_notices(
     reckoning = state.reckoning
     if (wrong := state.checks.gyro.notice(t_ns)) is not None:
         yield wrong
-    yield from state.checks.installation.notices(state.tilt.down, config.gyro_scale_std)
-    if state.tilt.check.is_wrong:
-        yield Notice(Fault.TILT_WRONG, TILT_NOT_TURNING)
+    yield from _installation_notices(state, config)
     if (narrow := state.width.notice(config)) is not None:
         yield narrow
     if state.velocity.is_known(t_ns) and (contradicted := state.lateral.speed_check.notice()) is not None:
