@@ -17,7 +17,7 @@ from fusion.estimator.records import new_record
 
 SPAN_NS, MAX_SPAN_NS = 500_000_000, 1_000_000_000
 MEMORY = 1.0 - 1 / 8  # forgetting factor per span
-MIN_SPANS, PRIOR_SPANS = 4.0, 4.0
+MIN_SPANS, PRIOR_SPANS = 5.0, 4.0
 STEP_STD_RAD = radians(0.5)  # stated error of a change
 SURE_SIGMA = 4.0
 WRONG, AGREEING = 0.5, 0.4  # difference of the slope from one at which the fault begins and ends
